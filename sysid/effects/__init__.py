@@ -1,4 +1,6 @@
-"""Missing effects: the catalogue of candidates, their scores against flights, and the choice among them."""
+"""Missing effects: the catalogue of candidates, their scores against flights, and the choice among
+them.
+"""
 
 import lazy_loader
 

@@ -1,8 +1,8 @@
-"""The catalogue of candidate effects: what a model may lack, its physics in a sentence, where it shows, where to read about it.
+"""The catalogue of candidate effects: what a model may lack, its physics in a sentence, where it
+shows, where to read about it.
 
-A coefficient effect is a term (effect_terms.py) in one of CX CY CZ Cl Cm Cn; any other belongs to a subsystem. Nothing here knows
-how a simulator would carry it.
-"""
+A coefficient effect is a term (effect_terms.py) in one of CX CY CZ Cl Cm Cn; any other belongs to a
+subsystem. Nothing here knows how a simulator would carry it."""
 
 from __future__ import annotations
 
@@ -103,7 +103,10 @@ class Term:
         )
 
     def values(self, found: Mapping[str, FloatArray]) -> FloatArray:
-        """(n,) values from those of the variables, each (n,). Raises KeyError for a variable that is not there."""
+        """(n,) values from those of the variables, each (n,).
+
+        Raises KeyError for a variable that is not there.
+        """
         each = [
             (np.abs(found[f.variable]) if f.absolute else found[f.variable]) ** float(f.power)
             for f in self.factors
@@ -112,15 +115,19 @@ class Term:
 
 
 def parse(text: str) -> Term:
-    """The term of a text such as ``alpha*beta``. Raises ValueError saying what was received and what is allowed."""
+    """The term of a text such as ``alpha*beta``.
+
+    Raises ValueError saying what was received and what is allowed.
+    """
     gathered: dict[tuple[str, bool], int] = {}
     for part in text.replace(" ", "").split("*"):
         found = _FACTOR.fullmatch(part)
         name = (found["absolute"] or found["plain"]) if found else ""
         if found is None or name not in VARIABLES:
             raise ValueError(
-                f"term '{text}': '{part}' is no factor; allowed are variable, abs(variable), variable^n and 1/variable with "
-                f"variable one of {', '.join(VARIABLES)}, joined by *"
+                f"term '{text}': '{part}' is no factor; allowed are variable, abs(variable),"
+                f" variable^n and 1/variable with variable one of {', '.join(VARIABLES)}, joined"
+                " by *"
             )
         key = (name, found["absolute"] is not None)
         gathered[key] = gathered.get(key, 0) + int(found["power"] or 1) * (
@@ -175,14 +182,16 @@ HALE = "Hale (2016), section 2.7.2"
 class Effect:
     """One candidate.
 
-    coefficient  CX..Cn, or None where ``subsystem`` (stall, actuator.<surface>, propulsion, mass, sensor.<channel>, ground) counts
-    term         text of the term, or the subsystem's own word (lag, thrust_scale, Ixz ...)
-    name, physics, regime, sign, reference  words for an engineer; sign: what is usual, "" where either is
+    coefficient  CX..Cn, or None where ``subsystem`` (stall, actuator.<surface>, propulsion, mass,
+    sensor.<channel>, ground) counts
+    term         text of the term, or the subsystem's own word (lag, thrust_scale, Ixz ...) name,
+    physics, regime, sign, reference  words for an engineer; sign: what is usual, "" where either is
     unit         of the value
-    positive     whether only a positive value is physics: no sensor is early, no servo faster than its command (one with a lag
+    positive     whether only a positive value is physics: no sensor is early, no servo faster than
+    its command (one with a lag
                  in the XML may be faster than that)
-    odds         what the candidate must explain more than a plain one, in units of 2 ln L: 0 for what every textbook lists
-    """
+    odds         what the candidate must explain more than a plain one, in units of 2 ln L: 0 for
+    what every textbook lists"""
 
     coefficient: str | None
     subsystem: str | None
@@ -399,8 +408,9 @@ _TERMS: dict[str, tuple[str, str, str]] = {
 _P2, _R2, _IXZ = "effect/Cm/p_hat^2", "effect/Cm/r_hat^2", "effect/mass/Ixz"
 _COUPLED = (_R2, "effect/Cl/p_hat*q_hat", "effect/Cn/q_hat*r_hat")
 TWINS: dict[tuple[str, str], tuple[str, ...]] = {(_P2, _IXZ): _COUPLED, (_IXZ, _P2): _COUPLED}
-"""(effect, alternative) -> terms by which alone the two differ. A wrong Ixz is a pitching moment Ixz (r^2 - p^2), and moments with
-p q and q r; its linear part the rate derivatives take up (rigid body, e.g. Etkin and Reid eq 4.7,2)."""
+"""(effect, alternative) -> terms by which alone the two differ. A wrong Ixz is a pitching moment
+Ixz (r^2 - p^2), and moments with p q and q r; its linear part the rate derivatives take up (rigid
+body, e.g. Etkin and Reid eq 4.7,2)."""
 
 
 def words(term: str) -> str:
@@ -417,7 +427,10 @@ def words(term: str) -> str:
 
 
 def coefficient_effect(coefficient: str, term: str) -> Effect:
-    """The effect of a term in a coefficient; term in any order of factors. Raises ValueError for what is neither."""
+    """The effect of a term in a coefficient; term in any order of factors.
+
+    Raises ValueError for what is neither.
+    """
     if coefficient not in COEFFICIENTS:
         raise ValueError(f"coefficient '{coefficient}': allowed are {', '.join(COEFFICIENTS)}")
     parsed = parse(term)
@@ -475,7 +488,8 @@ def read_effects(path: Path) -> list[Effect]:
     rows = data.get("effect")
     if set(data) - {"effect"} or not isinstance(rows, list) or not rows:
         raise LogError(
-            f"holds {sorted(data) or 'nothing'}; it needs tables [[effect]] with coefficient and term",
+            f"holds {sorted(data) or 'nothing'}; it needs tables [[effect]] with coefficient and"
+            " term",
             path,
         )
     out: list[Effect] = []
@@ -490,7 +504,8 @@ def read_effects(path: Path) -> list[Effect]:
             )
         if wrong := [k for k, v in row.items() if not isinstance(v, str)]:
             raise LogError(f"{wrong[0]} must be text; received {row[wrong[0]]!r}", path, where)
-        # The texts go into pages and into comments of the refined XML, which has no place for control characters.
+        # The texts go into pages and into comments of the refined XML, which has no place for
+        # control characters.
         for key, text in row.items():
             if len(text) > _MOST_CHARACTERS:
                 raise LogError(
@@ -506,7 +521,8 @@ def read_effects(path: Path) -> list[Effect]:
             raise LogError(str(error), path, where) from None
         if effect.key in numbers:
             raise LogError(
-                f"{effect.coefficient}, {row['term']} is [[effect]] {numbers[effect.key]} too; give each effect once",
+                f"{effect.coefficient}, {row['term']} is [[effect]] {numbers[effect.key]} too; give"
+                " each effect once",
                 path,
                 where,
             )
@@ -543,7 +559,10 @@ _AIRCRAFT = (
         "ground",
         "lift",
         "lift gained near the ground",
-        "the ground holds up the wing's downwash: normal force grows by a share that falls off as exp(-2 h/b)",
+        (
+            "the ground holds up the wing's downwash: normal force grows by a share that falls off"
+            " as exp(-2 h/b)"
+        ),
         "low height",
         "1",
     ),
@@ -628,7 +647,8 @@ def subsystem_effects(
     delays: Sequence[str],
     parts: Sequence[str] = (),
 ) -> list[Effect]:
-    """Effects that are no coefficient term, for the surfaces, measured channels and sensors (for delays) at hand.
+    """Effects that are no coefficient term, for the surfaces, measured channels and sensors (for
+    delays) at hand.
 
     parts: channels of a sensor with several, whose filter may be another than the others'.
     """

@@ -1,7 +1,8 @@
-"""Compiles the loops of identification ahead, as a set-up does: `python -m sysid.effects.compile_loops`.
+"""Compiles the loops of identification ahead, as a set-up does: `python -m
+sysid.effects.compile_loops`.
 
-The first flight in turbulence would do so else, in some twenty seconds; the machine code is kept beside the sources.
-"""
+The first flight in turbulence would do so else, in some twenty seconds; the machine code is kept
+beside the sources."""
 
 from __future__ import annotations
 

@@ -1,7 +1,9 @@
-"""One-step predictions along linearised flights: white innovations, and how each candidate would have moved them.
+"""One-step predictions along linearised flights: white innovations, and how each candidate would
+have moved them.
 
-A Kalman filter with the process noise of turbulence; without any it is output error. The innovations' sensitivity to a column of
-extra coefficients runs through the same gains, so that what is judged is what the likelihood sees (Astrom, Automatica 16, 1980):
+A Kalman filter with the process noise of turbulence; without any it is output error. The
+innovations' sensitivity to a column of extra coefficients runs through the same gains, so that what
+is judged is what the likelihood sees (Astrom, Automatica 16, 1980):
 
     s = H X + D u + e,   X+ = X - K s,   X' = Phi X+ + G0 u(k) + G1 u(k+1-)
 
@@ -30,20 +32,24 @@ from sysid.estimation import (
 )
 
 _REMEMBERED = 24
-"""Columns of a segment that are remembered of those made again: those that stand and the few that compete."""
+"""Columns of a segment that are remembered of those made again: those that stand and the few that
+compete.
+"""
 _AT_ONCE = 256
-"""Rows that are taken in double precision together, to make columns orthogonal to the start states."""
+"""Rows that are taken in double precision together, to make columns orthogonal to the start
+states.
+"""
 
 
 @dataclass(frozen=True)
 class Columns:
     """What K parameters do along one segment of n samples, per unit of each.
 
-    inputs    column -> (index of the coefficient CX..Cn, values (n,)), or (-1, values (n, 6)) for all six
-    outputs   column -> (n, m) added to the measured channels
+    inputs    column -> (index of the coefficient CX..Cn, values (n,)), or (-1, values (n, 6)) for
+    all six outputs   column -> (n, m) added to the measured channels
     ends      column -> its input's values just before each row, where they jump there
-    felt      column -> its input's values as the channels of the same row have seen them, where that is otherwise
-    """
+    felt      column -> its input's values as the channels of the same row have seen them, where
+    that is otherwise"""
 
     names: tuple[str, ...]
     inputs: Mapping[str, tuple[int, FloatArray]]
@@ -53,8 +59,9 @@ class Columns:
 
 
 class MadeColumns(Sequence[Columns]):
-    """Columns of segments that are made as often as they are asked for, all by the same ``names``: those of a flight's candidates
-    take as much memory as what is computed from them. make: those of a segment that are among some names."""
+    """Columns of segments that are made as often as they are asked for, all by the same ``names``:
+    those of a flight's candidates take as much memory as what is computed from them. make: those of
+    a segment that are among some names."""
 
     def __init__(
         self, names: Sequence[str], make: Callable[[int, Collection[str]], Columns], count: int
@@ -81,12 +88,13 @@ def names_of(columns: Sequence[Columns]) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class White:
-    """One segment: whitened innovations (n, m) and columns (n, m, K), the start state projected out; NaN rows are zero.
+    """One segment: whitened innovations (n, m) and columns (n, m, K), the start state projected
+    out; NaN rows are zero.
 
-    logdet: sum of the logarithms of the innovations' deviations; start (8, 1 + K): start state that fits best, and its change by
-    column; there (n, m): which values were measured; deviation (m,): rms of the innovations' standard deviation, in the
-    channels' units; more: makes columns (n, m, C) by names, where they can be made again
-    """
+    logdet: sum of the logarithms of the innovations' deviations; start (8, 1 + K): start state that
+    fits best, and its change by column; there (n, m): which values were measured; deviation (m,):
+    rms of the innovations' standard deviation, in the channels' units; more: makes columns (n, m,
+    C) by names, where they can be made again"""
 
     residual: FloatArray
     columns: NDArray[np.float32]
@@ -99,14 +107,18 @@ class White:
 
 @dataclass(frozen=True)
 class Followed:
-    """One segment as a filter follows it: what was measured, the gains, and whitened innovations without any columns."""
+    """One segment as a filter follows it: what was measured, the gains, and whitened innovations
+    without any columns.
+    """
 
     seen: MeasuredSystem
     gains: Gains
     alone: Whitened
 
     def path_from(self, start: FloatArray) -> FloatArray:
-        """(n, x) predicted states less the reference, the segment begun at the start state ``start`` (8,) less the reference's."""
+        """(n, x) predicted states less the reference, the segment begun at the start state
+        ``start`` (8,) less the reference's.
+        """
         return predicted_path(self.seen, self.gains, self.seen.start @ start)
 
     def carried(self, own: Columns) -> Whitened:
@@ -130,8 +142,8 @@ def follow(
     noise: FloatArray,
     process: Process | None = None,
 ) -> Iterator[Followed]:
-    """Filter every segment, one after the other; arguments of `whiten`, which makes columns white by what is given here. Raises
-    LinAlgError where no filter follows."""
+    """Filter every segment, one after the other; arguments of `whiten`, which makes columns white
+    by what is given here. Raises LinAlgError where no filter follows."""
     for k, (system, z) in enumerate(zip(steps, measured, strict=True)):
         seen = MeasuredSystem.of(system, z, which)
         found = gains(
@@ -150,14 +162,15 @@ def whiten(
 ) -> list[White]:
     """Filter every segment.
 
-    which  rows of the steps' OUTPUTS that ``measured`` (n, m) holds; noise (m,) standard deviations; process: None for calm air.
-    Raises LinAlgError where no filter follows.
-    """
+    which  rows of the steps' OUTPUTS that ``measured`` (n, m) holds; noise (m,) standard
+    deviations; process: None for calm air. Raises LinAlgError where no filter follows."""
     return whitened(follow(steps, measured, which, noise, process), columns)
 
 
 def whiten_each(followed: Iterable[Followed], columns: MadeColumns) -> Iterator[White]:
-    """`whitened`, segment by segment, of columns that can be made again: whoever needs their sums need not hold them."""
+    """`whitened`, segment by segment, of columns that can be made again: whoever needs their sums
+    need not hold them.
+    """
     for k, one in enumerate(followed):
         yield replace(_whitened(one, columns[k]), more=_Again(one, columns, k))
 
@@ -217,8 +230,8 @@ def minus_twice_log(white: Sequence[White]) -> float:
 def start_fitted(
     innovations: FloatArray, starts: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Whitened innovations (n, m) with the start fitted, starts (n, m, 8) being what its states do to them; and q (n m, 8), r (8,
-    8) of the starts, in units of the states."""
+    """Whitened innovations (n, m) with the start fitted, starts (n, m, 8) being what its states do
+    to them; and q (n m, 8), r (8, 8) of the starts, in units of the states."""
     flat = starts.reshape(-1, START_COLUMNS)
     scale = np.sqrt(np.sum(flat**2, axis=0))
     scale[scale == 0.0] = 1.0

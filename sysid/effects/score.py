@@ -1,13 +1,15 @@
-"""Score tests of candidate effects on whitened innovations: who explains what is left, and can the data separate them.
+"""Score tests of candidate effects on whitened innovations: who explains what is left, and can the
+data separate them.
 
-With columns b of the parameters already free and one column c per candidate (start states projected out of all of them),
+With columns b of the parameters already free and one column c per candidate (start states projected
+out of all of them),
 
-    g = G_cc - G_cb G_bb^-1 G_bc,   u = u_c - G_cb G_bb^-1 u_b,   estimate u/g,   t = u/sqrt(g),   gain u^2/g          (LM)
+    g = G_cc - G_cb G_bb^-1 G_bc,   u = u_c - G_cb G_bb^-1 u_b,   estimate u/g,   t = u/sqrt(g),
+    gain u^2/g          (LM)
 
-the gain being twice the rise of the log likelihood: Rao's score (Lagrange multiplier) test. Where residuals are coloured, t is
-corrected as standard errors are (coloured.py). Sums are kept by segment, so that any part of the flights can be fitted and any
-other asked whether it agrees.
-"""
+the gain being twice the rise of the log likelihood: Rao's score (Lagrange multiplier) test. Where
+residuals are coloured, t is corrected as standard errors are (coloured.py). Sums are kept by
+segment, so that any part of the flights can be fitted and any other asked whether it agrees."""
 
 from __future__ import annotations
 
@@ -27,17 +29,19 @@ Index = NDArray[np.intp]
 Estimate = tuple[float, float, float]
 """Value, standard error corrected for colour, and that of white residuals."""
 DEPENDENT = 1e-5
-"""Share of a column that must be left after the free parameters' part is taken out; less is no information."""
+"""Share of a column that must be left after the free parameters' part is taken out; less is no
+information.
+"""
 
 
 @dataclass(frozen=True)
 class Evidence:
     """Sums of whitened columns and innovations over groups of segments.
 
-    gram (G, K, K), score (G, K): Y'Y and Y'e of each group; group (S,): that of each segment; prior (K,): information held besides
-    held   names of the columns that ``white`` has, in its order; None: all. Others it makes again, or has not
-    remembered  what `corrected_each` has found: a search asks for the same columns again and again
-    """
+    gram (G, K, K), score (G, K): Y'Y and Y'e of each group; group (S,): that of each segment; prior
+    (K,): information held besides held   names of the columns that ``white`` has, in its order;
+    None: all. Others it makes again, or has not remembered  what `corrected_each` has found: a
+    search asks for the same columns again and again"""
 
     names: tuple[str, ...]
     gram: FloatArray
@@ -49,7 +53,10 @@ class Evidence:
     remembered: dict[frozenset[str], dict[str, Estimate]] = field(default_factory=dict, init=False)
 
     def index(self, names: Iterable[str]) -> Index:
-        """Positions (n,) of those unknowns in ``gram`` and ``score``. Raises KeyError for a name that is not there."""
+        """Positions (n,) of those unknowns in ``gram`` and ``score``.
+
+        Raises KeyError for a name that is not there.
+        """
         return np.array([self._where[n] for n in names], dtype=np.intp)
 
     @cached_property
@@ -62,7 +69,9 @@ class Evidence:
         return self.gram.sum(axis=0) + np.diag(self.prior), self.score.sum(axis=0)
 
     def part(self, segments: NDArray[np.bool_] | None) -> tuple[FloatArray, FloatArray]:
-        """(K, K) information and (K,) score of some segments, whole groups of them, priors included. Raises ValueError."""
+        """(K, K) information and (K,) score of some segments, whole groups of them, priors
+        included. Raises ValueError.
+        """
         if segments is None:
             return self.everything
         some = np.unique(self.group[segments])
@@ -72,12 +81,17 @@ class Evidence:
 
     @property
     def confirming(self) -> NDArray[np.bool_] | None:
-        """(S,) segments not of the first group, which confirm what that says and it them; None where it is alone."""
+        """(S,) segments not of the first group, which confirm what that says and it them; None
+        where it is alone.
+        """
         part = self.group > 0
         return part if part.any() and not part.all() else None
 
     def series(self, w: White, some: Index) -> FloatArray:
-        """(n, m, C) columns of a segment. Raises KeyError for one that is neither held nor made again."""
+        """(n, m, C) columns of a segment.
+
+        Raises KeyError for one that is neither held nor made again.
+        """
         if self.held is None:
             return w.columns[:, :, some].astype(np.float64)
         names = np.array([self.names[k] for k in some], dtype=str)
@@ -91,7 +105,9 @@ class Evidence:
         return out
 
     def step(self, held: Sequence[str] = ()) -> tuple[FloatArray, float]:
-        """Gauss-Newton step of all columns but those held (K,), and its length in standard errors."""
+        """Gauss-Newton step of all columns but those held (K,), and its length in standard
+        errors.
+        """
         _, u = self.everything
         delta = self.fitted(self.index(n for n in self.names if n not in held))
         return delta, math.sqrt(max(float(delta @ u), 0.0))
@@ -104,7 +120,8 @@ class Evidence:
         return out
 
     def taken_out(self, values: Mapping[str, float]) -> Evidence:
-        """The evidence as it would be had the columns ``values`` not been in the model flown: their part is back in the residual.
+        """The evidence as it would be had the columns ``values`` not been in the model flown: their
+        part is back in the residual.
 
         So one flight, flown with the effects chosen, serves to choose again.
         """
@@ -117,7 +134,9 @@ class Evidence:
         return replace(self, score=self.score + self.gram @ v, white=white)
 
     def residual(self, delta: FloatArray) -> list[FloatArray]:
-        """[(n, m)] whitened innovations after a change of the columns, NaN where nothing was measured."""
+        """[(n, m)] whitened innovations after a change of the columns, NaN where nothing was
+        measured.
+        """
         used = np.flatnonzero(delta)
         return [
             np.where(w.there, w.residual - self.series(w, used) @ delta[used], np.nan)
@@ -132,9 +151,10 @@ def gather(
     prior: Mapping[str, float],
     held: Sequence[str] | None = None,
 ) -> Evidence:
-    """Evidence from filtered segments. group (S,): whose sums are kept together, 0 and up; prior: kind of column (its name up to
-    the first /) -> standard deviation known beforehand; held: names of the columns that it has at hand, None: all. Those of
-    candidates are most of the memory that evidence would take."""
+    """Evidence from filtered segments. group (S,): whose sums are kept together, 0 and up; prior:
+    kind of column (its name up to the first /) -> standard deviation known beforehand; held: names
+    of the columns that it has at hand, None: all. Those of candidates are most of the memory that
+    evidence would take."""
     K, groups = len(names), np.asarray(group, dtype=np.intp)
     gram, score = np.zeros((groups.max() + 1, K, K)), np.zeros((groups.max() + 1, K))
     kept: list[White] = []
@@ -170,7 +190,9 @@ def solve(G: FloatArray, right: FloatArray) -> FloatArray:
 def projected(
     G: FloatArray, u: FloatArray, free: Index, some: Index
 ) -> tuple[FloatArray, FloatArray]:
-    """Information (C, C) and score (C,) of columns ``some`` with those that are ``free`` taken out, as in (LM)."""
+    """Information (C, C) and score (C,) of columns ``some`` with those that are ``free`` taken out,
+    as in (LM).
+    """
     x = solve(G[np.ix_(free, free)], np.column_stack([G[np.ix_(free, some)], u[free]]))
     return G[np.ix_(some, some)] - G[np.ix_(some, free)] @ x[:, :-1], u[some] - G[
         np.ix_(some, free)
@@ -180,8 +202,9 @@ def projected(
 def shared(
     evidence: Evidence, names: Sequence[str], at: Mapping[str, float]
 ) -> tuple[FloatArray, FloatArray]:
-    """Information (n, n) of the unknowns ``names``, everything else but effects taken out, and that times their values there (n,):
-    what evidence of other flights adds to. at: values about which the columns are."""
+    """Information (n, n) of the unknowns ``names``, everything else but effects taken out, and that
+    times their values there (n,): what evidence of other flights adds to. at: values about which
+    the columns are."""
     G, u = evidence.everything
     own = [n for n in evidence.names if n not in names and not n.startswith("effect/")]
     information, left = projected(G, u, evidence.index(own), evidence.index(names))
@@ -190,7 +213,9 @@ def shared(
 
 @dataclass(frozen=True)
 class Scores:
-    """Of candidates c, given free columns: estimate, information g, t, gain (all (C,)), share: what of a column is its own."""
+    """Of candidates c, given free columns: estimate, information g, t, gain (all (C,)), share: what
+    of a column is its own.
+    """
 
     names: tuple[str, ...]
     estimate: FloatArray
@@ -206,7 +231,9 @@ def scores(
     candidates: Sequence[str],
     segments: NDArray[np.bool_] | None = None,
 ) -> Scores:
-    """Equation (LM) for every candidate; NaN where the data hold nothing of it that the free columns do not."""
+    """Equation (LM) for every candidate; NaN where the data hold nothing of it that the free
+    columns do not.
+    """
     G, u = evidence.part(segments)
     b, c = evidence.index(free), evidence.index(candidates)
     x = solve(G[np.ix_(b, b)], np.column_stack([G[np.ix_(b, c)], u[b]]))
@@ -220,15 +247,17 @@ def scores(
 
 
 def corrected(evidence: Evidence, free: Sequence[str], candidate: str) -> Estimate:
-    """Estimate of one candidate, its standard error by the residuals' colour after the fit, and the error were they white."""
+    """Estimate of one candidate, its standard error by the residuals' colour after the fit, and the
+    error were they white.
+    """
     return corrected_each(evidence, [*free, candidate], [candidate])[candidate]
 
 
 def corrected_each(
     evidence: Evidence, names: Sequence[str], wanted: Sequence[str]
 ) -> dict[str, Estimate]:
-    """`corrected` of each of the ``wanted`` among the columns ``names``, all estimated together: what the fit leaves, and so its
-    colour, is the same for all of them and computed once."""
+    """`corrected` of each of the ``wanted`` among the columns ``names``, all estimated together:
+    what the fit leaves, and so its colour, is the same for all of them and computed once."""
     known = evidence.remembered.setdefault(frozenset(names), {})
     if not known.keys() >= {*wanted}:
         known |= _corrected(
@@ -258,7 +287,8 @@ def _corrected(
         own.append(columns @ alone)
         left.append(np.where(w.there, w.residual - columns @ delta, np.nan))
     bracket = np.diagonal(coloured_information(own, left))
-    # Where the data hold nothing of a column, as of a rate limit that is never reached, it has no standard error.
+    # Where the data hold nothing of a column, as of a rate limit that is never reached, it has no
+    # standard error.
     with np.errstate(invalid="ignore", divide="ignore"):
         plain = 1.0 / np.sqrt(np.where(g > 0.0, g, np.nan))
         std = np.maximum(np.sqrt(np.maximum(bracket, 0.0)) * plain**2, plain)
@@ -271,7 +301,8 @@ def _corrected(
 def agreement(
     evidence: Evidence, free: Sequence[str], candidate: str, part: NDArray[np.bool_]
 ) -> tuple[float, float]:
-    """(gain on the other segments of the value estimated on ``part``, difference of the two estimates in standard errors).
+    """(gain on the other segments of the value estimated on ``part``, difference of the two
+    estimates in standard errors).
 
     The free columns are fitted anew on either side: only the effect itself is carried over.
     """
@@ -284,7 +315,9 @@ def agreement(
 def likeness(
     evidence: Evidence, free: Sequence[str], first: str, others: Sequence[str]
 ) -> FloatArray:
-    """Correlation (C,) of what is left of a column with what is left of others, the free columns taken out."""
+    """Correlation (C,) of what is left of a column with what is left of others, the free columns
+    taken out.
+    """
     left, _ = projected(
         *evidence.everything, evidence.index(free), evidence.index([first, *others])
     )

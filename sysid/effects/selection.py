@@ -1,9 +1,10 @@
-"""Which candidates are in the data: forward selection with exchange and removal on the linearised likelihood, by a fixed rule.
+"""Which candidates are in the data: forward selection with exchange and removal on the linearised
+likelihood, by a fixed rule.
 
-A candidate enters when it explains most (gain less its odds), when its t, corrected for the colour of what it leaves, stands above
-what the largest of all candidates reaches by chance (Sidak), and when two parts of the flights do not contradict each other in it.
-What it replaces is taken out again. Candidates without which the answer would be as likely are its alternatives.
-"""
+A candidate enters when it explains most (gain less its odds), when its t, corrected for the colour
+of what it leaves, stands above what the largest of all candidates reaches by chance (Sidak), and
+when two parts of the flights do not contradict each other in it. What it replaces is taken out
+again. Candidates without which the answer would be as likely are its alternatives."""
 
 from __future__ import annotations
 
@@ -36,7 +37,8 @@ MOST_ALTERNATIVES = 3
 
 @dataclass(frozen=True)
 class Alternative:
-    """Another candidate for the same residual: its gain in the effect's place, the effect's t beside it, correlation of the two.
+    """Another candidate for the same residual: its gain in the effect's place, the effect's t
+    beside it, correlation of the two.
 
     companions: terms left free beside it when the two were distinguished
     """
@@ -51,8 +53,8 @@ class Alternative:
 
 @dataclass(frozen=True)
 class Choice:
-    """One effect: estimate, corrected and white standard error, t, gain, agreement with the confirming part (gain there,
-    difference)."""
+    """One effect: estimate, corrected and white standard error, t, gain, agreement with the
+    confirming part (gain there, difference)."""
 
     key: str
     value: float
@@ -66,8 +68,8 @@ class Choice:
 
 @dataclass(frozen=True)
 class Refusal:
-    """The best candidate that did not enter, and why. strong: it stands well above chance, so something is there; unconfirmed:
-    parts of the flights contradict each other in it."""
+    """The best candidate that did not enter, and why. strong: it stands well above chance, so
+    something is there; unconfirmed: parts of the flights contradict each other in it."""
 
     key: str
     t: float
@@ -79,7 +81,9 @@ class Refusal:
 
 @dataclass(frozen=True)
 class Selection:
-    """What the choice came to: effects in order of choice, the candidate refused if any, and the steps in words."""
+    """What the choice came to: effects in order of choice, the candidate refused if any, and the
+    steps in words.
+    """
 
     chosen: tuple[Choice, ...]
     refused: Refusal | None = None
@@ -92,18 +96,21 @@ class Selection:
 
 
 def threshold(candidates: int, family: float = FAMILY) -> float:
-    """|t| that the largest of so many candidates exceeds with probability ``family`` when nothing is there (Sidak)."""
+    """|t| that the largest of so many candidates exceeds with probability ``family`` when nothing
+    is there (Sidak).
+    """
     return -float(normal_quantile(0.5 * (1.0 - (1.0 - family) ** (1.0 / max(candidates, 1)))))
 
 
 def chance_limit(
     evidence: Evidence, free: Sequence[str], candidates: Sequence[str], family: float = FAMILY
 ) -> float:
-    """|t| that the largest of the candidates exceeds with probability ``family`` when nothing is there.
+    """|t| that the largest of the candidates exceeds with probability ``family`` when nothing is
+    there.
 
-    Candidates resemble each other, so the largest of 400 is the largest of fewer: drawn from their own correlation, what the free
-    columns take up removed. Never above Sidak's limit, which is for candidates that have nothing in common.
-    """
+    Candidates resemble each other, so the largest of 400 is the largest of fewer: drawn from their
+    own correlation, what the free columns take up removed. Never above Sidak's limit, which is for
+    candidates that have nothing in common."""
     known = [
         k
         for k, share in zip(candidates, scores(evidence, free, candidates).share, strict=True)
@@ -138,8 +145,8 @@ def select(
 
     free        columns that are estimated in any case; candidates: key -> odds
     chosen      effects to begin with, which may be exchanged or removed again
-    limit       |t| asked (default: chance_limit)
-    empirical   whether t must stand above the limit in units of the candidates' own spread, too (Efron, JASA 99, 2004), which is
+    limit       |t| asked (default: chance_limit) empirical   whether t must stand above the limit
+    in units of the candidates' own spread, too (Efron, JASA 99, 2004), which is
                 one where nothing but noise is left
     alone       |t| from which one that enters is the last to do so
     """
@@ -170,7 +177,9 @@ def select(
 def judged(
     evidence: Evidence, free: Sequence[str], here: Sequence[str], candidates: Sequence[str]
 ) -> tuple[Choice, ...]:
-    """The effects ``here`` as they stand, each beside the others, with alternatives among the candidates; the strongest first."""
+    """The effects ``here`` as they stand, each beside the others, with alternatives among the
+    candidates; the strongest first.
+    """
     open_ = [k for k in candidates if k not in here]
     out = []
     for key in here:
@@ -197,8 +206,9 @@ def _entering(
     limit: float,
     empirical: bool,
 ) -> Choice | Refusal | None:
-    """The candidate to enter. One in which the flights contradict each other may be disturbed by another that is missing as
-    well: those that do not resemble it are then asked; it comes to its turn again beside them."""
+    """The candidate to enter. One in which the flights contradict each other may be disturbed by
+    another that is missing as well: those that do not resemble it are then asked; it comes to its
+    turn again beside them."""
     first: Refusal | None = None
     for _ in range(TURNS):
         found = _best(evidence, free, open_, odds, limit, empirical)
@@ -244,10 +254,14 @@ def _best(
                 f"|t| {abs(choice.t):.1f} is not above {limit:.1f}",
             )
     if not np.sqrt(choice.gain) > limit * spread:
-        why = f"|t| {np.sqrt(choice.gain):.1f} is not above {limit:.1f} times {spread:.2f}, the spread of all candidates"
+        why = (
+            f"|t| {np.sqrt(choice.gain):.1f} is not above {limit:.1f} times {spread:.2f}, the"
+            " spread of all candidates"
+        )
         return Refusal(choice.key, choice.t, choice.gain, why)
     if choice.confirmed_gain <= 0.0 and abs(choice.difference) > DIFFERENT:
-        # Where the parts agree, all that they say of it together is in its t; one that fits both is somewhat off, being alone.
+        # Where the parts agree, all that they say of it together is in its t; one that fits both is
+        # somewhat off, being alone.
         why = (
             f"two parts of the flights differ in it by {abs(choice.difference):.1f} standard errors"
         )
@@ -298,8 +312,9 @@ def _prune(
 
 
 def _companions(evidence: Evidence, others: Sequence[str], named: Sequence[str]) -> list[str]:
-    """Terms to be left free beside a confounded effect: those named, and for every effect in roll or yaw that stands the same one
-    about the other axis, because a wrong product of inertia turns the one into the other."""
+    """Terms to be left free beside a confounded effect: those named, and for every effect in roll
+    or yaw that stands the same one about the other axis, because a wrong product of inertia turns
+    the one into the other."""
     if not named:
         return []
     both = ("effect/Cl/", "effect/Cn/"), ("effect/Cn/", "effect/Cl/")
@@ -310,7 +325,9 @@ def _companions(evidence: Evidence, others: Sequence[str], named: Sequence[str])
 def _with_alternatives(
     evidence: Evidence, others: Sequence[str], choice: Choice, open_: Sequence[str]
 ) -> Choice:
-    """The effect with the candidates that would do nearly as well in its place, the best first; inseparable ones before."""
+    """The effect with the candidates that would do nearly as well in its place, the best first;
+    inseparable ones before.
+    """
     if not open_:
         return choice
     gains = np.nan_to_num(scores(evidence, others, open_).gain, nan=-np.inf)
@@ -329,7 +346,8 @@ def _with_alternatives(
         key = open_[i]
         companions = _companions(evidence, others, TWINS.get((choice.key, key), ()))
         beside = scores(evidence, [*others, key, *companions], [choice.key])
-        # White t of the effect beside its rival, brought to the colour of the residuals by the ratio found for the effect alone.
+        # White t of the effect beside its rival, brought to the colour of the residuals by the
+        # ratio found for the effect alone.
         t = float(np.nan_to_num(beside.t[0])) * (
             abs(choice.t) / np.sqrt(choice.gain) if choice.gain > 0 else 1.0
         )
@@ -338,7 +356,8 @@ def _with_alternatives(
         rows.append(
             Alternative(key, float(gains[i]), t, float(same), not inseparable, tuple(companions))
         )
-    # Causes that physics makes alike before a third form of the same: those of the effect, then of the nearest alternative.
+    # Causes that physics makes alike before a third form of the same: those of the effect, then of
+    # the nearest alternative.
     kin = {key for one, key in TWINS if one == choice.key}
     alike = [r for r in rows if not r.separable]
     nearest = next((a.key for a in alike if a.key not in kin), "")
@@ -370,10 +389,11 @@ _FAR = 40.0
 def conditional_interval(
     value: float, std: float, limit: float, confidence: float = 0.95
 ) -> tuple[float, float]:
-    """Interval of an effect estimated at ``value`` +/- ``std`` and named because |value / std| is above ``limit``.
+    """Interval of an effect estimated at ``value`` +/- ``std`` and named because |value / std| is
+    above ``limit``.
 
-    Without a limit (NaN), or where |t| is not above it, the plain interval. NaN where std is no positive number.
-    """
+    Without a limit (NaN), or where |t| is not above it, the plain interval. NaN where std is no
+    positive number."""
     if not (std > 0.0 and math.isfinite(value) and math.isfinite(std)):
         return math.nan, math.nan
     tail = 0.5 * (1.0 - confidence)
@@ -383,7 +403,8 @@ def conditional_interval(
         return value - reach, value + reach
 
     def excess(theta: float, share: float) -> float:
-        # P(|Z| > c, Z > t) and P(|Z| > c): upper tails, which keep their figures where they are small.
+        # P(|Z| > c, Z > t) and P(|Z| > c): upper tails, which keep their figures where they are
+        # small.
         above, beyond = (
             special.ndtr(theta - t),
             special.ndtr(theta - limit) + special.ndtr(-limit - theta),

@@ -1,17 +1,21 @@
-"""A smooth term in one state, or one that multiplies a second: what is left when no form of the catalogue explains it. Pure.
+"""A smooth term in one state, or one that multiplies a second: what is left when no form of the
+catalogue explains it. Pure.
 
-    f(x) = b0 + b1 x + sum over j of z_j(x) v_j,    v ~ N(0, tau^2 I)                                                      (S)
+    f(x) = b0 + b1 x + sum over j of z_j(x) v_j,    v ~ N(0, tau^2 I)
+    (S)
 
-Cubic splines on even knots; the z_j are such that sum v_j^2 is the integral of f''^2 (O'Sullivan, Statistical Science 1, 1986),
-less the straight line that fits each best at the data. What of the line the model has as its own parameters is left to those. With
-G and u the information and score of the z_j, everything that is estimated in any case projected out (LM of score.py), over the
+Cubic splines on even knots; the z_j are such that sum v_j^2 is the integral of f''^2 (O'Sullivan,
+Statistical Science 1, 1986), less the straight line that fits each best at the data. What of the
+line the model has as its own parameters is left to those. With G and u the information and score of
+the z_j, everything that is estimated in any case projected out (LM of score.py), over the
 dispersion c,
 
-    R(tau) = sum over i of [ tau^2 w_i^2 / (1 + tau^2 d_i) - ln(1 + tau^2 d_i) ],    G/c = V d V',  w = V'u/c               (R)
+    R(tau) = sum over i of [ tau^2 w_i^2 / (1 + tau^2 d_i) - ln(1 + tau^2 d_i) ],    G/c = V d V',
+    w = V'u/c               (R)
 
-is twice the rise of the restricted log likelihood over tau = 0, which smoothing by REML makes largest. c is what coloured residuals
-take from the information (Rao and Scott, Annals of Statistics 12, 1984). The band is the posterior's (Nychka, JASA 83, 1988).
-"""
+is twice the rise of the restricted log likelihood over tau = 0, which smoothing by REML makes
+largest. c is what coloured residuals take from the information (Rao and Scott, Annals of Statistics
+12, 1984). The band is the posterior's (Nychka, JASA 83, 1988)."""
 
 from __future__ import annotations
 
@@ -33,8 +37,8 @@ from sysid.effects.tuned import FAMILY
 from sysid.estimation import coloured_information
 
 SPANS = 10
-"""Spans between knots over the range of the data. The penalty and not the knots decides how much a curve bends; a bump narrower
-than two spans is smeared."""
+"""Spans between knots over the range of the data. The penalty and not the knots decides how much a
+curve bends; a bump narrower than two spans is smeared."""
 _LINE = 2
 """Columns of a term that are its straight line."""
 _TAUS = np.logspace(-8.0, 8.0, 161)
@@ -43,10 +47,11 @@ _TAUS = np.logspace(-8.0, 8.0, 161)
 
 @dataclass(frozen=True)
 class Smooth:
-    """Functions of ``state`` between the ends of ``knots``, times the variable ``times`` where there is one.
+    """Functions of ``state`` between the ends of ``knots``, times the variable ``times`` where
+    there is one.
 
-    turn (B, K): coefficients of B-splines of each column: the line's two, then the z_j, the smoothest first
-    """
+    turn (B, K): coefficients of B-splines of each column: the line's two, then the z_j, the
+    smoothest first"""
 
     coefficient: str
     state: str
@@ -84,11 +89,15 @@ class Smooth:
         return tuple(f"smooth/{self.label}/{k}" for k in range(self.turn.shape[1]))
 
     def at(self, x: FloatArray) -> FloatArray:
-        """(n, K) the columns at values (n,) of the state, the second variable being 1; held beyond the ends."""
+        """(n, K) the columns at values (n,) of the state, the second variable being 1; held beyond
+        the ends.
+        """
         return _splines(x, self.knots) @ self.turn
 
     def inputs(self, found: Mapping[str, FloatArray]) -> dict[str, tuple[int, FloatArray]]:
-        """Columns along a flight, as `prediction.Columns` has them; found: values (n,) of the variables."""
+        """Columns along a flight, as `prediction.Columns` has them; found: values (n,) of the
+        variables.
+        """
         rows = self.at(found[self.state]) * (found[self.times][:, None] if self.times else 1.0)
         return {
             n: (COEFFICIENTS.index(self.coefficient), rows[:, k])
@@ -99,7 +108,9 @@ class Smooth:
 def smooth_term(
     coefficient: str, state: str, times: str | None, found: Mapping[str, FloatArray]
 ) -> Smooth | None:
-    """The functions over the range of the data, by values (n,) of the variables; None where the state does not vary."""
+    """The functions over the range of the data, by values (n,) of the variables; None where the
+    state does not vary.
+    """
     x = found[state]
     low, high = float(x.min()), float(x.max())
     if not high - low > 1e-9 * max(abs(low), abs(high)):
@@ -107,7 +118,8 @@ def smooth_term(
     inner = np.linspace(low, high, SPANS + 1)
     step = inner[1] - inner[0]
     knots = np.concatenate([low + step * np.arange(-3, 0), inner, high + step * np.arange(1, 4)])
-    # The product of second derivatives is a square in each span, which two points integrate exactly (Gauss).
+    # The product of second derivatives is a square in each span, which two points integrate exactly
+    # (Gauss).
     middle = 0.5 * (inner[1:] + inner[:-1])
     bend = _splines(
         np.concatenate([middle - step / math.sqrt(12.0), middle + step / math.sqrt(12.0)]), knots, 2
@@ -136,10 +148,10 @@ def _splines(x: FloatArray, knots: FloatArray, derivative: int = 0) -> FloatArra
 class SmoothFit:
     """A term with its smoothing by REML.
 
-    values, cov (K,), (K, K): of its columns, none for those that the model has itself; known (K,): which are its own
-    edf: effective degrees of freedom; ratio: (R) and what the line gains, in twice the log likelihood; p: of a ratio as large by
-    chance, were nothing there; precision (K,): 1/tau^2 of the z_j, 0 of the line; dispersion: c
-    """
+    values, cov (K,), (K, K): of its columns, none for those that the model has itself; known (K,):
+    which are its own edf: effective degrees of freedom; ratio: (R) and what the line gains, in
+    twice the log likelihood; p: of a ratio as large by chance, were nothing there; precision (K,):
+    1/tau^2 of the z_j, 0 of the line; dispersion: c"""
 
     term: Smooth
     values: FloatArray
@@ -168,7 +180,9 @@ class SmoothFit:
         return rows @ self.values, np.sqrt(np.einsum("nk,kj,nj->n", rows, self.cov, rows))
 
     def stands_out(self, tried: int) -> bool:
-        """Whether it explains more than the best of so many terms does by chance, but in FAMILY of the times."""
+        """Whether it explains more than the best of so many terms does by chance, but in FAMILY of
+        the times.
+        """
         return self.p * tried < FAMILY
 
 
@@ -221,8 +235,9 @@ def _fitted(
 def colour_dispersion(
     evidence: Evidence, free: Sequence[str], fit: SmoothFit, residual: Sequence[FloatArray]
 ) -> float:
-    """c of a term: the trace of the information by the colour of ``residual`` [(n, m)] (MK of coloured.py) over that of a white
-    one, each direction by how much of it the smoothing lets through; 1 at the least."""
+    """c of a term: the trace of the information by the colour of ``residual`` [(n, m)] (MK of
+    coloured.py) over that of a white one, each direction by how much of it the smoothing lets
+    through; 1 at the least."""
     G, _ = evidence.everything
     b, c = evidence.index(free), evidence.index(fit.own)
     part = solve(G[np.ix_(b, b)], G[np.ix_(b, c)])
@@ -240,7 +255,9 @@ def colour_dispersion(
 def held_out_gain(
     evidence: Evidence, free: Sequence[str], fit: SmoothFit, part: NDArray[np.bool_]
 ) -> float:
-    """Twice the log likelihood that the curve estimated on the segments ``part`` gains on the others: `score.agreement`."""
+    """Twice the log likelihood that the curve estimated on the segments ``part`` gains on the
+    others: `score.agreement`.
+    """
     b, c = evidence.index(free), evidence.index(fit.own)
     (G, u), (other, score) = (
         projected(*evidence.part(segments), b, c) for segments in (part, ~part)
@@ -265,7 +282,9 @@ _PLACED: Mapping[str, Callable[[float, float, FloatArray], FloatArray]] = {
 
 
 def known_forms(knots: FloatArray) -> dict[str, Form]:
-    """Forms that physics has names for, as functions of the state: powers, and kinks, steps, humps and dead zones at each knot."""
+    """Forms that physics has names for, as functions of the state: powers, and kinks, steps, humps
+    and dead zones at each knot.
+    """
     places, wide = knots[4:-4], float(knots[4] - knots[3])
     placed = {
         f"{n} {a if n.endswith('at') else abs(a):.3g}": partial(f, a, wide)
@@ -276,8 +295,9 @@ def known_forms(knots: FloatArray) -> dict[str, Form]:
 
 
 def forms_like(fit: SmoothFit, x: FloatArray, weight: FloatArray) -> list[tuple[str, float]]:
-    """(form, correlation) of the curve with each kind of `known_forms` at its best place, straight lines taken out of both; the
-    nearest first. x, weight (n,): the state at the data, and the second variable there or ones."""
+    """(form, correlation) of the curve with each kind of `known_forms` at its best place, straight
+    lines taken out of both; the nearest first. x, weight (n,): the state at the data, and the
+    second variable there or ones."""
     line = np.column_stack([np.ones_like(x), x]) * weight[:, None]
 
     def bent(values: FloatArray) -> FloatArray:

@@ -1,17 +1,18 @@
 """How gusty the air was: process noise of the linearised flight by maximum likelihood.
 
-Gusts enter V, alpha and beta as white rates; what else they do, rotating with the air and turning with the aircraft, is in the
-states of `sysid.aerodynamics.air_motion`. Whether they do either is decided by the likelihood. The spectra go with the airspeed V
-and with the air of the day (in MIL-F-8785C with height, too): those of V and p as V, those of alpha and beta as 1/V, and each
-flight has intensities of its own.
-Where gusts were made beforehand for one speed, as simulations often do, they pass at that speed however fast the aircraft flies.
-Left out, the air's rotation would pass for stability: gusts that pitch the air and change alpha at once made Cm_alpha a third of
-its size. Gusts along the path that turn with the aircraft, left out, were moments from yaw rate squared at |t| of 7.
-Where the model lacks a moment, white moments about the body's axes stand for it, as large as the flights ask for: without them a
-filter takes it for air, and terms in other coefficients for what such air would do.
-Gusts that pass at one speed, taken to pass at the airspeed, were damping and stability that go with thrust or angle of attack at
-|t| of 4 to 6, since the slow flight's air rotated too fast.
-"""
+Gusts enter V, alpha and beta as white rates; what else they do, rotating with the air and turning
+with the aircraft, is in the states of `sysid.aerodynamics.air_motion`. Whether they do either is
+decided by the likelihood. The spectra go with the airspeed V and with the air of the day (in
+MIL-F-8785C with height, too): those of V and p as V, those of alpha and beta as 1/V, and each
+flight has intensities of its own. Where gusts were made beforehand for one speed, as simulations
+often do, they pass at that speed however fast the aircraft flies. Left out, the air's rotation
+would pass for stability: gusts that pitch the air and change alpha at once made Cm_alpha a third of
+its size. Gusts along the path that turn with the aircraft, left out, were moments from yaw rate
+squared at |t| of 7. Where the model lacks a moment, white moments about the body's axes stand for
+it, as large as the flights ask for: without them a filter takes it for air, and terms in other
+coefficients for what such air would do. Gusts that pass at one speed, taken to pass at the
+airspeed, were damping and stability that go with thrust or angle of attack at |t| of 4 to 6, since
+the slow flight's air rotated too fast."""
 
 from __future__ import annotations
 
@@ -51,11 +52,12 @@ from sysid.parallel import SERIAL, Processes, Shared
 
 @dataclass(frozen=True)
 class Score:
-    """cost: minus twice the log likelihood; its slopes with the logarithm of each sensor's standard deviation, noise (m,), and with
-    the variances of each segment's process noise and begin (S, x). Infinite, its slopes zero, where no filter follows.
+    """cost: minus twice the log likelihood; its slopes with the logarithm of each sensor's standard
+    deviation, noise (m,), and with the variances of each segment's process noise and begin (S, x).
+    Infinite, its slopes zero, where no filter follows.
 
-    bent   the same slopes without the sum of squares, (m,), (S, x), (S, x): what the logarithm's curvature is at most
-    """
+    bent   the same slopes without the sum of squares, (m,), (S, x), (S, x): what the logarithm's
+    curvature is at most"""
 
     cost: float
     noise: FloatArray
@@ -67,8 +69,8 @@ class Score:
 class AirLikelihood:
     """Segments whose likelihood is asked for in many airs.
 
-    which: rows of OUTPUTS that ``measured`` [(n, m)] holds. Who does the work does not change a bit of it.
-    """
+    which: rows of OUTPUTS that ``measured`` [(n, m)] holds. Who does the work does not change a bit
+    of it."""
 
     def __init__(
         self,
@@ -109,8 +111,8 @@ _Slopes = tuple[float, FloatArray, FloatArray, FloatArray]
 
 
 def _scored(job: tuple[Shared, FloatArray, Process, bool]) -> list[_Slopes]:
-    """Cost of each segment, and its slopes, those of the logarithm and those of the squares (2, m), (2, x) and (2, x); infinite,
-    its slopes zero, where no filter follows."""
+    """Cost of each segment, and its slopes, those of the logarithm and those of the squares (2, m),
+    (2, x) and (2, x); infinite, its slopes zero, where no filter follows."""
     shared, noise, process, sloping = job
     return [
         _one(seen, noise, (q, p), sloping)
@@ -141,29 +143,35 @@ Linear = Callable[[Sequence[int], Sequence[GustStates]], Sequence[Steps]]
 """Steps of some of the segments, linearised with gusts that act so in each."""
 V_REFERENCE = 20.0
 _START = np.array([0.25, 5e-4, 5e-4, 5e-2, 1e-4, 1e-4, 1e-4])
-"""Intensities of V [m2/s3], alpha and beta [rad2/s], the air's roll [rad2/s3], and of moments about the three axes that
-nothing explains, as angular accelerations [rad2/s3]; all at V_REFERENCE. Light air, to begin with."""
+"""Intensities of V [m2/s3], alpha and beta [rad2/s], the air's roll [rad2/s3], and of moments about
+the three axes that nothing explains, as angular accelerations [rad2/s3]; all at V_REFERENCE. Light
+air, to begin with."""
 _MOMENTS = slice(4, 7)
 _NONE = 1e-6
 """Factor on an intensity that leaves nothing of it."""
 _MEMORY_S = 10.0
-"""How long gusts along and across the path last: L/V of MIL-F-8785C at the heights of model aircraft."""
+"""How long gusts along and across the path last: L/V of MIL-F-8785C at the heights of model
+aircraft.
+"""
 _ALONG = np.array([1.0, _NONE, _NONE, 1.0, 1.0, 1.0, 1.0])
-"""Factors that leave gusts along the path and the air's roll: a sensor that is off, or play, passes for those."""
+"""Factors that leave gusts along the path and the air's roll: a sensor that is off, or play, passes
+for those.
+"""
 _FACTORS = (1e-4, 1e-2, 0.1, 1.0, 5.0)
 """Of _START, from the best of which the search begins."""
 _MOST_SEGMENTS, _OF_A_FLIGHT, _FOR_SPEED = 10, 6, 4
 _FASTER, _MOST_FASTER, _AS_MEANT = 0.04, 3.0, 0.02
-"""Logarithm of the passing speed by which it is moved to find the likeliest; how many such steps that is away at most; standard
-deviation of that logarithm about a flight's mean airspeed, for gusts are made beforehand for the speed that is to be flown."""
+"""Logarithm of the passing speed by which it is moved to find the likeliest; how many such steps
+that is away at most; standard deviation of that logarithm about a flight's mean airspeed, for gusts
+are made beforehand for the speed that is to be flown."""
 _ACTING = ((True, True), (True, False), (False, False), (False, True))
 _REACH, _ENOUGH, _FAILED, _LEAST_BENT = 14.0, 1.0, 1e12, 20.0
-"""Of the search, in logarithms: how far it goes; the fall of minus twice the log likelihood at which it ends; that of a filter that
-fails; the least curvature that it takes."""
+"""Of the search, in logarithms: how far it goes; the fall of minus twice the log likelihood at
+which it ends; that of a filter that fails; the least curvature that it takes."""
 _FEW, _MOST_DESCENTS = 4, 25
 REMEMBERED_AIRS = 2
-"""Ways in which gusts act whose linear systems are remembered: the one searched about and the one tried. Each takes as much
-memory as a fit."""
+"""Ways in which gusts act whose linear systems are remembered: the one searched about and the one
+tried. Each takes as much memory as a fit."""
 NOISE_PRIOR = np.log(2.0)
 """Standard deviation of the logarithm of a sensor's noise about what the card says."""
 
@@ -172,13 +180,14 @@ NOISE_PRIOR = np.log(2.0)
 class Gusts:
     """The air of some flights.
 
-    states    how gusts act in each segment; values (7,) as _START, of the air the flights' mean; own: flight -> (7,); passing:
+    states    how gusts act in each segment; values (7,) as _START, of the air the flights' mean;
+    own: flight -> (7,); passing:
               flight -> speed at which its gusts pass [m/s], 0: the airspeed
-    process   noise that they make in each segment; gain: twice the log likelihood gained over calm air
-    across    the part of it that is lost without gusts across the path, in alpha and beta
-    moments   (3,) what is lost without moments about each axis that nothing explains; NaN where no filter follows without
-    factors   (m,) on the noise that the sensors are said to have
-    """
+    process   noise that they make in each segment; gain: twice the log likelihood gained over calm
+    air
+    across    the part of it that is lost without gusts across the path, in alpha and beta moments
+    (3,) what is lost without moments about each axis that nothing explains; NaN where no filter
+    follows without factors   (m,) on the noise that the sensors are said to have"""
 
     states: tuple[GustStates, ...]
     values: FloatArray
@@ -192,13 +201,14 @@ class Gusts:
 
     @property
     def air(self) -> bool:
-        """Whether it is air at all: turbulence moves across the path, too. A transient moment passes for air that rotates, a sensor
-        that is off for gusts along the path."""
+        """Whether it is air at all: turbulence moves across the path, too. A transient moment
+        passes for air that rotates, a sensor that is off for gusts along the path."""
         return self.across > CERTAIN_T**2
 
     def in_other(self, V: Sequence[float], flights: Sequence[str]) -> Gusts:
-        """The same air in other segments, V their airspeeds, flights whose they are: those not known of have what all have, and
-        gusts that pass at one speed pass at their mean airspeed."""
+        """The same air in other segments, V their airspeeds, flights whose they are: those not
+        known of have what all have, and gusts that pass at one speed pass at their mean airspeed.
+        """
         first = self.states[0]
         passing = {
             f: bool(first.passing_mps) * float(np.mean([V[k] for k in part]))
@@ -217,7 +227,9 @@ class Gusts:
 
     @property
     def kind(self) -> tuple[bool, bool, bool]:
-        """Whether the gusts rotate the air, turn with the aircraft, and pass at one speed in each flight."""
+        """Whether the gusts rotate the air, turn with the aircraft, and pass at one speed in each
+        flight.
+        """
         first = self.states[0]
         return first.rotating, first.turning_with, bool(first.passing_mps)
 
@@ -231,7 +243,8 @@ class Gusts:
 
 
 def gust_strength_mps2(values: FloatArray) -> float:
-    """Return the strength sigma^2 / L of gusts [m/s2], the larger of those along and across the path.
+    """Return the strength sigma^2 / L of gusts [m/s2], the larger of those along and across the
+    path.
 
     values: (7,) estimates of the air of a flight, as `Gusts.own` has them. The spectral density of
     u' is 2 sigma^2 V / L, that of alpha' and beta' 3 sigma^2 / (L V) (`process_of`).
@@ -242,8 +255,9 @@ def gust_strength_mps2(values: FloatArray) -> float:
 
 
 def process_of(values: FloatArray, V: float, states: GustStates) -> tuple[FloatArray, FloatArray]:
-    """(13,) variances per second of the states' noise at airspeed V, and (13,) of the air's at the start, from the seven values of
-    _START. Spectra of the velocities go with the speed at which the gusts pass."""
+    """(13,) variances per second of the states' noise at airspeed V, and (13,) of the air's at the
+    start, from the seven values of _START. Spectra of the velocities go with the speed at which the
+    gusts pass."""
     faster = (states.passing_mps or V) / V_REFERENCE
     noise, begin = np.zeros(NX), np.zeros(NX)
     # Dryden far above its corner: PSD of u' is 2 sigma^2 V/L, of alpha' = w'/V 3 sigma^2/(L V).
@@ -254,7 +268,8 @@ def process_of(values: FloatArray, V: float, states: GustStates) -> tuple[FloatA
     # A coefficient's noise is a moment's by dynamic pressure.
     noise[3:6] = values[_MOMENTS] * (V / V_REFERENCE) ** 4
     noise[8] = values[3] * faster
-    # Stationary from the start: x' = -x/T + n has the variance N T/2, and the states 9 to 12 are velocities.
+    # Stationary from the start: x' = -x/T + n has the variance N T/2, and the states 9 to 12 are
+    # velocities.
     begin[8:11] = (
         0.5 * np.array(states.lags_s(V)) * [noise[8], *(states.rotating * V**2 * noise[1:3])]
     )
@@ -274,16 +289,18 @@ def gust_intensity(
     by: Processes = SERIAL,
     kinds: Sequence[str] = (),
 ) -> tuple[Gusts, FloatArray]:
-    """The likeliest air of the segments, V their airspeeds, flights whose they are; found on at most ten of them, then of each
-    flight on at most six. And (m,) factors by which the sensors' noise changes.
+    """The likeliest air of the segments, V their airspeeds, flights whose they are; found on at
+    most ten of them, then of each flight on at most six. And (m,) factors by which the sensors'
+    noise changes.
 
-    states: what gusts do besides, to begin with; near: an estimate from which to search, its factors part of ``noise``; where
-    strength and noise alone gain no more than chance would, the rest of it stands. Gusts pass at the airspeed, or at one speed in
-    each flight, which is then found with the rest, whichever is likelier. kinds: of each channel; the sensors of a kind have one
-    factor beside the air, by a prior about what they are said to have (NOISE_PRIOR); none: their noise is known. In gusts the
-    samples of a channel do not tell its noise by themselves, and a filter that takes sensors for twice as noisy as they are follows
-    them late: that looks like a servo's lag.
-    """
+    states: what gusts do besides, to begin with; near: an estimate from which to search, its
+    factors part of ``noise``; where strength and noise alone gain no more than chance would, the
+    rest of it stands. Gusts pass at the airspeed, or at one speed in each flight, which is then
+    found with the rest, whichever is likelier. kinds: of each channel; the sensors of a kind have
+    one factor beside the air, by a prior about what they are said to have (NOISE_PRIOR); none:
+    their noise is known. In gusts the samples of a channel do not tell its noise by themselves, and
+    a filter that takes sensors for twice as noisy as they are follows them late: that looks like a
+    servo's lag."""
     known = np.ones(len(noise)) if near is None else near.factors
     search = _Search(linear, measured, which, noise / known, V, by)
     some = _spread(range(len(measured)), _MOST_SEGMENTS)
@@ -316,10 +333,12 @@ def gust_intensity(
         )
         here = search.descend(some, other, kinds) if other.kind != here.kind else here
         if near is None:
-            # A flight in weaker air looks like one whose gusts pass slower, and where air is not its own, like moments that act.
+            # A flight in weaker air looks like one whose gusts pass slower, and where air is not
+            # its own, like moments that act.
             here = search.own(of, here, flights, _FEW)
         if here.states[0].rotating:
-            # Gusts tell how fast they pass by the moments of their rotation, and that only beside parameters that are near.
+            # Gusts tell how fast they pass by the moments of their rotation, and that only beside
+            # parameters that are near.
             other = search.best(some, [here.acting(passing_mps=0.0), search.passing(of, here)])
             here = search.descend(some, other, kinds) if other.states != here.states else here
         here = search.own(of, here, flights)
@@ -359,8 +378,8 @@ class _Point:
         return np.asarray(self.values * self.stronger[k % len(self.stronger)])
 
     def with_own(self, own: Mapping[str, FloatArray], flights: Sequence[str]) -> _Point:
-        """With the air of each segment as strong as that of its flight; moments that nothing explains are the model's, and alike in
-        all flights."""
+        """With the air of each segment as strong as that of its flight; moments that nothing
+        explains are the model's, and alike in all flights."""
         values = np.mean([own[f] for f in dict.fromkeys(flights)], axis=0)
         values[_MOMENTS] = self.values[_MOMENTS]
         stronger = np.array([own[f] / values for f in flights])
@@ -408,8 +427,8 @@ class _Search:
         flights: Sequence[str],
         most: int = _MOST_DESCENTS,
     ) -> _Point:
-        """The point with each flight's own intensities, sought from those that it has there; of: flight -> its segments; flights:
-        whose each segment is."""
+        """The point with each flight's own intensities, sought from those that it has there; of:
+        flight -> its segments; flights: whose each segment is."""
         if len(of) == 1:
             return point
         alone = {
@@ -423,8 +442,8 @@ class _Search:
         return point.with_own(own, flights)
 
     def passing(self, flights: Mapping[str, Sequence[int]], point: _Point) -> _Point:
-        """A point with gusts that pass at one speed in each of the ``flights`` (their segments), the likeliest about the mean
-        airspeed: the lowest point of a parabola through three."""
+        """A point with gusts that pass at one speed in each of the ``flights`` (their segments),
+        the likeliest about the mean airspeed: the lowest point of a parabola through three."""
         states = list(point.states)
         for members in flights.values():
             speed = float(np.mean([self.V[k] for k in members]))
@@ -448,7 +467,9 @@ class _Search:
         )
 
     def lost(self, some: Sequence[int], point: _Point, left: FloatArray | float) -> float:
-        """Twice the log likelihood that is lost where so much is ``left`` of each intensity at a point found."""
+        """Twice the log likelihood that is lost where so much is ``left`` of each intensity at a
+        point found.
+        """
         return (
             self.score(some, replace(point, values=left * point.values), slopes=False).cost
             - point.cost
@@ -457,8 +478,9 @@ class _Search:
     def descend(
         self, some: Sequence[int], point: _Point, kinds: Sequence[str], most: int = _MOST_DESCENTS
     ) -> _Point:
-        """The likeliest air near a point, and with ``kinds`` the likeliest noise of the sensors: a quasi-Newton search in the
-        logarithms (L-BFGS-B; Byrd, Lu, Nocedal and Zhu, SIAM J. Sci. Comput. 16, 1995)."""
+        """The likeliest air near a point, and with ``kinds`` the likeliest noise of the sensors: a
+        quasi-Newton search in the logarithms (L-BFGS-B; Byrd, Lu, Nocedal and Zhu, SIAM J. Sci.
+        Comput. 16, 1995)."""
         unlike = list(dict.fromkeys(kinds))
         shared = np.array([[kind == one for kind in kinds] for one in unlike], dtype=float).reshape(
             len(unlike), len(point.factors)
@@ -476,7 +498,8 @@ class _Search:
         def by_each(
             x: FloatArray, noise: FloatArray, process: FloatArray, begin: FloatArray
         ) -> FloatArray:
-            # The noise of a step, and the air at the start, go with each intensity in a straight line.
+            # The noise of a step, and the air at the start, go with each intensity in a straight
+            # line.
             air = [np.sum(process * p.noise) + np.sum(begin * p.begin) for p in each]
             return np.concatenate([np.exp(x[:at]) * air, shared @ noise])
 
@@ -487,7 +510,8 @@ class _Search:
             [np.zeros(at), shared @ np.log(point.factors) / np.maximum(shared.sum(axis=1), 1.0)]
         )
         first = self.score(some, point)
-        # A variance's logarithm bends as steeply as the logarithm's own slope, that of a deviation twice so.
+        # A variance's logarithm bends as steeply as the logarithm's own slope, that of a deviation
+        # twice so.
         scale = np.sqrt(
             np.maximum(by_each(none, *first.bent) * np.repeat([1.0, 2.0], sizes), _LEAST_BENT)
         )

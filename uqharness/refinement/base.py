@@ -1,4 +1,6 @@
-"""The fit of the model as it is: its parameters re-identified, those that the flights do not determine left alone."""
+"""The fit of the model as it is: its parameters re-identified, those that the flights do not
+determine left alone.
+"""
 
 from __future__ import annotations
 
@@ -42,9 +44,10 @@ def base_fit_and_noise(
     limits: Mapping[str, tuple[float, float]],
     map_: Processes,
 ) -> Base:
-    """The fit of the model as it is. What the flights do not excite stays where it is. What a model that lacks something drives to
-    a bound begins where it was and is free beside effects, but for flights with an autopilot's estimates, where it stays. The
-    noise of channels which the estimator computed is what the fit leaves of them, for no card knows an estimator's error."""
+    """The fit of the model as it is. What the flights do not excite stays where it is. What a model
+    that lacks something drives to a bound begins where it was and is free beside effects, but for
+    flights with an autopilot's estimates, where it stays. The noise of channels which the estimator
+    computed is what the fit leaves of them, for no card knows an estimator's error."""
     fdm = bench.model.open(aircraft.dt_s)
     engine.require(fdm, names)
     current = np.array([fdm[n] for n in names])
@@ -80,7 +83,10 @@ def base_fit_and_noise(
     guessed = estimated_channels(setup)
     if not guessed:
         lost = [n for n in excited if n not in kept]
-        said = f"the model as it is drives these to a bound; estimated beside effects alone: {', '.join(lost)}"
+        said = (
+            "the model as it is drives these to a bound; estimated beside effects alone:"
+            f" {', '.join(lost)}"
+        )
         return fit, excited, excited, [*notes, said] if lost else notes, setup.noise
     for _ in range(ESTIMATOR_ROUNDS):
         left = dict(zip(setup.outputs, _left_rms(setup, fit.flown).tolist(), strict=True))
@@ -88,8 +94,8 @@ def base_fit_and_noise(
         fit = refit(bench.model, bench.direct_model, setup, fit.flown.point, kept, limits, map_)
     said = ", ".join(f"{c} {setup.noise[setup.outputs.index(c)]:.2g}" for c in guessed)
     text = (
-        "computed by the autopilot's estimator, measured by no vane; taken to be as uncertain (one standard deviation) as the "
-        f"model leaves them: {said}"
+        "computed by the autopilot's estimator, measured by no vane; taken to be as uncertain (one"
+        f" standard deviation) as the model leaves them: {said}"
     )
     return fit, kept, excited, [*notes, text], setup.noise
 
@@ -101,8 +107,9 @@ def _left_rms(setup: Setup, flown: Flown) -> NDArray[np.float64]:
 
 
 def as_quiet(setup: Setup, fit: Fit) -> tuple[Setup, Fit]:
-    """Setup and fit with the noise that the fit leaves where that is less than the card's (`QUIETER` of it at least): noise taken
-    twice as large halves every t. An effect that is missing is in what is left, so noise is hardly taken too small."""
+    """Setup and fit with the noise that the fit leaves where that is less than the card's
+    (`QUIETER` of it at least): noise taken twice as large halves every t. An effect that is missing
+    is in what is left, so noise is hardly taken too small."""
     noise = np.clip(_left_rms(setup, fit.flown), QUIETER * setup.noise, setup.noise)
     setup = replace(setup, noise=noise)
     white = whiten(fit.steps, setup.measured, fit.columns, setup.which, noise)
@@ -112,7 +119,9 @@ def as_quiet(setup: Setup, fit: Fit) -> tuple[Setup, Fit]:
 
 
 def left_alone(asked: Sequence[str], names: Sequence[str]) -> list[str]:
-    """A note about parameters that are asked for and not among the ``names`` estimated, if there are any."""
+    """A note about parameters that are asked for and not among the ``names`` estimated, if there
+    are any.
+    """
     rest = [n for n in asked if n not in names]
     return (
         [f"not excited or not determined by these flights and left as they are: {', '.join(rest)}"]

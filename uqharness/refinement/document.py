@@ -1,4 +1,7 @@
-"""refinement.json from what a refinement found: verdict, effects, disagreement, what is left. Flies nothing."""
+"""refinement.json from what a refinement found: verdict, effects, disagreement, what is left.
+
+Flies nothing.
+"""
 
 from __future__ import annotations
 
@@ -49,12 +52,13 @@ def disagreements(
     dt_s: float,
     most: int = 12,
 ) -> list[dict[str, Any]]:
-    """gap, allowed [(n, 6)]: coefficients demanded minus predicted, and the standard deviation that noise and parameters allow;
-    states: name -> (n,), where a region may be looked for; labels: manoeuvre of every segment.
+    """gap, allowed [(n, 6)]: coefficients demanded minus predicted, and the standard deviation that
+    noise and parameters allow; states: name -> (n,), where a region may be looked for; labels:
+    manoeuvre of every segment.
 
-    Each entry, the largest first, is the third of a state's range, of the state that tells most, in which the share of samples
-    outside the 95 % interval is largest; size: rms there over the standard deviation allowed.
-    """
+    Each entry, the largest first, is the third of a state's range, of the state that tells most, in
+    which the share of samples outside the 95 % interval is largest; size: rms there over the
+    standard deviation allowed."""
     found: list[tuple[float, dict[str, Any]]] = []
     for kind in dict.fromkeys(labels):
         mine = [k for k, label in enumerate(labels) if label == kind]
@@ -71,8 +75,9 @@ def disagreements(
                 continue
             share = float(outside[mask].mean())
             words = (
-                f"{coefficient}, {kind}, {state} {low:.3g} to {high:.3g}: {100 * share:.0f} % of samples outside the 95 % "
-                f"interval, {seconds:.1f} s of {len(z) * dt_s:.1f} s; rms {size:.1f} times what noise and parameters allow"
+                f"{coefficient}, {kind}, {state} {low:.3g} to {high:.3g}: {100 * share:.0f} % of"
+                f" samples outside the 95 % interval, {seconds:.1f} s of {len(z) * dt_s:.1f} s; rms"
+                f" {size:.1f} times what noise and parameters allow"
             )
             row = {
                 "coefficient": coefficient,
@@ -89,7 +94,9 @@ def disagreements(
 def _telling(
     outside: NDArray[np.bool_], states: Mapping[str, FloatArray]
 ) -> tuple[tuple[str, float, float], NDArray[np.bool_]]:
-    """The region, a third of some state's samples, in which most of the samples outside are gathered."""
+    """The region, a third of some state's samples, in which most of the samples outside are
+    gathered.
+    """
     found = []
     for name, values in states.items():
         for low, high in pairwise(np.quantile(values, [0.0, 1.0 / 3.0, 2.0 / 3.0, 1.0]).tolist()):
@@ -103,12 +110,17 @@ def _telling(
 # Sentences about effects: why one was named, and which manoeuvre would separate two of them.
 
 _EXCITES = {
-    "alpha": "slow changes of angle of attack by speed (level flight from the slowest to the fastest)",
+    "alpha": (
+        "slow changes of angle of attack by speed (level flight from the slowest to the fastest)"
+    ),
     "beta": "steady sideslips at several angles",
     "p_hat": "aileron doublets of two sizes and lengths",
     "q_hat": "elevator doublets of two lengths",
     "r_hat": "rudder doublets of two lengths",
-    "alphadot_hat": "elevator doublets beside turns at constant angle of attack: alphadot without q and q without alphadot",
+    "alphadot_hat": (
+        "elevator doublets beside turns at constant angle of attack: alphadot without q and q"
+        " without alphadot"
+    ),
     "betadot_hat": "flat turns beside rudder doublets: r without betadot",
     "de": "elevator steps at constant speed, by throttle",
     "da": "short aileron pulses: deflection before there is a roll rate",
@@ -121,7 +133,9 @@ _EXCITES = {
 _SUBSYSTEM = {
     "stall": "a slow approach to the stall, and a fast one",
     "propulsion": "throttle doublets at two speeds; a static thrust measurement",
-    "mass": "none in the air: a swing test on the ground measures Ixz, weighing the centre of gravity",
+    "mass": (
+        "none in the air: a swing test on the ground measures Ixz, weighing the centre of gravity"
+    ),
     "actuator": "the surface moved on the ground with its position logged",
     "sensor": "calibration of the sensor on the ground",
     "ground": "the same manoeuvre low and high",
@@ -136,9 +150,9 @@ def why(effect: Effect, choice: Choice) -> str:
     where = f"; it shows in {effect.regime}" if effect.regime else ""
     source = f" ({effect.reference})" if effect.reference else ""
     return (
-        f"{effect.physics}{where}{source}. "
-        f"Estimate {choice.value:.4g} ± {choice.std:.2g} ({sign}{usual}), |t| {abs(choice.t):.1f} with "
-        "standard errors corrected for coloured residuals"
+        f"{effect.physics}{where}{source}. Estimate {choice.value:.4g} ± {choice.std:.2g}"
+        f" ({sign}{usual}), |t| {abs(choice.t):.1f} with standard errors corrected for coloured"
+        " residuals"
     )
 
 
@@ -148,9 +162,10 @@ def separating_manoeuvre(one: Effect, other: Effect) -> str:
         part = (effect.subsystem or "").partition(".")[0]
         if part == "mass" and effect.term == "Ixz":
             return (
-                "measure Ixz on the ground (swing test); in the air a wrong Ixz is pitching moment from roll rate squared "
-                "and, with the other sign, from yaw rate squared: rudder doublets separate them only as long as the "
-                "aircraft has no moment from yaw rate squared of its own"
+                "measure Ixz on the ground (swing test); in the air a wrong Ixz is pitching moment"
+                " from roll rate squared and, with the other sign, from yaw rate squared: rudder"
+                " doublets separate them only as long as the aircraft has no moment from yaw rate"
+                " squared of its own"
             )
         if part in _SUBSYSTEM:
             return _SUBSYSTEM[part]
@@ -159,7 +174,10 @@ def separating_manoeuvre(one: Effect, other: Effect) -> str:
     assert b is not None
     apart = [v for v in (*a.variables, *b.variables) if (v in a.variables) != (v in b.variables)]
     if not apart:
-        return f"the same manoeuvres at several amplitudes: {a.text} and {b.text} differ in how they grow"
+        return (
+            f"the same manoeuvres at several amplitudes: {a.text} and {b.text} differ in how they"
+            " grow"
+        )
     return "; ".join(dict.fromkeys(_EXCITES[v] for v in apart[:2]))
 
 
@@ -180,12 +198,14 @@ _OF_STATE = {
 def would_tell(state: str | None, nearest: Sequence[Effect], loudest: tuple[str, float]) -> str:
     """The flight that would tell what is left.
 
-    state: with which the residual goes; nearest: candidates, the best first; loudest: kind of manoeuvre in which the channel's
-    residual is largest, and its rms over noise there
-    """
+    state: with which the residual goes; nearest: candidates, the best first; loudest: kind of
+    manoeuvre in which the channel's residual is largest, and its rms over noise there"""
     kind, ratio = loudest
     said = [
-        f"repeat {kind}, where the channel is at {ratio:.2f} times its noise, at other amplitudes and speeds"
+        (
+            f"repeat {kind}, where the channel is at {ratio:.2f} times its noise, at other amplitudes"
+            " and speeds"
+        )
     ]
     if state is not None:
         said.insert(0, _EXCITES[_OF_STATE[state]])
@@ -198,25 +218,30 @@ def would_tell(state: str | None, nearest: Sequence[Effect], loudest: tuple[str,
 
 
 def contradicted(effect: Effect, choice: Choice, says: str) -> str:
-    """What is said of an effect that the train flights ask for and the test flights speak against, or do not show beside what is
-    unexplained. says: what the test flights say (judge.Verdict)."""
+    """What is said of an effect that the train flights ask for and the test flights speak against,
+    or do not show beside what is unexplained. says: what the test flights say (judge.Verdict)."""
     asked = f"the train flights ask for {effect.name} (|t| {abs(choice.t):.1f}), and "
     if says == "grew":
         grew = "with it the gap on the test flights grew: it is withdrawn"
         return f"{asked}{grew}; something differs between the flights that has no name here"
-    return f"{asked}the test flights do not show it: beside something that nothing explains it is withdrawn"
+    return (
+        f"{asked}the test flights do not show it: beside something that nothing explains it is"
+        " withdrawn"
+    )
 
 
 def unnamed(effect: Effect, choice: Choice) -> str:
     """What is said of an effect that would have been named, were nothing unexplained beside it."""
     return (
-        f"{effect.name} would explain a part of it (|t| {abs(choice.t):.1f}), too little to be named beside something that nothing "
-        "explains"
+        f"{effect.name} would explain a part of it (|t| {abs(choice.t):.1f}), too little to be"
+        " named beside something that nothing explains"
     )
 
 
 def still_asked(effect: Effect, t: float) -> str:
-    """What is said of a candidate that the flights still ask for beside the effects that were chosen."""
+    """What is said of a candidate that the flights still ask for beside the effects that were
+    chosen.
+    """
     return (
         f"{effect.name} is still asked for (|t| {abs(t):.1f}): it, or something like it, is missing"
     )
@@ -240,10 +265,14 @@ def still_asked(effect: Effect, t: float) -> str:
 BLOCKS_S = (0.5, 1.0, 2.0, 4.0)
 """Lengths of the blocks that are tried; a band is known to one over the length."""
 MOST_BLOCKS, MOST_BANDS = 64, 24
-"""Blocks and frequencies of one series: more are put together, so that a long log costs no more rectangles."""
+"""Blocks and frequencies of one series: more are put together, so that a long log costs no more
+rectangles.
+"""
 LEAST_SAMPLES = 16
 WINDOW_LIKENESS = (4.0 / 9.0, 1.0 / 36.0)
-"""Correlation of the periodogram's neighbours, one and two apart, that the Hann window makes of independent ones."""
+"""Correlation of the periodogram's neighbours, one and two apart, that the Hann window makes of
+independent ones.
+"""
 BY_CHANCE = 0.01
 """Chance that anything is placed in noise alone."""
 TENTHS = 10
@@ -253,8 +282,8 @@ TENTHS = 10
 class Burst:
     """Rows [start, stop) and band [Hz] of a series in which it stands above the noise.
 
-    gain: equation (G), corrected for the window; p: chance that noise alone gives as much in any rectangle of this series
-    """
+    gain: equation (G), corrected for the window; p: chance that noise alone gives as much in any
+    rectangle of this series"""
 
     start: int
     stop: int
@@ -266,8 +295,9 @@ class Burst:
 
 @dataclass(frozen=True)
 class With:
-    """The range [low, high] of a state with which a series goes, the share of its variance that the state explains, and the p-value
-    of that share among the states tried. of: "mean" where its mean changes with the state, "size" where its square does."""
+    """The range [low, high] of a state with which a series goes, the share of its variance that the
+    state explains, and the p-value of that share among the states tried. of: "mean" where its mean
+    changes with the state, "size" where its square does."""
 
     state: str
     low: float
@@ -278,8 +308,8 @@ class With:
 
 
 def loudest(white: FloatArray, rate_hz: float) -> Burst | None:
-    """The rectangle of largest gain in a residual over its noise (n,) at equal steps; None where no rectangle is above the noise
-    or the series is shorter than `LEAST_SAMPLES`."""
+    """The rectangle of largest gain in a residual over its noise (n,) at equal steps; None where no
+    rectangle is above the noise or the series is shorter than `LEAST_SAMPLES`."""
     found: list[tuple[Burst, int]] = []
     tried = 0
     for length_s in BLOCKS_S:
@@ -304,8 +334,8 @@ def _gain(S: FloatArray, N: FloatArray) -> FloatArray:
 
 
 def _sharpened(white: FloatArray, rate_hz: float, burst: Burst, n: int) -> tuple[int, int]:
-    """Rows [start, stop) of the largest gain in the burst's band, whose ends lie within a block of the burst's: where in a block
-    it begins, the blocks do not say."""
+    """Rows [start, stop) of the largest gain in the burst's band, whose ends lie within a block of
+    the burst's: where in a block it begins, the blocks do not say."""
     f = np.fft.rfftfreq(len(white), 1.0 / rate_hz)
     inside = (f >= burst.low_hz) & (f < burst.high_hz)
     band = np.fft.irfft(np.where(inside, np.fft.rfft(white), 0.0), len(white))
@@ -323,7 +353,9 @@ def _sharpened(white: FloatArray, rate_hz: float, burst: Burst, n: int) -> tuple
 def _periodogram(
     white: FloatArray, n: int, rate_hz: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(blocks, bands) sums of ordinates, (bands,) ordinates in each band, (bands + 1,) edges [Hz]; Nyquist's is left out."""
+    """(blocks, bands) sums of ordinates, (bands,) ordinates in each band, (bands + 1,) edges [Hz];
+    Nyquist's is left out.
+    """
     blocks = white[: len(white) // n * n].reshape(-1, n)
     window = np.hanning(n + 1)[:-1]
     power = np.abs(np.fft.rfft(blocks * window, axis=1))[:, : (n + 1) // 2] ** 2 / float(
@@ -338,7 +370,9 @@ def _periodogram(
 
 
 def _largest(white: FloatArray, n: int, rate_hz: float) -> tuple[Burst | None, int]:
-    """The rectangle of largest gain in blocks of n rows, p that of this rectangle alone, and how many rectangles there are."""
+    """The rectangle of largest gain in blocks of n rows, p that of this rectangle alone, and how
+    many rectangles there are.
+    """
     power, weight, edges = _periodogram(white, n, rate_hz)
     blocks, bands = power.shape
     total = np.zeros((blocks + 1, bands + 1))
@@ -364,7 +398,9 @@ def _largest(white: FloatArray, n: int, rate_hz: float) -> tuple[Burst | None, i
 
 
 def _spread(ordinates: FloatArray) -> FloatArray:
-    """By how much the variance of a sum of neighbouring ordinates exceeds that of independent ones."""
+    """By how much the variance of a sum of neighbouring ordinates exceeds that of
+    independent ones.
+    """
     one, two = (
         c * np.maximum(ordinates - lag, 0.0) / ordinates for lag, c in enumerate(WINDOW_LIKENESS, 1)
     )
@@ -372,7 +408,9 @@ def _spread(ordinates: FloatArray) -> FloatArray:
 
 
 def densest(weights: FloatArray, share: float = 0.5) -> tuple[int, int]:
-    """The shortest stretch [start, stop) that holds at least ``share`` of the sum of weights (n,), none negative."""
+    """The shortest stretch [start, stop) that holds at least ``share`` of the sum of weights (n,),
+    none negative.
+    """
     total = np.append(0.0, np.cumsum(weights))
     need = share * total[-1] * (1.0 - 1e-12)
     every = np.arange(len(total))
@@ -394,12 +432,13 @@ def band_of(series: FloatArray, rate_hz: float) -> tuple[float, float]:
 def goes_with(
     series: Sequence[FloatArray], states: Sequence[Mapping[str, FloatArray]], certain: bool = False
 ) -> With | None:
-    """The state, or control, with which a residual goes: a mean by tenths of the state explains most of its variance.
+    """The state, or control, with which a residual goes: a mean by tenths of the state explains
+    most of its variance.
 
-    series [(n,)], states name -> (n,) at the same rows; rows that are not finite are left out. A residual whose mean goes with
-    nothing is asked for its square. None where chance (`BY_CHANCE`, F test with as many samples as the coloured series is worth,
-    all states tried) explains as much; certain: the series has no noise, and the state that explains most is told.
-    """
+    series [(n,)], states name -> (n,) at the same rows; rows that are not finite are left out. A
+    residual whose mean goes with nothing is asked for its square. None where chance (`BY_CHANCE`, F
+    test with as many samples as the coloured series is worth, all states tried) explains as much;
+    certain: the series has no noise, and the state that explains most is told."""
     known = [np.isfinite(e) for e in series]
     kept = [e[k] for e, k in zip(series, known, strict=True)]
     if sum(len(e) for e in kept) <= 2 * TENTHS:
@@ -427,8 +466,8 @@ def goes_with(
 def dependence(
     series: Sequence[FloatArray], states: Sequence[Mapping[str, FloatArray]], most: int = 3
 ) -> list[tuple[str, float]]:
-    """States on which a residual [(n,)] depends: (name, adjusted share of its variance that a mean by tenths of the state
-    explains), the largest first."""
+    """States on which a residual [(n,)] depends: (name, adjusted share of its variance that a mean
+    by tenths of the state explains), the largest first."""
     y = np.concatenate(series)
     y = y - y.mean()
     every = ((n, _explained(y, np.concatenate([s[n] for s in states]), len(y))) for n in states[0])
@@ -438,7 +477,9 @@ def dependence(
 def _explained(
     y: FloatArray, x: FloatArray, worth: float
 ) -> tuple[float, float, float, float] | None:
-    """(adjusted share of y's variance that a mean by tenths of x explains, its p-value, the range of x with half of that)."""
+    """(adjusted share of y's variance that a mean by tenths of x explains, its p-value, the range
+    of x with half of that).
+    """
     edges = np.unique(np.quantile(x, np.linspace(0.0, 1.0, TENTHS + 1)))
     total = float(y @ y)
     if len(edges) < 3 or not total > 0.0:
@@ -476,7 +517,9 @@ _CONTROLS = ("elevator_deg", "aileron_deg", "rudder_deg", "throttle_pct")
 
 @dataclass(frozen=True)
 class Series:
-    """One channel of one segment: residual over noise (n,) at time_s (n,), where it was measured; states at all rows."""
+    """One channel of one segment: residual over noise (n,) at time_s (n,), where it was measured;
+    states at all rows.
+    """
 
     flights: str
     flight: str
@@ -507,9 +550,8 @@ def place_of(
     """`remaining.place` of refinement.json where something remains.
 
     left      "train", "test" -> channels that are above their noise or coloured there
-    asked     keys of what the train flights ask for beside the effects, or of effects that have another form than what is missing
-    controls  positions in every train segment
-    """
+    asked     keys of what the train flights ask for beside the effects, or of effects that have
+    another form than what is missing controls  positions in every train segment"""
     setup, _, shown = judged.train
     other, _, fitted = judged.test
     both = series_of("train", setup, shown, controls) + series_of(
@@ -575,7 +617,9 @@ def states_along(flown: Flown, controls: Sequence[FloatArray]) -> list[dict[str,
 
 
 def where_loudest(series: Sequence[Series]) -> tuple[dict[str, Any], With | None]:
-    """Place of the largest gain over noise; where chance alone would give it, the loudest channel without an interval."""
+    """Place of the largest gain over noise; where chance alone would give it, the loudest channel
+    without an interval.
+    """
     long = [s for s in series if len(s.present) >= LEAST_SAMPLES]
     found = [(burst, s) for s in long if (burst := loudest(s.present, s.rate_hz)) is not None]
     burst, best = max(
@@ -592,24 +636,35 @@ def where_loudest(series: Sequence[Series]) -> tuple[dict[str, Any], With | None
     }
     named["rms_over_noise"] = rms(np.concatenate([s.white for s in alike]))
     if burst is None or p > BY_CHANCE:
-        return named | {
-            "reason": f"no stretch and no band stands above the noise by more than chance gives (p {p:.2g})"
-        }, goes
+        return (
+            named
+            | {
+                "reason": (
+                    "no stretch and no band stands above the noise by more than chance gives (p"
+                    f" {p:.2g})"
+                )
+            },
+            goes,
+        )
     rows = np.flatnonzero(np.isfinite(best.white))[burst.start : burst.stop]
     inside = best.white[rows]
     excess = sum(float(np.nansum(s.white**2 - np.isfinite(s.white))) for s in alike)
     held = float(np.sum(inside**2 - 1.0))
-    return named | {
-        "flight": best.flight,
-        "manoeuvre": best.manoeuvre,
-        "from_s": float(best.time_s[rows[0]]),
-        "to_s": float(best.time_s[rows[-1]]),
-        "from_Hz": burst.low_hz,
-        "to_Hz": burst.high_hz,
-        "rms_over_noise": rms(inside),
-        "share_of_excess": min(held / excess, 1.0) if held > 0.0 and excess > 0.0 else None,
-        "reason": None,
-    }, goes
+    return (
+        named
+        | {
+            "flight": best.flight,
+            "manoeuvre": best.manoeuvre,
+            "from_s": float(best.time_s[rows[0]]),
+            "to_s": float(best.time_s[rows[-1]]),
+            "from_Hz": burst.low_hz,
+            "to_Hz": burst.high_hz,
+            "rms_over_noise": rms(inside),
+            "share_of_excess": min(held / excess, 1.0) if held > 0.0 and excess > 0.0 else None,
+            "reason": None,
+        },
+        goes,
+    )
 
 
 class Nearest:
@@ -622,7 +677,8 @@ class Nearest:
             c.key for c in found.selection.chosen
         ]
         rest = [e for e in found.effects.values() if e.key not in self.free]
-        # What flew and does not stand is among the columns of the fit, beside which nothing of it would be left.
+        # What flew and does not stand is among the columns of the fit, beside which nothing of it
+        # would be left.
         flew = [e.key for e in rest if e.key in found.flown]
         open_ = eligible(
             [e for e in rest if e.key not in flew],
@@ -633,18 +689,22 @@ class Nearest:
         self.scores = scores(self.evidence, self.free, [*open_, *flew])
 
     def residual(self, *more: str, without: str = "") -> list[FloatArray]:
-        """[(n, m)] residuals over noise with everything fitted beside these candidates, less one effect."""
+        """[(n, m)] residuals over noise with everything fitted beside these candidates, less one
+        effect.
+        """
         free = [n for n in (*self.free, *more) if n != without]
         return self.evidence.residual(self.evidence.fitted(self.evidence.index(free)))
 
     def trace(self, key: str) -> list[FloatArray]:
-        """[(n, m)] what a candidate would explain beside the effects, or an effect does beside the others."""
+        """[(n, m)] what a candidate would explain beside the effects, or an effect does beside the
+        others.
+        """
         having = self.residual(*(() if key in self.free else (key,)))
         return [a - b for a, b in zip(self.residual(without=key), having, strict=True)]
 
     def leaving(self, channel: str, gone: set[str]) -> tuple[list[tuple[str, float, float]], float]:
-        """Three candidates (key, t, rms over noise that each leaves of the channel), and what is there without any. gone: keys that
-        the hold-out flights spoke against."""
+        """Three candidates (key, t, rms over noise that each leaves of the channel), and what is
+        there without any. gone: keys that the hold-out flights spoke against."""
         k = self.found.setup.outputs.index(channel)
         order = np.argsort(-np.nan_to_num(self.scores.gain, nan=-1.0))
         asked = [
@@ -663,8 +723,8 @@ class Nearest:
 def _where_asked(
     nearest: Nearest, series: Sequence[Series], key: str
 ) -> tuple[dict[str, Any], With | None]:
-    """Place of what a candidate or an effect explains on the train flights: the half of it that lies closest together in time,
-    and in frequency."""
+    """Place of what a candidate or an effect explains on the train flights: the half of it that
+    lies closest together in time, and in frequency."""
     setup, trace = nearest.found.setup, nearest.trace(key)
     power = np.array([np.nansum(d**2, axis=0) for d in trace])
     k = int(np.argmax(power.sum(axis=0)))
@@ -711,7 +771,9 @@ def label(effect: Effect) -> dict[str, str]:
 
 
 def _loudest_manoeuvre(series: Sequence[Series], place: Mapping[str, Any]) -> tuple[str, float]:
-    """Kind of manoeuvre in which the channel's residual is largest, and its rms over noise there."""
+    """Kind of manoeuvre in which the channel's residual is largest, and its rms over noise
+    there.
+    """
     mine = [s for s in series if (s.flights, s.channel) == (place["flights"], place["channel"])]
     kinds = dict.fromkeys(s.manoeuvre for s in mine)
     sizes = {
@@ -721,15 +783,18 @@ def _loudest_manoeuvre(series: Sequence[Series], place: Mapping[str, Any]) -> tu
 
 
 MOST_SAID = 3
-"""Candidates still asked for that are told in words; the others stand in `remaining.where` alone."""
+"""Candidates still asked for that are told in words; the others stand in `remaining.where`
+alone.
+"""
 _AXES = (("p_radps", "Cl", "roll"), ("q_radps", "Cm", "pitch"), ("r_radps", "Cn", "yaw"))
 
 
 def find_disagreements(
     setup: Setup, shown: Shown, settled: Shown, controls: Sequence[Any]
 ) -> list[dict[str, Any]]:
-    """Where ``shown`` lies outside what noise gives. A model that is at the noise in flight leaves more than that in coefficients,
-    because held commands and gusts have their share there; then what it leaves is what is allowed."""
+    """Where ``shown`` lies outside what noise gives. A model that is at the noise in flight leaves
+    more than that in coefficients, because held commands and gusts have their share there; then
+    what it leaves is what is allowed."""
     kinds = [s.kind for s in setup.segments]
     allowed = [settled.floor] * len(kinds)
     if all(
@@ -766,7 +831,8 @@ def _remaining(chosen: Found, judged: Judged, controls: Sequence[Any]) -> dict[s
     left, held_out = left_in(setup, after, found.gusty), left_in(other, fitted, found.gusty)
     effects, refused, moments = chosen.effects, found.selection.refused, moments_of(chosen)
     strong = [refused] if refused is not None and refused.strong else []
-    # What the train flights ask for and the test flights speak against is a disagreement without a name, unless chance asked.
+    # What the train flights ask for and the test flights speak against is a disagreement without a
+    # name, unless chance asked.
     against = [c for c in judged.withdrawn if abs(c.t) > chosen.limit + DIFFERENT]
     told = {c.key for c in (*against, *chosen.unnamed, *chosen.selection.chosen)}
     more = [(key, t) for key, t in chosen.left if key not in told]
@@ -810,7 +876,9 @@ def _remaining(chosen: Found, judged: Judged, controls: Sequence[Any]) -> dict[s
 
 
 def _disagreeing(setup: Setup, shown: Shown, controls: Sequence[Any]) -> list[dict[str, Any]]:
-    """Regions in which coefficients disagree, then coefficients above their noise and the states on which they depend."""
+    """Regions in which coefficients disagree, then coefficients above their noise and the states on
+    which they depend.
+    """
     out = find_disagreements(setup, shown, shown, controls)
     states = _ranges(shown, controls)
     for k, c in enumerate(COEFFICIENTS):
@@ -825,7 +893,9 @@ def _disagreeing(setup: Setup, shown: Shown, controls: Sequence[Any]) -> list[di
 
 
 def _unconfirmed(effect: Effect, refused: Refusal) -> dict[str, Any]:
-    """Where the residual is and on what it depends, from the nearest candidate that was not confirmed."""
+    """Where the residual is and on what it depends, from the nearest candidate that was not
+    confirmed.
+    """
     term = effect.parsed
     depends = [] if term is None else [{"state": v} for v in term.variables]
     words = (
@@ -841,8 +911,8 @@ def document_of(
 ) -> dict[str, Any]:
     """refinement.json as far as flights and models say it.
 
-    chosen: what the train flights say, before the test flights were asked; aircraft: as given; controls: of every train segment
-    """
+    chosen: what the train flights say, before the test flights were asked; aircraft: as given;
+    controls: of every train segment"""
     found, (setup, before, after) = judged.found, judged.train
     switches = {c.key: switch_of(chosen.effects[c.key], aircraft) for c in chosen.selection.chosen}
     effects = [_effect(found, c, judged.verdicts[c.key], switches) for c in found.selection.chosen]
@@ -873,9 +943,11 @@ def document_of(
             if (s := switches[c.key]) is not None
         ],
         "parameters": {n: {"value": v, "std": s} for n, (v, s) in found.parameters.items()},
-        "best_refused": None
-        if refused is None
-        else {"effect": refused.key.removeprefix("effect/"), "t": refused.t, "why": refused.why},
+        "best_refused": (
+            None
+            if refused is None
+            else {"effect": refused.key.removeprefix("effect/"), "t": refused.t, "why": refused.why}
+        ),
         "candidates": {
             "limit": found.limit,
             "scores": [{"effect": name, "t": t} for name, t in found.scoreboard],
@@ -887,7 +959,9 @@ def document_of(
 
 
 def moments_of(chosen: Found) -> dict[str, dict[str, Any]]:
-    """Angular rate -> what is told of moments about its axis that nothing explains, where flights in turbulence show them."""
+    """Angular rate -> what is told of moments about its axis that nothing explains, where flights
+    in turbulence show them.
+    """
     rows = {}
     for (rate, c, axis), gain in zip(
         _AXES, () if chosen.gusts is None else chosen.gusts.moments, strict=False
@@ -902,8 +976,9 @@ def moments_of(chosen: Found) -> dict[str, dict[str, Any]]:
 def _bent(form: Bent, instead: Sequence[Effect]) -> dict[str, Any]:
     """A curve in effects' own states that shows that they have not the form of what is missing."""
     words = (
-        f"what is missing in {form.coefficient} does not have the form of {' and '.join(e.name for e in instead)}: beside "
-        f"{'them' if len(instead) > 1 else 'it'} a {form.name} gains {form.gain:.0f} in twice the log likelihood"
+        f"what is missing in {form.coefficient} does not have the form of"
+        f" {' and '.join(e.name for e in instead)}: beside {'them' if len(instead) > 1 else 'it'} a"
+        f" {form.name} gains {form.gain:.0f} in twice the log likelihood"
     )
     return {
         "coefficient": form.coefficient,
@@ -917,8 +992,8 @@ def _bent(form: Bent, instead: Sequence[Effect]) -> dict[str, Any]:
 def strong_of(
     candidates: Sequence[Mapping[str, Any]], told: Collection[str]
 ) -> list[tuple[str, float]]:
-    """(key, t) of the nearest candidates beside what stands that have more than CERTAIN_T and are not told yet: an effect that was
-    withdrawn had their place."""
+    """(key, t) of the nearest candidates beside what stands that have more than CERTAIN_T and are
+    not told yet: an effect that was withdrawn had their place."""
     keys = [f"effect/{c.get('coefficient') or c['subsystem']}/{c['term']}" for c in candidates]
     return [
         (k, c["t"])
@@ -980,15 +1055,17 @@ def _effect(
 
 
 def _interval(found: Found, e: Effect, c: Choice) -> list[float | None]:
-    """95 % interval of the number as it stands in the XML, given that it was chosen; open above where a servo is never asked for
-    more than its rate limit."""
+    """95 % interval of the number as it stands in the XML, given that it was chosen; open above
+    where a servo is never asked for more than its rate limit."""
     low, high = chosen_interval(c, found.limit)
     ends = sorted(_as_written(found, e, replace(c, value=v))[0] for v in (low, high))
     return [ends[0], None if e.term == "rate_limit" and is_fastest(c, found.setup) else ends[1]]
 
 
 def _as_written(found: Found, e: Effect, c: Choice) -> tuple[float, float, str]:
-    """Value, standard error and unit as the number stands in the XML: a servo's lag there is 1/s, its rate limit deg/s."""
+    """Value, standard error and unit as the number stands in the XML: a servo's lag there is 1/s,
+    its rate limit deg/s.
+    """
     surface = (e.subsystem or "").partition(".")[2]
     servo = found.setup.servos.get(surface)
     if e.term == "lag" and servo is not None:
@@ -1020,7 +1097,9 @@ def _alternative(found: Found, own: Effect, a: Alternative) -> dict[str, Any]:
 
 
 def refinement_view(title: str, document: Mapping[str, Any]) -> str:
-    """Verdict, effects with estimate and standard deviation, and each channel's residual on the test flights."""
+    """Verdict, effects with estimate and standard deviation, and each channel's residual on the
+    test flights.
+    """
     effects = [
         {
             "effect": row["name"],

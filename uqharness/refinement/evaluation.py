@@ -1,4 +1,6 @@
-"""What a refinement did to the gap: channels and coefficients of flights under two models, start states and biases their own."""
+"""What a refinement did to the gap: channels and coefficients of flights under two models, start
+states and biases their own.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +40,9 @@ from uqharness.simulator import Aircraft
 
 @dataclass(frozen=True)
 class Replays:
-    """Replays of flights that predictions judged, residuals [(n, m)] and noise (m,) of their channels: what `compare` shows."""
+    """Replays of flights that predictions judged, residuals [(n, m)] and noise (m,) of their
+    channels: what `compare` shows.
+    """
 
     flown: Flown
     residual: list[FloatArray]
@@ -47,10 +51,11 @@ class Replays:
 
 @dataclass(frozen=True)
 class Shown:
-    """One model over some flights: replay or one-step predictions, residuals [(n, m)] and their noise (m,), coefficient residuals
-    [(n, 6)] and their noise (6,), white [(n, m)] residuals over their noise, cost: sum of their squares; logdet (S,): of each
-    segment, the logarithms of that noise, summed, where the model has a say in it (predictions; 0 for replays).
-    replays: of flights shown by predictions, the same model's replays, where they were asked for."""
+    """One model over some flights: replay or one-step predictions, residuals [(n, m)] and their
+    noise (m,), coefficient residuals [(n, 6)] and their noise (6,), white [(n, m)] residuals over
+    their noise, cost: sum of their squares; logdet (S,): of each segment, the logarithms of that
+    noise, summed, where the model has a say in it (predictions; 0 for replays). replays: of flights
+    shown by predictions, the same model's replays, where they were asked for."""
 
     flown: Flown
     residual: list[FloatArray]
@@ -77,11 +82,12 @@ class Shown:
 
 
 def show(aircraft: Aircraft, side: Side, map_: Processes, at: Point) -> Shown:
-    """Flights by an aircraft as its XML has it, but for properties that have other values ``at`` a point, and sensors that have its
-    effects; only start states, biases and (of logs) delays are estimated.
+    """Flights by an aircraft as its XML has it, but for properties that have other values ``at`` a
+    point, and sensors that have its effects; only start states, biases and (of logs) delays are
+    estimated.
 
-    Biases and delays are sought from those of the point; start states from those it has, or as measured, and in air, where
-    one-step predictions take the place of replays, always as measured.
+    Biases and delays are sought from those of the point; start states from those it has, or as
+    measured, and in air, where one-step predictions take the place of replays, always as measured.
     """
     setup, gusts = side.setup, side.air
     with Bench(aircraft, setup) as bench:
@@ -125,7 +131,8 @@ def show(aircraft: Aircraft, side: Side, map_: Processes, at: Point) -> Shown:
                 )
                 deviations, logdet = [w.deviation for w in filtered], [w.logdet for w in filtered]
             except np.linalg.LinAlgError:
-                # A model so far outside what it was made for that no filter follows it: what it says at the measured states.
+                # A model so far outside what it was made for that no filter follows it: what it
+                # says at the measured states.
                 reached, rows = unfiltered(
                     bench.model, bench.direct_model, setup, start, map_, gusts
                 )
@@ -145,7 +152,9 @@ def show(aircraft: Aircraft, side: Side, map_: Processes, at: Point) -> Shown:
 def _replayed(
     model: ReplayModel, setup: Setup, start: Point, map_: Processes, near: Point | None = None
 ) -> Flown:
-    """Replays from the start states, biases and delays that fit best, as `compare` has them; near: where they are sought from."""
+    """Replays from the start states, biases and delays that fit best, as `compare` has them; near:
+    where they are sought from.
+    """
     flown = fly(model, setup, start, map_)
     if not np.isfinite(flown.cost):
         return flown
@@ -161,7 +170,10 @@ def _replayed(
 
 
 def with_replays(shown: Shown, aircraft: Aircraft, side: Side, map_: Processes, at: Point) -> Shown:
-    """Flights shown by predictions with their replays besides; arguments of `show`. Noise and delays are those of `compare`."""
+    """Flights shown by predictions with their replays besides; arguments of `show`.
+
+    Noise and delays are those of `compare`.
+    """
     setup = side.setup
     with Bench(aircraft, setup) as bench:
         noise = known_noise(aircraft, setup.measured, setup.outputs)
@@ -177,13 +189,17 @@ def _residual(setup: Setup, flown: Flown) -> list[FloatArray]:
 
 
 def _told_noise(aircraft: Aircraft, setup: Setup) -> FloatArray:
-    """(m,) noise that tables of replays speak of: what `compare` knows, but for channels that an estimator computed."""
+    """(m,) noise that tables of replays speak of: what `compare` knows, but for channels that an
+    estimator computed.
+    """
     computed = np.isin(setup.outputs, estimated_channels(setup))
     return np.where(computed, setup.noise, known_noise(aircraft, setup.measured, setup.outputs))
 
 
 def _as_recorded(setup: Setup, point: Point, rows: Sequence[FloatArray]) -> list[FloatArray]:
-    """[(n, m)] residuals of predictions at the rows where the samples stand in the record; 0 where none was judged."""
+    """[(n, m)] residuals of predictions at the rows where the samples stand in the record; 0 where
+    none was judged.
+    """
     both = ((rows_late(setup, s, point), r) for s, r in zip(setup.segments, rows, strict=True))
     return [
         np.nan_to_num(
@@ -194,8 +210,8 @@ def _as_recorded(setup: Setup, point: Point, rows: Sequence[FloatArray]) -> list
 
 
 def air_of(aircraft: Aircraft, setup: Setup, map_: Processes, at: Point, near: Gusts) -> Gusts:
-    """The air of some flights, estimated with a model and sensors as they are at a point; near: that of others, which stays where
-    no filter follows the flights with such a model."""
+    """The air of some flights, estimated with a model and sensors as they are at a point; near:
+    that of others, which stays where no filter follows the flights with such a model."""
     with Bench(aircraft, setup) as bench:
         setup = with_sensors_of(setup, aircraft)
         start = replace(at, starts=tuple(s.start for s in setup.segments))
@@ -217,7 +233,9 @@ def _as_felt(segment: Segment, flight: Flight, ideal: Sequence[str]) -> Segment:
 
 
 def gap_document(setup: Setup, before: Shown, after: Shown) -> dict[str, object]:
-    """G of refinement.json: channels of replays, as `compare` has them; predictions: where those judged, their errors."""
+    """G of refinement.json: channels of replays, as `compare` has them; predictions: where those
+    judged, their errors.
+    """
     was, now = before.replays or before, after.replays or after
 
     def rows(
@@ -249,7 +267,9 @@ def gap_document(setup: Setup, before: Shown, after: Shown) -> dict[str, object]
 
 @dataclass(frozen=True)
 class Left:
-    """What flights leave: channel -> rms over noise where that is above NOISE_FLOOR; channels whose residual is not white."""
+    """What flights leave: channel -> rms over noise where that is above NOISE_FLOOR; channels whose
+    residual is not white.
+    """
 
     above: dict[str, float]
     coloured: tuple[str, ...]

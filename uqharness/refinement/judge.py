@@ -1,9 +1,10 @@
-"""What test flights say of the effects that train flights chose: each effect without which the gap is no larger is withdrawn.
+"""What test flights say of the effects that train flights chose: each effect without which the gap
+is no larger is withdrawn.
 
-Beside something that nothing explains, which goes with many candidates a little, an effect must be seen on the test flights.
-Nothing is chosen here. An effect stands or falls alone: the others and the parameters are estimated again without it, on the
-train flights, and the test flights are flown both ways.
-"""
+Beside something that nothing explains, which goes with many candidates a little, an effect must be
+seen on the test flights. Nothing is chosen here. An effect stands or falls alone: the others and
+the parameters are estimated again without it, on the train flights, and the test flights are flown
+both ways."""
 
 from __future__ import annotations
 
@@ -48,7 +49,9 @@ from uqharness.simulator import Aircraft
 
 @dataclass(frozen=True)
 class Both:
-    """Evidence of the train flights and of the hold-out flights, each about parameters of its own and no effect."""
+    """Evidence of the train flights and of the hold-out flights, each about parameters of its own
+    and no effect.
+    """
 
     found: Found
     train: Evidence
@@ -56,7 +59,9 @@ class Both:
     at: tuple[dict[str, float], dict[str, float]]
 
     def t(self, key: str, beside: Sequence[str]) -> float:
-        """t of an effect beside others, everything estimated on all flights, corrected as that of the train flights is."""
+        """t of an effect beside others, everything estimated on all flights, corrected as that of
+        the train flights is.
+        """
         names = [*self.found.names, *beside]
         sides = [
             shared(e, names, at) for e, at in zip((self.train, self.test), self.at, strict=True)
@@ -68,8 +73,9 @@ class Both:
         return float(value / np.sqrt(variance) * abs(choice.t) / np.sqrt(choice.gain))
 
     def variance(self, apart: Sequence[FloatArray], beside: Sequence[str]) -> float:
-        """Variance of twice the log likelihood's change by errors of the parameters and of some effects, as train flights estimate
-        them; apart [(n, m)]: whitened residuals without the effect in question less those with it."""
+        """Variance of twice the log likelihood's change by errors of the parameters and of some
+        effects, as train flights estimate them; apart [(n, m)]: whitened residuals without the
+        effect in question less those with it."""
         names = [*self.found.names, *beside]
         G, _ = shared(self.train, names, self.at[0])
         some = self.test.index(names)
@@ -82,7 +88,9 @@ class Both:
 def linearised(
     found: Found, aircraft: Aircraft, side: Side, setup: Setup, flown: Flown, map_: Processes
 ) -> tuple[Setup, Fit]:
-    """Flights that an aircraft with everything of ``found`` in its XML flew, linearised there, and their setup."""
+    """Flights that an aircraft with everything of ``found`` in its XML flew, linearised there, and
+    their setup.
+    """
     values = {**flown.point.values, **{n: v for n, (v, _) in found.parameters.items()}}
     point = replace(flown.point, values=values, effects=found.selection.values)
     with Bench(aircraft, setup) as bench:
@@ -115,8 +123,8 @@ def linearised(
 def both_sides(
     found: Found, train: Evidence, aircraft: Aircraft, side: Side, shown: Shown, map_: Processes
 ) -> Both:
-    """train: evidence of the train flights about no effect; aircraft: with every effect of ``found``, which flew the hold-out
-    flights as ``shown``."""
+    """train: evidence of the train flights about no effect; aircraft: with every effect of
+    ``found``, which flew the hold-out flights as ``shown``."""
     chosen = found.selection.values
     effects = [found.effects[key] for key in chosen]
     setup, fit = linearised(found, aircraft, side, side.setup, shown.flown, map_)
@@ -134,14 +142,17 @@ CANNOT_TELL = "cannot tell"
 BLOCK_S = 2.0
 """Residuals this far apart count as independent."""
 BEYOND_CHANCE = 1.645
-"""Standard errors beyond which a change of the gap is not chance's: noise alone does that once in twenty times."""
+"""Standard errors beyond which a change of the gap is not chance's: noise alone does that once in
+twenty times.
+"""
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """Of one effect on the test flights: by how much minus twice the log likelihood is larger without it, and the standard error
-    of that. far: rms of the better model's residuals over noise, over that of the train flights; beyond: by how much t^2 of both
-    sides is above the square of the limit asked; between: sum of the squares of what lies between the two models' predictions,
+    """Of one effect on the test flights: by how much minus twice the log likelihood is larger
+    without it, and the standard error of that. far: rms of the better model's residuals over noise,
+    over that of the train flights; beyond: by how much t^2 of both sides is above the square of the
+    limit asked; between: sum of the squares of what lies between the two models' predictions,
     whitened, and that of the model without less that of the model with it."""
 
     change: float
@@ -152,14 +163,17 @@ class Verdict:
 
     @property
     def share(self) -> tuple[float, float]:
-        """Share of the effect's estimate that fits the test flights best, and its standard error: with a and b the residuals
-        without and with it and d = a - b, a.d / d.d = (1 + (a.a - b.b) / d.d) / 2. NaN where the models are the same."""
+        """Share of the effect's estimate that fits the test flights best, and its standard error:
+        with a and b the residuals without and with it and d = a - b, a.d / d.d = (1 + (a.a - b.b) /
+        d.d) / 2. NaN where the models are the same."""
         size, fall = self.between
         return (0.5 + 0.5 * fall / size, 0.5 * self.std / size) if size > 0.0 else (np.nan, np.nan)
 
     @property
     def seen(self) -> bool:
-        """Whether the test flights have more than half of the effect's estimate, and more than chance gives them."""
+        """Whether the test flights have more than half of the effect's estimate, and more than
+        chance gives them.
+        """
         share, std = self.share
         return share > max(0.5, BEYOND_CHANCE * std)
 
@@ -170,7 +184,9 @@ class Verdict:
 
     @property
     def says(self) -> str:
-        """shrank, grew, cannot tell (a change that chance gives as well), or too far (flights that judge neither model)."""
+        """shrank, grew, cannot tell (a change that chance gives as well), or too far (flights that
+        judge neither model).
+        """
         if self.far > FAR:
             return "too far"
         # Both sides' evidence together must still be what is asked of an effect.
@@ -188,7 +204,8 @@ class Verdict:
 class Judged:
     """What stands, estimated without what was withdrawn; the gap on both sides before and after.
 
-    verdicts   of every effect by key: of those that stand, beside the others that stand; of a withdrawn one, as it was withdrawn
+    verdicts   of every effect by key: of those that stand, beside the others that stand; of a
+    withdrawn one, as it was withdrawn
     sides      train and test as they were flown
     """
 
@@ -203,8 +220,8 @@ class Judged:
 def judge(
     found: Found, whole: Aircraft, write: Write, train: Side, test: Side, map_: Processes
 ) -> Judged:
-    """Fly both sides before and after; withdraw effects one by one, the one that harms most first. whole: the aircraft with every
-    effect of ``found``; write: one of a model's own."""
+    """Fly both sides before and after; withdraw effects one by one, the one that harms most first.
+    whole: the aircraft with every effect of ``found``; write: one of a model's own."""
 
     def flown(model: Found, side: Side, near: Point | None) -> Shown:
         aircraft, values = flown_as(model, found, whole, write)
@@ -283,8 +300,9 @@ def surer(
     keys: Sequence[str],
     key: str | None = None,
 ) -> Verdict:
-    """The verdict, of one effect by key or of all, with the errors of what the train flights estimated in its standard error and,
-    of one, all flights' t in what both sides say. keys: of the effects that ``after`` has."""
+    """The verdict, of one effect by key or of all, with the errors of what the train flights
+    estimated in its standard error and, of one, all flights' t in what both sides say. keys: of the
+    effects that ``after`` has."""
     apart = [a - b for a, b in zip(without.white, after.white, strict=True)]
     # The effect's own error is in both terms of the change, and to the first order in neither.
     rest = [k for k in keys if key is not None and k != key]
@@ -299,15 +317,16 @@ def surer(
 def flown_as(
     model: Found, found: Found, whole: Aircraft, write: Write
 ) -> tuple[Aircraft, dict[str, float]]:
-    """The aircraft with every effect of ``found``, and properties with which it flies as ``model``: each XML of its own would be
-    compiled anew. One that is written where a number of the model stands in the XML alone."""
+    """The aircraft with every effect of ``found``, and properties with which it flies as ``model``:
+    each XML of its own would be compiled anew. One that is written where a number of the model
+    stands in the XML alone."""
     values = property_values(model, found)
     return (write(model), {}) if values is None else (whole, values)
 
 
 def property_values(model: Found, found: Found) -> dict[str, float] | None:
-    """Properties with which an aircraft that has the effects of ``found`` flies as ``model`` does, which has some of them;
-    None where a number stands in the XML alone."""
+    """Properties with which an aircraft that has the effects of ``found`` flies as ``model`` does,
+    which has some of them; None where a number stands in the XML alone."""
     values = {name: value for name, (value, _) in model.parameters.items()}
     own = model.selection.values
     for c in found.selection.chosen:
@@ -324,8 +343,9 @@ def property_values(model: Found, found: Found) -> dict[str, float] | None:
 def written_at(
     found: Found, values: Mapping[str, float] | None = None, near: Point | None = None
 ) -> Point:
-    """The point of an aircraft that was written as ``found``, but for properties of other ``values``: its sensors' effects, and
-    nuisance and start states of another model's point in the same flights."""
+    """The point of an aircraft that was written as ``found``, but for properties of other
+    ``values``: its sensors' effects, and nuisance and start states of another model's point in the
+    same flights."""
     nuisance, starts = ({}, ()) if near is None else (near.nuisance, near.starts)
     sensed = {
         k: value for k, value in found.selection.values.items() if not in_dynamics(found.effects[k])
@@ -344,12 +364,12 @@ def gap_change(
 ) -> Verdict:
     """The rise of minus twice the log likelihood when an effect is left out.
 
-    With a and b the whitened residuals without and with it and d = a - b, the rise is sum(a^2 - b^2) = sum(d^2) + 2 sum(b d): what
-    noise makes of it is 2 sum(e d), e being noise, for which the residuals of the better model stand. Its variance is that of
-    sums over blocks, so that residuals may be coloured within them. Predictions with another damping have another variance, too:
-    what it changes the squares by, in d, the rise of the logarithms takes back. fitted: the model with its effects on the train
-    flights.
-    """
+    With a and b the whitened residuals without and with it and d = a - b, the rise is sum(a^2 -
+    b^2) = sum(d^2) + 2 sum(b d): what noise makes of it is 2 sum(e d), e being noise, for which the
+    residuals of the better model stand. Its variance is that of sums over blocks, so that residuals
+    may be coloured within them. Predictions with another damping have another variance, too: what
+    it changes the squares by, in d, the rise of the logarithms takes back. fitted: the model with
+    its effects on the train flights."""
     better = with_ if with_.surprise <= without.surprise else without
     change = variance = size = fall = 0.0
     wider = 2.0 * (np.array(without.logdet) - np.array(with_.logdet))
@@ -371,8 +391,8 @@ def _mean_square(shown: Shown) -> float:
 
 
 def evidence_of(found: Found, also: Sequence[str] = (), more: Sequence[Columns] = ()) -> Evidence:
-    """Evidence of the train flights as it is with no effect in the model: columns of parameters, nuisance, chosen effects, the
-    candidates ``also``, and ``more``, one set a segment."""
+    """Evidence of the train flights as it is with no effect in the model: columns of parameters,
+    nuisance, chosen effects, the candidates ``also``, and ``more``, one set a segment."""
     flown = {e.key for e in found.setup.active}
     keys = dict.fromkeys([*found.selection.values, *also])
     rest = [found.effects[k] for k in keys if k not in flown]
@@ -382,7 +402,9 @@ def evidence_of(found: Found, also: Sequence[str] = (), more: Sequence[Columns] 
 
 
 def left_out(found: Found, evidence: Evidence, keys: Sequence[str]) -> Found:
-    """Everything estimated again on the train flights without the effects ``keys``; bare where none is left."""
+    """Everything estimated again on the train flights without the effects ``keys``; bare where none
+    is left.
+    """
     kept = [c for c in found.selection.chosen if c.key not in keys]
     if not kept:
         return bare(found)
@@ -401,7 +423,8 @@ def left_out(found: Found, evidence: Evidence, keys: Sequence[str]) -> Found:
 
 
 def refitted(model: Found, found: Found, whole: Aircraft, pool: Processes) -> Found:
-    """Estimate a model from which effects were withdrawn by output error on replays of the train flights.
+    """Estimate a model from which effects were withdrawn by output error on replays of the train
+    flights.
 
     Parameters
     ----------

@@ -1,4 +1,6 @@
-"""A mission's p-box before and after a refinement: a small campaign with each model inside its own intervals, in the same air."""
+"""A mission's p-box before and after a refinement: a small campaign with each model inside its own
+intervals, in the same air.
+"""
 
 from __future__ import annotations
 
@@ -60,11 +62,11 @@ PROBABILITIES = (0.05, 0.5, 0.95)
 
 
 def both_boxes(before: Sequence[Sample], after: Sequence[Sample]) -> dict[str, Any]:
-    """Quantiles and widths of one metric's p-boxes before and after, from the samples of every corner.
+    """Quantiles and widths of one metric's p-boxes before and after, from the samples of every
+    corner.
 
-    A quantile is an interval, an end of it NaN where failed flights leave that open. A width is the area between the envelopes
-    over the range that both models reach, in the metric's unit.
-    """
+    A quantile is an interval, an end of it NaN where failed flights leave that open. A width is the
+    area between the envelopes over the range that both models reach, in the metric's unit."""
     value = np.unique(np.concatenate([s.values for s in (*before, *after)]))
     boxes = {when: envelope(found, value) for when, found in (("before", before), ("after", after))}
 
@@ -107,12 +109,17 @@ _DEFAULT: dict[str, Any] = {
     "epistemic": {"method": "corners"},
     "metrics": {"excursion_radius_m": [15.0, 25.0], "rearm_m": 2.0},
 }
-"""A lap of the loiter to settle and one that is scored, three times at each of the 64 corners: half a minute of one core."""
+"""A lap of the loiter to settle and one that is scored, three times at each of the 64 corners: half
+a minute of one core.
+"""
 Say = Callable[[str], None]
 
 
 def campaign_for(aircraft: Aircraft, given: Path | None) -> dict[str, Any]:
-    """What is flown, as a campaign file holds it. Raises BadInputError where the aircraft has no mission of its own."""
+    """What is flown, as a campaign file holds it.
+
+    Raises BadInputError where the aircraft has no mission of its own.
+    """
     if given is not None:
         read_campaign(given)
         data, _ = read_toml(given)
@@ -122,7 +129,8 @@ def campaign_for(aircraft: Aircraft, given: Path | None) -> dict[str, Any]:
             )
         if data["epistemic"]["method"] == "none":
             raise BadInputError(
-                f'{given}: [epistemic] method = "none" flies no intervals; "corners" flies every combination of their ends'
+                f'{given}: [epistemic] method = "none" flies no intervals; "corners" flies every'
+                " combination of their ends"
             )
         if isinstance(fit := data["epistemic"].get("parameters", {}).get("fit"), str):
             data["epistemic"]["parameters"]["fit"] = str((given.resolve().parent / fit).resolve())
@@ -131,8 +139,9 @@ def campaign_for(aircraft: Aircraft, given: Path | None) -> dict[str, Any]:
     start = aircraft.folder / f"{script.initialize}.xml"
     if "cross_track" not in aircraft.card.metrics or not start.is_file():
         raise BadInputError(
-            f"aircraft '{aircraft.name}' has no loiter of its own: {LOITER} needs the initial conditions "
-            f"{script.initialize}.xml, an autopilot and a card whose [metrics] name cross_track; give a mission by --campaign"
+            f"aircraft '{aircraft.name}' has no loiter of its own: {LOITER} needs the initial"
+            f" conditions {script.initialize}.xml, an autopilot and a card whose [metrics] name"
+            " cross_track; give a mission by --campaign"
         )
     fdm = open_aircraft(aircraft)
     engine.require(fdm, [n for n in script.run_properties if n.startswith("ap/")])
@@ -140,9 +149,12 @@ def campaign_for(aircraft: Aircraft, given: Path | None) -> dict[str, Any]:
 
 
 def specification(data: Mapping[str, Any], aircraft: Aircraft, form: Path) -> CampaignSpec:
-    """The campaign with an aircraft and its intervals' file, beside which relative names are looked for. Raises BadInputError."""
+    """The campaign with an aircraft and its intervals' file, beside which relative names are looked
+    for. Raises BadInputError.
+    """
     campaign = {**data["campaign"], "aircraft": str(aircraft.folder)}
-    # Corners alone unless the campaign says otherwise: what is compared is the same set of samples before and after.
+    # Corners alone unless the campaign says otherwise: what is compared is the same set of samples
+    # before and after.
     epistemic = {"interior": 0, "nominal": False, **data["epistemic"], "bounds": form.name}
     return campaign_from(
         {**data, "campaign": campaign, "epistemic": epistemic}, form.with_suffix(".toml")
@@ -157,12 +169,11 @@ def fly_missions(
     workers: int | None,
     say: Say = lambda _: None,
 ) -> dict[str, Any]:
-    """gap.test.pbox of refinement.json: the campaign flown with each of ``models`` (before, after; a single one is both) within
-    its intervals, those of ``forms``, in ``out``/pbox/<name>.
+    """gap.test.pbox of refinement.json: the campaign flown with each of ``models`` (before, after;
+    a single one is both) within its intervals, those of ``forms``, in ``out``/pbox/<name>.
 
-    A run that was killed goes on; a folder with another campaign in it is made anew. What stands in the way of a mission is
-    its reason.
-    """
+    A run that was killed goes on; a folder with another campaign in it is made anew. What stands in
+    the way of a mission is its reason."""
     executor = ProcessExecutor(workers or usable_cores(), keep=True)
     frames: dict[str, pd.DataFrame] = {}
     with contextlib.closing(executor):
@@ -187,8 +198,8 @@ def fly_missions(
 
 
 def _clear_if_other(folder: Path, spec: CampaignSpec) -> None:
-    """Remove an earlier refinement's campaign, whose model or intervals were others. Raises BadInputError for a damaged one, and
-    for a mission that cannot be flown."""
+    """Remove an earlier refinement's campaign, whose model or intervals were others. Raises
+    BadInputError for a damaged one, and for a mission that cannot be flown."""
     if not (folder / MANIFEST).is_file():
         return
     manifest, wanted = read_manifest(folder), describe(spec, find_mission(spec, folder), 0, "")
@@ -255,7 +266,9 @@ LEVEL = 0.95
 
 @dataclass(frozen=True)
 class FlightSet:
-    """Flights, surfaces whose positions they carry, SHA-256 of their files, and controls that are passed straight through."""
+    """Flights, surfaces whose positions they carry, SHA-256 of their files, and controls that are
+    passed straight through.
+    """
 
     flights: tuple[Flight, ...]
     measured: tuple[str, ...]
@@ -280,7 +293,9 @@ class IntervalJob:
 
 @dataclass(frozen=True)
 class Intervals:
-    """A model's intervals and their coverage of the test flights; none of either, with the reason, where that cannot be told."""
+    """A model's intervals and their coverage of the test flights; none of either, with the reason,
+    where that cannot be told.
+    """
 
     form: ModelForm | None
     coverage: dict[str, Coverage]

@@ -1,9 +1,9 @@
 """A round of a refinement: what it begins from and how it ends.
 
-Everything is moved to its estimate on the linearised flight together with the effects. An effect that the parameters have made up
-for so far cannot be put in by itself: with a centre of gravity elsewhere and Cm_alpha as it was, the replay is worse than without,
-and no step leads down from there.
-"""
+Everything is moved to its estimate on the linearised flight together with the effects. An effect
+that the parameters have made up for so far cannot be put in by itself: with a centre of gravity
+elsewhere and Cm_alpha as it was, the replay is worse than without, and no step leads down from
+there."""
 
 from __future__ import annotations
 
@@ -55,7 +55,8 @@ from uqharness.simulator import Aircraft
 
 @dataclass(frozen=True)
 class Start:
-    """What every round begins from: the aircraft, the flights, the fit without effects, the candidates and how they are judged.
+    """What every round begins from: the aircraft, the flights, the fit without effects, the
+    candidates and how they are judged.
 
     effects: the candidates by key; limits: of the parameters; limit: |t| asked of an effect
     gusts: the air, where flights are judged by one-step predictions
@@ -80,11 +81,15 @@ class Start:
 
     @property
     def coloured(self) -> bool:
-        """Whether the candidates' own spread tells how much of a t is chance: in turbulence and in an autopilot's logs."""
+        """Whether the candidates' own spread tells how much of a t is chance: in turbulence and in
+        an autopilot's logs.
+        """
         return self.gusts is not None or bool(self.setup.late)
 
     def odds(self, effect: Effect) -> float:
-        """Gain asked of an effect besides: its own odds, and those of what a gust model that is a little off would look like."""
+        """Gain asked of an effect besides: its own odds, and those of what a gust model that is a
+        little off would look like.
+        """
         if self.gusts is None:
             return effect.odds
         gust_like = like_turning_air(effect) or (effect.subsystem or "").startswith(
@@ -94,7 +99,9 @@ class Start:
 
 
 def like_turning_air(effect: Effect) -> bool:
-    """Whether it does what air does that turns as it moves: terms with the rates of the wind angles."""
+    """Whether it does what air does that turns as it moves: terms with the rates of the wind
+    angles.
+    """
     term = effect.parsed
     return term is not None and any(v in ("alphadot_hat", "betadot_hat") for v in term.variables)
 
@@ -105,7 +112,8 @@ class Round:
 
     evidence   as it would be had the effects not been flown, around the flight with them
     selection  the effects flown, judged there; again: what would be chosen there
-    merit      minus twice the log likelihood, and what the effects must earn: less is better; gusts: the air, estimated with them
+    merit      minus twice the log likelihood, and what the effects must earn: less is better;
+    gusts: the air, estimated with them
     flown      key -> value flown; held: those of numbers that JSBSim reads once
     """
 
@@ -121,12 +129,16 @@ class Round:
 
     @property
     def standing(self) -> bool:
-        """Whether what would be chosen is what flew, with the same numbers where JSBSim reads them once."""
+        """Whether what would be chosen is what flew, with the same numbers where JSBSim reads them
+        once.
+        """
         return self.again.values.keys() == self.keys and not self._off(STANDS)
 
     @property
     def far(self) -> dict[str, float]:
-        """key -> value flown, of numbers that JSBSim reads once and whose estimates lie elsewhere."""
+        """key -> value flown, of numbers that JSBSim reads once and whose estimates lie
+        elsewhere.
+        """
         return self._off(DIFFERENT)
 
     def _off(self, most: float) -> dict[str, float]:
@@ -149,8 +161,8 @@ class Round:
 
 
 def joint_point(start: Start, about: Round, keys: Sequence[str]) -> Point:
-    """Parameters, nuisance and start states where they are best beside the effects ``keys``, linearly; no effect in it yet, and
-    other properties as they were without any."""
+    """Parameters, nuisance and start states where they are best beside the effects ``keys``,
+    linearly; no effect in it yet, and other properties as they were without any."""
     evidence, point, plain, free = (
         about.evidence,
         about.fit.flown.point,
@@ -181,16 +193,19 @@ _NAME = re.compile(r"[a-z]+[0-9]*-[0-9a-f]{16}\.data")
 class Stages:
     """Remembers what functions returned, by a name and a key of everything that went in.
 
-    A folder of results may come from anybody: its files are data and nothing in them is run. One that cannot be read, or is not
-    what a stage of that name returns, counts as not there, which is said.
-    """
+    A folder of results may come from anybody: its files are data and nothing in them is run. One
+    that cannot be read, or is not what a stage of that name returns, counts as not there, which is
+    said."""
 
     def __init__(self, folder: Path | None, parts: Sequence[str]) -> None:
         self.folder = folder
         self.key = sha256_hex("\0".join(parts).encode())[:16]
 
     def __call__(self, name: str, kind: Any, make: Callable[[], T]) -> T:
-        """What ``make`` returns, from the disk if an earlier run with the same input got that far. ``kind``: its type."""
+        """What ``make`` returns, from the disk if an earlier run with the same input got that far.
+
+        ``kind``: its type.
+        """
         folder = self._usable()
         if folder is None:
             return make()
@@ -213,7 +228,10 @@ class Stages:
         return made
 
     def forget(self) -> None:
-        """Remove the files: the refinement is done. What is not a stage's own file stays, and so does the folder then."""
+        """Remove the files: the refinement is done.
+
+        What is not a stage's own file stays, and so does the folder then.
+        """
         folder = self._usable()
         if folder is None:
             return
@@ -247,8 +265,9 @@ class Side:
 
 @dataclass(frozen=True)
 class Bent:
-    """A curve that the forms chosen are not: coefficient and states, name in words, what it gains in twice the log likelihood
-    beside all that was chosen, and with what probability chance gives as much; instead: keys of the effects that it can be."""
+    """A curve that the forms chosen are not: coefficient and states, name in words, what it gains
+    in twice the log likelihood beside all that was chosen, and with what probability chance gives
+    as much; instead: keys of the effects that it can be."""
 
     coefficient: str
     states: tuple[str, ...]
@@ -271,14 +290,16 @@ def file_hash(path: Path) -> str:
 
 
 def refuse_shared(train: Sequence[Path], test: Sequence[Path]) -> None:
-    """BadInputError when a test file has the content of a train file: a flight that chose cannot prove."""
+    """BadInputError when a test file has the content of a train file: a flight that chose cannot
+    prove.
+    """
     seen = {file_hash(path): path for path in train}
     for path in test:
         other = seen.get(file_hash(path))
         if other is not None:
             raise BadInputError(
-                f"--test {path}: the same flight as --train {other}; a flight that helped to choose proves "
-                f"nothing: give another one"
+                f"--test {path}: the same flight as --train {other}; a flight that helped to choose"
+                " proves nothing: give another one"
             )
 
 
@@ -299,7 +320,9 @@ def candidates_for(setup: Setup, names: Sequence[str], extra: Sequence[Effect]) 
 
 
 def confirming_segments(setup: Setup) -> NDArray[np.bool_]:
-    """(S,) every third manoeuvre of each kind confirms what the others found; the kind is its label without speeds and numbers."""
+    """(S,) every third manoeuvre of each kind confirms what the others found; the kind is its label
+    without speeds and numbers.
+    """
     kinds = [s.kind for s in setup.segments]
     found = np.array([kinds[:k].count(kind) % 3 == 1 for k, kind in enumerate(kinds)])
     if not found.any() and len(found) > 2:
@@ -310,7 +333,9 @@ def confirming_segments(setup: Setup) -> NDArray[np.bool_]:
 def column_evidence(
     setup: Setup, fit: Fit, extra: Sequence[Columns], gusts: Gusts | None
 ) -> Evidence:
-    """Evidence of a fit's own columns beside others; gusts: the air, where one-step predictions judge."""
+    """Evidence of a fit's own columns beside others; gusts: the air, where one-step predictions
+    judge.
+    """
     columns = merged(fit.columns, extra)
     measured, process = (
         (setup.measured, None)

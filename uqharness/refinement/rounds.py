@@ -1,4 +1,6 @@
-"""Chosen effects written into a copy of the aircraft, flown and estimated with everything else; and what may be chosen there."""
+"""Chosen effects written into a copy of the aircraft, flown and estimated with everything else; and
+what may be chosen there.
+"""
 
 from __future__ import annotations
 
@@ -88,11 +90,13 @@ def controls_late(
     least_s: float,
     early_s: float,
 ) -> tuple[float, float] | None:
-    """(seconds, standard error) by which all controls act after their rows, None where the flights do not say so.
+    """(seconds, standard error) by which all controls act after their rows, None where the flights
+    do not say so.
 
-    evidence    with the column of CONTROLS_LATE; odds: candidate -> odds of the effects that compete with it
-    limit       |t| asked; least_s, early_s: what is later, or earlier, than this is a slip of the record
-    """
+    evidence    with the column of CONTROLS_LATE; odds: candidate -> odds of the effects that
+    compete with it
+    limit       |t| asked; least_s, early_s: what is later, or earlier, than this is a slip of the
+    record"""
     key = CONTROLS_LATE.key
     value, std, _ = corrected(evidence, free, key)
     if not abs(value / std) > limit or not (value > least_s or value < -early_s):
@@ -113,13 +117,17 @@ def controls_late(
 
 
 def joint_gain(evidence: Evidence, free: Sequence[str], keys: Sequence[str]) -> float:
-    """Rise of twice the log likelihood by several candidates at once, u' g^-1 u with the free columns taken out."""
+    """Rise of twice the log likelihood by several candidates at once, u' g^-1 u with the free
+    columns taken out.
+    """
     g, left = projected(*evidence.everything, evidence.index(free), evidence.index(keys))
     return float(left @ solve(g, left[:, None])[:, 0])
 
 
 def later(flights: Sequence[Flight], late_s: float) -> list[Flight]:
-    """The flights with every command and position ``late_s`` seconds later; before the first row its value is held."""
+    """The flights with every command and position ``late_s`` seconds later; before the first row
+    its value is held.
+    """
     return [f.with_delayed_commands(late_s) if late_s else f for f in flights]
 
 
@@ -127,9 +135,10 @@ def words(late_s: float, std_s: float, dt_s: float) -> str:
     """The finding as an engineer reads it."""
     way = "after" if late_s > 0 else "before"
     return (
-        f"the controls act {1e3 * abs(late_s):.1f} +/- {1e3 * std_s:.1f} ms ({abs(late_s) / dt_s:.2f} rows) {way} the time the "
-        "records give them, all by the same: a matter of the record's clock, not of a servo; put right in every flight here "
-        "before effects were looked for. Find out which clock stamps the commands"
+        f"the controls act {1e3 * abs(late_s):.1f} +/- {1e3 * std_s:.1f} ms"
+        f" ({abs(late_s) / dt_s:.2f} rows) {way} the time the records give them, all by the same: a"
+        " matter of the record's clock, not of a servo; put right in every flight here before"
+        " effects were looked for. Find out which clock stamps the commands"
     )
 
 
@@ -145,15 +154,19 @@ def words(late_s: float, std_s: float, dt_s: float) -> str:
 SHARES = (0.98, 0.95, 0.9, 0.85, 0.75, 0.6, 0.45, 0.3)
 """Limits tried, of the fastest motion."""
 FASTER = (0.75, 0.5, 0.25, 0.0)
-"""Limits tried above the servo's own: its share in the travel time of a degree, the rest that of the fastest motion."""
+"""Limits tried above the servo's own: its share in the travel time of a degree, the rest that of
+the fastest motion.
+"""
 
 WIDTHS_DEG = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6)
-"""Dead zones tried: about as wide as the one that there is, a column has its form; a narrow one moves a surface at once."""
+"""Dead zones tried: about as wide as the one that there is, a column has its form; a narrow one
+moves a surface at once.
+"""
 
 
 def limits_tried(setup: Setup, fit: Fit, gusts: Gusts | None) -> Setup:
-    """The setup with the rate limit and the dead zone of each servo whose estimated change is the change it makes, by a fit without
-    effects."""
+    """The setup with the rate limit and the dead zone of each servo whose estimated change is the
+    change it makes, by a fit without effects."""
     if not setup.servos:
         return setup
     tried = {surface: _asked(setup, surface, servo) for surface, servo in setup.servos.items()}
@@ -194,13 +207,14 @@ def limits_tried(setup: Setup, fit: Fit, gusts: Gusts | None) -> Setup:
 
 
 def _asked(setup: Setup, surface: str, servo: Actuator) -> list[float]:
-    """Limits to try [deg/s]: below the fastest motion and the servo's own, falling; and above its own, up to the fastest motion
-    without a limit, rising."""
+    """Limits to try [deg/s]: below the fastest motion and the servo's own, falling; and above its
+    own, up to the fastest motion without a limit, rising."""
     fastest, free = (_fastest(setup, surface, s) for s in (servo, replace(servo, rate=np.inf)))
     slower = [
         limit for share in SHARES if 1.0 < (limit := share * min(fastest, servo.rate)) < servo.rate
     ]
-    # A quarter of the way and so on, in travel time per degree; at the end the limit does nothing any more.
+    # A quarter of the way and so on, in travel time per degree; at the end the limit does nothing
+    # any more.
     faster = (
         [1.0 / (share / servo.rate + (1.0 - share) / free) for share in FASTER]
         if free > servo.rate / NEAR
@@ -218,8 +232,8 @@ def _zone(surface: str, width: float) -> str:
 
 
 def just_so(limit: FloatArray, wanted: FloatArray, t: FloatArray) -> float | None:
-    """The limit [deg/s] whose estimated share is 1; ``wanted`` (n,): estimated shares at limits (n,) further and further from the
-    servo's own.
+    """The limit [deg/s] whose estimated share is 1; ``wanted`` (n,): estimated shares at limits
+    (n,) further and further from the servo's own.
 
     Else the one of which they say most; None where all speaks against such a servo.
     """
@@ -255,7 +269,9 @@ def _surface(key: str) -> str:
 
 
 def felt(chosen: Sequence[Choice], setup: Setup) -> tuple[Choice, ...]:
-    """The choices, rate limits no higher than the fastest motion asked of their servo: above it any limit is the same."""
+    """The choices, rate limits no higher than the fastest motion asked of their servo: above it any
+    limit is the same.
+    """
 
     def within(c: Choice) -> Choice:
         least = least_felt(setup, c.key)
@@ -265,7 +281,9 @@ def felt(chosen: Sequence[Choice], setup: Setup) -> tuple[Choice, ...]:
 
 
 def least_felt(setup: Setup, key: str) -> float:
-    """Value [s/deg] of a servo's rate limit effect below which nothing changes any more; of any other effect -inf."""
+    """Value [s/deg] of a servo's rate limit effect below which nothing changes any more; of any
+    other effect -inf.
+    """
     surface = _surface(key)
     servo = setup.servos.get(surface)
     if not key.endswith("/rate_limit") or servo is None or not np.isfinite(servo.rate):
@@ -279,8 +297,9 @@ def least_felt(setup: Setup, key: str) -> float:
 
 
 def as_known_here(selection: Selection, found: Round) -> Selection:
-    """Rate limits above the servos' own where their slope at the flown value has them, with the standard errors of that; where the
-    flights say nothing of it, the way to the fastest motion is the error. |t|, of the whole change, stays."""
+    """Rate limits above the servos' own where their slope at the flown value has them, with the
+    standard errors of that; where the flights say nothing of it, the way to the fastest motion is
+    the error. |t|, of the whole change, stays."""
 
     def local(c: Choice) -> Choice:
         here = c.key + HERE
@@ -298,7 +317,9 @@ def as_known_here(selection: Selection, found: Round) -> Selection:
 
 
 def is_fastest(choice: Choice, setup: Setup) -> bool:
-    """Whether a rate limit lies within its error of the fastest motion asked of the servo, so that it may be any number above."""
+    """Whether a rate limit lies within its error of the fastest motion asked of the servo, so that
+    it may be any number above.
+    """
     return bool(choice.value - 2.0 * choice.std <= least_felt(setup, choice.key))
 
 
@@ -309,12 +330,13 @@ _OF_TIME = ("s", "s/deg")
 
 
 def fly(start: Start, selection: Selection, about: Round, folder: Path) -> Round | None:
-    """The effects flown, everything estimated with them, again until the numbers that JSBSim reads once (mass, servos) stand, and
-    what would be chosen there; None where no filter can follow the flights with them. about: the round it begins from.
+    """The effects flown, everything estimated with them, again until the numbers that JSBSim reads
+    once (mass, servos) stand, and what would be chosen there; None where no filter can follow the
+    flights with them. about: the round it begins from.
 
-    Until they stand, what they leave looks like other effects. One whose estimated change is as large as before it was changed, and
-    no likelier for it, does not do what its column says, and is left out.
-    """
+    Until they stand, what they leave looks like other effects. One whose estimated change is as
+    large as before it was changed, and no likelier for it, does not do what its column says, and is
+    left out."""
     now = _fly_once(start, selection, about, folder)
     last: dict[str, tuple[float, float]] = {}
     merit = float("inf")
@@ -348,7 +370,8 @@ def _fly_once(start: Start, selection: Selection, about: Round, folder: Path) ->
 
 
 def ahead(last: tuple[float, float] | None, here: tuple[float, float]) -> float:
-    """How far to go from a value at which the estimated change is so much, (value, change), by the secant; at most to twice it.
+    """How far to go from a value at which the estimated change is so much, (value, change), by the
+    secant; at most to twice it.
 
     A lag's slope falls off with the lag: the next estimated change is a small part of the whole.
     """
@@ -368,7 +391,8 @@ def _flown(start: Start, selection: Selection, about: Round, folder: Path) -> Ro
     with Bench(staged, setup) as bench:
         gusts = start.gusts
         if gusts is not None:
-            # What an effect did was noise to the sensors, and a filter that follows vanes late finds their scales and rates.
+            # What an effect did was noise to the sensors, and a filter that follows vanes late
+            # finds their scales and rates.
             found = gust_refit(
                 bench.model,
                 bench.direct_model,
@@ -392,12 +416,16 @@ def _flown(start: Start, selection: Selection, about: Round, folder: Path) -> Ro
 
 
 def fitted_effects(setup: Setup) -> dict[str, str]:
-    """Return key -> property of the active effects that a fit of replays estimates: all carried ones but those of servos."""
+    """Return key -> property of the active effects that a fit of replays estimates: all carried
+    ones but those of servos.
+    """
     return {key: place.name for key, place in setup.carriers.items() if place.servo is None}
 
 
 def sensors_moved(setup: Setup, point: Point) -> bool:
-    """Whether an active effect moves a sensor; replays of a fit have their sensors where the card says."""
+    """Whether an active effect moves a sensor; replays of a fit have their sensors where the card
+    says.
+    """
     return any("/place_" in e.key and point.effects.get(e.key) for e in setup.active)
 
 
@@ -410,7 +438,8 @@ def fit_point(
     pool: Processes,
     absent: Collection[str] = (),
 ) -> Flown | None:
-    """Estimate properties, carried effects, start states and nuisances at once by output error on replays.
+    """Estimate properties, carried effects, start states and nuisances at once by output error on
+    replays.
 
     Parameters
     ----------
@@ -460,11 +489,12 @@ def fit_point(
 
 
 def settled(start: Start, final: Round, folder: Path) -> Round:
-    """The round with everything estimated once more by output error on replays, the objective and the estimator of `identify`.
+    """The round with everything estimated once more by output error on replays, the objective and
+    the estimator of `identify`.
 
-    Linearised columns choose effects and come near; they carry errors of a few per cent and a prior of delays. In turbulence, and
-    where the fit does not converge or fits worse, the round stays as it is. What JSBSim reads once and what sensors do stays.
-    """
+    Linearised columns choose effects and come near; they carry errors of a few per cent and a prior
+    of delays. In turbulence, and where the fit does not converge or fits worse, the round stays as
+    it is. What JSBSim reads once and what sensors do stays."""
     if final.gusts is not None or not final.flown:
         return final
     written = {**final.flown, **final.held}
@@ -545,7 +575,9 @@ def _round_of(
 def odds_at(
     start: Start, free: Sequence[str], evidence: Evidence, chosen: Sequence[str] = ()
 ) -> dict[str, float]:
-    """What may be chosen at a flight's evidence beside columns ``free``, what is ``chosen`` there included, and the gain asked."""
+    """What may be chosen at a flight's evidence beside columns ``free``, what is ``chosen`` there
+    included, and the gain asked.
+    """
     open_ = eligible(
         [e for e in start.effects.values() if e.key not in chosen], start.setup, free, evidence
     )
@@ -556,10 +588,11 @@ def odds_at(
 
 
 def resolved(start: Start, found: Round) -> Selection:
-    """The effects flown, less times and rate limits that a replay or a log's rows do not resolve; the rest judged without them.
+    """The effects flown, less times and rate limits that a replay or a log's rows do not resolve;
+    the rest judged without them.
 
-    A time too short to be named may still be what is there: among the alternatives it stands, if it explains as much.
-    """
+    A time too short to be named may still be what is there: among the alternatives it stands, if it
+    explains as much."""
     chosen = found.selection.values
     kept = [k for k, value in chosen.items() if _resolves(start.effects[k], value, start.setup)]
     free = [n for n in found.free if n not in found.keys]
@@ -588,7 +621,9 @@ def _brief(
     evidence: Evidence,
     setup: Setup,
 ) -> list[str]:
-    """Times among effects that are no candidates, being too short, that have their sign in the place of one that was kept."""
+    """Times among effects that are no candidates, being too short, that have their sign in the
+    place of one that was kept.
+    """
     timed = [e for e in effects if e.unit in _OF_TIME]
     if not timed or not kept:
         return []
@@ -607,8 +642,9 @@ def _brief(
 def eligible(
     effects: Sequence[Effect], setup: Setup, free: Sequence[str], evidence: Evidence
 ) -> dict[str, float]:
-    """Candidates worth scoring beside the columns ``free``, and their odds: delays that a replay cannot resolve are left out, and
-    what the search did without, of which the evidence has no column."""
+    """Candidates worth scoring beside the columns ``free``, and their odds: delays that a replay
+    cannot resolve are left out, and what the search did without, of which the evidence has no
+    column."""
     there = [e for e in effects if e.key in evidence.names]
     found = scores(evidence, free, [e.key for e in there])
     return {
@@ -621,8 +657,8 @@ def eligible(
 
 
 def _resolves(effect: Effect, value: float, setup: Setup) -> bool:
-    """Whether an effect of time is longer than what a replay or a log's rows leave open, a rate limit's over the way of a doublet;
-    True of other effects."""
+    """Whether an effect of time is longer than what a replay or a log's rows leave open, a rate
+    limit's over the way of a doublet; True of other effects."""
     if effect.unit not in _OF_TIME:
         return True
     way = largest_step(setup, effect) if effect.unit == "s/deg" else 1.0
@@ -634,7 +670,9 @@ def _resolves(effect: Effect, value: float, setup: Setup) -> bool:
 
 
 def may_be_faster(effect: Effect, setup: Setup) -> bool:
-    """Whether the effect is the lag or the rate limit of a servo that has one in the XML, which the real one need not have."""
+    """Whether the effect is the lag or the rate limit of a servo that has one in the XML, which the
+    real one need not have.
+    """
     servo = setup.servos.get((effect.subsystem or "").removeprefix("actuator."), Actuator(None))
     return (effect.term == "lag" and servo.lag is not None) or (
         effect.term == "rate_limit" and np.isfinite(servo.rate)
@@ -642,13 +680,17 @@ def may_be_faster(effect: Effect, setup: Setup) -> bool:
 
 
 def largest_step(setup: Setup, effect: Effect) -> float:
-    """Half the range [deg] of the commands that an actuator's effect is about: how far a doublet goes."""
+    """Half the range [deg] of the commands that an actuator's effect is about: how far a doublet
+    goes.
+    """
     k = CONTROLS.index((effect.subsystem or "").partition(".")[2])
     return 0.5 * max(float(np.ptp(s.controls[:, k])) for s in setup.segments)
 
 
 def stage(start: Start, values: Mapping[str, float], folder: Path) -> tuple[Aircraft, Setup]:
-    """A copy of the aircraft that carries effects of such values, by key, and the setup that knows of them."""
+    """A copy of the aircraft that carries effects of such values, by key, and the setup that knows
+    of them.
+    """
     slopes, effects = control_slopes(start.before), [start.effects[k] for k in values]
     staged = write_staged(
         start.aircraft, [Written(e, values[e.key], "", slopes) for e in effects], folder
@@ -662,8 +704,8 @@ def stage(start: Start, values: Mapping[str, float], folder: Path) -> tuple[Airc
 
 
 def write_staged(aircraft: Aircraft, effects: Sequence[Written], folder: Path) -> Aircraft:
-    """A copy of the aircraft in ``folder`` with effects that have a property of their own at none: whoever flies it sets them, and
-    the same effects give the same file, compiled once."""
+    """A copy of the aircraft in ``folder`` with effects that have a property of their own at none:
+    whoever flies it sets them, and the same effects give the same file, compiled once."""
     still = [w if carrier(w.effect, aircraft) is None else replace(w, value=0.0) for w in effects]
     return write_copy(aircraft, still, {}, folder)
 
@@ -671,7 +713,9 @@ def write_staged(aircraft: Aircraft, effects: Sequence[Written], folder: Path) -
 def write_copy(
     aircraft: Aircraft, effects: Sequence[Written], estimates: Mapping[str, Estimate], folder: Path
 ) -> Aircraft:
-    """A copy of the aircraft in ``folder`` with effects and new numbers of its parameters, on its engines and systems."""
+    """A copy of the aircraft in ``folder`` with effects and new numbers of its parameters, on its
+    engines and systems.
+    """
     target = folder / "aircraft" / aircraft.folder.name
     target.parent.mkdir(parents=True)
     write_effects(aircraft, effects, estimates, target)

@@ -1,4 +1,7 @@
-"""A whole refinement: flights in, refinement.json and a better aircraft out. Train flights choose, test flights show."""
+"""A whole refinement: flights in, refinement.json and a better aircraft out.
+
+Train flights choose, test flights show.
+"""
 
 from __future__ import annotations
 
@@ -56,8 +59,8 @@ class Request:
     """What the command was asked.
 
     ideal_servos: None for the likelier on the train flights; pbox: whether a mission is flown
-    before and after; campaign: which one; bake: whether scales are written into the author's numbers.
-    """
+    before and after; campaign: which one; bake: whether scales are written into the author's
+    numbers."""
 
     aircraft: Aircraft
     train: tuple[Path, ...]
@@ -77,7 +80,8 @@ class Request:
 
 @dataclass(frozen=True)
 class Refinement:
-    """The document, what the train flights say and the test flights, the aircraft refined and as given.
+    """The document, what the train flights say and the test flights, the aircraft refined and as
+    given.
 
     ``earlier``: files of an earlier refinement in the folder that were damaged when this one began.
     """
@@ -217,7 +221,9 @@ def _setup(aircraft: Aircraft, given: FlightSet) -> Setup:
 
 
 def _identity(request: Request) -> list[str]:
-    """Everything that the choice depends on, the test flights not: aircraft, train flights, own effects, options, version."""
+    """Everything that the choice depends on, the test flights not: aircraft, train flights, own
+    effects, options, version.
+    """
     tables = [
         p
         for p in (request.manoeuvres, request.map_path)
@@ -261,7 +267,9 @@ def _unnamed(
     map_: Processes,
     say: Say,
 ) -> dict[str, Any]:
-    """A smooth term where nothing of the catalogue explains what is left, and its aircraft beside the refined one."""
+    """A smooth term where nothing of the catalogue explains what is left, and its aircraft beside
+    the refined one.
+    """
     stale = request.out / UNNAMED / "aircraft" / request.aircraft.folder.name
     if (stale / request.aircraft.xml.name).is_file():
         shutil.rmtree(stale)
@@ -278,7 +286,9 @@ def _unnamed(
 
 
 def _writer(request: Request, folder: Path) -> Write:
-    """Writes the aircraft as given with the effects and parameters of a model, each time in a numbered folder of ``folder``."""
+    """Writes the aircraft as given with the effects and parameters of a model, each time in a
+    numbered folder of ``folder``.
+    """
     aircraft, names, number = request.aircraft, [p.name for p in request.train], count()
 
     def write(found: Found) -> Aircraft:
@@ -300,7 +310,9 @@ def _writer(request: Request, folder: Path) -> Write:
 
 
 def _put(made: Aircraft, given: Aircraft, root: Path) -> Aircraft:
-    """The aircraft in its place under ``root``, with the engines and systems that lie beside the one given."""
+    """The aircraft in its place under ``root``, with the engines and systems that lie beside the
+    one given.
+    """
     target = inner_folder(root, "aircraft") / made.folder.name
     # Copied beside its place and put there at once; an earlier one is replaced.
     beside = target.with_name(f".{target.name}.part")
@@ -314,7 +326,9 @@ def _put(made: Aircraft, given: Aircraft, root: Path) -> Aircraft:
 
 
 def _remove_stale(out: Path, aircraft: Aircraft) -> None:
-    """What an earlier refinement with an effect left in the folder, and one without does not write over."""
+    """What an earlier refinement with an effect left in the folder, and one without does not write
+    over.
+    """
     before = out / "before" / "aircraft" / aircraft.folder.name
     if (before / aircraft.xml.name).is_file():
         shutil.rmtree(before)

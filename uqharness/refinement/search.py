@@ -1,13 +1,18 @@
-"""The search for what a model lacks: effects are proposed by their score, flown and fitted with everything else, and compared.
+"""The search for what a model lacks: effects are proposed by their score, flown and fitted with
+everything else, and compared.
 
-1. The linearised likelihood about the model flown last proposes effects (sysid.effects.selection). Where one that
-   enters is overwhelming, no other enters beside it until it has flown: what linearisation leaves of it looks like others.
+1. The linearised likelihood about the model flown last proposes effects (sysid.effects.selection).
+Where one that
+   enters is overwhelming, no other enters beside it until it has flown: what linearisation leaves
+   of it looks like others.
 2. The model with them is flown and everything is estimated, what JSBSim reads once until it stands.
-3. Where it asks for several more, leaves moments that nothing explains, or no filter follows it, what explains nearly as much in
-   the newest one's place flies, too, three times in all: an airspeed sensor that reads a quarter too much looks at first like
-   thrust that is off, |t| 36 and 37. Flown, the sensor's fault leaves nothing to ask for.
-4. The search ends with a model that proposes itself. The best by the log likelihood, less what each effect must earn, stands.
-"""
+3. Where it asks for several more, leaves moments that nothing explains, or no filter follows it,
+what explains nearly as much in
+   the newest one's place flies, too, three times in all: an airspeed sensor that reads a quarter
+   too much looks at first like thrust that is off, |t| 36 and 37. Flown, the sensor's fault leaves
+   nothing to ask for.
+4. The search ends with a model that proposes itself. The best by the log likelihood, less what each
+effect must earn, stands."""
 
 from __future__ import annotations
 
@@ -84,8 +89,8 @@ from uqharness.simulator import Aircraft
 
 ROUNDS = 6
 LONE = (
-    "one channel of a sensor late by itself was not believed beside other delays and servos ({}): the effects were sought "
-    "without such delays"
+    "one channel of a sensor late by itself was not believed beside other delays and servos ({}):"
+    " the effects were sought without such delays"
 )
 Say = Callable[[str], None]
 Fly = Callable[[Selection, Round, Path], Round | None]
@@ -101,9 +106,10 @@ class Searched:
 
 
 def search(start: Start, evidence: Evidence, work: Path, say: Say) -> Searched:
-    """The best model about ``evidence`` of the flight without effects; one without delays of single channels where such a delay was
-    chosen beside another time, unless it is less likely by more than chance gives: a servo whose command comes late looks like a
-    gyro and an attitude that are, and a lag."""
+    """The best model about ``evidence`` of the flight without effects; one without delays of single
+    channels where such a delay was chosen beside another time, unless it is less likely by more
+    than chance gives: a servo whose command comes late looks like a gyro and an attitude that are,
+    and a lag."""
     found = _search(start, evidence, work / "round", say)
     doubtful = lone_among_times(found.best.selection.chosen, start.effects)
     if not doubtful:
@@ -157,7 +163,8 @@ def _search(start: Start, evidence: Evidence, folder: Path, say: Say) -> Searche
             del tried
         if now is None:
             trail.append(
-                f"round {number}: flights with these effects can be neither replayed nor followed; what was flown before stands"
+                f"round {number}: flights with these effects can be neither replayed nor followed;"
+                " what was flown before stands"
             )
             break
         if now.keys != proposal.values.keys():
@@ -193,8 +200,9 @@ def _search(start: Start, evidence: Evidence, folder: Path, say: Say) -> Searche
 def instead_of(
     start: Start, now: Round | None, proposal: Selection, about: Round
 ) -> list[Selection]:
-    """Proposals with another candidate in the place of the newest effect, where that is doubtful: no filter follows flights with it
-    (now: None), it leaves moments that nothing explains, or it is overwhelming and leaves several effects to be asked for."""
+    """Proposals with another candidate in the place of the newest effect, where that is doubtful:
+    no filter follows flights with it (now: None), it leaves moments that nothing explains, or it is
+    overwhelming and leaves several effects to be asked for."""
     new = [c for c in proposal.chosen if c.key not in about.flown]
     if len(new) != 1:
         return []
@@ -215,7 +223,9 @@ def instead_of(
 def comparable(
     evidence: Evidence, free: Sequence[str], candidates: Sequence[str], key: str
 ) -> list[str]:
-    """Other candidates that explain nearly as much as ``key`` in its place, the best first, no two of them alike."""
+    """Other candidates that explain nearly as much as ``key`` in its place, the best first, no two
+    of them alike.
+    """
     others = [k for k in candidates if k != key]
     own, *gains = np.nan_to_num(scores(evidence, free, [key, *others]).gain, nan=-np.inf)
     gain = np.array(gains)
@@ -230,13 +240,17 @@ def comparable(
 
 
 def likeliest(flown: Sequence[Round]) -> Round | None:
-    """The round of least merit among those that judge the same samples as the last; None of none."""
+    """The round of least merit among those that judge the same samples as the last; None of
+    none.
+    """
     same = [r for r in flown if _same_samples(r, flown[-1].keys)]
     return min(same, key=lambda r: r.merit, default=None)
 
 
 def _same_samples(found: Round, keys: frozenset[str]) -> bool:
-    """Whether a round judges what one with effects ``keys`` does: by predictions, a sensor's delay takes samples away."""
+    """Whether a round judges what one with effects ``keys`` does: by predictions, a sensor's delay
+    takes samples away.
+    """
     other = (
         k for k in found.keys ^ keys if k.startswith("effect/sensor.") and k.endswith("/delay")
     )
@@ -246,11 +260,11 @@ def _same_samples(found: Round, keys: frozenset[str]) -> bool:
 def without_weak(
     best: Round, bare: Round, flown: Sequence[Round], limit: float, again: Fly, folder: Path
 ) -> tuple[Round, list[str]]:
-    """The best round, or where effects that it flies say less than they must once they fly, the one without them; and why. bare:
-    the round without any.
+    """The best round, or where effects that it flies say less than they must once they fly, the one
+    without them; and why. bare: the round without any.
 
-    Such a choice goes to and fro: what an effect seemed to be is gone when it flies, and there again when it does not.
-    """
+    Such a choice goes to and fro: what an effect seemed to be is gone when it flies, and there
+    again when it does not."""
     if not any(c.t**2 > EARNED * limit**2 for c in best.selection.chosen):
         return bare, [
             f"flown, {c.key} has |t| {abs(c.t):.1f}: no effect" for c in best.selection.chosen
@@ -269,7 +283,9 @@ def without_weak(
 
 
 def lone_among_times(chosen: Sequence[Choice], effects: Mapping[str, Effect]) -> list[Effect]:
-    """Delays of single channels and everything else that is a time or a servo's, where both were chosen; else none."""
+    """Delays of single channels and everything else that is a time or a servo's, where both were
+    chosen; else none.
+    """
     of = [effects[c.key] for c in chosen]
     timed = [
         e for e in of if e.unit in ("s", "s/deg") or (e.subsystem or "").startswith("actuator.")
@@ -295,12 +311,13 @@ def _listed(keys: Iterable[str]) -> str:
 # around that flight until it stands.
 
 NO_AIR = (
-    "the residuals of replays looked like turbulence, but of air that does not move across the flight path: an effect in the "
-    "aircraft or its sensors, and the flights were judged by replays"
+    "the residuals of replays looked like turbulence, but of air that does not move across the"
+    " flight path: an effect in the aircraft or its sensors, and the flights were judged by replays"
 )
 IN_TURBULENCE = (
-    "the residuals of replays showed turbulence: effects and parameters were judged by predictions one sample ahead, with process "
-    "noise estimated ({} more in twice the log likelihood than calm air; {})"
+    "the residuals of replays showed turbulence: effects and parameters were judged by predictions"
+    " one sample ahead, with process noise estimated ({} more in twice the log likelihood than calm"
+    " air; {})"
 )
 DIVERGED = 1e6
 """Gain over calm air that says no more than that the model leaves such flights in calm air."""
@@ -308,19 +325,27 @@ DIVERGED = 1e6
 
 @dataclass(frozen=True)
 class Found:
-    """What the train flights say: fits without and with the effects, the choice, everything estimated.
+    """What the train flights say: fits without and with the effects, the choice, everything
+    estimated.
 
-    before, after   fits of the model without and with the effects; after is before where there are none
-    parameters      property -> (value, standard error corrected for colour); plain: property -> value without the effects
-    scoreboard      the candidates that explain most of what the parameters leave, each alone: (name, t); limit: |t| asked
-    gusts           the air, where it was turbulent and the flights were judged by one-step predictions
-    late_s          by how much all controls were moved later than recorded before the choice was made
+    before, after   fits of the model without and with the effects; after is before where there are
+    none
+    parameters      property -> (value, standard error corrected for colour); plain: property ->
+    value without the effects
+    scoreboard      the candidates that explain most of what the parameters leave, each alone:
+    (name, t); limit: |t| asked
+    gusts           the air, where it was turbulent and the flights were judged by one-step
+    predictions
+    late_s          by how much all controls were moved later than recorded before the choice was
+    made
     slopes          numbers that effects of stall and propulsion are written with
     flown           key -> value that an effect has in ``after``
-    unnamed         effects that were chosen and are too weak to be named beside something unexplained
-    bent            the curve that a chosen effect's state asks for, whose form none of the chosen has
-    left            candidates that are not chosen and whose |t| beside the chosen is above CERTAIN_T: (key, t), the strongest first
-    """
+    unnamed         effects that were chosen and are too weak to be named beside something
+    unexplained
+    bent            the curve that a chosen effect's state asks for, whose form none of the chosen
+    has
+    left            candidates that are not chosen and whose |t| beside the chosen is above
+    CERTAIN_T: (key, t), the strongest first"""
 
     setup: Setup
     names: tuple[str, ...]
@@ -349,7 +374,9 @@ class Found:
 
     @property
     def controls_late_s(self) -> float:
-        """How late the controls act by records whose clock is off: by how much they were moved, and what was left then; else 0."""
+        """How late the controls act by records whose clock is off: by how much they were moved, and
+        what was left then; else 0.
+        """
         left = [v for n, v in self.after.flown.point.nuisance.items() if n.startswith("lateness/")]
         return self.late_s + float(np.mean(left or [0.0])) if self.late_s else 0.0
 
@@ -364,12 +391,14 @@ def find_effects(
     keep: Stages,
     put_right: tuple[float, ...] = (),
 ) -> Found:
-    """Choose and estimate the missing effects on the train flights. ``work``: folder for staged copies of the aircraft; keep:
-    what an earlier run had found; put_right: by how much the setup's controls act later than recorded, as found step by step."""
+    """Choose and estimate the missing effects on the train flights. ``work``: folder for staged
+    copies of the aircraft; keep: what an earlier run had found; put_right: by how much the setup's
+    controls act later than recorded, as found step by step."""
     names = tuple(aircraft.card.parameters)
     if not names:
         raise BadInputError(
-            f"aircraft '{aircraft.name}': its airframe.toml lists no [parameters], so nothing says what may be re-identified first"
+            f"aircraft '{aircraft.name}': its airframe.toml lists no [parameters], so nothing says"
+            " what may be re-identified first"
         )
     recorded, command_s = setup, setup.segments[0].command_s
     if put_right:
@@ -377,7 +406,7 @@ def find_effects(
             aircraft, later(recorded.flights, sum(put_right)), recorded.positions, recorded.ideal
         )
     limits = {
-        n: (c.bounds if c.bounds is not None else (-np.inf, np.inf))
+        n: c.bounds if c.bounds is not None else (-np.inf, np.inf)
         for n, c in aircraft.card.parameters.items()
     }
     gusts = None
@@ -394,7 +423,8 @@ def find_effects(
         effects = candidates_for(setup, asked, extra)
         if turbulent(setup, before.flown):
             say(
-                f"the air was turbulent: predicting one sample ahead, scoring {len(effects)} candidate effects"
+                f"the air was turbulent: predicting one sample ahead, scoring {len(effects)}"
+                " candidate effects"
             )
             gusty, at = setup_in_gusts(aircraft, setup), before.flown.point
             air = keep(
@@ -467,7 +497,8 @@ def _found(start: Start, searched: Searched, evidence: Evidence) -> Found:
         selection = replace(
             best.again, chosen=(), refused=_not_borne_out(start, best.again) or best.again.refused
         )
-    # A number that JSBSim reads once stands within its error of the one flown, and what goes with it moves by that, too.
+    # A number that JSBSim reads once stands within its error of the one flown, and what goes with
+    # it moves by that, too.
     parameters = in_one_step(
         best.evidence, start.names, best.fit, [*selection.values], moved=gusty or bool(best.held)
     )
@@ -499,9 +530,9 @@ def _found(start: Start, searched: Searched, evidence: Evidence) -> Found:
 
 
 def slips_s(command_s: float, first: bool) -> tuple[float, float]:
-    """What is later, and what is earlier [s], than this is a slip of the record; in the first step, less is what every fit allows
-    for, as an integration has it, and a simulator's flight acts up to half a step before its row. command_s: from one command to
-    the next."""
+    """What is later, and what is earlier [s], than this is a slip of the record; in the first step,
+    less is what every fit allows for, as an integration has it, and a simulator's flight acts up to
+    half a step before its row. command_s: from one command to the next."""
     least = LEAST_LATE_ROWS * command_s
     return (max(least, PRIOR["lateness"]), UNKNOWN_ROWS * command_s) if first else (least, least)
 
@@ -514,8 +545,8 @@ def _of_the_clock(
     slips: tuple[float, float],
     least_t: float,
 ) -> tuple[float, float] | None:
-    """`controls_late` of the flights as they are with the controls at their rows, beside the effects that compete with it there;
-    slips: `slips_s`; least_t: |t| asked at least."""
+    """`controls_late` of the flights as they are with the controls at their rows, beside the
+    effects that compete with it there; slips: `slips_s`; least_t: |t| asked at least."""
     held = {lateness(f): before.flown.point.nuisance[lateness(f)] for f in setup.timed}
     at_rows = evidence.taken_out(held)
     free = [n for n in before.columns[0].names if n not in held]
@@ -528,7 +559,8 @@ def _not_borne_out(start: Start, first: Selection) -> Refusal | None:
     if not first.chosen:
         return None
     c = first.chosen[0]
-    # Gusts estimated beside it may explain what stood a little above the limit; not what was overwhelming.
+    # Gusts estimated beside it may explain what stood a little above the limit; not what was
+    # overwhelming.
     strong = abs(c.t) > (start.limit + DIFFERENT if start.gusts is None else OVERWHELMING)
     if start.gusts is not None and not strong:
         return None
@@ -538,7 +570,9 @@ def _not_borne_out(start: Start, first: Selection) -> Refusal | None:
 
 
 def with_resolution(selection: Selection, effects: Mapping[str, Effect], dt_s: float) -> Selection:
-    """Standard errors of times with what a replay resolves added: a servo's lag by Tustin's rule is off by part of a ms."""
+    """Standard errors of times with what a replay resolves added: a servo's lag by Tustin's rule is
+    off by part of a ms.
+    """
 
     def widened(c: Choice) -> Choice:
         if effects[c.key].unit != "s":
@@ -550,8 +584,8 @@ def with_resolution(selection: Selection, effects: Mapping[str, Effect], dt_s: f
 
 
 def chosen_interval(choice: Choice, limit: float) -> tuple[float, float]:
-    """95 % interval of an effect, given that it was chosen at |t| above ``limit``; that t may be by a narrower standard error than
-    the one told."""
+    """95 % interval of an effect, given that it was chosen at |t| above ``limit``; that t may be by
+    a narrower standard error than the one told."""
     own = choice.t * choice.std
     narrower = abs(choice.value / own) if own else 1.0
     return conditional_interval(choice.value, choice.std, limit * narrower)
@@ -560,7 +594,9 @@ def chosen_interval(choice: Choice, limit: float) -> tuple[float, float]:
 def left_beside(
     evidence: Evidence, free: Sequence[str], chosen: Sequence[str], odds: Iterable[str]
 ) -> tuple[tuple[str, float], ...]:
-    """Candidates not chosen whose |t| beside the chosen is above CERTAIN_T: (key, t), the strongest first."""
+    """Candidates not chosen whose |t| beside the chosen is above CERTAIN_T: (key, t), the strongest
+    first.
+    """
     own = [n for n in free if not n.startswith("effect/")]
     rest = [k for k in odds if k not in chosen and k in evidence.names]
     t = np.nan_to_num(scores(evidence, [*own, *chosen], rest).t) if rest else np.zeros(0)
@@ -585,7 +621,10 @@ def remark(
 ) -> str:
     """What stands beside the number in the XML; limit: |t| above which it was chosen."""
     low, high = chosen_interval(choice, limit)
-    said = f"{effect.name}: {choice.value:.5g} +/- {choice.std:.2g}, 95 % [{low:.5g}, {high:.5g}]; from {', '.join(flights)}"
+    said = (
+        f"{effect.name}: {choice.value:.5g} +/- {choice.std:.2g}, 95 % [{low:.5g}, {high:.5g}];"
+        f" from {', '.join(flights)}"
+    )
     return f"{said}; {command}" if command else said
 
 

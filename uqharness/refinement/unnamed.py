@@ -1,8 +1,9 @@
-"""Where nothing of the catalogue explains what is left: a smooth term in one state, or times a second, offered for naming.
+"""Where nothing of the catalogue explains what is left: a smooth term in one state, or times a
+second, offered for naming.
 
-It is searched on the train flights' linearised likelihood beside everything that stands, written as a table into a copy of the
-aircraft and flown on both sides as an effect is. It names nothing and changes no verdict.
-"""
+It is searched on the train flights' linearised likelihood beside everything that stands, written as
+a table into a copy of the aircraft and flown on both sides as an effect is. It names nothing and
+changes no verdict."""
 
 from __future__ import annotations
 
@@ -64,8 +65,8 @@ Inputs = dict[str, tuple[int, FloatArray]]
 
 @dataclass(frozen=True)
 class Estimated:
-    """A term estimated about a flight; found: everything else as it is beside the term; instead: keys of the effects in whose place
-    it stands."""
+    """A term estimated about a flight; found: everything else as it is beside the term; instead:
+    keys of the effects in whose place it stands."""
 
     found: Found
     fit: SmoothFit
@@ -73,7 +74,9 @@ class Estimated:
 
 
 class CurvesAbout:
-    """A flight about which terms are estimated, that of ``found`` or, with its setup, another; before: the term in that flight."""
+    """A flight about which terms are estimated, that of ``found`` or, with its setup, another;
+    before: the term in that flight.
+    """
 
     def __init__(
         self, found: Found, fit: Fit, setup: Setup | None = None, before: Estimated | None = None
@@ -85,7 +88,9 @@ class CurvesAbout:
     def evidence(
         self, make: Callable[[Mapping[str, FloatArray]], Inputs]
     ) -> tuple[Evidence, list[str]]:
-        """Of everything and more columns, made from a segment's variables; and the names that are free beside those."""
+        """Of everything and more columns, made from a segment's variables; and the names that are
+        free beside those.
+        """
         names = tuple(make(self.along[0]))
         more = MadeColumns(
             names, lambda k, _: Columns(names, make(self.along[k]), {}), len(self.along)
@@ -116,8 +121,9 @@ class CurvesAbout:
     def fitted(
         self, term: Smooth, instead: Sequence[str] = ()
     ) -> tuple[SmoothFit, Evidence, list[str]]:
-        """The term beside everything but effects ``instead`` of which it stands, smoothed with what coloured residuals leave of the
-        information; of what evidence, and the names that are free."""
+        """The term beside everything but effects ``instead`` of which it stands, smoothed with what
+        coloured residuals leave of the information; of what evidence, and the names that are free.
+        """
         evidence, free = self.evidence(term.inputs)
         free = [n for n in free if n not in instead]
         (fit,) = fit_smooth(evidence, free, [term])
@@ -133,10 +139,11 @@ class CurvesAbout:
         return [t for t in made if t is not None]
 
     def estimated(self, term: Smooth) -> Estimated:
-        """The term, smoothed with what coloured residuals leave of the information, and everything else beside it.
+        """The term, smoothed with what coloured residuals leave of the information, and everything
+        else beside it.
 
-        Effects that are functions of the same states in the same coefficient are in the curve: beside it they would tell nothing.
-        """
+        Effects that are functions of the same states in the same coefficient are in the curve:
+        beside it they would tell nothing."""
         given = [
             c.key for c in self.found.selection.chosen if is_in(self.found.effects[c.key], term)
         ]
@@ -177,8 +184,9 @@ def smoothed(evidence: Evidence, fit: SmoothFit) -> Evidence:
 
 
 def bent(found: Found) -> tuple[Bent, tuple[Choice, ...]] | None:
-    """The curve in a chosen effect's own states and coefficient that stands out most beside all that was chosen, and the other
-    effects as they are with it in the place of those that it can be; None where none stands out: the forms chosen are enough."""
+    """The curve in a chosen effect's own states and coefficient that stands out most beside all
+    that was chosen, and the other effects as they are with it in the place of those that it can be;
+    None where none stands out: the forms chosen are enough."""
     about = CurvesAbout(found, found.after)
     terms = _own_terms(found, about)
     fits = [about.fitted(f.term)[0] for f in about.fits(terms) if f.stands_out(len(terms))]
@@ -194,7 +202,9 @@ def bent(found: Found) -> tuple[Bent, tuple[Choice, ...]] | None:
 
 
 def _own_terms(found: Found, about: CurvesAbout) -> list[Smooth]:
-    """Curves that chosen effects can be, each in a state of its own; of an effect of two states: in one, times the other."""
+    """Curves that chosen effects can be, each in a state of its own; of an effect of two states: in
+    one, times the other.
+    """
     asked: dict[tuple[str, str, str | None], None] = {}
     for c in found.selection.chosen:
         effect = found.effects[c.key]
@@ -217,8 +227,9 @@ EXPLAINED = "the catalogue leaves nothing that asks for one"
 
 
 def offered(judged: Judged, write: Write, map_: Processes) -> tuple[Aircraft, dict[str, Any]] | str:
-    """The aircraft that flies the smooth term that explains most of what is left, and the term's part of refinement.json; or why
-    there is none. write: a model as an aircraft in a folder of its own."""
+    """The aircraft that flies the smooth term that explains most of what is left, and the term's
+    part of refinement.json; or why there is none. write: a model as an aircraft in a folder of its
+    own."""
     train, test = judged.sides
     about = CurvesAbout(judged.found, judged.found.after)
     fits = [f for c in COEFFICIENTS for f in about.fits(about.terms(c))]
@@ -227,7 +238,8 @@ def offered(judged: Judged, write: Write, map_: Processes) -> tuple[Aircraft, di
         return "no state varies on the train flights"
     done = _settled(about, best, train, write, map_) if best.stands_out(len(fits)) else None
     if done is None or left_in(train.setup, done.shown, about.found.gusty):
-        # One state is not enough: every state times every other, in the coefficient that the best of one points to.
+        # One state is not enough: every state times every other, in the coefficient that the best
+        # of one points to.
         twos = [
             f for times in STATES for f in about.fits(about.terms(best.term.coefficient, times))
         ]
@@ -286,8 +298,8 @@ def offered(judged: Judged, write: Write, map_: Processes) -> tuple[Aircraft, di
 
 @dataclass(frozen=True)
 class _Done:
-    """A term as it flies: as it was found, about which flight it was estimated, the aircraft with it and with everything as it is
-    beside it, and the train flights of that."""
+    """A term as it flies: as it was found, about which flight it was estimated, the aircraft with
+    it and with everything as it is beside it, and the train flights of that."""
 
     searched: SmoothFit
     about: CurvesAbout
@@ -299,7 +311,9 @@ class _Done:
 def _settled(
     about: CurvesAbout, fit: SmoothFit, train: Side, write: Write, map_: Processes
 ) -> _Done | None:
-    """A term flown, and estimated once more about the flight with it, which is nearer to what was measured; None as `_flown`."""
+    """A term flown, and estimated once more about the flight with it, which is nearer to what was
+    measured; None as `_flown`.
+    """
     done = _flown(about, fit, train, write, map_)
     if done is None or about.found.gusty or not np.isfinite(done.shown.cost):
         return done
@@ -312,7 +326,9 @@ def _settled(
 def _flown(
     about: CurvesAbout, fit: SmoothFit, train: Side, write: Write, map_: Processes
 ) -> _Done | None:
-    """The term as it flies; None where the flight that it is estimated about is so far off that its estimates are no numbers."""
+    """The term as it flies; None where the flight that it is estimated about is so far off that its
+    estimates are no numbers.
+    """
     round_ = about.estimated(fit.term)
     estimates = [
         *round_.fit.values,
@@ -330,8 +346,8 @@ def _flown(
 
 
 def _left_of(done: _Done, gap: Mapping[str, Any]) -> dict[str, Any]:
-    """The channel of which the term explains most, what it and the forms like it leave there, and its curve over the data. gap: G
-    of the train flights without and with it."""
+    """The channel of which the term explains most, what it and the forms like it leave there, and
+    its curve over the data. gap: G of the train flights without and with it."""
     fit, term, about = done.round.fit, done.round.fit.term, done.about
     rows = gap["predictions"] or gap["channels"]
     ratio = {
@@ -388,17 +404,18 @@ def _left_of(done: _Done, gap: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def too_weak(chosen: Sequence[Choice], limit: float) -> tuple[Choice, ...]:
-    """Those that would not be named beside something unexplained; limit: |t| asked of any. |t| is by the standard error that is
-    told, which may be wider than what chose them."""
+    """Those that would not be named beside something unexplained; limit: |t| asked of any. |t| is
+    by the standard error that is told, which may be wider than what chose them."""
     t = [abs(c.value / c.std) for c in chosen]
     asked = max(min(COMPARABLE * max(t, default=0.0), OVERWHELMING), limit + DIFFERENT)
     return tuple(c for c, own in zip(chosen, t, strict=True) if not own >= asked)
 
 
 def named_beside(found: Found, train: Side, whole: Aircraft, map_: Processes) -> Found:
-    """The same, everything estimated again without what is too weak, if the model with all of it leaves the train flights
-    unexplained: by what is left of them, or by a curve that the forms chosen are not (`curves.bent`), beside which the others are
-    judged. whole: the aircraft with all of it."""
+    """The same, everything estimated again without what is too weak, if the model with all of it
+    leaves the train flights unexplained: by what is left of them, or by a curve that the forms
+    chosen are not (`curves.bent`), beside which the others are judged. whole: the aircraft with all
+    of it."""
     chosen, curve = found.selection.chosen, bent(found)
     if curve is None:
         weak = too_weak(chosen, found.limit)

@@ -1,8 +1,9 @@
-"""Effects written into a copy of an aircraft: a term where the author sums the coefficient, else a body-axis increment.
+"""Effects written into a copy of an aircraft: a term where the author sums the coefficient, else a
+body-axis increment.
 
-Every effect carries a remark with value, interval, data and command and, but for mass and dead zones (`writing.numbers`), a
-property of its own that restores the model without it bit for bit: a term's at 0.
-"""
+Every effect carries a remark with value, interval, data and command and, but for mass and dead
+zones (`writing.numbers`), a property of its own that restores the model without it bit for bit: a
+term's at 0."""
 
 from __future__ import annotations
 
@@ -84,8 +85,8 @@ def servo_of(effect: Effect, aircraft: Aircraft) -> Actuator | None:
 
 
 def write_mass(folder: Path, aircraft: Aircraft, effect: Effect, value: float, remark: str) -> None:
-    """The number in <mass_balance> changed: Ixz [kg m2] with the author's unit and sign convention, or the CG along x [m], with
-    the sensors' places from it. Raises BadInputError."""
+    """The number in <mass_balance> changed: Ixz [kg m2] with the author's unit and sign convention,
+    or the CG along x [m], with the sensors' places from it. Raises BadInputError."""
     path = folder / aircraft.xml.name
     document = read_document(path)
     block = document.root.find("mass_balance")
@@ -122,19 +123,24 @@ def write_mass(folder: Path, aircraft: Aircraft, effect: Effect, value: float, r
         raise BadInputError(
             f'{document.where(place)}: unit "{unit}" of the centre of gravity; use M, FT or IN'
         )
-    # Structural x points aft; the number is the empty aircraft's, and what it carries stays where it is.
+    # Structural x points aft; the number is the empty aircraft's, and what it carries stays where
+    # it is.
     _shift(document, x, -value * _over_empty(aircraft) / _METRES[unit], remark)
     sensors_from_cg(folder / "airframe.toml", value, remark)
 
 
 def _over_empty(aircraft: Aircraft) -> float:
-    """Weight of the aircraft, fuel and loads on board included, over that of it empty. Raises BadInputError where that is none."""
+    """Weight of the aircraft, fuel and loads on board included, over that of it empty.
+
+    Raises BadInputError where that is none.
+    """
     fdm = open_aircraft(aircraft)
     engine.run_ic(fdm)
     whole, empty = float(fdm["inertia/weight-lbs"]), float(fdm["inertia/empty-weight-lbs"])
     if not empty > 0.0:
         raise BadInputError(
-            f"{aircraft.xml}: <emptywt> is {empty:g}: its centre of gravity moves nothing; give the empty weight"
+            f"{aircraft.xml}: <emptywt> is {empty:g}: its centre of gravity moves nothing; give the"
+            " empty weight"
         )
     return whole / empty
 
@@ -142,7 +148,10 @@ def _over_empty(aircraft: Aircraft) -> float:
 def write_servo(
     folder: Path, aircraft: Aircraft, effect: Effect, value: float, remark: str
 ) -> None:
-    """A servo's own number changed: lag [1/s], rate_limit, both as properties, or deadband_width. Raises BadInputError."""
+    """A servo's own number changed: lag [1/s], rate_limit, both as properties, or deadband_width.
+
+    Raises BadInputError.
+    """
     surface = (effect.subsystem or "").partition(".")[2]
     position = aircraft.card.inputs[surface].position
     found = _actuator(folder, position)
@@ -232,7 +241,9 @@ def _computes(section: AeroSection, name: str) -> bool:
 
 
 def _per_rate(length: str, section: AeroSection) -> Expression:
-    """b/2V or c/2V [s] of this frame: JSBSim's own aero/bi2vel, aero/ci2vel are a frame old in an effect's function."""
+    """b/2V or c/2V [s] of this frame: JSBSim's own aero/bi2vel, aero/ci2vel are a frame old in an
+    effect's function.
+    """
     if _computes(section, f"aero/{length}_2V"):
         return property_value(f"aero/{length}_2V")
     metric = {"b": "metrics/bw-ft", "c": "metrics/cbarw-ft"}[length]
@@ -310,7 +321,9 @@ def term_xml(term: Term, section: AeroSection, aircraft: Aircraft) -> list[Expre
 def subsystem_terms(
     effect: Effect, slopes: Mapping[str, float], section: AeroSection, aircraft: Aircraft
 ) -> list[tuple[str, float, list[Expression]]]:
-    """(coefficient, number, factors) that make up a subsystem's effect; slopes: of `writing.effects.Written`."""
+    """(coefficient, number, factors) that make up a subsystem's effect; slopes: of
+    `writing.effects.Written`.
+    """
 
     def x(name: str) -> Expression:
         return variable_xml(name, section, aircraft)
@@ -321,7 +334,8 @@ def subsystem_terms(
         case "propulsion", "airspeed":
             return [("CX", 1.0, [x("CT"), call("difference", x("V_rel"), value(1, "g"))])]
         case "propulsion", "inflow":
-            # A propeller's thrust slope over qbar S is a function of the advance ratio, and so of CT: a cubic of it.
+            # A propeller's thrust slope over qbar S is a function of the advance ratio, and so of
+            # CT: a cubic of it.
             CT, numbers = x("CT"), [slopes.get(f"inflow_{k}", 0.0) for k in range(INFLOW_POWERS)]
             curve = value(numbers[-1], ".8g")
             for number in reversed(numbers[:-1]):
@@ -343,7 +357,8 @@ def subsystem_terms(
             ]
         case "ground", _:
             near = call("exp", call("product", value(-2, "g"), x("h_over_b")))
-            # The force of the frame before holds the effect already: divided by 1 + k exp(-2 h/b) it is the force without.
+            # The force of the frame before holds the effect already: divided by 1 + k exp(-2 h/b)
+            # it is the force without.
             with_effect = call(
                 "sum", value(1, "g"), call("product", property_value(effect.property_name), near)
             )
@@ -382,8 +397,9 @@ THRUST_SCALE = "propulsion/thrust-scale"
 
 @dataclass(frozen=True)
 class Written:
-    """An effect to write: its value and a remark (ASCII); slopes: mean change of CX..Cn by a degree of elevator and rudder, of
-    CZ by a radian of alpha, and the polynomial of CX by inflow over CT, which some subsystems need as numbers."""
+    """An effect to write: its value and a remark (ASCII); slopes: mean change of CX..Cn by a degree
+    of elevator and rudder, of CZ by a radian of alpha, and the polynomial of CX by inflow over CT,
+    which some subsystems need as numbers."""
 
     effect: Effect
     value: float
@@ -392,7 +408,9 @@ class Written:
 
 
 def property_of(effect: Effect) -> str | None:
-    """Property of the simulation that carries the effect, None where it has none (sensors; numbers that JSBSim reads once)."""
+    """Property of the simulation that carries the effect, None where it has none (sensors; numbers
+    that JSBSim reads once).
+    """
     if (
         not in_dynamics(effect)
         or effect.subsystem == "mass"
@@ -416,8 +434,8 @@ def carrier(effect: Effect, aircraft: Aircraft) -> Carrier | None:
 
 
 def switch_of(effect: Effect, aircraft: Aircraft) -> tuple[str, float] | None:
-    """Property of the aircraft written with the effect, and its value that restores the aircraft as given, bit for bit; None where
-    a number stands in the XML alone, or nothing does."""
+    """Property of the aircraft written with the effect, and its value that restores the aircraft as
+    given, bit for bit; None where a number stands in the XML alone, or nothing does."""
     found = carrier(effect, aircraft)
     return (found.name, found.absent) if found is not None and found.exact else None
 
@@ -425,7 +443,8 @@ def switch_of(effect: Effect, aircraft: Aircraft) -> tuple[str, float] | None:
 def write_effects(
     aircraft: Aircraft, effects: Sequence[Written], estimates: Mapping[str, Estimate], out: Path
 ) -> list[str]:
-    """Copy the aircraft's folder to ``out`` (which must not exist) with effects and estimates; names of estimates without a place.
+    """Copy the aircraft's folder to ``out`` (which must not exist) with effects and estimates;
+    names of estimates without a place.
 
     Raises BadInputError.
     """
@@ -481,7 +500,9 @@ def _is_scale(effect: Effect) -> bool:
 def _add(
     edit: SectionEdit, aircraft: Aircraft, w: Written, summands: dict[str, list[str]]
 ) -> SectionEdit:
-    """The effect's property, and its terms in the author's sums or as functions, whose names join ``summands``."""
+    """The effect's property, and its terms in the author's sums or as functions, whose names join
+    ``summands``.
+    """
     name, term = w.effect.property_name, w.effect.parsed
     declared = [declare(name, f"{w.value:.8g}", w.remark)]
     if w.effect.coefficient is None or term is None:
@@ -582,7 +603,9 @@ def _sum_of(section: AeroSection, coefficient: str) -> tuple[Document, Node] | N
 
 
 def control_slopes(fit: Fit) -> dict[str, float]:
-    """Mean change of the coefficients by a degree of elevator and rudder, of CZ by a radian of alpha, of CX by inflow."""
+    """Mean change of the coefficients by a degree of elevator and rudder, of CZ by a radian of
+    alpha, of CX by inflow.
+    """
     by = np.concatenate([p.by_control for p in fit.probes])
     out = {
         f"{c}_{u}": float(by[:, k, j].mean())
@@ -608,19 +631,22 @@ def inflow_numbers(probes: Sequence[Probe]) -> dict[str, float]:
 def of_lift_slope(
     selection: Selection, before: Fit, after: Fit
 ) -> tuple[Selection, dict[str, float]]:
-    """Lift lost by separation as a share of the lift slope that is estimated beside it, and the numbers to write effects with.
+    """Lift lost by separation as a share of the lift slope that is estimated beside it, and the
+    numbers to write effects with.
 
-    Flights that stall say of a model without stall that its lift slope is small: of that slope the share would be too large.
-    """
+    Flights that stall say of a model without stall that its lift slope is small: of that slope the
+    share would be too large."""
     slopes = control_slopes(before)
     own = after.flown.point.values.get("aero/CZ_alpha", 0.0)
     if not own * slopes["CZ_alpha"] > 0.0:
         return selection, slopes
     ratio = slopes["CZ_alpha"] / own
     chosen = tuple(
-        replace(c, value=ratio * c.value, std=ratio * c.std)
-        if c.key.startswith("effect/stall/")
-        else c
+        (
+            replace(c, value=ratio * c.value, std=ratio * c.std)
+            if c.key.startswith("effect/stall/")
+            else c
+        )
         for c in selection.chosen
     )
     return replace(selection, chosen=chosen), {**slopes, "CZ_alpha": own}
@@ -629,7 +655,9 @@ def of_lift_slope(
 # A smooth term written as a JSBSim table, under a name that nobody takes for physics.
 
 GRID = 4 * SPANS + 1
-"""Breakpoints: straight lines between four to a span miss a cubic by less than a hundredth of how far it bends in the span."""
+"""Breakpoints: straight lines between four to a span miss a cubic by less than a hundredth of how
+far it bends in the span.
+"""
 PREFIX = "uq/unnamed"
 
 
@@ -663,8 +691,9 @@ def write_table(aircraft: Aircraft, fit: SmoothFit) -> None:
         factor = variable_xml(term.times, section, aircraft)
         table = ["<product>", *(f"  {line}" for line in table), f"  {factor.line()}", "</product>"]
     remark = (
-        f"No physics: a {term.name}, fitted to what no effect of the catalogue explains. Held constant outside "
-        f"{at[0]:.4g} to {at[-1]:.4g}, where there were no data. Name it or leave it out."
+        f"No physics: a {term.name}, fitted to what no effect of the catalogue explains. Held"
+        f" constant outside {at[0]:.4g} to {at[-1]:.4g}, where there were no data. Name it or leave"
+        " it out."
     )
     lines = [
         f'<function name="{name}">',

@@ -1,4 +1,6 @@
-"""A model's fit to flights linearised about themselves: replays in calm air, one-step predictions in turbulence."""
+"""A model's fit to flights linearised about themselves: replays in calm air, one-step predictions
+in turbulence.
+"""
 
 import lazy_loader
 

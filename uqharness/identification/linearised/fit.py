@@ -1,8 +1,9 @@
-"""Re-identification for the refinement: Gauss-Newton on JSBSim replays with sensitivities of the linearised flight.
+"""Re-identification for the refinement: Gauss-Newton on JSBSim replays with sensitivities of the
+linearised flight.
 
-A few replays and one look at the forces instead of a replay for every parameter and start state. Estimates are as consistent as
-output error's own: at the answer the residuals are orthogonal to sensitivities that do not depend on them.
-"""
+A few replays and one look at the forces instead of a replay for every parameter and start state.
+Estimates are as consistent as output error's own: at the answer the residuals are orthogonal to
+sensitivities that do not depend on them."""
 
 from __future__ import annotations
 
@@ -106,7 +107,9 @@ def fly(model: ReplayModel, setup: Setup, point: Point, map_: Processes) -> Flow
 
 
 def cost_of(setup: Setup, outputs: Sequence[FloatArray]) -> float:
-    """Sum of the squares of what outputs [(n, m)] leave of what was measured, over its noise; inf where one is no number."""
+    """Sum of the squares of what outputs [(n, m)] leave of what was measured, over its noise; inf
+    where one is no number.
+    """
     cost = 0.0
     for z, y in zip(setup.measured, outputs, strict=True):
         e = np.where(np.isfinite(z), (z - y) / setup.noise, 0.0)
@@ -156,7 +159,9 @@ def steps_of(
     point: Point,
     by: Processes = SERIAL,
 ) -> list[Steps]:
-    """Linear systems along the flights, outputs as the sensors scale them; air: how gusts act in each."""
+    """Linear systems along the flights, outputs as the sensors scale them; air: how gusts act in
+    each.
+    """
     gain, forward = np.ones((len(STEP_OUTPUTS), 1)), vane_place_m(point)
     gain[setup.which, 0] = [sensor_gain(c, point) for c in setup.outputs]
     out = []
@@ -174,7 +179,9 @@ def parameter_columns(
     names: Sequence[str],
     analytic: Sequence[str],
 ) -> list[Columns]:
-    """Columns of the properties and active effects ``names`` (effects by key) and of the nuisance, one set a segment."""
+    """Columns of the properties and active effects ``names`` (effects by key) and of the nuisance,
+    one set a segment.
+    """
     out = []
     active = [e for e in setup.active if e.key in names]
     own = [n for n in names if n not in {e.key for e in active}]
@@ -239,7 +246,9 @@ def merged(first: Sequence[Columns], second: Sequence[Columns]) -> MadeColumns:
 
 @dataclass(frozen=True)
 class Fit:
-    """A re-identification: the flights flown, probes, linear systems, columns of the parameters and their evidence."""
+    """A re-identification: the flights flown, probes, linear systems, columns of the parameters and
+    their evidence.
+    """
 
     flown: Flown
     probes: list[Probe]
@@ -250,7 +259,10 @@ class Fit:
 
 
 PRIOR = {"bias": 0.1, "delay": 0.1, "lateness": 0.005, UNSEEN: 1.0}
-"""Standard deviations known beforehand. Controls act at their rows; a simulation of 10 ms a step has them act half a step early."""
+"""Standard deviations known beforehand.
+
+Controls act at their rows; a simulation of 10 ms a step has them act half a step early.
+"""
 _MOST_ITERATIONS, _TOLERANCE = 12, 0.05
 _STEP_SHARES = tuple(0.35**k for k in range(5))
 """Shares of a step that are tried until one lowers the cost."""
@@ -265,8 +277,8 @@ def refit(
     limits: Mapping[str, tuple[float, float]],
     map_: Processes,
 ) -> Fit:
-    """Output error from ``start`` over the properties ``names``, biases, delays and start states. Raises LinAlgError where replays
-    from there leave the finite."""
+    """Output error from ``start`` over the properties ``names``, biases, delays and start states.
+    Raises LinAlgError where replays from there leave the finite."""
     flown, analytic = fly(model, setup, start, map_), None
     if not math.isfinite(flown.cost):
         raise np.linalg.LinAlgError("replays with this model are no numbers")
@@ -305,8 +317,9 @@ def fit_at(
     map_: Processes,
     analytic: tuple[str, ...] | None = None,
 ) -> Fit:
-    """The flights linearised at the replays flown: evidence of the properties and active effects ``names`` and the nuisance.
-    analytic: properties known to be the coefficient terms their names say."""
+    """The flights linearised at the replays flown: evidence of the properties and active effects
+    ``names`` and the nuisance. analytic: properties known to be the coefficient terms their names
+    say."""
     point, own = flown.point, [n for n in names if n not in {e.key for e in setup.active}]
     found = probes(straight, setup, flown, positions(model, setup, point), map_)
     found, analytic = with_properties(
@@ -329,7 +342,9 @@ def fit_at(
 def moved_starts(
     starts: Sequence[FloatArray], white: Sequence[White], delta: FloatArray, share: float = 1.0
 ) -> tuple[FloatArray, ...]:
-    """Start states moved to where they fit best beside a change (K,) of the columns, or a share of the way."""
+    """Start states moved to where they fit best beside a change (K,) of the columns, or a share of
+    the way.
+    """
     order = [STATES.index(s) for s in X_STATES]
     moved = [start.copy() for start in starts]
     for start, w in zip(moved, white, strict=True):
@@ -338,8 +353,9 @@ def moved_starts(
 
 
 def step_from(setup: Setup, point: Point, evidence: Evidence) -> tuple[FloatArray, float]:
-    """Gauss-Newton step (K,) from a point, and its length in standard errors. What is `held` stays, and what flights would have
-    beyond where it ends: a share of a jump beyond SHARES, a rate limit where it is not felt."""
+    """Gauss-Newton step (K,) from a point, and its length in standard errors. What is `held` stays,
+    and what flights would have beyond where it ends: a share of a jump beyond SHARES, a rate limit
+    where it is not felt."""
     delta, length = evidence.step(setup.held)
     move = dict(zip(evidence.names, delta.tolist(), strict=True))
     (low, high), shares = SHARES, {unseen(f): unseen_share(point, f) for f in setup.jumping}
@@ -359,8 +375,8 @@ def step_from(setup: Setup, point: Point, evidence: Evidence) -> tuple[FloatArra
 def stepped(
     setup: Setup, point: Point, step: Mapping[str, float], limits: Mapping[str, tuple[float, float]]
 ) -> Point:
-    """Properties, active effects and nuisance moved by a step; properties stay within their limits, rate limits where they are
-    felt, shares within SHARES."""
+    """Properties, active effects and nuisance moved by a step; properties stay within their limits,
+    rate limits where they are felt, shares within SHARES."""
     free = (-math.inf, math.inf)
     values = {
         n: float(np.clip(v + step[n], *limits.get(n, free))) if n in step else v
@@ -385,8 +401,8 @@ def in_one_step(
     chosen: Sequence[str] = (),
     moved: bool = True,
 ) -> dict[str, tuple[float, float]]:
-    """(value, standard error corrected for colour) of properties beside the effects ``chosen``, the last step taken unless not
-    ``moved``."""
+    """(value, standard error corrected for colour) of properties beside the effects ``chosen``, the
+    last step taken unless not ``moved``."""
     free = [*(n for n in fit.columns[0].names if not n.startswith("effect/")), *chosen]
     found, at = corrected_each(evidence, free, names), fit.flown.point.values
     return {
@@ -399,7 +415,9 @@ def in_one_step(
 
 
 def observed(setup: Setup, sensed: Mapping[str, float] | None = None) -> Observed:
-    """What a fit compares replays with; sensed: values of sensors' effects by key, taken out of what was measured."""
+    """What a fit compares replays with; sensed: values of sensors' effects by key, taken out of
+    what was measured.
+    """
     late = {**setup.late, **dict.fromkeys(setup.timed, (CONTROL_DELAY,))}
     if not sensed:
         return Observed(setup.segments, setup.outputs, setup.measured, setup.biased, late)
@@ -415,8 +433,8 @@ def observed(setup: Setup, sensed: Mapping[str, float] | None = None) -> Observe
 def point_of(
     found: ReplayFit, setup: Setup, names: Sequence[str], sensed: Mapping[str, float] | None = None
 ) -> Point:
-    """Where a fit of properties ``names`` ended, with the sensors' effects that were taken out of what was measured; 0 stands for
-    what the fit has not estimated."""
+    """Where a fit of properties ``names`` ended, with the sensors' effects that were taken out of
+    what was measured; 0 stands for what the fit has not estimated."""
     estimates = found.values()
     nuisance = {n: estimates.get(n.replace("lateness/", "delay/"), 0.0) for n in setup.nuisance}
     nuisance |= {n: v for n, v in estimates.items() if n.startswith(f"{UNSEEN}/")}
@@ -427,7 +445,9 @@ def point_of(
 
 
 def begun_at(point: Point) -> dict[str, float]:
-    """The other way: values by the names of a fit's layout from which a point's biases, delays and shares are sought."""
+    """The other way: values by the names of a fit's layout from which a point's biases, delays and
+    shares are sought.
+    """
     return {
         n.replace("lateness/", "delay/"): value / _gain(n, point)
         for n, value in point.nuisance.items()
@@ -435,5 +455,7 @@ def begun_at(point: Point) -> dict[str, float]:
 
 
 def _gain(name: str, point: Point) -> float:
-    """By what a sensor multiplies a bias of that name, of the channel before it; 1 of all that is no bias."""
+    """By what a sensor multiplies a bias of that name, of the channel before it; 1 of all that is
+    no bias.
+    """
     return sensor_gain(name.split("/")[2], point) if name.startswith("bias/") else 1.0

@@ -1,9 +1,9 @@
-"""Re-identification in turbulence: the model's forces along the measured flight, one-step predictions by a filter that
-allows for gusts.
+"""Re-identification in turbulence: the model's forces along the measured flight, one-step
+predictions by a filter that allows for gusts.
 
-The flight cannot be replayed, for the gusts are not known; but forces and their slopes at the measured states can be asked of
-JSBSim, and what the aircraft did from one sample to the next can be predicted from there.
-"""
+The flight cannot be replayed, for the gusts are not known; but forces and their slopes at the
+measured states can be asked of JSBSim, and what the aircraft did from one sample to the next can be
+predicted from there."""
 
 from __future__ import annotations
 
@@ -73,11 +73,17 @@ _KINDS = {
 """Channels of one kind of sensor, by what stands before their unit."""
 _SMOOTH_HZ = {"V_mps": 2.0}
 SETTLED, SEARCH_BY = 5.0, 5
-"""Length of a step, in standard errors, below which the gusts are searched anew; the iteration that does so in any case."""
+"""Length of a step, in standard errors, below which the gusts are searched anew; the iteration that
+does so in any case.
+"""
 POWERS = 5
-"""Powers in which states go from a row to between rows: where a row damps a motion by a third the sixth is 2e-4."""
+"""Powers in which states go from a row to between rows: where a row damps a motion by a third the
+sixth is 2e-4.
+"""
 PLACES = 0.05
-"""Part of a row from one place to the next to which commands are moved; between two, surfaces are on a straight line."""
+"""Part of a row from one place to the next to which commands are moved; between two, surfaces are
+on a straight line.
+"""
 SHARE_WITHIN = 0.125, 4.0
 """Least and largest share of a step that is taken."""
 TOLERANCE, ITERATIONS = 0.2, 10
@@ -120,10 +126,11 @@ def rows_late(setup: Setup, segment: Segment, point: Point) -> dict[str, int]:
 
 
 def in_step(setup: Setup, point: Point) -> list[FloatArray]:
-    """[(n, m)] what was measured, each channel moved by the rows its sensor is late: a sample speaks of the state it was taken of.
+    """[(n, m)] what was measured, each channel moved by the rows its sensor is late: a sample
+    speaks of the state it was taken of.
 
-    A filter that has the late sample beside the others of its row takes gusts that it has not seen yet for noise.
-    """
+    A filter that has the late sample beside the others of its row takes gusts that it has not seen
+    yet for noise."""
     both = [
         (z, rows_late(setup, s, point)) for s, z in zip(setup.segments, setup.measured, strict=True)
     ]
@@ -147,7 +154,9 @@ def predict(
     map_: Processes,
     path: Sequence[FloatArray] | None = None,
 ) -> tuple[Flown, list[Probe]]:
-    """The measured flight, or ``path`` [(n, 8)] in its place, instead of a replay, and the model's forces along it."""
+    """The measured flight, or ``path`` [(n, 8)] in its place, instead of a replay, and the model's
+    forces along it.
+    """
     x = measured_states(setup, point) if path is None else list(path)
     height = [np.array(c["h_m"], dtype=float) for c in setup.channels]
     flown = Flown(
@@ -168,11 +177,12 @@ def predict(
 
 
 def acting(model: ReplayModel, setup: Setup, point: Point) -> tuple[list[Setup], list[float]]:
-    """The setup with the commands of its segments at the places before and after where they act at a point, and the share of the
-    way from the one to the other in each segment; one setup alone where that is nothing.
+    """The setup with the commands of its segments at the places before and after where they act at
+    a point, and the share of the way from the one to the other in each segment; one setup alone
+    where that is nothing.
 
-    One place alone, and slopes from there, had estimates half-way between two places hop from one to the other without end.
-    """
+    One place alone, and slopes from there, had estimates half-way between two places hop from one
+    to the other without end."""
     places = {s.flight: late_by(point, s.flight) / s.dt_s / PLACES for s in setup.segments}
     before = {flight: float(np.floor(place)) for flight, place in places.items()}
     shares = [places[s.flight] - before[s.flight] for s in setup.segments]
@@ -219,9 +229,9 @@ def gust_refit(
 ) -> GustFit:
     """Parameters, biases and the gusts, searched from ``near``, or ``known`` to be those.
 
-    tune: the sensors' noise as well (not of an autopilot's log, whose attitudes are filtered); the fit's setup has it. told: is
-    told each iteration's number and the length of its step in standard errors.
-    """
+    tune: the sensors' noise as well (not of an autopilot's log, whose attitudes are filtered); the
+    fit's setup has it. told: is told each iteration's number and the length of its step in standard
+    errors."""
     setup = with_jumps(setup, model)
     point = (
         start
@@ -242,7 +252,8 @@ def gust_refit(
             straight, setup.segments, found, own, setup.properties(point), analytic, map_
         )
         steps = _Linear(setup, flown, found, map_)
-        # Where the flight is far from what the parameters say, what they will explain would be taken for gusts.
+        # Where the flight is far from what the parameters say, what they will explain would be
+        # taken for gusts.
         near_enough = length < SETTLED or number == SEARCH_BY
         other = gusts is None or not flights <= gusts.own.keys()
         sought = not known and (other or (since > DIFFERENT and near_enough))
@@ -251,11 +262,13 @@ def gust_refit(
             setup = replace(setup, noise=factors * setup.noise)
         assert gusts is not None
         linearised, measured = steps.all(gusts.states), steps.measured
-        # Systems of the air that was tried would stand beside the columns, which take the most memory.
+        # Systems of the air that was tried would stand beside the columns, which take the most
+        # memory.
         del steps
         followed = [*follow(linearised, measured, setup.which, setup.noise, gusts.process)]
         flown, found = predicted(setup, flown, found, linearised, followed, gusts)
-        # The measured states have seen what comes after them: linear about those, the airspeed's sensor reads half a percent high.
+        # The measured states have seen what comes after them: linear about those, the airspeed's
+        # sensor reads half a percent high.
         causal, path = path is not None, [p.body for p in found]
         columns = parameter_columns(setup, found, flown, names, analytic)
         white = whitened(followed, columns)
@@ -292,12 +305,12 @@ def gust_refit(
 
 
 def relaxed(share: float, before: FloatArray, now: FloatArray, information: FloatArray) -> float:
-    """Share of the step ``now`` (K,) to take, by what became of that ``before``, of which ``share`` was taken: Aitken's for vectors
-    (Irons and Tuck, Int. J. Numer. Meth. Eng. 1, 1969), lengths in standard errors.
+    """Share of the step ``now`` (K,) to take, by what became of that ``before``, of which ``share``
+    was taken: Aitken's for vectors (Irons and Tuck, Int. J. Numer. Meth. Eng. 1, 1969), lengths in
+    standard errors.
 
-    A force that goes with alphadot changes the acceleration that it goes with: columns know half of it, and steps overshoot. Steps
-    of late sensors fall short.
-    """
+    A force that goes with alphadot changes the acceleration that it goes with: columns know half of
+    it, and steps overshoot. Steps of late sensors fall short."""
     change = now - before
     size = float(change @ information @ change)
     return (
@@ -310,7 +323,9 @@ def relaxed(share: float, before: FloatArray, now: FloatArray, information: Floa
 def as_measured(
     setup: Setup, path: Sequence[FloatArray], before: Point, after: Point
 ) -> list[FloatArray]:
-    """[(n, 8)] states of which sensors as they are ``after`` show what those ``before`` showed, for a filter follows those."""
+    """[(n, 8)] states of which sensors as they are ``after`` show what those ``before`` showed, for
+    a filter follows those.
+    """
     return [
         np.column_stack(
             [
@@ -335,7 +350,9 @@ def unfiltered(
     map_: Processes,
     gusts: Gusts,
 ) -> tuple[Flown, list[FloatArray]]:
-    """The measured flight, and by how much, in units of the noise, the outputs of the model there are not what was measured."""
+    """The measured flight, and by how much, in units of the noise, the outputs of the model there
+    are not what was measured.
+    """
     flown, found = predict(model, straight, setup, point, map_)
     steps = _Linear(setup, flown, found, map_)
     both = zip(steps.measured, steps.all(gusts.states), strict=True)
@@ -347,8 +364,8 @@ def likelier(
 ) -> Point:
     """``start``, or the same with every sensor in time, whichever is likelier in its likeliest air.
 
-    Delays found by replays in turbulence may be far off, and a filter that begins with them stays near them.
-    """
+    Delays found by replays in turbulence may be far off, and a filter that begins with them stays
+    near them."""
     in_time = {n: 0.0 if n.startswith("delay/") else v for n, v in start.nuisance.items()}
     found = []
     for point in (start, replace(start, nuisance=in_time)):
@@ -367,8 +384,8 @@ def likelier(
 
 
 class _Linear:
-    """Linear systems of the segments by what gusts do in them, those asked for last remembered; measured: `in_step`, which they
-    speak of."""
+    """Linear systems of the segments by what gusts do in them, those asked for last remembered;
+    measured: `in_step`, which they speak of."""
 
     def __init__(self, setup: Setup, flown: Flown, found: Sequence[Probe], by: Processes) -> None:
         self.setup, self.flown, self.found, self.by = setup, flown, found, by
@@ -411,9 +428,10 @@ class _Linear:
     def _behind(
         self, p: Probe, steps: Steps, y: FloatArray, acting: GustStates, late: FloatArray
     ) -> FloatArray:
-        """(n, m) by how much outputs ``y`` (n, m) of the reference are behind, parts ``late`` (m,) of a row, as the model moves its
-        states and as controls move what is not made of these. The reference itself jumps: each row begins with what the one before
-        did not predict. Of a step, a parabola from its start with the rate that is there to where it ends."""
+        """(n, m) by how much outputs ``y`` (n, m) of the reference are behind, parts ``late`` (m,)
+        of a row, as the model moves its states and as controls move what is not made of these. The
+        reference itself jumps: each row begins with what the one before did not predict. Of a step,
+        a parabola from its start with the rate that is there to where it ends."""
         point = self.flown.point
         gain = np.array([sensor_gain(c, point) for c in self.setup.outputs])
         H = steps.H[:, self.setup.which] / gain[:, None]
@@ -440,8 +458,8 @@ class _Linear:
 
 
 def between_rows(steps: Steps, which: Sequence[int], late: Sequence[float]) -> FloatArray:
-    """H (n, m, x) where outputs ``which`` see states parts of a row ``late``, as these go from row to row: (I + T)^a in powers of
-    T = phi - I of the step in which that is, a = -late."""
+    """H (n, m, x) where outputs ``which`` see states parts of a row ``late``, as these go from row
+    to row: (I + T)^a in powers of T = phi - I of the step in which that is, a = -late."""
     H = steps.H.copy()
     turn = steps.phi - np.eye(steps.phi.shape[1])
     for k, part in zip(which, late, strict=True):
@@ -455,7 +473,9 @@ def between_rows(steps: Steps, which: Sequence[int], late: Sequence[float]) -> F
 
 
 def _air(setup: Setup, steps: _Linear, near: Gusts | None, tune: bool) -> tuple[Gusts, FloatArray]:
-    """The likeliest air, and (m,) factors on the sensors' noise, each 1 where that is not asked for."""
+    """The likeliest air, and (m,) factors on the sensors' noise, each 1 where that is not asked
+    for.
+    """
     speeds = [float(x[:, 0].mean()) for x in steps.flown.x]
     of = [s.flight for s in setup.segments]
     states = GustStates(steps.found[0].mass.b)
@@ -473,11 +493,11 @@ def predicted(
     followed: Sequence[Followed],
     gusts: Gusts,
 ) -> tuple[Flown, list[Probe]]:
-    """Probes whose terms are evaluated at states predicted from the past, and the outputs predicted there, as a filter ``followed``
-    the ``steps``.
+    """Probes whose terms are evaluated at states predicted from the past, and the outputs predicted
+    there, as a filter ``followed`` the ``steps``.
 
-    At the measured states a term would know of the gust that it is to predict: Cl_p came out at three quarters.
-    """
+    At the measured states a term would know of the gust that it is to predict: Cl_p came out at
+    three quarters."""
     out, outputs = [], []
     for p, s, d, acting in zip(
         found, steps, (one.alone.path for one in followed), gusts.states, strict=True
@@ -503,7 +523,9 @@ def predicted(
 
 
 def _changed(p: Probe, moved: FloatArray) -> FloatArray:
-    """(n, 6) change of CX..Cn where the air is met otherwise than at the reference, by AIR (n, 6)."""
+    """(n, 6) change of CX..Cn where the air is met otherwise than at the reference, by AIR
+    (n, 6).
+    """
     faster = moved[:, :1] / p.reference.x[:, :1]
     change = (
         np.einsum("nij,nj->ni", p.reference.slopes, moved) / p.scale - 2.0 * faster * p.coefficients

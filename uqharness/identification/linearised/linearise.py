@@ -1,4 +1,6 @@
-"""What the refinement asks JSBSim along a flight: forces, moments, their slopes, and what each property and control adds."""
+"""What the refinement asks JSBSim along a flight: forces, moments, their slopes, and what each
+property and control adds.
+"""
 
 from __future__ import annotations
 
@@ -51,14 +53,18 @@ from uqharness.replay import (
 from uqharness.simulator import MAX_FRAMES, TRIM_LATITUDE_DEG, Actuator, body_velocity, engine
 
 EVERY = 4
-"""Slopes are read at every fourth sample: they move with the state, and the state takes longer than that."""
+"""Slopes are read at every fourth sample: they move with the state, and the state takes longer than
+that.
+"""
 _STEPS = np.array([0.1, 1e-3, 1e-3, 0.01, 0.01, 0.01])
 """Steps of AIR by which slopes are read."""
 _CONTROL_STEP = 0.1
 _STILL = 1e-9
 """Share of the largest load by which loads of two frames differ at most where they stand still."""
 _BANKED = (0.5 * np.pi, np.pi)
-"""Banks [rad] besides the flight's own at which forces show what the rates of alpha and beta do to them."""
+"""Banks [rad] besides the flight's own at which forces show what the rates of alpha and beta do to
+them.
+"""
 
 
 @dataclass(frozen=True)
@@ -66,19 +72,21 @@ class Probe:
     """What JSBSim said along one segment.
 
     reference   for `sysid.aerodynamics.rigid_body.linearise`
-    mass        mass properties; coefficients (n, 6) CX..Cn; other_force, other_moment (n, 3) N, N m: thrust and the like
-    by_control  (n, 6, c) change of CX..Cn by each control, per record unit; controls (n, c) positions
-    by_inflow   (n,) change of CX by thrust's own slope with airspeed, V dT/dV/(qbar S): by an inflow that is twice the model's
+    mass        mass properties; coefficients (n, 6) CX..Cn; other_force, other_moment (n, 3) N, N
+    m: thrust and the like by_control  (n, 6, c) change of CX..Cn by each control, per record unit;
+    controls (n, c) positions by_inflow   (n,) change of CX by thrust's own slope with airspeed, V
+    dT/dV/(qbar S): by an inflow that is twice the model's
     height_m    (n,) above the ground; infinite where the record does not say
-    body        (n, 8) states of the reference; x (n, 8): those at which coefficients are evaluated, rates relative to the air
-    rate        (n, 8) rates of change of ``body``; flow_rate (n, 2): those of alpha and beta that coefficients depend on
-    by_property property -> (n, 6) change of CX..Cn by a unit of it
+    body        (n, 8) states of the reference; x (n, 8): those at which coefficients are evaluated,
+    rates relative to the air
+    rate        (n, 8) rates of change of ``body``; flow_rate (n, 2): those of alpha and beta that
+    coefficients depend on by_property property -> (n, 6) change of CX..Cn by a unit of it
     jumped      (n, c) by how much the controls jump at each row; none where nothing jumps
 
-    In turbulence these states and rates are predicted from the past: a regressor that has seen a sample must not be used to predict
-    that sample. Rates are then as the model has them, flow_rate less the air's own acceleration. Differences of predictions would
-    be no rates: every sample moves a prediction, by as much as it surprises.
-    """
+    In turbulence these states and rates are predicted from the past: a regressor that has seen a
+    sample must not be used to predict that sample. Rates are then as the model has them, flow_rate
+    less the air's own acceleration. Differences of predictions would be no rates: every sample
+    moves a prediction, by as much as it surprises."""
 
     reference: Reference
     mass: MassProperties
@@ -102,11 +110,13 @@ class Probe:
         return _scale(self.reference.qbar, self.mass)
 
     def jumps(self, before: float = 0.5) -> FloatArray:
-        """(n, 6, c) change of CX..Cn by what each control jumps at each row, by its slopes on the two sides of the jump, of which
-        those before weigh ``before``: thrust bends with the throttle."""
+        """(n, 6, c) change of CX..Cn by what each control jumps at each row, by its slopes on the
+        two sides of the jump, of which those before weigh ``before``: thrust bends with the
+        throttle."""
         if self.jumped is None:
             return np.zeros_like(self.by_control)
-        # Slopes are read at every so many rows: as far away as this, none of what is on a row's other side is in them.
+        # Slopes are read at every so many rows: as far away as this, none of what is on a row's
+        # other side is in them.
         rows = np.arange(len(self.controls))
         early, late = (
             self.by_control[np.clip(rows + away, 0, len(rows) - 1)] for away in (-EVERY, EVERY - 1)
@@ -119,7 +129,8 @@ class Probe:
             return self
         k, jumps = CONTROLS.index("throttle"), self.jumps()
         thrust = np.zeros_like(self.other_force)
-        # Of what the throttle does, thrust along the body's axis is most; what else it does moves no term.
+        # Of what the throttle does, thrust along the body's axis is most; what else it does moves
+        # no term.
         thrust[:, 0] = jumps[:, 0, k] * self.scale[:, 0]
         aero = jumps.sum(axis=2) - jumps[:, :, k]
         return replace(
@@ -137,7 +148,9 @@ class Probe:
         return np.asarray(load[:, :3] / self.mass.mass + np.cross(turn, self.reference.arm_m))
 
     def rate_of(self, channel: str, values: FloatArray) -> FloatArray:
-        """(n,) rate of change of an output: in turbulence the model's, or where it has none that of earlier predictions."""
+        """(n,) rate of change of an output: in turbulence the model's, or where it has none that of
+        earlier predictions.
+        """
         if self.reference.consistent:
             return np.gradient(values, self.reference.dt_s)
         if channel in STATES:
@@ -166,7 +179,9 @@ def _scale(qbar: FloatArray, mass: MassProperties) -> FloatArray:
 
 @dataclass(frozen=True)
 class ProbeJob:
-    """One segment to probe: x (n, 8) reference states, controls (n, c) positions, properties in force."""
+    """One segment to probe: x (n, 8) reference states, controls (n, c) positions, properties in
+    force.
+    """
 
     direct_model: ReplayModel
     segment: Segment
@@ -178,7 +193,9 @@ class ProbeJob:
 
 
 def probe_all(jobs: Sequence[ProbeJob], map_: Processes = SERIAL) -> list[Probe]:
-    """Force the model along references, all states asked for at once: jobs of one model and the same properties."""
+    """Force the model along references, all states asked for at once: jobs of one model and the
+    same properties.
+    """
     found = force_all(jobs[0].direct_model, [_asked(job) for job in jobs], jobs[0].properties, map_)
     return [_probe_of(job, forced) for job, forced in zip(jobs, found, strict=True)]
 
@@ -188,8 +205,9 @@ def _coarse(n: int) -> NDArray[np.intp]:
 
 
 def _moved(job: ProbeJob) -> tuple[NDArray[np.intp], NDArray[np.intp], FloatArray, FloatArray]:
-    """Rows that are forced as they are, ``coarse`` rows at which the model is asked for slopes, and the states (k, coarse, 8) and
-    controls (k, coarse, c) of these: AIR moved, then controls, then banks where rates of the wind angles are asked for."""
+    """Rows that are forced as they are, ``coarse`` rows at which the model is asked for slopes, and
+    the states (k, coarse, 8) and controls (k, coarse, c) of these: AIR moved, then controls, then
+    banks where rates of the wind angles are asked for."""
     coarse, (n, controls) = _coarse(len(job.x)), job.controls.shape
     banks = _BANKED if job.direct_model.by_rates and not job.consistent else ()
     first = len(AIR) + controls
@@ -229,8 +247,9 @@ def _probe_of(job: ProbeJob, found: ForcedModel) -> Probe:
     scale = _scale(qbar, mass)
 
     def known_before(values: FloatArray) -> FloatArray:
-        # On a line between predicted states a row would know of samples that came after it: it reads them as sensors that are off
-        # (alpha by a degree in light turbulence). Held, a slope goes with the dynamic pressure of each row.
+        # On a line between predicted states a row would know of samples that came after it: it
+        # reads them as sensors that are off (alpha by a degree in light turbulence). Held, a slope
+        # goes with the dynamic pressure of each row.
         if job.consistent:
             return spread(values)
         each = qbar.reshape(-1, *(1,) * (values.ndim - 1))
@@ -246,14 +265,16 @@ def _probe_of(job: ProbeJob, found: ForcedModel) -> Probe:
             np.linalg.solve(turned, change[air + controls :].swapaxes(0, 1)).swapaxes(1, 2)
         )
     steps = (u - job.controls[coarse]).sum(axis=0)
-    # Along straight lines, the slope about a jump is that half-way up: thrust bends with the throttle.
+    # Along straight lines, the slope about a jump is that half-way up: thrust bends with the
+    # throttle.
     slope = (
         spread(np.moveaxis(change[air : air + controls], 0, 2) / steps[:, None, :])
         / scale[:, :, None]
     )
     coefficients = (load - other) / scale
     if job.consistent:
-        # Between the samples that were forced surfaces may have jumped; what is left without them is a straight line.
+        # Between the samples that were forced surfaces may have jumped; what is left without them
+        # is a straight line.
         surfaces = [k for k, c in enumerate(CONTROLS) if c != "throttle"]
         moved = np.einsum("njk,nk->nj", slope[:, :, surfaces], job.controls[:, surfaces])
         coefficients = spread((coefficients - moved)[coarse]) + moved
@@ -291,12 +312,13 @@ def property_slopes(
         ReplayModel, Segment, FloatArray, FloatArray, FloatArray, Mapping[str, float], Sequence[str]
     ],
 ) -> dict[str, FloatArray]:
-    """property -> (n, 6) change of force [N] and moment [N m] by a unit of it, central. job: the model, a segment and of n of its
-    samples states (n, 8), controls (n, c) and heights (n,) [m]; properties in force, names of those that are moved.
+    """property -> (n, 6) change of force [N] and moment [N m] by a unit of it, central. job: the
+    model, a segment and of n of its samples states (n, 8), controls (n, c) and heights (n,) [m];
+    properties in force, names of those that are moved.
 
-    Each state is forced once; then the properties are moved one after the other and the forces renewed, the state unmoved, until
-    they no longer change: lift moves the rate of alpha and the induced drag, which JSBSim reads from the frame before.
-    """
+    Each state is forced once; then the properties are moved one after the other and the forces
+    renewed, the state unmoved, until they no longer change: lift moves the rate of alpha and the
+    induced drag, which JSBSim reads from the frame before."""
     straight, segment, x, controls, height_m, properties, names = job
     fdm = straight.open(segment.dt_s)
     for name, value in properties.items():
@@ -360,7 +382,9 @@ def property_slopes(
 
 
 def _settled_loads(fdm: Any, get: Sequence[Callable[[], float]]) -> FloatArray:
-    """Run frames with integration suspended until the loads (6,) that ``get`` reads stand still; return them."""
+    """Run frames with integration suspended until the loads (6,) that ``get`` reads stand still;
+    return them.
+    """
     fdm.run()
     loads, moved = np.array([g() for g in get]), np.inf
     for _ in range(MAX_FRAMES):
@@ -388,8 +412,9 @@ def with_properties(
     analytic: tuple[str, ...] | None,
     map_: Processes,
 ) -> tuple[list[Probe], tuple[str, ...]]:
-    """The probes with what the properties ``names`` do, read at every fourth sample, but for those known, or found, to be
-    ``analytic``: the coefficient terms that their names say. And which those are. values: of all properties in force."""
+    """The probes with what the properties ``names`` do, read at every fourth sample, but for those
+    known, or found, to be ``analytic``: the coefficient terms that their names say. And which those
+    are. values: of all properties in force."""
     if analytic is None:
         analytic = tuple(named_terms(straight, segments[0], found[0], names, values))
     rest = [n for n in names if n not in analytic]
@@ -414,7 +439,9 @@ def named_terms(
     names: Sequence[str],
     values: Mapping[str, float],
 ) -> list[str]:
-    """Those of ``names`` that are, in this model, the coefficient term their name says: told by moving each of them."""
+    """Those of ``names`` that are, in this model, the coefficient term their name says: told by
+    moving each of them.
+    """
     known = [name for name in names if split_name(name) is not None]
     if not known:
         return []
@@ -445,26 +472,36 @@ def term_column(name: str, found: Mapping[str, FloatArray]) -> tuple[int, FloatA
 # elsewhere, channels that read otherwise.
 
 STALL = {"a1_per_deg": 0.5, "alpha1_deg": 11.0, "alpha2_deg": -20.0}
-"""Steepness and angles of attack of the separation point that a loss of lift by stall is written with."""
+"""Steepness and angles of attack of the separation point that a loss of lift by stall is written
+with.
+"""
 GROUND_SPANS = 3.0
-"""Height in spans above which nothing is asked of the ground: less than half a per cent of its share is left there."""
+"""Height in spans above which nothing is asked of the ground: less than half a per cent of its
+share is left there.
+"""
 LEAST_INFLOW = 1e-9
 """Change of CX by inflow from which thrust depends on airspeed at all."""
 _VANES = (("alpha_rad", "q_radps", -1.0), ("beta_rad", "r_radps", 1.0))
-"""Angles that vanes measure, the rate that each feels forward of the centre of gravity, and the sense of that."""
+"""Angles that vanes measure, the rate that each feels forward of the centre of gravity, and the
+sense of that.
+"""
 AIR_RATES, _SLOPE_STEP = X_STATES[3:6], 1e-5
 _DEADBAND_DEG = 0.5
 _LAG_S = 0.002
 NEAR = 0.97
 """Share of a rate limit down to which its slope is taken."""
 HERE = "@here"
-"""What the term of a rate limit above the servo's own has besides, as the column of its slope where it flies."""
+"""What the term of a rate limit above the servo's own has besides, as the column of its slope where
+it flies.
+"""
 
 
 def effect_columns(
     setup: Setup, probes: Sequence[Probe], flown: Flown, effects: Sequence[Effect]
 ) -> MadeColumns:
-    """Columns of the candidates by their keys, one set a segment; a candidate that does nothing there has none."""
+    """Columns of the candidates by their keys, one set a segment; a candidate that does nothing
+    there has none.
+    """
 
     def make(k: int, names: Collection[str]) -> Columns:
         return _of_segment(setup, k, probes[k], flown, [e for e in effects if e.key in names])
@@ -500,14 +537,17 @@ def _of_segment(setup: Setup, k: int, p: Probe, flown: Flown, effects: Sequence[
 
 
 def slopes_here(active: Sequence[Effect], point: Point) -> list[Effect]:
-    """Rate limits above the servos' own that fly at a point, by the slope there, which says how well they are known; the slope
-    halfway back to the servo's own, by which they are chosen, says what they change."""
+    """Rate limits above the servos' own that fly at a point, by the slope there, which says how
+    well they are known; the slope halfway back to the servo's own, by which they are chosen, says
+    what they change."""
     faster = [e for e in active if e.term == "rate_limit" and point.effects.get(e.key, 0.0) < 0.0]
     return [replace(e, term=e.term + HERE) for e in faster]
 
 
 def seen_of(values: FloatArray, earlier: FloatArray, share: float) -> FloatArray:
-    """Values that jump at their rows as the channels of these rows have seen them; earlier: just before; share: what is unseen."""
+    """Values that jump at their rows as the channels of these rows have seen them; earlier: just
+    before; share: what is unseen.
+    """
     return np.asarray(values + share * (earlier - values))
 
 
@@ -533,7 +573,9 @@ def vane_place_m(point: Point) -> float:
 
 
 def at_vane(y: FloatArray, outputs: Sequence[str]) -> FloatArray:
-    """(n, m) change of the outputs (n, m) by each metre that the vanes stand further forward: alpha by -q/V, beta by r/V."""
+    """(n, m) change of the outputs (n, m) by each metre that the vanes stand further forward: alpha
+    by -q/V, beta by r/V.
+    """
     out = np.zeros_like(y)
     at = {c: k for k, c in enumerate(outputs)}
     if not {"V_mps", "q_radps", "r_radps"} <= at.keys():
@@ -546,8 +588,8 @@ def at_vane(y: FloatArray, outputs: Sequence[str]) -> FloatArray:
 
 
 def vane_slopes(x: FloatArray, gusts: GustStates | None) -> FloatArray:
-    """(n, outputs, states) change with the states, at X_STATES (n, 8), of what vanes feel each metre further forward: the rates
-    there are those relative to the air, which rotates."""
+    """(n, outputs, states) change with the states, at X_STATES (n, 8), of what vanes feel each
+    metre further forward: the rates there are those relative to the air, which rotates."""
     at = (x if gusts is None else with_gust_states(x, gusts)).T
     out = np.zeros((at.shape[1], len(STEP_OUTPUTS), len(at)))
 
@@ -573,7 +615,9 @@ def _input(
     found: Mapping[str, FloatArray],
     point: Point,
 ) -> tuple[int, FloatArray]:
-    """Extra coefficients per unit of an effect, as in `Columns`: (index, values (n,)) of one, (-1, values (n, 6)) of all."""
+    """Extra coefficients per unit of an effect, as in `Columns`: (index, values (n,)) of one, (-1,
+    values (n, 6)) of all.
+    """
     if (term := e.parsed) is not None:
         return COEFFICIENTS.index(e.coefficient), term.values(found)
     part, _, what = (e.subsystem or "").partition(".")
@@ -610,7 +654,8 @@ def _input(
     elif part == "mass":
         # Inertia knows nothing of the air: rates and their changes are the body's own.
         (pr, q, r), (pd, _, rd) = p.body[:, 3:6].T, p.rate[:, 3:6].T
-        # I w' + w x I w = M with I_xz raised by one: the moment that this takes, as if it were lost.
+        # I w' + w x I w = M with I_xz raised by one: the moment that this takes, as if it were
+        # lost.
         C[:, 3:] = np.column_stack([rd + pr * q, r * r - pr * pr, pd - q * r]) / scale[:, 3:]
     elif part == "actuator":
         k = CONTROLS.index(what)
@@ -663,8 +708,8 @@ def _felt_by_vanes(p: Probe, y: FloatArray, outputs: Sequence[str]) -> FloatArra
 def _as_flown(
     setup: Setup, surface: str, point: Point
 ) -> tuple[Actuator | None, tuple[float, float] | None]:
-    """A servo as it flies at a point, and the rate limits whose difference is its rate limit's slope: a slow servo made slower by a
-    little does less than a fast one."""
+    """A servo as it flies at a point, and the rate limits whose difference is its rate limit's
+    slope: a slow servo made slower by a little does less than a fast one."""
     servo, limits = setup.servos.get(surface), setup.limits.get(surface)
     if servo is None:
         return None, None
@@ -682,13 +727,14 @@ def _as_flown(
 def around(servo: Actuator, slowness: float) -> tuple[float, float]:
     """Limits [deg/s] between which the slope at a rate limit effect's value [s/deg] is taken."""
     limit = servo.slowed_to(slowness)
-    # One above the servo's own may hardly be reached, where a little less changes nothing: halfway back to the servo's own does.
+    # One above the servo's own may hardly be reached, where a little less changes nothing: halfway
+    # back to the servo's own does.
     return limit, min(NEAR * limit, servo.slowed_to(0.5 * slowness) if slowness < 0.0 else limit)
 
 
 def in_dead_zone(u: FloatArray, width_deg: float, flown: bool = False) -> FloatArray:
-    """(n,) how far a surface that stands at u (n,) [deg] moves by each degree of a dead zone, read by one of that width; flown: by
-    each degree that the one it stands in is wider."""
+    """(n,) how far a surface that stands at u (n,) [deg] moves by each degree of a dead zone, read
+    by one of that width; flown: by each degree that the one it stands in is wider."""
     if flown:
         return np.asarray(-0.5 * np.sign(u))
     # Within half the width around zero the surface stays; beyond, it is short by half of it.
@@ -697,7 +743,9 @@ def in_dead_zone(u: FloatArray, width_deg: float, flown: bool = False) -> FloatA
 
 
 def _felt_at(p: Probe, outputs: Sequence[str], place_m: FloatArray) -> FloatArray:
-    """(n, m) what accelerometers at ``place_m`` (3,) from where they are feel besides: w' x r + w x (w x r)."""
+    """(n, m) what accelerometers at ``place_m`` (3,) from where they are feel besides: w' x r + w x
+    (w x r).
+    """
     rates, dot = p.body[:, 3:6], p.rate[:, 3:6]
     return as_felt(np.cross(dot, place_m) + np.cross(rates, np.cross(rates, place_m)), outputs)
 
@@ -714,19 +762,20 @@ def as_felt(felt: FloatArray, outputs: Sequence[str]) -> FloatArray:
 def later_controls(
     p: Probe, late_s: float
 ) -> tuple[tuple[int, FloatArray], FloatArray, FloatArray]:
-    """Input (n, 6), its values just before each row and what the row's accelerometers see of them: change of the coefficients per
-    second by which all controls act later.
+    """Input (n, 6), its values just before each row and what the row's accelerometers see of them:
+    change of the coefficients per second by which all controls act later.
 
-    late_s: how late they act already. A jump is an impulse then, after its row where controls are late and before it where they
-    are early, in a step whose area and first moment are the impulse's; half of each where they are neither. Of when a surface
-    jumps the row of the jump sees nothing.
-    """
+    late_s: how late they act already. A jump is an impulse then, after its row where controls are
+    late and before it where they are early, in a step whose area and first moment are the
+    impulse's; half of each where they are neither. Of when a surface jumps the row of the jump sees
+    nothing."""
     h, jump = p.reference.dt_s, p.jumps().sum(axis=2)
     jumps = np.zeros_like(p.controls) if p.jumped is None else p.jumped
     moving = np.gradient(p.controls - np.cumsum(jumps, axis=0), h, axis=0)
     steady = -np.einsum("ncj,nj->nc", p.by_control, moving)
     after = 0.5 * (1.0 + np.sign(late_s))
-    # A straight line from 4 to -2 over a step has the area 1 and its centre at the start; from -2 to 4, at the end.
+    # A straight line from 4 to -2 over a step has the area 1 and its centre at the start; from -2
+    # to 4, at the end.
     none = np.zeros((1, 6))
     last, following = np.vstack([none, jump[:-1]]), np.vstack([jump[1:], none])
     values = steady - (4.0 * after * jump - 2.0 * (1.0 - after) * following) / h
@@ -769,9 +818,9 @@ def servo_change(
 ) -> FloatArray:
     """(n,) how far the surface stands from where it was taken to be, per unit of the effect.
 
-    Lag [s] and inverse of the rate limit [s/deg] count from the servo's own. command: asked for, at rows h [s] apart. limits: rate
-    limits [deg/s] whose difference is taken; without them the servo's own and one that is felt.
-    """
+    Lag [s] and inverse of the rate limit [s/deg] count from the servo's own. command: asked for, at
+    rows h [s] apart. limits: rate limits [deg/s] whose difference is taken; without them the
+    servo's own and one that is felt."""
     if servo is None:
         return np.zeros_like(command)
     step = h / runs_per_row(h)
@@ -795,16 +844,19 @@ def servo_change(
 
 
 def with_jumps(setup: Setup, model: ReplayModel) -> Setup:
-    """The setup with the flights in which some control of the model jumps: what accelerometers miss of that is estimated."""
+    """The setup with the flights in which some control of the model jumps: what accelerometers miss
+    of that is estimated.
+    """
     return replace(setup, jumping=tuple(jumping_flights(model, setup.segments, setup.late)))
 
 
 def middles(model: ReplayModel, setup: Setup, point: Point | None = None) -> list[FloatArray]:
-    """[(2, n - 1, c)] how far the controls stand from the mean of a step's ends at its middle, and at its end from the next row's.
+    """[(2, n - 1, c)] how far the controls stand from the mean of a step's ends at its middle, and
+    at its end from the next row's.
 
-    A servo's path is no straight line, and a surface without a lag jumps at a row: until then it stands where it stood. Where
-    commands act between rows, the middle is such that Simpson's rule has the path's own area.
-    """
+    A servo's path is no straight line, and a surface without a lag jumps at a row: until then it
+    stands where it stood. Where commands act between rows, the middle is such that Simpson's rule
+    has the path's own area."""
     cut = [segment.at_commands() for segment in setup.segments]
     held = np.array([c not in model.measured for c in model.controls])
     servos = {} if point is None else setup.properties(point)
@@ -856,8 +908,9 @@ def bends_of(
     away: Sequence[FloatArray],
     map_: Processes,
 ) -> list[FloatArray]:
-    """[(2, n - 1, 6)] by how much force and moment at the middle of a step differ from the mean of its ends, and at its end from
-    the next row's: what the model says there, the surfaces where they stand by their `middles`, the motion half-way."""
+    """[(2, n - 1, 6)] by how much force and moment at the middle of a step differ from the mean of
+    its ends, and at its end from the next row's: what the model says there, the surfaces where they
+    stand by their `middles`, the motion half-way."""
     asked = []
     for segment, p, height, (middle, end) in zip(
         setup.segments, found, flown.height, away, strict=True
@@ -886,7 +939,9 @@ def bends_of(
 
 
 def jumped(away: FloatArray) -> FloatArray | None:
-    """(n, c) by how much the controls jump at each row, by their `middles`; the first row's is not known. None where none does."""
+    """(n, c) by how much the controls jump at each row, by their `middles`; the first row's is not
+    known. None where none does.
+    """
     return np.vstack([np.zeros_like(away[1, :1]), -away[1]]) if away[1].any() else None
 
 
@@ -903,11 +958,12 @@ def as_sensed(
     between: FloatArray | None = None,
     behind: FloatArray | None = None,
 ) -> FloatArray:
-    """(n, m) outputs as the sensors give them: elsewhere, late, scaled, off by a constant. Changes ``y`` in place.
+    """(n, m) outputs as the sensors give them: elsewhere, late, scaled, off by a constant. Changes
+    ``y`` in place.
 
-    earlier: channel -> rows by which it is compared with what was measured that much later.
-    Where some are late, between: the same outputs between the rows of a replay as well, or behind (n, m): what it takes from them.
-    """
+    earlier: channel -> rows by which it is compared with what was measured that much later. Where
+    some are late, between: the same outputs between the rows of a replay as well, or behind (n, m):
+    what it takes from them."""
     forward = vane_place_m(point)
     if forward:
         y += forward * at_vane(y, setup.outputs)
@@ -943,7 +999,9 @@ def sensor_late_s(channel: str, segment: Segment, point: Point) -> float:
 
 
 def moved_later(values: FloatArray, rows: float) -> FloatArray:
-    """(n,) values as they come ``rows`` later, along a cubic; the first, or for negative rows the last, held beyond the ends."""
+    """(n,) values as they come ``rows`` later, along a cubic; the first, or for negative rows the
+    last, held beyond the ends.
+    """
     # Takes a tenth of a second to load, and few flights have a late sensor.
     from scipy.interpolate import CubicSpline
 
@@ -952,8 +1010,8 @@ def moved_later(values: FloatArray, rows: float) -> FloatArray:
 
 
 def late_rate(p: Probe, channel: str, values: FloatArray, late_s: float) -> FloatArray:
-    """(n,) rate of change of an output that is late: in a replay that of the time before each row (after it, if early), since a
-    step of a control makes a kink at a row."""
+    """(n,) rate of change of an output that is late: in a replay that of the time before each row
+    (after it, if early), since a step of a control makes a kink at a row."""
     if not p.reference.consistent or late_s == 0.0:
         return p.rate_of(channel, values)
     step = np.diff(values) / p.reference.dt_s

@@ -37,7 +37,9 @@ def in_dynamics(effect: Effect) -> bool:
 
 
 def lateness(flight: str) -> str:
-    """Name of the time [s] by which a flight's controls act after their rows: a simulation's half step, a hand that logged late."""
+    """Name of the time [s] by which a flight's controls act after their rows: a simulation's half
+    step, a hand that logged late.
+    """
     return f"lateness/{flight}/{CONTROL_DELAY}"
 
 
@@ -48,8 +50,8 @@ def unseen(flight: str) -> str:
 
 @dataclass(frozen=True)
 class Carrier:
-    """Property of the simulation that an effect moves: name; absent: its value without the effect; servo, term: of a servo's lag or
-    rate limit the servo as given, and which of the two it is."""
+    """Property of the simulation that an effect moves: name; absent: its value without the effect;
+    servo, term: of a servo's lag or rate limit the servo as given, and which of the two it is."""
 
     name: str
     absent: float
@@ -58,7 +60,9 @@ class Carrier:
 
     @property
     def exact(self) -> bool:
-        """Whether the property restores the aircraft as given, bit for bit: no number is a servo without a lag."""
+        """Whether the property restores the aircraft as given, bit for bit: no number is a servo
+        without a lag.
+        """
         return self.servo is None or self.term != "lag" or self.servo.lag is not None
 
     def at(self, value: float) -> float:
@@ -74,15 +78,16 @@ class Carrier:
 class Setup:
     """Everything about the flights that does not change with the model's numbers.
 
-    measured [(n, m)] outputs as logged; noise (m,); positions: surfaces whose positions the record has, ideal: controls that are
-    passed straight through; late: flight -> sensors whose delay is estimated; timed: flights of which it is
-    estimated how late the controls act (`lateness`); jumping: of which is estimated what is `unseen`; biased: channels;
-    active: effects that the model being flown has, or that its sensors have; carriers: key -> carrier of those that have one;
-    servos: actuators of the surfaces whose commands alone were recorded; limits: surface -> rate limits [deg/s] from and to which
-    a slower servo's effect is read while it is no part of the model; zones: surface -> width [deg] of the dead zone by
-    which one is; least: key -> value of an active rate limit's effect below which nothing changes any more;
-    slopes: numbers that the active effects are written with (`writing.slopes.control_slopes`), none where none is
-    """
+    measured [(n, m)] outputs as logged; noise (m,); positions: surfaces whose positions the record
+    has, ideal: controls that are passed straight through; late: flight -> sensors whose delay is
+    estimated; timed: flights of which it is estimated how late the controls act (`lateness`);
+    jumping: of which is estimated what is `unseen`; biased: channels; active: effects that the
+    model being flown has, or that its sensors have; carriers: key -> carrier of those that have
+    one; servos: actuators of the surfaces whose commands alone were recorded; limits: surface ->
+    rate limits [deg/s] from and to which a slower servo's effect is read while it is no part of the
+    model; zones: surface -> width [deg] of the dead zone by which one is; least: key -> value of an
+    active rate limit's effect below which nothing changes any more; slopes: numbers that the active
+    effects are written with (`writing.slopes.control_slopes`), none where none is"""
 
     flights: tuple[Flight, ...]
     segments: tuple[Segment, ...]
@@ -132,7 +137,9 @@ class Setup:
 
 @dataclass(frozen=True)
 class Point:
-    """Values of properties and nuisance by name; start (9,) of every segment; effects: values of the active effects by key."""
+    """Values of properties and nuisance by name; start (9,) of every segment; effects: values of
+    the active effects by key.
+    """
 
     values: Mapping[str, float]
     nuisance: Mapping[str, float]
@@ -152,7 +159,9 @@ def unseen_share(point: Point, flight: str) -> float:
 
 @dataclass(frozen=True)
 class Flown:
-    """Replays at a point: outputs [(n, m)] with biases and delays, reference states [(n, 8)], cost: sum of squares over noise."""
+    """Replays at a point: outputs [(n, m)] with biases and delays, reference states [(n, 8)], cost:
+    sum of squares over noise.
+    """
 
     point: Point
     outputs: list[FloatArray]
@@ -208,8 +217,8 @@ def known_noise(
 
 
 def with_sensors_of(setup: Setup, aircraft: Aircraft) -> Setup:
-    """The same flights, without effects that are active, with the accelerometers where this aircraft has them: a centre of gravity
-    that moves leaves them behind."""
+    """The same flights, without effects that are active, with the accelerometers where this
+    aircraft has them: a centre of gravity that moves leaves them behind."""
     segments = tuple(replace(s, arm_m=aircraft.accelerometer_m) for s in setup.segments)
     return replace(setup, segments=segments, active=(), carriers={}, least={})
 
@@ -217,7 +226,9 @@ def with_sensors_of(setup: Setup, aircraft: Aircraft) -> Setup:
 def servos_of(
     aircraft: Aircraft, measured: Sequence[str], ideal: Sequence[str]
 ) -> dict[str, Actuator]:
-    """Actuators of the surfaces that the flights know by their commands alone; none where the XML has none by that name."""
+    """Actuators of the surfaces that the flights know by their commands alone; none where the XML
+    has none by that name.
+    """
     out: dict[str, Actuator] = {}
     for surface in ("elevator", "aileron", "rudder"):
         if surface in aircraft.card.inputs and surface not in (*measured, *ideal):
@@ -227,7 +238,10 @@ def servos_of(
 
 
 class Bench(ExitStack):
-    """An aircraft staged for replay, as it flies and with every control straight through. A context."""
+    """An aircraft staged for replay, as it flies and with every control straight through.
+
+    A context.
+    """
 
     def __init__(self, aircraft: Aircraft, setup: Setup) -> None:
         super().__init__()
@@ -242,7 +256,9 @@ class Bench(ExitStack):
 
 
 def turbulent(setup: Setup, flown: Flown) -> bool:
-    """Whether what the replay leaves is coloured, no function of the motion, and there in quiet flight as well."""
+    """Whether what the replay leaves is coloured, no function of the motion, and there in quiet
+    flight as well.
+    """
     columns = [
         k for k, c in enumerate(setup.outputs) if c[:2] in ("p_", "q_", "r_", "ax", "ay", "az")
     ]
@@ -259,16 +275,16 @@ def estimated_channels(setup: Setup) -> tuple[str, ...]:
 
 
 def noise_left(setup: Setup, left: Mapping[str, float]) -> FloatArray:
-    """(m,) noise of the setup, but for channels that an estimator computed: there, the rms of what a fit has ``left`` of them where
-    it is larger, for no card knows an estimator's error."""
+    """(m,) noise of the setup, but for channels that an estimator computed: there, the rms of what
+    a fit has ``left`` of them where it is larger, for no card knows an estimator's error."""
     guessed = estimated_channels(setup)
     given = zip(setup.outputs, setup.noise.tolist(), strict=True)
     return np.array([max(n, left.get(c, n)) if c in guessed else n for c, n in given])
 
 
 def setup_in_gusts(aircraft: Aircraft, setup: Setup) -> Setup:
-    """The same with the card's sensor noise where it says one: third differences of an accelerometer see gusts as noise. The card
-    says nothing of what an estimator computed."""
+    """The same with the card's sensor noise where it says one: third differences of an
+    accelerometer see gusts as noise. The card says nothing of what an estimator computed."""
     stated, guessed = aircraft.card.sensors.noise_std, estimated_channels(setup)
     given = zip(setup.outputs, setup.noise.tolist(), strict=True)
     noise = np.array([n if c in guessed else stated.get(c, n) for c, n in given])
