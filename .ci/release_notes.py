@@ -1,6 +1,7 @@
 """Print the notes of a release from CHANGELOG.md: ``python .ci/release_notes.py 0.6.0``.
 
-Ends with code 1 if the version is not that of pyproject.toml, or the changelog has no section for it.
+Exit code 1 if the version is not that of pyproject.toml, or the changelog has no section for
+it.
 """
 
 from __future__ import annotations

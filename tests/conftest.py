@@ -36,7 +36,9 @@ def pytest_configure() -> None:
 
 @pytest.fixture(scope="session")
 def load_mission() -> Callable[..., Any]:
-    """A function that loads scripts/<name>.xml at 100 Hz and sets properties; nothing has been run yet."""
+    """A function that loads scripts/<name>.xml at 100 Hz and sets properties; nothing has been run
+    yet.
+    """
 
     def load(properties: Mapping[str, float] | None = None, script: str = "loiter") -> Any:
         fdm = engine.open_script(
@@ -49,7 +51,8 @@ def load_mission() -> Callable[..., Any]:
     return load
 
 
-# Lines of progress come after seconds: what a command writes must not depend on the machine's speed.
+# Lines of progress come after seconds: what a command writes must not depend on the machine's
+# speed.
 os.environ["UQHARNESS_QUIET"] = "1"
 
 
@@ -64,7 +67,8 @@ def flight_data() -> Path:
     folder = os.environ.get("UQ_FLIGHT_DATA")
     if not folder or not Path(folder).is_dir():
         pytest.skip(
-            "set UQ_FLIGHT_DATA to the folder with espaaro-ardupilot/ and pyulog/ to run on genuine logs"
+            "set UQ_FLIGHT_DATA to the folder with espaaro-ardupilot/ and pyulog/ to run on genuine"
+            " logs"
         )
     return Path(folder)
 

@@ -1,11 +1,13 @@
-"""Results whose bytes must not change when code moves: make them with two versions of the code, then compare.
+"""Results whose bytes must not change when code moves: make them with two versions of the code,
+then compare.
 
-    python -m tests.golden make DIR          a campaign, an identification, bounds, a refinement and a study, in some three minutes
+    python -m tests.golden make DIR          a campaign, an identification, bounds, a refinement and
+    a study, in some three minutes
     python -m tests.golden compare A B       exit code 1, and a line a file, where the two differ
 
-Figures in the files depend on the processor's arithmetic, so both are made on one machine. Compared are tables and documents;
-paths, versions, commands and times of day in them are left out. Pages and pictures are not compared: their words may change.
-"""
+Figures in the files depend on the processor's arithmetic, so both are made on one machine. Compared
+are tables and documents; paths, versions, commands and times of day in them are left out. Pages and
+pictures are not compared: their words may change."""
 
 from __future__ import annotations
 

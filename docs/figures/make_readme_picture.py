@@ -59,7 +59,8 @@ def boxes(axes: Axes, study: Path) -> None:
     end = 1.04 * max(box["value"].max() for box in found.values())
     for name, colour, line in (("before", BEFORE, "--"), ("after", AFTER, "-")):
         box = found[name]
-        # A distribution function goes on to both sides: 0 before the first value, its last value after it.
+        # A distribution function goes on to both sides: 0 before the first value, its last value
+        # after it.
         value = np.concatenate([[0.0], box["value"], [end]])
         upper, lower = (
             np.concatenate([[0.0], box[side], [box[side].iloc[-1]]]) for side in ("upper", "lower")
@@ -138,7 +139,10 @@ def with_dark(text: str) -> str:
         for what in ("fill", "stroke")
     ]
     style = "<style>@media (prefers-color-scheme: dark) {\n" + "\n".join(rules) + "\n}</style>"
-    title = "<title>Log against model before and after refinement, and the p-boxes of the mission</title>"
+    title = (
+        "<title>Log against model before and after refinement, and the p-boxes of the"
+        " mission</title>"
+    )
     return re.sub(r"(<svg [^>]*>)", lambda found: f"{found[1]}\n{title}\n{style}", text, count=1)
 
 

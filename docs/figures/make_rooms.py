@@ -1,7 +1,7 @@
 """Draws rooms.svg, the picture of docs/architecture.md: `python docs/figures/make_rooms.py`.
 
-Rooms stand in their order of import, the lowest at the bottom. Numbers mark the stations of three ways through the rooms.
-"""
+Rooms stand in their order of import, the lowest at the bottom. Numbers mark the stations of three
+ways through the rooms."""
 
 from __future__ import annotations
 
@@ -29,7 +29,9 @@ STYLE = """
 
 @dataclass(frozen=True)
 class Room:
-    """A package, what it is for, and the stations in it: way -> numbers. "base" are the modules beside the packages."""
+    """A package, what it is for, and the stations in it: way -> numbers. "base" are the modules
+    beside the packages.
+    """
 
     name: str
     words: str
@@ -80,7 +82,9 @@ def badge(way: str, number: str, x: float, y: float) -> str:
     """A station: each way has a shape of its own beside its colour."""
     shape = {
         "residual": f'<circle class="residual" cx="{x:g}" cy="{y:g}" r="12"/>',
-        "campaign": f'<rect class="campaign" x="{x - 11:g}" y="{y - 11:g}" width="22" height="22" rx="3"/>',
+        "campaign": (
+            f'<rect class="campaign" x="{x - 11:g}" y="{y - 11:g}" width="22" height="22" rx="3"/>'
+        ),
         "effect": f'<path class="effect" d="M {x - 15:g} {y:g} l 15 -15 l 15 15 l -15 15 z"/>',
     }[way]
     return shape + f'<text class="number" x="{x:g}" y="{y + 4.5:g}">{number}</text>'
@@ -100,11 +104,13 @@ def picture() -> str:
         x += 240
     # The two houses.
     out.append(
-        f'<rect class="house" x="14" y="{TOP - 34}" width="356" height="{bottom - TOP + 42}" rx="10"/>'
+        f'<rect class="house" x="14" y="{TOP - 34}" width="356" height="{bottom - TOP + 42}"'
+        ' rx="10"/>'
     )
     out.append(text(28, TOP - 16, "sysid: logs and identification", "title"))
     out.append(
-        f'<rect class="house" x="410" y="{TOP - 34}" width="576" height="{bottom - TOP + 42}" rx="10"/>'
+        f'<rect class="house" x="410" y="{TOP - 34}" width="576" height="{bottom - TOP + 42}"'
+        ' rx="10"/>'
     )
     out.append(text(424, TOP - 16, "uqharness: JSBSim, campaigns, command line", "title"))
     whole = bottom - TOP
@@ -128,7 +134,8 @@ def picture() -> str:
     # uqharness takes from sysid, never the other way.
     y = TOP + whole * 0.5
     out.append(
-        f'<path class="arrow" d="M 408 {y:g} H 384"/><path class="head" d="M 372 {y:g} l 14 -8 v 16 z"/>'
+        f'<path class="arrow" d="M 408 {y:g} H 384"/><path class="head" d="M 372 {y:g} l 14 -8 v 16'
+        ' z"/>'
     )
     out.append(
         text(
@@ -139,8 +146,14 @@ def picture() -> str:
             "middle",
         )
     )
-    label = "Rooms of sysid and uqharness in their order of import, with the stations of three ways through them"
-    head = f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {height:g}" width="{WIDTH}" height="{height:g}" role="img">'
+    label = (
+        "Rooms of sysid and uqharness in their order of import, with the stations of three ways"
+        " through them"
+    )
+    head = (
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {height:g}" width="{WIDTH}"'
+        f' height="{height:g}" role="img">'
+    )
     return "\n".join([head, f"<title>{label}</title><style>{STYLE}</style>", *out, "</svg>\n"])
 
 

@@ -1,8 +1,8 @@
 """Build the documentation: `python docs/site/build.py [--out DIR]`; `make docs` calls it.
 
-The pages are read where they lie in the repository, so a link that works there works here. The reference is written from the
-code at every build. A link without a target, or any other warning, fails the build.
-"""
+The pages are read where they lie in the repository, so a link that works there works here. The
+reference is written from the code at every build. A link without a target, or any other warning,
+fails the build."""
 
 from __future__ import annotations
 
@@ -74,7 +74,9 @@ def notebook_page(path: Path) -> str:
 
 
 def linked(page: Path) -> set[Path]:
-    """Files of the repository that a page links to, relative to its root; what is not there stays a broken link."""
+    """Files of the repository that a page links to, relative to its root; what is not there stays a
+    broken link.
+    """
     found = set()
     for address in re.findall(r"\]\(([^)#\s]+)[^)]*\)", page.read_text(encoding="utf-8")):
         path = (page.parent / address).resolve() if "://" not in address else ROOT
@@ -101,7 +103,8 @@ def build(out: Path) -> int:
         from sphinx.cmd.build import main as sphinx
     except ImportError:
         print(
-            "the documentation needs its extra: pip install 'uqharness[docs]' (make setup installs it)",
+            "the documentation needs its extra: pip install 'uqharness[docs]' (make setup"
+            " installs it)",
             file=sys.stderr,
         )
         return 2
@@ -109,7 +112,8 @@ def build(out: Path) -> int:
         source = Path(name) / "source"
         source.mkdir()
         stage(source)
-        # Built anew each time, in a cache that goes with the source: what is tested is what a fresh checkout gives.
+        # Built anew each time, in a cache that goes with the source: what is tested is what a fresh
+        # checkout gives.
         options = [
             "-b",
             "html",

@@ -1,4 +1,6 @@
-"""Equations as MathML, which browsers draw themselves: no script and nothing fetched from a network."""
+"""Equations as MathML, which browsers draw themselves: no script and nothing fetched from a
+network.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +10,8 @@ from typing import Any
 from docutils import nodes
 from docutils.utils.math.latex2mathml import tex2mathml
 
-# Accents of one letter become combining characters: without a font made for mathematics a browser sets them into the letter.
+# Accents of one letter become combining characters: without a font made for mathematics a browser
+# sets them into the letter.
 _ACCENT = re.compile(r'<mover accent="true">\s*<mi>(.)</mi>\s*<mo[^>]*>([˙ˉˆ])</mo>\s*</mover>')
 _COMBINING = {"˙": "\u0307", "ˉ": "\u0304", "ˆ": "\u0302"}
 

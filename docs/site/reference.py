@@ -1,4 +1,6 @@
-"""The reference pages, written from the code: commands from its parser, files from its schemas, properties from its XML."""
+"""The reference pages, written from the code: commands from its parser, files from its schemas,
+properties from its XML.
+"""
 
 from __future__ import annotations
 
@@ -53,15 +55,15 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     return "\n".join(lines) + "\n\n"
 
 
-# --- commands ---------------------------------------------------------------------------------------------------------
+# Commands.
 
 
 def commands() -> str:
     """Every command with its options and examples, as `--help` has them."""
     parser = cli.complete_parser()
     text = (
-        NOTE
-        + "# Commands, option by option\n\nWhat `--help` says. What they are for: [Commands](../commands.md).\n\n"
+        NOTE + "# Commands, option by option\n\nWhat `--help` says. What they are for:"
+        " [Commands](../commands.md).\n\n"
     )
     return text + "".join(command(leaf) for leaf in leaves(parser))
 
@@ -111,16 +113,20 @@ def metavar(action: argparse.Action) -> str:
     return action.dest.upper()
 
 
-# --- files ------------------------------------------------------------------------------------------------------------
+# Files.
 
 
 def files() -> str:
     """Columns and keys of every file that commands write."""
     text = (
         NOTE
-        + "# Files\n\nParquet columns have the type that is named; empty or null means undefined, never 0.\n\n"
+        + "# Files\n\nParquet columns have the type that is named; empty or null means undefined,"
+        " never 0.\n\n"
     )
-    text += "## Flight record (.csv, .parquet)\n\nOne row a sample; the last columns say where a log's signal comes from.\n\n"
+    text += (
+        "## Flight record (.csv, .parquet)\n\nOne row a sample; the last columns say where a log's"
+        " signal comes from.\n\n"
+    )
     text += markdown_table() + "\n\n"
     text += "Of JSBSim the signals are\n\n" + table(
         ["signal", "property", "factor"], jsbsim_sources()
@@ -184,7 +190,8 @@ DOCUMENTS = (
 
 
 def document_keys(*places: str) -> list[str]:
-    """Keys of the dictionaries that functions (`module:function`) return, alone or joined by `|`, read from their source.
+    """Keys of the dictionaries that functions (`module:function`) return, alone or joined by `|`,
+    read from their source.
 
     `+key` is one that a command adds; the files that the examples leave are held against the whole.
     """
@@ -261,21 +268,28 @@ def jsbsim_sources() -> list[tuple[str, str, str]]:
     ]
 
 
-# --- properties -------------------------------------------------------------------------------------------------------
+# Properties.
 
 
 def properties() -> str:
     """Properties that the aircraft's XML declares, with its own remarks."""
     text = (
         NOTE
-        + "# Properties\n\nDeclared in the XML with the value that stands here; a host or a script may set them.\n\n"
+        + "# Properties\n\nDeclared in the XML with the value that stands here; a host or a script"
+        " may set them.\n\n"
     )
-    text += "## The plugin\n\n`<C>` is one of CX CY CZ Cl Cm Cn; see [instrument](../instrument.md).\n\n"
+    text += (
+        "## The plugin\n\n`<C>` is one of CX CY CZ Cl Cm Cn; see"
+        " [instrument](../instrument.md).\n\n"
+    )
     text += table(
         ["property", "meaning"], [(f"`{name}`", told) for name, told in words.PROPERTIES.items()]
     )
     folder = PROJECT_ROOT / "aircraft" / "espaaro"
-    text += "An aircraft without coefficient properties of its own gets `uq/scale/...` (1) and `uq/bias/...` (0) for each\n"
+    text += (
+        "An aircraft without coefficient properties of its own gets `uq/scale/...` (1) and"
+        " `uq/bias/...` (0) for each\n"
+    )
     text += "function of its aerodynamics; `uq-instrument.json` in its folder lists them.\n\n"
     for title, path in (
         ("E-SPAARO: coefficients, commands, servos", folder / "espaaro.xml"),
@@ -320,14 +334,15 @@ def plugin_names() -> set[str]:
     }
 
 
-# --- settings ---------------------------------------------------------------------------------------------------------
+# Settings.
 
 
 def settings() -> str:
     """Keys of campaign.toml and airframe.toml, from the models that validate them."""
     text = (
         NOTE
-        + "# Settings\n\nKeys of the files that you write; meanings: [campaigns](../campaigns.md), [aircraft](../aircraft.md).\n\n"
+        + "# Settings\n\nKeys of the files that you write; meanings: [campaigns](../campaigns.md),"
+        " [aircraft](../aircraft.md).\n\n"
     )
     assert set(Document.model_fields) <= {field.name for field in dataclasses.fields(CampaignSpec)}
     for title, model in (("campaign.toml", Document), ("airframe.toml", Card)):

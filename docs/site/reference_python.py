@@ -53,7 +53,8 @@ RESULTS = (
 )
 INTRODUCTION = """# Python, name by name
 
-What the docstrings say; every example on this page is run by a test. What it is for: [Python](../python.md).
+The docstrings of public names. A test runs every example. For an introduction see
+[Python](../python.md).
 
 """
 

@@ -1,4 +1,7 @@
-"""Meanings of the columns and keys of what the commands write. Names come from the code; the build fails where the two disagree."""
+"""Meanings of the columns and keys of what the commands write.
+
+Names come from the code; the build fails where the two disagree.
+"""
 
 from __future__ import annotations
 
@@ -6,9 +9,17 @@ import re
 
 CASES = {
     r"case_id": "hash of everything that defines the flight",
-    r"epistemic_id": "corner or draw: `010011` (a digit a coefficient), `lhs-000007`; `+0` and `+p000003` for intervals and draws",
-    r"level_C\w": "where the delta stood between its bounds, 0 to 1; null where it moves or is switched off",
-    r"aleatory_id": "number of the air: flights of all corners with the same number meet the same gusts and noise",
+    r"epistemic_id": (
+        "corner or draw: `010011` (a digit a coefficient), `lhs-000007`; `+0` and `+p000003` for"
+        " intervals and draws"
+    ),
+    r"level_C\w": (
+        "where the delta stood between its bounds, 0 to 1; null where it moves or is switched off"
+    ),
+    r"aleatory_id": (
+        "number of the air: flights of all corners with the same number meet the same gusts and"
+        " noise"
+    ),
     r"wind_mps": "steady wind, m/s",
     r"turbulence": "none, light, moderate or severe",
     r"seed": "seed of the flight's own streams",
@@ -16,22 +27,37 @@ CASES = {
     r"engine": "batch or jsbsim, the engine that flew it",
     r"status": "ok, diverged, ground-contact, crashed or timeout",
     r"reason": "why it failed, or why a metric is undefined",
-    r"(cross_track|altitude|speed)_(median|mean|max)_(m|mps)": "median, mean or largest |error|, true signal",
-    r"(cross_track|altitude|speed)_(median|mean|max)_(m|mps)_measured": "the same of the signal as the noise-laden sensors saw it",
+    r"(cross_track|altitude|speed)_(median|mean|max)_(m|mps)": (
+        "median, mean or largest |error|, true signal"
+    ),
+    r"(cross_track|altitude|speed)_(median|mean|max)_(m|mps)_measured": (
+        "the same of the signal as the noise-laden sensors saw it"
+    ),
     r"excursions_\d+m": "how often the horizontal distance from the path first exceeded the radius",
     r"excursions_\d+m_3d": "the same by distance in three dimensions",
-    r"loss_of_control": "1 if bank, incidence or altitude left the limits, or the state was not finite",
-    r"extrapolated_share": "share of scored time outside the data that the bounds came from; null where the aircraft does not say",
-    r"heading_(median|mean|max)_deg": "of a flight without a commanded path: absolute deviation of heading",
+    r"loss_of_control": (
+        "1 if bank, incidence or altitude left the limits, or the state was not finite"
+    ),
+    r"extrapolated_share": (
+        "share of scored time outside the data that the bounds came from; null where the aircraft"
+        " does not say"
+    ),
+    r"heading_(median|mean|max)_deg": (
+        "of a flight without a commanded path: absolute deviation of heading"
+    ),
     r"load_factor_max": "of a flight without a commanded path: largest load factor",
     r"level_<property>": "of a variable whose mean is an interval: which end of it",
-    r"variable_<property>": "value of a variable that differs from flight to flight, in the property's unit",
+    r"variable_<property>": (
+        "value of a variable that differs from flight to flight, in the property's unit"
+    ),
 }
 PBOX = {
     "metric": "a metric of cases.parquet",
     "condition": "wind and turbulence",
     "value": "value of the metric",
-    "lower": "least of the corners' distribution functions there: P(metric <= value) is at least this",
+    "lower": (
+        "least of the corners' distribution functions there: P(metric <= value) is at least this"
+    ),
     "upper": "greatest of them",
     "band_lower": "lower side of the 95 % band over all corners and values at once",
     "band_upper": "upper side of it",
@@ -69,23 +95,33 @@ RATES = {
     "worst_lower_per_h": "its lower limit",
     "worst_upper_per_h": "its upper limit",
     "acceptable_per_h": "rate that was asked about",
-    "flight_share_upper": "upper 95 % limit of the share of flights with an excursion, worst corner",
+    "flight_share_upper": (
+        "upper 95 % limit of the share of flights with an excursion, worst corner"
+    ),
     "acceptable_loss_per_h": "rate of aborted flights that was asked about",
     "loss_upper_per_h": "upper limit of aborted flights per hour flown, worst corner",
     "aborted": "flights that lost control or ended early, all corners",
     "loss_of_control": "of them: control was lost and the flight went on",
     "ground_contact": "of them: ended on the ground",
     "diverged": "of them: ended by a state that was not finite or out of bounds",
-    "answer": "yes, no or open: at most acceptable_per_h and acceptable_loss_per_h at every corner?",
+    "answer": (
+        "yes, no or open: at most acceptable_per_h and acceptable_loss_per_h at every corner?"
+    ),
     "reason": "why it is settled, or why it is not",
     "confidence": "of the limits",
-    "dispersion_allowed": "variance over mean of the excursions per flight that upper limits allow for",
+    "dispersion_allowed": (
+        "variance over mean of the excursions per flight that upper limits allow for"
+    ),
     "dispersion_observed": "largest ratio that corners with enough excursions show",
-    "dispersion_measured_at": "corners whose ratio was measured in the same air at a smaller radius",
+    "dispersion_measured_at": (
+        "corners whose ratio was measured in the same air at a smaller radius"
+    ),
     "dispersion_radius_m": "the smallest radius it was measured at",
     "quiet_hours_needed": "flight hours after which a corner without an excursion gives yes",
     "bounds_hold_at": "points of the box of bounds that were flown",
-    "yes_up_to_dispersion": "the largest dispersion, at every corner alike, with which a yes would still be one",
+    "yes_up_to_dispersion": (
+        "the largest dispersion, at every corner alike, with which a yes would still be one"
+    ),
     "error_rate": "of a wrong yes or no",
 }
 SENSITIVITY = {
@@ -95,11 +131,16 @@ SENSITIVITY = {
     "metric": "a metric of cases.parquet, or an excursion count per flight",
     "unit": "of the metric",
     "coefficient": "whose uncertainty",
-    "share_min": "least share of the p-box over all pairs of corners that differ in this coefficient alone",
+    "share_min": (
+        "least share of the p-box over all pairs of corners that differ in this coefficient alone"
+    ),
     "share_max": "greatest share",
     "share_low": "lower end of the 95 % band, all coefficients at once",
     "share_high": "upper end",
-    "shrink_min": "by which share the p-box narrows with the coefficient known at a bound, the lesser of the two",
+    "shrink_min": (
+        "by which share the p-box narrows with the coefficient known at a bound, the lesser of"
+        " the two"
+    ),
     "shrink_max": "the greater",
     "shrink_low": "lower end of its band",
     "shrink_high": "upper end",
@@ -108,30 +149,45 @@ SENSITIVITY = {
     "width_high": "upper end",
     "flights": "flights per corner compared",
     "left_out": "airs left out because a flight of theirs failed in some corner",
-    "interior_outside": "share of the width by which the worst sample between the bounds leaves the corners' p-box",
+    "interior_outside": (
+        "share of the width by which the worst sample between the bounds leaves the corners' p-box"
+    ),
     "reason": "why a number is missing",
 }
 MANIFEST = {
     "format": "version of this file",
-    "state": "running, interrupted, complete, or spoilt where aircraft or script was edited meanwhile",
+    "state": (
+        "running, interrupted, complete, or spoilt where aircraft or script was edited meanwhile"
+    ),
     "command": "what repeats the run",
     "seed": "root of every random stream",
     "cases": "number of flights",
     "campaign": "every setting, defaults included",
     "campaign_file": "where it was read from",
     "versions": "of this program, Python and the libraries that fly and write",
-    "engine": "what was asked for (auto, batch, jsbsim), and why the campaign flies in the engine of its settings",
+    "engine": (
+        "what was asked for (auto, batch, jsbsim), and why the campaign flies in the engine of its"
+        " settings"
+    ),
     "hashes": "SHA-256 of aircraft, script and files named in the campaign",
     "tables": "once complete: table → SHA-256 of its bytes",
-    "sums": "once complete: name of the file with the SHA-256 of every file in the folder, SHA256SUMS",
-    "journal": "once complete: rows, and digest (SHA-256) over the digests of all rows in the order of the case ids",
+    "sums": (
+        "once complete: name of the file with the SHA-256 of every file in the folder, SHA256SUMS"
+    ),
+    "journal": (
+        "once complete: rows, and digest (SHA-256) over the digests of all rows in the order of the"
+        " case ids"
+    ),
     "digest": "SHA-256 of all of the above, as JSON without spaces, keys in order",
 }
 FIT = {
     "aircraft": "which one",
     "method": "output error or filter error",
     "converged": "whether the estimate stands",
-    "parameters": "property → value, std (corrected for colour), std_crb (Cramér-Rao), status, reason, initial",
+    "parameters": (
+        "property → value, std (corrected for colour), std_crb (Cramér-Rao), status, reason,"
+        " initial"
+    ),
     "names": "the identified ones, in the order of cov",
     "cov": "their covariance",
     "warnings": "sentences with their evidence",
@@ -166,12 +222,18 @@ COMPARE = {
 REFINEMENT = {
     "verdict": "effects-found, no-missing-effect or unexplained",
     "disagreement": "coefficient, manoeuvre, region, share_outside_95, size, words",
-    "effects": "coefficient (or subsystem), term, name, why, value, std, unit, property, evidence, alternatives ...",
+    "effects": (
+        "coefficient (or subsystem), term, name, why, value, std, unit, property, evidence,"
+        " alternatives ..."
+    ),
     "withdrawn": "effects that the test flights speak against, likewise",
     "candidates": "limit that a score must pass, and the strongest scores: effect, t",
     "chosen": "what the train flights alone asked for, likewise",
     "remaining": "unexplained, where, channels_above_noise, coloured_channels ...",
-    "gap": "train and test → channels, coefficients, theil before and after; of test also intervals and pbox",
+    "gap": (
+        "train and test → channels, coefficients, theil before and after; of test also intervals"
+        " and pbox"
+    ),
     "model": "the new aircraft's XML",
     "switch": "property and the value that takes the effect out again",
     "parameters": "property → value, std, re-identified beside the effects",
@@ -235,9 +297,14 @@ COVERAGE = {
     "manoeuvres": "the shares by manoeuvre",
     "by_speed": "the shares in thirds of the airspeed",
     "by_incidence": "the shares in thirds of the angle of attack",
-    "conformal": "coefficient → factor by which bounds must be widened, by what manoeuvres show, and its level",
+    "conformal": (
+        "coefficient → factor by which bounds must be widened, by what manoeuvres show, and its"
+        " level"
+    ),
     "verdicts": "coefficient → holds, fails or inconclusive",
-    "flight_variance": "coefficient → standard deviation from flight to flight; null: not estimable",
+    "flight_variance": (
+        "coefficient → standard deviation from flight to flight; null: not estimable"
+    ),
     "failed": "coefficients that fail",
     "warnings": "sentences with their evidence",
     "notes": "what was done to the records",

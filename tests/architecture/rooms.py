@@ -39,7 +39,9 @@ LAYERS: Mapping[str, tuple[str, ...]] = {
 BASE = {"sysid": ("foreign",), "uqharness": ()}
 """Folders of the lowest layer."""
 FACES = ("sysid", "uqharness")
-"""The packages' own ``__init__``: the public face, which stands above all layers and is loaded name by name."""
+"""The packages' own ``__init__``: the public face, which stands above all layers and is loaded name
+by name.
+"""
 
 
 @cache
@@ -55,7 +57,9 @@ def modules() -> Mapping[str, Path]:
 
 @cache
 def imported_by(source: str) -> tuple[tuple[str, ...], ...]:
-    """What a source imports, at any depth of nesting: for each name, the dotted names that it may stand for, longest first."""
+    """What a source imports, at any depth of nesting: for each name, the dotted names that it may
+    stand for, longest first.
+    """
     found: list[tuple[str, ...]] = []
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Import):
@@ -87,14 +91,18 @@ def importers(library: str, package: str = "") -> set[str]:
 
 
 def room(name: str) -> tuple[str, str]:
-    """Package and room of a module: ("uqharness", "campaign") for uqharness.campaign.run, ("sysid", "") for sysid.record."""
+    """Package and room of a module: ("uqharness", "campaign") for uqharness.campaign.run, ("sysid",
+    "") for sysid.record.
+    """
     package, _, rest = name.partition(".")
     inner, _, _ = rest.partition(".")
     return package, inner if inner in LAYERS[package] else ""
 
 
 def against_the_layers(name: str, other: str) -> bool:
-    """Whether a module may not import the other: it lies higher, or in a package that knows nothing of it."""
+    """Whether a module may not import the other: it lies higher, or in a package that knows nothing
+    of it.
+    """
     (package, here), (target, there) = room(name), room(other)
     if name in FACES:
         return False

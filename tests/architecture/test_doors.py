@@ -1,4 +1,6 @@
-"""What must not spread has one door: outside libraries, processes, printing, XML text, conversion factors, digests."""
+"""What must not spread has one door: outside libraries, processes, printing, XML text, conversion
+factors, digests.
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """A room is entered by its package's ``__init__``: what others use of it stands in one list.
 
-A whole module may be taken from a room (``from uqharness.simulator import engine``): each use then names it.
-"""
+A whole module may be taken from a room (``from uqharness.simulator import engine``): each use then
+names it."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ import pytest
 from tests.architecture.rooms import BASE, modules, room
 from tests.helpers.places import ROOT
 
-# Names that several modules of a room define, each in its own sense, or that are a module's as well; they are imported from
-# their modules.
+# Names that several modules of a room define, each in its own sense, or that are a module's as
+# well; they are imported from their modules.
 SEVERAL: Mapping[str, tuple[str, ...]] = {
     "sysid.aerodynamics": ("MassProperties", "OUTPUTS", "STATES"),
     "uqharness.campaign": ("as_json", "table"),
@@ -91,7 +91,9 @@ def test_a_face_holds_what_it_lists(name):
 
 
 def not_asked_for(name: str, listed: set[str], everything: str) -> set[str]:
-    """Names of the list of a room that no line of ``everything`` imports from it, nor takes from the room that was imported."""
+    """Names of the list of a room that no line of ``everything`` imports from it, nor takes from
+    the room that was imported.
+    """
     asked = re.findall(rf"from {re.escape(name)} import \(?([^)\n]*(?:\n[^)]*)?)", everything)
     package, _, inner = name.rpartition(".")
     if re.search(rf"from {re.escape(package)} import {inner}\b", everything):

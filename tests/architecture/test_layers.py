@@ -16,7 +16,8 @@ from tests.architecture.rooms import (
     room,
 )
 
-# The command's first file, which every worker process reads again, loads the command line when it is called.
+# The command's first file, which every worker process reads again, loads the command line when it
+# is called.
 ENTRY = {("uqharness.__main__", "uqharness.cli")}
 
 

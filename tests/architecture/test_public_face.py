@@ -1,4 +1,6 @@
-"""The public face: which names there are, what their docstrings tell, and that the import costs next to nothing."""
+"""The public face: which names there are, what their docstrings tell, and that the import costs
+next to nothing.
+"""
 
 from __future__ import annotations
 
@@ -107,7 +109,9 @@ def test_a_public_name_is_told_of(face: str, name: str):
 
 
 def lacking(function: object) -> list[str]:
-    """Sections that a function's docstring should have and does not, and parameters that it passes over."""
+    """Sections that a function's docstring should have and does not, and parameters that it passes
+    over.
+    """
     found = sections(inspect.getdoc(function) or "")
     signature = inspect.signature(function)  # type: ignore[arg-type]
     wanted = ["Parameters"] if signature.parameters else []

@@ -1,4 +1,6 @@
-"""Repeats of the nominal model at full size: alike where they are, apart where one differs, and how many flights are enough."""
+"""Repeats of the nominal model at full size: alike where they are, apart where one differs, and how
+many flights are enough.
+"""
 
 from __future__ import annotations
 
@@ -50,7 +52,8 @@ def test_parts_come_closer_with_their_number_as_chance_says():
     assert [row.flights for row in found] == [10, 20, 50, 100, 200, 500]
     assert [row.parts for row in found] == [500, 250, 100, 50, 25, 10]
     assert all(row.distance < row.bound for row in found)
-    # A standard error of a median is 1.2533 / sqrt(n); of m parts the farthest lies about its sqrt(2 ln m) away.
+    # A standard error of a median is 1.2533 / sqrt(n); of m parts the farthest lies about its
+    # sqrt(2 ln m) away.
     for row in found[:4]:
         assert row.median_off == pytest.approx(
             1.2533 / row.flights**0.5 * (2.0 * np.log(row.parts)) ** 0.5, rel=0.35

@@ -1,4 +1,6 @@
-"""Tables 3.1 and 3.2 with bounds from flights: which aircraft flies, within whose bounds, beside which campaign."""
+"""Tables 3.1 and 3.2 with bounds from flights: which aircraft flies, within whose bounds, beside
+which campaign.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +42,9 @@ def test_a_model_flies_within_the_bounds_of_its_own_flights_in_the_air_of_the_st
 
 
 def test_refinement_leaves_narrower_bounds_of_what_it_named():
-    """Cl_de, Cm_p2 and CX_q are in the refined model, and what they did is no longer in its bounds."""
+    """Cl_de, Cm_p2 and CX_q are in the refined model, and what they did is no longer in its
+    bounds.
+    """
     lasting = {}
     for model in full_size.MODELS:
         form = read_bounds(full_size.HOME / model / "model-form.json")

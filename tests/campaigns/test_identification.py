@@ -1,4 +1,6 @@
-"""What the chapter 2 study stands on: its equations and actuators are the aircraft's, its published numbers the print's."""
+"""What the chapter 2 study stands on: its equations and actuators are the aircraft's, its published
+numbers the print's.
+"""
 
 from __future__ import annotations
 
@@ -234,7 +236,8 @@ def gusty(tmp_path_factory):
 
 @pytest.mark.slow
 def test_roll_parameters_in_turbulence(gusty):
-    # Without the air's own rotation in the equations Cl_p comes out at -0.20, ten of its standard errors off.
+    # Without the air's own rotation in the equations Cl_p comes out at -0.20, ten of its standard
+    # errors off.
     rolls = [k for k, u in enumerate(gusty.u) if np.ptp(u[:, 1]) > 10.0]
     data = Data(
         *(

@@ -16,7 +16,9 @@ def test_limits_keep_their_level(truth):
 
 
 def test_limits_that_take_too_little_into_account_do_not():
-    """The check says no to a limit per scheduled hour, and to one that takes clusters for single excursions."""
+    """The check says no to a limit per scheduled hour, and to one that takes clusters for single
+    excursions.
+    """
     aborted, clustered = (
         "every flight but one in ten aborted",
         "clusters at the carried limit of 4, rare",

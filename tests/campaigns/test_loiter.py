@@ -1,4 +1,6 @@
-"""Table 4.7 and its p-boxes from shards: shares known in closed form are found, and others than the print's are said to be."""
+"""Table 4.7 and its p-boxes from shards: shares known in closed form are found, and others than the
+print's are said to be.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,8 @@ from campaigns.loiter.full_size import METRICS, Share, main, published_shares, w
 from tests.helpers.shards import flown
 from uqharness.flight import COEFFICIENTS
 
-# Effects of a level [the metric's unit]: shares are each over their sum where all have one sign, whatever the others are.
+# Effects of a level [the metric's unit]: shares are each over their sum where all have one sign,
+# whatever the others are.
 PRINTED = {"CX": 0.02, "CY": 3.95, "CZ": 0.32, "Cl": 0.33, "Cm": 0.4, "Cn": 4.98}
 OTHERWISE = {"CX": 9.0, "CY": 0.2, "CZ": 0.2, "Cl": 0.2, "Cm": 0.2, "Cn": 0.2}
 

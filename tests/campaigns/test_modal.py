@@ -68,7 +68,8 @@ def test_modes_by_iteration_are_those_by_eigenvalues():
 
 def test_modes_that_lie_close_together_or_have_split_still_come_out():
     one = np.ones(1)
-    # Stiffness of the wrong sign: the short period splits into real roots, one unstable, and has no frequency.
+    # Stiffness of the wrong sign: the short period splits into real roots, one unstable, and has no
+    # frequency.
     matrix = SystemMatrix(
         -0.1 * one, 0.4 * one, -1.0 * one, -4.0 * one, 20.0, 3.0 * one, -5.0 * one
     )
@@ -83,7 +84,8 @@ def test_corrected_reading_agrees_with_an_independent_linearisation_of_the_same_
     zeta_phugoid, wn_phugoid, zeta, wn = (
         float(value[0]) for value in modes_of(system_matrix("as_corrected", arrays()))
     )
-    # Six-degree-of-freedom linearisation, thrust held: -4.728 +- 3.786i, -0.0449 +- 0.4418i; the chapter's model drops small terms.
+    # Six-degree-of-freedom linearisation, thrust held: -4.728 +- 3.786i, -0.0449 +- 0.4418i; the
+    # chapter's model drops small terms.
     assert (zeta, wn) == pytest.approx((0.781, 6.06), rel=0.005)
     assert wn_phugoid == pytest.approx(0.444, rel=0.01)
     assert 0.08 < zeta_phugoid < 0.11

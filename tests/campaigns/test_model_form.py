@@ -1,4 +1,6 @@
-"""The study of bounds over seeds: one seed's flights, what its noise is worth, and what the tables say of made-up answers."""
+"""The study of bounds over seeds: one seed's flights, what its noise is worth, and what the tables
+say of made-up answers.
+"""
 
 from __future__ import annotations
 
@@ -58,7 +60,9 @@ def test_the_model_has_no_error_against_itself_and_the_truth_has_its_four():
 
 @pytest.mark.slow
 def test_gains_of_the_noise_free_flight_serve_the_noisy_one():
-    """Asked at noisy states the model gives nearly the same gains: no width moves by a twentieth."""
+    """Asked at noisy states the model gives nearly the same gains: no width moves by a
+    twentieth.
+    """
     quiet = FLIGHTS.quiet_flight(CASES["truth-calm"], FLIGHTS.BOUNDS, 0)
     with FLIGHTS.model_pair(quiet.measured) as pair:
         noisy = FLIGHTS.noisy_twin(quiet, pair, (3, 2, 0), (1.0,))

@@ -1,4 +1,6 @@
-"""The study of the next flight over seeds: its verdict on made-up rows always, one seed and eight in the slow set."""
+"""The study of the next flight over seeds: its verdict on made-up rows always, one seed and eight
+in the slow set.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,9 @@ verdict = _SCRIPT.verdict
 
 @pytest.fixture(scope="module")
 def rows(tmp_path_factory: pytest.TempPathFactory) -> pd.DataFrame:
-    """One seed of the case with most to learn, from fewer points and a flight of a minute and a quarter."""
+    """One seed of the case with most to learn, from fewer points and a flight of a minute and a
+    quarter.
+    """
     folder = tmp_path_factory.mktemp("flights")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("uqharness.next_flight.points.AMPLITUDES", (0.2,))

@@ -12,7 +12,9 @@ from uqharness.flight import FlightResult
 
 
 def flight_with(spread):
-    """Errors normal with the standard deviation ``spread``, those that sensors saw twice as large."""
+    """Errors normal with the standard deviation ``spread``, those that sensors saw twice as
+    large.
+    """
 
     def fly(spec):
         true = np.random.default_rng(3).normal(0.0, spread, 40_000)

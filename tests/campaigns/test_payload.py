@@ -1,4 +1,6 @@
-"""A payload that differs from flight to flight: its slope is found where there is one, and none where there is none."""
+"""A payload that differs from flight to flight: its slope is found where there is one, and none
+where there is none.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Studies of rare excursions: rates of replicates and plain flights, paths in JSBSim, and what a kill costs."""
+"""Studies of rare excursions: rates of replicates and plain flights, paths in JSBSim, and what a
+kill costs.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Log, identify, XML, a flight not used: the right form reaches the noise floor, the form without pitch damping does not."""
+"""Log, identify, XML, a flight not used: the right form reaches the noise floor, the form without
+pitch damping does not.
+"""
 
 import json
 
@@ -14,7 +16,8 @@ from uqharness.simulator.aircraft import find_aircraft, open_aircraft
 def test_short_round_trip_says_which_form_is_right(tmp_path):
     right, _, no_damping = FORMS
     free = ["aero/Cm_0", "aero/Cm_alpha", "aero/Cm_q", "aero/Cm_de"]
-    # Not DataFlash: half a microsecond of aileron rolls the aircraft 0.002 rad/s, which one short manoeuvre shows.
+    # Not DataFlash: half a microsecond of aileron rolls the aircraft 0.002 rad/s, which one short
+    # manoeuvre shows.
     trips = run(
         tmp_path, 1, (right, no_damping), free, workers=1, duration_s=12.0, suffix=".parquet"
     )

@@ -1,4 +1,6 @@
-"""Campaigns cut into shards: what is kept, what an interruption costs, and that damage and other flights are seen."""
+"""Campaigns cut into shards: what is kept, what an interruption costs, and that damage and other
+flights are seen.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,9 @@ from uqharness.flight.spec import FlightResult
 
 @dataclass
 class Engine:
-    """Flights by their numbers; ``dies_at`` counts groups, ``jsbsim_off`` is added to JSBSim's cross-track median."""
+    """Flights by their numbers; ``dies_at`` counts groups, ``jsbsim_off`` is added to JSBSim's
+    cross-track median.
+    """
 
     dies_at: int = -1
     jsbsim_off: float = 0.0
@@ -216,7 +220,9 @@ def test_the_published_size_is_planned():
 
 
 def test_packed_flights_are_those_of_the_shards(plan, tmp_path, capsys):
-    """One file in the place of the folder; a shard that is flown after it takes precedence, and damage is seen."""
+    """One file in the place of the folder; a shard that is flown after it takes precedence, and
+    damage is seen.
+    """
     shards = tmp_path / "shards"
     flown(plan, shards, shards=list(plan.shards())[:4])
     before = [cell_table(plan, shards, condition) for condition in plan.conditions]

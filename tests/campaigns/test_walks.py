@@ -1,4 +1,6 @@
-"""Walks at full size beside the corners of the excursion tables: inside, outside, in the airs that all flew."""
+"""Walks at full size beside the corners of the excursion tables: inside, outside, in the airs that
+all flew.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,9 @@ PLAN = replace(STUDY.plan(), airs=25, samples=8).with_samples(8).with_flights(25
 
 
 def between(spread):
-    """Corners lie from 10 to 16; walks about the middle, ``spread`` times as far from it as corners."""
+    """Corners lie from 10 to 16; walks about the middle, ``spread`` times as far from it as
+    corners.
+    """
 
     def change(flight) -> float:
         air = 0.1 * float(np.random.default_rng(flight.seed_turbulence).normal())

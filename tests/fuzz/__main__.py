@@ -1,4 +1,7 @@
-"""``python -m tests.fuzz``: the command line of the fuzzer. Exit codes: 0 no findings, 1 findings, 2 bad arguments."""
+"""``python -m tests.fuzz``: the command line of the fuzzer.
+
+Exit codes: 0 no findings, 1 findings, 2 bad arguments.
+"""
 
 from __future__ import annotations
 
@@ -57,7 +60,8 @@ def main(argv: list[str] | None = None) -> int:
         name, seed = args.reproduce
         if name not in formats or not seed.lstrip("-").isdigit() or int(seed) < SOUND:
             parser.error(
-                f"--reproduce {name} {seed}: a format (see --list) and a seed from {SOUND} are needed"
+                f"--reproduce {name} {seed}: a format (see --list) and a seed from {SOUND} are"
+                " needed"
             )
         return _reproduce(name, int(seed))
     if args.seed < 0:
@@ -93,12 +97,16 @@ def main(argv: list[str] | None = None) -> int:
 
 def table(counts: dict[str, Counts]) -> str:
     """Counts per format as text."""
-    head = f"{'format':<22}{'inputs':>8}{'results':>9}{'refusals':>9}{'findings':>9}{'slowest s':>11}{'largest MB':>12}  seeds"
+    head = (
+        f"{'format':<22}{'inputs':>8}{'results':>9}{'refusals':>9}{'findings':>9}{'slowest s':>11}{'largest MB':>12}"
+        "  seeds"
+    )
     rows = [head]
     for name, c in counts.items():
         seeds = f"{c.seeds[0]}-{c.seeds[1]}" if c.seeds else "none"
         rows.append(
-            f"{name:<22}{c.inputs:>8}{c.results:>9}{c.refusals:>9}{c.findings:>9}{c.slowest_s:>11.2f}{c.largest_MB:>12.0f}  {seeds}"
+            f"{name:<22}{c.inputs:>8}{c.results:>9}{c.refusals:>9}{c.findings:>9}{c.slowest_s:>11.2f}{c.largest_MB:>12.0f}"
+            f"  {seeds}"
         )
     sums = [
         sum(getattr(c, key) for c in counts.values())

@@ -1,4 +1,6 @@
-"""Targets that do on purpose what the fuzzer is to find; a worker that serves them, for the harness' own tests."""
+"""Targets that do on purpose what the fuzzer is to find; a worker that serves them, for the
+harness' own tests.
+"""
 
 from __future__ import annotations
 
@@ -66,7 +68,10 @@ def _listens(place: Path, seed: int) -> None:
 
 
 def _listens_in_a_child(place: Path, seed: int) -> None:
-    code = "import socket, time; s = socket.socket(); s.bind(('127.0.0.1', 0)); s.listen(); time.sleep(1.5)"
+    code = (
+        "import socket, time; s = socket.socket(); s.bind(('127.0.0.1', 0)); s.listen();"
+        " time.sleep(1.5)"
+    )
     subprocess.run([sys.executable, "-c", code], check=True)
 
 

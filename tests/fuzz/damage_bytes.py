@@ -1,4 +1,6 @@
-"""Damage that knows nothing of a format: what disks, networks and editors without mercy do to bytes."""
+"""Damage that knows nothing of a format: what disks, networks and editors without mercy do to
+bytes.
+"""
 
 from __future__ import annotations
 

@@ -17,7 +17,9 @@ from tests.fuzz.damage_tree import damaged_tree, value
 
 
 def parquet_damage(data: bytes, rng: np.random.Generator) -> bytes:
-    """A Parquet file with injured columns, rows or metadata; one in three is injured as bytes instead."""
+    """A Parquet file with injured columns, rows or metadata; one in three is injured as bytes
+    instead.
+    """
     bomb = pq.read_metadata(io.BytesIO(data)).num_rows > 1_000_000
     if bomb and rng.random() < 0.5:
         return data
@@ -173,7 +175,9 @@ _PARQUET = (
 
 
 def sqlite_damage(data: bytes, rng: np.random.Generator) -> bytes:
-    """An SQLite database with injured tables and cells; one in three is injured as bytes instead."""
+    """An SQLite database with injured tables and cells; one in three is injured as bytes
+    instead.
+    """
     if rng.random() < 0.35:
         return damage_bytes.damaged(data, rng)
     base = sqlite3.connect(":memory:")

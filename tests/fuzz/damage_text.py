@@ -13,7 +13,9 @@ _LONG = 5000
 
 
 def damaged_text(data: bytes, rng: np.random.Generator) -> bytes:
-    """Lines lost, doubled, swapped, joined or broken; words replaced; other ends of lines, other encodings."""
+    """Lines lost, doubled, swapped, joined or broken; words replaced; other ends of lines, other
+    encodings.
+    """
     lines = data.split(b"\n")
     for _ in range(int(rng.integers(1, 4))):
         lines = _LINES[int(rng.integers(0, len(_LINES)))](lines or [b""], rng)

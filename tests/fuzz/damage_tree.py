@@ -1,4 +1,6 @@
-"""Damage to what JSON and TOML hold: nodes lost, doubled, renamed, of another type, absurd in size or depth."""
+"""Damage to what JSON and TOML hold: nodes lost, doubled, renamed, of another type, absurd in size
+or depth.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,10 @@ _PLACES = (30, 400, 5000, 100_000)
 
 
 def damaged_tree(tree: Any, rng: np.random.Generator) -> Any:
-    """A copy of ``tree`` (dicts, lists, plain values) with one to four injuries. Text markers stand for depth and long integers."""
+    """A copy of ``tree`` (dicts, lists, plain values) with one to four injuries.
+
+    Text markers stand for depth and long integers.
+    """
     box = {"root": copy.deepcopy(tree)}
     for _ in range(int(rng.choice([1, 1, 1, 2, 2, 3, 4]))):
         places = list(_places(box))
@@ -173,7 +178,9 @@ def _written_out(text: str, rng: np.random.Generator) -> str:
 
 
 def toml_text(tree: dict[str, Any]) -> str:
-    """TOML of a tree, hostile values and all; what TOML has no words for (null) is left as a word that is none."""
+    """TOML of a tree, hostile values and all; what TOML has no words for (null) is left as a word
+    that is none.
+    """
     head = [f"{json.dumps(k)} = {_toml(v)}" for k, v in tree.items() if not _is_section(v)]
     for key, item in tree.items():
         if isinstance(item, dict):

@@ -1,4 +1,6 @@
-"""Damage to XML, and what an attacker would put in: outputs, inputs, entities, names that lead out of the folder, depth."""
+"""Damage to XML, and what an attacker would put in: outputs, inputs, entities, names that lead out
+of the folder, depth.
+"""
 
 from __future__ import annotations
 
@@ -13,10 +15,16 @@ from tests.fuzz.damage_text import damaged_text
 
 _OUT = hostile.OUTSIDE
 _ELEMENTS = (
-    f'<output name="{_OUT}/o.csv" type="CSV" rate="10"><property caption="&#10;touch X&#10;#">position/h-sl-ft</property></output>',
+    (
+        f'<output name="{_OUT}/o.csv" type="CSV" rate="10"><property caption="&#10;touch'
+        ' X&#10;#">position/h-sl-ft</property></output>'
+    ),
     '<output name="../../canary.csv" type="CSV" rate="10"><velocities>ON</velocities></output>',
     f'<output name="{_OUT}/t.csv" type="TABULAR" rate="1"/>',
-    '<output name="127.0.0.1" type="SOCKET" protocol="TCP" port="5155" rate="1"><simulation>ON</simulation></output>',
+    (
+        '<output name="127.0.0.1" type="SOCKET" protocol="TCP" port="5155"'
+        ' rate="1"><simulation>ON</simulation></output>'
+    ),
     '<output name="127.0.0.1" type="SOCKET" protocol="UDP" port="5155" rate="1"/>',
     '<output name="127.0.0.1" type="FLIGHTGEAR" protocol="UDP" port="5156" rate="1"/>',
     '<output name="127.0.0.1" type="TERMINAL" port="5157" rate="1"/>',
@@ -33,21 +41,36 @@ _ELEMENTS = (
     '<propulsion file="/dev/zero"/>',
     '<engine file="../Systems/gusts"/>',
     f'<thruster file="{_OUT}/prop"/>',
-    '<function name="aero/loop"><sum><property>aero/loop</property><value>1</value></sum></function>',
+    (
+        "<function"
+        ' name="aero/loop"><sum><property>aero/loop</property><value>1</value></sum></function>'
+    ),
     '<function name="../x"><value>nan</value></function>',
     '<property value="1">a b/c$d</property>',
     '<property value="1e999">gusts/more</property>',
     "<table><independentVar>aero/nothing</independentVar><tableData>0 1\n0 1</tableData></table>",
     '<axis name="X"><function name="q"><nosuch/></function></axis>',
     '<axis name="WARP"/>',
-    '<event name="e" continuous="true"><condition>1 gt 0</condition><set name="fcs/elevator-cmd-norm" value="nan"/></event>',
+    (
+        '<event name="e" continuous="true"><condition>1 gt 0</condition><set'
+        ' name="fcs/elevator-cmd-norm" value="nan"/></event>'
+    ),
     "<event><condition/><notify><property>position/h-agl-ft</property></notify></event>",
-    '<xi:include xmlns:xi="http://www.w3.org/2001/XInclude" href="file:///etc/passwd" parse="text"/>',
+    (
+        '<xi:include xmlns:xi="http://www.w3.org/2001/XInclude" href="file:///etc/passwd"'
+        ' parse="text"/>'
+    ),
     '<?xml-stylesheet href="http://127.0.0.1:5161/x.xsl"?>',
     '<tank type="FUEL"><location unit="IN"/><capacity unit="LBS">-1</capacity></tank>',
-    '<channel name="c" execrate="0"><pure_gain name="g"><input>g</input><gain>g</gain></pure_gain></channel>',
+    (
+        '<channel name="c" execrate="0"><pure_gain'
+        ' name="g"><input>g</input><gain>g</gain></pure_gain></channel>'
+    ),
     '<pid name="p"><input>p</input><kp>nan</kp></pid>',
-    '<sensor name="s"><input>s</input><quantization name="q"><bits>99999999</bits><min>0</min><max>0</max></quantization></sensor>',
+    (
+        '<sensor name="s"><input>s</input><quantization'
+        ' name="q"><bits>99999999</bits><min>0</min><max>0</max></quantization></sensor>'
+    ),
     '<sensor name="d"><input>x</input><delay type="frames">999999999</delay></sensor>',
 )
 _DOCTYPES = (
@@ -82,7 +105,10 @@ _NUMBERS = (
 
 
 def xml_damage(data: bytes, rng: np.random.Generator, others: Sequence[bytes] = ()) -> bytes:
-    """An XML document with injured content; ``others`` lend it elements. One in five is injured as text or bytes instead."""
+    """An XML document with injured content; ``others`` lend it elements.
+
+    One in five is injured as text or bytes instead.
+    """
     kind = rng.random()
     if kind < 0.12:
         return damaged_text(data, rng)

@@ -1,4 +1,6 @@
-"""Every format that a user can hand in: what a sound input is, how it is damaged, and what the program does with it."""
+"""Every format that a user can hand in: what a sound input is, how it is damaged, and what the
+program does with it.
+"""
 
 from __future__ import annotations
 
@@ -23,10 +25,11 @@ Mutator = Callable[[bytes, np.random.Generator], bytes]
 class Format:
     """One format.
 
-    sources   inputs: files below CORPUS by the name they get in the input's folder; the first is sound, the seed takes one
-    damaged   names of the files that are damaged, one of them each time
+    sources   inputs: files below CORPUS by the name they get in the input's folder; the first is
+    sound, the seed takes one damaged   names of the files that are damaged, one of them each time
     mutate    bytes and a generator to other bytes
-    run       called with the input's folder and the seed: returns what came out, or raises; see ``outcome``
+    run       called with the input's folder and the seed: returns what came out, or raises; see
+    ``outcome``
     share     of the time of a run, relative to the others
     afterwards  may change other files to fit the damaged one, as somebody would who means harm
     """
@@ -58,7 +61,9 @@ def _content(place: str) -> bytes:
 
 
 def folder(place: str, under: str = "") -> dict[str, str]:
-    """All files of a folder of the corpus, as a source; ``under``: the folder that they stand in within the input."""
+    """All files of a folder of the corpus, as a source; ``under``: the folder that they stand in
+    within the input.
+    """
     root = CORPUS / place
     prefix = f"{under}/" if under else ""
     paths = sorted(path for path in root.rglob("*") if path.is_file())

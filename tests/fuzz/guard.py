@@ -1,4 +1,6 @@
-"""What a command may not do with an input: write outside its folders, open the network, unpickle, start foreign programs."""
+"""What a command may not do with an input: write outside its folders, open the network, unpickle,
+start foreign programs.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +40,9 @@ _PROGRAMS = ("os.system", "os.exec", "os.posix_spawn", "os.startfile", "os.fork"
 
 
 class Guard:
-    """Told of by the interpreter whatever is done while ``watching``; ``allowed`` are the folders that may be written to."""
+    """Told of by the interpreter whatever is done while ``watching``; ``allowed`` are the folders
+    that may be written to.
+    """
 
     def __init__(self, allowed: tuple[Path, ...]) -> None:
         self._allowed = tuple(str(path) for path in allowed)
@@ -119,7 +123,9 @@ def _from(folder: Any, path: Any) -> str:
 
 
 def tree(*folders: Path) -> dict[str, tuple[int, int]]:
-    """Every file below ``folders`` with its size and time: what a program leaves behind that Python does not see."""
+    """Every file below ``folders`` with its size and time: what a program leaves behind that Python
+    does not see.
+    """
     found = {}
     for folder in folders:
         for root, _, names in os.walk(folder):
@@ -157,7 +163,9 @@ def internet_sockets(pids: list[int]) -> list[str]:
 
 
 def session_of(pid: int) -> list[int]:
-    """Processes of the session that ``pid`` leads, itself included (Linux; itself alone elsewhere)."""
+    """Processes of the session that ``pid`` leads, itself included (Linux; itself alone
+    elsewhere).
+    """
     found = [pid]
     with contextlib.suppress(OSError):
         for name in os.listdir("/proc"):
@@ -171,7 +179,9 @@ def session_of(pid: int) -> list[int]:
 
 
 def peak_mb(pid: int | str = "self") -> float:
-    """Largest resident memory of the process since it was last forgotten, MB; NaN where the system does not tell."""
+    """Largest resident memory of the process since it was last forgotten, MB; NaN where the system
+    does not tell.
+    """
     return _status(pid, "VmHWM:")
 
 

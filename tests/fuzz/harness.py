@@ -67,7 +67,10 @@ class Counts:
 
 
 class Worker:
-    """A child that tries inputs, with a folder of its own. ``module``: what it runs (another one in the harness' own tests)."""
+    """A child that tries inputs, with a folder of its own.
+
+    ``module``: what it runs (another one in the harness' own tests).
+    """
 
     def __init__(
         self,
@@ -208,7 +211,9 @@ def by_number(names: Iterable[str], seed: int, inputs: int) -> Iterator[tuple[st
 def by_time(
     shares: dict[str, float], counts: dict[str, Counts], seed: int, seconds: float
 ) -> Iterator[tuple[str, int]]:
-    """Seeds of each format from ``seed`` on, the next of the one that has had least of its share, for so long."""
+    """Seeds of each format from ``seed`` on, the next of the one that has had least of its share,
+    for so long.
+    """
     end = time.monotonic() + seconds
     following = dict.fromkeys(shares, seed)
     while time.monotonic() < end:

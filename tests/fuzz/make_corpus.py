@@ -1,8 +1,8 @@
-"""Writes the parts of the corpus that the project's own writers make: logs and results. ``python -m tests.fuzz.make_corpus``.
+"""Writes the parts of the corpus that the project's own writers make: logs and results. ``python -m
+tests.fuzz.make_corpus``.
 
-Settings and the aircraft are written by hand. Folders of results keep the paths they were made under, so they are made under one
-that is no machine's own.
-"""
+Settings and the aircraft are written by hand. Folders of results keep the paths they were made
+under, so they are made under one that is no machine's own."""
 
 from __future__ import annotations
 
@@ -94,7 +94,9 @@ def logs() -> None:
 
 
 def _bomb(path: Path, *names: str) -> None:
-    """Two hundred million rows of the same numbers: some kilobytes of file, gigabytes of memory for who believes in it."""
+    """Two hundred million rows of the same numbers: some kilobytes of file, gigabytes of memory for
+    who believes in it.
+    """
     rows = 10_000_000
     piece = pa.table({name: np.zeros(rows) for name in names})
     with pq.ParquetWriter(

@@ -22,7 +22,10 @@ class Refused(Exception):
 
 
 def command(*arguments: str) -> None:
-    """Run a command of the command line in this process. Raises Refused for exit code 2; whatever else it raises is a finding."""
+    """Run a command of the command line in this process.
+
+    Raises Refused for exit code 2; whatever else it raises is a finding.
+    """
     from uqharness.cli import main as cli
 
     made = _parser()
@@ -54,7 +57,9 @@ def _parser() -> Any:
 def call(
     function: Callable[..., Any], *arguments: Any, own: tuple[type[Exception], ...] = ()
 ) -> Any:
-    """The function's answer. Raises Refused for the errors that its layer promises (``own`` adds some)."""
+    """The function's answer. Raises Refused for the errors that its layer promises (``own`` adds
+    some).
+    """
     from sysid.errors import LogError
     from uqharness.errors import BadInputError
 
@@ -72,7 +77,9 @@ def _printed(text: str) -> str:
 
 
 def faults(text: str, places: tuple[str, ...]) -> str:
-    """What is wrong with the text of a refusal, "" if nothing: it names one of ``places`` and can be read."""
+    """What is wrong with the text of a refusal, "" if nothing: it names one of ``places`` and can
+    be read.
+    """
     lines = [line for line in text.strip().splitlines() if not line.startswith("note: ")]
     if not lines:
         return "says nothing"

@@ -1,11 +1,12 @@
-"""Random systems, each flown by JSBSim and by the batch engine: functions, tables, components, numbers of any size.
+"""Random systems, each flown by JSBSim and by the batch engine: functions, tables, components,
+numbers of any size.
 
     python -m tests.fuzz.systems --systems 1300 [--seed 0]
 
-A system follows from its seed. JSBSim flies it in a child process, twice: as it is, and with inputs moved by one unit in the last
-place. Outcomes: agreed; rounding (no further from JSBSim than rounding takes JSBSim from itself); refused, with a reason; dead (JSBSim
-ends the process, or refuses the model); differs. Exit code: 1 if one differs.
-"""
+A system follows from its seed. JSBSim flies it in a child process, twice: as it is, and with inputs
+moved by one unit in the last place. Outcomes: agreed; rounding (no further from JSBSim than
+rounding takes JSBSim from itself); refused, with a reason; dead (JSBSim ends the process, or
+refuses the model); differs. Exit code: 1 if one differs."""
 
 from __future__ import annotations
 
@@ -34,7 +35,9 @@ _INPUTS = ("i/a", "i/b", "i/c")
 _EXTREME = (0.0, -0.0, 1.0, -1.0, 0.5, 2.0, 1e-300, 1e15, -1e15, 1e19, 1e300, -1e300, 2147483648.0)
 _TIMES_ROUNDING = 1e5
 _LEAST = 1e-9
-"""Difference over size that the engine's functions, right to some units in the last place, may make without a recursion."""
+"""Difference over size that the engine's functions, right to some units in the last place, may make
+without a recursion.
+"""
 _OPERATIONS = tuple(name for name in RULES if name not in ROTATIONS)
 
 

@@ -1,4 +1,6 @@
-"""An aircraft's folder and what flies it: everything that JSBSim would open, through what stands before JSBSim."""
+"""An aircraft's folder and what flies it: everything that JSBSim would open, through what stands
+before JSBSim.
+"""
 
 from __future__ import annotations
 
@@ -107,4 +109,6 @@ FORMATS = (
         _bounded,
     ),
 )
-"""Each kind of XML read by the program alone, and flown; an instrumented aircraft; bounds from a model form."""
+"""Each kind of XML read by the program alone, and flown; an instrumented aircraft; bounds from a
+model form.
+"""

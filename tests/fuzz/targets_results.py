@@ -1,4 +1,6 @@
-"""Folders of results, which people exchange too: manifest, journal, tables, documents that report pages are written from."""
+"""Folders of results, which people exchange too: manifest, journal, tables, documents that report
+pages are written from.
+"""
 
 from __future__ import annotations
 
@@ -108,7 +110,9 @@ _CAMPAIGNS = (folder("results/campaign"), folder("../../format_1/results"))
 
 
 def _signed_again(files: Files, name: str, rng: np.random.Generator) -> None:
-    """Every other time the manifest's digests are made to fit, so that what lies behind them is reached."""
+    """Every other time the manifest's digests are made to fit, so that what lies behind them is
+    reached.
+    """
     from sysid.digests import sha256_hex
     from uqharness.campaign.folder.manifest import digest_of_text
 
@@ -152,7 +156,9 @@ def _json_or_bytes(data: bytes, rng: np.random.Generator) -> bytes:
 
 
 def _stage_damage(data: bytes, rng: np.random.Generator) -> bytes:
-    """A data file is a mark, a digest of the rest, the length of a header, the header in JSON, and arrays."""
+    """A data file is a mark, a digest of the rest, the length of a header, the header in JSON, and
+    arrays.
+    """
     begin = len(MAGIC) + 32
     length = int.from_bytes(data[begin : begin + 8], "little")
     header, rest = data[begin + 8 : begin + 8 + length], data[begin + 8 + length :]
@@ -222,4 +228,6 @@ FORMATS = (
         0.3,
     ),
 )
-"""A campaign's folder, documents and pieces of report pages, the record of an instrumentation, studies, stages, orders."""
+"""A campaign's folder, documents and pieces of report pages, the record of an instrumentation,
+studies, stages, orders.
+"""

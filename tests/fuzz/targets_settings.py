@@ -116,4 +116,6 @@ FORMATS = (
         _study,
     ),
 )
-"""Signal maps, cards, effects, campaigns (and the model form and the fit that one names), studies."""
+"""Signal maps, cards, effects, campaigns (and the model form and the fit that one names),
+studies.
+"""

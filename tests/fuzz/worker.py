@@ -1,8 +1,7 @@
 """A process that tries inputs one after another: a line ``FORMAT SEED`` in, a line of JSON out.
 
-``python -m tests.fuzz.worker BASE ANSWERS`` with BASE a private folder and ANSWERS the number of a pipe. What the inputs make the
-program print goes to BASE/printed.txt.
-"""
+``python -m tests.fuzz.worker BASE ANSWERS`` with BASE a private folder and ANSWERS the number of a
+pipe. What the inputs make the program print goes to BASE/printed.txt."""
 
 from __future__ import annotations
 
@@ -40,7 +39,9 @@ class Bench:
         self._guard = Guard((self.place, self._temporary, self._cache))
 
     def attempt(self, item: Format, seed: int) -> dict[str, Any]:
-        """Make the input, run its target, and say how it ended: outcome, what, seconds, MB, resident MB."""
+        """Make the input, run its target, and say how it ended: outcome, what, seconds, MB,
+        resident MB.
+        """
         self._put(item.make(seed))
         before, temporary = self._seen(), set(os.listdir(self._temporary))
         outcome, what = "result", ""
@@ -75,7 +76,8 @@ class Bench:
             path.write_bytes(content)
 
     def _megabytes(self) -> float:
-        # Children count with the largest there has been: a child that grew is found, which one it was tells --reproduce.
+        # Children count with the largest there has been: a child that grew is found, which one it
+        # was tells --reproduce.
         children = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024.0
         return max(peak_mb(), children)
 
@@ -101,7 +103,8 @@ class Bench:
 
     def _left_behind(self, before: set[str]) -> list[str]:
         now = set(os.listdir(self._temporary))
-        # A process' own folder goes when the process does, one of a process that was killed with the next that needs one.
+        # A process' own folder goes when the process does, one of a process that was killed with
+        # the next that needs one.
         own = {name for name in now if _OWN_FOLDER.fullmatch(name)}
         for name in now - own:
             shutil.rmtree(self._temporary / name, ignore_errors=True)
@@ -133,7 +136,8 @@ def main(base: Path, answers: int, formats: Mapping[str, Format]) -> None:
     for target, source in ((0, nothing), (1, printed), (2, printed)):
         os.dup2(source, target)
     stop_colour()
-    # What Python compiles of this project is no input's doing, and in a fresh checkout nothing is compiled.
+    # What Python compiles of this project is no input's doing, and in a fresh checkout nothing is
+    # compiled.
     sys.dont_write_bytecode = True
     bench = Bench(base)
     with os.fdopen(answers, "w") as out:

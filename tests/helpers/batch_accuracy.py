@@ -1,4 +1,7 @@
-"""Points, and errors in units of the last place against mpmath. ``python -m tests.helpers.batch_accuracy [COUNT]`` prints them."""
+"""Points, and errors in units of the last place against mpmath.
+
+``python -m tests.helpers.batch_accuracy [COUNT]`` prints them.
+"""
 
 from __future__ import annotations
 
@@ -112,7 +115,9 @@ def values(operation: str, points: Points, exponent: float | None = None) -> np.
 
 
 def errors(operation: str, points: Points, result: np.ndarray) -> np.ndarray:
-    """Errors in units of the last place of the exact result, NaN where the exact result is no double's neighbour."""
+    """Errors in units of the last place of the exact result, NaN where the exact result is no
+    double's neighbour.
+    """
     exact = {
         "log2": lambda x: mp.log(x, 2),
         "pow": mp.power,
@@ -139,7 +144,9 @@ def errors(operation: str, points: Points, result: np.ndarray) -> np.ndarray:
 
 
 def main() -> None:
-    """A line an operation: the largest error, its place, the share that is not correctly rounded."""
+    """A line an operation: the largest error, its place, the share that is not correctly
+    rounded.
+    """
     count = int(sys.argv[1]) if len(sys.argv) > 1 else 100_000
     for operation, make in POINTS.items():
         points = make(np.random.default_rng(list(operation.encode())), count)
@@ -147,7 +154,8 @@ def main() -> None:
         worst = int(np.argmax(found))
         at = ", ".join(repr(float(p[worst])) for p in points)
         print(
-            f"{operation:6s} {found[worst]:.4f} ulp at {at}; {np.mean(found > 0.5) * 100:.2f} % not nearest; {len(found)} points",
+            f"{operation:6s} {found[worst]:.4f} ulp at {at}; {np.mean(found > 0.5) * 100:.2f} % not"
+            f" nearest; {len(found)} points",
             flush=True,
         )
 

@@ -1,5 +1,5 @@
-"""Functions of JSBSim compared with their translation: the same XML, the same random arguments, JSBSim against numpy or compiled
-code.
+"""Functions of JSBSim compared with their translation: the same XML, the same random arguments,
+JSBSim against numpy or compiled code.
 
 ``python -m tests.helpers.batch_against`` prints the table of agreement, an operation a line.
 """
@@ -56,7 +56,9 @@ EXACT: Mapping[str, str] = {
     "fmod by 0": f"<fmod>{A}{T}</fmod>",
     "roundmultiple of one": f"<roundmultiple>{A}</roundmultiple>",
     "mod": f"<mod><product>{A}<v>100</v></product><sum>{N}<v>1</v></sum></mod>",
-    "mod negative": f"<mod><product>{A}<v>100</v></product><difference><v>-1.5</v>{N}</difference></mod>",
+    "mod negative": (
+        f"<mod><product>{A}<v>100</v></product><difference><v>-1.5</v>{N}</difference></mod>"
+    ),
     "and": f"<and>{T}{S}<gt>{A}{B}</gt></and>",
     "or": f"<or>{T}{S}<gt>{A}{B}</gt></or>",
     "and, short": f"<and>{T}<ge>{A}<v>0</v></ge><v>0</v>{A}</and>",
@@ -67,7 +69,9 @@ EXACT: Mapping[str, str] = {
     "ifthen gt": f"<ifthen><gt>{A}{B}</gt>{A}<v>-3</v></ifthen>",
     "switch": f"<switch>{N}{A}{B}{C}<v>7</v></switch>",
     "switch between": f"<switch><abs>{U}</abs>{A}{B}</switch>",
-    "interpolate1d": f"<interpolate1d>{A}<v>-1</v><v>0.3</v><v>0.1</v>{B}<v>1.7</v>{C}</interpolate1d>",
+    "interpolate1d": (
+        f"<interpolate1d>{A}<v>-1</v><v>0.3</v><v>0.1</v>{B}<v>1.7</v>{C}</interpolate1d>"
+    ),
     "pi": "<product><pi/><v>3</v></product>",
     "property negated": f"<sum><p>-i/a</p>{B}</sum>",
 }
@@ -177,7 +181,8 @@ def main() -> None:
                 )
             worst = ulps(theirs[name], ours[name]).max()
             print(
-                f"{title:15s} {name:25s} {share:8.3f} % same bits, at most {worst:.3g} ulp, {apart:.2g} of the largest"
+                f"{title:15s} {name:25s} {share:8.3f} % same bits, at most {worst:.3g} ulp,"
+                f" {apart:.2g} of the largest"
             )
 
 

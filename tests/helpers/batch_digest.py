@@ -1,4 +1,6 @@
-"""A digest of all transcendental functions at points that need no C library: ``python -m tests.helpers.batch_digest`` prints it."""
+"""A digest of all transcendental functions at points that need no C library: ``python -m
+tests.helpers.batch_digest`` prints it.
+"""
 
 from __future__ import annotations
 

@@ -23,9 +23,13 @@ HEAVY = (
     .replace(">6<", ">1400<")
     .replace(">8<", ">2000<")
 )
-MOTOR = '<?xml version="1.0"?><electric_engine name="m"><power unit="WATTS">600</power></electric_engine>'
+MOTOR = (
+    '<?xml version="1.0"?><electric_engine name="m"><power'
+    ' unit="WATTS">600</power></electric_engine>'
+)
 BRUSHLESS = (
-    '<?xml version="1.0"?><brushless_dc_motor name="m"><maxvolts>12</maxvolts><velocityconstant>90</velocityconstant>'
+    '<?xml version="1.0"?><brushless_dc_motor'
+    ' name="m"><maxvolts>12</maxvolts><velocityconstant>90</velocityconstant>'
     "<coilresistance>0.05</coilresistance><noloadcurrent>1</noloadcurrent></brushless_dc_motor>"
 )
 FIXED_PITCH = """<?xml version="1.0"?><propeller name="p"><ixx unit="SLUG*FT2">0.4</ixx><diameter unit="IN">30</diameter>
@@ -79,7 +83,9 @@ FILES: Mapping[str, str] = {
     "Engines/fixed.xml": FIXED_PITCH,
     "Engines/variable.xml": VARIABLE_PITCH,
     "Engines/direct.xml": '<?xml version="1.0"?><direct name="d"/>',
-    "Engines/nozzle.xml": '<?xml version="1.0"?><nozzle name="n"><area unit="FT2">0.0001</area></nozzle>',
+    "Engines/nozzle.xml": (
+        '<?xml version="1.0"?><nozzle name="n"><area unit="FT2">0.0001</area></nozzle>'
+    ),
 }
 AERODYNAMICS = """<aerodynamics>
 <axis name="LIFT"><function name="aero/l"><product><p>aero/qbar-area</p><v>5</v><p>aero/alpha-rad</p></product></function></axis>
@@ -129,16 +135,19 @@ def mounted(
     return (
         f'<engine file="{motor}">{feed}<thruster file="{thruster}">'
         f'<location unit="IN"><x>-20</x><y>{4 * k - 3}</y><z>{k}</z></location>'
-        f'<orient unit="DEG"><roll>{10 * k}</roll><pitch>3</pitch><yaw>-2</yaw></orient>{more}</thruster></engine>'
+        "<orient"
+        f' unit="DEG"><roll>{10 * k}</roll><pitch>3</pitch><yaw>-2</yaw></orient>{more}</thruster></engine>'
     )
 
 
 def tank(contents: float, more: str = "", capacity: float = 12.0) -> str:
     """A tank whose contents move as they are used."""
     return (
-        '<tank type="FUEL"><location unit="IN"><x>12</x><y>3</y><z>-2</z></location>'
-        '<drain_location unit="IN"><x>10</x><y>3</y><z>-6</z></drain_location><radius unit="IN">6</radius>'
-        f'<capacity unit="LBS">{capacity}</capacity><contents unit="LBS">{contents}</contents>{more}</tank>'
+        '<tank type="FUEL"><location'
+        ' unit="IN"><x>12</x><y>3</y><z>-2</z></location><drain_location'
+        ' unit="IN"><x>10</x><y>3</y><z>-6</z></drain_location><radius'
+        f' unit="IN">6</radius><capacity unit="LBS">{capacity}</capacity><contents'
+        f' unit="LBS">{contents}</contents>{more}</tank>'
     )
 
 
@@ -225,7 +234,9 @@ class Case:
 
 
 def refusal(text: str, files: Mapping[str, str], events: str = "") -> str:
-    """What is said of a ``<propulsion>`` when it is read; JSBSim itself may refuse it too, and is not asked."""
+    """What is said of a ``<propulsion>`` when it is read; JSBSim itself may refuse it too, and is
+    not asked.
+    """
     with (
         flights.craft(text, files=files, events=events) as made,
         pytest.raises(BadInputError) as error,

@@ -1,4 +1,6 @@
-"""Small aircraft flown by JSBSim and by their translation, frame by frame, with properties that the host sets before each frame."""
+"""Small aircraft flown by JSBSim and by their translation, frame by frame, with properties that the
+host sets before each frame.
+"""
 
 from __future__ import annotations
 
@@ -69,7 +71,10 @@ def script(events: str) -> str:
 
 @dataclass(frozen=True)
 class Craft:
-    """An aircraft on disk, ready for both. ``start`` are JSBSim's initial conditions and other settings."""
+    """An aircraft on disk, ready for both.
+
+    ``start`` are JSBSim's initial conditions and other settings.
+    """
 
     root: Path
     start: Mapping[str, float]
@@ -132,7 +137,9 @@ def refused(text: str, events: str = "", files: Mapping[str, str] | None = None)
 def by_jsbsim(
     fdm: Any, inputs: Series, records: Sequence[str], frames: int
 ) -> dict[str, np.ndarray]:
-    """What JSBSim has behind its initialising frames and behind each frame; the host sets row k before frame k."""
+    """What JSBSim has behind its initialising frames and behind each frame; the host sets row k
+    before frame k.
+    """
     engine.run_ic(fdm)
     sets = [(engine.handle(fdm, name), values) for name, values in inputs.items()]
     gets = [engine.handle(fdm, name) for name in records]
@@ -211,7 +218,9 @@ def by_batch(
 
 
 def apart(theirs: Series, ours: Series, floor: float = 1e-3) -> dict[str, float]:
-    """The largest difference of each property over its largest size (at least ``floor``); NaN on one side is infinite."""
+    """The largest difference of each property over its largest size (at least ``floor``); NaN on
+    one side is infinite.
+    """
     out = {}
     for name, there in theirs.items():
         here = ours[name]
@@ -237,7 +246,10 @@ def compared(
     changed_events: str | None = None,
     floor: float = 1e-3,
 ) -> dict[str, float]:
-    """Differences of an aircraft flown by both. ``changed``: what is translated instead, for a negative control."""
+    """Differences of an aircraft flown by both.
+
+    ``changed``: what is translated instead, for a negative control.
+    """
     inputs = inputs or {}
     with craft(text, start, events) as made:
         fdm = made.open()

@@ -1,4 +1,7 @@
-"""Who flies a program in a test: numpy for some frames, compiled code for many. Their bits are the same (test_flight.py)."""
+"""Who flies a program in a test: numpy for some frames, compiled code for many.
+
+Their bits are the same (test_flight.py).
+"""
 
 from __future__ import annotations
 

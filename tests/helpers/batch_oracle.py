@@ -1,4 +1,6 @@
-"""JSBSim itself as the judge: a point mass with one ``<system>`` whose inputs are plain properties."""
+"""JSBSim itself as the judge: a point mass with one ``<system>`` whose inputs are plain
+properties.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,10 @@ _MODEL = """<?xml version="1.0"?>
 
 
 ENGINE_FILES = {
-    "Engines/motor.xml": '<?xml version="1.0"?><electric_engine name="motor"><power unit="WATTS">100</power></electric_engine>',
+    "Engines/motor.xml": (
+        '<?xml version="1.0"?><electric_engine name="motor"><power'
+        ' unit="WATTS">100</power></electric_engine>'
+    ),
     "Engines/jet.xml": '<?xml version="1.0"?><direct name="jet"/>',
 }
 """What the engines of ``model`` are made of."""
@@ -72,7 +77,9 @@ def evaluate(
     extra: str = "",
     outputs: Sequence[str] | None = None,
 ) -> dict[str, np.ndarray]:
-    """What JSBSim makes of named ``<function>`` bodies, a frame a row of ``inputs`` (property to values)."""
+    """What JSBSim makes of named ``<function>`` bodies, a frame a row of ``inputs`` (property to
+    values).
+    """
     declared = "\n".join(f'<property value="1">{name}</property>' for name in inputs)
     text = "\n".join(
         f'<function name="{name}">{body}</function>' for name, body in functions.items()

@@ -1,4 +1,6 @@
-"""A program of random operations that stays bounded, with streams, masks, rates and records: for comparing what flies it."""
+"""A program of random operations that stays bounded, with streams, masks, rates and records: for
+comparing what flies it.
+"""
 
 from __future__ import annotations
 
@@ -50,7 +52,9 @@ def mixed(seed: int = 0, sections: int = 6, operations: int = 40) -> Program:
 
 
 def _clock() -> Section:
-    """Counts frames, asks for another row of noise in some, and turns the switch by a slot of the lane's own."""
+    """Counts frames, asks for another row of noise in some, and turns the switch by a slot of the
+    lane's own.
+    """
     b = Builder()
     frame = b.load("frame") + 1.0
     b.store("frame", frame)
@@ -92,7 +96,9 @@ def random_operations(b: Builder, rng: np.random.Generator, pool: list[Value], c
 
 
 def feeds(frames: int, lanes: int, seed: int = 3) -> dict[str, Feed]:
-    """Numbers for the streams of ``mixed``: two airs and noise of which some lanes have too little."""
+    """Numbers for the streams of ``mixed``: two airs and noise of which some lanes have too
+    little.
+    """
     rng = np.random.default_rng(seed)
     rows = frames // 2 + 1
     offsets = rng.integers(0, 2, lanes) * rows

@@ -1,4 +1,6 @@
-"""One frame from a copied state: JSBSim is flown a few frames with random forces, its state put into slots, both go on by one."""
+"""One frame from a copied state: JSBSim is flown a few frames with random forces, its state put
+into slots, both go on by one.
+"""
 
 from __future__ import annotations
 
@@ -172,8 +174,8 @@ def integrators(rotation: int, translation: int, attitude: int, position: int) -
 def one_frame(
     start: Mapping[str, float], seed: int = 0, changed: str | None = None, late_wind: bool = False
 ) -> dict[str, float]:
-    """Differences of one frame from a copied state. ``changed`` is the aircraft that is translated, ``late_wind`` has it meet the
-    wind of the frame before: for negative controls."""
+    """Differences of one frame from a copied state. ``changed`` is the aircraft that is translated,
+    ``late_wind`` has it meet the wind of the frame before: for negative controls."""
     rng = np.random.default_rng(seed)
     text, start = aircraft(BODY), {**START, **start}
     scale = np.array([5.0, 5.0, 20.0, 3.0, 3.0, 3.0, 30.0, 30.0, 10.0])

@@ -1,8 +1,9 @@
-"""The systems of a whole aircraft: flown by JSBSim with its other models, and by their translation fed with what those models gave.
+"""The systems of a whole aircraft: flown by JSBSim with its other models, and by their translation
+fed with what those models gave.
 
-A system put before all others copies every property that the systems read and do not write, at the place of the frame where they
-read it, and what it was one run before, which tells the first of the two initialising frames.
-"""
+A system put before all others copies every property that the systems read and do not write, at the
+place of the frame where they read it, and what it was one run before, which tells the first of the
+two initialising frames."""
 
 from __future__ import annotations
 
@@ -47,7 +48,9 @@ class _Reading(Frame):
 
 @dataclass(frozen=True)
 class _Flown:
-    """What JSBSim had: inputs (frames, inputs), in the first initialising frame ``first``; outputs (frames, outputs)."""
+    """What JSBSim had: inputs (frames, inputs), in the first initialising frame ``first``; outputs
+    (frames, outputs).
+    """
 
     first: np.ndarray
     inputs: np.ndarray
@@ -55,7 +58,9 @@ class _Flown:
 
 
 def flown_by_both(aircraft: Aircraft, parts: Sequence[System], frames: int, seed: int = 1) -> Pair:
-    """Written properties from the last initialising frame on, with commands that change every 20 frames."""
+    """Written properties from the last initialising frame on, with commands that change every 20
+    frames.
+    """
     fdm = _started(staged(aircraft))
     manager = fdm.get_property_manager()
     systems = Systems(parts, DT_S, fdm.get_propulsion().get_num_engines())
@@ -90,8 +95,9 @@ def _by_jsbsim(
     aircraft: Aircraft, given: list[str], made: list[str], frames: int, seed: int
 ) -> _Flown:
     copies = "".join(
-        f'<fcs_function name="probe/now-{k}"><function><p>{name}</p></function></fcs_function>'
-        f'<actuator name="probe/before-{k}"><input>{name}</input><delay type="frames">2</delay></actuator>'
+        "<fcs_function"
+        f' name="probe/now-{k}"><function><p>{name}</p></function></fcs_function><actuator'
+        f' name="probe/before-{k}"><input>{name}</input><delay type="frames">2</delay></actuator>'
         for k, name in enumerate(given)
     )
     with scratch_folder("probe") as scratch:

@@ -1,4 +1,6 @@
-"""A ``<system>`` flown by JSBSim and by its translation, with inputs that the host sets before each frame."""
+"""A ``<system>`` flown by JSBSim and by its translation, with inputs that the host sets before each
+frame.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,9 @@ def declared(names: Sequence[str]) -> str:
 
 @dataclass(frozen=True)
 class Pair:
-    """Written property to its values behind the initialising frames and behind each frame, by JSBSim and by the translation."""
+    """Written property to its values behind the initialising frames and behind each frame, by
+    JSBSim and by the translation.
+    """
 
     theirs: Series
     ours: Series
@@ -46,7 +50,9 @@ class Pair:
         }
 
     def ulps(self) -> float:
-        """The largest difference in units of the last place of JSBSim's value; 1e-300 and less counts as 0."""
+        """The largest difference in units of the last place of JSBSim's value; 1e-300 and less
+        counts as 0.
+        """
         worst = 0.0
         for name, theirs in self.theirs.items():
             ours = self.ours[name]
@@ -83,7 +89,10 @@ def traced(
     engines: int = 0,
     any_step: bool = False,
 ) -> list[Frame]:
-    """The two initialising frames and that of the flight. ``any_step``: the step is in slot STEP, not in the program."""
+    """The two initialising frames and that of the flight.
+
+    ``any_step``: the step is in slot STEP, not in the program.
+    """
     systems = Systems(parts, dt_s, engines)
     every = Frame(dt_s, values, None, any_step=any_step)
     systems.trace(every)
@@ -98,7 +107,10 @@ def traced(
 def run(
     frames: Sequence[Frame], inputs: Series, records: Sequence[str], draws: np.ndarray | None = None
 ) -> dict[str, np.ndarray]:
-    """What the translation makes of the inputs. The first row is there while initialising, each later one in its frame."""
+    """What the translation makes of the inputs.
+
+    The first row is there while initialising, each later one in its frame.
+    """
     rows = len(next(iter(inputs.values())))
     table = np.ascontiguousarray(np.stack([inputs[name] for name in inputs], axis=1))
     streams = [Stream("inputs", tuple(inputs))]
@@ -162,7 +174,9 @@ def compared(
 
 
 def judged(body: str, inputs: Series, engines: int = 0) -> tuple[dict[str, int], dict[str, int]]:
-    """How many values differ, by property; and how many when the numbers behind ``@`` are moved by 1e-12 of themselves."""
+    """How many values differ, by property; and how many when the numbers behind ``@`` are moved by
+    1e-12 of themselves.
+    """
     plain = body.replace("@", "")
     moved = re.sub(r"@([-+.\d]+)", lambda found: repr(float(found.group(1)) * (1.0 + 1e-12)), body)
     assert moved != plain
@@ -180,7 +194,9 @@ def refusal(body: str, inputs: Sequence[str] = ("i/a", "i/b")) -> str:
 
 
 def random_inputs(frames: int = 3000, seed: int = 1) -> dict[str, np.ndarray]:
-    """Noise in i/a, i/b, i/c with 0 among it; a switch i/on that changes now and then; steps in i/step."""
+    """Noise in i/a, i/b, i/c with 0 among it; a switch i/on that changes now and then; steps in
+    i/step.
+    """
     rng = np.random.default_rng(seed)
     out = {
         name: rng.normal(size=frames) * size

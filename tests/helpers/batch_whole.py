@@ -61,10 +61,11 @@ def spec(
 def beyond(
     given: FlightSpec, until_s: float = np.inf, changed: FlightSpec | None = None
 ) -> dict[str, float]:
-    """Signal to its largest difference over what is allowed, up to ``until_s``: above 1 the engines differ.
+    """Signal to its largest difference over what is allowed, up to ``until_s``: above 1 the engines
+    differ.
 
-    Allowed is what rounding makes of the flight in JSBSim. ``changed`` is what the batch engine flies, for a negative control.
-    """
+    Allowed is what rounding makes of the flight in JSBSim. ``changed`` is what the batch engine
+    flies, for a negative control."""
     theirs, near = fly(given), fly_one_ulp_off(given)
     (ours,) = fly_many([changed or given])
     assert same_end(theirs, ours), (theirs.status, theirs.flown_s, ours.status, ours.flown_s)
@@ -109,7 +110,9 @@ def copied(
 def with_bounds(
     folder: Path, size: float = 0.004, transient: float = 0.0, outside: Outside = "grow"
 ) -> Path:
-    """espaaro with bounds that depend on the state, and with a transient part where it has a size."""
+    """espaaro with bounds that depend on the state, and with a transient part where it has
+    a size.
+    """
     target = copied(folder)
     aircraft = find_aircraft(target)
     form = made_up_form(size=size, outside=outside)
@@ -119,7 +122,9 @@ def with_bounds(
 
 
 def without_air(folder: Path) -> Path:
-    """espaaro without its air system: JSBSim blows the wind, the host's gusts come through JSBSim's own properties."""
+    """espaaro without its air system: JSBSim blows the wind, the host's gusts come through JSBSim's
+    own properties.
+    """
     target = copied(folder)
     file = target / "espaaro.xml"
     lines = [

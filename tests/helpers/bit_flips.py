@@ -1,12 +1,13 @@
-"""Flip single bits of finished journals, tables and manifests, and see whether anybody could be misled by it.
+"""Flip single bits of finished journals, tables and manifests, and see whether anybody could be
+misled by it.
 
     python -m tests.helpers.bit_flips --flips 5000 [--seed 1]
 
-Each flip is made in a copy of a small campaign's folder; then verify, status, report (where it reads the file) and the command that
-flew it are called, in this process. No effect: tables, report and answers are the same bytes. Found: a command says so in a
-sentence, verify does too, what the others give is the same, and a run that refuses has changed no file. SILENT: anything else.
-Traceback: a command ends in one. Exit code 1 for either of the last two.
-"""
+Each flip is made in a copy of a small campaign's folder; then verify, status, report (where it
+reads the file) and the command that flew it are called, in this process. No effect: tables, report
+and answers are the same bytes. Found: a command says so in a sentence, verify does too, what the
+others give is the same, and a run that refuses has changed no file. SILENT: anything else.
+Traceback: a command ends in one. Exit code 1 for either of the last two."""
 
 from __future__ import annotations
 
@@ -47,7 +48,9 @@ _REPORTED = (MANIFEST, "cases.parquet", "decisions.csv", "sensitivity.csv")
 
 @dataclass(frozen=True)
 class Folder:
-    """A campaign's folder, the file that it was flown from, and the files in it whose bits are flipped."""
+    """A campaign's folder, the file that it was flown from, and the files in it whose bits are
+    flipped.
+    """
 
     path: Path
     campaign: Path
@@ -56,7 +59,9 @@ class Folder:
 
 @dataclass(frozen=True)
 class Seen:
-    """What commands gave: their output, tables and report, who complained, and whether a run that did changed a file."""
+    """What commands gave: their output, tables and report, who complained, and whether a run that
+    did changed a file.
+    """
 
     given: dict[str, str | bytes]
     complaints: tuple[str, ...]
@@ -65,7 +70,9 @@ class Seen:
 
 
 def make_folders(root: Path) -> list[Folder]:
-    """A complete campaign, one that decided, one stopped before its tables, with free pages, and one killed in a batch."""
+    """A complete campaign, one that decided, one stopped before its tables, with free pages, and
+    one killed in a batch.
+    """
     from tests.uqharness.campaign.test_rounds import TOML
 
     if not (root / "killed").exists():
@@ -91,7 +98,10 @@ def make_folders(root: Path) -> list[Folder]:
 def _fly(root: Path, deciding: str) -> None:
     root.mkdir(parents=True, exist_ok=True)
     text = fakes.CAMPAIGN.replace("flights = 3", "flights = 24").partition("[epistemic]")[0]
-    text += '[epistemic]\nmethod = "corners"\ncoefficients = ["CX", "CY"]\nbounds = { CX = 0.008, CY = 0.010 }\n'
+    text += (
+        '[epistemic]\nmethod = "corners"\ncoefficients = ["CX", "CY"]\nbounds = { CX = 0.008, CY ='
+        " 0.010 }\n"
+    )
     text += "interior = 0\nnominal = false\n"
     text += "[metrics]\nexcursion_radius_m = 15\n"
     plain, decide = fakes.campaign_file(root, text), root / "decide.toml"
@@ -210,7 +220,9 @@ def _content(place: Path) -> dict[str, bytes]:
 def flips(
     folders: list[Folder], count: int, chance: random.Random
 ) -> Iterator[tuple[Folder, str, int]]:
-    """Folder, file and bit: half of the bits anywhere in a file, the others near its ends or those of a page."""
+    """Folder, file and bit: half of the bits anywhere in a file, the others near its ends or those
+    of a page.
+    """
     every = [(folder, name) for folder in folders for name in folder.files]
     # The journal is by far the largest, and the one that is read in parts.
     weights = [6 if name == JOURNAL else 2 if name == LEFTOVER else 1 for _, name in every]
@@ -255,7 +267,8 @@ def run(
             found.setdefault(f"{folder.path.name}/{name}", Counter())[outcome] += 1
             if outcome in (SILENT, TRACEBACK):
                 say(
-                    f"flip {number}: {folder.path.name}/{name} bit {bit}: {outcome} {seen.traceback} {seen.complaints}"
+                    f"flip {number}: {folder.path.name}/{name} bit {bit}: {outcome}"
+                    f" {seen.traceback} {seen.complaints}"
                 )
     return found
 
@@ -276,7 +289,9 @@ def copied(folder: Folder, place: Path) -> Path:
 
 @contextlib.contextmanager
 def harmless() -> Iterator[None]:
-    """Flights and check flights that cost nothing, and tables that are made once from the same flights."""
+    """Flights and check flights that cost nothing, and tables that are made once from the same
+    flights.
+    """
     import uqharness.campaign.folder.shards as seal
     import uqharness.campaign.run as campaign
     import uqharness.flight.fly as flight

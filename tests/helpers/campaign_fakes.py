@@ -1,4 +1,6 @@
-"""Flight functions that do on purpose what real flights do by accident, importable by worker processes of any start method."""
+"""Flight functions that do on purpose what real flights do by accident, importable by worker
+processes of any start method.
+"""
 
 from __future__ import annotations
 
@@ -94,7 +96,9 @@ def steady(spec: FlightSpec) -> FlightResult:
 
 
 def by_corner(spec: FlightSpec) -> FlightResult:
-    """Excursions in clusters of two, at a rate that two levels and the wind set: 0, 0.2 or 4 a flight."""
+    """Excursions in clusters of two, at a rate that two levels and the wind set: 0, 0.2 or 4 a
+    flight.
+    """
     levels = [spec.properties.get(f"uq/{name}/level", 0.5) for name in ("CX", "CY")]
     rate = 0.0 if spec.wind_mps < 5.0 else {0.0: 0.0, 0.5: 0.2, 1.0: 4.0}[sum(levels) / 2.0]
     draw = np.random.default_rng([spec.seed_turbulence, int(4 * sum(levels))])
@@ -141,7 +145,9 @@ def _nth(spec: FlightSpec) -> int:
 
 
 def hazardous(spec: FlightSpec) -> FlightResult:
-    """One flight in ten aborts the interpreter, one faults, one diverges, one raises, one leaves with an exit code."""
+    """One flight in ten aborts the interpreter, one faults, one diverges, one raises, one leaves
+    with an exit code.
+    """
     kind = _nth(spec)
     if kind == 0:
         os.kill(os.getpid(), signal.SIGABRT)
@@ -241,7 +247,9 @@ def undefined_excursions(spec: FlightSpec) -> FlightResult:
 
 
 def main() -> None:
-    """python -m tests.helpers.campaign_fakes FOLDER OUT FLIGHTS FAKE WORKERS START_METHOD: a run that a test may kill."""
+    """python -m tests.helpers.campaign_fakes FOLDER OUT FLIGHTS FAKE WORKERS START_METHOD: a run
+    that a test may kill.
+    """
     from uqharness.campaign.execution.processes import ProcessExecutor
     from uqharness.campaign.run import run_campaign
 

@@ -1,4 +1,6 @@
-"""The scripts below campaigns/, whose folders need not be names that Python could import by a statement."""
+"""The scripts below campaigns/, whose folders need not be names that Python could import by a
+statement.
+"""
 
 from __future__ import annotations
 

@@ -1,10 +1,13 @@
-"""Examples of README.md and docs/*.md: found, sorted into kinds, and run in a scratch copy of the project.
+"""Examples of README.md and docs/*.md: found, sorted into kinds, and run in a scratch copy of the
+project.
 
-What an example needs beside its text stands in an HTML comment right before it, one directive a line:
+What an example needs beside its text stands in an HTML comment right before it, one directive a
+line:
 
     <!-- example:
     slow: REASON             run in the slow set alone
-    fast: OLD => NEW         the fast set runs the text with OLD replaced by NEW; the slow set as it stands
+    fast: OLD => NEW         the fast set runs the text with OLD replaced by NEW; the slow set as it
+    stands
     before: COMMAND          run first: what the page takes as given
     file: NAME               the block is the content of that file
     then: COMMAND            run afterwards, to see that the block is right
@@ -63,7 +66,8 @@ CAMPAIGN_SECTIONS = {
     "stop": StopSection,
 }
 DIRECTIVES = {"slow", "fast", "before", "file", "then", "exit", "leave out", "slow line", "not run"}
-# Lines that would run the test that runs them, install, or ask the network; every other make target is run.
+# Lines that would run the test that runs them, install, or ask the network; every other make target
+# is run.
 MAKE_LEFT_OUT = {
     "setup": "installs the environment that the examples run in",
     "test": "is what runs the examples",
@@ -79,7 +83,10 @@ MAKE_SLOW = {"demo"}
 OURS = ("uqharness", "sysid", "tests", "campaigns")
 """Packages whose programs are asked for their help in this process."""
 # The console program of JSBSim's wheel, by its entry point: it need not lie beside the interpreter.
-JSBSIM = "import sys; from importlib.metadata import entry_points as e; sys.exit(next(iter(e(name='jsbsim'))).load()())"
+JSBSIM = (
+    "import sys; from importlib.metadata import entry_points as e;"
+    " sys.exit(next(iter(e(name='jsbsim'))).load()())"
+)
 # Fences that are no example: equations and directives of the built site.
 NO_EXAMPLE = re.compile(r"math$|\{[a-z-]+\}")
 
@@ -105,7 +112,9 @@ class Example:
         return next(iter(self.all(name)), None)
 
     def commands(self, slow: bool) -> list[str]:
-        """Lines of a shell block as they are run: joined at backslashes, the left-out ones gone, the fast ones reduced."""
+        """Lines of a shell block as they are run: joined at backslashes, the left-out ones gone,
+        the fast ones reduced.
+        """
         marks = self.all("leave out") + ([] if slow else self.all("slow line"))
         left_out = [value.split(" -- ")[0].strip() for value in marks]
         lines = [line.strip() for line in re.sub(r"\\\n\s*", " ", self.text).splitlines()]
@@ -123,7 +132,10 @@ class Example:
 
 
 def make_runs(line: str, slow: bool) -> bool:
-    """Whether a line is to be run, as far as make is concerned. Raises KeyError for a target that the Makefile lacks."""
+    """Whether a line is to be run, as far as make is concerned.
+
+    Raises KeyError for a target that the Makefile lacks.
+    """
     words = shlex.split(line, comments=True)
     if words[:1] != ["make"]:
         return True
@@ -141,7 +153,10 @@ def pages() -> list[Path]:
 
 
 def examples(page: Path) -> list[Example]:
-    """Every block of code of a page, in order. Raises ValueError for a marker that means nothing."""
+    """Every block of code of a page, in order.
+
+    Raises ValueError for a marker that means nothing.
+    """
     return examples_of(page.read_text(encoding="utf-8"), page.name)
 
 
@@ -172,7 +187,8 @@ def directives(comment: str, where: str) -> tuple[tuple[str, str], ...]:
         key, colon, value = line.partition(":")
         if key not in DIRECTIVES or not colon or not value.strip():
             raise ValueError(
-                f"{where}: '{line}' is no directive; there are: {', '.join(sorted(DIRECTIVES))}, each with ': ...'"
+                f"{where}: '{line}' is no directive; there are: {', '.join(sorted(DIRECTIVES))},"
+                " each with ': ...'"
             )
         if key == "fast" and "=>" not in value:
             raise ValueError(f"{where}: '{line}': fast: OLD => NEW")
@@ -209,7 +225,9 @@ def kind_of(text: str, info: str, marker: tuple[tuple[str, str], ...]) -> str:
 
 
 def paragraphs_are(parse: object, text: str, error: type[Exception]) -> Iterator[bool]:
-    """True once if the text, or else every paragraph of it, can be parsed (a page may show alternatives in one block)."""
+    """True once if the text, or else every paragraph of it, can be parsed (a page may show
+    alternatives in one block).
+    """
     for parts in ([text], re.split(r"\n\s*\n", text)):
         try:
             for part in parts:
@@ -260,7 +278,9 @@ class Scratch:
         (programs.parent / ".installed").touch()
 
     def run(self, example: Example, slow: bool) -> None:
-        """Run one example as the set wants it; AssertionError with its place when it does not do what the page says."""
+        """Run one example as the set wants it; AssertionError with its place when it does not do
+        what the page says.
+        """
         self.slow = slow
         with contextlib.chdir(self.folder):
             for command in example.all("before"):
@@ -312,7 +332,9 @@ class Scratch:
 
 
 def in_process(words: list[str]) -> tuple[int, str]:
-    """Exit code and output of one ``uqharness`` command, without the two seconds that starting Python takes."""
+    """Exit code and output of one ``uqharness`` command, without the two seconds that starting
+    Python takes.
+    """
     said = io.StringIO()
     with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
         try:
@@ -331,7 +353,9 @@ def script_in_process(file: str) -> tuple[int, str]:
 
 
 def check_toml(example: Example) -> None:
-    """Keys and values of a piece of a campaign file are ones that a campaign may have; what the piece leaves out may be missing."""
+    """Keys and values of a piece of a campaign file are ones that a campaign may have; what the
+    piece leaves out may be missing.
+    """
     try:
         pieces = [tomllib.loads(example.text)]
     except tomllib.TOMLDecodeError:
@@ -395,7 +419,10 @@ def differs(page: Path) -> bool:
 
 @cache
 def help_of(module: str, verb: str | None) -> str:
-    """What `python -m module [verb] --help` prints. AssertionError where there is no such program."""
+    """What `python -m module [verb] --help` prints.
+
+    AssertionError where there is no such program.
+    """
     words = [module, *([verb] if verb else []), "--help"]
     if module.split(".")[0] not in OURS:
         done = subprocess.run(

@@ -48,7 +48,9 @@ def wrong_places(text: str) -> list[str]:
 
 
 def check_commands(text: str, where: str) -> int:
-    """Every `command` of a text has the subcommands and options that it names; how many there are."""
+    """Every `command` of a text has the subcommands and options that it names; how many
+    there are.
+    """
     found = COMMAND.findall(text)
     for command in found:
         check_options(command, command, where)
@@ -69,7 +71,9 @@ def wrong_names(text: str) -> list[str]:
 
 
 def leads_somewhere(name: str) -> bool:
-    """Whether a dotted name is a package, a module, or something that a module defines or gives on."""
+    """Whether a dotted name is a package, a module, or something that a module defines or
+    gives on.
+    """
     parts = name.split(".")
     for k in range(len(parts), 0, -1):
         module, rest = ROOT.joinpath(*parts[:k]), ".".join(parts[k:])
@@ -86,5 +90,7 @@ def leads_somewhere(name: str) -> bool:
 
 
 def wrong_folders(text: str) -> list[str]:
-    """`folder/` marks of a text that lead nowhere; one with a placeholder in capitals is left out."""
+    """`folder/` marks of a text that lead nowhere; one with a placeholder in capitals is
+    left out.
+    """
     return [name for name in FOLDER.findall(text) if not (ROOT / name).is_dir()]

@@ -23,7 +23,9 @@ def example_of(thing: object) -> str:
 
 
 def public_functions() -> list[tuple[str, str]]:
-    """(package, name) of the public functions, none of them loaded: those of their names that do not begin like a class."""
+    """(package, name) of the public functions, none of them loaded: those of their names that do
+    not begin like a class.
+    """
     faces = (uqharness, sysid, uqharness.sensitivity)
     return [
         (face.__name__, name)

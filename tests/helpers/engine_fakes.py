@@ -1,4 +1,6 @@
-"""A batch engine that flies what JSBSim's stand-in flies, or almost, or not, importable by worker processes."""
+"""A batch engine that flies what JSBSim's stand-in flies, or almost, or not, importable by worker
+processes.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +32,8 @@ class Understanding:
 
 @dataclass(frozen=True)
 class Flown:
-    """Flies groups: the batch engine's flights have ``metric`` moved by ``offset``, only whole ones if ``late``.
+    """Flies groups: the batch engine's flights have ``metric`` moved by ``offset``, only whole ones
+    if ``late``.
 
     ``sleep_s`` a flight; JSBSim's own from one ulp off has the metric moved by ``rounding``.
     """
@@ -58,7 +61,9 @@ class Flown:
 
 @dataclass(frozen=True)
 class Deadly(Flown):
-    """One case of the campaign, at all upper bounds in one of its airs, ends the process that flies it in the batch engine."""
+    """One case of the campaign, at all upper bounds in one of its airs, ends the process that flies
+    it in the batch engine.
+    """
 
     seed: int = 0
 

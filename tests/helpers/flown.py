@@ -1,4 +1,6 @@
-"""Flights for identification tests, made by sixdof's equations and not by JSBSim: the truth is known and owes JSBSim nothing."""
+"""Flights for identification tests, made by sixdof's equations and not by JSBSim: the truth is
+known and owes JSBSim nothing.
+"""
 
 from __future__ import annotations
 
@@ -94,7 +96,9 @@ def fly(
     rate_hz: float = 50.0,
     rhs=derivative,
 ) -> FlightRecord:
-    """A record of manoeuvres (kind, airspeed), each from its trim, one second apart; noise of Table 2.1 unless seed is None."""
+    """A record of manoeuvres (kind, airspeed), each from its trim, one second apart; noise of Table
+    2.1 unless seed is None.
+    """
     airframe = airframe or Airframe()
     dt = 1.0 / rate_hz
     parts = []

@@ -12,10 +12,11 @@ from uqharness.campaign.execution.processes import ProcessExecutor, SerialExecut
 
 @contextmanager
 def flying_here() -> Iterator[None]:
-    """Inside, a campaign's flights start no process. For tests that ask something else than what processes do.
+    """Inside, a campaign's flights start no process. For tests that ask something else than what
+    processes do.
 
-    Starting one and compiling the batch engine's program in it costs two seconds, three times a campaign.
-    """
+    Starting one and compiling the batch engine's program in it costs two seconds, three times a
+    campaign."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
             ProcessExecutor,

@@ -22,7 +22,8 @@ def root_elements() -> frozenset[str]:
 
 @cache
 def _grammar(root: str) -> etree.RelaxNG:
-    # libxml2 says nothing of what fails within a choice, so the one among root elements is made here.
+    # libxml2 says nothing of what fails within a choice, so the one among root elements is made
+    # here.
     start = f'<start><ref name="{root}"/></start>'
     text = f'<grammar xmlns="{RNG}"><include href="{GRAMMAR.name}">{start}</include></grammar>'
     return etree.RelaxNG(etree.fromstring(text, base_url=GRAMMAR.as_uri()))

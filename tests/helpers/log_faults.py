@@ -1,4 +1,6 @@
-"""Slips that are made with a log's channels: what is multiplied by what, and what a check should say."""
+"""Slips that are made with a log's channels: what is multiplied by what, and what a check should
+say.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Minimal writers for test logs: ULog by its published layout, tlog by pymavlink, DataFlash text by hand."""
+"""Minimal writers for test logs: ULog by its published layout, tlog by pymavlink, DataFlash text by
+hand.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,10 @@ def write_ulog(
     mav_type: int = 1,
     parameters: dict[str, int] | None = None,
 ) -> None:
-    """topics: name -> (time_us (n,), field -> (n,) float). Fields named "q[0]"... are written as one array."""
+    """topics: name -> (time_us (n,), field -> (n,) float).
+
+    Fields named "q[0]"... are written as one array.
+    """
 
     def message(kind: bytes, body: bytes) -> bytes:
         return struct.pack("<HB", len(body), kind[0]) + body
@@ -128,7 +133,9 @@ def write_text_log(path: Path, record: FlightRecord, vehicle: str = "ArduPlane V
 def px4_topics(
     record: FlightRecord, servos: tuple[str, ...] = ("aileron", "elevator", "throttle", "rudder")
 ) -> dict[str, Any]:
-    """What PX4 would log of a record's flight: each topic at its usual rate, outputs as 20 us a degree and 10 us a percent."""
+    """What PX4 would log of a record's flight: each topic at its usual rate, outputs as 20 us a
+    degree and 10 us a percent.
+    """
     time = record["time_s"]
     rng = np.random.default_rng(4)
 

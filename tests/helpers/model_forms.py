@@ -54,7 +54,9 @@ def made_up_form(
     seed: int = 1,
     size: float = 0.01,
 ) -> ModelForm:
-    """Coefficients with the same states and order share data, and with it their (X'X)^-1; states are correlated."""
+    """Coefficients with the same states and order share data, and with it their (X'X)^-1; states
+    are correlated.
+    """
     rng = np.random.default_rng(seed)
     data = {}
     out = {}
@@ -115,7 +117,8 @@ def with_parts(
     time_s: float = 0.5,
     missing: Collection[str] | None = None,
 ) -> ModelForm:
-    """The form with its model error told apart; ``transient`` of every coefficient, or of those named.
+    """The form with its model error told apart; ``transient`` of every coefficient, or of those
+    named.
 
     missing: coefficients whose model error counts as found; by default all.
     """

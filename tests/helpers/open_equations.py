@@ -1,10 +1,10 @@
-"""A rigid aeroplane's equations in the open, linear in its coefficient terms, to check linearised flights against.
+"""A rigid aeroplane's equations in the open, linear in its coefficient terms, to check linearised
+flights against.
 
-States V alpha beta p q r phi theta and the gusts' five (`sysid.aerodynamics.air_motion`); inputs de da dr [deg], other
-forces [N] and moments
-[N m] (thrust), air density, and what the model's coefficients hold besides the terms. Written with elementwise
-operations, so that many parameter sets run side by side.
-"""
+States V alpha beta p q r phi theta and the gusts' five (`sysid.aerodynamics.air_motion`); inputs de
+da dr [deg], other forces [N] and moments [N m] (thrust), air density, and what the model's
+coefficients hold besides the terms. Written with elementwise operations, so that many parameter
+sets run side by side."""
 
 from __future__ import annotations
 
@@ -47,11 +47,11 @@ OUTPUTS = (
 class OpenEquations:
     """f(x, u, theta) and g(x, u, theta) for `sysid.filter_error`.
 
-    terms    names such as Cm_q, the first parameters of theta; biases: channels whose constant bias follows them in theta
-    outputs  which of OUTPUTS g returns
+    terms    names such as Cm_q, the first parameters of theta; biases: channels whose constant bias
+    follows them in theta outputs  which of OUTPUTS g returns
 
-    u: de, da, dr; forces [N] and moments [N m] that are not aerodynamic; density [kg/m3]; what is known of CX, CY, CZ, Cl, Cm, Cn.
-    """
+    u: de, da, dr; forces [N] and moments [N m] that are not aerodynamic; density [kg/m3]; what is
+    known of CX, CY, CZ, Cl, Cm, Cn."""
 
     terms: tuple[str, ...]
     biases: tuple[str, ...]
@@ -63,7 +63,8 @@ class OpenEquations:
         unknown = [t for t in self.terms if split_name(t) is None]
         if unknown:
             raise ValueError(
-                f"{unknown[0]} is no coefficient term; filter error knows {', '.join(COEFFICIENTS)} with their terms"
+                f"{unknown[0]} is no coefficient term; filter error knows {', '.join(COEFFICIENTS)}"
+                " with their terms"
             )
 
     @property
@@ -127,7 +128,9 @@ class OpenEquations:
     def rest(
         self, coefficients: FloatArray, found: dict[str, FloatArray], values: Sequence[float]
     ) -> FloatArray:
-        """(n, 6) what is left of a model's coefficients (n, 6) when the terms at ``values`` are taken out."""
+        """(n, 6) what is left of a model's coefficients (n, 6) when the terms at ``values`` are
+        taken out.
+        """
         out = coefficients.copy()
         for name, value in zip(self.terms, values, strict=True):
             parsed = split_name(name)

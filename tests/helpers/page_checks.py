@@ -44,7 +44,8 @@ def words_of(page: str) -> str:
 
 def _form(page: str, tree: html.HtmlElement) -> list[str]:
     found = []
-    # Tags that were opened are closed: an XML parser agrees once the few void elements are made so, and scripts are left out.
+    # Tags that were opened are closed: an XML parser agrees once the few void elements are made so,
+    # and scripts are left out.
     strict = re.sub(r"<(meta[^>]*)>", r"<\1/>", page.replace("<!DOCTYPE html>", ""))
     strict = re.sub(r"(?s)(<script[^>]*>).*?(</script>)", r"\1\2", strict)
     try:

@@ -35,7 +35,9 @@ def wave(scale=1.0):
 
 
 def identified(folder):
-    """An identification with a parameter that is not identified and a channel without noise or value."""
+    """An identification with a parameter that is not identified and a channel without noise or
+    value.
+    """
     parameters = {
         "aero/Cm_q": {
             "value": -13.5,
@@ -263,16 +265,17 @@ ANSWER = {
     "level": "warn",
     "answer": "Yes in 3 and 7 m/s, no in 12 m/s wind with moderate turbulence (95 % confidence).",
     "why": (
-        "Why: excursions beyond 15 m, worst corner: at most 1.55/h in 7 m/s, 12.2/h (6.4 to 19.9) in 12 m/s; acceptable 2/h; "
-        "400 h a condition, no flights aborted."
+        "Why: excursions beyond 15 m, worst corner: at most 1.55/h in 7 m/s, 12.2/h (6.4 to 19.9)"
+        " in 12 m/s; acceptable 2/h; 400 h a condition, no flights aborted."
     ),
     "lacked": (
-        "The model lacked rolling moment due to elevator, pitching moment due to roll rate squared, axial force due to pitch rate. "
-        "With them: held-out residual of p from 4.04 to 1.01 sigma, cross-track p-box 57 % narrower, same answers."
+        "The model lacked rolling moment due to elevator, pitching moment due to roll rate squared,"
+        " axial force due to pitch rate. With them: held-out residual of p from 4.04 to 1.01 sigma,"
+        " cross-track p-box 57 % narrower, same answers."
     ),
     "next": (
-        "Next: change the autopilot, the radius or the wind limit: 12 m/s moderate fails at the best corner too (at least 5.7/h), "
-        "so no better model changes it."
+        "Next: change the autopilot, the radius or the wind limit: 12 m/s moderate fails at the"
+        " best corner too (at least 5.7/h), so no better model changes it."
     ),
 }
 """A study's answer as long as that of `make demo`."""
@@ -280,7 +283,9 @@ TRACKS = {"wind_mps": 3.0, "turbulence": "moderate", "aleatory_id": 0, "radius_m
 
 
 def tracks(folder):
-    """tracks.parquet: circles of 120 m, nominal and worst corner, before and after, each off by its own amount."""
+    """tracks.parquet: circles of 120 m, nominal and worst corner, before and after, each off by its
+    own amount.
+    """
     time_s = np.arange(0.0, 60.0, 0.2)
     away = {
         ("before", "nominal"): 8.0,

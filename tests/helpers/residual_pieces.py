@@ -32,7 +32,9 @@ def first_order(n: int, time_s: float, rng: np.random.Generator) -> np.ndarray:
 def noise_of(
     n: int, std: float, spread: float = 0.03, states: Mapping[str, float] | None = None
 ) -> PieceNoise:
-    """White noise of the accelerometers, ``std`` in CX behind the smoother's weights; states: name -> their noise."""
+    """White noise of the accelerometers, ``std`` in CX behind the smoother's weights; states: name
+    -> their noise.
+    """
     gain = np.zeros((n, 6))
     gain[:, 0] = std
     weights = tuple(kernel(HALF, DT).tolist())
@@ -50,7 +52,9 @@ def residuals_of(
     flights: Sequence[int] | None = None,
     spread: float = 0.03,
 ) -> Residuals:
-    """CX residuals, one piece a series, called m0, m1, ..., with sensor noise of ``std`` presumed."""
+    """CX residuals, one piece a series, called m0, m1, ..., with sensor noise of ``std``
+    presumed.
+    """
     pieces = []
     for k, y in enumerate(series):
         delta = np.zeros((len(y), 6))

@@ -16,7 +16,9 @@ from uqharness.flight import FlightResult, FlightSpec
 def with_medians(
     change: Callable[[FlightSpec], float],
 ) -> Callable[[str, Sequence[FlightSpec]], list[FlightResult]]:
-    """An engine whose flights are those of ``fakes.steady`` but for the medians, each of which is ``change`` of the flight."""
+    """An engine whose flights are those of ``fakes.steady`` but for the medians, each of which is
+    ``change`` of the flight.
+    """
 
     def fly_flights(engine: str, flights: Sequence[FlightSpec]) -> list[FlightResult]:
         found = []

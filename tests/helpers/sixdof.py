@@ -1,8 +1,8 @@
-"""An aeroplane's equations of motion, independent of JSBSim: vectors, a flat earth, fourth-order Runge-Kutta.
+"""An aeroplane's equations of motion, independent of JSBSim: vectors, a flat earth, fourth-order
+Runge-Kutta.
 
-It serves as the second opinion on the XML and as the source of flights whose truth JSBSim does not know. Nothing of the package is
-imported here.
-"""
+It serves as the second opinion on the XML and as the source of flights whose truth JSBSim does not
+know. Nothing of the package is imported here."""
 
 from __future__ import annotations
 
@@ -140,7 +140,9 @@ def rotation_to_body(phi: float, theta: float, psi: float) -> FloatArray:
 
 
 def derivative(airframe: Airframe, x: FloatArray, u: FloatArray) -> FloatArray:
-    """d/dt of x = (u v w, p q r, phi theta psi, north east down) for u = (de, da, dr [deg], throttle [pct]), still air."""
+    """d/dt of x = (u v w, p q r, phi theta psi, north east down) for u = (de, da, dr [deg],
+    throttle [pct]), still air.
+    """
     a = airframe
     ub, vb, wb, p, q, r = x[:6].tolist()
     de, da, dr, throttle = np.asarray(u).tolist()

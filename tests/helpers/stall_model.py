@@ -1,8 +1,7 @@
 """Dynamic stall for the independent equations of motion, eqs 2.25-2.40 with the print's tanh.
 
-Lift depends on alphadot through the lagging separation and alphadot on lift: the implicit equation is solved here at
-every evaluation, where JSBSim takes the alphadot of the frame before.
-"""
+Lift depends on alphadot through the lagging separation and alphadot on lift: the implicit equation
+is solved here at every evaluation, where JSBSim takes the alphadot of the frame before."""
 
 from __future__ import annotations
 
@@ -48,7 +47,9 @@ TABLE_2_4: Mapping[str, float] = {
 
 @dataclass(frozen=True)
 class Separation:
-    """Constants of X: steepness [1/deg], half-separated angles [deg], lag [c/V seconds], sign of the lag in the second factor."""
+    """Constants of X: steepness [1/deg], half-separated angles [deg], lag [c/V seconds], sign of
+    the lag in the second factor.
+    """
 
     a1: float = 0.5
     alpha1: float = 11.0
@@ -58,7 +59,9 @@ class Separation:
     on: bool = True
 
     def attached(self, alpha_deg: float, lag_deg: float) -> float:
-        """X (eq 2.40) at the angle of attack and tau2 c/V alphadot, both in degrees: 1 attached, 0 separated."""
+        """X (eq 2.40) at the angle of attack and tau2 c/V alphadot, both in degrees: 1 attached, 0
+        separated.
+        """
         upper = 1.0 - math.tanh(self.a1 * (alpha_deg - lag_deg - self.alpha1))
         lower = 1.0 - math.tanh(self.a1 * (self.alpha2 - alpha_deg + self.second * lag_deg))
         return 0.25 * upper * lower
@@ -70,7 +73,10 @@ class Separation:
 
 @dataclass(frozen=True)
 class StallingAirframe(sixdof.Airframe):
-    """An airframe whose lift separates. ``wind_axes``: Table 2.4's; else Table 2.6's with the reference truth's effects."""
+    """An airframe whose lift separates.
+
+    ``wind_axes``: Table 2.4's; else Table 2.6's with the reference truth's effects.
+    """
 
     separation: Separation = field(default_factory=Separation)
     wind_axes: bool = True
@@ -136,7 +142,9 @@ def _root(f: Callable[[float], float]) -> float:
 
 
 def derivative(a: StallingAirframe, x: FloatArray, u: FloatArray) -> FloatArray:
-    """d/dt of sixdof's state for u = (de, da, dr [deg], throttle [pct]), still air; alphadot solved for."""
+    """d/dt of sixdof's state for u = (de, da, dr [deg], throttle [pct]), still air; alphadot solved
+    for.
+    """
     ub, vb, wb, p, q, r, phi, theta, _, _, _, down = x.tolist()
     de, da, dr, throttle = np.asarray(u).tolist()
     V = math.sqrt(ub * ub + vb * vb + wb * wb)

@@ -1,4 +1,7 @@
-"""A digest of all random streams of a flight; ``python -m tests.helpers.stream_digest`` prints it. It needs no compiler."""
+"""A digest of all random streams of a flight; ``python -m tests.helpers.stream_digest`` prints it.
+
+It needs no compiler.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +20,9 @@ from uqharness.flight.stepping import Levels
 
 
 def digest() -> str:
-    """SHA-256 of gusts, levels, normals, JSBSim's normals, and the scores of flights made of them."""
+    """SHA-256 of gusts, levels, normals, JSBSim's normals, and the scores of flights made
+    of them.
+    """
     sha = hashlib.sha256()
     for seed, air in enumerate(
         [(22.2, 100.0, 30.0, 3.66), (61.7, 17.3, 15.0, 11.1), (9.1, 304.0, 45.0, 0.7)]
@@ -59,7 +64,9 @@ def scored(columns: np.ndarray) -> bytes:
 
 
 def librarys() -> str:
-    """The same of the C library's and numpy's own functions: what the streams must not depend on."""
+    """The same of the C library's and numpy's own functions: what the streams must not
+    depend on.
+    """
     x = np.random.Generator(np.random.PCG64(1)).random(50_000)
     theirs = np.array([[math.exp(v), math.log(v), math.sin(v)] for v in x.tolist()])
     return hashlib.sha256(theirs.tobytes() + np.exp(x).tobytes() + np.log(x).tobytes()).hexdigest()

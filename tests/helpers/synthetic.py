@@ -1,4 +1,6 @@
-"""A flight whose channels agree with one another exactly: smooth analytic motion, everything else by kinematics."""
+"""A flight whose channels agree with one another exactly: smooth analytic motion, everything else
+by kinematics.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,10 @@ def flight(
     amplitude: float = 1.0,
     surfaces: bool = True,
 ) -> FlightRecord:
-    """Sums of sines for attitude and air velocity, the rest by kinematics. `arm_m`: place of the accelerometers."""
+    """Sums of sines for attitude and air velocity, the rest by kinematics.
+
+    `arm_m`: place of the accelerometers.
+    """
     rng = np.random.default_rng(seed)
     n = round(duration_s * rate_hz)
     t = np.arange(n) / rate_hz

@@ -1,11 +1,10 @@
 """A campaign run that a test may kill, or that kills itself in the middle of a write.
 
-python -m tests.helpers.torture FOLDER OUT FLIGHTS FAKE HOW [MOMENT]: HOW is fork, spawn or the address of a Dask scheduler;
-MOMENT is
-journal:N (killed with the N-th batch half in the journal), table:N (killed with the N-th file written and not yet in place) or
-step:N (killed before the N-th change of a folder). FLIGHTS "as-is" flies FOLDER/campaign.toml as it stands. FAKE is of
-campaign_fakes or engine_fakes.
-"""
+python -m tests.helpers.torture FOLDER OUT FLIGHTS FAKE HOW [MOMENT]: HOW is fork, spawn or the
+address of a Dask scheduler; MOMENT is journal:N (killed with the N-th batch half in the journal),
+table:N (killed with the N-th file written and not yet in place) or step:N (killed before the N-th
+change of a folder). FLIGHTS "as-is" flies FOLDER/campaign.toml as it stands. FAKE is of
+campaign_fakes or engine_fakes."""
 
 from __future__ import annotations
 
@@ -33,7 +32,8 @@ def tear(moment: str) -> None:
             batch = list(outcomes)
             left[0] -= bool(batch)
             if left[0] == 0:
-                # A small cache spills, so that half a transaction is in the file when its writer dies.
+                # A small cache spills, so that half a transaction is in the file when its writer
+                # dies.
                 self._database.execute("pragma cache_size = 1")
                 self._database.execute("begin")
                 rows = [

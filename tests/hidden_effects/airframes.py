@@ -1,4 +1,6 @@
-"""The aircraft that refine is given: the project's own, or a second one written from it with other numbers."""
+"""The aircraft that refine is given: the project's own, or a second one written from it with other
+numbers.
+"""
 
 from __future__ import annotations
 
@@ -22,14 +24,18 @@ _MASS = {
 
 
 def aircraft_folder(name: str, airframe: Airframe, folder: Path) -> Path:
-    """aircraft/espaaro of the project as it stands, or a copy called ``name`` that holds the airframe's numbers."""
+    """aircraft/espaaro of the project as it stands, or a copy called ``name`` that holds the
+    airframe's numbers.
+    """
     if name == "espaaro":
         return ROOT / "aircraft" / "espaaro"
     return write_aircraft(name, airframe, folder)
 
 
 def write_aircraft(name: str, airframe: Airframe, folder: Path) -> Path:
-    """folder/name: a copy of aircraft/espaaro whose coefficients, masses and lengths are the airframe's. Returns its folder."""
+    """folder/name: a copy of aircraft/espaaro whose coefficients, masses and lengths are the
+    airframe's. Returns its folder.
+    """
     out = folder / name
     shutil.copytree(ROOT / "aircraft" / "espaaro", out, dirs_exist_ok=True)
     xml = out / "espaaro.xml"

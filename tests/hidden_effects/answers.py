@@ -12,7 +12,8 @@ from tests.hidden_effects.cases import Case
 from tests.hidden_effects.catalogue import ENTRIES
 from tests.hidden_effects.effects import COEFFICIENTS
 
-FLOOR = 1.15  # rms over noise up to which a channel is at the noise floor, as `uqharness compare` has it
+# rms over noise up to which a channel is at the noise floor, as `uqharness compare` has it
+FLOOR = 1.15
 LARGEST_SET = 3
 VERDICTS = {"effects-found": 0, "no-missing-effect": 0, "unexplained": 1}
 _CHANNELS = (
@@ -36,9 +37,11 @@ _CHANNELS = (
 class Score:
     """One case judged.
 
-    right     the case's own criterion: right name (or inseparable set with it) first; both of a pair; nothing for a null;
+    right     the case's own criterion: right name (or inseparable set with it) first; both of a
+    pair; nothing for a null;
               off form: unexplained, or proxies alone that bring the test gap to the floor
-    together  of a cause that is one and the same with another on the data: both stand in the answer (None: no such cause, or
+    together  of a cause that is one and the same with another on the data: both stand in the answer
+    (None: no such cause, or
               the other belongs to no body)
     spurious  effects that stand for nothing hidden
     z         (value - truth) / std of each coefficient term that was named as hidden
@@ -57,7 +60,9 @@ class Score:
 
 
 def canonical(effect: Mapping[str, Any]) -> str:
-    """ "subject:term" of an effect or alternative; a sensor's channel may be named without its unit."""
+    """ "subject:term" of an effect or alternative; a sensor's channel may be named without its
+    unit.
+    """
     subject = str(effect.get("coefficient") or effect.get("subsystem") or "?")
     if subject.startswith("sensor."):
         channel = subject.removeprefix("sensor.")
@@ -67,7 +72,9 @@ def canonical(effect: Mapping[str, Any]) -> str:
 
 
 def accepted(key: str) -> set[str]:
-    """Keys any of which is the right name of a hidden effect: itself and what is the same on the data."""
+    """Keys any of which is the right name of a hidden effect: itself and what is the same on the
+    data.
+    """
     entry = ENTRIES[key]
     return {key, *entry.same}
 
@@ -117,10 +124,11 @@ def judge(case: Case, found: Mapping[str, Any], exit_code: int) -> Score:
 
 
 def _any_body(case: Case, key: str) -> bool:
-    """Whether a body could have the product of inertia that does what pitching moment from roll rate squared does.
+    """Whether a body could have the product of inertia that does what pitching moment from roll
+    rate squared does.
 
-    Ixz p^2 = qbar S c Cm_p2 (p b / 2V)^2, so Ixz = rho S c b^2 Cm_p2 / 8; no body's squared is above Ixx Izz.
-    """
+    Ixz p^2 = qbar S c Cm_p2 (p b / 2V)^2, so Ixz = rho S c b^2 Cm_p2 / 8; no body's squared is
+    above Ixx Izz."""
     a = case.airframe
     hidden = [e.size for e in case.effects if e.key == key == "Cm:p_hat^2"]
     return all(
@@ -146,13 +154,17 @@ def _errors(case: Case, effects: Sequence[Mapping[str, Any]]) -> tuple[float, ..
 
 
 def _judging(found: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Rows of the test flights by which refine judged: of predictions where it made them, else of replays."""
+    """Rows of the test flights by which refine judged: of predictions where it made them, else of
+    replays.
+    """
     test = (found.get("gap") or {}).get("test") or {}
     return test.get("predictions") or test.get("channels") or {}
 
 
 def test_gap(found: Mapping[str, Any]) -> float:
-    """Root mean square over channels of rms_after / noise_rms on the test flights; NaN where the file does not say."""
+    """Root mean square over channels of rms_after / noise_rms on the test flights; NaN where the
+    file does not say.
+    """
     channels = _judging(found)
     ratios = [
         c["rms_after"] / c["noise_rms"]

@@ -1,4 +1,5 @@
-"""Measures how large each effect of the catalogue has to be for |t| = 10, calm and in light turbulence; writes sizes.csv.
+"""Measures how large each effect of the catalogue has to be for |t| = 10, calm and in light
+turbulence; writes sizes.csv.
 
 python -m tests.hidden_effects.calibrate calm|light [KEY...]
 """
@@ -24,9 +25,11 @@ def measure(entries: list[Entry], air: str) -> dict[str, float]:
     """Key -> size at |t| = 10."""
     known = sizes(air)
     now = {
-        e.key: e.effect(10.0, air)
-        if e.key in known
-        else e.effect(10.0).scaled(_LIGHT if air == "light" else 1.0)
+        e.key: (
+            e.effect(10.0, air)
+            if e.key in known
+            else e.effect(10.0).scaled(_LIGHT if air == "light" else 1.0)
+        )
         for e in entries
     }
     for kind in sorted({e.flown for e in entries}):
@@ -42,7 +45,8 @@ def measure(entries: list[Entry], air: str) -> dict[str, float]:
             )
             for entry, strength in zip(part, found, strict=True):
                 print(
-                    f"{entry.key}: size {now[entry.key].size:.4g} |t| {strength.t:.1f} share {strength.share:.3f}",
+                    f"{entry.key}: size {now[entry.key].size:.4g} |t| {strength.t:.1f} share"
+                    f" {strength.share:.3f}",
                     file=sys.stderr,
                     flush=True,
                 )

@@ -1,4 +1,6 @@
-"""The battery: cases with opaque names, each an aircraft with hidden effects, three flights to train on and one to test on."""
+"""The battery: cases with opaque names, each an aircraft with hidden effects, three flights to
+train on and one to test on.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +38,8 @@ CLEAR, MARGINAL, OBVIOUS, TURBULENT = (
     (12.0, 22.0),
 )  # ranges of |t| aimed at, by geometric chance
 
-# A second aeroplane, for those who should not learn the first by heart: heavier, a tail that pushes down, more dihedral.
+# A second aeroplane, for those who should not learn the first by heart: heavier, a tail that pushes
+# down, more dihedral.
 SECOND = Airframe(
     m=27.5,
     Ixx=8.1,
@@ -78,12 +81,12 @@ SECOND = Airframe(
 
 @dataclass(frozen=True)
 class Case:
-    """One question. ``truth`` is never given away: neither id, file names nor metadata depend on it in a way that can be read.
+    """One question. ``truth`` is never given away: neither id, file names nor metadata depend on it
+    in a way that can be read.
 
     kind      clear | marginal | null | pair | off-form
-    entries   keys of what is hidden, in the catalogue's words      airframe  the truth without its effects
-    aircraft  what refine is given: "espaaro", or "second" (see airframes.py)
-    """
+    entries   keys of what is hidden, in the catalogue's words      airframe  the truth without its
+    effects aircraft  what refine is given: "espaaro", or "second" (see airframes.py)"""
 
     truth: str
     kind: str
@@ -120,10 +123,11 @@ class Case:
 
 
 def write(cases: Sequence[Case], folder: Path) -> set[str]:
-    """Fly and write the records of cases that are not there yet; returns the ids of cases that cannot be flown.
+    """Fly and write the records of cases that are not there yet; returns the ids of cases that
+    cannot be flown.
 
-    Those, with an effect so large that a flight comes to grief, get no file at all: half a case is no question.
-    """
+    Those, with an effect so large that a flight comes to grief, get no file at all: half a case is
+    no question."""
     todo = [
         c
         for c in cases
@@ -224,7 +228,9 @@ def _case(
 
 
 def _nulls() -> list[Case]:
-    """Thirty each in calm air and light turbulence: nominal, wrong parameters, other noise, other rates, another aeroplane."""
+    """Thirty each in calm air and light turbulence: nominal, wrong parameters, other noise, other
+    rates, another aeroplane.
+    """
     found = []
     for air, w20 in (("calm", 0.0), ("light", LIGHT_KT)):
         for i in range(30):
@@ -235,7 +241,8 @@ def _nulls() -> list[Case]:
             effects: tuple[Effect, ...] = ()
             if kind == "parameters":
                 airframe = perturbed(Airframe(), rng)
-                # A centre of gravity that lies elsewhere is one more way to have wrong parameters: the linear terms take it up.
+                # A centre of gravity that lies elsewhere is one more way to have wrong parameters:
+                # the linear terms take it up.
                 effects = (
                     (Effect("mass", "cg_x", float(rng.choice([-0.02, 0.02]))),)
                     if i % 12 == 1
@@ -273,7 +280,9 @@ def _nulls() -> list[Case]:
 
 
 def perturbed(airframe: Airframe, rng: np.random.Generator) -> Airframe:
-    """The airframe with every coefficient moved by 15 % (one standard deviation); those carried at zero stay there."""
+    """The airframe with every coefficient moved by 15 % (one standard deviation); those carried at
+    zero stay there.
+    """
     moved = {
         n: v * (1.0 + 0.15 * float(np.clip(rng.standard_normal(), -2.0, 2.0)))
         for n, v in airframe.coefficients.items()

@@ -1,4 +1,7 @@
-"""Which effects the battery hides, in which kind of flight, and what may be answered. Sizes stand in sizes.csv."""
+"""Which effects the battery hides, in which kind of flight, and what may be answered.
+
+Sizes stand in sizes.csv.
+"""
 
 from __future__ import annotations
 
@@ -17,11 +20,13 @@ SIZES = Path(__file__).with_name("sizes.csv")
 class Entry:
     """One effect of the battery.
 
-    guess    its size before calibration, with its sign          flown    kind of flight: mixed | slow | ground
-    same     keys that are the same thing on the data: any of them, or a set with one of them, is the right name
-    proxies  off form only: keys that may stand in its place if they bring the gap down
-    form     regressor of an effect that no vocabulary knows     core     belongs to the battery's core
-    """
+    guess    its size before calibration, with its sign          flown    kind of flight: mixed |
+    slow | ground
+    same     keys that are the same thing on the data: any of them, or a set with one of them, is
+    the right name proxies  off form only: keys that may stand in its place if they bring the gap
+    down
+    form     regressor of an effect that no vocabulary knows     core     belongs to the battery's
+    core"""
 
     subject: str
     term: str
@@ -41,7 +46,9 @@ class Entry:
         return bool(self.form) or self.term in ("backlash", "late")
 
     def effect(self, t: float, air: str = "calm") -> Effect:
-        """The effect at a size that gives about |t| = t in three 90 s flights of Table 2.1's noise in that air."""
+        """The effect at a size that gives about |t| = t in three 90 s flights of Table 2.1's noise
+        in that air.
+        """
         unit = Effect(self.subject, self.term, sizes(air).get(self.key, self.guess), self.form)
         # Commands are late by whole samples.
         return (
@@ -53,7 +60,9 @@ class Entry:
 
 @lru_cache(maxsize=2)
 def sizes(air: str) -> Mapping[str, float]:
-    """Key -> size at |t| = 10 in calm air or light turbulence, as `python -m tests.hidden_effects.calibrate` measured it."""
+    """Key -> size at |t| = 10 in calm air or light turbulence, as `python -m
+    tests.hidden_effects.calibrate` measured it.
+    """
     if not SIZES.is_file():
         return {}
     with SIZES.open(encoding="utf-8") as handle:
@@ -161,7 +170,8 @@ OFF_FORM = (
     ),
 )
 
-# Hidden in fresh draws alone (fresh.py), where the size is found for the case's own flights: the guess only has to be small.
+# Hidden in fresh draws alone (fresh.py), where the size is found for the case's own flights: the
+# guess only has to be small.
 OTHERS = (
     *(Entry("CX", term, 0.01) for term in ("alpha^3", "alpha*q_hat", "dr^2", "da^2")),
     *(

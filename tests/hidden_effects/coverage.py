@@ -1,12 +1,14 @@
-"""What the intervals of `identify` and `refine` cover, and whether they and `compare` say the same of the same flights.
+"""What the intervals of `identify` and `refine` cover, and whether they and `compare` say the same
+of the same flights.
 
-python -m tests.hidden_effects.coverage --draws 40 --out FOLDER [--light] [--identify-only] [--rate-hz 100]
+python -m tests.hidden_effects.coverage --draws 40 --out FOLDER [--light] [--identify-only]
+[--rate-hz 100]
 
-A draw is four flights of the nominal form, of the independent equations, every coefficient drawn anew, commands held between rows;
-in every second one the servos act at once. They fly in calm air, or with --light in turbulence of 6 to 20 kt at 20 ft. Three
-flights are for the estimates, the fourth is compared with. coverage.csv: a row a draw and parameter; a stopped run goes on. Exit
-code 0: intervals of both cover 93 to 97 % (in turbulence 90 to 98 %), estimates and tables agree.
-"""
+A draw is four flights of the nominal form, of the independent equations, every coefficient drawn
+anew, commands held between rows; in every second one the servos act at once. They fly in calm air,
+or with --light in turbulence of 6 to 20 kt at 20 ft. Three flights are for the estimates, the
+fourth is compared with. coverage.csv: a row a draw and parameter; a stopped run goes on. Exit code
+0: intervals of both cover 93 to 97 % (in turbulence 90 to 98 %), estimates and tables agree."""
 
 from __future__ import annotations
 
@@ -40,7 +42,9 @@ LIGHT = 0.90, 0.98
 SAME_ESTIMATE = 0.1
 """Largest difference of two estimates of one parameter, in standard errors."""
 SAME_TABLE = 0.02
-"""Largest relative difference of rms over noise between refine's table and `compare` of the model it wrote."""
+"""Largest relative difference of rms over noise between refine's table and `compare` of the model
+it wrote.
+"""
 COLUMNS = ("draw", "parameter", "identify", "refine", "apart")
 Row = Mapping[str, Any]
 
@@ -48,7 +52,9 @@ Row = Mapping[str, Any]
 def draw(
     number: int, folder: Path, rate_hz: float = 50.0, light: bool = False
 ) -> tuple[Airframe, Path, list[Path]]:
-    """The truth of a draw, its aircraft folder, and records of its flights: three to train on, one to test on."""
+    """The truth of a draw, its aircraft folder, and records of its flights: three to train on, one
+    to test on.
+    """
     airframe = perturbed(Airframe(), np.random.default_rng([24, number]))
     folder = folder / f"draw-{number}"
     folder.mkdir(parents=True, exist_ok=True)
@@ -70,7 +76,9 @@ def draw(
 def identified(
     aircraft: Path, paths: Sequence[Path], light: bool = False
 ) -> dict[str, tuple[float, float]]:
-    """Parameter -> value and standard error by `identify`: output error in calm air, else what it chooses by itself."""
+    """Parameter -> value and standard error by `identify`: output error in calm air, else what it
+    chooses by itself.
+    """
     model = find_aircraft(str(aircraft))
     flights, measured = read_flights(paths, model)
     found = identify(
@@ -84,7 +92,8 @@ def identified(
 def refined(
     aircraft: Path, train: Sequence[Path], test: Path, out: Path
 ) -> tuple[dict[str, tuple[float, float]], float]:
-    """Parameter -> value and standard error by `refine`; largest relative difference of its table from `compare`'s.
+    """Parameter -> value and standard error by `refine`; largest relative difference of its table
+    from `compare`'s.
 
     NaN for every parameter and an infinite difference where refine names something, or fails.
     """
@@ -132,7 +141,9 @@ def rows_of(
     two: Mapping[str, tuple[float, float]],
     apart: float,
 ) -> list[dict[str, Any]]:
-    """A row a parameter: (estimate - truth) / std by identify and by refine, and how far apart their tables are."""
+    """A row a parameter: (estimate - truth) / std by identify and by refine, and how far apart
+    their tables are.
+    """
     nowhere = (math.nan, math.nan)
     out = []
     for name, (value, std) in one.items():
@@ -149,7 +160,9 @@ def rows_of(
 
 
 def marks(rows: Sequence[Row], both: bool = True, light: bool = False) -> tuple[bool, str]:
-    """Whether intervals cover and the commands agree, and that in words. both: refine was asked as well."""
+    """Whether intervals cover and the commands agree, and that in words. both: refine was asked as
+    well.
+    """
     lines = []
     least, most = LIGHT if light else (LEAST, MOST)
     for name in ("identify", "refine") if both else ("identify",):
@@ -168,7 +181,10 @@ def marks(rows: Sequence[Row], both: bool = True, light: bool = False) -> tuple[
         lines.append(
             (
                 same == len(rows),
-                f"estimates within {SAME_ESTIMATE} standard errors of each other: {same} of {len(rows)}",
+                (
+                    f"estimates within {SAME_ESTIMATE} standard errors of each other: {same} of"
+                    f" {len(rows)}"
+                ),
             )
         )
         tables = {int(r["draw"]): float(r["apart"]) for r in rows}
@@ -176,7 +192,10 @@ def marks(rows: Sequence[Row], both: bool = True, light: bool = False) -> tuple[
         lines.append(
             (
                 same == len(tables),
-                f"refine's table within {SAME_TABLE:.0%} of compare's: {same} of {len(tables)} draws",
+                (
+                    f"refine's table within {SAME_TABLE:.0%} of compare's: {same} of {len(tables)}"
+                    " draws"
+                ),
             )
         )
     text = "\n".join(f"{'reached' if ok else 'MISSED '}  {words}" for ok, words in lines)

@@ -1,4 +1,6 @@
-"""Effects that a flight can hide: coefficient terms, actuators, propulsion, mass, sensors, stall, ground; some of no vocabulary."""
+"""Effects that a flight can hide: coefficient terms, actuators, propulsion, mass, sensors, stall,
+ground; some of no vocabulary.
+"""
 
 from __future__ import annotations
 
@@ -45,14 +47,18 @@ _FUNCTIONS: Mapping[str, Any] = {
 class Effect:
     """One hidden effect.
 
-    subject  a coefficient (CX ... Cn) or a subsystem ("actuator.elevator", "sensor.alpha_rad", "mass", ...)
+    subject  a coefficient (CX ... Cn) or a subsystem ("actuator.elevator", "sensor.alpha_rad",
+    "mass", ...)
     term     what it is called in an answer ("p_hat^2", "lag")
-    size     coefficient terms: the coefficient, in the term's own units. lag [1/s], rate_limit [deg/s], deadband and backlash
-             [deg, whole width], late [samples]; thrust_scale and inflow as a fraction to add; Ixz [kg m2], cg_x and
-             cg_in_airframe [m, forward] to add; sensor bias [unit of the channel], scale [fraction to add], delay [s];
-             place_x, place_y, place_z [m, forward, right, down] to add; record delay [s] by which commands act after their rows;
-             stall: share of the separation's lift loss; ground: lift gained at zero height, as a fraction
-    form     expression of the regressor where it is not the term itself (effects that no vocabulary knows); besides the
+    size     coefficient terms: the coefficient, in the term's own units. lag [1/s], rate_limit
+    [deg/s], deadband and backlash
+             [deg, whole width], late [samples]; thrust_scale and inflow as a fraction to add; Ixz
+             [kg m2], cg_x and cg_in_airframe [m, forward] to add; sensor bias [unit of the
+             channel], scale [fraction to add], delay [s]; place_x, place_y, place_z [m, forward,
+             right, down] to add; record delay [s] by which commands act after their rows; stall:
+             share of the separation's lift loss; ground: lift gained at zero height, as a fraction
+    form     expression of the regressor where it is not the term itself (effects that no vocabulary
+    knows); besides the
              vocabulary's variables it may use t_s and abs, tanh, sin, sqrt, maximum, where, interp
     """
 
@@ -85,7 +91,9 @@ class Effect:
         return "dot_hat" in (self.form or self.term) or self.key == "stall:dynamic"
 
     def scaled(self, factor: float) -> Effect:
-        """The same effect with ``factor`` times its strength; lag and rate limit by their inverse, from where they do nothing."""
+        """The same effect with ``factor`` times its strength; lag and rate limit by their inverse,
+        from where they do nothing.
+        """
         if self.term in NEUTRAL:
             idle = 1.0 / NEUTRAL[self.term]
             return self._sized(1.0 / (idle + factor * (1.0 / self.size - idle)))
@@ -97,7 +105,9 @@ class Effect:
 
 @lru_cache(maxsize=256)
 def compiled(expression: str) -> CodeType:
-    """Code of a term such as ``abs(beta)*beta`` or ``p_hat^2``; ValueError names a variable that is none."""
+    """Code of a term such as ``abs(beta)*beta`` or ``p_hat^2``; ValueError names a variable that is
+    none.
+    """
     code = compile(expression.replace("^", "**"), "<term>", "eval")
     unknown = set(code.co_names) - set(_FUNCTIONS) - VARIABLES
     if unknown:
@@ -125,5 +135,7 @@ VARIABLES = {
 
 
 def value(expression: str, variables: Mapping[str, Any]) -> Any:
-    """The expression's value at the variables (angles rad, deflections deg, as the vocabulary says)."""
+    """The expression's value at the variables (angles rad, deflections deg, as the vocabulary
+    says).
+    """
     return eval(compiled(expression), {"__builtins__": {}}, {**_FUNCTIONS, **variables})

@@ -1,8 +1,9 @@
-"""Right-hand side, servos and RK4 steps of motion.py, lane by lane, compiled by numba. Nothing of the package is in it.
+"""Right-hand side, servos and RK4 steps of motion.py, lane by lane, compiled by numba. Nothing of
+the package is in it.
 
-A lane is a record of LANE; its hidden coefficient terms are programmes (expressions.py). x (12,) and s (4,) as in motion.py.
-All that is compiled stands in this file, constants too: numba compiles anew where the file changes, not where another does.
-"""
+A lane is a record of LANE; its hidden coefficient terms are programmes (expressions.py). x (12,)
+and s (4,) as in motion.py. All that is compiled stands in this file, constants too: numba compiles
+anew where the file changes, not where another does."""
 
 from __future__ import annotations
 
@@ -66,8 +67,8 @@ ALPHA, BETA, P_HAT, Q_HAT, R_HAT, ALPHADOT, BETADOT, DE, DA, DR, DT, CT, V_REL, 
 class Terms(NamedTuple):
     """Hidden coefficient terms: those of lane i are first[i] .. first[i + 1] - 1.
 
-    which  index of the coefficient     size  its coefficient     begins, ends  its steps among operations, arguments
-    """
+    which  index of the coefficient     size  its coefficient     begins, ends  its steps among
+    operations, arguments"""
 
     first: NDArray[np.int64]
     which: NDArray[np.int64]
@@ -80,7 +81,9 @@ class Terms(NamedTuple):
 
 
 class Faults(NamedTuple):
-    """Servos of all lanes over one step, all (4, B): decay of the lag, largest move, half of dead zone and play; stops (4,)."""
+    """Servos of all lanes over one step, all (4, B): decay of the lag, largest move, half of dead
+    zone and play; stops (4,).
+    """
 
     decay: FloatArray
     most: FloatArray
@@ -106,7 +109,9 @@ def interpolated(tables: FloatArray, at: int, v: float) -> float:
 
 @njit(cache=True, error_model="numpy")
 def run(terms: Any, first: int, last: int, seen: FloatArray, stack: FloatArray) -> float:
-    """Value of steps first .. last - 1 at the variables ``seen`` (15,); ``stack`` (STACK,) is room to work in."""
+    """Value of steps first .. last - 1 at the variables ``seen`` (15,); ``stack`` (STACK,) is room
+    to work in.
+    """
     top = -1
     for i in range(first, last):
         o = terms.operations[i]
@@ -163,7 +168,9 @@ def _of_one(o: int, a: float) -> float:
 
 @njit(cache=True, error_model="numpy")
 def lift_share(alpha_deg: float, lag_deg: float) -> float:
-    """What separation leaves of CZ_alpha alpha; constants of eqs 2.25 to 2.40: a1 0.5 per deg, half separated at 11 and -20 deg."""
+    """What separation leaves of CZ_alpha alpha; constants of eqs 2.25 to 2.40: a1 0.5 per deg, half
+    separated at 11 and -20 deg.
+    """
     upper, lower = (
         1.0 - np.tanh(0.5 * (alpha_deg - lag_deg - 11.0)),
         1.0 - np.tanh(0.5 * (-20.0 - alpha_deg + lag_deg)),
@@ -183,7 +190,9 @@ def _found(
     room: FloatArray,
     out: FloatArray,
 ) -> None:
-    """The derivative and what is felt and seen of one lane at surfaces s, into ``out`` (FOUND,); ``room`` is to work in."""
+    """The derivative and what is felt and seen of one lane at surfaces s, into ``out`` (FOUND,);
+    ``room`` is to work in.
+    """
     seen, stack, C, now = room[0], room[1], room[2], room[3]
     u, v, w, p, q, r, phi, theta, psi, down = (
         x[0],
@@ -295,7 +304,8 @@ def _found(
     out[9] = ct * cp * u + (sf * st * cp - cf * sp) * v + (cf * st * cp + sf * sp) * w
     out[10] = ct * sp * u + (sf * st * sp + cf * cp) * v + (cf * st * sp - sf * cp) * w
     out[11] = -st * u + sf * ct * v + cf * ct * w
-    # Accelerometers that stay behind with the airframe are at -cg_in_airframe; beyond the card they are at place.
+    # Accelerometers that stay behind with the airframe are at -cg_in_airframe; beyond the card they
+    # are at place.
     _felt(M.place_x - M.cg_in_airframe, M.place_y, M.place_z, p, q, r, out)
     out[12], out[13], out[14] = out[12] + fX, out[13] + fY, out[14] + fZ
     if M.vane_x != 0.0:
@@ -307,7 +317,9 @@ def _found(
 
 @njit(cache=True, error_model="numpy")
 def _felt(x: float, y: float, z: float, p: float, q: float, r: float, out: FloatArray) -> None:
-    """What accelerometers at (x, y, z) feel besides, w' x r + w x (w x r), from the w' in out[3:6] into out[12:15]."""
+    """What accelerometers at (x, y, z) feel besides, w' x r + w x (w x r), from the w' in out[3:6]
+    into out[12:15].
+    """
     cx, cy, cz = q * z - r * y, r * x - p * z, p * y - q * x
     out[12] = out[4] * z - out[5] * y + q * cz - r * cy
     out[13] = out[5] * x - out[3] * z + r * cx - p * cz
@@ -318,7 +330,9 @@ def _felt(x: float, y: float, z: float, p: float, q: float, r: float, out: Float
 def found(
     M: Any, terms: Terms, x: FloatArray, s: FloatArray, gust: FloatArray, t_s: FloatArray
 ) -> FloatArray:
-    """(FOUND, B) of all lanes at states x (12, B), surfaces s (4, B), air (6, B) and clocks (B,)."""
+    """(FOUND, B) of all lanes at states x (12, B), surfaces s (4, B), air (6, B) and clocks
+    (B,).
+    """
     room = np.zeros((4, STACK))
     out = np.empty((FOUND, x.shape[1]))
     own, surfaces, air, one = np.empty(12), np.empty(4), np.empty(6), np.empty(FOUND)
@@ -400,11 +414,12 @@ def interval(
     s: FloatArray,
     state: FloatArray,
 ) -> None:
-    """``steps`` RK4 steps of all lanes from states x (12, B) and positions s (4, B), both moved on with the servos' ``state``.
+    """``steps`` RK4 steps of all lanes from states x (12, B) and positions s (4, B), both moved on
+    with the servos' ``state``.
 
-    times: the interval's start, length of a step, spacing of the air's nodes [s]; dot (12, B) at the start.
-    The servos' step is half of an RK4 step: surfaces are known at its start, middle and end.
-    """
+    times: the interval's start, length of a step, spacing of the air's nodes [s]; dot (12, B) at
+    the start. The servos' step is half of an RK4 step: surfaces are known at its start, middle and
+    end."""
     t, h, node_s = times[0], times[1], times[2]
     room = np.zeros((4, STACK))
     own, y, air, one, surfaces = (

@@ -1,7 +1,8 @@
-"""Terms such as ``abs(beta)*beta`` as steps of a stack machine, which compiled equations can run in every lane.
+"""Terms such as ``abs(beta)*beta`` as steps of a stack machine, which compiled equations can run in
+every lane.
 
-effects.value does the same with Python's own arithmetic on arrays: the tests hold one against the other.
-"""
+effects.value does the same with Python's own arithmetic on arrays: the tests hold one against the
+other."""
 
 from __future__ import annotations
 
@@ -63,7 +64,8 @@ class Programme:
 
 @lru_cache(maxsize=1024)
 def programme(expression: str, tabled: int = 0) -> Programme:
-    """The expression as steps; ValueError for a variable that is none, or for what no term may contain.
+    """The expression as steps; ValueError for a variable that is none, or for what no term may
+    contain.
 
     tabled: how many numbers of other terms' tables stand before its own.
     """

@@ -1,4 +1,6 @@
-"""Flight records of flight cards flown with hidden effects: the equations of motion, then the sensors."""
+"""Flight records of flight cards flown with hidden effects: the equations of motion, then the
+sensors.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +39,9 @@ NOISE = {
 
 @dataclass(frozen=True)
 class Flight:
-    """One card flown by one airframe with its hidden effects and its servos (None: LAG and RATE)."""
+    """One card flown by one airframe with its hidden effects and its servos (None: LAG and
+    RATE).
+    """
 
     card: Card
     airframe: Airframe
@@ -60,7 +64,9 @@ def fly(flights: Sequence[Flight], step_s: float = STEP_S) -> list[FlightRecord]
 
 
 def fly_and_tell(flights: Sequence[Flight], step_s: float = STEP_S) -> list[Flown]:
-    """Records and truth of the flights, in order; those of one rate, length and kind are flown together."""
+    """Records and truth of the flights, in order; those of one rate, length and kind are flown
+    together.
+    """
     groups: dict[tuple[float, float, bool], list[int]] = {}
     for i, f in enumerate(flights):
         dots = any(e.needs_dots for e in f.effects)
@@ -177,7 +183,9 @@ def _record(
 
 
 def earlier(values: FloatArray, rows: int) -> FloatArray:
-    """(n, ...) values as a clock gives them that is that many rows early (late, if negative); the ends are held."""
+    """(n, ...) values as a clock gives them that is that many rows early (late, if negative); the
+    ends are held.
+    """
     return np.asarray(values[np.clip(np.arange(len(values)) + rows, 0, len(values) - 1)])
 
 

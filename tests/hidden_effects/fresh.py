@@ -1,11 +1,13 @@
-"""Cases that nobody has looked at: effects, signs, sizes, air, noise, speeds, aeroplane and its wrong parameters drawn by chance.
+"""Cases that nobody has looked at: effects, signs, sizes, air, noise, speeds, aeroplane and its
+wrong parameters drawn by chance.
 
-python -m tests.hidden_effects.fresh DRAW FIRST LAST       draws them, measures |t| and adds them to fresh.csv
+python -m tests.hidden_effects.fresh DRAW FIRST LAST       draws them, measures |t| and adds them to
+fresh.csv
 python -m tests.hidden_effects.run --fresh DRAW       asks them
 
-The battery is what `refine` was made with; a draw is a question it meets for the first time, and only once: after a mistake in it
-has been looked into, the draw is a part of the battery like any other.
-"""
+The battery is what `refine` was made with; a draw is a question it meets for the first time, and
+only once: after a mistake in it has been looked into, the draw is a part of the battery like any
+other."""
 
 from __future__ import annotations
 
@@ -43,7 +45,9 @@ class Question:
 
 
 def question(draw: int, number: int) -> Question:
-    """One case in seven hides nothing, one in seven two effects; every third flies in turbulence of 8 to 20 kt."""
+    """One case in seven hides nothing, one in seven two effects; every third flies in turbulence of
+    8 to 20 kt.
+    """
     name = f"fresh {draw}/{number}"
     rng = np.random.default_rng(_seed(name))
     light = bool(rng.random() < 0.35)
@@ -90,12 +94,16 @@ _CALM_ONLY = {
 
 
 def _one_sided(entry: Entry) -> bool:
-    """A servo is never faster than ideal, a sensor never early; what has one sign in nature keeps it."""
+    """A servo is never faster than ideal, a sensor never early; what has one sign in nature keeps
+    it.
+    """
     return entry.subject.startswith("actuator") or entry.term in ("delay", "separation", "dynamic")
 
 
 def weigh(asked: Question) -> tuple[tuple[float, ...], tuple[float, ...]] | None:
-    """Sizes that give |t| near what was drawn, and |t| measured with them; None where no such flight can be flown."""
+    """Sizes that give |t| near what was drawn, and |t| measured with them; None where no such
+    flight can be flown.
+    """
     flights = asked.case.flights("train")
     effects: list[Effect] = []
     for key, sign in zip(asked.case.entries, asked.signs, strict=True):

@@ -1,4 +1,6 @@
-"""Dryden turbulence after MIL-F-8785C at low altitude, written for these flights: shaping filters in series, sampled exactly."""
+"""Dryden turbulence after MIL-F-8785C at low altitude, written for these flights: shaping filters
+in series, sampled exactly.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,9 @@ KNOT = 1852.0 / 3600.0
 def _sampled(
     A: FloatArray, B: FloatArray, C: FloatArray, n: int, dt: float, rng: np.random.Generator
 ) -> FloatArray:
-    """(n, outputs) samples of dx = A x dt + B dW, y = C x, started in its stationary distribution."""
+    """(n, outputs) samples of dx = A x dt + B dW, y = C x, started in its stationary
+    distribution.
+    """
     size = len(A)
     cover = solve_continuous_lyapunov(A, -B @ B.T)
     step = expm(A * dt)
@@ -36,7 +40,8 @@ def _sampled(
 def turbulence(
     V: float, h: float, w20_kt: float, b: float, seconds: float, rng: np.random.Generator
 ) -> FloatArray:
-    """(n, 6) air velocity u v w [m/s] and rotation p q r [rad/s] in heading axes every NODE_S; scales of V, h [m], b [m].
+    """(n, 6) air velocity u v w [m/s] and rotation p q r [rad/s] in heading axes every NODE_S;
+    scales of V, h [m], b [m].
 
     Paragraphs 3.7.1 to 3.7.5 of MIL-F-8785C; q = -dw/dx and r = dv/dx through the span's own lag.
     """
@@ -51,7 +56,8 @@ def turbulence(
     u = _sampled(-one / Tu, su * np.sqrt(2.0 / Tu) * one, one, n, NODE_S, rng)[:, 0]
 
     def transverse(sigma: float, T: float, lag: float, sign: float) -> FloatArray:
-        # y = sigma sqrt(T) (1 + sqrt(3) T s) / (1 + T s)^2 white; rotation = sign s y / V / (1 + lag s)
+        # y = sigma sqrt(T) (1 + sqrt(3) T s) / (1 + T s)^2 white; rotation = sign s y / V / (1 +
+        # lag s)
         A = np.array([[-1.0 / T, 1.0 / T, 0.0], [0.0, -1.0 / T, 0.0], [0.0, 0.0, -1.0 / lag]])
         root = np.sqrt(3.0)
         y = np.array([1.0 - root, root, 0.0])

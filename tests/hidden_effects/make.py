@@ -1,8 +1,11 @@
 """Flights on order: cases of the battery by id, or one known effect at a given strength.
 
-python -m tests.hidden_effects.make --list                                       ids and kinds, no truths
-python -m tests.hidden_effects.make --case ID... --out DIR                       DIR/ID/flight-1.parquet ... (1 to 3 train, 4 test)
-python -m tests.hidden_effects.make --effect "Cm:p_hat^2" --t 20 --out DIR       a known one, for development
+python -m tests.hidden_effects.make --list                                       ids and kinds, no
+truths
+python -m tests.hidden_effects.make --case ID... --out DIR
+DIR/ID/flight-1.parquet ... (1 to 3 train, 4 test)
+python -m tests.hidden_effects.make --effect "Cm:p_hat^2" --t 20 --out DIR       a known one, for
+development
 python -m tests.hidden_effects.make --null --out DIR                             none
 """
 

@@ -1,4 +1,6 @@
-"""Flight cards: which manoeuvre when, how large; and the pilot between them, all of whose doing is in the recorded commands."""
+"""Flight cards: which manoeuvre when, how large; and the pilot between them, all of whose doing is
+in the recorded commands.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,9 @@ CONTROLS = ("elevator", "aileron", "rudder", "throttle")
 
 @dataclass(frozen=True)
 class Pulse:
-    """A doublet or 3-2-1-1: ``size`` in deg or percent, ``unit_s`` one part's length, ``after_s`` from the manoeuvre's start."""
+    """A doublet or 3-2-1-1: ``size`` in deg or percent, ``unit_s`` one part's length, ``after_s``
+    from the manoeuvre's start.
+    """
 
     control: str
     shape: str
@@ -39,7 +43,9 @@ class Pulse:
 
 @dataclass(frozen=True)
 class Manoeuvre:
-    """A labelled stretch. Hands off (the pilot's corrections frozen) unless ``bank_deg`` asks for a steady turn."""
+    """A labelled stretch. Hands off (the pilot's corrections frozen) unless ``bank_deg`` asks for a
+    steady turn.
+    """
 
     label: str
     at_s: float
@@ -51,10 +57,11 @@ class Manoeuvre:
 
 @dataclass(frozen=True)
 class Card:
-    """One flight: airspeed and height above the start's sea level [m/s, m], sample rate, air and noise.
+    """One flight: airspeed and height above the start's sea level [m/s, m], sample rate, air and
+    noise.
 
-    ``w20_kt`` wind at 20 ft of the turbulence, 0 calm; ``noise`` factor on Table 2.1; ``positions`` records the surfaces.
-    """
+    ``w20_kt`` wind at 20 ft of the turbulence, 0 calm; ``noise`` factor on Table 2.1; ``positions``
+    records the surfaces."""
 
     V_mps: float
     manoeuvres: tuple[Manoeuvre, ...]
@@ -94,11 +101,11 @@ def card(
     hands_off: bool = True,
     **rest: float | bool,
 ) -> Card:
-    """A flight of manoeuvres one after another, sizes, signs and lengths of parts drawn from the seed.
+    """A flight of manoeuvres one after another, sizes, signs and lengths of parts drawn from the
+    seed.
 
-    ``hands_off`` False: the pilot corrects throughout (near the ground).
-    ``strength`` scales every amplitude; deflections shrink with dynamic pressure so that speeds are alike in response.
-    """
+    ``hands_off`` False: the pilot corrects throughout (near the ground). ``strength`` scales every
+    amplitude; deflections shrink with dynamic pressure so that speeds are alike in response."""
     rng = np.random.default_rng(seed)
     quick = 22.0 / V_mps
     found: list[Manoeuvre] = []
@@ -157,7 +164,9 @@ def card(
 
 
 def slewed(wanted: FloatArray, most: float) -> FloatArray:
-    """(n, ...) commands that follow ``wanted`` by at most ``most`` a sample: a hand needs time; servos stay off their limit."""
+    """(n, ...) commands that follow ``wanted`` by at most ``most`` a sample: a hand needs time;
+    servos stay off their limit.
+    """
     out = wanted.copy()
     for k in range(1, len(out)):
         out[k] = out[k - 1] + np.clip(wanted[k] - out[k - 1], -most, most)
@@ -165,11 +174,12 @@ def slewed(wanted: FloatArray, most: float) -> FloatArray:
 
 
 class Pilot:
-    """Commands of B flights: trim, the manoeuvres' increments, and gentle corrections from noisy instruments between them.
+    """Commands of B flights: trim, the manoeuvres' increments, and gentle corrections from noisy
+    instruments between them.
 
-    Corrections: elevator on pitch attitude and height, aileron on bank, throttle on airspeed; smoothed over half a second,
-    frozen hands-off. ``noise`` (n, 4, B) of V, phi, theta, h is what the pilot's instruments add.
-    """
+    Corrections: elevator on pitch attitude and height, aileron on bank, throttle on airspeed;
+    smoothed over half a second, frozen hands-off. ``noise`` (n, 4, B) of V, phi, theta, h is what
+    the pilot's instruments add."""
 
     def __init__(
         self, cards: Sequence[Card], trim_x: FloatArray, trim_s: FloatArray, noise: FloatArray
@@ -190,7 +200,8 @@ class Pilot:
                     self.increments[:, CONTROLS.index(pulse.control), lane] += (
                         pulse.at(t - m.at_s) * inside
                     )
-                # The turn is entered before its label begins, so that the labelled stretch is a turn.
+                # The turn is entered before its label begins, so that the labelled stretch is a
+                # turn.
                 turning = (t >= m.at_s - 1.0) & (t < m.at_s + m.length_s)
                 self.bank[turning, lane] += np.radians(m.bank_deg)
                 self.frozen[inside & m.hands_off, lane] = True

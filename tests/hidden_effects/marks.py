@@ -83,7 +83,8 @@ def marks(rows: Sequence[Row]) -> tuple[bool, str]:
         reached &= ok
         asked = f"{'at most' if most else 'at least'} {100 * wanted:.0f} %"
         lines.append(
-            f"{'reached' if ok else 'MISSED '}  {name}: {good} of {n} = {100 * share:.0f} % ({asked})"
+            f"{'reached' if ok else 'MISSED '}  {name}: {good} of {n} = {100 * share:.0f} %"
+            f" ({asked})"
         )
 
     lost = [r for r in rows if r["verdict"] == NOT_FLOWN]
@@ -136,7 +137,8 @@ def marks(rows: Sequence[Row]) -> tuple[bool, str]:
     mark("files that keep their contract", _share(rows, lambda r: not r["faults"]), 1.0)
     if lost:
         lines.append(
-            f"not asked, since their flights come to grief: {len(lost)} ({', '.join(r['case'] for r in lost)})"
+            f"not asked, since their flights come to grief: {len(lost)}"
+            f" ({', '.join(r['case'] for r in lost)})"
         )
     slow = sorted(r["seconds"] for r in rows)
     if slow:

@@ -1,10 +1,11 @@
-"""Flights of many aeroplanes at once, independent of JSBSim: flat earth, RK4; air, actuators and hidden effects.
+"""Flights of many aeroplanes at once, independent of JSBSim: flat earth, RK4; air, actuators and
+hidden effects.
 
 The equations themselves, compiled, are in equations.py.
 
-Arrays end in the flights (B,). State x (12, B) = u v w [m/s], p q r [rad/s], phi theta psi [rad], north east down [m]; controls are
-elevator, aileron, rudder [deg], throttle [percent]. Signs as in method.md and design.md: body axes x forward, y right, z down.
-"""
+Arrays end in the flights (B,). State x (12, B) = u v w [m/s], p q r [rad/s], phi theta psi [rad],
+north east down [m]; controls are elevator, aileron, rudder [deg], throttle [percent]. Signs as in
+method.md and design.md: body axes x forward, y right, z down."""
 
 from __future__ import annotations
 
@@ -42,7 +43,9 @@ CALM = np.zeros((0, 6, 0))
 
 @dataclass(frozen=True)
 class Drive:
-    """Servos of elevator, aileron, rudder and the motor: lag [1/s] and rate limit [deg/s, percent/s]."""
+    """Servos of elevator, aileron, rudder and the motor: lag [1/s] and rate limit [deg/s,
+    percent/s].
+    """
 
     lag: tuple[float, ...] = LAG
     rate: tuple[float, ...] = RATE
@@ -53,9 +56,11 @@ IDEAL = Drive((AT_ONCE,) * 4, (1e9,) * 4)
 
 
 class Model:
-    """Parameters of B flights as arrays (B,), from their airframes, hidden effects and servos (without: LAG and RATE).
+    """Parameters of B flights as arrays (B,), from their airframes, hidden effects and servos
+    (without: LAG and RATE).
 
-    lanes      (B,) records of LANE: coefficients, inertias, what is hidden beyond the coefficients; passes: evaluations of the
+    lanes      (B,) records of LANE: coefficients, inertias, what is hidden beyond the coefficients;
+    passes: evaluations of the
                forces, more than one where something depends on alphadot
     terms      hidden coefficient terms of every flight
     lag, rate, deadband, backlash (4, B), late (4, B) samples
@@ -113,7 +118,9 @@ class Model:
 
 
 def _terms(effects: Sequence[Sequence[Effect]]) -> Terms:
-    """The flights' hidden coefficient terms; steps of a term that many flights have stand there once."""
+    """The flights' hidden coefficient terms; steps of a term that many flights have stand there
+    once.
+    """
     begins: dict[str, tuple[int, int]] = {}
     operations: list[int] = []
     arguments: list[float] = []
@@ -148,7 +155,9 @@ def _terms(effects: Sequence[Sequence[Effect]]) -> Terms:
 
 @dataclass
 class Air:
-    """What the vanes and the air data see, all (B,) or (3, B); forces per mass and the state's derivative with it."""
+    """What the vanes and the air data see, all (B,) or (3, B); forces per mass and the state's
+    derivative with it.
+    """
 
     V: FloatArray
     alpha: FloatArray
@@ -167,8 +176,8 @@ def evaluate(
 ) -> Air:
     """Air data, specific force and the state's derivative at surfaces s (4, B).
 
-    gust (6, B): the air's velocity and rotation in heading axes (x along the heading and level, y right, z down), or None.
-    """
+    gust (6, B): the air's velocity and rotation in heading axes (x along the heading and level, y
+    right, z down), or None."""
     air = np.zeros((6, model.size)) if gust is None else gust
     clock = np.full(model.size, t_s) if np.ndim(t_s) == 0 else np.asarray(t_s, dtype=float)
     out = found(
@@ -179,7 +188,8 @@ def evaluate(
 
 
 class Servos:
-    """Surfaces of B flights: first-order lag (exact), rate limit, backlash, dead zone, stops. ``s`` (4, B) is the position.
+    """Surfaces of B flights: first-order lag (exact), rate limit, backlash, dead zone, stops. ``s``
+    (4, B) is the position.
 
     state (3, 4, B): the position after the lag, after the rate limit and after the play.
     """
@@ -204,7 +214,9 @@ class Servos:
 
 @dataclass(frozen=True)
 class History:
-    """Samples 0 .. n - 1: states (n, 12, B), positions and commands (n, 4, B), felt (n, 3, B), V alpha beta rho (n, B)."""
+    """Samples 0 .. n - 1: states (n, 12, B), positions and commands (n, 4, B), felt (n, 3, B), V
+    alpha beta rho (n, B).
+    """
 
     x: FloatArray
     positions: FloatArray
@@ -217,7 +229,9 @@ class History:
 
 
 def breath(nodes: FloatArray, t_s: float, size: int) -> FloatArray:
-    """(6, B) the air at a time, straight lines between nodes (N, 6, B) every NODE_S; zero where there are none."""
+    """(6, B) the air at a time, straight lines between nodes (N, 6, B) every NODE_S; zero where
+    there are none.
+    """
     if not len(nodes):
         return np.zeros((6, size))
     k, share = divmod(t_s / NODE_S, 1.0)
@@ -235,12 +249,12 @@ def integrate(
     gusts: FloatArray = CALM,
     begun_s: FloatArray | float = 0.0,
 ) -> History:
-    """n samples dt_s apart, each interval in ``steps`` RK4 steps; command(k, air, x) -> (4, B) is held over interval k.
+    """n samples dt_s apart, each interval in ``steps`` RK4 steps; command(k, air, x) -> (4, B) is
+    held over interval k.
 
-    gusts (N, 6, B): the air every NODE_S from sample 0 on, CALM for none.
-    begun_s (B,) or one number: the flight's clock at sample 0, for effects that go by it.
-    Surfaces move continuously and are known at the start, middle and end of every RK4 step, so the order is kept.
-    """
+    gusts (N, 6, B): the air every NODE_S from sample 0 on, CALM for none. begun_s (B,) or one
+    number: the flight's clock at sample 0, for effects that go by it. Surfaces move continuously
+    and are known at the start, middle and end of every RK4 step, so the order is kept."""
     h = dt_s / steps
     servos = Servos(model, 0.5 * h, s0.copy())
     x, s = x0.copy(), servos.s
@@ -286,7 +300,9 @@ def integrate(
 
 
 def trim(model: Model, V: FloatArray, h: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """States (12, B) and positions (4, B) of straight, level flight with wings level at V [m/s] and height h [m]: Newton."""
+    """States (12, B) and positions (4, B) of straight, level flight with wings level at V [m/s] and
+    height h [m]: Newton.
+    """
     B = model.size
 
     def state(z: FloatArray) -> tuple[FloatArray, FloatArray]:

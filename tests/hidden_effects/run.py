@@ -1,11 +1,11 @@
 """Asks `uqharness refine` the battery's questions and marks the answers.
 
-    python -m tests.hidden_effects.run --out DIR [--cases ID...] [--kinds K,K] [--calm | --turbulence] [--core] [--table FILE]
-    python -m tests.hidden_effects.run --out DIR --fresh DRAW
+    python -m tests.hidden_effects.run --out DIR [--cases ID...] [--kinds K,K] [--calm |
+    --turbulence] [--core] [--table FILE] python -m tests.hidden_effects.run --out DIR --fresh DRAW
 
-Each case is flown, given to `uqharness refine` as a process of its own in a sealed copy of the packages, and judged. A run
-that is interrupted goes on where it was: answers stand in DIR/answers/ID.json. Exit code 0: every mark reached.
-"""
+Each case is flown, given to `uqharness refine` as a process of its own in a sealed copy of the
+packages, and judged. A run that is interrupted goes on where it was: answers stand in
+DIR/answers/ID.json. Exit code 0: every mark reached."""
 
 from __future__ import annotations
 
@@ -83,11 +83,12 @@ def ask(case: Case, folder: Path, place: Path, extra: Sequence[str] = ()) -> dic
 
 
 def oracle_gap(case: Case, folder: Path, place: Path, extra: Sequence[str] = ()) -> float:
-    """Test gap over noise of an estimator that knows the truth: identify and compare on the same flights without the effect.
+    """Test gap over noise of an estimator that knows the truth: identify and compare on the same
+    flights without the effect.
 
-    Knowing an effect exactly is having it subtracted: same cards, same noise, same air, same aircraft, nothing hidden. In
-    turbulence replays tell nothing, and the estimator is refine itself, whose gap is that of predictions one sample ahead.
-    """
+    Knowing an effect exactly is having it subtracted: same cards, same noise, same air, same
+    aircraft, nothing hidden. In turbulence replays tell nothing, and the estimator is refine
+    itself, whose gap is that of predictions one sample ahead."""
     twin = replace(case, effects=(), truth=f"{case.truth} told")
     write([twin], folder / "flights")
     if case.air != "calm":
@@ -240,7 +241,8 @@ def main(argv: list[str] | None = None) -> int:
             if not given.keep:
                 _clear(folder / "refined" / case.id)
             print(
-                f"{case.id} {case.kind} {case.air}: {'right' if score.right else 'wrong'} {got['seconds']:.0f} s {got['error']}",
+                f"{case.id} {case.kind} {case.air}: {'right' if score.right else 'wrong'}"
+                f" {got['seconds']:.0f} s {got['error']}",
                 file=sys.stderr,
             )
     for case in cases:

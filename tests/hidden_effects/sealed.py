@@ -1,8 +1,8 @@
 """A place to run refine in which this examination can be neither imported nor read.
 
-The packages and aircraft are copied; Python is started there with a guard (an audit hook, inherited by every worker process) that
-refuses to open anything under the project's tests or under the folder that holds the results.
-"""
+The packages and aircraft are copied; Python is started there with a guard (an audit hook, inherited
+by every worker process) that refuses to open anything under the project's tests or under the folder
+that holds the results."""
 
 from __future__ import annotations
 
@@ -40,7 +40,10 @@ sys.path[:] = [p for p in sys.path if os.path.abspath(p or ".") != {root!r}]
 
 
 def seal(folder: Path, forbidden: Sequence[Path] = (), project: Path = ROOT) -> Path:
-    """Copy a project's packages and aircraft to ``folder`` and set the guard. Returns the folder."""
+    """Copy a project's packages and aircraft to ``folder`` and set the guard.
+
+    Returns the folder.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     for name in ("sysid", "uqharness", "aircraft", "scripts"):
         shutil.rmtree(folder / name, ignore_errors=True)
@@ -78,7 +81,9 @@ _running: set[int] = set()
 
 
 def stop() -> None:
-    """End every process that is being measured, with its children; whoever waits for one is told code -9."""
+    """End every process that is being measured, with its children; whoever waits for one is told
+    code -9.
+    """
     for group in list(_running):
         with contextlib.suppress(ProcessLookupError):
             os.killpg(group, signal.SIGKILL)
@@ -86,7 +91,8 @@ def stop() -> None:
 
 @dataclass(frozen=True)
 class Measured:
-    """A process that ended: exit code (-1: not in time), what it printed, processor time [s] and largest resident memory [MB].
+    """A process that ended: exit code (-1: not in time), what it printed, processor time [s] and
+    largest resident memory [MB].
 
     Both are of the process and of every child it waited for: times added up, memory of the largest.
     """
@@ -112,8 +118,8 @@ sys.exit(os.waitstatus_to_exitcode(status))
 def run_measured(folder: Path, arguments: Sequence[str], timeout_s: float) -> Measured:
     """python with the arguments, in the sealed folder, with what it cost.
 
-    A process of its own starts and measures it: Linux counts the memory of whoever starts a program as the program's own.
-    """
+    A process of its own starts and measures it: Linux counts the memory of whoever starts a program
+    as the program's own."""
     environment = {
         **os.environ,
         "PYTHONPATH": str(folder),

@@ -1,13 +1,16 @@
-"""How clearly flights show a hidden effect: |t| of the true term in output error, errors corrected for coloured residuals.
+"""How clearly flights show a hidden effect: |t| of the true term in output error, errors corrected
+for coloured residuals.
 
-What the effect does to the outputs, d = y(with) - y(without), less whatever the nuisance could have made of it (the aircraft's own
-parameters, each segment's start state, each flight's gyro biases), is what an estimator told the truth has to go by:
+What the effect does to the outputs, d = y(with) - y(without), less whatever the nuisance could have
+made of it (the aircraft's own parameters, each segment's start state, each flight's gyro biases),
+is what an estimator told the truth has to go by:
 
-    d_perp = d - S (S'S)^-1 S'd,     |t| = |d_perp|^2 / sqrt(d_perp' Rvv d_perp)      in units of the noise
+    d_perp = d - S (S'S)^-1 S'd,     |t| = |d_perp|^2 / sqrt(d_perp' Rvv d_perp)      in units of
+    the noise
 
-with the identity for Rvv where residuals are white. For a term that enters linearly this is |size| / std of output error with every
-parameter free; it is defined for tables, dead zones and sensors too.
-"""
+with the identity for Rvv where residuals are white. For a term that enters linearly this is |size|
+/ std of output error with every parameter free; it is defined for tables, dead zones and sensors
+too."""
 
 from __future__ import annotations
 
@@ -53,7 +56,9 @@ _MOVES = np.array([1e-2, 1e-3, 1e-3, 1e-4, 1e-4, 1e-4, 1e-4, 1e-4])
 
 @dataclass(frozen=True)
 class Strength:
-    """|t| of each effect beside the other; ``share`` of it that the parameters leave, 0 .. 1; rms of d in units of the noise."""
+    """|t| of each effect beside the other; ``share`` of it that the parameters leave, 0 .. 1; rms
+    of d in units of the noise.
+    """
 
     t: float
     share: float
@@ -66,10 +71,11 @@ def strengths(
     corrected: bool = False,
     step_s: float = REPLAY_STEP_S,
 ) -> list[Strength]:
-    """Of each effect of the flights (the same in all, at one sample rate), the others counting as nuisance.
+    """Of each effect of the flights (the same in all, at one sample rate), the others counting as
+    nuisance.
 
-    corrected: with the colour of the residuals that a still-air model of the truth leaves in these records (turbulence).
-    """
+    corrected: with the colour of the residuals that a still-air model of the truth leaves in these
+    records (turbulence)."""
     effects = flights[0].effects
     without = [effects[:i] + effects[i + 1 :] for i in range(len(effects))]
     columns, changes, residual = _sensitivities(flights, flown, without, corrected, step_s)
@@ -86,7 +92,9 @@ def strengths_alone(
     corrected: bool = False,
     step_s: float = REPLAY_STEP_S,
 ) -> list[Strength]:
-    """Of each candidate by itself in these flights, in which it does not act: what |t| its size would have."""
+    """Of each candidate by itself in these flights, in which it does not act: what |t| its size
+    would have.
+    """
     with_it = [(*flights[0].effects, e) for e in candidates]
     columns, changes, residual = _sensitivities(flights, flown, with_it, corrected, step_s)
     nuisance = _Nuisance(columns, residual)
@@ -100,7 +108,9 @@ def _sensitivities(
     corrected: bool,
     step_s: float,
 ) -> tuple[list[FloatArray], list[list[FloatArray]], list[FloatArray] | None]:
-    """Of each segment: columns (n, m, k) of the nuisance, changes (n, m) between its effects and each variant, residual."""
+    """Of each segment: columns (n, m, k) of the nuisance, changes (n, m) between its effects and
+    each variant, residual.
+    """
     pieces = [
         _Piece(f, told, m, variants)
         for f, told in zip(flights, flown, strict=True)
@@ -129,7 +139,9 @@ def _sensitivities(
 
 
 class _Nuisance:
-    """What an effect has to stand out from: columns S (n, m, k) a segment and, in turbulence, the residual that is left of them."""
+    """What an effect has to stand out from: columns S (n, m, k) a segment and, in turbulence, the
+    residual that is left of them.
+    """
 
     def __init__(self, columns: list[FloatArray], residual: list[FloatArray] | None) -> None:
         self.S, self.left, self.size = columns, None, np.ones(columns[0].shape[1])
@@ -183,7 +195,9 @@ def _beside(
 
 
 def _inverse(information: FloatArray) -> FloatArray:
-    """Pseudo-inverse after scaling to a unit diagonal: nuisance that the flights do not show takes nothing up."""
+    """Pseudo-inverse after scaling to a unit diagonal: nuisance that the flights do not show takes
+    nothing up.
+    """
     scale = 1.0 / np.sqrt(np.maximum(np.diagonal(information), 1e-30))
     found = np.linalg.pinv(information * np.outer(scale, scale), rcond=1e-10, hermitian=True)
     return np.asarray(found * np.outer(scale, scale))
@@ -232,7 +246,9 @@ class _Piece:
 def _replayed(
     pieces: list[_Piece], step_s: float
 ) -> list[tuple[FloatArray, list[FloatArray], FloatArray]]:
-    """Of each piece: outputs (n, m) in still air from the true start; those of each variant; sensitivities (n, m, k)."""
+    """Of each piece: outputs (n, m) in still air from the true start; those of each variant;
+    sensitivities (n, m, k).
+    """
     n = max(p.rows.stop - p.rows.start for p in pieces)
     dt = pieces[0].dt
     commands = np.concatenate([p.commands(n) for p in pieces], axis=2)

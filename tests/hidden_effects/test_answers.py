@@ -134,7 +134,8 @@ def test_causes_that_are_the_same_on_the_data():
     assert (together.right, together.together) == (True, True)
     alone = judge(case, refinement(effect("mass:Ixz")), 0)
     assert (alone.right, alone.together, alone.spurious) == (True, False, 0)
-    # The same moment in turbulence, fifty times as large, is Ixz of 9.8 kg m^2: above sqrt(Ixx Izz), 8.3.
+    # The same moment in turbulence, fifty times as large, is Ixz of 9.8 kg m^2: above sqrt(Ixx
+    # Izz), 8.3.
     strong = CASES["Cm:p_hat^2", "clear", "light"]
     assert judge(strong, refinement(effect("Cm:p_hat^2")), 0).together is None
     weaker = replace(
@@ -263,7 +264,10 @@ def test_refine_can_neither_import_nor_read_the_examination(tmp_path):
         f"import sys; sys.path.insert(0, {str(ROOT / 'tests')!r}); import hidden_effects.answers",
         f"open({str(secret / 'a.json')!r})",
         f"import os; os.listdir({str(secret)!r})",
-        f"import subprocess, sys; sys.exit(subprocess.run([sys.executable, '-c', {f'open({str(secret)!r})'!r}]).returncode)",
+        (
+            "import subprocess, sys; sys.exit(subprocess.run([sys.executable, '-c',"
+            f" {f'open({str(secret)!r})'!r}]).returncode)"
+        ),
     ):
         done = sealed.run(place, ["-c", text])
         assert done.returncode != 0, text

@@ -1,4 +1,6 @@
-"""Compiled equations and terms against Python's own arithmetic, and the air's motion against the aeroplane's."""
+"""Compiled equations and terms against Python's own arithmetic, and the air's motion against the
+aeroplane's.
+"""
 
 from __future__ import annotations
 
@@ -80,7 +82,8 @@ def test_air_that_moves_is_an_aeroplane_that_moves_the_other_way():
     wind = rng.normal(size=(3, 5))
     model = Model([SECOND] * 5, [(Effect("Cm", "alpha*beta", 0.3),)] * 5)
     calm = evaluate(model, x, s, None)
-    # North, east and down of the wind from the heading's axes, then into the body: both matrices by successive turns.
+    # North, east and down of the wind from the heading's axes, then into the body: both matrices by
+    # successive turns.
     moved = x.copy()
     for lane in range(5):
         phi, theta = x[6, lane], x[7, lane]

@@ -1,4 +1,6 @@
-"""The examination of refine: its flights are true flights, and its effects are what they are called."""
+"""The examination of refine: its flights are true flights, and its effects are what they are
+called.
+"""
 
 from __future__ import annotations
 
@@ -81,7 +83,8 @@ def test_servos_are_exact_and_their_faults_are_as_named():
     assert servos.s[0, 4] == pytest.approx(servos.s[0, 0] - 0.5)
     for _ in range(500):
         servos.advance(-command)
-    # Back from above: the dead zone takes its half from both sides, the play follows half a width behind.
+    # Back from above: the dead zone takes its half from both sides, the play follows half a width
+    # behind.
     assert servos.s[0, 2] == pytest.approx(-3.5, abs=1e-3)
     assert servos.s[0, 4] == pytest.approx(-3.5, abs=1e-3)
     for _ in range(500):
@@ -309,14 +312,17 @@ def test_what_the_parameters_can_take_up_has_no_strength(weighed):
     # A centre of gravity elsewhere is Cm_0, Cm_alpha, Cm_de and Cn's linear terms by other names.
     assert weighed["cg"][0].gap > 0.2
     assert weighed["cg"][0].share < 0.05
-    # Ixz and p_hat^2 in pitch, each beside the other, are as good as nothing; alone they are something.
+    # Ixz and p_hat^2 in pitch, each beside the other, are as good as nothing; alone they are
+    # something.
     assert weighed["Ixz"][0].t > 5.0
     assert weighed["both"][1].t < 0.5 * weighed["Ixz"][0].t
 
 
 @pytest.mark.slow
 def test_strength_is_output_errors_own(tmp_path):
-    """|t| from these equations' sensitivities against the standard error of identify, which flies JSBSim."""
+    """|t| from these equations' sensitivities against the standard error of identify, which flies
+    JSBSim.
+    """
     hidden = Effect("CZ", "q_hat", -2.0)
     flights = [
         Flight(card(50 + i, V, seconds=33.0, first=3 * i), Airframe(), (hidden,))

@@ -1,4 +1,6 @@
-"""Refine itself, asked a few of the examination's questions; the whole battery is a command (docs/hidden-effects.md)."""
+"""Refine itself, asked a few of the examination's questions; the whole battery is a command
+(docs/hidden-effects.md).
+"""
 
 from __future__ import annotations
 
@@ -122,7 +124,9 @@ def test_nothing_is_found_where_nothing_is(place):
 
 @pytest.mark.slow
 def test_sensors_noisier_than_stated_do_not_pass_for_gusts(place):
-    """Twice Table 2.1's noise in light air: taken for gusts that do not turn, it left two effects of |t| above 10."""
+    """Twice Table 2.1's noise in light air: taken for gusts that do not turn, it left two effects
+    of |t| above 10.
+    """
     noisy = next(
         c for c in battery() if c.kind == "null" and c.air == "light" and c.train[0].noise == 2.0
     )
@@ -151,7 +155,9 @@ def another_servo(folder, **lags):
 
 
 def refined(aircraft, cards_of, folder, w20_kt=0.0):
-    """refinement.json of an aircraft and flights of the equations of motion, as a process in the project's folder."""
+    """refinement.json of an aircraft and flights of the equations of motion, as a process in the
+    project's folder.
+    """
     flights = fly([Flight(replace(c, w20_kt=w20_kt), Airframe()) for c in cards_of])
     paths = [folder / f"{k}.parquet" for k in range(len(flights))]
     for record, path in zip(flights, paths, strict=True):
@@ -175,7 +181,10 @@ def refined(aircraft, cards_of, folder, w20_kt=0.0):
 
 @pytest.mark.slow
 def test_servos_that_act_at_once_leave_no_fault_in_turbulence(tmp_path, monkeypatch):
-    """Rows are read before their commands go out. On one such flight an elevator's rate limit had |t| 42."""
+    """Rows are read before their commands go out.
+
+    On one such flight an elevator's rate limit had |t| 42.
+    """
     monkeypatch.setattr(motion, "LAG", (1e6,) * 4)
     monkeypatch.setattr(motion, "RATE", (1e9,) * 4)
     at_once = another_servo(tmp_path, elevator=None, aileron=None, rudder=None, throttle=None)
@@ -201,7 +210,9 @@ def test_a_servos_lag_in_the_xml_may_be_wrong_either_way(tmp_path, lag):
 
 @pytest.mark.slow
 def test_a_rate_limit_in_the_xml_may_be_too_low(tmp_path):
-    """The servo is never asked for as much as the 240 deg/s it has: what is told is that the limit in the XML is not there."""
+    """The servo is never asked for as much as the 240 deg/s it has: what is told is that the limit
+    in the XML is not there.
+    """
     aircraft = another_servo(tmp_path, elevator=25.5)
     path = aircraft / "espaaro.xml"
     text = path.read_text(encoding="utf-8").replace("<lag>25.5</lag>", "<lag>25</lag>")
@@ -243,7 +254,9 @@ def test_accelerometers_elsewhere_than_the_card_says_are_found(tmp_path):
 
 @pytest.mark.slow
 def test_flights_to_test_on_never_choose(place, answer):
-    """The test flight is spoilt in every channel; what was chosen, and every number of it, stays."""
+    """The test flight is spoilt in every channel; what was chosen, and every number of it,
+    stays.
+    """
     files = ROLL_RATE.files(place.parent / "flights")
     record = FlightRecord.read(files["test"][0])
     rng = np.random.default_rng(0)
@@ -285,7 +298,9 @@ def test_what_is_asked_here_is_in_the_catalogue():
 
 @pytest.mark.slow
 def test_the_way_from_a_case_to_its_mark(tmp_path):
-    """Short flights with a strong effect: flown, asked in the seal, judged; the file keeps its contract."""
+    """Short flights with a strong effect: flown, asked in the seal, judged; the file keeps its
+    contract.
+    """
     short = (
         card(51, 22.0, seconds=14.0, kinds=("roll and yaw",)),
         card(52, 22.0, seconds=14.0, kinds=("roll and yaw",)),

@@ -19,7 +19,9 @@ _TOGETHER = 12
 
 
 def weights() -> dict[str, Mapping[str, float]]:
-    """Case id -> key of a hidden effect -> |t| in output error, corrected for colour in turbulence."""
+    """Case id -> key of a hidden effect -> |t| in output error, corrected for colour in
+    turbulence.
+    """
     out: dict[str, dict[str, float]] = {}
     if PATH.is_file():
         with PATH.open(encoding="utf-8") as handle:

@@ -1,4 +1,6 @@
-"""The smallest JSBSim aircraft that shows a behaviour, and a way to let it die in a process of its own."""
+"""The smallest JSBSim aircraft that shows a behaviour, and a way to let it die in a process of its
+own.
+"""
 
 from __future__ import annotations
 
@@ -69,7 +71,9 @@ def small(root: Path, **parts: Any) -> Any:
 
 
 def dies(code: str, root: Path) -> int:
-    """Exit code of a process that runs ``code`` with ``root`` and ``jsbsim`` at hand; negative for a signal."""
+    """Exit code of a process that runs ``code`` with ``root`` and ``jsbsim`` at hand; negative for
+    a signal.
+    """
     head = f"import jsbsim\nroot = {str(root)!r}\n"
     done = subprocess.run(
         [sys.executable, "-c", head + code], capture_output=True, timeout=60, check=False

@@ -1,4 +1,5 @@
-"""Behaviours of JSBSim 1.3.3 that bite, each reproduced by the smallest model: docs/jsbsim-traps.md tells what to do about them.
+"""Behaviours of JSBSim 1.3.3 that bite, each reproduced by the smallest model: docs/jsbsim-traps.md
+tells what to do about them.
 
 A test that fails here after an upgrade means that JSBSim changed, not that this project broke.
 """
@@ -21,7 +22,10 @@ except Exception:
 
 
 def channel(components: str, attributes: str = "") -> str:
-    return f'<property value="0">test/in</property><channel name="c" {attributes}>{components}</channel>'
+    return (
+        '<property value="0">test/in</property><channel name="c"'
+        f" {attributes}>{components}</channel>"
+    )
 
 
 def step_response(fdm, name: str, steps: int) -> list[float]:
@@ -96,7 +100,10 @@ def test_setting_a_read_only_property_is_ignored_in_silence(tmp_path):
 
 def test_not_a_number_runs_on(tmp_path):
     bad = "<property value='0'>test/in</property>"
-    root = "<axis name='PITCH'><function name='aero/m'><sqrt><property>test/in</property></sqrt></function></axis>"
+    root = (
+        "<axis name='PITCH'><function"
+        " name='aero/m'><sqrt><property>test/in</property></sqrt></function></axis>"
+    )
     fdm = small(tmp_path, fcs=bad, aero=root)
     fdm.run_ic()
     fdm["test/in"] = -1.0
@@ -151,8 +158,13 @@ def test_mixed_axis_systems_corrupt_the_forces_without_a_word(tmp_path):
 
 DELAYED = {
     "sensor": "<sensor name='g'><input>test/in</input><delay type='frames'>{}</delay></sensor>",
-    "actuator": "<actuator name='g'><input>test/in</input><delay type='frames'>{}</delay></actuator>",
-    "pure_gain": "<pure_gain name='g'><input>test/in</input><gain>1</gain><delay type='frames'>{}</delay></pure_gain>",
+    "actuator": (
+        "<actuator name='g'><input>test/in</input><delay type='frames'>{}</delay></actuator>"
+    ),
+    "pure_gain": (
+        "<pure_gain name='g'><input>test/in</input><gain>1</gain><delay"
+        " type='frames'>{}</delay></pure_gain>"
+    ),
     "summer": "<summer name='g'><input>test/in</input><delay type='frames'>{}</delay></summer>",
 }
 
@@ -177,7 +189,10 @@ def test_a_delay_of_n_frames_is_n_minus_one_and_only_sensors_and_actuators_have_
 
 
 def test_percent_noise_is_a_fraction(tmp_path):
-    parts = "<sensor name='s'><input>test/in</input><noise variation='PERCENT' distribution='GAUSSIAN'>0.5</noise></sensor>"
+    parts = (
+        "<sensor name='s'><input>test/in</input><noise variation='PERCENT'"
+        " distribution='GAUSSIAN'>0.5</noise></sensor>"
+    )
     fdm = small(tmp_path, fcs=channel(parts))
     fdm.run_ic()
     fdm["test/in"] = 10.0
@@ -288,7 +303,10 @@ def test_the_file_of_a_models_own_output_is_made_though_output_is_disabled(tmp_p
 
 def test_the_larger_of_nan_and_a_number_is_the_number(tmp_path):
     nan = "<property value='0'>test/nan</property>"
-    greater = "<function name='test/max'><max><property>test/nan</property><value>0</value></max></function>"
+    greater = (
+        "<function"
+        " name='test/max'><max><property>test/nan</property><value>0</value></max></function>"
+    )
     fdm = small(tmp_path, aero=nan + greater)
     fdm["test/nan"] = float("nan")
     fdm.run_ic()

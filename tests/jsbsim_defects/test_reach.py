@@ -1,4 +1,6 @@
-"""What a model's XML can reach outside itself in JSBSim 1.3.3: docs/jsbsim-traps.md, "Access to files and network"."""
+"""What a model's XML can reach outside itself in JSBSim 1.3.3: docs/jsbsim-traps.md, "Access to
+files and network".
+"""
 
 from __future__ import annotations
 
@@ -29,7 +31,10 @@ def free_port() -> int:
 
 def test_an_output_is_written_wherever_its_name_points(tmp_path: Path) -> None:
     caption = 'caption="&#10;any text of the author&#10;"'
-    element = f"<output name='{tmp_path}/else.sh' type='CSV' rate='10'><property {caption}>position/h-sl-ft</property></output>"
+    element = (
+        f"<output name='{tmp_path}/else.sh' type='CSV' rate='10'><property"
+        f" {caption}>position/h-sl-ft</property></output>"
+    )
     fdm = load(with_elements(tmp_path / "root", element))
     fdm.set_output_path(str(tmp_path / "nowhere"))
     fdm.run_ic()
@@ -56,7 +61,10 @@ def test_an_output_connects_to_a_machine_of_the_authors_choice(tmp_path: Path) -
         listener.bind((LOCAL, 0))
         listener.listen()
         listener.settimeout(10)
-        element = f"<output type='SOCKET' name='localhost' protocol='TCP' port='{listener.getsockname()[1]}' rate='10'/>"
+        element = (
+            "<output type='SOCKET' name='localhost' protocol='TCP'"
+            f" port='{listener.getsockname()[1]}' rate='10'/>"
+        )
         fdm = load(with_elements(tmp_path, element))
         fdm.run_ic()
         listener.accept()[0].close()

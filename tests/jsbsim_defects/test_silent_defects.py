@@ -1,4 +1,6 @@
-"""More behaviours of JSBSim 1.3.3 that say nothing; see test_defects.py and docs/jsbsim-traps.md."""
+"""More behaviours of JSBSim 1.3.3 that say nothing; see test_defects.py and
+docs/jsbsim-traps.md.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,10 @@ STILL = "<axis name='X'><function name='aero/f'>{}</function></axis>"
 
 
 def test_an_unknown_operation_inside_a_sum_is_dropped_and_the_rest_flies_on(tmp_path):
-    wrong = "<sum> <value>1</value> <prodct> <value>2</value> <value>3</value> </prodct> <value>10</value> </sum>"
+    wrong = (
+        "<sum> <value>1</value> <prodct> <value>2</value> <value>3</value> </prodct>"
+        " <value>10</value> </sum>"
+    )
     right = wrong.replace("prodct", "product")
     for text, value in ((wrong, 11.0), (right, 17.0)):
         fdm = small(tmp_path, aero=STILL.format(text))
@@ -128,7 +133,9 @@ def test_flight_control_reads_the_airspeed_of_the_frame_before_and_the_attitude_
 
 
 def flown_through(tmp_path, component):
-    """What a component makes of a command of 0.5 in its first frame, and of 1.0 two seconds later."""
+    """What a component makes of a command of 0.5 in its first frame, and of 1.0 two seconds
+    later.
+    """
     fcs = f"<channel name='c'>{component}</channel>"
     fdm = small(tmp_path, fcs="<property value='0.5'>s/in</property>" + fcs)
     fdm["s/in"] = 0.5

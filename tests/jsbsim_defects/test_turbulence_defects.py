@@ -1,8 +1,8 @@
 """Defects of JSBSim 1.3.3's turbulence and wind, shown without the project's air system.
 
-Each test asserts that the defect is THERE, with its size. One that fails after an upgrade means good news and work: the cure in
-aircraft/espaaro/Systems/air.xml has to go with the defect. docs/air.md lists them under the same letters.
-"""
+Each test asserts that the defect is THERE, with its size. One that fails after an upgrade means
+good news and work: the cure in aircraft/espaaro/Systems/air.xml has to go with the defect.
+docs/air.md lists them under the same letters."""
 
 from __future__ import annotations
 
@@ -50,7 +50,8 @@ def record(fdm: Any, names: list[str], n: int) -> np.ndarray:
 
 @pytest.mark.parametrize(("severity", "sd_fps"), [(3.0, 7.0), (6.0, 18.6)])
 def test_a_height_is_taken_above_sea_level(folder: Path, severity: float, sd_fps: float) -> None:
-    # 330 ft above a field at 1790 ft. Specified: sd of w = 0.1 W20 = 5 ft/s whatever the "severity".
+    # 330 ft above a field at 1790 ft. Specified: sd of w = 0.1 W20 = 5 ft/s whatever the
+    # "severity".
     condition = replace(
         CALM, h_m=(1790.0 + 330.0) * FT_M, V_mps=100.0, dt_s=0.02
     )  # fast, for many scale lengths
@@ -97,7 +98,8 @@ def test_d_rotation_to_north_and_east_has_the_wrong_sign(folder: Path) -> None:
 
 
 def test_e_pitch_gust_has_the_wrong_sign() -> None:
-    # Flying with the wind (gust axes on the heading): q follows +dw/dt, where the air's rotation is -dw/dx.
+    # Flying with the wind (gust axes on the heading): q follows +dw/dt, where the air's rotation is
+    # -dw/dx.
     tail_wind = replace(
         CALM, heading_deg=180.0, wind_from_deg=180.0, wind_mps=3.0, duration_s=300.0
     )
@@ -130,7 +132,8 @@ def test_f_tustin_filters_turn_to_nan_when_initialised_again(folder: Path) -> No
 
 
 def test_g_roll_gust_is_not_that_of_8785c() -> None:
-    # Yeager's form: 15 % too strong at 100 m, with twice the density at low and two thirds of it at high frequency.
+    # Yeager's form: 15 % too strong at 100 m, with twice the density at low and two thirds of it at
+    # high frequency.
     tail_wind = replace(
         CALM, heading_deg=180.0, wind_from_deg=180.0, wind_mps=3.0, duration_s=1800.0
     )
@@ -150,8 +153,9 @@ def test_h_default_milspec_filters_are_a_third_too_strong_where_aircraft_answer(
 
 
 def test_i_second_order_filters_drift_when_the_airspeed_answers_to_the_gust(folder: Path) -> None:
-    # An aircraft that accelerates with the side gust (here by 0.3 1/s of it, as a banked one does) makes each white-noise sample
-    # meet one gain on its way in and another on its way out: v gets a mean, though it is symmetric and V hardly moves.
+    # An aircraft that accelerates with the side gust (here by 0.3 1/s of it, as a banked one does)
+    # makes each white-noise sample meet one gain on its way in and another on its way out: v gets a
+    # mean, though it is symmetric and V hardly moves.
     mean = {}
     for coupling in (0.3, -0.3):
         fdm = turbulent(folder, {}, replace(CALM, dt_s=0.02))

@@ -1,4 +1,6 @@
-"""NIST Statistical Reference Datasets (https://www.itl.nist.gov/div898/strd): data and certified values."""
+"""NIST Statistical Reference Datasets (https://www.itl.nist.gov/div898/strd): data and certified
+values.
+"""
 
 import numpy as np
 

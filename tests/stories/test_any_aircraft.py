@@ -1,4 +1,6 @@
-"""From a stock JSBSim aircraft and its own flights, logged in knots, feet, degrees and g, to the name of what the model lacks."""
+"""From a stock JSBSim aircraft and its own flights, logged in knots, feet, degrees and g, to the
+name of what the model lacks.
+"""
 
 from __future__ import annotations
 
@@ -36,8 +38,8 @@ POWER = {"throttle_pct": ("thr_pct", 0.1), "thrust_N": ("thrust_N", 1.0)}
 
 
 def hide_the_effect(folder: Path, out: Path, size: float) -> Path:
-    """A copy of an instrumented aircraft whose pitching moment goes with roll rate squared (of p b / 2V) as well: a term that no
-    function of these aircraft has."""
+    """A copy of an instrumented aircraft whose pitching moment goes with roll rate squared (of p b
+    / 2V) as well: a term that no function of these aircraft has."""
     out.mkdir()
     for file in folder.rglob("*"):
         if file.is_file():
@@ -52,7 +54,8 @@ def hide_the_effect(folder: Path, out: Path, size: float) -> Path:
     text = xml.read_text(encoding="utf-8", errors="replace")
     place = text.index(">", text.index('<axis name="PITCH"')) + 1
     hidden = (
-        '<function name="aero/hidden"><product><property>aero/qbar-psf</property><property>metrics/Sw-sqft</property>'
+        "<function"
+        ' name="aero/hidden"><product><property>aero/qbar-psf</property><property>metrics/Sw-sqft</property>'
         f"<property>metrics/cbarw-ft</property><value>{size}</value><pow><product><property>aero/bi2vel</property>"
         "<property>velocities/p-aero-rad_sec</property></product><value>2</value></pow></product></function>"
     )
@@ -88,7 +91,8 @@ def ran(*words: object) -> int:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "speeds", "hidden"),
-    # The T37 flies half of the others' p b / 2V and has more inertia: of an effect of 12 its gyros' noise hides all.
+    # The T37 flies half of the others' p b / 2V and has more inertia: of an effect of 12 its gyros'
+    # noise hides all.
     [("c172p", (50, 55), 3.0), ("J3Cub", (30, 34), 3.0), ("T37", (90, 100), 40.0)],
 )
 def test_a_stock_aircraft_and_its_logs_come_to_the_name_of_the_hidden_effect(
@@ -200,7 +204,9 @@ def test_three_commands_lead_from_nothing_to_the_gap(tmp_path, capsys):
 
 
 def test_measured_thrust_in_a_foreign_log_drives_the_replay(tmp_path, capsys):
-    """Knots, feet, degrees and g, no throttle; the elevator reversed as the case in which compare says no."""
+    """Knots, feet, degrees and g, no throttle; the elevator reversed as the case in which compare
+    says no.
+    """
     flown = tmp_path / "flown.parquet"
     asked = (
         "--script",

@@ -1,4 +1,6 @@
-"""docs/architecture.md and its picture name the rooms that there are; dotted names of every page lead somewhere."""
+"""docs/architecture.md and its picture name the rooms that there are; dotted names of every page
+lead somewhere.
+"""
 
 from __future__ import annotations
 
@@ -89,6 +91,9 @@ def test_the_stations_of_the_picture_are_those_of_the_page(drawing):
 
 
 def test_what_does_not_exist_is_seen():
-    text = "`sysid.logs.load.import_log` `sysid.logs.load.nothing` `uqharness.nowhere` `uqharness.campaign` `sysid.output_error`"
+    text = (
+        "`sysid.logs.load.import_log` `sysid.logs.load.nothing` `uqharness.nowhere`"
+        " `uqharness.campaign` `sysid.output_error`"
+    )
     assert wrong_names(text) == ["sysid.logs.load.nothing", "uqharness.nowhere"]
     assert wrong_folders("`docs/figures/` `docs/nowhere/`") == ["docs/nowhere/"]

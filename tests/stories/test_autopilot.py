@@ -1,4 +1,6 @@
-"""Sensors and autopilot in flight: truth and noise, capture, steady offset, wind and turbulence, margins."""
+"""Sensors and autopilot in flight: truth and noise, capture, steady offset, wind and turbulence,
+margins.
+"""
 
 from __future__ import annotations
 
@@ -156,7 +158,8 @@ def test_position_agrees_with_geodesy_to_a_centimetre_at_one_kilometre(load_miss
         math.cos(lat0),
     ]
     east = offset @ [-math.sin(lon0), math.cos(lon0), 0.0]
-    # A flat plane keeps the horizontal distance, not the arc; 100 m of height add 1.6 cm per km to both.
+    # A flat plane keeps the horizontal distance, not the arc; 100 m of height add 1.6 cm per km to
+    # both.
     assert math.hypot(rows[-1, 3], rows[-1, 4]) > 950
     assert rows[:, 3] == pytest.approx(north, abs=0.01)
     assert rows[:, 4] == pytest.approx(east, abs=0.01)
@@ -171,7 +174,9 @@ def settled(fdm):
 
 
 def test_steady_offset_of_the_loiter_law(mission):
-    """No integrator: it settles outside, by the widened radius (EAS2TAS) and the side force of the turn."""
+    """No integrator: it settles outside, by the widened radius (EAS2TAS) and the side force of the
+    turn.
+    """
     track = settled(mission(CALM))
     assert 1.7 < track[:, 0].mean() < 2.4
     assert np.ptp(track[:, 0]) < 0.2
@@ -200,7 +205,9 @@ def test_left_mirrors_right(mission):
 @pytest.mark.parametrize("centre_m", [(0, 0), (60, 0), (-120, 0), (400, 0)], ids=str)
 @pytest.mark.parametrize("heading_deg", few(range(0, 360, 45), 4))
 def test_capture_from_any_heading(load_mission, heading_deg, centre_m, direction):
-    """Inside, on and outside the circle, towards it, along it and away from it, in the right and in the wrong sense."""
+    """Inside, on and outside the circle, towards it, along it and away from it, in the right and in
+    the wrong sense.
+    """
     north, east = centre_m
     fdm = load_mission(
         {
@@ -252,7 +259,8 @@ def test_holds_the_loiter_in_7_mps_wind_and_severe_turbulence(mission):
     fly(fdm, 120.0, TRACK)
     rows = np.abs(fly(fdm, 600.0, (*TRACK, *ATTITUDE)))
     assert np.isfinite(rows).all()
-    # The definition of a lost aircraft is 80 deg of bank, 25 deg of incidence, 60 m of height: far from all three.
+    # The definition of a lost aircraft is 80 deg of bank, 25 deg of incidence, 60 m of height: far
+    # from all three.
     assert rows[:, 3].max() < 65
     assert rows[:, 4].max() < 15
     assert rows[:, 1].max() < 35
@@ -264,7 +272,9 @@ def test_holds_the_loiter_in_7_mps_wind_and_severe_turbulence(mission):
 
 @pytest.mark.slow
 def test_medians_at_3_mps_and_moderate_turbulence_are_of_the_published_kind(mission):
-    """Published flight: altitude 2.16 m, speed 0.61 m/s; cross track 9.41 m at an unknown radius and elevation."""
+    """Published flight: altitude 2.16 m, speed 0.61 m/s; cross track 9.41 m at an unknown radius
+    and elevation.
+    """
     fdm = mission()
     fly(fdm, 120.0, TRACK)
     names = ("sensor/cross-track-m", "sensor/altitude-error-m", "sensor/speed-error-mps")
@@ -329,7 +339,9 @@ def test_injection_is_added_behind_the_output(mission):
 
 @pytest.mark.parametrize("step_m", [60.0, -60.0])
 def test_energy_integrators_do_not_wind_up(mission, step_m):
-    """A climb and a descent at the rate limits, the latter with the motor idling; overshoot stays small."""
+    """A climb and a descent at the rate limits, the latter with the motor idling; overshoot stays
+    small.
+    """
     fdm = mission({**CALM, "ap/altitude-cmd-m": 100 + step_m})
     rows = fly(fdm, 90.0, (*TRACK, "fcs/throttle-pos-pct"))
     overshoot = max(0.0, (rows[:, 1] * math.copysign(1, step_m)).max())
@@ -376,7 +388,9 @@ def test_every_loop_has_margins(margins):
     ],
 )
 def test_the_aircraft_goes_unstable_at_the_measured_gain_margin(load_mission, margins, loop, gains):
-    """Flown, not computed: all gains of one surface 8 % below the margin die out, 8 % above grow."""
+    """Flown, not computed: all gains of one surface 8 % below the margin die out, 8 % above
+    grow.
+    """
 
     def growth(factor):
         fdm = load_mission(CALM_STRAIGHT)
@@ -399,7 +413,10 @@ def test_the_aircraft_goes_unstable_at_the_measured_gain_margin(load_mission, ma
 
 
 def test_the_aircraft_goes_unstable_at_the_measured_gain_margin_downwards(load_mission, margins):
-    """Flown: a bank after a pulse of aileron, four minutes later. The loop has 11 s per period at that margin."""
+    """Flown: a bank after a pulse of aileron, four minutes later.
+
+    The loop has 11 s per period at that margin.
+    """
 
     def growth(factor):
         fdm = start(load_mission(CALM_LOITER))

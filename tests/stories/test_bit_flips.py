@@ -1,4 +1,6 @@
-"""Single flipped bits of a campaign's folder are without effect or found; the tool that says so would see one that is not."""
+"""Single flipped bits of a campaign's folder are without effect or found; the tool that says so
+would see one that is not.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,9 @@ def test_no_flip_is_silent(root, flips):
 
 
 def test_a_reader_that_believes_everything_is_seen(root, monkeypatch):
-    """The tool's own no: the same flips in journals whose rows are not held against their digests."""
+    """The tool's own no: the same flips in journals whose rows are not held against their
+    digests.
+    """
     with bit_flips.harmless():
         folders = [
             folder

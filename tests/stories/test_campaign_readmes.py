@@ -1,4 +1,6 @@
-"""The commands that stand in the campaigns' READMEs: each is one that exists, and every campaign file flies at small size."""
+"""The commands that stand in the campaigns' READMEs: each is one that exists, and every campaign
+file flies at small size.
+"""
 
 from __future__ import annotations
 
@@ -23,8 +25,8 @@ pytestmark = pytest.mark.usefixtures("flights_here")
 
 FOLDER = PROJECT_ROOT / "campaigns"
 READMES = sorted(FOLDER.glob("*/README.md"))
-# The study has tests of its own (test_chain_*); the c172's aircraft is made by the command before it (the examples of
-# docs/bring-your-own-aircraft.md).
+# The study has tests of its own (test_chain_*); the c172's aircraft is made by the command before
+# it (the examples of docs/bring-your-own-aircraft.md).
 FLOWN = sorted(p for p in FOLDER.glob("*/*.toml") if p.parent.name not in ("chain", "c172"))
 
 
@@ -43,7 +45,9 @@ class Parsed(Exception):
 
 
 def parse(words: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    """Read the options of ``python -m MODULE WORDS`` by the program itself, which is ended there."""
+    """Read the options of ``python -m MODULE WORDS`` by the program itself, which is ended
+    there.
+    """
     original = argparse.ArgumentParser.parse_args
 
     def parse_args(self, args=None, namespace=None):
@@ -83,7 +87,9 @@ def test_a_command_that_does_not_exist_is_seen(tmp_path):
 
 
 def small(path: Path) -> dict[str, object]:
-    """The campaign with one short flight in one condition for two coefficients; method, metrics and all the rest as they stand."""
+    """The campaign with one short flight in one condition for two coefficients; method, metrics and
+    all the rest as they stand.
+    """
     data = tomllib.loads(path.read_text(encoding="utf-8"))
     air, samples = data["aleatory"], data["epistemic"]
     air |= {"flights": 1, "duration_s": 6, "burn_in_s": 2}
@@ -104,7 +110,8 @@ def test_every_campaign_file_flies_at_small_size(path, tmp_path):
     data = small(path)
     (tmp_path / "small.toml").write_text(tomlkit.dumps(data))
     out = tmp_path / "out"
-    # JSBSim has flown them before the batch engine is compiled; the demo's own campaign keeps the engine that its file asks for.
+    # JSBSim has flown them before the batch engine is compiled; the demo's own campaign keeps the
+    # engine that its file asks for.
     engine = [] if path.parent.name == "demo" else ["--engine", "jsbsim"]
     assert (
         main(

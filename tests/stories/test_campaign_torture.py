@@ -1,4 +1,6 @@
-"""Kill whatever flies a campaign, at random moments and in the middle of its writes: the end is that of the undisturbed run."""
+"""Kill whatever flies a campaign, at random moments and in the middle of its writes: the end is
+that of the undisturbed run.
+"""
 
 from __future__ import annotations
 
@@ -45,7 +47,9 @@ def finished(out):
 
 
 class Victim:
-    """A campaign that flies in another process, here or on the cluster, and what of it may be killed."""
+    """A campaign that flies in another process, here or on the cluster, and what of it may be
+    killed.
+    """
 
     def __init__(self, folder, cluster, flights, fake="slow"):
         self.folder, self.out, self.cluster, self.flights = folder, folder / "out", cluster, flights
@@ -115,7 +119,9 @@ class Victim:
         return True
 
     def tear(self, what, chance, number):
-        """Let it run into its own end in the middle of a write; for a table that is its last act."""
+        """Let it run into its own end in the middle of a write; for a table that is its
+        last act.
+        """
         self.end()
         self.start(False, f"{what}:{number}")
         self.process.wait(120)
@@ -144,7 +150,8 @@ def torture(folder, cluster, flights, kills, seed, fake="slow"):
             )
             hit += [what] if found else []
         victim.end()
-        # Killed among the tables, of which the last run writes a manifest and three, or at the manifest that says complete.
+        # Killed among the tables, of which the last run writes a manifest and three, or at the
+        # manifest that says complete.
         victim.start(False, f"table:{chance.randint(2, 5)}")
         victim.process.wait(300)
         hit += ["table"] if victim.process.returncode == -signal.SIGKILL else []
@@ -192,7 +199,9 @@ def test_four_kills_of_four_kinds(tmp_path, cluster):
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:This process .* is multi-threaded:DeprecationWarning")
 def test_a_campaign_that_decides_is_killed_between_its_looks(tmp_path):
-    """What to fly next depends on what is done: a look at half a round would answer another question."""
+    """What to fly next depends on what is done: a look at half a round would answer another
+    question.
+    """
     fakes.campaign_file(tmp_path, DECIDE)
     kills = ["parent", "journal", "worker", "parent"]
     hit = torture(tmp_path, None, "as-is", kills, seed=20161203, fake="by_corner_slowly")

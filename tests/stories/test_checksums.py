@@ -1,4 +1,6 @@
-"""SHA256SUMS: one bit or the end of any file of a campaign, a study or a refinement is missed by nobody who checks."""
+"""SHA256SUMS: one bit or the end of any file of a campaign, a study or a refinement is missed by
+nobody who checks.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,9 @@ from uqharness.report import write_report
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory) -> Path:
-    """A campaign that is complete, and a study and a refinement with a campaign inside, all sealed."""
+    """A campaign that is complete, and a study and a refinement with a campaign inside, all
+    sealed.
+    """
     root = tmp_path_factory.mktemp("sealed")
     shutil.copytree(CORPUS / "results" / "campaign", root / "campaign")
     record_table(root / "campaign", "engine-check.csv", b"part,condition\nstart,calm\n" * 20)

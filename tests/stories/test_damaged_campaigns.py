@@ -1,4 +1,6 @@
-"""Damage to a campaign's folder: found by every command, told by verify, made good by run and salvage."""
+"""Damage to a campaign's folder: found by every command, told by verify, made good by run and
+salvage.
+"""
 
 from __future__ import annotations
 
@@ -221,8 +223,12 @@ def test_a_run_that_was_not_complete_is_held_against_its_rows(copy, made, tmp_pa
     folder = copy("plain")
     unseal(folder, "interrupted")
     spoils = {
-        "delete from outcome where case_id = (select min(case_id) from outcome)": "31 flights are in it, 32 were stored",
-        "update outcome set flown_s = 1.0 where case_id = (select min(case_id) from outcome)": "does not fit its digest",
+        "delete from outcome where case_id = (select min(case_id) from outcome)": (
+            "31 flights are in it, 32 were stored"
+        ),
+        "update outcome set flown_s = 1.0 where case_id = (select min(case_id) from outcome)": (
+            "does not fit its digest"
+        ),
         "update outcome set status = 'crashed'": "does not fit its digest",
         "update tally set statuses = '{\"ok\": 31}'": "tally of flights does not fit",
         "drop table tally": "its tables are not those",
@@ -396,7 +402,9 @@ def test_a_writer_killed_in_a_batch_is_no_damage(copy, made):
 
 
 def killed_at(step, folder):
-    """Whether a salvage in another process was killed before its n-th change of the folder, or came to its end."""
+    """Whether a salvage in another process was killed before its n-th change of the folder, or came
+    to its end.
+    """
     process = os.fork()
     if process == 0:
         with contextlib.suppress(BaseException):

@@ -1,4 +1,6 @@
-"""The recipe of docs/campaigns.md for a cluster that nobody else can use: one address, and certificates."""
+"""The recipe of docs/campaigns.md for a cluster that nobody else can use: one address, and
+certificates.
+"""
 
 from __future__ import annotations
 

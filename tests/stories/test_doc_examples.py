@@ -122,7 +122,8 @@ def test_a_wrong_example_is_seen(tmp_path: Path):
 
 def test_markers_reduce_and_refuse():
     example = one(
-        "<!-- example:\nfast: --hours 10 => --hours 1\n-->\n    uqharness campaign run demo --hours 10 --out x\n"
+        "<!-- example:\nfast: --hours 10 => --hours 1\n-->\n    uqharness campaign run demo --hours"
+        " 10 --out x\n"
     )
     assert example.commands(slow=False) == ["uqharness campaign run demo --hours 1 --out x"]
     assert example.commands(slow=True) == ["uqharness campaign run demo --hours 10 --out x"]

@@ -1,4 +1,6 @@
-"""The built pages: complete, without a broken link, nothing fetched from a network, a reference that is the code's."""
+"""The built pages: complete, without a broken link, nothing fetched from a network, a reference
+that is the code's.
+"""
 
 from __future__ import annotations
 

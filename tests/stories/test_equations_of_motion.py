@@ -1,4 +1,6 @@
-"""JSBSim's open-loop flight against an independent integration of the same equations, and that each number matters."""
+"""JSBSim's open-loop flight against an independent integration of the same equations, and that each
+number matters.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,8 @@ FT = 0.3048
 V, HEIGHT, DURATION, DT = 22.2, 100.0, 10.0, 0.001
 DOUBLETS = {"elevator": 5.0, "aileron": 8.0, "rudder": 8.0}
 STATES = ("u", "v", "w", "p", "q", "r", "phi", "theta", "psi", "h")
-# What the two may differ by where a state hardly moves: JSBSim's earth is round and turns (5e-5 rad/s), the other one is flat.
+# What the two may differ by where a state hardly moves: JSBSim's earth is round and turns (5e-5
+# rad/s), the other one is flat.
 FLOOR = np.array([2e-3, 2e-3, 2e-3, 2.5e-4, 2.5e-4, 2.5e-4, 3e-4, 3e-4, 1.5e-3, 1e-2])
 PROPERTIES = (
     "velocities/u-fps",
@@ -90,7 +93,9 @@ def nominal(control: str):
 
 
 def excess(states, reference):
-    """Largest difference of each state over what is allowed: 1 % of its peak excursion, or the floor."""
+    """Largest difference of each state over what is allowed: 1 % of its peak excursion, or the
+    floor.
+    """
     peak = np.max(np.abs(reference - reference[0]), axis=0)
     return np.max(np.abs(states - reference), axis=0) / np.maximum(0.01 * peak, FLOOR)
 
@@ -103,7 +108,8 @@ def test_doublet_agrees_to_one_percent(control):
 
 
 def disagrees(changes: dict[str, float]) -> bool:
-    # "not below" rather than "above": a change that makes the flight diverge leaves NaN, and that is seen too.
+    # "not below" rather than "above": a change that makes the flight diverge leaves NaN, and that
+    # is seen too.
     return any(
         not excess(fly_jsbsim(control, changes=changes)[0], nominal(control)[1]).max() < 1.0
         for control in DOUBLETS
@@ -136,7 +142,8 @@ def test_every_term_counts_the_same_on_both_sides():
 
 
 def test_error_at_the_campaigns_step():
-    # The same comparison at 100 Hz, where JSBSim's integration costs some percent of peak; docs/aircraft.md quotes it.
+    # The same comparison at 100 Hz, where JSBSim's integration costs some percent of peak;
+    # docs/aircraft.md quotes it.
     worst = 0.0
     for control in DOUBLETS:
         states, positions = fly_jsbsim(control, dt=0.01)

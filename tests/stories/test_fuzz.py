@@ -1,4 +1,6 @@
-"""The fuzzer finds what it is there to find, every sound input is read, and fixed seeds of every format give no findings."""
+"""The fuzzer finds what it is there to find, every sound input is read, and fixed seeds of every
+format give no findings.
+"""
 
 from __future__ import annotations
 

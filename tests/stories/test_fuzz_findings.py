@@ -1,4 +1,6 @@
-"""What the fuzzer has found, each in its smallest form: refused in one sentence that names the file."""
+"""What the fuzzer has found, each in its smallest form: refused in one sentence that names the
+file.
+"""
 
 from __future__ import annotations
 
@@ -143,7 +145,9 @@ def test_tables_of_flights(change, said, tmp_path):
 
 
 def test_rows_longer_than_the_header(tmp_path):
-    """Cells without a name were taken for names of rows: columns moved over, and hundreds of them took ever longer."""
+    """Cells without a name were taken for names of rows: columns moved over, and hundreds of them
+    took ever longer.
+    """
     (tmp_path / "table.csv").write_text(
         "time_s,V_mps\n" + "".join(f"{k / 10},{20 + k},7,7\n" for k in range(50))
     )
@@ -254,7 +258,9 @@ def test_a_study_with_hundreds_of_mistakes(tmp_path):
     ],
 )
 def test_a_propeller_that_spoils_jsbsims_memory(command, dart):
-    """Once JSBSim has refused it, anything may happen in that process: it is a child, and the program does not follow."""
+    """Once JSBSim has refused it, anything may happen in that process: it is a child, and the
+    program does not follow.
+    """
     path = dart / "Engines" / "prop.xml"
     path.write_text(
         path.read_text().replace("<propeller", "<nosuch").replace("</propeller", "</nosuch")

@@ -55,7 +55,9 @@ def test_findings_of_a_loiter_log(flight_data: Path, card_path: Path) -> None:
 
 
 def test_manoeuvres_show_in_their_surfaces(flight_data: Path, card_path: Path) -> None:
-    """Every doublet of the list moves its own surface within its time, by the sign table of the card."""
+    """Every doublet of the list moves its own surface within its time, by the sign table of the
+    card.
+    """
     record, _ = load(flight_data, card_path, "flight1_ident")
     with (flight_data / "espaaro-ardupilot" / "manoeuvres.csv").open() as handle:
         rows = [

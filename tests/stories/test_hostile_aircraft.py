@@ -1,4 +1,6 @@
-"""Aircraft from strangers: nothing is written, opened or imported for them; what JSBSim reads belongs to their identity."""
+"""Aircraft from strangers: nothing is written, opened or imported for them; what JSBSim reads
+belongs to their identity.
+"""
 
 from __future__ import annotations
 
@@ -67,10 +69,14 @@ def files_below(folder: Path) -> set[Path]:
 def test_outputs_write_nothing_wherever_they_point(
     plane: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    text = 'type="CSV" rate="10"><property caption="&#10;touch X&#10;#">position/h-sl-ft</property></output>'
+    text = (
+        'type="CSV" rate="10"><property caption="&#10;touch'
+        ' X&#10;#">position/h-sl-ft</property></output>'
+    )
     put(
         plane,
-        f'<output name="{tmp_path}/x.sh" {text}<output name="../../y.csv" {text}<output file="{tmp_path}/z"/>',
+        f'<output name="{tmp_path}/x.sh" {text}<output name="../../y.csv" {text}<output'
+        f' file="{tmp_path}/z"/>',
     )
     before = files_below(tmp_path)
     with caplog.at_level("INFO", logger="uqharness"):
@@ -86,12 +92,14 @@ def test_without_the_gate_the_same_file_writes(plane: Path, tmp_path: Path) -> N
     """The attack is real: JSBSim alone does what the author asks."""
     put(
         plane,
-        f'<output name="{tmp_path}/x.csv" type="CSV" rate="10"><property>position/h-sl-ft</property></output>',
+        f'<output name="{tmp_path}/x.csv" type="CSV"'
+        ' rate="10"><property>position/h-sl-ft</property></output>',
     )
     stock = engine.default_root()
     code = (
-        "import jsbsim, sys; f = jsbsim.FGFDMExec(sys.argv[1]); f.set_aircraft_path(sys.argv[1]);"
-        "f.set_engine_path(sys.argv[2]); f.set_systems_path(sys.argv[3]); f.load_model('plane'); f.run_ic(); f.run()"
+        "import jsbsim, sys; f = jsbsim.FGFDMExec(sys.argv[1]);"
+        " f.set_aircraft_path(sys.argv[1]);f.set_engine_path(sys.argv[2]);"
+        " f.set_systems_path(sys.argv[3]); f.load_model('plane'); f.run_ic(); f.run()"
     )
     subprocess.run(
         [sys.executable, "-c", code, tmp_path, stock / "engine", stock / "systems"],
@@ -111,8 +119,9 @@ def test_no_socket_is_opened(plane: Path) -> None:
         free.close()
         put(
             plane,
-            f'<input type="SOCKET" port="{port}"/><input type="QTJSBSIM" port="{port}"/>'
-            f'<output type="SOCKET" name="localhost" protocol="TCP" port="{listener.getsockname()[1]}" rate="10"/>',
+            f'<input type="SOCKET" port="{port}"/><input type="QTJSBSIM" port="{port}"/><output'
+            f' type="SOCKET" name="localhost" protocol="TCP" port="{listener.getsockname()[1]}"'
+            ' rate="10"/>',
         )
         fly(plane)
         with pytest.raises(TimeoutError):
@@ -127,7 +136,8 @@ def test_a_state_asked_for_in_every_frame_is_not_written(
     monkeypatch.chdir(tmp_path)
     put(
         plane,
-        '<system name="w"><channel name="c"><fcs_function name="a/one"><function><value>1</value></function>'
+        '<system name="w"><channel name="c"><fcs_function'
+        ' name="a/one"><function><value>1</value></function>'
         "<output>simulation/write-state-file</output></fcs_function></channel></system>",
     )
     before = files_below(tmp_path)

@@ -1,4 +1,6 @@
-"""Names that are more than names: control characters, markup and formulas in what a page or a figure shows."""
+"""Names that are more than names: control characters, markup and formulas in what a page or a
+figure shows.
+"""
 
 from __future__ import annotations
 

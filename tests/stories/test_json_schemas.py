@@ -1,4 +1,6 @@
-"""What commands print with --json fits the schemas of docs/schemas, and the schemas refuse what is wrong."""
+"""What commands print with --json fits the schemas of docs/schemas, and the schemas refuse what is
+wrong.
+"""
 
 from __future__ import annotations
 
@@ -41,7 +43,8 @@ nominal = false
 coefficients = ["CX", "CZ"]
 bounds = { CX = 0.008, CZ = 0.05 }
 """
-# Command lines in the order they need each other, {} the working folder; the schema is named by the words of the command.
+# Command lines in the order they need each other, {} the working folder; the schema is named by the
+# words of the command.
 COMMANDS = {
     "fly": "fly espaaro_truth --script doublet-elevator --noise --seed 1 --out {}/f1.parquet",
     "modes": "modes espaaro --speed-mps 22.2",
@@ -49,10 +52,17 @@ COMMANDS = {
     "log-info": "log info {}/f1.parquet --aircraft espaaro --no-cache",
     "log-map": "log map {}/f1.parquet --aircraft espaaro --out {}/map.toml",
     "log-import": "log import {}/f1.parquet --aircraft espaaro --out {}/again.csv --no-cache",
-    "log-export": "log export {}/f1.parquet --aircraft espaaro --lat-deg 37 --lon-deg -80 --out {}/shown",
-    "identify": "identify espaaro --flight {}/f1.parquet --params aero/Cm_q --no-figures --workers 1 --out {}/identified",
+    "log-export": (
+        "log export {}/f1.parquet --aircraft espaaro --lat-deg 37 --lon-deg -80 --out {}/shown"
+    ),
+    "identify": (
+        "identify espaaro --flight {}/f1.parquet --params aero/Cm_q --no-figures --workers 1 --out"
+        " {}/identified"
+    ),
     "compare": "compare espaaro --flight {}/f1.parquet --no-figures --workers 1 --out {}/gap",
-    "bounds": "bounds espaaro --flight {}/f1.parquet --order 0 --no-check --no-figures --out {}/bounds",
+    "bounds": (
+        "bounds espaaro --flight {}/f1.parquet --order 0 --no-check --no-figures --out {}/bounds"
+    ),
     "validate-bounds": "validate-bounds espaaro {}/bounds/model-form.json --flight {}/f1.parquet",
     "instrument": "instrument c172p --out {}/c172 --constant CX=0.01 --no-check",
     "instrument, undo": "instrument c172p --out {}/c172 --undo",
@@ -75,7 +85,10 @@ COMMANDS = {
     "completion": "completion bash",
 }
 DEAR = {
-    "refine": "refine espaaro --train {}/a.parquet --test {}/b.parquet --no-pbox --no-figures --out {}/refined",
+    "refine": (
+        "refine espaaro --train {}/a.parquet --test {}/b.parquet --no-pbox --no-figures --out"
+        " {}/refined"
+    ),
     "study": "study tests/golden_study.toml --out {}/study",
     "next-flight": "next-flight {}/results --out {}/next --minutes 1 --no-figures",
 }

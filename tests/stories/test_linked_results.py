@@ -1,4 +1,6 @@
-"""Links in a results folder that somebody else made: what they lead to is neither written nor removed."""
+"""Links in a results folder that somebody else made: what they lead to is neither written nor
+removed.
+"""
 
 from __future__ import annotations
 
@@ -114,7 +116,9 @@ def test_a_lock_that_is_a_link_is_refused_and_a_plain_one_held(tmp_path, victim)
 
 
 def test_a_rollback_file_that_names_another_file_removes_nothing(folder, victim):
-    """SQLite removes a super journal that no other journal names; a forged rollback file can name any file."""
+    """SQLite removes a super journal that no other journal names; a forged rollback file can name
+    any file.
+    """
     process = os.fork()
     if process == 0:
         database = sqlite3.connect(folder / JOURNAL)

@@ -1,4 +1,6 @@
-"""Equations of docs/method.md stand beside functions that exist, and the ones that can be are held against them."""
+"""Equations of docs/method.md stand beside functions that exist, and the ones that can be are held
+against them.
+"""
 
 from __future__ import annotations
 

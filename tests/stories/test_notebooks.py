@@ -1,4 +1,6 @@
-"""The notebooks of docs/notebooks: committed without outputs, run in a kernel, and what they show."""
+"""The notebooks of docs/notebooks: committed without outputs, run in a kernel, and what
+they show.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""What a user installs: a wheel with everything in it that the commands look for, types, docstrings, licence and citation."""
+"""What a user installs: a wheel with everything in it that the commands look for, types,
+docstrings, licence and citation.
+"""
 
 from __future__ import annotations
 
@@ -120,7 +122,9 @@ def test_the_metadata_are_valid_and_name_the_versions_that_are_tested(wheel: Pat
 
 @pytest.fixture(scope="module")
 def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """bin of a fresh environment with the wheel in it, the dependencies borrowed from this one, the working copy out of sight."""
+    """bin of a fresh environment with the wheel in it, the dependencies borrowed from this one, the
+    working copy out of sight.
+    """
     folder = tmp_path_factory.mktemp("env")
     venv.create(folder, with_pip=False, symlinks=True)
     python = folder / "bin" / "python"
@@ -216,7 +220,9 @@ def test_the_wheel_installs_from_the_index_into_an_empty_environment(wheel: Path
 
 
 def undocumented(source: str) -> list[str]:
-    """Public classes, functions and methods of a module without a docstring, and the module itself as ``<module>``."""
+    """Public classes, functions and methods of a module without a docstring, and the module itself
+    as ``<module>``.
+    """
     tree = ast.parse(source)
     found = [] if ast.get_docstring(tree) or not tree.body else ["<module>"]
 
@@ -246,7 +252,10 @@ def test_every_public_name_says_what_it_is(package: str):
 
 
 def test_a_missing_docstring_is_seen():
-    source = '"""M."""\ndef _private(): ...\ndef f(): ...\nclass C:\n    """C."""\n    def m(self): ...\n'
+    source = (
+        '"""M."""\ndef _private(): ...\ndef f(): ...\nclass C:\n    """C."""\n    def m(self):'
+        " ...\n"
+    )
     assert undocumented(source) == ["f", "C.m"]
     assert undocumented("x = 1") == ["<module>"]
 
@@ -266,8 +275,13 @@ def test_citation_and_licence():
 
 
 def test_what_every_spawned_process_reads_again_loads_nothing():
-    """A worker of a campaign has no use for the command line: pandas, pyarrow and statistics would be 60 MB in each."""
-    heavy = "[name for name in ('uqharness.cli.main', 'numpy', 'pandas', 'pyarrow', 'scipy') if name in sys.modules]"
+    """A worker of a campaign has no use for the command line: pandas, pyarrow and statistics would
+    be 60 MB in each.
+    """
+    heavy = (
+        "[name for name in ('uqharness.cli.main', 'numpy', 'pandas', 'pyarrow', 'scipy') if name in"
+        " sys.modules]"
+    )
 
     def loaded(module: str) -> list[str]:
         done = subprocess.run(

@@ -1,4 +1,6 @@
-"""Files for people who work on the project: hooks, workflow, forms, changelog, contributor's page."""
+"""Files for people who work on the project: hooks, workflow, forms, changelog,
+contributor's page.
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,8 @@
-"""A published dynamic example: Jategaonkar's unstable aircraft (2015, ch. 4), whose constants the book prints.
+"""A published dynamic example: Jategaonkar's unstable aircraft (2015, ch. 4), whose constants the
+book prints.
 
-wdot = Zw w + (u0 + Zq) q + Zde de,   qdot = Mw w + Mq q + Mde de,   az = Zw w + Zq q + Zde de,   u0 = 44.57 m/s
-"""
+wdot = Zw w + (u0 + Zq) q + Zde de,   qdot = Mw w + Mq q + Mde de,   az = Zw w + Zq q + Zde de,   u0
+= 44.57 m/s"""
 
 import numpy as np
 import pytest

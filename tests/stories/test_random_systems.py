@@ -1,4 +1,6 @@
-"""Random systems in the batch engine and in JSBSim: alike, or refused with a reason; the faults that this search met, in small."""
+"""Random systems in the batch engine and in JSBSim: alike, or refused with a reason; the faults
+that this search met, in small.
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,8 @@
-"""Report pages in a real browser: what a reader sees, can reach by keyboard and touch, and hears read out.
+"""Report pages in a real browser: what a reader sees, can reach by keyboard and touch, and hears
+read out.
 
-Needs the package playwright (extra ``browser``) and a Chromium: playwright's own, one on the path, or the one named by UQ_BROWSER.
-"""
+Needs the package playwright (extra ``browser``) and a Chromium: playwright's own, one on the path,
+or the one named by UQ_BROWSER."""
 
 from __future__ import annotations
 
@@ -25,7 +26,9 @@ ASKED = {
     "margins": "margins espaaro --loop throttle --out {}",
     "fly": "fly espaaro --duration-s 40 --rate-hz 10 --noise --out {folder}/flight.bin --page {}",
     "log-info": "log info {fly}/flight.bin --aircraft espaaro --no-cache --out {}",
-    "instrument": "instrument espaaro --constant CX=0.01,Cm=0.02 --no-check --out {folder}/bounded --page {}",
+    "instrument": (
+        "instrument espaaro --constant CX=0.01,Cm=0.02 --no-check --out {folder}/bounded --page {}"
+    ),
     "diff": "diff espaaro espaaro_truth --speed-mps 22 --out {}",
     "dossier": "dossier {compare} --out {}",
 }
@@ -120,7 +123,8 @@ def pages(tmp_path_factory):
 @pytest.fixture(scope="module")
 def browser():
     """The first Chromium that starts; without one the tests are skipped, with what was tried."""
-    # Here and not above: a module that is skipped whole leaves pytest -m browser without a test, which it calls a failure.
+    # Here and not above: a module that is skipped whole leaves pytest -m browser without a test,
+    # which it calls a failure.
     playwright = pytest.importorskip(
         "playwright.sync_api",
         reason="no browser test: playwright is not installed (pip install -e '.[browser]')",
@@ -327,7 +331,10 @@ def test_on_paper_it_is_dark_on_white_and_fits(opened, kind):
     assert page.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)"
     assert page.evaluate(CONTRAST) == []
     assert page.locator(".reader").first.is_hidden() if page.locator(".reader").count() else True
-    cut = "[...document.querySelectorAll('figure svg')].filter((s) => s.getBoundingClientRect().right > innerWidth + 1).length"
+    cut = (
+        "[...document.querySelectorAll('figure svg')].filter((s) => s.getBoundingClientRect().right"
+        " > innerWidth + 1).length"
+    )
     assert page.evaluate(cut) == 0
 
 

@@ -1,4 +1,6 @@
-"""The XML files of the project fit JSBSim's schema, and the grammar refuses what that schema refuses."""
+"""The XML files of the project fit JSBSim's schema, and the grammar refuses what that schema
+refuses.
+"""
 
 from __future__ import annotations
 

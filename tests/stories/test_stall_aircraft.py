@@ -1,4 +1,6 @@
-"""The two aircraft whose lift separates, flown by JSBSim and by independent equations; what belongs to whom in their files."""
+"""The two aircraft whose lift separates, flown by JSBSim and by independent equations; what belongs
+to whom in their files.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,8 @@ from uqharness.simulator.trim import SteadyCondition, find_trim
 FT, DT, HEIGHT = 0.3048, 0.001, 400.0
 SPEED = {"synthetic_stall": 21.0, "espaaro_truth": 22.2}
 MODELS = {"synthetic_stall": stall_model.synthetic, "espaaro_truth": stall_model.truth}
-# control, then (time, deflection from trim) steps. The pull ends deep in the stall; the push reaches negative separation's flank.
+# control, then (time, deflection from trim) steps. The pull ends deep in the stall; the push
+# reaches negative separation's flank.
 MANOEUVRES = {
     "doublet": ("elevator", [(0.5, 4.0), (1.0, -4.0), (1.5, 0.0)]),
     "stall": ("elevator", [(0.5, -14.0), (1.6, 6.0), (2.2, 0.0)]),
@@ -58,7 +61,9 @@ def trim_of(name: str):
 
 @functools.cache
 def fly(name: str, manoeuvre: str, changes: tuple[tuple[str, float], ...] = ()):
-    """States (n + 1, 10), positions (n + 1, 4) and X (n + 1,) of a manoeuvre from the nominal trim."""
+    """States (n + 1, 10), positions (n + 1, 4) and X (n + 1,) of a manoeuvre from the
+    nominal trim.
+    """
     aircraft, trim = find_aircraft(name), trim_of(name)
     fdm = open_aircraft(aircraft, DT)
     apply_controls(fdm, aircraft, trim.controls)
@@ -159,7 +164,8 @@ def test_a_wrong_number_is_seen(name, manoeuvre, changes):
 @pytest.mark.parametrize("second", [1.0, -1.0])
 @pytest.mark.parametrize("alpha", [-24.0, -20.0, -5.0, 3.0, 11.0, 16.0])
 def test_separation_point_at_a_forced_state(alpha, second):
-    # Falling out of balance, the aircraft has an alphadot at once, which the lag must take with its sign.
+    # Falling out of balance, the aircraft has an alphadot at once, which the lag must take with its
+    # sign.
     u, _, w = body_velocity(21.0, np.radians(alpha), 0.0)
     names = (
         "aero/stall_X",
@@ -228,9 +234,9 @@ def test_systems_are_the_espaaros(name):
 @pytest.mark.parametrize("name", STEADY)
 def test_flies_with_jsbsim_alone(name):
     program = (
-        "import jsbsim, sys; f = jsbsim.FGFDMExec(sys.argv[1]); f.set_debug_level(0); f.set_dt(0.01);"
-        "assert f.load_model(sys.argv[2]); f.load_ic('cruise', True); f.run_ic(); [f.run() for _ in range(100)];"
-        "assert 15 < f['velocities/vt-fps'] * 0.3048 < 30"
+        "import jsbsim, sys; f = jsbsim.FGFDMExec(sys.argv[1]); f.set_debug_level(0);"
+        " f.set_dt(0.01);assert f.load_model(sys.argv[2]); f.load_ic('cruise', True); f.run_ic();"
+        " [f.run() for _ in range(100)];assert 15 < f['velocities/vt-fps'] * 0.3048 < 30"
     )
     subprocess.run(
         [sys.executable, "-c", program, str(PROJECT_ROOT), name],

@@ -1,4 +1,6 @@
-"""Real studies, no stage made up: a small one without refinement in the fast tests, the whole chain in the slow ones."""
+"""Real studies, no stage made up: a small one without refinement in the fast tests, the whole chain
+in the slow ones.
+"""
 
 from __future__ import annotations
 
@@ -77,7 +79,8 @@ def test_a_small_study_from_logs_to_p_boxes(tmp_path, capsys):
     assert said.err == ""
     # 40 s a corner cannot decide: the answer says so, and how many hours would.
     assert said.out.startswith(
-        "Does it hold 15 m of the circle? Inconclusive (too few flight hours) in 3 m/s wind with light turbulence"
+        "Does it hold 15 m of the circle? Inconclusive (too few flight hours) in 3 m/s wind with"
+        " light turbulence"
     )
     assert "h per corner in 3 m/s light" in said.out
     assert said.out.endswith(f"Report: {tmp_path / 'out' / 'report.html'}\n")

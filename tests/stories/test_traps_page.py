@@ -1,4 +1,6 @@
-"""Every trap of docs/jsbsim-traps.md names the test that reproduces it, and every such test stands on a page."""
+"""Every trap of docs/jsbsim-traps.md names the test that reproduces it, and every such test stands
+on a page.
+"""
 
 from __future__ import annotations
 

@@ -54,7 +54,8 @@ def place(tmp_path) -> Path:
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(
-            f"open({str(tmp_path / 'marks')!r}, 'a').write({name!r})\nraise SystemExit('imported {name}')\n"
+            f"open({str(tmp_path / 'marks')!r}, 'a').write({name!r})\nraise SystemExit('imported"
+            f" {name}')\n"
         )
     return folder
 
@@ -131,7 +132,10 @@ def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: str) -> str:
 
 
 def test_a_module_answers_from_a_process_of_its_own(tmp_path, monkeypatch):
-    code = "print('one'); give_answer({'first': 1}); give_answer({'words': sys.argv[1:], 'pid': os.getpid()})\nprint('two')"
+    code = (
+        "print('one'); give_answer({'first': 1}); give_answer({'words': sys.argv[1:], 'pid':"
+        " os.getpid()})\nprint('two')"
+    )
     ended = run_module(module(tmp_path, monkeypatch, code), tmp_path, 1.5, timeout_s=60)
     assert (ended.code, ended.output, ended.errors) == (0, "one two", "")
     assert ended.answer["words"] == [str(tmp_path), "1.5"]

@@ -1,4 +1,6 @@
-"""Documents of results that were damaged or made up: one sentence that names file and key, never a page from half of it."""
+"""Documents of results that were damaged or made up: one sentence that names file and key, never a
+page from half of it.
+"""
 
 from __future__ import annotations
 

@@ -149,7 +149,8 @@ def test_a_folder_swept_while_it_was_being_made_is_made_again(
     real, taken = files.try_lock, []
 
     def too_late(handle: int) -> bool:
-        # Another process has taken the folder for an orphan's, and removed it, before this one held the lock.
+        # Another process has taken the folder for an orphan's, and removed it, before this one held
+        # the lock.
         if not taken:
             (folder,) = place.iterdir()
             taken.append(folder)

@@ -203,8 +203,8 @@ def would_tell(state: str | None, nearest: Sequence[Effect], loudest: tuple[str,
     kind, ratio = loudest
     said = [
         (
-            f"repeat {kind}, where the channel is at {ratio:.2f} times its noise, at other amplitudes"
-            " and speeds"
+            f"repeat {kind}, where the channel is at {ratio:.2f} times its noise,"
+            " at other amplitudes and speeds"
         )
     ]
     if state is not None:

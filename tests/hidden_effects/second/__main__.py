@@ -1,12 +1,15 @@
 """Asks `uqharness refine` a draw of the second generation's examination and marks the answers.
 
-    python -m tests.hidden_effects.second --draw N --out DIR             a draw (1, 2 or 3), each met once; goes on after a stop
-    python -m tests.hidden_effects.second --draw N --out DIR --again     the same cases for later code, kept apart
-    python -m tests.hidden_effects.second --development --out DIR        the development draw, never counted
+    python -m tests.hidden_effects.second --draw N --out DIR             a draw (1, 2 or 3), each
+    met once; goes on after a stop
+    python -m tests.hidden_effects.second --draw N --out DIR --again     the same cases for later
+    code, kept apart
+    python -m tests.hidden_effects.second --development --out DIR        the development draw, never
+    counted
 
-Flights, aircraft and answers stand in DIR, the draws' table in tests/hidden_effects/second/met.csv, development's in DIR/met.csv.
-Exit code 0: every mark is reached by the lines first met (with --again: by the later ones); 1: not; 2: bad input.
-"""
+Flights, aircraft and answers stand in DIR, the draws' table in tests/hidden_effects/second/met.csv,
+development's in DIR/met.csv. Exit code 0: every mark is reached by the lines first met (with
+--again: by the later ones); 1: not; 2: bad input."""
 
 from __future__ import annotations
 
@@ -34,7 +37,9 @@ TIMEOUT_S = 3600.0
 
 
 def ask(asked: Question, folder: Path, place: Path) -> dict[str, Any]:
-    """Run refine on a question, then compare with the model it wrote: found, exit, error, cpu_s, peak_MB, apart."""
+    """Run refine on a question, then compare with the model it wrote: found, exit, error, cpu_s,
+    peak_MB, apart.
+    """
     files = asked.files(folder / "flights")
     aircraft = folder_of(asked, folder / "aircraft")
     out = folder / "refined" / asked.id
@@ -85,10 +90,11 @@ def ask(asked: Question, folder: Path, place: Path) -> dict[str, Any]:
 def compared(
     found: Mapping[str, Any], model: Path, flight: str, out: Path, place: Path
 ) -> float | None:
-    """Largest relative difference of rms over noise, channel by channel, between refine's table of the test flight and `compare`.
+    """Largest relative difference of rms over noise, channel by channel, between refine's table of
+    the test flight and `compare`.
 
-    None where the two answer different questions: a fault of sensor or clock is no part of the model that was written.
-    """
+    None where the two answer different questions: a fault of sensor or clock is no part of the
+    model that was written."""
     if any(str(e.get("subsystem", "")).startswith("sensor.") for e in found.get("effects") or []):
         return None
     if (found.get("timing") or {}).get("controls_late_s"):
@@ -114,7 +120,9 @@ def compared(
 
 
 def apart_of(found: Mapping[str, Any], other: Mapping[str, Any]) -> float:
-    """Largest relative difference of rms over noise between a refinement.json's table of test flights and a compare.json."""
+    """Largest relative difference of rms over noise between a refinement.json's table of test
+    flights and a compare.json.
+    """
     own = ((found.get("gap") or {}).get("test") or {}).get("channels") or {}
     ratios = {c: row["ratio"] for c, row in other["channels"].items() if row.get("judged")}
     both = [(own[c]["rms_after"] / own[c]["noise_rms"], r) for c, r in ratios.items() if c in own]
@@ -124,7 +132,9 @@ def apart_of(found: Mapping[str, Any], other: Mapping[str, Any]) -> float:
 def todo(
     lines: Sequence[Mapping[str, str]], draw: int, numbers: Sequence[int], commit: str, again: bool
 ) -> list[int]:
-    """Numbers still to be asked: those never met; with ``again`` those that were met, but not by this commit."""
+    """Numbers still to be asked: those never met; with ``again`` those that were met, but not by
+    this commit.
+    """
     first = {int(r["number"]) for r in lines if int(r["draw"]) == draw and r["met"] == table.FIRST}
     now = {int(r["number"]) for r in lines if int(r["draw"]) == draw and r["commit"] == commit}
     return [n for n in numbers if (n in first and n not in now if again else n not in first)]
@@ -136,8 +146,8 @@ def answers(
     ask: Callable[[Question], dict[str, Any]],
     workers: int = 1,
 ) -> Iterator[tuple[Question, dict[str, Any]]]:
-    """Questions with their answers as they come, ``workers`` asked side by side; none where ``made`` gives none. A stop ends those
-    that are being answered, and they are not told."""
+    """Questions with their answers as they come, ``workers`` asked side by side; none where
+    ``made`` gives none. A stop ends those that are being answered, and they are not told."""
     with ThreadPoolExecutor(workers) as pool:
         pending: dict[Future[dict[str, Any]], Question] = {}
         try:
@@ -187,7 +197,8 @@ def main(argv: list[str] | None = None) -> int:
     commit, changed = table.code_of()
     if changed and draw != DEVELOPMENT:
         print(
-            "sysid, uqharness, aircraft, scripts or the examination differ from the commit: commit them first",
+            "sysid, uqharness, aircraft, scripts or the examination differ from the commit: commit"
+            " them first",
             file=sys.stderr,
         )
         return 2
@@ -224,8 +235,8 @@ def main(argv: list[str] | None = None) -> int:
         if not given.keep:
             _clear(folder / "refined" / asked.id)
         print(
-            f"{asked.number}: {line['kind']} {line['air']} {line['truth']} {line['wrong']} -> {line['verdict']} {line['answer']} "
-            f"({got['cpu_s']:.0f} s) {got['error']}",
+            f"{asked.number}: {line['kind']} {line['air']} {line['truth']} {line['wrong']} ->"
+            f" {line['verdict']} {line['answer']} ({got['cpu_s']:.0f} s) {got['error']}",
             file=sys.stderr,
             flush=True,
         )
@@ -244,6 +255,7 @@ def _clear(folder: Path) -> None:
 
 
 if __name__ == "__main__":
-    # Whoever ends this process ends refine with it: the exit is an exception, at which the child's group is killed.
+    # Whoever ends this process ends refine with it: the exit is an exception, at which the child's
+    # group is killed.
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(130))
     sys.exit(main())

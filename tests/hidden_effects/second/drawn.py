@@ -1,8 +1,9 @@
-"""A draw of the examination: which cases, by seed; what chance chooses for each. Sizes are found in weighing.py.
+"""A draw of the examination: which cases, by seed; what chance chooses for each. Sizes are found in
+weighing.py.
 
-Each number of a draw has a slot (kind and air); everything else comes from the seed, the number and the attempt. A case that cannot
-be flown, or whose |t| is not what its kind asks, is drawn again with the next attempt.
-"""
+Each number of a draw has a slot (kind and air); everything else comes from the seed, the number and
+the attempt. A case that cannot be flown, or whose |t| is not what its kind asks, is drawn again
+with the next attempt."""
 
 from __future__ import annotations
 
@@ -36,7 +37,8 @@ LEAST_CARD_T = 12.0
 """|t| below which a wrong card is drawn again."""
 SECONDS = 90.0
 
-# Lighter, of less span and inertia than the others: it answers a control some 1.5 times as fast as the first.
+# Lighter, of less span and inertia than the others: it answers a control some 1.5 times as fast as
+# the first.
 THIRD = Airframe(
     m=14.5,
     Ixx=2.6,
@@ -73,7 +75,9 @@ AIRFRAMES: Mapping[str, Airframe] = {"espaaro": Airframe(), "second": SECOND, "t
 
 @dataclass(frozen=True)
 class Slot:
-    """A number of a draw: kind (clear, marginal, weak, pair, null, card, off-form), air, wrong card's kind, an effect beside."""
+    """A number of a draw: kind (clear, marginal, weak, pair, null, card, off-form), air, wrong
+    card's kind, an effect beside.
+    """
 
     kind: str
     air: str
@@ -83,7 +87,9 @@ class Slot:
 
 @dataclass(frozen=True)
 class Question(Case):
-    """A case with the card's faults, the flights' servos and the |t| aimed at, then measured, of each effect and wrong card."""
+    """A case with the card's faults, the flights' servos and the |t| aimed at, then measured, of
+    each effect and wrong card.
+    """
 
     draw: int = DEVELOPMENT
     number: int = 0
@@ -105,11 +111,12 @@ class Question(Case):
 
 
 def slots(draw: int) -> list[Slot]:
-    """The draw's slots in the order of its numbers, kinds mixed so that a part of a draw is like the whole.
+    """The draw's slots in the order of its numbers, kinds mixed so that a part of a draw is like
+    the whole.
 
-    80 clear effects: 60 alone, 10 in 5 pairs, 10 beside wrong cards. 60 marginal, 10 at |t| 3 to 4, 50 nulls, 40 wrong cards,
-    12 off the catalogue. A quarter to two fifths of each kind fly in turbulence.
-    """
+    80 clear effects: 60 alone, 10 in 5 pairs, 10 beside wrong cards. 60 marginal, 10 at |t| 3 to 4,
+    50 nulls, 40 wrong cards, 12 off the catalogue. A quarter to two fifths of each kind fly in
+    turbulence."""
     if draw == DEVELOPMENT:
         return _development()
     found = [Slot("clear", _air(i, 60, 20)) for i in range(60)]
@@ -234,7 +241,9 @@ def _hidden(
 
 
 def _unnamed(rng: np.random.Generator) -> Entry:
-    """An effect of no catalogue: a smooth step, a ramp that begins somewhere, or a table, in a state or control."""
+    """An effect of no catalogue: a smooth step, a ramp that begins somewhere, or a table, in a
+    state or control.
+    """
     coefficient = str(rng.choice(COEFFICIENTS))
     v, at, width = (
         ("alpha", 0.05, 0.03),

@@ -1,4 +1,6 @@
-"""The aircraft folder that refine is given for a question: the aeroplane's numbers, and what its card has wrong."""
+"""The aircraft folder that refine is given for a question: the aeroplane's numbers, and what its
+card has wrong.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,9 @@ from tests.hidden_effects.second.wrongs import Stated
 
 
 def folder_of(asked: Question, folder: Path) -> Path:
-    """folder/id/name, written anew: the aeroplane before its coefficients were drawn, with what the question's folder states."""
+    """folder/id/name, written anew: the aeroplane before its coefficients were drawn, with what the
+    question's folder states.
+    """
     own = folder / asked.id
     shutil.rmtree(own, ignore_errors=True)
     out = write_aircraft(asked.aircraft, AIRFRAMES[asked.aircraft], own)
@@ -21,7 +25,10 @@ def folder_of(asked: Question, folder: Path) -> Path:
 
 
 def state(aircraft: Path, stated: Stated) -> None:
-    """Change an aircraft folder's servos, thrust map and place of accelerometers. Raises ValueError where a line is not there."""
+    """Change an aircraft folder's servos, thrust map and place of accelerometers.
+
+    Raises ValueError where a line is not there.
+    """
     xml = aircraft / f"{aircraft.name}.xml"
     text = xml.read_text(encoding="utf-8")
     for tag, values in (("lag", stated.lag), ("rate_limit", stated.rate)):

@@ -12,7 +12,9 @@ from tests.hidden_effects.second.verdict import NORMAL_95
 LEAST, MOST = 0.90, 0.98
 """Coverage asked of 95 % intervals, rounded outward to whole cases."""
 SAME_TABLE = 0.02
-"""Largest relative difference of rms over noise between refine's table of the test flight and `compare` of the model it wrote."""
+"""Largest relative difference of rms over noise between refine's table of the test flight and
+`compare` of the model it wrote.
+"""
 CPU_S: Mapping[str, float] = {"calm": 15.0, "light": 60.0}
 MEMORY_MB = 1024.0
 WITHIN = 0.95
@@ -32,21 +34,29 @@ def covered(inside: int, count: int) -> bool:
 
 
 def marks(rows: Sequence[Row], whole: bool = True) -> tuple[bool, str]:
-    """Whether every mark is reached, and the marks in words. whole: a draw of every case; a part is judged in proportion."""
+    """Whether every mark is reached, and the marks in words. whole: a draw of every case; a part is
+    judged in proportion.
+    """
     lines = [*_names(rows, whole), *_intervals(rows), *_rest(rows)]
     text = "\n".join(f"{'reached' if ok else 'MISSED '}  {words}" for ok, words in lines)
     commits = Counter(str(r["commit"]) for r in rows)
     if len(commits) > 1:
         # Whoever met a case first had not seen it, whatever was mended on the cases before it.
-        text += f"\nmet by {len(commits)} commits: {', '.join(f'{n} by {c}' for c, n in commits.items())}"
+        text += (
+            f"\nmet by {len(commits)} commits:"
+            f" {', '.join(f'{n} by {c}' for c, n in commits.items())}"
+        )
     weak = [bool(int(n)) for r in rows if r["kind"] == "weak" for n in str(r["named"]).split()]
-    return all(
-        ok for ok, _ in lines
-    ), text + f"\nreported only: |t| 3 to 4 named {sum(weak)} of {len(weak)}"
+    return (
+        all(ok for ok, _ in lines),
+        text + f"\nreported only: |t| 3 to 4 named {sum(weak)} of {len(weak)}",
+    )
 
 
 def _at_least(name: str, good: Sequence[bool], wanted: int, of: int, whole: bool) -> list[Line]:
-    """A whole draw must have every case, and as many right as asked; a part is judged in proportion."""
+    """A whole draw must have every case, and as many right as asked; a part is judged in
+    proportion.
+    """
     if not good and not whole:
         return []
     ok = (
@@ -123,11 +133,17 @@ def _rest(rows: Sequence[Row]) -> list[Line]:
         (left == 0, f"causes and candidates above |t| 10 that an answer leaves out: {left}"),
         (
             all(placed),
-            f"unexplained with channel, interval, band and three candidates: {sum(placed)} of {len(placed)}",
+            (
+                f"unexplained with channel, interval, band and three candidates: {sum(placed)} of"
+                f" {len(placed)}"
+            ),
         ),
         (
             all(a <= SAME_TABLE for a in apart),
-            f"refine's table and compare: {sum(a <= SAME_TABLE for a in apart)} of {len(apart)} within {SAME_TABLE:.0%}",
+            (
+                f"refine's table and compare: {sum(a <= SAME_TABLE for a in apart)} of {len(apart)}"
+                f" within {SAME_TABLE:.0%}"
+            ),
         ),
         (not failed, f"files that keep their contract: {len(rows) - len(failed)} of {len(rows)}"),
     ]

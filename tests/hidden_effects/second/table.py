@@ -1,4 +1,6 @@
-"""The table of what was met: a line a case and meeting, with the commit of the code; first-met lines apart from later ones."""
+"""The table of what was met: a line a case and meeting, with the commit of the code; first-met
+lines apart from later ones.
+"""
 
 from __future__ import annotations
 
@@ -86,7 +88,9 @@ def _git(project: Path, *words: str) -> str:
 
 
 def generator_digest() -> str:
-    """Ten digits of the SHA-256 of everything that makes flights and judges answers, marks and table apart."""
+    """Ten digits of the SHA-256 of everything that makes flights and judges answers, marks and
+    table apart.
+    """
     own = Path(__file__).parent
     files = [own.parent / f"{name}.py" for name in _MAKES] + [own / f"{name}.py" for name in _OWN]
     files += [own.parent / "sizes.csv", ROOT / "tests/helpers/sixdof.py"]

@@ -1,4 +1,6 @@
-"""The second examination's questions: what a draw holds, wrong cards either way, flights and folders that are as said."""
+"""The second examination's questions: what a draw holds, wrong cards either way, flights and
+folders that are as said.
+"""
 
 from __future__ import annotations
 
@@ -116,7 +118,9 @@ def test_the_folder_says_what_is_stated(tmp_path):
 
 
 def test_accelerometers_and_vanes_feel_their_place():
-    """Acceleration of a point from d/dt (v + w x r) + w x (v + w x r) less gravity; the air's velocity at the vane."""
+    """Acceleration of a point from d/dt (v + w x r) + w x (v + w x r) less gravity; the air's
+    velocity at the vane.
+    """
     rng = np.random.default_rng(5)
     x = 0.3 * rng.normal(size=(12, 3))
     x[0] += 22.0

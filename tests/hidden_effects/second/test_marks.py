@@ -1,4 +1,6 @@
-"""The second examination's marks can say no: made-up answers and tables that pass, and ones that do not."""
+"""The second examination's marks can say no: made-up answers and tables that pass, and ones that do
+not.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""The second examination's run: first-met lines apart from later ones, on after a stop, no draw for code that is not committed."""
+"""The second examination's run: first-met lines apart from later ones, on after a stop, no draw for
+code that is not committed.
+"""
 
 from __future__ import annotations
 
@@ -156,7 +158,10 @@ def test_a_measured_process_tells_what_it_cost(tmp_path):
     assert (busy.returncode, busy.stdout.strip()) == (0, "done")
     assert busy.peak_MB > 140.0 > idle.peak_MB
     assert busy.cpu_s > 2.0 * idle.cpu_s
-    child = "import subprocess, sys; subprocess.run([sys.executable, '-c', 'x = bytearray(150_000_000)'])"
+    child = (
+        "import subprocess, sys; subprocess.run([sys.executable, '-c', 'x ="
+        " bytearray(150_000_000)'])"
+    )
     assert sealed.run_measured(tmp_path, ["-c", child], 60.0).peak_MB > 140.0
     assert (
         sealed.run_measured(tmp_path, ["-c", "import time; time.sleep(60)"], 0.5).returncode == -1

@@ -1,4 +1,7 @@
-"""What a refinement.json says of a question, against the truth. Reads dictionaries; runs nothing."""
+"""What a refinement.json says of a question, against the truth.
+
+Reads dictionaries; runs nothing.
+"""
 
 from __future__ import annotations
 
@@ -29,14 +32,17 @@ STRONG_T = 10.0
 class Verdict:
     """One answer judged.
 
-    named     of each hidden effect: whether it stands in a set of at most three       card: the same of the wrong card (None: none)
-    effects   how many effects were named       spurious: of them, those that stand for nothing hidden
-    z, inside (estimate - truth) / std of what was named by its own name, and whether interval_95 holds the truth
-    parameters  (estimate - truth) / std of the aircraft's own parameters, where the answer vouches for them
-    left_out  hidden causes and candidates above |t| 10 that the answer neither names nor lists
-    placed    of `unexplained`: whether channel, stretch, band and three candidates are told, or the reason why not
-    fair      off the catalogue: `unexplained`, or effects of the right coefficient that bring the test gap to the floor
-    """
+    named     of each hidden effect: whether it stands in a set of at most three       card: the
+    same of the wrong card (None: none)
+    effects   how many effects were named       spurious: of them, those that stand for nothing
+    hidden z, inside (estimate - truth) / std of what was named by its own name, and whether
+    interval_95 holds the truth parameters  (estimate - truth) / std of the aircraft's own
+    parameters, where the answer vouches for them left_out  hidden causes and candidates above |t|
+    10 that the answer neither names nor lists
+    placed    of `unexplained`: whether channel, stretch, band and three candidates are told, or the
+    reason why not
+    fair      off the catalogue: `unexplained`, or effects of the right coefficient that bring the
+    test gap to the floor"""
 
     verdict: str
     answer: tuple[str, ...]
@@ -111,7 +117,9 @@ def _named(sets: Sequence[set[str]], way: set[str]) -> bool:
 def _estimates(
     asked: Question, effects: Sequence[Mapping[str, Any]]
 ) -> list[tuple[float, bool | None]]:
-    """(z, inside) of what was named by its own name, or one whose number is the same, and has a number as truth."""
+    """(z, inside) of what was named by its own name, or one whose number is the same, and has a
+    number as truth.
+    """
     truths = {e.key: e.size for e in asked.effects if not e.form}
     if asked.wrong is not None and asked.wrong.value is not None:
         truths[asked.wrong.key] = asked.wrong.value
@@ -146,7 +154,9 @@ def _parameters(asked: Question, found: Mapping[str, Any]) -> tuple[float, ...]:
 def left_out(
     asked: Question, found: Mapping[str, Any], named: Sequence[bool], card: bool | None
 ) -> int:
-    """Hidden causes above |t| 10 of which an answer says nothing, and candidates above it that its file shows but does not list."""
+    """Hidden causes above |t| 10 of which an answer says nothing, and candidates above it that its
+    file shows but does not list.
+    """
     remaining = found.get("remaining") or {}
     where = remaining.get("where") or []
     listed = {canonical(w) for w in where} | {
@@ -173,7 +183,9 @@ def left_out(
 
 
 def _placed(found: Mapping[str, Any]) -> bool:
-    """Whether `remaining.place` has channel, interval, band and three candidates with what each leaves; or channel and a reason."""
+    """Whether `remaining.place` has channel, interval, band and three candidates with what each
+    leaves; or channel and a reason.
+    """
     place = (found.get("remaining") or {}).get("place") or {}
     candidates = place.get("candidates") or []
     told = len(candidates) == 3 and all(c.get("leaves") is not None for c in candidates)

@@ -1,4 +1,6 @@
-"""Sizes of a question's effects for the |t| that was drawn, and |t| measured; the same for its wrong card. Kept in a folder."""
+"""Sizes of a question's effects for the |t| that was drawn, and |t| measured; the same for its
+wrong card. Kept in a folder.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,10 @@ ATTEMPTS = 200
 
 
 def question(draw: int, number: int, folder: Path, seconds: float | None = None) -> Question:
-    """The draw's case with its effects sized. What was found is kept in ``folder``, which refine must not read."""
+    """The draw's case with its effects sized.
+
+    What was found is kept in ``folder``, which refine must not read.
+    """
     path = folder / f"{draw}-{number}.json"
     if path.is_file():
         kept = json.loads(path.read_text(encoding="utf-8"))
@@ -67,7 +72,9 @@ def _with(asked: Question, sizes: list[float], t: list[float]) -> Question:
 
 
 def sized(asked: Question) -> Question | None:
-    """The question with sizes and |t| (of its effects, then of its wrong card); None where chance must draw again."""
+    """The question with sizes and |t| (of its effects, then of its wrong card); None where chance
+    must draw again.
+    """
     corrected = asked.air != "calm"
     plain = asked.flights("train")
     with np.errstate(all="ignore"):

@@ -1,4 +1,6 @@
-"""Wrong cards: numbers of a servo, a sensor, the thrust map or a clock that differ between the flights and what refine is given."""
+"""Wrong cards: numbers of a servo, a sensor, the thrust map or a clock that differ between the
+flights and what refine is given.
+"""
 
 from __future__ import annotations
 
@@ -40,8 +42,8 @@ _LATE = {
 class Stated:
     """What the aircraft folder says otherwise than the project's.
 
-    Servos by surface (lag 1/s, rate limit deg/s; None: no such line), factor on the thrust map, accelerometers' place [m].
-    """
+    Servos by surface (lag 1/s, rate limit deg/s; None: no such line), factor on the thrust map,
+    accelerometers' place [m]."""
 
     lag: Mapping[str, float | None] = field(default_factory=dict)
     rate: Mapping[str, float | None] = field(default_factory=dict)
@@ -58,11 +60,11 @@ IDEAL_SERVOS = Stated(dict.fromkeys((*SURFACES, "throttle")), dict.fromkeys(SURF
 class Wrong:
     """One wrong card.
 
-    key     what a right answer calls it        value   truth in the answer's unit (None: not determined by such flights)
-    stated  what the folder says                effects what the flights have that the folder has not
-    drive   the flights' servos (None: LAG and RATE)
-    trace   the same as an effect of the flights, to weigh it (None: a clock's fault is not weighed)
-    """
+    key     what a right answer calls it        value   truth in the answer's unit (None: not
+    determined by such flights)
+    stated  what the folder says                effects what the flights have that the folder has
+    not drive   the flights' servos (None: LAG and RATE) trace   the same as an effect of the
+    flights, to weigh it (None: a clock's fault is not weighed)"""
 
     key: str
     value: float | None
@@ -90,7 +92,9 @@ KINDS = (
     *("vane",) * 2,
     *("thrust",) * 4,
 )
-"""Kinds of the forty wrong cards of a draw; faster, slower, lower, higher: the flights against the folder."""
+"""Kinds of the forty wrong cards of a draw; faster, slower, lower, higher: the flights against the
+folder.
+"""
 
 
 def wrong(kind: str, rate_hz: float, rng: np.random.Generator) -> Wrong:
@@ -144,7 +148,9 @@ def _sensor(
 
 
 def _servo(kind: str, surface: str, rng: np.random.Generator) -> Wrong:
-    """A servo whose lag or rate limit the folder has wrong, either way; half of the lags are wrong in the folder alone."""
+    """A servo whose lag or rate limit the folder has wrong, either way; half of the lags are wrong
+    in the folder alone.
+    """
     subject = f"actuator.{surface}"
     if kind == "lag slower" and rng.random() < 0.5:
         lag = float(rng.uniform(8.0, 18.0))

@@ -1,4 +1,6 @@
-"""The air's rotation found in residuals, against gusts that are drawn and whose rotation is integrated here."""
+"""The air's rotation found in residuals, against gusts that are drawn and whose rotation is
+integrated here.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,9 @@ CUT = Cutoffs()
 
 
 def gust(rng, std):
-    """Wind angle of gusts whose gradient is nearly white, of first order over 5 s; and (N,) its change from sample to sample."""
+    """Wind angle of gusts whose gradient is nearly white, of first order over 5 s; and (N,) its
+    change from sample to sample.
+    """
     x = np.zeros(N)
     for k in range(1, N):
         x[k] = x[k - 1] * (1 - DT / 5.0) + std * rng.standard_normal()
@@ -43,7 +47,9 @@ def lagged(x, time_s):
 
 
 def flown(seed, gusts_std=0.002, rotating=1.0, noise=True, bank=0.0):
-    """Residuals and air of a level weave in gusts; what the air's rotation added to Cm; rate of the gust's gradient."""
+    """Residuals and air of a level weave in gusts; what the air's rotation added to Cm; rate of the
+    gust's gradient.
+    """
     rng = np.random.default_rng(seed)
     t = DT * np.arange(N)
     alpha_i, beta_i = 0.05 + 0.03 * np.sin(0.9 * t), 0.02 * np.sin(0.6 * t)
@@ -53,7 +59,8 @@ def flown(seed, gusts_std=0.002, rotating=1.0, noise=True, bank=0.0):
     rates = np.column_stack([0 * t, q, r])
     u, v, w = V * np.cos(alpha) * np.cos(beta), V * np.sin(beta), V * np.sin(alpha) * np.cos(beta)
     da_i, db_i = 0.027 * np.cos(0.9 * t), 0.012 * np.cos(0.6 * t)
-    # Velocity changes as inertial angles do, at constant speed: alpha. and beta. of (u, v, w) as the vanes see it.
+    # Velocity changes as inertial angles do, at constant speed: alpha. and beta. of (u, v, w) as
+    # the vanes see it.
     ca, sa, cb, sb = np.cos(alpha), np.sin(alpha), np.cos(beta), np.sin(beta)
     change = V * np.column_stack(
         [-sa * cb * da_i - ca * sb * db_i, cb * db_i, ca * cb * da_i - sa * sb * db_i]

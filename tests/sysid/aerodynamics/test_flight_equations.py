@@ -1,4 +1,6 @@
-"""The compiled loops against the equations as Python, differences of them, and the matrix exponential."""
+"""The compiled loops against the equations as Python, differences of them, and the matrix
+exponential.
+"""
 
 from __future__ import annotations
 
@@ -110,7 +112,9 @@ def test_a_step_is_the_exponential_and_inputs_are_linear_in_between() -> None:
 
 
 def test_what_python_calls_is_what_is_compiled() -> None:
-    """Everything that a loop calls is of its own file: numba renews what it keeps by that file alone."""
+    """Everything that a loop calls is of its own file: numba renews what it keeps by that file
+    alone.
+    """
     for name in (
         "sines",
         "gust_lags_s",

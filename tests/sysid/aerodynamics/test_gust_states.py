@@ -11,7 +11,9 @@ V0 = 21.0
 
 
 def motion():
-    """A banked, rolling, pitching, turning path: phi, dphi, theta, dtheta, dpsi (N,); V0 over the ground, along the heading."""
+    """A banked, rolling, pitching, turning path: phi, dphi, theta, dtheta, dpsi (N,); V0 over the
+    ground, along the heading.
+    """
     t = np.arange(N) * DT
     phi, theta = 0.4 + 0.3 * np.sin(2.0 * t), 0.15 * np.sin(1.3 * t)
     return phi, 0.6 * np.cos(2.0 * t), theta, 0.195 * np.cos(1.3 * t), 9.81 / V0 * np.tan(phi)
@@ -38,7 +40,9 @@ def seen(k, u, v, w, path):
 
 
 def carried(u, v, w, passing=0.0):
-    """q_h, r_h of the states and of their definition, for V, alpha and beta that come from gusts (u, v, w) alone."""
+    """q_h, r_h of the states and of their definition, for V, alpha and beta that come from gusts
+    (u, v, w) alone.
+    """
     path = phi, dphi, theta, dtheta, dpsi = motion()
     states = GustStates(B, passing)
     x = np.array([*seen(0, u, v, w, path), 0, 0, 0, phi[0], theta[0]])
@@ -100,14 +104,16 @@ def test_no_gust_changes_a_state_of_the_air_at_once():
 
 
 def test_gusts_turn_with_the_heading():
-    # Air at (u, v) along and across a heading that turns at dpsi: its velocity over the ground changes by dpsi x (u, v).
+    # Air at (u, v) along and across a heading that turns at dpsi: its velocity over the ground
+    # changes by dpsi x (u, v).
     states, dpsi, u, v, phi, theta = GustStates(B), 0.3, 1.5, -0.8, 0.5, 0.2
     own = np.array([V0, 0.04, -0.03, 0.0, 0.0, 0.0, phi, theta])
     own[3:6] = body_axes(phi, theta) @ [0.0, 0.0, dpsi]
     x = np.array([*own, *states.start(own)])
     np.testing.assert_allclose(states.turning(x), 0.0, atol=1e-14)
     x[11:] += u, v
-    # d/dt of (u cos psi - v sin psi, u sin psi + v cos psi) along the axes, and less of it relative to the air
+    # d/dt of (u cos psi - v sin psi, u sin psi + v cos psi) along the axes, and less of it relative
+    # to the air
     np.testing.assert_allclose(
         states.turning(x), body_axes(phi, theta) @ [v * dpsi, -u * dpsi, 0.0], atol=1e-14
     )

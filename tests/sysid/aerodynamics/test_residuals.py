@@ -1,4 +1,6 @@
-"""Residual coefficients of flights whose truth is known, with a model of three lines; noise by closed form."""
+"""Residual coefficients of flights whose truth is known, with a model of three lines; noise by
+closed form.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +40,9 @@ def inertia(a: Airframe) -> np.ndarray:
 
 
 def model_of(airframe: Airframe, increment: dict[str, float] | None = None):
-    """The model of `sixdof`, less ``increment`` in each coefficient: its residual is the increment."""
+    """The model of `sixdof`, less ``increment`` in each coefficient: its residual is the
+    increment.
+    """
 
     def predict(record: FlightRecord, piece: Piece) -> Prediction:
         rows = piece.rows
@@ -83,7 +87,8 @@ def pieces_of(record: FlightRecord) -> list[Piece]:
 def test_a_model_that_is_the_truth_leaves_nothing(still):
     found = residual_coefficients(still, pieces_of(still), model_of(AIRFRAME))
     sizes = np.sqrt(np.mean(found.delta**2, axis=0))
-    # The filter's own error across the sharp edges of servo moves; sensors' noise is a hundred times larger.
+    # The filter's own error across the sharp edges of servo moves; sensors' noise is a hundred
+    # times larger.
     assert np.all(sizes < [5e-5, 1e-5, 2e-4, 5e-5, 3e-4, 3e-5])
     assert found.labels == ("pitch-3211", "roll-yaw")
 

@@ -1,4 +1,6 @@
-"""The linear system along a flight against the equations written in the open, and what gusts do in it."""
+"""The linear system along a flight against the equations written in the open, and what gusts do in
+it.
+"""
 
 from __future__ import annotations
 
@@ -150,7 +152,9 @@ def test_without_forces_the_wind_angles_turn_with_the_body_and_weight():
 
 
 def test_a_moment_by_alphadot_follows_the_motion_and_not_the_air_that_rotates():
-    """M = L alphadot of a body without other forces: where the air rotates, slopes by rates relative to it are not all of it."""
+    """M = L alphadot of a body without other forces: where the air rotates, slopes by rates
+    relative to it are not all of it.
+    """
     x, L, gusts = flight(4), -30.0, GustStates(MASS.b, turning_with=False)
     state = with_gust_states(x, gusts) + np.array(
         [0.1, 0.002, -0.001, 0.01, -0.01, 0.01, 0.01, 0.01, 0.05, 0.02, -0.01, 0.5, 0.01]

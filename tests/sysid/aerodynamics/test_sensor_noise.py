@@ -1,4 +1,6 @@
-"""Sensor noise in residual coefficients, against noise that is drawn and passed through the same filters."""
+"""Sensor noise in residual coefficients, against noise that is drawn and passed through the same
+filters.
+"""
 
 from __future__ import annotations
 
@@ -41,7 +43,9 @@ AS_USUAL = Cutoffs()
 
 
 def flight(n=900, speeds=(18.0, 26.0)):
-    """A slow change of speed with a gentle weave: no channel at rest, every gain another one along the way."""
+    """A slow change of speed with a gentle weave: no channel at rest, every gain another one along
+    the way.
+    """
     t = DT * np.arange(n)
     columns = {
         "time_s": t,
@@ -108,7 +112,8 @@ def test_the_variance_is_that_of_drawn_noise_at_every_speed():
     measured = np.mean(drawn(record, pieces, 60) ** 2, axis=0)
     for part in np.array_split(np.arange(len(found)), 4):
         np.testing.assert_allclose(found[part].mean(axis=0), measured[part].mean(axis=0), rtol=0.12)
-    # Accelerometers' noise goes as 1/qbar: at 18 m/s it is twice that at 26 m/s; one variance for all would be seen.
+    # Accelerometers' noise goes as 1/qbar: at 18 m/s it is twice that at 26 m/s; one variance for
+    # all would be seen.
     assert found[:100, 1].mean() > 3.0 * found[-100:, 1].mean()
     assert abs(found.mean(axis=0)[1] / measured[-200:].mean(axis=0)[1] - 1.0) > 0.3
 
@@ -137,7 +142,8 @@ def test_the_cosine_transforms_variances_are_those_of_drawn_noise():
     for part in (slice(1, 20), slice(20, 40), slice(40, 70)):
         np.testing.assert_allclose(found[part].mean(axis=0), measured[part].mean(axis=0), rtol=0.15)
     assert found.sum(axis=0) == pytest.approx(noise_variance(piece.noise).sum(axis=0))
-    # All channels a tenth off, each in its own way: a variance is off by a fifth at most, and by less where many share it.
+    # All channels a tenth off, each in its own way: a variance is off by a fifth at most, and by
+    # less where many share it.
     assert np.all((spread > 0.08) & (spread <= 0.2 + 1e-12))
 
 
@@ -158,7 +164,9 @@ def test_a_cosine_transform_of_a_known_process():
 
 @pytest.mark.parametrize("n", [1, 2, 3, 8, 61])
 def test_variances_of_waves_are_those_of_the_dense_transform(n):
-    """Row by row b' T b, T the covariance of the samples; with correlation shorter and longer than the series."""
+    """Row by row b' T b, T the covariance of the samples; with correlation shorter and longer than
+    the series.
+    """
     basis = fft.dct(np.eye(n), axis=0, norm="ortho")
     for correlation in (autocorrelation(tuple(kernel(4, DT))), tuple(0.9 ** np.arange(100))):
         lags = np.r_[correlation[:n], np.zeros(max(0, n - len(correlation)))]
@@ -213,7 +221,9 @@ def test_channels_without_a_figure_are_free_of_noise():
 
 
 def test_a_flight_at_rest_by_hand():
-    """The smoother's weights are .1 .25 .3 .25 .1, a slope's (-2 -1 0 1 2)/(10 dt); variances follow by hand."""
+    """The smoother's weights are .1 .25 .3 .25 .1, a slope's (-2 -1 0 1 2)/(10 dt); variances
+    follow by hand.
+    """
     n, V = 300, 20.0
     columns = {
         c: np.full(n, V if c == "V_mps" else 0.0) for c in (*NOISY_CHANNELS, "phi_rad", "theta_rad")

@@ -1,4 +1,6 @@
-"""Intervals of what was chosen because it stood out: they cover among the chosen, where plain ones do not."""
+"""Intervals of what was chosen because it stood out: they cover among the chosen, where plain ones
+do not.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,9 @@ LIMIT = 4.0
 
 
 def chosen(theta: float, number: int = 4000) -> np.ndarray:
-    """Draws of N(theta, 1) beyond the limit, by inverting the distribution function of each tail."""
+    """Draws of N(theta, 1) beyond the limit, by inverting the distribution function of each
+    tail.
+    """
     rng = np.random.default_rng(int(10 * theta))
     below, above = stats.norm.cdf(-LIMIT - theta), stats.norm.sf(LIMIT - theta)
     u = rng.random(number) * (below + above)

@@ -30,7 +30,8 @@ def test_a_flight_compiles_nothing_that_was_not_compiled_ahead() -> None:
     before = compiled()
     assert all(before.values())
     rng = np.random.default_rng(2)
-    # As they come from replays and records: single columns of wider arrays, with effects of all coefficients and of a channel.
+    # As they come from replays and records: single columns of wider arrays, with effects of all
+    # coefficients and of a channel.
     x = (np.zeros((N, 20)) + np.array([20.0, *np.zeros(19)]) + 0.01 * rng.standard_normal((N, 20)))[
         :, :8
     ]

@@ -1,4 +1,6 @@
-"""The likelihood of flights in an air is that of the whole filter, and its slopes are those of differences."""
+"""The likelihood of flights in an air is that of the whole filter, and its slopes are those of
+differences.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,9 @@ ROWS = (0, 1, 2, 5, 6, 7, 8)
 
 
 def flights(seed: int = 3):
-    """Three segments of unequal length, of seven channels, with gaps; and five airs with noise of the sensors of their own."""
+    """Three segments of unequal length, of seven channels, with gaps; and five airs with noise of
+    the sensors of their own.
+    """
     rng = np.random.default_rng(seed)
     steps = [system(n, seed + n) for n in (40, 55, 31)]
     data = [s.y_ref[:, ROWS] + rng.standard_normal((len(s.y_ref), len(ROWS))) for s in steps]
@@ -58,7 +62,9 @@ def test_an_air_is_as_likely_as_by_the_whole_filter():
 
 @pytest.mark.parametrize("violent", [False, True])
 def test_slopes_are_those_of_differences(violent):
-    """Of the cost, with each sensor's noise and with the elements of process noise and begin, start states fitted."""
+    """Of the cost, with each sensor's noise and with the elements of process noise and begin, start
+    states fitted.
+    """
     steps, data, noise, airs = flights()
     if violent:
         steps[1].phi[20] *= 30.0

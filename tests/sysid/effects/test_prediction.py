@@ -1,4 +1,6 @@
-"""Whitened innovations against the dense Gaussian likelihood of the same linear system; the scores built on them."""
+"""Whitened innovations against the dense Gaussian likelihood of the same linear system; the scores
+built on them.
+"""
 
 from __future__ import annotations
 
@@ -110,7 +112,9 @@ def test_a_filter_that_has_followed_a_flight_whitens_any_columns_of_it():
 
 
 def flights(effect: dict[str, float], seed: int, segments: int = 9, n: int = 60, group=range(9)):
-    """Evidence of white flights with the columns a, b (parameters), c1..c6 (candidates), c6 being c1 again under another name."""
+    """Evidence of white flights with the columns a, b (parameters), c1..c6 (candidates), c6 being
+    c1 again under another name.
+    """
     rng = np.random.default_rng(seed)
     names = ("a", "b", "c1", "c2", "c3", "c4", "c5", "c6")
     parts, noise = [], np.full(M, 0.5)
@@ -189,7 +193,10 @@ def test_scores_of_nothing_are_standard_normal():
 
 
 def test_all_of_a_fit_at_once_are_as_each_alone():
-    """Errors were the residuals white: the diagonal of the information's inverse. Without another column they are smaller."""
+    """Errors were the residuals white: the diagonal of the information's inverse.
+
+    Without another column they are smaller.
+    """
     evidence = flights({"c3": 0.2}, 42)
     names = ["a", "b", "c3", "c5"]
     found = corrected_each(evidence, names, ["c3", "a"])

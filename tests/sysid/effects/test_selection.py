@@ -1,4 +1,6 @@
-"""The rule that chooses effects: the largest t by chance, causes that physics makes alike, noise other than taken."""
+"""The rule that chooses effects: the largest t by chance, causes that physics makes alike, noise
+other than taken.
+"""
 
 from __future__ import annotations
 
@@ -156,7 +158,9 @@ def test_twins_that_differ_in_more_than_their_companion_are_told_apart():
 
 @pytest.mark.parametrize("there", ["square", "modulus"])
 def test_a_twin_is_told_before_a_third_form_of_the_same(there, monkeypatch):
-    """``modulus`` and ``fourth`` resemble ``square`` more than ``inertia`` does, whose companion is a parameter of no other."""
+    """``modulus`` and ``fourth`` resemble ``square`` more than ``inertia`` does, whose companion is
+    a parameter of no other.
+    """
     rng = np.random.default_rng(6)
     square, companion = drawn(rng), drawn(rng)
     columns = {
@@ -195,7 +199,9 @@ def test_what_all_candidates_see_a_little_is_none_of_them():
 
 
 def test_an_effect_is_found_beside_a_stronger_one_that_its_flights_contradict():
-    """``torn`` has the opposite sign in the confirming part: it is refused, and what is steady enters all the same."""
+    """``torn`` has the opposite sign in the confirming part: it is refused, and what is steady
+    enters all the same.
+    """
     rng = np.random.default_rng(6)
     torn, steady = drawn(rng), drawn(rng)
     sign = np.where(CONFIRMING, -1.0, 1.0)[:, None, None]
@@ -214,7 +220,9 @@ def test_an_effect_is_found_beside_a_stronger_one_that_its_flights_contradict():
     ("t", "by_chance", "entering"), [(9.0, -0.5, True), (5.0, -0.5, True), (5.0, -4.0, False)]
 )
 def test_it_is_enough_that_the_parts_do_not_contradict_each_other(t, by_chance, entering):
-    """The confirming part knows a tenth of it, and what it knows is by chance half a standard error the other way, or four."""
+    """The confirming part knows a tenth of it, and what it knows is by chance half a standard error
+    the other way, or four.
+    """
     rng = np.random.default_rng(11)
     column = drawn(rng) * np.where(CONFIRMING, 0.2, 1.0)[:, None, None]
     noise = drawn(rng)

@@ -1,4 +1,6 @@
-"""Smooth terms: smoothing and band against independent formulas, coverage, chance, colour, and the forms that are told."""
+"""Smooth terms: smoothing and band against independent formulas, coverage, chance, colour, and the
+forms that are told.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +37,9 @@ def states(seed=0, n=N):
 
 
 def evidence_of(found, left, terms, free=("1", "alpha"), parts=3):
-    """Evidence of one channel in segments of equal length; left (n,): residual over noise; free: columns of the model."""
+    """Evidence of one channel in segments of equal length; left (n,): residual over noise; free:
+    columns of the model.
+    """
     own = {"1": np.ones(len(left)), "alpha": found["alpha"]}
     rows = [own[n] for n in free] + [row for t in terms for _, row in t.inputs(found).values()]
     names = [f"aero/Cm_{n}" for n in free] + [n for t in terms for n in t.columns]
@@ -172,7 +176,8 @@ def test_colour_takes_information_away():
         ]
         c = colour_dispersion(evidence, free, white, left)
         (coloured,) = fit_smooth(evidence, free, [term], c)
-        # A first-order residual that lasts: its variance times (1 + 0.8)/(1 - 0.8), for what changes slowly.
+        # A first-order residual that lasts: its variance times (1 + 0.8)/(1 - 0.8), for what
+        # changes slowly.
         assert 3.0 < c < 9.5
         for name, fit in (("white", white), ("coloured", coloured)):
             value, std = fit.curve(x)

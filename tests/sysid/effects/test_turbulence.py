@@ -1,4 +1,6 @@
-"""How gusty the air was: intensities, what gusts do and the sensors' noise, found in flights drawn from the filter's equations."""
+"""How gusty the air was: intensities, what gusts do and the sensors' noise, found in flights drawn
+from the filter's equations.
+"""
 
 from __future__ import annotations
 
@@ -52,8 +54,9 @@ def drawn(
     axis: int = 3,
     stronger: Sequence[float] = (1.0,) * 4,
 ) -> tuple[Made, list[np.ndarray]]:
-    """Four flights of n samples drawn from the linear system itself, by what gusts may do; moment: a wave of that size
-    besides, in Cl or that of CX..Cn which axis says; faster: of each flight [m/s]; stronger: factor on its intensities."""
+    """Four flights of n samples drawn from the linear system itself, by what gusts may do; moment:
+    a wave of that size besides, in Cl or that of CX..Cn which axis says; faster: of each flight
+    [m/s]; stronger: factor on its intensities."""
     rng = np.random.default_rng(4)
     equations = OpenEquations(TERMS, (), ("V_mps",), MASS)
     ref = []
@@ -135,7 +138,9 @@ def test_what_gusts_were_first_taken_to_do_is_asked_again(rotating, turning):
 
 
 def test_air_that_gains_nothing_stands(monkeypatch):
-    """Searched from where it was found, no flight's own, no speed and nothing that gusts do is asked; from half of it, all is."""
+    """Searched from where it was found, no flight's own, no speed and nothing that gusts do is
+    asked; from half of it, all is.
+    """
     made, data = drawn(GustStates(MASS.b, 22.0), INTENSITIES)
     first = found_in(made, data)
     asked = []
@@ -154,7 +159,9 @@ def test_air_that_gains_nothing_stands(monkeypatch):
 
 
 def test_noise_that_is_half_of_what_is_stated_is_found_beside_the_gusts():
-    """Gyros half as noisy as taken: their factor is found, the others' is one, and what is known is left alone."""
+    """Gyros half as noisy as taken: their factor is found, the others' is one, and what is known is
+    left alone.
+    """
     made, data = drawn(GustStates(MASS.b), INTENSITIES)
     kinds = [
         "wind" if k < 3 else "attitude" if k < 5 else "rate" if k < 8 else "force"
@@ -180,7 +187,8 @@ def test_noise_that_is_half_of_what_is_stated_is_found_beside_the_gusts():
     np.testing.assert_allclose(found[rate], 0.5, rtol=0.1)
     np.testing.assert_allclose(found[~rate], 1.0, atol=0.1)
     np.testing.assert_array_equal(searched((), stated)[1], 1.0)
-    # Searched again from there, the noise stays; from one that is lost, where no slope leads back, what is stated does.
+    # Searched again from there, the noise stays; from one that is lost, where no slope leads back,
+    # what is stated does.
     again, change = searched(kinds, found * stated, gusts)
     np.testing.assert_allclose(change, 1.0, atol=0.05)
     np.testing.assert_allclose(again.factors, found, rtol=0.05)
@@ -208,8 +216,9 @@ def test_the_search_ends_where_no_number_makes_the_flights_likelier():
 
 
 def test_a_moment_that_comes_and_goes_is_no_air():
-    """Nearly still air and a wave in Cl: the filter has it rotate, and nothing moves. A hundredth of light air is air; what moves
-    along the path alone is none, as a sensor that is off would have it."""
+    """Nearly still air and a wave in Cl: the filter has it rotate, and nothing moves. A hundredth
+    of light air is air; what moves along the path alone is none, as a sensor that is off would have
+    it."""
     still = 1e-6 * INTENSITIES
     wave = found_in(*drawn(GustStates(MASS.b), still, 0.003))
     assert wave.gain > 100.0
@@ -228,7 +237,9 @@ def test_a_moment_that_comes_and_goes_is_no_air():
 
 @pytest.mark.parametrize(("axis", "told"), [(4, [False, True, False]), (5, [False, False, True])])
 def test_moments_that_nothing_explains_stand_apart_from_the_air(axis, told):
-    """Light air and a wave in Cm or Cn: told about its own axis alone, and the air is what it was."""
+    """Light air and a wave in Cm or Cn: told about its own axis alone, and the air is what
+    it was.
+    """
     wave = found_in(*drawn(GustStates(MASS.b), INTENSITIES, 0.003, axis=axis))
     np.testing.assert_array_equal(wave.moments > CERTAIN_T**2, told)
     np.testing.assert_allclose(np.log(wave.values[:4] / INTENSITIES[:4]), 0.0, atol=np.log(1.7))
@@ -241,7 +252,9 @@ def test_light_air_needs_no_moments():
 
 @pytest.mark.parametrize("passing", [0.0, 22.0])
 def test_gusts_pass_at_the_airspeed_or_at_one_speed(passing):
-    """Flights of 18 and 26 m/s on the whole: air that passes at the airspeed, and air made beforehand for 22 m/s, the mean."""
+    """Flights of 18 and 26 m/s on the whole: air that passes at the airspeed, and air made
+    beforehand for 22 m/s, the mean.
+    """
     made, data = drawn(
         GustStates(MASS.b, passing), INTENSITIES, faster=(-4.0, -4.0, 4.0, 4.0), n=400
     )
@@ -285,7 +298,9 @@ def test_the_air_of_a_flight_alone_is_the_likeliest_from_wherever_it_is_sought()
 
 
 def test_flights_in_air_of_unlike_strength_tell_how_fast_their_gusts_pass():
-    """Air made for 23.5 m/s, met at 22 m/s: four times weaker than on the whole in one flight, four times stronger in the other."""
+    """Air made for 23.5 m/s, met at 22 m/s: four times weaker than on the whole in one flight, four
+    times stronger in the other.
+    """
     factors = (0.25, 0.25, 4.0, 4.0)
     made, data = drawn(GustStates(MASS.b, 23.5), INTENSITIES, n=400, stronger=factors)
     search = turbulence._Search(made, data, range(len(NOISE)), NOISE, [22.0] * 4, SERIAL)
@@ -305,7 +320,9 @@ def test_flights_in_air_of_unlike_strength_tell_how_fast_their_gusts_pass():
 
 
 def test_the_air_of_some_flights_in_others():
-    """What is known of a flight stays; others have what all have, and gusts that pass at one speed pass at their mean airspeed."""
+    """What is known of a flight stays; others have what all have, and gusts that pass at one speed
+    pass at their mean airspeed.
+    """
     kind = GustStates(MASS.b, rotating=True)
     made, data = drawn(kind, INTENSITIES)
     found = found_in(made, data)
@@ -329,7 +346,9 @@ def test_the_air_of_some_flights_in_others():
 
 
 def test_where_no_filter_follows_gusts_pass_at_the_mean_airspeed(monkeypatch):
-    score = lambda *_, **__: Score(np.inf, np.zeros(1), np.zeros((1, 13)), np.zeros((1, 13)), ())  # noqa: E731
+    def score(*_, **__):
+        return Score(np.inf, np.zeros(1), np.zeros((1, 13)), np.zeros((1, 13)), ())
+
     monkeypatch.setattr(turbulence._Search, "score", score)
     search = turbulence._Search(
         lambda *_: [], [np.zeros((2, 1))] * 2, [0], np.ones(1), [20.0, 24.0], SERIAL

@@ -1,4 +1,6 @@
-"""filter_error against a textbook Kalman filter and statsmodels where maximum likelihood is exact, and known truth."""
+"""filter_error against a textbook Kalman filter and statsmodels where maximum likelihood is exact,
+and known truth.
+"""
 
 import numpy as np
 import pytest
@@ -26,7 +28,9 @@ TRUE, Q, R = np.array([-0.6, -3.0, 2.0]), np.array([0.0, 0.5]), np.array([0.05, 
 
 
 def discrete(theta):
-    """Transition and input matrices as Runge-Kutta 4 makes them (its Taylor series to fourth order)."""
+    """Transition and input matrices as Runge-Kutta 4 makes them (its Taylor series to fourth
+    order).
+    """
     A, B = np.array([[theta[0], 1.0], [theta[1], -0.8]]), np.array([0.0, theta[2]])
     h = A * DT
     series = np.eye(2) + h / 2 @ (np.eye(2) + h / 3 @ (np.eye(2) + h / 4))
@@ -34,7 +38,9 @@ def discrete(theta):
 
 
 def noise_of_a_step(theta, q):
-    """Covariance that white noise of density q^2 gathers in a step: Simpson's rule, the middle being the mean of the ends."""
+    """Covariance that white noise of density q^2 gathers in a step: Simpson's rule, the middle
+    being the mean of the ends.
+    """
     phi = discrete(theta)[0]
     Q, half = np.diag(np.square(q)), 0.5 * (np.eye(2) + phi)
     return DT / 6 * (Q + 4 * half @ Q @ half.T + phi @ Q @ phi.T)
@@ -66,7 +72,9 @@ def fly(seed, n=400, q=Q):
 
 
 def textbook(vector, z):
-    """Negative log-likelihood by the Kalman filter as in any textbook; vector: theta, ln sqrt Q22, ln R."""
+    """Negative log-likelihood by the Kalman filter as in any textbook; vector: theta, ln sqrt Q22,
+    ln R.
+    """
     phi, gamma = discrete(vector[:3])
     q, r = noise_of_a_step(vector[:3], [0.0, np.exp(vector[3])]), np.diag(np.exp(2 * vector[4:6]))
     H = np.array([[1.0, 0.0], [1.0, 0.5]])
@@ -300,7 +308,8 @@ def test_bad_input_is_refused(change, said):
 
 
 def test_inputs_between_samples_are_used():
-    # x integrates u = t^2 over one sample: exactly 1/3 when the input half-way is known, 1/2 by a straight line.
+    # x integrates u = t^2 over one sample: exactly 1/3 when the input half-way is known, 1/2 by a
+    # straight line.
     u, z, t = np.array([[0.0], [1.0]]), np.array([[0.0], [0.0]]), np.array([0.0, 1.0])
 
     def missed(u_middle=None):

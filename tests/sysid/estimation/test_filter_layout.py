@@ -1,4 +1,6 @@
-"""Order of filter error's unknowns: what is packed comes back, each entry under its name and within its bounds."""
+"""Order of filter error's unknowns: what is packed comes back, each entry under its name and within
+its bounds.
+"""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""How far a model is from a flight: known series, and whether what a replay leaves is turbulence's (coloured, no function of
-the motion, there in quiet flight too)."""
+"""How far a model is from a flight: known series, and whether what a replay leaves is turbulence's
+(coloured, no function of the motion, there in quiet flight too)."""
 
 from __future__ import annotations
 
@@ -22,7 +22,8 @@ NOISE = np.full(4, 0.1)
 
 
 def flights(gusty, formed, waits=False, seed=0):
-    """Residuals and motion, (500, 4) twice: ``gusty`` channels have coloured noise, ``formed`` ones a function of the motion.
+    """Residuals and motion, (500, 4) twice: ``gusty`` channels have coloured noise, ``formed`` ones
+    a function of the motion.
 
     waits: the coloured noise comes with the motion alone.
     """

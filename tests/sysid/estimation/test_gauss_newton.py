@@ -12,7 +12,9 @@ FREE = np.full(2, -np.inf), np.full(2, np.inf)
 
 
 class Curve:
-    """1/2 |r(theta)|^2 of residuals with their Jacobian by hand; `fails` says where there is no cost."""
+    """1/2 |r(theta)|^2 of residuals with their Jacobian by hand; `fails` says where there is no
+    cost.
+    """
 
     def __init__(self, residual, jacobian, fails=lambda theta: False, sign=1.0):
         self.residual, self.jacobian, self.fails, self.sign = residual, jacobian, fails, sign

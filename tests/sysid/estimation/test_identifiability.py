@@ -1,4 +1,6 @@
-"""Which parameters the data tell apart, against variance inflation by statsmodels' regressions and the pseudo-inverse."""
+"""Which parameters the data tell apart, against variance inflation by statsmodels' regressions and
+the pseudo-inverse.
+"""
 
 from __future__ import annotations
 

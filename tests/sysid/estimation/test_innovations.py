@@ -1,4 +1,6 @@
-"""The innovations' likelihood: cost against a Kalman filter written out, gradient against differences, updates carried on."""
+"""The innovations' likelihood: cost against a Kalman filter written out, gradient against
+differences, updates carried on.
+"""
 
 from __future__ import annotations
 
@@ -43,7 +45,9 @@ def problem(z: np.ndarray, with_x0: bool = False) -> FilterProblem:
 
 
 def cost_by_hand(z, a, b, q, r) -> float:
-    """Scalar Kalman filter; discrete model by Runge-Kutta's series, process noise by Simpson's rule over the step."""
+    """Scalar Kalman filter; discrete model by Runge-Kutta's series, process noise by Simpson's rule
+    over the step.
+    """
     h = a * DT
     gain = 1.0 + h / 2.0 * (1.0 + h / 3.0 * (1.0 + h / 4.0))
     phi, drive = 1.0 + h * gain, DT * gain * b

@@ -33,8 +33,8 @@ def measured(steps: Steps, seed: int) -> np.ndarray:
 def textbook(
     steps: Steps, z: np.ndarray, Q: np.ndarray, P: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """State before each sample (n, x), e'S^-1 e + ln det S of each (n,), and the channels' own variances (n, m), NaN where nothing
-    is seen."""
+    """State before each sample (n, x), e'S^-1 e + ln det S of each (n,), and the channels' own
+    variances (n, m), NaN where nothing is seen."""
     d, Q, P = np.zeros(NX), np.diag(Q), np.diag(P)
     states, costs, own = [], [], np.full(z.shape, np.nan)
     for k, row in enumerate(z):
@@ -62,7 +62,9 @@ def textbook(
 
 @pytest.mark.parametrize("step", [1.0, 300.0])
 def test_state_likelihood_and_variances_are_the_textbooks(step: float) -> None:
-    """Also where a step blows the flight up, as those do that lead far outside what a model was made for."""
+    """Also where a step blows the flight up, as those do that lead far outside what a model was
+    made for.
+    """
     steps, (noise, begin) = system(30, 1), air(5)
     steps.phi[11] *= step
     z = measured(steps, 2)
@@ -85,7 +87,9 @@ def test_state_likelihood_and_variances_are_the_textbooks(step: float) -> None:
 
 @pytest.mark.parametrize("gusty", [True, False])
 def test_columns_are_what_a_change_of_coefficients_and_of_the_channels_does(gusty: bool) -> None:
-    """Linear, so that differences of the whole filter are its columns to rounding; more columns than go through together."""
+    """Linear, so that differences of the whole filter are its columns to rounding; more columns
+    than go through together.
+    """
     steps = system(12, 3)
     z = measured(steps, 4)
     rng = np.random.default_rng(7)

@@ -1,4 +1,6 @@
-"""The loops compiled give what they give as Python, which the filter's own tests compare with the textbook's."""
+"""The loops compiled give what they give as Python, which the filter's own tests compare with the
+textbook's.
+"""
 
 from __future__ import annotations
 

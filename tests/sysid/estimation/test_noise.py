@@ -12,7 +12,9 @@ COV = np.array([[4.0, 1.5, 0.0], [1.5, 1.0, -0.3], [0.0, -0.3, 0.25]])
 
 
 def residuals(n: int = 400) -> np.ndarray:
-    """(n, 3) of covariance COV; every seventh sample lacks the second output, every eleventh all."""
+    """(n, 3) of covariance COV; every seventh sample lacks the second output, every
+    eleventh all.
+    """
     v = np.random.default_rng(0).multivariate_normal(np.zeros(3), COV, n)
     v[::7, 1] = np.nan
     v[::11] = np.nan

@@ -11,7 +11,9 @@ DT, FROM = 0.02, 6.0
 
 
 def channel(seed, std, gusts=0.0, n=300, pieces=9):
-    """Manoeuvres: a slow motion and a step now and then, gusts as a first-order process of 1 s, and white noise."""
+    """Manoeuvres: a slow motion and a step now and then, gusts as a first-order process of 1 s, and
+    white noise.
+    """
     rng = np.random.default_rng(seed)
     out = []
     for _ in range(pieces):
@@ -33,7 +35,9 @@ def test_the_samples_decide_whatever_the_card_says(card):
 
 
 def test_the_spread_is_as_large_as_the_error():
-    """Where gusts hide the noise the spread says so, within a factor of three: the gusts' spectrum is a model too."""
+    """Where gusts hide the noise the spread says so, within a factor of three: the gusts' spectrum
+    is a model too.
+    """
     found = [noise_size(channel(seed, 0.02, gusts=0.3), DT, FROM, 0.02) for seed in range(12)]
     off = np.array([np.log(f.std / 0.02) / f.relative_std for f in found])
     assert np.sqrt(np.mean(off**2)) < 3.0
@@ -58,7 +62,8 @@ def test_what_tells_nothing():
         0.3,
         PRIOR_STD,
     )
-    # A channel that stands still, or is logged without noise, shows none; the card may know of a sensor behind it.
+    # A channel that stands still, or is logged without noise, shows none; the card may know of a
+    # sensor behind it.
     assert noise_size([np.ones(500)], DT, FROM) is None
     assert noise_size([np.ones(500)], DT, FROM, float("nan")) is None
     # A sampling rate that reaches no frequency above the signal's.

@@ -1,4 +1,6 @@
-"""Output error's cost and steps, against derivatives by hand, and sensitivities carried on against those differenced anew."""
+"""Output error's cost and steps, against derivatives by hand, and sensitivities carried on against
+those differenced anew.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Edges of what an estimator may say: no degree of freedom left, zero responses, forms of bounds and starts."""
+"""Edges of what an estimator may say: no degree of freedom left, zero responses, forms of bounds
+and starts.
+"""
 
 import numpy as np
 import pytest
@@ -28,7 +30,9 @@ def test_an_output_met_exactly_by_its_only_parameter_gives_no_bound():
 
 
 def test_a_simulation_that_diverges_has_no_standard_error():
-    """(b - 1) exp(g t), b = 1: at g = 12/s a difference of two such simulations is 1e18 times b's own rounding."""
+    """(b - 1) exp(g t), b = 1: at g = 12/s a difference of two such simulations is 1e18 times b's
+    own rounding.
+    """
     rng, time = np.random.default_rng(3), np.linspace(0.0, 5.0, 100)
     measured = 1.0 + 0.1 * rng.normal(size=(100, 1))
 

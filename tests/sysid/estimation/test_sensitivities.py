@@ -1,4 +1,6 @@
-"""Sensitivities by differences against derivatives written out; simulations that fail, are rough or do not care."""
+"""Sensitivities by differences against derivatives written out; simulations that fail, are rough or
+do not care.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Classes whose values a file may hold: this project's dataclasses, by name and by fields, and no code of them."""
+"""Classes whose values a file may hold: this project's dataclasses, by name and by fields, and no
+code of them.
+"""
 
 from __future__ import annotations
 

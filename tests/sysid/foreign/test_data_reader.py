@@ -1,4 +1,6 @@
-"""Nodes of a data file made into values: shared ones shared, each buffer once, and nothing that is not there yet."""
+"""Nodes of a data file made into values: shared ones shared, each buffer once, and nothing that is
+not there yet.
+"""
 
 from __future__ import annotations
 

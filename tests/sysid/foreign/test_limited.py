@@ -1,4 +1,6 @@
-"""Foreign formats are read in a child with limits: bombs and damage end in a sentence, and what is sound comes back as it was."""
+"""Foreign formats are read in a child with limits: bombs and damage end in a sentence, and what is
+sound comes back as it was.
+"""
 
 from __future__ import annotations
 
@@ -152,7 +154,8 @@ def test_a_log_that_would_fill_the_memory_is_refused(
     ]
     body += [_message(b"A", b"\0\0\0airspeed"), _message(b"D", bytes(60002)) * 20]
     (tmp_path / "big.ulg").write_bytes(b"ULog\x01\x12\x35\x01" + bytes(8) + b"".join(body))
-    # Where the system takes long over each request for memory that it refuses, the time limit comes first.
+    # Where the system takes long over each request for memory that it refuses, the time limit comes
+    # first.
     with pytest.raises(
         LogError, match=r"(of memory|longer than the \d+ s) that a file of .* may take"
     ):
@@ -225,7 +228,10 @@ def test_no_python_file_of_the_working_folder_runs_in_the_child(
     flown.write(tmp_path / "a.csv")
     for name in ("json", "queue", "numpy", "pandas", "signal", "sysid", "sitecustomize"):
         (tmp_path / f"{name}.py").write_text(f"open('ran-{name}', 'w')\n")
-    code = f"import sys; sys.path.append({str(ROOT)!r})\nfrom pathlib import Path\nfrom sysid.record import FlightRecord\n"
+    code = (
+        f"import sys; sys.path.append({str(ROOT)!r})\nfrom pathlib import Path\nfrom sysid.record"
+        " import FlightRecord\n"
+    )
     code += "print(len(FlightRecord.read(Path('a.csv'))))"
     done = subprocess.run(
         [sys.executable, "-P", "-c", code],
@@ -243,12 +249,13 @@ def test_no_python_file_of_the_working_folder_runs_in_the_child(
 def test_the_child_ends_with_a_killed_parent_even_in_the_middle_of_a_file(tmp_path: Path) -> None:
     slow = _slow_ulog(tmp_path / "slow.ulg")
     code = (
-        f"import sys; sys.path.insert(0, {str(ROOT)!r})\nfrom pathlib import Path\nfrom sysid.foreign import limited\n"
-        "import threading\n"
-        f"threading.Thread(target=limited.read_raw, args=(Path({str(slow)!r}), 'ulog', None), daemon=True).start()\n"
-        "import os, time\n"
-        "while os.getpid() not in limited._children: time.sleep(0.01)\n"
-        "time.sleep(2.0)\nprint(limited._children[os.getpid()].process.pid, flush=True)\ntime.sleep(600)\n"
+        f"import sys; sys.path.insert(0, {str(ROOT)!r})\nfrom pathlib import Path\nfrom"
+        " sysid.foreign import limited\nimport"
+        f" threading\nthreading.Thread(target=limited.read_raw, args=(Path({str(slow)!r}), 'ulog',"
+        " None), daemon=True).start()\nimport os, time\nwhile os.getpid() not in"
+        " limited._children:"
+        " time.sleep(0.01)\ntime.sleep(2.0)\nprint(limited._children[os.getpid()].process.pid,"
+        " flush=True)\ntime.sleep(600)\n"
     )
     parent = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
     assert parent.stdout is not None
@@ -312,7 +319,9 @@ def test_a_chunk_that_is_no_data_ends_the_child(
 
 
 def test_big_logs_are_given_time_and_memory() -> None:
-    """Genuine logs of 500 MB: at the slowest rate measured for each reader there is more than twice the time it takes."""
+    """Genuine logs of 500 MB: at the slowest rate measured for each reader there is more than twice
+    the time it takes.
+    """
     measured_bytes_per_s = {"ulog": 10e6, "tlog": 2.3e6, "csv": 20e6, "parquet": 20e6}
     for name, rate in measured_bytes_per_s.items():
         size = 500_000_000

@@ -1,4 +1,6 @@
-"""Compiled loops give what they give uncompiled, where their code can be kept and where it cannot."""
+"""Compiled loops give what they give uncompiled, where their code can be kept and where it
+cannot.
+"""
 
 from __future__ import annotations
 

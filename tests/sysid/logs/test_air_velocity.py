@@ -52,7 +52,9 @@ def test_a_tables_own_columns_win() -> None:
 
 
 def table(path: Path, every: int, names: dict[str, str] | None = None) -> None:
-    """A table of u, v, w in place of airspeed and angles, each value between every so many interpolated."""
+    """A table of u, v, w in place of airspeed and angles, each value between every so many
+    interpolated.
+    """
     record, rng = flight(60.0, seed=3), np.random.default_rng(3)
     at = np.arange(len(record))
     columns = {n: v for n, v in record.columns.items() if n not in AIR and n != "manoeuvre"}
@@ -88,9 +90,10 @@ def test_u_v_w_of_a_csv_are_read_and_said_to_be_interpolated(tmp_path: Path) -> 
 def test_a_map_reads_them_under_any_name_and_unit(tmp_path: Path) -> None:
     table(tmp_path / "a.csv", 1, {"time_s": "t", "u_mps": "U", "v_mps": "V", "w_mps": "W"})
     (tmp_path / "map.toml").write_text(
-        '[signals.V_mps]\nmessage = "csv"\nfields = ["U", "V", "W"]\nfunction = "air_speed"\nscale = 0.3048\n'
-        '[signals.alpha_rad]\nmessage = "csv"\nfields = ["U", "W"]\nfunction = "air_alpha"\n'
-        '[signals.beta_rad]\nmessage = "csv"\nfields = ["U", "V", "W"]\nfunction = "air_beta"\n'
+        '[signals.V_mps]\nmessage = "csv"\nfields = ["U", "V", "W"]\nfunction = "air_speed"\nscale'
+        ' = 0.3048\n[signals.alpha_rad]\nmessage = "csv"\nfields = ["U", "W"]\nfunction ='
+        ' "air_alpha"\n[signals.beta_rad]\nmessage = "csv"\nfields = ["U", "V", "W"]\nfunction ='
+        ' "air_beta"\n'
     )
     table(tmp_path / "b.csv", 1)
     mapped, plain = (

@@ -1,4 +1,6 @@
-"""Several boots in one log: told apart, listed, one read; damage and lines out of order are no boots."""
+"""Several boots in one log: told apart, listed, one read; damage and lines out of order are no
+boots.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Steps of slowly logged commands: placed where they happened, and left alone where the gyro does not say."""
+"""Steps of slowly logged commands: placed where they happened, and left alone where the gyro does
+not say.
+"""
 
 import numpy as np
 import pytest
@@ -10,7 +12,9 @@ DT, STRIDE, NOISE = 0.02, 2, 0.0036
 
 
 def flown(seed, size=6.0, late_s=0.0, dt=DT, stride=STRIDE):
-    """Command as carried out, as logged, and the noisy roll rate of p' = -4 p + 0.25 u seen by a gyro that is late."""
+    """Command as carried out, as logged, and the noisy roll rate of p' = -4 p + 0.25 u seen by a
+    gyro that is late.
+    """
     rng = np.random.default_rng(seed)
     n, fine = round(12.0 / dt), 20
     acted = np.zeros(n)
@@ -51,7 +55,9 @@ def test_a_gyro_that_is_late_by_half_a_row_puts_no_step_on_the_wrong_side():
 
 
 def test_without_a_kink_a_step_is_where_it_is_expected():
-    """Half-way, if nothing says in which of two rows it happened: the error of a guess is larger by the square root of two."""
+    """Half-way, if nothing says in which of two rows it happened: the error of a guess is larger by
+    the square root of two.
+    """
     for seed in range(10):
         _, logged, _ = flown(seed)
         still = NOISE * np.random.default_rng(seed).standard_normal(600)
@@ -84,7 +90,9 @@ def test_a_command_that_moves_all_the_time_goes_straight_between_logged_samples(
 
 
 def test_the_logger_need_not_be_regular():
-    """Every other or every third row, by chance: what moves all the time is followed as well as its logged samples allow."""
+    """Every other or every third row, by chance: what moves all the time is followed as well as its
+    logged samples allow.
+    """
     rng = np.random.default_rng(4)
     rows = np.cumsum(rng.integers(2, 4, 300))
     rows = np.concatenate([[0], rows[rows < 600], [600]])

@@ -23,7 +23,8 @@ def purposes(record: FlightRecord) -> dict[str, tuple[bool, str]]:
     return {p.name: (p.serves, p.reason) for p in log_info(record).purposes}
 
 
-# --- dialects -----------------------------------------------------------------------------------------------------
+# --- dialects
+# -----------------------------------------------------------------------------------------------------
 
 
 def test_four_hertz_telemetry_is_refused_for_identification_and_replay(
@@ -48,7 +49,8 @@ def test_a_users_map_takes_the_place_of_the_dialects_entry(
     assert "aileron_deg" not in back
 
 
-# --- maps -----------------------------------------------------------------------------------------------------------
+# --- maps
+# -----------------------------------------------------------------------------------------------------------
 
 
 def test_shipped_maps_are_sound_and_use_the_vocabulary() -> None:
@@ -85,7 +87,8 @@ def test_bad_maps_are_refused_with_the_place(text: str, message: str) -> None:
     assert str(error.value).startswith("map.toml: ")
 
 
-# --- purposes -------------------------------------------------------------------------------------------------------
+# --- purposes
+# -------------------------------------------------------------------------------------------------------
 
 
 def test_a_good_log_serves_replay_and_identification(bin_log: Path, card_path: Path) -> None:

@@ -1,4 +1,6 @@
-"""Every importer against damage: a record or a LogError, in bounded time, and never anything else."""
+"""Every importer against damage: a record or a LogError, in bounded time, and never
+anything else.
+"""
 
 from __future__ import annotations
 
@@ -63,7 +65,8 @@ def damaged(data: bytes, rng: np.random.Generator) -> bytes:
         return data[:a]
     if kind in (1, 2):
         out = bytearray(data)
-        # Headers steer a reader more than payload does: half of the damage goes into the first 2 kB.
+        # Headers steer a reader more than payload does: half of the damage goes into the first 2
+        # kB.
         span = min(n, 2048) if kind == 1 else n
         for k in rng.integers(0, span, int(rng.integers(1, 60))):
             out[int(k)] ^= 1 << int(rng.integers(0, 8))

@@ -180,7 +180,10 @@ def test_an_instance_that_the_users_map_names_is_binding() -> None:
 
 
 def test_a_users_rule_marks_rows_of_any_message() -> None:
-    rule = '[signals.V_mps]\nmessage = "PITO"\nfield = "v"\n[[sensors]]\nmessage = "PITO"\nvalid = { ok = [2, 3] }\n'
+    rule = (
+        '[signals.V_mps]\nmessage = "PITO"\nfield = "v"\n[[sensors]]\nmessage = "PITO"\nvalid = {'
+        " ok = [2, 3] }\n"
+    )
     record = read({("PITO", 0): table(v=GOOD, ok=np.where(HALF, 2, 0))}, extra=rule)
     assert np.isnan(record["V_mps"][~HALF]).all()
     assert record["V_mps"][HALF] == pytest.approx(GOOD[HALF])

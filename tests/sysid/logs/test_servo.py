@@ -10,7 +10,10 @@ import pytest
 from sysid.logs.card import parse_card
 from sysid.logs.servo import controls, deflection
 
-TABLE = "[inputs.elevator]\nproperty = 'fcs/elevator'\nlimits = [-25, 25]\nservo_pwm = [[1100, -20], [1500, 0], [1900, 20]]\n"
+TABLE = (
+    "[inputs.elevator]\nproperty = 'fcs/elevator'\nlimits = [-25, 25]\nservo_pwm = [[1100, -20],"
+    " [1500, 0], [1900, 20]]\n"
+)
 LOG = {
     "SERVO2_FUNCTION": 19.0,
     "SERVO2_MIN": 1000.0,

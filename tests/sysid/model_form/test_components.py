@@ -141,7 +141,8 @@ def test_without_model_error_little_is_left_and_none_is_found():
         bounds = fitted(draw(seed, 0.0, 0.0, 0.0, noise)[0]).bounds
         low, high = bounds.bounds({"V_mps": np.array([20.0]), "alpha_rad": np.array([0.0])})
         assert not bounds.parts.found
-        # The published interval of noisy samples is 2 x 1.96 x 0.0096 wide here, the smoother's share of the noise.
+        # The published interval of noisy samples is 2 x 1.96 x 0.0096 wide here, the smoother's
+        # share of the noise.
         assert high - low < 0.25 * 2 * 1.96 * 0.0096
         assert bounds.parts.not_above < 0.5 * 0.0096
     assert fitted(draw(1, 0.0, 0.0, 0.01, noise)[0]).bounds.parts.found
@@ -181,7 +182,9 @@ def test_few_blocks_are_trusted_less():
 
 
 def test_points_together_are_the_dense_formulas_one_by_one(monkeypatch):
-    """Log likelihood of y ~ N(0, D + X S X'), estimate and covariance of its coefficients, by the n x n covariance."""
+    """Log likelihood of y ~ N(0, D + X S X'), estimate and covariance of its coefficients, by the n
+    x n covariance.
+    """
     found = fitted(
         draw(2, 0.005, 0.01, 0.01, 0.02, blocks=4, flights=2, of_flight=0.01)[0]
     ).separation
@@ -247,7 +250,9 @@ def test_leaving_blocks_out_is_fitting_the_others():
 
 
 def test_a_quantile_of_an_uncertain_variance():
-    """Inverse chi-square weights of nu degrees of freedom make Student's t (scaled to unit variance)."""
+    """Inverse chi-square weights of nu degrees of freedom make Student's t (scaled to unit
+    variance).
+    """
     nu = 6.0
     values = stats.invgamma(nu / 2.0, scale=nu / 2.0).ppf((np.arange(20_000) + 0.5) / 20_000)
     found = UncertainVariance(values, np.full(len(values), 1.0 / len(values)))

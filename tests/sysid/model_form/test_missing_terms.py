@@ -13,7 +13,9 @@ NOISE = 1e-3
 
 
 def residuals(more=lambda states: 0.0, seed: int = 1, without: str = "") -> Residuals:
-    """Five pieces of ten seconds: Cm is a straight line in alpha, coloured noise, and ``more``; the rest is noise."""
+    """Five pieces of ten seconds: Cm is a straight line in alpha, coloured noise, and ``more``; the
+    rest is noise.
+    """
     rng = np.random.default_rng(seed)
     pieces = []
     for k in range(5):

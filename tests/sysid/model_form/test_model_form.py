@@ -42,7 +42,9 @@ def truth(x: np.ndarray) -> np.ndarray:
 def made_up(
     seed: int, n: int = 400, pieces: int = 4, noise: float = 0.004, memory: float = 0.0
 ) -> Residuals:
-    """CX, CZ, Cm residuals `truth` plus Gaussian noise (first-order memory a sample); the states wander as in flight."""
+    """CX, CZ, Cm residuals `truth` plus Gaussian noise (first-order memory a sample); the states
+    wander as in flight.
+    """
     rng = np.random.default_rng(seed)
     out = []
     for number in range(pieces):
@@ -84,7 +86,9 @@ def form_of(
 
 @pytest.mark.parametrize("confidence", [0.68, 0.95, 0.99])
 def test_published_intervals_are_those_of_statsmodels(confidence):
-    """Statsmodels on raw states (its own matrix, its own quantile) agrees with ours on normalised ones."""
+    """Statsmodels on raw states (its own matrix, its own quantile) agrees with ours on normalised
+    ones.
+    """
     residuals = made_up(1)
     bounds = fit_bounds(residuals, {"CX": Design(STATES)}, FitOptions(confidence, samples="all"))[
         "CX"
@@ -130,7 +134,8 @@ def test_the_bounds_enclose_zero_and_the_interval_within_them():
 def test_coverage_of_white_residuals_is_nominal_over_many_seeds():
     shares = {0.95: [], 0.68: []}
     for seed in range(25):
-        # Noise well above the truth: at 68 % the sign clip would otherwise widen the bounds, and rightly cover more.
+        # Noise well above the truth: at 68 % the sign clip would otherwise widen the bounds, and
+        # rightly cover more.
         made, new = made_up(seed, noise=0.012), made_up(1000 + seed, noise=0.012)
         found = coverage(form_of(made, coefficients=("CX",)), new)["CX"]
         for level, values in shares.items():
@@ -141,7 +146,9 @@ def test_coverage_of_white_residuals_is_nominal_over_many_seeds():
 
 
 def test_autocorrelation_breaks_the_published_interval_and_effective_samples_mend_it():
-    """At 20 samples' memory over 32 s the fit follows the noise: counted one by one the samples promise too much."""
+    """At 20 samples' memory over 32 s the fit follows the noise: counted one by one the samples
+    promise too much.
+    """
     published, ours, effective = [], [], []
     for seed in range(25):
         made, new = made_up(seed, memory=0.9), made_up(1000 + seed, memory=0.9)
@@ -157,7 +164,9 @@ def test_autocorrelation_breaks_the_published_interval_and_effective_samples_men
 
 
 def test_the_conformal_factor_is_finite_where_bounds_end_at_zero():
-    """A model error that is all on one side: a sample on the other lies outside by a finite factor."""
+    """A model error that is all on one side: a sample on the other lies outside by a finite
+    factor.
+    """
     made = made_up(1)
     form = form_of(made, coefficients=("CX",))
     b = form.coefficients["CX"]
@@ -349,7 +358,9 @@ def test_stepwise_keeps_the_true_terms():
 
 
 def test_a_manoeuvre_of_its_own_kind_is_found_by_leaving_it_out():
-    """One manoeuvre carries an offset that no state explains: inside the others' bounds it is rare."""
+    """One manoeuvre carries an offset that no state explains: inside the others' bounds it
+    is rare.
+    """
     residuals = made_up(13)
     odd = dataclasses.replace(residuals.pieces[2], delta=residuals.pieces[2].delta + 0.02)
     changed = Residuals((*residuals.pieces[:2], odd, residuals.pieces[3]), 0.02, Cutoffs())

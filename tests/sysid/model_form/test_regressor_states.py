@@ -63,7 +63,9 @@ def test_most_of_the_noise_goes_and_the_motion_stays(size):
 
 
 def test_a_band_without_motion_takes_no_other_bands_motion():
-    """Low bands hold a few waves of a few pieces, and may show nothing of a state that moves in others, and faster."""
+    """Low bands hold a few waves of a few pieces, and may show nothing of a state that moves in
+    others, and faster.
+    """
     rng = np.random.default_rng(2)
     true = []
     for number, n in enumerate((361, 311, 206, 271, 281, 291, 196, 261, 291)):

@@ -11,7 +11,9 @@ from sysid.model_form.fit import Design, fit_bounds
 
 
 def wandering(rate_hz: float, seconds: float = 200.0, f: float = 0.2) -> tuple[Residuals, float]:
-    """A residual A sin(2 pi f t) beside a state that tells nothing of it, and the rms of its slope."""
+    """A residual A sin(2 pi f t) beside a state that tells nothing of it, and the rms of
+    its slope.
+    """
     time = np.arange(0.0, seconds, 1.0 / rate_hz)
     y = 0.01 * np.sin(2 * np.pi * f * time)
     rng = np.random.default_rng(0)
@@ -29,7 +31,8 @@ def test_the_rate_of_variation_does_not_depend_on_the_recorders_rate(rate_hz):
     expected = slope * STEP_S / (high - low)[0]
     assert found.sigma == pytest.approx(expected, rel=0.03)
     assert found.rate == pytest.approx(expected / np.sqrt(0.02), rel=0.03)
-    # A smooth signal is no random walk: over a tenfold step the rate comes out about root ten times as large.
+    # A smooth signal is no random walk: over a tenfold step the rate comes out about root ten times
+    # as large.
     assert found.lagged[0.1] / found.lagged[0.02] == pytest.approx(np.sqrt(5.0), rel=0.03)
 
 

@@ -1,4 +1,6 @@
-"""What more data would do to an interval: closed forms, a brute-force repetition of the future, and an exhaustive choice."""
+"""What more data would do to an interval: closed forms, a brute-force repetition of the future, and
+an exhaustive choice.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,9 @@ STATE = "alpha_rad"
 
 
 def test_a_straight_line_follows_the_textbook():
-    """s2 (1/n + (x - mean)^2/Sxx) of a line, before and after points are added at both ends (Draper and Smith, ch. 1)."""
+    """s2 (1/n + (x - mean)^2/Sxx) of a line, before and after points are added at both ends (Draper
+    and Smith, ch. 1).
+    """
     rng = np.random.default_rng(1)
     x = np.linspace(-1.0, 1.0, 40)
     now = bounds_from(x, 0.3 * x + 0.1 * rng.standard_normal(40), f=2.0)
@@ -53,7 +57,9 @@ def test_a_straight_line_follows_the_textbook():
 
 
 def test_a_refit_of_both_data_sets_has_the_predicted_interval():
-    """Second order in two states, other normalisation in the refit: the same functions, so the same variance."""
+    """Second order in two states, other normalisation in the refit: the same functions, so the same
+    variance.
+    """
     rng = np.random.default_rng(2)
     names = ("V_mps", "alpha_rad")
     first, second = (
@@ -78,10 +84,11 @@ def test_a_refit_of_both_data_sets_has_the_predicted_interval():
 
 @pytest.mark.parametrize("offset", [0.0, 0.8])
 def test_the_expected_width_is_that_of_futures_played_out(offset):
-    """Draw the truth from what is believed today, make the second flight's data from it, fit both, measure: the mean over futures.
+    """Draw the truth from what is believed today, make the second flight's data from it, fit both,
+    measure: the mean over futures.
 
-    With an offset the bounds are stretched to hold zero, and the width depends on what will be found.
-    """
+    With an offset the bounds are stretched to hold zero, and the width depends on what will be
+    found."""
     rng = np.random.default_rng(3)
     sigma = 0.4
     x, z = rng.uniform(-1.0, 1.0, 60), rng.uniform(1.0, 3.0, 200)
@@ -111,7 +118,9 @@ def test_the_expected_width_is_that_of_futures_played_out(offset):
 
 
 def test_what_is_believed_of_terms_is_nearer_to_them_than_their_estimates():
-    """Terms of one size, estimated here well and there badly: shrinking beats the estimates, and the spread is honest."""
+    """Terms of one size, estimated here well and there badly: shrinking beats the estimates, and
+    the spread is honest.
+    """
     rng = np.random.default_rng(9)
     size, terms = 0.1, full_polynomial(3, 2)
     states = ("V_mps", "alpha_rad", "q_radps")

@@ -1,4 +1,6 @@
-"""What every function of the public face refuses: one sentence with the argument's name, nothing printed, nothing left behind."""
+"""What every function of the public face refuses: one sentence with the argument's name, nothing
+printed, nothing left behind.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Campaigns in Python leave the bytes of the command, and their results read as they were written."""
+"""Campaigns in Python leave the bytes of the command, and their results read as they were
+written.
+"""
 
 from __future__ import annotations
 

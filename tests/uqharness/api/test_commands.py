@@ -132,7 +132,10 @@ LEFT_OUT = {
         "yes": "a call is agreement",
     },
 }
-"""Options that a function does not have, and why. Functions of commands that are not here have every option."""
+"""Options that a function does not have, and why.
+
+Functions of commands that are not here have every option.
+"""
 MORE = {
     "modes": dict.fromkeys(("V_mps", "bank_rad", "climb_rad", "heading_rad"), IN_RADIANS)
     | {"properties": "JSBSim properties"},

@@ -153,6 +153,7 @@ def test_a_record_in_degrees_or_of_another_aircraft_is_refused(tmp_path: Path):
 def test_an_aircraft_without_a_card_flies(tmp_path: Path):
     script = tmp_path / "cruise.xml"
     script.write_text(
-        '<runscript name="cruise"><use aircraft="c172x" initialize="reset01"/><run start="0" end="1" dt="0.01"/></runscript>'
+        '<runscript name="cruise"><use aircraft="c172x" initialize="reset01"/><run start="0"'
+        ' end="1" dt="0.01"/></runscript>'
     )
     assert len(uq.fly("c172x", script, duration_s=1)) == 51

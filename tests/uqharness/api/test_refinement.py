@@ -25,7 +25,8 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list:
         found.append((request, [FlightRecord.read(p) for p in (*request.train, *request.test)]))
         return SimpleNamespace(document={"verdict": "none"})
 
-    # The command first: its module binds the function when it is imported, and not the one that stands in.
+    # The command first: its module binds the function when it is imported, and not the one that
+    # stands in.
     monkeypatch.setattr("uqharness.cli.refine.refine", refine)
     monkeypatch.setattr("uqharness.refinement.run.refine", refine)
     monkeypatch.setattr("uqharness.cli.refine.write_results", lambda *a: None)

@@ -1,4 +1,6 @@
-"""The public face in a script without a guard, through a pipe, and in a notebook: workers do not run the script again."""
+"""The public face in a script without a guard, through a pipe, and in a notebook: workers do not
+run the script again.
+"""
 
 from __future__ import annotations
 

@@ -51,9 +51,15 @@ def test_nothing_flown_is_no_answer_and_a_damaged_table_is_refused(tmp_path: Pat
 
 def test_a_statement_tells_how_many_flights_may_have_an_excursion(tmp_path: Path):
     head = HEAD.replace("distance\n", "distance,flight_share_upper\n")
-    rows = "a,,15,2,yes,,1,horizontal,0.00746\nb,,15,2,open,clusters beyond the carried limit,1,horizontal,\n"
+    rows = (
+        "a,,15,2,yes,,1,horizontal,0.00746\nb,,15,2,open,clusters beyond the carried"
+        " limit,1,horizontal,\n"
+    )
     (tmp_path / "statements.csv").write_text(head + rows)
     assert lines(read_answers(tmp_path, MANIFEST))[1:] == [
-        "  a: yes, 1 flight h, at most 0.75 % of flights with an excursion at the worst corner (95 % limit)",
+        (
+            "  a: yes, 1 flight h, at most 0.75 % of flights with an excursion at the worst corner"
+            " (95 % limit)"
+        ),
         "  b: inconclusive (clusters beyond the carried limit), 1 flight h",
     ]

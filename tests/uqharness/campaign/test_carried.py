@@ -56,7 +56,9 @@ def test_a_larger_radius_says_nothing():
 
 
 def test_clusters_beyond_the_carried_limit_are_said():
-    """20 excursions in clusters of 4 are too few to measure by and enough to contradict 2; single ones contradict nothing."""
+    """20 excursions in clusters of 4 are too few to measure by and enough to contradict 2; single
+    ones contradict nothing.
+    """
     few = np.zeros((1, FLIGHTS))
     few[0, :5] = 4.0
     single = np.zeros((1, FLIGHTS))
@@ -79,7 +81,8 @@ def test_a_corner_that_assumes_hears_of_the_others():
 def false_yes(
     cluster: int, nearer_per_h: float | None, repeats: int = 1500, hours: int = 80
 ) -> float:
-    """Share of campaigns of flights of an hour that call .1 per hour acceptable where a little more than that is true.
+    """Share of campaigns of flights of an hour that call .1 per hour acceptable where a little more
+    than that is true.
 
     Enough hours for a yes at a dispersion of 2 where nothing is seen.
     """

@@ -1,4 +1,7 @@
-"""Seeds and cases: identity, order, common random numbers. Golden values guard old campaigns against new code."""
+"""Seeds and cases: identity, order, common random numbers.
+
+Golden values guard old campaigns against new code.
+"""
 
 from __future__ import annotations
 
@@ -86,7 +89,8 @@ def test_certain_coefficients_have_no_delta(tmp_path):
     samples = epistemic_samples(spec)
     assert [sample.epistemic_id for sample in samples] == ["0---0-", "0---1-", "1---0-", "1---1-"]
     properties = uq_properties(spec, samples[0])
-    # The aircraft's own bounds may follow the state, so a certain coefficient is switched off and no bound is touched.
+    # The aircraft's own bounds may follow the state, so a certain coefficient is switched off and
+    # no bound is touched.
     assert {name: value for name, value in properties.items() if name.endswith("/active")} == {
         "uq/active": 1.0,
         "uq/CY/active": 0.0,

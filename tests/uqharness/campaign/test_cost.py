@@ -23,7 +23,10 @@ from uqharness.flight.spec import FlightSpec
 
 pytestmark = pytest.mark.usefixtures("flights_here")
 
-MEAN = '\n[aleatory.variables."inertia/mass-slugs"]\ndistribution = "normal"\nmean = [1.4, 1.5]\nstd = 0.02\n'
+MEAN = (
+    '\n[aleatory.variables."inertia/mass-slugs"]\ndistribution = "normal"\nmean = [1.4, 1.5]\nstd ='
+    " 0.02\n"
+)
 CORNERS = 'method = "corners"'
 
 

@@ -1,4 +1,6 @@
-"""JSBSim as the judge: a difference of a hundred-thousandth of the spread stops a campaign, one of a hundred-millionth does not."""
+"""JSBSim as the judge: a difference of a hundred-thousandth of the spread stops a campaign, one of
+a hundred-millionth does not.
+"""
 
 from __future__ import annotations
 
@@ -125,7 +127,8 @@ def test_flights_left_to_the_judge_are_flown_by_the_next_run(spec, tmp_path):
     run(spec, out)
     run(spec, tmp_path / "undisturbed")
     assert tables(out) == tables(tmp_path / "undisturbed")
-    # The first seconds are those of flights that were still missing, which depends on when the run was stopped.
+    # The first seconds are those of flights that were still missing, which depends on when the run
+    # was stopped.
     judged = [
         {row.case_id for row in read_check(folder) if row.part == FULL_FLIGHT}
         for folder in (out, tmp_path / "undisturbed")
@@ -223,7 +226,9 @@ def test_a_status_may_differ_only_where_jsbsims_own_differs_after_one_ulp(tmp_pa
 
 
 def test_a_flight_without_a_result_in_time_is_compared_with_nothing(tmp_path):
-    """A busy machine's limit on time is no difference of the engines, and one ulp is not asked for."""
+    """A busy machine's limit on time is no difference of the engines, and one ulp is not
+    asked for.
+    """
     late = CaseOutcome("a", "timeout", "no result after 420 s", 0.0)
     found = verdicts(tmp_path, outcome(**{METRIC: 2.0}), late, None)
     assert {verdict for verdict, _ in found.values()} == {"excused"}

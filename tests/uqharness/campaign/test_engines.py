@@ -1,4 +1,6 @@
-"""Which engine flies: option over file over auto, settled at the first run, and refused where it cannot be had."""
+"""Which engine flies: option over file over auto, settled at the first run, and refused where it
+cannot be had.
+"""
 
 from __future__ import annotations
 
@@ -96,8 +98,9 @@ def test_a_defect_of_the_batch_engine_leaves_the_campaign_to_jsbsim(spec):
         def refusals(self, spec, varying):
             raise KeyError("slot")
 
-    assert settled(spec, replace(ALIKE, batch=Broken())).words == (
-        "jsbsim, because the batch engine failed at reading plane: KeyError: 'slot'"
+    assert (
+        settled(spec, replace(ALIKE, batch=Broken())).words
+        == "jsbsim, because the batch engine failed at reading plane: KeyError: 'slot'"
     )
 
 
@@ -121,7 +124,8 @@ def test_the_engine_is_part_of_every_case_id_and_old_ids_stay(spec):
 def test_varying_properties_are_levels_variables_and_parameters(tmp_path):
     text = (
         fakes.CAMPAIGN
-        + '\n[aleatory.variables."inertia/mass-slugs"]\ndistribution = "normal"\nmean = 1.4\nstd = 0.02\n'
+        + '\n[aleatory.variables."inertia/mass-slugs"]\ndistribution = "normal"\nmean = 1.4\nstd ='
+        " 0.02\n"
     )
     found = varying_properties(read_campaign(fakes.campaign_file(tmp_path, text)))
     assert found == (

@@ -1,4 +1,6 @@
-"""Groups for the batch engine: every case once, one condition each, airs whole, of a size that a worker flies in some 20 s."""
+"""Groups for the batch engine: every case once, one condition each, airs whole, of a size that a
+worker flies in some 20 s.
+"""
 
 from __future__ import annotations
 

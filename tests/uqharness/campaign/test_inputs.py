@@ -1,4 +1,6 @@
-"""Epistemic samples that are drawn, and the files they come from: model form, fit, uncertain means."""
+"""Epistemic samples that are drawn, and the files they come from: model form, fit,
+uncertain means.
+"""
 
 from __future__ import annotations
 
@@ -51,7 +53,9 @@ FIT = {
 def model_form(
     path, rates=(0.02, 0.012, float("nan")), names=("CX", "CZ", "Cm"), transient=None, **changes
 ):
-    """A model form with bounds of CX, CZ and Cm; told apart into parts where ``transient`` is given."""
+    """A model form with bounds of CX, CZ and Cm; told apart into parts where ``transient`` is
+    given.
+    """
     form = made_up_form({name: PUBLISHED[name] for name in names})
     form = form if transient is None else with_parts(form, transient=transient)
     bounds = {
@@ -399,7 +403,8 @@ def test_an_unknown_mean_takes_its_place_among_the_sensitivities(tmp_path, monke
     (found,) = json.loads(capsys.readouterr().out)["sensitivity"].values()
     indices = found["altitude_median_m"]["indices"]
     assert set(indices) == {"CX", "load/kg"}
-    # The error is proportional to load + 0.1 level, and the load's mean moves by 3: shares of the p-box's width 3/3.1 and 0.1/3.1.
+    # The error is proportional to load + 0.1 level, and the load's mean moves by 3: shares of the
+    # p-box's width 3/3.1 and 0.1/3.1.
     assert indices["load/kg"]["value"] == pytest.approx([3.0 / 3.1] * 2)
     assert indices["CX"]["value"] == pytest.approx([0.1 / 3.1] * 2)
 
@@ -449,7 +454,10 @@ def bounded(tmp_path):
     shutil.copytree(PROJECT_ROOT / "aircraft" / "espaaro", tmp_path / "plane")
     shutil.copy(PROJECT_ROOT / "scripts" / "trim.xml", tmp_path / "loiter.xml")
     model_form(tmp_path / "model-form.json")
-    epistemic = '[epistemic]\nmethod = "corners"\nbounds = "model-form.json"\ncoefficients = ["CX"]\ninterior = 0\n'
+    epistemic = (
+        '[epistemic]\nmethod = "corners"\nbounds = "model-form.json"\ncoefficients ='
+        ' ["CX"]\ninterior = 0\n'
+    )
     head = HEAD.replace("150", "2").replace("60", "0").replace("flights = 3", "flights = 1")
     (tmp_path / "campaign.toml").write_text(head.replace('"moderate"', '"light"') + epistemic)
     return read_campaign(tmp_path / "campaign.toml")
@@ -498,7 +506,8 @@ def test_the_bounds_of_a_file_fly_in_a_copy_of_the_aircraft(tmp_path, bounded, m
     assert all(not np.any(deltas[1][f"{name}_delta"]) for name in COEFFICIENTS[1:])
     source = PROJECT_ROOT / "aircraft" / "espaaro" / "Systems" / "model-form.xml"
     assert (tmp_path / "plane" / "Systems" / "model-form.xml").read_bytes() == source.read_bytes()
-    # The same command finds everything done; half a copy is mended; a changed model form is another campaign.
+    # The same command finds everything done; half a copy is mended; a changed model form is another
+    # campaign.
     (copy / "Systems" / "model-form.xml").unlink()
     assert run_campaign(bounded, out, executor=executor, fly=spy).done_before == 3
     assert (copy / "Systems" / "model-form.xml").read_bytes() == written

@@ -1,4 +1,6 @@
-"""A campaign that stops where it is answered: same bytes however it is run, killed or resumed; what it leaves behind."""
+"""A campaign that stops where it is answered: same bytes however it is run, killed or resumed; what
+it leaves behind.
+"""
 
 from __future__ import annotations
 
@@ -178,7 +180,9 @@ def test_the_report_says_what_can_be_signed(tmp_path):
 
 
 def test_the_band_pays_for_having_looked(tmp_path):
-    """Same flights, decided or planned: the band of a campaign that could have stopped anywhere is wider."""
+    """Same flights, decided or planned: the band of a campaign that could have stopped anywhere is
+    wider.
+    """
     run(tmp_path, "out")
     flown = read_table(tmp_path / "out" / "pbox.parquet").to_pandas()
     planned = (
@@ -216,7 +220,9 @@ def test_failed_flights_keep_a_cell_from_yes(tmp_path):
 
 
 def test_a_campaign_of_fixed_hours_answers_too(tmp_path):
-    """With the number of flights chosen beforehand; a quarter of the hours leaves both cells open."""
+    """With the number of flights chosen beforehand; a quarter of the hours leaves both
+    cells open.
+    """
     planned = TOML.partition("[stop]")[0]
     stop = '[stop]\nrule = "hours"\nhours = {}\n'
     for hours, calm, rough in ((12, "yes", "no"), (2, "open", "open")):

@@ -1,4 +1,6 @@
-"""A campaign as a whole: same bytes however it is run, killed or resumed; refusals; failures counted."""
+"""A campaign as a whole: same bytes however it is run, killed or resumed; refusals; failures
+counted.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,9 @@ pytestmark = pytest.mark.filterwarnings(
 
 @pytest.fixture(autouse=True)
 def _validate_quickly(monkeypatch):
-    """The check flight in a forked process: what it checks is the same, and it starts in a hundredth of the time."""
+    """The check flight in a forked process: what it checks is the same, and it starts in a
+    hundredth of the time.
+    """
     import uqharness.campaign.run as campaign
 
     def forked(workers, **settings):

@@ -1,4 +1,6 @@
-"""Sensitivity from the flights of a corner campaign: known shares, common random numbers, failures, refusals."""
+"""Sensitivity from the flights of a corner campaign: known shares, common random numbers, failures,
+refusals.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +38,9 @@ FLIGHTS = 12
 
 
 def known_effects(spec):
-    """Cross track: additive. Altitude: CX matters at high CY only. Speed: every corner the same. Chance is the air's alone."""
+    """Cross track: additive. Altitude: CX matters at high CY only. Speed: every corner the same.
+    Chance is the air's alone.
+    """
     level = {name: spec.properties.get(f"uq/{name}/level", 0.5) for name in SLOPES}
     draw = np.random.default_rng(spec.seed_turbulence)
     chance = float(draw.gamma(4.0))
@@ -127,8 +131,8 @@ def test_additive_shares_are_exact_and_the_order_certain(flown):
     assert found.ranking.certain
     # Known at a bound, the envelope loses just that share: 7.75 m wide, 52 %.
     assert (
-        "The p-box is 7.75 m wide; with CX known to lie at one of its bounds it would shrink by 52 %"
-        in found.words
+        "The p-box is 7.75 m wide; with CX known to lie at one of its bounds it would shrink by"
+        " 52 %" in found.words
     )
     assert "Certain:" in found.words
 
@@ -336,7 +340,9 @@ def test_interior_points_check_the_corners_and_move_no_share(tmp_path, flown):
 
 
 def test_the_p_box_holds_the_nominal_model_and_the_points_between_corners(tmp_path):
-    """The error is least between the bounds: corners alone exclude the nominal model's distribution."""
+    """The error is least between the bounds: corners alone exclude the nominal model's
+    distribution.
+    """
     text = fakes.CAMPAIGN.partition("bounds =")[0] + "bounds = { CX = 0.02 }\n"
     text += 'coefficients = ["CX"]\n'
     boxes = {}

@@ -1,4 +1,6 @@
-"""The coefficient that drives a metric over all conditions, weighed by the widths of their p-boxes."""
+"""The coefficient that drives a metric over all conditions, weighed by the widths of their
+p-boxes.
+"""
 
 from __future__ import annotations
 

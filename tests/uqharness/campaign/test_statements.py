@@ -114,14 +114,18 @@ def ended(frame: pd.DataFrame, share: float, flown: float = 0.1) -> pd.DataFrame
 
 @pytest.mark.parametrize(("share", "answer"), [(0.0, "yes"), (1.0, "no"), (0.3, "no")])
 def test_flights_that_all_end_early_are_not_acceptable(share, answer):
-    """400 flights of half an hour without another excursion: as many as 0.6 are aborted per scheduled hour, and "at most 0.5?"."""
+    """400 flights of half an hour without another excursion: as many as 0.6 are aborted per
+    scheduled hour, and "at most 0.5?".
+    """
     (found,) = statements(ended(flown((0.0, 0.0)), share), campaign(0.5))
     assert found.answer == answer
     assert found.aborted["diverged"] == 2 * 400 * share
 
 
 def test_two_excursions_an_hour_allowed_and_every_flight_diverging():
-    """One excursion a flight of an hour or more is below 2 per hour scheduled; per hour flown it is not."""
+    """One excursion a flight of an hour or more is below 2 per hour scheduled; per hour flown it is
+    not.
+    """
     made = campaign(2.0)
     made["aleatory"]["duration_s"] = 3600.0
     frame = ended(flown((0.0, 0.0)).assign(duration_s=3600.0), 1.0, flown=0.2)
@@ -156,7 +160,9 @@ def test_a_silent_cell_says_how_many_flights_may_have_an_excursion():
 
 
 def with_nearer(frame: pd.DataFrame, cluster: int) -> tuple[pd.DataFrame, dict]:
-    """The same with excursions beyond 10 m, .4 per hour in clusters, counted for their dispersion alone."""
+    """The same with excursions beyond 10 m, .4 per hour in clusters, counted for their dispersion
+    alone.
+    """
     nearer = cluster * np.random.default_rng(3).poisson(0.4 * HOURS / cluster, len(frame))
     made = campaign(0.02)
     made["metrics"] |= {"dispersion": 2.0, "dispersion_radius_m": [10.0]}
@@ -179,7 +185,9 @@ def test_clusters_are_measured_at_a_smaller_radius_and_shown():
 
 
 def test_clusters_that_a_smaller_radius_shows_forbid_a_yes():
-    """Nothing in 200 h: at most 0.04 per hour where excursions come alone, and nothing of the kind where they come by eights."""
+    """Nothing in 200 h: at most 0.04 per hour where excursions come alone, and nothing of the kind
+    where they come by eights.
+    """
     answers = {}
     for cluster in (1, 8):
         frame, made = with_nearer(flown((0.0, 0.0)), cluster)

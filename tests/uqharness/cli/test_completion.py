@@ -1,4 +1,6 @@
-"""Completion scripts: what bash offers with them, and that completing loads nothing of this program."""
+"""Completion scripts: what bash offers with them, and that completing loads nothing of this
+program.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +28,10 @@ def script(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def offered(script: Path, folder: Path, *words: str) -> set[str]:
     """What bash offers for the last word."""
     line = " ".join(shlex.quote(word) for word in words)
-    code = f"source {shlex.quote(str(script))}\nCOMP_WORDS=({line}); COMP_CWORD={len(words) - 1}; _shtab_uqharness\n"
+    code = (
+        f"source {shlex.quote(str(script))}\nCOMP_WORDS=({line}); COMP_CWORD={len(words) - 1};"
+        " _shtab_uqharness\n"
+    )
     done = subprocess.run(
         ["bash", "--norc", "-c", code + 'printf "%s\\n" "${COMPREPLY[@]}"'],
         cwd=folder,

@@ -1,4 +1,6 @@
-"""``uqharness diff``: exit code 0 where nothing differs, 1 where something does, 2 for what cannot be asked."""
+"""``uqharness diff``: exit code 0 where nothing differs, 1 where something does, 2 for what cannot
+be asked.
+"""
 
 from __future__ import annotations
 

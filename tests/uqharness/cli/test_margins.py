@@ -23,7 +23,8 @@ def test_one_loop_as_json(capsys: pytest.CaptureFixture[str]):
 
 
 def test_gains_of_a_file_twice_as_large_move_both_gain_margins_by_6_dB(tmp_path, capsys):
-    # The rate controller is linear in its three gains together, so L doubles at every frequency: 20 log10(2) dB.
+    # The rate controller is linear in its three gains together, so L doubles at every frequency: 20
+    # log10(2) dB.
     own = {"RLL_RATE_P": 0.22, "RLL_RATE_I": 0.20, "RLL_RATE_FF": 0.40}
     found = []
     for factor in (1.0, 2.0):

@@ -1,4 +1,6 @@
-"""``uqharness modes``: keys that other programs read, a table for people, and no trim as an answer."""
+"""``uqharness modes``: keys that other programs read, a table for people, and no trim as an
+answer.
+"""
 
 from __future__ import annotations
 

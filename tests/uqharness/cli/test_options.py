@@ -1,4 +1,6 @@
-"""Options that commands share: limits, words that repeat a command, one spelling and one help text each."""
+"""Options that commands share: limits, words that repeat a command, one spelling and one help text
+each.
+"""
 
 from __future__ import annotations
 

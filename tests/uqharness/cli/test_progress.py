@@ -54,7 +54,9 @@ def test_stages_lines_and_counters_are_for_terminals_alone(monkeypatch, terminal
 
 
 def test_the_time_to_go_follows_recent_work_and_counts_down():
-    """Ten units at one a second after a start of 100 s, in which one unit was done: 10 s to go, not 100."""
+    """Ten units at one a second after a start of 100 s, in which one unit was done: 10 s to go, not
+    100.
+    """
     clock_s = [0.0]
     rate = Rate(lambda: clock_s[0])
     assert rate.seconds_left(0, 21) is None

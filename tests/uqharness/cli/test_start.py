@@ -1,4 +1,6 @@
-"""How a command begins and ends: signals while modules load, little address space, Python files in the working folder."""
+"""How a command begins and ends: signals while modules load, little address space, Python files in
+the working folder.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,10 @@ from uqharness.plugin.apply import undo
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals as POSIX has them")
 
-_RUN = f"import sys; sys.path.append({str(ROOT)!r})\nfrom uqharness.__main__ import main\nsys.exit(main(sys.argv[1:]))"
+_RUN = (
+    f"import sys; sys.path.append({str(ROOT)!r})\nfrom uqharness.__main__ import"
+    " main\nsys.exit(main(sys.argv[1:]))"
+)
 
 
 def _environment(**more: str) -> dict[str, str]:
@@ -30,7 +35,9 @@ def _command(*arguments: str, module: bool) -> list[str]:
 
 
 def _interrupted(command: list[str], number: int, folder: Path) -> tuple[int, str]:
-    """Exit code and standard error of a command that gets a signal at the moment it asks for a certain module."""
+    """Exit code and standard error of a command that gets a signal at the moment it asks for a
+    certain module.
+    """
     process = subprocess.Popen(
         command,
         stdout=subprocess.DEVNULL,
@@ -55,7 +62,8 @@ def _interrupted(command: list[str], number: int, folder: Path) -> tuple[int, st
 def test_a_signal_while_modules_load_is_one_line(
     tmp_path: Path, number: int, code: int, said: str, swallowed: bool
 ) -> None:
-    # Stands for any module that takes long to load; some turn an interruption into an error of their own.
+    # Stands for any module that takes long to load; some turn an interruption into an error of
+    # their own.
     hold = "import pathlib, time\npathlib.Path('loading').touch()\n"
     swallowing = (
         "try:\n    time.sleep(60)\nexcept KeyboardInterrupt:\n    raise ImportError('no')\n"
@@ -116,7 +124,8 @@ def test_a_bug_keeps_its_traceback_in_little_and_in_much_space(tmp_path: Path) -
 
 
 def test_python_files_of_the_working_folder_do_not_run(tmp_path: Path) -> None:
-    # Python's own `-m` reads contextlib and a few others from there before any of this program's code runs.
+    # Python's own `-m` reads contextlib and a few others from there before any of this program's
+    # code runs.
     for name in ("signal", "threading", "socket", "json", "numpy", "jsbsim", "sysid"):
         (tmp_path / f"{name}.py").write_text(f"open('ran-{name}', 'w')\n")
     done = subprocess.run(
@@ -131,7 +140,9 @@ def test_python_files_of_the_working_folder_do_not_run(tmp_path: Path) -> None:
 
 
 def _descendants(parent: int) -> list[int]:
-    """Processes that a process started, and theirs, those that have ended but were not asked about left out."""
+    """Processes that a process started, and theirs, those that have ended but were not asked about
+    left out.
+    """
     found = []
     for place in Path("/proc").glob("[0-9]*"):
         try:
@@ -160,9 +171,15 @@ def test_workers_that_are_busy_for_minutes_end_with_the_command(
         f"import sys, time; sys.path.append({str(ROOT)!r})\nimport uqharness.cli.main as commands\n"
     )
     source += "from uqharness.parallel import worker_map\n"
-    source += "def work():\n    with worker_map(2) as processes:\n        list(processes(time.sleep, [600.0] * 4))\n"
+    source += (
+        "def work():\n    with worker_map(2) as processes:\n        list(processes(time.sleep,"
+        " [600.0] * 4))\n"
+    )
     source += "commands.run_words = lambda argv: work()\n"
-    source += "from uqharness.__main__ import main\nif __name__ == '__main__':\n    sys.exit(main(['fly', '--help']))"
+    source += (
+        "from uqharness.__main__ import main\nif __name__ == '__main__':\n    sys.exit(main(['fly',"
+        " '--help']))"
+    )
     command = [sys.executable, "-c", source]
     process = subprocess.Popen(
         command, stderr=subprocess.PIPE, text=True, cwd=tmp_path, env=_environment()
@@ -191,7 +208,10 @@ def test_warnings_of_libraries_are_printed_for_those_who_ask_alone(
     source = f"import sys; sys.path.append({str(ROOT)!r})\nimport uqharness.cli.main as commands\n"
     source += "from uqharness.child_process import run_module\nimport numpy as np\n"
     # In this process, and in a child of it.
-    source += "def work():\n    np.log(np.zeros(1))\n    print(run_module('warns', timeout_s=60).errors)\n    return 0\n"
+    source += (
+        "def work():\n    np.log(np.zeros(1))\n    print(run_module('warns',"
+        " timeout_s=60).errors)\n    return 0\n"
+    )
     source += "commands.run_words = lambda argv: work()\n"
     source += "from uqharness.__main__ import main\nsys.exit(main(['fly', '--help']))"
     (tmp_path / "warns.py").write_text(
@@ -302,7 +322,10 @@ def test_undo_neither_writes_nor_removes_outside_its_folder(
         "[" * 100_000,
         '{"format": "instrument 1", "files": 3}',
         '{"format": "instrument 1", "files": {"a.xml": {"before": 1, "after": ""}}}',
-        '{"format": "instrument 1", "files": {"a.xml": {"before": "", "after": "", "insertions": [[1e999, "", ""]]}}}',
+        (
+            '{"format": "instrument 1", "files": {"a.xml": {"before": "", "after": "",'
+            ' "insertions": [[1e999, "", ""]]}}}'
+        ),
     ],
 )
 def test_a_damaged_record_of_an_instrumentation_is_one_sentence(tmp_path: Path, text: str) -> None:
@@ -316,7 +339,10 @@ def test_linear_algebra_takes_one_thread_unless_the_user_says_otherwise(
     tmp_path: Path, given: dict[str, str], threads: str
 ) -> None:
     code = f"import sys; sys.path.append({str(ROOT)!r})\nimport os, uqharness.cli.main\n"
-    code += "def main(argv): print(os.environ['OPENBLAS_NUM_THREADS'])\nuqharness.cli.main.main = main\n"
+    code += (
+        "def main(argv): print(os.environ['OPENBLAS_NUM_THREADS'])\nuqharness.cli.main.main ="
+        " main\n"
+    )
     code += "from uqharness.__main__ import main\nmain([])"
     environment = {k: v for k, v in _environment().items() if k != "OPENBLAS_NUM_THREADS"} | given
     done = subprocess.run(

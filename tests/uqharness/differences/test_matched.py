@@ -1,4 +1,6 @@
-"""The same flights of two models: nothing differs between one and itself; a changed term shows where it acts."""
+"""The same flights of two models: nothing differs between one and itself; a changed term shows
+where it acts.
+"""
 
 from __future__ import annotations
 

@@ -72,7 +72,9 @@ def run_git(folder, *words, **options):
 
 @pytest.fixture
 def hostile(repository, tmp_path_factory):
-    """The same with a configuration that names a program wherever git knows of one; the file that the program makes."""
+    """The same with a configuration that names a program wherever git knows of one; the file that
+    the program makes.
+    """
     ran = tmp_path_factory.mktemp("ran") / "ran"
     command = f"sh -c 'echo $0 >> {ran}; cat'"
     settings = {

@@ -1,4 +1,6 @@
-"""Which elements of two models' XML differ: numbers by value, names, what was added or is gone; not how it is written."""
+"""Which elements of two models' XML differ: numbers by value, names, what was added or is gone; not
+how it is written.
+"""
 
 from __future__ import annotations
 
@@ -97,7 +99,10 @@ def test_what_is_added_or_gone_stands_alone(given, tmp_path):
 
 
 def test_a_function_that_is_added_is_one_line(given, tmp_path):
-    more = '<function name="aero/Cmadot"><product><value>1</value><value>2</value></product></function>'
+    more = (
+        "<function"
+        ' name="aero/Cmadot"><product><value>1</value><value>2</value></product></function>'
+    )
     (added,) = differing_terms(
         given, made(tmp_path / "b", XML.replace("    </axis>", f"{more}</axis>"))
     )

@@ -7,7 +7,8 @@ import pytest
 
 from uqharness.dossier.match import TESTS, Band
 
-# Entry, channel: absolute tolerance in the unit of the regulation, what a unit of it is in SI, share of the measured value.
+# Entry, channel: absolute tolerance in the unit of the regulation, what a unit of it is in SI,
+# share of the measured value.
 DEG, KT, FT, G = math.pi / 180.0, 1852.0 / 3600.0, 0.3048, 9.80665
 PRINTED = {
     ("2.b.4", "q_radps"): (0.15, DEG, 0.20),

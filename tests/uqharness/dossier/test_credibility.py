@@ -1,4 +1,6 @@
-"""Factors of credibility: evidence where the folder has some, "not assessed" never replaced by a level."""
+"""Factors of credibility: evidence where the folder has some, "not assessed" never replaced by a
+level.
+"""
 
 import json
 

@@ -13,7 +13,9 @@ CHANNELS = ("V_mps", "theta_rad", "phi_rad", "p_radps", "q_radps", "r_radps", "a
 
 
 def segment(control="elevator", seconds=8.0, start=2.0, length=1.0, also=(), number=0, **columns):
-    """A doublet of a control between ``start`` and ``start + length``; log and model are 0 where no column says otherwise."""
+    """A doublet of a control between ``start`` and ``start + length``; log and model are 0 where no
+    column says otherwise.
+    """
     t = np.arange(0.0, seconds, 0.02)
     values = {name: np.zeros(t.size) for name in ("elevator", "aileron", "rudder", "throttle")}
     for moved in (control, *also):

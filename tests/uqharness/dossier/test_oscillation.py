@@ -75,7 +75,9 @@ def test_too_little_to_tell():
 
 
 def test_dutch_roll_of_an_aircraft_is_that_of_its_eigenvalues():
-    """JSBSim flies the E-SPAARO from a small sideslip; the linearised model has the period and the damping."""
+    """JSBSim flies the E-SPAARO from a small sideslip; the linearised model has the period and the
+    damping.
+    """
     aircraft = find_aircraft("espaaro")
     trim = find_trim(aircraft, SteadyCondition(22.0, 100.0))
     mode = next(m for m in modes(linearise(aircraft, trim)) if m.name == "dutch_roll")

@@ -32,7 +32,9 @@ Open = Callable[..., Any]
 
 @pytest.fixture
 def pinned(tmp_path: Path) -> Open:
-    """Opens the pinned vehicle in the air system, with settings (property: value) made before initialising."""
+    """Opens the pinned vehicle in the air system, with settings (property: value) made before
+    initialising.
+    """
     folder = write_vehicle(tmp_path, SHORT.b_m, AIR_XML)
 
     def opened(settings: dict[str, float] | None = None, condition: Condition = SHORT) -> Any:
@@ -65,7 +67,8 @@ def isa(height_m: float) -> tuple[float, float, float]:
     return temperature, pressure, pressure / (287.053 * temperature)
 
 
-# Both sources as specified. Tolerance: 3 % of amplitude (6 % of density) and, on top, 99.99 % of counting statistics.
+# Both sources as specified. Tolerance: 3 % of amplitude (6 % of density) and, on top, 99.99 % of
+# counting statistics.
 
 
 @pytest.mark.parametrize(

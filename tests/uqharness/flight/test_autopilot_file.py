@@ -1,4 +1,6 @@
-"""A parameter file read for gains: the formats of two ground stations, and errors with file and line."""
+"""A parameter file read for gains: the formats of two ground stations, and errors with file and
+line.
+"""
 
 from __future__ import annotations
 

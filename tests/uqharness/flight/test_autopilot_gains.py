@@ -1,4 +1,6 @@
-"""Gains of ArduPlane's parameters: each value where the aircraft's own file has it, older names, and what is refused."""
+"""Gains of ArduPlane's parameters: each value where the aircraft's own file has it, older names,
+and what is refused.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,8 @@ FLOWN = {
 def test_a_parameter_sets_the_property_of_its_name_in_its_unit():
     found = autopilot_gains(FLOWN, DECLARED)
     assert found.properties == {f"ap/{name}": value for name, value in FLOWN.items()}
-    # The aircraft's own file was written by hand from the same source: an independent copy of names and units.
+    # The aircraft's own file was written by hand from the same source: an independent copy of names
+    # and units.
     assert {prop: DECLARED[prop] for prop in found.properties} == found.properties
     assert (found.ignored, found.n_others) == ({}, 0)
 

@@ -34,7 +34,9 @@ def test_rows_of_a_page_change_at_one_step():
 
 
 def test_gusts_keep_their_filters_and_get_other_noise():
-    """At the split no component jumps further than a step of its own; ten seconds later nothing is left of the old air."""
+    """At the split no component jumps further than a step of its own; ten seconds later nothing is
+    left of the old air.
+    """
     parameters = dryden_parameters(22.0, 100.0, 15.4, 3.66)
     step = min(SPLIT.frame, PAGE_STEPS - 100)
     own = DrydenGusts(parameters, 0.01, 5).page()

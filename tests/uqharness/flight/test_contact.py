@@ -1,4 +1,6 @@
-"""Contact with the ground: the first step in which a contact point touches, in flights that have been in the air."""
+"""Contact with the ground: the first step in which a contact point touches, in flights that have
+been in the air.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,10 @@ START = """<initialize name="low">
   <altitude unit="FT"> {altitude_ft} </altitude> <vt unit="FT/SEC"> {speed_fps} </vt>
 </initialize>
 """
-SCRIPT = '<runscript><use aircraft="c172p" initialize="low"/><run start="0" end="60" dt="0.01"/></runscript>'
+SCRIPT = (
+    '<runscript><use aircraft="c172p" initialize="low"/><run start="0" end="60"'
+    ' dt="0.01"/></runscript>'
+)
 
 
 @pytest.fixture(scope="module")

@@ -85,7 +85,8 @@ def test_gradient_spectra_are_filtered_velocity_spectra() -> None:
 
 
 def test_spectra_of_the_samples() -> None:
-    # 10 h at 50 Hz; bands of 2 B T > 1700 degrees of freedom: 5 standard deviations of the worst are 17 %.
+    # 10 h at 50 Hz; bands of 2 B T > 1700 degrees of freedom: 5 standard deviations of the worst
+    # are 17 %.
     dt, n = 0.02, 1_800_000
     gusts = dryden_gusts(n, dt, *AIR, seed=11)
     for component in COMPONENTS:
@@ -94,7 +95,8 @@ def test_spectra_of_the_samples() -> None:
         )
         for low, high in ((0.01, 0.03), (0.03, 0.1), (0.1, 0.5), (0.5, 2.0), (2.0, 6.0)):
             band = (frequency >= low) & (frequency < high)
-            # What lies above half the sampling rate folds down: the sampled process has the sum of the images.
+            # What lies above half the sampling rate folds down: the sampled process has the sum of
+            # the images.
             images = sum(
                 2
                 * np.pi
@@ -109,7 +111,8 @@ def test_spectra_of_the_samples() -> None:
 
 
 def test_a_wrong_span_is_noticed() -> None:
-    # Counter-case of the test above: 10 % on the span changes the density of p, q, r by far more than its tolerance.
+    # Counter-case of the test above: 10 % on the span changes the density of p, q, r by far more
+    # than its tolerance.
     dt, n = 0.02, 1_800_000
     V, h, W20, b = AIR
     gusts = dryden_gusts(n, dt, V, h, W20, 1.1 * b, seed=11)
@@ -129,7 +132,8 @@ def test_first_samples_are_stationary_and_so_are_all_others(seeds: int) -> None:
         for name in COMPONENTS:
             starts[name][seed] = gusts.component(name)[[0, 5, 29]]
     for name in COMPONENTS:
-        # Standard error of a standard deviation from 2000 draws: 1/sqrt(4000) = 1.6 %; four of them.
+        # Standard error of a standard deviation from 2000 draws: 1/sqrt(4000) = 1.6 %; four of
+        # them.
         ratio = np.sqrt(np.mean(starts[name] ** 2, axis=0)) / dryden_sigma(name, *AIR)
         np.testing.assert_allclose(ratio, 1.0, atol=4.1 / np.sqrt(2.0 * seeds))
 
@@ -138,7 +142,8 @@ def test_first_samples_are_stationary_and_so_are_all_others(seeds: int) -> None:
 def test_rates_are_the_smoothed_gradients_of_the_velocities(
     slope_of: Component, rate: Component, sign: float
 ) -> None:
-    # T dq/dt + q = sign (d/dt)(velocity)/V: integrate both sides over the record. The trapezoids miss a little of a rough q.
+    # T dq/dt + q = sign (d/dt)(velocity)/V: integrate both sides over the record. The trapezoids
+    # miss a little of a rough q.
     dt, n = 0.001, 200_000
     gusts = dryden_gusts(n, dt, *AIR, seed=5)
     par = dryden_parameters(*AIR)
@@ -252,7 +257,9 @@ def test_bad_input_is_refused(n: int, dt: float, air: tuple[float, float, float,
 
 
 def test_gusts_that_branch_within_a_page_need_its_noise() -> None:
-    """The page anew and what follows are those of a split from the start; without the noise, and elsewhere, there is none."""
+    """The page anew and what follows are those of a split from the start; without the noise, and
+    elsewhere, there is none.
+    """
     parameters, split = dryden_parameters(*AIR), Split(9000, 1, 2, 3, 4)
     gusts = DrydenGusts(parameters, 0.01, 7)
     gusts.page()

@@ -1,4 +1,6 @@
-"""Flights: determinism, conditions, scores, failures that are counted and inputs that are refused."""
+"""Flights: determinism, conditions, scores, failures that are counted and inputs that are
+refused.
+"""
 
 from __future__ import annotations
 
@@ -142,7 +144,8 @@ def test_record_is_a_flight_record(tmp_path):
 
 
 def test_specific_force_follows_the_rates_of_change(tmp_path):
-    # Independent of JSBSim's own accelerometer: d(velocity)/dt + rates x velocity - gravity, by central differences.
+    # Independent of JSBSim's own accelerometer: d(velocity)/dt + rates x velocity - gravity, by
+    # central differences.
     out = tmp_path / "flight.csv"
     arguments = [
         "fly",
@@ -180,7 +183,8 @@ def test_wind_blows_from_where_it_is_said(tmp_path):
         arguments = ["fly", "espaaro", "--script", "trim", "--duration-s", "3", "--wind-mps", "5"]
         assert main([*arguments, "--wind-from-deg", str(direction), "--out", str(out)]) == 0
         record = pd.read_csv(out)
-        # The airspeed stays what the script asks for; the ground sees the wind on top of 22.2 m/s north.
+        # The airspeed stays what the script asks for; the ground sees the wind on top of 22.2 m/s
+        # north.
         assert record["V_mps"].to_numpy() == pytest.approx(22.2, abs=0.15)
         assert record["vn_mps"].iloc[-1] == pytest.approx(22.2 + 5 * north, abs=0.3)
         assert record["ve_mps"].iloc[-1] == pytest.approx(5 * east, abs=0.3)
@@ -309,11 +313,17 @@ def test_an_event_that_would_override_the_host_is_refused(tmp_path):
         ("<fdm_config/>", "begins with <runscript>"),
         ("<runscript><use aircraft='espaaro' initialize='cruise'/></runscript>", "needs <use"),
         (
-            "<runscript><use aircraft='a' initialize='cruise'/><run end='soon' dt='0.01'/></runscript>",
+            (
+                "<runscript><use aircraft='a' initialize='cruise'/><run end='soon'"
+                " dt='0.01'/></runscript>"
+            ),
             "positive number",
         ),
         (
-            "<runscript><use aircraft='a' initialize='nowhere'/><run end='5' dt='0.01'/></runscript>",
+            (
+                "<runscript><use aircraft='a' initialize='nowhere'/><run end='5'"
+                " dt='0.01'/></runscript>"
+            ),
             "could not load|refused",
         ),
     ],
@@ -348,12 +358,14 @@ def test_an_aircraft_without_air_meets_wind_and_gusts_through_jsbsim(tmp_path):
     with StagedMission(find_aircraft(folder), find_script("trim")) as mission:
         steady = record_mission(mission, calm, signals).signals
         gusty = record_mission(mission, replace(calm, turbulence="severe"), signals).signals
-    # 3 m/s from 240 deg blow towards 60 deg; airspeed stays what the script asks for, the ground sees the wind on top.
+    # 3 m/s from 240 deg blow towards 60 deg; airspeed stays what the script asks for, the ground
+    # sees the wind on top.
     assert steady["north"][1:] == pytest.approx(1.5)
     assert steady["east"][1:] == pytest.approx(3.0 * math.sqrt(0.75))
     assert steady["V_mps"][1:] == pytest.approx(22.2, abs=0.15)
     assert steady["ve_mps"] == pytest.approx(3.0 * math.sqrt(0.75), abs=0.1)
-    # The gusts in the heading axes of the frame before are those of the spec model, sample by sample.
+    # The gusts in the heading axes of the frame before are those of the spec model, sample by
+    # sample.
     gusts = dryden_gusts(
         300, 0.01, V_mps=22.2, h_m=100.0, W20_kt=45.0, b_m=3.66, seed=SPEC.seed_turbulence
     )
@@ -368,7 +380,8 @@ def test_an_aircraft_without_air_meets_wind_and_gusts_through_jsbsim(tmp_path):
 
 def test_excursions_by_hand():
     track = np.array([0.0, 16, 14, 16, 12.9, 15.1, -15.1, 0, -20, 0])
-    # Beyond 15, back to 14 (not re-armed), beyond again (same), 12.9 re-arms, 15.1 counts, -15.1 is the same one, -20 counts.
+    # Beyond 15, back to 14 (not re-armed), beyond again (same), 12.9 re-arms, 15.1 counts, -15.1 is
+    # the same one, -20 counts.
     assert count_excursions(track, 15.0, 2.0) == 3
     assert count_excursions(track, 15.0, 0.5) == 4
     assert count_excursions(np.full(5, 30.0), 15.0, 2.0) == 1

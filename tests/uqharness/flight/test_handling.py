@@ -21,7 +21,8 @@ def test_levels_follow_the_specification():
     model = linearise(aircraft, find_trim(aircraft, SteadyCondition(22.2)))
     found = modes(model)
     levels = {(a.mode, a.criterion): a.level for a in assess(model, found)}
-    # Hand-checked against MIL-F-8785C, category B, class I: CAP 4.7 lies between 3.6 and 10, so Level 2.
+    # Hand-checked against MIL-F-8785C, category B, class I: CAP 4.7 lies between 3.6 and 10, so
+    # Level 2.
     assert levels == {
         ("short_period", "damping"): 1,
         ("short_period", "CAP"): 2,

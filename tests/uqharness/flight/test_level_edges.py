@@ -1,4 +1,6 @@
-"""The Levels' edges in the complex plane, against the Levels that `assess` gives to poles on either side of them."""
+"""The Levels' edges in the complex plane, against the Levels that `assess` gives to poles on either
+side of them.
+"""
 
 from __future__ import annotations
 
@@ -88,7 +90,9 @@ def test_a_real_root_below_a_limit_has_the_level_and_one_above_has_not(
 
 
 def test_edges_as_the_specification_prints_them():
-    """Category B, class I at 1 rad/s: damping 0.3, 0.2, 0.15; T2 of 55 s; a spiral that doubles in 20 s; CAP 0.085 to 3.6."""
+    """Category B, class I at 1 rad/s: damping 0.3, 0.2, 0.15; T2 of 55 s; a spiral that doubles in
+    20 s; CAP 0.085 to 3.6.
+    """
     first, second, third = (float(e[0]) for e in level_edges("short_period", "B", "I", np.ones(1)))
     assert [-e / math.hypot(e, 1.0) for e in (first, second, third)] == pytest.approx(
         [0.30, 0.20, 0.15]

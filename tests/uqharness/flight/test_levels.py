@@ -1,4 +1,6 @@
-"""Moving levels against theory: increments, reflection, occupancy, memory, independence; and that a flight flies exactly them."""
+"""Moving levels against theory: increments, reflection, occupancy, memory, independence; and that a
+flight flies exactly them.
+"""
 
 from __future__ import annotations
 
@@ -60,13 +62,15 @@ def test_the_variance_of_a_second_is_the_same_at_any_step():
         inner = (path[:, :-1] > 0.06) & (path[:, :-1] < 0.94)
         found[rate_hz] = np.diff(path, axis=1)[inner].var()
         assert found[rate_hz] == pytest.approx(RATE**2, rel=4.0 * np.sqrt(2.0 / inner.sum()))
-    # Scaled the wrong way round (eq 3.38 with periods read as rates) they would differ by factors of 4.
+    # Scaled the wrong way round (eq 3.38 with periods read as rates) they would differ by factors
+    # of 4.
     assert max(found.values()) / min(found.values()) < 1.15
 
 
 @pytest.mark.parametrize("rate_hz", [50, 100, 200])
 def test_occupancy_is_uniform_from_the_first_step_to_the_last(rate_hz):
-    # Fast enough to hit the mirrors many times: stationary all along, because the first level is uniform.
+    # Fast enough to hit the mirrors many times: stationary all along, because the first level is
+    # uniform.
     path = walks(100, 4 * rate_hz, 1.0 / rate_hz, 0.5)
     assert path.min() >= 0.0
     assert path.max() <= 1.0
@@ -79,7 +83,8 @@ def test_occupancy_is_uniform_from_the_first_step_to_the_last(rate_hz):
 
 @pytest.mark.parametrize("rate_hz", [50, 100, 200])
 def test_memory_is_that_of_brownian_motion_between_mirrors(rate_hz):
-    # cos(pi f) is an eigenfunction: E[2 cos(pi f(0)) cos(pi f(t))] = exp(-pi^2 rate^2 t / 2), for a uniform start.
+    # cos(pi f) is an eigenfunction: E[2 cos(pi f(0)) cos(pi f(t))] = exp(-pi^2 rate^2 t / 2), for a
+    # uniform start.
     rate, time_s = 0.3, 2
     path = walks(250, time_s * rate_hz + 1, 1.0 / rate_hz, rate)
     product = 2.0 * np.cos(np.pi * path[:, 0]) * np.cos(np.pi * path[:, -1])
@@ -141,7 +146,9 @@ def test_impossible_drivers_are_refused():
 
 @pytest.fixture(scope="module", params=[50, 100, 200])
 def recorded(request, tmp_path_factory):
-    """A flight under a fast walk, recorded every step, at a step other than the card's where asked."""
+    """A flight under a fast walk, recorded every step, at a step other than the card's
+    where asked.
+    """
     rate_hz = request.param
     folder = tmp_path_factory.mktemp("aircraft") / "espaaro"
     shutil.copytree(PROJECT_ROOT / "aircraft" / "espaaro", folder)
@@ -227,7 +234,9 @@ def test_a_transient_part_is_uniform_with_its_own_standard_deviation_and_correla
     assert flown.std() == pytest.approx(PARTS.transient, rel=4.0 * np.sqrt(0.2 / flown.size))
 
     def memory(path, lag_s):
-        """Correlation of the slowest mode, sin(pi level/2), after that time, with its standard error."""
+        """Correlation of the slowest mode, sin(pi level/2), after that time, with its standard
+        error.
+        """
         mode = np.sin(0.5 * np.pi * path)
         product = 2.0 * mode[:, 0] * mode[:, round(lag_s * rate_hz)]
         return product.mean(), product.std() / np.sqrt(product.size)

@@ -1,4 +1,6 @@
-"""Modes over airspeed: each point is what the modes at that speed are alone, and a speed without a trim has its reason."""
+"""Modes over airspeed: each point is what the modes at that speed are alone, and a speed without a
+trim has its reason.
+"""
 
 from __future__ import annotations
 

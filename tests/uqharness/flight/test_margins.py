@@ -38,7 +38,9 @@ LOOP = Loop(
 
 
 class ToyLoop:
-    """First-order plant under u = -k y with a delay, stepped as JSBSim is; L(z) = k GAIN z^-DELAY / (z - POLE)."""
+    """First-order plant under u = -k y with a delay, stepped as JSBSim is; L(z) = k GAIN z^-DELAY /
+    (z - POLE).
+    """
 
     def __init__(self, controller_gain: float, offset: float = 0.3) -> None:
         self.values = {
@@ -83,7 +85,9 @@ def root_of(function, low: float, high: float) -> float:
 
 
 def exact_margins(k: float) -> tuple[float, float, float]:
-    """Gain margin in dB, phase margin in degrees and delay margin in seconds, by bisection of the formula."""
+    """Gain margin in dB, phase margin in degrees and delay margin in seconds, by bisection of the
+    formula.
+    """
     crossover = root_of(lambda w: abs(exact_loop(w, k)) - 1, 0.01, 300.0)
     lag = cmath.phase(exact_loop(crossover, k)) + math.pi
     phase_crossing = root_of(
@@ -133,7 +137,9 @@ def test_gain_margin_is_where_the_loop_itself_goes_unstable(measured):
 
 
 def test_conditionally_stable_loop_has_a_margin_downwards():
-    """L = k (s + 1)^2 / s^3 with k = 20: Routh asks 2 k^2 > k, so the gain may fall by a factor 40 and rise at will."""
+    """L = k (s + 1)^2 / s^3 with k = 20: Routh asks 2 k^2 > k, so the gain may fall by a factor 40
+    and rise at will.
+    """
     w = np.geomspace(0.05, 300.0, 400)
     s = 1j * w
     got = margins_of(w, 20 * (s + 1) ** 2 / s**3)
@@ -164,7 +170,9 @@ def test_multisine_has_its_rms_only_at_its_lines_and_a_low_peak():
 
 
 class MixedToy(ToyLoop):
-    """The same output moves a second actuator too, by ``mix`` times: the plant gets both, and a square of the injection."""
+    """The same output moves a second actuator too, by ``mix`` times: the plant gets both, and a
+    square of the injection.
+    """
 
     def __init__(self, controller_gain: float, mix: float, bend: float = 0.0) -> None:
         super().__init__(controller_gain)
@@ -188,7 +196,9 @@ MIXED = replace(LOOP, mixed=(CoupledActuator("inject-second", "mix", 1.0),))
 
 
 def test_twice_the_gain_of_a_mixed_loop_halves_its_gain_margin():
-    """L(z) = k (1 + mix) GAIN z^-DELAY / (z - POLE): the gain margin is that of a plain loop with k (1 + mix)."""
+    """L(z) = k (1 + mix) GAIN z^-DELAY / (z - POLE): the gain margin is that of a plain loop with k
+    (1 + mix).
+    """
     found = [
         measure_loop(
             lambda k=k: MixedToy(k, 0.5), MIXED, condition={}, settle_s=5.0
@@ -197,7 +207,8 @@ def test_twice_the_gain_of_a_mixed_loop_halves_its_gain_margin():
     ]
     assert found[0] - found[1] == pytest.approx(20 * math.log10(2), abs=1e-3)
     assert found[1] == pytest.approx(exact_margins(12.0)[0], abs=0.1)
-    # Open on one path alone, the second keeps its own feedback, which grows with k too: the difference is another.
+    # Open on one path alone, the second keeps its own feedback, which grows with k too: the
+    # difference is another.
     one = [
         measure_loop(
             lambda k=k: MixedToy(k, 0.5), LOOP, condition={}, settle_s=5.0

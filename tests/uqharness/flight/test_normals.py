@@ -1,4 +1,6 @@
-"""Normals of raw bits: their distribution, their independence, the logarithm, and that calls and copies cut them anywhere."""
+"""Normals of raw bits: their distribution, their independence, the logarithm, and that calls and
+copies cut them anywhere.
+"""
 
 from __future__ import annotations
 
@@ -58,7 +60,8 @@ def test_neighbours_and_partners_are_independent() -> None:
             assert abs(np.corrcoef(one[:-lag], other[lag:])[0, 1]) < 4.5 / np.sqrt(n - lag), lag
     pairs = z.reshape(-1, 2, GROUP // 2)
     x, y = pairs[:, 0].ravel(), pairs[:, 1].ravel()
-    # The angle of a pair is uniform, its radius squared exponential: all four quadrants, no seams at 45 degrees.
+    # The angle of a pair is uniform, its radius squared exponential: all four quadrants, no seams
+    # at 45 degrees.
     assert stats.kstest(np.arctan2(y, x), "uniform", args=(-np.pi, 2.0 * np.pi)).pvalue > 1e-3
     assert stats.kstest(0.5 * (x**2 + y**2), "expon").pvalue > 1e-3
     assert abs(np.corrcoef(x**2, y**2)[0, 1]) < 4.5 / np.sqrt(x.size)

@@ -1,4 +1,6 @@
-"""Rows of a FlightGear playback: units, position and rate against what reads logs, dropouts, what is refused."""
+"""Rows of a FlightGear playback: units, position and rate against what reads logs, dropouts, what
+is refused.
+"""
 
 from __future__ import annotations
 

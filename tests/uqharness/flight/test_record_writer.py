@@ -1,4 +1,6 @@
-"""`fly --out x.bin` and back: what the importer reads is what was flown, and others can read the file too."""
+"""`fly --out x.bin` and back: what the importer reads is what was flown, and others can read the
+file too.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,8 @@ CONDITIONS = [
     "--seed",
     "5",
 ]
-# What a column may lose: whole servo microseconds (0.05 deg, 0.1 %), 32-bit floats, positions of 1e-7 degrees, GPS's centimetres.
+# What a column may lose: whole servo microseconds (0.05 deg, 0.1 %), 32-bit floats, positions of
+# 1e-7 degrees, GPS's centimetres.
 EXACT = {
     "V_mps": 1e-4,
     "alpha_rad": 1e-6,

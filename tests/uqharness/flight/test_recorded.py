@@ -1,4 +1,6 @@
-"""A flight as a person asks for it, and its record: heights from the start, noise of its own stream for each channel."""
+"""A flight as a person asks for it, and its record: heights from the start, noise of its own stream
+for each channel.
+"""
 
 from __future__ import annotations
 

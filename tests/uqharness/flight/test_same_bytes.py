@@ -1,4 +1,6 @@
-"""The random streams have the same bytes whatever the processor lets numpy, the C library and the matrix library use."""
+"""The random streams have the same bytes whatever the processor lets numpy, the C library and the
+matrix library use.
+"""
 
 from __future__ import annotations
 
@@ -53,5 +55,6 @@ def test_restricted_libraries_change_no_byte(name: str) -> None:
 
 
 def test_the_libraries_own_functions_do_change() -> None:
-    # Which of the two does depends on the processor: numpy's exp has a form of its own for AVX-512 alone.
+    # Which of the two does depends on the processor: numpy's exp has a form of its own for AVX-512
+    # alone.
     assert any(in_a_child(RESTRICTED[name])[1] != librarys() for name in ("numpy", "C library"))

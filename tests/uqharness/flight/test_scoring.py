@@ -62,7 +62,8 @@ def test_deviations_by_hand():
         SPEC,
         RecordedFlight([*names, "north_m", "east_m", "vn_mps", "ve_mps"], straight, "ok", "", 3.0),
     )
-    # Began towards the north-east; 52 m east and 20 m north lies 32/sqrt(2) m to the right of that line.
+    # Began towards the north-east; 52 m east and 20 m north lies 32/sqrt(2) m to the right of that
+    # line.
     assert onwards.metrics["cross_track_max_m"] == pytest.approx(32.0 / np.sqrt(2.0))
     assert (onwards.metrics["excursions_15m"], onwards.metrics["excursions_25m"]) == (1.0, 0.0)
     broken = score_from_start(SPEC, RecordedFlight(names, rows, "crashed", "hit the ground", 3.0))

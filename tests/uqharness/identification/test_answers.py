@@ -1,4 +1,6 @@
-"""Sign, scale and delay of a channel: stated where the flight determines them, undefined with a reason elsewhere."""
+"""Sign, scale and delay of a channel: stated where the flight determines them, undefined with a
+reason elsewhere.
+"""
 
 from __future__ import annotations
 
@@ -48,7 +50,9 @@ def test_a_channel_that_agrees_has_a_delay_and_no_slip() -> None:
 
 @pytest.mark.parametrize("factor", [1.0, -1.0, 625.0])
 def test_nothing_is_said_where_the_model_hardly_moves(factor: float) -> None:
-    """An elevator doublet moves p by a hundredth of its noise: whatever the two have in common is no evidence."""
+    """An elevator doublet moves p by a hundredth of its noise: whatever the two have in common is
+    no evidence.
+    """
     little = 0.01 * NOISE / motion([doublet()]) * doublet()
     found = channel_response([factor * little + noise(1)], [little], NOISE, DT_S)
     assert describe_slip(found.relation) == ""

@@ -1,4 +1,6 @@
-"""Constants of side force, roll and yaw: one property an axis, of aircraft that have scales and biases."""
+"""Constants of side force, roll and yaw: one property an axis, of aircraft that have scales and
+biases.
+"""
 
 from __future__ import annotations
 

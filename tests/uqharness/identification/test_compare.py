@@ -79,7 +79,9 @@ def test_a_late_channel_is_found_late(record, tmp_path):
 
 
 def test_a_record_that_the_log_s_findings_call_late_is_compared_as_refine_reads_it(tmp_path):
-    """Moved by the finding, alpha would be at the noise here and late in what refine tells of the same flight."""
+    """Moved by the finding, alpha would be at the noise here and late in what refine tells of the
+    same flight.
+    """
     record = fly((("pitch-3211", 22.0),), seed=5, seconds=30.0)
     late = record.with_columns(
         {"alpha_rad": np.interp(record["time_s"] - 0.1, record["time_s"], record["alpha_rad"])}
@@ -97,7 +99,9 @@ def test_a_record_that_the_log_s_findings_call_late_is_compared_as_refine_reads_
 
 
 def test_an_elevator_doublet_says_nothing_of_roll_and_yaw(tmp_path):
-    """Where roll is not excited p is noise: neither a scale of hundreds nor a delay, whatever its sign."""
+    """Where roll is not excited p is noise: neither a scale of hundreds nor a delay, whatever its
+    sign.
+    """
     flight = fly((("pitch-doublet", 22.0),), seed=7, seconds=8.0)
     reversed_ = flight.with_columns(
         {"p_radps": -625.0 * flight["p_radps"], "q_radps": -flight["q_radps"]}

@@ -1,4 +1,6 @@
-"""The time left of a descent whose steps become shorter by a constant factor, and of one whose steps do not."""
+"""The time left of a descent whose steps become shorter by a constant factor, and of one whose
+steps do not.
+"""
 
 from __future__ import annotations
 

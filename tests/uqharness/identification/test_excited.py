@@ -1,4 +1,6 @@
-"""Which parameters flights excite: those that they do not are held with the reason, the others are not."""
+"""Which parameters flights excite: those that they do not are held with the reason, the others are
+not.
+"""
 
 from __future__ import annotations
 

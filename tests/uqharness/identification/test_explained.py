@@ -1,4 +1,6 @@
-"""A fit that leaves a third of a channel's motion identifies nothing; one that leaves noise, or a small term, does."""
+"""A fit that leaves a third of a channel's motion identifies nothing; one that leaves noise, or a
+small term, does.
+"""
 
 from __future__ import annotations
 

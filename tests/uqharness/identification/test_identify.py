@@ -1,4 +1,6 @@
-"""identify: known truth recovered from flights JSBSim did not make; the round trip log - identify - XML - re-flown flight."""
+"""identify: known truth recovered from flights JSBSim did not make; the round trip log - identify -
+XML - re-flown flight.
+"""
 
 from __future__ import annotations
 
@@ -218,7 +220,9 @@ def test_what_a_flight_does_not_tell_is_said_and_left_alone(flights, tmp_path):
 
 
 def test_parameters_follow_from_what_the_manoeuvres_excite(flights, tmp_path):
-    """Pitch manoeuvres alone: what acts in roll and yaw is held with the reason, but for the constants, which act at all times."""
+    """Pitch manoeuvres alone: what acts in roll and yaw is held with the reason, but for the
+    constants, which act at all times.
+    """
     code = main(
         [
             "identify",

@@ -1,4 +1,6 @@
-"""The commands bounds and validate-bounds, on flights of the reference truth and on flights that must be refused."""
+"""The commands bounds and validate-bounds, on flights of the reference truth and on flights that
+must be refused.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,9 @@ TRUTH, MODEL = "espaaro_truth", "espaaro"
 
 @pytest.fixture(scope="module")
 def flights(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """The second and the third flight of the reference truth, one seed, and a short flight of the model without noise."""
+    """The second and the third flight of the reference truth, one seed, and a short flight of the
+    model without noise.
+    """
     folder = tmp_path_factory.mktemp("flights")
     out = {}
     for name, aircraft, script, more in (
@@ -76,7 +80,9 @@ def test_bounds_leaves_a_form_a_system_a_report_and_figures(made):
 
 
 def test_the_missing_pitch_rate_term_of_the_truth_is_seen(made):
-    """The truth has CX_q = 1.5: at 0.3 rad/s of pitch rate dCX is 1.5 x 0.3 x c/2V = 0.0057, up and down."""
+    """The truth has CX_q = 1.5: at 0.3 rad/s of pitch rate dCX is 1.5 x 0.3 x c/2V = 0.0057, up and
+    down.
+    """
     b = read_model_form(made / "model-form.json").coefficients["CX"]
     middle = dict(zip(b.states, b.hull.middle[:, 1], strict=True))
     at = {s: np.full(2, v) for s, v in middle.items()} | {"q_radps": np.array([-0.3, 0.3])}
@@ -169,7 +175,10 @@ def test_validating_with_the_flight_behind_the_bounds_is_warned_of(made, flights
 
 
 def test_a_model_without_errors_leaves_nothing_in_a_flight_without_noise(flights, tmp_path, capsys):
-    """JSBSim on both sides: what is left is the filter's own error. States that stood still are left out and said."""
+    """JSBSim on both sides: what is left is the filter's own error.
+
+    States that stood still are left out and said.
+    """
     out = tmp_path / "clean"
     assert (
         main(
@@ -219,7 +228,8 @@ def test_checks_name_the_noise_and_the_other_filters(flights, tmp_path, capsys):
     assert main([*arguments, "--roll-terms", "--outside", "clamp", "--confidence", "0.9"]) == 0
     document = json.loads(capsys.readouterr().out)
     rows = document["coefficients"]
-    # The truth has a right sideforce: its bounds are a fraction of what noise alone would make them.
+    # The truth has a right sideforce: its bounds are a fraction of what noise alone would make
+    # them.
     assert rows["CY"]["mean_width"] / rows["CY"]["noise_width"] < 0.4
     assert rows["CY"]["found"] is False
     assert rows["Cl"]["transient"] > 3.0 * rows["Cl"]["noise_std"]  # turbulence rolls the aircraft
@@ -325,7 +335,9 @@ def test_numbers_out_of_range_are_refused(flights, tmp_path, capsys, option):
 
 @pytest.mark.slow
 def test_genuine_logs_of_three_flights(tmp_path, capsys):
-    """The second flight bounds Table 2.6's model, the third lies within: no vanes, servo commands at 25 Hz, airspeed at 10."""
+    """The second flight bounds Table 2.6's model, the third lies within: no vanes, servo commands
+    at 25 Hz, airspeed at 10.
+    """
     folder = Path(os.environ.get("UQ_FLIGHT_DATA", "nowhere")) / "espaaro-ardupilot"
     if not folder.is_dir():
         pytest.skip(
@@ -359,7 +371,9 @@ def test_genuine_logs_of_three_flights(tmp_path, capsys):
 
 @pytest.mark.slow
 def test_the_published_interval_is_made_on_request(flights, tmp_path, capsys):
-    """Noise and all, every sample counted: wider than the model's error by far where the model is right."""
+    """Noise and all, every sample counted: wider than the model's error by far where the model is
+    right.
+    """
     arguments = [
         "bounds",
         MODEL,

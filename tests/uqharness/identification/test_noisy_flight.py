@@ -17,7 +17,9 @@ from uqharness.simulator import find_aircraft
 
 @pytest.fixture(scope="module", params=["light", "none"])
 def looked_at(request, tmp_path_factory):
-    """Air; a flight of the model with sensor noise in that air; the residuals before and after; what was found."""
+    """Air; a flight of the model with sensor noise in that air; the residuals before and after;
+    what was found.
+    """
     path = Path(tmp_path_factory.mktemp("air")) / "f.parquet"
     said = [
         "fly",

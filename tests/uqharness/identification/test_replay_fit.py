@@ -1,4 +1,6 @@
-"""One fit for identify, compare and refine: the same estimates and gap from each, and what the flights do not tell stays."""
+"""One fit for identify, compare and refine: the same estimates and gap from each, and what the
+flights do not tell stays.
+"""
 
 from dataclasses import replace
 
@@ -73,7 +75,8 @@ def test_compare_and_refine_show_the_same_gap(aircraft, flight):
     shown = show(aircraft, Side(setup), SERIAL, Point({}, {}, ()))
     ours = {c: shown.channel_rms(k) / shown.noise[k] for k, c in enumerate(setup.outputs)}
     assert ours == pytest.approx({c: gap.channels[c].ratio for c in setup.outputs}, rel=1e-3)
-    # A sensor's scale, known, is taken out before the fit and put back: the same flight with a vane that reads 1.1 times.
+    # A sensor's scale, known, is taken out before the fit and put back: the same flight with a vane
+    # that reads 1.1 times.
     scaled = prepare(
         "f", flight.record.with_columns({"alpha_rad": 1.1 * flight.record["alpha_rad"]}), ()
     )
@@ -160,7 +163,9 @@ def test_what_replays_have_at_a_bound_is_free_beside_effects_and_told(aircraft, 
 
 @pytest.fixture
 def jumping(monkeypatch):
-    """Three manoeuvres of equations of motion whose servos act at once, and whose rows were read before their commands went out."""
+    """Three manoeuvres of equations of motion whose servos act at once, and whose rows were read
+    before their commands went out.
+    """
     monkeypatch.setattr(motion, "LAG", (1e6,) * 4)
     monkeypatch.setattr(motion, "RATE", (1e9,) * 4)
     card = cards("jumps", "mixed", 0.0, 1.0, 50.0)[0]

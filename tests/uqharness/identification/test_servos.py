@@ -1,4 +1,6 @@
-"""Servos of a log are chosen by likelihood: those that moved the surfaces in truth, and what was asked for is binding."""
+"""Servos of a log are chosen by likelihood: those that moved the surfaces in truth, and what was
+asked for is binding.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Identification in turbulence: filter error takes over, only where the air moves, and its intervals hold the truth."""
+"""Identification in turbulence: filter error takes over, only where the air moves, and its
+intervals hold the truth.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,9 @@ TRUTH = perturbed(Airframe(), np.random.default_rng(5))
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """An aircraft whose coefficients are 15 % off, and flights of the true one by independent equations: two in turbulence."""
+    """An aircraft whose coefficients are 15 % off, and flights of the true one by independent
+    equations: two in turbulence.
+    """
     place = tmp_path_factory.mktemp("turbulence")
     write_aircraft("espaaro", Airframe(), place)
     asked = [
@@ -38,7 +42,9 @@ def truth_of(found: uq.Identification) -> np.ndarray:
 
 
 def test_intervals_hold_the_truth_and_predictions_are_white(folder: Path):
-    """A filter that took gusts otherwise than they act, and controls to act at their rows, was twenty standard errors off."""
+    """A filter that took gusts otherwise than they act, and controls to act at their rows, was
+    twenty standard errors off.
+    """
     found = uq.identify(
         folder / "espaaro", [folder / "flight-0.parquet", folder / "flight-1.parquet"], workers=1
     )
@@ -95,7 +101,9 @@ def test_what_is_asked_for_is_estimated_and_no_more(folder: Path):
 
 
 def test_moments_that_the_model_lacks_are_told(folder: Path):
-    """Pitching moment due to roll rate squared, as the dissertation's section 2.7.2 has it, is in no parameter."""
+    """Pitching moment due to roll rate squared, as the dissertation's section 2.7.2 has it, is in
+    no parameter.
+    """
     hidden = Effect("Cm", "p_hat^2", 12.0)
     (record,) = fly([Flight(card(7, 21.0, seconds=45.0, w20_kt=12.0), TRUTH, (hidden,))])
     record.write(folder / "hidden.parquet")

@@ -1,4 +1,6 @@
-"""The command next-flight: from a corner campaign and bounds to test points that fly, and what their data do to the bounds."""
+"""The command next-flight: from a corner campaign and bounds to test points that fly, and what
+their data do to the bounds.
+"""
 
 from __future__ import annotations
 
@@ -102,7 +104,9 @@ def campaign(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def first(tmp_path_factory) -> Path:
-    """The first flight of the reference truth: two manoeuvres only, so that much is left to learn."""
+    """The first flight of the reference truth: two manoeuvres only, so that much is left to
+    learn.
+    """
     path = tmp_path_factory.mktemp("first") / "first.parquet"
     arguments = [
         "fly",
@@ -168,7 +172,8 @@ def test_the_winner_and_its_prospects_are_told(planned):
     assert code == (0 if row["narrowing"] >= 0.05 else 1)
     assert document["verdict"] == ("fly" if code == 0 else "no")
     assert set(document["where"]) == {"V_mps", "beta_rad", "p_radps", "r_radps"}
-    # The loiter turns at some 0.16 rad/s; two manoeuvres from straight flight did so in gusts and when they swung alone.
+    # The loiter turns at some 0.16 rad/s; two manoeuvres from straight flight did so in gusts and
+    # when they swung alone.
     r = document["where"]["r_radps"]
     assert r["mission"][0] > 0.1 > r["data"][1]
     assert r["mission"][1] > r["data"][2]
@@ -228,7 +233,8 @@ def test_the_script_flies_and_the_redone_bounds_are_as_predicted(
     main([*arguments, "--redone", str(both / "model-form.json")])
     achieved = json.loads(capsys.readouterr().out)["achieved"]
     for c in ("CY", "Cn"):
-        # At the sizes of today's parts; more manoeuvres make those surer as well, so that more goes than was promised.
+        # At the sizes of today's parts; more manoeuvres make those surer as well, so that more goes
+        # than was promised.
         promised = document["prospects"][c]["parameter_narrowing"]
         assert 0.5 * promised < promised - 0.1 < achieved[c]["parameter_narrowing"] < 1.0
         assert achieved[c]["predicted_parameter"] == document["prospects"][c]["parameter_narrowing"]
@@ -236,7 +242,9 @@ def test_the_script_flies_and_the_redone_bounds_are_as_predicted(
 
 @pytest.mark.slow
 def test_what_scatters_is_asked_of_the_flights_behind(campaign, tmp_path, capsys):
-    """In still air the reference truth's Cl_de is most of what scatters in Cl; polynomials of V, beta, p and r lack it."""
+    """In still air the reference truth's Cl_de is most of what scatters in Cl; polynomials of V,
+    beta, p and r lack it.
+    """
     flight, made = tmp_path / "calm.parquet", tmp_path / "bounds"
     assert (
         main(
@@ -302,8 +310,8 @@ def test_the_script_keeps_the_missions_lines_and_none_of_its_air(planned):
     _, out = planned
     text = (out / "next-flight.xml").read_text()
     assert (
-        '<property value="120">ap/loiter-center-east-m</property>      <!-- m; the flight begins on the circle'
-        in text
+        '<property value="120">ap/loiter-center-east-m</property>      <!-- m; the flight begins on'
+        " the circle" in text
     )
     assert '<property value="0">air/wind-mps</property>' in text
     assert '<property value="0">air/turbulence-w20-kt</property>' in text
@@ -360,7 +368,9 @@ def held() -> TestFlight:
 
 
 def test_points_are_flown_as_they_are_written(held, tmp_path):
-    """Speed and bank at the start, the steps in the commands, and a safety pilot where a point goes wrong."""
+    """Speed and bank at the start, the steps in the commands, and a safety pilot where a point goes
+    wrong.
+    """
     points = [
         TestPoint("dive", (Steps("elevator", 15.0, 1.5, ((1, 1.0),)),), Condition(22.0), 6.0),
         TestPoint("doublet", (Steps("elevator", 2.0, 0.5),), Condition(22.0)),
@@ -407,7 +417,9 @@ def test_a_point_that_leaves_what_may_be_flown_is_refused_and_the_rest_are_tried
 
 
 def test_an_aircraft_without_the_autopilot_gets_steps_on_top_of_its_mission(tmp_path):
-    """JSBSim's own c172x holds height and heading; a step of its elevator command is added to what its pilot commands."""
+    """JSBSim's own c172x holds height and heading; a step of its elevator command is added to what
+    its pilot commands.
+    """
     flight = TestFlight(
         find_aircraft("c172x"),
         PROJECT_ROOT / "campaigns" / "c172" / "hold.xml",

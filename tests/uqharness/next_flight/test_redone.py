@@ -19,7 +19,9 @@ MISSION = Occupancy(
 
 
 def narrowed(factor: float):
-    """The same bounds with their scatter and their terms' error so much smaller, and no part that holds zero."""
+    """The same bounds with their scatter and their terms' error so much smaller, and no part that
+    holds zero.
+    """
     rows = {
         n: replace(b, s2=b.s2 * factor**2, beta_hat=b.beta_hat * factor)
         for n, b in FORM.coefficients.items()

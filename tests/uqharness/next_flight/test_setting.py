@@ -1,4 +1,6 @@
-"""What a planned flight starts from: the campaign's own bounds, and what makes a plan less certain than it looks."""
+"""What a planned flight starts from: the campaign's own bounds, and what makes a plan less certain
+than it looks.
+"""
 
 from __future__ import annotations
 

@@ -44,7 +44,8 @@ def test_the_copy_is_flown_beside_the_untouched_aircraft(flown: list, tmp_path: 
 def test_it_is_not_where_that_would_say_nothing(flown: list, tmp_path: Path):
     aircraft = find_aircraft("c172x")
     assert instrument_aircraft(aircraft, BOUNDS, tmp_path / "c172x", check=False).verdict is None
-    # One that has the plugin gets other bounds; one that is changed in its place has no other to compare with.
+    # One that has the plugin gets other bounds; one that is changed in its place has no other to
+    # compare with.
     assert (
         instrument_aircraft(find_aircraft("espaaro"), BOUNDS, tmp_path / "espaaro").verdict is None
     )
@@ -88,7 +89,10 @@ def test_a_control_that_cannot_be_measured_is_noted_and_the_command_answers_no(
     monkeypatch.setattr(aircraft_facts, "measure_facts_in_child", facts)
     words = ["instrument", "c172x", "--no-check", "--out", str(tmp_path / "a")]
     assert main(words) == 1
-    note = "throttle could not be measured, so its sense and throw in airframe.toml are assumed: engine 1 does not settle"
+    note = (
+        "throttle could not be measured, so its sense and throw in airframe.toml are assumed:"
+        " engine 1 does not settle"
+    )
     assert note in capsys.readouterr().out
     hunting = replace(hunting, unmeasured="")
     assert main([*words[:-1], str(tmp_path / "b")]) == 0

@@ -12,8 +12,8 @@ from uqharness.simulator.aircraft import find_aircraft
 from uqharness.xml.document import parse_document
 
 TEXT = (
-    "<a><!-- <property value=\"1\">a/b</property> -->\n  <property  value = '2' >a/b</property>\t<!-- old -->"
-    '\r\n<property value="3">a/bc</property></a>'
+    "<a><!-- <property value=\"1\">a/b</property> -->\n  <property  value = '2'"
+    ' >a/b</property>\t<!-- old -->\r\n<property value="3">a/bc</property></a>'
 )
 
 
@@ -39,7 +39,10 @@ def test_a_remark_that_begins_on_the_line_is_not_ended_by_ours():
 
 
 def test_a_remark_is_in_the_encoding_of_the_file():
-    text = '<?xml version="1.0" encoding="ISO-8859-1"?>\n<a><!-- ä -->\n<property value="1">a/b</property>\n</a>'
+    text = (
+        '<?xml version="1.0" encoding="ISO-8859-1"?>\n<a><!-- ä -->\n<property'
+        ' value="1">a/b</property>\n</a>'
+    )
     done = edited(text, "a/b", Estimate(2.0, "± 1"), "iso-8859-1")
     assert done == text.replace('"1">a', '"2">a').replace(
         "</property>", "</property>  <!-- identified ± 1 -->"
@@ -64,7 +67,10 @@ def test_names_without_a_place_come_back_and_other_files_stay(tmp_path: Path):
 
 
 def test_two_values_on_one_line_are_both_written(tmp_path: Path):
-    line = '<a><property value="1">a/b</property> <property value="2">a/c</property>\n<property value="3">a/d</property></a>'
+    line = (
+        '<a><property value="1">a/b</property> <property value="2">a/c</property>\n<property'
+        ' value="3">a/d</property></a>'
+    )
     (tmp_path / "a.xml").write_text(line)
     assert (
         put_values(

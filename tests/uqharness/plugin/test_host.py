@@ -38,7 +38,8 @@ def test_what_an_aircraft_reads_of_flightgear_is_found_and_nothing_that_it_write
 def test_the_throttle_moves_the_thrust_and_not_without_the_host(p51d):
     low, high = (thrust_lbf(p51d, throttle) for throttle in (0.3, 0.9))
     assert high > low + 800.0
-    # The governor holds the manifold pressure that its table asks of the throttle; nine tenths of it.
+    # The governor holds the manifold pressure that its table asks of the throttle; nine tenths of
+    # it.
     low, high = (thrust_lbf(p51d, throttle, switch=0.0) for throttle in (0.3, 0.9))
     assert low == high
 

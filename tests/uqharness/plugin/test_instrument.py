@@ -1,4 +1,6 @@
-"""``instrument``: copies that fly to the last bit like the original, deltas where they belong, a way back, and what is refused."""
+"""``instrument``: copies that fly to the last bit like the original, deltas where they belong, a
+way back, and what is refused.
+"""
 
 from __future__ import annotations
 
@@ -57,7 +59,10 @@ def tree(folder: Path) -> dict[str, bytes]:
 def small(tmp_path) -> Path:
     folder = tmp_path / "aircraft" / "small"
     folder.mkdir(parents=True)
-    gain = "<pure_gain name='own/servo'><input>fcs/elevator-cmd-norm</input><gain>20</gain></pure_gain>"
+    gain = (
+        "<pure_gain"
+        " name='own/servo'><input>fcs/elevator-cmd-norm</input><gain>20</gain></pure_gain>"
+    )
     fcs = f"<channel name='c'>{gain}</channel>"
     text = SKELETON.format(fcs=fcs, aero=OWN, ixz="", mass_attributes="", aerorp=0.2).replace(
         "\n", "\r\n"
@@ -280,9 +285,10 @@ def test_engines_and_systems_beside_the_folder_go_along(small, tmp_path):
     )
     xml = small / "small.xml"
     parts = (
-        '<propulsion><engine file="puller"><location unit="M"><x>0</x><y>0</y><z>0</z></location>'
-        '<thruster file="nozzle"><location unit="M"><x>0</x><y>0</y><z>0</z></location></thruster></engine></propulsion>'
-        '<system file="aside"/>'
+        '<propulsion><engine file="puller"><location'
+        ' unit="M"><x>0</x><y>0</y><z>0</z></location><thruster file="nozzle"><location'
+        ' unit="M"><x>0</x><y>0</y><z>0</z></location></thruster></engine></propulsion><system'
+        ' file="aside"/>'
     )
     xml.write_bytes(
         xml.read_bytes().replace(b"<flight_control", parts.encode() + b"<flight_control")
@@ -437,8 +443,9 @@ def test_a_glider_nobody_prepared_is_identified_by_its_scales(tmp_path, capsys):
     )
     script = tmp_path / "glide.xml"
     script.write_text(
-        '<?xml version="1.0"?><runscript name="glide"><use aircraft="sgs233" initialize="glide"/><run start="0" end="16" dt="0.01">'
-        f'<property value="-0.1">fcs/elevator-cmd-norm</property>{events}</run></runscript>'
+        '<?xml version="1.0"?><runscript name="glide"><use aircraft="sgs233"'
+        ' initialize="glide"/><run start="0" end="16" dt="0.01"><property'
+        f' value="-0.1">fcs/elevator-cmd-norm</property>{events}</run></runscript>'
     )
     truth = {"uq/scale/Cmalpha": 1.2, "uq/scale/Cmde": 0.9, "uq/scale/Cmq": 1.0}
     settings = [part for name, value in truth.items() for part in ("--set", f"{name}={value}")]
@@ -462,7 +469,9 @@ def test_a_glider_nobody_prepared_is_identified_by_its_scales(tmp_path, capsys):
 
 @pytest.mark.slow
 def test_a_stock_aeroplane_is_replayed_with_its_engine_running_and_its_linkage_as_it_is(tmp_path):
-    """Elevator with hysteresis, bias, lag and two unequal ends of travel; a piston engine that wants mixture."""
+    """Elevator with hysteresis, bias, lag and two unequal ends of travel; a piston engine that
+    wants mixture.
+    """
     folder = tmp_path / "c172x"
     assert main(["instrument", "c172x", "--out", str(folder), "--no-check"]) == 0
     script = tmp_path / "doublet.xml"
@@ -472,11 +481,13 @@ def test_a_stock_aeroplane_is_replayed_with_its_engine_running_and_its_linkage_a
         for t, v in ((4.995, -0.15), (5.495, 0.15), (5.995, 0.0))
     )
     script.write_text(
-        "<runscript name='doublet'><use aircraft='c172x' initialize='elevator_doublet_init'/><run start='0' end='20' dt='0.01'>"
-        "<property value='1'>fcs/mixture-cmd-norm</property><property value='0.65'>fcs/throttle-cmd-norm</property>"
-        "<event name='engine'><condition>simulation/sim-time-sec gt 0.005</condition>"
-        "<set name='propulsion/set-running' value='-1'/><set name='fcs/throttle-cmd-norm' value='0.65'/></event>"
-        f"{events}</run></runscript>"
+        "<runscript name='doublet'><use aircraft='c172x' initialize='elevator_doublet_init'/><run"
+        " start='0' end='20' dt='0.01'><property"
+        " value='1'>fcs/mixture-cmd-norm</property><property"
+        " value='0.65'>fcs/throttle-cmd-norm</property><event"
+        " name='engine'><condition>simulation/sim-time-sec gt 0.005</condition><set"
+        " name='propulsion/set-running' value='-1'/><set name='fcs/throttle-cmd-norm'"
+        f" value='0.65'/></event>{events}</run></runscript>"
     )
     flight = tmp_path / "flight.parquet"
     assert (
@@ -494,7 +505,8 @@ def test_a_stock_aeroplane_is_replayed_with_its_engine_running_and_its_linkage_a
         )
         == 0
     )
-    # Three seconds into the flight the propeller has come to its speed; the surfaces' positions are left to the model.
+    # Three seconds into the flight the propeller has come to its speed; the surfaces' positions are
+    # left to the model.
     record = pd.read_parquet(flight)
     record[record.time_s >= 3.0].drop(columns=["elevator_pos_deg", "rudder_pos_deg"]).to_parquet(
         flight
@@ -516,7 +528,8 @@ def test_a_stock_aeroplane_is_replayed_with_its_engine_running_and_its_linkage_a
         for kind in ("channels", "coefficients")
         for name, gap in gaps[kind].items()
     }
-    # Without mixture CX was .08 off; with one factor for both ends of the elevator's travel Cm was .03, and .34 before.
+    # Without mixture CX was .08 off; with one factor for both ends of the elevator's travel Cm was
+    # .03, and .34 before.
     limits = {
         "V_mps": 0.05,
         "q_radps": 1e-3,

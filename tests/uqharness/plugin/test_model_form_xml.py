@@ -1,4 +1,6 @@
-"""Bounds computed inside JSBSim against sysid's numpy, and the small print of the system around them."""
+"""Bounds computed inside JSBSim against sysid's numpy, and the small print of the system around
+them.
+"""
 
 from __future__ import annotations
 
@@ -45,7 +47,9 @@ def system_of(aircraft: Aircraft) -> Path:
 
 
 def states_forced_upon(aircraft: Aircraft, count: int, fresh: bool):
-    """Bounds and extrapolation flag of the XML over a Latin hypercube of states, and those states as the record names them."""
+    """Bounds and extrapolation flag of the XML over a Latin hypercube of states, and those states
+    as the record names them.
+    """
     fdm = open_aircraft(aircraft)
     lows, highs = zip(*WIDE.values(), (-15.0, 15.0), (20.0, 100.0), strict=True)
     points = qmc.scale(
@@ -53,7 +57,8 @@ def states_forced_upon(aircraft: Aircraft, count: int, fresh: bool):
     )
     bounds, flags, seen, far = [], [], [], []
     for row in points:
-        # The system runs before the actuators and sees them a frame old; only in a fresh instance do they stand still.
+        # The system runs before the actuators and sees them a frame old; only in a fresh instance
+        # do they stand still.
         fdm = open_aircraft(aircraft) if fresh else fdm
         speed, alpha, beta, phi, theta, p, q, r, elevator, throttle = row
         body = (

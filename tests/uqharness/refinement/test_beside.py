@@ -140,7 +140,8 @@ FORM = Bent("CY", ("p_hat",), "smooth term of roll rate in side force", 1258.0, 
 @pytest.mark.parametrize(
     ("beside", "unnamed"),
     [
-        # Half the strongest is asked, at most 15: of those that the curve can be, as they are; of others, beside the curve.
+        # Half the strongest is asked, at most 15: of those that the curve can be, as they are; of
+        # others, beside the curve.
         ({"c": 8.2, "d": 3.7}, ["b", "c", "d"]),
         ({"c": 15.5, "d": -13.0}, ["b", "d"]),
         ({"c": 20.0, "d": -15.5}, ["b"]),

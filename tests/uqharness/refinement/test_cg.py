@@ -1,4 +1,6 @@
-"""A centre of gravity further forward: the moments are about another point, and the accelerometers stay where they were."""
+"""A centre of gravity further forward: the moments are about another point, and the accelerometers
+stay where they were.
+"""
 
 from __future__ import annotations
 
@@ -72,7 +74,9 @@ def along(
 
 
 def about_another_point(aircraft: Aircraft) -> dict[str, float]:
-    """Coefficients that have the moments of CZ and CY about a point ``FORWARD_M`` behind in Cm and Cn: M += Z x, N -= Y x."""
+    """Coefficients that have the moments of CZ and CY about a point ``FORWARD_M`` behind in Cm and
+    Cn: M += Z x, N -= Y x.
+    """
     fdm, reference = open_aircraft(aircraft), aircraft.card.reference
     values = {n: float(fdm[n]) for n in aircraft.card.parameters}
     for term in ("0", "alpha", "q", "de"):
@@ -98,7 +102,9 @@ def test_it_flies_as_with_the_moments_of_the_forces_and_is_felt_as_its_column_sa
 
 
 def test_it_moves_by_as_much_with_fuel_and_loads_on_board(tmp_path: Path) -> None:
-    """A Cessna whose fuel, pilots and luggage weigh a fifth of the whole, and stay where they are."""
+    """A Cessna whose fuel, pilots and luggage weigh a fifth of the whole, and stay where
+    they are.
+    """
     loaded = with_card(find_aircraft("c172p"))
     effect = {e.key: e for e in subsystem_effects([], [], [])}["effect/mass/cg_x"]
     write_effects(loaded, [Written(effect, FORWARD_M, "a remark", {})], {}, tmp_path / "c172p")
@@ -122,7 +128,10 @@ def test_without_an_empty_weight_nothing_is_written(tmp_path: Path) -> None:
     xml = weightless / "espaaro.xml"
     text, count = re.subn(r"(<emptywt[^>]*>)[^<]*", r"\g<1>0", xml.read_text(encoding="utf-8"))
     assert count == 1
-    load = '<pointmass name="all"><weight unit="LBS">46</weight><location unit="M"><x>0</x><y>0</y><z>0</z></location></pointmass>'
+    load = (
+        '<pointmass name="all"><weight unit="LBS">46</weight><location'
+        ' unit="M"><x>0</x><y>0</y><z>0</z></location></pointmass>'
+    )
     xml.write_text(text.replace("</mass_balance>", f"{load}</mass_balance>"), encoding="utf-8")
     effect = {e.key: e for e in subsystem_effects([], [], [])}["effect/mass/cg_x"]
     with pytest.raises(BadInputError, match="<emptywt> is 0"):

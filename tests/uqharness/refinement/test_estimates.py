@@ -1,4 +1,6 @@
-"""What `refine` estimates beside an effect is what `identify` estimates of the refined model on the same flights."""
+"""What `refine` estimates beside an effect is what `identify` estimates of the refined model on the
+same flights.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,8 @@ BETA2 = """<function name="aero/coefficient/Cmbeta2"> <product>
 </product> </function>
 """
 AIRCRAFT = {
-    # stock aircraft: speeds of the two train flights and of the test flight, property off by a factor
+    # stock aircraft: speeds of the two train flights and of the test flight, property off by a
+    # factor
     "sgs126": ((30, 36, 33), "uq/scale/Cmq"),
     "sgs233": ((28, 33, 30), "uq/scale/Cmq"),
     "c172x": ((50, 55, 52), "uq/scale/Cmq"),

@@ -17,7 +17,9 @@ from uqharness.refinement.search import Found, chosen_interval, left_beside, sli
 
 
 def evidence(strengths: dict[str, float], likeness: float = 0.0) -> Evidence:
-    """A parameter and candidates of unit information each; a and b as alike as asked; the flights ask for ``strengths``."""
+    """A parameter and candidates of unit information each; a and b as alike as asked; the flights
+    ask for ``strengths``.
+    """
     names = ("aero/Cm_q", *strengths)
     gram = np.eye(len(names))
     gram[1, 2] = gram[2, 1] = likeness
@@ -90,5 +92,7 @@ def test_what_a_records_clock_is_off_by_is_the_move_and_what_is_left(moved_s, sa
 def test_controls_as_late_as_an_integrations_step_are_no_slip_of_the_record(
     command_s, first, late_s
 ):
-    """Surfaces that jump and are seen old by the first of four stages act a sixth of a step late: .67 ms of 4 ms."""
+    """Surfaces that jump and are seen old by the first of four stages act a sixth of a step late:
+    .67 ms of 4 ms.
+    """
     assert slips_s(command_s, first)[0] == pytest.approx(late_s)

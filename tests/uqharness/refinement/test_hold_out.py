@@ -1,4 +1,6 @@
-"""What train flights leave uncertain of hold-out flights: t of all flights together, and the spread of the change of likelihood."""
+"""What train flights leave uncertain of hold-out flights: t of all flights together, and the spread
+of the change of likelihood.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,9 @@ TRUE = {"aero/a": 1.0, "aero/b": -0.5, KEY: 0.3}
 def side(
     rng: np.random.Generator, low: float, high: float, n: int, at: dict[str, float]
 ) -> tuple[Evidence, np.ndarray, np.ndarray]:
-    """Evidence of a line, a wave and a bias of its own between two states, about ``at``; its columns and what was measured."""
+    """Evidence of a line, a wave and a bias of its own between two states, about ``at``; its
+    columns and what was measured.
+    """
     x = np.linspace(low, high, n)
     columns = np.column_stack([np.ones(n), x, np.sin(6.0 * x), np.sin(40.0 * x)])
     values = np.array([TRUE[NAMES[0]], TRUE[NAMES[1]], TRUE[KEY], 0.2])
@@ -40,7 +44,9 @@ def side(
 def both(
     rng: np.random.Generator,
 ) -> tuple[Both, dict[str, float], tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
-    """Train flights between 1 and 2, hold-out flights between 0 and 1, each about numbers of its own."""
+    """Train flights between 1 and 2, hold-out flights between 0 and 1, each about numbers of its
+    own.
+    """
     at = ({"aero/a": 0.8, "aero/b": 0.1, KEY: 0.0}, {"aero/a": 1.3, "aero/b": -0.9, KEY: 0.0})
     train, X, z = side(rng, 1.0, 2.0, 400, at[0])
     test, Y, w = side(rng, 0.0, 1.0, 1000, at[1])
@@ -70,7 +76,9 @@ def test_t_of_both_sides_is_that_of_one_regression():
 
 
 def test_the_spread_of_the_change_is_that_of_many_train_flights():
-    """Outside the states of the train flights most of it is theirs, not the hold-out flights' noise."""
+    """Outside the states of the train flights most of it is theirs, not the hold-out flights'
+    noise.
+    """
     rng = np.random.default_rng(4)
     changes, noise, whole = [], [], []
     for _ in range(200):
@@ -99,7 +107,9 @@ def shown(residual: np.ndarray, Y: np.ndarray) -> SimpleNamespace:
 
 
 def test_both_sides_say_more_than_the_hold_out_flights():
-    """A change against the effect that chance gives is no contradiction where all flights together have what is asked."""
+    """A change against the effect that chance gives is no contradiction where all flights together
+    have what is asked.
+    """
     verdict = Verdict(-4.0, 5.0, beyond=2.0)
     assert verdict.says == "cannot tell"
     assert Verdict(-4.0, 5.0, beyond=-2.0).says == "grew"

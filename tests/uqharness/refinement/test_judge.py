@@ -1,4 +1,6 @@
-"""What test flights say of effects: the change of the likelihood, its standard error, and who is withdrawn first."""
+"""What test flights say of effects: the change of the likelihood, its standard error, and who is
+withdrawn first.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,9 @@ def shown(white: list[np.ndarray], deviation: float = 1.0) -> SimpleNamespace:
 
 
 def change(rng: np.random.Generator, size: float, truth: bool, colour: float = 0.0):
-    """gap_change of an effect of ``size`` standard deviations on one of three channels, in the flights or not."""
+    """gap_change of an effect of ``size`` standard deviations on one of three channels, in the
+    flights or not.
+    """
     setup = SimpleNamespace(segments=[SimpleNamespace(dt_s=0.02)] * 4)
     without, with_ = [], []
     for _ in range(4):
@@ -42,7 +46,9 @@ def change(rng: np.random.Generator, size: float, truth: bool, colour: float = 0
 
 
 def test_standard_error_of_the_change_is_that_of_the_draws():
-    """White noise has it in closed form: mean sum(d^2), variance 4 sum(d^2); coloured noise is judged by its spread."""
+    """White noise has it in closed form: mean sum(d^2), variance 4 sum(d^2); coloured noise is
+    judged by its spread.
+    """
     rng = np.random.default_rng(0)
     square = 4.0 * float(np.sum((0.2 * np.sin(np.arange(300) / 20.0)) ** 2))
     for colour in (0.0, 0.8):
@@ -57,7 +63,9 @@ def test_standard_error_of_the_change_is_that_of_the_draws():
 
 
 def test_share_of_the_estimate_that_the_flights_have():
-    """An effect of which the flights have a part: that part, with its standard error, over draws."""
+    """An effect of which the flights have a part: that part, with its standard error, over
+    draws.
+    """
     rng = np.random.default_rng(6)
     setup = SimpleNamespace(segments=[SimpleNamespace(dt_s=0.02)] * 4)
     d = np.zeros((300, 3))
@@ -70,7 +78,8 @@ def test_share_of_the_estimate_that_the_flights_have():
             found.append(gap_change(shown(without), shown(with_), setup, shown(noise)).share)
         shares, errors = np.array(found).T
         assert shares.mean() == pytest.approx(part, abs=4.0 * shares.std() / np.sqrt(60.0))
-        # What neither model explains is in the error, too: between none and all it is too large, never too small.
+        # What neither model explains is in the error, too: between none and all it is too large,
+        # never too small.
         assert np.sqrt(np.mean(errors**2)) > 0.7 * shares.std()
         if part in (0.0, 1.0):
             assert np.sqrt(np.mean(errors**2)) == pytest.approx(shares.std(), rel=0.35)
@@ -81,8 +90,9 @@ def test_chance_withdraws_seldom_and_a_contradiction_does():
     weak = [change(rng, 0.02, True) for _ in range(300)]
     assert np.mean([v.says == "grew" for v in weak]) < 0.1
     assert np.mean([v.says == "cannot tell" for v in weak]) > 0.7
-    # Of an effect that train flights have at |t| 4.5 of 4 asked and test flights would show at 2.4, what both say together decides:
-    # the change is normal with mean 6 or -6 and standard deviation 4.9.
+    # Of an effect that train flights have at |t| 4.5 of 4 asked and test flights would show at 2.4,
+    # what both say together decides: the change is normal with mean 6 or -6 and standard deviation
+    # 4.9.
     for truth, share in ((True, 0.02), (False, 0.64)):
         found = [change(rng, 0.1, truth) for _ in range(300)]
         found = [replace(v, beyond=v.change + 4.5**2 - 4.0**2) for v in found]
@@ -92,7 +102,9 @@ def test_chance_withdraws_seldom_and_a_contradiction_does():
 
 
 def test_predictions_of_another_damping_are_judged_by_their_likelihood():
-    """A model that damps too little takes the air's motion for larger, and its squares over that are smaller: no merit of it."""
+    """A model that damps too little takes the air's motion for larger, and its squares over that
+    are smaller: no merit of it.
+    """
     rng = np.random.default_rng(4)
     setup = SimpleNamespace(segments=[SimpleNamespace(dt_s=0.02)] * 4)
     found = []
@@ -112,8 +124,9 @@ def test_predictions_of_another_damping_are_judged_by_their_likelihood():
 def judged(
     monkeypatch, harm: dict[str, float], together: float = 0.0, left: bool = False
 ) -> list[str]:
-    """Effects that stand after `judge`, the order of withdrawal before them; an effect of ``harm`` raises the cost, and so does
-    ``together`` where two or more are in. left: whether the train flights are left unexplained."""
+    """Effects that stand after `judge`, the order of withdrawal before them; an effect of ``harm``
+    raises the cost, and so does ``together`` where two or more are in. left: whether the train
+    flights are left unexplained."""
     rng = np.random.default_rng(5)
     noise = rng.standard_normal((400, 2))
     wave = [np.sin(np.arange(400) / (9.0 + k)) for k in range(len(harm) + 1)]
@@ -175,7 +188,9 @@ def test_nothing_stands_where_nothing_helps(monkeypatch):
 
 
 def test_beside_what_nothing_explains_an_effect_must_be_seen_on_the_test_flights(monkeypatch):
-    """One that changes nothing there stands where the train flights are explained, and goes where they are not."""
+    """One that changes nothing there stands where the train flights are explained, and goes where
+    they are not.
+    """
     unseen = {"alpha": -0.6, "beta": 0.0, "p_hat": -0.5}
     assert judged(monkeypatch, unseen) == ["|", *unseen]
     assert judged(monkeypatch, unseen, left=True) == ["beta", "|", "alpha", "p_hat"]
@@ -193,7 +208,9 @@ def test_beside_what_nothing_explains_an_effect_must_be_seen_on_the_test_flights
     ],
 )
 def test_more_than_half_of_an_estimate_is_an_effect_that_is_seen(share, std, seen):
-    """Its change, though, is within chance: .6 +- .14 is not surely more than half, of which the change is none."""
+    """Its change, though, is within chance: .6 +- .14 is not surely more than half, of which the
+    change is none.
+    """
     size = 1e4
     verdict = Verdict(
         size * (2.0 * share - 1.0), 2.0 * size * std, between=(size, size * (2.0 * share - 1.0))
@@ -203,7 +220,9 @@ def test_more_than_half_of_an_estimate_is_an_effect_that_is_seen(share, std, see
 
 
 def test_effects_that_harm_together_alone_do_not_all_stand(monkeypatch):
-    """With three, leaving any one out leaves two, which are in each other's way as much: none goes for itself."""
+    """With three, leaving any one out leaves two, which are in each other's way as much: none goes
+    for itself.
+    """
     assert judged(monkeypatch, {"alpha": 0.0, "beta": 0.0, "p_hat": 0.0}, 0.8).index("|") == 2
 
 
@@ -217,7 +236,9 @@ def test_what_changes_nothing_is_not_said_to_grow():
 
 
 def test_flights_far_from_both_models_judge_neither():
-    """Six times the noise in every sample: the same difference that grew the gap in sound flights tells nothing there."""
+    """Six times the noise in every sample: the same difference that grew the gap in sound flights
+    tells nothing there.
+    """
     rng = np.random.default_rng(2)
     noise, d = rng.standard_normal((400, 2)), np.full((400, 2), 0.8)
     setup = SimpleNamespace(segments=[SimpleNamespace(dt_s=0.02)])
@@ -231,7 +252,9 @@ def test_flights_far_from_both_models_judge_neither():
 
 
 def test_properties_fly_what_an_aircraft_of_its_own_would():
-    """Left-out terms are zero; a servo's number that stands in the XML alone needs an aircraft of its own once it is left out."""
+    """Left-out terms are zero; a servo's number that stands in the XML alone needs an aircraft of
+    its own once it is left out.
+    """
     term, lag = coefficient_effect("Cm", "p_hat^2"), Effect(None, "mass", "cg_x", "", "")
     sensor = Effect(None, "sensor.alpha_rad", "scale", "", "")
     chosen = tuple(

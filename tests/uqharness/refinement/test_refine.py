@@ -1,6 +1,5 @@
-"""uqharness refine from flights of the independent equations: the missing effect is named, valued, added and shown;
-nothing is found
-where nothing is missing; test flights choose nothing."""
+"""uqharness refine from flights of the independent equations: the missing effect is named, valued,
+added and shown; nothing is found where nothing is missing; test flights choose nothing."""
 
 from __future__ import annotations
 
@@ -24,7 +23,9 @@ HIDDEN = 3.0
 
 
 def with_p2(airframe: Airframe, x, u):
-    """The equations with a pitching moment from roll rate squared that the model of the E-SPAARO has not."""
+    """The equations with a pitching moment from roll rate squared that the model of the E-SPAARO
+    has not.
+    """
     out = derivative(airframe, x, u)
     V = float(np.linalg.norm(x[:3]))
     qS = 0.5 * 1.225 * (1.0 - 2.25577e-5 * -x[11]) ** 4.25588 * V**2 * airframe.S
@@ -122,7 +123,9 @@ def test_the_model_carries_the_effect(refined):
 
 
 def test_test_flights_choose_nothing(flights, refined, tmp_path):
-    """The same training with a test flight of which every sample is wrong gives the same effects, value for value."""
+    """The same training with a test flight of which every sample is wrong gives the same effects,
+    value for value.
+    """
     record = FlightRecord.read(flights["test"])
     spoilt = {n: np.asarray(record[n]) for n in record.columns}
     spoilt["q_radps"] = spoilt["q_radps"] + 0.2 * np.sin(7.0 * spoilt["time_s"])
@@ -225,8 +228,8 @@ def test_help_and_wrong_input(tmp_path, capsys, flights):
 
 
 def test_a_killed_refinement_goes_on_where_it_was(flights, refined, tmp_path, monkeypatch, caplog):
-    """Killed while it fits intervals, it does not choose again, ends with the same effects, and leaves no stages behind.
-    A stage that was damaged meanwhile is told and computed again."""
+    """Killed while it fits intervals, it does not choose again, ends with the same effects, and
+    leaves no stages behind. A stage that was damaged meanwhile is told and computed again."""
     from uqharness.refinement import run as refine_run
 
     out = tmp_path / "out"
@@ -273,7 +276,9 @@ def commands_alone(record: FlightRecord) -> FlightRecord:
 
 
 def one_sample_late(record: FlightRecord) -> FlightRecord:
-    """The record as it would be had the commands' clock been a sample ahead: every command acts a row later than it says."""
+    """The record as it would be had the commands' clock been a sample ahead: every command acts a
+    row later than it says.
+    """
     names = ("elevator_deg", "aileron_deg", "rudder_deg", "throttle_pct")
     record = commands_alone(record)
     return record.with_columns({c: np.append(record[c][1:], record[c][-1]) for c in names})

@@ -1,4 +1,6 @@
-"""Which candidates are worth scoring: what a replay, or a log's rows, cannot resolve is left out."""
+"""Which candidates are worth scoring: what a replay, or a log's rows, cannot resolve is
+left out.
+"""
 
 from __future__ import annotations
 
@@ -19,8 +21,8 @@ EFFECTS = [e for e in subsystem_effects(["aileron"], [], []) if e.term in ("lag"
 
 
 def at(value: float, late: dict[str, list[str]], servos=None, held=EFFECTS) -> dict[str, float]:
-    """Eligible effects where every one of them is estimated at ``value`` exactly; a doublet of 10 deg; held: of which the evidence
-    has columns."""
+    """Eligible effects where every one of them is estimated at ``value`` exactly; a doublet of 10
+    deg; held: of which the evidence has columns."""
     rng = np.random.default_rng(1)
     columns = rng.standard_normal((50, 2, len(held)))
     residual = value * columns.sum(axis=2)
@@ -64,7 +66,9 @@ def test_what_the_rows_do_not_resolve_is_no_candidate(value, late, terms):
 
 
 def test_what_the_search_did_without_is_no_candidate():
-    """Where delays of single channels were not believed, the last flight's evidence has no columns of them."""
+    """Where delays of single channels were not believed, the last flight's evidence has no columns
+    of them.
+    """
     assert {k.rpartition("/")[2] for k in at(5e-3, {}, held=EFFECTS[:1])} == {EFFECTS[0].term}
 
 
@@ -81,7 +85,9 @@ def test_a_servo_may_be_faster_than_its_xml_has_it_if_that_has_a_lag():
 def test_a_rate_limit_below_what_rows_resolve_is_no_effect_though_it_was_flown(
     limit_dps, late, named
 ):
-    """1/282 - 1/240 s/deg are 6 ms over a doublet of 10 deg, where a log leaves 10 ms open; 1/480 - 1/240 are 21 ms."""
+    """1/282 - 1/240 s/deg are 6 ms over a doublet of 10 deg, where a log leaves 10 ms open; 1/480 -
+    1/240 are 21 ms.
+    """
     rng = np.random.default_rng(3)
     (effect,) = (e for e in EFFECTS if e.term == "rate_limit")
     value = 1.0 / limit_dps - 1.0 / 240.0

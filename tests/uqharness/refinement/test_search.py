@@ -29,7 +29,9 @@ AIR = SimpleNamespace(moments=np.zeros(3))
 
 
 def told(own_part: float = 0.0) -> Evidence:
-    """``speed`` is there, and a part of what is thrust's own; ``thrust`` resembles speed, ``twin`` is thrust by another name."""
+    """``speed`` is there, and a part of what is thrust's own; ``thrust`` resembles speed, ``twin``
+    is thrust by another name.
+    """
     rng = np.random.default_rng(6)
     free, speed, own, other = rng.standard_normal((4, 400, 2))
     thrust = speed + 0.3 * own
@@ -150,7 +152,9 @@ def test_a_model_that_proposes_itself_ends_the_search(monkeypatch, tmp_path, evi
 
 
 def test_what_asks_for_several_more_is_doubted(monkeypatch, tmp_path):
-    """``thrust`` seems to be there, and leaves three more to be asked for; ``speed``, which it resembles, leaves nothing."""
+    """``thrust`` seems to be there, and leaves three more to be asked for; ``speed``, which it
+    resembles, leaves nothing.
+    """
     evidence = told(own_part=0.5)
     more = chosen(thrust=50.0, other=9.0, twin=8.0, speed=7.0)
     flights = Flights(
@@ -185,7 +189,9 @@ def test_what_asks_for_several_more_is_doubted(monkeypatch, tmp_path):
 def test_what_leaves_moments_that_nothing_explains_is_doubted(
     monkeypatch, tmp_path, moments, asked, t
 ):
-    """A servo's rate limit stands for its lag, asks for nothing more, and yaw moves as by moments from nowhere."""
+    """A servo's rate limit stands for its lag, asks for nothing more, and yaw moves as by moments
+    from nowhere.
+    """
     gusts = SimpleNamespace(moments=np.array([np.nan, 0.0, moments]))
     flights = Flights(
         thrust=round_of(300.0, True, gusts=gusts, thrust=t),
@@ -258,7 +264,9 @@ def test_of_rounds_in_gusts_the_likeliest_stands_and_not_the_last():
 
 
 def test_rounds_that_judge_other_samples_are_not_compared():
-    """A late sensor's first samples are before the flight's first row: there are fewer to be surprised by."""
+    """A late sensor's first samples are before the flight's first row: there are fewer to be
+    surprised by.
+    """
     first, late = flown(-640.0), flown(-600.0, "effect/sensor.alpha_rad/delay")
     assert likeliest([first, late]) is late  # type: ignore[list-item]
     better = flown(-610.0, "effect/sensor.alpha_rad/delay", "effect/Cm/V_rel")
@@ -345,7 +353,9 @@ def test_one_channel_late_by_itself_is_not_believed_beside_another_time(keys, do
 def test_then_the_search_is_made_without_such_delays(
     monkeypatch, tmp_path, evidence, merit, believed
 ):
-    """Which stands unless it is less likely than with the delay by a hundred in twice the log likelihood."""
+    """Which stands unless it is less likely than with the delay by a hundred in twice the log
+    likelihood.
+    """
     (white,) = evidence.white
     names = ("free", "effect/actuator.aileron/lag", "effect/sensor.p_radps/delay", "twin", "other")
     renamed = gather([white], names, [0], {})

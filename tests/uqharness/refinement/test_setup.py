@@ -1,4 +1,6 @@
-"""What a refinement begins with: flights that chose are not asked to prove, and a third of the manoeuvres confirms the rest."""
+"""What a refinement begins with: flights that chose are not asked to prove, and a third of the
+manoeuvres confirms the rest.
+"""
 
 from __future__ import annotations
 

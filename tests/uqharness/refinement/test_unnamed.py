@@ -1,4 +1,6 @@
-"""A form of no catalogue, flown by the independent equations: offered as a smooth term, drawn, flown, and named by nobody."""
+"""A form of no catalogue, flown by the independent equations: offered as a smooth term, drawn,
+flown, and named by nobody.
+"""
 
 from __future__ import annotations
 
@@ -86,7 +88,8 @@ def test_the_effect_named_is_told_not_to_have_the_form(bumped):
     assert form["p"] < 1e-6
     assert form["twice_log_likelihood"] > 30.0
     assert form["words"].startswith(
-        "what is missing in Cm does not have the form of pitching moment due to angle of attack cubed"
+        "what is missing in Cm does not have the form of pitching moment due to angle of attack"
+        " cubed"
     )
     assert f"a {smooth['name']} gains" in form["words"]
 
@@ -104,7 +107,8 @@ def test_its_band_holds_the_hidden_form(bumped):
     assert smooth["in_place_of"] == ["pitching moment due to angle of attack cubed"]
     assert ">aero/Cm_alpha3<" not in xml
     truth = {n: Airframe().coefficients[n] for n in own}
-    # Both with the lines that go with them; what is left of the lines' difference is the parameters' own.
+    # Both with the lines that go with them; what is left of the lines' difference is the
+    # parameters' own.
     gap = (own["Cm_0"] - truth["Cm_0"]) + (own["Cm_alpha"] - truth["Cm_alpha"]) * at + curve
     gap = gap - BUMP.size * value(BUMP.form, {"alpha": at})
     gap = gap - np.polyval(np.polyfit(at, gap, 1, w=np.sqrt(samples)), at)

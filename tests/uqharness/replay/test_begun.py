@@ -1,4 +1,6 @@
-"""Where actuators stand at a segment's first row: against a first-order lag's solution, and in replays of independent flights."""
+"""Where actuators stand at a segment's first row: against a first-order lag's solution, and in
+replays of independent flights.
+"""
 
 from __future__ import annotations
 
@@ -99,7 +101,9 @@ def test_positions_begin_where_the_actuators_stand(model: ReplayModel) -> None:
 
 
 def test_the_beginnings_of_replays_are_those_of_independent_flights(model: ReplayModel) -> None:
-    """A motor of 1/6 s and a throttle that moves: without what came before, ax at the first rows is off by a part of its noise."""
+    """A motor of 1/6 s and a throttle that moves: without what came before, ax at the first rows is
+    off by a part of its noise.
+    """
     card = replace(cards("begun", "mixed", 0.0, 1.0, 50.0)[0], noise=1e-4)
     flight = prepare("f", fly_hidden([Flight(card, Airframe())])[0], ())
     k, noise = CHANNELS.index("ax_mps2"), 0.16

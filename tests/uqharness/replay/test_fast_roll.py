@@ -1,4 +1,6 @@
-"""A glider whose roll settles within a row: it meets its own flight, from start states that are within their noise."""
+"""A glider whose roll settles within a row: it meets its own flight, from start states that are
+within their noise.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,8 @@ P = CHANNELS.index("p_radps")
 
 def coefficient(name: str, axis: str, length: str, terms: str) -> str:
     return (
-        f'<axis name="{axis}"><function name="aero/{name}"><product><property>aero/qbar-psf</property>'
+        f'<axis name="{axis}"><function'
+        f' name="aero/{name}"><product><property>aero/qbar-psf</property>'
         f"<property>metrics/Sw-sqft</property>{length}<sum>{terms}</sum></product></function></axis>"
     )
 
@@ -36,7 +39,8 @@ def term(value: float, *names: str) -> str:
 
 def surface(name: str, command: str, position: str) -> str:
     return (
-        f'<aerosurface_scale name="{name}"><input>fcs/{command}-cmd-norm</input><range><min>-0.3</min>'
+        "<aerosurface_scale"
+        f' name="{name}"><input>fcs/{command}-cmd-norm</input><range><min>-0.3</min>'
         f"<max>0.3</max></range><output>fcs/{position}-pos-rad</output></aerosurface_scale>"
     )
 

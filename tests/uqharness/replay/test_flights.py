@@ -77,7 +77,9 @@ def test_a_clock_that_is_one_row_late_is_one_command_late_and_nothing_else():
 
 @pytest.mark.parametrize("rate_hz", [25.0, 50.0])
 def test_a_command_that_is_late_by_a_part_of_a_row_is_held_as_long_as_it_was(rate_hz):
-    """Beside a record of 200 Hz in which each command begins so much later: the same to a sample, and no straight line between."""
+    """Beside a record of 200 Hz in which each command begins so much later: the same to a sample,
+    and no straight line between.
+    """
     record = fly((("pitch-doublet", 22.0),), seed=1, rate_hz=rate_hz, seconds=6.0)
     n, finer = len(record), round(200.0 / rate_hz)
     asked = np.where(np.arange(n) % 20 >= 10, 3.0, -1.0)
@@ -108,7 +110,9 @@ def test_a_command_that_is_late_by_a_part_of_a_row_is_held_as_long_as_it_was(rat
 
 
 def test_a_position_that_is_its_command_is_not_measured():
-    """A surface without a lag jumps with its command; drawn from row to row in a straight line it would come half a row early."""
+    """A surface without a lag jumps with its command; drawn from row to row in a straight line it
+    would come half a row early.
+    """
     record = fly((("roll-yaw", 22.0),), seed=1, seconds=6.0)
     assert measured_surfaces([record]) == ("elevator", "aileron", "rudder")
     jumping = record.with_columns({"rudder_pos_deg": record["rudder_deg"] * (1.0 + 1e-6)})
@@ -120,7 +124,9 @@ def test_a_position_that_is_its_command_is_not_measured():
 
 
 def northward(**metadata):
-    """A flight whose heading has its noise on both sides of north, as a record has it: from 0 to 2 pi."""
+    """A flight whose heading has its noise on both sides of north, as a record has it: from 0 to 2
+    pi.
+    """
     record = fly((("pitch-doublet", 22.0),), seed=1, rate_hz=50.0)
     noise = np.random.default_rng(4).normal(0.0, 0.01, len(record))
     noise[:2] = -0.01, 0.01
@@ -139,7 +145,8 @@ def test_a_late_heading_that_is_moved_stays_north():
     start = segments(flight, ())[0].start[5]
     assert abs(np.sin(start)) < 0.01
     gap = heading[:, 0] - start
-    # A straight line from 6.28 to 0.01 would put south in between, and every such place would count as a turn.
+    # A straight line from 6.28 to 0.01 would put south in between, and every such place would count
+    # as a turn.
     assert np.nanmax(np.abs(gap)) < 2.0 * np.abs(noise).max()
 
 
@@ -169,7 +176,8 @@ def test_a_channel_is_moved_only_where_it_is_late_for_sure(numbers, align, moved
 
 def test_a_heading_logged_at_every_other_row_counts_from_the_turn_of_its_start():
     record, noise = northward(native_hz={"psi_rad": 25.0})
-    # West of north at every row that was not logged: a segment that begins there begins just below 2 pi.
+    # West of north at every row that was not logged: a segment that begins there begins just below
+    # 2 pi.
     noise = np.abs(noise) * np.where(np.arange(len(noise)) % 2, -1.0, 1.0)
     flight = prepare(
         "north", record.with_columns({"psi_rad": noise % (2.0 * np.pi)}), (), min_s=1.0, max_s=3.02
@@ -183,7 +191,9 @@ def test_a_heading_logged_at_every_other_row_counts_from_the_turn_of_its_start()
 
 
 def starts_of_p(motion, draws=25):
-    """Start states of p, in its noise, less what they are in truth, of flights whose p is a motion from the first row on."""
+    """Start states of p, in its noise, less what they are in truth, of flights whose p is a motion
+    from the first row on.
+    """
     record = fly((("pitch-doublet", 22.0),), seed=1, rate_hz=50.0)
     time_s, noise, out = record["time_s"] - record["time_s"][0], 0.003, []
     for seed in range(draws):

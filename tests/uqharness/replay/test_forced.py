@@ -133,7 +133,9 @@ def test_jsbsim_answers_without_a_compiler(straight, monkeypatch):
 
 @pytest.fixture
 def by_rates(request, tmp_path):
-    """The E-SPAARO with forces and a moment by the rates of alpha and beta, so many times those that settle."""
+    """The E-SPAARO with forces and a moment by the rates of alpha and beta, so many times those
+    that settle.
+    """
     folder = tmp_path / "espaaro"
     shutil.copytree(find_aircraft("espaaro").folder, folder)
     xml = folder / "espaaro.xml"
@@ -144,7 +146,8 @@ def by_rates(request, tmp_path):
         ("Y", "betadot", -0.03),
     ):
         term = (
-            f'<function name="aero/by_rate/{axis}"><product><property>aero/qbar_S</property><value>{size * request.param}</value>'
+            "<function"
+            f' name="aero/by_rate/{axis}"><product><property>aero/qbar_S</property><value>{size * request.param}</value>'
             f"<property>aero/{rate}-rad_sec</property></product></function>"
         )
         text = text.replace(f'<axis name="{axis}">', f'<axis name="{axis}">{term}')
@@ -166,7 +169,8 @@ def test_rates_of_the_wind_angles_settle_alike_in_both_engines(by_rates, monkeyp
     theirs = said(by_rates, monkeypatch, 10**9, Cm_q=-11.0)
     ours = said(by_rates, monkeypatch, 1, Cm_q=-11.0)
     assert force._cached_programs[by_rates.identity].program is not None
-    # JSBSim begins with the rates of the state before, the batch engine anew: both end within a millionth of a rad/s.
+    # JSBSim begins with the rates of the state before, the batch engine anew: both end within a
+    # millionth of a rad/s.
     assert 0.0 < sizes_apart(ours, theirs) < 1e-6
     monkeypatch.setattr("uqharness.batch.lanes.replay._settle", lambda *_: None)
     assert sizes_apart(said(by_rates, monkeypatch, 1, Cm_q=-11.0), theirs) > 1e-3

@@ -1,4 +1,6 @@
-"""The ground in replays: recorded heights where the aerodynamics ask for them, none where a record does not say."""
+"""The ground in replays: recorded heights where the aerodynamics ask for them, none where a record
+does not say.
+"""
 
 from __future__ import annotations
 
@@ -74,7 +76,8 @@ def test_the_ground_is_where_the_record_says(near, record):
     assert low / plain == pytest.approx(1.0 + share, rel=0.02)
     np.testing.assert_allclose(at_height, coefficient, rtol=1e-9)
     expected = [1.0 + LIFT * math.exp(-2.0 * h / SPAN_M) for h in (2.0, 2.0 + 2.0 * SPAN_M)]
-    # The force that is multiplied is that of the frame before, and before the first there was none with the effect.
+    # The force that is multiplied is that of the frame before, and before the first there was none
+    # with the effect.
     np.testing.assert_allclose(rising / coefficient, expected, rtol=share**2)
 
 
@@ -94,7 +97,9 @@ def test_a_record_that_starts_in_the_air_at_its_own_zero_does_not_say(record):
 def climbing(
     seconds: float, wrong_pitch_rad: float = 0.0, seed: int = 0
 ) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """Channels of a banked flight 4 m up that pitches up and down, its heights 1.5 m off (rms), and the true heights."""
+    """Channels of a banked flight 4 m up that pitches up and down, its heights 1.5 m off (rms), and
+    the true heights.
+    """
     n = round(seconds / DT_S)
     t = DT_S * np.arange(n)
     channels = {

@@ -1,4 +1,6 @@
-"""Replays by the batch engine against JSBSim's, and by JSBSim where the engine does not understand the aircraft."""
+"""Replays by the batch engine against JSBSim's, and by JSBSim where the engine does not understand
+the aircraft.
+"""
 
 from __future__ import annotations
 
@@ -172,7 +174,9 @@ def test_an_engine_that_differs_is_not_used(
 
 
 TUMBLING = {"aero/Cn_beta": -0.1, "aero/Cm_alpha": 0.2}
-"""Unstable in yaw and pitch: two flights 1e-7 apart at the start are a rad/s apart after two seconds."""
+"""Unstable in yaw and pitch: two flights 1e-7 apart at the start are a rad/s apart after two
+seconds.
+"""
 
 
 def tumbling(model: ReplayModel) -> ReplayJob:

@@ -1,4 +1,6 @@
-"""What a replay's theta holds beside the parameters, and records whose commands stand in the wrong row."""
+"""What a replay's theta holds beside the parameters, and records whose commands stand in the wrong
+row.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Commands of a log on a replay's rows, and what a late accelerometer tells of the time before a segment."""
+"""Commands of a log on a replay's rows, and what a late accelerometer tells of the time before a
+segment.
+"""
 
 from dataclasses import replace
 

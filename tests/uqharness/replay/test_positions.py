@@ -1,4 +1,6 @@
-"""Where the surfaces stood: components alone against the whole aircraft in JSBSim, and what shares an answer."""
+"""Where the surfaces stood: components alone against the whole aircraft in JSBSim, and what shares
+an answer.
+"""
 
 from __future__ import annotations
 
@@ -224,7 +226,9 @@ def in_both(
     servos: dict[str, float],
     monkeypatch: pytest.MonkeyPatch,
 ) -> list[list[np.ndarray]]:
-    """Positions by the components alone: by JSBSim, and by the batch engine, which must have flown."""
+    """Positions by the components alone: by JSBSim, and by the batch engine, which must
+    have flown.
+    """
     flown = []
     monkeypatch.setattr(positions, "_programs", {})
     real = positions._fly_batch

@@ -16,7 +16,9 @@ AIRCRAFT = find_aircraft("espaaro")
 
 @pytest.fixture(scope="module")
 def record() -> FlightRecord:
-    """A flight of the aircraft itself, whose thrust and propeller speed JSBSim computed as it flew."""
+    """A flight of the aircraft itself, whose thrust and propeller speed JSBSim computed as
+    it flew.
+    """
     return uq.fly("espaaro", script="doublet-elevator", duration_s=6).record
 
 

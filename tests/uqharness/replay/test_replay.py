@@ -1,4 +1,6 @@
-"""Replay: JSBSim flown through recorded controls against equations that owe it nothing, and the timing of commands."""
+"""Replay: JSBSim flown through recorded controls against equations that owe it nothing, and the
+timing of commands.
+"""
 
 from __future__ import annotations
 
@@ -47,7 +49,8 @@ def exact(segment, record):
 
 
 def misses(aircraft, record, measured, late=0, averaged=False):
-    """Largest rms of replay minus record by channel over the record's segments, in units of Table 2.1's noise.
+    """Largest rms of replay minus record by channel over the record's segments, in units of Table
+    2.1's noise.
 
     averaged: with the commands between two rows replaced by their mean.
     """
@@ -78,7 +81,8 @@ def test_a_replay_of_measured_surfaces_is_the_flight_itself(aircraft, clean):
 
 def test_a_replay_of_commands_goes_through_the_actuators(aircraft, clean):
     gaps = misses(aircraft, clean, ())
-    # Tustin's rule moves a servo within the run in which its command steps: one sample of a_z in a step sees it early.
+    # Tustin's rule moves a servo within the run in which its command steps: one sample of a_z in a
+    # step sees it early.
     assert max(v for c, v in gaps.items() if c != "az_mps2") < 0.15, gaps
     assert gaps["az_mps2"] < 0.6
 
@@ -117,7 +121,9 @@ def test_sample_times_are_met_at_any_record_rate(aircraft):
 
 
 def test_commands_act_between_the_rows_of_a_thinned_record(aircraft):
-    """At 100 Hz every second row is compared; steps that fall between two of those keep their time, their mean does not."""
+    """At 100 Hz every second row is compared; steps that fall between two of those keep their time,
+    their mean does not.
+    """
     record = fly((("roll-yaw", 22.0),), seed=None, rate_hz=100.0)
     (steps,) = np.flatnonzero(np.abs(np.diff(record["aileron_deg"])) > 5.0)[:1] + 1
     if steps % 2 == 0:
@@ -134,7 +140,9 @@ def controls_of(rows, **more):
 
 
 def moments(values):
-    """Sum, mean time and half the mean square of the time [runs] of a step's parts, behind row 2."""
+    """Sum, mean time and half the mean square of the time [runs] of a step's parts, behind
+    row 2.
+    """
     parts = np.diff(np.append(values, values[-1]), prepend=0.0)[8:] / 8.0
     times = np.arange(len(parts))
     return [float((parts * times**k).sum()) / (k or 1) for k in (0, 1, 2)]
@@ -145,7 +153,9 @@ OWN = [1.0, 0.5, 1.0 / 6.0]
 
 
 def test_values_of_the_runs_around_a_step_give_it_its_time():
-    """Mean time, spread and the row's own value: integrators count half of a run's change, a lag by Tustin's rule as much."""
+    """Mean time, spread and the row's own value: integrators count half of a run's change, a lag by
+    Tustin's rule as much.
+    """
     segment = controls_of([0.0, 0.0, 8.0, 8.0, 8.0])
     jumping = by_run(segment, 4, [False], [False])[:, 0]
     np.testing.assert_allclose(
@@ -161,14 +171,16 @@ def test_values_of_the_runs_around_a_step_give_it_its_time():
     assert moments(lagging) == pytest.approx(OWN)
     for late in (-1.5, 0.75, 2.0):
         moved = [by_run(segment, 4, [False], [lags], late=late)[:, 0] for lags in (False, True)]
-        # The same step, later; what jumps has jumped at its row all the same, unless outputs between rows are asked for.
+        # The same step, later; what jumps has jumped at its row all the same, unless outputs
+        # between rows are asked for.
         assert [m.sum() for m in moved] == pytest.approx([8.0 * (8.5 - late)] * 2)
         assert moved[0][8] == pytest.approx(8.0)
         assert by_run(segment, 4, [False], [False], late=late, jump_share=None)[
             :, 0
         ].sum() == pytest.approx(8.0 * (8.5 - late))
     assert by_run(segment, 4, [False], [False], late=2.0, jump_share=None)[8, 0] == 0.0
-    # A row that was read before its command went out has seen nothing of the step, or a share; the step's time stays.
+    # A row that was read before its command went out has seen nothing of the step, or a share; the
+    # step's time stays.
     for seen in (0.0, 0.25):
         blind = by_run(segment, 4, [False], [False], jump_share=seen)[:, 0]
         assert blind[8] == pytest.approx(8.0 * seen)
@@ -227,7 +239,9 @@ def test_a_command_goes_no_further_than_its_limits():
 
 
 def test_a_measured_position_that_turns_has_its_own_area():
-    """Sums over runs have a twelfth of the change of direction too little: it comes a run after the row."""
+    """Sums over runs have a twelfth of the change of direction too little: it comes a run after the
+    row.
+    """
     turning = controls_of([0.0, 0.0, 4.0, 8.0, 8.0])
     line = np.interp(np.arange(17.0), 4.0 * np.arange(5), turning.controls[:, 0])
     added = by_run(turning, 4, [True], [False])[:, 0] - line
@@ -254,7 +268,8 @@ def test_accelerometers_read_before_the_command_feel_the_step_a_row_later(aircra
     assert half[20, felt] == pytest.approx(
         0.5 * (seen[20, felt] + blind[20, felt]), abs=0.02 * abs(step)
     )
-    # Only that row's accelerations differ: what the aircraft does is the same but for a run's share of one step.
+    # Only that row's accelerations differ: what the aircraft does is the same but for a run's share
+    # of one step.
     rates = [CHANNELS.index(c) for c in ("p_radps", "q_radps", "r_radps")]
     q = CHANNELS.index("q_radps")
     assert (
@@ -279,7 +294,9 @@ def prepared_step():
 def test_steps_of_commands_through_a_servo_at_its_rate_limit_and_without_one(
     aircraft, model, monkeypatch
 ):
-    """Against the servo's own solution (exact lag, then the limit) and fourth-order motion; a run of 10 ms is seen."""
+    """Against the servo's own solution (exact lag, then the limit) and fourth-order motion; a run
+    of 10 ms is seen.
+    """
     dynamics = Model([Airframe()], [()])
     if model == "at once":
         dynamics.lag[:3], dynamics.rate[:3] = 1e9, 1e9
@@ -394,7 +411,9 @@ def test_forced_states_give_the_flights_coefficients_back(aircraft, clean):
 
 
 def test_a_force_that_goes_with_alphadot_is_the_one_of_the_state_itself(aircraft, clean, tmp_path):
-    """JSBSim's alphadot is the frame before's: forced one after the other, states would have each other's."""
+    """JSBSim's alphadot is the frame before's: forced one after the other, states would have each
+    other's.
+    """
     folder = tmp_path / "aircraft" / aircraft.name
     shutil.copytree(aircraft.folder, folder)
     xml = folder / aircraft.xml.name

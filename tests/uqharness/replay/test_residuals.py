@@ -131,7 +131,8 @@ def test_changes_asked_for_at_some_rows_are_those_of_all_rows():
         base = near(record, piece)
         assert near(record, piece) is base is exact(record, piece)
         some, whole = near(moved, piece), exact(moved, piece)
-        # Its own states are not asked for again, and what is known of every row is not drawn between some.
+        # Its own states are not asked for again, and what is known of every row is not drawn
+        # between some.
         assert len(pair.predictions) == 3
         assert near(moved, piece) is whole
     change, error = (np.abs(a.coefficients - whole.coefficients).max(axis=0) for a in (base, some))

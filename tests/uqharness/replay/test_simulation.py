@@ -1,4 +1,6 @@
-"""Replays remembered: each piece is flown once, many points need no more memory than some, and a point says what it moves."""
+"""Replays remembered: each piece is flown once, many points need no more memory than some, and a
+point says what it moves.
+"""
 
 from __future__ import annotations
 
@@ -63,13 +65,15 @@ def test_pieces_are_flown_once_whatever_room_memory_has(replay, monkeypatch):
     )
     replay.forget()
     together = list(batched_pool(map)(Asked(replay), points()))
-    # Two segments: at the base, for each of two coefficients, lateness and jump, and one more for each start.
+    # Two segments: at the base, for each of two coefficients, lateness and jump, and one more for
+    # each start.
     wanted = 2 * 5 + 2
     assert sum(flown) == wanted
     assert len([count for count in flown if count]) == 1
     replay.forget()
     flown.clear()
-    # Room for a few pieces: flown a few at a time, but none again and none alone after it has been forgotten.
+    # Room for a few pieces: flown a few at a time, but none again and none alone after it has been
+    # forgotten.
     room = 8 * max(replay._sizes)
     monkeypatch.setattr(simulation, "_MAX_CACHE_BYTES", room)
     monkeypatch.setattr(simulation, "_MAX_PENDING_BYTES", room // 4)
@@ -115,7 +119,8 @@ def test_a_point_moves_the_segments_that_it_says(replay):
             if not np.array_equal(a, b)
         ]
         said = replay.moved(index)
-        # A segment in which no control moves feels no delay of theirs, and without a jump there is nothing unseen.
+        # A segment in which no control moves feels no delay of theirs, and without a jump there is
+        # nothing unseen.
         assert apart or NAMES[index] == "unseen/f", NAMES[index]
         assert set(apart) <= {0, 1} if said is None else set(apart) <= set(said), NAMES[index]
     assert [replay.moved(k) for k in (0, 2, 6, 7)] == [None, (0, 1), (0,), (1,)]

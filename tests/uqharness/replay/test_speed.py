@@ -1,4 +1,6 @@
-"""How finely replays step: where forces go with alphadot, which JSBSim takes from the run before, and where a sensor is late."""
+"""How finely replays step: where forces go with alphadot, which JSBSim takes from the run before,
+and where a sensor is late.
+"""
 
 from dataclasses import replace
 
@@ -42,7 +44,9 @@ def record():
 
 
 def worst(model, record):
-    """Largest rms of replay minus flight over its pitch manoeuvres, by channel, in Table 2.1's noise."""
+    """Largest rms of replay minus flight over its pitch manoeuvres, by channel, in Table 2.1's
+    noise.
+    """
     flight, found = prepare("f", record, SURFACES), dict.fromkeys(CHANNELS, 0.0)
     for segment in segments(flight, SURFACES):
         rows = record.between(segment.time_s[0] - 1e-6, segment.time_s[-1] + 1e-6)
@@ -71,7 +75,9 @@ def test_runs_are_short_enough_where_forces_go_with_the_rate_of_alpha(
 
 @pytest.fixture(scope="module")
 def rolled():
-    """A record of aileron steps without servos, of the independent equations, and its roll rate every millisecond."""
+    """A record of aileron steps without servos, of the independent equations, and its roll rate
+    every millisecond.
+    """
     x0, u0 = _trim(tuple(sorted(Airframe().coefficients.items())), 22.0, 100.0)
     u = np.repeat(np.asarray(u0)[None, :], 120, axis=0)
     u[20:45, 1], u[45:70, 1] = 14.0, -14.0
@@ -105,7 +111,8 @@ def test_a_late_gyro_is_a_late_gyro_at_the_kinks_of_a_rate(rolled):
     assert len(between) == 4 * (len(seen) - 1) + 1
     np.testing.assert_allclose(at_rows(between, len(seen)), rows, atol=0.5 * NOISE["p_radps"])
     assert np.abs(late_rows(between, len(seen), late) - seen).max() < 2.0 * NOISE["p_radps"]
-    # A smooth curve through the rows rings at the steps, and one that is not moved is further off than that.
+    # A smooth curve through the rows rings at the steps, and one that is not moved is further off
+    # than that.
     assert np.abs(moved_later(rows, late) - seen).max() > 8.0 * NOISE["p_radps"]
     assert np.abs(rows - seen).max() > 16.0 * NOISE["p_radps"]
 

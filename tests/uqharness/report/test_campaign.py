@@ -27,7 +27,9 @@ FIGURES = 6
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """A complete campaign of an aircraft named like the published one, with failures and text that wants escaping."""
+    """A complete campaign of an aircraft named like the published one, with failures and text that
+    wants escaping.
+    """
     root = tmp_path_factory.mktemp("report")
     fakes.campaign_file(root)
     (root / "espaaro").mkdir()
@@ -215,11 +217,13 @@ def test_the_verdict_comes_first_and_agrees_with_the_tables(folder, page):
     text = " ".join(report.verdict)
     assert text.startswith("Hardest condition flown: 3 m/s wind and moderate turbulence.")
     assert re.search(
-        r"Median cross-track error of a typical 150 s flight, .*: at least [\d.]+ m in truth, .* measured",
+        r"Median cross-track error of a typical 150 s flight, .*: at least [\d.]+ m in truth, .*"
+        r" measured",
         text,
     )
     assert re.search(
-        r"published flight's 9.41 m lies (below|within|above) the range measured by single flights, [\d.]+ to",
+        r"published flight's 9.41 m lies (below|within|above) the range measured by single flights,"
+        r" [\d.]+ to",
         text,
     )
     assert re.search(

@@ -1,4 +1,6 @@
-"""Ground tracks of a campaign: of the flights flown again, worst first; without any, the command that flies the worst."""
+"""Ground tracks of a campaign: of the flights flown again, worst first; without any, the command
+that flies the worst.
+"""
 
 from __future__ import annotations
 

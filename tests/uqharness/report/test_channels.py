@@ -1,4 +1,6 @@
-"""Channels over time: each in its unit and its group, shading where it belongs, flags in their channel alone."""
+"""Channels over time: each in its unit and its group, shading where it belongs, flags in their
+channel alone.
+"""
 
 from __future__ import annotations
 

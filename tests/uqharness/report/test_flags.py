@@ -1,4 +1,6 @@
-"""Where findings apply: their channel, their message's channels, and the time that the record tells."""
+"""Where findings apply: their channel, their message's channels, and the time that the record
+tells.
+"""
 
 from __future__ import annotations
 

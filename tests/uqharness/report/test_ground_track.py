@@ -1,4 +1,6 @@
-"""The ground track: a circle is recognised from signed distances, one lap is cut out, each line has its legend."""
+"""The ground track: a circle is recognised from signed distances, one lap is cut out, each line has
+its legend.
+"""
 
 from __future__ import annotations
 
@@ -93,7 +95,8 @@ def lines_in(figure):
 def test_the_track_has_a_line_and_a_legend_for_every_flight():
     figure = ground_track("track", lap_of(pair()), 15.0, "12 m/s wind")
     assert {"commanded path", "15 m from it"} | LINES <= words_in(figure)
-    # The path and two limits, worst corners below, and the dashed lines of before above those of after.
+    # The path and two limits, worst corners below, and the dashed lines of before above those of
+    # after.
     assert lines_in(figure) == [
         "third",
         "limit",

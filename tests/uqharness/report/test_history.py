@@ -1,4 +1,6 @@
-"""Histories on a page: the worst segments first, a band where the noise is known, a gap where pieces join."""
+"""Histories on a page: the worst segments first, a band where the noise is known, a gap where
+pieces join.
+"""
 
 from __future__ import annotations
 

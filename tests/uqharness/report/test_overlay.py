@@ -1,4 +1,6 @@
-"""Two campaigns over each other: drawn where both have the same, told where they are not the same flights."""
+"""Two campaigns over each other: drawn where both have the same, told where they are not the same
+flights.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Figures for notebooks: they draw into the axes given, name their units and leave everything else alone."""
+"""Figures for notebooks: they draw into the axes given, name their units and leave everything else
+alone.
+"""
 
 from __future__ import annotations
 
@@ -132,7 +134,10 @@ def test_what_is_not_there_is_refused():
 
 def loaded(modules):
     """What of matplotlib is there once the modules are imported in a fresh process."""
-    code = f"import sys, {modules}; print(*[n for n in ('matplotlib', 'matplotlib.pyplot') if n in sys.modules])"
+    code = (
+        f"import sys, {modules}; print(*[n for n in ('matplotlib', 'matplotlib.pyplot') if n in"
+        " sys.modules])"
+    )
     return subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True
     ).stdout.split()
@@ -141,7 +146,8 @@ def loaded(modules):
 def test_reports_load_no_matplotlib():
     assert (
         loaded(
-            "uqharness.report.write, uqharness.report.pages.study, uqharness.report.history, uqharness.cli.main"
+            "uqharness.report.write, uqharness.report.pages.study, uqharness.report.history,"
+            " uqharness.cli.main"
         )
         == []
     )

@@ -1,4 +1,6 @@
-"""Charts of one flight: a chart for what the record has, none for what it lacks; the burn-in is shaded."""
+"""Charts of one flight: a chart for what the record has, none for what it lacks; the burn-in is
+shaded.
+"""
 
 from __future__ import annotations
 
@@ -57,7 +59,8 @@ def test_a_chart_for_what_there_is():
     found = drawn(RECORD)
     kinds = ("track", "errors", "angles", "speed", "height", "surfaces", "throttle", "levels")
     assert list(found) == [f"flight-{kind}" for kind in kinds]
-    # The position of a surface says more than its command, and a coefficient without a delta is certain.
+    # The position of a surface says more than its command, and a coefficient without a delta is
+    # certain.
     assert "elevator_pos_deg" in words(found["flight-surfaces"])
     assert "elevator_deg" not in words(found["flight-surfaces"])
     assert "CX" in words(found["flight-levels"])

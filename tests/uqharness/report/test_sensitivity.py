@@ -44,8 +44,8 @@ def test_each_condition_has_a_file_of_what_can_be_compared(tmp_path):
         "wind_mps,turbulence,metric,coefficient,share_min,share_max,share_low,share_high,reason\n"
     )
     rows = (
-        "0,none,cross_track_median_m,CX,0.1,0.2,0.0,0.3,\n0,none,cross_track_median_m,CY,0.7,0.8,,,\n"
-        "0,none,speed_median_mps,CX,,,,,no width\n3,light,speed_median_mps,CX,,,,,no width\n"
+        "0,none,cross_track_median_m,CX,0.1,0.2,0.0,0.3,\n0,none,cross_track_median_m,CY,0.7,0.8,,,\n0,none,speed_median_mps,CX,,,,,no"
+        " width\n3,light,speed_median_mps,CX,,,,,no width\n"
     )
     (section,) = condition_sections((head + rows).encode())
     (figures,) = section.blocks

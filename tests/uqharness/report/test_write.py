@@ -1,4 +1,6 @@
-"""report.html and figures/*.svg: which drawings go into which file, and that a terminal shows the page's first lines."""
+"""report.html and figures/*.svg: which drawings go into which file, and that a terminal shows the
+page's first lines.
+"""
 
 from __future__ import annotations
 
@@ -119,7 +121,9 @@ def figure(name):
 
 
 def test_drawings_go_where_their_section_says(tmp_path):
-    """Together under one name, each under its own, or into no file; sections within sections are not forgotten."""
+    """Together under one name, each under its own, or into no file; sections within sections are
+    not forgotten.
+    """
     inner = Section("inner", (Figures((figure("c"),), file=""),))
     blocks = (
         Figures((figure("a"), figure("b")), file="both"),

@@ -1,4 +1,6 @@
-"""Areas between distribution functions, against scipy's Wasserstein distance and envelopes on a fine grid."""
+"""Areas between distribution functions, against scipy's Wasserstein distance and envelopes on a
+fine grid.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""A study's file from anybody: read as written, or refused in a sentence; nothing unpickled, no memory for empty promises."""
+"""A study's file from anybody: read as written, or refused in a sentence; nothing unpickled, no
+memory for empty promises.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Areas between corners of functions whose ranges are known, and samples that leave the corners' envelope."""
+"""Areas between corners of functions whose ranges are known, and samples that leave the corners'
+envelope.
+"""
 
 from __future__ import annotations
 

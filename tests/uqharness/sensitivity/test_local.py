@@ -54,7 +54,9 @@ UNIT = {"a": (0.0, 1.0), "b": (0.0, 1.0)}
 
 
 def test_a_maximum_between_the_corners_is_not_linear():
-    """4 a (1 - a) + b / 2: the ranges of the slopes add up to the corners' width, and the width is a's, inside."""
+    """4 a (1 - a) + b / 2: the ranges of the slopes add up to the corners' width, and the width is
+    a's, inside.
+    """
 
     def said(model):
         made = run_study(model, UNIT, samples=64, draws=1, methods=("local", "proposed"))

@@ -48,7 +48,9 @@ def test_a_parameter_without_effect_frees_nothing():
 
 
 def test_samples_that_leave_the_corners_are_said():
-    """4 a (1 - a) + b / 2 is widest between the corners, where the sampled p-box fills theirs three times over."""
+    """4 a (1 - a) + b / 2 is widest between the corners, where the sampled p-box fills theirs three
+    times over.
+    """
     unit = {"a": (0.0, 1.0), "b": (0.0, 1.0)}
     found = {}
     for name, model in (

@@ -70,7 +70,9 @@ def test_corners_that_do_not_differ_are_not_said_to():
 
 
 def test_ties_in_skewed_air_are_seldom_called_certain():
-    """a is the same in every flight, b follows a skewed gust of mean 1: both have half of the width."""
+    """a is the same in every flight, b follows a skewed gust of mean 1: both have half of the
+    width.
+    """
     rng, certain = np.random.default_rng(7), 0
     for seed in range(40):
         gust = np.exp(0.5 * rng.normal(size=8) - 0.125)
@@ -92,7 +94,9 @@ def test_without_draws_resamples_or_chance():
 
 
 def test_resamples_are_drawn_one_after_the_other_however_many_are_computed_together(monkeypatch):
-    """The spread of the envelope's area, resample by resample; and the whole band, one resample at a time."""
+    """The spread of the envelope's area, resample by resample; and the whole band, one resample at
+    a time.
+    """
     y = corners(np.random.default_rng(5))
     band = pair_band(y, 2, 11, resamples=30)
     rng = np.random.default_rng(11)

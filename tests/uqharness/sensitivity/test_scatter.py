@@ -1,4 +1,6 @@
-"""Straight lines through all runs, against scipy's regression and statsmodels' robust standard errors."""
+"""Straight lines through all runs, against scipy's regression and statsmodels' robust standard
+errors.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Five sensitivity methods against closed forms: linear, Ishigami, a product, a dead input, monotone and not."""
+"""Five sensitivity methods against closed forms: linear, Ishigami, a product, a dead input,
+monotone and not.
+"""
 
 from __future__ import annotations
 
@@ -128,7 +130,8 @@ def test_ishigami_scatter_says_its_lines_explain_little(of_ishigami):
 
 
 def test_ishigami_pinching(of_ishigami):
-    # Range: sin x1 (1 + B x3^4) + 7 sin^2 x2 lies in [-(1+B pi^4), 1+B pi^4+7]; x1 = 0 leaves 7, x2 = 0 takes 7, x3 = 0 leaves 9.
+    # Range: sin x1 (1 + B x3^4) + 7 sin^2 x2 lies in [-(1+B pi^4), 1+B pi^4+7]; x1 = 0 leaves 7, x2
+    # = 0 takes 7, x3 = 0 leaves 9.
     whole = 2 * (1 + B * PI**4) + A
     exact = {"x1": 1 - A / whole, "x2": A / whole, "x3": 1 - 9 / whole}
     assert values(of_ishigami["pbox"]) == pytest.approx(exact, abs=0.05)
@@ -218,7 +221,8 @@ def test_scatter_tells_chance_from_curvature():
 
 
 def test_total_effects_above_one_are_left_and_named():
-    # Two samples' variance can be less than the pairs' differences: 16 rows of a noisy interaction show it at some seed.
+    # Two samples' variance can be less than the pairs' differences: 16 rows of a noisy interaction
+    # show it at some seed.
     for seed in range(40):
         found = run(lambda a, b: a, {"a": (0.0, 1.0), "b": (0.0, 1.0)}, samples=16, seed=seed)[
             "anova"
@@ -375,7 +379,9 @@ def test_pinching_intervals_cover_the_mean_over_repeats():
 
 
 def corner_flights(draws, rng, own):
-    """Eight corners with a share that interacts, a weak one, a shared spread, and noise of each corner's own."""
+    """Eight corners with a share that interacts, a weak one, a shared spread, and noise of each
+    corner's own.
+    """
     a, b, c = corners(np.zeros(3), np.ones(3)).T
     base = a + 0.6 * b + 0.3 * a * b + 0.02 * c
     return (
@@ -440,7 +446,8 @@ def test_the_example_in_the_documentation_runs_and_is_right(capsys):
     text = capsys.readouterr().out
     assert "proposed: 400 runs" in text
     low, high, floor, top = map(float, text.splitlines()[-1].split())
-    # V (CD0 + k CL^2) / CL at mean mass and area: CD0 moves it by 0.01 V / CL, k by 0.01 V CL; both ranges are exact and additive.
+    # V (CD0 + k CL^2) / CL at mean mass and area: CD0 moves it by 0.01 V / CL, k by 0.01 V CL; both
+    # ranges are exact and additive.
     CL = 21.5 * 9.81 / (245.0 * 1.97)
     share = (0.01 / CL) / (0.01 / CL + 0.01 * CL)
     assert low == pytest.approx(share, abs=0.005)

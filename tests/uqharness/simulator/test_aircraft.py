@@ -1,4 +1,6 @@
-"""The E-SPAARO's XML: thrust map, command styles, actuators, the delta plugin at the CG, and what a bad model does."""
+"""The E-SPAARO's XML: thrust map, command styles, actuators, the delta plugin at the CG, and what a
+bad model does.
+"""
 
 from __future__ import annotations
 
@@ -94,7 +96,8 @@ def test_a_delta_is_its_bound_times_qS_and_lengths_at_the_cg_and_moves_nothing_e
         }
     )
     delta = lower + level * (upper - lower)
-    # JSBSim's own feet: its metre has ten digits, and the claim is about the delta, not about the metre.
+    # JSBSim's own feet: its metre has ten digits, and the claim is about the delta, not about the
+    # metre.
     qS = plain["aero/qbar-psf"] * plain["metrics/Sw-sqft"]
     assert qS == pytest.approx(plain["aero/qbar-psf"] * 1.97 / FT**2, rel=1e-7)
     b, c = plain["metrics/bw-ft"], plain["metrics/cbarw-ft"]
@@ -164,7 +167,9 @@ def test_inactive_plugin_is_bit_identical_to_none(copy):
 
 @pytest.mark.parametrize("name", ["espaaro", "espaaro_truth", "synthetic_stall"])
 def test_rates_are_made_dimensionless_with_the_airspeed_of_this_frame(name):
-    """A frame late they were 0.25 % off while the speed changed, which an estimator took for damping that goes with alpha."""
+    """A frame late they were 0.25 % off while the speed changed, which an estimator took for
+    damping that goes with alpha.
+    """
     fdm = open_aircraft(find_aircraft(name))
     (
         fdm["ic/h-sl-ft"],

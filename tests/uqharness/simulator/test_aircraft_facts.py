@@ -1,4 +1,6 @@
-"""What an aircraft without a card answers: throws, signs and thrust, beside JSBSim's own response."""
+"""What an aircraft without a card answers: throws, signs and thrust, beside JSBSim's own
+response.
+"""
 
 from __future__ import annotations
 
@@ -76,7 +78,8 @@ def axis(name: str, length: str, *terms: tuple[float, str]) -> str:
     )
     scale = f"<property>{length}</property>" if length else ""
     return (
-        f'<axis name="{name}"><function name="aero/{name}"><product><property>aero/qbar-psf</property>'
+        f'<axis name="{name}"><function'
+        f' name="aero/{name}"><product><property>aero/qbar-psf</property>'
         f"<property>metrics/Sw-sqft</property>{scale}<sum>{summed}</sum></product></function></axis>"
     )
 
@@ -198,7 +201,8 @@ def test_what_is_not_finite_is_not_written_as_a_fact():
     assert _throttle_facts(closed, closed) == ControlFacts(0)
 
 
-# J246 and the like are launchers, ball and the like have no controls; what reads a host's properties does not fly by itself.
+# J246 and the like are launchers, ball and the like have no controls; what reads a host's
+# properties does not fly by itself.
 DEFAULT = ("c172p", "pa28", "sgs126", "F450")
 FLYING = """
 737 787-8 A320 A4 B17 B747 Boeing314 C130 Camel Concorde DHC6 F4N F80C J3Cub MD11 OV10 SGS T37 T38 X15 XB-70 c172r c172x
@@ -274,7 +278,8 @@ def test_the_cards_throws_signs_and_thrust_are_those_of_jsbsims_response(name: s
             change = sign * (high[acceleration] - low[acceleration])
             assert found.sense == math.copysign(1.0, change)
     throttle = facts.controls["throttle"]
-    # Concorde's engines give no thrust where they are started after initialising, as `response` does.
+    # Concorde's engines give no thrust where they are started after initialising, as `response`
+    # does.
     if throttle.thrust_N is not None and name != "Concorde":
         opened = response(name, facts.V_mps, "throttle", 1.0, 6000)["thrust_N"]
         assert throttle.thrust_N[1] == pytest.approx(opened, rel=0.02)

@@ -59,7 +59,10 @@ def test_a_throw_of_nothing_is_refused():
         InputCard(property="fcs/x-cmd-norm", throw_deg=0.0)
 
 
-SOUND = '[aircraft]\nname = "a"\nxml = "a.xml"\n[inputs.elevator]\nproperty = "fcs/elevator-cmd-deg"\nunit = "deg"\n'
+SOUND = (
+    '[aircraft]\nname = "a"\nxml = "a.xml"\n[inputs.elevator]\nproperty ='
+    ' "fcs/elevator-cmd-deg"\nunit = "deg"\n'
+)
 
 
 def test_a_card_with_an_unknown_key_is_refused(tmp_path):

@@ -1,4 +1,6 @@
-"""The control system comes to rest with the airframe: held against JSBSim flown on from there with nothing frozen."""
+"""The control system comes to rest with the airframe: held against JSBSim flown on from there with
+nothing frozen.
+"""
 
 from __future__ import annotations
 
@@ -77,7 +79,8 @@ def test_filters_come_to_rest_where_jsbsim_in_flight_brings_them():
     assert [fdm[n] for n in names] == pytest.approx(state, rel=1e-9)
     assert fdm.get_sim_time() == 0.0
     rested, thrust = fdm["fcs/throttle-pos-norm"], fdm["propulsion/engine/thrust-lbs"]
-    # JSBSim alone, nothing frozen, twelve seconds at that command: the throttle ends where it rested.
+    # JSBSim alone, nothing frozen, twelve seconds at that command: the throttle ends where it
+    # rested.
     free = open_aircraft(aircraft)
     apply_controls(free, aircraft, {"throttle": 0.5})
     free["ic/lat-geod-deg"], free["ic/h-sl-ft"], free["ic/theta-rad"] = (
@@ -114,7 +117,8 @@ def test_a_control_law_that_integrates_rests_with_the_rates_free_and_not_with_th
     _, fdm = placed("f22", 129.2, F22_ALPHA, elevator=-0.1, aileron=0.0, rudder=0.0, throttle=0.5)
     assert forced_state.bring_to_rest(fdm, rest) == ""
     assert fdm["velocities/q-rad_sec"] == pytest.approx(0.02595, abs=1e-4)
-    # With the rates held nothing tells the integrator that the aircraft does not turn: the surface stays, the moment too.
+    # With the rates held nothing tells the integrator that the aircraft does not turn: the surface
+    # stays, the moment too.
     _, fdm = placed("f22", 129.2, F22_ALPHA, elevator=0.0, aileron=0.0, rudder=0.0, throttle=0.5)
     forced_state.bring_to_rest(fdm, ControlEquilibrium(rest.watched))
     assert abs(fdm["accelerations/qdot-rad_sec2"]) > 0.5

@@ -1,4 +1,6 @@
-"""A forced state is the state that was asked for, and its accelerations are those JSBSim flies on with."""
+"""A forced state is the state that was asked for, and its accelerations are those JSBSim flies on
+with.
+"""
 
 from __future__ import annotations
 

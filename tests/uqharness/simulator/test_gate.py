@@ -12,7 +12,10 @@ from uqharness.simulator.staging import MAX_DEPTH, leads_out, screen_file, tag_e
 
 
 def test_what_is_taken_out_leaves_every_other_byte_and_line() -> None:
-    raw = b'<a>\r\n<output name="x>y"/>\n<b><output>kept</output></b>\n<output>\n<c file="/etc"/></output><input/><c/>\n</a>\n'
+    raw = (
+        b'<a>\r\n<output name="x>y"/>\n<b><output>kept</output></b>\n<output>\n<c'
+        b' file="/etc"/></output><input/><c/>\n</a>\n'
+    )
     found = screen_file(raw, "a.xml")
     assert [(tag, line) for tag, line in found.removed] == [
         ("output", 2),

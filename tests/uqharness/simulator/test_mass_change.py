@@ -1,4 +1,6 @@
-"""Mass properties set by name: they stand where asked, fly as a hand-edited XML does, and what cannot be is refused."""
+"""Mass properties set by name: they stand where asked, fly as a hand-edited XML does, and what
+cannot be is refused.
+"""
 
 from __future__ import annotations
 
@@ -22,10 +24,13 @@ KG_PER_SLUG, KG_M2 = 0.45359237 * 32.174049, 1.3558179483314004
 
 @pytest.fixture(scope="module")
 def missions(tmp_path_factory):
-    """The E-SPAARO (metric, nothing but an empty mass) and a Cessna (imperial, point masses and fuel)."""
+    """The E-SPAARO (metric, nothing but an empty mass) and a Cessna (imperial, point masses and
+    fuel).
+    """
     script = tmp_path_factory.mktemp("script") / "glide.xml"
     script.write_text(
-        '<runscript name="g"><use aircraft="c172p" initialize="reset01"/><run start="0" end="9" dt="0.01"/></runscript>'
+        '<runscript name="g"><use aircraft="c172p" initialize="reset01"/><run start="0" end="9"'
+        ' dt="0.01"/></runscript>'
     )
     with (
         StagedMission(find_aircraft("espaaro"), find_script("trim")) as metric,
@@ -87,7 +92,8 @@ def test_it_flies_as_a_hand_edited_file_does(tmp_path):
         "inertia/iyy-slugs_ft2": 9.5 / KG_M2,
         "inertia/ixz-slugs_ft2": -0.5 / KG_M2,
     }
-    # JSBSim's own unit factors are rounded (0.7376 slug ft2 a kg m2), so its figures are taken, once they are seen to mean these.
+    # JSBSim's own unit factors are rounded (0.7376 slug ft2 a kg m2), so its figures are taken,
+    # once they are seen to mean these.
     with StagedMission(find_aircraft(edited), find_script("trim")) as mission:
         fdm = mission.open()
         engine.run_ic(fdm)

@@ -1,4 +1,6 @@
-"""Manoeuvres without a script: sized by the linear model, flown by JSBSim, for aircraft of several kinds."""
+"""Manoeuvres without a script: sized by the linear model, flown by JSBSim, for aircraft of several
+kinds.
+"""
 
 import json
 from dataclasses import replace

@@ -116,20 +116,30 @@ READS = "<property>x/misspelt</property>"
 PLACES = {
     "aerodynamics": {"lift": f'<function name="f">{READS}</function>'},
     "branch never taken": {
-        "lift": f'<function name="f"><ifthen><lt><value>1</value><value>0</value></lt>{READS}<value>1</value></ifthen></function>'
+        "lift": (
+            "<function"
+            f' name="f"><ifthen><lt><value>1</value><value>0</value></lt>{READS}<value>1</value></ifthen></function>'
+        )
     },
     "table": {
-        "lift": '<function name="f"><table><independentVar>x/misspelt</independentVar>'
-        "<tableData>0 1\n 1 2</tableData></table></function>"
+        "lift": (
+            '<function name="f"><table><independentVar>x/misspelt</independentVar>'
+            "<tableData>0 1\n 1 2</tableData></table></function>"
+        )
     },
     "external reactions": {
-        "reactions": f'<external_reactions><force name="hook" frame="BODY"><function>{READS}</function>'
-        '<location unit="M"><x>0</x><y>0</y><z>0</z></location><direction><x>1</x><y>0</y><z>0</z></direction>'
-        "</force></external_reactions>"
+        "reactions": (
+            f'<external_reactions><force name="hook" frame="BODY"><function>{READS}</function>'
+            "<location"
+            ' unit="M"><x>0</x><y>0</y><z>0</z></location><direction><x>1</x><y>0</y><z>0</z></direction>'
+            "</force></external_reactions>"
+        )
     },
     "system": {
-        "systems": f'<system name="s"><channel name="c"><fcs_function name="s/f"><function>{READS}</function>'
-        "</fcs_function></channel></system>"
+        "systems": (
+            '<system name="s"><channel name="c"><fcs_function'
+            f' name="s/f"><function>{READS}</function></fcs_function></channel></system>'
+        )
     },
     "engine": {"propulsion": MOUNT},
 }
@@ -167,7 +177,8 @@ def test_all_of_them_are_named_at_once_and_the_verdict_is_remembered(
     )
     aircraft = find_aircraft(plane(tmp_path, lift=lift))
     message = (
-        r"reads 3 properties that nothing defines: aero/alpha-radd \(plane.xml:16\), x/two \(plane.xml:17\), "
+        r"reads 3 properties that nothing defines: aero/alpha-radd \(plane.xml:16\), x/two"
+        r" \(plane.xml:17\), "
         r"x/three \(plane.xml:18\); did you mean aero/alpha-radd -> aero/alpha-rad\?"
     )
     with pytest.raises(BadInputError, match=message):

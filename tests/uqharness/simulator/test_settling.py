@@ -1,4 +1,6 @@
-"""Engines settle where JSBSim's own way does not arrive; held against JSBSim flown in real time, the motion left free."""
+"""Engines settle where JSBSim's own way does not arrive; held against JSBSim flown in real time,
+the motion left free.
+"""
 
 import math
 
@@ -57,12 +59,15 @@ def test_a_piston_engine_that_jsbsim_stops_is_started_and_stays_steady_in_flight
     assert thrust > 100.0
     for _ in range(20):
         fdm.run()
-    # The speed changes by some per mille meanwhile; a propeller that was not steady would change by a third.
+    # The speed changes by some per mille meanwhile; a propeller that was not steady would change by
+    # a third.
     assert fdm["propulsion/engine/thrust-lbs"] == pytest.approx(thrust, rel=0.05)
 
 
 def flown_free(name, V_mps, alpha_rad, duration_s):
-    """Thrust [N] and drag [N] of JSBSim alone at full throttle, nothing of the motion held and nothing settled by us."""
+    """Thrust [N] and drag [N] of JSBSim alone at full throttle, nothing of the motion held and
+    nothing settled by us.
+    """
     fdm = open_aircraft(find_aircraft(name))
     fdm["ic/lat-geod-deg"], fdm["ic/h-sl-ft"], fdm["ic/theta-rad"] = 45.0, 200.0 / FT_M, alpha_rad
     fdm["ic/u-fps"], fdm["ic/w-fps"] = (
@@ -81,7 +86,8 @@ def flown_free(name, V_mps, alpha_rad, duration_s):
 
 
 def test_the_thrust_is_that_of_jsbsim_flown_free():
-    # Free, both engines of a c310 give about 4800 N at 65 m/s after three seconds, in 4300 N of drag: it keeps its speed meanwhile.
+    # Free, both engines of a c310 give about 4800 N at 65 m/s after three seconds, in 4300 N of
+    # drag: it keeps its speed meanwhile.
     angle = math.radians(2.0)
     free_N, drag_N = flown_free("c310", 65.0, angle, 3.0)
     assert free_N > drag_N > 4000.0

@@ -1,4 +1,6 @@
-"""Steady flight as a mission of an aircraft that has neither autopilot nor card: it begins in trim, and deviations are scored."""
+"""Steady flight as a mission of an aircraft that has neither autopilot nor card: it begins in trim,
+and deviations are scored.
+"""
 
 from __future__ import annotations
 
@@ -211,7 +213,8 @@ def test_a_stock_cessna_by_the_documented_commands_alone(tmp_path, capsys):
     assert main(["campaign", "report", str(out)]) == 0
     frame = read_table(out / CASES).to_pandas().set_index("epistemic_id")
     assert list(frame.index) == ["0---0-", "0---1-", "1---0-", "1---1-"]
-    # More drag (CX low) is slower; a nose-up delta climbs: each corner is another flight, in the same air.
+    # More drag (CX low) is slower; a nose-up delta climbs: each corner is another flight, in the
+    # same air.
     assert frame["speed_max_mps"].nunique() == frame["altitude_max_m"].nunique() == 4
     assert frame["seed"].nunique() == 1
     pbox = read_table(out / "pbox.parquet").to_pandas()

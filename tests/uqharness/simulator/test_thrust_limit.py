@@ -90,7 +90,8 @@ def test_a_glider_finds_its_own_path(name):
 
 @pytest.mark.slow
 def test_a_first_frame_in_which_nothing_accelerates_is_no_trim_where_the_surface_then_runs_to_its_stop():
-    # The Shuttle's elevator gain grows with the elevator's deflection: above 0.17 rad it is unstable.
+    # The Shuttle's elevator gain grows with the elevator's deflection: above 0.17 rad it is
+    # unstable.
     aircraft, condition = find_aircraft("Shuttle"), SteadyCondition(160.0, 1000.0)
     assert not find_trim(aircraft, condition).converged
     controls = {"elevator": -0.39681, "aileron": -0.00048, "rudder": 0.00164}

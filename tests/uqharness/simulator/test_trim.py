@@ -1,4 +1,6 @@
-"""Trim and eigenvalues against the published check figures and against the independent equations of motion."""
+"""Trim and eigenvalues against the published check figures and against the independent equations of
+motion.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,8 @@ from uqharness.simulator.forced_state import force_state, open_forced
 from uqharness.simulator.linear import linearise, modes
 from uqharness.simulator.trim import SteadyCondition, find_trim, pitch_for_climb
 
-# Independent linearisation about level trim at sea level, g = 9.81 (check figures of the method; angles deg, N, rpm, percent).
+# Independent linearisation about level trim at sea level, g = 9.81 (check figures of the method;
+# angles deg, N, rpm, percent).
 TRIM = {
     20.0: {"alpha": 1.850, "elevator": -0.380, "thrust": 20.05, "rpm": 5148.0, "throttle": 53.9},
     22.2: {"alpha": 0.833, "elevator": 0.237, "thrust": 23.13, "rpm": 5644.0, "throttle": 60.2},
@@ -146,7 +149,8 @@ def test_trim_for_any_bank_climb_height_and_wind(bank_deg, climb_deg, height, wi
     assert np.linalg.norm(air) == pytest.approx(22.2, abs=1e-9)
     assert math.asin(-air[2] / 22.2) == pytest.approx(condition.climb_rad, abs=1e-6)
     if bank_deg:
-        # A coordinated level turn: tan(bank) = V turn / g, to the few percent that thrust's lift and pitch take.
+        # A coordinated level turn: tan(bank) = V turn / g, to the few percent that thrust's lift
+        # and pitch take.
         assert trim.turn_rate_radps == pytest.approx(
             9.806 * math.tan(condition.bank_rad) / 22.2, rel=0.03
         )
@@ -229,7 +233,8 @@ def test_an_aircraft_whose_rudder_follows_its_ailerons_flies_straight_with_a_lit
     assert trim.converged, trim.reason
     assert 0.0 < abs(trim.condition.bank_rad) < math.radians(5.0)
     assert trim.turn_rate_radps == 0.0
-    # JSBSim from there, nothing held: with that bank nothing turns it, with wings level something does.
+    # JSBSim from there, nothing held: with that bank nothing turns it, with wings level something
+    # does.
     level = replace(trim.state, phi=0.0)
     turning = [
         abs(force_state(aircraft, state, trim.controls, 200.0)[0]).max()
@@ -263,7 +268,8 @@ def test_modes_of_an_aircraft_whose_control_system_was_brought_to_rest():
     trim = find_trim(aircraft, SteadyCondition(196.1, 200.0))
     model = linearise(aircraft, trim)
     assert np.isfinite(model.A).all()
-    # The elevator's moment is that of the surface where it ends, not of the first frame of its filter, which overshoots.
+    # The elevator's moment is that of the surface where it ends, not of the first frame of its
+    # filter, which overshoots.
     column = model.controls.index("elevator")
     more = dict(trim.controls) | {"elevator": trim.controls["elevator"] + 0.01}
 

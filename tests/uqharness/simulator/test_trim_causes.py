@@ -40,7 +40,9 @@ SURFACES = "".join(
 
 
 def small_plane(folder, propeller_ixx, elevator=-0.9):
-    """A model aeroplane of 1.5 kg with an electric motor and a propeller of that inertia [kg m2]."""
+    """A model aeroplane of 1.5 kg with an electric motor and a propeller of that inertia
+    [kg m2].
+    """
     name = "gnat"
     (folder / name / "Engines").mkdir(parents=True)
     aerodynamics = (

@@ -18,7 +18,9 @@ def box(*corners, unknown=0):
 
 
 def test_the_area_of_a_single_flight_is_its_mean_distance():
-    """One corner, one flight: integral of |F - step| = mean |X - x|; within a wide box the flight is inside."""
+    """One corner, one flight: integral of |F - step| = mean |X - x|; within a wide box the flight
+    is inside.
+    """
     values = [1.0, 2.0, 4.0]
     for flight in (0.0, 2.0, 7.0):
         found = area_metric(box(values), np.array([flight]))

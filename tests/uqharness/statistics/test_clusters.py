@@ -50,7 +50,9 @@ def test_single_excursions_are_told_from_pairs():
 
 
 def test_the_observed_ratio_is_no_limit():
-    """The check says no to the point estimate, and to a limit that takes the counts for independent ones."""
+    """The check says no to the point estimate, and to a limit that takes the counts for independent
+    ones.
+    """
     made = counts("uneven flights", 4.0, 500, 40)
     assert np.mean(observed_dispersion(made) < 4.0) > 0.5
 

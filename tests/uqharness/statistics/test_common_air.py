@@ -1,4 +1,6 @@
-"""The band over corners on common air: narrower where corners err together, never wider than Bonferroni's."""
+"""The band over corners on common air: narrower where corners err together, never wider than
+Bonferroni's.
+"""
 
 from __future__ import annotations
 

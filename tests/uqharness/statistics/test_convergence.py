@@ -23,7 +23,9 @@ def test_repeats_of_one_law_lie_within_what_chance_explains_and_others_do_not():
 
 
 def test_the_chance_that_one_more_sample_leaves_the_envelope():
-    """Walks as draws from one law: at a fixed value the next one lies outside in 2/(m + 1) of studies, in no more."""
+    """Walks as draws from one law: at a fixed value the next one lies outside in 2/(m + 1) of
+    studies, in no more.
+    """
     generator = np.random.default_rng(4)
     curves = generator.random((4000, 17))
     outside = (curves[:, 16] > curves[:, :16].max(axis=1)) | (

@@ -1,4 +1,6 @@
-"""*decide* over simulated campaigns of known truth: how often it is wrong, what it costs, and what it cannot know."""
+"""*decide* over simulated campaigns of known truth: how often it is wrong, what it costs, and what
+it cannot know.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +10,8 @@ import pytest
 from tests.helpers.few import few
 from uqharness.statistics.decide import NO, OPEN, YES, Question, add, begin, close, decide_cell
 
-# Worst corner's excursions per hour beyond 15 m (Hale 2016, Table 3.2): light, moderate, severe turbulence at 0 to 7 m/s.
+# Worst corner's excursions per hour beyond 15 m (Hale 2016, Table 3.2): light, moderate, severe
+# turbulence at 0 to 7 m/s.
 PUBLISHED = (
     (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.028),
     (0.0, 0.0, 0.0, 0.0, 0.002, 0.036, 0.324, 3.886),
@@ -45,7 +48,9 @@ def decide(counts, asked, look_every=LOOK):
 
 
 def errors(truth, dispersion, asked, campaigns=1500, flights=400, seed=11):
-    """Shares of campaigns that said yes and no; each corner of one cell is a campaign of its own."""
+    """Shares of campaigns that said yes and no; each corner of one cell is a campaign of
+    its own.
+    """
     generator = np.random.default_rng(seed)
     found = decide(draw(generator, np.full(campaigns, truth), flights, dispersion), asked)
     return np.mean([answer == YES for answer in found.answers]), np.mean(
@@ -55,7 +60,10 @@ def errors(truth, dispersion, asked, campaigns=1500, flights=400, seed=11):
 
 @pytest.mark.parametrize("dispersion", few([1.0, 2.0, 3.0, 8.0], 2))
 def test_it_errs_no_more_often_than_stated_right_at_the_threshold(dispersion):
-    """The hardest truths: hardly above, where yes is wrong, and hardly below, where no is. Looked at 40 times."""
+    """The hardest truths: hardly above, where yes is wrong, and hardly below, where no is.
+
+    Looked at 40 times.
+    """
     asked = question(dispersion=dispersion, every_corner=True)
     chance = 2.0 * np.sqrt(0.05 * 0.95 / 1500)
     assert errors(0.1001, dispersion, asked)[0] <= 0.05 + chance
@@ -117,7 +125,9 @@ def test_it_needs_a_fifth_of_the_published_hours_at_most(dispersion, cells, savi
 
 
 def test_how_close_to_the_information_limit():
-    """Without an excursion independent flights need ln(2/error)/0.1 h at least, half the error being kept for aborted ones."""
+    """Without an excursion independent flights need ln(2/error)/0.1 h at least, half the error
+    being kept for aborted ones.
+    """
     quiet = np.zeros((CORNERS, MOST))
     hours = [
         decide(quiet, question(error=error, dispersion=1.0), 1).flights.max()

@@ -96,7 +96,9 @@ def test_half_width_is_at_most_dkw_and_close_to_it_for_many_flights():
 
 
 def test_the_band_covers_the_true_envelope_of_all_corners():
-    """Uniform truths U(c, 1 + c): the envelope is known, and the band must hold it everywhere in 95 % of campaigns."""
+    """Uniform truths U(c, 1 + c): the envelope is known, and the band must hold it everywhere in 95
+    % of campaigns.
+    """
     generator = np.random.default_rng(42)
     shifts = np.linspace(0.0, 0.35, 8)
     flights, campaigns, covered = 25, 400, 0
@@ -106,7 +108,8 @@ def test_the_band_covers_the_true_envelope_of_all_corners():
         )  # the same air for every corner: dependent, as in a campaign
         box = pbox([sample(str(shift), common + shift) for shift in shifts])
         low, high = np.clip(box.value - shifts[-1], 0, 1), np.clip(box.value, 0, 1)
-        # Between rows the distribution moves on while the step does not: compare at a row and just before the next.
+        # Between rows the distribution moves on while the step does not: compare at a row and just
+        # before the next.
         before = np.append(np.clip(box.value[1:], 0, 1), 1.0)
         covered += bool(
             np.all(box.band_lower <= low + 1e-12) and np.all(box.band_upper >= high - 1e-12)
@@ -117,7 +120,9 @@ def test_the_band_covers_the_true_envelope_of_all_corners():
 
 @pytest.mark.parametrize("campaigns", [100, pytest.param(400, marks=pytest.mark.slow)])
 def test_the_band_covers_the_true_envelope_also_when_the_worst_flights_fail(campaigns):
-    """The worse half of the flights diverges and has no metric: what it would have had lies within all the same."""
+    """The worse half of the flights diverges and has no metric: what it would have had lies within
+    all the same.
+    """
     generator = np.random.default_rng(43)
     shifts = np.linspace(0.0, 0.35, 4)
     flights, covered, dropped = 40, 0, 0
@@ -149,7 +154,9 @@ def test_the_band_covers_the_true_envelope_also_when_the_worst_flights_fail(camp
 
 
 def test_every_corner_is_within_the_band_at_once_which_needs_bonferroni():
-    """Kolmogorov distances of 64 independent corners: the largest is below the half-width for 64, not that for one."""
+    """Kolmogorov distances of 64 independent corners: the largest is below the half-width for 64,
+    not that for one.
+    """
     generator = np.random.default_rng(7)
     corners, flights, campaigns = 64, 20, 300
     together, alone = band_half_width(flights, corners, 0.95), band_half_width(flights, 1, 0.95)
@@ -161,7 +168,9 @@ def test_every_corner_is_within_the_band_at_once_which_needs_bonferroni():
 
 
 def test_binomial_samples():
-    """Values 0 or 1 with probability p: the p-box at 0 is the share of zeros, and the band has the stated half-width."""
+    """Values 0 or 1 with probability p: the p-box at 0 is the share of zeros, and the band has the
+    stated half-width.
+    """
     values = np.array([0.0] * 30 + [1.0] * 70)
     box = pbox([sample("a", values), sample("b", 1 - values)])
     assert box.value.tolist() == [0.0, 1.0]
@@ -225,7 +234,9 @@ def test_best_and_worst():
 
 
 def test_the_worst_of_many_needs_the_simultaneous_limit():
-    """Equal true rates: the worst corner's own interval misses the truth far more often than it says."""
+    """Equal true rates: the worst corner's own interval misses the truth far more often than it
+    says.
+    """
     generator = np.random.default_rng(11)
     campaigns, corners, hours, rate = 200, 64, 10.0, 1.0
     alone = together = 0

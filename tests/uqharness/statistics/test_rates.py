@@ -1,4 +1,6 @@
-"""Limits of a rate with the flight as the unit: closed forms, then coverage over simulated campaigns of known truth."""
+"""Limits of a rate with the flight as the unit: closed forms, then coverage over simulated
+campaigns of known truth.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,9 @@ from uqharness.statistics.rates import (
 
 
 def clustered(generator, mean, dispersion, shape):
-    """Counts of that mean and Var/mean: Poisson, negative binomial, or all-or-nothing clusters of one size."""
+    """Counts of that mean and Var/mean: Poisson, negative binomial, or all-or-nothing clusters of
+    one size.
+    """
     if dispersion == 1.0:
         return generator.poisson(mean, shape).astype(float)
     return generator.negative_binomial(mean / (dispersion - 1.0), 1.0 / dispersion, shape).astype(
@@ -31,19 +35,24 @@ def blocks(generator, mean, size, shape):
 
 
 def test_without_an_excursion_the_upper_limit_is_its_closed_form():
-    """(1 - m (1 - exp(-s kappa))/kappa)^n = error with s large: m = d q/(1 - q), q = 1 - error^(1/n)."""
+    """(1 - m (1 - exp(-s kappa))/kappa)^n = error with s large: m = d q/(1 - q), q = 1 -
+    error^(1/n).
+    """
     for flights, dispersion in ((500, 1.0), (60, 2.0), (10, 5.0)):
         q = 1.0 - 0.05 ** (1.0 / flights)
         (found,) = upper_limits(np.array([flights]), np.zeros(1), np.array([dispersion]), 0.05)
         assert found == pytest.approx(dispersion * q / (1.0 - q), rel=1e-6)
-    # For independent excursions that is what Poisson's exact limit says, but for what flights of one hour add.
+    # For independent excursions that is what Poisson's exact limit says, but for what flights of
+    # one hour add.
     assert upper_limits(np.array([500]), np.zeros(1), np.ones(1), 0.05)[0] * 500 == pytest.approx(
         2.9957, rel=0.005
     )
 
 
 def test_the_convexity_bound_holds_for_every_distribution_and_is_reached_by_one():
-    """E exp(-s X) <= 1 - mu (1 - exp(-s kappa))/kappa, kappa = E X^2/E X: random distributions, and {0, kappa} with equality."""
+    """E exp(-s X) <= 1 - mu (1 - exp(-s kappa))/kappa, kappa = E X^2/E X: random distributions, and
+    {0, kappa} with equality.
+    """
     generator = np.random.default_rng(3)
     for _ in range(200):
         values, weights = (
@@ -111,7 +120,9 @@ def test_poisson_limits_do_not_cover_clustered_excursions():
 
 
 def test_the_worst_of_64_is_covered_without_paying_for_64():
-    """Largest of the upper limits at 5 % each: wrong about the true worst rate no more often than that."""
+    """Largest of the upper limits at 5 % each: wrong about the true worst rate no more often than
+    that.
+    """
     generator = np.random.default_rng(7)
     rates = np.linspace(0.0, 1.0, 64) ** 4
     campaigns, flights = 120, 30
@@ -132,14 +143,17 @@ def test_nothing_counted_or_nothing_flown():
     assert upper_limits(np.zeros(1), np.zeros(1), np.ones(1), 0.05)[0] == np.inf
     assert observed_dispersion(np.array([[1.0, np.nan], [0.0, 0.0]])).tolist() == [1.0, 1.0]
     assert observed_dispersion(np.array([[0.0, 4.0, np.nan]]))[0] == pytest.approx(4.0)
-    # One excursion in very many flights: the start of the search is no limit that anything has shown.
+    # One excursion in very many flights: the start of the search is no limit that anything has
+    # shown.
     lonely = np.zeros((1, 200_000))
     lonely[0, 0] = 1.0
     assert 0.0 <= lower_limits(lonely, 0.025)[0] < 0.05 / 200_000
 
 
 def ended_early(generator, campaigns, flights, rate, abort, cluster=1):
-    """Counts, shares of time not flown, and the true count per flight's length flown: an aborted flight adds one excursion."""
+    """Counts, shares of time not flown, and the true count per flight's length flown: an aborted
+    flight adds one excursion.
+    """
     lost = generator.random((campaigns, flights)) < abort
     missing = np.where(lost, generator.random((campaigns, flights)), 0.0)
     counts = cluster * generator.poisson(rate / cluster * (1.0 - missing)) + 1.0 * lost
@@ -154,7 +168,9 @@ def limits_of(counts, missing, dispersion, assumed=None):
 
 
 def test_time_not_flown_costs_what_it_is_worth():
-    """Two excursions in 50 flights, one of them aborted halfway: hardly more than whole flights say."""
+    """Two excursions in 50 flights, one of them aborted halfway: hardly more than whole flights
+    say.
+    """
     whole, ended = (
         upper_limits([50.0], [2.0], [2.0], 0.025, None, [missing])[0] for missing in (0.0, 0.5)
     )

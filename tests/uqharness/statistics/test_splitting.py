@@ -1,4 +1,6 @@
-"""Splitting against paths whose probabilities are known by quadrature, and against paths that are counted one by one."""
+"""Splitting against paths whose probabilities are known by quadrature, and against paths that are
+counted one by one.
+"""
 
 from __future__ import annotations
 
@@ -62,8 +64,8 @@ class Scripted:
 
 @pytest.mark.parametrize("repeats", [8, pytest.param(REPEATS, marks=pytest.mark.slow)])
 def test_intervals_hold_what_quadrature_gives(repeats):
-    """95 % intervals of the probability and of the events, each in nine of ten repeats at least; not so with copies that
-    begin elsewhere."""
+    """95 % intervals of the probability and of the events, each in nine of ten repeats at least;
+    not so with copies that begin elsewhere."""
     found = coverage(repeats)
     assert found.probability >= 0.87 * repeats
     assert found.events >= 0.87 * repeats
@@ -87,7 +89,9 @@ def test_frequent_events_are_those_of_plain_paths():
 
 
 def test_weights_of_paths_that_rise_fall_and_end():
-    """Two levels at once make nine of one; falling by two ends those made at the upper one, the three that stay weigh a third."""
+    """Two levels at once make nine of one; falling by two ends those made at the upper one, the
+    three that stay weigh a third.
+    """
     scores = [[0.0], [7.0], [7.0], [3.0], [0.0]]
     one = Scripted(scores)
     found = run(one, 1, Levels((2.0, 6.0)), 1)

@@ -1,4 +1,6 @@
-"""The four lines of a study's answer, on campaigns made up so that the answer is known: yes, no, inconclusive, and what is next."""
+"""The four lines of a study's answer, on campaigns made up so that the answer is known: yes, no,
+inconclusive, and what is next.
+"""
 
 from __future__ import annotations
 
@@ -107,8 +109,10 @@ def test_quiet_flights_are_a_yes_with_the_limit_that_says_so(tmp_path):
     assert found.level == "good"
     assert found.answer == "Yes in 3 m/s wind with moderate turbulence (95 % confidence)."
     # (1 - m/(D + m))^40 = 0.025 with 40 flights of 0.25 h and D = 2: m = 0.193 a flight.
-    assert found.why == (
-        "Why: excursions beyond 15 m, worst corner: at most 0.773/h in 3 m/s; acceptable 2/h; 20 h a condition, no flights aborted."
+    assert (
+        found.why
+        == "Why: excursions beyond 15 m, worst corner: at most 0.773/h in 3 m/s; acceptable 2/h; 20"
+        " h a condition, no flights aborted."
     )
     assert (found.lacked, found.next) == ("", "Next: nothing for this question.")
 
@@ -133,8 +137,10 @@ def test_a_no_at_every_corner_is_told_apart_from_one_that_a_better_model_may_cha
 def test_too_few_hours_are_inconclusive_and_say_how_many_would_do(tmp_path):
     found = answered(tmp_path, quiet, flights=4)
     assert (found.level, found.answer[:40]) == ("warn", "Inconclusive (too few flight hours) in 3")
-    assert found.next == (
-        "Next: fly 4.25 h per corner in 3 m/s moderate ([aleatory] flights); that much without an excursion is a yes."
+    assert (
+        found.next
+        == "Next: fly 4.25 h per corner in 3 m/s moderate ([aleatory] flights); that much without"
+        " an excursion is a yes."
     )
     # That many hours are a yes indeed, and a flight less is not.
     assert answered(tmp_path / "enough", quiet, flights=17).level == "good"
@@ -170,9 +176,10 @@ def test_conditions_are_grouped_by_answer_and_compared_with_those_before(tmp_pat
 
 def test_what_the_model_lacked_and_what_adding_it_bought(tmp_path):
     found = answered(tmp_path, quiet, quiet)
-    assert found.lacked == (
-        "The model lacked rolling moment due to elevator. With it: held-out residual of p from 4 to 1 sigma, cross-track p-box as "
-        "wide, same answers."
+    assert (
+        found.lacked
+        == "The model lacked rolling moment due to elevator. With it: held-out residual of p from 4"
+        " to 1 sigma, cross-track p-box as wide, same answers."
     )
 
 
@@ -194,10 +201,12 @@ def test_clusters_beyond_the_carried_limit_are_the_reason_and_more_hours_no_advi
         "warn",
         "Inconclusive (clusters beyond the carried limit) in ",
     )
-    assert found.next == (
-        "Next: raise [metrics] dispersion for 3 m/s moderate: clusters beyond the carried limit, which more hours do not change."
+    assert (
+        found.next
+        == "Next: raise [metrics] dispersion for 3 m/s moderate: clusters beyond the carried limit,"
+        " which more hours do not change."
     )
-    (said, *_) = [
+    said, *_ = [
         text
         for text, _ in performance(read_campaigns(tmp_path, refined=False))
         if "at every corner?" in text
@@ -218,7 +227,8 @@ def test_hours_and_clusters_are_each_named_with_their_conditions(tmp_path):
     other = replace(flown["before"], statements=[other, *rest])
     found = answer_of({"before": other}, None, [])
     assert found.answer.startswith(
-        "Inconclusive (clusters beyond the carried limit) in 1 m/s, inconclusive (too few flight hours) in 3 m/s"
+        "Inconclusive (clusters beyond the carried limit) in 1 m/s, inconclusive (too few flight"
+        " hours) in 3 m/s"
     )
     assert "4.25 h per corner in 3 m/s moderate" in found.next
     assert "raise [metrics] dispersion for 1 m/s moderate" in found.next

@@ -1,4 +1,7 @@
-"""Studies: what is skipped, what is done again, what a kill leaves, whose folder it is. Most stages here are made up."""
+"""Studies: what is skipped, what is done again, what a kill leaves, whose folder it is.
+
+Most stages here are made up.
+"""
 
 from __future__ import annotations
 
@@ -72,21 +75,26 @@ def words(text):
 
 
 ALL = words(
-    "import-one import-two import-three identify bounds-before validate-before campaign-before sensitivity-before "
-    "refine bounds-after validate-after campaign-after sensitivity-after"
+    "import-one import-two import-three identify bounds-before validate-before campaign-before"
+    " sensitivity-before refine bounds-after validate-after campaign-after sensitivity-after"
 )
 
 
 TWO_ON = (
-    "import-two bounds-before validate-before campaign-before sensitivity-before bounds-after validate-after "
-    "campaign-after sensitivity-after"
+    "import-two bounds-before validate-before campaign-before sensitivity-before bounds-after"
+    " validate-after campaign-after sensitivity-after"
 )
-THREE_ON = "import-three validate-before refine bounds-after validate-after campaign-after sensitivity-after"
+THREE_ON = (
+    "import-three validate-before refine bounds-after validate-after campaign-after"
+    " sensitivity-after"
+)
 
 
 @pytest.fixture
 def study(tmp_path, monkeypatch):
-    """A study of three logs whose stages only note that they ran and hand their input on; returns (run, ran, fail)."""
+    """A study of three logs whose stages only note that they ran and hand their input on; returns
+    (run, ran, fail).
+    """
     shutil.copytree(PROJECT_ROOT / "aircraft" / "espaaro", tmp_path / "plane")
     for name in ("one", "two", "three"):
         (tmp_path / f"{name}.bin").write_text(name)
@@ -390,7 +398,9 @@ def counted(folder):
 
 
 def kill_in_flight(tmp_path):
-    """Start the study in a process of its own, kill -9 it once flights are counted, and return how many are."""
+    """Start the study in a process of its own, kill -9 it once flights are counted, and return how
+    many are.
+    """
     words = [sys.executable, "-m", "uqharness.cli.main", *command(tmp_path)]
     process = subprocess.Popen(
         words, stderr=subprocess.PIPE, stdout=subprocess.PIPE, cwd=PROJECT_ROOT

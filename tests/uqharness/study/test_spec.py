@@ -82,8 +82,9 @@ def line_of(text, fragment):
 def test_the_stages_of_a_whole_study_in_order(tmp_path):
     stages = plan(read(tmp_path, STUDY), tmp_path / "out")
     names = (
-        "fly-one fly-two import-one import-two import-three identify bounds-before validate-before campaign-before "
-        "sensitivity-before refine bounds-after validate-after campaign-after sensitivity-after"
+        "fly-one fly-two import-one import-two import-three identify bounds-before validate-before"
+        " campaign-before sensitivity-before refine bounds-after validate-after campaign-after"
+        " sensitivity-after"
     )
     assert [stage.name for stage in stages] == names.split()
     for stage in stages:

@@ -1,4 +1,6 @@
-"""Ground tracks of a study, flown by JSBSim: the worst corner's is the campaign's own flight, the nominal one is another."""
+"""Ground tracks of a study, flown by JSBSim: the worst corner's is the campaign's own flight, the
+nominal one is another.
+"""
 
 from __future__ import annotations
 

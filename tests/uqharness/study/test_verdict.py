@@ -1,4 +1,6 @@
-"""The sentences of a study: right about campaigns and documents made up so that the answer is known, both ways."""
+"""The sentences of a study: right about campaigns and documents made up so that the answer is
+known, both ways.
+"""
 
 from __future__ import annotations
 
@@ -23,8 +25,10 @@ from uqharness.study import answer as chain_verdict
 
 pytestmark = pytest.mark.usefixtures("flights_here")
 
-FOUR_CORNERS = fakes.CAMPAIGN[: fakes.CAMPAIGN.index("bounds")] + (
-    'coefficients = ["CX", "CY"]\nbounds = { CX = 0.008, CY = 0.010 }\ninterior = 0\nnominal = false\n'
+FOUR_CORNERS = (
+    fakes.CAMPAIGN[: fakes.CAMPAIGN.index("bounds")]
+    + 'coefficients = ["CX", "CY"]\nbounds = { CX = 0.008, CY = 0.010 }\ninterior = 0\nnominal ='
+    " false\n"
 )
 QUIET = {"excursions_15m": 0.0, "excursions_25m": 0.0}
 
@@ -35,7 +39,9 @@ def wide(spec):
 
 
 def narrow(spec):
-    """Errors that depend on the corner a tenth as much as those of ``wide``, around the same middle."""
+    """Errors that depend on the corner a tenth as much as those of ``wide``, around the same
+    middle.
+    """
     result = wide(spec)
     much = 1.0 + fakes.level_sum(spec) + spec.wind_mps
     little = 4.0 + 0.1 * (fakes.level_sum(spec) - 3.0) + spec.wind_mps
@@ -110,8 +116,8 @@ def test_failed_flights_leave_the_p_box_open(tmp_path):
     text, level = about(found, "Median cross-track error")
     assert level == ""
     assert (
-        "became narrower: before, 8 of 32 flights have no such error, which leaves its sides open; after, none"
-        in text
+        "became narrower: before, 8 of 32 flights have no such error, which leaves its sides open;"
+        " after, none" in text
     )
     text, level = about(found, "Flights: ")
     assert level == "warn"
@@ -180,7 +186,9 @@ def test_the_widest_part_is_named_from_the_table():
 
 
 def test_area_between_two_corners_is_the_distance_of_their_means():
-    """For two samples, one the other moved to the right, the area between their distribution functions is the shift."""
+    """For two samples, one the other moved to the right, the area between their distribution
+    functions is the shift.
+    """
     x = np.random.default_rng(1).normal(size=50)
     assert chain_performance.area([Sample("0", x), Sample("1", x + 0.7)]) == pytest.approx(0.7)
     assert chain_performance.area([Sample("0", x)]) == 0.0
@@ -213,11 +221,13 @@ def refinement(verdict="effects-found", effects=(EFFECT,), after=1.0, where=()):
 
 def test_what_refinement_named_and_what_it_did_on_the_test_flight():
     (named, first), (gap, second) = chain_verdict._refinement_sentences(refinement(after=0.25))
-    assert named == (
-        "Refinement named, from a: pitching moment due to roll rate squared, 2.98 ± 0.03 (aero/Cm_p2)."
+    assert (
+        named == "Refinement named, from a: pitching moment due to roll rate squared, 2.98 ± 0.03"
+        " (aero/Cm_p2)."
     )
     assert gap.startswith(
-        "On the hold-out flights (c) rms over noise went, from before to after: p_radps 4.00 to 1.00"
+        "On the hold-out flights (c) rms over noise went, from before to after: p_radps 4.00 to"
+        " 1.00"
     )
     assert (first, second) == ("good", "good")
     assert "V_mps" not in gap
@@ -296,8 +306,10 @@ def test_identification_that_did_not_converge_is_bad_news():
         "fit": {"p_radps": {"rms": 2.0, "noise": 1.0}, "V_mps": {"rms": None, "noise": 1.0}},
     }
     text, level = chain_verdict._identification(fit, 0)
-    assert text == (
-        "1 of 2 parameters were identified from x by output error; the largest residual is 2.00 times the noise (p_radps)."
+    assert (
+        text
+        == "1 of 2 parameters were identified from x by output error; the largest residual is 2.00"
+        " times the noise (p_radps)."
     )
     assert level == "warn"
     assert chain_verdict._identification(fit, 1)[1] == "bad"

@@ -1,4 +1,6 @@
-"""What stands between commands and positions: what belongs to it, what it reads, and what is refused."""
+"""What stands between commands and positions: what belongs to it, what it reads, and what is
+refused.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,10 @@ SELECTOR = """<switch name="fcs/selected"><default value="fcs/elevator-cmd-deg"/
 GIVEN = ("fcs/elevator-cmd-deg",)
 
 
-SPREAD = '<distributor type="exclusive"><case><property value="1">fcs/rate</property></case></distributor>'
+SPREAD = (
+    '<distributor type="exclusive"><case><property'
+    ' value="1">fcs/rate</property></case></distributor>'
+)
 TRIM = (
     '<pure_gain name="trim"><input>ap/on</input><output>fcs/elevator-pos-rad</output></pure_gain>'
 )
@@ -95,14 +100,20 @@ def test_another_aerodynamics_makes_no_other_chain_and_another_servo_does() -> N
         # A function may read anything.
         {"aero": '<function name="fcs/other"><property>aero/alpha-rad</property></function>'},
         {
-            "aero": '<function name="aero/more" copyto="fcs/rate"><property>aero/alpha-rad</property></function>'
+            "aero": (
+                '<function name="aero/more"'
+                ' copyto="fcs/rate"><property>aero/alpha-rad</property></function>'
+            )
         },
         {"servo": SERVO.replace("fcs/rate", "/fdm/jsbsim/fcs/rate")},
         # Which of two values holds is JSBSim's affair.
         {"more": '<property value="100">fcs/rate</property>'},
         {"more": f"<channel>{SPREAD}</channel>"},
         {
-            "selector": '<fcs_function name="fcs/selected"><function><sum><random/></sum></function></fcs_function>'
+            "selector": (
+                "<fcs_function"
+                ' name="fcs/selected"><function><sum><random/></sum></function></fcs_function>'
+            )
         },
         {"selector": '<sensor name="fcs/selected"><input>fcs/elevator-cmd-deg</input></sensor>'},
     ],
@@ -126,7 +137,10 @@ def test_what_reads_or_may_read_the_motion_is_refused(changes: dict[str, str]) -
 
 
 def test_a_component_that_reads_the_motion_elsewhere_is_no_matter() -> None:
-    more = '<channel><sensor name="nav/speed"><input>velocities/vc-kts</input><noise>1</noise></sensor></channel>'
+    more = (
+        "<channel><sensor"
+        ' name="nav/speed"><input>velocities/vc-kts</input><noise>1</noise></sensor></channel>'
+    )
     assert text(more=more) == text()
 
 

@@ -58,8 +58,10 @@ def test_a_name_with_signs_of_xml_is_read_back_as_it_was():
 
 def test_a_polynomial_without_terms_is_zero():
     assert horner({(1, 0): 0.0}, ("x", "y")) == value(0.0)
-    assert horner({(1, 1): 2.0, (0, 0): 1.0}, ("x", "y")).line() == (
-        "<sum> <product> <property>x</property> <property>y</property> <value>2.0</value> </product> <value>1.0</value> </sum>"
+    assert (
+        horner({(1, 1): 2.0, (0, 0): 1.0}, ("x", "y")).line()
+        == "<sum> <product> <property>x</property> <property>y</property> <value>2.0</value>"
+        " </product> <value>1.0</value> </sum>"
     )
 
 

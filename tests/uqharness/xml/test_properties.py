@@ -82,12 +82,14 @@ def test_what_is_computed_is_no_declared_coefficient(tmp_path: Path):
     (tmp_path / "a.xml").write_bytes(
         b'<fdm_config><property value="1">aero/b</property><property value="1">aero/a</property>'
         b'<property value="1">fcs/c</property>'
-        b'<property value="0">aero/sum</property><property value="0">aero/filtered</property><function name="aero/sum"/><function/>'
+        b'<property value="0">aero/sum</property><property'
+        b' value="0">aero/filtered</property><function name="aero/sum"/><function/>'
         b"<lag_filter><output>aero/filtered</output></lag_filter></fdm_config>"
     )
     assert declared_properties(tmp_path, "aero/") == ("aero/a", "aero/b")
     assert declared_properties(tmp_path, "nav/") == ()
-    # Asked again: of another folder's copy, of a file that has changed, and beside one that is no XML.
+    # Asked again: of another folder's copy, of a file that has changed, and beside one that is no
+    # XML.
     (tmp_path / "copy").mkdir()
     (tmp_path / "copy" / "a.xml").write_bytes((tmp_path / "a.xml").read_bytes())
     (tmp_path / "copy" / "b.xml").write_bytes(b"<a><b></a>")

@@ -1,4 +1,6 @@
-"""Body-axis coefficients added to aerodynamics written in any axes, and what the editing leaves of the author's text."""
+"""Body-axis coefficients added to aerodynamics written in any axes, and what the editing leaves of
+the author's text.
+"""
 
 from __future__ import annotations
 
@@ -31,16 +33,25 @@ MOMENTS = [f"moments/{axis}-aero-lbsft" for axis in "lmn"]
 AXES = {
     "body": '<axis name="X">{0}</axis><axis name="Y">{1}</axis><axis name="Z">{2}</axis>',
     "body-by-frame": '<axis name="X" frame="BODY">{0}</axis><axis name="Z" frame="BODY">{2}</axis>',
-    "lift-drag-side": '<axis name="LIFT">{2}</axis><axis name="DRAG">{0}</axis><axis name="SIDE">{1}</axis>',
+    "lift-drag-side": (
+        '<axis name="LIFT">{2}</axis><axis name="DRAG">{0}</axis><axis name="SIDE">{1}</axis>'
+    ),
     "drag-alone": '<axis name="DRAG">{0}</axis>',
     "side-alone": '<axis name="SIDE">{1}</axis>',
-    "axial-normal": '<axis name="AXIAL">{0}</axis><axis name="SIDE">{1}</axis><axis name="NORMAL">{2}</axis>',
+    "axial-normal": (
+        '<axis name="AXIAL">{0}</axis><axis name="SIDE">{1}</axis><axis name="NORMAL">{2}</axis>'
+    ),
     "side-before-normal": '<axis name="SIDE">{1}</axis><axis name="NORMAL">{2}</axis>',
     "wind-by-frame": '<axis name="X" frame="WIND">{0}</axis><axis name="Y" frame="WIND">{1}</axis>',
-    "stability": '<axis name="X" frame="STABILITY">{0}</axis><axis name="Z" frame="STABILITY">{2}</axis>',
+    "stability": (
+        '<axis name="X" frame="STABILITY">{0}</axis><axis name="Z" frame="STABILITY">{2}</axis>'
+    ),
     "none": "",
     "empty": "EMPTY",
-    "replaced": '<axis name="LIFT">{2}</axis><axis name="DRAG">{0}</axis><axis name="LIFT"><!-- counts --></axis>',
+    "replaced": (
+        '<axis name="LIFT">{2}</axis><axis name="DRAG">{0}</axis><axis name="LIFT"><!-- counts'
+        " --></axis>"
+    ),
 }
 MOMENT_AXES = {
     "body": '<axis name="PITCH">{0}</axis><axis name="YAW">{1}</axis>',
@@ -51,7 +62,10 @@ MOMENT_AXES = {
 
 
 def function(name: str, value: float) -> str:
-    return f'<function name="own/{name}"><product><property>aero/qbar-psf</property><value>{value}</value></product></function>'
+    return (
+        "<function"
+        f' name="own/{name}"><product><property>aero/qbar-psf</property><value>{value}</value></product></function>'
+    )
 
 
 def write(root: Path, aero: str) -> Path:
@@ -78,7 +92,9 @@ def added(folder: Path, reference: Reference | None = None) -> None:
 
 
 def steps(folder: Path, deltas: dict[str, float], count: int = 20):
-    """Forces and moments of a banked, slipping flight whose last frame, and no other, has the deltas."""
+    """Forces and moments of a banked, slipping flight whose last frame, and no other, has the
+    deltas.
+    """
     fdm = engine.open_fdm(Staging(folder.parent.parent, "small"), 0.01)
     fdm["ic/h-sl-ft"], fdm["ic/u-fps"], fdm["ic/v-fps"], fdm["ic/w-fps"], fdm["ic/p-rad_sec"] = (
         3000,
@@ -203,7 +219,8 @@ def test_an_included_file_keeps_encoding_tabs_line_ends_and_comments(tmp_path):
     assert set(files) == {main, folder / "parts" / "Aero.xml"}
     after = files[folder / "parts" / "Aero.xml"]
     assert after.count(b"\n") == after.count(b"\r\n")
-    # Nothing of the author's is missing, and nothing moved: what was added comes in whole lines, <axis .../> opened apart.
+    # Nothing of the author's is missing, and nothing moved: what was added comes in whole lines,
+    # <axis .../> opened apart.
     author = [line for line in before.split(b"\r\n") if line != b'\t<axis name="DRAG"/>']
     remaining = iter(after.split(b"\r\n"))
     assert all(line in remaining for line in author)

@@ -322,8 +322,8 @@ class ProcessExecutor:
             ):
                 advice = _GUARD if self._scripted else ""
                 raise BadInputError(
-                    f"worker processes end before they start ({describe_exit(code)}); see their message"
-                    f" above{advice}"
+                    f"worker processes end before they start ({describe_exit(code)}); see their"
+                    f" message above{advice}"
                 )
             retry_queue.extendleft(reversed(worker.tasks))
             return []

@@ -235,8 +235,8 @@ def _check(args: argparse.Namespace) -> int:
         messages = [f"{cost.words}{day_note}", f"engine {engine_choice.words}", *joint, *remarks]
         if cost.size.trial_conditions < cost.size.conditions:
             messages.append(
-                f"{cost.size.trial_conditions} of {cost.size.conditions} conditions were tried out: each"
-                " turbulence with its weakest and strongest wind and winds between them"
+                f"{cost.size.trial_conditions} of {cost.size.conditions} conditions were tried out:"
+                " each turbulence with its weakest and strongest wind and winds between them"
             )
         print("\n".join(f"{args.campaign}: {line}" for line in messages))
     return 0

@@ -335,7 +335,7 @@ def words(
     flight += (
         f"{_percent(p.parameter_narrowing)}); as long a repetition of what was flown before, by"
         f" {_percent(1.0 - p.repeated.total / p.current.total)}"
-        f" ("
+        " ("
         f"{_percent(1.0 - p.repeated.parameter / p.current.parameter)}); unlimited data of the same"
         f" kind, by {_percent(p.at_most)}."
     )
@@ -391,8 +391,8 @@ def _reason_not_to_fly(plan: NextFlight, p: Prospect) -> str:
     """Return why the flight is not worth flying."""
     if p.at_most >= MIN_NARROWING:
         return (
-            f"Not worth flying for {plan.coefficient} alone ({_percent(MIN_NARROWING)} is asked for): more"
-            f" minutes would bring up to {_percent(p.at_most)}."
+            f"Not worth flying for {plan.coefficient} alone ({_percent(MIN_NARROWING)} is asked"
+            f" for): more minutes would bring up to {_percent(p.at_most)}."
         )
     text = (
         f"More data cannot narrow this interval: {_percent(1.0 - p.at_most)} of its width is"

@@ -1,4 +1,6 @@
-"""What real logs get wrong is found, with its figures: each test builds a fault into a log and looks for it."""
+"""What real logs get wrong is found, with its figures: each test builds a fault into a log and
+looks for it.
+"""
 
 from __future__ import annotations
 
@@ -43,7 +45,8 @@ def test_a_clean_log_raises_no_warning(tmp_path: Path, card: AirframeCard) -> No
     assert [f for f in record.metadata.findings if f.severity != "info"] == []
 
 
-# --- time ---------------------------------------------------------------------------------------------------------
+# --- time
+# ---------------------------------------------------------------------------------------------------------
 
 
 def test_one_spike_costs_one_sample() -> None:
@@ -102,7 +105,8 @@ def test_backward_times_in_a_log_are_reported(tmp_path: Path, card: AirframeCard
     assert found["IMU"].numbers["records"] == 1
 
 
-# --- values -------------------------------------------------------------------------------------------------------
+# --- values
+# -------------------------------------------------------------------------------------------------------
 
 
 def test_gap_and_dropouts_carry_their_figures(tmp_path: Path, card: AirframeCard) -> None:
@@ -162,7 +166,8 @@ def test_negative_airspeed_and_frozen_channels() -> None:
     assert codes["frozen"].channel == "p_radps"
 
 
-# --- channels against each other ------------------------------------------------------------------------------------
+# --- channels against each other
+# ------------------------------------------------------------------------------------
 
 
 def test_delays_of_gps_and_vane_are_found(tmp_path: Path, card: AirframeCard) -> None:
@@ -205,7 +210,8 @@ def test_lever_arm_becomes_a_finding(tmp_path: Path, card: AirframeCard) -> None
     assert found["ax_mps2"].numbers["x_m"] == pytest.approx(0.6, abs=0.05)
 
 
-# --- flight phase ---------------------------------------------------------------------------------------------------
+# --- flight phase
+# ---------------------------------------------------------------------------------------------------
 
 
 def test_ground_tow_and_free_flight_are_told_apart() -> None:

@@ -1,4 +1,6 @@
-"""Lateness of the air data, in calm air and in gusts: on made spectra, on flights of independent equations."""
+"""Lateness of the air data, in calm air and in gusts: on made spectra, on flights of independent
+equations.
+"""
 
 from __future__ import annotations
 
@@ -31,13 +33,16 @@ LAWS = {
 CONTROLS = ("elevator_deg", "aileron_deg", "rudder_deg", "throttle_pct")
 
 
-# --- made signals: dx/dt of a first-order heave, which a control and gusts move --------------------------------------------
+# --- made signals: dx/dt of a first-order heave, which a control and gusts move
+# --------------------------------------------
 
 
 def made(
     seed: int, gust: float, feedback: float = 0.0, rows: int = 4500
 ) -> tuple[list[Part], list[np.ndarray]]:
-    """Spectra of x, y and the control; alpha' = x + g', x = -2 alpha + control, so that x follows what gusts do to alpha."""
+    """Spectra of x, y and the control; alpha' = x + g', x = -2 alpha + control, so that x follows
+    what gusts do to alpha.
+    """
     rng = np.random.default_rng(seed)
     dt, n = 0.02, rows
     pushed = np.cumsum(rng.standard_normal(n + 1)) * math.sqrt(dt)
@@ -101,7 +106,9 @@ def test_controls_without_a_part_in_the_motion_tell_nothing():
 
 
 def test_a_short_flight_has_no_false_minimum(monkeypatch: pytest.MonkeyPatch):
-    """The likelihood of a quarter of a minute in strong gusts has several minima; curvature at a false one is no error."""
+    """The likelihood of a quarter of a minute in strong gusts has several minima; curvature at a
+    false one is no error.
+    """
     some = [made(seed, 2.0, rows=750) for seed in range(100)]
 
     def false() -> int:
@@ -125,7 +132,8 @@ def test_what_is_sure():
     assert surely_late(-0.03, 0.007)
 
 
-# --- flights ----------------------------------------------------------------------------------------------------------------
+# --- flights
+# ----------------------------------------------------------------------------------------------------------------
 
 
 def flown(w20_kt: float, count: int, rate_hz: float = 25.0) -> list[FlightRecord]:

@@ -22,7 +22,10 @@ DEG = 180.0 / np.pi
 
 
 def quiet_stretch(decimals: int = 12) -> np.ndarray:
-    """A simulation's roll rate: lively, three calm seconds, lively. No sample repeats the one before."""
+    """A simulation's roll rate: lively, three calm seconds, lively.
+
+    No sample repeats the one before.
+    """
     t = 0.02 * np.arange(1001)
     calm = 0.0021 + 0.00004 * np.cos(0.8 * (t - 9.5))
     rate = np.where((t > 8.0) & (t < 11.0), calm, 0.8 * np.sin(7.0 * t))
@@ -108,7 +111,9 @@ def test_relations_mended_are_among_those_that_did_not_hold() -> None:
 
 
 def test_rates_a_third_of_a_row_early_are_no_lever_arm() -> None:
-    """JSBSim's forces are of the step before: in omega x v that is a lever arm of speed times the time."""
+    """JSBSim's forces are of the step before: in omega x v that is a lever arm of speed times the
+    time.
+    """
     record = flight(90.0, seed=6)
     time = record["time_s"]
     early = {
@@ -140,7 +145,9 @@ def test_computed_angles_of_flow_are_estimates_of_the_record() -> None:
 
 @pytest.mark.parametrize("smoothing", [0.0, 0.7])
 def test_a_sensor_that_stops_for_good_is_stuck(smoothing: float) -> None:
-    """A blocked pitot tube stays blocked to the end of the log; ArduPilot logs airspeed low-passed."""
+    """A blocked pitot tube stays blocked to the end of the log; ArduPilot logs airspeed
+    low-passed.
+    """
     draws = np.random.default_rng(2).normal(0.0, 0.3, 1000)
     noise = np.zeros(1000)
     for k in range(1, 1000):

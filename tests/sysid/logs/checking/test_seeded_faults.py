@@ -128,7 +128,8 @@ def test_a_genuine_flight(fault: str, flight_data: Path, card_path: Path) -> Non
     assert slips(check_motion(seeded(part, wrong))) == pytest.approx(dict(wrong), rel=0.02)
 
 
-# --- the surfaces ---------------------------------------------------------------------------------------------------
+# --- the surfaces
+# ---------------------------------------------------------------------------------------------------
 
 
 def driven(sense: float) -> FlightRecord:
@@ -178,7 +179,8 @@ def test_an_aircraft_that_swings_back_within_the_lags_tells_no_sign() -> None:
     assert slips(check_motion(record)) == {}
 
 
-# --- samples --------------------------------------------------------------------------------------------------------
+# --- samples
+# --------------------------------------------------------------------------------------------------------
 
 
 def test_coarse_held_interpolated_stuck_and_wrapped() -> None:
@@ -210,7 +212,9 @@ def test_coarse_held_interpolated_stuck_and_wrapped() -> None:
 
 
 def test_a_coarse_speed_through_a_factor_is_not_held() -> None:
-    """Knots in whole numbers, times a factor that changes slowly: steps of many sizes and yet no lag."""
+    """Knots in whole numbers, times a factor that changes slowly: steps of many sizes and yet no
+    lag.
+    """
     rng = np.random.default_rng(8)
     knots = np.round(43.0 + 2.0 * np.sin(np.arange(4000) * 0.01) + 0.5 * rng.standard_normal(4000))
     found = sample_hold(knots * 0.5144)
@@ -238,7 +242,8 @@ def test_a_sensor_that_stops_in_a_manoeuvre_and_a_scaled_number_that_wraps() -> 
     assert detect_wraps(np.where(at % 500 < 250, -100.0, 100.0) * step) is None
 
 
-# --- pieces ---------------------------------------------------------------------------------------------------------
+# --- pieces
+# ---------------------------------------------------------------------------------------------------------
 
 
 def test_scale_sign_and_lateness_of_two_noisy_signals() -> None:

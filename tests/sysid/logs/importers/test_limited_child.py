@@ -1,4 +1,6 @@
-"""Frames that the reading process sends, for orders that are sound, refused, or of an unknown kind."""
+"""Frames that the reading process sends, for orders that are sound, refused, or of an
+unknown kind.
+"""
 
 from __future__ import annotations
 

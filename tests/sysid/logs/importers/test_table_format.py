@@ -216,8 +216,8 @@ def test_a_record_whose_times_are_no_seconds_says_so(tmp_path: Path) -> None:
 def test_the_headings_of_jsbsims_output(tmp_path: Path) -> None:
     headings = (
         "Time, P (deg/s), Q (deg/s), R (deg/s), V_{Total} (ft/s), BodyAccel_Z, V_{Down} (ft/s),"
-        " Altitude ASL (ft), Phi (deg), Theta (deg), Psi (deg), Alpha (deg), Beta (deg),"
-        " Elevator Position (deg), Left Aileron Position (deg), Rudder Position (deg), Rho (slugs/ft^3)"
+        " Altitude ASL (ft), Phi (deg), Theta (deg), Psi (deg), Alpha (deg), Beta (deg), Elevator"
+        " Position (deg), Left Aileron Position (deg), Rudder Position (deg), Rho (slugs/ft^3)"
     )
     lines = [headings]
     for t, v in rows():

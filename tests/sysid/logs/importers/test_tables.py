@@ -60,8 +60,9 @@ def test_a_users_map_for_any_csv(tmp_path: Path) -> None:
     np.savetxt(path, table, delimiter=",", header="t,pitch_rate,ele_us", comments="")
     user_map = tmp_path / "map.toml"
     user_map.write_text(
-        '[signals.q_radps]\nmessage = "csv"\nfield = "pitch_rate"\nscale = 0.017453292519943295\n'
-        '[signals.elevator_deg]\nmessage = "csv"\nfield = "ele_us"\ntable = [[1100, -20], [1500, 0], [1900, 20]]\n'
+        '[signals.q_radps]\nmessage = "csv"\nfield = "pitch_rate"\nscale ='
+        ' 0.017453292519943295\n[signals.elevator_deg]\nmessage = "csv"\nfield = "ele_us"\ntable ='
+        " [[1100, -20], [1500, 0], [1900, 20]]\n"
     )
     back = import_log(path, user_map)
     np.testing.assert_allclose(back["q_radps"], record["q_radps"], atol=1e-12)

@@ -94,7 +94,9 @@ def test_a_file_without_flight_data_is_refused(tmp_path: Path) -> None:
 
 
 def test_what_comes_in_bursts_is_placed_by_the_stamps_around_it(tmp_path: Path) -> None:
-    """A radio that hands over once a second: times of receipt are a second apart, and VFR_HUD has no other."""
+    """A radio that hands over once a second: times of receipt are a second apart, and VFR_HUD has
+    no other.
+    """
     record = flight(40.0, start_s=100.0)
     write_tlog(tmp_path / "even.tlog", record, every=5)
     data, pos, out = (tmp_path / "even.tlog").read_bytes(), 0, b""

@@ -1,4 +1,6 @@
-"""Sums, products and quotients in two doubles against fractions; what works on bits against numpy."""
+"""Sums, products and quotients in two doubles against fractions; what works on bits against
+numpy.
+"""
 
 from __future__ import annotations
 

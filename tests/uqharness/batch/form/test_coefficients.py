@@ -1,4 +1,6 @@
-"""Constants against mpmath: numbers in several parts, and the series that the fitted polynomials stand for."""
+"""Constants against mpmath: numbers in several parts, and the series that the fitted polynomials
+stand for.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""What exponential, logarithms and power keep beside their errors (``test_maths``): order, whole powers of two, inverses."""
+"""What exponential, logarithms and power keep beside their errors (``test_maths``): order, whole
+powers of two, inverses.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""The builder: each value once, constants folded, simplifications that keep every bit; and what it refuses."""
+"""The builder: each value once, constants folded, simplifications that keep every bit; and what it
+refuses.
+"""
 
 from __future__ import annotations
 

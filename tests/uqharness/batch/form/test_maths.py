@@ -1,7 +1,8 @@
-"""Transcendental functions: errors against mpmath, special values, and the same bits at every width.
+"""Transcendental functions: errors against mpmath, special values, and the same bits at every
+width.
 
-``BATCH_POINTS=150000 pytest tests/uqharness/batch/form/test_maths.py`` measures at more points (13 functions, some two minutes).
-"""
+``BATCH_POINTS=150000 pytest tests/uqharness/batch/form/test_maths.py`` measures at more points (13
+functions, some two minutes)."""
 
 from __future__ import annotations
 
@@ -154,7 +155,8 @@ def test_constants_are_folded_to_the_same_bits() -> None:
         function = lower(b.finish(outputs))
         assert set(function.counts()) == {"const"}
         got = np.array([function.nodes[i].value for i in function.outputs.values()])
-        # The exponent is constant here: those of 0.5 and 2 are short, the others go the general way.
+        # The exponent is constant here: those of 0.5 and 2 are short, the others go the general
+        # way.
         assert same_bits(
             got, values(operation, tuple(np.ascontiguousarray(c) for c in numbers.T))
         ).all()

@@ -19,7 +19,9 @@ def section(name: str, when: When, **stores: object) -> Section:
 
 
 def program(switch_written: float) -> Program:
-    """A switch that is written with a number, a section that it masks, one that counts, and one that is fed."""
+    """A switch that is written with a number, a section that it masks, one that counts, and one
+    that is fed.
+    """
     sections = (
         section("switch", When(), switch=lambda b: b.load("setting") * 0.0 + switch_written),
         section("masked", When(mask="switch"), gain=lambda b: b.load("gain") + 1.0),

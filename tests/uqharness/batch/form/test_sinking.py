@@ -130,7 +130,9 @@ def test_what_is_kept_masks_or_is_read_before_stays() -> None:
 
 
 def test_records_between_are_old() -> None:
-    """The negative control: a record in a frame that the stride does not divide shows what has moved."""
+    """The negative control: a record in a frame that the stride does not divide shows what has
+    moved.
+    """
     program = _two((), True)
     state = initial_state(program, 1)
     changed = sink(program, (), 10)

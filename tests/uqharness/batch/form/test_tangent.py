@@ -1,4 +1,6 @@
-"""Tangents against central differences and against mpmath's derivatives, one direction and several, with state."""
+"""Tangents against central differences and against mpmath's derivatives, one direction and several,
+with state.
+"""
 
 from __future__ import annotations
 
@@ -110,7 +112,9 @@ def test_numbers_of_a_table_do_not_change_with_the_index() -> None:
 
 
 def _swinging() -> Program:
-    """A forced pendulum with a parameter, a part at half the rate, one in lanes that swing far, and slots that do not depend."""
+    """A forced pendulum with a parameter, a part at half the rate, one in lanes that swing far, and
+    slots that do not depend.
+    """
     motion, slow, far = Builder(), Builder(), Builder()
     angle, rate = motion.load("angle"), motion.load("rate")
     faster = (

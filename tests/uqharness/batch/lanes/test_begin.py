@@ -1,4 +1,6 @@
-"""Flights that begin with engines in the steady state of their throttles, in both engines; and lanes of other mass."""
+"""Flights that begin with engines in the steady state of their throttles, in both engines; and
+lanes of other mass.
+"""
 
 from __future__ import annotations
 
@@ -18,8 +20,9 @@ START = """<?xml version="1.0"?><initialize name="start"><latitude unit="DEG" ty
 <longitude unit="DEG">0</longitude><altitudeMSL unit="M">1000</altitudeMSL><ubody unit="M/SEC">45</ubody>
 <wbody unit="M/SEC">1</wbody><theta unit="DEG">1</theta></initialize>"""
 EVENTS = (
-    f'<property value="1">{MARK}</property>{engines.RUNNING}<property value="0.8">fcs/throttle-cmd-norm</property>'
-    '<property value="0.7">fcs/throttle-cmd-norm[1]</property>'
+    f'<property value="1">{MARK}</property>{engines.RUNNING}<property'
+    ' value="0.8">fcs/throttle-cmd-norm</property><property'
+    ' value="0.7">fcs/throttle-cmd-norm[1]</property>'
 )
 TWO = "".join(engines.mounted("eng_io320", "prop_75in2f", k, "<feed>0</feed>") for k in (0, 1))
 

@@ -1,4 +1,6 @@
-"""Flights held at a frame and taken up again: the bytes of an uninterrupted flight, and branches that leave it there."""
+"""Flights held at a frame and taken up again: the bytes of an uninterrupted flight, and branches
+that leave it there.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,9 @@ ACTIVE = {"uq/active": 1.0}
 
 @pytest.fixture(scope="module")
 def moving(tmp_path_factory):
-    """Two airs of an aircraft whose bounds depend on the state: gusts, noise, walking levels, a transient part."""
+    """Two airs of an aircraft whose bounds depend on the state: gusts, noise, walking levels, a
+    transient part.
+    """
     plane = with_bounds(tmp_path_factory.mktemp("bounds"), 0.001, transient=0.0004)
     one = spec(
         plane,
@@ -197,11 +201,15 @@ def gusty():
 
 
 STEPS = (1000, 8200, 8400, 16380, 17000)
-"""Frames at which the flights below branch: within pages of gusts and shortly before and behind their ends."""
+"""Frames at which the flights below branch: within pages of gusts and shortly before and behind
+their ends.
+"""
 
 
 def followed(made, specs):
-    """Lanes that branch at STEPS, each time the last from the first; how they branched, and their last rows."""
+    """Lanes that branch at STEPS, each time the last from the first; how they branched, and their
+    last rows.
+    """
     course = begun(made, specs, 800)
     course.follow([0, 1], [None, None])
     for number, frame in enumerate(STEPS):

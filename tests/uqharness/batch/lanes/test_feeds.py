@@ -105,7 +105,9 @@ def test_jsbsims_turbulence_keeps_rows_that_a_lane_still_needs():
 
 
 def test_a_state_that_is_copied_goes_on_alike():
-    """Nothing of a flight lies outside its state and its streams; the first frame of a call may be any."""
+    """Nothing of a flight lies outside its state and its streams; the first frame of a call may be
+    any.
+    """
     lanes, feeder, state = made(specs(turbulence_source="jsbsim", properties={"uq/active": 1.0}))
     everyone = np.arange(3)
     lanes.flyer.fly(state, 1, 130, feeder.feeds(everyone, 130, state), 10)

@@ -432,7 +432,8 @@ def test_metrics_are_those_of_jsbsim():
 @pytest.mark.slow
 def test_a_coefficient_without_a_switch_is_taken_out_by_bounds_of_zero(tmp_path):
     text = (find_aircraft("espaaro").folder / "Systems" / "model-form.xml").read_text()
-    # Plugins of other versions have no uq/<C>/active: a campaign that leaves a coefficient out flies them all the same.
+    # Plugins of other versions have no uq/<C>/active: a campaign that leaves a coefficient out
+    # flies them all the same.
     edits = {line: "" for line in text.splitlines() if ">uq/CZ/active<" in line}
     made = copied(tmp_path, edits={"Systems/model-form.xml": edits})
     given = spec(made, duration_s=10.0, properties={**CORNER, "uq/CZ/active": 0.0})

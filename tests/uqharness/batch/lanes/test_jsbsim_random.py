@@ -24,7 +24,9 @@ _MANY = "".join(f'<function name="z{k}"><random/></function>' for k in range(PER
 
 
 def drawn(body: str, names: list[str], frames: int, **seeds: int) -> np.ndarray:
-    """What JSBSim's functions have behind its initialisation and behind each frame, (frames + 1, names)."""
+    """What JSBSim's functions have behind its initialisation and behind each frame, (frames + 1,
+    names).
+    """
     fdm = batch_oracle.load(body)
     for name, seed in seeds.items():
         fdm[f"{name}/randomseed"] = seed

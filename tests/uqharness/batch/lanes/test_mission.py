@@ -1,4 +1,6 @@
-"""A mission made ready: what keeps its value, what JSBSim is asked for, which start a flight has."""
+"""A mission made ready: what keeps its value, what JSBSim is asked for, which start a
+flight has.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,10 @@ BODY = """<system name='s'><property value='3'>s/declared</property><property va
 
 
 def test_a_property_that_is_read_is_not_declared():
-    """<property> declares in a system, and reads in a function. JSBSim's own properties change though somebody declares them."""
+    """<property> declares in a system, and reads in a function.
+
+    JSBSim's own properties change though somebody declares them.
+    """
     with craft(aircraft(BODY), START) as made:
         constant = constant_properties(made.sources())
     assert constant("s/declared")

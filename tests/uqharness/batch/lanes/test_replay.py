@@ -95,7 +95,8 @@ def test_lanes_of_other_lengths_share_calls_and_rows_are_those_of_each_alone(mon
         lambda replay, jobs, values: (calls.append(len(jobs)), made(replay, jobs, values))[1],
     )
     together = flown(1, *lanes)
-    # Eight lie side by side, whatever their lengths; what is much shorter than the longest begins a call of its own.
+    # Eight lie side by side, whatever their lengths; what is much shorter than the longest begins a
+    # call of its own.
     assert calls == [8, 2]
     assert [len(rows) for rows in together] == [frames + 1 for frames in lengths]
     for one, rows in zip(lanes, together, strict=True):

@@ -1,4 +1,6 @@
-"""Streams against what JSBSim's engine meets in the same case; cut anywhere, copied, and independent of each other."""
+"""Streams against what JSBSim's engine meets in the same case; cut anywhere, copied, and
+independent of each other.
+"""
 
 from __future__ import annotations
 
@@ -39,8 +41,8 @@ def test_columns_are_what_jsbsims_engine_sets() -> None:
 
 def test_noise_is_drawn_in_jsbsims_order_with_mixed_rates() -> None:
     body = "".join(
-        f'<channel name="{slot}" execrate="{every}"><fcs_function name="noise/{slot}"><function><random/></function></fcs_function>'
-        "</channel>"
+        f'<channel name="{slot}" execrate="{every}"><fcs_function'
+        f' name="noise/{slot}"><function><random/></function></fcs_function></channel>'
         for slot, every in DRAWS
     )
     fdm = batch_oracle.load(body)

@@ -1,4 +1,6 @@
-"""What is said of an aircraft that is not understood; and that nothing is passed over: mutations of the project's own aircraft."""
+"""What is said of an aircraft that is not understood; and that nothing is passed over: mutations of
+the project's own aircraft.
+"""
 
 from __future__ import annotations
 
@@ -79,7 +81,10 @@ def test_the_projects_aircraft_are_understood(name, script):
         (
             "Systems/sensors.xml",
             "</channel>",
-            "<pure_gain name='velocities/u-fps'><input>uq/active</input><gain>1</gain></pure_gain></channel>",
+            (
+                "<pure_gain"
+                " name='velocities/u-fps'><input>uq/active</input><gain>1</gain></pure_gain></channel>"
+            ),
             "velocities/u-fps cannot be written",
         ),
     ],
@@ -141,7 +146,9 @@ TAGS = ("note", "pure_gain", "sum", "gradient", "lag_filter", "product", "wobble
 
 
 def mutated(text, rng):
-    """One tag renamed, one attribute added, one property exchanged, one number changed, one line twice or gone."""
+    """One tag renamed, one attribute added, one property exchanged, one number changed, one line
+    twice or gone.
+    """
     kind = rng.choice(("tag", "attribute", "property", "number", "gone", "twice"))
     tag = rng.choice(list(re.finditer(r"<([a-z_]+)([^<>]*?)(/?)>", text)))
     lines = list(re.finditer(r"\n[^\n]*<(\w+)[^>\n]*>[^<\n]*</\1>[^\n]*", text))
@@ -181,7 +188,10 @@ def mutated(text, rng):
 
 
 def outcome(plane):
-    """How a mutant flies: refused by either, or the same flight. AssertionError for another flight."""
+    """How a mutant flies: refused by either, or the same flight.
+
+    AssertionError for another flight.
+    """
     given = spec(
         plane,
         duration_s=3.0,

@@ -1,4 +1,6 @@
-"""Compiled flights: the bytes of numpy's at every width, whatever the lanes, their order and the pieces of time."""
+"""Compiled flights: the bytes of numpy's at every width, whatever the lanes, their order and the
+pieces of time.
+"""
 
 from __future__ import annotations
 

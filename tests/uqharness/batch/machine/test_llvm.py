@@ -79,7 +79,9 @@ def test_what_cannot_be_compiled_is_refused() -> None:
 
 
 def test_nothing_outside_is_called() -> None:
-    """Machine code reaches 2 GB: a function of the C library would lie beyond, and its bits would be that machine's."""
+    """Machine code reaches 2 GB: a function of the C library would lie beyond, and its bits would
+    be that machine's.
+    """
     b = Builder()
     x, y = b.input("x"), b.input("y")
     made = {name: b.op(name, *(x, y)[:count]) for name, count in TRANSCENDENTAL.items()}

@@ -73,7 +73,9 @@ def test_a_breakpoint_a_little_off_is_noticed(monkeypatch):
     [(11.0, 22632.06), (20.0, 5474.889), (32.0, 868.0187), (47.0, 110.9063)],
 )
 def test_the_table_of_1976(height_km, pressure_Pa):
-    """U.S. Standard Atmosphere 1976, table 4 and table I: pressures at the geopotential heights where layers meet."""
+    """U.S. Standard Atmosphere 1976, table 4 and table I: pressures at the geopotential heights
+    where layers meet.
+    """
     geometric_ft = 6356.766 * height_km / (6356.766 - height_km) * 1000.0 / FT_M
     start = {**START, "ic/lat-geod-rad": 0.0, "ic/h-sl-ft": geometric_ft, "ic/u-fps": 0.0}
     with craft(aircraft(BODY), start) as made:

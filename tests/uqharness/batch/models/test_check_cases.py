@@ -1,8 +1,8 @@
-"""Published check cases of the equations of motion: NASA/TM-2015-218675 (NESC-RP-12-00770), atmospheric cases 1, 2 and 3.
+"""Published check cases of the equations of motion: NASA/TM-2015-218675 (NESC-RP-12-00770),
+atmospheric cases 1, 2 and 3.
 
-Figures are those of simulation 4 of the trajectories that NASA publishes with the memorandum (Atmos_0?_sim_04.csv); its simulations
-agree with each other to some 1e-3 ft here.
-"""
+Figures are those of simulation 4 of the trajectories that NASA publishes with the memorandum
+(Atmos_0?_sim_04.csv); its simulations agree with each other to some 1e-3 ft here."""
 
 from __future__ import annotations
 
@@ -26,7 +26,8 @@ MASS = """<mass_balance><ixx unit="SLUG*FT2">0.001894220</ixx><iyy unit="SLUG*FT
 <izz unit="SLUG*FT2">0.007194665</izz><emptywt unit="LBS">5</emptywt>
 <location name="CG" unit="IN"><x>0</x><y>0</y><z>0</z></location></mass_balance>"""
 DAMPED = "".join(
-    f"<axis name='{axis}'><function name='d/{axis}'><product><p>aero/qbar-area</p><p>metrics/{length}-ft</p><p>aero/{per}2vel</p>"
+    f"<axis name='{axis}'><function"
+    f" name='d/{axis}'><product><p>aero/qbar-area</p><p>metrics/{length}-ft</p><p>aero/{per}2vel</p>"
     f"<p>velocities/{rate}i-rad_sec</p><v>-1</v></product></function></axis>"
     for axis, rate, length, per in (
         ("ROLL", "p", "bw", "bi"),

@@ -1,4 +1,6 @@
-"""Contact with the ground: the first step in which a point touches, and which, against JSBSim's weight on wheels."""
+"""Contact with the ground: the first step in which a point touches, and which, against JSBSim's
+weight on wheels.
+"""
 
 from __future__ import annotations
 

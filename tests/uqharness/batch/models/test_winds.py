@@ -39,7 +39,8 @@ HEIGHTS = [5.0, 1500.0, 20000.0, *(pytest.param(height, marks=pytest.mark.slow) 
 
 
 def air(wind=(10.0, -5.0, 1.0), severity=4.0, w20=25.0):
-    """Turbulence that is switched on in frame 5, off in 60 and on again in 80; severity 0 for a while; other winds at the end.
+    """Turbulence that is switched on in frame 5, off in 60 and on again in 80; severity 0 for a
+    while; other winds at the end.
 
     There is no wind while JSBSim initialises: it takes that of its initial conditions.
     """
@@ -148,7 +149,9 @@ def test_another_seed_is_another_air():
 
 
 def test_types_that_are_not_known():
-    """They are refused where they stand from the start; set in flight they are not a number, which ends the flight."""
+    """They are refused where they stand from the start; set in flight they are not a number, which
+    ends the flight.
+    """
     inputs = air()
     inputs[TYPE] = np.where(inputs[TYPE] == 4.0, 3.0, 0.0)
     with craft(aircraft("<aerodynamics/>"), start()) as made:
@@ -168,7 +171,8 @@ def test_types_that_are_not_known():
 def test_azimuth_and_size_may_be_written(psi):
     """JSBSim turns or stretches the steady wind."""
     events = "".join(
-        f"<event><condition>simulation/sim-time-sec ge {at}</condition><set name='{name}' value='{value}'/></event>"
+        f"<event><condition>simulation/sim-time-sec ge {at}</condition><set name='{name}'"
+        f" value='{value}'/></event>"
         for at, name, value in (
             (0.02, "atmosphere/wind-mag-fps", 20.0),
             (0.05, "atmosphere/psiw-rad", psi),
@@ -247,7 +251,7 @@ def test_type_and_severity_are_cut_to_whole_numbers():
         for name, source in ((TYPE, "t"), (SEVERITY, "s"))
     )
     text = aircraft(
-        f"<system name='s'><property>i/t</property><property>i/s</property>"
+        "<system name='s'><property>i/t</property><property>i/s</property>"
         f"<channel name='c'>{gains}</channel></system><aerodynamics/>"
     )
     inputs = {name: values for name, values in air().items() if name not in (TYPE, SEVERITY)}

@@ -1,4 +1,6 @@
-"""``<aerodynamics>`` flown by JSBSim and by its translation: axes, order, what is published; and what is refused."""
+"""``<aerodynamics>`` flown by JSBSim and by its translation: axes, order, what is published; and
+what is refused.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +10,10 @@ import pytest
 from tests.helpers.batch_flights import START, aircraft, compared, refused, worst
 from tests.helpers.few import few
 
-ROLL = "<axis name='ROLL'><function name='f/roll'><product><p>i/l</p><v>.1</v></product></function></axis>"
+ROLL = (
+    "<axis name='ROLL'><function"
+    " name='f/roll'><product><p>i/l</p><v>.1</v></product></function></axis>"
+)
 RECORDS = (
     *(f"forces/f{k}{a}-aero-lbs" for k in "bws" for a in "xyz"),
     *(f"moments/{a}-aero-lbsft" for a in "lmn"),
@@ -40,7 +45,8 @@ def inputs(frames=30, seed=0):
 def axis(name, factor, frame="", unit=""):
     attributes = (f' frame="{frame}"' if frame else "") + (f' unit="{unit}"' if unit else "")
     return (
-        f'<axis name="{name}"{attributes}><function name="f/{name}"><sum><product><p>i/a</p><v>{factor}</v></product>'
+        f'<axis name="{name}"{attributes}><function'
+        f' name="f/{name}"><sum><product><p>i/a</p><v>{factor}</v></product>'
         f"<product><p>aero/qbar-psf</p><p>aero/alpha-rad</p><v>{factor}</v></product></sum></function></axis>"
     )
 
@@ -121,14 +127,15 @@ def test_forces_at_the_cg():
 
 
 CROSSED = (
-    "<function name='a/first'><sum><p>aero/bi2vel</p><p>aero/ci2vel</p></sum></function>"
-    "<axis name='PITCH'><function name='f/m'><sum><p>i/a</p><p>f/x</p></sum></function></axis>"
-    "<axis name='Z'><function name='f/at' apply_at_cg='true'><sum><p>f/z</p><p>i/l</p></sum></function>"
-    "<function name='f/z'><sum><p>i/a</p><p>aero/cl-squared</p></sum></function></axis>"
-    "<axis name='X'><function name='f/x'><difference>"
-    "<p>a/first</p><product><p>f/z</p><v>.5</v></product></difference></function></axis>"
-    "<function name='a/last'><product><p>f/z</p><v>2</v></product></function>"
-    "<function name='a/post' type='post'><product><p>f/z</p><v>3</v></product></function>"
+    "<function name='a/first'><sum><p>aero/bi2vel</p><p>aero/ci2vel</p></sum></function><axis"
+    " name='PITCH'><function name='f/m'><sum><p>i/a</p><p>f/x</p></sum></function></axis><axis"
+    " name='Z'><function name='f/at'"
+    " apply_at_cg='true'><sum><p>f/z</p><p>i/l</p></sum></function><function"
+    " name='f/z'><sum><p>i/a</p><p>aero/cl-squared</p></sum></function></axis><axis"
+    " name='X'><function"
+    " name='f/x'><difference><p>a/first</p><product><p>f/z</p><v>.5</v></product></difference></function></axis><function"
+    " name='a/last'><product><p>f/z</p><v>2</v></product></function><function name='a/post'"
+    " type='post'><product><p>f/z</p><v>3</v></product></function>"
 )
 CROSSED_RECORDS = (*RECORDS, "f/m", "f/x", "f/z", "f/at", "a/first", "a/last", "a/post")
 
@@ -184,7 +191,10 @@ def test_alphadot_and_betadot_in_a_function():
 
 
 def test_the_reference_point_may_be_written():
-    gain = "<flight_control name='f'><channel name='c'><pure_gain name='metrics/aero-rp-{}'><input>i/l</input><gain>{}</gain>"
+    gain = (
+        "<flight_control name='f'><channel name='c'><pure_gain"
+        " name='metrics/aero-rp-{}'><input>i/l</input><gain>{}</gain>"
+    )
     gain += "</pure_gain>"
     rest = f"</channel></flight_control><aerodynamics>{axes('XZ')}</aerodynamics>"
     text = aircraft(HOST + gain.format("x-in", 1.5) + rest)
@@ -219,7 +229,10 @@ def test_the_reference_point_may_be_written():
             "vrp-radius-ft",
         ),
         (
-            "<axis name='X'><function name='f'><property>forces/load-factor</property></function></axis>",
+            (
+                "<axis name='X'><function"
+                " name='f'><property>forces/load-factor</property></function></axis>"
+            ),
             "forces/load-factor",
         ),
     ],

@@ -1,4 +1,6 @@
-"""Channels and functions of systems against JSBSim: order, rates, switches, the first frames; and the project's aircraft."""
+"""Channels and functions of systems against JSBSim: order, rates, switches, the first frames; and
+the project's aircraft.
+"""
 
 from __future__ import annotations
 
@@ -26,30 +28,55 @@ from uqharness.xml.document import parse_document
 
 GAIN = '<pure_gain name="g"><input>i/a</input><gain>@2</gain></pure_gain>'
 CASES = {
-    "functions before and behind channels": '<function name="o/before"><sum><p>fcs/g</p><p>o/behind</p></sum></function>'
-    '<function type="post" name="o/behind"><sum><p>fcs/g</p><p>i/a</p></sum></function>'
-    '<channel><pure_gain name="g"><input>o/behind</input><gain>@0.3</gain></pure_gain></channel>',
-    "a function that is read before it has been run": '<function name="o/a"><sum><p>o/b</p><p>o/a-before</p></sum></function>'
-    '<function name="o/b"><product><p>i/a</p><v>@1.1</v></product></function>'
-    '<channel><integrator name="o/a-before"><input>o/c</input><c1>1</c1></integrator></channel>'
-    '<function type="post" name="o/c"><sum><p>i/b</p><v>5</v></sum></function>',
-    "copyto": '<property>o/copy</property><function name="o/f" copyto="o/copy"><sum><p>i/a</p><v>@3</v></sum></function>'
-    '<channel><pure_gain name="g"><input>o/copy</input><gain>2</gain></pure_gain></channel>',
-    "channels in order": '<channel><pure_gain name="h"><input>fcs/g</input><gain>3</gain></pure_gain></channel>'
-    f"<channel>{GAIN}</channel>"
-    '<channel><pure_gain name="k"><input>fcs/g</input><gain>3</gain></pure_gain></channel>',
-    "the last of one name counts": f'<channel>{GAIN}<summer name="g"><input>fcs/g</input><input>i/b</input></summer></channel>',
-    "the step of the channel": '<function name="o/f"><p>simulation/channel-dt</p></function>'
-    '<channel execrate="4"><fcs_function name="g"><function><sum><p>simulation/channel-dt</p><v>@1</v></sum></function>'
-    '</fcs_function></channel><function type="post" name="o/h"><p>simulation/channel-dt</p></function>',
-    "rate 0": '<channel execrate="0"><pid name="g"><input>i/a</input><kp>@1</kp><ki>2</ki><pvdot>i/b</pvdot></pid></channel>',
-    "never run": f'<property value="0">o/off</property><channel execute="o/off">{GAIN}</channel>'
-    '<channel><pure_gain name="k"><input>i/a</input><gain>@3</gain></pure_gain></channel>',
-    "always run": f'<property value="-0.2">o/off</property><channel execute="o/off" execrate="3">{GAIN}</channel>',
-    "switched by itself": '<property value="1">fcs/c</property><channel execute="fcs/c">'
-    '<switch name="c"><default value="1"/><test value="@1e-9">i/a gt 1</test></switch></channel>'
-    '<channel><switch name="c"><default value="fcs/c"/><test value="0">i/b gt 1</test><test value="2">i/b lt -1</test></switch>'
-    "</channel>",
+    "functions before and behind channels": (
+        '<function name="o/before"><sum><p>fcs/g</p><p>o/behind</p></sum></function><function'
+        ' type="post"'
+        ' name="o/behind"><sum><p>fcs/g</p><p>i/a</p></sum></function><channel><pure_gain'
+        ' name="g"><input>o/behind</input><gain>@0.3</gain></pure_gain></channel>'
+    ),
+    "a function that is read before it has been run": (
+        '<function name="o/a"><sum><p>o/b</p><p>o/a-before</p></sum></function>'
+        '<function name="o/b"><product><p>i/a</p><v>@1.1</v></product></function>'
+        '<channel><integrator name="o/a-before"><input>o/c</input><c1>1</c1></integrator></channel>'
+        '<function type="post" name="o/c"><sum><p>i/b</p><v>5</v></sum></function>'
+    ),
+    "copyto": (
+        '<property>o/copy</property><function name="o/f"'
+        ' copyto="o/copy"><sum><p>i/a</p><v>@3</v></sum></function><channel><pure_gain'
+        ' name="g"><input>o/copy</input><gain>2</gain></pure_gain></channel>'
+    ),
+    "channels in order": (
+        '<channel><pure_gain name="h"><input>fcs/g</input><gain>3</gain></pure_gain></channel>'
+        f"<channel>{GAIN}</channel>"
+        '<channel><pure_gain name="k"><input>fcs/g</input><gain>3</gain></pure_gain></channel>'
+    ),
+    "the last of one name counts": (
+        f'<channel>{GAIN}<summer name="g"><input>fcs/g</input><input>i/b</input></summer></channel>'
+    ),
+    "the step of the channel": (
+        '<function name="o/f"><p>simulation/channel-dt</p></function><channel'
+        ' execrate="4"><fcs_function'
+        ' name="g"><function><sum><p>simulation/channel-dt</p><v>@1</v></sum></function></fcs_function></channel><function'
+        ' type="post" name="o/h"><p>simulation/channel-dt</p></function>'
+    ),
+    "rate 0": (
+        '<channel execrate="0"><pid'
+        ' name="g"><input>i/a</input><kp>@1</kp><ki>2</ki><pvdot>i/b</pvdot></pid></channel>'
+    ),
+    "never run": (
+        f'<property value="0">o/off</property><channel execute="o/off">{GAIN}</channel>'
+        '<channel><pure_gain name="k"><input>i/a</input><gain>@3</gain></pure_gain></channel>'
+    ),
+    "always run": (
+        '<property value="-0.2">o/off</property><channel execute="o/off"'
+        f' execrate="3">{GAIN}</channel>'
+    ),
+    "switched by itself": (
+        '<property value="1">fcs/c</property><channel execute="fcs/c"><switch name="c"><default'
+        ' value="1"/><test value="@1e-9">i/a gt 1</test></switch></channel><channel><switch'
+        ' name="c"><default value="fcs/c"/><test value="0">i/b gt 1</test><test value="2">i/b lt'
+        " -1</test></switch></channel>"
+    ),
 }
 
 
@@ -88,7 +115,10 @@ def test_a_channel_may_begin_in_flight(start: float) -> None:
 
 def test_another_rate_is_noticed() -> None:
     inputs = random_inputs(200)
-    body = '<channel execrate="3"><pure_gain name="g"><input>i/a</input><gain>2</gain></pure_gain></channel>'
+    body = (
+        '<channel execrate="3"><pure_gain'
+        ' name="g"><input>i/a</input><gain>2</gain></pure_gain></channel>'
+    )
     assert compared(body, inputs, body.replace('"3"', '"4"')).apart() != {}
 
 
@@ -175,7 +205,8 @@ def test_the_systems_of_the_projects_aircraft_are_understood(name: str) -> None:
     parts = read_sources(aircraft, find_script("loiter")).systems
     fdm = engine.open_fdm(staged(aircraft), 0.01)
     channels = [node for part in parts for node in part.node.all("channel")]
-    # The log channel, which draws too, is not there where it is switched off and nothing switches it.
+    # The log channel, which draws too, is not there where it is switched off and nothing switches
+    # it.
     for log, draws in ((1.0, 18), (0.0, 13)):
         fdm["sensor/log"] = log
         frames = traced(parts, values_of(fdm), [])
@@ -186,17 +217,16 @@ def test_the_systems_of_the_projects_aircraft_are_understood(name: str) -> None:
 
 
 TIMED = (
-    '<lag_filter name="l"><input>i/a</input><c1>7</c1></lag_filter>'
-    '<washout_filter name="w"><input>i/a</input><c1>2</c1></washout_filter>'
-    '<lead_lag_filter name="m"><input>i/a</input><c1>1</c1><c2>2</c2><c3>3</c3><c4>4</c4></lead_lag_filter>'
-    '<second_order_filter name="o"><input>i/a</input><c1>1</c1><c2>2</c2><c3>3</c3><c4>4</c4><c5>5</c5><c6>6</c6>'
-    "</second_order_filter>"
-    '<pid name="p"><input>i/a</input><kp>1</kp><ki>2</ki><kd>3</kd></pid>'
-    '<actuator name="a"><input>i/step</input><lag>9</lag><rate_limit>3</rate_limit></actuator>'
-    '<sensor name="s"><input>i/a</input><lag>9</lag><drift_rate>3</drift_rate></sensor>'
-    '<linear_actuator name="n"><input>i/a</input><lag>9</lag></linear_actuator><kinematic name="k"><input>i/step</input><traverse>'
-    "<setting><position>-3</position><time>0</time></setting><setting><position>3</position><time>4</time></setting></traverse>"
-    '<noscale/></kinematic><fcs_function name="t"><function><p>simulation/channel-dt</p></function></fcs_function>'
+    '<lag_filter name="l"><input>i/a</input><c1>7</c1></lag_filter><washout_filter'
+    ' name="w"><input>i/a</input><c1>2</c1></washout_filter><lead_lag_filter'
+    ' name="m"><input>i/a</input><c1>1</c1><c2>2</c2><c3>3</c3><c4>4</c4></lead_lag_filter><second_order_filter'
+    ' name="o"><input>i/a</input><c1>1</c1><c2>2</c2><c3>3</c3><c4>4</c4><c5>5</c5><c6>6</c6></second_order_filter><pid'
+    ' name="p"><input>i/a</input><kp>1</kp><ki>2</ki><kd>3</kd></pid><actuator'
+    ' name="a"><input>i/step</input><lag>9</lag><rate_limit>3</rate_limit></actuator><sensor'
+    ' name="s"><input>i/a</input><lag>9</lag><drift_rate>3</drift_rate></sensor><linear_actuator'
+    ' name="n"><input>i/a</input><lag>9</lag></linear_actuator><kinematic'
+    ' name="k"><input>i/step</input><traverse><setting><position>-3</position><time>0</time></setting><setting><position>3</position><time>4</time></setting></traverse><noscale/></kinematic><fcs_function'
+    ' name="t"><function><p>simulation/channel-dt</p></function></fcs_function>'
 )
 
 

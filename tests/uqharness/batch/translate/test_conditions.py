@@ -1,4 +1,6 @@
-"""Conditions that are not understood; those that are, against JSBSim, are in components/test_switches.py."""
+"""Conditions that are not understood; those that are, against JSBSim, are in
+components/test_switches.py.
+"""
 
 from __future__ import annotations
 

@@ -11,7 +11,10 @@ from uqharness.batch.translate.frame import HOOKS, read_only
 
 @pytest.mark.parametrize("name", HOOKS)
 def test_a_surface_moves_in_all_units(name: str) -> None:
-    body = f'<channel><pure_gain name="{name}"><input>i/a</input><gain>@.3</gain></pure_gain></channel>'
+    body = (
+        "<channel><pure_gain"
+        f' name="{name}"><input>i/a</input><gain>@.3</gain></pure_gain></channel>'
+    )
     apart, control = judged(body, random_inputs(300))
     assert apart == {}
     assert (
@@ -36,7 +39,10 @@ def test_what_takes_no_value(name: str) -> None:
 
 
 def test_levers_are_copied_before_the_channels() -> None:
-    body = '<channel><pure_gain name="g"><input>fcs/throttle-pos-norm</input><gain>@2</gain></pure_gain></channel>'
+    body = (
+        "<channel><pure_gain"
+        ' name="g"><input>fcs/throttle-pos-norm</input><gain>@2</gain></pure_gain></channel>'
+    )
     apart, control = judged(body, {"fcs/throttle-cmd-norm": random_inputs(300)["i/a"]}, engines=1)
     assert apart == {}
     assert set(control) == {"fcs/g"}

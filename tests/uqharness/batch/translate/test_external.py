@@ -34,7 +34,8 @@ def moment(frame, function="<function><product><p>i/a</p><v>.5</v></product></fu
 def body(text):
     declared = "<property value='3'>i/a</property><property>i/b</property>"
     return aircraft(
-        f"<system name='s'>{declared}</system><external_reactions>{text}</external_reactions><aerodynamics/>"
+        "<system"
+        f" name='s'>{declared}</system><external_reactions>{text}</external_reactions><aerodynamics/>"
     )
 
 

@@ -1,4 +1,6 @@
-"""Every operation of JSBSim's functions against JSBSim, nested trees drawn at random, a negative control, and refusals."""
+"""Every operation of JSBSim's functions against JSBSim, nested trees drawn at random, a negative
+control, and refusals.
+"""
 
 from __future__ import annotations
 

@@ -42,14 +42,21 @@ EVENTS = {
     "function": event(f"<set name='i/a'>{FUNCTION}</set>"),
     "function, delta": event(f"<set name='i/a' type='FG_DELTA'>{FUNCTION}</set>"),
     "both from before": event(
-        "<set name='i/a'><function><p>i/b</p></function></set><set name='i/b'><function><p>i/a</p></function></set>"
+        "<set name='i/a'><function><p>i/b</p></function></set><set"
+        " name='i/b'><function><p>i/a</p></function></set>"
     ),
     "two conditions": event(
         "<set name='i/a' value='7'/>", "i/on eq 1\nsimulation/sim-time-sec ge .3"
     ),
-    "or": "<event><condition logic='OR'>i/on eq 1\nsimulation/sim-time-sec ge .05</condition><set name='i/a' value='3'/></event>",
-    "nested": "<event><condition logic='AND'>i/on eq 1<condition logic='OR'>i/b gt 5\nsimulation/sim-time-sec gt .3</condition>"
-    "</condition><set name='i/a' value='3'/></event>",
+    "or": (
+        "<event><condition logic='OR'>i/on eq 1\nsimulation/sim-time-sec ge .05</condition><set"
+        " name='i/a' value='3'/></event>"
+    ),
+    "nested": (
+        "<event><condition logic='AND'>i/on eq 1<condition logic='OR'>i/b gt"
+        " 5\nsimulation/sim-time-sec gt .3</condition></condition><set name='i/a'"
+        " value='3'/></event>"
+    ),
     "property against property": event(
         "<set name='i/a' value='7'/>", "s/b lt simulation/sim-time-sec\ni/on ge i/on"
     ),
@@ -95,21 +102,28 @@ EVENTS = {
         "<set name='i/b'><function><p>i/a</p></function></set>",
         attributes="continuous='true'",
     ),
-    "two events, the second sees the first": event("<set name='i/a' value='7'/>")
-    + event("<set name='i/b' value='9'/>", "i/a gt 6"),
-    "the second before the first": event("<set name='i/b' value='9'/>", "i/a gt 6")
-    + event("<set name='i/a' value='7'/>"),
+    "two events, the second sees the first": (
+        event("<set name='i/a' value='7'/>") + event("<set name='i/b' value='9'/>", "i/a gt 6")
+    ),
+    "the second before the first": (
+        event("<set name='i/b' value='9'/>", "i/a gt 6") + event("<set name='i/a' value='7'/>")
+    ),
     "a component's own property": event("<set name='s/a' value='50'/>"),
     "notify": event(
-        "<set name='i/a' value='7'/><notify><property>i/a</property></notify><description>x</description>"
+        "<set name='i/a'"
+        " value='7'/><notify><property>i/a</property></notify><description>x</description>"
     ),
     "nothing set": event(""),
     "a surface": event(
-        "<set name='fcs/elevator-pos-deg' value='5'/><set name='i/a'><function><p>fcs/elevator-pos-rad</p></function></set>"
+        "<set name='fcs/elevator-pos-deg' value='5'/><set"
+        " name='i/a'><function><p>fcs/elevator-pos-rad</p></function></set>"
     ),
-    "a property of run": "<property value='4'>i/b</property><property value='2'>run/own</property>"
-    + event(
-        "<set name='run/own' value='3'/><set name='i/a'><function><p>run/own</p></function></set>"
+    "a property of run": (
+        "<property value='4'>i/b</property><property value='2'>run/own</property>"
+        + event(
+            "<set name='run/own' value='3'/><set"
+            " name='i/a'><function><p>run/own</p></function></set>"
+        )
     ),
 }
 

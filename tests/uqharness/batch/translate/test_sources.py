@@ -14,14 +14,19 @@ ADD = "<pure_gain name='o/{}'><input>o/{}</input><gain>{}</gain></pure_gain>"
 
 
 def part(tag, name, of, gain, extra=""):
-    return f"<{tag} name='{name}'{extra}><channel name='c'>{ADD.format(name, of, gain)}</channel></{tag}>"
+    return (
+        f"<{tag} name='{name}'{extra}><channel"
+        f" name='c'>{ADD.format(name, of, gain)}</channel></{tag}>"
+    )
 
 
 DECLARED = "<system name='d'><property value='1'>o/start</property></system>"
 
 
 def test_systems_run_before_the_autopilot_and_that_before_the_flight_control():
-    """Whatever their order in the file: each reads what the one before has made in the same frame."""
+    """Whatever their order in the file: each reads what the one before has made in the same
+    frame.
+    """
     body = (
         part("flight_control", "last", "middle", 3)
         + part("autopilot", "middle", "first", 2)

@@ -1,4 +1,6 @@
-"""Tables against JSBSim: random grids and keys, on breakpoints, between and beyond; and refusals."""
+"""Tables against JSBSim: random grids and keys, on breakpoints, between and beyond; and
+refusals.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""A campaign on a Dask cluster: the bytes of a local run, every failure counted, and words where it cannot be."""
+"""A campaign on a Dask cluster: the bytes of a local run, every failure counted, and words where it
+cannot be.
+"""
 
 from __future__ import annotations
 
@@ -188,7 +190,10 @@ def test_a_worker_flies_with_no_function_that_its_operator_did_not_name(tmp_path
 
     with pytest.raises(
         BadInputError,
-        match=r"Dask worker on .*flies with uqharness.flight.fly:fly alone.*MODULES=tests.helpers.torture",
+        match=(
+            r"Dask worker on .*flies with uqharness.flight.fly:fly"
+            r" alone.*MODULES=tests.helpers.torture"
+        ),
     ):
         fly(dask, torture.tear, flights(tmp_path, [4]))
     with pytest.raises(BadInputError, match="flies with a function that its module holds by name"):

@@ -1,4 +1,6 @@
-"""manifest.json and tables that are not what they must be: one sentence, exit code 2, whatever the command. And those of 0.1."""
+"""manifest.json and tables that are not what they must be: one sentence, exit code 2, whatever the
+command. And those of 0.1.
+"""
 
 from __future__ import annotations
 
@@ -45,7 +47,10 @@ def _no_check_flight(monkeypatch):
 def made(tmp_path_factory):
     root = tmp_path_factory.mktemp("manifest")
     text = fakes.CAMPAIGN.replace("flights = 3", "flights = 4").partition("[epistemic]")[0]
-    text += '[epistemic]\nmethod = "corners"\ncoefficients = ["CX", "CY"]\nbounds = { CX = 0.008, CY = 0.010 }\n'
+    text += (
+        '[epistemic]\nmethod = "corners"\ncoefficients = ["CX", "CY"]\nbounds = { CX = 0.008, CY ='
+        " 0.010 }\n"
+    )
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("uqharness.campaign.run.validate_model", lambda fly, case: None)
         run_campaign(
@@ -210,7 +215,8 @@ def test_results_of_0_1_can_be_read(tmp_path, capsys):
         assert code in (0, 1), words
     assert "complete, 16 of 16 flights done, none failed" in said["status"].out
     assert {name: (folder / name).read_bytes() for name in before} == before
-    # The same flights by this version: the tables are the same bytes, but for bands, which are rounded up to 1e-9 since 0.3.
+    # The same flights by this version: the tables are the same bytes, but for bands, which are
+    # rounded up to 1e-9 since 0.3.
     campaign = fakes.campaign_file(tmp_path / "again", (OLD / "campaign.toml").read_text())
     run_campaign(
         read_campaign(campaign),
@@ -219,7 +225,8 @@ def test_results_of_0_1_can_be_read(tmp_path, capsys):
         fly=fakes.steady,
     )
     assert (tmp_path / "again" / "out" / "excursions.csv").read_bytes() == before["excursions.csv"]
-    # Statements have more columns since 0.6 (aborted flights, measured clusters); what both have is the same.
+    # Statements have more columns since 0.6 (aborted flights, measured clusters); what both have is
+    # the same.
     statements, told = (
         pd.read_csv(place / "statements.csv") for place in (tmp_path / "again" / "out", folder)
     )
@@ -258,7 +265,9 @@ def test_results_of_0_1_are_not_flown_on(tmp_path, capsys):
 
 
 def test_a_mission_of_0_1_can_be_flown_over_again(tmp_path):
-    """For next-flight: the same aircraft may have another hash now, and the table's ids are of the old one."""
+    """For next-flight: the same aircraft may have another hash now, and the table's ids are of the
+    old one.
+    """
     fakes.campaign_file(tmp_path, (OLD / "campaign.toml").read_text())
     folder = tmp_path / "results"
     shutil.copytree(OLD / "results", folder)

@@ -1,4 +1,6 @@
-"""The end of a campaign: digests in its manifest, tables that are made again, a journal that must be whole."""
+"""The end of a campaign: digests in its manifest, tables that are made again, a journal that must
+be whole.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +42,9 @@ def test_another_journal_is_refused(tmp_path: Path):
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A table of the campaign's own and one of another command; what flew would give the first again."""
+    """A table of the campaign's own and one of another command; what flew would give the first
+    again.
+    """
     for name in ("pbox.parquet", "area.csv"):
         (tmp_path / name).write_bytes(b"x")
     monkeypatch.setattr(shards, "Rounds", _NoRounds)

@@ -1,4 +1,6 @@
-"""Journal, manifest and lock: what is stored stays, what cannot be stored is said, and nobody else gets in."""
+"""Journal, manifest and lock: what is stored stays, what cannot be stored is said, and nobody else
+gets in.
+"""
 
 from __future__ import annotations
 
@@ -114,9 +116,9 @@ def test_the_folder_is_held_by_one_run(tmp_path):
             pass
         # Refused from another process too, even after this one was asked twice.
         program = (
-            "import sys; from pathlib import Path; from uqharness.campaign.folder.store import is_running, run_lock\n"
-            "print(is_running(Path(sys.argv[1])))\n"
-            "with run_lock(Path(sys.argv[1])): pass"
+            "import sys; from pathlib import Path; from uqharness.campaign.folder.store import"
+            " is_running, run_lock\nprint(is_running(Path(sys.argv[1])))\nwith"
+            " run_lock(Path(sys.argv[1])): pass"
         )
         done = subprocess.run(
             [sys.executable, "-c", program, str(tmp_path)],

@@ -1,4 +1,6 @@
-"""Paths of the batch engine: excursions as campaigns count them, branches that part, paths that JSBSim flies again."""
+"""Paths of the batch engine: excursions as campaigns count them, branches that part, paths that
+JSBSim flies again.
+"""
 
 from __future__ import annotations
 
@@ -59,7 +61,9 @@ def test_the_same_paths_again_and_branches_that_part(split):
 
 
 def test_a_branched_path_is_the_one_that_jsbsim_flies(split):
-    """To the rounding of a double at the first excursion; a path with other branches goes elsewhere."""
+    """To the rounding of a double at the first excursion; a path with other branches goes
+    elsewhere.
+    """
     hit = max(
         (one for one in split[0].hits if one.splits),
         key=lambda one: one.frame - one.splits[0].frame,

@@ -210,7 +210,10 @@ def test_a_walk_with_one_rate_for_all_or_one_each(tmp_path):
     )
 
 
-VARIABLE = '\n[aleatory.variables."inertia/pointmass-weight-lbs[1]"]\ndistribution = "normal"\nmean = [1, 2]\nstd = 0.5\n'
+VARIABLE = (
+    '\n[aleatory.variables."inertia/pointmass-weight-lbs[1]"]\ndistribution = "normal"\nmean = [1,'
+    " 2]\nstd = 0.5\n"
+)
 
 
 def test_variables_with_known_and_unknown_means(tmp_path):

@@ -1,4 +1,6 @@
-"""The joint confidence set against scipy's chi-square, and its points against the ball's own geometry."""
+"""The joint confidence set against scipy's chi-square, and its points against the ball's own
+geometry.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,8 @@ def test_six_intervals_of_95_percent():
     assert samples.marginal_radius(0.95) == pytest.approx(1.95996, abs=5e-6)
     assert samples.joint_reach(6, 0.95) == pytest.approx(3.5485 / 1.95996, abs=1e-4)
     assert samples.joint_reach(1, 0.95) == 1.0
-    # What it claims: as many of six normals lie within. A corner's own radius, z sqrt(6), holds more.
+    # What it claims: as many of six normals lie within. A corner's own radius, z sqrt(6), holds
+    # more.
     drawn = np.linalg.norm(np.random.default_rng(3).standard_normal((200_000, 6)), axis=1)
     assert np.mean(drawn < samples.joint_radius(6, 0.95)) == pytest.approx(
         0.95, abs=4.0 * math.sqrt(0.95 * 0.05 / 200_000)

@@ -1,4 +1,6 @@
-"""What the benchmark compares: the aircraft without its plugin, and a bare loop by an injected clock."""
+"""What the benchmark compares: the aircraft without its plugin, and a bare loop by an injected
+clock.
+"""
 
 from __future__ import annotations
 

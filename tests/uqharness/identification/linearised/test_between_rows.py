@@ -1,4 +1,6 @@
-"""Controls between rows: where surfaces without a lag stand, and what accelerometers feel of their jumps or have not seen."""
+"""Controls between rows: where surfaces without a lag stand, and what accelerometers feel of their
+jumps or have not seen.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,9 @@ from uqharness.simulator.aircraft import find_aircraft
 
 
 def test_a_surface_without_a_lag_stands_where_it_stood_until_the_next_row():
-    """Elevator straight through, the others with their servos: how far paths are from straight lines, at middles and ends."""
+    """Elevator straight through, the others with their servos: how far paths are from straight
+    lines, at middles and ends.
+    """
     aircraft = find_aircraft("espaaro")
     controls = np.tile([1.0, 0.0, 0.0, 55.0], (12, 1))
     controls[6:, :2] += 4.0
@@ -47,7 +51,9 @@ def test_a_surface_without_a_lag_stands_where_it_stood_until_the_next_row():
 
 
 def test_commands_between_rows_leave_the_middle_the_area_of_their_path():
-    """The elevator jumps a third of the way through a row: Simpson's rule over start, middle and end has two thirds of the jump."""
+    """The elevator jumps a third of the way through a row: Simpson's rule over start, middle and
+    end has two thirds of the jump.
+    """
     aircraft = find_aircraft("espaaro")
     fine = np.tile([1.0, 0.0, 0.0, 55.0], (31, 1))
     fine[16:, 0] += 4.0
@@ -94,8 +100,8 @@ def test_what_accelerometers_feel_of_a_jump_is_force_over_mass_and_the_turn_at_t
 
 @pytest.mark.parametrize("ideal", [("elevator",), CONTROLS])
 def test_what_is_unseen_of_a_jump_is_what_a_replay_lacks_without_it(ideal):
-    """The column in calm air beside the difference of two replays: accelerometers that have seen the jump of a row, and that have
-    not. Nothing of it where every control has its servo."""
+    """The column in calm air beside the difference of two replays: accelerometers that have seen
+    the jump of a row, and that have not. Nothing of it where every control has its servo."""
     aircraft = find_aircraft("espaaro")
     controls = np.tile([-1.0, 0.0, 0.0, 55.0], (25, 1))
     controls[8:, 0] += 4.0
@@ -135,8 +141,9 @@ def test_what_is_unseen_of_a_jump_is_what_a_replay_lacks_without_it(ideal):
 
 @pytest.mark.parametrize("share", [0.0, 1.0])
 def test_columns_of_what_goes_with_a_surface_know_when_it_jumps(share):
-    """Beside the difference of two replays: terms of a surface that stands at once where it is asked to, with accelerometers that
-    have seen the jump of a row, or have not. With surfaces that came in straight lines columns are 4 to 80 % off."""
+    """Beside the difference of two replays: terms of a surface that stands at once where it is
+    asked to, with accelerometers that have seen the jump of a row, or have not. With surfaces that
+    came in straight lines columns are 4 to 80 % off."""
     aircraft = find_aircraft("espaaro")
     controls = np.tile([-1.0, 0.0, 0.0, 55.0], (25, 1))
     controls[8:12, 0] += 4.0
@@ -208,8 +215,8 @@ def test_flights_jump_where_the_models_controls_do():
 
 
 def test_forces_between_rows_are_the_models_own(monkeypatch):
-    """Rolling moment with the aileron cubed and the airspeed squared. An aileron that jumps from 0 to 8 lacks 512 before its row;
-    by its slope behind the jump it would lack 1,536."""
+    """Rolling moment with the aileron cubed and the airspeed squared. An aileron that jumps from 0
+    to 8 lacks 512 before its row; by its slope behind the jump it would lack 1,536."""
 
     def loads(x, u):
         return np.column_stack([u[:, 1] ** 3 + x[:, 0] ** 2, 0.0 * u[:, 0], 0.0 * u[:, 0]])

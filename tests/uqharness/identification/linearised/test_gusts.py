@@ -1,4 +1,6 @@
-"""Refinement in turbulence: sensors in step with each other, regressors that inertia and air ask for, which rival flies best."""
+"""Refinement in turbulence: sensors in step with each other, regressors that inertia and air ask
+for, which rival flies best.
+"""
 
 from __future__ import annotations
 
@@ -71,7 +73,9 @@ def test_rows_are_moved_whole_and_leave_nothing_behind(rows):
 
 
 def test_a_path_goes_with_the_sensors_that_measured_it():
-    """An airspeed sensor that reads a quarter too much, a gyro with a bias: the states change, what was measured stays."""
+    """An airspeed sensor that reads a quarter too much, a gyro with a bias: the states change, what
+    was measured stays.
+    """
     x = np.abs(np.random.default_rng(2).standard_normal((N, len(STATES)))) + 1.0
     setup = setup_of(np.zeros((N, 3)))
     before = replace(
@@ -114,7 +118,9 @@ def test_a_late_sensor_is_compared_with_what_it_was_to_measure():
 
 @pytest.mark.parametrize("late", [0.34, -0.5])
 def test_a_sensor_late_by_a_part_of_a_row_sees_the_states_of_then(late):
-    """Beside the fractional power of what takes states from row to row, one of which it damps by a third."""
+    """Beside the fractional power of what takes states from row to row, one of which it damps by a
+    third.
+    """
     rng = np.random.default_rng(8)
     turn = 0.1 * rng.standard_normal((3, 3)) - np.diag([0.4, 0.2, 0.0])
     phi, H = expm(turn), rng.standard_normal((N, 3, 3))
@@ -135,8 +141,8 @@ def test_a_sensor_late_by_a_part_of_a_row_sees_the_states_of_then(late):
 
 @pytest.mark.parametrize("late", [0.4, -0.4])
 def test_outputs_between_rows_go_as_the_model_moves_them_however_the_reference_jumps(late):
-    """States of a roll that 12 1/s damps, at 25 Hz, beside the model's own steps to there, which controls move; by the rate at the
-    row alone they are off by ten times as much."""
+    """States of a roll that 12 1/s damps, at 25 Hz, beside the model's own steps to there, which
+    controls move; by the rate at the row alone they are off by ten times as much."""
     rng = np.random.default_rng(6)
     probe, acting, h = probe_of(rng), GustStates(MASS.b), 2.0 * DT
     slopes = np.zeros((N, 6, 6))
@@ -162,7 +168,9 @@ def test_outputs_between_rows_go_as_the_model_moves_them_however_the_reference_j
     x = with_gust_states(rolled.x, acting)
 
     def after(part: float, at: np.ndarray) -> np.ndarray:
-        """States that the model takes in a part of each step, in many small ones; loads are on straight lines between the rows."""
+        """States that the model takes in a part of each step, in many small ones; loads are on
+        straight lines between the rows.
+        """
         many = 200
         for j in range(many):
             share = part * j / many
@@ -177,7 +185,8 @@ def test_outputs_between_rows_go_as_the_model_moves_them_however_the_reference_j
             at = at + part * h / many * rates(r, probe.mass, at, gusts=acting)
         return at
 
-    # Late ones are where the step before began to go to its end, but for what the row did not predict.
+    # Late ones are where the step before began to go to its end, but for what the row did not
+    # predict.
     ends = after(1.0, x[:-1])
     expected = x[:-1] - after(-late, x[:-1]) if late < 0.0 else ends - after(1.0 - late, x[:-1])
     rows = slice(0, N - 1) if late < 0.0 else slice(1, N)
@@ -315,7 +324,9 @@ def test_a_sensor_that_reads_more_reads_more_of_everything():
 
 
 def test_noise_that_no_filter_can_follow_is_not_the_likeliest(monkeypatch):
-    """No filter follows above a noise of one, where the first step leads: the search ends at the optimum below."""
+    """No filter follows above a noise of one, where the first step leads: the search ends at the
+    optimum below.
+    """
     calls: list[float] = []
 
     class Made:
@@ -361,9 +372,9 @@ def some_air(strength=1.0, air=True, flights=("one",)):
 
 
 def iterated(monkeypatch, steps, strengths=(1.0,), quieter=(1.0,), air=True, **asked):
-    """`gust_refit` on steps (delta, length) that are given, whose searches find gusts of given strengths and factors on the noise,
-    the last of them again and again: the strengths that the air was sought from, None for from the beginning, and the steps taken.
-    """
+    """`gust_refit` on steps (delta, length) that are given, whose searches find gusts of given
+    strengths and factors on the noise, the last of them again and again: the strengths that the air
+    was sought from, None for from the beginning, and the steps taken."""
     queue, sought, taken, paths = iter(steps), [], [], []
 
     def predict(*a):
@@ -442,7 +453,9 @@ def test_what_is_no_air_is_not_followed_further(monkeypatch):
 
 
 def test_far_from_what_the_parameters_want_the_air_waits(monkeypatch):
-    """What parameters will explain would be taken for gusts; where steps do not become small, it is sought all the same."""
+    """What parameters will explain would be taken for gusts; where steps do not become small, it is
+    sought all the same.
+    """
     steps = [(1.0, 9.0), (1.0, 8.0), (1.0, 4.0), (1.0, 0.1), (1.0, 0.1)]
     assert iterated(monkeypatch, steps, strengths=(5.0, 5.0))[0] == [None, 5.0]
     assert iterated(monkeypatch, steps, strengths=(5.0, 5.0), near=some_air())[0] == [1.0]
@@ -451,7 +464,9 @@ def test_far_from_what_the_parameters_want_the_air_waits(monkeypatch):
 
 
 def test_a_fit_ends_about_its_own_predictions(monkeypatch):
-    """The measured flight has seen what comes: it serves to begin with, however small the first step is."""
+    """The measured flight has seen what comes: it serves to begin with, however small the first
+    step is.
+    """
     paths = iterated(monkeypatch, [(1.0, 0.1)] * 9, near=some_air(), known=True)[2]
     assert paths == [None, ["path 1"]]
 
@@ -461,7 +476,9 @@ def test_a_fit_ends_about_its_own_predictions(monkeypatch):
     [(2.5, [1.0, 0.4]), (0.4, [1.0, 2.5]), (1.0, [1.0]), (20.0, [1.0, 0.125]), (0.1, [1.0, 4.0])],
 )
 def test_steps_too_long_are_shortened_and_those_too_short_lengthened(gain, shares):
-    """Of steps that go so many times as far as they should, the second is right, within bounds; lengths in standard errors."""
+    """Of steps that go so many times as far as they should, the second is right, within bounds;
+    lengths in standard errors.
+    """
     information = np.array([[4.0, 1.0], [1.0, 9.0]])
     x, answer, share, before, taken = np.zeros(2), np.array([1.0, -3.0]), 1.0, None, []
     for _ in shares:
@@ -559,8 +576,9 @@ def test_the_air_of_flights_that_no_filter_follows_is_that_of_the_others(monkeyp
 
 @pytest.mark.parametrize("late_s", [0.011, -0.0263])
 def test_surfaces_stand_where_commands_that_act_late_have_them(late_s):
-    """Predictions' positions beside those of the same flight with its commands recorded when they acted; moved by their slopes
-    from the rows alone, they are off by a twentieth of their travel."""
+    """Predictions' positions beside those of the same flight with its commands recorded when they
+    acted; moved by their slopes from the rows alone, they are off by a twentieth of their travel.
+    """
     aircraft = find_aircraft("espaaro")
     flight = prepare("f", flown((("pitch-doublet", 22.0),), seed=1, seconds=8.0), ())
     setup = make_setup(aircraft, [flight], ())
@@ -583,7 +601,9 @@ def test_surfaces_stand_where_commands_that_act_late_have_them(late_s):
 
 
 def test_where_surfaces_stand_goes_with_how_late_commands_act_without_a_step():
-    """Half-way between two places, a little to either side is the same; from place to place the whole way is gone."""
+    """Half-way between two places, a little to either side is the same; from place to place the
+    whole way is gone.
+    """
     aircraft = find_aircraft("espaaro")
     flight = prepare("f", flown((("pitch-doublet", 22.0),), seed=1, seconds=8.0), ())
     setup, step = make_setup(aircraft, [flight], ()), refine_gusts.PLACES * DT
@@ -603,7 +623,9 @@ def test_where_surfaces_stand_goes_with_how_late_commands_act_without_a_step():
 
 
 def test_a_jump_that_comes_later_is_lacking_from_its_row_on():
-    """The time by which controls act late, as a column and as it is flown: by slope and by difference the same."""
+    """The time by which controls act late, as a column and as it is flown: by slope and by
+    difference the same.
+    """
     u = np.tile([1.0, 0.0, 0.0, 55.0], (N, 1))
     u[6:, 0] += 4.0
     u[:, 1] = 0.3 * np.arange(N)
@@ -622,7 +644,8 @@ def test_a_jump_that_comes_later_is_lacking_from_its_row_on():
     for late_s, share in ((1e-3, 1.0), (0.0, 0.5), (-1e-3, 0.0)):
         (_, values), ends, felt = later_controls(jumping, late_s)
         begin, end = (values - rest)[:-1], (ends - rest)[1:]
-        # In the step after the row, or before it, its centre at the row itself; the row's accelerometers see nothing of it.
+        # In the step after the row, or before it, its centre at the row itself; the row's
+        # accelerometers see nothing of it.
         expected = np.zeros((N - 1, 6))
         expected[5], expected[6] = (1.0 - share) * impulse, share * impulse
         np.testing.assert_allclose(0.5 * (begin + end), expected, atol=1e-9)

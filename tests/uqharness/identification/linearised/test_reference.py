@@ -1,4 +1,6 @@
-"""Slopes of forces by properties: as the model flies, loads settled, not as one frame after the change has them."""
+"""Slopes of forces by properties: as the model flies, loads settled, not as one frame after the
+change has them.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,9 @@ NAMES = ("uq/scale/CLalpha", "uq/scale/CDi", "uq/scale/Cmadot", "uq/scale/Cmq")
 
 @pytest.fixture(scope="module")
 def glider(tmp_path_factory):
-    """The stock glider, whose pitching moment goes with the rate of alpha and whose drag goes with the lift."""
+    """The stock glider, whose pitching moment goes with the rate of alpha and whose drag goes with
+    the lift.
+    """
     out = tmp_path_factory.mktemp("stock") / "sgs126"
     assert main(["instrument", "sgs126", "--out", str(out), "--no-check"]) == 0
     return find_aircraft(out)

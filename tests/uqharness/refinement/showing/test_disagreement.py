@@ -1,4 +1,6 @@
-"""Where model and flights disagree: planted disagreements are found where they were planted, and nowhere else."""
+"""Where model and flights disagree: planted disagreements are found where they were planted, and
+nowhere else.
+"""
 
 from __future__ import annotations
 

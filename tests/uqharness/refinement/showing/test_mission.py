@@ -1,4 +1,6 @@
-"""An earlier refinement's campaign: it goes where its model was another, and stays where that cannot be told."""
+"""An earlier refinement's campaign: it goes where its model was another, and stays where that
+cannot be told.
+"""
 
 from __future__ import annotations
 

@@ -17,7 +17,9 @@ TIME = np.arange(1500) / RATE
 
 
 def series(burst: float = 0.0) -> list[Series]:
-    """Two channels of two flights, noise but for q of flight b: 5 to 7 Hz between 12 and 15 s, where alpha is large in both."""
+    """Two channels of two flights, noise but for q of flight b: 5 to 7 Hz between 12 and 15 s,
+    where alpha is large in both.
+    """
     rng = np.random.default_rng(7)
     inside = (TIME >= 12.0) & (TIME < 15.0)
     out = []

@@ -1,4 +1,6 @@
-"""Where a residual stands above its noise: bursts of a known band at a known time, states, and noise alone, which has no place."""
+"""Where a residual stands above its noise: bursts of a known band at a known time, states, and
+noise alone, which has no place.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,9 @@ def noise(seed: int, n: int = len(TIME)) -> np.ndarray:
 
 @pytest.mark.parametrize(("size", "seed"), [(1.0, 0), (1.0, 1), (3.0, 2), (10.0, 3)])
 def test_a_burst_is_found_at_its_time_and_in_its_band(size, seed):
-    """A sine whose frequency runs from 5 to 7 Hz between 30 and 34 s; size: its rms over the noise's."""
+    """A sine whose frequency runs from 5 to 7 Hz between 30 and 34 s; size: its rms over the
+    noise's.
+    """
     t = TIME - 30.0
     chirp = np.where(
         (t >= 0.0) & (t < 4.0),
@@ -50,7 +54,9 @@ def test_a_slow_drift_is_found_below_the_blocks_frequency():
 
 
 def test_colour_below_the_noise_has_a_band():
-    """A residual whose rms is that of its noise, but half of its power below 2.5 Hz where a tenth belongs."""
+    """A residual whose rms is that of its noise, but half of its power below 2.5 Hz where a tenth
+    belongs.
+    """
     spectrum = np.fft.rfft(noise(5))
     f = np.fft.rfftfreq(len(TIME), 1.0 / RATE)
     e = np.fft.irfft(np.where(f < 2.5, 2.2, 0.75) * spectrum, len(TIME))
@@ -109,7 +115,9 @@ def test_a_residual_whose_sign_changes_goes_with_a_state_by_its_size():
 
 
 def test_noise_goes_with_no_state_white_or_coloured():
-    """A coloured residual beside a slow state: counted as independent samples, chance would pass in most draws."""
+    """A coloured residual beside a slow state: counted as independent samples, chance would pass in
+    most draws.
+    """
     white = [goes_with([noise(seed, 3000)], [states(100 + seed)]) for seed in range(60)]
     assert sum(found is not None for found in white) <= 3
 

@@ -1,5 +1,5 @@
-"""What refine shows of a refinement: effects that the test flights speak against are withdrawn one by one; intervals and a
-mission's p-box before and after; words that agree with the verdict."""
+"""What refine shows of a refinement: effects that the test flights speak against are withdrawn one
+by one; intervals and a mission's p-box before and after; words that agree with the verdict."""
 
 from __future__ import annotations
 
@@ -135,14 +135,18 @@ def test_the_aircraft_carries_what_stands(contradicted):
 
 
 def test_choice_is_that_of_the_train_flights(contradicted):
-    """What was chosen carries nothing of the test flights; each effect's own number stands there as chosen."""
+    """What was chosen carries nothing of the test flights; each effect's own number stands there as
+    chosen.
+    """
     for e in document(contradicted)["chosen"]:
         assert "test" not in e
         assert abs(e["evidence"]["t"]) > 4.0
 
 
 def test_leaving_nothing_out_is_what_was_chosen(judged_flights):
-    """The linear estimate beside which one is left out is the choice itself; leaving all out is the model without effects."""
+    """The linear estimate beside which one is left out is the choice itself; leaving all out is the
+    model without effects.
+    """
     chosen = judged_flights[1].chosen
     evidence = refine_judge.evidence_of(chosen)
     same = refine_judge.left_out(chosen, evidence, [])
@@ -162,7 +166,9 @@ def test_leaving_nothing_out_is_what_was_chosen(judged_flights):
 
 @pytest.mark.slow
 def test_without_an_effect_before_is_after(tmp_path, campaign, capsys):
-    """Nothing is missing: one model, so intervals and p-box are the same before and after, number for number."""
+    """Nothing is missing: one model, so intervals and p-box are the same before and after, number
+    for number.
+    """
     fly(TRAIN[:2], seed=3, seconds=6.0).write(tmp_path / "train.parquet")
     fly(TEST, seed=4, seconds=6.0).write(tmp_path / "test.parquet")
     # What an earlier refinement, with an effect, left there.
@@ -271,7 +277,9 @@ def test_intervals_that_cannot_be_told_have_a_reason(tmp_path):
 
 
 def test_pbox_numbers_in_closed_form():
-    """Two corners, one of them 1 to 4 and the other 3 to 6: envelopes two apart, area 2, medians [2, 4]."""
+    """Two corners, one of them 1 to 4 and the other 3 to 6: envelopes two apart, area 2, medians
+    [2, 4].
+    """
     low, high = (
         Sample(str(k), np.arange(first, first + 4.0)) for k, first in enumerate((1.0, 3.0))
     )
@@ -378,7 +386,9 @@ def test_engines_beside_the_aircraft_go_with_it(tmp_path):
 
 
 def test_the_hidden_effect_is_among_the_nearest_and_leaves_the_noise(judged_flights):
-    """The axial force that the train flights hold, withdrawn: its candidate brings the channel to the noise, others do not."""
+    """The axial force that the train flights hold, withdrawn: its candidate brings the channel to
+    the noise, others do not.
+    """
     nearest = Nearest(judged_flights[1].judged.found)
     channel, hidden = "ax_mps2", "effect/CX/beta^2"
     candidates, now = nearest.leaving(channel, set())
@@ -408,7 +418,9 @@ def gusty():
 
 @pytest.mark.slow
 def test_in_turbulence_the_table_is_that_of_compare(gusty):
-    """The same replays from the same start states: far above the noise, and the same multiple of it in each channel."""
+    """The same replays from the same start states: far above the noise, and the same multiple of it
+    in each channel.
+    """
     aircraft = find_aircraft("espaaro")
     setup = setup_in_gusts(aircraft, make_setup(aircraft, [gusty], ()))
     zeros = [np.zeros_like(z) for z in setup.measured]

@@ -1,4 +1,6 @@
-"""Effects in an aircraft's XML: where they stand, what they do, and that 0 leaves the model as it was, bit for bit."""
+"""Effects in an aircraft's XML: where they stand, what they do, and that 0 leaves the model as it
+was, bit for bit.
+"""
 
 from __future__ import annotations
 
@@ -69,8 +71,8 @@ def test_a_term_joins_the_authors_sum_and_0_restores_the_model_bit_for_bit(tmp_p
     )
     text = (out / "espaaro.xml").read_text(encoding="utf-8")
     assert (
-        "<product> <property>aero/Cm_p2</property> <property>aero/p_hat</property> <property>aero/p_hat</property> </product>"
-        in text
+        "<product> <property>aero/Cm_p2</property> <property>aero/p_hat</property>"
+        " <property>aero/p_hat</property> </product>" in text
     )
     assert '<property value="3">aero/Cm_p2</property>  <!-- a remark; 0 switches it off -->' in text
     changed = find_aircraft(out)
@@ -222,8 +224,8 @@ def test_a_rate_limit_counts_from_the_one_the_servo_has(tmp_path):
     write_effects(aircraft, [written(effect, 1.0 / 80.0 - 1.0 / 240.0)], {}, tmp_path / "espaaro")
     text = "".join(p.read_text(encoding="utf-8") for p in (tmp_path / "espaaro").rglob("*.xml"))
     assert (
-        '<property value="80">effect/actuator/aileron-rate_limit</property>  <!-- a remark; 240 switches it off -->'
-        in text
+        '<property value="80">effect/actuator/aileron-rate_limit</property>  <!-- a remark; 240'
+        " switches it off -->" in text
     )
     assert "<rate_limit>effect/actuator/aileron-rate_limit</rate_limit>" in text
     # Found once more in the aircraft that has it: one property, the newer number.
@@ -268,7 +270,10 @@ def test_a_commented_actuator_is_none(tmp_path):
     source = tmp_path / "given" / "espaaro"
     shutil.copytree(find_aircraft("espaaro").folder, source)
     xml = source / "espaaro.xml"
-    old = '<!-- <channel name="old"><actuator name="fcs/aileron-pos-deg"><lag>9</lag></actuator></channel> -->'
+    old = (
+        '<!-- <channel name="old"><actuator'
+        ' name="fcs/aileron-pos-deg"><lag>9</lag></actuator></channel> -->'
+    )
     text = xml.read_text(encoding="utf-8")
     xml.write_text(text.replace("<flight_control", f"{old}\n<flight_control", 1), encoding="utf-8")
     effect = {e.key: e for e in subsystem_effects(["aileron"], [], [])}[

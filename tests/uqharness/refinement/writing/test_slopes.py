@@ -1,4 +1,6 @@
-"""Effects that are written with numbers of the model: inflow by the thrust's slope with airspeed, stall by the lift slope."""
+"""Effects that are written with numbers of the model: inflow by the thrust's slope with airspeed,
+stall by the lift slope.
+"""
 
 from __future__ import annotations
 
@@ -77,7 +79,8 @@ def test_written_into_the_aircraft_it_does_what_the_column_says(nominal: Probe, 
     moved = (changed.coefficients - nominal.coefficients)[::4]
     np.testing.assert_allclose(moved[:, 0], K * nominal.by_inflow[::4], rtol=0.05)
     assert np.abs(moved[:, 1:]).max() < 1e-3 * np.abs(moved[:, 0]).min()
-    # A factor on the thrust is something else: at these speeds and throttles it leaves a tenth of it.
+    # A factor on the thrust is something else: at these speeds and throttles it leaves a tenth of
+    # it.
     CT = nominal.variables()["CT"][::4]
     alone = np.column_stack([np.ones_like(CT), CT])
     left = moved[:, 0] - alone @ np.linalg.lstsq(alone, moved[:, 0], rcond=None)[0]
@@ -94,7 +97,9 @@ def test_between_forced_samples_coefficients_jump_with_the_surfaces():
 
 
 def test_slopes_along_a_prediction_know_nothing_of_samples_to_come():
-    """An angle of attack that leaps after row 9, between two forced samples: slopes before it are those without, of lines not."""
+    """An angle of attack that leaps after row 9, between two forced samples: slopes before it are
+    those without, of lines not.
+    """
     aircraft, leap = find_aircraft("espaaro"), np.where(np.arange(N) > 9, 0.2, 0.05)
     for consistent in (False, True):
         plain, leaping = (
@@ -121,7 +126,9 @@ def fit_of(nominal: Probe, **values: float) -> SimpleNamespace:
 
 
 def test_stall_is_a_share_of_the_lift_slope_beside_it(nominal: Probe):
-    """Flights that stall make CZ_alpha of a model without stall -2.6 for -3.3: 1.3 of that is 1 of the slope that is there."""
+    """Flights that stall make CZ_alpha of a model without stall -2.6 for -3.3: 1.3 of that is 1 of
+    the slope that is there.
+    """
     choices = tuple(
         Choice(f"effect/{k}", 1.3, 0.01, 90.0, 8e3, 1.0, 0.0)
         for k in ("stall/separation", "Cm/p_hat^2")

@@ -1,4 +1,6 @@
-"""A smooth term in an aircraft's XML: its curve in JSBSim and in the batch engine, held beyond the data, said to be no physics."""
+"""A smooth term in an aircraft's XML: its curve in JSBSim and in the batch engine, held beyond the
+data, said to be no physics.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""The dossier's page: its sections, what it says of what is missing, the same bytes from the same folder."""
+"""The dossier's page: its sections, what it says of what is missing, the same bytes from the same
+folder.
+"""
 
 import json
 

@@ -63,7 +63,8 @@ def test_standard_errors_are_not_vouched_for_where_the_model_does_not_explain_th
     assert doubt in words_of(page_of(identified))
     within = {c: {**row, "rms": row["noise"]} for c, row in fit["fit"].items()}
     assert doubt not in said(identified, fit=within)
-    # Gusts of a sample are in filter error's innovations: their size is no reproach, their colour is.
+    # Gusts of a sample are in filter error's innovations: their size is no reproach, their colour
+    # is.
     large = {
         c: {**row, "rms": 2.0, "noise": 1.0, "whiteness_p": 0.3, "predictable_share": 0.0}
         for c, row in fit["fit"].items()

@@ -1,4 +1,6 @@
-"""The page of an instrumented aircraft: bounds as the model form has them, constants as they were given."""
+"""The page of an instrumented aircraft: bounds as the model form has them, constants as they were
+given.
+"""
 
 from __future__ import annotations
 

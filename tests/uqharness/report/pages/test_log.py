@@ -1,4 +1,6 @@
-"""The quick look at a log: purposes and findings as `log info` has them, each flagged in the channel it concerns."""
+"""The quick look at a log: purposes and findings as `log info` has them, each flagged in the
+channel it concerns.
+"""
 
 from __future__ import annotations
 

@@ -23,7 +23,9 @@ def loop(response, scatter=None, name="elevator"):
 
 
 def integrator(k=4.0, delay=0.1):
-    """L = k exp(-s delay)/s: crossover k, phase margin 90 deg - k delay, gain margin pi/(2 k delay)."""
+    """L = k exp(-s delay)/s: crossover k, phase margin 90 deg - k delay, gain margin pi/(2 k
+    delay).
+    """
     return k * np.exp(-1j * W * delay) / (1j * W)
 
 
@@ -85,8 +87,8 @@ def test_a_loop_without_crossovers_and_frequencies_that_were_not_read():
     assert problems(text) == []
     words = words_of(text)
     assert (
-        "Rudder: gain margin up none in the measured band, down none in the measured band; phase margin none"
-        in words
+        "Rudder: gain margin up none in the measured band, down none in the measured band; phase"
+        " margin none" in words
     )
     assert "not read" in words
     assert "not read" not in words_of(page(loop(integrator())))

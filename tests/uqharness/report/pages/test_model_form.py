@@ -67,7 +67,7 @@ def test_what_bounds_json_has_stands_on_the_page(bounded):
     details = {"coefficients": dict.fromkeys(names, row), "cutoffs": [tried]}
     folders.written(bounded, "bounds.json", details)
     tree = html.document_fromstring(page_of(bounded))
-    (first, second) = tree.xpath("//table[starts-with(caption, 'Mean width')]/tbody/tr")
+    first, second = tree.xpath("//table[starts-with(caption, 'Mean width')]/tbody/tr")
     assert [e.text_content().strip() for e in first][:3] == ["6", "2", "0.02"]
     assert [e.text_content().strip() for e in second][:4] == ["3", "none", "0.03", "0.03"]
     states = [
@@ -118,8 +118,8 @@ def test_a_validation_tells_its_manoeuvres(tmp_path):
     assert "25.0" in words
     assert "Hale" not in words
     assert (
-        "The bounds hold: every coefficient's share of this flight agrees with the 95 % that its bounds state."
-        in words
+        "The bounds hold: every coefficient's share of this flight agrees with the 95 % that its"
+        " bounds state." in words
     )
     for said, sentence in (
         ("fails", "The 95 % bounds do not hold: they contain only CX 97.0 % of the samples."),

@@ -1,4 +1,6 @@
-"""The page of modes: what it says are the figures it is given, and a root stands where the axes put it."""
+"""The page of modes: what it says are the figures it is given, and a root stands where the axes put
+it.
+"""
 
 from __future__ import annotations
 
@@ -89,7 +91,9 @@ def test_two_real_roots_and_an_unstable_one_are_drawn():
 
 @pytest.mark.parametrize(("roll", "inside"), [(-8.0, True), (-0.2, False)])
 def test_the_marker_lies_in_the_area_of_its_level(roll, inside):
-    """Roll at Level 1: a root below -1/1.4 1/s, category B; the area's lower edge is the frame's."""
+    """Roll at Level 1: a root below -1/1.4 1/s, category B; the area's lower edge is the
+    frame's.
+    """
     points = [replace(point(V, roll=roll), V_mps=V) for V in (16.0, 20.0, 24.0)]
     svg = html.document_fromstring(page(points=points)).xpath("//figure[@id='locus-roll']/svg")[0]
     band = [

@@ -1,4 +1,6 @@
-"""The page of a planned flight: what the plan says, and figures that show where the flight helps."""
+"""The page of a planned flight: what the plan says, and figures that show where the flight
+helps.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""What a refinement did to the intervals: widths and coverage drawn and told, undefined where they are not known."""
+"""What a refinement did to the intervals: widths and coverage drawn and told, undefined where they
+are not known.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +28,8 @@ def test_widths_and_coverage_are_drawn():
     assert [figure.name for figure in figures.items] == ["p-interval-widths", "p-interval-coverage"]
     assert "Cm 0.75." in figures.items[0].svg
     coverage = etree.fromstring(str(figures.items[1].svg))
-    # Two marks for the coefficient whose coverage is known, with limits where the standard error is.
+    # Two marks for the coefficient whose coverage is known, with limits where the standard error
+    # is.
     assert len(coverage.findall(".//circle")) == 2
     lines = [
         e.get("d") for e in coverage.iter("path") if e.get("class") in ("line second", "line first")

@@ -32,7 +32,8 @@ def test_the_share_of_an_estimate_is_told_where_it_says_something():
     }
     said = says({"withdrawn": True, "test": {**test, "share_std": 0.21}})
     assert said.endswith(
-        "with it, 0.39 ± 0.21 of the estimate fits them best; withdrawn beside what nothing explains"
+        "with it, 0.39 ± 0.21 of the estimate fits them best; withdrawn beside what nothing"
+        " explains"
     )
     for vague in (
         {"share_std": 0.7},
@@ -50,7 +51,10 @@ def test_a_change_of_replays_that_diverge_is_told_without_its_digits():
         "share_of_estimate": 1.0,
         "share_std": 1e-12,
     }
-    more = "over a billion more with it, for without it the model leaves the flights altogether, 1.00 ± 0.00 of the estimate"
+    more = (
+        "over a billion more with it, for without it the model leaves the flights altogether, 1.00"
+        " ± 0.00 of the estimate"
+    )
     assert more in says({"test": test})
     less = "over a billion less with it, for with it the model leaves the flights altogether"
     assert less in says(

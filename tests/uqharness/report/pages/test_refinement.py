@@ -126,8 +126,8 @@ def test_effects_with_something_left_beside_them_are_said_together(tmp_path):
     done = refinement(verdict="unexplained", effects=[effect, other])
     words = words_of(page_of(written(tmp_path / "refined", "refinement.json", done)))
     assert (
-        "Effects were found, and something beside them is left that no effect of the catalogue explains (unexplained)."
-        in words
+        "Effects were found, and something beside them is left that no effect of the catalogue"
+        " explains (unexplained)." in words
     )
     assert "Something is missing" not in words
     assert "Pitching moment due to roll rate squared is confounded with: aileron squared." in words

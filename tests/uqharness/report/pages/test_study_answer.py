@@ -1,4 +1,6 @@
-"""A study's page before anything is unfolded: answer, track, p-box, effect, cells; a tick only where a claim was tested."""
+"""A study's page before anything is unfolded: answer, track, p-box, effect, cells; a tick only
+where a claim was tested.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +39,9 @@ MADE: dict[str, html.HtmlElement] = {}
 
 
 def page(tmp_path, campaigns, effect_test=None, **changes):
-    """The page of a study with two campaigns and a refinement, as a tree that is only read: each is made once."""
+    """The page of a study with two campaigns and a refinement, as a tree that is only read: each is
+    made once.
+    """
     key = json.dumps([effect_test, changes])
     if key not in MADE:
         MADE[key] = made(tmp_path, campaigns, effect_test, **changes)

@@ -73,12 +73,18 @@ def test_failures_come_and_go(name: str, failures: tuple[str, ...]) -> None:
 
 
 LINEAR = {
-    "all of it": f"{A}<module>@2</module><hysteresis>.3</hysteresis><rate>.4</rate><lag>12</lag><set>i/on</set><gain>2</gain>"
-    "<bias>i/b</bias>",
+    "all of it": (
+        f"{A}<module>@2</module><hysteresis>.3</hysteresis><rate>.4</rate><lag>12</lag><set>i/on</set><gain>2</gain>"
+        "<bias>i/b</bias>"
+    ),
     "versus a property": f"{A}<versus>i/c</versus><module>@3</module>",
     "versus a number": f"{A}<versus>-1.7</versus><reset>i/b</reset><gain>@1.1</gain>",
-    "replaced numbers": f"{A}<module>-2</module><hysteresis>-1</hysteresis><lag>-1</lag><rate>2</rate><gain>@1.1</gain>",
-    "a slow ramp": "<input>i/ramp</input><module>@1</module><rate>.9</rate><hysteresis>.05</hysteresis><versus>1</versus>",
+    "replaced numbers": (
+        f"{A}<module>-2</module><hysteresis>-1</hysteresis><lag>-1</lag><rate>2</rate><gain>@1.1</gain>"
+    ),
+    "a slow ramp": (
+        "<input>i/ramp</input><module>@1</module><rate>.9</rate><hysteresis>.05</hysteresis><versus>1</versus>"
+    ),
 }
 
 
@@ -110,7 +116,10 @@ def test_linear_actuators_have_jsbsims_bits(name: str) -> None:
             "cannot be written by <pure_gain>",
         ),
         (
-            '<pure_gain name="fcs/a/malfunction/fail_zero"><input>i/a</input><gain>1</gain></pure_gain>',
+            (
+                "<pure_gain"
+                ' name="fcs/a/malfunction/fail_zero"><input>i/a</input><gain>1</gain></pure_gain>'
+            ),
             "cannot be written",
         ),
     ],

@@ -45,9 +45,10 @@ def test_a_component_without_a_name_has_its_outputs() -> None:
 
 def test_properties_of_the_host_begin_with_a_slash() -> None:
     body = (
-        '<property value="2">/host/x</property><property value="3">host/x</property><channel>'
-        '<summer name="s"><input>-/host/x</input><input>i/a</input><input>host/x</input><output>/host/y</output></summer>'
-        '<lag_filter name="/host/x"><input>/fdm/jsbsim/fcs/s</input><c1>@3</c1></lag_filter></channel>'
+        '<property value="2">/host/x</property><property'
+        ' value="3">host/x</property><channel><summer'
+        ' name="s"><input>-/host/x</input><input>i/a</input><input>host/x</input><output>/host/y</output></summer><lag_filter'
+        ' name="/host/x"><input>/fdm/jsbsim/fcs/s</input><c1>@3</c1></lag_filter></channel>'
     )
     apart, control = judged(body, random_inputs(300))
     assert apart == {}

@@ -13,23 +13,47 @@ CLIP = "<clipto><min>-1</min><max>i/b</max></clipto>"
 EXACT = {
     "gain": f'<pure_gain name="g">{A}<gain>@1.7</gain></pure_gain>',
     "gain clipped by a property": f'<pure_gain name="g">{A}<gain>@1.7</gain>{CLIP}</pure_gain>',
-    "gain by a property, cyclic": '<pure_gain name="G x"><input>-i/a</input><gain>-i/b</gain><clipto type="cyclic">'
-    "<min>@-1.1</min><max>1.3</max></clipto><output>o/x</output></pure_gain>",
-    "cyclic between equals": f'<pure_gain name="g">{A}<gain>1</gain><clipto type="cyclic"><min>@0.4</min><max>@0.4</max></clipto>'
-    "</pure_gain>",
-    "sum": '<summer name="s/s"><input>i/a</input><input>-i/b</input><input>i/c</input><bias>@0.3</bias></summer>',
+    "gain by a property, cyclic": (
+        '<pure_gain name="G x"><input>-i/a</input><gain>-i/b</gain><clipto type="cyclic">'
+        "<min>@-1.1</min><max>1.3</max></clipto><output>o/x</output></pure_gain>"
+    ),
+    "cyclic between equals": (
+        f'<pure_gain name="g">{A}<gain>1</gain><clipto'
+        ' type="cyclic"><min>@0.4</min><max>@0.4</max></clipto></pure_gain>'
+    ),
+    "sum": (
+        "<summer"
+        ' name="s/s"><input>i/a</input><input>-i/b</input><input>i/c</input><bias>@0.3</bias></summer>'
+    ),
     "sum of nothing": '<summer name="s"><bias>@0.3</bias></summer>',
     "dead band": f'<deadband name="d">{A}<width>@1.1</width><gain>3</gain></deadband>',
-    "dead band of a property": f'<deadband name="d">{A}<width>i/b</width><gain>@1.3</gain></deadband>',
-    "scale": f'<aerosurface_scale name="d">{A}<range><min>-.35</min><max>@.3</max></range><gain>i/b</gain></aerosurface_scale>',
-    "scale of a domain": f'<aerosurface_scale name="d">{A}<domain><min>-2</min><max>@1.7</max></domain>'
-    "<range><min>-20</min><max>10</max></range></aerosurface_scale>",
-    "linear scale": f'<aerosurface_scale name="d">{A}<domain><min>-2</min><max>1.7</max></domain>'
-    "<range><min>@-20</min><max>10</max></range><zero_centered>false</zero_centered></aerosurface_scale>",
-    "scheduled": f'<scheduled_gain name="g">{A}<gain>@1.1</gain><table><independentVar>i/b</independentVar><tableData>'
-    "-1 2\n0 3.5\n1.5 -1\n</tableData></table></scheduled_gain>",
-    "function times input": f'<fcs_function name="f"><function><sum><p>i/b</p><v>@2</v></sum></function>{A}</fcs_function>',
-    "init is ignored": f'<pure_gain name="g">{A}<gain>@1.7</gain><init>i/b</init><delay>0.1</delay></pure_gain>',
+    "dead band of a property": (
+        f'<deadband name="d">{A}<width>i/b</width><gain>@1.3</gain></deadband>'
+    ),
+    "scale": (
+        "<aerosurface_scale"
+        f' name="d">{A}<range><min>-.35</min><max>@.3</max></range><gain>i/b</gain></aerosurface_scale>'
+    ),
+    "scale of a domain": (
+        f'<aerosurface_scale name="d">{A}<domain><min>-2</min><max>@1.7</max></domain>'
+        "<range><min>-20</min><max>10</max></range></aerosurface_scale>"
+    ),
+    "linear scale": (
+        f'<aerosurface_scale name="d">{A}<domain><min>-2</min><max>1.7</max></domain>'
+        "<range><min>@-20</min><max>10</max></range><zero_centered>false</zero_centered></aerosurface_scale>"
+    ),
+    "scheduled": (
+        "<scheduled_gain"
+        f' name="g">{A}<gain>@1.1</gain><table><independentVar>i/b</independentVar><tableData>-1'
+        " 2\n0 3.5\n1.5 -1\n</tableData></table></scheduled_gain>"
+    ),
+    "function times input": (
+        "<fcs_function"
+        f' name="f"><function><sum><p>i/b</p><v>@2</v></sum></function>{A}</fcs_function>'
+    ),
+    "init is ignored": (
+        f'<pure_gain name="g">{A}<gain>@1.7</gain><init>i/b</init><delay>0.1</delay></pure_gain>'
+    ),
 }
 
 
@@ -43,11 +67,13 @@ def test_bits_are_jsbsims_and_a_moved_number_is_noticed(name: str) -> None:
 def test_an_angle_agrees_to_rounding() -> None:
     inputs = {name: series * 3.0 for name, series in random_inputs().items()}
     body = "".join(
-        f'<angle name="{name}" unit="{out}"><source_angle unit="{one}">i/a</source_angle><target_angle>i/b</target_angle></angle>'
+        f'<angle name="{name}" unit="{out}"><source_angle'
+        f' unit="{one}">i/a</source_angle><target_angle>i/b</target_angle></angle>'
         for name, one, out in (("x", "RAD", "RAD"), ("y", "DEG", "DEG"))
     )
     pair = compared(f"<channel>{body}</channel>", inputs)
-    # The angle between nearly equal directions is the arc cosine of nearly 1: an ulp of the cosine is 1e-8 of the angle.
+    # The angle between nearly equal directions is the arc cosine of nearly 1: an ulp of the cosine
+    # is 1e-8 of the angle.
     for name, scale in (("fcs/x", 1.0), ("fcs/y", 57.3)):
         apart = np.abs(pair.theirs[name] - pair.ours[name]) / scale
         assert np.max(apart * np.abs(np.sin(pair.theirs[name] / scale))) < 1e-15
@@ -75,7 +101,10 @@ def test_an_angle_agrees_to_rounding() -> None:
             "one <min> and one <max>",
         ),
         (
-            f'<pure_gain name="g">{A}<gain>1</gain><clipto type="x"><min>1</min><max>2</max></clipto></pure_gain>',
+            (
+                f'<pure_gain name="g">{A}<gain>1</gain><clipto'
+                ' type="x"><min>1</min><max>2</max></clipto></pure_gain>'
+            ),
             "allowed is cyclic",
         ),
         (
@@ -87,7 +116,10 @@ def test_an_angle_agrees_to_rounding() -> None:
             "property nothing is not computed",
         ),
         (
-            f'<pure_gain name="g">{A}<gain>1</gain><output>fcs/mag-rudder-pos-rad</output></pure_gain>',
+            (
+                "<pure_gain"
+                f' name="g">{A}<gain>1</gain><output>fcs/mag-rudder-pos-rad</output></pure_gain>'
+            ),
             "cannot be written",
         ),
         (
@@ -100,7 +132,10 @@ def test_an_angle_agrees_to_rounding() -> None:
             "attribute 'name' of <function>",
         ),
         (
-            '<angle name="f" unit="X"><source_angle>i/a</source_angle><target_angle>i/a</target_angle></angle>',
+            (
+                '<angle name="f"'
+                ' unit="X"><source_angle>i/a</source_angle><target_angle>i/a</target_angle></angle>'
+            ),
             "unit='X'",
         ),
     ],

@@ -1,4 +1,6 @@
-"""Kinematic components against JSBSim, bit for bit: slow and fast intervals, steps, several settings in a frame."""
+"""Kinematic components against JSBSim, bit for bit: slow and fast intervals, steps, several
+settings in a frame.
+"""
 
 from __future__ import annotations
 
@@ -17,11 +19,15 @@ CASES = {
     "two settings": ("", f"<input>i/a</input>{_settings(('0', '0'), ('@1.3', '1.1'))}"),
     "five settings, several a frame": (
         "",
-        f"<input>i/a</input>{_settings(('-2', '0'), ('-.1', '@.05'), ('1', '.01'), ('1.3', '.0005'), ('4', '.004'))}<noscale/>",
+        (
+            f"<input>i/a</input>{_settings(('-2', '0'), ('-.1', '@.05'), ('1', '.01'), ('1.3', '.0005'), ('4', '.004'))}<noscale/>"
+        ),
     ),
     "a jump among them": (
         "",
-        f"<input>-i/a</input>{_settings(('-2', '0'), ('-.1', '0'), ('1', '@.1'), ('3', '0'))}<noscale/>",
+        (
+            f"<input>-i/a</input>{_settings(('-2', '0'), ('-.1', '0'), ('1', '@.1'), ('3', '0'))}<noscale/>"
+        ),
     ),
     "steps": (
         'execrate="3"',
@@ -29,19 +35,27 @@ CASES = {
     ),
     "switched, clipped": (
         'execute="i/on"',
-        f"<input>i/step</input>{_settings(('0', '0'), ('1', '@.5'))}<clipto><min>.2</min><max>.7</max></clipto>",
+        (
+            f"<input>i/step</input>{_settings(('0', '0'), ('1', '@.5'))}<clipto><min>.2</min><max>.7</max></clipto>"
+        ),
     ),
     "a tied output": (
         "",
-        f"<input>i/step</input>{_settings(('0', '0'), ('10', '1'), ('30', '@2'))}<output>fcs/flap-pos-deg</output>",
+        (
+            f"<input>i/step</input>{_settings(('0', '0'), ('10', '1'), ('30', '@2'))}<output>fcs/flap-pos-deg</output>"
+        ),
     ),
     "a setting twice": (
         "",
-        f"<input>-i/step</input>{_settings(('0', '0'), ('0', '1'), ('5', '@2'), ('5', '1'), ('6', '.3'))}<noscale/>",
+        (
+            f"<input>-i/step</input>{_settings(('0', '0'), ('0', '1'), ('5', '@2'), ('5', '1'), ('6', '.3'))}<noscale/>"
+        ),
     ),
     "from above": (
         "",
-        f"<input>i/step</input>{_settings(('0', '0'), ('1', '@5'))}<output>gear/gear-pos-norm</output>",
+        (
+            f"<input>i/step</input>{_settings(('0', '0'), ('1', '@5'))}<output>gear/gear-pos-norm</output>"
+        ),
     ),
     "from below": ("", f"<input>i/step</input>{_settings(('1', '0'), ('2', '@.3'))}<noscale/>"),
 }
@@ -59,7 +73,10 @@ def test_bits_are_jsbsims_and_a_moved_number_is_noticed(name: str) -> None:
 
 def test_a_position_above_the_last_setting_is_nan_on_the_way_down() -> None:
     inputs = {"i/a": np.zeros(3)}
-    body = f'<property value="5">o/k</property><channel><kinematic name="o/k"><input>i/a</input>{_settings(("0", "0"), ("1", "1"))}'
+    body = (
+        '<property value="5">o/k</property><channel><kinematic'
+        f' name="o/k"><input>i/a</input>{_settings(("0", "0"), ("1", "1"))}'
+    )
     pair = compared(f"{body}</kinematic></channel>", inputs)
     assert np.isnan(pair.ours["o/k"]).all()
 

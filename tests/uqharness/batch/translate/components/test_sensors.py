@@ -1,4 +1,6 @@
-"""Sensors against JSBSim, bit for bit; noise with JSBSim's own draws; gyros and accelerometers of a tumbling body."""
+"""Sensors against JSBSim, bit for bit; noise with JSBSim's own draws; gyros and accelerometers of a
+tumbling body.
+"""
 
 from __future__ import annotations
 
@@ -63,12 +65,16 @@ def test_failures_come_and_go(failures: tuple[str, ...]) -> None:
 
 def _noisy(inputs: tuple[str, str], noise: tuple[str, str], drawn: str) -> str:
     first, second = (
-        f'<sensor name="{name}"><input>{x}</input><noise variation="{kind}" distribution="GAUSSIAN">{size}</noise></sensor>'
+        f'<sensor name="{name}"><input>{x}</input><noise variation="{kind}"'
+        f' distribution="GAUSSIAN">{size}</noise></sensor>'
         for name, x, kind, size in zip(
             "pq", inputs, noise, ("1", "1") if drawn else ("0.3", "2"), strict=True
         )
     )
-    return f'<function name="o/r"><random/></function><channel>{first}</channel><channel execrate="2">{second}</channel>'
+    return (
+        f'<function name="o/r"><random/></function><channel>{first}</channel><channel'
+        f' execrate="2">{second}</channel>'
+    )
 
 
 def test_noise_is_jsbsims_for_jsbsims_draws() -> None:

@@ -35,7 +35,10 @@ def test_as_jsbsim_converts(wanted: str, unit: str) -> None:
     if "thruster" in inside:
         propulsion = f"<engine><electric_engine/>{inside}</engine>"
     else:
-        propulsion = f'<tank type="FUEL"><location/>{inside}</tank><engine><electric_engine/><thruster><direct/></thruster></engine>'
+        propulsion = (
+            "<tank"
+            f' type="FUEL"><location/>{inside}</tank><engine><electric_engine/><thruster><direct/></thruster></engine>'
+        )
     with flights.craft(engines.aircraft(propulsion)) as made:
         assert made.open()[name] == pytest.approx(UNITS[wanted][unit], rel=1e-15)
 

@@ -1,4 +1,6 @@
-"""``<propulsion>`` as a whole: functions of engine files, what is refused, what a script leaves at the start."""
+"""``<propulsion>`` as a whole: functions of engine files, what is refused, what a script leaves at
+the start.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Mass, place and inertia with fuel: the aircraft without it, and products of inertia, against JSBSim and by hand."""
+"""Mass, place and inertia with fuel: the aircraft without it, and products of inertia, against
+JSBSim and by hand.
+"""
 
 from __future__ import annotations
 

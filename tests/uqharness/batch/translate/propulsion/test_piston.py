@@ -1,4 +1,6 @@
-"""The piston engine of the stock c172p and others against JSBSim: throttle, mixture and airspeed at random."""
+"""The piston engine of the stock c172p and others against JSBSim: throttle, mixture and airspeed at
+random.
+"""
 
 from __future__ import annotations
 

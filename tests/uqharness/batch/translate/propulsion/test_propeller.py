@@ -1,4 +1,6 @@
-"""Propellers turned by electric motors, against JSBSim: levers and wind at random, from the first initialising frame on."""
+"""Propellers turned by electric motors, against JSBSim: levers and wind at random, from the first
+initialising frame on.
+"""
 
 from __future__ import annotations
 

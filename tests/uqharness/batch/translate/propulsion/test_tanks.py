@@ -1,4 +1,6 @@
-"""Tanks against JSBSim: who feeds whom, what stays in, what is set; and the mass, place and inertia that follow."""
+"""Tanks against JSBSim: who feeds whom, what stays in, what is set; and the mass, place and inertia
+that follow.
+"""
 
 from __future__ import annotations
 
@@ -66,7 +68,8 @@ def test_tanks_empty_in_their_order_and_the_engine_stops() -> None:
     theirs = made.theirs()
     ours = made.ours()
     assert flights.worst(flights.apart(theirs, ours)) < 1e-11
-    # All of it has happened: the first two tanks gave until nothing was left, then the one of second priority, then none.
+    # All of it has happened: the first two tanks gave until nothing was left, then the one of
+    # second priority, then none.
     assert theirs["propulsion/tank[1]/contents-lbs"][-1] == pytest.approx(0.0244)
     assert theirs["propulsion/tank[2]/contents-lbs"][-1] == 0.0
     assert theirs["propulsion/tank/contents-lbs"][-1] == 0.0

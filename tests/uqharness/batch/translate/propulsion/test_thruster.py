@@ -1,4 +1,6 @@
-"""Where thrusters stand and point: ``<direct>``, ``<nozzle>``, ``<pointing>``, vectored thrust, against JSBSim."""
+"""Where thrusters stand and point: ``<direct>``, ``<nozzle>``, ``<pointing>``, vectored thrust,
+against JSBSim.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,8 @@ VECTOR = """<system name="v"><channel name="v">
 <fcs_function name="v/reverse"><function><p>fcs/throttle-cmd-norm</p></function>
 <output>propulsion/engine/reverser-angle-rad</output></fcs_function></channel></system>"""
 POINTED = (
-    '<engine file="motor"><thruster file="direct"><location unit="M"><x>1</x><y>.2</y><z>.1</z></location>'
+    '<engine file="motor"><thruster file="direct"><location'
+    ' unit="M"><x>1</x><y>.2</y><z>.1</z></location>'
     "<pointing><x>.8</x><y>.1</y><z>-.6</z></pointing></thruster></engine>"
 )
 
@@ -67,7 +70,10 @@ def test_thrust_acts_as_in_jsbsim(made: engines.Case, before: str, after: str) -
         ('<thruster file="direct"><spin/></thruster>', "<spin> of <thruster> is not understood"),
         (
             '<thruster file="motor"/>',
-            "<electric_engine> is not understood by the batch engine; propeller, direct, nozzle are",
+            (
+                "<electric_engine> is not understood by the batch engine; propeller, direct,"
+                " nozzle are"
+            ),
         ),
         ("", "an engine has a <thruster>"),
         ("<thruster/>", "<thruster> names a file or has one of propeller, direct, nozzle"),

@@ -1,4 +1,6 @@
-"""Turbine engines that come with JSBSim, against JSBSim: throttle at random, with afterburner, out of fuel, switched off."""
+"""Turbine engines that come with JSBSim, against JSBSim: throttle at random, with afterburner, out
+of fuel, switched off.
+"""
 
 from __future__ import annotations
 
