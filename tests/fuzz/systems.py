@@ -77,8 +77,12 @@ class _Maker:
             return self.table()
         tag = str(self.rng.choice(_OPERATIONS))
         rule = RULES[tag]
-        count = rule.least if rule.most == rule.least else rule.least + int(self.rng.integers(0, 3))
-        count = count if rule.most is None else min(count, rule.most)
+        count = (
+            rule.min_arguments
+            if rule.max_arguments == rule.min_arguments
+            else rule.min_arguments + int(self.rng.integers(0, 3))
+        )
+        count = count if rule.max_arguments is None else min(count, rule.max_arguments)
         if tag == "interpolate1d":
             count = 5 + 2 * int(self.rng.integers(0, 3))
         condition = tag in ("and", "or", "not", "ifthen")

@@ -556,7 +556,7 @@ def test_the_air_of_flights_that_no_filter_follows_is_that_of_the_others(monkeyp
     monkeypatch.setattr(
         refine_show,
         "Bench",
-        lambda *_: contextlib.nullcontext(SimpleNamespace(model=None, straight=None)),
+        lambda *_: contextlib.nullcontext(SimpleNamespace(model=None, direct_model=None)),
     )
     monkeypatch.setattr(refine_show, "replace", lambda x, **_: x)
     monkeypatch.setattr(refine_show, "with_sensors_of", lambda setup, _: setup)
