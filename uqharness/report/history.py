@@ -11,9 +11,9 @@ import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 
 from sysid.arrays import FloatArray
 from sysid.units import RAD_DEG
@@ -24,6 +24,9 @@ from uqharness.replay import History, axis_label, shown_channel
 from uqharness.report.ground_track import equal_scales
 from uqharness.report.parts import Block, Figure, Figures, Section, Words
 from uqharness.report.svg import Chart, Scale, scale, standalone
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Z95 = 1.959963984540054
 """97.5 % quantile of the standard normal distribution."""
@@ -367,6 +370,9 @@ def draw_rerun(rerun: RerunResult) -> list[Path]:
     list of Path
         flight.svg; empty if the flight left no record.
     """
+    # Every page loads this module; only a repeated flight needs pandas.
+    import pandas as pd
+
     # The repeated flight left a Parquet record if it flew.
     record = next((path for path in rerun.files if path.suffix == ".parquet"), None)
     if record is None:
