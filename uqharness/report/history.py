@@ -17,7 +17,6 @@ import numpy as np
 
 from sysid.arrays import FloatArray
 from sysid.units import RAD_DEG
-from uqharness.campaign.folder import RerunResult
 from uqharness.files import write_text
 from uqharness.flight import COEFFICIENTS, FlightSpec
 from uqharness.replay import History, axis_label, shown_channel
@@ -27,6 +26,8 @@ from uqharness.report.svg import Chart, Scale, scale, standalone
 
 if TYPE_CHECKING:
     import pandas as pd
+
+    from uqharness.campaign.folder import RerunResult
 
 Z95 = 1.959963984540054
 """97.5 % quantile of the standard normal distribution."""
