@@ -11,7 +11,7 @@ from tests.helpers import campaign_fakes as fakes
 from tests.helpers.model_forms import made_up_form
 from uqharness.campaign.execution.processes import SerialExecutor
 from uqharness.campaign.run import run_campaign
-from uqharness.replay.simulation import write_pieces
+from uqharness.replay.histories import write_pieces
 
 TIME = np.arange(0.0, 4.0, 0.02)
 

@@ -144,7 +144,7 @@ def plot_overlay(
     Parameters
     ----------
     history
-        A segment of :func:`uqharness.replay.simulation.read_histories`.
+        A segment of :func:`uqharness.replay.histories.read_histories`.
     channel
         Name of the channel as measured, such as ``"q_radps"``.
     ax

@@ -7,7 +7,7 @@ import math
 import pytest
 
 from sysid.vocabulary import SIGNALS
-from uqharness.replay.simulation import axis_label, shown_channel, with_shown_names
+from uqharness.replay.histories import axis_label, shown_channel, with_shown_names
 
 
 @pytest.mark.parametrize(

@@ -8,8 +8,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from uqharness.errors import BadInputError
-from uqharness.replay.segments import Segment
-from uqharness.replay.simulation import (
+from uqharness.replay.histories import (
     HISTORIES,
     columns_of,
     have_columns,
@@ -17,6 +16,7 @@ from uqharness.replay.simulation import (
     write_histories,
     write_pieces,
 )
+from uqharness.replay.segments import Segment
 
 TIMES = [np.arange(4) * 0.02, 10.0 + np.arange(3) * 0.02]
 BLOCKS = [np.arange(8.0).reshape(4, 2), np.array([[1.0, np.nan], [2.0, 3.0], [4.0, 5.0]])]

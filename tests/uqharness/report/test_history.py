@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from lxml import etree
 
-from uqharness.replay.simulation import History
+from uqharness.replay.histories import History
 from uqharness.report.history import Model, end_to_end, file_name, history_section
 
 TIME = np.arange(0.0, 2.0, 0.02)

@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from sysid.record import FlightRecord
 from tests.helpers.model_forms import made_up_form
 from uqharness.campaign.conditions import Condition
-from uqharness.replay.simulation import History
+from uqharness.replay.histories import History
 from uqharness.report.plots import (
     plot_history,
     plot_model_form,

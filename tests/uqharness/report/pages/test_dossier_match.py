@@ -4,7 +4,7 @@ import numpy as np
 
 from tests.helpers import report_folders as folders
 from uqharness.dossier import read_evidence
-from uqharness.replay.simulation import write_pieces
+from uqharness.replay.histories import write_pieces
 from uqharness.report.pages.dossier import compare_with_log, match_section
 from uqharness.report.parts import Figures, Section, Table, render
 from uqharness.report.parts import Page as WholePage

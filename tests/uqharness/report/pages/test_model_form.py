@@ -13,7 +13,7 @@ from sysid.model_form.components import STEP_S, Variation
 from tests.helpers import report_folders as folders
 from tests.helpers.model_forms import made_up_form, with_parts
 from tests.helpers.page_checks import page_of, words_of
-from uqharness.replay.simulation import History
+from uqharness.replay.histories import History
 from uqharness.report.pages.coverage import coverage_page_of
 from uqharness.report.pages.model_form import slice_section, variation_section
 from uqharness.report.parts import render
