@@ -9,13 +9,16 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 
 from sysid.arrays import FloatArray
 from uqharness.report.parts import Figure
 from uqharness.report.svg import Chart, Scale, scale
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 _HEIGHT, _LAP_HEIGHT = 330, 290
 _LONGEST_S = 120.0
