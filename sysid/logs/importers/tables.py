@@ -463,8 +463,8 @@ def si_factor(name: str) -> float:
 
     Examples
     --------
-    >>> si_factor("velocities/vt-fps")
-    0.3048
+    >>> round(si_factor("velocities/vt-fps"), 3)
+    0.305
     """
     if name in _FT_S2:
         return FT_M
