@@ -259,7 +259,7 @@ def test_states_are_turned_into_the_axes_of_the_circle():
 
 def test_intervals_that_hold_are_counted(monkeypatch, tmp_path, capsys):
     rng = np.random.default_rng(2)
-    monkeypatch.setattr(coverage, "pilot", lambda *_: Levels((-2.0,)))
+    monkeypatch.setattr(coverage, "pilot", lambda *_, **__: Levels((-2.0,)))
     right = 0.1 * np.exp(0.3 * rng.standard_normal((100, 8)))
     monkeypatch.setattr(coverage, "observed", lambda *_: (right, 1.0))
     monkeypatch.setattr(coverage, "truth", lambda *_: (418, 4000))

@@ -58,7 +58,7 @@ def test_every_file_function_and_command_exists():
 
 def test_what_does_not_exist_is_seen():
     assert wrong_places(
-        "`sysid/estimation/noise.py:concentrated` `sysid/estimation/noise.py:nothing`"
+        "`sysid/estimation/noise.py:concentrated_cost` `sysid/estimation/noise.py:nothing`"
         " `sysid/nowhere.py`"
     ) == [
         "sysid/estimation/noise.py:nothing",

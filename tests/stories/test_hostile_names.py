@@ -31,7 +31,7 @@ def test_a_figure_with_such_a_name_is_a_drawing_like_others(tmp_path: Path) -> N
 
 
 def test_a_page_shows_it_as_text() -> None:
-    page = render(Page(title=NAME, asked=NAME, verdict=()))
+    page = render(Page(title=NAME, question=NAME, verdict=()))
     assert not UNSEEN.search(page)
     assert "<b>" not in page.replace("<body>", "")
     assert "fl\\x1b[31m&lt;b&gt;" in page
