@@ -21,6 +21,8 @@ from campaigns.levels.answers import (
     simulated,
 )
 
+pytestmark = pytest.mark.slow
+
 COMMITTED = Path(__file__).parents[2] / "campaigns" / "levels" / "answers.csv"
 
 

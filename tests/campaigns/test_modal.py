@@ -102,6 +102,7 @@ def test_intervals_are_five_per_cent():
         assert high - low == pytest.approx(0.1 * abs(NOMINAL[name]))
 
 
+@pytest.mark.slow
 def test_every_printed_cell_agrees_but_one_or_two(as_published):
     cells, factors = compare(as_published)
     assert len(cells) == 180

@@ -73,6 +73,7 @@ def test_terms_too_deep_are_refused():
         programme(deep)
 
 
+@pytest.mark.slow
 def test_air_that_moves_is_an_aeroplane_that_moves_the_other_way():
     rng = np.random.default_rng(8)
     x = rng.normal(size=(12, 5)) * np.array([2, 2, 2, 0.3, 0.3, 0.3, 0.3, 0.3, 1, 9, 9, 9])[:, None]

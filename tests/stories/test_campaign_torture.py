@@ -178,6 +178,7 @@ def check(tmp_path, flights, at_least, hit, how="spawn"):
     assert len(hit) >= at_least, hit
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:This process .* is multi-threaded:DeprecationWarning")
 def test_kills_in_the_middle_of_a_flight_and_of_writes(tmp_path):
     fakes.campaign_file(tmp_path)

@@ -119,6 +119,7 @@ def listens(pids: list[int]) -> set[str]:
     return found
 
 
+@pytest.mark.slow
 def test_a_campaign_flies_over_tls_on_one_address(cluster, certificate, tmp_path) -> None:
     address, pids = cluster
     done = run(address, tmp_path / "out", certificate)

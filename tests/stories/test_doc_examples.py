@@ -15,7 +15,14 @@ from tests.helpers.flying_here import flying_here
 PAGES = {page.name: page for page in de.pages()}
 
 
-@pytest.mark.parametrize("name", PAGES)
+LONG_PAGES = ("tutorial.md", "python.md", "campaigns.md", "bring-your-own-aircraft.md")
+"""Pages whose examples take more than 10 s; `make test-slow` runs them."""
+
+
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(n, marks=pytest.mark.slow) if n in LONG_PAGES else n for n in PAGES],
+)
 def test_examples_run(name: str, tmp_path: Path):
     with flying_here():
         de.run_page(PAGES[name], tmp_path, slow=False)

@@ -20,6 +20,8 @@ from uqharness.simulator.aircraft import PROJECT_ROOT, content_hash, find_aircra
 from uqharness.simulator.forced_state import BodyState, apply_controls, body_velocity, force_state
 from uqharness.simulator.trim import SteadyCondition, find_trim
 
+pytestmark = pytest.mark.slow
+
 FT, DT, HEIGHT = 0.3048, 0.001, 400.0
 SPEED = {"synthetic_stall": 21.0, "espaaro_truth": 22.2}
 MODELS = {"synthetic_stall": stall_model.synthetic, "espaaro_truth": stall_model.truth}

@@ -14,7 +14,7 @@ from uqharness.simulator.aircraft import PROJECT_ROOT, content_hash, find_aircra
 from uqharness.study.run import run_chain
 from uqharness.study.spec import read_chain
 
-pytestmark = pytest.mark.usefixtures("flights_here")
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("flights_here")]
 
 SMALL = """
 [study]

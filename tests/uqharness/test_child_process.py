@@ -99,6 +99,7 @@ def test_without_the_setting_they_would(place):
     assert run_script(place, "spawn", "careless")[1] != ""
 
 
+@pytest.mark.slow
 def test_the_command_flies_a_campaign_in_such_a_folder(place):
     command = Path(sys.executable).with_name("uqharness")
     (place / "campaign.toml").write_text(

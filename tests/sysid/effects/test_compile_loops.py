@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from sysid.aerodynamics.air_motion import GustStates
 from sysid.aerodynamics.flight_equations import loops
@@ -59,6 +60,7 @@ def test_a_flight_compiles_nothing_that_was_not_compiled_ahead() -> None:
     assert compiled() == before
 
 
+@pytest.mark.slow
 def test_another_kind_of_array_would_be_seen() -> None:
     compile_loops()
     before = compiled()

@@ -169,6 +169,7 @@ def test_estimates_are_the_textbook_filters_maximum_and_its_curvature(fitted):
     assert fit.warnings == []
 
 
+@pytest.mark.slow
 def test_without_process_noise_it_is_output_error():
     z = fly(1, q=np.zeros(2))
     t = np.arange(400) * DT

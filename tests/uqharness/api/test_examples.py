@@ -12,7 +12,20 @@ from tests.helpers.docstrings import example_of, public_functions
 
 pytestmark = pytest.mark.usefixtures("flights_here")
 
-SLOW = {"refine", "check_campaign", "dossier", "margins", "report", "validate_bounds", "verify"}
+SLOW = {
+    "campaign_report",
+    "check_campaign",
+    "diff",
+    "dossier",
+    "margins",
+    "next_flight",
+    "refine",
+    "report",
+    "rerun_case",
+    "study",
+    "validate_bounds",
+    "verify",
+}
 """Examples that take minutes, or start processes of their own."""
 
 FLAGS = doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS

@@ -71,6 +71,7 @@ def test_the_pace_is_that_of_many_lanes_however_few_cases_there_are(cases):
     assert batch_pace(failing, cases, SerialExecutor()) is None
 
 
+@pytest.mark.slow
 def test_the_work_before_a_campaign_does_not_grow_with_its_grid_of_conditions(tmp_path):
     winds = tuple(float(wind) for wind in np.random.default_rng(1).permutation(2000) * 0.002)
     air = {"wind_mps": winds, "turbulence": ("light", "moderate")}

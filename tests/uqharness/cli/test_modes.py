@@ -79,6 +79,7 @@ def test_no_trim_is_an_answer_and_not_an_error(capsys, monkeypatch):
     assert json.loads(capsys.readouterr().out)["trim"] is None
 
 
+@pytest.mark.slow
 def test_a_page_is_written_when_asked_and_json_stays_as_it_is(tmp_path, capsys):
     path = tmp_path / "new" / "modes.html"
     assert main(["modes", "espaaro", "--speed-mps", "22.2", "--json"]) == 0

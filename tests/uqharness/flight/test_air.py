@@ -338,6 +338,7 @@ def test_wind_set_elsewhere_is_removed_and_reported(pinned: Open) -> None:
 # The command.
 
 
+@pytest.mark.slow
 def test_command_writes_tables_and_figure(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -69,6 +69,7 @@ def test_intervals_hold_the_truth_and_predictions_are_white(folder: Path):
     assert all(abs(value) < 4.0 * std for value, std in late)
 
 
+@pytest.mark.slow
 def test_what_is_asked_for_is_estimated_and_no_more(folder: Path):
     asked = ["Cm_0", "Cm_alpha", "Cm_q", "Cm_de"]
     outputs = (
@@ -100,6 +101,7 @@ def test_what_is_asked_for_is_estimated_and_no_more(folder: Path):
     )
 
 
+@pytest.mark.slow
 def test_moments_that_the_model_lacks_are_told(folder: Path):
     """Pitching moment due to roll rate squared, as the dissertation's section 2.7.2 has it, is in
     no parameter.
@@ -114,6 +116,7 @@ def test_moments_that_the_model_lacks_are_told(folder: Path):
     ]
 
 
+@pytest.mark.slow
 def test_a_parameter_at_its_bound_is_not_identified(folder: Path):
     own = Airframe().coefficients["Cm_q"]
     assert TRUTH.coefficients["Cm_q"] < 1.02 * own

@@ -26,6 +26,8 @@ from uqharness.refinement.unnamed import EXPLAINED, STATES, is_in
 from uqharness.simulator.aircraft import find_aircraft
 from uqharness.simulator.mission import find_script
 
+pytestmark = pytest.mark.slow
+
 KINDS = ("elevator 3-2-1-1", "roll and pitch", "roll and yaw")
 CARDS = tuple(
     card(40 + i, V, seconds=24.0, kinds=KINDS, first=i) for i, V in enumerate((20.0, 22.0, 21.0))

@@ -143,6 +143,7 @@ def loaded(modules):
     ).stdout.split()
 
 
+@pytest.mark.slow
 def test_reports_load_no_matplotlib():
     assert (
         loaded(

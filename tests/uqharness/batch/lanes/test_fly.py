@@ -327,7 +327,14 @@ def test_a_lane_that_is_not_a_number_harms_no_other():
     assert same_end(fly(bad), together[1])
 
 
-@pytest.mark.parametrize(("air", "source"), [(True, "spec"), (True, "jsbsim"), (False, "spec")])
+@pytest.mark.parametrize(
+    ("air", "source"),
+    [
+        (True, "spec"),
+        pytest.param(True, "jsbsim", marks=pytest.mark.slow),
+        pytest.param(False, "spec", marks=pytest.mark.slow),
+    ],
+)
 def test_one_program_flies_all_conditions(tmp_path, air, source):
     plane, script = ("espaaro", "loiter") if air else (without_air(tmp_path), "doublet-elevator")
     cells = [(wind, turbulence) for turbulence in ("light", "severe") for wind in (0.0, 6.0)]

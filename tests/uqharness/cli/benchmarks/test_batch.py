@@ -11,6 +11,7 @@ from uqharness.cli.benchmarks import batch as benchmark_batch
 from uqharness.cli.benchmarks.batch import as_text, measure_batch
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("flights_here")
 def test_every_loop_is_measured_and_said(monkeypatch):
     monkeypatch.delenv(VECTORS, raising=False)

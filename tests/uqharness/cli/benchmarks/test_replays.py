@@ -11,6 +11,7 @@ from uqharness.replay import in_lanes
 from uqharness.simulator import find_aircraft
 
 
+@pytest.mark.slow
 def test_replays_are_measured_and_said(tmp_path, monkeypatch):
     compiled = []
     made = in_lanes._compile
