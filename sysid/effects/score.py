@@ -38,10 +38,12 @@ information.
 class Evidence:
     """Sums of whitened columns and innovations over groups of segments.
 
-    gram (G, K, K), score (G, K): Y'Y and Y'e of each group; group (S,): that of each segment; prior
-    (K,): information held besides held   names of the columns that ``white`` has, in its order;
-    None: all. Others it makes again, or has not remembered  what `corrected_each` has found: a
-    search asks for the same columns again and again"""
+    gram (G, K, K), score (G, K): Y'Y and Y'e of each group; group (S,): that of each segment;
+    prior (K,): information from elsewhere.
+    held        names of the columns that ``white`` has, in its order; None: all. Others it makes
+                again or does not have.
+    remembered  results of `corrected_each`: a search needs the same columns again and again
+    """
 
     names: tuple[str, ...]
     gram: FloatArray

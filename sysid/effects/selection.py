@@ -145,9 +145,9 @@ def select(
 
     free        columns that are estimated in any case; candidates: key -> odds
     chosen      effects to begin with, which may be exchanged or removed again
-    limit       |t| asked (default: chance_limit) empirical   whether t must stand above the limit
-    in units of the candidates' own spread, too (Efron, JASA 99, 2004), which is
-                one where nothing but noise is left
+    limit       smallest |t| of an effect (default: chance_limit)
+    empirical   whether |t| must also exceed the limit times the standard deviation of all
+                candidates' t (Efron, JASA 99, 2004), which is one for noise alone
     alone       |t| from which one that enters is the last to do so
     """
     limit = chance_limit(evidence, free, list(candidates)) if limit is None else limit

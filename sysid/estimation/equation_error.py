@@ -104,8 +104,9 @@ def equation_error(
         For shapes and names that disagree, n <= k, NaN or infinity in a row (rows are not dropped).
 
     References
-    ---------- V. Klein, E. A. Morelli, Aircraft System Identification, 2006: regression, and
-    standard errors for coloured residuals.
+    ----------
+    V. Klein, E. A. Morelli, Aircraft System Identification, 2006: regression, and standard errors
+    for coloured residuals.
 
     Examples
     --------

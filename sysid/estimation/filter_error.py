@@ -813,8 +813,9 @@ def filter_error(
         For inputs that disagree, times that do not increase, models that fail at x0, theta0.
 
     References
-    ---------- R. E. Maine, K. W. Iliff, NASA RP-1168, 1986, chapters 5 and 6. R. V. Jategaonkar,
-    Flight Vehicle System Identification, 2015, chapter 5.
+    ----------
+    R. E. Maine, K. W. Iliff, NASA RP-1168, 1986, chapters 5 and 6.
+    R. V. Jategaonkar, Flight Vehicle System Identification, 2015, chapter 5.
 
     Examples
     --------
