@@ -35,8 +35,8 @@ from uqharness.identification.linearised import (
 )
 from uqharness.refinement.evaluation import Shown, left_in, show, with_replays
 from uqharness.refinement.round import Side, column_evidence
-from uqharness.refinement.rounds import fit_point, fitted_effects, sensors_moved
-from uqharness.refinement.search import Found, with_resolution
+from uqharness.refinement.rounds import fit_point, fitted_effects, sensors_moved, with_values
+from uqharness.refinement.search import Found
 from uqharness.simulator import Aircraft
 
 # Where hold-out flights seem to contradict an effect: what the train flights' own errors make
@@ -402,24 +402,36 @@ def evidence_of(found: Found, also: Sequence[str] = (), more: Sequence[Columns] 
 
 
 def left_out(found: Found, evidence: Evidence, keys: Sequence[str]) -> Found:
-    """Everything estimated again on the train flights without the effects ``keys``; bare where none
-    is left.
+    """Estimate everything on the train flights without the effects ``keys``; bare if none is left.
+
+    The stated estimates come from replays. They move as far as the linear estimates move when the
+    effects are left out, and their standard errors change in the same proportion.
     """
     kept = [c for c in found.selection.chosen if c.key not in keys]
     if not kept:
         return bare(found)
     effects = {e.key for e in found.setup.active} | found.selection.values.keys()
     free = [n for n in evidence.names if n not in effects]
-    rest = [c.key for c in kept]
-    now = corrected_each(evidence, [*free, *rest], rest)
-    chosen = [
-        replace(c, value=value, std=std, t=value / std)
-        for c, (value, std, _) in zip(kept, now.values(), strict=True)
-    ]
-    estimated = replace(found.selection, chosen=tuple(chosen))
-    selection = with_resolution(estimated, found.effects, found.setup.segments[0].dt_s)
-    parameters = in_one_step(evidence, found.names, found.after, [*selection.values])
+    chosen_keys, kept_keys = [c.key for c in found.selection.chosen], [c.key for c in kept]
+    with_all = corrected_each(evidence, [*free, *chosen_keys], chosen_keys)
+    with_kept = corrected_each(evidence, [*free, *kept_keys], kept_keys)
+    chosen = []
+    for c in kept:
+        value, std = _moved((c.value, c.std), with_all[c.key], with_kept[c.key])
+        chosen.append(replace(c, value=value, std=std, t=value / std))
+    before, after = (
+        in_one_step(evidence, found.names, found.after, names) for names in (chosen_keys, kept_keys)
+    )
+    parameters = {n: _moved(found.parameters[n], before[n], after[n]) for n in found.names}
+    selection = replace(found.selection, chosen=tuple(chosen))
     return replace(found, parameters=parameters, selection=selection)
+
+
+def _moved(
+    stated: tuple[float, float], before: Sequence[float], after: Sequence[float]
+) -> tuple[float, float]:
+    """Return a stated (value, standard error), moved as the linear estimate of it moves."""
+    return stated[0] + (after[0] - before[0]), stated[1] * (after[1] / before[1])
 
 
 def refitted(model: Found, found: Found, whole: Aircraft, pool: Processes) -> Found:
@@ -454,15 +466,10 @@ def refitted(model: Found, found: Found, whole: Aircraft, pool: Processes) -> Fo
         fit = fit_point(bench.model, found.setup, point, names, bounds, pool, withdrawn)
     if fit is None or fit.cost > linear.cost:
         return model
-    moved = fitted_effects(found.setup).keys() & values.keys()
-    chosen = tuple(
-        replace(c, value=(value := fit.point.effects[c.key]), t=value / c.std)
-        if c.key in moved
-        else c
-        for c in model.selection.chosen
-    )
+    kept = fitted_effects(found.setup).keys() & values.keys()
+    selection = with_values(model.selection, {key: fit.point.effects[key] for key in kept})
     parameters = {
         n: (fit.point.values[n] if n in names else value, std)
         for n, (value, std) in model.parameters.items()
     }
-    return replace(model, parameters=parameters, selection=replace(model.selection, chosen=chosen))
+    return replace(model, parameters=parameters, selection=selection)

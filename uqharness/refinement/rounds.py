@@ -422,6 +422,15 @@ def fitted_effects(setup: Setup) -> dict[str, str]:
     return {key: place.name for key, place in setup.carriers.items() if place.servo is None}
 
 
+def with_values(selection: Selection, values: Mapping[str, float]) -> Selection:
+    """Return the selection with other values of some effects by key; standard errors stay."""
+    chosen = tuple(
+        replace(c, value=values[c.key], t=values[c.key] / c.std) if c.key in values else c
+        for c in selection.chosen
+    )
+    return replace(selection, chosen=chosen)
+
+
 def sensors_moved(setup: Setup, point: Point) -> bool:
     """Whether an active effect moves a sensor; replays of a fit have their sensors where the card
     says.
@@ -521,11 +530,7 @@ def settled(start: Start, final: Round, folder: Path) -> Round:
         )
     again = _round_of(start, setup, fit, None, flown.cost, written)
     exact = {key: effects[key] for key in fitted_effects(setup)}
-    chosen = tuple(
-        replace(c, value=exact[c.key], t=exact[c.key] / c.std) if c.key in exact else c
-        for c in again.selection.chosen
-    )
-    return replace(again, selection=replace(again.selection, chosen=chosen))
+    return replace(again, selection=with_values(again.selection, exact))
 
 
 def _round_of(
