@@ -161,7 +161,7 @@ def linearise(
     loops().discretise(by_state, by_load, h, phi, g0, g1)
     H, D = np.ascontiguousarray(by_state[:, size:]), np.ascontiguousarray(by_load[:, size:])
     rate, y_ref = model(states, 0.0)
-    # A measured reference is no solution of the equations: its defect is one integration step.
+    # A measured reference does not satisfy the equations: its defect is one integration step.
     defect = np.zeros((n - 1, size))
     if not reference.consistent:
         bend = np.zeros((2, n - 1, 6)) if reference.bend is None else reference.bend

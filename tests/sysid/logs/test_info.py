@@ -24,7 +24,7 @@ def purposes(record: FlightRecord) -> dict[str, tuple[bool, str]]:
 
 
 # --- dialects
-# -----------------------------------------------------------------------------------------------------
+# ------------------------------------------------------------------------------------------------
 
 
 def test_four_hertz_telemetry_is_refused_for_identification_and_replay(
@@ -50,7 +50,7 @@ def test_a_users_map_takes_the_place_of_the_dialects_entry(
 
 
 # --- maps
-# -----------------------------------------------------------------------------------------------------------
+# ------------------------------------------------------------------------------------------------
 
 
 def test_shipped_maps_are_sound_and_use_the_vocabulary() -> None:
@@ -88,7 +88,7 @@ def test_bad_maps_are_refused_with_the_place(text: str, message: str) -> None:
 
 
 # --- purposes
-# -------------------------------------------------------------------------------------------------------
+# ------------------------------------------------------------------------------------------------
 
 
 def test_a_good_log_serves_replay_and_identification(bin_log: Path, card_path: Path) -> None:

@@ -46,7 +46,7 @@ def test_a_clean_log_raises_no_warning(tmp_path: Path, card: AirframeCard) -> No
 
 
 # --- time
-# ---------------------------------------------------------------------------------------------------------
+# ------------------------------------------------------------------------------------------------
 
 
 def test_one_spike_costs_one_sample() -> None:
@@ -106,7 +106,7 @@ def test_backward_times_in_a_log_are_reported(tmp_path: Path, card: AirframeCard
 
 
 # --- values
-# -------------------------------------------------------------------------------------------------------
+# ------------------------------------------------------------------------------------------------
 
 
 def test_gap_and_dropouts_carry_their_figures(tmp_path: Path, card: AirframeCard) -> None:
@@ -211,7 +211,7 @@ def test_lever_arm_becomes_a_finding(tmp_path: Path, card: AirframeCard) -> None
 
 
 # --- flight phase
-# ---------------------------------------------------------------------------------------------------
+# ------------------------------------------------------------------------------------------------
 
 
 def test_ground_tow_and_free_flight_are_told_apart() -> None:

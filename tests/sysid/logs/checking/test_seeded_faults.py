@@ -129,7 +129,7 @@ def test_a_genuine_flight(fault: str, flight_data: Path, card_path: Path) -> Non
 
 
 # --- the surfaces
-# ---------------------------------------------------------------------------------------------------
+# ------------------------------------------------------------------------------------------------
 
 
 def driven(sense: float) -> FlightRecord:
@@ -180,7 +180,7 @@ def test_an_aircraft_that_swings_back_within_the_lags_tells_no_sign() -> None:
 
 
 # --- samples
-# --------------------------------------------------------------------------------------------------------
+# ------------------------------------------------------------------------------------------------
 
 
 def test_coarse_held_interpolated_stuck_and_wrapped() -> None:
@@ -243,7 +243,7 @@ def test_a_sensor_that_stops_in_a_manoeuvre_and_a_scaled_number_that_wraps() -> 
 
 
 # --- pieces
-# ---------------------------------------------------------------------------------------------------------
+# ------------------------------------------------------------------------------------------------
 
 
 def test_scale_sign_and_lateness_of_two_noisy_signals() -> None:
