@@ -16,7 +16,8 @@ from uqharness.campaign.engines import make_copy, needs_copy
 from uqharness.campaign.folder.manifest import digest_of_rows
 from uqharness.campaign.run import find_mission
 from uqharness.campaign.spec.campaign import CampaignSpec
-from uqharness.campaign.spec.samples import epistemic_samples, read_campaign, with_samples
+from uqharness.campaign.spec.read import read_campaign, with_samples
+from uqharness.campaign.spec.samples import epistemic_samples
 from uqharness.errors import BadInputError
 
 COPY = "results-copy"

@@ -22,7 +22,7 @@ from tests.helpers import campaign_fakes as fakes
 from uqharness.campaign.execution.processes import SerialExecutor
 from uqharness.campaign.execution.worker import JUDGE
 from uqharness.campaign.run import find_mission
-from uqharness.campaign.spec.samples import read_campaign
+from uqharness.campaign.spec.read import read_campaign
 from uqharness.errors import BadInputError, EnginesDifferError
 from uqharness.flight.spec import FlightResult
 

@@ -170,7 +170,7 @@ def _campaign(folder: Path) -> None:
     import tests.helpers.campaign_fakes as fakes
     from uqharness.campaign.execution.processes import SerialExecutor
     from uqharness.campaign.run import run_campaign
-    from uqharness.campaign.spec.samples import read_campaign
+    from uqharness.campaign.spec.read import read_campaign
 
     beside = folder.parent / "input"
     beside.mkdir()

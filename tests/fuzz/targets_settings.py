@@ -42,7 +42,8 @@ def _campaign(place: Path, seed: int) -> None:
     def plan() -> None:
         from uqharness.campaign.cost import epistemic_count, size_of
         from uqharness.campaign.rounds import rule_of
-        from uqharness.campaign.spec.samples import epistemic_samples, read_campaign
+        from uqharness.campaign.spec.read import read_campaign
+        from uqharness.campaign.spec.samples import epistemic_samples
 
         spec = read_campaign(place / "campaign.toml")
         rule_of(spec.as_dict(), 4)

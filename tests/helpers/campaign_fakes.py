@@ -75,7 +75,7 @@ def campaign_file(folder: Path, text: str = CAMPAIGN) -> Path:
 
 def small_spec(folder: Path, flights: int = 3, **changes: object) -> CampaignSpec:
     """CAMPAIGN with other numbers."""
-    from uqharness.campaign.spec.samples import read_campaign
+    from uqharness.campaign.spec.read import read_campaign
 
     spec = read_campaign(campaign_file(folder))
     return replace(spec, aleatory=spec.aleatory.model_copy(update={"flights": flights, **changes}))

@@ -80,7 +80,7 @@ def main() -> None:
     from tests.helpers import engine_fakes
     from uqharness.campaign.execution.processes import Executor, ProcessExecutor
     from uqharness.campaign.run import run_campaign
-    from uqharness.campaign.spec.samples import read_campaign
+    from uqharness.campaign.spec.read import read_campaign
 
     folder, out, flights, fake, how = sys.argv[1:6]
     if len(sys.argv) > 6:

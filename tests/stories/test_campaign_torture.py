@@ -24,7 +24,7 @@ from uqharness.campaign.execution.processes import ProcessExecutor, SerialExecut
 from uqharness.campaign.folder.store import Store
 from uqharness.campaign.folder.tables import CASES, FULL_FLIGHT, read_check
 from uqharness.campaign.run import run_campaign
-from uqharness.campaign.spec.samples import read_campaign
+from uqharness.campaign.spec.read import read_campaign
 from uqharness.errors import BadInputError
 
 TABLES = (CASES, "pbox.parquet", "excursions.csv")

@@ -26,7 +26,7 @@ from uqharness.campaign.folder.shards import Shard, merge
 from uqharness.campaign.folder.store import JOURNAL, Store
 from uqharness.campaign.folder.verify import RunOptions, salvage, verify
 from uqharness.campaign.run import run_campaign
-from uqharness.campaign.spec.samples import read_campaign
+from uqharness.campaign.spec.read import read_campaign
 from uqharness.cli.main import main
 from uqharness.errors import BadInputError
 from uqharness.report.write import write_report

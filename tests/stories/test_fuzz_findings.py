@@ -29,7 +29,7 @@ from uqharness.campaign.execution.dask_task import order_from
 from uqharness.campaign.folder.shards import read_status
 from uqharness.campaign.folder.store import JournalScan, Store
 from uqharness.campaign.folder.verify import scan_journal
-from uqharness.campaign.spec.samples import read_campaign
+from uqharness.campaign.spec.read import read_campaign
 from uqharness.cli.main import main
 from uqharness.errors import BadInputError
 from uqharness.parquet_files import parse_table, table_bytes

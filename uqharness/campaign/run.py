@@ -59,7 +59,7 @@ from uqharness.campaign.folder.store import JOURNAL, LOCK, Store, run_lock
 from uqharness.campaign.folder.tables import make_tables, write_tables
 from uqharness.campaign.rounds import Rounds
 from uqharness.campaign.spec.campaign import CampaignSpec
-from uqharness.campaign.spec.samples import naming_keys
+from uqharness.campaign.spec.read import naming_keys
 from uqharness.errors import BadInputError
 from uqharness.files import PART
 from uqharness.flight import TURBULENCE_W20_KT, FlightSpec

@@ -2,7 +2,6 @@ from .campaign import condition_sections as condition_sections
 from .campaign import track_cases as track_cases
 from .compare import document_of as document_of
 from .compare import write_tables as write_tables
-from .history import draw_rerun as draw_rerun
 from .pages.model_form import bounds_document as bounds_document
 from .pages.model_form import validation_document as validation_document
 from .pages.model_form import write_residuals as write_residuals
@@ -11,6 +10,7 @@ from .pages.next_flight import points_csv as points_csv
 from .parts import first_lines as first_lines
 from .pbox import convergence_section as convergence_section
 from .plots import campaign_view as campaign_view
+from .rerun import draw_rerun as draw_rerun
 from .write import Report as Report
 from .write import kind_of as kind_of
 from .write import write_campaign_report as write_campaign_report

@@ -17,7 +17,8 @@ from uqharness.campaign.cases import build_cases
 from uqharness.campaign.execution.processes import ProcessExecutor
 from uqharness.campaign.folder.store import JOURNAL
 from uqharness.campaign.run import find_mission, run_campaign
-from uqharness.campaign.spec.samples import epistemic_samples, read_campaign
+from uqharness.campaign.spec.read import read_campaign
+from uqharness.campaign.spec.samples import epistemic_samples
 from uqharness.cli.main import main
 from uqharness.flight.spec import FlightSpec
 

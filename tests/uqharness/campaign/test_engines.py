@@ -25,7 +25,7 @@ from uqharness.campaign.folder.manifest import read_manifest, write_manifest
 from uqharness.campaign.folder.shards import merge, parse_shard, read_status
 from uqharness.campaign.folder.verify import RunOptions, salvage
 from uqharness.campaign.run import find_mission, run_campaign
-from uqharness.campaign.spec.samples import read_campaign
+from uqharness.campaign.spec.read import read_campaign
 from uqharness.cli.main import main
 from uqharness.errors import BadInputError
 from uqharness.parquet_files import read_table

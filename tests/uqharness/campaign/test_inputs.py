@@ -24,7 +24,8 @@ from uqharness.campaign.execution.processes import SerialExecutor
 from uqharness.campaign.folder.manifest import describe, spec_of
 from uqharness.campaign.folder.tables import CASES
 from uqharness.campaign.run import find_mission, run_campaign
-from uqharness.campaign.spec.samples import epistemic_samples, read_campaign
+from uqharness.campaign.spec.read import read_campaign
+from uqharness.campaign.spec.samples import epistemic_samples
 from uqharness.cli.main import main
 from uqharness.errors import BadInputError
 from uqharness.flight.fly import record_mission

@@ -17,7 +17,7 @@ from uqharness.campaign.folder.manifest import read_manifest
 from uqharness.campaign.folder.shards import Shard
 from uqharness.campaign.folder.tables import CASES
 from uqharness.campaign.run import run_campaign
-from uqharness.campaign.spec.samples import read_campaign
+from uqharness.campaign.spec.read import read_campaign
 from uqharness.cli.main import main
 from uqharness.errors import BadInputError
 from uqharness.parquet_files import read_table

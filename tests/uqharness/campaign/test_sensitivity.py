@@ -23,7 +23,7 @@ from uqharness.campaign.sensitivity import (
     read_corner_campaign,
     read_interior_campaign,
 )
-from uqharness.campaign.spec.samples import read_campaign
+from uqharness.campaign.spec.read import read_campaign
 from uqharness.cli.main import run_words
 from uqharness.errors import BadInputError
 from uqharness.flight.spec import FlightResult

@@ -22,7 +22,7 @@ from uqharness.campaign.cases import build_cases
 from uqharness.campaign.execution.processes import SerialExecutor
 from uqharness.campaign.run import run_campaign
 from uqharness.campaign.sensitivity import find_winner
-from uqharness.campaign.spec.samples import read_campaign
+from uqharness.campaign.spec.read import read_campaign
 from uqharness.cli.main import main
 from uqharness.errors import BadInputError
 from uqharness.flight.spec import FlightResult

@@ -16,7 +16,7 @@ from tests.helpers.page_checks import problems
 from uqharness.campaign.execution.processes import SerialExecutor
 from uqharness.campaign.folder.manifest import read_manifest, write_manifest
 from uqharness.campaign.run import run_campaign
-from uqharness.campaign.spec.samples import read_campaign
+from uqharness.campaign.spec.read import read_campaign
 from uqharness.errors import BadInputError
 from uqharness.report.write import write_campaign_report, write_report
 

@@ -10,7 +10,7 @@ import pytest
 from lxml import etree
 
 from uqharness.flight.spec import FlightSpec
-from uqharness.report.history import flight_figures
+from uqharness.report.rerun import flight_figures
 
 TIME = np.arange(0.0, 10.0, 0.1)
 RECORD = pd.DataFrame(

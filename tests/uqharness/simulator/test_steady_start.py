@@ -23,7 +23,7 @@ from uqharness.campaign.engines import make_copy
 from uqharness.campaign.execution.processes import SerialExecutor
 from uqharness.campaign.folder.tables import CASES
 from uqharness.campaign.run import find_mission, run_campaign
-from uqharness.campaign.spec.samples import read_campaign
+from uqharness.campaign.spec.read import read_campaign
 from uqharness.cli.main import main
 from uqharness.errors import BadInputError
 from uqharness.flight.fly import fly

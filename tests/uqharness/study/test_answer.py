@@ -12,7 +12,7 @@ from tests.helpers import campaign_fakes as fakes
 from uqharness.campaign.cases import Mission
 from uqharness.campaign.execution.processes import SerialExecutor
 from uqharness.campaign.run import run_campaign
-from uqharness.campaign.spec.samples import read_campaign
+from uqharness.campaign.spec.read import read_campaign
 from uqharness.campaign.statements import DISPERSION_EXCEEDED, bound_dispersion
 from uqharness.study.answer import answer_of, performance, read_campaigns
 

@@ -9,7 +9,7 @@ import pytest
 
 from uqharness.campaign.folder import read_cases, read_complete
 from uqharness.campaign.run import run_campaign
-from uqharness.campaign.spec.samples import read_campaign
+from uqharness.campaign.spec.read import read_campaign
 from uqharness.campaign.statements import statements
 from uqharness.study.answer import TRACKS, TrackRequest, fly_tracks, hardest
 

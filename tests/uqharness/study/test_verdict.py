@@ -17,7 +17,7 @@ from uqharness.campaign.cases import Mission
 from uqharness.campaign.conditions import Condition
 from uqharness.campaign.execution.processes import SerialExecutor
 from uqharness.campaign.run import run_campaign
-from uqharness.campaign.spec.samples import read_campaign
+from uqharness.campaign.spec.read import read_campaign
 from uqharness.flight.spec import FlightResult
 from uqharness.statistics.pbox import Sample
 from uqharness.study import answer as chain_performance

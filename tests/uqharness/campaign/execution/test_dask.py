@@ -20,7 +20,7 @@ from uqharness.campaign.execution.processes import ProcessExecutor, SerialExecut
 from uqharness.campaign.execution.worker import Group, OneByOne
 from uqharness.campaign.folder.tables import CASES
 from uqharness.campaign.run import run_campaign
-from uqharness.campaign.spec.samples import read_campaign
+from uqharness.campaign.spec.read import read_campaign
 from uqharness.cli.main import run_words
 from uqharness.errors import BadInputError
 from uqharness.flight.spec import FlightSpec

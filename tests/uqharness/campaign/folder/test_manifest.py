@@ -20,7 +20,7 @@ from tests.helpers.places import TESTS
 from uqharness.campaign.execution.processes import SerialExecutor
 from uqharness.campaign.folder.manifest import digest_of_text, read_manifest, write_manifest
 from uqharness.campaign.run import run_campaign
-from uqharness.campaign.spec.samples import read_campaign
+from uqharness.campaign.spec.read import read_campaign
 from uqharness.cli.main import main
 from uqharness.next_flight.points import open_campaign
 

@@ -16,7 +16,7 @@ from uqharness.campaign.folder.shards import Shard, merge, parse_shard, shard_fo
 from uqharness.campaign.folder.store import Store, run_lock
 from uqharness.campaign.folder.tables import CASES
 from uqharness.campaign.run import run_campaign
-from uqharness.campaign.spec.samples import read_campaign
+from uqharness.campaign.spec.read import read_campaign
 from uqharness.cli.main import main
 from uqharness.errors import BadInputError
 from uqharness.parquet_files import read_table

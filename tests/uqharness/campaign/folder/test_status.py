@@ -14,7 +14,7 @@ from uqharness.campaign.folder.manifest import MANIFEST, DamageError, read_manif
 from uqharness.campaign.folder.shards import read_status
 from uqharness.campaign.folder.store import JOURNAL
 from uqharness.campaign.run import run_campaign
-from uqharness.campaign.spec.samples import read_campaign
+from uqharness.campaign.spec.read import read_campaign
 from uqharness.errors import BadInputError
 
 pytestmark = pytest.mark.usefixtures("flights_here")

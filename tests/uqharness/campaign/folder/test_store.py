@@ -15,7 +15,7 @@ import pytest
 from uqharness.campaign.execution.worker import CaseOutcome
 from uqharness.campaign.folder.manifest import read_manifest, refuse_if_different, write_manifest
 from uqharness.campaign.folder.store import JOURNAL, Store, is_running, run_lock
-from uqharness.campaign.spec.samples import checked_settings
+from uqharness.campaign.spec.read import checked_settings
 from uqharness.errors import BadInputError
 
 
