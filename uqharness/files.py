@@ -484,3 +484,12 @@ def _remove(path: Path, lock: int) -> None:
         os.rmdir(path)
     if os.name != "nt":
         os.close(lock)
+
+
+def results_folder(path: Path) -> Path:
+    """Create the folder of ``--out`` with its parents. Raises BadInputError."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise BadInputError(f"--out {path}: cannot be made: {error.strerror}") from None
+    return path

@@ -38,7 +38,7 @@ CHAPTERS = {
     "Errors": ("BadInputError", "LogError"),
 }
 RESULTS = (
-    "uqharness.api.flights.Flight",
+    "uqharness.commands.flights.Flight",
     "uqharness.identification.replay_fit.Identification",
     "uqharness.identification.compare.Comparison",
     "uqharness.identification.bounds.MadeBounds",

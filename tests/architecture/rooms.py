@@ -31,12 +31,13 @@ LAYERS: Mapping[str, tuple[str, ...]] = {
         "study",
         "dossier",
         "report",
+        "commands",
         "api",
         "cli",
     ),
 }
 
-BASE = {"sysid": ("foreign",), "uqharness": ()}
+BASE = {"sysid": ("foreign",), "uqharness": ("requests", "results")}
 """Folders of the lowest layer."""
 FACES = ("sysid", "uqharness")
 """The packages' own ``__init__``: the public face, which stands above all layers and is loaded name

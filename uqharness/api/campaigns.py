@@ -20,7 +20,6 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from uqharness.api.flights import AnyPath
 from uqharness.arguments import integer, number, one_of, path, require, share
 from uqharness.arguments import workers as given_workers
 from uqharness.campaign import (
@@ -36,6 +35,7 @@ from uqharness.campaign import run as running
 from uqharness.campaign.folder import read_cases, read_checked, read_complete
 from uqharness.campaign.spec import CampaignSpec
 from uqharness.campaign.spec import read as reading
+from uqharness.commands.flights import AnyPath
 from uqharness.errors import BadInputError
 from uqharness.files import find_campaign
 from uqharness.heartbeat import STATE, Rate, clock, notebook_line

@@ -7,23 +7,26 @@ accept whatever a user passes for an aircraft or flights.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
 from os import PathLike
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Literal
 
-from numpy.typing import NDArray
-
-from sysid.digests import file_sha256, sha256_hex
 from sysid.logs import LogInfo, MapProposal, check_units, import_log
 from sysid.logs import log_info as report_of_log
 from sysid.logs import propose_map as proposed
 from sysid.record import FlightRecord, Metadata
-from sysid.vocabulary import LABELS, SIGNALS
+from sysid.vocabulary import SIGNALS
 from uqharness.arguments import flag, instance, integer, number, one_of
 from uqharness.arguments import path as argument_path
 from uqharness.arguments import properties as settings
-from uqharness.errors import BadInputError
+from uqharness.commands.flights import (
+    AnyAircraft,
+    AnyPath,
+    Flight,
+    _content_sha256,
+    aircraft_of,
+    carded_aircraft,
+    flights_of,
+)
 from uqharness.flight import (
     DEFAULT_TURBULENCE_SOURCE,
     TURBULENCE_W20_KT,
@@ -31,82 +34,12 @@ from uqharness.flight import (
     recorded_flight,
     seeded_spec,
     start_position,
-    write_record,
 )
 from uqharness.heartbeat import notebook_line
-from uqharness.plugin import with_card
-from uqharness.replay import in_free_flight, numbers_of_files, read_flight, refuse_duplicates
-from uqharness.simulator import Aircraft, find_aircraft, find_script, read_script
-from uqharness.text_tables import TabularResult
+from uqharness.simulator import find_script, read_script
 
 if TYPE_CHECKING:
-    import pandas as pd
-
-AnyPath: TypeAlias = str | PathLike[str]
-AnyAircraft: TypeAlias = str | PathLike[str] | Aircraft
-
-
-@dataclass(frozen=True)
-class Flight(TabularResult):
-    """One flight: its record, and how it ended if it was flown here.
-
-    Attributes
-    ----------
-    name : str
-        What reports call it.
-    record : FlightRecord
-        Channels by name, (n,) each, SI units and body axes (docs/log-reference.md lists them).
-        ``flight["q_radps"]`` reads one.
-    sha256 : str
-        Identity of its content, which model forms remember.
-    status, reason : str
-        ``ok``, or what ended a flown flight early (``diverged``, ``ground-contact``, ``crashed``)
-        and why.
-    aircraft : Aircraft or None
-        What flew it; None for a log.
-    start : Mapping
-        Where a flown flight began: lat_deg [deg], lon_deg [deg], alt_m above sea level [m].
-    """
-
-    name: str
-    record: FlightRecord
-    sha256: str
-    status: str = "ok"
-    reason: str = ""
-    aircraft: Aircraft | None = None
-    start: Mapping[str, float] = field(default_factory=dict)
-
-    def __repr__(self) -> str:
-        time_s = self.record["time_s"]
-        seconds = float(time_s[-1] - time_s[0]) if len(time_s) else 0.0
-        return f"Flight({self.name!r}, {len(self)} rows, {seconds:g} s, {self.status})"
-
-    def __len__(self) -> int:
-        return len(self.record)
-
-    def __getitem__(self, name: str) -> NDArray[Any]:
-        """Return the channel (n,). Raises LogError naming the available ones."""
-        return self.record[name]
-
-    def to_dataframe(self) -> pd.DataFrame:
-        """Return every column of the record as a table, one row a sample."""
-        import pandas as pd
-
-        return pd.DataFrame(dict(self.record.columns))
-
-    def write(self, path: AnyPath) -> tuple[str, ...]:
-        """Write .parquet, .csv or .bin (ArduPilot DataFlash); return the columns that the format
-        cannot hold.
-
-        An interrupted write leaves no file. Raises BadInputError for another suffix and a folder
-        that cannot be written.
-        """
-        return write_record(
-            self.to_dataframe(), argument_path("path", path), self.aircraft, self.start
-        )
-
-
-AnyFlight: TypeAlias = str | PathLike[str] | FlightRecord | Flight
+    pass
 
 
 def fly(
@@ -270,17 +203,13 @@ def read_flights(
     table = None if manoeuvres is None else argument_path("manoeuvres", manoeuvres)
     own_map = None if signal_map is None else argument_path("signal_map", signal_map)
     chosen = () if flight_number is None else flight_number
-    numbers = numbers_of_files([chosen] if isinstance(chosen, int) else chosen, len(files))
-    records = [
-        read_flight(path, model, table, own_map, number)
-        for path, number in zip(files, numbers, strict=True)
-    ]
-    hashes = [file_sha256(path) for path in files]
-    refuse_duplicates(files, hashes)
-    return [
-        Flight(path.stem, record, sha256)
-        for path, record, sha256 in zip(files, records, hashes, strict=True)
-    ]
+    return flights_of(
+        files,
+        model,
+        manoeuvres=table,
+        signal_map=own_map,
+        flight_number=[chosen] if isinstance(chosen, int) else chosen,
+    )
 
 
 def propose_map(log: AnyPath, aircraft: AnyAircraft | None = None) -> MapProposal:
@@ -364,68 +293,3 @@ def log_info(
     with notebook_line("log_info"):
         record = import_log(argument_path("log", log), own_map, card, flight_number=boot)
         return report_of_log(record)
-
-
-def aircraft_of(aircraft: AnyAircraft) -> Aircraft:
-    """Return the aircraft of a name or folder. Raises BadInputError."""
-    return (
-        aircraft
-        if isinstance(aircraft, Aircraft)
-        else find_aircraft(argument_path("aircraft", aircraft))
-    )
-
-
-def carded_aircraft(aircraft: AnyAircraft) -> Aircraft:
-    """Return the aircraft with a card; one without airframe.toml is instrumented for this process.
-
-    Raises BadInputError.
-    """
-    return with_card(aircraft_of(aircraft))
-
-
-def flights_of(flights: AnyFlight | Iterable[AnyFlight], aircraft: Aircraft) -> list[Flight]:
-    """Return one flight or several as a list, at least one and none twice.
-
-    Raises BadInputError.
-    """
-    # A single flight is a sequence too (its path, its rows), so it is recognised first.
-    if isinstance(flights, str | PathLike | FlightRecord | Flight):
-        flights = [flights]
-    several = instance(
-        "flights", flights, Iterable, "a path, a FlightRecord, a Flight or several of them"
-    )
-    unique_flights = [_flight_of(flight, aircraft) for flight in several]
-    if not unique_flights:
-        raise BadInputError(
-            "no flight was given; at least one is needed, such as uq.read_flights(['flight.bin'],"
-            " aircraft)"
-        )
-    refuse_duplicates(
-        [flight.name for flight in unique_flights], [flight.sha256 for flight in unique_flights]
-    )
-    return unique_flights
-
-
-def _flight_of(flight: AnyFlight, aircraft: Aircraft) -> Flight:
-    """Return one flight in whatever form it was given. Raises BadInputError."""
-    if isinstance(flight, Flight):
-        return flight
-    if isinstance(flight, FlightRecord):
-        name = Path(flight.metadata.source).stem or "flight"
-        return Flight(name, in_free_flight(flight, aircraft, name), _content_sha256(flight))
-    if not isinstance(flight, str | PathLike):
-        raise BadInputError(
-            "a flight is a path, a FlightRecord or what fly and read_flights give; received"
-            f" {type(flight).__name__}"
-        )
-    return read_flights(flight, aircraft)[0]
-
-
-def _content_sha256(record: FlightRecord) -> str:
-    """Return the digest of a record's columns."""
-    parts = []
-    for name, values in record.columns.items():
-        # The digest covers names, lengths and little-endian values, whatever the platform.
-        content = "\0".join(values).encode() if name in LABELS else values.astype("<f8").tobytes()
-        parts += [f"{name}\0{len(content)}\0".encode(), content]
-    return sha256_hex(b"".join(parts))

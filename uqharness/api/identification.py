@@ -7,12 +7,13 @@ commands do, and return typed results.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
 from typing import Literal
 
-from sysid.aerodynamics import Cutoffs
-from sysid.model_form import FitOptions, ModelForm, Outside
-from uqharness.api.flights import (
+from sysid.model_form import ModelForm
+from uqharness.arguments import instance, one_of, path
+from uqharness.arguments import workers as given_workers
+from uqharness.commands import identification as commands
+from uqharness.commands.flights import (
     AnyAircraft,
     AnyFlight,
     AnyPath,
@@ -20,13 +21,10 @@ from uqharness.api.flights import (
     carded_aircraft,
     flights_of,
 )
-from uqharness.arguments import flag, instance, integer, one_of, path, share
-from uqharness.arguments import workers as given_workers
 from uqharness.errors import BadInputError
 from uqharness.heartbeat import notebook_line
 from uqharness.identification import (
     SERVOS,
-    BoundsOptions,
     Comparison,
     Identification,
     MadeBounds,
@@ -34,15 +32,15 @@ from uqharness.identification import (
     choose_servos,
     load_form,
     parse_channels,
-    parse_designs,
     validate,
 )
-from uqharness.identification import bounds as bounding
 from uqharness.identification import compare as comparing
 from uqharness.identification import identify as identifying
 from uqharness.isolation import isolated
 from uqharness.replay import cut_for_residuals
 from uqharness.replay import flights as replayed
+from uqharness.requests.base import accepts
+from uqharness.requests.identification import BoundsRequest
 from uqharness.simulator import Aircraft
 
 Servos = Literal["auto", "card", "ideal"]
@@ -222,42 +220,11 @@ def compare(
 
 
 @notebook_line("fit_model_form")
+@accepts(BoundsRequest)
 @isolated
-def fit_model_form(
-    aircraft: AnyAircraft,
-    flights: AnyFlight | Iterable[AnyFlight],
-    *,
-    confidence: float = 0.95,
-    states: Mapping[str, Sequence[str]] | None = None,
-    terms: Mapping[str, Sequence[str]] | None = None,
-    order: Literal[0, 1, 2, 3] = 2,
-    outside: Outside = "grow",
-    checks: bool = True,
-    servos: Servos = "auto",
-) -> MadeBounds:
+def fit_model_form(request: BoundsRequest) -> MadeBounds:
     """Bounds of what a model does not know, from flights that it was not identified from, as
     ``uqharness bounds`` makes them.
-
-    Parameters
-    ----------
-    aircraft : str, Path or Aircraft
-        The model.
-    flights : flight or sequence of flights
-        Paths, FlightRecords, or what `fly` and `read_flights` give.
-    confidence : float
-        Of the prediction intervals [-], between 0 and 1.
-    states : Mapping, optional
-        Coefficient to the states of its polynomial, such as ``{"CX": ["V", "alpha", "q"]}``.
-    terms : Mapping, optional
-        Coefficient to its terms, such as ``{"Cm": ["1", "alpha", "p^2"]}``.
-    order : int
-        Of full polynomials, 0 to 3.
-    outside : {"grow", "clamp"}
-        What the bounds do beyond the data: grow as published, or stay.
-    checks : bool
-        Whether leave-one-out and other filters are worked out too.
-    servos : {"auto", "card", "ideal"}
-        As for `identify`.
 
     Returns
     -------
@@ -287,25 +254,7 @@ def fit_model_form(
     >>> sorted(bounds.form.coefficients)
     ['CX', 'CY', 'CZ', 'Cl', 'Cm', 'Cn']
     """
-    model = carded_aircraft(aircraft)
-    state_texts, term_texts = _designs("states", states), _designs("terms", terms)
-    options = BoundsOptions(
-        designs=parse_designs(
-            state_texts, term_texts, one_of("order", integer("order", order), (0, 1, 2, 3)), False
-        ),
-        fit=FitOptions(share("confidence", confidence)),
-        cutoffs=Cutoffs(),
-        outside=one_of("outside", outside, ("grow", "clamp")),
-        checks=flag("checks", checks),
-    )
-    flight_list = flights_of(flights, model)
-    ready, measured = _prepared(flight_list, model)
-    hashes = [flight.sha256 for flight in flight_list]
-    # Residual coefficients need more channels than a replay.
-    ready = [cut_for_residuals(flight, measured) for flight in ready]
-    choice = choose_servos(model, ready, measured, one_of("servos", servos, SERVOS))
-    options = replace(options, ideal_servos=choice.ideal)
-    return bounding.make_bounds(model, choice.with_note(ready), measured, hashes, options)
+    return commands.bounds(request).value
 
 
 def validate_bounds(

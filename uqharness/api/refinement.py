@@ -13,7 +13,9 @@ from typing import Literal
 
 from sysid.effects import read_effects
 from sysid.record import FlightRecord
-from uqharness.api.flights import (
+from uqharness.arguments import flag, instance, one_of, path, require
+from uqharness.arguments import workers as given_workers
+from uqharness.commands.flights import (
     AnyAircraft,
     AnyFlight,
     AnyPath,
@@ -21,8 +23,6 @@ from uqharness.api.flights import (
     carded_aircraft,
     flights_of,
 )
-from uqharness.arguments import flag, instance, one_of, path, require
-from uqharness.arguments import workers as given_workers
 from uqharness.errors import BadInputError
 from uqharness.files import check_output_folder, scratch_folder
 from uqharness.heartbeat import notebook_line

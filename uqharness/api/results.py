@@ -13,10 +13,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
-from uqharness.api.flights import AnyAircraft, AnyPath
 from uqharness.arguments import flag, instance, integer, number, one_of, path
 from uqharness.arguments import workers as given_workers
 from uqharness.child_process import run_command
+from uqharness.commands.flights import AnyAircraft, AnyPath
 from uqharness.errors import BadInputError, TerminatedError
 from uqharness.heartbeat import notebook_line
 from uqharness.simulator import Aircraft

@@ -18,10 +18,9 @@ from uqharness.cli.options import (
     aircraft_with_card,
     command_as_given,
     describe,
-    results_folder,
 )
 from uqharness.cli.progress import working
-from uqharness.files import check_output_folder
+from uqharness.files import check_output_folder, results_folder
 from uqharness.identification import BIASES, choose_servos, parse_channels
 from uqharness.identification.compare import compare
 from uqharness.replay import counter, read_flights

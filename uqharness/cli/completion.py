@@ -76,7 +76,7 @@ def _completer(action: argparse.Action) -> Mapping[str, str] | None:
     """Return the completion of an argument by shell; None where its choices are enough."""
     if action.metavar in ("AIRCRAFT", "A", "B"):
         return dict.fromkeys(SHELLS, "_uqharness_aircraft")
-    if action.type is not Path:
+    if action.type is not Path and not getattr(action.type, "is_file", False):
         return None
     completion = shtab.DIRECTORY if str(action.metavar).startswith("DIR") else shtab.FILE
     return {shell: str(completion[shell]) for shell in SHELLS}

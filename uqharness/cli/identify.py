@@ -23,11 +23,10 @@ from uqharness.cli.options import (
     aircraft_with_card,
     command_words,
     describe,
-    results_folder,
 )
 from uqharness.cli.progress import working
 from uqharness.errors import BadInputError
-from uqharness.files import check_output_folder
+from uqharness.files import check_output_folder, results_folder
 from uqharness.identification import BIASES, choose_servos, parse_channels
 from uqharness.identification.identify import identify
 from uqharness.replay import counter, read_flights

@@ -31,10 +31,9 @@ from uqharness.cli.options import (
     command_as_given,
     describe,
     number,
-    results_folder,
 )
 from uqharness.errors import BadInputError
-from uqharness.files import check_output_folder, check_page_path, finite, write_text
+from uqharness.files import check_output_folder, check_page_path, finite, results_folder, write_text
 from uqharness.flight import playback_rows
 from uqharness.replay import read_flight
 from uqharness.simulator import find_aircraft

@@ -8,6 +8,7 @@ loads no numerical library.
 from __future__ import annotations
 
 import argparse
+import difflib
 import gc
 import logging
 import os
@@ -18,7 +19,7 @@ from collections.abc import Sequence
 from sysid.display import clean_terminal, cursor_stream
 from sysid.errors import LogError
 from uqharness import __version__
-from uqharness.cli.options import Table, add_commands, commands_of
+from uqharness.cli.options import RequestCommand, Table, add_commands, commands_of
 from uqharness.errors import BadInputError, EnginesDifferError, TerminatedError
 from uqharness.files import hide_scratch_paths
 from uqharness.heartbeat import heartbeat
@@ -41,7 +42,11 @@ COMMANDS: Table = {
     "log": ("log", "flight logs: contents and checks, conversion to records"),
     "identify": ("identify", "parameters from flights"),
     "compare": ("compare", "compare a flight with the model"),
-    "bounds": ("bounds", "model-form bounds from flights"),
+    "bounds": RequestCommand(
+        "identification:BoundsRequest",
+        "identification:bounds",
+        "model-form bounds from flights",
+    ),
     "validate-bounds": ("validate_bounds", "coverage of bounds on a new flight"),
     "instrument": ("instrument", "add the model-form plugin to any JSBSim aircraft"),
     "refine": ("refine", "find, name and add missing effects"),
@@ -95,10 +100,26 @@ def load_command(words: Sequence[str]) -> None:
 def run_words(words: Sequence[str] | None) -> int:
     """Run one command in this process; return its exit code. Raises BadInputError."""
     try:
-        arguments = build_parser().parse_args(words)
+        parser = build_parser()
+        arguments, unknown = parser.parse_known_args(words)
+        if unknown:
+            _refuse_unknown(arguments, unknown[0])
         return int(arguments.handler(arguments))
     except LogError as error:
         raise BadInputError(str(error)) from None
+
+
+def _refuse_unknown(arguments: argparse.Namespace, word: str) -> None:
+    """Raise BadInputError for a word that the command does not know, with the closest option."""
+    options = [
+        option
+        for action in arguments.parser._actions
+        for option in action.option_strings
+        if option.startswith("--")
+    ]
+    close = difflib.get_close_matches(word.partition("=")[0], options, n=1, cutoff=0.5)
+    hint = f"did you mean {close[0]}? " if close else ""
+    raise BadInputError(f"{word}: unknown; {hint}allowed: {', '.join(sorted(options))}")
 
 
 def main(argv: Sequence[str] | None = None) -> int:

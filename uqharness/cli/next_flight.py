@@ -23,11 +23,10 @@ from uqharness.cli.options import (
     describe,
     integer,
     number,
-    results_folder,
 )
 from uqharness.cli.progress import print_warnings, working
 from uqharness.errors import BadInputError
-from uqharness.files import check_output_folder, write_bytes, write_json
+from uqharness.files import check_output_folder, results_folder, write_bytes, write_json
 from uqharness.flight import COEFFICIENTS, TURBULENCE_W20_KT
 from uqharness.identification import load_form
 from uqharness.next_flight import (

@@ -12,6 +12,7 @@ import math
 import shlex
 import sys
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -300,15 +301,6 @@ def _limits(lower: str, maximum: float | None) -> str:
     return " and ".join(part for part in (lower, upper) if part)
 
 
-def results_folder(path: Path) -> Path:
-    """Create the folder of ``--out`` with its parents. Raises BadInputError."""
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise BadInputError(f"--out {path}: cannot be made: {error.strerror}") from None
-    return path
-
-
 def command_words(args: argparse.Namespace) -> list[str]:
     """Return the words that repeat a result: file names only, no defaults, no ``--out``,
     ``--page``, ``--json``.
@@ -382,25 +374,56 @@ def gains_document(gains: AutopilotGains | None) -> dict[str, Any] | None:
 # Commands, whose modules are loaded when they are named: ``uqharness --help`` loads no numerical
 # library.
 
-Table = Mapping[str, tuple[str, str]]
-"""Command to the function that adds its arguments (``module`` or ``module:function``), and its
-help.
+
+@dataclass(frozen=True)
+class RequestCommand:
+    """A command that is defined by its request.
+
+    Attributes
+    ----------
+    request : str
+        ``module:Class`` within uqharness.requests.
+    function : str
+        ``module:function`` within uqharness.commands; it takes the request and a callback, and
+        returns an Outcome.
+    help : str
+        Line in the list of commands.
+    """
+
+    request: str
+    function: str
+    help: str
+
+
+Table = Mapping[str, tuple[str, str] | RequestCommand]
+"""Command to its request, or to the function that adds its arguments (``module`` or
+``module:function``) and its help.
 """
 
 
 class Command(argparse.ArgumentParser):
     """Parser of a command, to which a module adds the arguments at the first use."""
 
-    place = ""
+    place: str | RequestCommand = ""
 
     def complete(self) -> None:
         """Add the arguments once."""
         place, self.place = self.place, ""
-        if place:
+        if isinstance(place, RequestCommand):
+            # Imported here: the list of commands loads no pydantic.
+            from uqharness.cli.run import add_request_command
+
+            add_request_command(self, place)
+        elif place:
             module, _, function = place.partition(":")
             getattr(
                 importlib.import_module(f"uqharness.cli.{module}"), function or "add_arguments"
             )(self)
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        """Check the names of commands; values of options are checked by the request."""
+        if isinstance(action, argparse._SubParsersAction) or not hasattr(action.type, "is_file"):
+            super()._check_value(action, value)
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Parse as argparse does, after the arguments were added."""
@@ -411,8 +434,11 @@ class Command(argparse.ArgumentParser):
 def add_commands(parser: argparse.ArgumentParser, table: Table, dest: str, metavar: str) -> None:
     """Add the commands of a table to a parser."""
     added = parser.add_subparsers(dest=dest, metavar=metavar, required=True, parser_class=Command)
-    for name, (place, text) in table.items():
-        added.add_parser(name, help=text).place = place
+    for name, entry in table.items():
+        if isinstance(entry, RequestCommand):
+            added.add_parser(name, help=entry.help).place = entry
+        else:
+            added.add_parser(name, help=entry[1]).place = entry[0]
 
 
 def commands_of(parser: argparse.ArgumentParser) -> dict[str, Command]:

@@ -20,10 +20,9 @@ from uqharness.cli.options import (
     aircraft_with_card,
     command_as_given,
     describe,
-    results_folder,
 )
 from uqharness.cli.progress import print_warnings, working
-from uqharness.files import check_output_folder, write_json
+from uqharness.files import check_output_folder, results_folder, write_json
 from uqharness.identification import choose_servos, load_form, validate, verdicts
 from uqharness.replay import read_bounds_flights
 from uqharness.report import first_lines, validation_document, write_report, write_residuals

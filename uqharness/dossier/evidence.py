@@ -18,16 +18,10 @@ from uqharness.campaign.folder import read_complete
 from uqharness.dossier.match import FAIL, INCONCLUSIVE, PASS, Match
 from uqharness.errors import BadInputError
 from uqharness.replay import HISTORIES, History, read_histories
-from uqharness.result_documents import (
-    Bounds,
-    Compare,
-    Coverage,
-    Fit,
-    Part,
-    Refinement,
-    Study,
-    read_document,
-)
+from uqharness.results.base import Part, read_document
+from uqharness.results.identification import Bounds, Compare, Coverage, Fit
+from uqharness.results.refinement import Refinement
+from uqharness.results.study import Study
 
 STUDY = "study"
 _MARKS: tuple[tuple[str, str, type[Part] | None], ...] = (

@@ -52,7 +52,8 @@ from uqharness.flight import FlightResult, FlightSpec, record_mission, staged_mi
 from uqharness.parallel import process_count
 from uqharness.parquet_files import write_table
 from uqharness.replay import shown_channel
-from uqharness.result_documents import Coverage, Fit, Part, read_document
+from uqharness.results.base import Part, read_document
+from uqharness.results.identification import Coverage, Fit
 from uqharness.simulator import Source
 from uqharness.statistics import NO, OPEN, YES, Sample, envelope
 from uqharness.statistics.pbox import pbox

@@ -29,7 +29,7 @@ from uqharness.campaign import read_bounds
 from uqharness.campaign.folder import LOCK, binding_versions, run_lock
 from uqharness.errors import BadInputError
 from uqharness.files import PART, check_output_folder, write_bytes
-from uqharness.result_documents import Part, read_document
+from uqharness.results.base import Part, read_document
 from uqharness.simulator import folder_hash
 from uqharness.study.answer import (
     REFINEMENT,

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import uqharness as uq
-from uqharness.api.flights import Flight
+from uqharness.commands.flights import Flight
 
 pytestmark = pytest.mark.usefixtures("flights_here")
 

@@ -12,8 +12,8 @@ import pytest
 import uqharness as uq
 from sysid.record import FlightRecord
 from sysid.vocabulary import SIGNALS
-from uqharness.api.flights import flights_of
 from uqharness.cli.main import main
+from uqharness.commands.flights import Flight, flights_of
 from uqharness.simulator.aircraft import find_aircraft
 
 WORDS = [
@@ -31,7 +31,7 @@ WORDS = [
 ]
 
 
-def flown() -> uq.api.flights.Flight:
+def flown() -> Flight:
     return uq.fly(
         "espaaro",
         "doublet-elevator",

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 import uqharness as uq
-from uqharness.api.flights import Flight
 from uqharness.cli.main import main
+from uqharness.commands.flights import Flight
 from uqharness.report.compare import document_of
 from uqharness.report.pages.identify import fit_document
 

@@ -35,7 +35,8 @@ from uqharness.report.parts import (
     remarks,
 )
 from uqharness.report.svg import Scale, rows_chart
-from uqharness.result_documents import Compare, read_document
+from uqharness.results.base import read_document
+from uqharness.results.identification import Compare
 
 COMPARE = "compare.json"
 LIMIT = 1.15

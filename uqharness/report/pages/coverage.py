@@ -23,7 +23,8 @@ from uqharness.report.parts import (
     provenance,
     remarks,
 )
-from uqharness.result_documents import Coverage, read_document
+from uqharness.results.base import read_document
+from uqharness.results.identification import Coverage
 
 
 def coverage_page(folder: Path, prefix: str = "", only: Collection[str] | None = None) -> Page:

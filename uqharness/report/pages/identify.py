@@ -47,7 +47,8 @@ from uqharness.report.parts import (
     remarks,
 )
 from uqharness.report.svg import Scale, rows_chart
-from uqharness.result_documents import Fit, read_document
+from uqharness.results.base import read_document
+from uqharness.results.identification import Fit
 from uqharness.simulator import Aircraft
 from uqharness.text_tables import csv_text
 

@@ -65,7 +65,8 @@ from uqharness.report.parts import (
     remarks,
 )
 from uqharness.report.svg import Chart, scale
-from uqharness.result_documents import Bounds, read_document
+from uqharness.results.base import read_document
+from uqharness.results.identification import Bounds
 
 FORM, DETAILS, COVERAGE, RESIDUALS = (
     "model-form.json",

@@ -40,7 +40,8 @@ from uqharness.report.parts import (
     remarks,
 )
 from uqharness.report.svg import Chart, Scale, rows_chart, scale
-from uqharness.result_documents import Refinement, read_document
+from uqharness.results.base import read_document
+from uqharness.results.refinement import Refinement
 
 # Chart of the candidates.
 

@@ -53,7 +53,9 @@ from uqharness.report.parts import (
     provenance,
 )
 from uqharness.report.pbox import LabelledBox, corner_words, pbox_figure
-from uqharness.result_documents import Refinement, Study, read_document
+from uqharness.results.base import read_document
+from uqharness.results.refinement import Refinement
+from uqharness.results.study import Study
 
 # Open part of the page: answer, ground track, p-box, effect, conditions.
 

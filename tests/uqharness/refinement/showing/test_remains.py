@@ -10,7 +10,7 @@ import pytest
 from sysid.effects.catalogue import catalogue
 from uqharness.refinement.document import NOTHING, Series, no_place, where_loudest, would_tell
 from uqharness.report.pages.refinement import place_words
-from uqharness.result_documents import ResidualLocation
+from uqharness.results.refinement import ResidualLocation
 
 RATE = 50.0
 TIME = np.arange(1500) / RATE

@@ -41,7 +41,7 @@ from uqharness.replay.flights import prepare, read_flights
 from uqharness.report.pages.refinement import no_region_words, remaining_words
 from uqharness.report.refinement import write_results
 from uqharness.report.write import write_report
-from uqharness.result_documents import ResidualLocation
+from uqharness.results.refinement import ResidualLocation
 from uqharness.simulator.aircraft import find_aircraft
 from uqharness.statistics.pbox import Sample
 

@@ -7,7 +7,7 @@ import pytest
 
 from uqharness.report.pages.refinement import smooth_lines, smooth_sections
 from uqharness.report.parts import Figures, Table, Words
-from uqharness.result_documents import SmoothTerm
+from uqharness.results.refinement import SmoothTerm
 
 AT = np.linspace(-0.05, 0.1, 41)
 

@@ -1,0 +1,51 @@
+"""A command that is defined by its request: its options, its run and what it prints."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import json
+import os
+import sys
+from typing import Any
+
+from uqharness.cli.arguments import add_request, request_of
+from uqharness.cli.options import RequestCommand
+from uqharness.cli.progress import print_warnings, working
+from uqharness.heartbeat import QUIET_VARIABLE
+
+
+def add_request_command(parser: argparse.ArgumentParser, command: RequestCommand) -> None:
+    """Add the options of a command's request, and what runs it."""
+    model = _part("uqharness.requests", command.request)
+    add_request(parser, model)
+
+    def run(args: argparse.Namespace) -> int:
+        """Run the command; return its exit code."""
+        if args.quiet:
+            os.environ[QUIET_VARIABLE] = "1"
+        request = request_of(model, args)
+        function = _part("uqharness.commands", command.function)
+        with working(model.command, _segments_flown, keep=model.keeps_stages) as callback:
+            outcome = function(request, callback)
+        if not args.quiet:
+            print_warnings(outcome.warnings)
+        if args.json:
+            print(json.dumps(outcome.as_json()))
+        elif not args.quiet:
+            print(outcome.text())
+        return int(outcome.code)
+
+    parser.set_defaults(handler=run, parser=parser, model=model)
+
+
+def _part(package: str, place: str) -> Any:
+    """Return the object that ``module:name`` names within a package."""
+    module, _, name = place.partition(":")
+    return getattr(importlib.import_module(f"{package}.{module}"), name)
+
+
+def _segments_flown() -> int:
+    """Return the number of segments that replays have flown; 0 where none was loaded."""
+    replay = sys.modules.get("uqharness.replay.simulation")
+    return 0 if replay is None else int(replay.counter["segments"])

@@ -1,0 +1,1 @@
+"""One function for each command: a request in, files and an outcome out."""

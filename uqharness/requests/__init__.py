@@ -1,0 +1,1 @@
+"""One definition of each request: command line, settings file and Python function."""

@@ -1,0 +1,580 @@
+"""Requests: what a command, a section of a settings file and a Python function take.
+
+A request is a pydantic model with one field for each option. The field's type, bounds, default and
+sentence are written once; this module derives from them the keywords and the documentation of the
+Python function (`accepts`), the values of a settings file's section (`read_section`), the command
+that repeats a result (`command_words`) and the message about a wrong value, which is the same from
+all three. `uqharness.cli.arguments` derives the options of the command line.
+"""
+
+from __future__ import annotations
+
+import difflib
+import functools
+import inspect
+import math
+import os
+import re
+import reprlib
+import shlex
+import types
+import typing
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from numbers import Integral, Real
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+from pydantic.fields import FieldInfo
+
+from uqharness.errors import BadInputError
+
+R = TypeVar("R")
+Model = TypeVar("Model", bound="Request")
+
+_SHORT = reprlib.Repr()
+_SHORT.maxstring = _SHORT.maxother = 80
+_LIMITS = {"gt": "above {:g}", "ge": "of at least {:g}", "lt": "below {:g}", "le": "up to {:g}"}
+
+
+@dataclass(frozen=True)
+class Option:
+    """How a field is written on the command line, in a settings file and in Python.
+
+    Attributes
+    ----------
+    flag : str or None
+        Option of the command line; None derives it from the field's name, "" makes the field a
+        positional argument.
+    metavar : str or None
+        Placeholder of the value in the help.
+    key : str or None
+        Key in a settings file; None takes the field's name.
+    needed : str
+        What is allowed, for messages, such as "a path"; "" derives it from type and bounds.
+    help : str
+        Sentence of the command line where it differs, as for an option that sets False.
+    kind : str
+        Type in the documentation of the Python function; "" derives it.
+    many, repeat : bool
+        Whether the option takes several values, and whether it may be repeated with one value each.
+    positional : bool
+        Whether the Python function takes the field without its keyword.
+    off : bool
+        Whether the option of the command line sets the field to False, as ``--no-check`` does.
+    cli, toml, python : bool
+        Whether the command line, settings files and Python functions have the field.
+    provenance : bool
+        Whether the command stored with a result repeats it.
+    """
+
+    flag: str | None = None
+    metavar: str | None = None
+    key: str | None = None
+    needed: str = ""
+    help: str = ""
+    kind: str = ""
+    many: bool = False
+    repeat: bool = False
+    positional: bool = False
+    off: bool = False
+    cli: bool = True
+    toml: bool = True
+    python: bool = True
+    provenance: bool = True
+
+
+def option(
+    default: Any,
+    description: str,
+    *,
+    gt: float | None = None,
+    ge: float | None = None,
+    lt: float | None = None,
+    le: float | None = None,
+    **how: Any,
+) -> Any:
+    """Return the definition of a request's field.
+
+    Parameters
+    ----------
+    default : Any
+        Default value; ``...`` for a required field.
+    description : str
+        One sentence without a full stop: meaning and unit.
+    gt, ge, lt, le : float, optional
+        Bounds of a number.
+    **how
+        Attributes of `Option`.
+    """
+    bounds = {
+        name: bound
+        for name, bound in (("gt", gt), ("ge", ge), ("lt", lt), ("le", le))
+        if bound is not None
+    }
+    info = Field(default, description=description, **bounds)  # type: ignore[call-overload]
+    info.metadata.append(Option(**how))
+    return info
+
+
+# Types of fields. A before-validator accepts what numpy and pathlib give; pydantic checks bounds.
+
+
+def _real(value: Any) -> Any:
+    """Return a real number as float; anything else unchanged, which pydantic refuses."""
+    # Booleans are integers in Python; True is no number of a request.
+    if isinstance(value, Real) and not isinstance(value, bool):
+        return float(value)
+    return value
+
+
+def _integral(value: Any) -> Any:
+    """Return a whole number as int; anything else unchanged, which pydantic refuses."""
+    if isinstance(value, Integral) and not isinstance(value, bool):
+        return int(value)
+    return value
+
+
+def _boolean(value: Any) -> Any:
+    """Return numpy's boolean as bool."""
+    return bool(value) if type(value).__name__ in ("bool_", "bool") else value
+
+
+def _path(value: Any) -> Any:
+    """Return a non-empty text or path object as Path."""
+    return Path(value) if isinstance(value, str | os.PathLike) and os.fspath(value) else value
+
+
+def split_names(value: Any) -> Any:
+    """Return names as a tuple: a text is split at its commas, ``none`` is no name.
+
+    Examples
+    --------
+    >>> split_names("p, q"), split_names(["p"]), split_names("none")
+    (('p', 'q'), ('p',), ())
+    """
+    if isinstance(value, str):
+        names = tuple(part.strip() for part in value.split(",") if part.strip())
+        return () if names == ("none",) else names
+    return _as_tuple(value)
+
+
+def _as_tuple(value: Any) -> Any:
+    """Return several values as a tuple; mappings, texts and single objects unchanged."""
+    several = isinstance(value, Iterable) and not isinstance(value, str | bytes | Mapping)
+    return tuple(value) if several else value
+
+
+def one_or_several(value: Any) -> Any:
+    """Return one text, path or object as a tuple of one, several as a tuple."""
+    several = _as_tuple(value)
+    return several if isinstance(several, tuple) else (several,)
+
+
+Number = Annotated[float, BeforeValidator(_real), Field(allow_inf_nan=False)]
+WholeNumber = Annotated[int, BeforeValidator(_integral)]
+Flag = Annotated[bool, BeforeValidator(_boolean)]
+FilePath = Annotated[Path, BeforeValidator(_path)]
+Names = Annotated[tuple[str, ...], BeforeValidator(split_names)]
+Files = Annotated[tuple[FilePath, ...], BeforeValidator(one_or_several), Field(min_length=1)]
+
+
+class Request(BaseModel):
+    """Base of all requests: immutable, without unknown fields and without type conversion.
+
+    Class attributes describe the command: ``command`` its words after ``uqharness``, ``summary``
+    the line in the list of commands, ``examples`` command lines and what they write, ``done`` and
+    ``no`` the meaning of exit codes 0 and 1, ``keeps_stages`` whether a terminal keeps a line of
+    each finished stage. The docstring is the command's description.
+    """
+
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, strict=True, arbitrary_types_allowed=True
+    )
+
+    command: ClassVar[str] = ""
+    summary: ClassVar[str] = ""
+    examples: ClassVar[str] = ""
+    done: ClassVar[str] = "done"
+    no: ClassVar[str] = ""
+    keeps_stages: ClassVar[bool] = False
+
+    @classmethod
+    def of(cls, **values: Any) -> Self:
+        """Return the request with these values. Raises BadInputError, naming the keyword."""
+        return check(cls, values, PYTHON)
+
+    def changed(self, **values: Any) -> Self:
+        """Return a copy with other values. Raises BadInputError."""
+        current = {name: getattr(self, name) for name in self.model_fields_set}
+        return type(self).of(**current, **values)
+
+
+def options_of(model: type[Request]) -> dict[str, tuple[FieldInfo, Option]]:
+    """Return the fields of a request by name, with their options."""
+    return {
+        name: (info, next((m for m in info.metadata if isinstance(m, Option)), Option()))
+        for name, info in model.model_fields.items()
+    }
+
+
+def flag_of(name: str, field_option: Option) -> str:
+    """Return the option of the command line, or the metavar of a positional argument."""
+    if field_option.flag == "":
+        return field_option.metavar or name.upper()
+    return field_option.flag or f"--{name.replace('_', '-')}"
+
+
+# Messages. A place knows how fields are called there.
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where values come from, for messages: how a field is called, and its value written.
+
+    Attributes
+    ----------
+    label : callable
+        (field name, Option) to the name that the user knows.
+    assignment : callable
+        (label, received value) to the beginning of a message.
+    has : callable
+        Whether the place has a field.
+    """
+
+    label: Callable[[str, Option], str]
+    assignment: Callable[[str, object], str]
+    has: Callable[[Option], bool]
+
+
+def received_text(value: object) -> str:
+    """Return a value for a message, abbreviated."""
+    return str(value) if isinstance(value, Real) else _SHORT.repr(value)
+
+
+PYTHON = Place(
+    lambda name, _: name,
+    lambda label, value: f"{label} = {received_text(value)}",
+    lambda field_option: field_option.python,
+)
+
+
+def check(
+    model: type[Model],
+    values: Mapping[str, Any],
+    place: Place,
+    received: Mapping[str, Any] | None = None,
+) -> Model:
+    """Return the validated request; ``received`` are the values as the user wrote them.
+
+    Raises BadInputError with one sentence for each wrong value: the field as the place calls it,
+    what was received, and what is allowed.
+    """
+    try:
+        return model.model_validate(dict(values))
+    except ValidationError as error:
+        lines = [message for _, message in messages(model, error, received or values, place)]
+        raise BadInputError(*dict.fromkeys(lines)) from None
+
+
+def messages(
+    model: type[Request], error: ValidationError, values: Mapping[str, Any], place: Place
+) -> Iterator[tuple[str, str]]:
+    """Yield the field ("" for the whole request) and the message of each of pydantic's errors."""
+    options = options_of(model)
+    labels = {name: place.label(name, o) for name, (_, o) in options.items()}
+    for item in error.errors():
+        name = str(item["loc"][0]) if item["loc"] else ""
+        if item["type"] == "extra_forbidden":
+            yield name, unknown_name(name, options, place)
+            continue
+        text = item["msg"].removeprefix("Value error, ")
+        # Validators name other fields as {field}, which every place calls differently.
+        text = re.sub(r"\{(\w+)\}", lambda match: labels.get(match[1], match[1]), text)
+        if not name:
+            yield "", text
+            continue
+        info, field_option = options[name]
+        if item["type"] == "missing":
+            yield name, f"{labels[name]}: required; {requirement(info, field_option)} is needed"
+            continue
+        beginning = place.assignment(labels[name], values.get(name, item["input"]))
+        if item["type"] in ("value_error", "assertion_error"):
+            yield name, f"{beginning}: {text}"
+        elif (allowed := _choices(info)) is not None:
+            yield name, f"{beginning}: allowed are {', '.join(map(str, allowed))}"
+        else:
+            yield name, f"{beginning}: {requirement(info, field_option)} is needed"
+
+
+def unknown_name(name: str, options: Mapping[str, tuple[FieldInfo, Option]], place: Place) -> str:
+    """Return the message about a field that a request does not have."""
+    allowed = [place.label(n, o) for n, (_, o) in options.items() if place.has(o)]
+    close = difflib.get_close_matches(name, allowed, n=1, cutoff=0.5)
+    hint = f"did you mean {close[0]}? " if close else ""
+    return f"{name}: unknown; {hint}allowed: {', '.join(allowed)}"
+
+
+def requirement(info: FieldInfo, field_option: Option) -> str:
+    """Describe what a field takes, such as "a number above 0 and below 1"."""
+    if field_option.needed:
+        return field_option.needed
+    base = base_type(info.annotation)
+    bounds = [
+        _LIMITS[attribute].format(getattr(item, attribute))
+        for attribute in ("gt", "ge", "lt", "le")
+        for item in info.metadata
+        if getattr(item, attribute, None) is not None
+    ]
+    noun = {
+        float: "a finite number" if not bounds else "a number",
+        int: "a whole number",
+        bool: "True or False",
+        Path: "a path, as a str or a Path,",
+        str: "a text",
+    }.get(base, "a name or several" if base is tuple else "a mapping" if base is dict else "")
+    return " ".join([noun or "another value", " and ".join(bounds)]).strip()
+
+
+def base_type(annotation: Any) -> Any:
+    """Return the type under Annotated and Optional: float, int, bool, Path, str, tuple, dict."""
+    while True:
+        origin = typing.get_origin(annotation)
+        arguments = typing.get_args(annotation)
+        if origin is Annotated:
+            annotation = arguments[0]
+        elif origin in (typing.Union, types.UnionType):
+            annotation = next(a for a in arguments if a is not type(None))
+        elif origin is Literal:
+            return type(arguments[0])
+        else:
+            return origin or annotation
+
+
+def _choices(info: FieldInfo) -> tuple[Any, ...] | None:
+    """Return the values of a Literal; None for other types."""
+    annotation = info.annotation
+    for part in (annotation, *typing.get_args(annotation)):
+        if typing.get_origin(part) is Literal:
+            return typing.get_args(part)
+    return None
+
+
+choices_of = _choices
+
+
+# Python functions.
+
+
+def accepts(model: type[Model]) -> Callable[[Callable[[Model], R]], Callable[..., R]]:
+    """Decorate a function of a request to take the request's fields as arguments.
+
+    The signature and the section "Parameters" of the docstring are written from the fields. The
+    function also takes a request as its only argument.
+    """
+    options = {n: (i, o) for n, (i, o) in options_of(model).items() if o.python}
+    positional = [name for name, (_, o) in options.items() if o.positional]
+
+    def decorate(function: Callable[[Model], R]) -> Callable[..., R]:
+        @functools.wraps(function)
+        def call(*arguments: Any, **keywords: Any) -> R:
+            if len(arguments) == 1 and isinstance(arguments[0], model) and not keywords:
+                return function(arguments[0])
+            if len(arguments) > len(positional):
+                raise BadInputError(
+                    f"{function.__name__}: {len(arguments)} arguments without a keyword; at most"
+                    f" {len(positional)} are allowed: {', '.join(positional)}"
+                )
+            values = dict(zip(positional, arguments, strict=False))
+            for name in values.keys() & keywords.keys():
+                raise BadInputError(f"{name}: given twice, by place and by keyword")
+            unknown = [name for name in keywords if name not in options]
+            if unknown:
+                raise BadInputError(*(unknown_name(n, options, PYTHON) for n in unknown))
+            return function(check(model, values | keywords, PYTHON))
+
+        call.__signature__ = _signature(options, function)  # type: ignore[attr-defined]
+        call.__doc__ = _with_parameters(function.__doc__ or "", options)
+        return call
+
+    return decorate
+
+
+def _signature(
+    options: Mapping[str, tuple[FieldInfo, Option]], function: Callable[..., Any]
+) -> inspect.Signature:
+    """Return the signature of a Python function with the fields of a request."""
+    keyword, place = inspect.Parameter.KEYWORD_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD
+    parameters = [
+        inspect.Parameter(
+            name,
+            place if o.positional else keyword,
+            default=inspect.Parameter.empty if info.is_required() else info.get_default(),
+            annotation=kind_of(info, o),
+        )
+        for name, (info, o) in options.items()
+    ]
+    # Positional arguments come first, required ones before those with a default.
+    parameters.sort(key=lambda p: (p.kind, p.default is not inspect.Parameter.empty))
+    returned = inspect.signature(function).return_annotation
+    return inspect.Signature(parameters, return_annotation=returned)
+
+
+def kind_of(info: FieldInfo, field_option: Option) -> str:
+    """Return a field's type as numpydoc writes it."""
+    if field_option.kind:
+        return field_option.kind
+    allowed = _choices(info)
+    if allowed is not None:
+        return "{" + ", ".join(repr(a).replace("'", '"') for a in allowed) + "}"
+    base = base_type(info.annotation)
+    names = {Path: "str or Path", tuple: "str or sequence of str", dict: "Mapping"}
+    name = names.get(base) or getattr(base, "__name__", str(base))
+    default = None if info.is_required() else info.get_default()
+    name = str(names.get(base) or getattr(base, "__name__", base))
+
+
+def _with_parameters(doc: str, options: Mapping[str, tuple[FieldInfo, Option]]) -> str:
+    """Insert the section "Parameters" before the docstring's first other section."""
+    lines = inspect.cleandoc(doc).split("\n")
+    section = ["Parameters", "----------"]
+    for name, (info, o) in options.items():
+        section += [f"{name} : {kind_of(info, o)}", f"    {sentence(info)}"]
+    ends = [k for k, line in enumerate(lines) if k and re.fullmatch("-{3,}", line)]
+    place = ends[0] - 1 if ends else len(lines)
+    return "\n".join([*lines[:place], *section, "", *lines[place:]]).rstrip()
+
+
+def sentence(info: FieldInfo) -> str:
+    """Return a field's description as a sentence, with its default where there is one."""
+    text = info.description or ""
+    default = None if info.is_required() else info.get_default()
+    if default not in (None, False, True, (), {}, ""):
+        text += f" (default {default})"
+    return text[:1].upper() + text[1:] + "."
+
+
+# Settings files.
+
+
+def read_section(
+    model: type[Request],
+    section: Mapping[str, Any],
+    *,
+    heading: str,
+    line: Callable[[str], tuple[Path | str, int]],
+    also: Mapping[str, Any] | None = None,
+) -> dict[str, Any]:
+    """Return the fields that a section of a settings file sets.
+
+    Parameters
+    ----------
+    model : type of Request
+        What the section describes.
+    section : mapping
+        Content of the section.
+    heading : str
+        How messages call it, such as "[bounds]".
+    line : callable
+        Key to file and line.
+    also : mapping, optional
+        Values that the file does not hold, such as the folder of the results; for the checks that
+        concern several fields.
+
+    Raises
+    ------
+    BadInputError
+        With ``file:line: [section] key = value: what is allowed`` for each mistake.
+    """
+    options = options_of(model)
+    keys = {o.key or name: name for name, (_, o) in options.items() if o.toml}
+    place = Place(
+        lambda name, o: f"{heading} {o.key or name}",
+        lambda label, value: f"{label} = {toml_text(value)}",
+        lambda field_option: field_option.toml,
+    )
+    lines = []
+    values = {}
+    for key, value in section.items():
+        if key in keys:
+            values[keys[key]] = value
+        else:
+            # The name of the section is part of the label of every key.
+            close = difflib.get_close_matches(key, keys, n=1, cutoff=0.5)
+            hint = f"did you mean {close[0]}? " if close else ""
+            lines.append((key, f"{heading} {key}: unknown; {hint}allowed: {', '.join(keys)}"))
+    try:
+        request = model.model_validate({**(also or {}), **values})
+    except ValidationError as error:
+        names = {name: key for key, name in keys.items()}
+        for name, message in messages(model, error, {**(also or {}), **values}, place):
+            lines.append((names.get(name, name), message))
+    if lines:
+        located = [(*line(key), message) for key, message in lines]
+        raise BadInputError(*dict.fromkeys(f"{path}:{number}: {m}" for path, number, m in located))
+    return {name: getattr(request, name) for name in values}
+
+
+def toml_text(value: Any) -> str:
+    """Return a value as TOML writes it, abbreviated."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, float) and not math.isfinite(value):
+        return str(value)
+    return f'"{value}"' if isinstance(value, str) and len(value) < 80 else received_text(value)
+
+
+# The command that repeats a result.
+
+
+def command_words(request: Request) -> list[str]:
+    """Return the command that repeats a request: file names only, no option at its default.
+
+    Folders and pages that are written, and what only says how a command prints, are left out.
+    """
+    positional, flags = [], []
+    for name, (info, o) in options_of(type(request)).items():
+        value = getattr(request, name)
+        default = None if info.is_required() else info.get_default(call_default_factory=True)
+        if not (o.cli and o.provenance) or value is None or value == default:
+            continue
+        words = list(_words(value))
+        if o.flag == "":
+            positional += words
+        elif isinstance(value, bool):
+            flags.append(flag_of(name, o))
+        elif o.repeat:
+            # A repeatable option stands before each of its values.
+            flags += [word for text in words for word in (flag_of(name, o), text)]
+        elif base_type(info.annotation) is tuple and not o.many:
+            flags += [flag_of(name, o), ",".join(words) or "none"]
+        else:
+            flags += [flag_of(name, o), *words]
+    return ["uqharness", *request.command.split(), *positional, *flags]
+
+
+def command_line(request: Request) -> str:
+    """Return `command_words` as one shell line."""
+    return shlex.join(command_words(request))
+
+
+def _words(value: Any) -> list[str]:
+    """Return a value as words of the command line."""
+    if isinstance(value, Mapping):
+        return [f"{key}={','.join(_words(item))}" for key, item in value.items()]
+    if isinstance(value, tuple | list):
+        return [word for item in value for word in _words(item)]
+    if isinstance(value, Path):
+        return [value.name]
+    return [str(getattr(value, "name", value))]
+
+
+Callback = Callable[[str], object]
+
+
+def silent(stage: str) -> None:
+    """Take the name of a stage and do nothing: the default of all callbacks."""
+
+
+Arguments = Sequence[str]

@@ -1,0 +1,170 @@
+"""Fields that several requests share: each is defined once, with one sentence and one check."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator, Field
+
+from uqharness.requests.base import FilePath, WholeNumber, one_or_several, option
+
+FLIGHT_FILE = "record (.parquet, .csv) or any log that `log import` reads"
+
+AircraftSource = Any
+"""Name or folder of an aircraft, or in Python what `find_aircraft` returns."""
+FlightSources = Annotated[tuple[Any, ...], BeforeValidator(one_or_several), Field(min_length=1)]
+"""Files of flights, or in Python FlightRecords and what `fly` and `read_flights` return."""
+FlightNumbers = Annotated[
+    tuple[Annotated[WholeNumber, Field(ge=1)], ...], BeforeValidator(one_or_several)
+]
+Workers = WholeNumber | None
+Servos = Literal["auto", "card", "ideal"]
+
+
+def aircraft() -> Any:
+    """Return the field of the aircraft."""
+    return option(
+        ...,
+        "name under aircraft/ or in JSBSim's collection, or a folder",
+        flag="",
+        metavar="AIRCRAFT",
+        kind="str, Path or Aircraft",
+        positional=True,
+        toml=False,
+    )
+
+
+def flights(
+    flag: str = "--flight", text: str = "flight", positional: bool = True, toml: bool = False
+) -> Any:
+    """Return the field of one or several flights."""
+    return option(
+        ...,
+        f"{text}: {FLIGHT_FILE}; repeatable",
+        flag=flag,
+        metavar="FILE",
+        many=True,
+        positional=positional,
+        kind="flight or sequence of flights",
+        needed="at least one flight (a path, a FlightRecord, a Flight)",
+        toml=toml,
+    )
+
+
+def out(required: bool = True) -> Any:
+    """Return the field of the folder of the results."""
+    text = "folder for the results, made if need be" + (
+        "" if required else " (default: nothing is written)"
+    )
+    return option(... if required else None, text, metavar="DIR", provenance=False, toml=False)
+
+
+def page(content: str, flag: str = "--out") -> Any:
+    """Return the field of a page that is written as a file."""
+    return option(
+        None,
+        f"write a page with {content} (default: no page)",
+        flag=flag,
+        metavar="FILE.html",
+        provenance=False,
+        toml=False,
+    )
+
+
+def workers(default: str = "one a core, 8 at most") -> Any:
+    """Return the field of the number of processes."""
+    return option(None, f"processes (default: {default})", ge=1, metavar="N", toml=False)
+
+
+def seed(of: str) -> Any:
+    """Return the field of the seed of what is drawn at random."""
+    return option(0, f"seed of {of}", ge=0, metavar="N")
+
+
+def figures() -> Any:
+    """Return the field that leaves out the figures."""
+    return option(
+        True,
+        "whether figures are drawn",
+        flag="--no-figures",
+        off=True,
+        help="leave out the figures",
+        toml=False,
+    )
+
+
+def checks(skipped: str) -> Any:
+    """Return the field that skips what a command does to prove its result."""
+    return option(
+        True, f"whether {skipped} are made", flag="--no-check", off=True, help=f"skip {skipped}"
+    )
+
+
+def signal_map() -> Any:
+    """Return the field of the signal map."""
+    return option(
+        None,
+        "signal map; its lines replace those of the log's format",
+        flag="--map",
+        metavar="MAP.toml",
+        key="map",
+        toml=False,
+    )
+
+
+def flight_number() -> Any:
+    """Return the field of the flights in logs with several boots."""
+    return option(
+        (),
+        "flight to read from logs with several boots of the autopilot: one number, or one per file"
+        " (default: the longest)",
+        metavar="N",
+        many=True,
+        needed="whole numbers of at least 1",
+        toml=False,
+    )
+
+
+def manoeuvres() -> Any:
+    """Return the field of the table of manoeuvres."""
+    return option(
+        None,
+        "table of manoeuvres: columns manoeuvre, start_s, end_s (and flight); or the word found,"
+        " for those that `log info` finds in the commands",
+        metavar="FILE.csv",
+        toml=False,
+    )
+
+
+def servos() -> Any:
+    """Return the field of how commands reach the surfaces."""
+    return option(
+        "auto",
+        "card: commands pass the aircraft's actuators; ideal: surfaces and throttle follow them at"
+        " once; auto: for a log, the likelier of the two",
+        toml=False,
+    )
+
+
+def biases() -> Any:
+    """Return the field of the channels with a constant bias."""
+    return option(
+        None,
+        "channels with a constant bias to estimate, or none (default p,q,r)",
+        metavar="C,C",
+        kind="str or sequence of str, optional",
+    )
+
+
+def delays() -> Any:
+    """Return the field of the signals with a delay."""
+    return option(
+        None,
+        "signals with a delay to estimate: channels, controls, or none (default: controls; for a"
+        " log, all)",
+        metavar="C,C",
+        kind="str or sequence of str, optional",
+    )
+
+
+OptionalPath = FilePath | None
