@@ -430,9 +430,9 @@ def kind_of(info: FieldInfo, field_option: Option) -> str:
         return "{" + ", ".join(repr(a).replace("'", '"') for a in allowed) + "}"
     base = base_type(info.annotation)
     names = {Path: "str or Path", tuple: "str or sequence of str", dict: "Mapping"}
-    name = names.get(base) or getattr(base, "__name__", str(base))
-    default = None if info.is_required() else info.get_default()
     name = str(names.get(base) or getattr(base, "__name__", base))
+    default = None if info.is_required() else info.get_default()
+    return f"{name}, optional" if default is None and not info.is_required() else name
 
 
 def _with_parameters(doc: str, options: Mapping[str, tuple[FieldInfo, Option]]) -> str:
