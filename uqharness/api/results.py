@@ -19,6 +19,10 @@ from uqharness.child_process import run_command
 from uqharness.commands.flights import AnyAircraft, AnyPath
 from uqharness.errors import BadInputError, TerminatedError
 from uqharness.heartbeat import notebook_line
+from uqharness.isolation import isolated
+from uqharness.requests.base import accepts
+from uqharness.requests.folders import DossierRequest, ReportRequest
+from uqharness.results.folders import DossierFile
 from uqharness.simulator import Aircraft
 
 
@@ -763,13 +767,9 @@ def next_flight(
     return _document(words)
 
 
-def report(folder: AnyPath) -> Path:
+@accepts(ReportRequest)
+def report(request: ReportRequest) -> Path:
     """Write the page of a folder of results from its files, as ``uqharness report`` does.
-
-    Parameters
-    ----------
-    folder : str or Path
-        The ``--out`` of another command, or the ``out`` of a function.
 
     Returns
     -------
@@ -793,25 +793,19 @@ def report(folder: AnyPath) -> Path:
     >>> uq.report("results").name
     'report.html'
     """
-    from uqharness.report import write_report
+    from uqharness.commands import folders
 
-    return write_report(path("folder", folder)).path
+    return folders.report(request).value
 
 
-def dossier(folder: AnyPath, *, out: AnyPath | None = None) -> dict[str, Any]:
+@accepts(DossierRequest)
+@isolated
+def dossier(request: DossierRequest) -> DossierFile:
     """Write the evidence of a folder of results as one document, as ``uqharness dossier`` does.
-
-    Parameters
-    ----------
-    folder : str or Path
-        Results of study, refine, run_campaign, identify or compare, or a folder with several of
-        them.
-    out : str or Path, optional
-        File to write; by default dossier.html in the folder.
 
     Returns
     -------
-    dict
+    DossierFile
         ``dossier``, the page's path; ``missing``, what the folder lacks; ``tests``,
         ``not_in_the_data`` and ``sources``.
 
@@ -829,11 +823,12 @@ def dossier(folder: AnyPath, *, out: AnyPath | None = None) -> dict[str, Any]:
     ...     "epistemic": {"method": "none"},
     ... }
     >>> flown = uq.run_campaign(campaign, "results", workers=1)
-    >>> "sources" in uq.dossier("results")
-    True
+    >>> uq.dossier("results").tests
+    []
     """
-    words = ["dossier", str(path("folder", folder))]
-    return _document(words + ([] if out is None else ["--out", str(path("out", out))]))
+    from uqharness.commands import folders
+
+    return folders.dossier(request).value
 
 
 def _aircraft(aircraft: AnyAircraft) -> str:

@@ -57,9 +57,19 @@ COMMANDS: Table = {
     "sensitivity": ("sensitivity", "which uncertainty to reduce first"),
     "next-flight": ("next_flight", "plan the test flight that narrows the p-box most"),
     "study": ("study", "the whole chain: flights to p-boxes, before and after refinement"),
-    "report": ("report", "write report.html of a folder of results"),
-    "dossier": ("dossier", "the evidence of a folder of results as one printable document"),
-    "completion": ("completion", "a script for the completion of bash or zsh"),
+    "report": RequestCommand(
+        "folders:ReportRequest", "folders:report", "write report.html of a folder of results"
+    ),
+    "dossier": RequestCommand(
+        "folders:DossierRequest",
+        "folders:dossier",
+        "the evidence of a folder of results as one printable document",
+    ),
+    "completion": RequestCommand(
+        "folders:CompletionRequest",
+        "uqharness.cli.completion:completion",
+        "a script for the completion of bash or zsh",
+    ),
 }
 
 
@@ -72,8 +82,8 @@ def build_parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--version", action="version", version=f"uqharness {__version__}")
-    # A study runs other commands in its own process; completion asks for the arguments of all.
-    parser.set_defaults(run_words=run_words, complete_parser=complete_parser)
+    # A study runs other commands in its own process.
+    parser.set_defaults(run_words=run_words)
     add_commands(parser, COMMANDS, "command", "COMMAND")
     return parser
 

@@ -384,8 +384,8 @@ class RequestCommand:
     request : str
         ``module:Class`` within uqharness.requests.
     function : str
-        ``module:function`` within uqharness.commands; it takes the request and a callback, and
-        returns an Outcome.
+        ``module:function`` within uqharness.commands, or with its full name; it takes the request
+        and a callback, and returns an Outcome.
     help : str
         Line in the list of commands.
     """

@@ -10,7 +10,7 @@ is an error of the file. Unknown keys of a file are kept.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, KeysView, Mapping, Sequence
 from dataclasses import dataclass, field
 from numbers import Integral, Real
 from pathlib import Path, PurePosixPath, PureWindowsPath
@@ -69,6 +69,24 @@ class Part(BaseModel):
         """Return the keys that were set, in the order of the fields, as JSON has them."""
         return self.model_dump(mode="json", by_alias=True, exclude_unset=True)
 
+    # As a mapping, a result is what `as_json` returns.
+    def __getitem__(self, key: str) -> Any:
+        return self.as_json()[key]
+
+    def __contains__(self, key: object) -> bool:
+        return key in self.as_json()
+
+    def __iter__(self) -> Iterator[str]:  # type: ignore[override]
+        return iter(self.as_json())
+
+    def keys(self) -> KeysView[str]:
+        """Return the keys of the document."""
+        return self.as_json().keys()
+
+    def get(self, key: str, default: Any = None) -> Any:
+        """Return the value of a key, or the default."""
+        return self.as_json().get(key, default)
+
 
 Shape = TypeVar("Shape", bound=Part)
 T_co = TypeVar("T_co", covariant=True)
@@ -92,6 +110,8 @@ class Outcome(Generic[T_co]):
         Page with everything that the lines leave out.
     warnings : sequence of str
         Sentences for standard error.
+    cut : bool
+        Whether `text` stops after `MOST_LINES` lines; False where the text is a file.
     """
 
     value: T_co
@@ -100,6 +120,7 @@ class Outcome(Generic[T_co]):
     code: int = 0
     report: Path | None = None
     warnings: Sequence[str] = field(default_factory=tuple)
+    cut: bool = True
 
     def as_json(self) -> Mapping[str, Any]:
         """Return the document as JSON has it."""
@@ -112,7 +133,7 @@ class Outcome(Generic[T_co]):
         # The path of the report is printed once, by the last line.
         lines = [line for line in lines if not (end and str(self.report) in line)]
         room = MOST_LINES - len(end)
-        if len(lines) > room:
+        if self.cut and len(lines) > room:
             place = "in the report" if end else "with --json"
             more = len(lines) - room + 1
             lines = [*lines[: room - 1], f"{more} more lines {place}"]

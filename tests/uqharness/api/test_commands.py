@@ -59,7 +59,7 @@ RENAMED = {
     "no_pbox": "pbox",
     "no_check": "check",
 }
-OF_A_TERMINAL = {"help", "json"}
+OF_A_TERMINAL = {"help", "json", "quiet"}
 RETURNED = "the function returns what the option writes; the result has write() or to_dataframe()"
 READ_BEFORE = "read_flights and log_info take it; this function takes the flights that they return"
 AN_OBJECT = "the function takes the object or the mapping that the options describe"
