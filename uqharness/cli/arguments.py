@@ -63,7 +63,8 @@ def _add_field(parser: argparse.ArgumentParser, name: str, info: Any, field_opti
         allowed = choices_of(info)
         settings["choices"] = None if allowed is None else tuple(map(str, allowed))
         # The completion offers files where the type is a path.
-        settings["type"] = _Text(base is Path or "FILE" in (field_option.metavar or ""))
+        metavar = field_option.metavar or ""
+        settings["type"] = _Text(base is Path or "FILE" in metavar or ".toml" in metavar)
         if field_option.many:
             settings |= {"nargs": "+", "action": "extend"}
         elif field_option.repeat:

@@ -186,7 +186,8 @@ class Request(BaseModel):
     Class attributes describe the command: ``command`` its words after ``uqharness``, ``summary``
     the line in the list of commands, ``examples`` command lines and what they write, ``done`` and
     ``no`` the meaning of exit codes 0 and 1, ``keeps_stages`` whether a terminal keeps a line of
-    each finished stage. The docstring is the command's description.
+    each finished stage, ``flies`` whether the command's callback takes the progress of a campaign
+    instead of the names of stages. The docstring is the command's description.
     """
 
     model_config = ConfigDict(
@@ -199,6 +200,7 @@ class Request(BaseModel):
     done: ClassVar[str] = "done"
     no: ClassVar[str] = ""
     keeps_stages: ClassVar[bool] = False
+    flies: ClassVar[bool] = False
 
     @classmethod
     def of(cls, **values: Any) -> Self:
@@ -208,7 +210,7 @@ class Request(BaseModel):
     def changed(self, **values: Any) -> Self:
         """Return a copy with other values. Raises BadInputError."""
         current = {name: getattr(self, name) for name in self.model_fields_set}
-        return type(self).of(**current, **values)
+        return type(self).of(**(current | values))
 
 
 def options_of(model: type[Request]) -> dict[str, tuple[FieldInfo, Option]]:
