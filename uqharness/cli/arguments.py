@@ -18,6 +18,7 @@ from uqharness.requests.base import (
     check,
     choices_of,
     flag_of,
+    item_type,
     options_of,
 )
 
@@ -111,15 +112,23 @@ def _value(model: type[Request], name: str, text: Any) -> Any:
     """Convert words by the field's type; what cannot be converted is returned as it is."""
     info, _field_option = options_of(model)[name]
     base = base_type(info.annotation)
-    if base in (float, int) and isinstance(text, str):
-        try:
-            return base(text)
-        except ValueError:
-            return text
+    if base in (float, int):
+        return _number(base, text)
     if base is dict and isinstance(text, list):
         return _mapping(text)
-    # Repeated options with one name each, or one option with names between commas.
-    return tuple(text) if isinstance(text, list) else text
+    if not isinstance(text, list):
+        return text
+    # Repeated options with one value each, or one option with several.
+    item = item_type(info.annotation)
+    return tuple(_number(item, word) if item in (float, int) else word for word in text)
+
+
+def _number(base: Any, text: Any) -> Any:
+    """Convert a word to a number; one that is none is returned as it is."""
+    try:
+        return base(text)
+    except ValueError:
+        return text
 
 
 def _mapping(pairs: list[str]) -> Any:
