@@ -10,6 +10,6 @@ from uqharness.report import Report
 
 def note_damage(folder: Path, report: Report) -> int:
     """Print which files are damaged; return exit code 1 where some could not be restored."""
-    for sentence in report.damage(folder):
+    for sentence in report.warnings:
         print(sentence, file=sys.stderr)
     return 1 if report.damaged else 0

@@ -38,7 +38,7 @@ def report(request: ReportRequest, callback: Callback = silent) -> Outcome[Path]
         [*written.verdict, f"{document.bytes / 1e6:.2f} MB written"],
         code=1 if written.damaged else 0,
         report=written.path,
-        warnings=written.damage(request.folder),
+        warnings=written.warnings,
     )
 
 

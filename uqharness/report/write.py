@@ -6,7 +6,6 @@ folder gives the same bytes. A page begins with a warning if files of the folder
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -25,8 +24,6 @@ from uqharness.report.parts import (
     render,
 )
 from uqharness.report.svg import standalone
-
-_LOGGER = logging.getLogger("uqharness")
 
 # Recognition of folders.
 
@@ -158,11 +155,14 @@ class Report:
         """The verdict as plain sentences."""
         return [item.text for item in self.page.verdict]
 
-    def damage(self, folder: Path) -> list[str]:
-        """Return a sentence for each damaged file, and log which files were restored."""
-        for name in self.rewritten:
-            _LOGGER.info("%s had changed since it was written; it is restored", folder / name)
-        return [f"{folder / fault.name}: {fault.problem}" for fault in self.damaged]
+    @property
+    def warnings(self) -> list[str]:
+        """Sentences on files that were damaged."""
+        folder = self.path.parent
+        return [
+            *(f"{folder / n} had changed since it was written; restored" for n in self.rewritten),
+            *(f"{folder / fault.name}: {fault.problem}" for fault in self.damaged),
+        ]
 
     @property
     def text(self) -> str:

@@ -61,6 +61,8 @@ class Option:
         Whether the option takes several values, and whether it may be repeated with one value each.
     positional : bool
         Whether the Python function takes the field without its keyword.
+    write : callable or None
+        Value to its word on the command line, where `command_words` cannot derive it.
     off : bool
         Whether the option of the command line sets the field to False, as ``--no-check`` does.
     cli, toml, python : bool
@@ -78,6 +80,7 @@ class Option:
     many: bool = False
     repeat: bool = False
     positional: bool = False
+    write: Callable[[Any], str] | None = None
     off: bool = False
     cli: bool = True
     toml: bool = True
@@ -186,7 +189,8 @@ class Request(BaseModel):
     Class attributes describe the command: ``command`` its words after ``uqharness``, ``summary``
     the line in the list of commands, ``examples`` command lines and what they write, ``done`` and
     ``no`` the meaning of exit codes 0 and 1, ``keeps_stages`` whether a terminal keeps a line of
-    each finished stage. The docstring is the command's description.
+    each finished stage, ``flies`` whether the command's callback takes the progress of a campaign
+    instead of the names of stages. The docstring is the command's description.
     """
 
     model_config = ConfigDict(
@@ -199,6 +203,7 @@ class Request(BaseModel):
     done: ClassVar[str] = "done"
     no: ClassVar[str] = ""
     keeps_stages: ClassVar[bool] = False
+    flies: ClassVar[bool] = False
 
     @classmethod
     def of(cls, **values: Any) -> Self:
@@ -208,7 +213,7 @@ class Request(BaseModel):
     def changed(self, **values: Any) -> Self:
         """Return a copy with other values. Raises BadInputError."""
         current = {name: getattr(self, name) for name in self.model_fields_set}
-        return type(self).of(**current, **values)
+        return type(self).of(**(current | values))
 
 
 def options_of(model: type[Request]) -> dict[str, tuple[FieldInfo, Option]]:
@@ -339,17 +344,26 @@ def requirement(info: FieldInfo, field_option: Option) -> str:
 
 def base_type(annotation: Any) -> Any:
     """Return the type under Annotated and Optional: float, int, bool, Path, str, tuple, dict."""
-    while True:
-        origin = typing.get_origin(annotation)
+    annotation = _bare(annotation)
+    origin = typing.get_origin(annotation)
+    return type(typing.get_args(annotation)[0]) if origin is Literal else origin or annotation
+
+
+def item_type(annotation: Any) -> Any:
+    """Return the base type of a tuple's items."""
+    return base_type((*typing.get_args(_bare(annotation)), str)[0])
+
+
+def _bare(annotation: Any) -> Any:
+    """Return the type under Annotated and Optional, with its arguments."""
+    while (origin := typing.get_origin(annotation)) in (Annotated, typing.Union, types.UnionType):
         arguments = typing.get_args(annotation)
-        if origin is Annotated:
-            annotation = arguments[0]
-        elif origin in (typing.Union, types.UnionType):
-            annotation = next(a for a in arguments if a is not type(None))
-        elif origin is Literal:
-            return type(arguments[0])
-        else:
-            return origin or annotation
+        annotation = (
+            arguments[0]
+            if origin is Annotated
+            else next(a for a in arguments if a is not type(None))
+        )
+    return annotation
 
 
 def _choices(info: FieldInfo) -> tuple[Any, ...] | None:
@@ -539,7 +553,7 @@ def command_words(request: Request) -> list[str]:
         default = None if info.is_required() else info.get_default(call_default_factory=True)
         if not (o.cli and o.provenance) or value is None or value == default:
             continue
-        words = list(_words(value))
+        words = [o.write(value)] if o.write else _words(value)
         if o.flag == "":
             positional += words
         elif isinstance(value, bool):
@@ -547,7 +561,7 @@ def command_words(request: Request) -> list[str]:
         elif o.repeat:
             # A repeatable option stands before each of its values.
             flags += [word for text in words for word in (flag_of(name, o), text)]
-        elif base_type(info.annotation) is tuple and not o.many:
+        elif base_type(info.annotation) is tuple and not (o.many or o.write):
             flags += [flag_of(name, o), ",".join(words) or "none"]
         else:
             flags += [flag_of(name, o), *words]

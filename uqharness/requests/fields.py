@@ -76,9 +76,9 @@ def workers(default: str = "one a core, 8 at most") -> Any:
     return option(None, f"processes (default: {default})", ge=1, metavar="N", toml=False)
 
 
-def seed(of: str) -> Any:
+def seed(of: str, default: int = 0) -> Any:
     """Return the field of the seed of what is drawn at random."""
-    return option(0, f"seed of {of}", ge=0, metavar="N")
+    return option(default, f"seed of {of}", ge=0, metavar="N")
 
 
 def figures() -> Any:

@@ -6,4 +6,4 @@ DOCUMENTS: dict[str, str] = {
     "dossier": "folders:DossierFile",
     "report": "folders:ReportFile",
 }
-"""Command, with - for blanks, to the model of the document that it prints with ``--json``."""
+"""Command, with "-" for blanks, to the model of its document, ``module:Class``."""

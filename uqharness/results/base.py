@@ -10,7 +10,7 @@ is an error of the file. Unknown keys of a file are kept.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, KeysView, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from numbers import Integral, Real
 from pathlib import Path, PurePosixPath, PureWindowsPath
@@ -69,23 +69,24 @@ class Part(BaseModel):
         """Return the keys that were set, in the order of the fields, as JSON has them."""
         return self.model_dump(mode="json", by_alias=True, exclude_unset=True)
 
-    # As a mapping, a result is what `as_json` returns.
+    # A result also answers as the dictionary that its JSON is: result["key"], dict(result).
+
     def __getitem__(self, key: str) -> Any:
         return self.as_json()[key]
-
-    def __contains__(self, key: object) -> bool:
-        return key in self.as_json()
 
     def __iter__(self) -> Iterator[str]:  # type: ignore[override]
         return iter(self.as_json())
 
-    def keys(self) -> KeysView[str]:
-        """Return the keys of the document."""
-        return self.as_json().keys()
+    def __contains__(self, key: object) -> bool:
+        return key in self.as_json()
 
     def get(self, key: str, default: Any = None) -> Any:
         """Return the value of a key, or the default."""
         return self.as_json().get(key, default)
+
+    def keys(self) -> list[str]:
+        """Return the keys that were set."""
+        return list(self.as_json())
 
 
 Shape = TypeVar("Shape", bound=Part)
