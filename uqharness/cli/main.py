@@ -49,7 +49,9 @@ COMMANDS: Table = {
     ),
     "validate-bounds": ("validate_bounds", "coverage of bounds on a new flight"),
     "instrument": ("instrument", "add the model-form plugin to any JSBSim aircraft"),
-    "refine": ("refine", "find, name and add missing effects"),
+    "refine": RequestCommand(
+        "refinement:RefineRequest", "refinement:refine", "find, name and add missing effects"
+    ),
     "campaign": (
         "campaign",
         "nested Monte Carlo campaigns: check, run, status, report, merge, rerun, verify, salvage",
