@@ -139,7 +139,7 @@ def both_sides(
 
 
 Write = Callable[[Found], Aircraft]
-CANNOT_TELL = "cannot tell"
+CANNOT_TELL: Gap = "cannot tell"
 BLOCK_S = 2.0
 """Residuals this far apart count as independent."""
 BEYOND_CHANCE = 1.645
