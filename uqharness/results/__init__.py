@@ -2,5 +2,17 @@
 
 DOCUMENTS: dict[str, str] = {
     "bounds": "identification:Bounds",
+    "campaign-area": "campaign:Areas",
+    "campaign-check": "campaign:CampaignCost",
+    "campaign-convergence": "campaign:Convergence",
+    "campaign-merge": "campaign:Merged",
+    "campaign-report": "campaign:CampaignPage",
+    "campaign-rerun": "campaign:Rerun",
+    "campaign-run": "campaign:CampaignRun",
+    "campaign-salvage": "campaign:Salvaged",
+    "campaign-status": "campaign:CampaignStatus",
+    "campaign-verify": "campaign:FolderCheck",
+    "sensitivity": "sensitivity:CampaignSensitivity",
+    "sensitivity-modal": "sensitivity:ModalSensitivity",
 }
 """Command, with "-" for blanks, to the model of its document, ``module:Class``."""
