@@ -8,6 +8,7 @@ from .api.campaigns import campaign_report as campaign_report
 from .api.campaigns import campaign_status as campaign_status
 from .api.campaigns import check_campaign as check_campaign
 from .api.campaigns import merge_campaign as merge_campaign
+from .api.campaigns import next_flight as next_flight
 from .api.campaigns import pbox as pbox
 from .api.campaigns import read_campaign as read_campaign
 from .api.campaigns import rerun_case as rerun_case
@@ -29,7 +30,6 @@ from .api.results import diff as diff
 from .api.results import dossier as dossier
 from .api.results import export_log as export_log
 from .api.results import margins as margins
-from .api.results import next_flight as next_flight
 from .api.results import report as report
 from .api.results import study as study
 from .report.plots import plot_pbox as plot_pbox

@@ -15,6 +15,7 @@ from uqharness.campaign import Progress
 from uqharness.campaign.folder import read_complete
 from uqharness.commands import campaign as commands
 from uqharness.commands.campaign import CampaignResult
+from uqharness.commands.next_flight import next_flight as plan_next_flight
 from uqharness.commands.sensitivity import sensitivity as rank_coefficients
 from uqharness.errors import BadInputError
 from uqharness.heartbeat import STATE, Rate, clock, notebook_line
@@ -33,6 +34,7 @@ from uqharness.requests.campaign import (
     StatusRequest,
     VerifyRequest,
 )
+from uqharness.requests.next_flight import NextFlightRequest
 from uqharness.requests.sensitivity import SensitivityRequest
 from uqharness.results.campaign import (
     Areas,
@@ -45,6 +47,7 @@ from uqharness.results.campaign import (
     Rerun,
     Salvaged,
 )
+from uqharness.results.next_flight import AchievedNarrowing, NextFlightPlan
 from uqharness.results.sensitivity import CampaignSensitivity, ModalSensitivity
 from uqharness.statistics import PBox, Sample
 from uqharness.statistics import pbox as boxes
@@ -457,6 +460,32 @@ def sensitivity(request: SensitivityRequest) -> CampaignSensitivity | ModalSensi
     uqharness.errors.BadInputError: missing
     """
     return rank_coefficients(request).value
+
+
+@notebook_line("next_flight")
+@accepts(NextFlightRequest)
+@isolated
+def next_flight(request: NextFlightRequest) -> NextFlightPlan | AchievedNarrowing:
+    """Plan the test flight that most narrows the p-box, as ``uqharness next-flight`` does.
+
+    Returns
+    -------
+    NextFlightPlan or AchievedNarrowing
+        The content of next-flight.json; with ``redone`` the narrowing of each coefficient.
+
+    Raises
+    ------
+    BadInputError
+        For a folder that is no finished campaign of corners, and bounds of another aircraft.
+
+    Examples
+    --------
+    >>> import uqharness as uq
+    >>> uq.next_flight("missing", "next")  # doctest: +IGNORE_EXCEPTION_DETAIL
+    Traceback (most recent call last):
+    uqharness.errors.BadInputError: missing
+    """
+    return plan_next_flight(request).value
 
 
 def pbox(

@@ -478,8 +478,8 @@ def shares_by_condition(
             left_out=item.left_out,
             first=item.ranking.first or None,
             certain=item.ranking.certain,
-            rivals_by_ranges=item.ranking.by_ranges,
-            rivals_by_sampling=item.ranking.by_sampling,
+            rivals_by_ranges=list(item.ranking.by_ranges),
+            rivals_by_sampling=list(item.ranking.by_sampling),
             words=item.words,
         )
     return by_condition

@@ -59,7 +59,11 @@ COMMANDS: Table = {
         "sensitivity:sensitivity",
         "which uncertainty to reduce first",
     ),
-    "next-flight": ("next_flight", "plan the test flight that narrows the p-box most"),
+    "next-flight": RequestCommand(
+        "next_flight:NextFlightRequest",
+        "next_flight:next_flight",
+        "plan the test flight that narrows the p-box most",
+    ),
     "study": ("study", "the whole chain: flights to p-boxes, before and after refinement"),
     "report": ("report", "write report.html of a folder of results"),
     "dossier": ("dossier", "the evidence of a folder of results as one printable document"),

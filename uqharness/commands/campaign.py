@@ -298,7 +298,7 @@ def check(request: CheckRequest, callback: Callback = silent) -> Outcome[Campaig
         disk_bytes=size.disk_bytes,
         more_than_a_day=cost.is_long,
         engine=choice.engine,
-        engine_why=choice.reasons,
+        engine_why=list(choice.reasons),
         joint_level=campaigns.joint_level(described),
         joint=campaigns.joint_words(described),
         bounds_hold_at=campaigns.points_flown(epistemic),
@@ -427,7 +427,7 @@ def status(request: StatusRequest, callback: Callback = silent) -> Outcome[Campa
     done = f"{document.done} of {document.cases} flights done, {_failures(document.statuses)}"
     lines = [
         f"{request.folder}: {document.state}, {done}",
-        f"engine {campaigns.engine_words(document.engine, document.engine_why)}",
+        f"engine {campaigns.engine_words(document.engine, tuple(document.engine_why))}",
         *document.joint,
         *campaigns.lines(document.answers),
     ]
@@ -506,7 +506,7 @@ def rerun(request: RerunRequest, callback: Callback = silent) -> Outcome[Rerun]:
         status=outcome.status,
         reason=outcome.reason,
         same_as_stored=same,
-        differences=repeated.differences,
+        differences=list(repeated.differences),
         files=[str(path) for path in files],
     )
     comparison = {True: "as stored", False: "NOT as stored", None: "not flown before"}[same]

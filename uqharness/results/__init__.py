@@ -12,6 +12,8 @@ DOCUMENTS: dict[str, str] = {
     "campaign-salvage": "campaign:Salvaged",
     "campaign-status": "campaign:CampaignStatus",
     "campaign-verify": "campaign:FolderCheck",
+    "next-flight": "next_flight:NextFlightPlan",
+    "next-flight-redone": "next_flight:AchievedNarrowing",
     "sensitivity": "sensitivity:CampaignSensitivity",
     "sensitivity-modal": "sensitivity:ModalSensitivity",
 }

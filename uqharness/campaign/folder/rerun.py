@@ -259,7 +259,7 @@ def _write(
         reason=outcome.reason,
         flown_s=outcome.flown_s,
         same_as_stored=same,
-        differences=differences,
+        differences=list(differences),
         metrics=dict(sorted(outcome.metrics.items())),
         properties=dict(case.flight.properties),
         levels=None if levels is None else dict(vars(levels)),

@@ -349,7 +349,7 @@ def _merged(
         missing=missing,
         statuses=dict(sorted(statuses.items())),
         shards=[path.name for path in folders],
-        rewritten=rewritten,
+        rewritten=list(rewritten),
     )
 
 

@@ -284,7 +284,7 @@ class RunOptions:
 
     executor: Executor
     before_flying: Callable[[Cost], None] = lambda _: None
-    on_progress: Callable[[Any], None] | None = None
+    on_progress: Callable[[Any], object] | None = None
     fly: FlightFunction | Engines | None = None
 
 
@@ -439,7 +439,7 @@ def _salvage_campaign(
         flown=sum(summary.statuses.values()) - retained,
         missing=0,
         statuses=dict(summary.statuses),
-        rewritten=summary.rewritten,
+        rewritten=list(summary.rewritten),
         aside=renamed,
         shards=[],
     )
