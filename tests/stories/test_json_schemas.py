@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import argparse
 import copy
+import importlib
 import json
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,13 +16,22 @@ import pytest
 
 from tests.helpers.places import ROOT
 from uqharness.cli import main as cli
+from uqharness.results import DOCUMENTS
 
 pytestmark = pytest.mark.usefixtures("flights_here")
 
 jsonschema = pytest.importorskip("jsonschema")
 
 FOLDER = ROOT / "docs" / "schemas"
-SCHEMAS = {
+
+
+def schema_of(place: str) -> dict[str, Any]:
+    module, _, name = place.partition(":")
+    model = getattr(importlib.import_module(f"uqharness.results.{module}"), name)
+    return model.model_json_schema(by_alias=True, mode="serialization")
+
+
+SCHEMAS = {name: schema_of(place) for name, place in DOCUMENTS.items()} | {
     path.stem: json.loads(path.read_text(encoding="utf-8"))
     for path in sorted(FOLDER.glob("*.json"))
 }
@@ -91,6 +101,9 @@ DEAR = {
     ),
     "study": "study tests/golden_study.toml --out {}/study",
     "next-flight": "next-flight {}/results --out {}/next --minutes 1 --no-figures",
+    "next-flight-redone": (
+        "next-flight {}/results --out {}/next --redone {}/bounds/model-form.json"
+    ),
 }
 
 
@@ -177,7 +190,7 @@ def test_a_dear_command_prints_what_its_schema_says(
     for seed, flight in enumerate(("a", "b"), start=1):
         words = ["fly", "espaaro_truth", "--script", "flight-ident", "--noise", "--seed", str(seed)]
         assert cli.main([*words, "--out", str(tmp_path / f"{flight}.parquet")]) == 0
-    if name == "next-flight":
+    if name.startswith("next-flight"):
         bounds = f'"{tmp_path / "bounds" / "model-form.json"}"'
         campaign = CAMPAIGN.replace("{ CX = 0.008, CZ = 0.05 }", bounds).replace(
             "duration_s = 5", "duration_s = 60"
@@ -221,7 +234,7 @@ def leaves(parser: argparse.ArgumentParser, path: tuple[str, ...] = ()) -> Itera
 
 def test_every_command_has_a_schema():
     known = set(leaves(cli.complete_parser()))
-    assert known | {"sensitivity-modal"} == set(SCHEMAS)
+    assert known | {"next-flight-redone", "sensitivity-modal"} == set(SCHEMAS)
     assert {name.split(",")[0] for name in (*COMMANDS, *DEAR)} == set(SCHEMAS)
 
 

@@ -56,8 +56,16 @@ COMMANDS: Table = {
         "campaign",
         "nested Monte Carlo campaigns: check, run, status, report, merge, rerun, verify, salvage",
     ),
-    "sensitivity": ("sensitivity", "which uncertainty to reduce first"),
-    "next-flight": ("next_flight", "plan the test flight that narrows the p-box most"),
+    "sensitivity": RequestCommand(
+        "sensitivity:SensitivityRequest",
+        "sensitivity:sensitivity",
+        "which uncertainty to reduce first",
+    ),
+    "next-flight": RequestCommand(
+        "next_flight:NextFlightRequest",
+        "next_flight:next_flight",
+        "plan the test flight that narrows the p-box most",
+    ),
     "study": ("study", "the whole chain: flights to p-boxes, before and after refinement"),
     "report": RequestCommand(
         "folders:ReportRequest", "folders:report", "write report.html of a folder of results"

@@ -51,12 +51,19 @@ def flights(
     )
 
 
-def out(required: bool = True) -> Any:
+def out(required: bool = True, positional: bool = False) -> Any:
     """Return the field of the folder of the results."""
     text = "folder for the results, made if need be" + (
         "" if required else " (default: nothing is written)"
     )
-    return option(... if required else None, text, metavar="DIR", provenance=False, toml=False)
+    return option(
+        ... if required else None,
+        text,
+        metavar="DIR",
+        positional=positional,
+        provenance=False,
+        toml=False,
+    )
 
 
 def page(content: str, flag: str = "--out") -> Any:
