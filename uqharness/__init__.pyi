@@ -7,6 +7,7 @@ from .api.campaigns import read_campaign as read_campaign
 from .api.campaigns import run_campaign as run_campaign
 from .api.errors import BadInputError as BadInputError
 from .api.errors import LogError as LogError
+from .api.flights import export_log as export_log
 from .api.flights import fly as fly
 from .api.flights import log_info as log_info
 from .api.flights import propose_map as propose_map
@@ -23,7 +24,6 @@ from .api.results import campaign_status as campaign_status
 from .api.results import check_campaign as check_campaign
 from .api.results import diff as diff
 from .api.results import dossier as dossier
-from .api.results import export_log as export_log
 from .api.results import margins as margins
 from .api.results import merge_campaign as merge_campaign
 from .api.results import next_flight as next_flight

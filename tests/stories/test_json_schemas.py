@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import argparse
 import copy
+import importlib
 import json
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,13 +16,22 @@ import pytest
 
 from tests.helpers.places import ROOT
 from uqharness.cli import main as cli
+from uqharness.results import DOCUMENTS
 
 pytestmark = pytest.mark.usefixtures("flights_here")
 
 jsonschema = pytest.importorskip("jsonschema")
 
 FOLDER = ROOT / "docs" / "schemas"
-SCHEMAS = {
+
+
+def schema_of(place: str) -> dict[str, Any]:
+    module, _, name = place.partition(":")
+    model = getattr(importlib.import_module(f"uqharness.results.{module}"), name)
+    return model.model_json_schema(by_alias=True, mode="serialization")
+
+
+SCHEMAS = {name: schema_of(place) for name, place in DOCUMENTS.items()} | {
     path.stem: json.loads(path.read_text(encoding="utf-8"))
     for path in sorted(FOLDER.glob("*.json"))
 }

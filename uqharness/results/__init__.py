@@ -2,5 +2,9 @@
 
 DOCUMENTS: dict[str, str] = {
     "bounds": "identification:Bounds",
+    "log-export": "logs:Playback",
+    "log-import": "logs:ImportedLog",
+    "log-info": "logs:LogContents",
+    "log-map": "logs:ProposedMap",
 }
 """Command, with "-" for blanks, to the model of its document, ``module:Class``."""

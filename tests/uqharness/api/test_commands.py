@@ -59,7 +59,7 @@ RENAMED = {
     "no_pbox": "pbox",
     "no_check": "check",
 }
-OF_A_TERMINAL = {"help", "json"}
+OF_A_TERMINAL = {"help", "json", "quiet"}
 RETURNED = "the function returns what the option writes; the result has write() or to_dataframe()"
 READ_BEFORE = "read_flights and log_info take it; this function takes the flights that they return"
 AN_OBJECT = "the function takes the object or the mapping that the options describe"
@@ -78,17 +78,12 @@ LEFT_OUT = {
         **dict.fromkeys(("wind_mps", "wind_from_deg"), ONLY_TEXT),
         "out": RETURNED,
     },
-    "log info": {
-        **dict.fromkeys(("out", "manoeuvres"), RETURNED),
-        **dict.fromkeys(("cache", "no_cache"), "the function keeps no cache"),
-    },
     "log import": {
         "log": "paths: the function reads several",
         "out": RETURNED,
         "whole": "log_info reads all of a log",
-        **dict.fromkeys(("cache", "no_cache"), "the function keeps no cache"),
+        **dict.fromkeys(("cache", "use_cache"), "the function always uses the user's cache"),
     },
-    "log map": {"out": RETURNED},
     "identify": {
         **dict.fromkeys(("out", "no_figures"), RETURNED),
         **dict.fromkeys(("manoeuvres", "map", "flight_number"), READ_BEFORE),
