@@ -17,6 +17,7 @@ from .api.campaigns import salvage_campaign as salvage_campaign
 from .api.campaigns import verify as verify
 from .api.errors import BadInputError as BadInputError
 from .api.errors import LogError as LogError
+from .api.flights import export_log as export_log
 from .api.flights import fly as fly
 from .api.flights import log_info as log_info
 from .api.flights import propose_map as propose_map
@@ -28,7 +29,6 @@ from .api.identification import validate_bounds as validate_bounds
 from .api.refinement import refine as refine
 from .api.results import diff as diff
 from .api.results import dossier as dossier
-from .api.results import export_log as export_log
 from .api.results import margins as margins
 from .api.results import report as report
 from .api.results import study as study

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
 
-from uqharness.arguments import integer, number, one_of, path
+from uqharness.arguments import integer, path
 from uqharness.arguments import workers as given_workers
 from uqharness.child_process import run_command
 from uqharness.commands.flights import AnyAircraft, AnyPath
@@ -145,71 +145,6 @@ def diff(
     words += [] if tolerance is None else ["--tolerance", str(tolerance)]
     words += ["--bounds"] if bounds else []
     return _document(words + _files(python_b=python_b, out=out))
-
-
-def export_log(
-    log: AnyPath,
-    aircraft: AnyAircraft,
-    out: AnyPath,
-    *,
-    format: Literal["flightgear"] = "flightgear",
-    signal_map: AnyPath | None = None,
-    flight_number: int | None = None,
-    lat_deg: float | None = None,
-    lon_deg: float | None = None,
-    alt_m: float | None = None,
-    rate_hz: float = 30.0,
-) -> dict[str, Any]:
-    """Write a flight as files that FlightGear plays back, as ``uqharness log export`` does.
-
-    Parameters
-    ----------
-    log : str or Path
-        Record (.parquet, .csv) or log (ArduPilot .bin, .log, .tlog; PX4 .ulg).
-    aircraft : str, Path or Aircraft
-        Whose airframe.toml turns servo outputs into angles.
-    out : str or Path
-        Folder for the files.
-    format : {"flightgear"}
-        Program that shows it.
-    signal_map : str or Path, optional
-        Signal map of your own, TOML (docs/logs.md).
-    flight_number : int, optional
-        Which flight of a log that holds several boots, from 1; by default the longest.
-    lat_deg, lon_deg, alt_m : float, optional
-        Start point [deg, deg, m above sea level]; by default the log's.
-    rate_hz : float
-        Rows per second [1/s].
-
-    Returns
-    -------
-    dict
-        ``files``, ``rows``, ``rate_hz`` [1/s] and ``columns``.
-
-    Raises
-    ------
-    BadInputError
-        For a log without position or attitude, and one that does not say where it began.
-
-    Examples
-    --------
-    >>> import uqharness as uq
-    >>> columns = uq.fly("espaaro", "doublet-elevator", duration_s=2).write("doublet.parquet")
-    >>> uq.export_log("doublet.parquet", "espaaro", "shown", lat_deg=37.2, lon_deg=-80.4)["rows"]
-    61
-    """
-    one_of("format", format, ("flightgear",))
-    words = ["log", "export", str(path("log", log)), "--aircraft", _aircraft(aircraft)]
-    words += ["--out", str(path("out", out)), "--format", format]
-    words += _files(map=signal_map)
-    numbers = {"lat_deg": lat_deg, "lon_deg": lon_deg, "alt_m": alt_m, "rate_hz": rate_hz}
-    for name, value in numbers.items():
-        # With an equals sign: a negative number is no option.
-        option = f"--{name.replace('_', '-')}"
-        words += [] if value is None else [f"{option}={number(name, value)!r}"]
-    if flight_number is not None:
-        words += ["--flight-number", str(integer("flight_number", flight_number, 1))]
-    return _document(words)
 
 
 def study(study: AnyPath, out: AnyPath, *, workers: int | None = None) -> dict[str, Any]:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field
+from pydantic import AfterValidator, BeforeValidator, Field
 
 from uqharness.requests.base import FilePath, WholeNumber, one_or_several, option
 
@@ -64,6 +66,30 @@ def out(required: bool = True, positional: bool = False) -> Any:
         provenance=False,
         toml=False,
     )
+
+
+def _ends_with(*endings: str) -> Callable[[Path], Path]:
+    """Return a check of the ending of a file's name."""
+
+    def check(path: Path) -> Path:
+        if path.suffix.lower() not in endings:
+            raise ValueError(f"the name must end with {' or '.join(endings)}")
+        return path
+
+    return check
+
+
+def _page(path: Path) -> Path:
+    """Refuse a page that cannot be written."""
+    if path.suffix.lower() != ".html" or path.is_dir():
+        folder = "is a folder; " if path.is_dir() else ""
+        raise ValueError(f"{folder}a page, FILE.html, is written")
+    return path
+
+
+Page = Annotated[FilePath, AfterValidator(_page)] | None
+TableFile = Annotated[FilePath, AfterValidator(_ends_with(".parquet", ".csv"))]
+RecordFile = Annotated[FilePath, AfterValidator(_ends_with(".csv", ".parquet", ".bin"))]
 
 
 def page(content: str, flag: str = "--out") -> Any:
@@ -132,6 +158,16 @@ def flight_number() -> Any:
     )
 
 
+def boot() -> Any:
+    """Return the field of the flight in one log with several boots."""
+    return option(
+        None,
+        "flight to read from a log with several boots of the autopilot (default: the longest)",
+        ge=1,
+        metavar="N",
+    )
+
+
 def manoeuvres() -> Any:
     """Return the field of the table of manoeuvres."""
     return option(
@@ -174,4 +210,30 @@ def delays() -> Any:
     )
 
 
+def script(use: str = "run script, a path or a name under scripts/") -> Any:
+    """Return the field of the run script."""
+    return option("loiter", use, metavar="S", positional=True, needed="a path or a name")
+
+
+def turbulence(of: str) -> Any:
+    """Return the field of the intensity of turbulence."""
+    return option("none", f"MIL-F-8785C intensity of the turbulence{of}")
+
+
+def autopilot() -> Any:
+    """Return the field of the gains of an autopilot."""
+    return option(
+        None,
+        "ArduPlane parameter file (.parm, .param): gains of the autopilot (default: the"
+        " aircraft's own)",
+        metavar="FILE",
+    )
+
+
+def altitude(of: str, default: float = 200.0) -> Any:
+    """Return the field of the altitude of generated manoeuvres."""
+    return option(default, f"height of {of}, m", gt=0, le=30_000, metavar="H")
+
+
 OptionalPath = FilePath | None
+Turbulence = Literal["none", "light", "moderate", "severe"]

@@ -77,17 +77,12 @@ LEFT_OUT = {
         **dict.fromkeys(("wind_mps", "wind_from_deg"), ONLY_TEXT),
         "out": RETURNED,
     },
-    "log info": {
-        **dict.fromkeys(("out", "manoeuvres"), RETURNED),
-        **dict.fromkeys(("cache", "no_cache"), "the function keeps no cache"),
-    },
     "log import": {
         "log": "paths: the function reads several",
         "out": RETURNED,
         "whole": "log_info reads all of a log",
-        **dict.fromkeys(("cache", "no_cache"), "the function keeps no cache"),
+        **dict.fromkeys(("cache", "use_cache"), "the function always uses the user's cache"),
     },
-    "log map": {"out": RETURNED},
     "identify": {
         **dict.fromkeys(("out", "no_figures"), RETURNED),
         **dict.fromkeys(("manoeuvres", "map", "flight_number"), READ_BEFORE),
