@@ -35,7 +35,7 @@ Model = TypeVar("Model", bound="Request")
 
 _SHORT = reprlib.Repr()
 _SHORT.maxstring = _SHORT.maxother = 80
-_LIMITS = {"gt": "above {:g}", "ge": "of at least {:g}", "lt": "below {:g}", "le": "up to {:g}"}
+_LIMITS = {"gt": "above", "ge": "of at least", "lt": "below", "le": "up to"}
 
 
 @dataclass(frozen=True)
@@ -301,16 +301,39 @@ def messages(
             yield "", text
             continue
         info, field_option = options[name]
-        if item["type"] == "missing":
-            yield name, f"{labels[name]}: required; {requirement(info, field_option)} is needed"
-            continue
         beginning = place.assignment(labels[name], values.get(name, item["input"]))
-        if item["type"] in ("value_error", "assertion_error"):
-            yield name, f"{beginning}: {text}"
-        elif (allowed := _choices(info)) is not None:
-            yield name, f"{beginning}: allowed are {', '.join(map(str, allowed))}"
-        else:
-            yield name, f"{beginning}: {requirement(info, field_option)} is needed"
+        missing = item["type"] == "missing"
+        yield (
+            name,
+            problem(item["type"], text, info, labels[name] if missing else beginning, field_option),
+        )
+
+
+def problem(
+    kind: str, text: str, info: FieldInfo, beginning: str, field_option: Option | None = None
+) -> str:
+    """Return the message of one of pydantic's errors about a field.
+
+    Parameters
+    ----------
+    kind, text : str
+        Type of the error, and what a validator says.
+    info : FieldInfo
+        The field.
+    beginning : str
+        The field with the received value; the field alone if the value is missing.
+    field_option : Option, optional
+        How the field is written.
+    """
+    needed = requirement(info, field_option or Option())
+    if kind == "missing":
+        return f"{beginning}: required; {needed} is needed"
+    if kind in ("value_error", "assertion_error"):
+        return f"{beginning}: {text}"
+    allowed = _choices(info)
+    if allowed is not None:
+        return f"{beginning}: allowed are {', '.join(map(str, allowed))}"
+    return f"{beginning}: {needed} is needed"
 
 
 def unknown_name(name: str, options: Mapping[str, tuple[FieldInfo, Option]], place: Place) -> str:
@@ -327,19 +350,28 @@ def requirement(info: FieldInfo, field_option: Option) -> str:
         return field_option.needed
     base = base_type(info.annotation)
     bounds = [
-        _LIMITS[attribute].format(getattr(item, attribute))
+        f"{_LIMITS[attribute]} {bound if isinstance(bound, int) else f'{bound:g}'}"
         for attribute in ("gt", "ge", "lt", "le")
         for item in info.metadata
-        if getattr(item, attribute, None) is not None
+        if (bound := getattr(item, attribute, None)) is not None
     ]
+    pattern = next((m.pattern for m in info.metadata if getattr(m, "pattern", None)), None)
     noun = {
         float: "a finite number" if not bounds else "a number",
         int: "a whole number",
         bool: "True or False",
         Path: "a path, as a str or a Path,",
-        str: "a text",
-    }.get(base, "a name or several" if base is tuple else "a mapping" if base is dict else "")
-    return " ".join([noun or "another value", " and ".join(bounds)]).strip()
+        str: "a text" if pattern is None else f"a text of the form {pattern}",
+        dict: "a mapping",
+    }.get(base, "another value")
+    if base is tuple:
+        arguments = typing.get_args(_bare(info.annotation))
+        items = "number" if base_type((*arguments, str)[0]) in (float, int) else "name"
+        fixed = arguments and Ellipsis not in arguments
+        noun = f"a list of {len(arguments)} {items}s" if fixed else f"a {items} or several"
+    elif isinstance(base, type) and issubclass(base, BaseModel):
+        noun = "a section"
+    return " ".join([noun, " and ".join(bounds)]).strip()
 
 
 def base_type(annotation: Any) -> Any:
@@ -369,6 +401,8 @@ def _bare(annotation: Any) -> Any:
 def _choices(info: FieldInfo) -> tuple[Any, ...] | None:
     """Return the values of a Literal; None for other types."""
     annotation = info.annotation
+    if base_type(annotation) is dict:
+        return None
     for part in (annotation, *typing.get_args(annotation)):
         if typing.get_origin(part) is Literal:
             return typing.get_args(part)
