@@ -10,7 +10,7 @@ is an error of the file. Unknown keys of a file are kept.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from numbers import Integral, Real
 from pathlib import Path, PurePosixPath, PureWindowsPath
@@ -60,14 +60,32 @@ Ends = Annotated[list[Number], BeforeValidator(_as_list), Field(min_length=2, ma
 """Lower and upper end of an interval."""
 
 
-class Part(BaseModel):
-    """An object of a result: no type conversion, unknown keys kept, immutable."""
+class Part(BaseModel, Mapping[str, Any]):
+    """An object of a result: no type conversion, unknown keys kept, immutable.
+
+    Besides its attributes it has the keys that were set, as a mapping.
+    """
 
     model_config = ConfigDict(strict=True, extra="allow", populate_by_name=True, frozen=True)
 
     def as_json(self) -> dict[str, Any]:
         """Return the keys that were set, in the order of the fields, as JSON has them."""
         return self.model_dump(mode="json", by_alias=True, exclude_unset=True)
+
+    def _names(self) -> dict[str, str]:
+        """Return the attribute of each key that was set, in the order of the file."""
+        fields = {n: f.alias or n for n, f in type(self).model_fields.items()}
+        names = {key: name for name, key in fields.items() if name in self.model_fields_set}
+        return names | {name: name for name in self.model_extra or ()}
+
+    def __getitem__(self, key: str) -> Any:
+        return getattr(self, self._names()[key])
+
+    def __iter__(self) -> Iterator[str]:  # type: ignore[override]
+        return iter(self._names())
+
+    def __len__(self) -> int:
+        return len(self._names())
 
 
 Shape = TypeVar("Shape", bound=Part)
