@@ -615,7 +615,10 @@ def _words(value: Any) -> list[str]:
         return [word for item in value for word in _words(item)]
     if isinstance(value, Path):
         return [value.name]
-    return [str(getattr(value, "name", value))]
+    if isinstance(value, str | Real):
+        return [str(value)]
+    # Objects of Python have no other words.
+    return [str(getattr(value, "name", type(value).__name__))]
 
 
 Callback = Callable[[str], object]

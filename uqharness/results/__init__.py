@@ -12,8 +12,10 @@ DOCUMENTS: dict[str, str] = {
     "campaign-salvage": "campaign:Salvaged",
     "campaign-status": "campaign:CampaignStatus",
     "campaign-verify": "campaign:FolderCheck",
+    "compare": "identification:Compare",
     "completion": "folders:CompletionScript",
     "dossier": "folders:DossierFile",
+    "identify": "identification:Fit",
     "log-export": "logs:Playback",
     "log-import": "logs:ImportedLog",
     "log-info": "logs:LogContents",
@@ -24,5 +26,6 @@ DOCUMENTS: dict[str, str] = {
     "report": "folders:ReportFile",
     "sensitivity": "sensitivity:CampaignSensitivity",
     "sensitivity-modal": "sensitivity:ModalSensitivity",
+    "validate-bounds": "identification:Coverage",
 }
 """Command, with "-" for blanks, to the model of its document, ``module:Class``."""

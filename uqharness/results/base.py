@@ -60,8 +60,11 @@ Ends = Annotated[list[Number], BeforeValidator(_as_list), Field(min_length=2, ma
 """Lower and upper end of an interval."""
 
 
-class Part(BaseModel):
-    """An object of a result: no type conversion, unknown keys kept, immutable."""
+class Part(BaseModel, Mapping[str, Any]):
+    """An object of a result: no type conversion, unknown keys kept, immutable.
+
+    Besides its attributes it has the keys that were set, as a mapping.
+    """
 
     model_config = ConfigDict(strict=True, extra="allow", populate_by_name=True, frozen=True)
 
@@ -69,24 +72,20 @@ class Part(BaseModel):
         """Return the keys that were set, in the order of the fields, as JSON has them."""
         return self.model_dump(mode="json", by_alias=True, exclude_unset=True)
 
-    # A result also answers as the dictionary that its JSON is: result["key"], dict(result).
+    def _names(self) -> dict[str, str]:
+        """Return the attribute of each key that was set, in the order of the file."""
+        fields = {n: f.alias or n for n, f in type(self).model_fields.items()}
+        names = {key: name for name, key in fields.items() if name in self.model_fields_set}
+        return names | {name: name for name in self.model_extra or ()}
 
     def __getitem__(self, key: str) -> Any:
-        return self.as_json()[key]
+        return getattr(self, self._names()[key])
 
     def __iter__(self) -> Iterator[str]:  # type: ignore[override]
-        return iter(self.as_json())
+        return iter(self._names())
 
-    def __contains__(self, key: object) -> bool:
-        return key in self.as_json()
-
-    def get(self, key: str, default: Any = None) -> Any:
-        """Return the value of a key, or the default."""
-        return self.as_json().get(key, default)
-
-    def keys(self) -> list[str]:
-        """Return the keys that were set."""
-        return list(self.as_json())
+    def __len__(self) -> int:
+        return len(self._names())
 
 
 Shape = TypeVar("Shape", bound=Part)
