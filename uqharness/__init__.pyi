@@ -1,7 +1,9 @@
 from . import sensitivity as sensitivity
+from .api.aircraft import diff as diff
 from .api.aircraft import find_trim as find_trim
 from .api.aircraft import instrument as instrument
 from .api.aircraft import linearise as linearise
+from .api.aircraft import margins as margins
 from .api.campaigns import pbox as pbox
 from .api.campaigns import read_campaign as read_campaign
 from .api.campaigns import run_campaign as run_campaign
@@ -22,9 +24,7 @@ from .api.results import campaign_convergence as campaign_convergence
 from .api.results import campaign_report as campaign_report
 from .api.results import campaign_status as campaign_status
 from .api.results import check_campaign as check_campaign
-from .api.results import diff as diff
 from .api.results import dossier as dossier
-from .api.results import margins as margins
 from .api.results import merge_campaign as merge_campaign
 from .api.results import next_flight as next_flight
 from .api.results import report as report

@@ -1,5 +1,4 @@
-"""Commands in Python whose result is a document: margins, differences, campaign folders, studies,
-pages, dossiers.
+"""Commands in Python whose result is a document: campaign folders, studies, pages, dossiers.
 
 They return what the command prints with ``--json``. Those that load an aircraft or write a page run
 the command in a separate process, which an invalid aircraft cannot take down; those that only read
@@ -16,131 +15,9 @@ from typing import Any, Literal
 from uqharness.arguments import flag, instance, integer, number, one_of, path
 from uqharness.arguments import workers as given_workers
 from uqharness.child_process import run_command
-from uqharness.commands.flights import AnyAircraft, AnyPath
+from uqharness.commands.flights import AnyPath
 from uqharness.errors import BadInputError, TerminatedError
 from uqharness.heartbeat import notebook_line
-from uqharness.simulator import Aircraft
-
-
-def margins(
-    aircraft: AnyAircraft,
-    *,
-    script: AnyPath = "loiter",
-    loop: Sequence[str] = (),
-    flight: Literal["loiter", "straight"] = "loiter",
-    autopilot: AnyPath | None = None,
-    out: AnyPath | None = None,
-) -> dict[str, Any]:
-    """Measure the autopilot's stability margins in flight, as ``uqharness margins`` does.
-
-    Parameters
-    ----------
-    aircraft : str, Path or Aircraft
-        The model.
-    script : str or Path
-        Run script that engages the autopilot.
-    loop : sequence of str
-        Actuators whose loops are measured, such as ``["elevator"]``; by default all.
-    flight : {"loiter", "straight"}
-        On the circle, or straight.
-    autopilot : str or Path, optional
-        ArduPlane parameter file with gains, in place of the aircraft's own.
-    out : str or Path, optional
-        FILE.html for a page with the charts.
-
-    Returns
-    -------
-    dict
-        ``loops``: of each loop the gain [dB], phase [deg] and delay [s] margins, crossovers [rad/s]
-        and the modulus margin [-].
-
-    Raises
-    ------
-    BadInputError
-        For an aircraft without an autopilot, and an unknown loop.
-
-    Examples
-    --------
-    >>> import uqharness as uq
-    >>> found = uq.margins("espaaro", loop=["elevator"], flight="straight")
-    >>> found["loops"]["elevator"]["phase_deg"] > 30.0
-    True
-    """
-    words = ["margins", _aircraft(aircraft), "--script", str(script), "--flight", flight]
-    words += [word for name in _several(loop) for word in ("--loop", name)]
-    return _document(words + _files(autopilot=autopilot, out=out))
-
-
-def diff(
-    a: AnyAircraft,
-    b: AnyAircraft,
-    *,
-    speed_mps: float | Sequence[float] = (),
-    altitude_m: float = 200.0,
-    script: AnyPath | Sequence[AnyPath] = (),
-    turbulence: Literal["none", "light", "moderate", "severe"] = "none",
-    seed: int = 0,
-    properties: Sequence[str] = (),
-    tolerance: float | None = None,
-    repeats: int = 0,
-    bounds: bool = False,
-    python_b: AnyPath | None = None,
-    out: AnyPath | None = None,
-) -> dict[str, Any]:
-    """Fly two models side by side and list their differences, as ``uqharness diff`` does.
-
-    Parameters
-    ----------
-    a, b : str, Path or Aircraft
-        The models; a str may be REVISION:FOLDER of a git repository.
-    speed_mps : float or sequence of float
-        True airspeeds at which A is trimmed and its manoeuvres are flown [m/s].
-    altitude_m : float
-        Height of the manoeuvres above sea level [m].
-    script : path or sequence of paths
-        Run scripts that both fly too.
-    turbulence, seed
-        The same air for both.
-    properties : sequence of str
-        JSBSim properties that are compared too.
-    tolerance : float, optional
-        Share of a channel's range up to which differences count as equal [-]; by default rounding.
-    repeats : int
-        Flights of A in other turbulence, whose differences count as equal.
-    bounds : bool
-        Whether differences within A's model-form bounds count as equal.
-    python_b : str or Path, optional
-        Interpreter that flies B.
-    out : str or Path, optional
-        FILE.html for a page.
-
-    Returns
-    -------
-    dict
-        ``differ``, the ``differences`` of channels, the likeliest cause first, ``terms`` of the XML
-        that differ, ``flights``.
-
-    Raises
-    ------
-    BadInputError
-        For unknown aircraft, and where neither a speed nor a script is named.
-
-    Examples
-    --------
-    >>> import uqharness as uq
-    >>> uq.diff("espaaro", "espaaro", script="trim")["differ"]
-    False
-    """
-    words = ["diff", _aircraft(a), _aircraft(b), "--altitude-m", str(altitude_m)]
-    speeds = speed_mps if isinstance(speed_mps, Sequence) else [speed_mps]
-    words += [word for value in speeds for word in ("--speed-mps", str(value))]
-    words += [word for value in _several(script) for word in ("--script", str(value))]
-    words += [word for value in _several(properties) for word in ("--property", str(value))]
-    words += ["--turbulence", turbulence, "--seed", str(integer("seed", seed))]
-    words += ["--repeats", str(integer("repeats", repeats))]
-    words += [] if tolerance is None else ["--tolerance", str(tolerance)]
-    words += ["--bounds"] if bounds else []
-    return _document(words + _files(python_b=python_b, out=out))
 
 
 def check_campaign(
@@ -769,11 +646,6 @@ def dossier(folder: AnyPath, *, out: AnyPath | None = None) -> dict[str, Any]:
     """
     words = ["dossier", str(path("folder", folder))]
     return _document(words + ([] if out is None else ["--out", str(path("out", out))]))
-
-
-def _aircraft(aircraft: AnyAircraft) -> str:
-    """Return the word that names an aircraft on a command line."""
-    return str(aircraft.folder if isinstance(aircraft, Aircraft) else path("aircraft", aircraft))
 
 
 def _several(values: Any) -> list[Any]:

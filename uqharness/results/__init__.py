@@ -2,9 +2,14 @@
 
 DOCUMENTS: dict[str, str] = {
     "bounds": "identification:Bounds",
+    "diff": "simulation:Differences",
+    "fly": "simulation:FlownFlight",
+    "instrument": "simulation:Plugin",
     "log-export": "logs:Playback",
     "log-import": "logs:ImportedLog",
     "log-info": "logs:LogContents",
     "log-map": "logs:ProposedMap",
+    "margins": "simulation:Margins",
+    "modes": "simulation:Modes",
 }
 """Command, with "-" for blanks, to the model of its document, ``module:Class``."""
