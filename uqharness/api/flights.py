@@ -1,38 +1,13 @@
 """Flights in Python: simulated, or read from logs and records.
 
-`Flight` is what all functions of this package take and return. `aircraft_of` and `flights_of`
-accept whatever a user passes for an aircraft or flights.
+`uqharness.commands.flights.Flight` is what all functions of this package take and return.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Literal
-
-from sysid.logs import LogInfo, MapProposal, check_units
-from sysid.record import FlightRecord, Metadata
-from sysid.vocabulary import SIGNALS
-from uqharness.arguments import flag, integer, number, one_of
-from uqharness.arguments import path as argument_path
-from uqharness.arguments import properties as settings
-from uqharness.commands import logs
-from uqharness.commands.flights import (
-    AnyAircraft,
-    AnyPath,
-    Flight,
-    _content_sha256,
-    aircraft_of,
-    carded_aircraft,
-    flights_of,
-)
-from uqharness.flight import (
-    DEFAULT_TURBULENCE_SOURCE,
-    TURBULENCE_W20_KT,
-    FlightSpec,
-    recorded_flight,
-    seeded_spec,
-    start_position,
-)
+from sysid.logs import LogInfo, MapProposal
+from uqharness.commands import logs, simulation
+from uqharness.commands.flights import Flight, carded_aircraft, flights_of
 from uqharness.heartbeat import notebook_line
 from uqharness.isolation import isolated
 from uqharness.requests.base import accepts
@@ -42,51 +17,14 @@ from uqharness.requests.logs import (
     LogMapRequest,
     ReadFlightsRequest,
 )
+from uqharness.requests.simulation import FlyRequest
 from uqharness.results.logs import Playback
-from uqharness.simulator import find_script, read_script
 
 
-def fly(
-    aircraft: AnyAircraft,
-    script: AnyPath = "loiter",
-    *,
-    mission: AnyPath | None = None,
-    duration_s: float | None = None,
-    wind_mps: float = 0.0,
-    wind_from_deg: float = 270.0,
-    turbulence: Literal["none", "light", "moderate", "severe"] = "none",
-    turbulence_source: Literal["spec", "jsbsim"] = DEFAULT_TURBULENCE_SOURCE,
-    seed: int = 0,
-    noise: bool = False,
-    properties: Mapping[str, float] | None = None,
-    rate_hz: float = 50.0,
-) -> Flight:
+@notebook_line("fly")
+@accepts(FlyRequest)
+def fly(request: FlyRequest) -> Flight:
     """Fly a run script once, as ``uqharness fly`` does.
-
-    Parameters
-    ----------
-    aircraft : str, Path or Aircraft
-        Name under aircraft/ or of JSBSim's collection, a folder, or what `find_aircraft` gave.
-    script : str or Path
-        Run script, a file or a name under scripts/.
-    mission : str or Path, optional
-        The same under the name that campaigns have for it.
-    duration_s : float, optional
-        Length of the flight [s]; by default until the script's end.
-    wind_mps, wind_from_deg : float
-        Steady wind [m/s] and the true direction that it blows from [deg].
-    turbulence : {"none", "light", "moderate", "severe"}
-        Intensity after MIL-F-8785C.
-    turbulence_source : {"spec", "jsbsim"}
-        Which Dryden model: the one after the specification, or JSBSim's own.
-    seed : int
-        Seed of turbulence and of sensor noise; the same seed gives the same flight.
-    noise : bool
-        Whether sensor noise is added to the autopilot's inputs and to the record.
-    properties : Mapping, optional
-        JSBSim properties set before the flight, such as ``{"aero/Cm_q": -10.0}``.
-    rate_hz : float
-        Rows per second [1/s].
 
     Returns
     -------
@@ -113,47 +51,8 @@ def fly(
     >>> list(table.columns[:4])
     ['time_s', 'V_mps', 'alpha_rad', 'beta_rad']
     """
-    if mission is not None:
-        script = argument_path("mission", mission)
-    model, run = aircraft_of(aircraft), read_script(find_script(argument_path("script", script)))
-    for name, value in (
-        ("wind_mps", wind_mps),
-        ("wind_from_deg", wind_from_deg),
-        ("rate_hz", rate_hz),
-    ):
-        number(name, value)
-    if duration_s is not None:
-        number("duration_s", duration_s)
-    seed = integer("seed", seed)
-    spec = FlightSpec(
-        model.folder,
-        run.path,
-        run.end_s if duration_s is None else duration_s,
-        wind_mps=wind_mps,
-        wind_from_deg=wind_from_deg,
-        turbulence=one_of("turbulence", turbulence, tuple(TURBULENCE_W20_KT)),
-        turbulence_source=one_of("turbulence_source", turbulence_source, ("spec", "jsbsim")),
-        sensor_noise=flag("noise", noise),
-        properties=settings(properties),
-        record_rate_hz=rate_hz,
-    )
-    frame, recorded = recorded_flight(model, run, seeded_spec(spec, seed))
-    channels = {str(name): frame[name].to_numpy() for name in frame.columns if name in SIGNALS}
-    # Unit checks need a record, and their findings belong to its metadata.
-    record = FlightRecord(channels, Metadata(source=run.path.stem, dialect="record"))
-    record = FlightRecord(
-        channels,
-        Metadata(source=run.path.stem, dialect="record", findings=tuple(check_units(record))),
-    )
-    return Flight(
-        run.path.stem,
-        record,
-        _content_sha256(record),
-        recorded.status,
-        recorded.reason,
-        model,
-        start_position(recorded),
-    )
+    # The flight itself runs in a worker, whose crash is a result.
+    return simulation.fly(request).value
 
 
 @accepts(ReadFlightsRequest)

@@ -35,10 +35,20 @@ _GC_THRESHOLDS = 5_000, 10, 10
 scanning the objects of its libraries, none of which is ever freed."""
 
 COMMANDS: Table = {
-    "fly": ("fly", "one flight, recorded"),
-    "modes": ("modes", "trim, eigenvalues, MIL-F-8785C levels"),
-    "margins": ("margins", "gain, phase and delay margins of the autopilot"),
-    "diff": ("diff", "fly two models side by side and list their differences"),
+    "fly": RequestCommand("simulation:FlyRequest", "simulation:fly", "one flight, recorded"),
+    "modes": RequestCommand(
+        "simulation:ModesRequest", "simulation:modes", "trim, eigenvalues, MIL-F-8785C levels"
+    ),
+    "margins": RequestCommand(
+        "simulation:MarginsRequest",
+        "simulation:margins",
+        "gain, phase and delay margins of the autopilot",
+    ),
+    "diff": RequestCommand(
+        "simulation:DiffRequest",
+        "simulation:diff",
+        "fly two models side by side and list their differences",
+    ),
     "log": ("log", "flight logs: contents and checks, conversion to records"),
     "identify": ("identify", "parameters from flights"),
     "compare": ("compare", "compare a flight with the model"),
@@ -48,7 +58,11 @@ COMMANDS: Table = {
         "model-form bounds from flights",
     ),
     "validate-bounds": ("validate_bounds", "coverage of bounds on a new flight"),
-    "instrument": ("instrument", "add the model-form plugin to any JSBSim aircraft"),
+    "instrument": RequestCommand(
+        "simulation:InstrumentRequest",
+        "simulation:instrument",
+        "add the model-form plugin to any JSBSim aircraft",
+    ),
     "refine": RequestCommand(
         "refinement:RefineRequest", "refinement:refine", "find, name and add missing effects"
     ),

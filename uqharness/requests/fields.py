@@ -279,14 +279,23 @@ def delays() -> Any:
     )
 
 
-def script(use: str = "run script, a path or a name under scripts/") -> Any:
+def script(
+    use: str = "run script, a path or a name under scripts/", positional: bool = True
+) -> Any:
     """Return the field of the run script."""
-    return option("loiter", use, metavar="S", positional=True, needed="a path or a name")
+    return option(
+        Path("loiter"),
+        use,
+        metavar="S",
+        positional=positional,
+        kind="str or Path",
+        needed="a path or a name",
+    )
 
 
 def turbulence(of: str) -> Any:
     """Return the field of the intensity of turbulence."""
-    return option("none", f"MIL-F-8785C intensity of the turbulence{of}")
+    return option("none", f"MIL-F-8785C intensity of turbulence{of}")
 
 
 def autopilot() -> Any:

@@ -62,15 +62,9 @@ RENAMED = {
 OF_A_TERMINAL = {"help", "json", "quiet"}
 RETURNED = "the function returns what the option writes; the result has write() or to_dataframe()"
 READ_BEFORE = "read_flights and log_info take it; this function takes the flights that they return"
-AN_OBJECT = "the function takes the object or the mapping that the options describe"
 IN_RADIANS = "Python has SI units and radians: V_mps, bank_rad, climb_rad, heading_rad"
 ONLY_TEXT = "it is of the printed table; find_trim and linearise return numbers"
 LEFT_OUT = {
-    "fly": {
-        **dict.fromkeys(("out", "page"), RETURNED),
-        **dict.fromkeys(("altitude_m", "speed_mps"), "they describe manoeuvres without a script"),
-        "autopilot": "the gains are properties, which the function takes",
-    },
     "modes": {
         **dict.fromkeys(("speed_mps", "bank_deg", "climb_deg", "heading_deg"), IN_RADIANS),
         **dict.fromkeys(("aircraft_class", "category", "speeds"), ONLY_TEXT),
@@ -113,9 +107,6 @@ LEFT_OUT = {
         **dict.fromkeys(("manoeuvres", "map", "flight_number"), READ_BEFORE),
     },
     "instrument": {
-        **dict.fromkeys(("bounds", "mass_kg", "cg_x_m", "cg_y_m", "cg_z_m"), AN_OBJECT),
-        **dict.fromkeys(("ixx_kgm2", "iyy_kgm2", "izz_kgm2", "ixz_kgm2"), AN_OBJECT),
-        **dict.fromkeys(("dry_run", "page"), "it prints or draws what the function returns"),
         "undo": "it removes a folder's systems in place, which the function never changes",
     },
     "refine": {
@@ -135,7 +126,7 @@ MORE = {
     | {"properties": "JSBSim properties"},
     "log import": {"paths": "several logs"},
     "bounds": {"checks": "no_check"},
-    "instrument": dict.fromkeys(("form", "mass"), AN_OBJECT),
+    "instrument": {"mass": "the options by name"},
     "refine": {"on_stage": "a callback"},
     "campaign run": {"on_progress": "a callback"},
 }
@@ -189,7 +180,7 @@ def test_functions_that_packages_are_named_after_can_be_called():
 
 
 def test_a_command_s_refusal_is_bad_input(tmp_path):
-    with pytest.raises(uq.BadInputError, match="nothing to fly: give --speed-mps"):
+    with pytest.raises(uq.BadInputError, match="nothing to fly: give speed_mps"):
         uq.diff("espaaro", "espaaro")
 
 
