@@ -59,7 +59,7 @@ RENAMED = {
     "no_pbox": "pbox",
     "no_check": "check",
 }
-OF_A_TERMINAL = {"help", "json"}
+OF_A_TERMINAL = {"help", "json", "quiet"}
 RETURNED = "the function returns what the option writes; the result has write() or to_dataframe()"
 READ_BEFORE = "read_flights and log_info take it; this function takes the flights that they return"
 AN_OBJECT = "the function takes the object or the mapping that the options describe"
@@ -89,35 +89,6 @@ LEFT_OUT = {
         **dict.fromkeys(("cache", "no_cache"), "the function keeps no cache"),
     },
     "log map": {"out": RETURNED},
-    "identify": {
-        **dict.fromkeys(("out", "no_figures"), RETURNED),
-        **dict.fromkeys(("manoeuvres", "map", "flight_number"), READ_BEFORE),
-    },
-    "compare": {
-        **dict.fromkeys(("out", "no_figures"), RETURNED),
-        **dict.fromkeys(("manoeuvres", "map", "flight_number"), READ_BEFORE),
-    },
-    "bounds": {
-        **dict.fromkeys(("out", "no_figures"), RETURNED),
-        **dict.fromkeys(("manoeuvres", "map", "flight_number"), READ_BEFORE),
-        "no_check": "checks=False",
-        **dict.fromkeys(
-            (
-                "airspeed_cutoff_hz",
-                "as_published",
-                "cutoff_hz",
-                "roll_terms",
-                "sample_size",
-                "select",
-                "walk_cutoff_hz",
-            ),
-            "choices of the dissertation's method, by sysid.model_form",
-        ),
-    },
-    "validate-bounds": {
-        "out": RETURNED,
-        **dict.fromkeys(("manoeuvres", "map", "flight_number"), READ_BEFORE),
-    },
     "instrument": {
         **dict.fromkeys(("bounds", "mass_kg", "cg_x_m", "cg_y_m", "cg_z_m"), AN_OBJECT),
         **dict.fromkeys(("ixx_kgm2", "iyy_kgm2", "izz_kgm2", "ixz_kgm2"), AN_OBJECT),
@@ -140,7 +111,6 @@ MORE = {
     "modes": dict.fromkeys(("V_mps", "bank_rad", "climb_rad", "heading_rad"), IN_RADIANS)
     | {"properties": "JSBSim properties"},
     "log import": {"paths": "several logs"},
-    "bounds": {"checks": "no_check"},
     "instrument": dict.fromkeys(("form", "mass"), AN_OBJECT),
     "refine": {"on_stage": "a callback"},
     "campaign run": {"on_progress": "a callback"},
