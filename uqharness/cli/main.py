@@ -22,7 +22,7 @@ from uqharness import __version__
 from uqharness.cli.options import RequestCommand, Table, add_commands, commands_of
 from uqharness.errors import BadInputError, EnginesDifferError, TerminatedError
 from uqharness.files import hide_scratch_paths
-from uqharness.heartbeat import heartbeat
+from uqharness.heartbeat import QUIET_VARIABLE, heartbeat
 
 _EXAMPLE = """examples:
   uqharness modes espaaro --speed-mps 22.2
@@ -50,14 +50,24 @@ COMMANDS: Table = {
         "fly two models side by side and list their differences",
     ),
     "log": ("log", "flight logs: contents and checks, conversion to records"),
-    "identify": ("identify", "parameters from flights"),
-    "compare": ("compare", "compare a flight with the model"),
+    "identify": RequestCommand(
+        "identification:IdentifyRequest", "identification:identify", "parameters from flights"
+    ),
+    "compare": RequestCommand(
+        "identification:CompareRequest",
+        "identification:compare",
+        "compare a flight with the model",
+    ),
     "bounds": RequestCommand(
         "identification:BoundsRequest",
         "identification:bounds",
         "model-form bounds from flights",
     ),
-    "validate-bounds": ("validate_bounds", "coverage of bounds on a new flight"),
+    "validate-bounds": RequestCommand(
+        "identification:ValidateBoundsRequest",
+        "identification:validate_bounds",
+        "coverage of bounds on a new flight",
+    ),
     "instrument": RequestCommand(
         "simulation:InstrumentRequest",
         "simulation:instrument",
@@ -181,7 +191,9 @@ class _Notes(logging.Handler):
     """Prints notes of the program to standard error, one a line."""
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Print a note, overwriting a progress line."""
+        """Print a note, overwriting a progress line; nothing with ``--quiet``."""
+        if os.environ.get(QUIET_VARIABLE):
+            return
         if sys.stderr.isatty():
             print("\r\x1b[K", end="", file=cursor_stream(sys.stderr))
         print(f"note: {hide_scratch_paths(record.getMessage())}", file=sys.stderr)

@@ -57,7 +57,7 @@ def describe(
         f"examples:\n{example_text}\n\nExit codes: {answers}, 2 bad input, 130 interrupted."
     )
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
-    parser.add_argument("--json", action="store_true", help="machine-readable output")
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
     parser.set_defaults(handler=handler, parser=parser)
 
 
@@ -193,23 +193,6 @@ def add_manoeuvres(parser: argparse.ArgumentParser) -> None:
         " for those that `log info` finds in the commands"
     )
     parser.add_argument("--manoeuvres", type=Path, metavar="FILE.csv", help=text)
-
-
-def add_replay_options(parser: argparse.ArgumentParser) -> None:
-    """Add what is estimated in a replay besides the parameters: ``--biases``, ``--delays``."""
-    parser.add_argument(
-        "--biases",
-        metavar="C,C",
-        help="channels with a constant bias to estimate, or none (default p,q,r)",
-    )
-    parser.add_argument(
-        "--delays",
-        metavar="C,C",
-        help=(
-            "signals with a delay to estimate: channels, controls, or none (default: controls; for"
-            " a log, all)"
-        ),
-    )
 
 
 def add_no_check(parser: argparse.ArgumentParser, text: str) -> None:

@@ -11,13 +11,13 @@ import os
 import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 from uqharness.campaign import system_file
 from uqharness.errors import BadInputError
-from uqharness.identification import parse_channels, parse_designs
+from uqharness.identification import parse_designs
+from uqharness.requests.identification import IdentifyRequest
 from uqharness.simulator import Aircraft, find_aircraft, find_script
 from uqharness.study.spec import BoundsSection, ChainSpec, FlySection, IdentifySection, LogSection
 from uqharness.toml import line_of
@@ -271,7 +271,10 @@ class _Planner:
             # checked by the command.
             if value is not None and option != "params":
                 self._check_option(
-                    partial(parse_channels, f"--{option}"), ",".join(value), "identify", option
+                    lambda given: IdentifyRequest.of(aircraft="", flights="flight", **given),
+                    {option: value},
+                    "identify",
+                    option,
                 )
             words += [] if value is None else [f"--{option}", ",".join(value) or "none"]
         options = section.model_dump(mode="json") | {"servos": self.spec.study.servos}

@@ -77,35 +77,6 @@ LEFT_OUT = {
         "whole": "log_info reads all of a log",
         **dict.fromkeys(("cache", "use_cache"), "the function always uses the user's cache"),
     },
-    "identify": {
-        **dict.fromkeys(("out", "no_figures"), RETURNED),
-        **dict.fromkeys(("manoeuvres", "map", "flight_number"), READ_BEFORE),
-    },
-    "compare": {
-        **dict.fromkeys(("out", "no_figures"), RETURNED),
-        **dict.fromkeys(("manoeuvres", "map", "flight_number"), READ_BEFORE),
-    },
-    "bounds": {
-        **dict.fromkeys(("out", "no_figures"), RETURNED),
-        **dict.fromkeys(("manoeuvres", "map", "flight_number"), READ_BEFORE),
-        "no_check": "checks=False",
-        **dict.fromkeys(
-            (
-                "airspeed_cutoff_hz",
-                "as_published",
-                "cutoff_hz",
-                "roll_terms",
-                "sample_size",
-                "select",
-                "walk_cutoff_hz",
-            ),
-            "choices of the dissertation's method, by sysid.model_form",
-        ),
-    },
-    "validate-bounds": {
-        "out": RETURNED,
-        **dict.fromkeys(("manoeuvres", "map", "flight_number"), READ_BEFORE),
-    },
     "instrument": {
         "undo": "it removes a folder's systems in place, which the function never changes",
     },
@@ -125,7 +96,6 @@ MORE = {
     "modes": dict.fromkeys(("V_mps", "bank_rad", "climb_rad", "heading_rad"), IN_RADIANS)
     | {"properties": "JSBSim properties"},
     "log import": {"paths": "several logs"},
-    "bounds": {"checks": "no_check"},
     "instrument": {"mass": "the options by name"},
     "refine": {"on_stage": "a callback"},
     "campaign run": {"on_progress": "a callback"},
