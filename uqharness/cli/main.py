@@ -90,7 +90,11 @@ COMMANDS: Table = {
         "next_flight:next_flight",
         "plan the test flight that narrows the p-box most",
     ),
-    "study": ("study", "the whole chain: flights to p-boxes, before and after refinement"),
+    "study": RequestCommand(
+        "study:StudyRequest",
+        "study:study",
+        "the whole chain: flights to p-boxes, before and after refinement",
+    ),
     "report": RequestCommand(
         "folders:ReportRequest", "folders:report", "write report.html of a folder of results"
     ),
@@ -116,8 +120,6 @@ def build_parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--version", action="version", version=f"uqharness {__version__}")
-    # A study runs other commands in its own process.
-    parser.set_defaults(run_words=run_words)
     add_commands(parser, COMMANDS, "command", "COMMAND")
     return parser
 

@@ -31,6 +31,7 @@ DOCUMENTS: dict[str, str] = {
     "report": "folders:ReportFile",
     "sensitivity": "sensitivity:CampaignSensitivity",
     "sensitivity-modal": "sensitivity:ModalSensitivity",
+    "study": "study:Study",
     "validate-bounds": "identification:Coverage",
 }
 """Command, with "-" for blanks, to the model of its document, ``module:Class``."""
