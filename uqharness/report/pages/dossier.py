@@ -54,6 +54,7 @@ from uqharness.report.parts import (
     Table,
     Words,
     format_value,
+    level_of,
     percent,
 )
 from uqharness.report.svg import Chart, Scale, scale
@@ -760,10 +761,7 @@ def _statements(
     """Return the conclusions of the study, or else the verdicts of the campaigns, by place."""
     statements: list[tuple[str, tuple[Sentence, ...]]] = []
     for _, study in evidence.results(Study):
-        conclusions = tuple(
-            Sentence(v.text, v.level if v.level in ("good", "warn", "bad") else "")
-            for v in study.verdict or ()
-        )
+        conclusions = tuple(Sentence(v.text, level_of(v.level)) for v in study.verdict or ())
         statements += [("study", conclusions)] if conclusions else []
     return statements or [(step.place, campaign.verdict) for step, campaign in campaigns]
 

@@ -22,7 +22,6 @@ from uqharness.report.campaign import (
     aborted_cells,
     aborted_head,
     aborted_kinds,
-    answer_level,
     overlay_section,
     read_campaign_report,
     span,
@@ -50,6 +49,7 @@ from uqharness.report.parts import (
     Table,
     Words,
     format_value,
+    level_of,
     provenance,
 )
 from uqharness.report.pbox import LabelledBox, corner_words, pbox_figure
@@ -73,7 +73,7 @@ def answer_sentences(answer: StudyAnswer) -> tuple[Sentence, ...]:
     """Return the answer with its level, then reason, model deficiency and next step."""
     # Only the answer has a level; the other sentences are facts.
     facts = (answer.why, answer.lacked, answer.next)
-    return Sentence(answer.answer, _level(answer.level)), *(Sentence(t) for t in facts if t)
+    return Sentence(answer.answer, level_of(answer.level)), *(Sentence(t) for t in facts if t)
 
 
 def first_figures(
@@ -282,7 +282,7 @@ def _answer(item: Statement | None) -> Cell:
     )
     return Cell(
         _WORDS[item.answer],
-        answer_level(item),
+        answerlevel_of(item),
         f"{item.reason}; {rate}" if item.reason else rate,
         mark=_MARKS[item.answer],
     )
@@ -457,12 +457,7 @@ def _verdict(study: Study) -> tuple[Sentence, ...]:
 
 def _sentences(study: Study) -> tuple[Sentence, ...]:
     """Return the sentences of the study's verdict."""
-    return tuple(Sentence(item.text, _level(item.level)) for item in study.verdict or ())
-
-
-def _level(value: Any) -> Level:
-    """Return a valid level, or the empty one."""
-    return value if value in ("good", "warn", "bad") else ""
+    return tuple(Sentence(item.text, level_of(item.level)) for item in study.verdict or ())
 
 
 def _stage_section(study: Study) -> Section:
