@@ -204,7 +204,7 @@ def test_campaign_results_say_what_they_are(tmp_path):
         "cases": 12,
         "campaign": {"campaign": {"aircraft": "a/plane"}, "epistemic": {"method": "corners"}},
     }
-    from uqharness.api.campaigns import CampaignResult
+    from uqharness.commands.campaign import CampaignResult
 
     text = repr(CampaignResult(folder, manifest))
     assert "12 flights of plane" in text
