@@ -237,7 +237,7 @@ def test_a_campaign_s_folder_is_read_without_a_command(tmp_path, capfd):
             call(tmp_path / "nowhere", **({"value": {name: 1}} if call is uq.campaign_area else {}))
     with pytest.raises(uq.BadInputError, match="at least 2"):
         uq.campaign_convergence(folder, repeats=1)
-    with pytest.raises(uq.BadInputError, match="value: x = 'a'"):
+    with pytest.raises(uq.BadInputError, match=r"value = \{'x': 'a'\}: a metric with its number"):
         uq.campaign_area(folder, value={"x": "a"})
 
 
