@@ -1,7 +1,9 @@
 from . import sensitivity as sensitivity
+from .api.aircraft import diff as diff
 from .api.aircraft import find_trim as find_trim
 from .api.aircraft import instrument as instrument
 from .api.aircraft import linearise as linearise
+from .api.aircraft import margins as margins
 from .api.campaigns import campaign_area as campaign_area
 from .api.campaigns import campaign_convergence as campaign_convergence
 from .api.campaigns import campaign_report as campaign_report
@@ -17,6 +19,7 @@ from .api.campaigns import salvage_campaign as salvage_campaign
 from .api.campaigns import verify as verify
 from .api.errors import BadInputError as BadInputError
 from .api.errors import LogError as LogError
+from .api.flights import export_log as export_log
 from .api.flights import fly as fly
 from .api.flights import log_info as log_info
 from .api.flights import propose_map as propose_map
@@ -26,10 +29,7 @@ from .api.identification import fit_model_form as fit_model_form
 from .api.identification import identify as identify
 from .api.identification import validate_bounds as validate_bounds
 from .api.refinement import refine as refine
-from .api.results import diff as diff
 from .api.results import dossier as dossier
-from .api.results import export_log as export_log
-from .api.results import margins as margins
 from .api.results import report as report
 from .api.results import study as study
 from .report.plots import plot_pbox as plot_pbox

@@ -29,6 +29,7 @@ from uqharness.campaign.folder import tables as campaign_results
 from uqharness.campaign.spec.campaign import CampaignSpec, Document
 from uqharness.cli import main as cli
 from uqharness.results.base import Part
+from uqharness.results.identification import Bounds, Compare, Coverage, Fit
 from uqharness.results.next_flight import NextFlightPlan
 from uqharness.simulator.aircraft import PROJECT_ROOT, STANDARD
 from uqharness.simulator.card import Card
@@ -174,18 +175,10 @@ DOCUMENTS = (
         ),
         words.MANIFEST,
     ),
-    ("fit.json", ("uqharness.report.pages.identify:fit_document",), words.FIT),
-    ("compare.json", ("uqharness.report.compare:document_of", "+command"), words.COMPARE),
-    (
-        "bounds.json",
-        ("uqharness.report.pages.model_form:bounds_document", "+command", "+version"),
-        words.BOUNDS_REPORT,
-    ),
-    (
-        "coverage.json",
-        ("uqharness.report.pages.model_form:validation_document", "+command", "+version"),
-        words.COVERAGE,
-    ),
+    ("fit.json", (), fields_of(Fit)),
+    ("compare.json", (), fields_of(Compare)),
+    ("bounds.json", (), fields_of(Bounds)),
+    ("coverage.json", (), fields_of(Coverage)),
     (
         "refinement.json",
         ("uqharness.refinement.document:document_of", "uqharness.refinement.run:_document"),

@@ -111,7 +111,7 @@ def test_what_is_written_later_is_entered_and_what_users_add_is_not(made, tmp_pa
     assert "notes.txt" not in sums.files
     assert sums.folders == ("campaign-before",)
     (folder / "fit" / "new.csv").unlink()
-    assert [item.state for item in verify(folder).items if item.name == "fit/new.csv"] == [
+    assert [item.state for item in verify(folder).files if item.name == "fit/new.csv"] == [
         "missing"
     ]
     update_sums(folder / "fit" / "new.csv")

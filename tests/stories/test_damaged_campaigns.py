@@ -115,7 +115,7 @@ def flip_text(path, text, bit=0):
 
 
 def states(found):
-    return {item.name: item.state for item in found.items}
+    return {item.name: item.state for item in found.files}
 
 
 def unseal(folder, state):

@@ -1,228 +1,29 @@
-"""Commands in Python whose result is a document: margins, differences, campaign folders, studies,
-pages, dossiers.
-
-They return what the command prints with ``--json``. Those that load an aircraft or write a page run
-the command in a separate process, which an invalid aircraft cannot take down; those that only read
-results call the library.
-"""
+"""Folders of results in Python: studies, pages and dossiers."""
 
 from __future__ import annotations
 
-import json
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal
 
-from uqharness.arguments import integer, number, one_of, path
-from uqharness.arguments import workers as given_workers
-from uqharness.child_process import run_command
-from uqharness.commands.flights import AnyAircraft, AnyPath
-from uqharness.errors import BadInputError, TerminatedError
+from uqharness.commands import folders
+from uqharness.commands import study as studies
 from uqharness.heartbeat import notebook_line
-from uqharness.simulator import Aircraft
+from uqharness.isolation import isolated
+from uqharness.requests.base import accepts
+from uqharness.requests.folders import DossierRequest, ReportRequest
+from uqharness.requests.study import StudyRequest
+from uqharness.results.folders import DossierFile
+from uqharness.results.study import Study
 
 
-def margins(
-    aircraft: AnyAircraft,
-    *,
-    script: AnyPath = "loiter",
-    loop: Sequence[str] = (),
-    flight: Literal["loiter", "straight"] = "loiter",
-    autopilot: AnyPath | None = None,
-    out: AnyPath | None = None,
-) -> dict[str, Any]:
-    """Measure the autopilot's stability margins in flight, as ``uqharness margins`` does.
-
-    Parameters
-    ----------
-    aircraft : str, Path or Aircraft
-        The model.
-    script : str or Path
-        Run script that engages the autopilot.
-    loop : sequence of str
-        Actuators whose loops are measured, such as ``["elevator"]``; by default all.
-    flight : {"loiter", "straight"}
-        On the circle, or straight.
-    autopilot : str or Path, optional
-        ArduPlane parameter file with gains, in place of the aircraft's own.
-    out : str or Path, optional
-        FILE.html for a page with the charts.
-
-    Returns
-    -------
-    dict
-        ``loops``: of each loop the gain [dB], phase [deg] and delay [s] margins, crossovers [rad/s]
-        and the modulus margin [-].
-
-    Raises
-    ------
-    BadInputError
-        For an aircraft without an autopilot, and an unknown loop.
-
-    Examples
-    --------
-    >>> import uqharness as uq
-    >>> found = uq.margins("espaaro", loop=["elevator"], flight="straight")
-    >>> found["loops"]["elevator"]["phase_deg"] > 30.0
-    True
-    """
-    words = ["margins", _aircraft(aircraft), "--script", str(script), "--flight", flight]
-    words += [word for name in _several(loop) for word in ("--loop", name)]
-    return _document(words + _files(autopilot=autopilot, out=out))
-
-
-def diff(
-    a: AnyAircraft,
-    b: AnyAircraft,
-    *,
-    speed_mps: float | Sequence[float] = (),
-    altitude_m: float = 200.0,
-    script: AnyPath | Sequence[AnyPath] = (),
-    turbulence: Literal["none", "light", "moderate", "severe"] = "none",
-    seed: int = 0,
-    properties: Sequence[str] = (),
-    tolerance: float | None = None,
-    repeats: int = 0,
-    bounds: bool = False,
-    python_b: AnyPath | None = None,
-    out: AnyPath | None = None,
-) -> dict[str, Any]:
-    """Fly two models side by side and list their differences, as ``uqharness diff`` does.
-
-    Parameters
-    ----------
-    a, b : str, Path or Aircraft
-        The models; a str may be REVISION:FOLDER of a git repository.
-    speed_mps : float or sequence of float
-        True airspeeds at which A is trimmed and its manoeuvres are flown [m/s].
-    altitude_m : float
-        Height of the manoeuvres above sea level [m].
-    script : path or sequence of paths
-        Run scripts that both fly too.
-    turbulence, seed
-        The same air for both.
-    properties : sequence of str
-        JSBSim properties that are compared too.
-    tolerance : float, optional
-        Share of a channel's range up to which differences count as equal [-]; by default rounding.
-    repeats : int
-        Flights of A in other turbulence, whose differences count as equal.
-    bounds : bool
-        Whether differences within A's model-form bounds count as equal.
-    python_b : str or Path, optional
-        Interpreter that flies B.
-    out : str or Path, optional
-        FILE.html for a page.
-
-    Returns
-    -------
-    dict
-        ``differ``, the ``differences`` of channels, the likeliest cause first, ``terms`` of the XML
-        that differ, ``flights``.
-
-    Raises
-    ------
-    BadInputError
-        For unknown aircraft, and where neither a speed nor a script is named.
-
-    Examples
-    --------
-    >>> import uqharness as uq
-    >>> uq.diff("espaaro", "espaaro", script="trim")["differ"]
-    False
-    """
-    words = ["diff", _aircraft(a), _aircraft(b), "--altitude-m", str(altitude_m)]
-    speeds = speed_mps if isinstance(speed_mps, Sequence) else [speed_mps]
-    words += [word for value in speeds for word in ("--speed-mps", str(value))]
-    words += [word for value in _several(script) for word in ("--script", str(value))]
-    words += [word for value in _several(properties) for word in ("--property", str(value))]
-    words += ["--turbulence", turbulence, "--seed", str(integer("seed", seed))]
-    words += ["--repeats", str(integer("repeats", repeats))]
-    words += [] if tolerance is None else ["--tolerance", str(tolerance)]
-    words += ["--bounds"] if bounds else []
-    return _document(words + _files(python_b=python_b, out=out))
-
-
-def export_log(
-    log: AnyPath,
-    aircraft: AnyAircraft,
-    out: AnyPath,
-    *,
-    format: Literal["flightgear"] = "flightgear",
-    signal_map: AnyPath | None = None,
-    flight_number: int | None = None,
-    lat_deg: float | None = None,
-    lon_deg: float | None = None,
-    alt_m: float | None = None,
-    rate_hz: float = 30.0,
-) -> dict[str, Any]:
-    """Write a flight as files that FlightGear plays back, as ``uqharness log export`` does.
-
-    Parameters
-    ----------
-    log : str or Path
-        Record (.parquet, .csv) or log (ArduPilot .bin, .log, .tlog; PX4 .ulg).
-    aircraft : str, Path or Aircraft
-        Whose airframe.toml turns servo outputs into angles.
-    out : str or Path
-        Folder for the files.
-    format : {"flightgear"}
-        Program that shows it.
-    signal_map : str or Path, optional
-        Signal map of your own, TOML (docs/logs.md).
-    flight_number : int, optional
-        Which flight of a log that holds several boots, from 1; by default the longest.
-    lat_deg, lon_deg, alt_m : float, optional
-        Start point [deg, deg, m above sea level]; by default the log's.
-    rate_hz : float
-        Rows per second [1/s].
-
-    Returns
-    -------
-    dict
-        ``files``, ``rows``, ``rate_hz`` [1/s] and ``columns``.
-
-    Raises
-    ------
-    BadInputError
-        For a log without position or attitude, and one that does not say where it began.
-
-    Examples
-    --------
-    >>> import uqharness as uq
-    >>> columns = uq.fly("espaaro", "doublet-elevator", duration_s=2).write("doublet.parquet")
-    >>> uq.export_log("doublet.parquet", "espaaro", "shown", lat_deg=37.2, lon_deg=-80.4)["rows"]
-    61
-    """
-    one_of("format", format, ("flightgear",))
-    words = ["log", "export", str(path("log", log)), "--aircraft", _aircraft(aircraft)]
-    words += ["--out", str(path("out", out)), "--format", format]
-    words += _files(map=signal_map)
-    numbers = {"lat_deg": lat_deg, "lon_deg": lon_deg, "alt_m": alt_m, "rate_hz": rate_hz}
-    for name, value in numbers.items():
-        # With an equals sign: a negative number is no option.
-        option = f"--{name.replace('_', '-')}"
-        words += [] if value is None else [f"{option}={number(name, value)!r}"]
-    if flight_number is not None:
-        words += ["--flight-number", str(integer("flight_number", flight_number, 1))]
-    return _document(words)
-
-
-def study(study: AnyPath, out: AnyPath, *, workers: int | None = None) -> dict[str, Any]:
+@notebook_line("study")
+@accepts(StudyRequest)
+@isolated
+def study(request: StudyRequest) -> Study:
     """Run a study file stage by stage, or resume it, as ``uqharness study`` does.
 
-    Parameters
-    ----------
-    study : str or Path
-        The study file (docs/study.md), or the name of a folder under campaigns/.
-    out : str or Path
-        Folder for the results.
-    workers : int, optional
-        Processes; by default one a core.
-
     Returns
     -------
-    dict
+    Study
         The content of study.json: ``question``, ``answer``, ``stages`` with their exit codes, and
         ``report``, the page's path.
 
@@ -238,19 +39,12 @@ def study(study: AnyPath, out: AnyPath, *, workers: int | None = None) -> dict[s
     Traceback (most recent call last):
     uqharness.errors.BadInputError: missing.toml
     """
-    words = ["study", str(path("study", study)), "--out", str(path("out", out))]
-    number = given_workers(workers)
-    words += [] if workers is None else ["--workers", str(number)]
-    return _document(words)
+    return studies.study(request).value
 
 
-def report(folder: AnyPath) -> Path:
+@accepts(ReportRequest)
+def report(request: ReportRequest) -> Path:
     """Write the page of a folder of results from its files, as ``uqharness report`` does.
-
-    Parameters
-    ----------
-    folder : str or Path
-        The ``--out`` of another command, or the ``out`` of a function.
 
     Returns
     -------
@@ -274,25 +68,17 @@ def report(folder: AnyPath) -> Path:
     >>> uq.report("results").name
     'report.html'
     """
-    from uqharness.report import write_report
-
-    return write_report(path("folder", folder)).path
+    return folders.report(request).value
 
 
-def dossier(folder: AnyPath, *, out: AnyPath | None = None) -> dict[str, Any]:
+@accepts(DossierRequest)
+@isolated
+def dossier(request: DossierRequest) -> DossierFile:
     """Write the evidence of a folder of results as one document, as ``uqharness dossier`` does.
-
-    Parameters
-    ----------
-    folder : str or Path
-        Results of study, refine, run_campaign, identify or compare, or a folder with several of
-        them.
-    out : str or Path, optional
-        File to write; by default dossier.html in the folder.
 
     Returns
     -------
-    dict
+    DossierFile
         ``dossier``, the page's path; ``missing``, what the folder lacks; ``tests``,
         ``not_in_the_data`` and ``sources``.
 
@@ -310,46 +96,7 @@ def dossier(folder: AnyPath, *, out: AnyPath | None = None) -> dict[str, Any]:
     ...     "epistemic": {"method": "none"},
     ... }
     >>> flown = uq.run_campaign(campaign, "results", workers=1)
-    >>> "sources" in uq.dossier("results")
-    True
+    >>> uq.dossier("results").tests
+    []
     """
-    words = ["dossier", str(path("folder", folder))]
-    return _document(words + ([] if out is None else ["--out", str(path("out", out))]))
-
-
-def _aircraft(aircraft: AnyAircraft) -> str:
-    """Return the word that names an aircraft on a command line."""
-    return str(aircraft.folder if isinstance(aircraft, Aircraft) else path("aircraft", aircraft))
-
-
-def _several(values: Any) -> list[Any]:
-    """Return one value or several as a list."""
-    return [values] if isinstance(values, str | Path) else list(values)
-
-
-def _files(**files: AnyPath | None) -> list[str]:
-    """Return the words of options that name files."""
-    pairs = {
-        f"--{name.replace('_', '-')}": file for name, file in files.items() if file is not None
-    }
-    return [
-        word for option, file in pairs.items() for word in (option, str(path(option[2:], file)))
-    ]
-
-
-def _document(words: Sequence[str]) -> dict[str, Any]:
-    """Run a command in a separate process; return the document that it prints.
-
-    Raises BadInputError with the command's message.
-    """
-    with notebook_line(f"uqharness {words[0]}"):
-        code, printed, errors = run_command([*words, "--json"])
-    # Exit code 1 is an answer, with a document of its own.
-    if code in (0, 1) and printed.strip():
-        document: dict[str, Any] = json.loads(printed)
-        return document
-    if code in (130, 143):
-        raise TerminatedError
-    # The last line of the command is its error message.
-    lines = errors.strip().splitlines() or [f"uqharness {words[0]} ended with {code}"]
-    raise BadInputError(lines[-1].removeprefix("uqharness: error: "))
+    return folders.dossier(request).value

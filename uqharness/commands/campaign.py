@@ -554,7 +554,7 @@ def _verified_lines(verification: FolderCheck) -> Iterator[str]:
     # None: a folder whose manifest does not say.
     incomplete = "; the campaign is not complete; existing files were checked"
     yield f"{verification.folder}: {state}" + (incomplete if verification.complete is False else "")
-    for item in sorted(verification.items, key=lambda item: item.state == "whole"):
+    for item in sorted(verification.files, key=lambda item: item.state == "whole"):
         details = "; ".join(
             text for text in (item.remark, item.digest and f"SHA-256 {item.digest}") if text
         )

@@ -155,7 +155,7 @@ class FolderCheck(Part):
     complete: bool | None = Field(
         description="whether the campaign is complete; null: the manifest cannot be read"
     )
-    items: list[Item] = Field(description="state of each file")
+    files: list[Item] = Field(alias="items", description="state of each file")
     shards: list[FolderCheck] = Field(default=[], description="the same of inner folders")
 
 
