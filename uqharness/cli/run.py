@@ -11,14 +11,15 @@ import sys
 from typing import Any
 
 from uqharness.cli.arguments import add_request, request_of
-from uqharness.cli.options import RequestCommand
 from uqharness.cli.progress import ProgressView, print_warnings, working
 from uqharness.heartbeat import QUIET_VARIABLE
 
 
-def add_request_command(parser: argparse.ArgumentParser, command: RequestCommand) -> None:
+def add_request_command(
+    parser: argparse.ArgumentParser, request_place: str, function_place: str
+) -> None:
     """Add the options of a command's request, and what runs it."""
-    model = _part("uqharness.requests", command.request)
+    model = _part("uqharness.requests", request_place)
     add_request(parser, model)
 
     def run(args: argparse.Namespace) -> int:
@@ -28,7 +29,7 @@ def add_request_command(parser: argparse.ArgumentParser, command: RequestCommand
         if args.quiet:
             os.environ[QUIET_VARIABLE] = "1"
         request = request_of(model, args)
-        function = _part("uqharness.commands", command.function)
+        function = _part("uqharness.commands", function_place)
         if model.flies:
             with ProgressView() as view:
                 outcome = function(request, view.update)
