@@ -282,7 +282,7 @@ def _answer(item: Statement | None) -> Cell:
     )
     return Cell(
         _WORDS[item.answer],
-        answerlevel_of(item),
+        answer_level(item),
         f"{item.reason}; {rate}" if item.reason else rate,
         mark=_MARKS[item.answer],
     )
