@@ -22,6 +22,7 @@ from uqharness.report.campaign import (
     aborted_cells,
     aborted_head,
     aborted_kinds,
+    answer_level,
     overlay_section,
     read_campaign_report,
     span,
