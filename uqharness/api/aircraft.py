@@ -10,7 +10,7 @@ from sysid.aerodynamics import COEFFICIENTS
 from sysid.model_form import ModelForm, read_model_form
 from uqharness.arguments import flag, instance, number, path, require
 from uqharness.arguments import properties as settings
-from uqharness.commands.flights import AnyAircraft, AnyPath, aircraft_of
+from uqharness.commands import AnyAircraft, AnyPath, aircraft_of
 from uqharness.errors import BadInputError
 from uqharness.files import check_output_folder
 from uqharness.heartbeat import notebook_line

@@ -18,13 +18,13 @@ from sysid.vocabulary import SIGNALS
 from uqharness.arguments import flag, instance, integer, number, one_of
 from uqharness.arguments import path as argument_path
 from uqharness.arguments import properties as settings
-from uqharness.commands.flights import (
+from uqharness.commands import (
     AnyAircraft,
     AnyPath,
     Flight,
-    _content_sha256,
     aircraft_of,
     carded_aircraft,
+    content_sha256,
     flights_of,
 )
 from uqharness.flight import (
@@ -144,7 +144,7 @@ def fly(
     return Flight(
         run.path.stem,
         record,
-        _content_sha256(record),
+        content_sha256(record),
         recorded.status,
         recorded.reason,
         model,

@@ -16,7 +16,7 @@ from typing import Any, Literal
 from uqharness.arguments import flag, instance, integer, number, one_of, path
 from uqharness.arguments import workers as given_workers
 from uqharness.child_process import run_command
-from uqharness.commands.flights import AnyAircraft, AnyPath
+from uqharness.commands import AnyAircraft, AnyPath
 from uqharness.errors import BadInputError, TerminatedError
 from uqharness.heartbeat import notebook_line
 from uqharness.simulator import Aircraft
