@@ -7,6 +7,7 @@ from .api.campaigns import read_campaign as read_campaign
 from .api.campaigns import run_campaign as run_campaign
 from .api.errors import BadInputError as BadInputError
 from .api.errors import LogError as LogError
+from .api.exchange import export as export
 from .api.flights import fly as fly
 from .api.flights import log_info as log_info
 from .api.flights import propose_map as propose_map

@@ -38,6 +38,11 @@ COMMANDS: Table = {
     "fly": ("fly", "one flight, recorded"),
     "modes": ("modes", "trim, eigenvalues, MIL-F-8785C levels"),
     "margins": ("margins", "gain, phase and delay margins of the autopilot"),
+    "export": RequestCommand(
+        "exchange:ExportRequest",
+        "exchange:export",
+        "write the model for ArduPilot, Gazebo or a table, with the loss",
+    ),
     "diff": ("diff", "fly two models side by side and list their differences"),
     "log": ("log", "flight logs: contents and checks, conversion to records"),
     "identify": ("identify", "parameters from flights"),

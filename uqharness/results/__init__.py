@@ -2,5 +2,6 @@
 
 DOCUMENTS: dict[str, str] = {
     "bounds": "identification:Bounds",
+    "export": "exchange:Loss",
 }
 """Command, its words joined by "-", to the model of what it prints with ``--json``."""

@@ -1,0 +1,9 @@
+from . import ardupilot_json as ardupilot_json
+from . import gazebo as gazebo
+from . import sweeps as sweeps
+from .loss import losses as losses
+from .states import FlightStates as FlightStates
+from .states import SourceModel as SourceModel
+from .states import box as box
+from .states import derivatives as derivatives
+from .states import source_model as source_model
