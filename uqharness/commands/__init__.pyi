@@ -1,3 +1,5 @@
+from .exchange import diff_models as diff_models
+from .exchange import is_model_file as is_model_file
 from .flights import AnyAircraft as AnyAircraft
 from .flights import AnyFlight as AnyFlight
 from .flights import AnyPath as AnyPath

@@ -3,21 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from sysid.aerodynamics import COEFFICIENTS
 from sysid.arrays import FloatArray
-from uqharness.commands.flights import carded_aircraft
+from uqharness.commands.flights import AnyAircraft, carded_aircraft
 from uqharness.errors import BadInputError
 from uqharness.exchange import (
+    CoefficientLoss,
+    ComparedModel,
     FlightStates,
+    Reference,
     SourceModel,
     ardupilot_json,
     box,
+    box_around,
     derivatives,
+    differences,
     gazebo,
+    in_reference,
     losses,
+    slips,
     source_model,
     sweeps,
 )
@@ -26,7 +34,7 @@ from uqharness.identification import load_form
 from uqharness.requests.base import Callback, command_line, silent
 from uqharness.requests.exchange import ExportRequest
 from uqharness.results.base import Outcome
-from uqharness.results.exchange import Loss, LossOfCoefficient
+from uqharness.results.exchange import Loss, LossOfCoefficient, ModelDifference, ModelSlip
 from uqharness.simulator import content_hash
 from uqharness.text_tables import csv_text, text_table
 
@@ -48,6 +56,7 @@ def export(request: ExportRequest, callback: Callback = silent) -> Outcome[Loss]
     callback("loss")
     by_coefficient = losses(source, target, states, form)
     beyond = any(loss.is_beyond for loss in by_coefficient.values())
+    verdict: Literal["within", "beyond", "no bounds"]
     verdict = "no bounds" if form is None else "beyond" if beyond else "within"
     refused = beyond and not request.accept_loss
     written = [] if refused else sorted(files)
@@ -57,17 +66,7 @@ def export(request: ExportRequest, callback: Callback = silent) -> Outcome[Loss]
         speed_mps=source.trim.condition.V_mps,
         states=len(states),
         verdict=verdict,
-        coefficients={
-            name: LossOfCoefficient(
-                max=loss.largest,
-                rms=loss.rms,
-                quantile_95=loss.quantile,
-                source_std=loss.spread,
-                half_width=loss.half_width,
-                beyond=loss.is_beyond,
-            )
-            for name, loss in by_coefficient.items()
-        },
+        coefficients={name: _loss(loss) for name, loss in by_coefficient.items()},
         lost=list(lost),
         notes=list(notes),
         files=[*written, "loss.csv", "loss.json"],
@@ -76,7 +75,7 @@ def export(request: ExportRequest, callback: Callback = silent) -> Outcome[Loss]
     out = results_folder(request.out)
     for name in written:
         write_bytes(out / name, files[name])
-    write_text(out / "loss.csv", csv_text(_rows(document, ".17g")))
+    write_text(out / "loss.csv", csv_text(_rows(document.coefficients, ".17g")))
     write_json(out / "loss.json", document.as_json())
     warnings = []
     if form is not None and form.aircraft.sha256 != content_hash(aircraft):
@@ -86,6 +85,18 @@ def export(request: ExportRequest, callback: Callback = silent) -> Outcome[Loss]
         )
     lines = _lines(document, out, refused)
     return Outcome(document, document, lines, code=int(beyond), warnings=warnings)
+
+
+def _loss(loss: CoefficientLoss) -> LossOfCoefficient:
+    """Return the loss of one coefficient as it is stored."""
+    return LossOfCoefficient(
+        max=loss.largest,
+        rms=loss.rms,
+        quantile_95=loss.quantile,
+        source_std=loss.spread,
+        half_width=loss.half_width,
+        beyond=loss.is_beyond,
+    )
 
 
 def _settings(properties: Mapping[str, Any]) -> dict[str, float]:
@@ -147,7 +158,7 @@ def _csv(source: SourceModel, states: FlightStates) -> Fitted:
 _FORMATS = {"ardupilot-json": _ardupilot_json, "gazebo": _gazebo, "csv": _csv}
 
 
-def _rows(document: Loss, digits: str) -> list[dict[str, str]]:
+def _rows(losses_by_name: Mapping[str, LossOfCoefficient], digits: str) -> list[dict[str, str]]:
     """Return the table of losses as texts."""
     columns = {
         "rms": "rms",
@@ -157,7 +168,7 @@ def _rows(document: Loss, digits: str) -> list[dict[str, str]]:
         "source's std": "source_std",
     }
     rows = []
-    for name, loss in document.coefficients.items():
+    for name, loss in losses_by_name.items():
         numbers = {title: getattr(loss, column) for title, column in columns.items()}
         texts = {t: "" if n is None else format(n, digits) for t, n in numbers.items()}
         rows.append({"coefficient": name, **texts})
@@ -177,8 +188,116 @@ def _lines(document: Loss, out: Path, refused: bool) -> list[str]:
     return [
         answer,
         f"{document.states} states around {document.speed_mps:.4g} m/s, {document.format}:",
-        *text_table(_rows(document, ".2g")),
+        *text_table(_rows(document.coefficients, ".2g")),
         f"Lost: {'; '.join(document.lost)}.",
         *document.notes,
         f"Files in {out}: {', '.join(document.files)}",
     ]
+
+
+# Comparison of model files of other programs, with an aircraft or with each other.
+
+_SUFFIXES = {".json": "ardupilot-json", ".sdf": "gazebo"}
+_STATES = 1500
+
+
+def is_model_file(source: object) -> bool:
+    """Return whether a source is a file of a format that this module reads."""
+    return isinstance(source, str | PathLike) and (
+        Path(source).suffix in _SUFFIXES and Path(source).is_file()
+    )
+
+
+def diff_models(
+    first: AnyAircraft, second: AnyAircraft, speed_mps: float | None = None
+) -> Outcome[ModelDifference]:
+    """Compare two models, of which one at least is a model file, and name the slips between them.
+
+    Parameters
+    ----------
+    first, second : str, Path or Aircraft
+        An aircraft, or a file: ArduPilot's JSON model, or SDF with AdvancedLiftDrag.
+    speed_mps : float, optional
+        True airspeed of the aircraft's trim [m/s].
+    """
+    sources = {
+        name: source_model(carded_aircraft(name), speed_mps)
+        for name in (first, second)
+        if not is_model_file(name)
+    }
+    source = next(iter(sources.values()), None)
+    if source is None:
+        common, middle = _reference_of_file(Path(str(first)), None), {"alpha": 0.05}
+    else:
+        common, middle = source.reference, source.middle
+    states = box_around(common, middle, None if source is None else source.trim, _STATES)
+    a, b = (_compared(name, sources.get(name), source, common) for name in (first, second))
+    findings = slips(a, b, states, middle)
+    by_coefficient = differences(b.coefficients(states), a.coefficients(states))
+    document = ModelDifference(
+        models=[a.name, b.name],
+        same=not findings,
+        findings=[
+            ModelSlip(where=f.where, first=f.first, second=f.second, cause=f.cause)
+            for f in findings
+        ],
+        coefficients={name: _loss(loss) for name, loss in by_coefficient.items()},
+        states=len(states),
+    )
+    answer = (
+        f"No slip between {a.name} and {b.name}."
+        if not findings
+        else f"{len(findings)} differences between {a.name} and {b.name}:"
+    )
+    lines = [answer, *(f.text(a.name, b.name) for f in findings)]
+    lines += text_table(_rows(document.coefficients, ".2g"))
+    return Outcome(document, document, lines, code=int(bool(findings)))
+
+
+def _compared(
+    name: AnyAircraft, own: SourceModel | None, other: SourceModel | None, common: Reference
+) -> ComparedModel:
+    """Return a model in the common reference."""
+    if own is not None:
+        return ComparedModel(
+            own.aircraft.name,
+            lambda states: in_reference(own.coefficients(states), own.reference, common),
+            own.reference,
+        )
+    path = Path(str(name))
+    reference = _reference_of_file(path, other)
+    if _SUFFIXES[path.suffix] == "gazebo":
+        model = gazebo.read(path)
+        unnamed = [s.name for s in model.surfaces if not s.variable]
+        if unnamed:
+            raise BadInputError(
+                f"{path}: the joints {', '.join(unnamed)} name no surface; a name with elev, ail or"
+                " rud is needed"
+            )
+        return ComparedModel(
+            path.name,
+            lambda states: in_reference(gazebo.coefficients(model, states), reference, common),
+            reference,
+        )
+    keys = ardupilot_json.read(path)
+    throw = common.throw_deg
+    return ComparedModel(
+        path.name,
+        lambda states: in_reference(
+            ardupilot_json.coefficients(keys, states, throw), reference, common
+        ),
+        reference,
+    )
+
+
+def _reference_of_file(path: Path, source: SourceModel | None) -> Reference:
+    """Return geometry, mass and inertia of a model file; NaN where it does not hold them.
+
+    ArduPilot's area and inertia are those of its own mass; ``source`` says which mass they stand
+    for.
+    """
+    if _SUFFIXES[path.suffix] == "gazebo":
+        return gazebo.reference(path)
+    mass_kg = ardupilot_json.PROGRAM_MASS_KG if source is None else source.reference.mass_kg
+    throw = {} if source is None else source.reference.throw_deg
+    return ardupilot_json.reference(ardupilot_json.read(path), mass_kg, throw)

@@ -20,7 +20,7 @@ from sysid.arrays import FloatArray
 from sysid.foreign.regular_files import ParseError, parse_json, read_regular
 from uqharness.errors import BadInputError
 from uqharness.exchange.lift_drag import lift_drag
-from uqharness.exchange.states import Derivatives, FlightStates, SourceModel
+from uqharness.exchange.states import Derivatives, FlightStates, Reference, SourceModel
 
 PROGRAM_MASS_KG = 2.0
 """Mass of the frame ``plane`` in SIM_Plane.cpp."""
@@ -115,7 +115,7 @@ def coefficients(
 
     ``throw_deg`` turns deflections into the program's normalised ones.
     """
-    value = states.values
+    value = states.reduced_by(keys["b"], keys["c"]).values
     # The program's angle of sideslip is atan2(v, u).
     beta = np.arctan2(np.tan(value["beta"]), np.cos(value["alpha"]))
     alpha = value["alpha"]
@@ -164,6 +164,17 @@ def coefficients(
     pitch = pitch + (-x * cz + z * cx) / keys["c"]
     yaw = yaw + (-y * cx + x * cy) / keys["b"]
     return np.column_stack([cx, cy, cz, roll, pitch, yaw])
+
+
+def reference(keys: Mapping[str, Any], mass_kg: float, throw_deg: Mapping[str, float]) -> Reference:
+    """Return the geometry and inertia that a file stands for, of an aircraft of ``mass_kg``."""
+    scale = mass_kg / PROGRAM_MASS_KG
+    inertia = keys.get("aero_moment_inertia")
+    matrix = np.full((3, 3), math.nan)
+    if isinstance(inertia, list) and len(inertia) == 3:
+        np.fill_diagonal(matrix, [float(x) * scale for x in inertia])
+    throws = throw_deg or dict.fromkeys(SIGN, 20.0)
+    return Reference(keys["s"] * scale, keys["b"], keys["c"], math.nan, matrix, throws)
 
 
 def text(keys: Mapping[str, Any]) -> str:

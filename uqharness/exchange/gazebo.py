@@ -19,9 +19,10 @@ import numpy as np
 from lxml import etree
 
 from sysid.arrays import FloatArray
+from sysid.foreign.regular_files import read_regular
 from uqharness.errors import BadInputError
 from uqharness.exchange.lift_drag import lift_drag
-from uqharness.exchange.states import Derivatives, FlightStates, SourceModel
+from uqharness.exchange.states import Derivatives, FlightStates, Reference, SourceModel
 
 _COLUMNS = {"a": "alpha", "b": "beta", "p": "p", "q": "q", "r": "r"}
 _TAGS: Mapping[str, tuple[str, ...]] = {
@@ -57,6 +58,9 @@ class ControlSurface:
         Deflection that moves it: ``de``, ``da`` or ``dr``; "" where its name does not say.
     direction : float
         The program multiplies the joint's angle by it.
+    joint_sign : float
+        Joint's angle over the deflection: the trailing edge goes up for a turn about an axis to the
+        left, to the right for one about an axis up.
     effects : Mapping
         ``CL_ctrl`` ... ``Cen_ctrl`` [1/deg].
     """
@@ -64,6 +68,7 @@ class ControlSurface:
     name: str
     variable: str
     direction: float
+    joint_sign: float
     effects: Mapping[str, float]
 
 
@@ -130,7 +135,7 @@ def parameters(source: SourceModel, fitted: Mapping[str, Derivatives]) -> LiftDr
         share = 1.0 / len(names)
         surfaces += [
             ControlSurface(
-                name, variable, direction, {key: share * x for key, x in effects.items()}
+                name, variable, direction, direction, {k: share * x for k, x in effects.items()}
             )
             for name, direction in names
         ]
@@ -139,7 +144,10 @@ def parameters(source: SourceModel, fitted: Mapping[str, Derivatives]) -> LiftDr
 
 def coefficients(model: LiftDragModel, states: FlightStates) -> FloatArray:
     """Return CX CY CZ Cl Cm Cn (n, 6) by the program's equations, of its area and lengths."""
-    tag, value = model.tags, states.values
+    tag = model.tags
+    # Without <mac> the program takes the mean chord.
+    span = math.sqrt(tag["area"] * tag["AR"])
+    value = states.reduced_by(span, tag["mac"] or tag["area"] / span).values
     alpha = value["alpha"]
     # The program's speed is that in the plane of symmetry, its sideslip atan2(v, u).
     plane = np.cos(value["beta"])
@@ -150,8 +158,9 @@ def coefficients(model: LiftDragModel, states: FlightStates) -> FloatArray:
     plate = 2.0 * np.sign(alpha) * np.sin(alpha) ** 2 * np.cos(alpha)
     control = {key: np.zeros(len(states)) for key in _CTRL}
     for surface in model.surfaces:
-        # Joint angle times direction is the deflection, where the joint follows its direction.
         deflection = value[surface.variable] if surface.variable else np.zeros(len(states))
+        # The program multiplies the joint's angle by the direction.
+        deflection = deflection * surface.joint_sign * surface.direction
         for key in _CTRL:
             control[key] = control[key] + surface.effects[key] * deflection
 
@@ -260,17 +269,45 @@ def _add_joint(
     _add(limit, "upper", travel)
 
 
-def read(path: Path) -> LiftDragModel:
-    """Read the first AdvancedLiftDrag element of an SDF file. Raises BadInputError."""
+def reference(path: Path) -> Reference:
+    """Return the geometry, mass and inertia of an SDF file; NaN where it has none."""
+    tags = read(path).tags
+    span = math.sqrt(tags["area"] * tags["AR"])
+    link = _root(path).find(".//link/inertial")
+    matrix, mass = np.full((3, 3), math.nan), math.nan
+    if link is not None:
+        mass = _number(path, link, "mass", math.nan)
+        inertia = link.find("inertia")
+        if inertia is not None:
+            found = {
+                tag: _number(path, inertia, tag, 0.0)
+                for tag in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+            }
+            # From forward, left, up to forward, right, down.
+            xy, xz, yz = -found["ixy"], -found["ixz"], found["iyz"]
+            matrix = np.array(
+                [[found["ixx"], xy, xz], [xy, found["iyy"], yz], [xz, yz, found["izz"]]]
+            )
+    throws = dict.fromkeys(("elevator", "aileron", "rudder"), 20.0)
+    return Reference(tags["area"], span, tags["mac"] or tags["area"] / span, mass, matrix, throws)
+
+
+def _root(path: Path) -> etree._Element:
+    """Parse an SDF file. Raises BadInputError with its line."""
     try:
-        raw = path.read_bytes()
-        root = etree.fromstring(
-            raw, etree.XMLParser(resolve_entities=False, no_network=True, huge_tree=False)
+        return etree.fromstring(
+            read_regular(path, 5_000_000),
+            etree.XMLParser(resolve_entities=False, no_network=True, huge_tree=False),
         )
     except OSError as error:
         raise BadInputError(f"{path}: cannot be read: {error.strerror or error}") from None
     except etree.XMLSyntaxError as error:
         raise BadInputError(f"{path}:{error.lineno or 1}: no XML: {error.msg}") from None
+
+
+def read(path: Path) -> LiftDragModel:
+    """Read the first AdvancedLiftDrag element of an SDF file. Raises BadInputError."""
+    root = _root(path)
     plugin = next(
         (
             element
@@ -292,8 +329,27 @@ def read(path: Path) -> LiftDragModel:
         name = (element.findtext("name") or "").strip()
         effects = {key: _number(path, element, key, 0.0) for key in _CTRL}
         direction = _number(path, element, "direction", 1.0)
-        surfaces.append(ControlSurface(name, variable_of(name), direction, effects))
+        sign = _joint_sign(root, name)
+        surfaces.append(ControlSurface(name, variable_of(name), direction, sign, effects))
     return LiftDragModel(tags, surfaces)
+
+
+def _joint_sign(root: etree._Element, joint: str) -> float:
+    """Return the joint's angle over the deflection, by its axis and the side that its name tells.
+
+    Deflections are positive trailing edge down; for ailerons that of the left one, for the rudder
+    trailing edge left.
+    """
+    axis = next(
+        (e.findtext("axis/xyz") for e in root.iter("joint") if e.get("name") == joint), None
+    )
+    component = 2 if variable_of(joint) == "dr" else 1
+    try:
+        along = float((axis or "0 1 1").split()[component])
+    except (ValueError, IndexError):
+        along = 1.0
+    right = variable_of(joint) == "da" and "right" in joint.lower()
+    return math.copysign(1.0, along) * (1.0 if right else -1.0)
 
 
 def variable_of(joint: str) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -46,16 +47,22 @@ def losses(
     source: SourceModel, target: FloatArray, states: FlightStates, form: ModelForm | None
 ) -> dict[str, CoefficientLoss]:
     """Compare a target's coefficients (n, 6) with the source's at the same states."""
-    values = source.coefficients(states)
-    difference = np.abs(target - values)
     widths = {} if form is None else _half_widths(source, states, form)
+    return differences(target, source.coefficients(states), widths)
+
+
+def differences(
+    target: FloatArray, values: FloatArray, half_widths: Mapping[str, float] | None = None
+) -> dict[str, CoefficientLoss]:
+    """Compare coefficients (n, 6) of two models at the same states."""
+    difference = np.abs(target - values)
     return {
         name: CoefficientLoss(
             largest=float(difference[:, k].max()),
             rms=float(np.sqrt(np.mean(difference[:, k] ** 2))),
             quantile=float(np.quantile(difference[:, k], SHARE)),
             spread=float(values[:, k].std()),
-            half_width=widths.get(name, math.nan),
+            half_width=(half_widths or {}).get(name, math.nan),
         )
         for k, name in enumerate(COEFFICIENTS)
     }
@@ -63,7 +70,7 @@ def losses(
 
 def _half_widths(source: SourceModel, states: FlightStates, form: ModelForm) -> dict[str, float]:
     """Return the mean half-width of each coefficient's bounds at the states."""
-    rate, reference, value = 2.0 * states.V_mps, source.reference, states.values
+    rate, value = 2.0 * states.V_mps, states.values
     n = len(states)
     flight_states = {
         "V_mps": states.V_mps,
@@ -71,9 +78,9 @@ def _half_widths(source: SourceModel, states: FlightStates, form: ModelForm) -> 
         "beta_rad": value["beta"],
         "phi_rad": np.zeros(n),
         "theta_rad": value["alpha"],
-        "p_radps": value["p"] * rate / reference.b_m,
-        "q_radps": value["q"] * rate / reference.c_m,
-        "r_radps": value["r"] * rate / reference.b_m,
+        "p_radps": value["p"] * rate / states.b_m,
+        "q_radps": value["q"] * rate / states.c_m,
+        "r_radps": value["r"] * rate / states.b_m,
         "elevator_pos_deg": value["de"],
         "aileron_pos_deg": value["da"],
         "rudder_pos_deg": value["dr"],

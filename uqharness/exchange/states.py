@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from sysid.aerodynamics import COEFFICIENTS
+from sysid.aerodynamics.coefficients import MassProperties
 from sysid.arrays import FloatArray
 from uqharness.errors import BadInputError
 from uqharness.replay import ReplayFolder, force_states
@@ -40,14 +41,24 @@ class FlightStates:
     V_mps : ndarray
         (n,) true airspeed [m/s].
     values : Mapping
-        `VARIABLES` to (n,) values; rates are reduced by the speed and the source's b and c.
+        `VARIABLES` to (n,) values; rates are reduced by the speed and the lengths below.
+    b_m, c_m : float
+        Span and chord of the reduced rates.
     """
 
     V_mps: FloatArray
     values: Mapping[str, FloatArray]
+    b_m: float
+    c_m: float
 
     def __len__(self) -> int:
         return len(self.V_mps)
+
+    def reduced_by(self, b_m: float, c_m: float) -> FlightStates:
+        """Return the same states with rates reduced by other lengths."""
+        factor = {"p": b_m / self.b_m, "q": c_m / self.c_m, "r": b_m / self.b_m}
+        values = {name: value * factor.get(name, 1.0) for name, value in self.values.items()}
+        return FlightStates(self.V_mps, values, b_m, c_m)
 
 
 @dataclass(frozen=True)
@@ -141,7 +152,7 @@ class SourceModel:
 
     def coefficients(self, states: FlightStates) -> FloatArray:
         """Return CX CY CZ Cl Cm Cn of the aerodynamics (n, 6), body axes at the CG."""
-        return _evaluate(self.aircraft, self.trim, states, self.properties, self.reference)[0]
+        return _evaluate(self.aircraft, self.trim, states, self.properties)[0]
 
 
 def source_model(
@@ -167,9 +178,9 @@ def source_model(
     """
     in_force = dict(properties or {})
     trim = _trim(aircraft, speed_mps, in_force)
-    one = FlightStates(np.array([trim.condition.V_mps]), {name: np.zeros(1) for name in VARIABLES})
-    unknown = Reference(1.0, 1.0, 1.0, 1.0, np.eye(3), _throws(aircraft))
-    _, mass = _evaluate(aircraft, trim, one, in_force, unknown)
+    zero = {name: np.zeros(1) for name in VARIABLES}
+    one = FlightStates(np.array([trim.condition.V_mps]), zero, 1.0, 1.0)
+    _, mass = _evaluate(aircraft, trim, one, in_force)
     reference = Reference(
         mass.S, mass.b, mass.c, mass.mass, np.asarray(mass.inertia), _throws(aircraft)
     )
@@ -208,23 +219,45 @@ def _throws(aircraft: Aircraft) -> dict[str, float]:
 
 
 def box(source: SourceModel, n: int, seed: int = 0, spread: bool = True) -> FlightStates:
-    """Return n random states in the box around the trim.
+    """Return n random states in the box around the source's trim; see `box_around`."""
+    return box_around(source.reference, source.middle, source.trim, n, seed, spread)
 
-    ``spread`` also varies the speed, by 20 % either way.
+
+def box_around(
+    reference: Reference,
+    middle: Mapping[str, float],
+    trim: Trim | None,
+    n: int,
+    seed: int = 0,
+    spread: bool = True,
+) -> FlightStates:
+    """Return n random states in a box.
+
+    Parameters
+    ----------
+    reference : Reference
+        Lengths of the reduced rates, and throws of the surfaces.
+    middle : Mapping
+        `VARIABLES` to the middle of the box; 0 where they are not named.
+    trim : Trim or None
+        Its speed; None takes 20 m/s.
+    n, seed : int
+        Number of states, and seed of the draw.
+    spread : bool
+        Whether the speed varies, too, by 20 % either way.
     """
-    rng, trim = np.random.default_rng(seed), source.trim
-    values = {}
-    for name in ("alpha", "beta", "p", "q", "r"):
-        middle = trim.alpha_rad if name == "alpha" else 0.0
-        values[name] = middle + _HALF_WIDTH[name] * rng.uniform(-1.0, 1.0, n)
+    rng = np.random.default_rng(seed)
+    values = {
+        name: middle.get(name, 0.0) + half_width * rng.uniform(-1.0, 1.0, n)
+        for name, half_width in _HALF_WIDTH.items()
+    }
     for name, surface in zip(("de", "da", "dr"), SURFACES, strict=True):
-        travel = _TRAVEL_SHARE * source.reference.throw_deg.get(surface, 0.0)
-        middle = trim.controls.get(surface, 0.0)
-        values[name] = middle + travel * rng.uniform(-1.0, 1.0, n)
-    speed = np.full(n, trim.condition.V_mps)
+        travel = _TRAVEL_SHARE * reference.throw_deg.get(surface, 0.0)
+        values[name] = middle.get(name, 0.0) + travel * rng.uniform(-1.0, 1.0, n)
+    speed = np.full(n, 20.0 if trim is None else trim.condition.V_mps)
     if spread:
         speed = speed * (1.0 + _SPEED_SHARE * rng.uniform(-1.0, 1.0, n))
-    return FlightStates(speed, values)
+    return FlightStates(speed, values, reference.b_m, reference.c_m)
 
 
 def _evaluate(
@@ -232,8 +265,7 @@ def _evaluate(
     trim: Trim,
     states: FlightStates,
     properties: Mapping[str, float],
-    reference: Reference,
-) -> tuple[FloatArray, object]:
+) -> tuple[FloatArray, MassProperties]:
     """Impose the states on the aircraft; return the coefficients and the mass properties."""
     inputs = aircraft.card.inputs
     controls = [name for name in (*SURFACES, "throttle") if name in inputs]
@@ -251,9 +283,9 @@ def _evaluate(
         "beta_rad": states.values["beta"],
         "phi_rad": np.zeros(n),
         "theta_rad": states.values["alpha"],
-        "p_radps": states.values["p"] * rate / reference.b_m,
-        "q_radps": states.values["q"] * rate / reference.c_m,
-        "r_radps": states.values["r"] * rate / reference.b_m,
+        "p_radps": states.values["p"] * rate / states.b_m,
+        "q_radps": states.values["q"] * rate / states.c_m,
+        "r_radps": states.values["r"] * rate / states.b_m,
     }
     # Commands pass at once: a lag would depend on the state before.
     with ReplayFolder(aircraft, controls, ideal=controls) as model:
@@ -282,7 +314,7 @@ def derivatives(source: SourceModel, n: int = 600, seed: int = 1) -> dict[str, D
     body = source.coefficients(states)
     lift, drag = lift_and_drag(body, states.values["alpha"])
     columns = {name: body[:, k] for k, name in enumerate(COEFFICIENTS)} | {"CL": lift, "CD": drag}
-    return {name: _polynomial(states, values) for name, values in columns.items()}
+    return {name: polynomial(states, values) for name, values in columns.items()}
 
 
 def lift_and_drag(body: FloatArray, alpha: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -294,7 +326,7 @@ def lift_and_drag(body: FloatArray, alpha: FloatArray) -> tuple[FloatArray, Floa
     )
 
 
-def _polynomial(states: FlightStates, values: FloatArray) -> Derivatives:
+def polynomial(states: FlightStates, values: FloatArray) -> Derivatives:
     """Fit a full quadratic polynomial by least squares."""
     names = ["0", *VARIABLES]
     columns = [np.ones(len(states)), *(states.values[name] for name in VARIABLES)]

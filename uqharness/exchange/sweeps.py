@@ -6,6 +6,7 @@ Whoever reads the table adds the changes of all variables to the coefficients of
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -25,7 +26,7 @@ def sweeps(source: SourceModel) -> dict[str, tuple[FloatArray, FloatArray]]:
         states = at_middle(source, _POINTS)
         tables[name] = (
             values,
-            source.coefficients(FlightStates(states.V_mps, {**states.values, name: values})),
+            source.coefficients(replace(states, values={**states.values, name: values})),
         )
     return tables
 
@@ -36,6 +37,8 @@ def at_middle(source: SourceModel, n: int) -> FlightStates:
     return FlightStates(
         np.full(n, source.trim.condition.V_mps),
         {name: np.full(n, middle.get(name, 0.0)) for name in VARIABLES},
+        source.reference.b_m,
+        source.reference.c_m,
     )
 
 

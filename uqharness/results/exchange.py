@@ -37,3 +37,24 @@ class Loss(Part):
     notes: Texts = Field(default=[], description="what the files assume")
     files: Texts = Field(description="files that were written")
     command: str | None = Field(default=None, description="command that made the file")
+
+
+class ModelSlip(Part):
+    """A difference between two models and its usual cause."""
+
+    where: str = Field(description="coefficient and variable, or a quantity with its unit")
+    first: Number = Field(description="value in the first model, in the common reference")
+    second: Number = Field(description="value in the second model, in the common reference")
+    cause: str = Field(description="usual cause; empty where none fits")
+
+
+class ModelDifference(Part):
+    """What `uqharness diff` prints for model files of other programs."""
+
+    models: Texts = Field(description="the two models")
+    same: bool = Field(description="whether no difference was found")
+    findings: list[ModelSlip] = Field(description="slopes, geometry and mass that differ")
+    coefficients: dict[str, LossOfCoefficient] = Field(
+        description="difference of each coefficient over the states"
+    )
+    states: int = Field(description="states that were compared")

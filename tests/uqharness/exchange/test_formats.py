@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -31,7 +32,7 @@ def states(n: int, seed: int = 0) -> FlightStates:
     rng = np.random.default_rng(seed)
     width = {"alpha": 0.2, "beta": 0.2, "p": 0.06, "q": 0.006, "r": 0.04}
     values = {v: width.get(v, 15.0) * rng.uniform(-1.0, 1.0, n) for v in VARIABLES}
-    return FlightStates(rng.uniform(12.0, 40.0, n), values)
+    return FlightStates(rng.uniform(12.0, 40.0, n), values, REFERENCE.b_m, REFERENCE.c_m)
 
 
 def ardupilot_keys() -> dict[str, Any]:
@@ -54,6 +55,7 @@ def gazebo_model() -> gazebo.LiftDragModel:
         gazebo.ControlSurface(
             name,
             gazebo.variable_of(name),
+            direction,
             direction,
             {
                 f"{c}_ctrl": float(rng.normal()) / 30.0
@@ -227,7 +229,7 @@ class _Formula:
 
 def in_symmetry(of: FlightStates) -> FlightStates:
     """The same states without sideslip: there both programs are linear in what they hold."""
-    return FlightStates(of.V_mps, {**of.values, "beta": np.zeros(len(of))})
+    return replace(of, values={**of.values, "beta": np.zeros(len(of))})
 
 
 def test_a_source_of_gazebos_form_is_held_exactly():
@@ -349,7 +351,7 @@ def test_a_table_holds_one_variable_at_a_time_exactly():
         name: np.clip(of.values[name], tables[name][0].min(), tables[name][0].max())
         for name in VARIABLES
     }
-    bounded = FlightStates(of.V_mps, inside)
+    bounded = replace(of, values=inside)
     assert sweeps.coefficients(source, tables, bounded) == pytest.approx(
         formula(bounded), abs=1e-12
     )
