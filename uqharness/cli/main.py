@@ -22,7 +22,7 @@ from uqharness import __version__
 from uqharness.cli.options import RequestCommand, Table, add_commands, commands_of
 from uqharness.errors import BadInputError, EnginesDifferError, TerminatedError
 from uqharness.files import hide_scratch_paths
-from uqharness.heartbeat import heartbeat
+from uqharness.heartbeat import QUIET_VARIABLE, heartbeat
 
 _EXAMPLE = """examples:
   uqharness modes espaaro --speed-mps 22.2
@@ -35,36 +35,84 @@ _GC_THRESHOLDS = 5_000, 10, 10
 scanning the objects of its libraries, none of which is ever freed."""
 
 COMMANDS: Table = {
-    "fly": ("fly", "one flight, recorded"),
-    "modes": ("modes", "trim, eigenvalues, MIL-F-8785C levels"),
-    "margins": ("margins", "gain, phase and delay margins of the autopilot"),
+    "fly": RequestCommand("simulation:FlyRequest", "simulation:fly", "one flight, recorded"),
+    "modes": RequestCommand(
+        "simulation:ModesRequest", "simulation:modes", "trim, eigenvalues, MIL-F-8785C levels"
+    ),
+    "margins": RequestCommand(
+        "simulation:MarginsRequest",
+        "simulation:margins",
+        "gain, phase and delay margins of the autopilot",
+    ),
+    "diff": RequestCommand(
+        "simulation:DiffRequest",
+        "simulation:diff",
+        "fly two models side by side and list their differences",
+    ),
     "export": RequestCommand(
         "exchange:ExportRequest",
         "exchange:export",
         "write the model for ArduPilot, Gazebo or a table, with the loss",
     ),
-    "diff": ("diff", "fly two models side by side and list their differences"),
     "log": ("log", "flight logs: contents and checks, conversion to records"),
-    "identify": ("identify", "parameters from flights"),
-    "compare": ("compare", "compare a flight with the model"),
+    "identify": RequestCommand(
+        "identification:IdentifyRequest", "identification:identify", "parameters from flights"
+    ),
+    "compare": RequestCommand(
+        "identification:CompareRequest",
+        "identification:compare",
+        "compare a flight with the model",
+    ),
     "bounds": RequestCommand(
         "identification:BoundsRequest",
         "identification:bounds",
         "model-form bounds from flights",
     ),
-    "validate-bounds": ("validate_bounds", "coverage of bounds on a new flight"),
-    "instrument": ("instrument", "add the model-form plugin to any JSBSim aircraft"),
-    "refine": ("refine", "find, name and add missing effects"),
+    "validate-bounds": RequestCommand(
+        "identification:ValidateBoundsRequest",
+        "identification:validate_bounds",
+        "coverage of bounds on a new flight",
+    ),
+    "instrument": RequestCommand(
+        "simulation:InstrumentRequest",
+        "simulation:instrument",
+        "add the model-form plugin to any JSBSim aircraft",
+    ),
+    "refine": RequestCommand(
+        "refinement:RefineRequest", "refinement:refine", "find, name and add missing effects"
+    ),
     "campaign": (
         "campaign",
         "nested Monte Carlo campaigns: check, run, status, report, merge, rerun, verify, salvage",
     ),
-    "sensitivity": ("sensitivity", "which uncertainty to reduce first"),
-    "next-flight": ("next_flight", "plan the test flight that narrows the p-box most"),
-    "study": ("study", "the whole chain: flights to p-boxes, before and after refinement"),
-    "report": ("report", "write report.html of a folder of results"),
-    "dossier": ("dossier", "the evidence of a folder of results as one printable document"),
-    "completion": ("completion", "a script for the completion of bash or zsh"),
+    "sensitivity": RequestCommand(
+        "sensitivity:SensitivityRequest",
+        "sensitivity:sensitivity",
+        "which uncertainty to reduce first",
+    ),
+    "next-flight": RequestCommand(
+        "next_flight:NextFlightRequest",
+        "next_flight:next_flight",
+        "plan the test flight that narrows the p-box most",
+    ),
+    "study": RequestCommand(
+        "study:StudyRequest",
+        "study:study",
+        "the whole chain: flights to p-boxes, before and after refinement",
+    ),
+    "report": RequestCommand(
+        "folders:ReportRequest", "folders:report", "write report.html of a folder of results"
+    ),
+    "dossier": RequestCommand(
+        "folders:DossierRequest",
+        "folders:dossier",
+        "the evidence of a folder of results as one printable document",
+    ),
+    "completion": RequestCommand(
+        "folders:CompletionRequest",
+        "uqharness.cli.completion:completion",
+        "a script for the completion of bash or zsh",
+    ),
 }
 
 
@@ -77,8 +125,6 @@ def build_parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--version", action="version", version=f"uqharness {__version__}")
-    # A study runs other commands in its own process; completion asks for the arguments of all.
-    parser.set_defaults(run_words=run_words, complete_parser=complete_parser)
     add_commands(parser, COMMANDS, "command", "COMMAND")
     return parser
 
@@ -152,7 +198,9 @@ class _Notes(logging.Handler):
     """Prints notes of the program to standard error, one a line."""
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Print a note, overwriting a progress line."""
+        """Print a note, overwriting a progress line; nothing with ``--quiet``."""
+        if os.environ.get(QUIET_VARIABLE):
+            return
         if sys.stderr.isatty():
             print("\r\x1b[K", end="", file=cursor_stream(sys.stderr))
         print(f"note: {hide_scratch_paths(record.getMessage())}", file=sys.stderr)

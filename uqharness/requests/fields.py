@@ -2,23 +2,94 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Mapping
+from os import PathLike
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field
+from pydantic import AfterValidator, BeforeValidator, Field
+from pydantic_core import PydanticCustomError
 
-from uqharness.requests.base import FilePath, WholeNumber, one_or_several, option
+from uqharness.requests.base import FilePath, Names, WholeNumber, one_or_several, option
 
 FLIGHT_FILE = "record (.parquet, .csv) or any log that `log import` reads"
 
 AircraftSource = Any
 """Name or folder of an aircraft, or in Python what `find_aircraft` returns."""
-FlightSources = Annotated[tuple[Any, ...], BeforeValidator(one_or_several), Field(min_length=1)]
+
+
+def _path_or_object(value: Any) -> Any:
+    """Return a text or path object as Path, other objects unchanged."""
+    return Path(value) if isinstance(value, str | PathLike) else value
+
+
+FileOrObject = Annotated[Any, BeforeValidator(_path_or_object)]
+
+
+def _flight_source(value: Any) -> Any:
+    """Return a flight, a path as Path; pydantic's error for what is neither."""
+    path = _path_or_object(value)
+    if not (isinstance(path, Path) or hasattr(path, "record") or hasattr(path, "columns")):
+        raise PydanticCustomError("flight", "is no flight")
+    return path
+
+
+FlightSources = Annotated[
+    tuple[Annotated[Any, BeforeValidator(_flight_source)], ...],
+    BeforeValidator(one_or_several),
+    Field(min_length=1),
+]
 """Files of flights, or in Python FlightRecords and what `fly` and `read_flights` return."""
 FlightNumbers = Annotated[
     tuple[Annotated[WholeNumber, Field(ge=1)], ...], BeforeValidator(one_or_several)
 ]
 Workers = WholeNumber | None
 Servos = Literal["auto", "card", "ideal"]
+
+CHANNELS: Mapping[str, str] = {
+    "V": "V_mps",
+    "alpha": "alpha_rad",
+    "beta": "beta_rad",
+    "phi": "phi_rad",
+    "theta": "theta_rad",
+    "p": "p_radps",
+    "q": "q_radps",
+    "r": "r_radps",
+    "ax": "ax_mps2",
+    "ay": "ay_mps2",
+    "az": "az_mps2",
+}
+"""Short and full names of the channels that are fitted; height and heading are integrals of the
+others and drift in real sensors.
+"""
+CONTROL_DELAY = "controls"
+"""Stands for all controls among the signals with a delay."""
+
+
+def channel_names(names: Iterable[str] | None) -> tuple[str, ...] | None:
+    """Return the full names of channels, each once; None where none were given.
+
+    >>> channel_names(["p", "q_radps", "p_radps"])
+    ('p_radps', 'q_radps')
+    """
+    return None if names is None else tuple(dict.fromkeys(CHANNELS.get(n, n) for n in names))
+
+
+def _channels_and(*more: str) -> Callable[[tuple[str, ...]], tuple[str, ...]]:
+    """Return a check of channel names."""
+    short = (*more, *CHANNELS)
+
+    def check(names: tuple[str, ...]) -> tuple[str, ...]:
+        for name in names:
+            if name not in (*short, *CHANNELS.values()):
+                raise ValueError(f"unknown channel {name}; allowed are none, {', '.join(short)}")
+        return names
+
+    return check
+
+
+Channels = Annotated[Names, AfterValidator(_channels_and())] | None
+DelayedSignals = Annotated[Names, AfterValidator(_channels_and(CONTROL_DELAY))] | None
 
 
 def aircraft() -> Any:
@@ -51,12 +122,43 @@ def flights(
     )
 
 
-def out(required: bool = True) -> Any:
+def out(required: bool = True, positional: bool = False) -> Any:
     """Return the field of the folder of the results."""
     text = "folder for the results, made if need be" + (
         "" if required else " (default: nothing is written)"
     )
-    return option(... if required else None, text, metavar="DIR", provenance=False, toml=False)
+    return option(
+        ... if required else None,
+        text,
+        metavar="DIR",
+        positional=positional,
+        provenance=False,
+        toml=False,
+    )
+
+
+def _ends_with(*endings: str) -> Callable[[Path], Path]:
+    """Return a check of the ending of a file's name."""
+
+    def check(path: Path) -> Path:
+        if path.suffix.lower() not in endings:
+            raise ValueError(f"the name must end with {' or '.join(endings)}")
+        return path
+
+    return check
+
+
+def _page(path: Path) -> Path:
+    """Refuse a page that cannot be written."""
+    if path.suffix.lower() != ".html" or path.is_dir():
+        folder = "is a folder; " if path.is_dir() else ""
+        raise ValueError(f"{folder}a page, FILE.html, is written")
+    return path
+
+
+Page = Annotated[FilePath, AfterValidator(_page)] | None
+TableFile = Annotated[FilePath, AfterValidator(_ends_with(".parquet", ".csv"))]
+RecordFile = Annotated[FilePath, AfterValidator(_ends_with(".csv", ".parquet", ".bin"))]
 
 
 def page(content: str, flag: str = "--out") -> Any:
@@ -76,9 +178,9 @@ def workers(default: str = "one a core, 8 at most") -> Any:
     return option(None, f"processes (default: {default})", ge=1, metavar="N", toml=False)
 
 
-def seed(of: str) -> Any:
+def seed(of: str, default: int = 0) -> Any:
     """Return the field of the seed of what is drawn at random."""
-    return option(0, f"seed of {of}", ge=0, metavar="N")
+    return option(default, f"seed of {of}", ge=0, metavar="N")
 
 
 def figures() -> Any:
@@ -125,6 +227,16 @@ def flight_number() -> Any:
     )
 
 
+def boot() -> Any:
+    """Return the field of the flight in one log with several boots."""
+    return option(
+        None,
+        "flight to read from a log with several boots of the autopilot (default: the longest)",
+        ge=1,
+        metavar="N",
+    )
+
+
 def manoeuvres() -> Any:
     """Return the field of the table of manoeuvres."""
     return option(
@@ -167,4 +279,39 @@ def delays() -> Any:
     )
 
 
+def script(
+    use: str = "run script, a path or a name under scripts/", positional: bool = True
+) -> Any:
+    """Return the field of the run script."""
+    return option(
+        Path("loiter"),
+        use,
+        metavar="S",
+        positional=positional,
+        kind="str or Path",
+        needed="a path or a name",
+    )
+
+
+def turbulence(of: str) -> Any:
+    """Return the field of the intensity of turbulence."""
+    return option("none", f"MIL-F-8785C intensity of turbulence{of}")
+
+
+def autopilot() -> Any:
+    """Return the field of the gains of an autopilot."""
+    return option(
+        None,
+        "ArduPlane parameter file (.parm, .param): gains of the autopilot (default: the"
+        " aircraft's own)",
+        metavar="FILE",
+    )
+
+
+def altitude(of: str, default: float = 200.0) -> Any:
+    """Return the field of the altitude of generated manoeuvres."""
+    return option(default, f"height of {of}, m", gt=0, le=30_000, metavar="H")
+
+
 OptionalPath = FilePath | None
+Turbulence = Literal["none", "light", "moderate", "severe"]

@@ -10,9 +10,13 @@ from pathlib import Path
 import pytest
 
 from uqharness.cli import options
-from uqharness.cli.main import build_parser, complete_parser
+from uqharness.cli.arguments import request_of
+from uqharness.cli.main import build_parser, complete_parser, run_words
 from uqharness.cli.options import Command, commands_of
 from uqharness.errors import BadInputError
+from uqharness.files import results_folder
+from uqharness.requests.base import command_line, command_words
+from uqharness.requests.identification import BoundsRequest
 
 
 def leaves(parser: argparse.ArgumentParser) -> list[argparse.ArgumentParser]:
@@ -53,12 +57,12 @@ def test_the_ends_of_a_range_belong_to_it_but_for_above() -> None:
         options.number("--angle")("inf")
 
 
-def made(*words: str) -> argparse.Namespace:
-    return build_parser().parse_args(words)
+def made(*words: str) -> BoundsRequest:
+    return request_of(BoundsRequest, build_parser().parse_args(words))
 
 
 def test_the_words_that_repeat_a_command_name_files_and_leave_out_defaults() -> None:
-    args = made(
+    request = made(
         "bounds",
         "espaaro",
         "--flight",
@@ -71,9 +75,7 @@ def test_the_words_that_repeat_a_command_name_files_and_leave_out_defaults() -> 
         "2",
         "--no-check",
     )
-    assert (
-        options.command_as_given(args) == "uqharness bounds espaaro --flight x.bin y.bin --no-check"
-    )
+    assert command_line(request) == "uqharness bounds espaaro --flight x.bin y.bin --no-check"
 
 
 def test_a_repeated_option_is_repeated_and_the_words_are_those_of_the_same_command() -> None:
@@ -89,17 +91,20 @@ def test_a_repeated_option_is_repeated_and_the_words_are_those_of_the_same_comma
         "--out",
         "o",
     )
-    words = options.command_words(made(*given))
+    words = command_words(made(*given))
     assert words.count("--states") == 2
     again = made(*words[1:], "--out", "o")
-    assert (again.states, again.flight) == (["CX=V", "Cm=alpha,q"], [Path("x.bin")])
+    assert (again.states, again.flights) == (
+        {"CX": ("V",), "Cm": ("alpha", "q")},
+        (Path("x.bin"),),
+    )
 
 
 def test_a_folder_that_cannot_be_made_is_one_sentence(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(BadInputError, match="cannot be made"):
-        options.results_folder(tmp_path / "file" / "below")
-    assert options.results_folder(tmp_path / "a" / "b").is_dir()
+        results_folder(tmp_path / "file" / "below")
+    assert results_folder(tmp_path / "a" / "b").is_dir()
 
 
 def test_every_command_has_examples_json_and_exit_codes(
@@ -132,7 +137,8 @@ def test_an_option_means_the_same_in_every_command(commands: list[argparse.Argum
     for parser in commands:
         for action in parser._actions:
             for name in action.option_strings:
-                told.setdefault(name, set()).add(str(action.help))
+                text = str(action.help).replace("%(default)s", str(action.default))
+                told.setdefault(name, set()).add(text)
     for name in shared:
         assert len(told[name]) == 1, (name, told[name])
     assert "--no-check" in told
@@ -151,7 +157,7 @@ def test_an_option_means_the_same_in_every_command(commands: list[argparse.Argum
 )
 def test_no_workers_are_refused_wherever_they_are_asked_for(words: tuple[str, ...]) -> None:
     with pytest.raises(BadInputError, match="--workers 0: a whole number of at least 1 is needed"):
-        made(words[0], "thing", *words[1:], "--out", "o", "--workers", "0")
+        run_words([words[0], "thing", *words[1:], "--out", "o", "--workers", "0"])
 
 
 def test_a_parser_is_completed_once() -> None:
