@@ -84,6 +84,11 @@ COMMANDS: Table = {
         "simulation:diff",
         "fly two models side by side and list their differences",
     ),
+    "export": RequestCommand(
+        "exchange:ExportRequest",
+        "exchange:export",
+        "write the model for ArduPilot, Gazebo or a table, with the loss",
+    ),
     "log": Verbs(
         _LOG_VERBS,
         "flight logs: contents and checks, conversion to records",

@@ -19,7 +19,7 @@ from sysid.model_form import ModelForm, read_model_form
 from sysid.record import FlightRecord, Metadata
 from sysid.vocabulary import SIGNALS
 from uqharness.arguments import path as argument_path
-from uqharness.commands.flights import Flight, _content_sha256, aircraft_of, carded_aircraft
+from uqharness.commands.flights import Flight, aircraft_of, carded_aircraft, content_sha256
 from uqharness.differences import (
     ROUNDING,
     Difference,
@@ -200,7 +200,7 @@ def fly(request: FlyRequest, callback: Callback = silent) -> Outcome[Flight]:
     flight = Flight(
         path.stem,
         record,
-        _content_sha256(record),
+        content_sha256(record),
         recorded.status,
         recorded.reason,
         aircraft,

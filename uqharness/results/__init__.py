@@ -16,6 +16,7 @@ DOCUMENTS: dict[str, str] = {
     "completion": "folders:CompletionScript",
     "diff": "simulation:Differences",
     "dossier": "folders:DossierFile",
+    "export": "exchange:Loss",
     "fly": "simulation:FlownFlight",
     "identify": "identification:Fit",
     "instrument": "simulation:Plugin",
