@@ -30,6 +30,7 @@ from uqharness.campaign.spec.campaign import CampaignSpec, Document
 from uqharness.cli import main as cli
 from uqharness.results.base import Part
 from uqharness.results.identification import Bounds, Compare, Coverage, Fit
+from uqharness.results.next_flight import NextFlightPlan
 from uqharness.simulator.aircraft import PROJECT_ROOT, STANDARD
 from uqharness.simulator.card import Card
 
@@ -183,7 +184,7 @@ DOCUMENTS = (
         ("uqharness.refinement.document:document_of", "uqharness.refinement.run:_document"),
         words.REFINEMENT,
     ),
-    ("next-flight.json", ("uqharness.report.pages.next_flight:document",), words.NEXT_FLIGHT),
+    ("next-flight.json", (), fields_of(NextFlightPlan)),
     ("study.json", ("uqharness.study.run:begin",), words.STUDY),
 )
 

@@ -206,25 +206,6 @@ REFINEMENT = {
     "test": "the flights that judged",
     "command": "what repeats it",
 }
-NEXT_FLIGHT = {
-    "format": "version of this file",
-    "metric": "whose p-box is to narrow",
-    "coefficient": "whose interval is to narrow",
-    "share": "its part of the p-box",
-    "certain": "whether its lead is",
-    "verdict": "yes, or no where the flight narrows the interval by less than 5 %",
-    "words": "the answer in sentences",
-    "mission": "where the occupancy comes from: source, flights, failed, seconds, outside_data",
-    "where": "state → quartiles of data, mission and variance",
-    "prospects": "coefficient → widths and narrowings, now, after the flight and redone",
-    "scatter": "of the data beside that of the model's own flight",
-    "missing": "terms that the bounds' polynomial lacks",
-    "flight_s": "length of the flight",
-    "points": "test points: number, name, start_s, end_s, speed_mps, bank_deg, steps, gain",
-    "tried": "how many points were flown to choose from",
-    "refused": "points left out, with reasons",
-    "warnings": "sentences",
-}
 STUDY = {
     "format": "version of this file",
     "study": "its name",
