@@ -98,11 +98,7 @@ from uqharness.results.simulation import (
     MarginsOfLoop,
     Modes,
     Plugin,
-    PluginAxes,
     PluginCheck,
-    PluginCoefficient,
-    PluginFile,
-    PluginScale,
     UndoneFile,
 )
 from uqharness.simulator import (
@@ -179,14 +175,16 @@ def fly(request: FlyRequest, callback: Callback = silent) -> Outcome[Flight]:
             command_line(request),
         )
         write_html(request.page, flight_page(facts, columns, recorded.status, recorded.reason))
-    document = FlownFlight(
-        status=recorded.status,
-        reason=recorded.reason,
-        flown_s=recorded.flown_s,
-        rows=len(table),
-        out=None if request.out is None else str(request.out),
-        left_out=list(left_out),
-        autopilot=_gains_document(gains),
+    document = FlownFlight.model_validate(
+        {
+            "status": recorded.status,
+            "reason": recorded.reason,
+            "flown_s": recorded.flown_s,
+            "rows": len(table),
+            "out": None if request.out is None else str(request.out),
+            "left_out": left_out,
+            "autopilot": _gains_document(gains),
+        }
     )
     end = "" if recorded.status == "ok" else f", {recorded.status}: {recorded.reason}"
     unsupported = f"; DataFlash has no message for {', '.join(left_out)}" if left_out else ""
@@ -457,7 +455,7 @@ def margins(request: MarginsRequest, callback: Callback = silent) -> Outcome[Mar
         **(CALM_LOITER if request.flight == "loiter" else CALM_STRAIGHT),
         **(gains.properties if gains else {}),
     }
-    names = request.loop or tuple(LOOPS)
+    names: Sequence[str] = request.loop or tuple(LOOPS)
     update = counted("loops measured", callback)
     measured: list[LoopMargins] = []
     with StagedMission(aircraft, script) as mission:
@@ -722,7 +720,8 @@ def instrument(
         form = form.form
     elif form is not None and not isinstance(form, ModelForm):
         form = read_model_form(argument_path("form", form))
-    bounds = PluginBounds(form, request.constant or {})
+    constant = {str(name): ends for name, ends in (request.constant or {}).items()}
+    bounds = PluginBounds(form, constant)
     # A dry run writes nothing that could be flown.
     flown = request.check and not request.dry_run
     callback("comparing short flights with the original" if flown else "writing")
@@ -770,24 +769,24 @@ def _plugin_document(aircraft: Aircraft, done: Instrumented, request: Instrument
             else planned.files[name].count(b"\n")
         )
         kind = "edited" if change.edited else "replaced" if change.before else "added"
-        files.append(PluginFile(file=name, change=kind, lines=n_lines))
-    # Without check flights there is no such key.
-    check = {} if done.verdict is None else {"check": PluginCheck(**asdict(done.verdict))}
-    return Plugin(
-        aircraft=aircraft.name,
-        out=str(request.out),
-        written=not request.dry_run,
-        axes=PluginAxes(force=planned.section.force, moment=planned.section.moment),
-        coefficients=[
-            PluginCoefficient(coefficient=c, axis=axis, where=where)
-            for c, axis, where in planned.rows
+        files.append({"file": name, "change": kind, "lines": n_lines})
+    document = {
+        "aircraft": aircraft.name,
+        "out": str(request.out),
+        "written": not request.dry_run,
+        "axes": {"force": planned.section.force, "moment": planned.section.moment},
+        "coefficients": [
+            dict(zip(("coefficient", "axis", "where"), row, strict=True)) for row in planned.rows
         ],
-        scaled=[PluginScale(**asdict(row)) for row in planned.scaled],
-        files=files,
-        unmeasured=dict(done.unmeasured),
-        notes=list(done.notes),
-        **check,
-    )
+        "scaled": [asdict(row) for row in planned.scaled],
+        "files": files,
+        "unmeasured": dict(done.unmeasured),
+        "notes": list(done.notes),
+    }
+    # Without check flights there is no such key.
+    if done.verdict is not None:
+        document["check"] = asdict(done.verdict)
+    return Plugin.model_validate(document)
 
 
 def _plugin_lines(done: Plugin) -> list[str]:
