@@ -35,7 +35,7 @@ from uqharness.campaign import run as running
 from uqharness.campaign.folder import read_cases, read_checked, read_complete
 from uqharness.campaign.spec import CampaignSpec
 from uqharness.campaign.spec import read as reading
-from uqharness.commands.flights import AnyPath
+from uqharness.commands import AnyPath
 from uqharness.errors import BadInputError
 from uqharness.files import find_campaign
 from uqharness.heartbeat import STATE, Rate, clock, notebook_line

@@ -12,8 +12,7 @@ from typing import Literal
 from sysid.model_form import ModelForm
 from uqharness.arguments import instance, one_of, path
 from uqharness.arguments import workers as given_workers
-from uqharness.commands import identification as commands
-from uqharness.commands.flights import (
+from uqharness.commands import (
     AnyAircraft,
     AnyFlight,
     AnyPath,
@@ -21,6 +20,7 @@ from uqharness.commands.flights import (
     carded_aircraft,
     flights_of,
 )
+from uqharness.commands import identification as commands
 from uqharness.errors import BadInputError
 from uqharness.heartbeat import notebook_line
 from uqharness.identification import (

@@ -15,7 +15,7 @@ from sysid.effects import read_effects
 from sysid.record import FlightRecord
 from uqharness.arguments import flag, instance, one_of, path, require
 from uqharness.arguments import workers as given_workers
-from uqharness.commands.flights import (
+from uqharness.commands import (
     AnyAircraft,
     AnyFlight,
     AnyPath,

@@ -15,7 +15,7 @@ from typing import Any, Literal
 from uqharness.arguments import flag, instance, integer, number, one_of, path
 from uqharness.arguments import workers as given_workers
 from uqharness.child_process import run_command
-from uqharness.commands.flights import AnyPath
+from uqharness.commands import AnyPath
 from uqharness.errors import BadInputError, TerminatedError
 from uqharness.heartbeat import notebook_line
 

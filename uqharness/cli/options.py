@@ -355,9 +355,9 @@ class Command(argparse.ArgumentParser):
         place, self.place = self.place, ""
         if isinstance(place, RequestCommand):
             # Imported here: the list of commands loads no pydantic.
-            from uqharness.cli.run import add_request_command
+            from uqharness.cli.request_command import add_request_command
 
-            add_request_command(self, place)
+            add_request_command(self, place.request, place.function)
         elif place:
             module, _, function = place.partition(":")
             getattr(

@@ -27,9 +27,8 @@ from uqharness.identification import (
 )
 from uqharness.plugin.model_form_xml import model_form_xml
 from uqharness.replay import cut_for_residuals, read_histories
-from uqharness.report import write_figures, write_report, write_residuals
+from uqharness.report import forced_width, write_figures, write_report, write_residuals
 from uqharness.report.pages import RESIDUALS, slice_section, variation_section
-from uqharness.report.pages.model_form import forced_width
 from uqharness.requests.base import Callback, command_line, silent
 from uqharness.requests.identification import BoundsRequest
 from uqharness.results.base import Outcome

@@ -19,7 +19,7 @@ from sysid.model_form import ModelForm, read_model_form
 from sysid.record import FlightRecord, Metadata
 from sysid.vocabulary import SIGNALS
 from uqharness.arguments import path as argument_path
-from uqharness.commands.flights import Flight, _content_sha256, aircraft_of, carded_aircraft
+from uqharness.commands.flights import Flight, aircraft_of, carded_aircraft, content_sha256
 from uqharness.differences import (
     ROUNDING,
     Difference,
@@ -99,6 +99,7 @@ from uqharness.results.simulation import (
     Modes,
     Plugin,
     PluginCheck,
+    RemovedPlugin,
     UndoneFile,
 )
 from uqharness.simulator import (
@@ -169,7 +170,7 @@ def fly(request: FlyRequest, callback: Callback = silent) -> Outcome[Flight]:
     if request.page is not None:
         facts = FlightFacts(
             aircraft.name,
-            request.mission if isinstance(request.mission, str) else path.stem,
+            str(request.mission) if request.generated else path.stem,
             _conditions(request),
             "not written" if request.out is None else request.out.name,
             command_line(request),
@@ -198,7 +199,7 @@ def fly(request: FlyRequest, callback: Callback = silent) -> Outcome[Flight]:
     flight = Flight(
         path.stem,
         record,
-        _content_sha256(record),
+        content_sha256(record),
         recorded.status,
         recorded.reason,
         aircraft,
@@ -213,7 +214,7 @@ def _flown_script(request: FlyRequest, aircraft: Aircraft) -> Iterator[tuple[Air
 
     Initial conditions must lie in the aircraft's folder, so generated manoeuvres fly a copy.
     """
-    if not isinstance(request.mission, str) or request.speed_mps is None:
+    if request.mission is None or request.speed_mps is None:
         yield aircraft, find_script(request.mission or request.script)
         return
     with scratch_folder("fly") as scratch:
@@ -226,7 +227,7 @@ def _flown_script(request: FlyRequest, aircraft: Aircraft) -> Iterator[tuple[Air
         # others.
         restarting = not SECOND_ORDER.keys() & request.properties.keys()
         path, _ = run_unsupervised(
-            write_own_mission, copy, start, request.mission, restarting=restarting
+            write_own_mission, copy, start, str(request.mission), restarting=restarting
         )
         yield copy, path
 
@@ -755,7 +756,7 @@ def _undo(request: InstrumentRequest) -> Outcome[Instrumented | None]:
     undone = [
         UndoneFile(file=name, result=result) for name, result in undo_plugin(folder, request.out)
     ]
-    return Outcome(None, Plugin(undone=undone), [f"{u.file}: {u.result}" for u in undone])
+    return Outcome(None, RemovedPlugin(undone=undone), [f"{u.file}: {u.result}" for u in undone])
 
 
 def _plugin_document(aircraft: Aircraft, done: Instrumented, request: InstrumentRequest) -> Plugin:
@@ -801,11 +802,10 @@ def _plugin_lines(done: Plugin) -> list[str]:
     lines += [] if done.written else ["Nothing was written (--dry-run)."]
     if done.check is not None:
         lines.append(f"Check: {_check_sentence(done.check)}")
-    if done.axes is not None:
-        lines.append(
-            f"The aircraft's forces are in {done.axes.force} axes, its moments in"
-            f" {done.axes.moment} axes."
-        )
+    lines.append(
+        f"The aircraft's forces are in {done.axes.force} axes, its moments in {done.axes.moment}"
+        " axes."
+    )
     lines += [f"note: {note}" for note in done.notes]
     tables = (
         (

@@ -4,7 +4,7 @@ DOCUMENTS: dict[str, str] = {
     "bounds": "identification:Bounds",
     "diff": "simulation:Differences",
     "fly": "simulation:FlownFlight",
-    "instrument": "simulation:Plugin",
+    "instrument": "simulation:PluginOutcome",
     "log-export": "logs:Playback",
     "log-import": "logs:ImportedLog",
     "log-info": "logs:LogContents",
@@ -12,4 +12,4 @@ DOCUMENTS: dict[str, str] = {
     "margins": "simulation:Margins",
     "modes": "simulation:Modes",
 }
-"""Command, with "-" for blanks, to the model of its document, ``module:Class``."""
+"""Command, its words joined by "-", to the model of what it prints with ``--json``."""
