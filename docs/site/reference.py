@@ -28,6 +28,9 @@ from uqharness.campaign.folder import tables
 from uqharness.campaign.folder import tables as campaign_results
 from uqharness.campaign.spec.campaign import CampaignSpec, Document
 from uqharness.cli import main as cli
+from uqharness.results.base import Part
+from uqharness.results.identification import Bounds, Compare, Coverage, Fit
+from uqharness.results.next_flight import NextFlightPlan
 from uqharness.simulator.aircraft import PROJECT_ROOT, STANDARD
 from uqharness.simulator.card import Card
 
@@ -144,7 +147,7 @@ def files() -> str:
     ):
         text += f"## {name}\n\n" + described([(column, "") for column in columns], told)
     for name, places, told in DOCUMENTS:
-        text += f"## {name}\n\n" + keys(document_keys(*places), told)
+        text += f"## {name}\n\n" + keys(document_keys(*places) if places else list(told), told)
     form = ["format", *(field.name for field in dataclasses.fields(ModelForm))]
     text += "## model-form.json\n\n" + keys(form, words.MODEL_FORM)
     text += "Of each coefficient:\n\n"
@@ -153,7 +156,12 @@ def files() -> str:
     )
 
 
-# File, the functions whose returned dictionaries make it, meanings.
+def fields_of(model: type[Part]) -> dict[str, str]:
+    """Meanings of a result's keys."""
+    return {f.alias or name: f.description or "" for name, f in model.model_fields.items()}
+
+
+# File, the functions whose returned dictionaries make it (none: a model's fields), meanings.
 DOCUMENTS = (
     (
         "manifest.json",
@@ -167,24 +175,16 @@ DOCUMENTS = (
         ),
         words.MANIFEST,
     ),
-    ("fit.json", ("uqharness.report.pages.identify:fit_document",), words.FIT),
-    ("compare.json", ("uqharness.report.compare:document_of", "+command"), words.COMPARE),
-    (
-        "bounds.json",
-        ("uqharness.report.pages.model_form:bounds_document", "+command", "+version"),
-        words.BOUNDS_REPORT,
-    ),
-    (
-        "coverage.json",
-        ("uqharness.report.pages.model_form:validation_document", "+command", "+version"),
-        words.COVERAGE,
-    ),
+    ("fit.json", (), fields_of(Fit)),
+    ("compare.json", (), fields_of(Compare)),
+    ("bounds.json", (), fields_of(Bounds)),
+    ("coverage.json", (), fields_of(Coverage)),
     (
         "refinement.json",
         ("uqharness.refinement.document:document_of", "uqharness.refinement.run:_document"),
         words.REFINEMENT,
     ),
-    ("next-flight.json", ("uqharness.report.pages.next_flight:document",), words.NEXT_FLIGHT),
+    ("next-flight.json", (), fields_of(NextFlightPlan)),
     ("study.json", ("uqharness.study.run:begin",), words.STUDY),
 )
 

@@ -180,45 +180,6 @@ MANIFEST = {
     ),
     "digest": "SHA-256 of all of the above, as JSON without spaces, keys in order",
 }
-FIT = {
-    "aircraft": "which one",
-    "method": "output error or filter error",
-    "converged": "whether the estimate stands",
-    "parameters": (
-        "property → value, std (corrected for colour), std_crb (Cramér-Rao), status, reason,"
-        " initial"
-    ),
-    "names": "the identified ones, in the order of cov",
-    "cov": "their covariance",
-    "warnings": "sentences with their evidence",
-    "fit": "channel → rms, noise, whiteness_p, predictable_share",
-    "nuisance": "gyro biases and delays: value, std",
-    "segments": "flight, label, start_s, end_s",
-    "flights": "the files",
-    "flights_sha256": "their hashes",
-    "notes": "what was done to the records",
-    "command": "what repeats it",
-    "simulations": "how many were flown",
-    "seconds": "time it took",
-    "speed": "simulations and flight seconds a second",
-}
-COMPARE = {
-    "aircraft": "which one",
-    "flight": "which record",
-    "reached_noise_floor": "the answer",
-    "verdict": "the answer in a sentence",
-    "rule": "what the answer rests on",
-    "controls_late_s": "how late the controls act",
-    "aligned": "whether that is less than half a row",
-    "above": "channels above the floor",
-    "channels": "channel → rms, noise, ratio, delay, Theil's coefficient and its shares",
-    "coefficients": "coefficient → rms, noise, mean",
-    "manoeuvres": "the same by manoeuvre",
-    "moments": "worst moments: time_s, channel, manoeuvre, gap, `noises` (the gap in sigma)",
-    "biases": "estimated sensor biases",
-    "notes": "what was done to the record",
-    "command": "what repeats it",
-}
 REFINEMENT = {
     "verdict": "effects-found, no-missing-effect or unexplained",
     "disagreement": "coefficient, manoeuvre, region, share_outside_95, size, words",
@@ -245,25 +206,6 @@ REFINEMENT = {
     "test": "the flights that judged",
     "command": "what repeats it",
 }
-NEXT_FLIGHT = {
-    "format": "version of this file",
-    "metric": "whose p-box is to narrow",
-    "coefficient": "whose interval is to narrow",
-    "share": "its part of the p-box",
-    "certain": "whether its lead is",
-    "verdict": "yes, or no where the flight narrows the interval by less than 5 %",
-    "words": "the answer in sentences",
-    "mission": "where the occupancy comes from: source, flights, failed, seconds, outside_data",
-    "where": "state → quartiles of data, mission and variance",
-    "prospects": "coefficient → widths and narrowings, now, after the flight and redone",
-    "scatter": "of the data beside that of the model's own flight",
-    "missing": "terms that the bounds' polynomial lacks",
-    "flight_s": "length of the flight",
-    "points": "test points: number, name, start_s, end_s, speed_mps, bank_deg, steps, gain",
-    "tried": "how many points were flown to choose from",
-    "refused": "points left out, with reasons",
-    "warnings": "sentences",
-}
 STUDY = {
     "format": "version of this file",
     "study": "its name",
@@ -276,40 +218,6 @@ STUDY = {
     "state": "running, done or failed",
     "stages": "name, kind, folder, command, state, exit, seconds, inputs (path → SHA-256), error",
     "verdict": "sentences, each with a level: good, warn or bad",
-}
-BOUNDS_REPORT = {
-    "aircraft": "which one",
-    "flights": "the flights behind the bounds",
-    "confidence": "of the intervals",
-    "outside": "grow or clamp",
-    "coefficients": "coefficient → widths, samples, terms",
-    "left_out": "coverage of each manoeuvre by bounds made without it",
-    "cutoffs": "of the filters, Hz",
-    "warnings": "sentences with their evidence",
-    "notes": "what was done to the records",
-    "command": "what repeats it",
-    "version": "of this program",
-}
-COVERAGE = {
-    "coverage": "coefficient → share inside at 0.95 and 0.68, n_effective, mean_width",
-    "errors": "coefficient → standard error of the shares",
-    "outside_data": "coefficient → share of samples outside the data of the bounds",
-    "manoeuvres": "the shares by manoeuvre",
-    "by_speed": "the shares in thirds of the airspeed",
-    "by_incidence": "the shares in thirds of the angle of attack",
-    "conformal": (
-        "coefficient → factor by which bounds must be widened, by what manoeuvres show, and its"
-        " level"
-    ),
-    "verdicts": "coefficient → holds, fails or inconclusive",
-    "flight_variance": (
-        "coefficient → standard deviation from flight to flight; null: not estimable"
-    ),
-    "failed": "coefficients that fail",
-    "warnings": "sentences with their evidence",
-    "notes": "what was done to the records",
-    "command": "what repeats it",
-    "version": "of this program",
 }
 MODEL_FORM = {
     "format": "version of this file",

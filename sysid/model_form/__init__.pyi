@@ -3,6 +3,7 @@ from .components import WALK_CUTOFF_HZ as WALK_CUTOFF_HZ
 from .components import Variation as Variation
 from .components import variation as variation
 from .coverage import MIN_SHARE_INSIDE as MIN_SHARE_INSIDE
+from .coverage import Bin as Bin
 from .coverage import Coverage as Coverage
 from .coverage import Verdict as Verdict
 from .coverage import leave_one_out as leave_one_out

@@ -63,6 +63,7 @@ XML_TEXT = (
     "uqharness/refinement/write_xml.py",
     # Messages say what is not understood.
     "uqharness/batch/translate/",
+    "uqharness/commands/",
     # HTML, whose tables have the name of JSBSim's.
     "sysid/display.py",
     # A message shows what to write.

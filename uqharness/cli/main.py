@@ -19,10 +19,10 @@ from collections.abc import Sequence
 from sysid.display import clean_terminal, cursor_stream
 from sysid.errors import LogError
 from uqharness import __version__
-from uqharness.cli.options import RequestCommand, Table, add_commands, commands_of
+from uqharness.cli.options import RequestCommand, Table, Verbs, add_commands, commands_of
 from uqharness.errors import BadInputError, EnginesDifferError, TerminatedError
 from uqharness.files import hide_scratch_paths
-from uqharness.heartbeat import heartbeat
+from uqharness.heartbeat import QUIET_VARIABLE, heartbeat
 
 _EXAMPLE = """examples:
   uqharness modes espaaro --speed-mps 22.2
@@ -34,6 +34,41 @@ _GC_THRESHOLDS = 5_000, 10, 10
 """Thresholds of the garbage collector. With Python's 700 a command spends a twentieth of its time
 scanning the objects of its libraries, none of which is ever freed."""
 
+_LOG_VERBS = {
+    "info": RequestCommand(
+        "logs:LogInfoRequest",
+        "logs:log_info",
+        "contents and findings of a log, and the purposes it serves",
+    ),
+    "map": RequestCommand(
+        "logs:LogMapRequest", "logs:propose_map", "propose a signal map for a log"
+    ),
+    "import": RequestCommand(
+        "logs:LogImportRequest", "logs:import_record", "turn a log into a flight record"
+    ),
+    "export": RequestCommand(
+        "logs:LogExportRequest", "logs:export_log", "write a flight for FlightGear"
+    ),
+}
+_CAMPAIGN_VERBS = {
+    verb: RequestCommand(f"campaign:{verb.capitalize()}Request", f"campaign:{verb}", text)
+    for verb, text in {
+        "check": "cost of a campaign before it is flown",
+        "run": "fly a campaign, or resume it",
+        "status": "progress of a campaign",
+        "report": "write report.html and the figures",
+        "merge": "merge shards and write the tables",
+        "rerun": "fly one case again with full output and a plot",
+        "verify": "check a folder against its digests",
+        "salvage": "repair a damaged campaign: keep sound flights, fly the rest again",
+        "convergence": "convergence over flights and epistemic samples",
+        "area": "area metric of real flights against the p-boxes",
+    }.items()
+}
+_CAMPAIGN_EXAMPLE = """example:
+  uqharness campaign run campaigns/demo/campaign.toml --out campaigns/demo/results
+
+uqharness campaign VERB --help gives the options."""
 COMMANDS: Table = {
     "fly": RequestCommand("simulation:FlyRequest", "simulation:fly", "one flight, recorded"),
     "modes": RequestCommand(
@@ -49,31 +84,76 @@ COMMANDS: Table = {
         "simulation:diff",
         "fly two models side by side and list their differences",
     ),
-    "log": ("log", "flight logs: contents and checks, conversion to records"),
-    "identify": ("identify", "parameters from flights"),
-    "compare": ("compare", "compare a flight with the model"),
+    "export": RequestCommand(
+        "exchange:ExportRequest",
+        "exchange:export",
+        "write the model for ArduPilot, Gazebo or a table, with the loss",
+    ),
+    "log": Verbs(
+        _LOG_VERBS,
+        "flight logs: contents and checks, conversion to records",
+        "Check a flight log, convert it to a flight record, or export it to FlightGear.",
+    ),
+    "identify": RequestCommand(
+        "identification:IdentifyRequest", "identification:identify", "parameters from flights"
+    ),
+    "compare": RequestCommand(
+        "identification:CompareRequest",
+        "identification:compare",
+        "compare a flight with the model",
+    ),
     "bounds": RequestCommand(
         "identification:BoundsRequest",
         "identification:bounds",
         "model-form bounds from flights",
     ),
-    "validate-bounds": ("validate_bounds", "coverage of bounds on a new flight"),
+    "validate-bounds": RequestCommand(
+        "identification:ValidateBoundsRequest",
+        "identification:validate_bounds",
+        "coverage of bounds on a new flight",
+    ),
     "instrument": RequestCommand(
         "simulation:InstrumentRequest",
         "simulation:instrument",
         "add the model-form plugin to any JSBSim aircraft",
     ),
-    "refine": ("refine", "find, name and add missing effects"),
-    "campaign": (
-        "campaign",
-        "nested Monte Carlo campaigns: check, run, status, report, merge, rerun, verify, salvage",
+    "refine": RequestCommand(
+        "refinement:RefineRequest", "refinement:refine", "find, name and add missing effects"
     ),
-    "sensitivity": ("sensitivity", "which uncertainty to reduce first"),
-    "next-flight": ("next_flight", "plan the test flight that narrows the p-box most"),
-    "study": ("study", "the whole chain: flights to p-boxes, before and after refinement"),
-    "report": ("report", "write report.html of a folder of results"),
-    "dossier": ("dossier", "the evidence of a folder of results as one printable document"),
-    "completion": ("completion", "a script for the completion of bash or zsh"),
+    "campaign": Verbs(
+        _CAMPAIGN_VERBS,
+        "nested Monte Carlo campaigns: check, run, status, report, merge, rerun, verify, salvage",
+        "Fly a campaign over corners of model-form uncertainty, watch it, and report it.",
+        _CAMPAIGN_EXAMPLE,
+    ),
+    "sensitivity": RequestCommand(
+        "sensitivity:SensitivityRequest",
+        "sensitivity:sensitivity",
+        "which uncertainty to reduce first",
+    ),
+    "next-flight": RequestCommand(
+        "next_flight:NextFlightRequest",
+        "next_flight:next_flight",
+        "plan the test flight that narrows the p-box most",
+    ),
+    "study": RequestCommand(
+        "study:StudyRequest",
+        "study:study",
+        "the whole chain: flights to p-boxes, before and after refinement",
+    ),
+    "report": RequestCommand(
+        "folders:ReportRequest", "folders:report", "write report.html of a folder of results"
+    ),
+    "dossier": RequestCommand(
+        "folders:DossierRequest",
+        "folders:dossier",
+        "the evidence of a folder of results as one printable document",
+    ),
+    "completion": RequestCommand(
+        "folders:CompletionRequest",
+        "uqharness.cli.completion:completion",
+        "a script for the completion of bash or zsh",
+    ),
 }
 
 
@@ -86,8 +166,6 @@ def build_parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--version", action="version", version=f"uqharness {__version__}")
-    # A study runs other commands in its own process; completion asks for the arguments of all.
-    parser.set_defaults(run_words=run_words, complete_parser=complete_parser)
     add_commands(parser, COMMANDS, "command", "COMMAND")
     return parser
 
@@ -161,7 +239,9 @@ class _Notes(logging.Handler):
     """Prints notes of the program to standard error, one a line."""
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Print a note, overwriting a progress line."""
+        """Print a note, overwriting a progress line; nothing with ``--quiet``."""
+        if os.environ.get(QUIET_VARIABLE):
+            return
         if sys.stderr.isatty():
             print("\r\x1b[K", end="", file=cursor_stream(sys.stderr))
         print(f"note: {hide_scratch_paths(record.getMessage())}", file=sys.stderr)

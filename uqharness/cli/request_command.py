@@ -52,9 +52,10 @@ def add_request_command(parser: argparse.ArgumentParser, request: str, function:
 
 
 def _part(package: str, place: str) -> Any:
-    """Return the object that ``module:name`` names within a package."""
+    """Return the object that ``module:name`` names within a package, or by its full name."""
     module, _, name = place.partition(":")
-    return getattr(importlib.import_module(f"{package}.{module}"), name)
+    path = module if module.startswith("uqharness.") else f"{package}.{module}"
+    return getattr(importlib.import_module(path), name)
 
 
 def _segments_flown() -> int:

@@ -1,4 +1,4 @@
-"""Commands about models and flights: bounds of the model's error.
+"""Commands about models and flights: parameters, the gap to a flight, bounds of the model's error.
 
 Each function takes a request, writes the folder of results if the request names one, and returns an
 `Outcome`: the result for Python, the document for ``--json``, and the lines that are printed.
@@ -6,50 +6,362 @@ Each function takes a request, writes the folder of results if the request names
 
 from __future__ import annotations
 
+import logging
 import math
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from sysid.aerodynamics import Cutoffs, term_name
-from sysid.model_form import FitOptions
+from sysid.distributions import normal_quantile
+from sysid.estimation import colour, rms
+from sysid.model_form import Bin, FitOptions, ModelForm
 from uqharness import __version__
-from uqharness.commands.flights import carded_aircraft, replay_flights
+from uqharness.arguments import path as argument_path
+from uqharness.commands.flights import ReplayFlights, carded_aircraft, replay_flights
 from uqharness.files import check_output_folder, results_folder, write_bytes, write_json, write_text
 from uqharness.identification import (
+    BIASES,
     BoundsOptions,
+    Comparison,
     CutoffRow,
+    Identification,
     MadeBounds,
+    Validation,
     choose_servos,
+    failed,
+    load_form,
     make_bounds,
     mean_left_out,
     parse_designs,
+    validate,
+    verdicts,
 )
+from uqharness.identification.compare import compare as measure_gap
+from uqharness.identification.identify import identify as estimate
+from uqharness.plugin import Estimate, write_estimates
 from uqharness.plugin.model_form_xml import model_form_xml
-from uqharness.replay import cut_for_residuals, read_histories
-from uqharness.report import forced_width, write_figures, write_report, write_residuals
-from uqharness.report.pages import RESIDUALS, slice_section, variation_section
+from uqharness.replay import (
+    CONTROLS,
+    Flight,
+    columns_of,
+    cut_for_residuals,
+    read_histories,
+    write_histories,
+)
+from uqharness.report import (
+    NOISE_FLOOR_RULE,
+    first_lines,
+    gap_verdict,
+    write_figures,
+    write_report,
+    write_residuals,
+    write_tables,
+)
+from uqharness.report.pages import (
+    RESIDUALS,
+    compare_page_of,
+    coverage_page_of,
+    identify_page_of,
+    slice_section,
+    variation_section,
+)
 from uqharness.requests.base import Callback, command_line, silent
-from uqharness.requests.identification import BoundsRequest
+from uqharness.requests.fields import channel_names
+from uqharness.requests.identification import (
+    BoundsRequest,
+    CompareRequest,
+    IdentifyRequest,
+    ValidateBoundsRequest,
+)
 from uqharness.results.base import Outcome
-from uqharness.results.identification import Bounds, BoundsOfCoefficient, Filters
+from uqharness.results.identification import (
+    Bounds,
+    BoundsOfCoefficient,
+    Channel,
+    Compare,
+    Conformal,
+    Coverage,
+    Filters,
+    Fit,
+    FitChannel,
+    FlightPiece,
+    Gap,
+    Manoeuvre,
+    Moment,
+    Nuisance,
+    Parameter,
+    ReplaySpeed,
+    Share,
+    StateBin,
+)
+from uqharness.simulator import Aircraft
+from uqharness.text_tables import csv_text
+
+AnyRequest = IdentifyRequest | CompareRequest | BoundsRequest | ValidateBoundsRequest
+
+
+def _aircraft(request: AnyRequest) -> Aircraft:
+    """Return the aircraft of a request. Raises BadInputError if results cannot be written."""
+    aircraft = carded_aircraft(request.aircraft)
+    if request.out is not None:
+        check_output_folder(request.out)
+    return aircraft
+
+
+def _with_servos(
+    request: AnyRequest,
+    aircraft: Aircraft,
+    ready: ReplayFlights,
+    callback: Callback,
+    workers: int | None = None,
+) -> tuple[list[Flight], bool]:
+    """Return the flights with a note of the chosen servos, and whether these are ideal."""
+    if request.servos == "auto":
+        callback("comparing the card's servos with ideal ones")
+    servos = choose_servos(aircraft, ready.flights, ready.measured, request.servos, workers)
+    return servos.with_note(ready.flights), servos.ideal
+
+
+# Parameters.
+
+
+def identify(request: IdentifyRequest, callback: Callback = silent) -> Outcome[Identification]:
+    """Estimate parameters; write them, their evidence, a page and an aircraft with them."""
+    aircraft = _aircraft(request)
+    callback("reading the flights")
+    ready = replay_flights(request, aircraft)
+    flights, ideal = _with_servos(request, aircraft, ready, callback, request.workers)
+    biases = channel_names(request.biases)
+    result = estimate(
+        aircraft,
+        flights,
+        ready.measured,
+        request.parameters,
+        start=request.start,
+        biases=BIASES if biases is None else biases,
+        delays=channel_names(request.delays),
+        outputs=channel_names(request.outputs),
+        ideal_servos=ideal,
+        method=request.method,
+        workers=request.workers,
+        callback=callback,
+        message_callback=logging.getLogger("uqharness").info,
+    )
+    document = _fit(result, ready, command_line(request))
+    code = 0 if result.converged and result.identified else 1
+    details = [note for flight in flights for note in flight.notes]
+    details += [] if result.speed is None else [result.speed.text()]
+    if request.out is None:
+        lines = [*first_lines(identify_page_of(document)), *details]
+        return Outcome(result, document, lines, code, warnings=document.warnings)
+    callback("report")
+    out = results_folder(request.out)
+    document = _write_estimates(result, aircraft, document, out)
+    write_text(out / "parameters.csv", csv_text(_parameter_rows(result)))
+    write_histories(
+        out,
+        result.segments,
+        {
+            **columns_of(result.outputs, result.measured),
+            **columns_of(result.outputs, result.modelled, "_model"),
+            **columns_of(CONTROLS, [s.controls for s in result.segments]),
+        },
+    )
+    write_json(out / "fit.json", document.as_json())
+    report = write_report(out, request.figures)
+    lines = [report.text, *details]
+    return Outcome(result, document, lines, code, report.path, document.warnings)
+
+
+def _fit(result: Identification, ready: ReplayFlights, command: str) -> Fit:
+    """Return fit.json of an identification."""
+    # Residuals of all segments, channel by channel.
+    residual = [
+        np.concatenate([block[:, k] for block in result.residual])
+        for k in range(len(result.outputs))
+    ]
+    # Whiteness of the residuals, with the model output as context.
+    tint = colour(list(result.residual), list(result.modelled))
+    return Fit(
+        aircraft=result.aircraft,
+        method=result.method,
+        converged=result.converged,
+        parameters={
+            n: Parameter(
+                value=result.theta[i],
+                std=result.std[i],
+                std_crb=result.std_crb[i],
+                status=result.status[n],
+                reason=result.reason[n],
+                initial=result.initial[i],
+            )
+            for i, n in enumerate(result.names)
+        },
+        names=list(result.identified),
+        cov=result.cov.tolist(),
+        warnings=list(result.warnings),
+        fit={
+            channel: FitChannel(
+                rms=rms(residual[k]),
+                noise=result.noise[channel],
+                whiteness_p=tint.p_value[k],
+                predictable_share=tint.predictable[k],
+            )
+            for k, channel in enumerate(result.outputs)
+        },
+        nuisance={n: Nuisance(value=v, std=s) for n, (v, s) in result.nuisance.items()},
+        segments=[
+            FlightPiece(flight=s.flight, label=s.label, start_s=s.time_s[0], end_s=s.time_s[-1])
+            for s in result.segments
+        ],
+        flights=ready.files,
+        # Digests identify the flights, so that `bounds` can warn of their reuse.
+        flights_sha256=ready.sha256,
+        notes=list(result.notes),
+        command=command,
+        simulations=result.simulations,
+        seconds=round(result.seconds, 2),
+        speed=None
+        if result.speed is None
+        else ReplaySpeed(**{k: round(v, 1) for k, v in asdict(result.speed).items()}),
+    )
+
+
+def _write_estimates(result: Identification, aircraft: Aircraft, document: Fit, out: Path) -> Fit:
+    """Write the aircraft with the identified parameters; return the document with a warning of
+    those that the XML does not declare.
+    """
+    estimates = {
+        n: Estimate(
+            float(result.theta[i]),
+            f"{result.theta[i]:.4g} +/- {result.std[i]:.2g} by {result.method} from"
+            f" {', '.join(document.flights)}: uqharness identify",
+        )
+        for i, n in enumerate(result.names)
+        if n in result.identified
+    }
+    unwritten = write_estimates(aircraft, estimates, out / "aircraft")
+    if not unwritten:
+        return document
+    warning = (
+        "not written into the XML, which does not declare them as <property value=...>:"
+        f" {', '.join(unwritten)}"
+    )
+    return document.model_copy(update={"warnings": [*document.warnings, warning]})
+
+
+def _parameter_rows(result: Identification) -> list[dict[str, str]]:
+    """Return the table of parameters as text.
+
+    The columns are those of Table 2.6 of the dissertation: initial value, estimate, corrected
+    standard error, Cramér-Rao bound, status.
+    """
+    return [
+        {
+            "parameter": name,
+            "initial": f"{result.initial[i]:.5g}",
+            "estimate": f"{result.theta[i]:.5g}",
+            "std": f"{result.std[i]:.2g}" if name in result.identified else "",
+            "crb": f"{result.std_crb[i]:.2g}" if name in result.identified else "",
+            "status": result.status[name],
+            "reason": result.reason[name],
+        }
+        for i, name in enumerate(result.names)
+    ]
+
+
+# The gap to a flight.
+
+
+def compare(request: CompareRequest, callback: Callback = silent) -> Outcome[Comparison]:
+    """Measure the gap between a model and a flight; write tables, histories and a page."""
+    aircraft = _aircraft(request)
+    callback("reading the flight")
+    # Late channels stay late: their delays are estimated and reported.
+    ready = replay_flights(request, aircraft, align=False)
+    (flight,), ideal = _with_servos(request, aircraft, ready, callback, request.workers)
+    biases = channel_names(request.biases)
+    comparison = measure_gap(
+        aircraft,
+        flight,
+        ready.measured,
+        biases=BIASES if biases is None else biases,
+        delays=channel_names(request.delays),
+        ideal_servos=ideal,
+        workers=request.workers,
+        callback=callback,
+    )
+    document = _compared(comparison, command_line(request))
+    code = 0 if comparison.reached else 1
+    if request.out is None:
+        return Outcome(comparison, document, first_lines(compare_page_of(document)), code)
+    callback("report")
+    out = results_folder(request.out)
+    write_tables(comparison, out)
+    write_json(out / "compare.json", document.as_json())
+    report = write_report(out, request.figures)
+    return Outcome(comparison, document, [report.text], code, report.path)
+
+
+def _compared(comparison: Comparison, command: str) -> Compare:
+    """Return compare.json of a comparison."""
+    return Compare(
+        aircraft=comparison.aircraft,
+        flight=comparison.flight,
+        reached_noise_floor=comparison.reached,
+        rule=NOISE_FLOOR_RULE,
+        verdict=gap_verdict(comparison),
+        controls_late_s=comparison.controls_late_s,
+        aligned=comparison.aligned,
+        above=list(comparison.above),
+        channels={
+            c: Channel(
+                rms=g.rms,
+                noise=g.noise,
+                ratio=g.ratio,
+                judged=g.judged,
+                delay_s=g.allowed_s + g.shift.seconds,
+                delay_std_s=g.shift.std,
+                theil_u=g.theil.u,
+                theil_bias=g.theil.bias,
+                theil_variance=g.theil.variance,
+                theil_covariance=g.theil.covariance,
+                slip=g.slip,
+                delay_undefined=g.undefined,
+            )
+            for c, g in comparison.channels.items()
+        },
+        coefficients={
+            c: Gap(rms=g.rms, noise=g.noise, mean=g.mean)
+            for c, g in comparison.coefficients.items()
+        },
+        manoeuvres={
+            m: Manoeuvre(
+                channels=dict(row), coefficients=dict(comparison.manoeuvre_coefficients[m])
+            )
+            for m, row in comparison.manoeuvres.items()
+        },
+        moments=[Moment(**vars(m)) for m in comparison.moments],
+        biases={n: v for n, v in comparison.nuisance.items() if n.startswith("bias/")},
+        notes=list(comparison.notes),
+        command=command,
+    )
+
+
+# Bounds of the model's error.
 
 
 def bounds(request: BoundsRequest, callback: Callback = silent) -> Outcome[MadeBounds]:
     """Fit the bounds of a model's error and write the model form, its evidence and a page."""
-    aircraft = carded_aircraft(request.aircraft)
-    if request.out is not None:
-        # Fail before the work if results cannot be written.
-        check_output_folder(request.out)
-    options = _bounds_options(request)
+    aircraft, options = _aircraft(request), _bounds_options(request)
     callback("reading the flights")
-    ready = replay_flights(request, aircraft)
-    # Residual coefficients need more channels than a replay.
-    flights = [cut_for_residuals(flight, ready.measured) for flight in ready.flights]
-    if request.servos == "auto":
-        callback("comparing the card's servos with ideal ones")
-    servos = choose_servos(aircraft, flights, ready.measured, request.servos)
-    flights, options = servos.with_note(flights), replace(options, ideal_servos=servos.ideal)
+    ready = _ready_for_residuals(request, aircraft)
+    flights, ideal = _with_servos(request, aircraft, ready, callback)
+    options = replace(options, ideal_servos=ideal)
     made = make_bounds(aircraft, flights, ready.measured, ready.sha256, options, callback)
     document = _bounds_document(made)
     if request.out is None:
@@ -135,7 +447,8 @@ def _bounds_of(made: MadeBounds, coefficient: str) -> BoundsOfCoefficient:
         n_effective=b.n_effective,
         s=math.sqrt(b.s2),
         mean_width=made.widths[coefficient],
-        noise_width=forced_width(noise, b.confidence),
+        # Width of an interval due to noise alone.
+        noise_width=2.0 * normal_quantile(0.5 + 0.5 * b.confidence) * noise,
         left_out_share=mean_left_out(made.residuals, made.left_out).get(coefficient, math.nan),
         walk_rate=b.walk_rate,
         walk_sigma=made.variations[coefficient].sigma,
@@ -163,3 +476,96 @@ def _write_bounds_figures(made: MadeBounds, out: Path) -> None:
             slice_section(made.form, read_histories(out / RESIDUALS), baseline=made.baseline)
         )
     write_figures(out, sections, f"Model-form bounds of {made.form.aircraft.name}")
+
+
+def _ready_for_residuals(
+    request: BoundsRequest | ValidateBoundsRequest, aircraft: Aircraft
+) -> ReplayFlights:
+    """Return the flights of a request, cut where residual coefficients have their channels."""
+    ready = replay_flights(request, aircraft)
+    return replace(ready, flights=[cut_for_residuals(f, ready.measured) for f in ready.flights])
+
+
+# Coverage of bounds on a new flight.
+
+
+def validate_bounds(
+    request: ValidateBoundsRequest, callback: Callback = silent
+) -> Outcome[Validation]:
+    """Count how much of a flight lies inside bounds from others; write the evidence and a page."""
+    aircraft, form = _aircraft(request), _model_form(request.form)
+    callback("reading the flights")
+    ready = _ready_for_residuals(request, aircraft)
+    flights, ideal = _with_servos(request, aircraft, ready, callback)
+    callback("residual coefficients")
+    validation = validate(aircraft, form, flights, ready.measured, ready.sha256, ideal_servos=ideal)
+    document = _coverage(validation)
+    code = 0 if set(document.verdicts.values()) == {"holds"} else 1
+    if request.out is None:
+        lines = first_lines(coverage_page_of(document))
+        return Outcome(validation, document, lines, code, warnings=validation.warnings)
+    callback("report")
+    out = results_folder(request.out)
+    write_residuals(form, validation.residuals, ", ".join(f.name for f in flights), out)
+    # The provenance is stored in the folder, but is no part of ``--json``.
+    stored = document.model_copy(update={"command": command_line(request), "version": __version__})
+    write_json(out / "coverage.json", stored.as_json())
+    report = write_report(out, figures=True)
+    return Outcome(validation, document, [report.text], code, report.path, validation.warnings)
+
+
+def _model_form(form: Any) -> ModelForm:
+    """Return bounds given as an object or as a file. Raises BadInputError."""
+    form = form.form if isinstance(form, MadeBounds) else form
+    return form if isinstance(form, ModelForm) else load_form(argument_path("form", form))
+
+
+def _coverage(validation: Validation) -> Coverage:
+    """Return coverage.json of a validation, without its provenance."""
+    rows = validation.coverage
+    return Coverage(
+        coverage={
+            c: Share(
+                **{"0.95": row.share[0.95], "0.68": row.share[0.68]},
+                n_effective=row.n_effective,
+                mean_width=row.mean_width,
+            )
+            for c, row in rows.items()
+        },
+        errors={c: _by_level(row.error) for c, row in rows.items()},
+        outside_data={c: row.outside for c, row in rows.items()},
+        manoeuvres={
+            m: {c: _by_level(row.manoeuvres[m]) for c, row in rows.items()}
+            for m in validation.residuals.labels
+        },
+        by_speed=_bins({c: row.speeds for c, row in rows.items()}, "V_mps"),
+        by_incidence=_bins({c: row.incidences for c, row in rows.items()}, "alpha_rad"),
+        conformal={
+            c: Conformal(**asdict(row.conformal))
+            for c, row in rows.items()
+            if row.conformal is not None
+        },
+        verdicts=dict(verdicts(validation)),
+        flight_variance={c: validation.flight_std.get(c, math.nan) for c in rows},
+        failed=list(failed(validation)),
+        warnings=list(validation.warnings),
+        notes=list(validation.notes),
+    )
+
+
+def _by_level(shares: Mapping[float, float]) -> dict[str, float | None]:
+    """Return shares by confidence with the confidence as text."""
+    return {str(level): share for level, share in shares.items()}
+
+
+def _bins(bins: Mapping[str, Sequence[Bin]], state: str) -> list[StateBin]:
+    """Return the coverage by thirds of a state, which are the same for all coefficients."""
+    return [
+        StateBin(
+            state=state,
+            **{"from": first.low, "to": first.high},  # type: ignore[arg-type]
+            samples=first.n,
+            share={c: items[k].share for c, items in bins.items() if k < len(items)},
+        )
+        for k, first in enumerate(max(bins.values(), key=lambda items: len(items)))
+    ]

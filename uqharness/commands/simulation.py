@@ -54,7 +54,7 @@ from uqharness.flight import (
     start_position,
     write_record,
 )
-from uqharness.heartbeat import counted
+from uqharness.heartbeat import counting
 from uqharness.identification import MadeBounds
 from uqharness.isolation import run_unsupervised
 from uqharness.plugin import (
@@ -319,7 +319,7 @@ def modes(request: ModesRequest, callback: Callback = silent) -> Outcome[Modes]:
             request.category,
             request.aircraft_class,
             first=point,
-            callback=counted("speeds trimmed", callback),
+            callback=counting("speeds trimmed", callback),
         )
         _, *trim_lines = [line.strip() for line in _trim_lines(aircraft.name, trim)]
         altitude = f"{condition.altitude_m:g} m above sea level"
@@ -457,7 +457,7 @@ def margins(request: MarginsRequest, callback: Callback = silent) -> Outcome[Mar
         **(gains.properties if gains else {}),
     }
     names: Sequence[str] = request.loop or tuple(LOOPS)
-    update = counted("loops measured", callback)
+    update = counting("loops measured", callback)
     measured: list[LoopMargins] = []
     with StagedMission(aircraft, script) as mission:
         # Each measurement needs instances of its own, at the same condition.
@@ -574,7 +574,7 @@ def diff(request: DiffRequest, callback: Callback = silent) -> Outcome[Differenc
         )
         # XML that differs ranks the likely causes.
         terms = differing_terms(a.folder, b.folder)
-        channels, flights = fly_matched(a, b, matched, counted("flights compared", callback))
+        channels, flights = fly_matched(a, b, matched, counting("flights compared", callback))
     tolerance = ROUNDING if request.tolerance is None else request.tolerance
     all_differences = differences(channels, flights, terms, tolerance)
     first = by_channel(all_differences)

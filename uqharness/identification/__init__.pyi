@@ -20,6 +20,4 @@ from .replay_fit import coefficient_gaps as coefficient_gaps
 from .replay_fit import equation_error_start as equation_error_start
 from .replay_fit import fit_replays as fit_replays
 from .replay_fit import jumping_flights as jumping_flights
-from .replay_fit import parse_channels as parse_channels
-from .servos import SERVOS as SERVOS
 from .servos import choose_servos as choose_servos

@@ -418,7 +418,7 @@ def compare(
     delays: Sequence[str] | None = None,
     ideal_servos: bool = False,
     workers: int | None = None,
-    callback: Callable[[str], None] = lambda stage: None,
+    callback: Callable[[str], object] = lambda stage: None,
 ) -> Comparison:
     """Replay a flight and measure its gap to the model.
 

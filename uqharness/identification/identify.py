@@ -186,7 +186,7 @@ class DescentProgress:
     """
 
     method: str
-    callback: Callable[[str], None]
+    callback: Callable[[str], object]
     tolerance: float
     max_iterations: int
     clock: Callable[[], float] = time.monotonic
@@ -238,7 +238,7 @@ def identify(
     ideal_servos: bool = False,
     method: str = "auto",
     workers: int | None = None,
-    callback: Callable[[str], None] = lambda stage: None,
+    callback: Callable[[str], object] = lambda stage: None,
     message_callback: Callable[[str], None] | None = None,
 ) -> Identification:
     """Estimate JSBSim properties from flights.

@@ -42,6 +42,7 @@ from uqharness.replay import (
     states,
     surface_positions,
 )
+from uqharness.requests.fields import CHANNELS
 from uqharness.text_tables import TabularResult
 
 if TYPE_CHECKING:
@@ -522,53 +523,11 @@ def demanded_coefficients(
     )
 
 
-# Fitted channels, and their names in options.
+# Fitted channels.
 
-OUTPUTS = (
-    "V_mps",
-    "alpha_rad",
-    "beta_rad",
-    "phi_rad",
-    "theta_rad",
-    "p_radps",
-    "q_radps",
-    "r_radps",
-    "ax_mps2",
-    "ay_mps2",
-    "az_mps2",
-)
-"""Channels that are fitted; height and heading are integrals of the others and drift in real
-sensors.
-"""
+OUTPUTS = tuple(CHANNELS.values())
 BIASES = ("p_radps", "q_radps", "r_radps")
 """Channels whose sensors have a constant bias in each flight."""
-
-
-def parse_channels(option: str, text: str | None) -> tuple[str, ...] | None:
-    """Parse the channel names of an option; None where it was not given.
-
-    Short forms p, alpha, ax mean p_radps, alpha_rad, ax_mps2. Raises BadInputError.
-
-    >>> parse_channels("--biases", "p, q_radps")
-    ('p_radps', 'q_radps')
-    """
-    from uqharness.replay import CONTROL_DELAY
-
-    if text is None:
-        return None
-    if text in ("none", ""):
-        return ()
-    short = {c.split("_")[0]: c for c in OUTPUTS}
-    names = [short.get(n.strip(), n.strip()) for n in text.split(",")]
-    # Only delays apply to the controls.
-    extra_names = (CONTROL_DELAY,) if option == "--delays" else ()
-    unknown = [n for n in names if n not in (*OUTPUTS, *extra_names)]
-    if unknown:
-        raise BadInputError(
-            f"{option} {text}: unknown channel {unknown[0]}; allowed are none,"
-            f" {', '.join((*extra_names, *short))}"
-        )
-    return tuple(dict.fromkeys(names))
 
 
 # Result of an identification.

@@ -33,8 +33,6 @@ from uqharness.parallel import worker_map
 from uqharness.replay import CONTROLS, LATE_ROWS, Flight, control_columns
 from uqharness.simulator import Aircraft, engine
 
-SERVOS = ("auto", "card", "ideal")
-"""Choices: by likelihood, the card's actuators, or surfaces that follow their commands at once."""
 SURFACES = CONTROLS[:3]
 WINDOWS_PER_SURFACE = 2
 """Fitted windows a surface, those in which it moves fastest on average."""

@@ -29,6 +29,7 @@ from sysid.arrays import FloatArray
 from sysid.units import FT_M
 from uqharness.replay.model import ReplayModel, control_setters, terrain_m
 from uqharness.replay.segments import Segment
+from uqharness.requests.fields import CONTROL_DELAY as CONTROL_DELAY
 from uqharness.simulator import (
     SHORTEST_S,
     STANDARD,
@@ -145,8 +146,6 @@ SENSOR_OF = {
     "az_mps2": "accelerations",
 }
 """Channels that come from one sensor and share its delay; every other channel has its own."""
-CONTROL_DELAY = "controls"
-"""Name of the common delay of all controls."""
 UNSEEN = "unseen"
 """Name of the share of a control's jump that the accelerometers of its row have not seen."""
 MAX_STEP_S = 0.005

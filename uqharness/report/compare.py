@@ -1,4 +1,4 @@
-"""Write the results of a comparison: compare.json, CSV tables and the terminal's tables."""
+"""Write the tables of a comparison, and say in a sentence what it shows."""
 
 from __future__ import annotations
 
@@ -6,71 +6,15 @@ from pathlib import Path
 from typing import Any
 
 from sysid.aerodynamics import COEFFICIENTS
-from uqharness.files import finite, write_json, write_text
+from uqharness.files import write_text
 from uqharness.identification import LIMIT, Comparison
 from uqharness.replay import CONTROLS, columns_of, write_histories
 from uqharness.report.pages.compare import noise_floor
 from uqharness.text_tables import csv_text
 
-_RULE = f"the noise floor is reached when no judged channel's rms is above {LIMIT} times its noise"
-
-
-def document_of(comparison: Comparison) -> dict[str, Any]:
-    """Return the content of compare.json.
-
-    Parameters
-    ----------
-    comparison : Comparison
-        Result of the comparison.
-
-    Returns
-    -------
-    dict
-        Residuals, delays [s] and Theil coefficients by channel; numbers that are not finite are
-        null.
-    """
-    return {
-        "aircraft": comparison.aircraft,
-        "flight": comparison.flight,
-        "reached_noise_floor": comparison.reached,
-        "rule": _RULE,
-        "verdict": verdict(comparison),
-        "controls_late_s": comparison.controls_late_s,
-        "aligned": comparison.aligned,
-        "above": list(comparison.above),
-        "channels": {
-            c: finite(
-                {
-                    "rms": g.rms,
-                    "noise": g.noise,
-                    "ratio": g.ratio,
-                    "judged": g.judged,
-                    "delay_s": g.allowed_s + g.shift.seconds,
-                    "delay_std_s": g.shift.std,
-                    "theil_u": g.theil.u,
-                    "theil_bias": g.theil.bias,
-                    "theil_variance": g.theil.variance,
-                    "theil_covariance": g.theil.covariance,
-                }
-            )
-            | {"slip": g.slip, "delay_undefined": g.undefined}
-            for c, g in comparison.channels.items()
-        },
-        "coefficients": {
-            c: finite({"rms": g.rms, "noise": g.noise, "mean": g.mean})
-            for c, g in comparison.coefficients.items()
-        },
-        "manoeuvres": {
-            m: {
-                "channels": finite(row),
-                "coefficients": finite(comparison.manoeuvre_coefficients[m]),
-            }
-            for m, row in comparison.manoeuvres.items()
-        },
-        "moments": [finite(vars(m)) for m in comparison.moments],
-        "biases": {n: v for n, v in comparison.nuisance.items() if n.startswith("bias/")},
-        "notes": list(comparison.notes),
-    }
+NOISE_FLOOR_RULE = (
+    f"the noise floor is reached when no judged channel's rms is above {LIMIT} times its noise"
+)
 
 
 def channel_rows(comparison: Comparison) -> list[dict[str, str]]:
@@ -141,19 +85,8 @@ def moment_rows(comparison: Comparison) -> list[dict[str, str]]:
     ]
 
 
-def write_tables(comparison: Comparison, document: dict[str, Any], out: Path) -> None:
-    """Write compare.json, histories.parquet and the CSV tables.
-
-    Parameters
-    ----------
-    comparison : Comparison
-        Result of the comparison.
-    document : dict
-        Content of compare.json.
-    out : Path
-        Folder.
-    """
-    # CSV tables as on the screen.
+def write_tables(comparison: Comparison, out: Path) -> None:
+    """Write histories.parquet and the CSV tables of a comparison into a folder."""
     tables = {
         "channels": channel_rows(comparison),
         "coefficients": coefficient_rows(comparison),
@@ -174,10 +107,9 @@ def write_tables(comparison: Comparison, document: dict[str, Any], out: Path) ->
             **columns_of(COEFFICIENTS, comparison.predicted, "_model"),
         },
     )
-    write_json(out / "compare.json", document)
 
 
-def verdict(comparison: Comparison) -> str:
+def gap_verdict(comparison: Comparison) -> str:
     """Return one sentence on whether the model reaches the noise floor, and if not, why."""
     # Wrong signs or scales come first: delays and residuals mean nothing before they are corrected.
     if not comparison.reached and comparison.slips:
@@ -197,5 +129,7 @@ def verdict(comparison: Comparison) -> str:
             " identified from this flight gets this lag in addition."
         )
     return noise_floor(
-        comparison.reached, {c: comparison.channels[c].ratio for c in comparison.above}, _RULE
+        comparison.reached,
+        {c: comparison.channels[c].ratio for c in comparison.above},
+        NOISE_FLOOR_RULE,
     )

@@ -18,6 +18,7 @@ import jinja2
 from markupsafe import Markup
 
 from sysid.display import visible
+from uqharness.results.base import Part
 from uqharness.text_tables import text_table
 
 Level = Literal["good", "warn", "bad", ""]
@@ -308,13 +309,13 @@ def percent(value: float | None, form: str = ".3g") -> str:
 
 
 def remarks(
-    document: Mapping[str, Any], key: Iterable[str] = ("warnings", "notes")
+    document: Mapping[str, Any] | Part, key: Iterable[str] = ("warnings", "notes")
 ) -> tuple[Section, ...]:
     """Return the section of a document's warnings and notes.
 
     Parameters
     ----------
-    document : mapping
+    document : Part or mapping
         Holds the lists "warnings" and "notes".
     key : iterable of str
         Lists that a terminal shows as well.

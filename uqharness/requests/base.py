@@ -35,7 +35,7 @@ Model = TypeVar("Model", bound="Request")
 
 _SHORT = reprlib.Repr()
 _SHORT.maxstring = _SHORT.maxother = 80
-_LIMITS = {"gt": "above {:g}", "ge": "of at least {:g}", "lt": "below {:g}", "le": "up to {:g}"}
+_LIMITS = {"gt": "above", "ge": "of at least", "lt": "below", "le": "up to"}
 
 
 @dataclass(frozen=True)
@@ -301,16 +301,39 @@ def messages(
             yield "", text
             continue
         info, field_option = options[name]
-        if item["type"] == "missing":
-            yield name, f"{labels[name]}: required; {requirement(info, field_option)} is needed"
-            continue
         beginning = place.assignment(labels[name], values.get(name, item["input"]))
-        if item["type"] in ("value_error", "assertion_error"):
-            yield name, f"{beginning}: {text}"
-        elif (allowed := _choices(info)) is not None:
-            yield name, f"{beginning}: allowed are {', '.join(map(str, allowed))}"
-        else:
-            yield name, f"{beginning}: {requirement(info, field_option)} is needed"
+        missing = item["type"] == "missing"
+        yield (
+            name,
+            problem(item["type"], text, info, labels[name] if missing else beginning, field_option),
+        )
+
+
+def problem(
+    kind: str, text: str, info: FieldInfo, beginning: str, field_option: Option | None = None
+) -> str:
+    """Return the message of one of pydantic's errors about a field.
+
+    Parameters
+    ----------
+    kind, text : str
+        Type of the error, and what a validator says.
+    info : FieldInfo
+        The field.
+    beginning : str
+        The field with the received value; the field alone if the value is missing.
+    field_option : Option, optional
+        How the field is written.
+    """
+    needed = requirement(info, field_option or Option())
+    if kind == "missing":
+        return f"{beginning}: required; {needed} is needed"
+    if kind in ("value_error", "assertion_error"):
+        return f"{beginning}: {text}"
+    allowed = _choices(info)
+    if allowed is not None:
+        return f"{beginning}: allowed are {', '.join(map(str, allowed))}"
+    return f"{beginning}: {needed} is needed"
 
 
 def unknown_name(name: str, options: Mapping[str, tuple[FieldInfo, Option]], place: Place) -> str:
@@ -327,19 +350,28 @@ def requirement(info: FieldInfo, field_option: Option) -> str:
         return field_option.needed
     base = base_type(info.annotation)
     bounds = [
-        _LIMITS[attribute].format(getattr(item, attribute))
+        f"{_LIMITS[attribute]} {bound if isinstance(bound, int) else f'{bound:g}'}"
         for attribute in ("gt", "ge", "lt", "le")
         for item in info.metadata
-        if getattr(item, attribute, None) is not None
+        if (bound := getattr(item, attribute, None)) is not None
     ]
+    pattern = next((m.pattern for m in info.metadata if getattr(m, "pattern", None)), None)
     noun = {
         float: "a finite number" if not bounds else "a number",
         int: "a whole number",
         bool: "True or False",
         Path: "a path, as a str or a Path,",
-        str: "a text",
-    }.get(base, "a name or several" if base is tuple else "a mapping" if base is dict else "")
-    return " ".join([noun or "another value", " and ".join(bounds)]).strip()
+        str: "a text" if pattern is None else f"a text of the form {pattern}",
+        dict: "a mapping",
+    }.get(base, "another value")
+    if base is tuple:
+        arguments = typing.get_args(_bare(info.annotation))
+        items = "number" if base_type((*arguments, str)[0]) in (float, int) else "name"
+        fixed = arguments and Ellipsis not in arguments
+        noun = f"a list of {len(arguments)} {items}s" if fixed else f"a {items} or several"
+    elif isinstance(base, type) and issubclass(base, BaseModel):
+        noun = "a section"
+    return " ".join([noun, " and ".join(bounds)]).strip()
 
 
 def base_type(annotation: Any) -> Any:
@@ -369,6 +401,8 @@ def _bare(annotation: Any) -> Any:
 def _choices(info: FieldInfo) -> tuple[Any, ...] | None:
     """Return the values of a Literal; None for other types."""
     annotation = info.annotation
+    if base_type(annotation) is dict:
+        return None
     for part in (annotation, *typing.get_args(annotation)):
         if typing.get_origin(part) is Literal:
             return typing.get_args(part)
@@ -479,6 +513,7 @@ def read_section(
     heading: str,
     line: Callable[[str], tuple[Path | str, int]],
     also: Mapping[str, Any] | None = None,
+    own: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Return the fields that a section of a settings file sets.
 
@@ -493,8 +528,10 @@ def read_section(
     line : callable
         Key to file and line.
     also : mapping, optional
-        Values that the file does not hold, such as the folder of the results; for the checks that
+        Values that the file must not hold, such as the folder of the results; for the checks that
         concern several fields.
+    own : sequence of str
+        Keys of the section that are no field, for messages about unknown keys.
 
     Raises
     ------
@@ -502,7 +539,8 @@ def read_section(
         With ``file:line: [section] key = value: what is allowed`` for each mistake.
     """
     options = options_of(model)
-    keys = {o.key or name: name for name, (_, o) in options.items() if o.toml}
+    also = also or {}
+    keys = {o.key or n: n for n, (_, o) in options.items() if o.toml and n not in also}
     place = Place(
         lambda name, o: f"{heading} {o.key or name}",
         lambda label, value: f"{label} = {toml_text(value)}",
@@ -515,14 +553,15 @@ def read_section(
             values[keys[key]] = value
         else:
             # The name of the section is part of the label of every key.
-            close = difflib.get_close_matches(key, keys, n=1, cutoff=0.5)
+            allowed = [*own, *keys]
+            close = difflib.get_close_matches(key, allowed, n=1, cutoff=0.5)
             hint = f"did you mean {close[0]}? " if close else ""
-            lines.append((key, f"{heading} {key}: unknown; {hint}allowed: {', '.join(keys)}"))
+            lines.append((key, f"{heading} {key}: unknown; {hint}allowed: {', '.join(allowed)}"))
     try:
-        request = model.model_validate({**(also or {}), **values})
+        request = model.model_validate({**also, **values})
     except ValidationError as error:
         names = {name: key for key, name in keys.items()}
-        for name, message in messages(model, error, {**(also or {}), **values}, place):
+        for name, message in messages(model, error, {**also, **values}, place):
             lines.append((names.get(name, name), message))
     if lines:
         located = [(*line(key), message) for key, message in lines]
@@ -542,18 +581,19 @@ def toml_text(value: Any) -> str:
 # The command that repeats a result.
 
 
-def command_words(request: Request) -> list[str]:
+def command_words(request: Request, full: bool = False) -> list[str]:
     """Return the command that repeats a request: file names only, no option at its default.
 
-    Folders and pages that are written, and what only says how a command prints, are left out.
+    Folders and pages that are written, and what only says how a command prints, are left out;
+    ``full`` writes them and whole paths, for a command that is pasted into a shell.
     """
     positional, flags = [], []
     for name, (info, o) in options_of(type(request)).items():
         value = getattr(request, name)
         default = None if info.is_required() else info.get_default(call_default_factory=True)
-        if not (o.cli and o.provenance) or value is None or value == default:
+        if not (o.cli and (o.provenance or full)) or value is None or value == default:
             continue
-        words = [o.write(value)] if o.write else _words(value)
+        words = [o.write(value)] if o.write else _words(value, full)
         if o.flag == "":
             positional += words
         elif isinstance(value, bool):
@@ -568,20 +608,23 @@ def command_words(request: Request) -> list[str]:
     return ["uqharness", *request.command.split(), *positional, *flags]
 
 
-def command_line(request: Request) -> str:
+def command_line(request: Request, full: bool = False) -> str:
     """Return `command_words` as one shell line."""
-    return shlex.join(command_words(request))
+    return shlex.join(command_words(request, full))
 
 
-def _words(value: Any) -> list[str]:
+def _words(value: Any, full: bool) -> list[str]:
     """Return a value as words of the command line."""
     if isinstance(value, Mapping):
-        return [f"{key}={','.join(_words(item))}" for key, item in value.items()]
+        return [f"{key}={','.join(_words(item, full))}" for key, item in value.items()]
     if isinstance(value, tuple | list):
-        return [word for item in value for word in _words(item)]
+        return [word for item in value for word in _words(item, full)]
     if isinstance(value, Path):
-        return [value.name]
-    return [str(getattr(value, "name", value))]
+        return [str(value) if full else value.name]
+    if isinstance(value, str | Real):
+        return [str(value)]
+    # Objects of Python have no other words.
+    return [str(getattr(value, "name", type(value).__name__))]
 
 
 Callback = Callable[[str], object]

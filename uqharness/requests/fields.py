@@ -2,25 +2,94 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
+from os import PathLike
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field
+from pydantic_core import PydanticCustomError
 
-from uqharness.requests.base import FilePath, WholeNumber, one_or_several, option
+from uqharness.requests.base import FilePath, Names, WholeNumber, one_or_several, option
 
 FLIGHT_FILE = "record (.parquet, .csv) or any log that `log import` reads"
 
 AircraftSource = Any
 """Name or folder of an aircraft, or in Python what `find_aircraft` returns."""
-FlightSources = Annotated[tuple[Any, ...], BeforeValidator(one_or_several), Field(min_length=1)]
+
+
+def _path_or_object(value: Any) -> Any:
+    """Return a text or path object as Path, other objects unchanged."""
+    return Path(value) if isinstance(value, str | PathLike) else value
+
+
+FileOrObject = Annotated[Any, BeforeValidator(_path_or_object)]
+
+
+def _flight_source(value: Any) -> Any:
+    """Return a flight, a path as Path; pydantic's error for what is neither."""
+    path = _path_or_object(value)
+    if not (isinstance(path, Path) or hasattr(path, "record") or hasattr(path, "columns")):
+        raise PydanticCustomError("flight", "is no flight")
+    return path
+
+
+FlightSources = Annotated[
+    tuple[Annotated[Any, BeforeValidator(_flight_source)], ...],
+    BeforeValidator(one_or_several),
+    Field(min_length=1),
+]
 """Files of flights, or in Python FlightRecords and what `fly` and `read_flights` return."""
 FlightNumbers = Annotated[
     tuple[Annotated[WholeNumber, Field(ge=1)], ...], BeforeValidator(one_or_several)
 ]
 Workers = WholeNumber | None
 Servos = Literal["auto", "card", "ideal"]
+
+CHANNELS: Mapping[str, str] = {
+    "V": "V_mps",
+    "alpha": "alpha_rad",
+    "beta": "beta_rad",
+    "phi": "phi_rad",
+    "theta": "theta_rad",
+    "p": "p_radps",
+    "q": "q_radps",
+    "r": "r_radps",
+    "ax": "ax_mps2",
+    "ay": "ay_mps2",
+    "az": "az_mps2",
+}
+"""Short and full names of the channels that are fitted; height and heading are integrals of the
+others and drift in real sensors.
+"""
+CONTROL_DELAY = "controls"
+"""Stands for all controls among the signals with a delay."""
+
+
+def channel_names(names: Iterable[str] | None) -> tuple[str, ...] | None:
+    """Return the full names of channels, each once; None where none were given.
+
+    >>> channel_names(["p", "q_radps", "p_radps"])
+    ('p_radps', 'q_radps')
+    """
+    return None if names is None else tuple(dict.fromkeys(CHANNELS.get(n, n) for n in names))
+
+
+def _channels_and(*more: str) -> Callable[[tuple[str, ...]], tuple[str, ...]]:
+    """Return a check of channel names."""
+    short = (*more, *CHANNELS)
+
+    def check(names: tuple[str, ...]) -> tuple[str, ...]:
+        for name in names:
+            if name not in (*short, *CHANNELS.values()):
+                raise ValueError(f"unknown channel {name}; allowed are none, {', '.join(short)}")
+        return names
+
+    return check
+
+
+Channels = Annotated[Names, AfterValidator(_channels_and())] | None
+DelayedSignals = Annotated[Names, AfterValidator(_channels_and(CONTROL_DELAY))] | None
 
 
 def aircraft() -> Any:

@@ -1,13 +1,13 @@
-"""Requests of bounds."""
+"""Requests of identify, compare, bounds and validate-bounds."""
 
 from __future__ import annotations
 
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import BeforeValidator, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
 from uqharness.requests import fields
-from uqharness.requests.base import Flag, Number, Request, option, split_names
+from uqharness.requests.base import Flag, Names, Number, Request, option, split_names
 
 
 def _by_coefficient(value: Any) -> Any:
@@ -20,6 +20,132 @@ def _by_coefficient(value: Any) -> Any:
 
 
 NamesByCoefficient = Annotated[dict[str, tuple[str, ...]], BeforeValidator(_by_coefficient)]
+
+
+class IdentifyRequest(Request):
+    """Estimate an aircraft's parameters from flight logs or records by output error, or by filter
+    error in turbulence (see docs/identification.md).
+    """
+
+    command: ClassVar[str] = "identify"
+    summary: ClassVar[str] = "parameters from flights"
+    no: ClassVar[str] = "not converged, or no parameter identified"
+    examples: ClassVar[str] = """
+  uqharness identify espaaro --flight doublets.parquet --out identified
+  uqharness identify espaaro --flight flight1.bin --servos ideal --out identified
+  uqharness identify espaaro --flight a.csv b.csv --params aero/Cm_q,aero/Cm_de --out identified
+
+Writes DIR/fit.json, DIR/report.html, DIR/parameters.csv, DIR/figures/*.svg, and DIR/aircraft, an
+AIRCRAFT with the estimates."""
+
+    aircraft: fields.AircraftSource = fields.aircraft()
+    flights: fields.FlightSources = fields.flights()
+    out: fields.OptionalPath = fields.out(required=False)
+    signal_map: fields.OptionalPath = fields.signal_map()
+    flight_number: fields.FlightNumbers = fields.flight_number()
+    manoeuvres: fields.OptionalPath = fields.manoeuvres()
+    servos: fields.Servos = fields.servos()
+    biases: fields.Channels = fields.biases()
+    delays: fields.DelayedSignals = fields.delays()
+    parameters: Annotated[Names, Field(min_length=1)] | None = option(
+        None,
+        "JSBSim properties to estimate (default: the card's [parameters] that the flights excite)",
+        flag="--params",
+        key="params",
+        metavar="P,P",
+        kind="str or sequence of str, optional",
+        needed="a property or several, such as aero/Cm_q,",
+    )
+    outputs: fields.Channels = option(
+        None,
+        "channels to fit, such as q,alpha,az (default: all; without parameters to estimate those on"
+        " which a parameter acts)",
+        metavar="C,C",
+        kind="str or sequence of str, optional",
+    )
+    start: Literal["initial", "current"] = option(
+        "current", "start values: the card's (initial) or the XML's (current)"
+    )
+    method: Literal["auto", "output-error", "filter-error"] = option(
+        "auto", "auto: output error, then filter error if its residuals show turbulence"
+    )
+    workers: fields.Workers = fields.workers()
+    figures: Flag = fields.figures()
+
+
+class CompareRequest(Request):
+    """Replay a flight by segment and measure the gap to the model against the sensors' noise."""
+
+    command: ClassVar[str] = "compare"
+    summary: ClassVar[str] = "compare a flight with the model"
+    done: ClassVar[str] = "the model reaches the noise floor"
+    no: ClassVar[str] = "it does not"
+    examples: ClassVar[str] = """
+  uqharness compare espaaro --flight doublets.parquet --out gap
+  uqharness compare identified/aircraft --flight flight3.bin --servos ideal --out gap
+
+Writes DIR/compare.json, channels.csv, coefficients.csv, manoeuvres.csv, moments.csv,
+histories.parquet, report.html and figures/*.svg. The model reaches the noise floor where the rms of
+measured minus model is at most 1.15 times the noise in all recorded channels among V, alpha, beta,
+phi, theta, p, q, r, ax, ay, az."""
+
+    aircraft: fields.AircraftSource = fields.aircraft()
+    flight: Annotated[fields.FlightSources, Field(max_length=1)] = option(
+        ...,
+        fields.FLIGHT_FILE,
+        metavar="FILE",
+        positional=True,
+        kind="flight",
+        needed="one flight (a path, a FlightRecord, a Flight)",
+        toml=False,
+    )
+    out: fields.OptionalPath = fields.out(required=False)
+    signal_map: fields.OptionalPath = fields.signal_map()
+    flight_number: fields.FlightNumbers = fields.flight_number()
+    manoeuvres: fields.OptionalPath = fields.manoeuvres()
+    servos: fields.Servos = fields.servos()
+    biases: fields.Channels = fields.biases()
+    delays: fields.DelayedSignals = fields.delays()
+    workers: fields.Workers = fields.workers()
+    figures: Flag = fields.figures()
+
+    @property
+    def flights(self) -> fields.FlightSources:
+        """Return the flight as commands of several flights name it."""
+        return self.flight
+
+
+class ValidateBoundsRequest(Request):
+    """Count the residuals of a flight that lie within bounds made from other flights, sensor noise
+    allowed for.
+    """
+
+    command: ClassVar[str] = "validate-bounds"
+    summary: ClassVar[str] = "coverage of bounds on a new flight"
+    done: ClassVar[str] = "the bounds hold"
+    no: ClassVar[str] = (
+        "some coefficient's 95 % bounds do not hold, or the flight is too short to tell"
+    )
+    examples: ClassVar[str] = """
+  uqharness validate-bounds espaaro bounds/model-form.json --flight flight3.parquet
+  uqharness validate-bounds espaaro bounds/model-form.json --flight flight3.bin --out check"""
+
+    aircraft: fields.AircraftSource = fields.aircraft()
+    form: fields.FileOrObject = option(
+        ...,
+        "model-form.json of `uqharness bounds`",
+        flag="",
+        metavar="MODEL-FORM.json",
+        kind="str, Path, ModelForm or MadeBounds",
+        positional=True,
+        toml=False,
+    )
+    flights: fields.FlightSources = fields.flights()
+    out: fields.OptionalPath = fields.out(required=False)
+    signal_map: fields.OptionalPath = fields.signal_map()
+    flight_number: fields.FlightNumbers = fields.flight_number()
+    manoeuvres: fields.OptionalPath = fields.manoeuvres()
+    servos: fields.Servos = fields.servos()
 
 
 class BoundsRequest(Request):

@@ -43,6 +43,7 @@ def _properties() -> Any:
         {},
         "JSBSim property set before the flight; repeatable",
         flag="--set",
+        key="set",
         metavar="PROP=VALUE",
         repeat=True,
         kind="Mapping, optional",
@@ -94,6 +95,7 @@ class FlyRequest(Request):
         "flight record: .csv, .parquet or .bin (ArduPilot DataFlash) (default: nothing is written)",
         metavar="FILE",
         provenance=False,
+        toml=False,
     )
     page: fields.Page = fields.page("the ground track and every channel over time", "--page")
 

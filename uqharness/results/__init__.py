@@ -2,8 +2,23 @@
 
 DOCUMENTS: dict[str, str] = {
     "bounds": "identification:Bounds",
+    "campaign-area": "campaign:Areas",
+    "campaign-check": "campaign:CampaignCost",
+    "campaign-convergence": "campaign:Convergence",
+    "campaign-merge": "campaign:Merged",
+    "campaign-report": "campaign:CampaignPage",
+    "campaign-rerun": "campaign:Rerun",
+    "campaign-run": "campaign:CampaignRun",
+    "campaign-salvage": "campaign:Salvaged",
+    "campaign-status": "campaign:CampaignStatus",
+    "campaign-verify": "campaign:FolderCheck",
+    "compare": "identification:Compare",
+    "completion": "folders:CompletionScript",
     "diff": "simulation:Differences",
+    "dossier": "folders:DossierFile",
+    "export": "exchange:Loss",
     "fly": "simulation:FlownFlight",
+    "identify": "identification:Fit",
     "instrument": "simulation:PluginOutcome",
     "log-export": "logs:Playback",
     "log-import": "logs:ImportedLog",
@@ -11,5 +26,13 @@ DOCUMENTS: dict[str, str] = {
     "log-map": "logs:ProposedMap",
     "margins": "simulation:Margins",
     "modes": "simulation:Modes",
+    "next-flight": "next_flight:NextFlightPlan",
+    "next-flight-redone": "next_flight:AchievedNarrowing",
+    "refine": "refinement:Refinement",
+    "report": "folders:ReportFile",
+    "sensitivity": "sensitivity:CampaignSensitivity",
+    "sensitivity-modal": "sensitivity:ModalSensitivity",
+    "study": "study:Study",
+    "validate-bounds": "identification:Coverage",
 }
-"""Command, its words joined by "-", to the model of what it prints with ``--json``."""
+"""Command, with "-" for blanks, to the model of its document, ``module:Class``."""

@@ -60,8 +60,11 @@ Ends = Annotated[list[Number], BeforeValidator(_as_list), Field(min_length=2, ma
 """Lower and upper end of an interval."""
 
 
-class Part(BaseModel):
-    """An object of a result: no type conversion, unknown keys kept, immutable."""
+class Part(BaseModel, Mapping[str, Any]):
+    """An object of a result: no type conversion, unknown keys kept, immutable.
+
+    Besides its attributes it has the keys that were set, as a mapping.
+    """
 
     model_config = ConfigDict(strict=True, extra="allow", populate_by_name=True, frozen=True)
 
@@ -69,24 +72,20 @@ class Part(BaseModel):
         """Return the keys that were set, in the order of the fields, as JSON has them."""
         return self.model_dump(mode="json", by_alias=True, exclude_unset=True)
 
-    # A result also answers as the dictionary that its JSON is: result["key"], dict(result).
+    def _names(self) -> dict[str, str]:
+        """Return the attribute of each key that was set, in the order of the file."""
+        fields = {n: f.alias or n for n, f in type(self).model_fields.items()}
+        names = {key: name for name, key in fields.items() if name in self.model_fields_set}
+        return names | {name: name for name in self.model_extra or ()}
 
     def __getitem__(self, key: str) -> Any:
-        return self.as_json()[key]
+        return getattr(self, self._names()[key])
 
     def __iter__(self) -> Iterator[str]:  # type: ignore[override]
-        return iter(self.as_json())
+        return iter(self._names())
 
-    def __contains__(self, key: object) -> bool:
-        return key in self.as_json()
-
-    def get(self, key: str, default: Any = None) -> Any:
-        """Return the value of a key, or the default."""
-        return self.as_json().get(key, default)
-
-    def keys(self) -> list[str]:
-        """Return the keys that were set."""
-        return list(self.as_json())
+    def __len__(self) -> int:
+        return len(self._names())
 
 
 Shape = TypeVar("Shape", bound=Part)
@@ -111,6 +110,8 @@ class Outcome(Generic[T_co]):
         Page with everything that the lines leave out.
     warnings : sequence of str
         Sentences for standard error.
+    cut : bool
+        Whether `text` stops after `MOST_LINES` lines; False where the text is a file.
     """
 
     value: T_co
@@ -119,6 +120,7 @@ class Outcome(Generic[T_co]):
     code: int = 0
     report: Path | None = None
     warnings: Sequence[str] = field(default_factory=tuple)
+    cut: bool = True
 
     def as_json(self) -> Mapping[str, Any]:
         """Return the document as JSON has it."""
@@ -131,7 +133,7 @@ class Outcome(Generic[T_co]):
         # The path of the report is printed once, by the last line.
         lines = [line for line in lines if not (end and str(self.report) in line)]
         room = MOST_LINES - len(end)
-        if len(lines) > room:
+        if self.cut and len(lines) > room:
             place = "in the report" if end else "with --json"
             more = len(lines) - room + 1
             lines = [*lines[: room - 1], f"{more} more lines {place}"]

@@ -123,7 +123,7 @@ CALLS: list[tuple[str, Callable[..., Any], dict[str, Any], str]] = [
         "identify-none",
         uq.identify,
         {"aircraft": "espaaro", "flights": "a.csv", "parameters": []},
-        "parameters is empty",
+        r"parameters = \[\]: a property or several",
     ),
     (
         "identify-type",

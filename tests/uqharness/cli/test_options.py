@@ -9,10 +9,13 @@ from pathlib import Path
 
 import pytest
 
-from uqharness.cli import options
-from uqharness.cli.main import build_parser, complete_parser
-from uqharness.cli.options import Command, commands_of
+from uqharness.cli.arguments import request_of
+from uqharness.cli.main import build_parser, complete_parser, run_words
+from uqharness.cli.options import Command, RequestCommand, commands_of
 from uqharness.errors import BadInputError
+from uqharness.files import results_folder
+from uqharness.requests.base import command_line, command_words
+from uqharness.requests.identification import BoundsRequest
 
 
 def leaves(parser: argparse.ArgumentParser) -> list[argparse.ArgumentParser]:
@@ -26,39 +29,12 @@ def commands() -> list[argparse.ArgumentParser]:
     return leaves(complete_parser())
 
 
-@pytest.mark.parametrize(("text", "value"), [("1", 1), ("1000", 1000)])
-def test_a_whole_number_within_its_limits_is_read(text: str, value: int) -> None:
-    assert options.integer("--n", 1, 1000)(text) == value
-
-
-@pytest.mark.parametrize("text", ["0", "-3", "1001", "2.5", "many", ""])
-def test_a_whole_number_beyond_them_is_refused_by_name(text: str) -> None:
-    with pytest.raises(
-        BadInputError, match=f"--n {text}: a whole number of at least 1 and up to 1000 is needed"
-    ):
-        options.integer("--n", 1, 1000)(text)
-
-
-@pytest.mark.parametrize("text", ["0", "121", "nan", "inf", "five"])
-def test_a_number_beyond_its_limits_is_refused_by_name(text: str) -> None:
-    with pytest.raises(BadInputError, match=f"--t {text}: a time above 0 and up to 120 is needed"):
-        options.number("--t", "a time", above=0.0, maximum=120.0)(text)
-
-
-def test_the_ends_of_a_range_belong_to_it_but_for_above() -> None:
-    assert options.number("--t", minimum=0.0)("0") == 0.0
-    assert options.number("--t", above=0.0, maximum=120.0)("120") == 120.0
-    assert options.number("--angle")("-270") == -270.0
-    with pytest.raises(BadInputError, match="--angle inf: a number is needed"):
-        options.number("--angle")("inf")
-
-
-def made(*words: str) -> argparse.Namespace:
-    return build_parser().parse_args(words)
+def made(*words: str) -> BoundsRequest:
+    return request_of(BoundsRequest, build_parser().parse_args(words))
 
 
 def test_the_words_that_repeat_a_command_name_files_and_leave_out_defaults() -> None:
-    args = made(
+    request = made(
         "bounds",
         "espaaro",
         "--flight",
@@ -71,9 +47,7 @@ def test_the_words_that_repeat_a_command_name_files_and_leave_out_defaults() -> 
         "2",
         "--no-check",
     )
-    assert (
-        options.command_as_given(args) == "uqharness bounds espaaro --flight x.bin y.bin --no-check"
-    )
+    assert command_line(request) == "uqharness bounds espaaro --flight x.bin y.bin --no-check"
 
 
 def test_a_repeated_option_is_repeated_and_the_words_are_those_of_the_same_command() -> None:
@@ -89,17 +63,20 @@ def test_a_repeated_option_is_repeated_and_the_words_are_those_of_the_same_comma
         "--out",
         "o",
     )
-    words = options.command_words(made(*given))
+    words = command_words(made(*given))
     assert words.count("--states") == 2
     again = made(*words[1:], "--out", "o")
-    assert (again.states, again.flight) == (["CX=V", "Cm=alpha,q"], [Path("x.bin")])
+    assert (again.states, again.flights) == (
+        {"CX": ("V",), "Cm": ("alpha", "q")},
+        (Path("x.bin"),),
+    )
 
 
 def test_a_folder_that_cannot_be_made_is_one_sentence(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(BadInputError, match="cannot be made"):
-        options.results_folder(tmp_path / "file" / "below")
-    assert options.results_folder(tmp_path / "a" / "b").is_dir()
+        results_folder(tmp_path / "file" / "below")
+    assert results_folder(tmp_path / "a" / "b").is_dir()
 
 
 def test_every_command_has_examples_json_and_exit_codes(
@@ -132,7 +109,8 @@ def test_an_option_means_the_same_in_every_command(commands: list[argparse.Argum
     for parser in commands:
         for action in parser._actions:
             for name in action.option_strings:
-                told.setdefault(name, set()).add(str(action.help))
+                text = str(action.help).replace("%(default)s", str(action.default))
+                told.setdefault(name, set()).add(text)
     for name in shared:
         assert len(told[name]) == 1, (name, told[name])
     assert "--no-check" in told
@@ -151,14 +129,14 @@ def test_an_option_means_the_same_in_every_command(commands: list[argparse.Argum
 )
 def test_no_workers_are_refused_wherever_they_are_asked_for(words: tuple[str, ...]) -> None:
     with pytest.raises(BadInputError, match="--workers 0: a whole number of at least 1 is needed"):
-        made(words[0], "thing", *words[1:], "--out", "o", "--workers", "0")
+        run_words([words[0], "thing", *words[1:], "--out", "o", "--workers", "0"])
 
 
 def test_a_parser_is_completed_once() -> None:
     parser = Command(prog="uqharness report")
-    parser.place = "report"
+    parser.entry = RequestCommand("folders:ReportRequest", "folders:report", "")
     parser.complete()
     before = len(parser._actions)
     parser.complete()
     assert len(parser._actions) == before
-    assert parser.parse_args(["results"]).folder == Path("results")
+    assert parser.parse_args(["results"]).folder == "results"

@@ -2,28 +2,31 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
 from uqharness.errors import BadInputError
-from uqharness.identification.replay_fit import parse_channels
-from uqharness.replay.replay import CONTROL_DELAY
+from uqharness.requests.fields import CONTROL_DELAY, channel_names
+from uqharness.requests.identification import IdentifyRequest
+
+
+def requested(**channels: Any) -> IdentifyRequest:
+    return IdentifyRequest.of(aircraft="espaaro", flights="a.csv", **channels)
 
 
 def test_short_forms_and_long_ones():
-    assert parse_channels("--biases", "p,alpha_rad, ax ,p_radps") == (
-        "p_radps",
-        "alpha_rad",
-        "ax_mps2",
-    )
-    assert parse_channels("--biases", None) is None
-    assert parse_channels("--biases", "none") == parse_channels("--biases", "") == ()
+    names = requested(biases="p,alpha_rad, ax ,p_radps").biases
+    assert channel_names(names) == ("p_radps", "alpha_rad", "ax_mps2")
+    assert channel_names(requested().biases) is None
+    assert requested(biases="none").biases == requested(biases="").biases == ()
 
 
 def test_controls_are_delayed_and_have_no_bias():
-    assert parse_channels("--delays", f"{CONTROL_DELAY},V") == (CONTROL_DELAY, "V_mps")
+    assert channel_names(requested(delays=f"{CONTROL_DELAY},V").delays) == (CONTROL_DELAY, "V_mps")
     with pytest.raises(
-        BadInputError, match=f"--biases {CONTROL_DELAY}: unknown channel {CONTROL_DELAY}"
+        BadInputError, match=f"biases = '{CONTROL_DELAY}': unknown channel {CONTROL_DELAY}"
     ):
-        parse_channels("--biases", CONTROL_DELAY)
+        requested(biases=CONTROL_DELAY)
     with pytest.raises(BadInputError, match="unknown channel speed; allowed are none, "):
-        parse_channels("--delays", "V,speed")
+        requested(delays=["V", "speed"])

@@ -1,9 +1,11 @@
+from .compare import compare_page_of as compare_page_of
 from .coverage import coverage_page_of as coverage_page_of
 from .difference import difference_page as difference_page
 from .dossier import Dossier as Dossier
 from .dossier import dossier_of as dossier_of
 from .flight import FlightFacts as FlightFacts
 from .flight import flight_page as flight_page
+from .identify import identify_page_of as identify_page_of
 from .instrument import Instrumentation as Instrumentation
 from .instrument import instrument_page as instrument_page
 from .log import log_page as log_page

@@ -35,8 +35,8 @@ from uqharness.report.parts import (
     remarks,
 )
 from uqharness.report.svg import Scale, rows_chart
-from uqharness.results.base import read_document
-from uqharness.results.identification import Compare
+from uqharness.results.base import read_result
+from uqharness.results.identification import Channel, Compare, Gap
 
 COMPARE = "compare.json"
 LIMIT = 1.15
@@ -60,14 +60,24 @@ def compare_page(folder: Path, prefix: str = "", segments: int | None = MOST_SEG
     BadInputError
         If the folder cannot be read.
     """
-    document = read_document(folder / COMPARE, Compare)
-    histories = read_histories(folder / HISTORIES)
+    return compare_page_of(
+        read_result(folder / COMPARE, Compare), read_histories(folder / HISTORIES), prefix, segments
+    )
+
+
+def compare_page_of(
+    gap: Compare,
+    histories: Sequence[History] = (),
+    prefix: str = "",
+    segments: int | None = MOST_SEGMENTS,
+) -> Page:
+    """Return the page of a comparison from its document and the replayed segments.
+
+    The other parameters are those of `compare_page`.
+    """
     # The noise of channels that are not compared (height, heading) may be meaningless.
-    noise = {
-        c: row["noise"] if row.get("judged", True) else None
-        for c, row in document["channels"].items()
-    }
-    sections = [_channel_section(document["channels"], prefix)]
+    noise = {c: row.noise if row.judged else None for c, row in gap.channels.items()}
+    sections = [_channel_section(gap.channels, prefix)]
     sections += history_section(
         histories,
         noise,
@@ -78,30 +88,27 @@ def compare_page(folder: Path, prefix: str = "", segments: int | None = MOST_SEG
         lambda _, h: file_name(f"{h.number:02d}-{h.manoeuvre}"),
     )
     sections += [
-        _coefficient_section(document["coefficients"], histories, prefix),
-        _manoeuvre_section(document),
+        _coefficient_section(gap.coefficients, histories, prefix),
+        _manoeuvre_section(gap),
     ]
-    sections += remarks(
-        {"notes": [with_shown_names(n, CHANNELS) for n in document.get("notes", ())]}
-    )
+    sections += remarks({"notes": [with_shown_names(n, CHANNELS) for n in gap.notes]})
     files = (
         "compare.json, channels.csv, coefficients.csv, manoeuvres.csv, moments.csv,"
         " histories.parquet, next to this page"
     )
     facts = (
-        ("Command", document.get("command") or "not recorded"),
-        ("Rule", document.get("rule", "not recorded")),
+        ("Command", gap.command or "not recorded"),
+        ("Rule", gap.rule or "not recorded"),
         ("Files", files),
     )
     sections.append(provenance(*facts))
     question = (
-        f"Does {document['aircraft']} fly {document['flight']} as it was flown, to within the"
-        " sensors' noise?"
+        f"Does {gap.aircraft} fly {gap.flight} as it was flown, to within the sensors' noise?"
     )
     return Page(
-        f"{document['aircraft']} compared with {document['flight']}",
+        f"{gap.aircraft} compared with {gap.flight}",
         question,
-        _verdict(document),
+        _verdict(gap),
         tuple(sections),
     )
 
@@ -126,16 +133,13 @@ def noise_floor(reached: bool, above: Mapping[str, float], rule: str = "") -> st
     return f"The model does not reach the noise floor: rms over noise is {worst}{by}."
 
 
-def _verdict(document: Mapping[str, Any]) -> tuple[Sentence, ...]:
+def _verdict(gap: Compare) -> tuple[Sentence, ...]:
     """Return the verdict and the largest residual of a coefficient."""
-    reached = bool(document["reached_noise_floor"])
-    above = {c: document["channels"][c]["ratio"] for c in document.get("above", ())}
-    text = with_shown_names(document.get("verdict") or noise_floor(reached, above), CHANNELS)
-    sentences = [Sentence(text, "good" if reached else "bad")]
+    above = {c: r for c in gap.above if (r := gap.channels[c].ratio) is not None}
+    text = with_shown_names(gap.verdict or noise_floor(gap.reached_noise_floor, above), CHANNELS)
+    sentences = [Sentence(text, "good" if gap.reached_noise_floor else "bad")]
     ratios = {
-        c: r["rms"] / r["noise"]
-        for c, r in document["coefficients"].items()
-        if r.get("rms") is not None and r.get("noise")
+        c: ratio for c, row in gap.coefficients.items() if (ratio := row.ratio_to_noise) is not None
     }
     if ratios:
         worst = max(ratios, key=lambda c: ratios[c])
@@ -171,24 +175,23 @@ def in_shown_unit(name: str, row: Mapping[str, Any], *keys: str) -> tuple[str, l
     ]
 
 
-def _channel_section(channels: Mapping[str, Mapping[str, Any]], prefix: str) -> Section:
+def _channel_section(channels: Mapping[str, Channel], prefix: str) -> Section:
     """Return the residuals by channel."""
     rows = []
     for name, row in channels.items():
         label, (rms, noise) = in_shown_unit(name, row, "rms", "noise")
         # Ratio of residual rms to noise, with the limit of "at the noise".
-        ratio = row["ratio"]
-        is_judged = row.get("judged", True)
+        ratio, is_judged = row.ratio, row.judged
         level: Level = "" if not is_judged or ratio is None else "good" if ratio <= LIMIT else "bad"
         # Neither noise nor ratio is meaningful for channels that are not compared.
         sizes = (format_value(noise), format_value(ratio, ".2f")) if is_judged else ("-", "-")
         answer = "undefined" if ratio is None else "at the noise" if level == "good" else "above"
         answer = answer if is_judged else _why_not_judged(name)
         # A delay that cannot be estimated carries its reason.
-        delay = f"{_milli(row.get('delay_s'))} ± {_milli(row.get('delay_std_s'))}"
-        if row.get("delay_s") is None:
-            delay = f"undefined: {row.get('delay_undefined') or 'no reason recorded'}"
-        theil = format_value(row.get("theil_u"), ".3f")
+        delay = f"{_milli(row.delay_s)} ± {_milli(row.delay_std_s)}"
+        if row.delay_s is None:
+            delay = f"undefined: {row.delay_undefined or 'no reason recorded'}"
+        theil = format_value(row.theil_u, ".3f")
         rows.append((label, format_value(rms), *sizes, Cell(answer, level), delay, theil))
     head = (
         "Channel",
@@ -200,9 +203,9 @@ def _channel_section(channels: Mapping[str, Mapping[str, Any]], prefix: str) -> 
         "Theil's U",
     )
     ratios = {
-        shown_channel(c)[0]: {"model": r["ratio"]}
+        shown_channel(c)[0]: {"model": r.ratio}
         for c, r in channels.items()
-        if r.get("ratio") is not None and r.get("judged", True)
+        if r.ratio is not None and r.judged
     }
     figure = ratio_figure(
         f"{prefix}gap-ratios", ratios, [("model", "first", "disc")], "judged channels"
@@ -274,22 +277,19 @@ def ratio_figure(
 
 
 def _coefficient_section(
-    rows: Mapping[str, Mapping[str, Any]], histories: Sequence[History], prefix: str
+    rows: Mapping[str, Gap], histories: Sequence[History], prefix: str
 ) -> Section:
     """Return the residuals by coefficient."""
     cells = []
     for name, row in rows.items():
-        ratio = (
-            row["rms"] / row["noise"] if row.get("rms") is not None and row.get("noise") else None
-        )
         # Residual of the coefficient, and what noise alone would give.
-        measured = format_value(row.get("rms")), format_value(row.get("noise"))
+        measured = format_value(row.rms), format_value(row.noise)
         cells.append(
             (
                 f"{name} [-]",
                 *measured,
-                format_value(ratio, ".2f"),
-                format_value(row.get("mean"), ".2g"),
+                format_value(row.ratio_to_noise, ".2f"),
+                format_value(row.mean, ".2g"),
             )
         )
     head = ("Coefficient", "rms of flight minus model", "rms of noise alone", "Ratio", "Mean")
@@ -323,36 +323,29 @@ def _coefficient_section(
     return Section("Gap by coefficient", (*blocks, table))
 
 
-def _manoeuvre_section(document: Mapping[str, Any]) -> Section:
+def _manoeuvre_section(gap: Compare) -> Section:
     """Return the residuals by manoeuvre and the largest deviations."""
-    manoeuvres = document.get("manoeuvres", {})
     blocks: list[Any] = []
-    if manoeuvres:
+    ratios = {m: {**row.channels, **row.coefficients} for m, row in gap.manoeuvres.items()}
+    if ratios:
         # All manoeuvres have the same channels and coefficients.
-        first = next(iter(manoeuvres.values()))
-        names = [*first["channels"], *first["coefficients"]]
+        names = list(next(iter(ratios.values())))
         head = ("Manoeuvre", *(shown_channel(n)[0] for n in names))
         rows = tuple(
-            (
-                label,
-                *(
-                    format_value(({**row["channels"], **row["coefficients"]}).get(n), ".2f")
-                    for n in names
-                ),
-            )
-            for label, row in manoeuvres.items()
+            (label, *(format_value(row.get(n), ".2f") for n in names))
+            for label, row in ratios.items()
         )
         blocks.append(
             Table("rms over noise [-] by manoeuvre, channels then coefficients.", head, rows)
         )
     moments = [
         (
-            f"{m['time_s']:.2f}",
-            shown_channel(m["channel"])[0],
-            m["manoeuvre"],
-            format_value(m["noises"], ".1f"),
+            f"{m.time_s:.2f}",
+            shown_channel(m.channel)[0],
+            m.manoeuvre,
+            format_value(m.noises, ".1f"),
         )
-        for m in document.get("moments", ())[:10]
+        for m in gap.moments[:10]
     ]
     if moments:
         head = ("Time [s]", "Channel", "Manoeuvre", "Gap in sigma [-]")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 from sysid.model_form import MIN_SHARE_INSIDE
 from uqharness.replay import History, read_histories, shown_channel
@@ -23,7 +22,7 @@ from uqharness.report.parts import (
     provenance,
     remarks,
 )
-from uqharness.results.base import read_document
+from uqharness.results.base import read_result
 from uqharness.results.identification import Coverage
 
 
@@ -33,12 +32,12 @@ def coverage_page(folder: Path, prefix: str = "", only: Collection[str] | None =
     ``only`` lists titles of the sections to build. Raises BadInputError.
     """
     return coverage_page_of(
-        read_document(folder / COVERAGE, Coverage), read_histories(folder / RESIDUALS), prefix, only
+        read_result(folder / COVERAGE, Coverage), read_histories(folder / RESIDUALS), prefix, only
     )
 
 
 def coverage_page_of(
-    document: Mapping[str, Any],
+    document: Coverage,
     pieces: Sequence[History] = (),
     prefix: str = "",
     only: Collection[str] | None = None,
@@ -47,7 +46,7 @@ def coverage_page_of(
 
     Parameters
     ----------
-    document : mapping
+    document : Coverage
         Content of coverage.json.
     pieces : sequence of History
         Residuals of the new flight.
@@ -63,25 +62,21 @@ def coverage_page_of(
     """
     sections = [_coverage_section(document)]
     if is_wanted(title := "The new flight within the bounds", only):
-        sections += within_section(pieces, list(document["coverage"]), title, "coverage", prefix)
+        sections += within_section(pieces, list(document.coverage), title, "coverage", prefix)
     sections += [
         *_manoeuvre_section(document),
         *_bin_section(document),
         *_conformal_section(document),
         *remarks(document, key=("notes",)),
     ]
-    sections.append(provenance(("Command", document.get("command") or "not recorded")))
-    # Older documents have no verdicts; they follow from the coverage.
-    verdicts = document.get("verdicts") or {
-        c: "holds" if row["0.95"] >= MIN_SHARE_INSIDE else "fails"
-        for c, row in document["coverage"].items()
-    }
+    sections.append(provenance(("Command", document.command or "not recorded")))
+    verdicts = _verdicts(document)
     # Failure outweighs an inconclusive result.
     failing, unsure = (
         [c for c, v in verdicts.items() if v == kind] for kind in ("fails", "inconclusive")
     )
     if failing:
-        shares = ", ".join(f"{c} {100 * document['coverage'][c]['0.95']:.1f} %" for c in failing)
+        shares = ", ".join(f"{c} {100 * document.coverage[c].share_95:.1f} %" for c in failing)
         verdict = Sentence(
             f"The 95 % bounds do not hold: they contain only {shares} of the samples.", "bad"
         )
@@ -104,24 +99,29 @@ def coverage_page_of(
 _LEVELS: Mapping[str, Level] = {"holds": "good", "fails": "bad", "inconclusive": "warn"}
 
 
-def _coverage_section(document: Mapping[str, Any]) -> Section:
+def _verdicts(document: Coverage) -> dict[str, str]:
+    """Return the verdict of each coefficient; in older documents it follows from the coverage."""
+    return {
+        c: "holds" if row.share_95 >= MIN_SHARE_INSIDE else "fails"
+        for c, row in document.coverage.items()
+    } | document.verdicts
+
+
+def _coverage_section(document: Coverage) -> Section:
     """Return the coverage by coefficient."""
-    rows = []
-    for c, row in document["coverage"].items():
-        level = _LEVELS[
-            document.get("verdicts", {}).get(
-                c, "holds" if row["0.95"] >= MIN_SHARE_INSIDE else "fails"
-            )
-        ]
+    rows, verdicts = [], _verdicts(document)
+    for c, row in document.coverage.items():
+        level = _LEVELS[verdicts[c]]
         # Coverage with its standard error, at both confidences.
-        errors = document.get("errors", {}).get(c, {})
+        errors = document.errors.get(c, {})
         first, second = (
-            f"{100 * row[k]:.1f} ± {percent(errors.get(k), '.1f')}" for k in ("0.95", "0.68")
+            f"{100 * share:.1f} ± {percent(errors.get(k), '.1f')}"
+            for k, share in (("0.95", row.share_95), ("0.68", row.share_68))
         )
-        outside_share = percent(document.get("outside_data", {}).get(c), ".1f")
+        outside_share = percent(document.outside_data.get(c), ".1f")
         size = (
-            format_value(row.get("n_effective"), ".0f"),
-            format_value(row.get("mean_width")),
+            format_value(row.n_effective, ".0f"),
+            format_value(row.mean_width),
             outside_share,
         )
         rows.append((c, Cell(first, level), second, *size))
@@ -146,9 +146,9 @@ def _coverage_section(document: Mapping[str, Any]) -> Section:
     return Section("Coverage by coefficient", (Words(text, note=True), table))
 
 
-def _manoeuvre_section(document: Mapping[str, Any]) -> tuple[Section, ...]:
+def _manoeuvre_section(document: Coverage) -> tuple[Section, ...]:
     """Return the coverage by manoeuvre; empty if it was not recorded."""
-    names = tuple(document["coverage"])
+    names = tuple(document.coverage)
     rows = tuple(
         (
             m,
@@ -157,7 +157,7 @@ def _manoeuvre_section(document: Mapping[str, Any]) -> tuple[Section, ...]:
                 for c in names
             ),
         )
-        for m, row in document.get("manoeuvres", {}).items()
+        for m, row in document.manoeuvres.items()
     )
     table = Table(
         "Share of the samples inside the 95 / 68 % bounds [%].", ("Manoeuvre", *names), rows
@@ -165,17 +165,16 @@ def _manoeuvre_section(document: Mapping[str, Any]) -> tuple[Section, ...]:
     return (Section("Coverage by manoeuvre", (table,)),) if rows else ()
 
 
-def _bin_section(document: Mapping[str, Any]) -> tuple[Section, ...]:
+def _bin_section(document: Coverage) -> tuple[Section, ...]:
     """Return the coverage by thirds of speed and incidence; empty if it was not recorded."""
-    names = tuple(document["coverage"])
+    names = tuple(document.coverage)
     rows = []
-    for row in (*document.get("by_speed", ()), *document.get("by_incidence", ())):
-        quantity, unit, factor = shown_channel(row["state"])
+    for row in (*document.by_speed, *document.by_incidence):
+        quantity, unit, factor = shown_channel(row.state)
         # Range of the state in displayed units.
-        ends = f"{quantity} {factor * row['from']:.3g} to {factor * row['to']:.3g} {unit}"
-        rows.append(
-            (ends, str(row["samples"]), *(percent(row["share"].get(c), ".0f") for c in names))
-        )
+        low, high = (format_value(None if x is None else factor * x) for x in (row.low, row.high))
+        ends = f"{quantity} {low} to {high} {unit}"
+        rows.append((ends, str(row.samples), *(percent(row.share.get(c), ".0f") for c in names)))
     table = Table(
         "Share of the samples inside the 95 % bounds [%], by thirds of a state.",
         ("Range", "Samples", *names),
@@ -184,16 +183,16 @@ def _bin_section(document: Mapping[str, Any]) -> tuple[Section, ...]:
     return (Section("Coverage by speed and incidence", (table,)),) if rows else ()
 
 
-def _conformal_section(document: Mapping[str, Any]) -> tuple[Section, ...]:
+def _conformal_section(document: Coverage) -> tuple[Section, ...]:
     """Return the conformal factors; empty if there are none."""
     rows = tuple(
         (
             c,
-            format_value(r.get("factor"), ".2f"),
-            percent(r.get("level"), ".0f"),
-            format_value(r.get("manoeuvres"), ".0f"),
+            format_value(r.factor, ".2f"),
+            percent(r.level, ".0f"),
+            format_value(r.manoeuvres, ".0f"),
         )
-        for c, r in document.get("conformal", {}).items()
+        for c, r in document.conformal.items()
     )
     if not rows:
         return ()
@@ -203,7 +202,7 @@ def _conformal_section(document: Mapping[str, Any]) -> tuple[Section, ...]:
     )
     words = [Words(text, note=True)]
     # With one flight the variation between flights cannot be estimated.
-    unknown = [c for c, std in document.get("flight_variance", {}).items() if std is None]
+    unknown = [c for c, std in document.flight_variance.items() if std is None]
     if unknown:
         words.append(
             Words(

@@ -1,33 +1,19 @@
-"""Build the page of an identification and write its files.
-
-The page comes from fit.json and histories.parquet; `write_results` writes fit.json, the parameter
-table, histories and the aircraft with the estimates.
-"""
+"""Build the page of an identification, from fit.json and histories.parquet."""
 
 from __future__ import annotations
 
-import shlex
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
-import numpy as np
-
-from sysid.estimation import STRONG_SHARE, WHITENESS_LEVEL, colour, rms
-from uqharness.files import finite, write_json, write_text
-from uqharness.identification import Identification
-from uqharness.plugin import Estimate, write_estimates
+from sysid.estimation import STRONG_SHARE, WHITENESS_LEVEL
 from uqharness.replay import (
     CHANNELS,
-    CONTROLS,
     HISTORIES,
-    columns_of,
+    History,
     read_histories,
     shown_channel,
     with_shown_names,
-    write_histories,
 )
 from uqharness.report.history import MOST_SEGMENTS, Model, file_name, history_section
 from uqharness.report.pages.compare import LIMIT
@@ -47,13 +33,10 @@ from uqharness.report.parts import (
     remarks,
 )
 from uqharness.report.svg import Scale, rows_chart
-from uqharness.results.base import read_document
-from uqharness.results.identification import Fit
-from uqharness.simulator import Aircraft
-from uqharness.text_tables import csv_text
+from uqharness.results.base import read_result
+from uqharness.results.identification import Fit, FitChannel, Parameter
 
 FIT = "fit.json"
-_IDENTIFIED = "identified"
 FILTER = "filter error"
 _NOT_COVERED = (
     ", and standard errors, which take the model for right, do not say how far off the estimates"
@@ -85,13 +68,26 @@ def identify_page(
     BadInputError
         If the folder cannot be read.
     """
-    fit = read_document(folder / FIT, Fit)
-    parameters = fit["parameters"]
+    return identify_page_of(
+        read_result(folder / FIT, Fit), read_histories(folder / HISTORIES), prefix, segments, only
+    )
+
+
+def identify_page_of(
+    fit: Fit,
+    histories: Sequence[History] = (),
+    prefix: str = "",
+    segments: int | None = MOST_SEGMENTS,
+    only: Collection[str] | None = None,
+) -> Page:
+    """Return the page of an identification from its document and the replayed segments.
+
+    The other parameters are those of `identify_page`.
+    """
     # Parameters and fit first, then the segments with the largest residuals.
-    sections = [_parameter_section(parameters, prefix), _fit_section(fit["fit"])]
-    noise = {c: row.get("noise") for c, row in fit["fit"].items()}
+    sections = [_parameter_section(fit.parameters, prefix), _fit_section(fit.fit)]
+    noise = {c: row.noise for c, row in fit.fit.items()}
     model = Model("_model", "first", "model with the estimates")
-    histories = read_histories(folder / HISTORIES)
     if is_wanted(title := "Log against model", only):
         sections += history_section(
             histories,
@@ -103,28 +99,27 @@ def identify_page(
             lambda _, h: file_name(f"{h.flight}-{h.number:02d}-{h.manoeuvre}"),
         )
     remark_texts = {
-        key: [with_shown_names(text, CHANNELS) for text in fit.get(key, ())]
-        for key in ("warnings", "notes")
+        key: [with_shown_names(text, CHANNELS) for text in texts]
+        for key, texts in (("warnings", fit.warnings), ("notes", fit.notes))
     }
-    sections += [*remarks(remark_texts), _provenance(fit)]
-    flights = ", ".join(fit["flights"])
+    sections += [*remarks(remark_texts, key=("notes",)), _provenance(fit)]
     question = (
-        f"Which values of {len(parameters)} parameters of {fit['aircraft']} agree with {flights},"
-        " and how accurately?"
+        f"Which values of {len(fit.parameters)} parameters of {fit.aircraft} agree with"
+        f" {', '.join(fit.flights)}, and how accurately?"
     )
-    return Page(f"Identification of {fit['aircraft']}", question, _verdict(fit), tuple(sections))
+    return Page(f"Identification of {fit.aircraft}", question, _verdict(fit), tuple(sections))
 
 
-def _verdict(fit: Mapping[str, Any]) -> tuple[Sentence, ...]:
+def _verdict(fit: Fit) -> tuple[Sentence, ...]:
     """Return convergence, the number of identified parameters, and the quality of the fit."""
-    parameters = fit["parameters"]
+    parameters = fit.parameters
     # Estimates that were refused keep their initial values.
-    identified = [n for n, row in parameters.items() if row["status"] == _IDENTIFIED]
+    identified = [n for n, row in parameters.items() if row.is_identified]
     missing = [n for n in parameters if n not in identified]
     sentences = [
         (
-            Sentence(f"Estimation converged ({fit.get('method', 'method not recorded')}).")
-            if fit.get("converged")
+            Sentence(f"Estimation converged ({fit.method or 'method not recorded'}).")
+            if fit.converged
             else Sentence("Estimation did not converge: the estimates below are not valid.", "bad")
         )
     ]
@@ -137,17 +132,17 @@ def _verdict(fit: Mapping[str, Any]) -> tuple[Sentence, ...]:
     else:
         sentences.append(Sentence(f"All {len(parameters)} parameters are identified."))
     sentences += (
-        _filter_residual_sentences(fit["fit"], bool(identified))
-        if fit.get("method") == FILTER
-        else _output_residual_sentences(fit["fit"])
+        _filter_residual_sentences(fit.fit, bool(identified))
+        if fit.method == FILTER
+        else _output_residual_sentences(fit.fit)
     )
     return tuple(sentences)
 
 
-def _output_residual_sentences(channels: Mapping[str, Mapping[str, Any]]) -> list[Sentence]:
+def _output_residual_sentences(channels: Mapping[str, FitChannel]) -> list[Sentence]:
     """Return whether the residuals of output error are at the noise of the sensors."""
     # Channels whose residuals exceed the noise point to a missing term.
-    ratios = {c: _ratio(row) for c, row in channels.items()}
+    ratios = {c: row.ratio_to_noise for c, row in channels.items()}
     above = {c: r for c, r in ratios.items() if r is not None and r > LIMIT}
     if above:
         worst = ", ".join(
@@ -173,7 +168,7 @@ def _output_residual_sentences(channels: Mapping[str, Mapping[str, Any]]) -> lis
 
 
 def _filter_residual_sentences(
-    channels: Mapping[str, Mapping[str, Any]], identified: bool
+    channels: Mapping[str, FitChannel], identified: bool
 ) -> list[Sentence]:
     """Return whether the innovations of filter error are white.
 
@@ -182,11 +177,11 @@ def _filter_residual_sentences(
     # Bonferroni over the channels.
     level = WHITENESS_LEVEL / max(len(channels), 1)
     coloured = {
-        c: row["predictable_share"]
+        c: share
         for c, row in channels.items()
-        if row.get("whiteness_p") is not None
-        and row["whiteness_p"] < level
-        and (row.get("predictable_share") or 0.0) > STRONG_SHARE
+        if row.whiteness_p is not None
+        and row.whiteness_p < level
+        and (share := row.predictable_share or 0.0) > STRONG_SHARE
     }
     if coloured:
         worst = ", ".join(
@@ -214,30 +209,24 @@ def _filter_residual_sentences(
     ]
 
 
-def _ratio(row: Mapping[str, Any]) -> float | None:
-    """Return residual rms over noise; None if one of them is unknown."""
-    return row["rms"] / row["noise"] if row.get("rms") is not None and row.get("noise") else None
-
-
-def _parameter_section(parameters: Mapping[str, Mapping[str, Any]], prefix: str) -> Section:
+def _parameter_section(parameters: Mapping[str, Parameter], prefix: str) -> Section:
     """Return the table of parameters and the chart of their changes."""
     rows = []
     notes = _shared_reasons(parameters)
     for name, row in parameters.items():
-        is_identified = row["status"] == _IDENTIFIED
         # A reason that several parameters share becomes a numbered note.
-        reason = row.get("reason") or ""
-        text = f"{row['status']} ({notes.index(reason) + 1})" if reason in notes else row["status"]
-        status = Cell(text, "" if is_identified else "warn", "" if reason in notes else reason)
+        reason = row.reason or ""
+        text = f"{row.status} ({notes.index(reason) + 1})" if reason in notes else row.status
+        status = Cell(text, "" if row.is_identified else "warn", "" if reason in notes else reason)
         errors = (
-            (format_value(row["std"], ".2g"), format_value(row["std_crb"], ".2g"))
-            if is_identified
+            (format_value(row.std, ".2g"), format_value(row.std_crb, ".2g"))
+            if row.is_identified
             else ("not identified", "not identified")
         )
         # Parameters keep the unit of the XML.
-        value = format_value(row["value"], ".5g")
+        value = format_value(row.value, ".5g")
         rows.append(
-            (Cell(name, code=True), format_value(row.get("initial"), ".5g"), value, *errors, status)
+            (Cell(name, code=True), format_value(row.initial, ".5g"), value, *errors, status)
         )
     head = (
         "Parameter",
@@ -260,22 +249,22 @@ def _parameter_section(parameters: Mapping[str, Mapping[str, Any]], prefix: str)
     return Section("Parameters", (words, *figures, table, *reasons))
 
 
-def _shared_reasons(parameters: Mapping[str, Mapping[str, Any]]) -> list[str]:
+def _shared_reasons(parameters: Mapping[str, Parameter]) -> list[str]:
     """Return reasons that several parameters share; a note below the table gives each once."""
-    count = Counter(row["reason"] for row in parameters.values() if row.get("reason"))
+    count = Counter(row.reason for row in parameters.values() if row.reason)
     return [reason for reason, times in count.items() if times > 1]
 
 
-def _change(parameters: Mapping[str, Mapping[str, Any]], prefix: str) -> Figure | None:
+def _change(parameters: Mapping[str, Parameter], prefix: str) -> Figure | None:
     """Draw the change of each identified parameter from its initial value [%], with 95 % limits."""
     rows = [
         (
             name.removeprefix("aero/"),
-            100.0 * (r["value"] / r["initial"] - 1.0),
-            196.0 * r["std"] / abs(r["initial"]),
+            100.0 * (r.value / r.initial - 1.0),
+            196.0 * r.std / abs(r.initial),
         )
         for name, r in parameters.items()
-        if r["status"] == _IDENTIFIED and r.get("initial") and r.get("std") is not None
+        if r.is_identified and r.value is not None and r.initial and r.std is not None
     ]
     if not rows:
         return None
@@ -297,21 +286,21 @@ def _change(parameters: Mapping[str, Mapping[str, Any]], prefix: str) -> Figure 
     return Figure(chart.name, chart.svg(), caption)
 
 
-def _fit_section(fit: Mapping[str, Mapping[str, Any]]) -> Section:
+def _fit_section(fit: Mapping[str, FitChannel]) -> Section:
     """Return the residuals by channel."""
     rows = []
     for channel, row in fit.items():
         quantity, unit, factor = shown_channel(channel)
-        ratio = _ratio(row)
+        ratio = row.ratio_to_noise
         level = (
             Cell("undefined")
             if ratio is None
             else Cell(f"{ratio:.2f}", "good" if ratio <= LIMIT else "warn")
         )
-        rms, noise = (None if row.get(k) is None else factor * row[k] for k in ("rms", "noise"))
+        rms, noise = (None if x is None else factor * x for x in (row.rms, row.noise))
         tint = (
-            format_value(row.get("whiteness_p"), ".2g"),
-            format_value(row.get("predictable_share"), ".2f"),
+            format_value(row.whiteness_p, ".2g"),
+            format_value(row.predictable_share, ".2f"),
         )
         rows.append((f"{quantity} [{unit}]", format_value(rms), format_value(noise), level, *tint))
     head = (
@@ -328,25 +317,21 @@ def _fit_section(fit: Mapping[str, Mapping[str, Any]]) -> Section:
     )
 
 
-def _provenance(fit: Mapping[str, Any]) -> Section:
+def _provenance(fit: Fit) -> Section:
     """Return command, method, hashes of the flights, and effort."""
     items = [
-        ("Command", fit.get("command") or "not recorded"),
-        ("Method", fit.get("method", "not recorded")),
+        ("Command", fit.command or "not recorded"),
+        ("Method", fit.method or "not recorded"),
     ]
     # Older documents have no hashes.
-    hashes = fit.get("flights_sha256") or []
+    hashes = fit.flights_sha256 or []
     items += [
         (f"Flight {name} (SHA-256)", digest)
-        for name, digest in zip(fit["flights"], hashes, strict=False)
+        for name, digest in zip(fit.flights, hashes, strict=False)
     ]
-    if fit.get("simulations") is not None:
-        items.append(
-            (
-                "Effort",
-                f"{fit['simulations']} simulations, {format_value(fit.get('seconds'), '.1f')} s",
-            )
-        )
+    if fit.simulations is not None:
+        effort = f"{fit.simulations} simulations, {format_value(fit.seconds, '.1f')} s"
+        items.append(("Effort", effort))
     items.append(
         (
             "Files",
@@ -357,173 +342,3 @@ def _provenance(fit: Mapping[str, Any]) -> Section:
         )
     )
     return provenance(*items)
-
-
-# Files of an identification.
-
-
-def fit_document(
-    identification: Identification,
-    flights: Sequence[str],
-    command: Sequence[str],
-    hashes: Sequence[str] = (),
-) -> dict[str, Any]:
-    """Return the content of fit.json (docs/identification.md); numbers that are not finite are
-    null.
-
-    Parameters
-    ----------
-    identification : Identification
-        Result.
-    flights : sequence of str
-        Names of the flights.
-    command : sequence of str
-        Command line.
-    hashes : sequence of str
-        SHA-256 of the flight files.
-    """
-    names = identification.identified
-    # Residuals of all segments, channel by channel.
-    residual = [
-        np.concatenate([block[:, k] for block in identification.residual])
-        for k in range(len(identification.outputs))
-    ]
-    # Whiteness of the residuals, with the model output as context.
-    tint = colour(list(identification.residual), list(identification.modelled))
-    fit = {}
-    for k, channel in enumerate(identification.outputs):
-        fit[channel] = {
-            "rms": finite(rms(residual[k])),
-            "noise": finite(identification.noise[channel]),
-            "whiteness_p": finite(tint.p_value[k]),
-            "predictable_share": finite(tint.predictable[k]),
-        }
-    return {
-        "aircraft": identification.aircraft,
-        "method": identification.method,
-        "converged": identification.converged,
-        "parameters": {
-            n: {
-                "value": finite(identification.theta[i]),
-                "std": finite(identification.std[i]),
-                "std_crb": finite(identification.std_crb[i]),
-                "status": identification.status[n],
-                "reason": identification.reason[n],
-                "initial": finite(identification.initial[i]),
-            }
-            for i, n in enumerate(identification.names)
-        },
-        "names": list(names),
-        "cov": [[float(v) for v in row] for row in identification.cov],
-        "warnings": list(identification.warnings),
-        "fit": fit,
-        "nuisance": {
-            n: {"value": finite(v), "std": finite(s)}
-            for n, (v, s) in identification.nuisance.items()
-        },
-        "segments": [
-            {
-                "flight": s.flight,
-                "label": s.label,
-                "start_s": float(s.time_s[0]),
-                "end_s": float(s.time_s[-1]),
-            }
-            for s in identification.segments
-        ],
-        "flights": list(flights),
-        "flights_sha256": list(hashes),
-        "notes": list(identification.notes),
-        "command": shlex.join(command),
-        "simulations": identification.simulations,
-        "seconds": round(identification.seconds, 2),
-        "speed": (
-            None
-            if identification.speed is None
-            else {k: round(v, 1) for k, v in asdict(identification.speed).items()}
-        ),
-    }
-
-
-def parameter_rows(identification: Identification) -> list[dict[str, str]]:
-    """Return the table of parameters as text.
-
-    The columns are those of Table 2.6 of the dissertation: initial value, estimate, corrected
-    standard error, Cramér-Rao bound, status.
-    """
-    rows = []
-    for i, name in enumerate(identification.names):
-        is_identified = identification.status[name] == "identified"
-        rows.append(
-            {
-                "parameter": name,
-                "initial": f"{identification.initial[i]:.5g}",
-                "estimate": f"{identification.theta[i]:.5g}",
-                "std": f"{identification.std[i]:.2g}" if is_identified else "",
-                "crb": f"{identification.std_crb[i]:.2g}" if is_identified else "",
-                "status": identification.status[name],
-                "reason": identification.reason[name],
-            }
-        )
-    return rows
-
-
-def write_results(
-    identification: Identification,
-    aircraft: Aircraft,
-    flights: Sequence[str],
-    command: Sequence[str],
-    out: Path,
-    hashes: Sequence[str] = (),
-) -> dict[str, Any]:
-    """Write fit.json, parameters.csv, histories.parquet and aircraft/; return the document.
-
-    Parameters
-    ----------
-    identification : Identification
-        Result.
-    aircraft : Aircraft
-        Aircraft whose XML receives the estimates.
-    flights : sequence of str
-        Names of the flights.
-    command : sequence of str
-        Command line.
-    out : Path
-        Folder.
-    hashes : sequence of str
-        SHA-256 of the flight files; bounds use them to recognise flights of the identification.
-
-    Raises
-    ------
-    BadInputError
-        If a file cannot be written.
-    """
-    document = fit_document(identification, flights, command, hashes)
-    # Only identified parameters are written into the XML.
-    estimates = {
-        n: Estimate(
-            float(identification.theta[i]),
-            f"{identification.theta[i]:.4g} +/- {identification.std[i]:.2g} by"
-            f" {identification.method} from {', '.join(flights)}: uqharness identify",
-        )
-        for i, n in enumerate(identification.names)
-        if identification.status[n] == "identified"
-    }
-    # Parameters that the XML does not declare are reported.
-    unwritten = write_estimates(aircraft, estimates, out / "aircraft")
-    if unwritten:
-        document["warnings"].append(
-            "not written into the XML, which does not declare them as <property value=...>:"
-            f" {', '.join(unwritten)}"
-        )
-    write_text(out / "parameters.csv", csv_text(parameter_rows(identification)))
-    write_histories(
-        out,
-        identification.segments,
-        {
-            **columns_of(identification.outputs, identification.measured),
-            **columns_of(identification.outputs, identification.modelled, "_model"),
-            **columns_of(CONTROLS, [s.controls for s in identification.segments]),
-        },
-    )
-    write_json(out / "fit.json", document)
-    return document

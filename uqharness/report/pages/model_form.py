@@ -6,18 +6,15 @@ dimensionless and refer to body axes; a residual is flight minus model.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.aerodynamics import Residuals, term_name
+from sysid.aerodynamics import Residuals
 from sysid.arrays import FloatArray
-from sysid.distributions import normal_quantile
 from sysid.model_form import (
     MIN_SHARE_INSIDE,
     STEP_S,
@@ -29,15 +26,8 @@ from sysid.model_form import (
 )
 from sysid.units import significant
 from uqharness.errors import BadInputError
-from uqharness.files import finite
 from uqharness.identification import (
-    CutoffRow,
-    MadeBounds,
-    Validation,
-    failed,
     load_form,
-    mean_left_out,
-    verdicts,
 )
 from uqharness.replay import (
     CHANNELS,
@@ -65,8 +55,8 @@ from uqharness.report.parts import (
     remarks,
 )
 from uqharness.report.svg import Chart, scale
-from uqharness.results.base import read_document
-from uqharness.results.identification import Bounds
+from uqharness.results.base import read_result
+from uqharness.results.identification import Bounds, BoundsOfCoefficient
 
 FORM, DETAILS, COVERAGE, RESIDUALS = (
     "model-form.json",
@@ -102,7 +92,7 @@ def bounds_page(folder: Path, prefix: str = "", only: Collection[str] | None = N
     """
     # Form, details and residuals of the folder; details may be missing.
     form = load_form(folder / FORM)
-    details = read_document(folder / DETAILS, Bounds) if (folder / DETAILS).is_file() else {}
+    details = read_result(path, Bounds) if (path := folder / DETAILS).is_file() else Bounds()
     pieces = read_histories(folder / RESIDUALS)
     # Residuals of another command or version lack columns.
     if pieces and not have_columns(pieces, needed := [*form.states, *form.coefficients]):
@@ -111,15 +101,15 @@ def bounds_page(folder: Path, prefix: str = "", only: Collection[str] | None = N
             " again"
         )
     sections = [
-        _width_section(form, details.get("coefficients", {})),
+        _width_section(form, details.coefficients),
         slice_section(form, pieces, prefix),
     ]
     if is_wanted(title := "The flights within their own bounds", only):
         sections += within_section(pieces, list(form.coefficients), title, "data", prefix)
     sections += [_left_out_section(details), _hull_section(form), *_filter_section(form, details)]
     remark_texts = {
-        key: [with_shown_names(text, CHANNELS) for text in details.get(key, ())]
-        for key in ("warnings", "notes")
+        key: [with_shown_names(text, CHANNELS) for text in texts]
+        for key, texts in (("warnings", details.warnings), ("notes", details.notes))
     }
     sections += [*remarks(remark_texts, key=("notes",)), _provenance(form, details)]
     flights = ", ".join(f.name for f in form.flights)
@@ -136,9 +126,8 @@ def bounds_page(folder: Path, prefix: str = "", only: Collection[str] | None = N
     )
 
 
-def _verdict(details: Mapping[str, Any], form: ModelForm) -> tuple[Sentence, ...]:
+def _verdict(details: Bounds, form: ModelForm) -> tuple[Sentence, ...]:
     """Return the size of the model error, the left-out coverage, and the states of the bounds."""
-    rows = details.get("coefficients", {})
     sentences = []
     # Forms that separate noise state the size of the model error.
     parts = {c: b.parts for c, b in form.coefficients.items() if b.parts is not None}
@@ -155,7 +144,7 @@ def _verdict(details: Mapping[str, Any], form: ModelForm) -> tuple[Sentence, ...
             Sentence("These intervals hold the sensors' noise besides the model's error.", "warn")
         )
     coverage = {
-        c: r["left_out_share"] for c, r in rows.items() if r.get("left_out_share") is not None
+        c: r.left_out_share for c, r in details.coefficients.items() if r.left_out_share is not None
     }
     if coverage:
         # Lowest leave-one-manoeuvre-out coverage.
@@ -189,11 +178,11 @@ def _beside_noise(parts: Parts) -> str:
     return f"{significant(_limit(parts) / (1.96 * parts.noise))} times that of the sensor noise"
 
 
-def _width_section(form: ModelForm, rows: Mapping[str, Mapping[str, Any]]) -> Section:
+def _width_section(form: ModelForm, rows: Mapping[str, BoundsOfCoefficient]) -> Section:
     """Return the table of widths and parts by coefficient."""
     table = []
     for c, b in form.coefficients.items():
-        r = rows.get(c, {})
+        r = rows.get(c, BoundsOfCoefficient())
         p = b.parts
         sizes = ("-",) * 4
         # Standard deviations of the parts, if the form separates them.
@@ -212,9 +201,9 @@ def _width_section(form: ModelForm, rows: Mapping[str, Mapping[str, Any]]) -> Se
                 f"{c} [-]",
                 str(len(b.terms)),
                 format_value(b.n_effective, ".0f"),
-                format_value(r.get("mean_width")),
+                format_value(r.mean_width),
                 *sizes,
-                format_value(r.get("noise_std")),
+                format_value(r.noise_std),
                 format_value(walk, ".2g"),
             )
         )
@@ -518,18 +507,21 @@ def within_section(
     return (Section(title, (Figures(tuple(figures), tuple(legend), file=file),)),)
 
 
-def _left_out_section(details: Mapping[str, Any]) -> Section:
+def _left_out_section(details: Bounds) -> Section:
     """Return the leave-one-manoeuvre-out coverage."""
-    rows = details.get("left_out", {})
+    rows = details.left_out
     if not rows:
         return Section(
             "Leaving one manoeuvre out", (Words("Not checked, or not kept in this folder."),)
         )
     names = list(next(iter(rows.values())))
-    cells = tuple((m, *(_share(row.get(c)) for c in names)) for m, row in rows.items())
+    cells: list[tuple[str | Cell, ...]] = [
+        (m, *(_share(row.get(c)) for c in names)) for m, row in rows.items()
+    ]
     caption = "Share of a manoeuvre's samples [-] inside the bounds that the other manoeuvres give."
     return Section(
-        "Leaving one manoeuvre out", (Table(caption, ("Manoeuvre left out", *names), cells),)
+        "Leaving one manoeuvre out",
+        (Table(caption, ("Manoeuvre left out", *names), tuple(cells)),),
     )
 
 
@@ -557,15 +549,13 @@ def _hull_section(form: ModelForm) -> Section:
     return Section("Where the data are", (Words(text, note=True), table))
 
 
-def _filter_section(form: ModelForm, details: Mapping[str, Any]) -> tuple[Section, ...]:
+def _filter_section(form: ModelForm, details: Bounds) -> tuple[Section, ...]:
     """Return the mean width by filter, the one in use first; empty if no other was tried."""
-    if not details.get("cutoffs"):
+    if not details.cutoffs:
         return ()
-    filtering, used = form.filtering, details["coefficients"]
-    widths = {c: row.get("mean_width") for c, row in used.items()}
-    alternatives = [
-        (r["cutoff_hz"], r.get("airspeed_cutoff_hz"), r["mean_width"]) for r in details["cutoffs"]
-    ]
+    filtering, used = form.filtering, details.coefficients
+    widths = {c: row.mean_width for c, row in used.items()}
+    alternatives = [(r.cutoff_hz, r.airspeed_cutoff_hz, r.mean_width) for r in details.cutoffs]
     rows = []
     for low_pass, airspeed, width in (
         (filtering.cutoff_hz, filtering.airspeed_cutoff_hz, widths),
@@ -588,7 +578,7 @@ def _share(value: float | None) -> Cell:
     )
 
 
-def _provenance(form: ModelForm, details: Mapping[str, Any]) -> Section:
+def _provenance(form: ModelForm, details: Bounds) -> Section:
     """Return command, version, hashes and filters."""
     filtering = form.filtering
     airspeed = (
@@ -599,8 +589,8 @@ def _provenance(form: ModelForm, details: Mapping[str, Any]) -> Section:
         f" {filtering.rate_hz:.0f} samples a second"
     )
     items = [
-        ("Command", details.get("command") or "not recorded"),
-        ("Version", f"uqharness {details.get('version', 'not recorded')}"),
+        ("Command", details.command or "not recorded"),
+        ("Version", f"uqharness {details.version or 'not recorded'}"),
         (f"Aircraft {form.aircraft.name} (SHA-256)", form.aircraft.sha256),
         *(
             (f"Flight {f.name} (SHA-256)", f"{f.sha256} {f.seconds:.0f} s, {f.samples} samples")
@@ -619,153 +609,6 @@ def _provenance(form: ModelForm, details: Mapping[str, Any]) -> Section:
 
 
 # Files of bounds and of their validation.
-
-
-def forced_width(noise: float, confidence: float) -> float:
-    """Return the width of an interval due to noise alone: twice the normal quantile times
-    ``noise``.
-    """
-    return float(2.0 * normal_quantile(0.5 + 0.5 * confidence) * noise)
-
-
-def bounds_document(made_bounds: MadeBounds) -> dict[str, Any]:
-    """Return the document of ``bounds --json``.
-
-    Parameters
-    ----------
-    made_bounds : MadeBounds
-        Bounds with residuals, noise and checks.
-
-    Returns
-    -------
-    dict
-        Dimensionless widths and standard deviations by coefficient; numbers that are not finite are
-        null.
-    """
-    form = made_bounds.form
-    left_out_shares = mean_left_out(made_bounds.residuals, made_bounds.left_out)
-    rows = {}
-    for c, b in form.coefficients.items():
-        # Noise of a sample, and the width that it forces.
-        noise = made_bounds.noise.get(c, math.nan)
-        rows[c] = finite(
-            {
-                "states": list(b.states),
-                "terms": [term_name(t, b.states) for t in b.terms],
-                "n": b.n,
-                "n_effective": b.n_effective,
-                "s": math.sqrt(b.s2),
-                "mean_width": made_bounds.widths[c],
-                "noise_width": forced_width(noise, b.confidence),
-                "left_out_share": left_out_shares.get(c, math.nan),
-                "walk_rate": b.walk_rate,
-                "walk_sigma": made_bounds.variations[c].sigma,
-                "noise_std": noise,
-                **({} if b.parts is None else _parts(b.parts)),
-            }
-        )
-    return {
-        "aircraft": form.aircraft.name,
-        "flights": [f.name for f in form.flights],
-        "confidence": form.confidence,
-        "outside": form.outside,
-        "coefficients": rows,
-        "left_out": {m: finite(row) for m, row in made_bounds.left_out.items()},
-        "cutoffs": [_cutoff(row) for row in made_bounds.cutoffs],
-        "warnings": list(made_bounds.warnings),
-        "notes": list(made_bounds.notes),
-    }
-
-
-def _parts(parts: Parts) -> dict[str, float]:
-    """Return the parts of the model error."""
-    return {
-        "persistent": parts.persistent,
-        "transient": parts.transient,
-        "transient_half_width": parts.transient_half_width,
-        "transient_time_s": parts.transient_time_s,
-        "flight": parts.flight,
-        "noise_scale": parts.noise_scale,
-        "not_above": parts.not_above,
-        "found": parts.found,
-    }
-
-
-def _cutoff(row: CutoffRow) -> dict[str, Any]:
-    """Return the mean widths of another filter."""
-    cutoffs = {"cutoff_hz": row.cutoffs.all_hz, "airspeed_cutoff_hz": row.cutoffs.airspeed_hz}
-    return {**finite(cutoffs), "mean_width": finite(row.width)}
-
-
-def validation_document(validation: Validation) -> dict[str, Any]:
-    """Return the document of ``validate-bounds --json``.
-
-    Parameters
-    ----------
-    validation : Validation
-        Coverage of a new flight.
-
-    Returns
-    -------
-    dict
-        Coverage, verdicts and conformal factors by coefficient.
-    """
-    return {
-        "coverage": {
-            c: {
-                "0.95": row.share[0.95],
-                "0.68": row.share[0.68],
-                "n_effective": row.n_effective,
-                "mean_width": row.mean_width,
-            }
-            for c, row in validation.coverage.items()
-        },
-        "errors": {
-            c: {str(k): v for k, v in row.error.items()} for c, row in validation.coverage.items()
-        },
-        "outside_data": {c: row.outside for c, row in validation.coverage.items()},
-        "manoeuvres": {
-            m: {
-                c: {str(k): v for k, v in row.manoeuvres[m].items()}
-                for c, row in validation.coverage.items()
-            }
-            for m in validation.residuals.labels
-        },
-        "by_speed": _bins(validation, "speeds", "V_mps"),
-        "by_incidence": _bins(validation, "incidences", "alpha_rad"),
-        "conformal": {
-            c: asdict(row.conformal)
-            for c, row in validation.coverage.items()
-            if row.conformal is not None
-        },
-        "verdicts": dict(verdicts(validation)),
-        "flight_variance": {
-            c: finite({"std": validation.flight_std.get(c, math.nan)})["std"]
-            for c in validation.coverage
-        },
-        "failed": list(failed(validation)),
-        "warnings": list(validation.warnings),
-        "notes": list(validation.notes),
-    }
-
-
-def _bins(validation: Validation, kind: str, state: str) -> list[dict[str, Any]]:
-    """Return the coverage by thirds of a state."""
-    out: list[dict[str, Any]] = []
-    for c, row in validation.coverage.items():
-        for k, item in enumerate(getattr(row, kind)):
-            if k == len(out):
-                out.append(
-                    {
-                        "state": state,
-                        "from": item.low,
-                        "to": item.high,
-                        "samples": item.n,
-                        "share": {},
-                    }
-                )
-            out[k]["share"] |= finite({c: item.share})
-    return out
 
 
 def write_residuals(form: ModelForm, residuals: Residuals, flights: str, out: Path) -> None:

@@ -16,7 +16,8 @@ from tests.helpers.page_checks import page_of, words_of
 from uqharness.replay.histories import History
 from uqharness.report.pages.coverage import coverage_page_of
 from uqharness.report.pages.model_form import slice_section, variation_section
-from uqharness.report.parts import render
+from uqharness.report.parts import Page, render
+from uqharness.results.identification import Coverage
 
 
 @pytest.fixture
@@ -105,6 +106,10 @@ def test_the_rate_of_variation_is_drawn_with_the_rates_over_other_steps():
     assert figure.caption == "Cm: 1.00 % in 0.02 s. Rate [%/√s]: 7 over 0.02 s, 30 over 1 s"
 
 
+def coverage(document: dict) -> Page:
+    return coverage_page_of(Coverage.model_validate(document))
+
+
 def test_a_validation_tells_its_manoeuvres(tmp_path):
     row = {"0.95": 0.97, "0.68": 0.7}
     document = {
@@ -112,7 +117,7 @@ def test_a_validation_tells_its_manoeuvres(tmp_path):
         "manoeuvres": {"roll": {"CX": {"0.95": 0.5, "0.68": None}}},
         "outside_data": {"CX": 0.25},
     }
-    words = words_of(render(coverage_page_of(document)))
+    words = words_of(render(coverage(document)))
     assert "50 / undefined" in words
     assert "97.0 ± undefined" in words
     assert "25.0" in words
@@ -128,7 +133,7 @@ def test_a_validation_tells_its_manoeuvres(tmp_path):
             "Inconclusive: the flight is too short to tell whether the bounds of CX hold.",
         ),
     ):
-        assert sentence in words_of(render(coverage_page_of(document | {"verdicts": {"CX": said}})))
+        assert sentence in words_of(render(coverage(document | {"verdicts": {"CX": said}})))
 
 
 def test_a_validation_tells_speeds_incidences_and_manoeuvres():
@@ -149,11 +154,11 @@ def test_a_validation_tells_speeds_incidences_and_manoeuvres():
         "conformal": {"CX": {"factor": 1.25, "level": 0.9, "manoeuvres": 9}},
         "flight_variance": {"CX": None},
     }
-    words = words_of(render(coverage_page_of(document)))
+    words = words_of(render(coverage(document)))
     for said in ("18 to 21 m/s", "0 to 1 deg", "1.25", "not estimable for CX: one flight"):
         assert said in words
     assert "not estimable" not in words_of(
-        render(coverage_page_of(document | {"flight_variance": {"CX": 0.001}}))
+        render(coverage(document | {"flight_variance": {"CX": 0.001}}))
     )
 
 
