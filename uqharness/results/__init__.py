@@ -19,7 +19,7 @@ DOCUMENTS: dict[str, str] = {
     "export": "exchange:Loss",
     "fly": "simulation:FlownFlight",
     "identify": "identification:Fit",
-    "instrument": "simulation:Plugin",
+    "instrument": "simulation:PluginOutcome",
     "log-export": "logs:Playback",
     "log-import": "logs:ImportedLog",
     "log-info": "logs:LogContents",

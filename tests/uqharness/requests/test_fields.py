@@ -54,6 +54,13 @@ def _bound(info: Any, *names: str) -> float | None:
     )
 
 
+# What the rules between fields and the endings of files require besides.
+SOUND: dict[str, dict[str, Any]] = {
+    "diff": {"speed_mps": (22.0,)},
+    "log import": {"out": "x.csv"},
+}
+
+
 def _valid(model: type[Request]) -> dict[str, Any]:
     """Return a value for each required field, a file with an ending that the request takes."""
     # What a rule over several fields needs.
@@ -88,7 +95,7 @@ def _values(model: type[Request], file: str) -> dict[str, Any]:
                 if base is tuple
                 else file
             )
-    return values
+    return values | SOUND.get(model.command, {})
 
 
 def _wrong(info: Any) -> list[Any]:
