@@ -8,6 +8,7 @@ updated, in a pipe every 30 s, in a notebook in one line that is replaced. Progr
 from __future__ import annotations
 
 import html
+import math
 import os
 import sys
 import threading
@@ -61,6 +62,18 @@ class Rate:
             return None
         per_unit = (last_s - start_s) / (last_done - start_done)
         return max(per_unit * (total - last_done) - (time_s - last_s), 0.0)
+
+
+def counting(title: str, callback: Callable[[str], object]) -> Callable[[float, int], None]:
+    """Return a function of the amount done and the total, which reports them with the time left."""
+    rate = Rate()
+
+    def update(done: float, total: int) -> None:
+        remaining_s = rate.seconds_left(done, total)
+        end = "" if remaining_s is None else f", {clock(remaining_s)} to go"
+        callback(f"{title}: {math.floor(done)} of {total}{end}")
+
+    return update
 
 
 class _State:
@@ -178,6 +191,21 @@ def heartbeat(
             show("")
         elif line_shown.is_set():
             _write(cursor_stream(stream), "\r\x1b[K")
+
+
+def counted(title: str, callback: Callable[[str], object]) -> Callable[[float, int], None]:
+    """Return a function of the amount done, fractions included, and the total.
+
+    It names a stage with both and the remaining time.
+    """
+    rate = Rate()
+
+    def update(done: float, total: int) -> None:
+        remaining_s = rate.seconds_left(done, total)
+        to_go = "" if remaining_s is None else f", {clock(remaining_s)} to go"
+        callback(f"{title}: {math.floor(done)} of {total}{to_go}")
+
+    return update
 
 
 def clock(seconds: float) -> str:

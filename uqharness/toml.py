@@ -1,7 +1,7 @@
 """TOML files: reading, and messages that name section, key, line, and what is allowed.
 
-Settings are validated as pydantic models (`Section`). `explain` translates one of pydantic's errors
-into a line number and a sentence about the file.
+Settings are validated as pydantic models (`Section`). `explain` translates pydantic's errors into
+line numbers and sentences about the file, which are those of requests.
 """
 
 from __future__ import annotations
@@ -9,13 +9,18 @@ from __future__ import annotations
 import difflib
 import re
 import sys
+import types
+import typing
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic.fields import FieldInfo
+from pydantic_core import ErrorDetails
 
 from sysid.foreign.regular_files import ParseError, parse_toml, read_regular_text
 from uqharness.errors import BadInputError
+from uqharness.requests.base import problem
 
 
 def read_toml(path: Path) -> tuple[dict[str, Any], str]:
@@ -33,9 +38,9 @@ def read_toml(path: Path) -> tuple[dict[str, Any], str]:
 
 
 def explain(
-    document: type[BaseModel], text: str, data: dict[str, Any], error: dict[str, Any]
-) -> tuple[int, str]:
-    """Return the line and a sentence for one of pydantic's errors.
+    document: type[BaseModel], text: str, data: dict[str, Any], error: ValidationError
+) -> list[tuple[int, str]]:
+    """Return lines and sentences for pydantic's errors, in the order of the lines.
 
     Parameters
     ----------
@@ -45,30 +50,37 @@ def explain(
         Text of the file.
     data : dict
         Its content.
-    error : dict
-        Entry of ``ValidationError.errors()``.
+    error : ValidationError
+        What pydantic found.
     """
-    location = _real_path(data, error["loc"], missing_too=error["type"] == "missing")
-    line = line_of(text, location)
+    problems = [
+        (_real_path(data, item["loc"], missing_too=item["type"] == "missing"), item)
+        for item in error.errors()
+    ]
+    # A value of several types has an error for each; those of its parts are the precise ones.
+    precise = {location[:k] for location, _ in problems for k in range(len(location))}
+    return sorted(
+        (line_of(text, location), _sentence(document, location, item))
+        for location, item in problems
+        if location not in precise
+    )
+
+
+def _sentence(document: type[BaseModel], location: tuple[Any, ...], item: ErrorDetails) -> str:
+    """Return the sentence for an error at a location of the file."""
     name = _name(location)
-    if error["type"] == "extra_forbidden":
-        allowed = _allowed_keys(document, location[:-1])
+    if item["type"] == "extra_forbidden":
+        allowed = list(_definition(document, location[:-1]).annotation.model_fields)
         matches = difflib.get_close_matches(str(location[-1]), allowed, n=1, cutoff=0.5)
         hint = f"did you mean {matches[0]}? " if matches else ""
-        return (
-            line,
-            (
-                f"{name}: unknown {'section' if len(location) == 1 else 'key'}; {hint}allowed:"
-                f" {', '.join(allowed)}"
-            ),
-        )
-    if error["type"] == "missing":
-        return line, f"{name}: required and not there"
-    message = error["msg"].removeprefix("Value error, ").replace("Input should", "must")
-    received = error.get("input")
+        kind = "section" if len(location) == 1 else "key"
+        return f"{name}: unknown {kind}; {hint}allowed: {', '.join(allowed)}"
     # An echoed table would hide the sentence, which names the part that matters.
-    received_text = "" if isinstance(received, dict) else f"; received {as_toml(received)}"
-    return line, f"{name}: {message}{received_text}"
+    is_key, silent = item["loc"][-1:] == ("[key]",), isinstance(item["input"], dict)
+    if item["type"] != "missing" and not is_key and not silent:
+        name += f" = {as_toml(item['input'])}"
+    info = _definition(document, location, of_key=is_key)
+    return problem(item["type"], item["msg"].removeprefix("Value error, "), info, name)
 
 
 def _name(location: tuple[Any, ...]) -> str:
@@ -105,26 +117,42 @@ _SUBSECTIONS = {("epistemic", "parameters"): 2, ("aleatory", "variables"): 3}
 _TABLES = {("fly",), ("logs",)}
 
 
-def _allowed_keys(document: type[BaseModel], section: tuple[Any, ...]) -> list[str]:
-    """Return the keys that a section may have."""
-    model: Any = document
-    parts = iter(section)
-    for name in parts:
-        if isinstance(name, int):  # one of the tables of that name
-            continue
-        annotation = model.model_fields[name].annotation
-        model = _model_within(annotation)
-        if getattr(annotation, "__origin__", None) is dict:
-            next(parts, None)  # a name of the user's choice
-    return list(model.model_fields)
+def _definition(document: type[BaseModel], location: tuple[Any, ...], of_key: bool = False) -> Any:
+    """Return the definition of the value at a location, of the first type that it may have; or of
+    the key.
+    """
+    info = FieldInfo.from_annotation(document)
+    for k, part in enumerate(location, start=1):
+        key = of_key and k == len(location)
+        info = next((f for m in _types_of(info) if (f := _inner(m, part, key)) is not None), info)
+    return _types_of(info)[0]
 
 
-def _model_within(annotation: Any) -> Any:
-    """Return the model in an annotation such as ``Model | None`` or ``dict[str, Model]``."""
-    if hasattr(annotation, "model_fields"):
-        return annotation
-    models = [_model_within(part) for part in getattr(annotation, "__args__", ())]
-    return next((part for part in models if hasattr(part, "model_fields")), annotation)
+def _types_of(info: FieldInfo) -> list[FieldInfo]:
+    """Return the types that a value may have, with their bounds."""
+    if typing.get_origin(info.annotation) not in (typing.Union, types.UnionType):
+        return [info]
+    found = []
+    for annotation in typing.get_args(info.annotation):
+        if annotation is not type(None):
+            inner = FieldInfo.from_annotation(annotation)
+            inner.metadata = [*inner.metadata, *info.metadata]
+            found += _types_of(inner)
+    return found
+
+
+def _inner(info: FieldInfo, part: Any, key: bool = False) -> FieldInfo | None:
+    """Return the definition of a key's value, of the key, or of an item; None without such a
+    part.
+    """
+    kind, arguments = typing.get_origin(info.annotation), typing.get_args(info.annotation)
+    if kind is dict:
+        return FieldInfo.from_annotation(arguments[0 if key else 1])
+    if kind in (tuple, list) and isinstance(part, int):
+        fixed = len(arguments) > part and Ellipsis not in arguments
+        return FieldInfo.from_annotation(arguments[part if fixed else 0])
+    fields: dict[str, FieldInfo] = getattr(info.annotation, "model_fields", {})
+    return fields.get(part)
 
 
 def _real_path(data: Any, location: tuple[Any, ...], missing_too: bool) -> tuple[Any, ...]:

@@ -170,8 +170,8 @@ def test_the_command_gives_the_contracted_json_and_a_text(capsys):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ((), "either a campaign folder DIR or --modal"),
-        (("somewhere", "--modal", "as_published"), "either a campaign folder"),
+        ((), "either DIR, the folder of a campaign, or --modal"),
+        (("somewhere", "--modal", "as_published"), "either DIR"),
         (("--modal", "as_published", "--repeats", "1"), "--repeats 1"),
         (("--modal", "as_published", "--interior", "x"), "--interior belongs"),
         (("--modal", "as_published", "--seed", "-1"), "--seed -1"),

@@ -66,14 +66,14 @@ def damage(root: Path, flips: int, cuts: int, seed: int):
     ("flips", "cuts"), [(60, 15), pytest.param(1000, 100, marks=pytest.mark.slow)]
 )
 def test_every_flip_and_every_cut_is_seen(made, flips, cuts):
-    assert all(verify(made / kind).is_intact for kind in ("campaign", "study", "refined"))
+    assert all(verify(made / kind).whole for kind in ("campaign", "study", "refined"))
     unseen = []
     for folder, path in damage(made, flips, cuts, 20161201):
         # What a report looks at, and what verify does.
-        if verify(folder).is_intact or not faults(folder):
+        if verify(folder).whole or not faults(folder):
             unseen.append(path)
     assert unseen == []
-    assert all(verify(made / kind).is_intact for kind in ("campaign", "study", "refined"))
+    assert all(verify(made / kind).whole for kind in ("campaign", "study", "refined"))
 
 
 def test_without_sums_a_flip_in_a_document_goes_unseen(made, tmp_path):
@@ -99,7 +99,7 @@ def test_a_report_says_so(made, tmp_path):
     again = write_report(folder)
     assert (again.damaged, again.rewritten) == ((), ("report.html",))
     assert again.path.read_bytes() == page
-    assert verify(folder).is_intact
+    assert verify(folder).whole
 
 
 def test_what_is_written_later_is_entered_and_what_users_add_is_not(made, tmp_path):
@@ -111,11 +111,11 @@ def test_what_is_written_later_is_entered_and_what_users_add_is_not(made, tmp_pa
     assert "notes.txt" not in sums.files
     assert sums.folders == ("campaign-before",)
     (folder / "fit" / "new.csv").unlink()
-    assert [item.state for item in verify(folder).items if item.name == "fit/new.csv"] == [
+    assert [item.state for item in verify(folder).files if item.name == "fit/new.csv"] == [
         "missing"
     ]
     update_sums(folder / "fit" / "new.csv")
-    assert verify(folder).is_intact
+    assert verify(folder).whole
     done = subprocess.run(["sha256sum", "-c", "--quiet", SUMS], cwd=folder, capture_output=True)
     assert done.returncode == 0
 
@@ -163,4 +163,4 @@ def test_a_full_or_broken_disk_ends_in_a_sentence(made, tmp_path, monkeypatch):
     with pytest.raises(BadInputError, match=r"new\.csv: cannot be written: Input/output error"):
         write_bytes(folder / "new.csv", b"1\n")
     monkeypatch.undo()
-    assert verify(folder).is_intact
+    assert verify(folder).whole

@@ -14,6 +14,7 @@ import sqlite3
 import subprocess
 import sys
 from contextlib import closing
+from pathlib import Path
 
 import pytest
 
@@ -114,7 +115,7 @@ def flip_text(path, text, bit=0):
 
 
 def states(found):
-    return {item.name: item.state for item in found.items}
+    return {item.name: item.state for item in found.files}
 
 
 def unseal(folder, state):
@@ -139,13 +140,13 @@ def test_a_folder_as_it_was_written_is_whole(copy, capsys):
         folder = copy(name)
         before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
         found = verify(folder)
-        assert found.is_intact
+        assert found.whole
         assert found.complete
         decided = ["decisions.csv"] if name == "decide" else []
         assert states(found) == dict.fromkeys(
             ("manifest.json", JOURNAL, *TABLES, *decided, "SHA256SUMS"), "whole"
         )
-        assert [part.is_intact for part in found.shards] == [True] * (2 * (name == "parts"))
+        assert [part.whole for part in found.shards] == [True] * (2 * (name == "parts"))
         code, said = says(capsys, "verify", folder, "--json")
         assert (code, json.loads(said.out)["whole"]) == (0, True)
         assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == before
@@ -165,10 +166,10 @@ def test_a_flipped_row_is_found_by_every_reader_and_salvaged(copy, made, capsys)
     assert code == 1
     assert "flights: 31 sound, 1 damaged, 0 missing" in said.out
     found = salvage(folder, FLYING)
-    assert (found.retained, found.flights, found.renamed) == (31, 1, ("journal.damaged-1.sqlite",))
+    assert (found.kept, found.flown, found.aside) == (31, 1, ["journal.damaged-1.sqlite"])
     assert (folder / "journal.damaged-1.sqlite").read_bytes() == before
     assert tables(folder) == tables(made / "plain")
-    assert verify(folder).is_intact
+    assert verify(folder).whole
     assert not list(folder.glob(".salvage*"))
 
 
@@ -191,16 +192,16 @@ def test_a_damaged_table_is_not_read_and_written_again_from_the_journal(
             code, said = says(capsys, verb, folder, *words)
             assert code == 2
             assert name in said.err
-        assert not verify(folder).is_intact
+        assert not verify(folder).whole
         code, said = says(capsys, "run", made / "campaign.toml", "--out", folder, "--serial")
         assert code == 0
         assert f"{name} was not as it had been written" in said.err
         assert tables(folder) == tables(made / "plain")
-        assert verify(folder).is_intact
+        assert verify(folder).whole
     spoil = folder / name
     flip(spoil, 100)
-    assert salvage(folder, FLYING).rewritten == (name,)
-    assert verify(folder).is_intact
+    assert salvage(folder, FLYING).rewritten == [name]
+    assert verify(folder).whole
 
 
 def test_the_tables_of_a_decided_campaign_are_written_again(copy, made):
@@ -214,7 +215,7 @@ def test_the_tables_of_a_decided_campaign_are_written_again(copy, made):
     assert summary.rewritten == ("decisions.csv",)
     assert tables(folder, names) == tables(made / "decide", names)
     flip_text(folder / JOURNAL, b'"excursions_15m": ')
-    assert salvage(folder, RunOptions(SerialExecutor(), fly=fakes.by_corner)).flights == 1
+    assert salvage(folder, RunOptions(SerialExecutor(), fly=fakes.by_corner)).flown == 1
     assert tables(folder, names) == tables(made / "decide", names)
 
 
@@ -246,11 +247,11 @@ def test_a_run_that_was_not_complete_is_held_against_its_rows(copy, made, tmp_pa
                 executor=SerialExecutor(),
                 fly=fakes.steady,
             )
-        assert not verify(place).is_intact
+        assert not verify(place).whole
         salvage(place, FLYING)
         assert tables(place) == tables(made / "plain")
         shutil.rmtree(place)
-    assert verify(folder).is_intact
+    assert verify(folder).whole
     assert verify(folder).complete is False
 
 
@@ -262,11 +263,11 @@ def test_what_can_be_read_of_a_torn_file_is_kept(copy, made, offset):
     (folder / JOURNAL).write_bytes(content)
     assert states(verify(folder))[JOURNAL] == "damaged"
     found = salvage(folder, FLYING)
-    assert found.retained + found.flights == 32
+    assert found.kept + found.flown == 32
     assert tables(folder) == tables(made / "plain")
     if offset in (0, 20, 100):
-        assert found.retained == 32  # the first page is the same in all journals
-    assert verify(folder).is_intact
+        assert found.kept == 32  # the first page is the same in all journals
+    assert verify(folder).whole
 
 
 @pytest.mark.parametrize("gone", ["text", "cut", "empty", "deleted"])
@@ -286,10 +287,10 @@ def test_a_journal_that_is_none_is_flown_again(copy, made, gone):
             executor=SerialExecutor(),
             fly=fakes.steady,
         )
-    assert not verify(folder).is_intact
+    assert not verify(folder).whole
     salvage(folder, FLYING)
     assert tables(folder) == tables(made / "plain")
-    assert verify(folder).is_intact
+    assert verify(folder).whole
 
 
 def test_a_damaged_manifest_is_rebuilt_from_the_campaign_file(copy, made, capsys):
@@ -312,10 +313,10 @@ def test_a_damaged_manifest_is_rebuilt_from_the_campaign_file(copy, made, capsys
         with pytest.raises(BadInputError, match="4 of its 32 sound flights are no part of"):
             salvage(folder, FLYING, spec.with_flights(7))
         found = salvage(folder, FLYING, spec, "uqharness campaign run x")
-        assert (found.retained, found.flights) == (32, 0)
+        assert (found.kept, found.flown) == (32, 0)
         assert tables(folder) == tables(made / "plain")
         assert read_manifest(folder)["command"] == "uqharness campaign run x"
-        assert verify(folder).is_intact
+        assert verify(folder).whole
         shutil.rmtree(folder)
 
 
@@ -324,30 +325,30 @@ def test_shards_are_salvaged_each_and_merged_again(copy, made, capsys):
     flip_text(folder / "shards" / "1-of-2" / JOURNAL, b'"speed_mean_mps": ')
     assert merge(folder).missing == 0  # the merged folder has what it needs
     found = verify(folder)
-    assert [part.is_intact for part in found.shards] == [False, True]
-    assert not found.is_intact
+    assert [part.whole for part in found.shards] == [False, True]
+    assert not found.whole
     done = salvage(folder, FLYING)
-    assert [(part.folder.name, part.flights) for part in done.parts] == [("1-of-2", 1)]
-    assert verify(folder).is_intact
+    assert [(Path(part.folder).name, part.flown) for part in done.shards] == [("1-of-2", 1)]
+    assert verify(folder).whole
     flip_text(folder / JOURNAL, b'"speed_mean_mps": ')
     with pytest.raises(BadInputError, match="damaged"):
         merge(folder)
     done = salvage(folder, FLYING)
-    assert (done.retained, done.flights, done.missing, done.renamed) == (
+    assert (done.kept, done.flown, done.missing, done.aside) == (
         32,
         0,
         0,
-        ("journal.damaged-1.sqlite",),
+        ["journal.damaged-1.sqlite"],
     )
     (folder / "manifest.json").write_text("{")
     salvage(folder, FLYING)
     flip(folder / "shards" / "2-of-2" / "manifest.json", 900)
     salvage(folder, FLYING, read_campaign(made / "campaign.toml"))
-    assert verify(folder).is_intact
+    assert verify(folder).whole
     assert tables(folder) == tables(made / "plain")
     flip_text(folder / "shards" / "2-of-2" / JOURNAL, b'"speed_mean_mps": ')
-    assert salvage(folder / "shards" / "2-of-2", FLYING).flights == 1
-    assert verify(folder).is_intact
+    assert salvage(folder / "shards" / "2-of-2", FLYING).flown == 1
+    assert verify(folder).whole
 
 
 @pytest.mark.slow
@@ -357,14 +358,14 @@ def test_tables_of_other_commands_carry_digests_too(copy, capsys):
     assert main(["campaign", "area", str(folder), "--value", "altitude_median_m=3"]) in (0, 1)
     assert main(["sensitivity", str(folder)]) in (0, 1)
     assert {"sensitivity.csv", "convergence.csv", "area.csv"} <= set(states(verify(folder)))
-    assert verify(folder).is_intact
+    assert verify(folder).whole
     flip(folder / "sensitivity.csv", 2000)
     code, said = says(capsys, "report", folder)
     assert (code, "sensitivity.csv: damaged" in said.err) == (2, True)
     found = salvage(folder, FLYING)
-    assert found.renamed == ("sensitivity.damaged-1.csv",)
+    assert found.aside == ["sensitivity.damaged-1.csv"]
     assert says(capsys, "report", folder)[0] == 0
-    assert verify(folder).is_intact
+    assert verify(folder).whole
     # One that the manifest does not know is not believed either.
     shutil.copyfile(folder / "sensitivity.damaged-1.csv", folder / "sensitivity.csv")
     assert says(capsys, "report", folder)[0] == 2
@@ -387,17 +388,17 @@ def test_a_writer_killed_in_a_batch_is_no_damage(copy, made):
     subprocess.run([sys.executable, "-c", script, str(folder / JOURNAL)], check=False)
     leftover = folder / f"{JOURNAL}-journal"
     before = (folder / JOURNAL).read_bytes(), leftover.read_bytes()
-    assert verify(folder).is_intact
+    assert verify(folder).whole
     assert ((folder / JOURNAL).read_bytes(), leftover.read_bytes()) == before
     # With what was to be taken back gone, the file is half written, and that is found.
     torn = folder.parent / "torn"
     shutil.copytree(folder, torn)
     (torn / leftover.name).unlink()
-    assert not verify(torn).is_intact
+    assert not verify(torn).whole
     salvage(torn, FLYING)
     assert tables(torn) == tables(made / "plain")
     found = salvage(folder, FLYING)
-    assert (found.retained, found.flights, found.renamed) == (32, 0, ())
+    assert (found.kept, found.flown, found.aside) == (32, 0, [])
     assert tables(folder) == tables(made / "plain")
 
 
@@ -434,7 +435,7 @@ def kill_and_go_on(step, folder, made):
         except DamageError:
             salvage(folder, FLYING)
     assert tables(folder) == tables(made / "plain"), step
-    assert verify(folder).is_intact, step
+    assert verify(folder).whole, step
     return killed
 
 

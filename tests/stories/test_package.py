@@ -296,7 +296,7 @@ def test_what_every_spawned_process_reads_again_loads_nothing():
     assert 'uqharness = "uqharness.__main__:main"' in (ROOT / "pyproject.toml").read_text()
     assert loaded("uqharness.__main__") == []
     assert loaded("uqharness.cli.main") == ["uqharness.cli.main"]
-    assert "scipy" in loaded("uqharness.cli.modes")
+    assert "scipy" in loaded("uqharness.commands.simulation")
 
 
 def test_the_package_runs_as_a_module():

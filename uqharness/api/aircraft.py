@@ -2,48 +2,26 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
-from numbers import Real
-
-from sysid.aerodynamics import COEFFICIENTS
-from sysid.model_form import ModelForm, read_model_form
-from uqharness.arguments import flag, instance, number, path, require
-from uqharness.arguments import properties as settings
-from uqharness.commands.flights import AnyAircraft, AnyPath, aircraft_of
+from uqharness.commands import simulation
+from uqharness.commands.flights import AnyAircraft, aircraft_of
 from uqharness.errors import BadInputError
-from uqharness.files import check_output_folder
 from uqharness.heartbeat import notebook_line
-from uqharness.identification import MadeBounds
-from uqharness.isolation import run_unsupervised
-from uqharness.plugin import Bounds, Instrumented, MassProperties, instrument_aircraft
+from uqharness.isolation import isolated, run_unsupervised
+from uqharness.plugin import Instrumented
+from uqharness.requests.base import accepts
+from uqharness.requests.simulation import (
+    DiffRequest,
+    InstrumentRequest,
+    MarginsRequest,
+    TrimRequest,
+)
+from uqharness.results.simulation import Differences, Margins
 from uqharness.simulator import LinearModel, SteadyCondition, Trim, linear, trim
 
 
-def find_trim(
-    aircraft: AnyAircraft,
-    V_mps: float,
-    *,
-    altitude_m: float = 0.0,
-    climb_rad: float = 0.0,
-    bank_rad: float = 0.0,
-    heading_rad: float = 0.0,
-    properties: Mapping[str, float] | None = None,
-) -> Trim:
+@accepts(TrimRequest)
+def find_trim(request: TrimRequest) -> Trim:
     """Trim an aircraft in steady flight in still air, as ``uqharness modes`` does.
-
-    Parameters
-    ----------
-    aircraft : str, Path or Aircraft
-        The model.
-    V_mps : float
-        True airspeed [m/s].
-    altitude_m : float
-        Above sea level [m].
-    climb_rad, bank_rad, heading_rad : float
-        Flight-path angle, bank of a coordinated turn, true heading [rad].
-    properties : Mapping, optional
-        JSBSim properties to set first.
 
     Returns
     -------
@@ -68,24 +46,15 @@ def find_trim(
     >>> steady.converged, round(steady.controls["throttle"])
     (True, 60)
     """
-    number("V_mps", V_mps, "a positive true airspeed [m/s]", lambda value: 0.0 < value < math.inf)
-    for name, angle in (
-        ("climb_rad", climb_rad),
-        ("bank_rad", bank_rad),
-        ("heading_rad", heading_rad),
-        ("altitude_m", altitude_m),
-    ):
-        number(name, angle)
-    # The limits of the command line, in its units.
-    if not (abs(bank_rad) < math.radians(85.0) and abs(climb_rad) < math.radians(60.0)):
-        raise BadInputError(
-            f"bank_rad = {bank_rad:g}, climb_rad = {climb_rad:g}: less than 85 and 60 degrees"
-            " either way are needed"
-        )
     condition = SteadyCondition(
-        V_mps, altitude_m, climb_rad, bank_rad, heading_rad, properties=settings(properties)
+        request.V_mps,
+        request.altitude_m,
+        request.climb_rad,
+        request.bank_rad,
+        request.heading_rad,
+        properties=request.properties,
     )
-    return run_unsupervised(trim.find_trim, aircraft_of(aircraft), condition)
+    return run_unsupervised(trim.find_trim, aircraft_of(request.aircraft), condition)
 
 
 def linearise(aircraft: AnyAircraft, steady: Trim) -> LinearModel:
@@ -125,38 +94,64 @@ def linearise(aircraft: AnyAircraft, steady: Trim) -> LinearModel:
     return run_unsupervised(linear.linearise, aircraft_of(aircraft), steady)
 
 
-@notebook_line("instrument")
-def instrument(
-    aircraft: AnyAircraft,
-    form: ModelForm | MadeBounds | AnyPath | None = None,
-    *,
-    out: AnyPath,
-    constant: Mapping[str, float | tuple[float, float]] | None = None,
-    air: bool = False,
-    check: bool = True,
-    mass: Mapping[str, float] | None = None,
-) -> Instrumented:
-    """Give a copy of an aircraft the model-form plugin, as ``uqharness instrument`` does.
+@notebook_line("margins")
+@accepts(MarginsRequest)
+@isolated
+def margins(request: MarginsRequest) -> Margins:
+    """Measure the autopilot's stability margins in flight, as ``uqharness margins`` does.
 
-    Parameters
-    ----------
-    aircraft : str, Path or Aircraft
-        The model; any JSBSim aircraft.
-    form : MadeBounds, ModelForm, str or Path, optional
-        What `fit_model_form` gave, or a file model-form.json.
-    out : str or Path
-        Folder of the copy.
-    constant : Mapping, optional
-        In place of a form, bounds that stay: coefficient to half width [-] or to (lower, upper)
-        [-], as ``{"CX": 0.01}``.
-    air : bool
-        Whether this project's wind and turbulence are added (docs/air.md).
-    check : bool
-        Whether check flights compare the copy with the original.
-    mass : Mapping, optional
-        Mass properties of the aircraft as it flew, in place of the XML's: ``mass_kg``,
-        ``ixx_kgm2``, ``iyy_kgm2``, ``izz_kgm2``, ``ixz_kgm2`` (the product of inertia), ``cg_x_m``,
-        ``cg_y_m``, ``cg_z_m`` (the XML's structural frame).
+    Returns
+    -------
+    Margins
+        ``loops``: of each loop the gain [dB], phase [deg] and delay [s] margins, crossovers [rad/s]
+        and the modulus margin [-].
+
+    Raises
+    ------
+    BadInputError
+        For an aircraft without an autopilot, and an unknown loop.
+
+    Examples
+    --------
+    >>> import uqharness as uq
+    >>> result = uq.margins("espaaro", loop=["elevator"], flight="straight")
+    >>> result.loops["elevator"].phase_deg > 30.0
+    True
+    """
+    return simulation.margins(request).value
+
+
+@notebook_line("diff")
+@accepts(DiffRequest)
+@isolated
+def diff(request: DiffRequest) -> Differences:
+    """Fly two models side by side and list their differences, as ``uqharness diff`` does.
+
+    Returns
+    -------
+    Differences
+        ``differ``, the ``differences`` of channels, the likeliest cause first, ``terms`` of the XML
+        that differ, ``flights``.
+
+    Raises
+    ------
+    BadInputError
+        For unknown aircraft, and where neither a speed nor a script is named.
+
+    Examples
+    --------
+    >>> import uqharness as uq
+    >>> uq.diff("espaaro", "espaaro", script="trim").differ
+    False
+    """
+    return simulation.diff(request).value
+
+
+@notebook_line("instrument")
+@accepts(InstrumentRequest)
+@isolated
+def instrument(request: InstrumentRequest) -> Instrumented:
+    """Give a copy of an aircraft the model-form plugin, as ``uqharness instrument`` does.
 
     Returns
     -------
@@ -183,59 +178,11 @@ def instrument(
     >>> uq.find_aircraft(done.folder).name
     'espaaro'
     """
-    folder = path("out", out)
-    if form is None and constant is None:
+    if request.form is None and request.constant is None:
         raise BadInputError(
             'instrument: no bounds; give form, or constant such as {"CX": 0.01}, or {} for bounds'
             " of zero"
         )
-    if form is not None and constant is not None:
-        raise BadInputError(
-            "instrument: form and constant are two sources of bounds; give one of them"
-        )
-    if isinstance(form, MadeBounds):
-        form = form.form
-    elif form is not None and not isinstance(form, ModelForm):
-        form = read_model_form(path("form", form))
-    constant_bounds = instance(
-        "constant", {} if constant is None else constant, Mapping, 'a mapping such as {"CX": 0.01}'
-    )
-    bounds = Bounds(form, {name: _pair(name, value) for name, value in constant_bounds.items()})
-    model = aircraft_of(aircraft)
-    # Fail before the flights if the copy cannot be written.
-    check_output_folder(folder)
-    return run_unsupervised(
-        instrument_aircraft,
-        model,
-        bounds,
-        folder,
-        air=flag("air", air),
-        check=flag("check", check),
-        mass=_mass(mass),
-    )
-
-
-def _mass(mass: Mapping[str, float] | None) -> MassProperties:
-    """Check the names and values of mass properties. Raises BadInputError."""
-    allowed = tuple(MassProperties.__dataclass_fields__)
-    numbers = instance(
-        "mass", {} if mass is None else mass, Mapping, 'a mapping such as {"mass_kg": 900.0}'
-    )
-    if unknown := [name for name in numbers if name not in allowed]:
-        raise BadInputError(f"mass: {unknown[0]!r} is unknown; allowed are {', '.join(allowed)}")
-    return MassProperties(**{name: number(name, value) for name, value in numbers.items()})
-
-
-def _pair(name: str, value: float | tuple[float, float]) -> tuple[float, float]:
-    """Check one constant bound; return its lower and upper limit. Raises BadInputError."""
-    ends = tuple(value) if isinstance(value, tuple | list) else (value,)
-    numbers = all(
-        isinstance(end, Real) and not isinstance(end, bool) and math.isfinite(end) for end in ends
-    )
-    needed = f"one of {', '.join(COEFFICIENTS)} with a half width, or (lower <= 0, upper >= 0),"
-    require(
-        f"constant: {name}", value, name in COEFFICIENTS and numbers and len(ends) in (1, 2), needed
-    )
-    low, high = ends if len(ends) == 2 else (-ends[0], ends[0])
-    require(f"constant: {name}", value, low <= 0.0 <= high, needed)
-    return float(low) + 0.0, float(high)
+    done = simulation.instrument(request).value
+    assert done is not None  # only --undo has no result
+    return done

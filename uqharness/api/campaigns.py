@@ -1,153 +1,64 @@
-"""Campaigns in Python: run, opened, and p-boxes of any samples.
+"""Campaigns in Python: cost, flights, results, checks, and p-boxes of any samples.
 
 A campaign is given as a file, by its name, as a dictionary of its sections, or as a `CampaignSpec`.
 """
 
 from __future__ import annotations
 
-import io
-import math
-import os
-import re
-import shlex
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import cached_property
-from os import PathLike
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from uqharness.arguments import integer, number, one_of, path, require, share
-from uqharness.arguments import workers as given_workers
-from uqharness.campaign import (
-    CONFIDENCE,
-    STATEMENTS,
-    Progress,
-    band_confidence,
-    bounds_notes,
-    noise_notes,
-    pboxes,
-)
-from uqharness.campaign import run as running
-from uqharness.campaign.folder import read_cases, read_checked, read_complete
-from uqharness.campaign.spec import CampaignSpec
-from uqharness.campaign.spec import read as reading
-from uqharness.commands.flights import AnyPath
+from uqharness.arguments import require, share
+from uqharness.campaign import Progress
+from uqharness.campaign.folder import read_complete
+from uqharness.commands import campaign as commands
+from uqharness.commands.campaign import CampaignResult
+from uqharness.commands.next_flight import next_flight as plan_next_flight
+from uqharness.commands.sensitivity import sensitivity as rank_coefficients
 from uqharness.errors import BadInputError
-from uqharness.files import find_campaign
 from uqharness.heartbeat import STATE, Rate, clock, notebook_line
 from uqharness.isolation import isolated
+from uqharness.requests.base import accepts
+from uqharness.requests.campaign import (
+    AreaRequest,
+    CheckRequest,
+    ConvergenceRequest,
+    FolderRequest,
+    MergeRequest,
+    ReportRequest,
+    RerunRequest,
+    RunRequest,
+    SalvageRequest,
+    StatusRequest,
+    VerifyRequest,
+)
+from uqharness.requests.next_flight import NextFlightRequest
+from uqharness.requests.sensitivity import SensitivityRequest
+from uqharness.results.campaign import (
+    Areas,
+    CampaignCost,
+    CampaignPage,
+    CampaignStatus,
+    Convergence,
+    FolderCheck,
+    Merged,
+    Rerun,
+    Salvaged,
+)
+from uqharness.results.next_flight import AchievedNarrowing, NextFlightPlan
+from uqharness.results.sensitivity import CampaignSensitivity, ModalSensitivity
 from uqharness.statistics import PBox, Sample
 from uqharness.statistics import pbox as boxes
 
-if TYPE_CHECKING:
-    import pandas as pd
-
-
-_NO_FILE = Path("campaign.toml")
-"""File name in the messages of a campaign that has no file."""
-_FILE_AND_LINE = re.compile(rf"^{re.escape(str(_NO_FILE))}:\d+: (the file: )?")
-
-
-@dataclass(frozen=True)
-class CampaignResult:
-    """Results of a complete campaign, read from its folder on demand.
-
-    Attributes
-    ----------
-    folder : Path
-        The results; every ``uqharness campaign`` command takes it.
-    manifest : Mapping
-        What was flown: settings, versions, hashes.
-    notes : tuple of str
-        Remarks on the bounds that were flown.
-    """
-
-    folder: Path
-    manifest: Mapping[str, Any] = field(repr=False)
-    notes: tuple[str, ...] = ()
-
-    def __repr__(self) -> str:
-        settings = self.manifest["campaign"]
-        name = Path(settings["campaign"]["aircraft"]).name
-        return (
-            f"CampaignResult({str(self.folder)!r}: {self.manifest['cases']} flights of {name}, "
-            f"epistemic samples by {settings['epistemic']['method']})"
-        )
-
-    def _repr_html_(self) -> str:
-        # Imported here: only notebooks need charts.
-        from uqharness.report import campaign_view
-
-        return campaign_view(self.folder, self.manifest, self.cases, self.statements())
-
-    @cached_property
-    def cases(self) -> pd.DataFrame:
-        """Table with one row a flight (docs/campaigns.md describes the columns).
-
-        Raises BadInputError where the file is damaged.
-        """
-        return read_cases(self.folder, self.manifest)
-
-    def pboxes(self) -> dict[tuple[str, str], PBox]:
-        """Return the p-box of each (metric, condition), the rows of pbox.parquet."""
-        confidence = band_confidence(self.manifest["campaign"], CONFIDENCE)
-        return {
-            (metric, condition.label): box
-            for metric, condition, box in pboxes(self.cases, confidence)
-        }
-
-    def statements(self) -> pd.DataFrame:
-        """Return statements.csv: excursions per hour and their limits by condition and radius
-        (docs/statements.md).
-        """
-        import pandas as pd
-
-        content = read_checked(self.folder, self.manifest, STATEMENTS)
-        return pd.read_csv(
-            io.BytesIO(content),
-            dtype={"best": str, "worst": str},
-            keep_default_na=False,
-            na_values=[""],
-        )
-
 
 @notebook_line("run_campaign")
-@isolated
-def run_campaign(
-    campaign: AnyPath | CampaignSpec | Mapping[str, Any],
-    out: AnyPath,
-    *,
-    hours: float | None = None,
-    samples: int | None = None,
-    workers: int | None = None,
-    engine: Literal["auto", "batch", "jsbsim"] | None = None,
-    on_progress: Callable[[Progress], None] | None = None,
-) -> CampaignResult:
+@accepts(RunRequest)
+def run_campaign(request: RunRequest) -> CampaignResult:
     """Fly a campaign, as ``uqharness campaign run`` does.
 
     The same call or command resumes an interrupted campaign.
-
-    Parameters
-    ----------
-    campaign : str, Path, Mapping or CampaignSpec
-        A campaign.toml, the name of a folder under campaigns/, or the file's sections as a
-        dictionary.
-    out : str or Path
-        Folder for the results.
-    hours : float, optional
-        Flight hours per corner and condition [h], in place of ``[aleatory] flights``.
-    samples : int, optional
-        Epistemic samples to draw, in place of ``[epistemic] samples``.
-    workers : int, optional
-        Processes; by default one a core.
-    engine : {"auto", "batch", "jsbsim"}, optional
-        What flies, in place of ``[campaign] engine``.
-    on_progress : callable, optional
-        Called with the `Progress` after each batch of flights.
 
     Returns
     -------
@@ -181,34 +92,7 @@ def run_campaign(
     >>> bool((box.lower <= box.upper).all())
     True
     """
-    # Check the arguments before anything is created.
-    folder, workers = path("out", out), given_workers(workers)
-    if on_progress is not None:
-        require("on_progress", on_progress, callable(on_progress), "a function of a Progress")
-    spec = campaign_of(campaign)
-    if hours is not None:
-        spec = spec.with_hours(
-            number(
-                "hours",
-                hours,
-                "a number of flight hours above 0",
-                lambda value: 0.0 < value < math.inf,
-            )
-        )
-    if samples is not None:
-        samples = integer("samples", samples, 1)
-        spec = reading.with_samples(spec, samples)
-    if engine is not None:
-        spec = spec.with_engine(one_of("engine", engine, ("auto", "batch", "jsbsim")))
-    # The folder stores the command that resumes the campaign.
-    command = ["uqharness", "campaign", "run", str(campaign), "--out", str(folder)]
-    command += [] if hours is None else ["--hours", f"{hours:g}"]
-    command += [] if samples is None else ["--samples", str(samples)]
-    command += [] if engine is None else ["--engine", engine]
-    # A campaign without a file can be resumed by the same call, not by a command.
-    resume_command = shlex.join(command) if isinstance(campaign, str | PathLike) else ""
-    notes = (*noise_notes(spec), *bounds_notes(spec))
-    rate = Rate()
+    rate, on_progress = Rate(), request.on_progress
 
     def show(progress: Progress) -> None:
         done, total = progress.done - progress.done_before, progress.cases - progress.done_before
@@ -218,17 +102,22 @@ def run_campaign(
         if on_progress is not None:
             on_progress(progress)
 
-    running.run_campaign(spec, folder, workers, on_progress=show, command=resume_command)
-    return CampaignResult(folder, read_complete(folder), notes)
+    # A callback that is an argument is called in this process.
+    return _fly(request.changed(on_progress=None), show)
 
 
-def read_campaign(folder: AnyPath) -> CampaignResult:
+@isolated
+def _fly(request: RunRequest, callback: Callable[[Progress], object]) -> CampaignResult:
+    """Fly a campaign in the worker process."""
+    # Whoever calls a function has decided to fly.
+    result = commands.run(request, callback, agreed=True).value
+    assert result is not None
+    return result
+
+
+@accepts(FolderRequest)
+def read_campaign(request: FolderRequest) -> CampaignResult:
     """Open the results of a campaign that was flown before.
-
-    Parameters
-    ----------
-    folder : str or Path
-        The ``--out`` of ``uqharness campaign run``, or the ``out`` of `run_campaign`.
 
     Returns
     -------
@@ -252,8 +141,351 @@ def read_campaign(folder: AnyPath) -> CampaignResult:
     >>> uq.read_campaign("results").cases.equals(flown.cases)
     True
     """
-    place = path("folder", folder)
-    return CampaignResult(place, read_complete(place))
+    return CampaignResult(request.folder, read_complete(request.folder))
+
+
+@notebook_line("check_campaign")
+@accepts(CheckRequest)
+@isolated
+def check_campaign(request: CheckRequest) -> CampaignCost:
+    """Work out what a campaign costs before it is flown, as ``uqharness campaign check`` does.
+
+    Returns
+    -------
+    CampaignCost
+        ``flights``, ``flight_hours`` [h], ``expected_s`` [s], ``disk_bytes``, ``engine`` and why,
+        ``bounds_hold_at``.
+
+    Raises
+    ------
+    BadInputError
+        For mistakes in the campaign, each with its line, and a model that does not fly.
+
+    Examples
+    --------
+    >>> import uqharness as uq
+    >>> uq.check_campaign("demo", hours=0.05, engine="jsbsim")["flights"]
+    64
+    """
+    return commands.check(request).value
+
+
+@notebook_line("verify")
+@accepts(VerifyRequest)
+def verify(request: VerifyRequest) -> FolderCheck:
+    """Check a folder of results against its digests, as ``uqharness campaign verify`` does.
+
+    Returns
+    -------
+    FolderCheck
+        ``whole``, ``complete``, and of each file its ``state``.
+
+    Raises
+    ------
+    BadInputError
+        For a folder that is none of a campaign.
+
+    Examples
+    --------
+    >>> import uqharness as uq
+    >>> campaign = {
+    ...     "campaign": {"aircraft": "espaaro", "mission": "loiter", "seed": 1},
+    ...     "aleatory": {"flights": 2, "duration_s": 5, "burn_in_s": 0},
+    ...     "epistemic": {"method": "none"},
+    ... }
+    >>> flown = uq.run_campaign(campaign, "results", workers=1)
+    >>> uq.verify("results")["whole"]
+    True
+    """
+    return commands.verify(request).value
+
+
+@notebook_line("campaign_status")
+@accepts(StatusRequest)
+def campaign_status(request: StatusRequest) -> CampaignStatus:
+    """Read the progress of a campaign, also while it runs, as ``uqharness campaign status`` does.
+
+    Returns
+    -------
+    CampaignStatus
+        ``state`` (complete, running or interrupted), ``cases``, ``done``, ``failed``, ``statuses``,
+        ``engine`` and ``answers``.
+
+    Raises
+    ------
+    BadInputError
+        For a folder that is none of a campaign, or is damaged.
+
+    Examples
+    --------
+    >>> import uqharness as uq
+    >>> campaign = {
+    ...     "campaign": {"aircraft": "espaaro", "mission": "loiter", "seed": 1},
+    ...     "aleatory": {"flights": 2, "duration_s": 5, "burn_in_s": 0},
+    ...     "epistemic": {"method": "none"},
+    ... }
+    >>> flown = uq.run_campaign(campaign, "results", workers=1)
+    >>> status = uq.campaign_status("results")
+    >>> status["state"], status["done"], status["failed"]
+    ('complete', 2, 0)
+    """
+    return commands.status(request).value
+
+
+@notebook_line("campaign_report")
+@accepts(ReportRequest)
+@isolated
+def campaign_report(request: ReportRequest) -> CampaignPage:
+    """Write the page and the figures of a campaign, as ``uqharness campaign report`` does.
+
+    Returns
+    -------
+    CampaignPage
+        ``report``, the page's path; ``figures``, ``verdict``, and ``flown_again``, ids of cases.
+
+    Raises
+    ------
+    BadInputError
+        For a folder that is none of a campaign, or is damaged.
+
+    Examples
+    --------
+    >>> import uqharness as uq
+    >>> campaign = {
+    ...     "campaign": {"aircraft": "espaaro", "mission": "loiter", "seed": 1},
+    ...     "aleatory": {"flights": 2, "duration_s": 5, "burn_in_s": 0},
+    ...     "epistemic": {"method": "none"},
+    ... }
+    >>> flown = uq.run_campaign(campaign, "results", workers=1)
+    >>> uq.campaign_report("results", tracks=False)["flown_again"]
+    []
+    """
+    return commands.report(request).value
+
+
+@notebook_line("merge_campaign")
+@accepts(MergeRequest)
+def merge_campaign(request: MergeRequest) -> Merged:
+    """Bring the shards of a campaign together and write its tables, as ``uqharness campaign merge``
+    does.
+
+    Returns
+    -------
+    Merged
+        ``cases``, ``done``, ``missing``, ``statuses`` and ``shards``. Flights are missing where
+        ``missing`` is not 0: fly the shards that lack, then merge again.
+
+    Raises
+    ------
+    BadInputError
+        For a folder without shards, and one whose shards are of different campaigns.
+
+    Examples
+    --------
+    >>> import uqharness as uq
+    >>> uq.merge_campaign("missing")  # doctest: +IGNORE_EXCEPTION_DETAIL
+    Traceback (most recent call last):
+    uqharness.errors.BadInputError: missing
+    """
+    return commands.merge(request).value
+
+
+@notebook_line("rerun_case")
+@accepts(RerunRequest)
+@isolated
+def rerun_case(request: RerunRequest) -> Rerun:
+    """Fly one case of a campaign again with full output and a plot, as ``uqharness campaign rerun``
+    does.
+
+    Returns
+    -------
+    Rerun
+        ``case_id``, ``status``, ``reason``, ``same_as_stored`` (None: not flown before),
+        ``differences`` and ``files``.
+
+    Raises
+    ------
+    BadInputError
+        For an unknown case, and an aircraft that has changed.
+
+    Examples
+    --------
+    >>> import uqharness as uq
+    >>> campaign = {
+    ...     "campaign": {"aircraft": "espaaro", "mission": "loiter", "seed": 1},
+    ...     "aleatory": {"flights": 2, "duration_s": 5, "burn_in_s": 0},
+    ...     "epistemic": {"method": "none"},
+    ... }
+    >>> flown = uq.run_campaign(campaign, "results", workers=1)
+    >>> uq.rerun_case("results", flown.cases["case_id"][0])["same_as_stored"]
+    True
+    """
+    return commands.rerun(request).value
+
+
+@notebook_line("salvage_campaign")
+@accepts(SalvageRequest)
+@isolated
+def salvage_campaign(request: SalvageRequest) -> Salvaged:
+    """Repair a damaged campaign, as ``uqharness campaign salvage`` does: keep sound flights, fly
+    the others again.
+
+    Returns
+    -------
+    Salvaged
+        ``kept``, ``flown`` and ``missing`` flights, ``statuses``, files ``rewritten`` and put
+        ``aside``, and the same of ``shards``.
+
+    Raises
+    ------
+    BadInputError
+        For a folder that cannot be repaired; nothing is lost then.
+
+    Examples
+    --------
+    >>> import uqharness as uq
+    >>> campaign = {
+    ...     "campaign": {"aircraft": "espaaro", "mission": "loiter", "seed": 1},
+    ...     "aleatory": {"flights": 2, "duration_s": 5, "burn_in_s": 0},
+    ...     "epistemic": {"method": "none"},
+    ... }
+    >>> flown = uq.run_campaign(campaign, "results", workers=1)
+    >>> uq.salvage_campaign("results")["kept"]
+    2
+    """
+    return commands.salvage(request).value
+
+
+@notebook_line("campaign_convergence")
+@accepts(ConvergenceRequest)
+def campaign_convergence(request: ConvergenceRequest) -> Convergence:
+    """Study the convergence of a campaign over flights and epistemic samples, as ``uqharness
+    campaign convergence`` does.
+
+    Returns
+    -------
+    Convergence
+        ``table`` and ``figures``, paths of what was written, and ``rows``, those of the table.
+
+    Raises
+    ------
+    BadInputError
+        For too few flights or samples, and an unknown metric.
+
+    Examples
+    --------
+    >>> import uqharness as uq
+    >>> campaign = {
+    ...     "campaign": {"aircraft": "espaaro", "mission": "loiter", "seed": 1},
+    ...     "aleatory": {"flights": 4, "duration_s": 5, "burn_in_s": 0},
+    ...     "epistemic": {"method": "none"},
+    ... }
+    >>> flown = uq.run_campaign(campaign, "results", workers=1)
+    >>> found = uq.campaign_convergence("results", repeats=2, metric="speed_median_mps")
+    >>> found["rows"][0]["metric"], found["rows"][0]["flights"]
+    ('speed_median_mps', 2)
+    """
+    return commands.convergence(request).value
+
+
+@notebook_line("campaign_area")
+@accepts(AreaRequest)
+def campaign_area(request: AreaRequest) -> Areas:
+    """Compare real flights with a campaign's p-boxes by the area metric, as ``uqharness campaign
+    area`` does.
+
+    Returns
+    -------
+    Areas
+        ``table``, the path of area.csv, and ``rows``: of each metric and condition the ``area`` by
+        which the flights lie outside the p-box in the metric's unit, ``beyond_chance`` and the
+        ``verdict``.
+
+    Raises
+    ------
+    BadInputError
+        Where no flight is given, or none has a metric of the campaign.
+
+    References
+    ----------
+    S. Ferson, W. L. Oberkampf, L. Ginzburg, Model validation and predictive capability for the
+    thermal challenge problem, 2008.
+
+    Examples
+    --------
+    >>> import uqharness as uq
+    >>> campaign = {
+    ...     "campaign": {"aircraft": "espaaro", "mission": "loiter", "seed": 1},
+    ...     "aleatory": {"flights": 4, "duration_s": 5, "burn_in_s": 0},
+    ...     "epistemic": {"method": "none"},
+    ... }
+    >>> flown = uq.run_campaign(campaign, "results", workers=1)
+    >>> inside = float(flown.cases["speed_median_mps"][0])
+    >>> areas = uq.campaign_area("results", value={"speed_median_mps": inside})
+    >>> {row.verdict for row in areas.rows}
+    {'no contradiction'}
+    """
+    return commands.area(request).value
+
+
+@notebook_line("sensitivity")
+@accepts(SensitivityRequest)
+@isolated
+def sensitivity(request: SensitivityRequest) -> CampaignSensitivity | ModalSensitivity:
+    """Rank uncertain coefficients by the width they give to the p-box, as ``uqharness sensitivity``
+    does.
+
+    `uqharness.sensitivity` is the package too: ``uq.sensitivity.run_study`` takes any function.
+
+    Returns
+    -------
+    CampaignSensitivity or ModalSensitivity
+        What ``uqharness sensitivity --json`` prints (docs/sensitivity.md).
+
+    Raises
+    ------
+    BadInputError
+        For a folder that is no finished campaign of corners, and where both or neither of folder
+        and modal are given.
+
+    References
+    ----------
+    L. E. Hale, dissertation, Virginia Tech, 2016, chapter 4.
+
+    Examples
+    --------
+    >>> import uqharness as uq
+    >>> uq.sensitivity("missing")  # doctest: +IGNORE_EXCEPTION_DETAIL
+    Traceback (most recent call last):
+    uqharness.errors.BadInputError: missing
+    """
+    return rank_coefficients(request).value
+
+
+@notebook_line("next_flight")
+@accepts(NextFlightRequest)
+@isolated
+def next_flight(request: NextFlightRequest) -> NextFlightPlan | AchievedNarrowing:
+    """Plan the test flight that most narrows the p-box, as ``uqharness next-flight`` does.
+
+    Returns
+    -------
+    NextFlightPlan or AchievedNarrowing
+        The content of next-flight.json; with ``redone`` the narrowing of each coefficient.
+
+    Raises
+    ------
+    BadInputError
+        For a folder that is no finished campaign of corners, and bounds of another aircraft.
+
+    Examples
+    --------
+    >>> import uqharness as uq
+    >>> uq.next_flight("missing", "next")  # doctest: +IGNORE_EXCEPTION_DETAIL
+    Traceback (most recent call last):
+    uqharness.errors.BadInputError: missing
+    """
+    return plan_next_flight(request).value
 
 
 def pbox(
@@ -318,33 +550,3 @@ def _sample(name: str, values: ArrayLike | Sample) -> Sample:
     array = np.asarray(values, dtype=float).ravel()
     finite = np.isfinite(array)
     return Sample(name, array[finite], int(np.count_nonzero(~finite)))
-
-
-def campaign_of(campaign: AnyPath | CampaignSpec | Mapping[str, Any]) -> CampaignSpec:
-    """Return the campaign of a file, name or dictionary. Raises BadInputError."""
-    if isinstance(campaign, CampaignSpec):
-        return campaign
-    if isinstance(campaign, Mapping):
-        try:
-            # The dictionary passes the same checks as a file; messages omit the missing file's
-            # name.
-            return reading.campaign_from(_plain(campaign), _NO_FILE)
-        except BadInputError as error:
-            raise BadInputError(*(_FILE_AND_LINE.sub("", line) for line in error.args)) from None
-    if not isinstance(campaign, str | PathLike):
-        raise BadInputError(
-            "a campaign is a file, a name or its sections as a dictionary; received"
-            f" {type(campaign).__name__}"
-        )
-    return reading.read_campaign(find_campaign(Path(campaign)))
-
-
-def _plain(value: Any) -> Any:
-    """Convert numpy values and paths to what TOML can hold."""
-    if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, np.generic | np.ndarray):
-        return value.tolist()
-    return os.fspath(value) if isinstance(value, PathLike) else value

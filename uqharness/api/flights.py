@@ -1,88 +1,30 @@
 """Flights in Python: simulated, or read from logs and records.
 
-`Flight` is what all functions of this package take and return. `aircraft_of` and `flights_of`
-accept whatever a user passes for an aircraft or flights.
+`uqharness.commands.flights.Flight` is what all functions of this package take and return.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from os import PathLike
-from typing import TYPE_CHECKING, Literal
-
-from sysid.logs import LogInfo, MapProposal, check_units, import_log
-from sysid.logs import log_info as report_of_log
-from sysid.logs import propose_map as proposed
-from sysid.record import FlightRecord, Metadata
-from sysid.vocabulary import SIGNALS
-from uqharness.arguments import flag, instance, integer, number, one_of
-from uqharness.arguments import path as argument_path
-from uqharness.arguments import properties as settings
-from uqharness.commands.flights import (
-    AnyAircraft,
-    AnyPath,
-    Flight,
-    _content_sha256,
-    aircraft_of,
-    carded_aircraft,
-    flights_of,
-)
-from uqharness.flight import (
-    DEFAULT_TURBULENCE_SOURCE,
-    TURBULENCE_W20_KT,
-    FlightSpec,
-    recorded_flight,
-    seeded_spec,
-    start_position,
-)
+from sysid.logs import LogInfo, MapProposal
+from uqharness.commands import logs, simulation
+from uqharness.commands.flights import Flight, carded_aircraft, flights_of
 from uqharness.heartbeat import notebook_line
-from uqharness.simulator import find_script, read_script
+from uqharness.isolation import isolated
+from uqharness.requests.base import accepts
+from uqharness.requests.logs import (
+    LogExportRequest,
+    LogInfoRequest,
+    LogMapRequest,
+    ReadFlightsRequest,
+)
+from uqharness.requests.simulation import FlyRequest
+from uqharness.results.logs import Playback
 
-if TYPE_CHECKING:
-    pass
 
-
-def fly(
-    aircraft: AnyAircraft,
-    script: AnyPath = "loiter",
-    *,
-    mission: AnyPath | None = None,
-    duration_s: float | None = None,
-    wind_mps: float = 0.0,
-    wind_from_deg: float = 270.0,
-    turbulence: Literal["none", "light", "moderate", "severe"] = "none",
-    turbulence_source: Literal["spec", "jsbsim"] = DEFAULT_TURBULENCE_SOURCE,
-    seed: int = 0,
-    noise: bool = False,
-    properties: Mapping[str, float] | None = None,
-    rate_hz: float = 50.0,
-) -> Flight:
+@notebook_line("fly")
+@accepts(FlyRequest)
+def fly(request: FlyRequest) -> Flight:
     """Fly a run script once, as ``uqharness fly`` does.
-
-    Parameters
-    ----------
-    aircraft : str, Path or Aircraft
-        Name under aircraft/ or of JSBSim's collection, a folder, or what `find_aircraft` gave.
-    script : str or Path
-        Run script, a file or a name under scripts/.
-    mission : str or Path, optional
-        The same under the name that campaigns have for it.
-    duration_s : float, optional
-        Length of the flight [s]; by default until the script's end.
-    wind_mps, wind_from_deg : float
-        Steady wind [m/s] and the true direction that it blows from [deg].
-    turbulence : {"none", "light", "moderate", "severe"}
-        Intensity after MIL-F-8785C.
-    turbulence_source : {"spec", "jsbsim"}
-        Which Dryden model: the one after the specification, or JSBSim's own.
-    seed : int
-        Seed of turbulence and of sensor noise; the same seed gives the same flight.
-    noise : bool
-        Whether sensor noise is added to the autopilot's inputs and to the record.
-    properties : Mapping, optional
-        JSBSim properties set before the flight, such as ``{"aero/Cm_q": -10.0}``.
-    rate_hz : float
-        Rows per second [1/s].
 
     Returns
     -------
@@ -109,73 +51,13 @@ def fly(
     >>> list(table.columns[:4])
     ['time_s', 'V_mps', 'alpha_rad', 'beta_rad']
     """
-    if mission is not None:
-        script = argument_path("mission", mission)
-    model, run = aircraft_of(aircraft), read_script(find_script(argument_path("script", script)))
-    for name, value in (
-        ("wind_mps", wind_mps),
-        ("wind_from_deg", wind_from_deg),
-        ("rate_hz", rate_hz),
-    ):
-        number(name, value)
-    if duration_s is not None:
-        number("duration_s", duration_s)
-    seed = integer("seed", seed)
-    spec = FlightSpec(
-        model.folder,
-        run.path,
-        run.end_s if duration_s is None else duration_s,
-        wind_mps=wind_mps,
-        wind_from_deg=wind_from_deg,
-        turbulence=one_of("turbulence", turbulence, tuple(TURBULENCE_W20_KT)),
-        turbulence_source=one_of("turbulence_source", turbulence_source, ("spec", "jsbsim")),
-        sensor_noise=flag("noise", noise),
-        properties=settings(properties),
-        record_rate_hz=rate_hz,
-    )
-    frame, recorded = recorded_flight(model, run, seeded_spec(spec, seed))
-    channels = {str(name): frame[name].to_numpy() for name in frame.columns if name in SIGNALS}
-    # Unit checks need a record, and their findings belong to its metadata.
-    record = FlightRecord(channels, Metadata(source=run.path.stem, dialect="record"))
-    record = FlightRecord(
-        channels,
-        Metadata(source=run.path.stem, dialect="record", findings=tuple(check_units(record))),
-    )
-    return Flight(
-        run.path.stem,
-        record,
-        _content_sha256(record),
-        recorded.status,
-        recorded.reason,
-        model,
-        start_position(recorded),
-    )
+    # The flight itself runs in a worker, whose crash is a result.
+    return simulation.fly(request).value
 
 
-def read_flights(
-    paths: AnyPath | Sequence[AnyPath],
-    aircraft: AnyAircraft,
-    *,
-    manoeuvres: AnyPath | None = None,
-    signal_map: AnyPath | None = None,
-    flight_number: int | Sequence[int] | None = None,
-) -> list[Flight]:
+@accepts(ReadFlightsRequest)
+def read_flights(request: ReadFlightsRequest) -> list[Flight]:
     """Read flight logs or records, the part that is free flight.
-
-    Parameters
-    ----------
-    paths : str, Path or sequence of them
-        Records (.parquet, .csv) or logs (ArduPilot .bin, .log, .tlog; PX4 .ulg), recognised by
-        their content.
-    aircraft : str, Path or Aircraft
-        Whose airframe.toml turns servo outputs into angles.
-    manoeuvres : str or Path, optional
-        CSV table that labels the flights: columns manoeuvre, start_s, end_s (and flight).
-    signal_map : str or Path, optional
-        Signal map of your own, TOML (docs/logs.md).
-    flight_number : int or sequence of int, optional
-        Which flight of logs that hold several boots of the autopilot, from 1: one number, or one a
-        file. Default: the longest.
 
     Returns
     -------
@@ -195,32 +77,19 @@ def read_flights(
     >>> flight.name, len(flight), "elevator_deg" in flight.record
     ('doublet', 251, True)
     """
-    model = carded_aircraft(aircraft)
-    several = [paths] if isinstance(paths, str | PathLike) else paths
-    files = [
-        argument_path("paths", p) for p in instance("paths", several, Iterable, "a path or several")
-    ]
-    table = None if manoeuvres is None else argument_path("manoeuvres", manoeuvres)
-    own_map = None if signal_map is None else argument_path("signal_map", signal_map)
-    chosen = () if flight_number is None else flight_number
     return flights_of(
-        files,
-        model,
-        manoeuvres=table,
-        signal_map=own_map,
-        flight_number=[chosen] if isinstance(chosen, int) else chosen,
+        request.paths,
+        carded_aircraft(request.aircraft),
+        manoeuvres=request.manoeuvres,
+        signal_map=request.signal_map,
+        flight_number=request.flight_number or (),
     )
 
 
-def propose_map(log: AnyPath, aircraft: AnyAircraft | None = None) -> MapProposal:
+@notebook_line("propose_map")
+@accepts(LogMapRequest)
+def propose_map(request: LogMapRequest) -> MapProposal:
     """Propose a signal map for a log, as ``uqharness log map`` does.
-
-    Parameters
-    ----------
-    log : str or Path
-        Table (CSV or Parquet), ArduPilot, MAVLink or PX4 log.
-    aircraft : str, Path or Aircraft, optional
-        Whose airframe.toml turns servo outputs into angles.
 
     Returns
     -------
@@ -244,30 +113,13 @@ def propose_map(log: AnyPath, aircraft: AnyAircraft | None = None) -> MapProposa
     >>> proposal.time.unit, proposal.signals[0].signal, round(proposal.signals[0].entry.scale, 4)
     ('ms', 'V_mps', 0.5144)
     """
-    card = None if aircraft is None else carded_aircraft(aircraft).folder
-    return proposed(argument_path("log", log), card)
+    return logs.propose_map(request).value
 
 
-def log_info(
-    log: AnyPath,
-    *,
-    aircraft: AnyAircraft | None = None,
-    signal_map: AnyPath | None = None,
-    flight_number: int | None = None,
-) -> LogInfo:
+@notebook_line("log_info")
+@accepts(LogInfoRequest)
+def log_info(request: LogInfoRequest) -> LogInfo:
     """Check a flight log, and list its contents and purposes, as ``uqharness log info`` does.
-
-    Parameters
-    ----------
-    log : str or Path
-        A record (.parquet, .csv) or log (ArduPilot .bin, .log, .tlog; PX4 .ulg), recognised by its
-        content.
-    aircraft : str, Path or Aircraft, optional
-        Whose airframe.toml turns servo outputs into angles.
-    signal_map : str or Path, optional
-        Signal map of your own, TOML (docs/logs.md).
-    flight_number : int, optional
-        Which flight of a log that holds several boots, from 1; by default the longest.
 
     Returns
     -------
@@ -287,9 +139,30 @@ def log_info(
     >>> uq.log_info("doublet.parquet").dialect
     'record'
     """
-    own_map = None if signal_map is None else argument_path("signal_map", signal_map)
-    card = None if aircraft is None else carded_aircraft(aircraft).folder
-    boot = None if flight_number is None else integer("flight_number", flight_number, 1)
-    with notebook_line("log_info"):
-        record = import_log(argument_path("log", log), own_map, card, flight_number=boot)
-        return report_of_log(record)
+    return logs.log_info(request).value
+
+
+@notebook_line("export_log")
+@accepts(LogExportRequest)
+@isolated
+def export_log(request: LogExportRequest) -> Playback:
+    """Write a flight as files that FlightGear plays back, as ``uqharness log export`` does.
+
+    Returns
+    -------
+    Playback
+        ``files``, ``rows``, ``rate_hz`` [1/s] and ``columns``.
+
+    Raises
+    ------
+    BadInputError
+        For a log without position or attitude, and one that does not say where it began.
+
+    Examples
+    --------
+    >>> import uqharness as uq
+    >>> columns = uq.fly("espaaro", "doublet-elevator", duration_s=2).write("doublet.parquet")
+    >>> uq.export_log("doublet.parquet", "espaaro", "shown", lat_deg=37.2, lon_deg=-80.4).rows
+    61
+    """
+    return logs.export_log(request).value

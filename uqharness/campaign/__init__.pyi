@@ -10,10 +10,11 @@ from .conditions import hardest_condition as hardest_condition
 from .conditions import in_condition as in_condition
 from .conditions import pboxes as pboxes
 from .conditions import samples as samples
+from .convergence import AREAS as AREAS
 from .convergence import CONVERGENCE as CONVERGENCE
+from .convergence import AreaComparison as AreaComparison
 from .convergence import MetricConvergence as MetricConvergence
-from .convergence import area_document as area_document
-from .convergence import convergence_document as convergence_document
+from .convergence import as_rows as as_rows
 from .convergence import read_flights as read_flights
 from .convergence import sentences as sentences
 from .convergence import write_area as write_area
@@ -44,6 +45,7 @@ from .sensitivity import find_winner as find_winner
 from .sensitivity import read_corner_campaign as read_corner_campaign
 from .sensitivity import read_interior_campaign as read_interior_campaign
 from .sensitivity import read_sensitivity as read_sensitivity
+from .sensitivity import shares_by_condition as shares_by_condition
 from .spec.campaign import read_bounds as read_bounds
 from .statements import ENOUGH_EXCURSIONS as ENOUGH_EXCURSIONS
 from .statements import STATEMENTS as STATEMENTS

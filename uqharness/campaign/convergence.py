@@ -11,7 +11,7 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -286,17 +286,6 @@ def write_convergence(folder: Path, metrics: Sequence[str], number: int) -> list
     return result
 
 
-def convergence_document(
-    folder: Path, result: Sequence[MetricConvergence], figures: Sequence[Path]
-) -> dict[str, Any]:
-    """Return the document of ``campaign convergence --json``."""
-    return {
-        "table": str(folder / CONVERGENCE),
-        "figures": list(map(str, figures)),
-        "rows": as_rows(result),
-    }
-
-
 # Area metric between a campaign's p-boxes and real flights.
 
 AREAS = "area.csv"
@@ -464,13 +453,3 @@ def write_area(folder: Path, flights: pd.DataFrame) -> list[AreaComparison]:
     comparisons = compare_flights(folder, flights)
     record_table(folder, AREAS, area_table(comparisons))
     return comparisons
-
-
-def area_document(folder: Path, comparisons: Sequence[AreaComparison]) -> dict[str, Any]:
-    """Return the document of ``campaign area --json``."""
-    rows = [
-        {"metric": item.metric, "condition": item.condition.label, "verdict": item.verdict}
-        | asdict(item.area_metric)
-        for item in comparisons
-    ]
-    return {"table": str(folder / AREAS), "rows": rows}

@@ -181,7 +181,7 @@ def run_campaign(
     out_dir: str | Path,
     workers: int | None = None,
     executor: Executor | None = None,
-    on_progress: Callable[[Progress], None] | None = None,
+    on_progress: Callable[[Progress], object] | None = None,
     fly: FlightFunction | Engines | None = None,
     mission: Mission | None = None,
     command: str = "",
@@ -559,7 +559,7 @@ def _fly_missing(
     executor: Executor,
     engines: Engines,
     judge: EngineComparison | None,
-    on_progress: Callable[[Progress], None] | None,
+    on_progress: Callable[[Progress], object] | None,
     before_flying: Callable[[Pace | None, int], None],
 ) -> CampaignSummary:
     """Fly the cases of each round that are not stored yet, store them and report progress."""

@@ -35,6 +35,7 @@ from uqharness.campaign.spec.samples import INTERIOR_MARK, NOMINAL
 from uqharness.campaign.statements import format_number
 from uqharness.errors import BadInputError
 from uqharness.flight import COEFFICIENTS, TURBULENCE_W20_KT
+from uqharness.results.sensitivity import MetricShares
 from uqharness.sensitivity import Evaluations, MethodResult, PairRange, Study
 from uqharness.sensitivity.measures import corner_pairs
 from uqharness.sensitivity.problem import corners as box_corners
@@ -465,19 +466,22 @@ def as_csv(results: Sequence[MetricSensitivity]) -> bytes:
     return buffer.getvalue().encode()
 
 
-def as_json(results: Sequence[MetricSensitivity]) -> dict[str, dict[str, Any]]:
-    """Return the results by condition and metric, for ``uqharness sensitivity --json``."""
-    by_condition: dict[str, dict[str, Any]] = {}
+def shares_by_condition(
+    results: Sequence[MetricSensitivity],
+) -> dict[str, dict[str, MetricShares]]:
+    """Return the results by condition and metric."""
+    by_condition: dict[str, dict[str, MetricShares]] = {}
     for item in results:
-        by_condition.setdefault(item.condition.label, {})[item.metric] = item.result.as_dict() | {
-            "flights": item.flights,
-            "left_out": item.left_out,
-            "first": item.ranking.first or None,
-            "certain": item.ranking.certain,
-            "rivals_by_ranges": list(item.ranking.by_ranges),
-            "rivals_by_sampling": list(item.ranking.by_sampling),
-            "words": item.words,
-        }
+        by_condition.setdefault(item.condition.label, {})[item.metric] = MetricShares(
+            **item.result.as_dict(),
+            flights=item.flights,
+            left_out=item.left_out,
+            first=item.ranking.first or None,
+            certain=item.ranking.certain,
+            rivals_by_ranges=list(item.ranking.by_ranges),
+            rivals_by_sampling=list(item.ranking.by_sampling),
+            words=item.words,
+        )
     return by_condition
 
 

@@ -18,6 +18,7 @@ from uqharness.requests.base import (
     check,
     choices_of,
     flag_of,
+    item_type,
     options_of,
 )
 
@@ -63,7 +64,8 @@ def _add_field(parser: argparse.ArgumentParser, name: str, info: Any, field_opti
         allowed = choices_of(info)
         settings["choices"] = None if allowed is None else tuple(map(str, allowed))
         # The completion offers files where the type is a path.
-        settings["type"] = _Text(base is Path or "FILE" in (field_option.metavar or ""))
+        metavar = field_option.metavar or ""
+        settings["type"] = _Text(base is Path or "FILE" in metavar or ".toml" in metavar)
         if field_option.many:
             settings |= {"nargs": "+", "action": "extend"}
         elif field_option.repeat:
@@ -110,15 +112,23 @@ def _value(model: type[Request], name: str, text: Any) -> Any:
     """Convert words by the field's type; what cannot be converted is returned as it is."""
     info, _field_option = options_of(model)[name]
     base = base_type(info.annotation)
-    if base in (float, int) and isinstance(text, str):
-        try:
-            return base(text)
-        except ValueError:
-            return text
+    if base in (float, int):
+        return _number(base, text)
     if base is dict and isinstance(text, list):
         return _mapping(text)
-    # Repeated options with one name each, or one option with names between commas.
-    return tuple(text) if isinstance(text, list) else text
+    if not isinstance(text, list):
+        return text
+    # Repeated options with one value each, or one option with several.
+    item = item_type(info.annotation)
+    return tuple(_number(item, word) if item in (float, int) else word for word in text)
+
+
+def _number(base: Any, text: Any) -> Any:
+    """Convert a word to a number; one that is none is returned as it is."""
+    try:
+        return base(text)
+    except ValueError:
+        return text
 
 
 def _mapping(pairs: list[str]) -> Any:

@@ -6,7 +6,6 @@ shtab writes the script from the parser of all commands.
 from __future__ import annotations
 
 import argparse
-import json
 import shlex
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -14,34 +13,26 @@ from typing import Any
 
 import shtab
 
-from uqharness.cli.options import commands_of, describe
+from uqharness.cli.main import complete_parser
+from uqharness.cli.options import commands_of
 from uqharness.files import PROJECT_ROOT
+from uqharness.requests.base import Callback, silent
+from uqharness.requests.folders import CompletionRequest
+from uqharness.results.base import Outcome
+from uqharness.results.folders import CompletionScript
 
 SHELLS = ("bash", "zsh")
-_EXAMPLE = """
-  uqharness completion bash > ~/.local/share/bash-completion/completions/uqharness
-  uqharness completion zsh > ~/.zfunc/_uqharness
-
-bash reads its file at the next start. zsh needs in ~/.zshrc:
-fpath+=~/.zfunc; autoload -U compinit; compinit
-Completion does not run this program; write the file again after an update."""
 _AIRCRAFT: Mapping[str, str] = {
     "bash": '_uqharness_aircraft() {{ compgen -W {names} -- "$1"; compgen -d -- "$1"; }}',
     "zsh": "_uqharness_aircraft() {{ compadd -- {words}; _files -/; }}",
 }
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of ``completion``."""
-    describe(parser, _run, "Print a script that completes uqharness in a shell.", _EXAMPLE)
-    parser.add_argument("shell", choices=SHELLS, help="the shell")
-
-
-def _run(args: argparse.Namespace) -> int:
-    """Print the script; return the exit code."""
-    text = script(args.complete_parser(), args.shell)
-    print(json.dumps({"shell": args.shell, "script": text}) if args.json else text)
-    return 0
+def completion(request: CompletionRequest, callback: Callback = silent) -> Outcome[str]:
+    """Return the script of a shell."""
+    text = script(complete_parser(), request.shell)
+    document = CompletionScript(shell=request.shell, script=text)
+    return Outcome(text, document, [text], cut=False)
 
 
 def script(parser: argparse.ArgumentParser, shell: str) -> str:

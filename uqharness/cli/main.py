@@ -35,10 +35,20 @@ _GC_THRESHOLDS = 5_000, 10, 10
 scanning the objects of its libraries, none of which is ever freed."""
 
 COMMANDS: Table = {
-    "fly": ("fly", "one flight, recorded"),
-    "modes": ("modes", "trim, eigenvalues, MIL-F-8785C levels"),
-    "margins": ("margins", "gain, phase and delay margins of the autopilot"),
-    "diff": ("diff", "fly two models side by side and list their differences"),
+    "fly": RequestCommand("simulation:FlyRequest", "simulation:fly", "one flight, recorded"),
+    "modes": RequestCommand(
+        "simulation:ModesRequest", "simulation:modes", "trim, eigenvalues, MIL-F-8785C levels"
+    ),
+    "margins": RequestCommand(
+        "simulation:MarginsRequest",
+        "simulation:margins",
+        "gain, phase and delay margins of the autopilot",
+    ),
+    "diff": RequestCommand(
+        "simulation:DiffRequest",
+        "simulation:diff",
+        "fly two models side by side and list their differences",
+    ),
     "log": ("log", "flight logs: contents and checks, conversion to records"),
     "identify": RequestCommand(
         "identification:IdentifyRequest", "identification:identify", "parameters from flights"
@@ -58,18 +68,42 @@ COMMANDS: Table = {
         "identification:validate_bounds",
         "coverage of bounds on a new flight",
     ),
-    "instrument": ("instrument", "add the model-form plugin to any JSBSim aircraft"),
-    "refine": ("refine", "find, name and add missing effects"),
+    "instrument": RequestCommand(
+        "simulation:InstrumentRequest",
+        "simulation:instrument",
+        "add the model-form plugin to any JSBSim aircraft",
+    ),
+    "refine": RequestCommand(
+        "refinement:RefineRequest", "refinement:refine", "find, name and add missing effects"
+    ),
     "campaign": (
         "campaign",
         "nested Monte Carlo campaigns: check, run, status, report, merge, rerun, verify, salvage",
     ),
-    "sensitivity": ("sensitivity", "which uncertainty to reduce first"),
-    "next-flight": ("next_flight", "plan the test flight that narrows the p-box most"),
+    "sensitivity": RequestCommand(
+        "sensitivity:SensitivityRequest",
+        "sensitivity:sensitivity",
+        "which uncertainty to reduce first",
+    ),
+    "next-flight": RequestCommand(
+        "next_flight:NextFlightRequest",
+        "next_flight:next_flight",
+        "plan the test flight that narrows the p-box most",
+    ),
     "study": ("study", "the whole chain: flights to p-boxes, before and after refinement"),
-    "report": ("report", "write report.html of a folder of results"),
-    "dossier": ("dossier", "the evidence of a folder of results as one printable document"),
-    "completion": ("completion", "a script for the completion of bash or zsh"),
+    "report": RequestCommand(
+        "folders:ReportRequest", "folders:report", "write report.html of a folder of results"
+    ),
+    "dossier": RequestCommand(
+        "folders:DossierRequest",
+        "folders:dossier",
+        "the evidence of a folder of results as one printable document",
+    ),
+    "completion": RequestCommand(
+        "folders:CompletionRequest",
+        "uqharness.cli.completion:completion",
+        "a script for the completion of bash or zsh",
+    ),
 }
 
 
@@ -82,8 +116,8 @@ def build_parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--version", action="version", version=f"uqharness {__version__}")
-    # A study runs other commands in its own process; completion asks for the arguments of all.
-    parser.set_defaults(run_words=run_words, complete_parser=complete_parser)
+    # A study runs other commands in its own process.
+    parser.set_defaults(run_words=run_words)
     add_commands(parser, COMMANDS, "command", "COMMAND")
     return parser
 

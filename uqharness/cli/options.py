@@ -19,7 +19,6 @@ from typing import TYPE_CHECKING, Any
 from uqharness.errors import BadInputError
 
 if TYPE_CHECKING:
-    from uqharness.flight import AutopilotGains
     from uqharness.simulator import Aircraft
 
 Handler = Callable[[argparse.Namespace], int]
@@ -187,16 +186,6 @@ def add_map(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def add_flight_number(parser: argparse.ArgumentParser) -> None:
-    """Add ``--flight-number``; None means the longest flight."""
-    parser.add_argument(
-        "--flight-number",
-        type=integer("--flight-number", 1),
-        metavar="N",
-        help="flight to read from a log with several boots of the autopilot (default: the longest)",
-    )
-
-
 def add_manoeuvres(parser: argparse.ArgumentParser) -> None:
     """Add ``--manoeuvres``."""
     text = (
@@ -309,51 +298,6 @@ def command_as_given(args: argparse.Namespace) -> str:
     return shlex.join(command_words(args))
 
 
-# ``--autopilot FILE``: gains of the autopilot from an ArduPilot parameter file.
-
-
-def add_autopilot(parser: argparse.ArgumentParser) -> None:
-    """Add ``--autopilot``."""
-    parser.add_argument(
-        "--autopilot",
-        type=Path,
-        metavar="FILE",
-        help=(
-            "ArduPlane parameter file (.parm, .param): gains of the autopilot (default: the"
-            " aircraft's own)"
-        ),
-    )
-
-
-def gains_of(path: Path | None, aircraft: Aircraft, script: Path) -> AutopilotGains | None:
-    """Read the gains of a file for this aircraft; None without a file.
-
-    Raises BadInputError with file and line.
-    """
-    if path is None:
-        return None
-    from uqharness.flight import read_gains
-    from uqharness.simulator import StagedMission, engine
-
-    with StagedMission(aircraft, script) as mission:
-        return read_gains(path, set(engine.catalog(mission.open())))
-
-
-def print_gains(path: Path | None, gains: AutopilotGains | None) -> None:
-    """Print which gains were used, which were not, and why."""
-    if gains is not None:
-        print("\n  ".join([f"{path}:", *gains.lines()]))
-
-
-def gains_document(gains: AutopilotGains | None) -> dict[str, Any] | None:
-    """Return the gains for --json."""
-    return (
-        None
-        if gains is None
-        else {"taken": gains.properties, "ignored": dict(gains.ignored), "others": gains.n_others}
-    )
-
-
 # Commands, whose modules are loaded when they are named: ``uqharness --help`` loads no numerical
 # library.
 
@@ -367,8 +311,8 @@ class RequestCommand:
     request : str
         ``module:Class`` within uqharness.requests.
     function : str
-        ``module:function`` within uqharness.commands; it takes the request and a callback, and
-        returns an Outcome.
+        ``module:function`` within uqharness.commands, or with its full name; it takes the request
+        and a callback, and returns an Outcome.
     help : str
         Line in the list of commands.
     """

@@ -5,13 +5,14 @@ from __future__ import annotations
 import argparse
 import importlib
 import json
+import logging
 import os
 import sys
 from typing import Any
 
 from uqharness.cli.arguments import add_request, request_of
 from uqharness.cli.options import RequestCommand
-from uqharness.cli.progress import print_warnings, working
+from uqharness.cli.progress import ProgressView, print_warnings, working
 from uqharness.heartbeat import QUIET_VARIABLE
 
 
@@ -22,12 +23,18 @@ def add_request_command(parser: argparse.ArgumentParser, command: RequestCommand
 
     def run(args: argparse.Namespace) -> int:
         """Run the command; return its exit code."""
+        # Notes are log records, which --quiet leaves out as well.
+        logging.getLogger("uqharness").setLevel(logging.WARNING if args.quiet else logging.INFO)
         if args.quiet:
             os.environ[QUIET_VARIABLE] = "1"
         request = request_of(model, args)
         function = _part("uqharness.commands", command.function)
-        with working(model.command, _segments_flown, keep=model.keeps_stages) as callback:
-            outcome = function(request, callback)
+        if model.flies:
+            with ProgressView() as view:
+                outcome = function(request, view.update)
+        else:
+            with working(model.command, _segments_flown, keep=model.keeps_stages) as callback:
+                outcome = function(request, callback)
         if not args.quiet:
             print_warnings(outcome.warnings)
         if args.json:
@@ -40,9 +47,10 @@ def add_request_command(parser: argparse.ArgumentParser, command: RequestCommand
 
 
 def _part(package: str, place: str) -> Any:
-    """Return the object that ``module:name`` names within a package."""
+    """Return the object that ``module:name`` names within a package, or by its full name."""
     module, _, name = place.partition(":")
-    return getattr(importlib.import_module(f"{package}.{module}"), name)
+    path = module if module.startswith("uqharness.") else f"{package}.{module}"
+    return getattr(importlib.import_module(path), name)
 
 
 def _segments_flown() -> int:

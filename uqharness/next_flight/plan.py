@@ -10,7 +10,6 @@ normal equations with the simulated states). Nothing is written outside a tempor
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -72,6 +71,8 @@ from uqharness.next_flight.trials import (
     try_points,
     unit_times,
 )
+from uqharness.results.base import read_result
+from uqharness.results.next_flight import AchievedRow, Prediction, Predictions
 from uqharness.simulator import Aircraft, content_hash, find_aircraft
 from uqharness.text_tables import text_table
 
@@ -870,12 +871,10 @@ def warnings_of(
 
 # Widths before and after a flight over the same mission, with those predicted.
 
-Row = Mapping[str, float | None]
-
 
 def achieved(
     before: ModelForm, after: ModelForm, mission: Occupancy, planned: Path
-) -> dict[str, Row]:
+) -> dict[str, AchievedRow]:
     """Compare bounds before and after a flight.
 
     Parameters
@@ -895,25 +894,25 @@ def achieved(
     predicted = _read_predictions(planned)
     widths_after, widths_before = widths_over(after, mission), widths_over(before, mission)
     return {
-        c: {
-            "width": widths_before[c].total,
-            "width_after": widths_after[c].total,
-            "narrowing": 1.0 - widths_after[c].total / widths_before[c].total,
-            "predicted": predicted.get(c, {}).get("narrowing_redone"),
-            "parameter_narrowing": 1.0 - widths_after[c].parameter / widths_before[c].parameter,
-            "predicted_parameter": predicted.get(c, {}).get("parameter_narrowing"),
-        }
+        c: AchievedRow(
+            width=widths_before[c].total,
+            width_after=widths_after[c].total,
+            narrowing=1.0 - widths_after[c].total / widths_before[c].total,
+            predicted=predicted.get(c, Prediction()).narrowing_redone,
+            parameter_narrowing=1.0 - widths_after[c].parameter / widths_before[c].parameter,
+            predicted_parameter=predicted.get(c, Prediction()).parameter_narrowing,
+        )
         for c in widths_before
         if c in widths_after
     }
 
 
-def as_text(rows: Mapping[str, Row]) -> str:
+def as_text(rows: Mapping[str, AchievedRow]) -> str:
     """Format the rows of `achieved` as a table for a terminal."""
     return "\n".join(
         text_table(
             [
-                {"coefficient": c, **{k: _cell(k, v) for k, v in row.items()}}
+                {"coefficient": c, **{k: _cell(k, v) for k, v in row.as_json().items()}}
                 for c, row in rows.items()
             ]
         )
@@ -927,10 +926,9 @@ def _cell(key: str, value: float | None) -> str:
     return f"{value:.3g}" if "width" in key else percent(value)
 
 
-def _read_predictions(path: Path) -> dict[str, dict[str, float]]:
+def _read_predictions(path: Path) -> dict[str, Prediction]:
     """Read the prospects of a next-flight.json; empty if there is none."""
     try:
-        predictions = json.loads(path.read_text(encoding="utf-8"))["prospects"]
-    except (OSError, ValueError, KeyError, TypeError):
+        return read_result(path, Predictions).prospects
+    except BadInputError:
         return {}
-    return predictions if isinstance(predictions, dict) else {}

@@ -1,2 +1,2 @@
+from .run import Job as Job
 from .run import Refinement as Refinement
-from .run import Request as Request

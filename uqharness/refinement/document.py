@@ -36,6 +36,28 @@ from uqharness.refinement.round import Bent
 from uqharness.refinement.rounds import eligible, is_fastest
 from uqharness.refinement.search import Found, chosen_interval
 from uqharness.refinement.write_xml import switch_of
+from uqharness.results.refinement import Alternative as AlternativeDocument
+from uqharness.results.refinement import (
+    AlternativeEvidence,
+    Candidates,
+    Gaps,
+    HoldOutTest,
+    Identified,
+    NearbyCandidate,
+    Refinement,
+    RefusedCandidate,
+    Region,
+    Remaining,
+    RemainingPart,
+    ResidualLocation,
+    Score,
+    State,
+    Switch,
+    Timing,
+    Withdrawn,
+)
+from uqharness.results.refinement import Effect as EffectDocument
+from uqharness.results.refinement import Evidence as EvidenceDocument
 from uqharness.simulator import Actuator, Aircraft
 
 # Where a model and flights disagree: coefficient by manoeuvre and region of the state, in
@@ -51,7 +73,7 @@ def disagreements(
     labels: Sequence[str],
     dt_s: float,
     most: int = 12,
-) -> list[dict[str, Any]]:
+) -> list[Region]:
     """gap, allowed [(n, 6)]: coefficients demanded minus predicted, and the standard deviation that
     noise and parameters allow; states: name -> (n,), where a region may be looked for; labels:
     manoeuvre of every segment.
@@ -59,7 +81,7 @@ def disagreements(
     Each entry, the largest first, is the third of a state's range, of the state that tells most, in
     which the share of samples outside the 95 % interval is largest; size: rms there over the
     standard deviation allowed."""
-    found: list[tuple[float, dict[str, Any]]] = []
+    found: list[tuple[float, Region]] = []
     for kind in dict.fromkeys(labels):
         mine = [k for k, label in enumerate(labels) if label == kind]
         ratio = np.concatenate([gap[k] / allowed[k] for k in mine])
@@ -79,14 +101,14 @@ def disagreements(
                 f" samples outside the 95 % interval, {seconds:.1f} s of {len(z) * dt_s:.1f} s; rms"
                 f" {size:.1f} times what noise and parameters allow"
             )
-            row = {
-                "coefficient": coefficient,
-                "manoeuvre": kind,
-                "region": {state: [low, high]},
-                "share_outside_95": share,
-                "size": size,
-                "words": words,
-            }
+            row = Region(
+                coefficient=coefficient,
+                manoeuvre=kind,
+                region={state: [low, high]},
+                share_outside_95=share,
+                size=size,
+                words=words,
+            )
             found.append((size * seconds, row))
     return [row for _, row in sorted(found, key=lambda f: -f[0])][:most]
 
@@ -546,7 +568,7 @@ def place_of(
     left: Mapping[str, Sequence[str]],
     asked: Sequence[str],
     controls: Sequence[FloatArray],
-) -> dict[str, Any]:
+) -> ResidualLocation:
     """`remaining.place` of refinement.json where something remains.
 
     left      "train", "test" -> channels that are above their noise or coloured there
@@ -564,16 +586,17 @@ def place_of(
         place, goes = _where_asked(nearest, [s for s in both if s.flights == "train"], asked[0])
     candidates, now = nearest.leaving(place["channel"], {c.key for c in judged.withdrawn})
     effects = [judged.found.effects[k] for k, _, _ in candidates]
-    return place | {
+    parts = {
         "channel_on_train": now,
         "candidates": [
-            {**label(e), "name": e.name, "t": t, "leaves": leaves}
+            NearbyCandidate(**label(e), name=e.name, t=t, leaves=leaves)
             for e, (_, t, leaves) in zip(effects, candidates, strict=True)
         ],
         "would_tell": would_tell(
             None if goes is None else goes.state, effects, _loudest_manoeuvre(both, place)
         ),
     }
+    return ResidualLocation(**(place | parts))
 
 
 def no_place(reason: str) -> dict[str, Any]:
@@ -760,7 +783,7 @@ def _state(goes: With | None) -> dict[str, Any]:
     return {"state": asdict(goes), "state_reason": None}
 
 
-def label(effect: Effect) -> dict[str, str]:
+def label(effect: Effect) -> dict[str, Any]:
     """An effect's coefficient or subsystem, and its term."""
     where = (
         {"coefficient": effect.coefficient}
@@ -791,7 +814,7 @@ _AXES = (("p_radps", "Cl", "roll"), ("q_radps", "Cm", "pitch"), ("r_radps", "Cn"
 
 def find_disagreements(
     setup: Setup, shown: Shown, settled: Shown, controls: Sequence[Any]
-) -> list[dict[str, Any]]:
+) -> list[Region]:
     """Where ``shown`` lies outside what noise gives. A model that is at the noise in flight leaves
     more than that in coefficients, because held commands and gusts have their share there; then
     what it leaves is what is allowed."""
@@ -825,7 +848,7 @@ def _ranges(shown: Shown, controls: Sequence[Any]) -> list[dict[str, Any]]:
     ]
 
 
-def _remaining(chosen: Found, judged: Judged, controls: Sequence[Any]) -> dict[str, Any]:
+def _remaining(chosen: Found, judged: Judged, controls: Sequence[Any]) -> Remaining:
     """Whether anything is left that noise does not explain, where, and on what it depends."""
     found, (setup, _, after), (other, _, fitted) = judged.found, judged.train, judged.test
     left, held_out = left_in(setup, after, found.gusty), left_in(other, fitted, found.gusty)
@@ -863,102 +886,108 @@ def _remaining(chosen: Found, judged: Judged, controls: Sequence[Any]) -> dict[s
         ]
         place = place_of(judged, sides, [*asked, *(k for b in bent for k in b.instead)], controls)
     else:
-        place = no_place(NOTHING)
-    near = strong_of(place["candidates"], {*told, *(key for key, _ in more)})
+        place = ResidualLocation(**no_place(NOTHING))
+    near = strong_of(place.candidates, {*told, *(key for key, _ in more)})
     where += [_still_asked(effects[key], t, len(more) + k) for k, (key, t) in enumerate(near)]
-    return {
-        "unexplained": unexplained,
-        "where": where,
-        "channels_above_noise": left.above,
-        "coloured_channels": list(left.coloured),
-        "place": place,
-    }
+    return Remaining(
+        unexplained=unexplained,
+        where=where,
+        channels_above_noise={**left.above},
+        coloured_channels=list(left.coloured),
+        place=place,
+    )
 
 
-def _disagreeing(setup: Setup, shown: Shown, controls: Sequence[Any]) -> list[dict[str, Any]]:
+def _disagreeing(setup: Setup, shown: Shown, controls: Sequence[Any]) -> list[RemainingPart]:
     """Regions in which coefficients disagree, then coefficients above their noise and the states on
     which they depend.
     """
-    out = find_disagreements(setup, shown, shown, controls)
+    regions = find_disagreements(setup, shown, shown, controls)
+    out = [RemainingPart(**region.as_json()) for region in regions]
     states = _ranges(shown, controls)
     for k, c in enumerate(COEFFICIENTS):
         ratio = shown.coefficient_rms(k) / float(shown.floor[k])
         if ratio > NOISE_FLOOR:
             depends = [
-                {"state": n, "share": s}
+                State(state=n, share=s)
                 for n, s in dependence([g[:, k] for g in shown.coefficients], states)
             ]
-            out.append({"coefficient": c, "rms_over_noise": ratio, "depends_on": depends})
+            out.append(RemainingPart(coefficient=c, rms_over_noise=ratio, depends_on=depends))
     return out
 
 
-def _unconfirmed(effect: Effect, refused: Refusal) -> dict[str, Any]:
+def _unconfirmed(effect: Effect, refused: Refusal) -> RemainingPart:
     """Where the residual is and on what it depends, from the nearest candidate that was not
     confirmed.
     """
     term = effect.parsed
-    depends = [] if term is None else [{"state": v} for v in term.variables]
+    depends = [] if term is None else [State(state=v) for v in term.variables]
     words = (
         f"something is missing in {effect.coefficient or effect.subsystem} that depends on "
-        f"{', '.join(d['state'] for d in depends) or effect.term}: {effect.name} comes "
+        f"{', '.join(d.state for d in depends) or effect.term}: {effect.name} comes "
         f"nearest (|t| {abs(refused.t):.1f}), but {refused.why}"
     )
-    return {**label(effect), "depends_on": depends, "t": refused.t, "words": words}
+    return RemainingPart(**label(effect), depends_on=depends, t=refused.t, words=words)
 
 
 def document_of(
     chosen: Found, judged: Judged, aircraft: Aircraft, controls: Sequence[Any]
-) -> dict[str, Any]:
+) -> Refinement:
     """refinement.json as far as flights and models say it.
 
     chosen: what the train flights say, before the test flights were asked; aircraft: as given;
     controls: of every train segment"""
     found, (setup, before, after) = judged.found, judged.train
     switches = {c.key: switch_of(chosen.effects[c.key], aircraft) for c in chosen.selection.chosen}
-    effects = [_effect(found, c, judged.verdicts[c.key], switches) for c in found.selection.chosen]
+    effects = [
+        EffectDocument(**_effect(found, c, judged.verdicts[c.key], switches))
+        for c in found.selection.chosen
+    ]
     withdrawn = [
-        _effect(chosen, c, judged.verdicts[c.key], switches, withdrawn=True)
+        Withdrawn(**_effect(chosen, c, judged.verdicts[c.key], switches, withdrawn=True))
         for c in judged.withdrawn
     ]
     remaining = _remaining(chosen, judged, controls)
-    verdict = (
-        "unexplained"
-        if remaining["unexplained"]
-        else "effects-found"
-        if effects
-        else "no-missing-effect"
-    )
     refused = found.selection.refused
-    return {
-        "verdict": verdict,
-        "disagreement": find_disagreements(setup, before, after, controls),
-        "effects": effects,
-        "withdrawn": withdrawn,
-        "chosen": [_effect(chosen, c, None, switches) for c in chosen.selection.chosen],
-        "remaining": remaining,
-        "gap": {"train": gap_document(*judged.train), "test": gap_document(*judged.test)},
-        "switch": [
-            {"property": s[0], "off": s[1]}
+    return Refinement(
+        verdict=(
+            "unexplained"
+            if remaining.unexplained
+            else "effects-found"
+            if effects
+            else "no-missing-effect"
+        ),
+        disagreement=find_disagreements(setup, before, after, controls),
+        effects=effects,
+        withdrawn=withdrawn,
+        chosen=[
+            EffectDocument(**_effect(chosen, c, None, switches)) for c in chosen.selection.chosen
+        ],
+        remaining=remaining,
+        gap=Gaps(train=gap_document(*judged.train), test=gap_document(*judged.test)),
+        switch=[
+            Switch(property=s[0], off=s[1])
             for c in found.selection.chosen
             if (s := switches[c.key]) is not None
         ],
-        "parameters": {n: {"value": v, "std": s} for n, (v, s) in found.parameters.items()},
-        "best_refused": (
+        parameters={n: Identified(value=v, std=s) for n, (v, s) in found.parameters.items()},
+        best_refused=(
             None
             if refused is None
-            else {"effect": refused.key.removeprefix("effect/"), "t": refused.t, "why": refused.why}
+            else RefusedCandidate(
+                effect=refused.key.removeprefix("effect/"), t=refused.t, why=refused.why
+            )
         ),
-        "candidates": {
-            "limit": found.limit,
-            "scores": [{"effect": name, "t": t} for name, t in found.scoreboard],
-        },
-        "timing": {"controls_late_s": found.controls_late_s},
-        "trail": list(found.trail),
-        "notes": [*found.notes, *(n for f in setup.flights for n in f.notes)],
-    }
+        candidates=Candidates(
+            limit=found.limit, scores=[Score(effect=name, t=t) for name, t in found.scoreboard]
+        ),
+        timing=Timing(controls_late_s=found.controls_late_s),
+        trail=list(found.trail),
+        notes=[*found.notes, *(n for f in setup.flights for n in f.notes)],
+    )
 
 
-def moments_of(chosen: Found) -> dict[str, dict[str, Any]]:
+def moments_of(chosen: Found) -> dict[str, RemainingPart]:
     """Angular rate -> what is told of moments about its axis that nothing explains, where flights
     in turbulence show them.
     """
@@ -969,47 +998,49 @@ def moments_of(chosen: Found) -> dict[str, dict[str, Any]]:
         if gain > CERTAIN_T**2 and rate in chosen.setup.outputs:
             gains = f"allowing for them gains {gain:.0f} in twice the log likelihood"
             words = f"moments act about the {axis} axis that no effect explains: {gains}"
-            rows[rate] = {"coefficient": c, "twice_log_likelihood": float(gain), "words": words}
+            rows[rate] = RemainingPart(coefficient=c, twice_log_likelihood=gain, words=words)
     return rows
 
 
-def _bent(form: Bent, instead: Sequence[Effect]) -> dict[str, Any]:
+def _bent(form: Bent, instead: Sequence[Effect]) -> RemainingPart:
     """A curve in effects' own states that shows that they have not the form of what is missing."""
     words = (
         f"what is missing in {form.coefficient} does not have the form of"
         f" {' and '.join(e.name for e in instead)}: beside {'them' if len(instead) > 1 else 'it'} a"
         f" {form.name} gains {form.gain:.0f} in twice the log likelihood"
     )
-    return {
-        "coefficient": form.coefficient,
-        "depends_on": [{"state": s} for s in form.states],
-        "twice_log_likelihood": form.gain,
-        "p": form.p,
-        "words": words,
-    }
-
-
-def strong_of(
-    candidates: Sequence[Mapping[str, Any]], told: Collection[str]
-) -> list[tuple[str, float]]:
-    """(key, t) of the nearest candidates beside what stands that have more than CERTAIN_T and are
-    not told yet: an effect that was withdrawn had their place."""
-    keys = [f"effect/{c.get('coefficient') or c['subsystem']}/{c['term']}" for c in candidates]
-    return [
-        (k, c["t"])
-        for k, c in zip(keys, candidates, strict=True)
-        if abs(c["t"]) > CERTAIN_T and k not in told
-    ]
-
-
-def _still_asked(effect: Effect, t: float, rank: int) -> dict[str, Any]:
-    return (
-        _told(effect, t, still_asked(effect, t)) if rank < MOST_SAID else {**label(effect), "t": t}
+    return RemainingPart(
+        coefficient=form.coefficient,
+        depends_on=[State(state=s) for s in form.states],
+        twice_log_likelihood=form.gain,
+        p=form.p,
+        words=words,
     )
 
 
-def _told(effect: Effect, t: float, words: str) -> dict[str, Any]:
-    return {**label(effect), "t": t, "words": words}
+def strong_of(
+    candidates: Sequence[NearbyCandidate], told: Collection[str]
+) -> list[tuple[str, float]]:
+    """(key, t) of the nearest candidates beside what stands that have more than CERTAIN_T and are
+    not told yet: an effect that was withdrawn had their place."""
+    keys = [f"effect/{c.coefficient or c.subsystem}/{c.term}" for c in candidates]
+    return [
+        (k, c.t)
+        for k, c in zip(keys, candidates, strict=True)
+        if abs(c.t) > CERTAIN_T and k not in told
+    ]
+
+
+def _still_asked(effect: Effect, t: float, rank: int) -> RemainingPart:
+    return (
+        _told(effect, t, still_asked(effect, t))
+        if rank < MOST_SAID
+        else RemainingPart(**label(effect), t=t)
+    )
+
+
+def _told(effect: Effect, t: float, words: str) -> RemainingPart:
+    return RemainingPart(**label(effect), t=t, words=words)
 
 
 def _effect(
@@ -1022,18 +1053,17 @@ def _effect(
     """One effect; what the test flights say of it is no part of what was chosen."""
     e, switch = found.effects[c.key], switches[c.key]
     value, std, unit = _as_written(found, e, c)
-    test = (
-        {}
-        if verdict is None
-        else {
-            "change_of_twice_log_likelihood": verdict.change,
-            "std": verdict.std,
-            "gap": verdict.says,
-            "rms_over_that_of_train": verdict.far,
-            "share_of_estimate": verdict.share[0],
-            "share_std": verdict.share[1],
-        }
-    )
+    test = verdict and {
+        "withdrawn": withdrawn,
+        "test": HoldOutTest(
+            change_of_twice_log_likelihood=verdict.change,
+            std=verdict.std,
+            gap=verdict.says,
+            rms_over_that_of_train=verdict.far,
+            share_of_estimate=verdict.share[0],
+            share_std=verdict.share[1],
+        ),
+    }
     return {
         **label(e),
         "name": e.name,
@@ -1042,14 +1072,14 @@ def _effect(
         "std": std,
         "unit": unit,
         "property": None if switch is None else switch[0],
-        "evidence": {
-            "t": c.t,
-            "twice_log_likelihood": c.gain,
-            "confirmed_on_held_out_manoeuvres": c.confirmed_gain,
-            "held_out_estimate_differs_by_std": c.difference,
-            "interval_95": _interval(found, e, c),
-        },
-        **({"withdrawn": withdrawn, "test": test} if test else {}),
+        "evidence": EvidenceDocument(
+            t=c.t,
+            twice_log_likelihood=c.gain,
+            confirmed_on_held_out_manoeuvres=c.confirmed_gain,
+            held_out_estimate_differs_by_std=c.difference,
+            interval_95=_interval(found, e, c),
+        ),
+        **(test or {}),
         "alternatives": [_alternative(found, e, a) for a in c.alternatives],
     }
 
@@ -1077,46 +1107,47 @@ def _as_written(found: Found, e: Effect, c: Choice) -> tuple[float, float, str]:
     return c.value, c.std, e.unit
 
 
-def _alternative(found: Found, own: Effect, a: Alternative) -> dict[str, Any]:
+def _alternative(found: Found, own: Effect, a: Alternative) -> AlternativeDocument:
     other = found.effects[a.key]
-    return {
+    advice = {} if a.separable else {"would_separate": separating_manoeuvre(own, other)}
+    return AlternativeDocument(
         **label(other),
-        "name": other.name,
-        "evidence": {
-            "twice_log_likelihood": a.gain,
-            "t_of_the_effect_beside_it": a.t_beside,
-            "likeness": a.likeness,
-            "companions": [c.removeprefix("effect/") for c in a.companions],
-        },
-        "separable": a.separable,
-        **({} if a.separable else {"would_separate": separating_manoeuvre(own, other)}),
-    }
+        name=other.name,
+        evidence=AlternativeEvidence(
+            twice_log_likelihood=a.gain,
+            t_of_the_effect_beside_it=a.t_beside,
+            likeness=a.likeness,
+            companions=[c.removeprefix("effect/") for c in a.companions],
+        ),
+        separable=a.separable,
+        **advice,
+    )
 
 
 # What a notebook shows of a refinement, from its document.
 
 
-def refinement_view(title: str, document: Mapping[str, Any]) -> str:
+def refinement_view(title: str, document: Refinement) -> str:
     """Verdict, effects with estimate and standard deviation, and each channel's residual on the
     test flights.
     """
     effects = [
         {
-            "effect": row["name"],
-            "property": row["property"] or "",
-            "estimate": _number(row["value"]),
-            "std": _number(row["std"]),
-            "unit": row["unit"],
+            "effect": e.name,
+            "property": e.property or "",
+            "estimate": math.nan if e.value is None else e.value,
+            "std": math.nan if e.std is None else e.std,
+            "unit": e.unit,
         }
-        for row in document["effects"]
+        for e in document.effects
     ]
     gaps = [
         {
             "channel": name,
-            "before [sigma]": _ratio(row["rms_before"], row["noise_rms"]),
-            "after [sigma]": _ratio(row["rms_after"], row["noise_rms"]),
+            "before [sigma]": _ratio(row.rms_before, row.noise_rms),
+            "after [sigma]": _ratio(row.rms_after, row.noise_rms),
         }
-        for name, row in document["gap"]["test"]["channels"].items()
+        for name, row in document.gap.test.channels.items()
     ]
     residual = "<p>Residual on the test flights</p>"
     return view(
@@ -1124,12 +1155,8 @@ def refinement_view(title: str, document: Mapping[str, Any]) -> str:
         rows_table(effects),
         residual,
         rows_table(gaps),
-        facts={"verdict": document["verdict"]},
+        facts={"verdict": document.verdict},
     )
-
-
-def _number(value: float | None) -> float:
-    return math.nan if value is None else float(value)
 
 
 def _ratio(rms: float | None, noise: float | None) -> float:

@@ -35,6 +35,7 @@ from uqharness.identification.linearised import (
 )
 from uqharness.refinement.round import Side
 from uqharness.replay import CONTROLS, Flight, ReplayModel, Segment, batched_pool, delayed_command
+from uqharness.results.refinement import BeforeAfter, Cost, ResidualTables
 from uqharness.simulator import Aircraft
 
 
@@ -232,7 +233,7 @@ def _as_felt(segment: Segment, flight: Flight, ideal: Sequence[str]) -> Segment:
     return replace(segment, controls=controls, commands=None)
 
 
-def gap_document(setup: Setup, before: Shown, after: Shown) -> dict[str, object]:
+def gap_document(setup: Setup, before: Shown, after: Shown) -> ResidualTables:
     """G of refinement.json: channels of replays, as `compare` has them; predictions: where those
     judged, their errors.
     """
@@ -240,29 +241,30 @@ def gap_document(setup: Setup, before: Shown, after: Shown) -> dict[str, object]
 
     def rows(
         names: Sequence[str], b: Sequence[FloatArray], a: Sequence[FloatArray], noise: FloatArray
-    ) -> dict[str, dict[str, float]]:
+    ) -> dict[str, BeforeAfter]:
         columns = zip(names, np.concatenate(b).T, np.concatenate(a).T, noise.tolist(), strict=True)
         return {
-            c: {"rms_before": rms(x), "rms_after": rms(y), "noise_rms": n} for c, x, y, n in columns
+            c: BeforeAfter(rms_before=rms(x), rms_after=rms(y), noise_rms=n)
+            for c, x, y, n in columns
         }
 
     def coefficient(flown: Flown) -> float:
         z, y = (np.concatenate(rows) for rows in (setup.measured, flown.outputs))
         return float(np.nanmean([theil(z[:, k], y[:, k]).u for k in range(len(setup.outputs))]))
 
-    return {
-        "channels": rows(setup.outputs, was.residual, now.residual, now.noise),
-        "predictions": {}
+    return ResidualTables(
+        channels=rows(setup.outputs, was.residual, now.residual, now.noise),
+        predictions={}
         if after.replays is None
         else rows(setup.outputs, before.residual, after.residual, after.noise),
-        "coefficients": rows(COEFFICIENTS, before.coefficients, after.coefficients, after.floor),
-        "theil": {"before": coefficient(was.flown), "after": coefficient(now.flown)},
-        "cost": {
-            "before": before.cost,
-            "after": after.cost,
-            "samples": int(sum(np.isfinite(z).sum() for z in setup.measured)),
-        },
-    }
+        coefficients=rows(COEFFICIENTS, before.coefficients, after.coefficients, after.floor),
+        theil={"before": coefficient(was.flown), "after": coefficient(now.flown)},
+        cost=Cost(
+            before=before.cost,
+            after=after.cost,
+            samples=int(sum(np.isfinite(z).sum() for z in setup.measured)),
+        ),
+    )
 
 
 @dataclass(frozen=True)

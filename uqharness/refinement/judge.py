@@ -37,6 +37,7 @@ from uqharness.refinement.evaluation import Shown, left_in, show, with_replays
 from uqharness.refinement.round import Side, column_evidence
 from uqharness.refinement.rounds import fit_point, fitted_effects, sensors_moved, with_values
 from uqharness.refinement.search import Found
+from uqharness.results.refinement import Gap
 from uqharness.simulator import Aircraft
 
 # Where hold-out flights seem to contradict an effect: what the train flights' own errors make
@@ -138,7 +139,7 @@ def both_sides(
 
 
 Write = Callable[[Found], Aircraft]
-CANNOT_TELL = "cannot tell"
+CANNOT_TELL: Gap = "cannot tell"
 BLOCK_S = 2.0
 """Residuals this far apart count as independent."""
 BEYOND_CHANCE = 1.645
@@ -183,7 +184,7 @@ class Verdict:
         return self.change / self.std if self.std > 0.0 else 0.0
 
     @property
-    def says(self) -> str:
+    def says(self) -> Gap:
         """shrank, grew, cannot tell (a change that chance gives as well), or too far (flights that
         judge neither model).
         """

@@ -42,6 +42,8 @@ from uqharness.files import inner_folder, write_bytes
 from uqharness.identification import BoundsOptions, make_bounds, validate
 from uqharness.parallel import usable_cores
 from uqharness.replay import Flight, cut_for_residuals
+from uqharness.results.refinement import Interval, Mission, MissionFlights, MissionMetric
+from uqharness.results.refinement import Intervals as IntervalsDocument
 from uqharness.simulator import (
     STEADY,
     Aircraft,
@@ -89,9 +91,9 @@ def both_boxes(before: Sequence[Sample], after: Sequence[Sample]) -> dict[str, A
     }
 
 
-def no_pbox(reason: str) -> dict[str, Any]:
+def no_pbox(reason: str) -> Mission:
     """The document where nothing was flown."""
-    return {"reason": reason, "metrics": []}
+    return Mission(reason=reason, metrics=[])
 
 
 LOITER = "scripts/loiter.xml"
@@ -112,7 +114,7 @@ _DEFAULT: dict[str, Any] = {
 """A lap of the loiter to settle and one that is scored, three times at each of the 64 corners: half
 a minute of one core.
 """
-Say = Callable[[str], None]
+Say = Callable[[str], object]
 
 
 def campaign_for(aircraft: Aircraft, given: Path | None) -> dict[str, Any]:
@@ -168,7 +170,7 @@ def fly_missions(
     out: Path,
     workers: int | None,
     say: Say = lambda _: None,
-) -> dict[str, Any]:
+) -> Mission:
     """gap.test.pbox of refinement.json: the campaign flown with each of ``models`` (before, after;
     a single one is both) within its intervals, those of ``forms``, in ``out``/pbox/<name>.
 
@@ -222,39 +224,39 @@ def _told(say: Say, name: str) -> Callable[[Progress], None]:
     return tell
 
 
-def _rows(before: pd.DataFrame, after: pd.DataFrame) -> Iterator[dict[str, Any]]:
+def _rows(before: pd.DataFrame, after: pd.DataFrame) -> Iterator[MissionMetric]:
     for metric in (*ERROR_METRICS, *UNCOMMANDED_METRICS):
         if metric.endswith("_measured") or metric not in before or metric not in after:
             continue
         for condition in conditions(before):
             pair = [samples(in_condition(frame, condition), metric) for frame in (before, after)]
             if all(any(s.values.size for s in found) for found in pair):
-                yield {"metric": metric, "condition": condition.label, **both_boxes(*pair)}
+                yield MissionMetric(metric=metric, condition=condition.label, **both_boxes(*pair))
 
 
 def _document(
     spec: CampaignSpec, folders: list[str], before: pd.DataFrame, after: pd.DataFrame
-) -> dict[str, Any]:
-    def count(frame: pd.DataFrame) -> dict[str, float]:
-        return {
-            "flights": len(frame),
-            "failed": int((frame["status"] != "ok").sum()),
-            "loss_of_control": int(frame["loss_of_control"].fillna(0).sum()),
-            "extrapolated_share": float(frame["extrapolated_share"].mean()),
-        }
+) -> Mission:
+    def count(frame: pd.DataFrame) -> MissionFlights:
+        return MissionFlights(
+            flights=len(frame),
+            failed=int((frame["status"] != "ok").sum()),
+            loss_of_control=int(frame["loss_of_control"].fillna(0).sum()),
+            extrapolated_share=float(frame["extrapolated_share"].mean()),
+        )
 
     air = spec.aleatory
-    return {
-        "reason": None,
-        "mission": Path(spec.campaign.mission).name,
-        "corners": int(before["epistemic_id"].nunique()),
-        "flights_per_corner": air.flights,
-        "duration_s": air.duration_s,
-        "before": count(before),
-        "after": count(after),
-        "folders": folders,
-        "metrics": list(_rows(before, after)),
-    }
+    return Mission(
+        reason=None,
+        mission=Path(spec.campaign.mission).name,
+        corners=int(before["epistemic_id"].nunique()),
+        flights_per_corner=air.flights,
+        duration_s=air.duration_s,
+        before=count(before),
+        after=count(after),
+        folders=folders,
+        metrics=list(_rows(before, after)),
+    )
 
 
 # Model-form intervals around the model before and after a refinement: fitted on the train
@@ -339,7 +341,7 @@ def write_forms(found: Mapping[str, Intervals], out: Path) -> dict[str, Path]:
     return paths
 
 
-def intervals_document(before: Intervals, after: Intervals) -> dict[str, Any]:
+def intervals_document(before: Intervals, after: Intervals) -> IntervalsDocument:
     """gap.test.intervals of refinement.json: NaN, with the reason, for what cannot be told."""
     rows: dict[str, dict[str, float]] = {c: {} for c in COEFFICIENTS}
     for c, row in rows.items():
@@ -354,4 +356,8 @@ def intervals_document(before: Intervals, after: Intervals) -> dict[str, Any]:
                 (f"coverage_{when}", f"coverage_std_{when}", f"width_{when}"), told, strict=True
             )
     reasons = list(dict.fromkeys(r for r in (before.reason, after.reason) if r is not None))
-    return {"confidence": LEVEL, "coefficients": rows, "reason": "; ".join(reasons) or None}
+    return IntervalsDocument(
+        confidence=LEVEL,
+        coefficients={c: Interval(**row) for c, row in rows.items()},
+        reason="; ".join(reasons) or None,
+    )

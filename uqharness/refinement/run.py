@@ -43,6 +43,9 @@ from uqharness.refinement.search import Found, Say, estimates_of, find_effects, 
 from uqharness.refinement.unnamed import EXPLAINED, UNNAMED, named_beside, offered
 from uqharness.refinement.write_xml import Written
 from uqharness.replay import CONTROLS, numbers_of_files, read_flights, unique_names
+from uqharness.requests.refinement import RefineRequest
+from uqharness.results.refinement import Baked, Gaps, Mission, SmoothTerm
+from uqharness.results.refinement import Refinement as RefinementDocument
 from uqharness.simulator import (
     Aircraft,
     content_hash,
@@ -55,27 +58,24 @@ from uqharness.simulator import (
 
 
 @dataclass(frozen=True)
-class Request:
-    """What the command was asked.
+class Job:
+    """A request with its aircraft, the files of its flights, and the user's effects.
 
-    ideal_servos: None for the likelier on the train flights; pbox: whether a mission is flown
-    before and after; campaign: which one; bake: whether scales are written into the author's
-    numbers."""
+    ideal_servos: None for the likelier on the train flights; command: what is written beside
+    effects, empty where no command repeats the refinement."""
 
+    options: RefineRequest
     aircraft: Aircraft
     train: tuple[Path, ...]
     test: tuple[Path, ...]
-    out: Path
     extra: tuple[Effect, ...] = ()
-    manoeuvres: Path | None = None
-    map_path: Path | None = None
     ideal_servos: bool | None = False
-    workers: int | None = None
     command: tuple[str, ...] = ()
-    pbox: bool = True
-    campaign: Path | None = None
-    bake: bool = False
-    flight_numbers: tuple[int, ...] = ()  # one for all files, or one for each of train and test
+
+    @property
+    def out(self) -> Path:
+        """Folder of the results."""
+        return self.options.out
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ class Refinement:
     ``earlier``: files of an earlier refinement in the folder that were damaged when this one began.
     """
 
-    document: dict[str, Any]
+    document: RefinementDocument
     chosen: Found
     judged: Judged
     aircraft: Aircraft
@@ -94,26 +94,28 @@ class Refinement:
     earlier: checksums.DamageRecord = field(default_factory=checksums.DamageRecord)
 
     def __repr__(self) -> str:
-        return f"Refinement({self.document['verdict']}, {self.aircraft!r})"
+        return f"Refinement({self.document.verdict}, {self.aircraft!r})"
 
     def _repr_html_(self) -> str:
         return refinement_view(repr(self), self.document)
 
 
-def refine(request: Request, say: Say = lambda _: None) -> Refinement:
+def refine(request: Job, say: Say = lambda _: None) -> Refinement:
     """Find, name, add and show. Raises BadInputError."""
     begun = time.perf_counter()
     aircraft = request.aircraft
     refuse_shared(request.train, request.test)
-    if request.campaign is not None:
+    if request.options.campaign is not None:
         from uqharness.refinement.mission import campaign_for
 
-        campaign_for(aircraft, request.campaign)
+        campaign_for(aircraft, request.options.campaign)
     say("reading the flights")
     train = _read(request, request.train)
     if request.ideal_servos is None:
         say("servos: the card's or ideal ones")
-        servos = choose_servos(aircraft, train.flights, train.measured, "auto", request.workers)
+        servos = choose_servos(
+            aircraft, train.flights, train.measured, "auto", request.options.workers
+        )
         request = replace(request, ideal_servos=servos.ideal)
         train = replace(
             train,
@@ -125,7 +127,7 @@ def refine(request: Request, say: Say = lambda _: None) -> Refinement:
     test = replace(
         test, flights=tuple(replace(f, name=n) for f, n in zip(test.flights, names, strict=True))
     )
-    with worker_map(request.workers) as map_, scratch_folder() as scratch:
+    with worker_map(request.options.workers) as map_, scratch_folder() as scratch:
         work, write = scratch.path, _writer(request, scratch.path / "models")
         identity = _identity(request)
         stages = Stages(request.out / FOLDER, identity)
@@ -149,7 +151,9 @@ def refine(request: Request, say: Say = lambda _: None) -> Refinement:
         chosen = named
         say("flying the test flights with both models")
         # Kept where a mission follows, which takes minutes.
-        shown = Stages(request.out / FOLDER if request.pbox else None, [*identity, *test.hashes])
+        shown = Stages(
+            request.out / FOLDER if request.options.pbox else None, [*identity, *test.hashes]
+        )
 
         def flown_both_ways() -> Judged:
             other = _side(request, chosen, test)
@@ -164,7 +168,7 @@ def refine(request: Request, say: Say = lambda _: None) -> Refinement:
         say("writing the aircraft")
         earlier = checksums.remove_sums(request.out)
         target = _put(write(judged.found), aircraft, request.out)
-        baked = bake_scales(target.folder) if request.bake else None
+        baked = bake_scales(target.folder) if request.options.bake else None
         if baked is not None:
             target = find_aircraft(target.folder)
 
@@ -185,25 +189,27 @@ def refine(request: Request, say: Say = lambda _: None) -> Refinement:
         with Bench(aircraft, side.setup) as bench:
             controls = positions(bench.model, side.setup)
         document = document_of(chosen, judged, aircraft, controls)
-        document["remaining"] |= _unnamed(request, document, judged, write, map_, say)
+        document = _with_smooth(document, *_unnamed(request, document, judged, write, map_, say))
     forms = write_forms(dict(zip(models, intervals, strict=True)), request.out)
-    document = _document(request, document, intervals, _mission(request, models, forms, say))
-    if baked is not None:
-        document["baked"] = {"changed": baked.changed, "kept": list(baked.remaining)}
+    mission = _mission(request, models, forms, say)
     stages.forget()
-    document["seconds"] = round(time.perf_counter() - begun, 1)
+    last: dict[str, Any] = {"seconds": round(time.perf_counter() - begun, 1)}
+    if baked is not None:
+        changed: dict[str, list[float | None]] = {n: [*v] for n, v in baked.changed.items()}
+        last["baked"] = Baked(changed=changed, kept=list(baked.remaining))
+    document = _complete(request, document, intervals, mission, last)
     return Refinement(document, chosen, judged, target, aircraft, earlier)
 
 
-def _read(request: Request, paths: Sequence[Path]) -> FlightSet:
+def _read(request: Job, paths: Sequence[Path]) -> FlightSet:
     files = (*request.train, *request.test)
-    numbers = numbers_of_files(request.flight_numbers, len(files))
+    numbers = numbers_of_files(request.options.flight_number, len(files))
     first = files.index(paths[0])
     flights, measured = read_flights(
         paths,
         request.aircraft,
-        request.manoeuvres,
-        request.map_path,
+        request.options.manoeuvres,
+        request.options.signal_map,
         align=False,
         flight_numbers=[n for n in numbers[first : first + len(paths)] if n is not None],
     )
@@ -211,7 +217,7 @@ def _read(request: Request, paths: Sequence[Path]) -> FlightSet:
     return FlightSet(tuple(flights), tuple(measured), tuple(file_hash(p) for p in paths), ideal)
 
 
-def _ideal_controls(request: Request, measured: Sequence[str]) -> tuple[str, ...]:
+def _ideal_controls(request: Job, measured: Sequence[str]) -> tuple[str, ...]:
     """Controls whose commands are passed straight through."""
     return tuple(c for c in CONTROLS if c not in measured) if request.ideal_servos else ()
 
@@ -220,13 +226,13 @@ def _setup(aircraft: Aircraft, given: FlightSet) -> Setup:
     return make_setup(aircraft, given.flights, given.measured, given.ideal)
 
 
-def _identity(request: Request) -> list[str]:
+def _identity(request: Job) -> list[str]:
     """Everything that the choice depends on, the test flights not: aircraft, train flights, own
     effects, options, version.
     """
     tables = [
         p
-        for p in (request.manoeuvres, request.map_path)
+        for p in (request.options.manoeuvres, request.options.signal_map)
         if p is not None and str(p) != FROM_COMMANDS
     ]
     return [
@@ -236,12 +242,12 @@ def _identity(request: Request) -> list[str]:
         *(p.name for p in request.train),
         repr(request.extra),
         str(request.ideal_servos),
-        str(request.manoeuvres),
-        str(request.flight_numbers),
+        str(request.options.manoeuvres),
+        str(request.options.flight_number),
     ]
 
 
-def _side(request: Request, chosen: Found, given: FlightSet) -> Side:
+def _side(request: Job, chosen: Found, given: FlightSet) -> Side:
     """Flights as the chosen effects were judged on; the air is that of the train flights."""
     setup = _setup(request.aircraft, given)
     if chosen.gusts is not None:
@@ -251,7 +257,7 @@ def _side(request: Request, chosen: Found, given: FlightSet) -> Side:
     return Side(setup, chosen.gusts)
 
 
-def _whole(request: Request, chosen: Found, folder: Path) -> Aircraft:
+def _whole(request: Job, chosen: Found, folder: Path) -> Aircraft:
     """The aircraft with every chosen effect, as the last round flew it."""
     effects = [
         Written(chosen.effects[c.key], c.value, "", chosen.slopes) for c in chosen.selection.chosen
@@ -260,32 +266,40 @@ def _whole(request: Request, chosen: Found, folder: Path) -> Aircraft:
 
 
 def _unnamed(
-    request: Request,
-    document: Mapping[str, Any],
+    request: Job,
+    document: RefinementDocument,
     judged: Judged,
     write: Write,
     map_: Processes,
     say: Say,
-) -> dict[str, Any]:
+) -> tuple[SmoothTerm | None, str | None]:
     """A smooth term where nothing of the catalogue explains what is left, and its aircraft beside
     the refined one.
     """
     stale = request.out / UNNAMED / "aircraft" / request.aircraft.folder.name
     if (stale / request.aircraft.xml.name).is_file():
         shutil.rmtree(stale)
-    if document["verdict"] != "unexplained":
-        return {"smooth": None, "smooth_reason": EXPLAINED}
+    if document.verdict != "unexplained":
+        return None, EXPLAINED
     say("looking for a smooth term in what is left")
     found = offered(judged, write, map_)
     if isinstance(found, str):
-        return {"smooth": None, "smooth_reason": found}
+        return None, found
     aircraft, smooth = found
     made = _put(aircraft, request.aircraft, request.out / UNNAMED)
     model = f"{UNNAMED}/aircraft/{made.folder.name}/{made.xml.name}"
-    return {"smooth": {**smooth, "model": model}, "smooth_reason": None}
+    return smooth.model_copy(update={"model": model}), None
 
 
-def _writer(request: Request, folder: Path) -> Write:
+def _with_smooth(
+    document: RefinementDocument, smooth: SmoothTerm | None, reason: str | None
+) -> RefinementDocument:
+    """The document with a smooth term, or the reason why there is none."""
+    parts = {"smooth": smooth, "smooth_reason": reason}
+    return document.model_copy(update={"remaining": document.remaining.model_copy(update=parts)})
+
+
+def _writer(request: Job, folder: Path) -> Write:
     """Writes the aircraft as given with the effects and parameters of a model, each time in a
     numbered folder of ``folder``.
     """
@@ -341,9 +355,9 @@ def _remove_stale(out: Path, aircraft: Aircraft) -> None:
 
 
 def _mission(
-    request: Request, models: Mapping[str, Aircraft], forms: Mapping[str, Path], say: Say
-) -> dict[str, Any]:
-    if not request.pbox:
+    request: Job, models: Mapping[str, Aircraft], forms: Mapping[str, Path], say: Say
+) -> Mission:
+    if not request.options.pbox:
         return no_pbox("left out (--no-pbox)")
     lacking = [name for name in models if name not in forms]
     if lacking:
@@ -354,21 +368,33 @@ def _mission(
     from uqharness.refinement.mission import fly_missions
 
     say("flying the mission with both models")
-    return fly_missions(models, forms, request.campaign, request.out, request.workers, say)
+    return fly_missions(
+        models, forms, request.options.campaign, request.out, request.options.workers, say
+    )
 
 
-def _document(
-    request: Request,
-    document: dict[str, Any],
+def _complete(
+    request: Job,
+    document: RefinementDocument,
     intervals: Sequence[Intervals],
-    mission: dict[str, Any],
-) -> dict[str, Any]:
-    gap = document["gap"]
-    gap["test"] |= {"intervals": intervals_document(intervals[0], intervals[-1]), "pbox": mission}
-    gap["train"] |= {"pbox": no_pbox("a mission belongs to no flight: see gap.test")}
-    return document | {
-        "model": f"aircraft/{request.aircraft.folder.name}/{request.aircraft.xml.name}",
-        "train": [p.name for p in request.train],
-        "test": [p.name for p in request.test],
-        "command": shlex.join(request.command),
-    }
+    mission: Mission,
+    last: Mapping[str, Any],
+) -> RefinementDocument:
+    """The document with intervals, mission and provenance."""
+    assert document.gap.train is not None
+    shown = {"intervals": intervals_document(intervals[0], intervals[-1]), "pbox": mission}
+    chosen_on = {"pbox": no_pbox("a mission belongs to no flight: see gap.test")}
+    gap = Gaps(
+        train=document.gap.train.model_copy(update=chosen_on),
+        test=document.gap.test.model_copy(update=shown),
+    )
+    return document.model_copy(
+        update={
+            "gap": gap,
+            "model": f"aircraft/{request.aircraft.folder.name}/{request.aircraft.xml.name}",
+            "train": [p.name for p in request.train],
+            "test": [p.name for p in request.test],
+            "command": shlex.join(request.command),
+            **last,
+        }
+    )

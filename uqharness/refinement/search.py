@@ -92,7 +92,7 @@ LONE = (
     "one channel of a sensor late by itself was not believed beside other delays and servos ({}):"
     " the effects were sought without such delays"
 )
-Say = Callable[[str], None]
+Say = Callable[[str], object]
 Fly = Callable[[Selection, Round, Path], Round | None]
 
 

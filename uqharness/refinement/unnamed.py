@@ -51,6 +51,7 @@ from uqharness.refinement.judge import (
 from uqharness.refinement.round import Bent, Side, column_evidence
 from uqharness.refinement.search import Found
 from uqharness.refinement.write_xml import GRID, property_of_table, write_table
+from uqharness.results.refinement import HoldOutTest, ResidualTables, SmoothTerm
 from uqharness.simulator import Aircraft
 
 # Smooth terms about a flight: estimated beside everything that stands there, in the place of
@@ -226,7 +227,7 @@ UNNAMED = "unnamed"
 EXPLAINED = "the catalogue leaves nothing that asks for one"
 
 
-def offered(judged: Judged, write: Write, map_: Processes) -> tuple[Aircraft, dict[str, Any]] | str:
+def offered(judged: Judged, write: Write, map_: Processes) -> tuple[Aircraft, SmoothTerm] | str:
     """The aircraft that flies the smooth term that explains most of what is left, and the term's
     part of refinement.json; or why there is none. write: a model as an aircraft in a folder of its
     own."""
@@ -272,28 +273,28 @@ def offered(judged: Judged, write: Write, map_: Processes) -> tuple[Aircraft, di
             after = with_replays(after, aircraft, side, map_, written_at(round_.found))
         gap[key] = gap_document(setup, before, after)
     instead = [k for k in judged.found.selection.values if k in round_.instead]
-    return aircraft, {
-        "coefficient": term.coefficient,
-        "state": term.state,
-        "times": term.times,
-        "name": name,
-        "property": property_of_table(term),
-        "unit": term.unit,
-        "effective_degrees_of_freedom": fit.edf,
-        "dispersion": fit.dispersion,
-        "in_place_of": [judged.found.effects[k].name for k in instead],
-        "tried": len(fits),
-        "p": min(1.0, done.searched.p * len(fits)),
-        "twice_log_likelihood": done.searched.ratio,
+    return aircraft, SmoothTerm(
+        coefficient=term.coefficient,
+        state=term.state,
+        times=term.times,
+        name=name,
+        property=property_of_table(term),
+        unit=term.unit,
+        effective_degrees_of_freedom=float(fit.edf),
+        dispersion=fit.dispersion,
+        in_place_of=[judged.found.effects[k].name for k in instead],
+        tried=len(fits),
+        p=min(1.0, done.searched.p * len(fits)),
+        twice_log_likelihood=done.searched.ratio,
         **_left_of(done, gap["train"]),
-        "test": {
-            "gap": verdict.says,
-            "change_of_twice_log_likelihood": verdict.change,
-            "std": verdict.std,
-            "rms_over_that_of_train": verdict.far,
-        },
-        "gap": gap,
-    }
+        test=HoldOutTest(
+            gap=verdict.says,
+            change_of_twice_log_likelihood=verdict.change,
+            std=verdict.std,
+            rms_over_that_of_train=verdict.far,
+        ),
+        gap=gap,
+    )
 
 
 @dataclass(frozen=True)
@@ -345,14 +346,14 @@ def _flown(
     return _Done(fit, about, round_, aircraft, shown)
 
 
-def _left_of(done: _Done, gap: Mapping[str, Any]) -> dict[str, Any]:
+def _left_of(done: _Done, gap: ResidualTables) -> dict[str, Any]:
     """The channel of which the term explains most, what it and the forms like it leave there, and
     its curve over the data. gap: G of the train flights without and with it."""
     fit, term, about = done.round.fit, done.round.fit.term, done.about
-    rows = gap["predictions"] or gap["channels"]
     ratio = {
-        c: (r["rms_before"] / r["noise_rms"], r["rms_after"] / r["noise_rms"])
-        for c, r in rows.items()
+        c: (r.rms_before / r.noise_rms, r.rms_after / r.noise_rms)
+        for c, r in (gap.predictions or gap.channels).items()
+        if r.rms_before is not None and r.rms_after is not None and r.noise_rms
     }
     channel = max(ratio, key=lambda c: ratio[c][0] - ratio[c][1])
     x = about.every[term.state]
@@ -370,7 +371,9 @@ def _left_of(done: _Done, gap: Mapping[str, Any]) -> dict[str, Any]:
 
     def leaves(form: str) -> float:
         residual = evidence.residual(evidence.fitted(evidence.index([*free, form])))
-        return rms(np.concatenate([r[:, list(ratio).index(channel)] for r in residual]))
+        return float(
+            rms(np.concatenate([r[:, list(gap.channels).index(channel)] for r in residual]))
+        )
 
     confirming = evidence.confirming
     held_out = (

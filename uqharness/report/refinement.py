@@ -11,7 +11,7 @@ from pathlib import Path
 
 from sysid.aerodynamics import COEFFICIENTS
 from uqharness.checksums import write_sums
-from uqharness.files import finite, remove, write_bytes, write_json
+from uqharness.files import remove, write_bytes, write_json
 from uqharness.refinement import Refinement
 from uqharness.replay import CONTROLS, columns_of, write_histories
 
@@ -37,9 +37,7 @@ def write_results(done: Refinement, out: Path) -> None:
     out : Path
         Folder for refinement.json, model.diff and histories.parquet.
     """
-    for key, value in finite(done.document).items():
-        done.document[key] = value
-    write_json(out / "refinement.json", done.document)
+    write_json(out / "refinement.json", done.document.as_json())
     write_bytes(out / "model.diff", model_diff(done).encode("utf-8", errors="surrogateescape"))
     for name in FIGURES:
         remove(out / "figures" / name)

@@ -156,6 +156,15 @@ class Report:
         return [item.text for item in self.page.verdict]
 
     @property
+    def warnings(self) -> list[str]:
+        """Sentences on files that were damaged."""
+        folder = self.path.parent
+        return [
+            *(f"{folder / n} had changed since it was written; restored" for n in self.rewritten),
+            *(f"{folder / fault.name}: {fault.problem}" for fault in self.damaged),
+        ]
+
+    @property
     def text(self) -> str:
         """The summary that a terminal shows."""
         return "\n".join(

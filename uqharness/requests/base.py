@@ -35,7 +35,7 @@ Model = TypeVar("Model", bound="Request")
 
 _SHORT = reprlib.Repr()
 _SHORT.maxstring = _SHORT.maxother = 80
-_LIMITS = {"gt": "above {:g}", "ge": "of at least {:g}", "lt": "below {:g}", "le": "up to {:g}"}
+_LIMITS = {"gt": "above", "ge": "of at least", "lt": "below", "le": "up to"}
 
 
 @dataclass(frozen=True)
@@ -61,6 +61,8 @@ class Option:
         Whether the option takes several values, and whether it may be repeated with one value each.
     positional : bool
         Whether the Python function takes the field without its keyword.
+    write : callable or None
+        Value to its word on the command line, where `command_words` cannot derive it.
     off : bool
         Whether the option of the command line sets the field to False, as ``--no-check`` does.
     cli, toml, python : bool
@@ -78,6 +80,7 @@ class Option:
     many: bool = False
     repeat: bool = False
     positional: bool = False
+    write: Callable[[Any], str] | None = None
     off: bool = False
     cli: bool = True
     toml: bool = True
@@ -186,7 +189,8 @@ class Request(BaseModel):
     Class attributes describe the command: ``command`` its words after ``uqharness``, ``summary``
     the line in the list of commands, ``examples`` command lines and what they write, ``done`` and
     ``no`` the meaning of exit codes 0 and 1, ``keeps_stages`` whether a terminal keeps a line of
-    each finished stage. The docstring is the command's description.
+    each finished stage, ``flies`` whether the command's callback takes the progress of a campaign
+    instead of the names of stages. The docstring is the command's description.
     """
 
     model_config = ConfigDict(
@@ -199,6 +203,7 @@ class Request(BaseModel):
     done: ClassVar[str] = "done"
     no: ClassVar[str] = ""
     keeps_stages: ClassVar[bool] = False
+    flies: ClassVar[bool] = False
 
     @classmethod
     def of(cls, **values: Any) -> Self:
@@ -208,7 +213,7 @@ class Request(BaseModel):
     def changed(self, **values: Any) -> Self:
         """Return a copy with other values. Raises BadInputError."""
         current = {name: getattr(self, name) for name in self.model_fields_set}
-        return type(self).of(**current, **values)
+        return type(self).of(**(current | values))
 
 
 def options_of(model: type[Request]) -> dict[str, tuple[FieldInfo, Option]]:
@@ -296,16 +301,39 @@ def messages(
             yield "", text
             continue
         info, field_option = options[name]
-        if item["type"] == "missing":
-            yield name, f"{labels[name]}: required; {requirement(info, field_option)} is needed"
-            continue
         beginning = place.assignment(labels[name], values.get(name, item["input"]))
-        if item["type"] in ("value_error", "assertion_error"):
-            yield name, f"{beginning}: {text}"
-        elif (allowed := _choices(info)) is not None:
-            yield name, f"{beginning}: allowed are {', '.join(map(str, allowed))}"
-        else:
-            yield name, f"{beginning}: {requirement(info, field_option)} is needed"
+        missing = item["type"] == "missing"
+        yield (
+            name,
+            problem(item["type"], text, info, labels[name] if missing else beginning, field_option),
+        )
+
+
+def problem(
+    kind: str, text: str, info: FieldInfo, beginning: str, field_option: Option | None = None
+) -> str:
+    """Return the message of one of pydantic's errors about a field.
+
+    Parameters
+    ----------
+    kind, text : str
+        Type of the error, and what a validator says.
+    info : FieldInfo
+        The field.
+    beginning : str
+        The field with the received value; the field alone if the value is missing.
+    field_option : Option, optional
+        How the field is written.
+    """
+    needed = requirement(info, field_option or Option())
+    if kind == "missing":
+        return f"{beginning}: required; {needed} is needed"
+    if kind in ("value_error", "assertion_error"):
+        return f"{beginning}: {text}"
+    allowed = _choices(info)
+    if allowed is not None:
+        return f"{beginning}: allowed are {', '.join(map(str, allowed))}"
+    return f"{beginning}: {needed} is needed"
 
 
 def unknown_name(name: str, options: Mapping[str, tuple[FieldInfo, Option]], place: Place) -> str:
@@ -322,39 +350,59 @@ def requirement(info: FieldInfo, field_option: Option) -> str:
         return field_option.needed
     base = base_type(info.annotation)
     bounds = [
-        _LIMITS[attribute].format(getattr(item, attribute))
+        f"{_LIMITS[attribute]} {bound if isinstance(bound, int) else f'{bound:g}'}"
         for attribute in ("gt", "ge", "lt", "le")
         for item in info.metadata
-        if getattr(item, attribute, None) is not None
+        if (bound := getattr(item, attribute, None)) is not None
     ]
+    pattern = next((m.pattern for m in info.metadata if getattr(m, "pattern", None)), None)
     noun = {
         float: "a finite number" if not bounds else "a number",
         int: "a whole number",
         bool: "True or False",
         Path: "a path, as a str or a Path,",
-        str: "a text",
-    }.get(base, "a name or several" if base is tuple else "a mapping" if base is dict else "")
-    return " ".join([noun or "another value", " and ".join(bounds)]).strip()
+        str: "a text" if pattern is None else f"a text of the form {pattern}",
+        dict: "a mapping",
+    }.get(base, "another value")
+    if base is tuple:
+        arguments = typing.get_args(_bare(info.annotation))
+        items = "number" if base_type((*arguments, str)[0]) in (float, int) else "name"
+        fixed = arguments and Ellipsis not in arguments
+        noun = f"a list of {len(arguments)} {items}s" if fixed else f"a {items} or several"
+    elif isinstance(base, type) and issubclass(base, BaseModel):
+        noun = "a section"
+    return " ".join([noun, " and ".join(bounds)]).strip()
 
 
 def base_type(annotation: Any) -> Any:
     """Return the type under Annotated and Optional: float, int, bool, Path, str, tuple, dict."""
-    while True:
-        origin = typing.get_origin(annotation)
+    annotation = _bare(annotation)
+    origin = typing.get_origin(annotation)
+    return type(typing.get_args(annotation)[0]) if origin is Literal else origin or annotation
+
+
+def item_type(annotation: Any) -> Any:
+    """Return the base type of a tuple's items."""
+    return base_type((*typing.get_args(_bare(annotation)), str)[0])
+
+
+def _bare(annotation: Any) -> Any:
+    """Return the type under Annotated and Optional, with its arguments."""
+    while (origin := typing.get_origin(annotation)) in (Annotated, typing.Union, types.UnionType):
         arguments = typing.get_args(annotation)
-        if origin is Annotated:
-            annotation = arguments[0]
-        elif origin in (typing.Union, types.UnionType):
-            annotation = next(a for a in arguments if a is not type(None))
-        elif origin is Literal:
-            return type(arguments[0])
-        else:
-            return origin or annotation
+        annotation = (
+            arguments[0]
+            if origin is Annotated
+            else next(a for a in arguments if a is not type(None))
+        )
+    return annotation
 
 
 def _choices(info: FieldInfo) -> tuple[Any, ...] | None:
     """Return the values of a Literal; None for other types."""
     annotation = info.annotation
+    if base_type(annotation) is dict:
+        return None
     for part in (annotation, *typing.get_args(annotation)):
         if typing.get_origin(part) is Literal:
             return typing.get_args(part)
@@ -539,7 +587,7 @@ def command_words(request: Request) -> list[str]:
         default = None if info.is_required() else info.get_default(call_default_factory=True)
         if not (o.cli and o.provenance) or value is None or value == default:
             continue
-        words = list(_words(value))
+        words = [o.write(value)] if o.write else _words(value)
         if o.flag == "":
             positional += words
         elif isinstance(value, bool):
@@ -547,7 +595,7 @@ def command_words(request: Request) -> list[str]:
         elif o.repeat:
             # A repeatable option stands before each of its values.
             flags += [word for text in words for word in (flag_of(name, o), text)]
-        elif base_type(info.annotation) is tuple and not o.many:
+        elif base_type(info.annotation) is tuple and not (o.many or o.write):
             flags += [flag_of(name, o), ",".join(words) or "none"]
         else:
             flags += [flag_of(name, o), *words]

@@ -122,12 +122,43 @@ def flights(
     )
 
 
-def out(required: bool = True) -> Any:
+def out(required: bool = True, positional: bool = False) -> Any:
     """Return the field of the folder of the results."""
     text = "folder for the results, made if need be" + (
         "" if required else " (default: nothing is written)"
     )
-    return option(... if required else None, text, metavar="DIR", provenance=False, toml=False)
+    return option(
+        ... if required else None,
+        text,
+        metavar="DIR",
+        positional=positional,
+        provenance=False,
+        toml=False,
+    )
+
+
+def _ends_with(*endings: str) -> Callable[[Path], Path]:
+    """Return a check of the ending of a file's name."""
+
+    def check(path: Path) -> Path:
+        if path.suffix.lower() not in endings:
+            raise ValueError(f"the name must end with {' or '.join(endings)}")
+        return path
+
+    return check
+
+
+def _page(path: Path) -> Path:
+    """Refuse a page that cannot be written."""
+    if path.suffix.lower() != ".html" or path.is_dir():
+        folder = "is a folder; " if path.is_dir() else ""
+        raise ValueError(f"{folder}a page, FILE.html, is written")
+    return path
+
+
+Page = Annotated[FilePath, AfterValidator(_page)] | None
+TableFile = Annotated[FilePath, AfterValidator(_ends_with(".parquet", ".csv"))]
+RecordFile = Annotated[FilePath, AfterValidator(_ends_with(".csv", ".parquet", ".bin"))]
 
 
 def page(content: str, flag: str = "--out") -> Any:
@@ -147,9 +178,9 @@ def workers(default: str = "one a core, 8 at most") -> Any:
     return option(None, f"processes (default: {default})", ge=1, metavar="N", toml=False)
 
 
-def seed(of: str) -> Any:
+def seed(of: str, default: int = 0) -> Any:
     """Return the field of the seed of what is drawn at random."""
-    return option(0, f"seed of {of}", ge=0, metavar="N")
+    return option(default, f"seed of {of}", ge=0, metavar="N")
 
 
 def figures() -> Any:
@@ -196,6 +227,16 @@ def flight_number() -> Any:
     )
 
 
+def boot() -> Any:
+    """Return the field of the flight in one log with several boots."""
+    return option(
+        None,
+        "flight to read from a log with several boots of the autopilot (default: the longest)",
+        ge=1,
+        metavar="N",
+    )
+
+
 def manoeuvres() -> Any:
     """Return the field of the table of manoeuvres."""
     return option(
@@ -238,4 +279,39 @@ def delays() -> Any:
     )
 
 
+def script(
+    use: str = "run script, a path or a name under scripts/", positional: bool = True
+) -> Any:
+    """Return the field of the run script."""
+    return option(
+        Path("loiter"),
+        use,
+        metavar="S",
+        positional=positional,
+        kind="str or Path",
+        needed="a path or a name",
+    )
+
+
+def turbulence(of: str) -> Any:
+    """Return the field of the intensity of turbulence."""
+    return option("none", f"MIL-F-8785C intensity of turbulence{of}")
+
+
+def autopilot() -> Any:
+    """Return the field of the gains of an autopilot."""
+    return option(
+        None,
+        "ArduPlane parameter file (.parm, .param): gains of the autopilot (default: the"
+        " aircraft's own)",
+        metavar="FILE",
+    )
+
+
+def altitude(of: str, default: float = 200.0) -> Any:
+    """Return the field of the altitude of generated manoeuvres."""
+    return option(default, f"height of {of}, m", gt=0, le=30_000, metavar="H")
+
+
 OptionalPath = FilePath | None
+Turbulence = Literal["none", "light", "moderate", "severe"]

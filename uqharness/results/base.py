@@ -110,6 +110,8 @@ class Outcome(Generic[T_co]):
         Page with everything that the lines leave out.
     warnings : sequence of str
         Sentences for standard error.
+    cut : bool
+        Whether `text` stops after `MOST_LINES` lines; False where the text is a file.
     """
 
     value: T_co
@@ -118,6 +120,7 @@ class Outcome(Generic[T_co]):
     code: int = 0
     report: Path | None = None
     warnings: Sequence[str] = field(default_factory=tuple)
+    cut: bool = True
 
     def as_json(self) -> Mapping[str, Any]:
         """Return the document as JSON has it."""
@@ -130,7 +133,7 @@ class Outcome(Generic[T_co]):
         # The path of the report is printed once, by the last line.
         lines = [line for line in lines if not (end and str(self.report) in line)]
         room = MOST_LINES - len(end)
-        if len(lines) > room:
+        if self.cut and len(lines) > room:
             place = "in the report" if end else "with --json"
             more = len(lines) - room + 1
             lines = [*lines[: room - 1], f"{more} more lines {place}"]

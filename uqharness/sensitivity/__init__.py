@@ -22,4 +22,4 @@ from uqharness.callable_module import make_callable
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 
-make_callable(__name__, "uqharness.api.results")
+make_callable(__name__, "uqharness.api.campaigns")

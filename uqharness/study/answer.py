@@ -52,8 +52,10 @@ from uqharness.flight import FlightResult, FlightSpec, record_mission, staged_mi
 from uqharness.parallel import process_count
 from uqharness.parquet_files import write_table
 from uqharness.replay import shown_channel
-from uqharness.results.base import Part, read_document
+from uqharness.results.base import read_result
 from uqharness.results.identification import Coverage, Fit
+from uqharness.results.refinement import Refinement
+from uqharness.results.study import StudyAnswer
 from uqharness.simulator import Source
 from uqharness.statistics import NO, OPEN, YES, Sample, envelope
 from uqharness.statistics.pbox import pbox
@@ -498,40 +500,19 @@ _MAX_NAMES = 3
 """Number of effects that a line names."""
 
 
-@dataclass(frozen=True)
-class Answer:
-    """Answer of a study without the question itself.
-
-    Attributes
-    ----------
-    level : str
-        good, warn or bad.
-    answer, why, next : str
-        The answer, the rates that it rests on, and what to do next.
-    lacked : str
-        Effects that the model lacked and what adding them changed; empty without refinement.
-    """
-
-    level: str
-    answer: str
-    why: str
-    lacked: str
-    next: str
-
-
 def answer_of(
     campaigns: Mapping[str, FlownCampaign],
-    refinement: Mapping[str, Any] | None,
+    refinement: Refinement | None,
     verdict: Sequence[tuple[str, str]],
     refused_stages: Sequence[str] = (),
-) -> Answer:
+) -> StudyAnswer:
     """Compute the answer of a study.
 
     Parameters
     ----------
     campaigns : mapping
         ``before`` and possibly ``after`` -> finished campaign; may be empty.
-    refinement : mapping or None
+    refinement : Refinement or None
         Content of refinement.json.
     verdict : sequence of (str, str)
         All sentences of the study; the worst one is the reason if no campaign counts excursions.
@@ -562,12 +543,12 @@ def answer_of(
             if refinement is None
             else _missing_effects_line(refinement, campaigns, same_answers=False)
         )
-        return Answer(
-            LEVEL_WARN,
-            text,
-            first[0],
-            lacked,
-            f"Next: give the study a campaign that counts excursions.{remark}",
+        return StudyAnswer(
+            level=LEVEL_WARN,
+            answer=text,
+            why=first[0],
+            lacked=lacked,
+            next=f"Next: give the study a campaign that counts excursions.{remark}",
         )
     answers = {item.cell.condition: item.answer for item in answered}
     # The level is good or bad only if all conditions agree.
@@ -584,8 +565,12 @@ def answer_of(
         if refinement is None
         else _missing_effects_line(refinement, campaigns, same_answers=not changed)
     )
-    return Answer(
-        level, text, _reason_line(answered), lacked, f"{_next_step(last, answered)}{remark}"
+    return StudyAnswer(
+        level=level,
+        answer=text,
+        why=_reason_line(answered),
+        lacked=lacked,
+        next=f"{_next_step(last, answered)}{remark}",
     )
 
 
@@ -696,15 +681,15 @@ def _rate(item: Statement, answer: str) -> str:
 
 
 def _missing_effects_line(
-    refinement: Mapping[str, Any], campaigns: Mapping[str, FlownCampaign], same_answers: bool
+    refinement: Refinement, campaigns: Mapping[str, FlownCampaign], same_answers: bool
 ) -> str:
     """Name the effects that the model lacked, and what adding them changed."""
-    effects = [e for e in refinement["effects"] if not e["withdrawn"]]
+    effects = [e for e in refinement.effects if not e.withdrawn]
     if not effects:
-        if refinement["verdict"] == "no-missing-effect":
+        if refinement.verdict == "no-missing-effect":
             return "The model lacked nothing that these flights show."
         return "Something is missing in the model that no effect of the catalogue explains."
-    names = [e["name"] for e in effects]
+    names = [e.name for e in effects]
     remainder = f" and {len(names) - _MAX_NAMES} more" if len(names) > _MAX_NAMES else ""
     improvements = [
         *_improvements(refinement, campaigns),
@@ -718,15 +703,12 @@ def _missing_effects_line(
     return f"The model lacked {', '.join(names[:_MAX_NAMES])}{remainder}{improvement_words}."
 
 
-def _improvements(
-    refinement: Mapping[str, Any], campaigns: Mapping[str, FlownCampaign]
-) -> Iterator[str]:
+def _improvements(refinement: Refinement, campaigns: Mapping[str, FlownCampaign]) -> Iterator[str]:
     """Yield how much refinement reduced the largest hold-out residual and the cross-track p-box."""
-    gap = refinement["gap"]["test"]["channels"]
     sigma = {
-        c: (row["rms_before"] / row["noise_rms"], row["rms_after"] / row["noise_rms"])
-        for c, row in gap.items()
-        if all(row.get(key) for key in ("rms_before", "rms_after", "noise_rms"))
+        c: (row.rms_before / row.noise_rms, row.rms_after / row.noise_rms)
+        for c, row in refinement.gap.test.channels.items()
+        if row.rms_before and row.rms_after and row.noise_rms
     }
     # The channel with the largest residual before refinement
     if sigma:
@@ -889,14 +871,14 @@ def judge(
         sentences += performance(campaigns)
     # Then refinement, bounds, identification, in this order.
     if "refine" in kinds:
-        sentences += _read_refinement(out / REFINEMENT)
+        sentences += _refinement_sentences(read_result(out / REFINEMENT, Refinement))
     if "validate-bounds" in kinds:
         sentences += _coverage(
             out, spec.bounds.validate_on if spec.bounds else (), "refine" in kinds
         )
     if "identify" in kinds:
         sentences.append(
-            _identification(read_document(out / "identify" / "fit.json", Fit), codes["identify"])
+            _identification(read_result(out / "identify" / "fit.json", Fit), codes["identify"])
         )
     ended_early = [
         stage.name.removeprefix("fly-")
@@ -916,49 +898,37 @@ def judge(
     return sentences
 
 
-def _read_refinement(path: Path) -> list[Sentence]:
-    """Return the sentences on refinement.json; BadInputError if it is damaged."""
-    document = read_document(path, Part)
-    try:
-        return list(_refinement_sentences(document))
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise BadInputError(
-            f"{path}: is no refinement's document ({error}); run the study again"
-        ) from None
-
-
-def _refinement_sentences(document: Mapping[str, Any]) -> Iterator[Sentence]:
+def _refinement_sentences(document: Refinement) -> Iterator[Sentence]:
     """State the effects that were found, what is unexplained, and the hold-out residuals."""
-    effects = [e for e in document["effects"] if not e["withdrawn"]]
-    flights = f"from {', '.join(_stems(document['train']))}"
+    effects = [e for e in document.effects if not e.withdrawn]
+    flights = f"from {', '.join(_stems(document.train))}"
     if effects:
         effect_words = "; ".join(
-            f"{e['name']}, {e['value']:.4g} ±"
-            f" {e['std']:.2g}{'' if e['unit'] in ('', '1') else ' ' + e['unit']}"
-            + (f" ({e['property']})" if e["property"] else "")
+            f"{e.name}, {_number(e.value, '.4g')} ±"
+            f" {_number(e.std, '.2g')}{'' if e.unit in (None, '', '1') else f' {e.unit}'}"
+            + (f" ({e.property})" if e.property else "")
             for e in effects
         )
         yield (
             f"Refinement named, {flights}: {effect_words}.",
-            LEVEL_GOOD if document["verdict"] == "effects-found" else LEVEL_WARN,
+            LEVEL_GOOD if document.verdict == "effects-found" else LEVEL_WARN,
         )
-    elif document["verdict"] == "no-missing-effect":
+    elif document.verdict == "no-missing-effect":
         yield f"Refinement found nothing missing {flights}.", LEVEL_GOOD
-    if document["verdict"] == "unexplained":
+    if document.verdict == "unexplained":
         yield "Refinement leaves something unexplained: " + _unexplained(document) + ".", LEVEL_BAD
-    test = document["gap"]["test"]
+    test = document.gap.test
     # In turbulence the residuals of replays include the gust response, so one-step predictions
     # are compared.
-    predictions = test.get("predictions") or {}
-    gap = predictions or test["channels"]
+    predictions = test.predictions
     # Residuals relative to the sensor noise
     ratios = {
-        c: (g["rms_before"] / g["noise_rms"], g["rms_after"] / g["noise_rms"])
-        for c, g in gap.items()
-        if all(g[k] is not None for k in g) and g["noise_rms"] > 0.0
+        c: (g.rms_before / g.noise_rms, g.rms_after / g.noise_rms)
+        for c, g in (predictions or test.channels).items()
+        if g.rms_before is not None and g.rms_after is not None and g.noise_rms
     }
     whose = "rms of one-step predictions" if predictions else "rms"
-    heading = f"On the hold-out flights ({', '.join(_stems(document['test']))}) {whose} over noise"
+    heading = f"On the hold-out flights ({', '.join(_stems(document.test))}) {whose} over noise"
     above = {c: r for c, r in ratios.items() if max(r) > _ABOVE_NOISE}
     if not above:
         largest = max((max(r) for r in ratios.values()), default=math.nan)
@@ -982,18 +952,19 @@ def _stems(names: Sequence[str]) -> list[str]:
     return [Path(name).stem for name in names]
 
 
-def _unexplained(document: Mapping[str, Any]) -> str:
+def _number(value: float | None, form: str) -> str:
+    """Format a number that may be undefined."""
+    return "undefined" if value is None else format(value, form)
+
+
+def _unexplained(document: Refinement) -> str:
     """State which effects were withdrawn, or where residuals remain."""
-    withdrawn = [e["name"] for e in document["effects"] if e["withdrawn"]]
+    withdrawn = [e.name for e in document.effects if e.withdrawn]
     if withdrawn:
         return (
             f"{', '.join(withdrawn)} did not shrink the gap on the test flights and was withdrawn"
         )
-    where = [
-        w.get("words") or w.get("coefficient", "")
-        for w in document["remaining"]["where"]
-        if "words" in w or "t" not in w
-    ]
+    where = [w.words or w.coefficient for w in document.remaining.where if w.words or w.t is None]
     return (
         "; ".join(w for w in where if w) or "the residuals are not white, and no place stands out"
     )
@@ -1004,13 +975,13 @@ def _coverage(out: Path, flights: Sequence[str], refined: bool) -> Iterator[Sent
     their mean width changed by refinement.
     """
     documents = {
-        when: read_document(out / f"validate-{when}" / "coverage.json", Coverage)
+        when: read_result(out / f"validate-{when}" / "coverage.json", Coverage)
         for when in ((BEFORE, AFTER) if refined else (BEFORE,))
     }
-    coverages = {when: document["coverage"] for when, document in documents.items()}
+    coverages = {when: document.coverage for when, document in documents.items()}
     flight_names = ", ".join(flights)
     for when, coverage in coverages.items():
-        shares = {c: row["0.95"] for c, row in coverage.items()}
+        shares = {c: row.share_95 for c, row in coverage.items()}
         low, high = min(shares, key=lambda c: shares[c]), max(shares, key=lambda c: shares[c])
         suffix = f" {when} refinement" if refined else ""
         text = (
@@ -1018,7 +989,7 @@ def _coverage(out: Path, flights: Sequence[str], refined: bool) -> Iterator[Sent
             f" ({high}) lies inside"
         )
         text += f" the 95 % bounds{suffix}"
-        verdicts = documents[when].get("verdicts", {})
+        verdicts = documents[when].verdicts
         # Documents without verdicts are judged by the share of samples inside.
         failing = [c for c, verdict in verdicts.items() if verdict == "fails"] or [
             c for c in shares if not shares[c] >= MIN_SHARE_INSIDE
@@ -1034,7 +1005,7 @@ def _coverage(out: Path, flights: Sequence[str], refined: bool) -> Iterator[Sent
     # Compare the widths before and after refinement.
     if refined:
         widths = {
-            w: {c: row["mean_width"] for c, row in coverage.items()}
+            w: {c: row.mean_width for c, row in coverage.items()}
             for w, coverage in coverages.items()
         }
         change = {
@@ -1068,20 +1039,16 @@ def _change(before: float | None, after: float | None) -> float:
     return math.nan if not before or after is None else after / before - 1.0
 
 
-def _identification(document: Mapping[str, Any], code: int) -> Sentence:
+def _identification(document: Fit, code: int) -> Sentence:
     """State how many parameters were identified and the largest residual over its noise."""
-    done = [row for row in document["parameters"].values() if row["status"] == "identified"]
-    flights = ", ".join(_stems(document["flights"]))
+    done = [row for row in document.parameters.values() if row.status == "identified"]
+    flights = ", ".join(_stems(document.flights))
     text = (
-        f"{len(done)} of {len(document['parameters'])} parameters were identified from {flights} by"
-        f" {document['method']}"
+        f"{len(done)} of {len(document.parameters)} parameters were identified from {flights} by"
+        f" {document.method}"
     )
     # Residuals relative to the noise of the card
-    ratios = {
-        c: v["rms"] / v["noise"]
-        for c, v in document["fit"].items()
-        if v["rms"] is not None and v["noise"]
-    }
+    ratios = {c: v.rms / v.noise for c, v in document.fit.items() if v.rms is not None and v.noise}
     worst = max(ratios, key=lambda c: ratios[c], default="")
     if worst:
         text += f"; the largest residual is {ratios[worst]:.2f} times the noise ({worst})"

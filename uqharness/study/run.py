@@ -8,7 +8,6 @@ stage, the verdict, the answer and the ground tracks; it is rewritten after each
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import io
 import json
 import os
@@ -29,7 +28,8 @@ from uqharness.campaign import read_bounds
 from uqharness.campaign.folder import LOCK, binding_versions, run_lock
 from uqharness.errors import BadInputError
 from uqharness.files import PART, check_output_folder, write_bytes
-from uqharness.results.base import Part, read_document
+from uqharness.results.base import read_result
+from uqharness.results.refinement import Refinement
 from uqharness.simulator import folder_hash
 from uqharness.study.answer import (
     REFINEMENT,
@@ -301,11 +301,11 @@ def _conclude(
     kinds, rows = {stage.kind for stage in stages}, document["stages"]
     campaigns = read_campaigns(out, "refine" in kinds) if "campaign" in kinds else {}
     sentences = judge(spec, stages, rows, out, campaigns)
-    refinement = read_document(out / REFINEMENT, Part) if "refine" in kinds else None
+    refinement = read_result(out / REFINEMENT, Refinement) if "refine" in kinds else None
     refused = [row["name"] for row in rows if row["exit"] == 1]
     answer = answer_of(campaigns, refinement, sentences, refused)
     document["verdict"] = [{"text": text, "level": level} for text, level in sentences]
-    document["answer"] = dataclasses.asdict(answer)
+    document["answer"] = answer.as_json()
     track_requests = {
         when: TrackRequest(item.folder, item.frame, hardest(item.statements))
         for when, item in campaigns.items()

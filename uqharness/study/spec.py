@@ -240,8 +240,8 @@ def read_chain(path: str | Path) -> ChainSpec:
         document = _Document.model_validate(data)
     except ValidationError as error:
         # All problems, sorted by line.
-        problems = [explain(_Document, text, data, dict(item)) for item in error.errors()]
-        lines = [f"{path}:{line}: {message}" for line, message in sorted(problems)]
+        problems = explain(_Document, text, data, error)
+        lines = [f"{path}:{line}: {message}" for line, message in problems]
         raise BadInputError(*dict.fromkeys(lines)) from None
     # pydantic has validated each section by itself; the campaign and the roles of flights follow.
     sections = {name: data[name] for name in CAMPAIGN_SECTIONS if name in data}

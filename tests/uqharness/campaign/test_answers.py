@@ -2,20 +2,29 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import pytest
 
-from uqharness.campaign.folder.shards import Answer, as_json, lines, read_answers
+from uqharness.campaign.folder.shards import Answer, lines, read_answers
 from uqharness.errors import BadInputError
 
 MANIFEST = {"format": 1, "state": "complete"}
 HEAD = "condition,epistemic_id,radius_m,acceptable_per_h,answer,reason,hours,distance\n"
 ANSWERS = [
-    Answer("3 m/s none", 15.0, 2.0, "yes", "", 12.3456),
-    Answer("5 m/s none", 15.0, 2.0, "open", "too few flights", 4.0),
-    Answer("7 m/s none", 15.0, 2.0, "yes", "", 1.0),
+    Answer(
+        condition=condition,
+        radius_m=15.0,
+        acceptable_per_h=2.0,
+        answer=answer,
+        reason=reason,
+        hours=hours,
+    )
+    for condition, answer, reason, hours in (
+        ("3 m/s none", "yes", "", 12.3456),
+        ("5 m/s none", "open", "too few flights", 4.0),
+        ("7 m/s none", "yes", "", 1.0),
+    )
 ]
 
 
@@ -27,13 +36,14 @@ def test_a_summary_and_a_line_a_condition():
         "  7 m/s none: yes, 1 flight h",
     ]
     assert lines([]) == []
-    assert json.loads(json.dumps(as_json(ANSWERS)))[1]["reason"] == "too few flights"
+    assert ANSWERS[1].as_json()["reason"] == "too few flights"
 
 
 def test_decisions_are_read_for_whole_cells_alone(tmp_path: Path):
     rows = "3 m/s none,all,15,2,yes,,12.5,horizontal\n3 m/s none,000000,15,2,no,x,1,horizontal\n"
     (tmp_path / "decisions.csv").write_text(HEAD + rows)
-    assert read_answers(tmp_path, MANIFEST) == [Answer("3 m/s none", 15.0, 2.0, "yes", "", 12.5)]
+    (answer,) = read_answers(tmp_path, MANIFEST)
+    assert (answer.condition, answer.answer, answer.hours) == ("3 m/s none", "yes", 12.5)
 
 
 def test_statements_tell_of_the_smallest_radius(tmp_path: Path):

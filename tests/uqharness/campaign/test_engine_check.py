@@ -164,12 +164,12 @@ def test_workers_and_groups_move_no_byte(spec, tmp_path, monkeypatch):
 
 
 def test_the_command_ends_with_one_and_a_sentence(tmp_path, capsys, monkeypatch):
-    import uqharness.cli.campaign.run as command
+    import uqharness.commands.campaign as command
 
     def stopped(*given, **named):
         raise EnginesDifferError("out: the batch engine differs from JSBSim")
 
-    monkeypatch.setattr(command.campaign_run, "run_campaign", stopped)
+    monkeypatch.setattr(command.running, "run_campaign", stopped)
     assert (
         main(
             ["campaign", "run", str(fakes.campaign_file(tmp_path)), "--out", str(tmp_path / "out")]

@@ -145,9 +145,9 @@ def test_manifest_table_and_status_say_which_engine_and_why(spec, tmp_path):
     }
     assert set(read_table(tmp_path / "out" / "cases.parquet")["engine"].to_pylist()) == {"batch"}
     found = read_status(tmp_path / "out")
-    assert (found.engine, found.reasons) == (
+    assert (found.engine, found.engine_why) == (
         "batch",
-        ("it understands the whole aircraft and mission",),
+        ["it understands the whole aircraft and mission"],
     )
 
 
@@ -204,7 +204,7 @@ def test_a_lost_manifest_is_rebuilt_in_the_engine_whose_flights_are_there(spec, 
     before = (out / "cases.parquet").read_bytes()
     (out / "manifest.json").unlink()
     found = salvage(out, RunOptions(SerialExecutor(), fly=ALIKE), spec, "command")
-    assert (found.retained, found.flights) == (64, 0)
+    assert (found.kept, found.flown) == (64, 0)
     assert (out / "cases.parquet").read_bytes() == before
     assert read_status(out).engine == engine
 

@@ -18,8 +18,8 @@ from uqharness.campaign.sensitivity import (
     SENSITIVITY,
     MetricSensitivity,
     as_csv,
-    as_json,
     read_sensitivity,
+    shares_by_condition,
 )
 from uqharness.errors import BadInputError
 from uqharness.sensitivity.result import Index, MethodResult, PairRange, Ranking, all_undefined
@@ -78,10 +78,12 @@ def test_a_row_a_coefficient_and_nothing_where_it_is_undefined(tmp_path):
 
 
 def test_the_json_tells_who_comes_first():
-    document = json.loads(json.dumps(as_json(found()), allow_nan=False))
-    speed = document["3 m/s moderate"]["speed_max_mps"]
-    assert (speed["first"], speed["rivals_by_ranges"], speed["certain"]) == ("Cm", ["CX"], False)
-    assert document["5 m/s none"]["altitude_max_m"]["first"] is None
+    shares = shares_by_condition(found())
+    speed = shares["3 m/s moderate"]["speed_max_mps"]
+    assert (speed.first, speed.rivals_by_ranges, speed.certain) == ("Cm", ["CX"], False)
+    assert shares["5 m/s none"]["altitude_max_m"].first is None
+    # Undefined numbers are null in JSON.
+    json.dumps([s.as_json() for c in shares.values() for s in c.values()], allow_nan=False)
 
 
 def test_no_table_is_none_and_a_changed_one_is_refused(tmp_path):

@@ -7,9 +7,10 @@ import json
 import pytest
 
 from tests.helpers.page_checks import problems, words_of
-from uqharness.cli.fly import parse_settings
-from uqharness.cli.main import main
+from uqharness.cli.arguments import request_of
+from uqharness.cli.main import build_parser, main
 from uqharness.errors import BadInputError
+from uqharness.requests.simulation import FlyRequest
 
 
 def test_the_summary_is_one_line_or_json(tmp_path, capsys):
@@ -34,17 +35,20 @@ def test_the_summary_is_one_line_or_json(tmp_path, capsys):
 
 def test_an_ending_without_a_format_is_refused_before_a_flight(tmp_path, capsys):
     assert main(["fly", "espaaro", "--out", str(tmp_path / "flight.txt")]) == 2
-    assert "the format follows the name's ending, .csv, .parquet, .bin" in capsys.readouterr().err
+    assert "flight.txt: the name must end with .csv or .parquet or .bin" in capsys.readouterr().err
+
+
+def request(*words: str) -> FlyRequest:
+    arguments = build_parser().parse_args(["fly", "espaaro", *words])
+    return request_of(FlyRequest, arguments)
 
 
 def test_settings_are_properties_with_finite_numbers():
-    assert parse_settings(["aero/Cm_q=-10", "uq/active=1", "aero/Cm_q=-9"]) == {
-        "aero/Cm_q": -9.0,
-        "uq/active": 1.0,
-    }
+    words = [part for text in ("p/q=-10", "uq/active=1", "p/q=-9") for part in ("--set", text)]
+    assert request(*words).properties == {"p/q": -9.0, "uq/active": 1.0}
     for text in ("aero/Cm_q", "=1", "aero/Cm_q=", "aero/Cm_q=nan", "aero/Cm_q=ten"):
         with pytest.raises(BadInputError, match=f"--set {text}: PROP=VALUE"):
-            parse_settings([text])
+            request("--set", text)
 
 
 def test_a_page_is_written_beside_the_record_when_asked(tmp_path, capsys):

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from uqharness.cli.instrument import _check_lines
 from uqharness.cli.main import main
+from uqharness.commands.simulation import _check_sentence
+from uqharness.results.simulation import PluginCheck
 
 
 def test_every_table_has_its_headings(tmp_path, capsys):
@@ -32,18 +33,21 @@ def test_a_dry_run_says_that_nothing_was_written(tmp_path, capsys):
     assert main(["instrument", "c172p", "--out", str(out), "--dry-run"]) == 0
     told = capsys.readouterr().out
     assert "would have bounded increments" in told
-    assert told.endswith("Nothing was written (--dry-run).\n")
+    assert told.splitlines()[1] == "Nothing was written (--dry-run)."
     assert not out.exists()
 
 
-def test_the_check_says_yes_no_or_why_not():
-    works = _check_lines({"status": "works", "reason": "", "properties": 675, "worst": 9e-16})
-    assert "675 properties are bit-identical" in works[0]
-    assert "9e-16" in works[0]
-    assert _check_lines({"status": "wrong", "reason": "CX: the increment is off"}) == [
-        "Check: WRONG: CX: the increment is off."
-    ]
-    assert (
-        "the original fails: no fuel" in _check_lines({"status": "fails", "reason": "no fuel"})[0]
+def check(status: str, reason: str = "", properties: int = 0, worst: float | None = None) -> str:
+    return _check_sentence(
+        PluginCheck(
+            status=status, reason=reason, properties=properties, unsteady=0, worst=worst, dt_s=None
+        )
     )
-    assert _check_lines(None) == []
+
+
+def test_the_check_says_yes_no_or_why_not():
+    works = check("works", properties=675, worst=9e-16)
+    assert "675 properties are bit-identical" in works
+    assert "9e-16" in works
+    assert check("wrong", "CX: the increment is off") == "WRONG: CX: the increment is off."
+    assert "the original fails: no fuel" in check("fails", "no fuel")

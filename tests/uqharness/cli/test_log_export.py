@@ -56,7 +56,9 @@ def test_a_record_needs_a_start(flown: Path, tmp_path: Path, capsys: pytest.Capt
     assert "give --lat-deg and --lon-deg" in capsys.readouterr().err
     assert not (tmp_path / "shown").exists()
     assert cli.main([*words, "--lat-deg", "91"]) == 2
-    assert "--lat-deg 91: a latitude in degrees" in capsys.readouterr().err
+    assert (
+        "--lat-deg 91: a number of at least -90 and up to 90 is needed" in capsys.readouterr().err
+    )
     assert cli.main([*words, "--lat-deg", "37.2", "--lon-deg", "-80.4", "--alt-m", "630"]) == 0
     said = capsys.readouterr().out
     assert "--generic=file,in,30," in said

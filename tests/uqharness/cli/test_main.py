@@ -111,5 +111,5 @@ def test_complete_parser_has_the_verbs_and_loading_names_them() -> None:
         "area",
     } == set(cli.commands_of(campaign))
     cli.load_command(["campaign", "status", "folder"])
-    assert "uqharness.cli.campaign.folder" in sys.modules
+    assert "uqharness.requests.campaign" in sys.modules
     cli.load_command(["no-such-command"])

@@ -10,9 +10,8 @@ import math
 import pytest
 
 from tests.helpers.page_checks import problems, words_of
-from uqharness.cli import modes
 from uqharness.cli.main import main
-from uqharness.cli.modes import _measured
+from uqharness.commands import simulation
 from uqharness.flight import Assessment
 
 
@@ -60,14 +59,16 @@ def test_the_table_names_every_mode(capsys):
     ],
 )
 def test_a_criterion_is_told_in_words(criterion, value, unit, text):
-    assert _measured(Assessment("spiral", criterion, value, unit, 1, "3.3.1.3")) == text
+    assert (
+        simulation.measured_text(Assessment("spiral", criterion, value, unit, 1, "3.3.1.3")) == text
+    )
 
 
 def test_no_trim_is_an_answer_and_not_an_error(capsys, monkeypatch):
     # The search for a trim that is none takes seconds: once for both ways of telling it.
-    search, found = modes.find_trim, []
+    search, found = simulation.find_trim, []
     monkeypatch.setattr(
-        modes,
+        simulation,
         "find_trim",
         lambda *asked: found[0] if found else found.append(search(*asked)) or found[0],
     )
@@ -111,15 +112,18 @@ def test_a_page_is_written_when_asked_and_json_stays_as_it_is(tmp_path, capsys):
     ("words", "said"),
     [
         (["--out", "modes.txt"], "--out modes.txt: a page, FILE.html, is written"),
-        (["--speeds", "20:30"], "--speeds: belongs to the page; give --out FILE.html too"),
-        (["--out", "m.html", "--speeds", "30:20"], "--speeds 30:20: LO must be below HI"),
+        (["--speeds", "20:30"], "--speeds: belongs to the page; add --out FILE.html"),
+        (
+            ["--out", "m.html", "--speeds", "30:20"],
+            "--speeds 30:20: LO:HI, two true airspeeds in m/s above 0, LO below HI, is needed",
+        ),
         (
             ["--out", "m.html", "--speeds", "30"],
-            "--speeds 30: LO:HI, two true airspeeds in m/s, is needed",
+            "--speeds 30: LO:HI, two true airspeeds in m/s",
         ),
         (
             ["--out", "m.html", "--speeds", "0:30"],
-            "--speeds 0: LO:HI, two true airspeeds in m/s, above 0 is needed",
+            "--speeds 0:30: LO:HI, two true airspeeds in m/s above 0",
         ),
     ],
 )

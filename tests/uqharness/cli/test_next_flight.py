@@ -1,21 +1,28 @@
-"""Arguments of ``uqharness next-flight``."""
+"""Request of ``uqharness next-flight``."""
 
 from __future__ import annotations
 
 import pytest
 
+from uqharness.cli.arguments import request_of
 from uqharness.cli.main import build_parser
-from uqharness.cli.next_flight import DOCUMENT, SCRIPT, TABLE
+from uqharness.commands.next_flight import DOCUMENT, SCRIPT, TABLE
 from uqharness.errors import BadInputError
+from uqharness.requests.next_flight import NextFlightRequest
 
 
 def given(*words):
-    return build_parser().parse_args(["next-flight", "results", "--out", "next", *words])
+    arguments = build_parser().parse_args(["next-flight", "results", "--out", "next", *words])
+    return request_of(NextFlightRequest, arguments)
 
 
 def test_speeds_are_a_list_of_positive_numbers():
     assert given().speeds == ()
     assert given("--speeds", "19,22.5").speeds == (19.0, 22.5)
+    assert NextFlightRequest.of(folder="results", out="next", speeds=[19, 22.5]).speeds == (
+        19,
+        22.5,
+    )
     for text in ("fast", "19,,22", "0", "nan", ""):
         with pytest.raises(BadInputError, match=f"--speeds {text}: true airspeeds in m/s"):
             given("--speeds", text)

@@ -74,7 +74,7 @@ def test_a_signal_while_modules_load_is_one_line(
     code_run += (
         "class Finder:\n"
         "    def find_spec(self, name, path=None, target=None):\n"
-        "        if name == 'uqharness.cli.fly':\n"
+        "        if name == 'uqharness.requests.simulation':\n"
         "            exec(source)\n"
         "sys.meta_path.insert(0, Finder())\n"
         "from uqharness.__main__ import main\nsys.exit(main(['fly', '--help']))"

@@ -19,12 +19,13 @@ from tests.helpers.jsbsim_schema import schema_errors
 from tests.helpers.model_forms import made_up_form
 from tests.helpers.page_checks import problems, words_of
 from tests.jsbsim_defects.small_models import SKELETON
-from uqharness.cli.instrument import parse_constant
-from uqharness.cli.main import main
+from uqharness.cli.arguments import request_of
+from uqharness.cli.main import build_parser, main
 from uqharness.errors import BadInputError
 from uqharness.plugin.apply import undo, write
 from uqharness.plugin.check import check, check_in_child
 from uqharness.plugin.instrument import Bounds, plan
+from uqharness.requests.simulation import InstrumentRequest
 from uqharness.simulator import engine
 from uqharness.simulator.aircraft import PROJECT_ROOT, content_hash, find_aircraft, open_aircraft
 from uqharness.simulator.facts import open_mid_envelope
@@ -301,10 +302,14 @@ def test_engines_and_systems_beside_the_folder_go_along(small, tmp_path):
 
 
 def test_constant_bounds_on_the_command_line():
-    assert parse_constant("CX=0.008, CZ=-0.05:0.08") == {"CX": (-0.008, 0.008), "CZ": (-0.05, 0.08)}
+    def constant(text):
+        words = ["instrument", "c172p", "--out", "o", "--constant", text]
+        return request_of(InstrumentRequest, build_parser().parse_args(words)).constant
+
+    assert constant("CX=0.008, CZ=-0.05:0.08") == {"CX": (-0.008, 0.008), "CZ": (-0.05, 0.08)}
     for text in ("CX", "Cq=1", "CX=a", "CX=-0.1", "CX=0.1:0.2", "CX=1,CX=2", "CX=nan"):
         with pytest.raises(BadInputError, match="--constant"):
-            parse_constant(text)
+            constant(text)
 
 
 def test_the_command_writes_card_table_and_record(small, tmp_path, capsys):

@@ -14,6 +14,7 @@ import pytest
 from sysid.effects.catalogue import coefficient_effect
 from sysid.effects.smooth import smooth_term
 from tests.helpers.page_checks import problems
+from tests.helpers.report_folders import refinement
 from tests.helpers.sixdof import Airframe
 from tests.hidden_effects.effects import Effect, value
 from tests.hidden_effects.flights import Flight, fly
@@ -23,6 +24,8 @@ from uqharness.cli.main import main
 from uqharness.flight.spec import FlightSpec
 from uqharness.refinement import run
 from uqharness.refinement.unnamed import EXPLAINED, STATES, is_in
+from uqharness.requests.refinement import RefineRequest
+from uqharness.results.refinement import Refinement
 from uqharness.simulator.aircraft import find_aircraft
 from uqharness.simulator.mission import find_script
 
@@ -170,11 +173,10 @@ def test_where_nothing_is_left_nothing_is_looked_for(tmp_path, monkeypatch, verd
     stale = tmp_path / "unnamed" / "aircraft" / "espaaro"
     stale.mkdir(parents=True)
     (stale / "espaaro.xml").write_text("of an earlier run", encoding="utf-8")
-    request = run.Request(find_aircraft("espaaro"), (), (), tmp_path)
-    assert run._unnamed(request, {"verdict": verdict}, None, tmp_path, None, None) == {
-        "smooth": None,
-        "smooth_reason": EXPLAINED,
-    }
+    options = RefineRequest(aircraft="espaaro", train="a", test="b", out=tmp_path)
+    job, document = run.Job(options, find_aircraft("espaaro"), (), ()), refinement(verdict=verdict)
+    found = run._unnamed(job, Refinement.model_validate(document), None, tmp_path, None, None)
+    assert found == (None, EXPLAINED)
     assert not stale.exists()
 
 

@@ -172,11 +172,11 @@ def test_options_reach_the_commands(tmp_path):
     ("old", "new", "fragments"),
     [
         ('name = "mine"', 'nmae = "mine"', ["[study] nmae: unknown key", "did you mean name?"]),
-        ('name = "mine"', 'name = "my study"', ["[study] name", 'received "my study"']),
+        ('name = "mine"', 'name = "my study"', ['[study] name = "my study": a text of the form']),
         (
             'question = "Does it hold?"',
             "question = 3",
-            ["[study] question", "string", "received 3"],
+            ["[study] question = 3: a text"],
         ),
         (
             'aircraft = "espaaro"\n',
@@ -188,9 +188,9 @@ def test_options_reach_the_commands(tmp_path):
         (
             "seed = 2",
             'seed = 2\nturbulence = "heavy"',
-            ["[[fly]] number 2 turbulence", "'light'", 'received "heavy"'],
+            ['[[fly]] number 2 turbulence = "heavy": allowed are none, light'],
         ),
-        ("seed = 2", "seed = -2", ["[[fly]] number 2 seed", "received -2"]),
+        ("seed = 2", "seed = -2", ["[[fly]] number 2 seed = -2: a whole number of at least 0"]),
         ("seed = 2", 'script = "x.xml"\nseed = 2', ["not valid TOML"]),
         (
             'file = "three.bin"',
@@ -222,7 +222,7 @@ def test_options_reach_the_commands(tmp_path):
         (
             'flights = "one"',
             'flights = "one"\nmethod = "guess"',
-            ["[identify] method", "'auto'", 'received "guess"'],
+            ['[identify] method = "guess": allowed are auto'],
         ),
         ('validate_on = ["three"]', 'validate_on = ["two"]', ['"two" is also in [bounds] flights']),
         (
@@ -248,9 +248,9 @@ def test_options_reach_the_commands(tmp_path):
         (
             "validate_on",
             "confidence = 95\nvalidate_on",
-            ["[bounds] confidence", "less than 1", "received 95"],
+            ["[bounds] confidence = 95: a number above 0 and below 1"],
         ),
-        ("validate_on", "order = 7\nvalidate_on", ["[bounds] order", "received 7"]),
+        ("validate_on", "order = 7\nvalidate_on", ["[bounds] order = 7: "]),
         ("validate_on", 'states = { CW = ["V"] }\nvalidate_on', ["[bounds] states"]),
         (
             "validate_on",
@@ -274,13 +274,13 @@ def test_options_reach_the_commands(tmp_path):
             ["[campaign] aircraft", "leave it out"],
         ),
         ("seed = 7", "sede = 7", ["[campaign] sede: unknown key", "did you mean seed?"]),
-        ("flights = 3", "flights = 0", ["[aleatory] flights", "received 0"]),
+        ("flights = 3", "flights = 0", ["[aleatory] flights = 0: a whole number of at least 1"]),
         (
             'method = "corners"',
             'method = "corners"\nbounds = { CX = 1 }',
             ["[epistemic] bounds", "leave out one"],
         ),
-        ('method = "corners"', 'method = "sobol"', ["[epistemic] method", 'received "sobol"']),
+        ('method = "corners"', 'method = "sobol"', ['[epistemic] method = "sobol": allowed are']),
         (
             'method = "corners"',
             'method = "corners"\n[epistemic.parameters]\nfit = "f"',
@@ -333,7 +333,7 @@ def test_a_file_that_asks_for_nothing_or_is_not_there(tmp_path):
     with pytest.raises(BadInputError, match="cannot be read"):
         read_chain(tmp_path / "no.toml")
     headless = STUDY.replace('[campaign]\nmission = "loiter"\nseed = 7\n', "")
-    assert "[campaign]: required and not there" in refusal(tmp_path, headless)
+    assert "[campaign]: required; a section is needed" in refusal(tmp_path, headless)
 
 
 def test_the_study_of_the_project_is_read_from_any_folder(tmp_path, monkeypatch):

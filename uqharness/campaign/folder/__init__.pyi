@@ -25,7 +25,5 @@ from .tables import read_checked as read_checked
 from .tables import read_decisions as read_decisions
 from .tables import read_engine_check as read_engine_check
 from .tables import record_table as record_table
-from .verify import FolderCheck as FolderCheck
 from .verify import RunOptions as RunOptions
-from .verify import SalvageResult as SalvageResult
 from .verify import salvage as salvage

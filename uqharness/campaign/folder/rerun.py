@@ -38,6 +38,7 @@ from uqharness.flight import (
     staged_mission,
     write_record,
 )
+from uqharness.results.campaign import RerunDocument
 from uqharness.simulator import Source
 from uqharness.simulator import aircraft as properties
 
@@ -247,27 +248,25 @@ def _write(
     record: Path,
 ) -> tuple[Path, ...]:
     """Write result.json and return the files."""
-    document = {
-        "case_id": case.case_id,
-        "epistemic_id": case.epistemic_id,
-        "aleatory_id": case.aleatory_id,
-        "wind_mps": case.wind_mps,
-        "turbulence": case.turbulence,
-        "status": outcome.status,
-        "reason": outcome.reason,
-        "flown_s": outcome.flown_s,
-        "same_as_stored": same,
-        "differences": list(differences),
-        "metrics": {
-            name: value if math.isfinite(value) else None
-            for name, value in sorted(outcome.metrics.items())
-        },
-        "properties": dict(case.flight.properties),
-        "levels": None if case.flight.levels is None else vars(case.flight.levels) | {},
-        "transient": None if case.flight.transient is None else vars(case.flight.transient) | {},
-    }
+    levels, transient = case.flight.levels, case.flight.transient
+    document = RerunDocument(
+        case_id=case.case_id,
+        epistemic_id=case.epistemic_id,
+        aleatory_id=case.aleatory_id,
+        wind_mps=case.wind_mps,
+        turbulence=case.turbulence,
+        status=outcome.status,
+        reason=outcome.reason,
+        flown_s=outcome.flown_s,
+        same_as_stored=same,
+        differences=list(differences),
+        metrics=dict(sorted(outcome.metrics.items())),
+        properties=dict(case.flight.properties),
+        levels=None if levels is None else dict(vars(levels)),
+        transient=None if transient is None else dict(vars(transient)),
+    )
     files = [target / "result.json"]
-    write_bytes(files[0], (json.dumps(document, indent=1) + "\n").encode())
+    write_bytes(files[0], (json.dumps(document.as_json(), indent=1) + "\n").encode())
     if record.is_file():
         files.append(record)
     return tuple(files)

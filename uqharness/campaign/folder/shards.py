@@ -13,7 +13,7 @@ import sqlite3
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import closing
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,6 @@ from sysid.foreign.regular_files import read_regular
 from sysid.units import counted, percent
 from uqharness import checksums
 from uqharness.campaign.cases import Case, Mission, build_cases
-from uqharness.campaign.execution.worker import JSBSIM
 from uqharness.campaign.folder.manifest import (
     COMPLETE,
     INTERRUPTED,
@@ -55,41 +54,13 @@ from uqharness.campaign.rounds import ALL_CORNERS, Rounds
 from uqharness.campaign.spec.campaign import CampaignSpec
 from uqharness.campaign.statements import STATEMENTS, joint_level, joint_words
 from uqharness.errors import BadInputError
+from uqharness.results.campaign import Answer, CampaignStatus, Merged
 from uqharness.text_tables import csv_rows
 
 # Answers per condition, during a run and after it.
 
 _ORDER = ("yes", "no", "open", "flying")
 _WORDS = {"open": "inconclusive"}
-
-
-@dataclass(frozen=True)
-class Answer:
-    """Answer for one condition whether excursions beyond ``radius_m`` are acceptable at every
-    corner.
-
-    Attributes
-    ----------
-    condition : str
-        Label of the condition.
-    radius_m, acceptable_per_h : float
-        Radius [m] and acceptable rate [1/h].
-    answer, reason : str
-        yes, no, open or flying, and why a condition is open.
-    hours : float
-        Hours flown.
-    """
-
-    condition: str
-    radius_m: float
-    acceptable_per_h: float
-    answer: str
-    reason: str
-    hours: float
-    flight_share_upper: float | None = None
-    """Upper limit of the share of flights with an excursion at the worst corner, if the number of
-    flights was fixed.
-    """
 
 
 def read_answers(folder: Path, manifest: Mapping[str, Any]) -> list[Answer]:
@@ -119,20 +90,16 @@ def read_answers(folder: Path, manifest: Mapping[str, Any]) -> list[Answer]:
 
 def _answer(row: dict[str, str]) -> Answer:
     """Return the answer of a row."""
+    share = row.get("flight_share_upper")
     return Answer(
-        row["condition"],
-        float(row["radius_m"]),
-        float(row["acceptable_per_h"]),
-        row["answer"],
-        row.get("reason", ""),
-        float(row["hours"]),
-        float(row["flight_share_upper"]) if row.get("flight_share_upper") else None,
+        condition=row["condition"],
+        radius_m=float(row["radius_m"]),
+        acceptable_per_h=float(row["acceptable_per_h"]),
+        answer=row["answer"],
+        reason=row.get("reason", ""),
+        hours=float(row["hours"]),
+        flight_share_upper=float(share) if share else None,
     )
-
-
-def as_json(answers: Sequence[Answer]) -> list[dict[str, object]]:
-    """Return the answers as plain types."""
-    return [asdict(answer) for answer in answers]
 
 
 def lines(answers: Sequence[Answer]) -> list[str]:
@@ -252,42 +219,6 @@ class Shard:
         return f"{self.number}/{self.count}"
 
 
-@dataclass(frozen=True)
-class MergeResult:
-    """Report a merge.
-
-    Attributes
-    ----------
-    folder : Path
-        Campaign folder.
-    cases, missing : int
-        Cases of the campaign and those that no shard has flown.
-    statuses : dict of str to int
-        Number of flights by status.
-    shards : tuple of str
-        Names of the shard folders.
-    rewritten : tuple of str
-        Damaged tables that were written again.
-    """
-
-    folder: Path
-    cases: int
-    missing: int
-    statuses: dict[str, int]
-    shards: tuple[str, ...]
-    rewritten: tuple[str, ...] = ()
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the document of ``campaign merge --json``."""
-        return {
-            "cases": self.cases,
-            "done": self.cases - self.missing,
-            "missing": self.missing,
-            "statuses": self.statuses,
-            "shards": list(self.shards),
-        }
-
-
 def parse_shard(text: str) -> Shard:
     """Parse ``2/8``. Raises BadInputError.
 
@@ -307,7 +238,7 @@ def shard_folders(folder: Path) -> list[Path]:
     return sorted(path.parent for path in (folder / SHARDS).glob(f"*/{MANIFEST}"))
 
 
-def merge(folder: Path) -> MergeResult:
+def merge(folder: Path) -> Merged:
     """Collect the flights of all shards in ``folder``; with the last one, write the tables.
 
     The call may be repeated and keeps what is there.
@@ -354,7 +285,7 @@ def merge(folder: Path) -> MergeResult:
             with Store(folder) as store:
                 refuse_if_changed(folder, store, old)
                 rewritten = rewrite_damaged_tables(folder, old, spec, cases, store)
-                return _merged(folder, cases, store.statuses(), 0, folders, rewritten)
+                return _merged(cases, store.statuses(), 0, folders, rewritten)
         manifest |= {"tables": old["tables"]} if old is not None and "tables" in old else {}
         # Check every journal before anything is written.
         for part in (*folders, *([folder] if old is not None else [])):
@@ -377,7 +308,7 @@ def merge(folder: Path) -> MergeResult:
             statuses = store.statuses()
         if not missing:
             seal_files(folder, previous_sums)
-        return _merged(folder, cases, statuses, missing, folders, ())
+        return _merged(cases, statuses, missing, folders, ())
 
 
 def _refuse_damage(folder: Path, manifest: Mapping[str, Any]) -> None:
@@ -405,81 +336,27 @@ def _previous_merge(folder: Path, manifest: Mapping[str, Any]) -> dict[str, Any]
 
 
 def _merged(
-    folder: Path,
     cases: Sequence[Case],
     statuses: Mapping[str, int],
     missing: int,
     folders: Sequence[Path],
     rewritten: tuple[str, ...],
-) -> MergeResult:
+) -> Merged:
     """Return the report of a merge."""
-    names = tuple(path.name for path in folders)
-    return MergeResult(
-        folder, len(cases), missing, dict(sorted(statuses.items())), names, rewritten
+    return Merged(
+        cases=len(cases),
+        done=len(cases) - missing,
+        missing=missing,
+        statuses=dict(sorted(statuses.items())),
+        shards=[path.name for path in folders],
+        rewritten=list(rewritten),
     )
 
 
 # Status of a campaign folder, or of its shards.
 
 
-@dataclass(frozen=True)
-class Status:
-    """Report how far a campaign is.
-
-    Attributes
-    ----------
-    state : str
-        complete, running or interrupted.
-    cases : int
-        Cases of the campaign.
-    statuses : mapping of str to int
-        Finished flights by status.
-    answers : tuple of Answer
-        Answers per condition.
-    command : str
-        Command that continues it.
-    engine : str
-        Engine that flies it.
-    reasons : tuple of str
-        Reasons of the choice of the engine.
-    joint : tuple of str
-        Sentences on the uncertainty set.
-    joint_level : float or None
-        Joint confidence of the intervals; None if not known.
-    """
-
-    state: str
-    cases: int
-    statuses: Mapping[str, int]
-    answers: tuple[Answer, ...]
-    command: str
-    engine: str = JSBSIM
-    reasons: tuple[str, ...] = ()
-    joint: tuple[str, ...] = ()
-    joint_level: float | None = None
-
-    @property
-    def done(self) -> int:
-        """Number of finished flights."""
-        return sum(self.statuses.values())
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the document of ``campaign status --json``."""
-        return {
-            "state": self.state,
-            "cases": self.cases,
-            "done": self.done,
-            "failed": self.done - self.statuses.get("ok", 0),
-            "statuses": dict(self.statuses),
-            "engine": self.engine,
-            "engine_why": list(self.reasons),
-            "joint_level": self.joint_level,
-            "joint": list(self.joint),
-            "answers": as_json(self.answers),
-        }
-
-
-def read_status(folder: Path) -> Status:
+def read_status(folder: Path) -> CampaignStatus:
     """Return the status of a campaign, running or not. Raises BadInputError."""
     folders = [folder]
     if not (folder / MANIFEST).exists() and shard_folders(folder):
@@ -493,23 +370,19 @@ def read_status(folder: Path) -> Status:
     # A killed run leaves the state "running"; the lock shows whether a process holds the folder.
     state = COMPLETE if complete else RUNNING if any(map(is_running, folders)) else INTERRUPTED
     # Only a merged campaign has answers.
-    answers = tuple(read_answers(folder, manifest)) if folders == [folder] else ()
-    engine, reasons = (
-        manifest["campaign"]["campaign"]["engine"],
-        tuple(manifest.get("engine", {}).get("why", ())),
-    )
-    joint = tuple(joint_words(manifest))
-    counts = dict(sorted(counted.items()))
-    return Status(
-        state,
-        cases,
-        counts,
-        answers,
-        manifest["command"],
-        engine,
-        reasons,
-        joint,
-        joint_level(manifest),
+    answers = read_answers(folder, manifest) if folders == [folder] else []
+    return CampaignStatus(
+        state=state,
+        cases=cases,
+        done=counted.total(),
+        failed=counted.total() - counted["ok"],
+        statuses=dict(sorted(counted.items())),
+        engine=manifest["campaign"]["campaign"]["engine"],
+        engine_why=list(manifest.get("engine", {}).get("why", ())),
+        joint_level=joint_level(manifest),
+        joint=joint_words(manifest),
+        answers=answers,
+        command=manifest["command"],
     )
 
 

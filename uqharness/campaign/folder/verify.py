@@ -59,41 +59,9 @@ from uqharness.campaign.spec.campaign import CampaignSpec
 from uqharness.checksums import SUMS, SumsError, faults, is_behind_link, read_sums, update_sums
 from uqharness.errors import BadInputError
 from uqharness.files import scratch_folder
+from uqharness.results.campaign import FolderCheck, Item, Salvaged
 
 INTACT, DAMAGED, MISSING, NO_DIGEST = "whole", "damaged", "missing", "no digests"
-
-
-@dataclass(frozen=True)
-class Item:
-    """Hold the state of a manifest, journal or table.
-
-    ``digest`` is that of a table's current bytes.
-    """
-
-    name: str
-    state: str
-    remark: str = ""
-    digest: str = ""
-
-
-@dataclass(frozen=True)
-class FolderCheck:
-    """Report the check of a folder and of its shards.
-
-    ``complete`` is None if the manifest cannot be read.
-    """
-
-    folder: Path
-    complete: bool | None
-    items: tuple[Item, ...]
-    shards: tuple[FolderCheck, ...] = ()
-
-    @property
-    def is_intact(self) -> bool:
-        """Whether everything is as it was written."""
-        return all(item.state == INTACT for item in self.items) and all(
-            part.is_intact for part in self.shards
-        )
 
 
 @dataclass(frozen=True)
@@ -146,9 +114,20 @@ def verify(folder: Path) -> FolderCheck:
     complete, items = _verify_campaign(folder) if is_campaign else (None, ())
     # An incomplete campaign has no SHA256SUMS, or those of an earlier completion.
     files = _file_items(folder, items) if sealed and complete is not False else ()
+    every = [*items, *files]
+    inner = [verify(part) for part in dict.fromkeys(parts)]
     return FolderCheck(
-        folder, complete, (*items, *files), tuple(verify(part) for part in dict.fromkeys(parts))
+        folder=str(folder),
+        whole=all(item.state == INTACT for item in every) and all(part.whole for part in inner),
+        complete=complete,
+        files=every,
+        shards=inner,
     )
+
+
+def _item(name: str, state: str, remark: str = "", digest: str | None = None) -> Item:
+    """Return the state of a manifest, journal, table or other file."""
+    return Item(name=name, state=state, remark=remark, digest=digest)
 
 
 def _sealed_within(folder: Path) -> list[Path]:
@@ -166,13 +145,13 @@ def _file_items(folder: Path, items: Sequence[Item]) -> Iterator[Item]:
     file_faults = faults(folder, include_inner=False)
     for fault in file_faults:
         if fault.name not in items_by_name or items_by_name[fault.name].state == INTACT:
-            yield Item(fault.name, MISSING if fault.missing else DAMAGED, fault.problem)
+            yield _item(fault.name, MISSING if fault.missing else DAMAGED, fault.problem)
     with contextlib.suppress(SumsError, OSError):
         if (sums := read_sums(folder)) is None:
-            yield Item(SUMS, DAMAGED, "it is not this program's")
+            yield _item(SUMS, DAMAGED, "it is not this program's")
         else:
             intact = len(set(sums.files) - {fault.name for fault in file_faults})
-            yield Item(SUMS, INTACT, f"{intact} of {len(sums.files)} files as they were written")
+            yield _item(SUMS, INTACT, f"{intact} of {len(sums.files)} files as they were written")
 
 
 def part_folders(folder: Path) -> list[Path]:
@@ -191,20 +170,20 @@ def _verify_campaign(folder: Path) -> tuple[bool | None, tuple[Item, ...]]:
     manifest: dict[str, Any] | None = None
     try:
         manifest = read_manifest(folder)
-        first = Item(MANIFEST, INTACT)
+        first = _item(MANIFEST, INTACT)
     except DamageError as error:
-        first = Item(MANIFEST, DAMAGED, error.what)
+        first = _item(MANIFEST, DAMAGED, error.what)
     except BadInputError as error:
-        first = Item(MANIFEST, DAMAGED if (folder / MANIFEST).exists() else MISSING, str(error))
+        first = _item(MANIFEST, DAMAGED if (folder / MANIFEST).exists() else MISSING, str(error))
     if manifest is not None and not has_digests(manifest):
         names = (JOURNAL, *_existing_tables(folder))
-        old = Item(MANIFEST, NO_DIGEST, "made by uqharness 0.1")
-        return manifest["state"] == COMPLETE, (old, *(Item(name, NO_DIGEST) for name in names))
+        old = _item(MANIFEST, NO_DIGEST, "made by uqharness 0.1")
+        return manifest["state"] == COMPLETE, (old, *(_item(name, NO_DIGEST) for name in names))
     journal = _journal_item(folder, manifest)
     tables = () if manifest is None else tuple(_table_items(folder, manifest))
     sums_missing = manifest is not None and "sums" in manifest and not (folder / SUMS).exists()
     if sums_missing and manifest is not None and is_sealed(manifest):
-        tables = (*tables, Item(SUMS, MISSING, "the same run command writes it again"))
+        tables = (*tables, _item(SUMS, MISSING, "the same run command writes it again"))
     return (None if manifest is None else manifest["state"] == COMPLETE), (first, journal, *tables)
 
 
@@ -213,16 +192,16 @@ def _journal_item(folder: Path, manifest: Mapping[str, Any] | None) -> Item:
     sealed = manifest is not None and is_sealed(manifest)
     try:
         if trap := journal_trap(folder):
-            return Item(JOURNAL, DAMAGED, trap)
+            return _item(JOURNAL, DAMAGED, trap)
         require_regular(folder / JOURNAL)
     except FileNotFoundError:
         if manifest is None or sealed:
-            return Item(JOURNAL, MISSING)
-        return Item(JOURNAL, INTACT, "no flight was counted yet")
+            return _item(JOURNAL, MISSING)
+        return _item(JOURNAL, INTACT, "no flight was counted yet")
     except OSError as error:
-        return Item(JOURNAL, DAMAGED, f"{error.strerror or error}")
+        return _item(JOURNAL, DAMAGED, f"{error.strerror or error}")
     scan_result = scan_journal(folder, manifest)
-    return Item(JOURNAL, DAMAGED if scan_result.problem else INTACT, scan_result.words)
+    return _item(JOURNAL, DAMAGED if scan_result.problem else INTACT, scan_result.words)
 
 
 def scan_journal(folder: Path, manifest: Mapping[str, Any] | None) -> JournalScanResult:
@@ -280,14 +259,14 @@ def _table_items(folder: Path, manifest: Mapping[str, Any]) -> Iterator[Item]:
     digests = manifest.get("tables", {})
     for name, digest in table_digests(folder, manifest).items():
         if digest is None:
-            yield Item(name, MISSING)
+            yield _item(name, MISSING)
         elif digest == digests[name]:
-            yield Item(name, INTACT, "", digest)
+            yield _item(name, INTACT, "", digest)
         else:
-            yield Item(name, DAMAGED, f"the manifest has {digests[name]}", digest)
+            yield _item(name, DAMAGED, f"the manifest has {digests[name]}", digest)
     for name in _existing_tables(folder):
         if name not in digests:
-            yield Item(name, DAMAGED, "the manifest knows of no such table")
+            yield _item(name, DAMAGED, "the manifest knows of no such table")
 
 
 # Salvage. At every moment the folder is one that `salvage` can be called on again: the new journal
@@ -300,50 +279,18 @@ _OWN_TABLES = ("sensitivity.csv", "convergence.csv", "area.csv", ENGINE_CHECK)
 
 
 @dataclass(frozen=True)
-class SalvageResult:
-    """Report what salvage did in a folder.
-
-    Attributes
-    ----------
-    folder : Path
-        Campaign folder.
-    retained, flights : int
-        Flights kept, and flights flown again.
-    missing : int
-        Flights that no shard has flown yet.
-    statuses : mapping of str to int
-        Number of flights by status.
-    rewritten : tuple of str
-        Tables written again.
-    renamed : tuple of str
-        New names of the damaged files.
-    parts : tuple of SalvageResult
-        The same for damaged shards.
-    """
-
-    folder: Path
-    retained: int
-    flights: int
-    missing: int
-    statuses: Mapping[str, int]
-    rewritten: tuple[str, ...]
-    renamed: tuple[str, ...]
-    parts: tuple[SalvageResult, ...] = ()
-
-
-@dataclass(frozen=True)
 class RunOptions:
     """Hold the options with which missing flights are flown, see `run_campaign`."""
 
     executor: Executor
     before_flying: Callable[[Cost], None] = lambda _: None
-    on_progress: Callable[[Any], None] | None = None
+    on_progress: Callable[[Any], object] | None = None
     fly: FlightFunction | Engines | None = None
 
 
 def salvage(
     folder: Path, flying: RunOptions, campaign: CampaignSpec | None = None, command: str = ""
-) -> SalvageResult:
+) -> Salvaged:
     """Make a damaged campaign intact again.
 
     Parameters
@@ -366,17 +313,23 @@ def salvage(
     if not parts:
         return _salvage_campaign(folder, flying, campaign, command)
     # Shards first: merging needs them intact.
-    done = tuple(
+    done = [
         _salvage_campaign(part, flying, campaign, command) for part in parts if not _is_whole(part)
-    )
+    ]
     renamed: list[str] = []
     if (folder / MANIFEST).exists() or (folder / JOURNAL).exists():
         with run_lock(folder):
             renamed = _mend_merged(folder)
     merged = merge(folder)
-    retained = sum(merged.statuses.values()) - sum(part.flights for part in done)
-    return SalvageResult(
-        folder, retained, 0, merged.missing, merged.statuses, merged.rewritten, tuple(renamed), done
+    return Salvaged(
+        folder=str(folder),
+        kept=sum(merged.statuses.values()) - sum(part.flown for part in done),
+        flown=0,
+        missing=merged.missing,
+        statuses=merged.statuses,
+        rewritten=merged.rewritten,
+        aside=renamed,
+        shards=done,
     )
 
 
@@ -443,7 +396,7 @@ def _mend_merged(folder: Path) -> list[str]:
 
 def _salvage_campaign(
     folder: Path, flying: RunOptions, campaign: CampaignSpec | None, command: str
-) -> SalvageResult:
+) -> Salvaged:
     """Salvage one campaign folder without shards."""
     if not (folder / MANIFEST).exists() and not (folder / JOURNAL).exists():
         raise BadInputError(
@@ -480,9 +433,15 @@ def _salvage_campaign(
         shard=shard,
         before_flying=flying.before_flying,
     )
-    new_flights = sum(summary.statuses.values()) - retained
-    return SalvageResult(
-        folder, retained, new_flights, 0, summary.statuses, summary.rewritten, tuple(renamed)
+    return Salvaged(
+        folder=str(folder),
+        kept=retained,
+        flown=sum(summary.statuses.values()) - retained,
+        missing=0,
+        statuses=dict(summary.statuses),
+        rewritten=list(summary.rewritten),
+        aside=renamed,
+        shards=[],
     )
 
 

@@ -73,8 +73,8 @@ def campaign_from(data: dict[str, Any], path: Path, text: str = "") -> CampaignS
         document = Document.model_validate(without_flights(data))
     except ValidationError as error:
         # Report all mistakes at once, in the order of their lines.
-        problems = [explain(Document, text, data, dict(item)) for item in error.errors()]
-        lines = [f"{path}:{line}: {message}" for line, message in sorted(problems)]
+        problems = explain(Document, text, data, error)
+        lines = [f"{path}:{line}: {message}" for line, message in problems]
         raise BadInputError(*dict.fromkeys(lines)) from None
     sections = {name: getattr(document, name) for name in Document.model_fields}
     inputs = read_inputs(document.epistemic, path.resolve().parent)

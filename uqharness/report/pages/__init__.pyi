@@ -3,7 +3,7 @@ from .coverage import coverage_page_of as coverage_page_of
 from .difference import difference_page as difference_page
 from .dossier import Dossier as Dossier
 from .dossier import dossier_of as dossier_of
-from .flight import FlightRequest as FlightRequest
+from .flight import FlightFacts as FlightFacts
 from .flight import flight_page as flight_page
 from .identify import identify_page_of as identify_page_of
 from .instrument import Instrumentation as Instrumentation
@@ -13,7 +13,7 @@ from .margins import margins_page as margins_page
 from .model_form import RESIDUALS as RESIDUALS
 from .model_form import slice_section as slice_section
 from .model_form import variation_section as variation_section
-from .modes import ModesRequest as ModesRequest
+from .modes import ModesFacts as ModesFacts
 from .modes import modes_page as modes_page
 from .next_flight import next_flight_page as next_flight_page
 from .next_flight import uncertainty_figures as uncertainty_figures

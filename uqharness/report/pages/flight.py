@@ -30,7 +30,7 @@ MAX_LISTED = 60
 
 
 @dataclass(frozen=True)
-class FlightRequest:
+class FlightFacts:
     """Describe a flight: aircraft, script, conditions, record file, and the command that repeats
     it.
     """
@@ -42,12 +42,12 @@ class FlightRequest:
     command: str
 
 
-def flight_page(request: FlightRequest, columns: Columns, status: str, reason: str) -> Page:
+def flight_page(request: FlightFacts, columns: Columns, status: str, reason: str) -> Page:
     """Return the page of a record.
 
     Parameters
     ----------
-    request : FlightRequest
+    request : FlightFacts
         What was flown.
     columns : mapping of str to array
         Channels (n,) by name, ``time_s`` included.

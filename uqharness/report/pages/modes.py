@@ -59,7 +59,7 @@ _TALL = 250
 
 
 @dataclass(frozen=True)
-class ModesRequest:
+class ModesFacts:
     """Describe the analysis: aircraft, flight-phase category, class, trim and command line."""
 
     aircraft: str
@@ -69,12 +69,12 @@ class ModesRequest:
     command: str
 
 
-def modes_page(request: ModesRequest, point: LocusPoint, locus: Locus) -> Page:
+def modes_page(request: ModesFacts, point: LocusPoint, locus: Locus) -> Page:
     """Return the page of the modes at one speed.
 
     Parameters
     ----------
-    request : ModesRequest
+    request : ModesFacts
         What was analysed.
     point : LocusPoint
         Modes at the requested speed.
@@ -108,7 +108,7 @@ def modes_page(request: ModesRequest, point: LocusPoint, locus: Locus) -> Page:
     )
 
 
-def _verdict(request: ModesRequest, point: LocusPoint, locus: Locus) -> tuple[Sentence, ...]:
+def _verdict(request: ModesFacts, point: LocusPoint, locus: Locus) -> tuple[Sentence, ...]:
     """Return the Levels reached at the requested speed, and the range of trimmed speeds."""
     # The worst Level of any mode decides.
     worst = max(a.level for a in point.levels)
@@ -190,7 +190,7 @@ def _eigenvalues(point: LocusPoint) -> Section:
     )
 
 
-def _maps(request: ModesRequest, point: LocusPoint, locus: Locus) -> Section:
+def _maps(request: ModesFacts, point: LocusPoint, locus: Locus) -> Section:
     """Return the charts of the root locus."""
     figures = [_all(point, locus), *_cap(request, point, locus)]
     mode_names = {m.name for p in locus.points for m in p.modes}
@@ -327,7 +327,7 @@ def _labels(
     return out
 
 
-def _pair(mode: str, request: ModesRequest, point: LocusPoint, locus: Locus) -> Figure:
+def _pair(mode: str, request: ModesFacts, point: LocusPoint, locus: Locus) -> Figure:
     """Draw the root locus of an oscillatory mode with the limits of the Levels."""
     place = _roots(locus, mode)
     roots = [root for pairs in place.values() for root in pairs]
@@ -365,7 +365,7 @@ def _pair(mode: str, request: ModesRequest, point: LocusPoint, locus: Locus) -> 
     )
 
 
-def _cap(request: ModesRequest, point: LocusPoint, locus: Locus) -> list[Figure]:
+def _cap(request: ModesFacts, point: LocusPoint, locus: Locus) -> list[Figure]:
     """Draw natural frequency over n/alpha with lines of equal CAP (figures 1 to 3 of the
     specification).
 
@@ -418,7 +418,7 @@ def _cap(request: ModesRequest, point: LocusPoint, locus: Locus) -> list[Figure]
     return [Figure(chart.name, chart.svg(), caption)]
 
 
-def _root(mode: str, request: ModesRequest, point: LocusPoint, locus: Locus) -> Figure:
+def _root(mode: str, request: ModesFacts, point: LocusPoint, locus: Locus) -> Figure:
     """Draw a real root over airspeed with the limits of the Levels."""
     # Limits of the Levels as real roots.
     limits = root_limits(mode, request.category, request.aircraft_class)

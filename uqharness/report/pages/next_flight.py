@@ -18,7 +18,6 @@ from sysid.arrays import FloatArray
 from sysid.model_form import CoefficientBounds, MissingTerm, Outside, parameter_variance
 from sysid.units import percent
 from uqharness.campaign import Winner
-from uqharness.files import finite
 from uqharness.next_flight import (
     MAX_SENSOR_SCATTER_RATIO,
     MIN_NARROWING,
@@ -40,12 +39,14 @@ from uqharness.report.parts import (
     remarks,
 )
 from uqharness.report.svg import Chart, Scale
+from uqharness.results import next_flight as results
+from uqharness.results.next_flight import NextFlightPlan
 
 _BINS, _CELLS, _MOST_DOTS = 16, 24, 1500
 
 
 def next_flight_page(
-    plan: NextFlight, document: Mapping[str, Any], figures: Sequence[Figure], command: str
+    plan: NextFlight, document: NextFlightPlan, figures: Sequence[Figure], command: str
 ) -> Page:
     """Return the page of a plan.
 
@@ -53,14 +54,14 @@ def next_flight_page(
     ----------
     plan : NextFlight
         Planned flight.
-    document : mapping
+    document : NextFlightPlan
         Content of next-flight.json.
     figures : sequence of Figure
         Figures of `uncertainty_figures`; empty to leave them out.
     command : str
         Command line.
     """
-    name = document["aircraft"]["name"]
+    name = document.aircraft.name
     quartile_text = (
         "Quartiles (25, 50, 75 %): of the data behind the bounds, of the mission, and of the"
         " mission weighted by the prediction variance."
@@ -96,7 +97,7 @@ def next_flight_page(
         f"What test flight narrows the interval of {plan.coefficient} most in the mission's flight"
         " states?"
     )
-    verdict = tuple(Sentence(text) for text in document["words"])
+    verdict = tuple(Sentence(text) for text in document.words)
     return Page(f"Next test flight for {plan.coefficient} of {name}", question, verdict, sections)
 
 
@@ -475,10 +476,10 @@ def document(
     winner: Winner,
     mission: Occupancy,
     missing: Sequence[MissingTerm] | None,
-    air: Mapping[str, Any],
+    origin: Mapping[str, Any],
     units: Mapping[str, str],
     warnings: Sequence[str],
-) -> dict[str, Any]:
+) -> NextFlightPlan:
     """Return the content of next-flight.json.
 
     Parameters
@@ -491,90 +492,92 @@ def document(
         Flight states of the mission.
     missing : sequence of MissingTerm, optional
         Terms that explain residual scatter.
-    air : mapping
-        Aircraft, bounds and conditions of the simulated flight.
+    origin : mapping
+        Fields aircraft, campaign, bounds and simulated.
     units : mapping of str to str
         Unit of each control.
     warnings : sequence of str
         Warnings.
     """
-    return {
-        "format": FORMAT,
-        **air,
-        "metric": winner.metric,
-        "coefficient": plan.coefficient,
-        "share": list(winner.share),
-        "certain": winner.certain,
-        "verdict": "fly" if plan.worth_flying else "no",
-        "words": words(plan, winner, missing),
-        "mission": {
-            "source": mission.source,
-            "flights": mission.flights,
-            "failed": mission.failed,
-            "seconds": round(mission.seconds, 3),
-            "outside_data": plan.extrapolated,
-        },
-        "where": {
-            w.state: {
-                "data": w.data.tolist(),
-                "mission": w.mission.tolist(),
-                "variance": finite(w.variance.tolist()),
-            }
+    return NextFlightPlan(
+        format=FORMAT,
+        **origin,
+        metric=winner.metric,
+        coefficient=plan.coefficient,
+        share=list(winner.share),
+        certain=winner.certain,
+        verdict="fly" if plan.worth_flying else "no",
+        words=words(plan, winner, missing),
+        mission=results.MissionStates(
+            source=mission.source,
+            flights=mission.flights,
+            failed=mission.failed,
+            seconds=round(mission.seconds, 3),
+            outside_data=plan.extrapolated,
+        ),
+        where={
+            w.state: results.StateQuartiles(
+                data=w.data.tolist(), mission=w.mission.tolist(), variance=w.variance.tolist()
+            )
             for w in plan.where
         },
-        "prospects": {c: prospect_row(p) for c, p in plan.prospects.items()},
-        "scatter": {"bounds": plan.scatter, "simulated": finite(plan.simulated_scatter)},
-        "missing": (
-            None if missing is None else [{"term": m.name, "share": m.share} for m in missing]
+        prospects={c: prospect_row(p) for c, p in plan.prospects.items()},
+        scatter=results.Scatter(bounds=plan.scatter, simulated=plan.simulated_scatter),
+        missing=(
+            None
+            if missing is None
+            else [results.MissingTerm(term=m.name, share=m.share) for m in missing]
         ),
-        "flight_s": plan.end_s,
-        "points": [point_row(plan, k, units) for k in range(len(plan.plan))],
-        "tried": plan.n_points,
-        "refused": [{"point": r.point.name, "reason": r.reason} for r in plan.refused],
-        "warnings": list(warnings),
-    }
+        flight_s=plan.end_s,
+        points=[point_row(plan, k, units) for k in range(len(plan.plan))],
+        tried=plan.n_points,
+        refused=[
+            results.RefusedTestPoint(point=r.point.name, reason=r.reason) for r in plan.refused
+        ],
+        warnings=list(warnings),
+    )
 
 
-def prospect_row(p: Prospect) -> dict[str, Any]:
+def prospect_row(p: Prospect) -> results.ProspectRow:
     """Return widths and narrowings of one coefficient."""
-    return {
-        "width": p.current.total,
-        "width_after": p.planned.total,
-        "narrowing": p.narrowing,
-        "narrowing_at_most": p.at_most,
-        "narrowing_same_manoeuvres": 1.0 - p.repeated.total / p.current.total,
-        "width_redone": p.refitted.total,
-        "narrowing_redone": 1.0 - p.refitted.total / p.current.total,
-        "parameter_width": p.current.parameter,
-        "parameter_width_after": p.planned.parameter,
-        "parameter_narrowing": p.parameter_narrowing,
-        "parameter_narrowing_same_manoeuvres": 1.0 - p.repeated.parameter / p.current.parameter,
-    }
+    return results.ProspectRow(
+        width=p.current.total,
+        width_after=p.planned.total,
+        narrowing=p.narrowing,
+        narrowing_at_most=p.at_most,
+        narrowing_same_manoeuvres=1.0 - p.repeated.total / p.current.total,
+        width_redone=p.refitted.total,
+        narrowing_redone=1.0 - p.refitted.total / p.current.total,
+        parameter_width=p.current.parameter,
+        parameter_width_after=p.planned.parameter,
+        parameter_narrowing=p.parameter_narrowing,
+        parameter_narrowing_same_manoeuvres=1.0 - p.repeated.parameter / p.current.parameter,
+    )
 
 
-def point_row(plan: NextFlight, k: int, units: Mapping[str, str]) -> dict[str, Any]:
+def point_row(plan: NextFlight, k: int, units: Mapping[str, str]) -> results.PlannedPoint:
     """Return one test point with its steps."""
     item = plan.plan[k]
-    return {
-        "number": k + 1,
-        "name": item.point.name,
-        "start_s": item.start_s,
-        "end_s": item.end_s,
-        "speed_mps": item.point.condition.speed_mps,
-        "bank_deg": item.point.condition.bank_deg,
-        "steps": [
-            {
-                "control": s.control,
-                "size": s.size,
-                "unit": units[s.control],
-                "unit_s": s.unit_s,
-                "pattern": [[n, sign] for n, sign in s.pattern],
-                "begins_s": s.start_s,
-            }
+    return results.PlannedPoint(
+        number=k + 1,
+        name=item.point.name,
+        start_s=item.start_s,
+        end_s=item.end_s,
+        speed_mps=item.point.condition.speed_mps,
+        bank_deg=item.point.condition.bank_deg,
+        steps=[
+            results.ControlStep(
+                control=s.control,
+                size=s.size,
+                unit=units[s.control],
+                unit_s=s.unit_s,
+                pattern=[list(pair) for pair in s.pattern],
+                begins_s=s.start_s,
+            )
             for s in item.point.steps
         ],
-        "gain": item.gain,
-    }
+        gain=item.gain,
+    )
 
 
 def points_csv(plan: NextFlight, units: Mapping[str, str]) -> bytes:

@@ -10,7 +10,6 @@ import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -40,8 +39,23 @@ from uqharness.report.parts import (
     remarks,
 )
 from uqharness.report.svg import Chart, Scale, rows_chart, scale
-from uqharness.results.base import read_document
-from uqharness.results.refinement import Refinement
+from uqharness.results.base import read_result
+from uqharness.results.refinement import (
+    Alternative,
+    BeforeAfter,
+    Effect,
+    HoldOutTest,
+    Interval,
+    Intervals,
+    Mission,
+    NearbyCandidate,
+    Refinement,
+    Remaining,
+    RemainingPart,
+    ResidualLocation,
+    ResidualTables,
+    SmoothTerm,
+)
 
 # Chart of the candidates.
 
@@ -72,7 +86,7 @@ class ListedCandidate:
     t: float | None
 
 
-def listed_candidates(done: Mapping[str, Any]) -> dict[str, ListedCandidate]:
+def listed_candidates(done: Refinement) -> dict[str, ListedCandidate]:
     """Return the candidates that a refinement lists, by coefficient or subsystem and term.
 
     A candidate with several roles has the first of chosen, withdrawn, alternative, left. The |t|
@@ -80,33 +94,33 @@ def listed_candidates(done: Mapping[str, Any]) -> dict[str, ListedCandidate]:
     effect.
     """
     # Chosen and withdrawn effects, their alternatives, then candidates that remain.
-    rows: list[tuple[str, Mapping[str, Any], float | None]] = []
-    for part, effects in (("chosen", done["effects"]), ("withdrawn", done.get("withdrawn", ()))):
-        rows += [(part, e, e.get("evidence", {}).get("t")) for e in effects]
-    for e in (*done["effects"], *done.get("withdrawn", ())):
-        for a in e.get("alternatives", ()):
-            gain = a.get("evidence", {}).get("twice_log_likelihood")
+    rows: list[tuple[str, _Candidate, float | None]] = []
+    for part, effects in (("chosen", done.effects), ("withdrawn", done.withdrawn)):
+        rows += [(part, e, e.evidence.t) for e in effects]
+    for e in (*done.effects, *done.withdrawn):
+        for a in e.alternatives:
+            gain = a.evidence.twice_log_likelihood
             rows.append(("alternative", a, None if gain is None else math.sqrt(max(gain, 0.0))))
-    remaining = done["remaining"]
-    rows += [("left", w, w["t"]) for w in remaining["where"] if w.get("term") and "t" in w]
-    rows += [("left", c, c["t"]) for c in (remaining.get("place") or {}).get("candidates", ())]
+    remaining = done.remaining
+    rows += [("left", w, w.t) for w in remaining.where if w.t is not None]
+    rows += [("left", c, c.t) for c in (remaining.place.candidates if remaining.place else ())]
     out: dict[str, ListedCandidate] = {}
-    for part, e, t in rows:
-        if e.get("term"):
-            out.setdefault(_short(e), ListedCandidate(part, None if t is None else abs(t)))
+    for part, candidate, t in rows:
+        if candidate.term:
+            out.setdefault(_short(candidate), ListedCandidate(part, None if t is None else abs(t)))
     # The best candidate that was rejected.
-    refused = done.get("best_refused")
+    refused = done.best_refused
     if refused:
-        out.setdefault(
-            _as_scored(refused["effect"]),
-            ListedCandidate("left", None if refused.get("t") is None else abs(refused["t"])),
-        )
+        out.setdefault(_as_scored(refused.effect), ListedCandidate("left", _abs(refused.t)))
     return out
 
 
-def _short(e: Mapping[str, Any]) -> str:
+_Candidate = Effect | Alternative | RemainingPart | NearbyCandidate
+
+
+def _short(e: _Candidate) -> str:
     """Return the short name of a candidate."""
-    return f"{e.get('coefficient') or e.get('subsystem') or ''} {e['term']}".strip()
+    return f"{e.coefficient or e.subsystem or ''} {e.term}".strip()
 
 
 def _as_scored(key: str) -> str:
@@ -114,12 +128,12 @@ def _as_scored(key: str) -> str:
     return key.replace("/", " ", 1)
 
 
-def candidate_figure(done: Mapping[str, Any], prefix: str = "") -> Figure | None:
+def candidate_figure(done: Refinement, prefix: str = "") -> Figure | None:
     """Draw |t| of the candidates.
 
     Parameters
     ----------
-    done : mapping
+    done : Refinement
         Content of refinement.json.
     prefix : str
         Prefix of the figure name.
@@ -129,8 +143,8 @@ def candidate_figure(done: Mapping[str, Any], prefix: str = "") -> Figure | None
     Figure or None
         None if the refinement scored no candidate.
     """
-    board = done.get("candidates", {})
-    single_t = {r["effect"]: abs(r["t"]) for r in board.get("scores", ()) if r.get("t") is not None}
+    board = done.candidates
+    single_t = {r.effect: abs(r.t) for r in board.scores if r.t is not None}
     listed = listed_candidates(done)
     unlisted = [n for n in single_t if n not in listed][:MAX_UNLISTED]
     # Length of a row: the larger of both values.
@@ -141,7 +155,7 @@ def candidate_figure(done: Mapping[str, Any], prefix: str = "") -> Figure | None
     if not sizes:
         return None
     order = sorted(sizes, key=lambda n: -sizes[n])
-    limit = board.get("limit")
+    limit = board.limit
     label = "Candidate effects by |t| [-]: " + ", ".join(f"{n} {sizes[n]:.1f}" for n in order) + "."
     x = Scale("|t| of the score test [-]", 0.0, 1.08 * max(*sizes.values(), limit or 0.0, 1e-9))
     titles = [f"{n} {_MARKS[listed[n].part]}" if n in listed else n for n in order]
@@ -173,76 +187,72 @@ _DIVERGED = 1e9
 """Change of twice the log likelihood from which replays of one of the models diverge."""
 
 
-def place_words(place: Mapping[str, Any]) -> list[str]:
+def place_words(place: ResidualLocation) -> list[str]:
     """Return where the strongest remaining residual is, in at most three lines.
 
     Empty without any.
     """
-    if place["channel"] is None:
+    if place.channel is None:
         return []
-    name, _, _ = shown_channel(place["channel"])
-    side = "hold-out" if place["flights"] == "test" else "train"
+    name, _, _ = shown_channel(place.channel)
+    side = "hold-out" if place.flights == "test" else "train"
     # Without an interval the record gives the reason.
-    if place["from_s"] is None:
+    if place.from_s is None:
         first = (
-            f"residual of {name}, {side} flights, {place['rms_over_noise']:.2f} times its noise:"
-            f" {place['reason']}"
+            f"residual of {name}, {side} flights, {place.rms_over_noise:.2f} times its noise:"
+            f" {place.reason}"
         )
     else:
-        share = place["share_of_excess"]
+        share = place.share_of_excess
         share_text = (
             "" if share is None else f", {100.0 * share:.0f} % of what is left of the channel"
         )
-        when = (
-            f"{place['flight']}, {place['from_s']:.1f} to {place['to_s']:.1f} s"
-            f" ({place['manoeuvre']})"
-        )
-        band = f"{place['from_Hz']:.2g} to {place['to_Hz']:.2g} Hz"
+        when = f"{place.flight}, {place.from_s:.1f} to {place.to_s:.1f} s ({place.manoeuvre})"
+        band = f"{place.from_Hz:.2g} to {place.to_Hz:.2g} Hz"
         first = (
-            f"residual of {name}, {side} flight {when}, {band}: {place['rms_over_noise']:.2f} times"
+            f"residual of {name}, {side} flight {when}, {band}: {place.rms_over_noise:.2f} times"
             f" its noise{share_text}"
         )
-    dependence = place["state"]
+    dependence = place.state
     if dependence is not None:
-        state, unit, factor = shown_channel(dependence["state"])
+        state, unit, factor = shown_channel(dependence.state)
         first += (
-            f"; its {dependence['of']} goes with {state}, most at {factor * dependence['low']:.3g}"
-            f" to {factor * dependence['high']:.3g} {unit} ({100.0 * dependence['share']:.0f} % of"
+            f"; its {dependence.of} goes with {state}, most at {factor * dependence.low:.3g}"
+            f" to {factor * dependence.high:.3g} {unit} ({100.0 * dependence.share:.0f} % of"
             " its variance)"
         )
     candidates = ", ".join(
-        f"{c['name']} {c['leaves']:.2f} (|t| {abs(c['t']):.1f})" for c in place["candidates"]
+        f"{c.name} {c.leaves:.2f} (|t| {abs(c.t):.1f})" for c in place.candidates
     )
-    current = f"rms over noise of {name} on the train flights {place['channel_on_train']:.2f}"
+    current = f"rms over noise of {name} on the train flights {place.channel_on_train:.2f}"
     # What the nearest candidates would leave.
     second = f"{current}; with the nearest candidates it would be: {candidates}"
-    return [first, second, f"the flight that would tell: {place['would_tell']}"]
+    return [first, second, f"the flight that would tell: {place.would_tell}"]
 
 
-def smooth_words(smooth: Mapping[str, Any]) -> str:
+def smooth_words(smooth: SmoothTerm) -> str:
     """Return one line on the smooth term that is offered for interpretation."""
-    channel, _, _ = shown_channel(smooth["channel"])
-    replaced = (
-        f", in place of {' and '.join(smooth['in_place_of'])}," if smooth["in_place_of"] else ""
-    )
+    channel, _, _ = shown_channel(smooth.channel)
+    replaced = f", in place of {' and '.join(smooth.in_place_of)}," if smooth.in_place_of else ""
     return (
-        f"not named, no physics: a {smooth['name']} ({smooth['property']}){replaced} brings"
-        f" {channel} on the train flights from {smooth['channel_on_train']:.2f} to"
-        f" {smooth['leaves']:.2f} times its noise; {test_words(smooth)}"
+        f"not named, no physics: a {smooth.name} ({smooth.property}){replaced} brings"
+        f" {channel} on the train flights from {smooth.channel_on_train:.2f} to"
+        f" {smooth.leaves:.2f} times its noise; {hold_out_words(smooth.test)}"
     )
 
 
-def no_region_words(document: Mapping[str, Any]) -> str:
+def no_region_words(done: Refinement) -> str:
     """Return the sentence for residuals without a distinct region."""
     # No region, but significant effects over all samples together.
-    t_values = [abs(e["evidence"]["t"]) for e in (*document["effects"], *document["withdrawn"])]
-    t_values += [abs(w["t"]) for w in document["remaining"]["where"] if "t" in w]
-    if t_values:
+    t_values = [e.evidence.t for e in (*done.effects, *done.withdrawn)]
+    t_values += [w.t for w in done.remaining.where]
+    sizes = [abs(t) for t in t_values if t is not None]
+    if sizes:
         return (
             "in no single region beyond what noise allows a sample; over all samples together the"
-            f" flights disagree with the model all the same (|t| up to {max(t_values):.0f})"
+            f" flights disagree with the model all the same (|t| up to {max(sizes):.0f})"
         )
-    if document["remaining"]["unexplained"]:
+    if done.remaining.unexplained:
         return (
             "in no single region beyond what noise allows a sample, but the flights as a whole: see"
             " what is left"
@@ -250,36 +260,33 @@ def no_region_words(document: Mapping[str, Any]) -> str:
     return "nowhere beyond what noise allows"
 
 
-def remaining_words(remaining: Mapping[str, Any]) -> list[str]:
+def remaining_words(remaining: Remaining) -> list[str]:
     """Return what remains unexplained as sentences; empty if nothing does."""
-    if not remaining["unexplained"]:
-        return [w["words"] for w in remaining["where"] if "words" in w]
+    if not remaining.unexplained:
+        return [w.words for w in remaining.where if w.words]
     out = []
     # Channels above their noise, coloured residuals, then single findings.
-    above = remaining["channels_above_noise"]
+    above = remaining.channels_above_noise
     if above:
         out.append(
             "above their noise: " + ", ".join(f"{c} ({r:.2f} times)" for c, r in above.items())
         )
-    if remaining["coloured_channels"]:
-        out.append(f"residuals not white: {', '.join(remaining['coloured_channels'])}")
-    for w in remaining["where"]:
-        if "words" in w:
-            out.append(w["words"])
-        elif "rms_over_noise" in w:
-            depends = (
-                w["depends_on"][0]["state"] if w["depends_on"] else "none of the states looked at"
-            )
-            out.append(
-                f"{w['coefficient']}: {w['rms_over_noise']:.2f} times noise, depends on {depends}"
-            )
+    if remaining.coloured_channels:
+        out.append(f"residuals not white: {', '.join(remaining.coloured_channels)}")
+    for w in remaining.where:
+        if w.words:
+            out.append(w.words)
+        elif w.rms_over_noise is not None:
+            depends = w.depends_on[0].state if w.depends_on else "none of the states looked at"
+            out.append(f"{w.coefficient}: {w.rms_over_noise:.2f} times noise, depends on {depends}")
     return out
 
 
-def test_words(effect: Mapping[str, Any]) -> str:
+def hold_out_words(test: HoldOutTest, withdrawn: bool = False) -> str:
     """Return what the hold-out flights show for one effect."""
-    test = effect["test"]
-    change, std = test["change_of_twice_log_likelihood"], test["std"]
+    change, std = (
+        math.nan if v is None else v for v in (test.change_of_twice_log_likelihood, test.std)
+    )
     number = f"twice the log likelihood {_with_error(change, std)} with it"
     # The number itself is meaningless if one model diverges.
     if abs(change) >= _DIVERGED:
@@ -288,23 +295,22 @@ def test_words(effect: Mapping[str, Any]) -> str:
             f"twice the log likelihood over a billion {more} with it, for {leaves} it the model"
             " leaves the flights altogether"
         )
-    share, share_std = test.get("share_of_estimate"), test.get("share_std")
+    share, share_std = test.share_of_estimate, test.share_std
     # With a standard error above 0.5 the share distinguishes neither none nor all of the estimate.
-    if share is not None and share_std is not None and math.isfinite(share) and share_std < 0.5:
+    if share is not None and share_std is not None and share_std < 0.5:
         number += f", {share:.2f} ± {share_std:.2f} of the estimate fits them best"
-    if test["gap"] == "shrank":
+    if test.gap == "shrank":
         return f"on the test flights the gap shrank: {number}"
-    if test["gap"] == "grew":
+    if test.gap == "grew":
         return f"on the test flights the gap grew: {number}; withdrawn"
-    if test["gap"] == "too far":
+    if test.gap == "too far":
         distance = (
-            f"{test['rms_over_that_of_train']:.0f} times as far from either model as the train"
-            " flights"
+            f"{test.rms_over_that_of_train:.0f} times as far from either model as the train flights"
         )
         return (
             f"the test flights do not tell: they lie {distance}; look for what is wrong with them"
         )
-    withdrawal = "; withdrawn beside what nothing explains" if effect.get("withdrawn") else ""
+    withdrawal = "; withdrawn beside what nothing explains" if withdrawn else ""
     return f"the test flights do not tell whether the gap shrank: {number}{withdrawal}"
 
 
@@ -317,26 +323,26 @@ def _with_error(value: float, std: float) -> str:
     return f"{round(value, places):+.{max(places, 0)}f} ± {round(std, places):.{max(places, 0)}f}"
 
 
-def location_of_effect(effect: Mapping[str, Any]) -> str:
+def location_of_effect(effect: Effect) -> str:
     """Return where an effect is in the model: its property, a number of the XML, or a sensor."""
-    sensor = str(effect.get("subsystem", "")).startswith("sensor.")
-    return str(effect.get("property") or ("a sensor's" if sensor else "a number in the XML"))
+    sensor = (effect.subsystem or "").startswith("sensor.")
+    return effect.property or ("a sensor's" if sensor else "a number in the XML")
 
 
 # Section of effects.
 
 
-def headline(e: Mapping[str, Any]) -> str:
+def headline(e: Effect) -> str:
     """Return name, value and standard error of an effect."""
     return (
-        f"{capital(e['name'])}: {format_value(e['value'], '.5g')} ±"
-        f" {format_value(e['std'], '.2g')}{_unit(e)}"
+        f"{capital(e.name)}: {format_value(e.value, '.5g')} ±"
+        f" {format_value(e.std, '.2g')}{_unit(e)}"
     )
 
 
-def _unit(e: Mapping[str, Any]) -> str:
+def _unit(e: Effect) -> str:
     """Return the unit of an effect with a leading space; empty if it has none."""
-    return "" if e.get("unit") in (None, "", "1") else f" {e['unit']}"
+    return "" if e.unit in (None, "", "1") else f" {e.unit}"
 
 
 def capital(text: str) -> str:
@@ -344,13 +350,13 @@ def capital(text: str) -> str:
     return text[:1].upper() + text[1:]
 
 
-def effect_section(done: Mapping[str, Any], diff: str = "", prefix: str = "") -> Section:
+def effect_section(done: Refinement, diff: str = "", prefix: str = "") -> Section:
     """Return the effects: value, change of the XML, alternatives, evidence, and rejected
     candidates.
 
     Parameters
     ----------
-    done : mapping
+    done : Refinement
         Content of refinement.json.
     diff : str
         Text of model.diff.
@@ -358,7 +364,7 @@ def effect_section(done: Mapping[str, Any], diff: str = "", prefix: str = "") ->
         Prefix of figure names.
     """
     # Value of each property that switches the effect off.
-    off = {s["property"]: s["off"] for s in done.get("switch", ())}
+    off = {s.property: s.off for s in done.switch}
     parts = [
         Section(
             headline(e),
@@ -369,16 +375,14 @@ def effect_section(done: Mapping[str, Any], diff: str = "", prefix: str = "") ->
                 *_evidence(e),
             ),
         )
-        for k, e in enumerate(done["effects"])
+        for k, e in enumerate(done.effects)
     ]
     first: list[Block] = [] if parts else [Words("None.")]
-    refused = done.get("best_refused")
+    refused = done.best_refused
     if refused:
-        t = format_value(_abs(refused.get("t")), ".1f")
+        t = format_value(_abs(refused.t), ".1f")
         first.append(
-            Words(
-                f"Best candidate that was refused: {refused['effect']} (|t| {t}): {refused['why']}."
-            )
+            Words(f"Best candidate that was refused: {refused.effect} (|t| {t}): {refused.why}.")
         )
     figure = candidate_figure(done, prefix)
     if figure:
@@ -386,28 +390,28 @@ def effect_section(done: Mapping[str, Any], diff: str = "", prefix: str = "") ->
     return Section("Effects", tuple(first), tuple(parts))
 
 
-def _value(e: Mapping[str, Any], off: Mapping[str, float], name: str) -> list[Block]:
+def _value(e: Effect, off: Mapping[str, float], name: str) -> list[Block]:
     """Return the result on the hold-out flights and a chart of the 95 % interval."""
-    out: list[Block] = [Words(f"{capital(test_words(e))}.")] if e.get("test") else []
+    out: list[Block] = [Words(f"{capital(hold_out_words(e.test, e.withdrawn))}.")] if e.test else []
     # 95 % interval with the value that switches the effect off.
-    low, high = e.get("evidence", {}).get("interval_95") or (None, None)
-    if low is None or high is None or e["value"] is None:
+    low, high = e.evidence.interval_95 or (None, None)
+    if low is None or high is None or e.value is None:
         return out
-    off_value = float(off.get(e.get("property") or "", 0.0))
+    off_value = float(off.get(e.property or "", 0.0))
     ends = [float(v) for v in (low, high, off_value)]
     margin = 0.08 * (max(ends) - min(ends)) or 1.0
     label = (
-        f"{capital(e['name'])}: 95 % interval {format_value(low, '.5g')} to"
+        f"{capital(e.name)}: 95 % interval {format_value(low, '.5g')} to"
         f" {format_value(high, '.5g')}{_unit(e)}, without it {off_value:g}."
     )
-    unit = e.get("unit") or "-"
+    unit = e.unit or "-"
     axis = f"value [{'-' if unit == '1' else unit}]"
     chart = rows_chart(
-        name, label, Scale(axis, min(ends) - margin, max(ends) + margin), [e["term"]], 24
+        name, label, Scale(axis, min(ends) - margin, max(ends) + margin), [e.term], 24
     )
     chart.upright(off_value, "zero", "without the effect")
     chart.across(low, high, 0.0, "first")
-    chart.marker(e["value"], 0.0, "first", "disc")
+    chart.marker(e.value, 0.0, "first", "disc")
     return [
         *out,
         Figures(
@@ -422,10 +426,10 @@ def _value(e: Mapping[str, Any], off: Mapping[str, float], name: str) -> list[Bl
     ]
 
 
-def _change(e: Mapping[str, Any], diff: str) -> list[Block]:
+def _change(e: Effect, diff: str) -> list[Block]:
     """Return the lines of model.diff that name the effect, with their context."""
-    text = lines_naming(diff, [w for w in (e.get("property"), e["name"]) if w])
-    return [Code(f"Change of the XML for {e['name']}", text)] if text else []
+    text = lines_naming(diff, [w for w in (e.property, e.name) if w])
+    return [Code(f"Change of the XML for {e.name}", text)] if text else []
 
 
 def lines_naming(diff: str, words: Sequence[str], around: int = 2) -> str:
@@ -460,47 +464,44 @@ def lines_naming(diff: str, words: Sequence[str], around: int = 2) -> str:
     return "\n".join(out)
 
 
-def _alternatives(e: Mapping[str, Any]) -> list[Block]:
+def _alternatives(e: Effect) -> list[Block]:
     """Return which alternatives are confounded with the effect and which are excluded."""
     sentences = [
         (
-            f"Distinguished from {a['name']}."
-            if a["separable"]
-            else f"Confounded with {a['name']}. Would separate them: {a['would_separate']}."
+            f"Distinguished from {a.name}."
+            if a.separable
+            else f"Confounded with {a.name}. Would separate them: {a.would_separate}."
         )
-        for a in e.get("alternatives", ())
+        for a in e.alternatives
     ]
     return [Bullets(tuple(sentences))] if sentences else []
 
 
-def _evidence(e: Mapping[str, Any]) -> list[Block]:
+def _evidence(e: Effect) -> list[Block]:
     """Return the table of evidence for an effect."""
-    evidence = e.get("evidence", {})
-    low, high = evidence.get("interval_95") or (None, None)
+    evidence = e.evidence
+    low, high = evidence.interval_95 or (None, None)
     rows = [
-        ("Value", f"{format_value(e['value'], '.5g')}{_unit(e)}"),
-        ("Standard error", format_value(e["std"], ".2g")),
+        ("Value", f"{format_value(e.value, '.5g')}{_unit(e)}"),
+        ("Standard error", format_value(e.std, ".2g")),
         ("95 % interval", f"{format_value(low, '.5g')} to {format_value(high, '.5g')}"),
-        ("|t|", format_value(_abs(evidence.get("t")), ".1f")),
+        ("|t|", format_value(_abs(evidence.t), ".1f")),
         (
             "Twice the log-likelihood gained",
-            format_value(evidence.get("twice_log_likelihood"), ".4g"),
+            format_value(evidence.twice_log_likelihood, ".4g"),
         ),
         (
             "Gained on held-out manoeuvres",
-            format_value(evidence.get("confirmed_on_held_out_manoeuvres"), ".4g"),
+            format_value(evidence.confirmed_on_held_out_manoeuvres, ".4g"),
         ),
         (
             "Held-out estimate differs by",
-            (
-                f"{format_value(evidence.get('held_out_estimate_differs_by_std'), '.2f')} standard"
-                " errors"
-            ),
+            (f"{format_value(evidence.held_out_estimate_differs_by_std, '.2f')} standard errors"),
         ),
         ("Property", location_of_effect(e)),
     ]
-    reason = Words(f"{capital(e['why']).rstrip('.')}.")
-    return [reason, Table(f"Evidence for {e['name']}.", ("Evidence", "Value"), tuple(rows))]
+    reason = Words(f"{capital(e.why).rstrip('.')}.")
+    return [reason, Table(f"Evidence for {e.name}.", ("Evidence", "Value"), tuple(rows))]
 
 
 def _abs(value: float | None) -> float | None:
@@ -511,26 +512,26 @@ def _abs(value: float | None) -> float | None:
 # Sections of intervals and mission.
 
 
-def interval_section(gap: Mapping[str, Any], prefix: str = "") -> Section:
+def interval_section(gap: ResidualTables, prefix: str = "") -> Section:
     """Return width and coverage of the model-form intervals on the hold-out flights.
 
     Parameters
     ----------
-    gap : mapping
+    gap : ResidualTables
         Part of refinement.json with the intervals before and after.
     prefix : str
         Prefix of figure names.
     """
     title = "Model-form intervals on the test flights"
-    intervals = gap.get("intervals") or {
-        "reason": "this folder was written before they were computed"
-    }
-    if intervals["reason"] is not None:
-        return Section(title, (Words(f"Not shown: {intervals['reason']}."),))
-    rows = []
-    for name, r in intervals["coefficients"].items():
+    intervals = gap.intervals or Intervals(
+        reason="this folder was written before they were computed"
+    )
+    if intervals.reason is not None:
+        return Section(title, (Words(f"Not shown: {intervals.reason}."),))
+    rows: list[tuple[str | Cell, ...]] = []
+    for name, r in intervals.coefficients.items():
         # A wider interval after the refinement deserves attention.
-        before, after = r["width_before"], r["width_after"]
+        before, after = r.width_before, r.width_after
         level: Level = "warn" if before is not None and after is not None and after > before else ""
         rows.append(
             (
@@ -548,8 +549,7 @@ def interval_section(gap: Mapping[str, Any], prefix: str = "") -> Section:
         "After [%]",
     )
     caption = (
-        f"{100.0 * intervals['confidence']:g} % intervals of each model, fitted on the train"
-        " flights."
+        f"{100.0 * intervals.confidence:g} % intervals of each model, fitted on the train flights."
     )
     text = (
         "As uqharness bounds fits them, one set for each model; ± is one standard error,"
@@ -565,14 +565,14 @@ def interval_section(gap: Mapping[str, Any], prefix: str = "") -> Section:
     )
 
 
-def _interval_figures(intervals: Mapping[str, Any], prefix: str) -> tuple[Figure, ...]:
+def _interval_figures(intervals: Intervals, prefix: str) -> tuple[Figure, ...]:
     """Draw the ratio of widths, and the coverage with 95 % limits."""
-    rows = intervals["coefficients"]
+    rows = intervals.coefficients
     # Ratio of widths where both are known.
     widths = {
-        c: r["width_after"] / r["width_before"]
+        c: r.width_after / r.width_before
         for c, r in rows.items()
-        if r["width_after"] and r["width_before"]
+        if r.width_after and r.width_before
     }
     out = []
     if widths:
@@ -597,12 +597,12 @@ def _interval_figures(intervals: Mapping[str, Any], prefix: str) -> tuple[Figure
             k + offset,
             kind,
             shape,
-            100.0 * r[f"coverage_{when}"],
-            196.0 * (r[f"coverage_std_{when}"] or 0.0),
+            100.0 * getattr(r, f"coverage_{when}"),
+            196.0 * (getattr(r, f"coverage_std_{when}") or 0.0),
         )
         for k, r in enumerate(rows.values())
         for when, kind, shape, offset in sides
-        if r[f"coverage_{when}"] is not None
+        if getattr(r, f"coverage_{when}") is not None
     ]
     if rows_with_coverage:
         label = (
@@ -612,7 +612,7 @@ def _interval_figures(intervals: Mapping[str, Any], prefix: str) -> tuple[Figure
         lowest = min(share - half for *_, share, half in rows_with_coverage)
         x = Scale("test samples inside [%], with 95 % limits", max(0.0, lowest - 2.0), 101.0)
         chart = rows_chart(f"{prefix}interval-coverage", label, x, tuple(rows), 24)
-        chart.upright(100.0 * intervals["confidence"], "limit")
+        chart.upright(100.0 * intervals.confidence, "limit")
         for at, kind, shape, share, half in rows_with_coverage:
             chart.across(share - half, share + half, at, kind)
             chart.marker(share, at, kind, shape)
@@ -626,36 +626,36 @@ def _interval_figures(intervals: Mapping[str, Any], prefix: str) -> tuple[Figure
     return tuple(out)
 
 
-def _share(row: Mapping[str, Any], when: str) -> str:
+def _share(row: Interval, when: str) -> str:
     """Format a coverage with its standard error."""
-    share, std = row[f"coverage_{when}"], row[f"coverage_std_{when}"]
+    share, std = getattr(row, f"coverage_{when}"), getattr(row, f"coverage_std_{when}")
     return "undefined" if share is None else f"{percent(share, '.1f')} ± {percent(std, '.1f')}"
 
 
-def mission_section(folder: Path, gap: Mapping[str, Any], prefix: str = "") -> Section:
+def mission_section(folder: Path, gap: ResidualTables, prefix: str = "") -> Section:
     """Return p-boxes of a mission flown with both models within their own intervals.
 
     Parameters
     ----------
     folder : Path
         Folder of the refinement.
-    gap : mapping
+    gap : ResidualTables
         Part of refinement.json with the folders of the campaigns.
     prefix : str
         Prefix of figure names.
     """
     title = "The mission before and after"
-    mission = gap.get("pbox") or {"reason": "this folder was written before it was flown"}
-    if mission.get("reason") is not None:
-        return Section(title, (Words(f"Not shown: {mission['reason']}."),))
+    mission = gap.pbox or Mission(reason="this folder was written before it was flown")
+    if mission.reason is not None:
+        return Section(title, (Words(f"Not shown: {mission.reason}."),))
     # Imported here because it loads pandas, and not every refinement flies a mission.
     from uqharness.report.campaign import overlay_section, read_campaign_report
 
-    folders = mission["folders"]
+    folders = mission.folders
     flown_text = (
-        f"{mission['mission']}, {mission['corners']} corners, {mission['flights_per_corner']}"
-        f" flights of {mission['duration_s']:g} s each, the same air for both models. Failed"
-        f" flights: {mission['before']['failed']} before, {mission['after']['failed']} after."
+        f"{mission.mission}, {mission.corners} corners, {mission.flights_per_corner}"
+        f" flights of {mission.duration_s:g} s each, the same air for both models. Failed"
+        f" flights: {mission.before.failed} before, {mission.after.failed} after."
     )
     if len(folders) < 2:
         return Section(
@@ -689,23 +689,23 @@ RMS = ("rms_before", "rms_after", "noise_rms")
 """Keys of the residual rms before and after, and of the noise."""
 
 
-def smooth_lines(done: Mapping[str, Any]) -> tuple[Sentence, ...]:
+def smooth_lines(done: Refinement) -> tuple[Sentence, ...]:
     """Return the sentence of the verdict on a smooth term; empty if none is offered."""
-    smooth = done["remaining"].get("smooth")
+    smooth = done.remaining.smooth
     return (Sentence(f"{capital(smooth_words(smooth))}.", "warn"),) if smooth else ()
 
 
-def smooth_sections(done: Mapping[str, Any], prefix: str = "") -> list[Section]:
+def smooth_sections(done: Refinement, prefix: str = "") -> list[Section]:
     """Return a smooth term with its curve, its effect on the residuals, and similar forms."""
-    smooth = done["remaining"].get("smooth")
+    smooth = done.remaining.smooth
     if not smooth:
         return []
     text = (
         f"Nothing of the catalogue explains what is left. {capital(smooth_words(smooth))}. The term"
-        f" has {smooth['effective_degrees_of_freedom']:.1f} effective degrees of freedom. It is a"
+        f" has {smooth.effective_degrees_of_freedom:.1f} effective degrees of freedom. It is a"
         " description and no effect: find the physics that would make this shape, or fly what"
         " tells more. Nothing is known outside the range drawn; the table holds its ends there."
-        f" The model with it: {smooth['model']}."
+        f" The model with it: {smooth.model}."
     )
     figures = Figures((_curve_figure(smooth, prefix),), file="unnamed")
     return [
@@ -716,25 +716,24 @@ def smooth_sections(done: Mapping[str, Any], prefix: str = "") -> list[Section]:
     ]
 
 
-def _curve_figure(smooth: Mapping[str, Any], prefix: str) -> Figure:
+def _curve_figure(smooth: SmoothTerm, prefix: str) -> Figure:
     """Draw the smooth term with its band and the density of the data."""
     # Curve of the term with its band and the number of samples.
     at, value, low, high, samples = (
-        np.array(smooth["curve"][k], dtype=float) for k in ("at", "value", "low", "high", "samples")
+        np.array(getattr(smooth.curve, k), dtype=float)
+        for k in ("at", "value", "low", "high", "samples")
     )
-    axis_label_text = f"{smooth['coefficient']} [-]" + (
-        f" over {smooth['times']}" if smooth["times"] else ""
+    axis_label_text = f"{smooth.coefficient} [-]" + (
+        f" over {smooth.times}" if smooth.times else ""
     )
     y = scale(axis_label_text, [value, low, high])
     # Density of the data at the foot of the chart.
     foot = y.low + 0.25 * (y.high - y.low) * samples / max(samples.max(), 1.0)
     label = (
-        f"{capital(smooth['name'])}: {value.min():.3g} to {value.max():.3g} over {smooth['state']}"
+        f"{capital(smooth.name)}: {value.min():.3g} to {value.max():.3g} over {smooth.state}"
         f" {at[0]:.3g} to {at[-1]:.3g}."
     )
-    chart = Chart(
-        f"{prefix}unnamed", label, scale(f"{smooth['state']} [{smooth['unit']}]", [at]), y
-    )
+    chart = Chart(f"{prefix}unnamed", label, scale(f"{smooth.state} [{smooth.unit}]", [at]), y)
     half = 0.5 * float(at[1] - at[0])
     chart.band(
         at - half,
@@ -754,18 +753,18 @@ def _curve_figure(smooth: Mapping[str, Any], prefix: str) -> Figure:
     return Figure(chart.name, chart.svg(), caption)
 
 
-def _gap_table(smooth: Mapping[str, Any]) -> Table:
+def _gap_table(smooth: SmoothTerm) -> Table:
     """Return residuals with and without the term."""
     rows = []
     # Training flights, then hold-out flights.
     for side, flights in (("train", "Train"), ("test", "Test")):
-        gap = smooth["gap"][side]
-        channels = gap.get("predictions") or gap["channels"]
+        gap = smooth.gap[side]
+        channels = gap.predictions or gap.channels
         for name, gap_rows in (
-            (smooth["channel"], channels),
-            (smooth["coefficient"], gap["coefficients"]),
+            (smooth.channel, channels),
+            (smooth.coefficient, gap.coefficients),
         ):
-            label, values = in_shown_unit(name, gap_rows[name], *RMS)
+            label, values = in_shown_unit(name, gap_rows[name].as_json(), *RMS)
             rows.append((f"{flights}: {label}", *(format_value(v) for v in values)))
     head = ("Flights and quantity", "Without the term", "With it", "Noise")
     return Table(
@@ -776,23 +775,23 @@ def _gap_table(smooth: Mapping[str, Any]) -> Table:
     )
 
 
-def _shape_table(smooth: Mapping[str, Any]) -> Table:
+def _shape_table(smooth: SmoothTerm) -> Table:
     """Return forms that resemble the term, with the residual that each leaves."""
-    name, _, _ = shown_channel(smooth["channel"])
+    name, _, _ = shown_channel(smooth.channel)
     rows = tuple(
         (
-            capital(s["form"]),
-            format_value(s["correlation"], ".3f"),
-            format_value(s["leaves"], ".3f"),
+            capital(s.form),
+            format_value(s.correlation, ".3f"),
+            format_value(s.leaves, ".3f"),
         )
-        for s in smooth["shapes"]
+        for s in smooth.shapes
     )
     caption = (
         f"Forms that it resembles, and what each leaves of {name} on the train flights in its place"
-        f" ({smooth['leaves']:.3f})."
+        f" ({smooth.leaves:.3f})."
     )
     return Table(
-        caption, (f"Form in {smooth['state']}", "Correlation [-]", "Rms over noise left [-]"), rows
+        caption, (f"Form in {smooth.state}", "Correlation [-]", "Rms over noise left [-]"), rows
     )
 
 
@@ -817,9 +816,9 @@ def refine_page(folder: Path, prefix: str = "", only: Collection[str] | None = N
     BadInputError
         If the folder cannot be read.
     """
-    done = read_document(folder / REFINEMENT, Refinement)
+    done = read_result(folder / REFINEMENT, Refinement)
     histories = read_histories(folder / HISTORIES)
-    gap = done["gap"]["test"]
+    gap = done.gap.test
     diff = _diff(folder)
     sections = [
         gap_section(gap, prefix),
@@ -829,7 +828,7 @@ def refine_page(folder: Path, prefix: str = "", only: Collection[str] | None = N
     sections += [*smooth_sections(done, prefix), _where_section(done)]
     # Coefficients with an effect; all if there is none.
     touched = list(
-        dict.fromkeys(e["coefficient"] for e in done["effects"] if "coefficient" in e)
+        dict.fromkeys(e.coefficient for e in done.effects if e.coefficient is not None)
     ) or list(COEFFICIENTS)
     figures = _coefficient_figures(histories, touched, gap, prefix)
     if figures:
@@ -846,7 +845,7 @@ def refine_page(folder: Path, prefix: str = "", only: Collection[str] | None = N
         sections.append(
             Section("Coefficients before and after", (Words(text, note=True), figure_block))
         )
-    noise = {c: row["noise_rms"] for c, row in gap["channels"].items()}
+    noise = {c: row.noise_rms for c, row in gap.channels.items()}
     models = [Model("_before", "second", "before"), Model("_after", "first", "after")]
     if is_wanted(title := "Test flights against both models", only):
         sections += history_section(
@@ -856,21 +855,21 @@ def refine_page(folder: Path, prefix: str = "", only: Collection[str] | None = N
             title,
             f"{prefix}refine-",
             2,
-            lambda rank, _: "history" if rank == 0 and done["effects"] else None,
+            lambda rank, _: "history" if rank == 0 and done.effects else None,
         )
     sections += [interval_section(gap, prefix), mission_section(folder, gap, prefix)]
     sections += [
         _remaining_section(done),
         _parameter_section(done),
         _model_section(done, diff),
-        *remarks(done),
+        *remarks({"notes": done.notes}),
     ]
-    train, test = (", ".join(done.get(k, ())) or "flights not recorded" for k in ("train", "test"))
+    train, test = (", ".join(names) or "flights not recorded" for names in (done.train, done.test))
     facts = (
-        ("Command", done.get("command") or "not recorded"),
+        ("Command", done.command or "not recorded"),
         ("Chosen on", train),
         ("Shown on", test),
-        ("Time", f"{format_value(done.get('seconds'), '.0f')} s"),
+        ("Time", f"{format_value(done.seconds, '.0f')} s"),
         (
             "Files",
             (
@@ -887,12 +886,15 @@ def refine_page(folder: Path, prefix: str = "", only: Collection[str] | None = N
     return Page("Refinement", question, _verdict(done), tuple(sections))
 
 
-_VERDICTS = {
+_VERDICTS: Mapping[str, tuple[str, Level]] = {
     "no-missing-effect": ("Nothing is missing beyond what the sensors' noise hides", "good"),
     "unexplained": ("Something is missing that no effect of the catalogue explains", "bad"),
 }
-_SHRANK = ("Effects were found, and the gap on the hold-out flights shrank", "good")
-_INCONCLUSIVE = (
+_SHRANK: tuple[str, Level] = (
+    "Effects were found, and the gap on the hold-out flights shrank",
+    "good",
+)
+_INCONCLUSIVE: tuple[str, Level] = (
     "Effects were found; the hold-out flights do not tell whether the gap shrank",
     "warn",
 )
@@ -901,58 +903,55 @@ _UNEXPLAINED_REMAINDER = (
 )
 
 
-def _verdict(done: Mapping[str, Any]) -> tuple[Sentence, ...]:
+def _verdict(done: Refinement) -> tuple[Sentence, ...]:
     """Return the verdict: effects with their tests, confounded alternatives, the largest
     improvement.
     """
     # An effect is confirmed if the residuals of the hold-out flights fell.
-    is_confirmed = [(e.get("test") or {}).get("gap") == "shrank" for e in done["effects"]]
-    effect_verdict = {"effects-found": _SHRANK if any(is_confirmed) else _INCONCLUSIVE}
-    text, level = {**_VERDICTS, **effect_verdict}.get(done["verdict"], (done["verdict"], "warn"))
-    if done["verdict"] == "unexplained" and done["effects"]:
+    is_confirmed = [e.test is not None and e.test.gap == "shrank" for e in done.effects]
+    text, level = _VERDICTS.get(done.verdict, _SHRANK if any(is_confirmed) else _INCONCLUSIVE)
+    if done.verdict == "unexplained" and done.effects:
         text = _UNEXPLAINED_REMAINDER
-    sentences = [Sentence(f"{text} ({done['verdict']}).", level)]
-    for e, confirmed in zip(done["effects"], is_confirmed, strict=True):
-        t = (
-            format_value(abs(e["evidence"]["t"]), ".1f")
-            if e.get("evidence", {}).get("t") is not None
-            else "undefined"
-        )
-        tested = f"; {test_words(e)}" if e.get("test") else ""
+    sentences = [Sentence(f"{text} ({done.verdict}).", level)]
+    for e, confirmed in zip(done.effects, is_confirmed, strict=True):
+        t = "undefined" if e.evidence.t is None else format_value(abs(e.evidence.t), ".1f")
+        tested = f"; {hold_out_words(e.test, e.withdrawn)}" if e.test else ""
         sentences.append(
             Sentence(
                 f"{headline(e)} ({location_of_effect(e)}), |t| {t}{tested}.",
                 "good" if confirmed else "warn",
             )
         )
-    for e in done.get("withdrawn", ()):
-        sentences.append(Sentence(f"Withdrawn: {headline(e)}; {test_words(e)}.", "warn"))
-    for e in done["effects"]:
-        alike = [
-            a["name"].removesuffix(" off") for a in e.get("alternatives", ()) if not a["separable"]
-        ]
+    for e in done.withdrawn:
+        sentences.append(
+            Sentence(f"Withdrawn: {headline(e)}; {hold_out_words(e.test, e.withdrawn)}.", "warn")
+        )
+    for e in done.effects:
+        alike = [a.name.removesuffix(" off") for a in e.alternatives if not a.separable]
         if alike:
             sentences.append(
-                Sentence(f"{capital(e['name'])} is confounded with: {'; '.join(alike)}.", "warn")
+                Sentence(f"{capital(e.name)} is confounded with: {'; '.join(alike)}.", "warn")
             )
     sentences += smooth_lines(done)
-    worst = _largest_fall(done["gap"]["test"])
+    worst = _largest_fall(done.gap.test)
     if worst:
         sentences.append(Sentence(worst))
     return tuple(sentences)
 
 
-def _largest_fall(gap: Mapping[str, Any]) -> str:
+def _largest_fall(gap: ResidualTables) -> str:
     """Return a sentence on the channel whose residual fell most, relative to its noise."""
     # Channels with known residuals and noise.
-    rows = {c: r for c, r in gap["channels"].items() if all(r.get(k) for k in RMS)}
+    rows = {
+        c: (r.rms_before, r.rms_after, r.noise_rms)
+        for c, r in gap.channels.items()
+        if r.rms_before and r.rms_after and r.noise_rms
+    }
     if not rows:
         return ""
-    name = max(
-        rows, key=lambda c: (rows[c]["rms_before"] - rows[c]["rms_after"]) / rows[c]["noise_rms"]
-    )
+    name = max(rows, key=lambda c: (rows[c][0] - rows[c][1]) / rows[c][2])
     quantity, unit, factor = shown_channel(name)
-    before, after, noise = (factor * rows[name][k] for k in RMS)
+    before, after, noise = (factor * v for v in rows[name])
     first, last = f"{before:.3g}", f"{after:.3g}"
     change = f"stays at {last}" if first == last else f"goes from {first} to {last}"
     return (
@@ -967,21 +966,21 @@ def _diff(folder: Path) -> str:
     return path.read_text(encoding="utf-8", errors="replace") if path.is_file() else ""
 
 
-def _place_sections(done: Mapping[str, Any]) -> list[Section]:
+def _place_sections(done: Refinement) -> list[Section]:
     """Return where the strongest remaining residual is.
 
     Empty without any, or in an older folder.
     """
-    place = done["remaining"].get("place")
-    if not place or place["channel"] is None:
+    place = done.remaining.place
+    if not place or place.channel is None:
         return []
     lines = tuple(f"{capital(line)}." for line in place_words(place))
-    name, _, _ = shown_channel(place["channel"])
+    name, _, _ = shown_channel(place.channel)
     rows = tuple(
-        (capital(c["name"]), format_value(abs(c["t"]), ".1f"), format_value(c["leaves"], ".3f"))
-        for c in place["candidates"]
+        (capital(c.name), format_value(abs(c.t), ".1f"), format_value(c.leaves, ".3f"))
+        for c in place.candidates
     )
-    current = format_value(place["channel_on_train"], ".3f")
+    current = format_value(place.channel_on_train, ".3f")
     caption = (
         f"Nearest candidates: what each leaves of {name} on the train flights, {current} without"
         " any."
@@ -990,13 +989,13 @@ def _place_sections(done: Mapping[str, Any]) -> list[Section]:
     return [Section("Where something is left", (Bullets(lines, key=True), table))]
 
 
-def _where_section(done: Mapping[str, Any]) -> Section:
+def _where_section(done: Refinement) -> Section:
     """Return the table of disagreements of the training flights."""
     rows = []
-    for d in done["disagreement"]:
-        region = "; ".join(_region(s, ends) for s, ends in d.get("region", {}).items())
-        size = (percent(d["share_outside_95"], ".0f"), format_value(d["size"], ".2g"))
-        rows.append((d["coefficient"], d["manoeuvre"], region, *size))
+    for d in done.disagreement:
+        region = "; ".join(_region(s, ends) for s, ends in d.region.items())
+        size = (percent(d.share_outside_95, ".0f"), format_value(d.size, ".2g"))
+        rows.append((d.coefficient, d.manoeuvre, region, *size))
     if not rows:
         text = no_region_words(done)
         return Section("Where model and flights disagreed", (Words(f"{capital(text)}."),))
@@ -1015,22 +1014,22 @@ def _region(state: str, ends: Sequence[float | None]) -> str:
     return f"{label} {format_value(low)} to {format_value(high)} {unit}".removesuffix(" -")
 
 
-def gap_section(gap: Mapping[str, Any], prefix: str = "") -> Section:
+def gap_section(gap: ResidualTables, prefix: str = "") -> Section:
     """Return the residuals on the hold-out flights, by channel and coefficient.
 
     Parameters
     ----------
-    gap : mapping
+    gap : ResidualTables
         Residual rms before and after the refinement, and noise, as refinement.json holds them.
     prefix : str
         Prefix of figure names.
     """
     figures, rows = [], []
-    for kind in ("channels", "coefficients"):
+    for kind, quantities in (("channels", gap.channels), ("coefficients", gap.coefficients)):
         # Ratios to the noise for the figure, rms for the table.
         ratios = {}
-        for name, r in gap.get(kind, {}).items():
-            label, (before, after, noise) = in_shown_unit(name, r, *RMS)
+        for name, r in quantities.items():
+            label, (before, after, noise) = in_shown_unit(name, r.as_json(), *RMS)
             if before is not None and after is not None and noise:
                 ratios[shown_channel(name)[0]] = {"before": before / noise, "after": after / noise}
                 same = format_value(after) == format_value(before)
@@ -1046,7 +1045,7 @@ def gap_section(gap: Mapping[str, Any], prefix: str = "") -> Section:
         )
         figures += [figure] if figure else []
     # Theil's coefficient summarises all channels.
-    theil = gap.get("theil", {})
+    theil = gap.theil
     if theil:
         rows.append(
             (
@@ -1069,8 +1068,8 @@ def gap_section(gap: Mapping[str, Any], prefix: str = "") -> Section:
     )
     figure_block = Figures(tuple(figures), file="gap")
     blocks: list[Block] = [Words(text, note=True), figure_block, table]
-    if gap.get("predictions"):
-        blocks += [Words(_TURBULENT), _prediction_table(gap["predictions"])]
+    if gap.predictions:
+        blocks += [Words(_TURBULENT), _prediction_table(gap.predictions)]
     return Section("Gap on the test flights, before and after", tuple(blocks))
 
 
@@ -1080,11 +1079,11 @@ _TURBULENT = (
 )
 
 
-def _prediction_table(predictions: Mapping[str, Any]) -> Table:
+def _prediction_table(predictions: Mapping[str, BeforeAfter]) -> Table:
     """Return the errors of predictions one sample ahead."""
     rows = []
     for name, r in predictions.items():
-        label, values = in_shown_unit(name, r, *RMS)
+        label, values = in_shown_unit(name, r.as_json(), *RMS)
         rows.append((label, *(format_value(v) for v in values)))
     head = ("Quantity", "Before", "After", "Expected")
     return Table(
@@ -1093,14 +1092,14 @@ def _prediction_table(predictions: Mapping[str, Any]) -> Table:
 
 
 def _coefficient_figures(
-    histories: Sequence[History], names: Sequence[str], gap: Mapping[str, Any], prefix: str
+    histories: Sequence[History], names: Sequence[str], gap: ResidualTables, prefix: str
 ) -> tuple[Figure, ...]:
     """Draw demanded minus modelled coefficients before and after."""
     out = []
     for c in names:
         if not have_columns(histories, (f"{c}_gap_before", f"{c}_gap_after")):
             continue
-        noise = gap["coefficients"].get(c, {}).get("noise_rms")
+        noise = gap.coefficients[c].noise_rms if c in gap.coefficients else None
         # 95 % band of the noise, if it is known.
         band = None
         if noise is not None:
@@ -1125,12 +1124,12 @@ def _coefficient_figures(
     return tuple(out)
 
 
-def _remaining_section(done: Mapping[str, Any]) -> Section:
+def _remaining_section(done: Refinement) -> Section:
     """Return what remains unexplained."""
-    lines = tuple(remaining_words(done["remaining"]))
+    lines = tuple(remaining_words(done.remaining))
     if lines:
         return Section("What is left", (Bullets(lines, key=True),))
-    unplaced = done["remaining"].get("unexplained")
+    unplaced = done.remaining.unexplained
     return Section(
         "What is left",
         (
@@ -1143,11 +1142,11 @@ def _remaining_section(done: Mapping[str, Any]) -> Section:
     )
 
 
-def _parameter_section(done: Mapping[str, Any]) -> Section:
+def _parameter_section(done: Refinement) -> Section:
     """Return the parameters of the refined model."""
     rows = tuple(
-        (Cell(n, code=True), format_value(r["value"], ".6g"), format_value(r["std"], ".2g"))
-        for n, r in done.get("parameters", {}).items()
+        (Cell(n, code=True), format_value(r.value, ".6g"), format_value(r.std, ".2g"))
+        for n, r in done.parameters.items()
     )
     head = ("Property", "Value", "Standard error")
     return Section(
@@ -1156,13 +1155,10 @@ def _parameter_section(done: Mapping[str, Any]) -> Section:
     )
 
 
-def _model_section(done: Mapping[str, Any], diff: str) -> Section:
+def _model_section(done: Refinement, diff: str) -> Section:
     """Return the changes of the XML and how to switch off each effect."""
-    blocks: list[Block] = [Facts((("Refined model", str(done.get("model", "not recorded"))),))]
-    switch = [
-        f"{s['property']} = {s['off']:g} restores the model without it"
-        for s in done.get("switch", ())
-    ]
+    blocks: list[Block] = [Facts((("Refined model", done.model or "not recorded"),))]
+    switch = [f"{s.property} = {s.off:g} restores the model without it" for s in done.switch]
     if switch:
         blocks.append(Bullets(tuple(switch)))
     lines = diff.splitlines()

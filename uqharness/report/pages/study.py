@@ -53,9 +53,9 @@ from uqharness.report.parts import (
     provenance,
 )
 from uqharness.report.pbox import LabelledBox, corner_words, pbox_figure
-from uqharness.results.base import read_document
+from uqharness.results.base import read_result
 from uqharness.results.refinement import Refinement
-from uqharness.results.study import Study
+from uqharness.results.study import Stage, Study, StudyAnswer, Tracks
 
 # Open part of the page: answer, ground track, p-box, effect, conditions.
 
@@ -69,16 +69,15 @@ Sides = Mapping[str, CampaignReport]
 """Campaigns by when they were flown: before, after."""
 
 
-def answer_sentences(answer: Mapping[str, Any]) -> tuple[Sentence, ...]:
+def answer_sentences(answer: StudyAnswer) -> tuple[Sentence, ...]:
     """Return the answer with its level, then reason, model deficiency and next step."""
     # Only the answer has a level; the other sentences are facts.
-    level: Level = answer["level"] if answer["level"] in ("good", "warn", "bad") else ""
-    facts = (answer[part] for part in ("why", "lacked", "next"))
-    return Sentence(answer["answer"], level), *(Sentence(text) for text in facts if text)
+    facts = (answer.why, answer.lacked, answer.next)
+    return Sentence(answer.answer, _level(answer.level)), *(Sentence(t) for t in facts if t)
 
 
 def first_figures(
-    folder: Path, study: Mapping[str, Any], sides: Sides, missing: list[str]
+    folder: Path, study: Study, sides: Sides, missing: list[str]
 ) -> tuple[Block, ...]:
     """Return the lap as ground track and distance, and the p-box, all in the hardest condition.
 
@@ -86,7 +85,7 @@ def first_figures(
     ----------
     folder : Path
         Study folder.
-    study : mapping
+    study : Study
         Content of study.json.
     sides : mapping of str to CampaignReport
         Campaigns by when they were flown.
@@ -94,7 +93,7 @@ def first_figures(
         Receives messages on files that cannot be read.
     """
     try:
-        figures = _lap(folder / "tracks.parquet", study.get("tracks") or {})
+        figures = _lap(folder / "tracks.parquet", study.tracks)
     except BadInputError as error:
         missing.append(str(error))
         figures = []
@@ -103,19 +102,19 @@ def first_figures(
     return (Figures(tuple(figures), narrow=True),) if figures else ()
 
 
-def _lap(path: Path, tracks: Mapping[str, Any]) -> list[Figure]:
+def _lap(path: Path, tracks: Tracks | None) -> list[Figure]:
     """Draw one lap; empty if the study has no tracks. Raises BadInputError."""
-    if "radius_m" not in tracks:
+    if tracks is None or tracks.radius_m is None:
         return []
     frame = read_table(path).to_pandas()
     # Tracks of other versions may lack columns.
     lacking = [name for name in _TRACK_COLUMNS if name not in frame]
     if lacking:
         raise BadInputError(f"{path}: has no column {', '.join(lacking)}; run the study again")
-    lap, radius_m = lap_of(frame), float(tracks["radius_m"])
+    lap, radius_m = lap_of(frame), tracks.radius_m
     if lap is None:
         return []
-    condition = Condition(float(tracks["wind_mps"]), str(tracks["turbulence"]))
+    condition = Condition(tracks.wind_mps or 0.0, tracks.turbulence or "none")
     track = ground_track("ground-track", lap, radius_m, condition.words)
     return [track, track_distance("track-distance", lap, radius_m)]
 
@@ -174,35 +173,35 @@ def effect_section(folder: Path) -> Section:
     BadInputError
         If the folder cannot be read.
     """
-    done = read_document(folder / "refinement.json", Refinement)
+    done = read_result(folder / "refinement.json", Refinement)
     # Residuals of the hold-out flights.
-    gap = done["gap"]["test"]["channels"]
+    gap = done.gap.test.channels
     rows = []
-    for e in done["effects"]:
-        unit = "" if e.get("unit") in (None, "", "1") else f" {e['unit']}"
-        t = e.get("evidence", {}).get("t")
-        test_gap = (e.get("test") or {}).get("gap")
+    for e in done.effects:
+        unit = "" if e.unit in (None, "", "1") else f" {e.unit}"
+        t = e.evidence.t
         # Result of the effect on the hold-out flights.
         tested = (
             Cell("smaller residual", "good")
-            if test_gap == "shrank"
-            else Cell("not shown" if test_gap else "not tested")
+            if e.test is not None and e.test.gap == "shrank"
+            else Cell("not shown" if e.test else "not tested")
         )
-        value = f"{format_value(e['value'], '.4g')} ± {format_value(e['std'], '.2g')}{unit}"
+        value = f"{format_value(e.value, '.4g')} ± {format_value(e.std, '.2g')}{unit}"
         rows.append(
-            (capital(e["name"]), value, format_value(None if t is None else abs(t), ".1f"), tested)
+            (capital(e.name), value, format_value(None if t is None else abs(t), ".1f"), tested)
         )
     head = ("Effect", "Value, standard error", "|t| [-]", "On the held-out flight")
     table = Table("Effects that refinement added to the model.", head, tuple(rows))
     models = [Model("_before", "second", "before"), Model("_after", "first", "after")]
-    noise = {c: row["noise_rms"] for c, row in gap.items()}
+    noise = {c: row.noise_rms for c, row in gap.items()}
     # Residual rms over noise, before and after.
     ratios = {
         c.rpartition("_")[0] or c: {
-            when: row[f"rms_{when}"] / row["noise_rms"] for when in ("before", "after")
+            "before": row.rms_before / row.noise_rms,
+            "after": row.rms_after / row.noise_rms,
         }
         for c, row in gap.items()
-        if all(row.get(key) for key in ("rms_before", "rms_after", "noise_rms"))
+        if row.rms_before and row.rms_after and row.noise_rms
     }
     series = [("before", "second", "ring"), ("after", "first", "disc")]
     optional_figures = [
@@ -360,10 +359,10 @@ def study_page(folder: Path) -> Page:
     BadInputError
         If study.json cannot be read. Stages that cannot be read are listed on the page.
     """
-    study = read_document(folder / STUDY, Study)
+    study = read_result(folder / STUDY, Study)
     missing: list[str] = []
     # Campaigns before and after a refinement, or the only one.
-    overlaid = study.get("before_after") or {}
+    overlaid = study.pair
     # Each campaign is read once, however often it is shown.
     read = cache(read_campaign_report)
     names = overlaid or _one_campaign(study)
@@ -374,7 +373,7 @@ def study_page(folder: Path) -> Page:
     }
     sections, first = _answered(folder, study, sides, missing)
     folded_sections: list[Section] = []
-    if first and study.get("verdict"):
+    if first and study.verdict:
         folded_sections.append(Section("All findings", (Sentences(_sentences(study)),)))
     # Two campaigns are compared, each with its grid of answers.
     if len(sides) > 1:
@@ -383,7 +382,7 @@ def study_page(folder: Path) -> Page:
             grid_section(side.signed, f"Answers {when}") for when, side in sides.items()
         ]
     # Selected sections of every finished stage.
-    for number, stage in enumerate(study["stages"]):
+    for number, stage in enumerate(study.stages):
         section = _stage_page(
             folder, stage, number, missing, list(names.values()) if len(sides) > 1 else [], read
         )
@@ -394,54 +393,46 @@ def study_page(folder: Path) -> Page:
             Section("What could not be read", (Bullets(tuple(dict.fromkeys(missing))),))
         )
     folded_sections.append(_provenance(study))
-    question = study.get("question") or "The study's file asks no question in words."
+    question = study.question or "The study's file asks no question in words."
     sections += folded(folded_sections)
     if first:
         return Page(question, "", _verdict(study), tuple(sections), first)
-    return Page(f"Study: {study['study']}", question, _verdict(study), tuple(sections))
+    return Page(f"Study: {study.study}", question, _verdict(study), tuple(sections))
 
 
-def _one_campaign(study: Mapping[str, Any]) -> dict[str, str]:
+def _one_campaign(study: Study) -> dict[str, str]:
     """Return the folder of the first campaign of a study without refinement; empty without one."""
     done = [
-        s["folder"]
-        for s in study["stages"]
-        if s["kind"] == "campaign" and s["state"] == "done" and s.get("folder")
+        s.folder for s in study.stages if s.kind == "campaign" and s.state == "done" and s.folder
     ]
     return dict.fromkeys([""], done[0]) if done else {}
 
 
 def _answered(
-    folder: Path, study: Mapping[str, Any], sides: Mapping[str, CampaignReport], missing: list[str]
+    folder: Path, study: Study, sides: Mapping[str, CampaignReport], missing: list[str]
 ) -> tuple[list[Section], tuple[Block, ...]]:
     """Return the open sections, and the figures next to the answer."""
     sections: list[Section] = []
     refined = [
-        s["folder"]
-        for s in study["stages"]
-        if s["kind"] == "refine" and s["state"] == "done" and s.get("folder")
+        s.folder for s in study.stages if s.kind == "refine" and s.state == "done" and s.folder
     ]
     try:
         sections += [effect_section(folder / name) for name in refined[:1]]
     except BadInputError as error:
         missing.append(f"refine: {error}")
     sections += [cells_section(sides)] if sides else []
-    return sections, first_figures(folder, study, sides, missing) if study.get("answer") else ()
+    return sections, first_figures(folder, study, sides, missing) if study.answer else ()
 
 
-def _verdict(study: Mapping[str, Any]) -> tuple[Sentence, ...]:
+def _verdict(study: Study) -> tuple[Sentence, ...]:
     """Return the answer or the findings, with the state of an unfinished study."""
-    sentences = (
-        [*answer_sentences(study["answer"])] if study.get("answer") else [*_sentences(study)]
-    )
-    stages = study["stages"]
-    done = sum(stage["state"] == "done" for stage in stages)
-    state = study.get("state", "running")
+    sentences = [*answer_sentences(study.answer)] if study.answer else [*_sentences(study)]
+    stages = study.stages
+    done = sum(stage.state == "done" for stage in stages)
+    state = study.state
     # A study that stopped or is running says so first.
     if state == "failed":
-        failed = (
-            ", ".join(stage["name"] for stage in stages if stage["state"] == "failed") or "a stage"
-        )
+        failed = ", ".join(stage.name for stage in stages if stage.state == "failed") or "a stage"
         sentences.insert(
             0,
             Sentence(
@@ -464,11 +455,9 @@ def _verdict(study: Mapping[str, Any]) -> tuple[Sentence, ...]:
     return tuple(sentences)
 
 
-def _sentences(study: Mapping[str, Any]) -> tuple[Sentence, ...]:
+def _sentences(study: Study) -> tuple[Sentence, ...]:
     """Return the sentences of the study's verdict."""
-    return tuple(
-        Sentence(item["text"], _level(item.get("level"))) for item in study.get("verdict") or ()
-    )
+    return tuple(Sentence(item.text, _level(item.level)) for item in study.verdict or ())
 
 
 def _level(value: Any) -> Level:
@@ -476,22 +465,20 @@ def _level(value: Any) -> Level:
     return value if value in ("good", "warn", "bad") else ""
 
 
-def _stage_section(study: Mapping[str, Any]) -> Section:
+def _stage_section(study: Study) -> Section:
     """Return the table of stages with their commands."""
     rows = []
-    for stage in study["stages"]:
-        state = Cell(
-            stage["state"], _STATES.get(stage["state"], "warn"), small=stage.get("error") or ""
-        )
-        answer = {0: "done", 1: "ran, the answer is no"}.get(stage.get("exit"), "")
-        seconds = "" if stage.get("seconds") is None else format_value(stage["seconds"], ".1f")
-        rows.append((stage["name"], stage["kind"], state, answer, seconds))
+    for stage in study.stages:
+        state = Cell(stage.state, _STATES.get(stage.state, "warn"), small=stage.error or "")
+        answer = {0: "done", 1: "ran, the answer is no", None: ""}.get(stage.exit, "")
+        seconds = "" if stage.seconds is None else format_value(stage.seconds, ".1f")
+        rows.append((stage.name, stage.kind, state, answer, seconds))
     table = Table(
         "Stages in the order in which they run.",
         ("Stage", "Kind", "State", "Answer", "Time [s]"),
         tuple(rows),
     )
-    commands = "\n".join(stage["command"] for stage in study["stages"] if stage.get("command"))
+    commands = "\n".join(stage.command for stage in study.stages if stage.command)
     words = Words(
         "The commands of the stages, each of which repeats its stage from a shell:", note=True
     )
@@ -502,49 +489,47 @@ def _stage_section(study: Mapping[str, Any]) -> Section:
 
 def _stage_page(
     folder: Path,
-    stage: Mapping[str, Any],
+    stage: Stage,
     number: int,
     missing: list[str],
     overlaid: Sequence[str | None],
     read: Callable[[Path], CampaignReport],
 ) -> Section | None:
     """Return selected sections of a finished stage's page; None if it has nothing to display."""
-    if stage["state"] != "done" or not stage.get("folder"):
+    if stage.state != "done" or not stage.folder:
         return None
-    place, prefix = folder / stage["folder"], f"s{number}-"
+    place, prefix = folder / stage.folder, f"s{number}-"
     # Sections that the open part already displays.
-    skipped = _SHOWN_ABOVE if stage["folder"] in overlaid else ()
-    titles = [title for title in _STAGE_SECTIONS.get(stage["kind"], ()) if title not in skipped]
+    skipped = _SHOWN_ABOVE if stage.folder in overlaid else ()
+    titles = [title for title in _STAGE_SECTIONS.get(stage.kind, ()) if title not in skipped]
     try:
-        if stage["kind"] == "campaign":
+        if stage.kind == "campaign":
             page = campaign_page(read(place), prefix, titles)
-        elif stage["kind"] in _PAGES:
-            page = _PAGES[stage["kind"]](place, prefix)
+        elif stage.kind in _PAGES:
+            page = _PAGES[stage.kind](place, prefix)
         else:
             return None
     except BadInputError as error:
-        missing.append(f"{stage['name']}: {error}")
+        missing.append(f"{stage.name}: {error}")
         return None
     sections = tuple(s for s in page.sections if s.title in titles)
     page_hint = Words(
-        f"All of it: {stage['folder']}/report.html, written by uqharness report {stage['folder']}.",
+        f"All of it: {stage.folder}/report.html, written by uqharness report {stage.folder}.",
         note=True,
     )
     return Section(
-        f"{stage['name']}: {page.title}",
+        f"{stage.name}: {page.title}",
         (Words(page.question, note=True), Sentences(page.verdict), page_hint),
         sections,
     )
 
 
-def _provenance(study: Mapping[str, Any]) -> Section:
+def _provenance(study: Study) -> Section:
     """Return command, version and hashes of study file and inputs."""
-    inputs = dict.fromkeys(
-        item for stage in study["stages"] for item in (stage.get("inputs") or {}).items()
-    )
+    inputs = dict.fromkeys(item for stage in study.stages for item in (stage.inputs or {}).items())
     return provenance(
-        ("Command", study.get("command") or "not recorded"),
-        ("Version", f"uqharness {study.get('version', 'not recorded')}"),
-        (f"Study file {study.get('file', '')} (SHA-256)", study.get("hash") or "not recorded"),
+        ("Command", study.command or "not recorded"),
+        ("Version", f"uqharness {study.version or 'not recorded'}"),
+        (f"Study file {study.file} (SHA-256)", study.hash or "not recorded"),
         *((f"Input {name} (SHA-256)", digest) for name, digest in inputs),
     )

@@ -10,8 +10,8 @@ import pytest
 from uqharness.campaign.folder.manifest import read_manifest, write_manifest
 from uqharness.campaign.folder.store import run_lock
 from uqharness.campaign.folder.tables import read_cases
-from uqharness.cli.campaign import folder as verbs
 from uqharness.cli.main import run_words
+from uqharness.commands import campaign as verbs
 from uqharness.errors import BadInputError
 
 pytestmark = pytest.mark.usefixtures("flights_here")
@@ -48,7 +48,7 @@ def test_status_of_complete_running_and_interrupted(flown, capsys):
         "statuses": {"ok": 192},
     }
     assert call("status", out) == 1
-    assert "resume with: uqharness campaign run" in capsys.readouterr().err
+    assert "resume with: uqharness campaign run" in capsys.readouterr().out
     with run_lock(out):
         assert call("status", out) == 1
     assert "running, 192 of 200" in capsys.readouterr().out
@@ -57,14 +57,16 @@ def test_status_of_complete_running_and_interrupted(flown, capsys):
 def test_report(flown, capsys):
     capsys.readouterr()
     assert call("report", flown / "out", "--no-tracks") == 0
-    assert "report.html: written, with 6 figures" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "6 figures in " in printed
+    assert printed.rstrip().endswith(f"Report: {flown / 'out' / 'report.html'}")
     assert call("report", flown / "out", "--json", "--no-tracks") == 0
     found = json.loads(capsys.readouterr().out)
     assert (len(found["figures"]), found["flown_again"]) == (6, [])
 
 
 def test_a_report_flies_the_worst_and_the_median_flight_again_where_that_is_cheap(
-    flown, capsys, monkeypatch
+    flown, capsys, caplog, monkeypatch
 ):
     asked = []
 
@@ -78,7 +80,7 @@ def test_a_report_flies_the_worst_and_the_median_flight_again_where_that_is_chea
     monkeypatch.setattr(verbs, "draw_rerun", lambda found: ())
     # The page itself is the last test's.
     page = SimpleNamespace(
-        path=flown / "report.html", figures=(), verdict=(), damaged=(), rewritten=()
+        path=flown / "report.html", figures=(), verdict=(), damaged=(), warnings=()
     )
     monkeypatch.setattr(verbs, "write_campaign_report", lambda folder: page)
     out = flown / "out"
@@ -97,7 +99,7 @@ def test_a_report_flies_the_worst_and_the_median_flight_again_where_that_is_chea
     )
     monkeypatch.setattr(verbs, "track_cases", lambda frame: ("refused",))
     assert call("report", out) == 0
-    assert "the page has no new ground track: the aircraft has changed" in capsys.readouterr().err
+    assert "the page has no new ground track: the aircraft has changed" in caplog.text
     asked.clear()
     monkeypatch.setattr(verbs, "track_cases", lambda frame: tuple(cases[:2]))
     monkeypatch.setattr(verbs, "MAX_REFLOWN_S", 1.0)

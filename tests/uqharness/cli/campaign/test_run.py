@@ -18,13 +18,14 @@ def call(*words):
     return run_words(["campaign", *map(str, words)])
 
 
-def test_run_says_one_line_and_nothing_else_in_a_pipe(tmp_path, monkeypatch, capsys):
+def test_run_says_one_line_and_nothing_else_in_a_pipe(tmp_path, monkeypatch, capsys, caplog):
     monkeypatch.setattr("uqharness.flight.fly.fly", fakes.steady)
     path = fakes.campaign_file(tmp_path)
     (tmp_path / "plane" / "plane.xml").write_text("<fdm_config/>")
     assert call("run", path, "--out", tmp_path / "out", "--serial") == 0
     captured = capsys.readouterr()
-    note, cost = captured.err.splitlines()
+    assert captured.err == ""
+    note, cost = caplog.messages
     assert "no sensors system: it is flown without sensor noise" in note
     assert "192 flights (64 epistemic samples, 1 condition, 3 each), 11.2 flight h" in cost
     line, remark = captured.out.splitlines()
@@ -36,13 +37,13 @@ def test_run_says_one_line_and_nothing_else_in_a_pipe(tmp_path, monkeypatch, cap
     assert "--serial" not in manifest["command"]
 
 
-def test_a_run_that_flies_between_the_corners_claims_the_box(tmp_path, monkeypatch, capsys):
+def test_a_run_that_flies_between_the_corners_claims_the_box(tmp_path, monkeypatch, capsys, caplog):
     monkeypatch.setattr("uqharness.flight.fly.fly", fakes.steady)
     text = fakes.CAMPAIGN.replace("interior = 0\nnominal = false\n", "")
     path = fakes.campaign_file(tmp_path, text.replace("flights = 3", "flights = 1"))
     assert call("run", path, "--out", tmp_path / "out", "--serial") == 0
     captured = capsys.readouterr()
-    assert "81 flights (81 epistemic samples, 16 of them between the corners" in captured.err
+    assert "81 flights (81 epistemic samples, 16 of them between the corners" in caplog.text
     assert "corners only" not in captured.out
     statements = (tmp_path / "out" / "statements.csv").read_text().splitlines()
     assert statements[1].endswith(',"corners, 16 interior points and nominal model"')
@@ -81,7 +82,7 @@ def test_samples_replace_the_number_of_walks(tmp_path, monkeypatch, capsys):
     assert "--samples 4" in read_manifest(tmp_path / "out")["command"]
     with pytest.raises(BadInputError, match="draws no epistemic samples"):
         call("run", fakes.campaign_file(tmp_path), "--out", tmp_path / "o2", "--samples", "4")
-    with pytest.raises(BadInputError, match="must be from 1"):
+    with pytest.raises(BadInputError, match="--samples 0: a whole number of at least 1 is needed"):
         call(
             "run", fakes.campaign_file(tmp_path, walks), "--out", tmp_path / "o2", "--samples", "0"
         )

@@ -6,9 +6,10 @@ import json
 
 import pytest
 
-from uqharness.cli.campaign.run import flying_command
-from uqharness.cli.main import build_parser, run_words
+from uqharness.cli.main import run_words
+from uqharness.commands.campaign import flying_command
 from uqharness.errors import BadInputError
+from uqharness.requests.campaign import SalvageRequest
 
 pytestmark = pytest.mark.usefixtures("flights_here")
 
@@ -60,10 +61,8 @@ def test_a_size_without_its_campaign_is_refused(flown):
 
 
 def test_the_words_that_fly_it_again_have_the_size(tmp_path):
-    args = build_parser().parse_args(
-        ["campaign", "salvage", "out", "--campaign", "c.toml", "--hours", "0.50", "--samples", "3"]
-    )
-    words = flying_command(args, tmp_path)
+    request = SalvageRequest.of(folder="out", campaign="c.toml", hours=0.50, samples=3)
+    words = flying_command(request, tmp_path)
     assert words == [
         "uqharness",
         "campaign",

@@ -2,32 +2,23 @@
 
 from __future__ import annotations
 
-import copy
-
+from tests.helpers.report_folders import refinement
 from uqharness.refinement.document import refinement_view
+from uqharness.results.refinement import Refinement
 
-DOCUMENT = {
-    "verdict": "effects-found",
-    "effects": [
-        {
-            "name": "pitching moment due to roll rate squared",
-            "property": "aero/Cm_p2",
-            "value": 3.02,
-            "std": 0.03,
-            "unit": "-",
-        },
-        {"name": "a <slow> servo", "property": None, "value": None, "std": None, "unit": "s"},
-    ],
-    "gap": {
-        "test": {
-            "channels": {"q_radps": {"rms_before": 0.04, "rms_after": 0.0101, "noise_rms": 0.01}}
-        }
-    },
-}
+EFFECT = refinement()["effects"][0]
+
+
+def document(**changes) -> Refinement:
+    row = {"rms_before": 0.04, "rms_after": 0.0101, "noise_rms": 0.01} | changes.pop("row", {})
+    slow = {"name": "a <slow> servo", "property": None, "value": None, "std": None, "unit": "s"}
+    effects = [EFFECT | {"value": 3.02, "std": 0.03}, EFFECT | slow]
+    gap = {"test": {"channels": {"q_radps": row}, "coefficients": {}}}
+    return Refinement.model_validate(refinement(effects=effects, gap=gap) | changes)
 
 
 def test_verdict_effects_and_residuals_are_shown():
-    shown = refinement_view("Refinement", DOCUMENT)
+    shown = refinement_view("Refinement", document())
     name = "pitching moment due to roll rate squared"
     for text in (
         "effects-found",
@@ -45,8 +36,7 @@ def test_verdict_effects_and_residuals_are_shown():
 
 
 def test_no_effect_and_no_noise_leave_cells_empty():
-    document = copy.deepcopy(DOCUMENT) | {"verdict": "no-missing-effect", "effects": []}
-    document["gap"]["test"]["channels"]["q_radps"]["noise_rms"] = 0.0
-    shown = refinement_view("Refinement", document)
+    nothing = document(verdict="no-missing-effect", effects=[], row={"noise_rms": 0.0})
+    shown = refinement_view("Refinement", nothing)
     assert "Cm_p2" not in shown
     assert "<td>q_radps</td><td></td><td></td>" in shown

@@ -14,6 +14,7 @@ import pytest
 
 from sysid.parallel import SERIAL
 from tests.helpers.flown import fly
+from tests.helpers.report_folders import refinement
 from tests.helpers.sixdof import Airframe
 from tests.hidden_effects.flights import Flight as HiddenFlight
 from tests.hidden_effects.flights import fly as fly_hidden
@@ -36,12 +37,13 @@ from uqharness.refinement.mission import (
     intervals_document,
 )
 from uqharness.refinement.round import Side
-from uqharness.refinement.run import Refinement, Request, _put, refine
+from uqharness.refinement.run import Job, Refinement, _put, refine
 from uqharness.replay.flights import prepare, read_flights
 from uqharness.report.pages.refinement import no_region_words, remaining_words
 from uqharness.report.refinement import write_results
 from uqharness.report.write import write_report
-from uqharness.results.refinement import ResidualLocation
+from uqharness.requests.refinement import RefineRequest
+from uqharness.results.refinement import Refinement as Refined
 from uqharness.simulator.aircraft import find_aircraft
 from uqharness.statistics.pbox import Sample
 
@@ -89,15 +91,11 @@ def judged_flights(tmp_path_factory) -> tuple[Path, Refinement]:
     fly(TEST, seed=12, seconds=6.0, rhs=with_p2).write(folder / "test.parquet")
     out = folder / "out"
     out.mkdir()
-    request = Request(
-        find_aircraft("espaaro"),
-        (folder / "train.parquet",),
-        (folder / "test.parquet",),
-        out,
-        workers=1,
-        pbox=False,
+    train, test = (folder / "train.parquet",), (folder / "test.parquet",)
+    options = RefineRequest(
+        aircraft="espaaro", train=train, test=test, out=out, workers=1, pbox=False
     )
-    done = refine(request)
+    done = refine(Job(options, find_aircraft("espaaro"), train, test))
     write_results(done, out)
     write_report(out, figures=True)
     return out, done
@@ -272,7 +270,7 @@ def test_intervals_that_cannot_be_told_have_a_reason(tmp_path):
     assert found.form is None
     assert "beta_rad" in str(found.reason)
     told = intervals_document(found, found)
-    assert np.isnan([v for row in told["coefficients"].values() for v in row.values()]).all()
+    assert {v for row in told.coefficients.values() for v in row.as_json().values()} == {None}
     assert told["reason"] == found.reason
 
 
@@ -327,24 +325,19 @@ def write(folder: Path, seed: int) -> Path:
 
 def test_words_agree_with_the_verdict():
     """Where no region stands out, an effect far above chance is not called noise."""
-    remaining = {
-        "unexplained": False,
-        "where": [],
-        "channels_above_noise": {},
-        "coloured_channels": [],
-    }
-    nothing = {"effects": [], "withdrawn": [], "remaining": remaining}
+    remaining = refinement()["remaining"]
+    effects = {"effects": [], "withdrawn": []}
+    nothing = Refined.model_validate(refinement(**effects))
     assert no_region_words(nothing) == "nowhere beyond what noise allows"
-    assert remaining_words(remaining) == []
-    for one in (
-        nothing | {"effects": [{"evidence": {"t": -64.2}}]},
-        nothing
-        | {"remaining": remaining | {"unexplained": True, "where": [{"t": 64.2, "words": "x"}]}},
-    ):
-        assert "|t| up to 64" in no_region_words(one)
+    assert remaining_words(nothing.remaining) == []
+    strong = refinement()["effects"][0] | {"evidence": {"t": -64.2}}
+    left = remaining | {"unexplained": True, "where": [{"t": 64.2, "words": "x"}]}
+    for one in (effects | {"effects": [strong]}, effects | {"remaining": left}):
+        assert "|t| up to 64" in no_region_words(Refined.model_validate(refinement(**one)))
     unexplained = remaining | {"unexplained": True, "channels_above_noise": {"q_radps": 2.0}}
-    assert "see what is left" in no_region_words(nothing | {"remaining": unexplained})
-    assert remaining_words(unexplained) == ["above their noise: q_radps (2.00 times)"]
+    whole = Refined.model_validate(refinement(**effects, remaining=unexplained))
+    assert "see what is left" in no_region_words(whole)
+    assert remaining_words(whole.remaining) == ["above their noise: q_radps (2.00 times)"]
 
 
 def test_a_campaign_that_is_none_ends_before_a_flight_is_read(tmp_path, campaign, capsys):
@@ -402,11 +395,10 @@ def test_the_hidden_effect_is_among_the_nearest_and_leaves_the_noise(judged_flig
 
 
 def test_what_is_left_has_a_place_where_the_force_acts(judged_flights):
-    place = judged_flights[1].document["remaining"]["place"]
-    assert place["channel"] is not None
-    assert place["would_tell"]
-    assert len(place["candidates"]) == 3
-    assert ResidualLocation.model_validate(place).channel == place["channel"]
+    place = judged_flights[1].document.remaining.place
+    assert place.channel is not None
+    assert place.would_tell
+    assert len(place.candidates) == 3
 
 
 @pytest.fixture(scope="module")

@@ -11,6 +11,7 @@ import pytest
 from sysid.effects import Choice
 from sysid.effects.catalogue import coefficient_effect
 from uqharness.refinement.document import moments_of, strong_of, why
+from uqharness.results.refinement import NearbyCandidate
 
 
 @pytest.mark.parametrize(
@@ -29,9 +30,9 @@ def test_moments_that_nothing_explains_are_told_by_their_axes(gains, told):
 
 def test_of_the_nearest_candidates_those_are_told_that_are_strong_and_not_told_yet():
     near = [
-        {"coefficient": "Cl", "term": "alpha^3", "t": 33.1},
-        {"coefficient": "Cl", "term": "alpha*CT", "t": -31.2},
-        {"subsystem": "propulsion", "term": "torque", "t": 9.0},
+        NearbyCandidate(coefficient="Cl", term="alpha^3", name="a", t=33.1, leaves=1.0),
+        NearbyCandidate(coefficient="Cl", term="alpha*CT", name="b", t=-31.2, leaves=1.0),
+        NearbyCandidate(subsystem="propulsion", term="torque", name="c", t=9.0, leaves=1.0),
     ]
     assert strong_of(near, {"effect/Cl/alpha*CT"}) == [("effect/Cl/alpha^3", 33.1)]
     assert strong_of(near, set()) == [("effect/Cl/alpha^3", 33.1), ("effect/Cl/alpha*CT", -31.2)]

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from tests.helpers.page_checks import problems, words_of
-from uqharness.report.pages.flight import FlightRequest, flight_page
+from uqharness.report.pages.flight import FlightFacts, flight_page
 from uqharness.report.parts import render
 
 TIME = np.arange(0.0, 80.0, 0.1)
 ANGLE = 2.0 * np.pi * TIME / 40.0
 AWAY = 3.0 * np.sin(0.5 * TIME)
-ASKED = FlightRequest("toy", "loiter", "No steady wind.", "toy.parquet", "uqharness fly toy")
+ASKED = FlightFacts("toy", "loiter", "No steady wind.", "toy.parquet", "uqharness fly toy")
 COLUMNS = {
     "time_s": TIME,
     "V_mps": 20.0 + np.sin(TIME),

@@ -13,11 +13,11 @@ from lxml import html
 
 from tests.helpers.page_checks import problems, words_of
 from uqharness.flight import Assessment, Locus, LocusPoint
-from uqharness.report.pages.modes import ModesRequest, modes_page
+from uqharness.report.pages.modes import ModesFacts, modes_page
 from uqharness.report.parts import render
 from uqharness.simulator import Mode
 
-ASKED = ModesRequest("toy", "B", "I", (("Altitude", "0 m"),), "uqharness modes toy --speed-mps 20")
+ASKED = ModesFacts("toy", "B", "I", (("Altitude", "0 m"),), "uqharness modes toy --speed-mps 20")
 
 
 def pair(name, real, imag):

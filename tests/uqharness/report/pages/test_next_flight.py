@@ -17,6 +17,7 @@ from tests.helpers.page_checks import problems, words_of
 from uqharness.next_flight.points import Condition, Steps, TestPoint
 from uqharness.report.pages.next_flight import next_flight_page, uncertainty_figures
 from uqharness.report.parts import first_lines, render
+from uqharness.results.next_flight import NextFlightPlan, PlannedAircraft
 
 NOW = made_up_form().coefficients["CY"]
 THEN = replace(NOW, XtX_inv=0.25 * NOW.XtX_inv)
@@ -91,11 +92,11 @@ def test_the_page_says_what_the_plan_says():
     )
     plan = [SimpleNamespace(start_s=18.0, point=point, gain=0.026)]
     found = SimpleNamespace(coefficient="CY", refused=[1, 2], n_points=9, where=[where], plan=plan)
-    document = {
-        "aircraft": {"name": "plane"},
-        "words": ["Fly it.", "It helps."],
-        "warnings": ["old bounds"],
-    }
+    document = NextFlightPlan.model_construct(
+        aircraft=PlannedAircraft(name="plane", sha256=""),
+        words=["Fly it.", "It helps."],
+        warnings=["old bounds"],
+    )
     figures = uncertainty_figures(NOW, THEN, MISSION, FLOWN, "grow", "CY")
     page = next_flight_page(found, document, figures, "uqharness next-flight results")
     text = render(page)

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import pytest
 
+from tests.helpers.report_folders import refinement
 from uqharness.report.pages.refinement import (
     MAX_UNLISTED,
     ListedCandidate,
     candidate_figure,
     listed_candidates,
 )
+from uqharness.results.refinement import Refinement
 
 
 def effect(coefficient: str, term: str, t: float, alternatives=()) -> dict:
-    return {
+    return refinement()["effects"][0] | {
         "coefficient": coefficient,
         "term": term,
         "evidence": {"t": t},
@@ -23,27 +25,28 @@ def effect(coefficient: str, term: str, t: float, alternatives=()) -> dict:
 
 @pytest.fixture
 def done():
-    other = {"subsystem": "mass", "term": "Ixz", "evidence": {"twice_log_likelihood": 900.0}}
+    other = {"subsystem": "mass", "term": "Ixz", "name": "Ixz", "separable": True}
+    other |= {"evidence": {"twice_log_likelihood": 900.0}}
     scores = [
         {"effect": "Cm p_hat^2", "t": -50.0},
         *({"effect": f"CX alpha^{k}", "t": 5.0 - 0.1 * k} for k in range(20)),
     ]
-    return {
-        "effects": [effect("Cm", "p_hat^2", -48.0, [other])],
-        "withdrawn": [effect("CY", "da", 4.5)],
-        "remaining": {
-            "where": [
-                effect("Cl", "de", 0.0) | {"t": 12.0},
-                {"coefficient": "CZ", "rms_over_noise": 1.3},
-            ]
-        },
-        "best_refused": {"effect": "Cn/beta^2", "t": 3.9},
-        "candidates": {"limit": 4.0, "scores": scores},
-    }
+    where = [
+        {"coefficient": "Cl", "term": "de", "t": 12.0},
+        {"coefficient": "CZ", "rms_over_noise": 1.3, "depends_on": []},
+    ]
+    harmful = refinement()["withdrawn"][0] | effect("CY", "da", 4.5)
+    return refinement(
+        effects=[effect("Cm", "p_hat^2", -48.0, [other])],
+        withdrawn=[harmful | {"test": refinement()["withdrawn"][0]["test"]}],
+        remaining=refinement()["remaining"] | {"where": where},
+        best_refused={"effect": "Cn/beta^2", "t": 3.9, "why": "|t| 3.9 is not above 4.0"},
+        candidates={"limit": 4.0, "scores": scores},
+    )
 
 
 def test_every_candidate_that_is_named_has_its_part(done):
-    assert listed_candidates(done) == {
+    assert listed_candidates(Refinement.model_validate(done)) == {
         "Cm p_hat^2": ListedCandidate("chosen", 48.0),
         "CY da": ListedCandidate("withdrawn", 4.5),
         "mass Ixz": ListedCandidate("alternative", 30.0),
@@ -53,7 +56,7 @@ def test_every_candidate_that_is_named_has_its_part(done):
 
 
 def test_all_of_them_are_in_the_chart_and_few_of_the_others(done):
-    figure = candidate_figure(done)
+    figure = candidate_figure(Refinement.model_validate(done))
     assert figure is not None
     drawn = str(figure.svg)
     for name in ("Cm p_hat^2", "CY da", "mass Ixz", "Cl de", "Cn beta^2"):
@@ -66,8 +69,8 @@ def test_where_nothing_is_named_or_scored_there_is_none(done):
     bare = done | {
         "effects": [],
         "withdrawn": [],
-        "remaining": {"where": []},
+        "remaining": refinement()["remaining"],
         "best_refused": None,
         "candidates": {},
     }
-    assert candidate_figure(bare) is None
+    assert candidate_figure(Refinement.model_validate(bare)) is None

@@ -5,6 +5,7 @@ from __future__ import annotations
 from tests.helpers.report_folders import refinement
 from uqharness.report.pages.refinement import effect_section, lines_naming
 from uqharness.report.parts import Code, Figures
+from uqharness.results.refinement import Refinement
 
 DIFF = """--- a/plane.xml
 +++ b/plane.xml
@@ -33,7 +34,7 @@ def test_places_apart_are_joined_by_dots():
 
 
 def test_an_effect_has_its_error_bar_and_its_change():
-    part = effect_section(refinement(), DIFF).parts[0]
+    part = effect_section(Refinement.model_validate(refinement()), DIFF).parts[0]
     assert any(
         isinstance(b, Code) and "aero/Cm_p2" in b.text and " six" in b.text for b in part.blocks
     )
@@ -42,4 +43,5 @@ def test_an_effect_has_its_error_bar_and_its_change():
     assert "without the effect" in bar.items[0].svg
     unknown = refinement()
     unknown["effects"][0]["evidence"] = {}
-    assert not any(isinstance(b, Figures) for b in effect_section(unknown).parts[0].blocks)
+    part = effect_section(Refinement.model_validate(unknown)).parts[0]
+    assert not any(isinstance(b, Figures) for b in part.blocks)

@@ -11,13 +11,18 @@ from lxml import etree
 from tests.helpers import report_folders as folders
 from uqharness.report.pages.refinement import interval_section, mission_section
 from uqharness.report.parts import Figures, Table, Words
+from uqharness.results.refinement import ResidualTables
 
 KNOWN = {"width_before": 0.04, "width_after": 0.03, "coverage_before": 0.97, "coverage_after": 0.9}
 ROW = KNOWN | {"coverage_std_before": 0.01, "coverage_std_after": None}
 
 
+def tables(**parts):
+    return ResidualTables.model_validate({"channels": {}, "coefficients": {}} | parts)
+
+
 def intervals(**rows):
-    return {"intervals": {"reason": None, "confidence": 0.95, "coefficients": rows}}
+    return tables(intervals={"reason": None, "confidence": 0.95, "coefficients": rows})
 
 
 def test_widths_and_coverage_are_drawn():
@@ -51,9 +56,9 @@ def test_nothing_known_draws_nothing():
 
 def test_why_it_is_not_shown_is_said(tmp_path):
     for section in (
-        interval_section({}),
-        interval_section({"intervals": {"reason": "no noise"}}),
-        mission_section(tmp_path, {}),
+        interval_section(tables()),
+        interval_section(tables(intervals={"reason": "no noise"})),
+        mission_section(tmp_path, tables()),
     ):
         (words,) = section.blocks
         assert isinstance(words, Words)
@@ -70,11 +75,11 @@ def test_the_mission_is_drawn_into_one_file_and_its_table_is_key(tmp_path):
         "folders": ["before", "after"],
     }
     pbox |= {"before": {"failed": 0}, "after": {"failed": 1}}
-    section = mission_section(root, {"pbox": pbox})
+    section = mission_section(root, tables(pbox=pbox))
     assert "Failed flights: 0 before, 1 after." in section.blocks[0].text
     (figures,) = (block for block in section.blocks if isinstance(block, Figures))
     (table,) = (block for block in section.blocks if isinstance(block, Table))
     assert figures.file == "pbox"
     assert table.key
-    alone = mission_section(root, {"pbox": pbox | {"folders": ["before"]}})
+    alone = mission_section(root, tables(pbox=pbox | {"folders": ["before"]}))
     assert "nothing to compare" in alone.blocks[0].text

@@ -5,11 +5,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from tests.helpers.report_folders import refinement
 from uqharness.report.pages.refinement import smooth_lines, smooth_sections
 from uqharness.report.parts import Figures, Table, Words
-from uqharness.results.refinement import SmoothTerm
+from uqharness.results.refinement import Refinement, SmoothTerm
 
 AT = np.linspace(-0.05, 0.1, 41)
+
+
+def remaining(smooth):
+    """A refinement with a smooth term, or none."""
+    left = refinement()["remaining"] | {"smooth": smooth}
+    return Refinement.model_validate(refinement(remaining=left))
 
 
 def done(**changes):
@@ -45,7 +52,7 @@ def done(**changes):
         },
         "gap": {"train": gap, "test": gap},
     }
-    return {"remaining": {"smooth": smooth | changes}}
+    return remaining(smooth | changes)
 
 
 def test_the_line_says_that_it_is_no_physics():
@@ -79,12 +86,11 @@ def test_the_section_has_the_curve_its_gap_and_the_forms():
 
 
 def test_none_is_offered_none_is_shown():
-    assert smooth_sections({"remaining": {"smooth": None}}) == []
-    assert smooth_lines({"remaining": {}}) == ()
+    assert smooth_sections(remaining(None)) == []
+    assert smooth_lines(remaining(None)) == ()
 
 
 def test_a_curve_of_uneven_columns_is_refused():
     smooth = done()["remaining"]["smooth"]
-    SmoothTerm.model_validate(smooth)
     with pytest.raises(ValueError, match="of one length"):
         SmoothTerm.model_validate(smooth | {"curve": smooth["curve"] | {"low": [0.0]}})

@@ -4,7 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-from uqharness.report.pages.refinement import test_words as says
+from uqharness.report.pages.refinement import hold_out_words
+from uqharness.results.refinement import HoldOutTest
+
+
+def says(test: dict, withdrawn: bool = False) -> str:
+    return hold_out_words(HoldOutTest(**test), withdrawn)
 
 
 @pytest.mark.parametrize(
@@ -19,7 +24,7 @@ from uqharness.report.pages.refinement import test_words as says
     ],
 )
 def test_a_change_is_told_to_three_figures_of_its_standard_error(change, std, text):
-    said = says({"test": {"gap": "shrank", "change_of_twice_log_likelihood": change, "std": std}})
+    said = says({"gap": "shrank", "change_of_twice_log_likelihood": change, "std": std})
     assert said == f"on the test flights the gap shrank: twice the log likelihood {text} with it"
 
 
@@ -30,7 +35,7 @@ def test_the_share_of_an_estimate_is_told_where_it_says_something():
         "std": 59.0,
         "share_of_estimate": 0.39,
     }
-    said = says({"withdrawn": True, "test": {**test, "share_std": 0.21}})
+    said = says({**test, "share_std": 0.21}, withdrawn=True)
     assert said.endswith(
         "with it, 0.39 ± 0.21 of the estimate fits them best; withdrawn beside what nothing"
         " explains"
@@ -40,7 +45,7 @@ def test_the_share_of_an_estimate_is_told_where_it_says_something():
         {"share_std": None},
         {"share_of_estimate": None, "share_std": None},
     ):
-        assert "fits them best" not in says({"test": {**test, **vague}})
+        assert "fits them best" not in says({**test, **vague})
 
 
 def test_a_change_of_replays_that_diverge_is_told_without_its_digits():
@@ -55,11 +60,9 @@ def test_a_change_of_replays_that_diverge_is_told_without_its_digits():
         "over a billion more with it, for without it the model leaves the flights altogether, 1.00"
         " ± 0.00 of the estimate"
     )
-    assert more in says({"test": test})
+    assert more in says(test)
     less = "over a billion less with it, for with it the model leaves the flights altogether"
-    assert less in says(
-        {"test": {**test, "gap": "grew", "change_of_twice_log_likelihood": -4.6e24}}
-    )
+    assert less in says({**test, "gap": "grew", "change_of_twice_log_likelihood": -4.6e24})
     assert "+999000000 ± 20000000 with it" in says(
-        {"test": {**test, "change_of_twice_log_likelihood": 9.99e8, "std": 2e7}}
+        {**test, "change_of_twice_log_likelihood": 9.99e8, "std": 2e7}
     )

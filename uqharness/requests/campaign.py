@@ -1,0 +1,330 @@
+"""Requests of `uqharness campaign`: check, run, status, report, merge, rerun, verify, salvage,
+convergence and area.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Annotated, Any, ClassVar, Literal
+
+from pydantic import BeforeValidator, model_validator
+
+from uqharness.requests import fields
+from uqharness.requests.base import FilePath, Flag, Names, Number, Request, WholeNumber, option
+
+
+def _numbers_by_name(value: Any) -> Any:
+    """Return a mapping with text keys as a dictionary."""
+    return {str(k): v for k, v in value.items()} if hasattr(value, "items") else value
+
+
+def _workers() -> Any:
+    """Return the field of the number of processes of a campaign."""
+    return fields.workers("one a core")
+
+
+def _campaign(default: Any, text: str, **how: Any) -> Any:
+    """Return the field of the campaign that is flown."""
+    return option(
+        default,
+        text,
+        metavar="CAMPAIGN.toml",
+        kind="str, Path, Mapping or CampaignSpec",
+        toml=False,
+        **how,
+    )
+
+
+def _hours() -> Any:
+    """Return the field of the flight hours."""
+    return option(
+        None,
+        "flight hours per corner and condition, in place of [aleatory] flights",
+        gt=0,
+        metavar="H",
+        toml=False,
+    )
+
+
+def _samples() -> Any:
+    """Return the field of the number of epistemic samples."""
+    return option(
+        None,
+        "epistemic samples to draw, in place of [epistemic] samples",
+        ge=1,
+        metavar="N",
+        toml=False,
+    )
+
+
+def _yes(python: bool) -> Any:
+    """Return the field of the consent to long campaigns."""
+    return option(
+        False, "fly even if it takes more than a day on this machine", toml=False, python=python
+    )
+
+
+class CampaignRequest(Request):
+    """Fields of the campaign that is flown, and what replaces its settings."""
+
+    campaign: Any = _campaign(
+        ...,
+        "a campaign.toml, the name of a folder under campaigns/, or the file's sections as a"
+        " dictionary",
+        help="a file, or the name of a folder under campaigns/",
+        flag="",
+        positional=True,
+    )
+    hours: Number | None = _hours()
+    samples: WholeNumber | None = _samples()
+    engine: Literal["auto", "batch", "jsbsim"] | None = option(
+        None,
+        "engine, in place of [campaign] engine; auto: batch where it understands aircraft and"
+        " mission, else jsbsim",
+        toml=False,
+    )
+    workers: fields.Workers = _workers()
+
+
+class CheckRequest(CampaignRequest):
+    """Print the cost of a campaign before it is flown."""
+
+    command: ClassVar[str] = "campaign check"
+    done: ClassVar[str] = "done (a model that cannot be flown is bad input)"
+    no: ClassVar[str] = "the batch engine differs from JSBSim"
+    examples: ClassVar[str] = """
+  uqharness campaign check campaigns/demo/campaign.toml
+
+Prints flights, flight hours, expected time and disk space, the engine (batch, or jsbsim with the
+reason, file and line), and the joint confidence of the intervals of a model-form.json. Only check
+flights are flown; no result is stored."""
+
+
+class RunRequest(CampaignRequest):
+    """Fly a campaign, or resume it."""
+
+    command: ClassVar[str] = "campaign run"
+    done: ClassVar[str] = "all flights done (failed ones are counted and reported)"
+    no: ClassVar[str] = "the batch engine differs from JSBSim"
+    flies: ClassVar[bool] = True
+    examples: ClassVar[str] = """
+  uqharness campaign run campaigns/demo/campaign.toml --out campaigns/demo/results
+  uqharness campaign run campaigns/demo/campaign.toml --out big --hours 10 --workers 8
+  uqharness campaign run campaigns/demo/campaign.toml --out big --dask tcp://192.168.0.2:8786
+  uqharness campaign run demo --out anywhere
+  uqharness campaign run campaigns/demo/campaign.toml --out big --shard 3/16
+
+The fourth example runs a campaign of the package by its name, the fifth one of 16 jobs, to be put
+together by campaign merge. The same command resumes an interrupted run: only missing flights are
+flown.
+
+With method = "corners" the nominal model ([epistemic] nominal = false leaves it out) and points
+between the corners are flown as well: 16 with bounds = "model-form.json", else as many as corners,
+at most 16 (interior = N). Transient model error is included if the file has such a part
+(transient = false leaves it out); set = "ellipsoid" flies the joint confidence set."""
+
+    out: FilePath = fields.out(positional=True)
+    start_method: Literal["spawn", "forkserver", "fork"] = option(
+        "spawn", "start method of the processes", toml=False
+    )
+    dask: str | None = option(
+        None,
+        "fly on the Dask cluster of this scheduler (address or scheduler file)",
+        metavar="ADDRESS",
+        toml=False,
+    )
+    serial: Flag = option(False, "fly in this process, for debugging", toml=False)
+    shard: str | None = option(
+        None,
+        "fly the i-th of n shares only, to be merged later",
+        metavar="i/n",
+        toml=False,
+        python=False,
+    )
+    # A Python program that flies a campaign has decided to.
+    yes: Flag = _yes(python=False)
+    on_progress: Callable[..., object] | None = option(
+        None,
+        "called with the `Progress` after each batch of flights",
+        kind="callable, optional",
+        needed="a function of a Progress",
+        cli=False,
+        toml=False,
+    )
+
+    @model_validator(mode="after")
+    def _check_executor(self) -> RunRequest:
+        """Refuse processes of this machine on a cluster."""
+        if self.dask is not None and (self.serial or self.workers is not None):
+            raise ValueError(
+                "{dask}: the cluster's workers fly; leave out {workers} and {serial}, and give the"
+                " number to: dask worker --nworkers"
+            )
+        return self
+
+
+class FolderRequest(Request):
+    """The folder of a campaign."""
+
+    folder: FilePath = option(
+        ..., "campaign folder", flag="", metavar="DIR", positional=True, toml=False
+    )
+
+
+class StatusRequest(FolderRequest):
+    """Print the progress of a campaign."""
+
+    command: ClassVar[str] = "campaign status"
+    done: ClassVar[str] = "complete"
+    no: ClassVar[str] = "not complete"
+    examples: ClassVar[str] = """
+  uqharness campaign status campaigns/demo/results
+
+Works from another terminal while the campaign runs."""
+
+
+class ReportRequest(FolderRequest):
+    """Write report.html and the figures."""
+
+    command: ClassVar[str] = "campaign report"
+    no: ClassVar[str] = "files of the folder are not as they were written"
+    examples: ClassVar[str] = """
+  uqharness campaign report campaigns/demo/results
+
+Writes DIR/report.html (one file, no network needed) and DIR/figures/*.svg. For a complete campaign
+of short flights the worst and the median flight are flown again into DIR/rerun/ID for the ground
+track, unless flight records exist."""
+
+    tracks: Flag = option(
+        True,
+        "whether the worst and the median flight of a short campaign are flown again for the"
+        " ground track",
+        flag="--no-tracks",
+        off=True,
+        help="do not fly two flights again for the ground track",
+        toml=False,
+    )
+
+
+class MergeRequest(FolderRequest):
+    """Merge shards and write the tables."""
+
+    command: ClassVar[str] = "campaign merge"
+    done: ClassVar[str] = "complete"
+    no: ClassVar[str] = "flights are missing (the message lists the shards to run)"
+    examples: ClassVar[str] = """
+  uqharness campaign merge big
+
+Merges the shards in DIR/shards and writes DIR's tables, bit-identical to those of a single run."""
+
+
+class RerunRequest(FolderRequest):
+    """Fly one case again with full output and a plot."""
+
+    command: ClassVar[str] = "campaign rerun"
+    done: ClassVar[str] = "the result is as stored (or was not stored yet)"
+    no: ClassVar[str] = "the result differs"
+    examples: ClassVar[str] = """
+  uqharness campaign rerun campaigns/demo/results --case 4c4000eebc386034
+
+Writes record.parquet (all signals at 50 Hz, burn-in included), flight.svg and result.json into
+DIR/rerun/ID."""
+
+    case: str = option(
+        ...,
+        "case id, or the beginning of one",
+        metavar="ID",
+        needed="the id of a case, or the beginning of one,",
+        positional=True,
+        toml=False,
+    )
+
+
+class VerifyRequest(FolderRequest):
+    """Check a folder against its digests."""
+
+    command: ClassVar[str] = "campaign verify"
+    done: ClassVar[str] = "all whole"
+    no: ClassVar[str] = "something is damaged or has no digests (made by uqharness 0.1)"
+    examples: ClassVar[str] = """
+  uqharness campaign verify campaigns/demo/results
+
+Compares manifest, journal and tables, also those of shards, with their digests. Changes nothing."""
+
+
+class SalvageRequest(FolderRequest):
+    """Repair a damaged campaign: keep sound flights, fly the rest again."""
+
+    command: ClassVar[str] = "campaign salvage"
+    no: ClassVar[str] = "flights of shards that were never flown are missing"
+    flies: ClassVar[bool] = True
+    examples: ClassVar[str] = """
+  uqharness campaign salvage campaigns/demo/results
+  uqharness campaign salvage results --campaign campaigns/demo/campaign.toml
+
+Keeps every flight that matches its digest, renames damaged files (journal.damaged-1.sqlite), flies
+the other flights again and writes the tables, bit-identical to those of an undamaged run. Nothing
+is deleted; the same command resumes after an interruption. Give --campaign where manifest.json is
+damaged too, with --hours and --samples if the campaign was flown with them."""
+
+    campaign: Any = _campaign(None, "the campaign file, where manifest.json is damaged or missing")
+    hours: Number | None = _hours()
+    samples: WholeNumber | None = _samples()
+    workers: fields.Workers = _workers()
+    yes: Flag = _yes(python=True)
+
+    @model_validator(mode="after")
+    def _check_size(self) -> SalvageRequest:
+        """Refuse a size without the campaign it belongs to."""
+        if self.campaign is None and (self.hours is not None or self.samples is not None):
+            raise ValueError(
+                "{hours} and {samples} belong to {campaign}, the file they were given with"
+            )
+        return self
+
+
+class ConvergenceRequest(FolderRequest):
+    """Convergence over flights and epistemic samples."""
+
+    command: ClassVar[str] = "campaign convergence"
+    done: ClassVar[str] = "done (too few flights or samples are bad input)"
+    examples: ClassVar[str] = """
+  uqharness campaign convergence campaigns/demo/results --repeats 4
+  uqharness campaign convergence fig35 --metric cross_track_median_m
+
+Writes DIR/convergence.csv and DIR/figures/convergence-*.svg from the stored flights; nothing is
+flown."""
+
+    repeats: WholeNumber = option(
+        10, "number of parts into which the flights are divided", ge=2, metavar="N", toml=False
+    )
+    metric: Names = option(
+        (), "column of cases.parquet; repeatable", metavar="NAME", repeat=True, toml=False
+    )
+
+
+class AreaRequest(FolderRequest):
+    """Area metric of real flights against the p-boxes."""
+
+    command: ClassVar[str] = "campaign area"
+    done: ClassVar[str] = "no contradiction"
+    no: ClassVar[str] = "flights lie outside by more than sampling error"
+    examples: ClassVar[str] = """
+  uqharness campaign area campaigns/demo/results --value cross_track_median_m_measured=9.41
+  uqharness campaign area results --flight flights.csv
+
+flights.csv has one row per flight and columns as in cases.parquet. Writes DIR/area.csv: the area by
+which the flights lie outside the p-box, in the metric's unit."""
+
+    flight: fields.OptionalPath = option(
+        None, "table of flights, .csv or .parquet", metavar="FILE", toml=False
+    )
+    value: Annotated[dict[str, Number], BeforeValidator(_numbers_by_name)] = option(
+        {},
+        "metrics of a single flight; repeatable",
+        metavar="METRIC=NUMBER",
+        repeat=True,
+        kind="Mapping of str to float",
+        needed="a metric with its number, such as cross_track_median_m_measured=9.41,",
+        toml=False,
+    )

@@ -1,0 +1,87 @@
+"""Request of refine."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import ClassVar
+
+from pydantic import model_validator
+
+from uqharness.requests import fields
+from uqharness.requests.base import FilePath, Flag, Request, option
+
+
+class RefineRequest(Request):
+    """Find the effects that a model lacks, name them, add them to its XML, and test the result on
+    hold-out flights (see docs/refine.md).
+    """
+
+    command: ClassVar[str] = "refine"
+    examples: ClassVar[str] = """
+  uqharness refine espaaro --train flight1.parquet --test flight2.parquet --out refined
+  uqharness refine espaaro --train a.bin b.bin --test c.bin --servos ideal --out refined
+  uqharness refine espaaro --train a.csv --test b.csv --effects own.toml --out refined
+  uqharness refine my-c172 --train a.csv --test b.csv --campaign campaign.toml --out refined
+
+Writes DIR/refinement.json, DIR/report.html, DIR/aircraft/<name> (an AIRCRAFT for every command),
+DIR/model.diff, DIR/figures/*.svg, DIR/histories.parquet, DIR/before/aircraft/<name> (re-identified
+without effects), DIR/intervals/*.json (model forms) and DIR/pbox/* (campaign folders). Setting an
+effect's property to 0 restores the model without it, bit for bit."""
+    done: ClassVar[str] = "effects explain the residuals, or no effect is missing"
+    no: ClassVar[str] = (
+        "a residual remains that no effect of the catalogue explains, with or without effects"
+    )
+    keeps_stages: ClassVar[bool] = True
+
+    aircraft: fields.AircraftSource = fields.aircraft()
+    train: fields.FlightSources = fields.flights(
+        "--train", "flights for choosing and fitting effects", positional=False
+    )
+    test: fields.FlightSources = fields.flights(
+        "--test", "hold-out flights, used for testing alone", positional=False
+    )
+    out: FilePath = fields.out()
+    signal_map: fields.OptionalPath = fields.signal_map()
+    flight_number: fields.FlightNumbers = fields.flight_number()
+    manoeuvres: fields.OptionalPath = fields.manoeuvres()
+    servos: fields.Servos = fields.servos()
+    effects: fields.OptionalPath = option(
+        None, "user effects in addition to the catalogue (docs/extend.md)", metavar="FILE.toml"
+    )
+    campaign: fields.OptionalPath = option(
+        None,
+        "campaign flown with both models (default: the aircraft's loiter, if it has one)",
+        metavar="FILE.toml",
+        toml=False,
+    )
+    pbox: Flag = option(
+        True,
+        "whether the mission is flown with both models, for p-boxes",
+        flag="--no-pbox",
+        off=True,
+        help="do not fly the mission, no p-boxes",
+        toml=False,
+    )
+    bake: Flag = option(
+        False,
+        "write estimated scales into the numbers of the author's functions (-9.0 becomes -12.6)",
+    )
+    workers: fields.Workers = fields.workers()
+    figures: Flag = fields.figures()
+    on_stage: Callable[[str], object] | None = option(
+        None,
+        "called with a sentence at each stage",
+        kind="callable, optional",
+        needed="a function of a text",
+        cli=False,
+        toml=False,
+    )
+
+    @model_validator(mode="after")
+    def _check_campaign(self) -> RefineRequest:
+        """Refuse a campaign that would not be flown."""
+        if self.campaign is not None and not self.pbox:
+            raise ValueError(
+                "{campaign} and {pbox}: a campaign is flown for its p-box; leave out one of them"
+            )
+        return self
