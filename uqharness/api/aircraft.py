@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from uqharness.commands import simulation
-from uqharness.commands.flights import AnyAircraft, aircraft_of
+from uqharness.commands import AnyAircraft, aircraft_of, simulation
 from uqharness.errors import BadInputError
 from uqharness.heartbeat import notebook_line
 from uqharness.isolation import isolated, run_unsupervised

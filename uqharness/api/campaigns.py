@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike
 
 from uqharness.campaign import Progress
 from uqharness.campaign.folder import read_complete
+from uqharness.commands import CampaignResult
 from uqharness.commands import campaign as commands
-from uqharness.commands.campaign import CampaignResult
 from uqharness.commands.next_flight import next_flight as plan_next_flight
 from uqharness.commands.sensitivity import sensitivity as rank_coefficients
 from uqharness.errors import BadInputError

@@ -61,7 +61,7 @@ class Command(argparse.ArgumentParser):
         entry, self.entry = self.entry, None
         if isinstance(entry, RequestCommand):
             # Imported here: the list of commands loads no pydantic.
-            from uqharness.cli.run import add_request_command
+            from uqharness.cli.request_command import add_request_command
 
             add_request_command(self, entry.request, entry.function)
         elif entry is not None:

@@ -19,7 +19,7 @@ from uqharness.requests.base import (
     option,
 )
 
-Mission = Literal["steady", "doublets", "3-2-1-1"]
+MISSIONS = ("steady", "doublets", "3-2-1-1")
 """Manoeuvres that are generated from a trim of any aircraft."""
 Loop = Literal["elevator", "aileron", "rudder", "throttle"]
 Coefficient = Literal["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
@@ -65,16 +65,17 @@ class FlyRequest(Request):
 
     aircraft: fields.AircraftSource = fields.aircraft()
     script: FilePath = fields.script()
-    mission: Mission | FilePath | None = option(
+    mission: fields.OptionalPath = option(
         None,
-        "manoeuvres from trim at --speed-mps in place of a script, for any aircraft; in Python also"
-        " a run script, by the name that campaigns have for it",
+        "steady, doublets or 3-2-1-1: manoeuvres from trim at the speed, for any aircraft, in place"
+        " of a script; else a run script, by the name that campaigns have for it",
+        metavar="M",
         kind="str or Path, optional",
     )
     speed_mps: Number | None = option(
-        None, "true airspeed of --mission, m/s", gt=0, le=1000, metavar="V"
+        None, "true airspeed of the generated manoeuvres, m/s", gt=0, le=1000, metavar="V"
     )
-    altitude_m: Number = fields.altitude("--mission above flat ground at sea level")
+    altitude_m: Number = fields.altitude("the generated manoeuvres above flat ground at sea level")
     duration_s: Number | None = option(
         None, "length of the flight, s (default: the script's end)", gt=0, le=1e6, metavar="T"
     )
@@ -101,7 +102,7 @@ class FlyRequest(Request):
     @property
     def generated(self) -> bool:
         """Return whether the manoeuvres are generated from a trim."""
-        return isinstance(self.mission, str)
+        return str(self.mission) in MISSIONS
 
     @model_validator(mode="after")
     def _check_speed(self) -> FlyRequest:
@@ -112,7 +113,7 @@ class FlyRequest(Request):
                 " (uqharness modes)"
             )
         if self.speed_mps is not None and not self.generated:
-            raise ValueError("{speed_mps}: belongs to {mission} steady, doublets or 3-2-1-1")
+            raise ValueError(f"{{speed_mps}}: belongs to {{mission}}, one of {', '.join(MISSIONS)}")
         return self
 
 

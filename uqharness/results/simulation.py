@@ -208,20 +208,28 @@ class UndoneFile(Part):
 
 
 class Plugin(Part):
-    """An aircraft with the plugin (`uqharness instrument`); with --undo, only `undone`."""
+    """An aircraft with the plugin (`uqharness instrument`)."""
 
-    aircraft: str = Field(default="", description="name")
-    out: str = Field(default="", description="folder of the copy")
-    written: bool = Field(default=False, description="false with --dry-run")
-    axes: PluginAxes | None = Field(default=None, description="axes of the aerodynamics")
-    coefficients: list[PluginCoefficient] = Field(default=[], description="increments")
-    scaled: list[PluginScale] = Field(default=[], description="functions with scale and bias")
-    files: list[PluginFile] = Field(default=[], description="files that differ")
+    aircraft: str = Field(description="name")
+    out: str = Field(description="folder of the copy")
+    written: bool = Field(description="false with --dry-run")
+    axes: PluginAxes = Field(description="axes of the aerodynamics")
+    coefficients: list[PluginCoefficient] = Field(description="increments")
+    scaled: list[PluginScale] = Field(description="functions with scale and bias")
+    files: list[PluginFile] = Field(description="files that differ")
     unmeasured: dict[str, str] = Field(
         default={}, description="control to why it could not be measured and is assumed"
     )
-    notes: Texts = Field(default=[], description="remarks for the user")
+    notes: Texts = Field(description="remarks for the user")
     check: PluginCheck | None = Field(
         default=None, description="check flights; absent without them"
     )
-    undone: list[UndoneFile] = Field(default=[], description="with --undo: the files restored")
+
+
+class RemovedPlugin(Part):
+    """An aircraft without the plugin (`uqharness instrument --undo`)."""
+
+    undone: list[UndoneFile] = Field(description="files that were restored")
+
+
+PluginOutcome = Plugin | RemovedPlugin

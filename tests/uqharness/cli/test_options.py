@@ -139,4 +139,4 @@ def test_a_parser_is_completed_once() -> None:
     before = len(parser._actions)
     parser.complete()
     assert len(parser._actions) == before
-    assert parser.parse_args(["results"]).folder == Path("results")
+    assert parser.parse_args(["results"]).folder == "results"
