@@ -50,9 +50,8 @@ def test_an_error_of_a_log_is_bad_input(
         raise LogError("no log at all", Path("x.bin"))
 
     parser = cli.build_parser()
-    monkeypatch.setattr(
-        parser, "parse_args", lambda _: type("Given", (), {"handler": staticmethod(handler)})
-    )
+    given = type("Given", (), {"handler": staticmethod(handler)})
+    monkeypatch.setattr(parser, "parse_known_args", lambda _: (given, []))
     monkeypatch.setattr(cli, "build_parser", lambda: parser)
     with pytest.raises(BadInputError, match="no log at all"):
         cli.run_words([])
