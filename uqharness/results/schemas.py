@@ -25,8 +25,9 @@ def schema_of(command: str) -> dict[str, Any]:
     module, _, name = DOCUMENTS[command].partition(":")
     shape = getattr(importlib.import_module(f"uqharness.results.{module}"), name)
     schema = _shortened(TypeAdapter(shape).json_schema(by_alias=True, mode="validation"))
-    title = f"uqharness {command.replace('-', ' ', 1 if command.startswith(('campaign', 'log')) else 0)}"
-    return {"$schema": _DIALECT, "title": f"{title} --json", **schema}
+    # Commands with verbs have a blank before the verb.
+    words = command.replace("-", " ", 1 if command.startswith(("campaign", "log")) else 0)
+    return {"$schema": _DIALECT, "title": f"uqharness {words} --json", **schema}
 
 
 def _shortened(schema: Any) -> Any:
