@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import subprocess
 import sys
@@ -51,7 +52,7 @@ def test_an_error_of_a_log_is_bad_input(
 
     parser = cli.build_parser()
     monkeypatch.setattr(
-        parser, "parse_args", lambda _: type("Given", (), {"handler": staticmethod(handler)})
+        parser, "parse_known_args", lambda _: (argparse.Namespace(handler=handler), [])
     )
     monkeypatch.setattr(cli, "build_parser", lambda: parser)
     with pytest.raises(BadInputError, match="no log at all"):
