@@ -41,9 +41,9 @@ from uqharness.simulator import (
     copy_shared_parts,
     engine,
     find_aircraft,
+    host_properties,
     model_files,
     read_xml,
-    undefined_properties,
     xml_numbers_for,
 )
 from uqharness.simulator import facts as aircraft_facts
@@ -439,7 +439,7 @@ def instrument_aircraft(
     BadInputError
         If the aircraft cannot be instrumented or the folder cannot be written.
     """
-    undefined_properties(aircraft)
+    check_loadable(aircraft)
     # A first plan refuses what cannot be instrumented before the aircraft is measured.
     plan(aircraft, bounds, None, air)
     facts, notes = None, []
@@ -465,12 +465,13 @@ def instrument_aircraft(
         for name, reason in unmeasured.items()
     ]
     edits = mass_insertions(aircraft, read_document(aircraft.xml), mass or MassProperties())
-    planned = plan(aircraft, bounds, facts, air, edits)
+    rows = tuple(row for row in host_properties(aircraft) if not row.misspelt)
+    planned = plan(aircraft, bounds, facts, air, edits, rows)
     verdict = None
     if not dry_run:
         other = out.resolve() != aircraft.folder
         write(aircraft, planned, out)
-        undefined_properties(find_aircraft(out))
+        host_properties(find_aircraft(out))
         if check and other and not planned.had_plugin:
             # The copy is flown unless it replaces the original or had the plugin before.
             verdict = _checked(aircraft, out, edits)

@@ -16,7 +16,13 @@ from pathlib import Path
 from typing import Any
 
 from sysid.units import FT_M
-from uqharness.simulator import ALTITUDE_M, MEMS_NOISE_STD, AircraftFacts, ControlFacts
+from uqharness.simulator import (
+    ALTITUDE_M,
+    MEMS_NOISE_STD,
+    AircraftFacts,
+    ControlFacts,
+    HostProperty,
+)
 from uqharness.toml import as_toml, dotted
 from uqharness.xml import (
     SLOT,
@@ -42,42 +48,6 @@ from uqharness.xml import (
     replace_text,
     value,
 )
-
-# FlightGear's properties in JSBSim alone. FlightGear's interface writes commands and engine
-# readings into its own property tree, and some aircraft read them there: the p51d takes its
-# throttle from /controls/engines/engine/throttle. Without the host they stay zero; a system copies
-# them.
-
-HOST_SYSTEM = "flightgear-host"
-SWITCH = "host/flightgear"
-"""Property that is 1 while copying is on; 0 in the XML, set by the card's open-loop mode."""
-
-
-def host_xml(pairs: Sequence[tuple[str, str]]) -> bytes:
-    """Return the system that copies JSBSim's properties to FlightGear's in every frame.
-
-    ``pairs`` are (FlightGear's property, JSBSim's).
-    """
-    lines = [
-        '<?xml version="1.0" encoding="UTF-8"?>',
-        (
-            "<!-- FlightGear's properties that the aircraft reads, with what it would write there,"
-            " a frame late as it does. -->"
-        ),
-        f'<system name="{HOST_SYSTEM}">',
-        f'  <property value="0">{SWITCH}</property>',
-        f'  <channel name="FlightGear" execute="{SWITCH}">',
-    ]
-    for index, (host_name, jsbsim_name) in enumerate(pairs):
-        lines += [
-            f'    <pure_gain name="host/copy-{index}">',
-            f"      <input>{jsbsim_name}</input>",
-            "      <gain>1</gain>",
-            f"      <output>{host_name}</output>",
-            "    </pure_gain>",
-        ]
-    return "\n".join([*lines, "  </channel>", "</system>", ""]).encode()
-
 
 # Scales and biases. The author's functions are unchanged. In each axis one function follows that
 # adds (scale - 1) times each function's value, and q S (b, c) times the biases, which are
@@ -414,7 +384,7 @@ def card_text(
         lines += [
             "",
             f"[inputs.{control}]{' ' * (45 - len(control) - 9)}{remark}".rstrip(),
-            f'property = "fcs/{control}-cmd-norm"',
+            f"property = {as_toml(control_facts.property or f'fcs/{control}-cmd-norm')}",
             'unit = "norm"',
         ]
         lines += [
@@ -433,15 +403,6 @@ def card_text(
         )
         if control_facts.position is not None:
             lines.append(f"position = {as_toml(control_facts.position)}")
-    if facts.host:
-        lines += [
-            "",
-            (
-                "[modes.open_loop]                              # FlightGear's properties are"
-                " passed on"
-            ),
-            f'"{SWITCH}" = 1',
-        ]
     lines += ["", "[sensors.noise_std]                            # assumed: small MEMS units; SI"]
     lines += [f"{name} = {std!r}" for name, std in MEMS_NOISE_STD.items()]
     if errors:
@@ -469,7 +430,29 @@ def card_text(
             "[parameters]",
         ]
         lines += [f"{dotted((row.scale,))} = {_inline(scale_entry(row))}" for row in scaled]
+    if facts.host:
+        lines += [
+            "",
+            "[host]                                        # provided by FlightGear, its host",
+            "# A number, or JSBSim's properties times numbers. Edit it where the aircraft needs",
+            "# another state of its systems; what FlightGear leaves to scripts is a guess.",
+            *(_host_line(row) for row in facts.host),
+        ]
     return "\n".join(lines) + "\n"
+
+
+_HOST_REMARKS = {"system": "on", "command": "an input of the model"}
+
+
+def _host_line(row: HostProperty) -> str:
+    """Return the line of a host's property in the card."""
+    try:
+        source: float | str = float(row.source)
+    except ValueError:
+        source = row.source
+    line = f"{as_toml(row.name)} = {as_toml(source)}"
+    remark = _HOST_REMARKS.get(row.kind, "")
+    return f"{line}     # {remark}" if remark else line
 
 
 def _where(facts: AircraftFacts) -> str:

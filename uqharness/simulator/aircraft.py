@@ -8,9 +8,10 @@ units.
 from __future__ import annotations
 
 import difflib
+import logging
 import math
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from io import BytesIO
 from pathlib import Path
@@ -23,15 +24,26 @@ from sysid.units import FT_M, RAD_DEG, SLUG_FT3_KGPM3
 from uqharness.arguments import path as argument_path
 from uqharness.errors import BadInputError
 from uqharness.files import PROJECT_ROOT
-from uqharness.simulator import engine
+from uqharness.simulator import engine, host, staging
 from uqharness.simulator.card import Card, InputCard, read_card, standard_card
+from uqharness.simulator.host import HostProperty
 from uqharness.simulator.physical_checks import (
-    UndefinedProperty,
     check_physical,
     ensure_loadable,
     undefined_message,
 )
-from uqharness.simulator.staging import fingerprint, identity, read_xml, signature, staged, walk
+from uqharness.simulator.staging import (
+    HasFiles,
+    ModelFiles,
+    Reference,
+    ScreenedFile,
+    Staging,
+    fingerprint,
+    identity,
+    read_xml,
+    signature,
+    walk,
+)
 
 
 @dataclass(frozen=True)
@@ -150,7 +162,7 @@ def _read_aircraft(folder: Path) -> Aircraft:
             raise BadInputError(
                 f"{folder}: no airframe.toml and no {folder.name}.xml, {_other_models(folder)}"
             )
-        card = standard_card(folder.name, xml.name)
+        card = standard_card(folder.name, xml.name, _commands(folder, xml.name))
     if Path(card.aircraft.xml).name != card.aircraft.xml or "\\" in card.aircraft.xml:
         raise BadInputError(
             f'{card_file}: [aircraft] xml = "{card.aircraft.xml}": the name of a file in this'
@@ -172,6 +184,19 @@ def _read_aircraft(folder: Path) -> Aircraft:
         engine_path=own_engine if own_engine.is_dir() else stock / "engine",
         systems_path=own_systems if own_systems.is_dir() else stock / "systems",
     )
+
+
+def _commands(folder: Path, xml: str) -> dict[str, str]:
+    """Return the commands of an aircraft without a card that are not JSBSim's own."""
+    contents = []
+    for _, path in walk(folder):
+        # An aircraft that cannot be read is refused when it is loaded.
+        if path.suffix == ".xml" and b"/controls/" in (content := read_xml(path)):
+            contents.append((path.name, content))
+    try:
+        return host.commands(host.scan(contents))
+    except etree.XMLSyntaxError:
+        return {}
 
 
 def _other_models(folder: Path) -> str:
@@ -220,25 +245,106 @@ def check_loadable(aircraft: Aircraft, defined: Collection[str] = ()) -> None:
 
     Unchanged files are checked once. ``defined`` are properties that a run script creates.
     """
-    undefined = tuple(u for u in undefined_properties(aircraft) if u.name not in defined)
-    if undefined:
-        raise BadInputError(f"{aircraft.folder}: {undefined_message(undefined)}")
+    misspelt = tuple(
+        row for row in host_properties(aircraft) if row.misspelt and row.name not in defined
+    )
+    if misspelt:
+        raise BadInputError(f"{aircraft.folder}: {undefined_message(misspelt)}")
 
 
-def undefined_properties(aircraft: Aircraft) -> tuple[UndefinedProperty, ...]:
-    """Return the properties that the aircraft reads and neither it nor JSBSim defines.
+def host_properties(aircraft: Aircraft) -> tuple[HostProperty, ...]:
+    """Return the properties that only a host, such as FlightGear, would provide, with sources.
 
-    A host such as FlightGear may define them. Raises BadInputError if the aircraft is not loadable.
+    The card's [host] changes sources and adds properties. Raises BadInputError if the aircraft is
+    not loadable.
     """
     # Cached by file states within this process, and by content on disk.
     stamp = fingerprint(aircraft)
-    if stamp not in _undefined:
+    if stamp not in _host:
         for _, path in walk(aircraft.folder):
             if path.suffix == ".xml":
                 refuse_unknown_operations(path)
         check_physical(aircraft)
-        _undefined[stamp] = ensure_loadable(aircraft, content_hash(aircraft))
-    return _undefined[stamp]
+        rows = ensure_loadable(aircraft, content_hash(aircraft))
+        # An instrumented aircraft brings the host's system along.
+        if not _carried_system(staging.model_files(aircraft)):
+            rows = host.with_host_entries(rows, aircraft.card.host)
+        _host[stamp] = rows
+    return _host[stamp]
+
+
+def model_files(aircraft: HasFiles) -> ModelFiles:
+    """Return the screened files of an aircraft, with the system of its host where it needs one.
+
+    Files that were staged have it already. Raises BadInputError with file and line.
+    """
+    files = staging.model_files(aircraft)
+    if not isinstance(aircraft, Aircraft):
+        return files
+    local = dict(files.local)
+    carried = _carried_system(files)
+    if carried and aircraft.card.host:
+        content = host.host_system_xml(host.with_host_entries((), aircraft.card.host))
+        if content != local[carried].content:
+            _report(
+                f"{aircraft.folder / carried} differs from [host] of airframe.toml, which is flown;"
+                " `uqharness instrument` writes the system again"
+            )
+            local[carried] = replace(local[carried], content=content)
+    rows = tuple(row for row in host_properties(aircraft) if not row.misspelt)
+    if not rows:
+        return ModelFiles(local, files.shared, files.shared_paths)
+    _report(f"{aircraft.name}: {host.describe(rows)}")
+    main = aircraft.xml.relative_to(aircraft.folder).as_posix()
+    name = host.HOST_SYSTEM
+    while any(Path(file).stem == name for file in files.local):
+        name += "-2"
+    author = files.local[main]
+    local[main] = ScreenedFile(
+        host.insert_system(author.content, name, str(aircraft.xml)),
+        author.root,
+        (Reference("system", f"{name}.xml", 1), *author.references),
+        author.removed,
+    )
+    local[f"Systems/{name}.xml"] = ScreenedFile(host.host_system_xml(rows, name), "system", (), ())
+    return ModelFiles(local, files.shared, files.shared_paths)
+
+
+def stage(aircraft: Aircraft, root: Path) -> Staging:
+    """Write the files of `model_files` into ``root``, which is made. Raises BadInputError."""
+    return staging.write(model_files(aircraft), aircraft, root)
+
+
+def staged(aircraft: Aircraft) -> Staging:
+    """Return the aircraft staged in this process's temporary folder, with its host's system.
+
+    It is staged again once a file has changed. Raises BadInputError.
+    """
+    author = staging.staged(aircraft)
+    if not aircraft.card.host and all(row.misspelt for row in host_properties(aircraft)):
+        return author
+    place = author.root / "hosted"
+    if not place.is_dir():
+        stage(aircraft, place)
+    return replace(
+        author,
+        root=place,
+        user_folders=tuple(
+            (place / at.relative_to(author.root), real) for at, real in author.user_folders
+        ),
+    )
+
+
+def _carried_system(files: ModelFiles) -> str:
+    """Return the file of the host's system that an instrumented aircraft has; empty without one."""
+    return next((name for name in files.local if Path(name).stem == host.HOST_SYSTEM), "")
+
+
+def _report(message: str) -> None:
+    """Log a message once per process."""
+    if message not in _reported:
+        _reported.add(message)
+        _LOG.info("%s", message)
 
 
 # Operations in a <function> of JSBSim 1.3.3. It ignores others silently, or crashes.
@@ -272,7 +378,9 @@ def refuse_unknown_operations(path: Path) -> None:
         walk(function)
 
 
-_undefined: dict[str, tuple[UndefinedProperty, ...]] = {}
+_LOG = logging.getLogger("uqharness")
+_host: dict[str, tuple[HostProperty, ...]] = {}
+_reported: set[str] = set()
 
 
 def content_hash(aircraft: Aircraft) -> str:

@@ -12,7 +12,7 @@ import functools
 import math
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,13 @@ from sysid.units import FT_M, LBF_N, RAD_DEG
 from uqharness.child_process import give_answer, run_module
 from uqharness.errors import BadInputError
 from uqharness.simulator import engine
-from uqharness.simulator.aircraft import Aircraft, find_aircraft, open_aircraft
+from uqharness.simulator.aircraft import (
+    Aircraft,
+    find_aircraft,
+    host_properties,
+    open_aircraft,
+    staged,
+)
 from uqharness.simulator.forced_state import (
     TRIM_LATITUDE_DEG,
     BodyState,
@@ -29,9 +35,8 @@ from uqharness.simulator.forced_state import (
     open_forced,
     set_control,
     still_moving,
-    written_by_components,
 )
-from uqharness.simulator.staging import staged
+from uqharness.simulator.host import HostProperty
 
 _LIFT_COEFFICIENT = 0.5
 _SPEEDS_FPS = (40.0, 900.0)
@@ -74,6 +79,10 @@ def open_mid_envelope(
         engine.start_engines(fdm)
         for k in range(engines):
             fdm["fcs/throttle-cmd-norm" + (f"[{k}]" if k else "")] = THROTTLE
+        throttle = aircraft.card.inputs.get("throttle")
+        if throttle is not None and fdm.get_property_manager().hasNode(throttle.property):
+            low, high = throttle.limits
+            set_control(fdm, aircraft, "throttle", low + THROTTLE * (high - low))
     engine.run_ic(fdm)
     if engines:
         engine.settle_engines(fdm)
@@ -146,19 +155,6 @@ _POSITIONS = {
     ),
     "rudder": ("fcs/rudder-pos-deg", "fcs/rudder-pos-rad"),
 }
-# What FlightGear exchanges with JSBSim's engines in each frame (src/FDM/JSBSim/JSBSim.cxx).
-_FLIGHTGEAR = (
-    ("/controls/engines/engine{}/throttle", "fcs/throttle-cmd-norm{}"),
-    ("/controls/engines/engine{}/mixture", "fcs/mixture-cmd-norm{}"),
-    ("/controls/engines/engine{}/propeller-pitch", "fcs/advance-cmd-norm{}"),
-    ("/engines/engine{}/mp-inhg", "propulsion/engine{}/map-inhg"),
-    ("/engines/engine{}/rpm", "propulsion/engine{}/engine-rpm"),
-    ("/engines/engine{}/n1", "propulsion/engine{}/n1"),
-    ("/engines/engine{}/n2", "propulsion/engine{}/n2"),
-    ("/engines/engine{}/cht-degf", "propulsion/engine{}/cht-degF"),
-    ("/engines/engine{}/oil-temperature-degf", "propulsion/engine{}/oil-temperature-degF"),
-    ("/engines/engine{}/oil-pressure-psi", "propulsion/engine{}/oil-pressure-psi"),
-)
 # Acceleration caused by a control, and its sign for a positive command of the record.
 _RESPONSE = {
     "elevator": ("accelerations/qdot-rad_sec2", -1),
@@ -191,6 +187,8 @@ class ControlFacts:
         Settled thrust of all engines [N], throttle closed and open; None without a value.
     unmeasured : str
         Why the control could not be measured, in which case `sense` is assumed; else empty.
+    property : str
+        The command; empty for JSBSim's.
     """
 
     sense: int
@@ -198,6 +196,7 @@ class ControlFacts:
     position: str | None = None
     thrust_N: tuple[float, float] | None = None
     unmeasured: str = ""
+    property: str = ""
 
 
 @dataclass(frozen=True)
@@ -212,8 +211,8 @@ class AircraftFacts:
         Number of engines.
     controls : mapping
         Control to its facts.
-    host : tuple of (str, str)
-        (FlightGear's property, JSBSim's) that the aircraft reads and only FlightGear writes.
+    host : tuple of HostProperty
+        What the aircraft reads and only a host, such as FlightGear, provides.
     V_mps : float
         Airspeed of the measurement [m/s] at ALTITUDE_M; NaN if nothing was measured.
     """
@@ -223,7 +222,7 @@ class AircraftFacts:
     c_m: float
     engines: int
     controls: Mapping[str, ControlFacts] = field(default_factory=dict)
-    host: tuple[tuple[str, str], ...] = ()
+    host: tuple[HostProperty, ...] = ()
     V_mps: float = math.nan
 
 
@@ -246,14 +245,7 @@ def measure_facts(folder: Path) -> AircraftFacts:
         for name in _RESPONSE
     }
     closed, opened = (_hold_commands(aircraft, "throttle", (value,))[0] for value in (0.0, 1.0))
-    host = _host_properties(aircraft)
-    throttle = _throttle_facts(closed, opened)
-    # A host may move the throttle that JSBSim alone does not.
-    if not throttle.sense and any(
-        jsbsim_name == "fcs/throttle-cmd-norm" for _, jsbsim_name in host
-    ):
-        throttle = ControlFacts(1)
-    controls["throttle"] = throttle
+    controls["throttle"] = _throttle_facts(closed, opened)
     # At rest a control law may be at its limit whatever the command; a flight decides.
     controls |= {
         name: _in_flight(aircraft, name) for name, facts in controls.items() if not facts.sense
@@ -264,24 +256,13 @@ def measure_facts(folder: Path) -> AircraftFacts:
         b * FT_M,
         c * FT_M,
         opened.engines,
-        controls,
-        host,
+        {
+            name: replace(facts, property=aircraft.card.inputs[name].property)
+            for name, facts in controls.items()
+        },
+        host_properties(aircraft),
         opened.values["velocities/vt-fps"] * FT_M,
     )
-
-
-def _host_properties(aircraft: Aircraft) -> tuple[tuple[str, str], ...]:
-    """Return the properties that the aircraft expects FlightGear to write."""
-    fdm = open_aircraft(aircraft)
-    exists, written_properties = fdm.get_property_manager().hasNode, written_by_components(aircraft)
-    pairs = []
-    for k in range(fdm.get_propulsion().get_num_engines()):
-        index = f"[{k}]" if k else ""
-        for host_name, jsbsim_name in _FLIGHTGEAR:
-            pair = host_name.format(index), jsbsim_name.format(index)
-            if all(map(exists, pair)) and pair[0] not in written_properties:
-                pairs.append(pair)
-    return tuple(pairs)
 
 
 @dataclass(frozen=True)
@@ -315,7 +296,9 @@ def _hold_commands(
     # Without rates, which dampers would answer.
     rates = (rate_radps,) * 3
     state = BodyState(flying.u, 0.0, flying.w, 0.0, flying.theta, flying.psi, *rates)
-    exists = open_aircraft(aircraft).get_property_manager().hasNode
+    # The instance must outlive its manager, or absolute names are not found.
+    probe = open_aircraft(aircraft)
+    exists = probe.get_property_manager().hasNode
     controls = {
         name: setting
         for name, setting in {"throttle": THROTTLE, control: commands[0]}.items()
@@ -464,7 +447,7 @@ def measure_facts_in_child(folder: Path, timeout_s: float = 300.0) -> AircraftFa
         name: ControlFacts(**{**facts, "thrust_N": facts["thrust_N"] and tuple(facts["thrust_N"])})
         for name, facts in child.answer["controls"].items()
     }
-    host = tuple((host_name, jsbsim_name) for host_name, jsbsim_name in child.answer["host"])
+    host = tuple(HostProperty(**row) for row in child.answer["host"])
     return AircraftFacts(**{**child.answer, "controls": controls, "host": host})
 
 

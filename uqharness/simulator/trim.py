@@ -468,7 +468,9 @@ def _search(
 ) -> _SearchResult:
     """Search with the control system as in the first frame, or brought to rest."""
     cards = aircraft.card.inputs
-    exists = open_aircraft(aircraft).get_property_manager().hasNode
+    # The instance must outlive its manager, or absolute names are not found.
+    probe = open_aircraft(aircraft)
+    exists = probe.get_property_manager().hasNode
     names = [
         name
         for name in _SURFACES
@@ -524,7 +526,9 @@ def _moving_from_the_start(
     """
     u, v, w = body_velocity(condition.V_mps, 0.05, 0.0)
     cards = aircraft.card.inputs
-    exists = open_aircraft(aircraft).get_property_manager().hasNode
+    # The instance must outlive its manager, or absolute names are not found.
+    probe = open_aircraft(aircraft)
+    exists = probe.get_property_manager().hasNode
     # Controls that exist, at 60 % of their range.
     ends = {
         name: cards[name].limits
