@@ -422,7 +422,7 @@ def _electric_foam() -> dict[str, str]:
     <capacity unit="LBS">0.1</capacity><contents unit="LBS">0.1</contents>
   </tank>
 </propulsion>"""
-    positions = {"elevator": "elevon/pitch", "aileron": "elevon/roll", "rudder": "uav/no-rudder"}
+    positions = {"elevator": "elevon/pitch", "aileron": "elevon/roll", "rudder": "uav/fin-angle"}
     body = "\n".join(
         [
             airframe(**SMALL),  # type: ignore[arg-type]

@@ -460,12 +460,24 @@ def instrument_aircraft(
         if control.unmeasured
     }
     notes += [
+        f"{name} is commanded by {control.property}, found by its effect"
+        for name, control in (facts.controls if facts is not None else {}).items()
+        if control.property not in ("", aircraft.card.inputs[name].property)
+    ]
+    if facts is not None and facts.dt_s < aircraft.dt_s:
+        notes.append(
+            f"its propellers are unstable at a step of {aircraft.dt_s:g} s: airframe.toml has dt_s"
+            f" = {facts.dt_s:g}"
+        )
+    notes += [
         f"{name} could not be measured, so its sense and throw in airframe.toml are assumed:"
         f" {reason}"
         for name, reason in unmeasured.items()
     ]
     edits = mass_insertions(aircraft, read_document(aircraft.xml), mass or MassProperties())
-    rows = tuple(row for row in host_properties(aircraft) if not row.misspelt)
+    # Measured facts know more: which systems must be on for a control to move.
+    rows = facts.host if facts is not None and facts.host else host_properties(aircraft)
+    rows = tuple(row for row in rows if not row.misspelt)
     planned = plan(aircraft, bounds, facts, air, edits, rows)
     verdict = None
     if not dry_run:

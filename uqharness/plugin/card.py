@@ -18,6 +18,7 @@ from typing import Any
 from sysid.units import FT_M
 from uqharness.simulator import (
     ALTITUDE_M,
+    DT_S,
     MEMS_NOISE_STD,
     AircraftFacts,
     ControlFacts,
@@ -330,9 +331,9 @@ def _leaf(name: str) -> str:
     return name.rstrip("/").rsplit("/", 1)[-1]
 
 
-DT_S = 0.01
 _ASSUMED_THROW_DEG = 20.0
 ERRORS_SYSTEM = "path-errors"
+_LIMITS = {"norm": [0, 1], "pct": [0, 100]}
 _POSITIVE = {
     "elevator": ("nose down", "nose up"),
     "aileron": ("right wing down", "left wing down"),
@@ -372,7 +373,8 @@ def card_text(
         "[aircraft]",
         f"name = {as_toml(name)}",
         f"xml = {as_toml(xml)}",
-        f"dt_s = {DT_S}",
+        f"dt_s = {facts.dt_s:g}"
+        + ("     # its propellers are unstable at 0.01 s" if facts.dt_s < DT_S else ""),
         "",
         "[reference]                                   # the XML's metrics",
         f"S_m2 = {facts.S_m2!r}",
@@ -385,11 +387,11 @@ def card_text(
             "",
             f"[inputs.{control}]{' ' * (45 - len(control) - 9)}{remark}".rstrip(),
             f"property = {as_toml(control_facts.property or f'fcs/{control}-cmd-norm')}",
-            'unit = "norm"',
+            f'unit = "{control_facts.unit}"',
         ]
         lines += [
             f'positive = "{_POSITIVE[control][control_facts.sense < 0]}"',
-            f"limits = {[0, 1] if control == 'throttle' else [-1, 1]}",
+            f"limits = {_LIMITS[control_facts.unit] if control == 'throttle' else [-1, 1]}",
         ]
         throw = control_facts.throw_deg
         if control != "throttle":

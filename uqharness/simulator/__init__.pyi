@@ -19,6 +19,7 @@ from .aircraft import parse_xml as parse_xml
 from .aircraft import position_factor as position_factor
 from .aircraft import stage as stage
 from .aircraft import staged as staged
+from .aircraft import with_step as with_step
 from .altitude import with_start_altitude as with_start_altitude
 from .card import MEMS_NOISE_STD as MEMS_NOISE_STD
 from .card import Card as Card
@@ -26,6 +27,7 @@ from .card import InputCard as InputCard
 from .card import parse_card as parse_card
 from .card import sensors_from_cg as sensors_from_cg
 from .facts import ALTITUDE_M as ALTITUDE_M
+from .facts import DT_S as DT_S
 from .facts import AircraftFacts as AircraftFacts
 from .facts import ControlFacts as ControlFacts
 from .facts import open_mid_envelope as open_mid_envelope

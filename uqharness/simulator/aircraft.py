@@ -20,6 +20,7 @@ from typing import Any
 
 from lxml import etree
 
+from sysid.digests import sha256_hex
 from sysid.units import FT_M, RAD_DEG, SLUG_FT3_KGPM3
 from uqharness.arguments import path as argument_path
 from uqharness.errors import BadInputError
@@ -240,6 +241,12 @@ def open_aircraft(aircraft: Aircraft, dt_s: float | None = None) -> Any:
     return fdm
 
 
+def with_step(aircraft: Aircraft, dt_s: float) -> Aircraft:
+    """Return the aircraft with another integration step [s]."""
+    section = aircraft.card.aircraft.model_copy(update={"dt_s": dt_s})
+    return replace(aircraft, card=aircraft.card.model_copy(update={"aircraft": section}))
+
+
 def check_loadable(aircraft: Aircraft, defined: Collection[str] = ()) -> None:
     """Raise BadInputError if loading the aircraft would crash the interpreter.
 
@@ -259,7 +266,7 @@ def host_properties(aircraft: Aircraft) -> tuple[HostProperty, ...]:
     not loadable.
     """
     # Cached by file states within this process, and by content on disk.
-    stamp = fingerprint(aircraft)
+    stamp = fingerprint(aircraft), _entries(aircraft)
     if stamp not in _host:
         for _, path in walk(aircraft.folder):
             if path.suffix == ".xml":
@@ -323,7 +330,8 @@ def staged(aircraft: Aircraft) -> Staging:
     author = staging.staged(aircraft)
     if not aircraft.card.host and all(row.misspelt for row in host_properties(aircraft)):
         return author
-    place = author.root / "hosted"
+    # A card that was changed in this process has entries of its own.
+    place = author.root / f"hosted-{sha256_hex(_entries(aircraft).encode())[:12]}"
     if not place.is_dir():
         stage(aircraft, place)
     return replace(
@@ -333,6 +341,11 @@ def staged(aircraft: Aircraft) -> Staging:
             (place / at.relative_to(author.root), real) for at, real in author.user_folders
         ),
     )
+
+
+def _entries(aircraft: Aircraft) -> str:
+    """Return the entries of the card's [host] as text."""
+    return repr(sorted(aircraft.card.host.items()))
 
 
 def _carried_system(files: ModelFiles) -> str:
@@ -379,7 +392,7 @@ def refuse_unknown_operations(path: Path) -> None:
 
 
 _LOG = logging.getLogger("uqharness")
-_host: dict[str, tuple[HostProperty, ...]] = {}
+_host: dict[tuple[str, str], tuple[HostProperty, ...]] = {}
 _reported: set[str] = set()
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import functools
 import math
+import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
@@ -24,20 +25,26 @@ from uqharness.simulator.aircraft import (
     Aircraft,
     find_aircraft,
     host_properties,
+    model_files,
     open_aircraft,
     staged,
+    with_step,
 )
 from uqharness.simulator.forced_state import (
     TRIM_LATITUDE_DEG,
     BodyState,
     body_velocity,
+    bring_to_rest,
     control_equilibrium,
     open_forced,
     set_control,
     still_moving,
 )
-from uqharness.simulator.host import HostProperty
+from uqharness.simulator.host import HostProperty, scan
 
+DT_S = 0.01
+"""Integration step of an aircraft without a card [s]."""
+_SHORTER_S = (0.005, 0.002, 0.001, 0.0005)
 _LIFT_COEFFICIENT = 0.5
 _SPEEDS_FPS = (40.0, 900.0)
 _ALTITUDE_FT = 5000.0
@@ -189,6 +196,8 @@ class ControlFacts:
         Why the control could not be measured, in which case `sense` is assumed; else empty.
     property : str
         The command; empty for JSBSim's.
+    unit : str
+        "norm", or "pct" for a throttle in percent.
     """
 
     sense: int
@@ -197,6 +206,7 @@ class ControlFacts:
     thrust_N: tuple[float, float] | None = None
     unmeasured: str = ""
     property: str = ""
+    unit: str = "norm"
 
 
 @dataclass(frozen=True)
@@ -215,6 +225,8 @@ class AircraftFacts:
         What the aircraft reads and only a host, such as FlightGear, provides.
     V_mps : float
         Airspeed of the measurement [m/s] at ALTITUDE_M; NaN if nothing was measured.
+    dt_s : float
+        Integration step at which the engines settle [s].
     """
 
     S_m2: float
@@ -224,6 +236,7 @@ class AircraftFacts:
     controls: Mapping[str, ControlFacts] = field(default_factory=dict)
     host: tuple[HostProperty, ...] = ()
     V_mps: float = math.nan
+    dt_s: float = DT_S
 
 
 def assumed_facts(S_m2: float, b_m: float, c_m: float) -> AircraftFacts:
@@ -235,7 +248,7 @@ def assumed_facts(S_m2: float, b_m: float, c_m: float) -> AircraftFacts:
 
 def measure_facts(folder: Path) -> AircraftFacts:
     """Measure the aircraft in a folder, in this process. Raises BadInputError."""
-    aircraft = find_aircraft(folder)
+    aircraft = _at_stable_step(find_aircraft(folder))
     controls = {
         name: _control_facts(
             name,
@@ -244,7 +257,10 @@ def measure_facts(folder: Path) -> AircraftFacts:
         )
         for name in _RESPONSE
     }
-    closed, opened = (_hold_commands(aircraft, "throttle", (value,))[0] for value in (0.0, 1.0))
+    closed, opened = (
+        _hold_commands(aircraft, "throttle", (value,))[0]
+        for value in aircraft.card.inputs["throttle"].limits
+    )
     controls["throttle"] = _throttle_facts(closed, opened)
     # At rest a control law may be at its limit whatever the command; a flight decides.
     controls |= {
@@ -257,12 +273,186 @@ def measure_facts(folder: Path) -> AircraftFacts:
         c * FT_M,
         opened.engines,
         {
-            name: replace(facts, property=aircraft.card.inputs[name].property)
+            name: replace(facts, property=card.property, unit=card.unit)
             for name, facts in controls.items()
+            for card in (aircraft.card.inputs[name],)
         },
         host_properties(aircraft),
         opened.values["velocities/vt-fps"] * FT_M,
+        aircraft.dt_s,
     )
+
+
+# Commands and switches found by their effect, for aircraft whose usual commands move nothing: the
+# throttle may have a name of the author's, and a system may have to be on.
+
+_COMMAND_WORDS = {
+    "elevator": re.compile(r"elev|pitch|stab|canard"),
+    "aileron": re.compile(r"ail|roll"),
+    "rudder": re.compile(r"rud|yaw"),
+    "throttle": re.compile(r"throttle|thrust|power|motor|pwr|esc\b|engine|gas|rpm"),
+}
+_NO_COMMAND = re.compile(r"trim|flap|brake|gear|spoiler|mixture|advance|starter|magneto|cutoff")
+_PERCENT = re.compile(r"pct|percent")
+_MAX_CANDIDATES = 60
+_MIN_SHARE = 1e-4  # of the weight, or rad/s2: the smallest answer of a command that is worth a name
+_MIDDLE_SHARE = 0.02  # of the answer, by which half a command must differ from both ends
+
+
+def _at_stable_step(aircraft: Aircraft) -> Aircraft:
+    """Return the aircraft with live controls, at a step at which its propellers are stable.
+
+    A light propeller alternates between two speeds from frame to frame at a longer step.
+    """
+    live = with_live_controls(aircraft)
+    if _propellers_settle(live):
+        return live
+    for dt_s in _SHORTER_S:
+        shorter = with_live_controls(with_step(aircraft, dt_s))
+        if _propellers_settle(shorter):
+            return shorter
+    return live
+
+
+def _propellers_settle(aircraft: Aircraft) -> bool:
+    """Return whether engines with propellers settle at full throttle, which moves their thrust."""
+    bench = _Bench(aircraft)
+    if not bench.has_propeller:
+        return True
+    state = mid_envelope_state(aircraft)
+    full = {"throttle": aircraft.card.inputs["throttle"].limits[1]}
+    unsettled = open_forced(aircraft, state, full, ALTITUDE_M, None)[1]
+    return "does not settle" not in unsettled and bench.answers("throttle")
+
+
+def with_live_controls(aircraft: Aircraft) -> Aircraft:
+    """Return the aircraft with other commands, and systems on, where its controls move nothing.
+
+    A command is an input of the XML that nothing computes and whose answer is graded: thrust for a
+    throttle, angular acceleration for a surface. Systems are what a host would provide and is 0.
+    Without effect of either the aircraft is unchanged. Raises BadInputError.
+    """
+    bench = _Bench(aircraft)
+    dead = [control for control in _COMMAND_WORDS if not bench.answers(control)]
+    if not dead:
+        return aircraft
+    for control in dead:
+        found = bench.command(control)
+        if found is not None:
+            aircraft = _with_input(aircraft, control, found)
+    dead = [control for control in dead if not _Bench(aircraft).answers(control)]
+    # A glider has no throttle, and a fin may be fixed: only what is off can be switched on.
+    off = [
+        row.name
+        for row in host_properties(aircraft)
+        if row.kind == "unknown" and row.source == "0" and not row.misspelt
+    ][:_MAX_CANDIDATES]
+    for control in dead if off else ():
+        # All at once, else one of them: some are brakes, locks or failures.
+        attempts = [dict.fromkeys(off, 1.0), *({name: 1.0} for name in off)]
+        on = next((each for each in attempts if _Bench(aircraft, each).answers(control)), None)
+        if on is None:
+            continue
+        # Switch off again what the control does not need.
+        for name in off:
+            fewer = {key: value for key, value in on.items() if key != name}
+            if _Bench(aircraft, fewer).answers(control):
+                on = fewer
+        card = aircraft.card.model_copy(update={"host": {**aircraft.card.host, **on}})
+        aircraft = replace(aircraft, card=card)
+        off = [name for name in off if name not in on]
+    return aircraft
+
+
+def _with_input(aircraft: Aircraft, control: str, name: str) -> Aircraft:
+    """Return the aircraft with another command of a control."""
+    change: dict[str, object] = {"property": name}
+    if control == "throttle" and _PERCENT.search(name):
+        change |= {"unit": "pct", "limits": (0.0, 100.0)}
+    row = aircraft.card.inputs[control].model_copy(update=change)
+    inputs = {**aircraft.card.inputs, control: row}
+    return replace(aircraft, card=aircraft.card.model_copy(update={"inputs": inputs}))
+
+
+class _Bench:
+    """An aircraft held in mid-envelope, whose answers to single properties are measured.
+
+    ``settings`` are properties that are set before.
+    """
+
+    def __init__(self, aircraft: Aircraft, settings: Mapping[str, float] | None = None) -> None:
+        flying = mid_envelope_state(aircraft)
+        self._aircraft = aircraft
+        state = BodyState(flying.u, 0.0, flying.w, 0.0, flying.theta, flying.psi)
+        self._fdm, _ = open_forced(aircraft, state, {}, ALTITUDE_M, settings)
+        self._equilibrium = control_equilibrium(aircraft, self._fdm)
+        self._engines = self._fdm.get_propulsion().get_num_engines()
+        self._exists = self._fdm.get_property_manager().hasNode
+
+    @property
+    def has_propeller(self) -> bool:
+        """Return whether an engine turns a propeller."""
+        engines = range(self._engines)
+        return any(self._exists(f"propulsion/engine[{k}]/propeller-rpm") for k in engines)
+
+    def answers(self, control: str) -> bool:
+        """Return whether the command of a control changes thrust or angular acceleration."""
+        card = self._aircraft.card.inputs[control]
+        if not self._exists(card.property):
+            return False
+        low, high = card.limits
+        first, last = (self._answer(control, card.property, value) for value in (low, high))
+        return bool(abs(last - first) > self._smallest(control))
+
+    def command(self, control: str) -> str | None:
+        """Return the input of the model that commands a control; None without one."""
+        words = _COMMAND_WORDS[control]
+        names = scan(model_files(self._aircraft).contents(), self._engines)
+        candidates = [
+            name
+            for name in names.read
+            if name not in names.computed
+            and not _NO_COMMAND.search(name.lower())
+            and (name in names.declared or name.startswith("/") or name.endswith("-cmd-norm"))
+            and self._exists(name)
+        ]
+        # Names that say so come first; only engines tell a throttle from other inputs.
+        named = [name for name in candidates if words.search(name.lower())]
+        others = [name for name in candidates if name not in named]
+        groups = [named, others] if control == "throttle" and self._engines else [named]
+        for group in groups:
+            strengths = {name: self._strength(control, name) for name in group[:_MAX_CANDIDATES]}
+            best = max(strengths, key=lambda name: strengths[name], default="")
+            if best and strengths[best] > self._smallest(control):
+                return best
+        return None
+
+    def _strength(self, control: str, name: str) -> float:
+        """Return the size of a graded answer to a property; 0 for a switch."""
+        scale = 100.0 if _PERCENT.search(name) else 1.0
+        start = self._fdm[name]
+        low, middle, high = (self._answer(control, name, v * scale) for v in (0.0, 0.5, 1.0))
+        self._fdm[name] = start
+        size = abs(high - low)
+        graded = min(abs(middle - low), abs(high - middle)) > _MIDDLE_SHARE * size
+        rises = control != "throttle" or high > low
+        return size if graded and rises and math.isfinite(size) else 0.0
+
+    def _answer(self, control: str, name: str, value: float) -> float:
+        """Return thrust (without engines the force forward) [lbf], or acceleration [rad/s2]."""
+        self._fdm[name] = value
+        bring_to_rest(self._fdm, self._equilibrium)
+        if control in _RESPONSE:
+            return float(self._fdm[_RESPONSE[control][0]])
+        if not self._engines:
+            return float(self._fdm[_FORWARD])
+        engines = range(self._engines)
+        return float(sum(self._fdm[f"propulsion/engine[{k}]/{_THRUST}"] for k in engines))
+
+    def _smallest(self, control: str) -> float:
+        """Return the smallest answer that counts."""
+        weight = self._fdm["inertia/weight-lbs"] if control == "throttle" else 1.0
+        return _MIN_SHARE * float(weight)
 
 
 @dataclass(frozen=True)
@@ -301,7 +491,10 @@ def _hold_commands(
     exists = probe.get_property_manager().hasNode
     controls = {
         name: setting
-        for name, setting in {"throttle": THROTTLE, control: commands[0]}.items()
+        for name, setting in {
+            "throttle": THROTTLE * aircraft.card.inputs["throttle"].limits[1],
+            control: commands[0],
+        }.items()
         if exists(aircraft.card.inputs[name].property)
     }
     # One instance for all commands: engines are settled once.
@@ -326,7 +519,7 @@ def _hold_commands(
 def _in_flight(aircraft: Aircraft, control: str) -> ControlFacts:
     """Return the sense of a control from short flights with the command at either end."""
     rate, sign = _RATE.get(control, ("velocities/vt-fps", 1))
-    ends = (0.0, 1.0) if control == "throttle" else (-1.0, 1.0)
+    ends = aircraft.card.inputs[control].limits
     answers = []
     for value in ends:
         fdm, _ = open_mid_envelope(aircraft)

@@ -68,7 +68,8 @@ _SURFACES = {
     "aileron": "/controls/flight/aileron",
     "rudder": "/controls/flight/rudder",
 }
-_THROTTLES = re.compile(r"/controls/engines/engine(\[\d+\])?/throttle")
+# Scripts of some aircraft hand the throttle on under a name such as throttle-fdm.
+_THROTTLES = re.compile(r"/controls/engines/engine(\[\d+\])?/throttle(-(?!idle)[\w\-]+)?")
 
 # States that FlightGear computes from JSBSim's. The first source whose properties exist is taken.
 _STATES: Mapping[str, tuple[str, ...]] = {
@@ -540,7 +541,11 @@ def _control(
     gang: bool,
 ) -> HostProperty | None:
     """Return the source of a pilot's control; None for another property."""
-    entry, index = _with_index(_CONTROLS, absolute)
+    if match := _THROTTLES.fullmatch(absolute):
+        index = match.group(1) or ""
+        entry = _CONTROLS["/controls/engines/engine{n}/throttle"]
+    else:
+        entry, index = _with_index(_CONTROLS, absolute)
     if entry is None:
         return None
     source, initial = entry[0].replace("{n}", index), entry[1]
@@ -652,7 +657,7 @@ def host_system_xml(properties: Iterable[HostProperty], name: str = HOST_SYSTEM)
     lines = [
         '<?xml version="1.0" encoding="UTF-8"?>',
         "<!-- What the aircraft reads of its host (FlightGear), so that it flies in JSBSim alone:",
-        "     [host] of airframe.toml. States are those of the frame before, as in FlightGear.",
+        "     [host] of airframe.toml. Speeds and engines are those of the frame before.",
         f"     In FlightGear set {SWITCH} to 0. -->",
         f'<system name="{name}">',
         f'  <property value="1">{SWITCH}</property>',

@@ -20,7 +20,7 @@ from scipy.optimize import OptimizeResult, least_squares
 from sysid.units import G0_MPS2, LBF_N, SLUG_KG
 from uqharness.errors import BadInputError
 from uqharness.simulator import engine, forced_state, settling
-from uqharness.simulator.aircraft import Aircraft, open_aircraft
+from uqharness.simulator.aircraft import Aircraft, open_aircraft, with_step
 from uqharness.simulator.forced_state import (
     ACCELERATIONS,
     BodyState,
@@ -113,9 +113,10 @@ def dead_throttle_message(property_name: str, thrust_N: float, unsettled: str) -
     """
     remark = f" ({unsettled})" if unsettled else ""
     return (
-        f"{property_name} does not change the thrust, {thrust_N:.0f} N at either end{remark}; name"
-        " the property that does as [inputs.throttle] property of a card, or leave"
-        " [inputs.throttle] out of it to fly with the engines as they are"
+        f"{property_name} does not change the thrust, {thrust_N:.0f} N at either end{remark};"
+        " `uqharness instrument` looks for the property that does; else name it as"
+        " [inputs.throttle] property of a card, or leave [inputs.throttle] out of it to fly with"
+        " the engines as they are"
     )
 
 
@@ -622,7 +623,7 @@ def _unsettled(problem: _Problem, x: NDArray[np.float64]) -> tuple[str, bool]:
         return "", False
     for share in _STEP_SHARES:
         dt_s = float(f"{share * problem.aircraft.dt_s:.2g}")
-        if not unsettled_with(_with_step(problem.aircraft, dt_s)):
+        if not unsettled_with(with_step(problem.aircraft, dt_s)):
             larger = (
                 f", or a propeller's <ixx> of {1.0 / share:g} times the XML's"
                 if "propeller" in reason
@@ -650,12 +651,6 @@ def _unsettled_at(problem: _Problem, x: NDArray[np.float64]) -> str:
         condition.properties,
         problem.equilibrium,
     )[1]
-
-
-def _with_step(aircraft: Aircraft, dt_s: float) -> Aircraft:
-    """Return the aircraft with another integration step [s]."""
-    section = aircraft.card.aircraft.model_copy(update={"dt_s": dt_s})
-    return replace(aircraft, card=aircraft.card.model_copy(update={"aircraft": section}))
 
 
 def _mass_kg(problem: _Problem, x: NDArray[np.float64]) -> float:
