@@ -59,6 +59,7 @@ from uqharness.xml import (
     attribute,
     axis_name,
     declaration,
+    folder_documents,
     folder_names,
     insert_before,
     read_document,
@@ -310,9 +311,7 @@ def plan(
         _refuse_taken(aircraft)
         # New plugin: bounds, deltas, and scales where coefficients have no properties.
         system = _system_file(aircraft, SYSTEM)
-        coefficient_names = coefficient_properties(
-            [read_document(path) for path in sorted(aircraft.folder.rglob("*.xml"))]
-        )
+        coefficient_names = coefficient_properties(list(folder_documents(aircraft.folder)))
         if coefficient_names:
             notes.append(
                 f"{len(coefficient_names)} coefficient properties ({coefficient_names[0]}, ...): no"
@@ -485,8 +484,7 @@ def _has_plugin(section: AeroSection) -> bool:
 
 def _refuse_taken(aircraft: Aircraft) -> None:
     """Raise BadInputError if the aircraft uses names of the plugin."""
-    for path in sorted(aircraft.folder.rglob("*.xml")):
-        document = read_document(path)
+    for document in folder_documents(aircraft.folder):
         for node in document.root.walk():
             for text in (node.text.strip(), *(value.strip() for value in node.attributes.values())):
                 if _PLUGIN_NAME.fullmatch(text):

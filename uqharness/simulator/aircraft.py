@@ -158,12 +158,8 @@ def _read_aircraft(folder: Path) -> Aircraft:
     if card_file.is_file():
         card = read_card(card_file)
     else:
-        xml = folder / f"{folder.name}.xml"
-        if not xml.is_file():
-            raise BadInputError(
-                f"{folder}: no airframe.toml and no {folder.name}.xml, {_other_models(folder)}"
-            )
-        card = standard_card(folder.name, xml.name, _commands(folder, xml.name))
+        xml = _only_model(folder)
+        card = standard_card(xml.stem, xml.name, _commands(folder, xml.name))
     if Path(card.aircraft.xml).name != card.aircraft.xml or "\\" in card.aircraft.xml:
         raise BadInputError(
             f'{card_file}: [aircraft] xml = "{card.aircraft.xml}": the name of a file in this'
@@ -200,19 +196,23 @@ def _commands(folder: Path, xml: str) -> dict[str, str]:
         return {}
 
 
-def _other_models(folder: Path) -> str:
-    """Return a hint about aircraft in a folder under other names."""
-    models = [
-        path.name for path in sorted(folder.glob("*.xml")) if b"<fdm_config" in read_xml(path)
-    ]
+def _only_model(folder: Path) -> Path:
+    """Return the model of a folder without a card: that of its name, else its only one."""
+    named = folder / f"{folder.name}.xml"
+    if named.is_file():
+        return named
+    models = [path for path in sorted(folder.glob("*.xml")) if b"<fdm_config" in read_xml(path)]
+    if len(models) == 1:
+        return models[0]
     if not models:
-        return "so this is not a JSBSim aircraft folder"
-    name = Path(models[0]).stem
-    return (
-        f"but {' and '.join(models)}: JSBSim requires equal names of folder and file; rename the"
-        " folder to "
-        f'{name}, or put an airframe.toml with [aircraft] name = "{name}" and xml = "{models[0]}"'
-        " into it"
+        raise BadInputError(
+            f"{folder}: no airframe.toml and no {folder.name}.xml, so this is not a JSBSim aircraft"
+            " folder"
+        )
+    raise BadInputError(
+        f"{folder}: no airframe.toml and no {folder.name}.xml, but"
+        f" {' and '.join(path.name for path in models)}; put an airframe.toml with [aircraft] name"
+        f' = "{models[0].stem}" and xml = "{models[0].name}", or another of them, into it'
     )
 
 
@@ -268,11 +268,13 @@ def host_properties(aircraft: Aircraft) -> tuple[HostProperty, ...]:
     # Cached by file states within this process, and by content on disk.
     stamp = fingerprint(aircraft), _entries(aircraft)
     if stamp not in _host:
-        for _, path in walk(aircraft.folder):
-            if path.suffix == ".xml":
-                refuse_unknown_operations(path)
+        # Only what JSBSim reads: folders also hold sounds, scenes and panels.
+        for name in staging.model_files(aircraft).local:
+            refuse_unknown_operations(aircraft.folder / name)
         check_physical(aircraft)
         rows = ensure_loadable(aircraft, content_hash(aircraft))
+        for path in sorted(aircraft.folder.glob("*-set.xml")):
+            rows = host.with_initial_values(rows, host.initial_values(read_xml(path)))
         # An instrumented aircraft brings the host's system along.
         if not _carried_system(staging.model_files(aircraft)):
             rows = host.with_host_entries(rows, aircraft.card.host)

@@ -15,7 +15,7 @@ from __future__ import annotations
 import difflib
 import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from io import BytesIO
 from typing import Any
 from xml.parsers import expat
@@ -205,10 +205,12 @@ _ON = _words(
     " working"
 )
 _SAME_NAME = 0.92  # similarity of names outside JSBSim's tree, from where one is a misspelling
-# Sections of JSBSim's own tree, in which an unknown name is most likely a misspelt one.
-_JSBSIM = _words(
-    "accelerations aero atmosphere attitude external_reactions fcs flight-path forces gear ic"
-    " inertia metrics moments position propulsion simulation velocities"
+# Sections of JSBSim's own tree: in the first ones scripts may add names, in the others an unknown
+# name is an error.
+_JSBSIM = _words("fcs gear simulation propulsion")
+_PHYSICS = _words(
+    "accelerations aero atmosphere attitude external_reactions flight-path forces ic inertia"
+    " metrics moments position velocities"
 )
 
 
@@ -224,7 +226,8 @@ class HostProperty:
         A number, or an expression of JSBSim properties.
     kind : str
         "control", "state", "system" (a switch that is on), "command" (an input of the model that
-        nothing else sets), or "unknown" (0, or the author's value).
+        nothing else sets), "unknown" (0, or the author's value), or "misspelt": rather an error
+        than a host's property.
     place : str
         Where it is read, such as "u3.xml:21"; empty if unknown.
     similar : str
@@ -240,7 +243,7 @@ class HostProperty:
     @property
     def misspelt(self) -> bool:
         """Return whether the name looks like a misspelt property of JSBSim or of the model."""
-        return bool(self.similar)
+        return self.kind == "misspelt"
 
 
 @dataclass(frozen=True)
@@ -576,7 +579,7 @@ def _switch(name: str, absolute: str, place: str, names: Names, similar: str) ->
     if name in names.stray:
         return HostProperty(name, f"{names.stray[name]:g}", "unknown", place)
     if _is_misspelt(name, similar):
-        return HostProperty(name, "0", "unknown", place, similar)
+        return HostProperty(name, "0", "misspelt", place, similar)
     value = switch_value(absolute)
     return HostProperty(name, f"{value:g}", "system" if value else "unknown", place)
 
@@ -584,11 +587,14 @@ def _switch(name: str, absolute: str, place: str, names: Names, similar: str) ->
 def _is_misspelt(name: str, similar: str) -> bool:
     """Return whether a name without definition is rather a misspelling of a similar one."""
     # Names that differ in digits alone are another engine's or tank's.
-    if not similar or name.startswith("/") or re.sub(r"\d", "", similar) == re.sub(r"\d", "", name):
+    if name.startswith("/") or re.sub(r"\d", "", similar) == re.sub(r"\d", "", name):
         return False
+    # Scripts do not add properties to JSBSim's physics.
+    if name.partition("/")[0] in _PHYSICS:
+        return True
     sections = {name.partition("/")[0], similar.partition("/")[0]}
     ratio = difflib.SequenceMatcher(None, name, similar).ratio()
-    return bool(sections & _JSBSIM) or ratio >= _SAME_NAME
+    return bool(similar and (sections & (_JSBSIM | _PHYSICS) or ratio >= _SAME_NAME))
 
 
 def switch_value(name: str) -> float:
@@ -613,6 +619,58 @@ def switch_value(name: str) -> float:
     return 1.0 if present & _SYSTEMS and leaf & _ON else 0.0
 
 
+def is_off(name: str) -> bool:
+    """Return whether a property belongs to what is off, closed or whole in flight."""
+    words = {re.sub(r"[\d\]\[]", "", word) for word in re.split(r"[/_\-.]", name.lower())}
+    return any(value == 0.0 and words & group for group, value in _WORDS)
+
+
+def initial_values(content: bytes) -> dict[str, float]:
+    """Return the numbers of a FlightGear aircraft's ``-set.xml`` by property.
+
+    Values by which other files are included are left out. Empty for other XML.
+    """
+    parser = etree.XMLParser(remove_comments=True, resolve_entities=False)
+    try:
+        root = etree.parse(BytesIO(content), parser).getroot()
+    except etree.XMLSyntaxError:
+        return {}
+    values: dict[str, float] = {}
+
+    def walk(element: Any, path: str) -> None:
+        numbers: dict[str, int] = {}
+        for child in element.iterchildren("*"):
+            number = child.get("n")
+            index = int(number) if (number or "").isdigit() else numbers.get(child.tag, 0)
+            numbers[child.tag] = index + 1
+            name = f"{path}/{child.tag}" + (f"[{index}]" if index else "")
+            text = (child.text or "").strip()
+            if len(child):
+                walk(child, name)
+            elif text.lower() in ("true", "false"):
+                values[canonical(name)] = float(text.lower() == "true")
+            elif _NUMBER.fullmatch(text):
+                values[canonical(name)] = float(text)
+
+    if root.tag == "PropertyList":
+        walk(root, "")
+    return values
+
+
+def with_initial_values(
+    properties: Iterable[HostProperty], values: Mapping[str, float]
+) -> tuple[HostProperty, ...]:
+    """Return the properties with an author's initial values where nothing else is known."""
+    rows = []
+    for row in properties:
+        name = row.name if row.name in values else f"/{row.name}"
+        takes = row.kind in ("unknown", "misspelt") and row.source == "0"
+        if takes and name in values and not is_off(name):
+            row = replace(row, source=f"{values[name]:.12g}", kind="unknown", similar="")
+        rows.append(row)
+    return tuple(rows)
+
+
 # Writing the system.
 
 
@@ -625,7 +683,8 @@ def with_host_entries(
         key = canonical(name)
         text = source if isinstance(source, str) else f"{source:.12g}"
         old = rows.get(key, HostProperty(name, text, "unknown"))
-        rows[key] = HostProperty(old.name, text, old.kind, old.place)
+        kind = "unknown" if old.misspelt else old.kind
+        rows[key] = HostProperty(old.name, text, kind, old.place)
     return tuple(rows.values())
 
 

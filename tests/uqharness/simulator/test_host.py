@@ -184,3 +184,17 @@ def test_two_engines_have_one_throttle_and_lines_keep_their_numbers(tmp_path):
     assert author.count("\n") == hosted.count("\n")
     assert "flightgear-host" in hosted
     assert "flightgear-host" not in author
+
+
+def test_the_author_s_initial_values_are_taken_where_nothing_else_is_known(tmp_path):
+    folder = foreign_aircraft.write("glider", tmp_path)
+    (folder / "glider-set.xml").write_text(
+        "<PropertyList><options><ballast>7.5</ballast><on>true</on></options>"
+        "<controls><gear><brake-parking>1</brake-parking></gear></controls>"
+        '<fdm><jsbsim><fcs><gust n="1">3</gust></fcs></jsbsim></fdm></PropertyList>'
+    )
+    names = ["/options/ballast", "/options/on", "/controls/gear/brake-parking", "fcs/gust[1]"]
+    aircraft = with_readings(folder, [*names, "/velocities/mach"])
+    found = {row.name: row.source for row in host_properties(aircraft)}
+    assert [found[name] for name in names] == ["7.5", "1", "0", "3"]
+    assert found["/velocities/mach"] == "velocities/mach"
