@@ -548,14 +548,142 @@ def _v_tail() -> dict[str, str]:
     }
 
 
+TURBOFAN = """<?xml version="1.0"?>
+<turbine_engine name="turbofan">
+  <milthrust unit="LBS">3500</milthrust>
+  <bypassratio>3.0</bypassratio>
+  <tsfc>0.6</tsfc>
+  <bleed>0.02</bleed>
+  <idlen1>28</idlen1><idlen2>55</idlen2>
+  <maxn1>100</maxn1><maxn2>100</maxn2>
+  <augmented>0</augmented><injected>0</injected>
+  <function name="IdleThrust"><value>0.06</value></function>
+  <function name="MilThrust">
+    <table>
+      <independentVar lookup="row">velocities/mach</independentVar>
+      <tableData>
+        0.0 1.0
+        0.4 0.8
+        0.8 0.7
+      </tableData>
+    </table>
+  </function>
+</turbine_engine>
+"""
+
+HYDRAULICS = """<?xml version="1.0"?>
+<system name="hydraulics">
+  <channel name="Pressure">
+    <switch name="systems/hydraulics/green/pressure-norm">
+      <default value="0"/>
+      <test value="1" logic="OR">
+        /engines/engine[0]/n2 gt 40
+        /systems/hydraulics/green/electric-pump-switch eq 1
+      </test>
+    </switch>
+    <switch name="fbw/law-normal">
+      <default value="0"/>
+      <test value="1" logic="AND">
+        /controls/FBW/selected-law eq 1
+        systems/hydraulics/green/pressure-norm gt 0.5
+      </test>
+    </switch>
+  </channel>
+  <channel name="Levers">
+    <pure_gain name="lever/left">
+      <input>/controls/engines/engine[0]/throttle-fdm</input><gain>1</gain>
+      <output>fcs/throttle-cmd-norm[0]</output>
+    </pure_gain>
+    <pure_gain name="lever/right">
+      <input>/controls/engines/engine[1]/throttle-fdm</input><gain>1</gain>
+      <output>fcs/throttle-cmd-norm[1]</output>
+    </pure_gain>
+    <switch name="fuel/cutoff">
+      <default value="0"/>
+      <test value="1"> /controls/engines/engine[0]/cutoff eq 1 </test>
+      <output>propulsion/cutoff_cmd</output>
+    </switch>
+  </channel>
+</system>
+"""
+
+
+def _business_jet() -> dict[str, str]:
+    parts = [
+        f"""  <engine file="turbofan">
+    <location unit="IN"><x>80</x><y>{y}</y><z>10</z></location>
+    <feed>0</feed>
+    <thruster file="direct"><location unit="IN"><x>90</x><y>{y}</y><z>10</z></location></thruster>
+  </engine>"""
+        for y in (-50, 50)
+    ]
+    propulsion = "\n".join(
+        [
+            "<propulsion>",
+            *parts,
+            """  <tank type="FUEL" number="0">
+    <location unit="IN"><x>42</x><y>0</y><z>0</z></location>
+    <capacity unit="LBS">4000</capacity><contents unit="LBS">2500</contents>
+  </tank>""",
+            "</propulsion>",
+        ]
+    )
+    powered = "\n".join(
+        f"""    <fcs_function name="power/{name}">
+      <function><product>
+        <property>fcs/{name}-cmd-norm</property>
+        <property>{"fbw/law-normal" if name == "elevator" else pressure}</property>
+      </product></function>
+    </fcs_function>
+"""
+        + surface(f"powered/{name}", f"power/{name}", POSITIONS[name])
+        for name in POSITIONS
+        for pressure in ("systems/hydraulics/green/pressure-norm",)
+    )
+    control = f"""<flight_control name="jet">
+  <channel name="Powered">
+{powered}
+    <pure_gain name="spoiler/position">
+      <input>/controls/flight/speedbrake</input><gain>1</gain>
+      <output>fcs/speedbrake-pos-norm</output>
+    </pure_gain>
+  </channel>
+</flight_control>"""
+    body = "\n".join(
+        [
+            airframe(
+                wing=(320.0, 50.0, 7.0), inertia=(14000.0, 28000.0, 40000.0), weight_lbs=10500.0
+            ),
+            propulsion,
+            '<system file="hydraulics"/>',
+            control,
+            aerodynamics(),
+        ]
+    )
+    return {
+        "jet.xml": _config("jet", body),
+        "Engines/turbofan.xml": TURBOFAN,
+        "Engines/direct.xml": '<?xml version="1.0"?>\n<direct name="direct"/>\n',
+        "Systems/hydraulics.xml": HYDRAULICS,
+    }
+
+
 STYLES = {
     "single": _piston_single,
     "glider": _glider,
     "wing": _electric_foam,
     "twin": _twin,
     "vtail": _v_tail,
+    "jet": _business_jet,
 }
-SPEEDS_MPS = {"single": 50.0, "glider": 28.0, "wing": 15.0, "twin": 60.0, "vtail": 15.0}
+SPEEDS_MPS = {
+    "single": 50.0,
+    "glider": 28.0,
+    "wing": 15.0,
+    "twin": 60.0,
+    "vtail": 15.0,
+    "jet": 130.0,
+}
 
 
 def write(style: str, parent: Path) -> Path:

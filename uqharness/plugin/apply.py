@@ -464,6 +464,12 @@ def instrument_aircraft(
         for name, control in (facts.controls if facts is not None else {}).items()
         if control.property not in ("", aircraft.card.inputs[name].property)
     ]
+    assumed_rows = {row.name: row.source for row in host_properties(aircraft)}
+    notes += [
+        f"{row.name} is {row.source}: without it a control moves nothing"
+        for row in (facts.host if facts is not None else ())
+        if row.source != assumed_rows.get(row.name)
+    ]
     if facts is not None and facts.dt_s < aircraft.dt_s:
         notes.append(
             f"its propellers are unstable at a step of {aircraft.dt_s:g} s: airframe.toml has dt_s"

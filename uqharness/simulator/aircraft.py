@@ -10,6 +10,7 @@ from __future__ import annotations
 import difflib
 import logging
 import math
+import re
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -294,7 +295,7 @@ def model_files(aircraft: HasFiles) -> ModelFiles:
     carried = _carried_system(files)
     if carried and aircraft.card.host:
         content = host.host_system_xml(host.with_host_entries((), aircraft.card.host))
-        if content != local[carried].content:
+        if _without_comments(content) != _without_comments(local[carried].content):
             _report(
                 f"{aircraft.folder / carried} differs from [host] of airframe.toml, which is flown;"
                 " `uqharness instrument` writes the system again"
@@ -343,6 +344,11 @@ def staged(aircraft: Aircraft) -> Staging:
             (place / at.relative_to(author.root), real) for at, real in author.user_folders
         ),
     )
+
+
+def _without_comments(content: bytes) -> bytes:
+    """Return XML without comments and white space."""
+    return b"".join(re.sub(rb"<!--.*?-->", b"", content, flags=re.DOTALL).split())
 
 
 def _entries(aircraft: Aircraft) -> str:

@@ -277,7 +277,11 @@ def measure_facts(folder: Path) -> AircraftFacts:
             for name, facts in controls.items()
             for card in (aircraft.card.inputs[name],)
         },
-        host_properties(aircraft),
+        tuple(
+            # Entries of an aircraft without a card were found by their effect.
+            replace(row, kind="system") if row.name in aircraft.card.host else row
+            for row in host_properties(aircraft)
+        ),
         opened.values["velocities/vt-fps"] * FT_M,
         aircraft.dt_s,
     )

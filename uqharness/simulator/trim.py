@@ -20,7 +20,7 @@ from scipy.optimize import OptimizeResult, least_squares
 from sysid.units import G0_MPS2, LBF_N, SLUG_KG
 from uqharness.errors import BadInputError
 from uqharness.simulator import engine, forced_state, settling
-from uqharness.simulator.aircraft import Aircraft, open_aircraft, with_step
+from uqharness.simulator.aircraft import Aircraft, host_properties, open_aircraft, with_step
 from uqharness.simulator.forced_state import (
     ACCELERATIONS,
     BodyState,
@@ -413,8 +413,14 @@ class _SearchResult:
         """Return the trim; without convergence, with its cause."""
         if self.trim.converged:
             return self.trim
+        hint = ""
+        if not self.problem.aircraft.has_card and host_properties(self.problem.aircraft):
+            hint = (
+                "; it reads properties of its host, and `uqharness instrument` finds by their"
+                " effect which systems must be on"
+            )
         return replace(
-            self.trim, reason=f"{_condition_text(self.problem.condition)}: {self._cause()}"
+            self.trim, reason=f"{_condition_text(self.problem.condition)}: {self._cause()}{hint}"
         )
 
     def _cause(self) -> str:
