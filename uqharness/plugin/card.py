@@ -333,7 +333,8 @@ def _leaf(name: str) -> str:
 
 _ASSUMED_THROW_DEG = 20.0
 ERRORS_SYSTEM = "path-errors"
-_LIMITS = {"norm": [0, 1], "pct": [0, 100]}
+# A surface that is commanded by its angle has an assumed reach.
+_LIMITS = {"norm": [-1, 1], "deg": [-20, 20], "rad": [-0.35, 0.35]}
 _POSITIVE = {
     "elevator": ("nose down", "nose up"),
     "aileron": ("right wing down", "left wing down"),
@@ -391,10 +392,10 @@ def card_text(
         ]
         lines += [
             f'positive = "{_POSITIVE[control][control_facts.sense < 0]}"',
-            f"limits = {_LIMITS[control_facts.unit] if control == 'throttle' else [-1, 1]}",
+            f"limits = {_limits(control, control_facts)}",
         ]
         throw = control_facts.throw_deg
-        if control != "throttle":
+        if control != "throttle" and control_facts.unit == "norm":
             # Surfaces without a measured angle get an assumed throw.
             assumed = "" if throw is not None else "     # assumed: the XML tells no angle"
             if throw is None:
@@ -441,6 +442,13 @@ def card_text(
             *(_host_line(row) for row in facts.host),
         ]
     return "\n".join(lines) + "\n"
+
+
+def _limits(control: str, facts: ControlFacts) -> list[float]:
+    """Return the range of a command."""
+    if control == "throttle":
+        return [0, 100] if facts.unit == "pct" else [0, 1]
+    return list(_LIMITS[facts.unit])
 
 
 _HOST_REMARKS = {"system": "on", "command": "an input of the model"}

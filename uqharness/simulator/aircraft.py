@@ -7,7 +7,6 @@ units.
 
 from __future__ import annotations
 
-import difflib
 import logging
 import math
 import re
@@ -26,7 +25,7 @@ from sysid.units import FT_M, RAD_DEG, SLUG_FT3_KGPM3
 from uqharness.arguments import path as argument_path
 from uqharness.errors import BadInputError
 from uqharness.files import PROJECT_ROOT
-from uqharness.simulator import engine, host, staging
+from uqharness.simulator import engine, host, staging, xml_findings
 from uqharness.simulator.card import Card, InputCard, read_card, standard_card
 from uqharness.simulator.host import HostProperty
 from uqharness.simulator.physical_checks import (
@@ -269,11 +268,16 @@ def host_properties(aircraft: Aircraft) -> tuple[HostProperty, ...]:
     # Cached by file states within this process, and by content on disk.
     stamp = fingerprint(aircraft), _entries(aircraft)
     if stamp not in _host:
-        # Only what JSBSim reads: folders also hold sounds, scenes and panels.
-        for name in staging.model_files(aircraft).local:
-            refuse_unknown_operations(aircraft.folder / name)
+        refuse_unknown_operations(aircraft)
         check_physical(aircraft)
-        rows = ensure_loadable(aircraft, content_hash(aircraft))
+        try:
+            rows = ensure_loadable(aircraft, content_hash(aircraft))
+        except BadInputError as error:
+            # JSBSim names its first error; the others are looked for.
+            errors = _findings(aircraft, refused=True)
+            if not errors:
+                raise
+            raise BadInputError(_all_findings(errors)) from error
         for path in sorted(aircraft.folder.glob("*-set.xml")):
             rows = host.with_initial_values(rows, host.initial_values(read_xml(path)))
         # An instrumented aircraft brings the host's system along.
@@ -377,26 +381,32 @@ roundmultiple sign sin sqrt sum switch t table tan todegrees toradians urandom v
 documentation
 """
 _OPERATIONS = frozenset(_OPERATIONS_TEXT.split())
-_TABLES = frozenset({"table", "t"})
 
 
-def refuse_unknown_operations(path: Path) -> None:
-    """Raise BadInputError with file and line for an operation that JSBSim does not know."""
+def refuse_unknown_operations(aircraft: Aircraft) -> None:
+    """Raise BadInputError with file and line for operations that JSBSim does not know.
 
-    def walk(element: etree._Element) -> None:
-        for child in element.iterchildren("*"):
-            if child.tag not in _OPERATIONS:
-                matches = difflib.get_close_matches(str(child.tag), sorted(_OPERATIONS), n=1)
-                hint = f"; did you mean <{matches[0]}>?" if matches else ""
-                raise BadInputError(
-                    f"{path}:{child.sourceline}: <{child.tag}> is no operation of a JSBSim"
-                    f" function; JSBSim would ignore it{hint}"
-                )
-            if child.tag not in _TABLES:
-                walk(child)
+    Only files that JSBSim reads are searched: folders also hold sounds, scenes and panels.
+    """
+    if errors := _findings(aircraft, refused=False):
+        raise BadInputError(_all_findings(errors))
 
-    for function in parse_xml(path).getroot().iter("function"):
-        walk(function)
+
+def _findings(aircraft: Aircraft, refused: bool) -> list[str]:
+    """Return what is wrong in the aircraft's XML: all that JSBSim refused, or what it ignores."""
+    files = staging.model_files(aircraft)
+    names = {name: str(aircraft.folder / name) for name in files.local}
+    stems = [Path(name).stem for name, _ in walk(aircraft.folder) if name.endswith(".xml")]
+    return xml_findings.findings(files, names, _OPERATIONS, stems=stems, refused=refused)
+
+
+def _all_findings(errors: list[str]) -> str:
+    """Return findings as one message."""
+    if len(errors) == 1:
+        return errors[0]
+    return f"{len(errors)} errors in the XML: " + "; ".join(
+        f"({number}) {text}" for number, text in enumerate(errors, start=1)
+    )
 
 
 _LOG = logging.getLogger("uqharness")

@@ -197,7 +197,7 @@ class ControlFacts:
     property : str
         The command; empty for JSBSim's.
     unit : str
-        "norm", or "pct" for a throttle in percent.
+        "norm", "pct" for a throttle in percent, or "deg" or "rad" for a surface's angle.
     """
 
     sense: int
@@ -252,10 +252,12 @@ def measure_facts(folder: Path) -> AircraftFacts:
     controls = {
         name: _control_facts(
             name,
-            _hold_commands(aircraft, name, _COMMANDS),
-            functools.partial(_hold_commands, aircraft, name, _COMMANDS, _TURNING_RADPS),
+            _hold_commands(aircraft, name, commands),
+            functools.partial(_hold_commands, aircraft, name, commands, _TURNING_RADPS),
         )
         for name in _RESPONSE
+        for reach in (aircraft.card.inputs[name].limits[1],)
+        for commands in ([reach * command for command in _COMMANDS],)
     }
     closed, opened = (
         _hold_commands(aircraft, "throttle", (value,))[0]
@@ -297,7 +299,12 @@ _COMMAND_WORDS = {
     "throttle": re.compile(r"throttle|thrust|power|motor|pwr|esc\b|engine|gas|rpm"),
 }
 _NO_COMMAND = re.compile(r"trim|flap|brake|gear|spoiler|mixture|advance|starter|magneto|cutoff")
-_PERCENT = re.compile(r"pct|percent")
+_UNITS = {
+    "pct": re.compile(r"pct|percent"),
+    "deg": re.compile(r"[-_]deg\b"),
+    "rad": re.compile(r"[-_]rad\b"),
+}
+_ASSUMED_REACH = {"deg": 20.0, "rad": 0.35}  # of a surface commanded by its angle
 _MAX_CANDIDATES = 60
 _MIN_SHARE = 1e-4  # of the weight, or rad/s2: the smallest answer of a command that is worth a name
 _MIDDLE_SHARE = 0.02  # of the answer, by which half a command must differ from both ends
@@ -371,8 +378,12 @@ def with_live_controls(aircraft: Aircraft) -> Aircraft:
 def _with_input(aircraft: Aircraft, control: str, name: str) -> Aircraft:
     """Return the aircraft with another command of a control."""
     change: dict[str, object] = {"property": name}
-    if control == "throttle" and _PERCENT.search(name):
-        change |= {"unit": "pct", "limits": (0.0, 100.0)}
+    unit = next((unit for unit, words in _UNITS.items() if words.search(name)), "")
+    if control == "throttle":
+        change |= {"unit": "pct", "limits": (0.0, 100.0)} if unit == "pct" else {}
+    elif unit in _ASSUMED_REACH:
+        reach = _ASSUMED_REACH[unit]
+        change |= {"unit": unit, "limits": (-reach, reach)}
     row = aircraft.card.inputs[control].model_copy(update=change)
     inputs = {**aircraft.card.inputs, control: row}
     return replace(aircraft, card=aircraft.card.model_copy(update={"inputs": inputs}))
@@ -433,7 +444,7 @@ class _Bench:
 
     def _strength(self, control: str, name: str) -> float:
         """Return the size of a graded answer to a property; 0 for a switch."""
-        scale = 100.0 if _PERCENT.search(name) else 1.0
+        scale = 100.0 if _UNITS["pct"].search(name) else 1.0
         start = self._fdm[name]
         low, middle, high = (self._answer(control, name, v * scale) for v in (0.0, 0.5, 1.0))
         self._fdm[name] = start
