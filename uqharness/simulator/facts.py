@@ -305,7 +305,7 @@ _UNITS = {
     "rad": re.compile(r"[-_]rad\b"),
 }
 _ASSUMED_REACH = {"deg": 20.0, "rad": 0.35}  # of a surface commanded by its angle
-_MAX_CANDIDATES = 60
+_MAX_CANDIDATES, _MAX_SWITCHES = 60, 20
 _MIN_SHARE = 1e-4  # of the weight, or rad/s2: the smallest answer of a command that is worth a name
 _MIDDLE_SHARE = 0.02  # of the answer, by which half a command must differ from both ends
 
@@ -343,36 +343,38 @@ def with_live_controls(aircraft: Aircraft) -> Aircraft:
     throttle, angular acceleration for a surface. Systems are what a host would provide and is 0.
     Without effect of either the aircraft is unchanged. Raises BadInputError.
     """
-    bench = _Bench(aircraft)
-    dead = [control for control in _COMMAND_WORDS if not bench.answers(control)]
-    if not dead:
-        return aircraft
+    dead = [control for control in _COMMAND_WORDS if not _Bench(aircraft).answers(control)]
     for control in dead:
-        found = bench.command(control)
-        if found is not None:
-            aircraft = _with_input(aircraft, control, found)
-    dead = [control for control in dead if not _Bench(aircraft).answers(control)]
-    # A glider has no throttle, and a fin may be fixed: only what is off can be switched on.
-    off = [
-        row.name
-        for row in host_properties(aircraft)
-        if row.kind == "unknown" and row.source == "0" and not row.misspelt
-    ][:_MAX_CANDIDATES]
-    for control in dead if off else ():
-        # All at once, else one of them: some are brakes, locks or failures.
-        attempts = [dict.fromkeys(off, 1.0), *({name: 1.0} for name in off)]
-        on = next((each for each in attempts if _Bench(aircraft, each).answers(control)), None)
-        if on is None:
-            continue
-        # Switch off again what the control does not need.
-        for name in off:
-            fewer = {key: value for key, value in on.items() if key != name}
-            if _Bench(aircraft, fewer).answers(control):
-                on = fewer
-        card = aircraft.card.model_copy(update={"host": {**aircraft.card.host, **on}})
-        aircraft = replace(aircraft, card=card)
-        off = [name for name in off if name not in on]
+        switched = _with_systems_on(aircraft, control)
+        if switched is not None:
+            aircraft = switched
+        elif name := _Bench(aircraft).command(control):
+            aircraft = _with_input(aircraft, control, name)
+            if not _Bench(aircraft).answers(control):
+                aircraft = _with_systems_on(aircraft, control) or aircraft
     return aircraft
+
+
+def _with_systems_on(aircraft: Aircraft, control: str) -> Aircraft | None:
+    """Return the aircraft with the fewest systems on with which a control answers; None if none
+    help.
+    """
+    off = [
+        row.name for row in host_properties(aircraft) if row.kind == "unknown" and row.source == "0"
+    ]
+    # All at once, else one of them: some are brakes, locks or failures.
+    attempts = [dict.fromkeys(off, 1.0)] if off else []
+    attempts += [{name: 1.0} for name in off] if 1 < len(off) <= _MAX_SWITCHES else []
+    on = next((each for each in attempts if _Bench(aircraft, each).answers(control)), None)
+    if on is None:
+        return None
+    # Switch off again what the control does not need.
+    for name in off if len(on) > 1 else ():
+        fewer = {key: value for key, value in on.items() if key != name}
+        if _Bench(aircraft, fewer).answers(control):
+            on = fewer
+    card = aircraft.card.model_copy(update={"host": {**aircraft.card.host, **on}})
+    return replace(aircraft, card=card)
 
 
 def _with_input(aircraft: Aircraft, control: str, name: str) -> Aircraft:

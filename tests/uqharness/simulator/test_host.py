@@ -198,3 +198,41 @@ def test_the_author_s_initial_values_are_taken_where_nothing_else_is_known(tmp_p
     found = {row.name: row.source for row in host_properties(aircraft)}
     assert [found[name] for name in names] == ["7.5", "1", "0", "3"]
     assert found["/velocities/mach"] == "velocities/mach"
+
+
+def test_a_system_that_a_control_needs_is_switched_on_by_its_effect(tmp_path):
+    folder = foreign_aircraft.write("vtail", tmp_path)
+    xml = folder / "vtail.xml"
+    text = xml.read_text().replace('<property value="1">systems/esc/armed</property>', "")
+    xml.write_text(text.replace("systems/esc/armed", "systems/esc/go"))
+    author = find_aircraft(folder)
+    (row,) = host_properties(author)
+    assert (row.name, row.source) == ("systems/esc/go", "0")
+    live = facts.with_live_controls(author)
+    assert live.card.host == {"systems/esc/go": 1.0}
+    # The switch is no throttle, although more of it is more thrust at an open throttle.
+    assert live.card.inputs["throttle"].property == "fcs/throttle-cmd-norm"
+
+
+def test_an_aircraft_whose_controls_answer_is_left_as_it_is(tmp_path):
+    author = find_aircraft(foreign_aircraft.write("single", tmp_path))
+    assert facts.with_live_controls(author) is author
+
+
+@pytest.mark.parametrize(
+    ("command", "unit", "limits"),
+    [("uav/motor-command", "norm", (0.0, 1.0)), ("uav/motor-pct", "pct", (0.0, 100.0))],
+)
+def test_a_throttle_in_percent_has_its_range(tmp_path, command, unit, limits):
+    folder = foreign_aircraft.write("wing", tmp_path)
+    xml = folder / "wing.xml"
+    text = xml.read_text().replace("uav/motor-command", command)
+    if unit == "pct":
+        text = text.replace(f"<input>{command}</input>", "<input>motor/share</input>").replace(
+            '<channel name="Motor">',
+            f'<channel name="Motor"><pure_gain name="motor/share"><input>{command}</input>'
+            "<gain>0.01</gain></pure_gain>",
+        )
+    xml.write_text(text)
+    throttle = facts.with_live_controls(find_aircraft(folder)).card.inputs["throttle"]
+    assert (throttle.property, throttle.unit, throttle.limits) == (command, unit, limits)
