@@ -59,6 +59,8 @@ XML_TEXT = (
     "uqharness/simulator/own_mission.py",
     "uqharness/simulator/own_mission.py",
     "uqharness/simulator/own_mission.py",
+    # The system of an aircraft's host, part of what is staged, below uqharness.xml.
+    "uqharness/simulator/host.py",
     # Effects are written as an author would; refinement's inside is to be rewritten.
     "uqharness/refinement/write_xml.py",
     # Messages say what is not understood.
