@@ -8,18 +8,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from uqharness.batch.form.ir import Value
 from uqharness.batch.form.program import When
 from uqharness.batch.models.vectors import Vector, plus
 from uqharness.batch.translate.aerodynamics import write_function
-from uqharness.batch.translate.channels import Sources, compute_where_read, refuse_inner_names
+from uqharness.batch.translate.channels import Sources, compute_inner_names, compute_where_read
 from uqharness.batch.translate.engine_files import (
     Part,
     number,
     property_base,
-    refuse_unknown,
+    refuse_tags,
     required_number,
     with_number,
 )
@@ -31,6 +31,7 @@ from uqharness.batch.translate.frame import (
     canonical,
     error_scope,
     integer_hook,
+    truth_hook,
 )
 from uqharness.batch.translate.piston import Piston, read_piston
 from uqharness.batch.translate.propeller import Jet, Propeller, read_jet, read_mount, read_propeller
@@ -44,13 +45,13 @@ from uqharness.batch.translate.tanks import (
     trace_tanks,
 )
 from uqharness.batch.translate.turbine import FUNCTIONS, Turbine, read_turbine
+from uqharness.batch.translate.turboprop import POWER_FACTOR, Turboprop, read_turboprop
 from uqharness.errors import BadInputError
 from uqharness.xml import Document, Node
 
 _HP_WATTS = 745.7
 _HP_FTLBPS = 550.0
 _NM_FTLB = 1.3558
-_ALWAYS = ("function",)
 
 
 @dataclass(frozen=True)
@@ -109,11 +110,7 @@ def read_electric(scope: Scope, part: Part, name: str, index: str) -> Electric |
     """Read an electric engine of either kind; raises BadInputError with file and line."""
     node = part[1]
     if node.tag == "electric_engine":
-        refuse_unknown(scope, node, ("power", *_ALWAYS))
         return Electric(name, index, number(scope, node, "power", _HP_WATTS, "WATTS"))
-    refuse_unknown(
-        scope, node, ("maxvolts", "velocityconstant", "coilresistance", "noloadcurrent", *_ALWAYS)
-    )
     return Brushless(
         name,
         index,
@@ -143,7 +140,7 @@ class Engine:
     part: Part
     name: str
     index: str
-    motor: Electric | Brushless | Piston | Turbine
+    motor: Electric | Brushless | Piston | Turbine | Turboprop
     thruster: Propeller | Jet
     feeds: tuple[int, ...]
 
@@ -185,7 +182,9 @@ class Propulsion:
             frame.hooks[f"{engine.name}constant-speed-mode"] = integer_hook(
                 f"{engine.name}constant-speed-mode"
             )
-            refuse_inner_names(frame, *engine.part)
+            if isinstance(engine.motor, Turboprop):
+                frame.hooks[f"{engine.name}reverser"] = truth_hook(f"{engine.name}reverser")
+            compute_inner_names(frame, *engine.part)
             for function in engine.part[1].all("function") if first else ():
                 compute_where_read(frame, engine.part[0], function)
 
@@ -283,7 +282,9 @@ def read_propulsion(sources: Sources, values: Values, engines_running: bool = Fa
         return Propulsion(None, (), ())
     document, node = sources.propulsion
     scope = error_scope(document)
-    refuse_unknown(scope, node, ("engine", "tank", "property"), ("name", "file"))
+    refuse_tags(
+        scope, node, {"function": "is not understood by the batch engine"}, ("name", "file")
+    )
     _check_start(values)
     tanks = tuple(read_tank(scope, (document, tank), k) for k, tank in enumerate(node.all("tank")))
     magnetos = _BOTH_MAGNETOS if engines_running else _magnetos(sources.script)
@@ -303,15 +304,20 @@ def _read_engine(
     """Read one engine with its thruster and feeds."""
     document, node = part
     scope, name, index = error_scope(document), property_base(k), f"[{k}]" if k else ""
-    kinds = ("electric_engine", "brushless_dc_motor", "piston_engine", "turbine_engine")
-    refuse_unknown(
-        scope, node, ("feed", "thruster", "location", "orient", *kinds), ("file", "name")
+    kinds = (
+        "electric_engine",
+        "brushless_dc_motor",
+        "piston_engine",
+        "turbine_engine",
+        "turboprop_engine",
     )
+    refuse_tags(scope, node, None, ("file", "name"))
     root_part = with_number(_content(scope, part, included, kinds), k)
     scope_of_root, root = error_scope(root_part[0]), root_part[1]
-    # A turbine's functions belong to the engine's properties.
+    # Some functions belong to the engine's properties.
+    titles = {"turbine_engine": FUNCTIONS, "turboprop_engine": (POWER_FACTOR,)}.get(root.tag, ())
     for function in root.all("function"):
-        if function.attributes.get("name", "") in FUNCTIONS and root.tag == "turbine_engine":
+        if function.attributes.get("name", "") in titles:
             function.attributes["name"] = name + function.attributes["name"]
         if function.attributes.get("type", "") not in ("", "pre", "post"):
             scope_of_root.refuse(function, "a function of an engine has type pre or post")
@@ -329,19 +335,21 @@ def _read_engine(
         if thruster_part[1].tag == "propeller"
         else read_jet(thruster_scope, thruster_part, mount)
     )
-    motor: Electric | Brushless | Piston | Turbine
+    motor: Electric | Brushless | Piston | Turbine | Turboprop
     if root.tag == "piston_engine":
         motor = read_piston(scope_of_root, root_part, name, index, magnetos)
     elif root.tag == "turbine_engine":
         motor = read_turbine(scope_of_root, root_part, name, index)
+    elif root.tag == "turboprop_engine":
+        motor = read_turboprop(scope_of_root, root_part, name, index)
     else:
         motor = read_electric(scope_of_root, root_part, name, index)
     if isinstance(motor, Brushless) and not isinstance(thruster_model, Propeller):
         scope.refuse(thruster, "a brushless motor turns a propeller")
-    if isinstance(motor, Turbine) and (
-        not isinstance(thruster_model, Jet) or thruster_model.area_ft2 is not None
-    ):
-        scope.refuse(thruster, "a turbine has a <direct> thruster")
+    if isinstance(motor, Turboprop):
+        if not isinstance(thruster_model, Propeller):
+            scope.refuse(thruster, "a turboprop turns a propeller")
+        thruster_model = replace(thruster_model, reverses=True)
     # Tanks are named by number.
     feeds = tuple(int(scope.number(feed)) for feed in node.all("feed"))
     if any(not 0 <= feed < tanks for feed in feeds):

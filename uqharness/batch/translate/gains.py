@@ -224,9 +224,10 @@ def switch(c: Component) -> None:
     and clipping.
     """
     value = c.builder.constant(0.0)
-    for node in c.node.all("default"):
-        c.scope.only(node, ("value",))
-        value = _value(c.scope, node)
+    default = c.node.find("default")
+    if default is not None:
+        c.scope.only(default, ("value",))
+        value = _value(c.scope, default)
     for node in reversed(c.node.all("test")):
         c.scope.only(node, ("value", "logic"))
         value = condition(c.scope, node).choose(_value(c.scope, node), value)

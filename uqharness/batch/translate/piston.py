@@ -19,7 +19,7 @@ from uqharness.batch.translate.engine_files import (
     grid,
     lookup,
     number,
-    refuse_unknown,
+    refuse_tags,
 )
 from uqharness.batch.translate.frame import Frame, Scope
 from uqharness.batch.translate.functions import Grid
@@ -29,43 +29,6 @@ _R_AIR, _CALORIFIC, _CP_AIR, _CP_FUEL = 287.3, 47.3e6, 1005.0, 1700.0
 _STANDARD_PA, _HP_FTLBPS = 101320.73, 550.0
 _MIN_INDICATED_HP = 0.125
 _MANIFOLD_GAMMA = 1.3
-_TAGS = (
-    "minmp",
-    "maxmp",
-    "displacement",
-    "maxhp",
-    "cycles",
-    "idlerpm",
-    "maxrpm",
-    "maxthrottle",
-    "minthrottle",
-    "sparkfaildrop",
-    "bore",
-    "stroke",
-    "compression-ratio",
-    "cylinders",
-    "bsfc",
-    "volumetric-efficiency",
-    "starter-torque",
-    "starter-rpm",
-    "function",
-    "ram-air-factor",
-    "man-press-lag",
-    "static-friction",
-    "cylinder-head-mass",
-    "air-intake-impedance-factor",
-    "cooling-factor",
-    "dynamic-fmep",
-    "static-fmep",
-    "peak-piston-speed",
-    "oil-pressure-relief-valve-psi",
-    "design-oil-temp-degK",
-    "oil-pressure-rpm-max",
-    "oil-viscosity-index",
-    "table",
-    "injected",
-)
-"""Allowed elements; JSBSim ignores injected and bore."""
 _COMBUSTION = Grid(
     (0.0, 0.9, 1.0, 1.05, 1.1, 1.15, 1.2, 1.3, 1.4, 1.5, 1.6, 2.0),
     (),
@@ -312,17 +275,14 @@ def read_piston(scope: Scope, part: Part, name: str, index: str, magnetos: float
         scope.refuse(
             boost, "a supercharged engine (numboostspeeds) is not understood by the batch engine"
         )
-    refuse_unknown(scope, node, _TAGS)
+    refuse_tags(scope, node)
     tables = {"COMBUSTION": _COMBUSTION, "MIXTURE": _MIXTURE}
     # The file may replace both tables.
     for table in node.all("table"):
         title = table.attributes.get("name", "")
+        # JSBSim ignores other tables.
         if title not in tables:
-            scope.refuse(
-                table,
-                f"a table '{title}' of a piston engine is not understood; COMBUSTION and"
-                " MIXTURE are",
-            )
+            continue
         tables[title] = grid(scope, table)
         if tables[title].columns:
             scope.refuse(table, f"table {title} has one dimension")

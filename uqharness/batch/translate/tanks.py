@@ -16,24 +16,10 @@ import numpy as np
 from sysid.units import SLUG_LB
 from uqharness.batch.form.ir import Value
 from uqharness.batch.models.vectors import Vector
-from uqharness.batch.translate.engine_files import Part, number, refuse_unknown, triplet
+from uqharness.batch.translate.engine_files import Part, number, refuse_tags, triplet
 from uqharness.batch.translate.frame import Frame, Scope
 
 _MIN_CAPACITY = 1e-5
-_TAGS = (
-    "location",
-    "drain_location",
-    "radius",
-    "inertia_factor",
-    "capacity",
-    "contents",
-    "unusable-volume",
-    "temperature",
-    "standpipe",
-    "priority",
-    "density",
-    "type",
-)
 
 
 @dataclass(frozen=True)
@@ -105,7 +91,8 @@ class Tank:
 def read_tank(scope: Scope, part: Part, index: int) -> Tank:
     """Read a ``<tank>``; raises BadInputError with file and line."""
     node = part[1]
-    refuse_unknown(scope, node, _TAGS, ("type", "name", "number"))
+    grain = {"grain_config": "is not understood by the batch engine"}
+    refuse_tags(scope, node, grain, ("type", "name"))
     if node.attributes.get("type", "") != "FUEL":
         scope.refuse(
             node,
@@ -118,7 +105,7 @@ def read_tank(scope: Scope, part: Part, index: int) -> Tank:
     name = f"propulsion/tank[{index}]/" if index else "propulsion/tank/"
     return Tank(
         name,
-        None if drain is None else triplet(scope, drain, ("x", "y", "z"), "IN"),
+        None if drain is None else triplet(scope, drain, "IN"),
         capacity or _MIN_CAPACITY,
         number(scope, node, "inertia_factor", 1.0) * 0.4 * radius * radius / 144.0,
     )

@@ -222,7 +222,6 @@ def test_the_reference_point_may_be_written():
             "<axis name='ROLL'><function name='f' apply_at_cg='true'><v>1</v></function></axis>",
             "apply_at_cg",
         ),
-        ("<axis name='X' colour='red'/>", "attribute 'colour'"),
         ("<function name='f' type='template'><v>1</v></function>", "allowed are pre and post"),
         (
             "<axis name='X'><function name='f'><p>position/vrp-radius-ft</p></function></axis>",
