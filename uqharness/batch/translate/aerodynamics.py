@@ -19,8 +19,7 @@ from uqharness.batch.form.ir import Value
 from uqharness.batch.models.auxiliary import arm, structural_to_body
 from uqharness.batch.models.motion import INERTIAL, MATRIX, matrix
 from uqharness.batch.models.vectors import Matrix, Vector, cross, matvec, plus, times, transpose
-from uqharness.batch.translate.channels import function_name
-from uqharness.batch.translate.frame import Frame, Scope, canonical, writable
+from uqharness.batch.translate.frame import Frame, Scope, canonical, function_name, writable
 from uqharness.batch.translate.functions import function_value
 from uqharness.xml import Document, Node
 

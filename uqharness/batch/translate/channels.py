@@ -25,6 +25,7 @@ from uqharness.batch.translate.frame import (
     Scope,
     copy_levers,
     error_scope,
+    function_name,
     property_of,
     read_only,
 )
@@ -140,7 +141,14 @@ class Systems:
             compute_inner_names(frame, part.document, part.node)
         before, after = self._functions("pre"), self._functions("post")
         # Before its first run a function is evaluated wherever it is read.
-        for document, node in (*before, *after) if first else ():
+        inside = [
+            (part.document, node)
+            for part in self.parts
+            for component in part.node.walk()
+            if component.tag == "fcs_function"
+            for node in component.all("function")
+        ]
+        for document, node in (*before, *after, *inside) if first else ():
             compute_where_read(frame, document, node)
         _set_step(frame, 1)
         _trace_functions(frame, "functions of systems", before)
@@ -228,11 +236,6 @@ def _inner_value(frame: Frame, document: Document, node: Node) -> Callable[[], V
             reading.pop()
 
     return value
-
-
-def function_name(name: str) -> str:
-    """Return the property of a function: white space becomes '-'."""
-    return "".join("-" if c.isspace() else c for c in name)
 
 
 def _set_step(frame: Frame, rate: int) -> None:

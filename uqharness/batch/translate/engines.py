@@ -182,6 +182,8 @@ class Propulsion:
             frame.hooks[f"{engine.name}constant-speed-mode"] = integer_hook(
                 f"{engine.name}constant-speed-mode"
             )
+            if isinstance(engine.motor, Piston):
+                frame.hooks[f"{engine.name}boost-speed"] = integer_hook(f"{engine.name}boost-speed")
             if isinstance(engine.motor, Turboprop):
                 frame.hooks[f"{engine.name}reverser"] = truth_hook(f"{engine.name}reverser")
             compute_inner_names(frame, *engine.part)

@@ -7,9 +7,10 @@ stands still (JSBSim's initialisation), then frames of one step.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 
+from uqharness.batch.form.ir import Value
 from uqharness.batch.form.program import Program, Stream
 from uqharness.batch.models import winds
 from uqharness.batch.models.atmosphere import trace_air_data, trace_atmosphere, trace_ratios
@@ -34,7 +35,6 @@ from uqharness.batch.translate.channels import (
     Systems,
     compute_inner_names,
     compute_where_read,
-    function_name,
 )
 from uqharness.batch.translate.engines import STEADY_STEP_S, Propulsion, read_propulsion
 from uqharness.batch.translate.frame import (
@@ -44,6 +44,7 @@ from uqharness.batch.translate.frame import (
     LeftOut,
     Values,
     canonical,
+    function_name,
     settable,
 )
 from uqharness.batch.translate.script import trace_events
@@ -296,12 +297,27 @@ def _integrator(values: Values, name: str) -> int:
     return number
 
 
+def _integrator_hook(name: str, number: float) -> Callable[[Frame, Value], None]:
+    """Return the hook of an integrator's number: systems that detect a crash change it, which ends
+    the flight here.
+    """
+
+    def write(frame: Frame, value: Value) -> None:
+        """Note another number."""
+        frame.note_beyond(value.ne(number))
+        frame.store(name, number)
+
+    return write
+
+
 def _trace(frame: Frame, models: FrameModels, phase: int) -> None:
     """Trace one frame; ``phase`` is 1 or 2 in the initialising frames, _RENEWAL in one after them,
     0 in flight.
     """
     sources, propulsion, request = models.sources, models.propulsion, models.request
     frame.hooks.update(_HOOKS)
+    for name in INTEGRATORS.values():
+        frame.hooks[name] = _integrator_hook(name, float(frame.values[name]))
     frame.live["simulation/dt"] = lambda: frame.step
     # Before its first run a function is evaluated where it is read.
     for part in (sources.aerodynamics, sources.external):

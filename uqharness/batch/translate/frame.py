@@ -195,6 +195,11 @@ def property_of(scope: Scope, node: Node, text: str) -> str:
     return name
 
 
+def function_name(name: str) -> str:
+    """Return the property of a function: white space becomes '-'."""
+    return "".join("-" if c.isspace() else c for c in name)
+
+
 def is_number(text: str) -> bool:
     """Return whether JSBSim takes the text for a number; otherwise it names a property.
 
@@ -602,7 +607,7 @@ _ENGINE_SET = (
     r"propulsion/engine(\[\d+\])?/([xyz]-position|(pitch|yaw|reverser)-angle-rad|blade-angle"
     r"|constant-speed-mode|propeller-sense"
     r"|friction-hp|bsfc-lbs_hphr|volumetric-efficiency|air-intake-impedance-factor"
-    r"|ram-air-factor|cooling-factor|starter-norm"
+    r"|ram-air-factor|cooling-factor|starter-norm|boost-speed"
     r"|bleed-factor|reverser)"
 )
 _ENGINE_MADE = (
@@ -610,7 +615,7 @@ _ENGINE_MADE = (
     r"|fuel-used-lbs|(engine|propeller)-rpm"
     r"|advance-ratio|thrust-coefficient|helical-tip-Mach|prop-induced-velocity_fps"
     r"|propeller-(power-ftlbps|torque-ftlb)"
-    r"|[xyz]-reference-position|power-hp|current-amperes|map-(pa|inhg)|boost-speed"
+    r"|[xyz]-reference-position|power-hp|current-amperes|map-(pa|inhg)"
     r"|boostloss-(factor|hp)|(cht|egt)-degF|AFR"
     r"|oil-(temperature-degF|pressure-psi)|n[12]|MaxN[12]|injection_cmd|seized|stalled"
     r"|Inj(ectionTimer|WaterNorm|N[12]increment)"
@@ -658,7 +663,7 @@ _FIXED = re.compile(
 )
 _WRITABLE = re.compile(
     rf"{_AIR}|metrics/aero-rp-[xyz]-in|{_ENGINE_SET}|{_TANK_SET}|{_CONTACT_SET}|{_STEERING}"
-    r"|ground/.*"
+    r"|simulation/integrator/(rate|position)/(rotational|translational)"
 )
 _BY_HOST = re.compile(
     r"metrics/(bw-ft|cbarw-ft)|inertia/(mass-slugs|weight-lbs|empty-weight-lbs|cg-[xyz]-in"

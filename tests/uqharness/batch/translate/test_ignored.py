@@ -61,7 +61,7 @@ def test_elements_of_engines_aerodynamics_and_the_aircraft_are_ignored() -> None
     case = engines.Case(
         text,
         [*engines.TOTALS, *engines.MOTION],
-        engines.levers(100),
+        engines.levers(30),
         {**engines.FILES, "Engines/fixed.xml": fixed},
         "",
     )

@@ -59,7 +59,7 @@ def test_the_second_line_tells_the_dimension(lines: str, shape: tuple[int, int])
 
 def test_strange_tables_and_elements_are_refused() -> None:
     for text in (
-        "<table><tableData>0 1</tableData></table>",
+        "<table><independentVar>a</independentVar><tableData>0 1</tableData></table>",
         '<table type="internal"><tableData></tableData></table>',
     ):
         scope, node = parsed(text)
