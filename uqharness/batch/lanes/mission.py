@@ -31,7 +31,7 @@ from uqharness.batch.translate.frame import (
     canonical,
     is_constant,
 )
-from uqharness.batch.translate.tanks import DRY, MASS, dry_aircraft
+from uqharness.batch.translate.tanks import DRY, MASS
 from uqharness.errors import BadInputError
 from uqharness.flight import (
     ContactPoint,
@@ -368,7 +368,7 @@ def load_start(mission: LaneMission, spec: FlightSpec) -> LoadedStart:
     if changed:
         engine.run_ic(fdm)
         static |= {name: float(fdm[name]) for name in mission.inputs if name.startswith(_STATIC)}
-        if mission.flight.propulsion.tanks and set(mission.inputs) & set(MASS):
-            static |= dry_aircraft(mission.flight.propulsion.tanks, lambda name: float(fdm[name]))
+        if mission.flight.propulsion.changes_mass and set(mission.inputs) & set(MASS):
+            static |= mission.flight.propulsion.dry_aircraft(lambda name: float(fdm[name]))
     set_wind_without_air(fdm, spec)
     return LoadedStart(conditions, settings, static, wind, tuple(float(fdm[name]) for name in WIND))

@@ -171,8 +171,8 @@ def trace_flight(sources: Sources, dt_s: float, values: Values, request: TraceRe
     propulsion = read_propulsion(sources, values, request.engines_running)
     stream_slots = {name for stream in request.streams for name in stream.columns}
     # The dry mass would no longer fit the total.
-    if propulsion.tanks and not request.changes_dry_mass and set(request.inputs) & set(MASS):
-        raise BadInputError("the mass of an aircraft with tanks cannot differ between lanes here")
+    if propulsion.changes_mass and not request.changes_dry_mass and set(request.inputs) & set(MASS):
+        raise BadInputError("a mass that changes in flight cannot differ between lanes here")
     models = FrameModels(
         sources,
         Systems(sources.systems, dt_s, len(propulsion.engines)),

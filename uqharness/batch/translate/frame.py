@@ -608,7 +608,7 @@ _ENGINE_SET = (
     r"|constant-speed-mode|propeller-sense"
     r"|friction-hp|bsfc-lbs_hphr|volumetric-efficiency|air-intake-impedance-factor"
     r"|ram-air-factor|cooling-factor|starter-norm|boost-speed"
-    r"|bleed-factor|reverser)"
+    r"|bleed-factor|reverser|mixture-ratio|isp)"
 )
 _ENGINE_MADE = (
     r"propulsion/engine(\[\d+\])?/(set-running|thrust-lbs|fuel-flow-rate-(pps|gph)"
@@ -619,7 +619,7 @@ _ENGINE_MADE = (
     r"|boostloss-(factor|hp)|(cht|egt)-degF|AFR"
     r"|oil-(temperature-degF|pressure-psi)|n[12]|MaxN[12]|injection_cmd|seized|stalled"
     r"|Inj(ectionTimer|WaterNorm|N[12]increment)"
-    r"|a?tsfc|itt-c|engtemp-c|total-vac-impulse|oxi-flow-rate-pps|mixture-ratio|isp|engtrq-ftlb|ielu_intervent|combustion_efficiency|total-impulse"
+    r"|a?tsfc|itt-c|engtemp-c|total-vac-impulse|oxi-flow-rate-pps|engtrq-ftlb|ielu_intervent|combustion_efficiency|total-impulse"
     r"|vacuum-thrust_lbs|rotor-.*|.*-angle-.*)"
 )
 _TANK_SET = (
@@ -663,6 +663,7 @@ _FIXED = re.compile(
 )
 _WRITABLE = re.compile(
     rf"{_AIR}|metrics/aero-rp-[xyz]-in|{_ENGINE_SET}|{_TANK_SET}|{_CONTACT_SET}|{_STEERING}"
+    r"|inertia/pointmass-(weight-lbs|location-[XYZ]-inches)(\[\d+\])?"
     r"|simulation/integrator/(rate|position)/(rotational|translational)"
 )
 _BY_HOST = re.compile(

@@ -119,21 +119,22 @@ class Jet:
         """Return force and moment of an engine's thrust [lbf]."""
         b, name = frame.builder, self.mount.name
         axial_thrust = thrust
-        cosine = b.constant(1.0)
-        if self.mount.roll_rad is not None:
-            cosine, _ = _cosine_sine(frame.get(f"{name}reverser-angle-rad"))
         if self.area_ft2 is None:
-            axial_thrust = cosine * thrust
+            if self.mount.roll_rad is not None:
+                cosine, _ = _cosine_sine(frame.get(f"{name}reverser-angle-rad"))
+                axial_thrust = cosine * thrust
         else:
             # A nozzle loses the ambient pressure over its exit area.
             net = thrust - frame.get("atmosphere/P-psf") * self.area_ft2
             axial_thrust = b.op("max", net, 0.0)
         frame.store(f"{name}thrust-lbs", axial_thrust)
-        zero = b.constant(0.0)
-        if self.area_ft2 is not None:
-            # A nozzle reports its thrust before the reverser.
-            axial_thrust = axial_thrust * cosine
-        return self.mount.act(frame, self.mount.to_body(frame), axial_thrust, (zero, zero, zero))
+        return self.act(frame)
+
+    def act(self, frame: Frame) -> tuple[Vector, Vector]:
+        """Return force and moment of the reported thrust."""
+        name, zero = self.mount.name, frame.builder.constant(0.0)
+        thrust = frame.get(f"{name}thrust-lbs")
+        return self.mount.act(frame, self.mount.to_body(frame), thrust, (zero, zero, zero))
 
 
 def read_jet(scope: Scope, node: Part, mount: Mount) -> Jet:

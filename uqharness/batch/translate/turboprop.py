@@ -23,7 +23,6 @@ POWER_FACTOR = "EnginePowerVC"
 _OFF, _RUN, _TRIM, _START = 0.0, 1.0, 2.0, 3.0
 _HP_FTLBPS = 550.0
 _LEAST_N1 = 15.0
-_UNKNOWN = 1e-9
 _FRICTION_HP, _FRICTION_RPM = -0.012, 5.0
 _EFFICIENCY = Grid(
     (60.0, 82.0, 96.0, 100.0, 104.0, 110.0),
@@ -162,15 +161,17 @@ class Turboprop:
         if not n.max_torque > 0.0:
             frame.store(f"{name}ielu_intervent", frame.get(f"{name}ielu_intervent"))
             return throttle
-        # JSBSim does not report the throttle, more than 0, that the limiter left while a script
-        # started the engine.
-        first = _UNKNOWN if frame.values.get(f"{name}set-running") else 0.0
+        # A script started the engine at full throttle. JSBSim does not report the throttle to which
+        # the limiter has lowered it.
+        started = frame.values.get(f"{name}set-running")
+        is_unknown = started and frame.values.get(f"{name}ielu_intervent")
+        first = math.nan if is_unknown else 1.0 if started else 0.0
         before = frame.memory(f"{key}/throttle", first)
+        frame.note_beyond(before.ne(before))
         torque = frame.get(f"{name}propeller-torque-ftlb")
         rises = throttle.ge(before)
         lowers = b.op("and", b.op("abs", torque).gt(n.max_torque), rises)
         raises = b.op("and", frame.get(f"{name}ielu_intervent").ne(0.0), rises)
-        frame.note_beyond(b.op("and", before.eq(_UNKNOWN), b.op("or", lowers, raises)))
         limited = lowers.choose(
             before - 0.1 * frame.step, raises.choose(before + 0.05 * frame.step, throttle)
         )
