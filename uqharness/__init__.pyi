@@ -19,6 +19,7 @@ from .api.campaigns import salvage_campaign as salvage_campaign
 from .api.campaigns import verify as verify
 from .api.errors import BadInputError as BadInputError
 from .api.errors import LogError as LogError
+from .api.exchange import export as export
 from .api.flights import export_log as export_log
 from .api.flights import fly as fly
 from .api.flights import log_info as log_info

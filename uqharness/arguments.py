@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import math
 import os
-import reprlib
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable
 from numbers import Integral, Real
 from pathlib import Path
 from typing import Any
@@ -17,9 +16,7 @@ from typing import Any
 import numpy as np
 
 from uqharness.errors import BadInputError
-
-_SHORT = reprlib.Repr()
-_SHORT.maxstring = _SHORT.maxother = 80
+from uqharness.requests.base import received_text
 
 
 def require(name: str, value: object, fits: bool, needed: str) -> None:
@@ -43,8 +40,7 @@ def require(name: str, value: object, fits: bool, needed: str) -> None:
     uqharness.errors.BadInputError: dt_s = -1.0: a positive number is needed
     """
     if not fits:
-        received = str(value) if isinstance(value, Real) else _SHORT.repr(value)
-        raise BadInputError(f"{name} = {received}: {needed} is needed")
+        raise BadInputError(f"{name} = {received_text(value)}: {needed} is needed")
 
 
 def instance(name: str, value: Any, kind: type, needed: str) -> Any:
@@ -59,11 +55,6 @@ def integer(name: str, value: Any, minimum: int = 0) -> int:
     fits = isinstance(value, Integral) and not isinstance(value, bool) and int(value) >= minimum
     require(name, value, fits, f"a whole number of at least {minimum}")
     return int(value)
-
-
-def workers(value: object) -> int | None:
-    """Return a number of worker processes; None leaves the choice to the function."""
-    return None if value is None else integer("workers", value, 1)
 
 
 def number(
@@ -82,13 +73,6 @@ def number(
     return float(value)
 
 
-def share(name: str, value: object) -> float:
-    """Return a confidence level, between 0 and 1 exclusive."""
-    return number(
-        name, value, "a number between 0 and 1, such as 0.95,", lambda given: 0.0 < given < 1.0
-    )
-
-
 def flag(name: str, value: object) -> bool:
     """Return a boolean; numpy booleans are valid."""
     require(name, value, isinstance(value, bool | np.bool_), "True or False")
@@ -104,22 +88,3 @@ def path(name: str, value: Any) -> Path:
         "a path, as a str or a Path,",
     )
     return Path(value)
-
-
-def one_of(name: str, value: Any, allowed: Collection[Any]) -> Any:
-    """Return the value if it is one of ``allowed``."""
-    if not (isinstance(value, str | int) and value in allowed):
-        raise BadInputError(
-            f"{name} = {_SHORT.repr(value)}: allowed are {', '.join(map(str, allowed))}"
-        )
-    return value
-
-
-def properties(value: object) -> dict[str, float]:
-    """Return JSBSim properties and their values; None gives an empty dictionary."""
-    settings = (
-        {}
-        if value is None
-        else instance("properties", value, Mapping, 'a mapping such as {"aero/Cm_q": -10.0}')
-    )
-    return {str(name): number(f"properties: {name}", setting) for name, setting in settings.items()}

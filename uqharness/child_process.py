@@ -14,7 +14,7 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -198,11 +198,3 @@ def child_environment() -> dict[str, str]:
     foreign = {"", os.curdir, os.getcwd()}
     places = [root, *(place for place in sys.path if place not in foreign)]
     return os.environ | CHILD_ENVIRONMENT | {"PYTHONPATH": os.pathsep.join(places)}
-
-
-def run_command(words: Sequence[str]) -> tuple[int, str, str]:
-    """Run a command of this program; return its exit code, standard output and standard error."""
-    process = subprocess.run(
-        [sys.executable, "-m", "uqharness", *words], capture_output=True, text=True, check=False
-    )
-    return process.returncode, process.stdout, process.stderr

@@ -44,7 +44,7 @@ RESULTS = (
     "uqharness.identification.bounds.MadeBounds",
     "uqharness.plugin.apply.Instrumented",
     "uqharness.refinement.run.Refinement",
-    "uqharness.api.campaigns.CampaignResult",
+    "uqharness.commands.campaign.CampaignResult",
     "uqharness.campaign.run.Progress",
     "uqharness.statistics.pbox.PBox",
     "uqharness.simulator.trim.Trim",

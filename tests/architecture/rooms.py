@@ -24,6 +24,7 @@ LAYERS: Mapping[str, tuple[str, ...]] = {
         "statistics",
         "replay",
         "identification",
+        "exchange",
         "sensitivity",
         "campaign",
         "next_flight",

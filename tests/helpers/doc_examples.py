@@ -298,7 +298,7 @@ class Scratch:
             elif example.kind == "python":
                 code = example.text if slow else example.reduced(example.text)
                 with contextlib.redirect_stdout(io.StringIO()):
-                    exec(compile(code, example.where, "exec"), self.namespace)
+                    exec(compile(code, example.where, "exec", dont_inherit=True), self.namespace)
             elif example.kind == "synopsis":
                 check_synopsis(example)
             elif example.kind == "toml":

@@ -5,16 +5,15 @@ A campaign is given as a file, by its name, as a dictionary of its sections, or 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from uqharness.arguments import require, share
 from uqharness.campaign import Progress
 from uqharness.campaign.folder import read_complete
+from uqharness.commands import CampaignResult
 from uqharness.commands import campaign as commands
-from uqharness.commands.campaign import CampaignResult
 from uqharness.commands.next_flight import next_flight as plan_next_flight
 from uqharness.commands.sensitivity import sensitivity as rank_coefficients
 from uqharness.errors import BadInputError
@@ -27,6 +26,7 @@ from uqharness.requests.campaign import (
     ConvergenceRequest,
     FolderRequest,
     MergeRequest,
+    PboxRequest,
     ReportRequest,
     RerunRequest,
     RunRequest,
@@ -488,20 +488,10 @@ def next_flight(request: NextFlightRequest) -> NextFlightPlan | AchievedNarrowin
     return plan_next_flight(request).value
 
 
-def pbox(
-    samples: Mapping[str, ArrayLike] | Sequence[ArrayLike | Sample],
-    confidence: float = 0.95,
-) -> PBox:
+@accepts(PboxRequest)
+def pbox(request: PboxRequest) -> PBox:
     """The p-box of samples: the envelope of their distribution functions, with a band for their
     finite number.
-
-    Parameters
-    ----------
-    samples : Mapping or sequence
-        One array (n,) of values for each epistemic sample, all of one quantity; a mapping names
-        them. A value that is not finite counts as unknown: it may lie anywhere and is not dropped.
-    confidence : float
-        Of the band [-], over all values and samples at once.
 
     Returns
     -------
@@ -528,17 +518,13 @@ def pbox(
     >>> box.quantile(0.5)
     (2.0, 3.0)
     """
-    confidence = share("confidence", confidence)
-    require(
-        "samples",
-        samples,
-        isinstance(samples, Iterable) and not isinstance(samples, str),
-        "a mapping or sequence of arrays",
-    )
     # Samples without names are numbered.
+    samples = request.samples
     labelled = samples.items() if isinstance(samples, Mapping) else enumerate(samples)
     try:
-        return boxes.pbox([_sample(str(name), values) for name, values in labelled], confidence)
+        return boxes.pbox(
+            [_sample(str(name), values) for name, values in labelled], request.confidence
+        )
     except (ValueError, TypeError) as error:
         raise BadInputError(f"samples: {error}") from None
 

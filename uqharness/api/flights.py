@@ -6,8 +6,7 @@
 from __future__ import annotations
 
 from sysid.logs import LogInfo, MapProposal
-from uqharness.commands import logs, simulation
-from uqharness.commands.flights import Flight, carded_aircraft, flights_of
+from uqharness.commands import Flight, carded_aircraft, flights_of, logs, simulation
 from uqharness.heartbeat import notebook_line
 from uqharness.isolation import isolated
 from uqharness.requests.base import accepts

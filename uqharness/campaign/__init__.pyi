@@ -12,7 +12,6 @@ from .conditions import pboxes as pboxes
 from .conditions import samples as samples
 from .convergence import AREAS as AREAS
 from .convergence import CONVERGENCE as CONVERGENCE
-from .convergence import AreaComparison as AreaComparison
 from .convergence import MetricConvergence as MetricConvergence
 from .convergence import as_rows as as_rows
 from .convergence import read_flights as read_flights
@@ -32,7 +31,6 @@ from .engines import put_bounds as put_bounds
 from .engines import system_file as system_file
 from .folder.shards import lines as lines
 from .rounds import band_confidence as band_confidence
-from .run import CampaignSummary as CampaignSummary
 from .run import Progress as Progress
 from .run import find_mission as find_mission
 from .run import run_campaign as run_campaign

@@ -19,7 +19,7 @@ from collections.abc import Sequence
 from sysid.display import clean_terminal, cursor_stream
 from sysid.errors import LogError
 from uqharness import __version__
-from uqharness.cli.options import RequestCommand, Table, add_commands, commands_of
+from uqharness.cli.options import RequestCommand, Table, Verbs, add_commands, commands_of
 from uqharness.errors import BadInputError, EnginesDifferError, TerminatedError
 from uqharness.files import hide_scratch_paths
 from uqharness.heartbeat import QUIET_VARIABLE, heartbeat
@@ -34,6 +34,41 @@ _GC_THRESHOLDS = 5_000, 10, 10
 """Thresholds of the garbage collector. With Python's 700 a command spends a twentieth of its time
 scanning the objects of its libraries, none of which is ever freed."""
 
+_LOG_VERBS = {
+    "info": RequestCommand(
+        "logs:LogInfoRequest",
+        "logs:log_info",
+        "contents and findings of a log, and the purposes it serves",
+    ),
+    "map": RequestCommand(
+        "logs:LogMapRequest", "logs:propose_map", "propose a signal map for a log"
+    ),
+    "import": RequestCommand(
+        "logs:LogImportRequest", "logs:import_record", "turn a log into a flight record"
+    ),
+    "export": RequestCommand(
+        "logs:LogExportRequest", "logs:export_log", "write a flight for FlightGear"
+    ),
+}
+_CAMPAIGN_VERBS = {
+    verb: RequestCommand(f"campaign:{verb.capitalize()}Request", f"campaign:{verb}", text)
+    for verb, text in {
+        "check": "cost of a campaign before it is flown",
+        "run": "fly a campaign, or resume it",
+        "status": "progress of a campaign",
+        "report": "write report.html and the figures",
+        "merge": "merge shards and write the tables",
+        "rerun": "fly one case again with full output and a plot",
+        "verify": "check a folder against its digests",
+        "salvage": "repair a damaged campaign: keep sound flights, fly the rest again",
+        "convergence": "convergence over flights and epistemic samples",
+        "area": "area metric of real flights against the p-boxes",
+    }.items()
+}
+_CAMPAIGN_EXAMPLE = """example:
+  uqharness campaign run campaigns/demo/campaign.toml --out campaigns/demo/results
+
+uqharness campaign VERB --help gives the options."""
 COMMANDS: Table = {
     "fly": RequestCommand("simulation:FlyRequest", "simulation:fly", "one flight, recorded"),
     "modes": RequestCommand(
@@ -49,7 +84,16 @@ COMMANDS: Table = {
         "simulation:diff",
         "fly two models side by side and list their differences",
     ),
-    "log": ("log", "flight logs: contents and checks, conversion to records"),
+    "export": RequestCommand(
+        "exchange:ExportRequest",
+        "exchange:export",
+        "write the model for ArduPilot, Gazebo or a table, with the loss",
+    ),
+    "log": Verbs(
+        _LOG_VERBS,
+        "flight logs: contents and checks, conversion to records",
+        "Check a flight log, convert it to a flight record, or export it to FlightGear.",
+    ),
     "identify": RequestCommand(
         "identification:IdentifyRequest", "identification:identify", "parameters from flights"
     ),
@@ -76,9 +120,11 @@ COMMANDS: Table = {
     "refine": RequestCommand(
         "refinement:RefineRequest", "refinement:refine", "find, name and add missing effects"
     ),
-    "campaign": (
-        "campaign",
+    "campaign": Verbs(
+        _CAMPAIGN_VERBS,
         "nested Monte Carlo campaigns: check, run, status, report, merge, rerun, verify, salvage",
+        "Fly a campaign over corners of model-form uncertainty, watch it, and report it.",
+        _CAMPAIGN_EXAMPLE,
     ),
     "sensitivity": RequestCommand(
         "sensitivity:SensitivityRequest",
@@ -90,7 +136,11 @@ COMMANDS: Table = {
         "next_flight:next_flight",
         "plan the test flight that narrows the p-box most",
     ),
-    "study": ("study", "the whole chain: flights to p-boxes, before and after refinement"),
+    "study": RequestCommand(
+        "study:StudyRequest",
+        "study:study",
+        "the whole chain: flights to p-boxes, before and after refinement",
+    ),
     "report": RequestCommand(
         "folders:ReportRequest", "folders:report", "write report.html of a folder of results"
     ),
@@ -116,8 +166,6 @@ def build_parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--version", action="version", version=f"uqharness {__version__}")
-    # A study runs other commands in its own process.
-    parser.set_defaults(run_words=run_words)
     add_commands(parser, COMMANDS, "command", "COMMAND")
     return parser
 

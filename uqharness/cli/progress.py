@@ -1,17 +1,16 @@
 """Progress of a command: a bar on a terminal, an occasional line in a pipe.
 
-`working`, `counting` and `ProgressView` draw on a terminal and set the stage of
+`working` and `ProgressView` draw on a terminal and set the stage of
 `uqharness.heartbeat`, which prints it elsewhere.
 """
 
 from __future__ import annotations
 
-import math
 import re
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from types import TracebackType
 from typing import TYPE_CHECKING
 
@@ -140,29 +139,6 @@ def print_warnings(warnings: Iterable[str]) -> None:
         if sys.stderr.isatty():
             print("\r\x1b[K", end="", file=cursor_stream(sys.stderr))
         print(f"uqharness: warning: {text}", file=sys.stderr)
-
-
-@contextmanager
-def counting(title: str) -> Iterator[Callable[[float, int], None]]:
-    """Context for a counter with the remaining time.
-
-    Yields a function of the amount done, fractions included, and the total.
-    """
-    terminal, rate = sys.stderr.isatty(), Rate()
-
-    def update(done: float, total: int) -> None:
-        remaining_s = rate.seconds_left(done, total)
-        text = f"{visible(title)}: {math.floor(done)} of {total}"
-        text += "" if remaining_s is None else f", {clock(remaining_s)} to go"
-        STATE.stage = text
-        if terminal:
-            print(f"\r\x1b[K{text}", end="", file=cursor_stream(sys.stderr), flush=True)
-
-    with bar_drawn() if terminal else nullcontext():
-        yield update
-    STATE.stage = ""
-    if terminal:
-        print(file=sys.stderr)
 
 
 class ProgressView:

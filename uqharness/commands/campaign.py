@@ -20,8 +20,33 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from uqharness import campaign as campaigns
-from uqharness.campaign import Cost, Progress
+from uqharness.campaign import (
+    AREAS,
+    CONFIDENCE,
+    CONVERGENCE,
+    STATEMENTS,
+    Cost,
+    Progress,
+    as_rows,
+    band_confidence,
+    bounds_notes,
+    corners_only_words,
+    engine_words,
+    joint_level,
+    joint_words,
+    make_copy,
+    needs_copy,
+    noise_notes,
+    pboxes,
+    points_flown,
+    read_flights,
+    refuse_if_long,
+    sentences,
+    size_of,
+    write_area,
+    write_convergence,
+)
+from uqharness.campaign import lines as answer_lines
 from uqharness.campaign import run as running
 from uqharness.campaign.execution import (
     Executor,
@@ -149,10 +174,10 @@ class CampaignResult:
 
     def pboxes(self) -> dict[tuple[str, str], PBox]:
         """Return the p-box of each (metric, condition), the rows of pbox.parquet."""
-        confidence = campaigns.band_confidence(self.manifest["campaign"], campaigns.CONFIDENCE)
+        confidence = band_confidence(self.manifest["campaign"], CONFIDENCE)
         return {
             (metric, condition.label): box
-            for metric, condition, box in campaigns.pboxes(self.cases, confidence)
+            for metric, condition, box in pboxes(self.cases, confidence)
         }
 
     def statements(self) -> pd.DataFrame:
@@ -161,7 +186,7 @@ class CampaignResult:
         """
         import pandas as pd
 
-        content = read_checked(self.folder, self.manifest, campaigns.STATEMENTS)
+        content = read_checked(self.folder, self.manifest, STATEMENTS)
         return pd.read_csv(
             io.BytesIO(content),
             dtype={"best": str, "worst": str},
@@ -240,7 +265,7 @@ def _cost_checker(agreed: bool, name: object) -> Callable[[Cost], None]:
     """
 
     def check_cost(cost: Cost) -> None:
-        campaigns.refuse_if_long(cost, agreed, name)
+        refuse_if_long(cost, agreed, name)
         _logger.info("%s: %s", name, cost.words)
 
     return check_cost
@@ -271,16 +296,16 @@ def _failures(statuses: Mapping[str, int]) -> str:
 def check(request: CheckRequest, callback: Callback = silent) -> Outcome[CampaignCost]:
     """Try out a few flights and extrapolate time and disk space."""
     spec = _resized(request)
-    for note in campaigns.noise_notes(spec):
+    for note in noise_notes(spec):
         _logger.info(note)
     callback("trying out flights")
     # Check flights run on a copy, so that nothing of the user's is touched.
     with scratch_folder("check") as scratch:
         mission = running.find_mission(spec, scratch.path)
-        if campaigns.needs_copy(spec):
-            campaigns.make_copy(spec, mission, scratch.path)
+        if needs_copy(spec):
+            make_copy(spec, mission, scratch.path)
         choice, pace = running.check_campaign(spec, mission, scratch.path)
-    size = campaigns.size_of(spec)
+    size = size_of(spec)
     cost = Cost(size, 0, pace, request.workers or usable_cores(), choice.engine)
     described = describe(choice.spec, mission, size.flights, "")
     epistemic = described["campaign"]["epistemic"]
@@ -299,16 +324,16 @@ def check(request: CheckRequest, callback: Callback = silent) -> Outcome[Campaig
         more_than_a_day=cost.is_long,
         engine=choice.engine,
         engine_why=list(choice.reasons),
-        joint_level=campaigns.joint_level(described),
-        joint=campaigns.joint_words(described),
-        bounds_hold_at=campaigns.points_flown(epistemic),
+        joint_level=joint_level(described),
+        joint=joint_words(described),
+        bounds_hold_at=points_flown(epistemic),
     )
     long = "; more than a day of this machine: `campaign run` needs --yes or --hours"
     lines = [
         f"{cost.words}{long if cost.is_long else ''}",
         f"engine {choice.words}",
         *document.joint,
-        *campaigns.corners_only_words(epistemic),
+        *corners_only_words(epistemic),
     ]
     if size.trial_conditions < size.conditions:
         lines.append(
@@ -327,7 +352,7 @@ def run(
     shard has no value: its flights become results when the shards are merged.
     """
     spec = _resized(request)
-    notes = (*campaigns.noise_notes(spec), *campaigns.bounds_notes(spec))
+    notes = (*noise_notes(spec), *bounds_notes(spec))
     for note in notes:
         _logger.info(note)
     shard = None if request.shard is None else parse_shard(request.shard)
@@ -341,13 +366,13 @@ def run(
         with ExitStack() as stack:
             executor = _executor(request, stack)
             # Refuse first what is too long at any pace, before anything is created or tried out.
-            size = campaigns.size_of(spec, 1 if shard is None else shard.count)
+            size = size_of(spec, 1 if shard is None else shard.count)
             fastest = (
                 "jsbsim"
                 if spec.campaign.engine == "jsbsim" or unavailable_reason("batch") is not None
                 else "batch"
             )
-            campaigns.refuse_if_long(
+            refuse_if_long(
                 Cost(size, _done_before(request.out), None, executor.workers, fastest),
                 agreed,
                 _name(request),
@@ -379,7 +404,7 @@ def run(
         elapsed_s=progress.elapsed_s,
         flight_hours_per_core_hour=progress.hours_per_core_hour,
         engine=summary.engine,
-        bounds_hold_at=campaigns.points_flown(epistemic),
+        bounds_hold_at=points_flown(epistemic),
     )
     sentence = f"{summary.folder}: {summary.cases} flights done"
     if summary.done_before:
@@ -391,7 +416,7 @@ def run(
             f" {progress.workers} workers, {progress.hours_per_core_hour:.0f} flight h per core h,"
             f" engine {summary.engine}"
         )
-    remarks = [f"{summary.folder}: {text}" for text in campaigns.corners_only_words(epistemic)]
+    remarks = [f"{summary.folder}: {text}" for text in corners_only_words(epistemic)]
     value = None if shard else CampaignResult(request.out, read_complete(request.out), notes)
     return Outcome(value, document, [sentence, *remarks])
 
@@ -427,9 +452,9 @@ def status(request: StatusRequest, callback: Callback = silent) -> Outcome[Campa
     done = f"{document.done} of {document.cases} flights done, {_failures(document.statuses)}"
     lines = [
         f"{request.folder}: {document.state}, {done}",
-        f"engine {campaigns.engine_words(document.engine, tuple(document.engine_why))}",
+        f"engine {engine_words(document.engine, tuple(document.engine_why))}",
         *document.joint,
-        *campaigns.lines(document.answers),
+        *answer_lines(document.answers),
     ]
     if document.state == "interrupted":
         command = document.command or "the command that began it"
@@ -573,25 +598,25 @@ def _salvaged_lines(result: Salvaged) -> Iterator[str]:
 
 def convergence(request: ConvergenceRequest, callback: Callback = silent) -> Outcome[Convergence]:
     """Study whether a campaign has enough flights and epistemic samples."""
-    results = campaigns.write_convergence(request.folder, request.metric, request.repeats)
+    results = write_convergence(request.folder, request.metric, request.repeats)
     callback("figures")
     sections = [
         convergence_section(item) for item in results if item.repeats is not None or item.growth
     ]
     figures = write_figures(request.folder, sections, "Convergence")
-    table = str(request.folder / campaigns.CONVERGENCE)
+    table = str(request.folder / CONVERGENCE)
     document = Convergence(
         table=table,
         figures=[str(path) for path in figures],
-        rows=[ConvergenceRow(**row) for row in campaigns.as_rows(results)],
+        rows=[ConvergenceRow(**row) for row in as_rows(results)],
     )
     end = f"{table}: written, with {len(figures)} figures"
-    return Outcome(document, document, [*campaigns.sentences(results), end])
+    return Outcome(document, document, [*sentences(results), end])
 
 
 def area(request: AreaRequest, callback: Callback = silent) -> Outcome[Areas]:
     """Compare real flights with the p-boxes by the area metric."""
-    flights = campaigns.read_flights(request.flight, request.value)
+    flights = read_flights(request.flight, request.value)
     rows = [
         AreaRow(
             metric=item.metric,
@@ -599,9 +624,9 @@ def area(request: AreaRequest, callback: Callback = silent) -> Outcome[Areas]:
             verdict=item.verdict,
             **asdict(item.area_metric),
         )
-        for item in campaigns.write_area(request.folder, flights)
+        for item in write_area(request.folder, flights)
     ]
-    document = Areas(table=str(request.folder / campaigns.AREAS), rows=rows)
+    document = Areas(table=str(request.folder / AREAS), rows=rows)
     # Contradictions first: a terminal shows the first lines.
     rows = sorted(rows, key=lambda row: row.verdict != "outside")
     lines = [

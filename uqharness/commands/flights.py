@@ -195,7 +195,7 @@ def _flight_in_memory(flight: AnyFlight, aircraft: Aircraft) -> Flight:
             f" {type(flight).__name__}"
         )
     name = Path(flight.metadata.source).stem or "flight"
-    return Flight(name, in_free_flight(flight, aircraft, name), _content_sha256(flight))
+    return Flight(name, in_free_flight(flight, aircraft, name), content_sha256(flight))
 
 
 @dataclass(frozen=True)
@@ -272,7 +272,7 @@ class FlightOptions(Protocol):
         """Boots of logs."""
 
 
-def _content_sha256(record: FlightRecord) -> str:
+def content_sha256(record: FlightRecord) -> str:
     """Return the digest of a record's columns."""
     parts = []
     for name, values in record.columns.items():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from uqharness.campaign import (
     SENSITIVITY,
@@ -111,13 +112,11 @@ def _modal_indices(methods: Mapping[str, MethodResult]) -> dict[str, ModalIndice
     for k, name in enumerate(next(iter(methods.values())).indices):
         indices = {method: result.indices[name].as_dict() for method, result in methods.items()}
         reasons = {m: index["reason"] for m, index in indices.items() if "reason" in index}
-        rows[name] = ModalIndices(
-            **{method: index["value"] for method, index in indices.items()},
-            interval={method: index["interval"] for method, index in indices.items()},
-            std_of_one_run={
-                method: float(result.details["std_of_one_run"][k])
-                for method, result in methods.items()
-            },
-            **({"reason": reasons} if reasons else {}),
-        )
+        row: dict[str, Any] = {method: index["value"] for method, index in indices.items()}
+        row["interval"] = {method: index["interval"] for method, index in indices.items()}
+        row["std_of_one_run"] = {
+            method: float(result.details["std_of_one_run"][k]) for method, result in methods.items()
+        }
+        row |= {"reason": reasons} if reasons else {}
+        rows[name] = ModalIndices(**row)
     return rows

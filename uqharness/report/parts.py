@@ -18,11 +18,17 @@ import jinja2
 from markupsafe import Markup
 
 from sysid.display import visible
+from uqharness.results.base import Part
 from uqharness.text_tables import text_table
 
 Level = Literal["good", "warn", "bad", ""]
 SIGNS: Mapping[str, str] = {"good": "✓", "bad": "✕", "warn": "!", "": ""}
 """Mark shown with a colour, for readers who do not see it."""
+
+
+def level_of(value: str | None) -> Level:
+    """Return a valid level, or the empty one."""
+    return value if value in ("good", "warn", "bad") else ""  # type: ignore[return-value]
 
 
 @dataclass(frozen=True)
@@ -308,13 +314,13 @@ def percent(value: float | None, form: str = ".3g") -> str:
 
 
 def remarks(
-    document: Mapping[str, Any], key: Iterable[str] = ("warnings", "notes")
+    document: Mapping[str, Any] | Part, key: Iterable[str] = ("warnings", "notes")
 ) -> tuple[Section, ...]:
     """Return the section of a document's warnings and notes.
 
     Parameters
     ----------
-    document : mapping
+    document : Part or mapping
         Holds the lists "warnings" and "notes".
     key : iterable of str
         Lists that a terminal shows as well.

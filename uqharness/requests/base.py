@@ -513,6 +513,7 @@ def read_section(
     heading: str,
     line: Callable[[str], tuple[Path | str, int]],
     also: Mapping[str, Any] | None = None,
+    own: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Return the fields that a section of a settings file sets.
 
@@ -527,8 +528,10 @@ def read_section(
     line : callable
         Key to file and line.
     also : mapping, optional
-        Values that the file does not hold, such as the folder of the results; for the checks that
+        Values that the file must not hold, such as the folder of the results; for the checks that
         concern several fields.
+    own : sequence of str
+        Keys of the section that are no field, for messages about unknown keys.
 
     Raises
     ------
@@ -536,7 +539,8 @@ def read_section(
         With ``file:line: [section] key = value: what is allowed`` for each mistake.
     """
     options = options_of(model)
-    keys = {o.key or name: name for name, (_, o) in options.items() if o.toml}
+    also = also or {}
+    keys = {o.key or n: n for n, (_, o) in options.items() if o.toml and n not in also}
     place = Place(
         lambda name, o: f"{heading} {o.key or name}",
         lambda label, value: f"{label} = {toml_text(value)}",
@@ -549,14 +553,15 @@ def read_section(
             values[keys[key]] = value
         else:
             # The name of the section is part of the label of every key.
-            close = difflib.get_close_matches(key, keys, n=1, cutoff=0.5)
+            allowed = [*own, *keys]
+            close = difflib.get_close_matches(key, allowed, n=1, cutoff=0.5)
             hint = f"did you mean {close[0]}? " if close else ""
-            lines.append((key, f"{heading} {key}: unknown; {hint}allowed: {', '.join(keys)}"))
+            lines.append((key, f"{heading} {key}: unknown; {hint}allowed: {', '.join(allowed)}"))
     try:
-        request = model.model_validate({**(also or {}), **values})
+        request = model.model_validate({**also, **values})
     except ValidationError as error:
         names = {name: key for key, name in keys.items()}
-        for name, message in messages(model, error, {**(also or {}), **values}, place):
+        for name, message in messages(model, error, {**also, **values}, place):
             lines.append((names.get(name, name), message))
     if lines:
         located = [(*line(key), message) for key, message in lines]
@@ -576,18 +581,19 @@ def toml_text(value: Any) -> str:
 # The command that repeats a result.
 
 
-def command_words(request: Request) -> list[str]:
+def command_words(request: Request, full: bool = False) -> list[str]:
     """Return the command that repeats a request: file names only, no option at its default.
 
-    Folders and pages that are written, and what only says how a command prints, are left out.
+    Folders and pages that are written, and what only says how a command prints, are left out;
+    ``full`` writes them and whole paths, for a command that is pasted into a shell.
     """
     positional, flags = [], []
     for name, (info, o) in options_of(type(request)).items():
         value = getattr(request, name)
         default = None if info.is_required() else info.get_default(call_default_factory=True)
-        if not (o.cli and o.provenance) or value is None or value == default:
+        if not (o.cli and (o.provenance or full)) or value is None or value == default:
             continue
-        words = [o.write(value)] if o.write else _words(value)
+        words = [o.write(value)] if o.write else _words(value, full)
         if o.flag == "":
             positional += words
         elif isinstance(value, bool):
@@ -602,19 +608,19 @@ def command_words(request: Request) -> list[str]:
     return ["uqharness", *request.command.split(), *positional, *flags]
 
 
-def command_line(request: Request) -> str:
+def command_line(request: Request, full: bool = False) -> str:
     """Return `command_words` as one shell line."""
-    return shlex.join(command_words(request))
+    return shlex.join(command_words(request, full))
 
 
-def _words(value: Any) -> list[str]:
+def _words(value: Any, full: bool) -> list[str]:
     """Return a value as words of the command line."""
     if isinstance(value, Mapping):
-        return [f"{key}={','.join(_words(item))}" for key, item in value.items()]
+        return [f"{key}={','.join(_words(item, full))}" for key, item in value.items()]
     if isinstance(value, tuple | list):
-        return [word for item in value for word in _words(item)]
+        return [word for item in value for word in _words(item, full)]
     if isinstance(value, Path):
-        return [value.name]
+        return [str(value) if full else value.name]
     if isinstance(value, str | Real):
         return [str(value)]
     # Objects of Python have no other words.

@@ -4,7 +4,7 @@ convergence and area.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import BeforeValidator, model_validator
@@ -327,4 +327,30 @@ which the flights lie outside the p-box, in the metric's unit."""
         kind="Mapping of str to float",
         needed="a metric with its number, such as cross_track_median_m_measured=9.41,",
         toml=False,
+    )
+
+
+def _several_samples(value: Any) -> Any:
+    """Refuse what holds no samples."""
+    if isinstance(value, str) or not isinstance(value, Iterable):
+        raise ValueError("a mapping or sequence of arrays is needed")
+    return value
+
+
+class PboxRequest(Request):
+    """Samples of one quantity; only Python has this request."""
+
+    samples: Annotated[Any, BeforeValidator(_several_samples)] = option(
+        ...,
+        "one array (n,) of values for each epistemic sample; a mapping names them; a value that is"
+        " not finite counts as unknown: it may lie anywhere and is not dropped",
+        kind="Mapping or sequence",
+        positional=True,
+    )
+    confidence: Number = option(
+        0.95,
+        "confidence of the band [-], over all values and samples at once",
+        gt=0,
+        lt=1,
+        positional=True,
     )

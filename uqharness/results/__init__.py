@@ -14,11 +14,12 @@ DOCUMENTS: dict[str, str] = {
     "campaign-verify": "campaign:FolderCheck",
     "compare": "identification:Compare",
     "completion": "folders:CompletionScript",
-    "diff": "simulation:Differences",
+    "diff": "simulation:DiffDocument",
     "dossier": "folders:DossierFile",
+    "export": "exchange:Loss",
     "fly": "simulation:FlownFlight",
     "identify": "identification:Fit",
-    "instrument": "simulation:Plugin",
+    "instrument": "simulation:PluginOutcome",
     "log-export": "logs:Playback",
     "log-import": "logs:ImportedLog",
     "log-info": "logs:LogContents",
@@ -31,6 +32,7 @@ DOCUMENTS: dict[str, str] = {
     "report": "folders:ReportFile",
     "sensitivity": "sensitivity:CampaignSensitivity",
     "sensitivity-modal": "sensitivity:ModalSensitivity",
+    "study": "study:Study",
     "validate-bounds": "identification:Coverage",
 }
 """Command, with "-" for blanks, to the model of its document, ``module:Class``."""

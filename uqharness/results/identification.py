@@ -311,9 +311,7 @@ class Bounds(Part):
     outside: Literal["grow", "clamp"] = Field(
         default="grow", description="what the bounds do outside the data"
     )
-    coefficients: dict[str, BoundsOfCoefficient] = Field(
-        default={}, description="bounds by coefficient"
-    )
+    coefficients: dict[str, BoundsOfCoefficient] = Field(description="bounds by coefficient")
     left_out: dict[str, Numbers] = Field(
         default={},
         description="manoeuvre to coefficient to the share inside the bounds of the others",

@@ -55,6 +55,7 @@ from uqharness.replay import shown_channel
 from uqharness.results.base import read_result
 from uqharness.results.identification import Coverage, Fit
 from uqharness.results.refinement import Refinement
+from uqharness.results.study import Stage as StageResult
 from uqharness.results.study import StudyAnswer
 from uqharness.simulator import Source
 from uqharness.statistics import NO, OPEN, YES, Sample, envelope
@@ -835,7 +836,7 @@ _ABOVE_NOISE = 1.15  # as `compare` and `refine` have it
 def judge(
     spec: ChainSpec,
     stages: Sequence[Stage],
-    rows: Sequence[Mapping[str, Any]],
+    rows: Sequence[StageResult],
     out: Path,
     campaigns: Mapping[str, FlownCampaign],
 ) -> list[Sentence]:
@@ -847,7 +848,7 @@ def judge(
         The study.
     stages : sequence of Stage
         Its stages.
-    rows : sequence of mapping
+    rows : sequence of StageResult
         Entries of the stages in study.json, with their exit codes.
     out : Path
         The study's folder.
@@ -865,7 +866,7 @@ def judge(
         If a document of a stage is damaged.
     """
     kinds = {stage.kind for stage in stages}
-    codes = {row["name"]: row["exit"] for row in rows}
+    codes = {row.name: row.exit or 0 for row in rows}
     sentences: list[Sentence] = []
     if campaigns:
         sentences += performance(campaigns)

@@ -1,6 +1,6 @@
-"""Run a study: one ``uqharness`` command per stage, and a verdict at the end.
+"""Run a study: one request per stage, and a verdict at the end.
 
-A stage is skipped if its inputs (by content), settings and outputs are those of the last run, so
+A stage is skipped if its inputs (by content), request and outputs are those of the last run, so
 the same call resumes an interrupted study. study.json in the study's folder holds the state of each
 stage, the verdict, the answer and the ground tracks; it is rewritten after each stage.
 """
@@ -8,28 +8,31 @@ stage, the verdict, the answer and the ground tracks; it is rewritten after each
 from __future__ import annotations
 
 import contextlib
-import io
 import json
+import logging
 import os
 import shutil
-import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 
 import tomlkit
 
 import uqharness
 from sysid.digests import file_sha256, sha256_hex
+from sysid.errors import LogError
 from sysid.foreign.regular_files import ParseError, parse_json, read_regular
 from uqharness import checksums
 from uqharness.campaign import read_bounds
 from uqharness.campaign.folder import LOCK, binding_versions, run_lock
 from uqharness.errors import BadInputError
-from uqharness.files import PART, check_output_folder, write_bytes
-from uqharness.results.base import read_result
+from uqharness.files import PART, check_output_folder, write_bytes, write_json, write_text
+from uqharness.requests.base import Callback, Request, options_of, silent
+from uqharness.results.base import Outcome, read_result
 from uqharness.results.refinement import Refinement
+from uqharness.results.study import FORMAT, Pair, Sentence, Study, Tracks
+from uqharness.results.study import Stage as StageResult
 from uqharness.simulator import folder_hash
 from uqharness.study.answer import (
     REFINEMENT,
@@ -48,15 +51,14 @@ from uqharness.study.stages import AFTER, BEFORE, Stage, plan
 # what it was made from, and the hashes of its outputs.
 
 STUDY = "study.json"
-_FORMAT = "study 1"
 
 
-def read_study(folder: Path) -> dict[str, Any] | None:
+def read_study(folder: Path) -> Study | None:
     """Read study.json of a folder.
 
     Returns
     -------
-    dict or None
+    Study or None
         None if the folder has none.
 
     Raises
@@ -75,37 +77,54 @@ def read_study(folder: Path) -> dict[str, Any] | None:
         ) from None
     except ParseError as error:
         raise BadInputError(f"{path}: {error}; choose another --out") from None
-    if not isinstance(document, dict) or document.get("format") != _FORMAT:
+    if not isinstance(document, dict) or document.get("format") != FORMAT:
         raise BadInputError(
             f"{path}: written by another version of uqharness, or not by uqharness; choose another"
             " --out"
         )
-    return document
+    return read_result(path, Study)
 
 
-def write_study(folder: Path, document: Mapping[str, Any]) -> None:
-    """Write study.json atomically."""
-    write_bytes(folder / STUDY, (json.dumps(document, indent=1) + "\n").encode())
+class _Record:
+    """study.json of a study that runs."""
+
+    def __init__(self, folder: Path, study: Study) -> None:
+        self.folder, self.study = folder, study
+
+    def update(self, **parts: Any) -> None:
+        """Replace parts of the document."""
+        self.study = self.study.model_copy(update=parts)
+
+    def update_stage(self, number: int, **parts: Any) -> None:
+        """Replace parts of a stage's entry."""
+        stages = list(self.study.stages)
+        stages[number] = stages[number].model_copy(update=parts)
+        self.update(stages=stages)
+
+    def save(self) -> None:
+        """Write study.json atomically."""
+        write_json(self.folder / STUDY, self.study.as_json())
 
 
-def begin(spec: ChainSpec, command: str, version: str) -> dict[str, Any]:
+def begin(spec: ChainSpec, command: str, version: str) -> Study:
     """Return the document of a study of which no stage has run."""
-    return {
-        "format": _FORMAT,
-        "study": spec.study.name,
-        "question": spec.study.question,
-        "file": spec.path.name,
-        "path": str(spec.path.resolve()),
-        "hash": sha256_hex(spec.source.encode()),
-        "version": version,
-        "command": command,
-        "state": "running",
-        "stages": [],
-        "verdict": [],
-    }
+    return Study(
+        format=FORMAT,
+        study=spec.study.name,
+        question=spec.study.question,
+        file=spec.path.name,
+        path=str(spec.path.resolve()),
+        hash=sha256_hex(spec.source.encode()),
+        version=version,
+        command=command,
+        state="running",
+        stages=[],
+        verdict=[],
+        former=[],
+    )
 
 
-def refuse_foreign(folder: Path, old: Mapping[str, Any] | None, new: Mapping[str, Any]) -> None:
+def refuse_foreign(folder: Path, old: Study | None, new: Study) -> None:
     """Raise BadInputError if a folder holds something other than this study.
 
     The same file in the same place may have been edited, and the same content may have moved: the
@@ -115,9 +134,9 @@ def refuse_foreign(folder: Path, old: Mapping[str, Any] | None, new: Mapping[str
     ----------
     folder : Path
         The study's folder.
-    old : mapping or None
+    old : Study or None
         Its study.json; None if it has none, then the folder must be empty.
-    new : mapping
+    new : Study
         study.json of the study that is about to run.
     """
     # No study.json: the folder must be empty, except for locks and partial files.
@@ -133,13 +152,12 @@ def refuse_foreign(folder: Path, old: Mapping[str, Any] | None, new: Mapping[str
                 " choose another --out"
             )
         return
-    elsewhere = old["path"] != new["path"] and old["hash"] != new["hash"]
-    if old["study"] != new["study"] or elsewhere:
+    elsewhere = old.path != new.path and old.hash != new.hash
+    if old.study != new.study or elsewhere:
         raise BadInputError(
-            f'--out {folder}: this folder holds the study "{old["study"]}" of {old["path"]}, not'
-            f' "{new["study"]}" of '
-            f"{new['path']}; choose another --out, or remove the folder if its results are not"
-            " wanted"
+            f'--out {folder}: this folder holds the study "{old.study}" of {old.path}, not'
+            f' "{new.study}" of {new.path}; choose another --out, or remove the folder if its'
+            " results are not wanted"
         )
 
 
@@ -153,42 +171,69 @@ def content(path: Path) -> str:
         return ""
 
 
-def stage_key(
-    kind: str, options: Mapping[str, Any], inputs: Mapping[str, str], versions: Any
-) -> str:
+def stage_key(stage: Stage, inputs: Mapping[str, str]) -> str:
     """Hash everything that a stage's result depends on.
+
+    These are the command, its options, the content of the inputs, and the versions of the programs
+    that compute the result. Paths count by the content of what they name.
 
     Parameters
     ----------
-    kind : str
-        Command of the stage.
-    options : mapping
-        Settings, as plain JSON types.
+    stage : Stage
+        The stage.
     inputs : mapping
         Label -> SHA-256 of each input.
-    versions : Any
-        Versions of the programs that compute the result, as plain JSON types.
     """
-    text = json.dumps([kind, options, sorted(inputs.items()), versions], sort_keys=True)
-    return sha256_hex(text.encode())
+    digests = {os.path.abspath(path): inputs[label] for label, path in stage.inputs.items()}
+    return _key(
+        stage.kind,
+        _options_of(stage.request, digests),
+        stage.settings,
+        sorted(inputs.items()),
+        (uqharness.__version__, binding_versions()),
+    )
+
+
+def _options_of(request: Request, digests: Mapping[str, str]) -> dict[str, Any]:
+    """Return a request's values that bear on its result, paths as the digests of their files.
+
+    The aircraft, which may be named by a text, is among the inputs.
+    """
+
+    def plain(value: Any) -> Any:
+        if isinstance(value, Path):
+            return digests.get(os.path.abspath(value))
+        if isinstance(value, Mapping):
+            return {key: plain(item) for key, item in value.items()}
+        return [plain(item) for item in value] if isinstance(value, tuple | list) else value
+
+    return {
+        name: plain(getattr(request, name))
+        for name, (_, option) in options_of(type(request)).items()
+        if option.cli and option.provenance and name not in ("aircraft", "workers")
+    }
+
+
+def _key(*parts: Any) -> str:
+    """Return the digest of plain JSON types."""
+    return sha256_hex(json.dumps(parts, sort_keys=True).encode())
 
 
 LOGS = "log"
 """Folder of the output of each stage."""
 _SUPERSEDED = "superseded"
-Callback = Callable[[str], None]
-Command = Callable[[list[str]], int]
-"""Runs the words of one ``uqharness`` command in this process; returns its exit code."""
+Runner = Callable[[Request, Callback], Outcome[Any]]
+"""Runs the request of a stage; the callback takes the name of what is being done."""
 
 
 def run_chain(
-    run: Command,
+    run: Runner,
     spec: ChainSpec,
     out: Path,
     workers: int | None = None,
     command: str = "",
-    callback: Callback = lambda _: None,
-) -> dict[str, Any]:
+    callback: Callback = silent,
+) -> Study:
     """Run a study: all stages that are not up to date.
 
     A stage that ends with 1 (its answer is no) is done, and the study goes on. Results of finished
@@ -197,7 +242,7 @@ def run_chain(
     Parameters
     ----------
     run : callable
-        Runs the words of one ``uqharness`` command in this process and returns its exit code.
+        Runs the request of a stage and returns its outcome.
     spec : ChainSpec
         The study.
     out : Path
@@ -211,7 +256,7 @@ def run_chain(
 
     Returns
     -------
-    dict
+    Study
         The content of study.json.
 
     Raises
@@ -235,184 +280,171 @@ def run_chain(
     # One process at a time.
     with run_lock(out):
         old_sums = checksums.remove_sums(out)
-        last_run = read_study(out) or {}
-        old = {
-            row["name"]: row for row in (*last_run.get("former", []), *last_run.get("stages", []))
-        }
-        document = {**new, "stages": [_row(stage, old.pop(stage.name, None)) for stage in stages]}
+        last_run = read_study(out)
+        old = (
+            {}
+            if last_run is None
+            else {row.name: row for row in (*last_run.former, *last_run.stages)}
+        )
+        record = _Record(out, new)
+        record.update(stages=[_row(stage, old.pop(stage.name, None)) for stage in stages])
         # Stages that were removed from the file keep their entry: their folders belong to this
         # study.
-        document["former"] = list(old.values())
-        write_study(out, document)
-        for number, (stage, row) in enumerate(
-            zip(stages, document["stages"], strict=True), start=1
-        ):
-            callback(f"[{number}/{len(stages)}] {stage.name}")
+        record.update(former=list(old.values()))
+        record.save()
+        for number, stage in enumerate(stages):
             try:
-                _run_stage(
-                    run,
-                    stage,
-                    row,
-                    out,
-                    workers,
-                    save=lambda: write_study(out, document),
-                    callback=callback,
-                )
+                _run_stage(run, stage, number, record, workers, callback)
             except KeyboardInterrupt:
                 # Interrupted: the state "running" stays, and the next call resumes.
                 raise
             except BaseException as error:
                 # Any other error ends the study; the finished stages stay.
-                row |= {"state": "failed", "exit": 2, "error": str(error)}
-                document["state"] = "failed"
+                record.update_stage(number, state="failed", exit=2, error=str(error))
+                record.update(state="failed")
                 with contextlib.suppress(BadInputError):
-                    write_study(out, document)
+                    record.save()
                 if isinstance(error, BadInputError):
                     lines = f"stage {stage.name}: {error}".split("\n")
                     raise BadInputError(*lines, f"  the stage alone: {stage.command}") from None
                 raise
-        pair = {
-            when: f"campaign-{when}"
-            for when in (BEFORE, AFTER)
-            if f"campaign-{when}" in {s.name for s in stages}
-        }
-        if len(pair) == 2:
-            document["before_after"] = pair
-        _conclude(spec, stages, document, out, last_run, workers)
-        document["state"] = "done"
-        write_study(out, document)
+        names = {stage.name for stage in stages}
+        if {f"campaign-{BEFORE}", f"campaign-{AFTER}"} <= names:
+            pair = Pair(before=f"campaign-{BEFORE}", after=f"campaign-{AFTER}")
+            record.update(before_after=pair)
+        callback("answering the question")
+        _conclude(spec, stages, record, last_run, workers)
+        record.update(state="done")
+        record.save()
         checksums.write_sums(out, old_sums)
-    return document
+    return record.study
 
 
 def _conclude(
     spec: ChainSpec,
     stages: Sequence[Stage],
-    document: dict[str, Any],
-    out: Path,
-    last_run: Mapping[str, Any],
+    record: _Record,
+    last_run: Study | None,
     workers: int | None,
 ) -> None:
-    """Write verdict, answer and ground tracks into ``document``, from the results of all stages.
+    """Write verdict, answer and ground tracks into study.json, from the results of all stages.
 
     ``last_run`` is study.json of the last run, whose tracks are kept if the campaigns are
     unchanged.
     """
-    kinds, rows = {stage.kind for stage in stages}, document["stages"]
+    out, rows = record.folder, record.study.stages
+    kinds = {stage.kind for stage in stages}
     campaigns = read_campaigns(out, "refine" in kinds) if "campaign" in kinds else {}
     sentences = judge(spec, stages, rows, out, campaigns)
     refinement = read_result(out / REFINEMENT, Refinement) if "refine" in kinds else None
-    refused = [row["name"] for row in rows if row["exit"] == 1]
-    answer = answer_of(campaigns, refinement, sentences, refused)
-    document["verdict"] = [{"text": text, "level": level} for text, level in sentences]
-    document["answer"] = answer.as_json()
+    refused = [row.name for row in rows if row.exit == 1]
+    record.update(
+        verdict=[Sentence(text=text, level=level) for text, level in sentences],
+        answer=answer_of(campaigns, refinement, sentences, refused),
+    )
     track_requests = {
         when: TrackRequest(item.folder, item.frame, hardest(item.statements))
         for when, item in campaigns.items()
     }
     # The tracks depend on the campaigns only, so the hashes of their tables decide whether the
     # tracks are up to date.
-    key = stage_key(
-        "tracks",
-        {},
-        {when: content(item.folder / "cases.parquet") for when, item in campaigns.items()},
-        uqharness.__version__,
-    )
-    old = last_run.get("tracks") or {}
-    if old.get("key") == key and content(out / TRACKS) == old.get("sha256"):
-        document["tracks"] = old
+    tables = {when: content(item.folder / "cases.parquet") for when, item in campaigns.items()}
+    key = _key("tracks", {}, sorted(tables.items()), uqharness.__version__)
+    old = None if last_run is None else last_run.tracks
+    if old is not None and old.key == key and content(out / TRACKS) == old.sha256:
+        record.update(tracks=old)
     elif track_requests:
-        document["tracks"] = fly_tracks(out, track_requests, workers) | {
-            "key": key,
-            "sha256": content(out / TRACKS),
-        }
+        flown = fly_tracks(out, track_requests, workers)
+        record.update(tracks=Tracks(**flown, key=key, sha256=content(out / TRACKS)))
 
 
-def _row(stage: Stage, old: Mapping[str, Any] | None) -> dict[str, Any]:
+def _row(stage: Stage, old: StageResult | None) -> StageResult:
     """Return a stage's entry in study.json: the state of an earlier run, with this run's
     command.
     """
-    row = {
-        "state": "waiting",
-        "exit": None,
-        "seconds": None,
-        "inputs": {},
-        "error": "",
-        "key": "",
-        "outputs": {},
-        **(old or {}),
-    }
-    return row | {
-        "name": stage.name,
-        "kind": stage.kind,
-        "folder": stage.folder,
-        "command": stage.command,
-    }
+    new = StageResult(
+        state="waiting",
+        exit=None,
+        seconds=None,
+        inputs={},
+        error="",
+        key="",
+        outputs={},
+        name=stage.name,
+        kind=stage.kind,
+        folder=stage.folder,
+        command=stage.command,
+    )
+    if old is None:
+        return new
+    return old.model_copy(
+        update={"kind": stage.kind, "folder": stage.folder, "command": stage.command}
+    )
 
 
 def _run_stage(
-    run: Command,
+    run: Runner,
     stage: Stage,
-    row: dict[str, Any],
-    out: Path,
+    number: int,
+    record: _Record,
     workers: int | None,
-    *,
-    save: Callable[[], None],
     callback: Callback,
 ) -> None:
-    """Run one stage unless it is up to date; ``row``, its entry in study.json, is updated and
-    saved.
+    """Run one stage unless it is up to date; its entry in study.json is updated and saved.
 
     Raises BadInputError if an input is missing, or if the command did not write its outputs.
     """
+    out, row = record.folder, record.study.stages[number]
+    title = f"[{number + 1}/{len(record.study.stages)}] {stage.name}"
+    callback(title)
+
+    def show(text: str) -> object:
+        """Name the stage with what it does."""
+        return callback(f"{title}: {text}")
+
     inputs = {label: content(path) for label, path in stage.inputs.items()}
     # Inputs are files of earlier stages or of the user.
     missing = [label for label, digest in inputs.items() if not digest]
     if missing:
         raise BadInputError(f"{', '.join(missing)}: needed, and no stage before has left it")
-    key = stage_key(stage.kind, stage.options, inputs, (uqharness.__version__, binding_versions()))
-    same_key = row["key"] == key
-    # Up to date: same inputs, settings and outputs.
-    if same_key and row["state"] == "done" and row["outputs"] == _outputs(stage, out):
-        callback("  unchanged")
+    key = stage_key(stage, inputs)
+    same_key = row.key == key
+    # Up to date: same inputs, options and outputs.
+    if same_key and row.state == "done" and row.outputs == _outputs(stage, out):
+        show("unchanged")
         return
     # Without the old outputs a failed command cannot be mistaken for a finished one.
     _clear_outputs(stage, row, out, same_key)
-    row |= {
-        "state": "running",
-        "exit": None,
-        "seconds": None,
-        "inputs": inputs,
-        "error": "",
-        "key": key,
-        "outputs": {},
-    }
+    record.update_stage(
+        number,
+        state="running",
+        exit=None,
+        seconds=None,
+        inputs=inputs,
+        error="",
+        key=key,
+        outputs={},
+    )
     # Saved as running, so that a killed run is not mistaken for a finished one.
-    save()
+    record.save()
     if stage.belongs is not None:
         _refuse_other_model(*stage.belongs)
     if stage.writes is not None:
         path, data = stage.writes
         write_bytes(path, (_HEADER + tomlkit.dumps(data)).encode())
     start_s = time.monotonic()
-    code = _run_command(run, stage, out, workers)
-    row |= {
-        "exit": code,
-        "seconds": round(time.monotonic() - start_s, 1),
-        "outputs": _outputs(stage, out),
-        "state": "done",
-    }
-    missing_outputs = [name for name, digest in row["outputs"].items() if not digest]
+    code = _run_request(run, stage, out, workers, show)
+    seconds, outputs = round(time.monotonic() - start_s, 1), _outputs(stage, out)
+    record.update_stage(number, exit=code, seconds=seconds, outputs=outputs, state="done")
+    missing_outputs = [name for name, digest in outputs.items() if not digest]
     # A command that wrote nothing has not succeeded, whatever its exit code.
     if missing_outputs:
         raise BadInputError(
             f"ended with {code} and left no {', '.join(missing_outputs)}, which the study goes on"
-            f" from; what it said is in {out / LOGS / stage.name}.txt"
+            f" from; its output is in {out / LOGS / stage.name}.txt"
         )
-    save()
-    callback(
-        f"  {row['seconds']:.0f} s" + ("" if code == 0 else f", exit {code}: the answer is no")
-    )
+    record.save()
+    show(f"{seconds:.0f} s" + ("" if code == 0 else f", exit {code}: the answer is no"))
 
 
 _HEADER = "# Written by `uqharness study`; edit the study's file instead.\n\n"
@@ -423,7 +455,7 @@ def _outputs(stage: Stage, out: Path) -> dict[str, str]:
     return {path.relative_to(out).as_posix(): content(path) for path in stage.outputs}
 
 
-def _clear_outputs(stage: Stage, row: Mapping[str, Any], out: Path, same_key: bool) -> None:
+def _clear_outputs(stage: Stage, row: StageResult, out: Path, same_key: bool) -> None:
     """Remove the results of an earlier run, unless the stage can resume from them.
 
     Flights of a campaign are moved to ``superseded`` instead: they may have taken hours.
@@ -432,17 +464,17 @@ def _clear_outputs(stage: Stage, row: Mapping[str, Any], out: Path, same_key: bo
         return
     for path in stage.owns:
         # A folder that no stage has made is not removed.
-        if path.is_dir() and not row["key"]:
+        if path.is_dir() and not row.key:
             raise BadInputError(
                 f"{path}: is there, and not from this study; move it away, for the stage writes"
                 " there"
             )
         if stage.kind == "campaign" and path.is_dir():
-            backup = out / _SUPERSEDED / f"{stage.name}-{row['key'][:12]}"
+            backup = out / _SUPERSEDED / f"{stage.name}-{row.key[:12]}"
             number = 1
             while backup.exists():
                 number += 1
-                backup = backup.with_name(f"{stage.name}-{row['key'][:12]}-{number}")
+                backup = backup.with_name(f"{stage.name}-{row.key[:12]}-{number}")
             backup.parent.mkdir(exist_ok=True)
             os.replace(path, backup)
         elif path.is_dir():
@@ -461,31 +493,50 @@ def _refuse_other_model(form: Path, folder: Path) -> None:
         )
 
 
-def _run_command(run: Command, stage: Stage, out: Path, workers: int | None) -> int:
-    """Run the stage's command and write its output to ``log/STAGE.txt``; return its exit code."""
-    words = [
-        *stage.argv,
-        *(["--workers", str(workers)] if stage.workers and workers is not None else []),
-    ]
-    # The user has agreed to the campaigns by running the study.
-    words += ["--yes"] if stage.kind == "campaign" else []
-    output = io.StringIO()
+def _run_request(
+    run: Runner, stage: Stage, out: Path, workers: int | None, callback: Callback
+) -> int:
+    """Run the stage's request and write what it tells to ``log/STAGE.txt``; return its exit
+    code.
+    """
+    request = stage.request
+    if workers is not None and "workers" in type(request).model_fields:
+        request = request.model_copy(update={"workers": workers})
+    lines = [f"$ {stage.command}"]
     try:
-        with contextlib.redirect_stdout(output), _redirect_stderr(output):
-            return run(words)
+        with _collect_notes(lines):
+            outcome = run(request, callback)
+        lines += [f"warning: {text}" for text in outcome.warnings]
+        lines += outcome.lines
+        lines += [] if outcome.report is None else [f"Report: {outcome.report}"]
+    except (BadInputError, LogError) as error:
+        lines.append(f"error: {error}")
+        raise BadInputError(*str(error).split("\n")) from None
     finally:
-        text = f"$ {stage.command}\n{output.getvalue()}"
         with contextlib.suppress(BadInputError):
-            write_bytes(out / LOGS / f"{stage.name}.txt", text.encode())
+            write_text(out / LOGS / f"{stage.name}.txt", "\n".join(lines) + "\n")
+    return outcome.code
+
+
+class _Collector(logging.Handler):
+    """Appends the program's notes to lines."""
+
+    def __init__(self, lines: list[str]) -> None:
+        super().__init__()
+        self.lines = lines
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Append one note."""
+        self.lines.append(f"note: {record.getMessage()}")
 
 
 @contextlib.contextmanager
-def _redirect_stderr(output: TextIO) -> Iterator[None]:
-    """Send messages to ``output``, except on a terminal, where the stage's progress is
-    displayed.
-    """
-    if sys.stderr.isatty():
+def _collect_notes(lines: list[str]) -> Iterator[None]:
+    """Append the program's notes to ``lines`` instead of printing them."""
+    logger = logging.getLogger("uqharness")
+    handlers = logger.handlers
+    logger.handlers = [_Collector(lines)]
+    try:
         yield
-        return
-    with contextlib.redirect_stderr(output):
-        yield
+    finally:
+        logger.handlers = handlers

@@ -10,18 +10,22 @@ Errors name file, line, the value received and the values allowed. Paths are rel
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field, ValidationError, field_validator, model_validator
+from pydantic import BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
-from uqharness.campaign.spec import CampaignSpec, Coefficient, Turbulence, campaign_from
+from uqharness.campaign.spec import CampaignSpec, campaign_from
 from uqharness.errors import BadInputError
-from uqharness.flight import DEFAULT_TURBULENCE_SOURCE
+from uqharness.requests.base import Request, read_section
+from uqharness.requests.identification import BoundsRequest, CompareRequest, IdentifyRequest
+from uqharness.requests.logs import LogImportRequest
+from uqharness.requests.refinement import RefineRequest
+from uqharness.requests.simulation import FlyRequest
 from uqharness.toml import (
-    Number,
     Section,
     as_toml,
     as_tuple,
@@ -50,29 +54,27 @@ class StudySection(Section):
     air: bool = False
 
 
-class FlySection(Section):
-    """Describe one flight of a simulated truth that is written as a log.
+class StageSection(Section):
+    """Hold the keys of a section that belong to the study; the others are options of its command.
 
-    The fields are the arguments of `uqharness fly`: speeds in m/s, directions in degrees, durations
-    in seconds, rates in Hz.
+    ``options`` are the fields of the command's request that the section sets.
     """
+
+    model_config = ConfigDict(extra="allow")
+
+    options: Mapping[str, Any] = Field(default_factory=dict, exclude=True)
+
+
+class FlySection(StageSection):
+    """Describe one flight of a simulated truth that is written as a log."""
 
     name: str = Field(pattern=rf"^{_NAME}$")
     aircraft: str = Field(min_length=1)
     script: str = Field(min_length=1)
-    seed: int = Field(default=0, ge=0)
-    noise: bool = True
-    turbulence: Turbulence = "none"
-    turbulence_source: Literal["jsbsim", "spec"] = DEFAULT_TURBULENCE_SOURCE
-    wind_mps: Number = Field(default=0.0, ge=0, le=100)
-    wind_from_deg: Number = Field(default=270.0, ge=0, le=360)
-    duration_s: Annotated[Number, Field(gt=0, le=1e6)] | None = None
-    rate_hz: Number = Field(default=50.0, gt=0, le=1e5)
-    set: dict[str, Number] = Field(default_factory=dict)
 
 
-class LogSection(Section):
-    """Describe one log of the user: the arguments of `uqharness log import`."""
+class LogSection(StageSection):
+    """Describe one log of the user; paths are relative to the study file."""
 
     name: str = Field(pattern=rf"^{_NAME}$")
     file: str = Field(min_length=1)
@@ -80,63 +82,53 @@ class LogSection(Section):
     manoeuvres: str | None = Field(default=None, min_length=1)
 
 
-class IdentifySection(Section):
-    """Name the flights that the parameters are estimated from, with options of `uqharness
-    identify`.
-    """
+class IdentifySection(StageSection):
+    """Name the flights that the parameters are estimated from."""
 
     flights: Names
-    params: Annotated[tuple[str, ...] | None, BeforeValidator(list_as_tuple)] = None
-    start: Literal["initial", "current"] = "current"
-    method: Literal["auto", "output-error", "filter-error"] = "auto"
-    biases: Annotated[tuple[str, ...] | None, BeforeValidator(list_as_tuple)] = None
-    delays: Annotated[tuple[str, ...] | None, BeforeValidator(list_as_tuple)] = None
 
 
-class CompareSection(Section):
+class CompareSection(StageSection):
     """Name the flights that the model is compared with, before and after refinement."""
 
     flights: Names
 
 
-class BoundsSection(Section):
+class BoundsSection(StageSection):
     """Name the flights of the model-form bounds and those that check them.
 
-    The other fields are options of `uqharness bounds`; cutoffs are in Hz.
+    ``samples`` = "all" is ``as_published``, by its earlier name.
     """
 
     flights: Names
     validate_on: Annotated[tuple[str, ...], BeforeValidator(as_tuple)] = ()
-    confidence: Number = Field(default=0.95, gt=0, lt=1)
-    states: dict[Coefficient, tuple[str, ...]] = Field(default_factory=dict)
-    terms: dict[Coefficient, tuple[str, ...]] = Field(default_factory=dict)
-    order: int = Field(default=2, ge=0, le=3)
-    roll_terms: bool = False
-    select: Literal["full", "stepwise"] = "full"
     samples: Literal["effective", "all"] = "effective"
-    outside: Literal["grow", "clamp"] = "grow"
-    cutoff_hz: Number = Field(default=6.0, gt=0)
-    airspeed_cutoff_hz: Number = Field(default=2.0, ge=0)
-    walk_cutoff_hz: Number = Field(default=0.5, gt=0)
-    checks: bool = True
-
-    @field_validator("states", "terms", mode="before")
-    @classmethod
-    def _lists(cls, value: Any) -> Any:
-        """Accept a single string where a coefficient has one state or term."""
-        return (
-            {name: list_as_tuple(item) for name, item in value.items()}
-            if isinstance(value, dict)
-            else value
-        )
 
 
-class RefineSection(Section):
-    """Name training and hold-out flights of `uqharness refine`, and a file of user effects."""
+class RefineSection(StageSection):
+    """Name training and hold-out flights."""
 
     train: Names
     test: Names
-    effects: str | None = Field(default=None, min_length=1)
+
+
+STAGE_SECTIONS: Mapping[str, tuple[type[StageSection], type[Request], Mapping[str, Any]]] = {
+    "fly": (FlySection, FlyRequest, {"aircraft": "a", "script": "s"}),
+    "logs": (
+        LogSection,
+        LogImportRequest,
+        {"log": "l", "out": "o.parquet", "aircraft": None, "cache": None, "use_cache": False},
+    ),
+    "identify": (IdentifySection, IdentifyRequest, {"aircraft": "a", "flights": "f"}),
+    "compare": (CompareSection, CompareRequest, {"aircraft": "a", "flight": "f"}),
+    "bounds": (BoundsSection, BoundsRequest, {"aircraft": "a", "flights": "f"}),
+    "refine": (
+        RefineSection,
+        RefineRequest,
+        {"aircraft": "a", "train": "f", "test": "g", "out": "o"},
+    ),
+}
+"""Section to its own keys, the request whose other keys it has, and what the study sets itself."""
 
 
 class _Document(Section):
@@ -236,13 +228,17 @@ def read_chain(path: str | Path) -> ChainSpec:
     """
     path = Path(path)
     data, text = read_toml(path)
+    lines: list[str] = []
+    options = _options(path, text, data, lines)
     try:
         document = _Document.model_validate(data)
     except ValidationError as error:
-        # All problems, sorted by line.
         problems = explain(_Document, text, data, error)
-        lines = [f"{path}:{line}: {message}" for line, message in problems]
-        raise BadInputError(*dict.fromkeys(lines)) from None
+        lines += [f"{path}:{line}: {message}" for line, message in problems]
+    if lines:
+        numbers = {line: int(line.removeprefix(f"{path}:").partition(":")[0]) for line in lines}
+        raise BadInputError(*sorted(numbers, key=lambda line: numbers[line]))
+    document = document.model_copy(update=_with_options(document, options))
     # pydantic has validated each section by itself; the campaign and the roles of flights follow.
     sections = {name: data[name] for name in CAMPAIGN_SECTIONS if name in data}
     spec = ChainSpec(
@@ -260,6 +256,60 @@ def read_chain(path: str | Path) -> ChainSpec:
     )
     _check(spec)
     return spec
+
+
+def _tables(data: Mapping[str, Any]) -> Iterator[tuple[str, int | None, dict[str, Any]]]:
+    """Yield the stage sections of a file: name, number in an array of tables, content."""
+    for name in STAGE_SECTIONS:
+        content = data.get(name)
+        if isinstance(content, dict):
+            yield name, None, content
+        elif isinstance(content, list):
+            yield from ((name, k, item) for k, item in enumerate(content) if isinstance(item, dict))
+
+
+def _place_of(path: Path, text: str, section: tuple[str, ...], key: str) -> tuple[Path, int]:
+    """Return file and line of a key."""
+    return path, line_of(text, (*section, key))
+
+
+def _options(
+    path: Path, text: str, data: Mapping[str, Any], lines: list[str]
+) -> dict[tuple[str, int | None], dict[str, Any]]:
+    """Return the options of the commands by section; mistakes are added to ``lines``."""
+    options = {}
+    for name, number, content in _tables(data):
+        section, request, also = STAGE_SECTIONS[name]
+        place: tuple[str, ...] = (name,) if number is None else (name, str(number))
+        own = [key for key in section.model_fields if key != "options"]
+        try:
+            options[name, number] = read_section(
+                request,
+                {key: value for key, value in content.items() if key not in own},
+                heading=f"[{name}]" if number is None else f"[[{name}]] number {number + 1}",
+                line=partial(_place_of, path, text, place),
+                also=also,
+                own=own,
+            )
+        except BadInputError as error:
+            lines += error.args
+    return options
+
+
+def _with_options(
+    document: _Document, options: Mapping[tuple[str, int | None], Mapping[str, Any]]
+) -> dict[str, Any]:
+    """Return the sections with the options of their commands."""
+    sections: dict[str, Any] = {}
+    for name in STAGE_SECTIONS:
+        part = getattr(document, name)
+        if isinstance(part, tuple):
+            sections[name] = tuple(
+                item.model_copy(update={"options": options[name, k]}) for k, item in enumerate(part)
+            )
+        elif part is not None:
+            sections[name] = part.model_copy(update={"options": options[name, None]})
+    return sections
 
 
 def _campaign(

@@ -1,15 +1,14 @@
-"""Plan a study: the stages, in order, with the command line of each.
+"""Plan a study: the stages, in order, with the request of each.
 
-`plan` turns a validated study file into a list of `Stage`: the words of one ``uqharness`` command,
-the files that it reads and writes, and the settings that its result depends on.
-`uqharness.study.run` skips a stage if inputs, settings and outputs are those of the last run.
+`plan` turns a validated study file into a list of `Stage`: the request of one command, the files
+that it reads and writes, and what its result depends on. `uqharness.study.run` skips a stage if
+inputs, request and outputs are those of the last run.
 """
 
 from __future__ import annotations
 
 import os
-import shlex
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -17,13 +16,34 @@ from typing import Any
 from uqharness.campaign import system_file
 from uqharness.errors import BadInputError
 from uqharness.identification import parse_designs
-from uqharness.requests.identification import IdentifyRequest
+from uqharness.requests.base import Request, base_type, command_line, options_of
+from uqharness.requests.campaign import RunRequest
+from uqharness.requests.identification import (
+    BoundsRequest,
+    CompareRequest,
+    IdentifyRequest,
+    ValidateBoundsRequest,
+)
+from uqharness.requests.logs import LogImportRequest
+from uqharness.requests.refinement import RefineRequest
+from uqharness.requests.sensitivity import SensitivityRequest
+from uqharness.requests.simulation import FlyRequest, InstrumentRequest
 from uqharness.simulator import Aircraft, find_aircraft, find_script
-from uqharness.study.spec import BoundsSection, ChainSpec, FlySection, IdentifySection, LogSection
+from uqharness.study.spec import (
+    STAGE_SECTIONS,
+    BoundsSection,
+    ChainSpec,
+    FlySection,
+    IdentifySection,
+    LogSection,
+)
 from uqharness.toml import line_of
 
 # Names of the two evaluations of a study: before refinement, and with the refined model.
 BEFORE, AFTER = "before", "after"
+
+
+_KINDS = {"log import": "import", "campaign run": "campaign"}
 
 
 @dataclass(frozen=True)
@@ -39,20 +59,18 @@ class Stage:
         or refine.
     folder : str
         Folder of the results, relative to the study's.
-    argv : tuple of str
-        Words after ``uqharness`` that repeat the stage.
+    request : Request
+        What is run.
     inputs : mapping
         Label -> file, or folder of an aircraft, on whose content the result depends.
     outputs : tuple of Path
         Files, or folders of an aircraft, that later stages and the verdict read.
-    options : mapping
-        Settings on which the result depends, as plain JSON types.
+    settings : mapping
+        What the result depends on beside request and inputs, as plain JSON types.
     owns : tuple of Path
         What is removed before the stage starts again.
     resumes : bool
         True if the command continues from the files of an interrupted run.
-    workers : bool
-        True if the command takes ``--workers``, on which no result depends.
     writes : (Path, mapping) or None
         Path and content of a TOML file that is written before the stage runs (a campaign's).
     belongs : (Path, Path) or None
@@ -62,29 +80,28 @@ class Stage:
     name: str
     kind: str
     folder: str
-    argv: tuple[str, ...]
+    request: Request
     inputs: Mapping[str, Path]
     outputs: tuple[Path, ...]
-    options: Mapping[str, Any]
     owns: tuple[Path, ...]
+    settings: Mapping[str, Any] = field(default_factory=dict)
     resumes: bool = False
-    workers: bool = False
     writes: tuple[Path, Mapping[str, Any]] | None = None
     belongs: tuple[Path, Path] | None = field(default=None)
 
     @property
     def command(self) -> str:
         """Return the command line as a shell repeats it."""
-        return shlex.join(("uqharness", *self.argv))
+        return command_line(self.request, full=True)
 
 
 @dataclass(frozen=True)
 class _Model:
-    """The aircraft at one point of the study: its word on command lines, its folder, and its label
-    among the inputs.
+    """The aircraft at one point of the study: its name or path in requests, its folder, and its
+    label among the inputs.
     """
 
-    word: str
+    source: str
     folder: Path
     label: str
 
@@ -126,7 +143,7 @@ class _Planner:
         ):
             stage = self._instrument(model)
             yield stage
-            model = _Model(str(stage.outputs[0]), stage.outputs[0], self._label(stage.outputs[0]))
+            model = self._model(stage.outputs[0])
         for number, item in enumerate(spec.fly):
             yield self._fly(item, number)
         # A simulated flight is imported as a user's log is.
@@ -176,48 +193,24 @@ class _Planner:
     def _instrument(self, model: _Model) -> Stage:
         """Add the plugin to the aircraft."""
         target = self.out / "instrument" / find_aircraft(model.folder).name
-        words = [
-            "instrument",
-            model.word,
-            "--out",
-            str(target),
-            *(["--air"] if self.spec.study.air else []),
-        ]
-        return self._stage(
-            "instrument",
-            "instrument",
-            target,
-            words,
-            {model.label: model.folder},
-            [target],
-            {"air": self.spec.study.air},
-        )
+        request = InstrumentRequest(aircraft=model.source, out=target, air=self.spec.study.air)
+        return self._stage("instrument", target, request, {model.label: model.folder}, [target])
 
     def _fly(self, item: FlySection, number: int) -> Stage:
         """Simulate one flight of a true aircraft and write its log."""
         out = self.out / "flights" / f"{item.name}.bin"
         truth = self._aircraft(item.aircraft, "fly", number, "aircraft")
         script = self._script(item.script, "fly", number, "script")
-        # repr of a float repeats it exactly.
-        words = ["fly", truth.word, "--script", _shell_path(script), "--seed", str(item.seed)]
-        words += ["--turbulence", item.turbulence, "--turbulence-source", item.turbulence_source]
-        words += ["--wind-mps", f"{item.wind_mps!r}", "--wind-from-deg", f"{item.wind_from_deg!r}"]
-        words += [] if item.duration_s is None else ["--duration-s", f"{item.duration_s!r}"]
-        words += ["--rate-hz", f"{item.rate_hz!r}", *(["--noise"] if item.noise else [])]
-        for name, value in item.set.items():
-            words += ["--set", f"{name}={value!r}"]
-        options = item.model_dump(mode="json", exclude={"aircraft", "script"})
-        inputs = {truth.label: truth.folder, f"{item.script} (script)": script}
-        return self._stage(
-            f"fly-{item.name}",
-            "fly",
-            out.parent,
-            [*words, "--out", str(out)],
-            inputs,
-            [out],
-            options,
-            owns=[out],
+        options, files = self._options(item.options, "fly", number)
+        request = FlyRequest(
+            aircraft=truth.source,
+            script=_shell_path(script),
+            out=out,
+            # Flights of a simulated truth have noise unless the file says otherwise.
+            **{"noise": True, **options},
         )
+        inputs = {truth.label: truth.folder, f"{item.script} (script)": script, **files}
+        return self._stage(f"fly-{item.name}", out.parent, request, inputs, [out], owns=[out])
 
     def _import(
         self, name: str, log: Path, model: _Model, user_log: LogSection | None, number: int = 0
@@ -228,145 +221,88 @@ class _Planner:
         section, for errors.
         """
         out = self.records[name]
-        words = [
-            "log",
-            "import",
-            _shell_path(log),
-            "--out",
-            str(out),
-            "--aircraft",
-            model.word,
-            "--no-cache",
-        ]
-        inputs = {
-            self._label(log) if user_log is None else user_log.file: log,
-            model.label: model.folder,
-        }
-        # Optional files of the log's section.
-        for option in ("map", "manoeuvres"):
-            text = None if user_log is None else getattr(user_log, option)
-            if text is not None:
-                path = self._file(text, "logs", number, option)
-                words += [f"--{option}", _shell_path(path)]
-                inputs[f"{text} ({option})"] = path
-        return self._stage(
-            f"import-{name}", "import", out.parent, words, inputs, [out], {}, owns=[out]
+        label = self._label(log) if user_log is None else user_log.file
+        inputs = {label: log, model.label: model.folder}
+        options: dict[str, Any] = {}
+        if user_log is not None:
+            options, _ = self._options(user_log.options, "logs", number)
+            # Optional files of the log's section.
+            for key, field_name in (("map", "signal_map"), ("manoeuvres", "manoeuvres")):
+                text = getattr(user_log, key)
+                if text is not None:
+                    path = self._file(text, "logs", number, key)
+                    options[field_name] = _shell_path(path)
+                    inputs[f"{text} ({key})"] = path
+        request = LogImportRequest(
+            log=_shell_path(log), aircraft=model.source, out=out, use_cache=False, **options
         )
+        return self._stage(f"import-{name}", out.parent, request, inputs, [out], owns=[out])
 
     def _identify(self, section: IdentifySection, model: _Model) -> Stage:
         """Estimate parameters from flights."""
         out = self.out / "identify"
-        words = ["identify", model.word, *self._flight_words(section.flights), "--out", str(out)]
-        words += [
-            "--start",
-            section.start,
-            "--method",
-            section.method,
-            "--servos",
-            self.spec.study.servos,
-        ]
-        for option in ("params", "biases", "delays"):
-            value = getattr(section, option)
-            # Names of channels are checked now; names of parameters need the aircraft and are
-            # checked by the command.
-            if value is not None and option != "params":
-                self._check_option(
-                    lambda given: IdentifyRequest.of(aircraft="", flights="flight", **given),
-                    {option: value},
-                    "identify",
-                    option,
-                )
-            words += [] if value is None else [f"--{option}", ",".join(value) or "none"]
-        options = section.model_dump(mode="json") | {"servos": self.spec.study.servos}
-        inputs = {model.label: model.folder} | self._flight_inputs(section.flights)
-        return self._stage(
-            "identify",
-            "identify",
-            out,
-            words,
-            inputs,
-            [out / "fit.json", out / "aircraft"],
-            options,
-            workers=True,
+        options, files = self._options(section.options, "identify")
+        request = IdentifyRequest(
+            aircraft=model.source,
+            flights=self._records(section.flights),
+            out=out,
+            servos=self.spec.study.servos,
+            **options,
         )
+        inputs = {model.label: model.folder, **self._flight_inputs(section.flights), **files}
+        return self._stage("identify", out, request, inputs, [out / "fit.json", out / "aircraft"])
 
     def _compare(self, flight: str, model: _Model, when: str) -> Stage:
         """Replay one flight with a model."""
+        assert self.spec.compare is not None
         name = f"compare-{flight}-{when}"
         out = self.out / name
-        words = [
-            "compare",
-            model.word,
-            *self._flight_words([flight]),
-            "--servos",
-            self.spec.study.servos,
-            "--out",
-            str(out),
-        ]
-        inputs = {model.label: model.folder} | self._flight_inputs([flight])
-        options = {"servos": self.spec.study.servos}
-        return self._stage(
-            name, "compare", out, words, inputs, [out / "compare.json"], options, workers=True
+        options, files = self._options(self.spec.compare.options, "compare")
+        request = CompareRequest(
+            aircraft=model.source,
+            flight=self._records([flight]),
+            out=out,
+            servos=self.spec.study.servos,
+            **options,
         )
+        inputs = {model.label: model.folder, **self._flight_inputs([flight]), **files}
+        return self._stage(name, out, request, inputs, [out / "compare.json"])
 
     def _bounds(self, section: BoundsSection, model: _Model, when: str) -> Stage:
         """Estimate model-form bounds from flights."""
         name = f"bounds-{when}"
         out = self.out / name
-        # Designs as the command line spells them: ``COEFFICIENT=name,name``.
-        texts = {
-            o: [f"{c}={','.join(names)}" for c, names in getattr(section, o).items()]
-            for o in ("states", "terms")
-        }
-        for option, assignments in texts.items():
-            if assignments:
-                states, terms = (assignments, []) if option == "states" else ([], assignments)
-                self._check_option(
-                    lambda pair: parse_designs(pair[0], pair[1], 2, False),
-                    (states, terms),
-                    "bounds",
-                    option,
-                )
-        words = ["bounds", model.word, *self._flight_words(section.flights), "--out", str(out)]
-        words += [
-            "--confidence",
-            f"{section.confidence!r}",
-            "--order",
-            str(section.order),
-            "--select",
-            section.select,
-        ]
+        options, files = self._options(section.options, "bounds")
+        for option in ("states", "terms"):
+            texts = [f"{c}={','.join(names)}" for c, names in options.get(option, {}).items()]
+            self._check_designs(option, texts)
         # Every sample counts in the published interval alone.
-        words += ["--as-published"] if section.samples == "all" else []
-        words += ["--outside", section.outside, "--servos", self.spec.study.servos]
-        for option in ("cutoff_hz", "airspeed_cutoff_hz", "walk_cutoff_hz"):
-            words += [f"--{option.replace('_', '-')}", f"{getattr(section, option)!r}"]
-        words += [
-            word
-            for option, assignments in texts.items()
-            for text in assignments
-            for word in (f"--{option}", text)
-        ]
-        words += ["--roll-terms"] if section.roll_terms else []
-        words += [] if section.checks else ["--no-check"]
-        options = section.model_dump(mode="json", exclude={"validate_on"}) | {
-            "servos": self.spec.study.servos
-        }
-        inputs = {model.label: model.folder} | self._flight_inputs(section.flights)
+        if section.samples == "all":
+            options["as_published"] = True
+        request = BoundsRequest(
+            aircraft=model.source,
+            flights=self._records(section.flights),
+            out=out,
+            servos=self.spec.study.servos,
+            **options,
+        )
+        inputs = {model.label: model.folder, **self._flight_inputs(section.flights), **files}
         outputs = [out / "model-form.json", out / "model-form.xml"]
-        return self._stage(name, "bounds", out, words, inputs, outputs, options)
+        return self._stage(name, out, request, inputs, outputs)
 
     def _validate(self, flights: Sequence[str], form: Path, model: _Model, when: str) -> Stage:
         """Check bounds on flights that they were not made from."""
         name = f"validate-{when}"
         out = self.out / name
-        words = ["validate-bounds", model.word, str(form), *self._flight_words(flights)]
-        words += ["--servos", self.spec.study.servos, "--out", str(out)]
-        inputs = {model.label: model.folder, self._label(form): form} | self._flight_inputs(flights)
-        options = {"servos": self.spec.study.servos, "flights": list(flights)}
-        return self._stage(
-            name, "validate-bounds", out, words, inputs, [out / "coverage.json"], options
+        request = ValidateBoundsRequest(
+            aircraft=model.source,
+            form=form,
+            flights=self._records(flights),
+            out=out,
+            servos=self.spec.study.servos,
         )
+        inputs = {model.label: model.folder, self._label(form): form} | self._flight_inputs(flights)
+        return self._stage(name, out, request, inputs, [out / "coverage.json"])
 
     def _campaign(self, model: _Model, form: Path | None, when: str) -> Stage:
         """Fly the campaign with one model, and with the bounds of that model if the study makes
@@ -404,20 +340,18 @@ class _Planner:
             bounds_file = self._file(data["epistemic"]["bounds"], "epistemic", "bounds")
             inputs[f"{data['epistemic']['bounds']} (bounds)"] = bounds_file
             data["epistemic"]["bounds"] = str(bounds_file)
-        words = ["campaign", "run", str(file), "--out", str(out)]
         outputs = [
             out / n for n in ("cases.parquet", "pbox.parquet", "excursions.csv", "statements.csv")
         ]
         return self._stage(
             name,
-            "campaign",
             out,
-            words,
+            # The user has agreed to the campaigns by running the study.
+            RunRequest(campaign=file, out=out, yes=True),
             inputs,
             outputs,
-            options,
+            settings=options,
             resumes=True,
-            workers=True,
             writes=(file, data),
             belongs=None if form is None else (form, model.folder),
         )
@@ -425,16 +359,11 @@ class _Planner:
     def _sensitivity(self, campaign: Stage) -> Stage:
         """Rank the coefficients of a finished campaign by their share of the p-box width."""
         folder = self.out / campaign.folder
-        cases = campaign.outputs[0]
+        cases, table = campaign.outputs[0], folder / "sensitivity.csv"
+        name = campaign.name.replace("campaign", "sensitivity")
+        request = SensitivityRequest(folder=folder)
         return self._stage(
-            campaign.name.replace("campaign", "sensitivity"),
-            "sensitivity",
-            folder,
-            ["sensitivity", str(folder)],
-            {self._label(cases): cases},
-            [folder / "sensitivity.csv"],
-            {},
-            owns=[folder / "sensitivity.csv"],
+            name, folder, request, {self._label(cases): cases}, [table], owns=[table]
         )
 
     def _refine(self, model: _Model) -> Stage:
@@ -442,57 +371,60 @@ class _Planner:
         section = self.spec.refine
         assert section is not None
         out = self.out / "refine"
-        words = ["refine", model.word]
-        for option, names in (("--train", section.train), ("--test", section.test)):
-            words += [word for name in names for word in (option, str(self.records[name]))]
-        words += ["--servos", self.spec.study.servos, "--out", str(out)]
-        # The study's own campaigns are the p-boxes before and after.
-        words += [] if self.spec.campaign is None else ["--no-pbox"]
-        inputs = {model.label: model.folder} | self._flight_inputs((*section.train, *section.test))
-        if section.effects is not None:
-            path = self._file(section.effects, "refine", "effects")
-            words += ["--effects", _shell_path(path)]
-            inputs[f"{section.effects} (effects)"] = path
-        options = section.model_dump(mode="json", exclude={"effects"}) | {
-            "servos": self.spec.study.servos
-        }
-        options["pbox"] = self.spec.campaign is None
-        outputs = [out / "refinement.json", out / "aircraft" / model.folder.name]
-        return self._stage(
-            "refine", "refine", out, words, inputs, outputs, options, resumes=True, workers=True
+        options, files = self._options(section.options, "refine")
+        request = RefineRequest(
+            aircraft=model.source,
+            train=self._records(section.train),
+            test=self._records(section.test),
+            out=out,
+            servos=self.spec.study.servos,
+            # The study's own campaigns are the p-boxes before and after.
+            pbox=self.spec.campaign is None,
+            **options,
         )
+        flights = self._flight_inputs((*section.train, *section.test))
+        inputs = {model.label: model.folder, **flights, **files}
+        outputs = [out / "refinement.json", out / "aircraft" / model.folder.name]
+        return self._stage("refine", out, request, inputs, outputs, resumes=True)
 
     def _stage(
         self,
         name: str,
-        kind: str,
         folder: Path,
-        words: Sequence[str],
+        request: Request,
         inputs: Mapping[str, Path],
         outputs: Sequence[Path],
-        options: Mapping[str, Any],
         owns: Sequence[Path] | None = None,
-        **stage_options: Any,
+        **more: Any,
     ) -> Stage:
-        """Build a stage; paths become relative to the study's folder where they are stored.
-
-        ``owns`` defaults to the folder of the results.
-        """
+        """Build a stage; ``owns`` defaults to the folder of the results."""
         return Stage(
             name,
-            kind,
+            _KINDS.get(request.command, request.command),
             folder.relative_to(self.out).as_posix(),
-            tuple(words),
+            request,
             dict(inputs),
             tuple(outputs),
-            dict(options),
             tuple([folder] if owns is None else owns),
-            **stage_options,
+            **more,
         )
 
-    def _flight_words(self, names: Sequence[str]) -> list[str]:
-        """Return ``--flight RECORD`` for each flight."""
-        return [word for name in names for word in ("--flight", str(self.records[name]))]
+    def _options(
+        self, options: Mapping[str, Any], *location: str | int
+    ) -> tuple[dict[str, Any], dict[str, Path]]:
+        """Return options with the paths of files that they name, and these files as inputs."""
+        request = STAGE_SECTIONS[str(location[0])][1]
+        values, files = dict(options), {}
+        for name, (info, field_option) in options_of(request).items():
+            if name in values and base_type(info.annotation) is Path:
+                key, text = field_option.key or name, str(values[name])
+                path = self._file(text, *location, key)
+                values[name], files[f"{text} ({key})"] = _shell_path(path), path
+        return values, files
+
+    def _records(self, names: Sequence[str]) -> tuple[Path, ...]:
+        """Return the records of flights."""
+        return tuple(self.records[name] for name in names)
 
     def _flight_inputs(self, names: Sequence[str]) -> dict[str, Path]:
         """Return label -> record of each flight."""
@@ -511,7 +443,9 @@ class _Planner:
         local_folder = self.spec.resolve(name)
         try:
             if local_folder.is_dir():
-                return _Model(_shell_path(local_folder), find_aircraft(local_folder).folder, name)
+                return _Model(
+                    str(_shell_path(local_folder)), find_aircraft(local_folder).folder, name
+                )
             return _Model(name, find_aircraft(name).folder, name)
         except BadInputError as error:
             raise self._located_error(error, *location) from None
@@ -535,15 +469,16 @@ class _Planner:
             )
         return path
 
-    def _check_option(self, read: Callable[[Any], object], value: object, *location: str) -> None:
-        """Parse an option now, so that an error is reported before the first stage runs.
+    def _check_designs(self, option: str, texts: Sequence[str]) -> None:
+        """Parse states or terms now, so that an error is reported before the first stage runs.
 
         Raises BadInputError at the option's line.
         """
+        states, terms = (texts, ()) if option == "states" else ((), texts)
         try:
-            read(value)
+            parse_designs(states, terms, 2, False)
         except BadInputError as error:
-            raise self._located_error(error, *location) from None
+            raise self._located_error(error, "bounds", option) from None
 
     def _located_error(self, reason: object, *location: str | int) -> BadInputError:
         """Return an error that names file, line, section and key."""
@@ -563,11 +498,11 @@ def _carries_plugin(aircraft: Aircraft) -> bool:
     return True
 
 
-def _shell_path(path: Path) -> str:
+def _shell_path(path: Path) -> Path:
     """Return a path relative to the working folder if it lies below it, else the absolute path."""
     working_folder, absolute = Path.cwd(), Path(os.path.abspath(path))
     return (
-        str(absolute.relative_to(working_folder))
+        absolute.relative_to(working_folder)
         if absolute.is_relative_to(working_folder)
-        else str(absolute)
+        else absolute
     )

@@ -88,7 +88,7 @@ def test_it_ends_well_and_runs_once(how: str, code: str, said: str, tmp_path: Pa
 
 OWN = """
 from uqharness.campaign.run import run_campaign
-from uqharness.api.campaigns import campaign_of
+from uqharness.commands.campaign import campaign_of
 from uqharness.flight.fly import fly
 
 def own(spec):

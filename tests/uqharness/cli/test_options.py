@@ -9,10 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from uqharness.cli import options
 from uqharness.cli.arguments import request_of
 from uqharness.cli.main import build_parser, complete_parser, run_words
-from uqharness.cli.options import Command, commands_of
+from uqharness.cli.options import Command, RequestCommand, commands_of
 from uqharness.errors import BadInputError
 from uqharness.files import results_folder
 from uqharness.requests.base import command_line, command_words
@@ -28,33 +27,6 @@ def leaves(parser: argparse.ArgumentParser) -> list[argparse.ArgumentParser]:
 @pytest.fixture(scope="module")
 def commands() -> list[argparse.ArgumentParser]:
     return leaves(complete_parser())
-
-
-@pytest.mark.parametrize(("text", "value"), [("1", 1), ("1000", 1000)])
-def test_a_whole_number_within_its_limits_is_read(text: str, value: int) -> None:
-    assert options.integer("--n", 1, 1000)(text) == value
-
-
-@pytest.mark.parametrize("text", ["0", "-3", "1001", "2.5", "many", ""])
-def test_a_whole_number_beyond_them_is_refused_by_name(text: str) -> None:
-    with pytest.raises(
-        BadInputError, match=f"--n {text}: a whole number of at least 1 and up to 1000 is needed"
-    ):
-        options.integer("--n", 1, 1000)(text)
-
-
-@pytest.mark.parametrize("text", ["0", "121", "nan", "inf", "five"])
-def test_a_number_beyond_its_limits_is_refused_by_name(text: str) -> None:
-    with pytest.raises(BadInputError, match=f"--t {text}: a time above 0 and up to 120 is needed"):
-        options.number("--t", "a time", above=0.0, maximum=120.0)(text)
-
-
-def test_the_ends_of_a_range_belong_to_it_but_for_above() -> None:
-    assert options.number("--t", minimum=0.0)("0") == 0.0
-    assert options.number("--t", above=0.0, maximum=120.0)("120") == 120.0
-    assert options.number("--angle")("-270") == -270.0
-    with pytest.raises(BadInputError, match="--angle inf: a number is needed"):
-        options.number("--angle")("inf")
 
 
 def made(*words: str) -> BoundsRequest:
@@ -162,9 +134,9 @@ def test_no_workers_are_refused_wherever_they_are_asked_for(words: tuple[str, ..
 
 def test_a_parser_is_completed_once() -> None:
     parser = Command(prog="uqharness report")
-    parser.place = "report"
+    parser.entry = RequestCommand("folders:ReportRequest", "folders:report", "")
     parser.complete()
     before = len(parser._actions)
     parser.complete()
     assert len(parser._actions) == before
-    assert parser.parse_args(["results"]).folder == Path("results")
+    assert parser.parse_args(["results"]).folder == "results"

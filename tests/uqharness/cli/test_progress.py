@@ -14,13 +14,12 @@ from uqharness.campaign.run import Progress
 from uqharness.cli.progress import (
     ProgressView,
     clock,
-    counting,
     describe,
     print_line,
     print_warnings,
     working,
 )
-from uqharness.heartbeat import Rate, heartbeat
+from uqharness.heartbeat import Rate, counting, heartbeat
 
 
 def test_progress_on_a_terminal_and_silence_elsewhere():
@@ -39,18 +38,21 @@ def test_progress_on_a_terminal_and_silence_elsewhere():
 
 
 @pytest.mark.parametrize("terminal", [True, False])
-def test_stages_lines_and_counters_are_for_terminals_alone(monkeypatch, terminal):
+def test_stage_lines_are_for_terminals_alone(monkeypatch, terminal):
     told = io.StringIO()
     monkeypatch.setattr(told, "isatty", lambda: terminal)
     monkeypatch.setattr(sys, "stderr", told)
     print_line("round 1")
-    with counting("repeats") as update:
-        update(1, 2)
     said = told.getvalue()
     assert (said != "") is terminal
     if terminal:
         assert "round 1\n" in said
-        assert "repeats: 1 of 2" in said
+
+
+def test_a_count_is_a_stage_with_its_total():
+    stages = []
+    counting("repeats", stages.append)(1.5, 2)
+    assert stages[0].startswith("repeats: 1 of 2")
 
 
 def test_the_time_to_go_follows_recent_work_and_counts_down():

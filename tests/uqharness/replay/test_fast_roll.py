@@ -13,7 +13,7 @@ import pytest
 
 from sysid.aerodynamics import Cutoffs
 from uqharness.cli.main import main
-from uqharness.cli.options import aircraft_with_card
+from uqharness.commands.flights import carded_aircraft
 from uqharness.replay.flights import read_flights, segments
 from uqharness.replay.model import ReplayFolder
 from uqharness.replay.replay import CHANNELS, fly_segment
@@ -119,7 +119,7 @@ def test_its_own_flight_is_at_the_noise_floor(lively, tmp_path, capsys):
 
 def test_a_step_is_flown_as_one_that_is_held_from_its_row_on(lively):
     """Replays give a step its own time; half a frame of it would be 20 sigma of p."""
-    aircraft = aircraft_with_card(str(lively))
+    aircraft = carded_aircraft(str(lively))
     (flight,), measured = read_flights([lively.parent / "clean.csv"], aircraft)
     cut = segments(flight, measured)
     number = next(k for k, s in enumerate(cut) if s.kind == "roll doublet")
@@ -132,7 +132,7 @@ def test_a_step_is_flown_as_one_that_is_held_from_its_row_on(lively):
 
 
 def test_a_late_step_at_a_start_waits_as_it_does_within_a_segment(lively):
-    aircraft = aircraft_with_card(str(lively))
+    aircraft = carded_aircraft(str(lively))
     (flight,), measured = read_flights([lively.parent / "clean.csv"], aircraft)
     piece = next(p for p in flight.pieces if p.label == "roll doublet")
     first = piece.rows.start
@@ -154,7 +154,7 @@ def test_a_late_step_at_a_start_waits_as_it_does_within_a_segment(lively):
 
 
 def test_residuals_of_its_own_flight_have_no_trace_of_the_steps(lively):
-    aircraft = aircraft_with_card(str(lively))
+    aircraft = carded_aircraft(str(lively))
     (flight,), measured = read_flights([lively.parent / "clean.csv"], aircraft)
     with prediction_of(aircraft, measured) as pair:
         plain, mended = (

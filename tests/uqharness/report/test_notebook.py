@@ -10,7 +10,7 @@ import pytest
 from lxml import etree
 
 import uqharness as uq
-from uqharness.api.campaigns import CampaignResult
+from uqharness.commands.campaign import CampaignResult
 
 pytestmark = pytest.mark.usefixtures("flights_here")
 

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import shlex
 import tomllib
 
 import pytest
 import tomlkit
 
+from uqharness.cli.arguments import request_of
 from uqharness.cli.main import build_parser
 from uqharness.errors import BadInputError
+from uqharness.requests.base import command_words
 from uqharness.simulator.aircraft import PROJECT_ROOT
 from uqharness.study.spec import read_chain
 from uqharness.study.stages import plan
@@ -89,9 +92,10 @@ def test_the_stages_of_a_whole_study_in_order(tmp_path):
     assert [stage.name for stage in stages] == names.split()
     for stage in stages:
         assert stage.command.startswith("uqharness ")
-        build_parser().parse_args(
-            stage.argv
-        )  # what would be told to a shell is what the command line takes
+        # What would be told to a shell is the stage's request.
+        args = build_parser().parse_args(shlex.split(stage.command)[1:])
+        words = command_words(request_of(args.model, args), full=True)
+        assert words == command_words(stage.request, full=True)
 
 
 def test_each_model_flies_with_bounds_of_its_own(tmp_path):
@@ -103,7 +107,7 @@ def test_each_model_flies_with_bounds_of_its_own(tmp_path):
     ):
         campaign = stages[f"campaign-{when}"]
         assert campaign.belongs == (out / f"bounds-{when}" / "model-form.json", model)
-        assert stages[f"bounds-{when}"].argv[1] == str(model)
+        assert stages[f"bounds-{when}"].request.aircraft == str(model)
         path, data = campaign.writes
         assert path.parent / data["campaign"]["aircraft"] == model
         assert path.parent / data["epistemic"]["bounds"] == campaign.belongs[0]
@@ -184,7 +188,7 @@ def test_options_reach_the_commands(tmp_path):
             ["[study] aircraft", "'espaaroo' not found", "espaaro_truth"],
         ),
         ("[identify]", "[identfy]", ["[identfy]: unknown section", "did you mean identify?"]),
-        ("seed = 2", "sede = 2", ["[[fly]] number 2 sede: unknown key", "did you mean seed?"]),
+        ("seed = 2", "sede = 2", ["[[fly]] number 2 sede: unknown", "did you mean seed?"]),
         (
             "seed = 2",
             'seed = 2\nturbulence = "heavy"',
@@ -195,7 +199,7 @@ def test_options_reach_the_commands(tmp_path):
         (
             'file = "three.bin"',
             'fiel = "three.bin"',
-            ["[[logs]] number 1 fiel: unknown key", "did you mean file?"],
+            ["[[logs]] number 1 fiel: unknown", "did you mean file?"],
         ),
         (
             'file = "three.bin"',
@@ -341,4 +345,4 @@ def test_the_study_of_the_project_is_read_from_any_folder(tmp_path, monkeypatch)
     path = PROJECT_ROOT / "campaigns" / "chain" / "chain.toml"
     stages = plan(read_chain(path), tmp_path / "out")
     assert len(stages) == 16
-    assert str(PROJECT_ROOT / "scripts" / "flight-ident.xml") in stages[0].argv
+    assert stages[0].request.script == PROJECT_ROOT / "scripts" / "flight-ident.xml"

@@ -11,30 +11,35 @@ import sys
 from typing import Any
 
 from uqharness.cli.arguments import add_request, request_of
-from uqharness.cli.options import RequestCommand
-from uqharness.cli.progress import ProgressView, print_warnings, working
 from uqharness.heartbeat import QUIET_VARIABLE
 
 
-def add_request_command(parser: argparse.ArgumentParser, command: RequestCommand) -> None:
-    """Add the options of a command's request, and what runs it."""
-    model = _part("uqharness.requests", command.request)
+def add_request_command(parser: argparse.ArgumentParser, request: str, function: str) -> None:
+    """Add the options of a command's request, and what runs it.
+
+    ``request`` and ``function`` are ``module:name`` within uqharness.requests and
+    uqharness.commands.
+    """
+    model = _part("uqharness.requests", request)
     add_request(parser, model)
 
     def run(args: argparse.Namespace) -> int:
         """Run the command; return its exit code."""
+        # The library of progress bars is slow to load, and no help page needs it.
+        from uqharness.cli.progress import ProgressView, print_warnings, working
+
         # Notes are log records, which --quiet leaves out as well.
         logging.getLogger("uqharness").setLevel(logging.WARNING if args.quiet else logging.INFO)
         if args.quiet:
             os.environ[QUIET_VARIABLE] = "1"
-        request = request_of(model, args)
-        function = _part("uqharness.commands", command.function)
+        values = request_of(model, args)
+        run_request = _part("uqharness.commands", function)
         if model.flies:
             with ProgressView() as view:
-                outcome = function(request, view.update)
+                outcome = run_request(values, view.update)
         else:
             with working(model.command, _segments_flown, keep=model.keeps_stages) as callback:
-                outcome = function(request, callback)
+                outcome = run_request(values, callback)
         if not args.quiet:
             print_warnings(outcome.warnings)
         if args.json:

@@ -1,0 +1,357 @@
+"""Exported models against the programs' equations, written here a second time: one state after the
+other, in world axes for Gazebo, so that signs and axes are not assumed.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import uqharness as uq
+from tests.helpers.places import ROOT
+from uqharness.cli import main as cli
+from uqharness.errors import BadInputError
+from uqharness.exchange import FlightStates, ardupilot_json, derivatives, gazebo, sweeps
+from uqharness.exchange.states import VARIABLES, Reference
+
+REFERENCE = Reference(
+    0.8, 2.1, 0.36, 6.5, np.array([[0.9, 0.0, -0.07], [0, 0.6, 0], [-0.07, 0, 1.4]]),
+    {"elevator": 24.0, "aileron": 20.0, "rudder": 28.0},
+)  # fmt: skip
+
+
+def states(n: int, seed: int = 0) -> FlightStates:
+    rng = np.random.default_rng(seed)
+    width = {"alpha": 0.2, "beta": 0.2, "p": 0.06, "q": 0.006, "r": 0.04}
+    values = {v: width.get(v, 15.0) * rng.uniform(-1.0, 1.0, n) for v in VARIABLES}
+    return FlightStates(rng.uniform(12.0, 40.0, n), values, REFERENCE.b_m, REFERENCE.c_m)
+
+
+def ardupilot_keys() -> dict[str, Any]:
+    rng = np.random.default_rng(1)
+    keys = {key: float(rng.normal()) for key in ardupilot_json.KEYS}
+    return keys | {
+        "s": 0.24, "b": 2.1, "c": 0.36, "oswald": 0.8, "mcoeff": 50.0, "alpha_stall": 0.3,
+        "CGOffset": [0.02, -0.01, 0.03],
+    }  # fmt: skip
+
+
+def gazebo_model() -> gazebo.LiftDragModel:
+    rng = np.random.default_rng(2)
+    tags = {tag: float(rng.normal()) for tag in gazebo.TAGS}
+    tags |= {
+        "area": 0.8, "mac": 0.36, "AR": 2.1**2 / 0.8, "eff": 0.85, "alpha_stall": 0.3,
+        "air_density": 1.2041,
+    }  # fmt: skip
+    surfaces = [
+        gazebo.ControlSurface(
+            name,
+            gazebo.variable_of(name),
+            direction,
+            direction,
+            {
+                f"{c}_ctrl": float(rng.normal()) / 30.0
+                for c in ("CL", "CD", "CY", "Cell", "Cem", "Cen")
+            },
+        )
+        for name, direction in (
+            ("elevator_joint", -1.0),
+            ("left_aileron_joint", -1.0),
+            ("right_aileron_joint", 1.0),
+            ("rudder_joint", -1.0),
+        )
+    ]
+    return gazebo.LiftDragModel(tags, surfaces)
+
+
+def by_ardupilot(k: dict[str, Any], V: float, x: dict[str, float]) -> list[float]:
+    """SIM_Plane.cpp, one state: forces and torque over the pressure and the lengths."""
+    u = V * math.cos(x["alpha"]) * math.cos(x["beta"])
+    v, w = V * math.sin(x["beta"]), V * math.sin(x["alpha"]) * math.cos(x["beta"])
+    alpha, beta = math.atan2(w, u), math.atan2(v, u)
+    p, q, r = (
+        x["p"] * 2 * V / REFERENCE.b_m,
+        x["q"] * 2 * V / REFERENCE.c_m,
+        x["r"] * 2 * V / REFERENCE.b_m,
+    )
+    elevator, aileron, rudder = -x["de"] / 24.0, x["da"] / 20.0, -x["dr"] / 28.0
+    rho, s, b, c = 1.225, k["s"], k["b"], k["c"]
+    m, a0 = k["mcoeff"], k["alpha_stall"]
+    sigmoid = (1 + math.exp(-m * (alpha - a0)) + math.exp(m * (alpha + a0))) / (
+        (1 + math.exp(-m * (alpha - a0))) * (1 + math.exp(m * (alpha + a0)))
+    )
+    line = k["c_lift_0"] + k["c_lift_a"] * alpha
+    lift = (1 - sigmoid) * line + sigmoid * (
+        2 * math.copysign(1, alpha) * math.sin(alpha) ** 2 * math.cos(alpha)
+    )
+    drag = k["c_drag_p"] + line**2 / (math.pi * k["oswald"] * b**2 / s)
+    sine, cosine = math.sin(alpha), math.cos(alpha)
+    pressure = 0.5 * rho * V**2 * s
+    fx = pressure * (
+        -drag * cosine + lift * sine
+        + (-k["c_drag_q"] * cosine + k["c_lift_q"] * sine) * c * q / (2 * V)
+        - k["c_drag_deltae"] * cosine * abs(elevator) + k["c_lift_deltae"] * sine * elevator
+    )  # fmt: skip
+    fz = pressure * (
+        -drag * sine - lift * cosine
+        + (-k["c_drag_q"] * sine - k["c_lift_q"] * cosine) * c * q / (2 * V)
+        - k["c_drag_deltae"] * sine * abs(elevator) - k["c_lift_deltae"] * cosine * elevator
+    )  # fmt: skip
+
+    def lateral(z: str) -> float:
+        rates = (k[f"c_{z}_p"] * p + k[f"c_{z}_r"] * r) * b / (2 * V)
+        controls = k[f"c_{z}_deltaa"] * aileron + k[f"c_{z}_deltar"] * rudder
+        return float(k[f"c_{z}_0"] + k[f"c_{z}_b"] * beta + rates + controls)
+
+    fy = pressure * lateral("y")
+    gx, gy, gz = k["CGOffset"]
+    roll = pressure * b * lateral("l") + gy * fz - gz * fy
+    pitch = pressure * c * (
+        k["c_m_0"] + k["c_m_a"] * alpha + k["c_m_q"] * c * q / (2 * V)
+        + k["c_m_deltae"] * elevator
+    ) - gx * fz + gz * fx  # fmt: skip
+    yaw = pressure * b * lateral("n") - gy * fx + gx * fy
+    return [
+        fx / pressure, fy / pressure, fz / pressure,
+        roll / (pressure * b), pitch / (pressure * c), yaw / (pressure * b),
+    ]  # fmt: skip
+
+
+def by_gazebo(model: gazebo.LiftDragModel, V: float, x: dict[str, float], turn: Rotation) -> Any:
+    """AdvancedLiftDrag.cc, one state in a world that is turned by any rotation."""
+    t = model.tags
+    # Link axes forward, left, up.
+    speed = V * np.array([
+        math.cos(x["alpha"]) * math.cos(x["beta"]), -math.sin(x["beta"]),
+        -math.sin(x["alpha"]) * math.cos(x["beta"]),
+    ])  # fmt: skip
+    spin = 2 * V * np.array([
+        x["p"] / REFERENCE.b_m, -x["q"] / REFERENCE.c_m, -x["r"] / REFERENCE.b_m,
+    ])  # fmt: skip
+    air, rates = turn.apply(speed), spin
+    ex, ez = turn.apply([1.0, 0, 0]), -turn.apply([0, 0, 1.0])
+    ey = np.cross(ez, ex)
+    plane = air - (air @ ey) * ey
+    size = float(np.linalg.norm(plane))
+    sx = plane / size
+    sz = np.cross(sx, ey)
+    span = math.sqrt(t["area"] * t["AR"])
+    rr, pr, yr = rates[0], -rates[1], -rates[2]
+    alpha, beta = math.atan2(sx @ ez, sx @ ex), math.atan2(air @ ey, air @ ex)
+    pressure, half = 0.5 * t["air_density"] * size**2, 0.5 * t["air_density"] * size
+    m, a0 = 15.0, t["alpha_stall"]
+    sigma = (1 + math.exp(-m * (alpha - a0)) + math.exp(m * (alpha + a0))) / (
+        (1 + math.exp(-m * (alpha - a0))) * (1 + math.exp(m * (alpha + a0)))
+    )
+    control = dict.fromkeys(("CL", "CD", "CY", "Cell", "Cem", "Cen"), 0.0)
+    for surface in model.surfaces:
+        # The joint that the exporter writes turns by direction times deflection.
+        joint = surface.direction * x[surface.variable]
+        for key in control:
+            control[key] += joint * surface.effects[f"{key}_ctrl"] * surface.direction
+
+    def damped(name: str) -> float:
+        return half * (
+            t[f"{name}p"] * rr * span / 2 + t[f"{name}q"] * pr * t["mac"] / 2
+            + t[f"{name}r"] * yr * span / 2
+        )  # fmt: skip
+
+    lift = (1 - sigma) * (t["CL0"] + t["CLa"] * alpha)
+    lift += sigma * 2 * (alpha / abs(alpha)) * math.sin(alpha) ** 2 * math.cos(alpha)
+    lift += t["CLb"] * beta + control["CL"]
+    flat = 2 / (1 + math.exp(-0.224 - 0.115 * max(t["AR"], 1 / t["AR"])))
+    drag = (1 - sigma) * (t["CD0"] + lift**2 / (math.pi * t["AR"] * t["eff"]))
+    drag += sigma * abs(flat * (0.5 - 0.5 * math.cos(2 * alpha))) + control["CD"]
+    force = (lift * pressure + damped("CL")) * t["area"] * -sz
+    force = force + (drag * pressure + damped("CD")) * t["area"] * -sx
+    side = t["CYa"] * alpha + t["CYb"] * beta + control["CY"]
+    force = force + (side * pressure + damped("CY")) * t["area"] * ey
+    if alpha > a0:
+        pitch = t["Cem0"] + t["Cema"] * a0 + t["Cema_stall"] * (alpha - a0)
+    elif alpha < -a0:
+        pitch = t["Cem0"] - t["Cema"] * a0 + t["Cema_stall"] * (alpha + a0)
+    else:
+        pitch = t["Cem0"] + t["Cema"] * alpha
+    pitch += t["Cemb"] * beta + control["Cem"]
+    roll = t["Cella"] * alpha + t["Cellb"] * beta + control["Cell"]
+    yaw = t["Cena"] * alpha + t["Cenb"] * beta + control["Cen"]
+    moment = (pitch * pressure + damped("Cem")) * t["area"] * t["mac"] * ey
+    moment = moment + (roll * pressure + damped("Cell")) * t["area"] * span * ex
+    moment = moment + (yaw * pressure + damped("Cen")) * t["area"] * span * ez
+    whole = 0.5 * t["air_density"] * V**2 * t["area"]
+    return np.array([
+        force @ ex / whole, force @ ey / whole, force @ ez / whole, moment @ ex / (whole * span),
+        moment @ ey / (whole * t["mac"]), moment @ ez / (whole * span),
+    ])  # fmt: skip
+
+
+def rows(of: FlightStates) -> list[tuple[float, dict[str, float]]]:
+    return [
+        (float(of.V_mps[k]), {v: float(of.values[v][k]) for v in VARIABLES}) for k in range(len(of))
+    ]
+
+
+def test_ardupilots_equations():
+    keys, of = ardupilot_keys(), states(1000)
+    expected = [by_ardupilot(keys, V, x) for V, x in rows(of)]
+    computed = ardupilot_json.coefficients(keys, of, REFERENCE.throw_deg)
+    assert computed == pytest.approx(np.array(expected), rel=1e-11, abs=1e-11)
+
+
+def test_gazebos_equations():
+    model, of = gazebo_model(), states(1000)
+    turns = Rotation.random(len(of), random_state=3)
+    expected = [by_gazebo(model, V, x, turns[k]) for k, (V, x) in enumerate(rows(of))]
+    computed = gazebo.coefficients(model, of)
+    assert computed == pytest.approx(np.array(expected), rel=1e-10, abs=1e-10)
+
+
+class _Formula:
+    """A source that follows a formula, around a trim at 20 m/s."""
+
+    def __init__(self, formula: Any) -> None:
+        self.coefficients, self.reference = formula, REFERENCE
+        self.middle = {"alpha": 0.05, "de": 0.0, "da": 0.0, "dr": 0.0}
+        self.trim = SimpleNamespace(
+            condition=SimpleNamespace(V_mps=20.0),
+            alpha_rad=0.05,
+            controls=dict.fromkeys(("elevator", "aileron", "rudder"), 0.0),
+        )
+
+
+def in_symmetry(of: FlightStates) -> FlightStates:
+    """The same states without sideslip: there both programs are linear in what they hold."""
+    return replace(of, values={**of.values, "beta": np.zeros(len(of))})
+
+
+def test_a_source_of_gazebos_form_is_held_exactly():
+    model = gazebo_model()
+    tags = dict(model.tags) | {"alpha_stall": 5.0, "CLb": 0.0}
+    whole = gazebo.LiftDragModel(tags, model.surfaces)
+    # Without sideslip, where the program's own angle and pressure are no polynomials.
+    source: Any = _Formula(lambda of: gazebo.coefficients(whole, in_symmetry(of)))
+    fitted = gazebo.parameters(source, derivatives(source))
+    held = gazebo.LiftDragModel({**fitted.tags, "alpha_stall": 5.0}, fitted.surfaces)
+    of = in_symmetry(states(500, 4))
+    difference = gazebo.coefficients(held, of) - gazebo.coefficients(whole, of)
+    # Rolling, pitching and yawing moment and side force are linear; the polar is quadratic.
+    assert np.abs(difference[:, [1, 3, 4, 5]]).max() < 1e-9
+    assert held.tags["CL0"] == pytest.approx(tags["CL0"], abs=1e-8)
+    assert held.tags["CLa"] == pytest.approx(tags["CLa"], abs=1e-8)
+
+
+def test_the_model_of_an_aircraft_holds_its_pitching_moment(tmp_path: Path):
+    loss = uq.export("espaaro", "ardupilot-json", out=tmp_path, speed_mps=22.2, states=200)
+    # Cm of this aircraft is linear in alpha, q and elevator.
+    assert loss.coefficients["Cm"].max < 1e-12
+    assert loss.coefficients["CX"].rms > 0.001
+    keys = ardupilot_json.read(tmp_path / "espaaro.json")
+    # Full nose up raises the nose; right wing down, nose right, stable in pitch, yaw and roll.
+    signs = {
+        "c_m_deltae": 1,
+        "c_l_deltaa": 1,
+        "c_n_deltar": 1,
+        "c_m_a": -1,
+        "c_n_b": 1,
+        "c_l_p": -1,
+    }
+    assert {key: int(math.copysign(1, keys[key])) for key in signs} == signs
+    assert keys["s"] * 21.34 / 2.0 == pytest.approx(1.97, rel=1e-3)
+
+
+def test_files_are_read_as_they_were_written(tmp_path: Path):
+    uq.export("espaaro", "gazebo", out=tmp_path, speed_mps=22.2, states=50)
+    models = [gazebo.read(tmp_path / name) for name in ("model.sdf", "model-classic.sdf")]
+    assert models[0] == models[1]
+    assert {s.variable for s in models[0].surfaces} == {"de", "da", "dr"}
+    text = (tmp_path / "model.sdf").read_text()
+    # Forward, left, up: the product of inertia keeps JSBSim's sign.
+    assert "<ixz>0.249" in text
+    of = states(100, 5)
+    whole = gazebo.coefficients(models[0], of)
+    for old, new in (
+        (f"<Cema>{models[0].tags['Cema']!r}", f"<Cema>{-models[0].tags['Cema']!r}"),
+        (f"<Cenb>{models[0].tags['Cenb']!r}", f"<Cenb>{models[0].tags['Cenb'] / 57.3!r}"),
+        (f"<mac>{models[0].tags['mac']!r}", "<mac>1.0"),
+        ("<direction>1.0", "<direction>-1.0"),
+    ):
+        spoilt = tmp_path / "spoilt.sdf"
+        assert old in text
+        spoilt.write_text(text.replace(old, new, 1))
+        assert gazebo.read(spoilt) != models[0]
+        if "direction" not in old and "mac" not in old:
+            assert np.abs(gazebo.coefficients(gazebo.read(spoilt), of) - whole).max() > 1e-4
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("[1]", "a JSON object"),
+        ('{"s": 1}', "lacks b, c"),
+        ("{", "a JSON object is needed"),
+        (json.dumps(dict.fromkeys(ardupilot_json.KEYS, 1.0) | {"c_m_a": "x"}), "c_m_a = 'x'"),
+    ],
+)
+def test_bad_json_is_one_sentence(content: str, message: str, tmp_path: Path):
+    path = tmp_path / "model.json"
+    path.write_text(content)
+    with pytest.raises(BadInputError, match=message):
+        ardupilot_json.read(path)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("<sdf><model/></sdf>", "has no plugin"),
+        ("<sdf>", "no XML"),
+        ('<sdf><plugin name="AdvancedLiftDrag"><AR>x</AR></plugin></sdf>', "<AR> 'x': a finite"),
+        ('<sdf><plugin name="AdvancedLiftDrag"><AR>0</AR></plugin></sdf>', "<AR> = 0: a number"),
+    ],
+)
+def test_bad_sdf_is_one_sentence(content: str, message: str, tmp_path: Path):
+    path = tmp_path / "model.sdf"
+    path.write_text(content)
+    with pytest.raises(BadInputError, match=message):
+        gazebo.read(path)
+
+
+def test_a_loss_beyond_the_bounds_is_refused_until_it_is_accepted(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    form = ROOT / "tests/fuzz/corpus/results/bounds/model-form.json"
+    words = ["export", "espaaro", "--to", "ardupilot-json", "--out", str(tmp_path / "out")]
+    words += ["--speed-mps", "22.2", "--states", "100", "--bounds", str(form)]
+    assert cli.main(words) == 1
+    printed = capsys.readouterr()
+    assert printed.out.startswith("Beyond the half-width of the bounds: CX")
+    assert "made for another model" in printed.err
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["loss.csv", "loss.json"]
+    assert cli.main([*words, "--accept-loss"]) == 1
+    assert (tmp_path / "out" / "espaaro.json").is_file()
+
+
+def test_a_table_holds_one_variable_at_a_time_exactly():
+    def formula(of: FlightStates) -> Any:
+        x = of.values
+        columns = [x["alpha"], x["beta"], x["q"], x["p"] + x["da"], x["alpha"] + x["de"], x["r"]]
+        return np.column_stack(columns)
+
+    source: Any = _Formula(formula)
+    tables = sweeps.sweeps(source)
+    of = states(50, 6)
+    inside = {
+        name: np.clip(of.values[name], tables[name][0].min(), tables[name][0].max())
+        for name in VARIABLES
+    }
+    bounded = replace(of, values=inside)
+    assert sweeps.coefficients(source, tables, bounded) == pytest.approx(
+        formula(bounded), abs=1e-12
+    )

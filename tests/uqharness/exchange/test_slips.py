@@ -1,0 +1,153 @@
+"""Slips seeded into exported files, one at a time: each is found and its cause named."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+import uqharness as uq
+from uqharness.errors import BadInputError
+
+SPEED = 22.2
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("exported")
+    for name in ("gazebo", "ardupilot-json"):
+        uq.export("espaaro", name, out=out / name, speed_mps=SPEED, states=50)
+    return out
+
+
+def found(first: Path, second: Path) -> list[tuple[str, str]]:
+    document = uq.diff(first, second)
+    return [(f.where, f.cause) for f in document.findings]
+
+
+DEGREES, CHORD_SPAN = 57.29577951308232, 0.53 / 3.66
+OPPOSITE, UNITS = "the sign is opposite", "per radian and per degree are mixed"
+BOTH, LENGTHS = "per surface and for both surfaces", "span and chord are mixed"
+
+# Tag, factor, where the finding is, its cause.
+GAZEBO = [
+    ("Cema", -1.0, "Cm over angle of attack", OPPOSITE),
+    ("Cema", 1 / DEGREES, "Cm over angle of attack", UNITS),
+    ("Cema", DEGREES, "Cm over angle of attack", UNITS),
+    ("CLa", -1.0, "CZ over angle of attack", OPPOSITE),
+    ("CLa", 1 / DEGREES, "CZ over angle of attack", ""),
+    ("Cenb", -1.0, "Cn over sideslip", OPPOSITE),
+    ("Cenb", 1 / DEGREES, "Cn over sideslip", UNITS),
+    ("Cellb", -1.0, "Cl over sideslip", OPPOSITE),
+    ("CYb", -1.0, "CY over sideslip", OPPOSITE),
+    ("Cellp", -1.0, "Cl over roll rate", OPPOSITE),
+    ("Cellp", 2.0, "Cl over roll rate", "2V and by V"),
+    ("Cemq", -1.0, "Cm over pitch rate", OPPOSITE),
+    ("Cemq", CHORD_SPAN, "Cm over pitch rate", LENGTHS),
+    ("Cemq", 0.5, "Cm over pitch rate", "2V and by V"),
+    ("Cenr", -1.0, "Cn over yaw rate", OPPOSITE),
+    ("Cenr", CHORD_SPAN**2, "Cn over yaw rate", LENGTHS),
+    ("area", 1.2, "wing area", ""),
+    ("mac", 3.66 / 0.53, "chord", "span [m]"),
+    ("mass", 2.0, "mass", ""),
+    ("ixz", -1.0, "Ixz", OPPOSITE),
+]
+# Joint, tag, factor, where, cause.
+SURFACES = [
+    ("elevator", "Cem_ctrl", -1.0, "Cm over elevator", OPPOSITE),
+    ("elevator", "Cem_ctrl", DEGREES, "Cm over elevator", UNITS),
+    ("elevator", "Cem_ctrl", 2.0, "Cm over elevator", BOTH),
+    ("elevator", "direction", -1.0, "Cm over elevator", OPPOSITE),
+    ("rudder", "Cen_ctrl", -1.0, "Cn over rudder", OPPOSITE),
+    ("rudder", "direction", -1.0, "Cn over rudder", OPPOSITE),
+    ("rudder", "Cen_ctrl", 0.5, "Cn over rudder", BOTH),
+    ("left_aileron", "Cell_ctrl", 3.0, "Cl over aileron", BOTH),
+    ("right_aileron", "direction", -1.0, "Cl over aileron", "lacks the term"),
+]
+JSON = [
+    ("c_m_a", -1.0, "Cm over angle of attack", OPPOSITE),
+    ("c_m_a", 1 / DEGREES, "Cm over angle of attack", UNITS),
+    ("c_m_deltae", -1.0, "Cm over elevator", OPPOSITE),
+    ("c_m_deltae", 1 / DEGREES, "Cm over elevator", UNITS),
+    ("c_m_q", CHORD_SPAN, "Cm over pitch rate", LENGTHS),
+    ("c_l_deltaa", -1.0, "Cl over aileron", OPPOSITE),
+    ("c_l_deltaa", 2.0, "Cl over aileron", BOTH),
+    ("c_l_p", -1.0, "Cl over roll rate", OPPOSITE),
+    ("c_l_b", -1.0, "Cl over sideslip", OPPOSITE),
+    ("c_n_b", -1.0, "Cn over sideslip", OPPOSITE),
+    ("c_n_b", DEGREES, "Cn over sideslip", UNITS),
+    ("c_n_deltar", -1.0, "Cn over rudder", OPPOSITE),
+    ("c_n_r", -1.0, "Cn over yaw rate", OPPOSITE),
+    ("c_y_b", -1.0, "CY over sideslip", OPPOSITE),
+    ("c_lift_a", -1.0, "CZ over angle of attack", OPPOSITE),
+    ("s", 10.0, "wing area", ""),
+    ("c", 3.66 / 0.53, "chord", "span [m]"),
+]
+
+
+def check(findings: list[tuple[str, str]], where: str, cause: str) -> None:
+    causes = [c for w, c in findings if w.startswith(where)]
+    assert causes, (where, findings)
+    assert cause in causes[0], findings
+
+
+@pytest.mark.parametrize(("tag", "factor", "where", "cause"), GAZEBO)
+def test_a_slip_in_the_sdf(tag: str, factor: float, where: str, cause: str, folder: Path, tmp_path):
+    sound = folder / "gazebo" / "model.sdf"
+    text = sound.read_text()
+    spoilt = tmp_path / "spoilt.sdf"
+    spoilt.write_text(
+        re.sub(f"<{tag}>(.*?)<", lambda m: f"<{tag}>{factor * float(m[1])!r}<", text, count=1)
+    )
+    check(found(sound, spoilt), where, cause)
+
+
+@pytest.mark.parametrize(("joint", "tag", "factor", "where", "cause"), SURFACES)
+def test_a_slip_of_a_surface(joint, tag, factor, where, cause, folder: Path, tmp_path: Path):
+    sound = folder / "gazebo" / "model.sdf"
+    head, part, rest = sound.read_text().partition(f"<name>{joint}_joint</name>")
+    rest = re.sub(f"<{tag}>(.*?)<", lambda m: f"<{tag}>{factor * float(m[1])!r}<", rest, count=1)
+    spoilt = tmp_path / "spoilt.sdf"
+    spoilt.write_text(head + part + rest)
+    check(found(sound, spoilt), where, cause)
+
+
+@pytest.mark.parametrize(("key", "factor", "where", "cause"), JSON)
+def test_a_slip_in_the_json(
+    key: str, factor: float, where: str, cause: str, folder: Path, tmp_path
+):
+    sound = folder / "ardupilot-json" / "espaaro.json"
+    keys = json.loads(sound.read_text())
+    spoilt = tmp_path / "spoilt.json"
+    spoilt.write_text(json.dumps(keys | {key: factor * keys[key]}))
+    check(found(sound, spoilt), where, cause)
+
+
+def test_a_shifted_moment_centre_is_named_with_its_length(folder: Path, tmp_path: Path):
+    sound = folder / "ardupilot-json" / "espaaro.json"
+    keys = json.loads(sound.read_text())
+    spoilt = tmp_path / "spoilt.json"
+    # Forces act 0.08 m ahead of the CG: as moments about a point 0.08 m behind it.
+    spoilt.write_text(json.dumps(keys | {"CGOffset": [0.08, 0.0, 0.0]}))
+    (cause,) = [c for w, c in found(sound, spoilt) if w == "Cm over angle of attack"]
+    assert cause == "the moment centre is 0.08 m further aft in the second"
+
+
+def test_sound_files_have_no_slip(folder: Path):
+    sdf, classic = (folder / "gazebo" / name for name in ("model.sdf", "model-classic.sdf"))
+    assert found(sdf, classic) == []
+    outcome = uq.diff("espaaro", folder / "ardupilot-json" / "espaaro.json", speed_mps=SPEED)
+    # The axial force of the elevator is a loss of the format.
+    assert {f.where for f in outcome.findings} <= {"CX over elevator"}
+    outcome = uq.diff("espaaro", sdf, speed_mps=SPEED)
+    assert {f.where for f in outcome.findings} <= {"CX over angle of attack"}
+
+
+def test_a_joint_without_a_surface_is_refused(folder: Path, tmp_path: Path):
+    spoilt = tmp_path / "spoilt.sdf"
+    text = (folder / "gazebo" / "model.sdf").read_text()
+    spoilt.write_text(text.replace("rudder_joint", "servo_3"))
+    with pytest.raises(BadInputError, match="the joints servo_3 name no surface"):
+        uq.diff(spoilt, spoilt)

@@ -1,0 +1,304 @@
+"""Command ``export``: a model in another simulator's format, with the loss measured."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from os import PathLike
+from pathlib import Path
+from typing import Any, Literal
+
+from sysid.aerodynamics import COEFFICIENTS
+from sysid.arrays import FloatArray
+from uqharness.commands.flights import AnyAircraft, carded_aircraft
+from uqharness.errors import BadInputError
+from uqharness.exchange import (
+    CoefficientLoss,
+    ComparedModel,
+    FlightStates,
+    Reference,
+    SourceModel,
+    ardupilot_json,
+    box,
+    box_around,
+    derivatives,
+    differences,
+    gazebo,
+    in_reference,
+    losses,
+    slips,
+    source_model,
+    sweeps,
+)
+from uqharness.files import check_output_folder, results_folder, write_bytes, write_json, write_text
+from uqharness.identification import load_form
+from uqharness.requests.base import Callback, command_line, silent
+from uqharness.requests.exchange import ExportRequest
+from uqharness.requests.simulation import MODEL_FILES
+from uqharness.results.base import Outcome
+from uqharness.results.exchange import Loss, LossOfCoefficient, ModelDifference, ModelSlip
+from uqharness.simulator import content_hash
+from uqharness.text_tables import csv_text, text_table
+
+_SURFACES = "deflections are positive nose down, right wing down, nose left in the source"
+
+
+def export(request: ExportRequest, callback: Callback = silent) -> Outcome[Loss]:
+    """Fit the format's model, compare it with the source, and write both."""
+    aircraft = carded_aircraft(request.aircraft)
+    assert request.out is not None
+    check_output_folder(request.out)
+    form = None if request.bounds is None else load_form(request.bounds)
+    properties = _settings(request.properties)
+    callback("trim")
+    source = source_model(aircraft, request.speed_mps, properties)
+    states = box(source, request.states, request.seed)
+    callback("fit of the format's model")
+    files, target, lost, notes = _FORMATS[request.to](source, states)
+    callback("loss")
+    by_coefficient = losses(source, target, states, form)
+    beyond = any(loss.is_beyond for loss in by_coefficient.values())
+    verdict: Literal["within", "beyond", "no bounds"]
+    verdict = "no bounds" if form is None else "beyond" if beyond else "within"
+    refused = beyond and not request.accept_loss
+    written = [] if refused else sorted(files)
+    document = Loss(
+        aircraft=aircraft.name,
+        format=request.to,
+        speed_mps=source.trim.condition.V_mps,
+        states=len(states),
+        verdict=verdict,
+        coefficients={name: _loss(loss) for name, loss in by_coefficient.items()},
+        lost=list(lost),
+        notes=list(notes),
+        files=[*written, "loss.csv", "loss.json"],
+        command=command_line(request),
+    )
+    out = results_folder(request.out)
+    for name in written:
+        write_bytes(out / name, files[name])
+    write_text(out / "loss.csv", csv_text(_rows(document.coefficients, ".17g")))
+    write_json(out / "loss.json", document.as_json())
+    warnings = []
+    if form is not None and form.aircraft.sha256 != content_hash(aircraft):
+        warnings.append(
+            f"{request.bounds}: made for another model ({form.aircraft.name}) than {aircraft.name};"
+            " its half-widths are compared all the same"
+        )
+    lines = _lines(document, out, refused)
+    return Outcome(document, document, lines, code=int(beyond), warnings=warnings)
+
+
+def _loss(loss: CoefficientLoss) -> LossOfCoefficient:
+    """Return the loss of one coefficient as it is stored."""
+    return LossOfCoefficient(
+        max=loss.largest,
+        rms=loss.rms,
+        quantile_95=loss.quantile,
+        source_std=loss.spread,
+        half_width=loss.half_width,
+        beyond=loss.is_beyond,
+    )
+
+
+def _settings(properties: Mapping[str, Any]) -> dict[str, float]:
+    """Return properties with finite numbers. Raises BadInputError."""
+    values = {}
+    for name, value in properties.items():
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise BadInputError(f"--set {name}={value}: a finite number is needed")
+        values[name] = float(value)
+    return values
+
+
+Fitted = tuple[Mapping[str, bytes], FloatArray, tuple[str, ...], tuple[str, ...]]
+"""Files by name, the target's coefficients at the states, what is lost, and notes."""
+
+
+def _ardupilot_json(source: SourceModel, states: FlightStates) -> Fitted:
+    """Fit ArduPilot's JSON model."""
+    keys = ardupilot_json.parameters(source, derivatives(source))
+    target = ardupilot_json.coefficients(keys, states, source.reference.throw_deg)
+    notes = (
+        f"area and inertia are scaled to the program's {ardupilot_json.PROGRAM_MASS_KG:g} kg",
+        "+1 is full nose up, right wing down, nose right",
+        f"start with --model plane:{source.aircraft.name}.json",
+        "thrust is the program's own, throttle times its weight over 0.7",
+    )
+    name = f"{source.aircraft.name}.json"
+    files = {name: ardupilot_json.text(keys).encode()}
+    return files, target, ardupilot_json.LOST, notes
+
+
+def _gazebo(source: SourceModel, states: FlightStates) -> Fitted:
+    """Fit Gazebo's AdvancedLiftDrag."""
+    model = gazebo.parameters(source, derivatives(source))
+    files = {
+        "model.sdf": gazebo.text(model, source),
+        "model-classic.sdf": gazebo.text(model, source, classic=True),
+    }
+    notes = (
+        "a joint turns by the deflection times its <direction>",
+        "gz-sim before its change 3817 of July 2026 ignores Cem0 and Cema; use a later one",
+        _SURFACES,
+    )
+    return files, gazebo.coefficients(model, states), gazebo.LOST, notes
+
+
+def _csv(source: SourceModel, states: FlightStates) -> Fitted:
+    """Tabulate the source over one variable at a time."""
+    tables = sweeps.sweeps(source)
+    files = {"coefficients.csv": sweeps.text(tables).encode()}
+    lost = ("products of two variables", "the dependence on speed")
+    notes = (
+        "angles in rad, deflections in the card's unit, rates as pb/2V, qc/2V, rb/2V",
+        _SURFACES,
+    )
+    return files, sweeps.coefficients(source, tables, states), lost, notes
+
+
+_FORMATS = {"ardupilot-json": _ardupilot_json, "gazebo": _gazebo, "csv": _csv}
+
+
+def _rows(losses_by_name: Mapping[str, LossOfCoefficient], digits: str) -> list[dict[str, str]]:
+    """Return the table of losses as texts."""
+    columns = {
+        "rms": "rms",
+        "95 %": "quantile_95",
+        "max": "max",
+        "half-width": "half_width",
+        "source's std": "source_std",
+    }
+    rows = []
+    for name, loss in losses_by_name.items():
+        numbers = {title: getattr(loss, column) for title, column in columns.items()}
+        texts = {t: "" if n is None else format(n, digits) for t, n in numbers.items()}
+        rows.append({"coefficient": name, **texts})
+    return rows
+
+
+def _lines(document: Loss, out: Path, refused: bool) -> list[str]:
+    """Return what the command prints: verdict, losses, and what cannot be held."""
+    worst = [c for c in COEFFICIENTS if document.coefficients[c].beyond]
+    answer = {
+        "within": "Every coefficient's loss is within the half-width of the bounds.",
+        "beyond": f"Beyond the half-width of the bounds: {', '.join(worst)}.",
+        "no bounds": "No --bounds: the loss is compared with the source's own variation alone.",
+    }[document.verdict]
+    if refused:
+        answer += " The model is not written; --accept-loss writes it all the same."
+    return [
+        answer,
+        f"{document.states} states around {document.speed_mps:.4g} m/s, {document.format}:",
+        *text_table(_rows(document.coefficients, ".2g")),
+        f"Lost: {'; '.join(document.lost)}.",
+        *document.notes,
+        f"Files in {out}: {', '.join(document.files)}",
+    ]
+
+
+# Comparison of model files of other programs, with an aircraft or with each other.
+
+_SUFFIXES = dict(zip(MODEL_FILES, ("ardupilot-json", "gazebo"), strict=True))
+_STATES = 1500
+
+
+def is_model_file(source: object) -> bool:
+    """Return whether a source is a file of a format that this module reads."""
+    return isinstance(source, str | PathLike) and (
+        Path(source).suffix in _SUFFIXES and Path(source).is_file()
+    )
+
+
+def diff_models(
+    first: AnyAircraft, second: AnyAircraft, speed_mps: float | None = None
+) -> Outcome[ModelDifference]:
+    """Compare two models, of which one at least is a model file, and name the slips between them.
+
+    Parameters
+    ----------
+    first, second : str, Path or Aircraft
+        An aircraft, or a file: ArduPilot's JSON model, or SDF with AdvancedLiftDrag.
+    speed_mps : float, optional
+        True airspeed of the aircraft's trim [m/s].
+    """
+    sources = {
+        name: source_model(carded_aircraft(name), speed_mps)
+        for name in (first, second)
+        if not is_model_file(name)
+    }
+    source = next(iter(sources.values()), None)
+    if source is None:
+        common, middle = _reference_of_file(Path(str(first)), None), {"alpha": 0.05}
+    else:
+        common, middle = source.reference, source.middle
+    states = box_around(common, middle, None if source is None else source.trim, _STATES)
+    a, b = (_compared(name, sources.get(name), source, common) for name in (first, second))
+    findings = slips(a, b, states, middle)
+    by_coefficient = differences(b.coefficients(states), a.coefficients(states))
+    document = ModelDifference(
+        models=[a.name, b.name],
+        differ=bool(findings),
+        findings=[
+            ModelSlip(where=f.where, first=f.first, second=f.second, cause=f.cause)
+            for f in findings
+        ],
+        coefficients={name: _loss(loss) for name, loss in by_coefficient.items()},
+        states=len(states),
+    )
+    answer = (
+        f"No slip between {a.name} and {b.name}."
+        if not findings
+        else f"{len(findings)} differences between {a.name} and {b.name}:"
+    )
+    lines = [answer, *(f.text(a.name, b.name) for f in findings)]
+    lines += text_table(_rows(document.coefficients, ".2g"))
+    return Outcome(document, document, lines, code=int(bool(findings)))
+
+
+def _compared(
+    name: AnyAircraft, own: SourceModel | None, other: SourceModel | None, common: Reference
+) -> ComparedModel:
+    """Return a model in the common reference."""
+    if own is not None:
+        return ComparedModel(
+            own.aircraft.name,
+            lambda states: in_reference(own.coefficients(states), own.reference, common),
+            own.reference,
+        )
+    path = Path(str(name))
+    reference = _reference_of_file(path, other)
+    if _SUFFIXES[path.suffix] == "gazebo":
+        model = gazebo.read(path)
+        unnamed = [s.name for s in model.surfaces if not s.variable]
+        if unnamed:
+            raise BadInputError(
+                f"{path}: the joints {', '.join(unnamed)} name no surface; a name with elev, ail or"
+                " rud is needed"
+            )
+        return ComparedModel(
+            path.name,
+            lambda states: in_reference(gazebo.coefficients(model, states), reference, common),
+            reference,
+        )
+    keys = ardupilot_json.read(path)
+    throw = common.throw_deg
+    return ComparedModel(
+        path.name,
+        lambda states: in_reference(
+            ardupilot_json.coefficients(keys, states, throw), reference, common
+        ),
+        reference,
+    )
+
+
+def _reference_of_file(path: Path, source: SourceModel | None) -> Reference:
+    """Return geometry, mass and inertia of a model file; NaN where it does not hold them.
+
+    ArduPilot's area and inertia are those of its own mass; ``source`` says which mass they stand
+    for.
+    """
+    if _SUFFIXES[path.suffix] == "gazebo":
+        return gazebo.reference(path)
+    mass_kg = ardupilot_json.PROGRAM_MASS_KG if source is None else source.reference.mass_kg
+    throw = {} if source is None else source.reference.throw_deg
+    return ardupilot_json.reference(ardupilot_json.read(path), mass_kg, throw)

@@ -1,0 +1,16 @@
+from . import ardupilot_json as ardupilot_json
+from . import gazebo as gazebo
+from . import sweeps as sweeps
+from .loss import CoefficientLoss as CoefficientLoss
+from .loss import differences as differences
+from .loss import losses as losses
+from .slips import ComparedModel as ComparedModel
+from .slips import in_reference as in_reference
+from .slips import slips as slips
+from .states import FlightStates as FlightStates
+from .states import Reference as Reference
+from .states import SourceModel as SourceModel
+from .states import box as box
+from .states import box_around as box_around
+from .states import derivatives as derivatives
+from .states import source_model as source_model

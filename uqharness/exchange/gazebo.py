@@ -1,0 +1,376 @@
+"""Gazebo's AdvancedLiftDrag system as SDF, for gz-sim and for Gazebo classic.
+
+The equations are those of gz-sim's src/systems/advanced_lift_drag/AdvancedLiftDrag.cc with the
+pitching moment as of pull request 3817 (2026): before it, the moment of sideslip replaced those of
+the constant and of the angle of attack, so that every aeroplane flew without pitch stiffness. The
+system gives no mass and no inertia: these stand in the link, whose axes are forward, left, up. A
+joint turns by the deflection times its ``direction``; coefficients of a control surface are per
+degree of its joint.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from lxml import etree
+
+from sysid.arrays import FloatArray
+from sysid.foreign.regular_files import read_regular
+from uqharness.errors import BadInputError
+from uqharness.exchange.lift_drag import lift_drag
+from uqharness.exchange.states import Derivatives, FlightStates, Reference, SourceModel
+
+_COLUMNS = {"a": "alpha", "b": "beta", "p": "p", "q": "q", "r": "r"}
+_TAGS: Mapping[str, tuple[str, ...]] = {
+    # Tag's prefix to the suffixes that the program reads.
+    "CL": ("0", "a", "b", "p", "q", "r"),
+    "CD": ("0", "p", "q", "r"),
+    "CY": ("a", "b", "p", "q", "r"),
+    "Cell": ("a", "b", "p", "q", "r"),
+    "Cem": ("0", "a", "b", "p", "q", "r"),
+    "Cen": ("a", "b", "p", "q", "r"),
+}
+_COEFFICIENT = {"CL": "CL", "CD": "CD", "CY": "CY", "Cell": "Cl", "Cem": "Cm", "Cen": "Cn"}
+GEOMETRY = ("area", "mac", "AR", "eff", "alpha_stall", "Cema_stall", "air_density")
+TAGS = (*(f"{prefix}{end}" for prefix, ends in _TAGS.items() for end in ends), *GEOMETRY)
+_CTRL = tuple(f"{prefix}_ctrl" for prefix in _TAGS)
+_STALL_RAD, _SHARPNESS, _K1, _K2 = 0.4712, 15.0, -0.224, -0.115
+LOST = (
+    "constants of side force, rolling and yawing moment",
+    "all products and squares but the drag polar",
+    "the propeller and its torque, the model-form deltas",
+)
+
+
+@dataclass(frozen=True)
+class ControlSurface:
+    """A joint of the model and the coefficients per degree that it adds.
+
+    Attributes
+    ----------
+    name : str
+        Joint.
+    variable : str
+        Deflection that moves it: ``de``, ``da`` or ``dr``; "" where its name does not say.
+    direction : float
+        The program multiplies the joint's angle by it.
+    joint_sign : float
+        Joint's angle over the deflection: the trailing edge goes up for a turn about an axis to the
+        left, to the right for one about an axis up.
+    effects : Mapping
+        ``CL_ctrl`` ... ``Cen_ctrl`` [1/deg].
+    """
+
+    name: str
+    variable: str
+    direction: float
+    joint_sign: float
+    effects: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class LiftDragModel:
+    """The content of an AdvancedLiftDrag element.
+
+    Attributes
+    ----------
+    tags : Mapping
+        `TAGS` to numbers.
+    surfaces : sequence of ControlSurface
+        Its control surfaces.
+    """
+
+    tags: Mapping[str, float]
+    surfaces: Sequence[ControlSurface]
+
+
+def parameters(source: SourceModel, fitted: Mapping[str, Derivatives]) -> LiftDragModel:
+    """Return the element for a source and its `derivatives`."""
+    reference, middle = source.reference, source.middle
+    aspect_ratio = reference.b_m**2 / reference.S_m2
+    line = lift_drag(source, fitted["CL"], fitted["CD"])
+    tangents = {prefix: fitted[name].tangent(middle) for prefix, name in _COEFFICIENT.items()}
+    lift, drag = tangents["CL"], tangents["CD"]
+    tags = {
+        f"{prefix}{end}": tangents[prefix][_COLUMNS[end]]
+        for prefix, ends in _TAGS.items()
+        for end in ends
+        if end != "0"
+    }
+    # Induced drag contains the lift of the deflections; the rest of their drag is a term of theirs.
+    lift_there = line.lift_0 + line.lift_alpha * middle["alpha"]
+    lift_there += sum(lift[v] * middle[v] for v in ("de", "da", "dr"))
+    more_drag = {v: drag[v] - 2.0 * line.induced * lift_there * lift[v] for v in ("de", "da", "dr")}
+    drag_there = fitted["CD"].at(middle)
+    tags |= {
+        "CL0": line.lift_0,
+        "CLa": line.lift_alpha,
+        "CD0": drag_there
+        - line.induced * lift_there**2
+        - sum(more_drag[v] * middle[v] for v in more_drag),
+        "Cem0": tangents["Cem"]["0"],
+        "area": reference.S_m2,
+        "mac": reference.c_m,
+        "AR": aspect_ratio,
+        "eff": line.oswald(aspect_ratio),
+        # No flight of the source stalls.
+        "alpha_stall": _STALL_RAD,
+        "Cema_stall": tangents["Cem"]["alpha"],
+        "air_density": 1.2041,
+    }
+    surfaces = []
+    for variable, names in (
+        ("de", (("elevator_joint", -1.0),)),
+        ("da", (("left_aileron_joint", -1.0), ("right_aileron_joint", 1.0))),
+        ("dr", (("rudder_joint", -1.0),)),
+    ):
+        effects = {
+            f"{prefix}_ctrl": (more_drag if prefix == "CD" else tangents[prefix])[variable]
+            for prefix in _TAGS
+        }
+        share = 1.0 / len(names)
+        surfaces += [
+            ControlSurface(
+                name, variable, direction, direction, {k: share * x for k, x in effects.items()}
+            )
+            for name, direction in names
+        ]
+    return LiftDragModel({tag: tags[tag] for tag in TAGS}, surfaces)
+
+
+def coefficients(model: LiftDragModel, states: FlightStates) -> FloatArray:
+    """Return CX CY CZ Cl Cm Cn (n, 6) by the program's equations, of its area and lengths."""
+    tag = model.tags
+    # Without <mac> the program takes the mean chord.
+    span = math.sqrt(tag["area"] * tag["AR"])
+    value = states.reduced_by(span, tag["mac"] or tag["area"] / span).values
+    alpha = value["alpha"]
+    # The program's speed is that in the plane of symmetry, its sideslip atan2(v, u).
+    plane = np.cos(value["beta"])
+    beta = np.arctan2(np.tan(value["beta"]), np.cos(alpha))
+    stall = tag["alpha_stall"]
+    before, behind = np.exp(-_SHARPNESS * (alpha - stall)), np.exp(_SHARPNESS * (alpha + stall))
+    sigma = (1.0 + before + behind) / ((1.0 + before) * (1.0 + behind))
+    plate = 2.0 * np.sign(alpha) * np.sin(alpha) ** 2 * np.cos(alpha)
+    control = {key: np.zeros(len(states)) for key in _CTRL}
+    for surface in model.surfaces:
+        deflection = value[surface.variable] if surface.variable else np.zeros(len(states))
+        # The program multiplies the joint's angle by the direction.
+        deflection = deflection * surface.joint_sign * surface.direction
+        for key in _CTRL:
+            control[key] = control[key] + surface.effects[key] * deflection
+
+    def rates(prefix: str) -> FloatArray:
+        # Rates are reduced by the speed in the plane, and act with its pressure.
+        return np.asarray(plane * sum(tag[f"{prefix}{v}"] * value[v] for v in ("p", "q", "r")))
+
+    def linear(prefix: str) -> FloatArray:
+        slopes = tag[f"{prefix}a"] * alpha + tag[f"{prefix}b"] * beta
+        return np.asarray(tag.get(f"{prefix}0", 0.0) + slopes + control[f"{prefix}_ctrl"])
+
+    lift = (1.0 - sigma) * (tag["CL0"] + tag["CLa"] * alpha) + sigma * plate
+    lift = lift + tag["CLb"] * beta + control["CL_ctrl"]
+    aspect_ratio = tag["AR"]
+    flat = 2.0 / (1.0 + math.exp(_K1 + _K2 * max(aspect_ratio, 1.0 / aspect_ratio)))
+    drag = (1.0 - sigma) * (tag["CD0"] + lift**2 / (math.pi * aspect_ratio * tag["eff"]))
+    drag = drag + sigma * np.abs(flat * (0.5 - 0.5 * np.cos(2.0 * alpha))) + control["CD_ctrl"]
+    lift, drag = plane**2 * lift + rates("CL"), plane**2 * drag + rates("CD")
+    pitch = linear("Cem")
+    # Behind the stall the slope is another.
+    beyond = np.abs(alpha) > stall
+    steep = tag["Cema"] * np.sign(alpha) * stall
+    steep = steep + tag["Cema_stall"] * (alpha - np.sign(alpha) * stall)
+    pitch = np.where(beyond, pitch - tag["Cema"] * alpha + steep, pitch)
+    cx = -drag * np.cos(alpha) + lift * np.sin(alpha)
+    cz = -drag * np.sin(alpha) - lift * np.cos(alpha)
+    lateral = [plane**2 * linear(p) + rates(p) for p in ("CY", "Cell", "Cen")]
+    pitch = plane**2 * pitch + rates("Cem")
+    return np.column_stack([cx, lateral[0], cz, lateral[1], pitch, lateral[2]])
+
+
+def text(model: LiftDragModel, source: SourceModel, classic: bool = False) -> bytes:
+    """Return a complete SDF model: a link with mass and inertia, joints, and the system.
+
+    ``classic`` writes the plug-in of Gazebo classic in place of gz-sim's system.
+    """
+    reference, name = source.reference, source.aircraft.name
+    sdf = etree.Element("sdf", version="1.9")
+    sdf.append(etree.Comment(f" Written from {name} by uqharness export; axes forward, left, up. "))
+    body = etree.SubElement(sdf, "model", name=name)
+    link = etree.SubElement(body, "link", name="base_link")
+    inertial = etree.SubElement(link, "inertial")
+    _add(inertial, "mass", reference.mass_kg)
+    inertia = etree.SubElement(inertial, "inertia")
+    matrix = reference.inertia_kgm2
+    # Forward, left, up: products with one of y and z change their sign, yz keeps it.
+    for tag, number in (
+        ("ixx", matrix[0, 0]),
+        ("ixy", -matrix[0, 1]),
+        ("ixz", -matrix[0, 2]),
+        ("iyy", matrix[1, 1]),
+        ("iyz", matrix[1, 2]),
+        ("izz", matrix[2, 2]),
+    ):
+        _add(inertia, tag, float(number))
+    for surface in model.surfaces:
+        _add_joint(body, surface, reference.throw_deg)
+    plugin = etree.SubElement(
+        body,
+        "plugin",
+        filename="libAdvancedLiftDragPlugin.so" if classic else "gz-sim-advanced-lift-drag-system",
+        name="advanced_lift_drag" if classic else "gz::sim::systems::AdvancedLiftDrag",
+    )
+    for tag in TAGS:
+        _add(plugin, tag, model.tags[tag])
+    etree.SubElement(plugin, "cp").text = "0 0 0"
+    etree.SubElement(plugin, "forward").text = "1 0 0"
+    etree.SubElement(plugin, "upward").text = "0 0 1"
+    etree.SubElement(plugin, "link_name").text = "base_link"
+    etree.SubElement(plugin, "num_ctrl_surfaces").text = str(len(model.surfaces))
+    for index, surface in enumerate(model.surfaces):
+        element = etree.SubElement(plugin, "control_surface")
+        etree.SubElement(element, "name").text = surface.name
+        etree.SubElement(element, "index").text = str(index)
+        _add(element, "direction", surface.direction)
+        for key in ("CD", "CY", "CL", "Cell", "Cem", "Cen"):
+            _add(element, f"{key}_ctrl", surface.effects[f"{key}_ctrl"])
+    etree.indent(sdf)
+    return bytes(etree.tostring(sdf, xml_declaration=True, encoding="utf-8", pretty_print=True))
+
+
+def _add(parent: etree._Element, tag: str, number: float) -> None:
+    """Add an element with a number, which its shortest text repeats exactly."""
+    etree.SubElement(parent, tag).text = repr(float(number))
+
+
+def _add_joint(
+    body: etree._Element, surface: ControlSurface, throw_deg: Mapping[str, float]
+) -> None:
+    """Add a surface's link and joint. Its axis points left, a rudder's up."""
+    link = etree.SubElement(body, "link", name=surface.name.removesuffix("_joint"))
+    inertial = etree.SubElement(link, "inertial")
+    _add(inertial, "mass", 1e-6)
+    inertia = etree.SubElement(inertial, "inertia")
+    for tag in ("ixx", "iyy", "izz"):
+        _add(inertia, tag, 1e-9)
+    joint = etree.SubElement(body, "joint", name=surface.name, type="revolute")
+    etree.SubElement(joint, "parent").text = "base_link"
+    etree.SubElement(joint, "child").text = link.get("name")
+    axis = etree.SubElement(joint, "axis")
+    etree.SubElement(axis, "xyz").text = "0 0 1" if surface.variable == "dr" else "0 1 0"
+    limit = etree.SubElement(axis, "limit")
+    name = {"de": "elevator", "da": "aileron", "dr": "rudder"}[surface.variable]
+    travel = math.radians(throw_deg.get(name, 25.0))
+    _add(limit, "lower", -travel)
+    _add(limit, "upper", travel)
+
+
+def reference(path: Path) -> Reference:
+    """Return the geometry, mass and inertia of an SDF file; NaN where it has none."""
+    tags = read(path).tags
+    span = math.sqrt(tags["area"] * tags["AR"])
+    link = _root(path).find(".//link/inertial")
+    matrix, mass = np.full((3, 3), math.nan), math.nan
+    if link is not None:
+        mass = _number(path, link, "mass", math.nan)
+        inertia = link.find("inertia")
+        if inertia is not None:
+            found = {
+                tag: _number(path, inertia, tag, 0.0)
+                for tag in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+            }
+            # From forward, left, up to forward, right, down.
+            xy, xz, yz = -found["ixy"], -found["ixz"], found["iyz"]
+            matrix = np.array(
+                [[found["ixx"], xy, xz], [xy, found["iyy"], yz], [xz, yz, found["izz"]]]
+            )
+    throws = dict.fromkeys(("elevator", "aileron", "rudder"), 20.0)
+    return Reference(tags["area"], span, tags["mac"] or tags["area"] / span, mass, matrix, throws)
+
+
+def _root(path: Path) -> etree._Element:
+    """Parse an SDF file. Raises BadInputError with its line."""
+    try:
+        return etree.fromstring(
+            read_regular(path, 5_000_000),
+            etree.XMLParser(resolve_entities=False, no_network=True, huge_tree=False),
+        )
+    except OSError as error:
+        raise BadInputError(f"{path}: cannot be read: {error.strerror or error}") from None
+    except etree.XMLSyntaxError as error:
+        raise BadInputError(f"{path}:{error.lineno or 1}: no XML: {error.msg}") from None
+
+
+def read(path: Path) -> LiftDragModel:
+    """Read the first AdvancedLiftDrag element of an SDF file. Raises BadInputError."""
+    root = _root(path)
+    plugin = next(
+        (
+            element
+            for element in root.iter("plugin")
+            if "advanced" in f"{element.get('filename')}{element.get('name')}".lower()
+        ),
+        None,
+    )
+    if plugin is None:
+        raise BadInputError(f"{path}: has no plugin AdvancedLiftDrag; nothing can be compared")
+    # Tags that are missing are 0 in the program, but for these.
+    defaults = {"alpha_stall": math.pi / 2.0, "air_density": 1.2041, "area": 1.0}
+    tags = {tag: _number(path, plugin, tag, defaults.get(tag, 0.0)) for tag in TAGS}
+    for tag in ("area", "AR", "eff"):
+        if not tags[tag] > 0.0:
+            raise BadInputError(f"{path}: <{tag}> = {tags[tag]:g}: a number above 0 is needed")
+    surfaces = []
+    for element in plugin.iter("control_surface"):
+        name = (element.findtext("name") or "").strip()
+        effects = {key: _number(path, element, key, 0.0) for key in _CTRL}
+        direction = _number(path, element, "direction", 1.0)
+        sign = _joint_sign(root, name)
+        surfaces.append(ControlSurface(name, variable_of(name), direction, sign, effects))
+    return LiftDragModel(tags, surfaces)
+
+
+def _joint_sign(root: etree._Element, joint: str) -> float:
+    """Return the joint's angle over the deflection, by its axis and the side that its name tells.
+
+    Deflections are positive trailing edge down; for ailerons that of the left one, for the rudder
+    trailing edge left.
+    """
+    axis = next(
+        (e.findtext("axis/xyz") for e in root.iter("joint") if e.get("name") == joint), None
+    )
+    component = 2 if variable_of(joint) == "dr" else 1
+    try:
+        along = float((axis or "0 1 1").split()[component])
+    except (ValueError, IndexError):
+        along = 1.0
+    right = variable_of(joint) == "da" and "right" in joint.lower()
+    return math.copysign(1.0, along) * (1.0 if right else -1.0)
+
+
+def variable_of(joint: str) -> str:
+    """Return the deflection that a joint's name tells: de, da, dr; "" where it tells none."""
+    lower = joint.lower()
+    return next(
+        (v for word, v in (("elev", "de"), ("ail", "da"), ("rud", "dr")) if word in lower), ""
+    )
+
+
+def _number(path: Path, parent: etree._Element, tag: str, default: float) -> float:
+    """Return the number of a child element."""
+    element = parent.find(tag)
+    if element is None:
+        return default
+    try:
+        number = float(element.text or "")
+    except ValueError:
+        number = math.nan
+    if not math.isfinite(number):
+        raise BadInputError(
+            f"{path}:{element.sourceline}: <{tag}> {element.text!r}: a finite number is needed"
+        )
+    return number

@@ -1,0 +1,339 @@
+"""Flight states around a trim, the source's coefficients there, and its derivatives.
+
+The states fill a box around steady flight: angle of attack, sideslip, body rates, deflections and
+speed. `Derivatives` are the coefficients of a full quadratic polynomial, fitted to the source over
+the box at the trim's speed: terms that a format cannot hold are fitted as well and then left out,
+so that they do not bend those that it can hold.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from sysid.aerodynamics import COEFFICIENTS
+from sysid.aerodynamics.coefficients import MassProperties
+from sysid.arrays import FloatArray
+from uqharness.errors import BadInputError
+from uqharness.replay import ReplayFolder, Segment, force_states
+from uqharness.simulator import Aircraft, SteadyCondition, Trim, find_trim
+
+VARIABLES = ("alpha", "beta", "p", "q", "r", "de", "da", "dr")
+"""Angles [rad], rates pb/2V, qc/2V, rb/2V [-], deflections [deg]: the terms of a derivative."""
+SURFACES = ("elevator", "aileron", "rudder")
+_HALF_WIDTH = {"alpha": 0.1, "beta": 0.1, "p": 0.05, "q": 0.005, "r": 0.03}
+"""Half-widths of the box [rad, -]: gusts and manoeuvres of ordinary flight."""
+_SPEED_SHARE, _TRAVEL_SHARE = 0.2, 0.4
+_SPEEDS_MPS = np.geomspace(8.0, 260.0, 16)
+
+
+@dataclass(frozen=True)
+class FlightStates:
+    """n flight states.
+
+    Attributes
+    ----------
+    V_mps : ndarray
+        (n,) true airspeed [m/s].
+    values : Mapping
+        `VARIABLES` to (n,) values; rates are reduced by the speed and the lengths below.
+    b_m, c_m : float
+        Span and chord of the reduced rates.
+    """
+
+    V_mps: FloatArray
+    values: Mapping[str, FloatArray]
+    b_m: float
+    c_m: float
+
+    def __len__(self) -> int:
+        return len(self.V_mps)
+
+    def reduced_by(self, b_m: float, c_m: float) -> FlightStates:
+        """Return the same states with rates reduced by other lengths."""
+        factor = {"p": b_m / self.b_m, "q": c_m / self.c_m, "r": b_m / self.b_m}
+        values = {name: value * factor.get(name, 1.0) for name, value in self.values.items()}
+        return FlightStates(self.V_mps, values, b_m, c_m)
+
+
+@dataclass(frozen=True)
+class Reference:
+    """What a format needs besides the coefficients.
+
+    Attributes
+    ----------
+    S_m2, b_m, c_m : float
+        Wing area, span, chord.
+    mass_kg : float
+        Mass.
+    inertia_kgm2 : ndarray
+        (3, 3) about the CG, body axes; the element (0, 2) is -Ixz.
+    throw_deg : Mapping
+        Surface to its largest deflection [deg].
+    """
+
+    S_m2: float
+    b_m: float
+    c_m: float
+    mass_kg: float
+    inertia_kgm2: FloatArray
+    throw_deg: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Derivatives:
+    """A coefficient's polynomial: constant, linear and quadratic terms.
+
+    ``terms`` maps "0", a variable, or two variables joined by "*" to its value per rad, per reduced
+    rate, per degree.
+    """
+
+    terms: Mapping[str, float]
+
+    def at(self, values: Mapping[str, float]) -> float:
+        """Return the polynomial's value; variables that are not named are 0."""
+        total = self.terms["0"]
+        for name, factor in self.terms.items():
+            if name != "0":
+                total += factor * math.prod(values.get(v, 0.0) for v in name.split("*"))
+        return total
+
+    def tangent(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Return the linear function that touches the polynomial at these values.
+
+        "0" is its constant, each variable its slope.
+        """
+        slopes = {}
+        for variable in VARIABLES:
+            slope = self.terms[variable]
+            for other in VARIABLES:
+                pair = "*".join(sorted((variable, other), key=VARIABLES.index))
+                double = 2.0 if other == variable else 1.0
+                slope += double * self.terms[pair] * values.get(other, 0.0)
+            slopes[variable] = slope
+        constant = self.at(values) - sum(slopes[v] * values.get(v, 0.0) for v in VARIABLES)
+        return {"0": constant, **slopes}
+
+
+@dataclass(frozen=True)
+class SourceModel:
+    """The source: an aircraft whose coefficients can be evaluated at any state.
+
+    Attributes
+    ----------
+    aircraft : Aircraft
+        The aircraft.
+    trim : Trim
+        Steady flight in the middle of the box.
+    properties : Mapping
+        JSBSim properties in force, such as those of an epistemic member.
+    reference : Reference
+        Geometry, mass and throws.
+    """
+
+    aircraft: Aircraft
+    trim: Trim
+    reference: Reference
+    properties: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def middle(self) -> dict[str, float]:
+        """Return the trim's values of `VARIABLES`."""
+        controls = zip(("de", "da", "dr"), SURFACES, strict=True)
+        return {
+            "alpha": self.trim.alpha_rad,
+            **{name: self.trim.controls.get(surface, 0.0) for name, surface in controls},
+        }
+
+    def coefficients(self, states: FlightStates) -> FloatArray:
+        """Return CX CY CZ Cl Cm Cn of the aerodynamics (n, 6), body axes at the CG."""
+        return _evaluate(self.aircraft, self.trim, states, self.properties)[0]
+
+
+def source_model(
+    aircraft: Aircraft,
+    speed_mps: float | None = None,
+    properties: Mapping[str, float] | None = None,
+) -> SourceModel:
+    """Return the source model around a trim.
+
+    Parameters
+    ----------
+    aircraft : Aircraft
+        With a card.
+    speed_mps : float, optional
+        True airspeed of the trim; by default the geometric middle of the speeds that trim.
+    properties : Mapping, optional
+        JSBSim properties in force.
+
+    Raises
+    ------
+    BadInputError
+        If the aircraft does not trim.
+    """
+    in_force = dict(properties or {})
+    trim = _trim(aircraft, speed_mps, in_force)
+    zero = {name: np.zeros(1) for name in VARIABLES}
+    one = FlightStates(np.array([trim.condition.V_mps]), zero, 1.0, 1.0)
+    _, mass = _evaluate(aircraft, trim, one, in_force)
+    reference = Reference(
+        mass.S, mass.b, mass.c, mass.mass, np.asarray(mass.inertia), _throws(aircraft)
+    )
+    return SourceModel(aircraft, trim, reference, in_force)
+
+
+def _trim(aircraft: Aircraft, speed_mps: float | None, properties: Mapping[str, float]) -> Trim:
+    """Return a trim at the speed, or at the middle of the speeds that trim."""
+    if speed_mps is not None:
+        trim = find_trim(aircraft, SteadyCondition(speed_mps, 200.0, properties=properties))
+        if not trim.converged:
+            raise BadInputError(
+                f"{aircraft.name}: no trim at {speed_mps:g} m/s: {trim.reason}; choose another"
+                " --speed-mps"
+            )
+        return trim
+    trims = []
+    for speed in _SPEEDS_MPS:
+        trim = find_trim(aircraft, SteadyCondition(float(speed), 200.0, properties=properties))
+        if trim.converged:
+            trims.append(trim)
+        elif trims:
+            break
+    if not trims:
+        raise BadInputError(
+            f"{aircraft.name}: trims at no speed from {_SPEEDS_MPS[0]:.0f} to"
+            f" {_SPEEDS_MPS[-1]:.0f} m/s; `uqharness modes` says why at one speed"
+        )
+    return trims[len(trims) // 2]
+
+
+def _throws(aircraft: Aircraft) -> dict[str, float]:
+    """Return the largest command of each surface, in the card's unit: degrees, or 1."""
+    inputs = aircraft.card.inputs
+    return {name: max(map(abs, inputs[name].limits)) for name in SURFACES if name in inputs}
+
+
+def box(source: SourceModel, n: int, seed: int = 0, spread: bool = True) -> FlightStates:
+    """Return n random states in the box around the source's trim; see `box_around`."""
+    return box_around(source.reference, source.middle, source.trim, n, seed, spread)
+
+
+def box_around(
+    reference: Reference,
+    middle: Mapping[str, float],
+    trim: Trim | None,
+    n: int,
+    seed: int = 0,
+    spread: bool = True,
+) -> FlightStates:
+    """Return n random states in a box.
+
+    Parameters
+    ----------
+    reference : Reference
+        Lengths of the reduced rates, and throws of the surfaces.
+    middle : Mapping
+        `VARIABLES` to the middle of the box; 0 where they are not named.
+    trim : Trim or None
+        Its speed; None takes 20 m/s.
+    n, seed : int
+        Number of states, and seed of the draw.
+    spread : bool
+        Whether the speed varies, too, by 20 % either way.
+    """
+    rng = np.random.default_rng(seed)
+    values = {
+        name: middle.get(name, 0.0) + half_width * rng.uniform(-1.0, 1.0, n)
+        for name, half_width in _HALF_WIDTH.items()
+    }
+    for name, surface in zip(("de", "da", "dr"), SURFACES, strict=True):
+        travel = _TRAVEL_SHARE * reference.throw_deg.get(surface, 0.0)
+        values[name] = middle.get(name, 0.0) + travel * rng.uniform(-1.0, 1.0, n)
+    speed = np.full(n, 20.0 if trim is None else trim.condition.V_mps)
+    if spread:
+        speed = speed * (1.0 + _SPEED_SHARE * rng.uniform(-1.0, 1.0, n))
+    return FlightStates(speed, values, reference.b_m, reference.c_m)
+
+
+def _evaluate(
+    aircraft: Aircraft,
+    trim: Trim,
+    states: FlightStates,
+    properties: Mapping[str, float],
+) -> tuple[FloatArray, MassProperties]:
+    """Impose the states on the aircraft; return the coefficients and the mass properties."""
+    inputs = aircraft.card.inputs
+    controls = [name for name in (*SURFACES, "throttle") if name in inputs]
+    n = len(states)
+    columns = {
+        "elevator": states.values["de"],
+        "aileron": states.values["da"],
+        "rudder": states.values["dr"],
+        "throttle": np.full(n, trim.controls.get("throttle", 0.0)),
+    }
+    rate = 2.0 * states.V_mps
+    motion = {
+        "V_mps": states.V_mps,
+        "alpha_rad": states.values["alpha"],
+        "beta_rad": states.values["beta"],
+        "phi_rad": np.zeros(n),
+        "theta_rad": states.values["alpha"],
+        "p_radps": states.values["p"] * rate / states.b_m,
+        "q_radps": states.values["q"] * rate / states.c_m,
+        "r_radps": states.values["r"] * rate / states.b_m,
+    }
+    # Commands pass at once: a lag would depend on the state before.
+    with ReplayFolder(aircraft, controls, ideal=controls) as model:
+        segment = Segment(
+            "states",
+            "export",
+            aircraft.dt_s * np.arange(2.0),
+            np.zeros((2, len(controls))),
+            np.zeros(9),
+            trim.condition.altitude_m,
+            0.0,
+        )
+        forced = force_states(
+            model, segment, motion, np.column_stack([columns[c] for c in controls]), properties
+        )
+    return forced.coefficients, forced.mass
+
+
+def derivatives(source: SourceModel, n: int = 600, seed: int = 1) -> dict[str, Derivatives]:
+    """Return the quadratic polynomial of each body-axis coefficient around the trim's speed.
+
+    Also of lift and drag, CL and CD, in the axes of the angle of attack: CL = CX sin(alpha) - CZ
+    cos(alpha), CD = -CX cos(alpha) - CZ sin(alpha).
+    """
+    states = box(source, n, seed, spread=False)
+    body = source.coefficients(states)
+    lift, drag = lift_and_drag(body, states.values["alpha"])
+    columns = {name: body[:, k] for k, name in enumerate(COEFFICIENTS)} | {"CL": lift, "CD": drag}
+    return {name: polynomial(states, values) for name, values in columns.items()}
+
+
+def lift_and_drag(body: FloatArray, alpha: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return CL and CD of body-axis coefficients (n, 6)."""
+    cx, cz = body[:, 0], body[:, 2]
+    return (
+        cx * np.sin(alpha) - cz * np.cos(alpha),
+        -cx * np.cos(alpha) - cz * np.sin(alpha),
+    )
+
+
+def polynomial(states: FlightStates, values: FloatArray) -> Derivatives:
+    """Fit a full quadratic polynomial by least squares."""
+    names = ["0", *VARIABLES]
+    columns = [np.ones(len(states)), *(states.values[name] for name in VARIABLES)]
+    for a, b in itertools.combinations_with_replacement(VARIABLES, 2):
+        names.append(f"{a}*{b}")
+        columns.append(states.values[a] * states.values[b])
+    matrix = np.column_stack(columns)
+    # Columns of one size: deflections are in degrees, rates a few thousandths.
+    scale = np.maximum(np.abs(matrix).max(axis=0), 1e-30)
+    solution = np.linalg.lstsq(matrix / scale, values, rcond=1e-12)[0] / scale
+    return Derivatives(dict(zip(names, solution.tolist(), strict=True)))

@@ -1,0 +1,59 @@
+"""Requests of export: models for other simulators."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar, Literal
+
+from uqharness.requests import fields
+from uqharness.requests.base import Flag, Number, Request, WholeNumber, option
+
+Format = Literal["ardupilot-json", "gazebo", "csv"]
+
+
+class ExportRequest(Request):
+    """Write an aircraft's aerodynamics in another simulator's format, and measure what the format
+    loses (see docs/export.md).
+    """
+
+    command: ClassVar[str] = "export"
+    summary: ClassVar[str] = "write the model for ArduPilot, Gazebo or a table, with the loss"
+    examples: ClassVar[str] = """
+  uqharness export espaaro --to gazebo --out espaaro-gazebo
+  uqharness export espaaro --to ardupilot-json --bounds bounds/model-form.json --out espaaro-ap
+  uqharness export espaaro --to csv --set uq/active=1 --set uq/CX/level=1 --out espaaro-table
+
+Writes DIR/loss.json and DIR/loss.csv, and the model: DIR/NAME.json, DIR/model.sdf with
+DIR/model-classic.sdf, or DIR/coefficients.csv. The loss is the difference between the model as the
+other program computes it and the source, over random states around steady flight."""
+    no: ClassVar[str] = (
+        "the format loses more than the bounds of --bounds allow; without --accept-loss the model"
+        " is not written"
+    )
+
+    aircraft: fields.AircraftSource = fields.aircraft()
+    to: Format = option(..., "format of the model", positional=True)
+    out: fields.OptionalPath = fields.out()
+    bounds: fields.OptionalPath = option(
+        None,
+        "model form whose half-widths limit the loss (default: the loss is reported alone)",
+        metavar="MODEL-FORM.json",
+    )
+    speed_mps: Number | None = option(
+        None,
+        "true airspeed of the trim, m/s (default: the middle of the speeds that trim)",
+        gt=0,
+        le=1000,
+        metavar="V",
+    )
+    properties: dict[str, Any] = option(
+        {},
+        "set a property of the source, such as a level of the model form; repeatable",
+        flag="--set",
+        key="set",
+        metavar="PROP=VALUE",
+        repeat=True,
+        needed='a mapping such as {"uq/active": 1.0}',
+    )
+    states: WholeNumber = option(2000, "random states that are compared", ge=10, le=100_000)
+    seed: WholeNumber = fields.seed("the states")
+    accept_loss: Flag = option(False, "write the model although its loss exceeds the bounds")
