@@ -22,7 +22,7 @@ from uqharness import __version__
 from uqharness.cli.options import RequestCommand, Table, Verbs, add_commands, commands_of
 from uqharness.errors import BadInputError, EnginesDifferError, TerminatedError
 from uqharness.files import hide_scratch_paths
-from uqharness.heartbeat import QUIET_VARIABLE, heartbeat
+from uqharness.heartbeat import heartbeat
 
 _EXAMPLE = """examples:
   uqharness modes espaaro --speed-mps 22.2
@@ -239,9 +239,7 @@ class _Notes(logging.Handler):
     """Prints notes of the program to standard error, one a line."""
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Print a note, overwriting a progress line; nothing with ``--quiet``."""
-        if os.environ.get(QUIET_VARIABLE):
-            return
+        """Print a note, overwriting a progress line."""
         if sys.stderr.isatty():
             print("\r\x1b[K", end="", file=cursor_stream(sys.stderr))
         print(f"note: {hide_scratch_paths(record.getMessage())}", file=sys.stderr)
