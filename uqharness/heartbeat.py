@@ -193,21 +193,6 @@ def heartbeat(
             _write(cursor_stream(stream), "\r\x1b[K")
 
 
-def counted(title: str, callback: Callable[[str], object]) -> Callable[[float, int], None]:
-    """Return a function of the amount done, fractions included, and the total.
-
-    It names a stage with both and the remaining time.
-    """
-    rate = Rate()
-
-    def update(done: float, total: int) -> None:
-        remaining_s = rate.seconds_left(done, total)
-        to_go = "" if remaining_s is None else f", {clock(remaining_s)} to go"
-        callback(f"{title}: {math.floor(done)} of {total}{to_go}")
-
-    return update
-
-
 def clock(seconds: float) -> str:
     """Return a duration as ``h:mm:ss`` or ``m:ss``.
 

@@ -217,7 +217,11 @@ def _refuse_unknown(arguments: argparse.Namespace, word: str) -> None:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; return the process's exit code."""
     gc.set_threshold(*_GC_THRESHOLDS)
-    with clean_terminal(), heartbeat(_command_name(sys.argv[1:] if argv is None else argv)):
+    words = sys.argv[1:] if argv is None else argv
+    if "--quiet" in words:
+        # Before the first heartbeat; other processes of the command inherit it.
+        os.environ[QUIET_VARIABLE] = "1"
+    with clean_terminal(), heartbeat(_command_name(words)):
         return _run(argv)
 
 

@@ -11,7 +11,6 @@ import sys
 from typing import Any
 
 from uqharness.cli.arguments import add_request, request_of
-from uqharness.cli.progress import ProgressView, print_warnings, working
 from uqharness.heartbeat import QUIET_VARIABLE
 
 
@@ -26,6 +25,9 @@ def add_request_command(parser: argparse.ArgumentParser, request: str, function:
 
     def run(args: argparse.Namespace) -> int:
         """Run the command; return its exit code."""
+        # The library of progress bars is slow to load, and no help page needs it.
+        from uqharness.cli.progress import ProgressView, print_warnings, working
+
         # Notes are log records, which --quiet leaves out as well.
         logging.getLogger("uqharness").setLevel(logging.WARNING if args.quiet else logging.INFO)
         if args.quiet:

@@ -19,6 +19,7 @@ from sysid.model_form import ModelForm, read_model_form
 from sysid.record import FlightRecord, Metadata
 from sysid.vocabulary import SIGNALS
 from uqharness.arguments import path as argument_path
+from uqharness.commands.exchange import diff_models, is_model_file
 from uqharness.commands.flights import Flight, aircraft_of, carded_aircraft, content_sha256
 from uqharness.differences import (
     ROUNDING,
@@ -54,7 +55,7 @@ from uqharness.flight import (
     start_position,
     write_record,
 )
-from uqharness.heartbeat import counted
+from uqharness.heartbeat import counting
 from uqharness.identification import MadeBounds
 from uqharness.isolation import run_unsupervised
 from uqharness.plugin import (
@@ -85,6 +86,7 @@ from uqharness.requests.simulation import (
     ModesRequest,
 )
 from uqharness.results.base import Outcome
+from uqharness.results.exchange import ModelDifference
 from uqharness.results.simulation import (
     AssessedLevel,
     ChannelDifference,
@@ -98,11 +100,8 @@ from uqharness.results.simulation import (
     MarginsOfLoop,
     Modes,
     Plugin,
-    PluginAxes,
     PluginCheck,
-    PluginCoefficient,
-    PluginFile,
-    PluginScale,
+    RemovedPlugin,
     UndoneFile,
 )
 from uqharness.simulator import (
@@ -173,20 +172,22 @@ def fly(request: FlyRequest, callback: Callback = silent) -> Outcome[Flight]:
     if request.page is not None:
         facts = FlightFacts(
             aircraft.name,
-            request.mission if isinstance(request.mission, str) else path.stem,
+            str(request.mission) if request.generated else path.stem,
             _conditions(request),
             "not written" if request.out is None else request.out.name,
             command_line(request),
         )
         write_html(request.page, flight_page(facts, columns, recorded.status, recorded.reason))
-    document = FlownFlight(
-        status=recorded.status,
-        reason=recorded.reason,
-        flown_s=recorded.flown_s,
-        rows=len(table),
-        out=None if request.out is None else str(request.out),
-        left_out=list(left_out),
-        autopilot=_gains_document(gains),
+    document = FlownFlight.model_validate(
+        {
+            "status": recorded.status,
+            "reason": recorded.reason,
+            "flown_s": recorded.flown_s,
+            "rows": len(table),
+            "out": None if request.out is None else str(request.out),
+            "left_out": left_out,
+            "autopilot": _gains_document(gains),
+        }
     )
     end = "" if recorded.status == "ok" else f", {recorded.status}: {recorded.reason}"
     unsupported = f"; DataFlash has no message for {', '.join(left_out)}" if left_out else ""
@@ -215,7 +216,7 @@ def _flown_script(request: FlyRequest, aircraft: Aircraft) -> Iterator[tuple[Air
 
     Initial conditions must lie in the aircraft's folder, so generated manoeuvres fly a copy.
     """
-    if not isinstance(request.mission, str) or request.speed_mps is None:
+    if request.mission is None or request.speed_mps is None:
         yield aircraft, find_script(request.mission or request.script)
         return
     with scratch_folder("fly") as scratch:
@@ -228,7 +229,7 @@ def _flown_script(request: FlyRequest, aircraft: Aircraft) -> Iterator[tuple[Air
         # others.
         restarting = not SECOND_ORDER.keys() & request.properties.keys()
         path, _ = run_unsupervised(
-            write_own_mission, copy, start, request.mission, restarting=restarting
+            write_own_mission, copy, start, str(request.mission), restarting=restarting
         )
         yield copy, path
 
@@ -320,7 +321,7 @@ def modes(request: ModesRequest, callback: Callback = silent) -> Outcome[Modes]:
             request.category,
             request.aircraft_class,
             first=point,
-            callback=counted("speeds trimmed", callback),
+            callback=counting("speeds trimmed", callback),
         )
         _, *trim_lines = [line.strip() for line in _trim_lines(aircraft.name, trim)]
         altitude = f"{condition.altitude_m:g} m above sea level"
@@ -457,8 +458,8 @@ def margins(request: MarginsRequest, callback: Callback = silent) -> Outcome[Mar
         **(CALM_LOITER if request.flight == "loiter" else CALM_STRAIGHT),
         **(gains.properties if gains else {}),
     }
-    names = request.loop or tuple(LOOPS)
-    update = counted("loops measured", callback)
+    names: Sequence[str] = request.loop or tuple(LOOPS)
+    update = counting("loops measured", callback)
     measured: list[LoopMargins] = []
     with StagedMission(aircraft, script) as mission:
         # Each measurement needs instances of its own, at the same condition.
@@ -550,8 +551,16 @@ def _margins_lines(name: str, flight: str, measured: Sequence[LoopMargins]) -> l
 # Differences.
 
 
-def diff(request: DiffRequest, callback: Callback = silent) -> Outcome[Differences]:
-    """Fly two models in the same conditions, list their differences, and write their page."""
+def diff(
+    request: DiffRequest, callback: Callback = silent
+) -> Outcome[Differences] | Outcome[ModelDifference]:
+    """Fly two models in the same conditions, list their differences, and write their page.
+
+    Model files of other programs are compared by their coefficients.
+    """
+    if is_model_file(request.a) or is_model_file(request.b):
+        callback("coefficients of both models")
+        return diff_models(request.a, request.b, next(iter(request.speed_mps), None))
     if request.out is not None:
         check_output_path(request.out)
     texts = [
@@ -575,7 +584,7 @@ def diff(request: DiffRequest, callback: Callback = silent) -> Outcome[Differenc
         )
         # XML that differs ranks the likely causes.
         terms = differing_terms(a.folder, b.folder)
-        channels, flights = fly_matched(a, b, matched, counted("flights compared", callback))
+        channels, flights = fly_matched(a, b, matched, counting("flights compared", callback))
     tolerance = ROUNDING if request.tolerance is None else request.tolerance
     all_differences = differences(channels, flights, terms, tolerance)
     first = by_channel(all_differences)
@@ -722,7 +731,8 @@ def instrument(
         form = form.form
     elif form is not None and not isinstance(form, ModelForm):
         form = read_model_form(argument_path("form", form))
-    bounds = PluginBounds(form, request.constant or {})
+    constant = {str(name): ends for name, ends in (request.constant or {}).items()}
+    bounds = PluginBounds(form, constant)
     # A dry run writes nothing that could be flown.
     flown = request.check and not request.dry_run
     callback("comparing short flights with the original" if flown else "writing")
@@ -756,7 +766,7 @@ def _undo(request: InstrumentRequest) -> Outcome[Instrumented | None]:
     undone = [
         UndoneFile(file=name, result=result) for name, result in undo_plugin(folder, request.out)
     ]
-    return Outcome(None, Plugin(undone=undone), [f"{u.file}: {u.result}" for u in undone])
+    return Outcome(None, RemovedPlugin(undone=undone), [f"{u.file}: {u.result}" for u in undone])
 
 
 def _plugin_document(aircraft: Aircraft, done: Instrumented, request: InstrumentRequest) -> Plugin:
@@ -770,24 +780,24 @@ def _plugin_document(aircraft: Aircraft, done: Instrumented, request: Instrument
             else planned.files[name].count(b"\n")
         )
         kind = "edited" if change.edited else "replaced" if change.before else "added"
-        files.append(PluginFile(file=name, change=kind, lines=n_lines))
-    # Without check flights there is no such key.
-    check = {} if done.verdict is None else {"check": PluginCheck(**asdict(done.verdict))}
-    return Plugin(
-        aircraft=aircraft.name,
-        out=str(request.out),
-        written=not request.dry_run,
-        axes=PluginAxes(force=planned.section.force, moment=planned.section.moment),
-        coefficients=[
-            PluginCoefficient(coefficient=c, axis=axis, where=where)
-            for c, axis, where in planned.rows
+        files.append({"file": name, "change": kind, "lines": n_lines})
+    document = {
+        "aircraft": aircraft.name,
+        "out": str(request.out),
+        "written": not request.dry_run,
+        "axes": {"force": planned.section.force, "moment": planned.section.moment},
+        "coefficients": [
+            dict(zip(("coefficient", "axis", "where"), row, strict=True)) for row in planned.rows
         ],
-        scaled=[PluginScale(**asdict(row)) for row in planned.scaled],
-        files=files,
-        unmeasured=dict(done.unmeasured),
-        notes=list(done.notes),
-        **check,
-    )
+        "scaled": [asdict(row) for row in planned.scaled],
+        "files": files,
+        "unmeasured": dict(done.unmeasured),
+        "notes": list(done.notes),
+    }
+    # Without check flights there is no such key.
+    if done.verdict is not None:
+        document["check"] = asdict(done.verdict)
+    return Plugin.model_validate(document)
 
 
 def _plugin_lines(done: Plugin) -> list[str]:
@@ -802,11 +812,10 @@ def _plugin_lines(done: Plugin) -> list[str]:
     lines += [] if done.written else ["Nothing was written (--dry-run)."]
     if done.check is not None:
         lines.append(f"Check: {_check_sentence(done.check)}")
-    if done.axes is not None:
-        lines.append(
-            f"The aircraft's forces are in {done.axes.force} axes, its moments in"
-            f" {done.axes.moment} axes."
-        )
+    lines.append(
+        f"The aircraft's forces are in {done.axes.force} axes, its moments in {done.axes.moment}"
+        " axes."
+    )
     lines += [f"note: {note}" for note in done.notes]
     tables = (
         (

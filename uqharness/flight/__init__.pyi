@@ -19,8 +19,6 @@ from .fly import set_wind_without_air as set_wind_without_air
 from .fly import staged_mission as staged_mission
 from .fly import to_signals as to_signals
 from .fly import without_missing_switches as without_missing_switches
-from .handling import CATEGORIES as CATEGORIES
-from .handling import CLASSES as CLASSES
 from .handling import DIVERGENCE as DIVERGENCE
 from .handling import OSCILLATORY as OSCILLATORY
 from .handling import Assessment as Assessment
@@ -42,7 +40,6 @@ from .random_numbers import Split as Split
 from .random_numbers import flight_seed as flight_seed
 from .random_numbers import named_stream as named_stream
 from .random_numbers import numbered_stream as numbered_stream
-from .recorded import FORMATS as FORMATS
 from .recorded import playback_rows as playback_rows
 from .recorded import recorded_flight as recorded_flight
 from .recorded import seeded_spec as seeded_spec

@@ -239,14 +239,15 @@ def write_record(
     BadInputError
         For another suffix, a path that cannot be written, or a card without servo tables.
     """
-    if path.suffix not in FORMATS:
+    suffix = path.suffix.lower()
+    if suffix not in FORMATS:
         raise BadInputError(
             f"--out {path}: the format follows the name's ending, {', '.join(FORMATS)}; received"
             f" '{path.suffix}'"
         )
-    if path.suffix == ".bin":
+    if suffix == ".bin":
         return _write_dataflash(table, path, aircraft, start or {})
-    if path.suffix == ".csv":
+    if suffix == ".csv":
         # 17 digits restore every double.
         write_atomically(
             path,

@@ -19,7 +19,7 @@ from uqharness.requests.base import (
     option,
 )
 
-Mission = Literal["steady", "doublets", "3-2-1-1"]
+MISSIONS = ("steady", "doublets", "3-2-1-1")
 """Manoeuvres that are generated from a trim of any aircraft."""
 Loop = Literal["elevator", "aileron", "rudder", "throttle"]
 Coefficient = Literal["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
@@ -65,16 +65,17 @@ class FlyRequest(Request):
 
     aircraft: fields.AircraftSource = fields.aircraft()
     script: FilePath = fields.script()
-    mission: Mission | FilePath | None = option(
+    mission: fields.OptionalPath = option(
         None,
-        "manoeuvres from trim at --speed-mps in place of a script, for any aircraft; in Python also"
-        " a run script, by the name that campaigns have for it",
+        "steady, doublets or 3-2-1-1: manoeuvres from trim at the speed, for any aircraft, in place"
+        " of a script; else a run script, by the name that campaigns have for it",
+        metavar="M",
         kind="str or Path, optional",
     )
     speed_mps: Number | None = option(
-        None, "true airspeed of --mission, m/s", gt=0, le=1000, metavar="V"
+        None, "true airspeed of the generated manoeuvres, m/s", gt=0, le=1000, metavar="V"
     )
-    altitude_m: Number = fields.altitude("--mission above flat ground at sea level")
+    altitude_m: Number = fields.altitude("the generated manoeuvres above flat ground at sea level")
     duration_s: Number | None = option(
         None, "length of the flight, s (default: the script's end)", gt=0, le=1e6, metavar="T"
     )
@@ -101,7 +102,7 @@ class FlyRequest(Request):
     @property
     def generated(self) -> bool:
         """Return whether the manoeuvres are generated from a trim."""
-        return isinstance(self.mission, str)
+        return str(self.mission) in MISSIONS
 
     @model_validator(mode="after")
     def _check_speed(self) -> FlyRequest:
@@ -112,7 +113,7 @@ class FlyRequest(Request):
                 " (uqharness modes)"
             )
         if self.speed_mps is not None and not self.generated:
-            raise ValueError("{speed_mps}: belongs to {mission} steady, doublets or 3-2-1-1")
+            raise ValueError(f"{{speed_mps}}: belongs to {{mission}}, one of {', '.join(MISSIONS)}")
         return self
 
 
@@ -221,9 +222,14 @@ def _model(name: str) -> Any:
     )
 
 
+MODEL_FILES = (".json", ".sdf")
+"""Endings of models of other programs: ArduPilot's JSON, Gazebo's AdvancedLiftDrag."""
+
+
 class DiffRequest(Request):
     """Fly the same manoeuvres with two models (same start, controls and air) and list the outputs
-    that differ by more than rounding, the likeliest cause first, with the XML that differs.
+    that differ by more than rounding, the likeliest cause first, with the XML that differs. Of a
+    model file of ArduPilot or Gazebo the coefficients are compared, and usual slips are named.
     """
 
     command: ClassVar[str] = "diff"
@@ -231,7 +237,8 @@ class DiffRequest(Request):
   uqharness diff espaaro espaaro_truth --speed-mps 22
   uqharness diff HEAD~1:aircraft/espaaro aircraft/espaaro --speed-mps 22 --out diff.html
   uqharness diff c172p my/c172p --speed-mps 45 --speed-mps 60 --json
-  uqharness diff c172p c172p --speed-mps 50 --python-b other-jsbsim/bin/python"""
+  uqharness diff c172p c172p --speed-mps 50 --python-b other-jsbsim/bin/python
+  uqharness diff espaaro espaaro-gazebo/model.sdf"""
     no: ClassVar[str] = "the models differ"
 
     a: Any = _model("A")
@@ -287,8 +294,9 @@ class DiffRequest(Request):
 
     @model_validator(mode="after")
     def _check_flights(self) -> DiffRequest:
-        """Require something to fly."""
-        if not self.speed_mps and not self.script:
+        """Require something to fly; files of other programs have coefficients alone."""
+        files = any(str(model).endswith(MODEL_FILES) for model in (self.a, self.b))
+        if not (self.speed_mps or self.script or files):
             raise ValueError(
                 "nothing to fly: give {speed_mps}, an airspeed at which A trims (uqharness modes A"
                 " --speed-mps V shows the trim), or {script}"

@@ -7,6 +7,7 @@ from typing import Literal
 from pydantic import Field
 
 from uqharness.results.base import Number, Numbers, Part, Texts
+from uqharness.results.exchange import ModelDifference
 
 
 class GainsTaken(Part):
@@ -153,6 +154,10 @@ class Differences(Part):
     terms: list[DifferentElement] = Field(description="elements of the XML that differ")
 
 
+DiffDocument = Differences | ModelDifference
+"""What `uqharness diff` prints: of two aircraft, or where a model file is compared."""
+
+
 class PluginAxes(Part):
     """Axes of the aircraft's aerodynamics."""
 
@@ -208,20 +213,28 @@ class UndoneFile(Part):
 
 
 class Plugin(Part):
-    """An aircraft with the plugin (`uqharness instrument`); with --undo, only `undone`."""
+    """An aircraft with the plugin (`uqharness instrument`)."""
 
-    aircraft: str = Field(default="", description="name")
-    out: str = Field(default="", description="folder of the copy")
-    written: bool = Field(default=False, description="false with --dry-run")
-    axes: PluginAxes | None = Field(default=None, description="axes of the aerodynamics")
-    coefficients: list[PluginCoefficient] = Field(default=[], description="increments")
-    scaled: list[PluginScale] = Field(default=[], description="functions with scale and bias")
-    files: list[PluginFile] = Field(default=[], description="files that differ")
+    aircraft: str = Field(description="name")
+    out: str = Field(description="folder of the copy")
+    written: bool = Field(description="false with --dry-run")
+    axes: PluginAxes = Field(description="axes of the aerodynamics")
+    coefficients: list[PluginCoefficient] = Field(description="increments")
+    scaled: list[PluginScale] = Field(description="functions with scale and bias")
+    files: list[PluginFile] = Field(description="files that differ")
     unmeasured: dict[str, str] = Field(
         default={}, description="control to why it could not be measured and is assumed"
     )
-    notes: Texts = Field(default=[], description="remarks for the user")
+    notes: Texts = Field(description="remarks for the user")
     check: PluginCheck | None = Field(
         default=None, description="check flights; absent without them"
     )
-    undone: list[UndoneFile] = Field(default=[], description="with --undo: the files restored")
+
+
+class RemovedPlugin(Part):
+    """An aircraft without the plugin (`uqharness instrument --undo`)."""
+
+    undone: list[UndoneFile] = Field(description="files that were restored")
+
+
+PluginOutcome = Plugin | RemovedPlugin

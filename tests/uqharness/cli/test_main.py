@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import subprocess
 import sys
@@ -39,11 +40,8 @@ def test_help_loads_no_numerical_library(words: tuple[str, ...]) -> None:
     assert loaded(*words) == []
 
 
-def test_a_command_loads_what_it_needs_and_no_more() -> None:
-    found = loaded("modes", "--help")
-    assert "scipy" in found
-    assert "pandas" not in found
-    assert "rich" not in found
+def test_a_command_s_help_loads_its_request_alone() -> None:
+    assert loaded("modes", "--help") == ["pydantic"]
 
 
 def test_an_error_of_a_log_is_bad_input(
@@ -54,7 +52,7 @@ def test_an_error_of_a_log_is_bad_input(
 
     parser = cli.build_parser()
     monkeypatch.setattr(
-        parser, "parse_args", lambda _: type("Given", (), {"handler": staticmethod(handler)})
+        parser, "parse_known_args", lambda _: (argparse.Namespace(handler=handler), [])
     )
     monkeypatch.setattr(cli, "build_parser", lambda: parser)
     with pytest.raises(BadInputError, match="no log at all"):
@@ -71,11 +69,11 @@ def test_an_error_of_a_log_is_bad_input(
     [
         (
             ("modes", "espaaro", "--speed-mps", "0"),
-            "--speed-mps 0: a true airspeed in m/s above 0 is needed",
+            "--speed-mps 0: a number above 0 is needed",
         ),
         (
             ("modes", "espaaro", "--speed-mps", "22", "--bank-deg", "85"),
-            "--bank-deg 85: an angle in degrees",
+            "--bank-deg 85: a number above -85 and below 85 is needed",
         ),
         (
             ("fly", "espaaro", "--seed", "-1", "--out", "x.csv"),
