@@ -31,6 +31,8 @@ from uqharness.cli import main as cli
 from uqharness.results.base import Part
 from uqharness.results.identification import Bounds, Compare, Coverage, Fit
 from uqharness.results.next_flight import NextFlightPlan
+from uqharness.results.refinement import Refinement
+from uqharness.results.study import Study
 from uqharness.simulator.aircraft import PROJECT_ROOT, STANDARD
 from uqharness.simulator.card import Card
 
@@ -179,13 +181,9 @@ DOCUMENTS = (
     ("compare.json", (), fields_of(Compare)),
     ("bounds.json", (), fields_of(Bounds)),
     ("coverage.json", (), fields_of(Coverage)),
-    (
-        "refinement.json",
-        ("uqharness.refinement.document:document_of", "uqharness.refinement.run:_document"),
-        words.REFINEMENT,
-    ),
+    ("refinement.json", (), fields_of(Refinement)),
     ("next-flight.json", (), fields_of(NextFlightPlan)),
-    ("study.json", ("uqharness.study.run:begin",), words.STUDY),
+    ("study.json", (), fields_of(Study)),
 )
 
 

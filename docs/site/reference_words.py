@@ -180,45 +180,6 @@ MANIFEST = {
     ),
     "digest": "SHA-256 of all of the above, as JSON without spaces, keys in order",
 }
-REFINEMENT = {
-    "verdict": "effects-found, no-missing-effect or unexplained",
-    "disagreement": "coefficient, manoeuvre, region, share_outside_95, size, words",
-    "effects": (
-        "coefficient (or subsystem), term, name, why, value, std, unit, property, evidence,"
-        " alternatives ..."
-    ),
-    "withdrawn": "effects that the test flights speak against, likewise",
-    "candidates": "limit that a score must pass, and the strongest scores: effect, t",
-    "chosen": "what the train flights alone asked for, likewise",
-    "remaining": "unexplained, where, channels_above_noise, coloured_channels ...",
-    "gap": (
-        "train and test → channels, coefficients, theil before and after; of test also intervals"
-        " and pbox"
-    ),
-    "model": "the new aircraft's XML",
-    "switch": "property and the value that takes the effect out again",
-    "parameters": "property → value, std, re-identified beside the effects",
-    "best_refused": "the strongest candidate that did not enter, and why",
-    "timing": "controls_late_s",
-    "trail": "steps of the choice",
-    "notes": "what was done to the records",
-    "train": "the flights that chose",
-    "test": "the flights that judged",
-    "command": "what repeats it",
-}
-STUDY = {
-    "format": "version of this file",
-    "study": "its name",
-    "question": "its question",
-    "file": "name of the study file",
-    "path": "where it was read from",
-    "hash": "its SHA-256",
-    "version": "of this program",
-    "command": "what goes on with it",
-    "state": "running, done or failed",
-    "stages": "name, kind, folder, command, state, exit, seconds, inputs (path → SHA-256), error",
-    "verdict": "sentences, each with a level: good, warn or bad",
-}
 MODEL_FORM = {
     "format": "version of this file",
     "aircraft": "name and SHA-256 of XML and card",

@@ -28,6 +28,7 @@ NAMES = {
         "compare",
         "diff",
         "dossier",
+        "export",
         "export_log",
         "find_aircraft",
         "find_trim",

@@ -217,7 +217,11 @@ def _refuse_unknown(arguments: argparse.Namespace, word: str) -> None:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; return the process's exit code."""
     gc.set_threshold(*_GC_THRESHOLDS)
-    with clean_terminal(), heartbeat(_command_name(sys.argv[1:] if argv is None else argv)):
+    words = sys.argv[1:] if argv is None else argv
+    if "--quiet" in words:
+        # Before the first heartbeat; other processes of the command inherit it.
+        os.environ[QUIET_VARIABLE] = "1"
+    with clean_terminal(), heartbeat(_command_name(words)):
         return _run(argv)
 
 
@@ -239,9 +243,7 @@ class _Notes(logging.Handler):
     """Prints notes of the program to standard error, one a line."""
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Print a note, overwriting a progress line; nothing with ``--quiet``."""
-        if os.environ.get(QUIET_VARIABLE):
-            return
+        """Print a note, overwriting a progress line."""
         if sys.stderr.isatty():
             print("\r\x1b[K", end="", file=cursor_stream(sys.stderr))
         print(f"note: {hide_scratch_paths(record.getMessage())}", file=sys.stderr)

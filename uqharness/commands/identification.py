@@ -560,12 +560,13 @@ def _by_level(shares: Mapping[float, float]) -> dict[str, float | None]:
 
 def _bins(bins: Mapping[str, Sequence[Bin]], state: str) -> list[StateBin]:
     """Return the coverage by thirds of a state, which are the same for all coefficients."""
+    longest = max(bins.values(), key=len)
     return [
         StateBin(
             state=state,
-            **{"from": first.low, "to": first.high},  # type: ignore[arg-type]
+            **{"from": first.low, "to": first.high},
             samples=first.n,
             share={c: items[k].share for c, items in bins.items() if k < len(items)},
         )
-        for k, first in enumerate(max(bins.values(), key=lambda items: len(items)))
+        for k, first in enumerate(longest)
     ]

@@ -18,7 +18,7 @@ from uqharness.campaign.folder import read_complete
 from uqharness.dossier.match import FAIL, INCONCLUSIVE, PASS, Match
 from uqharness.errors import BadInputError
 from uqharness.replay import HISTORIES, History, read_histories
-from uqharness.results.base import Part, read_document
+from uqharness.results.base import Part, Shape, read_result
 from uqharness.results.identification import Bounds, Compare, Coverage, Fit
 from uqharness.results.refinement import Refinement
 from uqharness.results.study import Study
@@ -138,6 +138,10 @@ class Evidence:
         """Return the readable steps of one kind, in order."""
         return [s for s in self.steps if s.kind == kind and s.document is not None]
 
+    def results(self, shape: type[Shape]) -> list[tuple[Step, Shape]]:
+        """Return the readable steps whose result has this model, each with its result."""
+        return [(s, s.document) for s in self.steps if isinstance(s.document, shape)]
+
     def histories(self, step: Step) -> list[History]:
         """Return the replayed segments of a step; an unreadable file is reported in `missing`."""
         try:
@@ -248,39 +252,34 @@ def _read_result(place: Path, name: str, kind: str, shape: type[Part] | None) ->
     if kind == "campaign":
         return read_complete(place)
     if kind == "bounds":
-        form = read_document(place / name, Part)
+        form = read_result(place / name, Part)
         bounds_file = place / "bounds.json"
         # The dossier compares this digest with that of the aircraft that a campaign flew.
         aircraft = form.get("aircraft")
         digest = aircraft.get("sha256", "") if isinstance(aircraft, dict) else ""
-        return (
-            form
-            | (read_document(bounds_file, Bounds) if bounds_file.is_file() else {})
-            | {"aircraft_sha256": str(digest)}
-        )
+        bounds = read_result(bounds_file, Bounds) if bounds_file.is_file() else {}
+        return {**form, **bounds, "aircraft_sha256": str(digest)}
     assert shape is not None
-    return read_document(place / name, shape)
+    return read_result(place / name, shape)
 
 
 def _read_study(evidence: Evidence) -> None:
     """Report stages of a study that are unfinished, lack their folder, or have altered outputs."""
-    for study in evidence.of(STUDY):
-        assert study.document is not None
-        for stage in study.document["stages"]:
-            name = stage["name"]
+    for step, study in evidence.results(Study):
+        for stage in study.stages:
             # Stages that did not finish have no outputs to check.
-            if stage["state"] != "done":
+            if stage.state != "done":
                 evidence.add_missing(
-                    f"stage {name} is {stage['state']}"
-                    + (f": {stage['error']}" if stage.get("error") else "")
+                    f"stage {stage.name} is {stage.state}"
+                    + (f": {stage.error}" if stage.error else "")
                 )
                 continue
-            if stage.get("folder") and not (study.folder / stage["folder"]).is_dir():
+            if stage.folder and not (step.folder / stage.folder).is_dir():
                 evidence.add_missing(
-                    f"stage {name}: its folder {_join(study.place, stage['folder'])} is not there"
+                    f"stage {stage.name}: its folder {_join(step.place, stage.folder)} is not there"
                 )
-            for file, digest in (stage.get("outputs") or {}).items():
-                _check_digest(evidence, study.folder / file, str(digest), f"stage {name}")
+            for file, digest in stage.outputs.items():
+                _check_digest(evidence, step.folder / file, digest, f"stage {stage.name}")
 
 
 def _check_digest(evidence: Evidence, path: Path, digest: str, recorded_by: str) -> None:
@@ -322,10 +321,9 @@ def _sort_key(evidence: Evidence, step: Step) -> tuple[float, int, str]:
 
     Refinements follow the step that wrote their aircraft.
     """
-    for study in evidence.of(STUDY):
-        assert study.document is not None
+    for _, study in evidence.results(Study):
         # Within a study, its order of stages decides.
-        order = [stage.get("folder") for stage in study.document["stages"]]
+        order = [stage.folder for stage in study.stages]
         if step.place in order:
             return float(order.index(step.place)), 0, step.place
     if step.kind == STUDY:
@@ -432,16 +430,9 @@ def factors(evidence: Evidence, match: Match) -> tuple[Factor, ...]:
 
 def simulating_models(evidence: Evidence) -> list[str]:
     """Return the models that simulated the flights of a study, each once, in order."""
-    stages = [
-        s
-        for study in evidence.of(STUDY)
-        for s in _document_of(study)["stages"]
-        if s["kind"] == "fly"
-    ]
+    flights = [s for _, study in evidence.results(Study) for s in study.stages if s.kind == "fly"]
     return list(
-        dict.fromkeys(
-            words[2] for s in stages if len(words := (s.get("command") or "").split()) > 2
-        )
+        dict.fromkeys(words[2] for s in flights if len(words := (s.command or "").split()) > 2)
     )
 
 
@@ -452,19 +443,19 @@ def _data_pedigree(evidence: Evidence, _: Match) -> list[str]:
         statements.append(
             f"the flights are simulated, by the model {aircraft}: none is of a real aircraft"
         )
-    for step in evidence.of("identify"):
-        digests = _document_of(step).get("flights_sha256") or []
-        names = ", ".join(_document_of(step)["flights"])
-        with_digest = "with SHA-256" if digests else "without a digest"
-        statements.append(f"{_place_of(step)}: identified from {names}, recorded {with_digest}")
-        noise = {c: row.get("noise") for c, row in _document_of(step)["fit"].items()}
-        n_estimated = sum(value is not None for value in noise.values())
+    for step, fit in evidence.results(Fit):
+        with_digest = "with SHA-256" if fit.flights_sha256 else "without a digest"
         statements.append(
-            f"{_place_of(step)}: sensor noise estimated for {n_estimated} of {len(noise)} channels"
+            f"{_place_of(step)}: identified from {', '.join(fit.flights)}, recorded {with_digest}"
         )
-    for step in evidence.of("refine"):
+        n_estimated = sum(row.noise is not None for row in fit.fit.values())
+        statements.append(
+            f"{_place_of(step)}: sensor noise estimated for {n_estimated} of {len(fit.fit)}"
+            " channels"
+        )
+    for step, refinement in evidence.results(Refinement):
         train, test = (
-            ", ".join(_document_of(step).get(k, ())) or "not recorded" for k in ("train", "test")
+            ", ".join(names) or "not recorded" for names in (refinement.train, refinement.test)
         )
         statements.append(
             f"{_place_of(step)}: effects chosen on {train}, shown on the hold-out flights {test}"
@@ -491,8 +482,8 @@ def _verification(evidence: Evidence, _: Match) -> list[str]:
                 f" {len(rows)} metrics {alike} are alike, {excused} excused with a reason,"
                 f" {len(rows) - alike - excused} differ (engine-check.csv)"
             )
-    for step in evidence.of("identify"):
-        converged = "converged" if _document_of(step).get("converged") else "did not converge"
+    for step, fit in evidence.results(Fit):
+        converged = "converged" if fit.converged else "did not converge"
         statements.append(f"{_place_of(step)}: the estimation {converged}")
     return statements
 
@@ -510,16 +501,15 @@ def _validation(evidence: Evidence, match: Match) -> list[str]:
             f" {counts[PASS]} pass, {counts[FAIL]} fail, {counts[INCONCLUSIVE]} inconclusive;"
             f" {len(match.missing)} tests are not in the data"
         )
-    for step in evidence.of("refine"):
-        test = _document_of(step)["gap"]["test"]
+    for step, refinement in evidence.results(Refinement):
+        test = refinement.gap.test
         # In turbulence, replay residuals contain the gust response; one-step predictions do not.
-        predicted = test.get("predictions") or {}
-        rows = predicted or test["channels"]
+        predicted = test.predictions
         # Rms over noise of each channel, after refinement.
         ratios = {
-            c: r["rms_after"] / r["noise_rms"]
-            for c, r in rows.items()
-            if r.get("rms_after") and r.get("noise_rms")
+            c: r.rms_after / r.noise_rms
+            for c, r in (predicted or test.channels).items()
+            if r.rms_after and r.noise_rms
         }
         if ratios:
             worst = max(ratios, key=lambda c: ratios[c])
@@ -528,10 +518,10 @@ def _validation(evidence: Evidence, match: Match) -> list[str]:
                 f"{_place_of(step)}: on the hold-out flights {rms_name} over noise is at most"
                 f" {ratios[worst]:.2f} ({worst})"
             )
-    for step in evidence.of("compare"):
-        verb = "reaches" if _document_of(step)["reached_noise_floor"] else "does not reach"
+    for step, comparison in evidence.results(Compare):
+        verb = "reaches" if comparison.reached_noise_floor else "does not reach"
         statements.append(
-            f"{_place_of(step)}: the model {verb} the noise floor on {_document_of(step)['flight']}"
+            f"{_place_of(step)}: the model {verb} the noise floor on {comparison.flight}"
         )
     return statements
 
@@ -555,9 +545,9 @@ def _input_pedigree(evidence: Evidence, _: Match) -> list[str]:
 def _uncertainty(evidence: Evidence, _: Match) -> list[str]:
     """State standard errors, error bounds, their coverage, and the p-boxes."""
     statements = []
-    for step in evidence.of("identify"):
-        rows = _document_of(step)["parameters"].values()
-        n_identified = sum(r["status"] == "identified" for r in rows)
+    for step, fit in evidence.results(Fit):
+        rows = fit.parameters.values()
+        n_identified = sum(r.status == "identified" for r in rows)
         unidentified_note = (
             "" if n_identified == len(rows) else f"; {len(rows) - n_identified} are not identified"
         )
@@ -572,9 +562,9 @@ def _uncertainty(evidence: Evidence, _: Match) -> list[str]:
             f"{len(document.get('coefficients', {}))} coefficients at "
             f"{100 * document.get('confidence', 0.95):g} % as functions of the flight state"
         )
-    for step in evidence.of("validate-bounds"):
-        shares = {c: row["0.95"] for c, row in _document_of(step)["coverage"].items()}
-        low, high = min(shares.values()), max(shares.values())
+    for step, validation in evidence.results(Coverage):
+        shares = [row.share_95 for row in validation.coverage.values()]
+        low, high = min(shares), max(shares)
         statements.append(
             f"{_place_of(step)}: {100 * low:.1f} to {100 * high:.1f} % of a new flight's"
             " samples lie inside the 95 % intervals"

@@ -19,8 +19,7 @@ from sysid.aerodynamics import COEFFICIENTS
 from sysid.aerodynamics.coefficients import MassProperties
 from sysid.arrays import FloatArray
 from uqharness.errors import BadInputError
-from uqharness.replay import ReplayFolder, force_states
-from uqharness.replay.segments import Segment
+from uqharness.replay import ReplayFolder, Segment, force_states
 from uqharness.simulator import Aircraft, SteadyCondition, Trim, find_trim
 
 VARIABLES = ("alpha", "beta", "p", "q", "r", "de", "da", "dr")

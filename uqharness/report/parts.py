@@ -26,6 +26,11 @@ SIGNS: Mapping[str, str] = {"good": "✓", "bad": "✕", "warn": "!", "": ""}
 """Mark shown with a colour, for readers who do not see it."""
 
 
+def level_of(value: str | None) -> Level:
+    """Return a valid level, or the empty one."""
+    return value if value in ("good", "warn", "bad") else ""  # type: ignore[return-value]
+
+
 @dataclass(frozen=True)
 class Sentence:
     """Hold a sentence of the verdict; ``level`` is good, warn, bad or empty for a plain fact."""

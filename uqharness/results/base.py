@@ -175,13 +175,3 @@ def read_result(path: Path, shape: type[Shape]) -> Shape:
             else first["msg"].removeprefix("Value error, ")
         )
         raise BadInputError(f"{path}: {where}: {problem}; run its command again") from None
-
-
-def read_document(path: Path, shape: type[Part]) -> dict[str, Any]:
-    """Read and validate a JSON document; return it as a dictionary.
-
-    `read_result` gives typed attributes instead.
-    """
-    read_result(path, shape)
-    document: dict[str, Any] = parse_json(read_regular(path, _MAX_BYTES))
-    return document

@@ -9,6 +9,7 @@ from __future__ import annotations
 import importlib
 import json
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from pydantic import TypeAdapter
 
 from uqharness.results import DOCUMENTS
 
-_WIDTH = 100
+_BROKEN = ("properties", "$defs")
 _DIALECT = "https://json-schema.org/draft/2020-12/schema"
 
 
@@ -25,8 +26,7 @@ def schema_of(command: str) -> dict[str, Any]:
     module, _, name = DOCUMENTS[command].partition(":")
     shape = getattr(importlib.import_module(f"uqharness.results.{module}"), name)
     schema = _shortened(TypeAdapter(shape).json_schema(by_alias=True, mode="validation"))
-    # Commands with verbs have a blank before the verb.
-    words = command.replace("-", " ", 1 if command.startswith(("campaign", "log")) else 0)
+    words = command.replace("-", " ", 1) if command.startswith(("campaign", "log")) else command
     return {"$schema": _DIALECT, "title": f"uqharness {words} --json", **schema}
 
 
@@ -50,19 +50,23 @@ def _shortened(schema: Any) -> Any:
     }
 
 
-def text_of(value: Any, indent: int = 0) -> str:
-    """Return JSON with every object on one line that has room for it."""
-    line = json.dumps(value)
-    if not isinstance(value, dict | list) or len(line) + indent <= _WIDTH:
-        return line
-    space = " " * (indent + 1)
-    if isinstance(value, list):
-        body = [text_of(item, indent + 1) for item in value]
-    else:
-        body = [f"{json.dumps(key)}: {text_of(item, indent + 1)}" for key, item in value.items()]
-    opening, closing = "[]" if isinstance(value, list) else "{}"
-    inner = f",\n{space}".join(body)
-    return f"{opening}\n{space}{inner}\n{' ' * indent}{closing}"
+def text_of(schema: Mapping[str, Any]) -> str:
+    """Return a schema with one line for each property, so that a diff shows what changed."""
+
+    def lines(value: Any, depth: int, broken: bool) -> str:
+        if not (broken and isinstance(value, dict)):
+            return json.dumps(value)
+        space = " " * (depth + 1)
+        body = ",\n".join(
+            # Below the schema and its definitions only their properties are broken up.
+            f"{space}{json.dumps(key)}: {lines(item, depth + 1, key in _BROKEN or depth == 1)}"
+            if depth < 3
+            else f"{space}{json.dumps(key)}: {json.dumps(item)}"
+            for key, item in value.items()
+        )
+        return f"{{\n{body}\n{' ' * depth}}}"
+
+    return lines(schema, 0, True)
 
 
 def write_schemas(folder: Path) -> list[Path]:

@@ -195,7 +195,10 @@ def stage_key(stage: Stage, inputs: Mapping[str, str]) -> str:
 
 
 def _options_of(request: Request, digests: Mapping[str, str]) -> dict[str, Any]:
-    """Return a request's values that bear on its result, paths as the digests of their files."""
+    """Return a request's values that bear on its result, paths as the digests of their files.
+
+    The aircraft, which may be named by a text, is among the inputs.
+    """
 
     def plain(value: Any) -> Any:
         if isinstance(value, Path):
@@ -207,7 +210,7 @@ def _options_of(request: Request, digests: Mapping[str, str]) -> dict[str, Any]:
     return {
         name: plain(getattr(request, name))
         for name, (_, option) in options_of(type(request)).items()
-        if option.cli and option.provenance and name != "workers"
+        if option.cli and option.provenance and name not in ("aircraft", "workers")
     }
 
 
@@ -290,22 +293,8 @@ def run_chain(
         record.update(former=list(old.values()))
         record.save()
         for number, stage in enumerate(stages):
-            title = f"[{number + 1}/{len(stages)}] {stage.name}"
-            callback(title)
-
-            def show(text: str, title: str = title) -> None:
-                """Name the stage with what it does."""
-                callback(f"{title}: {text}")
-
             try:
-                _run_stage(
-                    run,
-                    stage,
-                    number,
-                    record,
-                    workers,
-                    lambda text, t=title: callback(f"{t}: {text}"),
-                )
+                _run_stage(run, stage, number, record, workers, callback)
             except KeyboardInterrupt:
                 # Interrupted: the state "running" stays, and the next call resumes.
                 raise
@@ -406,6 +395,13 @@ def _run_stage(
     Raises BadInputError if an input is missing, or if the command did not write its outputs.
     """
     out, row = record.folder, record.study.stages[number]
+    title = f"[{number + 1}/{len(record.study.stages)}] {stage.name}"
+    callback(title)
+
+    def show(text: str) -> object:
+        """Name the stage with what it does."""
+        return callback(f"{title}: {text}")
+
     inputs = {label: content(path) for label, path in stage.inputs.items()}
     # Inputs are files of earlier stages or of the user.
     missing = [label for label, digest in inputs.items() if not digest]
@@ -415,7 +411,7 @@ def _run_stage(
     same_key = row.key == key
     # Up to date: same inputs, options and outputs.
     if same_key and row.state == "done" and row.outputs == _outputs(stage, out):
-        callback("unchanged")
+        show("unchanged")
         return
     # Without the old outputs a failed command cannot be mistaken for a finished one.
     _clear_outputs(stage, row, out, same_key)
@@ -437,7 +433,7 @@ def _run_stage(
         path, data = stage.writes
         write_bytes(path, (_HEADER + tomlkit.dumps(data)).encode())
     start_s = time.monotonic()
-    code = _run_request(run, stage, out, workers, callback)
+    code = _run_request(run, stage, out, workers, show)
     seconds, outputs = round(time.monotonic() - start_s, 1), _outputs(stage, out)
     record.update_stage(number, exit=code, seconds=seconds, outputs=outputs, state="done")
     missing_outputs = [name for name, digest in outputs.items() if not digest]
@@ -448,7 +444,7 @@ def _run_stage(
             f" from; its output is in {out / LOGS / stage.name}.txt"
         )
     record.save()
-    callback(f"{seconds:.0f} s" + ("" if code == 0 else f", exit {code}: the answer is no"))
+    show(f"{seconds:.0f} s" + ("" if code == 0 else f", exit {code}: the answer is no"))
 
 
 _HEADER = "# Written by `uqharness study`; edit the study's file instead.\n\n"

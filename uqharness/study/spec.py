@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -267,6 +268,11 @@ def _tables(data: Mapping[str, Any]) -> Iterator[tuple[str, int | None, dict[str
             yield from ((name, k, item) for k, item in enumerate(content) if isinstance(item, dict))
 
 
+def _place_of(path: Path, text: str, section: tuple[str, ...], key: str) -> tuple[Path, int]:
+    """Return file and line of a key."""
+    return path, line_of(text, (*section, key))
+
+
 def _options(
     path: Path, text: str, data: Mapping[str, Any], lines: list[str]
 ) -> dict[tuple[str, int | None], dict[str, Any]]:
@@ -281,7 +287,7 @@ def _options(
                 request,
                 {key: value for key, value in content.items() if key not in own},
                 heading=f"[{name}]" if number is None else f"[[{name}]] number {number + 1}",
-                line=lambda key, place=place: (path, line_of(text, (*place, key))),
+                line=partial(_place_of, path, text, place),
                 also=also,
                 own=own,
             )

@@ -101,7 +101,7 @@ class _Model:
     label among the inputs.
     """
 
-    source: str | Path
+    source: str
     folder: Path
     label: str
 
@@ -436,14 +436,16 @@ class _Planner:
 
     def _model(self, folder: Path) -> _Model:
         """Return the model in a folder of the study."""
-        return _Model(folder, folder, self._label(folder))
+        return _Model(str(folder), folder, self._label(folder))
 
     def _aircraft(self, name: str, *location: str | int) -> _Model:
         """Find an aircraft: a folder relative to the study file, else as every command finds it."""
         local_folder = self.spec.resolve(name)
         try:
             if local_folder.is_dir():
-                return _Model(_shell_path(local_folder), find_aircraft(local_folder).folder, name)
+                return _Model(
+                    str(_shell_path(local_folder)), find_aircraft(local_folder).folder, name
+                )
             return _Model(name, find_aircraft(name).folder, name)
         except BadInputError as error:
             raise self._located_error(error, *location) from None

@@ -10,8 +10,10 @@ import pytest
 
 import uqharness as uq
 from sysid.record import FlightRecord
-from uqharness.api import refinement
+from tests.helpers.report_folders import refinement
 from uqharness.cli.main import main
+from uqharness.commands import refinement as commands
+from uqharness.results.refinement import Refinement
 
 
 @pytest.fixture
@@ -21,20 +23,14 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list:
     monkeypatch.setenv("UQHARNESS_SUPERVISED", str(os.getpid()))
     found = []
 
-    def refine(request, say):
-        found.append((request, [FlightRecord.read(p) for p in (*request.train, *request.test)]))
-        return SimpleNamespace(document={"verdict": "none"})
+    def refine(job, callback):
+        found.append((job, [FlightRecord.read(p) for p in (*job.train, *job.test)]))
+        return SimpleNamespace(document=Refinement(**refinement()))
 
-    # The command first: its module binds the function when it is imported, and not the one that
-    # stands in.
-    monkeypatch.setattr("uqharness.cli.refine.refine", refine)
-    monkeypatch.setattr("uqharness.refinement.run.refine", refine)
-    monkeypatch.setattr("uqharness.cli.refine.write_results", lambda *a: None)
-    monkeypatch.setattr(
-        "uqharness.cli.refine.write_report", lambda *a, **k: SimpleNamespace(text="")
-    )
-    monkeypatch.setattr(refinement, "write_results", lambda *a: None)
-    monkeypatch.setattr(refinement, "write_report", lambda *a, **k: None)
+    page = SimpleNamespace(verdict=["found"], path=Path("report.html"))
+    monkeypatch.setattr(commands, "run_refinement", refine)
+    monkeypatch.setattr(commands, "write_results", lambda *a: None)
+    monkeypatch.setattr(commands, "write_report", lambda *a: page)
     return found
 
 
@@ -57,7 +53,7 @@ def test_it_asks_what_the_command_asks(asked: list, tmp_path: Path):
     uq.refine(
         "espaaro", train=files[0], test=[str(files[1])], out=tmp_path / "out", pbox=False, workers=1
     )
-    command, python = (request for request, _ in asked)
+    command, python = (job for job, _ in asked)
     assert command == python
     wanted = ["--train", "a.parquet", "--test", "b.parquet", "--no-pbox", "--workers", "1"]
     assert python.command == ("uqharness", "refine", "espaaro", *wanted)
@@ -73,14 +69,14 @@ def test_flights_in_memory_are_handed_on(asked: list, tmp_path: Path):
         out=tmp_path / "deep" / "out",
         servos="ideal",
     )
-    request, records = asked[0]
-    assert [path.name for path in request.train] == ["trim.parquet", "trim-2.parquet"]
-    assert request.ideal_servos
+    job, records = asked[0]
+    assert [path.name for path in job.train] == ["trim.parquet", "trim-2.parquet"]
+    assert job.ideal_servos
     for record, flight in zip(records, flights, strict=True):
         assert record["q_radps"].tolist() == flight["q_radps"].tolist()
-    assert not request.train[0].exists()
+    assert not job.train[0].exists()
     # No command reads what is in memory.
-    assert request.command == ()
+    assert job.command == ()
     assert not (tmp_path / "deep").exists()
 
 
@@ -95,7 +91,7 @@ def test_flights_in_memory_are_handed_on(asked: list, tmp_path: Path):
         ({"out": __file__}, "BadInputError", "no folder"),
         ({"out": None}, "BadInputError", "out = None: a path"),
         ({"aircraft": 5}, "BadInputError", "aircraft = 5: a path"),
-        ({"train": 5}, "BadInputError", "flights = 5"),
+        ({"train": 5}, "BadInputError", "train = 5: at least one flight"),
         ({"pbox": "stormy"}, "BadInputError", "pbox = 'stormy': True or False"),
         ({"figures": 1}, "BadInputError", "figures = 1"),
         (
@@ -154,7 +150,7 @@ def test_every_option_is_in_the_command(asked: list, tmp_path: Path):
     )
     options = {"servos": "ideal", "effects": effects, "campaign": campaign, "figures": False}
     uq.refine("espaaro", train=files[0], test=files[1], out=out, **options)
-    command, python = (request for request, _ in asked)
+    command, python = (job for job, _ in asked)
     assert command == python
     assert {"--effects", "own.toml", "--campaign", "mission.toml", "--no-figures", "ideal"} <= set(
         python.command

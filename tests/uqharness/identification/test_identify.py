@@ -357,7 +357,7 @@ def test_bad_input_is_one_line_and_exit_code_2(flights, tmp_path, capsys):
         (["nowhere", "--flight", train], "nowhere"),
         (["espaaro", "--flight", train, "--params", "aero/Cm_qq"], "did you mean aero/Cm_q"),
         (["espaaro", "--flight", train, "--params", "Cm_q,aero/Cm_q"], "twice"),
-        (["espaaro", "--flight", train, "--params", ","], "--params is empty"),
+        (["espaaro", "--flight", train, "--params", ","], "--params ,: a property or several"),
         (["espaaro", "--flight", train, "--biases", "x"], "unknown channel x"),
         (["espaaro", "--flight", train, "--workers", "0"], "at least 1"),
     ):

@@ -9,11 +9,13 @@ from dataclasses import replace
 import pytest
 
 from tests.helpers import campaign_fakes as fakes
+from tests.helpers.report_folders import refinement
 from uqharness.campaign.cases import Mission
 from uqharness.campaign.execution.processes import SerialExecutor
 from uqharness.campaign.run import run_campaign
 from uqharness.campaign.spec.read import read_campaign
 from uqharness.campaign.statements import DISPERSION_EXCEEDED, bound_dispersion
+from uqharness.results.refinement import Refinement
 from uqharness.study.answer import answer_of, performance, read_campaigns
 
 pytestmark = pytest.mark.usefixtures("flights_here")
@@ -23,7 +25,7 @@ TWO_CORNERS = (
     + 'coefficients = ["CX"]\nbounds = { CX = 0.008 }\ninterior = 0\nnominal = false\n'
     + "\n[metrics]\nacceptable_per_h = 2\nexcursion_radius_m = 15\n"
 )
-EFFECT = {
+EFFECT = refinement()["effects"][0] | {
     "name": "rolling moment due to elevator",
     "value": 0.0003,
     "std": 1e-6,
@@ -34,7 +36,15 @@ GAP = {
     "p_radps": {"rms_before": 0.004, "rms_after": 0.001, "noise_rms": 0.001},
     "V_mps": {"rms_before": None, "noise_rms": 0.5},
 }
-FOUND = {"verdict": "effects-found", "effects": [EFFECT], "gap": {"test": {"channels": GAP}}}
+
+
+def found(verdict="effects-found", **changes) -> Refinement:
+    gap = {"test": {"channels": GAP, "coefficients": {}}}
+    made = refinement(verdict=verdict, effects=[EFFECT | changes], gap=gap)
+    return Refinement(**made)
+
+
+FOUND = found()
 
 
 def quiet(spec):
@@ -247,9 +257,9 @@ def test_lines_fit_two_rows_of_a_terminal(tmp_path):
 
 
 def test_a_refinement_without_effect_and_stages_that_answered_no(tmp_path):
-    nothing = FOUND | {"verdict": "no-missing-effect", "effects": []}
+    nothing = found("no-missing-effect").model_copy(update={"effects": []})
     assert answer_of({}, nothing, []).lacked == "The model lacked nothing that these flights show."
-    withdrawn = FOUND | {"verdict": "unexplained", "effects": [EFFECT | {"withdrawn": True}]}
+    withdrawn = found("unexplained", withdrawn=True)
     assert "no effect of the catalogue explains" in answer_of({}, withdrawn, []).lacked
     assert (
         "These stages answered no: validate-before"

@@ -107,7 +107,7 @@ def test_each_model_flies_with_bounds_of_its_own(tmp_path):
     ):
         campaign = stages[f"campaign-{when}"]
         assert campaign.belongs == (out / f"bounds-{when}" / "model-form.json", model)
-        assert stages[f"bounds-{when}"].request.aircraft == model
+        assert stages[f"bounds-{when}"].request.aircraft == str(model)
         path, data = campaign.writes
         assert path.parent / data["campaign"]["aircraft"] == model
         assert path.parent / data["epistemic"]["bounds"] == campaign.belongs[0]

@@ -13,12 +13,15 @@ import pandas as pd
 import pytest
 
 from tests.helpers import campaign_fakes as fakes
+from tests.helpers import report_folders
 from uqharness.campaign.cases import Mission
 from uqharness.campaign.conditions import Condition
 from uqharness.campaign.execution.processes import SerialExecutor
 from uqharness.campaign.run import run_campaign
 from uqharness.campaign.spec.read import read_campaign
 from uqharness.flight.spec import FlightResult
+from uqharness.results.identification import Fit
+from uqharness.results.refinement import Refinement
 from uqharness.statistics.pbox import Sample
 from uqharness.study import answer as chain_performance
 from uqharness.study import answer as chain_verdict
@@ -194,7 +197,7 @@ def test_area_between_two_corners_is_the_distance_of_their_means():
     assert chain_performance.area([Sample("0", x)]) == 0.0
 
 
-EFFECT = {
+EFFECT = report_folders.refinement()["effects"][0] | {
     "name": "pitching moment due to roll rate squared",
     "value": 2.98,
     "std": 0.03,
@@ -209,14 +212,16 @@ def refinement(verdict="effects-found", effects=(EFFECT,), after=1.0, where=()):
         "p_radps": {"rms_before": 4.0, "rms_after": 4.0 * after, "noise_rms": 1.0},
         "V_mps": {"rms_before": 1.0, "rms_after": 1.0, "noise_rms": 1.0},
     }
-    return {
-        "verdict": verdict,
-        "effects": list(effects),
-        "remaining": {"where": list(where)},
-        "gap": {"test": {"channels": channels}},
-        "train": ["a.parquet"],
-        "test": ["c.parquet"],
-    }
+    left = report_folders.refinement()["remaining"] | {"where": list(where)}
+    made = report_folders.refinement(
+        verdict=verdict,
+        effects=list(effects),
+        remaining=left,
+        gap={"test": {"channels": channels, "coefficients": {}}},
+        train=["a.parquet"],
+        test=["c.parquet"],
+    )
+    return Refinement(**made)
 
 
 def test_what_refinement_named_and_what_it_did_on_the_test_flight():
@@ -299,12 +304,14 @@ def test_widths_that_are_not_known_stay_undefined(tmp_path):
 
 
 def test_identification_that_did_not_converge_is_bad_news():
-    fit = {
-        "parameters": {"a": {"status": "identified"}, "b": {"status": "not-identified"}},
-        "flights": ["x.parquet"],
-        "method": "output error",
-        "fit": {"p_radps": {"rms": 2.0, "noise": 1.0}, "V_mps": {"rms": None, "noise": 1.0}},
-    }
+    identified = {"value": 1.0, "std": 0.1, "std_crb": 0.1, "status": "identified"}
+    fit = Fit(
+        aircraft="plane",
+        parameters={"a": identified, "b": {"value": 1.0, "status": "not-identified"}},
+        flights=["x.parquet"],
+        method="output error",
+        fit={"p_radps": {"rms": 2.0, "noise": 1.0}, "V_mps": {"rms": None, "noise": 1.0}},
+    )
     text, level = chain_verdict._identification(fit, 0)
     assert (
         text

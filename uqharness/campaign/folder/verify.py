@@ -120,7 +120,7 @@ def verify(folder: Path) -> FolderCheck:
         folder=str(folder),
         whole=all(item.state == INTACT for item in every) and all(part.whole for part in inner),
         complete=complete,
-        files=every,
+        items=every,
         shards=inner,
     )
 

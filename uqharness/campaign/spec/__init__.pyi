@@ -1,6 +1,4 @@
 from .campaign import CampaignSpec as CampaignSpec
-from .campaign import Coefficient as Coefficient
-from .campaign import Turbulence as Turbulence
 from .read import campaign_from as campaign_from
 from .read import read_campaign as read_campaign
 from .read import with_samples as with_samples

@@ -54,9 +54,13 @@ from uqharness.report.parts import (
     Table,
     Words,
     format_value,
+    level_of,
     percent,
 )
 from uqharness.report.svg import Chart, Scale, scale
+from uqharness.results.identification import Compare, Coverage, Fit
+from uqharness.results.refinement import Refinement
+from uqharness.results.study import Study
 from uqharness.simulator import folder_hash
 
 # Proof of match: tests, tolerances, segments, and the worst segment of each test.
@@ -138,13 +142,14 @@ def compare_with_log(evidence: Evidence) -> LogComparison | None:
 
 def _noise(step: Step) -> dict[str, float | None]:
     """Return the noise of each channel from the document of a step."""
-    document = step.document or {}
-    # The noise is stored under different keys by each command.
-    if step.kind == "refine":
-        return {c: r.get("noise_rms") for c, r in document["gap"]["test"]["channels"].items()}
-    # identify stores channels under "fit", compare under "channels".
-    rows = document["fit"] if step.kind == "identify" else document["channels"]
-    return {c: r.get("noise") for c, r in rows.items()}
+    document = step.document
+    # Each command stores the noise elsewhere.
+    if isinstance(document, Refinement):
+        return {c: r.noise_rms for c, r in document.gap.test.channels.items()}
+    if isinstance(document, Fit):
+        return {c: r.noise for c, r in document.fit.items()}
+    assert isinstance(document, Compare)
+    return {c: r.noise for c, r in document.channels.items()}
 
 
 def match_section(title: str, source: LogComparison | None) -> Section:
@@ -567,8 +572,8 @@ def _provenance(title: str, evidence: Evidence) -> Section:
         Words(text, note=True),
         Table("Steps.", ("Step", "Command", "Folder", "What it found", "Model"), tuple(rows)),
     ]
-    for step in evidence.of("refine"):
-        blocks += _effects(step)
+    for step, refinement in evidence.results(Refinement):
+        blocks += _effects(step, refinement)
     return Section(title, (*blocks, *_parameters(evidence)))
 
 
@@ -641,28 +646,25 @@ def _outcome(step: Step) -> str:
     document = step.document
     if document is None:
         return "cannot be read"
-    if step.kind == "identify":
-        rows = document["parameters"].values()
-        identified = sum(r["status"] == "identified" for r in rows)
-        converged = "converged" if document.get("converged") else "did not converge"
+    if isinstance(document, Fit):
+        rows = document.parameters.values()
+        identified = sum(r.status == "identified" for r in rows)
+        converged = "converged" if document.converged else "did not converge"
         return (
-            f"{identified} of {len(rows)} parameters of {document['aircraft']} from"
-            f" {_list(document['flights'])}; {converged}"
+            f"{identified} of {len(rows)} parameters of {document.aircraft} from"
+            f" {_list(document.flights)}; {converged}"
         )
-    if step.kind == "refine":
-        effect_names = "; ".join(e["name"] for e in document["effects"])
-        flights = (
-            f"chosen on {_list(document.get('train', ()))}, shown on"
-            f" {_list(document.get('test', ()))}"
-        )
-        return f"{document['verdict']}: {effect_names or 'no effect'}; {flights}"
-    if step.kind == "compare":
-        return f"{document['aircraft']} compared with {document['flight']}"
+    if isinstance(document, Refinement):
+        effect_names = "; ".join(e.name for e in document.effects)
+        flights = f"chosen on {_list(document.train)}, shown on {_list(document.test)}"
+        return f"{document.verdict}: {effect_names or 'no effect'}; {flights}"
+    if isinstance(document, Compare):
+        return f"{document.aircraft} compared with {document.flight}"
     if step.kind == "bounds":
         return f"intervals for {len(document.get('coefficients', {}))} coefficients"
-    if step.kind == "validate-bounds":
-        verdicts = document.get("verdicts") or {}
-        return "; ".join(f"{c} {v}" for c, v in verdicts.items()) or "coverage of the intervals"
+    if isinstance(document, Coverage):
+        verdicts = "; ".join(f"{c} {v}" for c, v in document.verdicts.items())
+        return verdicts or "coverage of the intervals"
     if step.kind == "campaign":
         return (
             f"{document.get('cases', '?')} flights of"
@@ -671,29 +673,19 @@ def _outcome(step: Step) -> str:
     return f"study {document['study']}: {document.get('state', 'running')}"
 
 
-def _effects(step: Step) -> list[Block]:
+def _effects(step: Step, refinement: Refinement) -> list[Block]:
     """Return the table of effects that a refinement added or withdrew."""
-    document = step.document or {}
     rows = []
-    for decision, effects in (
-        ("kept", document["effects"]),
-        ("withdrawn", document.get("withdrawn", ())),
-    ):
+    for decision, effects in (("kept", refinement.effects), ("withdrawn", refinement.withdrawn)):
         for e in effects:
-            t = e.get("evidence", {}).get("t")
-            unit = "" if e.get("unit") in (None, "1", "-") else f" {e['unit']}"
-            value = (
-                f"{format_value(e.get('value'), '.4g')} ± {format_value(e.get('std'), '.2g')}{unit}"
-            )
+            t = e.evidence.t
+            unit = "" if e.unit in (None, "1", "-") else f" {e.unit}"
+            value = f"{format_value(e.value, '.4g')} ± {format_value(e.std, '.2g')}{unit}"
             # Alternatives that the flights cannot separate from the effect.
-            alike = [
-                a["name"].removesuffix(" off")
-                for a in e.get("alternatives", ())
-                if not a["separable"]
-            ]
-            tested = (e.get("test") or {}).get("gap", "not tested")
-            name = Cell(e["name"], small=f"confounded with {'; '.join(alike)}" if alike else "")
-            where = Cell(str(e.get("property") or e.get("subsystem", "")), code=True)
+            alike = [a.name.removesuffix(" off") for a in e.alternatives if not a.separable]
+            tested = e.test.gap if e.test is not None else "not tested"
+            name = Cell(e.name, small=f"confounded with {'; '.join(alike)}" if alike else "")
+            where = Cell(e.property or e.subsystem or "", code=True)
             rows.append(
                 (
                     name,
@@ -768,18 +760,10 @@ def _statements(
 ) -> list[tuple[str, tuple[Sentence, ...]]]:
     """Return the conclusions of the study, or else the verdicts of the campaigns, by place."""
     statements: list[tuple[str, tuple[Sentence, ...]]] = []
-    for study in evidence.of("study"):
-        conclusions = tuple(
-            Sentence(v["text"], v["level"] if v.get("level") in ("good", "warn", "bad") else "")
-            for v in _verdict_of(study)
-        )
+    for _, study in evidence.results(Study):
+        conclusions = tuple(Sentence(v.text, level_of(v.level)) for v in study.verdict or ())
         statements += [("study", conclusions)] if conclusions else []
     return statements or [(step.place, campaign.verdict) for step, campaign in campaigns]
-
-
-def _verdict_of(study: Step) -> Sequence[Mapping[str, Any]]:
-    """Return the verdict of a study."""
-    return (study.document or {}).get("verdict") or ()
 
 
 def _statement_section(
@@ -948,17 +932,15 @@ def _not_done(title: str, evidence: Evidence, source: LogComparison | None) -> S
     ):
         if not evidence.of(kind):
             lines.append(f"No {words} is in this folder.")
-    for step in evidence.of("identify"):
-        unidentified = [
-            n for n, r in (step.document or {})["parameters"].items() if r["status"] != "identified"
-        ]
+    for _, fit in evidence.results(Fit):
+        unidentified = [n for n, r in fit.parameters.items() if r.status != "identified"]
         lines += (
             [f"Not identified, left at their initial values: {', '.join(unidentified)}."]
             if unidentified
             else []
         )
-    for step in evidence.of("refine"):
-        if (step.document or {})["remaining"].get("unexplained"):
+    for step, refinement in evidence.results(Refinement):
+        if refinement.remaining.unexplained:
             lines.append(f"{step.place}: something is left that no effect explains.")
     lines += [
         f"{f.name}: {NOT_ASSESSED}."

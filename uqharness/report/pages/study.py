@@ -50,6 +50,7 @@ from uqharness.report.parts import (
     Table,
     Words,
     format_value,
+    level_of,
     provenance,
 )
 from uqharness.report.pbox import LabelledBox, corner_words, pbox_figure
@@ -73,7 +74,7 @@ def answer_sentences(answer: StudyAnswer) -> tuple[Sentence, ...]:
     """Return the answer with its level, then reason, model deficiency and next step."""
     # Only the answer has a level; the other sentences are facts.
     facts = (answer.why, answer.lacked, answer.next)
-    return Sentence(answer.answer, _level(answer.level)), *(Sentence(t) for t in facts if t)
+    return Sentence(answer.answer, level_of(answer.level)), *(Sentence(t) for t in facts if t)
 
 
 def first_figures(
@@ -457,12 +458,7 @@ def _verdict(study: Study) -> tuple[Sentence, ...]:
 
 def _sentences(study: Study) -> tuple[Sentence, ...]:
     """Return the sentences of the study's verdict."""
-    return tuple(Sentence(item.text, _level(item.level)) for item in study.verdict or ())
-
-
-def _level(value: Any) -> Level:
-    """Return a valid level, or the empty one."""
-    return value if value in ("good", "warn", "bad") else ""
+    return tuple(Sentence(item.text, level_of(item.level)) for item in study.verdict or ())
 
 
 def _stage_section(study: Study) -> Section:

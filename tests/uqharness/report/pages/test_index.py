@@ -26,7 +26,7 @@ def test_the_command(identified, capsys):
     first = (identified / "report.html").read_bytes()
     assert main(["report", str(identified)]) == 0
     assert (identified / "report.html").read_bytes() == first
-    assert "report.html: written" in capsys.readouterr().out
+    assert capsys.readouterr().out.endswith(f"Report: {identified / 'report.html'}\n")
 
 
 def test_a_folder_of_nothing_is_refused_with_what_was_looked_for(tmp_path, capsys):

@@ -104,7 +104,7 @@ def test_all_else_is_folded_and_in_the_contents(tmp_path, campaigns):
 
 
 @pytest.mark.parametrize(
-    ("test", "ticks"), [(shrank(), 1), (None, 0), ({**shrank(), "gap": "unclear"}, 0)]
+    ("test", "ticks"), [(shrank(), 1), (None, 0), ({**shrank(), "gap": "cannot tell"}, 0)]
 )
 def test_an_effect_has_a_tick_only_where_the_held_out_flight_tested_it(
     tmp_path, campaigns, test, ticks
