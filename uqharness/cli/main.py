@@ -22,7 +22,7 @@ from uqharness import __version__
 from uqharness.cli.options import RequestCommand, Table, Verbs, add_commands, commands_of
 from uqharness.errors import BadInputError, EnginesDifferError, TerminatedError
 from uqharness.files import hide_scratch_paths
-from uqharness.heartbeat import heartbeat
+from uqharness.heartbeat import QUIET_VARIABLE, heartbeat
 
 _EXAMPLE = """examples:
   uqharness modes espaaro --speed-mps 22.2
