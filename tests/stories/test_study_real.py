@@ -10,6 +10,7 @@ import pytest
 
 from sysid.model_form.model_form import read_model_form
 from uqharness.cli import main as cli
+from uqharness.commands.study import run_request
 from uqharness.simulator.aircraft import PROJECT_ROOT, content_hash, find_aircraft
 from uqharness.study.run import run_chain
 from uqharness.study.spec import read_chain
@@ -124,9 +125,9 @@ def test_the_whole_chain_names_what_is_missing_and_the_refined_model_knows_more(
         .replace("[3, 7, 12]", "3")
     )
     (tmp_path / "study.toml").write_text(text)
-    document = run_chain(cli.run_words, read_chain(tmp_path / "study.toml"), tmp_path / "out")
-    assert {row["exit"] for row in document["stages"]} == {0}
-    said = {sentence["text"]: sentence["level"] for sentence in document["verdict"]}
+    document = run_chain(run_request, read_chain(tmp_path / "study.toml"), tmp_path / "out")
+    assert {row.exit for row in document.stages} == {0}
+    said = {sentence.text: sentence.level for sentence in document.verdict}
     named = next(words for words in said if words.startswith("Refinement named"))
     assert "(aero/Cm_p2)" in named
     assert "(aero/Cl_de)" in named
@@ -135,4 +136,4 @@ def test_the_whole_chain_names_what_is_missing_and_the_refined_model_knows_more(
     refined = find_aircraft(tmp_path / "out" / "refine" / "aircraft" / "aircraft")
     form = read_model_form(tmp_path / "out" / "bounds-after" / "model-form.json")
     assert form.aircraft.sha256 == content_hash(refined)
-    assert document["before_after"] == {"before": "campaign-before", "after": "campaign-after"}
+    assert document.pair == {"before": "campaign-before", "after": "campaign-after"}

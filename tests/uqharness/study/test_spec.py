@@ -172,6 +172,23 @@ def test_options_reach_the_commands(tmp_path):
     assert "--noise" in stages["fly-one"]
 
 
+def test_every_option_of_a_command_is_a_key_of_its_section(tmp_path):
+    """An option needs no line of the study: `sample_size` and `bake` are fields of requests."""
+    text = STUDY.replace(
+        "validate_on", 'as_published = true\nsample_size = "effective"\nvalidate_on'
+    ).replace('train = ["one"]', 'train = ["one"]\nbake = true')
+    stages = {stage.name: stage for stage in plan(read(tmp_path, text), tmp_path / "out")}
+    assert "--as-published --sample-size effective" in stages["bounds-before"].command
+    assert "--bake" in stages["refine"].command
+    # Options that the study sets itself are no keys, and rules of several options hold.
+    for wrong, fragment in (
+        ('out = "x"', "[bounds] out: unknown"),
+        ('sample_size = "all"', "sample_size requires"),
+    ):
+        message = refusal(tmp_path, STUDY.replace("validate_on", f"{wrong}\nvalidate_on"))
+        assert fragment in message
+
+
 @pytest.mark.parametrize(
     ("old", "new", "fragments"),
     [
