@@ -47,6 +47,7 @@ FUNCTIONS = {
     "study": "study",
     "report": "report",
     "dossier": "dossier",
+    "export": "export",
 }
 RENAMED = {
     "property": "properties",
@@ -61,7 +62,6 @@ RENAMED = {
 }
 OF_A_TERMINAL = {"help", "json", "quiet"}
 RETURNED = "the function returns what the option writes; the result has write() or to_dataframe()"
-READ_BEFORE = "read_flights and log_info take it; this function takes the flights that they return"
 IN_RADIANS = "Python has SI units and radians: V_mps, bank_rad, climb_rad, heading_rad"
 ONLY_TEXT = "it is of the printed table; find_trim and linearise return numbers"
 LEFT_OUT = {
@@ -79,9 +79,6 @@ LEFT_OUT = {
     },
     "instrument": {
         "undo": "it removes a folder's systems in place, which the function never changes",
-    },
-    "refine": {
-        **dict.fromkeys(("manoeuvres", "map", "flight_number"), READ_BEFORE),
     },
     "campaign run": {
         "shard": "merge_campaign makes results of shards",
