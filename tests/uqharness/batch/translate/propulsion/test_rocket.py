@@ -61,7 +61,7 @@ def test_thrust_propellant_and_inertia_are_jsbsims(motor: str, tanks: str, feeds
     theirs = made.theirs()
     assert worst(apart(theirs, made.ours())) < 1e-9
     assert theirs["propulsion/engine/thrust-lbs"].max() > 100.0
-    if motor == "liquid":
+    if feeds == "01":
         # The propellant is used up.
         assert theirs["propulsion/engine/thrust-lbs"][-1] == 0.0
 
