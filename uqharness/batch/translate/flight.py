@@ -203,6 +203,10 @@ def trace_flight(sources: Sources, dt_s: float, values: Values, request: TraceRe
             break
     # Records that nothing computes are refused after tracing.
     for name in request.records:
+        if canonical(name) in frames[2].live:
+            raise BadInputError(
+                f"property {name} is computed only where it is read, so it cannot be recorded"
+            )
         if not name.startswith("#") and frames[2].read(name) is None:
             raise BadInputError(
                 f"property {name} is not computed by the batch engine, so it cannot be recorded"

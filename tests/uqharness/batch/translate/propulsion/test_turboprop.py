@@ -74,7 +74,8 @@ def test_speed_power_temperatures_and_fuel_are_jsbsims(limit: str) -> None:
 
 
 def test_a_limiter_lowers_the_throttle() -> None:
-    made = case(1200, "28")
+    running = '<property value="1">propulsion/engine/set-running</property>'
+    made = case(1200, "10", events=running)
     theirs = made.theirs()
     assert worst(apart(theirs, made.ours())) < 1e-9
     assert theirs["propulsion/engine/ielu_intervent"].any()
