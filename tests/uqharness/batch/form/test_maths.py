@@ -22,7 +22,7 @@ from uqharness.batch.form.ir import TRANSCENDENTAL, Builder, evaluate
 from uqharness.batch.form.maths import fold, lower
 from uqharness.batch.machine.llvm import compile_function, targets
 
-COUNT = int(os.environ.get("BATCH_POINTS", "20000"))
+COUNT = int(os.environ.get("BATCH_POINTS", "8000"))
 INF, NAN = math.inf, math.nan
 SPECIAL = [
     0.0,
