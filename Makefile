@@ -6,6 +6,8 @@ VENV   := .venv
 BIN    := $(VENV)/$(if $(filter Windows_NT,$(OS)),Scripts,bin)
 PY     := $(BIN)/python
 STAMP  := $(VENV)/.installed
+# By another name, so that `make -n test` runs nothing.
+SUBMAKE := $(MAKE) --no-print-directory
 
 .PHONY: setup demo test test-slow test-browser fuzz docs lint lock bench clean
 
@@ -27,8 +29,16 @@ lint: setup
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-test: setup lint
-	OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(PY) -m pytest -n 2 --dist loadfile -m "not slow and not browser"
+# The linter and the type checker run beside the tests: their output comes last, and each can fail
+# the target. The tests start hundreds of processes, which would compile all modules anew without
+# bytecode. tests/conftest.py puts the longest files first.
+test: setup
+	@log=$$(mktemp); $(SUBMAKE) lint > $$log 2>&1 & lint=$$!; \
+	PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(PY) -m pytest -n 2 --dist loadfile \
+		--no-loadscope-reorder -m "not slow and not browser"; tests=$$?; \
+	wait $$lint; lint=$$?; cat $$log; rm -f $$log; \
+	[ $$tests -eq 0 ] || echo "tests failed" >&2; [ $$lint -eq 0 ] || echo "lint failed" >&2; \
+	[ $$tests -eq 0 ] && [ $$lint -eq 0 ]
 
 test-slow: setup
 	OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(PY) -m pytest -n 2 --dist loadfile -m slow

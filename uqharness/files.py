@@ -161,15 +161,6 @@ def check_output_path(path: Path, option: str = "--out") -> None:
         )
 
 
-def check_page_path(path: Path, option: str = "--out") -> None:
-    """Raise BadInputError unless a report page can be written at a path ending in .html."""
-    if path.suffix.lower() != ".html":
-        raise BadInputError(f"{option} {path}: a page, FILE.html, is written")
-    if path.is_dir():
-        raise BadInputError(f"{option} {path}: is a folder; a page, FILE.html, is written")
-    check_output_path(path, option)
-
-
 def check_output_folder(path: Path) -> None:
     """Raise BadInputError unless results can be written to a folder, which may exist."""
     check_output_path(path)

@@ -5,6 +5,7 @@ say of made-up answers.
 from __future__ import annotations
 
 import json
+from functools import cache
 from types import ModuleType
 from typing import Any
 
@@ -29,6 +30,12 @@ TABLES: ModuleType = campaign_script("model-form", "tables")
 CASES = {c.name: c for c in FLIGHTS.CASES}
 
 
+@cache
+def quiet_bounds_flight(name: str) -> Any:
+    """The noise-free flight for bounds of one case."""
+    return FLIGHTS.quiet_flight(CASES[name], FLIGHTS.BOUNDS, 0)
+
+
 @pytest.fixture(scope="module")
 def answers() -> list[dict[str, Any]]:
     """A seed of the truth and of the model itself in still air."""
@@ -39,10 +46,7 @@ def answers() -> list[dict[str, Any]]:
 
 
 def test_the_model_has_no_error_against_itself_and_the_truth_has_its_four():
-    nominal, truth = (
-        FLIGHTS.quiet_flight(CASES[name], FLIGHTS.BOUNDS, 0)
-        for name in ("nominal-calm", "truth-calm")
-    )
+    nominal, truth = (quiet_bounds_flight(name) for name in ("nominal-calm", "truth-calm"))
     assert not nominal.true.delta.any()
     states, delta = truth.true.states, truth.true.delta
     # CX_q 1.5 times q c/2V, by hand.
@@ -63,7 +67,7 @@ def test_gains_of_the_noise_free_flight_serve_the_noisy_one():
     """Asked at noisy states the model gives nearly the same gains: no width moves by a
     twentieth.
     """
-    quiet = FLIGHTS.quiet_flight(CASES["truth-calm"], FLIGHTS.BOUNDS, 0)
+    quiet = quiet_bounds_flight("truth-calm")
     with FLIGHTS.model_pair(quiet.measured) as pair:
         noisy = FLIGHTS.noisy_twin(quiet, pair, (3, 2, 0), (1.0,))
     quick = noisy.exactly()
@@ -91,7 +95,7 @@ def test_gains_of_the_noise_free_flight_serve_the_noisy_one():
 
 
 def test_noise_is_added_where_it_should_be():
-    quiet = FLIGHTS.quiet_flight(CASES["nominal-calm"], FLIGHTS.BOUNDS, 0)
+    quiet = quiet_bounds_flight("nominal-calm")
     with FLIGHTS.model_pair(quiet.measured) as pair:
         one, same, other = (
             FLIGHTS.noisy_twin(quiet, pair, (k, 0, 0), (1.0, 2.0)) for k in (1, 1, 2)

@@ -47,8 +47,7 @@ def _read(place: Path, seed: int) -> None:
         aircraft = find_aircraft(place / "dart")
         content_hash(aircraft)
         model_files(aircraft)
-        for path in sorted(aircraft.folder.rglob("*.xml")):
-            refuse_unknown_operations(path)
+        refuse_unknown_operations(aircraft)
         read_script(place / "script.xml")
         plan(aircraft, Bounds(), air=bool(seed % 2))
 

@@ -16,13 +16,13 @@ import pytest
 from tests.helpers.batch_flyers import flyer_of
 from tests.helpers.batch_systems import Series
 from uqharness.batch.form.program import Feed, Program, Stream, initial_state, slot
-from uqharness.batch.lanes.mission import constant_properties, initial_values
+from uqharness.batch.lanes.mission import initial_values
 from uqharness.batch.lanes.streams import Turbulence
 from uqharness.batch.models.motion import CONDITIONS, start_state
 from uqharness.batch.models.winds import NORMALS
 from uqharness.batch.translate.channels import Sources, read_sources
 from uqharness.batch.translate.flight import Flight, TraceRequest, trace_flight
-from uqharness.batch.translate.frame import Values
+from uqharness.batch.translate.frame import Values, is_constant
 from uqharness.errors import BadInputError
 from uqharness.files import scratch_folder
 from uqharness.simulator import engine
@@ -122,7 +122,7 @@ def translated(
 ) -> Flight:
     """The programs; ``inputs`` are fed, ``varying`` differ between lanes. Raises BadInputError."""
     sources = made.sources()
-    values = Values(initial_values(made.open), constant_properties(sources))
+    values = Values(initial_values(made.open), is_constant)
     fed = [Stream("inputs", tuple(inputs))] if inputs else []
     return trace_flight(sources, DT_S, values, TraceRequest(varying, fed, records))
 

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import atexit
 import json
+import shutil
+import tempfile
+from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
 from tests.helpers import campaign_fakes as fakes
+from tests.helpers.flying_here import flying_here
 from tests.helpers.model_forms import made_up_form
 from uqharness.campaign.execution.processes import SerialExecutor
 from uqharness.campaign.run import run_campaign
@@ -254,10 +260,20 @@ def covered(folder):
 
 def campaigns(root):
     """Two small campaigns, before and after, which differ in the number of flights."""
-    for name, flights in (("before", 2), ("after", 3)):
-        (root / f"{name}-input").mkdir()
-        spec = fakes.small_spec(root / f"{name}-input", flights)
-        run_campaign(spec, root / name, executor=SerialExecutor(), fly=fakes.steady)
+    shutil.copytree(_flown_campaigns(), root, dirs_exist_ok=True)
+    return root
+
+
+@cache
+def _flown_campaigns():
+    """The folder in which these campaigns were flown, once a process."""
+    root = Path(tempfile.mkdtemp())
+    atexit.register(shutil.rmtree, root, ignore_errors=True)
+    with flying_here():
+        for name, flights in (("before", 2), ("after", 3)):
+            (root / f"{name}-input").mkdir()
+            spec = fakes.small_spec(root / f"{name}-input", flights)
+            run_campaign(spec, root / name, executor=SerialExecutor(), fly=fakes.steady)
     return root
 
 

@@ -251,6 +251,9 @@ def test_measured_thrust_in_a_foreign_log_drives_the_replay(tmp_path, capsys):
             imported,
             "--out",
             tmp_path / name,
+            # The servos that flew; tests/uqharness/identification/test_servos.py chooses among two.
+            "--servos",
+            "card",
             "--workers",
             1,
             "--no-figures",

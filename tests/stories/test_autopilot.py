@@ -257,7 +257,7 @@ def test_holds_the_loiter_in_7_mps_wind_and_severe_turbulence(mission):
         }
     )
     fly(fdm, 120.0, TRACK)
-    rows = np.abs(fly(fdm, 600.0, (*TRACK, *ATTITUDE)))
+    rows = np.abs(fly(fdm, 300.0, (*TRACK, *ATTITUDE)))
     assert np.isfinite(rows).all()
     # The definition of a lost aircraft is 80 deg of bank, 25 deg of incidence, 60 m of height: far
     # from all three.

@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 import yaml
 
+from tests.conftest import LONGEST_FILES
 from tests.helpers.doc_names import check_commands, wrong_folders, wrong_places
 from tests.helpers.places import ROOT
 
@@ -38,6 +39,10 @@ def test_the_hooks_are_what_lint_checks():
     hooks = [hook for repo in loaded(".pre-commit-config.yaml")["repos"] for hook in repo["hooks"]]
     assert [hook["entry"].removeprefix(".venv/bin/") for hook in hooks] == lint_commands(MAKEFILE)
     assert lint_commands("lint: setup\n\t$(BIN)/other .\n") == ["other"]
+
+
+def test_the_files_that_start_first_are_there():
+    assert [name for name in LONGEST_FILES if not (ROOT / name).is_file()] == []
 
 
 def test_the_workflow_runs_the_readmes_command_on_every_system():

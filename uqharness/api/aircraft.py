@@ -14,6 +14,7 @@ from uqharness.requests.simulation import (
     MarginsRequest,
     TrimRequest,
 )
+from uqharness.results.exchange import ModelDifference
 from uqharness.results.simulation import Differences, Margins
 from uqharness.simulator import LinearModel, SteadyCondition, Trim, linear, trim
 
@@ -123,14 +124,15 @@ def margins(request: MarginsRequest) -> Margins:
 @notebook_line("diff")
 @accepts(DiffRequest)
 @isolated
-def diff(request: DiffRequest) -> Differences:
+def diff(request: DiffRequest) -> Differences | ModelDifference:
     """Fly two models side by side and list their differences, as ``uqharness diff`` does.
 
     Returns
     -------
     Differences
         ``differ``, the ``differences`` of channels, the likeliest cause first, ``terms`` of the XML
-        that differ, ``flights``.
+        that differ, ``flights``. Where a model file of ArduPilot or Gazebo is compared, a
+        ModelDifference with the ``findings`` in its coefficients, geometry and mass.
 
     Raises
     ------

@@ -117,8 +117,6 @@ def study_convergence(
         If the campaign is not complete, a metric is unknown, or too few flights or samples exist.
     """
     manifest = read_complete(folder)
-    if number < 2:
-        raise BadInputError(f"--repeats {number}: must be at least 2")
     frame = read_cases(folder, manifest)
     available = [name for name in ERROR_METRICS if name in frame and frame[name].notna().any()]
     requested = list(metrics) or [name for name in METRICS if name in available]

@@ -221,8 +221,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     if "--quiet" in words:
         # Before the first heartbeat; other processes of the command inherit it.
         os.environ[QUIET_VARIABLE] = "1"
-    with clean_terminal(), heartbeat(_command_name(words)):
-        return _run(argv)
+    logger, notes = logging.getLogger("uqharness"), _Notes()
+    logger.addHandler(notes)
+    logger.setLevel(logging.INFO)
+    try:
+        with clean_terminal(), heartbeat(_command_name(words)):
+            return _run(argv)
+    finally:
+        logger.removeHandler(notes)
 
 
 def _command_name(words: Sequence[str]) -> str:
@@ -251,10 +257,6 @@ class _Notes(logging.Handler):
 
 def _run(argv: Sequence[str] | None) -> int:
     """Run one command; convert exceptions to a line on standard error and an exit code."""
-    logger = logging.getLogger("uqharness")
-    if not any(isinstance(handler, _Notes) for handler in logger.handlers):
-        logger.addHandler(_Notes())
-        logger.setLevel(logging.INFO)
     try:
         code = run_words(argv)
         sys.stdout.flush()

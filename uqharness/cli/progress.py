@@ -127,12 +127,6 @@ def _without_numbers(text: str) -> str:
     return re.sub(r"\d+", "", text)
 
 
-def print_line(text: object) -> None:
-    """Print a line on a terminal only."""
-    if sys.stderr.isatty():
-        print(text, file=sys.stderr)
-
-
 def print_warnings(warnings: Iterable[str]) -> None:
     """Print warnings to standard error, one a line, overwriting a progress line."""
     for text in warnings:

@@ -33,6 +33,7 @@ from uqharness.files import check_output_folder, results_folder, write_bytes, wr
 from uqharness.identification import load_form
 from uqharness.requests.base import Callback, command_line, silent
 from uqharness.requests.exchange import ExportRequest
+from uqharness.requests.simulation import MODEL_FILES
 from uqharness.results.base import Outcome
 from uqharness.results.exchange import Loss, LossOfCoefficient, ModelDifference, ModelSlip
 from uqharness.simulator import content_hash
@@ -197,7 +198,7 @@ def _lines(document: Loss, out: Path, refused: bool) -> list[str]:
 
 # Comparison of model files of other programs, with an aircraft or with each other.
 
-_SUFFIXES = {".json": "ardupilot-json", ".sdf": "gazebo"}
+_SUFFIXES = dict(zip(MODEL_FILES, ("ardupilot-json", "gazebo"), strict=True))
 _STATES = 1500
 
 
@@ -236,7 +237,7 @@ def diff_models(
     by_coefficient = differences(b.coefficients(states), a.coefficients(states))
     document = ModelDifference(
         models=[a.name, b.name],
-        same=not findings,
+        differ=bool(findings),
         findings=[
             ModelSlip(where=f.where, first=f.first, second=f.second, cause=f.cause)
             for f in findings

@@ -117,5 +117,6 @@ def _modal_indices(methods: Mapping[str, MethodResult]) -> dict[str, ModalIndice
         row["std_of_one_run"] = {
             method: float(result.details["std_of_one_run"][k]) for method, result in methods.items()
         }
-        rows[name] = ModalIndices(**row, **({"reason": reasons} if reasons else {}))
+        row |= {"reason": reasons} if reasons else {}
+        rows[name] = ModalIndices(**row)
     return rows

@@ -19,6 +19,7 @@ from sysid.model_form import ModelForm, read_model_form
 from sysid.record import FlightRecord, Metadata
 from sysid.vocabulary import SIGNALS
 from uqharness.arguments import path as argument_path
+from uqharness.commands.exchange import diff_models, is_model_file
 from uqharness.commands.flights import Flight, aircraft_of, carded_aircraft, content_sha256
 from uqharness.differences import (
     ROUNDING,
@@ -85,6 +86,7 @@ from uqharness.requests.simulation import (
     ModesRequest,
 )
 from uqharness.results.base import Outcome
+from uqharness.results.exchange import ModelDifference
 from uqharness.results.simulation import (
     AssessedLevel,
     ChannelDifference,
@@ -549,8 +551,16 @@ def _margins_lines(name: str, flight: str, measured: Sequence[LoopMargins]) -> l
 # Differences.
 
 
-def diff(request: DiffRequest, callback: Callback = silent) -> Outcome[Differences]:
-    """Fly two models in the same conditions, list their differences, and write their page."""
+def diff(
+    request: DiffRequest, callback: Callback = silent
+) -> Outcome[Differences] | Outcome[ModelDifference]:
+    """Fly two models in the same conditions, list their differences, and write their page.
+
+    Model files of other programs are compared by their coefficients.
+    """
+    if is_model_file(request.a) or is_model_file(request.b):
+        callback("coefficients of both models")
+        return diff_models(request.a, request.b, next(iter(request.speed_mps), None))
     if request.out is not None:
         check_output_path(request.out)
     texts = [

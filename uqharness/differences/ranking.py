@@ -101,7 +101,9 @@ def largest_deviation(
 
 def _bound_settings(aircraft: Aircraft) -> list[dict[str, float]]:
     """Return properties for each coefficient alone at its lower and at its upper bound."""
-    exists = open_aircraft(aircraft).get_property_manager().hasNode
+    # The instance must outlive its manager, or absolute names are not found.
+    probe = open_aircraft(aircraft)
+    exists = probe.get_property_manager().hasNode
     bounded = [c for c in COEFFICIENTS if exists(f"uq/{c}/level")]
     if not bounded:
         raise BadInputError(

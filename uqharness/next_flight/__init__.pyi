@@ -12,7 +12,6 @@ from .plan import flight_of as flight_of
 from .plan import missing_in as missing_in
 from .plan import plan_flight as plan_flight
 from .plan import warnings_of as warnings_of
-from .points import CampaignMission as CampaignMission
 from .points import Occupancy as Occupancy
 from .points import fly_mission as fly_mission
 from .points import open_campaign as open_campaign

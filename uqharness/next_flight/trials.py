@@ -117,7 +117,9 @@ class RefusedPoint:
 
 def has_autopilot(aircraft: Aircraft) -> bool:
     """Return whether the aircraft has this project's autopilot."""
-    manager = open_aircraft(aircraft).get_property_manager()
+    # The instance must outlive its manager, or absolute names are not found.
+    fdm = open_aircraft(aircraft)
+    manager = fdm.get_property_manager()
     return all(manager.hasNode(name) for name in AUTOPILOT)
 
 

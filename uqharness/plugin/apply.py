@@ -41,9 +41,9 @@ from uqharness.simulator import (
     copy_shared_parts,
     engine,
     find_aircraft,
+    host_properties,
     model_files,
     read_xml,
-    undefined_properties,
     xml_numbers_for,
 )
 from uqharness.simulator import facts as aircraft_facts
@@ -439,7 +439,7 @@ def instrument_aircraft(
     BadInputError
         If the aircraft cannot be instrumented or the folder cannot be written.
     """
-    undefined_properties(aircraft)
+    check_loadable(aircraft)
     # A first plan refuses what cannot be instrumented before the aircraft is measured.
     plan(aircraft, bounds, None, air)
     facts, notes = None, []
@@ -460,17 +460,36 @@ def instrument_aircraft(
         if control.unmeasured
     }
     notes += [
+        f"{name} is commanded by {control.property}, found by its effect"
+        for name, control in (facts.controls if facts is not None else {}).items()
+        if control.property not in ("", aircraft.card.inputs[name].property)
+    ]
+    assumed_rows = {row.name: row.source for row in host_properties(aircraft)}
+    notes += [
+        f"{row.name} is {row.source}: without it a control moves nothing"
+        for row in (facts.host if facts is not None else ())
+        if row.source != assumed_rows.get(row.name)
+    ]
+    if facts is not None and facts.dt_s < aircraft.dt_s:
+        notes.append(
+            f"its propellers are unstable at a step of {aircraft.dt_s:g} s: airframe.toml has dt_s"
+            f" = {facts.dt_s:g}"
+        )
+    notes += [
         f"{name} could not be measured, so its sense and throw in airframe.toml are assumed:"
         f" {reason}"
         for name, reason in unmeasured.items()
     ]
     edits = mass_insertions(aircraft, read_document(aircraft.xml), mass or MassProperties())
-    planned = plan(aircraft, bounds, facts, air, edits)
+    # Measured facts know more: which systems must be on for a control to move.
+    rows = facts.host if facts is not None and facts.host else host_properties(aircraft)
+    rows = tuple(row for row in rows if not row.misspelt)
+    planned = plan(aircraft, bounds, facts, air, edits, rows)
     verdict = None
     if not dry_run:
         other = out.resolve() != aircraft.folder
         write(aircraft, planned, out)
-        undefined_properties(find_aircraft(out))
+        host_properties(find_aircraft(out))
         if check and other and not planned.had_plugin:
             # The copy is flown unless it replaces the original or had the plugin before.
             verdict = _checked(aircraft, out, edits)

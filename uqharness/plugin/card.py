@@ -16,7 +16,14 @@ from pathlib import Path
 from typing import Any
 
 from sysid.units import FT_M
-from uqharness.simulator import ALTITUDE_M, MEMS_NOISE_STD, AircraftFacts, ControlFacts
+from uqharness.simulator import (
+    ALTITUDE_M,
+    DT_S,
+    MEMS_NOISE_STD,
+    AircraftFacts,
+    ControlFacts,
+    HostProperty,
+)
 from uqharness.toml import as_toml, dotted
 from uqharness.xml import (
     SLOT,
@@ -42,42 +49,6 @@ from uqharness.xml import (
     replace_text,
     value,
 )
-
-# FlightGear's properties in JSBSim alone. FlightGear's interface writes commands and engine
-# readings into its own property tree, and some aircraft read them there: the p51d takes its
-# throttle from /controls/engines/engine/throttle. Without the host they stay zero; a system copies
-# them.
-
-HOST_SYSTEM = "flightgear-host"
-SWITCH = "host/flightgear"
-"""Property that is 1 while copying is on; 0 in the XML, set by the card's open-loop mode."""
-
-
-def host_xml(pairs: Sequence[tuple[str, str]]) -> bytes:
-    """Return the system that copies JSBSim's properties to FlightGear's in every frame.
-
-    ``pairs`` are (FlightGear's property, JSBSim's).
-    """
-    lines = [
-        '<?xml version="1.0" encoding="UTF-8"?>',
-        (
-            "<!-- FlightGear's properties that the aircraft reads, with what it would write there,"
-            " a frame late as it does. -->"
-        ),
-        f'<system name="{HOST_SYSTEM}">',
-        f'  <property value="0">{SWITCH}</property>',
-        f'  <channel name="FlightGear" execute="{SWITCH}">',
-    ]
-    for index, (host_name, jsbsim_name) in enumerate(pairs):
-        lines += [
-            f'    <pure_gain name="host/copy-{index}">',
-            f"      <input>{jsbsim_name}</input>",
-            "      <gain>1</gain>",
-            f"      <output>{host_name}</output>",
-            "    </pure_gain>",
-        ]
-    return "\n".join([*lines, "  </channel>", "</system>", ""]).encode()
-
 
 # Scales and biases. The author's functions are unchanged. In each axis one function follows that
 # adds (scale - 1) times each function's value, and q S (b, c) times the biases, which are
@@ -360,9 +331,10 @@ def _leaf(name: str) -> str:
     return name.rstrip("/").rsplit("/", 1)[-1]
 
 
-DT_S = 0.01
 _ASSUMED_THROW_DEG = 20.0
 ERRORS_SYSTEM = "path-errors"
+# A surface that is commanded by its angle has an assumed reach.
+_LIMITS = {"norm": [-1, 1], "deg": [-20, 20], "rad": [-0.35, 0.35]}
 _POSITIVE = {
     "elevator": ("nose down", "nose up"),
     "aileron": ("right wing down", "left wing down"),
@@ -402,7 +374,8 @@ def card_text(
         "[aircraft]",
         f"name = {as_toml(name)}",
         f"xml = {as_toml(xml)}",
-        f"dt_s = {DT_S}",
+        f"dt_s = {facts.dt_s:g}"
+        + ("     # its propellers are unstable at 0.01 s" if facts.dt_s < DT_S else ""),
         "",
         "[reference]                                   # the XML's metrics",
         f"S_m2 = {facts.S_m2!r}",
@@ -414,15 +387,15 @@ def card_text(
         lines += [
             "",
             f"[inputs.{control}]{' ' * (45 - len(control) - 9)}{remark}".rstrip(),
-            f'property = "fcs/{control}-cmd-norm"',
-            'unit = "norm"',
+            f"property = {as_toml(control_facts.property or f'fcs/{control}-cmd-norm')}",
+            f'unit = "{control_facts.unit}"',
         ]
         lines += [
             f'positive = "{_POSITIVE[control][control_facts.sense < 0]}"',
-            f"limits = {[0, 1] if control == 'throttle' else [-1, 1]}",
+            f"limits = {_limits(control, control_facts)}",
         ]
         throw = control_facts.throw_deg
-        if control != "throttle":
+        if control != "throttle" and control_facts.unit == "norm":
             # Surfaces without a measured angle get an assumed throw.
             assumed = "" if throw is not None else "     # assumed: the XML tells no angle"
             if throw is None:
@@ -433,15 +406,6 @@ def card_text(
         )
         if control_facts.position is not None:
             lines.append(f"position = {as_toml(control_facts.position)}")
-    if facts.host:
-        lines += [
-            "",
-            (
-                "[modes.open_loop]                              # FlightGear's properties are"
-                " passed on"
-            ),
-            f'"{SWITCH}" = 1',
-        ]
     lines += ["", "[sensors.noise_std]                            # assumed: small MEMS units; SI"]
     lines += [f"{name} = {std!r}" for name, std in MEMS_NOISE_STD.items()]
     if errors:
@@ -469,7 +433,36 @@ def card_text(
             "[parameters]",
         ]
         lines += [f"{dotted((row.scale,))} = {_inline(scale_entry(row))}" for row in scaled]
+    if facts.host:
+        lines += [
+            "",
+            "[host]                                        # provided by FlightGear, its host",
+            "# A number, or JSBSim's properties times numbers. Edit it where the aircraft needs",
+            "# another state of its systems; what FlightGear leaves to scripts is a guess.",
+            *(_host_line(row) for row in facts.host),
+        ]
     return "\n".join(lines) + "\n"
+
+
+def _limits(control: str, facts: ControlFacts) -> list[float]:
+    """Return the range of a command."""
+    if control == "throttle":
+        return [0, 100] if facts.unit == "pct" else [0, 1]
+    return list(_LIMITS[facts.unit])
+
+
+_HOST_REMARKS = {"system": "on", "command": "an input of the model"}
+
+
+def _host_line(row: HostProperty) -> str:
+    """Return the line of a host's property in the card."""
+    try:
+        source: float | str = float(row.source)
+    except ValueError:
+        source = row.source
+    line = f"{as_toml(row.name)} = {as_toml(source)}"
+    remark = _HOST_REMARKS.get(row.kind, "")
+    return f"{line}     # {remark}" if remark else line
 
 
 def _where(facts: AircraftFacts) -> str:

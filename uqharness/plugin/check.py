@@ -12,7 +12,7 @@ import math
 import re
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,14 @@ from sysid.aerodynamics import COEFFICIENTS
 from sysid.units import FT_M
 from uqharness.child_process import describe_exit, give_answer, run_module
 from uqharness.errors import BadInputError
-from uqharness.simulator import Aircraft, engine, find_aircraft, open_mid_envelope, staged
+from uqharness.simulator import (
+    Aircraft,
+    engine,
+    find_aircraft,
+    open_mid_envelope,
+    staged,
+    with_step,
+)
 
 DELTA = 0.02
 DURATION_S = 10.0
@@ -78,6 +85,12 @@ def check(untouched: Aircraft, instrumented: Aircraft, duration_s: float = DURAT
     A BadInputError from either aircraft is a verdict too. If the air system was added, its settings
     of the atmosphere may differ.
     """
+    if not untouched.has_card:
+        # The same commands move both, and both have the same host.
+        card = untouched.card.model_copy(
+            update={"inputs": instrumented.card.inputs, "host": instrumented.card.host}
+        )
+        untouched = with_step(replace(untouched, card=card), instrumented.dt_s)
     steps = max(SWITCHED_AFTER + 1, round(duration_s / untouched.dt_s))
     try:
         names, first = _fly(untouched, steps, None)

@@ -26,7 +26,6 @@ from uqharness.errors import BadInputError
 from uqharness.plugin.card import (
     ERRORS_SYSTEM,
     ERRORS_XML,
-    HOST_SYSTEM,
     IDLE_SYSTEM,
     IDLE_XML,
     SYSTEM_NAME,
@@ -34,12 +33,21 @@ from uqharness.plugin.card import (
     add_scales,
     card_text,
     coefficient_properties,
-    host_xml,
     scale_entry,
     scale_system,
 )
 from uqharness.plugin.model_form_xml import constant_xml, model_form_xml
-from uqharness.simulator import PROJECT_ROOT, Aircraft, AircraftFacts, content_hash, parse_card
+from uqharness.simulator import (
+    HOST_SYSTEM,
+    PROJECT_ROOT,
+    Aircraft,
+    AircraftFacts,
+    HostProperty,
+    content_hash,
+    host_system_xml,
+    parse_card,
+    with_host_entries,
+)
 from uqharness.xml import (
     AeroSection,
     Insertion,
@@ -47,10 +55,13 @@ from uqharness.xml import (
     SectionEdit,
     add_deltas,
     add_system,
+    append_child,
     attribute,
     axis_name,
     declaration,
+    folder_documents,
     folder_names,
+    insert_before,
     read_document,
     read_reference,
     read_section,
@@ -257,6 +268,7 @@ def plan(
     facts: AircraftFacts | None = None,
     air: bool = False,
     mass: Sequence[Insertion] = (),
+    host: Sequence[HostProperty] = (),
 ) -> Plan:
     """Plan the instrumentation of an aircraft; nothing is written.
 
@@ -272,6 +284,8 @@ def plan(
         Whether to add the air system (Systems/air.xml).
     mass : sequence of Insertion
         Edits of its XML (`mass_insertions`).
+    host : sequence of HostProperty
+        What the aircraft reads of a host, which a system then provides.
 
     Raises
     ------
@@ -290,15 +304,14 @@ def plan(
     edit = SectionEdit(section, tuple((section.main, insertion) for insertion in mass))
     scaled: list[ScaledFunction] = []
     files: dict[str, bytes] = {}
+    edit = _add_host(aircraft, host, edit, files)
     if had_plugin:
         system = _plugin_system(aircraft, section)
     else:
         _refuse_taken(aircraft)
         # New plugin: bounds, deltas, and scales where coefficients have no properties.
         system = _system_file(aircraft, SYSTEM)
-        coefficient_names = coefficient_properties(
-            [read_document(path) for path in sorted(aircraft.folder.rglob("*.xml"))]
-        )
+        coefficient_names = coefficient_properties(list(folder_documents(aircraft.folder)))
         if coefficient_names:
             notes.append(
                 f"{len(coefficient_names)} coefficient properties ({coefficient_names[0]}, ...): no"
@@ -348,6 +361,40 @@ def plan(
     )
 
 
+def _add_host(
+    aircraft: Aircraft, host: Sequence[HostProperty], edit: SectionEdit, files: dict[str, bytes]
+) -> SectionEdit:
+    """Add the system of the host to ``files``, loaded before all others; return the edit."""
+    main = edit.section.main
+    carried = next(
+        (
+            node
+            for node in main.root.all("system")
+            if Path(attribute(node, "file")).stem == HOST_SYSTEM
+        ),
+        None,
+    )
+    if carried is not None:
+        # An edited [host] of the card is written again.
+        if aircraft.card.host:
+            name = _system_file(aircraft, HOST_SYSTEM, known=True)
+            files[name] = host_system_xml(with_host_entries(host, aircraft.card.host))
+        return edit
+    if not host:
+        return edit
+    files[_system_file(aircraft, HOST_SYSTEM)] = host_system_xml(host)
+    sections = ("system", "autopilot", "flight_control", "aerodynamics")
+    nodes = [child for child in main.root.children if child.tag in sections]
+    first = next((node for tag in sections for node in nodes if node.tag == tag), None)
+    line = f'<system file="{HOST_SYSTEM}"/>'
+    insertion = (
+        append_child(main, main.root, [line])
+        if first is None
+        else insert_before(main, first, [line])
+    )
+    return edit.plus(main, insertion)
+
+
 def _add_card(
     aircraft: Aircraft,
     facts: AircraftFacts,
@@ -364,14 +411,6 @@ def _add_card(
     if not facts.engines and not folder_names(aircraft.folder, "fcs/throttle-cmd-norm"):
         files[_system_file(aircraft, IDLE_SYSTEM)] = IDLE_XML
         edit = add_system(edit, IDLE_SYSTEM)
-    if facts.host:
-        files[_system_file(aircraft, HOST_SYSTEM)] = host_xml(facts.host)
-        edit = add_system(edit, HOST_SYSTEM)
-        read = ", ".join(theirs for theirs, _ in facts.host)
-        notes.append(
-            f"the aircraft reads what FlightGear writes ({read}): Systems/{HOST_SYSTEM}.xml passes"
-            " it on"
-        )
     files["airframe.toml"] = card_text(
         aircraft.name, aircraft.xml.name, facts, scaled, errors
     ).encode("utf-8")
@@ -445,8 +484,7 @@ def _has_plugin(section: AeroSection) -> bool:
 
 def _refuse_taken(aircraft: Aircraft) -> None:
     """Raise BadInputError if the aircraft uses names of the plugin."""
-    for path in sorted(aircraft.folder.rglob("*.xml")):
-        document = read_document(path)
+    for document in folder_documents(aircraft.folder):
         for node in document.root.walk():
             for text in (node.text.strip(), *(value.strip() for value in node.attributes.values())):
                 if _PLUGIN_NAME.fullmatch(text):
@@ -527,9 +565,14 @@ def _candidates(aircraft: Aircraft, name: str) -> list[Path]:
     ]
 
 
-def _system_file(aircraft: Aircraft, name: str) -> str:
-    """Return the file of a new system; BadInputError if the aircraft has another of that name."""
+def _system_file(aircraft: Aircraft, name: str, known: bool = False) -> str:
+    """Return the file of a new system; BadInputError if the aircraft has another of that name.
+
+    With ``known`` the file of that name is this program's.
+    """
     for path in _candidates(aircraft, name)[:3]:
+        if path.is_file() and known:
+            return path.relative_to(aircraft.folder).as_posix()
         if path.is_file() and declaration(read_document(path), "uq/active") is None:
             raise BadInputError(
                 f"{path}:1: the aircraft has a system of this name; rename it, because the plugin"

@@ -142,7 +142,9 @@ def _compile(
 ) -> _Program | None:
     """Translate and compile a chain; None where the engine cannot."""
     staging, model = _stage_chain(chain), request.model
-    exists = engine.open_fdm(staging, dt_s).get_property_manager().hasNode
+    # The instance must outlive its manager, or absolute names are not found.
+    probe = engine.open_fdm(staging, dt_s)
+    exists = probe.get_property_manager().hasNode
     # The chain has only the properties on which positions depend.
     inputs = [
         (name, place)

@@ -10,7 +10,6 @@ from .parts import first_lines as first_lines
 from .pbox import convergence_section as convergence_section
 from .plots import campaign_view as campaign_view
 from .rerun import draw_rerun as draw_rerun
-from .write import Report as Report
 from .write import kind_of as kind_of
 from .write import write_campaign_report as write_campaign_report
 from .write import write_figures as write_figures

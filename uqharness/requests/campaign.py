@@ -12,6 +12,9 @@ from pydantic import BeforeValidator, model_validator
 from uqharness.requests import fields
 from uqharness.requests.base import FilePath, Flag, Names, Number, Request, WholeNumber, option
 
+MAX_SAMPLES = 1_000_000
+"""Largest number of epistemic samples."""
+
 
 def _numbers_by_name(value: Any) -> Any:
     """Return a mapping with text keys as a dictionary."""
@@ -52,6 +55,7 @@ def _samples() -> Any:
         None,
         "epistemic samples to draw, in place of [epistemic] samples",
         ge=1,
+        le=MAX_SAMPLES,
         metavar="N",
         toml=False,
     )

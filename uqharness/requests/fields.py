@@ -221,6 +221,7 @@ def flight_number() -> Any:
         "flight to read from logs with several boots of the autopilot: one number, or one per file"
         " (default: the longest)",
         metavar="N",
+        kind="int or sequence of int",
         many=True,
         needed="whole numbers of at least 1",
         toml=False,

@@ -222,9 +222,14 @@ def _model(name: str) -> Any:
     )
 
 
+MODEL_FILES = (".json", ".sdf")
+"""Endings of models of other programs: ArduPilot's JSON, Gazebo's AdvancedLiftDrag."""
+
+
 class DiffRequest(Request):
     """Fly the same manoeuvres with two models (same start, controls and air) and list the outputs
-    that differ by more than rounding, the likeliest cause first, with the XML that differs.
+    that differ by more than rounding, the likeliest cause first, with the XML that differs. Of a
+    model file of ArduPilot or Gazebo the coefficients are compared, and usual slips are named.
     """
 
     command: ClassVar[str] = "diff"
@@ -232,7 +237,8 @@ class DiffRequest(Request):
   uqharness diff espaaro espaaro_truth --speed-mps 22
   uqharness diff HEAD~1:aircraft/espaaro aircraft/espaaro --speed-mps 22 --out diff.html
   uqharness diff c172p my/c172p --speed-mps 45 --speed-mps 60 --json
-  uqharness diff c172p c172p --speed-mps 50 --python-b other-jsbsim/bin/python"""
+  uqharness diff c172p c172p --speed-mps 50 --python-b other-jsbsim/bin/python
+  uqharness diff espaaro espaaro-gazebo/model.sdf"""
     no: ClassVar[str] = "the models differ"
 
     a: Any = _model("A")
@@ -288,8 +294,9 @@ class DiffRequest(Request):
 
     @model_validator(mode="after")
     def _check_flights(self) -> DiffRequest:
-        """Require something to fly."""
-        if not self.speed_mps and not self.script:
+        """Require something to fly; files of other programs have coefficients alone."""
+        files = any(str(model).endswith(MODEL_FILES) for model in (self.a, self.b))
+        if not (self.speed_mps or self.script or files):
             raise ValueError(
                 "nothing to fly: give {speed_mps}, an airspeed at which A trims (uqharness modes A"
                 " --speed-mps V shows the trim), or {script}"

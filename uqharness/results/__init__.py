@@ -14,7 +14,7 @@ DOCUMENTS: dict[str, str] = {
     "campaign-verify": "campaign:FolderCheck",
     "compare": "identification:Compare",
     "completion": "folders:CompletionScript",
-    "diff": "simulation:Differences",
+    "diff": "simulation:DiffDocument",
     "dossier": "folders:DossierFile",
     "export": "exchange:Loss",
     "fly": "simulation:FlownFlight",

@@ -52,7 +52,7 @@ class ModelDifference(Part):
     """What `uqharness diff` prints for model files of other programs."""
 
     models: Texts = Field(description="the two models")
-    same: bool = Field(description="whether no difference was found")
+    differ: bool = Field(description="whether they differ; true: exit code 1")
     findings: list[ModelSlip] = Field(description="slopes, geometry and mass that differ")
     coefficients: dict[str, LossOfCoefficient] = Field(
         description="difference of each coefficient over the states"

@@ -7,6 +7,7 @@ from typing import Literal
 from pydantic import Field
 
 from uqharness.results.base import Number, Numbers, Part, Texts
+from uqharness.results.exchange import ModelDifference
 
 
 class GainsTaken(Part):
@@ -151,6 +152,10 @@ class Differences(Part):
     flights: list[ComparedFlight] = Field(description="what was flown")
     differences: list[ChannelDifference] = Field(description="the likeliest cause first")
     terms: list[DifferentElement] = Field(description="elements of the XML that differ")
+
+
+DiffDocument = Differences | ModelDifference
+"""What `uqharness diff` prints: of two aircraft, or where a model file is compared."""
 
 
 class PluginAxes(Part):

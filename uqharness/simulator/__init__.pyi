@@ -12,10 +12,14 @@ from .aircraft import find_aircraft as find_aircraft
 from .aircraft import find_folder as find_folder
 from .aircraft import folder_fingerprint as folder_fingerprint
 from .aircraft import folder_hash as folder_hash
+from .aircraft import host_properties as host_properties
+from .aircraft import model_files as model_files
 from .aircraft import open_aircraft as open_aircraft
 from .aircraft import parse_xml as parse_xml
 from .aircraft import position_factor as position_factor
-from .aircraft import undefined_properties as undefined_properties
+from .aircraft import stage as stage
+from .aircraft import staged as staged
+from .aircraft import with_step as with_step
 from .altitude import with_start_altitude as with_start_altitude
 from .card import MEMS_NOISE_STD as MEMS_NOISE_STD
 from .card import Card as Card
@@ -23,6 +27,7 @@ from .card import InputCard as InputCard
 from .card import parse_card as parse_card
 from .card import sensors_from_cg as sensors_from_cg
 from .facts import ALTITUDE_M as ALTITUDE_M
+from .facts import DT_S as DT_S
 from .facts import AircraftFacts as AircraftFacts
 from .facts import ControlFacts as ControlFacts
 from .facts import open_mid_envelope as open_mid_envelope
@@ -34,6 +39,10 @@ from .forced_state import TRIM_LATITUDE_DEG as TRIM_LATITUDE_DEG
 from .forced_state import body_velocity as body_velocity
 from .forced_state import bring_to_rest as bring_to_rest
 from .forced_state import marked_equilibrium as marked_equilibrium
+from .host import HOST_SYSTEM as HOST_SYSTEM
+from .host import HostProperty as HostProperty
+from .host import host_system_xml as host_system_xml
+from .host import with_host_entries as with_host_entries
 from .linear import MODE_NAMES as MODE_NAMES
 from .linear import LinearModel as LinearModel
 from .linear import Mode as Mode
@@ -62,10 +71,7 @@ from .staging import INSIDE as INSIDE
 from .staging import Staging as Staging
 from .staging import copy_folder as copy_folder
 from .staging import copy_shared_parts as copy_shared_parts
-from .staging import model_files as model_files
 from .staging import read_xml as read_xml
-from .staging import stage as stage
-from .staging import staged as staged
 from .staging import tag_end as tag_end
 from .staging import walk as walk
 from .trim import SteadyCondition as SteadyCondition

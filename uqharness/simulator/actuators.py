@@ -19,6 +19,7 @@ from sysid.arrays import FloatArray
 from sysid.linalg import first_order
 from uqharness.errors import BadInputError
 from uqharness.simulator.aircraft import Aircraft, open_aircraft, parse_xml
+from uqharness.simulator.staging import model_files
 
 SHORTEST_S = 1e-3
 """Time constant [s] below which a servo has no lag."""
@@ -148,7 +149,8 @@ def actuators(aircraft: Aircraft, controls: Sequence[str]) -> dict[str, Actuator
     }
     fdm = open_aircraft(aircraft)
     result: dict[str, Actuator] = {}
-    for path in sorted(aircraft.folder.rglob("*.xml")):
+    for name in sorted(model_files(aircraft).local):
+        path = aircraft.folder / name
         for element in parse_xml(path).getroot().iter("actuator"):
             control = control_by_property.get(element.get("name"))
             if control is None:

@@ -7,10 +7,11 @@ units.
 
 from __future__ import annotations
 
-import difflib
+import logging
 import math
+import re
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from io import BytesIO
 from pathlib import Path
@@ -19,19 +20,31 @@ from typing import Any
 
 from lxml import etree
 
+from sysid.digests import sha256_hex
 from sysid.units import FT_M, RAD_DEG, SLUG_FT3_KGPM3
 from uqharness.arguments import path as argument_path
 from uqharness.errors import BadInputError
 from uqharness.files import PROJECT_ROOT
-from uqharness.simulator import engine
+from uqharness.simulator import engine, host, staging, xml_findings
 from uqharness.simulator.card import Card, InputCard, read_card, standard_card
+from uqharness.simulator.host import HostProperty
 from uqharness.simulator.physical_checks import (
-    UndefinedProperty,
     check_physical,
     ensure_loadable,
     undefined_message,
 )
-from uqharness.simulator.staging import fingerprint, identity, read_xml, signature, staged, walk
+from uqharness.simulator.staging import (
+    HasFiles,
+    ModelFiles,
+    Reference,
+    ScreenedFile,
+    Staging,
+    fingerprint,
+    identity,
+    read_xml,
+    signature,
+    walk,
+)
 
 
 @dataclass(frozen=True)
@@ -145,12 +158,8 @@ def _read_aircraft(folder: Path) -> Aircraft:
     if card_file.is_file():
         card = read_card(card_file)
     else:
-        xml = folder / f"{folder.name}.xml"
-        if not xml.is_file():
-            raise BadInputError(
-                f"{folder}: no airframe.toml and no {folder.name}.xml, {_other_models(folder)}"
-            )
-        card = standard_card(folder.name, xml.name)
+        xml = _only_model(folder)
+        card = standard_card(xml.stem, xml.name, _commands(folder, xml.name))
     if Path(card.aircraft.xml).name != card.aircraft.xml or "\\" in card.aircraft.xml:
         raise BadInputError(
             f'{card_file}: [aircraft] xml = "{card.aircraft.xml}": the name of a file in this'
@@ -174,19 +183,36 @@ def _read_aircraft(folder: Path) -> Aircraft:
     )
 
 
-def _other_models(folder: Path) -> str:
-    """Return a hint about aircraft in a folder under other names."""
-    models = [
-        path.name for path in sorted(folder.glob("*.xml")) if b"<fdm_config" in read_xml(path)
-    ]
+def _commands(folder: Path, xml: str) -> dict[str, str]:
+    """Return the commands of an aircraft without a card that are not JSBSim's own."""
+    contents = []
+    for _, path in walk(folder):
+        # An aircraft that cannot be read is refused when it is loaded.
+        if path.suffix == ".xml" and b"/controls/" in (content := read_xml(path)):
+            contents.append((path.name, content))
+    try:
+        return host.commands(host.scan(contents))
+    except etree.XMLSyntaxError:
+        return {}
+
+
+def _only_model(folder: Path) -> Path:
+    """Return the model of a folder without a card: that of its name, else its only one."""
+    named = folder / f"{folder.name}.xml"
+    if named.is_file():
+        return named
+    models = [path for path in sorted(folder.glob("*.xml")) if b"<fdm_config" in read_xml(path)]
+    if len(models) == 1:
+        return models[0]
     if not models:
-        return "so this is not a JSBSim aircraft folder"
-    name = Path(models[0]).stem
-    return (
-        f"but {' and '.join(models)}: JSBSim requires equal names of folder and file; rename the"
-        " folder to "
-        f'{name}, or put an airframe.toml with [aircraft] name = "{name}" and xml = "{models[0]}"'
-        " into it"
+        raise BadInputError(
+            f"{folder}: no airframe.toml and no {folder.name}.xml, so this is not a JSBSim aircraft"
+            " folder"
+        )
+    raise BadInputError(
+        f"{folder}: no airframe.toml and no {folder.name}.xml, but"
+        f" {' and '.join(path.name for path in models)}; put an airframe.toml with [aircraft] name"
+        f' = "{models[0].stem}" and xml = "{models[0].name}", or another of them, into it'
     )
 
 
@@ -215,30 +241,135 @@ def open_aircraft(aircraft: Aircraft, dt_s: float | None = None) -> Any:
     return fdm
 
 
+def with_step(aircraft: Aircraft, dt_s: float) -> Aircraft:
+    """Return the aircraft with another integration step [s]."""
+    section = aircraft.card.aircraft.model_copy(update={"dt_s": dt_s})
+    return replace(aircraft, card=aircraft.card.model_copy(update={"aircraft": section}))
+
+
 def check_loadable(aircraft: Aircraft, defined: Collection[str] = ()) -> None:
     """Raise BadInputError if loading the aircraft would crash the interpreter.
 
     Unchanged files are checked once. ``defined`` are properties that a run script creates.
     """
-    undefined = tuple(u for u in undefined_properties(aircraft) if u.name not in defined)
-    if undefined:
-        raise BadInputError(f"{aircraft.folder}: {undefined_message(undefined)}")
+    misspelt = tuple(
+        row for row in host_properties(aircraft) if row.misspelt and row.name not in defined
+    )
+    if misspelt:
+        raise BadInputError(f"{aircraft.folder}: {undefined_message(misspelt)}")
 
 
-def undefined_properties(aircraft: Aircraft) -> tuple[UndefinedProperty, ...]:
-    """Return the properties that the aircraft reads and neither it nor JSBSim defines.
+def host_properties(aircraft: Aircraft) -> tuple[HostProperty, ...]:
+    """Return the properties that only a host, such as FlightGear, would provide, with sources.
 
-    A host such as FlightGear may define them. Raises BadInputError if the aircraft is not loadable.
+    The card's [host] changes sources and adds properties. Raises BadInputError if the aircraft is
+    not loadable.
     """
     # Cached by file states within this process, and by content on disk.
-    stamp = fingerprint(aircraft)
-    if stamp not in _undefined:
-        for _, path in walk(aircraft.folder):
-            if path.suffix == ".xml":
-                refuse_unknown_operations(path)
+    stamp = fingerprint(aircraft), _entries(aircraft)
+    if stamp not in _host:
+        refuse_unknown_operations(aircraft)
         check_physical(aircraft)
-        _undefined[stamp] = ensure_loadable(aircraft, content_hash(aircraft))
-    return _undefined[stamp]
+        try:
+            rows = ensure_loadable(aircraft, content_hash(aircraft))
+        except BadInputError as error:
+            # JSBSim names its first error; the others are looked for.
+            errors = _findings(aircraft, refused=True)
+            if not errors:
+                raise
+            raise BadInputError(_all_findings(errors)) from error
+        for path in sorted(aircraft.folder.glob("*-set.xml")):
+            rows = host.with_initial_values(rows, host.initial_values(read_xml(path)))
+        # An instrumented aircraft brings the host's system along.
+        if not _carried_system(staging.model_files(aircraft)):
+            rows = host.with_host_entries(rows, aircraft.card.host)
+        _host[stamp] = rows
+    return _host[stamp]
+
+
+def model_files(aircraft: HasFiles) -> ModelFiles:
+    """Return the screened files of an aircraft, with the system of its host where it needs one.
+
+    Files that were staged have it already. Raises BadInputError with file and line.
+    """
+    files = staging.model_files(aircraft)
+    if not isinstance(aircraft, Aircraft):
+        return files
+    local = dict(files.local)
+    carried = _carried_system(files)
+    if carried and aircraft.card.host:
+        content = host.host_system_xml(host.with_host_entries((), aircraft.card.host))
+        if _without_comments(content) != _without_comments(local[carried].content):
+            _report(
+                f"{aircraft.folder / carried} differs from [host] of airframe.toml, which is flown;"
+                " `uqharness instrument` writes the system again"
+            )
+            local[carried] = replace(local[carried], content=content)
+    rows = tuple(row for row in host_properties(aircraft) if not row.misspelt)
+    if not rows:
+        return ModelFiles(local, files.shared, files.shared_paths)
+    _report(f"{aircraft.name}: {host.describe(rows)}")
+    main = aircraft.xml.relative_to(aircraft.folder).as_posix()
+    name = host.HOST_SYSTEM
+    while any(Path(file).stem == name for file in files.local):
+        name += "-2"
+    author = files.local[main]
+    local[main] = ScreenedFile(
+        host.insert_system(author.content, name, str(aircraft.xml)),
+        author.root,
+        (Reference("system", f"{name}.xml", 1), *author.references),
+        author.removed,
+    )
+    local[f"Systems/{name}.xml"] = ScreenedFile(host.host_system_xml(rows, name), "system", (), ())
+    return ModelFiles(local, files.shared, files.shared_paths)
+
+
+def stage(aircraft: Aircraft, root: Path) -> Staging:
+    """Write the files of `model_files` into ``root``, which is made. Raises BadInputError."""
+    return staging.write(model_files(aircraft), aircraft, root)
+
+
+def staged(aircraft: Aircraft) -> Staging:
+    """Return the aircraft staged in this process's temporary folder, with its host's system.
+
+    It is staged again once a file has changed. Raises BadInputError.
+    """
+    author = staging.staged(aircraft)
+    if not aircraft.card.host and all(row.misspelt for row in host_properties(aircraft)):
+        return author
+    # A card that was changed in this process has entries of its own.
+    place = author.root / f"hosted-{sha256_hex(_entries(aircraft).encode())[:12]}"
+    if not place.is_dir():
+        stage(aircraft, place)
+    return replace(
+        author,
+        root=place,
+        user_folders=tuple(
+            (place / at.relative_to(author.root), real) for at, real in author.user_folders
+        ),
+    )
+
+
+def _without_comments(content: bytes) -> bytes:
+    """Return XML without comments and white space."""
+    return b"".join(re.sub(rb"<!--.*?-->", b"", content, flags=re.DOTALL).split())
+
+
+def _entries(aircraft: Aircraft) -> str:
+    """Return the entries of the card's [host] as text."""
+    return repr(sorted(aircraft.card.host.items()))
+
+
+def _carried_system(files: ModelFiles) -> str:
+    """Return the file of the host's system that an instrumented aircraft has; empty without one."""
+    return next((name for name in files.local if Path(name).stem == host.HOST_SYSTEM), "")
+
+
+def _report(message: str) -> None:
+    """Log a message once per process."""
+    if message not in _reported:
+        _reported.add(message)
+        _LOG.info("%s", message)
 
 
 # Operations in a <function> of JSBSim 1.3.3. It ignores others silently, or crashes.
@@ -250,29 +381,37 @@ roundmultiple sign sin sqrt sum switch t table tan todegrees toradians urandom v
 documentation
 """
 _OPERATIONS = frozenset(_OPERATIONS_TEXT.split())
-_TABLES = frozenset({"table", "t"})
 
 
-def refuse_unknown_operations(path: Path) -> None:
-    """Raise BadInputError with file and line for an operation that JSBSim does not know."""
+def refuse_unknown_operations(aircraft: Aircraft) -> None:
+    """Raise BadInputError with file and line for operations that JSBSim does not know.
 
-    def walk(element: etree._Element) -> None:
-        for child in element.iterchildren("*"):
-            if child.tag not in _OPERATIONS:
-                matches = difflib.get_close_matches(str(child.tag), sorted(_OPERATIONS), n=1)
-                hint = f"; did you mean <{matches[0]}>?" if matches else ""
-                raise BadInputError(
-                    f"{path}:{child.sourceline}: <{child.tag}> is no operation of a JSBSim"
-                    f" function; JSBSim would ignore it{hint}"
-                )
-            if child.tag not in _TABLES:
-                walk(child)
-
-    for function in parse_xml(path).getroot().iter("function"):
-        walk(function)
+    Only files that JSBSim reads are searched: folders also hold sounds, scenes and panels.
+    """
+    if errors := _findings(aircraft, refused=False):
+        raise BadInputError(_all_findings(errors))
 
 
-_undefined: dict[str, tuple[UndefinedProperty, ...]] = {}
+def _findings(aircraft: Aircraft, refused: bool) -> list[str]:
+    """Return what is wrong in the aircraft's XML: all that JSBSim refused, or what it ignores."""
+    files = staging.model_files(aircraft)
+    names = {name: str(aircraft.folder / name) for name in files.local}
+    stems = [Path(name).stem for name, _ in walk(aircraft.folder) if name.endswith(".xml")]
+    return xml_findings.findings(files, names, _OPERATIONS, stems=stems, refused=refused)
+
+
+def _all_findings(errors: list[str]) -> str:
+    """Return findings as one message."""
+    if len(errors) == 1:
+        return errors[0]
+    return f"{len(errors)} errors in the XML: " + "; ".join(
+        f"({number}) {text}" for number, text in enumerate(errors, start=1)
+    )
+
+
+_LOG = logging.getLogger("uqharness")
+_host: dict[tuple[str, str], tuple[HostProperty, ...]] = {}
+_reported: set[str] = set()
 
 
 def content_hash(aircraft: Aircraft) -> str:

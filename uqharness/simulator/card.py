@@ -19,6 +19,7 @@ from sysid.errors import LogError
 from sysid.logs import AirframeCard, Reference, Sensors
 from sysid.logs import card as airframe_card
 from uqharness.errors import BadInputError
+from uqharness.simulator.host import parse_source
 from uqharness.toml import dotted
 
 # Sections and keys that only the log reader uses, or that it has validated already.
@@ -111,6 +112,16 @@ class Card(_Strict):
     parameters: Mapping[str, ParameterCard] = {}
     sensors: Sensors = Sensors()
     replay: _ReplaySection = _ReplaySection()
+    host: Mapping[str, float | str] = {}
+
+    @field_validator("host")
+    @classmethod
+    def _is_source(cls, entries: Mapping[str, float | str]) -> Mapping[str, float | str]:
+        """Reject sources that are neither numbers nor expressions."""
+        for source in entries.values():
+            if isinstance(source, str):
+                parse_source(source)
+        return entries
 
 
 MEMS_NOISE_STD: Mapping[str, float] = MappingProxyType(
@@ -144,9 +155,16 @@ _STANDARD_INPUTS = {
 }
 
 
-def standard_card(name: str, xml: str) -> Card:
-    """Return the card of an aircraft without one: JSBSim's normalised commands."""
-    return Card(aircraft=AircraftSection(name=name, xml=xml), inputs=_STANDARD_INPUTS)
+def standard_card(name: str, xml: str, commands: Mapping[str, str] | None = None) -> Card:
+    """Return the card of an aircraft without one: JSBSim's normalised commands.
+
+    ``commands`` are properties of controls that another property commands.
+    """
+    inputs = {
+        control: card.model_copy(update={"property": (commands or {}).get(control, card.property)})
+        for control, card in _STANDARD_INPUTS.items()
+    }
+    return Card(aircraft=AircraftSection(name=name, xml=xml), inputs=inputs)
 
 
 def read_card(path: Path) -> Card:

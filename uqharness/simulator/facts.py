@@ -10,9 +10,10 @@ from __future__ import annotations
 
 import functools
 import math
+import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,19 +21,30 @@ from sysid.units import FT_M, LBF_N, RAD_DEG
 from uqharness.child_process import give_answer, run_module
 from uqharness.errors import BadInputError
 from uqharness.simulator import engine
-from uqharness.simulator.aircraft import Aircraft, find_aircraft, open_aircraft
+from uqharness.simulator.aircraft import (
+    Aircraft,
+    find_aircraft,
+    host_properties,
+    model_files,
+    open_aircraft,
+    staged,
+    with_step,
+)
 from uqharness.simulator.forced_state import (
     TRIM_LATITUDE_DEG,
     BodyState,
     body_velocity,
+    bring_to_rest,
     control_equilibrium,
     open_forced,
     set_control,
     still_moving,
-    written_by_components,
 )
-from uqharness.simulator.staging import staged
+from uqharness.simulator.host import HostProperty, scan
 
+DT_S = 0.01
+"""Integration step of an aircraft without a card [s]."""
+_SHORTER_S = (0.005, 0.002, 0.001, 0.0005)
 _LIFT_COEFFICIENT = 0.5
 _SPEEDS_FPS = (40.0, 900.0)
 _ALTITUDE_FT = 5000.0
@@ -74,6 +86,10 @@ def open_mid_envelope(
         engine.start_engines(fdm)
         for k in range(engines):
             fdm["fcs/throttle-cmd-norm" + (f"[{k}]" if k else "")] = THROTTLE
+        throttle = aircraft.card.inputs.get("throttle")
+        if throttle is not None and fdm.get_property_manager().hasNode(throttle.property):
+            low, high = throttle.limits
+            set_control(fdm, aircraft, "throttle", low + THROTTLE * (high - low))
     engine.run_ic(fdm)
     if engines:
         engine.settle_engines(fdm)
@@ -146,19 +162,6 @@ _POSITIONS = {
     ),
     "rudder": ("fcs/rudder-pos-deg", "fcs/rudder-pos-rad"),
 }
-# What FlightGear exchanges with JSBSim's engines in each frame (src/FDM/JSBSim/JSBSim.cxx).
-_FLIGHTGEAR = (
-    ("/controls/engines/engine{}/throttle", "fcs/throttle-cmd-norm{}"),
-    ("/controls/engines/engine{}/mixture", "fcs/mixture-cmd-norm{}"),
-    ("/controls/engines/engine{}/propeller-pitch", "fcs/advance-cmd-norm{}"),
-    ("/engines/engine{}/mp-inhg", "propulsion/engine{}/map-inhg"),
-    ("/engines/engine{}/rpm", "propulsion/engine{}/engine-rpm"),
-    ("/engines/engine{}/n1", "propulsion/engine{}/n1"),
-    ("/engines/engine{}/n2", "propulsion/engine{}/n2"),
-    ("/engines/engine{}/cht-degf", "propulsion/engine{}/cht-degF"),
-    ("/engines/engine{}/oil-temperature-degf", "propulsion/engine{}/oil-temperature-degF"),
-    ("/engines/engine{}/oil-pressure-psi", "propulsion/engine{}/oil-pressure-psi"),
-)
 # Acceleration caused by a control, and its sign for a positive command of the record.
 _RESPONSE = {
     "elevator": ("accelerations/qdot-rad_sec2", -1),
@@ -191,6 +194,10 @@ class ControlFacts:
         Settled thrust of all engines [N], throttle closed and open; None without a value.
     unmeasured : str
         Why the control could not be measured, in which case `sense` is assumed; else empty.
+    property : str
+        The command; empty for JSBSim's.
+    unit : str
+        "norm", "pct" for a throttle in percent, or "deg" or "rad" for a surface's angle.
     """
 
     sense: int
@@ -198,6 +205,8 @@ class ControlFacts:
     position: str | None = None
     thrust_N: tuple[float, float] | None = None
     unmeasured: str = ""
+    property: str = ""
+    unit: str = "norm"
 
 
 @dataclass(frozen=True)
@@ -212,10 +221,12 @@ class AircraftFacts:
         Number of engines.
     controls : mapping
         Control to its facts.
-    host : tuple of (str, str)
-        (FlightGear's property, JSBSim's) that the aircraft reads and only FlightGear writes.
+    host : tuple of HostProperty
+        What the aircraft reads and only a host, such as FlightGear, provides.
     V_mps : float
         Airspeed of the measurement [m/s] at ALTITUDE_M; NaN if nothing was measured.
+    dt_s : float
+        Integration step at which the engines settle [s].
     """
 
     S_m2: float
@@ -223,8 +234,9 @@ class AircraftFacts:
     c_m: float
     engines: int
     controls: Mapping[str, ControlFacts] = field(default_factory=dict)
-    host: tuple[tuple[str, str], ...] = ()
+    host: tuple[HostProperty, ...] = ()
     V_mps: float = math.nan
+    dt_s: float = DT_S
 
 
 def assumed_facts(S_m2: float, b_m: float, c_m: float) -> AircraftFacts:
@@ -236,24 +248,22 @@ def assumed_facts(S_m2: float, b_m: float, c_m: float) -> AircraftFacts:
 
 def measure_facts(folder: Path) -> AircraftFacts:
     """Measure the aircraft in a folder, in this process. Raises BadInputError."""
-    aircraft = find_aircraft(folder)
+    aircraft = _at_stable_step(find_aircraft(folder))
     controls = {
         name: _control_facts(
             name,
-            _hold_commands(aircraft, name, _COMMANDS),
-            functools.partial(_hold_commands, aircraft, name, _COMMANDS, _TURNING_RADPS),
+            _hold_commands(aircraft, name, commands),
+            functools.partial(_hold_commands, aircraft, name, commands, _TURNING_RADPS),
         )
         for name in _RESPONSE
+        for reach in (aircraft.card.inputs[name].limits[1],)
+        for commands in ([reach * command for command in _COMMANDS],)
     }
-    closed, opened = (_hold_commands(aircraft, "throttle", (value,))[0] for value in (0.0, 1.0))
-    host = _host_properties(aircraft)
-    throttle = _throttle_facts(closed, opened)
-    # A host may move the throttle that JSBSim alone does not.
-    if not throttle.sense and any(
-        jsbsim_name == "fcs/throttle-cmd-norm" for _, jsbsim_name in host
-    ):
-        throttle = ControlFacts(1)
-    controls["throttle"] = throttle
+    closed, opened = (
+        _hold_commands(aircraft, "throttle", (value,))[0]
+        for value in aircraft.card.inputs["throttle"].limits
+    )
+    controls["throttle"] = _throttle_facts(closed, opened)
     # At rest a control law may be at its limit whatever the command; a flight decides.
     controls |= {
         name: _in_flight(aircraft, name) for name, facts in controls.items() if not facts.sense
@@ -264,24 +274,202 @@ def measure_facts(folder: Path) -> AircraftFacts:
         b * FT_M,
         c * FT_M,
         opened.engines,
-        controls,
-        host,
+        {
+            name: replace(facts, property=card.property, unit=card.unit)
+            for name, facts in controls.items()
+            for card in (aircraft.card.inputs[name],)
+        },
+        tuple(
+            # Entries of an aircraft without a card were found by their effect.
+            replace(row, kind="system") if row.name in aircraft.card.host else row
+            for row in host_properties(aircraft)
+        ),
         opened.values["velocities/vt-fps"] * FT_M,
+        aircraft.dt_s,
     )
 
 
-def _host_properties(aircraft: Aircraft) -> tuple[tuple[str, str], ...]:
-    """Return the properties that the aircraft expects FlightGear to write."""
-    fdm = open_aircraft(aircraft)
-    exists, written_properties = fdm.get_property_manager().hasNode, written_by_components(aircraft)
-    pairs = []
-    for k in range(fdm.get_propulsion().get_num_engines()):
-        index = f"[{k}]" if k else ""
-        for host_name, jsbsim_name in _FLIGHTGEAR:
-            pair = host_name.format(index), jsbsim_name.format(index)
-            if all(map(exists, pair)) and pair[0] not in written_properties:
-                pairs.append(pair)
-    return tuple(pairs)
+# Commands and switches found by their effect, for aircraft whose usual commands move nothing: the
+# throttle may have a name of the author's, and a system may have to be on.
+
+_COMMAND_WORDS = {
+    "elevator": re.compile(r"elev|pitch|stab|canard"),
+    "aileron": re.compile(r"ail|roll"),
+    "rudder": re.compile(r"rud|yaw"),
+    "throttle": re.compile(r"throttle|thrust|power|motor|pwr|esc\b|engine|gas|rpm"),
+}
+_NO_COMMAND = re.compile(r"trim|flap|brake|gear|spoiler|mixture|advance|starter|magneto|cutoff")
+_UNITS = {
+    "pct": re.compile(r"pct|percent"),
+    "deg": re.compile(r"[-_]deg\b"),
+    "rad": re.compile(r"[-_]rad\b"),
+}
+_ASSUMED_REACH = {"deg": 20.0, "rad": 0.35}  # of a surface commanded by its angle
+_MAX_CANDIDATES, _MAX_SWITCHES = 60, 20
+_MIN_SHARE = 1e-4  # of the weight, or rad/s2: the smallest answer of a command that is worth a name
+_MIDDLE_SHARE = 0.02  # of the answer, by which half a command must differ from both ends
+
+
+def _at_stable_step(aircraft: Aircraft) -> Aircraft:
+    """Return the aircraft with live controls, at a step at which its propellers are stable.
+
+    A light propeller alternates between two speeds from frame to frame at a longer step.
+    """
+    live = with_live_controls(aircraft)
+    if _propellers_settle(live):
+        return live
+    for dt_s in _SHORTER_S:
+        shorter = with_live_controls(with_step(aircraft, dt_s))
+        if _propellers_settle(shorter):
+            return shorter
+    return live
+
+
+def _propellers_settle(aircraft: Aircraft) -> bool:
+    """Return whether engines with propellers settle at full throttle, which moves their thrust."""
+    bench = _Bench(aircraft)
+    if not bench.has_propeller:
+        return True
+    state = mid_envelope_state(aircraft)
+    full = {"throttle": aircraft.card.inputs["throttle"].limits[1]}
+    unsettled = open_forced(aircraft, state, full, ALTITUDE_M, None)[1]
+    return "does not settle" not in unsettled and bench.answers("throttle")
+
+
+def with_live_controls(aircraft: Aircraft) -> Aircraft:
+    """Return the aircraft with other commands, and systems on, where its controls move nothing.
+
+    A command is an input of the XML that nothing computes and whose answer is graded: thrust for a
+    throttle, angular acceleration for a surface. Systems are what a host would provide and is 0.
+    Without effect of either the aircraft is unchanged. Raises BadInputError.
+    """
+    dead = [control for control in _COMMAND_WORDS if not _Bench(aircraft).answers(control)]
+    for control in dead:
+        switched = _with_systems_on(aircraft, control)
+        if switched is not None:
+            aircraft = switched
+        elif name := _Bench(aircraft).command(control):
+            aircraft = _with_input(aircraft, control, name)
+            if not _Bench(aircraft).answers(control):
+                aircraft = _with_systems_on(aircraft, control) or aircraft
+    return aircraft
+
+
+def _with_systems_on(aircraft: Aircraft, control: str) -> Aircraft | None:
+    """Return the aircraft with the fewest systems on with which a control answers; None if none
+    help.
+    """
+    off = [
+        row.name for row in host_properties(aircraft) if row.kind == "unknown" and row.source == "0"
+    ]
+    # All at once, else one of them: some are brakes, locks or failures.
+    attempts = [dict.fromkeys(off, 1.0)] if off else []
+    attempts += [{name: 1.0} for name in off] if 1 < len(off) <= _MAX_SWITCHES else []
+    on = next((each for each in attempts if _Bench(aircraft, each).answers(control)), None)
+    if on is None:
+        return None
+    # Switch off again what the control does not need.
+    for name in off if len(on) > 1 else ():
+        fewer = {key: value for key, value in on.items() if key != name}
+        if _Bench(aircraft, fewer).answers(control):
+            on = fewer
+    card = aircraft.card.model_copy(update={"host": {**aircraft.card.host, **on}})
+    return replace(aircraft, card=card)
+
+
+def _with_input(aircraft: Aircraft, control: str, name: str) -> Aircraft:
+    """Return the aircraft with another command of a control."""
+    change: dict[str, object] = {"property": name}
+    unit = next((unit for unit, words in _UNITS.items() if words.search(name)), "")
+    if control == "throttle":
+        change |= {"unit": "pct", "limits": (0.0, 100.0)} if unit == "pct" else {}
+    elif unit in _ASSUMED_REACH:
+        reach = _ASSUMED_REACH[unit]
+        change |= {"unit": unit, "limits": (-reach, reach)}
+    row = aircraft.card.inputs[control].model_copy(update=change)
+    inputs = {**aircraft.card.inputs, control: row}
+    return replace(aircraft, card=aircraft.card.model_copy(update={"inputs": inputs}))
+
+
+class _Bench:
+    """An aircraft held in mid-envelope, whose answers to single properties are measured.
+
+    ``settings`` are properties that are set before.
+    """
+
+    def __init__(self, aircraft: Aircraft, settings: Mapping[str, float] | None = None) -> None:
+        flying = mid_envelope_state(aircraft)
+        self._aircraft = aircraft
+        state = BodyState(flying.u, 0.0, flying.w, 0.0, flying.theta, flying.psi)
+        self._fdm, _ = open_forced(aircraft, state, {}, ALTITUDE_M, settings)
+        self._equilibrium = control_equilibrium(aircraft, self._fdm)
+        self._engines = self._fdm.get_propulsion().get_num_engines()
+        self._exists = self._fdm.get_property_manager().hasNode
+
+    @property
+    def has_propeller(self) -> bool:
+        """Return whether an engine turns a propeller."""
+        engines = range(self._engines)
+        return any(self._exists(f"propulsion/engine[{k}]/propeller-rpm") for k in engines)
+
+    def answers(self, control: str) -> bool:
+        """Return whether the command of a control changes thrust or angular acceleration."""
+        card = self._aircraft.card.inputs[control]
+        if not self._exists(card.property):
+            return False
+        low, high = card.limits
+        first, last = (self._answer(control, card.property, value) for value in (low, high))
+        return bool(abs(last - first) > self._smallest(control))
+
+    def command(self, control: str) -> str | None:
+        """Return the input of the model that commands a control; None without one."""
+        words = _COMMAND_WORDS[control]
+        names = scan(model_files(self._aircraft).contents(), self._engines)
+        candidates = [
+            name
+            for name in names.read
+            if name not in names.computed
+            and not _NO_COMMAND.search(name.lower())
+            and (name in names.declared or name.startswith("/") or name.endswith("-cmd-norm"))
+            and self._exists(name)
+        ]
+        # Names that say so come first; only engines tell a throttle from other inputs.
+        named = [name for name in candidates if words.search(name.lower())]
+        others = [name for name in candidates if name not in named]
+        groups = [named, others] if control == "throttle" and self._engines else [named]
+        for group in groups:
+            strengths = {name: self._strength(control, name) for name in group[:_MAX_CANDIDATES]}
+            best = max(strengths, key=lambda name: strengths[name], default="")
+            if best and strengths[best] > self._smallest(control):
+                return best
+        return None
+
+    def _strength(self, control: str, name: str) -> float:
+        """Return the size of a graded answer to a property; 0 for a switch."""
+        scale = 100.0 if _UNITS["pct"].search(name) else 1.0
+        start = self._fdm[name]
+        low, middle, high = (self._answer(control, name, v * scale) for v in (0.0, 0.5, 1.0))
+        self._fdm[name] = start
+        size = abs(high - low)
+        graded = min(abs(middle - low), abs(high - middle)) > _MIDDLE_SHARE * size
+        rises = control != "throttle" or high > low
+        return size if graded and rises and math.isfinite(size) else 0.0
+
+    def _answer(self, control: str, name: str, value: float) -> float:
+        """Return thrust (without engines the force forward) [lbf], or acceleration [rad/s2]."""
+        self._fdm[name] = value
+        bring_to_rest(self._fdm, self._equilibrium)
+        if control in _RESPONSE:
+            return float(self._fdm[_RESPONSE[control][0]])
+        if not self._engines:
+            return float(self._fdm[_FORWARD])
+        engines = range(self._engines)
+        return float(sum(self._fdm[f"propulsion/engine[{k}]/{_THRUST}"] for k in engines))
+
+    def _smallest(self, control: str) -> float:
+        """Return the smallest answer that counts."""
+        weight = self._fdm["inertia/weight-lbs"] if control == "throttle" else 1.0
+        return _MIN_SHARE * float(weight)
 
 
 @dataclass(frozen=True)
@@ -315,10 +503,15 @@ def _hold_commands(
     # Without rates, which dampers would answer.
     rates = (rate_radps,) * 3
     state = BodyState(flying.u, 0.0, flying.w, 0.0, flying.theta, flying.psi, *rates)
-    exists = open_aircraft(aircraft).get_property_manager().hasNode
+    # The instance must outlive its manager, or absolute names are not found.
+    probe = open_aircraft(aircraft)
+    exists = probe.get_property_manager().hasNode
     controls = {
         name: setting
-        for name, setting in {"throttle": THROTTLE, control: commands[0]}.items()
+        for name, setting in {
+            "throttle": THROTTLE * aircraft.card.inputs["throttle"].limits[1],
+            control: commands[0],
+        }.items()
         if exists(aircraft.card.inputs[name].property)
     }
     # One instance for all commands: engines are settled once.
@@ -343,7 +536,7 @@ def _hold_commands(
 def _in_flight(aircraft: Aircraft, control: str) -> ControlFacts:
     """Return the sense of a control from short flights with the command at either end."""
     rate, sign = _RATE.get(control, ("velocities/vt-fps", 1))
-    ends = (0.0, 1.0) if control == "throttle" else (-1.0, 1.0)
+    ends = aircraft.card.inputs[control].limits
     answers = []
     for value in ends:
         fdm, _ = open_mid_envelope(aircraft)
@@ -464,7 +657,7 @@ def measure_facts_in_child(folder: Path, timeout_s: float = 300.0) -> AircraftFa
         name: ControlFacts(**{**facts, "thrust_N": facts["thrust_N"] and tuple(facts["thrust_N"])})
         for name, facts in child.answer["controls"].items()
     }
-    host = tuple((host_name, jsbsim_name) for host_name, jsbsim_name in child.answer["host"])
+    host = tuple(HostProperty(**row) for row in child.answer["host"])
     return AircraftFacts(**{**child.answer, "controls": controls, "host": host})
 
 

@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from sysid.units import FT_M
 from uqharness.errors import BadInputError
 from uqharness.simulator import engine, settling
-from uqharness.simulator.aircraft import Aircraft, open_aircraft
-from uqharness.simulator.staging import HasFiles, model_files
+from uqharness.simulator.aircraft import Aircraft, model_files, open_aircraft
+from uqharness.simulator.staging import HasFiles
 
 # Control system at rest. In the first frames of an instance, filters and integrators start from
 # zero, and flaps and gear move: forces are not those of steady flight.

@@ -20,8 +20,8 @@ from sysid.units import FT_M, IN_M, LB_KG, SLUG_FT2_KGM2, SLUG_LB
 from uqharness.errors import BadInputError
 from uqharness.files import scratch_folder
 from uqharness.simulator import engine
-from uqharness.simulator.aircraft import Aircraft, parse_xml
-from uqharness.simulator.staging import Staging, copy_staging, stage
+from uqharness.simulator.aircraft import Aircraft, parse_xml, stage
+from uqharness.simulator.staging import Staging, copy_staging
 
 _WEIGHT = {"LBS": 1.0, "KG": LB_KG}
 _INERTIA = {"SLUG*FT2": 1.0, "KG*M2": SLUG_FT2_KGM2}

@@ -16,9 +16,9 @@ from lxml import etree
 from uqharness.errors import BadInputError
 from uqharness.files import scratch_folder
 from uqharness.simulator import engine
-from uqharness.simulator.aircraft import PROJECT_ROOT, Aircraft, check_loadable, parse_xml
+from uqharness.simulator.aircraft import PROJECT_ROOT, Aircraft, check_loadable, parse_xml, stage
 from uqharness.simulator.mass import MassChange
-from uqharness.simulator.staging import Staging, leads_out, read_xml, screen_file, stage
+from uqharness.simulator.staging import Staging, leads_out, read_xml, screen_file
 
 ENDLESS_S = 1e9
 """End time of a staged script [s]; the host counts steps."""

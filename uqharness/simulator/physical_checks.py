@@ -15,7 +15,7 @@ import math
 import os
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from io import BytesIO
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -23,13 +23,15 @@ from typing import Any
 import numpy as np
 from lxml import etree
 
+from sysid.digests import sha256_hex
 from sysid.foreign.limited import MemoryLimit
 from sysid.foreign.regular_files import in_words
 from sysid.units import SLUG_FT2_KGM2
 from uqharness.child_process import describe_exit, give_answer, run_module
 from uqharness.errors import BadInputError
 from uqharness.files import write_bytes
-from uqharness.simulator import engine
+from uqharness.simulator import engine, host
+from uqharness.simulator.host import HostProperty
 from uqharness.simulator.staging import (
     HasFiles,
     ModelFiles,
@@ -220,30 +222,11 @@ def _note(place: str, text: str) -> None:
 TIMEOUT_S = 20.0
 MAX_BYTES = 1_500_000_000
 """Memory limit of the trial load; JSBSim's largest aircraft takes about 20 MB."""
-_VERDICT_FORMAT = 2
-_checked: dict[str, tuple[UndefinedProperty, ...]] = {}
+_VERDICT_FORMAT = 3
+_checked: dict[str, tuple[HostProperty, ...]] = {}
 
 
-@dataclass(frozen=True)
-class UndefinedProperty:
-    """A property that the model reads and nothing defines.
-
-    Attributes
-    ----------
-    name : str
-        The property.
-    place : str
-        Where it is read, such as "u3.xml:21".
-    similar : str
-        The most similar existing name; empty without one.
-    """
-
-    name: str
-    place: str
-    similar: str = ""
-
-
-def ensure_loadable(aircraft: NamedFiles, content: str) -> tuple[UndefinedProperty, ...]:
+def ensure_loadable(aircraft: NamedFiles, content: str) -> tuple[HostProperty, ...]:
     """Load the model in a child process, unless the result is known.
 
     Parameters
@@ -255,8 +238,8 @@ def ensure_loadable(aircraft: NamedFiles, content: str) -> tuple[UndefinedProper
 
     Returns
     -------
-    tuple of Undefined
-        Properties that it reads and nothing defines.
+    tuple of HostProperty
+        Properties that only a host would provide, with what it would write there.
 
     Raises
     ------
@@ -264,8 +247,9 @@ def ensure_loadable(aircraft: NamedFiles, content: str) -> tuple[UndefinedProper
         If the model cannot be loaded, or the child crashes or hangs. A refused model is not loaded
         again in this process: some refusals (a propeller without tables) corrupt JSBSim's memory.
     """
-    # The verdict depends on files, JSBSim, and the format of this cache.
-    key = f"{content}-{engine.JSBSIM_VERSION}-{_VERDICT_FORMAT}"
+    # The verdict depends on files, JSBSim, the host's table, and the format of this cache.
+    rules = sha256_hex(Path(host.__file__).read_bytes())[:12]
+    key = f"{content}-{engine.JSBSIM_VERSION}-{_VERDICT_FORMAT}-{rules}"
     if key not in _checked:
         mark = _cache_folder() / key
         verdict = _recall(mark)
@@ -276,8 +260,8 @@ def ensure_loadable(aircraft: NamedFiles, content: str) -> tuple[UndefinedProper
     return _checked[key]
 
 
-def undefined_message(undefined: tuple[UndefinedProperty, ...]) -> str:
-    """Return a sentence that names every undefined property, its place, and what to do."""
+def undefined_message(undefined: tuple[HostProperty, ...]) -> str:
+    """Return a sentence that names every misspelt property, its place, and what to do."""
     names = ", ".join(f"{u.name} ({u.place})" if u.place else u.name for u in undefined)
     one = len(undefined) == 1
     subject = "a property" if one else f"{len(undefined)} properties"
@@ -286,13 +270,13 @@ def undefined_message(undefined: tuple[UndefinedProperty, ...]) -> str:
     )
     hint = f"did you mean {similar}? Correct" if similar else "correct"
     return (
-        f"the model reads {subject} that nothing defines: {names}; {hint} the name, or declare the"
-        " property in a system of the XML"
+        f"the model reads {subject} that nothing defines: {names}; {hint} the name, or give the"
+        " property a value in [host] of airframe.toml"
     )
 
 
-def _try_in_child(aircraft: NamedFiles) -> tuple[UndefinedProperty, ...]:
-    """Load the model in a child process and return its undefined properties."""
+def _try_in_child(aircraft: NamedFiles) -> tuple[HostProperty, ...]:
+    """Load the model in a child process and return what it reads of a host."""
     folder = aircraft.folder
     places = (folder, aircraft.xml.name, aircraft.engine_path, aircraft.systems_path)
     child = run_module(__name__, *places, timeout_s=TIMEOUT_S)
@@ -309,7 +293,7 @@ def _try_in_child(aircraft: NamedFiles) -> tuple[UndefinedProperty, ...]:
             f" its last words: {child.output or 'no message'}; look there for an unknown element or"
             " function operation, or a property name with illegal characters"
         )
-    return tuple(UndefinedProperty(*row) for row in child.answer.get("undefined", ()))
+    return tuple(HostProperty(*row) for row in child.answer.get("host", ()))
 
 
 def _cache_folder() -> Path:
@@ -318,20 +302,18 @@ def _cache_folder() -> Path:
     return Path(base) / "uqharness" / "loadable"
 
 
-def _recall(mark: Path) -> tuple[UndefinedProperty, ...] | None:
+def _recall(mark: Path) -> tuple[HostProperty, ...] | None:
     """Return a cached result; None without a valid one."""
     try:
-        return tuple(
-            UndefinedProperty(*row) for row in json.loads(mark.read_text(encoding="utf-8"))
-        )
+        return tuple(HostProperty(*row) for row in json.loads(mark.read_text(encoding="utf-8")))
     except (OSError, ValueError, TypeError):
         return None
 
 
-def _remember(mark: Path, undefined: tuple[UndefinedProperty, ...]) -> None:
+def _remember(mark: Path, undefined: tuple[HostProperty, ...]) -> None:
     """Cache a result."""
     # Without a writable cache the check is repeated.
-    rows = [(u.name, u.place, u.similar) for u in undefined]
+    rows = [astuple(row) for row in undefined]
     try:
         mark.parent.mkdir(parents=True, exist_ok=True)
         write_bytes(mark, json.dumps(rows).encode())
@@ -370,31 +352,30 @@ def _child(folder: str, xml: str, engine_path: str, systems_path: str) -> None:
         except MemoryError:
             give_answer({"refused": f"loading it takes more than {in_words(MAX_BYTES)} of memory"})
             return
+        engines = fdm.get_propulsion().get_num_engines()
+        names = host.scan(staged_contents(staging), engines)
         # Named functions are evaluated again when the instance is destroyed.
-        read = list(function_properties(staging))
-        missing = engine.undefined_properties(fdm, (name for name, _, _ in read))
-        if missing:
-            existing = set(engine.catalog(fdm)) - set(missing)
-            give_answer({"undefined": [_locate(name, staging, existing) for name in missing]})
+        missing = engine.undefined_properties(fdm, names.read)
+        existing = set(engine.catalog(fdm)) - set(missing)
+        unset = set(missing)
+        rows = host.resolve(
+            names,
+            {name: _similar(name, existing) for name in missing},
+            lambda name: name not in unset and fdm.get_property_manager().hasNode(name),
+        )
+        give_answer({"host": [astuple(row) for row in rows]})
 
 
-def _locate(name: str, staging: Staging, existing: set[str]) -> tuple[str, str, str]:
-    """Return a property's name, the place where it is read, and a similar name."""
-    places = (
-        f"{file.relative_to(home).as_posix()}:{line}"
-        for file, home in _model_files(staging)
-        for line in _lines_that_name(name, file)
-    )
-    similar = difflib.get_close_matches(name, existing, n=1, cutoff=0.8)
-    return name, next(places, ""), similar[0] if similar else ""
+def _similar(name: str, existing: set[str]) -> str:
+    """Return the most similar existing name; empty without one."""
+    matches = difflib.get_close_matches(name, existing, n=1, cutoff=0.8)
+    return matches[0] if matches else ""
 
 
-def _lines_that_name(name: str, file: Path) -> Iterator[int]:
-    """Yield the lines of elements whose text is the property; # stands for an engine's number."""
-    for element in _elements(file):
-        text = (element.text or "").strip().lstrip("-")
-        if text == name or ("#" in text and name in (text.replace("#", str(k)) for k in range(9))):
-            yield _line(element)
+def staged_contents(staging: Staging) -> Iterator[tuple[str, bytes]]:
+    """Yield name and content of the XML files that JSBSim loads, as messages name them."""
+    for file, home in _model_files(staging):
+        yield file.relative_to(home).as_posix(), file.read_bytes()
 
 
 def function_properties(staging: Staging) -> Iterator[tuple[str, Path, int]]:

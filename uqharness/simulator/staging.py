@@ -286,6 +286,15 @@ class ModelFiles:
     shared: dict[str, ScreenedFile]
     shared_paths: tuple[Path, ...]
 
+    def contents(self) -> Iterator[tuple[str, bytes]]:
+        """Yield name and content of the files that JSBSim loads; a local one hides a shared one."""
+        hidden = {PurePosixPath(name).name for name in self.local}
+        for name, file in self.local.items():
+            yield name, file.content
+        for name, file in self.shared.items():
+            if PurePosixPath(name).name not in hidden:
+                yield name, file.content
+
 
 def walk(folder: Path) -> Iterator[tuple[str, Path]]:
     """Yield (path within the folder, file) of every file below ``folder``, sorted.

@@ -20,7 +20,7 @@ from scipy.optimize import OptimizeResult, least_squares
 from sysid.units import G0_MPS2, LBF_N, SLUG_KG
 from uqharness.errors import BadInputError
 from uqharness.simulator import engine, forced_state, settling
-from uqharness.simulator.aircraft import Aircraft, open_aircraft
+from uqharness.simulator.aircraft import Aircraft, host_properties, open_aircraft, with_step
 from uqharness.simulator.forced_state import (
     ACCELERATIONS,
     BodyState,
@@ -113,9 +113,10 @@ def dead_throttle_message(property_name: str, thrust_N: float, unsettled: str) -
     """
     remark = f" ({unsettled})" if unsettled else ""
     return (
-        f"{property_name} does not change the thrust, {thrust_N:.0f} N at either end{remark}; name"
-        " the property that does as [inputs.throttle] property of a card, or leave"
-        " [inputs.throttle] out of it to fly with the engines as they are"
+        f"{property_name} does not change the thrust, {thrust_N:.0f} N at either end{remark};"
+        " `uqharness instrument` looks for the property that does; else name it as"
+        " [inputs.throttle] property of a card, or leave [inputs.throttle] out of it to fly with"
+        " the engines as they are"
     )
 
 
@@ -412,8 +413,14 @@ class _SearchResult:
         """Return the trim; without convergence, with its cause."""
         if self.trim.converged:
             return self.trim
+        hint = ""
+        if not self.problem.aircraft.has_card and host_properties(self.problem.aircraft):
+            hint = (
+                "; it reads properties of its host, and `uqharness instrument` finds by their"
+                " effect which systems must be on"
+            )
         return replace(
-            self.trim, reason=f"{_condition_text(self.problem.condition)}: {self._cause()}"
+            self.trim, reason=f"{_condition_text(self.problem.condition)}: {self._cause()}{hint}"
         )
 
     def _cause(self) -> str:
@@ -468,7 +475,9 @@ def _search(
 ) -> _SearchResult:
     """Search with the control system as in the first frame, or brought to rest."""
     cards = aircraft.card.inputs
-    exists = open_aircraft(aircraft).get_property_manager().hasNode
+    # The instance must outlive its manager, or absolute names are not found.
+    probe = open_aircraft(aircraft)
+    exists = probe.get_property_manager().hasNode
     names = [
         name
         for name in _SURFACES
@@ -524,7 +533,9 @@ def _moving_from_the_start(
     """
     u, v, w = body_velocity(condition.V_mps, 0.05, 0.0)
     cards = aircraft.card.inputs
-    exists = open_aircraft(aircraft).get_property_manager().hasNode
+    # The instance must outlive its manager, or absolute names are not found.
+    probe = open_aircraft(aircraft)
+    exists = probe.get_property_manager().hasNode
     # Controls that exist, at 60 % of their range.
     ends = {
         name: cards[name].limits
@@ -618,7 +629,7 @@ def _unsettled(problem: _Problem, x: NDArray[np.float64]) -> tuple[str, bool]:
         return "", False
     for share in _STEP_SHARES:
         dt_s = float(f"{share * problem.aircraft.dt_s:.2g}")
-        if not unsettled_with(_with_step(problem.aircraft, dt_s)):
+        if not unsettled_with(with_step(problem.aircraft, dt_s)):
             larger = (
                 f", or a propeller's <ixx> of {1.0 / share:g} times the XML's"
                 if "propeller" in reason
@@ -646,12 +657,6 @@ def _unsettled_at(problem: _Problem, x: NDArray[np.float64]) -> str:
         condition.properties,
         problem.equilibrium,
     )[1]
-
-
-def _with_step(aircraft: Aircraft, dt_s: float) -> Aircraft:
-    """Return the aircraft with another integration step [s]."""
-    section = aircraft.card.aircraft.model_copy(update={"dt_s": dt_s})
-    return replace(aircraft, card=aircraft.card.model_copy(update={"aircraft": section}))
 
 
 def _mass_kg(problem: _Problem, x: NDArray[np.float64]) -> float:

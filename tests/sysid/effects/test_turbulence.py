@@ -50,7 +50,7 @@ def drawn(
     values: np.ndarray,
     moment: float = 0.0,
     faster: Sequence[float] = (0.0,) * 4,
-    n: int = 150,
+    n: int = 110,
     axis: int = 3,
     stronger: Sequence[float] = (1.0,) * 4,
 ) -> tuple[Made, list[np.ndarray]]:
@@ -256,7 +256,7 @@ def test_gusts_pass_at_the_airspeed_or_at_one_speed(passing):
     beforehand for 22 m/s, the mean.
     """
     made, data = drawn(
-        GustStates(MASS.b, passing), INTENSITIES, faster=(-4.0, -4.0, 4.0, 4.0), n=400
+        GustStates(MASS.b, passing), INTENSITIES, faster=(-4.0, -4.0, 4.0, 4.0), n=260
     )
     search = turbulence._Search(made, data, range(len(NOISE)), NOISE, [22.0] * 4, SERIAL)
     here = turbulence._Point((GustStates(MASS.b),) * 4, INTENSITIES, np.ones(len(NOISE)))
@@ -269,7 +269,7 @@ def test_gusts_pass_at_the_airspeed_or_at_one_speed(passing):
 
 def test_the_air_of_a_flight_alone_is_the_likeliest_from_wherever_it_is_sought():
     """Sought from four times the air, which passes at the airspeed: found again."""
-    made, data = drawn(GustStates(MASS.b, 23.5), INTENSITIES, n=400)
+    made, data = drawn(GustStates(MASS.b, 23.5), INTENSITIES, n=260)
 
     def found(near: turbulence.Gusts | None) -> turbulence.Gusts:
         air, _ = turbulence.gust_intensity(
@@ -302,7 +302,7 @@ def test_flights_in_air_of_unlike_strength_tell_how_fast_their_gusts_pass():
     times stronger in the other.
     """
     factors = (0.25, 0.25, 4.0, 4.0)
-    made, data = drawn(GustStates(MASS.b, 23.5), INTENSITIES, n=400, stronger=factors)
+    made, data = drawn(GustStates(MASS.b, 23.5), INTENSITIES, n=260, stronger=factors)
     search = turbulence._Search(made, data, range(len(NOISE)), NOISE, [22.0] * 4, SERIAL)
     flights, of = ["a", "a", "b", "b"], {"a": [0, 1], "b": [2, 3]}
     common = search.descend(

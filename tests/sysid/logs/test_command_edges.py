@@ -36,7 +36,7 @@ def flown(seed, size=6.0, late_s=0.0, dt=DT, stride=STRIDE):
 )
 def test_steps_are_found_where_they_happened(late_s, dt, stride):
     before = after = 0.0
-    for seed in range(10):
+    for seed in range(6):
         acted, logged, rate = flown(seed, late_s=late_s, dt=dt, stride=stride)
         found = place_steps(logged, logged_rows(logged, stride), rate, NOISE, dt)
         placed, moved = found.command, found.steps
@@ -58,7 +58,7 @@ def test_without_a_kink_a_step_is_where_it_is_expected():
     """Half-way, if nothing says in which of two rows it happened: the error of a guess is larger by
     the square root of two.
     """
-    for seed in range(10):
+    for seed in range(6):
         _, logged, _ = flown(seed)
         still = NOISE * np.random.default_rng(seed).standard_normal(600)
         found = place_steps(logged, logged_rows(logged, STRIDE), still, NOISE, DT)

@@ -47,6 +47,7 @@ FUNCTIONS = {
     "study": "study",
     "report": "report",
     "dossier": "dossier",
+    "export": "export",
 }
 RENAMED = {
     "property": "properties",

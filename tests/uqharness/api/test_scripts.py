@@ -33,7 +33,7 @@ IDENTIFY = """
 import uqharness as uq
 
 open("begun", "a").write("x")
-flight = uq.fly("espaaro", "doublet-elevator", noise=True, seed=1)
+flight = uq.fly("espaaro", "doublet-elevator", duration_s=8, noise=True, seed=1)
 print(uq.identify("espaaro", flight, parameters=["aero/Cm_q"], workers=2).converged)
 """
 # A notebook's main module is no file.

@@ -70,7 +70,7 @@ def test_the_area_command(folder, tmp_path, capsys):
         (["convergence", "--repeats", "1"], "at least 2"),
         (["convergence", "--metric", "altitude"], "--metric altitude: not in"),
         (["area"], "no flight to compare"),
-        (["area", "--value", "speed"], "must be METRIC=NUMBER"),
+        (["area", "--value", "speed"], "--value speed: a metric with its number"),
         (["area", "--value", "speed=3"], "no metric of this campaign"),
         (["area", "--flight", "nowhere.csv"], "cannot be read"),
     ],

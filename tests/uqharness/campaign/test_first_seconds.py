@@ -18,6 +18,7 @@ from uqharness.campaign.engines import (
     STORING_S,
     batch_pace,
     compare_start,
+    is_rounding,
     reasons_against,
     throwaway_process,
 )
@@ -47,6 +48,44 @@ def test_some_cases_of_each_condition_are_compared_over_ten_seconds_without_burn
     assert {row.verdict for row in rows} == {"alike"}
     moved = compare_start(engines(Flown(offset=0.1)), cases, SerialExecutor())
     assert {row.metric for row in moved if row.verdict == "differs"} == {"cross_track_median_m"}
+
+
+@dataclass(frozen=True)
+class Unstable(Flown):
+    """A model in which an error of each frame grows: one ulp in JSBSim, ``error`` in the batch
+    engine.
+    """
+
+    rate_per_s: float = 3.0
+    error: float = 0.0
+
+    def flight(self, engine, flight):
+        error = {"batch": self.error, "jsbsim one ulp off": 1e-16}.get(engine, 0.0)
+        grown = min(error * np.exp(self.rate_per_s * flight.duration_s), 30.0)
+        return replace(self, offset=grown, rounding=grown, error=0.0, rate_per_s=0.0).moved(
+            engine, flight
+        )
+
+    def moved(self, engine, flight):
+        return Flown.flight(self, engine, flight)
+
+
+@pytest.mark.parametrize("rate_per_s", [2.5, 3.0, 5.0, 12.0])
+def test_rounding_in_an_unstable_model_is_told_from_a_wrong_translation(cases, rate_per_s):
+    def verdicts(error):
+        given = engines(Unstable(rate_per_s=rate_per_s, error=error))
+        return {row.verdict for row in compare_start(given, cases[:1], SerialExecutor())}
+
+    assert verdicts(1e-13) == {"alike", "excused"}
+    for wrong in (1e-3, 1e-6, 1e-9):
+        assert "differs" in verdicts(wrong)
+
+
+def test_a_difference_that_does_not_grow_is_not_rounding(cases):
+    given = engines(Flown(offset=1e-2))
+    case = cases[0]
+    assert not is_rounding(given, case, SerialExecutor())
+    assert is_rounding(engines(Flown()), case, SerialExecutor())
 
 
 def test_what_cannot_be_flown_is_bad_input(cases):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import subprocess
 import sys
@@ -50,8 +51,9 @@ def test_an_error_of_a_log_is_bad_input(
         raise LogError("no log at all", Path("x.bin"))
 
     parser = cli.build_parser()
-    given = type("Given", (), {"handler": staticmethod(handler)})
-    monkeypatch.setattr(parser, "parse_known_args", lambda _: (given, []))
+    monkeypatch.setattr(
+        parser, "parse_known_args", lambda _: (argparse.Namespace(handler=handler), [])
+    )
     monkeypatch.setattr(cli, "build_parser", lambda: parser)
     with pytest.raises(BadInputError, match="no log at all"):
         cli.run_words([])

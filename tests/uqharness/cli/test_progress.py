@@ -15,7 +15,6 @@ from uqharness.cli.progress import (
     ProgressView,
     clock,
     describe,
-    print_line,
     print_warnings,
     working,
 )
@@ -35,18 +34,6 @@ def test_progress_on_a_terminal_and_silence_elsewhere():
             view.update(state)
         assert ("60/100" in drawn.getvalue()) is terminal
         assert bool(drawn.getvalue()) is terminal
-
-
-@pytest.mark.parametrize("terminal", [True, False])
-def test_stage_lines_are_for_terminals_alone(monkeypatch, terminal):
-    told = io.StringIO()
-    monkeypatch.setattr(told, "isatty", lambda: terminal)
-    monkeypatch.setattr(sys, "stderr", told)
-    print_line("round 1")
-    said = told.getvalue()
-    assert (said != "") is terminal
-    if terminal:
-        assert "round 1\n" in said
 
 
 def test_a_count_is_a_stage_with_its_total():

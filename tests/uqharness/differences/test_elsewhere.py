@@ -26,9 +26,7 @@ def test_the_same_jsbsim_flies_the_same_bits():
 
 def test_another_model_there_is_seen():
     one, two = find_aircraft("espaaro"), find_aircraft("espaaro_truth")
-    asked = MatchedRequest(
-        speeds_mps=(22.0,), missions=("doublets",), python_b=Path(sys.executable)
-    )
+    asked = MatchedRequest(speeds_mps=(22.0,), missions=("steady",), python_b=Path(sys.executable))
     channels, (flight,) = fly_matched(one, two, asked)
     assert differences(channels, [flight], []) != []
 

@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 
 import uqharness as uq
-from uqharness.commands import diff_models
 from uqharness.errors import BadInputError
 
 SPEED = 22.2
@@ -24,7 +23,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def found(first: Path, second: Path) -> list[tuple[str, str]]:
-    document = diff_models(first, second).value
+    document = uq.diff(first, second)
     return [(f.where, f.cause) for f in document.findings]
 
 
@@ -139,11 +138,11 @@ def test_a_shifted_moment_centre_is_named_with_its_length(folder: Path, tmp_path
 def test_sound_files_have_no_slip(folder: Path):
     sdf, classic = (folder / "gazebo" / name for name in ("model.sdf", "model-classic.sdf"))
     assert found(sdf, classic) == []
-    outcome = diff_models("espaaro", folder / "ardupilot-json" / "espaaro.json", SPEED)
+    outcome = uq.diff("espaaro", folder / "ardupilot-json" / "espaaro.json", speed_mps=SPEED)
     # The axial force of the elevator is a loss of the format.
-    assert {f.where for f in outcome.value.findings} <= {"CX over elevator"}
-    outcome = diff_models("espaaro", sdf, SPEED)
-    assert {f.where for f in outcome.value.findings} <= {"CX over angle of attack"}
+    assert {f.where for f in outcome.findings} <= {"CX over elevator"}
+    outcome = uq.diff("espaaro", sdf, speed_mps=SPEED)
+    assert {f.where for f in outcome.findings} <= {"CX over angle of attack"}
 
 
 def test_a_joint_without_a_surface_is_refused(folder: Path, tmp_path: Path):
@@ -151,4 +150,4 @@ def test_a_joint_without_a_surface_is_refused(folder: Path, tmp_path: Path):
     text = (folder / "gazebo" / "model.sdf").read_text()
     spoilt.write_text(text.replace("rudder_joint", "servo_3"))
     with pytest.raises(BadInputError, match="the joints servo_3 name no surface"):
-        diff_models(spoilt, spoilt)
+        uq.diff(spoilt, spoilt)

@@ -7,6 +7,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from functools import cache
 
 import pytest
 
@@ -31,11 +32,14 @@ RESTRICTED = {
 }
 
 
-def in_a_child(environment: dict[str, str]) -> tuple[str, str]:
-    """Digests of the streams and of the libraries' own functions in a new process."""
+@cache
+def in_a_child(name: str) -> tuple[str, str]:
+    """Digests of the streams and of the libraries' own functions in a new process whose libraries
+    are restricted.
+    """
     child = subprocess.run(
         [sys.executable, "-W", "ignore", "-m", "tests.helpers.stream_digest"],
-        env={**os.environ, **environment},
+        env={**os.environ, **RESTRICTED[name]},
         cwd=ROOT,
         capture_output=True,
         text=True,
@@ -51,10 +55,10 @@ def test_the_digest_is_that_of_another_machine() -> None:
 
 @pytest.mark.parametrize("name", RESTRICTED)
 def test_restricted_libraries_change_no_byte(name: str) -> None:
-    assert in_a_child(RESTRICTED[name])[0] == DIGEST
+    assert in_a_child(name)[0] == DIGEST
 
 
 def test_the_libraries_own_functions_do_change() -> None:
     # Which of the two does depends on the processor: numpy's exp has a form of its own for AVX-512
     # alone.
-    assert any(in_a_child(RESTRICTED[name])[1] != librarys() for name in ("numpy", "C library"))
+    assert any(in_a_child(name)[1] != librarys() for name in ("numpy", "C library"))

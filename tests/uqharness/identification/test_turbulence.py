@@ -28,8 +28,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     place = tmp_path_factory.mktemp("turbulence")
     write_aircraft("espaaro", Airframe(), place)
     asked = [
-        card(7, 21.0, seconds=45.0, w20_kt=12.0),
-        card(8, 24.0, seconds=45.0, w20_kt=12.0, first=4),
+        card(7, 21.0, seconds=30.0, w20_kt=12.0),
+        card(8, 24.0, seconds=30.0, w20_kt=12.0, first=4),
         card(9, 22.0, seconds=25.0),
     ]
     for k, record in enumerate(fly([Flight(c, TRUTH) for c in asked])):

@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 
 from uqharness.plugin.apply import with_card
-from uqharness.plugin.card import HOST_SYSTEM, SWITCH, host_xml
-from uqharness.simulator import SteadyCondition, find_aircraft, find_trim
+from uqharness.simulator import HOST_SYSTEM, SteadyCondition, find_aircraft, find_trim
 from uqharness.simulator import facts as aircraft_facts
 from uqharness.simulator.forced_state import BodyState, body_velocity, open_forced
+from uqharness.simulator.host import SWITCH
 from uqharness.xml import folder_names
 
 THRUST = "propulsion/engine/thrust-lbs"
@@ -26,7 +26,9 @@ def thrust_lbf(aircraft, throttle, switch=1.0):
 
 
 def test_what_an_aircraft_reads_of_flightgear_is_found_and_nothing_that_it_writes_itself():
-    found = dict(aircraft_facts.measure_facts_in_child(find_aircraft("p51d").folder).host)
+    facts = aircraft_facts.measure_facts_in_child(find_aircraft("p51d").folder)
+    assert facts.controls["throttle"].thrust_N[1] > facts.controls["throttle"].thrust_N[0]
+    found = {row.name: row.source for row in facts.host}
     assert found["/controls/engines/engine/throttle"] == "fcs/throttle-cmd-norm"
     assert found["/engines/engine/mp-inhg"] == "propulsion/engine/map-inhg"
     assert "/controls/engines/engine/feed_tank" not in found
@@ -57,9 +59,7 @@ def test_it_trims_and_flies_on_at_that_speed(p51d):
 
 
 def test_the_copy_says_what_is_passed_on(p51d):
-    assert p51d.card.modes["open_loop"] == {SWITCH: 1.0}
+    assert p51d.card.host["/controls/engines/engine/throttle"] == "fcs/throttle-cmd-norm"
     assert folder_names(p51d.folder, SWITCH)
+    assert (p51d.folder / "Systems" / f"{HOST_SYSTEM}.xml").is_file()
     assert not folder_names(with_card(find_aircraft("J3Cub")).folder, SWITCH)
-    text = host_xml([("/controls/engines/engine/throttle", "fcs/throttle-cmd-norm")]).decode()
-    assert f'<system name="{HOST_SYSTEM}">' in text
-    assert f'execute="{SWITCH}"' in text

@@ -360,20 +360,31 @@ def test_the_command_writes_card_table_and_record(small, tmp_path, capsys):
     assert tree(out) == tree(small)
 
 
-def test_an_aircraft_that_only_its_host_can_fly_is_instrumented_on_demand(small, tmp_path, capsys):
+def test_what_a_host_would_provide_is_written_into_the_copy(small, tmp_path, capsys):
     xml = small / "small.xml"
     xml.write_bytes(
         xml.read_bytes().replace(
             b"<property>own/used</property>", b"<property>host/gives</property>"
         )
     )
-    arguments = ["instrument", str(small), "--out", str(tmp_path / "elsewhere")]
-    assert main(arguments) == 2
-    assert "host/gives" in (error := capsys.readouterr().err)
-    assert "--no-check" in error
-    assert main([*arguments, "--no-check"]) == 0
-    assert "unflown" in capsys.readouterr().out
-    assert find_aircraft(tmp_path / "elsewhere").card.reference.S_m2 == pytest.approx(2.0)
+    out = tmp_path / "elsewhere"
+    assert main(["instrument", str(small), "--out", str(out)]) == 0
+    assert "host/gives" in capsys.readouterr().err
+    assert find_aircraft(out).card.host == {"host/gives": 0.0}
+    assert b'"0">host/gives<' in (out / "Systems" / "flightgear-host.xml").read_bytes()
+    assert main(["instrument", str(out), "--out", str(out), "--undo"]) == 0
+    assert tree(out) == tree(small)
+
+
+def test_a_misspelt_property_is_no_property_of_a_host(small, tmp_path, capsys):
+    xml = small / "small.xml"
+    xml.write_bytes(
+        xml.read_bytes().replace(
+            b"<property>own/used</property>", b"<property>velocities/vc-knts</property>"
+        )
+    )
+    assert main(["instrument", str(small), "--out", str(tmp_path / "elsewhere")]) == 2
+    assert "did you mean velocities/vc-kts" in capsys.readouterr().err
 
 
 def test_bad_input_is_one_line_and_exit_code_two(small, tmp_path, capsys):

@@ -136,9 +136,14 @@ def test_a_pointer_in_place_of_an_engine_is_named(tmp_path):
         open_aircraft(find_aircraft(folder))
 
 
-def test_a_folder_named_otherwise_than_its_xml_is_told_how_to_be_renamed(tmp_path):
+def test_a_folder_named_otherwise_than_its_xml_has_only_one_or_a_card(tmp_path):
     folder = plane(tmp_path).rename(tmp_path / "download")
-    with pytest.raises(BadInputError, match=r"but plane\.xml: .* rename the folder to plane"):
+    (folder / "plane-set.xml").write_text("<PropertyList/>", encoding="utf-8")
+    aircraft = find_aircraft(folder)
+    assert aircraft.name == "plane"
+    assert open_aircraft(aircraft)["metrics/Sw-sqft"] > 0.0
+    shutil.copy(folder / "plane.xml", folder / "second.xml")
+    with pytest.raises(BadInputError, match=r"but plane\.xml and second\.xml; put an airframe"):
         find_aircraft(folder)
     (folder / "airframe.toml").write_text(
         '[aircraft]\nname = "plane"\nxml = "plane.xml"\n', encoding="utf-8"

@@ -62,7 +62,7 @@ class Scripted:
         self.who = [self.who[k] for k in parents]
 
 
-@pytest.mark.parametrize("repeats", [8, pytest.param(REPEATS, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("repeats", [5, pytest.param(REPEATS, marks=pytest.mark.slow)])
 def test_intervals_hold_what_quadrature_gives(repeats):
     """95 % intervals of the probability and of the events, each in nine of ten repeats at least;
     not so with copies that begin elsewhere."""
@@ -70,7 +70,7 @@ def test_intervals_hold_what_quadrature_gives(repeats):
     assert found.probability >= 0.87 * repeats
     assert found.events >= 0.87 * repeats
     assert abs(found.ratio - 1.0) < 0.06 * np.sqrt(REPEATS / repeats)
-    assert coverage(8, Careless).probability < 4
+    assert coverage(min(repeats, 8), Careless).probability < 4
 
 
 def test_frequent_events_are_those_of_plain_paths():

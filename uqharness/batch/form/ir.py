@@ -362,7 +362,11 @@ class Builder:
 
         Raises ValueError for arguments of the wrong kinds.
         """
-        return Value(self, self._intern(operation, tuple([self.value(a).index for a in arguments])))
+        indices = [
+            a.index if isinstance(a, Value) and a.builder is self else self.value(a).index
+            for a in arguments
+        ]
+        return Value(self, self._intern(operation, tuple(indices)))
 
     def copy_node(self, node: Node, values: Sequence[Value]) -> Value:
         """Copy a node of another builder, with this builder's ``values`` as its arguments."""
@@ -611,9 +615,8 @@ def _renumber(node: Node, place: Mapping[int, int]) -> Node:
     """Return a node with new indices of its arguments."""
     if not node.arguments:
         return node
-    return Node(
-        node.operation, node.kind, tuple([place[i] for i in node.arguments]), node.value, node.name
-    )
+    operation, kind, arguments, value, name = node
+    return Node(operation, kind, tuple([place[i] for i in arguments]), value, name)
 
 
 NUMPY_TYPES: Mapping[str, Callable[..., Any]] = {

@@ -11,9 +11,11 @@ trigonometric functions give NaN beyond 1,600,000 (the reduction has 2^20 quarte
 from __future__ import annotations
 
 import math
+import struct
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 from uqharness.batch.form.ir import TRANSCENDENTAL, Builder, Function, Node, Value, rewrite
 from uqharness.batch.form.program import Program
@@ -525,6 +527,27 @@ def lower(function: Function) -> Function:
     return rewrite(
         function, TRANSCENDENTAL, lambda _, node, arguments: EXPANSIONS[node.operation](*arguments)
     )
+
+
+def fold(operation: str, arguments: Sequence[float | None]) -> float | None:
+    """Return the double to which the expansion of a transcendental operation folds.
+
+    ``arguments`` are its constants, None where one varies. Returns None if the result varies.
+    """
+    # Bits are the key: 0.0 equals -0.0.
+    bits = tuple([None if x is None else struct.pack("<d", x) for x in arguments])
+    return None if all(b is None for b in bits) else _fold_bits(operation, bits)
+
+
+@lru_cache(maxsize=4096)
+def _fold_bits(operation: str, bits: tuple[bytes | None, ...]) -> float | None:
+    """Return the value of `fold` for arguments given by their bits."""
+    b = Builder()
+    arguments = [
+        b.input(str(k)) if part is None else b.constant(struct.unpack("<d", part)[0])
+        for k, part in enumerate(bits)
+    ]
+    return EXPANSIONS[operation](*arguments).constant
 
 
 def sin(x: Value) -> Value:

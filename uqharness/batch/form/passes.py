@@ -17,6 +17,7 @@ from uqharness.batch.form.ir import (
     F64,
     I1,
     NUMPY_TYPES,
+    TRANSCENDENTAL,
     Builder,
     Function,
     Value,
@@ -25,7 +26,7 @@ from uqharness.batch.form.ir import (
     same_bits,
     slots_read,
 )
-from uqharness.batch.form.maths import lower
+from uqharness.batch.form.maths import fold, lower
 from uqharness.batch.form.program import Program, Section, When
 
 # Code sinking (Muchnick 1997, section 18) over frames: values that only sections of every n-th
@@ -493,23 +494,20 @@ def propagate_constants(
     """
     constants: SlotConstants = {}
     for stage in startup:
-        stage = lower_program(stage)
         _add_initial_values(constants, stage, varying)
         for section in stage.sections:
             _visit_section(constants, section, is_single_run=True)
     # Iterate to a fixed point, because any number of frames may run.
-    sections = [section for one in intermediate for section in lower_program(one).sections]
+    sections = [section for one in intermediate for section in one.sections]
     for stage in intermediate:
         _add_initial_values(constants, stage, varying)
     while sum(_visit_section(constants, section, is_single_run=False) for section in sections):
         pass
-    program_lowered = lower_program(program)
-    _add_initial_values(constants, program_lowered, varying)
-    for stream in program_lowered.streams:
+    _add_initial_values(constants, program, varying)
+    for stream in program.streams:
         constants.update(dict.fromkeys(stream.columns))
     while sum(
-        _visit_section(constants, section, is_single_run=False)
-        for section in program_lowered.sections
+        _visit_section(constants, section, is_single_run=False) for section in program.sections
     ):
         pass
     # Fold before expansion: a transcendental function of a constant becomes one constant.
@@ -561,6 +559,8 @@ def _constant_stores(
             values.append(values[node.arguments[1 if values[node.arguments[0]] else 2]])
         elif node.operation in ("and", "or"):
             values.append(_fold_logic(node.operation, [values[i] for i in node.arguments]))
+        elif node.operation in TRANSCENDENTAL:
+            values.append(fold(node.operation, [values[i] for i in node.arguments]))
         elif node.operation == "input" or any(values[i] is None for i in node.arguments):
             values.append(None)
         else:

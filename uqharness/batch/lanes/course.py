@@ -156,7 +156,10 @@ def initialise_lanes(lanes: LaneMission, specs: Sequence[FlightSpec]) -> Initial
                 if name in flyer.program.slots
             }
         normals = np.array([noise[spec.seed_noise].initial[number] for spec in specs])
-        values |= {f"#draw/{k}": normals[:, k] for k in range(normals.shape[1])}
+        values |= {
+            name: normals[:, k]
+            for k, (name, _) in enumerate(lanes.flight.draws[: normals.shape[1]])
+        }
         values |= step_once(flyer, values, count)
         if number == 1 and not lanes.air:
             values |= dict(zip(WIND, flight_wind.T, strict=True))

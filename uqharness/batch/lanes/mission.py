@@ -29,10 +29,9 @@ from uqharness.batch.translate.frame import (
     OUT_OF_RANGE,
     Values,
     canonical,
-    keeps_value,
-    made_by_jsbsim,
+    is_constant,
 )
-from uqharness.batch.translate.tanks import DRY, MASS, dry_aircraft
+from uqharness.batch.translate.tanks import DRY, MASS
 from uqharness.errors import BadInputError
 from uqharness.flight import (
     ContactPoint,
@@ -45,18 +44,8 @@ from uqharness.flight import (
     without_missing_switches,
 )
 from uqharness.simulator import CHANGEABLE, MARK, RATES_FREE, RATES_HELD, StagedMission, engine
-from uqharness.xml import Document, read_document
+from uqharness.xml import read_document
 
-_DECLARING = (
-    "system",
-    "autopilot",
-    "flight_control",
-    "aerodynamics",
-    "external_reactions",
-    "run",
-    "propulsion",
-)
-"""Elements whose property children declare a property; in others they read it."""
 _START = re.compile(r"(?<![\w/])(?:/?fdm/jsbsim/)?ic/[\w.\-]+(?:\[\d+\])?")
 _ENGINE = "propulsion/engine"
 WIND = tuple(f"atmosphere/wind-{axis}-fps" for axis in ("north", "east", "down"))
@@ -64,7 +53,7 @@ WIND = tuple(f"atmosphere/wind-{axis}-fps" for axis in ("north", "east", "down")
 AIR_WIND = ("air/wind-mps", "air/wind-from-deg", "air/turbulence-w20-kt")
 """Inputs of the air system, which differ between lanes of one program."""
 GROUND_SPEED = tuple(f"velocities/v-{axis}-fps" for axis in ("north", "east", "down"))
-_STATIC = ("inertia/", "metrics/")
+_STATIC = ("inertia/", "metrics/", "gear/unit", "contact/unit")
 """Prefixes of properties that JSBSim computes only when it initialises."""
 
 
@@ -249,7 +238,7 @@ def make_mission(
 
     fdm = opened()
     air = has_air_system(fdm)
-    values = Values(initial_values(opened, fdm), constant_properties(sources))
+    values = Values(initial_values(opened, fdm), is_constant)
     values.setdefault(OUT_OF_RANGE)
     # Streams that the host feeds: gusts, moving levels, transient levels.
     gusty = spec.turbulence != "none" and spec.turbulence_source == "spec"
@@ -361,32 +350,6 @@ def start_properties(sources: Sources) -> list[str]:
     return [canonical(name) for name in dict.fromkeys(_START.findall("\n".join(texts)))]
 
 
-def constant_properties(sources: Sources) -> Callable[[str], bool]:
-    """Return a predicate: whether a property keeps its value unless something writes it.
-
-    True for properties that the XML declares and for settings of JSBSim.
-    """
-    declared: set[str] = set()
-    parts = [(system.document, system.node) for system in sources.systems]
-    parts += [part for part in (sources.aerodynamics, sources.external) if part is not None]
-    # Declarations in the aircraft, its systems and the script.
-    documents: list[Document] = [
-        sources.document,
-        sources.script,
-        *(document for document, _ in parts),
-    ]
-    for document in documents:
-        for node in document.root.walk():
-            if node.tag == "property" and node.parent is not None and node.parent.tag in _DECLARING:
-                declared.add(canonical(node.text))
-
-    def constant(name: str) -> bool:
-        """Return whether the property is declared or a setting."""
-        return keeps_value(name) or (name in declared and not made_by_jsbsim(name))
-
-    return constant
-
-
 def load_start(mission: LaneMission, spec: FlightSpec) -> LoadedStart:
     """Let JSBSim load and set one start.
 
@@ -405,7 +368,7 @@ def load_start(mission: LaneMission, spec: FlightSpec) -> LoadedStart:
     if changed:
         engine.run_ic(fdm)
         static |= {name: float(fdm[name]) for name in mission.inputs if name.startswith(_STATIC)}
-        if mission.flight.propulsion.tanks and set(mission.inputs) & set(MASS):
-            static |= dry_aircraft(mission.flight.propulsion.tanks, lambda name: float(fdm[name]))
+        if mission.flight.propulsion.changes_mass and set(mission.inputs) & set(MASS):
+            static |= mission.flight.propulsion.dry_aircraft(lambda name: float(fdm[name]))
     set_wind_without_air(fdm, spec)
     return LoadedStart(conditions, settings, static, wind, tuple(float(fdm[name]) for name in WIND))

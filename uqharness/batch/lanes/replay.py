@@ -41,7 +41,7 @@ from uqharness.batch.form.program import (
     step_once,
 )
 from uqharness.batch.lanes.course import settle
-from uqharness.batch.lanes.mission import compiled_settlers, constant_properties, initial_values
+from uqharness.batch.lanes.mission import compiled_settlers, initial_values
 from uqharness.batch.machine.flight import compile_program
 from uqharness.batch.machine.llvm import choose_target
 from uqharness.batch.models.motion import (
@@ -54,7 +54,7 @@ from uqharness.batch.models.motion import (
 )
 from uqharness.batch.translate.channels import Sources
 from uqharness.batch.translate.flight import Flight, TraceRequest, trace_flight
-from uqharness.batch.translate.frame import STEP, Values, canonical
+from uqharness.batch.translate.frame import STEP, Values, canonical, is_constant
 from uqharness.errors import BadInputError
 from uqharness.simulator import MAX_FRAMES, SETTLED_RADPS
 
@@ -224,7 +224,7 @@ def trace_replay(
     which time stands still. Returns the flight, the stream of the controls and the names of what
     may differ between lanes. Raises BadInputError for what cannot be replayed.
     """
-    values = Values(initial_values(open_fdm), constant_properties(sources))
+    values = Values(initial_values(open_fdm), is_constant)
     fed = Stream("controls", tuple(canonical(name) for name in controls))
     names = (*(canonical(name) for name in inputs), TERRAIN)
     flight = trace_flight(

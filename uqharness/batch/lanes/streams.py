@@ -23,6 +23,7 @@ from uqharness.batch.form.program import Stream
 from uqharness.batch.machine.llvm import Target, choose_target
 from uqharness.batch.machine.random import compiled_pairs, compiled_recursion, compiled_tries
 from uqharness.batch.models.winds import DRAWS
+from uqharness.batch.translate.frame import UNIFORM
 from uqharness.flight import (
     COEFFICIENTS,
     DrydenGusts,
@@ -38,10 +39,11 @@ from uqharness.flight import (
 # The generator is x' = 16807 x mod (2^31 - 1), minstd_rand0 of ISO C++; seeds 0 and 1 give the
 # same stream. A uniform number u takes two of its numbers, ((a - 1) + (b - 1) r) / r^2 with r =
 # 2^31 - 2. A try takes two uniform numbers as a point (2 u - 1, 2 u' - 1), rejected unless it
-# lies in the unit circle; it gives two normals, the ordinate's first. Nothing else may be drawn
-# between normals: ``<urandom/>`` uses the same generator. Setting a seed also drops the second
-# normal of the last try. ``atmosphere/randomseed`` gives turbulence its own generator; until it
-# is set, turbulence draws from the common one, before the systems of the same frame.
+# lies in the unit circle; it gives two normals, the ordinate's first. Uniform noise and
+# ``<urandom/>`` take a uniform number of the same generator, stretched to -1..1. Setting a seed
+# also drops the second normal of the last try. ``atmosphere/randomseed`` gives turbulence its own
+# generator; until it is set, turbulence draws from the common one, before the systems of the same
+# frame.
 
 MODULUS, MULTIPLIER = 2**31 - 1, 16807
 
@@ -53,6 +55,66 @@ _ACCEPTANCE = np.pi / 4.0
 
 Tries = Callable[[int, int], tuple[FloatArray, int]]
 """(state of the generator, number of tries) -> (normals in order, state after them)."""
+
+
+class JsbsimNumbers:
+    """Normals and uniform numbers in -1..1 that JSBSim draws in turn from a generator.
+
+    Unlike `JsbsimNormals` it walks from number to number, because how many numbers of the generator
+    a normal takes decides where the next one starts.
+    """
+
+    def __init__(self, seed: int) -> None:
+        """Start the generator; nothing is drawn yet."""
+        if not 0 <= seed < MODULUS:
+            raise ValueError(f"seed {seed}: an integer from 0 to {MODULUS - 1} is needed")
+        self._state = max(seed, 1)
+        self._uniforms = np.empty(0)
+        self._pairs: tuple[FloatArray, FloatArray, NDArray[np.bool_]] | None = None
+        self._second: float | None = None
+
+    def take(self, is_uniform: NDArray[np.bool_]) -> FloatArray:
+        """Return one number for each entry: uniform where it is true, else standard normal."""
+        out = np.empty(is_uniform.size)
+        place = 0
+        self._extend(place + 4)
+        for k, uniform in enumerate(is_uniform.tolist()):
+            if uniform:
+                self._extend(place + 1)
+                out[k], place = self._uniforms[place] * 2.0 - 1.0, place + 1
+            elif self._second is not None:
+                out[k], self._second = self._second, None
+            else:
+                while True:
+                    self._extend(place + 2)
+                    assert self._pairs is not None
+                    one, other, is_inside = (values[place] for values in self._pairs)
+                    place += 2
+                    if is_inside:
+                        break
+                out[k], self._second = float(one), float(other)
+        self._uniforms = self._uniforms[place:]
+        self._make_pairs()
+        return out
+
+    def _extend(self, count: int) -> None:
+        """Generate uniform numbers in 0..1 until there are ``count``."""
+        if self._uniforms.size >= count and self._pairs is not None:
+            return
+        while self._uniforms.size < count + 1:
+            raw = _reduce_modulus(self._state * _multiplier_powers())
+            self._state = int(raw[-1])
+            numbers = _uniform(raw[0::2] - 1.0, raw[1::2] - 1.0, random_numbers.NUMPY)
+            self._uniforms = np.concatenate([self._uniforms, numbers])
+        self._make_pairs()
+
+    def _make_pairs(self) -> None:
+        """Compute the normals of a try at each uniform number and the next."""
+        with np.errstate(invalid="ignore", divide="ignore"):
+            one, other, square = _polar_of_uniforms(
+                self._uniforms[:-1], self._uniforms[1:], random_numbers.NUMPY
+            )
+        self._pairs = (one, other, (square <= 1.0) & (square != 0.0))
 
 
 class JsbsimNormals:
@@ -106,14 +168,21 @@ def numpy_tries(state: int, count: int) -> tuple[FloatArray, int]:
     return np.concatenate(parts) if parts else np.empty(0), state
 
 
-def polar_normals(raw: Sequence[Any], m: random_numbers.Operations) -> tuple[Any, Any, Any]:
+def polar_normals(raw: Sequence[Any], m: random_numbers.Operations) -> tuple[Any, ...]:
     """Return two normals of a try, and the squared distance of its point.
 
     The normals are accepted if the square is above 0 and at most 1. ``raw`` are four numbers of the
     generator less 1, as doubles. JSBSim uses the C library's logarithm, so normals agree to 3 units
     in the last place.
     """
-    x, y = (_uniform(raw[k], raw[k + 1], m) * 2.0 - 1.0 for k in (0, 2))
+    return _polar_of_uniforms(_uniform(raw[0], raw[1], m), _uniform(raw[2], raw[3], m), m)
+
+
+def _polar_of_uniforms(first: Any, second: Any, m: random_numbers.Operations) -> tuple[Any, ...]:
+    """Return two normals of a try, and the squared distance of its point, from two numbers in
+    [0, 1).
+    """
+    x, y = (u * 2.0 - 1.0 for u in (first, second))
     square = x * x + y * y
     scale = m.sqrt(random_numbers.logarithm(square, m) * -2.0 / square)
     return y * scale, x * scale, square
@@ -219,8 +288,14 @@ class Noise:
     ) -> None:
         """Draw the initialising numbers and tabulate the order of draws."""
         first_draws = len(draws) if first_draws is None else first_draws
-        self._normals = JsbsimNormals(seed, _tries(target or choose_target()))
-        self.initial = self._normals.take(initialising * first_draws).reshape(
+        uniform = np.array([slot.endswith(UNIFORM) for slot, _ in draws], dtype=bool)
+        self._numbers: JsbsimNormals | JsbsimNumbers = (
+            JsbsimNumbers(seed)
+            if uniform.any()
+            else JsbsimNormals(seed, _tries(target or choose_target()))
+        )
+        # Initialising frames run all components in the same order.
+        self.initial = self._take(np.tile(uniform[:first_draws], initialising)).reshape(
             initialising, first_draws
         )
         self._streams = noise_streams(draws)
@@ -238,6 +313,7 @@ class Noise:
         )
         number = np.cumsum(is_drawn.ravel()).reshape(is_drawn.shape) - 1
         self._per_period = int(is_drawn.sum())
+        self._is_uniform = np.broadcast_to(uniform, is_drawn.shape)[is_drawn]
         self._places = {
             s.name: number[s.every - 1 :: s.every, rates == s.every] for s in self._streams
         }
@@ -267,7 +343,7 @@ class Noise:
         """Draw whole periods and sort them into streams."""
         if periods <= 0:
             return
-        normals = self._normals.take(periods * self._per_period).reshape(periods, self._per_period)
+        normals = self._take(np.tile(self._is_uniform, periods)).reshape(periods, self._per_period)
         for name, places in self._places.items():
             # With a single rate the numbers are in order already.
             rows = normals if places.size == self._per_period else normals[:, places.ravel()]
@@ -275,6 +351,12 @@ class Noise:
             self._stored[name] = (
                 np.concatenate([self._stored[name], rows]) if len(self._stored[name]) else rows
             )
+
+    def _take(self, is_uniform: NDArray[np.bool_]) -> FloatArray:
+        """Draw the next numbers."""
+        if isinstance(self._numbers, JsbsimNumbers):
+            return self._numbers.take(is_uniform)
+        return self._numbers.take(is_uniform.size)
 
 
 class Turbulence:

@@ -12,7 +12,7 @@ import os
 import struct
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
 from typing import Any
 
 import llvmlite.binding as llvm
@@ -115,8 +115,9 @@ def attributes(target: Target) -> str:
     )
 
 
+@lru_cache(maxsize=32)
 def build_code(text: str, function: str, target: Target, listing: bool = False) -> Code:
-    """Compile LLVM text.
+    """Compile LLVM text; the code of the same text is shared.
 
     ``listing`` adds the assembly text, which doubles the time.
     """

@@ -10,9 +10,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from sysid.units import FT_M, G0_MPS2
+from sysid.units import FT_M, G0_MPS2, SLUG_LB
 from uqharness.batch.form.ir import Value
 from uqharness.batch.models.atmosphere import STANDARD_DENSITY_SLUGS_FT3
+from uqharness.batch.models.geodesic import geodesic
 from uqharness.batch.models.motion import BODY_ACCELERATION, MATRIX, PLACE, matrix, slots, vector
 from uqharness.batch.models.vectors import Vector, cross, dot, matvec, minus, plus, times
 from uqharness.batch.models.winds import AXES
@@ -20,6 +21,7 @@ from uqharness.batch.translate.frame import TIME, Frame
 from uqharness.flight import ContactPoint
 
 _DEG = 180.0 / math.pi
+LOAD_FACTOR = "forces/load-factor"
 G_FPS2 = G0_MPS2 / FT_M
 """Standard gravity."""
 _MIN_SPEED = 0.001
@@ -62,6 +64,10 @@ def trace_auxiliary(frame: Frame) -> None:
         b.op("sqrt", 2.0 * (half * square) / STANDARD_DENSITY_SLUGS_FT3), 0.0
     )
     frame.write("velocities/ve-fps", equivalent)
+    if frame.requests(LOAD_FACTOR):
+        # Lift of the frame before over the weight
+        weight = frame.get("inertia/mass-slugs") * SLUG_LB
+        frame.write(LOAD_FACTOR, frame.get("forces/fwz-aero-lbs") / weight)
     _flight_path(frame)
     _attitude_rates(frame, pqr)
     _accelerations(frame)
@@ -187,10 +193,31 @@ def trace_start_distance(frame: Frame) -> None:
             frame.remember(f"start/{name}", value)
     dx, dy, dz = (h - s for h, s in zip(position, start[:3], strict=True))
     sin_lat, cos_lat, sin_lon, cos_lon, height = start[3:]
+    _trace_geodesic_distance(frame)
     outward = cos_lon * dx + sin_lon * dy
     frame.write("position/from-start-neu-n-ft", cos_lat * dz - sin_lat * outward)
     frame.write("position/from-start-neu-e-ft", cos_lon * dy - sin_lon * dx)
     frame.write("position/from-start-neu-u-ft", cos_lat * outward + sin_lat * dz + height)
+
+
+def _trace_geodesic_distance(frame: Frame) -> None:
+    """Publish position/distance-from-start-... where something reads it: geodesics to the place of
+    the initial conditions, its meridian and its parallel [m].
+    """
+    here = (frame.get("position/lat-geod-rad"), frame.get("position/long-gc-rad"))
+    start = (frame.memory("start/latitude"), frame.memory("start/longitude"))
+    if frame.initialising:
+        for name, value in zip(("start/latitude", "start/longitude"), here, strict=True):
+            frame.remember(name, value)
+        start = here
+    for name, target in (
+        ("lon", (here[0], start[1])),
+        ("lat", (start[0], here[1])),
+        ("mag", start),
+    ):
+        title = f"position/distance-from-start-{name}-mt"
+        if frame.requests(title):
+            frame.write(title, geodesic(frame.builder, here, target)[1] * FT_M)
 
 
 # Ground contact ends a flight, so contact forces are not computed. A point touches if it is below

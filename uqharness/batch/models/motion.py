@@ -280,6 +280,7 @@ def trace_propagate(frame: Frame, methods: dict[str, int]) -> None:
     )
     _publish(frame, at, uvw=uvw, pqr=pqr, rates=rates, ned=ned, local_to_body=local_to_body)
     _publish_place(frame, at, position, velocity)
+    _publish_requested(frame, at, angle, ned)
 
 
 MATRIX = [f"local-to-body/{k}" for k in range(9)]
@@ -400,6 +401,27 @@ def _publish_place(frame: Frame, at: Place, position: Vector, velocity: Vector) 
     _remember(frame, PLACE, [at.sin_latitude, at.cos_latitude, at.sin_longitude, at.cos_longitude])
 
 
+def _publish_requested(frame: Frame, at: Place, angle: Value, ned: Vector) -> None:
+    """Publish what few models read, where something reads it."""
+    b = frame.builder
+    x, y, z = (b.value(c) for c in at.ecef)
+    geocentric = b.op("atan2", z, b.op("sqrt", x * x + y * y))
+    values = {
+        "position/lat-gc-rad": geocentric,
+        "position/lat-gc-deg": geocentric * (180.0 / math.pi),
+        "position/geod-alt-km": at.height_ft * FT_M * 0.001,
+        "position/h-agl-km": b.value(frame.get("position/h-agl-ft")) * FT_M * 0.001,
+        "position/epa-rad": angle,
+    }
+    ecef = matvec(transpose(at.to_local), ned)
+    values |= {
+        f"velocities/ecef-{axis}-fps": b.value(v) for axis, v in zip("xyz", ecef, strict=True)
+    }
+    for name, value in values.items():
+        if frame.requests(name):
+            frame.write(name, value)
+
+
 PLACE = [f"place/{k}" for k in ("sin-lat", "cos-lat", "sin-lon", "cos-lon")]
 
 
@@ -454,6 +476,14 @@ def trace_accelerations(frame: Frame) -> None:
         frame.write(f"accelerations/{name}idot-rad_sec2", inertial_rate)
     for name, value in zip("uvw", linear, strict=True):
         frame.write(f"accelerations/{name}dot-ft_sec2", value)
+    # What few models read
+    for names, values in (
+        ([f"accelerations/{a}idot-ft_sec2" for a in "uvw"], inertial),
+        ([f"forces/fb{a}-weight-lbs" for a in "xyz"], times(gravity, mass)),
+    ):
+        for name, value in zip(names, values, strict=True):
+            if frame.requests(name):
+                frame.write(name, value)
     g = gravity
     frame.write(
         "accelerations/gravity-ft_sec2",

@@ -19,8 +19,7 @@ from uqharness.batch.form.ir import Value
 from uqharness.batch.models.auxiliary import arm, structural_to_body
 from uqharness.batch.models.motion import INERTIAL, MATRIX, matrix
 from uqharness.batch.models.vectors import Matrix, Vector, cross, matvec, plus, times, transpose
-from uqharness.batch.translate.channels import function_name
-from uqharness.batch.translate.frame import Frame, Scope, canonical, writable
+from uqharness.batch.translate.frame import Frame, Scope, canonical, function_name, writable
 from uqharness.batch.translate.functions import function_value
 from uqharness.xml import Document, Node
 
@@ -62,22 +61,29 @@ def trace_aerodynamics(frame: Frame, document: Document, node: Node | None) -> N
                     child,
                     f"type='{child.attributes['type']}' of <function>: allowed are pre and post",
                 )
-            if child.attributes.get("type", "") != "post":
-                write_function(frame, scope, child, ("name", "type"))
+            if child.attributes.get("type", "") != "post" and not frame.is_left_out(child):
+                with frame.leaving_out(child, _title(child)):
+                    write_function(frame, scope, child, ("name", "type"))
         _publish_ratios(frame)
         _stall(frame, scope, [child for child in children if child.tag in _LIMITS])
-        known_tags = ("function", *_LIMITS)
         force, moment = _axes(
-            frame, scope, [child for child in children if child.tag not in known_tags]
+            frame, scope, [child for child in children if child.tag == "axis"], shift_function(node)
         )
         for axis, value in zip("xyz", force, strict=True):
             frame.write(f"forces/fb{axis}-aero-lbs", value)
         for axis, value in zip("lmn", moment, strict=True):
             frame.write(f"moments/{axis}-aero-lbsft", value)
-        _publish_wind_axes(frame, force)
+        _publish_wind_axes(frame, force, moment)
         for child in functions:
-            if child.attributes.get("type", "") == "post":
-                write_function(frame, scope, child, ("name", "type"))
+            if child.attributes.get("type", "") == "post" and not frame.is_left_out(child):
+                with frame.leaving_out(child, _title(child)):
+                    write_function(frame, scope, child, ("name", "type"))
+
+
+def _title(function: Node) -> list[str]:
+    """List the property of a function, if it has a name."""
+    name = function.attributes.get("name", "").strip()
+    return [function_name(name)] if name else []
 
 
 def write_function(
@@ -168,13 +174,20 @@ def _stall(frame: Frame, scope: Scope, limits: Sequence[Node]) -> None:
     frame.write("aero/stall-hyst-norm", is_defined.choose(stalled, before))
 
 
-def _publish_wind_axes(frame: Frame, force: Vector) -> None:
-    """Write the forces in wind and stability axes (drag, side, lift), and lift over drag."""
+def _publish_wind_axes(frame: Frame, force: Vector, moment: Vector) -> None:
+    """Write forces and moments in wind and stability axes (drag, side, lift), and lift over
+    drag.
+    """
     b = frame.builder
-    for kind in ("w", "s"):
+    for kind, title in (("w", "wind"), ("s", "stab")):
         x, y, z = (b.value(c) for c in matvec(transpose(wind_to_body(frame, kind == "s")), force))
         for axis, value in zip("xyz", (-x, y, -z), strict=True):
             frame.write(f"forces/f{kind}{axis}-aero-lbs", value)
+        names = [f"moments/{a}-{title}-aero-lbsft" for a in ("roll", "pitch", "yaw")]
+        if any(frame.requests(name) for name in names):
+            turned = matvec(transpose(wind_to_body(frame, kind == "s")), moment)
+            for name, value in zip(names, turned, strict=True):
+                frame.write(name, value)
     drag, lift = frame.get("forces/fwx-aero-lbs"), frame.get("forces/fwz-aero-lbs")
     frame.write(
         "forces/lod-norm",
@@ -182,15 +195,21 @@ def _publish_wind_axes(frame: Frame, force: Vector) -> None:
     )
 
 
-def _axes(frame: Frame, scope: Scope, axes: Sequence[Node]) -> tuple[Vector, Vector]:
+def shift_function(node: Node | None) -> Node | None:
+    """Return the function of ``<aero_ref_pt_shift_x>``, which JSBSim computes wherever its property
+    is read; None without one.
+    """
+    shift = None if node is None else node.find("aero_ref_pt_shift_x")
+    return None if shift is None else shift.find("function")
+
+
+def _axes(
+    frame: Frame, scope: Scope, axes: Sequence[Node], shift: Node | None
+) -> tuple[Vector, Vector]:
     """Return force and moment about the CG in body axes."""
     by_name: dict[str, Node] = {}
     # Check names and frames before anything is traced.
     for axis in axes:
-        if axis.tag != "axis":
-            scope.refuse(
-                axis, f"<{axis.tag}> in <aerodynamics> is not understood; function and axis are"
-            )
         scope.only(axis, ("name", "unit", "frame"))
         name = axis.attributes.get("name", "")
         if name in by_name:
@@ -224,15 +243,17 @@ def _axes(frame: Frame, scope: Scope, axes: Sequence[Node]) -> tuple[Vector, Vec
     if turn != "body":
         moment = matvec(wind_to_body(frame, turn == "stability"), moment)
     # The moment of the force about the CG is added; forces at the CG have none.
-    return plus(force, at_cg), plus(moment, cross(structural_to_body(frame, "aero-rp"), force))
+    x, y, z = structural_to_body(frame, "aero-rp")
+    if shift is not None:
+        # In chords, towards the tail
+        x = x - function_value(scope, shift) * frame.get("metrics/cbarw-ft")
+    return plus(force, at_cg), plus(moment, cross((x, y, z), force))
 
 
 def _axis(frame: Frame, scope: Scope, axis: Node | None, moment: bool) -> tuple[Value, Value]:
     """Return the sums of an axis's functions: those about AERORP, and those at the CG."""
     sums = [frame.builder.constant(0.0), frame.builder.constant(0.0)]
-    for child in [] if axis is None else axis.children:
-        if child.tag not in ("function", *_REMARKS):
-            scope.refuse(child, f"<{child.tag}> in an axis is not understood; functions are")
+    for child in [] if axis is None else axis.all("function"):
         at_cg = child.attributes.get("apply_at_cg", "false")
         if at_cg not in ("true", "false") or (at_cg == "true" and moment):
             scope.refuse(
@@ -324,12 +345,6 @@ def trace_external(frame: Frame, document: Document, node: Node | None) -> None:
             scope.only(node)
         # Functions first, so that forces may read them.
         for child in children:
-            if child.tag not in ("function", "force", "moment"):
-                scope.refuse(
-                    child,
-                    f"<{child.tag}> in <external_reactions> is not understood; force, moment and"
-                    " function are",
-                )
             if child.tag == "function":
                 write_function(frame, scope, child)
         for child in children:

@@ -16,8 +16,8 @@ from pathlib import Path
 
 from uqharness.batch.form.ir import Value
 from uqharness.batch.form.program import When
-from uqharness.batch.translate import filters, gains
-from uqharness.batch.translate.component import Component
+from uqharness.batch.translate import filters, gains, waypoints
+from uqharness.batch.translate.component import Component, written_properties
 from uqharness.batch.translate.frame import (
     CHANNEL_STEP,
     HOOKS,
@@ -25,69 +25,57 @@ from uqharness.batch.translate.frame import (
     Scope,
     copy_levers,
     error_scope,
+    function_name,
     property_of,
     read_only,
 )
-from uqharness.batch.translate.functions import function_value
+from uqharness.batch.translate.functions import RULES, argument, function_value
 from uqharness.errors import BadInputError
 from uqharness.simulator import INSIDE, Aircraft, model_files, read_xml
 from uqharness.xml import Document, Node, parse_document
 
-# Components by tag: allowed elements, and how each is traced.
-
-_COEFFICIENTS = tuple(f"c{k}" for k in range(1, 7))
-_MEASURED = ("lag", "noise", "drift_rate", "gain", "bias", "quantization")
-_CONTROL = ("kp", "kd", "pvdot", "trigger")
+# Components by tag, and how each is traced. JSBSim ignores what else stands in a channel, such as
+# ``<property>``; in a component it ignores elements that it does not look up, and all but the first
+# of those that it looks up once.
 
 
 @dataclass(frozen=True)
 class Kind:
-    """A component: ``trace`` adds what it does; ``single`` and ``repeated`` are its elements,
-    ``attributes`` those besides name.
-    """
+    """A component: ``trace`` adds what it does; ``attributes`` are those besides name."""
 
     trace: Callable[[Component], None]
-    single: tuple[str, ...] = ()
-    repeated: tuple[str, ...] = ()
     attributes: tuple[str, ...] = ()
 
 
 KINDS: Mapping[str, Kind] = {
-    "pure_gain": Kind(gains.pure_gain, ("gain",)),
-    "scheduled_gain": Kind(gains.scheduled_gain, ("gain", "table")),
-    "aerosurface_scale": Kind(
-        gains.aerosurface_scale, ("gain", "domain", "range", "zero_centered")
-    ),
-    "summer": Kind(gains.summer, ("bias",)),
-    "deadband": Kind(gains.deadband, ("width", "gain")),
-    "fcs_function": Kind(gains.fcs_function, ("function",)),
-    "angle": Kind(gains.angle, ("source_angle", "target_angle"), attributes=("unit",)),
-    "lag_filter": Kind(filters.lag_filter, _COEFFICIENTS),
-    "lead_lag_filter": Kind(filters.lead_lag_filter, _COEFFICIENTS),
-    "second_order_filter": Kind(filters.second_order_filter, _COEFFICIENTS),
-    "washout_filter": Kind(filters.washout_filter, _COEFFICIENTS),
-    "pid": Kind(filters.pid, (*_CONTROL, "ki"), attributes=("type",)),
-    "integrator": Kind(filters.integrator, (*_CONTROL, "c1")),
-    "kinematic": Kind(gains.kinematic, ("traverse", "noscale")),
-    "switch": Kind(gains.switch, ("default",), ("test",)),
-    "distributor": Kind(gains.distributor, (), ("case",), ("type",)),
-    "actuator": Kind(
-        filters.actuator, ("lag", "deadband_width", "hysteresis_width", "bias"), ("rate_limit",)
-    ),
-    "linear_actuator": Kind(
-        filters.linear_actuator,
-        ("set", "reset", "versus", "bias", "module", "hysteresis", "lag", "rate", "gain"),
-    ),
-    "sensor": Kind(filters.sensor, _MEASURED),
-    "gyro": Kind(filters.gyro, (*_MEASURED, "axis", "orientation")),
-    "accelerometer": Kind(filters.accelerometer, (*_MEASURED, "axis", "orientation", "location")),
+    "pure_gain": Kind(gains.pure_gain),
+    "scheduled_gain": Kind(gains.scheduled_gain),
+    "aerosurface_scale": Kind(gains.aerosurface_scale),
+    "summer": Kind(gains.summer),
+    "deadband": Kind(gains.deadband),
+    "fcs_function": Kind(gains.fcs_function),
+    "angle": Kind(gains.angle, ("unit",)),
+    "lag_filter": Kind(filters.lag_filter),
+    "lead_lag_filter": Kind(filters.lead_lag_filter),
+    "second_order_filter": Kind(filters.second_order_filter),
+    "washout_filter": Kind(filters.washout_filter),
+    "pid": Kind(filters.pid, ("type",)),
+    "integrator": Kind(filters.integrator),
+    "kinematic": Kind(gains.kinematic),
+    "switch": Kind(gains.switch),
+    "distributor": Kind(gains.distributor, ("type",)),
+    "actuator": Kind(filters.actuator),
+    "linear_actuator": Kind(filters.linear_actuator),
+    "sensor": Kind(filters.sensor),
+    "gyro": Kind(filters.gyro),
+    "accelerometer": Kind(filters.accelerometer),
+    "waypoint_heading": Kind(waypoints.waypoint_heading, ("unit",)),
+    "waypoint_distance": Kind(waypoints.waypoint_distance, ("unit",)),
 }
 """Supported components by tag."""
 
 REFUSED: Mapping[str, str] = {
     "magnetometer": "takes the field of the day on which it runs",
-    "waypoint_heading": "finds geodesics on the ellipsoid, which the batch engine does not",
-    "waypoint_distance": "finds geodesics on the ellipsoid, which the batch engine does not",
 }
 """Components of JSBSim that are not supported -> reason."""
 
@@ -100,10 +88,8 @@ def trace(c: Component) -> None:
     tag = c.node.tag
     if tag in REFUSED:
         c.scope.refuse(c.node, f'<{tag}> {REFUSED[tag]}; fly this aircraft with engine = "jsbsim"')
-    kind = KINDS.get(tag)
-    if kind is None:
-        c.scope.refuse(c.node, f"component <{tag}> is unknown; allowed are {', '.join(KINDS)}")
-    c.check(kind.single, kind.repeated, kind.attributes)
+    kind = KINDS[tag]
+    c.scope.only(c.node, ("name", *kind.attributes))
     kind.trace(c)
 
 
@@ -149,13 +135,20 @@ class Systems:
         Raises BadInputError with file and line for what the engine does not support.
         """
         frame.hooks.update(HOOKS)
-        # Named tables and operations become properties in JSBSim, which is not supported.
+        # Named tables and operations are properties in JSBSim.
         for part in self.parts:
             _check(part)
-            refuse_inner_names(frame, part.document, part.node)
+            compute_inner_names(frame, part.document, part.node)
         before, after = self._functions("pre"), self._functions("post")
         # Before its first run a function is evaluated wherever it is read.
-        for document, node in (*before, *after) if first else ():
+        inside = [
+            (part.document, node)
+            for part in self.parts
+            for component in part.node.walk()
+            if component.tag == "fcs_function"
+            for node in component.all("function")
+        ]
+        for document, node in (*before, *after, *inside) if first else ():
             compute_where_read(frame, document, node)
         _set_step(frame, 1)
         _trace_functions(frame, "functions of systems", before)
@@ -184,7 +177,7 @@ class Systems:
 def compute_where_read(frame: Frame, document: Document, node: Node) -> None:
     """Compute a function wherever its property is read, until ``frame.live`` loses it."""
     name = node.attributes.get("name", "")
-    if not name:
+    if not name or frame.is_left_out(node):
         return
     reading: list[str] = []
 
@@ -202,16 +195,17 @@ def compute_where_read(frame: Frame, document: Document, node: Node) -> None:
             )
         # Detects recursion.
         reading.append(name)
-        result = function_value(scope, node, _FUNCTION)
-        reading.pop()
-        return result
+        try:
+            return function_value(scope, node, _FUNCTION)
+        finally:
+            reading.pop()
 
     frame.live[property_of(error_scope(document), node, function_name(name))] = value
 
 
-def refuse_inner_names(frame: Frame, document: Document, node: Node) -> None:
-    """Refuse properties that JSBSim creates for named tables and named operations, where they are
-    read.
+def compute_inner_names(frame: Frame, document: Document, node: Node) -> None:
+    """Compute named tables and named operations inside functions wherever their property is read,
+    as JSBSim does.
     """
     for outer in node.walk():
         inside = (
@@ -221,29 +215,27 @@ def refuse_inner_names(frame: Frame, document: Document, node: Node) -> None:
         )
         for inner in [outer, *inside] if outer.tag in ("table", "t") else inside:
             name = inner.attributes.get("name", "")
-            if name:
-                frame.live[property_of(error_scope(document), inner, function_name(name))] = (
-                    _refusal(document, inner, name)
-                )
+            if name and inner.tag in (*RULES, "table", "t"):
+                target = property_of(error_scope(document), inner, function_name(name))
+                frame.live[target] = _inner_value(frame, document, inner)
 
 
-def function_name(name: str) -> str:
-    """Return the property of a function: white space becomes '-'."""
-    return "".join("-" if c.isspace() else c for c in name)
+def _inner_value(frame: Frame, document: Document, node: Node) -> Callable[[], Value]:
+    """Return a function that computes a named element."""
+    reading: list[str] = []
 
+    def value() -> Value:
+        """Return the value; refuse recursion and random numbers."""
+        scope = Scope(frame.builder, document, frame.read)
+        if reading:
+            scope.refuse(node, f"this <{node.tag}> reads itself")
+        reading.append(node.tag)
+        try:
+            return argument(scope, node)
+        finally:
+            reading.pop()
 
-def _refusal(document: Document, node: Node, name: str) -> Callable[[], Value]:
-    """Return a function that refuses the property."""
-
-    def refuse() -> Value:
-        """Raise BadInputError at the element."""
-        error_scope(document).refuse(
-            node,
-            f"property {name} is made by a <{node.tag}> of that name, which the batch engine"
-            " does not",
-        )
-
-    return refuse
+    return value
 
 
 def _set_step(frame: Frame, rate: int) -> None:
@@ -252,15 +244,9 @@ def _set_step(frame: Frame, rate: int) -> None:
 
 
 def _check(part: System) -> None:
-    """Refuse elements other than properties, functions and channels, and elements next to the name
-    of a file.
-    """
+    """Refuse unknown types of functions, and elements next to the name of a file."""
     scope = error_scope(part.document)
     for node in part.node.children:
-        if node.tag not in ("property", "channel", "function", *_REMARKS):
-            scope.refuse(
-                node, f"<{node.tag}> in <{part.node.tag}> is not understood by the batch engine"
-            )
         if node.tag == "function" and node.attributes.get("type", "") not in ("", "pre", "post"):
             scope.refuse(
                 node, f"type='{node.attributes['type']}' of <function>: allowed are pre and post"
@@ -272,7 +258,7 @@ def _check(part: System) -> None:
     if outer.tag != part.node.tag:
         error_scope(document).refuse(outer, f"<{outer.tag}> names a file of <{part.node.tag}>")
     for node in outer.children:
-        if node.tag != "property" and node.tag not in _REMARKS:
+        if node.tag in ("channel", "function"):
             error_scope(document).refuse(
                 node,
                 f"<{node.tag}> beside a file is not understood by the batch engine; allowed is"
@@ -286,25 +272,32 @@ def _trace_functions(frame: Frame, name: str, functions: Sequence[tuple[Document
         return
     with frame.section(name):
         for document, node in functions:
-            scope = frame.scope(document)
-            value = function_value(scope, node, _FUNCTION)
+            if frame.is_left_out(node):
+                continue
             title, copy = node.attributes.get("name", ""), node.attributes.get("copyto", "")
-            # copyto sets a second property.
-            if copy:
-                target = property_of(scope, node, copy)
-                if read_only(target) or (
-                    frame.written_properties is None and target not in frame.values
-                ):
-                    scope.refuse(
-                        node,
-                        f"property {target} cannot be written by copyto: JSBSim takes no value"
-                        " for it",
-                    )
-                frame.write(target, value)
-            if title:
-                target_name = property_of(scope, node, function_name(title))
-                frame.live.pop(target_name, None)
-                frame.write(target_name, value)
+            with frame.leaving_out(
+                node, [name for name in (function_name(title), copy.strip()) if name]
+            ):
+                _trace_function(frame, frame.scope(document), node, (title, copy))
+
+
+def _trace_function(frame: Frame, scope: Scope, node: Node, names: tuple[str, str]) -> None:
+    """Write a function's value to the properties of its name and its ``copyto``."""
+    value = function_value(scope, node, _FUNCTION)
+    title, copy = names
+    # copyto sets a second property.
+    if copy:
+        target = property_of(scope, node, copy)
+        if read_only(target) or (frame.written_properties is None and target not in frame.values):
+            scope.refuse(
+                node,
+                f"property {target} cannot be written by copyto: JSBSim takes no value for it",
+            )
+        frame.write(target, value)
+    if title:
+        target_name = property_of(scope, node, function_name(title))
+        frame.live.pop(target_name, None)
+        frame.write(target_name, value)
 
 
 @dataclass(frozen=True)
@@ -331,7 +324,17 @@ class _Channel:
             )
         # Rate 0 runs in every frame, but its components see a step of 0.
         every = max(int(rate), 1)
-        runs, mask = self._switched(every)
+        if frame.is_left_out(self.node):
+            return
+        names = {
+            name
+            for node in self.node.children
+            if node.tag in KINDS or node.tag in REFUSED
+            for name in written_properties(scope, node)
+        }
+        runs, mask = False, None
+        with frame.leaving_out(self.node, names):
+            runs, mask = self._switched(every)
         if not runs:
             return
         # Components see the step times the channel's rate.
@@ -351,20 +354,29 @@ class _Channel:
                 uses_history.append(True)
                 return frame.memory(f"{self.key}/started").ne(0.0)
 
-            components = [node for node in self.node.children if node.tag not in _REMARKS]
+            components = [
+                node for node in self.node.children if node.tag in KINDS or node.tag in REFUSED
+            ]
             for number, node in enumerate(components, start=1):
+                if frame.is_left_out(node):
+                    # It draws from the common stream all the same.
+                    noise = node.find("noise")
+                    if noise is not None and scope.number(noise) != 0.0:
+                        filters.draw_noise(frame, noise)
+                    continue
                 key = f"{self.key}/{number}"
-                trace(
-                    Component(
-                        frame,
-                        frame.scope(self.document),
-                        node,
-                        self.load_dt_s * int(rate),
-                        int(rate),
-                        key,
-                        has_run,
+                with frame.leaving_out(node, written_properties(scope, node)):
+                    trace(
+                        Component(
+                            frame,
+                            frame.scope(self.document),
+                            node,
+                            self.load_dt_s * int(rate),
+                            int(rate),
+                            key,
+                            has_run,
+                        )
                     )
-                )
             # Remembered only if a component asked for it.
             if uses_history:
                 frame.remember(f"{self.key}/started", 1.0)
@@ -403,19 +415,19 @@ Part = tuple[Document, Node]
 """An element and its file."""
 
 _SYSTEMS = ("system", "flight_control", "autopilot")
-_ELEMENTS = (
+_READ = (
     *_SYSTEMS,
-    "fileheader",
-    "metrics",
     "mass_balance",
     "ground_reactions",
     "external_reactions",
+    "buoyant_forces",
     "aerodynamics",
     "propulsion",
-    "input",
-    "output",
     "planet",
 )
+"""Elements of an aircraft that are translated. JSBSim reads ``metrics``, and the values are its;
+it ignores other elements.
+"""
 
 
 @dataclass(frozen=True)
@@ -470,29 +482,26 @@ def read_sources(aircraft: Aircraft | Files, script: Path | None) -> Sources:
     parts: dict[str, Part] = {}
     systems: list[System] = []
     for node in document.root.children:
-        if node.tag not in _ELEMENTS:
-            raise BadInputError(
-                f"{document.where(node)}: <{node.tag}> is not understood by the batch engine"
-            )
+        if node.tag not in _READ:
+            continue
         part = (document, node)
         if "file" in node.attributes:
             part = _open_included(aircraft, document, node)
         if node.tag in _SYSTEMS:
             # JSBSim reads only the first of these.
-            if node.tag != "system" and any(one.node.tag == node.tag for one in systems):
-                raise BadInputError(f"{document.where(node)}: <{node.tag}> occurs twice")
-            systems.append(System(*part, None if part[1] is node else (document, node)))
-        elif node.tag in parts and node.tag not in ("input", "output"):
-            raise BadInputError(f"{document.where(node)}: <{node.tag}> occurs twice")
+            if node.tag == "system" or all(one.node.tag != node.tag for one in systems):
+                systems.append(System(*part, None if part[1] is node else (document, node)))
         else:
-            parts[node.tag] = part
+            parts.setdefault(node.tag, part)
     # JSBSim runs systems first, then the autopilot, then the flight control.
     order = {"system": 0, "autopilot": 1, "flight_control": 2}
     systems.sort(key=lambda part: order[part.node.tag])
-    if "planet" in parts:
-        raise BadInputError(
-            f"{document.where(parts['planet'][1])}: <planet> is not understood by the batch engine"
-        )
+    for tag in ("planet", "buoyant_forces"):
+        if tag in parts:
+            raise BadInputError(
+                f"{parts[tag][0].where(parts[tag][1])}: <{tag}> is not understood by the batch"
+                " engine"
+            )
     propulsion = parts.get("propulsion")
     included = {} if propulsion is None else _engine_files(aircraft, propulsion)
     return Sources(

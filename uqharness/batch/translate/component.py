@@ -17,8 +17,6 @@ from uqharness.batch.translate.frame import Frame, Scope, canonical, property_of
 from uqharness.xml import Node
 
 REMARKS = ("description", "documentation")
-SHARED = ("input", "output", "init", "clipto", "delay", *REMARKS)
-"""Elements that any component may have."""
 _MAX_DELAY = 1000
 
 
@@ -60,27 +58,6 @@ class Component:
     def builder(self) -> Builder:
         """Builder of the values."""
         return self.scope.builder
-
-    def check(
-        self, single: Collection[str], repeated: Collection[str], attributes: Collection[str]
-    ) -> None:
-        """Refuse unknown attributes and elements, and repeated elements of which JSBSim reads only
-        the first.
-        """
-        self.scope.only(self.node, ("name", *attributes))
-        visited: set[str] = set()
-        # Elements of which JSBSim reads only the first must not be repeated.
-        for child in self.node.children:
-            if child.tag not in SHARED and child.tag not in single and child.tag not in repeated:
-                self.scope.refuse(
-                    child,
-                    f"<{child.tag}> in <{self.node.tag}> is not understood by the batch engine",
-                )
-            if child.tag in visited and (child.tag in single or child.tag in ("clipto", "delay")):
-                self.scope.refuse(
-                    child, f"a <{self.node.tag}> has one <{child.tag}>: JSBSim takes the first"
-                )
-            visited.add(child.tag)
 
     def inputs(self, minimum: int, maximum: int | None) -> list[Value]:
         """Return the values of the inputs; refuse fewer or more."""
@@ -244,6 +221,18 @@ def output_names(scope: Scope, node: Node) -> list[str]:
     elif not names and node.tag != "distributor":
         scope.refuse(node, f"a <{node.tag}> has a name or <output>")
     return names
+
+
+def written_properties(scope: Scope, node: Node) -> list[str]:
+    """List all properties that a component may write, for one that is left out."""
+    names = [child.text for child in node.all("output")]
+    names += [child.text for case in node.all("case") for child in case.all("property")]
+    if own := node.attributes.get("name", ""):
+        names += [own_name(own), f"{own_name(own)}/saturated"]
+    quantity = node.find("quantization")
+    if quantity is not None and quantity.attributes.get("name", ""):
+        names.append(own_name(quantity.attributes["name"]))
+    return [property_of(scope, node, name) for name in names]
 
 
 def inner(node: Node) -> list[Node]:

@@ -7,19 +7,19 @@ The brushless motor is Drela's (First-Order DC Electric Motor Model, 2007, eqs 2
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 from uqharness.batch.form.ir import Value
 from uqharness.batch.form.program import When
 from uqharness.batch.models.vectors import Vector, plus
 from uqharness.batch.translate.aerodynamics import write_function
-from uqharness.batch.translate.channels import Sources, compute_where_read, refuse_inner_names
+from uqharness.batch.translate.channels import Sources, compute_inner_names, compute_where_read
 from uqharness.batch.translate.engine_files import (
     Part,
     number,
     property_base,
-    refuse_unknown,
+    refuse_tags,
     required_number,
     with_number,
 )
@@ -31,26 +31,30 @@ from uqharness.batch.translate.frame import (
     canonical,
     error_scope,
     integer_hook,
+    truth_hook,
 )
 from uqharness.batch.translate.piston import Piston, read_piston
 from uqharness.batch.translate.propeller import Jet, Propeller, read_jet, read_mount, read_propeller
+from uqharness.batch.translate.rocket import Rocket, read_rocket
 from uqharness.batch.translate.tanks import (
+    PointMass,
     Tank,
     dry_aircraft,
     feeding,
+    read_point_masses,
     read_tank,
     set_contents,
     trace_mass,
     trace_tanks,
 )
 from uqharness.batch.translate.turbine import FUNCTIONS, Turbine, read_turbine
+from uqharness.batch.translate.turboprop import POWER_FACTOR, Turboprop, read_turboprop
 from uqharness.errors import BadInputError
 from uqharness.xml import Document, Node
 
 _HP_WATTS = 745.7
 _HP_FTLBPS = 550.0
 _NM_FTLB = 1.3558
-_ALWAYS = ("function",)
 
 
 @dataclass(frozen=True)
@@ -109,11 +113,7 @@ def read_electric(scope: Scope, part: Part, name: str, index: str) -> Electric |
     """Read an electric engine of either kind; raises BadInputError with file and line."""
     node = part[1]
     if node.tag == "electric_engine":
-        refuse_unknown(scope, node, ("power", *_ALWAYS))
         return Electric(name, index, number(scope, node, "power", _HP_WATTS, "WATTS"))
-    refuse_unknown(
-        scope, node, ("maxvolts", "velocityconstant", "coilresistance", "noloadcurrent", *_ALWAYS)
-    )
     return Brushless(
         name,
         index,
@@ -143,7 +143,7 @@ class Engine:
     part: Part
     name: str
     index: str
-    motor: Electric | Brushless | Piston | Turbine
+    motor: Electric | Brushless | Piston | Turbine | Turboprop | Rocket
     thruster: Propeller | Jet
     feeds: tuple[int, ...]
 
@@ -155,6 +155,10 @@ class Engine:
     def trace(self, frame: Frame) -> tuple[Vector, Vector]:
         """Add functions, power and thrust; return force and moment."""
         document, root = self.part
+        # JSBSim does not compute a rocket while it initialises.
+        if isinstance(self.motor, Rocket) and frame.initialising:
+            assert isinstance(self.thruster, Jet)
+            return self.thruster.act(frame)
         scope = frame.scope(document)
         for function in root.all("function"):
             if function.attributes.get("type", "") in ("", "pre"):
@@ -173,6 +177,16 @@ class Propulsion:
     part: Part | None
     engines: tuple[Engine, ...]
     tanks: tuple[Tank, ...]
+    masses: tuple[PointMass, ...] = ()
+
+    @property
+    def changes_mass(self) -> bool:
+        """Whether mass, centre and inertia change in flight."""
+        return bool(self.tanks or self.masses)
+
+    def dry_aircraft(self, value: Callable[[str], float]) -> dict[str, float]:
+        """Return the slots `tanks.DRY` from the properties of an initialised aircraft."""
+        return dry_aircraft(self.tanks, self.masses, value)
 
     def prepare(self, frame: Frame, first: bool) -> None:
         """Install hooks, and functions that are computed where they are read until they have
@@ -185,15 +199,19 @@ class Propulsion:
             frame.hooks[f"{engine.name}constant-speed-mode"] = integer_hook(
                 f"{engine.name}constant-speed-mode"
             )
-            refuse_inner_names(frame, *engine.part)
+            if isinstance(engine.motor, Piston):
+                frame.hooks[f"{engine.name}boost-speed"] = integer_hook(f"{engine.name}boost-speed")
+            if isinstance(engine.motor, Turboprop):
+                frame.hooks[f"{engine.name}reverser"] = truth_hook(f"{engine.name}reverser")
+            compute_inner_names(frame, *engine.part)
             for function in engine.part[1].all("function") if first else ():
                 compute_where_read(frame, engine.part[0], function)
 
     def trace_mass(self, frame: Frame, first: bool) -> None:
-        """Add mass, centre of gravity and inertia, if there are tanks."""
-        if self.tanks:
+        """Add mass, centre of gravity and inertia, if they change."""
+        if self.changes_mass:
             with frame.section("mass"):
-                trace_mass(frame, self.tanks, first)
+                trace_mass(frame, self.tanks, self.masses, first)
 
     def trace(self, frame: Frame) -> None:
         """Add forces and moments as forces/fb?-prop-lbs and moments/?-prop-lbsft, and the
@@ -219,9 +237,13 @@ class Propulsion:
     def _consume(self, frame: Frame, engine: Engine) -> None:
         """Take an engine's fuel from its tanks."""
         b, name = frame.builder, engine.name
-        feeding_tanks, count, starved = feeding(frame, self.tanks, engine.feeds)
+        feeds = [k for k in engine.feeds if self.tanks[k].is_fuel]
+        feeding_tanks, count, starved = feeding(frame, self.tanks, feeds)
         frame.remember(engine.starved, starved.choose(1.0, 0.0))
         if isinstance(engine.motor, Electric | Brushless):
+            return
+        if isinstance(engine.motor, Rocket):
+            self._consume_propellant(frame, engine, engine.motor)
             return
         # Without fuel the last flow stays published and nothing is taken.
         burns = b.op("not", starved)
@@ -236,8 +258,36 @@ class Propulsion:
         )
         frame.store(f"{name}fuel-flow-rate-gph", rate * 3600.0 / density)
         frame.store(f"{name}fuel-used-lbs", frame.get(f"{name}fuel-used-lbs") + spent)
-        for k, gives in zip(engine.feeds, feeding_tanks, strict=True):
+        for k, gives in zip(feeds, feeding_tanks, strict=True):
             self.tanks[k].drain(frame, spent / count, gives)
+
+    def _consume_propellant(self, frame: Frame, engine: Engine, rocket: Rocket) -> None:
+        """Take a rocket's fuel and oxidizer from its tanks; without either it takes none."""
+        b, name = frame.builder, engine.name
+        lists = [
+            [k for k in engine.feeds if self.tanks[k].is_fuel == kind] for kind in (True, False)
+        ]
+        (fuel_tanks, fuel_count, starved), (oxidizer_tanks, oxidizer_count, no_oxidizer) = (
+            feeding(frame, self.tanks, feeds) for feeds in lists
+        )
+        # An oxidizer tank of priority 0 is no tank.
+        needs_oxidizer = b.truth(False)
+        for k in lists[1]:
+            needs_oxidizer = b.op(
+                "or", needs_oxidizer, frame.get(f"{self.tanks[k].name}priority").ne(0.0)
+            )
+        starved = b.op("or", starved, b.op("and", needs_oxidizer, no_oxidizer))
+        frame.remember(engine.starved, starved.choose(1.0, 0.0))
+        burns = b.op("not", starved)
+        fuel, oxidizer = rocket.flows(frame)
+        for title, flow in (("fuel-flow-rate-pps", fuel), ("oxi-flow-rate-pps", oxidizer)):
+            frame.store(f"{name}{title}", burns.choose(flow, frame.get(f"{name}{title}")))
+        fuel, oxidizer = fuel * frame.step, oxidizer * frame.step
+        rocket.spend(frame, fuel, oxidizer, burns)
+        for k, gives in zip(lists[0], fuel_tanks, strict=True):
+            self.tanks[k].drain(frame, fuel / fuel_count, b.op("and", burns, gives))
+        for k, gives in zip(lists[1], oxidizer_tanks, strict=True):
+            self.tanks[k].drain(frame, oxidizer / oxidizer_count, b.op("and", burns, gives))
 
     def trace_steady(self, frame: Frame, engine: Engine) -> None:
         """Add one step of JSBSim's iteration to an engine's steady state; the slot `settling_slot`
@@ -279,11 +329,14 @@ def read_propulsion(sources: Sources, values: Values, engines_running: bool = Fa
     ``engines_running``: the host starts them, not a script. Raises BadInputError with file and line
     for what the engine does not support.
     """
+    masses = _point_masses(sources)
     if sources.propulsion is None:
-        return Propulsion(None, (), ())
+        return _with_dry_aircraft(Propulsion(None, (), (), masses), values)
     document, node = sources.propulsion
     scope = error_scope(document)
-    refuse_unknown(scope, node, ("engine", "tank", "property"), ("name", "file"))
+    refuse_tags(
+        scope, node, {"function": "is not understood by the batch engine"}, ("name", "file")
+    )
     _check_start(values)
     tanks = tuple(read_tank(scope, (document, tank), k) for k, tank in enumerate(node.all("tank")))
     magnetos = _BOTH_MAGNETOS if engines_running else _magnetos(sources.script)
@@ -291,10 +344,27 @@ def read_propulsion(sources: Sources, values: Values, engines_running: bool = Fa
         _read_engine((document, engine), k, sources.included, len(tanks), magnetos)
         for k, engine in enumerate(node.all("engine"))
     )
-    # Mass properties without fuel, from those that JSBSim reports with fuel.
-    if tanks:
-        values.update(dry_aircraft(tanks, lambda name: _initialised(values, name)))
-    return Propulsion(sources.propulsion, engines, tanks)
+    return _with_dry_aircraft(Propulsion(sources.propulsion, engines, tanks, masses), values)
+
+
+def _with_dry_aircraft(propulsion: Propulsion, values: Values) -> Propulsion:
+    """Add mass properties without fuel, from those that JSBSim reports with fuel."""
+    if propulsion.changes_mass:
+        values.update(propulsion.dry_aircraft(lambda name: _initialised(values, name)))
+    return propulsion
+
+
+def _point_masses(sources: Sources) -> tuple[PointMass, ...]:
+    """Return the point masses that the XML changes."""
+    if sources.mass is None:
+        return ()
+    roots = [part.node for part in sources.systems] + [sources.script.root]
+    nodes = [node for root in roots for node in root.walk()]
+    texts = [node.text for node in nodes if node.tag in ("output", "property")]
+    texts += [node.attributes.get("name", "") for node in nodes]
+    texts += [node.attributes.get("copyto", "") for node in nodes]
+    document, mass = sources.mass
+    return read_point_masses(error_scope(document), mass, texts)
 
 
 def _read_engine(
@@ -303,15 +373,21 @@ def _read_engine(
     """Read one engine with its thruster and feeds."""
     document, node = part
     scope, name, index = error_scope(document), property_base(k), f"[{k}]" if k else ""
-    kinds = ("electric_engine", "brushless_dc_motor", "piston_engine", "turbine_engine")
-    refuse_unknown(
-        scope, node, ("feed", "thruster", "location", "orient", *kinds), ("file", "name")
+    kinds = (
+        "electric_engine",
+        "brushless_dc_motor",
+        "piston_engine",
+        "turbine_engine",
+        "turboprop_engine",
+        "rocket_engine",
     )
+    refuse_tags(scope, node, None, ("file", "name"))
     root_part = with_number(_content(scope, part, included, kinds), k)
     scope_of_root, root = error_scope(root_part[0]), root_part[1]
-    # A turbine's functions belong to the engine's properties.
+    # Some functions belong to the engine's properties.
+    titles = {"turbine_engine": FUNCTIONS, "turboprop_engine": (POWER_FACTOR,)}.get(root.tag, ())
     for function in root.all("function"):
-        if function.attributes.get("name", "") in FUNCTIONS and root.tag == "turbine_engine":
+        if function.attributes.get("name", "") in titles:
             function.attributes["name"] = name + function.attributes["name"]
         if function.attributes.get("type", "") not in ("", "pre", "post"):
             scope_of_root.refuse(function, "a function of an engine has type pre or post")
@@ -329,21 +405,28 @@ def _read_engine(
         if thruster_part[1].tag == "propeller"
         else read_jet(thruster_scope, thruster_part, mount)
     )
-    motor: Electric | Brushless | Piston | Turbine
+    motor: Electric | Brushless | Piston | Turbine | Turboprop | Rocket
     if root.tag == "piston_engine":
         motor = read_piston(scope_of_root, root_part, name, index, magnetos)
     elif root.tag == "turbine_engine":
         motor = read_turbine(scope_of_root, root_part, name, index)
+    elif root.tag == "turboprop_engine":
+        motor = read_turboprop(scope_of_root, root_part, name, index)
+    elif root.tag == "rocket_engine":
+        motor = read_rocket(scope_of_root, root_part, name, index)
     else:
         motor = read_electric(scope_of_root, root_part, name, index)
     if isinstance(motor, Brushless) and not isinstance(thruster_model, Propeller):
         scope.refuse(thruster, "a brushless motor turns a propeller")
-    if isinstance(motor, Turbine) and (
-        not isinstance(thruster_model, Jet) or thruster_model.area_ft2 is not None
-    ):
-        scope.refuse(thruster, "a turbine has a <direct> thruster")
+    if isinstance(motor, Rocket) and not isinstance(thruster_model, Jet):
+        scope.refuse(thruster, "a rocket has a <nozzle> or <direct> thruster")
+    if isinstance(motor, Turboprop):
+        if not isinstance(thruster_model, Propeller):
+            scope.refuse(thruster, "a turboprop turns a propeller")
+        thruster_model = replace(thruster_model, reverses=True)
     # Tanks are named by number.
-    feeds = tuple(int(scope.number(feed)) for feed in node.all("feed"))
+    # Without any tank JSBSim looks at no feed.
+    feeds = tuple(int(scope.number(feed)) for feed in node.all("feed")) if tanks else ()
     if any(not 0 <= feed < tanks for feed in feeds):
         scope.refuse(
             node,

@@ -14,7 +14,8 @@ from collections.abc import Callable
 from uqharness.batch.form.ir import Value
 from uqharness.batch.form.maths import truncate
 from uqharness.batch.translate.component import Component, inner, own_name
-from uqharness.batch.translate.frame import is_number, property_of
+from uqharness.batch.translate.engine_files import triplet
+from uqharness.batch.translate.frame import Frame, is_number, property_of
 from uqharness.xml import Node
 
 
@@ -360,7 +361,7 @@ def accelerometer(c: Component) -> None:
     specific = [_engine(c, f"forces/fb{axis}-total-lbs") * (1.0 / mass) for axis in "xyz"]
     spin = [_engine(c, f"accelerations/{axis}idot-rad_sec2") for axis in "pqr"]
     rates = [_engine(c, f"velocities/{axis}i-rad_sec") for axis in "pqr"]
-    place = _triplet(c, c.needed("location"), ("x", "y", "z"), {"": 1.0, "IN": 1.0, "FT": 12.0})
+    place = triplet(c.scope, c.needed("location"), "IN")
     centre = [_engine(c, f"inertia/cg-{axis}-in") for axis in "xyz"]
     inch = 1.0 / 12.0
     arm = [
@@ -409,24 +410,31 @@ def _measure(c: Component, x: Value) -> None:
 
 
 def _noisy(c: Component, value: Value, stuck: Value) -> Value:
-    """Add noise; refuse kinds without a stream."""
+    """Add noise; refuse what has no stream."""
     node = c.node.find("noise")
     size = c.number("noise", 0.0, ("variation", "distribution"))
     if node is None or size == 0.0:
         return value
-    variation, distribution = (node.attributes.get(a, "") for a in ("variation", "distribution"))
-    if variation not in ("PERCENT", "ABSOLUTE") or distribution not in ("GAUSSIAN", "UNIFORM"):
-        allowed = "variation PERCENT or ABSOLUTE and distribution GAUSSIAN or UNIFORM"
-        c.scope.refuse(node, f"<noise> has {allowed}; received {variation!r}, {distribution!r}")
-    free = stuck.constant is False or c.frame.written_properties is None
-    normal = c.frame.normal() if free and distribution == "GAUSSIAN" else None
-    if normal is None:
+    number = draw_noise(c.frame, node) if _always_runs(c, stuck) else None
+    if number is None:
         c.scope.refuse(
             node,
-            f"{distribution.lower()} <noise> draws random numbers for which the batch engine"
-            " has no stream",
+            "<noise> of a sensor that some flights run or that may stick draws random numbers for"
+            " which the batch engine has no stream",
         )
-    return value * (1.0 + size * normal) if variation == "PERCENT" else value + size * normal
+    # JSBSim takes other words for PERCENT.
+    absolute = node.attributes.get("variation", "") == "ABSOLUTE"
+    return value + size * number if absolute else value * (1.0 + size * number)
+
+
+def draw_noise(frame: Frame, node: Node) -> Value | None:
+    """Draw the number of a ``<noise>``; JSBSim takes other words than GAUSSIAN for UNIFORM."""
+    return frame.draw(uniform=node.attributes.get("distribution", "") != "GAUSSIAN")
+
+
+def _always_runs(c: Component, stuck: Value) -> bool:
+    """Return whether the sensor draws in each run."""
+    return stuck.constant is False or c.frame.written_properties is None
 
 
 def _quantized(c: Component, value: Value, stuck: Value) -> Value:
@@ -485,8 +493,7 @@ def _along_axis(c: Component, vector: list[Value]) -> Value:
     yaw).
     """
     b, node = c.builder, c.node.find("orientation")
-    units = {"": 1.0, "RAD": 1.0, "DEG": 1.0 / (180.0 / math.pi)}
-    angles = [0.0, 0.0, 0.0] if node is None else _triplet(c, node, ("roll", "pitch", "yaw"), units)
+    angles = (0.0, 0.0, 0.0) if node is None else triplet(c.scope, node, "RAD")
     # The engine's own sines, because those of the C library differ between machines.
     sr, cr, sp, cp, sy, cy = (
         b.op(f, b.constant(angle)) for angle in angles for f in ("sin", "cos")
@@ -496,40 +503,11 @@ def _along_axis(c: Component, vector: list[Value]) -> Value:
         "y": (sr * sp * cy - cr * sy, sr * sp * sy + cr * cy, sr * cp),
         "z": (cr * sp * cy + sr * sy, cr * sp * sy - sr * cy, cr * cp),
     }
-    axis = c.needed("axis")
-    c.scope.only(axis)
-    row = rows.get(axis.text.strip().lower())
-    if row is None:
-        c.scope.refuse(axis, f"<axis> is X, Y or Z; received {axis.text.strip()!r}")
+    axis = c.node.find("axis")
+    # JSBSim takes the x axis for a missing or misspelt one.
+    row = rows.get("" if axis is None else axis.text.strip().lower(), rows["x"])
     first, second, third = (v * m for v, m in zip(vector, row, strict=True))
     return (first + second) + third
-
-
-def _triplet(
-    c: Component, node: Node, tags: tuple[str, str, str], units: dict[str, float]
-) -> list[float]:
-    """Return three numbers of an element times the unit; missing ones are 0."""
-    c.scope.only(node, ("unit",))
-    unit = node.attributes.get("unit", "")
-    if unit not in units:
-        c.scope.refuse(
-            node,
-            f"unit='{unit}' of <{node.tag}> is not understood; allowed are"
-            f" {', '.join(u for u in units if u)}",
-        )
-    # x, y, z may stand for the element's own names.
-    numbers = dict.fromkeys(tags, 0.0)
-    synonyms = dict(zip(("x", "y", "z"), tags, strict=True))
-    for child in inner(node):
-        tag = synonyms.get(child.tag, child.tag)
-        if tag not in numbers:
-            c.scope.refuse(
-                child,
-                f"<{child.tag}> in <{node.tag}> is not understood; allowed are {', '.join(tags)}",
-            )
-        c.scope.only(child)
-        numbers[tag] = c.scope.number(child) * (units[unit] if unit else 1.0)
-    return list(numbers.values())
 
 
 def _cross(a: list[Value], b: list[Value]) -> list[Value]:

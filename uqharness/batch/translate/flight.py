@@ -7,9 +7,10 @@ stands still (JSBSim's initialisation), then frames of one step.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 
+from uqharness.batch.form.ir import Value
 from uqharness.batch.form.program import Program, Stream
 from uqharness.batch.models import winds
 from uqharness.batch.models.atmosphere import trace_air_data, trace_atmosphere, trace_ratios
@@ -24,6 +25,7 @@ from uqharness.batch.models.motion import (
 )
 from uqharness.batch.translate.aerodynamics import (
     functions_of,
+    shift_function,
     trace_aerodynamics,
     trace_external,
     trace_totals,
@@ -31,15 +33,25 @@ from uqharness.batch.translate.aerodynamics import (
 from uqharness.batch.translate.channels import (
     Sources,
     Systems,
+    compute_inner_names,
     compute_where_read,
-    refuse_inner_names,
 )
 from uqharness.batch.translate.engines import STEADY_STEP_S, Propulsion, read_propulsion
-from uqharness.batch.translate.frame import HOOKS, REQUIRED, Frame, Values, settable
+from uqharness.batch.translate.frame import (
+    HOOKS,
+    REQUIRED,
+    Frame,
+    LeftOut,
+    Values,
+    canonical,
+    function_name,
+    settable,
+)
 from uqharness.batch.translate.script import trace_events
 from uqharness.batch.translate.tanks import MASS
 from uqharness.errors import BadInputError
 from uqharness.flight import ContactPoint
+from uqharness.xml import Document, Node
 
 _HOOKS = {**winds.WRITES, **HOOKS}
 _RENEWAL = 3
@@ -66,6 +78,8 @@ class Flight:
     renewed : Program or None
         A frame in which time stands still, after the engines are steady; None without engines,
         unless requested.
+    left_out : tuple of str
+        Reasons for which elements were left out, because nothing in the flight reads them.
     """
 
     first: Program
@@ -76,6 +90,7 @@ class Flight:
     propulsion: Propulsion
     steady: tuple[Program, ...] = ()
     renewed: Program | None = None
+    left_out: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -156,8 +171,8 @@ def trace_flight(sources: Sources, dt_s: float, values: Values, request: TraceRe
     propulsion = read_propulsion(sources, values, request.engines_running)
     stream_slots = {name for stream in request.streams for name in stream.columns}
     # The dry mass would no longer fit the total.
-    if propulsion.tanks and not request.changes_dry_mass and set(request.inputs) & set(MASS):
-        raise BadInputError("the mass of an aircraft with tanks cannot differ between lanes here")
+    if propulsion.changes_mass and not request.changes_dry_mass and set(request.inputs) & set(MASS):
+        raise BadInputError("a mass that changes in flight cannot differ between lanes here")
     models = FrameModels(
         sources,
         Systems(sources.systems, dt_s, len(propulsion.engines)),
@@ -165,19 +180,33 @@ def trace_flight(sources: Sources, dt_s: float, values: Values, request: TraceRe
         methods,
         request,
     )
-    # A first pass finds all written properties; the frames themselves follow.
-    survey = Frame(dt_s, values, None, any_step=request.any_step)
-    _trace(survey, models, 0)
-    written_properties = survey.writes | stream_slots
-    inputs = set(request.inputs) - written_properties
-    frames = [
-        Frame(step, values, written_properties, inputs, request.any_step)
-        for step in (0.0, 0.0, dt_s)
-    ]
-    for frame, phase in zip(frames, (1, 2, 0), strict=True):
-        _trace(frame, models, phase)
+    # What is not supported is left out where nothing reads it. Each round finds what reads a
+    # property of the elements that earlier rounds left out.
+    left_out = LeftOut()
+    for part in (sources.ground, sources.mass):
+        _leave_functions_out(left_out, part)
+    while True:
+        left_out.has_grown = False
+        # A first pass finds all written properties; the frames themselves follow.
+        survey = Frame(dt_s, values, None, any_step=request.any_step, left_out=left_out)
+        _trace(survey, models, 0)
+        written_properties = survey.writes | stream_slots
+        inputs = set(request.inputs) - written_properties
+        requested = survey.reads | {canonical(name) for name in request.records}
+        frames = [
+            Frame(step, values, written_properties, inputs, request.any_step, left_out, requested)
+            for step in (0.0, 0.0, dt_s)
+        ]
+        for frame, phase in zip(frames, (1, 2, 0), strict=True):
+            _trace(frame, models, phase)
+        if not left_out.has_grown:
+            break
     # Records that nothing computes are refused after tracing.
     for name in request.records:
+        if canonical(name) in frames[2].live:
+            raise BadInputError(
+                f"property {name} is computed only where it is read, so it cannot be recorded"
+            )
         if not name.startswith("#") and frames[2].read(name) is None:
             raise BadInputError(
                 f"property {name} is not computed by the batch engine, so it cannot be recorded"
@@ -195,28 +224,55 @@ def trace_flight(sources: Sources, dt_s: float, values: Values, request: TraceRe
         tuple(flight.draws),
         len(first.draws),
         propulsion,
-        *_trace_settling(models, values, written_properties, inputs),
+        *_trace_settling(models, frames[2], inputs),
+        tuple(left_out.nodes.values()),
     )
 
 
+def _leave_functions_out(left_out: LeftOut, part: tuple[Document, Node] | None) -> None:
+    """Leave out functions of ground contact and mass, which nothing here computes."""
+    if part is None:
+        return
+    document, root = part
+    for node in root.walk():
+        name = node.attributes.get("name", "")
+        if node.tag in ("function", "table") and name:
+            left_out.add(
+                node,
+                [canonical(function_name(name))],
+                f"{document.where(node)}: <{node.tag}> of <{root.tag}> is not understood by the"
+                " batch engine",
+            )
+
+
 def _trace_settling(
-    models: FrameModels,
-    values: Values,
-    written_properties: Collection[str],
-    inputs: Collection[str],
+    models: FrameModels, flight: Frame, inputs: Collection[str]
 ) -> tuple[tuple[Program, ...], Program | None]:
     """Trace the steps to each engine's steady state, and the frame after them."""
     if not models.propulsion.engines and not models.request.renewal:
         return (), None
     settling = []
     for engine in models.propulsion.engines:
-        frame = Frame(STEADY_STEP_S, values, written_properties, inputs)
+        frame = _similar(flight, STEADY_STEP_S, inputs)
         models.propulsion.trace_steady(frame, engine)
         settling.append(frame.program(()))
     # JSBSim runs one frame without time after the steady state.
-    renewed = Frame(0.0, values, written_properties, inputs, models.request.any_step)
+    renewed = _similar(flight, 0.0, inputs, models.request.any_step)
     _trace(renewed, models, _RENEWAL)
     return tuple(settling), renewed.program(())
+
+
+def _similar(flight: Frame, step: float, inputs: Collection[str], any_step: bool = False) -> Frame:
+    """Return a frame of another step with the properties of the flight's."""
+    return Frame(
+        step,
+        flight.values,
+        flight.written_properties,
+        inputs,
+        any_step,
+        flight.left_out,
+        flight.requested,
+    )
 
 
 def _check_settings(values: Values, inputs: Collection[str]) -> None:
@@ -245,18 +301,35 @@ def _integrator(values: Values, name: str) -> int:
     return number
 
 
+def _integrator_hook(name: str, number: float) -> Callable[[Frame, Value], None]:
+    """Return the hook of an integrator's number: systems that detect a crash change it, which ends
+    the flight here.
+    """
+
+    def write(frame: Frame, value: Value) -> None:
+        """Note another number."""
+        frame.note_beyond(value.ne(number))
+        frame.store(name, number)
+
+    return write
+
+
 def _trace(frame: Frame, models: FrameModels, phase: int) -> None:
     """Trace one frame; ``phase`` is 1 or 2 in the initialising frames, _RENEWAL in one after them,
     0 in flight.
     """
     sources, propulsion, request = models.sources, models.propulsion, models.request
     frame.hooks.update(_HOOKS)
+    for name in INTEGRATORS.values():
+        frame.hooks[name] = _integrator_hook(name, float(frame.values[name]))
     frame.live["simulation/dt"] = lambda: frame.step
     # Before its first run a function is evaluated where it is read.
     for part in (sources.aerodynamics, sources.external):
         if part is not None:
-            refuse_inner_names(frame, *part)
-            for function in functions_of(part[1]) if phase == 1 else ():
+            compute_inner_names(frame, *part)
+            shift = shift_function(part[1])
+            uncached = [] if shift is None else [shift]
+            for function in functions_of(part[1]) if phase == 1 else uncached:
                 compute_where_read(frame, part[0], function)
     propulsion.prepare(frame, phase == 1)
     # From here on in JSBSim's order of execution.

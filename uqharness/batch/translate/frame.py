@@ -12,7 +12,7 @@ import math
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import NoReturn
 
@@ -27,6 +27,47 @@ from uqharness.xml import Document, Node
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
 _NAME = re.compile(r"/?[A-Za-z_][A-Za-z0-9_.\-]*(\[\d+\])?(/[A-Za-z_][A-Za-z0-9_.\-]*(\[\d+\])?)*")
 _ROOT = "/fdm/jsbsim/"
+JSBSIM_ATTRIBUTES = frozenset(
+    [
+        "action",
+        "apply",
+        "apply_at_cg",
+        "breakPoint",
+        "continuous",
+        "copyto",
+        "dispersion",
+        "distribution",
+        "execrate",
+        "execute",
+        "file",
+        "format",
+        "frame",
+        "internal",
+        "logic",
+        "lookup",
+        "lower",
+        "mean",
+        "model",
+        "name",
+        "negated_crossproduct_inertia",
+        "noscale",
+        "persistent",
+        "rate",
+        "sense",
+        "seed",
+        "shape",
+        "stddev",
+        "tc",
+        "type",
+        "unit",
+        "upper",
+        "value",
+        "variation",
+    ]
+)
+"""Attributes that JSBSim 1.3.3 reads in some element of an aircraft or script; it ignores all
+others.
+"""
 
 
 @dataclass(frozen=True)
@@ -71,9 +112,9 @@ class Scope:
         raise BadInputError(f"{self.document.where(node)}: {reason}")
 
     def only(self, node: Node, attributes: Collection[str] = ()) -> None:
-        """Refuse unknown attributes."""
+        """Refuse attributes other than these, unless JSBSim reads them nowhere."""
         for name in node.attributes:
-            if name not in attributes:
+            if name not in attributes and name in JSBSIM_ATTRIBUTES:
                 self.refuse(
                     node,
                     f"attribute '{name}' of <{node.tag}> is not understood by the batch engine; fly"
@@ -154,6 +195,11 @@ def property_of(scope: Scope, node: Node, text: str) -> str:
     return name
 
 
+def function_name(name: str) -> str:
+    """Return the property of a function: white space becomes '-'."""
+    return "".join("-" if c.isspace() else c for c in name)
+
+
 def is_number(text: str) -> bool:
     """Return whether JSBSim takes the text for a number; otherwise it names a property.
 
@@ -172,6 +218,8 @@ MAX_SECTIONS, MAX_OPERATIONS, MAX_SLOTS = 2_000, 60_000, 2_500
 """Limits of a frame; E-SPAARO has 40, 3,800 and 520. Compiling takes about ten seconds at the
 limits.
 """
+DRAW, UNIFORM = "#draw/", "/uniform"
+"""Start of the name of a slot with a drawn number, and its end for a uniform one."""
 OUT_OF_RANGE = "#beyond"
 """Slot that is nonzero once a function had an argument beyond the engine's range; the lane's
 results are not JSBSim's from then on.
@@ -240,6 +288,38 @@ class Values(dict[str, float]):
         return value
 
 
+class LeftOutError(BadInputError):
+    """Something reads a property of an element that was left out; the text is the reason for
+    leaving that out.
+    """
+
+
+@dataclass
+class LeftOut:
+    """Elements that the engine does not support and whose properties nothing in the flight reads.
+
+    Attributes
+    ----------
+    nodes : dict
+        Element -> why it was left out.
+    properties : dict
+        Property that such an element writes -> the same reason; whatever reads it is left out in
+        turn, or the flight is refused.
+    has_grown : bool
+        Whether something was added since the last survey of the frame.
+    """
+
+    nodes: dict[Node, str] = field(default_factory=dict)
+    properties: dict[str, str] = field(default_factory=dict)
+    has_grown: bool = False
+
+    def add(self, node: Node, properties: Collection[str], reason: str) -> None:
+        """Leave an element out."""
+        self.nodes[node] = reason
+        self.properties |= dict.fromkeys(properties, reason)
+        self.has_grown = True
+
+
 class Frame:
     """Trace one frame.
 
@@ -256,6 +336,10 @@ class Frame:
         Properties that differ between lanes and are never written.
     any_step : bool
         Whether the step is a number of the lane, in slot STEP.
+    left_out : LeftOut, optional
+        What earlier surveys left out; without it, everything that is not supported is refused.
+    requested : collection of str or None
+        Properties that something reads; None: all.
 
     ``live`` has properties that are computed where they are read, as JSBSim does with a function
     that has not run yet; ``hooks`` those whose setting changes others too.
@@ -268,8 +352,13 @@ class Frame:
         written_properties: Collection[str] | None,
         inputs: Collection[str] = (),
         any_step: bool = False,
+        left_out: LeftOut | None = None,
+        requested: Collection[str] | None = None,
     ) -> None:
         """Start without sections."""
+        self.left_out = left_out
+        self.reads: set[str] = set()
+        self.requested = requested
         self.dt_s, self.any_step = dt_s, any_step
         self.values = (
             values
@@ -325,7 +414,11 @@ class Frame:
         self._when, self._name = when or When(), name
         # Each section has its own builder; values pass through slots.
         self.builder = Builder()
-        yield
+        try:
+            yield
+        except BaseException:
+            self._when = None
+            raise
         self.sections.append(Section(name, self.builder.finish({}), self._when))
         self._when = None
         self._refuse_too_large()
@@ -349,8 +442,14 @@ class Frame:
                 )
 
     def read(self, name: str) -> Value | None:
-        """Return the present value of a property; None if nothing computes it."""
+        """Return the present value of a property; None if nothing computes it.
+
+        Raises LeftOutError for a property of an element that was left out.
+        """
         name = canonical(name)
+        self.reads.add(name)
+        if self.left_out is not None and name in self.left_out.properties:
+            raise LeftOutError(self.left_out.properties[name])
         if name in self.live:
             return self.live[name]()
         # The survey pass: every property may be written later.
@@ -363,6 +462,36 @@ class Frame:
             return None
         value = self.values.get(name)
         return None if value is None else self.builder.constant(value)
+
+    def requests(self, name: str) -> bool:
+        """Return whether something reads a property; always true in the survey."""
+        return self.requested is None or name in self.requested
+
+    @contextmanager
+    def leaving_out(self, node: Node, properties: Collection[str]) -> Iterator[None]:
+        """Leave an element out if it is not supported, unless it does more than write
+        ``properties`` that are nothing to JSBSim's models.
+
+        A function with random numbers stays, because its draws belong to the common stream.
+        """
+        try:
+            yield
+        except BadInputError as error:
+            names = {canonical(name) for name in properties}
+            if (
+                self.left_out is None
+                or any(
+                    name in self.hooks or made_by_jsbsim(name) or keeps_value(name)
+                    for name in names
+                )
+                or any(inner.tag in ("random", "urandom") for inner in node.walk())
+            ):
+                raise
+            self.left_out.add(node, names, str(error))
+
+    def is_left_out(self, node: Node) -> bool:
+        """Return whether an element was left out."""
+        return self.left_out is not None and node in self.left_out.nodes
 
     def get(self, name: str) -> Value:
         """Return the present value of a property that the engine computes; KeyError if it does
@@ -408,22 +537,24 @@ class Frame:
 
     def scope(self, document: Document) -> Scope:
         """Return a scope for elements of ``document`` in the current section."""
-        return Scope(self.builder, document, self.read, self._draw_for(document), self._note_beyond)
+        return Scope(self.builder, document, self.read, self._draw_for(document), self.note_beyond)
 
-    def _note_beyond(self, condition: Value) -> None:
+    def note_beyond(self, condition: Value) -> None:
         """Mark lanes in which the condition holds."""
         if condition.constant is not None and not condition.constant:
             return
         self.remember(OUT_OF_RANGE[1:], condition.choose(1.0, self.memory(OUT_OF_RANGE[1:])))
 
-    def normal(self) -> Value | None:
-        """Draw a standard normal; None in a section that lanes run at different times."""
+    def draw(self, uniform: bool = False) -> Value | None:
+        """Draw a standard normal, or a uniform number in -1..1; None in a section that lanes run
+        at different times.
+        """
         assert self._when is not None
         if self.written_properties is not None and (
             self._when.mask is not None or self._when.at is not None
         ):
             return None
-        name = f"#draw/{len(self.draws)}"
+        name = f"{DRAW}{len(self.draws)}{UNIFORM if uniform else ''}"
         self.draws.append((name, self._when.every))
         self.values[name] = 0.0
         return self.builder.load(name)
@@ -432,7 +563,8 @@ class Frame:
         """Return the draw function of a scope; elements with a seed have no stream."""
 
         def draw(node: Node) -> Value | None:
-            return None if node.tag != "random" or "seed" in node.attributes else self.normal()
+            """Draw the number of a ``<random>`` or ``<urandom>``."""
+            return None if "seed" in node.attributes else self.draw(node.tag == "urandom")
 
         return draw
 
@@ -463,7 +595,8 @@ class Frame:
 # other properties.
 
 _LEVERS = (
-    r"fcs/.*-(cmd|pos)-(norm|rad|deg)(\[\d+\])?|fcs/.*-brake-cmd-norm|gear/gear-(cmd|pos)-norm"
+    r"fcs/(?!steer-pos-deg).*-(cmd|pos)-(norm|rad|deg)(\[\d+\])?|fcs/.*-brake-cmd-norm"
+    r"|gear/gear-(cmd|pos)-norm"
 )
 _AIR = (
     r"atmosphere/((gust|wind)-(north|east|down)-fps|wind-mag-fps|psiw-rad|turb-type|delta-T"
@@ -474,19 +607,19 @@ _ENGINE_SET = (
     r"propulsion/engine(\[\d+\])?/([xyz]-position|(pitch|yaw|reverser)-angle-rad|blade-angle"
     r"|constant-speed-mode|propeller-sense"
     r"|friction-hp|bsfc-lbs_hphr|volumetric-efficiency|air-intake-impedance-factor"
-    r"|ram-air-factor|cooling-factor|starter-norm"
-    r"|bleed-factor)"
+    r"|ram-air-factor|cooling-factor|starter-norm|boost-speed"
+    r"|bleed-factor|reverser|mixture-ratio|isp)"
 )
 _ENGINE_MADE = (
     r"propulsion/engine(\[\d+\])?/(set-running|thrust-lbs|fuel-flow-rate-(pps|gph)"
     r"|fuel-used-lbs|(engine|propeller)-rpm"
     r"|advance-ratio|thrust-coefficient|helical-tip-Mach|prop-induced-velocity_fps"
     r"|propeller-(power-ftlbps|torque-ftlb)"
-    r"|[xyz]-reference-position|power-hp|current-amperes|map-(pa|inhg)|boost-speed"
+    r"|[xyz]-reference-position|power-hp|current-amperes|map-(pa|inhg)"
     r"|boostloss-(factor|hp)|(cht|egt)-degF|AFR"
     r"|oil-(temperature-degF|pressure-psi)|n[12]|MaxN[12]|injection_cmd|seized|stalled"
     r"|Inj(ectionTimer|WaterNorm|N[12]increment)"
-    r"|a?tsfc|itt-c|engtrq-ftlb|ielu_intervent|combustion_efficiency|total-impulse"
+    r"|a?tsfc|itt-c|engtemp-c|total-vac-impulse|oxi-flow-rate-pps|engtrq-ftlb|ielu_intervent|combustion_efficiency|total-impulse"
     r"|vacuum-thrust_lbs|rotor-.*|.*-angle-.*)"
 )
 _TANK_SET = (
@@ -494,6 +627,15 @@ _TANK_SET = (
     r"|[xyz]-position)"
 )
 _TANK_MADE = r"propulsion/tank(\[\d+\])?/(pct-full|density-lbs_per_gal|local-i..-slug_ft2)"
+_CONTACT_SET = (
+    r"(gear|contact)/unit(\[\d+\])?/(pos-norm|(static|dynamic|rolling|side)_friction_coeff)"
+)
+_CONTACT = (
+    rf"{_CONTACT_SET}|(gear|contact)/unit(\[\d+\])?/(WOW|compression-ft|compression-velocity-fps"
+    r"|[xyz]-position|slip-angle-deg|wheel-speed-fps|steering-angle-deg|castered|solid|bumpiness"
+    r"|maximum-force-lbs|(rolling|static)_friction-factor)"
+)
+_STEERING = r"fcs/steer-pos-deg(\[\d+\])?"
 _JSBSIM_MADE = re.compile(
     r"(simulation|inertial|ic|orbital|velocities|position|attitude|accelerations|forces|moments"
     r"|flight-path|inertia|metrics|ground"
@@ -502,7 +644,7 @@ _JSBSIM_MADE = re.compile(
     r"|(mag-)?beta-(rad|deg)|[bc]i2vel|cl-squared"
     r"|h_b-(cg|mac)-ft|qbar(UV|UW)?-psf|qbar-area|stall-hyst-norm)"
     r"|systems/stall-warn-norm|gear/(num-units|wow|unit(\[\d+\])?/.*)|contact/unit(\[\d+\])?/.*"
-    r"|fcs/mag-.*-pos-rad"
+    rf"|fcs/mag-.*-pos-rad|{_STEERING}"
     r"|propulsion/(tat-[rc]|pt-lbs_sqft|active_engine|set-running|starter_cmd|cutoff_cmd"
     r"|magneto_cmd|refuel|fuel_dump|fuel_freeze"
     rf"|total-.*-lbs)|{_ENGINE_SET}|{_ENGINE_MADE}|{_TANK_SET}|{_TANK_MADE}|buoyant_forces/.*"
@@ -512,13 +654,18 @@ _FIXED = re.compile(
     r"|gravitational-torque)"
     rf"|{_AIR}|atmosphere/(randomseed|turb-(north|east|down)-fps|[pqr]-turb-rad_sec)"
     r"|.*/malfunction/fail_(zero|hardover|stuck|low|high)"
-    # 0: contact ends a flight
-    r"|gear/(unit(\[\d+\])?/)?(WOW|wow|compression-ft|compression-velocity-fps)"
+    # Contact ends a flight, so that points keep their values in the air.
+    rf"|gear/(wow|num-units)|{_CONTACT}|ground/.*"
+    r"|forces/fb[xyz]-gear-lbs|moments/[lmn]-gear-lbsft"
     rf"|{_LEVERS}|position/terrain-elevation-asl-ft"
     rf"|{_ENGINE_SET}|propulsion/engine(\[\d+\])?/[xyz]-reference-position|{_TANK_SET}"
     rf"|propulsion/tank(\[\d+\])?/density-lbs_per_gal"
 )
-_WRITABLE = re.compile(rf"{_AIR}|metrics/aero-rp-[xyz]-in|{_ENGINE_SET}|{_TANK_SET}")
+_WRITABLE = re.compile(
+    rf"{_AIR}|metrics/aero-rp-[xyz]-in|{_ENGINE_SET}|{_TANK_SET}|{_CONTACT_SET}|{_STEERING}"
+    r"|inertia/pointmass-(weight-lbs|location-[XYZ]-inches)(\[\d+\])?"
+    r"|simulation/integrator/(rate|position)/(rotational|translational)"
+)
 _BY_HOST = re.compile(
     r"metrics/(bw-ft|cbarw-ft)|inertia/(mass-slugs|weight-lbs|empty-weight-lbs|cg-[xyz]-in"
     r"|i..-slugs_ft2)"
@@ -568,6 +715,13 @@ def keeps_value(name: str) -> bool:
     return _FIXED.fullmatch(name) is not None
 
 
+def is_constant(name: str) -> bool:
+    """Return whether a property keeps its value unless something writes it: a setting of JSBSim,
+    or a property of the XML or the host.
+    """
+    return keeps_value(name) or not made_by_jsbsim(name)
+
+
 def writable(name: str) -> bool:
     """Return whether the engine does what JSBSim does when XML writes the property."""
     return not made_by_jsbsim(name) or _WRITABLE.fullmatch(name) is not None
@@ -587,6 +741,16 @@ def integer_hook(name: str) -> Callable[[Frame, Value], None]:
         """Store the truncated value."""
         size = frame.builder.op("floor", frame.builder.op("abs", value))
         frame.store(name, value.lt(0.0).choose(-size, size))
+
+    return write
+
+
+def truth_hook(name: str) -> Callable[[Frame, Value], None]:
+    """Return the hook of a property that JSBSim keeps as a truth value."""
+
+    def write(frame: Frame, value: Value) -> None:
+        """Store 1 or 0."""
+        frame.store(name, value.ne(0.0).choose(1.0, 0.0))
 
     return write
 

@@ -3,8 +3,8 @@
 Meanings were determined by experiment with JSBSim 1.3.3; tests compare every operation. Where
 JSBSim ends the flight with an error (a condition that is neither 0 nor 1, a switch without such a
 case, an integer remainder by 0) the value is NaN and the flight is noted as beyond the engine,
-because ``min`` and others hide a NaN. What JSBSim silently drops (an unknown operation, or a
-``<function>`` inside a sum) is refused with file and line.
+because ``min`` and others hide a NaN. What JSBSim leaves out (an unknown operation, a
+``<function>`` inside a sum) is left out.
 """
 
 from __future__ import annotations
@@ -196,13 +196,6 @@ def table_value(scope: Scope, node: Node) -> Value:
     Raises BadInputError with file and line for unknown elements.
     """
     scope.only(node, ("name",))
-    for child in node.children:
-        if child.tag not in ("independentVar", "tableData", "description"):
-            scope.refuse(
-                child,
-                f"<{child.tag}> in a <table> is not understood; allowed are independentVar and"
-                " tableData",
-            )
     # The number of keys is the number of dimensions.
     keys = _keys(scope, node)
     data = node.all("tableData")
@@ -315,7 +308,8 @@ def _keys(scope: Scope, node: Node) -> dict[str, Value]:
     keys: dict[str, Value] = {}
     for variable in variables:
         scope.only(variable, ("lookup",))
-        axis = variable.attributes.get("lookup", "row").strip()
+        axis = variable.attributes.get("lookup", "").strip() or "row"
+        axis = _AXES[int(axis[4:]) - 1] if axis in ("axis1", "axis2", "axis3") else axis
         if axis not in _AXES or axis in keys:
             scope.refuse(variable, f"lookup='{axis}': each of {', '.join(_AXES)} is allowed once")
         keys[axis] = scope.property_value(variable)
@@ -357,7 +351,6 @@ def _check_increasing(scope: Scope, node: Node, points: tuple[float, ...], axis:
             scope.refuse(node, f"breakpoints of {axis} must increase; received {a!r} before {b!r}")
 
 
-_DESCRIPTIONS = ("description", "documentation")
 _RANDOM = {"random": ("mean", "stddev"), "urandom": ("lower", "upper")}
 """Attributes of random elements, besides seed."""
 _NEAR_ZERO = 1e-9
@@ -381,13 +374,21 @@ def function_value(scope: Scope, node: Node, attributes: Sequence[str] = ("name"
     ``attributes`` are those that the caller handles; others are refused with file and line.
     """
     scope.only(node, attributes)
-    children = [child for child in node.children if child.tag not in _DESCRIPTIONS]
+    children = _arguments_of(node)
     if len(children) != 1:
         scope.refuse(
             node,
             f"a <function> has one operation, property, value or table; received {len(children)}",
         )
     return argument(scope, children[0])
+
+
+def _arguments_of(node: Node) -> list[Node]:
+    """Return the children that JSBSim takes for arguments; it leaves out unknown operations."""
+    return [child for child in node.children if child.tag in RULES or child.tag in _LEAVES]
+
+
+_LEAVES = ("property", "p", "value", "v", "table", "t", "random", "urandom")
 
 
 def argument(scope: Scope, node: Node) -> Value:
@@ -404,26 +405,10 @@ def argument(scope: Scope, node: Node) -> Value:
         return table_value(scope, node)
     if node.tag in _RANDOM:
         return _random_value(scope, node)
-    if node.tag == "function":
-        scope.refuse(
-            node,
-            "JSBSim 1.3.3 drops a <function> inside a function without a word; write its operation"
-            " itself",
-        )
-    # All other tags are operations with arguments.
-    rule = RULES.get(node.tag)
-    if rule is None:
-        scope.refuse(
-            node,
-            f"operation <{node.tag}> is unknown; allowed are {', '.join(RULES)}, property, value"
-            " and table",
-        )
+    # All other tags are operations with arguments; JSBSim ignores text beside these.
+    rule = RULES[node.tag]
     scope.only(node, ("name",))
-    if node.text.strip():
-        scope.refuse(
-            node, f"<{node.tag}> has arguments, not text; received {node.text.strip()[:40]!r}"
-        )
-    children = [child for child in node.children if child.tag not in _DESCRIPTIONS]
+    children = _arguments_of(node)
     # Branches of ifthen are read only if needed.
     if node.tag == "ifthen" and len(children) == rule.min_arguments:
         return _if_then_lazy(scope, children)

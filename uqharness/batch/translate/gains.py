@@ -10,7 +10,7 @@ import math
 from sysid.units import SHORT_DEG_RAD
 from uqharness.batch.form.ir import Value
 from uqharness.batch.translate.component import Component, clip, inner, output_names
-from uqharness.batch.translate.frame import Scope, property_of
+from uqharness.batch.translate.frame import Scope, function_name, property_of
 from uqharness.batch.translate.functions import function_value, table_value
 from uqharness.batch.translate.script import condition
 from uqharness.xml import Node
@@ -65,7 +65,14 @@ def deadband(c: Component) -> None:
 
 def fcs_function(c: Component) -> None:
     """Trace a function, times the input if there is one."""
-    value = function_value(c.scope, c.needed("function"), ())
+    function = c.needed("function")
+    value = function_value(c.scope, function)
+    # Its own property has the value of the last run.
+    title = function.attributes.get("name", "").strip()
+    if title:
+        target = property_of(c.scope, function, function_name(title))
+        c.frame.live.pop(target, None)
+        c.frame.write(target, value)
     for factor in c.inputs(0, 1):
         value = value * factor
     c.write_outputs(c.clipped(value))
@@ -224,9 +231,10 @@ def switch(c: Component) -> None:
     and clipping.
     """
     value = c.builder.constant(0.0)
-    for node in c.node.all("default"):
-        c.scope.only(node, ("value",))
-        value = _value(c.scope, node)
+    default = c.node.find("default")
+    if default is not None:
+        c.scope.only(default, ("value",))
+        value = _value(c.scope, default)
     for node in reversed(c.node.all("test")):
         c.scope.only(node, ("value", "logic"))
         value = condition(c.scope, node).choose(_value(c.scope, node), value)

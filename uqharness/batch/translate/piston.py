@@ -1,5 +1,5 @@
-"""Translate ``<piston_engine>`` (JSBSim 1.3.3) without supercharger: manifold pressure, flows of
-air and fuel, power, temperatures.
+"""Translate ``<piston_engine>`` (JSBSim 1.3.3): manifold pressure, superchargers, flows of air and
+fuel, power, temperatures.
 
 Volumetric efficiency: Taylor, The Internal Combustion Engine, vol 1, eq 6-10; friction: Lumley,
 Engines, fig 4.4. The starter does not turn in flight.
@@ -19,53 +19,17 @@ from uqharness.batch.translate.engine_files import (
     grid,
     lookup,
     number,
-    refuse_unknown,
+    refuse_tags,
 )
 from uqharness.batch.translate.frame import Frame, Scope
 from uqharness.batch.translate.functions import Grid
 from uqharness.batch.translate.propeller import Jet, Propeller
+from uqharness.xml import Node
 
 _R_AIR, _CALORIFIC, _CP_AIR, _CP_FUEL = 287.3, 47.3e6, 1005.0, 1700.0
 _STANDARD_PA, _HP_FTLBPS = 101320.73, 550.0
 _MIN_INDICATED_HP = 0.125
 _MANIFOLD_GAMMA = 1.3
-_TAGS = (
-    "minmp",
-    "maxmp",
-    "displacement",
-    "maxhp",
-    "cycles",
-    "idlerpm",
-    "maxrpm",
-    "maxthrottle",
-    "minthrottle",
-    "sparkfaildrop",
-    "bore",
-    "stroke",
-    "compression-ratio",
-    "cylinders",
-    "bsfc",
-    "volumetric-efficiency",
-    "starter-torque",
-    "starter-rpm",
-    "function",
-    "ram-air-factor",
-    "man-press-lag",
-    "static-friction",
-    "cylinder-head-mass",
-    "air-intake-impedance-factor",
-    "cooling-factor",
-    "dynamic-fmep",
-    "static-fmep",
-    "peak-piston-speed",
-    "oil-pressure-relief-valve-psi",
-    "design-oil-temp-degK",
-    "oil-pressure-rpm-max",
-    "oil-viscosity-index",
-    "table",
-    "injected",
-)
-"""Allowed elements; JSBSim ignores injected and bore."""
 _COMBUSTION = Grid(
     (0.0, 0.9, 1.0, 1.05, 1.1, 1.15, 1.2, 1.3, 1.4, 1.5, 1.6, 2.0),
     (),
@@ -136,6 +100,45 @@ class PistonData:
 
 
 @dataclass(frozen=True)
+class Boost:
+    """A supercharger; tuples have an entry per speed.
+
+    Attributes
+    ----------
+    factor : tuple of float
+        Pressure ratio at the rated speed.
+    rated_rpm, rated_pa, takeoff_pa : tuple of float
+        Rated engine speed, and manifold pressures to which rated and takeoff settings limit.
+    switch_pa : tuple of float
+        Ambient pressure around which the next speed is engaged.
+    has_takeoff, limits, manual : bool
+        Whether there is a takeoff setting, whether pressure is limited, and whether
+        ``boost-speed`` selects the speed.
+    loss : float
+        Factor of the power that the supercharger takes.
+    """
+
+    factor: tuple[float, ...]
+    rated_rpm: tuple[float, ...]
+    rated_pa: tuple[float, ...]
+    takeoff_pa: tuple[float, ...]
+    switch_pa: tuple[float, ...]
+    has_takeoff: bool
+    limits: bool
+    manual: bool
+    loss: float
+
+    def gain(self, rpm: Value | float, speed: int) -> Value | float:
+        """Return manifold pressure over the pressure before the supercharger."""
+        return (self.factor[speed] - 1.0) / self.rated_rpm[speed] * rpm + 1.0
+
+
+_SWITCH_HYSTERESIS_PA = 1000.0
+_LOSS_GAMMA = 1.414
+_TAKEOFF_THROTTLE = 0.98
+
+
+@dataclass(frozen=True)
 class Piston:
     """A piston engine; ``magnetos`` 0 to 3: off, left, right, both."""
 
@@ -145,6 +148,7 @@ class Piston:
     combustion: Grid
     mixture: Grid
     magnetos: float
+    boost: Boost | None = None
 
     @property
     def key(self) -> str:
@@ -163,10 +167,16 @@ class Piston:
         piston_fps = rpm * n.stroke_in / 360.0
         # Manifold pressure and air flow.
         running = self._ignition(frame, rpm)
-        manifold = self._manifold(frame, ram, piston_fps)
+        intake = self._intake(frame, ram, piston_fps)
+        manifold, loss = self._boosted(frame, intake, outside, rpm)
+        frame.store(f"{name}map-pa", manifold)
+        frame.store(f"{name}map-inhg", manifold / MANIFOLD_PA_INHG)
         efficiency = frame.get(f"{name}volumetric-efficiency")
-        pumping = (manifold - outside) * efficiency
-        air = self._air(manifold, outside, ambient_k, rpm) * efficiency
+        pumping = (intake - outside) * efficiency
+        air_volume = self._air_volume(manifold, outside, rpm) * efficiency
+        if self.boost is not None:
+            frame.remember(f"{self.key}/air-volume", air_volume)
+        air = air_volume * (manifold / (_R_AIR * ambient_k))
         starved = frame.memory(f"{self.key}/starved").ne(0.0)
         # Fuel by the mixture lever; 14.7 is the stoichiometric ratio.
         mixture = 1.3 * frame.get(f"fcs/mixture-pos-norm{self.index}")
@@ -182,7 +192,7 @@ class Piston:
         indicated = running.choose(burning, -static)
         friction = running.choose(-n.fmep_dynamic * piston_fps * FT_M - n.fmep_static, 0.0)
         volume = n.displacement_in3 * _IN3_M3
-        hp = indicated + (pumping + friction) * volume * rpm / (n.cycles * 22371.0)
+        hp = indicated + (pumping + friction) * volume * rpm / (n.cycles * 22371.0) - loss
         running = b.op("and", running, b.op("not", indicated.lt(_MIN_INDICATED_HP)))
         frame.store(f"{name}set-running", running.choose(1.0, 0.0))
         frame.store(f"{name}power-hp", hp)
@@ -207,9 +217,9 @@ class Piston:
         ran = frame.get(f"{self.name}set-running").ne(0.0)
         return b.op("or", b.op("and", ran, stays), b.op("and", b.op("not", ran), starts))
 
-    def _manifold(self, frame: Frame, ram: Value, piston_fps: Value) -> Value:
-        """Return the manifold pressure [Pa]: ram pressure across the impedances of intake, throttle
-        and engine, with a lag.
+    def _intake(self, frame: Frame, ram: Value, piston_fps: Value) -> Value:
+        """Return the pressure behind the throttle [Pa]: ram pressure across the impedances of
+        intake, throttle and engine, with a lag.
         """
         n = self.numbers
         closed = 1.0 - frame.get(f"fcs/throttle-pos-norm{self.index}")
@@ -217,26 +227,127 @@ class Piston:
         engine = piston_fps.gt(0.0).choose(n.peak_piston_fps / piston_fps, 999999.0)
         # Pressures divide as impedances in series.
         share = engine / (engine + frame.get(f"{self.name}air-intake-impedance-factor") + throttle)
-        before, step = frame.get(f"{self.name}map-pa"), frame.step
+        slot, first = f"{self.key}/intake", self._first_intake(frame)
+        before = (
+            frame.get(f"{self.name}map-pa") if self.boost is None else frame.memory(slot, first)
+        )
+        step = frame.step
         difference = before - ram * share
         difference = (
             frame.builder.constant(n.lag_s)
             .gt(step)
             .choose(difference * (step / n.lag_s if n.lag_s else step), difference)
         )
-        manifold = before - difference
-        frame.store(f"{self.name}map-pa", manifold)
-        frame.store(f"{self.name}map-inhg", manifold / MANIFOLD_PA_INHG)
-        return manifold
+        intake = before - difference
+        if self.boost is not None:
+            frame.remember(slot, intake, first)
+        return intake
 
-    def _air(self, manifold: Value, outside: Value, ambient_k: Value, rpm: Value) -> Value:
-        """Return the air flow [kg/s] at a volumetric efficiency of 1."""
+    def _first_intake(self, frame: Frame) -> float:
+        """Return the pressure behind the throttle before the first frame [Pa]; JSBSim reports the
+        manifold's, which equals it unless a script started the engine.
+        """
+        n, boost = self.numbers, self.boost
+
+        def value(name: str) -> float:
+            """Return a property before the first frame."""
+            return frame.values.get(name) or 0.0
+
+        manifold, rpm = value(f"{self.name}map-pa"), value(f"{self.name}engine-rpm")
+        if boost is None or not rpm:
+            return manifold
+        gain = boost.gain(rpm, 0)
+        assert isinstance(gain, float)
+        if not boost.limits or manifold < boost.takeoff_pa[0] * (1.0 - 1e-9):
+            return manifold / gain
+        # Limited: the steady state at full throttle in the air before the first frame.
+        engine = n.peak_piston_fps / (rpm * n.stroke_in / 360.0)
+        outside, total = value("atmosphere/P-psf"), value("propulsion/pt-lbs_sqft")
+        ram = outside + (total - outside) * value(f"{self.name}ram-air-factor")
+        airbox = value(f"{self.name}air-intake-impedance-factor")
+        return ram * MANIFOLD_PA_PSF * engine / (engine + airbox)
+
+    def _boosted(
+        self, frame: Frame, intake: Value, outside: Value, rpm: Value
+    ) -> tuple[Value, Value]:
+        """Return the manifold pressure [Pa] and the power of the supercharger [hp]."""
+        b, boost, name = frame.builder, self.boost, self.name
+        if boost is None:
+            return intake, b.constant(0.0)
+        speed = self._speed(frame, boost, outside)
+
+        def of_speed(values: tuple[float, ...]) -> Value:
+            """Return the entry of the speed in use."""
+            result = b.constant(values[0])
+            for k, entry in enumerate(values[1:], start=1):
+                result = speed.ge(float(k)).choose(entry, result)
+            return result
+
+        rate = of_speed(
+            tuple((f - 1.0) / r for f, r in zip(boost.factor, boost.rated_rpm, strict=True))
+        )
+        manifold = intake * (rate * rpm + 1.0)
+        if boost.limits:
+            limit = of_speed(boost.rated_pa)
+            if boost.has_takeoff:
+                at_gate = frame.get(f"fcs/throttle-pos-norm{self.index}").gt(_TAKEOFF_THROTTLE)
+                limit = at_gate.choose(of_speed(boost.takeoff_pa), limit)
+            manifold = manifold.gt(limit).choose(limit, manifold)
+        if not boost.loss > 0.0:
+            return manifold, b.constant(0.0)
+        # Adiabatic compression of the air of the frame before
+        gamma = _LOSS_GAMMA
+        volume = frame.memory(f"{self.key}/air-volume", self._first_air_volume(frame))
+        ratio = b.op("pow", manifold / intake, b.constant((gamma - 1.0) / gamma)) - 1.0
+        loss = intake * volume * gamma / (gamma - 1.0) * ratio * boost.loss / 745.7
+        frame.store(f"{name}boostloss-hp", loss)
+        return manifold, loss
+
+    def _speed(self, frame: Frame, boost: Boost, outside: Value) -> Value:
+        """Return the number of the speed in use: by hand, or by ambient pressure with
+        hysteresis.
+        """
+        b, last = frame.builder, float(len(boost.factor) - 1)
+        speed = frame.get(f"{self.name}boost-speed")
+        if boost.manual:
+            speed = speed.gt(last).choose(last, speed)
+            speed = speed.lt(0.0).choose(0.0, speed)
+        elif last:
+            for k, pressure in reversed(list(enumerate(boost.switch_pa))):
+                up = b.op("and", speed.eq(float(k)), outside.lt(pressure - _SWITCH_HYSTERESIS_PA))
+                speed = up.choose(k + 1.0, speed)
+            for k, pressure in enumerate(boost.switch_pa):
+                down = b.op(
+                    "and",
+                    speed.eq(k + 1.0),
+                    outside.gt(pressure + _SWITCH_HYSTERESIS_PA),
+                )
+                speed = down.choose(float(k), speed)
+        frame.store(f"{self.name}boost-speed", speed)
+        return speed
+
+    def _first_air_volume(self, frame: Frame) -> float:
+        """Return the volume of air per second before the first frame [m3/s]."""
+
+        def value(name: str) -> float:
+            """Return a property before the first frame."""
+            return frame.values.get(name) or 0.0
+
+        manifold = value(f"{self.name}map-pa")
+        outside = value("atmosphere/P-psf") * MANIFOLD_PA_PSF
+        c, g = self.numbers.compression, _MANIFOLD_GAMMA
+        ratio = c if manifold < 1.0 else min(outside / manifold, c)
+        share = (g - 1.0) / g + (c - ratio) / (g * (c - 1.0))
+        swept = self.numbers.displacement_in3 * _IN3_M3 * (value(f"{self.name}engine-rpm") / 60.0)
+        return swept / 2.0 * share * value(f"{self.name}volumetric-efficiency")
+
+    def _air_volume(self, manifold: Value, outside: Value, rpm: Value) -> Value:
+        """Return the volume of air per second [m3/s] at a volumetric efficiency of 1."""
         c, g = self.numbers.compression, _MANIFOLD_GAMMA
         ratio = manifold.lt(1.0).choose(c, outside / manifold)
         ratio = ratio.gt(c).choose(c, ratio)
         loss = (g - 1.0) / g + (c - ratio) / (g * (c - 1.0))
-        swept = self.numbers.displacement_in3 * _IN3_M3 * (rpm / 60.0) / 2.0
-        return swept * loss * (manifold / (_R_AIR * ambient_k))
+        return self.numbers.displacement_in3 * _IN3_M3 * (rpm / 60.0) / 2.0 * loss
 
     def _temperatures(
         self, frame: Frame, burning: tuple[Value, ...], state: tuple[Value, ...]
@@ -307,22 +418,14 @@ def _fahrenheit(kelvin: Value) -> Value:
 def read_piston(scope: Scope, part: Part, name: str, index: str, magnetos: float) -> Piston:
     """Read a ``<piston_engine>``; raises BadInputError with file and line."""
     node = part[1]
-    boost = node.find("numboostspeeds")
-    if boost is not None and scope.number(boost) != 0.0:
-        scope.refuse(
-            boost, "a supercharged engine (numboostspeeds) is not understood by the batch engine"
-        )
-    refuse_unknown(scope, node, _TAGS)
+    refuse_tags(scope, node)
     tables = {"COMBUSTION": _COMBUSTION, "MIXTURE": _MIXTURE}
     # The file may replace both tables.
     for table in node.all("table"):
         title = table.attributes.get("name", "")
+        # JSBSim ignores other tables.
         if title not in tables:
-            scope.refuse(
-                table,
-                f"a table '{title}' of a piston engine is not understood; COMBUSTION and"
-                " MIXTURE are",
-            )
+            continue
         tables[title] = grid(scope, table)
         if tables[title].columns:
             scope.refuse(table, f"table {title} has one dimension")
@@ -367,4 +470,70 @@ def read_piston(scope: Scope, part: Part, name: str, index: str, magnetos: float
         throttle,
         oil,
     )
-    return Piston(name, index, numbers, tables["COMBUSTION"], tables["MIXTURE"], magnetos)
+    return Piston(
+        name,
+        index,
+        numbers,
+        tables["COMBUSTION"],
+        tables["MIXTURE"],
+        magnetos,
+        _read_boost(scope, node),
+    )
+
+
+_MAX_SPEEDS = 3
+_PSI_PA = 6895.0
+
+
+def _read_boost(scope: Scope, node: Node) -> Boost | None:
+    """Read the supercharger; None without a usable speed."""
+
+    def get(tag: str, default: float, unit: str = "") -> float:
+        """Return a number of the file, or JSBSim's default."""
+        return number(scope, node, tag, default, unit)
+
+    count = int(get("numboostspeeds", 0.0))
+    if count > _MAX_SPEEDS:
+        scope.refuse(node, f"numboostspeeds is at most {_MAX_SPEEDS}; received {count}")
+    rated = [get(f"ratedboost{k}", 0.0, "PSI") for k in (1, 2, 3)]
+    power = [get(f"ratedpower{k}", 0.0, "HP") for k in (1, 2, 3)]
+    heights = [get(f"ratedaltitude{k}", 0.0, "FT") for k in (1, 2, 3)]
+    usable = 0
+    # JSBSim drops the last speed where it meets one without rating.
+    while usable < count:
+        k = usable
+        if rated[k] <= 0.0 or power[k] <= 0.0 or heights[k] < (heights[k - 1] if k else 0.0):
+            count -= 1
+            break
+        usable += 1
+    if usable < count:
+        scope.refuse(node, f"ratings of the {usable + 1}. boost speed are missing")
+    if count < 1:
+        return None
+    rated_pa = [_STANDARD_PA + boost * _PSI_PA for boost in rated[:count]]
+    takeoff = get("takeoffboost", 0.0, "PSI")
+    extra = max(takeoff - rated[0], 0.0) * _PSI_PA
+    return Boost(
+        tuple(
+            pa / (_standard_psf(height) * MANIFOLD_PA_PSF)
+            for pa, height in zip(rated_pa, heights, strict=False)
+        ),
+        tuple(get(f"ratedrpm{k + 1}", 2500.0) for k in range(count)),
+        tuple(rated_pa),
+        tuple(pa + extra for pa in rated_pa),
+        tuple(
+            _standard_psf(height + 1000.0 if height > 0.0 else height) * MANIFOLD_PA_PSF
+            for height in heights[: count - 1]
+        ),
+        takeoff > rated[0],
+        int(get("boostoverride", 0.0)) != 1,
+        int(get("boostmanual", 0.0)) == 1,
+        get("boost-loss-factor", 0.0),
+    )
+
+
+def _standard_psf(height_ft: float) -> float:
+    """Return the pressure of JSBSim's polynomial [psf]."""
+    height = min(height_ft, 100000.0)
+    coefficients = (2116.217, -7.648932746e-2, 1.0925498604e-6, -7.1135726027e-12, 1.7470331356e-17)
+    return math.fsum(c * height**k for k, c in enumerate(coefficients))

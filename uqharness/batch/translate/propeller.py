@@ -22,7 +22,7 @@ from uqharness.batch.translate.engine_files import (
     lookup,
     number,
     property_base,
-    refuse_unknown,
+    refuse_tags,
     required_number,
     triplet,
 )
@@ -32,8 +32,6 @@ from uqharness.batch.translate.functions import Grid
 # Mounting. A thruster's axes are rotated from body axes by roll, pitch and yaw of its
 # ``<orient>``; pitch and yaw are properties, which thrust vectoring sets. ``<pointing>`` is the
 # direction of thrust itself.
-
-_TAGS = ("location", "orient", "pointing", "sense", "p_factor", "propeller", "direct", "nozzle")
 
 
 @dataclass(frozen=True)
@@ -98,14 +96,12 @@ def _cosine_sine(angle: Value) -> tuple[Value, Value]:
 def read_mount(scope: Scope, node: Part, index: int) -> Mount:
     """Read a ``<thruster>``; raises BadInputError with file and line."""
     thruster = node[1]
-    refuse_unknown(scope, thruster, _TAGS, ("file", "name"))
+    refuse_tags(scope, thruster, None, ("file", "name"))
     pointing, orient = thruster.find("pointing"), thruster.find("orient")
     roll: float | None = None
     if pointing is None:
-        roll = 0.0 if orient is None else triplet(scope, orient, ("roll", "pitch", "yaw"), "RAD")[0]
-    direction = (
-        (1.0, 0.0, 0.0) if pointing is None else triplet(scope, pointing, ("x", "y", "z"), "")
-    )
+        roll = 0.0 if orient is None else triplet(scope, orient, "RAD")[0]
+    direction = (1.0, 0.0, 0.0) if pointing is None else triplet(scope, pointing, "RAD")
     sense = 1.0 if number(scope, thruster, "sense", 1.0) >= 0.0 else -1.0
     return Mount(
         property_base(index), roll, direction, sense, number(scope, thruster, "p_factor", 0.0)
@@ -132,40 +128,23 @@ class Jet:
             net = thrust - frame.get("atmosphere/P-psf") * self.area_ft2
             axial_thrust = b.op("max", net, 0.0)
         frame.store(f"{name}thrust-lbs", axial_thrust)
-        zero = b.constant(0.0)
-        return self.mount.act(frame, self.mount.to_body(frame), axial_thrust, (zero, zero, zero))
+        return self.act(frame)
+
+    def act(self, frame: Frame) -> tuple[Vector, Vector]:
+        """Return force and moment of the reported thrust."""
+        name, zero = self.mount.name, frame.builder.constant(0.0)
+        thrust = frame.get(f"{name}thrust-lbs")
+        return self.mount.act(frame, self.mount.to_body(frame), thrust, (zero, zero, zero))
 
 
 def read_jet(scope: Scope, node: Part, mount: Mount) -> Jet:
     """Read a ``<direct>`` or ``<nozzle>``."""
     if node[1].tag == "direct":
-        refuse_unknown(scope, node[1], ())
         return Jet(mount, None)
-    refuse_unknown(scope, node[1], ("area",))
     return Jet(mount, required_number(scope, node[1], "area", "FT2"))
 
 
 _TABLES = ("C_THRUST", "C_POWER", "CT_MACH", "CP_MACH", "CT_RPM_FACTOR", "CP_RPM_FACTOR")
-_PROPELLER_TAGS = (
-    "ixx",
-    "diameter",
-    "numblades",
-    "gearratio",
-    "minpitch",
-    "maxpitch",
-    "minrpm",
-    "maxrpm",
-    "constspeed",
-    "ct_factor",
-    "cp_factor",
-    "table",
-    "p_factor",
-    "sense",
-    "reversepitch",
-)
-"""Allowed elements. JSBSim reads p_factor and sense from <thruster> and ignores them here, and
-reversepitch without a turboprop.
-"""
 _MIN_RPS = 0.01
 _PITCH_FROM_RPM = 200.0
 _MIN_P_FACTOR = 1e-4
@@ -174,7 +153,10 @@ _MIN_CROSSFLOW_FPS = 1e-4
 
 @dataclass(frozen=True)
 class Propeller:
-    """A propeller on its mount: lengths in ft, ixx in slug ft2, pitch in degrees."""
+    """A propeller on its mount: lengths in ft, ixx in slug ft2, pitch in degrees.
+
+    ``reverses``: a turboprop turns it, whose lever may reverse it.
+    """
 
     mount: Mount
     ixx: float
@@ -185,6 +167,8 @@ class Propeller:
     factors: tuple[float, float]
     tables: Mapping[str, Grid]
     gyroscopic_sense: float
+    reverse_pitch: float
+    reverses: bool = False
 
     @property
     def variable(self) -> bool:
@@ -278,6 +262,8 @@ class Propeller:
         # The governor moves the blades by the error in speed.
         turned = rpm.gt(_PITCH_FROM_RPM).choose(before - (target_rpm - rpm) * frame.step, before)
         governed = turned.lt(low).choose(low, turned.gt(high).choose(high, turned))
+        if self.reverses:
+            governed = self._reversed(frame, before, rpm, governed)
         # Feathering moves 1/300 of the remaining angle in each frame.
         feathering = before + (high - before) / 300.0
         feathered = frame.get(f"fcs/feather-pos-norm{index}").ne(0.0)
@@ -285,6 +271,18 @@ class Propeller:
         pitch = governs.choose(feathered.choose(feathering, governed), before)
         frame.store(f"{name}blade-angle", pitch)
         return b.value(pitch)
+
+    def _reversed(self, frame: Frame, before: Value, rpm: Value, governed: Value) -> Value:
+        """Return the governor's blade angle or, in reverse, the one that the lever demands."""
+        key = f"engine{self.mount.name.removeprefix('propulsion/engine').removesuffix('/')}"
+        (low, high), least = self.pitch, self.reverse_pitch
+        demanded = low - (low - least) * frame.memory(f"{key}/reverse")
+        angle = rpm.gt(_PITCH_FROM_RPM).choose(before + (demanded - before) / 200.0, before)
+        # Overspeed turns the blades further.
+        slowed = angle + (self.rpm[1] - rpm) / 50.0
+        slowed = slowed.lt(least).choose(least, slowed.gt(high).choose(high, slowed))
+        angle = rpm.gt(self.rpm[1]).choose(slowed, angle)
+        return frame.memory(f"{key}/reverses").ne(0.0).choose(angle, governed)
 
     def _power(self, ratio: Value, pitch: Value, mach: Value, rpm: Value, density: Value) -> Value:
         """Return the power that the propeller absorbs [ft lbf/s]."""
@@ -328,26 +326,20 @@ class Propeller:
 def read_propeller(scope: Scope, part: Part, mount: Mount) -> Propeller:
     """Read a ``<propeller>``; raises BadInputError with file and line."""
     node = part[1]
-    refuse_unknown(scope, node, _PROPELLER_TAGS, ("name", "version"))
+    refuse_tags(scope, node, None, ("name", "version"))
     tables: dict[str, Grid] = {}
     for table in node.all("table"):
         name = table.attributes.get("name", "")
-        if name not in _TABLES:
-            scope.refuse(
-                table,
-                f"a table '{name}' of a propeller is not understood; {', '.join(_TABLES)} are",
-            )
-        tables[name] = grid(scope, table)
-    # A variable pitch needs tables over the blade angle.
+        # JSBSim ignores other tables.
+        if name in _TABLES:
+            tables[name] = grid(scope, table)
     pitch = (number(scope, node, "minpitch", 0.0), number(scope, node, "maxpitch", 0.0))
     for name in ("C_THRUST", "C_POWER"):
         if name not in tables:
             scope.refuse(node, f"a propeller has a table {name}")
-        if bool(tables[name].columns) != (pitch[0] != pitch[1]):
-            scope.refuse(
-                node,
-                f"table {name} has one dimension where minpitch is maxpitch, two where it is not",
-            )
+        # A table without blade angles serves a variable pitch, too.
+        if tables[name].columns and pitch[0] == pitch[1]:
+            scope.refuse(node, f"table {name} has one dimension where minpitch is maxpitch")
     if any(tables[name].columns for name in tables if name not in ("C_THRUST", "C_POWER")):
         scope.refuse(node, "a table of factors has one dimension")
     if mount.p_factor < 0.0:
@@ -363,4 +355,5 @@ def read_propeller(scope: Scope, part: Part, mount: Mount) -> Propeller:
         (number(scope, node, "ct_factor", 1.0), number(scope, node, "cp_factor", 1.0)),
         tables,
         -1.0 if version and scope.number(node, version) > 1.0 else 1.0,
+        number(scope, node, "reversepitch", 0.0),
     )

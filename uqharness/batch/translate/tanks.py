@@ -8,32 +8,48 @@ the tank is filled, with the inertia of a solid sphere of the tank's radius.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import math
+import re
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from sysid.units import SLUG_LB
-from uqharness.batch.form.ir import Value
+from uqharness.batch.form.ir import Builder, Value
 from uqharness.batch.models.vectors import Vector
-from uqharness.batch.translate.engine_files import Part, number, refuse_unknown, triplet
-from uqharness.batch.translate.frame import Frame, Scope
+from uqharness.batch.translate.engine_files import Part, number, refuse_tags, triplet
+from uqharness.batch.translate.frame import Frame, Scope, canonical
+from uqharness.xml import Node
 
 _MIN_CAPACITY = 1e-5
-_TAGS = (
-    "location",
-    "drain_location",
-    "radius",
-    "inertia_factor",
-    "capacity",
-    "contents",
-    "unusable-volume",
-    "temperature",
-    "standpipe",
-    "priority",
-    "density",
-    "type",
-)
+
+
+@dataclass(frozen=True)
+class Grain:
+    """Solid propellant that burns from its bore outwards or, without a bore, from its end: outer
+    radius and length [in], density [slug/in3].
+    """
+
+    radius: float
+    length: float
+    has_bore: bool
+    density: float
+
+    def inertia(self, b: Builder, mass: Value) -> tuple[Value, Value, Value]:
+        """Return the inertia about the centre [slug ft2]."""
+        volume, square = mass / self.density, self.radius * self.radius
+        if self.has_bore:
+            bore = b.op("sqrt", square - volume / (math.pi * self.length))
+            radii = (square + bore * bore) / 144.0
+            length = b.constant(self.length)
+            ixx = 0.5 * mass * radii
+            iyy = mass * (3.0 * radii + length * length / 144.0) / 12.0
+        else:
+            length = volume / (math.pi * square)
+            ixx = 0.5 * mass * square / 144.0
+            iyy = mass * (3.0 * square + length * length) / (144.0 * 12.0)
+        return ixx, iyy, iyy
 
 
 @dataclass(frozen=True)
@@ -50,12 +66,25 @@ class Tank:
         Capacity.
     inertia_ft2 : float
         Inertia of the contents about their centre, per slug.
+    is_fuel : bool
+        Whether it holds fuel and not oxidizer.
+    grain : Grain or None
+        Solid propellant.
     """
 
     name: str
     drain_in: tuple[float, float, float] | None
     capacity_lbs: float
     inertia_ft2: float
+    is_fuel: bool = True
+    grain: Grain | None = None
+
+    def central_inertia(self, b: Builder, mass: Value) -> tuple[Value, Value, Value]:
+        """Return the inertia of ``mass`` of the contents about their centre [slug ft2]."""
+        if self.grain is None:
+            inertia = mass * self.inertia_ft2
+            return inertia, inertia, inertia
+        return self.grain.inertia(b, mass)
 
     def contents(self, frame: Frame) -> Value:
         """Return the contents [lbs]."""
@@ -102,26 +131,106 @@ class Tank:
         frame.store(f"{self.name}contents-lbs", contents)
 
 
+_POINT_MASS = re.compile(r"inertia/pointmass-(?:weight-lbs|location-[XYZ]-inches)(?:\[(\d+)\])?")
+
+
+@dataclass(frozen=True)
+class PointMass:
+    """A ``<pointmass>`` whose weight or place the XML changes in flight.
+
+    Attributes
+    ----------
+    index : str
+        Index of its properties.
+    inertia_ft2 : (float, float, float)
+        Inertia of its shape about its centre, per slug.
+    """
+
+    index: str
+    inertia_ft2: tuple[float, float, float]
+
+    @property
+    def weight(self) -> str:
+        """Property of its weight [lbs]."""
+        return f"inertia/pointmass-weight-lbs{self.index}"
+
+    @property
+    def place(self) -> tuple[str, str, str]:
+        """Properties of its place in the structural frame [in]."""
+        x, y, z = (f"inertia/pointmass-location-{axis}-inches{self.index}" for axis in "XYZ")
+        return x, y, z
+
+
+def read_point_masses(
+    scope: Scope, mass: Node | None, texts: Collection[str]
+) -> tuple[PointMass, ...]:
+    """Read the point masses that one of ``texts``, which name what the XML writes, changes."""
+    changed = {
+        int(match.group(1) or 0)
+        for text in texts
+        if (match := _POINT_MASS.fullmatch(canonical(text)))
+    }
+    nodes = [] if mass is None else mass.all("pointmass")
+    return tuple(
+        PointMass(f"[{k}]" if k else "", _shape_inertia(scope, nodes[k].find("form")))
+        for k in sorted(changed)
+        if k < len(nodes)
+    )
+
+
+def _shape_inertia(scope: Scope, form: Node | None) -> tuple[float, float, float]:
+    """Return the inertia of a ``<form>`` per slug [ft2]; 0 for a matrix, which stays constant."""
+    if form is None:
+        return 0.0, 0.0, 0.0
+    r, length = (number(scope, form, tag, 0.0, "FT") for tag in ("radius", "length"))
+    shape = form.attributes.get("shape", "")
+    if shape in ("tube", "cylinder"):
+        along, across = (1.0, 6.0) if shape == "tube" else (0.5, 3.0)
+        side = (across * r * r + length * length) / 12.0
+        return along * r * r, side, side
+    round_inertia = {"sphere": 2.0 / 3.0, "ball": 2.0 / 5.0}.get(shape, 0.0) * r * r
+    return round_inertia, round_inertia, round_inertia
+
+
 def read_tank(scope: Scope, part: Part, index: int) -> Tank:
     """Read a ``<tank>``; raises BadInputError with file and line."""
     node = part[1]
-    refuse_unknown(scope, node, _TAGS, ("type", "name", "number"))
-    if node.attributes.get("type", "") != "FUEL":
-        scope.refuse(
-            node,
-            f"a tank of type '{node.attributes.get('type', '')}' is not understood by the batch"
-            " engine; FUEL is",
-        )
+    refuse_tags(scope, node, None, ("type", "name"))
+    kind = node.attributes.get("type", "")
+    if kind not in ("FUEL", "OXIDIZER"):
+        scope.refuse(node, f"a tank of type '{kind}': allowed are FUEL and OXIDIZER")
     drain = node.find("drain_location")
     radius = number(scope, node, "radius", 0.0, "IN")
     capacity = number(scope, node, "capacity", _MIN_CAPACITY, "LBS")
     name = f"propulsion/tank[{index}]/" if index else "propulsion/tank/"
     return Tank(
         name,
-        None if drain is None else triplet(scope, drain, ("x", "y", "z"), "IN"),
+        None if drain is None else triplet(scope, drain, "IN"),
         capacity or _MIN_CAPACITY,
         number(scope, node, "inertia_factor", 1.0) * 0.4 * radius * radius / 144.0,
+        kind == "FUEL",
+        _read_grain(scope, node, radius, capacity),
     )
+
+
+def _read_grain(scope: Scope, node: Node, radius: float, capacity: float) -> Grain | None:
+    """Read the shape of solid propellant; None for a liquid."""
+    grain = node.find("grain_config")
+    if grain is None:
+        return None
+    kind = grain.attributes.get("type", "")
+    if kind not in ("CYLINDRICAL", "ENDBURNING"):
+        scope.refuse(
+            grain,
+            f"type='{kind}' of <grain_config> is not understood by the batch engine; CYLINDRICAL"
+            " and ENDBURNING are",
+        )
+    length = number(scope, grain, "length", 0.0, "IN")
+    bore = number(scope, grain, "bore_diameter", 0.0, "IN") / 2.0 if kind == "CYLINDRICAL" else 0.0
+    volume = math.pi * length * (radius * radius - bore * bore)
+    if not volume > 0.0:
+        scope.refuse(grain, "<grain_config> has a length, and a bore smaller than the radius")
+    return Grain(radius, length, kind == "CYLINDRICAL", capacity * (1.0 / SLUG_LB) / volume)
 
 
 def set_contents(tank: Tank) -> Callable[[Frame, Value], None]:
@@ -163,6 +272,7 @@ def feeding(
 def trace_tanks(frame: Frame, tanks: Sequence[Tank]) -> None:
     """Add flows from outside and the total fuel, after all engines."""
     total: Value = frame.builder.constant(0.0)
+    oxidizer = total
     for tank in tanks:
         # External flows fill or drain a tank.
         flow = frame.get(f"{tank.name}external-flow-rate-pps")
@@ -172,10 +282,14 @@ def trace_tanks(frame: Frame, tanks: Sequence[Tank]) -> None:
             tank.drain(frame, -amount, out)
             more = tank.contents(frame) + out.choose(0.0, amount)
             tank.store_contents(frame, more.gt(tank.capacity_lbs).choose(tank.capacity_lbs, more))
-        total = total + tank.contents(frame)
+        if tank.is_fuel:
+            total = total + tank.contents(frame)
+        else:
+            oxidizer = oxidizer + tank.contents(frame)
         frame.store(f"{tank.name}pct-full", 100.0 * tank.contents(frame) / tank.capacity_lbs)
     if tanks:
         frame.store("propulsion/total-fuel-lbs", total)
+        frame.store("propulsion/total-oxidizer-lbs", oxidizer)
 
 
 # Mass, centre of gravity and inertia with tanks. All but the fuel is one rigid body, computed
@@ -197,7 +311,9 @@ DRY = ("#dry/weight", *(f"#dry/{axis}" for axis in _AXES), *(f"#dry/{name}" for 
 """Slots of the aircraft without fuel: weight [lbs], centre [in], inertia about it [slug ft2]."""
 
 
-def dry_aircraft(tanks: Sequence[Tank], value: Callable[[str], float]) -> dict[str, float]:
+def dry_aircraft(
+    tanks: Sequence[Tank], masses: Sequence[PointMass], value: Callable[[str], float]
+) -> dict[str, float]:
     """Compute DRY from the properties of an initialised aircraft."""
     weight, centre = (
         value("inertia/weight-lbs"),
@@ -213,13 +329,28 @@ def dry_aircraft(tanks: Sequence[Tank], value: Callable[[str], float]) -> dict[s
             empty = np.array(tank.drain_in)
             place = empty + contents / tank.capacity_lbs * (place - empty)
         dry, moment = dry - contents, moment - contents * place
+        b = Builder()
+        central = tank.central_inertia(b, b.constant(contents / SLUG_LB))
         inertia -= np.array(_steiner(contents / SLUG_LB, tuple(centre - place))) + np.array(
-            [contents / SLUG_LB * tank.inertia_ft2] * 3 + [0.0] * 3
+            [*(_fold(value) for value in central), 0.0, 0.0, 0.0]
+        )
+    for item in masses:
+        weight, place = value(item.weight), np.array([value(name) for name in item.place])
+        dry, moment = dry - weight, moment - weight * place
+        inertia -= np.array(_steiner(weight / SLUG_LB, tuple(centre - place))) + np.array(
+            [weight / SLUG_LB * entry for entry in (*item.inertia_ft2, 0.0, 0.0, 0.0)]
         )
     # Centre without fuel, and inertia about it.
     at = moment / dry
     inertia -= np.array(_steiner(dry / SLUG_LB, tuple(centre - at)))
     return dict(zip(DRY, (dry, *at, *inertia), strict=True))
+
+
+def _fold(value: Value) -> float:
+    """Return a value of constants."""
+    number = value.constant
+    assert number is not None
+    return float(number)
 
 
 def _steiner(mass: Value | float, offset_in: Vector) -> list[Value | float]:
@@ -237,7 +368,9 @@ def _steiner(mass: Value | float, offset_in: Vector) -> list[Value | float]:
     return [yy + zz, xx + zz, xx + yy, mass * x * y, -1.0 * (mass * x * z), mass * y * z]
 
 
-def trace_mass(frame: Frame, tanks: Sequence[Tank], first: bool) -> None:
+def trace_mass(
+    frame: Frame, tanks: Sequence[Tank], masses: Sequence[PointMass], first: bool
+) -> None:
     """Write MASS; ``first``: in the first frame of all."""
     b = frame.builder
     # Inertia of tanks is taken about the CG of the frame before.
@@ -260,14 +393,30 @@ def trace_mass(frame: Frame, tanks: Sequence[Tank], first: bool) -> None:
         total = total + contents
         moment = [m + contents * p for m, p in zip(moment, place, strict=True)]
         mass = contents * (1.0 / SLUG_LB)
-        central_inertia = mass * tank.inertia_ft2
+        central = tank.central_inertia(b, mass)
         offset_in: Vector = (before[0] - place[0], before[1] - place[1], before[2] - place[2])
         added = _steiner(mass, offset_in)
         inertia = [
-            i + a + central_inertia if k < 3 else i + a
+            i + a + central[k] if k < 3 else i + a
             for k, (i, a) in enumerate(zip(inertia, added, strict=True))
         ]
+    for item in masses:
+        load, place = frame.get(item.weight), [frame.get(name) for name in item.place]
+        total = total + load
+        moment = [m + load * p for m, p in zip(moment, place, strict=True)]
     centre = [m / total for m in moment]
+    # Point masses are taken about the centre of this frame.
+    for item in masses:
+        mass, place = (
+            frame.get(item.weight) * (1.0 / SLUG_LB),
+            [frame.get(name) for name in item.place],
+        )
+        offset = (centre[0] - place[0], centre[1] - place[1], centre[2] - place[2])
+        shape = (*item.inertia_ft2, 0.0, 0.0, 0.0)
+        inertia = [
+            i + a + mass * own
+            for i, a, own in zip(inertia, _steiner(mass, offset), shape, strict=True)
+        ]
     # Parallel-axis term of the rest of the aircraft.
     shift = _steiner(dry_mass, (centre[0] - at[0], centre[1] - at[1], centre[2] - at[2]))
     inertia = [i + m for i, m in zip(inertia, shift, strict=True)]

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from uqharness.batch.form.ir import Builder, Value, evaluate
 from uqharness.batch.form.maths import lower
-from uqharness.batch.translate.engine_files import Part, number, refuse_unknown
+from uqharness.batch.translate.engine_files import Part, number, refuse_tags
 from uqharness.batch.translate.frame import INITIALISED, Frame, Scope, is_number
 from uqharness.batch.translate.functions import function_value
 from uqharness.batch.translate.propeller import Jet, Propeller
@@ -28,34 +28,6 @@ FUNCTIONS = (
     "N2SpoolDown",
 )
 """Names of functions that JSBSim makes properties of the engine."""
-_TAGS = (
-    "milthrust",
-    "maxthrust",
-    "bypassratio",
-    "tsfc",
-    "atsfc",
-    "bleed",
-    "idlen1",
-    "idlen2",
-    "maxn1",
-    "maxn2",
-    "augmented",
-    "augmethod",
-    "injected",
-    "injection-time",
-    "injection-N1-inc",
-    "injection-N2-inc",
-    "function",
-    "ignitionn1",
-    "ignitionn2",
-    "n1spinup",
-    "n2spinup",
-    "n1startrate",
-    "n2startrate",
-    "n1spindown",
-    "n2spindown",
-    "disable-windmill",
-)
 _OFF, _RUN, _TRIM, _START = 0.0, 1.0, 2.0, 3.0
 _LEAST_QBAR_PSF = 30.0
 _LEAST_N2 = 15.0
@@ -382,7 +354,7 @@ def _approach(
 def read_turbine(scope: Scope, part: Part, name: str, index: str) -> Turbine:
     """Read a ``<turbine_engine>``; raises BadInputError with file and line."""
     node = part[1]
-    refuse_unknown(scope, node, _TAGS)
+    refuse_tags(scope, node)
 
     def get(tag: str, default: float, unit: str = "") -> float:
         """Return a number of the file, or JSBSim's default."""

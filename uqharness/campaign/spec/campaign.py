@@ -28,6 +28,7 @@ from uqharness.flight import (
     TURBULENCE_W20_KT,
     random_numbers,
 )
+from uqharness.requests.campaign import MAX_SAMPLES
 from uqharness.simulator import STEADY, StartSection
 from uqharness.toml import Number, Section, as_toml, as_tuple, is_number, list_as_tuple
 
@@ -58,8 +59,6 @@ def ordered(value: tuple[str, ...]) -> tuple[str, ...]:
 
 SAMPLED = ("lhs", "white", "walk")
 """Methods that draw ``samples`` epistemic samples; the others list theirs."""
-
-MAX_SAMPLES = 1_000_000
 
 INTERIOR = 16
 """Default number of interior points with a model form, and their maximum with constant bounds."""
@@ -837,12 +836,8 @@ class CampaignSpec:
         """Return the campaign with the flights that give ``hours`` of scored flight per corner and
         condition.
 
-        Raises BadInputError for hours that are not positive, and with the rule band-width.
+        Raises BadInputError with the rule band-width.
         """
-        if not (math.isfinite(hours) and hours > 0):
-            raise BadInputError(
-                f"--hours {hours:g}: must be a number of flight hours greater than 0"
-            )
         if self.stop.rule == "band-width":
             raise BadInputError(
                 f'--hours {hours:g}: [stop] rule = "band-width" says how much is flown; leave out'

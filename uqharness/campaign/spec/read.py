@@ -16,7 +16,6 @@ from typing import Any
 from pydantic import ValidationError
 
 from uqharness.campaign.spec.campaign import (
-    MAX_SAMPLES,
     AleatorySection,
     CampaignSpec,
     Document,
@@ -202,8 +201,6 @@ def with_samples(spec: CampaignSpec, samples: int) -> CampaignSpec:
             f"--samples {samples}: {spec.path} draws no epistemic samples (method ="
             f' "{spec.epistemic.method}"), so their number cannot be changed'
         )
-    if not 1 <= samples <= MAX_SAMPLES:
-        raise BadInputError(f"--samples {samples}: must be from 1 to {MAX_SAMPLES}")
     return replan_flights(
         dataclasses.replace(spec, epistemic=spec.epistemic.model_copy(update={"samples": samples}))
     )

@@ -92,7 +92,8 @@ def bounds_page(folder: Path, prefix: str = "", only: Collection[str] | None = N
     """
     # Form, details and residuals of the folder; details may be missing.
     form = load_form(folder / FORM)
-    details = read_result(path, Bounds) if (path := folder / DETAILS).is_file() else Bounds()
+    path = folder / DETAILS
+    details = read_result(path, Bounds) if path.is_file() else Bounds(coefficients={})
     pieces = read_histories(folder / RESIDUALS)
     # Residuals of another command or version lack columns.
     if pieces and not have_columns(pieces, needed := [*form.states, *form.coefficients]):

@@ -19,10 +19,10 @@ from tests.helpers.batch_against import same_bits
 from tests.helpers.batch_digest import digest, function, points
 from tests.helpers.few import few
 from uqharness.batch.form.ir import TRANSCENDENTAL, Builder, evaluate
-from uqharness.batch.form.maths import lower
+from uqharness.batch.form.maths import fold, lower
 from uqharness.batch.machine.llvm import compile_function, targets
 
-COUNT = int(os.environ.get("BATCH_POINTS", "20000"))
+COUNT = int(os.environ.get("BATCH_POINTS", "8000"))
 INF, NAN = math.inf, math.nan
 SPECIAL = [
     0.0,
@@ -189,3 +189,18 @@ def _present_features() -> str:
     from numpy._core._multiarray_umath import __cpu_dispatch__, __cpu_features__
 
     return " ".join(f for f in __cpu_dispatch__ if __cpu_features__.get(f))
+
+
+def test_constant_arguments_fold_to_the_bits_of_the_expansion():
+    for name, arguments in (("sin", [0.3]), ("atan2", [0.0, -1.0]), ("pow", [2.0, 0.5])):
+        b = Builder()
+        inputs = [b.input(str(k)) for k in range(len(arguments))]
+        function = lower(b.finish({"r": b.op(name, *inputs)}))
+        given = {str(k): np.array([x]) for k, x in enumerate(arguments)}
+        assert fold(name, arguments) == evaluate(function, given)[0]["r"][0]
+    # Zeros of either sign are told apart.
+    assert (fold("atan2", [0.0, -1.0]), fold("atan2", [-0.0, -1.0])) == (math.pi, -math.pi)
+    assert fold("sin", [None]) is None
+    assert fold("atan2", [None, 1.0]) is None
+    # One known argument may decide.
+    assert fold("pow", [None, 0.0]) == 1.0

@@ -35,6 +35,13 @@ from uqharness.flight.spec import COEFFICIENTS
 from uqharness.plugin.model_form_xml import constant_xml
 from uqharness.simulator import find_aircraft
 
+
+@pytest.fixture(autouse=True)
+def _widest_vectors(monkeypatch):
+    """Fly with the vectors that users fly with."""
+    monkeypatch.delenv(VECTORS, raising=False)
+
+
 ACTIVE = {"uq/active": 1.0}
 MASS = {
     "inertia/mass-slugs": 1.5,
@@ -337,7 +344,7 @@ def test_a_lane_that_is_not_a_number_harms_no_other():
 )
 def test_one_program_flies_all_conditions(tmp_path, air, source):
     plane, script = ("espaaro", "loiter") if air else (without_air(tmp_path), "doublet-elevator")
-    cells = [(wind, turbulence) for turbulence in ("light", "severe") for wind in (0.0, 6.0)]
+    cells = [(0.0, "light"), (6.0, "severe")]
     given = [
         spec(
             plane,

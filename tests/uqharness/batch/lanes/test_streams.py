@@ -39,23 +39,28 @@ def test_columns_are_what_jsbsims_engine_sets() -> None:
     assert len(NORMALS.columns) == 4
 
 
-def test_noise_is_drawn_in_jsbsims_order_with_mixed_rates() -> None:
+MIXED = (("a", 3), ("b/uniform", 1), ("c", 3), ("d/uniform", 2), ("e", 1), ("f/uniform", 1))
+
+
+@pytest.mark.parametrize("draws", [DRAWS, MIXED])
+def test_noise_is_drawn_in_jsbsims_order_with_mixed_rates(draws) -> None:
     body = "".join(
-        f'<channel name="{slot}" execrate="{every}"><fcs_function'
-        f' name="noise/{slot}"><function><random/></function></fcs_function></channel>'
-        for slot, every in DRAWS
+        f'<channel name="{slot}" execrate="{every}"><fcs_function name="noise/{slot}"><function>'
+        f"<{'urandom' if slot.endswith('/uniform') else 'random'}/></function></fcs_function>"
+        "</channel>"
+        for slot, every in draws
     )
     fdm = batch_oracle.load(body)
     fdm["simulation/randomseed"] = 11
     fdm.run_ic()
-    noise = Noise(11, DRAWS)
-    names = [f"noise/{slot}" for slot, _ in DRAWS]
+    noise = Noise(11, draws)
+    names = [f"noise/{slot}" for slot, _ in draws]
     np.testing.assert_allclose([fdm[name] for name in names], noise.initial[1], rtol=1e-15)
     fed = noise.frames(40)
-    held = dict(zip((slot for slot, _ in DRAWS), noise.initial[1], strict=True))
+    held = dict(zip((slot for slot, _ in draws), noise.initial[1], strict=True))
     for frame in range(1, 41):
         fdm.run()
-        for stream in noise_streams(DRAWS):
+        for stream in noise_streams(draws):
             if frame % stream.every == 0:
                 rows = fed[stream.name]
                 held |= zip(
@@ -64,7 +69,7 @@ def test_noise_is_drawn_in_jsbsims_order_with_mixed_rates() -> None:
                     strict=True,
                 )
         np.testing.assert_allclose(
-            [fdm[name] for name in names], [held[slot] for slot, _ in DRAWS], rtol=1e-15
+            [fdm[name] for name in names], [held[slot] for slot, _ in draws], rtol=1e-15
         )
 
 

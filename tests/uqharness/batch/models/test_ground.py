@@ -9,11 +9,11 @@ import pytest
 
 from tests.helpers.batch_flights import DT_S, START, aircraft, craft, flown, started
 from tests.helpers.few import few
-from uqharness.batch.lanes.mission import constant_properties, initial_values
+from uqharness.batch.lanes.mission import initial_values
 from uqharness.batch.models.auxiliary import POINT, TOUCHED
 from uqharness.batch.models.motion import CONDITIONS
 from uqharness.batch.translate.flight import TraceRequest, trace_flight
-from uqharness.batch.translate.frame import Values
+from uqharness.batch.translate.frame import Values, is_constant
 from uqharness.flight.fly import contact_points
 from uqharness.simulator import engine
 from uqharness.simulator.aircraft import find_aircraft
@@ -52,7 +52,7 @@ def contact(start, steps=120):
         fdm, sources = made.open(), made.sources()
         points = contact_points(fdm, find_aircraft(made.root / "aircraft" / "point"))
         conditions = {name: float(fdm[name]) for name in CONDITIONS}
-        values = Values(initial_values(made.open), constant_properties(sources))
+        values = Values(initial_values(made.open), is_constant)
         flight = trace_flight(sources, DT_S, values, TraceRequest((), [], [TOUCHED, POINT], points))
         engine.run_ic(fdm)
         there = fdm.get_property_manager().hasNode

@@ -214,26 +214,13 @@ def test_the_reference_point_may_be_written():
         (axes(("ROLL",), "WIND") + axes(("PITCH",)), "moments have one frame"),
         (axes("X") + axes("X").replace("f/X", "f/Y"), "occurs twice"),
         (
-            "<aero_ref_pt_shift_x><function name='s'><v>1</v></function></aero_ref_pt_shift_x>",
-            "<aero_ref_pt_shift_x>",
-        ),
-        ("<axis name='X'><table name='t'/></axis>", "functions are"),
-        (
             "<axis name='ROLL'><function name='f' apply_at_cg='true'><v>1</v></function></axis>",
             "apply_at_cg",
         ),
-        ("<axis name='X' colour='red'/>", "attribute 'colour'"),
         ("<function name='f' type='template'><v>1</v></function>", "allowed are pre and post"),
         (
             "<axis name='X'><function name='f'><p>position/vrp-radius-ft</p></function></axis>",
             "vrp-radius-ft",
-        ),
-        (
-            (
-                "<axis name='X'><function"
-                " name='f'><property>forces/load-factor</property></function></axis>"
-            ),
-            "forces/load-factor",
         ),
     ],
 )

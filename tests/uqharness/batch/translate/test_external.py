@@ -127,8 +127,6 @@ def test_several_and_functions_before_them():
     [
         (force("body"), "frame 'body'"),
         (force(" WIND"), "frame ' WIND'"),
-        (force("BODY").replace("<force", "<force colour='red'"), "attribute 'colour'"),
-        (force("BODY") + "<thrust/>", "<thrust>"),
         (
             force(
                 "BODY",

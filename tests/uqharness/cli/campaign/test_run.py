@@ -81,7 +81,7 @@ def test_samples_replace_the_number_of_walks(tmp_path, monkeypatch, capsys):
     assert "--samples 4" in read_manifest(tmp_path / "out")["command"]
     with pytest.raises(BadInputError, match="draws no epistemic samples"):
         call("run", fakes.campaign_file(tmp_path), "--out", tmp_path / "o2", "--samples", "4")
-    with pytest.raises(BadInputError, match="--samples 0: a whole number of at least 1 is needed"):
+    with pytest.raises(BadInputError, match="--samples 0: a whole number of at least 1 and up"):
         call(
             "run", fakes.campaign_file(tmp_path, walks), "--out", tmp_path / "o2", "--samples", "0"
         )

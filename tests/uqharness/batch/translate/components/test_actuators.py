@@ -107,11 +107,6 @@ def test_linear_actuators_have_jsbsims_bits(name: str) -> None:
             "allowed are incr and decr",
         ),
         (
-            '<actuator name="a"><input>i/a</input><lag>1</lag><lag>2</lag></actuator>',
-            "has one <lag>",
-        ),
-        ('<actuator name="a"><input>i/a</input><gain>1</gain></actuator>', "<gain> in <actuator>"),
-        (
             '<pure_gain name="fcs/a/saturated"><input>i/a</input><gain>1</gain></pure_gain>',
             "cannot be written by <pure_gain>",
         ),

@@ -43,9 +43,3 @@ def test_all_of_them_are_listed() -> None:
 def test_what_is_refused_says_why(tag: str) -> None:
     said = refusal(f'<channel>\n<{tag} name="x"/></channel>')
     assert said == f'system.xml:2: <{tag}> {REFUSED[tag]}; fly this aircraft with engine = "jsbsim"'
-
-
-def test_an_unknown_component_is_refused() -> None:
-    assert refusal('<channel><gain name="x"/></channel>').startswith(
-        "system.xml:1: component <gain> is unknown; allowed are pure_gain"
-    )

@@ -149,18 +149,9 @@ def test_gyros_and_accelerometers_of_a_tumbling_body(axis: str) -> None:
 @pytest.mark.parametrize(
     ("body", "message"),
     [
-        (
-            '<noise variation="PERCENT" distribution="UNIFORM">1</noise>',
-            "uniform <noise> draws random numbers",
-        ),
-        (
-            '<noise variation="percent" distribution="GAUSSIAN">1</noise>',
-            "variation PERCENT or ABSOLUTE",
-        ),
         ("<quantization><bits>40</bits><min>0</min><max>1</max></quantization>", "1 to 30 bits"),
         ("<quantization><bits>4</bits><min>1</min><max>1</max></quantization>", "min below max"),
         ("<quantization><steps>4</steps></quantization>", "<steps> in <quantization>"),
-        ("<axis>X</axis>", "<axis> in <sensor>"),
     ],
 )
 def test_refusals(body: str, message: str) -> None:

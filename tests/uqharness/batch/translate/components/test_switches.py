@@ -81,11 +81,6 @@ def test_a_delay_line_moves_when_its_channel_runs(attributes: str) -> None:
     ("body", "message"),
     [
         ('<switch name="s"><default/></switch>', "<default> has attribute value"),
-        ('<switch name="s"><default value="1"/><default value="2"/></switch>', "has one <default>"),
-        (
-            '<switch name="s"><test value="1" login="OR">i/a gt 1</test></switch>',
-            "attribute 'login'",
-        ),
         ('<distributor name="d"><case/></distributor>', "allowed are inclusive and exclusive"),
         (
             (

@@ -34,8 +34,8 @@ def test_functions_of_an_engine_bear_its_number() -> None:
     ("propulsion", "said"),
     [
         (
-            "<refuel-rate>3</refuel-rate>",
-            "point.xml:7: <refuel-rate> of <propulsion> is not understood",
+            "<function name='f'><v>1</v></function>",
+            "point.xml:7: <function> of <propulsion> is not understood",
         ),
         (
             '<engine file="fixed"><thruster file="direct"/></engine>',

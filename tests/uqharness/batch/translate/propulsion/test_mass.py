@@ -34,7 +34,7 @@ def test_the_dry_aircraft_is_a_point_that_weighs_what_is_left() -> None:
         "propulsion/tank/z-position": 0.0,
     }
     # Two half slugs a foot apart turn about their middle with 2 (1/2)(1/2)^2 slug ft2; one is fuel.
-    dry = dry_aircraft([tank], values.__getitem__)
+    dry = dry_aircraft([tank], [], values.__getitem__)
     assert dry[DRY[0]] == pytest.approx(32.174049 / 2.0)
     assert [dry[name] for name in DRY[1:]] == pytest.approx([0.0] * 9, abs=1e-12)
 

@@ -113,10 +113,62 @@ def test_both_magnetos_are_better_than_one() -> None:
     assert flights.worst(flights.apart(made.theirs(), made.ours(events=engines.RUNNING))) > 1e-6
 
 
-def test_a_supercharger_is_refused() -> None:
-    files = {
-        "Engines/eng.xml": OWN.replace("<maxhp>", "<numboostspeeds>1</numboostspeeds><maxhp>"),
-        **engines.FILES,
-    }
-    message = engines.refusal(engines.aircraft(engines.mounted("eng", "fixed")), files)
-    assert "eng.xml:3: a supercharged engine (numboostspeeds) is not understood" in message
+BOOST = """<numboostspeeds>2</numboostspeeds><takeoffboost unit="PSI">4</takeoffboost>
+<boost-loss-factor>1.1</boost-loss-factor><ratedboost1 unit="PSI">3</ratedboost1>
+<ratedboost2 unit="PSI">4</ratedboost2><ratedpower1 unit="HP">100</ratedpower1>
+<ratedpower2 unit="HP">90</ratedpower2><ratedrpm1>2400</ratedrpm1><ratedrpm2>2500</ratedrpm2>
+<ratedaltitude1 unit="FT">6000</ratedaltitude1><ratedaltitude2 unit="FT">12000</ratedaltitude2>"""
+
+
+def boosted(more: str, height_ft: float, frames: int = 600, events: str = engines.RUNNING):
+    """A supercharged engine that climbs or dives through its switch altitude."""
+    made = case("own", events, frames)
+    text = OWN.replace("<cycles>", f"{BOOST}{more}<cycles>")
+    names = [*NAMES, "boost-speed", "boostloss-hp"]
+    inputs = {**made.inputs, "fcs/mixture-cmd-norm": np.full(frames + 1, 0.8)}
+    inputs["fcs/throttle-cmd-norm"] = np.where(np.arange(frames + 1) % 200 > 100, 1.0, 0.7)
+    return engines.Case(
+        made.text,
+        [*engines.of(0, names), *engines.TOTALS, *engines.MOTION],
+        inputs,
+        {**made.files, "Engines/own.xml": text},
+        events,
+        {"ic/u-fps": 150.0, "ic/h-sl-ft": height_ft, "ic/theta-rad": -1.2},
+    )
+
+
+@pytest.mark.parametrize(
+    ("more", "height_ft", "speeds"),
+    few(
+        [
+            ("", 1500.0, {0.0}),
+            ("", 8300.0, {1.0}),
+            ("<boostoverride>1</boostoverride>", 3000.0, {0.0}),
+            ("<boostmanual>1</boostmanual>", 8500.0, {0.0, 1.0}),
+        ],
+        3,
+    ),
+)
+def test_a_supercharger_is_jsbsims(more: str, height_ft: float, speeds: set[float]) -> None:
+    made = boosted(more, height_ft)
+    speed = "propulsion/engine/boost-speed"
+    if "manual" in more:
+        made.inputs[speed] = np.repeat([0.0, 1.0, 3.0, -1.0, 1.0, 0.0, 1.0], 100)[:601]
+    theirs = made.theirs()
+    assert flights.worst(flights.apart(theirs, made.ours())) < 1e-9
+    assert set(theirs[speed]) == speeds
+
+
+@pytest.mark.parametrize("tag", few(["takeoffboost", "ratedboost1", "ratedrpm1", "loss-factor"], 2))
+def test_each_number_of_a_supercharger_matters(tag: str) -> None:
+    made = boosted("", 1500.0, 200)
+    text = made.files["Engines/own.xml"]
+    head, _, tail = text.partition(f"{tag}>" if tag == "loss-factor" else f"</{tag}>")
+    if tag == "loss-factor":
+        number, _, tail = tail.partition("<")
+        changed = f"{head}{tag}>{float(number) * 1.001!r}<{tail}"
+    else:
+        start, _, number = head.rpartition(">")
+        changed = f"{start}>{float(number) * 1.001!r}</{tag}>{tail}"
+    files = {**made.files, "Engines/own.xml": changed}
+    assert flights.worst(flights.apart(made.theirs(), made.ours(files=files))) > 1e-8

@@ -10,7 +10,7 @@ from uqharness.batch.form.ir import Builder
 from uqharness.batch.translate.engine_files import (
     grid,
     number,
-    refuse_unknown,
+    refuse_tags,
     required_number,
     triplet,
     with_number,
@@ -42,7 +42,9 @@ def test_numbers_bear_units_or_have_defaults() -> None:
 
 def test_what_lacks_of_a_triplet_is_zero() -> None:
     scope, node = parsed('<l unit="FT"><x>1</x><z>2</z></l>')
-    assert triplet(scope, node, ("x", "y", "z"), "IN") == (12.0, 0.0, 24.0)
+    assert triplet(scope, node, "IN") == (12.0, 0.0, 24.0)
+    scope, node = parsed('<l unit="M"><roll>1</roll><yaw>2</yaw></l>')
+    assert triplet(scope, node, "IN") == (3.2808399 * 12.0, 0.0, 2.0 * (3.2808399 * 12.0))
 
 
 @pytest.mark.parametrize(
@@ -57,14 +59,14 @@ def test_the_second_line_tells_the_dimension(lines: str, shape: tuple[int, int])
 
 def test_strange_tables_and_elements_are_refused() -> None:
     for text in (
-        "<table><tableData>0 1</tableData></table>",
+        "<table><independentVar>a</independentVar><tableData>0 1</tableData></table>",
         '<table type="internal"><tableData></tableData></table>',
     ):
         scope, node = parsed(text)
         with pytest.raises(BadInputError, match=r"e\.xml:1"):
             grid(scope, node)
-    with pytest.raises(BadInputError, match="<tableData> of <table> is not understood"):
-        refuse_unknown(scope, node, (), ("type",))
+    with pytest.raises(BadInputError, match="<tableData> of <table> is no good"):
+        refuse_tags(scope, node, {"tableData": "is no good"}, ("type",))
 
 
 def test_an_engine_bears_its_number() -> None:

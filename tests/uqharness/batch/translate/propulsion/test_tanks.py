@@ -124,14 +124,19 @@ def test_contents_and_priorities_are_set_and_fuel_flows_by_itself() -> None:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ('<tank type="OXIDIZER"/>', "a tank of type 'OXIDIZER' is not understood"),
+        ('<tank type="BATTERY"/>', "a tank of type 'BATTERY': allowed are FUEL and OXIDIZER"),
         (
             '<tank type="FUEL"><grain_config type="CYLINDRICAL"/></tank>',
-            "<grain_config> of <tank> is not understood",
+            "<grain_config> has a length",
         ),
         (
-            '<engine file="motor"><feed>1</feed><thruster file="direct"/></engine>',
-            "an engine feeds from tanks 0 to -1; received 1",
+            '<tank type="FUEL"><grain_config type="FUNCTION"/></tank>',
+            "type='FUNCTION' of <grain_config> is not understood",
+        ),
+        (
+            engines.tank(5.0)
+            + '<engine file="motor"><feed>1</feed><thruster file="direct"/></engine>',
+            "an engine feeds from tanks 0 to 0; received 1",
         ),
     ],
 )
@@ -139,3 +144,16 @@ def test_what_is_not_understood_is_refused(text: str, said: str) -> None:
     message = engines.refusal(engines.aircraft(text), engines.FILES)
     assert said in message
     assert "point.xml:" in message
+
+
+@pytest.mark.parametrize("tank", ["", engines.tank(6.0)])
+def test_an_electric_engine_takes_nothing_from_its_tank(tank: str) -> None:
+    """With a tank, and with the number of one that is not there, as converted models have it."""
+    text = engines.aircraft(engines.mounted("motor", "fixed", feed="<feed>0</feed>") + tank)
+    records = [*engines.TOTALS, *engines.MOTION, "inertia/weight-lbs"]
+    made = engines.Case(text, records, engines.levers(40), engines.FILES, "")
+    theirs = made.theirs()
+    assert flights.worst(flights.apart(theirs, made.ours())) < 1e-9
+    assert np.ptp(theirs["inertia/weight-lbs"]) == 0.0
+    changed = made.ours(text.replace("<y>-3</y>", "<y>-3.01</y>"))
+    assert flights.worst(flights.apart(theirs, changed)) > 1e-8

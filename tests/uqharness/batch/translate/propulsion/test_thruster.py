@@ -67,7 +67,6 @@ def test_thrust_acts_as_in_jsbsim(made: engines.Case, before: str, after: str) -
 @pytest.mark.parametrize(
     ("thruster", "said"),
     [
-        ('<thruster file="direct"><spin/></thruster>', "<spin> of <thruster> is not understood"),
         (
             '<thruster file="motor"/>',
             (

@@ -100,14 +100,8 @@ def test_each_number_matters(motor: str, tag: str, factor: float) -> None:
 @pytest.mark.parametrize(
     ("thruster", "before", "after", "said"),
     [
-        ("fixed", "", "", "a turbine has a <direct> thruster"),
+        ("direct", "MilThrust", "LowThrust", "a turbine has a function MilThrust"),
         ("direct", "IdleThrust", "LowThrust", "a turbine has a function IdleThrust"),
-        (
-            "direct",
-            "<bypassratio>",
-            "<fan>1</fan><bypassratio>",
-            "<fan> of <turbine_engine> is not understood",
-        ),
     ],
 )
 def test_what_is_not_understood_is_refused(

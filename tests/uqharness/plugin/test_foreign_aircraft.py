@@ -1,0 +1,148 @@
+"""Aircraft in the styles in which people publish theirs, from nothing to a p-box."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+from tests.helpers import foreign_aircraft
+from uqharness.cli.main import main
+from uqharness.plugin.apply import instrument_aircraft
+from uqharness.plugin.instrument import Bounds
+from uqharness.simulator import SteadyCondition, find_aircraft, find_trim
+
+CONSTANT = "CX=0.01,CY=0.01,CZ=0.05,Cl=0.001,Cm=0.01,Cn=0.001"
+CAMPAIGN = """[campaign]
+aircraft = "mine"
+mission = "steady"
+seed = 1
+[start]
+V_mps = {V}
+altitude_m = 200
+[aleatory]
+flights = 1
+duration_s = 2
+burn_in_s = 0
+wind_mps = 0
+turbulence = "none"
+sensor_noise = false
+[epistemic]
+method = "corners"
+"""
+# In a process of its own and without this project: the copy is plain JSBSim.
+PLAIN = """
+import json, sys, jsbsim
+folder, name, V, controls = sys.argv[1], sys.argv[2], float(sys.argv[3]), json.loads(sys.argv[4])
+fdm = jsbsim.FGFDMExec(None)
+fdm.set_debug_level(0)
+fdm.set_aircraft_path(folder)
+fdm.set_engine_path(folder)
+assert fdm.load_model(name)
+fdm["ic/h-sl-ft"], fdm["ic/vt-fps"] = 660.0, V / 0.3048
+fdm["ic/alpha-rad"] = fdm["ic/theta-rad"] = controls.pop("alpha")
+fdm["propulsion/set-running"] = -1
+for key, value in controls.items():
+    fdm[key] = value
+fdm.run_ic()
+while fdm.get_sim_time() < 2.0:
+    fdm.run()
+print(json.dumps([fdm["velocities/vt-fps"] * 0.3048, fdm["attitude/phi-rad"]]))
+"""
+
+
+@pytest.fixture(scope="module")
+def copies(tmp_path_factory):
+    parent = tmp_path_factory.mktemp("foreign")
+    made = {}
+
+    def copy(style):
+        if style not in made:
+            folder = foreign_aircraft.write(style, parent)
+            made[style] = instrument_aircraft(
+                find_aircraft(folder), Bounds(), parent / "aircraft" / style, check=style == "wing"
+            )
+        return made[style]
+
+    return copy
+
+
+@pytest.mark.parametrize("style", ["single", pytest.param("twin", marks=pytest.mark.slow)])
+def test_the_copy_trims_and_flies_on_in_jsbsim_alone(copies, style):
+    aircraft = find_aircraft(copies(style).folder)
+    V = foreign_aircraft.SPEEDS_MPS[style]
+    trim = find_trim(aircraft, SteadyCondition(V, 200.0))
+    assert trim.converged, trim.reason
+    assert trim.controls["throttle"] > 0.0
+    controls = {aircraft.card.inputs[name].property: v for name, v in trim.controls.items()}
+    words = (str(aircraft.folder.parent), style, str(V))
+    child = subprocess.run(
+        [sys.executable, "-c", PLAIN, *words, json.dumps({"alpha": trim.alpha_rad, **controls})],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    speed, bank = json.loads(child.stdout.splitlines()[-1])
+    # The engine spins up from JSBSim's own start; without the host it would stop or dive.
+    assert speed == pytest.approx(V, rel=0.05)
+    assert abs(bank) < 0.3
+
+
+def test_a_throttle_of_another_name_is_found_by_its_effect(copies):
+    done = copies("wing")
+    card = find_aircraft(done.folder).card
+    assert card.inputs["throttle"].property == "uav/motor-command"
+    assert done.verdict.status == "works", done.verdict.reason
+    assert any("uav/motor-command" in note for note in done.notes)
+    # Elevons: both axes are measured, and no rudder is invented.
+    text = (done.folder / "airframe.toml").read_text()
+    dead = [line for line in text.splitlines() if "moves nothing" in line]
+    assert [line.split("]")[0] for line in dead] == ["[inputs.rudder"]
+
+
+def test_an_edited_host_is_flown_and_written_again(copies, tmp_path, capsys):
+    folder = foreign_aircraft.write("single", tmp_path)
+    out = tmp_path / "copy" / "single"
+    instrument_aircraft(find_aircraft(folder), Bounds(), out, check=False)
+    card = out / "airframe.toml"
+    entry = '"/controls/electric/battery-switch" = '
+    assert f"{entry}1.0" in card.read_text()
+    card.write_text(card.read_text().replace(f"{entry}1.0", f"{entry}0.0"))
+    # Without the battery the magnetos are off and the engine stops.
+    trim = find_trim(find_aircraft(out), SteadyCondition(50.0, 200.0))
+    assert not trim.converged
+    system = out / "Systems" / "flightgear-host.xml"
+    assert b'"1">/controls/electric/battery-switch' in system.read_bytes()
+    instrument_aircraft(find_aircraft(out), Bounds(), out, check=False)
+    assert b'"0">/controls/electric/battery-switch' in system.read_bytes()
+
+
+@pytest.mark.slow
+def test_a_light_propeller_gets_a_step_at_which_it_is_stable(tmp_path):
+    folder = foreign_aircraft.write("vtail", tmp_path)
+    screw = folder / "Engines" / "small_airscrew.xml"
+    screw.write_text(screw.read_text().replace("0.0004", "0.00002"))
+    done = instrument_aircraft(
+        find_aircraft(folder), Bounds(), tmp_path / "copy" / "vtail", check=False
+    )
+    aircraft = find_aircraft(done.folder)
+    assert aircraft.dt_s < 0.01
+    assert any("unstable at a step of 0.01 s" in note for note in done.notes)
+    assert find_trim(aircraft, SteadyCondition(15.0, 200.0)).converged
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("style", list(foreign_aircraft.STYLES))
+def test_three_commands_lead_to_a_p_box(style, tmp_path, monkeypatch, capsys):
+    foreign_aircraft.write(style, tmp_path)
+    monkeypatch.chdir(tmp_path)
+    assert main(["instrument", style, "--out", "mine", "--constant", CONSTANT]) == 0
+    assert "bit-identical" in capsys.readouterr().out
+    V = foreign_aircraft.SPEEDS_MPS[style]
+    assert main(["modes", "mine", "--speed-mps", str(V), "--altitude-m", "200"]) == 0
+    (tmp_path / "campaign.toml").write_text(CAMPAIGN.format(V=V))
+    assert main(["campaign", "run", "campaign.toml", "--out", "results", "--serial", "--yes"]) == 0
+    assert main(["campaign", "report", "results"]) == 0
+    assert (tmp_path / "results" / "pbox.parquet").is_file()
