@@ -74,6 +74,7 @@ XML_TEXT = (
     "uqharness/flight/fly.py",
     "uqharness/simulator/engine.py",
     "uqharness/simulator/mission.py",
+    "uqharness/simulator/xml_findings.py",
 )
 UNITS = ("units.py", "engine_files.py")
 FACTORS = re.compile(

@@ -334,7 +334,11 @@ def _leaf(name: str) -> str:
 _ASSUMED_THROW_DEG = 20.0
 ERRORS_SYSTEM = "path-errors"
 # A surface that is commanded by its angle has an assumed reach.
-_LIMITS = {"norm": [-1, 1], "deg": [-20, 20], "rad": [-0.35, 0.35]}
+_LIMITS: Mapping[str, list[float]] = {
+    "norm": [-1, 1],
+    "deg": [-20, 20],
+    "rad": [-0.35, 0.35],
+}
 _POSITIVE = {
     "elevator": ("nose down", "nose up"),
     "aileron": ("right wing down", "left wing down"),
@@ -448,7 +452,7 @@ def _limits(control: str, facts: ControlFacts) -> list[float]:
     """Return the range of a command."""
     if control == "throttle":
         return [0, 100] if facts.unit == "pct" else [0, 1]
-    return list(_LIMITS[facts.unit])
+    return _LIMITS[facts.unit]
 
 
 _HOST_REMARKS = {"system": "on", "command": "an input of the model"}

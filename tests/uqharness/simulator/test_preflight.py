@@ -106,13 +106,13 @@ PLANE = """<?xml version="1.0"?>
 ENGINE = """<turbine_engine name="jet"><milthrust unit="N">10</milthrust>
  <function name="IdleThrust"><value>0.1</value></function>
  <function name="MilThrust">
-  <product><property>x/misspelt</property><property>propulsion/engine[#]/n1</property></product>
+  <product><property>velocities/misspelt</property><property>propulsion/engine[#]/n1</property></product>
  </function>
 </turbine_engine>"""
 MOUNT = """<propulsion><engine file="jet"><thruster file="pipe"/><feed>0</feed></engine>
  <tank type="FUEL"><location unit="M"><x>0</x><y>0</y><z>0</z></location>
   <capacity unit="KG">1</capacity><contents unit="KG">1</contents></tank></propulsion>"""
-READS = "<property>x/misspelt</property>"
+READS = "<property>velocities/misspelt</property>"
 PLACES = {
     "aerodynamics": {"lift": f'<function name="f">{READS}</function>'},
     "branch never taken": {
@@ -123,7 +123,7 @@ PLACES = {
     },
     "table": {
         "lift": (
-            '<function name="f"><table><independentVar>x/misspelt</independentVar>'
+            '<function name="f"><table><independentVar>velocities/misspelt</independentVar>'
             "<tableData>0 1\n 1 2</tableData></table></function>"
         )
     },
@@ -163,7 +163,8 @@ def test_a_property_that_nothing_defines_is_named_with_its_line(
     line = next(k for k, t in enumerate(file.read_text().splitlines(), 1) if "misspelt" in t)
     where = rf"{file.relative_to(folder)}:{line}\)"
     with pytest.raises(
-        BadInputError, match=rf"reads a property that nothing defines: x/misspelt \({where}"
+        BadInputError,
+        match=rf"reads a property that nothing defines: velocities/misspelt \({where}",
     ):
         open_aircraft(find_aircraft(folder))
 
@@ -173,19 +174,19 @@ def test_all_of_them_are_named_at_once_and_the_verdict_is_remembered(
 ):
     lift = "".join(
         f'<function name="f{k}"><property>{name}</property></function>\n'
-        for k, name in enumerate(("aero/alpha-radd", "x/two", "x/three"))
+        for k, name in enumerate(("aero/alpha-radd", "aero/two", "inertia/three"))
     )
     aircraft = find_aircraft(plane(tmp_path, lift=lift))
     message = (
-        r"reads 3 properties that nothing defines: aero/alpha-radd \(plane.xml:16\), x/two"
+        r"reads 3 properties that nothing defines: aero/alpha-radd \(plane.xml:16\), aero/two"
         r" \(plane.xml:17\), "
-        r"x/three \(plane.xml:18\); did you mean aero/alpha-radd -> aero/alpha-rad\?"
+        r"inertia/three \(plane.xml:18\); did you mean aero/alpha-radd -> aero/alpha-rad\?"
     )
     with pytest.raises(BadInputError, match=message):
         check_loadable(aircraft)
     monkeypatch.setattr(physical_checks, "_checked", {})
     monkeypatch.setattr(physical_checks, "run_module", lambda *a, **k: pytest.fail("loaded again"))
-    check_loadable(aircraft, defined=("aero/alpha-radd", "x/two", "x/three"))
+    check_loadable(aircraft, defined=("aero/alpha-radd", "aero/two", "inertia/three"))
 
 
 def test_a_run_script_may_define_what_the_aircraft_reads(tmp_path: Path, cache: Path):
@@ -196,11 +197,11 @@ def test_a_run_script_may_define_what_the_aircraft_reads(tmp_path: Path, cache: 
     script = tmp_path / "script.xml"
     text = """<runscript name="s"><use aircraft="plane" initialize="start"/>
      <run start="0" end="1" dt="0.01"><property value="1">{}</property></run></runscript>"""
-    script.write_text(text.format("x/misspelt"))
+    script.write_text(text.format("velocities/misspelt"))
     with StagedMission(find_aircraft(folder), script) as mission:
         fdm = mission.open()
         assert fdm.run_ic()
         assert abs(fdm["forces/fwz-aero-lbs"]) == 1.0
-    script.write_text(text.format("x/other"))
-    with pytest.raises(BadInputError, match="x/misspelt"):
+    script.write_text(text.format("velocities/other"))
+    with pytest.raises(BadInputError, match="velocities/misspelt"):
         StagedMission(find_aircraft(folder), script)

@@ -7,6 +7,7 @@ import math
 import pytest
 
 from sysid.units import FT_M, LBF_N
+from tests.helpers import foreign_aircraft
 from uqharness.simulator import engine, settling
 from uqharness.simulator.aircraft import find_aircraft, open_aircraft
 from uqharness.simulator.forced_state import BodyState, body_velocity, force_state
@@ -112,12 +113,13 @@ def test_a_c310_trims_although_its_thrust_leaps_between_two_steady_states():
     assert trim.thrust_N * math.cos(trim.alpha_rad) == pytest.approx(drag_N, rel=0.03)
 
 
-def test_engines_that_the_throttle_does_not_move_make_no_glider():
-    # The p51d's own throttle is ap/throttle-cmd-norm.
-    trim = find_trim(find_aircraft("p51d"), SteadyCondition(100.0, 200.0))
+def test_engines_that_the_throttle_does_not_move_make_no_glider(tmp_path):
+    # Its motor is commanded by uav/motor-command.
+    folder = foreign_aircraft.write("wing", tmp_path)
+    trim = find_trim(find_aircraft(folder), SteadyCondition(15.0, 200.0))
     assert not trim.converged
     assert "fcs/throttle-cmd-norm does not change the thrust" in trim.reason
-    assert "engine 1 does not keep running" in trim.reason
+    assert "`uqharness instrument` looks for" in trim.reason
     glider = find_trim(find_aircraft("sgs126"), SteadyCondition(25.0, 200.0))
     assert glider.converged, glider.reason
     assert glider.condition.climb_rad < 0.0
