@@ -186,8 +186,8 @@ def _publish_wind_axes(frame: Frame, force: Vector, moment: Vector) -> None:
         names = [f"moments/{a}-{title}-aero-lbsft" for a in ("roll", "pitch", "yaw")]
         if any(frame.requests(name) for name in names):
             turned = matvec(transpose(wind_to_body(frame, kind == "s")), moment)
-            for name, value in zip(names, turned, strict=True):
-                frame.write(name, value)
+            for name, component in zip(names, turned, strict=True):
+                frame.write(name, component)
     drag, lift = frame.get("forces/fwx-aero-lbs"), frame.get("forces/fwz-aero-lbs")
     frame.write(
         "forces/lod-norm",

@@ -401,17 +401,15 @@ def trace_mass(
             for k, (i, a) in enumerate(zip(inertia, added, strict=True))
         ]
     for item in masses:
-        load, place = frame.get(item.weight), [frame.get(name) for name in item.place]
+        load, spot = frame.get(item.weight), [frame.get(name) for name in item.place]
         total = total + load
-        moment = [m + load * p for m, p in zip(moment, place, strict=True)]
+        moment = [m + load * p for m, p in zip(moment, spot, strict=True)]
     centre = [m / total for m in moment]
     # Point masses are taken about the centre of this frame.
     for item in masses:
-        mass, place = (
-            frame.get(item.weight) * (1.0 / SLUG_LB),
-            [frame.get(name) for name in item.place],
-        )
-        offset = (centre[0] - place[0], centre[1] - place[1], centre[2] - place[2])
+        mass = frame.get(item.weight) * (1.0 / SLUG_LB)
+        spot = [frame.get(name) for name in item.place]
+        offset = (centre[0] - spot[0], centre[1] - spot[1], centre[2] - spot[2])
         shape = (*item.inertia_ft2, 0.0, 0.0, 0.0)
         inertia = [
             i + a + mass * own
