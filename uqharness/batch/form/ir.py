@@ -370,6 +370,8 @@ class Builder:
 
     def copy_node(self, node: Node, values: Sequence[Value]) -> Value:
         """Copy a node of another builder, with this builder's ``values`` as its arguments."""
+        if node.arguments:
+            return Value(self, self._intern(node.operation, tuple([v.index for v in values])))
         if node.operation == "const":
             assert node.value is not None
             return (
@@ -379,9 +381,7 @@ class Builder:
             )
         if node.operation == "input":
             return self.input(node.name)
-        if node.operation == "load":
-            return self.load(node.name)
-        return Value(self, self._intern(node.operation, tuple([v.index for v in values])))
+        return self.load(node.name)
 
     def _intern(self, operation: str, arguments: tuple[int, ...]) -> int:
         """Return the index of an operation's node, created at its first use."""
@@ -389,16 +389,20 @@ class Builder:
         existing = self._interned.get(key)
         if existing is not None:
             return existing
-        nodes = [self.nodes[i] for i in arguments]
+        nodes, kinds, all_constant = [], [], True
+        for i in arguments:
+            node = self.nodes[i]
+            nodes.append(node)
+            kinds.append(node.kind)
+            all_constant = all_constant and node.value is not None
         meaning = OPERATIONS[operation]
         # Kinds are checked once, when the node is created.
-        if tuple([node.kind for node in nodes]) != meaning.kinds:
+        if tuple(kinds) != meaning.kinds:
             raise ValueError(
-                f"{operation} takes {', '.join(meaning.kinds)}; received"
-                f" {', '.join(n.kind for n in nodes)}"
+                f"{operation} takes {', '.join(meaning.kinds)}; received {', '.join(kinds)}"
             )
         # All arguments are constant: fold.
-        if meaning.compute is not None and None not in [node.value for node in nodes]:
+        if all_constant and meaning.compute is not None:
             index = self.constant(
                 apply_operation(operation, [numpy_constant(node) for node in nodes]).item(),
                 meaning.result,
@@ -538,14 +542,21 @@ def _compact(
 
 def slots_read(function: Function) -> dict[str, frozenset[str]]:
     """Return, for each store, the slots that its value depends on."""
-    of: list[frozenset[str]] = []
+    # Sets of slots are bits of an integer, which are united faster.
+    loaded: list[str] = []
+    masks: list[int] = []
     for node in function.nodes:
+        mask = 0
         if node.operation == "load":
-            of.append(frozenset((node.name,)))
-        else:
-            parts = [of[i] for i in node.arguments]
-            of.append(parts[0] if len(parts) == 1 else frozenset().union(*parts))
-    return {slot: of[index] for slot, index in function.stores.items()}
+            mask = 1 << len(loaded)
+            loaded.append(node.name)
+        for i in node.arguments:
+            mask |= masks[i]
+        masks.append(mask)
+    return {
+        slot: frozenset([name for k, name in enumerate(loaded) if masks[index] >> k & 1])
+        for slot, index in function.stores.items()
+    }
 
 
 def evaluate(
