@@ -16,7 +16,6 @@ class ExportRequest(Request):
     """
 
     command: ClassVar[str] = "export"
-    summary: ClassVar[str] = "write the model for ArduPilot, Gazebo or a table, with the loss"
     examples: ClassVar[str] = """
   uqharness export espaaro --to gazebo --out espaaro-gazebo
   uqharness export espaaro --to ardupilot-json --bounds bounds/model-form.json --out espaaro-ap

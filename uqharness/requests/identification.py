@@ -28,7 +28,6 @@ class IdentifyRequest(Request):
     """
 
     command: ClassVar[str] = "identify"
-    summary: ClassVar[str] = "parameters from flights"
     no: ClassVar[str] = "not converged, or no parameter identified"
     examples: ClassVar[str] = """
   uqharness identify espaaro --flight doublets.parquet --out identified
@@ -77,7 +76,6 @@ class CompareRequest(Request):
     """Replay a flight by segment and measure the gap to the model against the sensors' noise."""
 
     command: ClassVar[str] = "compare"
-    summary: ClassVar[str] = "compare a flight with the model"
     done: ClassVar[str] = "the model reaches the noise floor"
     no: ClassVar[str] = "it does not"
     examples: ClassVar[str] = """
@@ -121,7 +119,6 @@ class ValidateBoundsRequest(Request):
     """
 
     command: ClassVar[str] = "validate-bounds"
-    summary: ClassVar[str] = "coverage of bounds on a new flight"
     done: ClassVar[str] = "the bounds hold"
     no: ClassVar[str] = (
         "some coefficient's 95 % bounds do not hold, or the flight is too short to tell"
@@ -154,7 +151,6 @@ class BoundsRequest(Request):
     """
 
     command: ClassVar[str] = "bounds"
-    summary: ClassVar[str] = "model-form bounds from flights"
     examples: ClassVar[str] = """
   uqharness bounds espaaro --flight flight2.parquet --out bounds
   uqharness bounds identified/aircraft --flight flight2.bin --roll-terms --out bounds
