@@ -10,7 +10,7 @@ import pytest
 
 from tests.helpers import foreign_aircraft
 from uqharness.cli.main import main
-from uqharness.plugin.apply import instrument_aircraft
+from uqharness.plugin.apply import instrument_aircraft, undo
 from uqharness.plugin.instrument import Bounds
 from uqharness.simulator import SteadyCondition, find_aircraft, find_trim
 
@@ -117,6 +117,21 @@ def test_an_edited_host_is_flown_and_written_again(copies, tmp_path, capsys):
     assert b'"1">/controls/electric/battery-switch' in system.read_bytes()
     instrument_aircraft(find_aircraft(out), Bounds(), out, check=False)
     assert b'"0">/controls/electric/battery-switch' in system.read_bytes()
+
+
+def test_an_author_s_card_gets_the_host_and_undo_takes_it_out(tmp_path):
+    folder = foreign_aircraft.write("glider", tmp_path)
+    card = folder / "airframe.toml"
+    card.write_text('[aircraft]\nname = "glider"\nxml = "glider.xml"')
+    author = card.read_bytes()
+    out = tmp_path / "copy" / "glider"
+    instrument_aircraft(find_aircraft(folder), Bounds(), out, check=False)
+    host = find_aircraft(out).card.host
+    assert host["/position/altitude-agl-ft"] == "position/h-agl-ft"
+    assert host["/sim/hitches/aerotow/open"] == 1.0
+    undo(out, out)
+    assert (out / "airframe.toml").read_bytes() == author
+    assert (out / "glider.xml").read_bytes() == (folder / "glider.xml").read_bytes()
 
 
 @pytest.mark.slow
