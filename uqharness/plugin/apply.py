@@ -13,7 +13,7 @@ import os
 import re
 import tempfile
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 
 from sysid.units import IN_M, LB_KG, SLUG_FT2_KGM2, SLUG_LB
@@ -453,6 +453,7 @@ def instrument_aircraft(
                     f"{error}; --no-check instruments it unflown, for a host that knows better"
                 ) from None
             facts = aircraft_facts.assumed_facts(*metrics_of(aircraft))
+            facts = replace(facts, host=host_properties(aircraft))
             notes.append(f"unflown, so the card is a guess: {error}")
     unmeasured = {
         name: control.unmeasured

@@ -438,13 +438,7 @@ def card_text(
         ]
         lines += [f"{dotted((row.scale,))} = {_inline(scale_entry(row))}" for row in scaled]
     if facts.host:
-        lines += [
-            "",
-            "[host]                                        # provided by FlightGear, its host",
-            "# A number, or JSBSim's properties times numbers. Edit it where the aircraft needs",
-            "# another state of its systems; what FlightGear leaves to scripts is a guess.",
-            *(_host_line(row) for row in facts.host),
-        ]
+        lines += ["", *host_lines(facts.host)]
     return "\n".join(lines) + "\n"
 
 
@@ -456,6 +450,16 @@ def _limits(control: str, facts: ControlFacts) -> list[float]:
 
 
 _HOST_REMARKS = {"system": "on", "command": "an input of the model"}
+
+
+def host_lines(host: Sequence[HostProperty]) -> list[str]:
+    """Return the section [host] of a card."""
+    return [
+        "[host]                                        # provided by FlightGear, its host",
+        "# A number, or JSBSim's properties times numbers. Edit it where the aircraft needs",
+        "# another state of its systems; what FlightGear leaves to scripts is a guess.",
+        *(_host_line(row) for row in host),
+    ]
 
 
 def _host_line(row: HostProperty) -> str:

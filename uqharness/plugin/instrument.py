@@ -33,6 +33,7 @@ from uqharness.plugin.card import (
     add_scales,
     card_text,
     coefficient_properties,
+    host_lines,
     scale_entry,
     scale_system,
 )
@@ -334,6 +335,8 @@ def plan(
         edit = _add_card(aircraft, facts, scaled, edit, files, notes)
     elif scaled and aircraft.has_card:
         card = _with_parameters(aircraft.folder / "airframe.toml", scaled, notes)
+    if host and aircraft.has_card and not aircraft.card.host:
+        card = _with_host(aircraft.folder / "airframe.toml", host, card)
     # Bounds are written in every case.
     files[system] = bounds_xml(aircraft, bounds)
     if bounds.form is not None and bounds.form.aircraft.sha256 != content_hash(aircraft):
@@ -600,6 +603,17 @@ def _with_parameters(
         )
         return None
     return Insertion(len(raw), text)
+
+
+def _with_host(card: Path, host: Sequence[HostProperty], before: Insertion | None) -> Insertion:
+    """Return the insertion of [host] into a card, after another insertion at its end."""
+    raw = card.read_bytes()
+    newline = b"\r\n" if raw.count(b"\r\n") * 2 > raw.count(b"\n") else b"\n"
+    lines = ["", *host_lines(host), ""]
+    text = newline.join(line.encode() for line in lines)
+    if before is not None:
+        return Insertion(before.at, before.text + text)
+    return Insertion(len(raw), text if raw.endswith(b"\n") or not raw else newline + text)
 
 
 def _content(path: Path) -> bytes | None:

@@ -280,8 +280,13 @@ def host_properties(aircraft: Aircraft) -> tuple[HostProperty, ...]:
             raise BadInputError(_all_findings(errors)) from error
         for path in sorted(aircraft.folder.glob("*-set.xml")):
             rows = host.with_initial_values(rows, host.initial_values(read_xml(path)))
-        # An instrumented aircraft brings the host's system along.
-        if not _carried_system(staging.model_files(aircraft)):
+        # An instrumented aircraft brings the host's system along; its entries stay.
+        files = staging.model_files(aircraft)
+        if carried := _carried_system(files):
+            names = host.scan([(carried, files.local[carried].content)])
+            settled = {*names.computed, *names.declared, *map(host.canonical, aircraft.card.host)}
+            rows = tuple(row for row in rows if host.canonical(row.name) not in settled)
+        else:
             rows = host.with_host_entries(rows, aircraft.card.host)
         _host[stamp] = rows
     return _host[stamp]

@@ -33,6 +33,11 @@ _MAX_MESSAGES, _MAX_PATHS = 200, 64
 _LEGAL_NAME = re.compile(r"/?[A-Za-z_][\w.\-]*(\[\d+\])?(/[A-Za-z_][\w.\-]*(\[\d+\])?)*")
 
 
+LEANING = 0.8
+"""Share of the pressure at sea level (1.8 km) from where rich mixtures are leaned."""
+_SEA_LEVEL_PSF = 2116.22
+
+
 class _Collector(jsbsim.FGLogger):
     """Logger that keeps warnings and errors, with their place in the XML, for messages."""
 
@@ -236,6 +241,22 @@ def levers(fdm: Any) -> list[str]:
     return [name for name in names if manager.hasNode(name)]
 
 
+def lean_mixtures(fdm: Any) -> dict[str, float]:
+    """Lean rich mixtures where the air is thin, as a pilot does; return the levers and settings.
+
+    JSBSim's piston engine mixes by 1.3 times the lever over the pressure ratio and dies of a ratio
+    of 1.8. Below LEANING of the pressure at sea level the lever follows the pressure, which keeps
+    the mixture of sea level. Levers that are not at 1 are somebody's choice.
+    """
+    ratio = fdm["atmosphere/P-psf"] / _SEA_LEVEL_PSF
+    if not ratio < LEANING:
+        return {}
+    rich = [name for name in levers(fdm) if "mixture" in name and fdm[name] == 1.0]
+    for name in rich:
+        fdm[name] = ratio
+    return dict.fromkeys(rich, ratio)
+
+
 def settle_engines(fdm: Any) -> str:
     """Bring engines to the steady state of their levers with the aircraft's state unchanged.
 
@@ -243,6 +264,7 @@ def settle_engines(fdm: Any) -> str:
     an empty text, or which engine does not settle or stops.
     """
     changing = ""
+    lean_mixtures(fdm)
     fdm.get_propulsion().get_steady_state()
     renew_forces(fdm)
     # JSBSim's half-second steps did not converge.

@@ -40,6 +40,8 @@ def _words(text: str) -> frozenset[str]:
 
 _FPS_KT = 0.5924838
 _INHG_PSF = 0.014139
+# The lever that keeps the mixture of sea level, as a pilot leans it.
+_LEANED = "0.00047254 * atmosphere/P-psf"
 _PILOT_G = "-1 * accelerations/n-pilot-z-norm"
 
 # Pilot's controls that FlightGear copies to JSBSim's commands, the other way round. The number
@@ -558,6 +560,8 @@ def _control(
         return HostProperty(name, THROTTLE if gang else "0", "command", place)
     # A copy of a command that the model computes from this control would be a loop.
     if any(canonical(read) in names.computed for _, read in parse_source(source).terms):
+        if absolute.endswith("/mixture"):
+            return HostProperty(name, _LEANED, "control", place)
         return HostProperty(name, f"{initial:g}", "command", place)
     if not _exist(source, exists):
         return HostProperty(name, f"{initial:g}", "system" if initial else "unknown", place)

@@ -13,6 +13,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -149,6 +150,14 @@ def _path(condition: SteadyCondition) -> str:
     return f"Steady flight on a path of {math.degrees(condition.climb_rad):.3f} deg"
 
 
+def _leaned(fdm: Any, trim: Trim) -> dict[str, float]:
+    """Return the mixtures that the trim leaned at its altitude."""
+    engine.start_engines(fdm)
+    fdm["ic/h-sl-ft"] = trim.condition.altitude_m / FT_M
+    engine.run_ic(fdm)
+    return engine.lean_mixtures(fdm)
+
+
 def _script(aircraft: Aircraft, trim: Trim) -> str:
     """Return a run script that holds the trimmed controls."""
     fdm = open_aircraft(aircraft)
@@ -159,7 +168,7 @@ def _script(aircraft: Aircraft, trim: Trim) -> str:
         # Starting an engine opens its throttle, so the throttle follows.
         properties += [
             ("propulsion/set-running", -1.0),
-            *((name, 1.0) for name in engine.levers(fdm)),
+            *(dict.fromkeys(engine.levers(fdm), 1.0) | _leaned(fdm, trim)).items(),
         ]
     for control, value in trim.controls.items():
         name = aircraft.card.inputs[control].property

@@ -10,9 +10,16 @@ import pytest
 
 from tests.helpers import foreign_aircraft
 from uqharness.cli.main import main
-from uqharness.plugin.apply import instrument_aircraft
+from uqharness.plugin.apply import instrument_aircraft, undo
 from uqharness.plugin.instrument import Bounds
-from uqharness.simulator import SteadyCondition, find_aircraft, find_trim
+from uqharness.simulator import (
+    SteadyCondition,
+    engine,
+    find_aircraft,
+    find_trim,
+    host_properties,
+    open_aircraft,
+)
 
 CONSTANT = "CX=0.01,CY=0.01,CZ=0.05,Cl=0.001,Cm=0.01,Cn=0.001"
 CAMPAIGN = """[campaign]
@@ -117,6 +124,31 @@ def test_an_edited_host_is_flown_and_written_again(copies, tmp_path, capsys):
     assert b'"1">/controls/electric/battery-switch' in system.read_bytes()
     instrument_aircraft(find_aircraft(out), Bounds(), out, check=False)
     assert b'"0">/controls/electric/battery-switch' in system.read_bytes()
+    # A number in place of a copy is not copied over again.
+    text = card.read_text().replace('elevator" = "fcs/elevator-cmd-norm"', 'elevator" = 0.125')
+    card.write_text(text)
+    for write in (False, True):
+        if write:
+            instrument_aircraft(find_aircraft(out), Bounds(), out, check=False)
+        assert host_properties(find_aircraft(out)) == ()
+        fdm = open_aircraft(find_aircraft(out))
+        engine.run_ic(fdm)
+        assert fdm["/controls/flight/elevator"] == 0.125
+
+
+def test_an_author_s_card_gets_the_host_and_undo_takes_it_out(tmp_path):
+    folder = foreign_aircraft.write("glider", tmp_path)
+    card = folder / "airframe.toml"
+    card.write_text('[aircraft]\nname = "glider"\nxml = "glider.xml"')
+    author = card.read_bytes()
+    out = tmp_path / "copy" / "glider"
+    instrument_aircraft(find_aircraft(folder), Bounds(), out, check=False)
+    host = find_aircraft(out).card.host
+    assert host["/position/altitude-agl-ft"] == "position/h-agl-ft"
+    assert host["/sim/hitches/aerotow/open"] == 1.0
+    undo(out, out)
+    assert (out / "airframe.toml").read_bytes() == author
+    assert (out / "glider.xml").read_bytes() == (folder / "glider.xml").read_bytes()
 
 
 @pytest.mark.slow

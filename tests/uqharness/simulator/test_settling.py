@@ -153,3 +153,23 @@ def test_an_engine_that_jsbsim_settles_is_left_to_it():
     fdm = opened("c172p", 0.7)
     assert engine.settle_engines(fdm) == ""
     assert settling.is_balanced(fdm)
+
+
+def test_a_piston_engine_is_leaned_where_the_air_is_thin(tmp_path):
+    aircraft = find_aircraft("c172p")
+    high = find_trim(aircraft, SteadyCondition(50.0, 3000.0))
+    assert high.converged, high.reason
+    # At the mixture of sea level the engine would not run up there.
+    fdm = open_aircraft(aircraft)
+    engine.start_engines(fdm)
+    fdm["ic/h-sl-ft"], fdm["ic/vt-fps"] = 3000.0 / 0.3048, 164.0
+    engine.run_ic(fdm)
+    fdm["fcs/mixture-cmd-norm"] = 0.999  # not at 1: a choice, which stays
+    assert engine.lean_mixtures(fdm) == {}
+    assert "does not keep running" in engine.settle_engines(fdm)
+    # Below 1.8 km the lever stays rich.
+    fdm = open_aircraft(aircraft)
+    engine.start_engines(fdm)
+    fdm["ic/h-sl-ft"] = 5000.0
+    engine.run_ic(fdm)
+    assert engine.lean_mixtures(fdm) == {}
