@@ -415,6 +415,8 @@ Part = tuple[Document, Node]
 """An element and its file."""
 
 _SYSTEMS = ("system", "flight_control", "autopilot")
+_SHARED = "shared:"
+"""Prefix of files in the shared folders."""
 _READ = (
     *_SYSTEMS,
     "mass_balance",
@@ -475,6 +477,8 @@ def read_sources(aircraft: Aircraft | Files, script: Path | None) -> Sources:
     Raises BadInputError with file and line for unknown elements.
     """
     files = model_files(aircraft)
+    contents = {name: file.content for name, file in files.local.items()}
+    contents |= {f"{_SHARED}{name}": file.content for name, file in files.shared.items()}
     # Elements that JSBSim ignores have been blanked; line numbers are those of the file.
     document = parse_document(
         aircraft.xml, files.local[aircraft.xml.relative_to(aircraft.folder).as_posix()].content
@@ -486,7 +490,7 @@ def read_sources(aircraft: Aircraft | Files, script: Path | None) -> Sources:
             continue
         part = (document, node)
         if "file" in node.attributes:
-            part = _open_included(aircraft, document, node)
+            part = _open_included(aircraft, contents, document, node)
         if node.tag in _SYSTEMS:
             # JSBSim reads only the first of these.
             if node.tag == "system" or all(one.node.tag != node.tag for one in systems):
@@ -503,7 +507,7 @@ def read_sources(aircraft: Aircraft | Files, script: Path | None) -> Sources:
                 " engine"
             )
     propulsion = parts.get("propulsion")
-    included = {} if propulsion is None else _engine_files(aircraft, propulsion)
+    included = {} if propulsion is None else _engine_files(aircraft, contents, propulsion)
     return Sources(
         document,
         tuple(systems),
@@ -521,7 +525,9 @@ def read_sources(aircraft: Aircraft | Files, script: Path | None) -> Sources:
     )
 
 
-def _engine_files(aircraft: Aircraft | Files, propulsion: Part) -> dict[Node, Part]:
+def _engine_files(
+    aircraft: Aircraft | Files, contents: Mapping[str, bytes], propulsion: Part
+) -> dict[Node, Part]:
     """Open the files that engines and thrusters name."""
     document, root = propulsion
     nodes = [
@@ -530,25 +536,28 @@ def _engine_files(aircraft: Aircraft | Files, propulsion: Part) -> dict[Node, Pa
         for node in (engine, *engine.all("thruster"))
         if "file" in node.attributes
     ]
-    return {node: _open_included(aircraft, document, node) for node in nodes}
+    return {node: _open_included(aircraft, contents, document, node) for node in nodes}
 
 
-def _open_included(aircraft: Aircraft | Files, document: Document, node: Node) -> Part:
+def _open_included(
+    aircraft: Aircraft | Files, contents: Mapping[str, bytes], document: Document, node: Node
+) -> Part:
     """Return the root of the file that an element names, searched in the aircraft's folder, its
-    Systems, then the shared folder.
+    Systems, then the shared folder, among the files that JSBSim is given.
     """
     name = node.attributes["file"].strip()
     name = name if name.endswith(".xml") else f"{name}.xml"
     kind = "systems" if node.tag in _SYSTEMS else "engine"
+    shared = aircraft.systems_path if kind == "systems" else aircraft.engine_path
     # What <engine> and <thruster> name does not lie beside the aircraft's own file.
     places = [
-        aircraft.folder / inside / name
+        ((Path(inside) / name).as_posix(), aircraft.folder / inside / name)
         for inside in INSIDE[kind]
         if inside or node.tag not in ("engine", "thruster")
     ]
-    shared = aircraft.systems_path if kind == "systems" else aircraft.engine_path
-    for path in (*places, shared / name):
-        if path.is_file():
-            included = parse_document(path, read_xml(path))
+    for key, path in (*places, (f"{_SHARED}{kind}/{name}", shared / name)):
+        # A host's system is among the contents, and not on disk.
+        if key in contents or path.is_file():
+            included = parse_document(path, contents[key] if key in contents else read_xml(path))
             return included, included.root
     raise BadInputError(f"{document.where(node)}: file '{name}' was not found")

@@ -627,9 +627,7 @@ _TANK_SET = (
     r"|[xyz]-position)"
 )
 _TANK_MADE = r"propulsion/tank(\[\d+\])?/(pct-full|density-lbs_per_gal|local-i..-slug_ft2)"
-_CONTACT_SET = (
-    r"(gear|contact)/unit(\[\d+\])?/(pos-norm|(static|dynamic|rolling|side)_friction_coeff)"
-)
+_CONTACT_SET = r"(gear|contact)/unit(\[\d+\])?/(pos-norm|(static|dynamic|rolling)_friction_coeff)"
 _CONTACT = (
     rf"{_CONTACT_SET}|(gear|contact)/unit(\[\d+\])?/(WOW|compression-ft|compression-velocity-fps"
     r"|[xyz]-position|slip-angle-deg|wheel-speed-fps|steering-angle-deg|castered|solid|bumpiness"

@@ -101,8 +101,11 @@ def test_an_aircraft_that_was_edited_is_translated_anew(tmp_path):
     (same,) = fly_many([given])
     assert before.signals["cross_track"].tobytes() == same.signals["cross_track"].tobytes()
     text = (plane / "Systems/autopilot.xml").read_text()
+    compass = (
+        "<magnetometer name='m'><location/><output>fcs/elevator-cmd-norm</output></magnetometer>"
+    )
     (plane / "Systems/autopilot.xml").write_text(
-        text.replace("</channel>", "<wobbler/></channel>", 1)
+        text.replace("</channel>", f"{compass}</channel>", 1)
     )
     with pytest.raises(BadInputError):
         fly_many([given])
