@@ -87,6 +87,10 @@ class Part(BaseModel, Mapping[str, Any]):
     def __len__(self) -> int:
         return len(self._names())
 
+    def __bool__(self) -> bool:
+        """Return True: an object without keys is there all the same."""
+        return True
+
 
 Shape = TypeVar("Shape", bound=Part)
 T_co = TypeVar("T_co", covariant=True)
