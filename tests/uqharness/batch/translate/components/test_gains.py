@@ -123,10 +123,6 @@ def test_an_angle_agrees_to_rounding() -> None:
         ),
         (f'<aerosurface_scale name="g">{A}</aerosurface_scale>', "has <range>"),
         (
-            '<fcs_function name="f"><function name="n"><v>1</v></function></fcs_function>',
-            "attribute 'name' of <function>",
-        ),
-        (
             (
                 '<angle name="f"'
                 ' unit="X"><source_angle>i/a</source_angle><target_angle>i/a</target_angle></angle>'

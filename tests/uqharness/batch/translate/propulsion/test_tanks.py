@@ -146,7 +146,7 @@ def test_what_is_not_understood_is_refused(text: str, said: str) -> None:
     assert "point.xml:" in message
 
 
-@pytest.mark.parametrize("tank", ["", engines.tank(6.0)])
+@pytest.mark.parametrize("tank", few([engines.tank(6.0), ""], 1))
 def test_an_electric_engine_takes_nothing_from_its_tank(tank: str) -> None:
     """With a tank, and with the number of one that is not there, as converted models have it."""
     text = engines.aircraft(engines.mounted("motor", "fixed", feed="<feed>0</feed>") + tank)

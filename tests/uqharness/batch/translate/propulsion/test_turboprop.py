@@ -65,7 +65,7 @@ def case(
     return engines.Case(text, [*records, *engines.MOTION], inputs, files, events)
 
 
-@pytest.mark.parametrize("limit", ["-1", "400"])
+@pytest.mark.parametrize("limit", few(["-1", "400"], 1))
 def test_speed_power_temperatures_and_fuel_are_jsbsims(limit: str) -> None:
     made = case(1200, limit)
     theirs = made.theirs()
@@ -96,7 +96,7 @@ def test_in_reverse_the_lever_sets_the_blades() -> None:
     assert theirs["propulsion/engine/blade-angle"].min() < 9.0
 
 
-@pytest.mark.parametrize(("fuel", "events"), [(0.01, engines.RUNNING), (300.0, "")])
+@pytest.mark.parametrize(("fuel", "events"), few([(0.01, engines.RUNNING), (300.0, "")], 1))
 def test_an_engine_without_fuel_or_that_nobody_started(fuel: float, events: str) -> None:
     made = case(600, fuel=fuel, events=events)
     theirs = made.theirs()
@@ -116,7 +116,7 @@ def test_an_engine_without_fuel_or_that_nobody_started(fuel: float, events: str)
             ("<itt_delay>0.05", "<itt_delay>0.0501"),
             ("250  700", "250  701"),
         ],
-        3,
+        1,
     ),
 )
 def test_each_number_matters(old: str, new: str) -> None:
@@ -143,6 +143,7 @@ def test_what_is_not_understood_is_refused(old: str, new: str, said: str) -> Non
     assert said in engines.refusal(made.text, files)
 
 
+@pytest.mark.slow
 def test_a_turbine_turns_a_propeller_with_its_thrust_for_power() -> None:
     """As JSBSim 1.3.3 does."""
     text = engines.aircraft(
