@@ -186,10 +186,11 @@ Files = Annotated[tuple[FilePath, ...], BeforeValidator(one_or_several), Field(m
 class Request(BaseModel):
     """Base of all requests: immutable, without unknown fields and without type conversion.
 
-    Class attributes describe the command: ``command`` its words after ``uqharness``, ``examples`` command lines and what they write, ``done`` and
-    ``no`` the meaning of exit codes 0 and 1, ``keeps_stages`` whether a terminal keeps a line of
-    each finished stage, ``flies`` whether the command's callback takes the progress of a campaign
-    instead of the names of stages. The docstring is the command's description.
+    Class attributes describe the command: ``command`` its words after ``uqharness``, ``examples``
+    command lines and what they write, ``done`` and ``no`` the meaning of exit codes 0 and 1,
+    ``keeps_stages`` whether a terminal keeps a line of each finished stage, ``flies`` whether the
+    command's callback takes the progress of a campaign instead of the names of stages. The
+    docstring is the command's description.
     """
 
     model_config = ConfigDict(
