@@ -36,8 +36,6 @@ from uqharness.simulator.physical_checks import (
 from uqharness.simulator.staging import (
     HasFiles,
     ModelFiles,
-    Reference,
-    ScreenedFile,
     Staging,
     fingerprint,
     identity,
@@ -310,22 +308,18 @@ def model_files(aircraft: HasFiles) -> ModelFiles:
                 " `uqharness instrument` writes the system again"
             )
             local[carried] = replace(local[carried], content=content)
-    rows = tuple(row for row in host_properties(aircraft) if not row.misspelt)
+    try:
+        rows = tuple(row for row in host_properties(aircraft) if not row.misspelt)
+    except BadInputError:
+        rows = ()  # who opens the model is told why it does not load
     if not rows:
         return ModelFiles(local, files.shared, files.shared_paths)
     _report(f"{aircraft.name}: {host.describe(rows)}")
     main = aircraft.xml.relative_to(aircraft.folder).as_posix()
-    name = host.HOST_SYSTEM
-    while any(Path(file).stem == name for file in files.local):
-        name += "-2"
     author = files.local[main]
-    local[main] = ScreenedFile(
-        host.insert_system(author.content, name, str(aircraft.xml)),
-        author.root,
-        (Reference("system", f"{name}.xml", 1), *author.references),
-        author.removed,
-    )
-    local[f"Systems/{name}.xml"] = ScreenedFile(host.host_system_xml(rows, name), "system", (), ())
+    # In the aircraft's own file, so that readers need no other.
+    content = host.insert_system(author.content, host.host_system_xml(rows), str(aircraft.xml))
+    local[main] = replace(author, content=content)
     return ModelFiles(local, files.shared, files.shared_paths)
 
 

@@ -767,12 +767,13 @@ def _component(index: int, name: str, expression: Expression) -> list[str]:
     ]
 
 
-def insert_system(content: bytes, name: str, where: str) -> bytes:
-    """Return an aircraft's XML that loads a system before all others; lines keep their numbers."""
+def insert_system(content: bytes, system: bytes, where: str) -> bytes:
+    """Return an aircraft's XML with a system before all others; lines keep their numbers."""
     if content[:2] in (b"\xff\xfe", b"\xfe\xff"):
         raise BadInputError(f"{where}:1: is in UTF-16; save the file as UTF-8")
     at = _place(content)
-    return content[:at] + f'<system file="{name}"/>'.encode() + content[at:]
+    body = re.sub(rb"<\?.*?\?>|<!--.*?-->", b"", system, flags=re.DOTALL)
+    return content[:at] + b" ".join(line.strip() for line in body.split(b"\n")) + content[at:]
 
 
 def _place(content: bytes) -> int:
