@@ -32,7 +32,7 @@ from uqharness.identification.identify import identify
 from uqharness.identification.replay_fit import Identification
 from uqharness.plugin.apply import Estimate, write_estimates
 from uqharness.replay.flights import read_flights
-from uqharness.report.compare import verdict
+from uqharness.report.compare import gap_verdict
 from uqharness.simulator.aircraft import Aircraft, find_aircraft
 
 FLOWN = "synthetic_stall"
@@ -151,7 +151,7 @@ def markdown(trips: Sequence[RoundTrip]) -> str:
         lines.append(
             f"| {t.form.name} | {ratios} | {'reached' if t.gap.reached else 'NOT reached'} |"
         )
-    lines += ["", *(f"{t.form.name} ({t.form.about}): {verdict(t.gap)}" for t in trips), ""]
+    lines += ["", *(f"{t.form.name} ({t.form.about}): {gap_verdict(t.gap)}" for t in trips), ""]
     return "\n".join(lines)
 
 
@@ -175,7 +175,7 @@ def run(
     trips = []
     for form in forms:
         trips.append(round_trip(form, logs[0], logs[2], folder, free, workers))
-        log_progress(f"{form.name}: {verdict(trips[-1].gap)}")
+        log_progress(f"{form.name}: {gap_verdict(trips[-1].gap)}")
         write_text(folder / "round-trip.json", json.dumps(document(trips), indent=1) + "\n")
         write_text(folder / "round-trip.md", markdown(trips))
     return trips

@@ -48,8 +48,9 @@ SYSID = (
 )
 
 UQHARNESS = (
-    Room("cli", "commands: arguments, printing, exit codes", {"campaign": (1,)}),
+    Room("cli", "words to requests, printing, exit codes", {"campaign": (1,)}),
     Room("api", "the Python interface: import uqharness as uq", {}),
+    Room("commands", "requests to files and outcomes", {}),
     Room("report", "report.html, charts, figures", {"campaign": (7,), "effect": (6,)}),
     Room("dossier", "the evidence of a folder", {}),
     Room("study", "the whole chain, stage by stage", {}),
@@ -57,6 +58,7 @@ UQHARNESS = (
     Room("next_flight", "test points and their script", {}),
     Room("campaign", "cases, execution, journal, tables", {"campaign": (2, 5)}),
     Room("sensitivity", "five methods, of any function", {}),
+    Room("exchange", "models of other programs, their loss", {}),
     Room("identification", "parameters, comparison, bounds", {"residual": (6,)}),
     Room("replay", "recorded flights flown again", {"residual": (2,), "effect": (4,)}),
     Room("statistics", "p-boxes, rates, decisions", {"campaign": (6,)}),
@@ -66,7 +68,7 @@ UQHARNESS = (
     Room("flight", "one flight: air, steps, scores", {"campaign": (3,)}),
     Room("xml", "JSBSim's XML read and edited", {"effect": (3,)}),
     Room("simulator", "JSBSim's one door, aircraft, trim", {"residual": (3,), "campaign": (4,)}),
-    Room("base", "errors, files, TOML, processes: no package", {}),
+    Room("base, requests, results", "files; what commands take and give", {}),
 )
 
 WAYS = {"residual": "a residual", "campaign": "a campaign", "effect": "an effect"}

@@ -49,7 +49,9 @@ def test_no_other_module_writes_such_a_value() -> None:
         "sysid/units.py",
         "sysid/logs/checking/checks.py",
         "sysid/logs/info.py",
-    }  # the latter two in sentences for people
+        # JSBSim's own rounded factors, which an engine's numbers pass.
+        "uqharness/batch/translate/engine_files.py",
+    }  # checks and info in sentences for people
     assert set(found) <= allowed, found
 
 

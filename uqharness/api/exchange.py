@@ -37,7 +37,7 @@ def export(request: ExportRequest) -> Loss:
     --------
     >>> import uqharness as uq
     >>> loss = uq.export("espaaro", "gazebo", out="espaaro-gazebo", speed_mps=22.2, states=100)
-    >>> loss.verdict, loss.files[2:]
+    >>> loss.verdict, loss.files[:2]
     ('no bounds', ['model-classic.sdf', 'model.sdf'])
     >>> loss.coefficients["Cm"].rms < 0.001
     True
