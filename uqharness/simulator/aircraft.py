@@ -308,10 +308,7 @@ def model_files(aircraft: HasFiles) -> ModelFiles:
                 " `uqharness instrument` writes the system again"
             )
             local[carried] = replace(local[carried], content=content)
-    try:
-        rows = tuple(row for row in host_properties(aircraft) if not row.misspelt)
-    except BadInputError:
-        rows = ()  # who opens the model is told why it does not load
+    rows = _provided(aircraft)
     if not rows:
         return ModelFiles(local, files.shared, files.shared_paths)
     _report(f"{aircraft.name}: {host.describe(rows)}")
@@ -321,6 +318,17 @@ def model_files(aircraft: HasFiles) -> ModelFiles:
     content = host.insert_system(author.content, host.host_system_xml(rows), str(aircraft.xml))
     local[main] = replace(author, content=content)
     return ModelFiles(local, files.shared, files.shared_paths)
+
+
+def _provided(aircraft: Aircraft) -> tuple[HostProperty, ...]:
+    """Return what a host provides; nothing for a model that JSBSim refuses.
+
+    Whoever opens the model is told why it does not load.
+    """
+    try:
+        return tuple(row for row in host_properties(aircraft) if not row.misspelt)
+    except BadInputError:
+        return ()
 
 
 def stage(aircraft: Aircraft, root: Path) -> Staging:
@@ -334,7 +342,7 @@ def staged(aircraft: Aircraft) -> Staging:
     It is staged again once a file has changed. Raises BadInputError.
     """
     author = staging.staged(aircraft)
-    if not aircraft.card.host and all(row.misspelt for row in host_properties(aircraft)):
+    if not aircraft.card.host and not _provided(aircraft):
         return author
     # A card that was changed in this process has entries of its own.
     place = author.root / f"hosted-{sha256_hex(_entries(aircraft).encode())[:12]}"

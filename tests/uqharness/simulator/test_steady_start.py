@@ -153,7 +153,7 @@ def test_the_copy_is_made_once_and_mended_when_it_is_broken(flown):
         (
             "V_mps = 55",
             "V_mps = -1",
-            r"campaign.toml:8: \[start\] V_mps.*greater than 0.*received -1",
+            r"campaign.toml:8: \[start\] V_mps = -1: a number above 0",
         ),
         ("V_mps = 55", "V_kt = 55", r"campaign.toml:8: \[start\] V_kt: unknown key"),
         pytest.param(

@@ -83,14 +83,14 @@ def test_a_flight_with_instruments_is_jsbsims() -> None:
 def test_host_properties_are_constants_and_inputs() -> None:
     """A property outside JSBSim's tree that the XML declares, or that the host feeds."""
     text = flights.aircraft(
-        "<system name='s'><property value='.3'>/controls/flight/flaps</property>"
-        "<property value='0'>/controls/flight/elevator</property><channel><summer name='fcs/e'>"
-        "<input>/controls/flight/elevator</input><input>/controls/flight/flaps</input>"
-        "<output>/surface-positions/flap</output></summer></channel></system>"
-        + FORCE.replace("{reads}", "/surface-positions/flap").replace("i/lamp", "fcs/e")
+        "<system name='s'><property value='.3'>/mine/flaps</property>"
+        "<property value='0'>/mine/elevator</property><channel><summer name='fcs/e'>"
+        "<input>/mine/elevator</input><input>/mine/flaps</input>"
+        "<output>/mine/flap-position</output></summer></channel></system>"
+        + FORCE.replace("{reads}", "/mine/flap-position").replace("i/lamp", "fcs/e")
     )
-    elevator = {"/controls/flight/elevator": np.sin(np.arange(61) / 7.0)}
-    records = ["fcs/e", "/surface-positions/flap", "velocities/u-fps"]
+    elevator = {"/mine/elevator": np.sin(np.arange(61) / 7.0)}
+    records = ["fcs/e", "/mine/flap-position", "velocities/u-fps"]
     assert flights.worst(flights.compared(text, records, elevator, frames=60)) < 1e-9
     changed = text.replace("value='.3'", "value='.301'").replace("<v>9</v>", "<v>9.01</v>")
     gap = flights.compared(text, records, elevator, frames=60, changed=changed)

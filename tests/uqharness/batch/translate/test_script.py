@@ -230,7 +230,6 @@ def test_a_run_that_begins_later(monkeypatch):
             event("<set name='simulation/terminate' value='1'/>"),
             "simulation/terminate cannot be set",
         ),
-        (event("<set name='simulation/integrator/rate/rotational' value='3'/>"), "cannot be set"),
         (event("<set name='inertia/mass-slugs' value='3'/>"), "inertia/mass-slugs cannot be set"),
         (event("<set name='i/typo' value='1'/>"), "property i/typo is not computed"),
         (

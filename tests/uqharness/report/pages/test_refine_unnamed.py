@@ -93,4 +93,4 @@ def test_none_is_offered_none_is_shown():
 def test_a_curve_of_uneven_columns_is_refused():
     smooth = done()["remaining"]["smooth"]
     with pytest.raises(ValueError, match="of one length"):
-        SmoothTerm.model_validate(smooth | {"curve": smooth["curve"] | {"low": [0.0]}})
+        SmoothTerm.model_validate({**smooth, "curve": {**smooth["curve"], "low": [0.0]}})
