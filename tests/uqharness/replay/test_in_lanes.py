@@ -81,7 +81,9 @@ def refuse(*_: object) -> list[np.ndarray]:
     raise AssertionError("JSBSim was asked")
 
 
-def test_the_batch_engine_flew_them(model: ReplayModel) -> None:
+def test_the_batch_engine_flew_them(model: ReplayModel, monkeypatch: pytest.MonkeyPatch) -> None:
+    # Programs of other tests of this process, refused ones among them, do not count.
+    monkeypatch.setattr(module, "_programs", {})
     # The first job is judged by JSBSim; the others are not flown by it.
     fly_all(jobs(model)[:1])
     assert len(fly_all(jobs(model), refuse)) == 6
