@@ -619,7 +619,8 @@ _ENGINE_MADE = (
     r"|boostloss-(factor|hp)|(cht|egt)-degF|AFR"
     r"|oil-(temperature-degF|pressure-psi)|n[12]|MaxN[12]|injection_cmd|seized|stalled"
     r"|Inj(ectionTimer|WaterNorm|N[12]increment)"
-    r"|a?tsfc|itt-c|engtemp-c|total-vac-impulse|oxi-flow-rate-pps|engtrq-ftlb|ielu_intervent|combustion_efficiency|total-impulse"
+    r"|a?tsfc|itt-c|engtemp-c|total-vac-impulse|oxi-flow-rate-pps|engtrq-ftlb|ielu_intervent"
+    r"|combustion_efficiency|total-impulse"
     r"|vacuum-thrust_lbs|rotor-.*|.*-angle-.*)"
 )
 _TANK_SET = (
