@@ -6,7 +6,6 @@ line numbers and sentences about the file, which are those of requests.
 
 from __future__ import annotations
 
-import difflib
 import re
 import sys
 import types
@@ -20,7 +19,7 @@ from pydantic_core import ErrorDetails
 
 from sysid.foreign.regular_files import ParseError, parse_toml, read_regular_text
 from uqharness.errors import BadInputError
-from uqharness.requests.base import problem
+from uqharness.requests.base import problem, unknown_among
 
 
 def read_toml(path: Path) -> tuple[dict[str, Any], str]:
@@ -71,10 +70,8 @@ def _sentence(document: type[BaseModel], location: tuple[Any, ...], item: ErrorD
     name = _name(location)
     if item["type"] == "extra_forbidden":
         allowed = list(_definition(document, location[:-1]).annotation.model_fields)
-        matches = difflib.get_close_matches(str(location[-1]), allowed, n=1, cutoff=0.5)
-        hint = f"did you mean {matches[0]}? " if matches else ""
         kind = "section" if len(location) == 1 else "key"
-        return f"{name}: unknown {kind}; {hint}allowed: {', '.join(allowed)}"
+        return f"{name}: {unknown_among(str(location[-1]), allowed, kind)}"
     # An echoed table would hide the sentence, which names the part that matters.
     is_key, silent = item["loc"][-1:] == ("[key]",), isinstance(item["input"], dict)
     if item["type"] != "missing" and not is_key and not silent:

@@ -8,7 +8,6 @@ loads no numerical library.
 from __future__ import annotations
 
 import argparse
-import difflib
 import gc
 import logging
 import os
@@ -209,9 +208,11 @@ def _refuse_unknown(arguments: argparse.Namespace, word: str) -> None:
         for option in action.option_strings
         if option.startswith("--")
     ]
-    close = difflib.get_close_matches(word.partition("=")[0], options, n=1, cutoff=0.5)
-    hint = f"did you mean {close[0]}? " if close else ""
-    raise BadInputError(f"{word}: unknown; {hint}allowed: {', '.join(sorted(options))}")
+    # Imported here: the list of commands loads no pydantic.
+    from uqharness.requests.base import unknown_among
+
+    name = word.partition("=")[0]
+    raise BadInputError(f"{word}: {unknown_among(name, sorted(options))}")
 
 
 def main(argv: Sequence[str] | None = None) -> int:

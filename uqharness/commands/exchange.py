@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from sysid.aerodynamics import COEFFICIENTS
 from sysid.arrays import FloatArray
@@ -48,9 +48,8 @@ def export(request: ExportRequest, callback: Callback = silent) -> Outcome[Loss]
     assert request.out is not None
     check_output_folder(request.out)
     form = None if request.bounds is None else load_form(request.bounds)
-    properties = _settings(request.properties)
     callback("trim")
-    source = source_model(aircraft, request.speed_mps, properties)
+    source = source_model(aircraft, request.speed_mps, request.properties)
     states = box(source, request.states, request.seed)
     callback("fit of the format's model")
     files, target, lost, notes = _FORMATS[request.to](source, states)
@@ -98,16 +97,6 @@ def _loss(loss: CoefficientLoss) -> LossOfCoefficient:
         half_width=loss.half_width,
         beyond=loss.is_beyond,
     )
-
-
-def _settings(properties: Mapping[str, Any]) -> dict[str, float]:
-    """Return properties with finite numbers. Raises BadInputError."""
-    values = {}
-    for name, value in properties.items():
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            raise BadInputError(f"--set {name}={value}: a finite number is needed")
-        values[name] = float(value)
-    return values
 
 
 Fitted = tuple[Mapping[str, bytes], FloatArray, tuple[str, ...], tuple[str, ...]]

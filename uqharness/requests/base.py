@@ -329,7 +329,7 @@ def problem(
         return f"{beginning}: required; {needed} is needed"
     if kind in ("value_error", "assertion_error"):
         return f"{beginning}: {text}"
-    allowed = _choices(info)
+    allowed = choices_of(info)
     if allowed is not None:
         return f"{beginning}: allowed are {', '.join(map(str, allowed))}"
     return f"{beginning}: {needed} is needed"
@@ -338,9 +338,20 @@ def problem(
 def unknown_name(name: str, options: Mapping[str, tuple[FieldInfo, Option]], place: Place) -> str:
     """Return the message about a field that a request does not have."""
     allowed = [place.label(n, o) for n, (_, o) in options.items() if place.has(o)]
+    return f"{name}: {unknown_among(name, allowed)}"
+
+
+def unknown_among(name: str, allowed: Sequence[str], kind: str = "") -> str:
+    """Return what a message says of an unknown name: the closest one, and all that are allowed.
+
+    Examples
+    --------
+    >>> unknown_among("confidnce", ["confidence", "order"])
+    'unknown; did you mean confidence? allowed: confidence, order'
+    """
     close = difflib.get_close_matches(name, allowed, n=1, cutoff=0.5)
     hint = f"did you mean {close[0]}? " if close else ""
-    return f"{name}: unknown; {hint}allowed: {', '.join(allowed)}"
+    return f"{f'unknown {kind}'.strip()}; {hint}allowed: {', '.join(allowed)}"
 
 
 def requirement(info: FieldInfo, field_option: Option) -> str:
@@ -365,7 +376,7 @@ def requirement(info: FieldInfo, field_option: Option) -> str:
     }.get(base, "another value")
     if base is tuple:
         arguments = typing.get_args(_bare(info.annotation))
-        items = "number" if base_type((*arguments, str)[0]) in (float, int) else "name"
+        items = "number" if item_type(info.annotation) in (float, int) else "name"
         fixed = arguments and Ellipsis not in arguments
         noun = f"a list of {len(arguments)} {items}s" if fixed else f"a {items} or several"
     elif isinstance(base, type) and issubclass(base, BaseModel):
@@ -397,7 +408,7 @@ def _bare(annotation: Any) -> Any:
     return annotation
 
 
-def _choices(info: FieldInfo) -> tuple[Any, ...] | None:
+def choices_of(info: FieldInfo) -> tuple[Any, ...] | None:
     """Return the values of a Literal; None for other types."""
     annotation = info.annotation
     if base_type(annotation) is dict:
@@ -406,9 +417,6 @@ def _choices(info: FieldInfo) -> tuple[Any, ...] | None:
         if typing.get_origin(part) is Literal:
             return typing.get_args(part)
     return None
-
-
-choices_of = _choices
 
 
 # Python functions.
@@ -472,7 +480,7 @@ def kind_of(info: FieldInfo, field_option: Option) -> str:
     """Return a field's type as numpydoc writes it."""
     if field_option.kind:
         return field_option.kind
-    allowed = _choices(info)
+    allowed = choices_of(info)
     if allowed is not None:
         return "{" + ", ".join(repr(a).replace("'", '"') for a in allowed) + "}"
     base = base_type(info.annotation)
@@ -552,10 +560,7 @@ def read_section(
             values[keys[key]] = value
         else:
             # The name of the section is part of the label of every key.
-            allowed = [*own, *keys]
-            close = difflib.get_close_matches(key, allowed, n=1, cutoff=0.5)
-            hint = f"did you mean {close[0]}? " if close else ""
-            lines.append((key, f"{heading} {key}: unknown; {hint}allowed: {', '.join(allowed)}"))
+            lines.append((key, f"{heading} {key}: {unknown_among(key, [*own, *keys])}"))
     try:
         request = model.model_validate({**also, **values})
     except ValidationError as error:
@@ -631,6 +636,3 @@ Callback = Callable[[str], object]
 
 def silent(stage: str) -> None:
     """Take the name of a stage and do nothing: the default of all callbacks."""
-
-
-Arguments = Sequence[str]

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 from uqharness.requests import fields
 from uqharness.requests.base import Flag, Number, Request, WholeNumber, option
+from uqharness.requests.simulation import Properties
 
 Format = Literal["ardupilot-json", "gazebo", "csv"]
 
@@ -44,14 +45,14 @@ other program computes it and the source, over random states around steady fligh
         le=1000,
         metavar="V",
     )
-    properties: dict[str, Any] = option(
+    properties: Properties = option(
         {},
         "set a property of the source, such as a level of the model form; repeatable",
         flag="--set",
         key="set",
         metavar="PROP=VALUE",
         repeat=True,
-        needed='a mapping such as {"uq/active": 1.0}',
+        needed='PROP=VALUE with a finite number, such as uq/active=1 ({"uq/active": 1.0}),',
     )
     states: WholeNumber = option(2000, "random states that are compared", ge=10, le=100_000)
     seed: WholeNumber = fields.seed("the states")
