@@ -371,7 +371,7 @@ def bounds(request: BoundsRequest, callback: Callback = silent) -> Outcome[MadeB
     system = model_form_xml(made.form, aircraft)
     out = results_folder(request.out)
     write_bytes(out / "model-form.xml", system)
-    # The provenance is stored in the folder, but is no part of ``--json``.
+    # The provenance is stored in the folder; ``--json`` does not print it.
     stored = document.model_copy(update={"command": command_line(request), "version": __version__})
     write_json(out / "bounds.json", stored.as_json())
     write_residuals(made.form, made.residuals, ", ".join(f.name for f in flights), out)
@@ -507,7 +507,7 @@ def validate_bounds(
     callback("report")
     out = results_folder(request.out)
     write_residuals(form, validation.residuals, ", ".join(f.name for f in flights), out)
-    # The provenance is stored in the folder, but is no part of ``--json``.
+    # The provenance is stored in the folder; ``--json`` does not print it.
     stored = document.model_copy(update={"command": command_line(request), "version": __version__})
     write_json(out / "coverage.json", stored.as_json())
     report = write_report(out, figures=True)

@@ -409,7 +409,9 @@ class Remaining(Part):
     """Residual that the refined model does not explain."""
 
     unexplained: bool = Field(description="whether anything is left beyond noise")
-    where: list[RemainingPart] = Field(description="what is left, and where")
+    where: list[RemainingPart] = Field(
+        description="residuals that stay unexplained, and where they occur"
+    )
     channels_above_noise: Numbers = Field(description="channel to rms over noise")
     coloured_channels: Texts = Field(description="channels whose residual is not white")
     place: ResidualLocation | None = Field(
