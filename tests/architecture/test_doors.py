@@ -17,7 +17,7 @@ from tests.helpers.places import ROOT
 # What may be imported where: folders end with a slash. Behind each file that is no door stands why.
 DOORS: Mapping[str, tuple[str, ...]] = {
     "jsbsim": ("uqharness/simulator/engine.py",),
-    "llvmlite": ("uqharness/batch/machine/",),
+    "llvmlite": ("uqharness/batch/llvm.py",),
     "numba": ("sysid/linalg.py",),
     "matplotlib": ("uqharness/report/plots.py",),
     "argparse": ("uqharness/cli/",),
@@ -57,8 +57,6 @@ XML_TEXT = (
     "uqharness/report/",
     # Run scripts, which are XML from their first line to their last.
     "uqharness/next_flight/points.py",
-    "uqharness/simulator/own_mission.py",
-    "uqharness/simulator/own_mission.py",
     "uqharness/simulator/own_mission.py",
     # The system of an aircraft's host, part of what is staged, below uqharness.xml.
     "uqharness/simulator/host.py",

@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from uqharness.batch.form.ir import OPERATIONS, Function, numpy_constant
-from uqharness.batch.form.passes import lower_program
-from uqharness.batch.form.program import BLOCK, Feed, Feeds, Program, Section, Stream, check_call
+from uqharness.batch.ir import OPERATIONS, Function, numpy_constant
+from uqharness.batch.passes import lower_program
+from uqharness.batch.program import BLOCK, Feed, Feeds, Program, Section, Stream, check_call
 
 
 @dataclass(frozen=True)

@@ -13,14 +13,14 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
-from uqharness.batch.form.interpret import Interpreter
-from uqharness.batch.form.passes import optimise, propagate_constants, specialise_startup
-from uqharness.batch.form.program import Flyer, Program, Stream
-from uqharness.batch.lanes.streams import GUSTS, LEVELS, TRANSIENTS, noise_streams
-from uqharness.batch.machine.flight import compile_program
-from uqharness.batch.machine.llvm import choose_target
+from uqharness.batch.interpret import Interpreter
+from uqharness.batch.llvm import choose_target
+from uqharness.batch.llvm_flight import compile_program
 from uqharness.batch.models.auxiliary import POINT, TOUCHED
 from uqharness.batch.models.motion import CONDITIONS, WEIGHTS_PARTS, round_44_bits, slots
+from uqharness.batch.passes import optimise, propagate_constants, specialise_startup
+from uqharness.batch.program import Flyer, Program, Stream
+from uqharness.batch.streams import GUSTS, LEVELS, TRANSIENTS, noise_streams
 from uqharness.batch.translate.channels import Sources, read_sources
 from uqharness.batch.translate.engines import settling_slot
 from uqharness.batch.translate.flight import Flight, TraceRequest, trace_flight

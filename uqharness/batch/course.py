@@ -21,7 +21,19 @@ from numpy.typing import NDArray
 
 from sysid.arrays import FloatArray
 from sysid.units import FT_M
-from uqharness.batch.form.program import (
+from uqharness.batch.llvm import Target, choose_target
+from uqharness.batch.mission import (
+    AIR_WIND,
+    WIND,
+    LaneMission,
+    LoadedStart,
+    load_start,
+    make_mission,
+)
+from uqharness.batch.models.auxiliary import POINT, TOUCHED
+from uqharness.batch.models.motion import CONDITIONS, round_44_bits, start_state
+from uqharness.batch.models.winds import COUNTER, NORMALS
+from uqharness.batch.program import (
     Feed,
     Flyer,
     from_blocks,
@@ -32,15 +44,7 @@ from uqharness.batch.form.program import (
     step_once,
     to_blocks,
 )
-from uqharness.batch.lanes.mission import (
-    AIR_WIND,
-    WIND,
-    LaneMission,
-    LoadedStart,
-    load_start,
-    make_mission,
-)
-from uqharness.batch.lanes.streams import (
+from uqharness.batch.streams import (
     GUSTS,
     LEVELS,
     TRANSIENTS,
@@ -52,10 +56,6 @@ from uqharness.batch.lanes.streams import (
     Turbulence,
     noise_streams,
 )
-from uqharness.batch.machine.llvm import Target, choose_target
-from uqharness.batch.models.auxiliary import POINT, TOUCHED
-from uqharness.batch.models.motion import CONDITIONS, round_44_bits, start_state
-from uqharness.batch.models.winds import COUNTER, NORMALS
 from uqharness.batch.translate.frame import OUT_OF_RANGE, TIME, canonical
 from uqharness.errors import BadInputError
 from uqharness.flight import (

@@ -19,10 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.arrays import FloatArray
-from uqharness.batch.form.program import Stream
-from uqharness.batch.machine.llvm import Target, choose_target
-from uqharness.batch.machine.random import compiled_pairs, compiled_recursion, compiled_tries
+from uqharness.batch.llvm import Target, choose_target
+from uqharness.batch.llvm_random import compiled_pairs, compiled_recursion, compiled_tries
 from uqharness.batch.models.winds import DRAWS
+from uqharness.batch.program import Stream
 from uqharness.batch.translate.frame import UNIFORM
 from uqharness.flight import (
     COEFFICIENTS,

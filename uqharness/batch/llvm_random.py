@@ -17,9 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.arrays import FloatArray
-from uqharness.batch.form.ir import Builder, Value
-from uqharness.batch.form.program import BLOCK
-from uqharness.batch.machine.llvm import (
+from uqharness.batch.ir import Builder, Value
+from uqharness.batch.llvm import (
     Kernel,
     Target,
     attributes,
@@ -27,6 +26,7 @@ from uqharness.batch.machine.llvm import (
     compile_function,
     hexadecimal,
 )
+from uqharness.batch.program import BLOCK
 from uqharness.flight import dryden, random_numbers
 
 assert random_numbers.GROUP == 2 * BLOCK

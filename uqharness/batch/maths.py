@@ -17,8 +17,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
-from uqharness.batch.form.ir import TRANSCENDENTAL, Builder, Function, Node, Value, rewrite
-from uqharness.batch.form.program import Program
+from uqharness.batch.ir import TRANSCENDENTAL, Builder, Function, Node, Value, rewrite
+from uqharness.batch.program import Program
 
 # Building blocks: signs and exponents by bits, double-double arithmetic (Dekker 1971),
 # polynomials. A double-double is the exact sum of two doubles, the second at most half a unit in

@@ -13,7 +13,7 @@ from collections.abc import Collection, Iterable, Mapping, MutableMapping, Seque
 from dataclasses import dataclass, replace
 from typing import Any
 
-from uqharness.batch.form.ir import (
+from uqharness.batch.ir import (
     F64,
     I1,
     NUMPY_TYPES,
@@ -26,8 +26,8 @@ from uqharness.batch.form.ir import (
     same_bits,
     slots_read,
 )
-from uqharness.batch.form.maths import fold, lower
-from uqharness.batch.form.program import Program, Section, When
+from uqharness.batch.maths import fold, lower
+from uqharness.batch.program import Program, Section, When
 
 # Code sinking (Muchnick 1997, section 18) over frames: values that only sections of every n-th
 # frame load, or that only records use, move into a section of every n-th frame that follows the

@@ -14,10 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from uqharness.batch.form.ir import F64, I1, Function
-from uqharness.batch.form.passes import lower_program
-from uqharness.batch.form.program import BLOCK, Feeds, Program, Section, Stream, When, check_call
-from uqharness.batch.machine.llvm import FunctionPrinter, Target, Vectors, attributes, build_code
+from uqharness.batch.ir import F64, I1, Function
+from uqharness.batch.llvm import FunctionPrinter, Target, Vectors, attributes, build_code
+from uqharness.batch.passes import lower_program
+from uqharness.batch.program import BLOCK, Feeds, Program, Section, Stream, When, check_call
 
 
 @dataclass(frozen=True)

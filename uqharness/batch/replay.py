@@ -19,8 +19,20 @@ from typing import Any
 import numpy as np
 
 from sysid.arrays import FloatArray
-from uqharness.batch.form.interpret import Interpreter
-from uqharness.batch.form.passes import (
+from uqharness.batch.course import settle
+from uqharness.batch.interpret import Interpreter
+from uqharness.batch.llvm import choose_target
+from uqharness.batch.llvm_flight import compile_program
+from uqharness.batch.mission import compiled_settlers, initial_values
+from uqharness.batch.models.motion import (
+    CONDITIONS,
+    WEIGHTS_PARTS,
+    slots,
+    start_conditions,
+    start_section,
+    start_state,
+)
+from uqharness.batch.passes import (
     eliminate_dead_stores,
     fuse_sections,
     lower_program,
@@ -29,7 +41,7 @@ from uqharness.batch.form.passes import (
     prune_slots,
     specialise_startup,
 )
-from uqharness.batch.form.program import (
+from uqharness.batch.program import (
     BLOCK,
     Flyer,
     Program,
@@ -39,18 +51,6 @@ from uqharness.batch.form.program import (
     share_feed,
     slot,
     step_once,
-)
-from uqharness.batch.lanes.course import settle
-from uqharness.batch.lanes.mission import compiled_settlers, initial_values
-from uqharness.batch.machine.flight import compile_program
-from uqharness.batch.machine.llvm import choose_target
-from uqharness.batch.models.motion import (
-    CONDITIONS,
-    WEIGHTS_PARTS,
-    slots,
-    start_conditions,
-    start_section,
-    start_state,
 )
 from uqharness.batch.translate.channels import Sources
 from uqharness.batch.translate.flight import Flight, TraceRequest, trace_flight

@@ -12,8 +12,8 @@ import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 
-from uqharness.batch.form.ir import F64, Builder, Function, Node, Value, slots_read
-from uqharness.batch.form.program import Program
+from uqharness.batch.ir import F64, Builder, Function, Node, Value, slots_read
+from uqharness.batch.program import Program
 
 Rate = Value | None
 """A derivative; None if it is identically 0."""

@@ -18,8 +18,8 @@ from typing import Any
 import llvmlite.binding as llvm
 import numpy as np
 
-from uqharness.batch.form.ir import F64, I1, I64, TRANSCENDENTAL, Function, Node
-from uqharness.batch.form.program import BLOCK, from_blocks, to_blocks
+from uqharness.batch.ir import F64, I1, I64, TRANSCENDENTAL, Function, Node
+from uqharness.batch.program import BLOCK, from_blocks, to_blocks
 from uqharness.errors import BadInputError
 
 # Targets, and compilation of LLVM text.

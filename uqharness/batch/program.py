@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from uqharness.batch.form.ir import Function
+from uqharness.batch.ir import Function
 
 
 @dataclass(frozen=True)

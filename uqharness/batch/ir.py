@@ -2,7 +2,7 @@
 
 A `Builder` creates values. It numbers values (an operation on the same arguments is created once),
 folds constants, and has no control flow. `Builder.finish` removes dead nodes and returns a
-`Function`, which passes rewrite, `uqharness.batch.machine` compiles and `evaluate` computes with
+`Function`, which passes rewrite, `uqharness.batch.llvm` compiles and `evaluate` computes with
 numpy. State is read once at the start of a frame and written once at its end: ``load`` after
 ``store`` returns the stored value.
 """
