@@ -10,8 +10,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from numpy.typing import ArrayLike
 
-from uqharness.campaign import Progress
-from uqharness.campaign.folder import read_complete
+from uqharness.campaign import Progress, read_complete
 from uqharness.commands import CampaignResult
 from uqharness.commands import campaign as commands
 from uqharness.commands.next_flight import next_flight as plan_next_flight

@@ -13,9 +13,9 @@ from uqharness.campaign import (
     as_csv,
     read_corner_campaign,
     read_interior_campaign,
+    record_table,
     shares_by_condition,
 )
-from uqharness.campaign.folder import record_table
 from uqharness.heartbeat import counting
 from uqharness.report import condition_sections, write_figures
 from uqharness.requests.base import Callback, silent

@@ -4,7 +4,7 @@ A request is a pydantic model with one field for each option. The field's type, 
 sentence are written once; this module derives from them the keywords and the documentation of the
 Python function (`accepts`), the values of a settings file's section (`read_section`), the command
 that repeats a result (`command_words`) and the message about a wrong value, which is the same from
-all three. `uqharness.cli.arguments` derives the options of the command line.
+all three. `uqharness.cli.request_command` derives the options of the command line.
 """
 
 from __future__ import annotations

@@ -13,8 +13,8 @@ from typing import Any
 import pytest
 
 from uqharness.cli import main as cli
-from uqharness.cli.arguments import add_request, request_of
 from uqharness.cli.options import Command, commands_of
+from uqharness.cli.request_command import add_request, request_of
 from uqharness.errors import BadInputError
 from uqharness.requests.base import (
     PYTHON,

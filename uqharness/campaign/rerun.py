@@ -17,17 +17,17 @@ from typing import Any
 from sysid.units import FT_M
 from uqharness.campaign.cases import Case, build_cases
 from uqharness.campaign.engines import make_copy, needs_copy
-from uqharness.campaign.execution.processes import ProcessExecutor
-from uqharness.campaign.execution.worker import JSBSIM, CaseOutcome, fly_group, unavailable_reason
-from uqharness.campaign.folder.manifest import (
+from uqharness.campaign.manifest import (
     describe,
     read_manifest,
     refuse_if_different,
     refuse_without_digests,
     spec_of,
 )
-from uqharness.campaign.folder.store import Store
+from uqharness.campaign.processes import ProcessExecutor
 from uqharness.campaign.run import find_mission
+from uqharness.campaign.store import Store
+from uqharness.campaign.worker import JSBSIM, CaseOutcome, fly_group, unavailable_reason
 from uqharness.errors import BadInputError
 from uqharness.files import inner_folder, remove, write_bytes
 from uqharness.flight import (

@@ -2,7 +2,7 @@
 
 Each section of the file is a strict pydantic model; `CampaignSpec` is the validated campaign with
 its inputs. Error messages name file and line, what was received and what is allowed.
-`uqharness.campaign.spec.samples` builds the epistemic samples from it.
+`uqharness.campaign.sampling` builds the epistemic samples from it.
 """
 
 from __future__ import annotations

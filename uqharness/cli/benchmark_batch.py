@@ -1,5 +1,5 @@
 """Speed of the batch engine relative to JSBSim's bare loop: ``python -m
-uqharness.cli.benchmarks.batch``.
+uqharness.cli.benchmark_batch``.
 
 One flight is the expensive case: loiter in wind, turbulence, sensor noise, autopilot, and with
 ``--model-form`` bounds that depend on the state. Loops take turns in one process, and the shortest
@@ -31,9 +31,8 @@ import numpy as np
 
 from sysid.aerodynamics import Piece
 from uqharness.batch import VECTORS, forget, record_many, target_names
-from uqharness.campaign import find_mission, run_campaign
-from uqharness.campaign.spec import campaign_from
-from uqharness.cli.benchmarks.loop import bare_loop, with_model_form
+from uqharness.campaign import campaign_from, find_mission, run_campaign
+from uqharness.cli.benchmark_loop import bare_loop, with_model_form
 from uqharness.errors import BadInputError
 from uqharness.files import scratch_folder
 from uqharness.flight import COEFFICIENTS, FlightSpec
@@ -333,7 +332,7 @@ def as_text(figures: Mapping[str, float]) -> str:
 def main(argv: Sequence[str] | None = None) -> int:
     """Measure and print; return the exit code."""
     parser = argparse.ArgumentParser(
-        prog="python -m uqharness.cli.benchmarks.batch",
+        prog="python -m uqharness.cli.benchmark_batch",
         description="Speed of the batch engine relative to JSBSim's bare loop.",
     )
     parser.add_argument("--aircraft", default="espaaro")

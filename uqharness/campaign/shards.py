@@ -22,7 +22,7 @@ from sysid.foreign.regular_files import read_regular
 from sysid.units import counted, percent
 from uqharness import checksums
 from uqharness.campaign.cases import Case, Mission, build_cases
-from uqharness.campaign.folder.manifest import (
+from uqharness.campaign.manifest import (
     COMPLETE,
     INTERRUPTED,
     MANIFEST,
@@ -37,8 +37,11 @@ from uqharness.campaign.folder.manifest import (
     spec_of,
     write_manifest,
 )
-from uqharness.campaign.folder.store import JOURNAL, Store, is_running, run_lock
-from uqharness.campaign.folder.tables import (
+from uqharness.campaign.rounds import ALL_CORNERS, Rounds
+from uqharness.campaign.spec import CampaignSpec
+from uqharness.campaign.statements import STATEMENTS, joint_level, joint_words
+from uqharness.campaign.store import JOURNAL, Store, is_running, run_lock
+from uqharness.campaign.tables import (
     ENGINE_CHECK,
     MOST_CHECK_BYTES,
     TABLE_NAMES,
@@ -50,9 +53,6 @@ from uqharness.campaign.folder.tables import (
     table_digests,
     write_tables,
 )
-from uqharness.campaign.rounds import ALL_CORNERS, Rounds
-from uqharness.campaign.spec.campaign import CampaignSpec
-from uqharness.campaign.statements import STATEMENTS, joint_level, joint_words
 from uqharness.errors import BadInputError
 from uqharness.results.campaign import Answer, CampaignStatus, Merged
 from uqharness.text_tables import csv_rows

@@ -26,14 +26,14 @@ from pathlib import Path
 from typing import Any
 
 from sysid.foreign.regular_files import open_regular, require_regular
-from uqharness.campaign.execution.worker import CaseOutcome
-from uqharness.campaign.folder.manifest import (
+from uqharness.campaign.manifest import (
     DamageError,
     digest_of_rows,
     digest_of_text,
     row_digest,
     sum_digests,
 )
+from uqharness.campaign.worker import CaseOutcome
 from uqharness.checksums import LOCK as LOCK
 from uqharness.errors import BadInputError
 from uqharness.files import open_without_links, try_lock

@@ -18,7 +18,7 @@ from multiprocessing.connection import Connection, wait
 from typing import Any, Protocol
 
 from uqharness.arguments import integer
-from uqharness.campaign.execution.worker import (
+from uqharness.campaign.worker import (
     CaseOutcome,
     FlightFunction,
     Group,

@@ -22,8 +22,8 @@ import uqharness
 from sysid.digests import sha256_hex, sha256_of_parts
 from sysid.foreign.regular_files import read_regular
 from uqharness.campaign.cases import Mission
-from uqharness.campaign.spec.campaign import CampaignSpec
-from uqharness.campaign.spec.read import campaign_from, checked_settings
+from uqharness.campaign.read_spec import campaign_from, checked_settings
+from uqharness.campaign.spec import CampaignSpec
 from uqharness.errors import BadInputError
 from uqharness.files import write_bytes
 

@@ -15,14 +15,14 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from uqharness.campaign.spec.campaign import (
+from uqharness.campaign.sampling import epistemic_samples
+from uqharness.campaign.spec import (
     AleatorySection,
     CampaignSpec,
     Document,
     read_inputs,
     without_flights,
 )
-from uqharness.campaign.spec.samples import epistemic_samples
 from uqharness.errors import BadInputError
 from uqharness.flight import (
     BELOW_CEILING,

@@ -1,4 +1,4 @@
-"""Cost of the harness over JSBSim's bare loop: ``python -m uqharness.cli.benchmarks.loop``.
+"""Cost of the harness over JSBSim's bare loop: ``python -m uqharness.cli.benchmark_loop``.
 
 Three loops take turns in one process, each flying the same minutes of the loiter in wind,
 turbulence and sensor noise:
@@ -25,9 +25,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from uqharness.campaign import put_bounds
-from uqharness.campaign.execution import CaseOutcome, FlightFunction, ProcessExecutor, attempt
-from uqharness.campaign.folder import Store
+from uqharness.campaign import (
+    CaseOutcome,
+    FlightFunction,
+    ProcessExecutor,
+    Store,
+    attempt,
+    put_bounds,
+)
 from uqharness.files import scratch_folder
 from uqharness.flight import (
     COEFFICIENTS,
@@ -254,7 +259,7 @@ def _driver(levels: str) -> LevelDriver | None:
 def main(argv: Sequence[str] | None = None) -> int:
     """Measure and print; return the exit code."""
     parser = argparse.ArgumentParser(
-        prog="python -m uqharness.cli.benchmarks.loop",
+        prog="python -m uqharness.cli.benchmark_loop",
         description="Cost of the harness over JSBSim's bare loop.",
     )
     parser.add_argument("--aircraft", default="espaaro")

@@ -31,8 +31,7 @@ from uqharness.campaign.conditions import (
     in_condition,
     pboxes,
 )
-from uqharness.campaign.execution.worker import BATCH, JSBSIM, CaseOutcome
-from uqharness.campaign.folder.manifest import (
+from uqharness.campaign.manifest import (
     COMPLETE,
     DamageError,
     has_digests,
@@ -40,7 +39,7 @@ from uqharness.campaign.folder.manifest import (
     write_manifest,
 )
 from uqharness.campaign.rounds import DECISIONS, band_confidence, decision_rows
-from uqharness.campaign.spec.campaign import CampaignSpec
+from uqharness.campaign.spec import CampaignSpec
 from uqharness.campaign.statements import (
     STATEMENTS,
     Statement,
@@ -48,6 +47,7 @@ from uqharness.campaign.statements import (
     statements,
     statements_csv,
 )
+from uqharness.campaign.worker import BATCH, JSBSIM, CaseOutcome
 from uqharness.errors import BadInputError
 from uqharness.files import write_bytes
 from uqharness.flight import COEFFICIENTS, STATUSES, TURBULENCE_W20_KT

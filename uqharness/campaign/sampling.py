@@ -16,12 +16,7 @@ from functools import lru_cache
 import numpy as np
 
 from sysid.arrays import FloatArray
-from uqharness.campaign.spec.campaign import (
-    SAMPLED,
-    CampaignSpec,
-    Estimates,
-    ParametersSection,
-)
+from uqharness.campaign.spec import SAMPLED, CampaignSpec, Estimates, ParametersSection
 from uqharness.flight import (
     COEFFICIENTS,
     LevelDriver,

@@ -23,9 +23,7 @@ from sysid.foreign.regular_files import read_regular, require_regular
 from uqharness.campaign.cases import Mission, build_cases
 from uqharness.campaign.cost import Cost
 from uqharness.campaign.engines import Engines, with_default_noise
-from uqharness.campaign.execution.processes import Executor
-from uqharness.campaign.execution.worker import BATCH, JSBSIM, CaseOutcome, FlightFunction
-from uqharness.campaign.folder.manifest import (
+from uqharness.campaign.manifest import (
     COMPLETE,
     INTERRUPTED,
     MANIFEST,
@@ -41,8 +39,11 @@ from uqharness.campaign.folder.manifest import (
     spec_of,
     write_manifest,
 )
-from uqharness.campaign.folder.shards import SHARDS, Shard, merge, parse_shard, refuse_if_changed
-from uqharness.campaign.folder.store import (
+from uqharness.campaign.processes import Executor
+from uqharness.campaign.run import find_mission, run_campaign
+from uqharness.campaign.shards import SHARDS, Shard, merge, parse_shard, refuse_if_changed
+from uqharness.campaign.spec import CampaignSpec
+from uqharness.campaign.store import (
     JOURNAL,
     LEFTOVER,
     JournalScan,
@@ -53,9 +54,8 @@ from uqharness.campaign.folder.store import (
     outcome_of,
     run_lock,
 )
-from uqharness.campaign.folder.tables import ENGINE_CHECK, TABLE_NAMES, is_sealed, table_digests
-from uqharness.campaign.run import find_mission, run_campaign
-from uqharness.campaign.spec.campaign import CampaignSpec
+from uqharness.campaign.tables import ENGINE_CHECK, TABLE_NAMES, is_sealed, table_digests
+from uqharness.campaign.worker import BATCH, JSBSIM, CaseOutcome, FlightFunction
 from uqharness.checksums import SUMS, SumsError, faults, is_behind_link, read_sums, update_sums
 from uqharness.errors import BadInputError
 from uqharness.files import scratch_folder
