@@ -30,24 +30,25 @@ from uqharness.requests.campaign import (
     RerunRequest,
     RunRequest,
     SalvageRequest,
+    SensitivityRequest,
     StatusRequest,
     VerifyRequest,
 )
 from uqharness.requests.next_flight import NextFlightRequest
-from uqharness.requests.sensitivity import SensitivityRequest
 from uqharness.results.campaign import (
     Areas,
     CampaignCost,
     CampaignPage,
+    CampaignSensitivity,
     CampaignStatus,
     Convergence,
     FolderCheck,
     Merged,
+    ModalSensitivity,
     Rerun,
     Salvaged,
 )
 from uqharness.results.next_flight import AchievedNarrowing, NextFlightPlan
-from uqharness.results.sensitivity import CampaignSensitivity, ModalSensitivity
 from uqharness.statistics import PBox, Sample
 from uqharness.statistics import pbox as boxes
 

@@ -35,7 +35,7 @@ from uqharness.campaign.statements import format_number
 from uqharness.campaign.tables import CASES, read_cases, read_checked
 from uqharness.errors import BadInputError
 from uqharness.flight import COEFFICIENTS, TURBULENCE_W20_KT
-from uqharness.results.sensitivity import MetricShares
+from uqharness.results.campaign import MetricShares
 from uqharness.sensitivity import Evaluations, MethodResult, PairRange, Study
 from uqharness.sensitivity.measures import corner_pairs
 from uqharness.sensitivity.result import Ranking, rank, unit_of, words

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from uqharness.cli import main as cli
-from uqharness.cli.options import Command, commands_of
+from uqharness.cli.main import Command, commands_of
 from uqharness.cli.request_command import add_request, request_of
 from uqharness.errors import BadInputError
 from uqharness.requests.base import (
