@@ -77,6 +77,7 @@ def _add_field(parser: argparse.ArgumentParser, name: str, info: Any, field_opti
             settings |= {"nargs": "+", "action": "extend"}
         elif field_option.repeat:
             settings["action"] = "append"
+            settings["help"] += "; repeatable"
         default = None if info.is_required() else info.get_default(call_default_factory=True)
         if default not in (None, (), {}, ""):
             shown = f"{default:g}" if isinstance(default, float) else str(default)

@@ -302,9 +302,7 @@ flown."""
     repeats: WholeNumber = option(
         10, "number of parts into which the flights are divided", ge=2, metavar="N", toml=False
     )
-    metric: Names = option(
-        (), "column of cases.parquet; repeatable", metavar="NAME", repeat=True, toml=False
-    )
+    metric: Names = option((), "column of cases.parquet", metavar="NAME", repeat=True, toml=False)
 
 
 class AreaRequest(FolderRequest):
@@ -325,7 +323,7 @@ which the flights lie outside the p-box, in the metric's unit."""
     )
     value: Annotated[dict[str, Number], BeforeValidator(_numbers_by_name)] = option(
         {},
-        "metrics of a single flight; repeatable",
+        "metrics of a single flight",
         metavar="METRIC=NUMBER",
         repeat=True,
         kind="Mapping of str to float",
