@@ -1,6 +1,7 @@
 from .cases import Case as Case
 from .cases import Mission as Mission
 from .cases import build_cases as build_cases
+from .cases import uq_properties as uq_properties
 from .conditions import CONFIDENCE as CONFIDENCE
 from .conditions import ERROR_METRICS as ERROR_METRICS
 from .conditions import UNCOMMANDED_METRICS as UNCOMMANDED_METRICS
