@@ -54,6 +54,7 @@ from .run import find_mission as find_mission
 from .run import run_campaign as run_campaign
 from .sampling import INTERIOR_MARK as INTERIOR_MARK
 from .sampling import NOMINAL as NOMINAL
+from .sampling import epistemic_samples as epistemic_samples
 from .sensitivity import SENSITIVITY as SENSITIVITY
 from .sensitivity import MetricSensitivity as MetricSensitivity
 from .sensitivity import Winner as Winner

@@ -12,9 +12,13 @@ from typing import Literal
 
 from sysid.aerodynamics import COEFFICIENTS
 from sysid.arrays import FloatArray
-from uqharness.campaign import uq_properties
-from uqharness.campaign.folder import read_manifest, spec_of
-from uqharness.campaign.spec import epistemic_samples, read_campaign
+from uqharness.campaign import (
+    epistemic_samples,
+    read_campaign,
+    read_manifest,
+    spec_of,
+    uq_properties,
+)
 from uqharness.commands.flights import AnyAircraft, carded_aircraft
 from uqharness.errors import BadInputError
 from uqharness.exchange import (
@@ -29,6 +33,7 @@ from uqharness.exchange import (
     box_around,
     derivatives,
     differences,
+    fmu,
     gazebo,
     in_reference,
     losses,
@@ -201,7 +206,7 @@ def _ardupilot_jsbsim(source: SourceModel, states: FlightStates, name: str) -> F
     scratch = scratch_folder("export-")
     copy = ardupilot_jsbsim.write_folder(source, name, scratch.path)
     start = ardupilot_jsbsim.ground_start(copy, scratch.path)
-    gear = ()
+    gear: tuple[str, ...] = ()
     if start.failure:
         gear = (f"its contact points are replaced by three wheels: {start.failure}",)
         copy = ardupilot_jsbsim.write_folder(source, name, scratch.path, replace_contacts=True)
@@ -263,6 +268,24 @@ def _gazebo(source: SourceModel, states: FlightStates, _: str) -> Fitted:
     return files, gazebo.coefficients(model, states), gazebo.LOST, notes
 
 
+def _fmu(source: SourceModel, states: FlightStates, name: str) -> Fitted:
+    """Pack a functional mock-up unit."""
+    with scratch_folder("export-") as scratch:
+        root = Path(scratch)
+        copy = fmu.write_copy(source, name, root)
+        model = fmu.description(source, copy)
+        unit = fmu.build(model, root)
+        target = replace(source, aircraft=copy, properties={}).coefficients(states)
+    notes = (
+        "FMI 3.0, co-simulation; the importing program's Python needs the package jsbsim",
+        f"inputs {', '.join(row['name'] for row in model['commands'])} and the wind",
+        "parameters: the levels of the model form",
+        f"starts in the trim; frames of {model['dt_s']:g} s",
+        _SURFACES,
+    )
+    return {f"{model['identifier']}.fmu": unit}, target, fmu.LOST, notes
+
+
 def _csv(source: SourceModel, states: FlightStates, _: str) -> Fitted:
     """Tabulate the source over one variable at a time."""
     tables = sweeps.sweeps(source)
@@ -279,6 +302,7 @@ _FORMATS = {
     "ardupilot-jsbsim": _ardupilot_jsbsim,
     "ardupilot-json": _ardupilot_json,
     "gazebo": _gazebo,
+    "fmu": _fmu,
     "csv": _csv,
 }
 

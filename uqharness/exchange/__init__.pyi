@@ -1,5 +1,6 @@
 from . import ardupilot_jsbsim as ardupilot_jsbsim
 from . import ardupilot_json as ardupilot_json
+from . import fmu as fmu
 from . import gazebo as gazebo
 from . import sweeps as sweeps
 from .loss import CoefficientLoss as CoefficientLoss

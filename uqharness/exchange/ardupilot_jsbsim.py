@@ -4,7 +4,6 @@ The backend (libraries/SITL/SIM_JSBSim.cpp) owns the run script: it puts the air
 starts engine 0, trims on the gear, and then sets ``fcs/*-cmd-norm`` in every frame at 1,200 Hz. The
 copy written here has what that needs: commands scaled to the model's own, the eye point at the
 accelerometer, contact points, and properties that the backend sets in an aircraft without engines.
-An epistemic member is frozen as values of the declared properties.
 """
 
 from __future__ import annotations
@@ -13,14 +12,14 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 from sysid.units import FT_M, IN_M
 from uqharness.errors import BadInputError
+from uqharness.exchange.frozen_copy import frozen, own_files, subfolder
 from uqharness.exchange.states import Derivatives, SourceModel
 from uqharness.files import write_bytes
 from uqharness.simulator import (
-    INSIDE,
     Aircraft,
     Staging,
     engine,
@@ -33,13 +32,11 @@ from uqharness.xml import (
     Insertion,
     Node,
     append_child,
-    append_remark,
     apply,
     attribute,
     declarations,
     insert_before,
     parse_document,
-    replace_attribute,
 )
 
 RATE_HZ = 1200.0
@@ -97,10 +94,10 @@ def write_folder(
         If a property to be frozen is declared by no file of the aircraft.
     """
     aircraft = source.aircraft
-    files = _own_files(aircraft)
+    files = own_files(aircraft)
     main = aircraft.xml.relative_to(aircraft.folder).as_posix()
-    files = _frozen(files, source.properties, aircraft)
-    systems = _subfolder(files, "systems")
+    files = frozen(files, source.properties, aircraft)
+    systems = subfolder(files, "systems")
     document = parse_document(Path(main), files.pop(main))
     fdm = open_aircraft(aircraft)
     engine.run_ic(fdm)  # fills the tanks and places the CG
@@ -120,54 +117,6 @@ def write_folder(
         (folder / path).parent.mkdir(parents=True, exist_ok=True)
         write_bytes(folder / path, content)
     return find_aircraft(folder)
-
-
-def _own_files(aircraft: Aircraft) -> dict[str, bytes]:
-    """Return path to content of all files, shared engines and systems put into the folder."""
-    parts = model_files(aircraft)
-    files = {name: file.content for name, file in parts.local.items()}
-    present = {PurePosixPath(name).name for name in files}
-    for place, file in parts.shared.items():
-        kind, _, name = place.partition("/")
-        if PurePosixPath(name).name not in present:
-            files[f"{_subfolder(files, kind)}/{name}"] = file.content
-    return files
-
-
-def _subfolder(files: Mapping[str, bytes], kind: str) -> str:
-    """Return the subfolder for engines or systems: the one in use, or JSBSim's first."""
-    choices = [folder for folder in INSIDE[kind] if folder]
-    used = {name.partition("/")[0] for name in files}
-    return next((folder for folder in choices if folder in used), choices[0])
-
-
-def _frozen(
-    files: Mapping[str, bytes], properties: Mapping[str, float], aircraft: Aircraft
-) -> dict[str, bytes]:
-    """Return the files with properties declared at other values."""
-    remaining = set(properties)
-    result = dict(files)
-    for name, content in files.items():
-        if not name.endswith(".xml") or not remaining:
-            continue
-        document = parse_document(Path(name), content)
-        insertions = []
-        for prop, node in declarations(document):
-            if prop in remaining:
-                remaining.discard(prop)
-                value = f"{properties[prop]:.17g}"
-                if attribute(node, "value") != value:
-                    insertions += [
-                        replace_attribute(document, node, "value", value),
-                        append_remark(document, node, "frozen by the export"),
-                    ]
-        result[name] = apply(document, insertions)
-    if remaining:
-        raise BadInputError(
-            f"{aircraft.name}: no <property value=...> declares {', '.join(sorted(remaining))}, so"
-            " the folder cannot hold its value; declare it in the XML or leave it out"
-        )
-    return result
 
 
 def _system_reference(document: Document) -> list[Insertion]:
@@ -368,7 +317,7 @@ def parameters(source: SourceModel, fitted: Mapping[str, Derivatives]) -> str:
         low, high = throttle.limits
         share = (source.trim.controls["throttle"] - low) / (high - low)
         values["TRIM_THROTTLE"] = round(100.0 * share)
-    for content in _own_files(source.aircraft).values():
+    for content in own_files(source.aircraft).values():
         for name, value in re.findall(
             rb'<property\s+value="([^"]+)"\s*>\s*ap/([A-Z][A-Z0-9_]+)\s*<', content
         ):

@@ -8,7 +8,7 @@ from uqharness.requests import fields
 from uqharness.requests.base import Flag, Number, Request, WholeNumber, option
 from uqharness.requests.simulation import Properties
 
-Format = Literal["ardupilot-jsbsim", "ardupilot-json", "gazebo", "csv"]
+Format = Literal["ardupilot-jsbsim", "ardupilot-json", "gazebo", "fmu", "csv"]
 
 
 class ExportRequest(Request):
@@ -24,9 +24,9 @@ class ExportRequest(Request):
   uqharness export espaaro --to ardupilot-jsbsim --member 010011 --out sitl
 
 Writes DIR/loss.json and DIR/loss.csv, and the model: DIR/aircraft/NAME with DIR/NAME.parm,
-DIR/NAME.json, DIR/model.sdf with DIR/model-classic.sdf, or DIR/coefficients.csv. The loss is the
-difference between the model as the other program computes it and the source, over random states
-around steady flight."""
+DIR/NAME.json, DIR/model.sdf with DIR/model-classic.sdf, DIR/NAME.fmu, or DIR/coefficients.csv. The
+loss is the difference between the model as the other program computes it and the source, over
+random states around steady flight."""
     no: ClassVar[str] = (
         "the format loses more than the bounds of --bounds allow; without --accept-loss the model"
         " is not written"
