@@ -29,12 +29,12 @@ from campaigns.library.study import exit_code, study_parser
 from sysid.arrays import FloatArray
 from uqharness.campaign.cases import Case, Part, build_cases, unit_draw
 from uqharness.campaign.conditions import ERROR_METRICS, Condition, conditions, in_condition
-from uqharness.campaign.folder.manifest import read_complete
-from uqharness.campaign.folder.tables import read_cases
+from uqharness.campaign.manifest import read_complete
+from uqharness.campaign.read_spec import read_campaign
 from uqharness.campaign.run import find_mission
-from uqharness.campaign.spec.campaign import CampaignSpec
-from uqharness.campaign.spec.read import read_campaign
-from uqharness.campaign.spec.samples import epistemic_samples
+from uqharness.campaign.sampling import epistemic_samples
+from uqharness.campaign.spec import CampaignSpec
+from uqharness.campaign.tables import read_cases
 from uqharness.errors import BadInputError
 from uqharness.files import write_bytes
 

@@ -23,8 +23,7 @@ from sysid.arrays import FloatArray
 from sysid.units import FT_M
 from uqharness.batch import compiled_mission
 from uqharness.campaign.cases import Case
-from uqharness.campaign.execution.worker import BATCH, fly_group
-from uqharness.campaign.folder.manifest import digest_of_rows
+from uqharness.campaign.manifest import digest_of_rows
 from uqharness.campaign.rare_events import (
     DISTANCE,
     CheckpointPlan,
@@ -33,8 +32,9 @@ from uqharness.campaign.rare_events import (
     LoiterPaths,
     fit_predictors,
 )
-from uqharness.campaign.spec.read import read_campaign
-from uqharness.campaign.spec.samples import epistemic_samples
+from uqharness.campaign.read_spec import read_campaign
+from uqharness.campaign.sampling import epistemic_samples
+from uqharness.campaign.worker import BATCH, fly_group
 from uqharness.errors import BadInputError
 from uqharness.flight import (
     OPTIONAL_SIGNALS,

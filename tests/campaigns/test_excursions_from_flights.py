@@ -6,7 +6,7 @@ import pytest
 
 from campaigns.excursions.reproduce import HOME as EXCURSIONS
 from campaigns.library.flights import FLIGHTS, case_tables, records, settings
-from uqharness.campaign.spec.campaign import read_bounds
+from uqharness.campaign.spec import read_bounds
 from uqharness.simulator.aircraft import PROJECT_ROOT
 
 HOME = PROJECT_ROOT / "campaigns" / "excursions-from-flights"

@@ -23,10 +23,10 @@ from campaigns.library.flights import (
 )
 from campaigns.library.tables import smoothed, write_cost
 from tests.helpers import campaign_fakes as fakes
-from uqharness.campaign.execution.processes import SerialExecutor
-from uqharness.campaign.folder.tables import CASES
+from uqharness.campaign.processes import SerialExecutor
+from uqharness.campaign.read_spec import read_campaign
 from uqharness.campaign.run import run_campaign
-from uqharness.campaign.spec.read import read_campaign
+from uqharness.campaign.tables import CASES
 from uqharness.errors import BadInputError
 
 FINE = 0.0005
@@ -113,7 +113,7 @@ def test_the_published_flights_are_all_there():
 @pytest.mark.slow
 def test_a_flight_of_the_published_tables_comes_out_again():
     """The batch engine of today gives the counts and medians that the file has."""
-    from uqharness.campaign.execution.worker import BATCH, fly_group
+    from uqharness.campaign.worker import BATCH, fly_group
 
     cases = cases_of(EXCURSIONS / "campaign.toml", "severe-7", range(1))[:8]
     frame = next(case_tables(EXCURSIONS / FLIGHTS, cell="severe-7"))[:8]

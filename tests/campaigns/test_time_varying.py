@@ -12,9 +12,9 @@ from campaigns.library.tables import common_airs
 from tests.helpers import campaign_fakes as fakes
 from tests.helpers.campaign_scripts import campaign_script
 from tests.helpers.study_flights import flown, with_medians
-from uqharness.campaign.execution.processes import SerialExecutor
+from uqharness.campaign.processes import SerialExecutor
+from uqharness.campaign.read_spec import read_campaign
 from uqharness.campaign.run import run_campaign
-from uqharness.campaign.spec.read import read_campaign
 from uqharness.errors import BadInputError
 from uqharness.flight import COEFFICIENTS, FlightResult
 from uqharness.simulator.aircraft import PROJECT_ROOT
