@@ -16,7 +16,10 @@ from tests.helpers.places import ROOT
 
 # What may be imported where: folders end with a slash. Behind each file that is no door stands why.
 DOORS: Mapping[str, tuple[str, ...]] = {
-    "jsbsim": ("uqharness/simulator/engine.py",),
+    "jsbsim": (
+        "uqharness/simulator/engine.py",
+        "uqharness/exchange/fmu_slave.py",  # a program inside an FMU, without this project
+    ),
     "llvmlite": ("uqharness/batch/llvm.py",),
     "numba": ("sysid/linalg.py",),
     "matplotlib": ("uqharness/report/plots.py",),
@@ -62,6 +65,8 @@ XML_TEXT = (
     "uqharness/simulator/own_mission.py",
     # The system of an aircraft's host, part of what is staged, below uqharness.xml.
     "uqharness/simulator/host.py",
+    # Copies for other programs.
+    "uqharness/exchange/",
     # Effects are written as an author would; refinement's inside is to be rewritten.
     "uqharness/refinement/write_xml.py",
     # Messages say what is not understood.

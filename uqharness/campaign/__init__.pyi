@@ -1,6 +1,7 @@
 from .cases import Case as Case
 from .cases import Mission as Mission
 from .cases import build_cases as build_cases
+from .cases import uq_properties as uq_properties
 from .conditions import CONFIDENCE as CONFIDENCE
 from .conditions import ERROR_METRICS as ERROR_METRICS
 from .conditions import UNCOMMANDED_METRICS as UNCOMMANDED_METRICS
@@ -54,6 +55,7 @@ from .run import find_mission as find_mission
 from .run import run_campaign as run_campaign
 from .sampling import INTERIOR_MARK as INTERIOR_MARK
 from .sampling import NOMINAL as NOMINAL
+from .sampling import epistemic_samples as epistemic_samples
 from .sensitivity import SENSITIVITY as SENSITIVITY
 from .sensitivity import MetricSensitivity as MetricSensitivity
 from .sensitivity import Winner as Winner
