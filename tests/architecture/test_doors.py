@@ -20,7 +20,7 @@ DOORS: Mapping[str, tuple[str, ...]] = {
         "uqharness/simulator/engine.py",
         "uqharness/exchange/fmu_slave.py",  # a program inside an FMU, without this project
     ),
-    "llvmlite": ("uqharness/batch/llvm.py",),
+    "llvmlite": ("uqharness/batch/llvm.py", "uqharness/batch/object_cache.py"),
     "numba": ("sysid/linalg.py",),
     "matplotlib": ("uqharness/report/plots.py",),
     "argparse": ("uqharness/cli/",),

@@ -82,8 +82,7 @@ from uqharness.flight import (
     staged_mission,
     to_signals,
 )
-from uqharness.simulator import CHANGEABLE, Source, StagedMission
-from uqharness.simulator.settling import FTLBF_PER_S_HP, power_is_balanced
+from uqharness.simulator import CHANGEABLE, FTLBF_PER_S_HP, Source, StagedMission, power_is_balanced
 
 # From flight specifications to the state before the first frame: JSBSim's start, then two
 # initialising frames.

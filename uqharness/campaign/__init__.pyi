@@ -32,6 +32,7 @@ from .engines import noise_notes as noise_notes
 from .engines import put_bounds as put_bounds
 from .engines import system_file as system_file
 from .manifest import MANIFEST as MANIFEST
+from .manifest import Manifest as Manifest
 from .manifest import binding_versions as binding_versions
 from .manifest import describe as describe
 from .manifest import has_digests as has_digests
@@ -70,6 +71,8 @@ from .shards import merge as merge
 from .shards import parse_shard as parse_shard
 from .shards import read_status as read_status
 from .spec import CampaignSpec as CampaignSpec
+from .spec import Document as Document
+from .spec import EpistemicSection as EpistemicSection
 from .spec import read_bounds as read_bounds
 from .statements import ENOUGH_EXCURSIONS as ENOUGH_EXCURSIONS
 from .statements import STATEMENTS as STATEMENTS

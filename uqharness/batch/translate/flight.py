@@ -263,7 +263,8 @@ def _trace_settling(
     """
     if not models.propulsion.engines and not models.request.renewal:
         return (), None, ()
-    settling, balancing = [], []
+    settling: list[Program] = []
+    balancing: list[Program] = []
     for engine in models.propulsion.engines:
         for steps, step in ((settling, STEADY_STEP_S), (balancing, flight.dt_s)):
             frame = _similar(flight, step, inputs)
