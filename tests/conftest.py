@@ -18,7 +18,7 @@ from uqharness.simulator.aircraft import PROJECT_ROOT, find_aircraft
 from uqharness.simulator.staging import staged
 
 
-def pytest_configure() -> None:
+def pytest_configure(config: pytest.Config) -> None:
     """Give signals that the shell ignored their default handlers again.
 
     `nohup`, background jobs of a shell and some CI runners start a process with SIGINT or SIGHUP
@@ -32,6 +32,20 @@ def pytest_configure() -> None:
     # The suite is its own supervisor: functions that run in a worker elsewhere run in the test's
     # process, where stand-ins reach them. tests/uqharness/test_isolation.py uses the worker.
     os.environ[SUPERVISED] = str(os.getpid())
+    collect_from_both_ends(config)
+
+
+def collect_from_both_ends(config: pytest.Config) -> None:
+    """Let every second worker collect the files in reverse order.
+
+    Each worker imports all files, and pytest rewrites the assertions of each file that has no
+    bytecode yet. Workers that run in step would all rewrite every file.
+    """
+    worker = os.environ.get("PYTEST_XDIST_WORKER", "")
+    folders = config.getini("testpaths")
+    if worker and int(worker.removeprefix("gw")) % 2 and config.args == folders:
+        files = (path for name in folders for path in (config.rootpath / name).rglob("test_*.py"))
+        config.args = sorted(map(str, files), reverse=True)
 
 
 LONGEST_FILES = (
@@ -57,9 +71,14 @@ the others idle. The order changes no result.
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Put the longest files first."""
+    """Put the longest files first, the others in the order of their names."""
     rank = {name: number for number, name in enumerate(LONGEST_FILES)}
-    items.sort(key=lambda item: rank.get(item.nodeid.partition("::")[0], len(rank)))
+
+    def place(item: pytest.Item) -> tuple[int, str]:
+        file = item.nodeid.partition("::")[0]
+        return rank.get(file, len(rank)), file
+
+    items.sort(key=place)
 
 
 @pytest.fixture(scope="session")

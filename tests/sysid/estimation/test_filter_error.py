@@ -194,6 +194,7 @@ def test_without_process_noise_it_is_output_error():
     assert any("process noise" in text for text in turbulent.warnings)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("seeds", "least"), [(4, 9), pytest.param(12, 29, marks=pytest.mark.slow)])
 def test_coverage_in_process_noise_where_output_error_fails(seeds, least):
     hits, total = 0, 0
