@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import importlib
+import multiprocessing
 import os
 import signal
 from collections.abc import Callable, Iterator, Mapping
@@ -11,6 +13,7 @@ from typing import Any
 import pytest
 
 from tests.helpers.flying_here import flying_here
+from tests.helpers.forked_children import USERS, run_forked
 from tests.helpers.places import TESTS
 from uqharness.isolation import SUPERVISED
 from uqharness.simulator import engine
@@ -32,6 +35,9 @@ def pytest_configure(config: pytest.Config) -> None:
     # The suite is its own supervisor: functions that run in a worker elsewhere run in the test's
     # process, where stand-ins reach them. tests/uqharness/test_isolation.py uses the worker.
     os.environ[SUPERVISED] = str(os.getpid())
+    if "fork" in multiprocessing.get_all_start_methods():
+        for user in USERS:
+            importlib.import_module(user).run_module = run_forked
     collect_from_both_ends(config)
 
 
