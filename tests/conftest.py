@@ -38,7 +38,20 @@ def pytest_configure(config: pytest.Config) -> None:
     if "fork" in multiprocessing.get_all_start_methods():
         for user in USERS:
             importlib.import_module(user).run_module = run_forked
+    stay_on_one_core()
     collect_from_both_ends(config)
+
+
+def stay_on_one_core() -> None:
+    """Let each worker and what it starts use one core.
+
+    The workers use all cores already: pools that a command opens by default would only start more
+    processes.
+    """
+    worker = os.environ.get("PYTEST_XDIST_WORKER", "")
+    if worker and hasattr(os, "sched_setaffinity"):
+        cores = sorted(os.sched_getaffinity(0))
+        os.sched_setaffinity(0, {cores[int(worker.removeprefix("gw")) % len(cores)]})
 
 
 def collect_from_both_ends(config: pytest.Config) -> None:
