@@ -83,6 +83,9 @@ LONGEST_FILES = (
     "tests/stories/test_autopilot.py",
     "tests/stories/test_any_aircraft.py",
     "tests/stories/test_bit_flips.py",
+    "tests/stories/test_fuzz.py",
+    "tests/uqharness/campaign/execution/test_dask.py",
+    "tests/hidden_effects/second/test_drawn.py",
 )
 """Files that take longest, which start first: a worker would otherwise end with one of them while
 the others idle. The order changes no result.
