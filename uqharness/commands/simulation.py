@@ -653,10 +653,12 @@ def _difference_lines(
     flown_s = sum(float(f.time_s[-1]) for f in flights if len(f.time_s))
     flight_summary = f"{len(flights)} flights, {flown_s:.0f} s"
     beyond_benign = " beyond what A varies by itself" if any(f.varied for f in flights) else ""
+    # Nothing differs, in flight or in the XML.
     if not differ and not terms:
         return [
             f"The models do not differ{beyond_benign} ({flight_summary}; the XML says the same)."
         ]
+    # The XML differs in what these flights do not show.
     if not differ:
         return [
             (
@@ -666,6 +668,7 @@ def _difference_lines(
             *_term_lines(terms),
         ]
     lines = []
+    # The earliest difference is closest to the cause.
     if first:
         d = first[0]
         cause = f"; likeliest cause {_where(d.terms[0])}" if d.terms else ""
@@ -673,12 +676,14 @@ def _difference_lines(
             f"The models differ in {len(first)} channels, first in {d.channel} at {d.from_s:g} s of"
             f" {d.flight}{cause}."
         )
+    # Flights that ended early or have properties of one model alone.
     for f in flights:
         if f.reason:
             lines.append(f"{f.name}: {f.reason}")
         for side, names in (("A", f.only_a), ("B", f.only_b)):
             if names:
                 lines.append(f"{f.name}: only {side} has {', '.join(names)}")
+    # Largest differences, in the order in which they begin.
     rows = [
         {
             "Channel": x.channel,
@@ -692,6 +697,7 @@ def _difference_lines(
     lines += text_table(rows) if rows else []
     if len(first) > _MAX_ROWS:
         lines.append(f"and {len(first) - _MAX_ROWS} more (--json lists all)")
+    # Elements that may explain the first difference; all without one.
     if terms:
         lines.append(f"XML that differs ({len(terms)}):")
         lines += _term_lines(first[0].terms if first else terms)
@@ -802,6 +808,7 @@ def _plugin_document(aircraft: Aircraft, done: Instrumented, request: Instrument
 
 def _plugin_lines(done: Plugin) -> list[str]:
     """Return what was done as text, the check first."""
+    # What was made, and whether its check passed.
     state = "has" if done.written else "would have"
     lines = [
         (
@@ -817,6 +824,7 @@ def _plugin_lines(done: Plugin) -> list[str]:
         " axes."
     )
     lines += [f"note: {note}" for note in done.notes]
+    # Details, of which a terminal shows the first lines.
     tables = (
         (
             "Increments, and where the XML adds them.",

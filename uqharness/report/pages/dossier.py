@@ -908,6 +908,7 @@ def _range(name: str, segments: Sequence[History]) -> str:
 
 def _not_done(title: str, evidence: Evidence, source: LogComparison | None) -> Section:
     """Return the list of tests, steps and assessments that are missing."""
+    # Tests of the proof of match that the flights do not allow.
     lines = [
         f"{t.entry} {t.title}: {source.match.missing[t.entry]}."
         for t in TESTS
@@ -921,6 +922,7 @@ def _not_done(title: str, evidence: Evidence, source: LogComparison | None) -> S
         f"Tests of {REGULATION} on the ground, at take-off and landing, of engines, control forces"
         " and failures."
     )
+    # Steps of the chain without results in the folder.
     for kind, words in (
         ("identify", "identification"),
         ("refine", "refinement"),
@@ -930,6 +932,7 @@ def _not_done(title: str, evidence: Evidence, source: LogComparison | None) -> S
     ):
         if not evidence.of(kind):
             lines.append(f"No {words} is in this folder.")
+    # What the results themselves leave open.
     for _, fit in evidence.results(Fit):
         unidentified = [n for n, r in fit.parameters.items() if r.status != "identified"]
         lines += (
@@ -945,6 +948,7 @@ def _not_done(title: str, evidence: Evidence, source: LogComparison | None) -> S
         for f in factors(evidence, Match((), {}) if source is None else source.match)
         if not f.evidence
     ]
+    # Simulated flights are no evidence about a real aircraft.
     if simulating_models(evidence):
         lines.append("No flight of a real aircraft.")
     return Section(title, (Bullets(tuple(lines)),))
