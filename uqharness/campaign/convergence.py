@@ -222,6 +222,7 @@ def as_rows(results: Sequence[MetricConvergence]) -> list[dict[str, Any]]:
                     "median_high": float(part.medians.max()),
                 }
             )
+        # Epistemic: how the area grows with the number of samples.
         for size in item.growth:
             rows.append(
                 common

@@ -528,6 +528,7 @@ def _margins_lines(name: str, flight: str, measured: Sequence[LoopMargins]) -> l
         ),
         f"{head}   gain crossover, rad/s",
     ]
+    # One row a loop: margins, and where the gain crosses 1.
     for item in measured:
         m = item.margins
         crossover = ", ".join(f"{w:.2f}" for w in m.gain_crossovers_radps) or "none"
@@ -537,6 +538,7 @@ def _margins_lines(name: str, flight: str, measured: Sequence[LoopMargins]) -> l
             f"   {crossover}"
         )
     for item in measured:
+        # Frequencies at which the loop is not linear enough to be read.
         unread = item.frequency_radps[~item.reliable]
         if unread.size:
             lines.append(
@@ -558,6 +560,7 @@ def diff(
 
     Model files of other programs are compared by their coefficients.
     """
+    # Models of other programs have no flights; their coefficients are compared.
     if is_model_file(request.a) or is_model_file(request.b):
         callback("coefficients of both models")
         return diff_models(request.a, request.b, next(iter(request.speed_mps), None))
@@ -567,6 +570,7 @@ def diff(
         str(model.folder if isinstance(model, Aircraft) else model)
         for model in (request.a, request.b)
     ]
+    # Both models fly the same manoeuvres, scripts and air.
     matched = MatchedRequest(
         speeds_mps=request.speed_mps,
         altitude_m=request.altitude_m,
@@ -585,6 +589,7 @@ def diff(
         # XML that differs ranks the likely causes.
         terms = differing_terms(a.folder, b.folder)
         channels, flights = fly_matched(a, b, matched, counting("flights compared", callback))
+    # Differences within rounding are none.
     tolerance = ROUNDING if request.tolerance is None else request.tolerance
     all_differences = differences(channels, flights, terms, tolerance)
     first = by_channel(all_differences)

@@ -169,6 +169,7 @@ def match_section(title: str, source: LogComparison | None) -> Section:
     Section
         Basis, a row per test, a row per segment, and the worst segment of each test drawn.
     """
+    # Without time histories the section says why it is empty.
     if source is None:
         text = (
             "Not in the data: the folder has no time histories of log and model, so none of the"
@@ -189,6 +190,7 @@ def match_section(title: str, source: LogComparison | None) -> Section:
         " conditions, configurations and the other tests of the table are not looked at. Of two"
         " tolerances for one parameter the less restrictive counts."
     )
+    # Summary of the tests before their details and charts.
     blocks: list[Block] = [Words(intro), Words(about, note=True), _summary(match), *_details(match)]
     figures = _figures(source)
     if figures:
