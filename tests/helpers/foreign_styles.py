@@ -645,10 +645,10 @@ STYLES = {
     "biplane": _tail_dragger,
 }
 SPEEDS_MPS = {
-    "turboprop": 75.0,
-    "retractable": 65.0,
+    "turboprop": 55.0,
+    "retractable": 58.0,
     "pusher": 15.0,
     "ducted": 18.0,
-    "contra": 85.0,
+    "contra": 70.0,
     "biplane": 42.0,
 }
