@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import subprocess
 import sys
 import tempfile
@@ -17,6 +18,7 @@ from pathlib import Path
 import pandas as pd
 
 from tests.helpers import foreign_aircraft, foreign_styles
+from uqharness.simulator import SteadyCondition, find_aircraft, find_trim
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "gallery.md"
 STYLES = {**foreign_aircraft.STYLES, **foreign_styles.STYLES}
@@ -101,8 +103,13 @@ def take(style: str, folder: Path, duration_s: float = 4.0) -> Row:
     uqharness(folder, "instrument", style, "--out", "mine", "--constant", BOUNDS)
     uqharness(folder, "campaign", "run", "campaign.toml", "--out", "results", "--serial", "--yes")
     uqharness(folder, "campaign", "report", "results")
-    place = ("--speed-mps", str(V), "--altitude-m", str(ALTITUDE_M))
-    trim = json.loads(uqharness(folder, "modes", "mine", *place, "--json"))["trim"]
+    return row_of(style, folder)
+
+
+def row_of(style: str, folder: Path) -> Row:
+    """Return the row of an aircraft from a folder with its copy and its results."""
+    V = SPEEDS_MPS[style]
+    trim = find_trim(find_aircraft(folder / "mine"), SteadyCondition(V, ALTITUDE_M))
     manifest = json.loads((folder / "results" / "manifest.json").read_text())
     cases = pd.read_parquet(folder / "results" / "cases.parquet")
     if not (cases["status"] == "ok").all():
@@ -114,8 +121,8 @@ def take(style: str, folder: Path, duration_s: float = 4.0) -> Row:
     reason = str(why[0] if why else "").rpartition("/")[2]
     return Row(
         style,
-        trim["alpha_deg"],
-        trim["throttle_pct"] or 0.0,
+        math.degrees(trim.alpha_rad),
+        100.0 * trim.controls.get("throttle", 0.0),
         engine,
         reason,
         len(cases),

@@ -133,7 +133,7 @@ def test_the_containers_of_kubernetes_make_the_tables_of_one_run(tmp_path, singl
     try:
         job = local(commands["campaign"])
         out = subprocess.run(
-            job, env=environment, cwd=ROOT, capture_output=True, text=True, timeout=240
+            job, env=environment, cwd=ROOT, capture_output=True, text=True, timeout=900
         )
         assert out.returncode == 0, out.stderr
     finally:
