@@ -12,6 +12,7 @@ import math
 import subprocess
 import sys
 import tempfile
+import textwrap
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -118,7 +119,7 @@ def row_of(style: str, folder: Path) -> Row:
     (engine,) = cases["engine"].unique()
     choice = manifest.get("engine")
     why = choice.get("why", [""]) if isinstance(choice, dict) else [""]
-    reason = str(why[0] if why else "").rpartition("/")[2]
+    reason = textwrap.shorten(str(why[0] if why else "").rpartition("/")[2], 80)
     return Row(
         style,
         math.degrees(trim.alpha_rad),
