@@ -38,6 +38,7 @@ from .model_form import AircraftReference as AircraftReference
 from .model_form import CoefficientBounds as CoefficientBounds
 from .model_form import Filtering as Filtering
 from .model_form import FlightUsed as FlightUsed
+from .model_form import Hull as Hull
 from .model_form import ModelForm as ModelForm
 from .model_form import Outside as Outside
 from .model_form import Parts as Parts

@@ -25,6 +25,7 @@ LAYERS: Mapping[str, tuple[str, ...]] = {
         "replay",
         "identification",
         "exchange",
+        "authoring",
         "sensitivity",
         "campaign",
         "next_flight",

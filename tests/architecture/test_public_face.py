@@ -20,6 +20,7 @@ NAMES = {
     "uqharness": [
         "BadInputError",
         "LogError",
+        "author",
         "campaign_area",
         "campaign_convergence",
         "campaign_report",

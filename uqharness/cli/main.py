@@ -176,6 +176,11 @@ COMMANDS: Table = {
         "simulation:diff",
         "fly two models side by side and list their differences",
     ),
+    "author": RequestCommand(
+        "authoring:AuthorRequest",
+        "authoring:author",
+        "write an aircraft from AVL, VSPAERO, XFLR5 or a table, with prior bounds",
+    ),
     "export": RequestCommand(
         "exchange:ExportRequest",
         "exchange:export",

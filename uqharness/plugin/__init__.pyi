@@ -6,8 +6,12 @@ from .apply import put_values as put_values
 from .apply import undo as undo
 from .apply import with_card as with_card
 from .apply import write_estimates as write_estimates
+from .card import ERRORS_SYSTEM as ERRORS_SYSTEM
+from .card import ERRORS_XML as ERRORS_XML
 from .card import bake_scales as bake_scales
+from .instrument import AIR_FILE as AIR_FILE
 from .instrument import FILE_NAME as FILE_NAME
 from .instrument import Bounds as Bounds
+from .instrument import bounds_xml as bounds_xml
 from .instrument import coefficient_reference as coefficient_reference
 from .model_form_xml import state_source as state_source

@@ -1,6 +1,7 @@
 """One definition of each result: what is printed, stored, read again and described by a schema."""
 
 DOCUMENTS: dict[str, str] = {
+    "author": "authoring:Authored",
     "bounds": "identification:Bounds",
     "campaign-area": "campaign:Areas",
     "campaign-check": "campaign:CampaignCost",

@@ -1,0 +1,173 @@
+"""`uqharness author`: the written aircraft flies as its source says, and enters campaigns."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from sysid.model_form import read_model_form
+from uqharness.authoring import build, design_speed, priors, read_sources
+from uqharness.authoring.model import MassProperties
+from uqharness.authoring.source import TOTAL, body_coefficients
+from uqharness.cli.main import main
+from uqharness.commands.authoring import author
+from uqharness.errors import BadInputError
+from uqharness.exchange import box, source_model
+from uqharness.requests.authoring import AuthorRequest
+from uqharness.simulator import SteadyCondition, find_aircraft, find_trim
+
+DATA = Path(__file__).parent / "data"
+KITE = (DATA / "kite.st", DATA / "kite.mass")
+
+
+def authored(folder, *sources, **options):
+    return author(AuthorRequest(sources=sources or KITE, out=folder, **options)).value
+
+
+@pytest.fixture(scope="module")
+def kite(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("authored") / "kite"
+    return authored(folder), find_aircraft(folder)
+
+
+def test_terms_are_about_the_centre_of_gravity(kite):
+    document, _ = kite
+    sources = read_sources(KITE)
+    source, masses = sources.derivatives, sources.masses
+    neutral, chord = source.facts["x_np"].value, source.length("c")
+    expected = (neutral - masses.centre_m[0]) / chord
+    # The rest is the height of the moment centre and the drag.
+    assert document.static_margin == pytest.approx(expected, abs=0.015)
+    assert document.terms["aero/Cm_de"].value < 0.0 < document.terms["aero/Cl_da"].value
+    assert document.terms["aero/Cn_dr"].value < 0.0
+    assert document.mixing == {
+        "elevator": "+1*elevator",
+        "aileron": "-1*aileron",
+        "rudder": "-1*rudder",
+    }
+
+
+def test_written_aircraft_computes_the_model(kite):
+    """JSBSim's coefficients of the written XML at random states are those of the model."""
+    _, aircraft = kite
+    sources = read_sources(KITE)
+    masses = sources.masses
+    tensor = masses.inertia_kgm2
+    mass = MassProperties(
+        masses.mass_kg.value, masses.centre_m, tensor[0, 0], tensor[1, 1], tensor[2, 2],
+        -tensor[0, 2], "x",
+    )  # fmt: skip
+    model = build(sources.derivatives, mass)
+    source = source_model(aircraft, design_speed(model))
+    states = box(source, 40, 1)
+    computed = source.coefficients(states)
+    names = ("alpha", "beta", "p", "q", "r", "de", "da", "dr")
+    for i in range(len(states)):
+        values = {name: float(states.values[name][i]) for name in names}
+        alpha = values.pop("alpha")
+        expected = [
+            model.coefficient(c, alpha, **values) for c in ("CX", "CY", "CZ", "Cl", "Cm", "Cn")
+        ]
+        np.testing.assert_allclose(computed[i], expected, atol=2e-4)
+
+
+def test_written_aircraft_trims_near_the_source_alpha(kite):
+    document, aircraft = kite
+    trim = find_trim(aircraft, SteadyCondition(document.speed_mps, 100.0))
+    assert trim.converged, trim.reason
+    assert math.degrees(trim.alpha_rad) == pytest.approx(3.0, abs=1.5)
+
+
+def test_tables_over_alpha_follow_the_source(tmp_path):
+    """With several alphas the model passes through the source's points."""
+    document = authored(tmp_path / "kite", *KITE, DATA / "kite-7deg.st")
+    assert (
+        "table" in (tmp_path / "kite" / f"{find_aircraft(tmp_path / 'kite').name}.xml").read_text()
+    )
+    sources = read_sources((*KITE, DATA / "kite-7deg.st"))
+    masses = sources.masses
+    model = build(
+        sources.derivatives,
+        MassProperties(1.47, masses.centre_m, 0.1, 0.1, 0.1, 0.0, "x"),
+        profile_drag=0.0,
+    )
+    for point in sources.derivatives.points:
+        values = body_coefficients(point, ())
+        alpha = point.alpha.value
+        assert model.coefficient("CZ", alpha) == pytest.approx(values["CZ", TOTAL], abs=1e-6)
+        assert model.coefficient("CX", alpha) == pytest.approx(values["CX", TOTAL], abs=1e-6)
+    assert document.static_margin == pytest.approx(0.2, abs=0.15)
+
+
+def test_prior_form_is_read_and_has_the_stated_width(kite):
+    document, aircraft = kite
+    path = aircraft.folder / "model-form.json"
+    form = read_model_form(path)
+    stored = json.loads(path.read_text())
+    assert stored["kind"] == "prior"
+    assert stored["parameters"]["aero/Cm_q"]["mean"] == pytest.approx(
+        document.terms["aero/Cm_q"].value
+    )
+    # At the trim alpha and no other deviation the half-width is the constant's, 1.96 std.
+    zero = {name: np.zeros(1) for name in form.states} | {
+        "alpha_rad": form.coefficients["CZ"].centre[:1]
+    }
+    lower, upper = form.bounds(zero)["Cm"]
+    std = document.terms["aero/Cm_0"].std
+    assert upper[0] == pytest.approx(1.96 * std, rel=1e-3)
+    assert lower[0] == -upper[0]
+    # A deviation adds its own variance: beta of 0.1 rad in Cn.
+    at_beta = form.bounds(zero | {"beta_rad": np.array([0.1])})["Cn"][1][0]
+    terms = document.terms
+    expected = 1.96 * math.hypot(terms["aero/Cn_0"].std, 0.1 * terms["aero/Cn_beta"].std)
+    assert at_beta == pytest.approx(expected, rel=1e-3)
+
+
+def test_static_margin_is_the_parameter():
+    """The std of Cm_alpha does not vanish with Cm_alpha."""
+    sources = read_sources(KITE)
+    widths = []
+    for x in (0.12, 0.177):  # a margin of 27 % of the chord, and none
+        mass = MassProperties(1.47, (x, 0.0, 0.0), 0.1, 0.1, 0.1, 0.0, "x")
+        widths.append(priors(build(sources.derivatives, mass))["Cm_alpha"].std)
+    assert widths[1] > 0.8 * widths[0] > 0.3
+
+
+def test_no_mass_is_bad_input(tmp_path):
+    with pytest.raises(BadInputError, match="--mass-kg"):
+        authored(tmp_path / "a", DATA / "kite.st")
+
+
+def test_slip_stops_the_command(tmp_path):
+    path = tmp_path / "kite.st"
+    path.write_text((DATA / "kite.st").read_text().replace("Cnb =   0.073998", "Cnb =  -0.073998"))
+    outcome = author(AuthorRequest(sources=(path, KITE[1]), out=tmp_path / "out"))
+    assert outcome.code == 1
+    assert outcome.value.aircraft is None
+    assert not (tmp_path / "out").exists()
+    (slip,) = outcome.value.slips
+    assert slip.kind == "sign"
+    assert slip.place.endswith("kite.st:44")
+    assert (
+        author(AuthorRequest(sources=(path, KITE[1]), out=tmp_path / "out", accept_slips=True)).code
+        == 0
+    )
+
+
+@pytest.mark.slow
+def test_from_avl_text_to_a_p_box_with_three_commands(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    words = ["author", *map(str, KITE), "--out", "kite", "--json"]
+    assert main(words) == 0
+    assert main(["campaign", "run", "kite/campaign.toml", "--out", "results", "--serial"]) == 0
+    assert main(["campaign", "report", "results"]) == 0
+    boxes = pd.read_parquet(tmp_path / "results" / "pbox.parquet")
+    box = boxes[boxes.metric == "altitude_median_m"]
+    # The prior makes the p-box wide: bounds differ by more than a metre in five seconds.
+    assert (box.upper - box.lower).max() > 0.5
+    assert (tmp_path / "results" / "report.html").is_file()

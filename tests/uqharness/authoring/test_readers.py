@@ -1,0 +1,384 @@
+"""Readers of derivatives: the same flight condition from two outputs, turns, and moved points.
+
+kite.* is the output of AVL 3.4 for kite.avl: ST and SB at 3 degrees about one moment centre, and ST
+about another (kite-aft). The outputs about different axes and points test each other.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from uqharness.authoring.avl_input import read_geometry, read_masses, run_avl
+from uqharness.authoring.avl_text import read_avl_text
+from uqharness.authoring.derivative_table import read_table_file
+from uqharness.authoring.read import read_sources
+from uqharness.authoring.source import (
+    BODY,
+    TOTAL,
+    Entry,
+    Point,
+    about,
+    body_coefficients,
+    rotate_forces,
+)
+from uqharness.authoring.vspaero import read_stab
+from uqharness.authoring.xflr5 import read_xflr5
+from uqharness.errors import BadInputError
+
+DATA = Path(__file__).parent / "data"
+
+
+def read(name):
+    return read_avl_text(DATA / name, (DATA / name).read_text())
+
+
+def body(source):
+    return body_coefficients(source.points[0], source.surfaces)
+
+
+def test_stability_output_turned_equals_body_output():
+    stability, own = body(read("kite.st")), body(read("kite.sb"))
+    # AVL prints no drag derivatives with ST: they are estimated from the span efficiency.
+    for key in own:
+        tolerance = 0.01 if key in (("CX", "q"), ("CX", "elevator")) else 2e-4
+        assert own[key] == pytest.approx(stability[key], abs=tolerance, rel=2e-3), key
+
+
+def test_a_turn_the_other_way_is_noticed():
+    """Negative control: the comparison above sees the sign of alpha."""
+    source = read("kite.st")
+    point = source.points[0]
+    turned = Point(Entry(-point.alpha.value), point.mach, "stability", "stability", point.entries)
+    wrong, own = body_coefficients(turned, source.surfaces), body(read("kite.sb"))
+    assert abs(wrong["Cn", "p"] - own["Cn", "p"]) > 0.02
+    assert abs(wrong["CX", "alpha"] - own["CX", "alpha"]) > 0.2
+
+
+def test_turn_agrees_with_numerical_rotation():
+    """Differences of rotated totals are the derivatives."""
+    cl, cd, roll, yaw = 0.37, 0.03, 0.02, -0.01
+    slopes = {"CL": 5.1, "CD": 0.2, "Cl": 0.3, "Cn": -0.1}
+    alpha = math.radians(7.0)
+
+    def forces(a):
+        d = a - alpha
+        cx, cz = rotate_forces(cl + slopes["CL"] * d, cd + slopes["CD"] * d, a)
+        moments = [roll + slopes["Cl"] * d, yaw + slopes["Cn"] * d]
+        turn = np.array([[math.cos(a), -math.sin(a)], [math.sin(a), math.cos(a)]])
+        return np.array([cx, cz, *(turn @ moments)])
+
+    entries = {
+        (name, TOTAL): Entry(v) for name, v in (("CL", cl), ("CD", cd), ("Cl", roll), ("Cn", yaw))
+    } | {(name, "alpha"): Entry(v) for name, v in slopes.items()}
+    values = body_coefficients(
+        Point(Entry(alpha), Entry(0.0), "stability", "stability", entries), ()
+    )
+    h = 1e-6
+    numerical = (forces(alpha + h) - forces(alpha - h)) / (2 * h)
+    got = [values[name, "alpha"] for name in ("CX", "CZ", "Cl", "Cn")]
+    np.testing.assert_allclose(got, numerical, atol=1e-8)
+
+
+def test_moved_moments_and_rates_equal_a_run_about_the_other_point():
+    aft, forward = read("kite-aft.st"), body(read("kite.st"))
+    x, z = (aft.reference[key].value - read("kite.st").reference[key].value for key in "xz")
+    assert (x, z) == pytest.approx((0.08, 0.05))
+    moved = about(body(aft), (-x, 0.0, -z), 1.6, 0.2163, aft.points[0].alpha.value)
+    for name in BODY:
+        for variable in (TOTAL, "alpha", "beta", "p", "q", "r", *aft.surfaces):
+            if (name, variable) == ("CX", "q"):  # AVL prints no CD_q
+                continue
+            tolerance = 0.07 if (name, variable) == ("Cm", "q") else 4e-4
+            assert moved[name, variable] == pytest.approx(
+                forward[name, variable], abs=tolerance, rel=2e-3
+            ), (name, variable)
+    # Negative control: the points differ by 37 % of the chord.
+    assert abs(body(aft)["Cm", "alpha"] - forward["Cm", "alpha"]) > 1.0
+
+
+def test_geometric_axes_are_reversed():
+    text = (DATA / "kite.st").read_text()
+    source = read_avl_text(Path("g.st"), text.replace("Standard axis", "Geometric axis"))
+    standard = read("kite.st").points[0]
+    point = source.points[0]
+    assert point.value("Cl", "beta") == -standard.value("Cl", "beta")
+    assert point.value("Cl", "p") == standard.value("Cl", "p")
+    assert point.value("CY", "r") == -standard.value("CY", "r")
+    assert point.value("CL", "alpha") == standard.value("CL", "alpha")
+
+
+def test_lines_of_numbers():
+    source = read("kite.st")
+    lines = (DATA / "kite.st").read_text().splitlines()
+    entry = source.points[0].entries["Cm", "q"]
+    assert f"{entry.value:.6f}" in lines[entry.line - 1]
+    assert source.surfaces == ("aileron", "elevator", "rudder")
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (("CLtot =   0.37030", "CLtot = *********"), "finite number"),
+        (("  Sref =     0.3438", "  Area =     0.3438"), "Sref"),
+    ],
+)
+def test_broken_output_is_refused_with_its_line(change, message):
+    text = (DATA / "kite.st").read_text()
+    assert change[0] in text
+    with pytest.raises(BadInputError, match=message):
+        read_avl_text(Path("broken.st"), text.replace(*change))
+
+
+TABLE = """# a textbook
+name,value,unit,source
+S,184,ft2,book
+b,33.4,ft,book
+c,5.7,ft,book
+CL_0,0.41,1,book
+CL_alpha,0.0775,1/deg,book
+CD_0,0.05,1,book
+Cm_alpha,-0.683,1/rad,book
+Cm_q,-9.96,1,book
+Cl_p,-0.41,1,book
+Cm_de,-0.923,1/rad,book
+"""
+
+
+def test_table_units():
+    source = read_table_file(Path("navion.csv"), TABLE)
+    assert source.length("S") == pytest.approx(184 * 0.3048**2)
+    point = source.points[0]
+    assert point.value("CL", "alpha") == pytest.approx(4.440, abs=1e-3)
+    assert point.value("Cm", "elevator") == -0.923
+    assert point.entries["Cm", "q"].line == 10
+
+
+def test_table_in_toml_equals_csv():
+    text = """
+[reference]
+S = { value = 184, unit = "ft2" }
+b = { value = 33.4, unit = "ft" }
+c_m = 1.73736
+[condition]
+alpha_deg = 0
+axes = "stability"
+[derivatives]
+CL_0 = 0.41
+CL_alpha = { value = 0.0775, unit = "1/deg", source = "book" }
+CD_0 = 0.05
+Cm_alpha = -0.683
+Cm_q = -9.96
+Cl_p = -0.41
+Cm_de = -0.923
+"""
+    a = read_table_file(Path("a.csv"), TABLE)
+    b = read_table_file(Path("a.toml"), text)
+    assert {k: e.value for k, e in a.points[0].entries.items()} == pytest.approx(
+        {k: e.value for k, e in b.points[0].entries.items()}
+    )
+    assert {k: e.value for k, e in a.reference.items()} == pytest.approx(
+        {k: e.value for k, e in b.reference.items()}
+    )
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("CX_alpha,1,1/rad,x", "axes are body|axes are stability"),
+        ("CL_alpha,1,1/grad,x", "unit"),
+        ("lift,1,1,x", "unknown name"),
+        ("CL_alpha,much,1/rad,x", "finite number"),
+    ],
+)
+def test_table_refuses_with_file_and_line(line, message):
+    with pytest.raises(BadInputError, match=message) as error:
+        read_table_file(Path("t.csv"), "name,value,unit,source\nCL_0,0.3,1,x\n" + line)
+    assert "t.csv:" in str(error.value)
+
+
+STAB = """
+# Name                   Value      Units
+Sref_                   0.3438000 Lunit^2
+Cref_                   0.2163000 Lunit
+Bref_                   1.6000000 Lunit
+Xcg_                    0.1500000 Lunit
+Ycg_                    0.0000000 Lunit
+Zcg_                    0.0000000 Lunit
+Mach_                   {mach} no_unit
+AoA_                    {alpha} deg
+Beta_                   0.0000000 deg
+Rho_                    1.2250000 Munit/Lunit^3
+Vinf_                  20.0000000 Lunit/Tunit
+Roll__Rate              0.0000000 rad/Tunit
+Pitch_Rate              0.0000000 rad/Tunit
+Yaw___Rate              0.0000000 rad/Tunit
+Elev                    0.0000000 deg
+#
+Coef          Total        Alpha        Beta          p            q            r           Mach         U        ConGrp_1
+#              -           per          per
+CFx       {cfx}  -0.2000000    0.0000000    0.0000000   -0.2000000    0.0000000    0.0 0.0 0.0
+CFy       0.0000000    0.0000000   -0.1900000   -0.0900000    0.0000000    0.2000000    0.0 0.0 0.0
+CFz       {cfz}    5.1000000    0.0000000    0.0000000    9.8000000    0.0000000    0.0 0.0 0.57
+CMl       0.0000000    0.0000000   -0.0700000   -0.5000000    0.0000000    0.0800000    0.0 0.0 0.0
+CMm       {cmm}   -0.7000000    0.0000000    0.0000000  -17.0000000    0.0000000    0.0 0.0 -1.8
+CMn       0.0000000    0.0000000    0.0700000   -0.0500000    0.0000000   -0.0800000    0.0 0.0 0.0
+# Result                 Value      Units
+SM                      0.1372549 no_unit
+X_np                    0.1796882 Lunit
+"""
+
+
+def stab_text():
+    rows = []
+    for mach in ("0.0500000", "0.1000000"):
+        for degrees in (0.0, 4.0, 8.0):
+            a = math.radians(degrees)
+            lift, drag = 0.1 + 5.1 * a, 0.02 + 0.04 * (0.1 + 5.1 * a) ** 2
+            cx, cz = rotate_forces(lift, drag, a)
+            rows.append(
+                STAB.format(
+                    mach=mach,
+                    alpha=f"{degrees:.7f}",
+                    cfx=f"{-cx:.7f}",
+                    cfz=f"{-cz:.7f}",
+                    cmm=f"{0.02 - 0.7 * a:.7f}",
+                )
+            )
+    return "\n".join(rows)
+
+
+def test_stab_points_and_signs():
+    source = read_stab(Path("kite.stab"), stab_text())
+    assert [round(math.degrees(p.alpha.value)) for p in source.points] == [0, 4, 8]
+    assert source.surfaces == ("Elev",)
+    values = body_coefficients(source.points[1], source.surfaces)
+    assert values["CZ", "alpha"] == -5.1
+    assert values["Cm", "Elev"] == -1.8
+    assert values["CY", "beta"] == -0.19
+    with pytest.raises(BadInputError, match="no block with derivatives"):
+        read_stab(Path("kite.stab"), stab_text().split("Coef")[0])
+
+
+XFLR5 = """
+  Plane name: Kite
+  Mass= 1.470 kg
+  Ref. Area= 0.3438 m²
+  Wing span= 1.600 m
+  Mean Aero Chord= 0.2163 m
+  CoG_x= 0.1500 m
+  CoG_z= 0.0100 m
+  alpha= 3.000°
+  CL= 0.3700
+  CD= 0.0200
+   Longitudinal derivatives
+      Xu= -0.05      Cxu= -0.04
+      Xw=  0.9       Cxa=  0.17
+      Zw= -14.0      CLa=  5.10
+      Zq= -2.9       CLq=  9.80
+      Mw= -0.4       Cma= -0.70
+      Mq= -0.5       Cmq= -17.0
+      Neutral Point position= 0.17969 m
+   Lateral derivatives
+      Yv= -0.5       CYb= -0.190
+      Yp= -0.2       CYp= -0.090
+      Yr=  0.4       CYr=  0.200
+      Lv= -0.3       Clb= -0.065
+      Lp= -1.5       Clp= -0.505
+      Lr=  0.3       Clr=  0.104
+      Nv=  0.3       Cnb=  0.074
+      Np= -0.1       Cnp= -0.031
+      Nr= -0.2       Cnr= -0.081
+   Control derivatives
+      Xde= -0.1      CXde= -0.01
+      Zde= -20.0     CZde= -0.57
+      Mde= -9.0      Cmde= -1.80
+"""
+
+
+def test_xflr5_log():
+    source = read_xflr5(Path("kite.txt"), XFLR5)
+    assert source.length("S") == 0.3438
+    assert source.facts["x_np"].value == 0.17969
+    point = source.points[0]
+    assert math.degrees(point.alpha.value) == pytest.approx(3.0)
+    # Along stability axes CX_alpha = CL - CD_alpha, and CZ is minus lift.
+    assert point.value("CD", "alpha") == pytest.approx(0.37 - 0.17)
+    assert point.value("CL", "elevator") == 0.57
+    assert point.value("Cm", "elevator") == -1.80
+    with pytest.raises(BadInputError, match="no CLa"):
+        read_xflr5(Path("kite.txt"), XFLR5.replace("CLa=", "CLz="))
+
+
+def test_masses_against_hand_computation():
+    text = "Lunit = 1 ft\nMunit = 1 slug\n 1 0 0 0\n 1 2 0 0\n"
+    masses = read_masses(Path("two.mass"), text)
+    slug, foot = 14.593903, 0.3048
+    assert masses.mass_kg.value == pytest.approx(2 * slug)
+    assert masses.centre_m[0] == pytest.approx(foot)
+    # Two points one foot from their centre.
+    assert masses.inertia_kgm2[1, 1] == pytest.approx(2 * slug * foot**2)
+    assert masses.inertia_kgm2[0, 0] == pytest.approx(0.0)
+    with pytest.raises(BadInputError, match="more than 0"):
+        read_masses(Path("none.mass"), "Lunit = 1 m\n 0 0 0 0\n")
+
+
+def test_geometry():
+    geometry = read_geometry(DATA / "kite.avl", (DATA / "kite.avl").read_text())
+    (wing,) = geometry.wings()
+    assert wing.area() == pytest.approx(2 * (0.4 * 0.235 + 0.4 * 0.5 * (0.235 + 0.1545)))
+    assert wing.span() == pytest.approx(1.6)
+    assert wing.dihedral() == pytest.approx(math.atan2(0.056, 0.8))
+    assert wing.controls["aileron"][:2] == (1.0, -1.0)
+
+
+def test_elliptical_flat_plate_through_avl(tmp_path):
+    """Lift slope 2 pi A/(A + 2), neutral point at c/4, no sideslip derivatives, Cl_p from strips."""
+    pytest.importorskip("optvl")
+    span, root = 10.0, 0.8
+    y = span / 2 * np.sin(np.linspace(0, 0.5 * np.pi, 25))
+    chords = np.maximum(root * np.sqrt(1 - (2 * y / span) ** 2), 0.01)
+    sections = "".join(
+        f"SECTION\n{-0.25 * c:.6f} {v:.6f} 0 {c:.6f} 0\n" for v, c in zip(y, chords, strict=True)
+    )
+    area = math.pi / 4 * span * root
+    path = tmp_path / "ellipse.avl"
+    path.write_text(
+        f"ellipse\n0\n0 0 0\n{area} {8 * root / 3 / math.pi} {span}\n0.1 0 0\nSURFACE\nWing\n"
+        f"8 1.0 40 1.0\nYDUPLICATE\n0\n{sections}"
+    )
+    geometry = read_geometry(path, path.read_text())
+    source = run_avl(geometry, [math.radians(1.0)])
+    aspect_ratio = span**2 / area
+    slope = source.points[0].value("CL", "alpha")
+    # Lifting-line theory is above a lifting surface by some percent at aspect ratio 16.
+    assert slope == pytest.approx(2 * math.pi * aspect_ratio / (aspect_ratio + 2), rel=0.03)
+    assert source.facts["x_np"].value == pytest.approx(0.0, abs=0.01 * root)
+    assert source.facts["e"].value == pytest.approx(1.0, abs=0.01)
+    values = body_coefficients(source.points[0], ())
+    # About the quarter chord the lift has no moment: the moment centre is that of the file.
+    centred = about(values, (-0.1, 0.0, 0.0), span, source.length("c"), math.radians(1.0))
+    assert values["Cm", "alpha"] / slope == pytest.approx(0.1 / source.length("c"), rel=0.03)
+    assert centred["Cm", "alpha"] == pytest.approx(0.0, abs=0.1)
+    # Elliptical loading: Cl_p = -A pi/(4 (A + 4)) ... within lifting-line accuracy.
+    assert values["Cl", "p"] == pytest.approx(
+        -math.pi * aspect_ratio / (4.0 * (aspect_ratio + 4.0)), rel=0.06
+    )
+
+
+def test_several_outputs_make_points_in_order():
+    sources = read_sources([DATA / "kite-7deg.st", DATA / "kite.st", DATA / "kite.mass"])
+    assert [round(math.degrees(p.alpha.value)) for p in sources.derivatives.points] == [3, 7]
+    assert sources.masses is not None
+
+
+def test_unknown_file_is_refused(tmp_path):
+    path = tmp_path / "notes.txt"
+    path.write_text("nothing\n")
+    with pytest.raises(BadInputError, match="not a known source"):
+        read_sources([path])
+    with pytest.raises(BadInputError, match="no source of derivatives"):
+        read_sources([DATA / "kite.mass"])

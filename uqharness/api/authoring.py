@@ -1,0 +1,48 @@
+"""Models from geometry in Python, and an aircraft's performance."""
+
+from __future__ import annotations
+
+from uqharness.commands import authoring as commands
+from uqharness.heartbeat import notebook_line
+from uqharness.isolation import isolated
+from uqharness.requests.authoring import AuthorRequest
+from uqharness.requests.base import accepts
+from uqharness.results.authoring import Authored
+
+
+@notebook_line("author")
+@accepts(AuthorRequest)
+@isolated
+def author(request: AuthorRequest) -> Authored:
+    """Write a JSBSim aircraft from derivatives of AVL, VSPAERO, XFLR5 or a table, with a prior of
+    their errors, as ``uqharness author`` does.
+
+    Returns
+    -------
+    Authored
+        ``aircraft``, the folder, None where slips were found; ``terms`` with value and prior
+        standard deviation in body axes about the centre of gravity, surfaces per degree;
+        ``static_margin``; ``slips``; ``notes``, what was assumed.
+
+    Raises
+    ------
+    BadInputError
+        For files that cannot be read or hold no derivatives, and without a mass.
+
+    References
+    ----------
+    B. Etkin, L. D. Reid, Dynamics of Flight, 3rd ed., appendix B.12.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> import uqharness as uq
+    >>> rows = ["name,value,unit", "S,0.35,m2", "b,1.6,m", "c,0.22,m", "CL_0,0.3,1"]
+    >>> rows += ["CL_alpha,4.6,1/rad", "CD_0,0.03,1", "Cm_alpha,-0.6,1/rad", "Cm_q,-9,1"]
+    >>> rows += ["Cm_de,-0.018,1/deg", "CL_de,0.007,1/deg", "Cl_p,-0.42,1"]
+    >>> _ = Path("plane.csv").write_text("\\n".join(rows))
+    >>> plane = uq.author("plane.csv", out="plane", mass_kg=2.0)
+    >>> round(plane.static_margin, 2)
+    0.13
+    """
+    return commands.author(request).value

@@ -1,0 +1,15 @@
+from .model import AeroModel as AeroModel
+from .model import MassProperties as MassProperties
+from .model import build as build
+from .model import gyration as gyration
+from .prior import class_errors as class_errors
+from .prior import priors as priors
+from .read import Sources as Sources
+from .read import read_sources as read_sources
+from .slips import Slip as Slip
+from .slips import find_slips as find_slips
+from .source import Source as Source
+from .write_aircraft import Equipment as Equipment
+from .write_aircraft import design_speed as design_speed
+from .write_aircraft import read_contacts as read_contacts
+from .write_aircraft import write_aircraft as write_aircraft

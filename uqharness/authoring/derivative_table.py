@@ -1,0 +1,251 @@
+"""A plain table of derivatives, TOML or CSV: textbook, DATCOM, wind tunnel.
+
+Each row has a name, a value, a unit and a source. Names are ``S b c x_ref y_ref z_ref x_cg x_np
+alpha mach axes rate_axes`` and coefficients with their variable: ``CL_alpha``, ``Cm_0``,
+``Cn_rudder``. A CSV file has the columns name, value, unit and, where wanted, source and alpha_deg;
+rows without an alpha hold at every alpha. A TOML file has ``[reference]``, ``[condition]`` and
+``[derivatives]`` with ``CL_alpha = { value = 4.6, unit = "1/rad", source = "..." }``, or a number,
+which is in SI and per radian.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from sysid.foreign.regular_files import ParseError, parse_toml
+from uqharness.authoring.source import BODY, STABILITY, STATES, TOTAL, Axes, Entry, Point, Source
+from uqharness.errors import BadInputError
+from uqharness.toml import line_of
+
+_UNITS = {
+    "": 1.0,
+    "1": 1.0,
+    "-": 1.0,
+    "1/rad": 1.0,
+    "per rad": 1.0,
+    "rad": 1.0,
+    "1/deg": math.degrees(1.0),
+    "per deg": math.degrees(1.0),
+    "deg": math.radians(1.0),
+    "m": 1.0,
+    "m2": 1.0,
+    "ft": 0.3048,
+    "ft2": 0.3048**2,
+    "in": 0.0254,
+    "in2": 0.0254**2,
+    "mm": 1e-3,
+    "cm": 1e-2,
+}
+_LENGTHS = {"S": "S", "b": "b", "c": "c", "x_ref": "x", "y_ref": "y", "z_ref": "z"}
+_FACTS = ("x_np", "x_cg", "e")
+_SURFACES = {
+    "de": "elevator",
+    "da": "aileron",
+    "dr": "rudder",
+    "df": "flap",
+    "elevator": "elevator",
+    "aileron": "aileron",
+    "rudder": "rudder",
+}
+_VARIABLES = {"a": "alpha", "b": "beta"} | {name: name for name in (*STATES, TOTAL)}
+
+
+@dataclass(frozen=True)
+class _Row:
+    """One row: alpha is NaN where the row holds at every alpha."""
+
+    name: str
+    value: float | str
+    unit: str
+    line: int
+    alpha: float = math.nan
+
+
+def read_table_file(path: Path, text: str) -> Source:
+    """Read a table of derivatives; the suffix tells TOML from CSV.
+
+    Raises
+    ------
+    BadInputError
+        With file and line: an unknown name or unit, a value that is no number, a coefficient of
+        the other axes, a missing reference.
+    """
+    rows = list(_toml_rows(path, text) if path.suffix == ".toml" else _csv_rows(path, text))
+    texts = {row.name: row for row in rows if isinstance(row.value, str)}
+    axes = _axes(path, texts.get("axes"), _guess_axes(rows))
+    rate_axes = _axes(path, texts.get("rate_axes"), axes)
+    names = STABILITY if axes == "stability" else BODY
+    reference: dict[str, Entry] = {}
+    facts: dict[str, Entry] = {}
+    condition = {"alpha": Entry(0.0, path), "mach": Entry(0.0, path)}
+    entries: dict[float, dict[tuple[str, str], Entry]] = {}
+    surfaces: list[str] = []
+    for row in rows:
+        if isinstance(row.value, str):
+            continue
+        if row.unit not in _UNITS:
+            allowed = ", ".join(unit for unit in _UNITS if unit)
+            raise BadInputError(
+                f"{path}:{row.line}: {row.name}: unit {row.unit!r}; allowed are {allowed}"
+            )
+        entry = Entry(row.value * _UNITS[row.unit], path, row.line)
+        coefficient, _, variable = row.name.partition("_")
+        if row.name in _LENGTHS:
+            reference[_LENGTHS[row.name]] = entry
+        elif row.name in _FACTS:
+            facts[row.name] = entry
+        elif row.name in condition:
+            condition[row.name] = entry
+        elif coefficient in (*BODY, *STABILITY):
+            if coefficient not in names:
+                raise BadInputError(
+                    f"{path}:{row.line}: {row.name}: axes are {axes}, which have"
+                    f" {', '.join(names)}; rotate it or change axes"
+                )
+            key = _VARIABLES.get(variable) or _SURFACES.get(variable, variable)
+            if not re.fullmatch(r"\w+", key):
+                raise BadInputError(
+                    f"{path}:{row.line}: {row.name}: a variable is needed, such as CL_alpha, CL_0"
+                )
+            if key not in (TOTAL, *STATES) and key not in surfaces:
+                surfaces.append(key)
+            entries.setdefault(row.alpha, {})[coefficient, key] = entry
+        else:
+            raise BadInputError(
+                f"{path}:{row.line}: unknown name {row.name!r}; allowed are"
+                f" {', '.join((*_LENGTHS, *_FACTS, *condition, 'axes', 'rate_axes'))} and"
+                " coefficients such as CL_alpha"
+            )
+    if not entries:
+        raise BadInputError(f"{path}: holds no coefficient")
+    return Source(
+        path=path,
+        tool="table",
+        name=str(texts["name"].value) if "name" in texts else path.stem,
+        reference={key: Entry(0.0, path) for key in "xyz"} | reference,
+        points=_points(entries, condition, axes, rate_axes),
+        surfaces=tuple(surfaces),
+        facts=facts,
+    )
+
+
+def _points(
+    entries: dict[float, dict[tuple[str, str], Entry]],
+    condition: dict[str, Entry],
+    axes: Axes,
+    rate_axes: Axes,
+) -> tuple[Point, ...]:
+    """Return a point at each alpha; rows without an alpha stand in all.
+
+    A total of a table with one alpha stands at alpha = 0, as textbooks define CL_0 and Cm_0; with
+    several it is the total at each.
+    """
+    shared = next((rows for alpha, rows in entries.items() if math.isnan(alpha)), {})
+    alphas = sorted(alpha for alpha in entries if not math.isnan(alpha))
+    if alphas:
+        return tuple(
+            Point(Entry(alpha), condition["mach"], axes, rate_axes, shared | entries[alpha])
+            for alpha in alphas
+        )
+    alpha = condition["alpha"]
+    moved = dict(shared)
+    for (name, variable), entry in shared.items():
+        slope = shared.get((name, "alpha"))
+        if variable == TOTAL and slope is not None:
+            value = entry.value + slope.value * alpha.value
+            moved[name, variable] = Entry(value, entry.path, entry.line)
+    return (Point(alpha, condition["mach"], axes, rate_axes, moved),)
+
+
+def _guess_axes(rows: list[_Row]) -> Axes:
+    """Return body axes where the table has CX or CZ."""
+    names = {row.name.partition("_")[0] for row in rows}
+    return "body" if names & {"CX", "CZ"} else "stability"
+
+
+def _axes(path: Path, row: _Row | None, default: Axes) -> Axes:
+    """Return stated axes."""
+    if row is None:
+        return default
+    if row.value == "body":
+        return "body"
+    if row.value == "stability":
+        return "stability"
+    raise BadInputError(
+        f"{path}:{row.line}: {row.name} = {row.value!r}; allowed are stability and body"
+    )
+
+
+def _toml_rows(path: Path, text: str) -> Iterator[_Row]:
+    """Yield the rows of a TOML file."""
+    try:
+        document = parse_toml(text)
+    except ParseError as error:
+        raise BadInputError(f"{path}:{error.line or 1}: {error}") from None
+    allowed = ("aircraft", "reference", "condition", "derivatives")
+    for section, content in document.items():
+        line = line_of(text, (section,))
+        if section not in allowed or not isinstance(content, dict):
+            raise BadInputError(
+                f"{path}:{line}: unknown section {section!r}; allowed are {', '.join(allowed)}"
+            )
+        for name, row in content.items():
+            line = line_of(text, (section, name))
+            has_unit = isinstance(row, dict)
+            value: Any = row.get("value") if has_unit else row
+            unit: Any = row.get("unit", "") if has_unit else ""
+            for key, factor in (("_m2", ""), ("_m", ""), ("_deg", "deg"), ("_rad", "rad")):
+                if section != "derivatives" and name.endswith(key) and unit == "":
+                    name, unit = name.removesuffix(key), factor
+            yield _row(path, line, str(name), value, str(unit))
+
+
+def _csv_rows(path: Path, text: str) -> Iterator[_Row]:
+    """Yield the rows of a CSV file; lines that begin with # are comments."""
+    head: list[str] | None = None
+    for number, line in enumerate(text.splitlines(), start=1):
+        if not line.strip() or line.lstrip().startswith("#"):
+            continue
+        words = [word.strip() for word in next(csv.reader(io.StringIO(line)))]
+        if head is None:
+            head = words
+            missing = [name for name in ("name", "value", "unit") if name not in head]
+            if missing:
+                raise BadInputError(
+                    f"{path}:{number}: columns {', '.join(words)[:80]}; name, value and unit are"
+                    " needed"
+                )
+            continue
+        cells = dict(zip(head, words, strict=False))
+        row = _row(path, number, cells["name"], cells.get("value", ""), cells.get("unit", ""))
+        alpha = cells.get("alpha_deg", "")
+        if alpha:
+            at = _row(path, number, "alpha", alpha, "deg")
+            assert isinstance(at.value, float)
+            row = _Row(row.name, row.value, row.unit, row.line, math.radians(at.value))
+        yield row
+
+
+_TEXTS: tuple[Literal["axes", "rate_axes", "name"], ...] = ("axes", "rate_axes", "name")
+
+
+def _row(path: Path, line: int, name: str, value: Any, unit: str) -> _Row:
+    """Return a checked row."""
+    if name in _TEXTS:
+        return _Row(name, str(value), unit, line)
+    try:
+        number = math.nan if isinstance(value, bool) else float(value)
+    except (TypeError, ValueError):
+        number = math.nan
+    if not math.isfinite(number):
+        raise BadInputError(
+            f"{path}:{line}: {name}: received {str(value)[:30]!r}, a finite number is needed"
+        )
+    return _Row(name, number, unit, line)

@@ -1,0 +1,888 @@
+"""Usual slips in sources of derivatives: axes, signs, units, references, surfaces.
+
+Each check compares numbers of the file with each other or with slender-wing and tail-volume
+formulas of conventional aeroplanes, and says which line, what is expected, and what the slip would
+do to the flight. Bands are wide: a check speaks where a number is off by its sign, by a factor of
+57.3, by a wrong reference or a wrong surface. Tailless aeroplanes lie within them too.
+
+References: B. Etkin, L. D. Reid, Dynamics of Flight, 3rd ed., chapters 2, 3 and 5; Helmbold's
+formula of the lift slope.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from uqharness.authoring import vspaero
+from uqharness.authoring.avl_input import Geometry, Masses
+from uqharness.authoring.model import control_weights
+from uqharness.authoring.read import Sources
+from uqharness.authoring.source import (
+    STABILITY,
+    TOTAL,
+    Entry,
+    Point,
+    Source,
+    rotate_forces,
+)
+
+_DEGREES = math.degrees(1.0)
+
+
+@dataclass(frozen=True)
+class Slip:
+    """A finding: kind, file and line, what was received and is expected, and its effect."""
+
+    kind: str
+    place: str
+    message: str
+    effect: str
+
+    def __str__(self) -> str:
+        return f"{self.place}: {self.kind}: {self.message}. {self.effect}"
+
+
+def find_slips(sources: Sources) -> list[Slip]:
+    """Return the slips of a set of files, each once, in order of the line.
+
+    Parameters
+    ----------
+    sources : Sources
+        As `read_sources` returns them.
+
+    Returns
+    -------
+    list of Slip
+        Empty for clean files.
+    """
+    source = sources.derivatives
+    out = [*_references(source, sources.geometry, sources.masses)]
+    for point in source.points[:1] if len(source.points) == 1 else source.points:
+        if len(source.points) == 1 or abs(point.alpha.value) < math.radians(8.0):
+            out += _point(source, _stability(point))
+    out += _surfaces(source)
+    out += _alphas(source)
+    for path, text in sources.texts.items():
+        if vspaero.is_stab(text):
+            out += _stab_cases(path, text)
+    if sources.geometry is not None:
+        out += _geometry(sources.geometry)
+    if sources.masses is not None:
+        out += _masses(sources.masses, source)
+    once = {(slip.kind, slip.place): slip for slip in reversed(out)}
+    return sorted(once.values(), key=lambda slip: (slip.place.rpartition(":")[0], _line(slip)))
+
+
+def _line(slip: Slip) -> int:
+    """Return the line of a finding, 0 without one."""
+    word = slip.place.rpartition(":")[2]
+    return int(word) if word.isdigit() else 0
+
+
+def _stability(point: Point) -> Point:
+    """Return a point with lift and drag; moments stay in the file's axes."""
+    if point.axes == "stability":
+        return point
+    alpha = point.alpha.value
+    sine, cosine = math.sin(alpha), math.cos(alpha)
+    entries = dict(point.entries)
+    for variable in {variable for _, variable in point.entries}:
+        cx, cz = point.value("CX", variable), point.value("CZ", variable)
+        lift, drag = cx * sine - cz * cosine, -cx * cosine - cz * sine
+        if variable == "alpha":
+            cx0, cz0 = point.value("CX", TOTAL), point.value("CZ", TOTAL)
+            lift += cx0 * cosine + cz0 * sine
+            drag += cx0 * sine - cz0 * cosine
+        line = entries.get(("CZ", variable)) or entries.get(("CX", variable))
+        if line is not None:
+            entries["CL", variable] = Entry(lift, line.path, line.line)
+            entries["CD", variable] = Entry(drag, line.path, line.line)
+    return Point(point.alpha, point.mach, "stability", point.rate_axes, entries, point.beta)
+
+
+def _slip(entry: Entry, kind: str, message: str, effect: str) -> Slip:
+    """Return a finding at an entry."""
+    return Slip(kind, entry.place, message, effect)
+
+
+def _unit_remark(ratio: float) -> str:
+    """Return what a factor of about 57.3 means."""
+    if 30.0 < ratio < 110.0:
+        return "; 57.3 times as much: per radian read as per degree"
+    if 1.0 / 110.0 < ratio < 1.0 / 30.0:
+        return "; 57.3 times less: per degree read as per radian"
+    return ""
+
+
+def _references(source: Source, geometry: Geometry | None, masses: Masses | None) -> Iterator[Slip]:
+    """Check reference lengths and area among each other, with the geometry and the CG."""
+    reference = source.reference
+    if not all(key in reference and reference[key].value > 0.0 for key in "Sbc"):
+        return
+    area, span, chord = (reference[key].value for key in "Sbc")
+    aspect_ratio = span**2 / area
+    mean = area / span
+    effect = "Every moment and rate derivative is scaled by it"
+    ratio = chord / mean
+    if not 0.93 <= ratio <= 1.45:
+        # The value that fits none of the others is the wrong one.
+        if aspect_ratio < 2.0 or aspect_ratio > 45.0:
+            key = "b" if 0.93 <= (chord * 1.0) / math.sqrt(area / 7.0) <= 2.2 else "S"
+            guess = area / (chord / 1.05) if key == "b" else span * chord / 1.05
+            yield _slip(
+                reference[key],
+                "reference length" if key == "b" else "reference area",
+                f"{'span' if key == 'b' else 'area'} {reference[key].value:.4g} with area"
+                f" {area:.4g}, span {span:.4g}, chord {chord:.4g} gives aspect ratio"
+                f" {aspect_ratio:.3g}; about {guess:.4g} is expected",
+                effect,
+            )
+        else:
+            slope = _helmbold(aspect_ratio)
+            key = "c"
+            if math.isclose(2.0 * ratio, 1.05, rel_tol=0.25) or math.isclose(
+                0.5 * ratio, 1.05, rel_tol=0.25
+            ):
+                # Half a span or twice the area change the mean chord by two; so may the chord.
+                lift = source.points[0].entries.get(("CL", "alpha"))
+                if lift is not None and not 0.75 < lift.value / slope < 1.25:
+                    key = "S"
+                elif aspect_ratio < 4.0:
+                    key = "b"
+            names = {"c": "chord", "S": "area", "b": "span"}
+            yield _slip(
+                reference[key],
+                "reference area" if key == "S" else "reference length",
+                f"{names[key]} {reference[key].value:.4g}: the mean chord S/b is {mean:.4g}, so"
+                f" that a chord of {mean:.4g} to {1.34 * mean:.4g} is expected; received"
+                f" {chord:.4g}",
+                effect,
+            )
+    elif not 2.0 <= aspect_ratio <= 45.0:
+        yield _slip(
+            reference["b"],
+            "reference length",
+            f"span {span:.4g} with area {area:.4g} gives aspect ratio {aspect_ratio:.3g}; 2 to 45"
+            " is expected",
+            effect,
+        )
+    margin = source.facts.get("x_np")
+    lift, pitch = (source.points[0].entries.get(key) for key in (("CL", "alpha"), ("Cm", "alpha")))
+    if margin is not None and lift is not None and pitch is not None and lift.value > 0.5:
+        expected = -lift.value * (margin.value - reference["x"].value) / chord
+        if abs(pitch.value - expected) > 0.05 * abs(expected) + 0.02 * lift.value:
+            opposite = abs(pitch.value + expected) < 0.1 * abs(expected) + 0.02
+            entry = pitch if opposite or _unit_remark(pitch.value / expected) else reference["x"]
+            yield _slip(
+                entry,
+                "sign" if opposite else "moment centre",
+                f"Cm_alpha {pitch.value:.4g} with CL_alpha {lift.value:.4g} puts the neutral point"
+                f" at x = {reference['x'].value - pitch.value / lift.value * chord:.4g}; the file"
+                f" says {margin.value:.4g}, which needs Cm_alpha {expected:.4g} about"
+                f" x = {reference['x'].value:.4g}" + _unit_remark(pitch.value / expected),
+                "The static margin is wrong: the aeroplane may diverge in pitch",
+            )
+    if masses is not None:
+        distance = masses.centre_m[0] - reference["x"].value
+        # A moment centre at the origin is a datum on purpose.
+        at_datum = all(reference[key].value == 0.0 for key in "xyz" if key in reference)
+        if "x" in reference and not at_datum and abs(distance) > 0.5 * chord:
+            yield _slip(
+                reference["x"],
+                "moment centre",
+                f"moments are about x = {reference['x'].value:.4g} m, {abs(distance) / chord:.2g}"
+                f" chords from the centre of gravity at {masses.centre_m[0]:.4g} m",
+                "They are moved to the centre of gravity; where one of the two is wrong, the"
+                " aeroplane is stable or unstable by that much",
+            )
+    if geometry is not None:
+        yield from _reference_of_geometry(source, geometry)
+
+
+def _reference_of_geometry(source: Source, geometry: Geometry) -> Iterator[Slip]:
+    """Compare the reference values with the wing of the geometry."""
+    wings = geometry.wings()
+    area = sum(wing.area() for wing in wings)
+    points = np.vstack([wing.points() for wing in wings])
+    span = 2.0 * float(np.max(np.abs(points[:, 1])))
+    chord = wings[0].mean_chord()
+    effect = "Every coefficient is scaled by it, so lift, damping and speed are wrong"
+    for key, value, name in (("S", area, "area"), ("b", span, "span"), ("c", chord, "chord")):
+        entry = geometry.reference[key]
+        if not 0.85 <= entry.value / value <= 1.18:
+            yield _slip(
+                entry,
+                "reference area" if key == "S" else "reference length",
+                f"{name} {entry.value:.4g}; the surface {wings[0].name} has {value:.4g}",
+                effect,
+            )
+
+
+def _helmbold(aspect_ratio: float) -> float:
+    """Return Helmbold's lift slope of a straight wing [1/rad]."""
+    return 2.0 * math.pi * aspect_ratio / (2.0 + math.sqrt(4.0 + aspect_ratio**2))
+
+
+def _point(source: Source, point: Point) -> Iterator[Slip]:
+    """Check the derivatives of one point among each other."""
+    area, span, chord = (source.length(key) for key in "Sbc")
+    aspect_ratio = span**2 / area
+    yield from _alpha_slip(source, point)
+    yield from _longitudinal(source, point, aspect_ratio, chord)
+    yield from _lateral(point, span, aspect_ratio)
+    yield from _symmetry(point)
+
+
+def _alpha_slip(source: Source, point: Point) -> Iterator[Slip]:
+    """Check that lift, drag and the body forces of a point belong to its alpha."""
+    facts = source.facts
+    if {"CX", "CZ", "CL", "CD"} <= facts.keys() and len(source.points) == 1:
+        cx, cz = rotate_forces(facts["CL"].value, facts["CD"].value, point.alpha.value)
+        size = max(abs(facts["CL"].value), 0.1)
+        if abs(facts["CZ"].value - cz) > 0.02 * size:
+            sign = facts["CZ"].value * cz < 0.0
+            culprit = facts["CZ"]
+            expected_lift = -facts["CZ"].value * math.cos(point.alpha.value)
+            if abs(expected_lift - facts["CL"].value) > 0.02 * size and not sign:
+                ff = facts.get("CLff")
+                if ff is not None and abs(ff.value - facts["CL"].value) > 0.1 * size:
+                    culprit = facts["CL"]
+            yield _slip(
+                culprit,
+                "axes",
+                f"CZ {facts['CZ'].value:.4g}; CL {facts['CL'].value:.4g} and CD"
+                f" {facts['CD'].value:.4g} at alpha {math.degrees(point.alpha.value):.4g} deg give"
+                f" {cz:.4g} in body axes (z down)",
+                "Lift acts downwards or along other axes",
+            )
+        elif abs(facts["CX"].value - cx) > 0.02 * size:
+            # CX = CL sin(alpha) - CD cos(alpha) shows a wrong alpha first.
+            fitted = (facts["CX"].value + facts["CD"].value) / size
+            sign = abs(facts["CX"].value + cx) < 0.02 * size
+            culprit = facts["CX"] if sign else point.alpha
+            yield _slip(
+                culprit,
+                "axes" if sign else "deg/rad",
+                f"CX {facts['CX'].value:.4g}; CL and CD give {cx:.4g} at alpha"
+                f" {math.degrees(point.alpha.value):.4g} deg; alpha of"
+                f" {math.degrees(math.asin(max(-1.0, min(1.0, fitted)))):.3g} deg would fit",
+                "Drag and lift are turned by the wrong angle: thrust and glide are wrong",
+            )
+    drag = facts.get("CDind") or facts.get("CDff")
+    if drag is not None and "CL" in facts and "e" in facts and facts["e"].value > 0.0:
+        aspect_ratio = source.length("b") ** 2 / source.length("S")
+        lift = facts["CLff"] if "CLff" in facts else facts["CL"]
+        expected = lift.value**2 / (math.pi * aspect_ratio * facts["e"].value)
+        trefftz = facts.get("CDff", drag)
+        if abs(trefftz.value - expected) > 0.03 * expected + 2e-4:
+            implied = lift.value**2 / (math.pi * aspect_ratio * max(trefftz.value, 1e-9))
+            culprit = facts["e"]
+            key = ""
+            if 0.6 < facts["e"].value < 1.1:
+                key = "S" if not _area_fits(source) else "b"
+            if key:
+                culprit = source.reference[key]
+            yield _slip(
+                culprit,
+                "reference area" if key == "S" else "reference length" if key else "drag",
+                f"induced drag {trefftz.value:.4g} at CL {lift.value:.4g} and e"
+                f" {facts['e'].value:.4g} does not fit aspect ratio {aspect_ratio:.4g}:"
+                f" {expected:.4g} is expected, or e = {implied:.3g}",
+                "Glide ratio and climb are wrong",
+            )
+
+
+def _area_fits(source: Source) -> bool:
+    """Return whether the reference area is that of span and chord."""
+    ratio = source.length("c") * source.length("b") / source.length("S")
+    return 0.93 <= ratio <= 1.2
+
+
+def _longitudinal(
+    source: Source, point: Point, aspect_ratio: float, chord: float
+) -> Iterator[Slip]:
+    """Check lift slope, pitch stiffness and damping."""
+    lift, pitch = point.entries.get(("CL", "alpha")), point.entries.get(("Cm", "alpha"))
+    if lift is None:
+        return
+    theory = _helmbold(aspect_ratio)
+    ratio = lift.value / theory
+    if not 0.6 <= ratio <= 1.6:
+        kind = "sign" if ratio < 0.0 else "deg/rad" if _unit_remark(abs(ratio)) else "lift slope"
+        yield _slip(
+            lift,
+            kind,
+            f"CL_alpha {lift.value:.4g} per rad; a wing of aspect ratio {aspect_ratio:.3g} has"
+            f" about {theory:.3g}" + _unit_remark(ratio),
+            "The aeroplane needs the wrong alpha to carry its weight",
+        )
+        return
+    if pitch is not None:
+        margin = -pitch.value / lift.value
+        if margin < -0.02 and source.facts.get("x_np") is None:
+            centre = source.reference.get("x")
+            about = "" if centre is None else f" about x = {centre.value:.4g}"
+            yield _slip(
+                pitch,
+                "sign",
+                f"Cm_alpha {pitch.value:.4g} per rad{about}: a static margin of"
+                f" {100 * margin:.3g} % of the chord; below 0 is expected with the CG ahead of the"
+                " neutral point",
+                "The aeroplane diverges in pitch",
+            )
+        elif abs(margin) > 1.5:
+            kind = "deg/rad" if _unit_remark(abs(margin) / 0.3) else "moment centre"
+            yield _slip(
+                pitch if kind == "deg/rad" else source.reference.get("x", pitch),
+                kind,
+                f"Cm_alpha {pitch.value:.4g} per rad is a static margin of {100 * margin:.4g} % of"
+                " the chord; 0 to 60 % is expected" + _unit_remark(abs(margin) / 0.3),
+                "The aeroplane is far too stiff in pitch, the elevator cannot trim it",
+            )
+    damping = point.entries.get(("Cm", "q"))
+    if damping is not None:
+        if damping.value > 0.0:
+            yield _slip(
+                damping,
+                "sign",
+                f"Cm_q {damping.value:.4g}; a value below 0 is expected (q nose up, Cm nose up)",
+                "Pitch oscillations grow",
+            )
+        elif not 0.3 <= -damping.value <= 90.0:
+            yield _slip(
+                damping,
+                "deg/rad",
+                f"Cm_q {damping.value:.4g} per qc/2V; -0.3 to -90 is expected"
+                + _unit_remark(-damping.value / 10.0),
+                "Pitch damping is off by the same factor",
+            )
+    lift_q = point.entries.get(("CL", "q"))
+    if lift_q is not None and not -6.0 <= lift_q.value <= 40.0:
+        yield _slip(
+            lift_q,
+            "deg/rad" if lift_q.value > 0.0 else "sign",
+            f"CL_q {lift_q.value:.4g} per qc/2V; 2 to 20 is expected",
+            "Lift follows the pitch rate wrongly",
+        )
+    elif lift_q is not None and damping is not None and lift_q.value < 0.0 < -damping.value - 4.0:
+        yield _slip(
+            lift_q,
+            "sign",
+            f"CL_q {lift_q.value:.4g} with Cm_q {damping.value:.4g}; a tail behind the CG gives a"
+            " positive CL_q",
+            "Lift falls with the pitch rate",
+        )
+
+
+def _lateral(point: Point, span: float, aspect_ratio: float) -> Iterator[Slip]:
+    """Check signs and sizes of the lateral derivatives."""
+
+    def entry(name: str, variable: str) -> Entry | None:
+        found = point.entries.get((name, variable))
+        return found if found is not None and abs(found.value) > 1e-12 else None
+
+    lift = max(point.value("CL", TOTAL), 0.0)
+    side, yaw, roll = entry("CY", "beta"), entry("Cn", "beta"), entry("Cl", "beta")
+    if side is not None and side.value > 0.0:
+        yield _slip(
+            side,
+            "sign",
+            f"CY_beta {side.value:.4g} per rad; below 0 is expected (wind from the right pushes to"
+            " the left)",
+            "The aeroplane slides into its sideslip",
+        )
+    elif side is not None and not 0.005 <= -side.value <= 3.0:
+        yield _slip(
+            side,
+            "deg/rad",
+            f"CY_beta {side.value:.4g} per rad; -0.05 to -1.5 is expected"
+            + _unit_remark(-side.value / 0.3),
+            "Side force is off by the same factor",
+        )
+    if yaw is not None and yaw.value < 0.0:
+        yield _slip(
+            yaw,
+            "sign",
+            f"Cn_beta {yaw.value:.4g} per rad; above 0 is expected (the nose turns into the wind)",
+            "The aeroplane swaps ends in a sideslip",
+        )
+    elif yaw is not None and not 0.002 <= yaw.value <= 0.6:
+        yield _slip(
+            yaw,
+            "deg/rad",
+            f"Cn_beta {yaw.value:.4g} per rad; 0.02 to 0.3 is expected"
+            + _unit_remark(yaw.value / 0.08),
+            "The dutch roll is too fast or too slow by the root of that factor",
+        )
+    elif yaw is not None and side is not None and side.value < 0.0:
+        arm = -yaw.value / side.value
+        if not 0.02 <= arm <= 1.3:
+            yield _slip(
+                yaw,
+                "reference length",
+                f"Cn_beta over CY_beta puts the fin {arm:.3g} spans behind the moment centre; 0.1"
+                " to 0.8 is expected",
+                "Weathercock stability is off by that factor",
+            )
+    if roll is not None and roll.value > 0.03 + 0.25 * max(-point.value("CL", TOTAL), 0.0):
+        yield _slip(
+            roll,
+            "sign",
+            f"Cl_beta {roll.value:.4g} per rad; below 0 is expected with dihedral or sweep (wind"
+            " from the right rolls to the left)",
+            "The spiral diverges fast, and rudder rolls the wrong way",
+        )
+    elif roll is not None and roll.value < -0.6:
+        yield _slip(
+            roll,
+            "deg/rad",
+            f"Cl_beta {roll.value:.4g} per rad; -0.3 to 0 is expected"
+            + _unit_remark(-roll.value / 0.08),
+            "The dutch roll is dominated by roll",
+        )
+    damping = entry("Cl", "p")
+    if damping is not None:
+        # Strip theory: a rectangular wing's Cl_p is a sixth of its lift slope, a tapered one's an
+        # eighth to a twelfth.
+        theory = _helmbold(aspect_ratio) / 11.0
+        if damping.value > 0.0:
+            yield _slip(
+                damping,
+                "sign",
+                f"Cl_p {damping.value:.4g}; below 0 is expected",
+                "Roll diverges within a fraction of a second",
+            )
+        elif not 0.35 <= -damping.value / theory <= 2.2:
+            yield _slip(
+                damping,
+                "deg/rad" if _unit_remark(-damping.value / theory) else "reference length",
+                f"Cl_p {damping.value:.4g} per pb/2V; about {-theory:.2g} is expected for aspect"
+                f" ratio {aspect_ratio:.3g}" + _unit_remark(-damping.value / theory),
+                "Roll rate at full aileron is off by the same factor",
+            )
+    yaw_damping = entry("Cn", "r")
+    if yaw_damping is not None:
+        arm = (
+            -yaw.value / side.value
+            if yaw is not None and side is not None and yaw.value > 0.0 > side.value
+            else 0.4
+        )
+        expected = 2.0 * (yaw.value if yaw is not None and yaw.value > 0 else 0.08) * arm
+        if yaw_damping.value > 0.0:
+            yield _slip(
+                yaw_damping,
+                "sign",
+                f"Cn_r {yaw_damping.value:.4g}; below 0 is expected",
+                "The dutch roll grows",
+            )
+        elif not 0.15 <= -yaw_damping.value / expected <= 8.0:
+            yield _slip(
+                yaw_damping,
+                "deg/rad" if _unit_remark(-yaw_damping.value / expected) else "reference length",
+                f"Cn_r {yaw_damping.value:.4g} per rb/2V; about {-expected:.2g} is expected from"
+                " Cn_beta and the fin's arm" + _unit_remark(-yaw_damping.value / expected),
+                "Dutch roll damping is off by the same factor",
+            )
+    side_r = entry("CY", "r")
+    if side_r is not None and yaw is not None and yaw.value > 0.01:
+        ratio = side_r.value / (2.0 * yaw.value)
+        if not -0.3 <= ratio <= 5.0:
+            yield _slip(
+                side_r,
+                "sign" if ratio < 0.0 else "deg/rad",
+                f"CY_r {side_r.value:.4g} per rb/2V; about {2.0 * yaw.value:.2g} (twice Cn_beta) is"
+                " expected",
+                "Turns slip",
+            )
+    roll_r = entry("Cl", "r")
+    if roll_r is not None and lift > 0.15 and not -0.1 * lift - 0.02 <= roll_r.value <= lift + 0.25:
+        yield _slip(
+            roll_r,
+            "sign" if roll_r.value < 0.0 else "deg/rad",
+            f"Cl_r {roll_r.value:.4g} per rb/2V; about CL/4 = {lift / 4.0:.2g} is expected",
+            "The spiral mode is wrong",
+        )
+    yaw_p = entry("Cn", "p")
+    if yaw_p is not None and lift > 0.15 and not -0.6 * lift - 0.2 <= yaw_p.value <= 0.15:
+        yield _slip(
+            yaw_p,
+            "sign" if yaw_p.value > 0.0 else "deg/rad",
+            f"Cn_p {yaw_p.value:.4g} per pb/2V; about -CL/8 = {-lift / 8.0:.2g} is expected",
+            "Rolling yaws the wrong way",
+        )
+
+
+_EVEN = ("CL", "CD", "Cm")
+_ODD = ("CY", "Cl", "Cn")
+
+
+def _symmetry(point: Point) -> Iterator[Slip]:
+    """Check that a symmetric flight condition couples nothing sideways."""
+    if abs(point.beta) > 1e-6:
+        return
+    sizes = {
+        name: max(abs(point.value(name, v)) for v in ("alpha", "beta", "p", "q", "r"))
+        for name in STABILITY
+    }
+    pairs = [(name, v) for name in _EVEN for v in ("beta", "p", "r")]
+    pairs += [(name, v) for name in _ODD for v in ("alpha", "q")]
+    for name, variable in pairs:
+        entry = point.entries.get((name, variable))
+        if entry is None or abs(entry.value) <= max(0.12 * sizes[name], 0.03):
+            continue
+        yield _slip(
+            entry,
+            "axes",
+            f"{name}_{variable} {entry.value:.4g}; 0 is expected of a symmetric aeroplane in"
+            " straight flight",
+            "Columns or axes are mixed: pitch couples into roll and yaw",
+        )
+
+
+def _surfaces(source: Source) -> Iterator[Slip]:
+    """Check the derivatives of control surfaces."""
+    if not source.surfaces:
+        return
+    point = _stability(min(source.points, key=lambda p: abs(p.alpha.value)))
+    weights = control_weights(source)
+    for control, row in weights.items():
+        for surface in row:
+            yield from _surface(point, control, surface, weights)
+        if len(row) == 1:
+            yield from _one_sided(point, control, next(iter(row)), weights)
+    named = {name for row in weights.values() for name in row}
+    for surface in source.surfaces:
+        values = [abs(point.value(name, surface)) for name in STABILITY]
+        if max(values) < 1e-9 and surface not in named:
+            entry = point.entries.get(("CL", surface)) or point.entries.get(("Cm", surface))
+            if entry is not None:
+                yield _slip(
+                    entry,
+                    "control",
+                    f"{surface} moves nothing; AVL needs its CONTROL in both sections at the ends"
+                    " of the surface",
+                    "The aeroplane cannot be steered with it",
+                )
+
+
+_SIZES = {
+    "elevator": ("Cm", 0.08, 6.0, "Cm_de -0.3 to -3 per rad"),
+    "aileron": ("Cl", 0.02, 0.8, "Cl_da 0.05 to 0.4 per rad"),
+    "rudder": ("Cn", 0.008, 0.5, "Cn_dr -0.02 to -0.2 per rad"),
+}
+
+
+def _surface(
+    point: Point, control: str, surface: str, weights: dict[str, dict[str, float]]
+) -> Iterator[Slip]:
+    """Check size and signs of one surface as one control."""
+    name, low, high, expected = _SIZES[control]
+    entry = point.entries.get((name, surface))
+    if entry is None:
+        return
+    size = abs(entry.value)
+    shared = sum(surface in row for row in weights.values()) > 1
+    if not low <= size <= high and not shared:
+        yield _slip(
+            entry,
+            "deg/rad",
+            f"{name} of {surface} {entry.value:.4g} per rad ({math.radians(entry.value):.3g} per"
+            f" deg); {expected} is expected" + _unit_remark(size / math.sqrt(low * high)),
+            "The surface is too strong or too weak by that factor",
+        )
+    if control == "elevator":
+        lift = point.entries.get(("CL", surface))
+        if lift is not None and abs(lift.value) > 1e-6 and lift.value * entry.value > 0.0:
+            arm = entry.value / lift.value
+            yield _slip(
+                entry,
+                "control sign",
+                f"{surface}: Cm {entry.value:.4g} and CL {lift.value:.4g} per rad have the same"
+                f" sign, which is a surface {arm:.2g} chords ahead of the CG; behind it they are"
+                " opposite",
+                "The elevator works the wrong way round, or lift falls as the tail lifts",
+            )
+        elif lift is not None and abs(lift.value) > 1e-6 and abs(entry.value / lift.value) > 12.0:
+            yield _slip(
+                lift,
+                "deg/rad",
+                f"{surface}: Cm {entry.value:.4g} over CL {lift.value:.4g} is a tail"
+                f" {abs(entry.value / lift.value):.3g} chords away; 1 to 8 is expected",
+                "Lift and moment of the elevator do not belong together",
+            )
+    if control == "rudder" and not shared:
+        side = point.entries.get(("CY", surface))
+        if side is not None and abs(side.value) > 1e-6 and side.value * entry.value > 0.0:
+            yield _slip(
+                entry,
+                "control sign",
+                f"{surface}: Cn {entry.value:.4g} and CY {side.value:.4g} per rad have the same"
+                " sign, which is a fin ahead of the CG; behind it they are opposite",
+                "The rudder yaws the wrong way",
+            )
+        roll = point.entries.get(("Cl", surface))
+        if (
+            roll is not None
+            and side is not None
+            and abs(side.value) > 1e-6
+            and roll.value / side.value < -0.06
+        ):
+            yield _slip(
+                roll,
+                "ventral fin",
+                f"{surface}: Cl {roll.value:.4g} over CY {side.value:.4g} puts the rudder"
+                f" {-roll.value / side.value:.2g} spans below the CG; above it both have one sign",
+                "Rudder rolls against the turn, as with a ventral fin",
+            )
+
+
+def _one_sided(
+    point: Point, control: str, surface: str, weights: dict[str, dict[str, float]]
+) -> Iterator[Slip]:
+    """Check that a control with one name moves both sides."""
+    roll = point.value("Cl", surface)
+    lift = point.value("CL", surface)
+    shared = sum(surface in row for row in weights.values()) > 1
+    if control == "aileron" and abs(lift) > 0.5 * abs(roll) and not shared:
+        entry = point.entries.get(("CL", surface)) or point.entries["Cl", surface]
+        yield _slip(
+            entry,
+            "per-surface deflection",
+            f"{surface}: CL {lift:.4g} beside Cl {roll:.4g} per rad: one panel moves, or both the"
+            " same way; 0 is expected of (left - right)/2",
+            "A panel of one side counts as the average of both: half the roll power, and aileron"
+            " pitches",
+        )
+    if control == "elevator":
+        side = max(("Cl", "CY", "Cn"), key=lambda name: abs(point.value(name, surface)))
+        limit = {"Cl": 0.1, "CY": 0.1, "Cn": 0.04}[side] * abs(lift or point.value("Cm", surface))
+        if abs(point.value(side, surface)) > max(limit, 0.004):
+            yield _slip(
+                point.entries[side, surface],
+                "v-tail mixing" if side != "Cl" else "per-surface deflection",
+                f"{surface}: {side} {point.value(side, surface):.4g} per rad; 0 is expected of an"
+                " elevator: it is one panel of two, or of a v-tail",
+                "Elevator rolls and yaws; give both panels, or --control elevator=LEFT+RIGHT",
+            )
+    if control == "rudder":
+        pitch = point.value("Cm", surface)
+        if abs(pitch) > max(1.0 * abs(point.value("Cn", surface)), 0.02) and not shared:
+            yield _slip(
+                point.entries["Cm", surface],
+                "v-tail mixing",
+                f"{surface}: Cm {pitch:.4g} per rad; 0 is expected of a rudder: it is one panel of"
+                " a v-tail",
+                "Rudder pitches; give both panels, or --control rudder=LEFT-RIGHT",
+            )
+
+
+def _alphas(source: Source) -> Iterator[Slip]:
+    """Check that derivatives and totals vary smoothly over several alphas."""
+    points = source.points
+    if len(points) < 3:
+        return
+    for before, after in pairwise(points):
+        step = after.alpha.value - before.alpha.value
+        if abs(after.alpha.value) > math.radians(9.0) or abs(before.alpha.value) > 0.16:
+            continue
+        for name in ("CZ", "CL"):
+            if (name, "alpha") not in before.entries:
+                continue
+            change = after.value(name, TOTAL) - before.value(name, TOTAL)
+            slopes = 0.5 * (before.value(name, "alpha") + after.value(name, "alpha"))
+            if abs(change - slopes * step) > 0.25 * abs(slopes * step) + 0.01:
+                yield _slip(
+                    after.entries[name, TOTAL],
+                    "alpha",
+                    f"{name} changes by {change:.4g} from alpha"
+                    f" {math.degrees(before.alpha.value):.3g} to"
+                    f" {math.degrees(after.alpha.value):.3g} deg; its slopes give"
+                    f" {slopes * step:.4g}",
+                    "A total, its slope or an alpha is wrong",
+                )
+
+
+_CASE_OF = {
+    "Alpha": "Alpha",
+    "Beta": "Beta",
+    "p": "Roll__Rate",
+    "q": "Pitch_Rate",
+    "r": "Yaw___Rate",
+}
+
+
+def _stab_cases(path: Path, text: str) -> Iterator[Slip]:
+    """Check the derivatives of a ``.stab`` against its own finite differences, line by line."""
+    for block in vspaero.blocks(path, text):
+        base = block.cases.get("Base_Aero")
+        if base is None or not block.derivatives:
+            continue
+        speed = block.values["Vinf_"].value if "Vinf_" in block.values else math.nan
+        span, chord = block.values["Bref_"].value, block.values["Cref_"].value
+        factors = {
+            "Alpha": _DEGREES,
+            "Beta": _DEGREES,
+            "p": 2.0 * speed / span,
+            "q": 2.0 * speed / chord,
+            "r": 2.0 * speed / span,
+        }
+        cases = dict(_CASE_OF)
+        for number, group in enumerate(block.groups, start=1):
+            cases[f"ConGrp_{number}"] = group
+            factors[f"ConGrp_{number}"] = _DEGREES
+        for coefficient, columns in block.derivatives.items():
+            if coefficient not in base[1]:
+                continue
+            total = columns.get("Total")
+            in_case = base[1][coefficient].value
+            wrong = []
+            if total is not None and abs(total.value - in_case) > 2e-6:
+                wrong.append(f"Total {total.value:.4g} (the cases give {in_case:.4g})")
+            for column, case in cases.items():
+                if column not in columns or case not in block.cases:
+                    continue
+                delta, row = block.cases[case]
+                if delta == 0.0 or not math.isfinite(factors[column]):
+                    continue
+                expected = (row[coefficient].value - base[1][coefficient].value) / delta
+                expected *= factors[column]
+                # Seven decimals of the cases, and the first order of the program's own difference.
+                tolerance = 3e-7 * factors[column] + 0.02 * abs(expected) + 1e-6
+                received = columns[column].value
+                if abs(received - expected) > tolerance:
+                    wrong.append(f"{column} {received:.4g} (the cases give {expected:.4g})")
+            for message in wrong[:1]:
+                entry = next(iter(columns.values()))
+                sign = "sign" if _is_reversed(message) else "derivative"
+                yield _slip(
+                    entry,
+                    sign,
+                    f"{coefficient} with respect to {message}",
+                    "The derivative does not belong to the cases above it in the file",
+                )
+        pairs = (("CMl", "CMx", -1.0), ("CMm", "CMy", 1.0), ("CMn", "CMz", -1.0))
+        for first, second, sign_factor in pairs:
+            row = base[1]
+            if (
+                first in row
+                and second in row
+                and abs(row[first].value - sign_factor * row[second].value) > 2e-7
+            ):
+                yield _slip(
+                    row[first],
+                    "axes",
+                    f"{first} {row[first].value:.4g} with {second} {row[second].value:.4g};"
+                    f" {sign_factor:+g} times {second} is expected",
+                    "Roll or yaw is reversed",
+                )
+        margin, neutral = block.values.get("SM"), block.values.get("X_np")
+        if margin is not None and neutral is not None:
+            expected = block.values["Xcg_"].value + margin.value * chord
+            if abs(neutral.value - expected) > 1e-3 * chord + 2e-6:
+                yield _slip(
+                    block.values["Xcg_"],
+                    "moment centre",
+                    f"x of the moment centre {block.values['Xcg_'].value:.4g} and static margin"
+                    f" {margin.value:.4g} of chord {chord:.4g} give a neutral point at"
+                    f" {expected:.4g}; the file says {neutral.value:.4g}",
+                    "The static margin is wrong: the aeroplane may diverge in pitch",
+                )
+
+
+def _is_reversed(message: str) -> bool:
+    """Return whether a message's two numbers are opposite."""
+    words = message.replace(")", "").split()
+    try:
+        first, second = float(words[1]), float(words[-1])
+    except (ValueError, IndexError):
+        return False
+    return first * second < 0.0 and abs(first + second) < 0.1 * abs(second)
+
+
+def _geometry(geometry: Geometry) -> Iterator[Slip]:
+    """Check controls and sections of an AVL geometry."""
+    for surface in geometry.surfaces:
+        for name, (gain, sign, line) in surface.controls.items():
+            word = name.lower()
+            entry = Entry(gain, geometry.path, line)
+            is_aileron = "ail" in word
+            if surface.duplicated and is_aileron and sign > 0.0:
+                yield _slip(
+                    entry,
+                    "control sign",
+                    f"{name}: the duplicate moves the same way (SgnDup {sign:g}); -1 is expected of"
+                    " ailerons",
+                    "Ailerons work as flaps: no roll control",
+                )
+            if surface.duplicated and "elev" in word and sign < 0.0:
+                yield _slip(
+                    entry,
+                    "control sign",
+                    f"{name}: the duplicate moves the other way (SgnDup {sign:g}); 1 is expected of"
+                    " an elevator",
+                    "The elevator rolls and does not pitch",
+                )
+            if gain == 0.0 or abs(gain) > 10.0:
+                yield _slip(
+                    entry,
+                    "deg/rad",
+                    f"{name}: gain {gain:g} degrees per unit; 1 is expected",
+                    "The surface is too strong by that factor",
+                )
+        if (
+            abs(surface.dihedral()) > math.radians(20.0)
+            and surface.area() > 0.3 * max(s.area() for s in geometry.surfaces)
+            and surface in geometry.wings()
+        ):
+            yield _slip(
+                Entry(0.0, geometry.path, surface.line),
+                "geometry",
+                f"{surface.name}: dihedral {math.degrees(surface.dihedral()):.3g} deg",
+                "The dihedral effect is far too strong",
+            )
+
+
+def _masses(masses: Masses, source: Source) -> Iterator[Slip]:
+    """Check mass and inertia against the span."""
+    span = source.length("b")
+    mass = masses.mass_kg.value
+    inertia = masses.inertia_kgm2
+    radii = {
+        axis: math.sqrt(max(float(inertia[i, i]), 0.0) / mass) / span
+        for i, axis in enumerate(("x", "y", "z"))
+    }
+    line = masses.lines.get("Lunit") or masses.lines.get("items", 0)
+    for axis, radius in radii.items():
+        if not 0.02 <= radius <= 0.6:
+            yield _slip(
+                Entry(radius, masses.path, line),
+                "mass units",
+                f"radius of gyration about {axis} is {radius:.3g} spans; 0.05 to 0.3 is expected:"
+                " check Lunit, Munit and the items",
+                "Every rotation is too fast or too slow",
+            )
+            break
+    xx, yy, zz = (float(inertia[i, i]) for i in range(3))
+    if not (xx + yy > 0.98 * zz and yy + zz > 0.98 * xx and zz + xx > 0.98 * yy):
+        yield _slip(
+            Entry(0.0, masses.path, line),
+            "inertia",
+            f"Ixx {xx:.4g}, Iyy {yy:.4g}, Izz {zz:.4g} kg m2: no body has one above the sum of the"
+            " other two",
+            "JSBSim's rotations are impossible ones",
+        )
+    density = mass / (span**3)
+    if not 0.02 <= density <= 60.0:
+        yield _slip(
+            Entry(mass, masses.path, masses.lines.get("Munit") or masses.mass_kg.line),
+            "mass units",
+            f"{mass:.4g} kg for a span of {span:.4g} m; {0.05 * span**3:.3g} to"
+            f" {20 * span**3:.3g} kg is expected",
+            "Speed and inertia are wrong by roots of that factor",
+        )

@@ -1,0 +1,198 @@
+"""VSPAERO 3.x: ``.stab`` (derivatives at several alphas, betas and Mach numbers) and ``.polar``.
+
+A block begins with "# Name Value Units", then the cases ("Base_Aero", one degree of alpha, ...) and
+the derivatives per radian. Forces are CFx aft, CFy right, CFz up, about body axes; CMl, CMm, CMn
+are right wing down, nose up, nose right. Rates are about body axes.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from uqharness.authoring.source import TOTAL, Entry, Point, Source
+from uqharness.errors import BadInputError
+
+_REFERENCE = {"Sref_": "S", "Cref_": "c", "Bref_": "b", "Xcg_": "x", "Ycg_": "y", "Zcg_": "z"}
+_FORCES = {"CFx": ("CX", -1.0), "CFy": ("CY", 1.0), "CFz": ("CZ", -1.0)}
+_MOMENTS = {"CMl": ("Cl", 1.0), "CMm": ("Cm", 1.0), "CMn": ("Cn", 1.0)}
+_COLUMNS = {"Alpha": "alpha", "Beta": "beta", "p": "p", "q": "q", "r": "r"}
+_FIXED_ROWS = {
+    "Roll__Rate",
+    "Pitch_Rate",
+    "Yaw___Rate",
+    *_REFERENCE,
+    *("Mach_", "AoA_", "Beta_", "Rho_", "Vinf_"),
+}
+
+
+@dataclass
+class Block:
+    """One flight condition of a ``.stab`` file, as printed."""
+
+    values: dict[str, Entry] = field(default_factory=dict)
+    cases: dict[str, tuple[float, dict[str, Entry]]] = field(default_factory=dict)
+    derivatives: dict[str, dict[str, Entry]] = field(default_factory=dict)
+    groups: list[str] = field(default_factory=list)
+
+
+def is_stab(text: str) -> bool:
+    """Return whether a text is a ``.stab`` file.
+
+    >>> is_stab("# Name Value Units\\nSref_ 1.0 Lunit^2")
+    True
+    """
+    return re.search(r"^\s*Sref_\s", text, re.MULTILINE) is not None
+
+
+def read_stab(path: Path, text: str) -> Source:
+    """Read a ``.stab`` file of VSPAERO 3.x.
+
+    Returns
+    -------
+    Source
+        Points of the smallest |beta| and the lowest Mach number, in order of alpha.
+
+    Raises
+    ------
+    BadInputError
+        For a file without a complete block, and numbers that are not finite.
+    """
+    every = [block for block in blocks(path, text) if block.derivatives]
+    if not every:
+        raise BadInputError(
+            f"{path}: no block with derivatives; run VSPAERO with its stability option (-stab) to"
+            " the end"
+        )
+    smallest = min(abs(block.values["Beta_"].value) for block in every)
+    straight = [b for b in every if abs(b.values["Beta_"].value) == smallest]
+    slowest = min(block.values["Mach_"].value for block in straight)
+    chosen = [b for b in straight if b.values["Mach_"].value == slowest]
+    chosen.sort(key=lambda block: block.values["AoA_"].value)
+    first = chosen[0]
+    notes = []
+    if len(chosen) < len(every):
+        notes.append(
+            f"{len(chosen)} of {len(every)} blocks are used: beta {smallest:g} deg, Mach"
+            f" {slowest:g}"
+        )
+    return Source(
+        path=path,
+        tool="VSPAERO",
+        name=path.stem.removesuffix("_DegenGeom"),
+        reference={key: first.values[name] for name, key in _REFERENCE.items()},
+        points=tuple(_point(block) for block in chosen),
+        surfaces=tuple(first.groups),
+        facts={"x_np": first.values["X_np"]} if "X_np" in first.values else {},
+        notes=tuple(notes),
+    )
+
+
+def blocks(path: Path, text: str) -> list[Block]:
+    """Return the blocks of a ``.stab`` file with the line of each number."""
+    out: list[Block] = []
+    columns: list[str] = []
+    part = ""
+    for number, line in enumerate(text.splitlines(), start=1):
+        words = line.split()
+        if not words:
+            continue
+        if words[:3] == ["#", "Name", "Value"]:
+            out.append(Block())
+            part = "values"
+        elif words[:3] == ["#", "Result", "Value"]:
+            part = "values"
+        elif words[:3] == ["Case", "Delta", "Units"]:
+            part, columns = "cases", words[3:]
+        elif words[0] == "Coef":
+            part, columns = "derivatives", words[1:]
+        elif words[0].startswith(("#", "*")) or not out:
+            continue
+        elif part == "values" and len(words) >= 2:
+            out[-1].values[words[0]] = _entry(words[1], path, number)
+            if words[2:] == ["deg"] and words[0] not in _FIXED_ROWS:
+                out[-1].groups.append(words[0])
+        elif part == "cases" and len(words) == len(columns) + 3:
+            delta = _entry(words[1], path, number).value
+            row = {
+                name: _entry(word, path, number)
+                for name, word in zip(columns, words[3:], strict=True)
+            }
+            out[-1].cases[words[0]] = (delta, row)
+        elif part == "derivatives" and len(words) == len(columns) + 1:
+            out[-1].derivatives[words[0]] = {
+                name: _entry(word, path, number)
+                for name, word in zip(columns, words[1:], strict=True)
+            }
+        elif part:
+            raise BadInputError(
+                f"{path}:{number}: received {len(words)} columns, {len(columns) + 1} are needed"
+            )
+    for block in out:
+        missing = [n for n in (*_REFERENCE, "Mach_", "AoA_", "Beta_") if n not in block.values]
+        missing += [
+            name
+            for name in ((*_FORCES, *_MOMENTS) if block.derivatives else ())
+            if name not in block.derivatives
+        ]
+        if missing:
+            raise BadInputError(f"{path}: a block lacks {', '.join(missing)}; run VSPAERO again")
+    return out
+
+
+def _entry(word: str, path: Path, line: int) -> Entry:
+    """Return a number; BadInputError where it is none."""
+    try:
+        value = float(word)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise BadInputError(f"{path}:{line}: received {word[:20]!r}, a finite number is needed")
+    return Entry(value, path, line)
+
+
+def _point(block: Block) -> Point:
+    """Return the derivatives of a block in body axes."""
+    entries: dict[tuple[str, str], Entry] = {}
+    for row, (name, sign) in (_FORCES | _MOMENTS).items():
+        columns = block.derivatives[row]
+        named = {"Total": TOTAL} | _COLUMNS
+        named |= {f"ConGrp_{i}": group for i, group in enumerate(block.groups, start=1)}
+        for column, variable in named.items():
+            if column in columns:
+                entry = columns[column]
+                entries[name, variable] = Entry(sign * entry.value, entry.path, entry.line)
+    alpha = block.values["AoA_"]
+    return Point(
+        alpha=Entry(math.radians(alpha.value), alpha.path, alpha.line),
+        mach=block.values["Mach_"],
+        axes="body",
+        rate_axes="body",
+        entries=entries,
+        beta=math.radians(block.values["Beta_"].value),
+    )
+
+
+def read_polar(path: Path, text: str) -> Mapping[str, list[float]]:
+    """Read a ``.polar`` file: columns by name, rows of the smallest |beta|.
+
+    Raises
+    ------
+    BadInputError
+        Without the columns AoA, CL and CDtot.
+    """
+    rows = [line.split() for line in text.splitlines() if line.split()]
+    heads = [i for i, row in enumerate(rows) if "AoA" in row and "CL" in row and "CDtot" in row]
+    if not heads:
+        raise BadInputError(f"{path}: no head with AoA, CL and CDtot; a VSPAERO polar is needed")
+    head = rows[heads[-1]]
+    numbers = []
+    for row in rows[heads[-1] + 1 :]:
+        if len(row) == len(head):
+            numbers.append([_entry(word, path, 0).value for word in row])
+    if not numbers:
+        raise BadInputError(f"{path}: holds no row of numbers")
+    return {name: [row[i] for row in numbers] for i, name in enumerate(head)}

@@ -1,0 +1,200 @@
+"""Commands ``author`` and ``performance``."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from typing import Any
+
+from uqharness.authoring import (
+    Equipment,
+    MassProperties,
+    Sources,
+    build,
+    class_errors,
+    design_speed,
+    find_slips,
+    gyration,
+    read_contacts,
+    read_sources,
+    write_aircraft,
+)
+from uqharness.authoring.prior import priors
+from uqharness.errors import BadInputError
+from uqharness.files import check_output_folder, results_folder
+from uqharness.requests.authoring import AuthorRequest
+from uqharness.requests.base import Callback, silent
+from uqharness.results.authoring import Authored, AuthoredTerm, SlipFound
+from uqharness.results.base import Outcome
+
+
+def author(request: AuthorRequest, callback: Callback = silent) -> Outcome[Authored]:
+    """Read the sources, look for slips, and write the aircraft."""
+    check_output_folder(request.out)
+    callback("reading")
+    given = {
+        key: value
+        for key, value in (
+            ("S", request.area_m2),
+            ("b", request.span_m),
+            ("c", request.chord_m),
+        )
+        if value is not None
+    }
+    sources = read_sources(request.sources, request.length_unit_m, given)
+    slips = find_slips(sources)
+    mass, notes = _mass_properties(request, sources)
+    model = build(
+        sources.derivatives,
+        mass,
+        name=request.name or "",
+        profile_drag=request.cd0,
+        controls=_controls(request.controls),
+    )
+    model = replace(model, notes=(*model.notes, *notes))
+    refused = bool(slips) and not request.accept_slips
+    by_term = priors(model)
+    if not refused:
+        callback("writing")
+        equipment = Equipment(
+            throw_deg=request.throw_deg,
+            thrust_N=request.thrust_n,
+            pitch_speed_mps=request.pitch_speed_mps,
+            contacts=read_contacts(request.contacts),
+        )
+        write_aircraft(results_folder(request.out), model, sources.derivatives.path, equipment)
+    margin_std = class_errors()["static margin"].gaussian_std
+    document = Authored(
+        aircraft=None if refused else str(request.out),
+        tool=model.tool,
+        reference={
+            "S_m2": model.S,
+            "b_m": model.b,
+            "c_m": model.c,
+            "mass_kg": model.mass.mass_kg,
+        },
+        static_margin=model.static_margin,
+        static_margin_std=margin_std,
+        speed_mps=design_speed(model),
+        terms={
+            f"aero/{key}": AuthoredTerm(
+                value=value.value,
+                std=by_term[key].std,
+                unit=value.unit,
+                class_name=by_term[key].class_name,
+            )
+            for key, value in model.terms.items()
+        },
+        mixing=dict(model.mixing),
+        slips=[
+            SlipFound(kind=s.kind, place=s.place, message=s.message, effect=s.effect) for s in slips
+        ],
+        notes=list(model.notes),
+    )
+    return Outcome(document, document, _lines(document, refused), code=int(refused))
+
+
+def _mass_properties(request: AuthorRequest, sources: Sources) -> tuple[MassProperties, list[str]]:
+    """Return mass, centre of gravity and inertia of options, .mass file or assumptions."""
+    notes = []
+    source, masses = sources.derivatives, sources.masses
+    mass_kg = request.mass_kg
+    if mass_kg is None and "mass_kg" in source.facts:
+        mass_kg = source.facts["mass_kg"].value
+    if masses is None and mass_kg is None:
+        raise BadInputError("no mass: give --mass-kg, or AVL's .mass file with the other files")
+    cg = (request.cg_x_m, request.cg_y_m, request.cg_z_m)
+    if masses is not None:
+        centre: Any = masses.centre_m
+        tensor = masses.inertia_kgm2 * (1.0 if mass_kg is None else mass_kg / masses.mass_kg.value)
+        total = masses.mass_kg.value if mass_kg is None else mass_kg
+        properties = MassProperties(
+            total,
+            centre,
+            float(tensor[0, 0]),
+            float(tensor[1, 1]),
+            float(tensor[2, 2]),
+            float(-tensor[0, 2]),
+            masses.path.name,
+        )
+    else:
+        assert mass_kg is not None
+        centre = tuple(
+            source.reference[key].value if key in source.reference else 0.0 for key in "xyz"
+        )
+        if "x_cg" in source.facts:
+            centre = (source.facts["x_cg"].value, *centre[1:])
+        elif cg[0] is None:
+            notes.append("the centre of gravity is at the moment centre (--cg-x-m moves it)")
+        properties = gyration(mass_kg, source.length("b"), centre)
+        if request.ixx_kgm2 is None:
+            notes.append("inertia from radii of gyration of light aeroplanes (--ixx-kgm2 ...)")
+    centre = tuple(
+        old if new is None else new for old, new in zip(properties.centre_m, cg, strict=True)
+    )
+    stated = {
+        key: value
+        for key, value in (
+            ("Ixx", request.ixx_kgm2),
+            ("Iyy", request.iyy_kgm2),
+            ("Izz", request.izz_kgm2),
+            ("Ixz", request.ixz_kgm2),
+        )
+        if value is not None
+    }
+    if stated:
+        stated_source = f"options and {properties.source}" if len(stated) < 4 else "options"
+        properties = replace(properties, **stated, source=stated_source)
+    properties = replace(properties, centre_m=centre)
+    if min(properties.Ixx, properties.Iyy, properties.Izz) <= 0.0:
+        raise BadInputError(
+            f"inertia Ixx {properties.Ixx:g}, Iyy {properties.Iyy:g}, Izz {properties.Izz:g} kg m2:"
+            " above 0 is needed; give --ixx-kgm2, --iyy-kgm2, --izz-kgm2"
+        )
+    return properties, notes
+
+
+def _controls(texts: tuple[str, ...]) -> dict[str, dict[str, float]] | None:
+    """Return the weights of C=SURFACES texts, None without any."""
+    out: dict[str, dict[str, float]] = {}
+    for text in texts:
+        control, _, terms = text.partition("=")
+        weights = {
+            name: (-1.0 if sign == "-" else 1.0) * (float(factor[:-1]) if factor else 1.0)
+            for sign, factor, name in re.findall(r"([+-]?)(\d*\.?\d+\*)?([A-Za-z_]\w*)", terms)
+        }
+        if not weights:
+            raise BadInputError(
+                f"--control {text[:40]!r}: C=SURFACES is needed, such as elevator=LEFT+RIGHT or"
+                " aileron=-RIGHT+LEFT"
+            )
+        out[control] = weights
+    return out or None
+
+
+def _lines(document: Authored, refused: bool) -> list[str]:
+    """Return what the command prints."""
+    lines = []
+    if document.slips:
+        lines.append(
+            f"{len(document.slips)} usual slips in the files"
+            + ("; nothing is written (--accept-slips writes it all the same):" if refused else ":")
+        )
+        lines += [f"  {s.place}: {s.kind}: {s.message}. {s.effect}." for s in document.slips]
+    if not refused:
+        reference = document.reference
+        lines += [
+            (
+                f"Written: {document.aircraft}, from {document.tool}; S {reference['S_m2']:.4g} m2,"
+                f" b {reference['b_m']:.4g} m, c {reference['c_m']:.4g} m,"
+                f" {reference['mass_kg']:.4g} kg"
+            ),
+            (
+                f"static margin {100 * (document.static_margin or 0):.3g} % of the chord, prior std"
+                f" {100 * (document.static_margin_std or 0):.3g} %"
+            ),
+            *(f"1 degree of {c} is {mix}" for c, mix in document.mixing.items()),
+            *(f"Assumed: {note}" for note in document.notes),
+            f"next: uqharness modes {document.aircraft} --speed-mps {document.speed_mps:.3g}",
+        ]
+    return lines
