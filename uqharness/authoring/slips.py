@@ -337,7 +337,8 @@ def _longitudinal(
                 "The aeroplane diverges in pitch",
             )
         elif abs(margin) > 1.5:
-            kind = "deg/rad" if _unit_remark(abs(margin) / 0.3) else "moment centre"
+            # No moment centre is four chords from the wing.
+            kind = "deg/rad" if abs(margin) > 4.0 else "moment centre"
             yield _slip(
                 pitch if kind == "deg/rad" else source.reference.get("x", pitch),
                 kind,
@@ -354,7 +355,7 @@ def _longitudinal(
                 f"Cm_q {damping.value:.4g}; a value below 0 is expected (q nose up, Cm nose up)",
                 "Pitch oscillations grow",
             )
-        elif not 0.3 <= -damping.value <= 90.0:
+        elif not max(0.3, 0.08 * point.value("CL", "q")) <= -damping.value <= 90.0:
             yield _slip(
                 damping,
                 "deg/rad",
@@ -719,7 +720,9 @@ _CASE_OF = {
 
 def _stab_cases(path: Path, text: str) -> Iterator[Slip]:
     """Check the derivatives of a ``.stab`` against its own finite differences, line by line."""
-    for block in vspaero.blocks(path, text):
+    blocks = vspaero.blocks(path, text)
+    usual_centre = float(np.median([block.values["Xcg_"].value for block in blocks]))
+    for block in blocks:
         base = block.cases.get("Base_Aero")
         if base is None or not block.derivatives:
             continue
@@ -785,8 +788,9 @@ def _stab_cases(path: Path, text: str) -> Iterator[Slip]:
         if margin is not None and neutral is not None:
             expected = block.values["Xcg_"].value + margin.value * chord
             if abs(neutral.value - expected) > 1e-3 * chord + 2e-6:
+                is_usual = block.values["Xcg_"].value == usual_centre
                 yield _slip(
-                    block.values["Xcg_"],
+                    neutral if is_usual else block.values["Xcg_"],
                     "moment centre",
                     f"x of the moment centre {block.values['Xcg_'].value:.4g} and static margin"
                     f" {margin.value:.4g} of chord {chord:.4g} give a neutral point at"

@@ -1,0 +1,185 @@
+"""Twenty kinds of slips, seeded one at a time into three files, are found with their line."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from uqharness.authoring import find_slips, read_sources
+
+DATA = Path(__file__).parent / "data"
+ST = (DATA / "kite.st").read_text()
+MASS = (DATA / "kite.mass").read_text()
+TABLE = (DATA / "kite.csv").read_text()
+STAB = (DATA / "kite.stab").read_text()
+
+
+def number(text, name, change):
+    """Return the text with a number changed, and its line."""
+    match = re.search(rf"(?<![\w']){re.escape(name)}(\s*[=,]\s*|\s+)([-+.\dE]+)", text)
+    assert match, name
+    value = change(float(match[2]))
+    assert value != float(match[2])
+    line = text[: match.start(2)].count("\n") + 1
+    return text[: match.start(2)] + f"{value:.7g}" + text[match.end(2) :], line
+
+
+def reverse(value):
+    return -value
+
+
+def times(factor):
+    return lambda value: value * factor
+
+
+def swapped(text, first, second):
+    """Return the text with two numbers exchanged, and the lines of both."""
+    a = float(re.search(rf"{first}(?:\s*[=,]\s*|\s+)([-+.\dE]+)", text)[1])
+    b = float(re.search(rf"{second}(?:\s*[=,]\s*|\s+)([-+.\dE]+)", text)[1])
+    text, line_a = number(text, first, lambda _: b)
+    text, line_b = number(text, second, lambda _: a)
+    return text, (line_a, line_b)
+
+
+D = 57.29578
+SLIPS = {
+    "st": {
+        "Cm_alpha sign": ("Cma", reverse),
+        "Cn_beta sign": ("Cnb", reverse),
+        "Cl_beta sign": ("Clb", reverse),
+        "CY_beta sign": ("CYb", reverse),
+        "CL_alpha per degree": ("CLa", times(1 / D)),
+        "Cm_q per degree": ("Cmq", times(1 / D)),
+        "Cm_q sign": ("Cmq", reverse),
+        "Cl_p per radian of degrees": ("Clp", times(D)),
+        "Cl_p sign": ("Clp", reverse),
+        "Cn_r sign": ("Cnr", reverse),
+        "Cn_r per degree": ("Cnr", times(1 / D)),
+        "CY_r sign": ("CYr", reverse),
+        "span of one side": ("Bref", times(0.5)),
+        "chord in mm": ("Cref", times(1000)),
+        "area in dm2": ("Sref", times(100)),
+        "moment centre at the nose": ("Xref", lambda _: -0.3),
+        "elevator sign": ("Cmd2", reverse),
+        "elevator per radian": ("Cmd2", times(D)),
+        "aileron per radian": ("Cld1", times(D)),
+        "rudder sign": ("Cnd3", reverse),
+        "aileron of one side": ("CLd1", lambda _: -0.008),
+        "elevator of one side": ("Cld2", lambda _: 0.004),
+        "elevator of a v-tail": ("CYd2", lambda _: 0.003),
+        "rudder of a v-tail": ("Cmd3", lambda _: 0.015),
+        "ventral rudder": ("Cld3", lambda _: 0.0006),
+        "z up": ("CZtot", reverse),
+        "alpha in rad": ("Alpha", lambda _: 0.05236),
+        "columns of alpha and beta": ("CLb", lambda _: 5.1),
+        "columns of q and r": ("Cnq", lambda _: -0.08),
+    },
+    "csv": {
+        "Cm_alpha sign": ("Cm_alpha", reverse),
+        "Cn_beta sign": ("Cn_beta", reverse),
+        "Cl_beta sign": ("Cl_beta", reverse),
+        "CY_beta sign": ("CY_beta", reverse),
+        "CL_alpha per degree": ("CL_alpha", times(1 / D)),
+        "Cm_q per degree": ("Cm_q", times(1 / D)),
+        "Cm_q sign": ("Cm_q", reverse),
+        "Cl_p per radian of degrees": ("Cl_p", times(D)),
+        "Cl_p sign": ("Cl_p", reverse),
+        "Cn_r sign": ("Cn_r", reverse),
+        "Cn_r per degree": ("Cn_r", times(1 / D)),
+        "Cn_beta per degree": ("Cn_beta", times(1 / D)),
+        "CL_q sign": ("CL_q", reverse),
+        "Cl_r sign": ("Cl_r", reverse),
+        "CY_r sign": ("CY_r", reverse),
+        "Cm_alpha per degree squared": ("Cm_alpha", times(D)),
+        "span of one side": ("b", times(0.5)),
+        "chord in mm": ("c", times(1000)),
+        "area in dm2": ("S", times(100)),
+        "elevator sign": ("Cm_elevator", reverse),
+        "elevator per radian": ("Cm_elevator", times(D)),
+        "aileron per radian": ("Cl_aileron", times(D)),
+        "rudder sign": ("Cn_rudder", reverse),
+        "rudder of a v-tail": ("Cm_rudder", lambda _: 0.02),
+        "aileron of one side": ("CL_aileron", lambda _: 0.01),
+        "ventral rudder": ("Cl_rudder", lambda _: 0.0006),
+    },
+    "stab": {
+        "lift slope": ("CFz", None),
+        "moment sign": ("CMm", None),
+        "moment centre": ("Xcg_", times(1.4)),
+        "span of one side": ("Bref_", times(0.5)),
+        "chord in mm": ("Cref_", times(1000)),
+        "area in dm2": ("Sref_", times(100)),
+        "neutral point": ("X_np", times(1.2)),
+    },
+}
+CASES = [(kind, name) for kind, rows in SLIPS.items() for name in rows]
+TEXTS = {"st": ST, "csv": TABLE, "stab": STAB}
+
+
+def seeded(kind, name):
+    """Return the seeded text and its line."""
+    key, change = SLIPS[kind][name]
+    if change is not None:
+        return number(TEXTS[kind], key, change)
+    # A derivative of the .stab with respect to alpha: the second column after Coef.
+    lines = TEXTS[kind].splitlines()
+    head = next(i for i, line in enumerate(lines) if line.startswith("Coef"))
+    at = next(i for i in range(head, len(lines)) if lines[i].startswith(key))
+    words = lines[at].split()
+    words[2] = f"{-float(words[2]) if name.endswith('sign') else float(words[2]) / D:.7f}"
+    lines[at] = "  ".join(words)
+    return "\n".join(lines) + "\n", at + 1
+
+
+@pytest.mark.parametrize(("kind", "name"), CASES)
+def test_seeded_slip_is_found_with_its_line(kind, name, tmp_path):
+    text, line = seeded(kind, name)
+    path = tmp_path / f"kite.{kind}"
+    path.write_text(text)
+    places = [slip.place for slip in find_slips(read_sources([path]))]
+    assert f"{path}:{line}" in places, places
+
+
+@pytest.mark.parametrize("kind", TEXTS)
+def test_clean_files_have_none(kind, tmp_path):
+    path = tmp_path / f"kite.{kind}"
+    path.write_text(TEXTS[kind])
+    (tmp_path / "kite.mass").write_text(MASS)
+    assert find_slips(read_sources([path])) == []
+    assert find_slips(read_sources([path, tmp_path / "kite.mass"])) == []
+
+
+def test_messages_say_line_expectation_and_effect(tmp_path):
+    text, line = number(ST, "Cnb", reverse)
+    path = tmp_path / "kite.st"
+    path.write_text(text)
+    (slip,) = find_slips(read_sources([path]))
+    assert str(slip).startswith(f"{path}:{line}: sign: Cn_beta -0.074")
+    assert "above 0 is expected" in str(slip)
+    assert "swaps ends" in str(slip)
+
+
+@pytest.mark.parametrize(
+    ("change", "kind"),
+    [
+        (("Munit = 0.001", "Munit = 1"), "mass units"),
+        (("Lunit = 1.0 m", "Lunit = 0.01 m"), "mass units"),
+    ],
+)
+def test_masses(change, kind, tmp_path):
+    (tmp_path / "kite.st").write_text(ST)
+    assert change[0] in MASS
+    (tmp_path / "kite.mass").write_text(MASS.replace(*change))
+    found = find_slips(read_sources([tmp_path / "kite.st", tmp_path / "kite.mass"]))
+    assert kind in {slip.kind for slip in found}
+
+
+def test_a_reversed_convention_is_no_slip(tmp_path):
+    """Lift and moment of an elevator that are both reversed are a convention of its sign."""
+    text, _ = number(ST, "CLd2", reverse)
+    text, _ = number(text, "Cmd2", reverse)
+    path = tmp_path / "kite.st"
+    path.write_text(text)
+    assert find_slips(read_sources([path])) == []
