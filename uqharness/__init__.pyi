@@ -6,6 +6,7 @@ from .api.aircraft import instrument as instrument
 from .api.aircraft import linearise as linearise
 from .api.aircraft import margins as margins
 from .api.authoring import author as author
+from .api.authoring import performance as performance
 from .api.campaigns import campaign_area as campaign_area
 from .api.campaigns import campaign_convergence as campaign_convergence
 from .api.campaigns import campaign_report as campaign_report

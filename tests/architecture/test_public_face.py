@@ -43,6 +43,7 @@ NAMES = {
         "merge_campaign",
         "next_flight",
         "pbox",
+        "performance",
         "plot_pbox",
         "propose_map",
         "read_campaign",

@@ -5,9 +5,9 @@ from __future__ import annotations
 from uqharness.commands import authoring as commands
 from uqharness.heartbeat import notebook_line
 from uqharness.isolation import isolated
-from uqharness.requests.authoring import AuthorRequest
+from uqharness.requests.authoring import AuthorRequest, PerformanceRequest
 from uqharness.requests.base import accepts
-from uqharness.results.authoring import Authored
+from uqharness.results.authoring import Authored, Performance
 
 
 @notebook_line("author")
@@ -46,3 +46,35 @@ def author(request: AuthorRequest) -> Authored:
     0.13
     """
     return commands.author(request).value
+
+
+@notebook_line("performance")
+@accepts(PerformanceRequest)
+@isolated
+def performance(request: PerformanceRequest) -> Performance:
+    """Compute an aircraft's performance sheet, as ``uqharness performance`` does.
+
+    Returns
+    -------
+    Performance
+        ``figures`` by name, each with value, unit and the interval over the corners of the
+        aircraft's model-form bounds: stall, best glide and least sink, climb, greatest speed,
+        sustained turn, ceiling; ``speeds``, lift over drag and climb against true airspeed.
+
+    Raises
+    ------
+    BadInputError
+        For an aircraft that does not trim.
+
+    References
+    ----------
+    J. D. Anderson, Aircraft Performance and Design, chapters 5 and 6.
+
+    Examples
+    --------
+    >>> import uqharness as uq
+    >>> sheet = uq.performance("espaaro", bounds=False)
+    >>> sheet.figures["best_glide_ratio"].value > 5
+    True
+    """
+    return commands.performance(request).value

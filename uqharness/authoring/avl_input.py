@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from sysid.arrays import FloatArray
+from sysid.units import FT_M, IN_M, LB_KG, SLUG_KG
 from uqharness.authoring.source import STABILITY, STATES, TOTAL, Entry, Point, Source
 from uqharness.errors import BadInputError
 
@@ -228,8 +229,8 @@ class Masses:
     density: float = 1.225
 
 
-_LENGTH = {"m": 1.0, "ft": 0.3048, "in": 0.0254, "cm": 0.01, "mm": 0.001}
-_MASS = {"kg": 1.0, "g": 1e-3, "lb": 0.45359237, "lbm": 0.45359237, "slug": 14.593903}
+_LENGTH = {"m": 1.0, "ft": FT_M, "in": IN_M, "cm": 0.01, "mm": 0.001}
+_MASS = {"kg": 1.0, "g": 1e-3, "lb": LB_KG, "lbm": LB_KG, "slug": SLUG_KG}
 
 
 def read_masses(path: Path, text: str) -> Masses:

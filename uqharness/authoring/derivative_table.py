@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from sysid.foreign.regular_files import ParseError, parse_toml
+from sysid.units import FT_M, IN_M
 from uqharness.authoring.source import BODY, STABILITY, STATES, TOTAL, Axes, Entry, Point, Source
 from uqharness.errors import BadInputError
 from uqharness.toml import line_of
@@ -36,10 +37,10 @@ _UNITS = {
     "deg": math.radians(1.0),
     "m": 1.0,
     "m2": 1.0,
-    "ft": 0.3048,
-    "ft2": 0.3048**2,
-    "in": 0.0254,
-    "in2": 0.0254**2,
+    "ft": FT_M,
+    "ft2": FT_M**2,
+    "in": IN_M,
+    "in2": IN_M**2,
     "mm": 1e-3,
     "cm": 1e-2,
 }

@@ -1,8 +1,9 @@
 """VSPAERO 3.x: ``.stab`` (derivatives at several alphas, betas and Mach numbers) and ``.polar``.
 
 A block begins with "# Name Value Units", then the cases ("Base_Aero", one degree of alpha, ...) and
-the derivatives per radian. Forces are CFx aft, CFy right, CFz up, about body axes; CMl, CMm, CMn
-are right wing down, nose up, nose right. Rates are about body axes.
+the derivatives per radian. CMl, CMm, CMn are right wing down, nose up, nose right, and rates are
+about body axes. Forces are taken from CL and CD where the file has them: CFx (aft) is integrated
+over panels and lacks the leading edge's suction, so that it does not fit CD.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from uqharness.authoring.source import TOTAL, Entry, Point, Source
+from uqharness.authoring.source import TOTAL, Entry, Point, Source, rotate_forces
 from uqharness.errors import BadInputError
 
 _REFERENCE = {"Sref_": "S", "Cref_": "c", "Bref_": "b", "Xcg_": "x", "Ycg_": "y", "Zcg_": "z"}
@@ -157,15 +158,17 @@ def _entry(word: str, path: Path, line: int) -> Entry:
 def _point(block: Block) -> Point:
     """Return the derivatives of a block in body axes."""
     entries: dict[tuple[str, str], Entry] = {}
+    named = {"Total": TOTAL} | _COLUMNS
+    named |= {f"ConGrp_{i}": group for i, group in enumerate(block.groups, start=1)}
     for row, (name, sign) in (_FORCES | _MOMENTS).items():
         columns = block.derivatives[row]
-        named = {"Total": TOTAL} | _COLUMNS
-        named |= {f"ConGrp_{i}": group for i, group in enumerate(block.groups, start=1)}
         for column, variable in named.items():
             if column in columns:
                 entry = columns[column]
                 entries[name, variable] = Entry(sign * entry.value, entry.path, entry.line)
     alpha = block.values["AoA_"]
+    if "CL" in block.derivatives and "CD" in block.derivatives:
+        _set_forces(entries, block, named)
     return Point(
         alpha=Entry(math.radians(alpha.value), alpha.path, alpha.line),
         mach=block.values["Mach_"],
@@ -174,6 +177,24 @@ def _point(block: Block) -> Point:
         entries=entries,
         beta=math.radians(block.values["Beta_"].value),
     )
+
+
+def _set_forces(
+    entries: dict[tuple[str, str], Entry], block: Block, named: Mapping[str, str]
+) -> None:
+    """Replace CX and CZ by lift and drag, turned into body axes."""
+    lift, drag = block.derivatives["CL"], block.derivatives["CD"]
+    alpha = math.radians(block.values["AoA_"].value)
+    sine, cosine = math.sin(alpha), math.cos(alpha)
+    for column, variable in named.items():
+        if column not in lift or column not in drag:
+            continue
+        cx, cz = rotate_forces(lift[column].value, drag[column].value, alpha)
+        if variable == "alpha":
+            cx += lift["Total"].value * cosine + drag["Total"].value * sine
+            cz += lift["Total"].value * sine - drag["Total"].value * cosine
+        entries["CX", variable] = Entry(cx, drag[column].path, drag[column].line)
+        entries["CZ", variable] = Entry(cz, lift[column].path, lift[column].line)
 
 
 def read_polar(path: Path, text: str) -> Mapping[str, list[float]]:

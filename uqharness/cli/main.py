@@ -181,6 +181,11 @@ COMMANDS: Table = {
         "authoring:author",
         "write an aircraft from AVL, VSPAERO, XFLR5 or a table, with prior bounds",
     ),
+    "performance": RequestCommand(
+        "authoring:PerformanceRequest",
+        "authoring:performance",
+        "stall, glide, climb, ceiling and turn, with intervals from the bounds",
+    ),
     "export": RequestCommand(
         "exchange:ExportRequest",
         "exchange:export",

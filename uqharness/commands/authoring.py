@@ -15,17 +15,27 @@ from uqharness.authoring import (
     design_speed,
     find_slips,
     gyration,
+    priors,
     read_contacts,
     read_sources,
     write_aircraft,
 )
-from uqharness.authoring.prior import priors
+from uqharness.authoring.performance import performance as compute_performance
+from uqharness.commands.flights import carded_aircraft
 from uqharness.errors import BadInputError
 from uqharness.files import check_output_folder, results_folder
-from uqharness.requests.authoring import AuthorRequest
+from uqharness.requests.authoring import AuthorRequest, PerformanceRequest
 from uqharness.requests.base import Callback, silent
-from uqharness.results.authoring import Authored, AuthoredTerm, SlipFound
+from uqharness.results.authoring import (
+    Authored,
+    AuthoredTerm,
+    Performance,
+    PerformanceFigure,
+    SlipFound,
+    SpeedRow,
+)
 from uqharness.results.base import Outcome
+from uqharness.text_tables import text_table
 
 
 def author(request: AuthorRequest, callback: Callback = silent) -> Outcome[Authored]:
@@ -198,3 +208,49 @@ def _lines(document: Authored, refused: bool) -> list[str]:
             f"next: uqharness modes {document.aircraft} --speed-mps {document.speed_mps:.3g}",
         ]
     return lines
+
+
+def performance(request: PerformanceRequest, callback: Callback = silent) -> Outcome[Performance]:
+    """Compute the performance sheet of an aircraft."""
+    aircraft = carded_aircraft(request.aircraft)
+    callback("polar")
+    result = compute_performance(
+        aircraft, request.altitude_m, request.stall_alpha_deg, request.bounds
+    )
+    figures = {
+        name: PerformanceFigure(
+            value=value,
+            interval=list(result.intervals[name]),
+            unit=result.units[name],
+            reason=result.nominal.reasons.get(name, ""),
+        )
+        for name, value in result.nominal.figures.items()
+    }
+    document = Performance(
+        aircraft=aircraft.name,
+        altitude_m=request.altitude_m,
+        mass_kg=result.source.reference.mass_kg,
+        figures=figures,
+        speeds=[SpeedRow(**row) for row in result.nominal.rows],
+        bounds=f"corners of CX, CZ and Cm of {aircraft.name}" if result.has_bounds else "",
+        notes=list(result.notes),
+    )
+    rows = []
+    for name, figure in figures.items():
+        low, high = figure.interval
+        rows.append(
+            {
+                "figure": name.replace("_", " "),
+                "value": "" if figure.value is None else f"{figure.value:.4g}",
+                "unit": figure.unit,
+                "interval": "" if low is None or high is None else f"{low:.4g} to {high:.4g}",
+                "reason": figure.reason,
+            }
+        )
+    lines = [
+        f"{aircraft.name}, {document.mass_kg:.4g} kg, {request.altitude_m:g} m above sea level",
+        *text_table(rows),
+        *(f"Assumed: {note}" for note in document.notes),
+        *([] if document.bounds else ["No bounds: no intervals (uqharness instrument adds them)."]),
+    ]
+    return Outcome(document, document, lines)

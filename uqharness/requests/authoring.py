@@ -13,7 +13,6 @@ from uqharness.requests.base import (
     Names,
     Number,
     Request,
-    WholeNumber,
     one_or_several,
     option,
 )
@@ -165,4 +164,3 @@ class PerformanceRequest(Request):
     bounds: Flag = option(
         True, "whether intervals are computed", flag="--no-bounds", off=True, help="no intervals"
     )
-    speeds: WholeNumber = option(25, "speeds of the sheet", ge=5, le=500, metavar="N")

@@ -29,6 +29,7 @@ DOCUMENTS: dict[str, str] = {
     "modes": "simulation:Modes",
     "next-flight": "next_flight:NextFlightPlan",
     "next-flight-redone": "next_flight:AchievedNarrowing",
+    "performance": "authoring:Performance",
     "refine": "refinement:Refinement",
     "report": "folders:ReportFile",
     "sensitivity": "campaign:CampaignSensitivity",
