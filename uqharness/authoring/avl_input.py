@@ -9,6 +9,7 @@ and moved afterwards (`uqharness.authoring.source.about`).
 from __future__ import annotations
 
 import importlib
+import importlib.util
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -44,7 +45,7 @@ class Section:
 class Surface:
     """One surface: sections after scaling and translation, and its controls by name.
 
-    ``controls`` maps a name to gain, sign of the duplicate, and line.
+    ``controls`` maps a name to gain, sign of the duplicate, and line, in each section that has it.
     """
 
     name: str
@@ -53,7 +54,7 @@ class Surface:
     duplicated: bool = False
     scale: tuple[float, float, float] = (1.0, 1.0, 1.0)
     shift: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    controls: dict[str, tuple[float, float, int]] = field(default_factory=dict)
+    controls: dict[str, list[tuple[float, float, int]]] = field(default_factory=dict)
 
     def points(self) -> FloatArray:
         """Return leading edges and chords (n, 4) in the frame of the aircraft."""
@@ -159,7 +160,8 @@ def read_geometry(path: Path, text: str) -> Geometry:
             words = following[1].split()
             numbers = _numbers(path, (following[0], " ".join(words[1:])), 1)
             sign = numbers[5] if len(numbers) > 5 else 1.0
-            surfaces[-1].controls.setdefault(words[0], (numbers[0], sign, following[0]))
+            places = surfaces[-1].controls.setdefault(words[0], [])
+            places.append((numbers[0], sign, following[0]))
             i += 1
         i += 1
     surfaces = [surface for surface in surfaces if len(surface.sections) > 1]
@@ -292,6 +294,11 @@ def read_masses(path: Path, text: str) -> Masses:
     return Masses(path, Entry(mass, path, heaviest[3]), (x, y, z), inertia, length, lines, density)
 
 
+def can_run_avl() -> bool:
+    """Return whether the optvl package is installed."""
+    return importlib.util.find_spec("optvl") is not None
+
+
 def run_avl(geometry: Geometry, alphas_rad: Sequence[float]) -> Source:
     """Run AVL on a geometry through optvl, at zero sideslip and rates.
 
@@ -310,15 +317,9 @@ def run_avl(geometry: Geometry, alphas_rad: Sequence[float]) -> Source:
     Raises
     ------
     BadInputError
-        Without optvl, and where AVL refuses the file.
+        Where AVL refuses the file.
     """
-    try:
-        solver_class = importlib.import_module("optvl").OVLSolver
-    except ImportError:
-        raise BadInputError(
-            f"{geometry.path}: running AVL needs the package optvl (pip install uqharness[avl]);"
-            " without it, give AVL's own output (ST) instead"
-        ) from None
+    solver_class = importlib.import_module("optvl").OVLSolver
     try:
         solver = solver_class(geo_file=str(geometry.path.resolve()))
     except Exception as error:  # optvl raises bare exceptions for bad geometry

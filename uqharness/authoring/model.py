@@ -225,6 +225,11 @@ def build(
     x, y, z = (a - b for a, b in zip(centre, mass.centre_m, strict=True))
     offset = (-x, y, -z)
     notes = list(source.notes)
+    if not source.points:
+        raise BadInputError(
+            f"{source.path}: running AVL needs the package optvl (pip install uqharness[avl]);"
+            " without it, give AVL's own output (ST) too"
+        )
     weights = control_weights(source, controls)
     absent = [control for control in CONTROLS if control not in weights]
     if absent:

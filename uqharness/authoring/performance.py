@@ -310,10 +310,8 @@ def _thrust(source: SourceModel, speeds: FloatArray, altitude_m: float) -> tuple
     n = len(speeds)
     full = np.array([[max(inputs[name].limits) for name in controls]] * n)
     zero = np.zeros(n)
-    motion = {"V_mps": speeds} | dict.fromkeys(
-        (*("alpha_rad", "beta_rad", "phi_rad", "theta_rad"), *("p_radps", "q_radps", "r_radps")),
-        zero,
-    )
+    still = ("alpha_rad", "beta_rad", "phi_rad", "theta_rad", "p_radps", "q_radps", "r_radps")
+    motion = {"V_mps": speeds, **dict.fromkeys(still, zero)}
     with ReplayFolder(aircraft, controls, ideal=controls) as model:
         segment = Segment(
             "thrust",

@@ -280,6 +280,8 @@ def prior_document(form: ModelForm, model: AeroModel, by_term: Mapping[str, Prio
     document: dict[str, Any] = json.loads(form.to_json())
     parameters: dict[str, Any] = {}
     for term, prior in by_term.items():
+        if not prior.std > 0.0:  # a surface that the source does not have
+            continue
         parameters[f"aero/{term}"] = {
             "mean": prior.mean,
             "std": prior.std,

@@ -11,6 +11,7 @@ from sysid.foreign.regular_files import read_regular_text
 from uqharness.authoring.avl_input import (
     Geometry,
     Masses,
+    can_run_avl,
     read_geometry,
     read_masses,
     run_avl,
@@ -33,7 +34,7 @@ class Sources:
     Attributes
     ----------
     derivatives : Source
-        Lengths in metres.
+        Lengths in metres. Without points where a geometry alone is given and AVL cannot be run.
     masses : Masses or None
         Of a ``.mass`` file.
     geometry : Geometry or None
@@ -97,7 +98,11 @@ def read_sources(
         else:
             sources.append(_reader(path, text)(path, text))
     if not sources and geometry is not None:
-        sources = [run_avl(geometry, [math.radians(a) for a in RUN_ALPHAS_DEG])]
+        sources = [
+            run_avl(geometry, [math.radians(a) for a in RUN_ALPHAS_DEG])
+            if can_run_avl()
+            else Source(geometry.path, "AVL", geometry.name, geometry.reference, ())
+        ]
     if not sources:
         raise BadInputError(
             f"{', '.join(map(str, paths))}: no source of derivatives; AVL's ST or SB output, a"
@@ -131,6 +136,8 @@ def _reader(path: Path, text: str) -> Callable[[Path, str], Source]:
 
 def _merged(sources: Sequence[Source]) -> Source:
     """Return one source of several outputs of AVL at different alphas."""
+    if not any(source.points for source in sources):
+        return sources[0]
     with_derivatives = [s for s in sources if any(v != "0" for p in s.points for _, v in p.entries)]
     if not with_derivatives:
         raise BadInputError(

@@ -150,7 +150,7 @@ def _references(source: Source, geometry: Geometry | None, masses: Masses | None
                 0.5 * ratio, 1.05, rel_tol=0.25
             ):
                 # Half a span or twice the area change the mean chord by two; so may the chord.
-                lift = source.points[0].entries.get(("CL", "alpha"))
+                lift = source.points[0].entries.get(("CL", "alpha")) if source.points else None
                 if lift is not None and not 0.75 < lift.value / slope < 1.25:
                     key = "S"
                 elif aspect_ratio < 4.0:
@@ -173,7 +173,8 @@ def _references(source: Source, geometry: Geometry | None, masses: Masses | None
             effect,
         )
     margin = source.facts.get("x_np")
-    lift, pitch = (source.points[0].entries.get(key) for key in (("CL", "alpha"), ("Cm", "alpha")))
+    entries = source.points[0].entries if source.points else {}
+    lift, pitch = entries.get(("CL", "alpha")), entries.get(("Cm", "alpha"))
     if margin is not None and lift is not None and pitch is not None and lift.value > 0.5:
         expected = -lift.value * (margin.value - reference["x"].value) / chord
         if abs(pitch.value - expected) > 0.05 * abs(expected) + 0.02 * lift.value:
@@ -201,6 +202,18 @@ def _references(source: Source, geometry: Geometry | None, masses: Masses | None
                 "They are moved to the centre of gravity; where one of the two is wrong, the"
                 " aeroplane is stable or unstable by that much",
             )
+        # A .stab states its centre of gravity, which `author` takes where the two differ.
+        if margin is not None and source.tool != "VSPAERO":
+            stability = (margin.value - masses.centre_m[0]) / chord
+            if not -0.1 <= stability <= 1.0:
+                yield _slip(
+                    masses.mass_kg,
+                    "moment centre",
+                    f"the centre of gravity at x = {masses.centre_m[0]:.4g} m is"
+                    f" {stability:.3g} chords ahead of the neutral point at {margin.value:.4g} m; 0"
+                    " to 0.4 is expected: check Lunit, the items' x and the file's origin",
+                    "The aeroplane diverges in pitch, or the elevator cannot trim it",
+                )
     if geometry is not None:
         yield from _reference_of_geometry(source, geometry)
 
@@ -548,7 +561,7 @@ def _symmetry(point: Point) -> Iterator[Slip]:
 
 def _surfaces(source: Source) -> Iterator[Slip]:
     """Check the derivatives of control surfaces."""
-    if not source.surfaces:
+    if not source.surfaces or not source.points:
         return
     point = _stability(min(source.points, key=lambda p: abs(p.alpha.value)))
     weights = control_weights(source)
@@ -812,7 +825,8 @@ def _is_reversed(message: str) -> bool:
 def _geometry(geometry: Geometry) -> Iterator[Slip]:
     """Check controls and sections of an AVL geometry."""
     for surface in geometry.surfaces:
-        for name, (gain, sign, line) in surface.controls.items():
+        every = [(name, len(rows), *row) for name, rows in surface.controls.items() for row in rows]
+        for name, count, gain, sign, line in every:
             word = name.lower()
             entry = Entry(gain, geometry.path, line)
             is_aileron = "ail" in word
@@ -831,6 +845,14 @@ def _geometry(geometry: Geometry) -> Iterator[Slip]:
                     f"{name}: the duplicate moves the other way (SgnDup {sign:g}); 1 is expected of"
                     " an elevator",
                     "The elevator rolls and does not pitch",
+                )
+            if count < 2:
+                yield _slip(
+                    entry,
+                    "control",
+                    f"{name}: CONTROL stands in one section of {surface.name}; AVL needs it in both"
+                    " sections at the ends of the surface",
+                    "The surface moves nothing",
                 )
             if gain == 0.0 or abs(gain) > 10.0:
                 yield _slip(

@@ -139,6 +139,15 @@ def _mass_properties(request: AuthorRequest, sources: Sources) -> tuple[MassProp
         properties = gyration(mass_kg, source.length("b"), centre)
         if request.ixx_kgm2 is None:
             notes.append("inertia from radii of gyration of light aeroplanes (--ixx-kgm2 ...)")
+    if masses is not None and source.tool == "VSPAERO" and cg[0] is None:
+        stated_x = source.reference["x"].value
+        if abs(stated_x - centre[0]) > 0.1 * source.length("c"):
+            notes.append(
+                f"centre of gravity from Xcg of {source.path.name}, {stated_x:.4g} m:"
+                f" {masses.path.name} counts from another origin ({centre[0]:.4g} m)"
+            )
+            stated_centre = [source.reference[key].value for key in "xyz"]
+            properties = replace(properties, centre_m=tuple(stated_centre))
     centre = tuple(
         old if new is None else new for old, new in zip(properties.centre_m, cg, strict=True)
     )

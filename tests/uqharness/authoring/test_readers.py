@@ -332,7 +332,7 @@ def test_geometry():
     assert wing.area() == pytest.approx(2 * (0.4 * 0.235 + 0.4 * 0.5 * (0.235 + 0.1545)))
     assert wing.span() == pytest.approx(1.6)
     assert wing.dihedral() == pytest.approx(math.atan2(0.056, 0.8))
-    assert wing.controls["aileron"][:2] == (1.0, -1.0)
+    assert wing.controls["aileron"] == [(1.0, -1.0, 21), (1.0, -1.0, 25)]
 
 
 def test_elliptical_flat_plate_through_avl(tmp_path):

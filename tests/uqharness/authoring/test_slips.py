@@ -176,6 +176,33 @@ def test_masses(change, kind, tmp_path):
     assert kind in {slip.kind for slip in found}
 
 
+AVL = (DATA / "kite.avl").read_text()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line", "kind"),
+    [
+        ("0.3438 0.2163 1.6", "34.38 0.2163 1.6", 7, "reference area"),
+        ("0.3438 0.2163 1.6", "0.3438 0.2163 0.8", 7, "reference length"),
+        ("0.3438 0.2163 1.6", "0.3438 216.3 1.6", 7, "reference length"),
+        ("aileron 1.0 0.75 0 0 0 -1.0", "aileron 1.0 0.75 0 0 0 1.0", 21, "control sign"),
+        ("elevator 1.0 0.6 0 0 0 1.0", "elevator 1.0 0.6 0 0 0 -1.0", 34, "control sign"),
+        ("rudder 1.0 0.6", "rudder 57.3 0.6", 45, "deg/rad"),
+        ("CONTROL\nrudder 1.0 0.6 0 0 0 1.0\nSECTION", "SECTION", 47, "control"),
+    ],
+)
+def test_slips_of_a_geometry(old, new, line, kind, tmp_path):
+    assert old in AVL
+    path = tmp_path / "kite.avl"
+    for name, text in (("kite.mass", MASS), ("kite.st", ST), ("kite.avl", AVL)):
+        (tmp_path / name).write_text(text)
+    files = [path, tmp_path / "kite.mass", tmp_path / "kite.st"]
+    assert find_slips(read_sources(files)) == []
+    path.write_text(AVL.replace(old, new, 1))
+    found = find_slips(read_sources(files))
+    assert (f"{path}:{line}", kind) in {(slip.place, slip.kind) for slip in found}, found
+
+
 def test_a_reversed_convention_is_no_slip(tmp_path):
     """Lift and moment of an elevator that are both reversed are a convention of its sign."""
     text, _ = number(ST, "CLd2", reverse)
