@@ -1,4 +1,3 @@
-from .model import AeroModel as AeroModel
 from .model import MassProperties as MassProperties
 from .model import build as build
 from .model import gyration as gyration
@@ -6,7 +5,6 @@ from .prior import class_errors as class_errors
 from .prior import priors as priors
 from .read import Sources as Sources
 from .read import read_sources as read_sources
-from .slips import Slip as Slip
 from .slips import find_slips as find_slips
 from .source import Source as Source
 from .write_aircraft import Equipment as Equipment

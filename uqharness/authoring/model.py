@@ -135,7 +135,7 @@ def control_weights(
         Its surfaces' names tell what they are: elev, ail, rud, elevon, vtail or ruddervator, with R
         or L for the panels of one side.
     stated : mapping, optional
-        Weights by control and surface, which replace the names' meaning.
+        Weights by control and surface, which replace the names' meaning of these controls.
 
     Returns
     -------
@@ -152,7 +152,8 @@ def control_weights(
                     f" unknown; surfaces are {', '.join(source.surfaces) or 'none'}, controls"
                     f" {', '.join(CONTROLS)}"
                 )
-        return {control: dict(weights) for control, weights in stated.items()}
+        by_name = control_weights(source)
+        return by_name | {control: dict(weights) for control, weights in stated.items()}
     middle = _middle(source)
     values = body_coefficients(middle, source.surfaces)
     kinds: dict[str, list[str]] = {control: [] for control in CONTROLS}

@@ -17,8 +17,13 @@ import numpy as np
 
 from sysid.arrays import FloatArray
 from sysid.units import G0_MPS2, RAD_DEG
-from uqharness.exchange import FlightStates, SourceModel, source_model
-from uqharness.exchange.states import VARIABLES, lift_and_drag
+from uqharness.exchange import (
+    VARIABLES,
+    FlightStates,
+    SourceModel,
+    lift_and_drag,
+    source_model,
+)
 from uqharness.replay import ReplayFolder, Segment, force_states
 from uqharness.simulator import Aircraft
 

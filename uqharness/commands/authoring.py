@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
-from typing import Any
 
 from uqharness.authoring import (
     Equipment,
     MassProperties,
+    Source,
     Sources,
     build,
     class_errors,
@@ -114,63 +114,66 @@ def _mass_properties(request: AuthorRequest, sources: Sources) -> tuple[MassProp
     if masses is None and mass_kg is None:
         raise BadInputError("no mass: give --mass-kg, or AVL's .mass file with the other files")
     cg = (request.cg_x_m, request.cg_y_m, request.cg_z_m)
+    stated_centre = _xyz(source)
     if masses is not None:
-        centre: Any = masses.centre_m
-        tensor = masses.inertia_kgm2 * (1.0 if mass_kg is None else mass_kg / masses.mass_kg.value)
         total = masses.mass_kg.value if mass_kg is None else mass_kg
+        tensor = masses.inertia_kgm2 * (total / masses.mass_kg.value)
         properties = MassProperties(
             total,
-            centre,
+            masses.centre_m,
             float(tensor[0, 0]),
             float(tensor[1, 1]),
             float(tensor[2, 2]),
             float(-tensor[0, 2]),
             masses.path.name,
         )
+        x = masses.centre_m[0]
+        if (
+            source.tool == "VSPAERO"
+            and cg[0] is None
+            and abs(stated_centre[0] - x) > 0.1 * source.length("c")
+        ):
+            notes.append(
+                f"centre of gravity from Xcg of {source.path.name}, {stated_centre[0]:.4g} m:"
+                f" {masses.path.name} counts from another origin ({x:.4g} m)"
+            )
+            properties = replace(properties, centre_m=stated_centre)
     else:
         assert mass_kg is not None
-        centre = tuple(
-            source.reference[key].value if key in source.reference else 0.0 for key in "xyz"
-        )
         if "x_cg" in source.facts:
-            centre = (source.facts["x_cg"].value, *centre[1:])
+            stated_centre = (source.facts["x_cg"].value, *stated_centre[1:])
         elif cg[0] is None:
             notes.append("the centre of gravity is at the moment centre (--cg-x-m moves it)")
-        properties = gyration(mass_kg, source.length("b"), centre)
+        properties = gyration(mass_kg, source.length("b"), stated_centre)
         if request.ixx_kgm2 is None:
             notes.append("inertia from radii of gyration of light aeroplanes (--ixx-kgm2 ...)")
-    if masses is not None and source.tool == "VSPAERO" and cg[0] is None:
-        stated_x = source.reference["x"].value
-        if abs(stated_x - centre[0]) > 0.1 * source.length("c"):
-            notes.append(
-                f"centre of gravity from Xcg of {source.path.name}, {stated_x:.4g} m:"
-                f" {masses.path.name} counts from another origin ({centre[0]:.4g} m)"
-            )
-            stated_centre = [source.reference[key].value for key in "xyz"]
-            properties = replace(properties, centre_m=tuple(stated_centre))
-    centre = tuple(
+    options = (request.ixx_kgm2, request.iyy_kgm2, request.izz_kgm2, request.ixz_kgm2)
+    count = sum(value is not None for value in options)
+    x, y, z = (
         old if new is None else new for old, new in zip(properties.centre_m, cg, strict=True)
     )
-    stated = {
-        key: value
-        for key, value in (
-            ("Ixx", request.ixx_kgm2),
-            ("Iyy", request.iyy_kgm2),
-            ("Izz", request.izz_kgm2),
-            ("Ixz", request.ixz_kgm2),
-        )
-        if value is not None
-    }
-    if stated:
-        stated_source = f"options and {properties.source}" if len(stated) < 4 else "options"
-        properties = replace(properties, **stated, source=stated_source)
-    properties = replace(properties, centre_m=centre)
+    origin = properties.source
+    properties = MassProperties(
+        properties.mass_kg,
+        (x, y, z),
+        properties.Ixx if request.ixx_kgm2 is None else request.ixx_kgm2,
+        properties.Iyy if request.iyy_kgm2 is None else request.iyy_kgm2,
+        properties.Izz if request.izz_kgm2 is None else request.izz_kgm2,
+        properties.Ixz if request.ixz_kgm2 is None else request.ixz_kgm2,
+        origin if not count else "options" if count == 4 else f"options and {origin}",
+    )
     if min(properties.Ixx, properties.Iyy, properties.Izz) <= 0.0:
         raise BadInputError(
             f"inertia Ixx {properties.Ixx:g}, Iyy {properties.Iyy:g}, Izz {properties.Izz:g} kg m2:"
             " above 0 is needed; give --ixx-kgm2, --iyy-kgm2, --izz-kgm2"
         )
     return properties, notes
+
+
+def _xyz(source: Source) -> tuple[float, float, float]:
+    """Return the moment centre [m]; 0 where the file has none."""
+    x, y, z = (source.reference[key].value if key in source.reference else 0.0 for key in "xyz")
+    return x, y, z
 
 
 def _controls(texts: tuple[str, ...]) -> dict[str, dict[str, float]] | None:

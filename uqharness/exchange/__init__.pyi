@@ -10,10 +10,12 @@ from .loss import worst as worst
 from .slips import ComparedModel as ComparedModel
 from .slips import in_reference as in_reference
 from .slips import slips as slips
+from .states import VARIABLES as VARIABLES
 from .states import FlightStates as FlightStates
 from .states import Reference as Reference
 from .states import SourceModel as SourceModel
 from .states import box as box
 from .states import box_around as box_around
 from .states import derivatives as derivatives
+from .states import lift_and_drag as lift_and_drag
 from .states import source_model as source_model

@@ -13,7 +13,7 @@ class AuthoredTerm(Part):
     value: Number = Field(description="value in body axes about the centre of gravity")
     std: Number = Field(description="standard deviation of the prior")
     unit: str = Field(description="1, 1/rad, 1/rad^2 or 1/deg")
-    class_name: str = Field(alias="class", description="class of the prior")
+    class_name: str = Field(description="class of the prior")
 
 
 class SlipFound(Part):
