@@ -158,16 +158,19 @@ def _degrees(entry: Entry) -> Entry:
 
 
 def _surface_names(text: str) -> dict[str, str]:
-    """Return the names of control variables by d1, d2, ... from the heads of their columns."""
-    names: dict[str, str] = {}
+    """Return the names of control variables by d1, d2, ... (d01 in later versions).
+
+    The heads of the columns give the names; a control without one keeps its number.
+    """
+    heads: dict[int, str] = {}
     for line in text.splitlines():
         if "=" not in line and "|" not in line:
-            names |= {f"d{number}": name for name, number in _SURFACE.findall(line)}
-    # A long name leaves no blank before its number: the totals above list the names in order.
-    numbers = sorted({int(n) for n in re.findall(r"\bC[a-zA-Z]d(\d+)\s*=", text)})
-    for number in numbers:
-        names.setdefault(f"d{number}", f"d{number}")
-    return dict(sorted(names.items(), key=lambda item: int(item[0][1:])))
+            heads |= {int(number): name for name, number in _SURFACE.findall(line)}
+    labels = set(re.findall(r"\bC[A-Za-z](d\d+)\s*=", text))
+    return {
+        label: heads.get(int(label[1:]), label)
+        for label in sorted(labels, key=lambda label: int(label[1:]))
+    }
 
 
 def _derivatives(

@@ -7,6 +7,7 @@ about another (kite-aft). The outputs about different axes and points test each 
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -117,6 +118,16 @@ def test_lines_of_numbers():
     entry = source.points[0].entries["Cm", "q"]
     assert f"{entry.value:.6f}" in lines[entry.line - 1]
     assert source.surfaces == ("aileron", "elevator", "rudder")
+
+
+def test_two_digits_of_later_versions():
+    text = re.sub(r"(C[LYlmn])d([123]) =", r"\1d0\2 =", (DATA / "kite.st").read_text())
+    source = read_avl_text(Path("later.st"), text)
+    assert source.surfaces == ("aileron", "elevator", "rudder")
+    assert source.points[0].entries == {
+        key: Entry(entry.value, Path("later.st"), entry.line)
+        for key, entry in read("kite.st").points[0].entries.items()
+    }
 
 
 @pytest.mark.parametrize(
