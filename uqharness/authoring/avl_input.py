@@ -20,7 +20,7 @@ import numpy as np
 
 from sysid.arrays import FloatArray
 from sysid.units import FT_M, IN_M, LB_KG, SLUG_KG
-from uqharness.authoring.source import STABILITY, STATES, TOTAL, Entry, Point, Source
+from uqharness.authoring.source import LARGEST, STABILITY, STATES, TOTAL, Entry, Point, Source
 from uqharness.errors import BadInputError
 
 _KEYWORDS = (
@@ -197,7 +197,7 @@ def _numbers(path: Path, row: tuple[int, str], count: int) -> list[float]:
             numbers.append(float(word.replace("D", "E")))
         except ValueError:
             break
-    if len(numbers) < count or not all(math.isfinite(n) for n in numbers):
+    if len(numbers) < count or not all(abs(n) < LARGEST for n in numbers):
         raise BadInputError(
             f"{path}:{row[0]}: received {row[1].strip()[:60]!r}, {count} numbers are needed"
         )

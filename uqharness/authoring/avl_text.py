@@ -13,7 +13,7 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
-from uqharness.authoring.source import BODY, TOTAL, Entry, Point, Source
+from uqharness.authoring.source import BODY, LARGEST, TOTAL, Entry, Point, Source
 from uqharness.errors import BadInputError
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][-+]?\d+)?|\*+|[-+]?nan|[-+]?inf(?:inity)?"
@@ -145,7 +145,7 @@ def _float(text: str, path: Path, line: int) -> float:
         value = float(text.replace("D", "E").replace("d", "e"))
     except ValueError:
         value = math.nan
-    if not math.isfinite(value):
+    if not abs(value) < LARGEST:
         raise BadInputError(
             f"{path}:{line}: received {text[:20]!r}, a finite number is needed; run the case again"
         )

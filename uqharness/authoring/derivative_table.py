@@ -21,7 +21,17 @@ from typing import Any, Literal
 
 from sysid.foreign.regular_files import ParseError, parse_toml
 from sysid.units import FT_M, IN_M
-from uqharness.authoring.source import BODY, STABILITY, STATES, TOTAL, Axes, Entry, Point, Source
+from uqharness.authoring.source import (
+    BODY,
+    LARGEST,
+    STABILITY,
+    STATES,
+    TOTAL,
+    Axes,
+    Entry,
+    Point,
+    Source,
+)
 from uqharness.errors import BadInputError
 from uqharness.toml import line_of
 
@@ -245,7 +255,7 @@ def _row(path: Path, line: int, name: str, value: Any, unit: str) -> _Row:
         number = math.nan if isinstance(value, bool) else float(value)
     except (TypeError, ValueError):
         number = math.nan
-    if not math.isfinite(number):
+    if not abs(number) < LARGEST:
         raise BadInputError(
             f"{path}:{line}: {name}: received {str(value)[:30]!r}, a finite number is needed"
         )

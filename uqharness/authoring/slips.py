@@ -175,7 +175,13 @@ def _references(source: Source, geometry: Geometry | None, masses: Masses | None
     margin = source.facts.get("x_np")
     entries = source.points[0].entries if source.points else {}
     lift, pitch = entries.get(("CL", "alpha")), entries.get(("Cm", "alpha"))
-    if margin is not None and lift is not None and pitch is not None and lift.value > 0.5:
+    if (
+        margin is not None
+        and lift is not None
+        and pitch is not None
+        and "x" in reference
+        and lift.value > 0.5
+    ):
         expected = -lift.value * (margin.value - reference["x"].value) / chord
         if abs(pitch.value - expected) > 0.05 * abs(expected) + 0.02 * lift.value:
             opposite = abs(pitch.value + expected) < 0.1 * abs(expected) + 0.02
@@ -190,7 +196,7 @@ def _references(source: Source, geometry: Geometry | None, masses: Masses | None
                 "The static margin is wrong: the aeroplane may diverge in pitch",
             )
     if masses is not None:
-        distance = masses.centre_m[0] - reference["x"].value
+        distance = masses.centre_m[0] - (reference["x"].value if "x" in reference else 0.0)
         # A moment centre at the origin is a datum on purpose.
         at_datum = all(reference[key].value == 0.0 for key in "xyz" if key in reference)
         if "x" in reference and not at_datum and abs(distance) > 0.5 * chord:

@@ -21,6 +21,8 @@ Axes = Literal["stability", "body"]
 BODY = ("CX", "CY", "CZ", "Cl", "Cm", "Cn")
 STABILITY = ("CD", "CY", "CL", "Cl", "Cm", "Cn")
 STATES = ("alpha", "beta", "p", "q", "r")
+LARGEST = 1e12
+"""Numbers beyond are no derivative, length or mass: an overflow of the program that wrote them."""
 TOTAL = "0"
 """Name of the variable of a total: the coefficient itself at the point."""
 
@@ -116,9 +118,9 @@ class Source:
     def length(self, key: str) -> float:
         """Return a reference value [m, m2]; BadInputError where the file has none."""
         entry = self.reference.get(key)
-        if entry is None or not (key in "xyz" or entry.value > 0.0):
+        if entry is None or not (key in "xyz" or entry.value > 1e-6):
             raise BadInputError(
-                f"{self.path}: holds no reference {key} above 0; give it with"
+                f"{self.path}: holds no reference {key} above 0 (1e-6 m); give it with"
                 f" --{_OPTION.get(key, key)}"
             )
         return entry.value

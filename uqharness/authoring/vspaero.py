@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from uqharness.authoring.source import TOTAL, Entry, Point, Source, rotate_forces
+from uqharness.authoring.source import LARGEST, TOTAL, Entry, Point, Source, rotate_forces
 from uqharness.errors import BadInputError
 
 _REFERENCE = {"Sref_": "S", "Cref_": "c", "Bref_": "b", "Xcg_": "x", "Ycg_": "y", "Zcg_": "z"}
@@ -150,7 +150,7 @@ def _entry(word: str, path: Path, line: int) -> Entry:
         value = float(word)
     except ValueError:
         value = math.nan
-    if not math.isfinite(value):
+    if not abs(value) < LARGEST:
         raise BadInputError(f"{path}:{line}: received {word[:20]!r}, a finite number is needed")
     return Entry(value, path, line)
 
