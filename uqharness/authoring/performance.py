@@ -240,9 +240,8 @@ def performance(
     weight = source.reference.mass_kg * G0_MPS2
     polar, stalls = _polar(source, stall_alpha_deg, {})
     speeds = np.linspace(0.3, 6.0, 58) * source.trim.condition.V_mps
-    thrusts, densities = {}, {}
-    for altitude in (altitude_m, *_ALTITUDES_M[altitude_m < _ALTITUDES_M]):
-        thrusts[altitude], densities[altitude] = _thrust(source, speeds, float(altitude))
+    altitudes = np.array([altitude_m, *_ALTITUDES_M[altitude_m < _ALTITUDES_M]])
+    thrusts, densities = _thrusts(source, speeds, altitudes)
     cases: list[Mapping[str, float]] = [{}]
     has_bounds = with_bounds and _has_bounds(source)
     if has_bounds:
@@ -307,16 +306,18 @@ def _polar(
     return Polar(alpha[keep], lift[keep], drag[keep]), top < n - 1
 
 
-def _thrust(source: SourceModel, speeds: FloatArray, altitude_m: float) -> tuple[FloatArray, float]:
-    """Return full-throttle thrust [N] at speeds, and the air density [kg/m3]."""
+def _thrusts(
+    source: SourceModel, speeds: FloatArray, altitudes_m: FloatArray
+) -> tuple[dict[float, FloatArray], dict[float, float]]:
+    """Return full-throttle thrust [N] at speeds, and air density [kg/m3], by altitude."""
     aircraft = source.aircraft
     inputs = aircraft.card.inputs
     controls = [name for name in ("throttle",) if name in inputs]
-    n = len(speeds)
+    n = len(speeds) * len(altitudes_m)
     full = np.array([[max(inputs[name].limits) for name in controls]] * n)
-    zero = np.zeros(n)
     still = ("alpha_rad", "beta_rad", "phi_rad", "theta_rad", "p_radps", "q_radps", "r_radps")
-    motion = {"V_mps": speeds, **dict.fromkeys(still, zero)}
+    every = np.tile(speeds, len(altitudes_m))
+    motion = {"V_mps": every, **dict.fromkeys(still, np.zeros(n))}
     with ReplayFolder(aircraft, controls, ideal=controls) as model:
         segment = Segment(
             "thrust",
@@ -324,11 +325,16 @@ def _thrust(source: SourceModel, speeds: FloatArray, altitude_m: float) -> tuple
             aircraft.dt_s * np.arange(2.0),
             np.zeros((2, len(controls))),
             np.zeros(9),
-            altitude_m,
+            float(altitudes_m[0]),
             0.0,
         )
-        forced = force_states(model, segment, motion, full, {})
-    return forced.other_force[:, 0], float(2.0 * forced.qbar[-1] / speeds[-1] ** 2)
+        forced = force_states(model, segment, motion, full, {}, np.repeat(altitudes_m, len(speeds)))
+    thrust = forced.other_force[:, 0].reshape(len(altitudes_m), -1)
+    density = (2.0 * forced.qbar / every**2).reshape(len(altitudes_m), -1)[:, -1]
+    return (
+        {float(h): row for h, row in zip(altitudes_m, thrust, strict=True)},
+        {float(h): float(rho) for h, rho in zip(altitudes_m, density, strict=True)},
+    )
 
 
 def _has_bounds(source: SourceModel) -> bool:
