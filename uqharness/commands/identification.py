@@ -41,6 +41,7 @@ from uqharness.identification import (
     verdicts,
 )
 from uqharness.identification.compare import compare as measure_gap
+from uqharness.identification.forecasts import ForecastContest, Forecaster, compare_models
 from uqharness.identification.identify import identify as estimate
 from uqharness.plugin import Estimate, write_estimates
 from uqharness.plugin.model_form_xml import model_form_xml
@@ -79,6 +80,7 @@ from uqharness.requests.identification import (
 )
 from uqharness.results.base import Outcome
 from uqharness.results.identification import (
+    BetterModel,
     Bounds,
     BoundsOfCoefficient,
     Channel,
@@ -91,10 +93,12 @@ from uqharness.results.identification import (
     FlightPiece,
     Gap,
     Manoeuvre,
+    ModelScore,
     Moment,
     Nuisance,
     Parameter,
     ReplaySpeed,
+    ScoreDifference,
     Share,
     StateBin,
 )
@@ -277,9 +281,16 @@ def _parameter_rows(result: Identification) -> list[dict[str, str]]:
 # The gap to a flight.
 
 
-def compare(request: CompareRequest, callback: Callback = silent) -> Outcome[Comparison]:
-    """Measure the gap between a model and a flight; write tables, histories and a page."""
+def compare(
+    request: CompareRequest, callback: Callback = silent
+) -> Outcome[Comparison] | Outcome[ForecastContest]:
+    """Measure the gap between a model and a flight; write tables, histories and a page.
+
+    With a second aircraft, decide which of the two predicts the flight better.
+    """
     aircraft = _aircraft(request)
+    if request.other is not None:
+        return _better_model(request, aircraft, carded_aircraft(request.other), callback)
     callback("reading the flight")
     # Late channels stay late: their delays are estimated and reported.
     ready = replay_flights(request, aircraft, align=False)
@@ -305,6 +316,86 @@ def compare(request: CompareRequest, callback: Callback = silent) -> Outcome[Com
     write_json(out / "compare.json", document.as_json())
     report = write_report(out, request.figures)
     return Outcome(comparison, document, [report.text], code, report.path)
+
+
+def _better_model(
+    request: CompareRequest, aircraft: Aircraft, other: Aircraft, callback: Callback
+) -> Outcome[ForecastContest]:
+    """Decide which of two models predicts a flight better."""
+    forecasters = []
+    for one in (aircraft, other):
+        callback("reading the flight")
+        ready = replay_flights(request, one)
+        (flight,), ideal = _with_servos(request, one, ready, callback, request.workers)
+        forecasters.append(Forecaster(one, flight, ready.measured, ideal))
+    contest = compare_models(forecasters[0], forecasters[1], callback=callback)
+    result = contest.comparison
+    document = BetterModel(
+        better=result.better,
+        a=contest.models[0],
+        b=contest.models[1],
+        flight=contest.flight,
+        horizon_s=result.horizon_s,
+        score=ScoreDifference(difference=result.difference, low=result.low, high=result.high),
+        horizons=[
+            ModelScore(
+                horizon_s=horizon,
+                difference=difference,
+                low=low,
+                high=high,
+                rms_a=dict(zip(contest.channels, result.rms[0][k].tolist(), strict=True)),
+                rms_b=dict(zip(contest.channels, result.rms[1][k].tolist(), strict=True)),
+            )
+            for k, (horizon, (difference, low, high)) in enumerate(
+                zip(result.horizons_s, result.by_horizon, strict=True)
+            )
+        ],
+        channels=list(contest.channels),
+        starts=result.starts,
+        blocks=result.blocks,
+        controls_late_s=list(contest.delays_s),
+        notes=list(contest.notes),
+        command=command_line(request),
+    )
+    if request.out is not None:
+        write_json(results_folder(request.out) / "compare.json", document.as_json())
+    return Outcome(contest, document, _contest_lines(contest))
+
+
+def _contest_lines(contest: ForecastContest) -> list[str]:
+    """Return the answer of a contest of two models, with a line for each horizon."""
+    result = contest.comparison
+    names = dict(zip("AB", contest.models, strict=True))
+    if result.better == "no difference":
+        answer = f"no difference: {names['A']} (A) and {names['B']} (B) predict {contest.flight}"
+        answer += " alike"
+    else:
+        loser = "B" if result.better == "A" else "A"
+        answer = (
+            f"{result.better}: {names[result.better]} predicts {contest.flight} better than"
+            f" {names[loser]} ({loser})"
+        )
+        if math.isfinite(result.horizon_s):
+            answer += f", from a horizon of {result.horizon_s:g} s"
+    score = (
+        f"score {_percent_interval(result.difference, result.low, result.high)} in favour of A"
+        f" (CRPS over {len(contest.channels)} channels, {result.starts} predictions,"
+        f" {result.blocks} blocks of time)"
+    )
+    lines = [answer, score]
+    for horizon, difference in zip(result.horizons_s, result.by_horizon, strict=True):
+        lines.append(f"  {horizon:4g} s  {_percent_interval(*difference)}")
+    if any(contest.delays_s):
+        a, b = (f"{1e3 * delay:.0f} ms" for delay in contest.delays_s)
+        lines.append(f"controls late by {a} (A) and {b} (B), where each predicts best")
+    return [*lines, *contest.notes]
+
+
+def _percent_interval(value: float, low: float, high: float) -> str:
+    """Return a relative difference with its 95 % interval."""
+    if not math.isfinite(low):
+        return f"{100.0 * value:+.1f} % (too few blocks of time for an interval)"
+    return f"{100.0 * value:+.1f} % ({100.0 * low:+.1f} to {100.0 * high:+.1f} %)"
 
 
 def _compared(comparison: Comparison, command: str) -> Compare:
