@@ -15,6 +15,7 @@ from .info import no_aeroplane as no_aeroplane
 from .load import default_cache as default_cache
 from .load import import_log as import_log
 from .manoeuvres import FROM_COMMANDS as FROM_COMMANDS
+from .manoeuvres import find_manoeuvres as find_manoeuvres
 from .manoeuvres import label_from_commands as label_from_commands
 from .manoeuvres import with_manoeuvres as with_manoeuvres
 from .map_proposal import MapProposal as MapProposal

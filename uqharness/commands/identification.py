@@ -22,6 +22,7 @@ from sysid.model_form import Bin, FitOptions, ModelForm
 from uqharness import __version__
 from uqharness.arguments import path as argument_path
 from uqharness.commands.flights import ReplayFlights, carded_aircraft, replay_flights
+from uqharness.errors import BadInputError
 from uqharness.files import check_output_folder, results_folder, write_bytes, write_json, write_text
 from uqharness.identification import (
     BIASES,
@@ -43,6 +44,7 @@ from uqharness.identification import (
 from uqharness.identification.compare import compare as measure_gap
 from uqharness.identification.forecasts import ForecastContest, Forecaster, compare_models
 from uqharness.identification.identify import identify as estimate
+from uqharness.identification.prior import read_prior
 from uqharness.plugin import Estimate, write_estimates
 from uqharness.plugin.model_form_xml import model_form_xml
 from uqharness.replay import (
@@ -140,6 +142,14 @@ def identify(request: IdentifyRequest, callback: Callback = silent) -> Outcome[I
     ready = replay_flights(request, aircraft)
     flights, ideal = _with_servos(request, aircraft, ready, callback, request.workers)
     biases = channel_names(request.biases)
+    priors = {} if request.prior is None else read_prior(request.prior)
+    if unknown := sorted(
+        set(priors) - set(aircraft.card.parameters) - set(request.parameters or ())
+    ):
+        raise BadInputError(
+            f"{request.prior}: {', '.join(unknown[:5])} is no parameter of {aircraft.name}'s card;"
+            " remove it, or add it to [parameters] of airframe.toml"
+        )
     result = estimate(
         aircraft,
         flights,
@@ -151,6 +161,7 @@ def identify(request: IdentifyRequest, callback: Callback = silent) -> Outcome[I
         outputs=channel_names(request.outputs),
         ideal_servos=ideal,
         method=request.method,
+        prior={n: (p.mean, p.std) for n, p in priors.items()},
         workers=request.workers,
         callback=callback,
         message_callback=logging.getLogger("uqharness").info,
@@ -202,6 +213,7 @@ def _fit(result: Identification, ready: ReplayFlights, command: str) -> Fit:
                 status=result.status[n],
                 reason=result.reason[n],
                 initial=result.initial[i],
+                **({"basis": result.labels[n]} if n in result.labels else {}),
             )
             for i, n in enumerate(result.names)
         },
@@ -273,6 +285,7 @@ def _parameter_rows(result: Identification) -> list[dict[str, str]]:
             "crb": f"{result.std_crb[i]:.2g}" if name in result.identified else "",
             "status": result.status[name],
             "reason": result.reason[name],
+            "basis": result.labels.get(name, ""),
         }
         for i, name in enumerate(result.names)
     ]

@@ -26,6 +26,7 @@ from sysid.estimation import (
 )
 from uqharness.errors import BadInputError
 from uqharness.identification.excitation import restrict_to_excited
+from uqharness.identification.ordinary import identify_ordinary, is_ordinary, whole_flight
 from uqharness.identification.replay_fit import (
     BIASES,
     OUTPUTS,
@@ -38,6 +39,12 @@ from uqharness.identification.replay_fit import (
 )
 from uqharness.identification.replay_fit import MAX_ITERATIONS as OUTPUT_ITERATIONS
 from uqharness.identification.replay_fit import TOLERANCE as OUTPUT_TOLERANCE
+from uqharness.identification.turbulence import ITERATIONS as FILTER_ITERATIONS
+from uqharness.identification.turbulence import (
+    FilterRequest,
+    filter_setup,
+    identify_in_turbulence,
+)
 from uqharness.parallel import process_count, worker_map
 from uqharness.replay import (
     CONTROLS,
@@ -237,6 +244,7 @@ def identify(
     outputs: Sequence[str] | None = None,
     ideal_servos: bool = False,
     method: str = "auto",
+    prior: Mapping[str, tuple[float, float]] | None = None,
     workers: int | None = None,
     callback: Callable[[str], object] = lambda stage: None,
     message_callback: Callable[[str], None] | None = None,
@@ -267,6 +275,9 @@ def identify(
         Whether surfaces and throttle follow their commands at once.
     method : {"auto", "output-error", "filter-error"}
         ``auto`` uses filter error where the residuals of output error show turbulence.
+    prior : Mapping, optional
+        Parameter to mean and standard deviation known beforehand; used by filter error on flights
+        without manoeuvres (`uqharness.identification.ordinary`).
     workers : int, optional
         Processes.
     callback : callable
@@ -287,6 +298,18 @@ def identify(
     # Commands pass the actuators unless the servos are ideal; measured positions never do.
     names = _parameter_names(aircraft, parameters)
     ideal = tuple(c for c in CONTROLS if c not in measured) if ideal_servos else ()
+    if method != "output-error" and (prior or all(is_ordinary(f) for f in flights)):
+        return _identify_whole_flight(
+            aircraft,
+            flights,
+            names,
+            FilterRequest(outputs, biases, delays, measured, ideal),
+            prior or {},
+            start,
+            workers,
+            callback,
+            message_callback,
+        )
     with ReplayFolder(aircraft, measured=measured, ideal=ideal) as model:
         arm = aircraft.accelerometer_m
         cut_segments = [s for f in flights for s in segments(f, measured, arm)]
@@ -382,13 +405,8 @@ def identify(
         if message_callback is not None:
             message_callback(_filter_error_message(result, method))
         # Imported here: most flights need no filter.
+        from uqharness.identification.linearised.fit import point_of
         from uqharness.identification.linearised.gusts import TOLERANCE as FILTER_TOLERANCE
-        from uqharness.identification.turbulence import ITERATIONS as FILTER_ITERATIONS
-        from uqharness.identification.turbulence import (
-            FilterRequest,
-            filter_setup,
-            identify_in_turbulence,
-        )
 
         callback("filter error")
         # Stage 4: filter error. The simulations of output error are no longer needed.
@@ -404,7 +422,7 @@ def identify(
             return withdraw_invalid(
                 identify_in_turbulence(
                     result,
-                    fitted,
+                    point_of(fitted, setup, result.names),
                     (model, direct_model),
                     setup,
                     limits,
@@ -413,6 +431,52 @@ def identify(
                     callback=descent,
                 )
             )
+
+
+def _identify_whole_flight(
+    aircraft: Aircraft,
+    flights: Sequence[Flight],
+    names: tuple[str, ...],
+    request: FilterRequest,
+    prior: Mapping[str, tuple[float, float]],
+    start: str,
+    workers: int | None,
+    callback: Callable[[str], object],
+    message_callback: Callable[[str], None] | None,
+) -> Identification:
+    """Estimate by filter error alone from flights without manoeuvres."""
+    from uqharness.identification.linearised.gusts import TOLERANCE as FILTER_TOLERANCE
+
+    complete = [whole_flight(f, request.measured) for f in flights]
+    seconds = sum(p.end_s - p.start_s for f in complete for p in f.pieces)
+    if message_callback is not None:
+        message_callback(
+            f"no test manoeuvre in the flight: filter error on all of its {seconds:.0f} s, with the"
+            " errors of the air data; --method output-error replays the stretches in which"
+            " surfaces move"
+        )
+    with (
+        ReplayFolder(aircraft, measured=request.measured, ideal=request.ideal) as model,
+        ReplayFolder(aircraft, measured=request.measured, ideal=CONTROLS) as direct_model,
+    ):
+        initial = _initial(aircraft, model, names, start)
+        limits = _limits(aircraft, names, initial)
+        result = identify_ordinary(
+            aircraft,
+            complete,
+            (model, direct_model),
+            names,
+            initial,
+            limits,
+            request,
+            prior=prior,
+            workers=workers,
+            callback=callback,
+            iteration=DescentProgress(
+                "filter error", callback, FILTER_TOLERANCE, FILTER_ITERATIONS
+            ),
+        )
+    return withdraw_invalid(result)
 
 
 def _in_calm_air(result: Identification) -> Identification:

@@ -66,7 +66,15 @@ AIRCRAFT with the estimates."""
         "current", "start values: the card's (initial) or the XML's (current)"
     )
     method: Literal["auto", "output-error", "filter-error"] = option(
-        "auto", "auto: output error, then filter error if its residuals show turbulence"
+        "auto",
+        "auto: output error, then filter error if its residuals show turbulence; filter error alone"
+        " for a log without test manoeuvres",
+    )
+    prior: fields.OptionalPath = option(
+        None,
+        'priors of parameters: TOML with [parameters."aero/Cm_q"] mean, std, source, or the'
+        " model-form.json that `author` writes",
+        metavar="FILE",
     )
     workers: fields.Workers = fields.workers()
     figures: Flag = fields.figures()

@@ -35,6 +35,9 @@ class Parameter(Part):
     status: str = Field(description="identified or not-identified")
     reason: str | None = Field(default=None, description="why it is not identified")
     initial: Number = Field(default=None, description="start value")
+    basis: str = Field(
+        default="", description="data, prior and data, prior only or start value; ordinary flights"
+    )
 
     @property
     def is_identified(self) -> bool:
