@@ -40,7 +40,6 @@ class Evidence:
 
     gram (G, K, K), score (G, K): Y'Y and Y'e of each group; group (S,): that of each segment;
     prior (K,): information from elsewhere.
-    pull        (K,) distance of the prior's means from the values flown; None: zero
     held        names of the columns that ``white`` has, in its order; None: all. Others it makes
                 again or does not have.
     remembered  results of `corrected_each`: a search needs the same columns again and again
@@ -53,7 +52,6 @@ class Evidence:
     prior: FloatArray
     white: Sequence[White]
     held: tuple[str, ...] | None = None
-    pull: FloatArray | None = None
     remembered: dict[frozenset[str], dict[str, Estimate]] = field(default_factory=dict, init=False)
 
     def index(self, names: Iterable[str]) -> Index:
@@ -70,15 +68,7 @@ class Evidence:
     @cached_property
     def everything(self) -> tuple[FloatArray, FloatArray]:
         """Information (n, n), prior included, and score (n,), summed over all manoeuvres."""
-        score = self.score.sum(axis=0)
-        if self.pull is not None:
-            score = score + self.prior * self.pull
-        return self.gram.sum(axis=0) + np.diag(self.prior), score
-
-    @property
-    def of_data(self) -> tuple[FloatArray, FloatArray]:
-        """Information (n, n) and score (n,) without the priors."""
-        return self.gram.sum(axis=0), self.score.sum(axis=0)
+        return self.gram.sum(axis=0) + np.diag(self.prior), self.score.sum(axis=0)
 
     def part(self, segments: NDArray[np.bool_] | None) -> tuple[FloatArray, FloatArray]:
         """(K, K) information and (K,) score of some segments, whole groups of them, priors
@@ -162,11 +152,9 @@ def gather(
     group: Sequence[int] | NDArray[np.bool_],
     prior: Mapping[str, float],
     held: Sequence[str] | None = None,
-    pull: Mapping[str, float] | None = None,
 ) -> Evidence:
     """Evidence from filtered segments. group (S,): whose sums are kept together, 0 and up; prior:
-    column, or kind of column (its name up to the first /) -> standard deviation known beforehand;
-    pull: column -> distance of the prior's mean from the value flown; held: names
+    kind of column (its name up to the first /) -> standard deviation known beforehand; held: names
     of the columns that it has at hand, None: all. Those of candidates are most of the memory that
     evidence would take."""
     K, groups = len(names), np.asarray(group, dtype=np.intp)
@@ -181,16 +169,9 @@ def gather(
         gram[groups[s]] += (unit.T @ unit).astype(np.float64) * np.outer(scale, scale)
         score[groups[s]] += flat.astype(np.float64).T @ w.residual.ravel()
         kept.append(w if at is None else replace(w, columns=w.columns[:, :, at]))
-    stds = [prior.get(n, prior.get(n.split("/")[0], math.inf)) for n in names]
+    known = np.array([1.0 / prior.get(n.split("/")[0], math.inf) ** 2 for n in names])
     return Evidence(
-        tuple(names),
-        gram,
-        score,
-        groups,
-        np.array([1.0 / std**2 for std in stds]),
-        kept,
-        None if held is None else tuple(held),
-        None if pull is None else np.array([pull.get(n, 0.0) for n in names]),
+        tuple(names), gram, score, groups, known, kept, None if held is None else tuple(held)
     )
 
 

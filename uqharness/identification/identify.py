@@ -15,6 +15,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from sysid.aerodynamics import split_name
 from sysid.arrays import FloatArray
 from sysid.estimation import (
     NOISE_FLOOR,
@@ -39,12 +40,6 @@ from uqharness.identification.replay_fit import (
 )
 from uqharness.identification.replay_fit import MAX_ITERATIONS as OUTPUT_ITERATIONS
 from uqharness.identification.replay_fit import TOLERANCE as OUTPUT_TOLERANCE
-from uqharness.identification.turbulence import ITERATIONS as FILTER_ITERATIONS
-from uqharness.identification.turbulence import (
-    FilterRequest,
-    filter_setup,
-    identify_in_turbulence,
-)
 from uqharness.parallel import process_count, worker_map
 from uqharness.replay import (
     CONTROLS,
@@ -276,7 +271,7 @@ def identify(
     method : {"auto", "output-error", "filter-error"}
         ``auto`` uses filter error where the residuals of output error show turbulence.
     prior : Mapping, optional
-        Parameter to mean and standard deviation known beforehand; used by filter error on flights
+        Parameter to mean and standard deviation known beforehand; the flight is then treated as one
         without manoeuvres (`uqharness.identification.ordinary`).
     workers : int, optional
         Processes.
@@ -298,15 +293,21 @@ def identify(
     # Commands pass the actuators unless the servos are ideal; measured positions never do.
     names = _parameter_names(aircraft, parameters)
     ideal = tuple(c for c in CONTROLS if c not in measured) if ideal_servos else ()
-    if method != "output-error" and (prior or all(is_ordinary(f) for f in flights)):
+    terms_only = all(split_name(n) is not None for n in names)
+    if prior and not (terms_only and method == "auto"):
+        raise BadInputError(
+            "--prior needs parameters that are coefficient terms such as aero/Cm_q, and --method"
+            " auto"
+        )
+    if method == "auto" and (prior or (terms_only and all(map(is_ordinary, flights)))):
         return _identify_whole_flight(
             aircraft,
             flights,
             names,
-            FilterRequest(outputs, biases, delays, measured, ideal),
+            measured,
+            ideal,
             prior or {},
             start,
-            workers,
             callback,
             message_callback,
         )
@@ -405,8 +406,13 @@ def identify(
         if message_callback is not None:
             message_callback(_filter_error_message(result, method))
         # Imported here: most flights need no filter.
-        from uqharness.identification.linearised.fit import point_of
         from uqharness.identification.linearised.gusts import TOLERANCE as FILTER_TOLERANCE
+        from uqharness.identification.turbulence import ITERATIONS as FILTER_ITERATIONS
+        from uqharness.identification.turbulence import (
+            FilterRequest,
+            filter_setup,
+            identify_in_turbulence,
+        )
 
         callback("filter error")
         # Stage 4: filter error. The simulations of output error are no longer needed.
@@ -422,7 +428,7 @@ def identify(
             return withdraw_invalid(
                 identify_in_turbulence(
                     result,
-                    point_of(fitted, setup, result.names),
+                    fitted,
                     (model, direct_model),
                     setup,
                     limits,
@@ -437,27 +443,24 @@ def _identify_whole_flight(
     aircraft: Aircraft,
     flights: Sequence[Flight],
     names: tuple[str, ...],
-    request: FilterRequest,
+    measured: Sequence[str],
+    ideal: Sequence[str],
     prior: Mapping[str, tuple[float, float]],
     start: str,
-    workers: int | None,
     callback: Callable[[str], object],
     message_callback: Callable[[str], None] | None,
 ) -> Identification:
-    """Estimate by filter error alone from flights without manoeuvres."""
-    from uqharness.identification.linearised.gusts import TOLERANCE as FILTER_TOLERANCE
-
-    complete = [whole_flight(f, request.measured) for f in flights]
+    """Estimate by equation error from the complete flights, which have no manoeuvres."""
+    complete = [whole_flight(f, measured) for f in flights]
     seconds = sum(p.end_s - p.start_s for f in complete for p in f.pieces)
     if message_callback is not None:
         message_callback(
-            f"no test manoeuvre in the flight: filter error on all of its {seconds:.0f} s, with the"
-            " errors of the air data; --method output-error replays the stretches in which"
-            " surfaces move"
+            f"no test manoeuvre in the flight: equation error on all of its {seconds:.0f} s;"
+            " --method output-error or filter-error uses the stretches in which surfaces move"
         )
     with (
-        ReplayFolder(aircraft, measured=request.measured, ideal=request.ideal) as model,
-        ReplayFolder(aircraft, measured=request.measured, ideal=CONTROLS) as direct_model,
+        ReplayFolder(aircraft, measured=measured, ideal=ideal) as model,
+        ReplayFolder(aircraft, measured=measured, ideal=CONTROLS) as direct_model,
     ):
         initial = _initial(aircraft, model, names, start)
         limits = _limits(aircraft, names, initial)
@@ -468,15 +471,11 @@ def _identify_whole_flight(
             names,
             initial,
             limits,
-            request,
+            measured,
             prior=prior,
-            workers=workers,
             callback=callback,
-            iteration=DescentProgress(
-                "filter error", callback, FILTER_TOLERANCE, FILTER_ITERATIONS
-            ),
         )
-    return withdraw_invalid(result)
+    return result
 
 
 def _in_calm_air(result: Identification) -> Identification:

@@ -1,54 +1,56 @@
 """Identification from an ordinary flight: an autopilot's, in wind and gusts, without manoeuvres.
 
-The complete flight is used, not the stretches in which surfaces move most. There is no calm air to
-replay, so filter error starts at equation error: no replays, no output error. The delay of the
-controls comes from a regression of the angular accelerations. Scale and zero of airspeed, angle of
-attack and sideslip are estimated with the parameters, with priors, because air data of such
-aircraft are seldom calibrated. Angles that no vane measures are states of the filter alone.
+The complete flight is used, not the stretches in which surfaces move most, by equation error: the
+coefficients that the measured motion demands are regressed on the terms of the model. Air data
+measure the gusts, so that these are regressors and no errors; a replay, which does not know them,
+would fit the controls' answer to them. The delay of the controls comes from a regression of the
+angular accelerations, scales of the air data from `uqharness.identification.air_data`. Angles that
+no vane measures are reconstructed.
+
+Standard errors have four parts: the sandwich over blocks of time; its widening by what the model
+does not explain (`_regress`); the largest change of the estimate with filters, delay of the
+controls and time constants that the flight does not decide; and errors of the air data.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sysid.aerodynamics import Piece, smooth
+from sysid.aerodynamics import Piece, demanded, half_width, regressor, smooth, split_name
+from sysid.aerodynamics.coefficients import kernel
 from sysid.arrays import FloatArray
-from sysid.effects.catalogue import Effect, subsystem_effects
 from sysid.estimation import channel_noise
 from sysid.logs import find_manoeuvres
-from uqharness.identification.linearised.types import Point, lateness
-from uqharness.identification.replay_fit import (
-    OUTPUTS,
-    Identification,
-    equation_error_start,
+from sysid.units import percent
+from uqharness.identification.air_data import (
+    AirDataError,
+    air_data_errors,
+    basis_of,
+    motion_angle,
 )
-from uqharness.identification.turbulence import (
-    FilterRequest,
-    filter_setup,
-    identify_in_turbulence,
+from uqharness.identification.replay_fit import OUTPUTS, Identification, forced_at
+from uqharness.replay import (
+    CHANNELS,
+    CONTROLS,
+    Flight,
+    ForcedModel,
+    ReplayJob,
+    ReplayModel,
+    Segment,
+    fly_all,
+    measured_outputs,
+    states,
 )
-from uqharness.parallel import worker_map
-from uqharness.replay import CONTROLS, Flight, ReplayModel, measured_outputs
 from uqharness.replay.flights import control_columns, segments
 from uqharness.simulator import Aircraft
 
 MIN_S = 30.0
 """Shortest ordinary flight, s."""
 PIECE_S = 20.0
-AIR_DATA = ("V_mps", "alpha_rad", "beta_rad")
-PRIOR: Mapping[str, tuple[float, float]] = {
-    "effect/sensor.V_mps/scale": (0.0, 0.05),
-    "effect/sensor.alpha_rad/scale": (0.0, 0.3),
-    "effect/sensor.alpha_rad/bias": (0.0, 0.05),
-    "effect/sensor.beta_rad/scale": (0.0, 0.3),
-    "effect/sensor.beta_rad/bias": (0.0, 0.05),
-}
-"""Errors of uncalibrated air data: mean and standard deviation, angles in rad. A probe's position
-beside a fuselage or wing changes angles by up to a half, speeds by some percent."""
 _DELAYS_S = tuple(0.01 * k for k in range(-3, 21))
 _AXES = (
     ("p_radps", ("beta_rad", "p_radps", "r_radps"), ("aileron", "rudder")),
@@ -88,7 +90,7 @@ def whole_flight(flight: Flight, measured: Sequence[str]) -> Flight:
                     float(record["time_s"][b]),
                 )
             )
-    return replace(_with_angles(flight), pieces=tuple(pieces))
+    return replace(flight, pieces=tuple(pieces))
 
 
 def unmeasured_angles(flight: Flight) -> tuple[str, ...]:
@@ -101,31 +103,35 @@ def unmeasured_angles(flight: Flight) -> tuple[str, ...]:
     )
 
 
-def _with_angles(flight: Flight) -> Flight:
-    """Return the flight with the absent angles taken from the attitude: a start for the filter.
+def _with_angles(flight: Flight, absent: Sequence[str], time_constant_s: float = 3.0) -> Flight:
+    """Return the flight with the absent angles reconstructed.
 
-    Angle of attack: pitch angle minus the climb angle; sideslip: zero.
+    The fast part is that of `air_data.motion_angle`. The slow part of the angle of attack is the
+    pitch angle minus the climb angle, that of sideslip zero. Gusts are missing in both.
     """
     record = flight.record
-    absent = [c for c in ("alpha_rad", "beta_rad") if c not in record]
-    if not absent:
-        return flight
+    keep = 1.0 - np.exp(-record.dt_s / time_constant_s)
     columns: dict[str, FloatArray] = {}
     if "alpha_rad" in absent:
         speed = np.maximum(record["V_mps"], 1.0)
-        if "vd_mps" in record:
+        if "vd_mps" in record and np.isfinite(record["vd_mps"]).any():
             climb = -record["vd_mps"]
         elif "h_m" in record:
             climb = smooth(record["h_m"][:, None], record.dt_s, 0.5, derivative=1)[:, 0]
         else:
             climb = np.zeros(len(record))
-        gamma = np.arcsin(np.clip(climb / speed, -0.9, 0.9))
-        # Turning flight: the angle lies in the plane of symmetry, which banks.
-        alpha = (record["theta_rad"] - gamma) / np.maximum(np.cos(record["phi_rad"]), 0.5)
-        columns["alpha_rad"] = np.clip(alpha, -0.3, 0.4)
+        gamma = np.arcsin(np.clip(np.nan_to_num(climb) / np.nan_to_num(speed, nan=1.0), -0.9, 0.9))
+        # In a bank the vertical plane is not the plane of symmetry.
+        slow = (record["theta_rad"] - gamma) / np.maximum(np.cos(record["phi_rad"]), 0.5)
+        slow = np.nan_to_num(slow)
+        level = slow.copy()
+        for k in range(1, len(slow)):
+            level[k] = level[k - 1] + keep * (slow[k] - level[k - 1])
+        columns["alpha_rad"] = level + motion_angle(record, "alpha_rad", time_constant_s)
     if "beta_rad" in absent:
-        columns["beta_rad"] = np.zeros(len(record))
-    meta = replace(record.metadata, estimates=(*record.metadata.estimates, *absent))
+        part = record.with_columns(columns)
+        columns["beta_rad"] = motion_angle(part, "beta_rad", time_constant_s)
+    meta = replace(record.metadata, estimates=tuple({*record.metadata.estimates, *absent}))
     return replace(flight, record=record.with_columns(columns, meta))
 
 
@@ -168,13 +174,41 @@ def control_delay_s(flights: Sequence[Flight], measured: Sequence[str]) -> float
     return float(_DELAYS_S[best])
 
 
-def air_data_effects(outputs: Sequence[str]) -> list[Effect]:
-    """Return the errors of the measured air data that are estimated with the parameters."""
-    return [
-        e
-        for e in subsystem_effects((), [c for c in outputs if c in AIR_DATA], ())
-        if e.key in PRIOR
-    ]
+@dataclass(frozen=True)
+class _View:
+    """One way to regress: half-power frequency of the filters [Hz], further delay of the controls
+    [s], and time constant of reconstructed angles [s].
+    """
+
+    cutoff_hz: float = 4.0
+    late_s: float = 0.0
+    time_constant_s: float = 3.0
+
+
+_VIEWS = (
+    _View(),
+    _View(cutoff_hz=2.5),
+    _View(cutoff_hz=6.0),
+    _View(late_s=0.015),
+    _View(late_s=-0.015),
+)
+"""The first gives the estimates, the others their sensitivity to choices that a flight does not
+decide: noise in the regressors, and the servos' dynamics."""
+_ANGLE_VIEWS = (_View(time_constant_s=1.5), _View(time_constant_s=6.0))
+BLOCK_S = 10.0
+"""Length of a block of time, s: several short periods, Dutch rolls and gusts."""
+_ORDER = ("CX", "CY", "CZ", "Cl", "Cm", "Cn")
+
+
+@dataclass(frozen=True)
+class _Regression:
+    """Least squares of one coefficient: estimates (k,), covariance (k, k), share of the demanded
+    coefficient's variance that is not explained.
+    """
+
+    theta: FloatArray
+    cov: FloatArray
+    unexplained: float
 
 
 def identify_ordinary(
@@ -184,14 +218,13 @@ def identify_ordinary(
     names: tuple[str, ...],
     initial: FloatArray,
     limits: Sequence[tuple[float, float]],
-    request: FilterRequest,
+    measured: Sequence[str],
     *,
     prior: Mapping[str, tuple[float, float]],
-    workers: int | None = None,
     callback: Callable[[str], object] = lambda stage: None,
-    iteration: Callable[[int, float], None] | None = None,
 ) -> Identification:
-    """Estimate parameters and air-data errors from ordinary flights.
+    """Estimate coefficient terms from ordinary flights by equation error, with intervals that allow
+    for what the model does not explain.
 
     Parameters
     ----------
@@ -203,86 +236,329 @@ def identify_ordinary(
         The aircraft with its actuators, and with every control passed through.
     names, initial, limits
         Parameters, their start values (k,) and bounds.
-    request : FilterRequest
-        Options of filter error.
+    measured : sequence of str
+        Surfaces whose positions the record has.
     prior : Mapping
         Parameter to mean and standard deviation known beforehand.
-    workers : int, optional
-        Processes.
     callback : callable
         Called with the name of each stage.
-    iteration : callable, optional
-        Called with the number of each iteration and the length of its step in standard errors.
+
+    Returns
+    -------
+    Identification
+        ``modelled`` are replays of the pieces from their measured starts.
     """
     start_s = time.perf_counter()
-    model, direct_model = models
+    model = models[0]
+    callback("air data")
+    # One set of sensors: the longest flight tells most.
+    longest = max(flights, key=lambda f: len(f.record))
+    errors = air_data_errors(longest.record)
+    flights = [_calibrated(f, errors) for f in flights]
     callback("delay of the controls")
-    delay_s = control_delay_s(flights, request.measured)
-    callback("equation error")
-    late_flights = [f.with_delayed_commands(delay_s) for f in flights]
-    cut = [s for f in late_flights for s in segments(f, request.measured, aircraft.accelerometer_m)]
-    begin = np.array(
-        [prior[n][0] if n in prior else v for n, v in zip(names, initial, strict=True)]
-    )
-    theta, notes = equation_error_start(
-        model, direct_model, late_flights, cut, names, begin, limits=limits
-    )
-    # A prior that is narrower than equation error's scatter is the better start.
-    theta = np.array(
-        [
-            m if n in prior and abs(t - (m := prior[n][0])) > 3.0 * prior[n][1] else t
-            for n, t in zip(names, theta.tolist(), strict=True)
-        ]
-    )
-    unmeasured = {c for f in flights for c in unmeasured_angles(f)}
+    delay_s = control_delay_s(flights, measured)
+    unmeasured = sorted({c for f in flights for c in unmeasured_angles(f)})
+    views = [*_VIEWS, *(_ANGLE_VIEWS if unmeasured else ())]
+    groups = _groups(names)
+    means = {
+        c.removesuffix("_rad"): float(np.nanmean(np.concatenate([f.record[c] for f in flights])))
+        if all(c in f.record for f in flights)
+        else 0.0
+        for c in ("alpha_rad", "beta_rad")
+    }
+    estimates = []
+    for number, view in enumerate(views):
+        callback(f"regression {number + 1} of {len(views)}")
+        data = _regression_data(
+            aircraft, flights, models, names, initial, measured, delay_s, view, unmeasured
+        )
+        estimates.append({c: _regress(data, c, members, initial) for c, members in groups.items()})
+    theta, cov, reason = initial.copy(), np.zeros((len(names), len(names))), {}
+    fit_share: dict[str, float] = {}
+    for coefficient, members in groups.items():
+        main = estimates[0][coefficient]
+        # What the estimates change with choices that the flight does not decide.
+        spread = np.array([e[coefficient].theta - main.theta for e in estimates[1:]])
+        square = np.max(spread**2, axis=0)
+        covariance = (
+            main.cov
+            + np.diag(square)
+            + _from_air_data(main.theta, [split_name(names[i])[1] for i in members], errors, means)
+        )
+        theta[list(members)], block = _with_prior(
+            main.theta, covariance, [prior.get(names[i]) for i in members]
+        )
+        cov[np.ix_(list(members), list(members))] = block
+        fit_share[coefficient] = main.unexplained
+    std = np.sqrt(np.diagonal(cov))
+    for i, (name, (low, high)) in enumerate(zip(names, limits, strict=True)):
+        if not np.isfinite(std[i]) or std[i] == 0.0:
+            reason[name] = "no effect in these data"
+        elif not low < theta[i] < high:
+            reason[name] = f"at its bound [{low:g}, {high:g}]"
+        else:
+            reason[name] = ""
+    identified = [n for n in names if not reason[n]]
+    places = [names.index(n) for n in identified]
+    ok = np.array([not reason[n] for n in names])
+    late = [f.with_delayed_commands(delay_s) for f in flights]
+    cut = tuple(s for f in late for s in segments(f, measured, aircraft.accelerometer_m))
     outputs = tuple(
         c
         for c in OUTPUTS
         if c not in unmeasured
-        and (request.outputs is None or c in request.outputs)
         and any(c in f.record and np.isfinite(f.record[c]).any() for f in flights)
     )
-    template = _empty_result(aircraft, flights, names, initial, outputs, request, notes)
-    setup = filter_setup(aircraft, flights, replace(request, outputs=outputs), template)
-    active = air_data_effects(outputs)
-    priors = {**{e.key: PRIOR[e.key] for e in active}, **{n: prior[n] for n in names if n in prior}}
-    setup = replace(setup, active=tuple(active), prior=priors)
-    nuisance = dict.fromkeys(setup.nuisance, 0.0)
-    nuisance |= {lateness(f): delay_s for f in setup.timed}
-    point = Point(
-        dict(zip(names, theta.tolist(), strict=True)),
-        nuisance,
-        tuple(s.start for s in setup.segments),
-        dict.fromkeys([e.key for e in active], 0.0),
+    observed = [block for f in late for block in measured_outputs(f, outputs)]
+    callback("replays")
+    values = dict(zip(names, np.where(ok, theta, initial).tolist(), strict=True))
+    jobs = [ReplayJob(model, s, values, s.start) for s in cut]
+    columns = [CHANNELS.index(c) for c in outputs]
+    modelled = [out[:, columns] for out in fly_all(jobs)]
+    result = Identification(
+        aircraft=aircraft.name,
+        names=names,
+        initial=initial,
+        theta=np.where(ok, theta, initial),
+        std=np.where(ok, std, np.nan),
+        std_crb=np.where(ok, std, np.nan),
+        status={n: "not-identified" if reason[n] else "identified" for n in names},
+        reason=reason,
+        cov=cov[np.ix_(places, places)],
+        nuisance={f"delay/{f.name}/controls": (delay_s, 0.015) for f in flights}
+        | {f"sensor.{e.channel}/{e.kind}": (e.value, e.std) for e in errors},
+        outputs=outputs,
+        segments=cut,
+        measured=observed,
+        modelled=modelled,
+        residual=[z - y for z, y in zip(observed, modelled, strict=True)],
+        whiteness=np.full(len(outputs), np.nan),
+        noise=channel_noise(observed, outputs, aircraft.card.sensors.noise_std),
+        method="equation error",
+        converged=True,
+        warnings=(),
+        notes=(),
+        simulations=len(views),
+        seconds=time.perf_counter() - start_s,
     )
-    callback("filter error")
-    with worker_map(workers) as pool:
-        result = identify_in_turbulence(
-            template,
-            point,
-            (model, direct_model),
-            setup,
-            limits,
-            {},
-            pool=pool,
-            callback=iteration,
-            whole_flight=True,
-        )
     notes = [
-        *_air_data_notes(result),
-        *(
-            [f"no vane measures {', '.join(sorted(unmeasured))}: states of the filter"]
-            if unmeasured
-            else []
-        ),
+        "estimated by equation error on the complete flight, because it has no test manoeuvres;"
+        " intervals allow for the unexplained share of each coefficient: "
+        + ", ".join(f"{c} {percent(share)}" for c, share in fit_share.items()),
+        f"controls act {1e3 * delay_s:.0f} ms after their rows",
+        *(f"air data: {e.text()}" for e in errors),
         *_combination_notes(result),
     ]
+    if unmeasured:
+        notes.append(
+            f"no vane measures {', '.join(unmeasured)}: reconstructed from accelerometers, gyros"
+            " and attitude"
+        )
     return replace(
         result,
-        notes=(*result.notes, *notes),
+        notes=tuple(notes),
         labels=prior_labels(result, prior),
         seconds=time.perf_counter() - start_s,
     )
+
+
+def _groups(names: Sequence[str]) -> dict[str, tuple[int, ...]]:
+    """Return coefficient to the places of its parameters."""
+    groups: dict[str, list[int]] = {}
+    for i, name in enumerate(names):
+        if (parsed := split_name(name)) is not None:
+            groups.setdefault(parsed[0], []).append(i)
+    return {c: tuple(members) for c, members in groups.items()}
+
+
+@dataclass(frozen=True)
+class _RegressionData:
+    """Demanded minus predicted coefficients (n, 6), regressors by parameter (n,), block of time
+    (n,), variance of the demanded coefficients (6,) and of the noise in them (6,).
+    """
+
+    excess: FloatArray
+    columns: Mapping[int, FloatArray]
+    block: FloatArray
+    variance: FloatArray
+    noise: FloatArray
+
+
+def _regression_data(
+    aircraft: Aircraft,
+    flights: Sequence[Flight],
+    models: tuple[ReplayModel, ReplayModel],
+    names: Sequence[str],
+    initial: FloatArray,
+    measured: Sequence[str],
+    delay_s: float,
+    view: _View,
+    unmeasured: Sequence[str],
+) -> _RegressionData:
+    """Evaluate the model along the flights, in one view."""
+    model, direct_model = models
+    late = [f.with_delayed_commands(delay_s + view.late_s) for f in flights]
+    if unmeasured:
+        late = [_with_angles(f, unmeasured, view.time_constant_s) for f in late]
+    cut = [s for f in late for s in segments(f, measured, aircraft.accelerometer_m)]
+    channels_of = [states(f, piece) for f in late for piece in f.pieces]
+    forced_models = forced_at(
+        model, direct_model, cut, channels_of, dict(zip(names, initial.tolist(), strict=True))
+    )
+    terms = {i: parsed[1] for i, n in enumerate(names) if (parsed := split_name(n)) is not None}
+    excess, demand, blocks = [], [], []
+    columns: dict[int, list[FloatArray]] = {i: [] for i in terms}
+    noise_std = channel_noise(
+        [np.column_stack([c[n] for n in _INERTIAL]) for c in channels_of],
+        _INERTIAL,
+        aircraft.card.sensors.noise_std,
+    )
+    noise, first = np.zeros(6), 0
+    for segment, channels, (forced, variables) in zip(cut, channels_of, forced_models, strict=True):
+        wanted = demanded(
+            np.column_stack([channels[f"a{a}_mps2"] for a in "xyz"]),
+            np.column_stack([channels[f"{a}_radps"] for a in "pqr"]),
+            forced.qbar,
+            forced.mass,
+            forced.other_force,
+            forced.other_moment,
+            dt_s=segment.dt_s,
+            arm_m=np.array(segment.arm_m),
+            cutoff_hz=view.cutoff_hz,
+        )
+        demand.append(wanted)
+        excess.append(wanted - smooth(forced.coefficients, segment.dt_s, view.cutoff_hz))
+        regressors = {k: smooth(v, segment.dt_s, view.cutoff_hz) for k, v in variables.items()}
+        for i, term in terms.items():
+            columns[i].append(regressor(term, regressors))
+        count = max(1, round((segment.time_s[-1] - segment.time_s[0]) / BLOCK_S))
+        blocks.append(first + (np.arange(len(wanted)) * count // len(wanted)))
+        first += count
+        noise += len(wanted) * _noise_of(forced, segment, noise_std, view.cutoff_hz)
+    together = np.concatenate(demand)
+    return _RegressionData(
+        np.concatenate(excess),
+        {i: np.concatenate(v) for i, v in columns.items()},
+        np.concatenate(blocks),
+        together.var(axis=0),
+        noise / len(together),
+    )
+
+
+_INERTIAL = ("p_radps", "q_radps", "r_radps", "ax_mps2", "ay_mps2", "az_mps2")
+
+
+def _noise_of(
+    forced: ForcedModel, segment: Segment, noise_std: Mapping[str, float], cutoff_hz: float
+) -> FloatArray:
+    """Return the variance (6,) that sensor noise has in the demanded coefficients of a piece."""
+    mass, half = forced.mass, half_width(segment.dt_s, cutoff_hz)
+    level, slope = (float(np.sum(kernel(half, segment.dt_s, d) ** 2)) for d in (0, 1))
+    per_qbar = float(np.mean(1.0 / np.maximum(forced.qbar, 1e-3)))
+    force = mass.mass / mass.S * per_qbar
+    out = np.array([noise_std[f"a{a}_mps2"] * force for a in "xyz"]) ** 2 * level
+    inertia = np.diagonal(mass.inertia)
+    rates = np.array([noise_std[f"{a}_radps"] for a in "pqr"])
+    moments = (rates * inertia / (mass.S * mass.lengths) * per_qbar) ** 2 * slope
+    return np.concatenate([out, moments])
+
+
+def _regress(
+    data: _RegressionData, coefficient: str, members: Sequence[int], initial: FloatArray
+) -> _Regression:
+    """Regress one coefficient, with the covariance of clusters of time.
+
+    The sandwich over blocks allows for correlation within them. Beyond it, B blocks whose errors
+    share the part rho of their variance count as B / (1 + (B - 1) rho) (Kish, "Survey Sampling",
+    1965, section 5.4): controls answer the motion in every block alike, so that a missing term
+    acts along the same directions in all of them. rho is the unexplained share of the demanded
+    coefficient's variance, without sensor noise.
+    """
+    k = _ORDER.index(coefficient)
+    x = np.column_stack([data.columns[i] for i in members])
+    y = data.excess[:, k]
+    scale = np.sqrt(np.mean(x**2, axis=0))
+    usable = scale > 0.0
+    scale = np.where(usable, scale, 1.0)
+    design = x / scale
+    values, vectors = np.linalg.eigh(design.T @ design)
+    kept = values > 1e-9 * max(values[-1], 1e-300)
+    inverse = (vectors[:, kept] / values[kept]) @ vectors[:, kept].T
+    delta = inverse @ (design.T @ y)
+    residual = y - design @ delta
+    scores = np.zeros((int(data.block.max()) + 1, len(members)))
+    np.add.at(scores, data.block, design * residual[:, None])
+    count = len(np.unique(data.block))
+    correction = count / max(1, count - 1)
+    sandwich = correction * inverse @ (scores.T @ scores) @ inverse
+    variance = max(float(data.variance[k]), 1e-300)
+    rho = float(np.clip((np.mean(residual**2) - data.noise[k]) / variance, 0.0, 1.0))
+    cov = sandwich * (1.0 + (count - 1.0) * rho) / np.outer(scale, scale)
+    cov[~usable, :] = 0.0
+    cov[:, ~usable] = 0.0
+    theta = initial[list(members)] + np.where(usable, delta / scale, 0.0)
+    return _Regression(theta, cov, rho)
+
+
+def _from_air_data(
+    theta: FloatArray,
+    terms: Sequence[str],
+    errors: Sequence[AirDataError],
+    mean: Mapping[str, float],
+) -> FloatArray:
+    """Return the covariance (k, k) that errors of the air data add.
+
+    All terms scale with 1/V^2 and each angle's terms with the angle's scale; an offset of an angle
+    moves the constant term, and the slope where there is a quadratic term.
+    """
+    out = np.zeros((len(theta), len(theta)))
+    place = {term: k for k, term in enumerate(terms)}
+    for e in errors:
+        change = np.zeros(len(theta))
+        if e.channel == "V_mps":
+            change = 2.0 * theta / e.value
+        else:
+            angle = e.channel.removesuffix("_rad")
+            slope, bend = (theta[place[t]] if t in place else 0.0 for t in (angle, f"{angle}2"))
+            if e.kind == "scale":
+                for term, power in ((angle, 1), (f"{angle}2", 2)):
+                    if term in place:
+                        change[place[term]] = power * theta[place[term]] / e.value
+            else:
+                if "0" in place:
+                    change[place["0"]] = -(slope + 2.0 * bend * mean[angle])
+                if angle in place:
+                    change[place[angle]] = -2.0 * bend
+        out += e.std**2 * np.outer(change, change)
+    return out
+
+
+def _with_prior(
+    theta: FloatArray, cov: FloatArray, priors: Sequence[tuple[float, float] | None]
+) -> tuple[FloatArray, FloatArray]:
+    """Combine estimates and covariance with normal priors of some of the parameters."""
+    if not any(p is not None for p in priors):
+        return theta, cov
+    scale = np.sqrt(np.maximum(np.diagonal(cov), 1e-300))
+    information = np.linalg.pinv(cov / np.outer(scale, scale), rcond=1e-10) / np.outer(scale, scale)
+    known = np.diag([0.0 if p is None else 1.0 / p[1] ** 2 for p in priors])
+    mean = np.array([0.0 if p is None else p[0] for p in priors])
+    posterior = np.linalg.inv(information + known)
+    return posterior @ (information @ theta + known @ mean), posterior
+
+
+def _calibrated(flight: Flight, errors: Sequence[AirDataError]) -> Flight:
+    """Return the flight with scales and offsets of its air data taken out."""
+    columns = {
+        e.channel: flight.record[e.channel] / e.value
+        for e in errors
+        if e.kind == "scale" and e.channel in flight.record
+    }
+    for e in errors:
+        if e.kind == "offset" and e.channel in columns:
+            scale = next(x.value for x in errors if (x.channel, x.kind) == (e.channel, "scale"))
+            columns[e.channel] = columns[e.channel] - e.value / scale
+    return replace(flight, record=flight.record.with_columns(columns))
 
 
 def prior_labels(
@@ -298,68 +574,7 @@ def prior_labels(
         if name not in prior:
             out[name] = "data" if name in result.identified else "start value"
             continue
-        added = 1.0 - (std / prior[name][1]) ** 2 if np.isfinite(std) else 0.0
-        out[name] = "prior only" if added < 0.2 else "data" if added > 0.9 else "prior and data"
-    return out
-
-
-def _empty_result(
-    aircraft: Aircraft,
-    flights: Sequence[Flight],
-    names: tuple[str, ...],
-    initial: FloatArray,
-    outputs: tuple[str, ...],
-    request: FilterRequest,
-    notes: Sequence[str],
-) -> Identification:
-    """Return a result without estimates, which filter error fills."""
-    cut = [s for f in flights for s in segments(f, request.measured, aircraft.accelerometer_m)]
-    data = [block for f in flights for block in measured_outputs(f, outputs)]
-    noise = channel_noise(data, outputs, aircraft.card.sensors.noise_std)
-    empty = np.full(len(names), np.nan)
-    return Identification(
-        aircraft=aircraft.name,
-        names=names,
-        initial=initial,
-        theta=initial.copy(),
-        std=empty,
-        std_crb=empty,
-        status=dict.fromkeys(names, "not-identified"),
-        reason=dict.fromkeys(names, ""),
-        cov=np.zeros((0, 0)),
-        nuisance={},
-        outputs=outputs,
-        segments=tuple(cut),
-        measured=data,
-        modelled=data,
-        residual=[np.zeros_like(d) for d in data],
-        whiteness=np.full(len(outputs), np.nan),
-        noise=noise,
-        method="filter error",
-        converged=False,
-        warnings=(),
-        notes=tuple(notes),
-        simulations=0,
-        seconds=0.0,
-    )
-
-
-def _air_data_notes(result: Identification) -> list[str]:
-    """Return a sentence for each air-data error, with its 95 % interval."""
-    out = []
-    for name, (value, std) in result.nuisance.items():
-        if not name.startswith("sensor."):
-            continue
-        channel, kind = name.removeprefix("sensor.").split("/")
-        prior_std = PRIOR[f"effect/{name}"][1]
-        basis = " (prior only)" if std > 0.9 * prior_std else ""
-        if kind == "scale":
-            text = f"reads {1.0 + value:.3f} ± {1.96 * std:.3f} times the truth"
-        elif channel.endswith("_rad"):
-            text = f"is offset by {np.degrees(value):+.2f} ± {np.degrees(1.96 * std):.2f} deg"
-        else:
-            text = f"is offset by {value:+.2f} ± {1.96 * std:.2f}"
-        out.append(f"air data: {channel} {text}{basis}")
+        out[name] = basis_of(std if np.isfinite(std) else np.inf, prior[name][1])
     return out
 
 

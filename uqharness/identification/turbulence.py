@@ -18,6 +18,7 @@ from sysid.effects import CERTAIN_T, Gusts, corrected_each, follow, gust_strengt
 from sysid.estimation import assess, at_bound, colour, colour_warnings, idle_bound, rms
 from sysid.parallel import Processes
 from uqharness.errors import BadInputError
+from uqharness.identification.linearised.fit import point_of
 from uqharness.identification.linearised.gusts import GustFit, gust_refit, in_step, moved, rows_late
 from uqharness.identification.linearised.types import (
     Point,
@@ -26,8 +27,7 @@ from uqharness.identification.linearised.types import (
     noise_left,
     setup_in_gusts,
 )
-from uqharness.identification.replay_fit import Identification, by_channel
-from uqharness.identification.unexplained_share import design_effects, tempered
+from uqharness.identification.replay_fit import Identification, ReplayFit, by_channel
 from uqharness.replay import CONTROL_DELAY, Flight, ReplayModel, delayed, shifted_command_warnings
 from uqharness.simulator import Aircraft
 
@@ -104,7 +104,7 @@ def filter_setup(
 
 def identify_in_turbulence(
     result: Identification,
-    start: Point,
+    fitted: ReplayFit,
     models: tuple[ReplayModel, ReplayModel],
     setup: Setup,
     limits: Sequence[tuple[float, float]],
@@ -112,16 +112,13 @@ def identify_in_turbulence(
     *,
     pool: Processes,
     callback: Callable[[int, float], None] | None = None,
-    whole_flight: bool = False,
 ) -> Identification:
     """Replace output error's result by that of filter error, with a note.
 
     Parameters
     ----------
-    result : Identification
-        Result of output error.
-    start : Point
-        Where the estimation starts.
+    result, fitted
+        Result and fit of output error, the start.
     models : tuple of ReplayModel
         The aircraft with its actuators, and with every control passed through.
     setup : Setup
@@ -134,9 +131,6 @@ def identify_in_turbulence(
         Parallel `map`.
     callback : callable, optional
         Called with the number of each iteration and the length of its step in standard errors.
-    whole_flight : bool
-        Whether the flight is an ordinary one, without test manoeuvres: intervals then allow for
-        what the model does not explain (`uqharness.identification.ordinary`).
 
     Returns
     -------
@@ -150,7 +144,6 @@ def identify_in_turbulence(
     """
     start_s = time.perf_counter()
     free = [n for n in result.names if n not in fixed]
-    sensors = [e.key for e in setup.active]
     bounds = dict(zip(result.names, limits, strict=True))
 
     def fit_from(setup: Setup, point: Point, gusts: Gusts | None = None) -> GustFit:
@@ -159,7 +152,7 @@ def identify_in_turbulence(
                 *models,
                 setup,
                 point,
-                [*free, *sensors],
+                free,
                 bounds,
                 pool,
                 gusts,
@@ -174,10 +167,10 @@ def identify_in_turbulence(
             ) from None
 
     # Start at the estimates of output error.
-    fit = fit_from(setup, start)
-    if not fit.gusts.air and not whole_flight:
+    fit = fit_from(setup, point_of(fitted, setup, result.names))
+    if not fit.gusts.air:
         return replace(result, notes=(*result.notes, NO_TURBULENCE))
-    values, cov, crb, reason = _estimates(fit, free, bounds, whole_flight)
+    values, cov, crb, reason = _estimates(fit, free, bounds)
     if undetermined := {n: text for n, text in reason.items() if text}:
         # Undetermined parameters return to their start values, and the others are estimated again.
         free, initial = (
@@ -189,7 +182,7 @@ def identify_in_turbulence(
             values={**fit.fit.flown.point.values, **{n: initial[n] for n in undetermined}},
         )
         fit = fit_from(fit.setup, point, fit.gusts)
-        values, cov, crb, reason = _estimates(fit, free, bounds, whole_flight)
+        values, cov, crb, reason = _estimates(fit, free, bounds)
     # Assemble the result by the names of the request.
     identified = [n for n in free if not reason[n]]
     where = [free.index(n) for n in identified]
@@ -208,18 +201,13 @@ def identify_in_turbulence(
     ]
     warnings += by_channel(colour_warnings(residual_colour, std, std_crb, "filter error"), outputs)
     warnings += _moment_warnings(fit.gusts)
-    nuisance = _nuisance(fit, cov, free)
+    nuisance = _nuisance(fit, cov, len(free))
     warnings = [*shifted_command_warnings(setup.flights, setup.segments, nuisance), *warnings]
     converged = fit.length < CONVERGED
     if not converged:
         warnings.insert(0, f"not converged: the last step is {fit.length:.2g} standard errors long")
-    reasoning = (
-        "the flight has no test manoeuvres"
-        if whole_flight
-        else "the residuals of output error showed turbulence"
-    )
     note = (
-        f"estimated by filter error, because {reasoning}"
+        "estimated by filter error, because the residuals of output error showed turbulence"
         f" (twice the log likelihood is {fit.gusts.gain:.4g} above that of calm air;"
         f" {fit.gusts.words}); time histories show one-step predictions"
     )
@@ -288,10 +276,7 @@ def _of_names(names: Sequence[str], identified: Sequence[str], values: FloatArra
 
 
 def _estimates(
-    fit: GustFit,
-    free: Sequence[str],
-    bounds: Mapping[str, tuple[float, float]],
-    whole_flight: bool = False,
+    fit: GustFit, free: Sequence[str], bounds: Mapping[str, tuple[float, float]]
 ) -> tuple[dict[str, float], FloatArray, FloatArray, dict[str, str]]:
     """Return values and reasons of the free parameters, covariance (K, K) and Cramer-Rao bound.
 
@@ -303,18 +288,13 @@ def _estimates(
     gate = assess(evidence.everything[0], tuple(names))
     steps = corrected_each(evidence, names, names)
     # Scale the covariance by standard errors corrected for coloured residuals; correlations stay.
-    wider = np.array([steps[n][1] / steps[n][2] for n in names])
-    step = np.array([steps[n][0] for n in names])
-    cov = gate.inverse * np.outer(wider, wider)
-    if whole_flight:
-        seconds = sum(float(s.time_s[-1] - s.time_s[0]) for s in fit.setup.segments)
-        wider = wider * np.sqrt(design_effects(evidence, seconds))
-        step, cov = tempered(evidence, wider)
+    wider = [steps[n][1] / steps[n][2] for n in names]
     values, reason = {}, dict.fromkeys(free, "")
+    cov = gate.inverse * np.outer(wider, wider)
     # Reasons in order: collinear, at a bound, a bound wider than the data, no effect.
     for n in free:
         k, (low, high) = names.index(n), bounds[n]
-        value = float(at[n] + step[k])
+        value = float(at[n] + steps[n][0])
         values[n] = float(np.clip(value, low, high))
         reason[n] = gate.reason[k] or (at_bound(value, low, high) if not low < value < high else "")
         reason[n] = reason[n] or idle_bound(float(np.sqrt(cov[k, k])), high - low)
@@ -323,23 +303,17 @@ def _estimates(
     return values, cov, gate.inverse, reason
 
 
-def _nuisance(
-    fit: GustFit, cov: FloatArray, parameters: Sequence[str]
-) -> dict[str, tuple[float, float]]:
-    """Return biases, delays, shares and sensors' errors with standard errors, by output error's
-    names.
+def _nuisance(fit: GustFit, cov: FloatArray, first: int) -> dict[str, tuple[float, float]]:
+    """Return biases, delays and shares with standard errors, by output error's names, from column
+    ``first`` on.
     """
     names, point = list(fit.fit.evidence.names), fit.fit.flown.point
     # The last step is taken, as for the parameters.
     step, std = fit.fit.evidence.step()[0], np.sqrt(np.diagonal(cov))
-    at = {**point.effects, **point.nuisance}
     return {
-        n.replace("lateness/", "delay/").removeprefix("effect/"): (
-            at.get(n, 0.0) + float(step[k]),
-            float(std[k]),
-        )
+        n.replace("lateness/", "delay/"): (point.nuisance[n] + float(step[k]), float(std[k]))
         for k, n in enumerate(names)
-        if n not in parameters
+        if k >= first
     }
 
 

@@ -272,8 +272,7 @@ def gust_refit(
         causal, path = path is not None, [p.body for p in found]
         columns = parameter_columns(setup, found, flown, names, analytic)
         white = whitened(followed, columns)
-        priors, pull = prior_at(setup, point)
-        evidence = gather(white, columns[0].names, [0] * len(white), priors, pull=pull)
+        evidence = gather(white, columns[0].names, [0] * len(white), PRIOR)
         before = None if sought else delta
         delta, length = step_from(setup, point, evidence)
         # In other air the same step is another one.
@@ -303,17 +302,6 @@ def gust_refit(
         setup,
         length,
     )
-
-
-def prior_at(setup: Setup, point: Point) -> tuple[dict[str, float], dict[str, float] | None]:
-    """Standard deviations of the priors by column or kind, and how far their means are from a
-    point; None where no prior has a mean.
-    """
-    if not setup.prior:
-        return dict(PRIOR), None
-    at = {**point.nuisance, **point.effects, **point.values}
-    pull = {name: mean - at.get(name, 0.0) for name, (mean, _) in setup.prior.items()}
-    return {**PRIOR, **{name: std for name, (_, std) in setup.prior.items()}}, pull
 
 
 def relaxed(share: float, before: FloatArray, now: FloatArray, information: FloatArray) -> float:

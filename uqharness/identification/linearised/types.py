@@ -87,8 +87,7 @@ class Setup:
     rate limits [deg/s] from and to which a slower servo's effect is read while it is no part of the
     model; zones: surface -> width [deg] of the dead zone by which one is; least: key -> value of an
     active rate limit's effect below which nothing changes any more; slopes: numbers that the active
-    effects are written with (`writing.slopes.control_slopes`), none where none is; prior: column
-    (property, effect's key, delay or bias) -> mean and standard deviation known beforehand"""
+    effects are written with (`writing.slopes.control_slopes`), none where none is"""
 
     flights: tuple[Flight, ...]
     segments: tuple[Segment, ...]
@@ -109,7 +108,6 @@ class Setup:
     slopes: Mapping[str, float] = field(default_factory=dict)
     timed: tuple[str, ...] = ()
     jumping: tuple[str, ...] = ()
-    prior: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     @property
     def which(self) -> list[int]:
