@@ -1,11 +1,11 @@
 """Identification from an ordinary flight: an autopilot's, in wind and gusts, without manoeuvres.
 
 The complete flight is used, not the stretches in which surfaces move most, by equation error: the
-coefficients that the measured motion demands are regressed on the terms of the model. Air data
-measure the gusts, so that these are regressors and no errors; a replay, which does not know them,
-would fit the controls' answer to them. The delay of the controls comes from a regression of the
-angular accelerations, scales of the air data from `uqharness.identification.air_data`. Angles that
-no vane measures are reconstructed.
+coefficients that the measured motion demands are regressed on the terms of the model, with earlier
+motion and controls as instruments. Air data measure the gusts, so that these are regressors and no
+errors; a replay, which does not know them, would fit the controls' answer to them. The delay of the
+controls comes from a regression of the angular accelerations, errors of the air data from
+`uqharness.identification.air_data`. Angles that no vane measures are reconstructed.
 
 Standard errors have four parts: the sandwich over blocks of time; its widening by what the model
 does not explain (`_regress`); the largest change of the estimate with filters, delay of the
@@ -25,6 +25,7 @@ from sysid.aerodynamics.coefficients import kernel
 from sysid.arrays import FloatArray
 from sysid.estimation import channel_noise
 from sysid.logs import find_manoeuvres
+from sysid.record import FlightRecord
 from sysid.units import percent
 from uqharness.identification.air_data import (
     AirDataError,
@@ -50,6 +51,8 @@ from uqharness.simulator import Aircraft
 
 MIN_S = 30.0
 """Shortest ordinary flight, s."""
+MANOEUVRE_S = 40.0
+"""Longest test manoeuvre, s; a longer label names a phase of the flight, such as a loiter."""
 PIECE_S = 20.0
 _DELAYS_S = tuple(0.01 * k for k in range(-3, 21))
 _AXES = (
@@ -63,11 +66,23 @@ _AXES = (
 def is_ordinary(flight: Flight) -> bool:
     """Return whether a flight is a log without test manoeuvres, labelled or found."""
     record = flight.record
-    labelled = "manoeuvre" in record and any(record["manoeuvre"])
     seconds = float(record["time_s"][-1] - record["time_s"][0])
-    if labelled or not record.metadata.native_hz or seconds < MIN_S:
+    if not record.metadata.native_hz or seconds < MIN_S or _has_short_label(record):
         return False
     return not find_manoeuvres(record)
+
+
+def _has_short_label(record: FlightRecord) -> bool:
+    """Return whether a labelled stretch is short enough for a test manoeuvre."""
+    if "manoeuvre" not in record:
+        return False
+    labels, time_s = record["manoeuvre"], record["time_s"]
+    edges = np.flatnonzero(np.append(labels[1:] != labels[:-1], True))
+    begins = np.append(0, edges[:-1] + 1)
+    return any(
+        labels[a] and time_s[b] - time_s[a] < MANOEUVRE_S
+        for a, b in zip(begins.tolist(), edges.tolist(), strict=True)
+    )
 
 
 def whole_flight(flight: Flight, measured: Sequence[str]) -> Flight:
@@ -177,23 +192,25 @@ def control_delay_s(flights: Sequence[Flight], measured: Sequence[str]) -> float
 @dataclass(frozen=True)
 class _View:
     """One way to regress: half-power frequency of the filters [Hz], further delay of the controls
-    [s], and time constant of reconstructed angles [s].
+    [s], time constant of reconstructed angles [s], and lags of the instruments [s].
     """
 
-    cutoff_hz: float = 4.0
+    cutoff_hz: float = 6.0
     late_s: float = 0.0
     time_constant_s: float = 3.0
+    lags_s: tuple[float, float] = (0.1, 0.16)
 
 
 _VIEWS = (
     _View(),
-    _View(cutoff_hz=2.5),
-    _View(cutoff_hz=6.0),
+    _View(lags_s=(0.16, 0.24)),
+    _View(lags_s=(0.07, 0.13)),
+    _View(cutoff_hz=4.0),
     _View(late_s=0.015),
     _View(late_s=-0.015),
 )
 """The first gives the estimates, the others their sensitivity to choices that a flight does not
-decide: noise in the regressors, and the servos' dynamics."""
+decide: memory of gusts and noise, noise in the regressors, and the servos' dynamics."""
 _ANGLE_VIEWS = (_View(time_constant_s=1.5), _View(time_constant_s=6.0))
 BLOCK_S = 10.0
 """Length of a block of time, s: several short periods, Dutch rolls and gusts."""
@@ -373,15 +390,17 @@ def _groups(names: Sequence[str]) -> dict[str, tuple[int, ...]]:
 
 @dataclass(frozen=True)
 class _RegressionData:
-    """Demanded minus predicted coefficients (n, 6), regressors by parameter (n,), block of time
-    (n,), variance of the demanded coefficients (6,) and of the noise in them (6,).
+    """A flight in one view: of each piece, demanded minus predicted coefficients (n, 6), regressors
+    by parameter (n,) and block of time (n,); variance of the demanded coefficients (6,) and of the
+    noise in them (6,); lags of the instruments in rows.
     """
 
-    excess: FloatArray
-    columns: Mapping[int, FloatArray]
-    block: FloatArray
+    excess: list[FloatArray]
+    columns: Mapping[int, list[FloatArray]]
+    block: list[FloatArray]
     variance: FloatArray
     noise: FloatArray
+    lags: tuple[int, ...]
 
 
 def _regression_data(
@@ -436,12 +455,9 @@ def _regression_data(
         first += count
         noise += len(wanted) * _noise_of(forced, segment, noise_std, view.cutoff_hz)
     together = np.concatenate(demand)
+    lags = tuple(max(1, round(lag / cut[0].dt_s)) for lag in view.lags_s)
     return _RegressionData(
-        np.concatenate(excess),
-        {i: np.concatenate(v) for i, v in columns.items()},
-        np.concatenate(blocks),
-        together.var(axis=0),
-        noise / len(together),
+        excess, columns, blocks, together.var(axis=0), noise / len(together), lags
     )
 
 
@@ -466,7 +482,13 @@ def _noise_of(
 def _regress(
     data: _RegressionData, coefficient: str, members: Sequence[int], initial: FloatArray
 ) -> _Regression:
-    """Regress one coefficient, with the covariance of clusters of time.
+    """Regress one coefficient by instrumental variables, with the covariance of clusters of time.
+
+    A gust moves the aircraft and adds to the coefficient, noise enters the regressors and, through
+    the autopilot, the controls: both correlate with the regressors of the same instant, and least
+    squares has dampings and control powers at half. The regressors of a tenth of a second before
+    are the instruments: the motion remembers them, gusts and noise hardly (Soderstrom and Stoica,
+    "Instrumental Variable Methods for System Identification", 1983; two-stage least squares).
 
     The sandwich over blocks allows for correlation within them. Beyond it, B blocks whose errors
     share the part rho of their variance count as B / (1 + (B - 1) rho) (Kish, "Survey Sampling",
@@ -475,22 +497,34 @@ def _regress(
     coefficient's variance, without sensor noise.
     """
     k = _ORDER.index(coefficient)
-    x = np.column_stack([data.columns[i] for i in members])
-    y = data.excess[:, k]
-    scale = np.sqrt(np.mean(x**2, axis=0))
+    first, last = max(data.lags), min(data.lags)
+    x, y, z, block = [], [], [], []
+    for piece, (excess, of) in enumerate(zip(data.excess, data.block, strict=True)):
+        n = len(excess)
+        if n <= first + len(members):
+            continue
+        part = np.column_stack([data.columns[i][piece] for i in members])
+        x.append(part[first:])
+        y.append(excess[first:, k])
+        z.append(np.column_stack([part[first - lag : n - lag] for lag in (first, last)]))
+        block.append(of[first:])
+    regressors, target, instruments = (np.concatenate(v) for v in (x, y, z))
+    cluster = np.concatenate(block)
+    scale = np.sqrt(np.mean(regressors**2, axis=0))
     usable = scale > 0.0
     scale = np.where(usable, scale, 1.0)
-    design = x / scale
-    values, vectors = np.linalg.eigh(design.T @ design)
-    kept = values > 1e-9 * max(values[-1], 1e-300)
-    inverse = (vectors[:, kept] / values[kept]) @ vectors[:, kept].T
-    delta = inverse @ (design.T @ y)
-    residual = y - design @ delta
-    scores = np.zeros((int(data.block.max()) + 1, len(members)))
-    np.add.at(scores, data.block, design * residual[:, None])
-    count = len(np.unique(data.block))
-    correction = count / max(1, count - 1)
-    sandwich = correction * inverse @ (scores.T @ scores) @ inverse
+    design = regressors / scale
+    spread = np.sqrt(np.mean(instruments**2, axis=0))
+    instruments = instruments / np.where(spread > 0.0, spread, 1.0)
+    fitted = instruments @ _solve(instruments.T @ instruments, instruments.T @ design)
+    inverse = _solve(fitted.T @ fitted, np.eye(len(members)))
+    delta = inverse @ (fitted.T @ target)
+    residual = target - design @ delta
+    numbers, position = np.unique(cluster, return_inverse=True)
+    scores = np.zeros((len(numbers), len(members)))
+    np.add.at(scores, position, fitted * residual[:, None])
+    count = len(numbers)
+    sandwich = count / max(1, count - 1) * inverse @ (scores.T @ scores) @ inverse
     variance = max(float(data.variance[k]), 1e-300)
     rho = float(np.clip((np.mean(residual**2) - data.noise[k]) / variance, 0.0, 1.0))
     cov = sandwich * (1.0 + (count - 1.0) * rho) / np.outer(scale, scale)
@@ -498,6 +532,13 @@ def _regress(
     cov[:, ~usable] = 0.0
     theta = initial[list(members)] + np.where(usable, delta / scale, 0.0)
     return _Regression(theta, cov, rho)
+
+
+def _solve(matrix: FloatArray, right: FloatArray) -> FloatArray:
+    """Return matrix^-1 right for a symmetric matrix; directions without information get nothing."""
+    values, vectors = np.linalg.eigh(matrix)
+    kept = values > 1e-10 * max(values[-1], 1e-300)
+    return np.asarray((vectors[:, kept] / values[kept]) @ (vectors[:, kept].T @ right))
 
 
 def _from_air_data(
