@@ -7,7 +7,7 @@ from scipy import stats
 
 from campaigns.estimators import aircraft
 from campaigns.estimators import reproduce as study_coverage
-from campaigns.estimators.coverage import CASES, binomial_range, run_case
+from campaigns.estimators.reproduce import CASES, binomial_range, run_case
 
 BY_NAME = {case.name: case for case in CASES}
 
@@ -65,7 +65,6 @@ def test_command_writes_the_table_and_refuses_bad_input(tmp_path, capsys):
         "200",
         "--only",
         "lateral, calm",
-        "--json",
     ]
     arguments += ["--out", str(out)]
     assert study_coverage.main(arguments) in (0, 1)

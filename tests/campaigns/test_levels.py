@@ -28,8 +28,8 @@ def test_limits_that_take_too_little_into_account_do_not():
         for truth in TRUTHS
         if truth.campaign in (aborted, clustered)
     }
-    assert by_name[aborted].losses_as_scheduled > 0.9
-    assert by_name[clustered].excursions_if_poisson > 5.0 * ERROR
+    assert by_name[aborted]["losses_as_scheduled"] > 0.9
+    assert by_name[clustered]["excursions_if_poisson"] > 5.0 * ERROR
 
 
 def test_it_writes_its_table(tmp_path, capsys):

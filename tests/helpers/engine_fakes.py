@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 from tests.helpers import campaign_fakes as fakes
 from uqharness.campaign.engines import Engines
-from uqharness.campaign.execution.worker import BATCH, ONE_ULP_OFF
+from uqharness.campaign.worker import BATCH, ONE_ULP_OFF
 from uqharness.flight.spec import FlightResult, FlightSpec
 
 
@@ -22,12 +22,16 @@ class Understanding:
 
     missing: str | None = None
     refused: tuple[str, ...] = ()
+    ignored: tuple[str, ...] = ()
 
     def available(self) -> str | None:
         return self.missing
 
     def refusals(self, spec: FlightSpec, varying: Collection[str]) -> tuple[str, ...]:
         return self.refused
+
+    def left_out(self, spec: FlightSpec, varying: Collection[str]) -> tuple[str, ...]:
+        return self.ignored
 
 
 @dataclass(frozen=True)

@@ -25,11 +25,26 @@ from typing import Any
 import numpy as np
 
 from sysid.digests import sha256_hex
+from uqharness.campaign import read_bounds
 from uqharness.campaign.cases import Case, Mission
 from uqharness.campaign.conditions import Condition
 from uqharness.campaign.cost import Pace, one_case_each, trial_conditions
-from uqharness.campaign.execution.processes import ProcessExecutor
-from uqharness.campaign.execution.worker import (
+from uqharness.campaign.manifest import MANIFEST, read_manifest
+from uqharness.campaign.processes import ProcessExecutor
+from uqharness.campaign.shards import SHARDS, shard_folders
+from uqharness.campaign.spec import CampaignSpec
+from uqharness.campaign.tables import (
+    ENGINE_CHECK,
+    FULL_FLIGHT,
+    START,
+    STATUS,
+    CheckRow,
+    as_number,
+    as_text,
+    read_check,
+    write_check,
+)
+from uqharness.campaign.worker import (
     BATCH,
     JSBSIM,
     JUDGE,
@@ -44,20 +59,6 @@ from uqharness.campaign.execution.worker import (
     OneByOne,
     fly_group,
 )
-from uqharness.campaign.folder.manifest import MANIFEST, read_manifest
-from uqharness.campaign.folder.shards import SHARDS, shard_folders
-from uqharness.campaign.folder.tables import (
-    ENGINE_CHECK,
-    FULL_FLIGHT,
-    START,
-    STATUS,
-    CheckRow,
-    as_number,
-    as_text,
-    read_check,
-    write_check,
-)
-from uqharness.campaign.spec.campaign import CampaignSpec, read_bounds
 from uqharness.errors import BadInputError, EnginesDifferError
 from uqharness.files import inner_folder, scratch_folder
 from uqharness.flight import FlightSpec
@@ -405,9 +406,7 @@ def choose_engine(
         return EngineChoice(spec.with_engine(BATCH), requested, (_REQUESTED,))
     if reasons:
         return EngineChoice(spec.with_engine(JSBSIM), requested, reasons)
-    return EngineChoice(
-        spec.with_engine(BATCH), requested, ("it understands the whole aircraft and mission",)
-    )
+    return EngineChoice(spec.with_engine(BATCH), requested, reasons_for(spec, mission, engines))
 
 
 def reasons_against(spec: CampaignSpec, mission: Mission, engines: Engines) -> tuple[str, ...]:
@@ -415,16 +414,40 @@ def reasons_against(spec: CampaignSpec, mission: Mission, engines: Engines) -> t
     reason = engines.unavailable()
     if reason is not None or engines.batch is None:
         return (reason or engines.no_batch,)
+    return _sentences_of_cases(spec, mission, engines.batch, _refusals)
+
+
+def reasons_for(spec: CampaignSpec, mission: Mission, engines: Engines) -> tuple[str, ...]:
+    """Return why the batch engine can fly a campaign, and what of the aircraft it leaves out."""
+    assert engines.batch is not None
+    left_out = _sentences_of_cases(
+        spec, mission, engines.batch, lambda batch, flight, varying: batch.left_out(flight, varying)
+    )
+    if not left_out:
+        return ("it understands the whole aircraft and mission",)
+    return (
+        "it understands all that the flight reads",
+        *(f"left out, since nothing reads it: {text}" for text in left_out),
+    )
+
+
+def _sentences_of_cases(
+    spec: CampaignSpec,
+    mission: Mission,
+    batch: Batch,
+    sentences: Callable[[Batch, FlightSpec, tuple[str, ...]], tuple[str, ...]],
+) -> tuple[str, ...]:
+    """Return what the batch engine reports for a case of each condition, in the author's files."""
     varying = varying_properties(spec)
     with staged_mission_of(spec, mission) as staged:
-        refusals = [
+        texts = [
             text
             for case in one_case_each(spec, staged)
-            for text in _refusals(engines.batch, case.flight, varying)
+            for text in sentences(batch, case.flight, varying)
         ]
         return tuple(
             dict.fromkeys(
-                text.replace(str(staged.aircraft), str(mission.aircraft)) for text in refusals
+                text.replace(str(staged.aircraft), str(mission.aircraft)) for text in texts
             )
         )
 

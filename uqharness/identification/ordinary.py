@@ -212,6 +212,8 @@ _VIEWS = (
 """The first gives the estimates, the others their sensitivity to choices that a flight does not
 decide: memory of gusts and noise, noise in the regressors, and the servos' dynamics."""
 _ANGLE_VIEWS = (_View(time_constant_s=1.5), _View(time_constant_s=6.0))
+ENDOGENEITY = 0.3
+"""Correlation between what the model does not explain and a regressor, one standard deviation."""
 BLOCK_S = 10.0
 """Length of a block of time, s: several short periods, Dutch rolls and gusts."""
 _ORDER = ("CX", "CY", "CZ", "Cl", "Cm", "Cn")
@@ -490,11 +492,13 @@ def _regress(
     are the instruments: the motion remembers them, gusts and noise hardly (Soderstrom and Stoica,
     "Instrumental Variable Methods for System Identification", 1983; two-stage least squares).
 
-    The sandwich over blocks allows for correlation within them. Beyond it, B blocks whose errors
-    share the part rho of their variance count as B / (1 + (B - 1) rho) (Kish, "Survey Sampling",
-    1965, section 5.4): controls answer the motion in every block alike, so that a missing term
-    acts along the same directions in all of them. rho is the unexplained share of the demanded
-    coefficient's variance, without sensor noise.
+    The sandwich over blocks allows for correlation within them. Beyond it, what the model does not
+    explain (gusts that rotate the air, missing terms) may correlate with the regressors in every
+    block alike, because controls answer the motion. Its correlation with what a regressor has
+    alone is taken as random with the standard deviation `ENDOGENEITY`: the bias of an estimate is
+    that correlation times the unexplained part's standard deviation over that of what the
+    regressor has alone. It does not fall with the length of the flight, and it is zero for a model
+    that leaves sensor noise.
     """
     k = _ORDER.index(coefficient)
     first, last = max(data.lags), min(data.lags)
@@ -526,8 +530,10 @@ def _regress(
     count = len(numbers)
     sandwich = count / max(1, count - 1) * inverse @ (scores.T @ scores) @ inverse
     variance = max(float(data.variance[k]), 1e-300)
-    rho = float(np.clip((np.mean(residual**2) - data.noise[k]) / variance, 0.0, 1.0))
-    cov = sandwich * (1.0 + (count - 1.0) * rho) / np.outer(scale, scale)
+    left = max(float(np.mean(residual**2)) - float(data.noise[k]), 0.0)
+    bias = ENDOGENEITY**2 * left * len(target) * inverse
+    rho = min(left / variance, 1.0)
+    cov = (sandwich + bias) / np.outer(scale, scale)
     cov[~usable, :] = 0.0
     cov[:, ~usable] = 0.0
     theta = initial[list(members)] + np.where(usable, delta / scale, 0.0)

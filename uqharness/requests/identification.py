@@ -57,18 +57,18 @@ AIRCRAFT with the estimates."""
     )
     outputs: fields.Channels = option(
         None,
-        "channels to fit, such as q,alpha,az (default: all; without parameters to estimate those on"
-        " which a parameter acts)",
+        "channels to fit, such as q,alpha,az (default: all with --params, else those that an"
+        " estimated parameter affects)",
         metavar="C,C",
         kind="str or sequence of str, optional",
     )
     start: Literal["initial", "current"] = option(
-        "current", "start values: the card's (initial) or the XML's (current)"
+        "current", "start values: `initial` of the card, or the values in the XML (current)"
     )
     method: Literal["auto", "output-error", "filter-error"] = option(
         "auto",
-        "auto: output error, then filter error if its residuals show turbulence; filter error alone"
-        " for a log without test manoeuvres",
+        "auto: output error, then filter error if its residuals show turbulence; equation error on"
+        " the complete flight for a log without test manoeuvres",
     )
     prior: fields.OptionalPath = option(
         None,
@@ -81,7 +81,7 @@ AIRCRAFT with the estimates."""
 
 
 class CompareRequest(Request):
-    """Replay a flight by segment and measure the gap to the model against the sensors' noise.
+    """Replay a flight segment by segment and compare the residuals with the sensor noise.
 
     With a second aircraft: which of the two predicts the flight better.
     """
@@ -100,9 +100,9 @@ give. The answer is A, B or no difference, by a block bootstrap (95 %), with the
 which they differ; DIR has compare.json.
 
 Writes DIR/compare.json, channels.csv, coefficients.csv, manoeuvres.csv, moments.csv,
-histories.parquet, report.html and figures/*.svg. The model reaches the noise floor where the rms of
-measured minus model is at most 1.15 times the noise in all recorded channels among V, alpha, beta,
-phi, theta, p, q, r, ax, ay, az."""
+histories.parquet, report.html and figures/*.svg. The model reaches the noise floor if the rms of
+measured minus model is at most 1.15 times the noise in every recorded channel of V, alpha, beta,
+phi, theta, p, q, r, ax, ay and az."""
 
     aircraft: fields.AircraftSource = fields.aircraft()
     other: fields.AircraftSource = option(
@@ -139,8 +139,8 @@ phi, theta, p, q, r, ax, ay, az."""
 
 
 class ValidateBoundsRequest(Request):
-    """Count the residuals of a flight that lie within bounds made from other flights, sensor noise
-    allowed for.
+    """Measure how many residuals of a flight lie within bounds made from other flights, with the
+    sensor noise added to the bounds.
     """
 
     command: ClassVar[str] = "validate-bounds"
@@ -171,7 +171,7 @@ class ValidateBoundsRequest(Request):
 
 
 class BoundsRequest(Request):
-    """Fit intervals of the model's error as functions of the flight state, sensor noise removed
+    """Bound the model-form error as a function of the flight state, separated from sensor noise
     (see docs/model-form.md).
     """
 
@@ -199,14 +199,14 @@ States: V alpha beta phi theta p q r, de da dr (surface positions), dt (throttle
     )
     states: NamesByCoefficient = option(
         {},
-        "states of a coefficient's polynomial; repeatable",
+        "states of a coefficient's polynomial",
         metavar="C=S,S",
         repeat=True,
         needed='states by coefficient, such as {"CX": ["V", "alpha"]}',
     )
     terms: NamesByCoefficient = option(
         {},
-        "terms of a coefficient, 1,V,alpha^2,alpha*q; repeatable",
+        "terms of a coefficient, 1,V,alpha^2,alpha*q",
         metavar="C=T,T",
         repeat=True,
         needed='terms by coefficient, such as {"Cm": ["1", "alpha", "p^2"]}',
@@ -214,7 +214,7 @@ States: V alpha beta phi theta p q r, de da dr (surface positions), dt (throttle
     order: Literal[0, 1, 2, 3] = option(2, "order of the full polynomials")
     roll_terms: Flag = option(False, "roll rate among the states of Cm (dissertation, Fig 2.10)")
     select: Literal["full", "stepwise"] = option(
-        "full", "all terms, or those that a partial F test keeps"
+        "full", "all terms, or those that pass a partial F test"
     )
     as_published: Flag = option(
         False,
@@ -230,13 +230,11 @@ States: V alpha beta phi theta p q r, de da dr (surface positions), dt (throttle
         "grow",
         "outside the envelope box: grow as in the dissertation, or stay constant",
     )
-    cutoff_hz: Number = option(6.0, "differentiator and smoother, Hz", gt=0, metavar="F")
+    cutoff_hz: Number = option(6.0, "cut-off of differentiator and smoother, Hz", gt=0, metavar="F")
     airspeed_cutoff_hz: Number = option(
-        2.0, "low-pass of the airspeed, Hz; 0: none", ge=0, metavar="F"
+        2.0, "cut-off of the airspeed's low-pass, Hz; 0: none", ge=0, metavar="F"
     )
-    walk_cutoff_hz: Number = option(
-        0.5, "low-pass for the rate of variation, Hz", gt=0, metavar="F"
-    )
+    walk_cutoff_hz: Number = option(0.5, "cut-off for the rate of variation, Hz", gt=0, metavar="F")
     checks: Flag = fields.checks("the leave-one-out check and the check with other filters")
     figures: Flag = fields.figures()
 

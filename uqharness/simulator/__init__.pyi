@@ -19,8 +19,8 @@ from .aircraft import parse_xml as parse_xml
 from .aircraft import position_factor as position_factor
 from .aircraft import stage as stage
 from .aircraft import staged as staged
+from .aircraft import with_start_altitude as with_start_altitude
 from .aircraft import with_step as with_step
-from .altitude import with_start_altitude as with_start_altitude
 from .card import MEMS_NOISE_STD as MEMS_NOISE_STD
 from .card import Card as Card
 from .card import InputCard as InputCard
@@ -67,6 +67,8 @@ from .own_mission import with_fine_step as with_fine_step
 from .own_mission import write_own_mission as write_own_mission
 from .own_mission import write_steady_start as write_steady_start
 from .physical_checks import function_properties as function_properties
+from .settling import FTLBF_PER_S_HP as FTLBF_PER_S_HP
+from .settling import power_is_balanced as power_is_balanced
 from .staging import INSIDE as INSIDE
 from .staging import Staging as Staging
 from .staging import copy_folder as copy_folder

@@ -20,12 +20,12 @@ from uqharness.campaign.engines import (
     previous_engine,
     varying_properties,
 )
-from uqharness.campaign.execution.processes import SerialExecutor
-from uqharness.campaign.folder.manifest import read_manifest, write_manifest
-from uqharness.campaign.folder.shards import merge, parse_shard, read_status
-from uqharness.campaign.folder.verify import RunOptions, salvage
+from uqharness.campaign.manifest import read_manifest, write_manifest
+from uqharness.campaign.processes import SerialExecutor
+from uqharness.campaign.read_spec import read_campaign
 from uqharness.campaign.run import find_mission, run_campaign
-from uqharness.campaign.spec.read import read_campaign
+from uqharness.campaign.shards import merge, parse_shard, read_status
+from uqharness.campaign.verify import RunOptions, salvage
 from uqharness.cli.main import main
 from uqharness.errors import BadInputError
 from uqharness.parquet_files import read_table
@@ -91,6 +91,20 @@ def test_auto_goes_on_in_the_engine_of_the_earlier_flights(spec):
         match="this campaign flies in the batch engine, and llvmlite is not installed",
     ):
         settled(spec, WITHOUT, PreviousEngine("batch"))
+
+
+def test_what_the_batch_engine_leaves_out_is_named_in_the_author_s_file(spec):
+    class Ignoring(Understanding):
+        def left_out(self, spec, varying):
+            return (f"{spec.aircraft / 'plane.xml'}:5: <magnetometer> is not understood",)
+
+    choice = settled(spec, replace(ALIKE, batch=Ignoring()))
+    place = spec.path.parent / "plane" / "plane.xml"
+    assert choice.engine == "batch"
+    assert choice.words == (
+        "batch, because it understands all that the flight reads; left out, since nothing reads"
+        f" it: {place}:5: <magnetometer> is not understood"
+    )
 
 
 def test_a_defect_of_the_batch_engine_leaves_the_campaign_to_jsbsim(spec):
