@@ -192,19 +192,20 @@ def control_delay_s(flights: Sequence[Flight], measured: Sequence[str]) -> float
 @dataclass(frozen=True)
 class _View:
     """One way to regress: half-power frequency of the filters [Hz], further delay of the controls
-    [s], time constant of reconstructed angles [s], and lags of the instruments [s].
+    [s], time constant of reconstructed angles [s], and lags of the instruments in the time in which
+    the aircraft flies its span.
     """
 
     cutoff_hz: float = 6.0
     late_s: float = 0.0
     time_constant_s: float = 3.0
-    lags_s: tuple[float, float] = (0.1, 0.16)
+    lags: tuple[float, float] = (1.4, 2.2)
 
 
 _VIEWS = (
     _View(),
-    _View(lags_s=(0.16, 0.24)),
-    _View(lags_s=(0.07, 0.13)),
+    _View(lags=(2.2, 3.3)),
+    _View(lags=(1.0, 1.8)),
     _View(cutoff_hz=4.0),
     _View(late_s=0.015),
     _View(late_s=-0.015),
@@ -212,7 +213,7 @@ _VIEWS = (
 """The first gives the estimates, the others their sensitivity to choices that a flight does not
 decide: memory of gusts and noise, noise in the regressors, and the servos' dynamics."""
 _ANGLE_VIEWS = (_View(time_constant_s=1.5), _View(time_constant_s=6.0))
-ENDOGENEITY = 0.3
+ENDOGENEITY = 0.2
 """Correlation between what the model does not explain and a regressor, one standard deviation."""
 BLOCK_S = 10.0
 """Length of a block of time, s: several short periods, Dutch rolls and gusts."""
@@ -457,7 +458,13 @@ def _regression_data(
         first += count
         noise += len(wanted) * _noise_of(forced, segment, noise_std, view.cutoff_hz)
     together = np.concatenate(demand)
-    lags = tuple(max(1, round(lag / cut[0].dt_s)) for lag in view.lags_s)
+    # Gusts that rotate the air are as long as the span, and filters remember their own width.
+    speed = float(np.mean(np.concatenate([c["V_mps"] for c in channels_of])))
+    span_s = aircraft.card.reference.b_m / max(speed, 1.0)
+    least = 2 * half_width(cut[0].dt_s, view.cutoff_hz) + 1
+    lags = tuple(
+        max(least + k, round(lag * span_s / cut[0].dt_s)) for k, lag in enumerate(view.lags)
+    )
     return _RegressionData(
         excess, columns, blocks, together.var(axis=0), noise / len(together), lags
     )
@@ -488,9 +495,10 @@ def _regress(
 
     A gust moves the aircraft and adds to the coefficient, noise enters the regressors and, through
     the autopilot, the controls: both correlate with the regressors of the same instant, and least
-    squares has dampings and control powers at half. The regressors of a tenth of a second before
-    are the instruments: the motion remembers them, gusts and noise hardly (Soderstrom and Stoica,
-    "Instrumental Variable Methods for System Identification", 1983; two-stage least squares).
+    squares has dampings and control powers at half. The regressors one or two spans of flight
+    before are the instruments: the motion remembers them, gusts and noise hardly (Soderstrom and
+    Stoica, "Instrumental Variable Methods for System Identification", 1983; two-stage least
+    squares).
 
     The sandwich over blocks allows for correlation within them. Beyond it, what the model does not
     explain (gusts that rotate the air, missing terms) may correlate with the regressors in every
