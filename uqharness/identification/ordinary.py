@@ -278,6 +278,16 @@ def identify_ordinary(
     callback("delay of the controls")
     delay_s = control_delay_s(flights, measured)
     unmeasured = sorted({c for f in flights for c in unmeasured_angles(f)})
+    # Without a vane the gusts are missing from the angle, and slopes would come out far too small.
+    angles = tuple(c.removesuffix("_rad") for c in unmeasured)
+    held = {
+        i: prior[n][1] if n in prior else 0.0
+        for i, n in enumerate(names)
+        if (parsed := split_name(n)) is not None and parsed[1].rstrip("2") in angles
+    }
+    begin = np.array(
+        [prior[n][0] if i in held and n in prior else initial[i] for i, n in enumerate(names)]
+    )
     views = [*_VIEWS, *(_ANGLE_VIEWS if unmeasured else ())]
     groups = _groups(names)
     means = {
@@ -290,10 +300,12 @@ def identify_ordinary(
     for number, view in enumerate(views):
         callback(f"regression {number + 1} of {len(views)}")
         data = _regression_data(
-            aircraft, flights, models, names, initial, measured, delay_s, view, unmeasured
+            aircraft, flights, models, names, begin, measured, delay_s, view, unmeasured
         )
-        estimates.append({c: _regress(data, c, members, initial) for c, members in groups.items()})
-    theta, cov, reason = initial.copy(), np.zeros((len(names), len(names))), {}
+        estimates.append(
+            {c: _regress(data, c, members, begin, held) for c, members in groups.items()}
+        )
+    theta, cov, reason = begin.copy(), np.zeros((len(names), len(names))), {}
     fit_share: dict[str, float] = {}
     for coefficient, members in groups.items():
         main = estimates[0][coefficient]
@@ -306,13 +318,17 @@ def identify_ordinary(
             + _from_air_data(main.theta, [split_name(names[i])[1] for i in members], errors, means)
         )
         theta[list(members)], block = _with_prior(
-            main.theta, covariance, [prior.get(names[i]) for i in members]
+            main.theta,
+            covariance,
+            [None if i in held else prior.get(names[i]) for i in members],
         )
         cov[np.ix_(list(members), list(members))] = block
         fit_share[coefficient] = main.unexplained
     std = np.sqrt(np.diagonal(cov))
     for i, (name, (low, high)) in enumerate(zip(names, limits, strict=True)):
-        if not np.isfinite(std[i]) or std[i] == 0.0:
+        if i in held and name not in prior:
+            reason[name] = "no vane measures its angle; give --prior FILE"
+        elif not np.isfinite(std[i]) or std[i] == 0.0:
             reason[name] = "no effect in these data"
         elif not low < theta[i] < high:
             reason[name] = f"at its bound [{low:g}, {high:g}]"
@@ -489,7 +505,11 @@ def _noise_of(
 
 
 def _regress(
-    data: _RegressionData, coefficient: str, members: Sequence[int], initial: FloatArray
+    data: _RegressionData,
+    coefficient: str,
+    members: Sequence[int],
+    initial: FloatArray,
+    held: Mapping[int, float] | None = None,
 ) -> _Regression:
     """Regress one coefficient by instrumental variables, with the covariance of clusters of time.
 
@@ -507,8 +527,11 @@ def _regress(
     that correlation times the unexplained part's standard deviation over that of what the
     regressor has alone. It does not fall with the length of the flight, and it is zero for a model
     that leaves sensor noise.
+
+    Parameters that are ``held`` keep their start values with a standard deviation, which adds to
+    the covariance of the others.
     """
-    k = _ORDER.index(coefficient)
+    k, held = _ORDER.index(coefficient), held or {}
     first, last = max(data.lags), min(data.lags)
     x, y, z, block = [], [], [], []
     for piece, (excess, of) in enumerate(zip(data.excess, data.block, strict=True)):
@@ -521,6 +544,10 @@ def _regress(
         z.append(np.column_stack([part[first - lag : n - lag] for lag in (first, last)]))
         block.append(of[first:])
     regressors, target, instruments = (np.concatenate(v) for v in (x, y, z))
+    fixed = np.array([i in held for i in members])
+    fixed_columns = regressors[:, fixed]
+    regressors = np.where(fixed, 0.0, regressors)
+    instruments = np.where(np.tile(fixed, 2), 0.0, instruments)
     cluster = np.concatenate(block)
     scale = np.sqrt(np.mean(regressors**2, axis=0))
     usable = scale > 0.0
@@ -544,6 +571,11 @@ def _regress(
     cov = (sandwich + bias) / np.outer(scale, scale)
     cov[~usable, :] = 0.0
     cov[:, ~usable] = 0.0
+    change = np.zeros((len(members), int(fixed.sum())))
+    change[usable] = -(inverse @ (fitted.T @ fixed_columns) / scale[:, None])[usable]
+    change[fixed] = np.eye(int(fixed.sum()))
+    known = np.diag([held[i] ** 2 for i in members if i in held])
+    cov += change @ known @ change.T
     theta = initial[list(members)] + np.where(usable, delta / scale, 0.0)
     return _Regression(theta, cov, rho)
 

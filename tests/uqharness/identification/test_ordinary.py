@@ -66,7 +66,7 @@ def test_intervals_hold_the_truth_and_grow_with_the_unexplained_share() -> None:
     quiet = _regress(_rolling(1, gust=0.05), "Cl", (0, 1), np.zeros(2))
     gusty = _regress(_rolling(1), "Cl", (0, 1), np.zeros(2))
     assert quiet.unexplained < gusty.unexplained
-    assert quiet.cov[0, 0] < 0.2 * gusty.cov[0, 0]
+    assert quiet.cov[0, 0] < 0.5 * gusty.cov[0, 0]
 
 
 def test_prior_and_data_combine_by_their_information() -> None:
