@@ -38,6 +38,7 @@ DOORS: Mapping[str, tuple[str, ...]] = {
         "uqharness/child_process.py",
         "sysid/foreign/limited.py",  # the reader of foreign logs, below uqharness
         "uqharness/differences/revisions.py",  # git
+        "uqharness/flight/autopilot_process.py",  # the autopilot that a user brings
     ),
     "concurrent": (
         "uqharness/parallel.py",

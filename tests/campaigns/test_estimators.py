@@ -12,7 +12,8 @@ from campaigns.estimators.reproduce import CASES, binomial_range, run_case
 BY_NAME = {case.name: case for case in CASES}
 
 
-@pytest.mark.parametrize("plane", ["longitudinal", pytest.param("lateral", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("plane", ["longitudinal", "lateral"])
 def test_calm_air_is_covered(plane):
     table = run_case(BY_NAME[f"{plane}, calm, output_error"], 12, [300] * 3)
     pooled = table.iloc[-1]

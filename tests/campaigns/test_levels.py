@@ -32,6 +32,7 @@ def test_limits_that_take_too_little_into_account_do_not():
     assert by_name[clustered]["excursions_if_poisson"] > 5.0 * ERROR
 
 
+@pytest.mark.slow
 def test_it_writes_its_table(tmp_path, capsys):
     assert main(["--out", str(tmp_path), "--repeats", "1000"]) == 0
     assert len((tmp_path / "levels.csv").read_text().splitlines()) == 1 + len(TRUTHS)

@@ -42,6 +42,7 @@ def answers() -> list[dict[str, Any]]:
     return [JUDGE.run_seed(CASES[name], 3) for name in ("nominal-calm", "truth-calm")]
 
 
+@pytest.mark.slow
 def test_the_model_has_no_error_against_itself_and_the_truth_has_its_four():
     nominal, truth = (quiet_bounds_flight(name) for name in ("nominal-calm", "truth-calm"))
     assert not nominal.true.delta.any()
