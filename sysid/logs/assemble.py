@@ -75,7 +75,8 @@ def assemble(
     # A copy whose messages are dropped one by one as the record grows.
     raw = replace(raw, messages=dict(raw.messages))  # ours to empty as the work proceeds
     mode = mode_rows(raw, signal_map.rows)
-    selection = partial(selected, rows=signal_map.rows, mode=mode)
+    # Clocks are aligned over both parts of a flight, which then agree.
+    selection = partial(selected, rows=replace(signal_map.rows, part=""), mode=mode)
     raw, assumed = align_clocks(raw, signal_map.clocks, selection)
     sensors = Sensors(raw, signal_map.sensors)
     start = _start(raw, sensors)

@@ -159,6 +159,10 @@ def selected(
     if mode is not None:
         at = np.searchsorted(mode[0], time_s, side="right") - 1
         chosen &= (at >= 0) & np.isin(mode[1][np.maximum(at, 0)], rows.values)
+    if rows.part and chosen.any():
+        # Blocks count from the first selected row, so that both parts have the same length.
+        number = np.floor((time_s - time_s[chosen][0]) / rows.block_s).astype(int)
+        chosen &= number % 2 == (0 if rows.part == "odd" else 1)
     return chosen
 
 
@@ -187,6 +191,8 @@ def select_rows(
     if rows.source is not None and mode is not None:
         values = " or ".join(f"{value:g}" for value in rows.values)
         texts.append(f"{'.'.join(rows.source)} = {values}")
+    if rows.part:
+        texts.append(f"{rows.part} blocks of {rows.block_s:g} s")
     if not texts or bool(chosen.all()):
         return record
     if int(chosen.sum()) < 2:

@@ -260,12 +260,19 @@ class RowSelection:
         Message and field of a mode.
     values : tuple of float
         Values of that field in the selected rows.
+    part : str
+        "odd" or "even" blocks of time, counted from 1, or "" for all: two parts of one flight, in
+        both of which all conditions occur.
+    block_s : float
+        Length of the blocks, s.
     """
 
     from_s: float = -math.inf
     to_s: float = math.inf
     source: tuple[str, str] | None = None
     values: tuple[float, ...] = ()
+    part: str = ""
+    block_s: float = 30.0
 
 
 @dataclass(frozen=True)
@@ -534,7 +541,7 @@ def _rows(data: Any, name: str) -> RowSelection:
     where = "[rows]"
     if not isinstance(data, dict):
         raise LogError("must be a table such as from_s = 100.0", name, where)
-    allowed = ["from_s", "to_s", "message", "field", "values"]
+    allowed = ["from_s", "to_s", "message", "field", "values", "part", "block_s"]
     if unknown := sorted(set(data) - set(allowed)):
         raise LogError(f"unknown keys {unknown}; allowed are {allowed}", name, where)
     keys = [key in data for key in ("message", "field", "values")]
@@ -548,11 +555,20 @@ def _rows(data: Any, name: str) -> RowSelection:
     end = _number(data["to_s"], name, where) if "to_s" in data else math.inf
     if start >= end:
         raise LogError(f"from_s = {start:g} must be less than to_s = {end:g}", name, where)
+    part = data.get("part", "")
+    if part not in ("", "odd", "even"):
+        text = f'part = {part!r}; allowed are "odd" and "even" blocks of time'
+        raise LogError(text, name, where)
+    block_s = _number(data.get("block_s", 30.0), name, where)
+    if block_s <= 0.0:
+        raise LogError(f"block_s = {block_s:g} must be above 0", name, where)
     return RowSelection(
         start,
         end,
         (str(data["message"]), str(data["field"])) if any(keys) else None,
         tuple(_number(value, name, where) for value in values),
+        str(part),
+        block_s,
     )
 
 

@@ -176,6 +176,23 @@ def test_mode_and_times_select_rows(files: tuple[Path, Path]) -> None:
         )
 
 
+def test_odd_and_even_blocks_share_a_flight(files: tuple[Path, Path]) -> None:
+    rows = '[rows]\nfrom_s = 101.0\nblock_s = 5.0\npart = "{}"\n'
+    parts = [
+        import_log(files[0], _with_line(files[1], rows.format(part))) for part in ("odd", "even")
+    ]
+    times = [set(part["time_s"].round(3).tolist()) for part in parts]
+    assert not times[0] & times[1]
+    assert len(times[0] | times[1]) == N - 50
+    assert abs(len(times[0]) - len(times[1])) <= 250
+    assert min(times[0]) == pytest.approx(101.0)
+    offsets = [
+        next(f.numbers["offset_s"] for f in p.metadata.findings if f.code == "assumed-clock")
+        for p in parts
+    ]
+    assert offsets[0] == offsets[1]
+
+
 @pytest.mark.parametrize(
     ("content", "message"),
     [
@@ -217,6 +234,7 @@ def test_damaged_files_end_in_a_message(files: tuple[Path, Path], tmp_path: Path
         ('[derived.thrust_N]\nfunction = "propeller_thrust"', "diameter_m is missing"),
         ('[rows]\nfield = "mode"', "belong together"),
         ("[rows]\nfrom_s = 5\nto_s = 4", "must be less"),
+        ('[rows]\npart = "third"', "odd"),
         ('[signals.V_mps]\nmessage = "m"\nfield = "v"\nunit = "deg"', "allowed for V_mps"),
         ('[signals.V_mps]\nmessage = "m"\nfield = "v"\nsign = 2', "1 and -1"),
         ('[signals.V_mps]\nmessage = "m"\nfields = ["v"]\nfunction = "sum"', "weights"),
