@@ -18,6 +18,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from scipy.special import ndtr
@@ -56,7 +57,7 @@ class ForecastComparison:
         Predictions, and independent blocks of time.
     """
 
-    better: str
+    better: Literal["A", "B", "no difference"]
     difference: float
     low: float
     high: float
@@ -133,7 +134,7 @@ def compare_forecasts(
     draws = _circular_blocks(times_s, block_s, rng)
     overall = _interval(total, draws, blocks)
     by_horizon = tuple(_interval(per_horizon[:, k], draws, blocks) for k in range(len(horizons_s)))
-    better = "no difference"
+    better: Literal["A", "B", "no difference"] = "no difference"
     if overall[1] > 0.0:
         better = "A"
     elif overall[2] < 0.0:

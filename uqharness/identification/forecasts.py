@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
@@ -87,7 +88,7 @@ class ForecastContest:
     notes: tuple[str, ...] = ()
 
     @property
-    def better(self) -> str:
+    def better(self) -> Literal["A", "B", "no difference"]:
         """Return "A", "B" or "no difference"."""
         return self.comparison.better
 

@@ -54,6 +54,8 @@ MIN_S = 30.0
 MANOEUVRE_S = 40.0
 """Longest test manoeuvre, s; a longer label names a phase of the flight, such as a loiter."""
 PIECE_S = 20.0
+MANOEUVRE_SHARE, _MARGIN_S = 0.1, 2.0
+"""Share of the flight below which manoeuvres, with a margin [s] on both sides, are ignored."""
 _DELAYS_S = tuple(0.01 * k for k in range(-3, 21))
 _AXES = (
     ("p_radps", ("beta_rad", "p_radps", "r_radps"), ("aileron", "rudder")),
@@ -69,7 +71,17 @@ def is_ordinary(flight: Flight) -> bool:
     seconds = float(record["time_s"][-1] - record["time_s"][0])
     if not record.metadata.native_hz or seconds < MIN_S or _has_short_label(record):
         return False
-    return not find_manoeuvres(record)
+    # Commands jump where rows are missing; that is no input. A few pulses that the search finds in
+    # an autopilot's commands do not make a test flight.
+    time_s = record["time_s"]
+    gaps = time_s[:-1][np.diff(time_s) > 1.5 * record.dt_s]
+    pulses = [
+        m
+        for m in find_manoeuvres(record)
+        if not np.any((gaps > m.start_s - _MARGIN_S) & (gaps < m.end_s + _MARGIN_S))
+    ]
+    covered_s = sum(m.end_s - m.start_s + 2.0 * _MARGIN_S for m in pulses)
+    return covered_s < MANOEUVRE_SHARE * len(record) * record.dt_s
 
 
 def _has_short_label(record: FlightRecord) -> bool:
@@ -476,7 +488,7 @@ def _regression_data(
     together = np.concatenate(demand)
     # Gusts that rotate the air are as long as the span, and filters remember their own width.
     speed = float(np.mean(np.concatenate([c["V_mps"] for c in channels_of])))
-    span_s = aircraft.card.reference.b_m / max(speed, 1.0)
+    span_s = forced_models[0][0].mass.b / max(speed, 1.0)
     least = 2 * half_width(cut[0].dt_s, view.cutoff_hz) + 1
     lags = tuple(
         max(least + k, round(lag * span_s / cut[0].dt_s)) for k, lag in enumerate(view.lags)
