@@ -3,6 +3,8 @@ from .card import AirframeCard as AirframeCard
 from .card import Reference as Reference
 from .card import Sensors as Sensors
 from .card import read_card as read_card
+from .channels import alpha_of as alpha_of
+from .channels import beta_of as beta_of
 from .checking.checks import check_units as check_units
 from .checking.checks import in_degrees as in_degrees
 from .checking.kinematics import Relation as Relation

@@ -8,8 +8,13 @@ from __future__ import annotations
 
 from uqharness.commands import identification as commands
 from uqharness.heartbeat import notebook_line
-from uqharness.identification import Comparison, Identification, MadeBounds, Validation
-from uqharness.identification.forecasts import ForecastContest
+from uqharness.identification import (
+    Comparison,
+    ForecastContest,
+    Identification,
+    MadeBounds,
+    Validation,
+)
 from uqharness.isolation import isolated
 from uqharness.requests.base import accepts
 from uqharness.requests.identification import (

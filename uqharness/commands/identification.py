@@ -29,22 +29,24 @@ from uqharness.identification import (
     BoundsOptions,
     Comparison,
     CutoffRow,
+    ForecastContest,
+    Forecaster,
     Identification,
     MadeBounds,
     Validation,
     choose_servos,
+    compare_models,
     failed,
     load_form,
     make_bounds,
     mean_left_out,
     parse_designs,
+    read_prior,
     validate,
     verdicts,
 )
 from uqharness.identification.compare import compare as measure_gap
-from uqharness.identification.forecasts import ForecastContest, Forecaster, compare_models
 from uqharness.identification.identify import identify as estimate
-from uqharness.identification.prior import read_prior
 from uqharness.plugin import Estimate, write_estimates
 from uqharness.plugin.model_form_xml import model_form_xml
 from uqharness.replay import (

@@ -15,7 +15,7 @@ from scipy.optimize import least_squares
 
 from sysid.aerodynamics import smooth
 from sysid.arrays import FloatArray
-from sysid.logs.channels import alpha_of, beta_of
+from sysid.logs import alpha_of, beta_of
 from sysid.record import FlightRecord
 from sysid.units import G0_MPS2
 

@@ -15,12 +15,20 @@ import numpy as np
 
 from sysid.aerodynamics import Piece
 from sysid.arrays import FloatArray
-from sysid.estimation.forecasts import ForecastComparison, compare_forecasts
+from sysid.estimation import ForecastComparison, compare_forecasts
 from uqharness.errors import BadInputError
 from uqharness.identification.replay_fit import OUTPUTS
-from uqharness.replay import CHANNELS, CONTROLS, Flight, ReplayFolder, ReplayModel, Segment
+from uqharness.replay import (
+    CHANNELS,
+    CONTROLS,
+    Flight,
+    ReplayFolder,
+    ReplayJob,
+    ReplayModel,
+    Segment,
+    fly_all,
+)
 from uqharness.replay.flights import control_columns, segments
-from uqharness.replay.in_lanes import ReplayJob, fly_all
 from uqharness.simulator import Aircraft
 
 HORIZONS_S = (0.2, 0.5, 1.0, 2.0, 5.0, 10.0)

@@ -20,8 +20,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sysid.aerodynamics import Piece, demanded, half_width, regressor, smooth, split_name
-from sysid.aerodynamics.coefficients import kernel
+from sysid.aerodynamics import Piece, demanded, half_width, kernel, regressor, smooth, split_name
 from sysid.arrays import FloatArray
 from sysid.estimation import channel_noise
 from sysid.logs import find_manoeuvres
@@ -317,6 +316,7 @@ def identify_ordinary(
         estimates.append(
             {c: _regress(data, c, members, begin, held) for c, members in groups.items()}
         )
+    terms = {i: n.removeprefix("aero/").partition("_")[2] for i, n in enumerate(names)}
     theta, cov, reason = begin.copy(), np.zeros((len(names), len(names))), {}
     fit_share: dict[str, float] = {}
     for coefficient, members in groups.items():
@@ -327,7 +327,7 @@ def identify_ordinary(
         covariance = (
             main.cov
             + np.diag(square)
-            + _from_air_data(main.theta, [split_name(names[i])[1] for i in members], errors, means)
+            + _from_air_data(main.theta, [terms[i] for i in members], errors, means)
         )
         theta[list(members)], block = _with_prior(
             main.theta,
