@@ -26,9 +26,10 @@ from uqharness.replay import (
     ReplayJob,
     ReplayModel,
     Segment,
+    control_columns,
     fly_all,
 )
-from uqharness.replay.flights import control_columns, segments
+from uqharness.replay.flights import segments
 from uqharness.simulator import Aircraft
 
 HORIZONS_S = (0.2, 0.5, 1.0, 2.0, 5.0, 10.0)

@@ -41,11 +41,12 @@ from uqharness.replay import (
     ReplayJob,
     ReplayModel,
     Segment,
+    control_columns,
     fly_all,
     measured_outputs,
     states,
 )
-from uqharness.replay.flights import control_columns, segments
+from uqharness.replay.flights import segments
 from uqharness.simulator import Aircraft
 
 MIN_S = 30.0
