@@ -90,7 +90,7 @@ class Metadata:
     sha256 : str
         Digest of the log; "" if not computed.
     dialect : str
-        dataflash, dataflash-text, tlog, ulog, record, jsbsim-csv or simulation.
+        dataflash, dataflash-text, tlog, ulog, mat, record, jsbsim-csv or simulation.
     vehicle : str
         Vehicle as the log names it, such as "ArduPlane V4.7.0".
     aircraft : str

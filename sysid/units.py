@@ -9,6 +9,7 @@ last digits.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 IN_M = 0.0254
 FT_M = 0.3048
@@ -26,6 +27,46 @@ DEG_RAD = math.radians(1.0)
 SHORT_DEG_RAD = 0.017453293  # JSBSim's own, where a component takes an angle in degrees
 G0_MPS2 = 9.80665
 """Standard gravity, m/s2. The gravity of JSBSim depends on the place."""
+
+
+UNITS: Mapping[str, Mapping[str, float]] = {
+    "rad": {
+        "rad": 1.0,
+        "deg": DEG_RAD,
+        "degree": DEG_RAD,
+        "degrees": DEG_RAD,
+        "°": DEG_RAD,
+        "mrad": 1e-3,
+    },
+    "rad/s": {
+        **dict.fromkeys(("rad/s", "radps", "rad/sec", "rads", "rps"), 1.0),
+        **dict.fromkeys(("deg/s", "degps", "deg/sec", "dps", "degs", "°/s"), DEG_RAD),
+        "mrad/s": 1e-3,
+    },
+    "m/s": {
+        **dict.fromkeys(("m/s", "mps", "m/sec", "ms"), 1.0),
+        **dict.fromkeys(("kt", "kts", "kn", "knots", "knot"), KT_MPS),
+        **dict.fromkeys(("ft/s", "fps", "ft/sec"), FT_M),
+        **dict.fromkeys(("ft/min", "fpm"), FT_M / 60.0),
+        **dict.fromkeys(("km/h", "kmh", "kph"), 1.0 / 3.6),
+        **dict.fromkeys(("mph", "mi/h"), 0.44704),
+        "cm/s": 0.01,
+        "cms": 0.01,
+    },
+    "m/s2": {
+        **dict.fromkeys(("m/s2", "m/s^2", "m/s/s", "mps2", "mss", "m/s²"), 1.0),
+        **dict.fromkeys(("g", "gs", "gn"), G0_MPS2),
+        "mg": 1e-3 * G0_MPS2,
+        **dict.fromkeys(("ft/s2", "ft/s^2", "fps2", "ft/sec2"), FT_M),
+    },
+    "m": {"m": 1.0, "ft": FT_M, "feet": FT_M, "cm": 0.01, "mm": 1e-3, "km": 1e3},
+    "deg": {"deg": 1.0, "degree": 1.0, "degrees": 1.0, "°": 1.0, "rad": 1.0 / DEG_RAD},
+    "%": {"%": 1.0, "pct": 1.0, "percent": 1.0, "norm": 100.0},
+    "1/min": {"rpm": 1.0, "1/min": 1.0, "hz": 60.0, "1/s": 60.0},
+    "N": {"n": 1.0, "lbf": LBF_N, "lbs": LBF_N, "lb": LBF_N, "kn": 1e3, "kgf": G0_MPS2},
+    "kg/m3": {"kg/m3": 1.0, "kg/m^3": 1.0, "kgpm3": 1.0, "slug/ft3": SLUG_FT3_KGPM3},
+}
+"""Unit of a signal -> unit as people write it -> factor into the unit of the signal."""
 
 
 def significant(value: float, digits: int = 2) -> str:

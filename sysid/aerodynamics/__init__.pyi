@@ -10,6 +10,7 @@ from .coefficients import Term as Term
 from .coefficients import demanded as demanded
 from .coefficients import full_polynomial as full_polynomial
 from .coefficients import half_width as half_width
+from .coefficients import kernel as kernel
 from .coefficients import parse_term as parse_term
 from .coefficients import regressor as regressor
 from .coefficients import regressors as regressors

@@ -6,6 +6,8 @@ from .coloured_residuals import coloured_information as coloured_information
 from .coloured_residuals import effective_samples as effective_samples
 from .coloured_residuals import integral_time as integral_time
 from .coloured_residuals import ljung_box as ljung_box
+from .forecasts import ForecastComparison as ForecastComparison
+from .forecasts import compare_forecasts as compare_forecasts
 from .gaps import NOISE_FLOOR as NOISE_FLOOR
 from .gaps import Shift as Shift
 from .gaps import Theil as Theil

@@ -74,6 +74,8 @@ LIMITS = {
     # pandas reads 20 to 100 MB/s. A cell of two characters becomes a number of 8 bytes, of
     # which pandas holds two copies for a while.
     "csv": Limit(10.0, 2e6, 400_000_000, 16.0),
+    # scipy and h5py read 20 MB/s and more of compressed files, which hold factors of two to ten.
+    "mat": Limit(10.0, 1e6, 600_000_000, 40.0),
     # Parquet compresses: a factor of ten is usual for a flight, a factor of thousands is a bomb.
     "parquet": Limit(10.0, 1e6, 600_000_000, 40.0),
 }
@@ -111,7 +113,7 @@ def read_raw(
     Parameters
     ----------
     path : Path
-        File of one of the dialects ulog, tlog, csv, jsbsim-csv and parquet.
+        File of one of the dialects ulog, tlog, mat, csv, jsbsim-csv and parquet.
     dialect : str
         Its dialect.
     selection : mapping or None

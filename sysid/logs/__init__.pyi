@@ -3,6 +3,8 @@ from .card import AirframeCard as AirframeCard
 from .card import Reference as Reference
 from .card import Sensors as Sensors
 from .card import read_card as read_card
+from .channels import alpha_of as alpha_of
+from .channels import beta_of as beta_of
 from .checking.checks import check_units as check_units
 from .checking.checks import in_degrees as in_degrees
 from .checking.kinematics import Relation as Relation
@@ -15,6 +17,7 @@ from .info import no_aeroplane as no_aeroplane
 from .load import default_cache as default_cache
 from .load import import_log as import_log
 from .manoeuvres import FROM_COMMANDS as FROM_COMMANDS
+from .manoeuvres import find_manoeuvres as find_manoeuvres
 from .manoeuvres import label_from_commands as label_from_commands
 from .manoeuvres import with_manoeuvres as with_manoeuvres
 from .map_proposal import MapProposal as MapProposal

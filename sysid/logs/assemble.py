@@ -7,6 +7,7 @@ across a gap. `bridge` fills short dropouts of a finished record. No files are r
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -25,7 +26,10 @@ from sysid.logs.checking.checks import (
     check_record,
     estimated_channels,
     one_per_cause,
+    recheck,
 )
+from sysid.logs.clocks import align_clocks
+from sysid.logs.derived import mode_rows, select_rows, selected, with_derived
 from sysid.logs.importers.tables import columns_message
 from sysid.logs.manoeuvres import FlightPhase, find_free_flight, find_loiters, loiter_commands
 from sysid.logs.sensors import Sensors
@@ -70,6 +74,10 @@ def assemble(
     """
     # A copy whose messages are dropped one by one as the record grows.
     raw = replace(raw, messages=dict(raw.messages))  # ours to empty as the work proceeds
+    mode = mode_rows(raw, signal_map.rows)
+    # Clocks are aligned over both parts of a flight, which then agree.
+    selection = partial(selected, rows=replace(signal_map.rows, part=""), mode=mode)
+    raw, assumed = align_clocks(raw, signal_map.clocks, selection)
     sensors = Sensors(raw, signal_map.sensors)
     start = _start(raw, sensors)
     loiters = loiter_commands(raw, start)
@@ -102,6 +110,11 @@ def assemble(
         if name == "mode":
             columns[name] = _mode_names(columns[name], raw)
             mode_changes = channel.time_s[1:][np.diff(channel.values) != 0]
+    labels_of_derived, notes = with_derived(columns, signal_map.derived)
+    for name, label in labels_of_derived.items():
+        _, rate, estimate = origin.get(name, ("", math.nan, False))
+        origin[name] = (label, rate, estimate)
+    assumed += notes
     findings += _servo_tables(servo_controls, {n: label for n, (label, _, _) in origin.items()})
     labels = _manoeuvres(raw, grid)
     if labels is not None:
@@ -140,10 +153,25 @@ def assemble(
             phase.reason,
             {} if phase.tow_s is None else {"tow_end_s": phase.tow_s[1]},
         ),
+        *assumed,
         *findings,
     ]
     record = FlightRecord(record.columns, replace(meta, findings=tuple(findings)))
-    return with_checks(record) if run_checks else record
+    subset = select_rows(record, signal_map.rows, mode)
+    if not run_checks:
+        return subset
+    return with_checks(record) if subset is record else with_current_checks(subset)
+
+
+def with_current_checks(record: FlightRecord) -> FlightRecord:
+    """Return the record with all checks of its own rows run again.
+
+    It may have been imported by a version that lacked some of them, or with rows that are gone.
+    """
+    findings = recheck(record)
+    estimates = estimated_channels(record.metadata.estimates, findings)
+    meta = replace(record.metadata, findings=tuple(findings), estimates=estimates)
+    return replace(record, metadata=meta)
 
 
 def with_checks(record: FlightRecord) -> FlightRecord:

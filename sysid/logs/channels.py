@@ -215,6 +215,10 @@ def _apply(entry: Entry, fields: list[FloatArray], time_s: FloatArray) -> FloatA
                 return offset + scale * x
             case "heading":
                 return np.mod(offset + scale * x, 2 * np.pi)
+            case "mean":
+                return offset + scale * np.mean(fields, axis=0)
+            case "sum":
+                return offset + scale * np.tensordot(np.array(entry.weights), fields, axes=1)
             case "product":
                 return offset + scale * x * fields[1]
             case "polar_cos":

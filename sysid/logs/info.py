@@ -377,7 +377,7 @@ def _identification(record: FlightRecord) -> tuple[bool, str]:
     if estimates:
         note = f"; {' and '.join(estimates)} are estimates: good in calm air only"
     elif _missing(record, ("alpha_rad", "beta_rad")):
-        note = "; no alpha or beta: reconstruct the flight path first"
+        note = "; no alpha or beta: their terms keep the values of --prior FILE, or of the aircraft"
     else:
         note = ""
     return (

@@ -7,6 +7,7 @@ that combines file access with the computations of the others.
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import sys
 from dataclasses import replace
@@ -19,13 +20,13 @@ from sysid.errors import Finding, LogError
 from sysid.foreign import limited
 from sysid.foreign.raw import ProgressCallback, RawLog
 from sysid.foreign.regular_files import read_regular_text
-from sysid.logs.assemble import assemble, with_checks
+from sysid.logs.assemble import assemble, with_checks, with_current_checks
 from sysid.logs.card import AirframeCard, read_card
 from sysid.logs.channels import wrap_angles
-from sysid.logs.checking.checks import estimated_channels, recheck
+from sysid.logs.derived import assumptions, select_rows
 from sysid.logs.importers import dataflash
 from sysid.logs.importers.detect import detect
-from sysid.logs.signal_map import Entry, SignalMap, read_map, shipped_map
+from sysid.logs.signal_map import Entry, RowSelection, SignalMap, read_map, shipped_map
 from sysid.logs.time_base import split
 from sysid.record import Boot, FlightRecord
 from sysid.vocabulary import SIGNALS
@@ -106,6 +107,8 @@ def import_log(
     flight_number: int | None = None,
     cache: Path | None = None,
     callback: ProgressCallback | None = None,
+    from_s: float | None = None,
+    to_s: float | None = None,
 ) -> FlightRecord:
     """Read any supported log into a record of its whole length.
 
@@ -114,7 +117,7 @@ def import_log(
     Parameters
     ----------
     path : Path
-        DataFlash, MAVLink telemetry, ULog, table (CSV, Parquet) or flight record.
+        DataFlash, MAVLink telemetry, ULog, MATLAB, table (CSV, Parquet) or flight record.
     map_path : Path, optional
         User's signal map, which overlays the map of the dialect.
     card_path : Path, optional
@@ -125,6 +128,8 @@ def import_log(
         Folder for cached records; None reads without a cache.
     callback : callable, optional
         Called with the share read, 0 to 1.
+    from_s, to_s : float, optional
+        First and last time of the rows to keep, s of the log.
 
     Returns
     -------
@@ -137,6 +142,26 @@ def import_log(
     LogError
         If the file, the map or the card cannot be used.
     """
+    record = _whole_log(path, map_path, card_path, flight_number, cache, callback)
+    if from_s is None and to_s is None:
+        return record
+    start_s = -math.inf if from_s is None else from_s
+    end_s = math.inf if to_s is None else to_s
+    try:
+        return with_current_checks(select_rows(record, RowSelection(start_s, end_s)))
+    except LogError as error:
+        raise LogError(str(error), path) from None
+
+
+def _whole_log(
+    path: Path,
+    map_path: Path | None,
+    card_path: Path | None,
+    flight_number: int | None,
+    cache: Path | None,
+    callback: ProgressCallback | None,
+) -> FlightRecord:
+    """Return the record of the rows that the map selects, from the cache if it is there."""
     dialect = detect(path)
     user_map = None if map_path is None else read_map(map_path)
     card = None if card_path is None else read_card(card_path)
@@ -151,7 +176,7 @@ def import_log(
             # An interrupted run left half a file: import again.
             stored.unlink(missing_ok=True)  # cut short by an interrupted run: make it anew
         else:
-            return _with_current_checks(
+            return with_current_checks(
                 replace(record, metadata=replace(record.metadata, source=path.name))
             )
     record = _assemble(
@@ -188,9 +213,10 @@ def _assemble(
             raise
         raise LogError(str(e), path) from None
     mapped = {} if user_map is None else user_map.entries
-    return _with_findings(
-        record, [_not_in_log(n, entries) for n, entries in mapped.items() if n not in record]
-    )
+    findings = [_not_in_log(n, entries) for n, entries in mapped.items() if n not in record]
+    if user_map is not None:
+        findings += assumptions(user_map, record.metadata.channels)
+    return _with_findings(record, findings)
 
 
 def _with_findings(record: FlightRecord, findings: list[Finding]) -> FlightRecord:
@@ -346,15 +372,4 @@ def _record_file(path: Path) -> FlightRecord:
             " a --map",
             path,
         )
-    return _with_current_checks(record)
-
-
-def _with_current_checks(record: FlightRecord) -> FlightRecord:
-    """Return the record with the findings of the current checks.
-
-    It may have been imported by a version that lacked some of them.
-    """
-    findings = recheck(record)
-    estimates = estimated_channels(record.metadata.estimates, findings)
-    meta = replace(record.metadata, findings=tuple(findings), estimates=estimates)
-    return replace(record, metadata=meta)
+    return with_current_checks(record)

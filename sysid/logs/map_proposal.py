@@ -29,42 +29,11 @@ from sysid.logs.load import map_of_dialect, read_raw
 from sysid.logs.sensors import Sensors
 from sysid.logs.signal_map import Entry, SignalMap
 from sysid.record import FlightRecord
-from sysid.units import FT_M, G0_MPS2, KT_MPS, LBF_N, SLUG_FT3_KGPM3
+from sysid.units import FT_M, G0_MPS2, UNITS
 from sysid.vocabulary import LABELS, SIGNALS
 
 _RAD = math.pi / 180.0
-_UNITS: Mapping[str, Mapping[str, float]] = {
-    # unit of the signal -> unit as people write it -> factor into the signal's unit
-    "rad": {"rad": 1.0, "deg": _RAD, "degree": _RAD, "degrees": _RAD, "°": _RAD, "mrad": 1e-3},
-    "rad/s": {
-        **dict.fromkeys(("rad/s", "radps", "rad/sec", "rads", "rps"), 1.0),
-        **dict.fromkeys(("deg/s", "degps", "deg/sec", "dps", "degs", "°/s"), _RAD),
-        "mrad/s": 1e-3,
-    },
-    "m/s": {
-        **dict.fromkeys(("m/s", "mps", "m/sec", "ms"), 1.0),
-        **dict.fromkeys(("kt", "kts", "kn", "knots", "knot"), KT_MPS),
-        **dict.fromkeys(("ft/s", "fps", "ft/sec"), FT_M),
-        **dict.fromkeys(("ft/min", "fpm"), FT_M / 60.0),
-        **dict.fromkeys(("km/h", "kmh", "kph"), 1.0 / 3.6),
-        **dict.fromkeys(("mph", "mi/h"), 0.44704),
-        "cm/s": 0.01,
-        "cms": 0.01,
-    },
-    "m/s2": {
-        **dict.fromkeys(("m/s2", "m/s^2", "m/s/s", "mps2", "mss", "m/s²"), 1.0),
-        **dict.fromkeys(("g", "gs", "gn"), G0_MPS2),
-        "mg": 1e-3 * G0_MPS2,
-        **dict.fromkeys(("ft/s2", "ft/s^2", "fps2", "ft/sec2"), FT_M),
-    },
-    "m": {"m": 1.0, "ft": FT_M, "feet": FT_M, "cm": 0.01, "mm": 1e-3, "km": 1e3},
-    "deg": {"deg": 1.0, "degree": 1.0, "degrees": 1.0, "°": 1.0, "rad": 1.0 / _RAD},
-    "%": {"%": 1.0, "pct": 1.0, "percent": 1.0, "norm": 100.0},
-    "1/min": {"rpm": 1.0, "1/min": 1.0, "hz": 60.0, "1/s": 60.0},
-    "N": {"n": 1.0, "lbf": LBF_N, "lbs": LBF_N, "lb": LBF_N, "kn": 1e3, "kgf": G0_MPS2},
-    "kg/m3": {"kg/m3": 1.0, "kg/m^3": 1.0, "kgpm3": 1.0, "slug/ft3": SLUG_FT3_KGPM3},
-}
-_SUFFIXES = frozenset(u for units in _UNITS.values() for u in units if u.isalnum()) - {"n", "gs"}
+_SUFFIXES = frozenset(u for units in UNITS.values() for u in units if u.isalnum()) - {"n", "gs"}
 
 
 def _axes(signals: Sequence[str], patterns: str, names: Sequence[Sequence[str]]) -> dict[str, str]:
@@ -293,7 +262,7 @@ def _by_name(raw: RawLog, present: Mapping[str, Proposal]) -> dict[str, Proposal
 
     In logs that have messages of their own, short names are ambiguous and are left out.
     """
-    table = any(message == "csv" for message, _ in raw.messages)
+    table = raw.dialect == "mat" or any(message == "csv" for message, _ in raw.messages)
     used_fields = {(p.entry.message, f) for p in present.values() for f in p.entry.fields}
     matches: dict[str, list[tuple[int, str, str]]] = {}
     for (message, instance), content in raw.messages.items():
@@ -328,9 +297,7 @@ def _split(field: str) -> tuple[str, str | None]:
         # Units of several words such as "m/s" are tried first.
         for count in (3, 2, 1):
             suffix = "/".join(words[-count:])
-            suffix_unit = (
-                suffix if count > 1 and any(suffix in u for u in _UNITS.values()) else None
-            )
+            suffix_unit = suffix if count > 1 and any(suffix in u for u in UNITS.values()) else None
             if count == 1 and words and words[-1] in _SUFFIXES:
                 suffix_unit = words[-1]
             if suffix_unit is not None and len(words) > count:
@@ -402,8 +369,8 @@ def _propose_field(
     scale, function = 1.0, "value"
     pwm: tuple[tuple[float, float], ...] = ()
     # A unit by name counts most; without one the size of the values decides.
-    if unit is not None and unit in _UNITS.get(signal_unit, {}):
-        scale = _UNITS[signal_unit][unit]
+    if unit is not None and unit in UNITS.get(signal_unit, {}):
+        scale = UNITS[signal_unit][unit]
         evidence.append(
             f"unit {unit}"
             f" {'by the line of units' if f'unit {field}' in raw.facts else 'by its name'}"

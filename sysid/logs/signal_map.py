@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 import math
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
@@ -20,6 +20,7 @@ from sysid.errors import LogError
 from sysid.foreign.raw import TimeColumn
 from sysid.foreign.regular_files import ParseError, parse_toml, read_regular_text
 from sysid.logs.time_base import TIME_UNITS
+from sysid.units import UNITS
 from sysid.vocabulary import SIGNALS
 
 FUNCTIONS: dict[str, int] = {
@@ -39,8 +40,16 @@ FUNCTIONS: dict[str, int] = {
     "air_alpha": 2,  # (u, w)
     "air_beta": 3,  # (u, v, w)
     "density_of_eas2tas": 1,  # 1.225 / ratio^2
+    "mean": 0,  # of one field or more
+    "sum": 0,  # of one field or more, each times its weight
 }
-"""Function of an entry to the number of fields that it takes."""
+"""Function of an entry to the number of fields that it takes; 0 for any number."""
+DERIVED: dict[str, dict[str, Any]] = {
+    "true_airspeed": {"temperature_C": 15.0},
+    "propeller_thrust": {"diameter_m": None, "ct": None, "rpm_scale": 1.0, "propellers": 1.0},
+    "density_of_height": {"altitude_m": 0.0, "temperature_C": 15.0},
+}
+"""Function of a derived signal to its parameters with their defaults; None if required."""
 _TEXT_TIMES = ("iso", "iso8601", "text", "datetime")
 _KEYS = {
     "message",
@@ -53,6 +62,9 @@ _KEYS = {
     "function",
     "estimate",
     "times",
+    "unit",
+    "sign",
+    "weights",
 }
 
 
@@ -80,6 +92,10 @@ class Entry:
         (message, field) of a factor, interpolated in time; 1 if the log has no such message.
     source : str
         Name of the table that a sensor rule selected, for labels.
+    weights : tuple of float
+        Factors of the fields, for the function "sum".
+    unit : str
+        Unit of the log as the map states it; ``scale`` includes the conversion.
     """
 
     message: str
@@ -92,6 +108,8 @@ class Entry:
     estimate: bool = False
     times: tuple[str, str] | None = None
     source: str = ""
+    weights: tuple[float, ...] = ()
+    unit: str = ""
 
     @property
     def label(self) -> str:
@@ -192,6 +210,72 @@ class ServoOutputs:
 
 
 @dataclass(frozen=True)
+class Clock:
+    """How the time of one message relates to the time of the log.
+
+    Attributes
+    ----------
+    message : str
+        Message with a clock of its own.
+    offset_s : float or None
+        Seconds that are added to its times; None to find them.
+    align : tuple of str or None
+        Field of the message, then message and field of the log that move alike.
+    search_s : tuple of float
+        Least and largest offset that is tried, s.
+    """
+
+    message: str
+    offset_s: float | None = None
+    align: tuple[str, str, str] | None = None
+    search_s: tuple[float, float] = (-math.inf, math.inf)
+
+
+@dataclass(frozen=True)
+class Derived:
+    """A signal that is computed from other signals of the record.
+
+    Attributes
+    ----------
+    signal, function : str
+        The signal, and a key of DERIVED.
+    parameters : mapping
+        Parameters of the function.
+    """
+
+    signal: str
+    function: str
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class RowSelection:
+    """Rows of a log that become the record.
+
+    Attributes
+    ----------
+    from_s, to_s : float
+        First and last time, s of the log.
+    source : tuple of str or None
+        Message and field of a mode.
+    values : tuple of float
+        Values of that field in the selected rows.
+    part : str
+        "odd" or "even" blocks of time, counted from 1, or "" for all: two parts of one flight, in
+        both of which all conditions occur.
+    block_s : float
+        Length of the blocks, s.
+    """
+
+    from_s: float = -math.inf
+    to_s: float = math.inf
+    source: tuple[str, str] | None = None
+    values: tuple[float, ...] = ()
+    part: str = ""
+    block_s: float = 30.0
+
+
+@dataclass(frozen=True)
 class SignalMap:
     """Sources of all signals of a dialect.
 
@@ -209,6 +293,12 @@ class SignalMap:
         Time column of a table.
     sensors : tuple of SensorRule
         Choice among sensor instances.
+    clocks : tuple of Clock
+        Messages with a clock of their own.
+    derived : tuple of Derived
+        Signals that are computed from others.
+    rows : RowSelection
+        Rows that become the record.
     """
 
     name: str
@@ -217,6 +307,9 @@ class SignalMap:
     needs: Mapping[str, frozenset[str]] = field(default_factory=dict)
     time: TimeColumn | None = None
     sensors: tuple[SensorRule, ...] = ()
+    clocks: tuple[Clock, ...] = ()
+    derived: tuple[Derived, ...] = ()
+    rows: RowSelection = RowSelection()
 
     def field_selection(self) -> dict[str, frozenset[str]]:
         """Return message to fields, for the importers."""
@@ -235,6 +328,12 @@ class SignalMap:
                 fields.setdefault(message, set()).update(names)
             for message in rule.also:
                 fields[message].update(measured)
+        pairs = [clock.align[1:] for clock in self.clocks if clock.align is not None]
+        pairs += [(clock.message, clock.align[0]) for clock in self.clocks if clock.align]
+        if self.rows.source is not None:
+            pairs.append(self.rows.source)
+        for message, name in pairs:
+            fields.setdefault(message, set()).add(name)
         if self.servos is not None:
             channels = {field for n in range(17) for field in self.servos.fields_of(n)}
             fields.setdefault(self.servos.message, set()).update(channels)
@@ -249,6 +348,9 @@ class SignalMap:
             {**self.needs, **other.needs},
             other.time or self.time,
             (*other.sensors, *self.sensors),
+            (*other.clocks, *self.clocks),
+            (*other.derived, *self.derived),
+            other.rows if other.rows != RowSelection() else self.rows,
         )
 
 
@@ -297,7 +399,8 @@ def parse_map(source: str, name: str) -> SignalMap:
     Parameters
     ----------
     source : str
-        TOML with [signals.NAME], [servos], [needs] and [[sensors]].
+        TOML with [signals.NAME], [derived.NAME], [clocks.MESSAGE], [rows], [servos], [needs] and
+        [[sensors]].
     name : str
         File name or dialect, for error messages.
 
@@ -311,10 +414,12 @@ def parse_map(source: str, name: str) -> SignalMap:
     except ParseError as e:
         raise LogError(str(e), name) from None
     # A misspelt table would be ignored in silence.
-    unknown = sorted(set(data) - {"signals", "servos", "needs", "sensors"})
+    allowed = {"signals", "derived", "clocks", "rows", "servos", "needs", "sensors"}
+    unknown = sorted(set(data) - allowed)
     if unknown:
         raise LogError(
-            f"unknown tables {unknown}; allowed are [signals.NAME], [servos], [needs], [[sensors]]",
+            f"unknown tables {unknown}; allowed are [signals.NAME], [derived.NAME],"
+            " [clocks.MESSAGE], [rows], [servos], [needs], [[sensors]]",
             name,
         )
     signals = data.get("signals", {})
@@ -335,7 +440,7 @@ def parse_map(source: str, name: str) -> SignalMap:
             )
         # Candidates in their order: the first that the log has is read.
         rows = value if isinstance(value, list) else [value]
-        entries[signal] = tuple(_entry(row, f"[signals.{signal}]", name) for row in rows)
+        entries[signal] = tuple(_entry(row, signal, f"[signals.{signal}]", name) for row in rows)
     return SignalMap(
         name,
         entries,
@@ -343,6 +448,130 @@ def parse_map(source: str, name: str) -> SignalMap:
         _needs(data.get("needs", {}), name),
         time,
         _sensor_rules(data.get("sensors", []), name),
+        _clocks(data.get("clocks", {}), name),
+        _derived(data.get("derived", {}), name),
+        _rows(data.get("rows", {}), name),
+    )
+
+
+def _tables(data: Any, title: str, name: str) -> Iterator[tuple[str, str, dict[str, Any]]]:
+    """Yield key, place and content of the tables [title.KEY]."""
+    if not isinstance(data, dict):
+        raise LogError(f"must hold tables [{title}.NAME]; received {data!r}", name, f"[{title}]")
+    for key, row in data.items():
+        where = f"[{title}.{key}]"
+        if not isinstance(row, dict):
+            raise LogError(f"must be a table; received {row!r}", name, where)
+        yield key, where, row
+
+
+def _clocks(data: Any, name: str) -> tuple[Clock, ...]:
+    """Read ``[clocks.MESSAGE]``."""
+    clocks = []
+    for message, where, row in _tables(data, "clocks", name):
+        if unknown := sorted(set(row) - {"offset_s", "align", "search_s"}):
+            text = f"unknown keys {unknown}; allowed are offset_s, align, search_s"
+            raise LogError(text, name, where)
+        offset = None if "offset_s" not in row else _number(row["offset_s"], name, where)
+        align = row.get("align")
+        if (offset is None) == (align is None):
+            raise LogError(
+                'give either offset_s = seconds, or align = ["field", "MESSAGE", "field"] (a field'
+                " of this message, then one of the log that moves alike)",
+                name,
+                where,
+            )
+        if align is not None and (
+            not isinstance(align, list)
+            or len(align) != 3
+            or not all(isinstance(x, str) for x in align)
+        ):
+            text = f'align must be ["field", "MESSAGE", "field"]; received {align!r}'
+            raise LogError(text, name, where)
+        search = row.get("search_s", [-math.inf, math.inf])
+        if not isinstance(search, list) or len(search) != 2:
+            raise LogError(f"search_s must be [least, largest]; received {search!r}", name, where)
+        if "search_s" in row:
+            search = [_number(x, name, where) for x in search]
+        clocks.append(
+            Clock(message, offset, None if align is None else tuple(align), tuple(search))
+        )
+    return tuple(clocks)
+
+
+def _derived(data: Any, name: str) -> tuple[Derived, ...]:
+    """Read ``[derived.NAME]``."""
+    derived = []
+    for signal, where, row in _tables(data, "derived", name):
+        if signal not in SIGNALS:
+            raise LogError(f"unknown signal '{signal}'; allowed are {list(SIGNALS)}", name, where)
+        function = row.get("function")
+        if not isinstance(function, str) or function not in DERIVED:
+            text = f"function = {function!r}; allowed are {sorted(DERIVED)}"
+            raise LogError(text, name, where)
+        defaults = DERIVED[function]
+        if unknown := sorted(set(row) - {*defaults, "function"}):
+            text = f"unknown keys {unknown}; allowed are {['function', *defaults]}"
+            raise LogError(text, name, where)
+        parameters: dict[str, Any] = {}
+        for key, default in defaults.items():
+            value = row.get(key, default)
+            if value is None:
+                raise LogError(f"{key} is missing; {function} needs it", name, where)
+            if key == "ct":
+                # Pairs are a table of the advance ratio; numbers are a polynomial, constant first.
+                pairs = isinstance(value, list) and any(isinstance(x, list) for x in value)
+                if not isinstance(value, list) or not value:
+                    raise LogError(
+                        "ct must be [[J, CT], ...] or the coefficients of a polynomial of J,"
+                        f" constant first; received {value!r}",
+                        name,
+                        where,
+                    )
+                parameters[key] = (
+                    read_table(value, name, where)
+                    if pairs
+                    else tuple(_number(x, name, where) for x in value)
+                )
+            else:
+                parameters[key] = _number(value, name, where)
+        derived.append(Derived(signal, function, parameters))
+    return tuple(derived)
+
+
+def _rows(data: Any, name: str) -> RowSelection:
+    """Read ``[rows]``."""
+    where = "[rows]"
+    if not isinstance(data, dict):
+        raise LogError("must be a table such as from_s = 100.0", name, where)
+    allowed = ["from_s", "to_s", "message", "field", "values", "part", "block_s"]
+    if unknown := sorted(set(data) - set(allowed)):
+        raise LogError(f"unknown keys {unknown}; allowed are {allowed}", name, where)
+    keys = [key in data for key in ("message", "field", "values")]
+    if any(keys) and not all(keys):
+        text = "message, field and values belong together: rows in which the field has a value"
+        raise LogError(text, name, where)
+    values = data.get("values", [])
+    if not isinstance(values, list) or (any(keys) and not values):
+        raise LogError(f"values must be a list of numbers; received {values!r}", name, where)
+    start = _number(data["from_s"], name, where) if "from_s" in data else -math.inf
+    end = _number(data["to_s"], name, where) if "to_s" in data else math.inf
+    if start >= end:
+        raise LogError(f"from_s = {start:g} must be less than to_s = {end:g}", name, where)
+    part = data.get("part", "")
+    if part not in ("", "odd", "even"):
+        text = f'part = {part!r}; allowed are "odd" and "even" blocks of time'
+        raise LogError(text, name, where)
+    block_s = _number(data.get("block_s", 30.0), name, where)
+    if block_s <= 0.0:
+        raise LogError(f"block_s = {block_s:g} must be above 0", name, where)
+    return RowSelection(
+        start,
+        end,
+        (str(data["message"]), str(data["field"])) if any(keys) else None,
+        tuple(_number(value, name, where) for value in values),
+        str(part),
+        block_s,
     )
 
 
@@ -467,7 +696,7 @@ def _servos(data: Any, name: str) -> ServoOutputs | None:
     )
 
 
-def _entry(row: Any, where: str, name: str) -> Entry:
+def _entry(row: Any, signal: str, where: str, name: str) -> Entry:
     """Read one candidate of a signal."""
     if not isinstance(row, dict):
         raise LogError(f"must be a table with {sorted(_KEYS)}; received {row!r}", name, where)
@@ -485,15 +714,27 @@ def _entry(row: Any, where: str, name: str) -> Entry:
         raise LogError(
             f"unknown function '{function}'; allowed are {sorted(FUNCTIONS)}", name, where
         )
-    if len(fields) != FUNCTIONS[function]:
+    if FUNCTIONS[function] not in (0, len(fields)):
         raise LogError(
             f"function '{function}' takes {FUNCTIONS[function]} fields; received {fields}",
             name,
             where,
         )
     # Two calibrations of one value would be ambiguous.
-    if "table" in row and ("scale" in row or "offset" in row):
+    if "table" in row and {"scale", "offset", "unit", "sign"} & set(row):
         raise LogError("give either table or scale and offset, not both", name, where)
+    weights = row.get("weights", [])
+    if not isinstance(weights, list) or (function == "sum") != (len(weights) == len(fields)):
+        text = f"weights: function 'sum' takes one number for each of {fields}"
+        raise LogError(text, name, where)
+    sign = row.get("sign", 1)
+    if sign not in (1, -1):
+        raise LogError(f"sign = {sign!r}; allowed are 1 and -1", name, where)
+    unit = row.get("unit", "")
+    factors = UNITS.get(SIGNALS[signal].unit, {})
+    if unit and unit not in factors:
+        text = f"unit = {unit!r}; allowed for {signal} are {sorted(factors)}"
+        raise LogError(text, name, where)
     # Times of another message, for values that are logged late.
     times = row.get("times")
     if times is not None and (not isinstance(times, list) or len(times) != 2):
@@ -502,12 +743,14 @@ def _entry(row: Any, where: str, name: str) -> Entry:
         message=row["message"],
         instance=_integer(row["instance"], name, where) if "instance" in row else None,
         fields=tuple(fields),
-        scale=_number(row.get("scale", 1.0), name, where),
+        scale=_number(row.get("scale", 1.0), name, where) * sign * factors.get(unit, 1.0),
         offset=_number(row.get("offset", 0.0), name, where),
         table=read_table(row["table"], name, where) if "table" in row else (),
         function=function,
         estimate=bool(row.get("estimate", False)),
         times=None if times is None else (str(times[0]), str(times[1])),
+        weights=tuple(_number(weight, name, where) for weight in weights),
+        unit=str(unit),
     )
 
 

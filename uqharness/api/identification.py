@@ -8,7 +8,13 @@ from __future__ import annotations
 
 from uqharness.commands import identification as commands
 from uqharness.heartbeat import notebook_line
-from uqharness.identification import Comparison, Identification, MadeBounds, Validation
+from uqharness.identification import (
+    Comparison,
+    ForecastContest,
+    Identification,
+    MadeBounds,
+    Validation,
+)
 from uqharness.isolation import isolated
 from uqharness.requests.base import accepts
 from uqharness.requests.identification import (
@@ -59,7 +65,7 @@ def identify(request: IdentifyRequest) -> Identification:
 @notebook_line("compare")
 @accepts(CompareRequest)
 @isolated
-def compare(request: CompareRequest) -> Comparison:
+def compare(request: CompareRequest) -> Comparison | ForecastContest:
     """Replay a flight and measure the gap to the model against the sensors' noise, as ``uqharness
     compare`` does.
 
@@ -71,7 +77,8 @@ def compare(request: CompareRequest) -> Comparison:
         ``channels`` with rms and noise of each in the channel's own unit, ``coefficients`` [-],
         ``manoeuvres``, the worst ``moments``, and per segment the channels ``measured`` and
         ``modelled`` (n, m). ``reached`` says whether every judged channel is within 1.15 of its
-        noise. ``to_dataframe()`` is the table of channels.
+        noise. ``to_dataframe()`` is the table of channels. With ``other`` a ForecastContest, whose
+        ``better`` is "A", "B" or "no difference".
 
     Raises
     ------

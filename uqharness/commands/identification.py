@@ -22,21 +22,26 @@ from sysid.model_form import Bin, FitOptions, ModelForm
 from uqharness import __version__
 from uqharness.arguments import path as argument_path
 from uqharness.commands.flights import ReplayFlights, carded_aircraft, replay_flights
+from uqharness.errors import BadInputError
 from uqharness.files import check_output_folder, results_folder, write_bytes, write_json, write_text
 from uqharness.identification import (
     BIASES,
     BoundsOptions,
     Comparison,
     CutoffRow,
+    ForecastContest,
+    Forecaster,
     Identification,
     MadeBounds,
     Validation,
     choose_servos,
+    compare_models,
     failed,
     load_form,
     make_bounds,
     mean_left_out,
     parse_designs,
+    read_prior,
     validate,
     verdicts,
 )
@@ -79,6 +84,7 @@ from uqharness.requests.identification import (
 )
 from uqharness.results.base import Outcome
 from uqharness.results.identification import (
+    BetterModel,
     Bounds,
     BoundsOfCoefficient,
     Channel,
@@ -91,10 +97,12 @@ from uqharness.results.identification import (
     FlightPiece,
     Gap,
     Manoeuvre,
+    ModelScore,
     Moment,
     Nuisance,
     Parameter,
     ReplaySpeed,
+    ScoreDifference,
     Share,
     StateBin,
 )
@@ -137,6 +145,14 @@ def identify(request: IdentifyRequest, callback: Callback = silent) -> Outcome[I
     ready = replay_flights(request, aircraft)
     flights, ideal = _with_servos(request, aircraft, ready, callback, request.workers)
     biases = channel_names(request.biases)
+    priors = {} if request.prior is None else read_prior(request.prior)
+    if unknown := sorted(
+        set(priors) - set(aircraft.card.parameters) - set(request.parameters or ())
+    ):
+        raise BadInputError(
+            f"{request.prior}: {', '.join(unknown[:5])} is no parameter of {aircraft.name}'s card;"
+            " remove it, or add it to [parameters] of airframe.toml"
+        )
     result = estimate(
         aircraft,
         flights,
@@ -148,6 +164,7 @@ def identify(request: IdentifyRequest, callback: Callback = silent) -> Outcome[I
         outputs=channel_names(request.outputs),
         ideal_servos=ideal,
         method=request.method,
+        prior={n: (p.mean, p.std) for n, p in priors.items()},
         workers=request.workers,
         callback=callback,
         message_callback=logging.getLogger("uqharness").info,
@@ -202,6 +219,7 @@ def _fit(result: Identification, ready: ReplayFlights, command: str) -> Fit:
                 status=result.status[n],
                 reason=result.reason[n],
                 initial=result.initial[i],
+                **({"basis": result.labels[n]} if n in result.labels else {}),
             )
             for i, n in enumerate(result.names)
         },
@@ -273,6 +291,7 @@ def _parameter_rows(result: Identification) -> list[dict[str, str]]:
             "crb": f"{result.std_crb[i]:.2g}" if name in result.identified else "",
             "status": result.status[name],
             "reason": result.reason[name],
+            "basis": result.labels.get(name, ""),
         }
         for i, name in enumerate(result.names)
     ]
@@ -281,9 +300,16 @@ def _parameter_rows(result: Identification) -> list[dict[str, str]]:
 # The gap to a flight.
 
 
-def compare(request: CompareRequest, callback: Callback = silent) -> Outcome[Comparison]:
-    """Measure the gap between a model and a flight; write tables, histories and a page."""
+def compare(
+    request: CompareRequest, callback: Callback = silent
+) -> Outcome[Comparison] | Outcome[ForecastContest]:
+    """Measure the gap between a model and a flight; write tables, histories and a page.
+
+    With a second aircraft, decide which of the two predicts the flight better.
+    """
     aircraft = _aircraft(request)
+    if request.other is not None:
+        return _better_model(request, aircraft, carded_aircraft(request.other), callback)
     callback("reading the flight")
     # Late channels stay late: their delays are estimated and reported.
     ready = replay_flights(request, aircraft, align=False)
@@ -309,6 +335,86 @@ def compare(request: CompareRequest, callback: Callback = silent) -> Outcome[Com
     write_json(out / "compare.json", document.as_json())
     report = write_report(out, request.figures)
     return Outcome(comparison, document, [report.text], code, report.path)
+
+
+def _better_model(
+    request: CompareRequest, aircraft: Aircraft, other: Aircraft, callback: Callback
+) -> Outcome[ForecastContest]:
+    """Decide which of two models predicts a flight better."""
+    forecasters = []
+    for one in (aircraft, other):
+        callback("reading the flight")
+        ready = replay_flights(request, one)
+        (flight,), ideal = _with_servos(request, one, ready, callback, request.workers)
+        forecasters.append(Forecaster(one, flight, ready.measured, ideal))
+    contest = compare_models(forecasters[0], forecasters[1], callback=callback)
+    result = contest.comparison
+    document = BetterModel(
+        better=result.better,
+        a=contest.models[0],
+        b=contest.models[1],
+        flight=contest.flight,
+        horizon_s=result.horizon_s,
+        score=ScoreDifference(difference=result.difference, low=result.low, high=result.high),
+        horizons=[
+            ModelScore(
+                horizon_s=horizon,
+                difference=difference,
+                low=low,
+                high=high,
+                rms_a=dict(zip(contest.channels, result.rms[0][k].tolist(), strict=True)),
+                rms_b=dict(zip(contest.channels, result.rms[1][k].tolist(), strict=True)),
+            )
+            for k, (horizon, (difference, low, high)) in enumerate(
+                zip(result.horizons_s, result.by_horizon, strict=True)
+            )
+        ],
+        channels=list(contest.channels),
+        starts=result.starts,
+        blocks=result.blocks,
+        controls_late_s=list(contest.delays_s),
+        notes=list(contest.notes),
+        command=command_line(request),
+    )
+    if request.out is not None:
+        write_json(results_folder(request.out) / "compare.json", document.as_json())
+    return Outcome(contest, document, _contest_lines(contest))
+
+
+def _contest_lines(contest: ForecastContest) -> list[str]:
+    """Return the answer of a contest of two models, with a line for each horizon."""
+    result = contest.comparison
+    names = dict(zip("AB", contest.models, strict=True))
+    if result.better == "no difference":
+        answer = f"no difference: {names['A']} (A) and {names['B']} (B) predict {contest.flight}"
+        answer += " alike"
+    else:
+        loser = "B" if result.better == "A" else "A"
+        answer = (
+            f"{result.better}: {names[result.better]} predicts {contest.flight} better than"
+            f" {names[loser]} ({loser})"
+        )
+        if math.isfinite(result.horizon_s):
+            answer += f", from a horizon of {result.horizon_s:g} s"
+    score = (
+        f"score {_percent_interval(result.difference, result.low, result.high)} in favour of A"
+        f" (CRPS over {len(contest.channels)} channels, {result.starts} predictions,"
+        f" {result.blocks} blocks of time)"
+    )
+    lines = [answer, score]
+    for horizon, difference in zip(result.horizons_s, result.by_horizon, strict=True):
+        lines.append(f"  {horizon:4g} s  {_percent_interval(*difference)}")
+    if any(contest.delays_s):
+        a, b = (f"{1e3 * delay:.0f} ms" for delay in contest.delays_s)
+        lines.append(f"controls late by {a} (A) and {b} (B), where each predicts best")
+    return [*lines, *contest.notes]
+
+
+def _percent_interval(value: float, low: float, high: float) -> str:
+    """Return a relative difference with its 95 % interval."""
+    if not math.isfinite(low):
+        return f"{100.0 * value:+.1f} % (too few blocks of time for an interval)"
+    return f"{100.0 * value:+.1f} % ({100.0 * low:+.1f} to {100.0 * high:+.1f} %)"
 
 
 def _compared(comparison: Comparison, command: str) -> Compare:

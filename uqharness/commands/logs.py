@@ -47,7 +47,15 @@ from uqharness.results.base import Outcome
 from uqharness.results.logs import ImportedLog, LogContents, Playback, ProposedMap
 from uqharness.xml import FIELDS, protocol_xml
 
-_IMPORT_NOTES = ("servo-table", "sensor-choice", "clock-restart")
+_IMPORT_NOTES = (
+    "servo-table",
+    "sensor-choice",
+    "clock-restart",
+    "assumed-map",
+    "assumed-clock",
+    "assumed-derived",
+    "selected-rows",
+)
 _WIDTH = 98
 
 
@@ -198,6 +206,8 @@ def _read(request: LogInfoRequest | LogImportRequest, callback: Callback) -> Fli
         flight_number=request.flight_number,
         cache=(request.cache or default_cache()) if request.use_cache else None,
         callback=_percentage(request.log, callback),
+        from_s=request.from_s,
+        to_s=request.to_s,
     )
 
 
@@ -285,9 +295,12 @@ def _condensed(findings: Sequence[Finding]) -> list[str]:
     """
     groups: dict[tuple[str, str], list[Finding]] = {}
     for f in sorted(findings, key=lambda f: ("error", "warning", "info").index(f.severity)):
-        groups.setdefault((f.severity, f.code), []).append(f)
+        # Every assumption is listed; of other codes one message stands for all.
+        key = f"{f.code} {f.channel}" if f.code.startswith("assumed") else f.code
+        groups.setdefault((f.severity, key), []).append(f)
     lines = []
-    for (severity, code), members in groups.items():
+    for (severity, _), members in groups.items():
+        code = members[0].code
         other_channels = [f.channel for f in members[1:] if f.channel]
         more = f" (also: {', '.join(other_channels)})" if other_channels else ""
         lines.append(f"{severity:8} {code}: {members[0].message}{more}")

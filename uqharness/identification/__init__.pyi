@@ -12,6 +12,10 @@ from .bounds import verdicts as verdicts
 from .compare import LIMIT as LIMIT
 from .compare import Comparison as Comparison
 from .excitation import restrict_to_excited as restrict_to_excited
+from .forecasts import ForecastContest as ForecastContest
+from .forecasts import Forecaster as Forecaster
+from .forecasts import compare_models as compare_models
+from .prior import read_prior as read_prior
 from .replay_fit import BIASES as BIASES
 from .replay_fit import OUTPUTS as OUTPUTS
 from .replay_fit import Identification as Identification

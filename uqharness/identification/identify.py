@@ -15,6 +15,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from sysid.aerodynamics import split_name
 from sysid.arrays import FloatArray
 from sysid.estimation import (
     NOISE_FLOOR,
@@ -26,6 +27,7 @@ from sysid.estimation import (
 )
 from uqharness.errors import BadInputError
 from uqharness.identification.excitation import restrict_to_excited
+from uqharness.identification.ordinary import identify_ordinary, is_ordinary, whole_flight
 from uqharness.identification.replay_fit import (
     BIASES,
     OUTPUTS,
@@ -237,6 +239,7 @@ def identify(
     outputs: Sequence[str] | None = None,
     ideal_servos: bool = False,
     method: str = "auto",
+    prior: Mapping[str, tuple[float, float]] | None = None,
     workers: int | None = None,
     callback: Callable[[str], object] = lambda stage: None,
     message_callback: Callable[[str], None] | None = None,
@@ -267,6 +270,9 @@ def identify(
         Whether surfaces and throttle follow their commands at once.
     method : {"auto", "output-error", "filter-error"}
         ``auto`` uses filter error where the residuals of output error show turbulence.
+    prior : Mapping, optional
+        Parameter to mean and standard deviation known beforehand; the flight is then treated as one
+        without manoeuvres (`uqharness.identification.ordinary`).
     workers : int, optional
         Processes.
     callback : callable
@@ -287,6 +293,24 @@ def identify(
     # Commands pass the actuators unless the servos are ideal; measured positions never do.
     names = _parameter_names(aircraft, parameters)
     ideal = tuple(c for c in CONTROLS if c not in measured) if ideal_servos else ()
+    terms_only = all(split_name(n) is not None for n in names)
+    if prior and not (terms_only and method == "auto"):
+        raise BadInputError(
+            "--prior needs parameters that are coefficient terms such as aero/Cm_q, and --method"
+            " auto"
+        )
+    if method == "auto" and (prior or (terms_only and all(map(is_ordinary, flights)))):
+        return _identify_whole_flight(
+            aircraft,
+            flights,
+            names,
+            measured,
+            ideal,
+            prior or {},
+            start,
+            callback,
+            message_callback,
+        )
     with ReplayFolder(aircraft, measured=measured, ideal=ideal) as model:
         arm = aircraft.accelerometer_m
         cut_segments = [s for f in flights for s in segments(f, measured, arm)]
@@ -413,6 +437,45 @@ def identify(
                     callback=descent,
                 )
             )
+
+
+def _identify_whole_flight(
+    aircraft: Aircraft,
+    flights: Sequence[Flight],
+    names: tuple[str, ...],
+    measured: Sequence[str],
+    ideal: Sequence[str],
+    prior: Mapping[str, tuple[float, float]],
+    start: str,
+    callback: Callable[[str], object],
+    message_callback: Callable[[str], None] | None,
+) -> Identification:
+    """Estimate by equation error from the complete flights, which have no manoeuvres."""
+    complete = [whole_flight(f, measured) for f in flights]
+    seconds = sum(p.end_s - p.start_s for f in complete for p in f.pieces)
+    if message_callback is not None:
+        message_callback(
+            f"no test manoeuvre in the flight: equation error on all of its {seconds:.0f} s;"
+            " --method output-error or filter-error uses the stretches in which surfaces move"
+        )
+    with (
+        ReplayFolder(aircraft, measured=measured, ideal=ideal) as model,
+        ReplayFolder(aircraft, measured=measured, ideal=CONTROLS) as direct_model,
+    ):
+        initial = _initial(aircraft, model, names, start)
+        limits = _limits(aircraft, names, initial)
+        result = identify_ordinary(
+            aircraft,
+            complete,
+            (model, direct_model),
+            names,
+            initial,
+            limits,
+            measured,
+            prior=prior,
+            callback=callback,
+        )
+    return result
 
 
 def _in_calm_air(result: Identification) -> Identification:

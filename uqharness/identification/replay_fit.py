@@ -570,6 +570,9 @@ class Identification(TabularResult):
         Of filter error, standard deviation that the filter predicts for the innovations by channel,
         in its unit: sensor noise and what gusts do within one sample. Empty for output error, and
         where the estimated gusts are stronger than turbulence can be.
+    labels : Mapping
+        Of an ordinary flight, parameter to where its value comes from: "data", "prior and data",
+        "prior only" or "start value".
     """
 
     aircraft: str
@@ -597,6 +600,7 @@ class Identification(TabularResult):
     seconds: float
     speed: Speed | None = None
     innovation_std: Mapping[str, float] = field(default_factory=dict)
+    labels: Mapping[str, str] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         return (

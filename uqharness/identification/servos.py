@@ -28,6 +28,7 @@ from uqharness.identification.linearised import (
     refit,
     with_jumps,
 )
+from uqharness.identification.ordinary import is_ordinary
 from uqharness.identification.replay_fit import equation_error_start
 from uqharness.parallel import worker_map
 from uqharness.replay import CONTROLS, LATE_ROWS, Flight, control_columns
@@ -95,6 +96,9 @@ def choose_servos(
     logged = [f for f in flights if f.record.metadata.native_hz]
     moved = [c for c in SURFACES if c in aircraft.card.inputs and c not in measured]
     if not logged or not moved:
+        return ServoChoice(False)
+    # Without manoeuvres a delay of the controls stands for the servos, and replays are slow.
+    if all(is_ordinary(f) for f in flights):
         return ServoChoice(False)
     # One flight is enough: servos are a property of the aircraft.
     busiest = [_busiest(f, moved, measured) for f in logged[:1]]

@@ -238,6 +238,23 @@ def boot() -> Any:
     )
 
 
+def from_s() -> Any:
+    """Return the field of the first time of a log that is used."""
+    return option(
+        None,
+        "first time that is used, s of the log (default: its begin)",
+        metavar="T",
+        toml=False,
+    )
+
+
+def to_s() -> Any:
+    """Return the field of the last time of a log that is used."""
+    return option(
+        None, "last time that is used, s of the log (default: its end)", metavar="T", toml=False
+    )
+
+
 def manoeuvres() -> Any:
     """Return the field of the table of manoeuvres."""
     return option(

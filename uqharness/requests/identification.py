@@ -66,21 +66,38 @@ AIRCRAFT with the estimates."""
         "current", "start values: `initial` of the card, or the values in the XML (current)"
     )
     method: Literal["auto", "output-error", "filter-error"] = option(
-        "auto", "auto: output error, then filter error if its residuals show turbulence"
+        "auto",
+        "auto: output error, then filter error if its residuals show turbulence; equation error on"
+        " the complete flight for a log without test manoeuvres",
+    )
+    prior: fields.OptionalPath = option(
+        None,
+        'priors of parameters: TOML with [parameters."aero/Cm_q"] mean, std, source, or the'
+        " model-form.json that `author` writes",
+        metavar="FILE",
     )
     workers: fields.Workers = fields.workers()
     figures: Flag = fields.figures()
 
 
 class CompareRequest(Request):
-    """Replay a flight segment by segment and compare the residuals with the sensor noise."""
+    """Replay a flight segment by segment and compare the residuals with the sensor noise.
+
+    With a second aircraft: which of the two predicts the flight better.
+    """
 
     command: ClassVar[str] = "compare"
-    done: ClassVar[str] = "the model reaches the noise floor"
+    done: ClassVar[str] = "the model reaches the noise floor; with two aircraft, an answer"
     no: ClassVar[str] = "it does not"
     examples: ClassVar[str] = """
   uqharness compare espaaro --flight doublets.parquet --out gap
   uqharness compare identified/aircraft --flight flight3.bin --servos ideal --out gap
+  uqharness compare espaaro identified/aircraft --flight flight3.bin
+
+With two aircraft A and B: both predict the flight open loop from every second on over .2 to 10 s.
+The errors are scored (CRPS) with the intervals that the model's errors in the rest of the flight
+give. The answer is A, B or no difference, by a block bootstrap (95 %), with the shortest horizon at
+which they differ; DIR has compare.json.
 
 Writes DIR/compare.json, channels.csv, coefficients.csv, manoeuvres.csv, moments.csv,
 histories.parquet, report.html and figures/*.svg. The model reaches the noise floor if the rms of
@@ -88,6 +105,14 @@ measured minus model is at most 1.15 times the noise in every recorded channel o
 phi, theta, p, q, r, ax, ay and az."""
 
     aircraft: fields.AircraftSource = fields.aircraft()
+    other: fields.AircraftSource = option(
+        None,
+        "second aircraft: which of the two predicts the flight better",
+        flag="",
+        metavar="AIRCRAFT",
+        kind="str, Path or Aircraft, optional",
+        toml=False,
+    )
     flight: Annotated[fields.FlightSources, Field(max_length=1)] = option(
         ...,
         fields.FLIGHT_FILE,

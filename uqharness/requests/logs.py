@@ -31,8 +31,8 @@ def _card(positional: bool = False) -> Any:
 
 
 _ANY_LOG = (
-    "DataFlash .bin or .log, MAVLink .tlog, PX4 .ulg, JSBSim's CSV, a flight record in Parquet"
-    " or CSV"
+    "DataFlash .bin or .log, MAVLink .tlog, PX4 .ulg, MATLAB .mat, JSBSim's CSV, a flight"
+    " record in Parquet or CSV"
 )
 
 
@@ -42,6 +42,8 @@ class _Reading(Request):
     log: FilePath = _log(_ANY_LOG)
     signal_map: fields.OptionalPath = fields.signal_map()
     flight_number: fields.Workers = fields.boot()
+    from_s: Number | None = fields.from_s()
+    to_s: Number | None = fields.to_s()
     aircraft: fields.AircraftSource = _card()
     cache: fields.OptionalPath = option(
         None,

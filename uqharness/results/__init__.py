@@ -14,6 +14,7 @@ DOCUMENTS: dict[str, str] = {
     "campaign-status": "campaign:CampaignStatus",
     "campaign-verify": "campaign:FolderCheck",
     "compare": "identification:Compare",
+    "compare-models": "identification:BetterModel",
     "completion": "folders:CompletionScript",
     "diff": "simulation:DiffDocument",
     "dossier": "folders:DossierFile",

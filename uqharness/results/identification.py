@@ -35,6 +35,9 @@ class Parameter(Part):
     status: str = Field(description="identified or not-identified")
     reason: str | None = Field(default=None, description="why it is not identified")
     initial: Number = Field(default=None, description="start value")
+    basis: str = Field(
+        default="", description="data, prior and data, prior only or start value; ordinary flights"
+    )
 
     @property
     def is_identified(self) -> bool:
@@ -183,6 +186,47 @@ class Compare(Part):
             if name not in self.channels or self.channels[name].ratio is None:
                 raise ValueError(f"above names {name!r}, which is no channel with a ratio")
         return self
+
+
+class ModelScore(Part):
+    """Scores of two models at one horizon in compare.json."""
+
+    horizon_s: float = Field(description="time from the start of a prediction, s")
+    difference: Number = Field(description="mean relative difference of CRPS, + where A is better")
+    low: Number = Field(default=None, description="lower end of its 95 % interval")
+    high: Number = Field(default=None, description="upper end")
+    rms_a: Numbers = Field(default={}, description="rms error of A by channel")
+    rms_b: Numbers = Field(default={}, description="rms error of B by channel")
+
+
+class ScoreDifference(Part):
+    """Mean relative difference of the scores of two models."""
+
+    difference: Number = Field(description="(CRPS of B - CRPS of A) / mean of both, + for A")
+    low: Number = Field(default=None, description="lower end of its 95 % interval")
+    high: Number = Field(default=None, description="upper end")
+
+
+class BetterModel(Part):
+    """compare.json of `uqharness compare A B`: which model predicts a flight better."""
+
+    better: Literal["A", "B", "no difference"] = Field(description="the answer")
+    a: str = Field(description="first aircraft")
+    b: str = Field(description="second aircraft")
+    flight: str = Field(description="flight that both predicted")
+    horizon_s: Number = Field(
+        default=None, description="shortest horizon at which they differ, s; null: none"
+    )
+    score: ScoreDifference = Field(description="over all horizons and channels")
+    horizons: list[ModelScore] = Field(description="by horizon")
+    channels: Texts = Field(description="compared channels")
+    starts: int = Field(description="predictions of each model")
+    blocks: int = Field(description="independent blocks of time")
+    controls_late_s: list[float] = Field(
+        description="delay of the controls with which A and B predict best, s"
+    )
+    notes: Texts = Field(default=[], description="what was done to the record")
+    command: str | None = Field(default=None, description="command that made the file")
 
 
 class Share(Part):

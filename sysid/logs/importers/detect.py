@@ -26,14 +26,12 @@ _FOREIGN = {
     b"\xff\xd8\xff": "a JPEG picture",
     b"GIF8": "a GIF picture",
     b"\x7fELF": "a program",
-    b"\x89HDF": "an HDF5 file (export it to CSV)",
-    b"MATLAB": "a MATLAB file (export it to CSV)",
     b"SQLite": "an SQLite database",
     b"PARE": "an encrypted Parquet file (export it without)",
 }
 _SUPPORTED = (
-    "DataFlash .bin or .log, MAVLink .tlog, PX4 .ulg, a flight record in Parquet or CSV,"
-    " JSBSim's CSV"
+    "DataFlash .bin or .log, MAVLink .tlog, PX4 .ulg, MATLAB .mat, a flight record in Parquet or"
+    " CSV, JSBSim's CSV"
 )
 JSBSIM_HEADINGS = frozenset(
     {
@@ -62,7 +60,7 @@ def detect(path: Path) -> str:
     Returns
     -------
     str
-        dataflash, dataflash-text, tlog, ulog, parquet, jsbsim-csv or csv.
+        dataflash, dataflash-text, tlog, ulog, mat, parquet, jsbsim-csv or csv.
 
     Raises
     ------
@@ -113,6 +111,8 @@ def _binary(head: bytes) -> str | None:
         return "parquet"
     if head.startswith(b"ULog\x01\x12\x35"):
         return "ulog"
+    if head.startswith((b"MATLAB ", b"\x89HDF\r\n\x1a\n")):
+        return "mat"
     if head.startswith(MAGIC) or MAGIC + bytes((FMT_TYPE, FMT_TYPE, FMT_LENGTH)) in head:
         return "dataflash"
     return "tlog" if _tlog_frames(head) >= min(3, max(1, len(head) // 300)) else None

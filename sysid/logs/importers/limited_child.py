@@ -122,6 +122,11 @@ def _parquet(
     return _log_parts(tables.read_parquet(path, _selection(order), memory, _time(order)))
 
 
+def _mat(importer: Any, path: Path, order: Mapping[str, Any], callback: ProgressCallback) -> Parts:
+    """Read a MATLAB file."""
+    return _log_parts(importer.read(path, _selection(order), _time(order)))
+
+
 def _record(tables: Any, path: Path, order: Mapping[str, Any], callback: ProgressCallback) -> Parts:
     """Read a flight record."""
     columns, metadata = tables.read_record(path, int(order["memory"]))
@@ -139,6 +144,7 @@ def _table(tables: Any, path: Path, order: Mapping[str, Any], callback: Progress
 _READERS: dict[str, tuple[str, Callable[..., Parts]]] = {
     "ulog": ("ulog", _messages),
     "tlog": ("tlog", _messages),
+    "mat": ("mat", _mat),
     "csv": ("tables", _csv),
     "jsbsim-csv": ("tables", _csv),
     "parquet": ("tables", _parquet),

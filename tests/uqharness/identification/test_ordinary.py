@@ -1,0 +1,155 @@
+"""Flights without manoeuvres: instruments, intervals, priors and air data."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sysid.arrays import FloatArray
+from sysid.record import FlightRecord
+from uqharness.errors import BadInputError
+from uqharness.identification.air_data import air_data_errors, basis_of, combine, motion_angles
+from uqharness.identification.ordinary import _regress, _RegressionData, _with_prior
+from uqharness.identification.prior import read_prior
+
+DT_S, L_P, L_DA = 0.02, -8.0, 3.0
+
+
+def _rolling(seed: int, seconds: float = 200.0, gust: float = 2.0) -> _RegressionData:
+    """Return a roll axis under feedback: gusts drive the rate and the aileron answers it."""
+    rng = np.random.default_rng(seed)
+    n = int(seconds / DT_S)
+    p, aileron, slow = np.zeros(n), np.zeros(n), 0.0
+    # Gusts of three samples: shorter than the instruments' lag, longer than one row.
+    white = gust * rng.normal(size=n + 3)
+    gusts = white[:n] + white[1 : n + 1] + white[2 : n + 2]
+    demand = np.zeros(n)
+    for k in range(n - 1):
+        slow += DT_S * (-0.3 * slow) + 0.3 * np.sqrt(DT_S) * rng.normal()
+        aileron[k] = 2.0 * slow - 0.3 * p[k]
+        demand[k] = L_P * p[k] + L_DA * aileron[k] + gusts[k]
+        p[k + 1] = p[k] + DT_S * demand[k]
+    # The sensor's noise enters the regressor.
+    measured = p + 0.05 * rng.normal(size=n)
+    excess = np.zeros((n, 6))
+    excess[:, 3] = demand
+    block = (np.arange(n) * DT_S // 10.0).astype(int)
+    variance = np.full(6, demand.var())
+    columns = {0: [measured], 1: [aileron]}
+    return _RegressionData([excess], columns, [block], variance, np.zeros(6), (5, 8))
+
+
+def _least_squares(data: _RegressionData) -> FloatArray:
+    """Return ordinary least squares of the same data."""
+    x = np.column_stack([data.columns[0][0], data.columns[1][0]])
+    return np.linalg.lstsq(x, data.excess[0][:, 3], rcond=None)[0]
+
+
+def test_instruments_remove_the_bias_of_gusts_and_noise_under_feedback() -> None:
+    results = [_regress(_rolling(seed), "Cl", (0, 1), np.zeros(2)) for seed in range(12)]
+    theta = np.mean([r.theta for r in results], axis=0)
+    assert theta == pytest.approx([L_P, L_DA], rel=0.12)
+    # Least squares has both wrong by more.
+    plain = np.mean([_least_squares(_rolling(seed)) for seed in range(4)], axis=0)
+    assert abs(plain[0] / L_P - 1.0) > 0.2
+
+
+def test_intervals_hold_the_truth_and_grow_with_the_unexplained_share() -> None:
+    truth, inside = np.array([L_P, L_DA]), []
+    for seed in range(20):
+        result = _regress(_rolling(seed), "Cl", (0, 1), np.zeros(2))
+        inside.append(np.abs(result.theta - truth) < 1.96 * np.sqrt(np.diagonal(result.cov)))
+    assert np.mean(inside) > 0.9
+    quiet = _regress(_rolling(1, gust=0.05), "Cl", (0, 1), np.zeros(2))
+    gusty = _regress(_rolling(1), "Cl", (0, 1), np.zeros(2))
+    assert quiet.unexplained < gusty.unexplained
+    assert quiet.cov[0, 0] < 0.5 * gusty.cov[0, 0]
+
+
+def test_prior_and_data_combine_by_their_information() -> None:
+    cov = np.array([[4.0, 0.0], [0.0, 1.0]])
+    theta, posterior = _with_prior(np.array([2.0, 5.0]), cov, [(0.0, 2.0), None])
+    assert theta == pytest.approx([1.0, 5.0])
+    assert np.diagonal(posterior) == pytest.approx([2.0, 1.0])
+    assert combine(2.0, 2.0, (0.0, 2.0)) == pytest.approx((1.0, np.sqrt(2.0)))
+    assert [basis_of(s, 1.0) for s in (0.95, 0.6, 0.2)] == ["prior only", "prior and data", "data"]
+
+
+def _banking(alpha_scale: float, alpha_offset: float, speed_scale: float) -> FlightRecord:
+    """Return a flight of turns through a wind, with air data that are wrong."""
+    rng = np.random.default_rng(5)
+    t = DT_S * np.arange(10000)
+    phi = 0.7 * np.sign(np.sin(2 * np.pi * t / 40.0)) * np.minimum(1.0, np.abs(np.sin(t / 6.4)))
+    psi = np.mod(np.cumsum(9.81 * np.tan(phi) / 17.0) * DT_S, 2 * np.pi)
+    alpha = 0.06 / np.cos(phi)
+    zero = np.zeros_like(t)
+    speed = 17.0 + 0.3 * np.sin(0.2 * t)
+    # Body axes to north, east, down: a climb angle of zero in every bank.
+    theta = np.arctan(np.tan(alpha) * np.cos(phi))
+    right = np.tan(alpha) * np.cos(theta) * np.sin(phi)
+    course = psi - np.arctan(right)
+    gust = 0.01 * rng.normal(size=len(t))
+    columns = {
+        "time_s": t,
+        "V_mps": speed_scale * speed,
+        "alpha_rad": alpha_scale * (alpha + gust) + alpha_offset,
+        "phi_rad": phi,
+        "theta_rad": theta,
+        "psi_rad": psi,
+        "vn_mps": speed * np.cos(course) + 3.0,
+        "ve_mps": speed * np.sin(course) - 2.0,
+        "vd_mps": zero,
+    }
+    return FlightRecord(columns)
+
+
+def test_errors_of_the_air_data_lie_in_their_intervals() -> None:
+    errors = {(e.channel, e.kind): e for e in air_data_errors(_banking(1.4, 0.03, 1.06))}
+    for key, truth in (
+        (("V_mps", "scale"), 1.06),
+        (("alpha_rad", "scale"), 1.4),
+        (("alpha_rad", "offset"), 0.03),
+    ):
+        assert abs(errors[key].value - truth) < 1.96 * errors[key].std, key
+        assert errors[key].basis != "prior only", key
+    assert errors["V_mps", "scale"].std < 0.01
+
+
+def test_without_ground_velocity_the_priors_remain() -> None:
+    record = _banking(1.4, 0.03, 1.06)
+    bare = FlightRecord({n: v for n, v in record.columns.items() if n != "ve_mps"})
+    assert {e.basis for e in air_data_errors(bare)} == {"prior only"}
+
+
+def test_angles_of_the_motion_follow_rotations() -> None:
+    # Right wing down by 90 deg, motion to the earth below the nose: air from the right.
+    alpha, beta = motion_angles(np.array([[20.0, 0.0, 2.0]]), np.array([[np.pi / 2, 0.0, 0.0]]))
+    assert alpha[0] == pytest.approx(0.0, abs=1e-12)
+    assert beta[0] == pytest.approx(np.arcsin(2.0 / np.hypot(20.0, 2.0)))
+
+
+def test_priors_are_read_from_toml_and_json(tmp_path: Path) -> None:
+    (tmp_path / "p.toml").write_text('[parameters."Cm_q"]\nmean = -9\nstd = 2\nsource = "AVL"\n')
+    rows = {"aero/Cm_q": {"mean": -9.0, "std": 2.0, "unit": "1", "source": "AVL"}}
+    (tmp_path / "p.json").write_text(json.dumps({"kind": "prior", "parameters": rows}))
+    a, b = read_prior(tmp_path / "p.toml"), read_prior(tmp_path / "p.json")
+    assert a == b
+    assert a["aero/Cm_q"].std == 2.0
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('[parameters."Cm_q"]\nmean = -9\nstd = 0\n', "above 0"),
+        ('[parameters."Cm_q"]\nmean = -9\n', "std must be a number; it is missing"),
+        ('[parameters."Cm_q"]\nmean = -9\nstd = 1\nstdd = 1\n', "unknown keys"),
+        ("[other]\n", "holds no prior"),
+    ],
+)
+def test_faults_of_a_prior_file_are_named(tmp_path: Path, text: str, message: str) -> None:
+    (tmp_path / "p.toml").write_text(text)
+    with pytest.raises(BadInputError, match=message):
+        read_prior(tmp_path / "p.toml")

@@ -1,0 +1,265 @@
+"""Errors of uncalibrated air data, from attitude and ground velocity.
+
+Scale of the airspeed: V = s |ground velocity - wind|, in flight that turns through the wind. Scale
+and offset of angle of attack and sideslip: the measured angle against that of the motion through
+the mean wind. Each has a normal prior, and the scatter between blocks of time gives its standard
+error; a flight that does not determine an error leaves its prior.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from sysid.aerodynamics import smooth
+from sysid.arrays import FloatArray
+from sysid.logs import alpha_of, beta_of
+from sysid.record import FlightRecord
+from sysid.units import G0_MPS2
+
+PRIOR = {
+    ("V_mps", "scale"): (1.0, 0.05),
+    ("alpha_rad", "scale"): (1.0, 0.3),
+    ("alpha_rad", "offset"): (0.0, 0.05),
+    ("beta_rad", "scale"): (1.0, 0.3),
+    ("beta_rad", "offset"): (0.0, 0.05),
+}
+"""Mean and standard deviation of a sensor's scale and offset (rad) before the flight: a probe
+beside a fuselage or wing reads angles wrong by up to a half, speeds by some percent."""
+BLOCK_S = 20.0
+_MIN_SAMPLES = 40
+_PITCH_STD_RAD, _HEADING_STD_RAD = 0.015, 0.05
+"""Standard deviation of a constant error of pitch angle and magnetic heading, rad."""
+_MIN_TURN_RAD = 1.5  # of the course, below which wind and airspeed cannot be told apart
+
+
+@dataclass(frozen=True)
+class AirDataError:
+    """Scale or offset of an air-data channel: truth = (reading - offset) / scale.
+
+    Attributes
+    ----------
+    channel, kind : str
+        Channel, and "scale" or "offset" (rad).
+    value, std : float
+        Estimate and standard error.
+    basis : str
+        "data", "prior and data" or "prior only".
+    """
+
+    channel: str
+    kind: str
+    value: float
+    std: float
+    basis: str
+
+    def text(self) -> str:
+        """Describe the error with its 95 % interval."""
+        half = 1.96 * self.std
+        if self.kind == "scale":
+            return (
+                f"{self.channel} reads {self.value:.2f} ± {half:.2f} times the truth ({self.basis})"
+            )
+        return (
+            f"{self.channel} is offset by {np.degrees(self.value):.1f} ±"
+            f" {np.degrees(half):.1f} deg ({self.basis})"
+        )
+
+
+def basis_of(std: float, prior_std: float) -> str:
+    """Return where a value comes from, by the share of information that the flight adds to the
+    prior: below a fifth nothing to speak of, above nine tenths all.
+    """
+    added = 1.0 - (std / prior_std) ** 2
+    return "prior only" if added < 0.2 else "data" if added > 0.9 else "prior and data"
+
+
+def combine(value: float, std: float, prior: tuple[float, float]) -> tuple[float, float]:
+    """Return mean and standard deviation of a normal prior with a normal measurement."""
+    if not np.isfinite(std):
+        return prior
+    weight = prior[1] ** 2 / (prior[1] ** 2 + std**2)
+    return prior[0] + weight * (value - prior[0]), float(np.sqrt(weight) * std)
+
+
+def air_data_errors(record: FlightRecord) -> list[AirDataError]:
+    """Estimate scale and offset of the measured air data.
+
+    Parameters
+    ----------
+    record : FlightRecord
+        Flight; without ground velocity and heading the priors remain.
+    """
+    speed = _speed_scale(record)
+    estimates = {("V_mps", "scale"): (speed[0], speed[1])}
+    if np.isfinite(speed[1]) and "psi_rad" in record:
+        estimates |= _angle_errors(record, speed[2])
+    out = []
+    for (channel, kind), prior in PRIOR.items():
+        if channel not in record or channel in record.metadata.estimates:
+            continue
+        value, std = estimates.get((channel, kind), (prior[0], np.inf))
+        value, std = combine(value, std, prior)
+        out.append(AirDataError(channel, kind, value, std, basis_of(std, prior[1])))
+    return out
+
+
+def _blocks(time_s: FloatArray) -> FloatArray:
+    """Return the number of the block of time of each row."""
+    return np.floor((time_s - time_s[0]) / BLOCK_S).astype(int)
+
+
+def _speed_scale(record: FlightRecord) -> tuple[float, float, FloatArray]:
+    """Return scale of the airspeed, standard error, and wind (north, east) [m/s].
+
+    The error is that of a jackknife over blocks, in each of which the wind may differ; infinite
+    without turns.
+    """
+    names = ("vn_mps", "ve_mps", "V_mps")
+    nothing = (1.0, np.inf, np.zeros(2))
+    if not all(n in record for n in names):
+        return nothing
+    north, east, speed = (record[n] for n in names)
+    down = record.columns.get("vd_mps", np.zeros(len(record)))
+    usable = np.isfinite(north) & np.isfinite(east) & np.isfinite(speed) & np.isfinite(down)
+    rows = np.flatnonzero(usable)[:: max(1, round(0.5 / record.dt_s))]
+    if len(rows) < _MIN_SAMPLES:
+        return nothing
+    course = np.unwrap(np.arctan2(east[rows], north[rows]))
+    if np.ptp(course) < _MIN_TURN_RAD:
+        return nothing
+
+    def fit(chosen: FloatArray) -> FloatArray:
+        """Return wind and scale of the rows chosen."""
+        at = rows[chosen]
+
+        def left(x: FloatArray) -> FloatArray:
+            air = np.sqrt((north[at] - x[0]) ** 2 + (east[at] - x[1]) ** 2 + down[at] ** 2)
+            return speed[at] - x[2] * air
+
+        return np.asarray(least_squares(left, np.array([0.0, 0.0, 1.0]), loss="soft_l1").x)
+
+    value, std = _jackknife(lambda chosen: float(fit(chosen)[2]), _blocks(record["time_s"][rows]))
+    return value, std, fit(np.ones(len(rows), dtype=bool))[:2]
+
+
+def _angle_errors(
+    record: FlightRecord, wind_mps: FloatArray
+) -> dict[tuple[str, str], tuple[float, float]]:
+    """Return channel and kind to estimate and standard error of the angles' errors.
+
+    The angles of the motion through the mean wind lack the gusts, to which the aircraft answers.
+    Turns command angles that no gust causes: the load factor 1 / cos(phi) and the bank angle are
+    instruments (two-stage least squares with one instrument), which the gusts do not enter.
+    """
+    phi, theta, psi = (record[f"{c}_rad"] for c in ("phi", "theta", "psi"))
+    down = record.columns.get("vd_mps", np.zeros(len(record)))
+    alpha, beta = motion_angles(
+        np.column_stack([record["vn_mps"] - wind_mps[0], record["ve_mps"] - wind_mps[1], down]),
+        np.column_stack([phi, theta, psi]),
+    )
+    out: dict[tuple[str, str], tuple[float, float]] = {}
+    load = 1.0 / np.maximum(np.cos(phi), 0.2)
+    step = max(1, round(0.1 / record.dt_s))
+    for channel, true, instrument, attitude_std in (
+        ("alpha_rad", alpha, load, _PITCH_STD_RAD),
+        ("beta_rad", beta, np.sin(phi), _HEADING_STD_RAD),
+    ):
+        if channel not in record:
+            continue
+        reading = record[channel]
+        usable = np.isfinite(reading) & np.isfinite(true) & np.isfinite(instrument)
+        rows = np.flatnonzero(usable)[::step]
+        if len(rows) < _MIN_SAMPLES:
+            continue
+        x, y, z = true[rows], reading[rows], instrument[rows]
+
+        def scale(
+            chosen: FloatArray, x: FloatArray = x, y: FloatArray = y, z: FloatArray = z
+        ) -> float:
+            lever = z[chosen] - z[chosen].mean()
+            below = float(lever @ x[chosen])
+            return float(lever @ y[chosen]) / below if below else np.nan
+
+        block = _blocks(record["time_s"][rows])
+        value, std = _jackknife(scale, block)
+        if not np.isfinite(std) or not 0.2 < value < 5.0:
+            value, std = PRIOR[channel, "scale"][0], np.inf
+        out[channel, "scale"] = value, std
+        slope, slope_std = combine(value, std, PRIOR[channel, "scale"])
+        offset, spread = _jackknife(
+            lambda chosen, x=x, y=y, s=slope: float(y[chosen].mean() - s * x[chosen].mean()), block
+        )
+        # A misaligned attitude is an offset of the true angle.
+        parts = (spread, slope * attitude_std, slope_std * float(x.mean()))
+        out[channel, "offset"] = offset, float(np.linalg.norm(parts))
+    return out
+
+
+def motion_angles(velocity: FloatArray, attitude: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return angle of attack and sideslip (n,) [rad] of a motion through still air.
+
+    Parameters
+    ----------
+    velocity : ndarray of shape (n, 3)
+        North, east, down, m/s.
+    attitude : ndarray of shape (n, 3)
+        Roll, pitch, heading, rad.
+
+    Examples
+    --------
+    >>> alpha, beta = motion_angles(np.array([[20.0, 0.0, 0.0]]), np.array([[0.0, 0.1, 0.0]]))
+    >>> float(alpha[0].round(6)), float(beta[0].round(6))
+    (0.1, 0.0)
+    """
+    phi, theta, psi = attitude.T
+    north, east, down = velocity.T
+    forward = north * np.cos(psi) + east * np.sin(psi)
+    right = -north * np.sin(psi) + east * np.cos(psi)
+    u = forward * np.cos(theta) - down * np.sin(theta)
+    below = forward * np.sin(theta) + down * np.cos(theta)
+    v = right * np.cos(phi) + below * np.sin(phi)
+    w = -right * np.sin(phi) + below * np.cos(phi)
+    return alpha_of(u, w), beta_of(u, v, w)
+
+
+def _jackknife(fit: object, block: FloatArray) -> tuple[float, float]:
+    """Return an estimate and its standard error by leaving out each block."""
+    assert callable(fit)
+    numbers = np.unique(block)
+    value = fit(np.ones(len(block), dtype=bool))
+    if len(numbers) < 3:
+        return value, np.inf
+    left = np.array([fit(block != n) for n in numbers])
+    b = len(numbers)
+    return value, float(np.sqrt((b - 1) / b * np.sum((left - left.mean()) ** 2)))
+
+
+def motion_angle(record: FlightRecord, channel: str, time_constant_s: float) -> FloatArray:
+    """Return the fast part of angle of attack or sideslip that the motion explains, rad, (n,).
+
+    alpha' = q + (az + g cos theta cos phi) / V, beta' = p sin alpha - r + (ay + g cos theta sin
+    phi) / V for small angles, integrated without the parts slower than the time constant.
+    """
+    speed = np.maximum(record["V_mps"], 1.0)
+    phi, theta = record["phi_rad"], record["theta_rad"]
+    p, q, r = (record[f"{c}_radps"] for c in "pqr")
+    if channel == "alpha_rad":
+        rate = q + (record["az_mps2"] + G0_MPS2 * np.cos(theta) * np.cos(phi)) / speed
+        if "beta_rad" in record:
+            rate = rate - p * record["beta_rad"]
+    else:
+        alpha = record.columns.get("alpha_rad", theta)
+        rate = (
+            p * np.sin(alpha)
+            - r * np.cos(alpha)
+            + (record["ay_mps2"] + G0_MPS2 * np.cos(theta) * np.sin(phi)) / speed
+        )
+    rate = np.where(np.isfinite(rate), rate, 0.0)
+    keep = np.exp(-record.dt_s / time_constant_s)
+    out = np.zeros(len(rate))
+    for k in range(1, len(rate)):
+        out[k] = keep * out[k - 1] + 0.5 * record.dt_s * (rate[k] + rate[k - 1])
+    return smooth(out[:, None], record.dt_s, 3.0)[:, 0]

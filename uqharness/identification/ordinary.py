@@ -1,0 +1,704 @@
+"""Identification from an ordinary flight: an autopilot's, in wind and gusts, without manoeuvres.
+
+The complete flight is used, not the stretches in which surfaces move most, by equation error: the
+coefficients that the measured motion demands are regressed on the terms of the model, with earlier
+motion and controls as instruments. Air data measure the gusts, so that these are regressors and no
+errors; a replay, which does not know them, would fit the controls' answer to them. The delay of the
+controls comes from a regression of the angular accelerations, errors of the air data from
+`uqharness.identification.air_data`. Angles that no vane measures are reconstructed.
+
+Standard errors have four parts: the sandwich over blocks of time; its widening by what the model
+does not explain (`_regress`); the largest change of the estimate with filters, delay of the
+controls and time constants that the flight does not decide; and errors of the air data.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sysid.aerodynamics import Piece, demanded, half_width, kernel, regressor, smooth, split_name
+from sysid.arrays import FloatArray
+from sysid.estimation import channel_noise
+from sysid.logs import find_manoeuvres
+from sysid.record import FlightRecord
+from sysid.units import percent
+from uqharness.identification.air_data import (
+    AirDataError,
+    air_data_errors,
+    basis_of,
+    motion_angle,
+)
+from uqharness.identification.replay_fit import OUTPUTS, Identification, forced_at
+from uqharness.replay import (
+    CHANNELS,
+    CONTROLS,
+    Flight,
+    ForcedModel,
+    ReplayJob,
+    ReplayModel,
+    Segment,
+    control_columns,
+    fly_all,
+    measured_outputs,
+    states,
+)
+from uqharness.replay.flights import segments
+from uqharness.simulator import Aircraft
+
+MIN_S = 30.0
+"""Shortest ordinary flight, s."""
+MANOEUVRE_S = 40.0
+"""Longest test manoeuvre, s; a longer label names a phase of the flight, such as a loiter."""
+PIECE_S = 20.0
+MANOEUVRE_SHARE, _MARGIN_S = 0.1, 2.0
+"""Share of the flight below which manoeuvres, with a margin [s] on both sides, are ignored."""
+_DELAYS_S = tuple(0.01 * k for k in range(-3, 21))
+_AXES = (
+    ("p_radps", ("beta_rad", "p_radps", "r_radps"), ("aileron", "rudder")),
+    ("q_radps", ("alpha_rad", "q_radps"), ("elevator",)),
+    ("r_radps", ("beta_rad", "p_radps", "r_radps"), ("rudder", "aileron")),
+)
+"""Angular rate whose derivative is regressed, its other regressors, and its controls."""
+
+
+def is_ordinary(flight: Flight) -> bool:
+    """Return whether a flight is a log without test manoeuvres, labelled or found."""
+    record = flight.record
+    seconds = float(record["time_s"][-1] - record["time_s"][0])
+    if not record.metadata.native_hz or seconds < MIN_S or _has_short_label(record):
+        return False
+    # Commands jump where rows are missing; that is no input. A few pulses that the search finds in
+    # an autopilot's commands do not make a test flight.
+    time_s = record["time_s"]
+    gaps = time_s[:-1][np.diff(time_s) > 1.5 * record.dt_s]
+    pulses = [
+        m
+        for m in find_manoeuvres(record)
+        if not np.any((gaps > m.start_s - _MARGIN_S) & (gaps < m.end_s + _MARGIN_S))
+    ]
+    covered_s = sum(m.end_s - m.start_s + 2.0 * _MARGIN_S for m in pulses)
+    return covered_s < MANOEUVRE_SHARE * len(record) * record.dt_s
+
+
+def _has_short_label(record: FlightRecord) -> bool:
+    """Return whether a labelled stretch is short enough for a test manoeuvre."""
+    if "manoeuvre" not in record:
+        return False
+    labels, time_s = record["manoeuvre"], record["time_s"]
+    edges = np.flatnonzero(np.append(labels[1:] != labels[:-1], True))
+    begins = np.append(0, edges[:-1] + 1)
+    return any(
+        labels[a] and time_s[b] - time_s[a] < MANOEUVRE_S
+        for a, b in zip(begins.tolist(), edges.tolist(), strict=True)
+    )
+
+
+def whole_flight(flight: Flight, measured: Sequence[str]) -> Flight:
+    """Return the flight cut into pieces of at most PIECE_S that cover all of it, without the angles
+    that no sensor measured.
+    """
+    record = flight.record
+    needed = ("V_mps", "phi_rad", "theta_rad", "p_radps", "q_radps", "r_radps")
+    pieces = []
+    for stretch in record.segments((*needed, *control_columns(measured)), 2.0):
+        rows = np.arange(stretch.start, stretch.stop)
+        seconds = float(record["time_s"][rows[-1]] - record["time_s"][rows[0]])
+        for part in np.array_split(rows, max(1, int(np.ceil(seconds / PIECE_S)))):
+            a, b = int(part[0]), int(part[-1])
+            pieces.append(
+                Piece(
+                    "flight",
+                    slice(a, b + 1),
+                    float(record["time_s"][a]),
+                    float(record["time_s"][b]),
+                )
+            )
+    return replace(flight, pieces=tuple(pieces))
+
+
+def unmeasured_angles(flight: Flight) -> tuple[str, ...]:
+    """Return the angles of attack and sideslip that no vane measures."""
+    record = flight.record
+    return tuple(
+        c
+        for c in ("alpha_rad", "beta_rad")
+        if c not in record or not np.isfinite(record[c]).any() or c in record.metadata.estimates
+    )
+
+
+def _with_angles(flight: Flight, absent: Sequence[str], time_constant_s: float = 3.0) -> Flight:
+    """Return the flight with the absent angles reconstructed.
+
+    The fast part is that of `air_data.motion_angle`. The slow part of the angle of attack is the
+    pitch angle minus the climb angle, that of sideslip zero. Gusts are missing in both.
+    """
+    record = flight.record
+    keep = 1.0 - np.exp(-record.dt_s / time_constant_s)
+    columns: dict[str, FloatArray] = {}
+    if "alpha_rad" in absent:
+        speed = np.maximum(record["V_mps"], 1.0)
+        if "vd_mps" in record and np.isfinite(record["vd_mps"]).any():
+            climb = -record["vd_mps"]
+        elif "h_m" in record:
+            climb = smooth(record["h_m"][:, None], record.dt_s, 0.5, derivative=1)[:, 0]
+        else:
+            climb = np.zeros(len(record))
+        gamma = np.arcsin(np.clip(np.nan_to_num(climb) / np.nan_to_num(speed, nan=1.0), -0.9, 0.9))
+        # In a bank the vertical plane is not the plane of symmetry.
+        slow = (record["theta_rad"] - gamma) / np.maximum(np.cos(record["phi_rad"]), 0.5)
+        slow = np.nan_to_num(slow)
+        level = slow.copy()
+        for k in range(1, len(slow)):
+            level[k] = level[k - 1] + keep * (slow[k] - level[k - 1])
+        columns["alpha_rad"] = level + motion_angle(record, "alpha_rad", time_constant_s)
+    if "beta_rad" in absent:
+        part = record.with_columns(columns)
+        columns["beta_rad"] = motion_angle(part, "beta_rad", time_constant_s)
+    meta = replace(record.metadata, estimates=tuple({*record.metadata.estimates, *absent}))
+    return replace(flight, record=record.with_columns(columns, meta))
+
+
+def control_delay_s(flights: Sequence[Flight], measured: Sequence[str]) -> float:
+    """Return how late the angular accelerations follow the controls, s.
+
+    Each rate's derivative is regressed on the motion and on the controls, moved by the delay; the
+    delay with the least sum of logarithms of residual squares over the three axes is the likeliest.
+    """
+    columns = dict(zip(CONTROLS, control_columns(measured), strict=True))
+    cost = np.zeros(len(_DELAYS_S))
+    for rate, motion, controls in _AXES:
+        square = np.zeros(len(_DELAYS_S))
+        samples = 0
+        for flight in flights:
+            record = flight.record
+            for piece in flight.pieces:
+                rows = piece.rows
+                time_s = record["time_s"][rows]
+                channels = [record[c][rows] for c in motion if c in record]
+                fixed = np.column_stack([np.ones(len(time_s)), *channels])
+                acting = [record[columns[c]][rows] for c in controls]
+                if not all(np.isfinite(v).all() for v in (fixed, *acting, record[rate][rows])):
+                    continue
+                rate_dot = smooth(record[rate][rows][:, None], record.dt_s, derivative=1)[:, 0]
+                fixed = smooth(fixed, record.dt_s)
+                samples += len(time_s)
+                for k, delay in enumerate(_DELAYS_S):
+                    moved = [np.interp(time_s - delay, time_s, v) for v in acting]
+                    x = np.column_stack([fixed, smooth(np.column_stack(moved), record.dt_s)])
+                    left = rate_dot - x @ np.linalg.lstsq(x, rate_dot, rcond=None)[0]
+                    square[k] += float(left @ left)
+        if samples:
+            cost += samples * np.log(np.maximum(square, 1e-300))
+    best = int(np.argmin(cost))
+    if 0 < best < len(cost) - 1:
+        bend = cost[best - 1] - 2.0 * cost[best] + cost[best + 1]
+        shift = 0.5 * (cost[best - 1] - cost[best + 1]) / bend if bend > 0.0 else 0.0
+        return float(_DELAYS_S[best] + shift * 0.01)
+    return float(_DELAYS_S[best])
+
+
+@dataclass(frozen=True)
+class _View:
+    """One way to regress: half-power frequency of the filters [Hz], further delay of the controls
+    [s], time constant of reconstructed angles [s], and lags of the instruments in the time in which
+    the aircraft flies its span.
+    """
+
+    cutoff_hz: float = 6.0
+    late_s: float = 0.0
+    time_constant_s: float = 3.0
+    lags: tuple[float, float] = (1.4, 2.2)
+
+
+_VIEWS = (
+    _View(),
+    _View(lags=(2.2, 3.3)),
+    _View(lags=(1.0, 1.8)),
+    _View(cutoff_hz=4.0),
+    _View(late_s=0.015),
+    _View(late_s=-0.015),
+)
+"""The first gives the estimates, the others their sensitivity to choices that a flight does not
+decide: memory of gusts and noise, noise in the regressors, and the servos' dynamics."""
+_ANGLE_VIEWS = (_View(time_constant_s=1.5), _View(time_constant_s=6.0))
+ENDOGENEITY = 0.2
+"""Correlation between what the model does not explain and a regressor, one standard deviation."""
+BLOCK_S = 10.0
+"""Length of a block of time, s: several short periods, Dutch rolls and gusts."""
+_ORDER = ("CX", "CY", "CZ", "Cl", "Cm", "Cn")
+
+
+@dataclass(frozen=True)
+class _Regression:
+    """Least squares of one coefficient: estimates (k,), covariance (k, k), share of the demanded
+    coefficient's variance that is not explained.
+    """
+
+    theta: FloatArray
+    cov: FloatArray
+    unexplained: float
+
+
+def identify_ordinary(
+    aircraft: Aircraft,
+    flights: Sequence[Flight],
+    models: tuple[ReplayModel, ReplayModel],
+    names: tuple[str, ...],
+    initial: FloatArray,
+    limits: Sequence[tuple[float, float]],
+    measured: Sequence[str],
+    *,
+    prior: Mapping[str, tuple[float, float]],
+    callback: Callable[[str], object] = lambda stage: None,
+) -> Identification:
+    """Estimate coefficient terms from ordinary flights by equation error, with intervals that allow
+    for what the model does not explain.
+
+    Parameters
+    ----------
+    aircraft : Aircraft
+        The model.
+    flights : sequence of Flight
+        Flights as `whole_flight` returns them.
+    models : tuple of ReplayModel
+        The aircraft with its actuators, and with every control passed through.
+    names, initial, limits
+        Parameters, their start values (k,) and bounds.
+    measured : sequence of str
+        Surfaces whose positions the record has.
+    prior : Mapping
+        Parameter to mean and standard deviation known beforehand.
+    callback : callable
+        Called with the name of each stage.
+
+    Returns
+    -------
+    Identification
+        ``modelled`` are replays of the pieces from their measured starts.
+    """
+    start_s = time.perf_counter()
+    model = models[0]
+    callback("air data")
+    # One set of sensors: the longest flight tells most.
+    longest = max(flights, key=lambda f: len(f.record))
+    errors = air_data_errors(longest.record)
+    flights = [_calibrated(f, errors) for f in flights]
+    callback("delay of the controls")
+    delay_s = control_delay_s(flights, measured)
+    unmeasured = sorted({c for f in flights for c in unmeasured_angles(f)})
+    # Without a vane the gusts are missing from the angle, and slopes would come out far too small.
+    angles = tuple(c.removesuffix("_rad") for c in unmeasured)
+    held = {
+        i: prior[n][1] if n in prior else 0.0
+        for i, n in enumerate(names)
+        if (parsed := split_name(n)) is not None and parsed[1].rstrip("2") in angles
+    }
+    begin = np.array(
+        [prior[n][0] if i in held and n in prior else initial[i] for i, n in enumerate(names)]
+    )
+    views = [*_VIEWS, *(_ANGLE_VIEWS if unmeasured else ())]
+    groups = _groups(names)
+    means = {
+        c.removesuffix("_rad"): float(np.nanmean(np.concatenate([f.record[c] for f in flights])))
+        if all(c in f.record for f in flights)
+        else 0.0
+        for c in ("alpha_rad", "beta_rad")
+    }
+    estimates = []
+    for number, view in enumerate(views):
+        callback(f"regression {number + 1} of {len(views)}")
+        data = _regression_data(
+            aircraft, flights, models, names, begin, measured, delay_s, view, unmeasured
+        )
+        estimates.append(
+            {c: _regress(data, c, members, begin, held) for c, members in groups.items()}
+        )
+    terms = {i: n.removeprefix("aero/").partition("_")[2] for i, n in enumerate(names)}
+    theta, cov, reason = begin.copy(), np.zeros((len(names), len(names))), {}
+    fit_share: dict[str, float] = {}
+    for coefficient, members in groups.items():
+        main = estimates[0][coefficient]
+        # What the estimates change with choices that the flight does not decide.
+        spread = np.array([e[coefficient].theta - main.theta for e in estimates[1:]])
+        square = np.max(spread**2, axis=0)
+        covariance = (
+            main.cov
+            + np.diag(square)
+            + _from_air_data(main.theta, [terms[i] for i in members], errors, means)
+        )
+        theta[list(members)], block = _with_prior(
+            main.theta,
+            covariance,
+            [None if i in held else prior.get(names[i]) for i in members],
+        )
+        cov[np.ix_(list(members), list(members))] = block
+        fit_share[coefficient] = main.unexplained
+    std = np.sqrt(np.diagonal(cov))
+    for i, (name, (low, high)) in enumerate(zip(names, limits, strict=True)):
+        if i in held and name not in prior:
+            reason[name] = "no vane measures its angle; give --prior FILE"
+        elif not np.isfinite(std[i]) or std[i] == 0.0:
+            reason[name] = "no effect in these data"
+        elif not low < theta[i] < high:
+            reason[name] = f"at its bound [{low:g}, {high:g}]"
+        else:
+            reason[name] = ""
+    identified = [n for n in names if not reason[n]]
+    places = [names.index(n) for n in identified]
+    ok = np.array([not reason[n] for n in names])
+    late = [f.with_delayed_commands(delay_s) for f in flights]
+    cut = tuple(s for f in late for s in segments(f, measured, aircraft.accelerometer_m))
+    outputs = tuple(
+        c
+        for c in OUTPUTS
+        if c not in unmeasured
+        and any(c in f.record and np.isfinite(f.record[c]).any() for f in flights)
+    )
+    observed = [block for f in late for block in measured_outputs(f, outputs)]
+    callback("replays")
+    values = dict(zip(names, np.where(ok, theta, initial).tolist(), strict=True))
+    jobs = [ReplayJob(model, s, values, s.start) for s in cut]
+    columns = [CHANNELS.index(c) for c in outputs]
+    modelled = [out[:, columns] for out in fly_all(jobs)]
+    result = Identification(
+        aircraft=aircraft.name,
+        names=names,
+        initial=initial,
+        theta=np.where(ok, theta, initial),
+        std=np.where(ok, std, np.nan),
+        std_crb=np.where(ok, std, np.nan),
+        status={n: "not-identified" if reason[n] else "identified" for n in names},
+        reason=reason,
+        cov=cov[np.ix_(places, places)],
+        nuisance={f"delay/{f.name}/controls": (delay_s, 0.015) for f in flights}
+        | {f"sensor.{e.channel}/{e.kind}": (e.value, e.std) for e in errors},
+        outputs=outputs,
+        segments=cut,
+        measured=observed,
+        modelled=modelled,
+        residual=[z - y for z, y in zip(observed, modelled, strict=True)],
+        whiteness=np.full(len(outputs), np.nan),
+        noise=channel_noise(observed, outputs, aircraft.card.sensors.noise_std),
+        method="equation error",
+        converged=True,
+        warnings=(),
+        notes=(),
+        simulations=len(views),
+        seconds=time.perf_counter() - start_s,
+    )
+    notes = [
+        "estimated by equation error on the complete flight, because it has no test manoeuvres;"
+        " intervals allow for the unexplained share of each coefficient: "
+        + ", ".join(f"{c} {percent(share)}" for c, share in fit_share.items()),
+        f"controls act {1e3 * delay_s:.0f} ms after their rows",
+        *(f"air data: {e.text()}" for e in errors),
+        *_combination_notes(result),
+    ]
+    if unmeasured:
+        notes.append(
+            f"no vane measures {', '.join(unmeasured)}: reconstructed from accelerometers, gyros"
+            " and attitude"
+        )
+    return replace(
+        result,
+        notes=tuple(notes),
+        labels=prior_labels(result, prior),
+        seconds=time.perf_counter() - start_s,
+    )
+
+
+def _groups(names: Sequence[str]) -> dict[str, tuple[int, ...]]:
+    """Return coefficient to the places of its parameters."""
+    groups: dict[str, list[int]] = {}
+    for i, name in enumerate(names):
+        if (parsed := split_name(name)) is not None:
+            groups.setdefault(parsed[0], []).append(i)
+    return {c: tuple(members) for c, members in groups.items()}
+
+
+@dataclass(frozen=True)
+class _RegressionData:
+    """A flight in one view: of each piece, demanded minus predicted coefficients (n, 6), regressors
+    by parameter (n,) and block of time (n,); variance of the demanded coefficients (6,) and of the
+    noise in them (6,); lags of the instruments in rows.
+    """
+
+    excess: list[FloatArray]
+    columns: Mapping[int, list[FloatArray]]
+    block: list[FloatArray]
+    variance: FloatArray
+    noise: FloatArray
+    lags: tuple[int, ...]
+
+
+def _regression_data(
+    aircraft: Aircraft,
+    flights: Sequence[Flight],
+    models: tuple[ReplayModel, ReplayModel],
+    names: Sequence[str],
+    initial: FloatArray,
+    measured: Sequence[str],
+    delay_s: float,
+    view: _View,
+    unmeasured: Sequence[str],
+) -> _RegressionData:
+    """Evaluate the model along the flights, in one view."""
+    model, direct_model = models
+    late = [f.with_delayed_commands(delay_s + view.late_s) for f in flights]
+    if unmeasured:
+        late = [_with_angles(f, unmeasured, view.time_constant_s) for f in late]
+    cut = [s for f in late for s in segments(f, measured, aircraft.accelerometer_m)]
+    channels_of = [states(f, piece) for f in late for piece in f.pieces]
+    forced_models = forced_at(
+        model, direct_model, cut, channels_of, dict(zip(names, initial.tolist(), strict=True))
+    )
+    terms = {i: parsed[1] for i, n in enumerate(names) if (parsed := split_name(n)) is not None}
+    excess, demand, blocks = [], [], []
+    columns: dict[int, list[FloatArray]] = {i: [] for i in terms}
+    noise_std = channel_noise(
+        [np.column_stack([c[n] for n in _INERTIAL]) for c in channels_of],
+        _INERTIAL,
+        aircraft.card.sensors.noise_std,
+    )
+    noise, first = np.zeros(6), 0
+    for segment, channels, (forced, variables) in zip(cut, channels_of, forced_models, strict=True):
+        wanted = demanded(
+            np.column_stack([channels[f"a{a}_mps2"] for a in "xyz"]),
+            np.column_stack([channels[f"{a}_radps"] for a in "pqr"]),
+            forced.qbar,
+            forced.mass,
+            forced.other_force,
+            forced.other_moment,
+            dt_s=segment.dt_s,
+            arm_m=np.array(segment.arm_m),
+            cutoff_hz=view.cutoff_hz,
+        )
+        demand.append(wanted)
+        excess.append(wanted - smooth(forced.coefficients, segment.dt_s, view.cutoff_hz))
+        regressors = {k: smooth(v, segment.dt_s, view.cutoff_hz) for k, v in variables.items()}
+        for i, term in terms.items():
+            columns[i].append(regressor(term, regressors))
+        count = max(1, round((segment.time_s[-1] - segment.time_s[0]) / BLOCK_S))
+        blocks.append(first + (np.arange(len(wanted)) * count // len(wanted)))
+        first += count
+        noise += len(wanted) * _noise_of(forced, segment, noise_std, view.cutoff_hz)
+    together = np.concatenate(demand)
+    # Gusts that rotate the air are as long as the span, and filters remember their own width.
+    speed = float(np.mean(np.concatenate([c["V_mps"] for c in channels_of])))
+    span_s = forced_models[0][0].mass.b / max(speed, 1.0)
+    least = 2 * half_width(cut[0].dt_s, view.cutoff_hz) + 1
+    lags = tuple(
+        max(least + k, round(lag * span_s / cut[0].dt_s)) for k, lag in enumerate(view.lags)
+    )
+    return _RegressionData(
+        excess, columns, blocks, together.var(axis=0), noise / len(together), lags
+    )
+
+
+_INERTIAL = ("p_radps", "q_radps", "r_radps", "ax_mps2", "ay_mps2", "az_mps2")
+
+
+def _noise_of(
+    forced: ForcedModel, segment: Segment, noise_std: Mapping[str, float], cutoff_hz: float
+) -> FloatArray:
+    """Return the variance (6,) that sensor noise has in the demanded coefficients of a piece."""
+    mass, half = forced.mass, half_width(segment.dt_s, cutoff_hz)
+    level, slope = (float(np.sum(kernel(half, segment.dt_s, d) ** 2)) for d in (0, 1))
+    per_qbar = float(np.mean(1.0 / np.maximum(forced.qbar, 1e-3)))
+    force = mass.mass / mass.S * per_qbar
+    out = np.array([noise_std[f"a{a}_mps2"] * force for a in "xyz"]) ** 2 * level
+    inertia = np.diagonal(mass.inertia)
+    rates = np.array([noise_std[f"{a}_radps"] for a in "pqr"])
+    moments = (rates * inertia / (mass.S * mass.lengths) * per_qbar) ** 2 * slope
+    return np.concatenate([out, moments])
+
+
+def _regress(
+    data: _RegressionData,
+    coefficient: str,
+    members: Sequence[int],
+    initial: FloatArray,
+    held: Mapping[int, float] | None = None,
+) -> _Regression:
+    """Regress one coefficient by instrumental variables, with the covariance of clusters of time.
+
+    A gust moves the aircraft and adds to the coefficient, noise enters the regressors and, through
+    the autopilot, the controls: both correlate with the regressors of the same instant, and least
+    squares has dampings and control powers at half. The regressors one or two spans of flight
+    before are the instruments: the motion remembers them, gusts and noise hardly (Soderstrom and
+    Stoica, "Instrumental Variable Methods for System Identification", 1983; two-stage least
+    squares).
+
+    The sandwich over blocks allows for correlation within them. Beyond it, what the model does not
+    explain (gusts that rotate the air, missing terms) may correlate with the regressors in every
+    block alike, because controls answer the motion. Its correlation with what a regressor has
+    alone is taken as random with the standard deviation `ENDOGENEITY`: the bias of an estimate is
+    that correlation times the unexplained part's standard deviation over that of what the
+    regressor has alone. It does not fall with the length of the flight, and it is zero for a model
+    that leaves sensor noise.
+
+    Parameters that are ``held`` keep their start values with a standard deviation, which adds to
+    the covariance of the others.
+    """
+    k, held = _ORDER.index(coefficient), held or {}
+    first, last = max(data.lags), min(data.lags)
+    x, y, z, block = [], [], [], []
+    for piece, (excess, of) in enumerate(zip(data.excess, data.block, strict=True)):
+        n = len(excess)
+        if n <= first + len(members):
+            continue
+        part = np.column_stack([data.columns[i][piece] for i in members])
+        x.append(part[first:])
+        y.append(excess[first:, k])
+        z.append(np.column_stack([part[first - lag : n - lag] for lag in (first, last)]))
+        block.append(of[first:])
+    regressors, target, instruments = (np.concatenate(v) for v in (x, y, z))
+    fixed = np.array([i in held for i in members])
+    fixed_columns = regressors[:, fixed]
+    regressors = np.where(fixed, 0.0, regressors)
+    instruments = np.where(np.tile(fixed, 2), 0.0, instruments)
+    cluster = np.concatenate(block)
+    scale = np.sqrt(np.mean(regressors**2, axis=0))
+    usable = scale > 0.0
+    scale = np.where(usable, scale, 1.0)
+    design = regressors / scale
+    spread = np.sqrt(np.mean(instruments**2, axis=0))
+    instruments = instruments / np.where(spread > 0.0, spread, 1.0)
+    fitted = instruments @ _solve(instruments.T @ instruments, instruments.T @ design)
+    inverse = _solve(fitted.T @ fitted, np.eye(len(members)))
+    delta = inverse @ (fitted.T @ target)
+    residual = target - design @ delta
+    numbers, position = np.unique(cluster, return_inverse=True)
+    scores = np.zeros((len(numbers), len(members)))
+    np.add.at(scores, position, fitted * residual[:, None])
+    count = len(numbers)
+    sandwich = count / max(1, count - 1) * inverse @ (scores.T @ scores) @ inverse
+    variance = max(float(data.variance[k]), 1e-300)
+    left = max(float(np.mean(residual**2)) - float(data.noise[k]), 0.0)
+    bias = ENDOGENEITY**2 * left * len(target) * inverse
+    rho = min(left / variance, 1.0)
+    cov = (sandwich + bias) / np.outer(scale, scale)
+    cov[~usable, :] = 0.0
+    cov[:, ~usable] = 0.0
+    change = np.zeros((len(members), int(fixed.sum())))
+    change[usable] = -(inverse @ (fitted.T @ fixed_columns) / scale[:, None])[usable]
+    change[fixed] = np.eye(int(fixed.sum()))
+    known = np.diag([held[i] ** 2 for i in members if i in held])
+    cov += change @ known @ change.T
+    theta = initial[list(members)] + np.where(usable, delta / scale, 0.0)
+    return _Regression(theta, cov, rho)
+
+
+def _solve(matrix: FloatArray, right: FloatArray) -> FloatArray:
+    """Return matrix^-1 right for a symmetric matrix; directions without information get nothing."""
+    values, vectors = np.linalg.eigh(matrix)
+    kept = values > 1e-10 * max(values[-1], 1e-300)
+    return np.asarray((vectors[:, kept] / values[kept]) @ (vectors[:, kept].T @ right))
+
+
+def _from_air_data(
+    theta: FloatArray,
+    terms: Sequence[str],
+    errors: Sequence[AirDataError],
+    mean: Mapping[str, float],
+) -> FloatArray:
+    """Return the covariance (k, k) that errors of the air data add.
+
+    All terms scale with 1/V^2 and each angle's terms with the angle's scale; an offset of an angle
+    moves the constant term, and the slope where there is a quadratic term.
+    """
+    out = np.zeros((len(theta), len(theta)))
+    place = {term: k for k, term in enumerate(terms)}
+    for e in errors:
+        change = np.zeros(len(theta))
+        if e.channel == "V_mps":
+            change = 2.0 * theta / e.value
+        else:
+            angle = e.channel.removesuffix("_rad")
+            slope, bend = (theta[place[t]] if t in place else 0.0 for t in (angle, f"{angle}2"))
+            if e.kind == "scale":
+                for term, power in ((angle, 1), (f"{angle}2", 2)):
+                    if term in place:
+                        change[place[term]] = power * theta[place[term]] / e.value
+            else:
+                if "0" in place:
+                    change[place["0"]] = -(slope + 2.0 * bend * mean[angle])
+                if angle in place:
+                    change[place[angle]] = -2.0 * bend
+        out += e.std**2 * np.outer(change, change)
+    return out
+
+
+def _with_prior(
+    theta: FloatArray, cov: FloatArray, priors: Sequence[tuple[float, float] | None]
+) -> tuple[FloatArray, FloatArray]:
+    """Combine estimates and covariance with normal priors of some of the parameters."""
+    if not any(p is not None for p in priors):
+        return theta, cov
+    scale = np.sqrt(np.maximum(np.diagonal(cov), 1e-300))
+    information = np.linalg.pinv(cov / np.outer(scale, scale), rcond=1e-10) / np.outer(scale, scale)
+    known = np.diag([0.0 if p is None else 1.0 / p[1] ** 2 for p in priors])
+    mean = np.array([0.0 if p is None else p[0] for p in priors])
+    posterior = np.linalg.inv(information + known)
+    return posterior @ (information @ theta + known @ mean), posterior
+
+
+def _calibrated(flight: Flight, errors: Sequence[AirDataError]) -> Flight:
+    """Return the flight with scales and offsets of its air data taken out."""
+    columns = {
+        e.channel: flight.record[e.channel] / e.value
+        for e in errors
+        if e.kind == "scale" and e.channel in flight.record
+    }
+    for e in errors:
+        if e.kind == "offset" and e.channel in columns:
+            scale = next(x.value for x in errors if (x.channel, x.kind) == (e.channel, "scale"))
+            columns[e.channel] = columns[e.channel] - e.value / scale
+    return replace(flight, record=flight.record.with_columns(columns))
+
+
+def prior_labels(
+    result: Identification, prior: Mapping[str, tuple[float, float]]
+) -> dict[str, str]:
+    """Return parameter to where its value comes from: "data", "prior and data" or "prior only".
+
+    The share of the information that the flight adds decides: 1 - (std / prior std)^2 below a fifth
+    is nothing to speak of, above nine tenths the prior is.
+    """
+    out = {}
+    for name, std in zip(result.names, result.std.tolist(), strict=True):
+        if name not in prior:
+            out[name] = "data" if name in result.identified else "start value"
+            continue
+        out[name] = basis_of(std if np.isfinite(std) else np.inf, prior[name][1])
+    return out
+
+
+COLLINEAR = 0.9
+"""Correlation of two estimates above which their combination is reported."""
+
+
+def _combination_notes(result: Identification) -> list[str]:
+    """Return a sentence for each pair of estimates that the flight knows as a combination only."""
+    names = list(result.identified)
+    std = np.sqrt(np.diagonal(result.cov)) if len(result.cov) else np.zeros(0)
+    value = dict(zip(result.names, result.theta.tolist(), strict=True))
+    out = []
+    for i, a in enumerate(names):
+        for j in range(i + 1, len(names)):
+            r = float(result.cov[i, j] / (std[i] * std[j])) if std[i] * std[j] > 0.0 else 0.0
+            if abs(r) < COLLINEAR:
+                continue
+            # The combination a - k b whose error does not depend on b.
+            k = float(result.cov[i, j] / std[j] ** 2)
+            b = names[j]
+            width = 1.96 * float(std[i]) * np.sqrt(max(0.0, 1.0 - r**2))
+            out.append(
+                f"{a} and {b} are known as a combination (correlation {r:.2f}):"
+                f" {a} {-k:+.3g} {b} = {value[a] - k * value[b]:.4g} ± {width:.2g}"
+            )
+    return out
