@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sysid.arrays import FloatArray
-from sysid.effects import CERTAIN_T, Gusts, corrected_each, follow, gust_strength_mps2
+from sysid.effects import CERTAIN_T, Gusts, corrected_estimates, follow, gust_strength_mps2
 from sysid.estimation import assess, at_bound, colour, colour_warnings, idle_bound, rms
 from sysid.parallel import Processes
 from uqharness.errors import BadInputError
@@ -285,8 +285,8 @@ def _estimates(
     """
     evidence, at = fit.fit.evidence, fit.fit.flown.point.values
     names = list(evidence.names)
-    gate = assess(evidence.everything[0], tuple(names))
-    steps = corrected_each(evidence, names, names)
+    gate = assess(evidence.total[0], tuple(names))
+    steps = corrected_estimates(evidence, names, names)
     # Scale the covariance by standard errors corrected for coloured residuals; correlations stay.
     wider = [steps[n][1] / steps[n][2] for n in names]
     values, reason = {}, dict.fromkeys(free, "")

@@ -20,12 +20,12 @@ from sysid.aerodynamics.rigid_body import MassProperties
 from sysid.arrays import FloatArray
 from sysid.effects import (
     Columns,
-    Evidence,
+    Information,
     MadeColumns,
     White,
-    corrected_each,
-    gather,
+    corrected_estimates,
     names_of,
+    normal_equations,
     whiten,
 )
 from sysid.parallel import SERIAL, Processes
@@ -254,7 +254,7 @@ class Fit:
     probes: list[Probe]
     steps: list[Steps]
     columns: list[Columns]
-    evidence: Evidence
+    evidence: Information
     analytic: tuple[str, ...]
 
 
@@ -335,7 +335,7 @@ def fit_at(
         s.y_ref[:, setup.which] = y
     columns = parameter_columns(setup, found, flown, names, analytic)
     white = whiten(steps, setup.measured, columns, setup.which, setup.noise)
-    evidence = gather(white, columns[0].names, [0] * len(white), PRIOR)
+    evidence = normal_equations(white, columns[0].names, [0] * len(white), PRIOR)
     return Fit(flown, found, steps, columns, evidence, analytic)
 
 
@@ -352,7 +352,7 @@ def moved_starts(
     return tuple(moved)
 
 
-def step_from(setup: Setup, point: Point, evidence: Evidence) -> tuple[FloatArray, float]:
+def step_from(setup: Setup, point: Point, evidence: Information) -> tuple[FloatArray, float]:
     """Gauss-Newton step (K,) from a point, and its length in standard errors. What is `held` stays,
     and what flights would have beyond where it ends: a share of a jump beyond SHARES, a rate limit
     where it is not felt."""
@@ -395,7 +395,7 @@ def stepped(
 
 
 def in_one_step(
-    evidence: Evidence,
+    evidence: Information,
     names: Sequence[str],
     fit: Fit,
     chosen: Sequence[str] = (),
@@ -404,7 +404,7 @@ def in_one_step(
     """(value, standard error corrected for colour) of properties beside the effects ``chosen``, the
     last step taken unless not ``moved``."""
     free = [*(n for n in fit.columns[0].names if not n.startswith("effect/")), *chosen]
-    found, at = corrected_each(evidence, free, names), fit.flown.point.values
+    found, at = corrected_estimates(evidence, free, names), fit.flown.point.values
     return {
         n: (float(at[n] + (delta if moved else 0.0)), std) for n, (delta, std, _) in found.items()
     }

@@ -23,9 +23,9 @@ from sysid.effects import (
     Followed,
     Gusts,
     follow,
-    gather,
     gust_intensity,
     minus_twice_log,
+    normal_equations,
     whitened,
 )
 from sysid.parallel import Processes
@@ -272,11 +272,11 @@ def gust_refit(
         causal, path = path is not None, [p.body for p in found]
         columns = parameter_columns(setup, found, flown, names, analytic)
         white = whitened(followed, columns)
-        evidence = gather(white, columns[0].names, [0] * len(white), PRIOR)
+        evidence = normal_equations(white, columns[0].names, [0] * len(white), PRIOR)
         before = None if sought else delta
         delta, length = step_from(setup, point, evidence)
         # In other air the same step is another one.
-        share = 1.0 if before is None else relaxed(share, before, delta, evidence.everything[0])
+        share = 1.0 if before is None else relaxed(share, before, delta, evidence.total[0])
         if not np.isfinite(delta).all():
             raise np.linalg.LinAlgError("predictions with this model are no numbers")
         if told is not None:

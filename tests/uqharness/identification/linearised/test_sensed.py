@@ -10,7 +10,7 @@ import pytest
 from sysid.effects.catalogue import subsystem_effects
 from uqharness.identification.linearised.linearise import at_vane, placed, sensor_late_s
 from uqharness.identification.linearised.types import Point
-from uqharness.refinement.round import candidates_for
+from uqharness.refinement.candidates import candidate_effects
 from uqharness.replay import Segment
 
 RATES = ("p_radps", "q_radps", "r_radps")
@@ -41,10 +41,10 @@ def test_one_sensor_alone_is_counted_once():
 def test_candidates_hold_each_channel_of_a_sensor_but_none_where_logs_estimate_delays():
     outputs = ("alpha_rad", *RATES)
     keys = {
-        e.key for e in candidates_for(SimpleNamespace(servos={}, outputs=outputs, late={}), (), ())
+        e.key for e in candidate_effects(SimpleNamespace(servos={}, outputs=outputs, late={}), (), ())
     }
     assert {f"effect/sensor.{s}/delay" for s in ("alpha_rad", "rates", *RATES)} <= keys
-    logged = candidates_for(
+    logged = candidate_effects(
         SimpleNamespace(servos={}, outputs=outputs, late={"one": ["alpha_rad"]}), (), ()
     )
     assert not [

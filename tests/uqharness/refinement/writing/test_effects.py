@@ -14,7 +14,7 @@ from sysid.effects.catalogue import coefficient_effect, subsystem_effects
 from uqharness.errors import BadInputError
 from uqharness.identification.linearised import Carrier, servo_change
 from uqharness.plugin.apply import Estimate
-from uqharness.refinement.write_xml import Written, carrier, switch_of, write_effects
+from uqharness.refinement.write_xml import EffectToWrite, carrier, switch_of, write_effects
 from uqharness.replay.replay import runs_per_row
 from uqharness.simulator import engine
 from uqharness.simulator.actuators import Actuator
@@ -33,7 +33,7 @@ STATES = (
 
 
 def written(effect, value, slopes=None):
-    return Written(effect, value, "a remark", slopes or {})
+    return EffectToWrite(effect, value, "a remark", slopes or {})
 
 
 def flown(aircraft, properties=None, seconds=2.0):
@@ -228,7 +228,7 @@ def test_a_rate_limit_counts_from_the_one_the_servo_has(tmp_path):
         " switches it off -->" in text
     )
     assert "<rate_limit>effect/actuator/aileron-rate_limit</rate_limit>" in text
-    # Found once more in the aircraft that has it: one property, the newer number.
+    # SearchResult once more in the aircraft that has it: one property, the newer number.
     write_effects(
         find_aircraft(tmp_path / "espaaro"),
         [written(effect, 1.0 / 40.0 - 1.0 / 80.0)],
@@ -345,7 +345,7 @@ def test_a_flights_name_with_accents_and_hyphens_is_written_as_the_file_is(
     remark = "Vol d'été 1, a---b"
     write_effects(
         find_aircraft(folder),
-        [Written(e, v, remark, {}) for e, v in effects],
+        [EffectToWrite(e, v, remark, {}) for e, v in effects],
         {},
         tmp_path / "espaaro",
     )

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from sysid.effects.catalogue import subsystem_effects
-from sysid.effects.selection import Choice, Selection
+from sysid.effects.selection import SelectedEffect, Selection
 from uqharness.identification.linearised import Point, Probe, ProbeJob, effect_columns, probe_all
 from uqharness.refinement.write_xml import (
-    Written,
+    EffectToWrite,
     control_slopes,
     inflow_numbers,
     of_lift_slope,
@@ -73,7 +73,10 @@ def test_written_into_the_aircraft_it_does_what_the_column_says(nominal: Probe, 
     (effect,) = [e for e in subsystem_effects([], [], []) if e.key == "effect/propulsion/inflow"]
     slopes = inflow_numbers([nominal])
     write_effects(
-        find_aircraft("espaaro"), [Written(effect, K, "a remark", slopes)], {}, tmp_path / "espaaro"
+        find_aircraft("espaaro"),
+        [EffectToWrite(effect, K, "a remark", slopes)],
+        {},
+        tmp_path / "espaaro",
     )
     changed = probed(find_aircraft(tmp_path / "espaaro"))
     moved = (changed.coefficients - nominal.coefficients)[::4]
@@ -130,7 +133,7 @@ def test_stall_is_a_share_of_the_lift_slope_beside_it(nominal: Probe):
     the slope that is there.
     """
     choices = tuple(
-        Choice(f"effect/{k}", 1.3, 0.01, 90.0, 8e3, 1.0, 0.0)
+        SelectedEffect(f"effect/{k}", 1.3, 0.01, 90.0, 8e3, 1.0, 0.0)
         for k in ("stall/separation", "Cm/p_hat^2")
     )
     before = fit_of(nominal)
