@@ -60,7 +60,7 @@ bench: setup
 	$(PY) -m uqharness fly espaaro --script flight-bounds --noise --seed 3 --out "$$folder/flight.parquet" && \
 	$(PY) -m uqharness bounds espaaro --flight "$$folder/flight.parquet" --out "$$folder/bounds" --no-check > /dev/null && \
 	$(PY) -m uqharness fly espaaro --script flight-ident --noise --seed 3 --out "$$folder/ident.parquet" && \
-	OPENBLAS_NUM_THREADS=1 $(PY) -m uqharness.cli.benchmarks.batch --model-form "$$folder/bounds/model-form.json" \
+	OPENBLAS_NUM_THREADS=1 $(PY) -m uqharness.cli.benchmark_batch --model-form "$$folder/bounds/model-form.json" \
 		--flight "$$folder/ident.parquet"
 
 lock:

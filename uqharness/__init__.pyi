@@ -1,5 +1,6 @@
 from . import sensitivity as sensitivity
 from .api.aircraft import diff as diff
+from .api.aircraft import export as export
 from .api.aircraft import find_trim as find_trim
 from .api.aircraft import instrument as instrument
 from .api.aircraft import linearise as linearise
@@ -17,9 +18,6 @@ from .api.campaigns import rerun_case as rerun_case
 from .api.campaigns import run_campaign as run_campaign
 from .api.campaigns import salvage_campaign as salvage_campaign
 from .api.campaigns import verify as verify
-from .api.errors import BadInputError as BadInputError
-from .api.errors import LogError as LogError
-from .api.exchange import export as export
 from .api.flights import export_log as export_log
 from .api.flights import fly as fly
 from .api.flights import log_info as log_info
@@ -33,6 +31,8 @@ from .api.refinement import refine as refine
 from .api.results import dossier as dossier
 from .api.results import report as report
 from .api.results import study as study
+from .errors import BadInputError as BadInputError
+from .errors import LogError as LogError
 from .report.plots import plot_pbox as plot_pbox
 from .simulator.aircraft import find_aircraft as find_aircraft
 

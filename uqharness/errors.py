@@ -6,7 +6,9 @@ program.
 
 from __future__ import annotations
 
-from sysid.errors import shortened
+from sysid.errors import LogError, shortened
+
+__all__ = ["BadInputError", "EnginesDifferError", "LogError", "TerminatedError"]
 
 
 class BadInputError(Exception):

@@ -25,9 +25,9 @@ import pandas as pd
 
 from campaigns.library.study import exit_code, published_table, study_parser, write_csv
 from uqharness.campaign.conditions import CONFIDENCE
-from uqharness.campaign.folder.manifest import read_complete
-from uqharness.campaign.folder.tables import EXCURSIONS, read_checked
+from uqharness.campaign.manifest import read_complete
 from uqharness.campaign.statements import STATEMENTS
+from uqharness.campaign.tables import EXCURSIONS, read_checked
 from uqharness.errors import BadInputError
 from uqharness.statistics.pbox import poisson_limits
 

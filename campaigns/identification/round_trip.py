@@ -32,7 +32,7 @@ from uqharness.identification.identify import identify
 from uqharness.identification.replay_fit import Identification
 from uqharness.plugin.apply import Estimate, write_estimates
 from uqharness.replay.flights import read_flights
-from uqharness.report.compare import gap_verdict
+from uqharness.report.pages.compare import gap_verdict
 from uqharness.simulator.aircraft import Aircraft, find_aircraft
 
 FLOWN = "synthetic_stall"

@@ -13,8 +13,8 @@ from campaigns.library.flying import Progress, fly, fly_shard
 from campaigns.library.plan import Plan, Shard, cell_name
 from campaigns.library.store import pack, records, refuse_other_flights, shard_table
 from campaigns.library.study import exit_code, log_progress
-from uqharness.campaign.execution.processes import ProcessExecutor
-from uqharness.campaign.execution.worker import fly_group
+from uqharness.campaign.processes import ProcessExecutor
+from uqharness.campaign.worker import fly_group
 from uqharness.errors import BadInputError
 from uqharness.parquet_files import parse_table
 

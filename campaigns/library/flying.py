@@ -22,10 +22,12 @@ from campaigns.library.store import (
     refuse_other_flights,
 )
 from sysid.digests import sha256_hex
+from uqharness.campaign import tables
 from uqharness.campaign.cases import Case
 from uqharness.campaign.engines import compare_outcomes, difference_scale, refuse_difference
-from uqharness.campaign.execution.processes import Executor
-from uqharness.campaign.execution.worker import (
+from uqharness.campaign.manifest import digest_of_rows, row_digest
+from uqharness.campaign.processes import Executor
+from uqharness.campaign.worker import (
     BATCH,
     JUDGE,
     ONE_ULP_OFF,
@@ -34,8 +36,6 @@ from uqharness.campaign.execution.worker import (
     GroupFunction,
     fly_group,
 )
-from uqharness.campaign.folder import tables
-from uqharness.campaign.folder.manifest import digest_of_rows, row_digest
 from uqharness.errors import BadInputError
 from uqharness.flight import FlightResult, FlightSpec
 from uqharness.parquet_files import table_bytes

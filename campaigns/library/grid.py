@@ -20,8 +20,8 @@ import pyarrow as pa
 
 from uqharness.campaign.cases import Case
 from uqharness.campaign.conditions import ERROR_METRICS, excursion_columns
-from uqharness.campaign.execution.worker import CaseOutcome
-from uqharness.campaign.folder.tables import build_table
+from uqharness.campaign.tables import build_table
+from uqharness.campaign.worker import CaseOutcome
 from uqharness.errors import BadInputError
 
 RESOLUTION = 0.005

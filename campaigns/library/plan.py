@@ -10,14 +10,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from campaigns.library.grid import RESOLUTION
+from uqharness.campaign import CampaignSpec
 from uqharness.campaign.cases import Case, Mission, Part, build_cases
 from uqharness.campaign.conditions import Condition
 from uqharness.campaign.engines import make_copy, needs_copy
-from uqharness.campaign.folder.manifest import digest_of_rows
+from uqharness.campaign.manifest import digest_of_rows
+from uqharness.campaign.read_spec import read_campaign, with_samples
 from uqharness.campaign.run import find_mission
-from uqharness.campaign.spec.campaign import CampaignSpec
-from uqharness.campaign.spec.read import read_campaign, with_samples
-from uqharness.campaign.spec.samples import epistemic_samples
+from uqharness.campaign.sampling import epistemic_samples
 from uqharness.errors import BadInputError
 
 COPY = "results-copy"

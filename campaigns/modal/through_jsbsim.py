@@ -26,7 +26,7 @@ from uqharness.sensitivity.modal import (
     longitudinal_modes,
     system_matrix,
 )
-from uqharness.sensitivity.problem import corners
+from uqharness.sensitivity.study import corners
 from uqharness.simulator.aircraft import Aircraft
 from uqharness.simulator.forced_state import BodyState, force_state
 from uqharness.simulator.trim import SteadyCondition, find_trim

@@ -21,7 +21,7 @@ import numpy as np
 from campaigns.library.study import study_parser
 from sysid.arrays import FloatArray
 from sysid.model_form.model_form import ModelForm, read_model_form
-from uqharness.cli.benchmarks.loop import without_plugin
+from uqharness.cli.benchmark_loop import without_plugin
 from uqharness.files import scratch_folder
 from uqharness.flight.fly import set_conditions
 from uqharness.flight.spec import FlightSpec

@@ -28,8 +28,8 @@ from campaigns.rare_events.reproduce import CELL, CORNER, HOME, default_study
 from campaigns.rare_events.states import LoiterScore
 from campaigns.rare_events.study import GRID, TOP, Study
 from sysid.arrays import FloatArray
-from uqharness.campaign.execution.worker import BATCH, fly_group
 from uqharness.campaign.rare_events import CheckpointPlan, LoiterPaths
+from uqharness.campaign.worker import BATCH, fly_group
 from uqharness.errors import BadInputError
 from uqharness.flight import FlightSpec
 from uqharness.statistics import Levels, interval, pilot, run

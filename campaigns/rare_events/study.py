@@ -17,8 +17,7 @@ from campaigns.rare_events.states import LoiterScore, Recorder, regressors
 from uqharness.batch import compiled_mission
 from uqharness.campaign.cases import Case, Part, build_cases
 from uqharness.campaign.conditions import Condition
-from uqharness.campaign.execution.worker import BATCH, fly_group
-from uqharness.campaign.folder.manifest import digest_of_rows
+from uqharness.campaign.manifest import digest_of_rows
 from uqharness.campaign.rare_events import (
     DISTANCE,
     CheckpointPlan,
@@ -27,6 +26,7 @@ from uqharness.campaign.rare_events import (
     LoiterPaths,
     fit_predictors,
 )
+from uqharness.campaign.worker import BATCH, fly_group
 from uqharness.errors import BadInputError
 from uqharness.flight import (
     OPTIONAL_SIGNALS,

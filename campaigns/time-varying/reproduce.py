@@ -31,8 +31,8 @@ from uqharness.campaign.conditions import (
     in_condition,
     samples,
 )
-from uqharness.campaign.folder.manifest import read_complete
-from uqharness.campaign.folder.tables import read_cases
+from uqharness.campaign.manifest import read_complete
+from uqharness.campaign.tables import read_cases
 from uqharness.errors import BadInputError
 from uqharness.files import write_text
 from uqharness.report.pbox import PROBABILITY, metric_label

@@ -22,11 +22,10 @@ from reference_python import python
 
 from sysid.logs.signal_map import markdown_table
 from sysid.model_form.model_form import CoefficientBounds, ModelForm
+from uqharness.campaign import CampaignSpec, sensitivity, statements, tables
 from uqharness.campaign import rounds as campaign_rounds
-from uqharness.campaign import sensitivity, statements
-from uqharness.campaign.folder import tables
-from uqharness.campaign.folder import tables as campaign_results
-from uqharness.campaign.spec.campaign import CampaignSpec, Document
+from uqharness.campaign import tables as campaign_results
+from uqharness.campaign.spec import Document
 from uqharness.cli import main as cli
 from uqharness.results.base import Part
 from uqharness.results.identification import Bounds, Compare, Coverage, Fit
@@ -168,7 +167,7 @@ DOCUMENTS = (
     (
         "manifest.json",
         (
-            "uqharness.campaign.folder.manifest:describe",
+            "uqharness.campaign.manifest:describe",
             "+tables",
             "+journal",
             "+sums",

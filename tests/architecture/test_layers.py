@@ -65,7 +65,7 @@ def test_a_circle_and_an_arrow_up_are_seen():
 @pytest.mark.parametrize(
     ("name", "expected"),
     [
-        ("uqharness.campaign.folder.store", ("uqharness", "campaign")),
+        ("uqharness.campaign.store", ("uqharness", "campaign")),
         ("sysid.record", ("sysid", "")),
         ("uqharness", ("uqharness", "")),
     ],

@@ -10,9 +10,9 @@ import pytest
 
 from campaigns.excursions.reproduce import Range, main, published
 from tests.helpers import campaign_fakes as fakes
-from uqharness.campaign.execution.processes import SerialExecutor
+from uqharness.campaign.processes import SerialExecutor
+from uqharness.campaign.read_spec import read_campaign
 from uqharness.campaign.run import run_campaign
-from uqharness.campaign.spec.read import read_campaign
 from uqharness.flight.spec import FlightResult
 
 pytestmark = pytest.mark.filterwarnings(

@@ -12,8 +12,8 @@ import pytest
 from campaigns.excursions.full_size import plan as stand_ins
 from campaigns.library.plan import COPY, Plan
 from campaigns.library.store import cell_table, records
+from uqharness.campaign import read_bounds
 from uqharness.campaign.engines import bounds_notes, named_aircraft
-from uqharness.campaign.spec.campaign import read_bounds
 from uqharness.simulator import content_hash, find_aircraft
 
 full_size = importlib.import_module("campaigns.excursions-from-flights.full_size")

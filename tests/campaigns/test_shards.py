@@ -19,10 +19,10 @@ from campaigns.library.plan import Plan
 from campaigns.library.store import FLIGHTS, cell_table, is_intact, pack, records
 from campaigns.library.tables import smoothed, write_cost
 from tests.helpers import campaign_fakes as fakes
-from uqharness.campaign.execution.processes import SerialExecutor
-from uqharness.campaign.execution.worker import JUDGE
+from uqharness.campaign.processes import SerialExecutor
+from uqharness.campaign.read_spec import read_campaign
 from uqharness.campaign.run import find_mission
-from uqharness.campaign.spec.read import read_campaign
+from uqharness.campaign.worker import JUDGE
 from uqharness.errors import BadInputError, EnginesDifferError
 from uqharness.flight.spec import FlightResult
 

@@ -10,9 +10,9 @@ import pytest
 
 from tests.helpers import campaign_fakes as fakes
 from tests.helpers.campaign_scripts import campaign_script
-from uqharness.campaign.execution.processes import SerialExecutor
+from uqharness.campaign.processes import SerialExecutor
+from uqharness.campaign.read_spec import read_campaign
 from uqharness.campaign.run import run_campaign
-from uqharness.campaign.spec.read import read_campaign
 from uqharness.flight.spec import FlightResult
 from uqharness.simulator.aircraft import PROJECT_ROOT
 from uqharness.statistics.pbox import Sample, containment, envelope, pbox

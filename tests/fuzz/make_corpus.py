@@ -168,9 +168,9 @@ def _fit(folder: Path) -> None:
 def _campaign(folder: Path) -> None:
     """Two coefficients, two conditions, a rule that decides."""
     import tests.helpers.campaign_fakes as fakes
-    from uqharness.campaign.execution.processes import SerialExecutor
+    from uqharness.campaign.processes import SerialExecutor
+    from uqharness.campaign.read_spec import read_campaign
     from uqharness.campaign.run import run_campaign
-    from uqharness.campaign.spec.read import read_campaign
 
     beside = folder.parent / "input"
     beside.mkdir()
@@ -242,15 +242,9 @@ def _wire(root: Path) -> None:
     """An order and an answer as they go over Dask's wire."""
     from tests.helpers.campaign_fakes import small_spec
     from uqharness.campaign.cases import build_cases
-    from uqharness.campaign.execution.dask_task import (
-        OWN_FLIGHT,
-        Answer,
-        Order,
-        answer_text,
-        order_text,
-    )
-    from uqharness.campaign.execution.worker import CaseOutcome, Group
+    from uqharness.campaign.dask import OWN_FLIGHT, Answer, Order, answer_text, order_text
     from uqharness.campaign.run import find_mission
+    from uqharness.campaign.worker import CaseOutcome, Group
 
     spec = small_spec(_SCRATCH / "wire")
     case = build_cases(spec, find_mission(spec, _SCRATCH / "wire"))[0]

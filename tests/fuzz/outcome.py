@@ -125,7 +125,7 @@ def stop_colour() -> None:
 @lru_cache(maxsize=1)
 def known_verbs() -> frozenset[str]:
     """Verbs of ``campaign``."""
-    from uqharness.cli.options import commands_of
+    from uqharness.cli.main import commands_of
 
     campaign = commands_of(_parser())["campaign"]
     campaign.complete()

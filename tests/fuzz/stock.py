@@ -10,7 +10,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from uqharness.batch.lanes.mission import initial_values
+from uqharness.batch.mission import initial_values
 from uqharness.batch.translate.channels import read_sources
 from uqharness.batch.translate.flight import TraceRequest, trace_flight
 from uqharness.batch.translate.frame import Values, is_constant

@@ -50,7 +50,7 @@ def _journal(place: Path, seed: int) -> None:
         return
 
     def outcomes() -> None:
-        from uqharness.campaign.folder.store import JournalScan, Store
+        from uqharness.campaign.store import JournalScan, Store
 
         if seed % 4:
             list(JournalScan(place, place / "recovered").rows(["4c4000eebc386034"]))
@@ -96,7 +96,7 @@ def _stage(place: Path, seed: int) -> None:
 
 def _order(place: Path, seed: int) -> None:
     """What comes over Dask's wire: orders to a worker and its answers. Nothing is flown."""
-    from uqharness.campaign.execution.dask_task import answer_from, order_from
+    from uqharness.campaign.dask import answer_from, order_from
 
     text = (place / "order.json").read_text(encoding="utf-8", errors="replace")
     try:
@@ -114,7 +114,7 @@ def _signed_again(files: Files, name: str, rng: np.random.Generator) -> None:
     reached.
     """
     from sysid.digests import sha256_hex
-    from uqharness.campaign.folder.manifest import digest_of_text
+    from uqharness.campaign.manifest import digest_of_text
 
     try:
         manifest = json.loads(files["manifest.json"])

@@ -41,9 +41,9 @@ def _campaign(place: Path, seed: int) -> None:
 
     def plan() -> None:
         from uqharness.campaign.cost import epistemic_count, size_of
+        from uqharness.campaign.read_spec import read_campaign
         from uqharness.campaign.rounds import rule_of
-        from uqharness.campaign.spec.read import read_campaign
-        from uqharness.campaign.spec.samples import epistemic_samples
+        from uqharness.campaign.sampling import epistemic_samples
 
         spec = read_campaign(place / "campaign.toml")
         rule_of(spec.as_dict(), 4)

@@ -12,8 +12,8 @@ from functools import cache
 import mpmath as mp
 import numpy as np
 
-from uqharness.batch.form.ir import TRANSCENDENTAL, Builder, Function, evaluate
-from uqharness.batch.form.maths import lower
+from uqharness.batch.ir import TRANSCENDENTAL, Builder, Function, evaluate
+from uqharness.batch.maths import lower
 
 Points = tuple[np.ndarray, ...]
 

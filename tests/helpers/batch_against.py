@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from tests.helpers import batch_oracle as oracle
-from uqharness.batch.form.ir import Builder, Function, evaluate
-from uqharness.batch.form.maths import lower
+from uqharness.batch.ir import Builder, Function, evaluate
+from uqharness.batch.maths import lower
 from uqharness.batch.translate.frame import Scope
 from uqharness.batch.translate.functions import function_value
 from uqharness.xml.document import parse_document

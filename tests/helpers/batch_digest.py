@@ -8,8 +8,8 @@ import hashlib
 
 import numpy as np
 
-from uqharness.batch.form.ir import TRANSCENDENTAL, Builder, Function
-from uqharness.batch.form.maths import lower
+from uqharness.batch.ir import TRANSCENDENTAL, Builder, Function
+from uqharness.batch.maths import lower
 
 
 def function() -> Function:
@@ -41,6 +41,6 @@ def digest(outputs: dict[str, np.ndarray]) -> str:
 
 
 if __name__ == "__main__":
-    from uqharness.batch.form.ir import evaluate
+    from uqharness.batch.ir import evaluate
 
     print(digest(evaluate(function(), points())[0]))

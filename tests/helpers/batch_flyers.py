@@ -5,10 +5,10 @@ Their bits are the same (test_flight.py).
 
 from __future__ import annotations
 
-from uqharness.batch.form.interpret import Interpreter
-from uqharness.batch.form.program import Flyer, Program
-from uqharness.batch.machine.flight import compile_program
-from uqharness.batch.machine.llvm import choose_target
+from uqharness.batch.interpret import Interpreter
+from uqharness.batch.llvm import choose_target
+from uqharness.batch.llvm_flight import compile_program
+from uqharness.batch.program import Flyer, Program
 
 MANY = 100
 """From so many frames on it takes less time to compile a whole aircraft than to fly it by numpy."""

@@ -6,8 +6,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from uqharness.batch.form.ir import Builder, Value
-from uqharness.batch.form.program import Feed, Program, Section, Stream, When
+from uqharness.batch.ir import Builder, Value
+from uqharness.batch.program import Feed, Program, Section, Stream, When
 
 _ONE = ("sin", "cos", "atan", "exp", "log", "asin", "acos", "tan")
 

@@ -16,8 +16,8 @@ import numpy as np
 
 from tests.helpers.batch_flyers import flyer_of
 from tests.helpers.batch_systems import Pair, flown_once, values_of
-from uqharness.batch.form.ir import Value
-from uqharness.batch.form.program import Feed, Stream, initial_state
+from uqharness.batch.ir import Value
+from uqharness.batch.program import Feed, Stream, initial_state
 from uqharness.batch.translate.channels import System, Systems
 from uqharness.batch.translate.frame import CHANNEL_STEP, Frame, canonical
 from uqharness.files import scratch_folder

@@ -15,8 +15,8 @@ import pytest
 
 from tests.helpers import batch_oracle as oracle
 from tests.helpers.batch_flyers import flyer_of
-from uqharness.batch.form.interpret import Interpreter
-from uqharness.batch.form.program import Feed, Program, Stream, initial_state, slot
+from uqharness.batch.interpret import Interpreter
+from uqharness.batch.program import Feed, Program, Stream, initial_state, slot
 from uqharness.batch.translate.channels import System, Systems
 from uqharness.batch.translate.frame import STEP, Frame, Values
 from uqharness.errors import BadInputError

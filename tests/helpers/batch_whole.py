@@ -11,7 +11,7 @@ import numpy as np
 
 from sysid.model_form.model_form import Outside
 from tests.helpers.model_forms import made_up_form, with_parts
-from uqharness.batch.lanes.course import fly_many
+from uqharness.batch.course import fly_many
 from uqharness.flight.fly import fly, fly_one_ulp_off
 from uqharness.flight.spec import (
     COEFFICIENTS,

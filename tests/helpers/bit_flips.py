@@ -124,7 +124,7 @@ def _fly(root: Path, deciding: str) -> None:
 
 
 def _stop_before_the_tables(folder: Path) -> None:
-    from uqharness.campaign.folder.manifest import read_manifest, write_manifest
+    from uqharness.campaign.manifest import read_manifest, write_manifest
 
     rest = {
         key: value
@@ -292,8 +292,8 @@ def harmless() -> Iterator[None]:
     """Flights and check flights that cost nothing, and tables that are made once from the same
     flights.
     """
-    import uqharness.campaign.folder.shards as seal
     import uqharness.campaign.run as campaign
+    import uqharness.campaign.shards as seal
     import uqharness.flight.fly as flight
 
     made: dict[str, dict[str, bytes]] = {}

@@ -19,7 +19,7 @@ import numpy as np
 from uqharness.flight.spec import COEFFICIENTS, FlightResult, FlightSpec
 
 if TYPE_CHECKING:
-    from uqharness.campaign.spec.campaign import CampaignSpec
+    from uqharness.campaign import CampaignSpec
 
 # Nothing heavy is imported here: each worker that dies costs its successor these imports.
 ERROR_METRICS = [
@@ -75,7 +75,7 @@ def campaign_file(folder: Path, text: str = CAMPAIGN) -> Path:
 
 def small_spec(folder: Path, flights: int = 3, **changes: object) -> CampaignSpec:
     """CAMPAIGN with other numbers."""
-    from uqharness.campaign.spec.read import read_campaign
+    from uqharness.campaign.read_spec import read_campaign
 
     spec = read_campaign(campaign_file(folder))
     return replace(spec, aleatory=spec.aleatory.model_copy(update={"flights": flights, **changes}))
@@ -222,7 +222,7 @@ def dask_cluster(workers: int = 2) -> Iterator[Any]:
     import pytest
     from distributed import LocalCluster
 
-    from uqharness.campaign.execution.dask_task import MODULES_VARIABLE
+    from uqharness.campaign.dask import MODULES_VARIABLE
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv(MODULES_VARIABLE, "tests.helpers.campaign_fakes")
@@ -250,7 +250,7 @@ def main() -> None:
     """python -m tests.helpers.campaign_fakes FOLDER OUT FLIGHTS FAKE WORKERS START_METHOD: a run
     that a test may kill.
     """
-    from uqharness.campaign.execution.processes import ProcessExecutor
+    from uqharness.campaign.processes import ProcessExecutor
     from uqharness.campaign.run import run_campaign
 
     folder, out, flights, fake, workers, method = sys.argv[1:7]

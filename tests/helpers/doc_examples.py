@@ -45,7 +45,7 @@ from markdown_it import MarkdownIt
 from pydantic import ValidationError
 
 from tests.helpers.places import ROOT
-from uqharness.campaign.spec.campaign import (
+from uqharness.campaign.spec import (
     AleatorySection,
     CampaignSection,
     EpistemicSection,

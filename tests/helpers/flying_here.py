@@ -7,7 +7,7 @@ from contextlib import contextmanager
 
 import pytest
 
-from uqharness.campaign.execution.processes import ProcessExecutor, SerialExecutor
+from uqharness.campaign.processes import ProcessExecutor, SerialExecutor
 
 
 @contextmanager

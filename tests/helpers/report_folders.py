@@ -15,7 +15,7 @@ import pandas as pd
 from tests.helpers import campaign_fakes as fakes
 from tests.helpers.flying_here import flying_here
 from tests.helpers.model_forms import made_up_form
-from uqharness.campaign.execution.processes import SerialExecutor
+from uqharness.campaign.processes import SerialExecutor
 from uqharness.campaign.run import run_campaign
 from uqharness.replay.histories import write_pieces
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from campaigns.library.flying import fly
 from campaigns.library.plan import Plan, Shard
 from tests.helpers import campaign_fakes as fakes
-from uqharness.campaign.execution.processes import SerialExecutor
+from uqharness.campaign.processes import SerialExecutor
 from uqharness.flight import FlightResult, FlightSpec
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from uqharness.batch.lanes.streams import JsbsimNormals
+from uqharness.batch.streams import JsbsimNormals
 from uqharness.flight.dryden import DrydenGusts, dryden_parameters
 from uqharness.flight.fly import RecordedFlight, score_from_start
 from uqharness.flight.random_numbers import Normals

@@ -24,7 +24,7 @@ def tear(moment: str) -> None:
     what, _, number = moment.partition(":")
     left = [int(number)]
     if what == "journal":
-        from uqharness.campaign.folder.store import Store
+        from uqharness.campaign.store import Store
 
         add = Store.add
 
@@ -78,9 +78,9 @@ def tear(moment: str) -> None:
 def main() -> None:
     from tests.helpers import campaign_fakes as fakes
     from tests.helpers import engine_fakes
-    from uqharness.campaign.execution.processes import Executor, ProcessExecutor
+    from uqharness.campaign.processes import Executor, ProcessExecutor
+    from uqharness.campaign.read_spec import read_campaign
     from uqharness.campaign.run import run_campaign
-    from uqharness.campaign.spec.read import read_campaign
 
     folder, out, flights, fake, how = sys.argv[1:6]
     if len(sys.argv) > 6:
@@ -89,7 +89,7 @@ def main() -> None:
     if how in ("fork", "spawn"):
         executor = ProcessExecutor(2, how)
     else:
-        from uqharness.campaign.execution.dask import DaskExecutor
+        from uqharness.campaign.dask import DaskExecutor
 
         executor = DaskExecutor(how)
     as_is = flights == "as-is"

@@ -17,7 +17,7 @@ import pandas as pd
 import pytest
 import tomlkit
 
-from uqharness.campaign.folder.tables import CASES
+from uqharness.campaign.tables import CASES
 from uqharness.cli.main import build_parser, main
 from uqharness.simulator.aircraft import PROJECT_ROOT
 

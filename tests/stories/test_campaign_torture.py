@@ -20,11 +20,11 @@ from tests.helpers import campaign_fakes as fakes
 from tests.helpers.engine_fakes import batch_alike
 from tests.helpers.places import ROOT
 from tests.uqharness.campaign.test_rounds import TOML as DECIDE
-from uqharness.campaign.execution.processes import ProcessExecutor, SerialExecutor
-from uqharness.campaign.folder.store import Store
-from uqharness.campaign.folder.tables import CASES, FULL_FLIGHT, read_check
+from uqharness.campaign.processes import ProcessExecutor, SerialExecutor
+from uqharness.campaign.read_spec import read_campaign
 from uqharness.campaign.run import run_campaign
-from uqharness.campaign.spec.read import read_campaign
+from uqharness.campaign.store import Store
+from uqharness.campaign.tables import CASES, FULL_FLIGHT, read_check
 from uqharness.errors import BadInputError
 
 TABLES = (CASES, "pbox.parquet", "excursions.csv")

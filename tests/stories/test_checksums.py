@@ -14,8 +14,8 @@ import pytest
 
 from tests.fuzz.formats import CORPUS
 from tests.helpers import bit_flips
-from uqharness.campaign.folder.tables import record_table
-from uqharness.campaign.folder.verify import verify
+from uqharness.campaign.tables import record_table
+from uqharness.campaign.verify import verify
 from uqharness.checksums import SUMS, faults, read_sums, remove_sums, update_sums, write_sums
 from uqharness.errors import BadInputError
 from uqharness.files import write_bytes

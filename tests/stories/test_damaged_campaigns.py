@@ -21,13 +21,13 @@ import pytest
 from tests.helpers import campaign_fakes as fakes
 from tests.helpers.torture import tear
 from tests.uqharness.campaign.test_rounds import TOML as DECIDE
-from uqharness.campaign.execution.processes import SerialExecutor
-from uqharness.campaign.folder.manifest import DamageError, read_manifest, write_manifest
-from uqharness.campaign.folder.shards import Shard, merge
-from uqharness.campaign.folder.store import JOURNAL, Store
-from uqharness.campaign.folder.verify import RunOptions, salvage, verify
+from uqharness.campaign.manifest import DamageError, read_manifest, write_manifest
+from uqharness.campaign.processes import SerialExecutor
+from uqharness.campaign.read_spec import read_campaign
 from uqharness.campaign.run import run_campaign
-from uqharness.campaign.spec.read import read_campaign
+from uqharness.campaign.shards import Shard, merge
+from uqharness.campaign.store import JOURNAL, Store
+from uqharness.campaign.verify import RunOptions, salvage, verify
 from uqharness.cli.main import main
 from uqharness.errors import BadInputError
 from uqharness.report.write import write_report

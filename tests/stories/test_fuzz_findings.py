@@ -25,11 +25,11 @@ from sysid.record import FlightRecord
 from tests.fuzz.formats import CORPUS
 from tests.helpers import batch_systems
 from uqharness.campaign.convergence import read_flights
-from uqharness.campaign.execution.dask_task import order_from
-from uqharness.campaign.folder.shards import read_status
-from uqharness.campaign.folder.store import JournalScan, Store
-from uqharness.campaign.folder.verify import scan_journal
-from uqharness.campaign.spec.read import read_campaign
+from uqharness.campaign.dask import order_from
+from uqharness.campaign.read_spec import read_campaign
+from uqharness.campaign.shards import read_status
+from uqharness.campaign.store import JournalScan, Store
+from uqharness.campaign.verify import scan_journal
 from uqharness.cli.main import main
 from uqharness.errors import BadInputError
 from uqharness.parquet_files import parse_table, table_bytes

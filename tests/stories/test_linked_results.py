@@ -15,7 +15,7 @@ import pytest
 
 from tests.fuzz.formats import CORPUS
 from tests.helpers import campaign_fakes as fakes
-from uqharness.campaign.folder.store import JOURNAL, LOCK, Store, is_running, run_lock
+from uqharness.campaign.store import JOURNAL, LOCK, Store, is_running, run_lock
 from uqharness.cli.main import main
 from uqharness.errors import BadInputError
 

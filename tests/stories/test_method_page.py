@@ -10,7 +10,7 @@ import numpy as np
 
 from tests.helpers.doc_names import wrong_places
 from tests.helpers.places import ROOT
-from uqharness.sensitivity.areas import box_area, pair_areas
+from uqharness.sensitivity.measures import box_area, pair_areas
 from uqharness.statistics.pbox import Sample, band_half_width, pbox
 
 PAGE = (ROOT / "docs" / "method.md").read_text(encoding="utf-8")

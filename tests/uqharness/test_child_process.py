@@ -29,7 +29,7 @@ from pathlib import Path
 
 import tests.helpers.campaign_fakes as fakes
 import uqharness.child_process
-from uqharness.campaign.execution.processes import ProcessExecutor
+from uqharness.campaign.processes import ProcessExecutor
 from uqharness.flight.spec import FlightSpec
 from uqharness.parallel import worker_map
 

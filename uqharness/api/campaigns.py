@@ -10,8 +10,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from numpy.typing import ArrayLike
 
-from uqharness.campaign import Progress
-from uqharness.campaign.folder import read_complete
+from uqharness.campaign import Progress, read_complete
 from uqharness.commands import CampaignResult
 from uqharness.commands import campaign as commands
 from uqharness.commands.next_flight import next_flight as plan_next_flight
@@ -31,24 +30,25 @@ from uqharness.requests.campaign import (
     RerunRequest,
     RunRequest,
     SalvageRequest,
+    SensitivityRequest,
     StatusRequest,
     VerifyRequest,
 )
 from uqharness.requests.next_flight import NextFlightRequest
-from uqharness.requests.sensitivity import SensitivityRequest
 from uqharness.results.campaign import (
     Areas,
     CampaignCost,
     CampaignPage,
+    CampaignSensitivity,
     CampaignStatus,
     Convergence,
     FolderCheck,
     Merged,
+    ModalSensitivity,
     Rerun,
     Salvaged,
 )
 from uqharness.results.next_flight import AchievedNarrowing, NextFlightPlan
-from uqharness.results.sensitivity import CampaignSensitivity, ModalSensitivity
 from uqharness.statistics import PBox, Sample
 from uqharness.statistics import pbox as boxes
 

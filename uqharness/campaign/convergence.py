@@ -30,9 +30,9 @@ from uqharness.campaign.conditions import (
     in_condition,
     pboxes,
 )
-from uqharness.campaign.folder.manifest import read_complete
-from uqharness.campaign.folder.tables import CASES, read_cases, record_table
+from uqharness.campaign.manifest import read_complete
 from uqharness.campaign.rounds import band_confidence
+from uqharness.campaign.tables import CASES, read_cases, record_table
 from uqharness.errors import BadInputError
 from uqharness.parquet_files import read_table
 from uqharness.statistics import AreaMetric, Growth, Repeats, area_metric, growth, repeats

@@ -25,11 +25,26 @@ from typing import Any
 import numpy as np
 
 from sysid.digests import sha256_hex
+from uqharness.campaign import read_bounds
 from uqharness.campaign.cases import Case, Mission
 from uqharness.campaign.conditions import Condition
 from uqharness.campaign.cost import Pace, one_case_each, trial_conditions
-from uqharness.campaign.execution.processes import ProcessExecutor
-from uqharness.campaign.execution.worker import (
+from uqharness.campaign.manifest import MANIFEST, read_manifest
+from uqharness.campaign.processes import ProcessExecutor
+from uqharness.campaign.shards import SHARDS, shard_folders
+from uqharness.campaign.spec import CampaignSpec
+from uqharness.campaign.tables import (
+    ENGINE_CHECK,
+    FULL_FLIGHT,
+    START,
+    STATUS,
+    CheckRow,
+    as_number,
+    as_text,
+    read_check,
+    write_check,
+)
+from uqharness.campaign.worker import (
     BATCH,
     JSBSIM,
     JUDGE,
@@ -44,20 +59,6 @@ from uqharness.campaign.execution.worker import (
     OneByOne,
     fly_group,
 )
-from uqharness.campaign.folder.manifest import MANIFEST, read_manifest
-from uqharness.campaign.folder.shards import SHARDS, shard_folders
-from uqharness.campaign.folder.tables import (
-    ENGINE_CHECK,
-    FULL_FLIGHT,
-    START,
-    STATUS,
-    CheckRow,
-    as_number,
-    as_text,
-    read_check,
-    write_check,
-)
-from uqharness.campaign.spec.campaign import CampaignSpec, read_bounds
 from uqharness.errors import BadInputError, EnginesDifferError
 from uqharness.files import inner_folder, scratch_folder
 from uqharness.flight import FlightSpec

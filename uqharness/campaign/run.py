@@ -33,9 +33,7 @@ from uqharness.campaign.engines import (
     staged_mission_of,
     throwaway_process,
 )
-from uqharness.campaign.execution.processes import Executor, ProcessExecutor
-from uqharness.campaign.execution.worker import BATCH, JSBSIM, CaseOutcome, FlightFunction
-from uqharness.campaign.folder.manifest import (
+from uqharness.campaign.manifest import (
     COMPLETE,
     INTERRUPTED,
     MANIFEST,
@@ -47,7 +45,10 @@ from uqharness.campaign.folder.manifest import (
     refuse_without_digests,
     write_manifest,
 )
-from uqharness.campaign.folder.shards import (
+from uqharness.campaign.processes import Executor, ProcessExecutor
+from uqharness.campaign.read_spec import naming_keys
+from uqharness.campaign.rounds import Rounds
+from uqharness.campaign.shards import (
     SHARDS,
     Shard,
     refuse_if_changed,
@@ -55,11 +56,10 @@ from uqharness.campaign.folder.shards import (
     seal_files,
     sealed,
 )
-from uqharness.campaign.folder.store import JOURNAL, LOCK, Store, run_lock
-from uqharness.campaign.folder.tables import make_tables, write_tables
-from uqharness.campaign.rounds import Rounds
-from uqharness.campaign.spec.campaign import CampaignSpec
-from uqharness.campaign.spec.read import naming_keys
+from uqharness.campaign.spec import CampaignSpec
+from uqharness.campaign.store import JOURNAL, LOCK, Store, run_lock
+from uqharness.campaign.tables import make_tables, write_tables
+from uqharness.campaign.worker import BATCH, JSBSIM, CaseOutcome, FlightFunction
 from uqharness.errors import BadInputError
 from uqharness.files import PART
 from uqharness.flight import TURBULENCE_W20_KT, FlightSpec

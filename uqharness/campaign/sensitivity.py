@@ -29,17 +29,17 @@ from uqharness.campaign.conditions import (
     excursion_columns,
     in_condition,
 )
-from uqharness.campaign.folder.manifest import read_complete
-from uqharness.campaign.folder.tables import CASES, read_cases, read_checked
-from uqharness.campaign.spec.samples import INTERIOR_MARK, NOMINAL
+from uqharness.campaign.manifest import read_complete
+from uqharness.campaign.sampling import INTERIOR_MARK, NOMINAL
 from uqharness.campaign.statements import format_number
+from uqharness.campaign.tables import CASES, read_cases, read_checked
 from uqharness.errors import BadInputError
 from uqharness.flight import COEFFICIENTS, TURBULENCE_W20_KT
-from uqharness.results.sensitivity import MetricShares
+from uqharness.results.campaign import MetricShares
 from uqharness.sensitivity import Evaluations, MethodResult, PairRange, Study
 from uqharness.sensitivity.measures import corner_pairs
-from uqharness.sensitivity.problem import corners as box_corners
 from uqharness.sensitivity.result import Ranking, rank, unit_of, words
+from uqharness.sensitivity.study import corners as box_corners
 from uqharness.text_tables import csv_rows
 
 MAX_LEFT_OUT = 0.1

@@ -25,6 +25,7 @@ import numpy as np
 
 from sysid.arrays import FloatArray
 from sysid.units import percent
+from uqharness.campaign import sampling
 from uqharness.campaign.conditions import (
     CONFIDENCE,
     Condition,
@@ -44,7 +45,6 @@ from uqharness.campaign.rounds import (
     count_aborted,
     rule_of,
 )
-from uqharness.campaign.spec import samples
 from uqharness.statistics import (
     NO,
     OPEN,
@@ -194,10 +194,10 @@ def joint_words(manifest: Mapping[str, Any]) -> list[str]:
     epistemic, confidence = manifest["campaign"]["epistemic"], float(bounds["confidence"])
     names = epistemic["coefficients"]
     # Half-width of one interval in standard deviations.
-    radius_of_one = samples.marginal_radius(confidence)
+    radius_of_one = sampling.marginal_radius(confidence)
     if epistemic["set"] == "ellipsoid":
         # Points of the ellipsoid lie farther out than the ends of the intervals.
-        radius = samples.joint_reach(len(names), confidence) * radius_of_one
+        radius = sampling.joint_reach(len(names), confidence) * radius_of_one
         text = (
             f"joint {_percent(confidence)} ellipsoid of {len(names)} intervals, {radius:.2f}"
             " standard deviations from their middles"

@@ -13,8 +13,7 @@ from typing import Any
 
 import shtab
 
-from uqharness.cli.main import complete_parser
-from uqharness.cli.options import commands_of
+from uqharness.cli.main import commands_of, complete_parser
 from uqharness.files import PROJECT_ROOT
 from uqharness.requests.base import Callback, silent
 from uqharness.requests.folders import CompletionRequest

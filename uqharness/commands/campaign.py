@@ -24,52 +24,51 @@ from uqharness.campaign import (
     AREAS,
     CONFIDENCE,
     CONVERGENCE,
+    RERUN,
     STATEMENTS,
+    CampaignSpec,
     Cost,
+    Executor,
+    ProcessExecutor,
     Progress,
+    RunOptions,
+    SerialExecutor,
     as_rows,
     band_confidence,
     bounds_notes,
+    campaign_from,
     corners_only_words,
+    describe,
     engine_words,
     joint_level,
     joint_words,
     make_copy,
     needs_copy,
     noise_notes,
+    parse_shard,
     pboxes,
     points_flown,
+    read_campaign,
+    read_cases,
+    read_checked,
+    read_complete,
     read_flights,
+    read_manifest,
+    read_status,
     refuse_if_long,
+    rerun_case,
     sentences,
     size_of,
+    unavailable_reason,
+    with_samples,
     write_area,
     write_convergence,
 )
 from uqharness.campaign import lines as answer_lines
+from uqharness.campaign import merge as merge_shards
 from uqharness.campaign import run as running
-from uqharness.campaign.execution import (
-    Executor,
-    ProcessExecutor,
-    SerialExecutor,
-    unavailable_reason,
-)
-from uqharness.campaign.folder import (
-    RERUN,
-    RunOptions,
-    describe,
-    parse_shard,
-    read_cases,
-    read_checked,
-    read_complete,
-    read_manifest,
-    read_status,
-    rerun_case,
-)
-from uqharness.campaign.folder import merge as merge_shards
-from uqharness.campaign.folder import salvage as salvage_folder
-from uqharness.campaign.folder.verify import verify as verify_folder
-from uqharness.campaign.spec import CampaignSpec, campaign_from, read_campaign, with_samples
+from uqharness.campaign import salvage as salvage_folder
+from uqharness.campaign.verify import verify as verify_folder
 from uqharness.errors import BadInputError
 from uqharness.files import find_campaign, scratch_folder
 from uqharness.heartbeat import clock
@@ -435,7 +434,7 @@ def _executor(request: RunRequest, stack: ExitStack) -> Executor:
     """Return the executor of the cases, closed with the stack. Raises BadInputError."""
     if request.dask is not None:
         # Imported here: Dask is an extra.
-        from uqharness.campaign.execution import DaskExecutor
+        from uqharness.campaign import DaskExecutor
 
         return stack.enter_context(DaskExecutor(request.dask))
     if request.serial:

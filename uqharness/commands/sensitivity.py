@@ -13,15 +13,15 @@ from uqharness.campaign import (
     as_csv,
     read_corner_campaign,
     read_interior_campaign,
+    record_table,
     shares_by_condition,
 )
-from uqharness.campaign.folder import record_table
 from uqharness.heartbeat import counting
 from uqharness.report import condition_sections, write_figures
 from uqharness.requests.base import Callback, silent
-from uqharness.requests.sensitivity import SensitivityRequest
+from uqharness.requests.campaign import SensitivityRequest
 from uqharness.results.base import Outcome
-from uqharness.results.sensitivity import CampaignSensitivity, ModalIndices, ModalSensitivity
+from uqharness.results.campaign import CampaignSensitivity, ModalIndices, ModalSensitivity
 from uqharness.sensitivity import MethodResult
 from uqharness.sensitivity.analysis import cell
 from uqharness.sensitivity.modal import modal_sensitivity

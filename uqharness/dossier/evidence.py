@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from sysid.digests import file_sha256
-from uqharness.campaign.folder import read_complete
+from uqharness.campaign import read_complete
 from uqharness.dossier.match import FAIL, INCONCLUSIVE, PASS, Match
 from uqharness.errors import BadInputError
 from uqharness.replay import HISTORIES, History, read_histories
@@ -466,7 +466,7 @@ def _data_pedigree(evidence: Evidence, _: Match) -> list[str]:
 def _verification(evidence: Evidence, _: Match) -> list[str]:
     """State the comparison of engines and the convergence of estimations."""
     # Imported here: loading it is slow, and folders without a campaign need none of it.
-    from uqharness.campaign.folder import read_check
+    from uqharness.campaign import read_check
 
     statements = []
     for step in evidence.of("campaign"):

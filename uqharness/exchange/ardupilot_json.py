@@ -19,8 +19,7 @@ import numpy as np
 from sysid.arrays import FloatArray
 from sysid.foreign.regular_files import ParseError, parse_json, read_regular
 from uqharness.errors import BadInputError
-from uqharness.exchange.lift_drag import lift_drag
-from uqharness.exchange.states import Derivatives, FlightStates, Reference, SourceModel
+from uqharness.exchange.states import Derivatives, FlightStates, Reference, SourceModel, lift_drag
 
 PROGRAM_MASS_KG = 2.0
 """Mass of the frame ``plane`` in SIM_Plane.cpp."""

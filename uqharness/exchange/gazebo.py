@@ -21,8 +21,7 @@ from lxml import etree
 from sysid.arrays import FloatArray
 from sysid.foreign.regular_files import read_regular
 from uqharness.errors import BadInputError
-from uqharness.exchange.lift_drag import lift_drag
-from uqharness.exchange.states import Derivatives, FlightStates, Reference, SourceModel
+from uqharness.exchange.states import Derivatives, FlightStates, Reference, SourceModel, lift_drag
 
 _COLUMNS = {"a": "alpha", "b": "beta", "p": "p", "q": "q", "r": "r"}
 _TAGS: Mapping[str, tuple[str, ...]] = {

@@ -11,11 +11,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import get_args
 
 import numpy as np
 
 from sysid.arrays import FloatArray
 from sysid.units import G0_MPS2
+from uqharness.requests.simulation import AircraftClass, Category
 from uqharness.simulator import (
     MODE_NAMES,
     Aircraft,
@@ -27,8 +29,8 @@ from uqharness.simulator import (
     modes,
 )
 
-CATEGORIES = ("A", "B", "C")
-CLASSES = ("I", "II-L", "II-C", "III", "IV")
+CATEGORIES: tuple[str, ...] = get_args(Category)
+CLASSES: tuple[str, ...] = get_args(AircraftClass)
 
 # 3.2.2.1.2, Table IV: short-period damping, (Level 1 low, high), (Level 2 low, high), Level 3 low.
 SHORT_PERIOD_DAMPING = {

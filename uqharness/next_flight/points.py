@@ -20,16 +20,21 @@ from sysid.aerodynamics import smooth
 from sysid.aerodynamics.coefficients import STATES
 from sysid.arrays import FloatArray
 from sysid.units import G0_MPS2
-from uqharness.campaign import Case, Mission, build_cases, find_mission, make_copy, needs_copy
-from uqharness.campaign.folder import (
+from uqharness.campaign import (
+    CampaignSpec,
+    Case,
+    Mission,
+    build_cases,
     describe,
+    find_mission,
     has_digests,
+    make_copy,
+    needs_copy,
     read_cases,
     read_complete,
     refuse_if_different,
     spec_of,
 )
-from uqharness.campaign.spec import CampaignSpec
 from uqharness.errors import BadInputError
 from uqharness.flight import FlightSpec, record_mission, staged_mission
 from uqharness.replay import read_flight

@@ -18,25 +18,25 @@ from sysid.aerodynamics import COEFFICIENTS
 from sysid.model_form import AircraftReference, Coverage, ModelForm
 from uqharness.campaign import (
     ERROR_METRICS,
-    UNCOMMANDED_METRICS,
-    Progress,
-    find_mission,
-    in_condition,
-    run_campaign,
-    samples,
-)
-from uqharness.campaign.conditions import conditions
-from uqharness.campaign.execution import ProcessExecutor
-from uqharness.campaign.folder import (
     MANIFEST,
+    UNCOMMANDED_METRICS,
+    CampaignSpec,
+    ProcessExecutor,
+    Progress,
+    campaign_from,
     describe,
+    find_mission,
     has_digests,
+    in_condition,
+    read_campaign,
     read_cases,
     read_complete,
     read_manifest,
     refuse_if_different,
+    run_campaign,
+    samples,
 )
-from uqharness.campaign.spec import CampaignSpec, campaign_from, read_campaign
+from uqharness.campaign.conditions import conditions
 from uqharness.errors import BadInputError
 from uqharness.files import inner_folder, write_bytes
 from uqharness.identification import BoundsOptions, make_bounds, validate

@@ -405,7 +405,7 @@ def _remove_stale(out: Path, aircraft: Aircraft) -> None:
     if (before / aircraft.xml.name).is_file():
         shutil.rmtree(before)
     if (mission := out / PBOX / "after").is_dir():
-        from uqharness.campaign.folder import MANIFEST
+        from uqharness.campaign import MANIFEST
 
         if (mission / MANIFEST).is_file():
             shutil.rmtree(mission)

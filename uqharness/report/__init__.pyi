@@ -1,8 +1,8 @@
 from .campaign import condition_sections as condition_sections
 from .campaign import track_cases as track_cases
-from .compare import NOISE_FLOOR_RULE as NOISE_FLOOR_RULE
-from .compare import gap_verdict as gap_verdict
-from .compare import write_tables as write_tables
+from .pages.compare import NOISE_FLOOR_RULE as NOISE_FLOOR_RULE
+from .pages.compare import gap_verdict as gap_verdict
+from .pages.compare import write_tables as write_tables
 from .pages.model_form import write_residuals as write_residuals
 from .pages.next_flight import document as document
 from .pages.next_flight import points_csv as points_csv

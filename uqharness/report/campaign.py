@@ -20,32 +20,30 @@ from sysid.units import percent
 from uqharness.campaign import (
     CONFIDENCE,
     ENOUGH_EXCURSIONS,
+    FULL_FLIGHT,
+    INTERIOR_MARK,
+    STATUS,
     TOLERANCE,
     UNCOMMANDED_METRICS,
+    CheckRow,
     Condition,
     RateRange,
     Statement,
+    as_number,
     band_confidence,
     corners_only_words,
     engine_words,
     hardest_condition,
     in_condition,
     joint_words,
-    read_sensitivity,
-    samples,
-)
-from uqharness.campaign.conditions import conditions
-from uqharness.campaign.folder import (
-    FULL_FLIGHT,
-    STATUS,
-    CheckRow,
-    as_number,
     read_cases,
     read_complete,
     read_decisions,
     read_engine_check,
+    read_sensitivity,
+    samples,
 )
-from uqharness.campaign.spec import INTERIOR_MARK
+from uqharness.campaign.conditions import conditions
 from uqharness.campaign.statements import statements
 from uqharness.errors import BadInputError
 from uqharness.parquet_files import read_table

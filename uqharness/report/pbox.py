@@ -16,8 +16,7 @@ import pandas as pd
 
 from sysid.arrays import FloatArray
 from sysid.distributions import normal_tail
-from uqharness.campaign import MetricConvergence
-from uqharness.campaign.spec import NOMINAL
+from uqharness.campaign import NOMINAL, MetricConvergence
 from uqharness.report.parts import Figure, Figures, Section, format_value
 from uqharness.report.svg import Chart, Scale, scale
 from uqharness.statistics import PBox, Sample, envelope

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from sysid.units import RAD_DEG
-from uqharness.campaign.folder import RerunResult
+from uqharness.campaign import RerunResult
 from uqharness.files import write_text
 from uqharness.flight import COEFFICIENTS, FlightSpec
 from uqharness.report.ground_track import equal_scales

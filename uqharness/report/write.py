@@ -115,8 +115,7 @@ def page_of(folder: Path, every_segment: bool = False) -> Page:
         from uqharness.report.pages.campaign import campaign_page
 
         return campaign_page(read_campaign_report(folder))
-    from uqharness.report.pages.coverage import coverage_page
-    from uqharness.report.pages.model_form import bounds_page
+    from uqharness.report.pages.model_form import bounds_page, coverage_page
 
     return bounds_page(folder) if kind == "bounds" else coverage_page(folder)
 

@@ -4,7 +4,7 @@ A request is a pydantic model with one field for each option. The field's type, 
 sentence are written once; this module derives from them the keywords and the documentation of the
 Python function (`accepts`), the values of a settings file's section (`read_section`), the command
 that repeats a result (`command_words`) and the message about a wrong value, which is the same from
-all three. `uqharness.cli.arguments` derives the options of the command line.
+all three. `uqharness.cli.request_command` derives the options of the command line.
 """
 
 from __future__ import annotations
@@ -194,7 +194,7 @@ class Request(BaseModel):
     """
 
     model_config = ConfigDict(
-        extra="forbid", frozen=True, strict=True, arbitrary_types_allowed=True
+        extra="forbid", frozen=True, strict=True, arbitrary_types_allowed=True, defer_build=True
     )
 
     command: ClassVar[str] = ""
@@ -245,11 +245,14 @@ class Place:
         (label, received value) to the beginning of a message.
     has : callable
         Whether the place has a field.
+    python : bool
+        Whether values are Python objects: ``True``, and paths of several types.
     """
 
     label: Callable[[str, Option], str]
     assignment: Callable[[str, object], str]
     has: Callable[[Option], bool]
+    python: bool = False
 
 
 def received_text(value: object) -> str:
@@ -261,6 +264,7 @@ PYTHON = Place(
     lambda name, _: name,
     lambda label, value: f"{label} = {received_text(value)}",
     lambda field_option: field_option.python,
+    python=True,
 )
 
 
@@ -304,12 +308,24 @@ def messages(
         missing = item["type"] == "missing"
         yield (
             name,
-            problem(item["type"], text, info, labels[name] if missing else beginning, field_option),
+            problem(
+                item["type"],
+                text,
+                info,
+                labels[name] if missing else beginning,
+                field_option,
+                place.python,
+            ),
         )
 
 
 def problem(
-    kind: str, text: str, info: FieldInfo, beginning: str, field_option: Option | None = None
+    kind: str,
+    text: str,
+    info: FieldInfo,
+    beginning: str,
+    field_option: Option | None = None,
+    python: bool = False,
 ) -> str:
     """Return the message of one of pydantic's errors about a field.
 
@@ -323,8 +339,10 @@ def problem(
         The field with the received value; the field alone if the value is missing.
     field_option : Option, optional
         How the field is written.
+    python : bool
+        As in `Place`.
     """
-    needed = requirement(info, field_option or Option())
+    needed = requirement(info, field_option or Option(), python)
     if kind == "missing":
         return f"{beginning}: required; {needed} is needed"
     if kind in ("value_error", "assertion_error"):
@@ -354,8 +372,10 @@ def unknown_among(name: str, allowed: Sequence[str], kind: str = "") -> str:
     return f"{f'unknown {kind}'.strip()}; {hint}allowed: {', '.join(allowed)}"
 
 
-def requirement(info: FieldInfo, field_option: Option) -> str:
-    """Describe what a field takes, such as "a number above 0 and below 1"."""
+def requirement(info: FieldInfo, field_option: Option, python: bool = False) -> str:
+    """Describe what a field takes, such as "a number above 0 and below 1"; ``python`` names the
+    values as Python writes them.
+    """
     if field_option.needed:
         return field_option.needed
     base = base_type(info.annotation)
@@ -369,8 +389,8 @@ def requirement(info: FieldInfo, field_option: Option) -> str:
     noun = {
         float: "a finite number" if not bounds else "a number",
         int: "a whole number",
-        bool: "True or False",
-        Path: "a path, as a str or a Path,",
+        bool: "True or False" if python else "true or false",
+        Path: "a path, as a str or a Path," if python else "a path",
         str: "a text" if pattern is None else f"a text of the form {pattern}",
         dict: "a mapping",
     }.get(base, "another value")
@@ -481,11 +501,11 @@ def kind_of(info: FieldInfo, field_option: Option) -> str:
     if field_option.kind:
         return field_option.kind
     allowed = choices_of(info)
-    if allowed is not None:
-        return "{" + ", ".join(repr(a).replace("'", '"') for a in allowed) + "}"
     base = base_type(info.annotation)
     names = {Path: "str or Path", tuple: "str or sequence of str", dict: "Mapping"}
     name = str(names.get(base) or getattr(base, "__name__", base))
+    if allowed is not None:
+        name = "{" + ", ".join(repr(a).replace("'", '"') for a in allowed) + "}"
     default = None if info.is_required() else info.get_default()
     return f"{name}, optional" if default is None and not info.is_required() else name
 

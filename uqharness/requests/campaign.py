@@ -1,5 +1,5 @@
 """Requests of `uqharness campaign`: check, run, status, report, merge, rerun, verify, salvage,
-convergence and area.
+convergence and area; and of `uqharness sensitivity`, which ranks the inputs of a campaign.
 """
 
 from __future__ import annotations
@@ -302,9 +302,7 @@ flown."""
     repeats: WholeNumber = option(
         10, "number of parts into which the flights are divided", ge=2, metavar="N", toml=False
     )
-    metric: Names = option(
-        (), "column of cases.parquet; repeatable", metavar="NAME", repeat=True, toml=False
-    )
+    metric: Names = option((), "column of cases.parquet", metavar="NAME", repeat=True, toml=False)
 
 
 class AreaRequest(FolderRequest):
@@ -325,7 +323,7 @@ which the flights lie outside the p-box, in the metric's unit."""
     )
     value: Annotated[dict[str, Number], BeforeValidator(_numbers_by_name)] = option(
         {},
-        "metrics of a single flight; repeatable",
+        "metrics of a single flight",
         metavar="METRIC=NUMBER",
         repeat=True,
         kind="Mapping of str to float",
@@ -358,3 +356,57 @@ class PboxRequest(Request):
         lt=1,
         positional=True,
     )
+
+
+# Request of sensitivity.
+
+
+class SensitivityRequest(Request):
+    """Rank uncertain coefficients by the width they give to the p-box."""
+
+    command: ClassVar[str] = "sensitivity"
+    no: ClassVar[str] = "nothing could be compared (too many flights failed, or no metric differs)"
+    examples: ClassVar[str] = """
+  uqharness sensitivity campaigns/demo/results
+  uqharness sensitivity campaigns/demo/results --interior campaigns/demo/middle --json
+  uqharness sensitivity --modal as_published
+
+For a campaign, writes DIR/sensitivity.csv and DIR/figures/sensitivity-*.svg; nothing is flown.
+--interior names a second campaign, method = "levels" and the same seed, whose flights check that
+levels between the bounds stay inside the corners' p-box."""
+
+    folder: fields.OptionalPath = option(
+        None,
+        "folder of a finished corner campaign",
+        flag="",
+        metavar="DIR",
+        positional=True,
+        toml=False,
+    )
+    interior: fields.OptionalPath = option(
+        None, "check: a campaign of levels between the bounds", metavar="DIR2", toml=False
+    )
+    modal: Literal["as_corrected", "as_published"] | None = option(
+        None, "the dissertation's modal example, in one of two readings", toml=False
+    )
+    repeats: WholeNumber = option(
+        10,
+        "with modal: independent repeats, whose spread is shown",
+        ge=2,
+        le=1000,
+        metavar="R",
+        toml=False,
+    )
+    seed: WholeNumber = fields.seed("the repeats or of the resampling")
+
+    @model_validator(mode="after")
+    def _check_form(self) -> SensitivityRequest:
+        """Require one of the two forms."""
+        if (self.folder is None) == (self.modal is None):
+            raise ValueError(
+                "sensitivity takes either {folder}, the folder of a campaign, or {modal}"
+                " as_corrected|as_published"
+            )
+        if self.modal is not None and self.interior is not None:
+            raise ValueError("{interior} belongs to a campaign folder, not to {modal}")
+        return self

@@ -47,7 +47,7 @@ other program computes it and the source, over random states around steady fligh
     )
     properties: Properties = option(
         {},
-        "set a property of the source, such as a level of the model form; repeatable",
+        "set a property of the source, such as a level of the model form",
         flag="--set",
         key="set",
         metavar="PROP=VALUE",

@@ -111,7 +111,7 @@ def flights(
     """Return the field of one or several flights."""
     return option(
         ...,
-        f"{text}: {FLIGHT_FILE}; repeatable",
+        f"{text}: {FLIGHT_FILE}",
         flag=flag,
         metavar="FILE",
         many=True,
@@ -316,3 +316,4 @@ def altitude(of: str, default: float = 200.0) -> Any:
 
 OptionalPath = FilePath | None
 Turbulence = Literal["none", "light", "moderate", "severe"]
+Coefficient = Literal["CX", "CY", "CZ", "Cl", "Cm", "Cn"]

@@ -174,14 +174,14 @@ States: V alpha beta phi theta p q r, de da dr (surface positions), dt (throttle
     )
     states: NamesByCoefficient = option(
         {},
-        "states of a coefficient's polynomial; repeatable",
+        "states of a coefficient's polynomial",
         metavar="C=S,S",
         repeat=True,
         needed='states by coefficient, such as {"CX": ["V", "alpha"]}',
     )
     terms: NamesByCoefficient = option(
         {},
-        "terms of a coefficient, 1,V,alpha^2,alpha*q; repeatable",
+        "terms of a coefficient, 1,V,alpha^2,alpha*q",
         metavar="C=T,T",
         repeat=True,
         needed='terms by coefficient, such as {"Cm": ["1", "alpha", "p^2"]}',

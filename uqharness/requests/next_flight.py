@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar
 
 from pydantic import BeforeValidator, Field
 
@@ -80,7 +80,7 @@ and after a flight are compared."""
         metavar="NAME",
         toml=False,
     )
-    coefficient: Literal["CX", "CY", "CZ", "Cl", "Cm", "Cn"] | None = option(
+    coefficient: fields.Coefficient | None = option(
         None,
         "coefficient (default: the one to which the metric is most sensitive)",
         toml=False,
@@ -96,7 +96,7 @@ and after a flight are compared."""
         needed="true airspeeds in m/s, such as 19,22,25,",
         toml=False,
     )
-    turbulence: Literal["none", "light", "moderate", "severe"] = option(
+    turbulence: fields.Turbulence = option(
         "none", "turbulence of the simulated test flight", toml=False
     )
     cases: WholeNumber = option(

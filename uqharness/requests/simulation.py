@@ -21,8 +21,11 @@ from uqharness.requests.base import (
 
 MISSIONS = ("steady", "doublets", "3-2-1-1")
 """Manoeuvres that are generated from a trim of any aircraft."""
+Category = Literal["A", "B", "C"]
+"""Flight-phase categories of MIL-F-8785C."""
+AircraftClass = Literal["I", "II-L", "II-C", "III", "IV"]
+"""Classes of aircraft of MIL-F-8785C."""
 Loop = Literal["elevator", "aileron", "rudder", "throttle"]
-Coefficient = Literal["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
 
 
 def _mapping(value: Any) -> Any:
@@ -41,7 +44,7 @@ def _properties() -> Any:
     """Return the field of JSBSim properties."""
     return option(
         {},
-        "JSBSim property set before the flight; repeatable",
+        "JSBSim property set before the flight",
         flag="--set",
         key="set",
         metavar="PROP=VALUE",
@@ -170,10 +173,8 @@ class ModesRequest(Request):
     wind_mps: Number = option(0.0, "steady wind, m/s; moves the path only", ge=0, metavar="W")
     wind_from_deg: Number = option(270.0, "true direction the wind blows from, deg", metavar="D")
     heading_deg: Number = option(0.0, "true heading, deg", metavar="P")
-    category: Literal["A", "B", "C"] = option("B", "flight-phase category; B: cruise, loiter")
-    aircraft_class: Literal["I", "II-L", "II-C", "III", "IV"] = option(
-        "I", "aircraft class; I: light", flag="--class"
-    )
+    category: Category = option("B", "flight-phase category; B: cruise, loiter")
+    aircraft_class: AircraftClass = option("I", "aircraft class; I: light", flag="--class")
     out: fields.Page = fields.page("the root locus over airspeed and the Levels")
     speeds: Annotated[tuple[float, float], BeforeValidator(_speed_range)] | None = option(
         None,
@@ -204,7 +205,7 @@ class MarginsRequest(Request):
 
     aircraft: fields.AircraftSource = fields.aircraft()
     script: FilePath = fields.script("run script that engages the autopilot", positional=False)
-    loop: Loops = option((), "only this actuator; repeatable (default: all)", repeat=True)
+    loop: Loops = option((), "only this actuator (default: all)", repeat=True)
     flight: Literal["loiter", "straight"] = option("loiter", "on the circle or straight")
     autopilot: fields.OptionalPath = fields.autopilot()
     out: fields.Page = fields.page("Bode and Nichols charts of every loop, margins marked")
@@ -245,7 +246,7 @@ class DiffRequest(Request):
     b: Any = _model("B")
     speed_mps: Speeds = option(
         (),
-        "true airspeed at which A is trimmed and its manoeuvres are flown, m/s; repeatable",
+        "true airspeed at which A is trimmed and its manoeuvres are flown, m/s",
         metavar="V",
         repeat=True,
         kind="float or sequence of float",
@@ -254,7 +255,7 @@ class DiffRequest(Request):
     altitude_m: Number = fields.altitude("the manoeuvres above sea level")
     script: Scripts = option(
         (),
-        "run script that both models fly too, 60 s at most; repeatable",
+        "run script that both models fly too, 60 s at most",
         metavar="S",
         repeat=True,
         kind="str, Path or sequence of them",
@@ -264,7 +265,7 @@ class DiffRequest(Request):
     seed: WholeNumber = fields.seed("turbulence")
     properties: Names = option(
         (),
-        "compare this JSBSim property too; repeatable",
+        "compare this JSBSim property too",
         flag="--property",
         metavar="PROP",
         repeat=True,
@@ -390,7 +391,8 @@ record that --undo reads."""
     )
     out: FilePath = fields.out()
     constant: (
-        Annotated[dict[Coefficient, tuple[float, float]], BeforeValidator(_constant_bounds)] | None
+        Annotated[dict[fields.Coefficient, tuple[float, float]], BeforeValidator(_constant_bounds)]
+        | None
     ) = option(
         None,
         "constant bounds: half width B or LOWER:UPPER per coefficient",

@@ -30,8 +30,8 @@ DOCUMENTS: dict[str, str] = {
     "next-flight-redone": "next_flight:AchievedNarrowing",
     "refine": "refinement:Refinement",
     "report": "folders:ReportFile",
-    "sensitivity": "sensitivity:CampaignSensitivity",
-    "sensitivity-modal": "sensitivity:ModalSensitivity",
+    "sensitivity": "campaign:CampaignSensitivity",
+    "sensitivity-modal": "campaign:ModalSensitivity",
     "study": "study:Study",
     "validate-bounds": "identification:Coverage",
 }

@@ -19,8 +19,8 @@ from .aircraft import parse_xml as parse_xml
 from .aircraft import position_factor as position_factor
 from .aircraft import stage as stage
 from .aircraft import staged as staged
+from .aircraft import with_start_altitude as with_start_altitude
 from .aircraft import with_step as with_step
-from .altitude import with_start_altitude as with_start_altitude
 from .card import MEMS_NOISE_STD as MEMS_NOISE_STD
 from .card import Card as Card
 from .card import InputCard as InputCard

@@ -23,6 +23,7 @@ from scipy.linalg import expm
 from sysid.units import FT_M
 from uqharness.errors import BadInputError
 from uqharness.files import write_bytes
+from uqharness.requests.simulation import MISSIONS
 from uqharness.simulator import engine
 from uqharness.simulator.aircraft import SECOND_ORDER, Aircraft, content_hash, open_aircraft
 from uqharness.simulator.forced_state import TRIM_LATITUDE_DEG, body_velocity
@@ -446,7 +447,6 @@ by (true over equivalent airspeed)^2:
 """
 
 
-MISSIONS = ("steady", "doublets", "3-2-1-1")
 EXCURSION_DEG = 4.0
 """Largest angle [deg] of incidence, sideslip or pitch by the linear model; three times for bank."""
 MAX_STEP_S = 0.0025

@@ -26,6 +26,7 @@ from sysid.units import counted, percent
 from uqharness.campaign import (
     CONFIDENCE,
     Condition,
+    ProcessExecutor,
     Statement,
     cases,
     find_mission,
@@ -33,18 +34,15 @@ from uqharness.campaign import (
     in_condition,
     make_copy,
     needs_copy,
-    read_sensitivity,
-    samples,
-)
-from uqharness.campaign.conditions import conditions
-from uqharness.campaign.execution import ProcessExecutor
-from uqharness.campaign.folder import (
     read_cases,
     read_complete,
     read_decisions,
     read_manifest,
+    read_sensitivity,
+    samples,
     spec_of,
 )
+from uqharness.campaign.conditions import conditions
 from uqharness.campaign.statements import statements
 from uqharness.errors import BadInputError
 from uqharness.files import scratch_folder

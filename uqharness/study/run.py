@@ -24,8 +24,7 @@ from sysid.digests import file_sha256, sha256_hex
 from sysid.errors import LogError
 from sysid.foreign.regular_files import ParseError, parse_json, read_regular
 from uqharness import checksums
-from uqharness.campaign import read_bounds
-from uqharness.campaign.folder import LOCK, binding_versions, run_lock
+from uqharness.campaign import LOCK, binding_versions, read_bounds, run_lock
 from uqharness.errors import BadInputError
 from uqharness.files import PART, check_output_folder, write_bytes, write_json, write_text
 from uqharness.requests.base import Callback, Request, options_of, silent

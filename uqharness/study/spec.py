@@ -18,7 +18,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
-from uqharness.campaign.spec import CampaignSpec, campaign_from
+from uqharness.campaign import CampaignSpec, campaign_from
 from uqharness.errors import BadInputError
 from uqharness.requests.base import Request, read_section
 from uqharness.requests.identification import BoundsRequest, CompareRequest, IdentifyRequest

@@ -17,7 +17,7 @@ from uqharness.campaign import system_file
 from uqharness.errors import BadInputError
 from uqharness.identification import parse_designs
 from uqharness.requests.base import Request, base_type, command_line, options_of
-from uqharness.requests.campaign import RunRequest
+from uqharness.requests.campaign import RunRequest, SensitivityRequest
 from uqharness.requests.identification import (
     BoundsRequest,
     CompareRequest,
@@ -26,7 +26,6 @@ from uqharness.requests.identification import (
 )
 from uqharness.requests.logs import LogImportRequest
 from uqharness.requests.refinement import RefineRequest
-from uqharness.requests.sensitivity import SensitivityRequest
 from uqharness.requests.simulation import FlyRequest, InstrumentRequest
 from uqharness.simulator import Aircraft, find_aircraft, find_script
 from uqharness.study.spec import (

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from sysid.aerodynamics.rigid_body import NX, Steps
-from sysid.estimation.kalman import gains, whiten_innovations
-from sysid.estimation.kalman_arrays import MeasuredSystem
+from sysid.estimation.kalman import MeasuredSystem, gains, whiten_innovations
 from tests.helpers.linear_systems import system
 
 ROWS = (0, 1, 2, 5, 6, 7, 8)

@@ -10,7 +10,7 @@ import numpy as np
 
 from sysid.aerodynamics import NX
 from sysid.estimation import kalman_loops as loops
-from sysid.estimation.kalman_arrays import ColumnInputs, Gains, MeasuredSystem
+from sysid.estimation.kalman import ColumnInputs, Gains, MeasuredSystem
 from tests.helpers.linear_systems import system
 
 RNG = np.random.default_rng(4)

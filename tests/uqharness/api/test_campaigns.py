@@ -13,8 +13,8 @@ import pytest
 
 import uqharness as uq
 from tests.helpers.places import TESTS
+from uqharness.campaign.read_spec import read_campaign as read_file
 from uqharness.campaign.run import Progress
-from uqharness.campaign.spec.read import read_campaign as read_file
 from uqharness.cli.main import main
 from uqharness.commands.campaign import CampaignResult, campaign_of
 from uqharness.statistics.pbox import Sample

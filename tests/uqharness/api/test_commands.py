@@ -11,11 +11,10 @@ import pytest
 
 import uqharness as uq
 from tests.helpers.campaign_fakes import small_spec, steady
-from uqharness.campaign.execution.processes import SerialExecutor
-from uqharness.campaign.folder.shards import parse_shard
+from uqharness.campaign.processes import SerialExecutor
 from uqharness.campaign.run import run_campaign
-from uqharness.cli.main import complete_parser, main
-from uqharness.cli.options import commands_of
+from uqharness.campaign.shards import parse_shard
+from uqharness.cli.main import commands_of, complete_parser, main
 
 FUNCTIONS = {
     "fly": "fly",

@@ -8,7 +8,7 @@ import pytest
 
 import sysid
 import uqharness as uq
-from uqharness.api.errors import BadInputError, LogError
+from uqharness.errors import BadInputError, LogError
 
 
 def test_they_are_the_packages_own():

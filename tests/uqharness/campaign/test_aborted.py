@@ -9,8 +9,8 @@ import pandas as pd
 import pytest
 
 from tests.helpers import campaign_fakes as fakes
+from uqharness.campaign import CaseOutcome
 from uqharness.campaign.cases import build_cases
-from uqharness.campaign.execution import CaseOutcome
 from uqharness.campaign.rounds import KINDS, aborted_flight, count_aborted
 from uqharness.campaign.run import find_mission
 

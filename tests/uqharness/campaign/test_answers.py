@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from uqharness.campaign.folder.shards import Answer, lines, read_answers
+from uqharness.campaign.shards import Answer, lines, read_answers
 from uqharness.errors import BadInputError
 
 MANIFEST = {"format": 1, "state": "complete"}

@@ -9,9 +9,9 @@ import pytest
 from lxml import etree
 
 from tests.helpers import campaign_fakes as fakes
-from uqharness.campaign.execution.processes import SerialExecutor
+from uqharness.campaign.processes import SerialExecutor
+from uqharness.campaign.read_spec import read_campaign
 from uqharness.campaign.run import run_campaign
-from uqharness.campaign.spec.read import read_campaign
 from uqharness.cli.main import main
 
 pytestmark = pytest.mark.usefixtures("flights_here")

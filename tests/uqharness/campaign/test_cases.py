@@ -14,7 +14,7 @@ import pytest
 
 from tests.helpers.campaign_fakes import CAMPAIGN, campaign_file
 from uqharness.campaign.cases import Mission, build_cases, epistemic_samples, uq_properties
-from uqharness.campaign.spec.read import read_campaign
+from uqharness.campaign.read_spec import read_campaign
 from uqharness.flight.random_numbers import flight_seed, walk_stream
 from uqharness.flight.spec import COEFFICIENTS
 

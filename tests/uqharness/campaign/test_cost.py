@@ -14,11 +14,11 @@ from tests.helpers.model_forms import made_up_form
 from tests.uqharness.campaign.test_rounds import TOML as DECIDE
 from uqharness.campaign import cost
 from uqharness.campaign.cases import build_cases
-from uqharness.campaign.execution.processes import ProcessExecutor
-from uqharness.campaign.folder.store import JOURNAL
+from uqharness.campaign.processes import ProcessExecutor
+from uqharness.campaign.read_spec import read_campaign
 from uqharness.campaign.run import find_mission, run_campaign
-from uqharness.campaign.spec.read import read_campaign
-from uqharness.campaign.spec.samples import epistemic_samples
+from uqharness.campaign.sampling import epistemic_samples
+from uqharness.campaign.store import JOURNAL
 from uqharness.cli.main import main
 from uqharness.flight.spec import FlightSpec
 

@@ -19,11 +19,11 @@ from uqharness.campaign.engines import (
     difference_scale,
     refuse_difference,
 )
-from uqharness.campaign.execution.processes import ProcessExecutor, SerialExecutor
-from uqharness.campaign.execution.worker import NEAREST, CaseOutcome
-from uqharness.campaign.folder.manifest import read_manifest
-from uqharness.campaign.folder.tables import ENGINE_CHECK, FULL_FLIGHT, read_check, write_check
+from uqharness.campaign.manifest import read_manifest
+from uqharness.campaign.processes import ProcessExecutor, SerialExecutor
 from uqharness.campaign.run import find_mission, run_campaign
+from uqharness.campaign.tables import ENGINE_CHECK, FULL_FLIGHT, read_check, write_check
+from uqharness.campaign.worker import NEAREST, CaseOutcome
 from uqharness.cli.main import main
 from uqharness.errors import EnginesDifferError
 from uqharness.flight import flight_seed

@@ -20,12 +20,12 @@ from uqharness.campaign.engines import (
     previous_engine,
     varying_properties,
 )
-from uqharness.campaign.execution.processes import SerialExecutor
-from uqharness.campaign.folder.manifest import read_manifest, write_manifest
-from uqharness.campaign.folder.shards import merge, parse_shard, read_status
-from uqharness.campaign.folder.verify import RunOptions, salvage
+from uqharness.campaign.manifest import read_manifest, write_manifest
+from uqharness.campaign.processes import SerialExecutor
+from uqharness.campaign.read_spec import read_campaign
 from uqharness.campaign.run import find_mission, run_campaign
-from uqharness.campaign.spec.read import read_campaign
+from uqharness.campaign.shards import merge, parse_shard, read_status
+from uqharness.campaign.verify import RunOptions, salvage
 from uqharness.cli.main import main
 from uqharness.errors import BadInputError
 from uqharness.parquet_files import read_table

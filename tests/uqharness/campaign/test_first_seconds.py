@@ -22,7 +22,7 @@ from uqharness.campaign.engines import (
     reasons_against,
     throwaway_process,
 )
-from uqharness.campaign.execution.processes import SerialExecutor
+from uqharness.campaign.processes import SerialExecutor
 from uqharness.campaign.run import find_mission
 from uqharness.errors import BadInputError
 

@@ -20,12 +20,12 @@ from tests.helpers.campaign_fakes import CAMPAIGN, campaign_file
 from tests.helpers.model_forms import PUBLISHED, made_up_form, with_parts
 from uqharness.campaign.cases import Mission, build_cases
 from uqharness.campaign.engines import bounds_notes, noise_notes, with_noise_of
-from uqharness.campaign.execution.processes import SerialExecutor
-from uqharness.campaign.folder.manifest import describe, spec_of
-from uqharness.campaign.folder.tables import CASES
+from uqharness.campaign.manifest import describe, spec_of
+from uqharness.campaign.processes import SerialExecutor
+from uqharness.campaign.read_spec import read_campaign
 from uqharness.campaign.run import find_mission, run_campaign
-from uqharness.campaign.spec.read import read_campaign
-from uqharness.campaign.spec.samples import epistemic_samples
+from uqharness.campaign.sampling import epistemic_samples
+from uqharness.campaign.tables import CASES
 from uqharness.cli.main import main
 from uqharness.errors import BadInputError
 from uqharness.flight.fly import record_mission

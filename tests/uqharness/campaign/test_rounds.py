@@ -12,12 +12,12 @@ import pytest
 
 from tests.helpers import campaign_fakes as fakes
 from tests.helpers.page_checks import problems
-from uqharness.campaign.execution.processes import ProcessExecutor, SerialExecutor
-from uqharness.campaign.folder.manifest import read_manifest
-from uqharness.campaign.folder.shards import Shard
-from uqharness.campaign.folder.tables import CASES
+from uqharness.campaign.manifest import read_manifest
+from uqharness.campaign.processes import ProcessExecutor, SerialExecutor
+from uqharness.campaign.read_spec import read_campaign
 from uqharness.campaign.run import run_campaign
-from uqharness.campaign.spec.read import read_campaign
+from uqharness.campaign.shards import Shard
+from uqharness.campaign.tables import CASES
 from uqharness.cli.main import main
 from uqharness.errors import BadInputError
 from uqharness.parquet_files import read_table

@@ -17,11 +17,11 @@ import pytest
 from tests.helpers import campaign_fakes as fakes
 from tests.helpers.places import ROOT
 from uqharness.campaign.conditions import ERROR_METRICS, excursion_columns
-from uqharness.campaign.execution.processes import ProcessExecutor, SerialExecutor
-from uqharness.campaign.folder.manifest import read_manifest
-from uqharness.campaign.folder.store import Store, run_lock
-from uqharness.campaign.folder.tables import CASES
+from uqharness.campaign.manifest import read_manifest
+from uqharness.campaign.processes import ProcessExecutor, SerialExecutor
 from uqharness.campaign.run import Progress, find_mission, run_campaign
+from uqharness.campaign.store import Store, run_lock
+from uqharness.campaign.tables import CASES
 from uqharness.errors import BadInputError
 from uqharness.parquet_files import read_table
 

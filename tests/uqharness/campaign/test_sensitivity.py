@@ -15,15 +15,15 @@ import pytest
 from tests.helpers import campaign_fakes as fakes
 from tests.helpers.model_forms import made_up_form
 from uqharness.campaign.cases import Mission
-from uqharness.campaign.execution.processes import SerialExecutor
-from uqharness.campaign.folder.manifest import read_manifest, write_manifest
+from uqharness.campaign.manifest import read_manifest, write_manifest
+from uqharness.campaign.processes import SerialExecutor
+from uqharness.campaign.read_spec import read_campaign
 from uqharness.campaign.run import run_campaign
 from uqharness.campaign.sensitivity import (
     analyse_campaign,
     read_corner_campaign,
     read_interior_campaign,
 )
-from uqharness.campaign.spec.read import read_campaign
 from uqharness.cli.main import run_words
 from uqharness.errors import BadInputError
 from uqharness.flight.spec import FlightResult

@@ -12,7 +12,7 @@ import pytest
 
 from sysid.digests import sha256_hex
 from uqharness.campaign.conditions import Condition
-from uqharness.campaign.folder.manifest import DamageError
+from uqharness.campaign.manifest import DamageError
 from uqharness.campaign.sensitivity import (
     COLUMNS,
     SENSITIVITY,

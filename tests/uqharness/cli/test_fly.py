@@ -7,8 +7,8 @@ import json
 import pytest
 
 from tests.helpers.page_checks import problems, words_of
-from uqharness.cli.arguments import request_of
 from uqharness.cli.main import build_parser, main
+from uqharness.cli.request_command import request_of
 from uqharness.errors import BadInputError
 from uqharness.requests.simulation import FlyRequest
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from uqharness.cli.arguments import request_of
 from uqharness.cli.main import build_parser
+from uqharness.cli.request_command import request_of
 from uqharness.commands.next_flight import DOCUMENT, SCRIPT, TABLE
 from uqharness.errors import BadInputError
 from uqharness.requests.next_flight import NextFlightRequest

@@ -9,9 +9,15 @@ from pathlib import Path
 
 import pytest
 
-from uqharness.cli.arguments import request_of
-from uqharness.cli.main import build_parser, complete_parser, run_words
-from uqharness.cli.options import Command, RequestCommand, commands_of
+from uqharness.cli.main import (
+    Command,
+    RequestCommand,
+    build_parser,
+    commands_of,
+    complete_parser,
+    run_words,
+)
+from uqharness.cli.request_command import request_of
 from uqharness.errors import BadInputError
 from uqharness.files import results_folder
 from uqharness.requests.base import command_line, command_words

@@ -19,10 +19,10 @@ from tests.helpers import campaign_fakes as fakes
 from tests.helpers.jsbsim_schema import schema_errors
 from tests.helpers.page_checks import problems
 from uqharness.campaign.cases import build_cases
-from uqharness.campaign.execution.processes import SerialExecutor
+from uqharness.campaign.processes import SerialExecutor
+from uqharness.campaign.read_spec import read_campaign
 from uqharness.campaign.run import run_campaign
 from uqharness.campaign.sensitivity import find_winner
-from uqharness.campaign.spec.read import read_campaign
 from uqharness.cli.main import main
 from uqharness.errors import BadInputError
 from uqharness.flight.spec import FlightResult

@@ -19,8 +19,8 @@ from tests.helpers.jsbsim_schema import schema_errors
 from tests.helpers.model_forms import made_up_form
 from tests.helpers.page_checks import problems, words_of
 from tests.jsbsim_defects.small_models import SKELETON
-from uqharness.cli.arguments import request_of
 from uqharness.cli.main import build_parser, main
+from uqharness.cli.request_command import request_of
 from uqharness.errors import BadInputError
 from uqharness.plugin.apply import undo, write
 from uqharness.plugin.check import check, check_in_child

@@ -19,7 +19,7 @@ from tests.helpers.sixdof import Airframe
 from tests.hidden_effects.effects import Effect, value
 from tests.hidden_effects.flights import Flight, fly
 from tests.hidden_effects.manoeuvres import card
-from uqharness.batch.lanes.course import fly_many
+from uqharness.batch.course import fly_many
 from uqharness.cli.main import main
 from uqharness.flight.spec import FlightSpec
 from uqharness.refinement import run

@@ -172,7 +172,7 @@ def test_rates_of_the_wind_angles_settle_alike_in_both_engines(by_rates, monkeyp
     # JSBSim begins with the rates of the state before, the batch engine anew: both end within a
     # millionth of a rad/s.
     assert 0.0 < sizes_apart(ours, theirs) < 1e-6
-    monkeypatch.setattr("uqharness.batch.lanes.replay._settle", lambda *_: None)
+    monkeypatch.setattr("uqharness.batch.replay._settle", lambda *_: None)
     assert sizes_apart(said(by_rates, monkeypatch, 1, Cm_q=-11.0), theirs) > 1e-3
 
 

@@ -13,10 +13,10 @@ from lxml import etree, html
 
 from tests.helpers import campaign_fakes as fakes
 from tests.helpers.page_checks import problems
-from uqharness.campaign.execution.processes import SerialExecutor
-from uqharness.campaign.folder.manifest import read_manifest, write_manifest
+from uqharness.campaign.manifest import read_manifest, write_manifest
+from uqharness.campaign.processes import SerialExecutor
+from uqharness.campaign.read_spec import read_campaign
 from uqharness.campaign.run import run_campaign
-from uqharness.campaign.spec.read import read_campaign
 from uqharness.errors import BadInputError
 from uqharness.report.write import write_campaign_report, write_report
 

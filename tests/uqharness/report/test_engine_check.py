@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from uqharness.campaign.folder.tables import CheckRow
+from uqharness.campaign.tables import CheckRow
 from uqharness.report.campaign import engine_section
 from uqharness.report.parts import Table, Words
 

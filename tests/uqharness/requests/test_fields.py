@@ -13,8 +13,8 @@ from typing import Any
 import pytest
 
 from uqharness.cli import main as cli
-from uqharness.cli.arguments import add_request, request_of
-from uqharness.cli.options import Command, commands_of
+from uqharness.cli.main import Command, commands_of
+from uqharness.cli.request_command import add_request, request_of
 from uqharness.errors import BadInputError
 from uqharness.requests.base import (
     PYTHON,
@@ -23,8 +23,10 @@ from uqharness.requests.base import (
     check,
     choices_of,
     flag_of,
+    kind_of,
     options_of,
     read_section,
+    sentence,
 )
 
 FILE = Path("settings.toml")
@@ -150,20 +152,40 @@ def _section(model: type[Request], section: Mapping[str, Any], also: Mapping[str
     return str(raised.value)
 
 
+def _without_python(message: str) -> str:
+    """Return a sentence about a Python argument as a settings file has it."""
+    return message.replace("True or False", "true or false").replace(", as a str or a Path,", "")
+
+
+def test_a_file_and_python_name_values_in_their_own_words():
+    assert _python(MODELS["fly"], "noise", "yes").endswith(": True or False is needed")
+    assert _section(MODELS["fly"], {"noise": "yes"}, {}).endswith(": true or false is needed")
+    assert _section(MODELS["fly"], {"autopilot": 3}, {}).endswith(": a path is needed")
+
+
+def test_documented_types_and_sentences():
+    engine = options_of(MODELS["campaign run"])["engine"]
+    assert kind_of(*engine) == '{"auto", "batch", "jsbsim"}, optional'
+    assert "repeatable" not in sentence(options_of(MODELS["margins"])["loop"][0])
+    parser = Command(prog="uqharness x")
+    add_request(parser, MODELS["margins"])
+    assert "(default: all); repeatable" in " ".join(parser.format_help().split())
+
+
 @pytest.mark.parametrize(("words", "name"), FIELDS)
 def test_a_wrong_value_gets_one_sentence_from_everywhere(words: str, name: str):
     model = MODELS[words]
     info, option = options_of(model)[name]
     for value in _wrong(info):
         message = _python(model, name, value)
-        label, _, sentence = message.partition(": ")
+        label, _, allowed = message.partition(": ")
         assert label.startswith(f"{name} = ")
-        assert sentence
+        assert allowed
         if option.toml:
             also = {k: v for k, v in _valid(model).items() if k != name}
             from_file = _section(model, {option.key or name: value}, also)
             assert from_file.startswith(f"{FILE}:7: [x] {option.key or name} = ")
-            assert from_file.endswith(f": {sentence}")
+            assert from_file.endswith(f": {_without_python(allowed)}")
         # The command line knows texts alone: any path is one, and a flag has no value.
         is_word = isinstance(value, str | int | float) and base_type(info.annotation) not in (
             bool,
@@ -174,7 +196,7 @@ def test_a_wrong_value_gets_one_sentence_from_everywhere(words: str, name: str):
         if option.cli and is_word:
             from_words = _words(model, name, value)
             assert from_words.startswith(f"{flag_of(name, option)} ")
-            assert from_words.endswith(f": {sentence}")
+            assert from_words.endswith(f": {allowed}")
 
 
 @pytest.mark.parametrize("words", MODELS)

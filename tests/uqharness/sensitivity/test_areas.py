@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from uqharness.sensitivity.areas import box_area, envelope_areas, is_flat, log_area, pair_areas
+from uqharness.sensitivity.measures import box_area, envelope_areas, is_flat, log_area, pair_areas
 
 Y = np.random.default_rng(0).gamma(2.0, 1.0, (8, 40)) + np.arange(8)[:, None]
 

@@ -14,7 +14,7 @@ from scipy import stats
 
 from uqharness import sensitivity
 from uqharness.errors import BadInputError
-from uqharness.sensitivity import problem
+from uqharness.sensitivity import study as problem
 
 UNIT = {"a": (0.0, 1.0), "b": (0.0, 1.0)}
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from uqharness.sensitivity import areas as resampling
-from uqharness.sensitivity.areas import (
+from uqharness.sensitivity import measures as resampling
+from uqharness.sensitivity.measures import (
     MIN_DRAWS,
     PairBand,
     box_area,

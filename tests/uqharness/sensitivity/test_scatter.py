@@ -9,8 +9,7 @@ import pytest
 import statsmodels.api as sm
 from scipy import stats
 
-from uqharness.sensitivity.areas import Z, box_area, reach_of_box
-from uqharness.sensitivity.measures import scatter
+from uqharness.sensitivity.measures import Z, box_area, reach_of_box, scatter
 from uqharness.sensitivity.study import run_study
 
 BOX = {"a": (0.0, 2.0), "b": (-1.0, 1.0)}

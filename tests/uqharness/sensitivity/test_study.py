@@ -15,8 +15,8 @@ from tests.helpers.few import few
 from tests.helpers.places import ROOT
 from uqharness import sensitivity
 from uqharness.errors import BadInputError
-from uqharness.sensitivity.areas import pair_band
-from uqharness.sensitivity.problem import corners
+from uqharness.sensitivity.measures import pair_band
+from uqharness.sensitivity.study import corners
 
 A, B = 7.0, 0.1  # Ishigami's constants
 PI = math.pi

@@ -6,7 +6,7 @@ import pytest
 from sysid.record import FlightRecord, Metadata
 from uqharness.errors import BadInputError
 from uqharness.files import check_output_folder, write_bytes
-from uqharness.simulator.altitude import with_start_altitude
+from uqharness.simulator.aircraft import with_start_altitude
 
 TIME = {"time_s": np.arange(5) * 0.02, "V_mps": np.full(5, 20.0)}
 INITIAL = '<initialize name="a">{}</initialize>'

@@ -20,10 +20,10 @@ from tests.helpers.page_checks import problems
 from uqharness.campaign.cases import build_cases
 from uqharness.campaign.conditions import UNCOMMANDED_METRICS
 from uqharness.campaign.engines import make_copy
-from uqharness.campaign.execution.processes import SerialExecutor
-from uqharness.campaign.folder.tables import CASES
+from uqharness.campaign.processes import SerialExecutor
+from uqharness.campaign.read_spec import read_campaign
 from uqharness.campaign.run import find_mission, run_campaign
-from uqharness.campaign.spec.read import read_campaign
+from uqharness.campaign.tables import CASES
 from uqharness.cli.main import main
 from uqharness.errors import BadInputError
 from uqharness.flight.fly import fly

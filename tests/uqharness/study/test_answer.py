@@ -11,9 +11,9 @@ import pytest
 from tests.helpers import campaign_fakes as fakes
 from tests.helpers.report_folders import refinement
 from uqharness.campaign.cases import Mission
-from uqharness.campaign.execution.processes import SerialExecutor
+from uqharness.campaign.processes import SerialExecutor
+from uqharness.campaign.read_spec import read_campaign
 from uqharness.campaign.run import run_campaign
-from uqharness.campaign.spec.read import read_campaign
 from uqharness.campaign.statements import DISPERSION_EXCEEDED, bound_dispersion
 from uqharness.results.refinement import Refinement
 from uqharness.study.answer import answer_of, performance, read_campaigns

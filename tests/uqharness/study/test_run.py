@@ -15,7 +15,7 @@ import pytest
 
 from tests.helpers.model_forms import made_up_form
 from tests.helpers.report_folders import refinement
-from uqharness.campaign.folder.store import Store, run_lock
+from uqharness.campaign.store import Store, run_lock
 from uqharness.cli import main as cli
 from uqharness.commands.study import run_request
 from uqharness.errors import BadInputError

@@ -8,8 +8,8 @@ import tomllib
 import pytest
 import tomlkit
 
-from uqharness.cli.arguments import request_of
 from uqharness.cli.main import build_parser
+from uqharness.cli.request_command import request_of
 from uqharness.errors import BadInputError
 from uqharness.requests.base import command_words
 from uqharness.simulator.aircraft import PROJECT_ROOT

@@ -7,9 +7,9 @@ from __future__ import annotations
 import pandas as pd
 import pytest
 
-from uqharness.campaign.folder import read_cases, read_complete
+from uqharness.campaign import read_cases, read_complete
+from uqharness.campaign.read_spec import read_campaign
 from uqharness.campaign.run import run_campaign
-from uqharness.campaign.spec.read import read_campaign
 from uqharness.campaign.statements import statements
 from uqharness.study.answer import TRACKS, TrackRequest, fly_tracks, hardest
 

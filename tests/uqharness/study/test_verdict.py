@@ -16,9 +16,9 @@ from tests.helpers import campaign_fakes as fakes
 from tests.helpers import report_folders
 from uqharness.campaign.cases import Mission
 from uqharness.campaign.conditions import Condition
-from uqharness.campaign.execution.processes import SerialExecutor
+from uqharness.campaign.processes import SerialExecutor
+from uqharness.campaign.read_spec import read_campaign
 from uqharness.campaign.run import run_campaign
-from uqharness.campaign.spec.read import read_campaign
 from uqharness.flight.spec import FlightResult
 from uqharness.results.identification import Fit
 from uqharness.results.refinement import Refinement

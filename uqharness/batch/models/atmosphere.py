@@ -11,7 +11,7 @@ import itertools
 from collections.abc import Sequence
 
 from sysid.units import FT_M, G0_MPS2, KT_MPS
-from uqharness.batch.form.ir import Builder, Value
+from uqharness.batch.ir import Builder, Value
 from uqharness.batch.translate.frame import Frame
 
 _LAYERS = (

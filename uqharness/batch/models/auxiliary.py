@@ -11,7 +11,7 @@ import math
 from collections.abc import Sequence
 
 from sysid.units import FT_M, G0_MPS2, SLUG_LB
-from uqharness.batch.form.ir import Value
+from uqharness.batch.ir import Value
 from uqharness.batch.models.atmosphere import STANDARD_DENSITY_SLUGS_FT3
 from uqharness.batch.models.geodesic import geodesic
 from uqharness.batch.models.motion import BODY_ACCELERATION, MATRIX, PLACE, matrix, slots, vector

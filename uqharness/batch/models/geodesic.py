@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 
-from uqharness.batch.form.ir import Builder, Value
+from uqharness.batch.ir import Builder, Value
 from uqharness.batch.models.motion import A_FT, B_FT
 
 _STEPS = 8

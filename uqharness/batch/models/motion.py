@@ -18,9 +18,8 @@ import numpy as np
 
 from sysid.arrays import FloatArray
 from sysid.units import FT_M
-from uqharness.batch.form.ir import Builder, Function, Value, evaluate
-from uqharness.batch.form.maths import COSINE, SINE, lower
-from uqharness.batch.form.program import Section
+from uqharness.batch.ir import Builder, Function, Value, evaluate
+from uqharness.batch.maths import COSINE, SINE, lower
 from uqharness.batch.models.vectors import (
     Matrix,
     Quaternion,
@@ -37,6 +36,7 @@ from uqharness.batch.models.vectors import (
     times,
     transpose,
 )
+from uqharness.batch.program import Section
 from uqharness.batch.translate.frame import TIME, Frame
 
 # The earth: rotating WGS-84 ellipsoid, gravity with J2, geodetic position and local axes, in feet

@@ -5,7 +5,7 @@ A vector is three values, a matrix three rows, a quaternion scalar part first.
 
 from __future__ import annotations
 
-from uqharness.batch.form.ir import Value
+from uqharness.batch.ir import Value
 
 Number = Value | float
 Vector = tuple[Number, Number, Number]

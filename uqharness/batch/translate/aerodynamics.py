@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from uqharness.batch.form.ir import Value
+from uqharness.batch.ir import Value
 from uqharness.batch.models.auxiliary import arm, structural_to_body
 from uqharness.batch.models.motion import INERTIAL, MATRIX, matrix
 from uqharness.batch.models.vectors import Matrix, Vector, cross, matvec, plus, times, transpose

@@ -14,10 +14,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from uqharness.batch.form.ir import Value
-from uqharness.batch.form.program import When
-from uqharness.batch.translate import filters, gains, waypoints
-from uqharness.batch.translate.component import Component, written_properties
+from uqharness.batch.ir import Value
+from uqharness.batch.program import When
+from uqharness.batch.translate import components as gains
+from uqharness.batch.translate import components as waypoints
+from uqharness.batch.translate import filters
+from uqharness.batch.translate.components import Component, written_properties
 from uqharness.batch.translate.frame import (
     CHANNEL_STEP,
     HOOKS,

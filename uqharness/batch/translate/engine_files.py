@@ -10,7 +10,7 @@ from collections.abc import Collection, Mapping
 from dataclasses import replace
 
 from sysid.units import LB_KG
-from uqharness.batch.form.ir import Value
+from uqharness.batch.ir import Value
 from uqharness.batch.translate.frame import Scope
 from uqharness.batch.translate.functions import Grid, interpolate, read_grid
 from uqharness.xml import Document, Node

@@ -11,9 +11,9 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from uqharness.batch.form.ir import Value
-from uqharness.batch.form.maths import truncate
-from uqharness.batch.translate.component import Component, inner, own_name
+from uqharness.batch.ir import Value
+from uqharness.batch.maths import truncate
+from uqharness.batch.translate.components import Component, inner, own_name
 from uqharness.batch.translate.engine_files import triplet
 from uqharness.batch.translate.frame import Frame, is_number, property_of
 from uqharness.xml import Node

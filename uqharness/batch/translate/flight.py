@@ -10,8 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 
-from uqharness.batch.form.ir import Value
-from uqharness.batch.form.program import Program, Stream
+from uqharness.batch.ir import Value
 from uqharness.batch.models import winds
 from uqharness.batch.models.atmosphere import trace_air_data, trace_atmosphere, trace_ratios
 from uqharness.batch.models.auxiliary import trace_auxiliary, trace_ground, trace_start_distance
@@ -23,6 +22,7 @@ from uqharness.batch.models.motion import (
     trace_propagate,
     trace_time,
 )
+from uqharness.batch.program import Program, Stream
 from uqharness.batch.translate.aerodynamics import (
     functions_of,
     shift_function,

@@ -16,9 +16,9 @@ from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import NoReturn
 
-from uqharness.batch.form.ir import Builder, Value
-from uqharness.batch.form.maths import reuse_sines
-from uqharness.batch.form.program import Program, Section, Stream, When
+from uqharness.batch.ir import Builder, Value
+from uqharness.batch.maths import reuse_sines
+from uqharness.batch.program import Program, Section, Stream, When
 from uqharness.errors import BadInputError
 from uqharness.xml import Document, Node
 

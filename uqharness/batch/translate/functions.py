@@ -14,8 +14,8 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-from uqharness.batch.form.ir import Value
-from uqharness.batch.form.maths import QUOTIENT_LIMIT, TRIGONOMETRIC_LIMIT, copysign, truncate
+from uqharness.batch.ir import Value
+from uqharness.batch.maths import QUOTIENT_LIMIT, TRIGONOMETRIC_LIMIT, copysign, truncate
 from uqharness.batch.translate.frame import Scope
 from uqharness.xml import Node
 

@@ -11,7 +11,7 @@ import math
 from dataclasses import dataclass
 
 from sysid.units import FT_M
-from uqharness.batch.form.ir import Value
+from uqharness.batch.ir import Value
 from uqharness.batch.translate.engine_files import (
     MANIFOLD_PA_INHG,
     MANIFOLD_PA_PSF,

@@ -12,7 +12,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from uqharness.batch.form.ir import Value
+from uqharness.batch.ir import Value
 from uqharness.batch.models.auxiliary import arm
 from uqharness.batch.models.motion import slots
 from uqharness.batch.models.vectors import Matrix, Vector, cross, matvec, plus, transpose

@@ -14,8 +14,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from uqharness.batch.form.ir import Value
-from uqharness.batch.form.program import When
+from uqharness.batch.ir import Value
+from uqharness.batch.program import When
 from uqharness.batch.translate.frame import TIME, Frame, Scope, canonical, writable
 from uqharness.batch.translate.functions import function_value
 from uqharness.xml import Document, Node

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sysid.units import SLUG_LB
-from uqharness.batch.form.ir import Builder, Value
+from uqharness.batch.ir import Builder, Value
 from uqharness.batch.models.vectors import Vector
 from uqharness.batch.translate.engine_files import Part, number, refuse_tags, triplet
 from uqharness.batch.translate.frame import Frame, Scope, canonical

@@ -7,6 +7,7 @@ from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 
 from sysid.estimation import STRONG_SHARE, WHITENESS_LEVEL
+from uqharness.identification import LIMIT
 from uqharness.replay import (
     CHANNELS,
     HISTORIES,
@@ -16,7 +17,6 @@ from uqharness.replay import (
     with_shown_names,
 )
 from uqharness.report.history import MOST_SEGMENTS, Model, file_name, history_section
-from uqharness.report.pages.compare import LIMIT
 from uqharness.report.parts import (
     Bullets,
     Cell,

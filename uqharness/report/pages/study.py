@@ -31,9 +31,8 @@ from uqharness.report.ground_track import ground_track, lap_of, track_distance
 from uqharness.report.history import Model, farthest_figure
 from uqharness.report.pages.campaign import PBOXES, campaign_page, grid_section
 from uqharness.report.pages.compare import compare_page, ratio_figure
-from uqharness.report.pages.coverage import coverage_page
 from uqharness.report.pages.identify import identify_page
-from uqharness.report.pages.model_form import bounds_page
+from uqharness.report.pages.model_form import bounds_page, coverage_page
 from uqharness.report.pages.refinement import capital, refine_page
 from uqharness.report.parts import (
     Block,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sysid.errors import Finding
-from sysid.logs.checking.checks import check_motion, recheck
+from sysid.logs.checking.checks import AXES, check_motion, effect, recheck
 from sysid.logs.checking.kinematics import (
     LAWS,
     Relation,
@@ -26,7 +26,6 @@ from sysid.logs.checking.signals import (
     sample_hold,
     stuck_span,
 )
-from sysid.logs.checking.surface_signs import AXES, effect
 from sysid.logs.load import import_log
 from sysid.record import FlightRecord, Metadata
 from tests.helpers.few import few

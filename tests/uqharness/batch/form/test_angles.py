@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from uqharness.batch.form.interpret import run_program
-from uqharness.batch.form.ir import Builder
-from uqharness.batch.form.maths import COSINE, SINE, reuse_sines
-from uqharness.batch.form.passes import optimise
-from uqharness.batch.form.program import Program, Section, Stream, When, initial_state, slot
+from uqharness.batch.interpret import run_program
+from uqharness.batch.ir import Builder
+from uqharness.batch.maths import COSINE, SINE, reuse_sines
+from uqharness.batch.passes import optimise
+from uqharness.batch.program import Program, Section, Stream, When, initial_state, slot
 
 ANGLES = np.linspace(-3.0, 3.0, 16)
 

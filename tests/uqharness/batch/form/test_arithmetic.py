@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from tests.helpers.batch_against import same_bits
-from uqharness.batch.form import maths as a
-from uqharness.batch.form.ir import Builder, Value, evaluate
+from uqharness.batch import maths as a
+from uqharness.batch.ir import Builder, Value, evaluate
 
 RNG = np.random.default_rng(6)
 X = RNG.normal(size=400) * np.exp2(RNG.integers(-30, 30, 400))

@@ -7,7 +7,7 @@ from __future__ import annotations
 import mpmath as mp
 import pytest
 
-from uqharness.batch.form import maths as c
+from uqharness.batch import maths as c
 
 mp.mp.prec = 300
 

@@ -8,8 +8,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from uqharness.batch.form.ir import Builder, Value, evaluate
-from uqharness.batch.form.maths import exp, log, log2, log10, power
+from uqharness.batch.ir import Builder, Value, evaluate
+from uqharness.batch.maths import exp, log, log2, log10, power
 
 
 def _values(function: Callable[..., Value], *columns: np.ndarray) -> np.ndarray:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from tests.helpers.batch_against import same_bits
-from uqharness.batch.form.ir import Builder, evaluate, rewrite
+from uqharness.batch.ir import Builder, evaluate, rewrite
 
 
 def test_a_value_is_made_once() -> None:

@@ -18,9 +18,9 @@ from tests.helpers.batch_accuracy import POINTS, errors, lowered, values
 from tests.helpers.batch_against import same_bits
 from tests.helpers.batch_digest import digest, function, points
 from tests.helpers.few import few
-from uqharness.batch.form.ir import TRANSCENDENTAL, Builder, evaluate
-from uqharness.batch.form.maths import fold, lower
-from uqharness.batch.machine.llvm import compile_function, targets
+from uqharness.batch.ir import TRANSCENDENTAL, Builder, evaluate
+from uqharness.batch.llvm import compile_function, targets
+from uqharness.batch.maths import fold, lower
 
 COUNT = int(os.environ.get("BATCH_POINTS", "8000"))
 INF, NAN = math.inf, math.nan

@@ -10,9 +10,9 @@ import pytest
 
 from tests.helpers.batch_against import same_bits
 from tests.helpers.batch_programs import feeds, mixed
-from uqharness.batch.form.interpret import run_program
-from uqharness.batch.form.ir import Builder
-from uqharness.batch.form.passes import (
+from uqharness.batch.interpret import run_program
+from uqharness.batch.ir import Builder
+from uqharness.batch.passes import (
     eliminate_dead_stores,
     fuse_sections,
     hoist_invariants,
@@ -20,7 +20,7 @@ from uqharness.batch.form.passes import (
     optimise,
     prune_slots,
 )
-from uqharness.batch.form.program import Program, Section, Stream, When, initial_state, slot
+from uqharness.batch.program import Program, Section, Stream, When, initial_state, slot
 
 LANES, FRAMES = 11, 40
 PASSES = {

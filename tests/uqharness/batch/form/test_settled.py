@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from uqharness.batch.form.interpret import Interpreter
-from uqharness.batch.form.ir import Builder
-from uqharness.batch.form.passes import propagate_constants
-from uqharness.batch.form.program import Program, Section, Stream, When, initial_state
+from uqharness.batch.interpret import Interpreter
+from uqharness.batch.ir import Builder
+from uqharness.batch.passes import propagate_constants
+from uqharness.batch.program import Program, Section, Stream, When, initial_state
 
 
 def section(name: str, when: When, **stores: object) -> Section:

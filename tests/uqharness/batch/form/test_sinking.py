@@ -9,9 +9,9 @@ import pytest
 
 from tests.helpers.batch_against import same_bits
 from tests.helpers.batch_programs import feeds, mixed
-from uqharness.batch.form.interpret import run_program
-from uqharness.batch.form.ir import Builder
-from uqharness.batch.form.passes import (
+from uqharness.batch.interpret import run_program
+from uqharness.batch.ir import Builder
+from uqharness.batch.passes import (
     PASSED,
     eliminate_dead_stores,
     fuse_sections,
@@ -19,7 +19,7 @@ from uqharness.batch.form.passes import (
     optimise,
     sink,
 )
-from uqharness.batch.form.program import Program, Section, When, initial_state, slot
+from uqharness.batch.program import Program, Section, When, initial_state, slot
 
 LANES, FRAMES = 11, 40
 

@@ -9,11 +9,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from uqharness.batch.form.interpret import run_program
-from uqharness.batch.form.ir import TRANSCENDENTAL, Builder, evaluate
-from uqharness.batch.form.maths import lower
-from uqharness.batch.form.program import Feed, Program, Section, Stream, When, initial_state
-from uqharness.batch.form.tangent import rate_name, tangent, tangent_program
+from uqharness.batch.interpret import run_program
+from uqharness.batch.ir import TRANSCENDENTAL, Builder, evaluate
+from uqharness.batch.maths import lower
+from uqharness.batch.program import Feed, Program, Section, Stream, When, initial_state
+from uqharness.batch.tangent import rate_name, tangent, tangent_program
 
 UNARY = [
     "sin",

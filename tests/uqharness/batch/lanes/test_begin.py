@@ -11,7 +11,7 @@ import pytest
 
 from tests.helpers import batch_engines as engines
 from tests.helpers import batch_flights as flights
-from uqharness.batch.lanes.course import fly_many
+from uqharness.batch.course import fly_many
 from uqharness.flight.fly import fly
 from uqharness.flight.spec import FlightResult, FlightSpec
 from uqharness.simulator import MARK

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from tests.helpers.batch_whole import EXPENSIVE, TRANSIENT, WALK, spec, with_bounds
-from uqharness.batch.lanes.course import Branch, Course, compiled_mission
+from uqharness.batch.course import Branch, Course, compiled_mission
 
 ACTIVE = {"uq/active": 1.0}
 

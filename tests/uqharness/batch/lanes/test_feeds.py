@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from tests.helpers.batch_whole import WALK, spec
-from uqharness.batch.form.program import initial_state
-from uqharness.batch.lanes.course import Feeder, airs_of, compiled_mission, initialise_lanes
-from uqharness.batch.lanes.streams import GUSTS, LEVELS
+from uqharness.batch.course import Feeder, airs_of, compiled_mission, initialise_lanes
 from uqharness.batch.models.winds import COUNTER, NORMALS
+from uqharness.batch.program import initial_state
+from uqharness.batch.streams import GUSTS, LEVELS
 
 
 def made(specs, frames=400):

@@ -24,11 +24,11 @@ from tests.helpers.batch_whole import (
     without_air,
 )
 from tests.helpers.few import few
+from uqharness.batch import course
+from uqharness.batch import course as lanes
+from uqharness.batch.course import fly_many
 from uqharness.batch.installation import available
-from uqharness.batch.lanes import course
-from uqharness.batch.lanes import course as lanes
-from uqharness.batch.lanes.course import fly_many
-from uqharness.batch.machine.llvm import VECTORS, target_names
+from uqharness.batch.llvm import VECTORS, target_names
 from uqharness.errors import BadInputError
 from uqharness.flight.fly import fly, fly_one_ulp_off
 from uqharness.flight.spec import COEFFICIENTS

@@ -8,15 +8,9 @@ import numpy as np
 import pytest
 
 from tests.helpers import batch_oracle
-from uqharness.batch.lanes.streams import (
-    MODULUS,
-    MULTIPLIER,
-    JsbsimNormals,
-    numpy_tries,
-    polar_normals,
-)
-from uqharness.batch.machine.llvm import targets
-from uqharness.batch.machine.random import compiled_tries
+from uqharness.batch.llvm import targets
+from uqharness.batch.llvm_random import compiled_tries
+from uqharness.batch.streams import MODULUS, MULTIPLIER, JsbsimNormals, numpy_tries, polar_normals
 
 PER_FRAME = 100
 FRAMES = 2000

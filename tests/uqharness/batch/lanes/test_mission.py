@@ -9,8 +9,8 @@ import pytest
 
 from tests.helpers.batch_flights import START, aircraft, craft
 from tests.helpers.batch_whole import copied, spec
-from uqharness.batch.lanes.course import compiled_mission, fly_many, initialise_lanes
-from uqharness.batch.lanes.mission import initial_values, load_start
+from uqharness.batch.course import compiled_mission, fly_many, initialise_lanes
+from uqharness.batch.mission import initial_values, load_start
 from uqharness.batch.models.motion import CONDITIONS
 from uqharness.batch.translate.frame import is_constant
 from uqharness.errors import BadInputError

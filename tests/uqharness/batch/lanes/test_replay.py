@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from uqharness import batch
-from uqharness.batch.lanes import replay as module
+from uqharness.batch import replay as module
 from uqharness.replay import CONTROLS, ReplayFolder
 from uqharness.replay.replay import RAW
 from uqharness.simulator import find_aircraft

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from tests.helpers import batch_oracle
-from uqharness.batch.lanes.streams import (
+from uqharness.batch.models.winds import NORMALS
+from uqharness.batch.streams import (
     GUSTS,
     LEVELS,
     TRANSIENTS,
@@ -21,7 +22,6 @@ from uqharness.batch.lanes.streams import (
     Turbulence,
     noise_streams,
 )
-from uqharness.batch.models.winds import NORMALS
 from uqharness.flight import Split, stepping
 from uqharness.flight.dryden import COMPONENTS, dryden_gusts, dryden_parameters
 from uqharness.flight.spec import COEFFICIENTS, LevelDriver, TransientDriver

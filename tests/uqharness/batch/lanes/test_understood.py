@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from tests.helpers.batch_whole import EXPENSIVE, copied, same_end, spec
-from uqharness.batch.lanes.course import fly_many, refusals
+from uqharness.batch.course import fly_many, refusals
 from uqharness.errors import BadInputError
 from uqharness.flight.fly import fly
 

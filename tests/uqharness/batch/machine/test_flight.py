@@ -12,10 +12,12 @@ import pytest
 from tests.helpers.batch_against import same_bits
 from tests.helpers.batch_programs import feeds, mixed
 from tests.helpers.few import few
-from uqharness.batch.form.interpret import run_program
-from uqharness.batch.form.ir import Builder
-from uqharness.batch.form.passes import optimise
-from uqharness.batch.form.program import (
+from uqharness.batch.interpret import run_program
+from uqharness.batch.ir import Builder
+from uqharness.batch.llvm import targets
+from uqharness.batch.llvm_flight import FlightKernel, compile_program
+from uqharness.batch.passes import optimise
+from uqharness.batch.program import (
     BLOCK,
     Feed,
     Program,
@@ -25,8 +27,6 @@ from uqharness.batch.form.program import (
     remap_state,
     select_lanes,
 )
-from uqharness.batch.machine.flight import FlightKernel, compile_program
-from uqharness.batch.machine.llvm import targets
 
 LANES, FRAMES = 21, 60
 

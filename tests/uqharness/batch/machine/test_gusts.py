@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from uqharness.batch.machine.llvm import targets
-from uqharness.batch.machine.random import compiled_recursion
+from uqharness.batch.llvm import targets
+from uqharness.batch.llvm_random import compiled_recursion
 from uqharness.flight.dryden import numpy_recursion
 
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from tests.helpers.batch_against import same_bits
-from uqharness.batch.form.ir import TRANSCENDENTAL, Builder, Function, evaluate
-from uqharness.batch.form.maths import lower
-from uqharness.batch.form.program import BLOCK, from_blocks, to_blocks
-from uqharness.batch.machine.llvm import Target, compile_function, print_function, targets
+from uqharness.batch.ir import TRANSCENDENTAL, Builder, Function, evaluate
+from uqharness.batch.llvm import Target, compile_function, print_function, targets
+from uqharness.batch.maths import lower
+from uqharness.batch.program import BLOCK, from_blocks, to_blocks
 
 
 def _function() -> Function:

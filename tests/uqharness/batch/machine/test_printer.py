@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from uqharness.batch.form.ir import Builder, Function
-from uqharness.batch.machine.llvm import FunctionPrinter, Vectors
+from uqharness.batch.ir import Builder, Function
+from uqharness.batch.llvm import FunctionPrinter, Vectors
 
 
 def _lines(function: Function, vectors: Vectors, mask: str | None = None) -> list[str]:

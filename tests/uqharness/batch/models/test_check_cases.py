@@ -12,11 +12,11 @@ import pytest
 from tests.helpers import batch_flights
 from tests.helpers.batch_flights import aircraft, craft, started, translated
 from tests.helpers.batch_whole import SECOND_ORDER
-from uqharness.batch.form.program import initial_state
-from uqharness.batch.machine.flight import compile_program
-from uqharness.batch.machine.llvm import choose_target
+from uqharness.batch.llvm import choose_target
+from uqharness.batch.llvm_flight import compile_program
 from uqharness.batch.models import motion
 from uqharness.batch.models.motion import CONDITIONS
+from uqharness.batch.program import initial_state
 
 DT_S = 0.002
 SPIN_DPS = np.degrees(7.292115e-5)

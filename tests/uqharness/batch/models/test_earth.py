@@ -6,8 +6,8 @@ import mpmath
 import numpy as np
 import pytest
 
-from uqharness.batch.form.ir import Builder, evaluate
-from uqharness.batch.form.maths import lower
+from uqharness.batch.ir import Builder, evaluate
+from uqharness.batch.maths import lower
 from uqharness.batch.models import motion
 
 # NIMA TR8350.2, table 3.1: half axes of WGS-84 [m], and the foot.

@@ -9,7 +9,7 @@ import pytest
 
 from tests.helpers.batch_flights import DT_S, START, aircraft, craft, flown, started
 from tests.helpers.few import few
-from uqharness.batch.lanes.mission import initial_values
+from uqharness.batch.mission import initial_values
 from uqharness.batch.models.auxiliary import POINT, TOUCHED
 from uqharness.batch.models.motion import CONDITIONS
 from uqharness.batch.translate.flight import TraceRequest, trace_flight

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from uqharness.batch.form.ir import Builder, Value, evaluate
+from uqharness.batch.ir import Builder, Value, evaluate
 from uqharness.batch.models import vectors
 
 

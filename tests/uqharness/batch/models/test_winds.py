@@ -19,7 +19,7 @@ from tests.helpers.batch_flights import (
     refused,
     worst,
 )
-from uqharness.batch.form.ir import Builder, evaluate
+from uqharness.batch.ir import Builder, evaluate
 from uqharness.batch.models import winds
 
 TYPE, SEVERITY = "atmosphere/turb-type", "atmosphere/turbulence/milspec/severity"
@@ -190,8 +190,8 @@ def test_azimuth_and_size_may_be_written(psi):
 
 def test_gusts_in_heading_axes_for_aircraft_without_air():
     """Heading of the frame before; metres to feet."""
-    from uqharness.batch.form.interpret import run_program
-    from uqharness.batch.form.program import initial_state, slot
+    from uqharness.batch.interpret import run_program
+    from uqharness.batch.program import initial_state, slot
     from uqharness.batch.translate.frame import Frame
 
     names = [

@@ -20,8 +20,8 @@ from tests.helpers.batch_against import (
     translated,
     ulps,
 )
-from uqharness.batch.form.ir import Builder, evaluate
-from uqharness.batch.machine.llvm import compile_function, targets
+from uqharness.batch.ir import Builder, evaluate
+from uqharness.batch.llvm import compile_function, targets
 from uqharness.batch.translate.frame import Scope
 from uqharness.batch.translate.functions import RULES, function_value
 from uqharness.errors import BadInputError

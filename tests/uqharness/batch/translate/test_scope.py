@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from uqharness.batch.form.ir import Builder
+from uqharness.batch.ir import Builder
 from uqharness.batch.translate.frame import Scope, canonical, is_number, property_of
 from uqharness.errors import BadInputError
 from uqharness.xml.document import parse_document

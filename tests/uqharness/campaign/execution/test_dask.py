@@ -12,15 +12,14 @@ from pathlib import Path
 import pytest
 
 from tests.helpers import campaign_fakes as fakes
-from uqharness.campaign.execution import dask as dask_executor
-from uqharness.campaign.execution import dask_task
-from uqharness.campaign.execution.dask import DaskExecutor
-from uqharness.campaign.execution.dask_task import OWN_FLIGHT, Order, order_text
-from uqharness.campaign.execution.processes import ProcessExecutor, SerialExecutor
-from uqharness.campaign.execution.worker import Group, OneByOne
-from uqharness.campaign.folder.tables import CASES
+from uqharness.campaign import dask as dask_executor
+from uqharness.campaign import dask as dask_task
+from uqharness.campaign.dask import OWN_FLIGHT, DaskExecutor, Order, order_text
+from uqharness.campaign.processes import ProcessExecutor, SerialExecutor
+from uqharness.campaign.read_spec import read_campaign
 from uqharness.campaign.run import run_campaign
-from uqharness.campaign.spec.read import read_campaign
+from uqharness.campaign.tables import CASES
+from uqharness.campaign.worker import Group, OneByOne
 from uqharness.cli.main import run_words
 from uqharness.errors import BadInputError
 from uqharness.flight.spec import FlightSpec

@@ -16,8 +16,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.helpers import campaign_fakes as fakes
-from uqharness.campaign.execution import dask_task
-from uqharness.campaign.execution.dask_task import (
+from uqharness.campaign import dask
+from uqharness.campaign.dask import (
     MODULES_VARIABLE,
     OWN_FLIGHT,
     OWN_GROUP,
@@ -31,8 +31,8 @@ from uqharness.campaign.execution.dask_task import (
     order_from,
     order_text,
 )
-from uqharness.campaign.execution.worker import CaseOutcome, Group, attempt, fly_group
-from uqharness.campaign.folder.rerun import RecordedFlight
+from uqharness.campaign.rerun import RecordedFlight
+from uqharness.campaign.worker import CaseOutcome, Group, attempt, fly_group
 from uqharness.errors import BadInputError
 from uqharness.flight import fly as flight
 from uqharness.flight.spec import FlightResult, FlightSpec, LevelDriver, TransientDriver
@@ -192,7 +192,7 @@ def test_a_worker_imports_no_module_that_its_operator_did_not_name(tmp_path, mon
     for name in (
         *foreign,
         "uqharness.flight.fly:Path",
-        "uqharness.cli.benchmarks.loop:bare_flight",
+        "uqharness.cli.benchmark_loop:bare_flight",
     ):
         with pytest.raises(BadInputError, match=r"flies with uqharness\.flight\.fly:fly alone"):
             flight_function(name)
@@ -227,7 +227,7 @@ def test_an_order_that_no_campaign_sends_is_not_flown(monkeypatch):
     def never(*_):
         raise AssertionError("the order came to the flights")
 
-    monkeypatch.setattr(dask_task, "_take_executor", never)
+    monkeypatch.setattr(dask, "_take_executor", never)
     case_id, item = ORDER.group.cases[0]
     for cases, reason in (
         (((case_id, item), (case_id, item)), "one case twice"),

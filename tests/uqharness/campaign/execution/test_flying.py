@@ -9,7 +9,7 @@ import numpy as np
 
 from tests.helpers import campaign_fakes as fakes
 from uqharness import batch
-from uqharness.campaign.execution import worker
+from uqharness.campaign import worker
 from uqharness.flight.fly import fly, fly_one_ulp_off
 from uqharness.flight.spec import FlightResult, FlightSpec
 

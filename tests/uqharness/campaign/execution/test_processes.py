@@ -13,12 +13,8 @@ from pathlib import Path
 import pytest
 
 from tests.helpers import campaign_fakes as fakes
-from uqharness.campaign.execution.processes import (
-    ProcessExecutor,
-    SerialExecutor,
-    default_timeout_s,
-)
-from uqharness.campaign.execution.worker import Group, OneByOne
+from uqharness.campaign.processes import ProcessExecutor, SerialExecutor, default_timeout_s
+from uqharness.campaign.worker import Group, OneByOne
 from uqharness.errors import BadInputError
 from uqharness.flight.spec import FlightSpec
 

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from uqharness.campaign.folder.tables import (
+from uqharness.campaign.tables import (
     ENGINE_CHECK,
     CheckRow,
     as_number,

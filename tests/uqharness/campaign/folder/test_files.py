@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from sysid.digests import sha256_hex
-from uqharness.campaign.folder.manifest import DamageError
-from uqharness.campaign.folder.tables import is_sealed, read_checked, read_decisions, table_digests
+from uqharness.campaign.manifest import DamageError
+from uqharness.campaign.tables import is_sealed, read_checked, read_decisions, table_digests
 from uqharness.errors import BadInputError
 
 TEXT = b"a,b\n1,2\n"

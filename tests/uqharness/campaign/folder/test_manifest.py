@@ -17,10 +17,10 @@ import pytest
 from sysid.digests import sha256_hex
 from tests.helpers import campaign_fakes as fakes
 from tests.helpers.places import TESTS
-from uqharness.campaign.execution.processes import SerialExecutor
-from uqharness.campaign.folder.manifest import digest_of_text, read_manifest, write_manifest
+from uqharness.campaign.manifest import digest_of_text, read_manifest, write_manifest
+from uqharness.campaign.processes import SerialExecutor
+from uqharness.campaign.read_spec import read_campaign
 from uqharness.campaign.run import run_campaign
-from uqharness.campaign.spec.read import read_campaign
 from uqharness.cli.main import main
 from uqharness.next_flight.points import open_campaign
 

@@ -7,7 +7,7 @@ import tomllib
 import pytest
 
 from tests.helpers.campaign_fakes import CAMPAIGN
-from uqharness.campaign.folder.manifest import checked_content
+from uqharness.campaign.manifest import checked_content
 
 pytestmark = pytest.mark.usefixtures("flights_here")
 

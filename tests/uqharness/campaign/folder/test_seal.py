@@ -10,9 +10,9 @@ from types import SimpleNamespace
 import pytest
 
 from sysid.digests import sha256_hex
-from uqharness.campaign.folder import shards
-from uqharness.campaign.folder.manifest import DamageError
-from uqharness.campaign.folder.shards import refuse_if_changed, rewrite_damaged_tables, sealed
+from uqharness.campaign import shards
+from uqharness.campaign.manifest import DamageError
+from uqharness.campaign.shards import refuse_if_changed, rewrite_damaged_tables, sealed
 
 SUMMARY = {"rows": 2, "digest": "a" * 64}
 

@@ -10,13 +10,13 @@ import pytest
 from lxml import etree
 
 from tests.helpers import campaign_fakes as fakes
-from uqharness.campaign.execution.processes import SerialExecutor
-from uqharness.campaign.folder.manifest import read_manifest, write_manifest
-from uqharness.campaign.folder.shards import Shard, merge, parse_shard, shard_folders
-from uqharness.campaign.folder.store import Store, run_lock
-from uqharness.campaign.folder.tables import CASES
+from uqharness.campaign.manifest import read_manifest, write_manifest
+from uqharness.campaign.processes import SerialExecutor
+from uqharness.campaign.read_spec import read_campaign
 from uqharness.campaign.run import run_campaign
-from uqharness.campaign.spec.read import read_campaign
+from uqharness.campaign.shards import Shard, merge, parse_shard, shard_folders
+from uqharness.campaign.store import Store, run_lock
+from uqharness.campaign.tables import CASES
 from uqharness.cli.main import main
 from uqharness.errors import BadInputError
 from uqharness.parquet_files import read_table
@@ -199,7 +199,7 @@ def test_another_outcome_than_the_stored_one_is_said(flown, capsys):
 
 
 def test_unknown_ambiguous_and_foreign_cases_are_refused(flown, tmp_path):
-    from uqharness.campaign.folder.rerun import rerun_case
+    from uqharness.campaign.rerun import rerun_case
 
     with pytest.raises(BadInputError, match="no such case"):
         rerun_case(flown, "ffffffffffffffff")

@@ -9,12 +9,12 @@ from pathlib import Path
 import pytest
 
 from tests.helpers import campaign_fakes as fakes
-from uqharness.campaign.execution.processes import SerialExecutor
-from uqharness.campaign.folder.manifest import MANIFEST, DamageError, read_manifest, write_manifest
-from uqharness.campaign.folder.shards import read_status
-from uqharness.campaign.folder.store import JOURNAL
+from uqharness.campaign.manifest import MANIFEST, DamageError, read_manifest, write_manifest
+from uqharness.campaign.processes import SerialExecutor
+from uqharness.campaign.read_spec import read_campaign
 from uqharness.campaign.run import run_campaign
-from uqharness.campaign.spec.read import read_campaign
+from uqharness.campaign.shards import read_status
+from uqharness.campaign.store import JOURNAL
 from uqharness.errors import BadInputError
 
 pytestmark = pytest.mark.usefixtures("flights_here")

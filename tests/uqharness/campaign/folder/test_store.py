@@ -12,10 +12,10 @@ import sys
 
 import pytest
 
-from uqharness.campaign.execution.worker import CaseOutcome
-from uqharness.campaign.folder.manifest import read_manifest, refuse_if_different, write_manifest
-from uqharness.campaign.folder.store import JOURNAL, Store, is_running, run_lock
-from uqharness.campaign.spec.read import checked_settings
+from uqharness.campaign.manifest import read_manifest, refuse_if_different, write_manifest
+from uqharness.campaign.read_spec import checked_settings
+from uqharness.campaign.store import JOURNAL, Store, is_running, run_lock
+from uqharness.campaign.worker import CaseOutcome
 from uqharness.errors import BadInputError
 
 
@@ -116,7 +116,7 @@ def test_the_folder_is_held_by_one_run(tmp_path):
             pass
         # Refused from another process too, even after this one was asked twice.
         program = (
-            "import sys; from pathlib import Path; from uqharness.campaign.folder.store import"
+            "import sys; from pathlib import Path; from uqharness.campaign.store import"
             " is_running, run_lock\nprint(is_running(Path(sys.argv[1])))\nwith"
             " run_lock(Path(sys.argv[1])): pass"
         )

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from tests.helpers.batch_whole import EXPENSIVE, spec
-from uqharness.batch.lanes.course import fly_many
+from uqharness.batch.course import fly_many
 from uqharness.campaign.rare_events import CheckpointPlan, LoiterPaths, Lookahead
 from uqharness.errors import BadInputError
 from uqharness.flight import OPTIONAL_SIGNALS, record_mission, scored_signals, staged_mission

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from tests.helpers.campaign_fakes import CAMPAIGN
-from uqharness.campaign.spec.read import campaign_from, read_campaign, with_samples
+from uqharness.campaign.read_spec import campaign_from, read_campaign, with_samples
 from uqharness.errors import BadInputError
 from uqharness.flight.spec import COEFFICIENTS
 from uqharness.statistics.pbox import band_half_width

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from pydantic import ValidationError
 
-from uqharness.campaign.spec.campaign import EpistemicSection, ParametersSection
+from uqharness.campaign.spec import EpistemicSection, ParametersSection
 from uqharness.flight.spec import COEFFICIENTS
 
 BOUNDS = dict.fromkeys(COEFFICIENTS, 0.01)

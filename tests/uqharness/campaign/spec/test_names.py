@@ -7,7 +7,7 @@ from typing import get_args
 
 import pytest
 
-from uqharness.campaign.spec.campaign import Coefficient, Turbulence, ordered
+from uqharness.campaign.spec import Coefficient, Turbulence, ordered
 from uqharness.flight.spec import COEFFICIENTS
 
 

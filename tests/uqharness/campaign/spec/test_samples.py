@@ -10,14 +10,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from uqharness.campaign.spec.campaign import (
-    CampaignSpec,
-    EpistemicSection,
-    Estimates,
-    ParametersSection,
-    VariableSection,
-)
-from uqharness.campaign.spec.samples import epistemic_samples, latin_column, parameter_draws
+from uqharness.campaign import CampaignSpec
+from uqharness.campaign.sampling import epistemic_samples, latin_column, parameter_draws
+from uqharness.campaign.spec import EpistemicSection, Estimates, ParametersSection, VariableSection
 
 LOAD = {"load/kg": VariableSection(distribution="normal", mean=(19.0, 22.0), std=0.5)}
 ESTIMATES = Estimates(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from pydantic import ValidationError
 
-from uqharness.campaign.spec.campaign import StopSection, without_flights
+from uqharness.campaign.spec import StopSection, without_flights
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from pydantic import ValidationError
 
-from uqharness.campaign.spec.campaign import VariableSection
+from uqharness.campaign.spec import VariableSection
 
 
 def made(**section) -> VariableSection:

@@ -7,8 +7,8 @@ import os
 import pytest
 
 from uqharness.batch import VECTORS, target_names
-from uqharness.cli.benchmarks import batch as benchmark_batch
-from uqharness.cli.benchmarks.batch import as_text, measure_batch
+from uqharness.cli import benchmark_batch
+from uqharness.cli.benchmark_batch import as_text, measure_batch
 
 
 @pytest.mark.slow

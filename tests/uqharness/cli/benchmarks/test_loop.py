@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from uqharness.cli.benchmarks.loop import bare_flight, bare_loop, without_plugin
+from uqharness.cli.benchmark_loop import bare_flight, bare_loop, without_plugin
 from uqharness.errors import BadInputError
 from uqharness.flight.spec import FlightSpec
 from uqharness.simulator.aircraft import find_aircraft, open_aircraft

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from uqharness.cli.benchmarks.batch import measure_replays, replay_lines
+from uqharness.cli.benchmark_batch import measure_replays, replay_lines
 from uqharness.cli.main import main
 from uqharness.errors import BadInputError
 from uqharness.replay import in_lanes

@@ -7,9 +7,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from uqharness.campaign.folder.manifest import read_manifest, write_manifest
-from uqharness.campaign.folder.store import run_lock
-from uqharness.campaign.folder.tables import read_cases
+from uqharness.campaign.manifest import read_manifest, write_manifest
+from uqharness.campaign.store import run_lock
+from uqharness.campaign.tables import read_cases
 from uqharness.cli.main import run_words
 from uqharness.commands import campaign as verbs
 from uqharness.errors import BadInputError

@@ -7,7 +7,7 @@ import json
 import pytest
 
 from tests.helpers import campaign_fakes as fakes
-from uqharness.campaign.folder.manifest import read_manifest
+from uqharness.campaign.manifest import read_manifest
 from uqharness.cli.main import run_words
 from uqharness.errors import BadInputError
 

@@ -13,7 +13,7 @@ from sysid.errors import Finding
 from sysid.logs import log_info
 from sysid.record import FlightRecord, Metadata
 from tests.helpers.page_checks import problems, words_of
-from uqharness.report.pages.log import log_page
+from uqharness.report.pages.flight import log_page
 from uqharness.report.parts import render
 
 TIME = np.arange(0.0, 60.0, 0.1)

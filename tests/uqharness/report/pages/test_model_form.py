@@ -14,8 +14,7 @@ from tests.helpers import report_folders as folders
 from tests.helpers.model_forms import made_up_form, with_parts
 from tests.helpers.page_checks import page_of, words_of
 from uqharness.replay.histories import History
-from uqharness.report.pages.coverage import coverage_page_of
-from uqharness.report.pages.model_form import slice_section, variation_section
+from uqharness.report.pages.model_form import coverage_page_of, slice_section, variation_section
 from uqharness.report.parts import Page, render
 from uqharness.results.identification import Coverage
 

@@ -11,9 +11,8 @@ from lxml import html
 from tests.helpers import report_folders as folders
 from tests.helpers.page_checks import page_of, words_of
 from tests.helpers.report_folders import stage, study, written
-from uqharness.report.pages.coverage import coverage_page
 from uqharness.report.pages.identify import identify_page
-from uqharness.report.pages.model_form import bounds_page
+from uqharness.report.pages.model_form import bounds_page, coverage_page
 from uqharness.report.pages.refinement import refine_page
 from uqharness.report.pages.study import _PAGES, _STAGE_SECTIONS
 

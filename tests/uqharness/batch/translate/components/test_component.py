@@ -6,7 +6,7 @@ import pytest
 
 from tests.helpers import batch_oracle as oracle
 from tests.helpers.batch_systems import judged, random_inputs, refusal
-from uqharness.batch.translate.component import own_name
+from uqharness.batch.translate.components import own_name
 
 
 @pytest.mark.parametrize("name", ["Gain", "A Gain", "o/A-Gain", "x.y", "two  blanks", "Trailing_"])

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from uqharness.batch.form.ir import Builder
+from uqharness.batch.ir import Builder
 from uqharness.batch.translate.engine_files import (
     grid,
     number,

@@ -1,1 +1,0 @@
-"""Flights, replays and evaluations of states in many lanes."""

@@ -1,1 +1,0 @@
-"""Machine code of the intermediate form, by LLVM."""

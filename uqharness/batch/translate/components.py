@@ -1,0 +1,595 @@
+"""Translate components of channels: what all share, and every kind but filters.
+
+Shared are inputs, coefficients, memory, clipping, delay and outputs.
+
+As experiments with JSBSim 1.3.3 show: time coefficients use the step at load time times the
+channel's ``execrate``, also in the initialising frames, where time stands still. ``<clipto>`` with
+min above max is ignored. ``<delay>`` of N frames delays by N - 1. ``<init>`` is read and never
+used.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Collection
+from dataclasses import dataclass
+
+from sysid.units import FT_M, SHORT_DEG_RAD
+from uqharness.batch.ir import Builder, Value
+from uqharness.batch.models.geodesic import geodesic
+from uqharness.batch.translate.frame import (
+    Frame,
+    Scope,
+    canonical,
+    function_name,
+    property_of,
+    read_only,
+)
+from uqharness.batch.translate.functions import function_value, table_value
+from uqharness.batch.translate.script import condition
+from uqharness.xml import Node
+
+REMARKS = ("description", "documentation")
+_MAX_DELAY = 1000
+
+
+@dataclass(frozen=True)
+class Component:
+    """A component in the frame that is traced.
+
+    Attributes
+    ----------
+    frame, scope, node
+        Frame, context and XML element.
+    dt_s : float
+        Step at load time times the channel's execution rate.
+    rate : int
+        That rate.
+    key : str
+        Prefix of the names of its memory.
+    has_run : callable
+        Returns whether its channel has run before.
+    """
+
+    frame: Frame
+    scope: Scope
+    node: Node
+    dt_s: float
+    rate: int
+    key: str
+    has_run: Callable[[], Value]
+
+    @property
+    def step(self) -> Value:
+        """``dt_s`` as a value: it may be a number of the lane."""
+        if self.frame.any_step:
+            return self.frame.load_step * float(self.rate)
+        # In the initialising frames, too, where the frame's own step is 0.
+        return self.builder.constant(self.dt_s)
+
+    @property
+    def builder(self) -> Builder:
+        """Builder of the values."""
+        return self.scope.builder
+
+    def inputs(self, minimum: int, maximum: int | None) -> list[Value]:
+        """Return the values of the inputs; refuse fewer or more."""
+        nodes = self.node.all("input")
+        if len(nodes) < minimum or (maximum is not None and len(nodes) > maximum):
+            allowed = (
+                minimum
+                if maximum == minimum
+                else f"{minimum} to {'any number' if maximum is None else maximum}"
+            )
+            self.scope.refuse(
+                self.node, f"a <{self.node.tag}> has {allowed} <input>; received {len(nodes)}"
+            )
+        for node in nodes:
+            self.scope.only(node)
+        return [self.scope.property_value(node) for node in nodes]
+
+    def input(self) -> Value:
+        """Return the value of the only input."""
+        return self.inputs(1, 1)[0]
+
+    def number(self, tag: str, default: float, attributes: Collection[str] = ()) -> float:
+        """Return the number in an element; ``default`` if there is none."""
+        node = self.node.find(tag)
+        if node is None:
+            return default
+        self.scope.only(node, attributes)
+        return self.scope.number(node)
+
+    def needed(self, tag: str) -> Node:
+        """Return the element of that name; refuse the component without it."""
+        node = self.node.find(tag)
+        if node is None:
+            self.scope.refuse(self.node, f"a <{self.node.tag}> has <{tag}>; it has none")
+        return node
+
+    def parameter(
+        self, tag: str, default: float | None = None, attributes: Collection[str] = ()
+    ) -> Value:
+        """Return the number in an element or the value of the property named there; without
+        ``default`` it is required.
+        """
+        node = self.node.find(tag) if default is not None else self.needed(tag)
+        if node is None:
+            assert default is not None
+            return self.builder.constant(default)
+        self.scope.only(node, attributes)
+        return self.scope.parameter(node)
+
+    def memory(self, name: str) -> Value:
+        """Return a remembered value, 0 before the first run."""
+        return self.frame.memory(f"{self.key}/{name}")
+
+    def remember(self, name: str, value: Value | float, is_frozen: Value | None = None) -> None:
+        """Remember a value, except where ``is_frozen`` holds."""
+        if is_frozen is not None:
+            value = is_frozen.choose(self.memory(name), value)
+        self.frame.remember(f"{self.key}/{name}", value)
+
+    def lagged(self, value: Value, rate: Value) -> Value:
+        """Apply a first-order lag (Tustin) of corner frequency ``rate`` [1/s], with memory
+        ``lag-in`` and ``lag-out``.
+        """
+        # Tustin: y = (dt c (x + x') + (2 - dt c) y') / (2 + dt c)
+        below = 2.0 + self.step * rate
+        a, b = self.step * rate / below, (2.0 - self.step * rate) / below
+        return a * (value + self.memory("lag-in")) + self.memory("lag-out") * b
+
+    def delayed(self, value: Value, is_frozen: Value | None = None) -> Value:
+        """Return the value of ``<delay>`` - 1 runs before, 0 at first; the line does not move where
+        ``is_frozen`` holds.
+        """
+        places = [f"delay-{k}" for k in range(self._delay() - 1)]
+        line = [self.memory(name) for name in places]
+        for name, shifted in zip(places, [*line[1:], value], strict=False):
+            self.remember(name, shifted, is_frozen)
+        return line[0] if line else value
+
+    def _delay(self) -> int:
+        """Return the length of the delay line, 0 without one."""
+        node = self.node.find("delay")
+        if node is None:
+            return 0
+        self.scope.only(node, ("type",))
+        kind = node.attributes.get("type", "") or "time"
+        if kind not in ("time", "frames"):
+            self.scope.refuse(node, f"type='{kind}' of <delay>: allowed are time and frames")
+        value = self.scope.number(node)
+        # Seconds become frames, which needs a fixed step.
+        if kind == "time" and self.frame.any_step:
+            self.scope.refuse(
+                node, "a <delay> in seconds has no fixed number of frames where the step may differ"
+            )
+        frames = value if kind == "frames" else value / self.dt_s if self.dt_s > 0.0 else math.inf
+        if not 0.0 <= frames <= _MAX_DELAY:
+            self.scope.refuse(
+                node, f"a <delay> is 0 to {_MAX_DELAY} frames long; received {frames:g}"
+            )
+        return int(frames)
+
+    def limits(self) -> tuple[Value, Value] | None:
+        """Return the lower and upper limit of ``<clipto>``; None without one."""
+        node = self.node.find("clipto")
+        if node is None:
+            return None
+        self.scope.only(node, ("type",))
+        if sorted(child.tag for child in inner(node)) != ["max", "min"]:
+            self.scope.refuse(node, "a <clipto> has one <min> and one <max>")
+        ends = [child for tag in ("min", "max") for child in node.all(tag)]
+        for end in ends:
+            self.scope.only(end)
+        return self.scope.parameter(ends[0]), self.scope.parameter(ends[1])
+
+    def clipped(self, value: Value) -> Value:
+        """Clip a value to ``<clipto>``, or wrap it into a cyclic one."""
+        limits, node = self.limits(), self.node.find("clipto")
+        if limits is None or node is None:
+            return value
+        low, high = limits
+        span = high - low
+        result = clip(low, value, high)
+        kind = node.attributes.get("type", "")
+        # Wrapped into the range by a remainder.
+        if kind == "cyclic":
+            wrapped = self.builder.op("fmod", value - low, span) + low
+            wrapped = wrapped.lt(low).choose(wrapped + span, wrapped)
+            result = span.ne(0.0).choose(wrapped, result)
+        elif kind:
+            self.scope.refuse(
+                node, f"type='{kind}' of <clipto> is not understood; allowed is cyclic"
+            )
+        return span.lt(0.0).choose(value, result)
+
+    def write(self, node: Node, name: str, value: Value) -> None:
+        """Write a property; refuse it if JSBSim would not take it."""
+        if read_only(name):
+            self.scope.refuse(
+                node,
+                f"property {name} cannot be written by <{self.node.tag}>: JSBSim takes no value"
+                " for it",
+            )
+        self.frame.write(name, value)
+
+    def write_outputs(self, value: Value) -> None:
+        """Write the value to the outputs and the component's own property."""
+        for name in output_names(self.scope, self.node):
+            self.write(self.node, name, value)
+
+
+def output_names(scope: Scope, node: Node) -> list[str]:
+    """List the properties that a component writes, in JSBSim's order: its ``<output>`` elements,
+    then the one of its name.
+    """
+    names = []
+    for child in node.all("output"):
+        scope.only(child)
+        names.append(property_of(scope, child, child.text))
+    name = node.attributes.get("name", "")
+    if name:
+        names.append(property_of(scope, node, own_name(name)))
+    elif not names and node.tag != "distributor":
+        scope.refuse(node, f"a <{node.tag}> has a name or <output>")
+    return names
+
+
+def written_properties(scope: Scope, node: Node) -> list[str]:
+    """List all properties that a component may write, for one that is left out."""
+    names = [child.text for child in node.all("output")]
+    names += [child.text for case in node.all("case") for child in case.all("property")]
+    if own := node.attributes.get("name", ""):
+        names += [own_name(own), f"{own_name(own)}/saturated"]
+    quantity = node.find("quantization")
+    if quantity is not None and quantity.attributes.get("name", ""):
+        names.append(own_name(quantity.attributes["name"]))
+    return [property_of(scope, node, name) for name in names]
+
+
+def inner(node: Node) -> list[Node]:
+    """Return the child elements without remarks."""
+    return [child for child in node.children if child.tag not in REMARKS]
+
+
+def own_name(name: str) -> str:
+    """Return a component's property: its name if it has a '/', else the name below ``fcs/`` in
+    lower case, white space as '-'.
+
+    Examples
+    --------
+    >>> own_name("Pitch Trim Sum"), own_name("ap/Hold")
+    ('fcs/pitch-trim-sum', 'ap/Hold')
+    """
+    if "/" in name:
+        return canonical(name)
+    return canonical(
+        "fcs/" + "".join("-" if c.isspace() else c.lower() if c.isascii() else c for c in name)
+    )
+
+
+def clip(low: Value, value: Value, high: Value) -> Value:
+    """Clip a value; if the limits are in the wrong order, values below ``low`` become ``low``."""
+    return value.lt(low).choose(low, value.gt(high).choose(high, value))
+
+
+# Components without filters: gains, sums, scales, dead bands, functions, angles,
+# kinematics, switches and distributors.
+
+
+def pure_gain(c: Component) -> None:
+    """Trace gain times input."""
+    c.write_outputs(c.clipped(c.parameter("gain") * c.input()))
+
+
+def scheduled_gain(c: Component) -> None:
+    """Trace gain times table times input."""
+    gain = c.parameter("gain", 1.0)
+    c.write_outputs(c.clipped(gain * table_value(c.scope, c.needed("table")) * c.input()))
+
+
+def aerosurface_scale(c: Component) -> None:
+    """Map the domain to the range: each side of 0 by its own scale, or linearly if
+    ``zero_centered`` is 0 or false.
+    """
+    x, gain = c.input(), c.parameter("gain", 1.0)
+    low, high = _ends(c, c.node.find("domain"), (-1.0, 1.0))
+    bottom, top = _ends(c, c.needed("range"), None)
+    centred = c.node.find("zero_centered")
+    # Separate scales on both sides of 0
+    if centred is None or centred.text.strip() not in ("0", "false"):
+        up, down = (x / high) * top, (x / low) * bottom
+        value = x.eq(0.0).choose(0.0, x.gt(0.0).choose(up, down))
+    else:
+        value = bottom + ((x - low) / (high - low)) * (top - bottom)
+    c.write_outputs(c.clipped(value * gain))
+
+
+def summer(c: Component) -> None:
+    """Trace the sum of inputs and bias, in that order, starting from +0."""
+    value = c.builder.constant(0.0)
+    for term in c.inputs(0, None):
+        value = value + term
+    c.write_outputs(c.clipped(value + c.number("bias", 0.0)))
+
+
+def deadband(c: Component) -> None:
+    """Trace a dead band: 0 within half the width on either side; beyond it the excess times the
+    gain.
+    """
+    x = c.input()
+    half = 0.5 * c.parameter("width", 0.0)
+    gain = c.number("gain", 1.0)
+    above = x.gt(half).choose((x - half) * gain, 0.0)
+    c.write_outputs(c.clipped(x.lt(-half).choose((x + half) * gain, above)))
+
+
+def fcs_function(c: Component) -> None:
+    """Trace a function, times the input if there is one."""
+    function = c.needed("function")
+    value = function_value(c.scope, function)
+    # Its own property has the value of the last run.
+    title = function.attributes.get("name", "").strip()
+    if title:
+        target = property_of(c.scope, function, function_name(title))
+        c.frame.live.pop(target, None)
+        c.frame.write(target, value)
+    for factor in c.inputs(0, 1):
+        value = value * factor
+    c.write_outputs(c.clipped(value))
+
+
+def angle(c: Component) -> None:
+    """Trace the angle from source to target, -pi to pi, positive to the right."""
+    source, target = _angle(c, "source_angle"), _angle(c, "target_angle")
+    b = c.builder
+    x1, y1, x2, y2 = (
+        b.op("cos", source),
+        b.op("sin", source),
+        b.op("cos", target),
+        b.op("sin", target),
+    )
+    # Scalar product of the two directions; the sign is that of the cross product.
+    cosine = x1 * x2 + y1 * y2
+    clipped = cosine.lt(-1.0).choose(-1.0, cosine.gt(1.0).choose(1.0, cosine))
+    unit = c.node.attributes.get("unit", "RAD")
+    if unit not in ("DEG", "RAD"):
+        c.scope.refuse(c.node, f"unit='{unit}' of <angle>: allowed are DEG and RAD")
+    size = b.op("acos", clipped)
+    scale = 180.0 / math.pi if unit == "DEG" else 1.0
+    c.write_outputs(c.clipped((x1 * y2).ge(x2 * y1).choose(size * scale, -size * scale)))
+
+
+def _angle(c: Component, tag: str) -> Value:
+    """Return an angle in radians."""
+    node = c.needed(tag)
+    c.scope.only(node, ("unit",))
+    unit = node.attributes.get("unit", "RAD")
+    if unit not in ("DEG", "RAD") or node.text.strip().startswith("-"):
+        c.scope.refuse(
+            node,
+            f"<{tag}> names a property, without a minus sign, with unit DEG or RAD; received"
+            f" {node.text.strip()} {unit}",
+        )
+    return c.scope.property_value(node) * (SHORT_DEG_RAD if unit == "DEG" else 1.0)
+
+
+def _ends(
+    c: Component, node: Node | None, default: tuple[float, float] | None
+) -> tuple[float, float]:
+    """Return ``<min>`` and ``<max>`` of an element, or ``default`` without it."""
+    if node is None:
+        assert default is not None
+        return default
+    c.scope.only(node)
+    ends = sorted(inner(node), key=lambda end: end.tag, reverse=True)
+    if [end.tag for end in ends] != ["min", "max"]:
+        c.scope.refuse(node, f"<{node.tag}> has one <min> and one <max>")
+    for end in ends:
+        c.scope.only(end)
+    return c.scope.number(ends[0]), c.scope.number(ends[1])
+
+
+# The kinematic component: travel between settings, each interval in its own time.
+
+_ROUND = 2.0 * 2.0**-52
+
+
+def kinematic(c: Component) -> None:
+    """Move from the present value of the first output towards the input, as far as the step allows.
+
+    It also moves in the initialising frames. Above the last setting, on the way down, JSBSim reads
+    outside its memory: NaN here.
+    """
+    positions, times = _settings(c)
+    x = c.input()
+    if c.node.find("noscale") is None:
+        x = x * positions[-1]
+    b = c.builder
+    x = clip(b.constant(positions[0]), x, b.constant(positions[-1]))
+    y, time_left = c.frame.get(output_names(c.scope, c.node)[0]), c.step
+    moving = b.truth(True)
+    # One interval per pass; at most all of them are crossed in a step.
+    for _ in range(len(positions) - 1):
+        moving = b.op(
+            "and", moving, b.op("and", time_left.gt(0.0), b.op("not", _nearly_equal(x, y)))
+        )
+        reached, remaining = _travel(positions, times, x, y, time_left)
+        y, time_left = moving.choose(reached, y), moving.choose(remaining, time_left)
+    c.write_outputs(c.clipped(y))
+
+
+def _travel(
+    positions: list[float], times: list[float], x: Value, y: Value, time_left: Value
+) -> tuple[Value, Value]:
+    """Return position and remaining time at the end of the interval, or when time runs out."""
+    b = x.builder
+    down = x.lt(y)
+    by_interval: list[tuple[Value, Value]] = []
+    # Each interval: move at its own rate, at most to its end.
+    for k in range(1, len(positions)):
+        if times[k] <= 0.0:
+            by_interval.append((x, b.constant(0.0)))
+            continue
+        rate = (positions[k] - positions[k - 1]) / times[k]
+        goal = clip(b.constant(positions[k - 1]), x, b.constant(positions[k]))
+        needed = b.op("abs", (goal - y) / rate)
+        short = time_left.lt(needed)
+        step = time_left * rate
+        moved = short.choose(y.lt(x).choose(y + step, y - step), goal)
+        by_interval.append((moved, time_left - short.choose(time_left, needed)))
+    position, remaining = by_interval[-1]
+    # Select the interval that contains the present position.
+    for k in range(len(positions) - 2, 0, -1):
+        in_interval = b.op(
+            "or",
+            b.op("and", down, y.le(positions[k])),
+            b.op("and", b.op("not", down), y.lt(positions[k])),
+        )
+        position, remaining = (
+            in_interval.choose(by_interval[k - 1][0], position),
+            in_interval.choose(by_interval[k - 1][1], remaining),
+        )
+    is_undefined = b.op("or", y.ne(y), b.op("and", down, y.gt(positions[-1])))
+    return is_undefined.choose(math.nan, position), remaining
+
+
+def _settings(c: Component) -> tuple[list[float], list[float]]:
+    """Read positions and times of the settings; refuse decreasing positions."""
+    traverse = c.needed("traverse")
+    c.scope.only(traverse)
+    positions: list[float] = []
+    times: list[float] = []
+    for setting in inner(traverse):
+        if setting.tag != "setting" or sorted(child.tag for child in inner(setting)) != [
+            "position",
+            "time",
+        ]:
+            c.scope.refuse(setting, "a <traverse> has <setting>s with <position> and <time>")
+        for child in inner(setting):
+            c.scope.only(child)
+            (positions if child.tag == "position" else times).append(c.scope.number(child))
+    if len(positions) < 2 or any(b < a for a, b in itertools.pairwise(positions)):
+        c.scope.refuse(
+            traverse,
+            f"positions of a <traverse> do not decrease, two or more; received {positions}",
+        )
+    return positions, times
+
+
+def _nearly_equal(x: Value, y: Value) -> Value:
+    """Return whether two values agree to two units of the larger one's last place."""
+    b = x.builder
+    a, c = b.op("abs", x), b.op("abs", y)
+    return b.op("abs", x - y).le(_ROUND * a.lt(c).choose(c, a))
+
+
+# Switches choose a value; distributors set properties.
+
+
+def switch(c: Component) -> None:
+    """Trace a switch: the value of the first test that holds, else the default, else 0; then delay
+    and clipping.
+    """
+    value = c.builder.constant(0.0)
+    default = c.node.find("default")
+    if default is not None:
+        c.scope.only(default, ("value",))
+        value = _value(c.scope, default)
+    for node in reversed(c.node.all("test")):
+        c.scope.only(node, ("value", "logic"))
+        value = condition(c.scope, node).choose(_value(c.scope, node), value)
+    c.write_outputs(c.clipped(c.delayed(value)))
+
+
+def distributor(c: Component) -> None:
+    """Trace a distributor: each case whose test holds (``exclusive``: only the first) and each
+    without a test sets its properties.
+    """
+    kind = c.node.attributes.get("type", "")
+    if kind not in ("inclusive", "exclusive"):
+        c.scope.refuse(
+            c.node, f"type='{kind}' of <distributor>: allowed are inclusive and exclusive"
+        )
+    done = c.builder.truth(False)
+    # Check the case before its tests are evaluated.
+    for case in c.node.all("case"):
+        c.scope.only(case)
+        for child in case.children:
+            if child.tag not in ("test", "property", "description"):
+                c.scope.refuse(
+                    child,
+                    f"<{child.tag}> in <case> is not understood; allowed are test and property",
+                )
+        tests = case.all("test")
+        if len(tests) > 1:
+            c.scope.refuse(tests[1], "a <case> has one <test>: JSBSim takes the first")
+        chosen = c.builder.truth(True)
+        for test in tests:
+            c.scope.only(test, ("logic",))
+            chosen = condition(c.scope, test)
+            # Only the first case whose test holds acts.
+            if kind == "exclusive":
+                chosen = c.builder.op("and", chosen, c.builder.op("not", done))
+            done = c.builder.op("or", done, chosen)
+        for node in case.all("property"):
+            c.scope.only(node, ("value",))
+            name = property_of(c.scope, node, node.text)
+            if c.frame.written_properties is None and name not in c.frame.values:
+                c.scope.refuse(node, f"property {name} does not exist")
+            before = c.frame.get(name)
+            c.write(node, name, chosen.choose(_value(c.scope, node), before))
+
+
+def _value(scope: Scope, node: Node) -> Value:
+    """Return the value of attribute ``value``."""
+    text = node.attributes.get("value", "")
+    if not text.strip():
+        scope.refuse(node, f"<{node.tag}> has attribute value; JSBSim leaves it out without")
+    return scope.parameter(node, text)
+
+
+# ``<waypoint_heading>`` and ``<waypoint_distance>``: geodesics on the ellipsoid.
+#
+# Between nearly opposite points the flight is noted as beyond the engine.
+
+
+def waypoint_heading(c: Component) -> None:
+    """Trace the azimuth of the geodesic from source to target, -pi to pi."""
+    unit = c.node.attributes.get("unit", "") or "RAD"
+    if unit not in ("RAD", "DEG"):
+        c.scope.refuse(c.node, f"unit='{unit}' of <waypoint_heading>: allowed are RAD and DEG")
+    azimuth, _ = _geodesic(c)
+    c.write_outputs(c.clipped(azimuth * (180.0 / math.pi) if unit == "DEG" else azimuth))
+
+
+def waypoint_distance(c: Component) -> None:
+    """Trace the length of the geodesic from source to target."""
+    unit = c.node.attributes.get("unit", "") or "FT"
+    if unit not in ("FT", "M"):
+        c.scope.refuse(c.node, f"unit='{unit}' of <waypoint_distance>: allowed are FT and M")
+    _, distance = _geodesic(c)
+    c.write_outputs(c.clipped(distance * FT_M if unit == "M" else distance))
+
+
+def _geodesic(c: Component) -> tuple[Value, Value]:
+    """Return azimuth at the source [rad] and length [ft] of the geodesic."""
+    lat1, lon1 = _coordinate(c, "source_latitude"), _coordinate(c, "source_longitude")
+    lat2, lon2 = _coordinate(c, "target_latitude"), _coordinate(c, "target_longitude")
+    # JSBSim ends the flight for a latitude beyond the poles.
+    for latitude in (lat1, lat2):
+        c.scope.note_beyond(c.builder.op("abs", latitude).gt(math.pi / 2.0))
+    azimuth, length, is_beyond = geodesic(c.builder, (lat1, lon1), (lat2, lon2))
+    c.scope.note_beyond(is_beyond)
+    return azimuth, length
+
+
+def _coordinate(c: Component, tag: str) -> Value:
+    """Return a latitude or longitude [rad]."""
+    node = c.needed(tag)
+    c.scope.only(node, ("unit",))
+    degrees = node.attributes.get("unit", "") == "DEG"
+    value = c.scope.property_value(node)
+    return value * SHORT_DEG_RAD if degrees else value

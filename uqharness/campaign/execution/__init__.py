@@ -1,5 +1,0 @@
-"""How a campaign's flights are spread: processes, Dask."""
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
