@@ -21,9 +21,10 @@ from sysid.parallel import Processes
 from uqharness import __version__, checksums
 from uqharness.errors import BadInputError
 from uqharness.files import inner_folder, scratch_folder
+from uqharness.heartbeat import STATE, Forecast
 from uqharness.identification import choose_servos
 from uqharness.identification.linearised import Bench, Setup, make_setup, positions, setup_in_gusts
-from uqharness.parallel import worker_map
+from uqharness.parallel import usable_cores, worker_map
 from uqharness.plugin import bake_scales
 from uqharness.refinement.candidate_model import write_copy, write_staged
 from uqharness.refinement.document import document_of, refinement_view
@@ -123,9 +124,51 @@ class Refinement:
         return refinement_view(repr(self), self.document)
 
 
+STAGES = {
+    "reading the flights": 0.004,
+    "servos": 0.006,
+    "re-identifying": 0.03,
+    "the air was turbulent": 0.06,
+    "scoring": 0.004,
+    "round": 0.03,
+    "estimating everything": 0.012,
+    "flying the test flights": 0.012,
+    "writing the aircraft": 0.0,
+    "intervals": 0.012,
+    "looking for a smooth term": 0.02,
+    "flying the mission": 0.0,
+    "report": 0.003,
+}
+"""Beginning of a stage's text -> expected duration [s per s of flight]."""
+_ASSUMED_FLIGHT_S, _MISSION_S = 90.0, 60.0
+"""Duration of a flight before it is read; processor time of a mission with both models."""
+
+
+def _durations(request: Job, flight_s: float) -> dict[str, float]:
+    """Stage -> expected duration [s] with so many seconds of flight, train and test."""
+    durations = {stage: share * flight_s for stage, share in STAGES.items()}
+    if request.options.pbox:
+        durations["flying the mission"] = _MISSION_S / (request.options.workers or usable_cores())
+    return durations
+
+
+def _with_forecast(callback: Callback, forecast: Forecast) -> Callback:
+    """The callback, which also moves the forecast of the remaining time to each stage."""
+
+    def stage(text: str) -> object:
+        forecast.begin(next((name for name in STAGES if text.startswith(name)), ""))
+        return callback(text)
+
+    STATE.forecast = forecast
+    return stage
+
+
 def refine(request: Job, callback: Callback = lambda _: None) -> Refinement:
     """Find missing effects, write them into the aircraft and test them. Raises BadInputError."""
     start_s = time.perf_counter()
+    flights = len(request.train) + len(request.test)
+    forecast = Forecast(_durations(request, _ASSUMED_FLIGHT_S * flights))
+    callback = _with_forecast(callback, forecast)
     aircraft = request.aircraft
     refuse_shared_flights(request.train, request.test)
     if request.options.campaign is not None:
@@ -134,6 +177,8 @@ def refine(request: Job, callback: Callback = lambda _: None) -> Refinement:
         campaign_for(aircraft, request.options.campaign)
     callback("reading the flights")
     request, train, test = _read_both(request, callback)
+    times = [f.record["time_s"] for f in (*train.flights, *test.flights)]
+    forecast.expect(_durations(request, float(sum(t[-1] - t[0] for t in times))))
     with worker_map(request.options.workers) as pool, scratch_folder() as scratch:
         write = _writer(request, scratch.path / "models")
         identity = _identity(request)
