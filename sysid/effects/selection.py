@@ -256,10 +256,10 @@ def _best(
     choice = _estimate_one(information, free, open_[best])
     if not abs(choice.t) > limit:
         # Colour may weigh on one candidate more than on the next.
-        further = (
+        next_best = (
             _estimate_one(information, free, open_[k]) for k in next_ if merit[k] >= limit**2
         )
-        choice = next((c for c in further if abs(c.t) > limit), choice)
+        choice = next((c for c in next_best if abs(c.t) > limit), choice)
         if not abs(choice.t) > limit:
             return RejectedCandidate(
                 choice.key,

@@ -324,19 +324,19 @@ def joint_point(context: SearchContext, about: CandidateModel, keys: Sequence[st
 
 
 def assess(
-    context: SearchContext, model_fit: ModelFit, written: Mapping[str, float]
+    context: SearchContext, model_fit: ModelFit, values_in_xml: Mapping[str, float]
 ) -> CandidateModel:
     """The candidate model of effects written at such values, linearised about its flight."""
     data, fit = model_fit.data, model_fit.fit
     values = {e.key: fit.flown.point.effects[e.key] for e in data.active}
     # Columns of all other candidates, and of slopes at the values flown.
-    unselected = [e for e in context.effects.values() if e.key not in written]
+    unselected = [e for e in context.effects.values() if e.key not in values_in_xml]
     slopes = slopes_here(data.active, fit.flown.point)
     columns = effect_columns(data, fit.probes, fit.flown, [*unselected, *slopes])
     estimator = estimator_for(model_fit.turbulence)
     information = estimator.information(data, fit, columns).without_values(values)
-    read_once = {k: written[k] for k in data.held}
-    return with_selection(context, model_fit, information, list(written), values, read_once)
+    read_once = {k: values_in_xml[k] for k in data.held}
+    return with_selection(context, model_fit, information, list(values_in_xml), values, read_once)
 
 
 def with_selection(

@@ -307,13 +307,13 @@ def compare(
     fitted : the model with its effects on the train flights
     spare : t^2 on the train flights less the square of the required limit
     """
-    likelier = rival
+    more_likely = rival
     if with_effect.neg2_log_likelihood <= rival.neg2_log_likelihood:
-        likelier = with_effect
+        more_likely = with_effect
     change = variance = size = fall = 0.0
     logarithms = 2.0 * (np.array(rival.logdet) - np.array(with_effect.logdet))
     rows = zip(
-        rival.white, with_effect.white, likelier.white, logarithms, data.segments, strict=True
+        rival.white, with_effect.white, more_likely.white, logarithms, data.segments, strict=True
     )
     for a, b, e, logarithm, segment in rows:
         squares = float(np.nansum(a**2 - b**2))
@@ -323,7 +323,7 @@ def compare(
         terms = np.nansum(2.0 * e * (a - b), axis=1) + logarithm / len(a)
         starts = np.arange(0, len(terms), max(1, round(BLOCK_S / segment.dt_s)))
         variance += float(np.sum(np.add.reduceat(terms, starts) ** 2))
-    residual_ratio = _mean_square(likelier) ** 0.5 / _mean_square(fitted) ** 0.5
+    residual_ratio = _mean_square(more_likely) ** 0.5 / _mean_square(fitted) ** 0.5
     return Verdict(change, float(np.sqrt(variance)), residual_ratio, change + spare, (size, fall))
 
 

@@ -234,7 +234,7 @@ def _rows(before: pd.DataFrame, after: pd.DataFrame) -> Iterator[MissionMetric]:
             continue
         for condition in conditions(before):
             pair = [samples(in_condition(frame, condition), metric) for frame in (before, after)]
-            if all(any(s.values.size for s in both) for both in pair):
+            if all(any(s.values.size for s in condition_samples) for condition_samples in pair):
                 yield MissionMetric(metric=metric, condition=condition.label, **pbox_pair(*pair))
 
 

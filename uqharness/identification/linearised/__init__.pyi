@@ -16,7 +16,6 @@ from .fit import refit as refit
 from .fit import step_from as step_from
 from .fit import stepped as stepped
 from .fit import steps_of as steps_of
-from .gusts import GustFit as GustFit
 from .gusts import as_measured as as_measured
 from .gusts import gust_refit as gust_refit
 from .gusts import in_step as in_step

@@ -946,11 +946,9 @@ def _remaining_line(done: Refinement) -> Sentence:
     words = remaining_words(done.remaining)
     if not words:
         return Sentence("Remaining: nothing beyond the sensors' noise.", "good")
-    further = (
-        f"; and {len(words) - _MOST_SYMPTOMS} more below" if len(words) > _MOST_SYMPTOMS else ""
-    )
+    tail = f"; and {len(words) - _MOST_SYMPTOMS} more below" if len(words) > _MOST_SYMPTOMS else ""
     level: Level = "bad" if done.remaining.unexplained else "warn"
-    return Sentence(f"Remaining: {'; '.join(words[:_MOST_SYMPTOMS])}{further}.", level)
+    return Sentence(f"Remaining: {'; '.join(words[:_MOST_SYMPTOMS])}{tail}.", level)
 
 
 def _largest_fall(gap: ResidualTables) -> str:
