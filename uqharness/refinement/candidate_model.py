@@ -261,7 +261,7 @@ class AircraftFitter:
         In turbulence, and where that does not converge or fits worse, the model stays as it is. So
         do numbers that JSBSim reads once, and what sensors do.
         """
-        if model.turbulence is not None or not model.values:
+        if not model.estimator.uses_replays or not model.values:
             return model
         values = {**model.values, **model.read_once}
         staged, data = stage(context, self.aircraft, values, self.folder / label)

@@ -692,7 +692,8 @@ def listed(keys: Iterable[str]) -> str:
 def _result_of(context: SearchContext, baseline: Baseline, outcome: SearchOutcome) -> SearchResult:
     """The result of a search whose best model has been polished."""
     model, estimator = outcome.model, context.estimator
-    in_turbulence = estimator.turbulence is not None
+    # Estimates by replays are at their optimum; linear ones include the last step.
+    is_linear = not estimator.uses_replays
     if model.keys:
         resolved = without_unresolved(
             model.selection,
@@ -716,10 +717,10 @@ def _result_of(context: SearchContext, baseline: Baseline, outcome: SearchOutcom
         context.parameters,
         model.fit,
         [*selection.values],
-        moved=in_turbulence or bool(model.read_once),
+        moved=is_linear or bool(model.read_once),
     )
     plain = in_one_step(
-        baseline.information, context.parameters, context.baseline, (), moved=in_turbulence
+        baseline.information, context.parameters, context.baseline, (), moved=is_linear
     )
     selection, slopes = of_lift_slope(selection, context.baseline, model.fit)
     all_effects = [*context.effects.values()]

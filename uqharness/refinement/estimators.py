@@ -64,6 +64,7 @@ from uqharness.identification.linearised import (
     setup_in_gusts,
     turbulent,
     unfiltered,
+    with_sensors_of,
 )
 from uqharness.replay import ReplayModel, batched_pool
 from uqharness.simulator import Aircraft, engine
@@ -124,6 +125,10 @@ class Estimator(Protocol):
         """|t| below which no effect is named, however few the candidates."""
 
     @property
+    def uses_replays(self) -> bool:
+        """Whether models are fitted by replays, as `identify` does, and not by linear steps."""
+
+    @property
     def detects_colour(self) -> bool:
         """Whether coloured residuals show that the model lacks something."""
 
@@ -134,6 +139,14 @@ class Estimator(Protocol):
     @property
     def trail_prefix(self) -> str:
         """What each line of the search's record begins with."""
+
+    def prepare(self, aircraft: Aircraft, data: Setup) -> Setup:
+        """The data of flights with the sensor noise from which the estimator starts."""
+
+    def air_of(
+        self, aircraft: Aircraft, data: Setup, point: Point, pool: Processes
+    ) -> Gusts | None:
+        """The air of other flights, estimated with a model and sensors as they are at a point."""
 
     def is_coloured(self, data: Setup) -> bool:
         """Whether the spread of all candidates' t measures chance, instead of white noise."""
@@ -228,9 +241,20 @@ class ReplayEstimator:
 
     turbulence: None = None
     least_t: float = 0.0
+    uses_replays: bool = True
     detects_colour: bool = True
     description: tuple[str, ...] = ()
     trail_prefix: str = ""
+
+    def prepare(self, aircraft: Aircraft, data: Setup) -> Setup:
+        """The data as it is."""
+        return data
+
+    def air_of(
+        self, aircraft: Aircraft, data: Setup, point: Point, pool: Processes
+    ) -> Gusts | None:
+        """Calm."""
+        return None
 
     def is_coloured(self, data: Setup) -> bool:
         """Only an autopilot's estimates are coloured in calm air."""
@@ -316,6 +340,7 @@ class PredictionErrorEstimator:
 
     turbulence: Gusts
     least_t: float = GUST_LIMIT
+    uses_replays: bool = False
     detects_colour: bool = False
     """A gust spectrum is a model: the colour of predictions says nothing of the aircraft."""
     trail_prefix: str = "one-step predictions: "
@@ -331,6 +356,28 @@ class PredictionErrorEstimator:
             f" twice the log likelihood than calm air; {self.turbulence.words})"
         )
         return (note,)
+
+    def prepare(self, aircraft: Aircraft, data: Setup) -> Setup:
+        """The data with the card's noise: differences of an accelerometer see gusts as noise."""
+        return setup_in_gusts(aircraft, data)
+
+    def air_of(
+        self, aircraft: Aircraft, data: Setup, point: Point, pool: Processes
+    ) -> Gusts | None:
+        """The air from this one on; this one itself where no filter follows the flights with such
+        a model.
+        """
+        with Bench(aircraft, data) as bench:
+            data = with_sensors_of(data, aircraft)
+            start = replace(point, starts=tuple(s.start for s in data.segments))
+            models = bench.model, bench.direct_model
+            try:
+                return gust_refit(
+                    *models, data, start, (), {}, pool, self.turbulence, iterations=2
+                ).gusts
+            except np.linalg.LinAlgError:
+                speeds = [float(np.nanmean(c["V_mps"])) for c in data.channels]
+                return self.turbulence.in_other(speeds, [s.flight for s in data.segments])
 
     def is_coloured(self, data: Setup) -> bool:
         """Predictions are as coloured as the gust model is wrong."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from sysid.aerodynamics import COEFFICIENTS
 from sysid.arrays import FloatArray
-from sysid.effects import COLOURED_P, Gusts
+from sysid.effects import COLOURED_P
 from sysid.estimation import NOISE_FLOOR, ljung_box, rms, theil
 from sysid.model_form import noise_floor
 from sysid.parallel import Processes
@@ -21,7 +21,6 @@ from uqharness.identification.linearised import (
     Flown,
     Point,
     Setup,
-    gust_refit,
     known_noise,
     with_sensors_of,
 )
@@ -134,24 +133,6 @@ def with_replays(
         start = replace(point, nuisance={}, starts=tuple(s.start for s in data.segments))
         flown = replay_from(bench.model, data, start, pool)
     return replace(evaluation, replays=Replays(flown, replay_residuals(data, flown), noise))
-
-
-def estimate_air(
-    aircraft: Aircraft, data: Setup, pool: Processes, point: Point, initial: Gusts
-) -> Gusts:
-    """The air of some flights, estimated with a model and sensors as they are at a point.
-
-    The ``initial`` air, of other flights, stays where no filter follows these with such a model.
-    """
-    with Bench(aircraft, data) as bench:
-        data = with_sensors_of(data, aircraft)
-        start = replace(point, starts=tuple(s.start for s in data.segments))
-        models = bench.model, bench.direct_model
-        try:
-            return gust_refit(*models, data, start, (), {}, pool, initial, iterations=2).gusts
-        except np.linalg.LinAlgError:
-            speeds = [float(np.nanmean(c["V_mps"])) for c in data.channels]
-            return initial.in_other(speeds, [s.flight for s in data.segments])
 
 
 def _with_smoothed_commands(segment: Segment, flight: Flight, ideal: Sequence[str]) -> Segment:

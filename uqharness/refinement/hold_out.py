@@ -243,7 +243,7 @@ class HoldOutTest:
         """Evaluations before and after, in turbulence with replays."""
 
         def completed(model: SearchResult, evaluation: Evaluation) -> Evaluation:
-            if side.turbulence is None:
+            if side.estimator.uses_replays:
                 return evaluation
             aircraft, values = flown_as(model, self.chosen, self.complete, self.write)
             point = point_as_written(model, values)
@@ -563,7 +563,7 @@ def refit_remaining(
     The model with new values and the standard errors it had. In turbulence, where a number is in
     the XML alone, and where the fit does not converge or fits worse, the model unchanged.
     """
-    if chosen.turbulence is not None or property_values(model, chosen) is None:
+    if not chosen.estimator.uses_replays or property_values(model, chosen) is None:
         return model
     values = model.selection.values
     effects = {e.key: values.get(e.key, 0.0) for e in chosen.setup.active}

@@ -23,7 +23,7 @@ from uqharness.errors import BadInputError
 from uqharness.files import inner_folder, scratch_folder
 from uqharness.heartbeat import STATE, Forecast
 from uqharness.identification import choose_servos
-from uqharness.identification.linearised import Bench, Setup, make_setup, positions, setup_in_gusts
+from uqharness.identification.linearised import Bench, Setup, make_setup, positions
 from uqharness.parallel import usable_cores, worker_map
 from uqharness.plugin import bake_scales
 from uqharness.refinement.candidate_model import write_copy, write_staged
@@ -37,7 +37,6 @@ from uqharness.refinement.effect_search import (
     shifted_flights,
 )
 from uqharness.refinement.estimators import Dataset
-from uqharness.refinement.evaluation import estimate_air
 from uqharness.refinement.hold_out import (
     HoldOutResult,
     HoldOutTest,
@@ -211,9 +210,9 @@ def refine(request: Job, callback: Callback = lambda _: None) -> Refinement:
 
         def run_hold_out_test() -> HoldOutResult:
             test_side = _dataset(request, chosen, test)
-            if chosen.turbulence is not None:
-                model, point = write(chosen), point_as_written(chosen)
-                air = estimate_air(model, test_side.setup, pool, point, chosen.turbulence)
+            if not chosen.estimator.uses_replays:
+                point = point_as_written(chosen)
+                air = chosen.estimator.air_of(write(chosen), test_side.setup, point, pool)
                 test_side = replace(test_side, turbulence=air)
             return HoldOutTest(chosen, complete, write, train_side, test_side, pool).run()
 
@@ -350,9 +349,8 @@ def _identity(request: Job) -> list[str]:
 
 def _dataset(request: Job, chosen: SearchResult, flights: FlightSet) -> Dataset:
     """Flights as the chosen effects were judged on; the air is that of the train flights."""
-    setup = _flight_data(request.aircraft, flights)
-    if chosen.turbulence is not None:
-        setup = setup_in_gusts(request.aircraft, setup)
+    data = _flight_data(request.aircraft, flights)
+    setup = chosen.estimator.prepare(request.aircraft, data)
     if setup.outputs == chosen.setup.outputs:
         setup = replace(setup, noise=chosen.setup.noise)
     return Dataset(setup, chosen.turbulence)

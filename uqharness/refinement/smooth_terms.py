@@ -388,8 +388,8 @@ def _fly_twice(
     to the measurement; None as `_fly`.
     """
     first = _fly(curves, fit, train, write, pool)
-    in_turbulence = curves.result.turbulence is not None
-    if first is None or in_turbulence or not np.isfinite(first.evaluation.cost):
+    by_prediction = not curves.result.estimator.uses_replays
+    if first is None or by_prediction or not np.isfinite(first.evaluation.cost):
         return first
     result, trajectory = first.estimate.result, first.evaluation.flown
     data, linear = linearise_as_written(
