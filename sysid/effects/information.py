@@ -141,7 +141,7 @@ class Information:
         """
         used = np.flatnonzero(delta)
         return [
-            np.where(w.there, w.residual - self.series(w, used) @ delta[used], np.nan)
+            np.where(w.is_measured, w.residual - self.series(w, used) @ delta[used], np.nan)
             for w in self.white
         ]
 
@@ -308,7 +308,7 @@ def _compute_corrected(
     for w in information.white:
         columns = information.series(w, some)
         projected_columns.append(columns @ combination)
-        residuals.append(np.where(w.there, w.residual - columns @ delta, np.nan))
+        residuals.append(np.where(w.is_measured, w.residual - columns @ delta, np.nan))
     bracket = np.diagonal(coloured_information(projected_columns, residuals))
     # Where the data hold nothing of a column, as of a rate limit that is never reached, it has no
     # standard error.

@@ -21,21 +21,21 @@ from sysid.effects import (
     OVERWHELMING,
     STANDS,
     Effect,
-    Gusts,
     Information,
     SelectedEffect,
     Selection,
+    TurbulenceModel,
     corrected_estimate,
     estimate_selected,
     select,
 )
 from sysid.parallel import Processes
 from uqharness.identification.linearised import (
-    HERE,
-    Bench,
-    Fit,
-    Point,
-    Setup,
+    LOCAL_SLOPE,
+    FlightData,
+    Linearisation,
+    ModelState,
+    StagedModels,
     effect_columns,
     fit_at,
     moved_starts,
@@ -76,8 +76,8 @@ class SearchContext:
     cost : minus twice the log likelihood of the baseline
     """
 
-    data: Setup
-    baseline: Fit
+    data: FlightData
+    baseline: Linearisation
     parameters: tuple[str, ...]
     effects: Mapping[str, Effect]
     limits: Limits
@@ -135,13 +135,13 @@ class CandidateModel:
     read_once : the same of numbers that JSBSim reads only once (mass, dead zones)
     """
 
-    data: Setup
-    fit: Fit
+    data: FlightData
+    fit: Linearisation
     information: Information
     selection: Selection
     reselection: Selection
     criterion: float
-    turbulence: Gusts | None
+    turbulence: TurbulenceModel | None
     values: Mapping[str, float] = field(default_factory=dict)
     read_once: Mapping[str, float] = field(default_factory=dict)
 
@@ -247,9 +247,9 @@ class AircraftFitter:
         try:
             starts = (
                 replace(joint_point(context, about, list(values)), effects=values),
-                replace(context.baseline.flown.point, effects=values),
+                replace(context.baseline.trajectory.point, effects=values),
             )
-            with Bench(staged, data) as bench:
+            with StagedModels(staged, data) as bench:
                 fit = context.estimator.fit(bench, data, starts, names, context.limits, self.pool)
             return assess(context, fit, values)
         except np.linalg.LinAlgError:
@@ -266,27 +266,29 @@ class AircraftFitter:
         values = {**model.values, **model.read_once}
         staged, data = stage(context, self.aircraft, values, self.folder / label)
         data = replace(data, noise=model.data.noise)
-        point = model.fit.flown.point
+        point = model.fit.trajectory.point
         if moves_sensors(data, point):
             return model
         names = [n for n in context.parameters if n in point.values]
-        with Bench(staged, data) as bench:
-            flown = fit_output_error(bench.model, data, point, names, context.limits, self.pool)
+        with StagedModels(staged, data) as bench:
+            trajectory = fit_output_error(
+                bench.model, data, point, names, context.limits, self.pool
+            )
             # The concentrated likelihood and this cost, of fixed noise, differ a little at the
             # optimum.
-            if flown is None or flown.cost > model.fit.flown.cost + DIFFERENT**2:
+            if trajectory is None or trajectory.cost > model.fit.trajectory.cost + DIFFERENT**2:
                 return model
             fit = fit_at(
                 bench.model,
                 bench.direct_model,
                 data,
                 [*context.parameters, *values],
-                flown,
+                trajectory,
                 self.pool,
                 model.fit.analytic,
             )
-        polished = assess(context, ModelFit(data, fit, flown.cost), values)
-        estimates = {key: flown.point.effects[key] for key in carried_effects(data)}
+        polished = assess(context, ModelFit(data, fit, trajectory.cost), values)
+        estimates = {key: trajectory.point.effects[key] for key in carried_effects(data)}
         return replace(polished, selection=with_values(polished.selection, estimates))
 
 
@@ -306,13 +308,13 @@ def secant_step(last: tuple[float, float] | None, current: tuple[float, float]) 
     )
 
 
-def joint_point(context: SearchContext, about: CandidateModel, keys: Sequence[str]) -> Point:
+def joint_point(context: SearchContext, about: CandidateModel, keys: Sequence[str]) -> ModelState:
     """Parameters, nuisance and start states at their linear estimate beside the effects ``keys``.
 
     The effects themselves are not in the point; other properties are as they were without any.
     """
-    information, point = about.information, about.fit.flown.point
-    baseline = context.baseline.flown.point
+    information, point = about.information, about.fit.trajectory.point
+    baseline = context.baseline.trajectory.point
     delta = information.estimates(information.index([*context.free, *keys]))
     changes = delta[information.index(context.free)].tolist()
     step = dict(zip(context.free, changes, strict=True))
@@ -328,14 +330,14 @@ def assess(
 ) -> CandidateModel:
     """The candidate model of effects written at such values, linearised about its flight."""
     data, fit = model_fit.data, model_fit.fit
-    values = {e.key: fit.flown.point.effects[e.key] for e in data.active}
+    values = {e.key: fit.trajectory.point.effects[e.key] for e in data.active}
     # Columns of all other candidates, and of slopes at the values flown.
     unselected = [e for e in context.effects.values() if e.key not in values_in_xml]
-    slopes = slopes_here(data.active, fit.flown.point)
-    columns = effect_columns(data, fit.probes, fit.flown, [*unselected, *slopes])
+    slopes = slopes_here(data.active, fit.trajectory.point)
+    columns = effect_columns(data, fit.probes, fit.trajectory, [*unselected, *slopes])
     estimator = estimator_for(model_fit.turbulence)
     information = estimator.information(data, fit, columns).without_values(values)
-    read_once = {k: values_in_xml[k] for k in data.held}
+    read_once = {k: values_in_xml[k] for k in data.fixed_effects}
     return with_selection(context, model_fit, information, list(values_in_xml), values, read_once)
 
 
@@ -390,7 +392,7 @@ def with_local_rate_limits(selection: Selection, model: CandidateModel) -> Selec
     """
 
     def local(c: SelectedEffect) -> SelectedEffect:
-        slope = c.key + HERE
+        slope = c.key + LOCAL_SLOPE
         if slope not in model.information.names:
             return c
         lower_bound = least_active_value(model.data, c.key)
@@ -410,7 +412,7 @@ def with_local_rate_limits(selection: Selection, model: CandidateModel) -> Selec
 
 def stage(
     context: SearchContext, aircraft: Aircraft, values: Mapping[str, float], folder: Path
-) -> tuple[Aircraft, Setup]:
+) -> tuple[Aircraft, FlightData]:
     """A copy of the aircraft that carries effects of such values, and the flights' data for it."""
     slopes, effects = control_slopes(context.baseline), [context.effects[k] for k in values]
     staged = write_staged(
@@ -420,7 +422,7 @@ def stage(
     data = with_sensors_of(context.data, staged)
     lower_bounds = {e.key: least_active_value(data, e.key) for e in effects}
     return staged, replace(
-        data, active=tuple(effects), carriers=carriers, slopes=slopes, least=lower_bounds
+        data, active=tuple(effects), carriers=carriers, slopes=slopes, lower_bounds=lower_bounds
     )
 
 

@@ -29,9 +29,9 @@ from sysid.effects import (
 )
 from sysid.effects.catalogue import catalogue
 from uqharness.identification.linearised import (
-    NEAR,
-    Fit,
-    Setup,
+    NEARBY_SHARE,
+    FlightData,
+    Linearisation,
     in_dead_zone,
     surface_change,
 )
@@ -53,7 +53,7 @@ WIDTHS_DEG = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6)
 
 
 def candidate_effects(
-    data: Setup, parameters: Sequence[str], extra: Sequence[Effect]
+    data: FlightData, parameters: Sequence[str], extra: Sequence[Effect]
 ) -> list[Effect]:
     """The user's effects ``extra`` and the catalogue, less what the model estimates already."""
     # Delays of an autopilot's sensors are nuisances there, no candidates.
@@ -69,7 +69,7 @@ def candidate_effects(
 
 
 def eligible(
-    effects: Sequence[Effect], data: Setup, free: Sequence[str], information: Information
+    effects: Sequence[Effect], data: FlightData, free: Sequence[str], information: Information
 ) -> dict[str, float]:
     """Key -> odds of the candidates worth scoring beside the columns ``free``.
 
@@ -89,7 +89,7 @@ def eligible(
 def without_unresolved(
     selection: Selection,
     effects: Sequence[Effect],
-    data: Setup,
+    data: FlightData,
     free: Sequence[str],
     information: Information,
 ) -> Selection:
@@ -135,7 +135,7 @@ def _short_times(
     free: Sequence[str],
     selected: Sequence[str],
     information: Information,
-    data: Setup,
+    data: FlightData,
 ) -> list[str]:
     """Times that are too short to be candidates and that have a possible sign in the place of a
     kept effect.
@@ -156,12 +156,12 @@ def _short_times(
     ]
 
 
-def _has_possible_sign(effect: Effect, value: float, data: Setup) -> bool:
+def _has_possible_sign(effect: Effect, value: float, data: FlightData) -> bool:
     """Whether an effect may have that sign: a time is positive, unless a servo has one to lose."""
     return value > 0.0 or not effect.positive or may_be_faster(effect, data)
 
 
-def _is_resolved(effect: Effect, value: float, data: Setup) -> bool:
+def _is_resolved(effect: Effect, value: float, data: FlightData) -> bool:
     """Whether an effect of time is longer than a replay or a log's rows leave open, a rate limit's
     over the travel of a doublet; True of other effects.
     """
@@ -173,7 +173,7 @@ def _is_resolved(effect: Effect, value: float, data: Setup) -> bool:
     return abs(value) * travel > shortest_rows * data.segments[0].dt_s
 
 
-def may_be_faster(effect: Effect, data: Setup) -> bool:
+def may_be_faster(effect: Effect, data: FlightData) -> bool:
     """Whether the effect is the lag or the rate limit of a servo that has one in the XML, which the
     real one need not have.
     """
@@ -183,7 +183,7 @@ def may_be_faster(effect: Effect, data: Setup) -> bool:
     )
 
 
-def largest_step(data: Setup, effect: Effect) -> float:
+def largest_step(data: FlightData, effect: Effect) -> float:
     """Half the range [deg] of an actuator's commands: the travel of a doublet."""
     k = CONTROLS.index((effect.subsystem or "").partition(".")[2])
     return 0.5 * max(float(np.ptp(s.controls[:, k])) for s in data.segments)
@@ -192,7 +192,7 @@ def largest_step(data: Setup, effect: Effect) -> float:
 # Rate limits and dead zones of servos.
 
 
-def with_servo_limits(data: Setup, fit: Fit, estimator: Estimator) -> Setup:
+def with_servo_limits(data: FlightData, fit: Linearisation, estimator: Estimator) -> FlightData:
     """The data with the rate limit and the dead zone of each servo whose estimated change is the
     change that it makes, by a fit without effects.
     """
@@ -242,7 +242,7 @@ def with_servo_limits(data: Setup, fit: Fit, estimator: Estimator) -> Setup:
     return replace(data, limits=limits, zones=zones)
 
 
-def _trial_rates(data: Setup, surface: str, servo: Actuator) -> list[float]:
+def _trial_rates(data: FlightData, surface: str, servo: Actuator) -> list[float]:
     """Rate limits to try [deg/s]: below the fastest motion and the nominal limit, falling; and
     above it, up to the fastest motion without a limit, rising.
     """
@@ -257,7 +257,7 @@ def _trial_rates(data: Setup, surface: str, servo: Actuator) -> list[float]:
     # Interpolated in travel time per degree; the last limit is never reached.
     faster = (
         [1.0 / (share / servo.rate + (1.0 - share) / unlimited) for share in FASTER_SHARES]
-        if unlimited > servo.rate / NEAR
+        if unlimited > servo.rate / NEARBY_SHARE
         else []
     )
     return [*slower, *faster]
@@ -294,7 +294,7 @@ def limit_of_unit_gain(limit: FloatArray, gain: FloatArray, t: FloatArray) -> fl
     return float(limit[int(np.argmax(np.abs(t)))])
 
 
-def _fastest_motion(data: Setup, surface: str, servo: Actuator) -> float:
+def _fastest_motion(data: FlightData, surface: str, servo: Actuator) -> float:
     """Fastest motion of a surface [deg/s], from row to row."""
     k = CONTROLS.index(surface)
     return max(
@@ -308,7 +308,7 @@ def _fastest_motion(data: Setup, surface: str, servo: Actuator) -> float:
     )
 
 
-def clip_to_active_range(selection: Selection, data: Setup) -> Selection:
+def clip_to_active_range(selection: Selection, data: FlightData) -> Selection:
     """The selection with rate limits no higher than the fastest motion: above it any limit is the
     same.
     """
@@ -320,7 +320,7 @@ def clip_to_active_range(selection: Selection, data: Setup) -> Selection:
     return replace(selection, chosen=tuple(clipped(c) for c in selection.chosen))
 
 
-def least_active_value(data: Setup, key: str) -> float:
+def least_active_value(data: FlightData, key: str) -> float:
     """Value [s/deg] of a rate limit's effect below which nothing changes any more; of any other
     effect -inf.
     """
@@ -336,7 +336,7 @@ def least_active_value(data: Setup, key: str) -> float:
     return float(min(1.0 / fastest - 1.0 / servo.rate, 0.0))
 
 
-def is_fastest(effect: SelectedEffect, data: Setup) -> bool:
+def is_fastest(effect: SelectedEffect, data: FlightData) -> bool:
     """Whether a rate limit is within its error of the fastest motion asked of the servo, so that it
     may be any number above.
     """

@@ -22,7 +22,7 @@ from sysid.effects import (
     SelectedEffect,
 )
 from sysid.estimation import NOISE_FLOOR
-from uqharness.identification.linearised import Setup
+from uqharness.identification.linearised import FlightData
 from uqharness.refinement.candidates import is_fastest
 from uqharness.refinement.effect_search import FormMismatch, SearchResult, chosen_interval
 from uqharness.refinement.evaluation import Evaluation, excess_residuals, residual_tables
@@ -76,7 +76,7 @@ _AXES = (("p_radps", "Cl", "roll"), ("q_radps", "Cm", "pitch"), ("r_radps", "Cn"
 
 
 def find_disagreements(
-    setup: Setup, evaluation: Evaluation, reference: Evaluation, controls: Sequence[Any]
+    setup: FlightData, evaluation: Evaluation, reference: Evaluation, controls: Sequence[Any]
 ) -> list[Region]:
     """Where ``evaluation`` is outside what noise explains.
 
@@ -110,7 +110,7 @@ def find_disagreements(
 def _ranges(evaluation: Evaluation, controls: Sequence[Any]) -> list[dict[str, Any]]:
     """States in which regions are looked for, one mapping a segment: rates by their size."""
     rates = {rate: f"abs_{rate}" for rate, _, _ in _AXES}
-    segments = states_along(evaluation.flown, controls)
+    segments = states_along(evaluation.trajectory, controls)
     return [
         {rates.get(n, n): np.abs(v) if n in rates else v for n, v in states.items()}
         for states in segments
@@ -189,7 +189,7 @@ def _remaining(chosen: SearchResult, outcome: HoldOutResult, controls: Sequence[
 
 
 def _disagreeing(
-    setup: Setup, evaluation: Evaluation, controls: Sequence[Any]
+    setup: FlightData, evaluation: Evaluation, controls: Sequence[Any]
 ) -> list[RemainingPart]:
     """Regions in which coefficients disagree, then coefficients above their noise and the states on
     which they depend.

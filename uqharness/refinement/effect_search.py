@@ -35,11 +35,11 @@ from sysid.effects import (
     SEVERAL,
     UNKNOWN_ROWS,
     Effect,
-    Gusts,
     Information,
     RejectedCandidate,
     SelectedEffect,
     Selection,
+    TurbulenceModel,
     agreement,
     column_correlations,
     conditional_interval,
@@ -54,9 +54,9 @@ from sysid.parallel import Processes
 from uqharness.errors import BadInputError
 from uqharness.identification.linearised import (
     PRIOR,
-    Bench,
-    Fit,
-    Setup,
+    FlightData,
+    Linearisation,
+    StagedModels,
     effect_columns,
     in_one_step,
     lateness,
@@ -152,16 +152,16 @@ class SearchResult:
     remaining : (key, t) of candidates not chosen with |t| above CERTAIN_T, the strongest first
     """
 
-    setup: Setup
+    setup: FlightData
     names: tuple[str, ...]
-    before: Fit
-    after: Fit
+    before: Linearisation
+    after: Linearisation
     selection: Selection
     effects: Mapping[str, Effect]
     parameters: Mapping[str, tuple[float, float]]
     notes: tuple[str, ...]
     plain: Mapping[str, float] = field(default_factory=dict)
-    turbulence: Gusts | None = None
+    turbulence: TurbulenceModel | None = None
     scoreboard: tuple[tuple[str, float], ...] = ()
     limit: float = float("nan")
     late_s: float = 0.0
@@ -184,14 +184,14 @@ class SearchResult:
         """
         if not self.late_s:
             return 0.0
-        nuisance = self.after.flown.point.nuisance
+        nuisance = self.after.trajectory.point.nuisance
         estimates = [v for n, v in nuisance.items() if n.startswith("lateness/")]
         return self.late_s + float(np.mean(estimates or [0.0]))
 
 
 def find_effects(
     aircraft: Aircraft,
-    data: Setup,
+    data: FlightData,
     extra: Sequence[Effect],
     folder: Path,
     pool: Processes,
@@ -248,8 +248,8 @@ class Baseline:
     """
 
     estimator: Estimator
-    data: Setup
-    fit: Fit
+    data: FlightData
+    fit: Linearisation
     parameters: tuple[str, ...]
     limits: Limits
     cost: float
@@ -282,7 +282,7 @@ class Baseline:
         if not self.competes:
             return None
         # The information as it is with the controls at their rows.
-        nuisance = self.fit.flown.point.nuisance
+        nuisance = self.fit.trajectory.point.nuisance
         offsets = {lateness(f): nuisance[lateness(f)] for f in self.data.timed}
         information = self.information.without_values(offsets)
         free = [n for n in self.fit.columns[0].names if n not in offsets]
@@ -295,7 +295,7 @@ class Baseline:
 
 def fit_baseline(
     aircraft: Aircraft,
-    recorded: Setup,
+    recorded: FlightData,
     extra: Sequence[Effect],
     shifts: Sequence[float],
     pool: Processes,
@@ -322,7 +322,7 @@ def fit_baseline(
         n: unlimited if c.bounds is None else c.bounds for n, c in aircraft.card.parameters.items()
     }
     air: ModelFit | None = None
-    with Bench(aircraft, data) as bench:
+    with StagedModels(aircraft, data) as bench:
         callback("re-identifying the parameters")
         data = with_jumps(data, bench.model)
         replayed = stages(
@@ -352,7 +352,7 @@ def fit_baseline(
     data = with_servo_limits(model.data, model.fit, estimator)
     competes = len(shifts) < MOST_CORRECTIONS and not data.late
     scored = [*effects, CONTROLS_LATE] if competes else effects
-    columns = effect_columns(data, model.fit.probes, model.fit.flown, scored)
+    columns = effect_columns(data, model.fit.probes, model.fit.trajectory, scored)
     return Baseline(
         estimator,
         data,

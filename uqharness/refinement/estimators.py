@@ -26,8 +26,8 @@ from sysid.effects import (
     QUIETER,
     Columns,
     Effect,
-    Gusts,
     Information,
+    TurbulenceModel,
     chance_limit,
     follow,
     normal_equations,
@@ -39,11 +39,11 @@ from sysid.parallel import Processes
 from uqharness.identification import equation_error_start, fit_replays, restrict_to_excited
 from uqharness.identification.linearised import (
     PRIOR,
-    Bench,
-    Fit,
-    Flown,
-    Point,
-    Setup,
+    FlightData,
+    Linearisation,
+    ModelState,
+    StagedModels,
+    Trajectory,
     begun_at,
     best_flown,
     cost_of,
@@ -53,17 +53,17 @@ from uqharness.identification.linearised import (
     gust_refit,
     in_dynamics,
     in_step,
-    known_noise,
     merged,
     moved,
-    noise_left,
     observed,
+    output_noise,
     point_of,
     refit,
     rows_late,
     setup_in_gusts,
     turbulent,
     unfiltered,
+    with_estimator_noise,
     with_sensors_of,
 )
 from uqharness.replay import ReplayModel, batched_pool
@@ -87,17 +87,17 @@ class ModelFit:
     turbulence : the air estimated with the model; None in calm air
     """
 
-    data: Setup
-    fit: Fit
+    data: FlightData
+    fit: Linearisation
     neg2_log_likelihood: float
-    turbulence: Gusts | None = None
+    turbulence: TurbulenceModel | None = None
 
 
 @dataclass(frozen=True)
 class Residuals:
     """What a model leaves of flights.
 
-    flown : outputs of the model, and start states, biases and delays estimated with it
+    trajectory : outputs of the model, and start states, biases and delays estimated with it
     white : [(n, m)] residuals over their standard deviation
     physical : [(n, m)] residuals in the channels' units
     noise : (m,) standard deviations of the channels
@@ -105,7 +105,7 @@ class Residuals:
     logdet : (S,) sum of the logarithms of the standard deviations in each segment, 0 for replays
     """
 
-    flown: Flown
+    trajectory: Trajectory
     white: list[FloatArray]
     physical: list[FloatArray]
     noise: FloatArray
@@ -117,7 +117,7 @@ class Estimator(Protocol):
     """How a model is fitted to flights and judged by them."""
 
     @property
-    def turbulence(self) -> Gusts | None:
+    def turbulence(self) -> TurbulenceModel | None:
         """The air that the estimator assumes; None: calm."""
 
     @property
@@ -140,15 +140,15 @@ class Estimator(Protocol):
     def trail_prefix(self) -> str:
         """What each line of the search's record begins with."""
 
-    def prepare(self, aircraft: Aircraft, data: Setup) -> Setup:
+    def prepare(self, aircraft: Aircraft, data: FlightData) -> FlightData:
         """The data of flights with the sensor noise from which the estimator starts."""
 
     def air_of(
-        self, aircraft: Aircraft, data: Setup, point: Point, pool: Processes
-    ) -> Gusts | None:
+        self, aircraft: Aircraft, data: FlightData, point: ModelState, pool: Processes
+    ) -> TurbulenceModel | None:
         """The air of other flights, estimated with a model and sensors as they are at a point."""
 
-    def is_coloured(self, data: Setup) -> bool:
+    def is_coloured(self, data: FlightData) -> bool:
         """Whether the spread of all candidates' t measures chance, instead of white noise."""
 
     def required_gain(self, effect: Effect) -> float:
@@ -164,14 +164,16 @@ class Estimator(Protocol):
         something must be missing then.
         """
 
-    def information(self, data: Setup, fit: Fit, regressors: Sequence[Columns]) -> Information:
+    def information(
+        self, data: FlightData, fit: Linearisation, regressors: Sequence[Columns]
+    ) -> Information:
         """Information of the fit's own columns beside further ``regressors``."""
 
     def fit(
         self,
-        bench: Bench,
-        data: Setup,
-        starts: Sequence[Point],
+        bench: StagedModels,
+        data: FlightData,
+        starts: Sequence[ModelState],
         names: Sequence[str],
         limits: Limits,
         pool: Processes,
@@ -184,21 +186,21 @@ class Estimator(Protocol):
 
     def linearise(
         self,
-        bench: Bench,
-        data: Setup,
-        flown: Flown,
-        point: Point,
+        bench: StagedModels,
+        data: FlightData,
+        trajectory: Trajectory,
+        point: ModelState,
         names: Sequence[str],
         pool: Processes,
-    ) -> tuple[Setup, Fit]:
-        """The flights linearised about an evaluation ``flown``, its parameters at ``point``."""
+    ) -> tuple[FlightData, Linearisation]:
+        """The flights linearised about a ``trajectory``, parameters at ``point``."""
 
     def residuals(
         self,
-        bench: Bench,
-        data: Setup,
-        start: Point,
-        estimate: Point,
+        bench: StagedModels,
+        data: FlightData,
+        start: ModelState,
+        estimate: ModelState,
         noise: FloatArray,
         pool: Processes,
     ) -> Residuals:
@@ -207,7 +209,7 @@ class Estimator(Protocol):
         noise : (m,) of `evaluation_noise`; a filter has its own
         """
 
-    def evaluation_noise(self, aircraft: Aircraft, data: Setup) -> FloatArray:
+    def evaluation_noise(self, aircraft: Aircraft, data: FlightData) -> FloatArray:
         """(m,) noise that residual tables refer to."""
 
     def same_samples(self, keys: Collection[str], other_keys: Collection[str]) -> bool:
@@ -217,7 +219,7 @@ class Estimator(Protocol):
         """Angular rate -> gain of allowing for moments about its axis that no effect explains."""
 
 
-def estimator_for(turbulence: Gusts | None) -> Estimator:
+def estimator_for(turbulence: TurbulenceModel | None) -> Estimator:
     """The estimator for flights in such air."""
     return ReplayEstimator() if turbulence is None else PredictionErrorEstimator(turbulence)
 
@@ -226,8 +228,8 @@ def estimator_for(turbulence: Gusts | None) -> Estimator:
 class Dataset:
     """Train or test flights, and the air that they met; None: calm."""
 
-    setup: Setup
-    turbulence: Gusts | None = None
+    setup: FlightData
+    turbulence: TurbulenceModel | None = None
 
     @property
     def estimator(self) -> Estimator:
@@ -246,17 +248,17 @@ class ReplayEstimator:
     description: tuple[str, ...] = ()
     trail_prefix: str = ""
 
-    def prepare(self, aircraft: Aircraft, data: Setup) -> Setup:
+    def prepare(self, aircraft: Aircraft, data: FlightData) -> FlightData:
         """The data as it is."""
         return data
 
     def air_of(
-        self, aircraft: Aircraft, data: Setup, point: Point, pool: Processes
-    ) -> Gusts | None:
+        self, aircraft: Aircraft, data: FlightData, point: ModelState, pool: Processes
+    ) -> TurbulenceModel | None:
         """Calm."""
         return None
 
-    def is_coloured(self, data: Setup) -> bool:
+    def is_coloured(self, data: FlightData) -> bool:
         """Only an autopilot's estimates are coloured in calm air."""
         return bool(data.late)
 
@@ -274,15 +276,17 @@ class ReplayEstimator:
         """Always reported; strong where linearisation cannot have made it up."""
         return True, abs(t) > OVERWHELMING
 
-    def information(self, data: Setup, fit: Fit, regressors: Sequence[Columns]) -> Information:
+    def information(
+        self, data: FlightData, fit: Linearisation, regressors: Sequence[Columns]
+    ) -> Information:
         """Information from the residuals of replays."""
         return _information(data, fit, regressors, data.measured, None)
 
     def fit(
         self,
-        bench: Bench,
-        data: Setup,
-        starts: Sequence[Point],
+        bench: StagedModels,
+        data: FlightData,
+        starts: Sequence[ModelState],
         names: Sequence[str],
         limits: Limits,
         pool: Processes,
@@ -290,40 +294,40 @@ class ReplayEstimator:
         """Output error from the start whose replay is nearest to the flights."""
         nearest = best_flown(bench.model, data, starts, pool)
         fit = refit(bench.model, bench.direct_model, data, nearest.point, names, limits, pool)
-        return ModelFit(data, fit, fit.flown.cost)
+        return ModelFit(data, fit, fit.trajectory.cost)
 
     def linearise(
         self,
-        bench: Bench,
-        data: Setup,
-        flown: Flown,
-        point: Point,
+        bench: StagedModels,
+        data: FlightData,
+        trajectory: Trajectory,
+        point: ModelState,
         names: Sequence[str],
         pool: Processes,
-    ) -> tuple[Setup, Fit]:
+    ) -> tuple[FlightData, Linearisation]:
         """The flights linearised about their replays."""
-        shifted = replace(flown, point=point)
+        shifted = replace(trajectory, point=point)
         return data, fit_at(bench.model, bench.direct_model, data, names, shifted, pool)
 
     def residuals(
         self,
-        bench: Bench,
-        data: Setup,
-        start: Point,
-        estimate: Point,
+        bench: StagedModels,
+        data: FlightData,
+        start: ModelState,
+        estimate: ModelState,
         noise: FloatArray,
         pool: Processes,
     ) -> Residuals:
         """Measurement minus replay, start states sought from those of ``estimate``."""
-        flown = replay_from(bench.model, data, replace(start, nuisance={}), pool, estimate)
-        physical = replay_residuals(data, flown)
+        trajectory = replay_from(bench.model, data, replace(start, nuisance={}), pool, estimate)
+        physical = replay_residuals(data, trajectory)
         white = [r / data.noise for r in physical]
-        return Residuals(flown, white, physical, noise, flown.cost, (0.0,) * len(white))
+        return Residuals(trajectory, white, physical, noise, trajectory.cost, (0.0,) * len(white))
 
-    def evaluation_noise(self, aircraft: Aircraft, data: Setup) -> FloatArray:
+    def evaluation_noise(self, aircraft: Aircraft, data: FlightData) -> FloatArray:
         """Noise that `compare` uses, but for channels that an estimator computed."""
         computed = np.isin(data.outputs, estimated_channels(data))
-        return np.where(computed, data.noise, known_noise(aircraft, data.measured, data.outputs))
+        return np.where(computed, data.noise, output_noise(aircraft, data.measured, data.outputs))
 
     def same_samples(self, keys: Collection[str], other_keys: Collection[str]) -> bool:
         """Replays use every sample."""
@@ -338,7 +342,7 @@ class ReplayEstimator:
 class PredictionErrorEstimator:
     """Prediction error: one-step predictions of a Kalman filter, with process noise of gusts."""
 
-    turbulence: Gusts
+    turbulence: TurbulenceModel
     least_t: float = GUST_LIMIT
     uses_replays: bool = False
     detects_colour: bool = False
@@ -357,17 +361,17 @@ class PredictionErrorEstimator:
         )
         return (note,)
 
-    def prepare(self, aircraft: Aircraft, data: Setup) -> Setup:
+    def prepare(self, aircraft: Aircraft, data: FlightData) -> FlightData:
         """The data with the card's noise: differences of an accelerometer see gusts as noise."""
         return setup_in_gusts(aircraft, data)
 
     def air_of(
-        self, aircraft: Aircraft, data: Setup, point: Point, pool: Processes
-    ) -> Gusts | None:
+        self, aircraft: Aircraft, data: FlightData, point: ModelState, pool: Processes
+    ) -> TurbulenceModel | None:
         """The air from this one on; this one itself where no filter follows the flights with such
         a model.
         """
-        with Bench(aircraft, data) as bench:
+        with StagedModels(aircraft, data) as bench:
             data = with_sensors_of(data, aircraft)
             start = replace(point, starts=tuple(s.start for s in data.segments))
             models = bench.model, bench.direct_model
@@ -379,7 +383,7 @@ class PredictionErrorEstimator:
                 speeds = [float(np.nanmean(c["V_mps"])) for c in data.channels]
                 return self.turbulence.in_other(speeds, [s.flight for s in data.segments])
 
-    def is_coloured(self, data: Setup) -> bool:
+    def is_coloured(self, data: FlightData) -> bool:
         """Predictions are as coloured as the gust model is wrong."""
         return True
 
@@ -402,16 +406,18 @@ class PredictionErrorEstimator:
         strong = abs(t) > limit + DIFFERENT
         return strong, strong
 
-    def information(self, data: Setup, fit: Fit, regressors: Sequence[Columns]) -> Information:
+    def information(
+        self, data: FlightData, fit: Linearisation, regressors: Sequence[Columns]
+    ) -> Information:
         """Information from innovations of the filter."""
-        measured = in_step(data, fit.flown.point)
+        measured = in_step(data, fit.trajectory.point)
         return _information(data, fit, regressors, measured, self.turbulence)
 
     def fit(
         self,
-        bench: Bench,
-        data: Setup,
-        starts: Sequence[Point],
+        bench: StagedModels,
+        data: FlightData,
+        starts: Sequence[ModelState],
         names: Sequence[str],
         limits: Limits,
         pool: Processes,
@@ -432,17 +438,17 @@ class PredictionErrorEstimator:
             self.turbulence,
             tune=True,
         )
-        return ModelFit(result.setup, result.fit, result.surprise, result.gusts)
+        return ModelFit(result.setup, result.fit, result.neg2_log_likelihood, result.gusts)
 
     def linearise(
         self,
-        bench: Bench,
-        data: Setup,
-        flown: Flown,
-        point: Point,
+        bench: StagedModels,
+        data: FlightData,
+        trajectory: Trajectory,
+        point: ModelState,
         names: Sequence[str],
         pool: Processes,
-    ) -> tuple[Setup, Fit]:
+    ) -> tuple[FlightData, Linearisation]:
         """The flights linearised about one-step predictions in the same air."""
         result = gust_refit(
             bench.model,
@@ -454,16 +460,16 @@ class PredictionErrorEstimator:
             pool,
             self.turbulence,
             1,
-            known=True,
+            fixed_air=True,
         )
         return result.setup, result.fit
 
     def residuals(
         self,
-        bench: Bench,
-        data: Setup,
-        start: Point,
-        estimate: Point,
+        bench: StagedModels,
+        data: FlightData,
+        start: ModelState,
+        estimate: ModelState,
         noise: FloatArray,
         pool: Processes,
     ) -> Residuals:
@@ -474,24 +480,24 @@ class PredictionErrorEstimator:
         """
         models = bench.model, bench.direct_model
         try:
-            result = gust_refit(*models, data, start, (), {}, pool, self.turbulence, known=True)
+            result = gust_refit(*models, data, start, (), {}, pool, self.turbulence, fixed_air=True)
             step, _ = result.fit.evidence.step()
-            flown, rows = result.fit.flown, result.fit.evidence.residual(step)
+            trajectory, rows = result.fit.trajectory, result.fit.evidence.residual(step)
             filtered = result.fit.evidence.white
             deviations, logdet = [w.deviation for w in filtered], [w.logdet for w in filtered]
         except np.linalg.LinAlgError:
-            flown, rows = unfiltered(*models, data, start, pool, self.turbulence)
+            trajectory, rows = unfiltered(*models, data, start, pool, self.turbulence)
             deviations = [data.noise] * len(rows)
             logdet = [float((np.isfinite(r) * np.log(data.noise)).sum()) for r in rows]
-        white = _at_recorded_rows(data, flown.point, rows)
+        white = _at_recorded_rows(data, trajectory.point, rows)
         physical = [r * deviation for r, deviation in zip(white, deviations, strict=True)]
         filter_noise = np.sqrt(np.mean([deviation**2 for deviation in deviations], axis=0))
         cost = float(sum(np.nansum(r**2) for r in white))
         outputs = [z - r for z, r in zip(data.measured, physical, strict=True)]
-        flown = replace(flown, outputs=outputs, cost=cost)
-        return Residuals(flown, white, physical, filter_noise, cost, tuple(logdet))
+        trajectory = replace(trajectory, outputs=outputs, cost=cost)
+        return Residuals(trajectory, white, physical, filter_noise, cost, tuple(logdet))
 
-    def evaluation_noise(self, aircraft: Aircraft, data: Setup) -> FloatArray:
+    def evaluation_noise(self, aircraft: Aircraft, data: FlightData) -> FloatArray:
         """The noise that the fit assumed."""
         return data.noise
 
@@ -512,7 +518,7 @@ def depends_on_wind_rates(effect: Effect) -> bool:
     return term is not None and any(v in ("alphadot_hat", "betadot_hat") for v in term.variables)
 
 
-def confirming_segments(data: Setup) -> NDArray[np.bool_]:
+def confirming_segments(data: FlightData) -> NDArray[np.bool_]:
     """(S,) every third manoeuvre of each kind, which confirms what the others say.
 
     The kind is a manoeuvre's label without speeds and numbers.
@@ -525,16 +531,16 @@ def confirming_segments(data: Setup) -> NDArray[np.bool_]:
 
 
 def _information(
-    data: Setup,
-    fit: Fit,
+    data: FlightData,
+    fit: Linearisation,
     regressors: Sequence[Columns],
     measured: Sequence[FloatArray],
-    turbulence: Gusts | None,
+    turbulence: TurbulenceModel | None,
 ) -> Information:
     """Normal equations of a fit's own columns beside further regressors."""
     columns = merged(fit.columns, regressors)
     process = None if turbulence is None else turbulence.process
-    filtered = follow(fit.steps, measured, data.which, data.noise, process)
+    filtered = follow(fit.steps, measured, data.output_rows, data.noise, process)
     return normal_equations(
         whiten_each(filtered, columns),
         columns.names,
@@ -545,15 +551,19 @@ def _information(
 
 
 def replay_from(
-    model: ReplayModel, data: Setup, start: Point, pool: Processes, estimate: Point | None = None
-) -> Flown:
+    model: ReplayModel,
+    data: FlightData,
+    start: ModelState,
+    pool: Processes,
+    estimate: ModelState | None = None,
+) -> Trajectory:
     """Replays from the start states, biases and delays that fit best, as `compare` has them.
 
     They are sought from those of ``estimate``, where there is one.
     """
-    flown = fly(model, data, start, pool)
-    if not np.isfinite(flown.cost):
-        return flown
+    trajectory = fly(model, data, start, pool)
+    if not np.isfinite(trajectory.cost):
+        return trajectory
     problem = replace(observed(data, start.effects), properties=start.values)
     if estimate is not None and estimate.starts:
         pairs = zip(problem.segments, estimate.starts, strict=True)
@@ -565,12 +575,14 @@ def replay_from(
     return fly(model, data, best, pool)
 
 
-def replay_residuals(data: Setup, flown: Flown) -> list[FloatArray]:
+def replay_residuals(data: FlightData, trajectory: Trajectory) -> list[FloatArray]:
     """[(n, m)] measurement minus replay."""
-    return [z - y for z, y in zip(data.measured, flown.outputs, strict=True)]
+    return [z - y for z, y in zip(data.measured, trajectory.outputs, strict=True)]
 
 
-def _at_recorded_rows(data: Setup, point: Point, rows: Sequence[FloatArray]) -> list[FloatArray]:
+def _at_recorded_rows(
+    data: FlightData, point: ModelState, rows: Sequence[FloatArray]
+) -> list[FloatArray]:
     """[(n, m)] residuals of predictions at the rows of their samples in the record; 0 where no
     sample was used.
     """
@@ -596,7 +608,7 @@ class OutputErrorFit:
         the fit leaves of them, for no card states an estimator's error
     """
 
-    fit: Fit
+    fit: Linearisation
     names: tuple[str, ...]
     excited: tuple[str, ...]
     notes: list[str]
@@ -605,8 +617,8 @@ class OutputErrorFit:
 
 def fit_without_effects(
     aircraft: Aircraft,
-    bench: Bench,
-    data: Setup,
+    bench: StagedModels,
+    data: FlightData,
     names: tuple[str, ...],
     limits: Limits,
     pool: Processes,
@@ -642,8 +654,8 @@ def fit_without_effects(
         tuple(n for n in names if n not in fixed) for fixed in (result.undetermined, problem.fixed)
     )
     result.replay.forget()
-    flown = fly(model, data, point_of(result, data, names), pool)
-    fit = fit_at(model, direct, data, excited, flown, pool)
+    trajectory = fly(model, data, point_of(result, data, names), pool)
+    fit = fit_at(model, direct, data, excited, trajectory, pool)
     computed = estimated_channels(data)
     if not computed:
         at_bound = [n for n in excited if n not in determined]
@@ -656,9 +668,9 @@ def fit_without_effects(
         return OutputErrorFit(fit, excited, excited, notes, data.noise)
     # An autopilot's estimates: their error is what the fit leaves of them.
     for _ in range(ESTIMATOR_ROUNDS):
-        rms = dict(zip(data.outputs, _residual_rms(data, fit.flown).tolist(), strict=True))
-        data = replace(data, noise=noise_left(data, rms))
-        fit = refit(model, direct, data, fit.flown.point, determined, limits, pool)
+        rms = dict(zip(data.outputs, _residual_rms(data, fit.trajectory).tolist(), strict=True))
+        data = replace(data, noise=with_estimator_noise(data, rms))
+        fit = refit(model, direct, data, fit.trajectory.point, determined, limits, pool)
     levels = ", ".join(f"{c} {data.noise[data.outputs.index(c)]:.2g}" for c in computed)
     note = (
         "computed by the autopilot's estimator, measured by no vane; taken to be as uncertain (one"
@@ -669,8 +681,8 @@ def fit_without_effects(
 
 def fit_in_turbulence(
     aircraft: Aircraft,
-    bench: Bench,
-    data: Setup,
+    bench: StagedModels,
+    data: FlightData,
     replayed: OutputErrorFit,
     limits: Limits,
     pool: Processes,
@@ -680,37 +692,39 @@ def fit_in_turbulence(
         bench.model,
         bench.direct_model,
         setup_in_gusts(aircraft, data),
-        replayed.fit.flown.point,
+        replayed.fit.trajectory.point,
         replayed.excited,
         limits,
         pool,
         tune=True,
     )
-    return ModelFit(result.setup, result.fit, result.surprise, result.gusts)
+    return ModelFit(result.setup, result.fit, result.neg2_log_likelihood, result.gusts)
 
 
-def looks_turbulent(data: Setup, fit: Fit) -> bool:
+def looks_turbulent(data: FlightData, fit: Linearisation) -> bool:
     """Whether the residuals of replays look like process noise."""
-    return turbulent(data, fit.flown)
+    return turbulent(data, fit.trajectory)
 
 
-def with_residual_noise(data: Setup, fit: Fit) -> ModelFit:
+def with_residual_noise(data: FlightData, fit: Linearisation) -> ModelFit:
     """The fit with the noise that it leaves where that is less than the card's.
 
     Noise taken twice as large halves every t. It is at least `QUIETER` of the card's; a missing
     effect is part of what the fit leaves, so that noise is hardly taken too small.
     """
-    noise = np.clip(_residual_rms(data, fit.flown), QUIETER * data.noise, data.noise)
+    noise = np.clip(_residual_rms(data, fit.trajectory), QUIETER * data.noise, data.noise)
     data = replace(data, noise=noise)
-    white = whiten(fit.steps, data.measured, fit.columns, data.which, noise)
+    white = whiten(fit.steps, data.measured, fit.columns, data.output_rows, noise)
     information = normal_equations(white, fit.columns[0].names, [0] * len(white), PRIOR)
-    flown = replace(fit.flown, cost=cost_of(data, fit.flown.outputs))
-    return ModelFit(data, replace(fit, flown=flown, evidence=information), flown.cost)
+    trajectory = replace(fit.trajectory, cost=cost_of(data, fit.trajectory.outputs))
+    return ModelFit(
+        data, replace(fit, trajectory=trajectory, evidence=information), trajectory.cost
+    )
 
 
-def _residual_rms(data: Setup, flown: Flown) -> FloatArray:
+def _residual_rms(data: FlightData, trajectory: Trajectory) -> FloatArray:
     """(m,) rms of what replays leave of each output."""
-    residual = np.concatenate(replay_residuals(data, flown))
+    residual = np.concatenate(replay_residuals(data, trajectory))
     return np.asarray(np.sqrt(np.nanmean(residual**2, axis=0)))
 
 
@@ -725,14 +739,14 @@ def note_unestimated(requested: Sequence[str], names: Sequence[str]) -> list[str
 # columns choose effects and come near; they carry errors of a few per cent and a prior of delays.
 
 
-def carried_effects(data: Setup) -> dict[str, str]:
+def carried_effects(data: FlightData) -> dict[str, str]:
     """Key -> property of the active effects that a fit of replays estimates: all carried ones but
     those of servos.
     """
     return {key: place.name for key, place in data.carriers.items() if place.servo is None}
 
 
-def moves_sensors(data: Setup, point: Point) -> bool:
+def moves_sensors(data: FlightData, point: ModelState) -> bool:
     """Whether an active effect moves a sensor; replays of a fit have their sensors where the card
     says.
     """
@@ -741,13 +755,13 @@ def moves_sensors(data: Setup, point: Point) -> bool:
 
 def fit_output_error(
     model: ReplayModel,
-    data: Setup,
-    point: Point,
+    data: FlightData,
+    point: ModelState,
     names: Sequence[str],
     limits: Limits,
     pool: Processes,
     absent: Collection[str] = (),
-) -> Flown | None:
+) -> Trajectory | None:
     """Estimate properties, carried effects, start states and nuisances at once on replays.
 
     Parameters

@@ -17,11 +17,11 @@ from sysid.model_form import noise_floor
 from sysid.parallel import Processes
 from uqharness.identification import coefficient_gaps
 from uqharness.identification.linearised import (
-    Bench,
-    Flown,
-    Point,
-    Setup,
-    known_noise,
+    FlightData,
+    ModelState,
+    StagedModels,
+    Trajectory,
+    output_noise,
     with_sensors_of,
 )
 from uqharness.refinement.estimators import Dataset, Estimator, replay_from, replay_residuals
@@ -38,7 +38,7 @@ class Replays:
     noise : (m,) of the channels
     """
 
-    flown: Flown
+    trajectory: Trajectory
     residual: list[FloatArray]
     noise: FloatArray
 
@@ -54,7 +54,7 @@ class Evaluation:
     replays : of flights judged by predictions, the model's replays where they were asked for
     """
 
-    flown: Flown
+    trajectory: Trajectory
     residual: list[FloatArray]
     noise: FloatArray
     coefficients: list[FloatArray]
@@ -78,7 +78,9 @@ class Evaluation:
         return rms(np.concatenate([g[:, k] for g in self.coefficients]))
 
 
-def evaluate(aircraft: Aircraft, dataset: Dataset, pool: Processes, point: Point) -> Evaluation:
+def evaluate(
+    aircraft: Aircraft, dataset: Dataset, pool: Processes, point: ModelState
+) -> Evaluation:
     """Evaluate an aircraft on flights; only start states, biases and delays are estimated.
 
     ``point`` has properties that differ from the aircraft's XML, and effects of its sensors. Biases
@@ -86,7 +88,7 @@ def evaluate(aircraft: Aircraft, dataset: Dataset, pool: Processes, point: Point
     in turbulence always as measured.
     """
     data, estimator = dataset.setup, dataset.estimator
-    with Bench(aircraft, data) as bench:
+    with StagedModels(aircraft, data) as bench:
         data = with_sensors_of(data, aircraft)
         start = replace(point, starts=tuple(s.start for s in data.segments))
         noise = estimator.evaluation_noise(aircraft, data)
@@ -108,7 +110,7 @@ def evaluate(aircraft: Aircraft, dataset: Dataset, pool: Processes, point: Point
         # Channels by replays or predictions.
         result = estimator.residuals(bench, data, start, point, noise, pool)
     return Evaluation(
-        result.flown,
+        result.trajectory,
         result.physical,
         result.noise,
         [demanded - modelled for demanded, modelled, _ in gaps],
@@ -120,19 +122,21 @@ def evaluate(aircraft: Aircraft, dataset: Dataset, pool: Processes, point: Point
 
 
 def with_replays(
-    evaluation: Evaluation, aircraft: Aircraft, dataset: Dataset, pool: Processes, point: Point
+    evaluation: Evaluation, aircraft: Aircraft, dataset: Dataset, pool: Processes, point: ModelState
 ) -> Evaluation:
     """An evaluation by predictions with the model's replays, whose noise and delays are those of
     `compare`; other arguments of `evaluate`.
     """
     data = dataset.setup
-    with Bench(aircraft, data) as bench:
-        noise = known_noise(aircraft, data.measured, data.outputs)
+    with StagedModels(aircraft, data) as bench:
+        noise = output_noise(aircraft, data.measured, data.outputs)
         timed = tuple(f.name for f in data.flights if f.name not in data.late)
         data = replace(with_sensors_of(data, aircraft), jumping=(), timed=timed, noise=noise)
         start = replace(point, nuisance={}, starts=tuple(s.start for s in data.segments))
-        flown = replay_from(bench.model, data, start, pool)
-    return replace(evaluation, replays=Replays(flown, replay_residuals(data, flown), noise))
+        trajectory = replay_from(bench.model, data, start, pool)
+    return replace(
+        evaluation, replays=Replays(trajectory, replay_residuals(data, trajectory), noise)
+    )
 
 
 def _with_smoothed_commands(segment: Segment, flight: Flight, ideal: Sequence[str]) -> Segment:
@@ -143,7 +147,7 @@ def _with_smoothed_commands(segment: Segment, flight: Flight, ideal: Sequence[st
     return replace(segment, controls=controls, commands=None)
 
 
-def residual_tables(data: Setup, before: Evaluation, after: Evaluation) -> ResidualTables:
+def residual_tables(data: FlightData, before: Evaluation, after: Evaluation) -> ResidualTables:
     """Residuals before and after, for refinement.json: channels of replays, as `compare` has them,
     and errors of predictions where those judged.
     """
@@ -158,8 +162,8 @@ def residual_tables(data: Setup, before: Evaluation, after: Evaluation) -> Resid
             for c, x, y, n in columns
         }
 
-    def theil_mean(flown: Flown) -> float:
-        z, y = (np.concatenate(rows) for rows in (data.measured, flown.outputs))
+    def theil_mean(trajectory: Trajectory) -> float:
+        z, y = (np.concatenate(rows) for rows in (data.measured, trajectory.outputs))
         return float(np.nanmean([theil(z[:, k], y[:, k]).u for k in range(len(data.outputs))]))
 
     channels = rows(
@@ -173,8 +177,8 @@ def residual_tables(data: Setup, before: Evaluation, after: Evaluation) -> Resid
         predictions=predictions,
         coefficients=rows(COEFFICIENTS, before.coefficients, after.coefficients, after.floor),
         theil={
-            "before": theil_mean(replays_before.flown),
-            "after": theil_mean(replays_after.flown),
+            "before": theil_mean(replays_before.trajectory),
+            "after": theil_mean(replays_after.trajectory),
         },
         cost=Cost(
             before=before.cost,
@@ -199,7 +203,7 @@ class Excess:
         return bool(self.above) or bool(self.coloured)
 
 
-def excess_residuals(data: Setup, evaluation: Evaluation, estimator: Estimator) -> Excess:
+def excess_residuals(data: FlightData, evaluation: Evaluation, estimator: Estimator) -> Excess:
     """What a model leaves of flights, beyond noise."""
     ratios = {
         c: evaluation.channel_rms(k) / float(evaluation.noise[k])

@@ -27,11 +27,11 @@ from sysid.effects import (
 )
 from sysid.parallel import Processes
 from uqharness.identification.linearised import (
-    Bench,
-    Fit,
-    Flown,
-    Point,
-    Setup,
+    FlightData,
+    Linearisation,
+    ModelState,
+    StagedModels,
+    Trajectory,
     effect_columns,
     fly,
     in_dynamics,
@@ -131,8 +131,8 @@ class HoldOutResult:
     result: SearchResult
     withdrawn: tuple[SelectedEffect, ...]
     verdicts: dict[str, Verdict]
-    train: tuple[Setup, Evaluation, Evaluation]
-    test: tuple[Setup, Evaluation, Evaluation]
+    train: tuple[FlightData, Evaluation, Evaluation]
+    test: tuple[FlightData, Evaluation, Evaluation]
     sides: tuple[Dataset, Dataset]
 
 
@@ -153,10 +153,10 @@ class HoldOutTest:
     def run(self) -> HoldOutResult:
         """Judge every effect; withdraw until nothing more is to be withdrawn."""
         chosen, baseline = self.chosen, without_effects(self.chosen)
-        point = chosen.after.flown.point
+        point = chosen.after.trajectory.point
         effects = chosen.selection.chosen
         # Both models on both sides.
-        train_before = self._evaluate(baseline, self.train, chosen.before.flown.point)
+        train_before = self._evaluate(baseline, self.train, chosen.before.trajectory.point)
         train_after = self._evaluate(chosen, self.train, point) if effects else train_before
         test_before = self._evaluate(baseline, self.test, None)
         test_after = self._evaluate(chosen, self.test, None) if effects else test_before
@@ -174,7 +174,7 @@ class HoldOutTest:
                 else:
                     keys = [*(w.key for w in withdrawn), c.key]
                     model = self._leave_out(keys)
-                    rival = model, self._evaluate(model, self.test, evaluation.flown.point)
+                    rival = model, self._evaluate(model, self.test, evaluation.trajectory.point)
                 rivals[c.key] = rival
                 spare = c.t**2 - chosen.limit**2
                 latest[c.key] = compare(rival[1], evaluation, self.test.setup, train_after, spare)
@@ -211,7 +211,7 @@ class HoldOutTest:
             refitted = self._refit(remaining)
             if refitted is not remaining:
                 remaining = refitted
-                evaluation = self._evaluate(refitted, self.test, evaluation.flown.point)
+                evaluation = self._evaluate(refitted, self.test, evaluation.trajectory.point)
         if not withdrawn:
             train_final = train_after
         elif remaining.selection.chosen:
@@ -227,7 +227,9 @@ class HoldOutTest:
             (self.train, self.test),
         )
 
-    def _evaluate(self, model: SearchResult, side: Dataset, initial: Point | None) -> Evaluation:
+    def _evaluate(
+        self, model: SearchResult, side: Dataset, initial: ModelState | None
+    ) -> Evaluation:
         aircraft, values = flown_as(model, self.chosen, self.complete, self.write)
         return evaluate(aircraft, side, self.pool, point_as_written(model, values, initial))
 
@@ -239,7 +241,7 @@ class HoldOutTest:
 
     def _before_and_after(
         self, remaining: SearchResult, side: Dataset, before: Evaluation, after: Evaluation
-    ) -> tuple[Setup, Evaluation, Evaluation]:
+    ) -> tuple[FlightData, Evaluation, Evaluation]:
         """Evaluations before and after, in turbulence with replays."""
 
         def completed(model: SearchResult, evaluation: Evaluation) -> Evaluation:
@@ -290,7 +292,7 @@ class HoldOutTest:
 def compare(
     rival: Evaluation,
     with_effect: Evaluation,
-    data: Setup,
+    data: FlightData,
     fitted: Evaluation,
     spare: float = np.inf,
 ) -> Verdict:
@@ -391,11 +393,13 @@ def train_test_information(
     """
     values = result.selection.values
     effects = [result.effects[key] for key in values]
-    data, fit = linearise_as_written(result, aircraft, test, test.setup, evaluation.flown, pool)
-    columns = effect_columns(data, fit.probes, fit.flown, effects)
+    data, fit = linearise_as_written(
+        result, aircraft, test, test.setup, evaluation.trajectory, pool
+    )
+    columns = effect_columns(data, fit.probes, fit.trajectory, effects)
     information = test.estimator.information(data, fit, columns)
     no_effect = dict.fromkeys(values, 0.0)
-    fitted = {n: result.after.flown.point.values[n] for n in result.names}
+    fitted = {n: result.after.trajectory.point.values[n] for n in result.names}
     stated = {n: value for n, (value, _) in result.parameters.items()}
     return TrainTestInformation(
         result,
@@ -430,19 +434,19 @@ def linearise_as_written(
     result: SearchResult,
     aircraft: Aircraft,
     side: Dataset,
-    data: Setup,
-    flown: Flown,
+    data: FlightData,
+    trajectory: Trajectory,
     pool: Processes,
-) -> tuple[Setup, Fit]:
+) -> tuple[FlightData, Linearisation]:
     """Flights that an aircraft with everything of ``result`` in its XML flew, linearised there, and
     their data.
     """
     stated = {n: v for n, (v, _) in result.parameters.items()}
-    values = {**flown.point.values, **stated}
-    point = replace(flown.point, values=values, effects=result.selection.values)
-    with Bench(aircraft, data) as bench:
+    values = {**trajectory.point.values, **stated}
+    point = replace(trajectory.point, values=values, effects=result.selection.values)
+    with StagedModels(aircraft, data) as bench:
         data = with_jumps(with_sensors_of(data, aircraft), bench.model)
-        return side.estimator.linearise(bench, data, flown, point, result.names, pool)
+        return side.estimator.linearise(bench, data, trajectory, point, result.names, pool)
 
 
 # Models with some of the chosen effects.
@@ -478,8 +482,10 @@ def property_values(model: SearchResult, chosen: SearchResult) -> dict[str, floa
 
 
 def point_as_written(
-    model: SearchResult, values: Mapping[str, float] | None = None, initial: Point | None = None
-) -> Point:
+    model: SearchResult,
+    values: Mapping[str, float] | None = None,
+    initial: ModelState | None = None,
+) -> ModelState:
     """The point of an aircraft written as ``model``: properties that differ from its XML, effects
     of its sensors, and nuisance and start states of another point of the same flights.
     """
@@ -487,7 +493,7 @@ def point_as_written(
     of_sensors = {
         k: value for k, value in model.selection.values.items() if not in_dynamics(model.effects[k])
     }
-    return Point(values or {}, nuisance, starts, of_sensors)
+    return ModelState(values or {}, nuisance, starts, of_sensors)
 
 
 def without_effects(result: SearchResult) -> SearchResult:
@@ -507,7 +513,7 @@ def train_information(
     active = {e.key for e in result.setup.active}
     requested = dict.fromkeys([*result.selection.values, *keys])
     inactive = [result.effects[k] for k in requested if k not in active]
-    columns = effect_columns(result.setup, result.after.probes, result.after.flown, inactive)
+    columns = effect_columns(result.setup, result.after.probes, result.after.trajectory, inactive)
     columns = merged(columns, regressors) if len(regressors) else columns
     information = result.estimator.information(result.setup, result.after, columns)
     return information.without_values(result.flown_values)
@@ -568,14 +574,14 @@ def refit_remaining(
     values = model.selection.values
     effects = {e.key: values.get(e.key, 0.0) for e in chosen.setup.active}
     estimates = {n: value for n, (value, _) in model.parameters.items()}
-    point = chosen.after.flown.point
+    point = chosen.after.trajectory.point
     point = replace(point, values={**point.values, **estimates}, effects=effects)
     if moves_sensors(chosen.setup, point):
         return model
     names = [n for n in chosen.names if n in point.values]
     bounds = {n: c.bounds for n, c in complete.card.parameters.items() if c.bounds is not None}
     withdrawn = effects.keys() - values.keys()
-    with Bench(complete, chosen.setup) as bench:
+    with StagedModels(complete, chosen.setup) as bench:
         linear = fly(bench.model, chosen.setup, point, pool)
         fit = fit_output_error(bench.model, chosen.setup, point, names, bounds, pool, withdrawn)
     if fit is None or fit.cost > linear.cost:

@@ -24,7 +24,7 @@ from sysid.arrays import FloatArray
 from sysid.distributions import f_tail, gamma_tail
 from sysid.effects import DISAGREES, Effect, scores
 from sysid.estimation import integral_time, rms
-from uqharness.identification.linearised import Flown, Setup
+from uqharness.identification.linearised import FlightData, Trajectory
 from uqharness.refinement.candidates import eligible
 from uqharness.refinement.effect_search import SearchResult
 from uqharness.refinement.evaluation import Evaluation
@@ -127,21 +127,26 @@ def no_place(reason: str) -> dict[str, Any]:
 
 
 def series_of(
-    flights: str, setup: Setup, evaluation: Evaluation, controls: Sequence[FloatArray]
+    flights: str, setup: FlightData, evaluation: Evaluation, controls: Sequence[FloatArray]
 ) -> list[Series]:
     """Every channel of every segment of one side's flights."""
     return [
         Series(flights, s.flight, s.kind, c, w[:, k], s.time_s, states)
         for s, w, states in zip(
-            setup.segments, evaluation.white, states_along(evaluation.flown, controls), strict=True
+            setup.segments,
+            evaluation.white,
+            states_along(evaluation.trajectory, controls),
+            strict=True,
         )
         for k, c in enumerate(setup.outputs)
     ]
 
 
-def states_along(flown: Flown, controls: Sequence[FloatArray]) -> list[dict[str, FloatArray]]:
+def states_along(
+    trajectory: Trajectory, controls: Sequence[FloatArray]
+) -> list[dict[str, FloatArray]]:
     """States and controls by name, each (n,), one mapping a segment."""
-    pairs = zip(flown.x, controls, strict=True)
+    pairs = zip(trajectory.x, controls, strict=True)
     return [
         dict(zip(_STATES, x.T, strict=False)) | dict(zip(_CONTROLS, u.T, strict=False))
         for x, u in pairs

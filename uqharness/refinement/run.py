@@ -23,7 +23,7 @@ from uqharness.errors import BadInputError
 from uqharness.files import inner_folder, scratch_folder
 from uqharness.heartbeat import STATE, Forecast
 from uqharness.identification import choose_servos
-from uqharness.identification.linearised import Bench, Setup, make_setup, positions
+from uqharness.identification.linearised import FlightData, StagedModels, make_setup, positions
 from uqharness.parallel import usable_cores, worker_map
 from uqharness.plugin import bake_scales
 from uqharness.refinement.candidate_model import write_copy, write_staged
@@ -244,7 +244,7 @@ def refine(request: Job, callback: Callback = lambda _: None) -> Refinement:
         intervals = kept_stages(
             "intervals", list[Intervals], lambda: list(pool(fit_intervals, jobs))
         )
-        with Bench(aircraft, train_side.setup) as bench:
+        with StagedModels(aircraft, train_side.setup) as bench:
             controls = positions(bench.model, train_side.setup)
         document = document_of(chosen, outcome, aircraft, controls)
         document = _with_smooth(
@@ -322,7 +322,7 @@ def _ideal_controls(request: Job, measured: Sequence[str]) -> tuple[str, ...]:
     return tuple(c for c in CONTROLS if c not in measured) if request.ideal_servos else ()
 
 
-def _flight_data(aircraft: Aircraft, flights: FlightSet) -> Setup:
+def _flight_data(aircraft: Aircraft, flights: FlightSet) -> FlightData:
     return make_setup(aircraft, flights.flights, flights.measured, flights.ideal)
 
 

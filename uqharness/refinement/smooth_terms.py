@@ -37,7 +37,7 @@ from sysid.effects import (
 )
 from sysid.estimation import rms
 from sysid.parallel import Processes
-from uqharness.identification.linearised import Fit, Setup, effect_columns, merged
+from uqharness.identification.linearised import FlightData, Linearisation, effect_columns, merged
 from uqharness.refinement.effect_search import FormMismatch, SearchResult
 from uqharness.refinement.estimators import Dataset
 from uqharness.refinement.evaluation import (
@@ -94,8 +94,8 @@ class CurveFits:
     def __init__(
         self,
         result: SearchResult,
-        fit: Fit,
-        data: Setup | None = None,
+        fit: Linearisation,
+        data: FlightData | None = None,
         flown_term: CurveEstimate | None = None,
     ) -> None:
         self.result, self.fit, self.data, self.flown_term = result, fit, data, flown_term
@@ -117,7 +117,7 @@ class CurveFits:
             information = train_information(self.result, (), curves)
         else:
             effects = [self.result.effects[k] for k in values]
-            columns = effect_columns(self.data, self.fit.probes, self.fit.flown, effects)
+            columns = effect_columns(self.data, self.fit.probes, self.fit.trajectory, effects)
             term_values = {} if self.flown_term is None else self.flown_term.fit.column_values
             information = self.result.estimator.information(
                 self.data, self.fit, merged(columns, curves)
@@ -169,7 +169,7 @@ class CurveFits:
             [*free, *fit.estimated_columns],
             [*self.result.names, *(c.key for c in outside)],
         )
-        current = self.fit.flown.point.values
+        current = self.fit.trajectory.point.values
         chosen = tuple(
             replace(c, value=estimates[c.key][0], std=estimates[c.key][1]) for c in outside
         )
@@ -217,7 +217,7 @@ def drop_unclear_effects(
     if curve is None:
         weak = too_weak(effects, result.limit)
         values = property_values(result, result)
-        point = point_as_written(result, values, result.after.flown.point)
+        point = point_as_written(result, values, result.after.trajectory.point)
         if weak:
             evaluation = evaluate(complete, train, pool, point)
             if not excess_residuals(train.setup, evaluation, result.estimator):
@@ -341,7 +341,7 @@ def find_smooth_term(
     if not on_train.neg2_log_likelihood < outcome.train[2].neg2_log_likelihood:
         return f"flown in the simulation, a {term.name} does not lower the error"
     # The same on the test flights.
-    start = point_as_written(estimate.result, initial=outcome.test[2].flown.point)
+    start = point_as_written(estimate.result, initial=outcome.test[2].trajectory.point)
     on_test = evaluate(aircraft, test, pool, start)
     verdict = compare(outcome.test[2], on_test, test.setup, on_train)
     if verdict.gap == "grew":
@@ -391,7 +391,7 @@ def _fly_twice(
     by_prediction = not curves.result.estimator.uses_replays
     if first is None or by_prediction or not np.isfinite(first.evaluation.cost):
         return first
-    result, trajectory = first.estimate.result, first.evaluation.flown
+    result, trajectory = first.estimate.result, first.evaluation.trajectory
     data, linear = linearise_as_written(
         result, first.aircraft, train, result.setup, trajectory, pool
     )
@@ -417,7 +417,7 @@ def _fly(
         return None
     aircraft = write(estimate.result)
     write_table(aircraft, estimate.fit)
-    start = point_as_written(estimate.result, initial=estimate.result.after.flown.point)
+    start = point_as_written(estimate.result, initial=estimate.result.after.trajectory.point)
     return _FlownTerm(fit, curves, estimate, aircraft, evaluate(aircraft, train, pool, start))
 
 

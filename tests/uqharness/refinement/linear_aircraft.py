@@ -16,7 +16,7 @@ from sysid.effects import Effect, White, normal_equations
 from sysid.effects.catalogue import coefficient_effect
 from sysid.effects.information import Information
 from sysid.effects.selection import Selection
-from uqharness.identification.linearised import Fit, Flown, Point, Setup
+from uqharness.identification.linearised import FlightData, Linearisation, ModelState, Trajectory
 from uqharness.refinement.candidate_model import (
     CandidateModel,
     SearchContext,
@@ -129,10 +129,10 @@ class LinearFlights:
         values, cost = self.estimate(keys)
         information = self.linearise(values, [*PARAMETERS, *EFFECTS])
         free = (*PARAMETERS, *keys)
-        flown = Flown(Point(values, {}, ()), [], [], [], cost)
+        trajectory = Trajectory(ModelState(values, {}, ()), [], [], [], cost)
         columns = [_Named(free)]
-        fit = Fit(flown, [], [], columns, information, ())  # type: ignore[arg-type]
-        data = Setup((), (), (), ("alpha_rad", "q_radps"), (), NOISE, (), {})
+        fit = Linearisation(trajectory, [], [], columns, information, ())  # type: ignore[arg-type]
+        data = FlightData((), (), (), ("alpha_rad", "q_radps"), (), NOISE, (), {})
         return ModelFit(data, fit, cost), information
 
     def context(self, limit: float | None = None) -> tuple[SearchContext, Information]:
@@ -155,7 +155,7 @@ class LinearFlights:
         keys = list(proposal.values)
         self.fitted.append(tuple(keys))
         model, information = self.model_fit(keys)
-        values = {k: model.fit.flown.point.values[k] for k in keys}
+        values = {k: model.fit.trajectory.point.values[k] for k in keys}
         information = information.without_values(values)
         return with_selection(context, model, information, keys, values, {})
 

@@ -10,7 +10,7 @@ import pytest
 from sysid.effects.information import Information, normal_equations
 from sysid.effects.prediction import White
 from sysid.effects.selection import SelectedEffect, Selection
-from uqharness.identification.linearised import Point
+from uqharness.identification.linearised import ModelState
 from uqharness.refinement.candidate_model import CandidateModel, joint_point, secant_step
 from uqharness.replay.replay import STATES
 
@@ -35,16 +35,16 @@ def information(values: tuple[float, ...]) -> Information:
 def test_parameters_and_start_states_move_with_the_effects():
     known = information((2.0, 3.0, 0.0))
     starts = (np.zeros(9), np.ones(9))
-    point = Point({"aero/a": 10.0}, {}, starts)
-    plain = Point({"aero/a": 1.0, "aero/b": 7.0}, {}, starts)
+    point = ModelState({"aero/a": 10.0}, {}, starts)
+    plain = ModelState({"aero/a": 1.0, "aero/b": 7.0}, {}, starts)
     about = SimpleNamespace(
-        fit=SimpleNamespace(flown=SimpleNamespace(point=point)),
+        fit=SimpleNamespace(trajectory=SimpleNamespace(point=point)),
         information=known,
         values={"effect/two": 0.5},
     )
     context = SimpleNamespace(
         data=SimpleNamespace(active=(), carriers={}, nuisance=(), jumping=()),
-        baseline=SimpleNamespace(flown=SimpleNamespace(point=plain)),
+        baseline=SimpleNamespace(trajectory=SimpleNamespace(point=plain)),
         free=["aero/a"],
         limits={},
     )

@@ -11,17 +11,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.helpers.trajectory import fly
 
 from sysid.effects.catalogue import subsystem_effects
 from sysid.parallel import SERIAL
 from sysid.units import IN_M
-from tests.helpers.flown import fly
 from uqharness.errors import BadInputError
 from uqharness.identification.linearised import (
-    Bench,
-    Flown,
-    Point,
-    Setup,
+    FlightData,
+    ModelState,
+    StagedModels,
+    Trajectory,
     effect_columns,
     make_setup,
     positions,
@@ -44,7 +44,7 @@ def aircraft() -> Aircraft:
 
 
 @pytest.fixture(scope="module")
-def setup(aircraft: Aircraft, tmp_path_factory: pytest.TempPathFactory) -> Setup:
+def setup(aircraft: Aircraft, tmp_path_factory: pytest.TempPathFactory) -> FlightData:
     path = tmp_path_factory.mktemp("cg") / "flight.parquet"
     fly((("pitch-3211", 22.0), ("roll-yaw", 22.0)), seed=1, seconds=6.0).write(path)
     flights, measured = read_flights([path], aircraft, None, None)
@@ -60,17 +60,19 @@ def moved(aircraft: Aircraft, tmp_path_factory: pytest.TempPathFactory) -> Aircr
 
 
 def along(
-    aircraft: Aircraft, setup: Setup, values: dict[str, float]
-) -> tuple[Flown, list[np.ndarray]]:
+    aircraft: Aircraft, setup: FlightData, values: dict[str, float]
+) -> tuple[Trajectory, list[np.ndarray]]:
     """Replays, and the columns of a centre of gravity further forward along them."""
     effect = {e.key: e for e in subsystem_effects([], [], [])}["effect/mass/cg_x"]
-    with Bench(aircraft, replace(setup, positions=())) as bench:
-        point = Point(
+    with StagedModels(aircraft, replace(setup, positions=())) as bench:
+        point = ModelState(
             values, dict.fromkeys(setup.nuisance, 0.0), tuple(s.start for s in setup.segments)
         )
-        flown = replayed(bench.model, setup, point, SERIAL)
-        found = probes(bench.direct_model, setup, flown, positions(bench.model, setup), SERIAL)
-        return flown, [c.outputs[effect.key] for c in effect_columns(setup, found, flown, [effect])]
+        trajectory = replayed(bench.model, setup, point, SERIAL)
+        found = probes(bench.direct_model, setup, trajectory, positions(bench.model, setup), SERIAL)
+        return trajectory, [
+            c.outputs[effect.key] for c in effect_columns(setup, found, trajectory, [effect])
+        ]
 
 
 def about_another_point(aircraft: Aircraft) -> dict[str, float]:

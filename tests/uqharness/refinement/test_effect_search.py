@@ -39,7 +39,7 @@ def test_a_missing_effect_is_named_with_its_value_and_the_parameters_are_right()
     assert abs(effect.value - 40.0) < 3.5 * effect.std
     assert 2.0 < effect.std < 5.0
     assert outcome.model.is_stationary
-    values = outcome.model.fit.flown.point.values
+    values = outcome.model.fit.trajectory.point.values
     assert values["aero/Cm_q"] == pytest.approx(1.1 * PARAMETERS["aero/Cm_q"], rel=0.03)
     assert truth.fitted == [("effect/Cm/alpha^2",)]
 
@@ -81,7 +81,7 @@ def test_an_effect_below_the_limit_stays_out_and_the_criterion_decides():
     context, _ = truth.context(3.5)
     assert named.model.criterion < context.cost
     assert named.model.criterion == pytest.approx(
-        named.model.fit.flown.cost + 0.6 * 3.5**2 + context.effects["effect/Cm/alpha^2"].odds
+        named.model.fit.trajectory.cost + 0.6 * 3.5**2 + context.effects["effect/Cm/alpha^2"].odds
     )
 
 

@@ -42,7 +42,7 @@ def shown(white: list[np.ndarray], deviation: float = 1.0) -> SimpleNamespace:
         cost=cost,
         logdet=logdet,
         neg2_log_likelihood=surprise,
-        flown=SimpleNamespace(point=None),
+        trajectory=SimpleNamespace(point=None),
     )
 
 
@@ -208,14 +208,14 @@ def test_properties_fly_what_an_aircraft_of_its_own_would():
         (),
     )  # type: ignore[arg-type]
 
-    def flown(*keys: str) -> dict[str, float] | None:
+    def trajectory(*keys: str) -> dict[str, float] | None:
         kept = tuple(c for c in chosen if c.key in keys)
         model = replace(found, selection=Selection(kept), parameters={"aero/Cm_q": (-8.0, 0.1)})
         return property_values(model, found)  # type: ignore[arg-type]
 
-    assert flown(term.key, lag.key, sensor.key) == {"aero/Cm_q": -8.0, "aero/Cm_p2": 3.0}
-    assert flown(lag.key) == {"aero/Cm_q": -8.0, "aero/Cm_p2": 0.0}
-    assert flown(term.key) is None
+    assert trajectory(term.key, lag.key, sensor.key) == {"aero/Cm_q": -8.0, "aero/Cm_p2": 3.0}
+    assert trajectory(lag.key) == {"aero/Cm_q": -8.0, "aero/Cm_p2": 0.0}
+    assert trajectory(term.key) is None
 
 
 # End to end: train and test flights of the linear aircraft.
@@ -254,14 +254,14 @@ def evaluation(flights: LinearFlights, values: Mapping[str, float]) -> Evaluatio
     ]
     white = [r / NOISE for r in physical]
     cost = float(sum(np.sum(w**2) for w in white))
-    flown = SimpleNamespace(point=None)
-    return Evaluation(flown, physical, NOISE, [], np.ones(6), white, cost, (0.0,) * len(white))  # type: ignore[arg-type]
+    trajectory = SimpleNamespace(point=None)
+    return Evaluation(trajectory, physical, NOISE, [], np.ones(6), white, cost, (0.0,) * len(white))  # type: ignore[arg-type]
 
 
 def result_of(flights: LinearFlights, keys: Sequence[str]) -> SearchResult:
     """The model with effects ``keys``, fitted to flights, as the search would give it."""
     model, information = flights.model_fit(keys)
-    values = model.fit.flown.point.values
+    values = model.fit.trajectory.point.values
     rows = information.without_values({k: values[k] for k in keys})
     chosen = []
     for key in keys:

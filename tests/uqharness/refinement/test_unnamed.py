@@ -140,8 +140,8 @@ def test_its_aircraft_flies_in_jsbsim_and_in_the_batch_engine_and_compares_as_to
     _, smooth = remaining(bumped)
     folder = (bumped / smooth["model"]).parent
     assert find_aircraft(folder).name == "espaaro"
-    (flown,) = fly_many([FlightSpec(folder, find_script("loiter"), 2.0)])
-    assert flown.status == "ok"
+    (trajectory,) = fly_many([FlightSpec(folder, find_script("loiter"), 2.0)])
+    assert trajectory.status == "ok"
     flight = bumped.parent / "2.parquet"
     main(
         [

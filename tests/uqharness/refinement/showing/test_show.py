@@ -11,9 +11,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from tests.helpers.trajectory import fly
 
 from sysid.parallel import SERIAL
-from tests.helpers.flown import fly
 from tests.helpers.report_folders import refinement
 from tests.helpers.sixdof import Airframe
 from tests.hidden_effects.flights import Flight as HiddenFlight
@@ -23,7 +23,7 @@ from tests.uqharness.refinement.test_refine import TEST, TRAIN, document, with_p
 from uqharness.cli.main import main
 from uqharness.errors import BadInputError
 from uqharness.identification.compare import compare
-from uqharness.identification.linearised import Point, make_setup, setup_in_gusts
+from uqharness.identification.linearised import ModelState, make_setup, setup_in_gusts
 from uqharness.refinement.estimators import Dataset, ReplayEstimator
 from uqharness.refinement.evaluation import Evaluation, residual_tables, with_replays
 from uqharness.refinement.hold_out import leave_out, train_information
@@ -301,19 +301,19 @@ def test_a_mission_goes_on_and_another_model_flies_anew(tmp_path, campaign):
     assert made is not None
     form.write_text(made.to_json(), encoding="utf-8")
 
-    def flown(which):
+    def trajectory(which):
         result = fly_missions(
             {"before": which}, {"before": form}, campaign, tmp_path, 1, told.append
         )
         assert result["reason"] is None
         return result
 
-    first = flown(aircraft)
+    first = trajectory(aircraft)
     assert told
     told.clear()
-    assert (flown(aircraft), told) == (first, [])
+    assert (trajectory(aircraft), told) == (first, [])
     form.write_text(replace(made, confidence=0.9).to_json(), encoding="utf-8")
-    flown(aircraft)
+    trajectory(aircraft)
     assert told
 
 
@@ -419,7 +419,7 @@ def test_in_turbulence_the_table_is_that_of_compare(gusty):
     predicted = Evaluation(
         None, zeros, setup.noise, [np.ones((9, 6))], np.ones(6), zeros, 0.0, (0.0,)
     )  # type: ignore[arg-type]
-    shown = with_replays(predicted, aircraft, Dataset(setup), SERIAL, Point({}, {}, ()))
+    shown = with_replays(predicted, aircraft, Dataset(setup), SERIAL, ModelState({}, {}, ()))
     found = residual_tables(setup, shown, shown)
     other = compare(aircraft, gusty, (), workers=1)
     ratios = {c: row["rms_after"] / row["noise_rms"] for c, row in found["channels"].items()}

@@ -13,7 +13,13 @@ import pytest
 
 from sysid.effects.catalogue import subsystem_effects
 from sysid.effects.selection import SelectedEffect, Selection
-from uqharness.identification.linearised import Point, Probe, ProbeJob, effect_columns, probe_all
+from uqharness.identification.linearised import (
+    ModelState,
+    Probe,
+    ProbeJob,
+    effect_columns,
+    probe_all,
+)
 from uqharness.refinement.write_xml import (
     EffectToWrite,
     control_slopes,
@@ -124,7 +130,7 @@ def test_without_a_propeller_there_is_no_inflow():
 
 def fit_of(nominal: Probe, **values: float) -> SimpleNamespace:
     return SimpleNamespace(
-        probes=[nominal], flown=SimpleNamespace(point=SimpleNamespace(values=values))
+        probes=[nominal], trajectory=SimpleNamespace(point=SimpleNamespace(values=values))
     )
 
 
@@ -158,15 +164,15 @@ def test_columns_of_what_flies_are_those_of_the_numbers_written(nominal: Probe):
     setup = SimpleNamespace(
         segments=[SimpleNamespace(dt_s=0.02, flight="f")], slopes=slopes, outputs=()
     )
-    flown = SimpleNamespace(outputs=[np.zeros((N, 0))], point=Point({}, {}, ()))
+    trajectory = SimpleNamespace(outputs=[np.zeros((N, 0))], point=ModelState({}, {}, ()))
     moved = replace(nominal, controls=nominal.controls + 2.0)
     moved.reference.x[:, 1] = 0.25
     wanted = [by_term["separation"], by_term["slipstream"]]
-    (columns,) = effect_columns(setup, [moved], flown, wanted)  # type: ignore[arg-type]
+    (columns,) = effect_columns(setup, [moved], trajectory, wanted)  # type: ignore[arg-type]
     _, stall = columns.inputs[wanted[0].key]
     _, stream = columns.inputs[wanted[1].key]
     setup.slopes = {**slopes, "CZ_alpha": -1.5}
-    (half,) = effect_columns(setup, [moved], flown, wanted[:1])  # type: ignore[arg-type]
+    (half,) = effect_columns(setup, [moved], trajectory, wanted[:1])  # type: ignore[arg-type]
     assert np.abs(stall[:, 2]).min() > 0.1
     np.testing.assert_allclose(half.inputs[wanted[0].key][1], 0.5 * stall)
     CT = moved.variables()["CT"]
