@@ -6,6 +6,7 @@ VENV   := .venv
 BIN    := $(VENV)/$(if $(filter Windows_NT,$(OS)),Scripts,bin)
 PY     := $(BIN)/python
 STAMP  := $(VENV)/.installed
+BYTECODE := "import compileall, sysconfig; compileall.compile_dir(sysconfig.get_path('purelib'), quiet=2, workers=0)"
 # By another name, so that `make -n test` runs nothing.
 SUBMAKE := $(MAKE) --no-print-directory
 
@@ -16,9 +17,11 @@ setup: $(STAMP)
 $(STAMP): requirements.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(0 if sys.version_info >= (3, 11) else "Python 3.11 or newer is needed, this is " + sys.version.split()[0] + "; run: make setup PYTHON=python3.11")'
 	$(PYTHON) -m venv $(VENV)
-	$(PY) -m pip install --quiet --disable-pip-version-check -r requirements.lock
+	$(PY) -m pip install --quiet --disable-pip-version-check --no-compile -r requirements.lock
 	$(PY) -m pip install --quiet --disable-pip-version-check --no-deps -e .
-	$(PY) -m sysid.effects.compile_loops
+	@# pip would write the bytecode with one core.
+	$(PY) -c $(BYTECODE) & bytecode=$$!; $(PY) -m sysid.effects.compile_loops; loops=$$?; \
+	wait $$bytecode; [ $$loops -eq 0 ]
 	@touch $(STAMP)
 
 demo: setup

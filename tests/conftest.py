@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import importlib
+import multiprocessing
 import os
 import signal
 from collections.abc import Callable, Iterator, Mapping
@@ -11,6 +13,7 @@ from typing import Any
 import pytest
 
 from tests.helpers.flying_here import flying_here
+from tests.helpers.forked_children import USERS, run_forked
 from tests.helpers.places import TESTS
 from uqharness.isolation import SUPERVISED
 from uqharness.simulator import engine
@@ -18,7 +21,7 @@ from uqharness.simulator.aircraft import PROJECT_ROOT, find_aircraft
 from uqharness.simulator.staging import staged
 
 
-def pytest_configure() -> None:
+def pytest_configure(config: pytest.Config) -> None:
     """Give signals that the shell ignored their default handlers again.
 
     `nohup`, background jobs of a shell and some CI runners start a process with SIGINT or SIGHUP
@@ -32,6 +35,36 @@ def pytest_configure() -> None:
     # The suite is its own supervisor: functions that run in a worker elsewhere run in the test's
     # process, where stand-ins reach them. tests/uqharness/test_isolation.py uses the worker.
     os.environ[SUPERVISED] = str(os.getpid())
+    if "fork" in multiprocessing.get_all_start_methods():
+        for user in USERS:
+            importlib.import_module(user).run_module = run_forked
+    stay_on_one_core()
+    collect_from_both_ends(config)
+
+
+def stay_on_one_core() -> None:
+    """Let each worker and what it starts use one core.
+
+    The workers use all cores already: pools that a command opens by default would only start more
+    processes.
+    """
+    worker = os.environ.get("PYTEST_XDIST_WORKER", "")
+    if worker and hasattr(os, "sched_setaffinity"):
+        cores = sorted(os.sched_getaffinity(0))
+        os.sched_setaffinity(0, {cores[int(worker.removeprefix("gw")) % len(cores)]})
+
+
+def collect_from_both_ends(config: pytest.Config) -> None:
+    """Let every second worker collect the files in reverse order.
+
+    Each worker imports all files, and pytest rewrites the assertions of each file that has no
+    bytecode yet. Workers that run in step would all rewrite every file.
+    """
+    worker = os.environ.get("PYTEST_XDIST_WORKER", "")
+    folders = config.getini("testpaths")
+    if worker and int(worker.removeprefix("gw")) % 2 and config.args == folders:
+        files = (path for name in folders for path in (config.rootpath / name).rglob("test_*.py"))
+        config.args = sorted(map(str, files), reverse=True)
 
 
 LONGEST_FILES = (
@@ -50,6 +83,9 @@ LONGEST_FILES = (
     "tests/stories/test_autopilot.py",
     "tests/stories/test_any_aircraft.py",
     "tests/stories/test_bit_flips.py",
+    "tests/stories/test_fuzz.py",
+    "tests/uqharness/campaign/execution/test_dask.py",
+    "tests/hidden_effects/second/test_drawn.py",
 )
 """Files that take longest, which start first: a worker would otherwise end with one of them while
 the others idle. The order changes no result.
@@ -57,9 +93,14 @@ the others idle. The order changes no result.
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Put the longest files first."""
+    """Put the longest files first, the others in the order of their names."""
     rank = {name: number for number, name in enumerate(LONGEST_FILES)}
-    items.sort(key=lambda item: rank.get(item.nodeid.partition("::")[0], len(rank)))
+
+    def place(item: pytest.Item) -> tuple[int, str]:
+        file = item.nodeid.partition("::")[0]
+        return rank.get(file, len(rank)), file
+
+    items.sort(key=place)
 
 
 @pytest.fixture(scope="session")

@@ -74,6 +74,15 @@ def remove(path: Path) -> None:
         raise BadInputError(f"{path}: cannot be removed: {error.strerror or error}") from None
 
 
+def user_cache() -> Path:
+    """Return the user's folder of results that can be computed again: UQ_CACHE, or ``uqharness`` in
+    XDG_CACHE_HOME or ~/.cache.
+    """
+    if folder := os.environ.get("UQ_CACHE"):
+        return Path(folder)
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "uqharness"
+
+
 def write_bytes(path: Path, content: bytes) -> None:
     """Write bytes atomically. Raises BadInputError."""
     write_atomically(path, lambda target: target.write_bytes(content))

@@ -20,14 +20,14 @@ input.
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from campaigns.levels.study import LevelStudy, allowed
+from campaigns.levels.study import LevelStudy, Results, allowed
 from uqharness.campaign.statements import statements
 from uqharness.statistics import NO, YES
 
@@ -86,23 +86,6 @@ TRUTHS = (
 )
 
 
-@dataclass(frozen=True)
-class Level:
-    """Shares of repeats: wrong yes to excursions, to aborted flights, wrong no; share of flights
-    with an excursion above its limit; yes to four times the rate; no excursion at the worst corner;
-    infinite upper limits. And the median upper limit over the truth.
-    """
-
-    wrong_yes: float
-    wrong_yes_losses: float
-    wrong_no: float
-    missed_share: float
-    yes_to_four_times: float
-    silent: float
-    infinite_limits: float
-    median_limit_over_truth: float
-
-
 def simulated(truth: Truth, generator: np.random.Generator) -> pd.DataFrame:
     """Simulate the case table of one campaign."""
     n, corners = truth.flights, len(REACH)
@@ -141,8 +124,13 @@ def settings(truth: Truth, per_h: float, loss_per_h: float) -> Mapping[str, Any]
     }
 
 
-def measured(truth: Truth, repeats: int, seed: int = SEED) -> Level:
-    """Fly ``repeats`` campaigns and answer their questions."""
+def measured(truth: Truth, repeats: int, seed: int = SEED) -> dict[str, float]:
+    """Simulate ``repeats`` campaigns and answer their questions; return shares of repeats.
+
+    A wrong yes to excursions and to aborted flights, a wrong no, a share of flights with an
+    excursion above its limit, a yes to four times the rate, no excursion at the worst corner,
+    infinite upper limits; and the median upper limit over the truth.
+    """
     key = [truth.flights, truth.cluster, round(1e6 * truth.rate), round(1e6 * truth.abort)]
     generator = np.random.default_rng([seed, *key])
     worst, loss = truth.worst_per_h, truth.loss_per_h
@@ -158,30 +146,25 @@ def measured(truth: Truth, repeats: int, seed: int = SEED) -> Level:
             for question in (*questions, (AMPLE * worst, AMPLE * worst))
         )
         upper = above.worst.upper
-        rows.append(
-            (
-                below.answer == YES,
-                truth.abort > 0.0 and losses.answer == YES,
-                above.answer == NO,
-                above.flight_share_upper < truth.flight_share,
-                ample.answer == YES,
-                above.worst.rate == 0.0,
-                np.isinf(upper),
-                upper / worst,
-            )
-        )
-    table = np.array(rows, dtype=float)
-    return Level(*table[:, :-1].mean(axis=0).tolist(), float(np.median(table[:, -1])))
+        row = {"wrong_yes": below.answer == YES}
+        row |= {"wrong_yes_losses": truth.abort > 0.0 and losses.answer == YES}
+        row |= {"wrong_no": above.answer == NO}
+        row |= {"missed_share": above.flight_share_upper < truth.flight_share}
+        row |= {"yes_to_four_times": ample.answer == YES, "silent": above.worst.rate == 0.0}
+        rows.append(row | {"infinite_limits": np.isinf(upper), "over_truth": upper / worst})
+    table = pd.DataFrame(rows).astype(float)
+    level = table.drop(columns="over_truth").mean().to_dict()
+    return level | {"median_limit_over_truth": float(table["over_truth"].median())}
 
 
-def keeps_level(level: Level, repeats: int) -> bool:
+def keeps_level(level: Mapping[str, float], repeats: int) -> bool:
     """Return whether no answer was wrong more often than allowed, and limits are mostly finite: an
     infinite one is never wrong."""
-    wrong = max(level.wrong_yes, level.wrong_yes_losses, level.wrong_no, level.missed_share)
-    return wrong <= allowed(ERROR, repeats) and level.infinite_limits <= 0.5
+    wrong = max(level[n] for n in ("wrong_yes", "wrong_yes_losses", "wrong_no", "missed_share"))
+    return wrong <= allowed(ERROR, repeats) and level["infinite_limits"] <= 0.5
 
 
-def passes(results: Sequence[tuple[Truth, Level]], repeats: int) -> bool:
+def passes(results: Results, repeats: int) -> bool:
     """Return whether every level is kept, and is not where the small radius is hidden."""
     return all(keeps_level(level, repeats) == truth.counts_near for truth, level in results)
 

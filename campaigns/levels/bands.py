@@ -15,13 +15,12 @@ Kolmogorov's, and one from drawing the airs of the first corner again.
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import stats
 
-from campaigns.levels.study import LevelStudy, allowed
+from campaigns.levels.study import LevelStudy, Results, allowed
 from sysid.arrays import FloatArray
 from uqharness.statistics.pbox import band_half_width, common_air_half_width
 
@@ -48,19 +47,6 @@ TRUTHS = (
 )
 
 
-@dataclass(frozen=True)
-class Level:
-    """Shares of campaigns missed by the band, by Bonferroni's and by the two controls; mean
-    half-widths of the first two."""
-
-    missed: float
-    missed_bonferroni: float
-    missed_one_corner: float
-    missed_first_drawn: float
-    half_width: float
-    half_width_bonferroni: float
-
-
 def distances(values: FloatArray) -> FloatArray:
     """Return (r, c) largest distance of the empirical distribution functions of ``values`` (r, c,
     n) from the uniform one."""
@@ -69,8 +55,9 @@ def distances(values: FloatArray) -> FloatArray:
     return np.asarray(np.maximum(steps - ordered, ordered - steps + steps[0]).max(axis=-1))
 
 
-def measured(truth: Truth, repeats: int) -> Level:
-    """Simulate ``repeats`` campaigns."""
+def measured(truth: Truth, repeats: int) -> dict[str, float]:
+    """Simulate ``repeats`` campaigns; return the shares missed by the band, by Bonferroni's and by
+    the two controls, and mean half-widths of the first two."""
     rng = np.random.default_rng([SEED, truth.corners, truth.airs, round(100 * truth.correlation)])
     common = rng.normal(size=(repeats, 1, truth.airs))
     single = rng.normal(size=(repeats, truth.corners, truth.airs))
@@ -85,9 +72,10 @@ def measured(truth: Truth, repeats: int) -> Level:
         for part in (values, values[:, :1])
     )
     band = np.minimum(drawn, bonferroni)
-    limits = (band, bonferroni, kolmogorov, first)
-    missed = (float(np.mean(worst > limit)) for limit in limits)
-    return Level(*missed, float(band.mean()), bonferroni)
+    limits = {"missed": band, "missed_bonferroni": bonferroni}
+    limits |= {"missed_one_corner": kolmogorov, "missed_first_drawn": first}
+    level = {name: float(np.mean(worst > limit)) for name, limit in limits.items()}
+    return level | {"half_width": float(band.mean()), "half_width_bonferroni": bonferroni}
 
 
 def keeps_level(share: float, repeats: int) -> bool:
@@ -96,15 +84,12 @@ def keeps_level(share: float, repeats: int) -> bool:
     return share <= allowed(1.0 - CONFIDENCE, repeats)
 
 
-def passes(results: Sequence[tuple[Truth, Level]], repeats: int) -> bool:
+def passes(results: Results, repeats: int) -> bool:
     """Return whether every band keeps its level, and neither control does in the worst campaign."""
-    levels = [level for _, level in results]
-    controls = (
-        max(level.missed_one_corner for level in levels),
-        max(level.missed_first_drawn for level in levels),
-    )
-    bands = all(keeps_level(level.missed, repeats) for level in levels)
-    return bands and not any(keeps_level(share, repeats) for share in controls)
+    worst = {n: max(level[n] for _, level in results) for n in results[0][1]}
+    controls = ("missed_one_corner", "missed_first_drawn")
+    held = keeps_level(worst["missed"], repeats)
+    return held and not any(keeps_level(worst[name], repeats) for name in controls)
 
 
 STUDY = LevelStudy(
@@ -115,7 +100,7 @@ STUDY = LevelStudy(
     _COLUMNS,
     TRUTHS,
     measured,
-    lambda level, repeats: keeps_level(level.missed, repeats),
+    lambda level, repeats: keeps_level(level["missed"], repeats),
     passes,
 )
 main = STUDY.main

@@ -17,13 +17,13 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import stats
 
-from campaigns.levels.study import LevelStudy, allowed
+from campaigns.levels.study import LevelStudy, Results, allowed
 from uqharness.statistics import observed_dispersion, share_upper, upper_limits
 
 ERROR, SEED = 0.025, 20161224
@@ -72,25 +72,14 @@ TRUTHS = (
 )
 
 
-@dataclass(frozen=True)
-class Level:
-    """Shares of repeats in which a limit lay below the truth: of excursions, of aborted flights, of
-    the share of flights with an excursion; ``infinite_limits`` of excursions, and their median over
-    the truth; ``losses_as_scheduled`` per scheduled hour with nothing charged for what was not
-    flown, ``excursions_if_poisson`` by Poisson's limits.
+def measured(truth: Truth, repeats: int, seed: int = SEED) -> dict[str, float]:
+    """Simulate ``repeats`` campaigns; return shares of them in which a limit lay below the truth.
+
+    ``missed_...``: limits of excursions, of aborted flights, of the share of flights with an
+    excursion; ``infinite_limits`` of excursions, and their median over the truth;
+    ``losses_as_scheduled`` per scheduled hour with nothing charged for what was not flown,
+    ``excursions_if_poisson`` by Poisson's limits.
     """
-
-    missed_excursions: float
-    missed_losses: float
-    missed_share: float
-    infinite_limits: float
-    median_limit_over_truth: float
-    losses_as_scheduled: float
-    excursions_if_poisson: float
-
-
-def measured(truth: Truth, repeats: int, seed: int = SEED) -> Level:
-    """Simulate ``repeats`` campaigns."""
     key = [truth.flights, truth.cluster, round(1e6 * truth.rate), round(1e6 * truth.abort)]
     generator = np.random.default_rng([seed, *key])
     shape = (repeats, truth.flights)
@@ -109,32 +98,31 @@ def measured(truth: Truth, repeats: int, seed: int = SEED) -> Level:
     shares = share_upper((counts > 0).sum(axis=1), flights, ERROR)
     hours = np.maximum(flights - absent, 1e-9)
     poisson = stats.chi2.isf(ERROR, 2.0 * total + 2.0) / (2.0 * hours)
-    return Level(
-        float(np.mean(limits < truth.excursions_per_h)),
-        float(np.mean(losses < truth.losses_per_h)),
-        float(np.mean(shares < truth.flight_share)),
-        float(np.mean(np.isinf(limits))),
-        float(np.median(limits) / truth.excursions_per_h),
-        float(np.mean(scheduled < truth.losses_per_h)),
-        float(np.mean(poisson < truth.excursions_per_h)),
-    )
+    missed = {
+        "missed_excursions": limits < truth.excursions_per_h,
+        "missed_losses": losses < truth.losses_per_h,
+        "missed_share": shares < truth.flight_share,
+        "infinite_limits": np.isinf(limits),
+        "losses_as_scheduled": scheduled < truth.losses_per_h,
+        "excursions_if_poisson": poisson < truth.excursions_per_h,
+    }
+    level = {name: float(np.mean(values)) for name, values in missed.items()}
+    return level | {"median_limit_over_truth": float(np.median(limits) / truth.excursions_per_h)}
 
 
-def keeps_level(level: Level, repeats: int) -> bool:
+def keeps_level(level: Mapping[str, float], repeats: int) -> bool:
     """Return whether no limit was missed more often than allowed, and limits are mostly finite: an
     infinite one is never wrong."""
-    missed = max(level.missed_excursions, level.missed_losses, level.missed_share)
-    return missed <= allowed(ERROR, repeats) and level.infinite_limits <= 0.5
+    missed = max(value for name, value in level.items() if name.startswith("missed"))
+    return missed <= allowed(ERROR, repeats) and level["infinite_limits"] <= 0.5
 
 
-def passes(results: Sequence[tuple[Truth, Level]], repeats: int) -> bool:
+def passes(results: Results, repeats: int) -> bool:
     """Return whether every level is kept, and is not by the two limits beside them."""
     levels = [level for _, level in results]
-    controls = (
-        max(level.losses_as_scheduled for level in levels),
-        max(level.excursions_if_poisson for level in levels),
-    )
-    return min(controls) > 2.0 * ERROR and all(keeps_level(level, repeats) for level in levels)
+    controls = ("losses_as_scheduled", "excursions_if_poisson")
+    least = min(max(level[name] for level in levels) for name in controls)
+    return least > 2.0 * ERROR and all(keeps_level(level, repeats) for level in levels)
 
 
 STUDY = LevelStudy(

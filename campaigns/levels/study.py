@@ -18,6 +18,10 @@ def allowed(error: float, repeats: int) -> float:
     return error + 3.0 * math.sqrt(error * (1.0 - error) / repeats)
 
 
+Results = Sequence[tuple[Any, dict[str, float]]]
+"""Truths and what was measured of each."""
+
+
 @dataclass(frozen=True)
 class LevelStudy:
     """Truths, what is measured of each in so many repeats, and the table of both.
@@ -32,9 +36,9 @@ class LevelStudy:
     least: int
     columns: str
     truths: Sequence[Any]
-    measured: Callable[[Any, int], Any]
+    measured: Callable[[Any, int], dict[str, float]]
     keeps_level: Callable[[Any, int], bool]
-    passes: Callable[[Sequence[tuple[Any, Any]], int], bool]
+    passes: Callable[[Results, int], bool]
 
     def main(self, argv: Sequence[str] | None = None) -> int:
         """Run the study and return the process's exit code."""
@@ -56,5 +60,5 @@ class LevelStudy:
     def row(self, truth: Any, level: Any, repeats: int) -> dict[str, str]:
         """Return a row of the table."""
         names = [column.partition(":")[0] for column in self.columns.split()]
-        values = {n: getattr(truth if hasattr(truth, n) else level, n, None) for n in names}
+        values = {n: level[n] if n in level else getattr(truth, n, None) for n in names}
         return cells(values | {"kept": self.keeps_level(level, repeats)}, self.columns)

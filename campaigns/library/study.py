@@ -19,11 +19,11 @@ from uqharness.files import PROJECT_ROOT, write_bytes, write_text
 from uqharness.text_tables import csv_text
 
 
-def exit_code(action: Callable[[], int]) -> int:
+def exit_code(action: Callable[[], int | None]) -> int:
     """Run ``action`` and return its exit code; 2 for bad input, 1 where the engines differ, 130
     when interrupted."""
     try:
-        return action()
+        return action() or 0
     except BadInputError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2

@@ -10,12 +10,10 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from campaigns.library.grid import RESOLUTION
-from campaigns.library.plan import Plan
-from campaigns.library.store import records
+from campaigns.library.flights import RESOLUTION, records
 from campaigns.library.study import cells, write_csv
 from sysid.arrays import FloatArray
-from uqharness.campaign.conditions import CONFIDENCE, excursion_cells, samples
+from uqharness.campaign.conditions import CONFIDENCE, Condition, excursion_cells, samples
 from uqharness.errors import BadInputError
 from uqharness.report.pbox import LabelledBox, metric_label, pbox_figure
 from uqharness.report.svg import standalone
@@ -29,28 +27,34 @@ MEDIANS = ("cross_track_median_m", "altitude_median_m", "speed_median_mps")
 """Medians of an hour's |error| that were published."""
 _COST = """condition shards flights hours:.6g failed core_hours:.3g jsbsim_flights
     jsbsim_core_hours:.3g jsbsim_excused jsbsim_difference:.3g engines"""
+_RECORD = """flights hours failed core_s jsbsim_flights jsbsim_core_s jsbsim_excused
+    jsbsim_difference engine"""
 _RATE = """kind samples hours_each:g radius_m:g mean_per_h:.4g best_per_h:.4g worst_per_h:.4g
     worst_lower_per_h:.4g worst_upper_per_h:.4g"""
 
 
-def write_cost(plan: Plan, shards: Path, out: Path) -> None:
-    """Write cost.csv: a row per condition and one for all, of the machine's time and of JSBSim's
-    comparison."""
-    parts = {c.label: list(records(shards, c).values()) for c in plan.conditions}
-    parts["all"] = [record for part in parts.values() for record in part]
-    rows = []
+def write_cost(source: Path, out: Path) -> None:
+    """Write cost.csv of a Parquet file: a row per condition and one for all, of the machine's time
+    and of the comparison with JSBSim. A campaign folder has its own record of this."""
+    if source.is_dir():
+        return
+    parts = {}
+    for cell, rows in records(source).items():
+        turbulence, _, wind = cell.rpartition("-")
+        parts[Condition(float(wind), turbulence).label] = rows
+    parts["all"] = [row for part in parts.values() for row in part]
+    table = []
     for condition, part in parts.items():
+        frame = pd.DataFrame(part).reindex(columns=_RECORD.split(), fill_value=0)
         names = ("flights", "hours", "failed", "jsbsim_flights", "jsbsim_excused")
-        row = {name: sum(getattr(record, name) for record in part) for name in names}
+        row = {name: frame[name].sum() for name in names}
         row |= {"condition": condition, "shards": len(part)}
-        row |= {
-            "core_hours": sum(record.core_s for record in part) / 3600.0,
-            "jsbsim_core_hours": sum(record.jsbsim_core_s for record in part) / 3600.0,
-            "jsbsim_difference": max((record.jsbsim_difference for record in part), default=0.0),
-            "engines": len({record.engine for record in part}),
-        }
-        rows.append(cells(row, _COST))
-    write_csv(out / COST, rows)
+        row |= {"core_hours": frame["core_s"].sum() / 3600.0}
+        row |= {"jsbsim_core_hours": frame["jsbsim_core_s"].sum() / 3600.0}
+        row |= {"jsbsim_difference": frame["jsbsim_difference"].max()}
+        row |= {"engines": frame["engine"].nunique()}
+        table.append(cells(row, _COST))
+    write_csv(out / COST, table)
 
 
 def write_rates(out: Path, tables: Mapping[str, pd.DataFrame]) -> None:
@@ -58,7 +62,7 @@ def write_rates(out: Path, tables: Mapping[str, pd.DataFrame]) -> None:
     (horizontal distance).
 
     Limits of the worst sample hold over all samples at once, for excursions that do not cluster
-    within a flight.
+    within a flight. Nothing is written where no excursions were counted.
     """
     rows = []
     for kind, frame in tables.items():
@@ -76,7 +80,8 @@ def write_rates(out: Path, tables: Mapping[str, pd.DataFrame]) -> None:
                 "worst_upper_per_h": worst.simultaneous[1],
             }
             rows.append(cells(row, _RATE))
-    write_csv(out / RATES, rows)
+    if rows:
+        write_csv(out / RATES, rows)
 
 
 def common_airs(first: pd.DataFrame, second: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:

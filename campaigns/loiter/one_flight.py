@@ -18,9 +18,10 @@ from pathlib import Path
 
 import numpy as np
 
-from campaigns.excursions.full_size import plan
+from campaigns.excursions.reproduce import HOME as EXCURSIONS
+from campaigns.library.flights import cases_of
 from campaigns.library.study import exit_code, study_parser, write_csv
-from campaigns.loiter.full_size import CELL, PUBLISHED_FLIGHT
+from campaigns.loiter.reproduce import CELL, PUBLISHED_FLIGHT
 from sysid.arrays import FloatArray
 from uqharness.errors import BadInputError
 from uqharness.files import write_text
@@ -42,7 +43,7 @@ Errors = Mapping[str, Mapping[str, FloatArray]]
 
 def flights() -> dict[str, FlightSpec]:
     """Return the flights by description, each in the first air of Tables 3.1 and 3.2."""
-    cases = plan().cases(next(iter(plan().only([CELL]))))[:64]
+    cases = cases_of(EXCURSIONS / "campaign.toml", CELL, range(1))
     corners = {case.epistemic_id: case.flight for case in cases}
     nominal = replace(corners[BEST], properties={})
     return {

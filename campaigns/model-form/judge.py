@@ -42,12 +42,10 @@ CARDS = {"default": 1.0, "card x 2": 2.0, "card / 2": 0.5}
 """Ways of making bounds -> factor by which the card's noise is off."""
 EXACT = "noise known"
 PUBLISHED = FitOptions(samples="all", noise="inside")
-_MOST = 120  # samples of one flight in a picture
 
 
-def run_seed(case: Case, seed: int, picture: bool = False) -> dict[str, Any]:
-    """Return everything that the tables need of one seed; ``picture``: with the histories to draw.
-    Raises BadInputError."""
+def run_seed(case: Case, seed: int) -> dict[str, Any]:
+    """Return everything that the tables need of one seed. Raises BadInputError."""
     quiet = [quiet_flight(case, plan, 10 * seed + k) for k, plan in enumerate(PLANS_FLOWN)]
     number, factors = CASES.index(case), tuple(CARDS.values())
     with model_pair(quiet[0].measured) as pair:
@@ -61,10 +59,7 @@ def run_seed(case: Case, seed: int, picture: bool = False) -> dict[str, Any]:
     for way, fitted in forms.items():
         rows += _rows(way, fitted, quiet[1:], noisy[1:])
         fits += [_fit_row(way, c, fitted[c], quiet[0].true, published[c]) for c in COEFFICIENTS]
-    result: dict[str, Any] = {"case": case.name, "seed": seed, "rows": rows, "fits": fits}
-    if picture:
-        result["histories"] = _histories(forms["default"], published, quiet[1:], noisy[1:])
-    return result
+    return {"case": case.name, "seed": seed, "rows": rows, "fits": fits}
 
 
 def fitted_ways(noisy: Noisy) -> dict[str, dict[str, FittedBounds]]:
@@ -165,36 +160,3 @@ def _fit_row(
             "published_width": float(np.mean(print_[1] - print_[0])),
         }
     )
-
-
-def _histories(
-    fitted: Mapping[str, FittedBounds],
-    published: Mapping[str, FittedBounds],
-    quiet: list[Quiet],
-    noisy: list[Noisy],
-) -> dict[str, Any]:
-    """Return curves along the three flights by coefficient: true error, residual, bounds as
-    published and by parts."""
-    histories: dict[str, Any] = {}
-    for k, c in enumerate(COEFFICIENTS):
-        curves: dict[str, list[float]] = {}
-        for q, n in zip(quiet, noisy, strict=True):
-            states = q.true.states
-            chosen = np.linspace(0, len(q.true.delta) - 1, _MOST).round().astype(int)
-            middle, half = error_interval(fitted[c].bounds, states)
-            lasting = fitted[c].bounds.interval(states)
-            printed = published[c].bounds.bounds(states)
-            samples = {
-                "true": q.true.delta[:, k],
-                "measured": n.residuals.delta[:, k],
-                "lower": middle - half,
-                "upper": middle + half,
-                "lasting_lower": lasting[0],
-                "lasting_upper": lasting[1],
-                "today_lower": printed[0],
-                "today_upper": printed[1],
-            }
-            for name, values in samples.items():
-                curves.setdefault(name, []).extend(float(f"{v:.4g}") for v in values[chosen])
-        histories[c] = curves
-    return histories

@@ -23,10 +23,8 @@ from uqharness.files import write_text
 
 from .flights import CASES
 from .judge import run_seed
-from .tables import COVERAGE, PARTS, summary, tables, verdict, write_pictures
+from .tables import COVERAGE, PARTS, summary, tables, verdict
 
-PICTURED = 1
-"""Seed whose flights are drawn."""
 NAMES = {case.name: case for case in CASES}
 
 
@@ -42,7 +40,7 @@ def frames(answers: Sequence[dict[str, Any]]) -> tuple[pd.DataFrame, pd.DataFram
 def _answer(name: str) -> dict[str, Any]:
     case, _, seed = name.rpartition("-")
     try:
-        return run_seed(NAMES[case], int(seed), int(seed) == PICTURED)
+        return run_seed(NAMES[case], int(seed))
     except BadInputError as error:
         # An open-loop manoeuvre in turbulence may end on the ground: that seed is listed.
         return {"case": case, "seed": int(seed), "left_out": str(error)}
@@ -50,7 +48,7 @@ def _answer(name: str) -> dict[str, Any]:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the study and return the process's exit code."""
-    files = "seeds/, tables.md, coverage.csv, parts.csv, figures/"
+    files = "seeds/, tables.md, coverage.csv, parts.csv"
     parser = study_parser(__doc__, out=files, seeds=40)
     parser.add_argument("--cases", nargs="+", default=list(NAMES), choices=list(NAMES))
     parser.add_argument(
@@ -72,7 +70,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     write_text(args.out / "tables.md", text)
     for name, frame in (("coverage", summary(rows, COVERAGE)), ("parts", summary(fits, PARTS))):
         write_text(args.out / f"{name}.csv", frame.to_csv(index=False, lineterminator="\n"))
-    write_pictures([answer for answer in answers if "histories" in answer], args.out)
     print(text)
     return 1 if failures else 0
 

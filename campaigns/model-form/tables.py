@@ -3,16 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from pathlib import Path
-from typing import Any
 
-import numpy as np
 import pandas as pd
 
 from sysid.aerodynamics.coefficients import COEFFICIENTS
-from uqharness.files import write_text
-from uqharness.report.svg import Chart, Scale, scale, standalone
 from uqharness.text_tables import markdown_table
 
 from .flights import CASES, SPEEDS
@@ -32,12 +26,6 @@ TITLES = {
     "truth-calm": "The reference truth flies, still air",
     "truth-light": "The reference truth flies, light turbulence",
 }
-LEGEND = (
-    ("fillrange", "as published"),
-    ("fill2", "whole model error"),
-    ("first", "its persistent part"),
-    ("third", "true error"),
-)
 
 
 def summary(rows: pd.DataFrame, by: tuple[str, ...]) -> pd.DataFrame:
@@ -167,50 +155,3 @@ def verdict(rows: pd.DataFrame, fits: pd.DataFrame) -> list[str]:
             words = f"that is not there is found in {100 * nominal:.0f} % of the seeds"
             failures.append(f"nominal-calm: a model error of {c} {words}")
     return failures
-
-
-def write_pictures(answers: Sequence[Mapping[str, Any]], out: Path) -> list[Path]:
-    """Draw figures/<C>.svg: the bounds as published, the new parts and the true error along the
-    flights that judge them.
-
-    Nothing is drawn where no seed has histories.
-    """
-    folder, paths = out / "figures", []
-    drawn = {answer["case"]: answer for answer in answers}
-    for c in COEFFICIENTS if drawn else ():
-        charts = [
-            (_chart(c, case, drawn[case]["histories"][c]).svg(), words)
-            for case, words in TITLES.items()
-            if case in drawn
-        ]
-        title = f"{c}: bounds and true error, seed {next(iter(drawn.values()))['seed']}"
-        folder.mkdir(parents=True, exist_ok=True)
-        paths.append(folder / f"{c}.svg")
-        write_text(paths[-1], standalone(charts, title, LEGEND, 2))
-    return paths
-
-
-def _chart(coefficient: str, case: str, curves: Mapping[str, Sequence[float]]) -> Chart:
-    data = {name: np.asarray(values, dtype=float) for name, values in curves.items()}
-    n = len(data["true"])
-    at, length = np.arange(n), n / len(SPEEDS)
-    bands = (("today_lower", "today_upper", "fillrange"), ("lower", "upper", "fill2"))
-    ends = [data[k] for low, high, _ in bands for k in (low, high)]
-    y = scale(f"model error, {coefficient} [-]", [*ends, data["true"]])
-    label = (
-        f"{coefficient}, {TITLES[case]}: bounds as published from "
-        f"{data['today_lower'].min():.2g} to {data['today_upper'].max():.2g}, of the model error "
-        f"{data['lower'].min():.2g} to {data['upper'].max():.2g}."
-    )
-    names = tuple(((k + 0.5) * length, f"{speed:g}") for k, speed in enumerate(SPEEDS))
-    x = Scale("along the flights at these speeds [m/s]", 0.0, n - 1.0, names)
-    chart = Chart(f"{coefficient}-{case}", label, x, y)
-    for low, high, kind in bands:
-        chart.band(at, data[low], data[high], kind)
-    for name in ("lasting_lower", "lasting_upper"):
-        chart.line(at, data[name], "first thin")
-    for k in range(1, len(SPEEDS)):
-        chart.upright(k * length - 0.5, "joint")
-    chart.level(0.0, "zero")
-    chart.line(at, data["true"], "third")
-    return chart

@@ -165,7 +165,7 @@ class Study:
             row = {"case": case.name, "seed": seed, "for": case.coefficient, "coefficient": c}
             row["seconds"] = plan.end_s
             widths = {
-                "current": p.current,
+                "now": p.current,
                 "known": p.planned,
                 "predicted": p.refitted,
                 "achieved": achieved[c],

@@ -22,11 +22,9 @@ import numpy as np
 from scipy import stats
 
 from campaigns.library.study import exit_code, study_parser, write_csv
-from campaigns.rare_events.folder import Folder
 from campaigns.rare_events.rates import shown
-from campaigns.rare_events.reproduce import CELL, CORNER, HOME, default_study
-from campaigns.rare_events.states import LoiterScore
-from campaigns.rare_events.study import GRID, TOP, Study
+from campaigns.rare_events.reproduce import AIM_M, CELL, CORNER, HOME, read_tuning
+from campaigns.rare_events.study import GRID, TOP, LoiterScore, Size, Study
 from sysid.arrays import FloatArray
 from uqharness.campaign.rare_events import CheckpointPlan, LoiterPaths
 from uqharness.campaign.worker import BATCH, fly_group
@@ -120,8 +118,8 @@ def _run(repeats: int, roots: int, plain: int, out: Path) -> int:
             "flight at least"
         )
     started = time.process_time()
-    study = default_study(HOME / "campaign.toml", CELL, CORNER)
-    tuning = Folder(HOME / study.name, study.radii_m).tuning()
+    study = Study(HOME / "campaign.toml", CELL, CORNER, Size(aim_m=AIM_M))
+    tuning = read_tuning(HOME / study.name)
     if tuning is None:
         raise BadInputError(f"no predictions of {study.name} in {HOME}: run reproduce fly first")
     watch = CheckpointPlan(

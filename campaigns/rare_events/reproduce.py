@@ -6,34 +6,115 @@ by multilevel splitting.
     python -m campaigns.rare_events.reproduce jsbsim  # paths with an excursion once more, in JSBSim
     python -m campaigns.rare_events.reproduce tables  # rates.csv
     python -m campaigns.rare_events.reproduce fly --corner 111111 --cell severe-0  # another
+
+A study's folder has levels.json, replicates.csv, plain.csv, jsbsim.csv and hits.parquet. A piece
+counts once its row is in its table: an interruption costs the piece in the air.
 """
 
 from __future__ import annotations
 
 import argparse
-import itertools
+import json
 import sys
 from collections.abc import Callable, Sequence
+from dataclasses import asdict
 from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import pyarrow as pa
 
 import uqharness
-from campaigns.library.plan import Plan, identity
-from campaigns.library.store import locked
 from campaigns.library.study import exit_code, log_progress, study_parser, write_csv
-from campaigns.rare_events.folder import JSBSIM, LEVELS, PLAIN, REPLICATES, Folder, Piece
-from campaigns.rare_events.rates import Limits, Rate, rates, shown
-from campaigns.rare_events.study import Size, Study, chosen_hits
-from uqharness.campaign.rare_events import FirstExcursion
+from campaigns.rare_events.rates import rates, shown
+from campaigns.rare_events.study import NAMES, Size, Study, Tuning, chosen_hits
+from uqharness.campaign.rare_events import DistancePredictor, FirstExcursion
 from uqharness.errors import BadInputError
+from uqharness.files import write_bytes
+from uqharness.flight import Split
+from uqharness.parquet_files import read_table, write_table
+from uqharness.statistics import Levels
 
 HOME = Path(__file__).parent
+LEVELS, REPLICATES, PLAIN, JSBSIM = "levels.json", "replicates.csv", "plain.csv", "jsbsim.csv"
+HITS, RATES = "hits.parquet", "rates.csv"
 CORNER, CELL = "100100", "moderate-4"
 AIM_M = 21.0
 """Beyond it some 1e-5 excursions per hour are expected in the default cell."""
-MANY = sys.maxsize
 DIFFERENCE_M = 1e-6
 """Two engines whose paths differ by at most this are alike: a branched path of a minute is within
 it."""
+
+
+def read_tuning(folder: Path) -> Tuning | None:
+    """Read what the pilot chose, if it has flown. Raises BadInputError for a damaged file."""
+    file = folder / LEVELS
+    if not file.exists():
+        return None
+    try:
+        content = json.loads(file.read_bytes())
+        fit = content["predicted"]
+        if fit["regressors"] != list(NAMES):
+            raise ValueError("predictions of other regressors")
+        lists = {n: tuple(map(float, fit[n])) for n in ("horizons_s", "constants", "sigmas")}
+        rows = tuple(tuple(map(float, row)) for row in fit["coefficients"])
+        predicted = DistancePredictor(float(fit["radius_m"]), coefficients=rows, **lists)
+        levels = Levels(tuple(map(float, content["scores"])), int(content["copies"]))
+        return Tuning(levels, predicted, float(content["core_s"]), float(content["plain_h"]))
+    except (ValueError, KeyError, TypeError) as error:
+        raise BadInputError(
+            f"{file}: no levels of a pilot ({error}); remove it and its replicates, and fly again"
+        ) from error
+
+
+def write_tuning(folder: Path, tuning: Tuning) -> None:
+    """Write levels.json: levels in standard deviations, and the predictions' coefficients by
+    horizon and regressor."""
+    content = {"scores": tuning.levels.scores, "copies": tuning.levels.copies}
+    content |= {"core_s": tuning.core_s, "plain_h": tuning.plain_h}
+    content |= {"predicted": {"regressors": NAMES} | asdict(tuning.predicted)}
+    folder.mkdir(parents=True, exist_ok=True)
+    write_bytes(folder / LEVELS, (json.dumps(content) + "\n").encode())
+
+
+def read_rows(path: Path, study: Study) -> pd.DataFrame:
+    """Read a table of pieces, empty where there is none. Raises BadInputError for a damaged one."""
+    names = [f"{n}_{r:g}m" for n in ("probability", "events", "squares") for r in study.radii_m]
+    names = ["number", "flights", *names, "flights_id"]
+    try:
+        return pd.read_csv(path)[names] if path.exists() else pd.DataFrame(columns=names)
+    except (ValueError, KeyError) as error:
+        raise BadInputError(f"{path}: damaged ({error}); restore it, or fly again") from error
+
+
+def add_row(path: Path, row: dict[str, Any]) -> None:
+    """Add a row to a table, in the order of its numbers."""
+    rows = pd.read_csv(path, dtype=str, keep_default_na=False) if path.exists() else pd.DataFrame()
+    texts = {name: "" if value != value else str(value) for name, value in row.items()}
+    rows = pd.concat([rows, pd.DataFrame([texts])])
+    if "number" in rows:
+        rows = rows.sort_values("number", key=lambda numbers: numbers.astype(int))
+    write_csv(path, rows.to_dict("records"))
+
+
+def read_hits(folder: Path, study: Study) -> list[FirstExcursion]:
+    """Read the excursions that were kept with their path, of the replicates that count."""
+    counted, hits = set(read_rows(folder / REPLICATES, study)["number"]), []
+    for row in read_table(folder / HITS).to_pylist() if (folder / HITS).exists() else []:
+        splits = tuple(Split(**split) for split in row.pop("splits"))
+        if row.pop("replicate") in counted:
+            hits.append(FirstExcursion(**row, splits=splits))
+    return hits
+
+
+def write_hits(folder: Path, number: int, hits: Sequence[FirstExcursion]) -> None:
+    """Write the excursions of one replicate."""
+    path = folder / HITS
+    rows = read_table(path).to_pylist() if path.exists() else []
+    rows = [row for row in rows if row["replicate"] != number]
+    rows += [{"replicate": number} | asdict(hit) for hit in hits]
+    if rows:
+        write_table(pa.Table.from_pylist(rows), path)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -48,8 +129,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     plain = commands.add_parser("plain", help="fly the missing flights without splitting")
     plain.add_argument("--pieces", type=int, default=16, metavar="N", help="of 125 h, in all (16)")
-    for each in (fly, plain):
-        each.add_argument("--most", type=int, default=MANY, metavar="N", help="fly so many at most")
     jsbsim = commands.add_parser("jsbsim", help="fly branched paths with an excursion in JSBSim")
     jsbsim.add_argument("--paths", type=int, default=20, metavar="N", help="so many (20)")
     tables = commands.add_parser("tables", help="rates.csv of the pieces so far")
@@ -62,175 +141,135 @@ def main(argv: Sequence[str] | None = None) -> int:
     return exit_code(lambda: _run(args))
 
 
-def _run(args: argparse.Namespace) -> int:
-    study = default_study(args.campaign, args.cell, args.corner, getattr(args, "aim", AIM_M))
-    folder = Folder(args.studies / study.name, study.radii_m)
-    if args.command == "tables":
-        return tables(study, folder)
-    with locked(folder.path):
-        if args.command == "jsbsim":
-            return jsbsim(study, folder, args.paths)
-        if args.command == "fly":
-            fly(study, folder, args.replicates, args.most)
-        else:
-            fly_plain(study, folder, args.pieces, args.most)
-    return 0
+def _run(args: argparse.Namespace) -> int | None:
+    size = Size(aim_m=getattr(args, "aim", AIM_M))
+    study = Study(args.campaign, args.cell, args.corner, size)
+    folder = args.studies / study.name
+    commands: dict[str, Callable[[], int | None]] = {
+        "fly": lambda: fly(study, folder, args.replicates),
+        "plain": lambda: fly_missing(folder / PLAIN, study, args.pieces, study.plain),
+        "jsbsim": lambda: jsbsim(study, folder, args.paths),
+        "tables": lambda: tables(study, folder),
+    }
+    return commands[args.command]()
 
 
-def default_study(campaign: Path, cell: str, corner: str, aim_m: float = AIM_M) -> Study:
-    """Return a corner in a cell of a campaign file. Raises BadInputError."""
-    plan = Plan.read(campaign, 1)
-    return Study(plan, plan.condition(cell), corner, Size(aim_m=aim_m))
-
-
-def fly(study: Study, folder: Folder, replicates: int, most: int = MANY) -> None:
-    """Fly the pilot unless it has flown, then the replicates that are missing, ``most`` at most.
-    Raises BadInputError."""
-    tuning = folder.tuning()
+def fly(study: Study, folder: Path, replicates: int) -> None:
+    """Fly the pilot unless it has flown, then the replicates that are missing. Raises
+    BadInputError."""
+    tuning = read_tuning(folder)
     if tuning is None:
-        if folder.pieces(REPLICATES):
+        if (folder / REPLICATES).exists():
             raise BadInputError(
-                f"{folder.path}: has replicates and no {LEVELS}; remove {REPLICATES}, and fly again"
+                f"{folder}: has replicates and no {LEVELS}; remove {REPLICATES}, and fly again"
             )
         tuning = study.tune()
-        folder.keep_tuning(tuning)
-        scores = ", ".join(f"{score:.3g}" for score in tuning.levels.scores)
-        aim = f"standard deviations to {tuning.predicted.radius_m:g} m"
-        log_progress(f"pilot: levels at {scores} {aim}; {tuning.core_s:.0f} s of a core")
+        write_tuning(folder, tuning)
+        scores = ", ".join(shown(score) for score in tuning.levels.scores)
+        log_progress(f"pilot: levels at {scores}; {tuning.core_s:.0f} s of a core")
 
-    def replicate(number: int) -> Piece:
-        counts, hits = study.replicate(number, tuning)
-        folder.keep_hits(number, hits)
-        paths = f"{counts.path_s / 3600.0:.0f} h of paths, {counts.most} at most"
-        log_progress(f"replicate {number}: {paths}, {counts.core_s:.0f} s of a core")
-        digest = study.tuned_identity(study.replicate_cases(number), tuning)
-        return Piece(number, counts, digest, uqharness.__version__)
+    def replicate(number: int) -> dict[str, Any]:
+        row, hits = study.replicate(number, tuning)
+        write_hits(folder, number, hits)
+        return row
 
-    _fly_missing(folder, REPLICATES, replicates, most, replicate)
+    fly_missing(folder / REPLICATES, study, replicates, replicate)
 
 
-def fly_plain(study: Study, folder: Folder, pieces: int, most: int = MANY) -> None:
-    """Fly the pieces without splitting that are missing, ``most`` at most. Raises BadInputError."""
-
-    def piece(number: int) -> Piece:
-        counts = study.plain(number)
-        log_progress(
-            f"plain {number}: {counts.path_s / 3600.0:g} h, {counts.core_s:.0f} s of a core"
-        )
-        digest = identity(study.plain_cases(number))
-        return Piece(number, counts, digest, uqharness.__version__)
-
-    _fly_missing(folder, PLAIN, pieces, most, piece)
-
-
-def _fly_missing(
-    folder: Folder, table: str, total: int, most: int, fly_piece: Callable[[int], Piece]
+def fly_missing(
+    table: Path, study: Study, total: int, fly_piece: Callable[[int], dict[str, Any]]
 ) -> None:
-    missing = (number for number in range(total) if number not in folder.pieces(table))
-    for number in itertools.islice(missing, most):
-        folder.add(table, fly_piece(number))
+    """Fly the pieces that the table lacks, up to ``total`` in all. Raises BadInputError."""
+    refuse_other_flights(study, table.parent)
+    for number in sorted(set(range(total)) - set(read_rows(table, study)["number"])):
+        row = fly_piece(number)
+        add_row(table, row | {"version": uqharness.__version__})
+        hours = row["path_s"] / 3600.0
+        log_progress(f"{table.stem} {number}: {hours:.0f} h in {row['core_s']:.0f} s of a core")
 
 
-def checked_pieces(study: Study, folder: Folder) -> tuple[list[Piece], list[Piece]]:
-    """Read replicates and plain pieces. Raises BadInputError for those of other flights, and
-    without a replicate."""
-    tuning, split, plain = folder.tuning(), folder.pieces(REPLICATES), folder.pieces(PLAIN)
-    if tuning is None or not split:
-        raise BadInputError(f"{folder.path}: no replicate yet; run the command fly")
-    digests = {n: study.tuned_identity(study.replicate_cases(n), tuning) for n in split}
-    others = [n for n, piece in split.items() if piece.flights_id != digests[n]]
-    others += [
-        n for n, piece in plain.items() if piece.flights_id != identity(study.plain_cases(n))
-    ]
-    if others:
+def pieces(study: Study, folder: Path) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Read replicates and plain pieces. Raises BadInputError without a replicate."""
+    split, plain = (read_rows(folder / name, study) for name in (REPLICATES, PLAIN))
+    if split.empty:
+        raise BadInputError(f"{folder}: no replicate yet; run the command fly")
+    return split, plain
+
+
+def has_other_flights(study: Study, folder: Path) -> bool:
+    """Return whether pieces were flown with another aircraft, script or campaign file than these,
+    or with other levels."""
+    tuning = read_tuning(folder)
+    split, plain = (read_rows(folder / name, study) for name in (REPLICATES, PLAIN))
+    expected = [study.identity(study.replicate_cases(n), tuning) for n in split["number"]]
+    expected += [study.identity(study.plain_cases(n)) for n in plain["number"]]
+    return expected != [*split["flights_id"], *plain["flights_id"]]
+
+
+def refuse_other_flights(study: Study, folder: Path) -> None:
+    """Raise BadInputError before flights are added to those of another aircraft."""
+    if has_other_flights(study, folder):
         raise BadInputError(
-            f"{folder.path}: piece {others[0]} was flown with another aircraft, script, campaign "
-            "file or other levels; go on where those are, or remove the folder and fly it again"
+            f"{folder}: has pieces flown with another aircraft, script, campaign file or other "
+            "levels; name another folder with --studies"
         )
-    return list(split.values()), list(plain.values())
 
 
-def jsbsim(study: Study, folder: Folder, paths: int) -> int:
+def jsbsim(study: Study, folder: Path, paths: int) -> int:
     """Write jsbsim.csv: branched paths with an excursion, flown by JSBSim unless it has them; 1
-    where a path differs.
-
-    Raises BadInputError.
-    """
-    checked_pieces(study, folder)
-    hits = chosen_hits(folder.hits(), paths)
+    where a path differs. Raises BadInputError."""
+    refuse_other_flights(study, folder)
+    hits, table = chosen_hits(read_hits(folder, study), paths), folder / JSBSIM
     if not hits:
         raise BadInputError(
-            f"{folder.path}: no branched path with an excursion was kept; fly more replicates"
+            f"{folder}: no branched path with an excursion was kept; fly more replicates"
         )
     for hit in hits:
-        row, rows = _path(study, hit), folder.reflown()
+        row = {"aleatory_id": str(hit.aleatory_id), "radius_m": f"{study.radii_m[hit.kind]:g}"}
+        row |= {"time_s": f"{hit.frame * study.dt_s:.6g}", "branches": str(len(hit.splits))}
+        since = (hit.frame - hit.splits[-1].frame) * study.dt_s
+        row |= {"since_last_branch_s": f"{since:.4g}", "distance_m": f"{hit.distance_m:.9f}"}
+        rows = pd.read_csv(table, dtype=str).to_dict("records") if table.exists() else []
         if any(row.items() <= other.items() for other in rows):
             continue
         distance, beyond = study.reflown(hit)
         row["difference_m"] = f"{abs(distance - hit.distance_m):.2g}"
         row["first_row_beyond"] = "same" if beyond == 1 else "other"
-        folder.keep_reflown([*rows, row])
-        place = f"{hit.distance_m:.3f} m at {row['time_s']} s"
-        log_progress(f"{len(rows) + 1}: {place}, {row['difference_m']} m from JSBSim's")
-    rows = folder.reflown()
-    largest = max(float(row["difference_m"]) for row in rows)
-    words = f"largest difference {largest:.2g} m at the excursion"
-    print(f"{len(rows)} branched paths in JSBSim: {words} ({folder.path / JSBSIM})")
-    same = all(row["first_row_beyond"] == "same" for row in rows)
+        add_row(table, row)
+        log_progress(f"{hit.distance_m:.3f} m at {row['time_s']} s: {row['difference_m']} m apart")
+    frame = pd.read_csv(table)
+    largest = frame["difference_m"].max()
+    print(f"{len(frame)} branched paths in JSBSim: largest difference {largest:.2g} m ({table})")
+    same = (frame["first_row_beyond"] == "same").all()
     return 0 if largest <= DIFFERENCE_M and same else 1
 
 
-def _path(study: Study, hit: FirstExcursion) -> dict[str, str]:
-    return {
-        "aleatory_id": str(hit.aleatory_id),
-        "radius_m": f"{study.radii_m[hit.kind]:g}",
-        "time_s": f"{hit.frame * study.dt_s:.6g}",
-        "branches": str(len(hit.splits)),
-        "since_last_branch_s": f"{(hit.frame - hit.splits[-1].frame) * study.dt_s:.4g}",
-        "distance_m": f"{hit.distance_m:.9f}",
-    }
-
-
-def tables(study: Study, folder: Folder) -> int:
+def tables(study: Study, folder: Path) -> int:
     """Write rates.csv; 1 where flights that are not split contradict the estimate. Raises
     BadInputError."""
-    split, plain = ([p.counts for p in part] for part in checked_pieces(study, folder))
-    results = rates(study.radii_m, study.hours, split, plain)
-    write_csv(folder.path / "rates.csv", [_row(rate) for rate in results])
-    print("\n".join(_words(rate) for rate in results))
-    return 1 if any(rate.agree is False for rate in results) else 0
-
-
-def _row(rate: Rate) -> dict[str, str]:
-    row = {"radius_m": f"{rate.radius_m:g}", "observations": str(rate.observations)}
-    row["largest_share"] = shown(rate.largest)
-    for name in ("split", "split_per_h", "plain", "plain_per_h"):
-        limits = getattr(rate, name)
-        row |= {name: shown(limits.estimate), f"{name}_lower": shown(limits.lower)}
-        row[f"{name}_upper"] = shown(limits.upper)
-    row |= {"cluster": shown(rate.cluster), "plain_flights": str(rate.plain_flights)}
-    row |= {"plain_hit": str(rate.plain_hit), "p_value": shown(rate.p_value)}
-    return row | {"agree": {None: "", True: "yes", False: "no"}[rate.agree], "reason": rate.reason}
-
-
-def _words(rate: Rate) -> str:
-    plain = f"{rate.plain_hit} of {rate.plain_flights}"
-    if rate.reason:
-        return f"{rate.radius_m:g} m: no rate to use; {rate.reason}; {plain} plain flights have one"
-    words = (
-        f"{rate.radius_m:g} m: {_limits(rate.split_per_h)} per hour by {rate.observations} means"
+    results = rates(study.radii_m, study.hours, *pieces(study, folder))
+    agree = {None: "", True: "yes", False: "no"}
+    write_csv(
+        folder / RATES,
+        (
+            {n: shown(v) if isinstance(v, float) else str(v) for n, v in row.items()}
+            | {"agree": agree[row["agree"]]}
+            for row in results
+        ),
     )
-    words += f", {shown(rate.cluster)} a cluster, one replicate has {100.0 * rate.largest:.2g} %"
-    if rate.plain_flights:
-        shares = f"{_limits(rate.split)}, not split {_limits(rate.plain)} ({plain})"
-        words += f"; flights with one: {shares}"
-    if rate.agree is None:
-        return words
-    return f"{words}: {'they agree' if rate.agree else 'they differ'} (p = {shown(rate.p_value)})"
+    for row in results:
+        text = f"{row['radius_m']:g} m: {_words(row, 'split_per_h')} per hour"
+        if row["plain_flights"]:
+            text += f"; flights with one: {_words(row, 'split')}, not split {_words(row, 'plain')}"
+        print(f"{text} {row['reason'] or '(p = ' + shown(row['p_value']) + ')'}")
+    if has_other_flights(study, folder):
+        print("note: aircraft, script or campaign file have changed since these pieces were flown")
+    return 1 if any(row["agree"] is False for row in results) else 0
 
 
-def _limits(limits: Limits) -> str:
-    return f"{shown(limits.estimate)} ({shown(limits.lower)} to {shown(limits.upper)})"
+def _words(row: dict[str, Any], name: str) -> str:
+    estimate, *limits = (shown(row[f"{name}{end}"]) for end in ("", "_lower", "_upper"))
+    return f"{estimate} ({' to '.join(limits)})"
 
 
 if __name__ == "__main__":

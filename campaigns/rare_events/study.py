@@ -1,22 +1,28 @@
-"""One corner in one air: flights with and without splitting, and their counts. No file is read or
-written here."""
+"""One corner in one air: flights with and without splitting, and what they counted.
+
+A path's score is the number of standard deviations by which the predicted distance from the circle
+falls short of the radius aimed at; ``NAMES`` are the regressors of the prediction.
+"""
 
 from __future__ import annotations
 
 import math
 import time
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from campaigns.library.plan import Plan, cell_name, identity
-from campaigns.rare_events.states import LoiterScore, Recorder, regressors
+from campaigns.library.flights import cases_of
+from sysid.arrays import FloatArray
+from sysid.units import FT_M
 from uqharness.batch import compiled_mission
-from uqharness.campaign.cases import Case, Part, build_cases
-from uqharness.campaign.conditions import Condition
+from uqharness.campaign.cases import Case
 from uqharness.campaign.manifest import digest_of_rows
 from uqharness.campaign.rare_events import (
     DISTANCE,
@@ -26,6 +32,8 @@ from uqharness.campaign.rare_events import (
     LoiterPaths,
     fit_predictors,
 )
+from uqharness.campaign.read_spec import read_campaign
+from uqharness.campaign.sampling import epistemic_samples
 from uqharness.campaign.worker import BATCH, fly_group
 from uqharness.errors import BadInputError
 from uqharness.flight import (
@@ -37,6 +45,35 @@ from uqharness.flight import (
 )
 from uqharness.statistics import Levels, Occupancy, pilot, run
 
+_PLAIN = {
+    "airspeed": "nav/V-mps",
+    "height": "nav/altitude-m",
+    "bank": "attitude/phi-rad",
+    "pitch": "attitude/theta-rad",
+    "roll rate": "velocities/p-rad_sec",
+    "pitch rate": "velocities/q-rad_sec",
+    "sink": "velocities/v-down-fps",
+    "gust down": "atmosphere/total-wind-down-fps",
+    "bank demanded": "ap/nav-roll-rad",
+    "pitch demanded": "ap/nav-pitch-rad",
+    "roll integral": "ap/roll-integral-rad",
+    "throttle": "ap/throttle-cmd-pct",
+    "throttle integral": "ap/TECS-throttle-integral",
+}
+_VECTORS = {
+    "ground speed": ("velocities/v-north-fps", "velocities/v-east-fps"),
+    "wind": ("atmosphere/total-wind-north-fps", "atmosphere/total-wind-east-fps"),
+}
+_PLACE = ("nav/north-m", "nav/east-m")
+PROPERTIES = (*_PLAIN.values(), *(name for pair in _VECTORS.values() for name in pair), *_PLACE)
+_EACH = ("distance", *_PLAIN, *(f"{n} {way}" for n in _VECTORS for way in ("outward", "along")))
+_FACTORS = ("", " x sine", " x cosine")
+NAMES = tuple(f"{name}{factor}" for factor in _FACTORS for name in ("one", *_EACH))[1:]
+"""The regressors: each state, and its products with sine and cosine of the place on the circle: the
+wind has a direction."""
+CENTRE_EAST_M = 120.0
+"""The circle's centre lies so far east of the start (scripts/loiter.xml); a score may be off, an
+estimate is not."""
 FIRST_ROOT, FIRST_PILOT = 1_000_000, 2_000_000
 """Aleatory ids of replicates and of the pilot; plain flights begin at 0, so that no air is met
 twice."""
@@ -49,6 +86,61 @@ SHARE = 0.004
 """Share of its time that a path spends above the first level. A branch costs as much as half a
 minute of plain flight, because its air is made for it: few branches from many roots cost less than
 many from few."""
+
+
+def regressors(values: Mapping[str, FloatArray], distance_m: FloatArray) -> FloatArray:
+    """Return (..., len(NAMES)) of PROPERTIES (...) and the distance from the circle (...) [m]; SI
+    units and radians."""
+    north, east = values[_PLACE[0]], values[_PLACE[1]] - CENTRE_EAST_M
+    away = np.maximum(np.sqrt(north * north + east * east), 1e-6)
+    sine, cosine = east / away, north / away
+    states = [np.ones_like(distance_m), distance_m]
+    states += [values[n] * (FT_M if n.endswith("-fps") else 1.0) for n in _PLAIN.values()]
+    for to_north, to_east in _VECTORS.values():
+        n, e = values[to_north] * FT_M, values[to_east] * FT_M
+        states += [n * cosine + e * sine, e * cosine - n * sine]
+    each = np.stack(states, axis=-1)
+    turned = (each * sine[..., None], each * cosine[..., None])
+    return np.concatenate([each[..., 1:], *turned], axis=-1)
+
+
+@dataclass(frozen=True)
+class LoiterScore:
+    """Standard deviations to the radius of ``predicted``, whose regressors are NAMES."""
+
+    predicted: DistancePredictor
+    properties: tuple[str, ...] = PROPERTIES
+
+    def of(
+        self, values: Mapping[str, FloatArray], distance_m: FloatArray, closing_mps: FloatArray
+    ) -> FloatArray:
+        """Return (paths,) [-]: 0 at the radius, negative inside it."""
+        return self.predicted.score(regressors(values, distance_m), distance_m)
+
+
+@dataclass
+class Recorder:
+    """A score that records the states it is called with, for ``fit``; paths must not be split."""
+
+    properties: tuple[str, ...] = PROPERTIES
+    _states: list[Mapping[str, FloatArray]] = field(default_factory=list)
+    _distances: list[FloatArray] = field(default_factory=list)
+
+    def of(
+        self, values: Mapping[str, FloatArray], distance_m: FloatArray, closing_mps: FloatArray
+    ) -> FloatArray:
+        """Return (paths,) [m]: the distance."""
+        self._states.append(values)
+        self._distances.append(distance_m)
+        return distance_m
+
+    def completed(self) -> tuple[dict[str, FloatArray], FloatArray]:
+        """Return properties and distances (paths, checkpoints) of the flights that were
+        completed."""
+        distances = np.stack(self._distances, axis=1)
+        complete: NDArray[np.bool_] = np.isfinite(distances).all(axis=1)
+        states = {n: np.stack([each[n] for each in self._states], axis=1) for n in self.properties}
+        return {n: values[complete] for n, values in states.items()}, distances[complete]
 
 
 @dataclass(frozen=True)
@@ -82,43 +174,30 @@ class Tuning:
 
 
 @dataclass(frozen=True)
-class Counts:
-    """The result of a piece, by radius: ``probability`` of a first excursion per flight, ``events``
-    per flight, their mean square (plain flights alone, else NaN). ``path_s`` were flown between
-    checkpoints by ``most`` paths side by side at most."""
-
-    flights: int
-    probability: tuple[float, ...]
-    events: tuple[float, ...]
-    squares: tuple[float, ...]
-    ended: float
-    path_s: float
-    most: int
-    core_s: float
-
-
-@dataclass(frozen=True)
 class Study:
-    """A corner of a campaign in one of its airs."""
+    """A corner of a campaign file in one of its cells of air."""
 
-    plan: Plan
-    condition: Condition
+    campaign: Path
+    cell: str
     corner: str
     size: Size = Size()
 
     def __post_init__(self) -> None:
         """Raises BadInputError for a corner that the campaign lacks."""
-        corners = self.plan.epistemic_ids
-        if self.corner not in corners:
+        if self.corner not in self._corners:
             raise BadInputError(
-                f"--corner {self.corner}: not one of {corners[0]} to {corners[-1]} "
-                f"({len(corners)} corners)"
+                f"--corner {self.corner}: not one of {self._corners[0]} to {self._corners[-1]} "
+                f"({len(self._corners)} corners)"
             )
+
+    @cached_property
+    def _corners(self) -> list[str]:
+        return [sample.epistemic_id for sample in epistemic_samples(read_campaign(self.campaign))]
 
     @property
     def name(self) -> str:
         """Its folder: ``moderate-4-100100``."""
-        return f"{cell_name(self.condition)}-{self.corner}"
+        return f"{self.cell}-{self.corner}"
 
     @property
     def radii_m(self) -> tuple[float, ...]:
@@ -140,14 +219,11 @@ class Study:
         return float(compiled_mission(self._one).lanes.dt_s)
 
     def cases(self, first: int, count: int) -> tuple[Case, ...]:
-        """Build the flights of so many aleatory ids."""
-        place = self.plan.epistemic_ids.index(self.corner)
-        air = ((self.condition.wind_mps, self.condition.turbulence),)
-        return build_cases(
-            self.plan.spec,
-            self.plan.mission,
-            Part(range(first, first + count), air, range(place, place + 1)),
-        )
+        """Build the flights of so many aleatory ids. Raises BadInputError for a cell that the
+        campaign lacks."""
+        place = self._corners.index(self.corner)
+        airs, samples = range(first, first + count), range(place, place + 1)
+        return cases_of(self.campaign, self.cell, airs, samples)
 
     def replicate_cases(self, number: int) -> tuple[Case, ...]:
         """Build the flights with which a replicate begins."""
@@ -157,10 +233,23 @@ class Study:
         """Build the flights of a piece that is not split."""
         return self.cases(number * self.size.plain, self.size.plain)
 
-    def tuned_identity(self, cases: Sequence[Case], tuning: Tuning) -> str:
-        """Digest what decides a replicate: its flights, levels and checkpoints."""
-        settings = repr((tuning.levels, tuning.predicted, self.size.step_s))
-        return digest_of_rows([identity(tuple(cases)), settings])
+    def identity(self, cases: Sequence[Case], tuning: Tuning | None = None) -> str:
+        """Digest what decides a piece: its flights, and of a replicate levels and checkpoints."""
+        flights = digest_of_rows(case.case_id for case in cases)
+        if tuning is None:
+            return flights
+        return digest_of_rows([flights, repr((tuning.levels, tuning.predicted, self.size.step_s))])
+
+    def paths(
+        self, cases: Sequence[Case], watch: CheckpointPlan, duration_s: float = math.inf
+    ) -> LoiterPaths:
+        """Return the paths of flights, each ``duration_s`` long at most."""
+        flights = [
+            replace(case.flight, duration_s=min(duration_s, case.flight.duration_s))
+            for case in cases
+        ]
+        seed = int(read_campaign(self.campaign).campaign.seed)
+        return LoiterPaths(flights, [case.aleatory_id for case in cases], seed, watch)
 
     def tune(self) -> Tuning:
         """Fit predictions and first levels to flights that are not split; further ones from rounds
@@ -169,66 +258,68 @@ class Study:
         Raises BadInputError where the rounds find no level up to TOP.
         """
         started, size, kinds = time.process_time(), self.size, len(self.radii_m)
+
+        def start(number: int, score: LoiterScore | Recorder) -> LoiterPaths:
+            cases = self.cases(FIRST_PILOT + number * size.pilot_roots, size.pilot_roots)
+            return self.paths(cases, CheckpointPlan(size.step_s, score), size.pilot_s)
+
         recorder = Recorder()
-        paths = self._pilot_paths(0, CheckpointPlan(size.step_s, recorder))
-        unsplit = run(paths, size.pilot_roots, Levels(()), kinds)
-        distance = recorder.distances()
-        states = regressors(recorder.values(), distance)
-        predicted = fit_predictors(
-            states, distance, size.step_s, min(size.aim_m, max(self.radii_m))
-        )
+        unsplit = run(start(0, recorder), size.pilot_roots, Levels(()), kinds)
+        values, distance = recorder.completed()
+        states, aim_m = regressors(values, distance), min(size.aim_m, max(self.radii_m))
+        predicted = fit_predictors(states, distance, size.step_s, aim_m)
         score = np.sort(predicted.score(states, distance).ravel())
         above = score.size - np.searchsorted(score, GRID)
         plain = Occupancy(GRID, above / score.size, above.astype(float))
-        watch = CheckpointPlan(size.step_s, LoiterScore(predicted))
         try:
-            start = lambda number: self._pilot_paths(1 + number, watch)  # noqa: E731
-            levels = pilot(start, size.pilot_roots, kinds, GRID, TOP, share=size.share, plain=plain)
+            levels = pilot(
+                lambda number: start(1 + number, LoiterScore(predicted)),
+                *(size.pilot_roots, kinds, GRID, TOP),
+                share=size.share,
+                plain=plain,
+            )
         except ValueError as error:
             raise BadInputError(f"{self.name}: {error}") from error
         plain_h = unsplit.steps * size.step_s / 3600.0
         return Tuning(levels, predicted, time.process_time() - started, plain_h)
 
-    def _pilot_paths(self, number: int, watch: CheckpointPlan) -> LoiterPaths:
-        count = self.size.pilot_roots
-        cases = self.cases(FIRST_PILOT + number * count, count)
-        flights = [
-            replace(case.flight, duration_s=min(self.size.pilot_s, case.flight.duration_s))
-            for case in cases
-        ]
-        return LoiterPaths(flights, [case.aleatory_id for case in cases], self._seed, watch)
-
-    @property
-    def _seed(self) -> int:
-        return int(self.plan.spec.campaign.seed)
-
-    def replicate(self, number: int, tuning: Tuning) -> tuple[Counts, list[FirstExcursion]]:
-        """Fly one replicate and return its counts, and the excursions that are kept with their
-        path."""
+    def replicate(self, number: int, tuning: Tuning) -> tuple[dict[str, Any], list[FirstExcursion]]:
+        """Fly one replicate and return its row of replicates.csv, and the excursions that are kept
+        with their path."""
         started, cases, size = time.process_time(), self.replicate_cases(number), self.size
         watch = CheckpointPlan(size.step_s, LoiterScore(tuning.predicted), size.noted)
-        flights, ids = [case.flight for case in cases], [case.aleatory_id for case in cases]
-        paths = LoiterPaths(flights, ids, self._seed, watch)
+        paths = self.paths(cases, watch)
         result = run(paths, size.roots, tuning.levels, len(self.radii_m))
-        by_radius = (result.probability, result.events, [math.nan] * len(self.radii_m))
-        probability, events, squares = (tuple(map(float, each)) for each in by_radius)
-        path_s, core_s = result.steps * size.step_s, time.process_time() - started
-        counts = (size.roots, probability, events, squares, result.ended, path_s, result.max_paths)
-        return Counts(*counts, core_s), paths.hits
+        row = {"number": number, "flights": size.roots}
+        row |= self._by_radius("probability", result.probability)
+        row |= self._by_radius("events", result.events)
+        row |= self._by_radius("squares", [math.nan] * len(self.radii_m))
+        row |= {"ended": result.ended, "path_s": result.steps * size.step_s}
+        row |= {"most": result.max_paths, "core_s": time.process_time() - started}
+        return row | {"flights_id": self.identity(cases, tuning)}, paths.hits
 
-    def plain(self, number: int) -> Counts:
-        """Fly one piece of flights that are not split. One that ends early counts one excursion at
-        least, as in ``run``."""
+    def plain(self, number: int) -> dict[str, Any]:
+        """Fly one piece of flights that are not split and return its row of plain.csv. One that
+        ends early counts one excursion at least, as in ``run``."""
         started, cases = time.process_time(), self.plain_cases(number)
         results = fly_group(BATCH, [case.flight for case in cases])
         names = [f"excursions_{radius:g}m" for radius in self.radii_m]
         counts = np.array([[one.metrics[name] for name in names] for one in results])
         failed = np.array([one.status != "ok" for one in results])
         counts = np.maximum(np.nan_to_num(counts), failed[:, None])
-        means = (np.mean(each, axis=0) for each in (counts > 0, counts, counts**2))
-        by_radius = (tuple(map(float, each)) for each in means)
-        cost = (3600.0 * self.hours * len(cases), len(cases), time.process_time() - started)
-        return Counts(len(cases), *by_radius, float(failed.mean()), *cost)
+        row: dict[str, Any] = {"number": number, "flights": len(cases)}
+        for name, values in (
+            ("probability", counts > 0),
+            ("events", counts),
+            ("squares", counts**2),
+        ):
+            row |= self._by_radius(name, np.mean(values, axis=0))
+        row |= {"ended": float(failed.mean()), "path_s": 3600.0 * self.hours * len(cases)}
+        row |= {"most": len(cases), "core_s": time.process_time() - started}
+        return row | {"flights_id": self.identity(cases)}
+
+    def _by_radius(self, name: str, values: Any) -> dict[str, float]:
+        return {f"{name}_{r:g}m": float(v) for r, v in zip(self.radii_m, values, strict=True)}
 
     def reflown(self, hit: FirstExcursion) -> tuple[float, int]:
         """Fly the path of an excursion in JSBSim.

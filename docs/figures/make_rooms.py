@@ -1,7 +1,6 @@
 """Draws rooms.svg, the picture of docs/architecture.md: `python docs/figures/make_rooms.py`.
 
-Rooms stand in their order of import, the lowest at the bottom. Numbers mark the stations of three
-ways through the rooms."""
+Rooms stand in their order of import, the lowest at the bottom."""
 
 from __future__ import annotations
 
@@ -10,86 +9,67 @@ from html import escape
 from pathlib import Path
 
 PICTURE = Path(__file__).with_name("rooms.svg")
-WIDTH, FLOOR, GAP, TOP = 1000, 40, 6, 118
+WIDTH, FLOOR, GAP, TOP = 1000, 40, 6, 84
 
 STYLE = """
   .ground { fill: #ffffff } .house { fill: #eef1f5 } .room { fill: #ffffff; stroke: #c3ccd6 }
   text { font-family: system-ui, -apple-system, "Segoe UI", "DejaVu Sans", sans-serif; font-size: 15.5px; fill: #1c2430 }
   .name { font-family: ui-monospace, Menlo, Consolas, "DejaVu Sans Mono", monospace; font-weight: 600 }
   .title { font-size: 18px; font-weight: 600 } .soft { fill: #4c5866 } .arrow { stroke: #4c5866; fill: none; stroke-width: 2 }
-  .head { fill: #4c5866 } .number { fill: #ffffff; font-size: 13px; font-weight: 700; text-anchor: middle }
-  .residual { fill: #1b64a5 } .campaign { fill: #a84a00 } .effect { fill: #1f7a4a }
+  .head { fill: #4c5866 }
   @media (prefers-color-scheme: dark) {
     .ground { fill: #12161b } .house { fill: #1b2129 } .room { fill: #252d37; stroke: #46525f }
     text { fill: #e8ecf1 } .soft { fill: #b3bdc9 } .arrow { stroke: #b3bdc9 } .head { fill: #b3bdc9 }
-    .number { fill: #ffffff } .residual { fill: #2f7fc4 } .campaign { fill: #c2631a } .effect { fill: #2f8f5c }
   }
 """
 
 
 @dataclass(frozen=True)
 class Room:
-    """A package, what it is for, and the stations in it: way -> numbers. "base" are the modules
-    beside the packages.
-    """
+    """A package and what it is for. "base" are the modules beside the packages."""
 
     name: str
     words: str
-    stations: dict[str, tuple[int, ...]]
 
 
 SYSID = (
-    Room("effects", "candidate effects, scores, choice", {"effect": (2,)}),
-    Room("model_form", "intervals of the coefficients", {"residual": (5,)}),
-    Room("estimation", "output error, filter error, ...", {}),
-    Room("aerodynamics", "terms, coefficients, residuals", {"residual": (4,)}),
-    Room("logs", "dialects, checks, assembly", {"residual": (1,)}),
-    Room("base, foreign", "records, arithmetic, files of others", {}),
+    Room("effects", "candidate effects, scores, choice"),
+    Room("model_form", "intervals of the coefficients"),
+    Room("estimation", "output error, filter error, ..."),
+    Room("aerodynamics", "terms, coefficients, residuals"),
+    Room("logs", "dialects, checks, assembly"),
+    Room("base, foreign", "records, arithmetic, files of others"),
 )
 
 UQHARNESS = (
-    Room("cli", "words to requests, printing, exit codes", {"campaign": (1,)}),
-    Room("api", "the Python interface: import uqharness as uq", {}),
-    Room("commands", "requests to files and outcomes", {}),
-    Room("report", "report.html, charts, figures", {"campaign": (7,), "effect": (6,)}),
-    Room("dossier", "the evidence of a folder", {}),
-    Room("study", "the whole chain, stage by stage", {}),
-    Room("refinement", "which effect is missing, in the XML", {"effect": (1, 5)}),
-    Room("next_flight", "test points and their script", {}),
-    Room("campaign", "cases, execution, journal, tables", {"campaign": (2, 5)}),
-    Room("sensitivity", "five methods, of any function", {}),
-    Room("exchange", "models of other programs, their loss", {}),
-    Room("identification", "parameters, comparison, bounds", {"residual": (6,)}),
-    Room("replay", "recorded flights flown again", {"residual": (2,), "effect": (4,)}),
-    Room("statistics", "p-boxes, rates, decisions", {"campaign": (6,)}),
-    Room("plugin", "intervals as a JSBSim system", {"residual": (7,)}),
-    Room("batch", "the compiled engine: many flights", {}),
-    Room("differences", "two models side by side", {}),
-    Room("flight", "one flight: air, steps, scores", {"campaign": (3,)}),
-    Room("xml", "JSBSim's XML read and edited", {"effect": (3,)}),
-    Room("simulator", "JSBSim's one door, aircraft, trim", {"residual": (3,), "campaign": (4,)}),
-    Room("base, requests, results", "files; what commands take and give", {}),
+    Room("cli", "words to requests, printing, exit codes"),
+    Room("api", "the Python interface: import uqharness as uq"),
+    Room("commands", "requests to files and outcomes"),
+    Room("report", "report.html, charts, figures"),
+    Room("dossier", "the evidence of a folder"),
+    Room("study", "the whole chain, stage by stage"),
+    Room("refinement", "which effect is missing, in the XML"),
+    Room("next_flight", "test points and their script"),
+    Room("campaign", "cases, execution, journal, tables"),
+    Room("sensitivity", "five methods, of any function"),
+    Room("exchange", "models of other programs, their loss"),
+    Room("identification", "parameters, comparison, bounds"),
+    Room("replay", "recorded flights flown again"),
+    Room("statistics", "p-boxes, rates, decisions"),
+    Room("plugin", "intervals as a JSBSim system"),
+    Room("batch", "the compiled engine: many flights"),
+    Room("differences", "two models side by side"),
+    Room("flight", "one flight: air, steps, scores"),
+    Room("xml", "JSBSim's XML read and edited"),
+    Room("simulator", "JSBSim's one door, aircraft, trim"),
+    Room("base, requests, results", "files; what commands take and give"),
 )
-
-WAYS = {"residual": "a residual", "campaign": "a campaign", "effect": "an effect"}
 
 
 def text(x: float, y: float, words: str, kind: str = "", anchor: str = "start") -> str:
     """One line of text, its middle at height ``y``."""
     place = f' text-anchor="{anchor}"' if anchor != "start" else ""
     return f'<text class="{kind}" x="{x:g}" y="{y + 5:g}"{place}>{escape(words)}</text>'
-
-
-def badge(way: str, number: str, x: float, y: float) -> str:
-    """A station: each way has a shape of its own beside its colour."""
-    shape = {
-        "residual": f'<circle class="residual" cx="{x:g}" cy="{y:g}" r="12"/>',
-        "campaign": (
-            f'<rect class="campaign" x="{x - 11:g}" y="{y - 11:g}" width="22" height="22" rx="3"/>'
-        ),
-        "effect": f'<path class="effect" d="M {x - 15:g} {y:g} l 15 -15 l 15 15 l -15 15 z"/>',
-    }[way]
-    return shape + f'<text class="number" x="{x:g}" y="{y + 4.5:g}">{number}</text>'
 
 
 def picture() -> str:
@@ -100,10 +80,6 @@ def picture() -> str:
     out.append(
         text(24, 28, "Each room imports its own layer and lower ones, never a higher one.", "title")
     )
-    x = 24.0
-    for way, words in WAYS.items():
-        out.append(badge(way, "1", x + 12, 60) + text(x + 34, 60, f"the way of {words}"))
-        x += 240
     # The two houses.
     out.append(
         f'<rect class="house" x="14" y="{TOP - 34}" width="356" height="{bottom - TOP + 42}"'
@@ -126,13 +102,11 @@ def picture() -> str:
         out.append(
             text(40, middle - 11, room.name, "name") + text(40, middle + 12, room.words, "soft")
         )
-        out.extend(stations(room, 338, middle))
     for k, room in enumerate(UQHARNESS):
         top = TOP + k * (FLOOR + GAP)
         out.append(f'<rect class="room" x="422" y="{top:g}" width="552" height="{FLOOR}" rx="6"/>')
         middle = top + FLOOR / 2
         out.append(text(434, middle, room.name, "name") + text(584, middle, room.words, "soft"))
-        out.extend(stations(room, 954, middle))
     # uqharness takes from sysid, never the other way.
     y = TOP + whole * 0.5
     out.append(
@@ -148,24 +122,12 @@ def picture() -> str:
             "middle",
         )
     )
-    label = (
-        "Rooms of sysid and uqharness in their order of import, with the stations of three ways"
-        " through them"
-    )
+    label = "Rooms of sysid and uqharness in their order of import"
     head = (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {height:g}" width="{WIDTH}"'
         f' height="{height:g}" role="img">'
     )
     return "\n".join([head, f"<title>{label}</title><style>{STYLE}</style>", *out, "</svg>\n"])
-
-
-def stations(room: Room, right: float, middle: float) -> list[str]:
-    """The room's badges, from its right edge inwards."""
-    found = [(way, number) for way, numbers in room.stations.items() for number in numbers]
-    return [
-        badge(way, str(number), right - 34 * k, middle)
-        for k, (way, number) in enumerate(reversed(found))
-    ]
 
 
 if __name__ == "__main__":

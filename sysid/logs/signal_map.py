@@ -538,8 +538,8 @@ def _integer(value: Any, name: str, where: str) -> int:
 
 
 def markdown_table() -> str:
-    """Return a Markdown table with a row per signal: name, unit, meaning, sources in every
-    dialect.
+    """Return a Markdown table with a row per signal: name, unit, meaning, and by dialect the first
+    source and the number of further ones.
     """
     maps = {dialect: shipped_map(dialect) for dialect in shipped_dialects()}
     lines = [
@@ -548,10 +548,13 @@ def markdown_table() -> str:
     ]
     for signal in SIGNALS.values():
         labels = [
-            dict.fromkeys(entry.label for entry in m.entries.get(signal.name, ()))
+            list(dict.fromkeys(entry.label for entry in m.entries.get(signal.name, ())))
             for m in maps.values()
         ]
-        cells = [" or ".join(sources) or "-" for sources in labels]
+        cells = [
+            " +".join([*sources[:1], *([str(len(sources) - 1)] if sources[1:] else [])]) or "-"
+            for sources in labels
+        ]
         lines.append(
             f"| `{signal.name}` | {signal.unit} | {signal.meaning} | " + " | ".join(cells) + " |"
         )

@@ -16,8 +16,11 @@ from tests.helpers.places import ROOT
 
 # What may be imported where: folders end with a slash. Behind each file that is no door stands why.
 DOORS: Mapping[str, tuple[str, ...]] = {
-    "jsbsim": ("uqharness/simulator/engine.py",),
-    "llvmlite": ("uqharness/batch/llvm.py",),
+    "jsbsim": (
+        "uqharness/simulator/engine.py",
+        "uqharness/exchange/fmu_slave.py",  # a program inside an FMU, without this project
+    ),
+    "llvmlite": ("uqharness/batch/llvm.py", "uqharness/batch/object_cache.py"),
     "numba": ("sysid/linalg.py",),
     "matplotlib": ("uqharness/report/plots.py",),
     "argparse": ("uqharness/cli/",),
@@ -35,6 +38,7 @@ DOORS: Mapping[str, tuple[str, ...]] = {
         "uqharness/child_process.py",
         "sysid/foreign/limited.py",  # the reader of foreign logs, below uqharness
         "uqharness/differences/revisions.py",  # git
+        "uqharness/flight/autopilot_process.py",  # the autopilot that a user brings
     ),
     "concurrent": (
         "uqharness/parallel.py",
@@ -62,6 +66,8 @@ XML_TEXT = (
     "uqharness/simulator/own_mission.py",
     # The system of an aircraft's host, part of what is staged, below uqharness.xml.
     "uqharness/simulator/host.py",
+    # Copies for other programs.
+    "uqharness/exchange/",
     # Effects are written as an author would; refinement's inside is to be rewritten.
     "uqharness/refinement/write_xml.py",
     # Messages say what is not understood.

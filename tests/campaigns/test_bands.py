@@ -11,10 +11,10 @@ REPEATS = 300
 
 def test_the_band_keeps_its_level_and_bands_of_one_corner_do_not():
     level = measured(Truth(16, 40, 0.9), REPEATS)
-    assert keeps_level(level.missed, REPEATS)
-    assert level.half_width < level.half_width_bonferroni
-    assert not keeps_level(level.missed_one_corner, REPEATS)
-    assert not keeps_level(level.missed_first_drawn, REPEATS)
+    assert keeps_level(level["missed"], REPEATS)
+    assert level["half_width"] < level["half_width_bonferroni"]
+    assert not keeps_level(level["missed_one_corner"], REPEATS)
+    assert not keeps_level(level["missed_first_drawn"], REPEATS)
 
 
 def test_the_table_beside_the_study_is_about_these_campaigns():

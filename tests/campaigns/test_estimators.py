@@ -7,12 +7,13 @@ from scipy import stats
 
 from campaigns.estimators import aircraft
 from campaigns.estimators import reproduce as study_coverage
-from campaigns.estimators.coverage import CASES, binomial_range, run_case
+from campaigns.estimators.reproduce import CASES, binomial_range, run_case
 
 BY_NAME = {case.name: case for case in CASES}
 
 
-@pytest.mark.parametrize("plane", ["longitudinal", pytest.param("lateral", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("plane", ["longitudinal", "lateral"])
 def test_calm_air_is_covered(plane):
     table = run_case(BY_NAME[f"{plane}, calm, output_error"], 12, [300] * 3)
     pooled = table.iloc[-1]
@@ -65,7 +66,6 @@ def test_command_writes_the_table_and_refuses_bad_input(tmp_path, capsys):
         "200",
         "--only",
         "lateral, calm",
-        "--json",
     ]
     arguments += ["--out", str(out)]
     assert study_coverage.main(arguments) in (0, 1)

@@ -4,16 +4,15 @@ print's are said to be.
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
 import pandas as pd
 import pytest
 
-from campaigns.excursions.full_size import plan
-from campaigns.library.store import cell_table
-from campaigns.loiter.full_size import METRICS, Share, main, published_shares, write_tables
-from tests.helpers.shards import flown
+from campaigns.excursions.reproduce import HOME as EXCURSIONS
+from campaigns.library.flights import FLIGHTS
+from campaigns.library.study import published_table
+from campaigns.loiter.reproduce import CELL, METRICS, compare, main
+from tests.helpers.study_flights import flown, with_medians
 from uqharness.flight import COEFFICIENTS
 
 # Effects of a level [the metric's unit]: shares are each over their sum where all have one sign,
@@ -39,8 +38,9 @@ def folders(tmp_path_factory):
     found = {}
     for name, effects in (("printed", PRINTED), ("otherwise", OTHERWISE)):
         folder = tmp_path_factory.mktemp(name)
-        flown(plan(), folder / "shards", linear(effects), list(plan().only(["severe-3"]))[:1])
-        assert main(["--shards", str(folder / "shards"), "--out", str(folder)]) == 0
+        fly = with_medians(linear(effects))
+        source = flown(EXCURSIONS / "campaign.toml", CELL, folder / FLIGHTS, fly)
+        assert main([str(source), "--out", str(folder)]) == 0
         found[name] = folder
     return found
 
@@ -85,21 +85,14 @@ def test_the_pbox_has_its_quantiles_and_the_picture_its_charts(folders):
     )
 
 
-def test_the_print_is_as_in_the_table_and_ranges_are_compared_by_their_limits():
-    table = published_shares()
+def test_ranges_are_compared_by_their_limits():
+    table = published_table("4.7").set_index("coefficient")
     assert table.loc["CX", "altitude_max"] == 0.7427
-    assert Share("m", "CX", 0.2, 0.3, 0.1, 0.4, 0.4, 0.5).beside == "overlaps"
-    assert Share("m", "CX", 0.2, 0.3, 0.1, 0.35, 0.4, 0.5).beside == "below"
-    assert Share("m", "CX", 0.6, 0.7, 0.55, 0.8, 0.4, 0.5).beside == "above"
+    assert compare((0.1, 0.4), (0.4, 0.5)) == "overlaps"
+    assert compare((0.1, 0.35), (0.4, 0.5)) == "below"
+    assert compare((0.55, 0.8), (0.4, 0.5)) == "above"
 
 
-def test_nothing_flown_is_bad_input(tmp_path, capsys):
-    assert main(["--shards", str(tmp_path), "--out", str(tmp_path)]) == 2
-    assert "nothing flown yet" in capsys.readouterr().err
-
-
-def test_a_cell_is_analysed_as_a_campaign_is(folders, tmp_path):
-    shards, condition = folders["printed"] / "shards", plan().condition("severe-3")
-    frame, used = cell_table(plan(), shards, condition)
-    assert [record.airs for record in used] == [25]
-    assert json.dumps(write_tables(frame, tmp_path)).count("reduce") >= 1
+def test_a_source_without_flights_is_bad_input(tmp_path, capsys):
+    assert main([str(tmp_path), "--out", str(tmp_path)]) == 2
+    assert str(tmp_path) in capsys.readouterr().err

@@ -10,14 +10,14 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from campaigns.excursions.full_size import plan as constant_plan
-from campaigns.payload.full_size import MASS, effect, plan, tables
+from campaigns.excursions.reproduce import HOME as EXCURSIONS
+from campaigns.library.flights import FLIGHTS, cases_of
+from campaigns.payload.reproduce import CELL, HOME, MASS, effect, main
 from sysid.units import SLUG_KG
-from tests.helpers.shards import flown
+from tests.helpers.study_flights import flown, with_medians
 from uqharness.errors import BadInputError
 from uqharness.flight import COEFFICIENTS
 
-PLAN = replace(plan(), airs=25).with_flights(25)
 PROPERTY = MASS.removeprefix("variable_")
 
 
@@ -39,23 +39,23 @@ def by_mass(slope_per_kg):
 
 @pytest.fixture(scope="module")
 def constant(tmp_path_factory):
-    other = constant_plan()
-    return flown(
-        other, tmp_path_factory.mktemp("constant"), by_mass(0.0), list(other.only(["severe-3"]))[:1]
-    )
+    path = tmp_path_factory.mktemp("constant") / FLIGHTS
+    return flown(EXCURSIONS / "campaign.toml", CELL, path, with_medians(by_mass(0.0)))
 
 
 @pytest.mark.parametrize("slope", [0.12, pytest.param(0.0, marks=pytest.mark.slow)])
 def test_the_slope_is_found_where_there_is_one(constant, tmp_path, slope):
-    told = tables(PLAN, flown(PLAN, tmp_path / "shards", by_mass(slope)), tmp_path, constant)
+    fly = with_medians(by_mass(slope))
+    source = flown(HOME / "campaign.toml", CELL, tmp_path / FLIGHTS, fly)
+    assert main([str(source), "--constant", str(constant), "--out", str(tmp_path)]) == 0
     frame = pd.read_csv(tmp_path / "effects.csv").set_index("metric")
+    assert len(frame) == 3
     for row in frame.to_dict("records"):
         assert row["airs"] == 25
         assert abs(row["slope_per_kg"] - slope) < 4.0 * row["slope_error"]
         assert (abs(row["slope_per_kg"]) > 10.0 * row["slope_error"]) == (slope != 0.0)
         assert row["area_ratio"] == pytest.approx(1.0, abs=0.03)
         assert (row["spread"] > 1.3 * row["constant_spread"]) == (slope != 0.0)
-    assert len(told) == 3
     assert set(pd.read_csv(tmp_path / "rates.csv")["kind"]) == {"payload varied", "constant"}
 
 
@@ -64,19 +64,16 @@ def test_a_slope_needs_three_airs():
         {"epistemic_id": ["a", "a"], "aleatory_id": [0, 1], "m": [1.0, 2.0], MASS: [1.4, 1.5]}
     )
     with pytest.raises(BadInputError, match="needs three at least"):
-        effect(two, two.drop(columns=MASS), "m", 1.46)
+        effect(two, two.drop(columns=MASS), "m")
 
 
 def test_flights_with_and_without_payload_differ_by_it_alone():
-    ours, theirs = plan(), constant_plan()
-    first = [p.cases(next(iter(p.only(["severe-3"]))))[5] for p in (ours, theirs)]
-    assert first[0].flight.properties.keys() - first[1].flight.properties.keys() == {PROPERTY}
-    assert replace(first[0].flight, properties=first[1].flight.properties) == first[1].flight
-    masses = [
-        SLUG_KG * case.inputs[MASS]
-        for shard in list(ours.shards())[:1]
-        for case in ours.cases(shard)
-    ]
+    ours, theirs = (
+        cases_of(home / "campaign.toml", CELL, range(25)) for home in (HOME, EXCURSIONS)
+    )
+    assert ours[5].flight.properties.keys() - theirs[5].flight.properties.keys() == {PROPERTY}
+    assert replace(ours[5].flight, properties=theirs[5].flight.properties) == theirs[5].flight
+    masses = [SLUG_KG * case.inputs[MASS] for case in ours]
     assert min(masses) > 0.9 * 21.33
     assert max(masses) < 1.1 * 21.35
     assert len(set(masses)) == 25

@@ -12,14 +12,33 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
-from campaigns.library.plan import Plan
 from campaigns.rare_events import closed_form, coverage, reproduce
-from campaigns.rare_events.folder import JSBSIM, LEVELS, PLAIN, REPLICATES, Folder
 from campaigns.rare_events.rates import rates
-from campaigns.rare_events.states import CENTRE_EAST_M, NAMES, PROPERTIES, regressors
-from campaigns.rare_events.study import TOP, Counts, Size, Study, Tuning, chosen_hits
+from campaigns.rare_events.reproduce import (
+    JSBSIM,
+    LEVELS,
+    PLAIN,
+    REPLICATES,
+    add_row,
+    read_hits,
+    read_rows,
+    read_tuning,
+    write_tuning,
+)
+from campaigns.rare_events.study import (
+    CENTRE_EAST_M,
+    NAMES,
+    PROPERTIES,
+    TOP,
+    Size,
+    Study,
+    Tuning,
+    chosen_hits,
+    regressors,
+)
 from sysid.units import FT_M
 from uqharness.campaign.rare_events import DistancePredictor, FirstExcursion
 from uqharness.errors import BadInputError
@@ -61,29 +80,28 @@ TUNING = Tuning(
 def study_of(folder: Path, text: str = SHORT) -> Study:
     path = folder / "campaign.toml"
     path.write_text(text)
-    plan = Plan.read(path, 1)
-    return Study(plan, plan.condition("moderate-4"), "100100", SIZE)
+    return Study(path, "moderate-4", "100100", SIZE)
 
 
-def flown(study: Study, folder: Folder) -> None:
-    folder.keep_tuning(TUNING)
+def flown(study: Study, folder: Path) -> None:
+    write_tuning(folder, TUNING)
     reproduce.fly(study, folder, 2)
-    reproduce.fly_plain(study, folder, 1)
+    reproduce.fly_missing(folder / PLAIN, study, 1, study.plain)
 
 
 @pytest.fixture(scope="module")
-def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Study, Folder]:
+def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Study, Path]:
     folder = tmp_path_factory.mktemp("rare")
     study = study_of(folder)
-    kept = Folder(folder / study.name, study.radii_m)
+    kept = folder / study.name
     flown(study, kept)
     return study, kept
 
 
 def test_a_kill_costs_the_piece_in_the_air(done, tmp_path, monkeypatch):
     study, kept = done
-    other = Folder(tmp_path / "other", study.radii_m)
-    other.keep_tuning(TUNING)
+    other = tmp_path / "other"
+    write_tuning(other, TUNING)
     whole, begun = Study.replicate, []
 
     def killed(self, number, tuned):
@@ -95,51 +113,50 @@ def test_a_kill_costs_the_piece_in_the_air(done, tmp_path, monkeypatch):
     monkeypatch.setattr(Study, "replicate", killed)
     with pytest.raises(KeyboardInterrupt):
         reproduce.fly(study, other, 2)
-    assert list(other.pieces(REPLICATES)) == [0]
+    assert read_rows(other / REPLICATES, study)["number"].tolist() == [0]
     reproduce.fly(study, other, 2)
     assert begun == [0, 1, 1]
-    timeless = [
-        {
-            number: replace(line, counts=replace(line.counts, core_s=0.0, squares=()))
-            for number, line in each.pieces(REPLICATES).items()
-        }
-        for each in (kept, other)
-    ]
-    assert timeless[0] == timeless[1]
-    assert kept.hits() == other.hits() != []
+    pd.testing.assert_frame_equal(
+        *(read_rows(each / REPLICATES, study) for each in (kept, other)), check_exact=True
+    )
+    assert read_hits(kept, study) == read_hits(other, study) != []
 
 
 def test_jsbsim_flies_the_paths_and_sees_another(done, monkeypatch):
     study, kept = done
     assert reproduce.jsbsim(study, kept, 2) == 0
-    rows = (kept.path / JSBSIM).read_text().splitlines()
+    rows = (kept / JSBSIM).read_text().splitlines()
     assert len(rows) == 3
     assert all(row.endswith(",same") for row in rows[1:])
     monkeypatch.setattr(Study, "reflown", None)
     assert reproduce.jsbsim(study, kept, 2) == 0, "paths that are there are not flown again"
-    (kept.path / JSBSIM).write_text("\n".join(rows).replace(",same", ",other", 1) + "\n")
+    (kept / JSBSIM).write_text("\n".join(rows).replace(",same", ",other", 1) + "\n")
     assert reproduce.jsbsim(study, kept, 2) == 1
     monkeypatch.undo()
-    (hit,) = chosen_hits(kept.hits(), 1)
+    (hit,) = chosen_hits(read_hits(kept, study), 1)
     distance, _ = study.reflown(replace(hit, splits=()))
     assert abs(distance - hit.distance_m) > 1e-3
 
 
-def test_tables_refuse_what_other_flights_left(done, tmp_path, capsys):
+def test_pieces_of_other_flights_are_kept_apart(done, tmp_path, capsys):
     study, kept = done
     assert reproduce.tables(study, kept) == 0
-    assert "8 m: " in capsys.readouterr().out
+    output = capsys.readouterr().out
+    assert "8 m: " in output
+    assert "note" not in output
     other = study_of(tmp_path, SHORT.replace("seed = 3", "seed = 4"))
-    with pytest.raises(BadInputError, match="was flown with another aircraft"):
-        reproduce.tables(other, kept)
-    levels = kept.path / LEVELS
+    assert reproduce.tables(other, kept) == 0
+    assert "note: aircraft, script or campaign file have changed" in capsys.readouterr().out
+    with pytest.raises(BadInputError, match="flown with another aircraft"):
+        reproduce.fly(other, kept, 3)
+    levels = kept / LEVELS
     before = levels.read_bytes()
     levels.write_text(json.dumps({**json.loads(before), "scores": [-4.0, -1.5]}))
     with pytest.raises(BadInputError, match="other levels"):
-        reproduce.tables(study, kept)
+        reproduce.jsbsim(study, kept, 2)
     levels.write_text("{}")
     with pytest.raises(BadInputError, match="no levels of a pilot"):
-        kept.tuning()
+        read_tuning(kept)
     levels.write_bytes(before)
 
 
@@ -151,55 +168,56 @@ def test_bad_input_is_told(tmp_path, capsys):
     assert "run the command fly" in capsys.readouterr().err
 
 
-def counted(share: float, mean: float, flights: int = 6, square: float = math.nan) -> Counts:
-    return Counts(flights, (share,), (mean,), (square,), 0.0, 1.0, 1, 1.0)
+def counted(share: float, mean: float, flights: int = 6, square: float = math.nan) -> dict:
+    names = ("probability_15m", "events_15m", "squares_15m", "flights")
+    return dict(zip(names, (share, mean, square, flights), strict=True))
+
+
+def rate_of(split: list[dict], plain: list[dict]) -> dict:
+    columns = ["probability_15m", "events_15m", "squares_15m", "flights"]
+    return rates([15.0], 0.5, *(pd.DataFrame(rows, columns=columns) for rows in (split, plain)))[0]
 
 
 def test_rates_agree_with_plain_flights_or_do_not():
     rng = np.random.default_rng(5)
     split = [counted(share, 1.2 * share) for share in 0.1 * np.exp(0.3 * rng.standard_normal(16))]
     plain = counted(0.11, 0.13, 1000, 0.18)
-    (alike,) = rates([15.0], 0.5, split, [plain])
-    assert alike.agree is True
-    assert alike.cluster == pytest.approx(1.2)
-    assert alike.split_per_h.estimate == pytest.approx(2.4 * alike.split.estimate)
-    assert (alike.plain_hit, alike.plain_flights) == (110, 1000)
-    assert alike.plain.lower == pytest.approx(0.0913, abs=1e-3)
-    assert alike.plain_per_h.estimate == pytest.approx(0.26)
-    assert alike.plain_per_h.upper / 0.26 == pytest.approx(
+    alike = rate_of(split, [plain])
+    assert alike["agree"] is True
+    assert alike["cluster"] == pytest.approx(1.2)
+    assert alike["split_per_h"] == pytest.approx(2.4 * alike["split"])
+    assert (alike["plain_hit"], alike["plain_flights"]) == (110, 1000)
+    assert alike["plain_lower"] == pytest.approx(0.0913, abs=1e-3)
+    assert alike["plain_per_h"] == pytest.approx(0.26)
+    assert alike["plain_per_h_upper"] / 0.26 == pytest.approx(
         math.exp(1.96 * math.sqrt((0.18 - 0.13**2) / 1000) / 0.13), rel=1e-4
     )
-    assert alike.observations == 8
-    assert alike.compared == 1
-    known = [one.probability[0] for one in split]
-    assert alike.largest == pytest.approx(max(known) / sum(known))
-    assert 0.05 < alike.p_value <= 1.0
-    assert alike.split.estimate == pytest.approx(np.mean([one.probability for one in split]))
-    (other,) = rates([15.0], 0.5, split, [counted(0.3, 0.33, 1000, 0.4)])
-    assert other.agree is False
-    (few,) = rates([15.0], 0.5, split, [counted(0.0, 0.0, 1000, 0.0)])
-    assert few.agree is False, "no excursion at all where a hundred are due"
-    (rare,) = rates(
-        [15.0],
-        0.5,
+    assert alike["observations"] == 8
+    known = [one["probability_15m"] for one in split]
+    assert alike["largest_share"] == pytest.approx(max(known) / sum(known))
+    assert 0.05 < alike["p_value"] <= 1.0
+    assert alike["split"] == pytest.approx(np.mean([one["probability_15m"] for one in split]))
+    other = rate_of(split, [counted(0.3, 0.33, 1000, 0.4)])
+    assert other["agree"] is False
+    few = rate_of(split, [counted(0.0, 0.0, 1000, 0.0)])
+    assert few["agree"] is False, "no excursion at all where a hundred are due"
+    rare = rate_of(
         [counted(1e-4 * k, 1e-4 * k) for k in (1, 2, 3, 2, 1, 3, 2, 2)],
         [counted(0.003, 0.003, 1000, 0.003)],
     )
-    assert rare.agree is False, "three where a fifth of one is due"
-    (alone,) = rates(
-        [15.0],
-        0.5,
+    assert rare["agree"] is False, "three where a fifth of one is due"
+    alone = rate_of(
         [counted(1e-4 * k, 1e-4 * k) for k in (1, 2, 3, 2, 1, 3, 2, 2)],
         [counted(0.001, 0.001, 1000, 0.001)],
     )
-    assert alone.agree is True
-    (without,) = rates([15.0], 0.5, split, [])
-    assert without.agree is None
-    (none,) = rates([15.0], 0.5, [counted(0.0, 0.0), *split[:3]], [])
-    assert math.isnan(none.split.lower)
-    (nothing,) = rates([15.0], 0.5, [counted(0.0, 0.0)] * 4, [])
-    assert math.isnan(nothing.largest)
-    assert "1 of 4 replicates have no event" in none.reason
+    assert alone["agree"] is True
+    without = rate_of(split, [])
+    assert without["agree"] is None
+    none = rate_of([counted(0.0, 0.0), *split[:3]], [])
+    assert math.isnan(none["split_lower"])
+    nothing = rate_of([counted(0.0, 0.0)] * 4, [])
+    assert math.isnan(nothing["largest_share"])
+    assert "1 of 4 replicates have no event" in none["reason"]
 
 
 def test_paths_of_many_roots_are_chosen_first():
@@ -215,12 +233,10 @@ def test_paths_of_many_roots_are_chosen_first():
 
 
 def test_a_pilot_that_has_replicates_and_no_levels_is_refused(done, tmp_path):
-    study, kept = done
-    folder = Folder(tmp_path / "torn", study.radii_m)
-    folder.add(REPLICATES, kept.pieces(REPLICATES)[0])
+    study, _ = done
+    add_row(tmp_path / REPLICATES, {"number": 0})
     with pytest.raises(BadInputError, match="has replicates and no levels"):
-        reproduce.fly(study, folder, 1)
-    assert folder.pieces(PLAIN) == {}
+        reproduce.fly(study, tmp_path, 1)
 
 
 def test_the_pilot_fits_predictions_and_finds_levels(done, tmp_path):
@@ -235,9 +251,8 @@ def test_the_pilot_fits_predictions_and_finds_levels(done, tmp_path):
     assert tuned.predicted.sigmas[0] < 0.5
     assert list(tuned.levels.scores) == sorted(tuned.levels.scores)
     assert tuned.levels.scores[-1] <= TOP
-    kept = Folder(tmp_path, short.radii_m)
-    kept.keep_tuning(tuned)
-    assert kept.tuning() == tuned
+    write_tuning(tmp_path, tuned)
+    assert read_tuning(tmp_path) == tuned
     with pytest.raises(BadInputError, match="fly more or longer paths than 1 in the pilot"):
         replace(short, size=replace(short.size, pilot_roots=1, pilot_s=12.0, aim_m=math.inf)).tune()
 
@@ -348,10 +363,8 @@ def test_the_committed_intervals_hold_what_quadrature_gives():
 
 def test_repeats_of_the_closed_form_are_kept_with_their_limits():
     known, none = interval([0.003, 0.004, 0.005]), interval([0.0, 0.004, 0.005])
-    found = closed_form.Coverage(
-        (closed_form.Repeat(known, known), closed_form.Repeat(none, known)), (0.004, 0.05)
-    )
-    assert (len(found.studies), found.probability, found.events) == (2, 1, 0)
+    found = closed_form.Coverage(((known, known), (none, known)), (0.004, 0.05))
+    assert (len(found.studies), found.counts) == (2, (1, 0))
     assert found.ratio == pytest.approx((0.004 + 0.003) / 2 / 0.004)
     first, second = found.rows("splitting")
     assert (first["probability_held"], first["events_held"], second["probability_held"]) == (

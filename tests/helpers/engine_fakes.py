@@ -22,12 +22,16 @@ class Understanding:
 
     missing: str | None = None
     refused: tuple[str, ...] = ()
+    ignored: tuple[str, ...] = ()
 
     def available(self) -> str | None:
         return self.missing
 
     def refusals(self, spec: FlightSpec, varying: Collection[str]) -> tuple[str, ...]:
         return self.refused
+
+    def left_out(self, spec: FlightSpec, varying: Collection[str]) -> tuple[str, ...]:
+        return self.ignored
 
 
 @dataclass(frozen=True)

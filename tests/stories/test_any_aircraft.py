@@ -203,66 +203,29 @@ def test_three_commands_lead_from_nothing_to_the_gap(tmp_path, capsys):
     assert not any(row["slip"] for row in gap["channels"].values())
 
 
-def test_measured_thrust_in_a_foreign_log_drives_the_replay(tmp_path, capsys):
+@pytest.mark.parametrize("sign", [-1.0, pytest.param(1.0, marks=pytest.mark.slow)])
+def test_measured_thrust_in_a_foreign_log_drives_the_replay(sign, tmp_path, capsys):
     """Knots, feet, degrees and g, no throttle; the elevator reversed as the case in which compare
     says no.
     """
-    flown = tmp_path / "flown.parquet"
-    asked = (
-        "--script",
-        "doublet-elevator",
-        "--duration-s",
-        8,
-        "--rate-hz",
-        100,
-        "--noise",
-        "--seed",
-        3,
-    )
-    ran("fly", "espaaro", *asked, "--out", flown)
+    flown, imported = tmp_path / "flown.parquet", tmp_path / "imported.parquet"
+    words = "fly espaaro --script doublet-elevator --duration-s 8 --rate-hz 100 --noise --seed 3"
+    ran(*words.split(), "--out", flown)
     record = FlightRecord.read(flown)
-    answers = {}
-    for name, sign in (("right", 1.0), ("reversed", -1.0)):
-        turned = record.with_columns({"elevator_deg": sign * record["elevator_deg"]})
-        log = foreign_log(turned, tmp_path / f"{name}.csv", "thrust_N")
-        imported = tmp_path / f"{name}.parquet"
-        mapped = foreign_map(tmp_path / f"{name}.toml", "thrust_N")
-        assert (
-            ran(
-                "log",
-                "import",
-                log,
-                "--map",
-                mapped,
-                "--aircraft",
-                "espaaro",
-                "--out",
-                imported,
-                "--no-cache",
-            )
-            == 0
-        )
-        assert "throttle_pct" not in FlightRecord.read(imported)
-        capsys.readouterr()
-        code = ran(
-            "compare",
-            "espaaro",
-            "--flight",
-            imported,
-            "--out",
-            tmp_path / name,
-            # The servos that flew; tests/uqharness/identification/test_servos.py chooses among two.
-            "--servos",
-            "card",
-            "--workers",
-            1,
-            "--no-figures",
-            "--json",
-        )
-        answers[name] = code, json.loads(capsys.readouterr().out)
-    assert any("throttle_pct was made of thrust_N" in note for note in answers["right"][1]["notes"])
-    assert all(
-        row["ratio"] < 1.2 for row in answers["right"][1]["channels"].values() if row["judged"]
-    )
-    assert answers["reversed"][0] == 1
-    assert "the elevator is reversed" in answers["reversed"][1]["verdict"]
+    turned = record.with_columns({"elevator_deg": sign * record["elevator_deg"]})
+    log = foreign_log(turned, tmp_path / "log.csv", "thrust_N")
+    mapped = foreign_map(tmp_path / "map.toml", "thrust_N")
+    read = ("--map", mapped, "--aircraft", "espaaro", "--no-cache")
+    assert ran("log", "import", log, *read, "--out", imported) == 0
+    assert "throttle_pct" not in FlightRecord.read(imported)
+    capsys.readouterr()
+    # The servos that flew; tests/uqharness/identification/test_servos.py chooses among two.
+    options = ("--servos", "card", "--workers", 1, "--no-figures", "--json")
+    code = ran("compare", "espaaro", "--flight", imported, "--out", tmp_path / "gap", *options)
+    gap = json.loads(capsys.readouterr().out)
+    assert any("throttle_pct was made of thrust_N" in note for note in gap["notes"])
+    if sign < 0.0:
+        assert code == 1
+        assert "the elevator is reversed" in gap["verdict"]
+    else:
+        assert all(row["ratio"] < 1.2 for row in gap["channels"].values() if row["judged"])

@@ -79,17 +79,6 @@ def test_the_picture_is_what_the_script_draws(drawing):
     assert drawing.PICTURE.read_text(encoding="utf-8") == drawing.picture()
 
 
-def test_the_stations_of_the_picture_are_those_of_the_page(drawing):
-    for way, words in drawing.WAYS.items():
-        steps = re.findall(
-            r"^(\d)\. ", PAGE.split(f"## The way of {words}\n")[1].split("\n## ")[0], re.M
-        )
-        drawn = sorted(
-            n for room in (*drawing.SYSID, *drawing.UQHARNESS) for n in room.stations.get(way, ())
-        )
-        assert drawn == [int(step) for step in steps]
-
-
 def test_what_does_not_exist_is_seen():
     text = (
         "`sysid.logs.load.import_log` `sysid.logs.load.nothing` `uqharness.nowhere`"

@@ -15,8 +15,18 @@ from tests.helpers.flying_here import flying_here
 PAGES = {page.name: page for page in de.pages()}
 
 
-LONG_PAGES = ("tutorial.md", "python.md", "campaigns.md", "bring-your-own-aircraft.md")
-"""Pages whose examples take more than 10 s; `make test-slow` runs them."""
+LONG_PAGES = (
+    "bring-your-own-aircraft.md",
+    "campaigns.md",
+    "diff.md",
+    "dossier.md",
+    "instrument.md",
+    "python.md",
+    "report.md",
+    "statements.md",
+    "tutorial.md",
+)
+"""Pages whose examples take more than a second of a core; `make test-slow` runs them."""
 
 
 @pytest.mark.parametrize(

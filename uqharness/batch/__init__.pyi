@@ -3,6 +3,7 @@ from .course import Course as Course
 from .course import compiled_mission as compiled_mission
 from .course import fly_many as fly_many
 from .course import forget as forget
+from .course import left_out_elements as left_out_elements
 from .course import record_many as record_many
 from .course import refusals as refusals
 from .installation import available as available

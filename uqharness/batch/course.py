@@ -21,12 +21,14 @@ from numpy.typing import NDArray
 
 from sysid.arrays import FloatArray
 from sysid.units import FT_M
+from uqharness.batch.interpret import Interpreter
 from uqharness.batch.llvm import Target, choose_target
 from uqharness.batch.mission import (
     AIR_WIND,
     WIND,
     LaneMission,
     LoadedStart,
+    Settler,
     load_start,
     make_mission,
 )
@@ -56,7 +58,9 @@ from uqharness.batch.streams import (
     Turbulence,
     noise_streams,
 )
+from uqharness.batch.translate.engines import has_power_balance, settling_slot
 from uqharness.batch.translate.frame import OUT_OF_RANGE, TIME, canonical
+from uqharness.batch.translate.piston import Piston
 from uqharness.errors import BadInputError
 from uqharness.flight import (
     OPTIONAL_SIGNALS,
@@ -78,7 +82,7 @@ from uqharness.flight import (
     staged_mission,
     to_signals,
 )
-from uqharness.simulator import CHANGEABLE, Source, StagedMission
+from uqharness.simulator import CHANGEABLE, FTLBF_PER_S_HP, Source, StagedMission, power_is_balanced
 
 # From flight specifications to the state before the first frame: JSBSim's start, then two
 # initialising frames.
@@ -143,26 +147,44 @@ def initialise_lanes(lanes: LaneMission, specs: Sequence[FlightSpec]) -> Initial
         )
         for s in dict.fromkeys(spec.seed_noise for spec in specs)
     }
-    for number, flyer in enumerate(
-        (*lanes.initialisers, *([lanes.renewer] if lanes.renewer is not None else []))
-    ):
-        # Engines reach their steady state between the initialising frames and the renewal frame.
-        if number == len(lanes.initialisers):
-            settle(lanes.settlers, values, count)
-        if number == 0:
-            values |= {
-                name: speed
-                for name, speed in zip(WIND, wind.T, strict=True)
-                if name in flyer.program.slots
-            }
+
+    def initialise(flyer: Interpreter, number: int) -> None:
+        """Compute an initialising frame with its draws."""
         normals = np.array([noise[spec.seed_noise].initial[number] for spec in specs])
-        values |= {
-            name: normals[:, k]
-            for k, (name, _) in enumerate(lanes.flight.draws[: normals.shape[1]])
-        }
-        values |= step_once(flyer, values, count)
-        if number == 1 and not lanes.air:
-            values |= dict(zip(WIND, flight_wind.T, strict=True))
+        values.update(
+            {
+                name: normals[:, k]
+                for k, (name, _) in enumerate(lanes.flight.draws[: normals.shape[1]])
+            }
+        )
+        values.update(step_once(flyer, values, count))
+
+    def run_ic(initialisers: Sequence[Interpreter]) -> None:
+        """Compute the initialising frames, the first in the wind of the initial conditions."""
+        for number, flyer in enumerate(initialisers):
+            if number == 0:
+                values.update(
+                    {
+                        name: speed
+                        for name, speed in zip(WIND, wind.T, strict=True)
+                        if name in flyer.program.slots
+                    }
+                )
+            initialise(flyer, number)
+        if not lanes.air:
+            values.update(zip(WIND, flight_wind.T, strict=True))
+
+    run_ic(lanes.initialisers)
+    # Engines reach their steady state between the initialising frames and the renewal frame.
+    renewer, again = lanes.renewer, lanes.initialisers[1]
+    if renewer is not None:
+        settle(
+            lanes.settlers,
+            values,
+            count,
+            renew=lambda: initialise(renewer, 2),
+            run_ic=lambda: run_ic((again, again)),
+        )
     if lanes.points and (values[TOUCHED] >= 0.0).any():
         raise BadInputError(
             "the flight starts on the ground, where the batch engine computes no forces; fly it"
@@ -173,20 +195,73 @@ def initialise_lanes(lanes: LaneMission, specs: Sequence[FlightSpec]) -> Initial
 
 
 def settle(
-    settlers: Sequence[tuple[str, Flyer]], values: dict[str, FloatArray], count: int
+    settlers: Sequence[Settler],
+    values: dict[str, FloatArray],
+    count: int,
+    *,
+    renew: Callable[[], None],
+    run_ic: Callable[[], None],
 ) -> None:
     """Bring every lane's engines to their steady state; ``values`` is updated.
 
-    ``settlers`` come from `mission.compiled_settlers`.
+    As `simulator.engine.settle_engines`: JSBSim's iteration, a frame in which time stands still,
+    and where a propeller is out of balance then, frames of the flight, the initialising frames
+    and another such frame.
+
+    Parameters
+    ----------
+    settlers : sequence of Settler
+        From `mission.settlers_of`.
+    values : dict of str to ndarray
+        Slot -> one value per lane.
+    count : int
+        Number of lanes.
+    renew : callable
+        Computes the frame in which time stands still.
+    run_ic : callable
+        Computes the initialising frames once more.
     """
-    for going, flyer in settlers:
-        program = flyer.program
-        state = initial_state(
-            program, count, {name: v for name, v in values.items() if name in program.slots}
+    for settler in settlers:
+        _settle_engine(settler.steady, settling_slot(settler.engine), values, count)
+    renew()
+    off_balance, is_beyond = np.zeros((2, count), dtype=bool)
+    for settler in settlers:
+        if not has_power_balance(settler.engine):
+            continue
+        name = settler.engine.name
+        absorbed, power_hp = (
+            values[f"{name}{reading}"] for reading in ("propeller-power-ftlbps", "power-hp")
         )
-        while slot(program, state, going, count).any():
-            flyer.fly(state, 1, _SETTLING_FRAMES)
-        values |= {name: slot(program, state, name, count) for name in program.slots}
+        off_balance |= ~power_is_balanced(absorbed, power_hp * FTLBF_PER_S_HP)
+        # JSBSim cranks an engine that stopped; here it has no starter.
+        if isinstance(settler.engine.motor, Piston):
+            is_beyond |= values[f"{name}set-running"] == 0.0
+    if is_beyond.any():
+        values[OUT_OF_RANGE] = np.where(is_beyond, 1.0, values.get(OUT_OF_RANGE, 0.0))
+    if not off_balance.any():
+        return
+    balanced_values = dict(values)
+    for settler in settlers:
+        going = settling_slot(settler.engine, balancing=True)
+        values[going] = off_balance.astype(float)
+        _settle_engine(settler.balance, going, values, count)
+    run_ic()
+    renew()
+    # A lane does not depend on the others.
+    values |= {
+        name: np.where(off_balance, values[name], value) for name, value in balanced_values.items()
+    }
+
+
+def _settle_engine(flyer: Flyer, going: str, values: dict[str, FloatArray], count: int) -> None:
+    """Fly a settling program until its slot ``going`` is 0 in every lane; ``values`` is updated."""
+    program = flyer.program
+    state = initial_state(
+        program, count, {name: v for name, v in values.items() if name in program.slots}
+    )
+    while slot(program, state, going, count).any():
+        flyer.fly(state, 1, _SETTLING_FRAMES)
+    values |= {name: slot(program, state, name, count) for name in program.slots}
 
 
 def _load_starts(lanes: LaneMission, specs: Sequence[FlightSpec]) -> list[LoadedStart]:
@@ -1054,3 +1129,13 @@ def refusals(spec: FlightSpec, varying: Collection[str] = ()) -> tuple[str, ...]
     except BadInputError as error:
         return tuple(str(error).splitlines())
     return ()
+
+
+def left_out_elements(spec: FlightSpec, varying: Collection[str] = ()) -> tuple[str, ...]:
+    """List which elements of a flight's aircraft are left out, because nothing in it reads them.
+
+    Parameters as `refusals`; sentences with file and line. Raises BadInputError for a flight that
+    cannot be flown.
+    """
+    properties = {**dict.fromkeys(varying, 0.0), **spec.properties}
+    return compiled_mission(replace(spec, properties=properties)).lanes.flight.left_out

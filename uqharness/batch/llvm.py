@@ -19,6 +19,7 @@ import llvmlite.binding as llvm
 import numpy as np
 
 from uqharness.batch.ir import F64, I1, I64, TRANSCENDENTAL, Function, Node
+from uqharness.batch.object_cache import object_key, recall, remember
 from uqharness.batch.program import BLOCK, from_blocks, to_blocks
 from uqharness.errors import BadInputError
 
@@ -117,22 +118,28 @@ def attributes(target: Target) -> str:
 
 @lru_cache(maxsize=32)
 def build_code(text: str, function: str, target: Target, listing: bool = False) -> Code:
-    """Compile LLVM text; the code of the same text is shared.
+    """Compile LLVM text; the code of the same text is shared, also between processes.
 
     ``listing`` adds the assembly text, which doubles the time.
     """
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
-    module = llvm.parse_assembly(text)
-    module.verify()
     machine = llvm.Target.from_default_triple().create_target_machine(
         cpu=target.cpu, features=target.features, opt=2, jit=True, reloc="pic", codemodel="small"
     )
+    key = object_key(target.cpu, target.features, text)
+    code = None if listing else recall(key)
+    module = llvm.parse_assembly(text if code is None else "")
+    module.verify()
     module.data_layout = str(machine.target_data)
     assembly = machine.emit_assembly(module) if listing else ""
     # Constants are addressed by 32-bit offsets, so code and constants must be in one piece of
     # memory, and nothing external may be called.
     engine = llvm.create_mcjit_compiler(module, machine, use_lmm=True)
+    if code is None:
+        engine.set_object_cache(lambda _, compiled: remember(key, bytes(compiled)))
+    else:
+        engine.add_object_file(llvm.ObjectFileRef.from_data(code))
     engine.finalize_object()
     return Code(engine.get_function_address(function), assembly, engine)
 

@@ -22,7 +22,7 @@ from uqharness.batch.passes import optimise, propagate_constants, specialise_sta
 from uqharness.batch.program import Flyer, Program, Stream
 from uqharness.batch.streams import GUSTS, LEVELS, TRANSIENTS, noise_streams
 from uqharness.batch.translate.channels import Sources, read_sources
-from uqharness.batch.translate.engines import settling_slot
+from uqharness.batch.translate.engines import Engine
 from uqharness.batch.translate.flight import Flight, TraceRequest, trace_flight
 from uqharness.batch.translate.frame import (
     INITIALISED,
@@ -123,9 +123,7 @@ class LaneMission:
     def program(self) -> Program:
         """The optimised frame; computed when it is flown, because `refusals` does not need it."""
         flight = self.flight
-        between = (
-            (*flight.steady, flight.renewed) if self.steady and flight.renewed is not None else ()
-        )
+        between = flight.settling if self.steady and flight.renewed is not None else ()
         # Fold what never changes after the initialising frames, then add the noise streams.
         program = propagate_constants(
             (flight.first, flight.second), flight.frame, self.varying, between
@@ -145,19 +143,19 @@ class LaneMission:
     @cached_property
     def initialisers(self) -> tuple[Interpreter, Interpreter]:
         """The two initialising frames."""
-        settling = [one for one in (*self.flight.steady, self.flight.renewed) if one is not None]
         # Without an air system, airspeed for the host's gusts comes from the ground speed.
         retained = [*self.inputs, *(() if self.air else GROUND_SPEED)]
-        retained += [name for one in settling for name in one.slots] if self.steady else []
+        if self.steady:
+            retained += [name for one in self.flight.settling for name in one.slots]
         first, second = specialise_startup(
             self.flight.first, self.flight.second, self.program, retained
         )
         return Interpreter(first), Interpreter(second)
 
     @cached_property
-    def settlers(self) -> tuple[tuple[str, Flyer], ...]:
-        """Programs that settle engines, as `compiled_settlers` returns them."""
-        return compiled_settlers(self.flight)
+    def settlers(self) -> tuple[Settler, ...]:
+        """Programs that settle engines, as `settlers_of` returns them."""
+        return settlers_of(self.flight)
 
     @cached_property
     def renewer(self) -> Interpreter | None:
@@ -169,14 +167,37 @@ class LaneMission:
         )
 
 
-def compiled_settlers(flight: Flight) -> tuple[tuple[str, Flyer], ...]:
-    """Return, for each engine, the slot that is nonzero until it is steady, and the compiled
-    program that gets it there.
+@dataclass(frozen=True)
+class Settler:
+    """How an engine reaches its steady state.
+
+    Attributes
+    ----------
+    engine : Engine
+        The engine.
+    steps, balancing_steps : Program
+        Steps of JSBSim's iteration, and of the flight.
     """
-    return tuple(
-        (settling_slot(engine), compile_program(program, choose_target()))
-        for engine, program in zip(flight.propulsion.engines, flight.steady, strict=True)
-    )
+
+    engine: Engine
+    steps: Program
+    balancing_steps: Program
+
+    @cached_property
+    def steady(self) -> Flyer:
+        """JSBSim's iteration, compiled."""
+        return compile_program(self.steps, choose_target())
+
+    @cached_property
+    def balance(self) -> Flyer:
+        """Steps of the flight, compiled when a propeller is out of balance."""
+        return compile_program(self.balancing_steps, choose_target())
+
+
+def settlers_of(flight: Flight) -> tuple[Settler, ...]:
+    """Return how each engine reaches its steady state."""
+    engines = flight.propulsion.engines
+    return tuple(map(Settler, engines, flight.steady, flight.balancing))
 
 
 def _refuse_running(mission: StagedMission) -> None:

@@ -23,7 +23,7 @@ from uqharness.batch.course import settle
 from uqharness.batch.interpret import Interpreter
 from uqharness.batch.llvm import choose_target
 from uqharness.batch.llvm_flight import compile_program
-from uqharness.batch.mission import compiled_settlers, initial_values
+from uqharness.batch.mission import Settler, initial_values, settlers_of
 from uqharness.batch.models.motion import (
     CONDITIONS,
     WEIGHTS_PARTS,
@@ -123,7 +123,7 @@ class ReplayProgram:
     @cached_property
     def initialisers(self) -> tuple[Interpreter, Interpreter]:
         """The two initialising frames."""
-        settling = (*self.flight.steady, *_renewal_programs(self.flight))
+        settling = self.flight.settling
         retained = [*self.inputs, *(name for one in settling for name in one.slots)]
         first, second = specialise_startup(
             self.flight.first, self.flight.second, self.program, retained
@@ -131,11 +131,11 @@ class ReplayProgram:
         return Interpreter(first), Interpreter(second)
 
     @cached_property
-    def settlers(self) -> tuple[tuple[str, Flyer], ...]:
-        """Programs that settle engines, as `compiled_settlers` returns them; empty without
+    def settlers(self) -> tuple[Settler, ...]:
+        """Programs that settle engines, as `settlers_of` returns them; empty without
         engines.
         """
-        return compiled_settlers(self.flight)
+        return settlers_of(self.flight)
 
     @cached_property
     def renewer(self) -> Interpreter | None:
@@ -192,7 +192,7 @@ def make_replay(
         *fed.columns,
         *(f"#{name}" for part in WEIGHTS_PARTS for name in slots(part)),
     )
-    between = (*flight.steady, *_renewal_programs(flight))
+    between = flight.settling
     program = optimise(
         propagate_constants((flight.first, flight.second), flight.frame, varying, between),
         stride=stride,
@@ -244,11 +244,6 @@ def trace_replay(
     if flight.draws:
         raise BadInputError("the aircraft draws random numbers, which a replay does without")
     return flight, fed, names
-
-
-def _renewal_programs(flight: Flight) -> tuple[Program, ...]:
-    """Return the frame in which time stands still, if there is one."""
-    return () if flight.renewed is None else (flight.renewed,)
 
 
 def fly_replays(
@@ -316,9 +311,21 @@ def _initial_slots(replay: ReplayProgram, jobs: Sequence[ReplayLane]) -> dict[st
     # Two initialising frames, as JSBSim runs them.
     for flyer in replay.initialisers:
         values |= step_once(flyer, values, count)
-    if replay.renewer is not None:
-        settle(replay.settlers, values, count)
-        values |= step_once(replay.renewer, values, count)
+    renewer, again = replay.renewer, replay.initialisers[1]
+
+    def step(*frames: Interpreter) -> None:
+        """Compute frames in which time stands still."""
+        for flyer in frames:
+            values.update(step_once(flyer, values, count))
+
+    if renewer is not None:
+        settle(
+            replay.settlers,
+            values,
+            count,
+            renew=lambda: step(renewer),
+            run_ic=lambda: step(again, again),
+        )
     return {
         name: values.get(name, np.full(count, first))
         for name, first in replay.program.slots.items()

@@ -1,6 +1,7 @@
 from .cases import Case as Case
 from .cases import Mission as Mission
 from .cases import build_cases as build_cases
+from .cases import uq_properties as uq_properties
 from .conditions import CONFIDENCE as CONFIDENCE
 from .conditions import ERROR_METRICS as ERROR_METRICS
 from .conditions import UNCOMMANDED_METRICS as UNCOMMANDED_METRICS
@@ -31,6 +32,7 @@ from .engines import noise_notes as noise_notes
 from .engines import put_bounds as put_bounds
 from .engines import system_file as system_file
 from .manifest import MANIFEST as MANIFEST
+from .manifest import Manifest as Manifest
 from .manifest import binding_versions as binding_versions
 from .manifest import describe as describe
 from .manifest import has_digests as has_digests
@@ -53,6 +55,7 @@ from .run import find_mission as find_mission
 from .run import run_campaign as run_campaign
 from .sampling import INTERIOR_MARK as INTERIOR_MARK
 from .sampling import NOMINAL as NOMINAL
+from .sampling import epistemic_samples as epistemic_samples
 from .sensitivity import SENSITIVITY as SENSITIVITY
 from .sensitivity import MetricSensitivity as MetricSensitivity
 from .sensitivity import Winner as Winner
@@ -68,6 +71,8 @@ from .shards import merge as merge
 from .shards import parse_shard as parse_shard
 from .shards import read_status as read_status
 from .spec import CampaignSpec as CampaignSpec
+from .spec import Document as Document
+from .spec import EpistemicSection as EpistemicSection
 from .spec import read_bounds as read_bounds
 from .statements import ENOUGH_EXCURSIONS as ENOUGH_EXCURSIONS
 from .statements import STATEMENTS as STATEMENTS

@@ -406,9 +406,7 @@ def choose_engine(
         return EngineChoice(spec.with_engine(BATCH), requested, (_REQUESTED,))
     if reasons:
         return EngineChoice(spec.with_engine(JSBSIM), requested, reasons)
-    return EngineChoice(
-        spec.with_engine(BATCH), requested, ("it understands the whole aircraft and mission",)
-    )
+    return EngineChoice(spec.with_engine(BATCH), requested, reasons_for(spec, mission, engines))
 
 
 def reasons_against(spec: CampaignSpec, mission: Mission, engines: Engines) -> tuple[str, ...]:
@@ -416,16 +414,40 @@ def reasons_against(spec: CampaignSpec, mission: Mission, engines: Engines) -> t
     reason = engines.unavailable()
     if reason is not None or engines.batch is None:
         return (reason or engines.no_batch,)
+    return _sentences_of_cases(spec, mission, engines.batch, _refusals)
+
+
+def reasons_for(spec: CampaignSpec, mission: Mission, engines: Engines) -> tuple[str, ...]:
+    """Return why the batch engine can fly a campaign, and what of the aircraft it leaves out."""
+    assert engines.batch is not None
+    left_out = _sentences_of_cases(
+        spec, mission, engines.batch, lambda batch, flight, varying: batch.left_out(flight, varying)
+    )
+    if not left_out:
+        return ("it understands the whole aircraft and mission",)
+    return (
+        "it understands all that the flight reads",
+        *(f"left out, since nothing reads it: {text}" for text in left_out),
+    )
+
+
+def _sentences_of_cases(
+    spec: CampaignSpec,
+    mission: Mission,
+    batch: Batch,
+    sentences: Callable[[Batch, FlightSpec, tuple[str, ...]], tuple[str, ...]],
+) -> tuple[str, ...]:
+    """Return what the batch engine reports for a case of each condition, in the author's files."""
     varying = varying_properties(spec)
     with staged_mission_of(spec, mission) as staged:
-        refusals = [
+        texts = [
             text
             for case in one_case_each(spec, staged)
-            for text in _refusals(engines.batch, case.flight, varying)
+            for text in sentences(batch, case.flight, varying)
         ]
         return tuple(
             dict.fromkeys(
-                text.replace(str(staged.aircraft), str(mission.aircraft)) for text in refusals
+                text.replace(str(staged.aircraft), str(mission.aircraft)) for text in texts
             )
         )
 

@@ -12,20 +12,22 @@ import json
 import platform
 import shlex
 from collections.abc import Iterable, Mapping, Sequence
+from functools import cached_property
 from importlib import metadata
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, model_validator
 
 import uqharness
 from sysid.digests import sha256_hex, sha256_of_parts
 from sysid.foreign.regular_files import read_regular
 from uqharness.campaign.cases import Mission
 from uqharness.campaign.read_spec import campaign_from, checked_settings
-from uqharness.campaign.spec import CampaignSpec
+from uqharness.campaign.spec import CampaignSpec, Document, without_flights
 from uqharness.errors import BadInputError
 from uqharness.files import write_bytes
+from uqharness.results.base import Part
 
 # Content of manifest.json, validated before use.
 
@@ -39,35 +41,32 @@ _Digest = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
 _FileName = Annotated[str, Field(pattern="^[A-Za-z0-9][A-Za-z0-9._-]{0,99}$")]
 
 
-class _Part(BaseModel):
-    """Base of the parts of a manifest."""
-
-    model_config = ConfigDict(strict=True, extra="ignore")
-
-
-class _Journal(_Part):
+class _Journal(Part):
     """Number of journal rows and a digest over them."""
 
     rows: int = Field(ge=0)
     digest: _Digest
 
 
-class _Engine(_Part):
+class _Engine(Part):
     """Requested engine and reasons of the choice; fields are keys of the file."""
 
     asked: Literal["auto", "batch", "jsbsim"]
     why: list[str]
 
 
-class _Bounds(_Part):
+class _Bounds(Part):
     """Confidence of the model form and coefficients with a transient part."""
 
     confidence: float = Field(gt=0, lt=1)
     transient: list[str]
 
 
-class _Content(_Part):
-    """Content of manifest.json; fields are keys of the file."""
+class Manifest(Part):
+    """Content of manifest.json; fields are keys of the file.
+
+    ``campaign`` holds the settings as plain types, `settings` as the sections of a campaign file.
+    """
 
     format: Literal[1, 2]
     state: Literal["running", "interrupted", "complete", "spoilt"]
@@ -86,7 +85,7 @@ class _Content(_Part):
     sums: Literal["SHA256SUMS"] | None = None
 
     @model_validator(mode="after")
-    def _check_complete(self) -> _Content:
+    def _check_complete(self) -> Manifest:
         """Require the hashes, and for a complete campaign the digest of its journal."""
         missing = [name for name in ("aircraft", "script") if name not in self.hashes]
         if missing:
@@ -95,6 +94,16 @@ class _Content(_Part):
             raise ValueError("it is complete and has no digest of the journal")
         return self
 
+    @cached_property
+    def settings(self) -> Document:
+        """Return the validated settings; no file that they name is read."""
+        return Document.model_validate(without_flights(self.campaign))
+
+    @property
+    def engine_reasons(self) -> tuple[str, ...]:
+        """Return why the campaign's engine was chosen; empty for manifests without reasons."""
+        return () if self.engine is None else tuple(self.engine.why)
+
 
 def checked_content(data: Mapping[str, Any]) -> dict[str, Any]:
     """Return the content with all settings of the campaign filled in.
@@ -102,7 +111,7 @@ def checked_content(data: Mapping[str, Any]) -> dict[str, Any]:
     Raises ValueError naming the first invalid entry.
     """
     try:
-        content = _Content.model_validate(data)
+        content = Manifest.model_validate(data)
     except ValidationError as error:
         raise ValueError(_error_text(error)) from None
     try:
@@ -321,7 +330,7 @@ def refuse_without_digests(folder: Path, manifest: Mapping[str, Any]) -> None:
         )
 
 
-def read_complete(folder: Path) -> dict[str, Any]:
+def read_complete(folder: Path) -> Manifest:
     """Read the manifest of a complete campaign. Raises BadInputError if flights are missing."""
     manifest = read_manifest(folder)
     if manifest["state"] != COMPLETE:
@@ -329,7 +338,7 @@ def read_complete(folder: Path) -> dict[str, Any]:
         raise BadInputError(
             f"{folder}: the campaign is not complete; finish it first with: {command}"
         )
-    return manifest
+    return Manifest.model_validate(manifest)
 
 
 def write_manifest(folder: Path, manifest: Mapping[str, Any]) -> None:

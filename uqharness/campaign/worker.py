@@ -175,6 +175,12 @@ class Batch(Protocol):
         """
         ...
 
+    def left_out(self, spec: FlightSpec, varying: Collection[str]) -> tuple[str, ...]:
+        """Return what it does not understand and leaves out, because nothing in the flight reads
+        it.
+        """
+        ...
+
 
 class LocalBatch:
     """Report what the batch engine of this program can fly."""
@@ -188,6 +194,12 @@ class LocalBatch:
         from uqharness.batch import refusals
 
         return refusals(spec, varying)
+
+    def left_out(self, spec: FlightSpec, varying: Collection[str]) -> tuple[str, ...]:
+        """Return what it leaves out, see `Batch`."""
+        from uqharness.batch import left_out_elements
+
+        return left_out_elements(spec, varying)
 
 
 def unavailable_reason(engine: str) -> str | None:

@@ -2,13 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 from typing import Literal
 
 from sysid.aerodynamics import COEFFICIENTS
 from sysid.arrays import FloatArray
+from uqharness.campaign import (
+    epistemic_samples,
+    read_campaign,
+    read_manifest,
+    spec_of,
+    uq_properties,
+)
 from uqharness.commands.flights import AnyAircraft, carded_aircraft
 from uqharness.errors import BadInputError
 from uqharness.exchange import (
@@ -17,19 +27,29 @@ from uqharness.exchange import (
     FlightStates,
     Reference,
     SourceModel,
+    ardupilot_jsbsim,
     ardupilot_json,
     box,
     box_around,
     derivatives,
     differences,
+    fmu,
     gazebo,
     in_reference,
     losses,
     slips,
     source_model,
     sweeps,
+    worst,
 )
-from uqharness.files import check_output_folder, results_folder, write_bytes, write_json, write_text
+from uqharness.files import (
+    check_output_folder,
+    results_folder,
+    scratch_folder,
+    write_bytes,
+    write_json,
+    write_text,
+)
 from uqharness.identification import load_form
 from uqharness.requests.base import Callback, command_line, silent
 from uqharness.requests.exchange import ExportRequest
@@ -48,18 +68,27 @@ def export(request: ExportRequest, callback: Callback = silent) -> Outcome[Loss]
     assert request.out is not None
     check_output_folder(request.out)
     form = None if request.bounds is None else load_form(request.bounds)
-    callback("trim")
-    source = source_model(aircraft, request.speed_mps, request.properties)
-    states = box(source, request.states, request.seed)
-    callback("fit of the format's model")
-    files, target, lost, notes = _FORMATS[request.to](source, states)
-    callback("loss")
-    by_coefficient = losses(source, target, states, form)
+    members = _members(request)
+    exports, by_coefficient = [], dict[str, CoefficientLoss]()
+    for member, properties in members.items():
+        place = f"member {member}: " if member else ""
+        callback(f"{place}trim")
+        source = source_model(aircraft, request.speed_mps, {**request.properties, **properties})
+        states = box(source, request.states, request.seed)
+        callback(f"{place}fit of the format's model")
+        name = f"{aircraft.name}_{member}" if member else aircraft.name
+        fitted = _FORMATS[request.to](source, states, name)
+        exports.append((member, fitted))
+        callback(f"{place}loss")
+        by_coefficient = worst(by_coefficient, losses(source, fitted[1], states, form))
+    files, lost, notes = _together(exports)
     beyond = any(loss.is_beyond for loss in by_coefficient.values())
     verdict: Literal["within", "beyond", "no bounds"]
     verdict = "no bounds" if form is None else "beyond" if beyond else "within"
     refused = beyond and not request.accept_loss
     written = [] if refused else sorted(files)
+    if len(exports) > 1:
+        notes = (f"the loss is the largest of {len(exports)} members", *notes)
     document = Loss(
         aircraft=aircraft.name,
         format=request.to,
@@ -74,6 +103,7 @@ def export(request: ExportRequest, callback: Callback = silent) -> Outcome[Loss]
     )
     out = results_folder(request.out)
     for name in written:
+        results_folder((out / name).parent)
         write_bytes(out / name, files[name])
     write_text(out / "loss.csv", csv_text(_rows(document.coefficients, ".17g")))
     write_json(out / "loss.json", document.as_json())
@@ -85,6 +115,74 @@ def export(request: ExportRequest, callback: Callback = silent) -> Outcome[Loss]
         )
     lines = _lines(document, out, refused)
     return Outcome(document, document, lines, code=int(beyond), warnings=warnings)
+
+
+def _members(request: ExportRequest) -> dict[str, dict[str, float]]:
+    """Return id to properties of the members to export; the id is empty without --member."""
+    if request.member is None:
+        if request.campaign is not None:
+            raise BadInputError(
+                f"--campaign {request.campaign}: needs --member with the id of one of its epistemic"
+                " samples, or all"
+            )
+        return {"": {}}
+    if request.campaign is not None:
+        available = _campaign_members(request.campaign)
+    else:
+        available = {
+            "".join(digits): _corner_properties(digits)
+            for digits in itertools.product("01-", repeat=len(COEFFICIENTS))
+        }
+    if request.member == "all":
+        return {name: row for name, row in available.items() if request.campaign or "-" not in name}
+    if request.member not in available:
+        first = ", ".join(list(available)[:3])
+        allowed = (
+            "six digits 0, 1 or - in the order CX CY CZ Cl Cm Cn, such as 010011, or all"
+            if request.campaign is None
+            else f"one of the {len(available)} epistemic samples ({first}, ...) or all"
+        )
+        raise BadInputError(f"--member {request.member}: no such member; allowed: {allowed}")
+    return {request.member: available[request.member]}
+
+
+def _corner_properties(digits: Sequence[str]) -> dict[str, float]:
+    """Return the properties of a corner of the aircraft's own bounds."""
+    properties = {"uq/active": 1.0}
+    for name, digit in zip(COEFFICIENTS, digits, strict=True):
+        if digit == "-":
+            properties[f"uq/{name}/active"] = 0.0
+        else:
+            properties[f"uq/{name}/level"] = float(digit)
+    return properties
+
+
+def _campaign_members(path: Path) -> dict[str, dict[str, float]]:
+    """Return id to properties of the epistemic samples of a campaign file or folder."""
+    spec = spec_of(read_manifest(path)) if path.is_dir() else read_campaign(path)
+    members = {}
+    for sample in epistemic_samples(spec):
+        if sample.driver is not None:
+            raise BadInputError(
+                f"{path}: its members vary in flight, which a frozen model cannot; choose a"
+                " campaign with method = corners, levels or latin-hypercube"
+            )
+        members[sample.epistemic_id] = {**uq_properties(spec, sample), **sample.parameters}
+    return members
+
+
+def _together(
+    exports: Sequence[tuple[str, Fitted]],
+) -> tuple[dict[str, bytes], tuple[str, ...], tuple[str, ...]]:
+    """Return files, losses and notes of all members; each member's files have a place of their
+    own.
+    """
+    files: dict[str, bytes] = {}
+    for member, (contents, _, _, _) in exports:
+        separate = len(exports) > 1 and not all(member in name for name in contents)
+        files |= {f"{member}/{name}" if separate else name: c for name, c in contents.items()}
+    _, (_, _, lost, notes) = exports[0]
+    return files, lost, notes
 
 
 def _loss(loss: CoefficientLoss) -> LossOfCoefficient:
@@ -103,22 +201,59 @@ Fitted = tuple[Mapping[str, bytes], FloatArray, tuple[str, ...], tuple[str, ...]
 """Files by name, the target's coefficients at the states, what is lost, and notes."""
 
 
-def _ardupilot_json(source: SourceModel, states: FlightStates) -> Fitted:
+def _ardupilot_jsbsim(source: SourceModel, states: FlightStates, name: str) -> Fitted:
+    """Write the folder of ArduPilot's JSBSim backend and start it as the backend does."""
+    scratch = scratch_folder("export-")
+    copy = ardupilot_jsbsim.write_folder(source, name, scratch.path)
+    start = ardupilot_jsbsim.ground_start(copy, scratch.path)
+    gear: tuple[str, ...] = ()
+    if start.failure:
+        gear = (f"its contact points are replaced by three wheels: {start.failure}",)
+        copy = ardupilot_jsbsim.write_folder(source, name, scratch.path, replace_contacts=True)
+        start = ardupilot_jsbsim.ground_start(copy, scratch.path)
+    if start.failure:
+        raise BadInputError(
+            f"{source.aircraft.name}: does not stand on the ground as ArduPilot starts it, 1.3 m"
+            f" high and 13 deg nose up: {start.failure}"
+        )
+    target = replace(source, aircraft=copy, properties={}).coefficients(states)
+    files = {
+        path.relative_to(scratch.path).as_posix(): path.read_bytes()
+        for path in sorted(scratch.path.rglob("*"))
+        if path.is_file()
+    }
+    files[f"{name}.parm"] = ardupilot_jsbsim.parameters(source, derivatives(source)).encode()
+    notes = (
+        (
+            f"start with arduplane --model jsbsim:{name} --autotest-dir DIR"
+            f" --defaults DIR/{name}.parm --home LAT,LON,0,HEADING; JSBSim must be on PATH and DIR"
+            " writable"
+        ),
+        (
+            f"or copy DIR/aircraft/{name} to Tools/autotest/aircraft and use sim_vehicle.py"
+            f" -v ArduPlane -f jsbsim:{name} --add-param-file DIR/{name}.parm"
+        ),
+        f"stands {start.height_m:.2f} m high at {math.degrees(start.theta_rad):.1f} deg pitch",
+        *gear,
+    )
+    return files, target, ardupilot_jsbsim.LOST, notes
+
+
+def _ardupilot_json(source: SourceModel, states: FlightStates, name: str) -> Fitted:
     """Fit ArduPilot's JSON model."""
     keys = ardupilot_json.parameters(source, derivatives(source))
     target = ardupilot_json.coefficients(keys, states, source.reference.throw_deg)
     notes = (
         f"area and inertia are scaled to the program's {ardupilot_json.PROGRAM_MASS_KG:g} kg",
         "+1 is full nose up, right wing down, nose right",
-        f"start with --model plane:{source.aircraft.name}.json",
+        f"start with --model plane:{name}.json",
         "thrust is the program's own, throttle times its weight over 0.7",
     )
-    name = f"{source.aircraft.name}.json"
-    files = {name: ardupilot_json.text(keys).encode()}
+    files = {f"{name}.json": ardupilot_json.text(keys).encode()}
     return files, target, ardupilot_json.LOST, notes
 
 
-def _gazebo(source: SourceModel, states: FlightStates) -> Fitted:
+def _gazebo(source: SourceModel, states: FlightStates, _: str) -> Fitted:
     """Fit Gazebo's AdvancedLiftDrag."""
     model = gazebo.parameters(source, derivatives(source))
     files = {
@@ -133,7 +268,25 @@ def _gazebo(source: SourceModel, states: FlightStates) -> Fitted:
     return files, gazebo.coefficients(model, states), gazebo.LOST, notes
 
 
-def _csv(source: SourceModel, states: FlightStates) -> Fitted:
+def _fmu(source: SourceModel, states: FlightStates, name: str) -> Fitted:
+    """Pack a functional mock-up unit."""
+    with scratch_folder("export-") as scratch:
+        root = Path(scratch)
+        copy = fmu.write_copy(source, name, root)
+        model = fmu.description(source, copy)
+        unit = fmu.build(model, root)
+        target = replace(source, aircraft=copy, properties={}).coefficients(states)
+    notes = (
+        "FMI 3.0, co-simulation; the importing program's Python needs the package jsbsim",
+        f"inputs {', '.join(row['name'] for row in model['commands'])} and the wind",
+        "parameters: the levels of the model form",
+        f"starts in the trim; frames of {model['dt_s']:g} s",
+        _SURFACES,
+    )
+    return {f"{model['identifier']}.fmu": unit}, target, fmu.LOST, notes
+
+
+def _csv(source: SourceModel, states: FlightStates, _: str) -> Fitted:
     """Tabulate the source over one variable at a time."""
     tables = sweeps.sweeps(source)
     files = {"coefficients.csv": sweeps.text(tables).encode()}
@@ -145,7 +298,13 @@ def _csv(source: SourceModel, states: FlightStates) -> Fitted:
     return files, sweeps.coefficients(source, tables, states), lost, notes
 
 
-_FORMATS = {"ardupilot-json": _ardupilot_json, "gazebo": _gazebo, "csv": _csv}
+_FORMATS = {
+    "ardupilot-jsbsim": _ardupilot_jsbsim,
+    "ardupilot-json": _ardupilot_json,
+    "gazebo": _gazebo,
+    "fmu": _fmu,
+    "csv": _csv,
+}
 
 
 def _rows(losses_by_name: Mapping[str, LossOfCoefficient], digits: str) -> list[dict[str, str]]:

@@ -43,6 +43,7 @@ from uqharness.flight import (
     MAX_SCATTER,
     Assessment,
     AutopilotGains,
+    AutopilotSettings,
     FlightSpec,
     LoopMargins,
     default_speeds,
@@ -157,7 +158,14 @@ def fly(request: FlyRequest, callback: Callback = silent) -> Outcome[Flight]:
             record_rate_hz=request.rate_hz,
         )
         callback(f"flying {path.stem}")
-        table, recorded = recorded_flight(flight_aircraft, script, seeded_spec(spec, request.seed))
+        autopilot = (
+            None
+            if request.autopilot_process is None
+            else AutopilotSettings(request.autopilot_process, request.autopilot_warmup_s)
+        )
+        table, recorded = recorded_flight(
+            flight_aircraft, script, seeded_spec(spec, request.seed), autopilot
+        )
     columns = {str(name): table[name].to_numpy() for name in table.columns}
     start = start_position(recorded)
     left_out: tuple[str, ...] = ()

@@ -1,5 +1,6 @@
 from .evidence import NOT_ASSESSED as NOT_ASSESSED
 from .evidence import STANDARD as STANDARD
+from .evidence import BoundsEvidence as BoundsEvidence
 from .evidence import Evidence as Evidence
 from .evidence import Step as Step
 from .evidence import factors as factors

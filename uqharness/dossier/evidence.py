@@ -11,10 +11,12 @@ import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+from pydantic import BeforeValidator, Field
 
 from sysid.digests import file_sha256
-from uqharness.campaign import read_complete
+from uqharness.campaign import Manifest, read_complete
 from uqharness.dossier.match import FAIL, INCONCLUSIVE, PASS, Match
 from uqharness.errors import BadInputError
 from uqharness.replay import HISTORIES, History, read_histories
@@ -58,6 +60,31 @@ _NOT_ENTERED = frozenset(
 )
 _ORDER = ("identify", "compare", "bounds", "validate-bounds", "campaign", "refine", STUDY)
 _MAX_DEPTH = 3
+
+
+def _mapping_or_empty(value: Any) -> Any:
+    """Return a mapping; {} for the name that older files have."""
+    return value if isinstance(value, dict) else {}
+
+
+class BoundsEvidence(Part):
+    """What the dossier reads of bounds: bounds.json, and model-form.json where it is missing."""
+
+    aircraft: str
+    aircraft_sha256: str
+    """Digest of the aircraft, to compare with that of the aircraft that a campaign flew."""
+    coefficients: list[str]
+    confidence: float
+    command: str | None
+    version: str
+
+
+class _Form(Part):
+    """Keys of model-form.json that the dossier reads."""
+
+    aircraft: Annotated[dict[str, Any], BeforeValidator(_mapping_or_empty)] = Field(default={})
+    coefficients: dict[str, Any] = Field(default={})
+    confidence: float | None = None
 
 
 @dataclass(frozen=True)
@@ -252,13 +279,18 @@ def _read_result(place: Path, name: str, kind: str, shape: type[Part] | None) ->
     if kind == "campaign":
         return read_complete(place)
     if kind == "bounds":
-        form = read_result(place / name, Part)
+        form = read_result(place / name, _Form)
         bounds_file = place / "bounds.json"
-        # The dossier compares this digest with that of the aircraft that a campaign flew.
-        aircraft = form.get("aircraft")
-        digest = aircraft.get("sha256", "") if isinstance(aircraft, dict) else ""
-        bounds = read_result(bounds_file, Bounds) if bounds_file.is_file() else {}
-        return {**form, **bounds, "aircraft_sha256": str(digest)}
+        bounds = read_result(bounds_file, Bounds) if bounds_file.is_file() else None
+        confidence = form.confidence if bounds is None else bounds.confidence
+        return BoundsEvidence(
+            aircraft="" if bounds is None else bounds.aircraft,
+            aircraft_sha256=str(form.aircraft.get("sha256", "")),
+            coefficients=list(form.coefficients if bounds is None else bounds.coefficients),
+            confidence=0.95 if confidence is None else confidence,
+            command=None if bounds is None else bounds.command,
+            version="" if bounds is None else bounds.version,
+        )
     assert shape is not None
     return read_result(place / name, shape)
 
@@ -306,7 +338,7 @@ def _check_digest(evidence: Evidence, path: Path, digest: str, recorded_by: str)
 
 def _read_companions(evidence: Evidence, step: Step) -> None:
     """Report missing companion files of a step, and campaign tables that were altered."""
-    tables = (step.document or {}).get("tables") or {} if step.kind == "campaign" else {}
+    tables = step.document.tables if isinstance(step.document, Manifest) else {}
     for name in _COMPANIONS.get(step.kind, ()):
         if name not in tables and not (step.folder / name).exists():
             evidence.add_missing(
@@ -529,15 +561,14 @@ def _validation(evidence: Evidence, match: Match) -> list[str]:
 def _input_pedigree(evidence: Evidence, _: Match) -> list[str]:
     """State the digests of a campaign's inputs, and its wind and turbulence."""
     statements = []
-    for step in evidence.of("campaign"):
-        hashes = _document_of(step).get("hashes") or {}
-        if hashes:
-            statements.append(f"{_place_of(step)}: SHA-256 recorded of {', '.join(sorted(hashes))}")
-        aleatory = _document_of(step)["campaign"]["aleatory"]
+    for step, manifest in evidence.results(Manifest):
+        roles = ", ".join(sorted(manifest.hashes))
+        air = manifest.settings.aleatory
+        statements.append(f"{_place_of(step)}: SHA-256 recorded of {roles}")
         statements.append(
-            f"{_place_of(step)}: wind {_comma_separated(aleatory['wind_mps'])} m/s, turbulence"
-            f" {_comma_separated(aleatory['turbulence'])} (Dryden, source"
-            f" {aleatory['turbulence_source']}); no measured air"
+            f"{_place_of(step)}: wind {_comma_separated(air.wind_mps)} m/s, turbulence"
+            f" {_comma_separated(air.turbulence)} (Dryden, source {air.turbulence_source}); no"
+            " measured air"
         )
     return statements
 
@@ -555,12 +586,11 @@ def _uncertainty(evidence: Evidence, _: Match) -> list[str]:
             f"{_place_of(step)}: standard errors of {n_identified} of {len(rows)}"
             f" parameters{unidentified_note}"
         )
-    for step in evidence.of("bounds"):
-        document = _document_of(step)
+    for step, bounds in evidence.results(BoundsEvidence):
         statements.append(
             f"{_place_of(step)}: intervals of the model's error for "
-            f"{len(document.get('coefficients', {}))} coefficients at "
-            f"{100 * document.get('confidence', 0.95):g} % as functions of the flight state"
+            f"{len(bounds.coefficients)} coefficients at {100 * bounds.confidence:g} % as functions"
+            " of the flight state"
         )
     for step, validation in evidence.results(Coverage):
         shares = [row.share_95 for row in validation.coverage.values()]
@@ -569,11 +599,10 @@ def _uncertainty(evidence: Evidence, _: Match) -> list[str]:
             f"{_place_of(step)}: {100 * low:.1f} to {100 * high:.1f} % of a new flight's"
             " samples lie inside the 95 % intervals"
         )
-    for step in evidence.of("campaign"):
-        cases = _document_of(step).get("cases", "?")
+    for step, manifest in evidence.results(Manifest):
         statements.append(
             f"{_place_of(step)}: p-boxes: epistemic uncertainty by intervals, aleatory"
-            f" uncertainty by {cases} flights"
+            f" uncertainty by {manifest.cases} flights"
         )
     return statements
 
@@ -581,18 +610,15 @@ def _uncertainty(evidence: Evidence, _: Match) -> list[str]:
 def _robustness(evidence: Evidence, _: Match) -> list[str]:
     """State sensitivities of the p-boxes and the sampling of epistemic variables."""
     statements = []
-    for step in evidence.of("campaign"):
+    for step, manifest in evidence.results(Manifest):
         if (step.folder / "sensitivity.csv").is_file():
             statements.append(
                 f"{_place_of(step)}: share of each coefficient in the width of every p-box"
                 " (sensitivity.csv)"
             )
-        epistemic = _document_of(step)["campaign"]["epistemic"]
-        n_interior = epistemic.get("interior")
-        interior_note = f", {n_interior} samples between them" if n_interior else ""
-        statements.append(
-            f"{_place_of(step)}: epistemic samples by {epistemic['method']}{interior_note}"
-        )
+        epistemic = manifest.settings.epistemic
+        between = f", {epistemic.interior} samples between them" if epistemic.interior else ""
+        statements.append(f"{_place_of(step)}: epistemic samples by {epistemic.method}{between}")
     return statements
 
 
@@ -612,11 +638,6 @@ _FACTORS: Sequence[tuple[str, str, Callable[[Evidence, Match], list[str]]]] = (
     ("People", "qualification of those who made and used the model", _no_evidence),
 )
 """Factor, what it covers, and the function that collects its evidence."""
-
-
-def _document_of(step: Step) -> dict[str, Any]:
-    """Return a step's document; empty if it cannot be read."""
-    return dict(step.document or {})
 
 
 def _place_of(step: Step) -> str:

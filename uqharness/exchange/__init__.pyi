@@ -1,9 +1,12 @@
+from . import ardupilot_jsbsim as ardupilot_jsbsim
 from . import ardupilot_json as ardupilot_json
+from . import fmu as fmu
 from . import gazebo as gazebo
 from . import sweeps as sweeps
 from .loss import CoefficientLoss as CoefficientLoss
 from .loss import differences as differences
 from .loss import losses as losses
+from .loss import worst as worst
 from .slips import ComparedModel as ComparedModel
 from .slips import in_reference as in_reference
 from .slips import slips as slips

@@ -68,6 +68,26 @@ def differences(
     }
 
 
+def worst(
+    first: Mapping[str, CoefficientLoss], second: Mapping[str, CoefficientLoss]
+) -> dict[str, CoefficientLoss]:
+    """Return the larger difference of each coefficient, and the smaller half-width.
+
+    A coefficient that one of them lacks is the other's.
+    """
+    result = {**first, **second}
+    for name in first.keys() & second.keys():
+        a, b = first[name], second[name]
+        result[name] = CoefficientLoss(
+            largest=max(a.largest, b.largest),
+            rms=max(a.rms, b.rms),
+            quantile=max(a.quantile, b.quantile),
+            spread=a.spread,
+            half_width=min(a.half_width, b.half_width),
+        )
+    return result
+
+
 def _half_widths(source: SourceModel, states: FlightStates, form: ModelForm) -> dict[str, float]:
     """Return the mean half-width of each coefficient's bounds at the states."""
     rate, value = 2.0 * states.V_mps, states.values

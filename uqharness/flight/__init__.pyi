@@ -1,5 +1,6 @@
 from .autopilot_gains import AutopilotGains as AutopilotGains
 from .autopilot_gains import read_gains as read_gains
+from .autopilot_process import AutopilotSettings as AutopilotSettings
 from .dryden import DrydenGusts as DrydenGusts
 from .dryden import DrydenParameters as DrydenParameters
 from .dryden import dryden_parameters as dryden_parameters

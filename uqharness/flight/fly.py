@@ -8,6 +8,7 @@ flights that touch the ground. A campaign spends most of its time here.
 from __future__ import annotations
 
 import atexit
+import contextlib
 import math
 from array import array
 from collections.abc import Callable, Mapping, Sequence
@@ -22,6 +23,11 @@ from numpy.typing import NDArray
 from sysid.arrays import FloatArray
 from sysid.units import FT_M
 from uqharness.errors import BadInputError
+from uqharness.flight.autopilot_process import (
+    AutopilotProcess,
+    AutopilotSettings,
+    AutopilotStoppedError,
+)
 from uqharness.flight.random_numbers import Split
 from uqharness.flight.spec import COEFFICIENTS, TURBULENCE_W20_KT, FlightResult, FlightSpec
 from uqharness.flight.stepping import first_levels, has_air_system, stepper
@@ -579,6 +585,7 @@ def record_mission(
     keep_burn_in: bool = False,
     one_ulp_off: bool = False,
     splits: Sequence[Split] = (),
+    autopilot: AutopilotSettings | None = None,
 ) -> RecordedFlight:
     """Fly a spec and record signals.
 
@@ -598,6 +605,8 @@ def record_mission(
         Whether the ground velocity starts one unit in the last place larger.
     splits : sequence of Split
         Frames behind which the flight branches.
+    autopilot : AutopilotSettings, optional
+        A real autopilot that commands the aircraft in lock step.
 
     Returns
     -------
@@ -649,7 +658,11 @@ def record_mission(
     status, reason = "ok", ""
     if burn_in_rows == 0:
         values.extend([get() for get in getters])
+    connection = contextlib.ExitStack()
     try:
+        if autopilot is not None:
+            process = connection.enter_context(AutopilotProcess(autopilot, mission.aircraft))
+            advance = process.around(fdm, advance)
         for block in range(burn_in_rows + recorded_rows):
             report_time(block * stride * dt_s)
             touched = watch.advance(advance, stride)
@@ -662,10 +675,14 @@ def record_mission(
             # Rows of the burn-in are not recorded.
             if block >= burn_in_rows:
                 values.extend([get() for get in getters])
+    except AutopilotStoppedError as error:
+        status, reason = "crashed", str(error)
     except engine.RuntimeFailure as error:
         status, reason = "crashed", engine.explain(fdm, error)
     except MemoryError:
         status, reason = "crashed", f"JSBSim ran out of memory at {_clock(fdm)}"
+    finally:
+        connection.close()
     rows = to_signals(np.frombuffer(values).reshape(-1, len(getters)), table)
     return RecordedFlight(list(table), rows, status, reason, float(fdm.get_sim_time()))
 

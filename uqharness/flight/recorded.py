@@ -20,6 +20,7 @@ from sysid.record import FlightRecord
 from sysid.units import FT_M, KT_MPS, RAD_DEG
 from uqharness.errors import BadInputError
 from uqharness.files import write_atomically
+from uqharness.flight.autopilot_process import AutopilotSettings
 from uqharness.flight.fly import RecordedFlight, record_mission
 from uqharness.flight.random_numbers import draw_normals
 from uqharness.flight.spec import FlightSpec
@@ -47,7 +48,10 @@ _OPTIONAL = {
 
 
 def recorded_flight(
-    aircraft: Aircraft, script: Script, spec: FlightSpec
+    aircraft: Aircraft,
+    script: Script,
+    spec: FlightSpec,
+    autopilot: AutopilotSettings | None = None,
 ) -> tuple[pd.DataFrame, RecordedFlight]:
     """Fly a spec from its start in a worker process and return the flight record.
 
@@ -59,6 +63,8 @@ def recorded_flight(
         Its script names the manoeuvres.
     spec : FlightSpec
         Conditions, seeds and duration.
+    autopilot : AutopilotSettings, optional
+        A real autopilot that commands the aircraft in lock step.
 
     Returns
     -------
@@ -74,20 +80,26 @@ def recorded_flight(
         If the flight cannot start.
     """
     try:
-        recorded = run_isolated(_record_in_worker, aircraft, script, spec)
+        recorded = run_isolated(_record_in_worker, aircraft, script, spec, autopilot)
     except ProcessEndedError as error:
         if error.time_s is None:
             raise
         # The last row before the crash.
         until_s = math.floor(error.time_s * spec.record_rate_hz + 0.5) / spec.record_rate_hz
         recorded = run_isolated(
-            _record_in_worker, aircraft, script, replace(spec, duration_s=until_s, burn_in_s=0.0)
+            _record_in_worker,
+            aircraft,
+            script,
+            replace(spec, duration_s=until_s, burn_in_s=0.0),
+            autopilot,
         )
         recorded.status, recorded.reason = "crashed", error.reason
     return to_record(recorded, aircraft, spec, script.path.stem, script.manoeuvres), recorded
 
 
-def _record_in_worker(aircraft: Aircraft, script: Script, spec: FlightSpec) -> RecordedFlight:
+def _record_in_worker(
+    aircraft: Aircraft, script: Script, spec: FlightSpec, autopilot: AutopilotSettings | None
+) -> RecordedFlight:
     """Fly and record all signals of a record."""
     with StagedMission(aircraft, script.path) as mission:
         table = {
@@ -105,7 +117,9 @@ def _record_in_worker(aircraft: Aircraft, script: Script, spec: FlightSpec) -> R
         # Without a sensors system nothing in the aircraft needs noise; the record gets it anyway.
         has_sensors = mission.open().get_property_manager().hasNode("sensor/V-mps")
         flight = spec if has_sensors else replace(spec, sensor_noise=False)
-        return record_mission(mission, flight, table, optional, keep_burn_in=True)
+        return record_mission(
+            mission, flight, table, optional, keep_burn_in=True, autopilot=autopilot
+        )
 
 
 def seeded_spec(spec: FlightSpec, seed: int) -> FlightSpec:

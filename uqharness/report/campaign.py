@@ -27,6 +27,9 @@ from uqharness.campaign import (
     UNCOMMANDED_METRICS,
     CheckRow,
     Condition,
+    Document,
+    EpistemicSection,
+    Manifest,
     RateRange,
     Statement,
     as_number,
@@ -211,15 +214,15 @@ def aborted_cells(kinds: Sequence[str], items: Sequence[Statement | None]) -> tu
     return (*counts, limits)
 
 
-def assumptions(claims: Sequence[Statement], campaign: Mapping[str, Any]) -> list[str]:
+def assumptions(claims: Sequence[Statement], settings: Document) -> list[str]:
     """Return the assumptions of the statements, and where the flights contradict them.
 
     Parameters
     ----------
     claims : sequence of Statement
         Claims of a campaign.
-    campaign : mapping
-        Settings of the campaign as plain types.
+    settings : Document
+        Settings of the campaign.
 
     Returns
     -------
@@ -227,13 +230,13 @@ def assumptions(claims: Sequence[Statement], campaign: Mapping[str, Any]) -> lis
         Sentences.
     """
     # What the limits assume on clustering.
-    allowed = float(campaign["metrics"]["dispersion"])
+    allowed = settings.metrics.dispersion
     allowance = (
         f"Upper limits allow for a variance of the excursions per flight of {allowed:g} times their"
         " mean ([metrics] dispersion) and for more where the flights of a corner show more. Lower"
         " limits need no such assumption."
     )
-    if campaign["stop"]["rule"] != "decide":
+    if settings.stop.rule != "decide":
         allowance += (
             f" Where the same air shows {ENOUGH_EXCURSIONS} excursions or more at less than one per"
             f" hour at a smaller radius, the upper limit of the ratio there ({100 * CONFIDENCE:g}"
@@ -308,15 +311,15 @@ NOUNS: Mapping[str, str] = {"corners": "corner", "levels": "combination", "walk"
 """Name of an epistemic sample by method; "sample" for any other."""
 
 
-def kind_of(epistemic: Mapping[str, Any]) -> str:
+def kind_of(epistemic: EpistemicSection) -> str:
     """Return the method of a campaign for `with_sample_noun`; "samples" if others than corners
     flew.
     """
     # "corner" would be wrong for interior points, the nominal model and ellipsoids.
-    mixed = epistemic["method"] == "corners" and (
-        epistemic.get("interior") or epistemic.get("nominal") or epistemic["set"] != "box"
+    mixed = epistemic.method == "corners" and (
+        epistemic.interior or epistemic.nominal or epistemic.set != "box"
     )
-    return "samples" if mixed else str(epistemic["method"])
+    return "samples" if mixed else epistemic.method
 
 
 def with_sample_noun(part: Part, method: str) -> Part:
@@ -416,7 +419,7 @@ class CampaignReport:
     ----------
     folder : Path
         Campaign folder.
-    manifest : mapping
+    manifest : Manifest
         Its manifest.
     frame : DataFrame
         cases.parquet.
@@ -433,7 +436,7 @@ class CampaignReport:
     """
 
     folder: Path
-    manifest: Mapping[str, Any]
+    manifest: Manifest
     frame: pd.DataFrame
     findings: tuple[Finding, ...]
     signed: tuple[Statement, ...]
@@ -442,14 +445,14 @@ class CampaignReport:
     engine_check: tuple[CheckRow, ...] = ()
 
     @property
-    def campaign(self) -> Mapping[str, Any]:
+    def settings(self) -> Document:
         """Settings of the campaign."""
-        return self.manifest["campaign"]
+        return self.manifest.settings
 
     @property
     def aircraft(self) -> str:
         """Name of the aircraft."""
-        return Path(self.campaign["campaign"]["aircraft"]).name
+        return Path(self.settings.campaign.aircraft).name
 
 
 def read_campaign_report(folder: Path) -> CampaignReport:
@@ -468,27 +471,27 @@ def read_campaign_report(folder: Path) -> CampaignReport:
     # Tables first, then what follows from them.
     manifest = read_complete(folder)
     frame = read_cases(folder, manifest)
-    campaign = manifest["campaign"]
-    findings = tuple(_findings(frame, campaign))
-    signed = tuple(statements(frame, campaign, read_decisions(folder, manifest)))
-    verdict = tuple(_verdict(frame, campaign, findings, signed))
+    findings = tuple(_findings(frame, manifest))
+    signed = tuple(statements(frame, manifest.campaign, read_decisions(folder, manifest)))
+    verdict = tuple(_verdict(frame, manifest.settings, findings, signed))
     check = tuple(read_engine_check(folder, manifest))
     question = " ".join(
         [
-            _question(frame, campaign),
+            _question(frame, manifest.settings),
             *(f"{words[0].upper()}{words[1:]}." for words in joint_words(manifest)),
             *(
                 f"{words[0].upper()}{words[1:]}."
-                for words in corners_only_words(campaign["epistemic"])
+                for words in corners_only_words(manifest.campaign["epistemic"])
             ),
         ]
     )
     return CampaignReport(folder, manifest, frame, findings, signed, question, verdict, check)
 
 
-def _findings(frame: pd.DataFrame, campaign: Mapping[str, Any]) -> list[Finding]:
+def _findings(frame: pd.DataFrame, manifest: Manifest) -> list[Finding]:
     """Return the p-boxes of the medians per condition and quantity, measured before true."""
     findings = []
+    settings = manifest.settings
     for condition in conditions(frame):
         rows = in_condition(frame, condition)
         # True and measured error of each quantity.
@@ -496,13 +499,13 @@ def _findings(frame: pd.DataFrame, campaign: Mapping[str, Any]) -> list[Finding]
             for measured in (True, False):
                 metric = f"{quantity}_median_{unit}" + ("_measured" if measured else "")
                 corners = samples(rows, metric) if metric in rows else []
-                if (measured and not campaign["aleatory"]["sensor_noise"]) or not any(
+                if (measured and not settings.aleatory.sensor_noise) or not any(
                     c.values.size for c in corners
                 ):
                     continue
                 # The band allows for sequential looks.
-                box = pbox(corners, band_confidence(campaign, CONFIDENCE))
-                published = _published(campaign, condition, quantity) if measured else None
+                box = pbox(corners, band_confidence(manifest.campaign, CONFIDENCE))
+                published = _published(settings, condition, quantity) if measured else None
                 interior_widening = _interior_widening(corners)
                 findings.append(
                     Finding(
@@ -532,51 +535,52 @@ def _interior_widening(corner_samples: Sequence[Sample]) -> float | None:
     return widened(corners, interior) if interior and corners else None
 
 
-def _published(campaign: Mapping[str, Any], condition: Condition, quantity: str) -> float | None:
+def _published(settings: Document, condition: Condition, quantity: str) -> float | None:
     """Return the median of the published flight if aircraft and condition are the same."""
-    same_aircraft = Path(campaign["campaign"]["aircraft"]).name == _PUBLISHED_AIRCRAFT
+    same_aircraft = Path(settings.campaign.aircraft).name == _PUBLISHED_AIRCRAFT
     same_air = condition.wind_mps == _PUBLISHED_WIND_MPS and condition.turbulence in _PUBLISHED_AIR
     return _PUBLISHED[quantity] if same_aircraft and same_air else None
 
 
-def _question(frame: pd.DataFrame, campaign: Mapping[str, Any]) -> str:
+def _question(frame: pd.DataFrame, settings: Document) -> str:
     """Return the question that the campaign answers, with what was flown."""
-    air, epistemic = campaign["aleatory"], campaign["epistemic"]
+    air, epistemic = settings.aleatory, settings.epistemic
     corners = frame["epistemic_id"].nunique()
     between = frame["epistemic_id"][frame["epistemic_id"].str.startswith(INTERIOR_MARK)].nunique()
-    ends = "points of the joint ellipsoid" if epistemic["set"] == "ellipsoid" else "corners"
+    ends = "points of the joint ellipsoid" if epistemic.set == "ellipsoid" else "corners"
     interior_text = f" and {between} points between them" if between else ""
-    intervals = f"within the intervals of {', '.join(epistemic['coefficients'])}"
+    coefficients = ", ".join(epistemic.coefficients)
+    intervals = f"within the intervals of {coefficients}"
     # What was flown at each epistemic sample, by method.
     samples_text = {
         "none": "the model as it is, without model-form uncertainty",
         "corners": (
             f"{corners - between} {ends}{interior_text} of the model-form intervals of"
-            f" {', '.join(epistemic['coefficients'])}"
+            f" {coefficients}"
         ),
         "levels": f"{corners} combinations of levels {intervals}",
         "lhs": f"{corners} fixed levels, a Latin hypercube, {intervals}",
         "white": f"{corners} samples of levels redrawn at every step {intervals}",
         "walk": f"{corners} random walks {intervals}",
-    }[epistemic["method"]]
+    }[epistemic.method]
     # Walk rates belong to the description.
-    if epistemic["method"] == "walk":
-        rates = epistemic["walk_rate_per_sqrt_s"]
+    if epistemic.method == "walk":
+        rates = epistemic.walk_rate_per_sqrt_s or {}
         samples_text += (
             " at "
             + ", ".join(f"{name} {rate:.3g}" for name, rate in rates.items())
             + " per square root of a second"
         )
-    if "parameters" in epistemic:
-        samples_text += f"; parameters drawn from {Path(epistemic['parameters']['fit']).name}"
-    winds = ", ".join(f"{wind:g}" for wind in air["wind_mps"])
-    noise = "noisy" if air["sensor_noise"] else "noise-free"
+    if epistemic.parameters is not None:
+        samples_text += f"; parameters drawn from {Path(epistemic.parameters.fit).name}"
+    winds = ", ".join(f"{wind:g}" for wind in air.wind_mps)
+    noise = "noisy" if air.sensor_noise else "noise-free"
     return (
         "How much do errors and excursions of this mission depend on the model's epistemic"
-        f" uncertainty? {samples_text[0].upper()}{samples_text[1:]}; {air['flights']} flights each,"
-        f" of {air['duration_s']:g} s scored after {air['burn_in_s']:g} s of burn-in; wind {winds}"
-        f" m/s from {air['wind_from_deg']:g} deg, turbulence {', '.join(air['turbulence'])}"
-        f" ({air['turbulence_source']}), {noise} sensors."
+        f" uncertainty? {samples_text[0].upper()}{samples_text[1:]}; {air.flights} flights each,"
+        f" of {air.duration_s:g} s scored after {air.burn_in_s:g} s of burn-in; wind {winds}"
+        f" m/s from {air.wind_from_deg:g} deg, turbulence {', '.join(air.turbulence)}"
+        f" ({air.turbulence_source}), {noise} sensors."
     )
 
 
@@ -585,15 +589,15 @@ _ANSWER_LEVELS: Mapping[str, Level] = {YES: "good", NO: "bad", OPEN: "warn"}
 
 def _verdict(
     frame: pd.DataFrame,
-    campaign: Mapping[str, Any],
+    settings: Document,
     findings: Sequence[Finding],
     signed: Sequence[Statement],
 ) -> list[Sentence]:
     """Return the verdict: hardest condition, its excursions and medians, and failures."""
-    kind = kind_of(campaign["epistemic"])
+    kind = kind_of(settings.epistemic)
     # The verdict is about the hardest condition.
     hardest = hardest_condition(conditions(frame))
-    duration = campaign["aleatory"]["duration_s"]
+    duration = settings.aleatory.duration_s
     sentences = [Sentence(f"Hardest condition flown: {hardest.words}.")]
     for statement in signed:
         if statement.cell.condition == hardest and statement.cell.distance == "horizontal":
@@ -996,20 +1000,19 @@ def _track(path: Path, name: str, words: str) -> Figure | None:
 _NAMES: Mapping[str, str] = {"batch": "the batch engine", "jsbsim": "JSBSim"}
 
 
-def engine_section(manifest: Mapping[str, Any], rows: Sequence[CheckRow]) -> Section:
+def engine_section(engine: str, reasons: Sequence[str], rows: Sequence[CheckRow]) -> Section:
     """Return which engine flew, why, and how far it is from JSBSim.
 
     Parameters
     ----------
-    manifest : mapping
-        Manifest of the campaign.
+    engine : str
+        Engine that flew: ``batch`` or ``jsbsim``.
+    reasons : sequence of str
+        Why it was chosen.
     rows : sequence of CheckRow
         Comparison of the engines.
     """
-    # Engine and reasons from the manifest.
-    engine = manifest["campaign"]["campaign"]["engine"]
-    reasons = tuple(manifest.get("engine", {}).get("why", ()))
-    engine_text = engine_words(_NAMES[engine], reasons)
+    engine_text = engine_words(_NAMES[engine], tuple(reasons))
     blocks: list[Block] = [Words(f"Flown in {engine_text}.")]
     full_flights = [row for row in rows if row.part == FULL_FLIGHT]
     if engine == "batch":
@@ -1158,9 +1161,8 @@ def overlay_section(
 
 def _differences(before: CampaignReport, after: CampaignReport) -> str:
     """Return what two campaigns flew differently besides the model and its bounds."""
-    pairs = [
-        (side.campaign["campaign"]["seed"], side.campaign["aleatory"]) for side in (before, after)
-    ]
-    names = ["seed"] if pairs[0][0] != pairs[1][0] else []
-    keys = [k for k in pairs[0][1] if k != "variables"]
-    return ", ".join([*names, *(k for k in keys if pairs[0][1].get(k) != pairs[1][1].get(k))])
+    first, second = before.settings, after.settings
+    names = ["seed"] if first.campaign.seed != second.campaign.seed else []
+    keys = [key for key in type(first.aleatory).model_fields if key != "variables"]
+    names += [k for k in keys if getattr(first.aleatory, k) != getattr(second.aleatory, k)]
+    return ", ".join(names)

@@ -8,7 +8,7 @@ from uqharness.requests import fields
 from uqharness.requests.base import Flag, Number, Request, WholeNumber, option
 from uqharness.requests.simulation import Properties
 
-Format = Literal["ardupilot-json", "gazebo", "csv"]
+Format = Literal["ardupilot-jsbsim", "ardupilot-json", "gazebo", "fmu", "csv"]
 
 
 class ExportRequest(Request):
@@ -21,10 +21,12 @@ class ExportRequest(Request):
   uqharness export espaaro --to gazebo --out espaaro-gazebo
   uqharness export espaaro --to ardupilot-json --bounds bounds/model-form.json --out espaaro-ap
   uqharness export espaaro --to csv --set uq/active=1 --set uq/CX/level=1 --out espaaro-table
+  uqharness export espaaro --to ardupilot-jsbsim --member 010011 --out sitl
 
-Writes DIR/loss.json and DIR/loss.csv, and the model: DIR/NAME.json, DIR/model.sdf with
-DIR/model-classic.sdf, or DIR/coefficients.csv. The loss is the difference between the model as the
-other program computes it and the source, over random states around steady flight."""
+Writes DIR/loss.json and DIR/loss.csv, and the model: DIR/aircraft/NAME with DIR/NAME.parm,
+DIR/NAME.json, DIR/model.sdf with DIR/model-classic.sdf, DIR/NAME.fmu, or DIR/coefficients.csv. The
+loss is the difference between the model as the other program computes it and the source, over
+random states around steady flight."""
     no: ClassVar[str] = (
         "the format loses more than the bounds of --bounds allow; without --accept-loss the model"
         " is not written"
@@ -53,6 +55,16 @@ other program computes it and the source, over random states around steady fligh
         metavar="PROP=VALUE",
         repeat=True,
         needed='PROP=VALUE with a finite number, such as uq/active=1 ({"uq/active": 1.0}),',
+    )
+    member: str | None = option(
+        None,
+        "epistemic member to freeze: a corner's digits in the order CX CY CZ Cl Cm Cn (0 lower, 1"
+        " upper end, - nominal, such as 01-011), an id of --campaign, or all of them; each is"
+        " NAME_MEMBER",
+        metavar="ID",
+    )
+    campaign: fields.OptionalPath = option(
+        None, "campaign file or folder that defines the members", metavar="CAMPAIGN"
     )
     states: WholeNumber = option(2000, "random states that are compared", ge=10, le=100_000)
     seed: WholeNumber = fields.seed("the states")

@@ -57,13 +57,13 @@ AIRCRAFT with the estimates."""
     )
     outputs: fields.Channels = option(
         None,
-        "channels to fit, such as q,alpha,az (default: all; without parameters to estimate those on"
-        " which a parameter acts)",
+        "channels to fit, such as q,alpha,az (default: all with --params, else those that an"
+        " estimated parameter affects)",
         metavar="C,C",
         kind="str or sequence of str, optional",
     )
     start: Literal["initial", "current"] = option(
-        "current", "start values: the card's (initial) or the XML's (current)"
+        "current", "start values: `initial` of the card, or the values in the XML (current)"
     )
     method: Literal["auto", "output-error", "filter-error"] = option(
         "auto", "auto: output error, then filter error if its residuals show turbulence"
@@ -73,7 +73,7 @@ AIRCRAFT with the estimates."""
 
 
 class CompareRequest(Request):
-    """Replay a flight by segment and measure the gap to the model against the sensors' noise."""
+    """Replay a flight segment by segment and compare the residuals with the sensor noise."""
 
     command: ClassVar[str] = "compare"
     done: ClassVar[str] = "the model reaches the noise floor"
@@ -83,9 +83,9 @@ class CompareRequest(Request):
   uqharness compare identified/aircraft --flight flight3.bin --servos ideal --out gap
 
 Writes DIR/compare.json, channels.csv, coefficients.csv, manoeuvres.csv, moments.csv,
-histories.parquet, report.html and figures/*.svg. The model reaches the noise floor where the rms of
-measured minus model is at most 1.15 times the noise in all recorded channels among V, alpha, beta,
-phi, theta, p, q, r, ax, ay, az."""
+histories.parquet, report.html and figures/*.svg. The model reaches the noise floor if the rms of
+measured minus model is at most 1.15 times the noise in every recorded channel of V, alpha, beta,
+phi, theta, p, q, r, ax, ay and az."""
 
     aircraft: fields.AircraftSource = fields.aircraft()
     flight: Annotated[fields.FlightSources, Field(max_length=1)] = option(
@@ -114,8 +114,8 @@ phi, theta, p, q, r, ax, ay, az."""
 
 
 class ValidateBoundsRequest(Request):
-    """Count the residuals of a flight that lie within bounds made from other flights, sensor noise
-    allowed for.
+    """Measure how many residuals of a flight lie within bounds made from other flights, with the
+    sensor noise added to the bounds.
     """
 
     command: ClassVar[str] = "validate-bounds"
@@ -146,7 +146,7 @@ class ValidateBoundsRequest(Request):
 
 
 class BoundsRequest(Request):
-    """Fit intervals of the model's error as functions of the flight state, sensor noise removed
+    """Bound the model-form error as a function of the flight state, separated from sensor noise
     (see docs/model-form.md).
     """
 
@@ -189,7 +189,7 @@ States: V alpha beta phi theta p q r, de da dr (surface positions), dt (throttle
     order: Literal[0, 1, 2, 3] = option(2, "order of the full polynomials")
     roll_terms: Flag = option(False, "roll rate among the states of Cm (dissertation, Fig 2.10)")
     select: Literal["full", "stepwise"] = option(
-        "full", "all terms, or those that a partial F test keeps"
+        "full", "all terms, or those that pass a partial F test"
     )
     as_published: Flag = option(
         False,
@@ -205,13 +205,11 @@ States: V alpha beta phi theta p q r, de da dr (surface positions), dt (throttle
         "grow",
         "outside the envelope box: grow as in the dissertation, or stay constant",
     )
-    cutoff_hz: Number = option(6.0, "differentiator and smoother, Hz", gt=0, metavar="F")
+    cutoff_hz: Number = option(6.0, "cut-off of differentiator and smoother, Hz", gt=0, metavar="F")
     airspeed_cutoff_hz: Number = option(
-        2.0, "low-pass of the airspeed, Hz; 0: none", ge=0, metavar="F"
+        2.0, "cut-off of the airspeed's low-pass, Hz; 0: none", ge=0, metavar="F"
     )
-    walk_cutoff_hz: Number = option(
-        0.5, "low-pass for the rate of variation, Hz", gt=0, metavar="F"
-    )
+    walk_cutoff_hz: Number = option(0.5, "cut-off for the rate of variation, Hz", gt=0, metavar="F")
     checks: Flag = fields.checks("the leave-one-out check and the check with other filters")
     figures: Flag = fields.figures()
 

@@ -12,8 +12,8 @@ from uqharness.requests.base import FilePath, Flag, Request, option
 
 
 class RefineRequest(Request):
-    """Find the effects that a model lacks, name them, add them to its XML, and test the result on
-    hold-out flights (see docs/refine.md).
+    """Find and name the effects that a model lacks, write them into a copy of its XML, and test the
+    result on hold-out flights (see docs/refine.md).
     """
 
     command: ClassVar[str] = "refine"
@@ -28,17 +28,15 @@ DIR/model.diff, DIR/figures/*.svg, DIR/histories.parquet, DIR/before/aircraft/<n
 without effects), DIR/intervals/*.json (model forms) and DIR/pbox/* (campaign folders). Setting an
 effect's property to 0 restores the model without it, bit for bit."""
     done: ClassVar[str] = "effects explain the residuals, or no effect is missing"
-    no: ClassVar[str] = (
-        "a residual remains that no effect of the catalogue explains, with or without effects"
-    )
+    no: ClassVar[str] = "a residual remains that no effect of the catalogue explains"
     keeps_stages: ClassVar[bool] = True
 
     aircraft: fields.AircraftSource = fields.aircraft()
     train: fields.FlightSources = fields.flights(
-        "--train", "flights for choosing and fitting effects", positional=False
+        "--train", "flights from which effects are chosen and estimated", positional=False
     )
     test: fields.FlightSources = fields.flights(
-        "--test", "hold-out flights, used for testing alone", positional=False
+        "--test", "hold-out flights, used for testing only", positional=False
     )
     out: FilePath = fields.out()
     signal_map: fields.OptionalPath = fields.signal_map()
@@ -50,7 +48,7 @@ effect's property to 0 restores the model without it, bit for bit."""
     )
     campaign: fields.OptionalPath = option(
         None,
-        "campaign flown with both models (default: the aircraft's loiter, if it has one)",
+        "mission to fly with both models (default: the aircraft's loiter, if it has one)",
         metavar="FILE.toml",
         toml=False,
     )
@@ -59,7 +57,7 @@ effect's property to 0 restores the model without it, bit for bit."""
         "whether the mission is flown with both models, for p-boxes",
         flag="--no-pbox",
         off=True,
-        help="do not fly the mission, no p-boxes",
+        help="no p-boxes: do not fly the mission",
         toml=False,
     )
     bake: Flag = option(
@@ -82,6 +80,6 @@ effect's property to 0 restores the model without it, bit for bit."""
         """Refuse a campaign that would not be flown."""
         if self.campaign is not None and not self.pbox:
             raise ValueError(
-                "{campaign} and {pbox}: a campaign is flown for its p-box; leave out one of them"
+                "{campaign} and {pbox}: a campaign is flown for its p-boxes; leave out one of them"
             )
         return self

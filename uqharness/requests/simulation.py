@@ -92,6 +92,19 @@ class FlyRequest(Request):
     noise: Flag = option(False, "add sensor noise to the autopilot's inputs and to the record")
     properties: Properties = _properties()
     autopilot: fields.OptionalPath = fields.autopilot()
+    autopilot_process: str | None = option(
+        None,
+        "command that starts a real autopilot, such as 'arduplane --model JSON:127.0.0.1'; it flies"
+        " the aircraft in lock step over UDP port 9002 (docs/autopilot.md)",
+        metavar="COMMAND",
+    )
+    autopilot_warmup_s: Number = option(
+        0.0,
+        "time in which the real autopilot receives the state and the run script commands, s",
+        ge=0,
+        le=1e5,
+        metavar="T",
+    )
     rate_hz: Number = option(50.0, "rows per second", gt=0, le=1e5, metavar="R")
     out: fields.RecordFile | None = option(
         None,

@@ -67,6 +67,8 @@ from .own_mission import with_fine_step as with_fine_step
 from .own_mission import write_own_mission as write_own_mission
 from .own_mission import write_steady_start as write_steady_start
 from .physical_checks import function_properties as function_properties
+from .settling import FTLBF_PER_S_HP as FTLBF_PER_S_HP
+from .settling import power_is_balanced as power_is_balanced
 from .staging import INSIDE as INSIDE
 from .staging import Staging as Staging
 from .staging import copy_folder as copy_folder

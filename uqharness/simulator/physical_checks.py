@@ -12,7 +12,6 @@ import difflib
 import json
 import logging
 import math
-import os
 import sys
 from collections.abc import Iterator
 from dataclasses import astuple, dataclass
@@ -29,7 +28,7 @@ from sysid.foreign.regular_files import in_words
 from sysid.units import SLUG_FT2_KGM2
 from uqharness.child_process import describe_exit, give_answer, run_module
 from uqharness.errors import BadInputError
-from uqharness.files import write_bytes
+from uqharness.files import user_cache, write_bytes
 from uqharness.simulator import engine, host
 from uqharness.simulator.host import HostProperty
 from uqharness.simulator.staging import (
@@ -251,7 +250,7 @@ def ensure_loadable(aircraft: NamedFiles, content: str) -> tuple[HostProperty, .
     rules = sha256_hex(Path(host.__file__).read_bytes())[:12]
     key = f"{content}-{engine.JSBSIM_VERSION}-{_VERDICT_FORMAT}-{rules}"
     if key not in _checked:
-        mark = _cache_folder() / key
+        mark = user_cache() / "loadable" / key
         verdict = _recall(mark)
         if verdict is None:
             verdict = _try_in_child(aircraft)
@@ -294,12 +293,6 @@ def _try_in_child(aircraft: NamedFiles) -> tuple[HostProperty, ...]:
             " function operation, or a property name with illegal characters"
         )
     return tuple(HostProperty(*row) for row in child.answer.get("host", ()))
-
-
-def _cache_folder() -> Path:
-    """Return the user's folder of cached results."""
-    base = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
-    return Path(base) / "uqharness" / "loadable"
 
 
 def _recall(mark: Path) -> tuple[HostProperty, ...] | None:

@@ -12,6 +12,8 @@ from __future__ import annotations
 import itertools
 from typing import Any
 
+import numpy as np
+
 _MOTION_INTEGRATORS = (
     "rate/rotational",
     "rate/translational",
@@ -28,9 +30,15 @@ STEADY_TOLERANCE = 1e-9
 # Relative difference of engine power and propeller power that counts as balanced.
 _POWER_TOLERANCE = 1e-3
 _ALTERNATES = 0.01  # of the speed: a change from frame to frame that is no rounding
-_FTLBF_PER_S_HP = 550.0
+FTLBF_PER_S_HP = 550.0
 _WIND = tuple(f"atmosphere/wind-{axis}-fps" for axis in ("north", "east", "down"))
 _WATCHED = ("thrust-lbs", "propeller-rpm", "n1", "blade-angle")
+
+
+def power_is_balanced(absorbed: Any, delivered: Any) -> Any:
+    """Return whether a propeller absorbs what its engine delivers [ft lbf/s], elementwise."""
+    size = np.maximum(np.abs(absorbed), FTLBF_PER_S_HP)
+    return np.abs(delivered - absorbed) <= _POWER_TOLERANCE * size
 
 
 def is_balanced(fdm: Any) -> bool:
@@ -48,11 +56,9 @@ def is_balanced(fdm: Any) -> bool:
                 return False
             absorbed_power, engine_power = (
                 fdm[f"{name}/propeller-power-ftlbps"],
-                fdm[f"{name}/power-hp"] * _FTLBF_PER_S_HP,
+                fdm[f"{name}/power-hp"] * FTLBF_PER_S_HP,
             )
-            if not abs(engine_power - absorbed_power) <= _POWER_TOLERANCE * max(
-                abs(absorbed_power), _FTLBF_PER_S_HP
-            ):
+            if not power_is_balanced(absorbed_power, engine_power):
                 return False
             if not fdm[f"{name}/set-running"]:
                 return False

@@ -26,6 +26,7 @@ from sysid.units import counted, percent
 from uqharness.campaign import (
     CONFIDENCE,
     Condition,
+    Document,
     ProcessExecutor,
     Statement,
     cases,
@@ -118,7 +119,7 @@ class FlownCampaign:
         Its folder.
     frame : DataFrame
         One row per flight (cases.parquet).
-    campaign : mapping
+    settings : Document
         Its settings, from the manifest.
     statements : list of Statement
         Excursion rates against the acceptable rate: one per condition, radius and kind of distance.
@@ -128,7 +129,7 @@ class FlownCampaign:
 
     folder: Path
     frame: pd.DataFrame
-    campaign: Mapping[str, Any]
+    settings: Document
     statements: list[Statement]
     shares: list[dict[str, str]]
 
@@ -162,10 +163,10 @@ def read_campaigns(out: Path, refined: bool) -> dict[str, FlownCampaign]:
 def _read(folder: Path) -> FlownCampaign:
     """Read one finished campaign."""
     manifest = read_complete(folder)
-    frame, campaign = read_cases(folder, manifest), manifest["campaign"]
-    all_statements = statements(frame, campaign, read_decisions(folder, manifest))
+    frame = read_cases(folder, manifest)
+    all_statements = statements(frame, manifest.campaign, read_decisions(folder, manifest))
     return FlownCampaign(
-        folder, frame, campaign, all_statements, read_sensitivity(folder, manifest) or []
+        folder, frame, manifest.settings, all_statements, read_sensitivity(folder, manifest) or []
     )
 
 
@@ -212,11 +213,11 @@ def performance(campaigns: Mapping[str, FlownCampaign]) -> Iterator[Sentence]:
             present = [side for side in sides.values() if side is not None]
             if len(present) == len(sides):
                 yield _pbox_sentence(
-                    words, unit, condition, float(last.campaign["aleatory"]["duration_s"]), present
+                    words, unit, condition, last.settings.aleatory.duration_s, present
                 )
         yield from _widest(last.shares, condition)
         # Bounds that are numbers hold everywhere: only those of a model form have an outside.
-        if isinstance(last.campaign["epistemic"].get("bounds"), str):
+        if isinstance(last.settings.epistemic.bounds, str):
             yield from _extrapolation(in_condition(last.frame, condition), condition)
     yield _flight_counts(campaigns)
 

@@ -119,8 +119,8 @@ def test_undamaged_samples_are_read(kind: str, samples: dict[str, bytes], tmp_pa
 def test_damage_gives_a_record_or_a_clear_refusal(
     kind: str, samples: dict[str, bytes], tmp_path: Path
 ) -> None:
-    counts = fuzz(samples[kind], kind, tmp_path, range(24))
-    assert sum(counts.values()) == 24
+    counts = fuzz(samples[kind], kind, tmp_path, range(8))
+    assert sum(counts.values()) == 8
 
 
 @pytest.mark.slow

@@ -74,6 +74,7 @@ def tree(folder: Path) -> dict[str, bytes]:
     }
 
 
+@pytest.mark.slow
 def test_instrument_writes_what_the_command_writes(tmp_path: Path, capsys: pytest.CaptureFixture):
     words = ["--constant", "CX=0.008,Cm=-0.01:0.02", "--json"]
     assert main(["instrument", "c172x", "--out", str(tmp_path / "command" / "c172x"), *words]) == 0

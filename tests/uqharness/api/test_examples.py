@@ -13,15 +13,18 @@ from tests.helpers.docstrings import example_of, public_functions
 pytestmark = pytest.mark.usefixtures("flights_here")
 
 SLOW = {
+    "campaign_area",
     "campaign_report",
     "check_campaign",
     "diff",
     "dossier",
+    "export_log",
     "margins",
     "next_flight",
     "refine",
     "report",
     "rerun_case",
+    "salvage_campaign",
     "study",
     "validate_bounds",
     "verify",

@@ -85,6 +85,7 @@ def test_compare_gives_what_the_command_gives(
     assert capsys.readouterr() == ("", "")
 
 
+@pytest.mark.slow
 def test_fit_model_form_gives_the_file_of_the_command(
     tmp_path: Path, capsys: pytest.CaptureFixture
 ):

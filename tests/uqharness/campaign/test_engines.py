@@ -93,6 +93,20 @@ def test_auto_goes_on_in_the_engine_of_the_earlier_flights(spec):
         settled(spec, WITHOUT, PreviousEngine("batch"))
 
 
+def test_what_the_batch_engine_leaves_out_is_named_in_the_author_s_file(spec):
+    class Ignoring(Understanding):
+        def left_out(self, spec, varying):
+            return (f"{spec.aircraft / 'plane.xml'}:5: <magnetometer> is not understood",)
+
+    choice = settled(spec, replace(ALIKE, batch=Ignoring()))
+    place = spec.path.parent / "plane" / "plane.xml"
+    assert choice.engine == "batch"
+    assert choice.words == (
+        "batch, because it understands all that the flight reads; left out, since nothing reads"
+        f" it: {place}:5: <magnetometer> is not understood"
+    )
+
+
 def test_a_defect_of_the_batch_engine_leaves_the_campaign_to_jsbsim(spec):
     class Broken(Understanding):
         def refusals(self, spec, varying):

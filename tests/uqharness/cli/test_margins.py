@@ -22,6 +22,7 @@ def test_one_loop_as_json(capsys: pytest.CaptureFixture[str]):
     assert loop["delay_s"] == pytest.approx(math.radians(loop["phase_deg"]) / crossover, rel=0.01)
 
 
+@pytest.mark.slow
 def test_gains_of_a_file_twice_as_large_move_both_gain_margins_by_6_dB(tmp_path, capsys):
     # The rate controller is linear in its three gains together, so L doubles at every frequency: 20
     # log10(2) dB.

@@ -24,6 +24,7 @@ def test_the_same_jsbsim_flies_the_same_bits():
     assert differences(channels, [flight], []) == []
 
 
+@pytest.mark.slow
 def test_another_model_there_is_seen():
     one, two = find_aircraft("espaaro"), find_aircraft("espaaro_truth")
     asked = MatchedRequest(speeds_mps=(22.0,), missions=("steady",), python_b=Path(sys.executable))

@@ -91,6 +91,7 @@ def test_the_missing_pitch_rate_term_of_the_truth_is_seen(made):
     assert slope == pytest.approx(1.5 * 0.53 / (2 * middle["V_mps"]), rel=0.35)
 
 
+@pytest.mark.slow
 def test_the_same_flight_gives_the_same_bytes(made, flights, tmp_path):
     arguments = [
         "bounds",
@@ -276,6 +277,7 @@ def test_another_aircrafts_bounds_and_bad_files_are_refused(made, flights, tmp_p
     assert "is no folder" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_an_identified_model_is_not_bounded_by_its_own_flight(flights, tmp_path, capsys):
     (tmp_path / "fit.json").write_text(
         json.dumps({"flights": ["x.bin"], "flights_sha256": [file_sha256(flights["clean"])]})

@@ -41,6 +41,7 @@ def truth_of(found: uq.Identification) -> np.ndarray:
     return np.array([TRUTH.coefficients[n.removeprefix("aero/")] for n in found.names])
 
 
+@pytest.mark.slow
 def test_intervals_hold_the_truth_and_predictions_are_white(folder: Path):
     """A filter that took gusts otherwise than they act, and controls to act at their rows, was
     twenty standard errors off.
@@ -154,7 +155,7 @@ def test_without_moving_air_filter_error_is_output_error(folder: Path):
 
 @pytest.mark.parametrize(
     ("turbulence", "method"),
-    [pytest.param("light", "filter error", marks=pytest.mark.slow), ("none", "output error")],
+    [("light", "filter error"), pytest.param("none", "output error", marks=pytest.mark.slow)],
 )
 def test_the_method_follows_the_air(tmp_path: Path, turbulence: str, method: str):
     flight = uq.fly(

@@ -7,25 +7,16 @@ from uqharness.report.campaign import engine_section
 from uqharness.report.parts import Table, Words
 
 
-def manifest(engine, *why):
-    return {
-        "campaign": {"campaign": {"engine": engine}},
-        "engine": {"asked": "auto", "why": list(why)},
-    }
-
-
 def row(metric, difference, verdict="alike", remark="", case="1", part="whole"):
     return CheckRow(part, "calm", case, metric, "1", "1", "1", difference, verdict, remark)
 
 
 def test_jsbsim_and_the_reason():
-    (words,) = engine_section(
-        manifest("jsbsim", "plane.xml:7: <rocket_engine> is not understood"), []
-    ).blocks
+    reason = "plane.xml:7: <rocket_engine> is not understood"
+    (words,) = engine_section("jsbsim", [reason], []).blocks
     assert isinstance(words, Words)
     assert words.text == "Flown in JSBSim, because plane.xml:7: <rocket_engine> is not understood."
-    old = {"campaign": {"campaign": {"engine": "jsbsim"}}}
-    assert engine_section(old, []).blocks[0].text == "Flown in JSBSim."
+    assert engine_section("jsbsim", [], []).blocks[0].text == "Flown in JSBSim."
 
 
 def test_the_largest_difference_of_each_metric_and_what_was_excused():
@@ -38,7 +29,7 @@ def test_the_largest_difference_of_each_metric_and_what_was_excused():
         row("nearest_excursions_15m", ""),
         row("altitude_max_m", "1.0", "alike", part="start"),
     ]
-    said, note, table = engine_section(manifest("batch"), rows).blocks
+    said, note, table = engine_section("batch", [], rows).blocks
     assert said.text == "Flown in the batch engine."
     assert note.text.startswith("2 whole flights, ")
     assert isinstance(table, Table)
@@ -47,4 +38,4 @@ def test_the_largest_difference_of_each_metric_and_what_was_excused():
         ("altitude_max_m", "2", "3e-08", "0"),
         ("excursions_15m", "2", "0", "1 (came near)"),
     )
-    assert len(engine_section(manifest("batch"), []).blocks) == 2
+    assert len(engine_section("batch", [], []).blocks) == 2

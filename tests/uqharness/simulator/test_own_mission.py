@@ -26,8 +26,10 @@ from uqharness.simulator.own_mission import EXCURSION_DEG
     ("name", "speed"),
     [
         ("c172p", 50),
-        ("SGS", 25),
-        *(pytest.param(*case, marks=pytest.mark.slow) for case in (("c310", 60), ("737", 140))),
+        *(
+            pytest.param(*case, marks=pytest.mark.slow)
+            for case in (("SGS", 25), ("c310", 60), ("737", 140))
+        ),
     ],
 )
 def test_any_aircraft_flies_doublets_of_a_few_degrees(name, speed, tmp_path, capsys):

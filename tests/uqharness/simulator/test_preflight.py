@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from uqharness.child_process import ProcessResult
+from uqharness.child_process import ProcessResult, run_module
 from uqharness.errors import BadInputError
 from uqharness.simulator import physical_checks
 from uqharness.simulator.aircraft import check_loadable, find_aircraft, open_aircraft
@@ -71,7 +71,10 @@ def test_one_that_does_not_is_named_and_not_remembered(
     assert not cache.exists()
 
 
-def test_the_child_loads_the_real_thing_and_refuses_what_is_none(cache: Path, tmp_path: Path):
+def test_the_child_loads_the_real_thing_and_refuses_what_is_none(
+    cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(physical_checks, "run_module", run_module)
     physical_checks.ensure_loadable(AIRCRAFT, "content")
     folder = tmp_path / "empty"
     folder.mkdir()

@@ -119,6 +119,7 @@ def test_poisson_limits_do_not_cover_clustered_excursions():
     assert np.mean(few >= 0.5) < 0.9
 
 
+@pytest.mark.slow
 def test_the_worst_of_64_is_covered_without_paying_for_64():
     """Largest of the upper limits at 5 % each: wrong about the true worst rate no more often than
     that.

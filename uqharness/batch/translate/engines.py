@@ -31,12 +31,13 @@ from uqharness.batch.translate.frame import (
     Scope,
     Values,
     canonical,
+    command_hook,
     error_scope,
     integer_hook,
     truth_hook,
 )
 from uqharness.batch.translate.functions import Grid, function_value
-from uqharness.batch.translate.piston import Piston, read_piston
+from uqharness.batch.translate.piston import BOTH_MAGNETOS, MAGNETOS, Piston, read_piston
 from uqharness.batch.translate.propeller import Jet, Propeller, read_jet, read_mount, read_propeller
 from uqharness.batch.translate.tanks import (
     PointMass,
@@ -266,8 +267,9 @@ def read_electric(scope: Scope, part: Part, name: str, index: str) -> Electric |
 # ``propulsion/set-running`` in a script acts when the script is loaded; the resulting state is
 # taken from JSBSim.
 
-_BOTH_MAGNETOS = 3.0
+_STARTER = "starter"
 _SETTLED_LBS, _SETTLED_TURNS, _MAX_TURNS = 1e-4, 120.0, 6000.0
+_BALANCED, _MAX_BALANCE_TURNS = 1e-13, 60000.0
 
 
 @dataclass(frozen=True)
@@ -299,11 +301,27 @@ class Engine:
         for function in root.all("function"):
             if function.attributes.get("type", "") in ("", "pre"):
                 write_function(frame, scope, function, ("name", "type"))
+        is_off = self._is_off(frame)
         loads = self.thruster.trace(frame, self.motor.trace(frame, self.thruster))
+        # A starter acts on engines that do not run; it is not understood.
+        if is_off is not None and not frame.initialising:
+            b = frame.builder
+            turns = b.op("or", is_off, frame.get(f"{self.name}set-running").eq(0.0))
+            frame.note_beyond(b.op("and", frame.memory(_STARTER).ne(0.0), turns))
         for function in root.all("function"):
             if function.attributes.get("type", "") == "post":
                 write_function(frame, scope, function, ("name", "type"))
         return loads
+
+    def _is_off(self, frame: Frame) -> Value | None:
+        """Return whether an engine with a starter does not run; None without one, or if nothing
+        commands it.
+        """
+        if not isinstance(self.motor, Piston | Turbine | Turboprop) or not frame.is_commanded(
+            _STARTER
+        ):
+            return None
+        return frame.get(f"{self.name}set-running").eq(0.0)
 
 
 @dataclass(frozen=True)
@@ -331,6 +349,7 @@ class Propulsion:
         for tank in self.tanks:
             frame.hooks[f"{tank.name}contents-lbs"] = set_contents(tank)
             frame.hooks[f"{tank.name}priority"] = integer_hook(f"{tank.name}priority")
+        self._prepare_commands(frame)
         for engine in self.engines:
             frame.hooks[f"{engine.name}constant-speed-mode"] = integer_hook(
                 f"{engine.name}constant-speed-mode"
@@ -342,6 +361,24 @@ class Propulsion:
             compute_inner_names(frame, *engine.part)
             for function in engine.part[1].all("function") if first else ():
                 compute_where_read(frame, engine.part[0], function)
+
+    def _prepare_commands(self, frame: Frame) -> None:
+        """Install hooks of the commands to all engines of a kind, and what they are at first."""
+        slots: dict[str, dict[str, float]] = {
+            "magneto": {},
+            "starter": {_STARTER: 0.0},
+            "cutoff": {},
+        }
+        for engine in self.engines:
+            if isinstance(engine.motor, Piston):
+                slots["magneto"][MAGNETOS] = engine.motor.magnetos
+            if isinstance(engine.motor, Turbine | Turboprop):
+                runs = bool(frame.values.get(f"{engine.name}set-running"))
+                slots["cutoff"][f"{engine.motor.key}/cutoff"] = 0.0 if runs else 1.0
+        for command, first in slots.items():
+            for slot, value in first.items():
+                frame.values.setdefault(f"#{slot}", value)
+            frame.hooks[f"propulsion/{command}_cmd"] = command_hook(first)
 
     def trace_mass(self, frame: Frame, first: bool) -> None:
         """Add mass, centre of gravity and inertia, if they change."""
@@ -425,34 +462,60 @@ class Propulsion:
         for k, gives in zip(lists[1], oxidizer_tanks, strict=True):
             self.tanks[k].drain(frame, oxidizer / oxidizer_count, b.op("and", burns, gives))
 
-    def trace_steady(self, frame: Frame, engine: Engine) -> None:
-        """Add one step of JSBSim's iteration to an engine's steady state; the slot `settling_slot`
-        is 0 when it is done.
+    def trace_steady(self, frame: Frame, engine: Engine, balancing: bool = False) -> None:
+        """Add one step to an engine's steady state; the slot `settling_slot` is 0 when it is done.
+
+        JSBSim iterates with steps of half a second. ``balancing`` adds a step of the flight, until
+        nothing changes: where JSBSim's iteration leaves a propeller out of balance, frames of the
+        flight bring it there (`simulator.settling`).
         """
-        thrust, count, turns = (
-            "steady/thrust",
-            f"steady{engine.index}/count",
-            f"steady{engine.index}/turns",
-        )
-        with frame.section("steady state", When(mask=settling_slot(engine))):
+        kind = "balance" if balancing else "steady"
+        prefix = f"{kind}{engine.index}"
+        going = settling_slot(engine, balancing)
+        with frame.section(f"{kind} state", When(mask=going)):
+            # JSBSim starts the engines whatever the aircraft's systems commanded.
+            starts = {MAGNETOS: BOTH_MAGNETOS}
+            if isinstance(engine.motor, Turbine | Turboprop):
+                starts[f"{engine.motor.key}/cutoff"] = 0.0
+            for slot, value in starts.items():
+                if frame.is_commanded(slot) and not balancing:
+                    frame.remember(slot, value)
             engine.trace(frame)
             b = frame.builder
-            before, current = frame.memory(thrust), frame.get(f"{engine.name}thrust-lbs")
-            # Thrust of two successive steps agrees.
-            is_settled = b.op("abs", before - current).lt(_SETTLED_LBS)
-            settled_turns = is_settled.choose(frame.memory(count) + 1.0, 0.0)
-            new_turns = frame.memory(turns) + 1.0
-            frame.remember(thrust, current)
-            frame.remember(count, settled_turns)
-            frame.remember(turns, new_turns)
+            is_settled = b.truth(True)
+            watched = ["thrust-lbs"]
+            if balancing and isinstance(engine.thruster, Propeller):
+                watched.append("propeller-rpm")
+            for reading in watched:
+                # JSBSim compares successive thrusts in any engine's order.
+                slot = f"{prefix if balancing else kind}/{reading.partition('-')[0]}"
+                before, current = frame.memory(slot), frame.get(f"{engine.name}{reading}")
+                limit: Value | float = _SETTLED_LBS
+                if balancing:
+                    size = b.op("abs", current)
+                    limit = size.gt(1.0).choose(size, 1.0) * _BALANCED
+                is_settled = b.op("and", is_settled, b.op("abs", before - current).lt(limit))
+                frame.remember(slot, current)
+            settled_turns = is_settled.choose(frame.memory(f"{prefix}/count") + 1.0, 0.0)
+            turns = frame.memory(f"{prefix}/turns") + 1.0
+            frame.remember(f"{prefix}/count", settled_turns)
+            frame.remember(f"{prefix}/turns", turns)
             # Steady: thrust unchanged for 120 steps; JSBSim gives up after 6000.
-            over = b.op("or", settled_turns.gt(_SETTLED_TURNS), new_turns.ge(_MAX_TURNS))
-            frame.remember(settling_slot(engine)[1:], over.choose(0.0, 1.0), 1.0)
+            max_turns = _MAX_BALANCE_TURNS if balancing else _MAX_TURNS
+            over = b.op("or", settled_turns.gt(_SETTLED_TURNS), turns.ge(max_turns))
+            frame.remember(going[1:], over.choose(0.0, 1.0), 0.0 if balancing else 1.0)
 
 
-def settling_slot(engine: Engine) -> str:
-    """Return the slot that is nonzero until an engine is steady."""
-    return f"#steady{engine.index}/going"
+def has_power_balance(engine: Engine) -> bool:
+    """Return whether an engine reports the power that its propeller has to absorb."""
+    return isinstance(engine.thruster, Propeller) and isinstance(
+        engine.motor, Piston | Electric | Brushless
+    )
+
+
+def settling_slot(engine: Engine, balancing: bool = False) -> str:
+    """Return the slot that is nonzero until an engine is steady, or in balance."""
+    return f"#{'balance' if balancing else 'steady'}{engine.index}/going"
 
 
 STEADY_STEP_S = 0.5
@@ -475,7 +538,7 @@ def read_propulsion(sources: Sources, values: Values, engines_running: bool = Fa
     )
     _check_start(values)
     tanks = tuple(read_tank(scope, (document, tank), k) for k, tank in enumerate(node.all("tank")))
-    magnetos = _BOTH_MAGNETOS if engines_running else _magnetos(sources.script)
+    magnetos = BOTH_MAGNETOS if engines_running else _magnetos(sources.script)
     engines = tuple(
         _read_engine((document, engine), k, sources.included, len(tanks), magnetos)
         for k, engine in enumerate(node.all("engine"))
@@ -596,7 +659,7 @@ def _magnetos(script: Document) -> float:
     for node in () if run is None else run.all("property"):
         name, text = canonical(node.text), node.attributes.get("value", "").strip()
         if name == "propulsion/set-running":
-            switch = _BOTH_MAGNETOS
+            switch = BOTH_MAGNETOS
         elif name == "propulsion/magneto_cmd" and text:
             switch = float(int(error_scope(script).number(node, text)))
     return switch

@@ -78,6 +78,9 @@ class Flight:
     renewed : Program or None
         A frame in which time stands still, after the engines are steady; None without engines,
         unless requested.
+    balancing : tuple of Program
+        One per engine: steps of the flight until its propeller is in balance, flown where JSBSim's
+        steps leave it out of balance.
     left_out : tuple of str
         Reasons for which elements were left out, because nothing in the flight reads them.
     """
@@ -90,7 +93,14 @@ class Flight:
     propulsion: Propulsion
     steady: tuple[Program, ...] = ()
     renewed: Program | None = None
+    balancing: tuple[Program, ...] = ()
     left_out: tuple[str, ...] = ()
+
+    @property
+    def settling(self) -> tuple[Program, ...]:
+        """All programs between the initialising frames and the flight."""
+        renewed = () if self.renewed is None else (self.renewed,)
+        return (*self.steady, *self.balancing, *renewed)
 
 
 @dataclass(frozen=True)
@@ -247,19 +257,23 @@ def _leave_functions_out(left_out: LeftOut, part: tuple[Document, Node] | None) 
 
 def _trace_settling(
     models: FrameModels, flight: Frame, inputs: Collection[str]
-) -> tuple[tuple[Program, ...], Program | None]:
-    """Trace the steps to each engine's steady state, and the frame after them."""
+) -> tuple[tuple[Program, ...], Program | None, tuple[Program, ...]]:
+    """Trace the steps to each engine's steady state, the frame after them, and the steps that
+    balance a propeller.
+    """
     if not models.propulsion.engines and not models.request.renewal:
-        return (), None
-    settling = []
+        return (), None, ()
+    settling: list[Program] = []
+    balancing: list[Program] = []
     for engine in models.propulsion.engines:
-        frame = _similar(flight, STEADY_STEP_S, inputs)
-        models.propulsion.trace_steady(frame, engine)
-        settling.append(frame.program(()))
+        for steps, step in ((settling, STEADY_STEP_S), (balancing, flight.dt_s)):
+            frame = _similar(flight, step, inputs)
+            models.propulsion.trace_steady(frame, engine, steps is balancing)
+            steps.append(frame.program(()))
     # JSBSim runs one frame without time after the steady state.
     renewed = _similar(flight, 0.0, inputs, models.request.any_step)
     _trace(renewed, models, _RENEWAL)
-    return tuple(settling), renewed.program(())
+    return tuple(settling), renewed.program(()), tuple(balancing)
 
 
 def _similar(flight: Frame, step: float, inputs: Collection[str], any_step: bool = False) -> Frame:

@@ -535,6 +535,10 @@ class Frame:
         self.values.setdefault(f"#{name}", first)
         self.builder.store(f"#{name}", value)
 
+    def is_commanded(self, slot: str) -> bool:
+        """Return whether a command's hook sets such a slot; always true in the survey."""
+        return self.written_properties is None or f"#{slot}" in self.written_properties
+
     def scope(self, document: Document) -> Scope:
         """Return a scope for elements of ``document`` in the current section."""
         return Scope(self.builder, document, self.read, self._draw_for(document), self.note_beyond)
@@ -664,7 +668,9 @@ _WRITABLE = re.compile(
     rf"{_AIR}|metrics/aero-rp-[xyz]-in|{_ENGINE_SET}|{_TANK_SET}|{_CONTACT_SET}|{_STEERING}"
     r"|inertia/pointmass-(weight-lbs|location-[XYZ]-inches)(\[\d+\])?"
     r"|simulation/integrator/(rate|position)/(rotational|translational)"
+    r"|propulsion/(magneto|starter|cutoff)_cmd"
 )
+_NOT_BY_HOST = re.compile(r"propulsion/(magneto|starter|cutoff)_cmd")
 _BY_HOST = re.compile(
     r"metrics/(bw-ft|cbarw-ft)|inertia/(mass-slugs|weight-lbs|empty-weight-lbs|cg-[xyz]-in"
     r"|i..-slugs_ft2)"
@@ -730,6 +736,8 @@ def settable(name: str) -> bool:
     """Return whether the engine does what JSBSim does when a host sets the property before the
     flight.
     """
+    if _NOT_BY_HOST.fullmatch(name):
+        return False
     return writable(name) or _BY_HOST.fullmatch(name) is not None
 
 
@@ -740,6 +748,27 @@ def integer_hook(name: str) -> Callable[[Frame, Value], None]:
         """Store the truncated value."""
         size = frame.builder.op("floor", frame.builder.op("abs", value))
         frame.store(name, value.lt(0.0).choose(-size, size))
+
+    return write
+
+
+def command_hook(slots: Collection[str]) -> Callable[[Frame, Value], None]:
+    """Return the hook of a command to all engines; each keeps it as an integer.
+
+    ``slots`` are memories without '#'.
+    """
+
+    def write(frame: Frame, value: Value) -> None:
+        """Remember the truncated value; refuse a command to one engine alone."""
+        if frame.values.get("propulsion/active_engine", -1.0) not in (-1.0, None):
+            raise BadInputError(
+                "propulsion/active_engine selects one engine: commands to it alone are not"
+                " understood by the batch engine"
+            )
+        size = frame.builder.op("floor", frame.builder.op("abs", value))
+        for slot in slots:
+            frame.writes.add(f"#{slot}")
+            frame.remember(slot, value.lt(0.0).choose(-size, size))
 
     return write
 

@@ -29,6 +29,9 @@ from uqharness.xml import Node
 _R_AIR, _CALORIFIC, _CP_AIR, _CP_FUEL = 287.3, 47.3e6, 1005.0, 1700.0
 _STANDARD_PA, _HP_FTLBPS = 101320.73, 550.0
 _MIN_INDICATED_HP = 0.125
+MAGNETOS = "magnetos"
+"""Memory of the magneto switch of all engines."""
+BOTH_MAGNETOS = 3.0
 _MANIFOLD_GAMMA = 1.3
 _COMBUSTION = Grid(
     (0.0, 0.9, 1.0, 1.05, 1.1, 1.15, 1.2, 1.3, 1.4, 1.5, 1.6, 2.0),
@@ -140,7 +143,7 @@ _TAKEOFF_THROTTLE = 0.98
 
 @dataclass(frozen=True)
 class Piston:
-    """A piston engine; ``magnetos`` 0 to 3: off, left, right, both."""
+    """A piston engine; ``magnetos`` before the flight, 0 to 3: off, left, right, both."""
 
     name: str
     index: str
@@ -186,7 +189,7 @@ class Piston:
         frame.store(f"{name}fuel-flow-rate-pps", lbs_per_s)
         # Indicated power less friction and pumping.
         static = frame.get(f"{name}friction-hp")
-        spark = 1.0 if self.magnetos == 3.0 else n.spark_drop
+        spark = self._switch(frame).eq(BOTH_MAGNETOS).choose(1.0, n.spark_drop)
         mixed = lookup(self.mixture, fuel / air)
         burning = lbs_per_s * 3600.0 / frame.get(f"{name}bsfc-lbs_hphr") * mixed * spark - static
         indicated = running.choose(burning, -static)
@@ -201,6 +204,12 @@ class Piston:
         power = hp * _HP_FTLBPS
         return b.op("and", rpm.le(0.1), power.lt(0.0)).choose(0.0, power)
 
+    def _switch(self, frame: Frame) -> Value:
+        """Return the magneto switch, which the aircraft's systems may turn."""
+        if frame.is_commanded(MAGNETOS):
+            return frame.memory(MAGNETOS, self.magnetos)
+        return frame.builder.constant(self.magnetos)
+
     def _ignition(self, frame: Frame, rpm: Value) -> Value:
         """Return whether the engine runs: it needs a spark, fuel and speed, and restarts when the
         air turns the propeller.
@@ -209,7 +218,7 @@ class Piston:
         burns = b.op(
             "and",
             frame.get(f"{self.name}fuel-flow-rate-pps").gt(0.0),
-            b.truth(self.magnetos != 0.0),
+            self._switch(frame).ne(0.0),
         )
         minimum_rpm = self.numbers.idle_rpm * 0.8
         stays = b.op("and", burns, b.op("not", rpm.lt(minimum_rpm)))

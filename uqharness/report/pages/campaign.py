@@ -72,13 +72,13 @@ def campaign_page(
         Titles of the sections to build; default: all.
     """
     # Texts are written for corners and adapted to the samples that were flown.
-    kind = kind_of(report.campaign["epistemic"])
+    kind = kind_of(report.settings.epistemic)
     sections = [with_sample_noun(grid_section(report.signed), kind)]
     if is_wanted(PBOXES, only):
         section = with_sample_noun(pbox_section(report, prefix), kind)
         remarks = tuple(
             Words(f"{text[0].upper()}{text[1:]}.")
-            for text in corners_only_words(report.campaign["epistemic"])
+            for text in corners_only_words(report.manifest.campaign["epistemic"])
         )
         sections.append(replace(section, blocks=(*remarks, *section.blocks)))
     sections += track_section(report.folder, report.frame, prefix)
@@ -87,7 +87,11 @@ def campaign_page(
         *(with_sample_noun(s, kind) for s in rate_sections(report)),
         failure_section(report.frame),
     ]
-    sections += [engine_section(report.manifest, report.engine_check), _provenance(report)]
+    engine = report.settings.campaign.engine
+    sections += [
+        engine_section(engine, report.manifest.engine_reasons, report.engine_check),
+        _provenance(report),
+    ]
     return Page(f"Campaign of {report.aircraft}", report.question, report.verdict, tuple(sections))
 
 
@@ -282,7 +286,7 @@ def _grid_cell(item: Statement | None) -> Cell:
 def rate_sections(report: CampaignReport) -> list[Section]:
     """Return the supportable claims, and the counts behind them."""
     signed = report.signed
-    acceptable = f"{report.campaign['metrics']['acceptable_per_h']:g}"
+    acceptable = f"{report.settings.metrics.acceptable_per_h:g}"
     text = (
         f"Excursions per flight hour of the best and the worst corner with limits ({_SURE} each)"
         " that take the flight as the unit, "
@@ -317,7 +321,7 @@ def rate_sections(report: CampaignReport) -> list[Section]:
                 head,
                 rows,
             ),
-            Bullets(tuple(report_statements.assumptions(signed, report.campaign))),
+            Bullets(tuple(report_statements.assumptions(signed, report.settings))),
         ),
     )
     text = (
@@ -424,20 +428,20 @@ def failure_section(frame: pd.DataFrame) -> Section:
 
 def _provenance(report: CampaignReport) -> Section:
     """Return commands, seed, versions and hashes with which the campaign can be repeated."""
-    manifest, settings = report.manifest, report.campaign["campaign"]
-    names = {"aircraft": settings["aircraft"], "script": settings["mission"]}
+    manifest, settings = report.manifest, report.settings.campaign
+    names = {"aircraft": settings.aircraft, "script": settings.mission}
     # Hash of each input with its name.
     hashes = [
-        (f"{role.capitalize()} (SHA-256)", " ".join([digest, str(names.get(role, ""))]).strip())
-        for role, digest in manifest["hashes"].items()
+        (f"{role.capitalize()} (SHA-256)", " ".join([digest, names.get(role, "")]).strip())
+        for role, digest in manifest.hashes.items()
     ]
     return provenance(
-        ("Command", manifest["command"] or "not recorded"),
+        ("Command", manifest.command or "not recorded"),
         ("One flight again", "uqharness campaign rerun DIR --case CASE"),
-        ("Root seed", str(manifest["seed"])),
+        ("Root seed", str(manifest.seed)),
         (
             "Versions",
-            ", ".join(f"{name} {version}" for name, version in manifest["versions"].items()),
+            ", ".join(f"{name} {version}" for name, version in manifest.versions.items()),
         ),
         *hashes,
         (

@@ -17,6 +17,7 @@ import numpy as np
 
 from sysid.arrays import FloatArray
 from uqharness import __version__
+from uqharness.campaign import Manifest
 from uqharness.dossier import (
     ABSENT,
     FAIL,
@@ -26,6 +27,7 @@ from uqharness.dossier import (
     REGULATION,
     STANDARD,
     TESTS,
+    BoundsEvidence,
     Evidence,
     Match,
     Row,
@@ -493,8 +495,8 @@ def _name(evidence: Evidence) -> str:
     """Return the name of aircraft or study."""
     for step in reversed(evidence.steps):
         document = step.document or {}
-        if step.kind == "campaign" and step.document is not None:
-            return Path(document["campaign"]["campaign"]["aircraft"]).name
+        if isinstance(document, Manifest):
+            return Path(document.settings.campaign.aircraft).name
         if document.get("study") or isinstance(document.get("aircraft"), str):
             return str(document.get("study") or document["aircraft"])
     return "results"
@@ -616,11 +618,10 @@ def _estimate(row: Mapping[str, Any] | None) -> str:
 
 def _model(step: Step) -> str:
     """Return the hash of the model that a step wrote or used; empty if there is none."""
-    document = step.document or {}
-    if step.kind in ("bounds", "campaign"):
-        return str(
-            document.get("aircraft_sha256") or (document.get("hashes") or {}).get("aircraft") or ""
-        )
+    if isinstance(step.document, BoundsEvidence):
+        return step.document.aircraft_sha256
+    if isinstance(step.document, Manifest):
+        return step.document.hashes["aircraft"]
     if step.kind not in ("identify", "refine"):
         return ""
     try:
@@ -660,16 +661,14 @@ def _outcome(step: Step) -> str:
         return f"{document.verdict}: {effect_names or 'no effect'}; {flights}"
     if isinstance(document, Compare):
         return f"{document.aircraft} compared with {document.flight}"
-    if step.kind == "bounds":
-        return f"intervals for {len(document.get('coefficients', {}))} coefficients"
+    if isinstance(document, BoundsEvidence):
+        return f"intervals for {len(document.coefficients)} coefficients"
     if isinstance(document, Coverage):
         verdicts = "; ".join(f"{c} {v}" for c, v in document.verdicts.items())
         return verdicts or "coverage of the intervals"
-    if step.kind == "campaign":
-        return (
-            f"{document.get('cases', '?')} flights of"
-            f" {Path(document['campaign']['campaign']['aircraft']).as_posix()}"
-        )
+    if isinstance(document, Manifest):
+        aircraft = Path(document.settings.campaign.aircraft).as_posix()
+        return f"{document.cases} flights of {aircraft}"
     return f"study {document['study']}: {document.get('state', 'running')}"
 
 
@@ -817,14 +816,13 @@ def _assumptions(evidence: Evidence, source: LogComparison | None) -> list[str]:
             "Outside the flight states of the flights that they were made from, intervals of the"
             " model's error are extrapolated."
         )
-    for step in evidence.of("campaign"):
+    for step, manifest in evidence.results(Manifest):
         # Turbulence model, flight length and uncertainty of each campaign.
-        campaign = (step.document or {})["campaign"]
-        air, unknown = campaign["aleatory"], campaign["epistemic"]
+        air = manifest.settings.aleatory
         lines.append(
             f"{step.place if step.place != '.' else 'Campaign'}: Dryden turbulence"
-            f" ({air['turbulence_source']}), steady wind; flights of {air['duration_s']:g} s; the"
-            f" model's error lies within its bounds ({unknown['method']})."
+            f" ({air.turbulence_source}), steady wind; flights of {air.duration_s:g} s; the"
+            f" model's error lies within its bounds ({manifest.settings.epistemic.method})."
         )
     return lines
 

@@ -11,6 +11,7 @@ import pytest
 
 from tests.helpers import batch_engines as engines
 from tests.helpers import batch_flights as flights
+from tests.helpers.few import few
 from uqharness.batch.course import fly_many
 from uqharness.flight.fly import fly
 from uqharness.flight.spec import FlightResult, FlightSpec
@@ -61,7 +62,7 @@ def test_engines_begin_in_the_steady_state(made: flights.Craft) -> None:
 
 @pytest.mark.parametrize(
     ("name", "values"),
-    [("inertia/mass-slugs", (70.0, 60.0)), ("fcs/throttle-cmd-norm", (0.5, 0.9))],
+    few([("inertia/mass-slugs", (70.0, 60.0)), ("fcs/throttle-cmd-norm", (0.5, 0.9))], 1),
 )
 def test_lanes_differ_in_mass_and_throttle(
     made: flights.Craft, name: str, values: tuple[float, float]

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from tests.helpers.batch_whole import EXPENSIVE, TRANSIENT, WALK, spec, with_bounds
+from tests.helpers.few import few
 from uqharness.batch.course import Branch, Course, compiled_mission
 
 ACTIVE = {"uq/active": 1.0}
@@ -75,7 +76,7 @@ def same(one, other):
     ) and (rows_of(one).tobytes() == rows_of(other).tobytes())
 
 
-@pytest.mark.parametrize("which", ["moving", "own_turbulence"])
+@pytest.mark.parametrize("which", few(["moving", "own_turbulence"], 1))
 def test_a_flight_that_was_held_goes_on_with_the_same_bytes(which, request):
     made, specs, whole = request.getfixturevalue(which)
     for frames in ((10,), (790, 1270), (1600,)):
@@ -127,7 +128,7 @@ def test_streams_at_another_place_are_seen(moving):
         assert not same(course.recorded()[0], whole[0])
 
 
-@pytest.mark.parametrize("which", ["moving", "own_turbulence"])
+@pytest.mark.parametrize("which", few(["moving", "own_turbulence"], 1))
 def test_a_branch_differs_behind_its_split_alone(which, request):
     made, specs, whole = request.getfixturevalue(which)
     held = begun(made, specs[:1], 1200).snapshots()[0]
@@ -242,7 +243,7 @@ def restored(made, spec, splits):
     return course
 
 
-@pytest.mark.parametrize("which", ["gusty", "moving", "own_turbulence"])
+@pytest.mark.parametrize("which", few(["moving", "gusty", "own_turbulence"], 1))
 def test_branches_that_are_followed_have_the_bytes_of_branches_that_are_held(
     which, request, monkeypatch
 ):

@@ -89,7 +89,7 @@ def test_the_engine_runs_as_in_jsbsim(motor: str, events: str) -> None:
     assert 0.1 < runs < 0.9 if events else runs == 0.0
 
 
-QUICK = ("minmp", "displacement", "bsfc", "man-press-lag", "static-friction", "oil-viscosity-index")
+QUICK = ("minmp", "bsfc", "oil-viscosity-index")
 TAGS = """minmp maxmp displacement maxrpm idlerpm stroke bsfc cylinders compression-ratio volumetric-efficiency man-press-lag
 ram-air-factor static-friction cooling-factor dynamic-fmep static-fmep cylinder-head-mass oil-viscosity-index"""
 

@@ -1,24 +1,22 @@
 """Figs 3.7 to 3.9 and 4.3 and Table 4.7 from the flights of Tables 3.1 and 3.2 in their air: 3 m/s
 of wind, severe turbulence.
 
-    python -m campaigns.loiter.full_size  # of the flights of campaigns/excursions so far
-    python -m campaigns.excursions.full_size fly --cell severe-3  # flies more of them
-    python -m campaigns.excursions.full_size rerun --cell severe-3 --shard 0  # one shard once more
+    python -m campaigns.loiter.reproduce  # of campaigns/excursions/flights.parquet
+    python -m campaigns.loiter.reproduce SOURCE --out DIR  # of a complete campaign folder
 """
 
 from __future__ import annotations
 
 import sys
 from collections import Counter
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 
-from campaigns.excursions.full_size import HOME as EXCURSIONS
-from campaigns.excursions.full_size import plan
-from campaigns.library.store import cell_table
+from campaigns.excursions.reproduce import HOME as EXCURSIONS
+from campaigns.library.flights import FLIGHTS, case_tables, settings
 from campaigns.library.study import cells, exit_code, published_table, study_parser, write_csv
 from campaigns.library.tables import MEDIANS, PICTURE, hours_per_sample, pbox_drawing
 from uqharness.campaign.conditions import CONFIDENCE, samples
@@ -40,49 +38,33 @@ _PBOX = """metric probability:g best:.4g worst:.4g band_low:.4g band_high:.4g be
     worst_corner corners hours_per_corner:g"""
 
 
-@dataclass(frozen=True)
-class Share:
-    """Part of a p-box's area that a coefficient has: smallest and largest over the 32 pairs of
-    corners that differ in it alone.
+def compare(limits: tuple[float, float], printed: tuple[float, float]) -> str:
+    """Return ``overlaps`` where limits and the print's range have a value in common, else ``above``
+    or ``below`` the print."""
+    if limits[0] > printed[1]:
+        return "above"
+    return "below" if limits[1] < printed[0] else "overlaps"
 
-    ``share_low``, ``share_high`` bound both at 95 % for all coefficients at once; ``published`` is
-    the print's range (Table 4.7).
+
+def shares(analysis: Sequence[MetricSensitivity]) -> Iterator[dict[str, Any]]:
+    """Yield the part of a p-box's area that each coefficient has, beside Table 4.7.
+
+    Smallest and largest over the 32 pairs of corners that differ in the coefficient alone;
+    ``share_low`` and ``share_high`` bound both at 95 % for all coefficients at once. True and
+    measured metrics stand beside the same print.
     """
-
-    metric: str
-    coefficient: str
-    share_min: float
-    share_max: float
-    share_low: float
-    share_high: float
-    published_min: float
-    published_max: float
-
-    @property
-    def beside(self) -> str:
-        """``overlaps`` where the limits and the print's range have a value in common, else
-        ``above`` or ``below`` the print."""
-        if self.share_low > self.published_max:
-            return "above"
-        return "below" if self.share_high < self.published_min else "overlaps"
-
-
-def published_shares() -> pd.DataFrame:
-    """Read Table 4.7: ranges by coefficient."""
-    return published_table("4.7").set_index("coefficient")
-
-
-def shares(analysis: Sequence[MetricSensitivity]) -> Iterator[Share]:
-    """Yield the shares of the analysis of corner pairs, true and measured metrics beside the same
-    print."""
-    table = published_shares()
+    table = published_table("4.7").set_index("coefficient")
     for item in analysis:
         quantity = item.metric.partition("_median")[0]
         for name, index in item.result.indices.items():
             assert isinstance(index, PairRange)
             low, high = index.minimum, index.maximum
-            printed = (float(table.loc[name, f"{quantity}_{end}"]) for end in ("min", "max"))
-            yield Share(item.metric, name, low.value, high.value, low.low, high.high, *printed)
+            row: dict[str, Any] = {"metric": item.metric, "coefficient": name}
+            row |= {"share_min": low.value, "share_max": high.value}
+            row |= {"share_low": low.low, "share_high": high.high}
+            printed = [float(table.loc[name, f"{quantity}_{end}"]) for end in ("min", "max")]
+            row |= {"published_min": printed[0], "published_max": printed[1]}
+            yield row | {"beside": compare((low.low, high.high), (printed[0], printed[1]))}
 
 
 def pbox_rows(frame: pd.DataFrame) -> Iterator[dict[str, str]]:
@@ -99,33 +81,30 @@ def pbox_rows(frame: pd.DataFrame) -> Iterator[dict[str, str]]:
             yield cells(row | {"hours_per_corner": hours_per_sample(frame)}, _PBOX)
 
 
-def write_tables(frame: pd.DataFrame, out: Path) -> list[str]:
+def write_tables(frame: pd.DataFrame, campaign: Mapping[str, Any], out: Path) -> list[str]:
     """Write shares.csv, pboxes.csv and pboxes.svg of a cell's flights, and return lines for the
     terminal. Raises BadInputError."""
-    analysis = analyse_campaign(
-        CornerCampaign(out, frame, {"campaign": plan().spec.as_dict()}), metrics=METRICS
-    )
+    analysis = analyse_campaign(CornerCampaign(out, frame, {"campaign": campaign}), metrics=METRICS)
     rows = list(shares(analysis))
     write_csv(out / "shares.csv", (cells(row, _SHARE) for row in rows))
     write_csv(out / "pboxes.csv", pbox_rows(frame))
     marks = {f"{n}_measured": (v, "published flight") for n, v in PUBLISHED_FLIGHT.items()}
     title = f"64 corners, {hours_per_sample(frame):g} h each, 3 m/s of wind, severe turbulence"
     write_text(out / PICTURE, pbox_drawing({"": frame}, METRICS, title, marks))
-    counts = Counter(row.beside for row in rows)
+    counts = Counter(row["beside"] for row in rows)
     words = ", ".join(f"{counts[word]} {word}" for word in ("overlaps", "above", "below"))
     return [*(item.words for item in analysis), f"{len(rows)} shares: {words}"]
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Make the tables; exit code 0, or 2 for bad input."""
-    parser = study_parser(__doc__, out=HOME)
-    parser.add_argument("--shards", type=Path, default=EXCURSIONS / "shards", metavar="DIR")
+    parser, default = study_parser(__doc__, out=HOME), EXCURSIONS / FLIGHTS
+    parser.add_argument("source", type=Path, nargs="?", default=default, metavar="SOURCE")
     args = parser.parse_args(argv)
 
-    def run() -> int:
-        condition = plan().condition(CELL)
-        print("\n".join(write_tables(cell_table(plan(), args.shards, condition)[0], args.out)))
-        return 0
+    def run() -> None:
+        frame = next(case_tables(args.source, cell=CELL))
+        print("\n".join(write_tables(frame, settings(args.source), args.out)))
 
     return exit_code(run)
 

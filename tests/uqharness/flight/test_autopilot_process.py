@@ -1,0 +1,114 @@
+"""A peer in the place of a real autopilot: it speaks the protocol of ArduPilot's JSON back-end, with
+its parser's demands (no blank behind a colon, one line), and holds bank and height by the pulses.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.helpers.places import ROOT
+from uqharness.errors import BadInputError
+from uqharness.flight import AutopilotSettings, FlightSpec, recorded_flight
+from uqharness.flight.autopilot_process import AutopilotProcess, command_scales
+from uqharness.simulator import find_aircraft, read_script
+
+PEER = """
+import re, socket, struct, sys
+port, mode, wide = int(sys.argv[1]), sys.argv[2], len(sys.argv) > 3
+link = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+link.settimeout(20.0)
+frame, start = 0, None
+pulses = [1500, 1500, 1600, 1500] + [0] * (28 if wide else 12)
+layout = "<HHI%dH" % len(pulses)
+def vector(text, key):
+    found = re.search('"%s":\\\\[([-0-9.e]+),([-0-9.e]+),([-0-9.e]+)\\\\]' % key, text)
+    return [float(x) for x in found.groups()]
+while True:
+    packet = struct.pack(layout, 29569 if wide else 18458, 100, frame, *pulses)
+    link.sendto(packet, ("127.0.0.1", port))
+    if mode == "repeat" and frame % 7 == 0:
+        link.sendto(packet, ("127.0.0.1", port))
+        first = link.recvfrom(4096)[0]
+        assert link.recvfrom(4096)[0] == first
+        text = first.decode()
+    else:
+        text = link.recvfrom(4096)[0].decode()
+    assert text.startswith("\\n{") and text.endswith("}\\n") and text.count("\\n") == 2
+    roll, pitch, yaw = vector(text, "attitude")
+    p, q, r = vector(text, "gyro")
+    position, velocity = vector(text, "position"), vector(text, "velocity")
+    start = position[2] if start is None else start
+    climb = 0.02 * (position[2] - start) + 0.05 * velocity[2]
+    # Nose down is more pulse in this aircraft's elevator table.
+    pulses[0] = round(1500 - 400 * (0.8 * roll + 0.2 * p))
+    pulses[1] = round(1500 + 400 * (0.8 * (pitch - 0.03 - climb) + 0.2 * q))
+    frame += 1
+    if mode == "dies" and frame == 100:
+        sys.exit("gains lost")
+"""
+
+
+@pytest.fixture
+def peer(tmp_path: Path) -> Path:
+    path = tmp_path / "peer.py"
+    path.write_text(PEER)
+    return path
+
+
+def flown(peer: Path, *words: str, duration_s: float = 12.0, warmup_s: float = 0.0):
+    command = " ".join([sys.executable, str(peer), "{port}", *words])
+    script = read_script(ROOT / "scripts/loiter.xml")
+    spec = FlightSpec(
+        aircraft=find_aircraft("espaaro").folder, script=script.path, duration_s=duration_s,
+        turbulence="light", seed_turbulence=3,
+    )  # fmt: skip
+    settings = AutopilotSettings(command, warmup_s, timeout_s=20.0, port=0)
+    return recorded_flight(find_aircraft("espaaro"), script, spec, settings)
+
+
+def test_it_flies_in_lock_step_and_again_alike(peer: Path) -> None:
+    table, recorded = flown(peer, "hold")
+    assert recorded.status == "ok"
+    # The peer flies wings level, where the script's own autopilot would turn.
+    assert np.abs(table["phi_rad"]).max() < 0.25
+    assert np.ptp(table["psi_rad"]) < 0.3
+    assert np.ptp(table["h_m"]) < 15.0
+    again, _ = flown(peer, "repeat", "wide")
+    assert table.equals(again)
+
+
+def test_the_script_commands_during_the_warm_up(peer: Path) -> None:
+    table, _ = flown(peer, "hold", warmup_s=6.0)
+    bank = np.abs(table["phi_rad"])
+    assert bank[table["time_s"].between(4.0, 6.0)].mean() > 0.2
+    assert bank[table["time_s"] > 10.0].mean() < 0.1
+
+
+def test_a_peer_that_ends_keeps_the_flight_so_far(peer: Path) -> None:
+    table, recorded = flown(peer, "dies")
+    assert recorded.status == "crashed"
+    assert re.search(r"ended with exit code 1 at 1\.0. s .*gains lost", recorded.reason)
+    assert len(table) == 11
+
+
+def test_a_command_that_does_not_exist(tmp_path: Path) -> None:
+    with pytest.raises(BadInputError, match="no-such-autopilot: No such file"):
+        AutopilotProcess(AutopilotSettings("no-such-autopilot", port=0), find_aircraft("espaaro"))
+
+
+def test_pulses_follow_the_card() -> None:
+    scales = command_scales(find_aircraft("espaaro"))
+    assert {name: scale.output for name, scale in scales.items()} == {
+        "aileron": 1, "elevator": 2, "throttle": 3, "rudder": 4,
+    }  # fmt: skip
+    assert scales["elevator"].values == (-20.0, 0.0, 20.0)
+    assert scales["throttle"].pulses_us == (1000.0, 2000.0)
+    # Without a card: JSBSim's normalised commands over ArduPlane's default pulses.
+    plain = command_scales(find_aircraft("c172p"))
+    assert plain["elevator"].property == "fcs/elevator-cmd-norm"
+    assert plain["elevator"].pulses_us == (1100.0, 1500.0, 1900.0)

@@ -1,0 +1,115 @@
+"""A functional mock-up unit (FMI 3.0, co-simulation) of the six-degree-of-freedom aircraft.
+
+The unit holds the aircraft's files and `fmu_slave`, packed by the package pythonfmu3. Inputs are
+the card's commands and the wind, parameters the levels of the model form, outputs the motion. It
+starts in the trim and flies frames of the aircraft's own integration step.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from pathlib import Path
+from typing import Any
+
+from sysid.units import FT_M
+from uqharness.errors import BadInputError
+from uqharness.exchange import frozen_copy
+from uqharness.exchange.states import SourceModel
+from uqharness.files import scratch_folder, write_bytes
+from uqharness.simulator import TRIM_LATITUDE_DEG, Aircraft, find_aircraft
+from uqharness.xml import attribute, declaration, declared_properties, folder_documents
+
+LOST = ("nothing of the aerodynamics: the unit runs JSBSim",)
+_LEVEL = re.compile(r"uq/(active|C[XYZlmn]/(level|active))")
+
+
+def write_copy(source: SourceModel, name: str, root: Path) -> Aircraft:
+    """Write ``root/aircraft/NAME`` with the source's properties frozen, and return the aircraft."""
+    aircraft = source.aircraft
+    files = frozen_copy.frozen(frozen_copy.own_files(aircraft), source.properties, aircraft)
+    files[f"{name}.xml"] = files.pop(aircraft.xml.relative_to(aircraft.folder).as_posix())
+    card = (aircraft.folder / "airframe.toml").read_text(encoding="utf-8")
+    files["airframe.toml"] = re.sub(
+        r'(?m)^(\s*xml\s*=\s*)"[^"]*"', rf'\g<1>"{name}.xml"', card, count=1
+    ).encode()
+    folder = root / "aircraft" / name
+    for path, content in files.items():
+        (folder / path).parent.mkdir(parents=True, exist_ok=True)
+        write_bytes(folder / path, content)
+    return find_aircraft(folder)
+
+
+def description(source: SourceModel, copy: Aircraft) -> dict[str, Any]:
+    """Return the content of model.json: what the program inside the unit sets."""
+    trim, card = source.trim, source.aircraft.card
+    commands = [
+        {
+            "name": f"{control}_{entry.unit}",
+            "property": entry.property,
+            "start": trim.controls.get(control, 0.0),
+            "description": f"command of the {control}"
+            + (f", positive {entry.positive}" if entry.positive else ""),
+        }
+        for control, entry in card.inputs.items()
+    ]
+    levels = {
+        name: _declared_value(copy, name)
+        for name in declared_properties(copy.folder, "uq/")
+        if _LEVEL.fullmatch(name)
+    }
+    return {
+        "identifier": re.sub(r"\W", "_", copy.name),
+        "description": f"{source.aircraft.name} in JSBSim, from its trim at"
+        f" {trim.condition.V_mps:.4g} m/s",
+        "aircraft": copy.name,
+        "dt_s": source.aircraft.dt_s,
+        "metres_per_foot": FT_M,
+        "commands": commands,
+        "settings": dict(card.modes.get("open_loop", {})),
+        "parameters": [
+            {"name": name.replace("/", "_"), "property": name, "start": value}
+            for name, value in levels.items()
+        ],
+        "initial": {
+            "ic/vt-fps": trim.condition.V_mps / FT_M,
+            "ic/alpha-rad": trim.alpha_rad,
+            "ic/beta-rad": trim.beta_rad,
+            "ic/phi-rad": trim.condition.bank_rad,
+            "ic/theta-rad": trim.theta_rad,
+            "ic/psi-true-rad": trim.condition.heading_rad,
+            "ic/lat-geod-deg": TRIM_LATITUDE_DEG,
+            "ic/long-gc-deg": 0.0,
+            "ic/h-sl-ft": trim.condition.altitude_m / FT_M,
+        },
+    }
+
+
+def _declared_value(aircraft: Aircraft, name: str) -> float:
+    """Return the value that a file of the aircraft declares for a property."""
+    nodes = ((d, declaration(d, name)) for d in folder_documents(aircraft.folder))
+    return next(float(attribute(node, "value")) for _, node in nodes if node is not None)
+
+
+def build(model: dict[str, Any], root: Path) -> bytes:
+    """Return the unit, packed from model.json and the aircraft's folder under ``root``.
+
+    Raises BadInputError without the package pythonfmu3.
+    """
+    try:
+        from pythonfmu3.builder import FmuBuilder
+    except ImportError:
+        raise BadInputError(
+            "--to fmu: needs the package pythonfmu3: pip install 'uqharness[fmi]'"
+        ) from None
+    with scratch_folder("fmu-") as place:
+        program = Path(place) / "fmu_slave.py"
+        shutil.copy2(Path(__file__).with_name("fmu_slave.py"), program)
+        description_file = Path(place) / "model.json"
+        description_file.write_text(json.dumps(model, indent=1), encoding="utf-8")
+        files = Path(place) / "root"
+        shutil.copytree(root, files)
+        out = Path(place) / "out"
+        unit = FmuBuilder.build_FMU(program, out, [description_file, files])
+        return Path(unit).read_bytes()
