@@ -4,7 +4,7 @@ from .catalogue import Term as Term
 from .catalogue import read_effects as read_effects
 from .catalogue import subsystem_effects as subsystem_effects
 from .prediction import Columns as Columns
-from .prediction import Followed as Followed
+from .prediction import FilteredSegment as FilteredSegment
 from .prediction import MadeColumns as MadeColumns
 from .prediction import White as White
 from .prediction import follow as follow
@@ -58,6 +58,6 @@ from .tuned import SEVERAL as SEVERAL
 from .tuned import STANDS as STANDS
 from .tuned import UNKNOWN_ROWS as UNKNOWN_ROWS
 from .turbulence import REMEMBERED_AIRS as REMEMBERED_AIRS
-from .turbulence import Gusts as Gusts
+from .turbulence import TurbulenceModel as TurbulenceModel
 from .turbulence import gust_intensity as gust_intensity
 from .turbulence import gust_strength_mps2 as gust_strength_mps2

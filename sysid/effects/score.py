@@ -141,7 +141,7 @@ class Evidence:
         """
         used = np.flatnonzero(delta)
         return [
-            np.where(w.there, w.residual - self.series(w, used) @ delta[used], np.nan)
+            np.where(w.is_measured, w.residual - self.series(w, used) @ delta[used], np.nan)
             for w in self.white
         ]
 
@@ -287,7 +287,7 @@ def _corrected(
     for w in evidence.white:
         columns = evidence.series(w, some)
         own.append(columns @ alone)
-        left.append(np.where(w.there, w.residual - columns @ delta, np.nan))
+        left.append(np.where(w.is_measured, w.residual - columns @ delta, np.nan))
     bracket = np.diagonal(coloured_information(own, left))
     # Where the data hold nothing of a column, as of a rate limit that is never reached, it has no
     # standard error.

@@ -56,14 +56,14 @@ class Score:
     deviation, noise (m,), and with the variances of each segment's process noise and begin (S, x).
     Infinite, its slopes zero, where no filter follows.
 
-    bent   the same slopes without the sum of squares, (m,), (S, x), (S, x): what the logarithm's
-    curvature is at most"""
+    curvature: the same slopes without the sum of squares, (m,), (S, x), (S, x), an upper bound of
+    the curvature with the logarithms"""
 
     cost: float
     noise: FloatArray
     process: FloatArray
     begin: FloatArray
-    bent: tuple[FloatArray, FloatArray, FloatArray]
+    curvature: tuple[FloatArray, FloatArray, FloatArray]
 
 
 class AirLikelihood:
@@ -76,7 +76,7 @@ class AirLikelihood:
         self,
         steps: Sequence[Steps],
         measured: Sequence[FloatArray],
-        which: Sequence[int],
+        rows: Sequence[int],
         by: Processes = SERIAL,
     ) -> None:
         self._by = by
@@ -84,7 +84,7 @@ class AirLikelihood:
         count = min(by.count, len(order))
         self._groups = [order[k::count] for k in range(count)]
         self._shared = [
-            by.share([MeasuredSystem.of(steps[k], measured[k], which) for k in group])
+            by.share([MeasuredSystem.of(steps[k], measured[k], rows) for k in group])
             for group in self._groups
         ]
 
@@ -94,17 +94,19 @@ class AirLikelihood:
             (shared, noise, process.of(group), slopes)
             for shared, group in zip(self._shared, self._groups, strict=True)
         ]
-        found = [one for some in self._by(_scored, jobs) for one in some]
+        scores = [one for some in self._by(_scored, jobs) for one in some]
         order = np.argsort(np.concatenate(self._groups))
         cost, by_noise, by_process, by_begin = (
-            np.stack(part)[order] for part in zip(*found, strict=True)
+            np.stack(part)[order] for part in zip(*scores, strict=True)
         )
         followed = float(np.isfinite(cost).all())
-        bent, square = (
+        curvature, square = (
             (by_noise[:, k].sum(axis=0), by_process[:, k], by_begin[:, k]) for k in (0, 1)
         )
-        own, air, begin = (followed * (b - s) for b, s in zip(bent, square, strict=True))
-        return Score(float(cost.sum()), own, air, begin, bent)
+        noise_slopes, air, begin = (
+            followed * (b - s) for b, s in zip(curvature, square, strict=True)
+        )
+        return Score(float(cost.sum()), noise_slopes, air, begin, curvature)
 
 
 _Slopes = tuple[float, FloatArray, FloatArray, FloatArray]
@@ -121,22 +123,22 @@ def _scored(job: tuple[Shared, FloatArray, Process, bool]) -> list[_Slopes]:
 
 
 def _one(
-    seen: MeasuredSystem, noise: FloatArray, air: tuple[FloatArray, FloatArray], sloping: bool
+    system: MeasuredSystem, noise: FloatArray, air: tuple[FloatArray, FloatArray], sloping: bool
 ) -> _Slopes:
     flat = np.zeros((2, len(noise))), np.zeros((2, len(air[0]))), np.zeros((2, len(air[0])))
     try:
-        found = gains(seen, noise, air, with_prior_variance=False)
+        filter_gains = gains(system, noise, air, with_prior_variance=False)
     except np.linalg.LinAlgError:
         return np.inf, *flat
-    through = whiten_innovations(seen, found)
+    through = whiten_innovations(system, filter_gains)
     if not np.isfinite(through.starts).all():
         return np.inf, *flat
     white, _, _ = start_fitted(through.innovations, through.starts)
-    cost = float(np.sum(white**2)) + 2.0 * found.logdet  # (1)
+    cost = float(np.sum(white**2)) + 2.0 * filter_gains.logdet  # (1)
     if not sloping:
         return cost, *flat
-    own, process, begin = variance_gradient(seen, found, white, air[0])
-    return cost, 2.0 * noise**2 * own, process, begin
+    noise_slopes, process, begin = variance_gradient(system, filter_gains, white, air[0])
+    return cost, 2.0 * noise**2 * noise_slopes, process, begin
 
 
 Linear = Callable[[Sequence[int], Sequence[GustStates]], Sequence[Steps]]
@@ -153,7 +155,7 @@ _MEMORY_S = 10.0
 """How long gusts along and across the path last: L/V of MIL-F-8785C at the heights of model
 aircraft.
 """
-_ALONG = np.array([1.0, _NONE, _NONE, 1.0, 1.0, 1.0, 1.0])
+_WITHOUT_ACROSS = np.array([1.0, _NONE, _NONE, 1.0, 1.0, 1.0, 1.0])
 """Factors that leave gusts along the path and the air's roll: a sensor that is off, or play, passes
 for those.
 """
@@ -164,7 +166,7 @@ _FASTER, _MOST_FASTER, _AS_MEANT = 0.04, 3.0, 0.02
 """Logarithm of the passing speed by which it is moved to find the likeliest; how many such steps
 that is away at most; standard deviation of that logarithm about a flight's mean airspeed, for gusts
 are made beforehand for the speed that is to be flown."""
-_ACTING = ((True, True), (True, False), (False, False), (False, True))
+_STRUCTURES = ((True, True), (True, False), (False, False), (False, True))
 _REACH, _ENOUGH, _FAILED, _LEAST_BENT = 14.0, 1.0, 1e12, 20.0
 """Of the search, in logarithms: how far it goes; the fall of minus twice the log likelihood at
 which it ends; that of a filter that fails; the least curvature that it takes."""
@@ -177,11 +179,11 @@ NOISE_PRIOR = np.log(2.0)
 
 
 @dataclass(frozen=True)
-class Gusts:
+class TurbulenceModel:
     """The air of some flights.
 
     states    how gusts act in each segment; values (7,) as _START, of the air the flights' mean;
-    own: flight -> (7,); passing:
+    by_flight: flight -> (7,); passing:
               flight -> speed at which its gusts pass [m/s], 0: the airspeed
     process   noise that they make in each segment; gain: twice the log likelihood gained over calm
     air
@@ -191,7 +193,7 @@ class Gusts:
 
     states: tuple[GustStates, ...]
     values: FloatArray
-    own: Mapping[str, FloatArray]
+    by_flight: Mapping[str, FloatArray]
     passing: Mapping[str, float]
     process: Process
     gain: float
@@ -205,7 +207,7 @@ class Gusts:
         passes for air that rotates, a sensor that is off for gusts along the path."""
         return self.across > CERTAIN_T**2
 
-    def in_other(self, V: Sequence[float], flights: Sequence[str]) -> Gusts:
+    def in_other(self, V: Sequence[float], flights: Sequence[str]) -> TurbulenceModel:
         """The same air in other segments, V their airspeeds, flights whose they are: those not
         known of have what all have, and gusts that pass at one speed pass at their mean airspeed.
         """
@@ -215,14 +217,14 @@ class Gusts:
             for f, part in _members(flights).items()
         }
         passing |= self.passing
-        own = {f: self.own.get(f, self.values) for f in flights}
+        by_flight = {f: self.by_flight.get(f, self.values) for f in flights}
         states = tuple(first._replace(passing_mps=passing[f]) for f in flights)
         return replace(
             self,
             states=states,
-            own=own,
+            by_flight=by_flight,
             passing=passing,
-            process=_process([own[f] for f in flights], V, states),
+            process=_process([by_flight[f] for f in flights], V, states),
         )
 
     @property
@@ -246,12 +248,13 @@ def gust_strength_mps2(values: FloatArray) -> float:
     """Return the strength sigma^2 / L of gusts [m/s2], the larger of those along and across the
     path.
 
-    values: (7,) estimates of the air of a flight, as `Gusts.own` has them. The spectral density of
-    u' is 2 sigma^2 V / L, that of alpha' and beta' 3 sigma^2 / (L V) (`process_of`).
+    values: (7,) estimates of the air of a flight, as `TurbulenceModel.by_flight` has them. The
+    spectral density of u' is 2 sigma^2 V / L, that of alpha' and beta' 3 sigma^2 / (L V)
+    (`process_of`).
     """
-    along = values[0] / (2.0 * V_REFERENCE)
+    along_path = values[0] / (2.0 * V_REFERENCE)
     across = np.max(values[1:3]) * V_REFERENCE / 3.0
-    return float(max(along, across))
+    return float(max(along_path, across))
 
 
 def process_of(values: FloatArray, V: float, states: GustStates) -> tuple[FloatArray, FloatArray]:
@@ -280,15 +283,15 @@ def process_of(values: FloatArray, V: float, states: GustStates) -> tuple[FloatA
 def gust_intensity(
     linear: Linear,
     measured: Sequence[FloatArray],
-    which: Sequence[int],
+    rows: Sequence[int],
     noise: FloatArray,
     V: Sequence[float],
     flights: Sequence[str],
     states: GustStates,
-    near: Gusts | None = None,
+    prior_model: TurbulenceModel | None = None,
     by: Processes = SERIAL,
     kinds: Sequence[str] = (),
-) -> tuple[Gusts, FloatArray]:
+) -> tuple[TurbulenceModel, FloatArray]:
     """The likeliest air of the segments, V their airspeeds, flights whose they are; found on at
     most ten of them, then of each flight on at most six. And (m,) factors by which the sensors'
     noise changes.
@@ -301,63 +304,65 @@ def gust_intensity(
     their noise is known. In gusts the samples of a channel do not tell its noise by themselves, and
     a filter that takes sensors for twice as noisy as they are follows them late: that looks like a
     servo's lag."""
-    known = np.ones(len(noise)) if near is None else near.factors
-    search = _Search(linear, measured, which, noise / known, V, by)
-    some = _spread(range(len(measured)), _MOST_SEGMENTS)
+    prior_factors = np.ones(len(noise)) if prior_model is None else prior_model.factors
+    search = _Search(linear, measured, rows, noise / prior_factors, V, by)
+    some = _evenly_spaced(range(len(measured)), _MOST_SEGMENTS)
     of = _members(flights)
-    if near is None:
+    if prior_model is None:
         last = search.best(
-            some, [_Point((states,) * len(measured), f * _START, known) for f in _FACTORS]
+            some, [_Point((states,) * len(measured), f * _START, prior_factors) for f in _FACTORS]
         )
     else:
-        near = near.in_other(V, flights)
-        last = _Point(near.states, near.values, known).with_own(near.own, flights)
-        # Far from what is stated no slope may lead back.
-        far = len(kinds) and np.abs(np.log(known)).max() > NOISE_PRIOR
-        last = search.best(
-            some, [last, *([replace(last, factors=np.ones(len(noise)))] if far else [])]
+        prior_model = prior_model.in_other(V, flights)
+        last = _Point(prior_model.states, prior_model.values, prior_factors).with_intensities(
+            prior_model.by_flight, flights
         )
-    here = search.descend(some, last, kinds)
-    if near is None or last.cost - here.cost > DIFFERENT**2:
+        # Far from what is stated no slope may lead back.
+        is_far = len(kinds) and np.abs(np.log(prior_factors)).max() > NOISE_PRIOR
+        last = search.best(
+            some, [last, *([replace(last, factors=np.ones(len(noise)))] if is_far else [])]
+        )
+    best = search.descend(some, last, kinds)
+    if prior_model is None or last.cost - best.cost > DIFFERENT**2:
         # What gusts do, an effect that is missing or a sensor that is off may have decided before.
         other = search.best(
             some,
             [
-                here,
+                best,
                 *(
-                    here.acting(rotating=r, turning_with=t)
-                    for r, t in _ACTING
-                    if (r, t) != here.kind
+                    best.with_states(rotating=r, turning_with=t)
+                    for r, t in _STRUCTURES
+                    if (r, t) != best.kind
                 ),
             ],
         )
-        here = search.descend(some, other, kinds) if other.kind != here.kind else here
-        if near is None:
+        best = search.descend(some, other, kinds) if other.kind != best.kind else best
+        if prior_model is None:
             # A flight in weaker air looks like one whose gusts pass slower, and where air is not
             # its own, like moments that act.
-            here = search.own(of, here, flights, _FEW)
-        if here.states[0].rotating:
+            best = search.by_flight(of, best, flights, _FEW)
+        if best.states[0].rotating:
             # Gusts tell how fast they pass by the moments of their rotation, and that only beside
             # parameters that are near.
-            other = search.best(some, [here.acting(passing_mps=0.0), search.passing(of, here)])
-            here = search.descend(some, other, kinds) if other.states != here.states else here
-        here = search.own(of, here, flights)
+            other = search.best(some, [best.with_states(passing_mps=0.0), search.passing(of, best)])
+            best = search.descend(some, other, kinds) if other.states != best.states else best
+        best = search.by_flight(of, best, flights)
     # What is lost counts from this air, which was found flight by flight.
-    here = search.best(some, [here])
+    best = search.best(some, [best])
     gain, across = (
-        (search.lost(some, here, left) for left in (0.0, _ALONG))
-        if near is None
-        else (near.gain, near.across)
+        (search.loss(some, best, left) for left in (0.0, _WITHOUT_ACROSS))
+        if prior_model is None
+        else (prior_model.gain, prior_model.across)
     )
-    without = np.where(np.eye(len(_START)), _NONE, 1.0)[_MOMENTS]
-    lost = np.array([search.lost(some, here, left) for left in without])
-    moments = np.where(np.isfinite(lost), lost, np.nan)
-    own = {f: here.of(members[0]) for f, members in of.items()}
-    passing = {f: here.states[members[0]].passing_mps for f, members in of.items()}
-    process = search.process(range(len(measured)), here)
-    return Gusts(
-        here.states, here.values, own, passing, process, gain, across, moments, here.factors
-    ), here.factors / known
+    single_moments = np.where(np.eye(len(_START)), _NONE, 1.0)[_MOMENTS]
+    losses = np.array([search.loss(some, best, left) for left in single_moments])
+    moments = np.where(np.isfinite(losses), losses, np.nan)
+    by_flight = {f: best.of(members[0]) for f, members in of.items()}
+    passing = {f: best.states[members[0]].passing_mps for f, members in of.items()}
+    process = search.process(range(len(measured)), best)
+    return TurbulenceModel(
+        best.states, best.values, by_flight, passing, process, gain, across, moments, best.factors
+    ), best.factors / prior_factors
 
 
 @dataclass(frozen=True)
@@ -377,18 +382,20 @@ class _Point:
         """(7,) intensities in a segment."""
         return np.asarray(self.values * self.stronger[k % len(self.stronger)])
 
-    def with_own(self, own: Mapping[str, FloatArray], flights: Sequence[str]) -> _Point:
+    def with_intensities(
+        self, by_flight: Mapping[str, FloatArray], flights: Sequence[str]
+    ) -> _Point:
         """With the air of each segment as strong as that of its flight; moments that nothing
         explains are the model's, and alike in all flights."""
-        values = np.mean([own[f] for f in dict.fromkeys(flights)], axis=0)
+        values = np.mean([by_flight[f] for f in dict.fromkeys(flights)], axis=0)
         values[_MOMENTS] = self.values[_MOMENTS]
-        stronger = np.array([own[f] / values for f in flights])
+        stronger = np.array([by_flight[f] / values for f in flights])
         stronger[:, _MOMENTS] = 1.0
         return replace(self, values=values, stronger=stronger, cost=np.inf)
 
-    def acting(self, **how: Any) -> _Point:
+    def with_states(self, **changes: Any) -> _Point:
         """With gusts that act otherwise in every segment."""
-        return replace(self, states=tuple(s._replace(**how) for s in self.states))
+        return replace(self, states=tuple(s._replace(**changes) for s in self.states))
 
 
 @dataclass(frozen=True)
@@ -401,18 +408,20 @@ class _Search:
     noise: FloatArray
     V: Sequence[float]
     by: Processes
-    asked: LRUCache[tuple[tuple[int, GustStates], ...], AirLikelihood] = field(
+    likelihoods: LRUCache[tuple[tuple[int, GustStates], ...], AirLikelihood] = field(
         default_factory=lambda: LRUCache(REMEMBERED_AIRS)
     )
 
     def score(self, some: Sequence[int], point: _Point, slopes: bool = True) -> Score:
         """That of the segments ``some``."""
-        acting = [point.states[k] for k in some]
-        key = tuple(zip(some, acting, strict=True))
-        if key not in self.asked:
+        states = [point.states[k] for k in some]
+        key = tuple(zip(some, states, strict=True))
+        if key not in self.likelihoods:
             data = [self.measured[k] for k in some]
-            self.asked[key] = AirLikelihood(self.linear(some, acting), data, self.which, self.by)
-        return self.asked[key](point.factors * self.noise, self.process(some, point), slopes)
+            self.likelihoods[key] = AirLikelihood(
+                self.linear(some, states), data, self.which, self.by
+            )
+        return self.likelihoods[key](point.factors * self.noise, self.process(some, point), slopes)
 
     def process(self, some: Sequence[int], point: _Point) -> Process:
         """Noise that gusts make in the segments ``some``."""
@@ -420,26 +429,26 @@ class _Search:
             [point.of(k) for k in some], [self.V[k] for k in some], [point.states[k] for k in some]
         )
 
-    def own(
+    def by_flight(
         self,
         of: Mapping[str, Sequence[int]],
         point: _Point,
         flights: Sequence[str],
-        most: int = _MOST_DESCENTS,
+        max_descents: int = _MOST_DESCENTS,
     ) -> _Point:
         """The point with each flight's own intensities, sought from those that it has there; of:
         flight -> its segments; flights: whose each segment is."""
         if len(of) == 1:
             return point
-        alone = {
+        single = {
             f: replace(point, values=point.of(part[0]), stronger=np.ones((1, len(_START))))
             for f, part in of.items()
         }
-        own = {
-            f: self.descend(_spread(of[f], _OF_A_FLIGHT), one, (), most).values
-            for f, one in alone.items()
+        by_flight = {
+            f: self.descend(_evenly_spaced(of[f], _OF_A_FLIGHT), one, (), max_descents).values
+            for f, one in single.items()
         }
-        return point.with_own(own, flights)
+        return point.with_intensities(by_flight, flights)
 
     def passing(self, flights: Mapping[str, Sequence[int]], point: _Point) -> _Point:
         """A point with gusts that pass at one speed in each of the ``flights`` (their segments),
@@ -447,16 +456,18 @@ class _Search:
         states = list(point.states)
         for members in flights.values():
             speed = float(np.mean([self.V[k] for k in members]))
-            some = _spread(members, _FOR_SPEED)
-            tried = [point.acting(passing_mps=speed * np.exp(_FASTER * k)) for k in (-1, 0, 1)]
-            slower, here, faster = (self.score(some, p, slopes=False).cost for p in tried)
-            bend = slower - 2.0 * here + faster + 2.0 * (_FASTER / _AS_MEANT) ** 2
+            some = _evenly_spaced(members, _FOR_SPEED)
+            trials = [
+                point.with_states(passing_mps=speed * np.exp(_FASTER * k)) for k in (-1, 0, 1)
+            ]
+            slower, best_point, faster = (self.score(some, p, slopes=False).cost for p in trials)
+            bend = slower - 2.0 * best_point + faster + 2.0 * (_FASTER / _AS_MEANT) ** 2
             steps = 0.5 * (slower - faster) / bend if bend > 0.0 else np.sign(slower - faster)
             # Where no filter follows there is no parabola.
-            steps = steps if np.isfinite([slower, here, faster]).all() else 0.0
-            own = speed * float(np.exp(_FASTER * np.clip(steps, -_MOST_FASTER, _MOST_FASTER)))
+            steps = steps if np.isfinite([slower, best_point, faster]).all() else 0.0
+            likeliest = speed * float(np.exp(_FASTER * np.clip(steps, -_MOST_FASTER, _MOST_FASTER)))
             for k in members:
-                states[k] = states[k]._replace(passing_mps=own)
+                states[k] = states[k]._replace(passing_mps=likeliest)
         return replace(point, states=tuple(states))
 
     def best(self, some: Sequence[int], points: Sequence[_Point]) -> _Point:
@@ -466,17 +477,21 @@ class _Search:
             key=lambda p: p.cost,
         )
 
-    def lost(self, some: Sequence[int], point: _Point, left: FloatArray | float) -> float:
-        """Twice the log likelihood that is lost where so much is ``left`` of each intensity at a
+    def loss(self, some: Sequence[int], point: _Point, factors: FloatArray | float) -> float:
+        """Twice the log likelihood that is lost where so much is ``factors`` of each intensity at a
         point found.
         """
         return (
-            self.score(some, replace(point, values=left * point.values), slopes=False).cost
+            self.score(some, replace(point, values=factors * point.values), slopes=False).cost
             - point.cost
         )
 
     def descend(
-        self, some: Sequence[int], point: _Point, kinds: Sequence[str], most: int = _MOST_DESCENTS
+        self,
+        some: Sequence[int],
+        point: _Point,
+        kinds: Sequence[str],
+        max_descents: int = _MOST_DESCENTS,
     ) -> _Point:
         """The likeliest air near a point, and with ``kinds`` the likeliest noise of the sensors: a
         quasi-Newton search in the logarithms (L-BFGS-B; Byrd, Lu, Nocedal and Zhu, SIAM J. Sci.
@@ -488,7 +503,7 @@ class _Search:
         at, sizes = len(point.values), (len(point.values), len(unlike))
         each = [self.process(some, replace(point, values=alone)) for alone in np.diag(point.values)]
 
-        def here(x: FloatArray) -> _Point:
+        def point_at(x: FloatArray) -> _Point:
             return replace(
                 point,
                 values=point.values * np.exp(x[:at]),
@@ -513,23 +528,27 @@ class _Search:
         # A variance's logarithm bends as steeply as the logarithm's own slope, that of a deviation
         # twice so.
         scale = np.sqrt(
-            np.maximum(by_each(none, *first.bent) * np.repeat([1.0, 2.0], sizes), _LEAST_BENT)
+            np.maximum(by_each(none, *first.curvature) * np.repeat([1.0, 2.0], sizes), _LEAST_BENT)
         )
 
         def cost(y: FloatArray) -> tuple[float, FloatArray]:
             x = y / scale
-            found = self.score(some, here(x)) if y.any() else first
-            if not np.isfinite(found.cost):
+            score = self.score(some, point_at(x)) if y.any() else first
+            if not np.isfinite(score.cost):
                 # A filter that fails is as unlikely as can be, and no slope.
                 return _FAILED, none
-            slope = by_each(x, found.noise, found.process, found.begin) + 2.0 * prior * (x + off)
-            return found.cost + float(prior @ (x + off) ** 2), slope / scale
+            slope = by_each(x, score.noise, score.process, score.begin) + 2.0 * prior * (x + off)
+            return score.cost + float(prior @ (x + off) ** 2), slope / scale
 
-        options = {"maxiter": most, "ftol": _ENOUGH / max(abs(first.cost), 1.0), "gtol": 0.0}
+        options = {
+            "maxiter": max_descents,
+            "ftol": _ENOUGH / max(abs(first.cost), 1.0),
+            "gtol": 0.0,
+        }
         bounds = Bounds(-_REACH * scale, _REACH * scale)
-        found = minimize(cost, none, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
-        x = found.x / scale
-        return replace(here(x), cost=float(found.fun) - float(prior @ (x + off) ** 2))
+        optimum = minimize(cost, none, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
+        x = optimum.x / scale
+        return replace(point_at(x), cost=float(optimum.fun) - float(prior @ (x + off) ** 2))
 
 
 def _members(flights: Sequence[str]) -> dict[str, list[int]]:
@@ -547,11 +566,11 @@ def _process(
     return Process(np.stack(noise), np.stack(begin))
 
 
-def _spread(members: Sequence[int], most: int) -> list[int]:
+def _evenly_spaced(members: Sequence[int], max_count: int) -> list[int]:
     """At most so many of them, from the first to the last."""
     return [
         members[k]
         for k in np.unique(
-            np.linspace(0, len(members) - 1, min(len(members), most)).astype(int)
+            np.linspace(0, len(members) - 1, min(len(members), max_count)).astype(int)
         ).tolist()
     ]

@@ -15,31 +15,31 @@ from sysid.parallel import Processes
 from uqharness.identification import equation_error_start, fit_replays, restrict_to_excited
 from uqharness.identification.linearised import (
     PRIOR,
-    Bench,
-    Fit,
-    Flown,
-    Setup,
+    FlightData,
+    Linearisation,
+    StagedModels,
+    Trajectory,
     cost_of,
     estimated_channels,
     fit_at,
     fly,
-    noise_left,
     observed,
     point_of,
     refit,
+    with_estimator_noise,
 )
 from uqharness.replay import batched_pool
 from uqharness.simulator import Aircraft, engine
 
 ESTIMATOR_ROUNDS = 2
-Base = tuple[Fit, tuple[str, ...], tuple[str, ...], list[str], NDArray[np.float64]]
+Base = tuple[Linearisation, tuple[str, ...], tuple[str, ...], list[str], NDArray[np.float64]]
 """Fit, names estimated, names that the flights excite, notes, and the noise (m,) of the outputs."""
 
 
 def base_fit_and_noise(
     aircraft: Aircraft,
-    bench: Bench,
-    setup: Setup,
+    bench: StagedModels,
+    setup: FlightData,
     names: tuple[str, ...],
     limits: Mapping[str, tuple[float, float]],
     map_: Processes,
@@ -89,9 +89,11 @@ def base_fit_and_noise(
         )
         return fit, excited, excited, [*notes, said] if lost else notes, setup.noise
     for _ in range(ESTIMATOR_ROUNDS):
-        left = dict(zip(setup.outputs, _left_rms(setup, fit.flown).tolist(), strict=True))
-        setup = replace(setup, noise=noise_left(setup, left))
-        fit = refit(bench.model, bench.direct_model, setup, fit.flown.point, kept, limits, map_)
+        left = dict(zip(setup.outputs, _left_rms(setup, fit.trajectory).tolist(), strict=True))
+        setup = replace(setup, noise=with_estimator_noise(setup, left))
+        fit = refit(
+            bench.model, bench.direct_model, setup, fit.trajectory.point, kept, limits, map_
+        )
     said = ", ".join(f"{c} {setup.noise[setup.outputs.index(c)]:.2g}" for c in guessed)
     text = (
         "computed by the autopilot's estimator, measured by no vane; taken to be as uncertain (one"
@@ -100,22 +102,22 @@ def base_fit_and_noise(
     return fit, kept, excited, [*notes, text], setup.noise
 
 
-def _left_rms(setup: Setup, flown: Flown) -> NDArray[np.float64]:
+def _left_rms(setup: FlightData, flown: Trajectory) -> NDArray[np.float64]:
     """(m,) rms of what replays leave of each output."""
     left = np.concatenate([z - y for z, y in zip(setup.measured, flown.outputs, strict=True)])
     return np.asarray(np.sqrt(np.nanmean(left**2, axis=0)))
 
 
-def as_quiet(setup: Setup, fit: Fit) -> tuple[Setup, Fit]:
+def as_quiet(setup: FlightData, fit: Linearisation) -> tuple[FlightData, Linearisation]:
     """Setup and fit with the noise that the fit leaves where that is less than the card's
     (`QUIETER` of it at least): noise taken twice as large halves every t. An effect that is missing
     is in what is left, so noise is hardly taken too small."""
-    noise = np.clip(_left_rms(setup, fit.flown), QUIETER * setup.noise, setup.noise)
+    noise = np.clip(_left_rms(setup, fit.trajectory), QUIETER * setup.noise, setup.noise)
     setup = replace(setup, noise=noise)
-    white = whiten(fit.steps, setup.measured, fit.columns, setup.which, noise)
+    white = whiten(fit.steps, setup.measured, fit.columns, setup.output_rows, noise)
     evidence = gather(white, fit.columns[0].names, [0] * len(white), PRIOR)
-    flown = replace(fit.flown, cost=cost_of(setup, fit.flown.outputs))
-    return setup, replace(fit, flown=flown, evidence=evidence)
+    flown = replace(fit.trajectory, cost=cost_of(setup, fit.trajectory.outputs))
+    return setup, replace(fit, trajectory=flown, evidence=evidence)
 
 
 def left_alone(asked: Sequence[str], names: Sequence[str]) -> list[str]:

@@ -29,7 +29,7 @@ from sysid.effects import (
     scores,
 )
 from sysid.estimation import NOISE_FLOOR, integral_time, rms
-from uqharness.identification.linearised import Flown, Setup
+from uqharness.identification.linearised import FlightData, Trajectory
 from uqharness.refinement.evaluation import Shown, gap_document, left_in
 from uqharness.refinement.judge import Judged, Verdict, evidence_of
 from uqharness.refinement.round import Bent
@@ -618,7 +618,7 @@ def no_place(reason: str) -> dict[str, Any]:
 
 
 def series_of(
-    flights: str, setup: Setup, shown: Shown, controls: Sequence[FloatArray]
+    flights: str, setup: FlightData, shown: Shown, controls: Sequence[FloatArray]
 ) -> list[Series]:
     """Every channel of every segment of one side's flights."""
     return [
@@ -630,7 +630,7 @@ def series_of(
     ]
 
 
-def states_along(flown: Flown, controls: Sequence[FloatArray]) -> list[dict[str, FloatArray]]:
+def states_along(flown: Trajectory, controls: Sequence[FloatArray]) -> list[dict[str, FloatArray]]:
     """States and controls by name, each (n,), one mapping a segment."""
     both = zip(flown.x, controls, strict=True)
     return [
@@ -813,7 +813,7 @@ _AXES = (("p_radps", "Cl", "roll"), ("q_radps", "Cm", "pitch"), ("r_radps", "Cn"
 
 
 def find_disagreements(
-    setup: Setup, shown: Shown, settled: Shown, controls: Sequence[Any]
+    setup: FlightData, shown: Shown, settled: Shown, controls: Sequence[Any]
 ) -> list[Region]:
     """Where ``shown`` lies outside what noise gives. A model that is at the noise in flight leaves
     more than that in coefficients, because held commands and gusts have their share there; then
@@ -898,7 +898,7 @@ def _remaining(chosen: Found, judged: Judged, controls: Sequence[Any]) -> Remain
     )
 
 
-def _disagreeing(setup: Setup, shown: Shown, controls: Sequence[Any]) -> list[RemainingPart]:
+def _disagreeing(setup: FlightData, shown: Shown, controls: Sequence[Any]) -> list[RemainingPart]:
     """Regions in which coefficients disagree, then coefficients above their noise and the states on
     which they depend.
     """

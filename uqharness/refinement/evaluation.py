@@ -11,23 +11,23 @@ import numpy as np
 
 from sysid.aerodynamics import COEFFICIENTS
 from sysid.arrays import FloatArray
-from sysid.effects import COLOURED_P, Gusts
+from sysid.effects import COLOURED_P, TurbulenceModel
 from sysid.estimation import NOISE_FLOOR, ljung_box, rms, theil
 from sysid.model_form import noise_floor
 from sysid.parallel import Processes
 from uqharness.identification import coefficient_gaps, fit_replays
 from uqharness.identification.linearised import (
-    Bench,
-    Flown,
-    Point,
-    Setup,
+    FlightData,
+    ModelState,
+    StagedModels,
+    Trajectory,
     begun_at,
     estimated_channels,
     fly,
     gust_refit,
-    known_noise,
     moved,
     observed,
+    output_noise,
     point_of,
     rows_late,
     unfiltered,
@@ -45,7 +45,7 @@ class Replays:
     channels: what `compare` shows.
     """
 
-    flown: Flown
+    flown: Trajectory
     residual: list[FloatArray]
     noise: FloatArray
 
@@ -58,7 +58,7 @@ class Shown:
     noise, summed, where the model has a say in it (predictions; 0 for replays). replays: of flights
     shown by predictions, the same model's replays, where they were asked for."""
 
-    flown: Flown
+    flown: Trajectory
     residual: list[FloatArray]
     noise: FloatArray
     coefficients: list[FloatArray]
@@ -82,7 +82,7 @@ class Shown:
         return rms(np.concatenate([g[:, k] for g in self.coefficients]))
 
 
-def show(aircraft: Aircraft, side: Side, map_: Processes, at: Point) -> Shown:
+def show(aircraft: Aircraft, side: Side, map_: Processes, at: ModelState) -> Shown:
     """Flights by an aircraft as its XML has it, but for properties that have other values ``at`` a
     point, and sensors that have its effects; only start states, biases and (of logs) delays are
     estimated.
@@ -91,7 +91,7 @@ def show(aircraft: Aircraft, side: Side, map_: Processes, at: Point) -> Shown:
     measured, and in air, where one-step predictions take the place of replays, always as measured.
     """
     setup, gusts = side.setup, side.air
-    with Bench(aircraft, setup) as bench:
+    with StagedModels(aircraft, setup) as bench:
         setup = with_sensors_of(setup, aircraft)
         start = replace(
             at,
@@ -122,11 +122,19 @@ def show(aircraft: Aircraft, side: Side, map_: Processes, at: Point) -> Shown:
         else:
             try:
                 gust = gust_refit(
-                    bench.model, bench.direct_model, setup, start, (), {}, map_, gusts, known=True
+                    bench.model,
+                    bench.direct_model,
+                    setup,
+                    start,
+                    (),
+                    {},
+                    map_,
+                    gusts,
+                    fixed_air=True,
                 )
                 delta, _ = gust.fit.evidence.step()
                 reached, rows, filtered = (
-                    gust.fit.flown,
+                    gust.fit.trajectory,
                     gust.fit.evidence.residual(delta),
                     gust.fit.evidence.white,
                 )
@@ -151,8 +159,12 @@ def show(aircraft: Aircraft, side: Side, map_: Processes, at: Point) -> Shown:
 
 
 def _replayed(
-    model: ReplayModel, setup: Setup, start: Point, map_: Processes, near: Point | None = None
-) -> Flown:
+    model: ReplayModel,
+    setup: FlightData,
+    start: ModelState,
+    map_: Processes,
+    near: ModelState | None = None,
+) -> Trajectory:
     """Replays from the start states, biases and delays that fit best, as `compare` has them; near:
     where they are sought from.
     """
@@ -170,14 +182,16 @@ def _replayed(
     )
 
 
-def with_replays(shown: Shown, aircraft: Aircraft, side: Side, map_: Processes, at: Point) -> Shown:
+def with_replays(
+    shown: Shown, aircraft: Aircraft, side: Side, map_: Processes, at: ModelState
+) -> Shown:
     """Flights shown by predictions with their replays besides; arguments of `show`.
 
     Noise and delays are those of `compare`.
     """
     setup = side.setup
-    with Bench(aircraft, setup) as bench:
-        noise = known_noise(aircraft, setup.measured, setup.outputs)
+    with StagedModels(aircraft, setup) as bench:
+        noise = output_noise(aircraft, setup.measured, setup.outputs)
         timed = tuple(f.name for f in setup.flights if f.name not in setup.late)
         plain = replace(with_sensors_of(setup, aircraft), jumping=(), timed=timed, noise=noise)
         start = replace(at, nuisance={}, starts=tuple(s.start for s in setup.segments))
@@ -185,19 +199,21 @@ def with_replays(shown: Shown, aircraft: Aircraft, side: Side, map_: Processes, 
         return replace(shown, replays=Replays(flown, _residual(setup, flown), noise))
 
 
-def _residual(setup: Setup, flown: Flown) -> list[FloatArray]:
+def _residual(setup: FlightData, flown: Trajectory) -> list[FloatArray]:
     return [z - y for z, y in zip(setup.measured, flown.outputs, strict=True)]
 
 
-def _told_noise(aircraft: Aircraft, setup: Setup) -> FloatArray:
+def _told_noise(aircraft: Aircraft, setup: FlightData) -> FloatArray:
     """(m,) noise that tables of replays speak of: what `compare` knows, but for channels that an
     estimator computed.
     """
     computed = np.isin(setup.outputs, estimated_channels(setup))
-    return np.where(computed, setup.noise, known_noise(aircraft, setup.measured, setup.outputs))
+    return np.where(computed, setup.noise, output_noise(aircraft, setup.measured, setup.outputs))
 
 
-def _as_recorded(setup: Setup, point: Point, rows: Sequence[FloatArray]) -> list[FloatArray]:
+def _as_recorded(
+    setup: FlightData, point: ModelState, rows: Sequence[FloatArray]
+) -> list[FloatArray]:
     """[(n, m)] residuals of predictions at the rows where the samples stand in the record; 0 where
     none was judged.
     """
@@ -210,10 +226,12 @@ def _as_recorded(setup: Setup, point: Point, rows: Sequence[FloatArray]) -> list
     ]
 
 
-def air_of(aircraft: Aircraft, setup: Setup, map_: Processes, at: Point, near: Gusts) -> Gusts:
+def air_of(
+    aircraft: Aircraft, setup: FlightData, map_: Processes, at: ModelState, near: TurbulenceModel
+) -> TurbulenceModel:
     """The air of some flights, estimated with a model and sensors as they are at a point; near:
     that of others, which stays where no filter follows the flights with such a model."""
-    with Bench(aircraft, setup) as bench:
+    with StagedModels(aircraft, setup) as bench:
         setup = with_sensors_of(setup, aircraft)
         start = replace(at, starts=tuple(s.start for s in setup.segments))
         try:
@@ -233,7 +251,7 @@ def _as_felt(segment: Segment, flight: Flight, ideal: Sequence[str]) -> Segment:
     return replace(segment, controls=controls, commands=None)
 
 
-def gap_document(setup: Setup, before: Shown, after: Shown) -> ResidualTables:
+def gap_document(setup: FlightData, before: Shown, after: Shown) -> ResidualTables:
     """G of refinement.json: channels of replays, as `compare` has them; predictions: where those
     judged, their errors.
     """
@@ -248,7 +266,7 @@ def gap_document(setup: Setup, before: Shown, after: Shown) -> ResidualTables:
             for c, x, y, n in columns
         }
 
-    def coefficient(flown: Flown) -> float:
+    def coefficient(flown: Trajectory) -> float:
         z, y = (np.concatenate(rows) for rows in (setup.measured, flown.outputs))
         return float(np.nanmean([theil(z[:, k], y[:, k]).u for k in range(len(setup.outputs))]))
 
@@ -280,7 +298,7 @@ class Left:
         return bool(self.above) or bool(self.coloured)
 
 
-def left_in(setup: Setup, shown: Shown, gusty: bool) -> Left:
+def left_in(setup: FlightData, shown: Shown, gusty: bool) -> Left:
     """What a model leaves of flights, beyond noise."""
     ratios = {c: shown.channel_rms(k) / float(shown.noise[k]) for k, c in enumerate(setup.outputs)}
     # A gust spectrum is a model: the colour of one-step predictions says nothing of the aircraft.

@@ -18,11 +18,11 @@ from sysid.arrays import FloatArray
 from sysid.effects import FAR, Choice, Columns, Evidence, corrected_each, shared, solve
 from sysid.parallel import Processes
 from uqharness.identification.linearised import (
-    Bench,
-    Fit,
-    Flown,
-    Point,
-    Setup,
+    FlightData,
+    Linearisation,
+    ModelState,
+    StagedModels,
+    Trajectory,
     effect_columns,
     fit_at,
     fly,
@@ -87,14 +87,19 @@ class Both:
 
 
 def linearised(
-    found: Found, aircraft: Aircraft, side: Side, setup: Setup, flown: Flown, map_: Processes
-) -> tuple[Setup, Fit]:
+    found: Found,
+    aircraft: Aircraft,
+    side: Side,
+    setup: FlightData,
+    flown: Trajectory,
+    map_: Processes,
+) -> tuple[FlightData, Linearisation]:
     """Flights that an aircraft with everything of ``found`` in its XML flew, linearised there, and
     their setup.
     """
     values = {**flown.point.values, **{n: v for n, (v, _) in found.parameters.items()}}
     point = replace(flown.point, values=values, effects=found.selection.values)
-    with Bench(aircraft, setup) as bench:
+    with StagedModels(aircraft, setup) as bench:
         setup = with_jumps(with_sensors_of(setup, aircraft), bench.model)
         if side.air is None:
             fit = fit_at(
@@ -116,7 +121,7 @@ def linearised(
             map_,
             side.air,
             1,
-            known=True,
+            fixed_air=True,
         )
         return fitted.setup, fitted.fit
 
@@ -130,10 +135,10 @@ def both_sides(
     effects = [found.effects[key] for key in chosen]
     setup, fit = linearised(found, aircraft, side, side.setup, shown.flown, map_)
     test = column_evidence(
-        setup, fit, effect_columns(setup, fit.probes, fit.flown, effects), side.air
+        setup, fit, effect_columns(setup, fit.probes, fit.trajectory, effects), side.air
     )
     zero = dict.fromkeys(chosen, 0.0)
-    before = {n: found.after.flown.point.values[n] for n in found.names}
+    before = {n: found.after.trajectory.point.values[n] for n in found.names}
     after = {n: v for n, (v, _) in found.parameters.items()}
     return Both(found, train, test.taken_out(chosen), ({**zero, **before}, {**zero, **after}))
 
@@ -213,8 +218,8 @@ class Judged:
     found: Found
     withdrawn: tuple[Choice, ...]
     verdicts: dict[str, Verdict]
-    train: tuple[Setup, Shown, Shown]
-    test: tuple[Setup, Shown, Shown]
+    train: tuple[FlightData, Shown, Shown]
+    test: tuple[FlightData, Shown, Shown]
     sides: tuple[Side, Side]
 
 
@@ -224,7 +229,7 @@ def judge(
     """Fly both sides before and after; withdraw effects one by one, the one that harms most first.
     whole: the aircraft with every effect of ``found``; write: one of a model's own."""
 
-    def flown(model: Found, side: Side, near: Point | None) -> Shown:
+    def flown(model: Found, side: Side, near: ModelState | None) -> Shown:
         aircraft, values = flown_as(model, found, whole, write)
         return show(aircraft, side, map_, written_at(model, values, near))
 
@@ -242,8 +247,8 @@ def judge(
     def both() -> Both:
         return both_sides(found, evidence(), whole, test, everything, map_)
 
-    own = found.after.flown.point
-    pair = flown(bare(found), train, found.before.flown.point)
+    own = found.after.trajectory.point
+    pair = flown(bare(found), train, found.before.trajectory.point)
     fitted = flown(found, train, own) if found.selection.chosen else pair
     before = flown(bare(found), test, None)
     standing, after = found, flown(found, test, None) if found.selection.chosen else before
@@ -258,7 +263,7 @@ def judge(
                 less = bare(standing), before
             else:
                 model = left_out(found, evidence(), [*(g.key for g in gone), c.key])
-                less = model, flown(model, test, after.flown.point)
+                less = model, flown(model, test, after.trajectory.point)
             without[c.key] = less
             now[c.key] = gap_change(less[1], after, test.setup, fitted, c.t**2 - found.limit**2)
         # Two effects may undo each other: then neither alone is in the way.
@@ -280,12 +285,12 @@ def judge(
     if gone and standing.selection.chosen:
         fitted_again = refitted(standing, found, whole, map_)
         if fitted_again is not standing:
-            standing, after = fitted_again, flown(fitted_again, test, after.flown.point)
+            standing, after = fitted_again, flown(fitted_again, test, after.trajectory.point)
     settled = (
         fitted if not gone else flown(standing, train, own) if standing.selection.chosen else pair
     )
 
-    def both_ways(side: Side, plain: Shown, with_: Shown) -> tuple[Setup, Shown, Shown]:
+    def both_ways(side: Side, plain: Shown, with_: Shown) -> tuple[FlightData, Shown, Shown]:
         first = shown(bare(found), side, plain)
         return side.setup, first, first if with_ is plain else shown(standing, side, with_)
 
@@ -342,8 +347,8 @@ def property_values(model: Found, found: Found) -> dict[str, float] | None:
 
 
 def written_at(
-    found: Found, values: Mapping[str, float] | None = None, near: Point | None = None
-) -> Point:
+    found: Found, values: Mapping[str, float] | None = None, near: ModelState | None = None
+) -> ModelState:
     """The point of an aircraft that was written as ``found``, but for properties of other
     ``values``: its sensors' effects, and nuisance and start states of another model's point in the
     same flights."""
@@ -351,7 +356,7 @@ def written_at(
     sensed = {
         k: value for k, value in found.selection.values.items() if not in_dynamics(found.effects[k])
     }
-    return Point(values or {}, nuisance, starts, sensed)
+    return ModelState(values or {}, nuisance, starts, sensed)
 
 
 def bare(found: Found) -> Found:
@@ -361,7 +366,7 @@ def bare(found: Found) -> Found:
 
 
 def gap_change(
-    without: Shown, with_: Shown, setup: Setup, fitted: Shown, spare: float = np.inf
+    without: Shown, with_: Shown, setup: FlightData, fitted: Shown, spare: float = np.inf
 ) -> Verdict:
     """The rise of minus twice the log likelihood when an effect is left out.
 
@@ -397,7 +402,7 @@ def evidence_of(found: Found, also: Sequence[str] = (), more: Sequence[Columns] 
     flown = {e.key for e in found.setup.active}
     keys = dict.fromkeys([*found.selection.values, *also])
     rest = [found.effects[k] for k in keys if k not in flown]
-    columns = effect_columns(found.setup, found.after.probes, found.after.flown, rest)
+    columns = effect_columns(found.setup, found.after.probes, found.after.trajectory, rest)
     columns = merged(columns, more) if len(more) else columns
     return column_evidence(found.setup, found.after, columns, found.gusts).taken_out(found.flown)
 
@@ -455,14 +460,14 @@ def refitted(model: Found, found: Found, whole: Aircraft, pool: Processes) -> Fo
     values = model.selection.values
     effects = {e.key: values.get(e.key, 0.0) for e in found.setup.active}
     estimates = {n: value for n, (value, _) in model.parameters.items()}
-    point = found.after.flown.point
+    point = found.after.trajectory.point
     point = replace(point, values={**point.values, **estimates}, effects=effects)
     if sensors_moved(found.setup, point):
         return model
     names = [n for n in found.names if n in point.values]
     bounds = {n: c.bounds for n, c in whole.card.parameters.items() if c.bounds is not None}
     withdrawn = effects.keys() - values.keys()
-    with Bench(whole, found.setup) as bench:
+    with StagedModels(whole, found.setup) as bench:
         linear = fly(bench.model, found.setup, point, pool)
         fit = fit_point(bench.model, found.setup, point, names, bounds, pool, withdrawn)
     if fit is None or fit.cost > linear.cost:

@@ -26,8 +26,8 @@ from sysid.effects import (
     Columns,
     Effect,
     Evidence,
-    Gusts,
     Selection,
+    TurbulenceModel,
     follow,
     gather,
     subsystem_effects,
@@ -41,9 +41,9 @@ from uqharness.errors import BadInputError
 from uqharness.files import write_parts
 from uqharness.identification.linearised import (
     PRIOR,
-    Fit,
-    Point,
-    Setup,
+    FlightData,
+    Linearisation,
+    ModelState,
     in_step,
     merged,
     moved_starts,
@@ -64,15 +64,15 @@ class Start:
     """
 
     aircraft: Aircraft
-    setup: Setup
-    before: Fit
+    setup: FlightData
+    before: Linearisation
     names: tuple[str, ...]
     effects: Mapping[str, Effect]
     limits: Mapping[str, tuple[float, float]]
     limit: float
     map_: Processes
     merit: float
-    gusts: Gusts | None = None
+    gusts: TurbulenceModel | None = None
 
     @property
     def free(self) -> tuple[str, ...]:
@@ -117,13 +117,13 @@ class Round:
     flown      key -> value flown; held: those of numbers that JSBSim reads once
     """
 
-    setup: Setup
-    fit: Fit
+    setup: FlightData
+    fit: Linearisation
     evidence: Evidence
     selection: Selection
     again: Selection
     merit: float
-    gusts: Gusts | None
+    gusts: TurbulenceModel | None
     flown: Mapping[str, float] = field(default_factory=dict)
     held: Mapping[str, float] = field(default_factory=dict)
 
@@ -160,13 +160,13 @@ class Round:
         return self.fit.columns[0].names
 
 
-def joint_point(start: Start, about: Round, keys: Sequence[str]) -> Point:
+def joint_point(start: Start, about: Round, keys: Sequence[str]) -> ModelState:
     """Parameters, nuisance and start states where they are best beside the effects ``keys``,
     linearly; no effect in it yet, and other properties as they were without any."""
     evidence, point, plain, free = (
         about.evidence,
-        about.fit.flown.point,
-        start.before.flown.point,
+        about.fit.trajectory.point,
+        start.before.trajectory.point,
         start.free,
     )
     delta = evidence.fitted(evidence.index([*free, *keys]))
@@ -259,8 +259,8 @@ class Stages:
 class Side:
     """Train or test flights: setup, the air or None."""
 
-    setup: Setup
-    air: Gusts | None = None
+    setup: FlightData
+    air: TurbulenceModel | None = None
 
 
 @dataclass(frozen=True)
@@ -303,7 +303,9 @@ def refuse_shared(train: Sequence[Path], test: Sequence[Path]) -> None:
             )
 
 
-def candidates_for(setup: Setup, names: Sequence[str], extra: Sequence[Effect]) -> list[Effect]:
+def candidates_for(
+    setup: FlightData, names: Sequence[str], extra: Sequence[Effect]
+) -> list[Effect]:
     """The catalogue less what the model estimates already, and the user's own effects."""
     surfaces = list(setup.servos)
     timed = setup.outputs if not setup.late else ()
@@ -319,7 +321,7 @@ def candidates_for(setup: Setup, names: Sequence[str], extra: Sequence[Effect]) 
     return list(out.values())
 
 
-def confirming_segments(setup: Setup) -> NDArray[np.bool_]:
+def confirming_segments(setup: FlightData) -> NDArray[np.bool_]:
     """(S,) every third manoeuvre of each kind confirms what the others found; the kind is its label
     without speeds and numbers.
     """
@@ -331,7 +333,7 @@ def confirming_segments(setup: Setup) -> NDArray[np.bool_]:
 
 
 def column_evidence(
-    setup: Setup, fit: Fit, extra: Sequence[Columns], gusts: Gusts | None
+    setup: FlightData, fit: Linearisation, extra: Sequence[Columns], gusts: TurbulenceModel | None
 ) -> Evidence:
     """Evidence of a fit's own columns beside others; gusts: the air, where one-step predictions
     judge.
@@ -340,7 +342,9 @@ def column_evidence(
     measured, process = (
         (setup.measured, None)
         if gusts is None
-        else (in_step(setup, fit.flown.point), gusts.process)
+        else (in_step(setup, fit.trajectory.point), gusts.process)
     )
-    white = whiten_each(follow(fit.steps, measured, setup.which, setup.noise, process), columns)
+    white = whiten_each(
+        follow(fit.steps, measured, setup.output_rows, setup.noise, process), columns
+    )
     return gather(white, columns.names, confirming_segments(setup), PRIOR, fit.columns[0].names)

@@ -21,8 +21,8 @@ from sysid.effects import (
     Columns,
     Effect,
     Evidence,
-    Gusts,
     Selection,
+    TurbulenceModel,
     agreement,
     corrected,
     judged,
@@ -34,13 +34,13 @@ from sysid.effects import (
 from sysid.parallel import Processes
 from uqharness.identification import fit_replays
 from uqharness.identification.linearised import (
-    HERE,
-    NEAR,
-    Bench,
-    Fit,
-    Flown,
-    Point,
-    Setup,
+    LOCAL_SLOPE,
+    NEARBY_SHARE,
+    FlightData,
+    Linearisation,
+    ModelState,
+    StagedModels,
+    Trajectory,
     begun_at,
     best_flown,
     effect_columns,
@@ -164,7 +164,9 @@ moves a surface at once.
 """
 
 
-def limits_tried(setup: Setup, fit: Fit, gusts: Gusts | None) -> Setup:
+def limits_tried(
+    setup: FlightData, fit: Linearisation, gusts: TurbulenceModel | None
+) -> FlightData:
     """The setup with the rate limit and the dead zone of each servo whose estimated change is the
     change it makes, by a fit without effects."""
     if not setup.servos:
@@ -206,7 +208,7 @@ def limits_tried(setup: Setup, fit: Fit, gusts: Gusts | None) -> Setup:
     return replace(setup, limits=limits, zones=zones)
 
 
-def _asked(setup: Setup, surface: str, servo: Actuator) -> list[float]:
+def _asked(setup: FlightData, surface: str, servo: Actuator) -> list[float]:
     """Limits to try [deg/s]: below the fastest motion and the servo's own, falling; and above its
     own, up to the fastest motion without a limit, rising."""
     fastest, free = (_fastest(setup, surface, s) for s in (servo, replace(servo, rate=np.inf)))
@@ -217,7 +219,7 @@ def _asked(setup: Setup, surface: str, servo: Actuator) -> list[float]:
     # any more.
     faster = (
         [1.0 / (share / servo.rate + (1.0 - share) / free) for share in FASTER]
-        if free > servo.rate / NEAR
+        if free > servo.rate / NEARBY_SHARE
         else []
     )
     return [*slower, *faster]
@@ -249,7 +251,7 @@ def just_so(limit: FloatArray, wanted: FloatArray, t: FloatArray) -> float | Non
     return float(limit[int(np.argmax(np.abs(t)))])
 
 
-def _fastest(setup: Setup, surface: str, servo: Actuator) -> float:
+def _fastest(setup: FlightData, surface: str, servo: Actuator) -> float:
     """Fastest motion of a surface [deg/s], from row to row."""
     k = CONTROLS.index(surface)
     return max(
@@ -268,7 +270,7 @@ def _surface(key: str) -> str:
     return key.removeprefix("effect/actuator.").partition("/")[0]
 
 
-def felt(chosen: Sequence[Choice], setup: Setup) -> tuple[Choice, ...]:
+def felt(chosen: Sequence[Choice], setup: FlightData) -> tuple[Choice, ...]:
     """The choices, rate limits no higher than the fastest motion asked of their servo: above it any
     limit is the same.
     """
@@ -280,7 +282,7 @@ def felt(chosen: Sequence[Choice], setup: Setup) -> tuple[Choice, ...]:
     return tuple(within(c) for c in chosen)
 
 
-def least_felt(setup: Setup, key: str) -> float:
+def least_felt(setup: FlightData, key: str) -> float:
     """Value [s/deg] of a servo's rate limit effect below which nothing changes any more; of any
     other effect -inf.
     """
@@ -302,7 +304,7 @@ def as_known_here(selection: Selection, found: Round) -> Selection:
     the error. |t|, of the whole change, stays."""
 
     def local(c: Choice) -> Choice:
-        here = c.key + HERE
+        here = c.key + LOCAL_SLOPE
         if here not in found.evidence.names:
             return c
         least = least_felt(found.setup, c.key)
@@ -316,7 +318,7 @@ def as_known_here(selection: Selection, found: Round) -> Selection:
     return replace(selection, chosen=tuple(map(local, selection.chosen)))
 
 
-def is_fastest(choice: Choice, setup: Setup) -> bool:
+def is_fastest(choice: Choice, setup: FlightData) -> bool:
     """Whether a rate limit lies within its error of the fastest motion asked of the servo, so that
     it may be any number above.
     """
@@ -388,7 +390,7 @@ def _flown(start: Start, selection: Selection, about: Round, folder: Path) -> Ro
     keys = list(written)
     staged, setup = stage(start, written, folder)
     begin, names = replace(joint_point(start, about, keys), effects=written), [*start.names, *keys]
-    with Bench(staged, setup) as bench:
+    with StagedModels(staged, setup) as bench:
         gusts = start.gusts
         if gusts is not None:
             # What an effect did was noise to the sensors, and a filter that follows vanes late
@@ -404,18 +406,18 @@ def _flown(start: Start, selection: Selection, about: Round, folder: Path) -> Ro
                 gusts,
                 tune=True,
             )
-            fit, gusts, setup, cost = found.fit, found.gusts, found.setup, found.surprise
+            fit, gusts, setup, cost = found.fit, found.gusts, found.setup, found.neg2_log_likelihood
         else:
-            options = [begin, replace(start.before.flown.point, effects=written)]
+            options = [begin, replace(start.before.trajectory.point, effects=written)]
             best = best_flown(bench.model, setup, options, start.map_)
             fit = refit(
                 bench.model, bench.direct_model, setup, best.point, names, start.limits, start.map_
             )
-            cost = fit.flown.cost
+            cost = fit.trajectory.cost
     return _round_of(start, setup, fit, gusts, cost, written)
 
 
-def fitted_effects(setup: Setup) -> dict[str, str]:
+def fitted_effects(setup: FlightData) -> dict[str, str]:
     """Return key -> property of the active effects that a fit of replays estimates: all carried
     ones but those of servos.
     """
@@ -431,7 +433,7 @@ def with_values(selection: Selection, values: Mapping[str, float]) -> Selection:
     return replace(selection, chosen=chosen)
 
 
-def sensors_moved(setup: Setup, point: Point) -> bool:
+def sensors_moved(setup: FlightData, point: ModelState) -> bool:
     """Whether an active effect moves a sensor; replays of a fit have their sensors where the card
     says.
     """
@@ -440,13 +442,13 @@ def sensors_moved(setup: Setup, point: Point) -> bool:
 
 def fit_point(
     model: ReplayModel,
-    setup: Setup,
-    point: Point,
+    setup: FlightData,
+    point: ModelState,
     names: Sequence[str],
     limits: Mapping[str, tuple[float, float]],
     pool: Processes,
     absent: Collection[str] = (),
-) -> Flown | None:
+) -> Trajectory | None:
     """Estimate properties, carried effects, start states and nuisances at once by output error on
     replays.
 
@@ -509,14 +511,14 @@ def settled(start: Start, final: Round, folder: Path) -> Round:
     written = {**final.flown, **final.held}
     staged, setup = stage(start, written, folder)
     setup = replace(setup, noise=final.setup.noise)
-    point = final.fit.flown.point
+    point = final.fit.trajectory.point
     if sensors_moved(setup, point):
         return final
     names = [n for n in start.names if n in point.values]
-    with Bench(staged, setup) as bench:
+    with StagedModels(staged, setup) as bench:
         flown = fit_point(bench.model, setup, point, names, start.limits, start.map_)
         # The concentrated likelihood and this cost, of fixed noise, differ a little at the optimum.
-        if flown is None or flown.cost > final.fit.flown.cost + DIFFERENT**2:
+        if flown is None or flown.cost > final.fit.trajectory.cost + DIFFERENT**2:
             return final
         effects = flown.point.effects
         fit = fit_at(
@@ -535,18 +537,18 @@ def settled(start: Start, final: Round, folder: Path) -> Round:
 
 def _round_of(
     start: Start,
-    setup: Setup,
-    fit: Fit,
-    gusts: Gusts | None,
+    setup: FlightData,
+    fit: Linearisation,
+    gusts: TurbulenceModel | None,
     cost: float,
     written: Mapping[str, float],
 ) -> Round:
     """Judge effects, written at such values by key, at the fit flown with them."""
     keys = list(written)
-    values = {e.key: fit.flown.point.effects[e.key] for e in setup.active}
+    values = {e.key: fit.trajectory.point.effects[e.key] for e in setup.active}
     rest = [e for e in start.effects.values() if e.key not in keys]
     columns = effect_columns(
-        setup, fit.probes, fit.flown, [*rest, *slopes_here(setup.active, fit.flown.point)]
+        setup, fit.probes, fit.trajectory, [*rest, *slopes_here(setup.active, fit.trajectory.point)]
     )
     evidence = column_evidence(setup, fit, columns, gusts).taken_out(values)
     odds = odds_at(start, fit.columns[0].names, evidence, keys)
@@ -573,7 +575,7 @@ def _round_of(
         merit,
         gusts,
         values,
-        {k: written[k] for k in setup.held},
+        {k: written[k] for k in setup.fixed_effects},
     )
 
 
@@ -624,7 +626,7 @@ def _brief(
     free: Sequence[str],
     kept: Sequence[str],
     evidence: Evidence,
-    setup: Setup,
+    setup: FlightData,
 ) -> list[str]:
     """Times among effects that are no candidates, being too short, that have their sign in the
     place of one that was kept.
@@ -645,7 +647,7 @@ def _brief(
 
 
 def eligible(
-    effects: Sequence[Effect], setup: Setup, free: Sequence[str], evidence: Evidence
+    effects: Sequence[Effect], setup: FlightData, free: Sequence[str], evidence: Evidence
 ) -> dict[str, float]:
     """Candidates worth scoring beside the columns ``free``, and their odds: delays that a replay
     cannot resolve are left out, and what the search did without, of which the evidence has no
@@ -661,7 +663,7 @@ def eligible(
     }
 
 
-def _resolves(effect: Effect, value: float, setup: Setup) -> bool:
+def _resolves(effect: Effect, value: float, setup: FlightData) -> bool:
     """Whether an effect of time is longer than what a replay or a log's rows leave open, a rate
     limit's over the way of a doublet; True of other effects."""
     if effect.unit not in _OF_TIME:
@@ -674,7 +676,7 @@ def _resolves(effect: Effect, value: float, setup: Setup) -> bool:
     )
 
 
-def may_be_faster(effect: Effect, setup: Setup) -> bool:
+def may_be_faster(effect: Effect, setup: FlightData) -> bool:
     """Whether the effect is the lag or the rate limit of a servo that has one in the XML, which the
     real one need not have.
     """
@@ -684,7 +686,7 @@ def may_be_faster(effect: Effect, setup: Setup) -> bool:
     )
 
 
-def largest_step(setup: Setup, effect: Effect) -> float:
+def largest_step(setup: FlightData, effect: Effect) -> float:
     """Half the range [deg] of the commands that an actuator's effect is about: how far a doublet
     goes.
     """
@@ -692,7 +694,7 @@ def largest_step(setup: Setup, effect: Effect) -> float:
     return 0.5 * max(float(np.ptp(s.controls[:, k])) for s in setup.segments)
 
 
-def stage(start: Start, values: Mapping[str, float], folder: Path) -> tuple[Aircraft, Setup]:
+def stage(start: Start, values: Mapping[str, float], folder: Path) -> tuple[Aircraft, FlightData]:
     """A copy of the aircraft that carries effects of such values, by key, and the setup that knows
     of them.
     """
@@ -704,7 +706,7 @@ def stage(start: Start, values: Mapping[str, float], folder: Path) -> tuple[Airc
     setup = with_sensors_of(start.setup, staged)
     least = {e.key: least_felt(setup, e.key) for e in effects}
     return staged, replace(
-        setup, active=tuple(effects), carriers=carriers, slopes=slopes, least=least
+        setup, active=tuple(effects), carriers=carriers, slopes=slopes, lower_bounds=least
     )
 
 

@@ -20,7 +20,13 @@ from sysid.parallel import Processes
 from uqharness import __version__, checksums
 from uqharness.files import inner_folder, scratch_folder
 from uqharness.identification import choose_servos
-from uqharness.identification.linearised import Bench, Setup, make_setup, positions, setup_in_gusts
+from uqharness.identification.linearised import (
+    FlightData,
+    StagedModels,
+    make_setup,
+    positions,
+    setup_in_gusts,
+)
 from uqharness.parallel import worker_map
 from uqharness.plugin import bake_scales
 from uqharness.refinement.document import document_of, refinement_view
@@ -186,7 +192,7 @@ def refine(request: Job, say: Say = lambda _: None) -> Refinement:
             _remove_stale(request.out, aircraft)
         say("intervals of both models")
         intervals = shown("intervals", list[Intervals], lambda: list(map_(fit_intervals, jobs)))
-        with Bench(aircraft, side.setup) as bench:
+        with StagedModels(aircraft, side.setup) as bench:
             controls = positions(bench.model, side.setup)
         document = document_of(chosen, judged, aircraft, controls)
         document = _with_smooth(document, *_unnamed(request, document, judged, write, map_, say))
@@ -222,7 +228,7 @@ def _ideal_controls(request: Job, measured: Sequence[str]) -> tuple[str, ...]:
     return tuple(c for c in CONTROLS if c not in measured) if request.ideal_servos else ()
 
 
-def _setup(aircraft: Aircraft, given: FlightSet) -> Setup:
+def _setup(aircraft: Aircraft, given: FlightSet) -> FlightData:
     return make_setup(aircraft, given.flights, given.measured, given.ideal)
 
 

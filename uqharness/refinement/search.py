@@ -37,9 +37,9 @@ from sysid.effects import (
     Choice,
     Effect,
     Evidence,
-    Gusts,
     Refusal,
     Selection,
+    TurbulenceModel,
     chance_limit,
     conditional_interval,
     judged,
@@ -52,10 +52,10 @@ from sysid.parallel import Processes
 from uqharness.errors import BadInputError
 from uqharness.identification.linearised import (
     PRIOR,
-    Bench,
-    Fit,
-    GustFit,
-    Setup,
+    FlightData,
+    Linearisation,
+    StagedModels,
+    TurbulentFit,
     effect_columns,
     gust_refit,
     in_one_step,
@@ -347,16 +347,16 @@ class Found:
     left            candidates that are not chosen and whose |t| beside the chosen is above
     CERTAIN_T: (key, t), the strongest first"""
 
-    setup: Setup
+    setup: FlightData
     names: tuple[str, ...]
-    before: Fit
-    after: Fit
+    before: Linearisation
+    after: Linearisation
     selection: Selection
     effects: Mapping[str, Effect]
     parameters: Mapping[str, tuple[float, float]]
     notes: tuple[str, ...]
     plain: Mapping[str, float] = field(default_factory=dict)
-    gusts: Gusts | None = None
+    gusts: TurbulenceModel | None = None
     scoreboard: tuple[tuple[str, float], ...] = ()
     limit: float = float("nan")
     late_s: float = 0.0
@@ -377,13 +377,15 @@ class Found:
         """How late the controls act by records whose clock is off: by how much they were moved, and
         what was left then; else 0.
         """
-        left = [v for n, v in self.after.flown.point.nuisance.items() if n.startswith("lateness/")]
+        left = [
+            v for n, v in self.after.trajectory.point.nuisance.items() if n.startswith("lateness/")
+        ]
         return self.late_s + float(np.mean(left or [0.0])) if self.late_s else 0.0
 
 
 def find_effects(
     aircraft: Aircraft,
-    setup: Setup,
+    setup: FlightData,
     extra: Sequence[Effect],
     work: Path,
     map_: Processes,
@@ -410,7 +412,7 @@ def find_effects(
         for n, c in aircraft.card.parameters.items()
     }
     gusts = None
-    with Bench(aircraft, setup) as bench:
+    with StagedModels(aircraft, setup) as bench:
         say("re-identifying the parameters")
         asked, again = names, len(put_right) or ""
         setup = given = with_jumps(setup, bench.model)
@@ -421,15 +423,15 @@ def find_effects(
         )
         setup = replace(setup, noise=noise)
         effects = candidates_for(setup, asked, extra)
-        if turbulent(setup, before.flown):
+        if turbulent(setup, before.trajectory):
             say(
                 f"the air was turbulent: predicting one sample ahead, scoring {len(effects)}"
                 " candidate effects"
             )
-            gusty, at = setup_in_gusts(aircraft, setup), before.flown.point
+            gusty, at = setup_in_gusts(aircraft, setup), before.trajectory.point
             air = keep(
                 f"air{again}",
-                GustFit,
+                TurbulentFit,
                 lambda: gust_refit(
                     bench.model, bench.direct_model, gusty, at, excited, limits, map_, tune=True
                 ),
@@ -443,7 +445,7 @@ def find_effects(
         setup, before = as_quiet(setup, before)
     setup = limits_tried(setup, before, gusts)
     timed = [CONTROLS_LATE] if len(put_right) < MOST_CORRECTIONS and not setup.late else []
-    columns = effect_columns(setup, before.probes, before.flown, [*effects, *timed])
+    columns = effect_columns(setup, before.probes, before.trajectory, [*effects, *timed])
     evidence = column_evidence(setup, before, columns, gusts)
     least_t, slips = 0.0 if gusts is None else GUST_LIMIT, slips_s(command_s, not put_right)
     late = _of_the_clock(setup, before, evidence, effects, slips, least_t) if timed else None
@@ -464,7 +466,7 @@ def find_effects(
         if gusts is None
         else max(threshold(len(open_)), least_t)
     )
-    merit = before.flown.cost if gusts is None else air.surprise
+    merit = before.trajectory.cost if gusts is None else air.neg2_log_likelihood
     start = Start(
         aircraft,
         setup,
@@ -538,8 +540,8 @@ def slips_s(command_s: float, first: bool) -> tuple[float, float]:
 
 
 def _of_the_clock(
-    setup: Setup,
-    before: Fit,
+    setup: FlightData,
+    before: Linearisation,
     evidence: Evidence,
     effects: Sequence[Effect],
     slips: tuple[float, float],
@@ -547,7 +549,7 @@ def _of_the_clock(
 ) -> tuple[float, float] | None:
     """`controls_late` of the flights as they are with the controls at their rows, beside the
     effects that compete with it there; slips: `slips_s`; least_t: |t| asked at least."""
-    held = {lateness(f): before.flown.point.nuisance[lateness(f)] for f in setup.timed}
+    held = {lateness(f): before.trajectory.point.nuisance[lateness(f)] for f in setup.timed}
     at_rows = evidence.taken_out(held)
     free = [n for n in before.columns[0].names if n not in held]
     odds = eligible(effects, setup, free, at_rows)

@@ -36,7 +36,7 @@ from sysid.effects import (
 )
 from sysid.estimation import rms
 from sysid.parallel import Processes
-from uqharness.identification.linearised import Fit, Setup, effect_columns, merged
+from uqharness.identification.linearised import FlightData, Linearisation, effect_columns, merged
 from uqharness.refinement.evaluation import Shown, gap_document, left_in, show, with_replays
 from uqharness.refinement.judge import (
     Judged,
@@ -80,7 +80,11 @@ class CurvesAbout:
     """
 
     def __init__(
-        self, found: Found, fit: Fit, setup: Setup | None = None, before: Estimated | None = None
+        self,
+        found: Found,
+        fit: Linearisation,
+        setup: FlightData | None = None,
+        before: Estimated | None = None,
     ) -> None:
         self.found, self.fit, self.setup, self.before = found, fit, setup, before
         self.along = [p.variables() for p in fit.probes]
@@ -101,9 +105,12 @@ class CurvesAbout:
             evidence = evidence_of(self.found, (), more)
         else:
             effects = effect_columns(
-                self.setup, self.fit.probes, self.fit.flown, [self.found.effects[k] for k in chosen]
+                self.setup,
+                self.fit.probes,
+                self.fit.trajectory,
+                [self.found.effects[k] for k in chosen],
             )
-            flown = {} if self.before is None else self.before.fit.flown
+            flown = {} if self.before is None else self.before.fit.trajectory
             evidence = column_evidence(self.setup, self.fit, merged(effects, more), None).taken_out(
                 {**chosen, **flown}
             )
@@ -156,7 +163,7 @@ class CurvesAbout:
             [*free, *fit.own],
             [*self.found.names, *(c.key for c in chosen)],
         )
-        at = self.fit.flown.point.values
+        at = self.fit.trajectory.point.values
         moved = tuple(replace(c, value=found[c.key][0], std=found[c.key][1]) for c in chosen)
         parameters = {n: (at[n] + found[n][0], found[n][1]) for n in self.found.names}
         selection = replace(self.found.selection, chosen=moved)
@@ -341,7 +348,7 @@ def _flown(
     aircraft = write(round_.found)
     write_table(aircraft, round_.fit)
     shown = show(
-        aircraft, train, map_, written_at(round_.found, near=round_.found.after.flown.point)
+        aircraft, train, map_, written_at(round_.found, near=round_.found.after.trajectory.point)
     )
     return _Done(fit, about, round_, aircraft, shown)
 
@@ -422,7 +429,7 @@ def named_beside(found: Found, train: Side, whole: Aircraft, map_: Processes) ->
     chosen, curve = found.selection.chosen, bent(found)
     if curve is None:
         weak = too_weak(chosen, found.limit)
-        at = written_at(found, property_values(found, found), found.after.flown.point)
+        at = written_at(found, property_values(found, found), found.after.trajectory.point)
         if weak and not left_in(train.setup, show(whole, train, map_, at), found.gusty):
             return found
     else:

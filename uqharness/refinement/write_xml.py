@@ -20,7 +20,7 @@ from sysid.aerodynamics import COEFFICIENTS
 from sysid.effects import SPANS, V_REFERENCE_MPS, Effect, Selection, Smooth, SmoothFit, Term
 from sysid.units import FT_M, IN_M, LBF_N, SLUG_FT2_KGM2
 from uqharness.errors import BadInputError
-from uqharness.identification.linearised import STALL, Carrier, Fit, Probe, in_dynamics
+from uqharness.identification.linearised import STALL, Carrier, Linearisation, Probe, in_dynamics
 from uqharness.plugin import Estimate, coefficient_reference, put_values, state_source
 from uqharness.simulator import (
     Actuator,
@@ -602,7 +602,7 @@ def _sum_of(section: AeroSection, coefficient: str) -> tuple[Document, Node] | N
 # written into.
 
 
-def control_slopes(fit: Fit) -> dict[str, float]:
+def control_slopes(fit: Linearisation) -> dict[str, float]:
     """Mean change of the coefficients by a degree of elevator and rudder, of CZ by a radian of
     alpha, of CX by inflow.
     """
@@ -629,7 +629,7 @@ def inflow_numbers(probes: Sequence[Probe]) -> dict[str, float]:
 
 
 def of_lift_slope(
-    selection: Selection, before: Fit, after: Fit
+    selection: Selection, before: Linearisation, after: Linearisation
 ) -> tuple[Selection, dict[str, float]]:
     """Lift lost by separation as a share of the lift slope that is estimated beside it, and the
     numbers to write effects with.
@@ -637,7 +637,7 @@ def of_lift_slope(
     Flights that stall say of a model without stall that its lift slope is small: of that slope the
     share would be too large."""
     slopes = control_slopes(before)
-    own = after.flown.point.values.get("aero/CZ_alpha", 0.0)
+    own = after.trajectory.point.values.get("aero/CZ_alpha", 0.0)
     if not own * slopes["CZ_alpha"] > 0.0:
         return selection, slopes
     ratio = slopes["CZ_alpha"] / own

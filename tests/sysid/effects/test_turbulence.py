@@ -16,8 +16,8 @@ from sysid.effects import turbulence
 from sysid.effects.tuned import CERTAIN_T
 from sysid.effects.turbulence import (
     V_REFERENCE,
-    Gusts,
     Score,
+    TurbulenceModel,
     gust_intensity,
     gust_strength_mps2,
     process_of,
@@ -91,7 +91,9 @@ def drawn(
     return made, data
 
 
-def found_in(made: Made, data: list[np.ndarray], near: Gusts | None = None) -> Gusts:
+def found_in(
+    made: Made, data: list[np.ndarray], near: TurbulenceModel | None = None
+) -> TurbulenceModel:
     return gust_intensity(
         made,
         data,
@@ -114,12 +116,14 @@ def test_intensities_and_what_gusts_do_are_found(rotating, turning):
     found = found_in(made, data)
     assert {(s.rotating, s.turning_with) for s in found.states} == {(rotating, turning)}
     np.testing.assert_allclose(np.log(found.values[:4] / INTENSITIES[:4]), 0.0, atol=np.log(1.7))
-    assert set(found.own) == {"a", "b"}
+    assert set(found.by_flight) == {"a", "b"}
     assert found.gain > 1000.0
     assert found.air
     again = found_in(made, data, found)
     np.testing.assert_allclose(np.log(again.values[:4] / found.values[:4]), 0.0, atol=np.log(1.4))
-    np.testing.assert_allclose(found.values[:4], 0.5 * (found.own["a"] + found.own["b"])[:4])
+    np.testing.assert_allclose(
+        found.values[:4], 0.5 * (found.by_flight["a"] + found.by_flight["b"])[:4]
+    )
     assert again.across == found.across
     # However often it is sought from there, it stays.
     last = found_in(made, data, found_in(made, data, again))
@@ -144,8 +148,10 @@ def test_air_that_gains_nothing_stands(monkeypatch):
     made, data = drawn(GustStates(MASS.b, 22.0), INTENSITIES)
     first = found_in(made, data)
     asked = []
-    own = turbulence._Search.own
-    monkeypatch.setattr(turbulence._Search, "own", lambda *a, **k: asked.append(1) or own(*a, **k))
+    own = turbulence._Search.by_flight
+    monkeypatch.setattr(
+        turbulence._Search, "by_flight", lambda *a, **k: asked.append(1) or own(*a, **k)
+    )
     again = found_in(made, data, first)
     assert not asked
     assert again.passing == first.passing
@@ -153,7 +159,11 @@ def test_air_that_gains_nothing_stands(monkeypatch):
     found_in(
         made,
         data,
-        replace(first, values=0.5 * first.values, own={f: 0.5 * v for f, v in first.own.items()}),
+        replace(
+            first,
+            values=0.5 * first.values,
+            by_flight={f: 0.5 * v for f, v in first.by_flight.items()},
+        ),
     )
     assert asked
 
@@ -271,7 +281,7 @@ def test_the_air_of_a_flight_alone_is_the_likeliest_from_wherever_it_is_sought()
     """Sought from four times the air, which passes at the airspeed: found again."""
     made, data = drawn(GustStates(MASS.b, 23.5), INTENSITIES, n=260)
 
-    def found(near: turbulence.Gusts | None) -> turbulence.Gusts:
+    def found(near: turbulence.TurbulenceModel | None) -> turbulence.TurbulenceModel:
         air, _ = turbulence.gust_intensity(
             made,
             data,
@@ -289,12 +299,14 @@ def test_the_air_of_a_flight_alone_is_the_likeliest_from_wherever_it_is_sought()
     off = replace(
         first,
         values=4.0 * first.values,
-        own={"a": 4.0 * first.values},
+        by_flight={"a": 4.0 * first.values},
         states=at_airspeed,
         passing={"a": 0.0},
     )
     again = found(off)
-    np.testing.assert_allclose(np.log(again.own["a"][:4] / first.own["a"][:4]), 0.0, atol=0.2)
+    np.testing.assert_allclose(
+        np.log(again.by_flight["a"][:4] / first.by_flight["a"][:4]), 0.0, atol=0.2
+    )
 
 
 def test_flights_in_air_of_unlike_strength_tell_how_fast_their_gusts_pass():
@@ -308,7 +320,7 @@ def test_flights_in_air_of_unlike_strength_tell_how_fast_their_gusts_pass():
     common = search.descend(
         range(4), turbulence._Point((GustStates(MASS.b),) * 4, INTENSITIES, np.ones(len(NOISE))), ()
     )
-    point = search.own(of, common, flights)
+    point = search.by_flight(of, common, flights)
     np.testing.assert_allclose(
         np.log(point.of(2)[:3] / point.of(0)[:3] / 16.0), 0.0, atol=np.log(2.0)
     )
@@ -328,8 +340,8 @@ def test_the_air_of_some_flights_in_others():
     found = found_in(made, data)
     other = found.in_other([19.0, 21.0, 30.0], ["c", "c", "a"])
     assert [s.passing_mps for s in other.states] == [0.0] * 3
-    np.testing.assert_array_equal(other.own["a"], found.own["a"])
-    np.testing.assert_array_equal(other.own["c"], found.values)
+    np.testing.assert_array_equal(other.by_flight["a"], found.by_flight["a"])
+    np.testing.assert_array_equal(other.by_flight["c"], found.values)
     assert len(other.process.noise) == 3
     at_one = replace(
         found,

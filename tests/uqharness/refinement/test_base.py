@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from uqharness.identification.linearised import Fit, Flown, Setup
+from uqharness.identification.linearised import FlightData, Linearisation, Trajectory
 from uqharness.refinement import base
 from uqharness.refinement.base import as_quiet
 
@@ -17,10 +17,10 @@ def test_a_sensor_is_as_quiet_as_the_fit_leaves_it_down_to_half_its_card(monkeyp
     card, seen = np.array([0.002, 0.004]), {}
     residual = left * card * np.random.default_rng(1).standard_normal((20_000, 2))
     residual[::5, 1] = np.nan
-    setup = Setup((), (), (), OUTPUTS, (residual[:5000], residual[5000:]), card, (), {})
+    setup = FlightData((), (), (), OUTPUTS, (residual[:5000], residual[5000:]), card, (), {})
     outputs = [np.zeros((5000, 2)), np.zeros((15_000, 2))]
     columns = [SimpleNamespace(names=("aero/a",))]
-    fit = Fit(Flown(None, outputs, [], [], 1.0), [], [], columns, None, ())
+    fit = Linearisation(Trajectory(None, outputs, [], [], 1.0), [], [], columns, None, ())
     monkeypatch.setattr(
         base,
         "whiten",

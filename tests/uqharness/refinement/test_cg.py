@@ -18,10 +18,10 @@ from sysid.units import IN_M
 from tests.helpers.flown import fly
 from uqharness.errors import BadInputError
 from uqharness.identification.linearised import (
-    Bench,
-    Flown,
-    Point,
-    Setup,
+    FlightData,
+    ModelState,
+    StagedModels,
+    Trajectory,
     effect_columns,
     make_setup,
     positions,
@@ -44,7 +44,7 @@ def aircraft() -> Aircraft:
 
 
 @pytest.fixture(scope="module")
-def setup(aircraft: Aircraft, tmp_path_factory: pytest.TempPathFactory) -> Setup:
+def setup(aircraft: Aircraft, tmp_path_factory: pytest.TempPathFactory) -> FlightData:
     path = tmp_path_factory.mktemp("cg") / "flight.parquet"
     fly((("pitch-3211", 22.0), ("roll-yaw", 22.0)), seed=1, seconds=6.0).write(path)
     flights, measured = read_flights([path], aircraft, None, None)
@@ -60,12 +60,12 @@ def moved(aircraft: Aircraft, tmp_path_factory: pytest.TempPathFactory) -> Aircr
 
 
 def along(
-    aircraft: Aircraft, setup: Setup, values: dict[str, float]
-) -> tuple[Flown, list[np.ndarray]]:
+    aircraft: Aircraft, setup: FlightData, values: dict[str, float]
+) -> tuple[Trajectory, list[np.ndarray]]:
     """Replays, and the columns of a centre of gravity further forward along them."""
     effect = {e.key: e for e in subsystem_effects([], [], [])}["effect/mass/cg_x"]
-    with Bench(aircraft, replace(setup, positions=())) as bench:
-        point = Point(
+    with StagedModels(aircraft, replace(setup, positions=())) as bench:
+        point = ModelState(
             values, dict.fromkeys(setup.nuisance, 0.0), tuple(s.start for s in setup.segments)
         )
         flown = replayed(bench.model, setup, point, SERIAL)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sysid.effects import Choice, Effect, Selection, White, gather
-from uqharness.identification.linearised import HERE, in_dead_zone, servo_change, slopes_here
+from uqharness.identification.linearised import LOCAL_SLOPE, in_dead_zone, servo_change, slopes_here
 from uqharness.refinement.rounds import WIDTHS_DEG, _asked, as_known_here, felt, is_fastest, just_so
 from uqharness.replay import Segment, runs_per_row
 from uqharness.simulator import Actuator
@@ -75,7 +75,7 @@ def test_a_limit_above_the_servos_own_is_known_by_its_slope_where_it_flies():
     value, noise = 1.0 / 80.0 - 1.0 / 40.0, rng.standard_normal((400, 1))
 
     def found(here: np.ndarray) -> SimpleNamespace:
-        columns = {"other": 10.0 * other, KEY: 1e5 * whole, KEY + HERE: here}
+        columns = {"other": 10.0 * other, KEY: 1e5 * whole, KEY + LOCAL_SLOPE: here}
         white = White(
             noise,
             np.stack(list(columns.values()), axis=2).astype(np.float32),
@@ -106,7 +106,7 @@ def test_only_limits_above_the_servos_own_have_a_slope_of_their_own():
     limit = Effect(None, "actuator.elevator", "rate_limit", "", "", unit="s/deg")
     lag = Effect(None, "actuator.elevator", "lag", "", "", unit="s")
     faster, slower = (SimpleNamespace(effects={limit.key: v, lag.key: -0.1}) for v in (-0.01, 0.01))
-    assert [e.key for e in slopes_here([limit, lag], faster)] == [KEY + HERE]
+    assert [e.key for e in slopes_here([limit, lag], faster)] == [KEY + LOCAL_SLOPE]
     assert slopes_here([limit, lag], slower) == []
 
 
@@ -128,6 +128,6 @@ def test_a_dead_zone_is_read_by_one_as_wide_as_it_is(width):
     # One that stands in it already is short by half of what it is wider.
     wider = np.sign(asked) * np.maximum(np.abs(asked) - 0.5 * (width + 1e-3), 0.0)
     outside = np.abs(asked) > 0.5 * (width + 1e-3)
-    assert (1e-3 * in_dead_zone(stands, 0.4, flown=True))[outside] == pytest.approx(
+    assert (1e-3 * in_dead_zone(stands, 0.4, in_model=True))[outside] == pytest.approx(
         (wider - stands)[outside], abs=1e-12
     )

@@ -9,7 +9,7 @@ import pytest
 
 from sysid.effects.prediction import White
 from sysid.effects.score import Evidence, gather
-from uqharness.identification.linearised import Point, around, servo_change
+from uqharness.identification.linearised import ModelState, around, servo_change
 from uqharness.refinement.round import joint_point
 from uqharness.refinement.rounds import SHARES, just_so
 from uqharness.replay.replay import STATES
@@ -42,10 +42,10 @@ def evidence_of(values: tuple[float, ...], seed: int = 0, noise: float = 1.0) ->
 def test_parameters_and_start_states_move_with_the_effects():
     evidence = evidence_of((2.0, 3.0, 0.0), noise=0.0)
     starts = (np.zeros(9), np.ones(9))
-    fit = SimpleNamespace(flown=SimpleNamespace(point=Point({"aero/a": 10.0}, {}, starts)))
+    fit = SimpleNamespace(flown=SimpleNamespace(point=ModelState({"aero/a": 10.0}, {}, starts)))
     about = SimpleNamespace(fit=fit, evidence=evidence, flown={"effect/two": 0.5})
     setup = SimpleNamespace(active=(), carriers={}, nuisance=(), jumping=())
-    plain = Point({"aero/a": 1.0, "aero/b": 7.0}, {}, starts)
+    plain = ModelState({"aero/a": 1.0, "aero/b": 7.0}, {}, starts)
     before = SimpleNamespace(flown=SimpleNamespace(point=plain))
     start = SimpleNamespace(setup=setup, before=before, free=["aero/a"], limits={})
     found = joint_point(start, about, ["effect/one"])  # type: ignore[arg-type]

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from sysid.effects.catalogue import subsystem_effects
+from uqharness.identification.linearised.flight_data import ModelState
 from uqharness.identification.linearised.linearise import at_vane, placed, sensor_late_s
-from uqharness.identification.linearised.types import Point
 from uqharness.refinement.round import candidates_for
 from uqharness.replay import Segment
 
@@ -26,7 +26,7 @@ RATES = ("p_radps", "q_radps", "r_radps")
     ],
 )
 def test_a_channel_is_late_with_its_sensor_and_by_itself(late, expected):
-    point = Point(
+    point = ModelState(
         {}, {}, (), {f"effect/sensor.{name}/delay": value for name, value in late.items()}
     )
     segment = SimpleNamespace(flight="one", dt_s=0.02)
@@ -34,7 +34,9 @@ def test_a_channel_is_late_with_its_sensor_and_by_itself(late, expected):
 
 
 def test_one_sensor_alone_is_counted_once():
-    point = Point({}, {"delay/one/alpha_rad": 0.01}, (), {"effect/sensor.alpha_rad/delay": 0.03})
+    point = ModelState(
+        {}, {"delay/one/alpha_rad": 0.01}, (), {"effect/sensor.alpha_rad/delay": 0.03}
+    )
     assert sensor_late_s("alpha_rad", SimpleNamespace(flight="one"), point) == pytest.approx(0.04)
 
 
@@ -79,8 +81,8 @@ def test_accelerometers_are_where_a_point_says():
     segment = Segment(
         "a", "one", np.arange(3.0), np.zeros((3, 4)), np.zeros(9), 0.0, 0.0, arm_m=(0.1, 0.0, 0.0)
     )
-    assert placed(segment, Point({}, {}, ())) is segment
-    moved = Point(
+    assert placed(segment, ModelState({}, {}, ())) is segment
+    moved = ModelState(
         {},
         {},
         (),

@@ -23,7 +23,7 @@ from tests.uqharness.refinement.test_refine import TEST, TRAIN, document, with_p
 from uqharness.cli.main import main
 from uqharness.errors import BadInputError
 from uqharness.identification.compare import compare
-from uqharness.identification.linearised import Point, make_setup, setup_in_gusts
+from uqharness.identification.linearised import ModelState, make_setup, setup_in_gusts
 from uqharness.refinement import judge as refine_judge
 from uqharness.refinement.document import Nearest
 from uqharness.refinement.evaluation import Shown, _told_noise, gap_document, with_replays
@@ -417,7 +417,7 @@ def test_in_turbulence_the_table_is_that_of_compare(gusty):
     setup = setup_in_gusts(aircraft, make_setup(aircraft, [gusty], ()))
     zeros = [np.zeros_like(z) for z in setup.measured]
     predicted = Shown(None, zeros, setup.noise, [np.ones((9, 6))], np.ones(6), zeros, 0.0, (0.0,))  # type: ignore[arg-type]
-    shown = with_replays(predicted, aircraft, Side(setup), SERIAL, Point({}, {}, ()))
+    shown = with_replays(predicted, aircraft, Side(setup), SERIAL, ModelState({}, {}, ()))
     found = gap_document(setup, shown, shown)
     other = compare(aircraft, gusty, (), workers=1)
     ratios = {c: row["rms_after"] / row["noise_rms"] for c, row in found["channels"].items()}

@@ -13,7 +13,13 @@ import pytest
 
 from sysid.effects.catalogue import subsystem_effects
 from sysid.effects.selection import Choice, Selection
-from uqharness.identification.linearised import Point, Probe, ProbeJob, effect_columns, probe_all
+from uqharness.identification.linearised import (
+    ModelState,
+    Probe,
+    ProbeJob,
+    effect_columns,
+    probe_all,
+)
 from uqharness.refinement.write_xml import (
     Written,
     control_slopes,
@@ -155,7 +161,7 @@ def test_columns_of_what_flies_are_those_of_the_numbers_written(nominal: Probe):
     setup = SimpleNamespace(
         segments=[SimpleNamespace(dt_s=0.02, flight="f")], slopes=slopes, outputs=()
     )
-    flown = SimpleNamespace(outputs=[np.zeros((N, 0))], point=Point({}, {}, ()))
+    flown = SimpleNamespace(outputs=[np.zeros((N, 0))], point=ModelState({}, {}, ()))
     moved = replace(nominal, controls=nominal.controls + 2.0)
     moved.reference.x[:, 1] = 0.25
     wanted = [by_term["separation"], by_term["slipstream"]]
