@@ -871,9 +871,8 @@ def _remaining(chosen: Found, judged: Judged, controls: Sequence[Any]) -> Remain
     where += [_still_asked(effects[key], t, k) for k, (key, t) in enumerate(more)]
     where += moments.values()
     contradicts = bool(against) and not found.selection.chosen
-    unexplained = (
-        bool(left) or bool(strong) or contradicts or bool(more) or bool(bent) or bool(moments)
-    )
+    # Moments that only noise explains are air: a missing effect has a score, a curve or residuals.
+    unexplained = bool(left) or bool(strong) or contradicts or bool(more) or bool(bent)
     sides = {
         "train": [*left.above, *left.coloured, *moments],
         "test": [*held_out.above, *held_out.coloured],
@@ -988,8 +987,8 @@ def document_of(
 
 
 def moments_of(chosen: Found) -> dict[str, RemainingPart]:
-    """Angular rate -> what is told of moments about its axis that nothing explains, where flights
-    in turbulence show them.
+    """Return by angular rate a sentence on moments about its axis that the gust model does not
+    describe.
     """
     rows = {}
     for (rate, c, axis), gain in zip(
@@ -997,7 +996,10 @@ def moments_of(chosen: Found) -> dict[str, RemainingPart]:
     ):
         if gain > CERTAIN_T**2 and rate in chosen.setup.outputs:
             gains = f"allowing for them gains {gain:.0f} in twice the log likelihood"
-            words = f"moments act about the {axis} axis that no effect explains: {gains}"
+            words = (
+                f"air that the gust model does not describe moves the aircraft about the {axis}"
+                f" axis: {gains}"
+            )
             rows[rate] = RemainingPart(coefficient=c, twice_log_likelihood=gain, words=words)
     return rows
 

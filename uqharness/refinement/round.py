@@ -23,6 +23,7 @@ from sysid.effects import (
     DIFFERENT,
     GUST_ODDS,
     STANDS,
+    VANE_ODDS,
     Columns,
     Effect,
     Evidence,
@@ -95,7 +96,12 @@ class Start:
         gust_like = like_turning_air(effect) or (effect.subsystem or "").startswith(
             ("sensor.", "actuator.", "mass")
         )
+        if not self.gusts.is_standard and effect.subsystem in VANES and effect.term == "scale":
+            return effect.odds + VANE_ODDS
         return effect.odds + GUST_ODDS * gust_like
+
+
+VANES = ("sensor.alpha_rad", "sensor.beta_rad")
 
 
 def like_turning_air(effect: Effect) -> bool:
