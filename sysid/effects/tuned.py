@@ -45,7 +45,7 @@ GUST_ODDS = 30.0
 wind angles, sensors, servos, masses."""
 VANE_ODDS = 400.0
 """Additional gain required of scales of vanes where the air does not rotate as the standard has it:
-there the spectra of alpha' and beta' are unknown, and false scales reach |t| of 17."""
+false scales reach |t| of 17."""
 RESOLVED_ROWS = 0.01
 """Additional standard error of times, in rows: estimates of absent lags and delays are .007 to .018
 rows (rms). Three times this is the smallest time that counts as an effect."""

@@ -1,8 +1,10 @@
 """Measures what the estimator finds in air of other kinds.
 
     python -m tests.gust_fields.examine [FAMILY...] [--seconds S] [--w20-kt W] [--seeds N]
+        [--effect KEY --t T]
 
-Per family and seed, flights without a missing effect: gains of moments without a candidate, the
+Per family and seed, flights without a missing effect, or with the effect KEY of the battery at the
+size that three flights of 90 s in light turbulence see at |t| T: gains of moments without a candidate, the
 air that was found, the largest |t| of scales of the vanes and of any candidate, and the share of
 parameters whose 95 % interval has the truth."""
 
@@ -21,6 +23,7 @@ from sysid.parallel import SERIAL
 from tests.gust_fields.fields import FAMILIES, Setting
 from tests.gust_fields.flights import fly_in
 from tests.helpers.sixdof import Airframe
+from tests.hidden_effects.catalogue import ENTRIES
 from tests.hidden_effects.effects import Effect
 from tests.hidden_effects.flights import Flight
 from tests.hidden_effects.manoeuvres import card
@@ -120,11 +123,16 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--w20-kt", type=float, default=15.0)
     parser.add_argument("--seeds", type=int, default=1)
+    parser.add_argument("--effect", choices=sorted(ENTRIES), metavar="KEY")
+    parser.add_argument("--t", type=float, default=30.0)
     request = parser.parse_args()
+    effects = (ENTRIES[request.effect].effect(request.t, "light"),) if request.effect else ()
     for family in request.families:
         for seed in range(request.seeds):
             with tempfile.TemporaryDirectory() as folder:
-                paths = write_flights(family, seed, request.seconds, request.w20_kt, Path(folder))
+                paths = write_flights(
+                    family, seed, request.seconds, request.w20_kt, Path(folder), effects
+                )
                 row = measure(paths)
             gains = " ".join(f"{g:9.0f}" for g in row.moments)
             vanes = " ".join(f"{t:5.1f}" for t in row.vane_t)
