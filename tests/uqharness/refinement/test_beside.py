@@ -92,7 +92,7 @@ class Found:
     unnamed: tuple[Choice, ...] = ()
     bent: Bent | None = None
     after: SimpleNamespace = field(
-        default_factory=lambda: SimpleNamespace(flown=SimpleNamespace(point=None))
+        default_factory=lambda: SimpleNamespace(trajectory=SimpleNamespace(point=None))
     )
 
 

@@ -80,7 +80,7 @@ def test_what_a_records_clock_is_off_by_is_the_move_and_what_is_left(moved_s, sa
         "lateness/two/controls": -0.0076,
         "bias/one/q_radps": 1.0,
     }
-    after = SimpleNamespace(flown=SimpleNamespace(point=SimpleNamespace(nuisance=nuisance)))
+    after = SimpleNamespace(trajectory=SimpleNamespace(point=SimpleNamespace(nuisance=nuisance)))
     found = SimpleNamespace(late_s=moved_s, after=after)
     assert Found.controls_late_s.fget(found) == pytest.approx(said_s)
 

@@ -155,7 +155,7 @@ def judged(
 
     chosen = tuple(Choice(k, 1.0, 0.1, 10.0, 100.0, 1.0, 0.0) for k in harm)
     effects = {k: Effect("Cm", None, k, k, k) for k in harm}
-    fit = SimpleNamespace(flown=SimpleNamespace(point=None))
+    fit = SimpleNamespace(trajectory=SimpleNamespace(point=None))
     found = Found(None, (), fit, fit, Selection(chosen), effects, {}, ())  # type: ignore[arg-type]
     monkeypatch.setattr(refine_judge, "show", flown)
     monkeypatch.setattr(refine_judge, "property_values", lambda *_: None)

@@ -42,11 +42,13 @@ def evidence_of(values: tuple[float, ...], seed: int = 0, noise: float = 1.0) ->
 def test_parameters_and_start_states_move_with_the_effects():
     evidence = evidence_of((2.0, 3.0, 0.0), noise=0.0)
     starts = (np.zeros(9), np.ones(9))
-    fit = SimpleNamespace(flown=SimpleNamespace(point=ModelState({"aero/a": 10.0}, {}, starts)))
+    fit = SimpleNamespace(
+        trajectory=SimpleNamespace(point=ModelState({"aero/a": 10.0}, {}, starts))
+    )
     about = SimpleNamespace(fit=fit, evidence=evidence, flown={"effect/two": 0.5})
     setup = SimpleNamespace(active=(), carriers={}, nuisance=(), jumping=())
     plain = ModelState({"aero/a": 1.0, "aero/b": 7.0}, {}, starts)
-    before = SimpleNamespace(flown=SimpleNamespace(point=plain))
+    before = SimpleNamespace(trajectory=SimpleNamespace(point=plain))
     start = SimpleNamespace(setup=setup, before=before, free=["aero/a"], limits={})
     found = joint_point(start, about, ["effect/one"])  # type: ignore[arg-type]
     assert found.values == pytest.approx({"aero/a": 12.0, "aero/b": 7.0}, abs=1e-5)

@@ -87,7 +87,7 @@ def started(merit: float = 1e4, gusts: object = None) -> Start:
         for k in KEYS[1:]
     ]
     before = SimpleNamespace(
-        columns=[SimpleNamespace(names=("free",))], flown=SimpleNamespace(point="plain")
+        columns=[SimpleNamespace(names=("free",))], trajectory=SimpleNamespace(point="plain")
     )
     setup = SimpleNamespace(segments=[SimpleNamespace(dt_s=0.02)], late={}, servos={})
     return Start(None, setup, before, (), {e.key: e for e in effects}, {}, 4.0, map, merit, gusts)  # type: ignore[arg-type]
