@@ -263,7 +263,7 @@ def judge(
                 less = bare(standing), before
             else:
                 model = left_out(found, evidence(), [*(g.key for g in gone), c.key])
-                less = model, flown(model, test, after.trajectory.point)
+                less = model, flown(model, test, after.flown.point)
             without[c.key] = less
             now[c.key] = gap_change(less[1], after, test.setup, fitted, c.t**2 - found.limit**2)
         # Two effects may undo each other: then neither alone is in the way.
@@ -285,7 +285,7 @@ def judge(
     if gone and standing.selection.chosen:
         fitted_again = refitted(standing, found, whole, map_)
         if fitted_again is not standing:
-            standing, after = fitted_again, flown(fitted_again, test, after.trajectory.point)
+            standing, after = fitted_again, flown(fitted_again, test, after.flown.point)
     settled = (
         fitted if not gone else flown(standing, train, own) if standing.selection.chosen else pair
     )

@@ -110,7 +110,7 @@ class CurvesAbout:
                 self.fit.trajectory,
                 [self.found.effects[k] for k in chosen],
             )
-            flown = {} if self.before is None else self.before.fit.trajectory
+            flown = {} if self.before is None else self.before.fit.flown
             evidence = column_evidence(self.setup, self.fit, merged(effects, more), None).taken_out(
                 {**chosen, **flown}
             )

@@ -127,7 +127,7 @@ def test_without_a_propeller_there_is_no_inflow():
 
 def fit_of(nominal: Probe, **values: float) -> SimpleNamespace:
     return SimpleNamespace(
-        probes=[nominal], flown=SimpleNamespace(point=SimpleNamespace(values=values))
+        probes=[nominal], trajectory=SimpleNamespace(point=SimpleNamespace(values=values))
     )
 
 
