@@ -11,10 +11,9 @@ headings to the wind; plain JSBSim, without that system, flies beside them.
 from __future__ import annotations
 
 import argparse
-import json
 import sys
-from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import matplotlib
@@ -28,6 +27,7 @@ from campaigns.library.study import cells, exit_code, log_progress, study_parser
 from sysid.arrays import FloatArray
 from uqharness.errors import BadInputError
 from uqharness.flight.dryden import COMPONENTS, Component, dryden_psd, dryden_sigma
+from uqharness.text_tables import text_table
 
 BANDS_HZ = ((0.02, 0.1), (0.1, 0.3), (0.3, 1.0), (1.0, 3.0), (3.0, 10.0))
 SOURCES: tuple[Source, ...] = ("jsbsim", "host", "plain-tustin", "plain-milspec")
@@ -126,37 +126,6 @@ def variance_dof(component: Component, condition: Condition, record_s: float) ->
     return float(2.0 * record_s * power / np.trapezoid(density**2, frequency))
 
 
-def _line(cells: Iterable[str]) -> str:
-    return f"| {' | '.join(cells)} |"
-
-
-def markdown(rows: Sequence[Row], flights: Sequence[Gusts]) -> str:
-    """Make two tables: standard deviations (ratio to the specification) and band means of the
-    spectra."""
-    head = ("source", "heading to wind, deg", *COMPONENTS, "corr(q, dw)", "corr(r, dv)")
-    lines = [_line(head), "|---" * 10 + "|"]
-    for gusts in flights:
-        source, heading = gusts.source, gusts.condition.heading_deg
-        part = [r for r in rows if (r.source, r.heading_deg) == (source, heading)]
-        correlations = (gusts.q_slope_correlation(), gusts.r_slope_correlation())
-        numbers = (*(f"{r.sd_ratio:.3f}" for r in part), *(f"{c:+.2f}" for c in correlations))
-        lines.append(_line((source, f"{heading:.0f}", *numbers)))
-    errors = [max(r.sd_ratio_error for r in rows if r.component == c) for c in COMPONENTS]
-    text = (f"{error:.3f}" for error in errors)
-    lines += [f"| counting error (1 sd) | | {' | '.join(text)} | | |", ""]
-    labels = [f"{low:g}-{high:g} Hz" for low, high in BANDS_HZ]
-    lines += [_line(("source", "component", *labels)), "|---" * (2 + len(labels)) + "|"]
-    for source in dict.fromkeys(row.source for row in rows):
-        for name in COMPONENTS:
-            part = [r for r in rows if (r.source, r.component) == (source, name)]
-            bands = np.array([r.band_ratios for r in part])
-            ends = zip(bands.min(0), bands.max(0), strict=True)
-            lines.append(_line((source, name, *(f"{low:.2f}..{high:.2f}" for low, high in ends))))
-    text = (f"{error:.2f}" for error in rows[0].band_errors)
-    lines += [f"| counting error (1 sd) | | {' | '.join(text)} |", ""]
-    return "\n".join(lines)
-
-
 def table_row(row: Row) -> dict[str, str]:
     """Return the row of air.csv."""
     bands = [f"psd_ratio_{low:g}_{high:g}_hz" for low, high in BANDS_HZ]
@@ -166,14 +135,13 @@ def table_row(row: Row) -> dict[str, str]:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the study; exit code 0: both sources are as specified; 1: one is not; 2: bad input."""
-    parser = study_parser(__doc__, out="air.csv, air.md and air.svg")
+    parser = study_parser(__doc__, out="air.csv and air.svg")
     option = parser.add_argument
     option("--hours", type=float, default=1.0, help="flight time per source and heading (1)")
     option("--headings-deg", type=float, nargs="+", default=[0.0, 90.0, 180.0, 270.0])
     option("--w20-kt", type=float, default=30.0, help="wind at 20 ft (30, moderate)")
     option("--height-m", type=float, default=100.0)
     option("--seed", type=int, default=1)
-    option("--json", action="store_true", help="print the rows as JSON")
     args = parser.parse_args(argv)
     return exit_code(lambda: _run(args))
 
@@ -185,20 +153,19 @@ def _run(args: argparse.Namespace) -> int:
     flights = []
     for source in SOURCES:
         for index, heading in enumerate(args.headings_deg):
-            if sys.stderr.isatty():
-                log_progress(f"{source}, {heading:.0f} deg to the wind")
-            flights.append(measure(source, Condition(heading, seed=args.seed + index, **air)))
+            log_progress(f"{source}, {heading:.0f} deg to the wind")
+            gusts = measure(source, Condition(heading, seed=args.seed + index, **air))
+            flights.append(gusts)
+            slopes = f"corr(q, dw) {gusts.q_slope_correlation():+.2f}"
+            print(f"{source}, {heading:.0f}: {slopes}, {gusts.r_slope_correlation():+.2f} (r, dv)")
     rows = [row for gusts in flights for row in compare(gusts)]
-    table = markdown(rows, flights)
-    write_csv(args.out / "air.csv", [table_row(row) for row in rows])
-    (args.out / "air.md").write_text(table, encoding="utf-8")
+    table = [table_row(row) for row in rows]
+    write_csv(args.out / "air.csv", table)
     plot_air(flights, args.out / "air.svg")
+    print("\n".join(text_table(table)))
     good = all(row.within(0.03) for row in rows if row.source in ("jsbsim", "host"))
-    if args.json:
-        print(json.dumps({"as_specified": good, "rows": [asdict(row) for row in rows]}))
-    else:
-        bad = "NOT as specified (3 % of amplitude beyond counting errors)"
-        print(f"{table}\n{'both sources are as specified' if good else bad}")
+    bad = "NOT as specified (3 % of amplitude beyond counting errors)"
+    print("both sources are as specified" if good else bad)
     return 0 if good else 1
 
 

@@ -77,7 +77,7 @@ def compare(answers: Sequence[Statement], acceptable_per_h: float) -> Iterator[d
         )
         row = {"radius_m": f"{cell.radius_m:g}", "turbulence": condition.turbulence}
         row |= {"wind_mps": f"{condition.wind_mps:g}"}
-        row |= {"hours": f"{sum(rate.hours for rate in cell.rates):g}"}
+        row |= {"hours": f"{round(sum(rate.hours for rate in cell.rates), 6):g}"}
         row |= _columns("best", best) | _columns("worst", worst)
         row |= _columns("worst_poisson", poisson, first=1)
         row["published_best_per_h"] = f"{print_best[0]:.6g}"

@@ -6,7 +6,6 @@ python -m campaigns.log-faults.reproduce [--genuine LOG.BIN ...] [--flights DIR]
 
 from __future__ import annotations
 
-import importlib
 import math
 import shlex
 import subprocess
@@ -28,7 +27,8 @@ from sysid.record import FlightRecord
 from tests.helpers.log_writers import px4_topics, write_ulog
 from uqharness.simulator import find_aircraft
 
-FAULTS: Any = importlib.import_module("campaigns.log-faults.faults")
+from .faults import FAULTS, Fault, cut, seeded
+
 HOME = Path(__file__).parent
 WITHIN = 0.1
 """Relative, of a factor or a lateness; lateness has 0.03 s more, since a channel is known on its
@@ -109,16 +109,16 @@ def samples(folder: Path, genuine: Path | None) -> Iterator[Sample]:
         yield Sample("ArduPlane", genuine, "dataflash", card, (start, start + GENUINE_S))
 
 
-def findings(sample: Sample, fault: Any | None) -> list[Finding] | None:
+def findings(sample: Sample, fault: Fault | None) -> list[Finding] | None:
     """Return warnings and errors of a log with a fault built in; None where the log has no such
     channel."""
     signals = shipped_map(sample.dialect)
     raw = read_raw(sample.path, sample.dialect, signals)
     if sample.span_s is not None:
-        raw = FAULTS.cut(raw, *sample.span_s)
+        raw = cut(raw, *sample.span_s)
     card: AirframeCard | None = sample.card
     if fault is not None:
-        changed = FAULTS.seeded(raw, signals, card, fault)
+        changed = seeded(raw, signals, card, fault)
         if changed is None:
             return None
         raw, card = changed
@@ -139,7 +139,7 @@ def size_of(finding: Finding) -> float:
     return float(numbers.get("values", math.nan))  # values of a wrapped number
 
 
-def score(fault: Any, after: Sequence[Finding], before: Sequence[Finding]) -> dict[str, Any]:
+def score(fault: Fault, after: Sequence[Finding], before: Sequence[Finding]) -> dict[str, Any]:
     """Return a row: whether the fault is named with channel and size, and findings of other
     channels that were not there before."""
     earlier = {(f.code, f.channel) for f in before}
@@ -197,7 +197,7 @@ def faulty(folder: Path, genuine: Path | None) -> Iterator[dict[str, Any]]:
     for sample in samples(folder, genuine):
         before = findings(sample, None)
         assert before is not None
-        for fault in FAULTS.FAULTS:
+        for fault in FAULTS:
             after = findings(sample, fault)
             if after is not None:
                 row = {"log": sample.name, "fault": fault.name, **score(fault, after, before)}

@@ -25,6 +25,7 @@ from cachetools import LRUCache
 from scipy.optimize import Bounds, minimize
 
 from sysid.aerodynamics import NX, GustStates, Steps
+from sysid.aerodynamics.flight_equations import LENGTHS
 from sysid.arrays import FloatArray
 from sysid.effects.prediction import start_fitted
 from sysid.effects.tuned import CERTAIN_T, DIFFERENT
@@ -144,18 +145,31 @@ def _one(
 Linear = Callable[[Sequence[int], Sequence[GustStates]], Sequence[Steps]]
 """Steps of some of the segments, linearised with gusts that act so in each."""
 V_REFERENCE = 20.0
-_START = np.array([0.25, 5e-4, 5e-4, 5e-2, 1e-4, 1e-4, 1e-4])
-"""Intensities of V [m2/s3], alpha and beta [rad2/s], the air's roll [rad2/s3], and of moments about
-the three axes that nothing explains, as angular accelerations [rad2/s3]; all at V_REFERENCE. Light
-air, to begin with."""
+_START = np.array([0.25, 5e-4, 5e-4, 5e-2, 1e-4, 1e-4, 1e-4, 1e-6, 1e-6])
+"""Intensities of V [m2/s3], alpha and beta [rad2/s], the air's roll [rad2/s3], of moments about
+the three axes that nothing explains, as angular accelerations [rad2/s3], and of the air's pitch and
+yaw beyond what gusts at the wing make, as rates of alpha and beta [rad2/s]; all at V_REFERENCE.
+Light air, to begin with."""
 _MOMENTS = slice(4, 7)
+_OWN_ROTATION = slice(7, 9)
+_MOST_OWN = 1.0
+"""Largest noise of the air's own pitch and yaw, as a share of that of gusts across the path, or of
+the air's roll: an isotropic field has no more.
+"""
+_LITTLE = 0.02
+"""Share of the noise of gusts across the path below which the air's own rotation is nothing."""
+_LENGTHS = (1.0, 0.5, 0.25, 2.0, 0.7, 1.4)
+"""Lengths of q_h and r_h that are tried, in units of the standard's."""
+_STRUCTURE_ROUNDS = 2
+_FINER = 1.2
+"""Factor by which the likeliest length is refined."""
 _NONE = 1e-6
 """Factor on an intensity that leaves nothing of it."""
 _MEMORY_S = 10.0
 """How long gusts along and across the path last: L/V of MIL-F-8785C at the heights of model
 aircraft.
 """
-_WITHOUT_ACROSS = np.array([1.0, _NONE, _NONE, 1.0, 1.0, 1.0, 1.0])
+_WITHOUT_ACROSS = np.array([1.0, _NONE, _NONE, *[1.0] * 6])
 """Factors that leave gusts along the path and the air's roll: a sensor that is off, or play, passes
 for those.
 """
@@ -166,7 +180,15 @@ _FASTER, _MOST_FASTER, _AS_MEANT = 0.04, 3.0, 0.02
 """Logarithm of the passing speed by which it is moved to find the likeliest; how many such steps
 that is away at most; standard deviation of that logarithm about a flight's mean airspeed, for gusts
 are made beforehand for the speed that is to be flown."""
-_STRUCTURES = ((True, True), (True, False), (False, False), (False, True))
+_STRUCTURES = tuple(
+    (rotating, turning_with, in_body)
+    for in_body in (False, True)
+    for rotating, turning_with in ((True, True), (True, False), (False, False), (False, True))
+    if turning_with or not in_body
+)
+"""Whether gusts rotate the air, turn with their axes, and have the body's axes. Gusts in axes that
+do not turn are fixed to the earth.
+"""
 _REACH, _ENOUGH, _FAILED, _LEAST_BENT = 14.0, 1.0, 1e12, 20.0
 """Of the search, in logarithms: how far it goes; the fall of minus twice the log likelihood at
 which it ends; that of a filter that fails; the least curvature that it takes."""
@@ -228,6 +250,16 @@ class TurbulenceModel:
         )
 
     @property
+    def is_standard(self) -> bool:
+        """Whether the air rotates as the standard has it, or not at all; in other air the spectra
+        of alpha' and beta' are unknown as well.
+        """
+        first = self.states[0]
+        shape = first.q_length, first.r_length, first.q_share, first.r_share
+        own = self.values[_OWN_ROTATION] > _LITTLE * self.values[1:3]
+        return shape == (1.0, 1.0, 1.0, 1.0) and not own.any()
+
+    @property
     def kind(self) -> tuple[bool, bool, bool]:
         """Whether the gusts rotate the air, turn with the aircraft, and pass at one speed in each
         flight.
@@ -241,7 +273,30 @@ class TurbulenceModel:
         rotating, turning_with, at_one_speed = self.kind
         passing = ", and pass at one speed in each flight" if at_one_speed else ""
         rotate, turn = ("" if so else "do not " for so in (rotating, turning_with))
-        return f"gusts that {rotate}rotate the air and {turn}turn with the aircraft{passing}"
+        axes = " of the body's axes" if self.states[0].in_body else ""
+        return (
+            f"gusts{axes} that {rotate}rotate the air{self._lengths} and {turn}turn with the"
+            f" aircraft{passing}"
+        )
+
+    @property
+    def _lengths(self) -> str:
+        """How the air's pitch and yaw depart from the standard, in words."""
+        first = self.states[0]
+        parts = []
+        for name, share, length in (
+            ("pitch", first.q_share, first.q_length),
+            ("yaw", first.r_share, first.r_length),
+        ):
+            if not first.rotating or (share, length) == (1.0, 1.0):
+                continue
+            size = f"{length:.2g} times the standard's length"
+            parts.append(
+                f"{name} {'reversed, ' if share < 0.0 else ''}{size}"
+                if share
+                else f"{name} not by gusts at the wing"
+            )
+        return f" ({', '.join(parts)})" if parts else ""
 
 
 def gust_strength_mps2(values: FloatArray) -> float:
@@ -259,7 +314,7 @@ def gust_strength_mps2(values: FloatArray) -> float:
 
 def process_of(values: FloatArray, V: float, states: GustStates) -> tuple[FloatArray, FloatArray]:
     """(13,) variances per second of the states' noise at airspeed V, and (13,) of the air's at the
-    start, from the seven values of _START. Spectra of the velocities go with the speed at which the
+    start, from the nine values of _START. Spectra of the velocities go with the speed at which the
     gusts pass."""
     faster = (states.passing_mps or V) / V_REFERENCE
     noise, begin = np.zeros(NX), np.zeros(NX)
@@ -274,9 +329,23 @@ def process_of(values: FloatArray, V: float, states: GustStates) -> tuple[FloatA
     # Stationary from the start: x' = -x/T + n has the variance N T/2, and the states 9 to 12 are
     # velocities.
     begin[8:11] = (
-        0.5 * np.array(states.lags_s(V)) * [noise[8], *(states.rotating * V**2 * noise[1:3])]
+        0.5
+        * np.array(states.lags_s(V))
+        * [
+            noise[8],
+            states.rotating * states.q_share**2 * V**2 * noise[1],
+            states.rotating * states.r_share**2 * V**2 * noise[2],
+        ]
     )
-    begin[11:] = states.turning_with * 0.5 * _MEMORY_S * noise[[0, 2]] * [1.0, V**2]
+    begin[11:] = (
+        0.5
+        * _MEMORY_S
+        * states.turning_with
+        * (noise[[2, 1]] * V**2 if states.in_body else noise[[0, 2]] * [1.0, V**2])
+    )
+    # The air's own pitch and yaw; h_q and h_r are velocities.
+    noise[9:11] = V**2 * faster * values[_OWN_ROTATION] * (V_REFERENCE / V) ** 2
+    begin[9:11] += 0.5 * np.array(states.lags_s(V)[1:]) * noise[9:11]
     return noise, begin
 
 
@@ -325,18 +394,7 @@ def gust_intensity(
     best = search.descend(some, last, kinds)
     if prior_model is None or last.cost - best.cost > DIFFERENT**2:
         # What gusts do, an effect that is missing or a sensor that is off may have decided before.
-        other = search.best(
-            some,
-            [
-                best,
-                *(
-                    best.with_states(rotating=r, turning_with=t)
-                    for r, t in _STRUCTURES
-                    if (r, t) != best.kind
-                ),
-            ],
-        )
-        best = search.descend(some, other, kinds) if other.kind != best.kind else best
+        best = search.structured(some, best, kinds)
         if prior_model is None:
             # A flight in weaker air looks like one whose gusts pass slower, and where air is not
             # its own, like moments that act.
@@ -374,9 +432,10 @@ class _Point:
     stronger: FloatArray = field(default_factory=lambda: np.ones((1, len(_START))))
 
     @property
-    def kind(self) -> tuple[bool, bool]:
-        """Whether the gusts rotate the air, and turn with the aircraft."""
-        return self.states[0].rotating, self.states[0].turning_with
+    def kind(self) -> tuple[bool, bool, bool]:
+        """Whether the gusts rotate the air, turn with their axes, and have the body's axes."""
+        first = self.states[0]
+        return first.rotating, first.turning_with, first.in_body
 
     def of(self, k: int) -> FloatArray:
         """(7,) intensities in a segment."""
@@ -477,6 +536,61 @@ class _Search:
             key=lambda p: p.cost,
         )
 
+    def structured(self, some: Sequence[int], point: _Point, kinds: Sequence[str]) -> _Point:
+        """Choose how gusts act: whether they rotate the air and turn, their axes, the lengths of
+        pitch and yaw. Each choice is asked again after the others."""
+        best = point
+        for _ in range(_STRUCTURE_ROUNDS):
+            before = best
+            frames = [
+                best.with_states(rotating=r, turning_with=t, in_body=body)
+                for r, t, body in _STRUCTURES
+                if (r, t, body) != best.kind
+            ]
+            best = self.likelier(some, best, [self.unabsorbed(some, best, frames)], kinds)
+            if best.states[0].rotating:
+                for axis in ("q", "r"):
+                    best = self.likelier(some, best, [self.length(some, best, axis)], kinds)
+            if best.states == before.states:
+                break
+        return best
+
+    def likelier(
+        self, some: Sequence[int], best: _Point, trials: Sequence[_Point], kinds: Sequence[str]
+    ) -> _Point:
+        """The best point, or the likeliest near one of the trials that gains more than chance."""
+        for trial in trials:
+            if trial.states == best.states:
+                continue
+            other = self.descend(some, trial, kinds)
+            best = other if other.cost < best.cost - DIFFERENT**2 else best
+        return best
+
+    def unabsorbed(self, some: Sequence[int], best: _Point, others: Sequence[_Point]) -> _Point:
+        """The likeliest of points where neither moments that nothing explains nor the air's own
+        rotation hide what gusts do; with the intensities of the best point."""
+        clean = best.values.copy()
+        clean[4:] = np.minimum(clean[4:], _START[4:])
+        cleaned = [replace(p, values=clean, stronger=best.stronger) for p in (best, *others)]
+        chosen = self.best(some, cleaned)
+        return best if chosen.states == best.states else replace(chosen, cost=np.inf)
+
+    def length(self, some: Sequence[int], best: _Point, axis: str) -> _Point:
+        """The likeliest sign and length of the air's pitch (axis q) or yaw (r)."""
+
+        def at(share: float, length: float) -> _Point:
+            return best.with_states(**{f"{axis}_share": share, f"{axis}_length": length})
+
+        some = _evenly_spaced(some, _FOR_SPEED)
+        shapes = [*((1.0, n) for n in _LENGTHS), (-1.0, 1.0), (-1.0, 0.5), (0.0, 1.0)]
+        chosen = self.unabsorbed(some, best, [at(*shape) for shape in shapes])
+        first = chosen.states[0]
+        share, length = getattr(first, f"{axis}_share"), getattr(first, f"{axis}_length")
+        if chosen.states == best.states and length == 1.0:
+            return best
+        finer = [at(share, float(length * _FINER**k)) for k in (-1, 1)]
+        return self.unabsorbed(some, chosen, finer)
+
     def loss(self, some: Sequence[int], point: _Point, factors: FloatArray | float) -> float:
         """Twice the log likelihood that is lost where so much is ``factors`` of each intensity at a
         point found.
@@ -545,7 +659,12 @@ class _Search:
             "ftol": _ENOUGH / max(abs(first.cost), 1.0),
             "gtol": 0.0,
         }
-        bounds = Bounds(-_REACH * scale, _REACH * scale)
+        upper = np.full(len(scale), _REACH)
+        # The air's own pitch and yaw are as strong as gusts across the path, or its roll, allow.
+        roll = point.values[3] * (LENGTHS[1] * point.states[0].b / V_REFERENCE) ** 2
+        most = _MOST_OWN * np.maximum(point.values[1:3], roll) / point.values[_OWN_ROTATION]
+        upper[_OWN_ROTATION] = np.clip(np.log(most), 1.0 - _REACH, _REACH)
+        bounds = Bounds(-_REACH * scale, upper * scale)
         optimum = minimize(cost, none, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
         x = optimum.x / scale
         return replace(point_at(x), cost=float(optimum.fun) - float(prior @ (x + off) ** 2))

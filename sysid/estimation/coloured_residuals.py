@@ -413,13 +413,16 @@ def colour_warnings(
     long records reject whiteness for trifles. With ``calm_air`` another test has excluded process
     noise. ``std`` and ``std_crb`` (k,) are standard errors with and without colour.
     """
+    # Outputs whose whiteness is rejected, Bonferroni over the outputs.
     m = residual_colour.p_value.size
     rejected = np.flatnonzero(residual_colour.p_value < WHITENESS_LEVEL / m)
+    # How much colour widens the standard errors, in the middle.
     ratio = std / std_crb
     ratio = ratio[np.isfinite(ratio)]
     median = float(np.median(ratio)) if ratio.size else float("nan")
     if rejected.size == 0 or ratio.size == 0:
         return []
+    # Colour that changes neither predictions nor standard errors is no news.
     strong = [c for c in rejected if residual_colour.predictable[c] > STRONG_SHARE]
     if not strong and median < STRONG_RATIO:
         return []
@@ -427,12 +430,14 @@ def colour_warnings(
     evidence = ", ".join(
         f"{100 * residual_colour.predictable[c]:.0f} % of output {c}" for c in worst
     )
+    # Which share of the residual is a function of the motion.
     explained = residual_colour.explained[worst]
     explained = explained[np.isfinite(explained)]
     remedy = {
         "output error": "Estimates may be biased: use filter error",
         "filter error": "Give more states noise or revise the model",
     }[method]
+    # Name the likelier cause: a missing term, or process noise.
     if calm_air:
         cause, share = "the model's form", ""
         remedy = "Estimates may be biased: look for the missing term with refine"

@@ -70,6 +70,7 @@ class MeasuredSystem(NamedTuple):
 
         ``output_rows`` are the indices of the m channels in OUTPUTS.
         """
+        # A missing measurement is 0 and flagged, so that arrays keep their shape.
         rows = list(output_rows)
         is_measured = np.isfinite(measured)
         z = np.where(is_measured, measured - steps.y_ref[:, rows], 0.0)
@@ -84,6 +85,7 @@ class MeasuredSystem(NamedTuple):
                 steps.g1,
             )
         )
+        # Without start columns the unknown start state is the state itself.
         start = np.eye(H.shape[2], START_COLUMNS) if steps.start is None else steps.start
         return cls(is_measured, z, H, D, phi, defect, g0, g1, float(steps.dt_s), start)
 

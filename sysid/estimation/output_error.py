@@ -1014,6 +1014,7 @@ def _assemble(
     many: bool,
 ) -> OutputErrorFit:
     """Expand the findings on the free parameters to all parameters."""
+    # Parameters that were held fixed have no covariance: NaN.
     k = theta.size
     out = theta.copy()
     out[columns] = best.theta
@@ -1021,10 +1022,12 @@ def _assemble(
     cov[np.ix_(columns, columns)] = findings.cov
     crb[np.ix_(columns, columns)] = findings.cov_crb
     vif[columns] = findings.vif
+    # Status and reason of each parameter, fixed ones first.
     status, reason = dict.fromkeys(labels, "fixed"), dict.fromkeys(labels, "held at theta0 (free=)")
     for position, index in enumerate(columns):
         status[labels[index]] = "identified" if findings.identified[position] else "not-identified"
         reason[labels[index]] = findings.reason[position]
+    # Convergence to a point where nothing is identified is none.
     warnings = list(findings.warnings)
     converged = best.converged and bool(findings.identified.any())
     if not best.converged:

@@ -126,12 +126,14 @@ def read_raw(
     LogError
         If the file cannot be read, or needs more time or memory than its size justifies.
     """
+    # The request is JSON: sets become sorted lists.
     names = (
         None
         if selection is None
         else {message: sorted(fields) for message, fields in selection.items()}
     )
     details = {"selection": names, "time": None if time is None else [time.field, time.unit]}
+    # The answer is a series of tables, and one object with everything else.
     messages: dict[tuple[str, int], MessageTable] = {}
     properties: dict[str, Any] = {}
     for kind, *content in _request(path, dialect, details, callback):
@@ -141,6 +143,7 @@ def read_raw(
             messages[name, instance] = MessageTable(time_s, fields, rows)
         else:
             (properties,) = content
+    # Parallel arrays of the answer become the pairs and tuples of a RawLog.
     return RawLog(
         dialect=properties["dialect"],
         messages=messages,

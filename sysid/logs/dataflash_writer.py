@@ -189,6 +189,7 @@ def _sensors(record: FlightRecord, time_us: NDArray[np.int64], stored: set[str])
         ratio = np.sqrt(1.225 / np.where(record["rho_kgpm3"] > 0, record["rho_kgpm3"], np.nan))
         stored.add("rho_kgpm3")
         out.append(_Message("CTUN", time_us, {"E2T": ratio, "As": column("V_mps") / ratio}))
+    # Inertial sensors; health flags of 1, which readers look at.
     if any_of("p_radps", "q_radps", "r_radps", "ax_mps2", "ay_mps2", "az_mps2"):
         pairs = {
             "GyrX": "p_radps",
@@ -201,6 +202,7 @@ def _sensors(record: FlightRecord, time_us: NDArray[np.int64], stored: set[str])
         out.append(
             _Message("IMU", time_us, {**{c: column(s) for c, s in pairs.items()}, "GH": 1, "AH": 1})
         )
+    # Attitude and airspeed, in the units of the format: degrees, m/s.
     if any_of("phi_rad", "theta_rad", "psi_rad"):
         pairs = {"Roll": "phi_rad", "Pitch": "theta_rad", "Yaw": "psi_rad"}
         out.append(_Message("ATT", time_us, {c: column(s, degrees) for c, s in pairs.items()}))
@@ -214,17 +216,20 @@ def _sensors(record: FlightRecord, time_us: NDArray[np.int64], stored: set[str])
         out.append(
             _Message("BARO", time_us, {"Alt": column("h_m"), "AltAMSL": column("h_m"), "H": 1})
         )
+    # AOA is ArduPilot's estimate; VANE says that a sensor measured it.
     if any_of("alpha_rad", "beta_rad"):
         angles = column("alpha_rad", degrees), column("beta_rad", degrees)
         out.append(_Message("AOA", time_us, {"AOA": angles[0], "SSA": angles[1]}))
         if not {"alpha_rad", "beta_rad"} & set(record.metadata.estimates):
             out.append(_Message("VANE", time_us, {"Alpha": angles[0], "Beta": angles[1]}))
+    # Position needs all of its columns: half a GPS fix is none.
     if all(n in record for n in ("north_m", "east_m", "vn_mps", "ve_mps")):
         out.append(_gps(record, time_us, column))
     if "rpm" in record:
         out.append(_Message("RPM", time_us, {"rpm1": column("rpm")}))
     if "cross_track_m" in record:
         out.append(_Message("NTUN", time_us, {"XT": column("cross_track_m")}))
+    # Demands of the autopilot, beside the height that it sees.
     if any_of("h_demand_m", "V_demand_mps"):
         rows = {
             "hdem": column("h_demand_m"),

@@ -49,6 +49,7 @@ def label_manoeuvres(record: FlightRecord, path: Path, flight: str) -> FlightRec
     LogError
         If a column is missing, or no row lies in the record.
     """
+    # A table may be of several flights, told apart by the column flight.
     table = read_table(path)
     missing = {"manoeuvre", "start_s", "end_s"} - set(table)
     if missing:
@@ -59,6 +60,7 @@ def label_manoeuvres(record: FlightRecord, path: Path, flight: str) -> FlightRec
     for column in ("start_s", "end_s"):
         if table[column].dtype == object:
             raise LogError(f"the column {column} holds a time that is no number", path)
+    # Rows of this flight.
     rows = [
         (str(name), start, end)
         for name, start, end, of in zip(
@@ -72,6 +74,7 @@ def label_manoeuvres(record: FlightRecord, path: Path, flight: str) -> FlightRec
     ]
     if len(rows) > _MAX_ROWS:
         raise LogError(f"has {len(rows)} manoeuvres; at most {_MAX_ROWS} are read", path)
+    # Label the samples; later rows win where two overlap.
     time = record["time_s"]
     labels = np.full(len(record), "", dtype=object)
     for name, start, end in rows:

@@ -310,6 +310,7 @@ def parse_map(source: str, name: str) -> SignalMap:
         data = parse_toml(source)
     except ParseError as e:
         raise LogError(str(e), name) from None
+    # A misspelt table would be ignored in silence.
     unknown = sorted(set(data) - {"signals", "servos", "needs", "sensors"})
     if unknown:
         raise LogError(
@@ -322,6 +323,7 @@ def parse_map(source: str, name: str) -> SignalMap:
     entries: dict[str, tuple[Entry, ...]] = {}
     time = None
     for signal, value in signals.items():
+        # Time is a column of tables alone; messages bring their own.
         if signal == "time_s":
             time = _time(value, name)
             continue
@@ -331,6 +333,7 @@ def parse_map(source: str, name: str) -> SignalMap:
                 name,
                 f"[signals.{signal}]",
             )
+        # Candidates in their order: the first that the log has is read.
         rows = value if isinstance(value, list) else [value]
         entries[signal] = tuple(_entry(row, f"[signals.{signal}]", name) for row in rows)
     return SignalMap(
@@ -473,6 +476,7 @@ def _entry(row: Any, where: str, name: str) -> Entry:
         raise LogError(f"unknown keys {unknown}; allowed are {sorted(_KEYS)}", name, where)
     if not isinstance(row.get("message"), str):
         raise LogError('message = "..." is missing', name, where)
+    # One field or several, as many as the function takes.
     fields = row.get("fields", [row["field"]] if "field" in row else [])
     if not isinstance(fields, list) or not fields or not all(isinstance(f, str) for f in fields):
         raise LogError('field = "..." (or fields = [...]) is missing', name, where)
@@ -487,8 +491,10 @@ def _entry(row: Any, where: str, name: str) -> Entry:
             name,
             where,
         )
+    # Two calibrations of one value would be ambiguous.
     if "table" in row and ("scale" in row or "offset" in row):
         raise LogError("give either table or scale and offset, not both", name, where)
+    # Times of another message, for values that are logged late.
     times = row.get("times")
     if times is not None and (not isinstance(times, list) or len(times) != 2):
         raise LogError('times must be ["MESSAGE", "field"]', name, where)

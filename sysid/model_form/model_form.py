@@ -486,6 +486,7 @@ def read_model_form(path: Path) -> ModelForm:
         raise LogError(
             str(error), path, None if error.line is None else f"line {error.line}"
         ) from None
+    # Formats of other programs and versions are named, not guessed.
     if not isinstance(document, dict) or document.get("format") not in (FORMAT, WITHOUT_PARTS):
         file_format = (
             document.get("format") if isinstance(document, dict) else type(document).__name__
@@ -499,6 +500,7 @@ def read_model_form(path: Path) -> ModelForm:
     where = ""
     try:
         coefficients = {}
+        # ``where`` names the coefficient in the message of an error.
         for where, row in document["coefficients"].items():
             coefficients[where] = _coefficient(where, row)
         where = ""
@@ -516,6 +518,7 @@ def read_model_form(path: Path) -> ModelForm:
         raise LogError(
             f"lacks the key {error}; write it again with `uqharness bounds`", path, where or None
         ) from None
+    # Values of a wrong type or out of their range.
     except (TypeError, ValueError, AttributeError, OverflowError) as error:
         raise LogError(
             f"{error}; write it again with `uqharness bounds`", path, where or None
@@ -567,11 +570,13 @@ def _coefficient(name: str, row: Mapping[str, Any]) -> CoefficientBounds:
     """Parse and check the interval of one coefficient; raises ValueError or KeyError."""
     if name not in COEFFICIENTS:
         raise ValueError(f"'{name}' is no coefficient; allowed are {', '.join(COEFFICIENTS)}")
+    # Regressors: flight states, and terms that are products of them.
     states = tuple(row["states"])
     unknown = [s for s in states if s not in STATES]
     if unknown or not states:
         raise ValueError(f"states holds {unknown or 'nothing'}; allowed are {', '.join(STATES)}")
     terms = tuple(parse_term(text, states) for text in row["terms"])
+    # Shapes of the arrays follow from the numbers of states and terms.
     k, m = len(states), len(terms)
     hull = row["hull"]
     out = CoefficientBounds(
@@ -595,6 +600,7 @@ def _coefficient(name: str, row: Mapping[str, Any]) -> CoefficientBounds:
         },
         parts=None if row.get("parts") is None else _parts(row["parts"]),
     )
+    # JSON readers accept NaN and infinity; bounds of them would be no bounds.
     numbers = {
         key: getattr(out, key)
         for key in ("s2", "dof", "t", "confidence", "leverage_factor", "n_effective")
@@ -606,6 +612,7 @@ def _coefficient(name: str, row: Mapping[str, Any]) -> CoefficientBounds:
     ]
     if infinite:
         raise ValueError(f"{', '.join(infinite)} must be a finite number")
+    # Values with which the interval of eq. 2.18 is undefined.
     if not (
         out.s2 >= 0.0 and out.t > 0.0 and 0.0 < out.confidence < 1.0 and np.all(out.scale > 0.0)
     ):

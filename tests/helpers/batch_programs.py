@@ -6,8 +6,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from uqharness.batch.interpret import Interpreter
 from uqharness.batch.ir import Builder, Value
-from uqharness.batch.program import Feed, Program, Section, Stream, When
+from uqharness.batch.program import Feed, Feeds, Program, Section, Stream, When
 
 _ONE = ("sin", "cos", "atan", "exp", "log", "asin", "acos", "tan")
 
@@ -106,3 +107,15 @@ def feeds(frames: int, lanes: int, seed: int = 3) -> dict[str, Feed]:
         "wind": Feed(rng.normal(size=(2 * rows, 2)), 0, offsets),
         "noise": Feed(rng.normal(size=(60, 1)), 2, rng.integers(0, 20, lanes), 12),
     }
+
+
+def run_program(
+    program: Program,
+    state: np.ndarray,
+    first_frame: int,
+    frames: int,
+    streams: Feeds | None = None,
+    stride: int = 1,
+) -> np.ndarray:
+    """Fly a program with numpy, ``state`` in place; return the records."""
+    return Interpreter(program).fly(state, first_frame, frames, streams, stride)

@@ -217,8 +217,8 @@ class NotThere:
 
 
 @contextlib.contextmanager
-def dask_cluster(workers: int = 2) -> Iterator[Any]:
-    """A Dask cluster of processes whose operator trusts this module."""
+def dask_cluster(workers: int = 2, processes: bool = True) -> Iterator[Any]:
+    """A Dask cluster of processes, or of threads, whose operator trusts this module."""
     import pytest
     from distributed import LocalCluster
 
@@ -226,7 +226,12 @@ def dask_cluster(workers: int = 2) -> Iterator[Any]:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv(MODULES_VARIABLE, "tests.helpers.campaign_fakes")
-        with LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=":0") as found:
+        with LocalCluster(
+            n_workers=workers,
+            threads_per_worker=1,
+            processes=processes,
+            dashboard_address=":0",
+        ) as found:
             yield found
 
 

@@ -221,7 +221,8 @@ def surface(name: str, command: str, output: str, reach: float = 0.35) -> str:
     </aerosurface_scale>"""
 
 
-def _config(name: str, body: str) -> str:
+def config(name: str, body: str) -> str:
+    """Return an aircraft file."""
     return f"""<?xml version="1.0"?>
 <fdm_config name="{name}" version="2.0" release="ALPHA">
 <fileheader><author>tests</author><description>A style of /controls/flight/x.</description>
@@ -315,7 +316,7 @@ def _piston_single() -> dict[str, str]:
         ]
     )
     return {
-        "single.xml": _config("single", body),
+        "single.xml": config("single", body),
         "Engines/flat_four.xml": FLAT_FOUR,
         "Engines/fixed_airscrew.xml": FIXED_AIRSCREW,
         "Systems/switchboard.xml": SWITCHBOARD,
@@ -365,7 +366,7 @@ def _glider() -> dict[str, str]:
             aerodynamics(),
         ]
     )
-    return {"glider.xml": _config("glider", body)}
+    return {"glider.xml": config("glider", body)}
 
 
 SMALL = {
@@ -432,7 +433,7 @@ def _electric_foam() -> dict[str, str]:
         ]
     )
     return {
-        "wing.xml": _config("wing", body),
+        "wing.xml": config("wing", body),
         "Engines/motor.xml": MOTOR,
         "Engines/small_airscrew.xml": SMALL_AIRSCREW,
     }
@@ -482,7 +483,7 @@ def _twin() -> dict[str, str]:
         ]
     )
     return {
-        "twin.xml": _config("twin", body),
+        "twin.xml": config("twin", body),
         "Engines/flat_four.xml": FLAT_FOUR,
         "Engines/fixed_airscrew.xml": FIXED_AIRSCREW,
     }
@@ -542,7 +543,7 @@ def _v_tail() -> dict[str, str]:
         ]
     )
     return {
-        "vtail.xml": _config("vtail", body),
+        "vtail.xml": config("vtail", body),
         "Engines/motor.xml": MOTOR,
         "Engines/small_airscrew.xml": SMALL_AIRSCREW,
     }
@@ -661,7 +662,7 @@ def _business_jet() -> dict[str, str]:
         ]
     )
     return {
-        "jet.xml": _config("jet", body),
+        "jet.xml": config("jet", body),
         "Engines/turbofan.xml": TURBOFAN,
         "Engines/direct.xml": '<?xml version="1.0"?>\n<direct name="direct"/>\n',
         "Systems/hydraulics.xml": HYDRAULICS,

@@ -32,7 +32,8 @@ def run_forked(
     module: str, *arguments: object, timeout_s: float, python: Path | None = None
 ) -> ProcessResult:
     """Do as `run_module`, in a forked process."""
-    if python is not None:
+    # Daemons may have no children of multiprocessing.
+    if python is not None or multiprocessing.current_process().daemon:
         return run_module(module, *arguments, timeout_s=timeout_s, python=python)
     with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as errors:
         child = multiprocessing.get_context("fork").Process(

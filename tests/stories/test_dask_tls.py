@@ -1,4 +1,4 @@
-"""The recipe of docs/campaigns.md for a cluster that nobody else can use: one address, and
+"""The recipe of docs/cluster.md for a cluster that nobody else can use: one address, and
 certificates.
 """
 

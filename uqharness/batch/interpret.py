@@ -139,15 +139,3 @@ class Interpreter:
             calls,
             [(index, self._rows[name]) for name, index in function.stores.items()],
         )
-
-
-def run_program(
-    program: Program,
-    state: np.ndarray,
-    first_frame: int,
-    frames: int,
-    streams: Feeds | None = None,
-    stride: int = 1,
-) -> np.ndarray:
-    """Fly a program with numpy, ``state`` in place; return the records."""
-    return Interpreter(program).fly(state, first_frame, frames, streams, stride)

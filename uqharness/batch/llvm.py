@@ -127,7 +127,8 @@ def build_code(text: str, function: str, target: Target, listing: bool = False) 
     machine = llvm.Target.from_default_triple().create_target_machine(
         cpu=target.cpu, features=target.features, opt=2, jit=True, reloc="pic", codemodel="small"
     )
-    key = object_key(target.cpu, target.features, text)
+    version = ".".join(map(str, llvm.llvm_version_info))
+    key = object_key(version, llvm.get_process_triple(), target.cpu, target.features, text)
     code = None if listing else recall(key)
     module = llvm.parse_assembly(text if code is None else "")
     module.verify()

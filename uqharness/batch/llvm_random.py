@@ -318,6 +318,7 @@ def _recursion_text(target: Target) -> str:
     sums = "\n".join(
         f"  %sum{c} = phi double [ 0.0, %segments ], [ %more{c}, %inner ]" for c in chains
     )
+    # Each chain adds its next drive times the inverse power of the recursion.
     body = "\n".join(
         f"""  %start{c} = add i64 %segment, {c}
   %base{c} = mul i64 %start{c}, %steps

@@ -14,9 +14,6 @@ import stat
 import tempfile
 from pathlib import Path
 
-import llvmlite
-import llvmlite.binding as llvm
-
 from sysid.digests import sha256_hex
 from uqharness.files import user_cache
 
@@ -28,10 +25,8 @@ MAX_BYTES = 200_000_000
 
 
 def object_key(*parts: str) -> str:
-    """Return the name of compiled code from everything it depends on besides LLVM."""
-    version = ".".join(map(str, llvm.llvm_version_info))
-    triple = llvm.get_process_triple()
-    return sha256_hex(repr((MARK, llvmlite.__version__, version, triple, parts)).encode())
+    """Return the name of compiled code from everything that it depends on."""
+    return sha256_hex(repr((MARK, parts)).encode())
 
 
 def recall(key: str) -> bytes | None:

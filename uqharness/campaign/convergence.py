@@ -205,6 +205,7 @@ def as_rows(results: Sequence[MetricConvergence]) -> list[dict[str, Any]]:
     rows: list[dict[str, Any]] = []
     for item in results:
         common = {"metric": item.metric, "condition": item.condition.label}
+        # Spread of the p-box by the finite number of aleatory flights.
         if item.repeats is not None:
             part = item.repeats
             rows.append(
@@ -221,6 +222,7 @@ def as_rows(results: Sequence[MetricConvergence]) -> list[dict[str, Any]]:
                     "median_high": float(part.medians.max()),
                 }
             )
+        # Epistemic: how the area grows with the number of samples.
         for size in item.growth:
             rows.append(
                 common

@@ -78,20 +78,6 @@ class Score(Protocol):
 
 
 @dataclass(frozen=True)
-class Lookahead:
-    """Score a path by its distance after ``lookahead_s`` seconds at the present rate."""
-
-    lookahead_s: float
-    properties: tuple[str, ...] = ()
-
-    def of(
-        self, values: Mapping[str, FloatArray], distance_m: FloatArray, closing_mps: FloatArray
-    ) -> FloatArray:
-        """Return the predicted distance (paths,) [m]."""
-        return distance_m + self.lookahead_s * closing_mps
-
-
-@dataclass(frozen=True)
 class CheckpointPlan:
     """Say when paths are scored and how.
 

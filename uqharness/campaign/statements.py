@@ -655,6 +655,7 @@ def statements_csv(statements: Sequence[Statement]) -> bytes:
     writer = csv.writer(buffer, lineterminator="\n")
     writer.writerow(_COLUMNS)
     for item in statements:
+        # Condition, radius and kind of distance: the key of a row.
         cell, rates = item.cell, item.cell.rates
         row = [
             cell.condition.label,
@@ -675,6 +676,7 @@ def statements_csv(statements: Sequence[Statement]) -> bytes:
             item.answer,
             f"{CONFIDENCE:g}",
         ]
+        # Clustering: what the limits allow for, and what the flights show.
         row += [f"{item.dispersion_allowed:g}", format_number(item.dispersion_observed)]
         row += [
             str(sum(rate.flights for rate in rates)),
@@ -690,6 +692,7 @@ def statements_csv(statements: Sequence[Statement]) -> bytes:
             format_number(item.loss_upper_per_h),
             str(sum(item.aborted.values())),
         ]
+        # Aborted flights by their cause.
         row += [str(item.aborted[kind]) for kind in (LOSS_OF_CONTROL, GROUND_CONTACT, DIVERGED)]
         row += [
             item.reason,
@@ -697,6 +700,7 @@ def statements_csv(statements: Sequence[Statement]) -> bytes:
             format_number(item.dispersion.nearest_m),
             format_number(item.quiet_hours_needed),
         ]
+        # How much clustering the answer bears, and where it holds.
         row += [format_number(item.yes_up_to_dispersion), item.points]
         writer.writerow(row)
     return buffer.getvalue().encode()

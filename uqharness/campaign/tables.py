@@ -167,6 +167,7 @@ def _row(
     """Return the row of a case."""
     ok = outcome.status == "ok"
     flight = case.flight
+    # A flight that ended early was scored for what it flew after the burn-in.
     scored_s = (
         flight.duration_s
         if ok
@@ -187,11 +188,13 @@ def _row(
             or "; ".join(f"{name}: {reason}" for name, reason in sorted(outcome.undefined.items()))
         ),
     }
+    # Levels and sampled inputs, then metrics; failed flights have none.
     row |= {f"level_{name}": case.levels.get(name) for name in COEFFICIENTS} | dict(case.inputs)
     row |= {
         name: _finite(outcome, name) if ok else None
         for name in (*ERROR_METRICS, "extrapolated_share", *more)
     }
+    # Counts are integers; a failed flight keeps those that it reached.
     for name in (*excursion_columns(radii_m), "loss_of_control"):
         value = _finite(outcome, name)
         row[name] = None if value is None else round(value)

@@ -315,6 +315,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         f"  flight hours per core hour: {figures['flight_hours_per_core_hour']:.0f} (to beat:"
         f" {REFERENCE_HOURS_PER_CORE_HOUR:.0f})"
     )
+    # Two workers side by side, as a campaign runs them.
     if args.side_by_side:
         print(
             f"  two workers {figures['workers_2_flight_s_per_s']:.0f}, two bare loops"

@@ -64,11 +64,13 @@ _SURFACES = "deflections are positive nose down, right wing down, nose left in t
 
 def export(request: ExportRequest, callback: Callback = silent) -> Outcome[Loss]:
     """Fit the format's model, compare it with the source, and write both."""
+    # Refuse what cannot be written before the fits, which take minutes.
     aircraft = carded_aircraft(request.aircraft)
     assert request.out is not None
     check_output_folder(request.out)
     form = None if request.bounds is None else load_form(request.bounds)
     members = _members(request)
+    # A format that holds one model is fitted once for each member of a family.
     exports, by_coefficient = [], dict[str, CoefficientLoss]()
     for member, properties in members.items():
         place = f"member {member}: " if member else ""
@@ -80,11 +82,13 @@ def export(request: ExportRequest, callback: Callback = silent) -> Outcome[Loss]
         fitted = _FORMATS[request.to](source, states, name)
         exports.append((member, fitted))
         callback(f"{place}loss")
+        # The loss of a family is that of its worst member.
         by_coefficient = worst(by_coefficient, losses(source, fitted[1], states, form))
     files, lost, notes = _together(exports)
     beyond = any(loss.is_beyond for loss in by_coefficient.values())
     verdict: Literal["within", "beyond", "no bounds"]
     verdict = "no bounds" if form is None else "beyond" if beyond else "within"
+    # A loss beyond the bounds is written only if the user accepts it.
     refused = beyond and not request.accept_loss
     written = [] if refused else sorted(files)
     if len(exports) > 1:
@@ -101,6 +105,7 @@ def export(request: ExportRequest, callback: Callback = silent) -> Outcome[Loss]
         files=[*written, "loss.csv", "loss.json"],
         command=command_line(request),
     )
+    # The loss is written in every case; it says why the model is not.
     out = results_folder(request.out)
     for name in written:
         results_folder((out / name).parent)
@@ -108,6 +113,7 @@ def export(request: ExportRequest, callback: Callback = silent) -> Outcome[Loss]
     write_text(out / "loss.csv", csv_text(_rows(document.coefficients, ".17g")))
     write_json(out / "loss.json", document.as_json())
     warnings = []
+    # Bounds of another model are a warning: half-widths still give a scale.
     if form is not None and form.aircraft.sha256 != content_hash(aircraft):
         warnings.append(
             f"{request.bounds}: made for another model ({form.aircraft.name}) than {aircraft.name};"

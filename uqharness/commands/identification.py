@@ -131,6 +131,7 @@ def _with_servos(
 
 def identify(request: IdentifyRequest, callback: Callback = silent) -> Outcome[Identification]:
     """Estimate parameters; write them, their evidence, a page and an aircraft with them."""
+    # Records are cut and aligned once, whatever servos are chosen.
     aircraft = _aircraft(request)
     callback("reading the flights")
     ready = replay_flights(request, aircraft)
@@ -151,13 +152,16 @@ def identify(request: IdentifyRequest, callback: Callback = silent) -> Outcome[I
         callback=callback,
         message_callback=logging.getLogger("uqharness").info,
     )
+    # The document is what the page, --json and the Python result show.
     document = _fit(result, ready, command_line(request))
     code = 0 if result.converged and result.identified else 1
     details = [note for flight in flights for note in flight.notes]
     details += [] if result.speed is None else [result.speed.text()]
+    # Without a folder the page is only summarised.
     if request.out is None:
         lines = [*first_lines(identify_page_of(document)), *details]
         return Outcome(result, document, lines, code, warnings=document.warnings)
+    # The aircraft with the estimates is written first: fit.json names it.
     callback("report")
     out = results_folder(request.out)
     document = _write_estimates(result, aircraft, document, out)
@@ -318,6 +322,7 @@ def _compared(comparison: Comparison, command: str) -> Compare:
         controls_late_s=comparison.controls_late_s,
         aligned=comparison.aligned,
         above=list(comparison.above),
+        # Residuals and delays of the outputs, each beside its noise.
         channels={
             c: Channel(
                 rms=g.rms,
@@ -335,6 +340,7 @@ def _compared(comparison: Comparison, command: str) -> Compare:
             )
             for c, g in comparison.channels.items()
         },
+        # Residuals of the force and moment coefficients.
         coefficients={
             c: Gap(rms=g.rms, noise=g.noise, mean=g.mean)
             for c, g in comparison.coefficients.items()
@@ -346,6 +352,7 @@ def _compared(comparison: Comparison, command: str) -> Compare:
             for m, row in comparison.manoeuvres.items()
         },
         moments=[Moment(**vars(m)) for m in comparison.moments],
+        # Biases are nuisance parameters of the replay; delays stand in the channels.
         biases={n: v for n, v in comparison.nuisance.items() if n.startswith("bias/")},
         notes=list(comparison.notes),
         command=command,

@@ -536,6 +536,7 @@ def _margins_lines(name: str, flight: str, measured: Sequence[LoopMargins]) -> l
         ),
         f"{head}   gain crossover, rad/s",
     ]
+    # One row a loop: margins, and where the gain crosses 1.
     for item in measured:
         m = item.margins
         crossover = ", ".join(f"{w:.2f}" for w in m.gain_crossovers_radps) or "none"
@@ -545,6 +546,7 @@ def _margins_lines(name: str, flight: str, measured: Sequence[LoopMargins]) -> l
             f"   {crossover}"
         )
     for item in measured:
+        # Frequencies at which the loop is not linear enough to be read.
         unread = item.frequency_radps[~item.reliable]
         if unread.size:
             lines.append(
@@ -566,6 +568,7 @@ def diff(
 
     Model files of other programs are compared by their coefficients.
     """
+    # Models of other programs have no flights; their coefficients are compared.
     if is_model_file(request.a) or is_model_file(request.b):
         callback("coefficients of both models")
         return diff_models(request.a, request.b, next(iter(request.speed_mps), None))
@@ -575,6 +578,7 @@ def diff(
         str(model.folder if isinstance(model, Aircraft) else model)
         for model in (request.a, request.b)
     ]
+    # Both models fly the same manoeuvres, scripts and air.
     matched = MatchedRequest(
         speeds_mps=request.speed_mps,
         altitude_m=request.altitude_m,
@@ -593,6 +597,7 @@ def diff(
         # XML that differs ranks the likely causes.
         terms = differing_terms(a.folder, b.folder)
         channels, flights = fly_matched(a, b, matched, counting("flights compared", callback))
+    # Differences within rounding are none.
     tolerance = ROUNDING if request.tolerance is None else request.tolerance
     all_differences = differences(channels, flights, terms, tolerance)
     first = by_channel(all_differences)
@@ -661,10 +666,12 @@ def _difference_lines(
     flown_s = sum(float(f.time_s[-1]) for f in flights if len(f.time_s))
     flight_summary = f"{len(flights)} flights, {flown_s:.0f} s"
     beyond_benign = " beyond what A varies by itself" if any(f.varied for f in flights) else ""
+    # Nothing differs, in flight or in the XML.
     if not differ and not terms:
         return [
             f"The models do not differ{beyond_benign} ({flight_summary}; the XML says the same)."
         ]
+    # The XML differs in what these flights do not show.
     if not differ:
         return [
             (
@@ -674,6 +681,7 @@ def _difference_lines(
             *_term_lines(terms),
         ]
     lines = []
+    # The earliest difference is closest to the cause.
     if first:
         d = first[0]
         cause = f"; likeliest cause {_where(d.terms[0])}" if d.terms else ""
@@ -681,12 +689,14 @@ def _difference_lines(
             f"The models differ in {len(first)} channels, first in {d.channel} at {d.from_s:g} s of"
             f" {d.flight}{cause}."
         )
+    # Flights that ended early or have properties of one model alone.
     for f in flights:
         if f.reason:
             lines.append(f"{f.name}: {f.reason}")
         for side, names in (("A", f.only_a), ("B", f.only_b)):
             if names:
                 lines.append(f"{f.name}: only {side} has {', '.join(names)}")
+    # Largest differences, in the order in which they begin.
     rows = [
         {
             "Channel": x.channel,
@@ -700,6 +710,7 @@ def _difference_lines(
     lines += text_table(rows) if rows else []
     if len(first) > _MAX_ROWS:
         lines.append(f"and {len(first) - _MAX_ROWS} more (--json lists all)")
+    # Elements that may explain the first difference; all without one.
     if terms:
         lines.append(f"XML that differs ({len(terms)}):")
         lines += _term_lines(first[0].terms if first else terms)
@@ -810,6 +821,7 @@ def _plugin_document(aircraft: Aircraft, done: Instrumented, request: Instrument
 
 def _plugin_lines(done: Plugin) -> list[str]:
     """Return what was done as text, the check first."""
+    # What was made, and whether its check passed.
     state = "has" if done.written else "would have"
     lines = [
         (
@@ -825,6 +837,7 @@ def _plugin_lines(done: Plugin) -> list[str]:
         " axes."
     )
     lines += [f"note: {note}" for note in done.notes]
+    # Details, of which a terminal shows the first lines.
     tables = (
         (
             "Increments, and where the XML adds them.",

@@ -363,6 +363,7 @@ def card_text(
     errors : bool
         Whether the system path-errors is added, whose properties score missions.
     """
+    # Header, which says what to check before trusting the card.
     plain_name = as_toml(name)[1:-1]
     lines = [
         (
@@ -386,6 +387,7 @@ def card_text(
         f"b_m = {facts.b_m!r}",
         f"c_m = {facts.c_m!r}",
     ]
+    # One section for each control: its property, unit, sign and limits.
     for control, control_facts in facts.controls.items():
         remark = _remark(control_facts)
         lines += [
@@ -410,8 +412,10 @@ def card_text(
         )
         if control_facts.position is not None:
             lines.append(f"position = {as_toml(control_facts.position)}")
+    # Noise cannot be measured in JSBSim; small MEMS units are assumed.
     lines += ["", "[sensors.noise_std]                            # assumed: small MEMS units; SI"]
     lines += [f"{name} = {std!r}" for name, std in MEMS_NOISE_STD.items()]
+    # A mission scores what the added system computes.
     if errors:
         lines += [
             "",
@@ -427,6 +431,7 @@ def card_text(
             "[replay]                                      # nothing in the aircraft reads it",
             f'without_systems = ["{ERRORS_SYSTEM}"]',
         ]
+    # Scale factors become parameters that identify can estimate.
     if scaled:
         lines += [
             "",
@@ -437,6 +442,7 @@ def card_text(
             "[parameters]",
         ]
         lines += [f"{dotted((row.scale,))} = {_inline(scale_entry(row))}" for row in scaled]
+    # What a simulator host provides stays with the aircraft.
     if facts.host:
         lines += ["", *host_lines(facts.host)]
     return "\n".join(lines) + "\n"

@@ -152,13 +152,9 @@ def _remaining(chosen: SearchResult, outcome: HoldOutResult, controls: Sequence[
     where += [_still_asked(effects[key], t, k) for k, (key, t) in enumerate(candidates)]
     where += moments.values()
     contradicts = bool(contradicted) and not result.selection.chosen
+    # Moments that only noise explains are air: a missing effect has a score, a curve or residuals.
     unexplained = (
-        bool(excess)
-        or bool(strong)
-        or contradicts
-        or bool(candidates)
-        or mismatch is not None
-        or bool(moments)
+        bool(excess) or bool(strong) or contradicts or bool(candidates) or mismatch is not None
     )
     # Where the strongest of it is.
     channels = {
@@ -281,15 +277,15 @@ def document_of(
 
 
 def unexplained_moments(chosen: SearchResult) -> dict[str, RemainingPart]:
-    """Angular rate -> report of moments about its axis that nothing explains, in turbulence."""
+    """Angular rate -> report of moments about its axis that the gust model does not describe."""
     parts = {}
     gains = chosen.estimator.unexplained_moments()
     for rate, c, axis in _AXES:
         if rate in gains and rate in chosen.setup.outputs:
             gain = gains[rate]
             words = (
-                f"moments act about the {axis} axis that no effect explains: allowing for them"
-                f" gains {gain:.0f} in twice the log likelihood"
+                f"air that the gust model does not describe moves the aircraft about the {axis}"
+                f" axis: allowing for it gains {gain:.0f} in twice the log likelihood"
             )
             parts[rate] = RemainingPart(coefficient=c, twice_log_likelihood=gain, words=words)
     return parts

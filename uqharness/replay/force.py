@@ -398,6 +398,7 @@ def _force_in_jsbsim(fdm: Any, model: ReplayModel, states: States) -> FloatArray
     engines = fdm.get_propulsion().get_num_engines()
     if engines:
         engine.start_engines(fdm)
+    # Handles are looked up once; each state sets values only.
     setters = control_setters(fdm, model)
     fdm["ic/lat-geod-deg"] = TRIM_LATITUDE_DEG
     terrain = engine.handle(fdm, "ic/terrain-elevation-ft").set_double_value

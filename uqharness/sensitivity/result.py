@@ -194,6 +194,7 @@ def words(result: MethodResult, metric: str, ranking: Ranking, n_lost: int, flig
         f"{metric}: reduce {ranking.first} first."
         f" {_shrinkage(result, ranking.first, unit_of(metric))}"
     )
+    # Reasons for which another coefficient may come first.
     reservations = []
     if ranking.by_ranges:
         reservations.append(
@@ -217,6 +218,7 @@ def words(result: MethodResult, metric: str, ranking: Ranking, n_lost: int, flig
             " Certain: it holds at every corner of the other coefficients and for the sampling"
             " error (95 %, same flights compared)."
         )
+    # Samples are compared in pairs, so one failed flight costs all corners.
     if n_lost:
         text += (
             f" {n_lost} of {flights} aleatory samples are left out, because a flight of theirs"

@@ -100,12 +100,14 @@ def make_problem(
             "epistemic is empty; name at least one parameter with its interval: {'k': (0.9, 1.1)}"
         )
     names = tuple(epistemic)
+    # Epistemic parameters: intervals, each of a name of its own.
     for name, interval in epistemic.items():
         _check_interval(name, interval)
         if name in aleatory:
             raise BadInputError(
                 f"{name} is both epistemic and aleatory; give the two uncertainties two names"
             )
+    # Aleatory variables: anything with an inverse distribution function.
     for name, distribution in aleatory.items():
         if not callable(getattr(distribution, "ppf", None)):
             raise BadInputError(
@@ -114,12 +116,14 @@ def make_problem(
             )
     lower = np.array([float(epistemic[name][0]) for name in names])
     upper = np.array([float(epistemic[name][1]) for name in names])
+    # The nominal point is the middle unless the user says otherwise.
     centre = _over(names, nominal, 0.5 * (lower + upper), "nominal")
     for name, value, low, high in zip(names, centre, lower, upper, strict=True):
         if not low <= value <= high:
             raise BadInputError(
                 f"nominal {name} = {value:g} lies outside its interval [{low:g}, {high:g}]"
             )
+    # Finite differences need steps that are not 0.
     steps = _over(names, step, 0.01 * (upper - lower), "step")
     for name, value in zip(names, steps, strict=True):
         if value == 0.0:

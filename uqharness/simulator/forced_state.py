@@ -84,11 +84,6 @@ def control_outputs(aircraft: HasFiles) -> tuple[str, ...]:
     )
 
 
-def written_by_components(aircraft: HasFiles) -> set[str]:
-    """Return the properties that components of the control system write. Raises BadInputError."""
-    return _written_and_read(aircraft)[0]
-
-
 def _written_and_read(aircraft: HasFiles) -> tuple[set[str], set[str]]:
     """Return the properties that the control system writes, and those that other sections read."""
     outputs: set[str] = set()

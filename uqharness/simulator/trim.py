@@ -621,12 +621,14 @@ def _unsettled(problem: _Problem, x: NDArray[np.float64]) -> tuple[str, bool]:
             problem.equilibrium,
         )[1]
 
+    # At the solution; else where the search failed last.
     reason = unsettled_with(problem.aircraft)
     if not reason and len(problem.unsettled) > _UNSETTLED_SHARE * problem.evaluations:
         x = problem.unsettled[-1]
         reason = unsettled_with(problem.aircraft)
     if not reason:
         return "", False
+    # A propeller that a shorter step settles is a matter of the integrator.
     for share in _STEP_SHARES:
         dt_s = float(f"{share * problem.aircraft.dt_s:.2g}")
         if not unsettled_with(with_step(problem.aircraft, dt_s)):

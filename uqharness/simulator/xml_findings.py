@@ -183,20 +183,24 @@ def _tables(root: Any) -> Iterator[tuple[int, str]]:
 
 def _block(block: Any, axes: int) -> Iterator[tuple[int, str]]:
     """Yield what is wrong with one <tableData>."""
+    # Rows of the data with their lines in the file.
     start = _line(block)
     lines = [
         (start + k, text.split())
         for k, text in enumerate((block.text or "").split("\n"))
         if text.split()
     ]
+    # Words that are no number make every further check meaningless.
     wrong = [(line, token) for line, row in lines for token in row if not _is_number(token)]
     for line, token in wrong:
         yield line, f"{token!r} in <tableData> is no number{_suggested(token)}"
     if wrong or not lines:
         return
+    # A table of two axes has a first row without a key.
     widths = [len(row) for _, row in lines]
     two = len(widths) > 1 and all(width == widths[0] + 1 for width in widths[1:])
     one = all(width == 2 for width in widths)
+    # The number of declared axes must fit the shape of the data.
     if axes == 2 and not two and one:
         yield (
             start,
@@ -219,6 +223,7 @@ def _block(block: Any, axes: int) -> Iterator[tuple[int, str]]:
         for line, row in lines[first:]:
             if len(row) != width:
                 yield line, f"this row of <tableData> has {len(row)} numbers; {width} are needed"
+    # Keys must increase from row to row.
     first = 1 if two and axes != 1 else 0
     keys = [(line, float(row[0])) for line, row in lines[first:]]
     for (_, before), (line, after) in itertools.pairwise(keys):

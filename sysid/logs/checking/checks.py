@@ -164,6 +164,7 @@ def effect(record: FlightRecord, axis: Axis) -> Effect | None:
 def check_surfaces(record: FlightRecord) -> list[Finding]:
     """Return findings on surfaces whose effect certainly has the wrong sign."""
     out = []
+    # An effect of uncertain or expected sign is no finding.
     for axis in AXES:
         surface_effect = effect(record, axis)
         if (
@@ -172,6 +173,7 @@ def check_surfaces(record: FlightRecord) -> list[Finding]:
             or surface_effect.slope * axis.sense > 0.0
         ):
             continue
+        # The finding names the logged column, which a map can correct.
         column = _column(record, axis.surface) or axis.surface
         opposite_effects = {
             "elevator_deg": "pitches the nose up",
@@ -601,19 +603,23 @@ def check_record(record: FlightRecord, free_s: tuple[float, float] | None) -> li
     free_s : tuple or None
         Free flight, s; None checks the whole record and leaves the kinematic checks out.
     """
+    # Only free flight is checked: on the ground sensors rest.
     flight = record if free_s is None else record.between(*free_s)
     out: list[Finding] = []
     for name, values in flight.columns.items():
         if name in LABELS or name == "time_s" or not len(values):
             continue
+        # The edges of a record may lack samples; more is a dropout.
         missing = float(np.mean(~np.isfinite(values)))
         if missing > _EDGE_SHARE:
             text = f"{name} is missing in {percent(missing)} of the flight"
             severity = "warning" if missing > 0.01 and name not in _GUIDANCE else "info"
             out.append(Finding("dropouts", name, severity, text, {"share": missing}))
+    # Steps slower than a recorder has are a wrong unit of time.
     if len(record) > 2 and record.dt_s > SLOWEST_STEP_S:
         out.append(time_unit_finding("time_s", record.dt_s, converted=False))
     out += _frozen(flight) + _stuck(flight) + _components_interpolated(flight)
+    # A pitot tube and its static port that are swapped show negative airspeed.
     if "V_mps" in flight and len(flight):
         speed = flight["V_mps"][np.isfinite(flight["V_mps"])]
         below = float(np.mean(speed < 0)) if len(speed) else 0.0
@@ -684,6 +690,7 @@ _MIN_SPAN = 1e-9
 def _frozen(flight: FlightRecord) -> list[Finding]:
     """Return findings on constant channels; errors if a related channel moves."""
     out = []
+    # Range of each channel; a few samples cannot tell.
     spans = {
         n: np.ptp(v[np.isfinite(v)])
         for n, v in flight.columns.items()
@@ -693,6 +700,7 @@ def _frozen(flight: FlightRecord) -> list[Finding]:
         if span != 0.0 or name in COMMANDS or name == "time_s":
             continue
         value = float(flight[name][np.isfinite(flight[name])][0])
+        # A sensor is absent if a related channel moves.
         moving = [
             n
             for group in _MOVING_TOGETHER
@@ -708,6 +716,7 @@ def _frozen(flight: FlightRecord) -> list[Finding]:
             out.append(
                 Finding("frozen", name, "error", text, {"value": value}, affected_results(name))
             )
+        # Constant density is an assumption of many logs, not a fault.
         elif name != "rho_kgpm3":
             text = (
                 f"{name} stands at {value:g} throughout; nothing in the flight says that it should"

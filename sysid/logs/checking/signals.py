@@ -342,16 +342,19 @@ def check_estimates(flight: FlightRecord) -> list[Finding]:
 
     Nothing is reported if no accelerometer shows noise (a simulation).
     """
+    # Without noise in the accelerations (simulated logs) nothing can be told.
     declared = set(flight.metadata.estimates)
     if len(flight) < _MIN_ESTIMATE_SAMPLES or not any(
         _estimates_noisy(flight, n) for n in ACCELERATIONS
     ):
         return []
     estimated = []
+    # A gyro has noise that the derivative of the attitude lacks.
     for name in _computed_rates(flight):
         estimated.append(
             (name, "equals the derivative of the logged attitude: no gyro's noise is in it")
         )
+    # An airspeed sensor has noise that integrated accelerations lack.
     if "V_mps" not in declared and _smooth_speed(flight):
         estimated.append(
             (
@@ -362,6 +365,7 @@ def check_estimates(flight: FlightRecord) -> list[Finding]:
                 ),
             )
         )
+    # Angles computed from attitude and ground velocity assume still air.
     for name in _computed_angles(flight):
         if name not in declared:
             estimated.append(

@@ -27,7 +27,7 @@ from tests.helpers.open_equations import OpenEquations
 from tests.sysid.aerodynamics.test_rigid_body import DT, MASS, TERMS, flight, reference
 
 NOISE = np.array([0.3, 2e-3, 2e-3, 2e-3, 2e-3, 2e-3, 2e-3, 2e-3, 0.05, 0.05, 0.05])
-INTENSITIES = np.array([0.2, 1e-3, 1e-3, 0.04, 1e-9, 1e-9, 1e-9])
+INTENSITIES = np.array([0.2, 1e-3, 1e-3, 0.04, *[1e-9] * 5])
 
 
 class Made(dict[GustStates, list[Steps]]):
@@ -130,6 +130,20 @@ def test_intensities_and_what_gusts_do_are_found(rotating, turning):
     np.testing.assert_allclose(np.log(last.values[:4] / found.values[:4]), 0.0, atol=np.log(1.4))
 
 
+def test_axes_and_lengths_of_gusts_are_the_likeliest():
+    """Gusts that turn with the body, and pitching air of half the length, are told from the
+    standard's, which stays where it is true.
+    """
+    standard = found_in(*drawn(GustStates(MASS.b), INTENSITIES)).states[0]
+    assert (standard.in_body, standard.q_share) == (False, 1.0)
+    assert standard.q_length == pytest.approx(1.0, abs=0.31)
+    short = found_in(*drawn(GustStates(MASS.b, q_length=0.4), INTENSITIES)).states[0]
+    assert short.q_length == pytest.approx(0.4, abs=0.15)
+    reversed_ = found_in(*drawn(GustStates(MASS.b, q_share=-1.0), INTENSITIES))
+    assert reversed_.states[0].q_share == -1.0
+    assert not reversed_.is_standard
+
+
 @pytest.mark.parametrize(("rotating", "turning"), [(True, True), (False, True)])
 def test_what_gusts_were_first_taken_to_do_is_asked_again(rotating, turning):
     """A sensor that is off, or an effect that is missing, may have decided it."""
@@ -218,7 +232,7 @@ def test_the_search_ends_where_no_number_makes_the_flights_likelier():
     assert found.cost < search.best(some, [begin]).cost - 100.0
     for k in range(4):
         for factor in (0.8, 1.25):
-            moved = np.where(np.arange(7) == k, factor, 1.0) * found.values
+            moved = np.where(np.arange(9) == k, factor, 1.0) * found.values
             assert (
                 search.best(some, [turbulence._Point(found.states, moved, ones)]).cost
                 > found.cost - 1.0
@@ -325,7 +339,7 @@ def test_flights_in_air_of_unlike_strength_tell_how_fast_their_gusts_pass():
         np.log(point.of(2)[:3] / point.of(0)[:3] / 16.0), 0.0, atol=np.log(2.0)
     )
     np.testing.assert_allclose(point.values[:4], 0.5 * (point.of(0) + point.of(3))[:4])
-    np.testing.assert_allclose([point.of(1)[4:], point.of(3)[4:]], [common.values[4:]] * 2)
+    np.testing.assert_allclose([point.of(1)[4:7], point.of(3)[4:7]], [common.values[4:7]] * 2)
     assert search.best(range(4), [point]).cost < common.cost - 100.0
     said = np.array([s.passing_mps for s in search.passing(of, point).states])
     assert np.abs(said / 23.5 - 1.0).max() < 0.04
@@ -365,13 +379,13 @@ def test_where_no_filter_follows_gusts_pass_at_the_mean_airspeed(monkeypatch):
     search = turbulence._Search(
         lambda *_: [], [np.zeros((2, 1))] * 2, [0], np.ones(1), [20.0, 24.0], SERIAL
     )  # type: ignore
-    here = turbulence._Point((GustStates(3.0),) * 2, np.ones(7), np.ones(1))
+    here = turbulence._Point((GustStates(3.0),) * 2, np.ones(9), np.ones(1))
     assert [s.passing_mps for s in search.passing({"a": [0, 1]}, here).states] == [22.0, 22.0]
 
 
 def test_the_strength_of_gusts_is_sigma_squared_over_their_length():
     sigma, length = 1.54, 150.0
-    values = np.zeros(7)
+    values = np.zeros(9)
     values[0] = 2.0 * sigma**2 * V_REFERENCE / length
     values[1:3] = 3.0 * sigma**2 / (length * V_REFERENCE)
     assert gust_strength_mps2(values) == pytest.approx(sigma**2 / length)

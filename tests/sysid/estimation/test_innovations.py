@@ -89,6 +89,7 @@ def test_the_gradient_is_the_costs_own(with_x0):
     assert np.linalg.eigvalsh(line.information).min() > 0.0
 
 
+@pytest.mark.slow
 def test_the_information_is_the_scatter_of_the_gradient():
     """At the truth the gradient's covariance over many records is the information (Fisher)."""
     gradients, informations = [], []

@@ -107,6 +107,7 @@ GUARD
 """
 
 
+@pytest.mark.slow
 def test_a_flight_function_of_the_script_needs_a_guard_and_that_is_said(tmp_path: Path):
     done = run("script", OWN.replace("GUARD", "if True:"), tmp_path)
     assert done.returncode == 1

@@ -8,8 +8,7 @@ import sys
 
 import pytest
 
-from tests.helpers import foreign_aircraft
-from uqharness.cli.main import main
+from tests.helpers import foreign_aircraft, gallery
 from uqharness.plugin.apply import instrument_aircraft, undo
 from uqharness.plugin.instrument import Bounds
 from uqharness.simulator import (
@@ -21,24 +20,6 @@ from uqharness.simulator import (
     open_aircraft,
 )
 
-CONSTANT = "CX=0.01,CY=0.01,CZ=0.05,Cl=0.001,Cm=0.01,Cn=0.001"
-CAMPAIGN = """[campaign]
-aircraft = "mine"
-mission = "steady"
-seed = 1
-[start]
-V_mps = {V}
-altitude_m = 200
-[aleatory]
-flights = 1
-duration_s = 2
-burn_in_s = 0
-wind_mps = 0
-turbulence = "none"
-sensor_noise = false
-[epistemic]
-method = "corners"
-"""
 # In a process of its own and without this project: the copy is plain JSBSim.
 PLAIN = """
 import json, sys, jsbsim
@@ -166,15 +147,23 @@ def test_a_light_propeller_gets_a_step_at_which_it_is_stable(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("style", list(foreign_aircraft.STYLES))
-def test_three_commands_lead_to_a_p_box(style, tmp_path, monkeypatch, capsys):
-    foreign_aircraft.write(style, tmp_path)
-    monkeypatch.chdir(tmp_path)
-    assert main(["instrument", style, "--out", "mine", "--constant", CONSTANT]) == 0
-    assert "bit-identical" in capsys.readouterr().out
-    V = foreign_aircraft.SPEEDS_MPS[style]
-    assert main(["modes", "mine", "--speed-mps", str(V), "--altitude-m", "200"]) == 0
-    (tmp_path / "campaign.toml").write_text(CAMPAIGN.format(V=V))
-    assert main(["campaign", "run", "campaign.toml", "--out", "results", "--serial", "--yes"]) == 0
-    assert main(["campaign", "report", "results"]) == 0
+@pytest.mark.parametrize("style", list(gallery.STYLES))
+def test_three_commands_lead_to_a_p_box(style, tmp_path):
+    row = gallery.take(style, tmp_path, duration_s=2.0)
     assert (tmp_path / "results" / "pbox.parquet").is_file()
+    assert row.flights >= 64
+    low, high = row.altitude_m
+    assert 0.0 <= low < high < 50.0
+    if style != "glider":
+        assert 0.0 < row.throttle_pct < 100.0
+    assert row.engine == "batch" or row.reason
+
+
+def test_the_gallery_has_a_row_for_each_aircraft():
+    rows = [line.split("|") for line in gallery.PAGE.read_text().splitlines() if "m/s |" in line]
+    assert [row[1].strip() for row in rows] == list(gallery.STYLES)
+    for row in rows:
+        style = row[1].strip()
+        assert row[2].strip() == gallery.DESCRIPTIONS[style]
+        assert float(row[3].split()[0]) == gallery.SPEEDS_MPS[style]
+        assert row[7].split(":")[0].strip() in ("", "batch", "jsbsim")

@@ -146,7 +146,7 @@ def test_a_dead_zone_is_read_by_one_as_wide_as_it_is(width):
     # One that stands in it already is short by half of what it is wider.
     wider = np.sign(asked) * np.maximum(np.abs(asked) - 0.5 * (width + 1e-3), 0.0)
     outside = np.abs(asked) > 0.5 * (width + 1e-3)
-    assert (1e-3 * in_dead_zone(stands, 0.4, flown=True))[outside] == pytest.approx(
+    assert (1e-3 * in_dead_zone(stands, 0.4, in_model=True))[outside] == pytest.approx(
         (wider - stands)[outside], abs=1e-12
     )
 

@@ -31,7 +31,9 @@ def aircraft(tmp_path_factory):
     """E-SPAARO with a normal force due to the rate of alpha."""
     target = tmp_path_factory.mktemp("rates") / "espaaro"
     effect = coefficient_effect("CZ", "alphadot_hat")
-    write_effects(find_aircraft("espaaro"), [EffectToWrite(effect, VALUE, "a remark", {})], {}, target)
+    write_effects(
+        find_aircraft("espaaro"), [EffectToWrite(effect, VALUE, "a remark", {})], {}, target
+    )
     return find_aircraft(target)
 
 

@@ -158,6 +158,7 @@ def read_rocket(scope: Scope, part: Part, name: str, index: str) -> Rocket:
     """Read a ``<rocket_engine>``; raises BadInputError with file and line."""
     node = part[1]
     refuse_tags(scope, node)
+    # Thrust is flow times specific impulse, so <isp> is required.
     isp = node.find("isp")
     if isp is None:
         scope.refuse(node, "<rocket_engine> has no <isp>")
@@ -167,10 +168,12 @@ def read_rocket(scope: Scope, part: Part, name: str, index: str) -> Rocket:
         """Return a number of the file, or JSBSim's default."""
         return number(scope, node, tag, default, unit)
 
+    # A liquid rocket gives fuel and oxidiser apart; their sum is the flow.
     flow = get("propflowmax", 0.0, "LBS/SEC")
     if node.find("slfuelflowmax") is not None:
         flow = get("slfuelflowmax", 0.0, "LBS/SEC") + get("sloxiflowmax", 0.0, "LBS/SEC")
     varies = (0.0, 0.0)
+    # The variation of thrust applies to solid rockets, which have a table.
     if table is not None and variation is not None:
         varies = (
             number(scope, variation, "thrust", 0.0),

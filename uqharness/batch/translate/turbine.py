@@ -601,6 +601,7 @@ def read_turboprop(scope: Scope, part: Part, name: str, index: str) -> Turboprop
     """Read a ``<turboprop_engine>``; raises BadInputError with file and line."""
     node = part[1]
     refuse_tags(scope, node)
+    # Tables; JSBSim has a default for the efficiency alone.
     grids = {"CombustionEfficiency_N1": _EFFICIENCY}
     factor = None
     functions = {child.attributes.get("name", "").strip() for child in node.all("function")}
@@ -610,9 +611,11 @@ def read_turboprop(scope: Scope, part: Part, name: str, index: str) -> Turboprop
             grids[title] = grid(scope, table)
         elif title == POWER_FACTOR:
             factor = table
+    # Without these tables power and temperature are undefined.
     for title in ("EnginePowerRPM_N1", "ITT_N1"):
         if title not in grids:
             scope.refuse(node, f"a turboprop has a table {title}")
+    # The factor on the power is a function of the file, or a table.
     has_function = any(title.endswith(f"/{POWER_FACTOR}") for title in functions)
     if factor is None and not has_function:
         scope.refuse(node, f"a turboprop has a function {POWER_FACTOR}")
@@ -621,9 +624,11 @@ def read_turboprop(scope: Scope, part: Part, name: str, index: str) -> Turboprop
         """Return a number of the file, or JSBSim's default."""
         return number(scope, node, tag, default)
 
+    # Their defaults in JSBSim are 0: no power, no fuel flow.
     for tag in ("maxpower", "psfc"):
         if node.find(tag) is None:
             scope.refuse(node, f"<turboprop_engine> has no <{tag}>")
+    # Defaults and limits are those of FGTurboProp.
     numbers = TurbopropData(
         get("idlen1", 30.0),
         get("maxn1", 100.0),

@@ -29,7 +29,6 @@ from .linearise import servo_change as servo_change
 from .linearise import slopes_here as slopes_here
 from .linearise import surface_change as surface_change
 from .linearise import with_jumps as with_jumps
-from .prediction_error import as_measured as as_measured
 from .prediction_error import gust_refit as gust_refit
 from .prediction_error import in_step as in_step
 from .prediction_error import moved as moved
@@ -50,6 +49,4 @@ from .replay_fit import point_of as point_of
 from .replay_fit import positions as positions
 from .replay_fit import probes as probes
 from .replay_fit import refit as refit
-from .replay_fit import step_from as step_from
 from .replay_fit import stepped as stepped
-from .replay_fit import steps_of as steps_of

@@ -310,6 +310,7 @@ def rate_sections(report: CampaignReport) -> list[Section]:
         "Allowed for, and hours needed without excursions",
         "Time outside the data",
     )
+    # Claims: limits that hold for clusters and for having picked the corner.
     words = corner_words(report.frame)
     rows = tuple(_signed_row(item, words, kinds) for item in signed)
     first = Section(
@@ -331,6 +332,7 @@ def rate_sections(report: CampaignReport) -> list[Section]:
         " beforehand; where that is not so, the table above holds. A failed flight counts as one"
         " more excursion on the upper side."
     )
+    # Counts: limits of each corner alone, under the usual assumptions.
     counted = (
         "Condition",
         "Beyond",

@@ -169,6 +169,7 @@ def match_section(title: str, source: LogComparison | None) -> Section:
     Section
         Basis, a row per test, a row per segment, and the worst segment of each test drawn.
     """
+    # Without time histories the section says why it is empty.
     if source is None:
         text = (
             "Not in the data: the folder has no time histories of log and model, so none of the"
@@ -189,6 +190,7 @@ def match_section(title: str, source: LogComparison | None) -> Section:
         " conditions, configurations and the other tests of the table are not looked at. Of two"
         " tolerances for one parameter the less restrictive counts."
     )
+    # Summary of the tests before their details and charts.
     blocks: list[Block] = [Words(intro), Words(about, note=True), _summary(match), *_details(match)]
     figures = _figures(source)
     if figures:
@@ -908,6 +910,7 @@ def _range(name: str, segments: Sequence[History]) -> str:
 
 def _not_done(title: str, evidence: Evidence, source: LogComparison | None) -> Section:
     """Return the list of tests, steps and assessments that are missing."""
+    # Tests of the proof of match that the flights do not allow.
     lines = [
         f"{t.entry} {t.title}: {source.match.missing[t.entry]}."
         for t in TESTS
@@ -921,6 +924,7 @@ def _not_done(title: str, evidence: Evidence, source: LogComparison | None) -> S
         f"Tests of {REGULATION} on the ground, at take-off and landing, of engines, control forces"
         " and failures."
     )
+    # Steps of the chain without results in the folder.
     for kind, words in (
         ("identify", "identification"),
         ("refine", "refinement"),
@@ -930,6 +934,7 @@ def _not_done(title: str, evidence: Evidence, source: LogComparison | None) -> S
     ):
         if not evidence.of(kind):
             lines.append(f"No {words} is in this folder.")
+    # What the results themselves leave open.
     for _, fit in evidence.results(Fit):
         unidentified = [n for n, r in fit.parameters.items() if r.status != "identified"]
         lines += (
@@ -945,6 +950,7 @@ def _not_done(title: str, evidence: Evidence, source: LogComparison | None) -> S
         for f in factors(evidence, Match((), {}) if source is None else source.match)
         if not f.evidence
     ]
+    # Simulated flights are no evidence about a real aircraft.
     if simulating_models(evidence):
         lines.append("No flight of a real aircraft.")
     return Section(title, (Bullets(tuple(lines)),))

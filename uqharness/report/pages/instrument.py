@@ -76,6 +76,7 @@ def instrument_page(done: Instrumentation, form: ModelForm | None, constant: Con
         " coefficient, dimensionless, in body axes, lies between the lower and the upper bound:"
         " delta = lower + level (upper − lower), level 0 to 1."
     )
+    # Sizes first, then the bounds over a flight state where they depend on it.
     sections = [_sizes(form, constant)]
     if form is not None:
         sections.append(slice_section(form, ()))
@@ -84,6 +85,7 @@ def instrument_page(done: Instrumentation, form: ModelForm | None, constant: Con
     rows = tuple(
         (c, axis, Cell(Path(where).name or "-", code=True)) for c, axis, where in done.rows
     )
+    # Where the deltas enter the aircraft's own XML.
     table = Table(
         "Axis of the aircraft's own XML, and the place in its file.",
         ("Delta", "Axis", "Place"),

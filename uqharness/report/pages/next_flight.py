@@ -66,6 +66,7 @@ def next_flight_page(
         "Quartiles (25, 50, 75 %): of the data behind the bounds, of the mission, and of the"
         " mission weighted by the prediction variance."
     )
+    # One legend for all charts of flight states.
     legend = (
         ("fillrange", "mission"),
         ("second", "polynomial unknown, now"),
@@ -75,6 +76,7 @@ def next_flight_page(
         ("dot", "states of the flight"),
     )
     figure_block = (Figures(tuple(figures), legend, True, "next-flight"),) if figures else ()
+    # What to do with the files, and how many test points were refused.
     fly = (
         f"uqharness fly {name} --script next-flight.xml --out FILE flies it in simulation;"
         " test-points.csv is the same for an operator. Gain: share of the mean width that a point"
@@ -499,6 +501,7 @@ def document(
     warnings : sequence of str
         Warnings.
     """
+    # Verdict first, then the states of the mission and the points of the flight.
     return NextFlightPlan(
         format=FORMAT,
         **origin,

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from uqharness.batch.interpret import run_program
+from tests.helpers.batch_programs import run_program
 from uqharness.batch.ir import Builder
 from uqharness.batch.maths import COSINE, SINE, reuse_sines
 from uqharness.batch.passes import optimise

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from tests.helpers.batch_against import same_bits
-from tests.helpers.batch_programs import feeds, mixed
-from uqharness.batch.interpret import run_program
+from tests.helpers.batch_programs import feeds, mixed, run_program
 from uqharness.batch.ir import Builder
 from uqharness.batch.passes import (
     eliminate_dead_stores,

@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 
 from tests.helpers.batch_against import same_bits
-from tests.helpers.batch_programs import feeds, mixed
+from tests.helpers.batch_programs import feeds, mixed, run_program
 from tests.helpers.few import few
-from uqharness.batch.interpret import run_program
 from uqharness.batch.ir import Builder
 from uqharness.batch.llvm import targets
 from uqharness.batch.llvm_flight import FlightKernel, compile_program

@@ -19,6 +19,7 @@ from tests.helpers.batch_flights import (
     refused,
     worst,
 )
+from tests.helpers.batch_programs import run_program
 from uqharness.batch.ir import Builder, evaluate
 from uqharness.batch.models import winds
 
@@ -190,7 +191,6 @@ def test_azimuth_and_size_may_be_written(psi):
 
 def test_gusts_in_heading_axes_for_aircraft_without_air():
     """Heading of the frame before; metres to feet."""
-    from uqharness.batch.interpret import run_program
     from uqharness.batch.program import initial_state, slot
     from uqharness.batch.translate.frame import Frame
 

@@ -4,19 +4,32 @@ JSBSim flies again.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 
 from tests.helpers.batch_whole import EXPENSIVE, spec
 from uqharness.batch.course import fly_many
-from uqharness.campaign.rare_events import CheckpointPlan, LoiterPaths, Lookahead
+from uqharness.campaign.rare_events import CheckpointPlan, LoiterPaths
 from uqharness.errors import BadInputError
 from uqharness.flight import OPTIONAL_SIGNALS, record_mission, scored_signals, staged_mission
 from uqharness.statistics import Levels, run
 
 RADII = (2.0, 4.0)
+
+
+@dataclass(frozen=True)
+class Lookahead:
+    """Score a path by its distance after ``lookahead_s`` seconds at the present rate."""
+
+    lookahead_s: float
+    properties: tuple[str, ...] = ()
+
+    def of(self, values, distance_m, closing_mps):
+        return distance_m + self.lookahead_s * closing_mps
+
+
 WATCH = CheckpointPlan(2.0, Lookahead(1.0), max_noted=12)
 ONE = spec(duration_s=60.0, burn_in_s=20.0, excursion_radius_m=RADII, rearm_m=1.0, **EXPENSIVE)
 FLIGHTS = [replace(ONE, seed_noise=7 + k, seed_turbulence=20 + k) for k in range(3)]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from types import SimpleNamespace
+import shutil
 
 import pytest
 
@@ -11,8 +11,8 @@ from uqharness.campaign.manifest import read_manifest, write_manifest
 from uqharness.campaign.store import run_lock
 from uqharness.campaign.tables import read_cases
 from uqharness.cli.main import run_words
-from uqharness.commands import campaign as verbs
 from uqharness.errors import BadInputError
+from uqharness.simulator.aircraft import find_aircraft
 
 pytestmark = pytest.mark.usefixtures("flights_here")
 
@@ -65,50 +65,42 @@ def test_report(flown, capsys):
     assert (len(found["figures"]), found["flown_again"]) == (6, [])
 
 
-def test_a_report_flies_the_worst_and_the_median_flight_again_where_that_is_cheap(
-    flown, capsys, caplog, monkeypatch
-):
-    asked = []
+CAMPAIGN = """
+[campaign]
+aircraft = "plane"
+mission = "loiter"
+seed = 1
+engine = "jsbsim"
 
-    def again(folder, case):
-        if case == "refused":
-            raise BadInputError("the aircraft has changed")
-        asked.append(case)
-        return case
+[aleatory]
+flights = 3
+duration_s = 2
+burn_in_s = 0
+turbulence = "moderate"
 
-    monkeypatch.setattr(verbs, "rerun_case", again)
-    monkeypatch.setattr(verbs, "draw_rerun", lambda found: ())
-    # The page itself is the last test's.
-    page = SimpleNamespace(
-        path=flown / "report.html", figures=(), verdict=(), damaged=(), warnings=()
-    )
-    monkeypatch.setattr(verbs, "write_campaign_report", lambda folder: page)
-    out = flown / "out"
+[epistemic]
+method = "none"
+"""
+
+
+def test_a_report_flies_the_worst_and_the_median_flight_again_once(tmp_path, capsys, caplog):
+    shutil.copytree(find_aircraft("espaaro").folder, tmp_path / "plane")
+    (tmp_path / "campaign.toml").write_text(CAMPAIGN)
+    out = tmp_path / "out"
+    assert call("run", tmp_path / "campaign.toml", "--out", out, "--serial") == 0
+    errors = read_cases(out, read_manifest(out)).set_index("case_id")["cross_track_median_m"]
+    xml = tmp_path / "plane" / "espaaro.xml"
+    text = xml.read_text()
+    xml.write_text(text + "<!-- changed -->")
     capsys.readouterr()
-    # 64 corners fly the same three flights, so that the ends of the table are the answer.
-    rows = read_cases(out, read_manifest(out)).sort_values(
-        ["cross_track_median_m", "case_id"], ascending=[False, True]
-    )
-    cases = rows["case_id"].tolist()
-    monkeypatch.setattr(verbs, "MAX_REFLOWN_S", 1e6)
     assert call("report", out, "--json") == 0
-    assert (
-        json.loads(capsys.readouterr().out)["flown_again"]
-        == asked
-        == [cases[0], cases[len(cases) // 2]]
-    )
-    monkeypatch.setattr(verbs, "track_cases", lambda frame: ("refused",))
-    assert call("report", out) == 0
-    assert "the page has no new ground track: the aircraft has changed" in caplog.text
-    asked.clear()
-    monkeypatch.setattr(verbs, "track_cases", lambda frame: tuple(cases[:2]))
-    monkeypatch.setattr(verbs, "MAX_REFLOWN_S", 1.0)
-    assert call("report", out) == 0
-    monkeypatch.setattr(verbs, "MAX_REFLOWN_S", 1e6)
-    (out / "rerun" / "x").mkdir(parents=True)
-    (out / "rerun" / "x" / "record.parquet").touch()
-    assert call("report", out) == 0
-    assert asked == []
+    assert json.loads(capsys.readouterr().out)["flown_again"] == []
+    assert "the page has no new ground track: " in caplog.text
+    xml.write_text(text)
+    for expected in ([errors.idxmax(), errors.sort_values().index[1]], []):
+        assert call("report", out, "--json") == 0
+        assert json.loads(capsys.readouterr().out)["flown_again"] == expected
+    assert len(list((out / "rerun").glob("*/record.parquet"))) == 2
 
 
 @pytest.mark.parametrize("verb", ["status", "report", "merge"])

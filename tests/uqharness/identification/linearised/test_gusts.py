@@ -354,7 +354,7 @@ def test_noise_that_no_filter_can_follow_is_not_the_likeliest(monkeypatch):
         lambda some, states: [None], [np.zeros((2, 1))], [0], np.ones(1), [20.0], SERIAL
     )  # type: ignore
     found = search.descend(
-        [0], turbulence._Point((GustStates(3.0),), np.ones(7), np.array([0.1])), ["wind"]
+        [0], turbulence._Point((GustStates(3.0),), np.ones(9), np.array([0.1])), ["wind"]
     )
     assert max(calls) > 1.0
     assert found.factors[0] == pytest.approx(np.exp(-1.0), rel=0.05)
