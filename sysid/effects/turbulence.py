@@ -24,8 +24,7 @@ import numpy as np
 from cachetools import LRUCache
 from scipy.optimize import Bounds, minimize
 
-from sysid.aerodynamics import NX, GustStates, Steps
-from sysid.aerodynamics.flight_equations import LENGTHS
+from sysid.aerodynamics import LENGTHS, NX, GustStates, Steps
 from sysid.arrays import FloatArray
 from sysid.effects.prediction import start_fitted
 from sysid.effects.tuned import CERTAIN_T, DIFFERENT
