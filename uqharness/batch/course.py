@@ -605,7 +605,8 @@ _CHUNK = 4000
 _BEYOND_REASON = (
     "a function of the aircraft had an argument that JSBSim ends for (mod by 0, a condition that is"
     " neither 0 nor 1, a switch without such a case) or that is beyond the batch engine (sin, cos"
-    " and tan beyond 1,600,000, fmod with a quotient beyond 2^50, mod beyond 32 bits); fly the"
+    " and tan beyond 1,600,000, fmod with a quotient beyond 2^50, mod beyond 32 bits); or an"
+    " engine stopped and needs its starter, or a torque limiter acted at the start; fly the"
     ' campaign with engine = "jsbsim"'
 )
 
