@@ -14,7 +14,7 @@ import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any, TextIO
 
@@ -76,11 +76,77 @@ def counting(title: str, callback: Callable[[str], object]) -> Callable[[float, 
     return update
 
 
+class Forecast:
+    """Remaining time of a command whose stages have expected durations.
+
+    Each finished stage corrects the durations of those that follow by the ratio of actual to
+    expected time so far.
+
+    Parameters
+    ----------
+    expected_s : mapping
+        Stage -> expected duration [s], in order.
+    time_source : callable
+        Clock [s].
+    """
+
+    _PRIOR_S = 5.0
+    """Expected time that counts as evidence for the durations as given."""
+
+    def __init__(
+        self, expected_s: Mapping[str, float], time_source: Callable[[], float] = time.monotonic
+    ) -> None:
+        self.expected_s = dict(expected_s)
+        self._now = time_source
+        self._stage, self._stage_start_s = "", time_source()
+        self._actual_s: dict[str, float] = {}
+
+    def expect(self, expected_s: Mapping[str, float]) -> None:
+        """Replace the expected durations of stages that have not begun."""
+        names = list(self.expected_s)
+        begun = names.index(self._stage) + 1 if self._stage else 0
+        self.expected_s |= {name: expected_s[name] for name in names[begun:]}
+
+    def begin(self, stage: str) -> None:
+        """Note that a stage begins; one that is repeated or unknown continues the current."""
+        if stage == self._stage or stage not in self.expected_s:
+            return
+        time_s = self._now()
+        if self._stage:
+            self._actual_s[self._stage] = time_s - self._stage_start_s
+        # Stages that were left out take no time.
+        names = list(self.expected_s)
+        for name in names[: names.index(stage)]:
+            if name not in self._actual_s:
+                self.expected_s[name] = 0.0
+        self._stage, self._stage_start_s = stage, time_s
+
+    def seconds_left(self) -> float:
+        """Return the expected remaining time [s]."""
+        finished = [n for n in self._actual_s if n != self._stage]
+        actual_s = sum(self._actual_s[n] for n in finished)
+        expected_s = sum(self.expected_s[n] for n in finished)
+        ratio = (actual_s + self._PRIOR_S) / (expected_s + self._PRIOR_S)
+        names = list(self.expected_s)
+        later = names[names.index(self._stage) + 1 :] if self._stage else names
+        elapsed_s = self._now() - self._stage_start_s if self._stage else 0.0
+        current_s = ratio * self.expected_s.get(self._stage, 0.0)
+        # A stage that takes longer than expected has a third of its time ahead.
+        current_left_s = max(current_s - elapsed_s, min(elapsed_s, current_s) / 3.0)
+        return current_left_s + ratio * sum(self.expected_s[n] for n in later)
+
+
 class _State:
-    """Stage of the running command, and number of progress bars shown."""
+    """Stage of the running command, its forecast, and number of progress bars shown."""
 
     stage = ""
     bars = 0
+    forecast: Forecast | None = None
+
+    def time_to_go(self) -> str:
+        """Return the remaining time in words; empty without a forecast."""
+        forecast = self.forecast
+        return "" if forecast is None else f"about {clock(forecast.seconds_left())} to go"
 
 
 STATE = _State()
@@ -163,8 +229,8 @@ def heartbeat(
             wait = 1.0 if redraws else every_s
             if STATE.bars:
                 continue
-            stage = f", {visible(STATE.stage)}" if STATE.stage else ""
-            line = f"{command}: {clock(time.monotonic() - start_s)}{stage}"
+            parts = [clock(time.monotonic() - start_s), visible(STATE.stage), STATE.time_to_go()]
+            line = f"{command}: {', '.join(part for part in parts if part)}"
             try:
                 if show is not None:
                     line_shown.set()
@@ -177,7 +243,7 @@ def heartbeat(
             except (OSError, ValueError):  # nobody reads it
                 return
 
-    STATE.stage = ""
+    STATE.stage, STATE.forecast = "", None
     # A daemon thread does not keep the process alive.
     thread = threading.Thread(target=beat, name="progress", daemon=True)
     thread.start()
@@ -186,7 +252,7 @@ def heartbeat(
     finally:
         ended.set()
         thread.join(1.0)
-        STATE.stage = ""
+        STATE.stage, STATE.forecast = "", None
         if show is not None and line_shown.is_set():
             show("")
         elif line_shown.is_set():

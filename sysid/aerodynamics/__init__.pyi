@@ -19,6 +19,7 @@ from .coefficients import split_name as split_name
 from .coefficients import stack as stack
 from .coefficients import term_name as term_name
 from .coefficients import variables as variables
+from .flight_equations import LENGTHS as LENGTHS
 from .flight_equations import sines as sines
 from .residuals import MAX_S as MAX_S
 from .residuals import MIN_S as MIN_S

@@ -32,9 +32,9 @@ from sysid.aerodynamics.coefficients import at_cg, half_width, kernel, smooth
 from sysid.aerodynamics.flight_equations import (
     LENGTHS,
     Trig,
+    gust_axes,
     gust_lags_s,
     gust_rates,
-    heading,
     level,
     rotation,
     sines,
@@ -403,7 +403,8 @@ class GustStates(NamedTuple):
     """The five air states of the Kalman filter: p_h [rad/s], h_q, h_r, c_u, c_v [m/s].
 
     They follow V, alpha, beta, p, q, r, phi, theta in x. Some simulators' gusts do not rotate the
-    air, and no real gust turns with an aircraft; the flags say which effects the air has.
+    air, or have body axes (the last two states are then c_v, c_w), and no real gust turns with an
+    aircraft; the fields say which effects the air has.
 
     Attributes
     ----------
@@ -415,13 +416,24 @@ class GustStates(NamedTuple):
     rotating : bool
         q_h, r_h follow from gusts down and to the right.
     turning_with : bool
-        u, v turn with the heading.
+        The gusts turn with their axes. Without it they are fixed to the earth.
+    in_body : bool
+        The gusts' axes are the body's, not those of the heading.
+    q_length, r_length : float
+        Lengths of q_h and r_h in units of the standard's, 4b/pi and 3b/pi [-].
+    q_share, r_share : float
+        1: q_h, r_h as in (2); -1: reversed; 0: not by gusts down and to the right.
     """
 
     b: float
     passing_mps: float = 0.0
     rotating: bool = True
     turning_with: bool = True
+    in_body: bool = False
+    q_length: float = 1.0
+    r_length: float = 1.0
+    q_share: float = 1.0
+    r_share: float = 1.0
 
     def lags_s(self, V: Any) -> tuple[Any, Any, Any]:
         """Return T_p, T_q, T_r [s] at airspeed V [m/s]."""
@@ -429,8 +441,10 @@ class GustStates(NamedTuple):
 
     def start(self, x: Any) -> tuple[Any, ...]:
         """Return the five states in air at rest, from the eight others."""
-        U, S, W = heading(x, sines(x))
-        return 0.0 * U, -self.rotating * W, self.rotating * S, U, S
+        U, S, W = gust_axes(self, x, sines(x))
+        last = (S, W) if self.in_body else (U, S)
+        q_share, r_share = self.rotating * self.q_share, self.rotating * self.r_share
+        return 0.0 * U, -q_share * W, r_share * S, *last
 
     def level(self, x: Any) -> tuple[Any, Any, Any]:
         """Return p_h, q_h, r_h [rad/s], the air's rotation in heading axes, at a state x of 13
@@ -443,7 +457,7 @@ class GustStates(NamedTuple):
         optional.
         """
         trig = trig or sines(x)
-        return rotation(level(self, x, trig), trig)
+        return rotation(self, level(self, x, trig), trig)
 
     def turning(self, x: Any, trig: Trig | None = None) -> tuple[Any, Any, Any]:
         """Return the apparent acceleration by u, v that turn with the heading, body axes [m/s2]."""

@@ -60,7 +60,11 @@ def complex_step_sines(real_trig: Trig, x: Any) -> Trig:
 def gust_lags_s(gusts: Any, V: Any) -> tuple[Any, Any, Any]:
     """Return the time constants T_p, T_q, T_r [s] of `GustStates` at airspeed V [m/s]."""
     unit = gusts.b / (gusts.passing_mps or V)
-    return LENGTHS[0] * unit, LENGTHS[1] * unit, LENGTHS[2] * unit
+    return (
+        LENGTHS[0] * unit,
+        LENGTHS[1] * gusts.q_length * unit,
+        LENGTHS[2] * gusts.r_length * unit,
+    )
 
 
 def heading(x: Any, trig: Trig) -> tuple[Any, Any, Any]:
@@ -72,6 +76,14 @@ def heading(x: Any, trig: Trig) -> tuple[Any, Any, Any]:
     ahead, right, below = x[0] * ca * cb, x[0] * sb, x[0] * sa * cb
     upright = sf * right + cf * below
     return ct * ahead + st * upright, cf * right - sf * below, ct * upright - st * ahead
+
+
+def gust_axes(gusts: Any, x: Any, trig: Trig) -> tuple[Any, Any, Any]:
+    """Return the velocity relative to the air [m/s] in the axes of the gusts, heading or body."""
+    if gusts.in_body:
+        _, _, _, _, sa, ca, sb, cb = trig
+        return x[0] * ca * cb, x[0] * sb, x[0] * sa * cb
+    return heading(x, trig)
 
 
 def heading_rates(
@@ -91,30 +103,52 @@ def heading_rates(
     return dU, cf * dright - sf * dbelow - dphi * upright, dW
 
 
+def gust_axes_rates(
+    gusts: Any, x: Any, state_rates: tuple[Any, Any, Any, Any, Any], trig: Trig
+) -> tuple[Any, Any, Any]:
+    """Return the time derivative of `gust_axes` [m/s2]."""
+    if gusts.in_body:
+        dV, dalpha, dbeta, _, _ = state_rates
+        _, _, _, _, sa, ca, sb, cb = trig
+        return (
+            dV * ca * cb - x[0] * (sa * cb * dalpha + ca * sb * dbeta),
+            dV * sb + x[0] * cb * dbeta,
+            dV * sa * cb + x[0] * (ca * cb * dalpha - sa * sb * dbeta),
+        )
+    return heading_rates(x, state_rates, trig)
+
+
 def level(gusts: Any, x: Any, trig: Trig) -> tuple[Any, Any, Any]:
-    """Return p_h, q_h, r_h [rad/s], the air's rotation in heading axes, at a state x of 13
+    """Return p_h, q_h, r_h [rad/s], the air's rotation in the gusts' axes, at a state x of 13
     elements.
     """
-    _, S, W = heading(x, trig)
+    _, S, W = gust_axes(gusts, x, trig)
     return (
         x[8],
-        (x[9] + gusts.rotating * W) / (LENGTHS[1] * gusts.b),
-        (x[10] - gusts.rotating * S) / (LENGTHS[2] * gusts.b),
+        (x[9] + gusts.rotating * gusts.q_share * W) / (LENGTHS[1] * gusts.q_length * gusts.b),
+        (x[10] - gusts.rotating * gusts.r_share * S) / (LENGTHS[2] * gusts.r_length * gusts.b),
     )
 
 
-def rotation(rotation_h: tuple[Any, Any, Any], trig: Trig) -> tuple[Any, Any, Any]:
-    """Turn the air's rotation [rad/s] from heading axes into body axes."""
+def rotation(gusts: Any, rotation_h: tuple[Any, Any, Any], trig: Trig) -> tuple[Any, Any, Any]:
+    """Turn the air's rotation [rad/s] from the gusts' axes into body axes."""
     p_h, q_h, r_h = rotation_h
+    if gusts.in_body:
+        return p_h, q_h, r_h
     sf, cf, st, ct = trig[:4]
     upright = st * p_h + ct * r_h
     return ct * p_h - st * r_h, cf * q_h + sf * upright, cf * upright - sf * q_h
 
 
 def turning(gusts: Any, x: Any, trig: Trig) -> tuple[Any, Any, Any]:
-    """Return the apparent acceleration by gusts u_h, v_h that turn with the heading, body axes
-    [m/s2].
+    """Return the apparent acceleration [m/s2], body axes, by gusts u_h, v_h that turn with the
+    heading or v, w that turn with the body.
     """
+    if gusts.in_body:
+        # Minus omega x gust; the gust along the path is left out, it is much smaller than V.
+        _, S, W = gust_axes(gusts, x, trig)
+        right, below = gusts.turning_with * (x[11] - S), gusts.turning_with * (x[12] - W)
+        return x[5] * right - x[4] * below, x[3] * below, -x[3] * right
     sf, cf, st, ct = trig[:4]
     U, S, _ = heading(x, trig)
     dpsi = gusts.turning_with * (x[4] * sf + x[5] * cf) / ct
@@ -130,16 +164,17 @@ def gust_rates(
     ``state_rates`` are the deterministic rates of V, alpha, beta (`turning` included), phi and
     theta.
     """
-    dU, dS, dW = heading_rates(x, state_rates, trig)
+    dU, dS, dW = gust_axes_rates(gusts, x, state_rates, trig)
     p_h, q_h, r_h = level(gusts, x, trig)
     T_p, _, _ = gust_lags_s(gusts, x[0])
     passing = gusts.passing_mps or x[0]
+    first, second = (dS, dW) if gusts.in_body else (dU, dS)
     return (
         -p_h / T_p,
-        -passing * q_h - gusts.rotating * dW,
-        -passing * r_h + gusts.rotating * dS,
-        dU,
-        dS,
+        -passing * q_h - gusts.rotating * gusts.q_share * dW,
+        -passing * r_h + gusts.rotating * gusts.r_share * dS,
+        first,
+        second,
     )
 
 
@@ -225,7 +260,7 @@ def motion(
         work[i] = x[i] - reference.x[i]
     if body.gusty:
         # Aerodynamic forces depend on the angular rates relative to the air.
-        air = rotation(level(body.gusts, x, trig), trig)
+        air = rotation(body.gusts, level(body.gusts, x, trig), trig)
         work[3] -= air[0]
         work[4] -= air[1]
         work[5] -= air[2]
@@ -444,7 +479,17 @@ def loops() -> Loops:
     """Compile the loops at the first call."""
     from sysid.linalg import compiled, jitable
 
-    air = gust_lags_s, heading, heading_rates, level, rotation, turning, gust_rates
+    air = (
+        gust_lags_s,
+        heading,
+        gust_axes,
+        heading_rates,
+        gust_axes_rates,
+        level,
+        rotation,
+        turning,
+        gust_rates,
+    )
     for part in (sines, complex_step_sines, *air, flow_rates, motion, _series):
         jitable(part)
     return Loops(compiled(_rates), compiled(_slopes), compiled(_discretise))

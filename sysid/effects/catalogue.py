@@ -102,13 +102,14 @@ class Term:
             sum(f.power for f in self.factors if f.variable in lateral and not f.absolute) % 2 == 1
         )
 
-    def values(self, found: Mapping[str, FloatArray]) -> FloatArray:
+    def values(self, variables: Mapping[str, FloatArray]) -> FloatArray:
         """(n,) values from those of the variables, each (n,).
 
         Raises KeyError for a variable that is not there.
         """
         each = [
-            (np.abs(found[f.variable]) if f.absolute else found[f.variable]) ** float(f.power)
+            (np.abs(variables[f.variable]) if f.absolute else variables[f.variable])
+            ** float(f.power)
             for f in self.factors
         ]
         return np.asarray(np.prod(each, axis=0), dtype=np.float64)
@@ -121,17 +122,17 @@ def parse(text: str) -> Term:
     """
     gathered: dict[tuple[str, bool], int] = {}
     for part in text.replace(" ", "").split("*"):
-        found = _FACTOR.fullmatch(part)
-        name = (found["absolute"] or found["plain"]) if found else ""
-        if found is None or name not in VARIABLES:
+        match = _FACTOR.fullmatch(part)
+        name = (match["absolute"] or match["plain"]) if match else ""
+        if match is None or name not in VARIABLES:
             raise ValueError(
                 f"term '{text}': '{part}' is no factor; allowed are variable, abs(variable),"
                 f" variable^n and 1/variable with variable one of {', '.join(VARIABLES)}, joined"
                 " by *"
             )
-        key = (name, found["absolute"] is not None)
-        gathered[key] = gathered.get(key, 0) + int(found["power"] or 1) * (
-            -1 if found["inverse"] else 1
+        key = (name, match["absolute"] is not None)
+        gathered[key] = gathered.get(key, 0) + int(match["power"] or 1) * (
+            -1 if match["inverse"] else 1
         )
     factors = [
         Factor(name, absolute, power) for (name, absolute), power in gathered.items() if power
@@ -215,8 +216,8 @@ class Effect:
         """Property that carries its value."""
         if self.subsystem is None:
             return f"aero/{self.coefficient}_{parse(self.term).suffix}"
-        part, _, what = self.subsystem.partition(".")
-        return f"effect/{part}/{what + '-' if what else ''}{self.term}"
+        part, _, detail = self.subsystem.partition(".")
+        return f"effect/{part}/{detail + '-' if detail else ''}{self.term}"
 
     @property
     def parsed(self) -> Term | None:
@@ -502,8 +503,10 @@ def read_effects(path: Path) -> list[Effect]:
             raise LogError(
                 f"unknown key '{unknown[0]}'; allowed are {', '.join(sorted(_KEYS))}", path, where
             )
-        if wrong := [k for k, v in row.items() if not isinstance(v, str)]:
-            raise LogError(f"{wrong[0]} must be text; received {row[wrong[0]]!r}", path, where)
+        if not_text := [k for k, v in row.items() if not isinstance(v, str)]:
+            raise LogError(
+                f"{not_text[0]} must be text; received {row[not_text[0]]!r}", path, where
+            )
         # The texts go into pages and into comments of the refined XML, which has no place for
         # control characters.
         for key, text in row.items():
@@ -527,8 +530,8 @@ def read_effects(path: Path) -> list[Effect]:
                 where,
             )
         numbers[effect.key] = number
-        told = {k: text for k, text in row.items() if text and k not in ("coefficient", "term")}
-        out.append(replace(effect, odds=0.0, **told))
+        texts = {k: text for k, text in row.items() if text and k not in ("coefficient", "term")}
+        out.append(replace(effect, odds=0.0, **texts))
     return out
 
 
@@ -652,10 +655,10 @@ def subsystem_effects(
 
     parts: channels of a sensor with several, whose filter may be another than the others'.
     """
-    found = [_effect(*row) for row in _AIRCRAFT]
+    effects = [_effect(*row) for row in _AIRCRAFT]
     for s in surfaces:
         servo = f"actuator.{s}"
-        found += [
+        effects += [
             _effect(
                 servo,
                 "lag",
@@ -681,25 +684,37 @@ def subsystem_effects(
                 "s/deg",
             ),
         ]
-    any_, abrupt, twice = "all manoeuvres", "abrupt manoeuvres", 2.0 * ODDS
+    any_, abrupt, double_odds = "all manoeuvres", "abrupt manoeuvres", 2.0 * ODDS
     for c in channels:
         short, unit = c.split("_")
         physics = "position error or upwash at the sensor" if c in _WIND else "calibration"
-        found.append(
+        effects.append(
             _effect(
-                f"sensor.{c}", "scale", f"{short} sensor's scale off", physics, any_, "1", twice
+                f"sensor.{c}",
+                "scale",
+                f"{short} sensor's scale off",
+                physics,
+                any_,
+                "1",
+                double_odds,
             )
         )
         if short not in ("p", "q", "r"):
             physics = "calibration or misalignment"
-            found.append(
+            effects.append(
                 _effect(
-                    f"sensor.{c}", "bias", f"{short} sensor's zero off", physics, any_, unit, twice
+                    f"sensor.{c}",
+                    "bias",
+                    f"{short} sensor's zero off",
+                    physics,
+                    any_,
+                    unit,
+                    double_odds,
                 )
             )
     if {"ax_mps2", "ay_mps2", "az_mps2"} & set(channels):
         physics = "they feel the rotation about the CG"
-        found += [
+        effects += [
             _effect(
                 "sensor.accelerometer",
                 f"place_{axis}",
@@ -707,7 +722,7 @@ def subsystem_effects(
                 physics,
                 abrupt,
                 "m",
-                twice,
+                double_odds,
             )
             for axis, way in (("x", "forward"), ("y", "right"), ("z", "down"))
         ]
@@ -715,17 +730,30 @@ def subsystem_effects(
         channels
     ):
         physics = "they move with pitch and yaw rate"
-        found.append(
+        effects.append(
             _effect(
-                "sensor.vane", "place_x", "wind vanes further forward", physics, abrupt, "m", twice
+                "sensor.vane",
+                "place_x",
+                "wind vanes further forward",
+                physics,
+                abrupt,
+                "m",
+                double_odds,
             )
         )
-    late = [(c, "sensor late", "filtering and transport of the signal", twice) for c in delays]
+    late = [
+        (c, "sensor late", "filtering and transport of the signal", double_odds) for c in delays
+    ]
     late += [
-        (c, "alone late", "filtered otherwise than the other channels of its sensor", 2.0 * twice)
+        (
+            c,
+            "alone late",
+            "filtered otherwise than the other channels of its sensor",
+            2.0 * double_odds,
+        )
         for c in parts
     ]
-    return found + [
+    return effects + [
         _effect(
             f"sensor.{c}",
             "delay",

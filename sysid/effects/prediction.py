@@ -48,14 +48,14 @@ class Columns:
     inputs    column -> (index of the coefficient CX..Cn, values (n,)), or (-1, values (n, 6)) for
     all six outputs   column -> (n, m) added to the measured channels
     ends      column -> its input's values just before each row, where they jump there
-    felt      column -> its input's values as the channels of the same row have seen them, where
+    seen      column -> its input's values as the channels of the same row have seen them, where
     that is otherwise"""
 
     names: tuple[str, ...]
     inputs: Mapping[str, tuple[int, FloatArray]]
     outputs: Mapping[str, FloatArray]
     ends: Mapping[str, FloatArray] = field(default_factory=dict)
-    felt: Mapping[str, FloatArray] = field(default_factory=dict)
+    seen: Mapping[str, FloatArray] = field(default_factory=dict)
 
 
 class MadeColumns(Sequence[Columns]):
@@ -92,71 +92,71 @@ class White:
     out; NaN rows are zero.
 
     logdet: sum of the logarithms of the innovations' deviations; start (8, 1 + K): start state that
-    fits best, and its change by column; there (n, m): which values were measured; deviation (m,):
-    rms of the innovations' standard deviation, in the channels' units; more: makes columns (n, m,
-    C) by names, where they can be made again"""
+    fits best, and its change by column; is_measured (n, m): which values were
+    measured; deviation (m,): rms of the innovations' standard deviation, in the channels' units;
+    more: makes columns (n, m, C) by names, where they can be made again"""
 
     residual: FloatArray
     columns: NDArray[np.float32]
     logdet: float
     start: FloatArray
-    there: NDArray[np.bool_]
+    is_measured: NDArray[np.bool_]
     deviation: FloatArray
     more: Callable[[Sequence[str]], NDArray[np.float32]] | None = None
 
 
 @dataclass(frozen=True)
-class Followed:
+class FilteredSegment:
     """One segment as a filter follows it: what was measured, the gains, and whitened innovations
     without any columns.
     """
 
-    seen: MeasuredSystem
+    system: MeasuredSystem
     gains: Gains
-    alone: Whitened
+    innovations_only: Whitened
 
     def path_from(self, start: FloatArray) -> FloatArray:
         """(n, x) predicted states less the reference, the segment begun at the start state
         ``start`` (8,) less the reference's.
         """
-        return predicted_path(self.seen, self.gains, self.seen.start @ start)
+        return predicted_path(self.system, self.gains, self.system.start @ start)
 
-    def carried(self, own: Columns) -> Whitened:
+    def with_columns(self, segment_columns: Columns) -> Whitened:
         """The same with columns."""
         return whiten_innovations(
-            self.seen,
+            self.system,
             self.gains,
-            own.names,
-            own.inputs,
-            own.outputs,
-            own.ends,
-            own.felt,
-            self.alone,
+            segment_columns.names,
+            segment_columns.inputs,
+            segment_columns.outputs,
+            segment_columns.ends,
+            segment_columns.seen,
+            self.innovations_only,
         )
 
 
 def follow(
     steps: Sequence[Steps],
     measured: Sequence[FloatArray],
-    which: Sequence[int],
+    rows: Sequence[int],
     noise: FloatArray,
     process: Process | None = None,
-) -> Iterator[Followed]:
+) -> Iterator[FilteredSegment]:
     """Filter every segment, one after the other; arguments of `whiten`, which makes columns white
     by what is given here. Raises LinAlgError where no filter follows."""
     for k, (system, z) in enumerate(zip(steps, measured, strict=True)):
-        seen = MeasuredSystem.of(system, z, which)
-        found = gains(
+        seen = MeasuredSystem.of(system, z, rows)
+        filter_gains = gains(
             seen, noise, None if process is None else (process.noise[k], process.begin[k])
         )
-        yield Followed(seen, found, whiten_innovations(seen, found))
+        yield FilteredSegment(seen, filter_gains, whiten_innovations(seen, filter_gains))
 
 
 def whiten(
     steps: Sequence[Steps],
     measured: Sequence[FloatArray],
     columns: Sequence[Columns],
-    which: Sequence[int],
+    rows: Sequence[int],
     noise: FloatArray,
     process: Process | None = None,
 ) -> list[White]:
@@ -164,61 +164,68 @@ def whiten(
 
     which  rows of the steps' OUTPUTS that ``measured`` (n, m) holds; noise (m,) standard
     deviations; process: None for calm air. Raises LinAlgError where no filter follows."""
-    return whitened(follow(steps, measured, which, noise, process), columns)
+    return whitened(follow(steps, measured, rows, noise, process), columns)
 
 
-def whiten_each(followed: Iterable[Followed], columns: MadeColumns) -> Iterator[White]:
+def whiten_each(followed: Iterable[FilteredSegment], columns: MadeColumns) -> Iterator[White]:
     """`whitened`, segment by segment, of columns that can be made again: whoever needs their sums
     need not hold them.
     """
     for k, one in enumerate(followed):
-        yield replace(_whitened(one, columns[k]), more=_Again(one, columns, k))
+        yield replace(_whitened(one, columns[k]), more=_WhitenedOnDemand(one, columns, k))
 
 
-class _Again:
+class _WhitenedOnDemand:
     """Columns of a segment made white again by their names; those asked for last are remembered."""
 
-    def __init__(self, one: Followed, columns: MadeColumns, k: int) -> None:
+    def __init__(self, one: FilteredSegment, columns: MadeColumns, k: int) -> None:
         self.one, self.columns, self.k = one, columns, k
-        self.q = start_fitted(one.alone.innovations, one.alone.starts)[1]
+        self.q = start_fitted(one.innovations_only.innovations, one.innovations_only.starts)[1]
         self.made: dict[str, NDArray[np.float32]] = {}
 
     def __call__(self, names: Sequence[str]) -> NDArray[np.float32]:
         """(n, m, C) in single precision, the start state fitted."""
         if missing := [n for n in names if n not in self.made]:
-            left, _ = _without_start(
-                self.one.carried(self.columns.some(self.k, missing)).columns, self.q
+            remainder, _ = _without_start(
+                self.one.with_columns(self.columns.some(self.k, missing)).columns, self.q
             )
-            self.made |= {n: np.ascontiguousarray(left[:, :, c]) for c, n in enumerate(missing)}
+            self.made |= {
+                n: np.ascontiguousarray(remainder[:, :, c]) for c, n in enumerate(missing)
+            }
         out = np.stack([self.made[n] for n in names], axis=2)
         last = [*(n for n in self.made if n not in names), *names][-_REMEMBERED:]
         self.made = {n: self.made[n] for n in last}
         return out
 
 
-def whitened(followed: Iterable[Followed], columns: Sequence[Columns]) -> list[White]:
+def whitened(followed: Iterable[FilteredSegment], columns: Sequence[Columns]) -> list[White]:
     """`whiten` of segments that a filter has followed."""
     return [_whitened(one, columns[k]) for k, one in enumerate(followed)]
 
 
-def _whitened(one: Followed, own: Columns) -> White:
+def _whitened(one: FilteredSegment, segment_columns: Columns) -> White:
     """The segment with its start state fitted and taken out of everything."""
-    there = one.seen.is_measured
+    is_measured = one.system.is_measured
     deviation = np.sqrt(
-        np.where(there, one.gains.prior_variance, 0.0).sum(axis=0)
-        / np.maximum(there.sum(axis=0), 1)
+        np.where(is_measured, one.gains.prior_variance, 0.0).sum(axis=0)
+        / np.maximum(is_measured.sum(axis=0), 1)
     )
-    found = one.carried(own)
-    residual, q, r = start_fitted(found.innovations, found.starts)
-    left, inside = _without_start(found.columns, q)
-    inside = np.column_stack([q.T @ found.innovations.ravel(), inside])
+    whitened_columns = one.with_columns(segment_columns)
+    residual, q, r = start_fitted(whitened_columns.innovations, whitened_columns.starts)
+    remainder, inside = _without_start(whitened_columns.columns, q)
+    inside = np.column_stack([q.T @ whitened_columns.innovations.ravel(), inside])
     try:
         fitted = np.linalg.solve(r, inside)
     except np.linalg.LinAlgError:
         fitted = np.linalg.lstsq(r, inside, rcond=None)[0]
     fitted[:, 1:] *= -1.0
     return White(
-        residual, left, one.gains.logdet, np.asarray(fitted, dtype=np.float64), there, deviation
+        residual,
+        remainder,
+        one.gains.logdet,
+        np.asarray(fitted, dtype=np.float64),
+        is_measured,
+        deviation,
     )
 
 
@@ -236,8 +243,8 @@ def start_fitted(
     scale = np.sqrt(np.sum(flat**2, axis=0))
     scale[scale == 0.0] = 1.0
     q, r = np.linalg.qr(flat / scale)
-    left = innovations.ravel()
-    return np.asarray((left - q @ (q.T @ left)).reshape(innovations.shape)), q, r * scale
+    remainder = innovations.ravel()
+    return np.asarray((remainder - q @ (q.T @ remainder)).reshape(innovations.shape)), q, r * scale
 
 
 def _without_start(
@@ -245,10 +252,10 @@ def _without_start(
 ) -> tuple[NDArray[np.float32], FloatArray]:
     """Columns (n, m, K) less what the start's columns q (n m, 8) have of them, and that (8, K)."""
     flat = columns.reshape(len(q), columns.shape[2])
-    inside, left = np.zeros((START_COLUMNS, flat.shape[1])), np.empty_like(flat)
+    inside, remainder = np.zeros((START_COLUMNS, flat.shape[1])), np.empty_like(flat)
     parts = [slice(first, first + _AT_ONCE) for first in range(0, len(q), _AT_ONCE)]
     for rows in parts:
         inside += q[rows].T @ flat[rows].astype(np.float64)
     for rows in parts:
-        left[rows] = flat[rows] - q[rows] @ inside
-    return left.reshape(columns.shape), inside
+        remainder[rows] = flat[rows] - q[rows] @ inside
+    return remainder.reshape(columns.shape), inside

@@ -17,13 +17,13 @@ from scipy import optimize, special
 
 from sysid.distributions import normal_quantile
 from sysid.effects.catalogue import TWINS
-from sysid.effects.score import (
+from sysid.effects.information import (
     DEPENDENT,
-    Evidence,
+    Information,
     agreement,
-    corrected,
-    corrected_each,
-    likeness,
+    column_correlations,
+    corrected_estimate,
+    corrected_estimates,
     projected,
     scores,
 )
@@ -52,7 +52,7 @@ class Alternative:
 
 
 @dataclass(frozen=True)
-class Choice:
+class SelectedEffect:
     """One effect: estimate, corrected and white standard error, t, gain, agreement with the
     confirming part (gain there, difference)."""
 
@@ -67,14 +67,14 @@ class Choice:
 
 
 @dataclass(frozen=True)
-class Refusal:
+class RejectedCandidate:
     """The best candidate that did not enter, and why. strong: it stands well above chance, so
     something is there; unconfirmed: parts of the flights contradict each other in it."""
 
     key: str
     t: float
     gain: float
-    why: str
+    reason: str
     strong: bool = False
     unconfirmed: bool = False
 
@@ -85,8 +85,8 @@ class Selection:
     steps in words.
     """
 
-    chosen: tuple[Choice, ...]
-    refused: Refusal | None = None
+    chosen: tuple[SelectedEffect, ...]
+    refused: RejectedCandidate | None = None
     trail: tuple[str, ...] = ()
 
     @property
@@ -103,7 +103,7 @@ def threshold(candidates: int, family: float = FAMILY) -> float:
 
 
 def chance_limit(
-    evidence: Evidence, free: Sequence[str], candidates: Sequence[str], family: float = FAMILY
+    information: Information, free: Sequence[str], candidates: Sequence[str], family: float = FAMILY
 ) -> float:
     """|t| that the largest of the candidates exceeds with probability ``family`` when nothing is
     there.
@@ -111,35 +111,37 @@ def chance_limit(
     Candidates resemble each other, so the largest of 400 is the largest of fewer: drawn from their
     own correlation, what the free columns take up removed. Never above Sidak's limit, which is for
     candidates that have nothing in common."""
-    known = [
+    informative = [
         k
-        for k, share in zip(candidates, scores(evidence, free, candidates).share, strict=True)
+        for k, share in zip(candidates, scores(information, free, candidates).share, strict=True)
         if share > DEPENDENT
     ]
-    if len(known) < 2:
-        return threshold(len(known), family)
-    left, _ = projected(*evidence.everything, evidence.index(free), evidence.index(known))
-    size = np.sqrt(np.diagonal(left))
-    values, vectors = np.linalg.eigh(left / np.outer(size, size))
+    if len(informative) < 2:
+        return threshold(len(informative), family)
+    projected_information, _ = projected(
+        *information.total, information.index(free), information.index(informative)
+    )
+    size = np.sqrt(np.diagonal(projected_information))
+    values, vectors = np.linalg.eigh(projected_information / np.outer(size, size))
     root = (vectors * np.sqrt(np.maximum(values, 0.0))).astype(np.float32)
-    rng = np.random.default_rng(len(known))
+    rng = np.random.default_rng(len(informative))
     parts = (
-        rng.standard_normal((DRAWS // DRAWN_IN, len(known)), np.float32) @ root.T
+        rng.standard_normal((DRAWS // DRAWN_IN, len(informative)), np.float32) @ root.T
         for _ in range(DRAWN_IN)
     )
     largest = np.concatenate([np.abs(part).max(axis=1) for part in parts])
-    return min(threshold(len(known), family), float(np.quantile(largest, 1.0 - family)))
+    return min(threshold(len(informative), family), float(np.quantile(largest, 1.0 - family)))
 
 
 def select(
-    evidence: Evidence,
+    information: Information,
     free: Sequence[str],
     candidates: Mapping[str, float],
     chosen: Sequence[str] = (),
-    most: int = 6,
+    max_effects: int = 6,
     limit: float | None = None,
     empirical: bool = False,
-    alone: float = np.inf,
+    decisive_t: float = np.inf,
 ) -> Selection:
     """Choose effects.
 
@@ -150,126 +152,138 @@ def select(
                 candidates' t (Efron, JASA 99, 2004), which is one for noise alone
     alone       |t| from which one that enters is the last to do so
     """
-    limit = chance_limit(evidence, free, list(candidates)) if limit is None else limit
-    here: list[str] = list(chosen)
+    limit = chance_limit(information, free, list(candidates)) if limit is None else limit
+    current: list[str] = list(chosen)
     trail: list[str] = []
-    refused: Refusal | None = None
-    for _ in range(3 * most):
-        before = list(here)
-        _exchange(evidence, free, candidates, here, trail)
-        _prune(evidence, free, here, trail, limit)
+    refused: RejectedCandidate | None = None
+    for _ in range(3 * max_effects):
+        before = list(current)
+        _exchange(information, free, candidates, current, trail)
+        _prune(information, free, current, trail, limit)
         refused = None
-        if len(here) < most:
-            rest = [c for c in candidates if c not in here]
-            found = _entering(evidence, [*free, *here], rest, candidates, limit, empirical)
-            if isinstance(found, Refusal):
-                refused = found
-            elif found is not None:
-                here.append(found.key)
-                trail.append(f"+ {found.key} t {found.t:.1f} gain {found.gain:.0f}")
-                if abs(found.t) > alone:
+        if len(current) < max_effects:
+            unselected = [c for c in candidates if c not in current]
+            entering = _entering(
+                information, [*free, *current], unselected, candidates, limit, empirical
+            )
+            if isinstance(entering, RejectedCandidate):
+                refused = entering
+            elif entering is not None:
+                current.append(entering.key)
+                trail.append(f"+ {entering.key} t {entering.t:.1f} gain {entering.gain:.0f}")
+                if abs(entering.t) > decisive_t:
                     break
-        if here == before:
+        if current == before:
             break
-    return Selection(judged(evidence, free, here, list(candidates)), refused, tuple(trail))
+    return Selection(
+        estimate_selected(information, free, current, list(candidates)), refused, tuple(trail)
+    )
 
 
-def judged(
-    evidence: Evidence, free: Sequence[str], here: Sequence[str], candidates: Sequence[str]
-) -> tuple[Choice, ...]:
-    """The effects ``here`` as they stand, each beside the others, with alternatives among the
+def estimate_selected(
+    information: Information, free: Sequence[str], keys: Sequence[str], candidates: Sequence[str]
+) -> tuple[SelectedEffect, ...]:
+    """The effects ``keys`` as they stand, each beside the others, with alternatives among the
     candidates; the strongest first.
     """
-    open_ = [k for k in candidates if k not in here]
+    open_ = [k for k in candidates if k not in keys]
     out = []
-    for key in here:
-        others = [*free, *(o for o in here if o != key)]
-        out.append(_with_alternatives(evidence, others, _judged(evidence, others, key), open_))
+    for key in keys:
+        free_beside = [*free, *(o for o in keys if o != key)]
+        out.append(
+            _with_alternatives(
+                information, free_beside, _estimate_one(information, free_beside, key), open_
+            )
+        )
     return tuple(sorted(out, key=lambda c: -c.gain))
 
 
-def _judged(evidence: Evidence, free: Sequence[str], key: str) -> Choice:
-    value, std, _ = corrected(evidence, free, key)
-    gain = float(scores(evidence, free, [key]).gain[0])
-    there = difference = float("nan")
-    if (confirming := evidence.confirming) is not None:
-        there, difference = agreement(evidence, free, key, ~confirming)
-        there = min(there, agreement(evidence, free, key, confirming)[0])
-    return Choice(key, value, std, value / std, gain, there, difference)
+def _estimate_one(information: Information, free: Sequence[str], key: str) -> SelectedEffect:
+    value, std, _ = corrected_estimate(information, free, key)
+    gain = float(scores(information, free, [key]).gain[0])
+    confirmed = difference = float("nan")
+    if (confirming := information.confirming) is not None:
+        confirmed, difference = agreement(information, free, key, ~confirming)
+        confirmed = min(confirmed, agreement(information, free, key, confirming)[0])
+    return SelectedEffect(key, value, std, value / std, gain, confirmed, difference)
 
 
 def _entering(
-    evidence: Evidence,
+    information: Information,
     free: Sequence[str],
     open_: Sequence[str],
     odds: Mapping[str, float],
     limit: float,
     empirical: bool,
-) -> Choice | Refusal | None:
+) -> SelectedEffect | RejectedCandidate | None:
     """The candidate to enter. One in which the flights contradict each other may be disturbed by
     another that is missing as well: those that do not resemble it are then asked; it comes to its
     turn again beside them."""
-    first: Refusal | None = None
+    first: RejectedCandidate | None = None
     for _ in range(TURNS):
-        found = _best(evidence, free, open_, odds, limit, empirical)
-        if not (isinstance(found, Refusal) and found.unconfirmed):
-            return found if isinstance(found, Choice) else first or found
-        first = first or found
-        alike = likeness(evidence, free, found.key, open_)
+        best = _best(information, free, open_, odds, limit, empirical)
+        if not (isinstance(best, RejectedCandidate) and best.unconfirmed):
+            return best if isinstance(best, SelectedEffect) else first or best
+        first = first or best
+        alike = column_correlations(information, free, best.key, open_)
         open_ = [
             k
             for k, a in zip(open_, alike, strict=True)
-            if k != found.key and abs(np.nan_to_num(a)) < UNLIKE
+            if k != best.key and abs(np.nan_to_num(a)) < UNLIKE
         ]
     return first
 
 
 def _best(
-    evidence: Evidence,
+    information: Information,
     free: Sequence[str],
     open_: Sequence[str],
     odds: Mapping[str, float],
     limit: float,
     empirical: bool,
-) -> Choice | Refusal | None:
-    found = scores(evidence, free, open_)
-    merit = np.nan_to_num(found.gain - np.array([odds[k] for k in open_]), nan=-np.inf)
+) -> SelectedEffect | RejectedCandidate | None:
+    result = scores(information, free, open_)
+    merit = np.nan_to_num(result.gain - np.array([odds[k] for k in open_]), nan=-np.inf)
     if not np.isfinite(merit).any():
         return None
     # A candidate that is really there moves few of the others: their median does not know of it.
-    spread = (
-        max(1.0, float(np.nanmedian(np.abs(found.t))) / normal_quantile(0.75)) if empirical else 1.0
+    dispersion = (
+        max(1.0, float(np.nanmedian(np.abs(result.t))) / normal_quantile(0.75))
+        if empirical
+        else 1.0
     )
     best, *next_ = np.argsort(-merit)[:LOOKED_AT].tolist()
-    choice = _judged(evidence, free, open_[best])
+    choice = _estimate_one(information, free, open_[best])
     if not abs(choice.t) > limit:
         # Colour may weigh on one candidate more than on the next.
-        others = (_judged(evidence, free, open_[k]) for k in next_ if merit[k] >= limit**2)
-        choice = next((c for c in others if abs(c.t) > limit), choice)
+        next_best = (
+            _estimate_one(information, free, open_[k]) for k in next_ if merit[k] >= limit**2
+        )
+        choice = next((c for c in next_best if abs(c.t) > limit), choice)
         if not abs(choice.t) > limit:
-            return Refusal(
+            return RejectedCandidate(
                 choice.key,
                 choice.t,
                 choice.gain,
                 f"|t| {abs(choice.t):.1f} is not above {limit:.1f}",
             )
-    if not np.sqrt(choice.gain) > limit * spread:
-        why = (
-            f"|t| {np.sqrt(choice.gain):.1f} is not above {limit:.1f} times {spread:.2f}, the"
+    if not np.sqrt(choice.gain) > limit * dispersion:
+        reason = (
+            f"|t| {np.sqrt(choice.gain):.1f} is not above {limit:.1f} times {dispersion:.2f}, the"
             " spread of all candidates"
         )
-        return Refusal(choice.key, choice.t, choice.gain, why)
+        return RejectedCandidate(choice.key, choice.t, choice.gain, reason)
     if choice.confirmed_gain <= 0.0 and abs(choice.difference) > DIFFERENT:
         # Where the parts agree, all that they say of it together is in its t; one that fits both is
         # somewhat off, being alone.
-        why = (
+        reason = (
             f"two parts of the flights differ in it by {abs(choice.difference):.1f} standard errors"
         )
-        return Refusal(
+        return RejectedCandidate(
             choice.key,
             choice.t,
             choice.gain,
-            why,
+            reason,
             not empirical and abs(choice.t) > limit + DIFFERENT,
             True,
         )
@@ -277,82 +291,97 @@ def _best(
 
 
 def _exchange(
-    evidence: Evidence,
+    information: Information,
     free: Sequence[str],
     odds: Mapping[str, float],
-    here: list[str],
+    current: list[str],
     trail: list[str],
 ) -> None:
     """Every chosen effect against every other candidate in its place."""
-    for k, key in enumerate(here):
-        others = [*free, *here[:k], *here[k + 1 :]]
-        open_ = [c for c in odds if c not in here or c == key]
+    for k, key in enumerate(current):
+        free_beside = [*free, *current[:k], *current[k + 1 :]]
+        open_ = [c for c in odds if c not in current or c == key]
         merit = np.nan_to_num(
-            scores(evidence, others, open_).gain - np.array([odds[c] for c in open_]), nan=-np.inf
+            scores(information, free_beside, open_).gain - np.array([odds[c] for c in open_]),
+            nan=-np.inf,
         )
         best = int(np.argmax(merit))
         if open_[best] != key and merit[best] > merit[open_.index(key)] + DIFFERENT**2:
-            here[k] = open_[best]
+            current[k] = open_[best]
             trail.append(f"{key} -> {open_[best]}")
 
 
 def _prune(
-    evidence: Evidence, free: Sequence[str], here: list[str], trail: list[str], limit: float
+    information: Information,
+    free: Sequence[str],
+    current: list[str],
+    trail: list[str],
+    limit: float,
 ) -> None:
     """The weakest effect below the limit taken out, again and again; one that is alone stays."""
-    while len(here) > 1:
+    while len(current) > 1:
         t = [
             abs(value / std)
-            for value, std, _ in corrected_each(evidence, [*free, *here], here).values()
+            for value, std, _ in corrected_estimates(
+                information, [*free, *current], current
+            ).values()
         ]
         worst = int(np.argmin(t))
         if t[worst] >= limit:
             break
-        trail.append(f"- {here.pop(worst)} t {t[worst]:.1f}")
+        trail.append(f"- {current.pop(worst)} t {t[worst]:.1f}")
 
 
-def _companions(evidence: Evidence, others: Sequence[str], named: Sequence[str]) -> list[str]:
+def _companions(
+    information: Information, free: Sequence[str], companions: Sequence[str]
+) -> list[str]:
     """Terms to be left free beside a confounded effect: those named, and for every effect in roll
     or yaw that stands the same one about the other axis, because a wrong product of inertia turns
     the one into the other."""
-    if not named:
+    if not companions:
         return []
-    both = ("effect/Cl/", "effect/Cn/"), ("effect/Cn/", "effect/Cl/")
-    swapped = [o.replace(a, b) for o in others for a, b in both if o.startswith(a)]
-    return [c for c in dict.fromkeys((*named, *swapped)) if c in evidence.names and c not in others]
+    axes = ("effect/Cl/", "effect/Cn/"), ("effect/Cn/", "effect/Cl/")
+    swapped = [o.replace(a, b) for o in free for a, b in axes if o.startswith(a)]
+    return [
+        c
+        for c in dict.fromkeys((*companions, *swapped))
+        if c in information.names and c not in free
+    ]
 
 
 def _with_alternatives(
-    evidence: Evidence, others: Sequence[str], choice: Choice, open_: Sequence[str]
-) -> Choice:
+    information: Information, free: Sequence[str], choice: SelectedEffect, open_: Sequence[str]
+) -> SelectedEffect:
     """The effect with the candidates that would do nearly as well in its place, the best first;
     inseparable ones before.
     """
     if not open_:
         return choice
-    gains = np.nan_to_num(scores(evidence, others, open_).gain, nan=-np.inf)
-    alone = float(scores(evidence, others, [choice.key]).information[0])
-    least = min(COMPARABLE * choice.gain, choice.gain - DIFFERENT**2)
-    near = [i for i in np.argsort(-gains)[:LOOKED_AT].tolist() if gains[i] > least]
-    near += [
+    gains = np.nan_to_num(scores(information, free, open_).gain, nan=-np.inf)
+    effect_information = float(scores(information, free, [choice.key]).information[0])
+    least_gain = min(COMPARABLE * choice.gain, choice.gain - DIFFERENT**2)
+    nearest_rows = [i for i in np.argsort(-gains)[:LOOKED_AT].tolist() if gains[i] > least_gain]
+    nearest_rows += [
         i
         for i, k in enumerate(open_)
-        if (choice.key, k) in TWINS and i not in near and np.isfinite(gains[i])
+        if (choice.key, k) in TWINS and i not in nearest_rows and np.isfinite(gains[i])
     ]
     rows = []
     for i, same in zip(
-        near, likeness(evidence, others, choice.key, [open_[i] for i in near]), strict=True
+        nearest_rows,
+        column_correlations(information, free, choice.key, [open_[i] for i in nearest_rows]),
+        strict=True,
     ):
         key = open_[i]
-        companions = _companions(evidence, others, TWINS.get((choice.key, key), ()))
-        beside = scores(evidence, [*others, key, *companions], [choice.key])
+        companions = _companions(information, free, TWINS.get((choice.key, key), ()))
+        with_rival = scores(information, [*free, key, *companions], [choice.key])
         # White t of the effect beside its rival, brought to the colour of the residuals by the
         # ratio found for the effect alone.
-        t = float(np.nan_to_num(beside.t[0])) * (
+        t = float(np.nan_to_num(with_rival.t[0])) * (
             abs(choice.t) / np.sqrt(choice.gain) if choice.gain > 0 else 1.0
         )
-        kept = float(np.nan_to_num(beside.information[0])) / alone
-        inseparable = abs(t) < DIFFERENT or (bool(companions) and kept < INSEPARABLE_SHARE)
+        share_kept = float(np.nan_to_num(with_rival.information[0])) / effect_information
+        inseparable = abs(t) < DIFFERENT or (bool(companions) and share_kept < INSEPARABLE_SHARE)
         rows.append(
             Alternative(key, float(gains[i]), t, float(same), not inseparable, tuple(companions))
         )
@@ -361,7 +390,7 @@ def _with_alternatives(
     kin = {key for one, key in TWINS if one == choice.key}
     alike = [r for r in rows if not r.separable]
     nearest = next((a.key for a in alike if a.key not in kin), "")
-    together = sorted(
+    inseparable_rows = sorted(
         alike,
         key=lambda a: (
             0 if a.key in kin else 1 if a.key == nearest else 2 if (nearest, a.key) in TWINS else 3
@@ -369,7 +398,10 @@ def _with_alternatives(
     )
     return replace(
         choice,
-        alternatives=(*together[: MOST_ALTERNATIVES - 1], *[r for r in rows if r.separable][:1]),
+        alternatives=(
+            *inseparable_rows[: MOST_ALTERNATIVES - 1],
+            *[r for r in rows if r.separable][:1],
+        ),
     )
 
 
@@ -382,7 +414,7 @@ def _with_alternatives(
 # what was seen is neither in the lower nor in the upper tail (Lee, Sun, Sun and Taylor, Annals
 # of Statistics 44, 2016, section 5). Well above the limit it is the plain interval.
 
-_FAR = 40.0
+_SEARCH_RANGE = 40.0
 """Standard errors beyond which nothing is looked for."""
 
 
@@ -405,14 +437,14 @@ def conditional_interval(
     def excess(theta: float, share: float) -> float:
         # P(|Z| > c, Z > t) and P(|Z| > c): upper tails, which keep their figures where they are
         # small.
-        above, beyond = (
+        above, tails = (
             special.ndtr(theta - t),
             special.ndtr(theta - limit) + special.ndtr(-limit - theta),
         )
-        return float(above / beyond) - share
+        return float(above / tails) - share
 
     ends = (
-        optimize.brentq(excess, -min(_FAR, 8.0 + t), t + 8.0, (share,), xtol=1e-10)
+        optimize.brentq(excess, -min(_SEARCH_RANGE, 8.0 + t), t + 8.0, (share,), xtol=1e-10)
         for share in (tail, 1.0 - tail)
     )
     low, high = (theta * std for theta in ends)

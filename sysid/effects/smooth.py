@@ -32,7 +32,7 @@ from scipy import special
 from sysid.aerodynamics import COEFFICIENTS
 from sysid.arrays import FloatArray
 from sysid.effects.catalogue import VARIABLES, coefficient_effect, words
-from sysid.effects.score import DEPENDENT, Evidence, projected, solve
+from sysid.effects.information import DEPENDENT, Information, projected, solve
 from sysid.effects.tuned import FAMILY
 from sysid.estimation import coloured_information
 
@@ -46,7 +46,7 @@ _TAUS = np.logspace(-8.0, 8.0, 161)
 
 
 @dataclass(frozen=True)
-class Smooth:
+class SmoothTerm:
     """Functions of ``state`` between the ends of ``knots``, times the variable ``times`` where
     there is one.
 
@@ -94,11 +94,13 @@ class Smooth:
         """
         return _splines(x, self.knots) @ self.turn
 
-    def inputs(self, found: Mapping[str, FloatArray]) -> dict[str, tuple[int, FloatArray]]:
-        """Columns along a flight, as `prediction.Columns` has them; found: values (n,) of the
+    def inputs(self, variables: Mapping[str, FloatArray]) -> dict[str, tuple[int, FloatArray]]:
+        """Columns along a flight, as `prediction.Columns` has them; variables: values (n,) of the
         variables.
         """
-        rows = self.at(found[self.state]) * (found[self.times][:, None] if self.times else 1.0)
+        rows = self.at(variables[self.state]) * (
+            variables[self.times][:, None] if self.times else 1.0
+        )
         return {
             n: (COEFFICIENTS.index(self.coefficient), rows[:, k])
             for k, n in enumerate(self.columns)
@@ -106,12 +108,12 @@ class Smooth:
 
 
 def smooth_term(
-    coefficient: str, state: str, times: str | None, found: Mapping[str, FloatArray]
-) -> Smooth | None:
+    coefficient: str, state: str, times: str | None, variables: Mapping[str, FloatArray]
+) -> SmoothTerm | None:
     """The functions over the range of the data, by values (n,) of the variables; None where the
     state does not vary.
     """
-    x = found[state]
+    x = variables[state]
     low, high = float(x.min()), float(x.max())
     if not high - low > 1e-9 * max(abs(low), abs(high)):
         return None
@@ -129,10 +131,10 @@ def smooth_term(
     # A straight line in B-splines has the knots' own means for coefficients.
     centre = (knots[1:-3] + knots[2:-2] + knots[3:-1]) / 3.0 - float(x.mean())
     line = np.column_stack([np.ones_like(centre), centre])
-    weight = np.ones_like(x) if times is None else found[times]
+    weight = np.ones_like(x) if times is None else variables[times]
     rows = _splines(x, knots) * weight[:, None]
     part, *_ = np.linalg.lstsq(rows @ line, rows @ free, rcond=None)
-    return Smooth(coefficient, state, times, knots, np.hstack([line, free - line @ part]))
+    return SmoothTerm(coefficient, state, times, knots, np.hstack([line, free - line @ part]))
 
 
 def _splines(x: FloatArray, knots: FloatArray, derivative: int = 0) -> FloatArray:
@@ -148,15 +150,18 @@ def _splines(x: FloatArray, knots: FloatArray, derivative: int = 0) -> FloatArra
 class SmoothFit:
     """A term with its smoothing by REML.
 
-    values, cov (K,), (K, K): of its columns, none for those that the model has itself; known (K,):
-    which are its own edf: effective degrees of freedom; ratio: (R) and what the line gains, in
-    twice the log likelihood; p: of a ratio as large by chance, were nothing there; precision (K,):
-    1/tau^2 of the z_j, 0 of the line; dispersion: c"""
+    values, cov : (K,) and (K, K) of its columns; zero for those that the model has itself
+    estimated : (K,) which columns are the term's
+    edf : effective degrees of freedom
+    ratio : twice the log likelihood gained, (R) and the line's part; p: of as much by chance
+    precision : (K,) 1/tau^2 of the z_j, 0 of the line
+    dispersion : c
+    """
 
-    term: Smooth
+    term: SmoothTerm
     values: FloatArray
     cov: FloatArray
-    known: NDArray[np.bool_]
+    estimated: NDArray[np.bool_]
     edf: float
     ratio: float
     merit: float
@@ -165,53 +170,58 @@ class SmoothFit:
     dispersion: float
 
     @property
-    def own(self) -> tuple[str, ...]:
+    def estimated_columns(self) -> tuple[str, ...]:
         """Names of its own columns."""
-        return tuple(n for n, k in zip(self.term.columns, self.known, strict=True) if k)
+        return tuple(n for n, k in zip(self.term.columns, self.estimated, strict=True) if k)
 
     @property
-    def flown(self) -> dict[str, float]:
+    def column_values(self) -> dict[str, float]:
         """Values of its own columns by name."""
-        return dict(zip(self.own, self.values[self.known].tolist(), strict=True))
+        return dict(zip(self.estimated_columns, self.values[self.estimated].tolist(), strict=True))
 
     def curve(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Value and standard error (n,) at values of the state."""
         rows = self.term.at(x)
         return rows @ self.values, np.sqrt(np.einsum("nk,kj,nj->n", rows, self.cov, rows))
 
-    def stands_out(self, tried: int) -> bool:
+    def stands_out(self, terms_tried: int) -> bool:
         """Whether it explains more than the best of so many terms does by chance, but in FAMILY of
         the times.
         """
-        return self.p * tried < FAMILY
+        return self.p * terms_tried < FAMILY
 
 
 def fit_smooth(
-    evidence: Evidence, free: Sequence[str], terms: Sequence[Smooth], dispersion: float = 1.0
+    information: Information,
+    free: Sequence[str],
+    terms: Sequence[SmoothTerm],
+    dispersion: float = 1.0,
 ) -> list[SmoothFit]:
     """Each of the terms alone beside the ``free`` columns."""
-    G, u = evidence.everything
-    c = evidence.index([n for t in terms for n in t.columns])
-    g, left, own = (
-        part / dispersion for part in (*projected(G, u, evidence.index(free), c), np.diagonal(G)[c])
+    G, u = information.total
+    c = information.index([n for t in terms for n in t.columns])
+    g, score, diagonal = (
+        part / dispersion
+        for part in (*projected(G, u, information.index(free), c), np.diagonal(G)[c])
     )
     edges = np.cumsum([0, *(len(t.columns) for t in terms)]).tolist()
     parts = (slice(*ends) for ends in pairwise(edges))
     return [
-        _fitted(t, g[k, k], left[k], own[k], dispersion) for t, k in zip(terms, parts, strict=True)
+        _fitted(t, g[k, k], score[k], diagonal[k], dispersion)
+        for t, k in zip(terms, parts, strict=True)
     ]
 
 
 def _fitted(
-    term: Smooth, G: FloatArray, u: FloatArray, own: FloatArray, dispersion: float
+    term: SmoothTerm, G: FloatArray, u: FloatArray, diagonal: FloatArray, dispersion: float
 ) -> SmoothFit:
-    known = np.diagonal(G) > DEPENDENT * own
-    line, bends = np.flatnonzero(known[:_LINE]), _LINE + np.flatnonzero(known[_LINE:])
+    estimated = np.diagonal(G) > DEPENDENT * diagonal
+    line, bends = np.flatnonzero(estimated[:_LINE]), _LINE + np.flatnonzero(estimated[_LINE:])
     ratio, precision = 0.0, np.zeros(len(u))
     gained = float(u[line] @ solve(G[np.ix_(line, line)], u[line, None])[:, 0])
-    g, left = projected(G, u, line, bends)
+    g, score = projected(G, u, line, bends)
     d, V = np.linalg.eigh(g)
-    w, d = V.T @ left, np.maximum(d, 0.0)
+    w, d = V.T @ score, np.maximum(d, 0.0)
     if len(d) and d[-1] > 0.0:
         taus = _TAUS / d[-1]
         grown = 1.0 + np.outer(taus, d)
@@ -233,36 +243,39 @@ def _fitted(
 
 
 def colour_dispersion(
-    evidence: Evidence, free: Sequence[str], fit: SmoothFit, residual: Sequence[FloatArray]
+    information: Information, free: Sequence[str], fit: SmoothFit, residual: Sequence[FloatArray]
 ) -> float:
     """c of a term: the trace of the information by the colour of ``residual`` [(n, m)] (MK of
     coloured.py) over that of a white one, each direction by how much of it the smoothing lets
     through; 1 at the least."""
-    G, _ = evidence.everything
-    b, c = evidence.index(free), evidence.index(fit.own)
+    G, _ = information.total
+    b, c = information.index(free), information.index(fit.estimated_columns)
     part = solve(G[np.ix_(b, b)], G[np.ix_(b, c)])
-    alone = [evidence.series(w, c) - evidence.series(w, b) @ part for w in evidence.white]
-    weight = fit.cov[np.ix_(fit.known, fit.known)]
-    white = sum(np.einsum("nmk,nml->kl", a, a) for a in alone)
+    projected_columns = [
+        information.series(w, c) - information.series(w, b) @ part for w in information.white
+    ]
+    weight = fit.cov[np.ix_(fit.estimated, fit.estimated)]
+    white = sum(np.einsum("nmk,nml->kl", a, a) for a in projected_columns)
     return max(
         1.0,
         float(
-            np.sum(weight * coloured_information(alone, list(residual))) / np.sum(weight * white)
+            np.sum(weight * coloured_information(projected_columns, list(residual)))
+            / np.sum(weight * white)
         ),
     )
 
 
 def held_out_gain(
-    evidence: Evidence, free: Sequence[str], fit: SmoothFit, part: NDArray[np.bool_]
+    information: Information, free: Sequence[str], fit: SmoothFit, part: NDArray[np.bool_]
 ) -> float:
     """Twice the log likelihood that the curve estimated on the segments ``part`` gains on the
     others: `score.agreement`.
     """
-    b, c = evidence.index(free), evidence.index(fit.own)
+    b, c = information.index(free), information.index(fit.estimated_columns)
     (G, u), (other, score) = (
-        projected(*evidence.part(segments), b, c) for segments in (part, ~part)
+        projected(*information.of_segments(segments), b, c) for segments in (part, ~part)
     )
-    v = np.linalg.solve(G + fit.dispersion * np.diag(fit.precision[fit.known]), u)
+    v = np.linalg.solve(G + fit.dispersion * np.diag(fit.precision[fit.estimated]), u)
     return float(2.0 * v @ score - v @ other @ v)
 
 
@@ -300,16 +313,18 @@ def forms_like(fit: SmoothFit, x: FloatArray, weight: FloatArray) -> list[tuple[
     second variable there or ones."""
     line = np.column_stack([np.ones_like(x), x]) * weight[:, None]
 
-    def bent(values: FloatArray) -> FloatArray:
+    def bending(values: FloatArray) -> FloatArray:
         y = values * weight
-        left = y - line @ np.linalg.lstsq(line, y, rcond=None)[0]
+        remainder = y - line @ np.linalg.lstsq(line, y, rcond=None)[0]
         # What rounding leaves of a line, such as a magnitude on one side of zero, is no form.
-        size = float(np.linalg.norm(left))
-        return left / size if size > 1e-6 * float(np.linalg.norm(y)) else np.zeros_like(left)
+        size = float(np.linalg.norm(remainder))
+        return (
+            remainder / size if size > 1e-6 * float(np.linalg.norm(y)) else np.zeros_like(remainder)
+        )
 
-    own = bent(fit.curve(x)[0])
+    curve_shape = bending(fit.curve(x)[0])
     every = sorted(
-        ((n, float(own @ bent(f(x)))) for n, f in known_forms(fit.term.knots).items()),
+        ((n, float(curve_shape @ bending(f(x)))) for n, f in known_forms(fit.term.knots).items()),
         key=lambda r: -abs(r[1]),
     )
     best: dict[str, tuple[str, float]] = {}

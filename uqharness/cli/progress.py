@@ -48,6 +48,14 @@ class _Counted(ProgressColumn):
         return Text(f"{done:,} {self._unit}" if done else "")
 
 
+class _TimeToGo(ProgressColumn):
+    """Column with the remaining time where the command forecasts it."""
+
+    def render(self, task: Task) -> Text:
+        """Return the time."""
+        return Text(STATE.time_to_go())
+
+
 @contextmanager
 def working(
     command: str,
@@ -88,6 +96,7 @@ def working(
         return
     columns = [SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn()]
     columns += [] if count is None else [_Counted(count, unit)]
+    columns.append(_TimeToGo())
     # Other output is not redirected through the bar: it may contain text of a log, which must pass
     # the terminal's filter.
     with (

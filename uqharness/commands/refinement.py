@@ -77,7 +77,8 @@ def _files(flights: Sequence[Any], aircraft: Aircraft, folder: Path) -> tuple[Pa
     folder.mkdir()
     for file, flight in zip(new_files, records, strict=True):
         flight.record.write(file)
-    written = iter(new_files)
+    next_file = iter(new_files)
     return tuple(
-        Path(flight) if isinstance(flight, str | PathLike) else next(written) for flight in flights
+        Path(flight) if isinstance(flight, str | PathLike) else next(next_file)
+        for flight in flights
     )

@@ -406,7 +406,9 @@ def identify(
         if message_callback is not None:
             message_callback(_filter_error_message(result, method))
         # Imported here: most flights need no filter.
-        from uqharness.identification.linearised.gusts import TOLERANCE as FILTER_TOLERANCE
+        from uqharness.identification.linearised.prediction_error import (
+            TOLERANCE as FILTER_TOLERANCE,
+        )
         from uqharness.identification.turbulence import ITERATIONS as FILTER_ITERATIONS
         from uqharness.identification.turbulence import (
             FilterRequest,

@@ -19,10 +19,10 @@ import numpy as np
 from sysid.aerodynamics import Piece
 from sysid.parallel import Processes
 from uqharness.identification.linearised import (
-    Bench,
-    Flown,
-    Point,
-    Setup,
+    FlightData,
+    ModelState,
+    StagedModels,
+    Trajectory,
     best_flown,
     make_setup,
     refit,
@@ -188,7 +188,7 @@ def _fit(
         for n, c in aircraft.card.parameters.items()
     }
     setup = make_setup(aircraft, flights, measured, ideal)
-    with Bench(aircraft, setup) as bench:
+    with StagedModels(aircraft, setup) as bench:
         setup = with_jumps(setup, bench.model)
         lagging = tuple(c for c in bench.model.lagging if c in SURFACES)
         fdm = bench.model.open(aircraft.dt_s)
@@ -207,7 +207,7 @@ def _fit(
         starts = tuple(s.start.copy() for s in setup.segments)
         # Start from equation error, or from the values of the XML if these fly better.
         points = [
-            Point(
+            ModelState(
                 dict(zip(names, values.tolist(), strict=True)),
                 dict.fromkeys(setup.nuisance, 0.0),
                 starts,
@@ -219,10 +219,12 @@ def _fit(
             fit = refit(bench.model, bench.direct_model, setup, best.point, names, limits, pool)
         except np.linalg.LinAlgError:
             return None
-    return _ServoFit(_log_likelihood(setup, fit.flown), lagging, _common_s(setup, fit.flown.point))
+    return _ServoFit(
+        _log_likelihood(setup, fit.trajectory), lagging, _common_s(setup, fit.trajectory.point)
+    )
 
 
-def _log_likelihood(setup: Setup, replays: Flown) -> float:
+def _log_likelihood(setup: FlightData, replays: Trajectory) -> float:
     """Return the log likelihood of replays up to a constant, each channel's noise its own
     residual.
     """
@@ -234,7 +236,7 @@ def _log_likelihood(setup: Setup, replays: Flown) -> float:
     return -0.5 * float(np.sum(count * np.log(np.maximum(square, floor))))
 
 
-def _common_s(setup: Setup, point: Point) -> float:
+def _common_s(setup: FlightData, point: ModelState) -> float:
     """Return the time by which every inertial sensor lags the commands [s]; 0 where signs
     differ.
     """

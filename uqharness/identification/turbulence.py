@@ -14,19 +14,31 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sysid.arrays import FloatArray
-from sysid.effects import CERTAIN_T, Gusts, corrected_each, follow, gust_strength_mps2
+from sysid.effects import (
+    CERTAIN_T,
+    TurbulenceModel,
+    corrected_estimates,
+    follow,
+    gust_strength_mps2,
+)
 from sysid.estimation import assess, at_bound, colour, colour_warnings, idle_bound, rms
 from sysid.parallel import Processes
 from uqharness.errors import BadInputError
-from uqharness.identification.linearised.fit import point_of
-from uqharness.identification.linearised.gusts import GustFit, gust_refit, in_step, moved, rows_late
-from uqharness.identification.linearised.types import (
-    Point,
-    Setup,
+from uqharness.identification.linearised.flight_data import (
+    FlightData,
+    ModelState,
     make_setup,
-    noise_left,
     setup_in_gusts,
+    with_estimator_noise,
 )
+from uqharness.identification.linearised.prediction_error import (
+    TurbulentFit,
+    gust_refit,
+    in_step,
+    moved,
+    rows_late,
+)
+from uqharness.identification.linearised.replay_fit import point_of
 from uqharness.identification.replay_fit import Identification, ReplayFit, by_channel
 from uqharness.replay import CONTROL_DELAY, Flight, ReplayModel, delayed, shifted_command_warnings
 from uqharness.simulator import Aircraft
@@ -69,7 +81,7 @@ class FilterRequest:
 
 def filter_setup(
     aircraft: Aircraft, flights: Sequence[Flight], request: FilterRequest, result: Identification
-) -> Setup:
+) -> FlightData:
     """Prepare the flights for filter error: as `refine` does, but with the delays of output error.
 
     ``result`` is that of output error; its residuals bound the uncertainty of channels that an
@@ -99,14 +111,14 @@ def filter_setup(
     residual_rms = {
         c: rms(r) for c, r in zip(result.outputs, np.concatenate(result.residual).T, strict=True)
     }
-    return replace(setup, noise=noise_left(setup, residual_rms))
+    return replace(setup, noise=with_estimator_noise(setup, residual_rms))
 
 
 def identify_in_turbulence(
     result: Identification,
     fitted: ReplayFit,
     models: tuple[ReplayModel, ReplayModel],
-    setup: Setup,
+    setup: FlightData,
     limits: Sequence[tuple[float, float]],
     fixed: Mapping[str, str],
     *,
@@ -146,7 +158,9 @@ def identify_in_turbulence(
     free = [n for n in result.names if n not in fixed]
     bounds = dict(zip(result.names, limits, strict=True))
 
-    def fit_from(setup: Setup, point: Point, gusts: Gusts | None = None) -> GustFit:
+    def fit_from(
+        setup: FlightData, point: ModelState, gusts: TurbulenceModel | None = None
+    ) -> TurbulentFit:
         try:
             return gust_refit(
                 *models,
@@ -158,7 +172,7 @@ def identify_in_turbulence(
                 gusts,
                 ITERATIONS,
                 tune=True,
-                told=callback,
+                callback=callback,
             )
         except np.linalg.LinAlgError as error:
             raise BadInputError(
@@ -178,8 +192,8 @@ def identify_in_turbulence(
             dict(zip(result.names, result.initial.tolist(), strict=True)),
         )
         point = replace(
-            fit.fit.flown.point,
-            values={**fit.fit.flown.point.values, **{n: initial[n] for n in undetermined}},
+            fit.fit.trajectory.point,
+            values={**fit.fit.trajectory.point.values, **{n: initial[n] for n in undetermined}},
         )
         fit = fit_from(fit.setup, point, fit.gusts)
         values, cov, crb, reason = _estimates(fit, free, bounds)
@@ -194,7 +208,7 @@ def identify_in_turbulence(
     # Innovations: measured minus predicted one sample ahead.
     residual = [z - y for z, y in zip(fit.setup.measured, modelled, strict=True)]
     # Standardised innovations must be white if model and noise are right.
-    standardised = [np.where(w.there, w.residual, np.nan) for w in fit.fit.evidence.white]
+    standardised = [np.where(w.is_measured, w.residual, np.nan) for w in fit.fit.evidence.white]
     residual_colour = colour(standardised)
     warnings = [
         f"{n} not identified: {reason[n]}" for n in result.names if reason[n] and n not in fixed
@@ -240,21 +254,21 @@ def identify_in_turbulence(
     )
 
 
-def _innovation_std(fit: GustFit) -> dict[str, float]:
+def _innovation_std(fit: TurbulentFit) -> dict[str, float]:
     """Return the standard deviation that the filter predicts for the innovations by channel.
 
     Gusts change an acceleration within one sample by far more than its sensor's noise, so that
     innovations are judged by this and not by the noise. Empty where the gusts of any flight are
     stronger than turbulence can be: a wrong model then takes them for its own error.
     """
-    strength = max(gust_strength_mps2(values) for values in fit.gusts.own.values())
+    strength = max(gust_strength_mps2(values) for values in fit.gusts.by_flight.values())
     if strength > SEVERE_GUSTS_MPS2:
         return {}
     square = np.mean([w.deviation**2 for w in fit.fit.evidence.white], axis=0)
     return dict(zip(fit.setup.outputs, np.sqrt(square).tolist(), strict=True))
 
 
-def _moment_warnings(gusts: Gusts) -> list[str]:
+def _moment_warnings(gusts: TurbulenceModel) -> list[str]:
     """Return a warning for each axis with moments that the model does not explain.
 
     The filter treats them as process noise.
@@ -276,17 +290,17 @@ def _of_names(names: Sequence[str], identified: Sequence[str], values: FloatArra
 
 
 def _estimates(
-    fit: GustFit, free: Sequence[str], bounds: Mapping[str, tuple[float, float]]
+    fit: TurbulentFit, free: Sequence[str], bounds: Mapping[str, tuple[float, float]]
 ) -> tuple[dict[str, float], FloatArray, FloatArray, dict[str, str]]:
     """Return values and reasons of the free parameters, covariance (K, K) and Cramer-Rao bound.
 
     An empty reason means identified. The covariance includes nuisance parameters in the fit's
     order; the last step is applied.
     """
-    evidence, at = fit.fit.evidence, fit.fit.flown.point.values
+    evidence, at = fit.fit.evidence, fit.fit.trajectory.point.values
     names = list(evidence.names)
-    gate = assess(evidence.everything[0], tuple(names))
-    steps = corrected_each(evidence, names, names)
+    gate = assess(evidence.total[0], tuple(names))
+    steps = corrected_estimates(evidence, names, names)
     # Scale the covariance by standard errors corrected for coloured residuals; correlations stay.
     wider = [steps[n][1] / steps[n][2] for n in names]
     values, reason = {}, dict.fromkeys(free, "")
@@ -303,11 +317,11 @@ def _estimates(
     return values, cov, gate.inverse, reason
 
 
-def _nuisance(fit: GustFit, cov: FloatArray, first: int) -> dict[str, tuple[float, float]]:
+def _nuisance(fit: TurbulentFit, cov: FloatArray, first: int) -> dict[str, tuple[float, float]]:
     """Return biases, delays and shares with standard errors, by output error's names, from column
     ``first`` on.
     """
-    names, point = list(fit.fit.evidence.names), fit.fit.flown.point
+    names, point = list(fit.fit.evidence.names), fit.fit.trajectory.point
     # The last step is taken, as for the parameters.
     step, std = fit.fit.evidence.step()[0], np.sqrt(np.diagonal(cov))
     return {
@@ -317,15 +331,15 @@ def _nuisance(fit: GustFit, cov: FloatArray, first: int) -> dict[str, tuple[floa
     }
 
 
-def _one_ahead(fit: GustFit) -> list[FloatArray]:
+def _one_ahead(fit: TurbulentFit) -> list[FloatArray]:
     """Return the outputs (n, m) predicted one sample ahead from the best start states, by segment.
 
     Outputs of sensors that are late by whole rows are shifted accordingly.
     """
-    setup, point, gust_fit = fit.setup, fit.fit.flown.point, fit.fit
+    setup, point, gust_fit = fit.setup, fit.fit.trajectory.point, fit.fit
     # Run the filter with the estimated process noise.
     followed = follow(
-        gust_fit.steps, in_step(setup, point), setup.which, setup.noise, fit.gusts.process
+        gust_fit.steps, in_step(setup, point), setup.output_rows, setup.noise, fit.gusts.process
     )
     delta = gust_fit.evidence.step()[0]
     out = []
@@ -334,8 +348,8 @@ def _one_ahead(fit: GustFit) -> list[FloatArray]:
     ):
         # State estimates are linear in the start state and the last step.
         path = one.path_from(w.start[:, 0] + w.start[:, 1:] @ delta)
-        predicted = steps.y_ref[:, setup.which] + np.einsum(
-            "nij,nj->ni", steps.H[:, setup.which], path
+        predicted = steps.y_ref[:, setup.output_rows] + np.einsum(
+            "nij,nj->ni", steps.H[:, setup.output_rows], path
         )
         late = rows_late(setup, segment, point)
         out.append(

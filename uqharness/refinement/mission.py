@@ -63,14 +63,16 @@ FOLDER = "pbox"
 PROBABILITIES = (0.05, 0.5, 0.95)
 
 
-def both_boxes(before: Sequence[Sample], after: Sequence[Sample]) -> dict[str, Any]:
+def pbox_pair(before: Sequence[Sample], after: Sequence[Sample]) -> dict[str, Any]:
     """Quantiles and widths of one metric's p-boxes before and after, from the samples of every
     corner.
 
     A quantile is an interval, an end of it NaN where failed flights leave that open. A width is the
     area between the envelopes over the range that both models reach, in the metric's unit."""
     value = np.unique(np.concatenate([s.values for s in (*before, *after)]))
-    boxes = {when: envelope(found, value) for when, found in (("before", before), ("after", after))}
+    boxes = {
+        when: envelope(samples, value) for when, samples in (("before", before), ("after", after))
+    }
 
     def reached(side: np.ndarray[Any, np.dtype[np.float64]], probability: float) -> float:
         at = np.flatnonzero(side >= probability - 1e-12)
@@ -114,28 +116,30 @@ _DEFAULT: dict[str, Any] = {
 """A lap of the loiter to settle and one that is scored, three times at each of the 64 corners: half
 a minute of one core.
 """
-Say = Callable[[str], object]
+Callback = Callable[[str], object]
 
 
-def campaign_for(aircraft: Aircraft, given: Path | None) -> dict[str, Any]:
+def campaign_for(aircraft: Aircraft, campaign: Path | None) -> dict[str, Any]:
     """What is flown, as a campaign file holds it.
 
     Raises BadInputError where the aircraft has no mission of its own.
     """
-    if given is not None:
-        read_campaign(given)
-        data, _ = read_toml(given)
+    if campaign is not None:
+        read_campaign(campaign)
+        data, _ = read_toml(campaign)
         if data["campaign"]["mission"] != STEADY:
             data["campaign"]["mission"] = str(
-                find_script(data["campaign"]["mission"], given.resolve().parent)
+                find_script(data["campaign"]["mission"], campaign.resolve().parent)
             )
         if data["epistemic"]["method"] == "none":
             raise BadInputError(
-                f'{given}: [epistemic] method = "none" flies no intervals; "corners" flies every'
+                f'{campaign}: [epistemic] method = "none" flies no intervals; "corners" flies every'
                 " combination of their ends"
             )
         if isinstance(fit := data["epistemic"].get("parameters", {}).get("fit"), str):
-            data["epistemic"]["parameters"]["fit"] = str((given.resolve().parent / fit).resolve())
+            data["epistemic"]["parameters"]["fit"] = str(
+                (campaign.resolve().parent / fit).resolve()
+            )
         return data
     script = read_script(find_script(LOITER))
     start = aircraft.folder / f"{script.initialize}.xml"
@@ -169,7 +173,7 @@ def fly_missions(
     campaign: Path | None,
     out: Path,
     workers: int | None,
-    say: Say = lambda _: None,
+    callback: Callback = lambda _: None,
 ) -> Mission:
     """gap.test.pbox of refinement.json: the campaign flown with each of ``models`` (before, after;
     a single one is both) within its intervals, those of ``forms``, in ``out``/pbox/<name>.
@@ -189,7 +193,7 @@ def fly_missions(
                     spec,
                     folder,
                     executor=executor,
-                    on_progress=_told(say, name),
+                    on_progress=_stage_of(callback, name),
                     command="uqharness refine",
                 )
                 frames[name] = read_cases(folder, read_complete(folder))
@@ -204,24 +208,24 @@ def _clear_if_other(folder: Path, spec: CampaignSpec) -> None:
     BadInputError for a damaged one, and for a mission that cannot be flown."""
     if not (folder / MANIFEST).is_file():
         return
-    manifest, wanted = read_manifest(folder), describe(spec, find_mission(spec, folder), 0, "")
+    manifest, requested = read_manifest(folder), describe(spec, find_mission(spec, folder), 0, "")
     with contextlib.suppress(BadInputError):
-        refuse_if_different(folder, manifest, wanted)
+        refuse_if_different(folder, manifest, requested)
         if has_digests(manifest):
             return
     shutil.rmtree(folder)
 
 
-def _told(say: Say, name: str) -> Callable[[Progress], None]:
+def _stage_of(callback: Callback, name: str) -> Callable[[Progress], None]:
     quarters = set[int]()
 
-    def tell(progress: Progress) -> None:
+    def update(progress: Progress) -> None:
         quarter = 4 * progress.done // max(progress.cases, 1)
         if quarter and quarter not in quarters:
             quarters.add(quarter)
-            say(f"mission {name}: {progress.done} of {progress.cases} flights")
+            callback(f"mission {name}: {progress.done} of {progress.cases} flights")
 
-    return tell
+    return update
 
 
 def _rows(before: pd.DataFrame, after: pd.DataFrame) -> Iterator[MissionMetric]:
@@ -230,8 +234,8 @@ def _rows(before: pd.DataFrame, after: pd.DataFrame) -> Iterator[MissionMetric]:
             continue
         for condition in conditions(before):
             pair = [samples(in_condition(frame, condition), metric) for frame in (before, after)]
-            if all(any(s.values.size for s in found) for found in pair):
-                yield MissionMetric(metric=metric, condition=condition.label, **both_boxes(*pair))
+            if all(any(s.values.size for s in condition_samples) for condition_samples in pair):
+                yield MissionMetric(metric=metric, condition=condition.label, **pbox_pair(*pair))
 
 
 def _document(
@@ -309,17 +313,17 @@ def fit_intervals(job: IntervalJob) -> Intervals:
     form: ModelForm | None = None
     try:
         train, test = (
-            [cut_for_residuals(f, given.measured) for f in given.flights]
-            for given in (job.train, job.test)
+            [cut_for_residuals(f, flight_set.measured) for f in flight_set.flights]
+            for flight_set in (job.train, job.test)
         )
         options = BoundsOptions(ideal_servos=job.ideal_servos, checks=False, values=job.values)
-        made = make_bounds(job.flown, train, job.train.measured, job.train.hashes, options).form
+        fitted = make_bounds(job.flown, train, job.train.measured, job.train.hashes, options).form
         form = replace(
-            made, aircraft=AircraftReference(job.aircraft.name, content_hash(job.aircraft))
+            fitted, aircraft=AircraftReference(job.aircraft.name, content_hash(job.aircraft))
         )
-        found = validate(
+        validation = validate(
             job.flown,
-            made,
+            fitted,
             test,
             job.test.measured,
             job.test.hashes,
@@ -328,13 +332,13 @@ def fit_intervals(job: IntervalJob) -> Intervals:
         )
     except (BadInputError, ValueError) as error:
         return Intervals(form, {}, str(error))
-    return Intervals(form, dict(found.coverage))
+    return Intervals(form, dict(validation.coverage))
 
 
-def write_forms(found: Mapping[str, Intervals], out: Path) -> dict[str, Path]:
+def write_forms(intervals_by_model: Mapping[str, Intervals], out: Path) -> dict[str, Path]:
     """``out``/intervals/<name>.json of every model that has intervals, by name."""
     paths = {}
-    for name, intervals in found.items():
+    for name, intervals in intervals_by_model.items():
         if intervals.form is not None:
             paths[name] = inner_folder(out, INTERVALS_FOLDER) / f"{name}.json"
             write_bytes(paths[name], intervals.form.to_json().encode())
@@ -345,15 +349,15 @@ def intervals_document(before: Intervals, after: Intervals) -> IntervalsDocument
     """gap.test.intervals of refinement.json: NaN, with the reason, for what cannot be told."""
     rows: dict[str, dict[str, float]] = {c: {} for c in COEFFICIENTS}
     for c, row in rows.items():
-        for when, found in (("before", before), ("after", after)):
-            judged = found.coverage.get(c)
-            told = (
+        for when, intervals in (("before", before), ("after", after)):
+            coverage = intervals.coverage.get(c)
+            numbers = (
                 (np.nan,) * 3
-                if judged is None
-                else (judged.share[LEVEL], judged.error[LEVEL], judged.mean_width)
+                if coverage is None
+                else (coverage.share[LEVEL], coverage.error[LEVEL], coverage.mean_width)
             )
             row |= zip(
-                (f"coverage_{when}", f"coverage_std_{when}", f"width_{when}"), told, strict=True
+                (f"coverage_{when}", f"coverage_std_{when}", f"width_{when}"), numbers, strict=True
             )
     reasons = list(dict.fromkeys(r for r in (before.reason, after.reason) if r is not None))
     return IntervalsDocument(

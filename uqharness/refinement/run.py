@@ -14,18 +14,37 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
+from sysid.digests import file_sha256
 from sysid.effects import Effect
 from sysid.logs import FROM_COMMANDS
 from sysid.parallel import Processes
 from uqharness import __version__, checksums
+from uqharness.errors import BadInputError
 from uqharness.files import inner_folder, scratch_folder
+from uqharness.heartbeat import STATE, Forecast
 from uqharness.identification import choose_servos
-from uqharness.identification.linearised import Bench, Setup, make_setup, positions, setup_in_gusts
-from uqharness.parallel import worker_map
+from uqharness.identification.linearised import FlightData, StagedModels, make_setup, positions
+from uqharness.parallel import usable_cores, worker_map
 from uqharness.plugin import bake_scales
+from uqharness.refinement.candidate_model import write_copy, write_staged
 from uqharness.refinement.document import document_of, refinement_view
-from uqharness.refinement.evaluation import air_of
-from uqharness.refinement.judge import Judged, Write, bare, flown_as, judge, written_at
+from uqharness.refinement.effect_search import (
+    Callback,
+    SearchResult,
+    find_effects,
+    parameter_estimates,
+    remark,
+    shifted_flights,
+)
+from uqharness.refinement.estimators import Dataset
+from uqharness.refinement.hold_out import (
+    HoldOutResult,
+    HoldOutTest,
+    Write,
+    flown_as,
+    point_as_written,
+    without_effects,
+)
 from uqharness.refinement.mission import FOLDER as PBOX
 from uqharness.refinement.mission import INTERVALS_FOLDER as INTERVALS
 from uqharness.refinement.mission import (
@@ -37,11 +56,14 @@ from uqharness.refinement.mission import (
     no_pbox,
     write_forms,
 )
-from uqharness.refinement.round import FOLDER, Side, Stages, file_hash, refuse_shared
-from uqharness.refinement.rounds import later, write_copy, write_staged
-from uqharness.refinement.search import Found, Say, estimates_of, find_effects, remark
-from uqharness.refinement.unnamed import EXPLAINED, UNNAMED, named_beside, offered
-from uqharness.refinement.write_xml import Written
+from uqharness.refinement.smooth_terms import (
+    EXPLAINED,
+    drop_unclear_effects,
+    find_smooth_term,
+)
+from uqharness.refinement.smooth_terms import FOLDER as UNNAMED
+from uqharness.refinement.stages import FOLDER, Stages
+from uqharness.refinement.write_xml import EffectToWrite
 from uqharness.replay import CONTROLS, numbers_of_files, read_flights, unique_names
 from uqharness.requests.refinement import RefineRequest
 from uqharness.results.refinement import Baked, Gaps, Mission, SmoothTerm
@@ -80,18 +102,19 @@ class Job:
 
 @dataclass(frozen=True)
 class Refinement:
-    """The document, what the train flights say and the test flights, the aircraft refined and as
-    given.
+    """A refinement.
 
-    ``earlier``: files of an earlier refinement in the folder that were damaged when this one began.
+    chosen : what the train flights chose; hold_out: what remains after the hold-out test
+    aircraft, original : refined, and as it was
+    earlier_damage : files of an earlier refinement in the folder that were damaged before this one
     """
 
     document: RefinementDocument
-    chosen: Found
-    judged: Judged
+    chosen: SearchResult
+    hold_out: HoldOutResult
     aircraft: Aircraft
-    given: Aircraft
-    earlier: checksums.DamageRecord = field(default_factory=checksums.DamageRecord)
+    original: Aircraft
+    earlier_damage: checksums.DamageRecord = field(default_factory=checksums.DamageRecord)
 
     def __repr__(self) -> str:
         return f"Refinement({self.document.verdict}, {self.aircraft!r})"
@@ -100,21 +123,171 @@ class Refinement:
         return refinement_view(repr(self), self.document)
 
 
-def refine(request: Job, say: Say = lambda _: None) -> Refinement:
-    """Find, name, add and show. Raises BadInputError."""
-    begun = time.perf_counter()
+STAGES = {
+    "reading the flights": 0.004,
+    "servos": 0.006,
+    "re-identifying": 0.03,
+    "the air was turbulent": 0.06,
+    "scoring": 0.004,
+    "round": 0.03,
+    "estimating everything": 0.012,
+    "flying the test flights": 0.012,
+    "writing the aircraft": 0.0,
+    "intervals": 0.012,
+    "looking for a smooth term": 0.02,
+    "flying the mission": 0.0,
+    "report": 0.003,
+}
+"""Beginning of a stage's text -> expected duration [s per s of flight]."""
+_ASSUMED_FLIGHT_S, _MISSION_S = 90.0, 60.0
+"""Duration of a flight before it is read; processor time of a mission with both models."""
+
+
+def _durations(request: Job, flight_s: float) -> dict[str, float]:
+    """Stage -> expected duration [s] with so many seconds of flight, train and test."""
+    durations = {stage: share * flight_s for stage, share in STAGES.items()}
+    if request.options.pbox:
+        durations["flying the mission"] = _MISSION_S / (request.options.workers or usable_cores())
+    return durations
+
+
+def _with_forecast(callback: Callback, forecast: Forecast) -> Callback:
+    """The callback, which also moves the forecast of the remaining time to each stage."""
+
+    def stage(text: str) -> object:
+        forecast.begin(next((name for name in STAGES if text.startswith(name)), ""))
+        return callback(text)
+
+    STATE.forecast = forecast
+    return stage
+
+
+def refine(request: Job, callback: Callback = lambda _: None) -> Refinement:
+    """Find missing effects, write them into the aircraft and test them. Raises BadInputError."""
+    start_s = time.perf_counter()
+    flights = len(request.train) + len(request.test)
+    forecast = Forecast(_durations(request, _ASSUMED_FLIGHT_S * flights))
+    callback = _with_forecast(callback, forecast)
     aircraft = request.aircraft
-    refuse_shared(request.train, request.test)
+    refuse_shared_flights(request.train, request.test)
     if request.options.campaign is not None:
         from uqharness.refinement.mission import campaign_for
 
         campaign_for(aircraft, request.options.campaign)
-    say("reading the flights")
+    callback("reading the flights")
+    request, train, test = _read_both(request, callback)
+    times = [f.record["time_s"] for f in (*train.flights, *test.flights)]
+    forecast.expect(_durations(request, float(sum(t[-1] - t[0] for t in times))))
+    with worker_map(request.options.workers) as pool, scratch_folder() as scratch:
+        write = _writer(request, scratch.path / "models")
+        identity = _identity(request)
+        stages = Stages(request.out / FOLDER, identity)
+        # Train flights: the search for effects.
+        data = _flight_data(aircraft, train)
+        chosen = stages(
+            "effects",
+            SearchResult,
+            lambda: find_effects(
+                aircraft, data, request.extra, scratch.path / "effects", pool, callback, stages
+            ),
+        )
+        train, test = (
+            replace(side, flights=tuple(shifted_flights(side.flights, chosen.late_s)))
+            for side in (train, test)
+        )
+        complete = _with_all_effects(request, chosen, scratch.path / "chosen")
+        train_side = _dataset(request, chosen, train)
+        clear = drop_unclear_effects(chosen, train_side, complete, pool)
+        if clear.selection.chosen != chosen.selection.chosen:
+            complete = _with_all_effects(request, clear, scratch.path / "named")
+        chosen = clear
+        # Test flights: the hold-out test. Its stages are kept where a mission follows, which takes
+        # minutes.
+        callback("flying the test flights with both models")
+        kept_stages = Stages(
+            request.out / FOLDER if request.options.pbox else None, [*identity, *test.hashes]
+        )
+
+        def run_hold_out_test() -> HoldOutResult:
+            test_side = _dataset(request, chosen, test)
+            if not chosen.estimator.uses_replays:
+                point = point_as_written(chosen)
+                air = chosen.estimator.air_of(write(chosen), test_side.setup, point, pool)
+                test_side = replace(test_side, turbulence=air)
+            return HoldOutTest(chosen, complete, write, train_side, test_side, pool).run()
+
+        outcome = kept_stages("judged", HoldOutResult, run_hold_out_test)
+        # The refined aircraft.
+        callback("writing the aircraft")
+        earlier_damage = checksums.remove_sums(request.out)
+        target = _place(write(outcome.result), aircraft, request.out)
+        baked = bake_scales(target.folder) if request.options.bake else None
+        if baked is not None:
+            target = find_aircraft(target.folder)
+
+        def interval_job(model: SearchResult, aircraft_written: Aircraft) -> IntervalJob:
+            aircraft_and_values = flown_as(model, chosen, complete, lambda _: aircraft_written)
+            return IntervalJob(
+                aircraft_written, *aircraft_and_values, train, test, bool(request.ideal_servos)
+            )
+
+        if outcome.result.selection.chosen:
+            plain = without_effects(chosen)
+            before = _place(write(plain), aircraft, request.out / "before")
+            models = {"before": before, "after": target}
+            jobs = [interval_job(plain, before), interval_job(outcome.result, target)]
+        else:
+            # One model is both.
+            models, jobs = {"before": target}, [interval_job(outcome.result, target)]
+            _remove_stale(request.out, aircraft)
+        callback("intervals of both models")
+        intervals = kept_stages(
+            "intervals", list[Intervals], lambda: list(pool(fit_intervals, jobs))
+        )
+        with StagedModels(aircraft, train_side.setup) as bench:
+            controls = positions(bench.model, train_side.setup)
+        document = document_of(chosen, outcome, aircraft, controls)
+        document = _with_smooth(
+            document, *_smooth_term(request, document, outcome, write, pool, callback)
+        )
+    forms = write_forms(dict(zip(models, intervals, strict=True)), request.out)
+    mission = _mission(request, models, forms, callback)
+    stages.remove()
+    last: dict[str, Any] = {"seconds": round(time.perf_counter() - start_s, 1)}
+    if baked is not None:
+        changed: dict[str, list[float | None]] = {n: [*v] for n, v in baked.changed.items()}
+        last["baked"] = Baked(changed=changed, kept=list(baked.remaining))
+    document = _complete(request, document, intervals, mission, last)
+    return Refinement(document, chosen, outcome, target, aircraft, earlier_damage)
+
+
+def file_hash(path: Path) -> str:
+    """SHA-256 of a file's content. Raises BadInputError."""
+    try:
+        return file_sha256(path)
+    except OSError as error:
+        raise BadInputError(f"{path}: cannot be read: {error.strerror}") from None
+
+
+def refuse_shared_flights(train: Sequence[Path], test: Sequence[Path]) -> None:
+    """Raise BadInputError where a test file has the content of a train file."""
+    hashes = {file_hash(path): path for path in train}
+    for path in test:
+        other = hashes.get(file_hash(path))
+        if other is not None:
+            raise BadInputError(
+                f"--test {path}: the same flight as --train {other}; a flight that helped to choose"
+                " proves nothing: give another one"
+            )
+
+
+def _read_both(request: Job, callback: Callback) -> tuple[Job, FlightSet, FlightSet]:
+    """Train and test flights, and the request with its servos chosen on the train flights."""
     train = _read(request, request.train)
     if request.ideal_servos is None:
-        say("servos: the card's or ideal ones")
+        callback("servos: the card's or ideal ones")
         servos = choose_servos(
-            aircraft, train.flights, train.measured, "auto", request.options.workers
+            request.aircraft, train.flights, train.measured, "auto", request.options.workers
         )
         request = replace(request, ideal_servos=servos.ideal)
         train = replace(
@@ -124,81 +297,8 @@ def refine(request: Job, say: Say = lambda _: None) -> Refinement:
         )
     test = _read(request, request.test)
     names = unique_names([f.name for f in test.flights])
-    test = replace(
-        test, flights=tuple(replace(f, name=n) for f, n in zip(test.flights, names, strict=True))
-    )
-    with worker_map(request.options.workers) as map_, scratch_folder() as scratch:
-        work, write = scratch.path, _writer(request, scratch.path / "models")
-        identity = _identity(request)
-        stages = Stages(request.out / FOLDER, identity)
-        setup = _setup(aircraft, train)
-        chosen = stages(
-            "effects",
-            Found,
-            lambda: find_effects(
-                aircraft, setup, request.extra, work / "effects", map_, say, stages
-            ),
-        )
-        train, test = (
-            replace(side, flights=tuple(later(side.flights, chosen.late_s)))
-            for side in (train, test)
-        )
-        whole = _whole(request, chosen, work / "chosen")
-        side = _side(request, chosen, train)
-        named = named_beside(chosen, side, whole, map_)
-        if named.selection.chosen != chosen.selection.chosen:
-            whole = _whole(request, named, work / "named")
-        chosen = named
-        say("flying the test flights with both models")
-        # Kept where a mission follows, which takes minutes.
-        shown = Stages(
-            request.out / FOLDER if request.options.pbox else None, [*identity, *test.hashes]
-        )
-
-        def flown_both_ways() -> Judged:
-            other = _side(request, chosen, test)
-            if chosen.gusts is not None:
-                other = replace(
-                    other,
-                    air=air_of(write(chosen), other.setup, map_, written_at(chosen), chosen.gusts),
-                )
-            return judge(chosen, whole, write, side, other, map_)
-
-        judged = shown("judged", Judged, flown_both_ways)
-        say("writing the aircraft")
-        earlier = checksums.remove_sums(request.out)
-        target = _put(write(judged.found), aircraft, request.out)
-        baked = bake_scales(target.folder) if request.options.bake else None
-        if baked is not None:
-            target = find_aircraft(target.folder)
-
-        def job(model: Found, made: Aircraft) -> IntervalJob:
-            flown = flown_as(model, chosen, whole, lambda _: made)
-            return IntervalJob(made, *flown, train, test, bool(request.ideal_servos))
-
-        if judged.found.selection.chosen:
-            plain = _put(write(bare(chosen)), aircraft, request.out / "before")
-            models = {"before": plain, "after": target}
-            jobs = [job(bare(chosen), plain), job(judged.found, target)]
-        else:
-            # One model is both.
-            models, jobs = {"before": target}, [job(judged.found, target)]
-            _remove_stale(request.out, aircraft)
-        say("intervals of both models")
-        intervals = shown("intervals", list[Intervals], lambda: list(map_(fit_intervals, jobs)))
-        with Bench(aircraft, side.setup) as bench:
-            controls = positions(bench.model, side.setup)
-        document = document_of(chosen, judged, aircraft, controls)
-        document = _with_smooth(document, *_unnamed(request, document, judged, write, map_, say))
-    forms = write_forms(dict(zip(models, intervals, strict=True)), request.out)
-    mission = _mission(request, models, forms, say)
-    stages.forget()
-    last: dict[str, Any] = {"seconds": round(time.perf_counter() - begun, 1)}
-    if baked is not None:
-        changed: dict[str, list[float | None]] = {n: [*v] for n, v in baked.changed.items()}
-        last["baked"] = Baked(changed=changed, kept=list(baked.remaining))
-    document = _complete(request, document, intervals, mission, last)
-    return Refinement(document, chosen, judged, target, aircraft, earlier)
+    flights = tuple(replace(f, name=n) for f, n in zip(test.flights, names, strict=True))
+    return request, train, replace(test, flights=flights)
 
 
 def _read(request: Job, paths: Sequence[Path]) -> FlightSet:
@@ -222,8 +322,8 @@ def _ideal_controls(request: Job, measured: Sequence[str]) -> tuple[str, ...]:
     return tuple(c for c in CONTROLS if c not in measured) if request.ideal_servos else ()
 
 
-def _setup(aircraft: Aircraft, given: FlightSet) -> Setup:
-    return make_setup(aircraft, given.flights, given.measured, given.ideal)
+def _flight_data(aircraft: Aircraft, flights: FlightSet) -> FlightData:
+    return make_setup(aircraft, flights.flights, flights.measured, flights.ideal)
 
 
 def _identity(request: Job) -> list[str]:
@@ -247,31 +347,31 @@ def _identity(request: Job) -> list[str]:
     ]
 
 
-def _side(request: Job, chosen: Found, given: FlightSet) -> Side:
+def _dataset(request: Job, chosen: SearchResult, flights: FlightSet) -> Dataset:
     """Flights as the chosen effects were judged on; the air is that of the train flights."""
-    setup = _setup(request.aircraft, given)
-    if chosen.gusts is not None:
-        setup = setup_in_gusts(request.aircraft, setup)
+    data = _flight_data(request.aircraft, flights)
+    setup = chosen.estimator.prepare(request.aircraft, data)
     if setup.outputs == chosen.setup.outputs:
         setup = replace(setup, noise=chosen.setup.noise)
-    return Side(setup, chosen.gusts)
+    return Dataset(setup, chosen.turbulence)
 
 
-def _whole(request: Job, chosen: Found, folder: Path) -> Aircraft:
-    """The aircraft with every chosen effect, as the last round flew it."""
+def _with_all_effects(request: Job, chosen: SearchResult, folder: Path) -> Aircraft:
+    """The aircraft with every chosen effect, as the last model flew it."""
     effects = [
-        Written(chosen.effects[c.key], c.value, "", chosen.slopes) for c in chosen.selection.chosen
+        EffectToWrite(chosen.effects[c.key], c.value, "", chosen.slopes)
+        for c in chosen.selection.chosen
     ]
     return write_staged(request.aircraft, effects, folder)
 
 
-def _unnamed(
+def _smooth_term(
     request: Job,
     document: RefinementDocument,
-    judged: Judged,
+    outcome: HoldOutResult,
     write: Write,
-    map_: Processes,
-    say: Say,
+    pool: Processes,
+    callback: Callback,
 ) -> tuple[SmoothTerm | None, str | None]:
     """A smooth term where nothing of the catalogue explains what is left, and its aircraft beside
     the refined one.
@@ -281,13 +381,13 @@ def _unnamed(
         shutil.rmtree(stale)
     if document.verdict != "unexplained":
         return None, EXPLAINED
-    say("looking for a smooth term in what is left")
-    found = offered(judged, write, map_)
-    if isinstance(found, str):
-        return None, found
-    aircraft, smooth = found
-    made = _put(aircraft, request.aircraft, request.out / UNNAMED)
-    model = f"{UNNAMED}/aircraft/{made.folder.name}/{made.xml.name}"
+    callback("looking for a smooth term in what is left")
+    result = find_smooth_term(outcome, write, pool)
+    if isinstance(result, str):
+        return None, result
+    aircraft, smooth = result
+    placed = _place(aircraft, request.aircraft, request.out / UNNAMED)
+    model = f"{UNNAMED}/aircraft/{placed.folder.name}/{placed.xml.name}"
     return smooth.model_copy(update={"model": model}), None
 
 
@@ -305,37 +405,38 @@ def _writer(request: Job, folder: Path) -> Write:
     """
     aircraft, names, number = request.aircraft, [p.name for p in request.train], count()
 
-    def write(found: Found) -> Aircraft:
+    def write(result: SearchResult) -> Aircraft:
         fdm = open_aircraft(aircraft)
-        estimates = estimates_of(found, names, {n: float(fdm[n]) for n in found.names})
+        initial = {n: float(fdm[n]) for n in result.names}
+        estimates = parameter_estimates(result, names, initial)
         command = shlex.join(request.command)
         effects = [
-            Written(
-                found.effects[c.key],
+            EffectToWrite(
+                result.effects[c.key],
                 c.value,
-                remark(c, found.effects[c.key], names, command, found.limit),
-                found.slopes,
+                remark(c, result.effects[c.key], names, command, result.limit),
+                result.slopes,
             )
-            for c in found.selection.chosen
+            for c in result.selection.chosen
         ]
         return write_copy(aircraft, effects, estimates, folder / str(next(number)))
 
     return write
 
 
-def _put(made: Aircraft, given: Aircraft, root: Path) -> Aircraft:
+def _place(copy: Aircraft, original: Aircraft, root: Path) -> Aircraft:
     """The aircraft in its place under ``root``, with the engines and systems that lie beside the
     one given.
     """
-    target = inner_folder(root, "aircraft") / made.folder.name
+    target = inner_folder(root, "aircraft") / copy.folder.name
     # Copied beside its place and put there at once; an earlier one is replaced.
-    beside = target.with_name(f".{target.name}.part")
-    shutil.rmtree(beside, ignore_errors=True)
-    copy_folder(made.folder, beside)
+    temporary = target.with_name(f".{target.name}.part")
+    shutil.rmtree(temporary, ignore_errors=True)
+    copy_folder(copy.folder, temporary)
     if target.exists():
         shutil.rmtree(target)
-    beside.rename(target)
-    copy_shared_parts(given, root, engine.default_root())
+    temporary.rename(target)
+    copy_shared_parts(original, root, engine.default_root())
     return find_aircraft(target)
 
 
@@ -355,7 +456,7 @@ def _remove_stale(out: Path, aircraft: Aircraft) -> None:
 
 
 def _mission(
-    request: Job, models: Mapping[str, Aircraft], forms: Mapping[str, Path], say: Say
+    request: Job, models: Mapping[str, Aircraft], forms: Mapping[str, Path], callback: Callback
 ) -> Mission:
     if not request.options.pbox:
         return no_pbox("left out (--no-pbox)")
@@ -367,9 +468,9 @@ def _mission(
     # Campaigns are much to load, and not every refinement flies one.
     from uqharness.refinement.mission import fly_missions
 
-    say("flying the mission with both models")
+    callback("flying the mission with both models")
     return fly_missions(
-        models, forms, request.options.campaign, request.out, request.options.workers, say
+        models, forms, request.options.campaign, request.out, request.options.workers, callback
     )
 
 
@@ -382,11 +483,11 @@ def _complete(
 ) -> RefinementDocument:
     """The document with intervals, mission and provenance."""
     assert document.gap.train is not None
-    shown = {"intervals": intervals_document(intervals[0], intervals[-1]), "pbox": mission}
+    test_parts = {"intervals": intervals_document(intervals[0], intervals[-1]), "pbox": mission}
     chosen_on = {"pbox": no_pbox("a mission belongs to no flight: see gap.test")}
     gap = Gaps(
         train=document.gap.train.model_copy(update=chosen_on),
-        test=document.gap.test.model_copy(update=shown),
+        test=document.gap.test.model_copy(update=test_parts),
     )
     return document.model_copy(
         update={

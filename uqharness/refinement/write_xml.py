@@ -17,10 +17,10 @@ from xml.sax.saxutils import escape
 import numpy as np
 
 from sysid.aerodynamics import COEFFICIENTS
-from sysid.effects import SPANS, V_REFERENCE_MPS, Effect, Selection, Smooth, SmoothFit, Term
+from sysid.effects import SPANS, V_REFERENCE_MPS, Effect, Selection, SmoothFit, SmoothTerm, Term
 from sysid.units import FT_M, IN_M, LBF_N, SLUG_FT2_KGM2
 from uqharness.errors import BadInputError
-from uqharness.identification.linearised import STALL, Carrier, Fit, Probe, in_dynamics
+from uqharness.identification.linearised import STALL, Carrier, Linearisation, Probe, in_dynamics
 from uqharness.plugin import Estimate, coefficient_reference, put_values, state_source
 from uqharness.simulator import (
     Actuator,
@@ -136,13 +136,13 @@ def _over_empty(aircraft: Aircraft) -> float:
     """
     fdm = open_aircraft(aircraft)
     engine.run_ic(fdm)
-    whole, empty = float(fdm["inertia/weight-lbs"]), float(fdm["inertia/empty-weight-lbs"])
+    total, empty = float(fdm["inertia/weight-lbs"]), float(fdm["inertia/empty-weight-lbs"])
     if not empty > 0.0:
         raise BadInputError(
             f"{aircraft.xml}: <emptywt> is {empty:g}: its centre of gravity moves nothing; give the"
             " empty weight"
         )
-    return whole / empty
+    return total / empty
 
 
 def write_servo(
@@ -154,18 +154,18 @@ def write_servo(
     """
     surface = (effect.subsystem or "").partition(".")[2]
     position = aircraft.card.inputs[surface].position
-    found = _actuator(folder, position)
-    if found is None:
+    place = _actuator(folder, position)
+    if place is None:
         raise BadInputError(
             f"aircraft '{aircraft.name}': no <actuator name=\"{position}\"> for effect {effect.key}"
         )
-    document, actuator = found
+    document, actuator = place
     # Its numbers may stand in the XML as properties: asked of JSBSim, they are what flies.
     servo, name = servo_of(effect, aircraft), effect.property_name
     tag = _TAGS[effect.term]
-    own = actuator.find(tag)
-    if servo is None and own is not None:
-        _shift(document, own, value, remark)
+    number_node = actuator.find(tag)
+    if servo is None and number_node is not None:
+        _shift(document, number_node, value, remark)
     elif servo is None:
         _write(
             document,
@@ -174,21 +174,21 @@ def write_servo(
     else:
         text = f"{servo_number(servo, effect.term, value):.8g}"
         declared = declaration(document, name)
-        if declared is not None and own is not None and own.text.strip() == name:
+        if declared is not None and number_node is not None and number_node.text.strip() == name:
             # The aircraft carries this effect already.
             edits = [
                 replace_attribute(document, declared, "value", text),
                 append_remark(document, declared, remark),
             ]
         else:
-            named = (
+            naming = (
                 append_child(document, actuator, [f"<{tag}>{name}</{tag}>"])
-                if own is None
-                else replace_text(document, own, name)
+                if number_node is None
+                else replace_text(document, number_node, name)
             )
             edits = [
                 insert_before(document, _channel(actuator), [declare(name, text, remark)]),
-                named,
+                naming,
             ]
         _write(document, edits)
 
@@ -356,15 +356,21 @@ def subsystem_terms(
                 ("CZ", slopes.get("CZ_alpha", 0.0), [x("alpha"), _lift_lost(effect.term, section)])
             ]
         case "ground", _:
-            near = call("exp", call("product", value(-2, "g"), x("h_over_b")))
+            proximity = call("exp", call("product", value(-2, "g"), x("h_over_b")))
             # The force of the frame before holds the effect already: divided by 1 + k exp(-2 h/b)
             # it is the force without.
             with_effect = call(
-                "sum", value(1, "g"), call("product", property_value(effect.property_name), near)
+                "sum",
+                value(1, "g"),
+                call("product", property_value(effect.property_name), proximity),
             )
             force = call("product", *_QBAR_S, with_effect)
             return [
-                ("CZ", 1.0, [near, call("quotient", property_value("forces/fbz-aero-lbs"), force)])
+                (
+                    "CZ",
+                    1.0,
+                    [proximity, call("quotient", property_value("forces/fbz-aero-lbs"), force)],
+                )
             ]
     raise BadInputError(f"effect {effect.key}: no JSBSim form is known")
 
@@ -386,8 +392,8 @@ def _lift_lost(term: str, section: AeroSection) -> Expression:
         exponent = call("product", value(sign * a1, "g"), call("difference", angle, value(at, "g")))
         return call("sum", value(1, "g"), call("exp", exponent))
 
-    both = call("product", side(1, STALL["alpha1_deg"]), side(-1, STALL["alpha2_deg"]))
-    X = call("quotient", value(1, "g"), both)
+    product = call("product", side(1, STALL["alpha1_deg"]), side(-1, STALL["alpha2_deg"]))
+    X = call("quotient", value(1, "g"), product)
     square = call("pow", call("sum", value(1, "g"), call("sqrt", X)), value(2, "g"))
     return call("difference", call("product", value(0.25), square), value(1, "g"))
 
@@ -396,7 +402,7 @@ THRUST_SCALE = "propulsion/thrust-scale"
 
 
 @dataclass(frozen=True)
-class Written:
+class EffectToWrite:
     """An effect to write: its value and a remark (ASCII); slopes: mean change of CX..Cn by a degree
     of elevator and rudder, of CZ by a radian of alpha, and the polynomial of CX by inflow over CT,
     which some subsystems need as numbers."""
@@ -436,12 +442,15 @@ def carrier(effect: Effect, aircraft: Aircraft) -> Carrier | None:
 def switch_of(effect: Effect, aircraft: Aircraft) -> tuple[str, float] | None:
     """Property of the aircraft written with the effect, and its value that restores the aircraft as
     given, bit for bit; None where a number stands in the XML alone, or nothing does."""
-    found = carrier(effect, aircraft)
-    return (found.name, found.absent) if found is not None and found.exact else None
+    place = carrier(effect, aircraft)
+    return (place.name, place.absent) if place is not None and place.exact else None
 
 
 def write_effects(
-    aircraft: Aircraft, effects: Sequence[Written], estimates: Mapping[str, Estimate], out: Path
+    aircraft: Aircraft,
+    effects: Sequence[EffectToWrite],
+    estimates: Mapping[str, Estimate],
+    out: Path,
 ) -> list[str]:
     """Copy the aircraft's folder to ``out`` (which must not exist) with effects and estimates;
     names of estimates without a place.
@@ -484,7 +493,7 @@ def write_effects(
     return put_values(out, dict(estimates) | plain)
 
 
-def _with_switch(w: Written, aircraft: Aircraft) -> Written:
+def _with_switch(w: EffectToWrite, aircraft: Aircraft) -> EffectToWrite:
     switch = switch_of(w.effect, aircraft)
     return (
         w
@@ -498,7 +507,7 @@ def _is_scale(effect: Effect) -> bool:
 
 
 def _add(
-    edit: SectionEdit, aircraft: Aircraft, w: Written, summands: dict[str, list[str]]
+    edit: SectionEdit, aircraft: Aircraft, w: EffectToWrite, summands: dict[str, list[str]]
 ) -> SectionEdit:
     """The effect's property, and its terms in the author's sums or as functions, whose names join
     ``summands``.
@@ -515,8 +524,8 @@ def _add(
             product = Expression("product", "", (property_value(name), *terms[0][2]))
             alike = [
                 node
-                for known, node in declarations(document)
-                if known.startswith(f"aero/{w.effect.coefficient}_")
+                for declared_name, node in declarations(document)
+                if declared_name.startswith(f"aero/{w.effect.coefficient}_")
             ]
             edit = (
                 edit.plus(document, insert_after(document, alike[-1], declared))
@@ -543,7 +552,7 @@ def _add(
 
 
 def _author_style(
-    edit: SectionEdit, aircraft: Aircraft, w: Written, factors: Sequence[Expression]
+    edit: SectionEdit, aircraft: Aircraft, w: EffectToWrite, factors: Sequence[Expression]
 ) -> tuple[int, list[str]] | None:
     """Return slot and lines of a coefficient's own function, as the author writes them.
 
@@ -602,7 +611,7 @@ def _sum_of(section: AeroSection, coefficient: str) -> tuple[Document, Node] | N
 # written into.
 
 
-def control_slopes(fit: Fit) -> dict[str, float]:
+def control_slopes(fit: Linearisation) -> dict[str, float]:
     """Mean change of the coefficients by a degree of elevator and rudder, of CZ by a radian of
     alpha, of CX by inflow.
     """
@@ -620,16 +629,16 @@ def control_slopes(fit: Fit) -> dict[str, float]:
 
 def inflow_numbers(probes: Sequence[Probe]) -> dict[str, float]:
     """Polynomial over CT of what an inflow twice the model's does to CX."""
-    known = [(p.variables()["CT"], p.by_inflow) for p in probes if p.by_inflow is not None]
-    if not known:
+    pairs = [(p.variables()["CT"], p.by_inflow) for p in probes if p.by_inflow is not None]
+    if not pairs:
         return {}
-    CT, change = (np.concatenate(columns) for columns in zip(*known, strict=True))
+    CT, change = (np.concatenate(columns) for columns in zip(*pairs, strict=True))
     numbers, *_ = np.linalg.lstsq(np.vander(CT, INFLOW_POWERS, increasing=True), change, rcond=None)
     return {f"inflow_{k}": float(number) for k, number in enumerate(numbers)}
 
 
 def of_lift_slope(
-    selection: Selection, before: Fit, after: Fit
+    selection: Selection, before: Linearisation, after: Linearisation
 ) -> tuple[Selection, dict[str, float]]:
     """Lift lost by separation as a share of the lift slope that is estimated beside it, and the
     numbers to write effects with.
@@ -637,10 +646,10 @@ def of_lift_slope(
     Flights that stall say of a model without stall that its lift slope is small: of that slope the
     share would be too large."""
     slopes = control_slopes(before)
-    own = after.flown.point.values.get("aero/CZ_alpha", 0.0)
-    if not own * slopes["CZ_alpha"] > 0.0:
+    estimate = after.trajectory.point.values.get("aero/CZ_alpha", 0.0)
+    if not estimate * slopes["CZ_alpha"] > 0.0:
         return selection, slopes
-    ratio = slopes["CZ_alpha"] / own
+    ratio = slopes["CZ_alpha"] / estimate
     chosen = tuple(
         (
             replace(c, value=ratio * c.value, std=ratio * c.std)
@@ -649,7 +658,7 @@ def of_lift_slope(
         )
         for c in selection.chosen
     )
-    return replace(selection, chosen=chosen), {**slopes, "CZ_alpha": own}
+    return replace(selection, chosen=chosen), {**slopes, "CZ_alpha": estimate}
 
 
 # A smooth term written as a JSBSim table, under a name that nobody takes for physics.
@@ -661,7 +670,7 @@ far it bends in the span.
 PREFIX = "uq/unnamed"
 
 
-def property_of_table(term: Smooth) -> str:
+def property_of_table(term: SmoothTerm) -> str:
     """Property that holds the term's value in flight."""
     return f"{PREFIX}/{term.label}"
 

@@ -42,7 +42,7 @@ def write_results(done: Refinement, out: Path) -> None:
     for name in FIGURES:
         remove(out / "figures" / name)
     # Histories of the hold-out flights: measurement, controls, and both models.
-    setup, before, after = done.judged.test
+    setup, before, after = done.hold_out.test
     models = {"_before": before, "_after": after}
     columns = columns_of(setup.outputs, setup.measured) | columns_of(
         CONTROLS, [s.controls for s in setup.segments]
@@ -53,12 +53,12 @@ def write_results(done: Refinement, out: Path) -> None:
         columns |= columns_of(setup.outputs, modelled, suffix)
         columns |= columns_of(COEFFICIENTS, evaluation.coefficients, f"_gap{suffix}")
     write_histories(out, setup.segments, columns)
-    write_sums(out, done.earlier)
+    write_sums(out, done.earlier_damage)
 
 
 def model_diff(done: Refinement) -> str:
     """Return the unified difference of all XML files of two aircraft folders."""
-    old, new = done.given.folder, done.aircraft.folder
+    old, new = done.original.folder, done.aircraft.folder
     # Compare every XML file that exists in either folder.
     names = sorted({p.relative_to(f).as_posix() for f in (old, new) for p in f.rglob("*.xml")})
     out: list[str] = []

@@ -11,6 +11,12 @@ import numpy as np
 import pytest
 
 from sysid.aerodynamics.rigid_body import NX, OUTPUTS, Steps
+from sysid.effects.information import (
+    corrected_estimate,
+    corrected_estimates,
+    normal_equations,
+    scores,
+)
 from sysid.effects.prediction import (
     Columns,
     MadeColumns,
@@ -20,7 +26,6 @@ from sysid.effects.prediction import (
     whiten_each,
     whitened,
 )
-from sysid.effects.score import corrected, corrected_each, gather, scores
 from sysid.effects.selection import select, threshold
 from sysid.estimation.kalman import Process
 from tests.helpers.linear_systems import system
@@ -141,7 +146,7 @@ def flights(effect: dict[str, float], seed: int, segments: int = 9, n: int = 60,
                     + steps.g1[i] @ u[i + 1]
                 )
         parts.append(whiten([steps], [z], [Columns(names, inputs, {})], range(M), noise)[0])
-    return gather(parts, names, group, {})
+    return normal_equations(parts, names, group, {})
 
 
 CONFIRMING = np.arange(9) % 3 == 1
@@ -188,7 +193,7 @@ def test_scores_of_nothing_are_standard_normal():
     assert abs(t.mean()) < 0.3
     assert 0.8 < t.std() < 1.2
     evidence = flights({}, 41)
-    _, std, white = corrected(evidence, ["a", "b"], "c2")
+    _, std, white = corrected_estimate(evidence, ["a", "b"], "c2")
     assert std == pytest.approx(white, rel=0.1)
 
 
@@ -199,15 +204,15 @@ def test_all_of_a_fit_at_once_are_as_each_alone():
     """
     evidence = flights({"c3": 0.2}, 42)
     names = ["a", "b", "c3", "c5"]
-    found = corrected_each(evidence, names, ["c3", "a"])
+    found = corrected_estimates(evidence, names, ["c3", "a"])
     for name, mine in found.items():
         assert mine == pytest.approx(
-            corrected(evidence, [n for n in names if n != name], name), rel=1e-9
+            corrected_estimate(evidence, [n for n in names if n != name], name), rel=1e-9
         )
     some = evidence.index(names)
-    expected = np.sqrt(np.diagonal(np.linalg.inv(evidence.everything[0][np.ix_(some, some)])))
+    expected = np.sqrt(np.diagonal(np.linalg.inv(evidence.total[0][np.ix_(some, some)])))
     assert [found["c3"][2], found["a"][2]] == pytest.approx([expected[2], expected[0]], rel=1e-6)
-    assert corrected_each(evidence, ["c3", "c5"], ["c3"])["c3"][2] < 0.999 * expected[2]
+    assert corrected_estimates(evidence, ["c3", "c5"], ["c3"])["c3"][2] < 0.999 * expected[2]
 
 
 def test_the_limit_grows_with_the_number_of_candidates():
@@ -217,9 +222,9 @@ def test_the_limit_grows_with_the_number_of_candidates():
 
 def test_an_effect_taken_out_is_found_again():
     evidence = flights({"c3": 0.2}, 3)
-    away = evidence.taken_out({"c3": -0.2})
+    away = evidence.without_values({"c3": -0.2})
     assert abs(scores(away, ["a", "b"], ["c3"]).t[0]) < 4.0
-    again = away.taken_out({"c3": 0.2})
+    again = away.without_values({"c3": 0.2})
     assert scores(again, ["a", "b"], ["c3"]).t[0] == pytest.approx(
         scores(evidence, ["a", "b"], ["c3"]).t[0], rel=1e-6
     )
@@ -233,7 +238,7 @@ def test_a_step_leaves_what_is_held_where_it_is():
     assert abs(whole[at]) > 0.1
     assert held[at] == 0.0
     np.testing.assert_allclose(
-        held, evidence.fitted(evidence.index([n for n in evidence.names if n != "c3"]))
+        held, evidence.estimates(evidence.index([n for n in evidence.names if n != "c3"]))
     )
     assert 0.0 < shorter < length
 
@@ -295,11 +300,13 @@ def test_evidence_that_makes_columns_again_says_the_same_as_one_that_holds_them(
         return columns[k]
 
     group = [0, 1, 2]
-    whole = gather(whiten(steps, z, columns, range(M), np.ones(M), process), names, group, {})
+    whole = normal_equations(
+        whiten(steps, z, columns, range(M), np.ones(M), process), names, group, {}
+    )
     white = whiten_each(
         follow(steps, z, range(M), np.ones(M), process), MadeColumns(names, make, 3)
     )
-    held = gather(white, names, group, {}, ("off", "b", "a"))
+    held = normal_equations(white, names, group, {}, ("off", "b", "a"))
     assert held.white[0].columns.shape == (n, M, 3)
     np.testing.assert_array_equal(held.gram, whole.gram)
     for some in (["a", "b"], ["c2", "a", "c1"], ["c2"]):
@@ -307,14 +314,14 @@ def test_evidence_that_makes_columns_again_says_the_same_as_one_that_holds_them(
             at = whole.index(some)
             np.testing.assert_allclose(held.series(one, at), whole.series(other, at), atol=1e-6)
     assert asked[3:] == [{"c2", "c1"}] * 3
-    assert corrected(held, ["a", "b"], "c3") == pytest.approx(
-        corrected(whole, ["a", "b"], "c3"), rel=1e-6
+    assert corrected_estimate(held, ["a", "b"], "c3") == pytest.approx(
+        corrected_estimate(whole, ["a", "b"], "c3"), rel=1e-6
     )
-    taken, other = held.taken_out({"c3": 0.3}), whole.taken_out({"c3": 0.3})
+    taken, other = held.without_values({"c3": 0.3}), whole.without_values({"c3": 0.3})
     np.testing.assert_allclose(taken.white[0].residual, other.white[0].residual, atol=1e-6)
     gone = replace(held, white=[replace(w, more=None) for w in held.white])
     with pytest.raises(KeyError):
-        corrected(gone, ["a", "b"], "c1")
+        corrected_estimate(gone, ["a", "b"], "c1")
 
 
 def test_a_column_of_which_the_data_hold_nothing_has_no_standard_error():
@@ -322,30 +329,30 @@ def test_a_column_of_which_the_data_hold_nothing_has_no_standard_error():
     k = each.names.index("c1")
     none = np.where(np.arange(len(each.names)) == k, 0.0, 1.0)
     white = [replace(w, columns=(w.columns * none).astype(np.float32)) for w in each.white]
-    lost = gather(white, each.names, range(9), {})
-    value, std, plain = corrected(lost, ["a", "b"], "c1")
+    lost = normal_equations(white, each.names, range(9), {})
+    value, std, plain = corrected_estimate(lost, ["a", "b"], "c1")
     assert value == 0.0
     assert np.isnan([std, plain]).all()
-    assert np.isfinite(corrected(lost, ["a", "b", "c1"], "c3")).all()
+    assert np.isfinite(corrected_estimate(lost, ["a", "b", "c1"], "c3")).all()
 
 
 def test_groups_of_segments_say_the_same_as_their_segments_and_are_not_split():
     each = flights({"c3": 0.2}, 3)
-    groups = gather(each.white, each.names, CONFIRMING, {})
+    groups = normal_equations(each.white, each.names, CONFIRMING, {})
     assert groups.gram.shape[0] == 2
     for part in (CONFIRMING, ~CONFIRMING, None):
-        for one, other in zip(each.part(part), groups.part(part), strict=True):
+        for one, other in zip(each.of_segments(part), groups.of_segments(part), strict=True):
             np.testing.assert_allclose(one, other, rtol=1e-6, atol=1e-6)
     some = CONFIRMING.copy()
     some[np.flatnonzero(some)[0]] = False
     with pytest.raises(ValueError, match="one group"):
-        groups.part(some)
+        groups.of_segments(some)
 
 
 def test_what_is_asked_again_is_remembered_by_its_columns_alone(monkeypatch):
     evidence = flights({"c3": 0.2}, 3)
-    first = corrected_each(evidence, ["a", "b", "c3"], ["a"])
-    monkeypatch.setattr("sysid.effects.score.coloured_information", None)
-    assert corrected_each(evidence, ["c3", "b", "a"], ["a"]) == first
+    first = corrected_estimates(evidence, ["a", "b", "c3"], ["a"])
+    monkeypatch.setattr("sysid.effects.information.coloured_information", None)
+    assert corrected_estimates(evidence, ["c3", "b", "a"], ["a"]) == first
     with pytest.raises(TypeError):
-        corrected_each(evidence, ["a", "c3"], ["a"])
+        corrected_estimates(evidence, ["a", "c3"], ["a"])

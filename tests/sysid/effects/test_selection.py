@@ -7,15 +7,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from sysid.effects.information import Information, normal_equations, scores
 from sysid.effects.prediction import White
-from sysid.effects.score import Evidence, gather, scores
 from sysid.effects.selection import chance_limit, select, threshold
 
 SEGMENTS, N, M = 6, 40, 3
 CONFIRMING = np.arange(SEGMENTS) % 3 == 1
 
 
-def evidence(columns: dict[str, np.ndarray], residual: np.ndarray) -> Evidence:
+def evidence(columns: dict[str, np.ndarray], residual: np.ndarray) -> Information:
     """columns: name -> (S, n, m); residual (S, n, m) in units of the noise."""
     names = tuple(columns)
     white = [
@@ -29,7 +29,7 @@ def evidence(columns: dict[str, np.ndarray], residual: np.ndarray) -> Evidence:
         )
         for s in range(SEGMENTS)
     ]
-    return gather(white, names, CONFIRMING, {})
+    return normal_equations(white, names, CONFIRMING, {})
 
 
 def drawn(rng: np.random.Generator) -> np.ndarray:
@@ -76,10 +76,10 @@ def test_an_overwhelming_candidate_is_the_last_to_enter(alone, entered):
     columns = {"large": drawn(rng), "small": drawn(rng)}
     found = evidence(columns, drawn(rng) + 1.0 * columns["large"] + 0.35 * columns["small"])
     none = dict.fromkeys(columns, 0.0)
-    assert [c.key for c in select(found, [], none, limit=4.0, alone=alone).chosen] == entered
+    assert [c.key for c in select(found, [], none, limit=4.0, decisive_t=alone).chosen] == entered
     # One that has flown does not keep others from entering.
     assert [
-        c.key for c in select(found, [], none, chosen=["large"], limit=4.0, alone=alone).chosen
+        c.key for c in select(found, [], none, chosen=["large"], limit=4.0, decisive_t=alone).chosen
     ] == [
         "large",
         "small",
@@ -188,14 +188,14 @@ def test_what_all_candidates_see_a_little_is_none_of_them():
     columns = {f"c{k}": drawn(rng) + rng.uniform(-0.6, 0.6) * misfit for k in range(60)}
     candidates = dict.fromkeys(columns, 0.0)
     found = evidence(columns, 0.3 * misfit + drawn(rng))
-    plain = select(found, [], candidates, most=1)
-    careful = select(found, [], candidates, most=1, empirical=True)
+    plain = select(found, [], candidates, max_effects=1)
+    careful = select(found, [], candidates, max_effects=1, empirical=True)
     assert plain.chosen
     assert not careful.chosen
     assert careful.refused is not None
-    assert "spread" in careful.refused.why
+    assert "spread" in careful.refused.reason
     there = evidence(columns, 0.3 * misfit + drawn(rng) + 1.0 * columns["c7"])
-    assert [c.key for c in select(there, [], candidates, most=1, empirical=True).chosen] == ["c7"]
+    assert [c.key for c in select(there, [], candidates, max_effects=1, empirical=True).chosen] == ["c7"]
 
 
 def test_an_effect_is_found_beside_a_stronger_one_that_its_flights_contradict():
@@ -249,12 +249,12 @@ def test_beside_an_overwhelming_effect_that_has_flown_a_weak_one_is_asked_no_mor
     columns = {"strong": strong, "weak": weak, "own": own}
     odds = dict.fromkeys(columns, 0.0)
     both = evidence(columns, 3.0 * strong + 5.5 / np.sqrt(np.sum(weak**2)) * weak + drawn(rng))
-    assert [c.key for c in select(both, [], odds, alone=15.0).chosen] == ["strong"]
-    assert {c.key for c in select(both, [], odds, chosen=["strong"], alone=15.0).chosen} == {
+    assert [c.key for c in select(both, [], odds, decisive_t=15.0).chosen] == ["strong"]
+    assert {c.key for c in select(both, [], odds, chosen=["strong"], decisive_t=15.0).chosen} == {
         "strong",
         "weak",
     }
     noise = evidence(columns, 3.0 * strong + drawn(rng))
     assert [
-        c.key for c in select(noise, [], odds, chosen=["strong", "weak"], alone=15.0).chosen
+        c.key for c in select(noise, [], odds, chosen=["strong", "weak"], decisive_t=15.0).chosen
     ] == ["strong"]

@@ -12,7 +12,7 @@ from scipy.interpolate import BSpline, make_smoothing_spline
 from scipy.signal import lfilter
 from scipy.stats import binom
 
-from sysid.effects import White, gather
+from sysid.effects import White, normal_equations
 from sysid.effects.smooth import (
     colour_dispersion,
     fit_smooth,
@@ -51,7 +51,9 @@ def evidence_of(found, left, terms, free=("1", "alpha"), parts=3):
         white.append(
             White(residual, columns[part][:, None, :], 0.0, np.zeros((8, 1)), there, np.ones(1))
         )
-    return gather(white, names, range(parts), {}), [n for n in names if n.startswith("aero/")]
+    return normal_equations(white, names, range(parts), {}), [
+        n for n in names if n.startswith("aero/")
+    ]
 
 
 def fitted(found, left, term, **more):
@@ -200,9 +202,9 @@ def test_the_line_is_the_terms_own_where_the_model_has_none():
     found, y = made(9, lambda x: 60.0 * (x - 0.05))
     term = smooth_term("Cm", "alpha", None, found)
     with_line, without = fitted(found, y, term), fitted(found, y, term, free=("1",))
-    assert not with_line.known[:2].any()
+    assert not with_line.estimated[:2].any()
     assert with_line.p > 0.01
-    assert without.known[:2].tolist() == [False, True]
+    assert without.estimated[:2].tolist() == [False, True]
     value, std = without.curve(np.array([0.07]))
     centred = 60.0 * (0.07 - found["alpha"].mean())
     assert abs(value[0] - centred) < 4.0 * std[0] < 2.0

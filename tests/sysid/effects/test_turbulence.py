@@ -16,8 +16,8 @@ from sysid.effects import turbulence
 from sysid.effects.tuned import CERTAIN_T
 from sysid.effects.turbulence import (
     V_REFERENCE,
-    Gusts,
     Score,
+    TurbulenceModel,
     gust_intensity,
     gust_strength_mps2,
     process_of,
@@ -27,7 +27,7 @@ from tests.helpers.open_equations import OpenEquations
 from tests.sysid.aerodynamics.test_rigid_body import DT, MASS, TERMS, flight, reference
 
 NOISE = np.array([0.3, 2e-3, 2e-3, 2e-3, 2e-3, 2e-3, 2e-3, 2e-3, 0.05, 0.05, 0.05])
-INTENSITIES = np.array([0.2, 1e-3, 1e-3, 0.04, 1e-9, 1e-9, 1e-9])
+INTENSITIES = np.array([0.2, 1e-3, 1e-3, 0.04, *[1e-9] * 5])
 
 
 class Made(dict[GustStates, list[Steps]]):
@@ -91,7 +91,9 @@ def drawn(
     return made, data
 
 
-def found_in(made: Made, data: list[np.ndarray], near: Gusts | None = None) -> Gusts:
+def found_in(
+    made: Made, data: list[np.ndarray], near: TurbulenceModel | None = None
+) -> TurbulenceModel:
     return gust_intensity(
         made,
         data,
@@ -114,16 +116,32 @@ def test_intensities_and_what_gusts_do_are_found(rotating, turning):
     found = found_in(made, data)
     assert {(s.rotating, s.turning_with) for s in found.states} == {(rotating, turning)}
     np.testing.assert_allclose(np.log(found.values[:4] / INTENSITIES[:4]), 0.0, atol=np.log(1.7))
-    assert set(found.own) == {"a", "b"}
+    assert set(found.by_flight) == {"a", "b"}
     assert found.gain > 1000.0
     assert found.air
     again = found_in(made, data, found)
     np.testing.assert_allclose(np.log(again.values[:4] / found.values[:4]), 0.0, atol=np.log(1.4))
-    np.testing.assert_allclose(found.values[:4], 0.5 * (found.own["a"] + found.own["b"])[:4])
+    np.testing.assert_allclose(
+        found.values[:4], 0.5 * (found.by_flight["a"] + found.by_flight["b"])[:4]
+    )
     assert again.across == found.across
     # However often it is sought from there, it stays.
     last = found_in(made, data, found_in(made, data, again))
     np.testing.assert_allclose(np.log(last.values[:4] / found.values[:4]), 0.0, atol=np.log(1.4))
+
+
+def test_axes_and_lengths_of_gusts_are_the_likeliest():
+    """Gusts that turn with the body, and pitching air of half the length, are told from the
+    standard's, which stays where it is true.
+    """
+    standard = found_in(*drawn(GustStates(MASS.b), INTENSITIES)).states[0]
+    assert (standard.in_body, standard.q_share) == (False, 1.0)
+    assert standard.q_length == pytest.approx(1.0, abs=0.31)
+    short = found_in(*drawn(GustStates(MASS.b, q_length=0.4), INTENSITIES)).states[0]
+    assert short.q_length == pytest.approx(0.4, abs=0.15)
+    reversed_ = found_in(*drawn(GustStates(MASS.b, q_share=-1.0), INTENSITIES))
+    assert reversed_.states[0].q_share == -1.0
+    assert not reversed_.is_standard
 
 
 @pytest.mark.parametrize(("rotating", "turning"), [(True, True), (False, True)])
@@ -144,8 +162,10 @@ def test_air_that_gains_nothing_stands(monkeypatch):
     made, data = drawn(GustStates(MASS.b, 22.0), INTENSITIES)
     first = found_in(made, data)
     asked = []
-    own = turbulence._Search.own
-    monkeypatch.setattr(turbulence._Search, "own", lambda *a, **k: asked.append(1) or own(*a, **k))
+    own = turbulence._Search.by_flight
+    monkeypatch.setattr(
+        turbulence._Search, "by_flight", lambda *a, **k: asked.append(1) or own(*a, **k)
+    )
     again = found_in(made, data, first)
     assert not asked
     assert again.passing == first.passing
@@ -153,7 +173,11 @@ def test_air_that_gains_nothing_stands(monkeypatch):
     found_in(
         made,
         data,
-        replace(first, values=0.5 * first.values, own={f: 0.5 * v for f, v in first.own.items()}),
+        replace(
+            first,
+            values=0.5 * first.values,
+            by_flight={f: 0.5 * v for f, v in first.by_flight.items()},
+        ),
     )
     assert asked
 
@@ -208,7 +232,7 @@ def test_the_search_ends_where_no_number_makes_the_flights_likelier():
     assert found.cost < search.best(some, [begin]).cost - 100.0
     for k in range(4):
         for factor in (0.8, 1.25):
-            moved = np.where(np.arange(7) == k, factor, 1.0) * found.values
+            moved = np.where(np.arange(9) == k, factor, 1.0) * found.values
             assert (
                 search.best(some, [turbulence._Point(found.states, moved, ones)]).cost
                 > found.cost - 1.0
@@ -271,7 +295,7 @@ def test_the_air_of_a_flight_alone_is_the_likeliest_from_wherever_it_is_sought()
     """Sought from four times the air, which passes at the airspeed: found again."""
     made, data = drawn(GustStates(MASS.b, 23.5), INTENSITIES, n=260)
 
-    def found(near: turbulence.Gusts | None) -> turbulence.Gusts:
+    def found(near: turbulence.TurbulenceModel | None) -> turbulence.TurbulenceModel:
         air, _ = turbulence.gust_intensity(
             made,
             data,
@@ -289,12 +313,14 @@ def test_the_air_of_a_flight_alone_is_the_likeliest_from_wherever_it_is_sought()
     off = replace(
         first,
         values=4.0 * first.values,
-        own={"a": 4.0 * first.values},
+        by_flight={"a": 4.0 * first.values},
         states=at_airspeed,
         passing={"a": 0.0},
     )
     again = found(off)
-    np.testing.assert_allclose(np.log(again.own["a"][:4] / first.own["a"][:4]), 0.0, atol=0.2)
+    np.testing.assert_allclose(
+        np.log(again.by_flight["a"][:4] / first.by_flight["a"][:4]), 0.0, atol=0.2
+    )
 
 
 def test_flights_in_air_of_unlike_strength_tell_how_fast_their_gusts_pass():
@@ -308,12 +334,12 @@ def test_flights_in_air_of_unlike_strength_tell_how_fast_their_gusts_pass():
     common = search.descend(
         range(4), turbulence._Point((GustStates(MASS.b),) * 4, INTENSITIES, np.ones(len(NOISE))), ()
     )
-    point = search.own(of, common, flights)
+    point = search.by_flight(of, common, flights)
     np.testing.assert_allclose(
         np.log(point.of(2)[:3] / point.of(0)[:3] / 16.0), 0.0, atol=np.log(2.0)
     )
     np.testing.assert_allclose(point.values[:4], 0.5 * (point.of(0) + point.of(3))[:4])
-    np.testing.assert_allclose([point.of(1)[4:], point.of(3)[4:]], [common.values[4:]] * 2)
+    np.testing.assert_allclose([point.of(1)[4:7], point.of(3)[4:7]], [common.values[4:7]] * 2)
     assert search.best(range(4), [point]).cost < common.cost - 100.0
     said = np.array([s.passing_mps for s in search.passing(of, point).states])
     assert np.abs(said / 23.5 - 1.0).max() < 0.04
@@ -328,8 +354,8 @@ def test_the_air_of_some_flights_in_others():
     found = found_in(made, data)
     other = found.in_other([19.0, 21.0, 30.0], ["c", "c", "a"])
     assert [s.passing_mps for s in other.states] == [0.0] * 3
-    np.testing.assert_array_equal(other.own["a"], found.own["a"])
-    np.testing.assert_array_equal(other.own["c"], found.values)
+    np.testing.assert_array_equal(other.by_flight["a"], found.by_flight["a"])
+    np.testing.assert_array_equal(other.by_flight["c"], found.values)
     assert len(other.process.noise) == 3
     at_one = replace(
         found,
@@ -353,13 +379,13 @@ def test_where_no_filter_follows_gusts_pass_at_the_mean_airspeed(monkeypatch):
     search = turbulence._Search(
         lambda *_: [], [np.zeros((2, 1))] * 2, [0], np.ones(1), [20.0, 24.0], SERIAL
     )  # type: ignore
-    here = turbulence._Point((GustStates(3.0),) * 2, np.ones(7), np.ones(1))
+    here = turbulence._Point((GustStates(3.0),) * 2, np.ones(9), np.ones(1))
     assert [s.passing_mps for s in search.passing({"a": [0, 1]}, here).states] == [22.0, 22.0]
 
 
 def test_the_strength_of_gusts_is_sigma_squared_over_their_length():
     sigma, length = 1.54, 150.0
-    values = np.zeros(7)
+    values = np.zeros(9)
     values[0] = 2.0 * sigma**2 * V_REFERENCE / length
     values[1:3] = 3.0 * sigma**2 / (length * V_REFERENCE)
     assert gust_strength_mps2(values) == pytest.approx(sigma**2 / length)

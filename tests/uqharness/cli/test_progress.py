@@ -18,7 +18,7 @@ from uqharness.cli.progress import (
     print_warnings,
     working,
 )
-from uqharness.heartbeat import Rate, counting, heartbeat
+from uqharness.heartbeat import STATE, Forecast, Rate, counting, heartbeat
 
 
 def test_progress_on_a_terminal_and_silence_elsewhere():
@@ -111,3 +111,42 @@ def test_warnings_are_told_in_a_pipe_too(capsys):
     assert (
         capsys.readouterr().err == "uqharness: warning: too short\nuqharness: warning: too calm\n"
     )
+
+
+def test_a_forecast_is_corrected_by_the_stages_that_have_ended():
+    clock_s = [0.0]
+    forecast = Forecast({"read": 5.0, "servos": 7.0, "fit": 40.0, "write": 5.0}, lambda: clock_s[0])
+    assert forecast.seconds_left() == pytest.approx(57.0)
+    forecast.begin("read")
+    clock_s[0] = 2.0
+    assert forecast.seconds_left() == pytest.approx(55.0)
+    # Read in twice the time; the servos were left out. Five seconds count as expected.
+    clock_s[0] = 10.0
+    forecast.begin("fit")
+    assert forecast.seconds_left() == pytest.approx(1.5 * 45.0)
+    clock_s[0] = 40.0
+    forecast.begin("something unknown")
+    assert forecast.seconds_left() == pytest.approx(1.5 * 45.0 - 30.0)
+    # A stage that takes longer than expected never has a negative time ahead.
+    clock_s[0] = 300.0
+    assert forecast.seconds_left() > 1.5 * 5.0
+    forecast.expect({"read": 1.0, "servos": 1.0, "fit": 1.0, "write": 50.0})
+    assert forecast.seconds_left() > 1.5 * 50.0
+    assert forecast.expected_s["fit"] == 40.0
+
+
+def test_the_time_to_go_is_part_of_the_line_and_ends_with_the_command(monkeypatch):
+    monkeypatch.delenv("UQHARNESS_QUIET", raising=False)
+    lines: list[str] = []
+    shown = threading.Event()
+
+    def show(line: str) -> None:
+        lines.append(line)
+        if "to go" in line:
+            shown.set()
+
+    with heartbeat("refine", first_s=0.05, every_s=0.05, show=show):
+        STATE.forecast = Forecast({"fit": 90.0}, lambda: 0.0)
+        assert shown.wait(30.0)
+    assert any("about 1:30 to go" in line for line in lines)
+    assert STATE.forecast is None

@@ -18,11 +18,10 @@ from uqharness.errors import BadInputError
 from uqharness.identification import replay_fit
 from uqharness.identification.compare import compare
 from uqharness.identification.identify import identify
-from uqharness.identification.linearised import Bench, Point, make_setup, observed
+from uqharness.identification.linearised import ModelState, StagedModels, make_setup, observed
 from uqharness.identification.replay_fit import Observed, fit_replays, jumping_flights
-from uqharness.refinement.base import base_fit_and_noise, left_alone
-from uqharness.refinement.evaluation import show
-from uqharness.refinement.round import Side
+from uqharness.refinement.estimators import Dataset, fit_without_effects, note_unestimated
+from uqharness.refinement.evaluation import evaluate
 from uqharness.replay import CONTROL_DELAY, CONTROLS, ReplayFolder, delayed_command
 from uqharness.replay.flights import prepare
 from uqharness.replay.simulation import batched_pool
@@ -44,10 +43,11 @@ def flight():
 def refined(aircraft, flight):
     setup = make_setup(aircraft, [flight], ())
     limits = {n: aircraft.card.parameters[n].bounds for n in NAMES}
-    with Bench(aircraft, setup) as bench:
-        fit, kept, excited, *_ = base_fit_and_noise(aircraft, bench, setup, NAMES, limits, SERIAL)
+    with StagedModels(aircraft, setup) as bench:
+        result = fit_without_effects(aircraft, bench, setup, NAMES, limits, SERIAL)
+        fit, kept, excited = result.fit, result.names, result.excited
     assert kept == excited == NAMES
-    return fit.flown.point
+    return fit.trajectory.point
 
 
 def test_identify_and_refine_estimate_the_same(aircraft, flight):
@@ -72,7 +72,7 @@ def test_identify_and_refine_estimate_the_same(aircraft, flight):
 def test_compare_and_refine_show_the_same_gap(aircraft, flight):
     gap = compare(aircraft, flight, (), workers=1)
     setup = make_setup(aircraft, [flight], ())
-    shown = show(aircraft, Side(setup), SERIAL, Point({}, {}, ()))
+    shown = evaluate(aircraft, Dataset(setup), SERIAL, ModelState({}, {}, ()))
     ours = {c: shown.channel_rms(k) / shown.noise[k] for k, c in enumerate(setup.outputs)}
     assert ours == pytest.approx({c: gap.channels[c].ratio for c in setup.outputs}, rel=1e-3)
     # A sensor's scale, known, is taken out before the fit and put back: the same flight with a vane
@@ -81,8 +81,10 @@ def test_compare_and_refine_show_the_same_gap(aircraft, flight):
         "f", flight.record.with_columns({"alpha_rad": 1.1 * flight.record["alpha_rad"]}), ()
     )
     setup = make_setup(aircraft, [scaled], ())
-    side, scale = Side(setup), {"effect/sensor.alpha_rad/scale": 0.1}
-    blind, told = (show(aircraft, side, SERIAL, Point({}, {}, (), s)).cost for s in ({}, scale))
+    side, scale = Dataset(setup), {"effect/sensor.alpha_rad/scale": 0.1}
+    blind, told = (
+        evaluate(aircraft, side, SERIAL, ModelState({}, {}, (), s)).cost for s in ({}, scale)
+    )
     assert told < blind - 100.0
 
 
@@ -149,16 +151,15 @@ def test_beside_what_goes_back_the_estimate_begins_where_replays_are_nearest(
 def test_what_replays_have_at_a_bound_is_free_beside_effects_and_told(aircraft, flight):
     setup, names = make_setup(aircraft, [flight], ()), ("aero/Cm_q", "aero/CX_alpha2")
     limits = {"aero/Cm_q": (-60.0, 0.0), "aero/CX_alpha2": (1.86, 1.9)}
-    with Bench(aircraft, setup) as bench:
-        fit, names_estimated, excited, notes, _ = base_fit_and_noise(
-            aircraft, bench, setup, names, limits, SERIAL
-        )
-    assert names_estimated == excited == names
-    assert fit.flown.point.values["aero/CX_alpha2"] == 1.86
+    with StagedModels(aircraft, setup) as bench:
+        result = fit_without_effects(aircraft, bench, setup, names, limits, SERIAL)
+    fit, notes = result.fit, result.notes
+    assert result.names == result.excited == names
+    assert fit.trajectory.point.values["aero/CX_alpha2"] == 1.86
     assert set(names) <= set(fit.columns[0].names)
     assert any(n.endswith("beside effects alone: aero/CX_alpha2") for n in notes)
-    assert left_alone(names, names[:1])[0].endswith(": aero/CX_alpha2")
-    assert left_alone(names, names) == []
+    assert note_unestimated(names, names[:1])[0].endswith(": aero/CX_alpha2")
+    assert note_unestimated(names, names) == []
 
 
 @pytest.fixture

@@ -11,17 +11,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.helpers.trajectory import fly
 
 from sysid.effects.catalogue import subsystem_effects
 from sysid.parallel import SERIAL
 from sysid.units import IN_M
-from tests.helpers.flown import fly
 from uqharness.errors import BadInputError
 from uqharness.identification.linearised import (
-    Bench,
-    Flown,
-    Point,
-    Setup,
+    FlightData,
+    ModelState,
+    StagedModels,
+    Trajectory,
     effect_columns,
     make_setup,
     positions,
@@ -30,7 +30,7 @@ from uqharness.identification.linearised import (
 )
 from uqharness.identification.linearised import fly as replayed
 from uqharness.plugin import with_card
-from uqharness.refinement.write_xml import Written, write_effects
+from uqharness.refinement.write_xml import EffectToWrite, write_effects
 from uqharness.replay.flights import read_flights
 from uqharness.simulator.aircraft import Aircraft, find_aircraft, open_aircraft
 
@@ -44,7 +44,7 @@ def aircraft() -> Aircraft:
 
 
 @pytest.fixture(scope="module")
-def setup(aircraft: Aircraft, tmp_path_factory: pytest.TempPathFactory) -> Setup:
+def setup(aircraft: Aircraft, tmp_path_factory: pytest.TempPathFactory) -> FlightData:
     path = tmp_path_factory.mktemp("cg") / "flight.parquet"
     fly((("pitch-3211", 22.0), ("roll-yaw", 22.0)), seed=1, seconds=6.0).write(path)
     flights, measured = read_flights([path], aircraft, None, None)
@@ -55,22 +55,24 @@ def setup(aircraft: Aircraft, tmp_path_factory: pytest.TempPathFactory) -> Setup
 def moved(aircraft: Aircraft, tmp_path_factory: pytest.TempPathFactory) -> Aircraft:
     effect = {e.key: e for e in subsystem_effects([], [], [])}["effect/mass/cg_x"]
     out = tmp_path_factory.mktemp("moved") / "espaaro"
-    write_effects(aircraft, [Written(effect, FORWARD_M, "a remark", {})], {}, out)
+    write_effects(aircraft, [EffectToWrite(effect, FORWARD_M, "a remark", {})], {}, out)
     return find_aircraft(out)
 
 
 def along(
-    aircraft: Aircraft, setup: Setup, values: dict[str, float]
-) -> tuple[Flown, list[np.ndarray]]:
+    aircraft: Aircraft, setup: FlightData, values: dict[str, float]
+) -> tuple[Trajectory, list[np.ndarray]]:
     """Replays, and the columns of a centre of gravity further forward along them."""
     effect = {e.key: e for e in subsystem_effects([], [], [])}["effect/mass/cg_x"]
-    with Bench(aircraft, replace(setup, positions=())) as bench:
-        point = Point(
+    with StagedModels(aircraft, replace(setup, positions=())) as bench:
+        point = ModelState(
             values, dict.fromkeys(setup.nuisance, 0.0), tuple(s.start for s in setup.segments)
         )
-        flown = replayed(bench.model, setup, point, SERIAL)
-        found = probes(bench.direct_model, setup, flown, positions(bench.model, setup), SERIAL)
-        return flown, [c.outputs[effect.key] for c in effect_columns(setup, found, flown, [effect])]
+        trajectory = replayed(bench.model, setup, point, SERIAL)
+        found = probes(bench.direct_model, setup, trajectory, positions(bench.model, setup), SERIAL)
+        return trajectory, [
+            c.outputs[effect.key] for c in effect_columns(setup, found, trajectory, [effect])
+        ]
 
 
 def about_another_point(aircraft: Aircraft) -> dict[str, float]:
@@ -91,14 +93,16 @@ def test_it_flies_as_with_the_moments_of_the_forces_and_is_felt_as_its_column_sa
 ):
     plain, columns = along(aircraft, setup, about_another_point(aircraft))
     forward, _ = along(moved, with_sensors_of(setup, moved), {})
-    felt = [setup.outputs.index(c) for c in ACCELERATIONS]
-    rest = [k for k in range(len(setup.outputs)) if k not in felt]
+    clip_to_active_range = [setup.outputs.index(c) for c in ACCELERATIONS]
+    rest = [k for k in range(len(setup.outputs)) if k not in clip_to_active_range]
     for before, after, column in zip(plain.outputs, forward.outputs, columns, strict=True):
         change = after - before
         assert np.abs(change[:, rest]).max() < 1e-9
-        left = change[:, felt] - FORWARD_M * column[:, felt]
-        assert np.sqrt(np.mean(left**2)) < 0.03 * np.sqrt(np.mean(change[:, felt] ** 2))
-        assert np.abs(change[:, felt]).max() > 0.02
+        left = change[:, clip_to_active_range] - FORWARD_M * column[:, clip_to_active_range]
+        assert np.sqrt(np.mean(left**2)) < 0.03 * np.sqrt(
+            np.mean(change[:, clip_to_active_range] ** 2)
+        )
+        assert np.abs(change[:, clip_to_active_range]).max() > 0.02
 
 
 def test_it_moves_by_as_much_with_fuel_and_loads_on_board(tmp_path: Path) -> None:
@@ -107,7 +111,9 @@ def test_it_moves_by_as_much_with_fuel_and_loads_on_board(tmp_path: Path) -> Non
     """
     loaded = with_card(find_aircraft("c172p"))
     effect = {e.key: e for e in subsystem_effects([], [], [])}["effect/mass/cg_x"]
-    write_effects(loaded, [Written(effect, FORWARD_M, "a remark", {})], {}, tmp_path / "c172p")
+    write_effects(
+        loaded, [EffectToWrite(effect, FORWARD_M, "a remark", {})], {}, tmp_path / "c172p"
+    )
     other = replace(
         find_aircraft(tmp_path / "c172p"),
         engine_path=loaded.engine_path,
@@ -137,7 +143,7 @@ def test_without_an_empty_weight_nothing_is_written(tmp_path: Path) -> None:
     with pytest.raises(BadInputError, match="<emptywt> is 0"):
         write_effects(
             find_aircraft(weightless),
-            [Written(effect, FORWARD_M, "a remark", {})],
+            [EffectToWrite(effect, FORWARD_M, "a remark", {})],
             {},
             tmp_path / "out" / "espaaro",
         )

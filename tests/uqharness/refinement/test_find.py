@@ -10,13 +10,18 @@ import pytest
 
 from sysid.effects import CERTAIN_T, conditional_interval
 from sysid.effects.catalogue import coefficient_effect
-from sysid.effects.score import Evidence
-from sysid.effects.selection import Choice
+from sysid.effects.information import Information
+from sysid.effects.selection import SelectedEffect
 from uqharness.refinement.document import still_asked
-from uqharness.refinement.search import Found, chosen_interval, left_beside, slips_s
+from uqharness.refinement.effect_search import (
+    SearchResult,
+    chosen_interval,
+    offset_tolerance_s,
+    strong_candidates,
+)
 
 
-def evidence(strengths: dict[str, float], likeness: float = 0.0) -> Evidence:
+def evidence(strengths: dict[str, float], likeness: float = 0.0) -> Information:
     """A parameter and candidates of unit information each; a and b as alike as asked; the flights
     ask for ``strengths``.
     """
@@ -24,7 +29,7 @@ def evidence(strengths: dict[str, float], likeness: float = 0.0) -> Evidence:
     gram = np.eye(len(names))
     gram[1, 2] = gram[2, 1] = likeness
     score = gram @ np.array([0.0, *strengths.values()])
-    return Evidence(
+    return Information(
         names, gram[None], score[None], np.zeros(1, dtype=int), np.zeros(len(names)), ()
     )
 
@@ -32,27 +37,29 @@ def evidence(strengths: dict[str, float], likeness: float = 0.0) -> Evidence:
 def test_every_strong_candidate_beside_the_chosen_is_told_the_strongest_first():
     found = evidence({"effect/a": 30.0, "effect/b": 12.0, "effect/c": -25.0, "effect/d": 9.0})
     keys = ["effect/a", "effect/b", "effect/c", "effect/d"]
-    assert [k for k, _ in left_beside(found, ["aero/Cm_q"], ["effect/a"], keys)] == [
+    assert [k for k, _ in strong_candidates(found, ["aero/Cm_q"], ["effect/a"], keys)] == [
         "effect/c",
         "effect/b",
     ]
-    assert [k for k, _ in left_beside(found, ["aero/Cm_q"], [], keys)] == [
+    assert [k for k, _ in strong_candidates(found, ["aero/Cm_q"], [], keys)] == [
         "effect/a",
         "effect/c",
         "effect/b",
     ]
-    assert left_beside(found, ["aero/Cm_q"], keys, keys) == ()
-    assert all(abs(t) > CERTAIN_T for _, t in left_beside(found, ["aero/Cm_q"], [], keys))
+    assert strong_candidates(found, ["aero/Cm_q"], keys, keys) == ()
+    assert all(abs(t) > CERTAIN_T for _, t in strong_candidates(found, ["aero/Cm_q"], [], keys))
 
 
 def test_what_only_resembles_the_chosen_is_not():
     """b is nothing but like a: alone it would stand at |t| 27."""
     found = evidence({"effect/a": 30.0, "effect/b": 0.0}, likeness=0.9)
-    assert [k for k, _ in left_beside(found, ["aero/Cm_q"], [], ["effect/a", "effect/b"])] == [
+    assert [
+        k for k, _ in strong_candidates(found, ["aero/Cm_q"], [], ["effect/a", "effect/b"])
+    ] == [
         "effect/a",
         "effect/b",
     ]
-    assert left_beside(found, ["aero/Cm_q"], ["effect/a"], ["effect/a", "effect/b"]) == ()
+    assert strong_candidates(found, ["aero/Cm_q"], ["effect/a"], ["effect/a", "effect/b"]) == ()
 
 
 def test_words_name_it_and_its_strength():
@@ -62,7 +69,7 @@ def test_words_name_it_and_its_strength():
 
 def test_the_interval_knows_that_the_choice_was_made_by_a_narrower_error():
     """|t| 6.2 of 6 asked, by an error of which 1.25 is told: 4.96 of 4.8 in errors told."""
-    chosen = Choice("effect/Cm/de", 0.62, 0.125, 6.2, 38.4, 1.0, 0.0)
+    chosen = SelectedEffect("effect/Cm/de", 0.62, 0.125, 6.2, 38.4, 1.0, 0.0)
     low, high = chosen_interval(chosen, 6.0)
     assert (low, high) == pytest.approx(conditional_interval(0.62, 0.125, 4.8))
     assert low < 0.62 - 2.0 * 0.125
@@ -80,9 +87,9 @@ def test_what_a_records_clock_is_off_by_is_the_move_and_what_is_left(moved_s, sa
         "lateness/two/controls": -0.0076,
         "bias/one/q_radps": 1.0,
     }
-    after = SimpleNamespace(flown=SimpleNamespace(point=SimpleNamespace(nuisance=nuisance)))
+    after = SimpleNamespace(trajectory=SimpleNamespace(point=SimpleNamespace(nuisance=nuisance)))
     found = SimpleNamespace(late_s=moved_s, after=after)
-    assert Found.controls_late_s.fget(found) == pytest.approx(said_s)
+    assert SearchResult.controls_late_s.fget(found) == pytest.approx(said_s)
 
 
 @pytest.mark.parametrize(
@@ -95,4 +102,4 @@ def test_controls_as_late_as_an_integrations_step_are_no_slip_of_the_record(
     """Surfaces that jump and are seen old by the first of four stages act a sixth of a step late:
     .67 ms of 4 ms.
     """
-    assert slips_s(command_s, first)[0] == pytest.approx(late_s)
+    assert offset_tolerance_s(command_s, first)[0] == pytest.approx(late_s)

@@ -1,116 +1,355 @@
-"""What train flights leave uncertain of hold-out flights: t of all flights together, and the spread
-of the change of likelihood.
+"""The hold-out test: the change of the likelihood, its standard error, and which effects are
+withdrawn; end to end on a linear aircraft with known answers.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from sysid.effects import Evidence, gather
-from sysid.effects.prediction import White
-from sysid.effects.selection import Choice, Selection
-from uqharness.refinement.judge import Both, Verdict, gap_change, surer
+from sysid.effects.catalogue import Effect, coefficient_effect
+from sysid.effects.selection import SelectedEffect, Selection
+from tests.uqharness.refinement.linear_aircraft import (
+    NOISE,
+    PARAMETERS,
+    LinearFlights,
+    simulate,
+)
+from uqharness.identification.linearised import Carrier
+from uqharness.refinement.effect_search import SearchResult
+from uqharness.refinement.estimators import Dataset
+from uqharness.refinement.evaluation import Evaluation
+from uqharness.refinement.hold_out import (
+    BEYOND_CHANCE,
+    HoldOutTest,
+    Verdict,
+    compare,
+    property_values,
+)
 
-NAMES, KEY = ("aero/a", "aero/b"), "effect/Cm/c"
-TRUE = {"aero/a": 1.0, "aero/b": -0.5, KEY: 0.3}
 
-
-def side(
-    rng: np.random.Generator, low: float, high: float, n: int, at: dict[str, float]
-) -> tuple[Evidence, np.ndarray, np.ndarray]:
-    """Evidence of a line, a wave and a bias of its own between two states, about ``at``; its
-    columns and what was measured.
-    """
-    x = np.linspace(low, high, n)
-    columns = np.column_stack([np.ones(n), x, np.sin(6.0 * x), np.sin(40.0 * x)])
-    values = np.array([TRUE[NAMES[0]], TRUE[NAMES[1]], TRUE[KEY], 0.2])
-    measured = columns @ values + rng.standard_normal(n)
-    residual = measured - columns[:, :3] @ np.array([at[k] for k in (*NAMES, KEY)])
-    there = np.ones((n, 1), dtype=bool)
-    white = White(
-        residual[:, None],
-        columns[:, None, :].astype(np.float32),
-        0.0,
-        np.zeros((8, 5)),
-        there,
-        np.ones(1),
+def shown(white: list[np.ndarray], deviation: float = 1.0) -> SimpleNamespace:
+    """Predictions with the same deviation of every sample."""
+    logdet = tuple(w.size * float(np.log(deviation)) for w in white)
+    cost = float(sum(np.nansum(w**2) for w in white))
+    surprise = cost + 2.0 * sum(logdet)
+    return SimpleNamespace(
+        white=white,
+        cost=cost,
+        logdet=logdet,
+        neg2_log_likelihood=surprise,
+        trajectory=SimpleNamespace(point=None),
     )
-    return gather([white], (*NAMES, KEY, "bias/f/q"), [0], {}), columns, measured
 
 
-def both(
-    rng: np.random.Generator,
-) -> tuple[Both, dict[str, float], tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
-    """Train flights between 1 and 2, hold-out flights between 0 and 1, each about numbers of its
-    own.
+def change(rng: np.random.Generator, size: float, truth: bool, colour: float = 0.0):
+    """compare of an effect of ``size`` standard deviations on one of three channels, in the
+    flights or not.
     """
-    at = ({"aero/a": 0.8, "aero/b": 0.1, KEY: 0.0}, {"aero/a": 1.3, "aero/b": -0.9, KEY: 0.0})
-    train, X, z = side(rng, 1.0, 2.0, 400, at[0])
-    test, Y, w = side(rng, 0.0, 1.0, 1000, at[1])
-    fitted = np.linalg.lstsq(X, z, rcond=None)[0]
-    std = np.sqrt(np.linalg.inv(X.T @ X)[2, 2])
-    t = fitted[2] / std
-    choice = Choice(KEY, fitted[2], std, t, t * t, 1.0, 0.0)
-    found = SimpleNamespace(names=NAMES, selection=Selection((choice,)), limit=3.0)
-    return (
-        Both(found, train, test, at),
-        dict(zip((*NAMES, KEY), fitted, strict=False)),
-        (X, z),
-        (Y, w),
-    )  # type: ignore[arg-type]
+    setup = SimpleNamespace(segments=[SimpleNamespace(dt_s=0.02)] * 4)
+    without, with_ = [], []
+    for _ in range(4):
+        noise = rng.standard_normal((300, 3))
+        for k in range(1, 300 if colour else 0):
+            noise[k] = colour * noise[k - 1] + np.sqrt(1.0 - colour**2) * noise[k]
+        d = np.zeros((300, 3))
+        d[:, 1] = size * np.sin(np.arange(300) / 20.0)
+        without.append(noise + d if truth else noise)
+        with_.append(noise if truth else noise - d)
+    return compare(shown(without), shown(with_), setup, shown([rng.standard_normal((300, 3))]))
 
 
-def test_t_of_both_sides_is_that_of_one_regression():
-    made, _, (X, z), (Y, w) = both(np.random.default_rng(3))
-    # Each side has a bias of its own.
-    whole = np.vstack(
-        [np.column_stack([X, 0.0 * X[:, 3]]), np.column_stack([Y[:, :3], 0.0 * Y[:, 3], Y[:, 3]])]
-    )
-    fitted = np.linalg.lstsq(whole, np.concatenate([z, w]), rcond=None)[0]
-    expected = fitted[2] / np.sqrt(np.linalg.inv(whole.T @ whole)[2, 2])
-    assert made.t(KEY, [KEY]) == pytest.approx(expected, rel=1e-4)
-    assert abs(expected) != pytest.approx(abs(made.found.selection.chosen[0].t), rel=0.05)
+def test_standard_error_of_the_change_is_that_of_the_draws():
+    """White noise has it in closed form: mean sum(d^2), variance 4 sum(d^2); coloured noise is
+    judged by its spread.
+    """
+    rng = np.random.default_rng(0)
+    square = 4.0 * float(np.sum((0.2 * np.sin(np.arange(300) / 20.0)) ** 2))
+    for colour in (0.0, 0.8):
+        found = [change(rng, 0.2, True, colour) for _ in range(200)]
+        spread = np.std([f.change for f in found])
+        assert np.mean([f.change for f in found]) == pytest.approx(
+            square, abs=4.0 * spread / np.sqrt(200.0)
+        )
+        assert np.sqrt(np.mean([f.std**2 for f in found])) == pytest.approx(spread, rel=0.3)
+        if not colour:
+            assert spread == pytest.approx(2.0 * np.sqrt(square), rel=0.2)
 
 
-def test_the_spread_of_the_change_is_that_of_many_train_flights():
-    """Outside the states of the train flights most of it is theirs, not the hold-out flights'
-    noise.
+def test_share_of_the_estimate_that_the_flights_have():
+    """An effect of which the flights have a part: that part, with its standard error, over
+    draws.
+    """
+    rng = np.random.default_rng(6)
+    setup = SimpleNamespace(segments=[SimpleNamespace(dt_s=0.02)] * 4)
+    d = np.zeros((300, 3))
+    d[:, 1] = 0.6 * np.sin(np.arange(300) / 20.0)
+    for part in (0.0, 0.4, 1.0, 1.3):
+        found = []
+        for _ in range(60):
+            noise = [rng.standard_normal((300, 3)) for _ in range(4)]
+            without, with_ = ([e + (part - taken) * d for e in noise] for taken in (0.0, 1.0))
+            found.append(compare(shown(without), shown(with_), setup, shown(noise)).share)
+        shares, errors = np.array(found).T
+        assert shares.mean() == pytest.approx(part, abs=4.0 * shares.std() / np.sqrt(60.0))
+        # What neither model explains is in the error, too: between none and all it is too large,
+        # never too small.
+        assert np.sqrt(np.mean(errors**2)) > 0.7 * shares.std()
+        if part in (0.0, 1.0):
+            assert np.sqrt(np.mean(errors**2)) == pytest.approx(shares.std(), rel=0.35)
+
+
+def test_chance_withdraws_seldom_and_a_contradiction_does():
+    rng = np.random.default_rng(1)
+    weak = [change(rng, 0.02, True) for _ in range(300)]
+    assert np.mean([v.gap == "grew" for v in weak]) < 0.1
+    assert np.mean([v.gap == "cannot tell" for v in weak]) > 0.7
+    # Of an effect that train flights have at |t| 4.5 of 4 asked and test flights would show at 2.4,
+    # what both say together decides: the change is normal with mean 6 or -6 and standard deviation
+    # 4.9.
+    for truth, share in ((True, 0.02), (False, 0.64)):
+        found = [change(rng, 0.1, truth) for _ in range(300)]
+        found = [replace(v, excess_t2=v.change + 4.5**2 - 4.0**2) for v in found]
+        assert np.mean([v.gap == "grew" for v in found]) == pytest.approx(share, abs=0.08)
+    assert all(change(rng, 0.5, True).gap == "shrank" for _ in range(20))
+    assert all(change(rng, 0.5, False).gap == "grew" for _ in range(20))
+
+
+def test_predictions_of_another_damping_are_judged_by_their_likelihood():
+    """A model that damps too little takes the air's motion for larger, and its squares over that
+    are smaller: no merit of it.
     """
     rng = np.random.default_rng(4)
-    changes, noise, whole = [], [], []
-    for _ in range(200):
-        made, fitted, (X, z), (Y, w) = both(rng)
-        plain = np.linalg.lstsq(X[:, [0, 1, 3]], z, rcond=None)[0]
-        with_, without = (
-            shown(r, Y)
-            for r in (w - Y[:, :3] @ [fitted[k] for k in (*NAMES, KEY)], w - Y[:, :2] @ plain[:2])
-        )
-        setup = SimpleNamespace(segments=[SimpleNamespace(dt_s=0.02)])
-        verdict = gap_change(without, with_, setup, with_)  # type: ignore[arg-type]
-        sure = surer(verdict, made, without, with_, [KEY], KEY)  # type: ignore[arg-type]
-        changes.append(verdict.change)
-        noise.append(2.0 * np.linalg.norm(without.white[0] - with_.white[0]))
-        whole.append(sure.std)
-        assert sure.beyond == pytest.approx(made.t(KEY, [KEY]) ** 2 - 9.0)
-    spread = float(np.std(changes))
-    assert np.sqrt(np.mean(np.square(whole))) == pytest.approx(spread, rel=0.25)
-    assert np.sqrt(np.mean(np.square(noise))) < 0.6 * spread
+    setup = SimpleNamespace(segments=[SimpleNamespace(dt_s=0.02)] * 4)
+    found = []
+    for _ in range(100):
+        left = [rng.standard_normal((300, 3)) for _ in range(4)]
+        wide = shown([e / 1.1 for e in left], 1.1)
+        found.append(compare(wide, shown(left), setup, shown(left)))
+        assert wide.cost < shown(left).cost
+    # Kullback and Leibler's distance of the two normal distributions, twice, of 3600 samples.
+    expected = 3600.0 * (2.0 * np.log(1.1) + 1.0 / 1.1**2 - 1.0)
+    spread = np.std([v.change for v in found])
+    assert np.mean([v.change for v in found]) == pytest.approx(expected, abs=0.4 * spread)
+    assert 0.9 * spread < np.sqrt(np.mean([v.std**2 for v in found])) < 1.5 * spread
+    assert np.mean([v.gap == "shrank" for v in found]) > 0.9
 
 
-def shown(residual: np.ndarray, Y: np.ndarray) -> SimpleNamespace:
-    left = residual - Y[:, 3] * (Y[:, 3] @ residual) / (Y[:, 3] @ Y[:, 3])
-    cost = float(left @ left)
-    return SimpleNamespace(white=[left[:, None]], cost=cost, logdet=(0.0,), surprise=cost)
-
-
-def test_both_sides_say_more_than_the_hold_out_flights():
-    """A change against the effect that chance gives is no contradiction where all flights together
-    have what is asked.
+@pytest.mark.parametrize(
+    ("share", "std", "seen"),
+    [
+        (0.6, 0.14, True),
+        (1.0, 0.2, True),
+        (0.39, 0.21, False),
+        (0.1, 0.04, False),
+        (0.8, 0.6, False),
+    ],
+)
+def test_more_than_half_of_an_estimate_is_an_effect_that_is_seen(share, std, seen):
+    """Its change, though, is within chance: .6 +- .14 is not surely more than half, of which the
+    change is none.
     """
-    verdict = Verdict(-4.0, 5.0, beyond=2.0)
-    assert verdict.says == "cannot tell"
-    assert Verdict(-4.0, 5.0, beyond=-2.0).says == "grew"
-    assert Verdict(-9.0, 5.0, beyond=2.0).says == "grew"
+    size = 1e4
+    verdict = Verdict(
+        size * (2.0 * share - 1.0), 2.0 * size * std, between=(size, size * (2.0 * share - 1.0))
+    )
+    assert verdict.share == pytest.approx((share, std))
+    assert verdict.is_visible == seen
+
+
+def test_what_changes_nothing_is_not_said_to_grow():
+    white = [np.ones((50, 2))] * 4
+    setup = SimpleNamespace(segments=[SimpleNamespace(dt_s=0.02)] * 4)
+    verdict = compare(shown(white), shown(white), setup, shown(white))
+    assert (verdict.change, verdict.std, verdict.gap) == (0.0, 0.0, "cannot tell")
+    assert np.isnan(verdict.share).all()
+    assert BEYOND_CHANCE > 1.0
+
+
+def test_flights_far_from_both_models_judge_neither():
+    """Six times the noise in every sample: the same difference that grew the gap in sound flights
+    tells nothing there.
+    """
+    rng = np.random.default_rng(2)
+    noise, d = rng.standard_normal((400, 2)), np.full((400, 2), 0.8)
+    setup = SimpleNamespace(segments=[SimpleNamespace(dt_s=0.02)])
+    sound = compare(shown([noise]), shown([noise + d]), setup, shown([noise]))
+    broken = compare(
+        shown([noise - 6.0 * d / 0.8]), shown([noise - 7.0 * d / 0.8]), setup, shown([noise])
+    )
+    assert (sound.gap, broken.gap) == ("grew", "too far")
+    assert broken.residual_ratio == pytest.approx(6.0, rel=0.1)
+    assert broken.z < -BEYOND_CHANCE
+
+
+def test_properties_fly_what_an_aircraft_of_its_own_would():
+    """Excess-out terms are zero; a servo's number that stands in the XML alone needs an aircraft of
+    its own once it is left out.
+    """
+    term, lag = coefficient_effect("Cm", "p_hat^2"), Effect(None, "mass", "cg_x", "", "")
+    sensor = Effect(None, "sensor.alpha_rad", "scale", "", "")
+    chosen = tuple(
+        SelectedEffect(e.key, value, 0.1, 10.0, 100.0, 1.0, 0.0)
+        for e, value in ((term, 3.0), (lag, 0.01), (sensor, 0.1))
+    )
+    setup = SimpleNamespace(carriers={term.key: Carrier("aero/Cm_p2", 0.0)})
+    found = SearchResult(
+        setup,
+        ("aero/Cm_q",),
+        None,
+        None,
+        Selection(chosen),
+        {e.key: e for e in (term, lag, sensor)},
+        {"aero/Cm_q": (-9.0, 0.1)},
+        (),
+    )  # type: ignore[arg-type]
+
+    def trajectory(*keys: str) -> dict[str, float] | None:
+        kept = tuple(c for c in chosen if c.key in keys)
+        model = replace(found, selection=Selection(kept), parameters={"aero/Cm_q": (-8.0, 0.1)})
+        return property_values(model, found)  # type: ignore[arg-type]
+
+    assert trajectory(term.key, lag.key, sensor.key) == {"aero/Cm_q": -8.0, "aero/Cm_p2": 3.0}
+    assert trajectory(lag.key) == {"aero/Cm_q": -8.0, "aero/Cm_p2": 0.0}
+    assert trajectory(term.key) is None
+
+
+# End to end: train and test flights of the linear aircraft.
+
+
+@dataclass
+class LinearHoldOut(HoldOutTest):
+    """The hold-out test with models fitted to and evaluated on flights of the linear aircraft."""
+
+    flights: LinearFlights
+    test_flights: LinearFlights
+
+    def _evaluate(self, model, side, initial):
+        flights = self.flights if side is self.train else self.test_flights
+        return evaluation(flights, estimates(model))
+
+    def _leave_out(self, keys):
+        kept = [k for k in self.chosen.selection.values if k not in keys]
+        return result_of(self.flights, kept)
+
+    def _refit(self, remaining):
+        return remaining
+
+    def _with_parameter_uncertainty(self, verdict, without, after, keys, key=None):
+        # Train flights as long as the test flights: their errors count as much.
+        return replace(verdict, std=np.sqrt(2.0) * verdict.std)
+
+
+def estimates(model: SearchResult) -> dict[str, float]:
+    return {n: v for n, (v, _) in model.parameters.items()} | model.selection.values
+
+
+def evaluation(flights: LinearFlights, values: Mapping[str, float]) -> Evaluation:
+    physical = [
+        z - simulate(values, de) for de, z in zip(flights.commands, flights.measured, strict=True)
+    ]
+    white = [r / NOISE for r in physical]
+    cost = float(sum(np.sum(w**2) for w in white))
+    trajectory = SimpleNamespace(point=None)
+    return Evaluation(trajectory, physical, NOISE, [], np.ones(6), white, cost, (0.0,) * len(white))  # type: ignore[arg-type]
+
+
+def result_of(flights: LinearFlights, keys: Sequence[str]) -> SearchResult:
+    """The model with effects ``keys``, fitted to flights, as the search would give it."""
+    model, information = flights.model_fit(keys)
+    values = model.fit.trajectory.point.values
+    rows = information.without_values({k: values[k] for k in keys})
+    chosen = []
+    for key in keys:
+        column, information_left = rows.index([key])[0], rows.index([*PARAMETERS, *keys])
+        std = float(
+            np.sqrt(
+                np.linalg.inv(rows.total[0][np.ix_(information_left, information_left)])[
+                    list(information_left).index(column), list(information_left).index(column)
+                ]
+            )
+        )
+        t = values[key] / std
+        chosen.append(SelectedEffect(key, values[key], std, t, t * t, 1.0, 0.0))
+    parameters = {n: (values[n], 1.0) for n in PARAMETERS}
+    plain, _ = flights.estimate(())
+    context, _ = flights.context(4.0)
+    segments = tuple(SimpleNamespace(dt_s=0.02) for _ in flights.commands)
+    setup = replace(model.data, segments=segments)
+    return SearchResult(
+        setup,
+        tuple(PARAMETERS),
+        context.baseline,
+        model.fit,
+        Selection(tuple(chosen)),
+        context.effects,
+        parameters,
+        (),
+        plain,
+        limit=4.0,
+    )
+
+
+def hold_out(train: Mapping[str, float], test: Mapping[str, float], keys: Sequence[str]):
+    """Withdrawn and remaining keys of effects that train flights chose."""
+    flights = LinearFlights({**PARAMETERS, **train})
+    others = LinearFlights({**PARAMETERS, **test}, seeds=(4, 5, 6))
+    chosen = result_of(flights, keys)
+    sides = [Dataset(chosen.setup), Dataset(chosen.setup)]
+    outcome = LinearHoldOut(chosen, None, None, *sides, None, flights, others).run()  # type: ignore[arg-type]
+    return (
+        [c.key for c in outcome.withdrawn],
+        [c.key for c in outcome.result.selection.chosen],
+        outcome,
+    )
+
+
+SQUARE, CUBE, ELEVATOR = "effect/Cm/alpha^2", "effect/Cm/alpha^3", "effect/Cm/de^2"
+
+
+def test_an_effect_that_the_test_flights_have_remains_with_its_share():
+    withdrawn, remaining, outcome = hold_out({SQUARE: 40.0}, {SQUARE: 40.0}, [SQUARE])
+    assert (withdrawn, remaining) == ([], [SQUARE])
+    verdict = outcome.verdicts[SQUARE]
+    assert verdict.gap == "shrank"
+    assert abs(verdict.share[0] - 1.0) < 3.5 * verdict.share[1]
+    assert outcome.test[2].cost < outcome.test[1].cost
+
+
+def test_an_effect_that_the_test_flights_contradict_is_withdrawn_and_others_remain():
+    train = {SQUARE: 40.0, ELEVATOR: 0.03}
+    withdrawn, remaining, outcome = hold_out(train, {ELEVATOR: 0.03}, [SQUARE, ELEVATOR])
+    assert (withdrawn, remaining) == ([SQUARE], [ELEVATOR])
+    assert outcome.verdicts[SQUARE].gap == "grew"
+    # What remains is estimated without it.
+    (effect,) = outcome.result.selection.chosen
+    assert abs(effect.value - 0.03) < 3.5 * effect.std
+    alone = result_of(LinearFlights({**PARAMETERS, **train}), [ELEVATOR])
+    assert effect.value == alone.selection.chosen[0].value
+
+
+def test_nothing_remains_where_the_test_flights_have_nothing():
+    withdrawn, remaining, outcome = hold_out({SQUARE: 60.0}, {}, [SQUARE])
+    assert (withdrawn, remaining) == ([SQUARE], [])
+    assert outcome.test[2] is outcome.test[1]
+
+
+def test_a_weak_effect_remains_unless_something_is_unexplained():
+    """On test flights without effect, a false one of |t| 1 cannot be told from chance; beside a
+    curve that no chosen form describes it must be visible there.
+    """
+    flights = LinearFlights(PARAMETERS)
+    chosen = result_of(flights, [CUBE])
+    assert abs(chosen.selection.chosen[0].t) < 3.0
+    others = LinearFlights(PARAMETERS, seeds=(4, 5, 6))
+    for mismatch in (None, SimpleNamespace(replaced=())):
+        strong = tuple(replace(c, t=5.0) for c in chosen.selection.chosen)
+        selection = replace(chosen.selection, chosen=strong)
+        model = replace(chosen, mismatch=mismatch, selection=selection)
+        sides = [Dataset(chosen.setup), Dataset(chosen.setup)]
+        outcome = LinearHoldOut(model, None, None, *sides, None, flights, others).run()  # type: ignore[arg-type]
+        assert bool(outcome.withdrawn) is (mismatch is not None)

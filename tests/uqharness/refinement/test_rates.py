@@ -7,9 +7,23 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from sysid.effects import Choice, Effect, Selection, White, gather
-from uqharness.identification.linearised import HERE, in_dead_zone, servo_change, slopes_here
-from uqharness.refinement.rounds import WIDTHS_DEG, _asked, as_known_here, felt, is_fastest, just_so
+from sysid.effects import Effect, SelectedEffect, Selection, White, normal_equations
+from uqharness.identification.linearised import (
+    LOCAL_SLOPE,
+    around,
+    in_dead_zone,
+    servo_change,
+    slopes_here,
+)
+from uqharness.refinement.candidate_model import with_local_rate_limits
+from uqharness.refinement.candidates import (
+    SLOWER_SHARES,
+    WIDTHS_DEG,
+    _trial_rates,
+    clip_to_active_range,
+    is_fastest,
+    limit_of_unit_gain,
+)
 from uqharness.replay import Segment, runs_per_row
 from uqharness.simulator import Actuator
 
@@ -32,10 +46,10 @@ def fastest(setup) -> float:
 
 def test_a_limit_that_is_felt_may_be_too_low_as_well_as_too_high():
     limited = setup_with(40.0)
-    asked = _asked(limited, "elevator", limited.servos["elevator"])
+    asked = _trial_rates(limited, "elevator", limited.servos["elevator"])
     assert min(asked) < 40.0 < max(asked) == pytest.approx(fastest(limited))
     free = setup_with(1000.0)
-    assert max(_asked(free, "elevator", free.servos["elevator"])) < fastest(free)
+    assert max(_trial_rates(free, "elevator", free.servos["elevator"])) < fastest(free)
 
 
 @pytest.mark.parametrize(("limit", "share"), [(80.0, 0.02), (25.0, 0.02)])
@@ -45,28 +59,32 @@ def test_the_limit_that_does_just_what_is_missing_is_found_on_either_side(limit,
     missing = Actuator(25.0, limit).follow(command, DT, DT / runs_per_row(DT)) - servo.follow(
         command, DT, DT / runs_per_row(DT)
     )
-    speeds = np.array([s for s in _asked(setup, "elevator", servo) if (s > 40.0) == (limit > 40.0)])
+    speeds = np.array(
+        [s for s in _trial_rates(setup, "elevator", servo) if (s > 40.0) == (limit > 40.0)]
+    )
     wanted = []
     for speed in speeds:
         column = servo_change("rate_limit", servo, command, DT, (40.0, speed))
         wanted.append(column @ missing / (column @ column) / (1.0 / speed - 1.0 / 40.0))
-    assert just_so(speeds, np.array(wanted), np.ones(len(speeds))) == pytest.approx(limit, rel=0.1)
-    assert just_so(speeds, -np.array(wanted), np.ones(len(speeds))) is None
+    assert limit_of_unit_gain(speeds, np.array(wanted), np.ones(len(speeds))) == pytest.approx(
+        limit, rel=0.1
+    )
+    assert limit_of_unit_gain(speeds, -np.array(wanted), np.ones(len(speeds))) is None
 
 
 def test_above_the_fastest_motion_every_limit_is_the_same():
     limited = setup_with(40.0)
-    beyond = Choice(KEY, 1.0 / 500.0 - 1.0 / 40.0, 1e-4, -230.0, 1.0, 1.0, 0.0)
-    (within,) = felt([beyond], limited)
+    beyond = SelectedEffect(KEY, 1.0 / 500.0 - 1.0 / 40.0, 1e-4, -230.0, 1.0, 1.0, 0.0)
+    (within,) = clip_to_active_range(Selection((beyond,)), limited).chosen
     # Where the command jumps a servo is faster than on the way from row to row.
     rows = limited.servos["elevator"].lag * limited.segments[0].at_commands().dt_s
     assert 1.0 / (within.value + 1.0 / 40.0) == pytest.approx(
         fastest(limited) * rows / (1.0 - np.exp(-rows))
     )
     assert within.t == pytest.approx(within.value / 1e-4)
-    below = Choice(KEY, 1.0 / 60.0 - 1.0 / 40.0, 1e-4, -80.0, 1.0, 1.0, 0.0)
-    lag = Choice("effect/actuator.elevator/lag", -5.0, 1.0, -5.0, 1.0, 1.0, 0.0)
-    assert felt([below, lag], limited) == (below, lag)
+    below = SelectedEffect(KEY, 1.0 / 60.0 - 1.0 / 40.0, 1e-4, -80.0, 1.0, 1.0, 0.0)
+    lag = SelectedEffect("effect/actuator.elevator/lag", -5.0, 1.0, -5.0, 1.0, 1.0, 0.0)
+    assert clip_to_active_range(Selection((below, lag)), limited).chosen == (below, lag)
 
 
 def test_a_limit_above_the_servos_own_is_known_by_its_slope_where_it_flies():
@@ -75,7 +93,7 @@ def test_a_limit_above_the_servos_own_is_known_by_its_slope_where_it_flies():
     value, noise = 1.0 / 80.0 - 1.0 / 40.0, rng.standard_normal((400, 1))
 
     def found(here: np.ndarray) -> SimpleNamespace:
-        columns = {"other": 10.0 * other, KEY: 1e5 * whole, KEY + HERE: here}
+        columns = {"other": 10.0 * other, KEY: 1e5 * whole, KEY + LOCAL_SLOPE: here}
         white = White(
             noise,
             np.stack(list(columns.values()), axis=2).astype(np.float32),
@@ -84,13 +102,13 @@ def test_a_limit_above_the_servos_own_is_known_by_its_slope_where_it_flies():
             np.ones((400, 1), dtype=bool),
             np.ones(1),
         )
-        evidence = gather([white], tuple(columns), [0], {}).taken_out({KEY: value})
+        evidence = normal_equations([white], tuple(columns), [0], {}).without_values({KEY: value})
         return SimpleNamespace(
-            evidence=evidence, free=("other", KEY), setup=setup_with(40.0), flown={KEY: value}
+            information=evidence, free=("other", KEY), data=setup_with(40.0), values={KEY: value}
         )
 
-    choice = Choice(KEY, value, 1e-5, value / 1e-5, 1.0, 1.0, 0.0)
-    (known,) = as_known_here(Selection((choice,)), found(1e4 * here)).chosen
+    choice = SelectedEffect(KEY, value, 1e-5, value / 1e-5, 1.0, 1.0, 0.0)
+    (known,) = with_local_rate_limits(Selection((choice,)), found(1e4 * here)).chosen
     A = np.column_stack([10.0 * other, 1e4 * here])
     step = np.linalg.lstsq(A, noise[:, 0], rcond=None)[0][1]
     assert known.value == pytest.approx(value + step, rel=1e-4)
@@ -98,7 +116,7 @@ def test_a_limit_above_the_servos_own_is_known_by_its_slope_where_it_flies():
     assert known.t == choice.t
     assert not is_fastest(known, setup_with(40.0))
     # A limit of which the flights say nothing may be any number above.
-    (silent,) = as_known_here(Selection((choice,)), found(0.0 * here)).chosen
+    (silent,) = with_local_rate_limits(Selection((choice,)), found(0.0 * here)).chosen
     assert is_fastest(silent, setup_with(40.0))
 
 
@@ -106,7 +124,7 @@ def test_only_limits_above_the_servos_own_have_a_slope_of_their_own():
     limit = Effect(None, "actuator.elevator", "rate_limit", "", "", unit="s/deg")
     lag = Effect(None, "actuator.elevator", "lag", "", "", unit="s")
     faster, slower = (SimpleNamespace(effects={limit.key: v, lag.key: -0.1}) for v in (-0.01, 0.01))
-    assert [e.key for e in slopes_here([limit, lag], faster)] == [KEY + HERE]
+    assert [e.key for e in slopes_here([limit, lag], faster)] == [KEY + LOCAL_SLOPE]
     assert slopes_here([limit, lag], slower) == []
 
 
@@ -120,14 +138,60 @@ def test_a_dead_zone_is_read_by_one_as_wide_as_it_is(width):
         column = in_dead_zone(asked, one)
         estimates.append(column @ missing / (column @ column))
     widths = np.array(WIDTHS_DEG)
-    assert just_so(widths, np.array(estimates) / widths, np.ones(len(widths))) == pytest.approx(
-        width, rel=0.1
-    )
+    assert limit_of_unit_gain(
+        widths, np.array(estimates) / widths, np.ones(len(widths))
+    ) == pytest.approx(width, rel=0.1)
     # A column of one width for all makes another width of it.
     assert np.abs(np.array(estimates) / width - 1.0).max() > 0.08
     # One that stands in it already is short by half of what it is wider.
     wider = np.sign(asked) * np.maximum(np.abs(asked) - 0.5 * (width + 1e-3), 0.0)
     outside = np.abs(asked) > 0.5 * (width + 1e-3)
-    assert (1e-3 * in_dead_zone(stands, 0.4, flown=True))[outside] == pytest.approx(
+    assert (1e-3 * in_dead_zone(stands, 0.4, in_model=True))[outside] == pytest.approx(
         (wider - stands)[outside], abs=1e-12
     )
+
+
+def test_the_limit_is_the_one_of_which_the_flights_want_just_what_it_does():
+    servo, h = Actuator(lag=25.0, rate=240.0), 0.02
+    ramp = np.concatenate(
+        [
+            np.zeros(20),
+            np.linspace(0.0, 9.6, 5),
+            np.full(30, 9.6),
+            np.linspace(9.6, -9.6, 9),
+            np.full(30, -9.6),
+        ]
+    )
+    before = servo.follow(ramp, h, 0.01)
+    fastest = float(np.abs(np.diff(before)).max()) / h
+    limits = np.array(SLOWER_SHARES) * fastest
+    for true in (0.9 * fastest, 0.7 * fastest, 0.4 * fastest):
+        hidden = Actuator(lag=25.0, rate=true).follow(ramp, h, 0.01) - before
+        per_unit = [servo_change("rate_limit", servo, ramp, h, (240.0, x)) for x in limits]
+        estimate = np.array([c @ hidden / (c @ c) for c in per_unit])
+        t = np.array([c @ hidden / np.sqrt(c @ c) for c in per_unit])
+        found = limit_of_unit_gain(limits, estimate / (1.0 / limits - 1.0 / 240.0), t)
+        assert found == pytest.approx(true, rel=0.03)
+    # One slope for all limits makes something else of a servo that is a little slow.
+    hidden = Actuator(lag=25.0, rate=0.9 * fastest).follow(ramp, h, 0.01) - before
+    clip_to_active_range = servo_change("rate_limit", servo, ramp, h)
+    assert (
+        abs(
+            1.0
+            / (
+                clip_to_active_range @ hidden / (clip_to_active_range @ clip_to_active_range)
+                + 1.0 / 240.0
+            )
+            / (0.9 * fastest)
+            - 1.0
+        )
+        > 0.1
+    )
+    assert limit_of_unit_gain(limits, -np.ones(len(limits)), -np.ones(len(limits))) is None
+    assert (
+        limit_of_unit_gain(limits, np.full(len(limits), 0.1), np.arange(len(limits), 0.0, -1.0))
+        == limits[0]
+    )
+    assert around(servo, 1.0 / 80.0 - 1.0 / 240.0) == pytest.approx((80.0, 77.6))
+    # Faster than the servo's own, where it may hardly be reached: halfway back, in travel time.
+    assert around(servo, 1.0 / 480.0 - 1.0 / 240.0) == pytest.approx((480.0, 320.0))

@@ -10,16 +10,17 @@ from types import SimpleNamespace
 import pytest
 
 from uqharness.errors import BadInputError
-from uqharness.refinement.round import confirming_segments, file_hash, refuse_shared
+from uqharness.refinement.estimators import confirming_segments
+from uqharness.refinement.run import file_hash, refuse_shared_flights
 
 
 def test_a_flight_that_chose_is_refused_by_its_content_not_its_name(tmp_path: Path):
     for name, content in (("a.csv", "one"), ("b.csv", "two"), ("copy.csv", "one")):
         (tmp_path / name).write_text(content, encoding="utf-8")
     a, b, copy = (tmp_path / name for name in ("a.csv", "b.csv", "copy.csv"))
-    refuse_shared([a], [b])
+    refuse_shared_flights([a], [b])
     with pytest.raises(BadInputError, match=r"copy\.csv: the same flight as --train .*a\.csv"):
-        refuse_shared([a, b], [copy])
+        refuse_shared_flights([a, b], [copy])
     with pytest.raises(BadInputError, match="cannot be read"):
         file_hash(tmp_path / "none.csv")
 

@@ -14,7 +14,7 @@ import pytest
 from sysid.errors import Finding
 from sysid.foreign.typed_files import dump
 from tests.helpers.places import ROOT
-from uqharness.refinement.round import FOLDER, Stages
+from uqharness.refinement.stages import FOLDER, Stages
 
 
 @pytest.fixture
@@ -74,7 +74,7 @@ def test_it_is_said_to_a_user_who_asked_for_no_log(folder):
     folder.mkdir()
     script = f"""
 from pathlib import Path
-from uqharness.refinement.round import Stages
+from uqharness.refinement.stages import Stages
 stages = Stages(Path({str(folder)!r}), ["input"])
 (stages.folder / f"effects-{{stages.key}}.data").write_bytes(b"x")
 print(stages("effects", int, lambda: 5))
@@ -132,14 +132,14 @@ def test_forget_removes_its_own_files_alone(folder, tmp_path, caplog):
     linked = folder / f"named-{stages.key}.data"
     linked.symlink_to(outside)
     (folder / "notes.txt").write_text("mine")
-    stages.forget()
+    stages.remove()
     assert outside.read_text() == "x"
     assert [path.name for path in folder.iterdir()] == ["notes.txt"]
     (folder / "notes.txt").unlink()
     stages("effects", list[Finding], found)
-    stages.forget()
+    stages.remove()
     assert not folder.exists()
-    stages.forget()
+    stages.remove()
 
 
 def test_a_link_in_the_place_of_the_folder_is_not_followed(folder, tmp_path, caplog):
@@ -150,7 +150,7 @@ def test_a_link_in_the_place_of_the_folder_is_not_followed(folder, tmp_path, cap
     kept.write_bytes(dump([]))
     folder.symlink_to(elsewhere)
     assert stages("effects", list[Finding], found) == found()
-    stages.forget()
+    stages.remove()
     assert list(elsewhere.iterdir()) == [kept]
     assert caplog.messages == [
         f"{folder}: is a link, not a folder of this program; stages are not kept"

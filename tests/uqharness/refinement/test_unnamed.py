@@ -23,7 +23,7 @@ from uqharness.batch.course import fly_many
 from uqharness.cli.main import main
 from uqharness.flight.spec import FlightSpec
 from uqharness.refinement import run
-from uqharness.refinement.unnamed import EXPLAINED, STATES, is_in
+from uqharness.refinement.smooth_terms import EXPLAINED, STATES, is_in
 from uqharness.requests.refinement import RefineRequest
 from uqharness.results.refinement import Refinement
 from uqharness.simulator.aircraft import find_aircraft
@@ -112,7 +112,7 @@ def test_its_band_holds_the_hidden_form(bumped):
     assert smooth["in_place_of"] == ["pitching moment due to angle of attack cubed"]
     assert ">aero/Cm_alpha3<" not in xml
     truth = {n: Airframe().coefficients[n] for n in own}
-    # Both with the lines that go with them; what is left of the lines' difference is the
+    # TrainTestInformation with the lines that go with them; what is left of the lines' difference is the
     # parameters' own.
     gap = (own["Cm_0"] - truth["Cm_0"]) + (own["Cm_alpha"] - truth["Cm_alpha"]) * at + curve
     gap = gap - BUMP.size * value(BUMP.form, {"alpha": at})
@@ -140,8 +140,8 @@ def test_its_aircraft_flies_in_jsbsim_and_in_the_batch_engine_and_compares_as_to
     _, smooth = remaining(bumped)
     folder = (bumped / smooth["model"]).parent
     assert find_aircraft(folder).name == "espaaro"
-    (flown,) = fly_many([FlightSpec(folder, find_script("loiter"), 2.0)])
-    assert flown.status == "ok"
+    (trajectory,) = fly_many([FlightSpec(folder, find_script("loiter"), 2.0)])
+    assert trajectory.status == "ok"
     flight = bumped.parent / "2.parquet"
     main(
         [

@@ -12,7 +12,7 @@ import pytest
 
 from sysid.effects.catalogue import subsystem_effects
 from tests.helpers.flown import fly
-from uqharness.refinement.write_xml import Written, write_effects
+from uqharness.refinement.write_xml import EffectToWrite, write_effects
 from uqharness.replay.flights import prepare, segments
 from uqharness.replay.force import force_states
 from uqharness.replay.model import CONTROLS, ReplayFolder, altitudes, has_ground_heights, heights
@@ -32,7 +32,7 @@ def near(tmp_path_factory):
     """E-SPAARO with lift from the ground."""
     target = tmp_path_factory.mktemp("near") / "espaaro"
     effect = {e.key: e for e in subsystem_effects([], [], [])}["effect/ground/lift"]
-    write_effects(find_aircraft("espaaro"), [Written(effect, LIFT, "", {})], {}, target)
+    write_effects(find_aircraft("espaaro"), [EffectToWrite(effect, LIFT, "", {})], {}, target)
     return find_aircraft(target)
 
 

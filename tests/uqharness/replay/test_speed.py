@@ -15,7 +15,7 @@ from tests.hidden_effects.cases import cards
 from tests.hidden_effects.effects import Effect
 from tests.hidden_effects.flights import NOISE, Flight, fly_and_tell
 from uqharness.identification.linearised import moved_later
-from uqharness.refinement.write_xml import Written, write_effects
+from uqharness.refinement.write_xml import EffectToWrite, write_effects
 from uqharness.replay import replay
 from uqharness.replay.flights import prepare, segments
 from uqharness.replay.model import ReplayFolder
@@ -31,7 +31,9 @@ def aircraft(tmp_path_factory):
     """E-SPAARO with a normal force due to the rate of alpha."""
     target = tmp_path_factory.mktemp("rates") / "espaaro"
     effect = coefficient_effect("CZ", "alphadot_hat")
-    write_effects(find_aircraft("espaaro"), [Written(effect, VALUE, "a remark", {})], {}, target)
+    write_effects(
+        find_aircraft("espaaro"), [EffectToWrite(effect, VALUE, "a remark", {})], {}, target
+    )
     return find_aircraft(target)
 
 

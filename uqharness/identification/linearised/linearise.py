@@ -31,7 +31,13 @@ from sysid.arrays import FloatArray
 from sysid.effects import V_REFERENCE_MPS, Columns, Effect, MadeColumns
 from sysid.parallel import SERIAL, Processes
 from sysid.units import FT_M, LBF_FT_NM, LBF_N
-from uqharness.identification.linearised.types import Flown, Point, Setup, late_by, unseen_share
+from uqharness.identification.linearised.flight_data import (
+    FlightData,
+    ModelState,
+    Trajectory,
+    late_by,
+    unseen_share,
+)
 from uqharness.identification.replay_fit import jumping_flights
 from uqharness.replay import (
     CONTROLS,
@@ -59,7 +65,7 @@ that.
 _STEPS = np.array([0.1, 1e-3, 1e-3, 0.01, 0.01, 0.01])
 """Steps of AIR by which slopes are read."""
 _CONTROL_STEP = 0.1
-_STILL = 1e-9
+_STATIONARY_SHARE = 1e-9
 """Share of the largest load by which loads of two frames differ at most where they stand still."""
 _BANKED = (0.5 * np.pi, np.pi)
 """Banks [rad] besides the flight's own at which forces show what the rates of alpha and beta do to
@@ -196,8 +202,10 @@ def probe_all(jobs: Sequence[ProbeJob], map_: Processes = SERIAL) -> list[Probe]
     """Force the model along references, all states asked for at once: jobs of one model and the
     same properties.
     """
-    found = force_all(jobs[0].direct_model, [_asked(job) for job in jobs], jobs[0].properties, map_)
-    return [_probe_of(job, forced) for job, forced in zip(jobs, found, strict=True)]
+    forced_models = force_all(
+        jobs[0].direct_model, [_probe_states(job) for job in jobs], jobs[0].properties, map_
+    )
+    return [_probe_of(job, forced) for job, forced in zip(jobs, forced_models, strict=True)]
 
 
 def _coarse(n: int) -> NDArray[np.intp]:
@@ -225,7 +233,7 @@ def _moved(job: ProbeJob) -> tuple[NDArray[np.intp], NDArray[np.intp], FloatArra
     return coarse if job.consistent else np.arange(n), coarse, x, u
 
 
-def _asked(job: ProbeJob) -> SegmentStates:
+def _probe_states(job: ProbeJob) -> SegmentStates:
     """All states that a probe asks of the model, one behind the other."""
     base, coarse, moved, turned = _moved(job)
     x = np.concatenate([job.x[base], *moved])
@@ -235,15 +243,17 @@ def _asked(job: ProbeJob) -> SegmentStates:
     return SegmentStates(job.segment, motion, np.concatenate([job.controls[base], *turned]), height)
 
 
-def _probe_of(job: ProbeJob, found: ForcedModel) -> Probe:
+def _probe_of(job: ProbeJob, forced: ForcedModel) -> Probe:
     base, coarse, x, u = _moved(job)
-    n, air, controls, mass = len(job.x), len(AIR), job.controls.shape[1], found.mass
-    spread, all_rows = partial(_between, coarse, n), partial(_between, base, n)
-    load = np.hstack([found.aero_force + found.other_force, found.aero_moment + found.other_moment])
-    other = np.hstack([found.other_force, found.other_moment])
+    n, air, controls, mass = len(job.x), len(AIR), job.controls.shape[1], forced.mass
+    to_rows, all_rows = partial(_between, coarse, n), partial(_between, base, n)
+    load = np.hstack(
+        [forced.aero_force + forced.other_force, forced.aero_moment + forced.other_moment]
+    )
+    other = np.hstack([forced.other_force, forced.other_moment])
     at = np.searchsorted(base, coarse)
     change, other_change = (v[len(base) :].reshape(*x.shape[:2], 6) - v[at] for v in (load, other))
-    load, other, qbar = (all_rows(v[: len(base)]) for v in (load, other, found.qbar))
+    load, other, qbar = (all_rows(v[: len(base)]) for v in (load, other, forced.qbar))
     scale = _scale(qbar, mass)
 
     def known_before(values: FloatArray) -> FloatArray:
@@ -251,7 +261,7 @@ def _probe_of(job: ProbeJob, found: ForcedModel) -> Probe:
         # reads them as sensors that are off (alpha by a degree in light turbulence). Held, a slope
         # goes with the dynamic pressure of each row.
         if job.consistent:
-            return spread(values)
+            return to_rows(values)
         each = qbar.reshape(-1, *(1,) * (values.ndim - 1))
         last = np.searchsorted(coarse, np.arange(n), side="right") - 1
         return np.asarray(values[last] / each[coarse[last]] * each)
@@ -268,7 +278,7 @@ def _probe_of(job: ProbeJob, found: ForcedModel) -> Probe:
     # Along straight lines, the slope about a jump is that half-way up: thrust bends with the
     # throttle.
     slope = (
-        spread(np.moveaxis(change[air : air + controls], 0, 2) / steps[:, None, :])
+        to_rows(np.moveaxis(change[air : air + controls], 0, 2) / steps[:, None, :])
         / scale[:, :, None]
     )
     coefficients = (load - other) / scale
@@ -277,7 +287,7 @@ def _probe_of(job: ProbeJob, found: ForcedModel) -> Probe:
         # is a straight line.
         surfaces = [k for k, c in enumerate(CONTROLS) if c != "throttle"]
         moved = np.einsum("njk,nk->nj", slope[:, :, surfaces], job.controls[:, surfaces])
-        coefficients = spread((coefficients - moved)[coarse]) + moved
+        coefficients = to_rows((coefficients - moved)[coarse]) + moved
     slopes = known_before(np.moveaxis(change[:air], 0, 2) / _STEPS)
     arm, rate = np.array(job.segment.arm_m), np.gradient(job.x, job.segment.dt_s, axis=0)
     return Probe(
@@ -298,7 +308,7 @@ def _probe_of(job: ProbeJob, found: ForcedModel) -> Probe:
         other[:, 3:],
         slope,
         job.controls,
-        job.x[:, 0] * spread(other_change[0, :, 0] / _STEPS[0]) / scale[:, 0],
+        job.x[:, 0] * to_rows(other_change[0, :, 0] / _STEPS[0]) / scale[:, 0],
         job.height_m if job.segment.above_ground else np.full(n, np.inf),
         job.x,
         job.x,
@@ -319,15 +329,15 @@ def property_slopes(
     Each state is forced once; then the properties are moved one after the other and the forces
     renewed, the state unmoved, until they no longer change: lift moves the rate of alpha and the
     induced drag, which JSBSim reads from the frame before."""
-    straight, segment, x, controls, height_m, properties, names = job
-    fdm = straight.open(segment.dt_s)
+    direct_model, segment, x, controls, height_m, properties, names = job
+    fdm = direct_model.open(segment.dt_s)
     for name, value in properties.items():
         engine.set_property(fdm, name, value)
     if fdm.get_propulsion().get_num_engines():
         engine.start_engines(fdm)
-    setters = control_setters(fdm, straight)
+    setters = control_setters(fdm, direct_model)
     fdm["ic/lat-geod-deg"] = TRIM_LATITUDE_DEG
-    fdm["ic/terrain-elevation-ft"] = terrain_m(straight, segment) / FT_M
+    fdm["ic/terrain-elevation-ft"] = terrain_m(direct_model, segment) / FT_M
     places = (
         "phi-rad",
         "theta-rad",
@@ -339,7 +349,7 @@ def property_slopes(
         "r-rad_sec",
         "h-sl-ft",
     )
-    put = [engine.handle(fdm, f"ic/{name}").set_double_value for name in places]
+    state_setters = [engine.handle(fdm, f"ic/{name}").set_double_value for name in places]
     loads = [f"forces/fb{a}-total-lbs" for a in "xyz"] + [f"moments/{a}-total-lbsft" for a in "lmn"]
     get = [engine.handle(fdm, name).get_double_value for name in loads]
     moved = [engine.handle(fdm, name).set_double_value for name in names]
@@ -347,13 +357,13 @@ def property_slopes(
     steps = [1e-3 * max(abs(v), 1e-2) for v in values]
     unit = np.array([LBF_N] * 3 + [LBF_FT_NM] * 3)
     out = {name: np.empty((len(x), 6)) for name in names}
-    asked = zip(
+    samples = zip(
         x.tolist(),
-        straight.to_property(controls).tolist(),
-        altitudes(straight, segment, height_m).tolist(),
+        direct_model.to_property(controls).tolist(),
+        altitudes(direct_model, segment, height_m).tolist(),
         strict=True,
     )
-    for k, ((V, alpha, beta, p, q, r, phi, theta), positions, altitude) in enumerate(asked):
+    for k, ((V, alpha, beta, p, q, r, phi, theta), positions, altitude) in enumerate(samples):
         for handles, value in zip(setters, positions, strict=True):
             for setter in handles:
                 setter(value)
@@ -366,7 +376,7 @@ def property_slopes(
             r,
             altitude / FT_M,
         )
-        for setter, value in zip(put, state, strict=True):
+        for setter, value in zip(state_setters, state, strict=True):
             setter(value)
         engine.run_ic(fdm)
         fdm.suspend_integration()
@@ -393,7 +403,7 @@ def _settled_loads(fdm: Any, get: Sequence[Callable[[], float]]) -> FloatArray:
         loads = np.array([g() for g in get])
         moved = float(np.max(np.abs(loads - before)) / max(np.max(np.abs(loads)), 1e-9))
         # Loads that outgrow the accelerations that they are part of settle nowhere.
-        if moved < _STILL or not moved < last:
+        if moved < _STATIONARY_SHARE or not moved < last:
             break
     return loads
 
@@ -404,9 +414,9 @@ def _between(coarse: NDArray[np.intp], n: int, values: FloatArray) -> FloatArray
 
 
 def with_properties(
-    straight: ReplayModel,
+    direct_model: ReplayModel,
     segments: Sequence[Segment],
-    found: Sequence[Probe],
+    linear_probes: Sequence[Probe],
     names: Sequence[str],
     values: Mapping[str, float],
     analytic: tuple[str, ...] | None,
@@ -416,16 +426,16 @@ def with_properties(
     known, or found, to be ``analytic``: the coefficient terms that their names say. And which those
     are. values: of all properties in force."""
     if analytic is None:
-        analytic = tuple(named_terms(straight, segments[0], found[0], names, values))
-    rest = [n for n in names if n not in analytic]
-    if not rest:
-        return list(found), analytic
-    rows = [_coarse(len(p.x)) for p in found]
-    asked = [
-        (straight, s, p.x[k], p.controls[k], p.height_m[k], values, rest)
-        for s, p, k in zip(segments, found, rows, strict=True)
+        analytic = tuple(named_terms(direct_model, segments[0], linear_probes[0], names, values))
+    numeric = [n for n in names if n not in analytic]
+    if not numeric:
+        return list(linear_probes), analytic
+    rows = [_coarse(len(p.x)) for p in linear_probes]
+    jobs = [
+        (direct_model, s, p.x[k], p.controls[k], p.height_m[k], values, numeric)
+        for s, p, k in zip(segments, linear_probes, rows, strict=True)
     ]
-    slopes = zip(found, rows, map_(property_slopes, asked), strict=True)
+    slopes = zip(linear_probes, rows, map_(property_slopes, jobs), strict=True)
     return [
         replace(p, by_property={n: _between(k, len(p.x), v) / p.scale for n, v in by.items()})
         for p, k, by in slopes
@@ -433,7 +443,7 @@ def with_properties(
 
 
 def named_terms(
-    straight: ReplayModel,
+    direct_model: ReplayModel,
     segment: Segment,
     probe_: Probe,
     names: Sequence[str],
@@ -442,30 +452,30 @@ def named_terms(
     """Those of ``names`` that are, in this model, the coefficient term their name says: told by
     moving each of them.
     """
-    known = [name for name in names if split_name(name) is not None]
-    if not known:
+    term_names = [name for name in names if split_name(name) is not None]
+    if not term_names:
         return []
     rows = np.unique(np.linspace(0, len(probe_.x) - 1, 9).astype(int))
-    found = {k: v[rows] for k, v in probe_.variables().items()}
+    term_variables = {k: v[rows] for k, v in probe_.variables().items()}
     of_rows = (probe_.x[rows], probe_.controls[rows], probe_.height_m[rows])
-    slopes = property_slopes((straight, segment, *of_rows, values, known))
+    slopes = property_slopes((direct_model, segment, *of_rows, values, term_names))
     out = []
-    for name in known:
-        index, expected = term_column(name, found)
-        seen = slopes[name] / probe_.scale[rows]
-        wanted = np.zeros_like(seen)
+    for name in term_names:
+        index, expected = term_column(name, term_variables)
+        measured_slope = slopes[name] / probe_.scale[rows]
+        wanted = np.zeros_like(measured_slope)
         wanted[:, index] = expected
         size = max(float(np.abs(wanted).max()), 1e-9)
-        if np.allclose(seen, wanted, rtol=0.02, atol=0.02 * size):
+        if np.allclose(measured_slope, wanted, rtol=0.02, atol=0.02 * size):
             out.append(name)
     return out
 
 
-def term_column(name: str, found: Mapping[str, FloatArray]) -> tuple[int, FloatArray]:
+def term_column(name: str, term_variables: Mapping[str, FloatArray]) -> tuple[int, FloatArray]:
     """Coefficient's index and values (n,) of a property such as ``aero/Cm_q``."""
     parsed = split_name(name)
     assert parsed is not None
-    return COEFFICIENTS.index(parsed[0]), regressor(parsed[1], found)
+    return COEFFICIENTS.index(parsed[0]), regressor(parsed[1], term_variables)
 
 
 # What each candidate effect would do along the flights: extra coefficients, surfaces that stand
@@ -488,39 +498,47 @@ sense of that.
 AIR_RATES, _SLOPE_STEP = X_STATES[3:6], 1e-5
 _DEADBAND_DEG = 0.5
 _LAG_S = 0.002
-NEAR = 0.97
+NEARBY_SHARE = 0.97
 """Share of a rate limit down to which its slope is taken."""
-HERE = "@here"
+LOCAL_SLOPE = "@here"
 """What the term of a rate limit above the servo's own has besides, as the column of its slope where
 it flies.
 """
 
 
 def effect_columns(
-    setup: Setup, probes: Sequence[Probe], flown: Flown, effects: Sequence[Effect]
+    setup: FlightData, probes: Sequence[Probe], trajectory: Trajectory, effects: Sequence[Effect]
 ) -> MadeColumns:
     """Columns of the candidates by their keys, one set a segment; a candidate that does nothing
     there has none.
     """
 
     def make(k: int, names: Collection[str]) -> Columns:
-        return _of_segment(setup, k, probes[k], flown, [e for e in effects if e.key in names])
+        return _of_segment(setup, k, probes[k], trajectory, [e for e in effects if e.key in names])
 
     return MadeColumns([e.key for e in effects], make, len(setup.segments))
 
 
-def _of_segment(setup: Setup, k: int, p: Probe, flown: Flown, effects: Sequence[Effect]) -> Columns:
-    segment, y, point = setup.segments[k], flown.outputs[k], flown.point
+def _of_segment(
+    setup: FlightData, k: int, p: Probe, trajectory: Trajectory, effects: Sequence[Effect]
+) -> Columns:
+    segment, y, point = setup.segments[k], trajectory.outputs[k], trajectory.point
     inputs: dict[str, tuple[int, FloatArray]] = {}
     outputs: dict[str, FloatArray] = {}
     ends: dict[str, FloatArray] = {}
-    felt: dict[str, FloatArray] = {}
-    before, share, found = p.just_before(), unseen_share(point, segment.flight), p.variables()
-    earlier = found if before is p else before.variables()
+    seen_values: dict[str, FloatArray] = {}
+    before, share, term_variables = (
+        p.just_before(),
+        unseen_share(point, segment.flight),
+        p.variables(),
+    )
+    variables_before = term_variables if before is p else before.variables()
     for e in effects:
         key, part = e.key, (e.subsystem or "").partition(".")[0]
         if part == "record":
-            inputs[key], ends[key], felt[key] = later_controls(p, late_by(point, segment.flight))
+            inputs[key], ends[key], seen_values[key] = later_controls(
+                p, late_by(point, segment.flight)
+            )
             continue
         if part == "sensor":
             outputs[key] = _of_sensor(e, setup, segment, p, y, point)
@@ -528,46 +546,49 @@ def _of_segment(setup: Setup, k: int, p: Probe, flown: Flown, effects: Sequence[
         if e.key == "effect/mass/cg_x":
             # The accelerometers stay behind.
             outputs[key] = _felt_at(p, setup.outputs, np.array([-1.0, 0.0, 0.0]))
-        inputs[key] = _input(e, setup, segment, p, found, point)
+        inputs[key] = _input(e, setup, segment, p, term_variables, point)
         if before is not p and part != "actuator":
-            (_, values), (_, other) = inputs[key], _input(e, setup, segment, before, earlier, point)
+            (_, values), (_, other) = (
+                inputs[key],
+                _input(e, setup, segment, before, variables_before, point),
+            )
             if not np.array_equal(values, other):
-                ends[key], felt[key] = other, seen_of(values, other, share)
-    return Columns(tuple(e.key for e in effects), inputs, outputs, ends, felt)
+                ends[key], seen_values[key] = other, seen_of(values, other, share)
+    return Columns(tuple(e.key for e in effects), inputs, outputs, ends, seen_values)
 
 
-def slopes_here(active: Sequence[Effect], point: Point) -> list[Effect]:
+def slopes_here(active: Sequence[Effect], point: ModelState) -> list[Effect]:
     """Rate limits above the servos' own that fly at a point, by the slope there, which says how
     well they are known; the slope halfway back to the servo's own, by which they are chosen, says
     what they change."""
     faster = [e for e in active if e.term == "rate_limit" and point.effects.get(e.key, 0.0) < 0.0]
-    return [replace(e, term=e.term + HERE) for e in faster]
+    return [replace(e, term=e.term + LOCAL_SLOPE) for e in faster]
 
 
-def seen_of(values: FloatArray, earlier: FloatArray, share: float) -> FloatArray:
+def seen_of(values: FloatArray, before_jump: FloatArray, share: float) -> FloatArray:
     """Values that jump at their rows as the channels of these rows have seen them; earlier: just
     before; share: what is unseen.
     """
-    return np.asarray(values + share * (earlier - values))
+    return np.asarray(values + share * (before_jump - values))
 
 
-def sensor_gain(channel: str, point: Point) -> float:
+def sensor_gain(channel: str, point: ModelState) -> float:
     """By what a sensor multiplies its channel at a point."""
     return 1.0 + point.effects.get(f"effect/sensor.{channel}/scale", 0.0)
 
 
-def sensor_offset(channel: str, segment: Segment, point: Point) -> float:
+def sensor_offset(channel: str, segment: Segment, point: ModelState) -> float:
     """What a sensor adds to its channel at a point, in the channel's unit."""
-    own = point.nuisance.get(f"bias/{segment.flight}/{channel}", 0.0)
-    return own + point.effects.get(f"effect/sensor.{channel}/bias", 0.0)
+    bias = point.nuisance.get(f"bias/{segment.flight}/{channel}", 0.0)
+    return bias + point.effects.get(f"effect/sensor.{channel}/bias", 0.0)
 
 
-def unsensed(shown: FloatArray, channel: str, segment: Segment, point: Point) -> FloatArray:
+def unsensed(sensed: FloatArray, channel: str, segment: Segment, point: ModelState) -> FloatArray:
     """(n,) what a sensor shows without what it adds and multiplies at a point."""
-    return (shown - sensor_offset(channel, segment, point)) / sensor_gain(channel, point)
+    return (sensed - sensor_offset(channel, segment, point)) / sensor_gain(channel, point)
 
 
-def vane_place_m(point: Point) -> float:
+def vane_place_m(point: ModelState) -> float:
     """How much further forward [m] than the aircraft's card says the wind vanes are at a point."""
     return point.effects.get("effect/sensor.vane/place_x", 0.0)
 
@@ -593,7 +614,7 @@ def vane_slopes(x: FloatArray, gusts: GustStates | None) -> FloatArray:
     at = (x if gusts is None else with_gust_states(x, gusts)).T
     out = np.zeros((at.shape[1], len(STEP_OUTPUTS), len(at)))
 
-    def felt(z: FloatArray) -> FloatArray:
+    def vane_angles(z: FloatArray) -> FloatArray:
         air = np.zeros((3, 1)) if gusts is None else np.array(gusts.rotation(z))
         rates = z[3:6] - air
         return np.array(
@@ -601,7 +622,7 @@ def vane_slopes(x: FloatArray, gusts: GustStates | None) -> FloatArray:
         )
 
     for k, step in enumerate(_SLOPE_STEP * np.eye(len(at))[:, :, None]):
-        slope = (felt(at + step) - felt(at - step)) / (2.0 * _SLOPE_STEP)
+        slope = (vane_angles(at + step) - vane_angles(at - step)) / (2.0 * _SLOPE_STEP)
         for (angle, _, _), values in zip(_VANES, slope, strict=True):
             out[:, STEP_OUTPUTS.index(angle), k] = values
     return out
@@ -609,27 +630,31 @@ def vane_slopes(x: FloatArray, gusts: GustStates | None) -> FloatArray:
 
 def _input(
     e: Effect,
-    setup: Setup,
+    setup: FlightData,
     segment: Segment,
     p: Probe,
-    found: Mapping[str, FloatArray],
-    point: Point,
+    term_variables: Mapping[str, FloatArray],
+    point: ModelState,
 ) -> tuple[int, FloatArray]:
     """Extra coefficients per unit of an effect, as in `Columns`: (index, values (n,)) of one, (-1,
     values (n, 6)) of all.
     """
     if (term := e.parsed) is not None:
-        return COEFFICIENTS.index(e.coefficient), term.values(found)
-    part, _, what = (e.subsystem or "").partition(".")
-    scale, CT = p.scale, found["CT"]
+        return COEFFICIENTS.index(e.coefficient), term.values(term_variables)
+    part, _, part_name = (e.subsystem or "").partition(".")
+    scale, CT = p.scale, term_variables["CT"]
     C = np.zeros(scale.shape)
     if part == "stall":
         lag = p.flow_rate[:, 0] * p.mass.c / p.x[:, 0] if e.term == "dynamic" else 0.0
         # Flown, it is the number written that counts: the model's own slope has the stall in it.
         slope = setup.slopes.get("CZ_alpha", p.reference.slopes[:, 2, 1] / scale[:, 2])
-        C[:, 2] = slope * found["alpha"] * (_attached(np.degrees(found["alpha"] - lag)) - 1.0)
+        C[:, 2] = (
+            slope
+            * term_variables["alpha"]
+            * (_attached(np.degrees(term_variables["alpha"] - lag)) - 1.0)
+        )
     elif part == "ground":
-        h_over_b = found["h_over_b"]
+        h_over_b = term_variables["h_over_b"]
         C[:, 2] = np.where(
             h_over_b < GROUND_SPANS, p.coefficients[:, 2] * np.exp(-2.0 * h_over_b), 0.0
         )
@@ -638,17 +663,19 @@ def _input(
         if e.term == "thrust_scale":
             C = thrust
         elif e.term == "airspeed":
-            C = thrust * (found["V_rel"] - 1.0)[:, None]
+            C = thrust * (term_variables["V_rel"] - 1.0)[:, None]
         elif e.term == "inflow":
             C[:, 0] = p.by_inflow if np.any(np.abs(p.by_inflow) > LEAST_INFLOW) else 0.0
         elif e.term == "torque":
             C[:, 3] = CT
         elif e.term == "p_factor":
-            C[:, 5], C[:, 4] = -CT * found["alpha"], -CT * found["beta"]
+            C[:, 5], C[:, 4] = -CT * term_variables["alpha"], -CT * term_variables["beta"]
         else:
             for k, u in ((0, "de"), (2, "dr")):
-                own = _written(setup.slopes, u) if setup.slopes else p.by_control[:, :, k]
-                C += own * p.controls[:, [k]] * CT[:, None]
+                control_slopes = (
+                    _slipstream_slopes(setup.slopes, u) if setup.slopes else p.by_control[:, :, k]
+                )
+                C += control_slopes * p.controls[:, [k]] * CT[:, None]
     elif e.term == "cg_x":
         C[:, 4], C[:, 5] = p.coefficients[:, 2] / p.mass.c, -p.coefficients[:, 1] / p.mass.b
     elif part == "mass":
@@ -658,17 +685,19 @@ def _input(
         # lost.
         C[:, 3:] = np.column_stack([rd + pr * q, r * r - pr * pr, pd - q * r]) / scale[:, 3:]
     elif part == "actuator":
-        k = CONTROLS.index(what)
+        k = CONTROLS.index(part_name)
         if e.term == "deadband":
             moved = in_dead_zone(
-                p.controls[:, k], setup.zones.get(what, _DEADBAND_DEG), flown=e.key in point.effects
+                p.controls[:, k],
+                setup.zones.get(part_name, _DEADBAND_DEG),
+                in_model=e.key in point.effects,
             )
         else:
-            servo, limits = _as_flown(setup, what, point)
-            if e.term.endswith(HERE):
+            servo, limits = _as_flown(setup, part_name, point)
+            if e.term.endswith(LOCAL_SLOPE):
                 assert servo is not None
-                limits = servo.rate, NEAR * servo.rate
-            moved = surface_change(e.term.removesuffix(HERE), servo, segment, k, limits)
+                limits = servo.rate, NEARBY_SHARE * servo.rate
+            moved = surface_change(e.term.removesuffix(LOCAL_SLOPE), servo, segment, k, limits)
         C = p.by_control[:, :, k] * moved[:, None]
     else:
         raise ValueError(f"no model of effect {e.key}")
@@ -676,23 +705,23 @@ def _input(
 
 
 def _of_sensor(
-    e: Effect, setup: Setup, segment: Segment, p: Probe, y: FloatArray, point: Point
+    e: Effect, setup: FlightData, segment: Segment, p: Probe, y: FloatArray, point: ModelState
 ) -> FloatArray:
     """(n, m) what a unit of a sensor's effect adds to the outputs (n, m)."""
-    what = (e.subsystem or "").partition(".")[2]
+    sensor_name = (e.subsystem or "").partition(".")[2]
     if e.term.startswith("place_"):
         axis = np.eye(3)["xyz".index(e.term[-1])]
         out = (
             _felt_by_vanes(p, y, setup.outputs)
-            if what == "vane"
+            if sensor_name == "vane"
             else _felt_at(p, setup.outputs, axis)
         )
         return np.asarray(out * [sensor_gain(c, point) for c in setup.outputs])
     out = np.zeros_like(y)
     for k, c in enumerate(setup.outputs):
-        if e.term == "delay" and what in (c, SENSOR_OF.get(c)):
+        if e.term == "delay" and sensor_name in (c, SENSOR_OF.get(c)):
             out[:, k] = -p.rate_of(c, y[:, k])
-        elif e.term != "delay" and c == what:
+        elif e.term != "delay" and c == sensor_name:
             out[:, k] = unsensed(y[:, k], c, segment, point) if e.term == "scale" else 1.0
     return out
 
@@ -700,13 +729,15 @@ def _of_sensor(
 def _felt_by_vanes(p: Probe, y: FloatArray, outputs: Sequence[str]) -> FloatArray:
     """`at_vane` of the rates relative to the air, which rotates."""
     measured = [c for c in AIR_RATES if c in outputs]
-    seen = y.copy()
-    seen[:, [outputs.index(c) for c in measured]] = p.x[:, [X_STATES.index(c) for c in measured]]
-    return at_vane(seen, outputs)
+    vane_states = y.copy()
+    vane_states[:, [outputs.index(c) for c in measured]] = p.x[
+        :, [X_STATES.index(c) for c in measured]
+    ]
+    return at_vane(vane_states, outputs)
 
 
 def _as_flown(
-    setup: Setup, surface: str, point: Point
+    setup: FlightData, surface: str, point: ModelState
 ) -> tuple[Actuator | None, tuple[float, float] | None]:
     """A servo as it flies at a point, and the rate limits whose difference is its rate limit's
     slope: a slow servo made slower by a little does less than a fast one."""
@@ -729,13 +760,15 @@ def around(servo: Actuator, slowness: float) -> tuple[float, float]:
     limit = servo.slowed_to(slowness)
     # One above the servo's own may hardly be reached, where a little less changes nothing: halfway
     # back to the servo's own does.
-    return limit, min(NEAR * limit, servo.slowed_to(0.5 * slowness) if slowness < 0.0 else limit)
+    return limit, min(
+        NEARBY_SHARE * limit, servo.slowed_to(0.5 * slowness) if slowness < 0.0 else limit
+    )
 
 
-def in_dead_zone(u: FloatArray, width_deg: float, flown: bool = False) -> FloatArray:
+def in_dead_zone(u: FloatArray, width_deg: float, in_model: bool = False) -> FloatArray:
     """(n,) how far a surface that stands at u (n,) [deg] moves by each degree of a dead zone, read
     by one of that width; flown: by each degree that the one it stands in is wider."""
-    if flown:
+    if in_model:
         return np.asarray(-0.5 * np.sign(u))
     # Within half the width around zero the surface stays; beyond, it is short by half of it.
     half = 0.5 * width_deg
@@ -750,10 +783,10 @@ def _felt_at(p: Probe, outputs: Sequence[str], place_m: FloatArray) -> FloatArra
     return as_felt(np.cross(dot, place_m) + np.cross(rates, np.cross(rates, place_m)), outputs)
 
 
-def as_felt(felt: FloatArray, outputs: Sequence[str]) -> FloatArray:
-    """(n, m) outputs of accelerometers that feel ``felt`` (n, 3), zero in all others."""
-    out = np.zeros((len(felt), len(outputs)))
-    for name, value in zip(JUMPING_CHANNELS, felt.T, strict=True):
+def as_felt(acceleration: FloatArray, outputs: Sequence[str]) -> FloatArray:
+    """(n, m) outputs of accelerometers that feel ``acceleration`` (n, 3), zero in all others."""
+    out = np.zeros((len(acceleration), len(outputs)))
+    for name, value in zip(JUMPING_CHANNELS, acceleration.T, strict=True):
         if name in outputs:
             out[:, outputs.index(name)] = value
     return out
@@ -783,7 +816,7 @@ def later_controls(
     return (-1, values), ends, steady
 
 
-def _written(slopes: Mapping[str, float], control: str) -> FloatArray:
+def _slipstream_slopes(slopes: Mapping[str, float], control: str) -> FloatArray:
     """(6,) change of CX..Cn by a degree of a tail surface as the slipstream over it is written."""
     of = {"de": ("CZ", "Cm"), "dr": ("CY", "Cl", "Cn")}[control]
     return np.array([slopes.get(f"{c}_{control}", 0.0) if c in of else 0.0 for c in COEFFICIENTS])
@@ -804,9 +837,9 @@ def surface_change(
     limits: tuple[float, float] | None = None,
 ) -> FloatArray:
     """(n,) `servo_change` of control ``k`` at a segment's rows."""
-    own = segment.at_commands()
-    command = own.controls[:, k]
-    return segment.on_rows(servo_change(kind, servo, command, own.dt_s, limits))
+    commands = segment.at_commands()
+    command = commands.controls[:, k]
+    return segment.on_rows(servo_change(kind, servo, command, commands.dt_s, limits))
 
 
 def servo_change(
@@ -843,32 +876,37 @@ def servo_change(
 # accelerometers have seen of them.
 
 
-def with_jumps(setup: Setup, model: ReplayModel) -> Setup:
+def with_jumps(setup: FlightData, model: ReplayModel) -> FlightData:
     """The setup with the flights in which some control of the model jumps: what accelerometers miss
     of that is estimated.
     """
     return replace(setup, jumping=tuple(jumping_flights(model, setup.segments, setup.late)))
 
 
-def middles(model: ReplayModel, setup: Setup, point: Point | None = None) -> list[FloatArray]:
+def middles(
+    model: ReplayModel, setup: FlightData, point: ModelState | None = None
+) -> list[FloatArray]:
     """[(2, n - 1, c)] how far the controls stand from the mean of a step's ends at its middle, and
     at its end from the next row's.
 
     A servo's path is no straight line, and a surface without a lag jumps at a row: until then it
     stands where it stood. Where commands act between rows, the middle is such that Simpson's rule
     has the path's own area."""
-    cut = [segment.at_commands() for segment in setup.segments]
-    held = np.array([c not in model.measured for c in model.controls])
+    pieces = [segment.at_commands() for segment in setup.segments]
+    is_command = np.array([c not in model.measured for c in model.controls])
     servos = {} if point is None else setup.properties(point)
-    ends = surface_positions(model, cut, CONTROLS, servos)
+    ends = surface_positions(model, pieces, CONTROLS, servos)
     halves = (
-        surface_positions(model, [_halved(s) for s in cut], CONTROLS, servos)
-        if held.any()
-        else [None] * len(cut)
+        surface_positions(model, [_halved(s) for s in pieces], CONTROLS, servos)
+        if is_command.any()
+        else [None] * len(pieces)
     )
     jumps = np.array([c in model.jumping for c in model.controls])
-    made = zip(cut, ends, halves, setup.segments, strict=True)
-    return [_middle(own, at, half, held, jumps, segment.per_row) for own, at, half, segment in made]
+    paths = zip(pieces, ends, halves, setup.segments, strict=True)
+    return [
+        _middle(own, at, half, is_command, jumps, segment.per_row)
+        for own, at, half, segment in paths
+    ]
 
 
 def _halved(segment: Segment) -> Segment:
@@ -883,66 +921,75 @@ def _middle(
     segment: Segment,
     ends: FloatArray,
     half: FloatArray | None,
-    held: NDArray[np.bool_],
+    is_command: NDArray[np.bool_],
     jumps: NDArray[np.bool_],
     k: int,
 ) -> FloatArray:
     middle = np.where(
-        held, ends[:-1], by_run(segment, 2, [not h for h in held], [False] * len(held))[1::2]
+        is_command,
+        ends[:-1],
+        by_run(segment, 2, [not h for h in is_command], [False] * len(is_command))[1::2],
     )
     if half is not None:
-        middle[:, held] = half[1::2][:, held]
+        middle[:, is_command] = half[1::2][:, is_command]
     last = np.where(jumps, middle, ends[1:])
     if k > 1:
-        mean = ((ends[:-1] + 4.0 * middle + last) / 6.0).reshape(-1, k, len(held)).mean(axis=1)
+        mean = (
+            ((ends[:-1] + 4.0 * middle + last) / 6.0).reshape(-1, k, len(is_command)).mean(axis=1)
+        )
         ends, last = ends[::k], last[k - 1 :: k]
         middle = (6.0 * mean - ends[:-1] - last) / 4.0
     return np.stack([middle - 0.5 * (ends[:-1] + ends[1:]), last - ends[1:]])
 
 
 def bends_of(
-    straight: ReplayModel,
-    setup: Setup,
-    flown: Flown,
-    found: Sequence[Probe],
-    away: Sequence[FloatArray],
+    direct_model: ReplayModel,
+    setup: FlightData,
+    trajectory: Trajectory,
+    linear_probes: Sequence[Probe],
+    offsets: Sequence[FloatArray],
     map_: Processes,
 ) -> list[FloatArray]:
     """[(2, n - 1, 6)] by how much force and moment at the middle of a step differ from the mean of
     its ends, and at its end from the next row's: what the model says there, the surfaces where they
     stand by their `middles`, the motion half-way."""
-    asked = []
+    requests = []
     for segment, p, height, (middle, end) in zip(
-        setup.segments, found, flown.height, away, strict=True
+        setup.segments, linear_probes, trajectory.height, offsets, strict=True
     ):
         x, u, h = (
             np.concatenate([0.5 * (v[:-1] + v[1:]), v[1:]])
             for v in (p.reference.x, p.controls, height)
         )
         motion = {name: x[:, k] for k, name in enumerate(STATES)}
-        asked.append(
+        requests.append(
             SegmentStates(
-                segment, motion, u + np.concatenate([middle, end]), altitudes(straight, segment, h)
+                segment,
+                motion,
+                u + np.concatenate([middle, end]),
+                altitudes(direct_model, segment, h),
             )
         )
     out = []
     for p, forced in zip(
-        found, force_all(straight, asked, setup.properties(flown.point), map_), strict=True
+        linear_probes,
+        force_all(direct_model, requests, setup.properties(trajectory.point), map_),
+        strict=True,
     ):
-        own = np.hstack([p.reference.force, p.reference.moment])
-        there = np.hstack(
+        load = np.hstack([p.reference.force, p.reference.moment])
+        load_between = np.hstack(
             [forced.aero_force + forced.other_force, forced.aero_moment + forced.other_moment]
         )
-        middle, end = np.split(there, 2)
-        out.append(np.stack([middle - 0.5 * (own[:-1] + own[1:]), end - own[1:]]))
+        middle, end = np.split(load_between, 2)
+        out.append(np.stack([middle - 0.5 * (load[:-1] + load[1:]), end - load[1:]]))
     return out
 
 
-def jumped(away: FloatArray) -> FloatArray | None:
+def jumped(offsets: FloatArray) -> FloatArray | None:
     """(n, c) by how much the controls jump at each row, by their `middles`; the first row's is not
     known. None where none does.
     """
-    return np.vstack([np.zeros_like(away[1, :1]), -away[1]]) if away[1].any() else None
+    return np.vstack([np.zeros_like(offsets[1, :1]), -offsets[1]]) if offsets[1].any() else None
 
 
 # Outputs as the sensors give them: elsewhere than the card says, late, scaled, off by a
@@ -951,25 +998,25 @@ def jumped(away: FloatArray) -> FloatArray | None:
 
 def as_sensed(
     y: FloatArray,
-    setup: Setup,
+    setup: FlightData,
     segment: Segment,
-    point: Point,
-    earlier: Mapping[str, int] | None = None,
+    point: ModelState,
+    shifted_rows: Mapping[str, int] | None = None,
     between: FloatArray | None = None,
     behind: FloatArray | None = None,
 ) -> FloatArray:
     """(n, m) outputs as the sensors give them: elsewhere, late, scaled, off by a constant. Changes
     ``y`` in place.
 
-    earlier: channel -> rows by which it is compared with what was measured that much later. Where
-    some are late, between: the same outputs between the rows of a replay as well, or behind (n, m):
-    what it takes from them."""
+    shifted_rows: channel -> rows by which it is compared with what was measured that much later.
+    Where some are late, between: the same outputs between the rows of a replay as well, or behind
+    (n, m): what it takes from them."""
     forward = vane_place_m(point)
     if forward:
         y += forward * at_vane(y, setup.outputs)
         between = None if between is None else between + forward * at_vane(between, setup.outputs)
     for k, c in enumerate(setup.outputs):
-        late = sensor_late_s(c, segment, point) - (earlier or {}).get(c, 0) * segment.dt_s
+        late = sensor_late_s(c, segment, point) - (shifted_rows or {}).get(c, 0) * segment.dt_s
         if late and np.isfinite(y[:, k]).all():
             if behind is not None:
                 y[:, k] -= behind[:, k]
@@ -980,7 +1027,7 @@ def as_sensed(
     return y
 
 
-def placed(segment: Segment, point: Point) -> Segment:
+def placed(segment: Segment, point: ModelState) -> Segment:
     """The segment with the accelerometers where they are at a point."""
     x, y, z = (
         own + point.effects.get(f"effect/sensor.accelerometer/place_{axis}", 0.0)
@@ -989,12 +1036,12 @@ def placed(segment: Segment, point: Point) -> Segment:
     return segment if (x, y, z) == tuple(segment.arm_m) else replace(segment, arm_m=(x, y, z))
 
 
-def sensor_late_s(channel: str, segment: Segment, point: Point) -> float:
+def sensor_late_s(channel: str, segment: Segment, point: ModelState) -> float:
     """By how much a channel is late at a point [s]."""
     sensor = SENSOR_OF.get(channel, channel)
-    own = {sensor, channel}
+    names = {sensor, channel}
     return point.nuisance.get(f"delay/{segment.flight}/{sensor}", 0.0) + sum(
-        point.effects.get(f"effect/sensor.{s}/delay", 0.0) for s in own
+        point.effects.get(f"effect/sensor.{s}/delay", 0.0) for s in names
     )
 
 

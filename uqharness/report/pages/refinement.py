@@ -898,6 +898,7 @@ _INCONCLUSIVE: tuple[str, Level] = (
     "Effects were found; the hold-out flights do not tell whether the gap shrank",
     "warn",
 )
+_MOST_SYMPTOMS = 2
 _UNEXPLAINED_REMAINDER = (
     "Effects were found, and something beside them is left that no effect of the catalogue explains"
 )
@@ -922,6 +923,7 @@ def _verdict(done: Refinement) -> tuple[Sentence, ...]:
                 "good" if confirmed else "warn",
             )
         )
+    sentences.append(_remaining_line(done))
     for e in done.withdrawn:
         sentences.append(
             Sentence(f"Withdrawn: {headline(e)}; {hold_out_words(e.test, e.withdrawn)}.", "warn")
@@ -937,6 +939,16 @@ def _verdict(done: Refinement) -> tuple[Sentence, ...]:
     if worst:
         sentences.append(Sentence(worst))
     return tuple(sentences)
+
+
+def _remaining_line(done: Refinement) -> Sentence:
+    """Return what remains in one line: the first two of its symptoms."""
+    words = remaining_words(done.remaining)
+    if not words:
+        return Sentence("Remaining: nothing beyond the sensors' noise.", "good")
+    tail = f"; and {len(words) - _MOST_SYMPTOMS} more below" if len(words) > _MOST_SYMPTOMS else ""
+    level: Level = "bad" if done.remaining.unexplained else "warn"
+    return Sentence(f"Remaining: {'; '.join(words[:_MOST_SYMPTOMS])}{tail}.", level)
 
 
 def _largest_fall(gap: ResidualTables) -> str:

@@ -14,8 +14,8 @@ from sysid.estimation import MeasuredSystem, gains, whiten_innovations
 from sysid.parallel import SERIAL
 from tests.uqharness.identification.linearised.test_gusts import DT, MASS, N, probe_of
 from uqharness.identification.linearised import linearise
-from uqharness.identification.linearised.fit import fit_at, fly
-from uqharness.identification.linearised.types import Point, Setup, unseen
+from uqharness.identification.linearised.flight_data import FlightData, ModelState, unseen
+from uqharness.identification.linearised.replay_fit import fit_at, fly
 from uqharness.replay import CONTROLS, JUMPING_CHANNELS
 from uqharness.replay.model import ReplayFolder
 from uqharness.replay.segments import Commands, Segment
@@ -119,7 +119,7 @@ def test_what_is_unseen_of_a_jump_is_what_a_replay_lacks_without_it(ideal):
         arm_m=arm,
     )
     blank = np.zeros((25, len(outputs)))
-    setup = Setup(
+    setup = FlightData(
         (), (segment,), ({},), outputs, (blank,), np.ones(len(outputs)), (), {}, jumping=("f",)
     )
     with (
@@ -127,7 +127,7 @@ def test_what_is_unseen_of_a_jump_is_what_a_replay_lacks_without_it(ideal):
         ReplayFolder(aircraft, ideal=CONTROLS) as straight,
     ):
         seen, lacking = (
-            fly(model, setup, Point({}, {unseen("f"): share}, (segment.start,)), SERIAL)
+            fly(model, setup, ModelState({}, {unseen("f"): share}, (segment.start,)), SERIAL)
             for share in (0.0, 1.0)
         )
         fit = fit_at(model, straight, setup, ("aero/Cm_q",), seen, SERIAL)
@@ -159,7 +159,7 @@ def test_columns_of_what_goes_with_a_surface_know_when_it_jumps(share):
         100.0,
     )
     noise = np.array([0.05, 0.05, 0.05, 0.002, 0.002, 0.002])
-    setup = Setup(
+    setup = FlightData(
         (), (segment,), ({},), outputs, (np.zeros((25, 6)),), noise, (), {}, jumping=("f",)
     )
     names = ("aero/Cm_de", "aero/CZ_de", "aero/Cl_da", "aero/Cn_da")
@@ -169,12 +169,12 @@ def test_columns_of_what_goes_with_a_surface_know_when_it_jumps(share):
     ):
         fdm = model.open(DT)
         values = {n: float(fdm[n]) for n in names}
-        point = Point(values, {unseen("f"): share}, (segment.start,))
+        point = ModelState(values, {unseen("f"): share}, (segment.start,))
         fit = fit_at(model, straight, setup, names, fly(model, setup, point, SERIAL), SERIAL)
         (of,), (steps,) = fit.columns, fit.steps
-        seen = MeasuredSystem.of(steps, setup.measured[0], setup.which)
+        seen = MeasuredSystem.of(steps, setup.measured[0], setup.output_rows)
         by = gains(seen, noise, None)
-        found = whiten_innovations(seen, by, names, of.inputs, {}, of.ends, of.felt).columns
+        found = whiten_innovations(seen, by, names, of.inputs, {}, of.ends, of.seen).columns
         ramped = whiten_innovations(seen, by, names, of.inputs, {}).columns
         for k, name in enumerate(names):
             step = 0.02 * values[name]
@@ -195,7 +195,7 @@ def test_flights_jump_where_the_models_controls_do():
     segment = Segment(
         "step", "f", DT * np.arange(4), controls, np.array([22.0, 0.03, *np.zeros(7)]), 100.0, 100.0
     )
-    setup = Setup(
+    setup = FlightData(
         (),
         (segment,),
         ({},),

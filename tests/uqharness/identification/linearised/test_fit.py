@@ -6,15 +6,17 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from uqharness.identification.linearised import fit as fits
-from uqharness.identification.linearised.fit import in_one_step
+from uqharness.identification.linearised import replay_fit as fits
+from uqharness.identification.linearised.replay_fit import in_one_step
 
 
 def test_the_last_step_is_taken_unless_what_was_flown_stands(monkeypatch):
     names = ("aero/CZ_q", "aero/Cm_q", "delay/f/alpha_rad")
     fit = SimpleNamespace(
         columns=[SimpleNamespace(names=(*names, "effect/Cm/de^2"))],
-        flown=SimpleNamespace(point=SimpleNamespace(values={"aero/CZ_q": 1.0, "aero/Cm_q": -3.0})),
+        trajectory=SimpleNamespace(
+            point=SimpleNamespace(values={"aero/CZ_q": 1.0, "aero/Cm_q": -3.0})
+        ),
     )
     asked = []
 

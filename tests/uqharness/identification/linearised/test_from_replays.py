@@ -4,8 +4,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from uqharness.identification.linearised.fit import begun_at, point_of
-from uqharness.identification.linearised.types import Point
+from uqharness.identification.linearised.flight_data import ModelState
+from uqharness.identification.linearised.replay_fit import begun_at, point_of
 
 
 def test_a_fit_is_sought_from_where_a_point_stands():
@@ -16,7 +16,7 @@ def test_a_fit_is_sought_from_where_a_point_stands():
         "delay/f/alpha_rad": 0.01,
         "unseen/f": 0.25,
     }
-    point = Point({}, nuisance, (), {"effect/sensor.p_radps/scale": 0.5})
+    point = ModelState({}, nuisance, (), {"effect/sensor.p_radps/scale": 0.5})
     begin = begun_at(point)
     assert begin == {
         "bias/f/p_radps": pytest.approx(0.02),

@@ -4,7 +4,6 @@ for, which rival flies best.
 
 from __future__ import annotations
 
-import contextlib
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -22,18 +21,21 @@ from sysid.effects.catalogue import subsystem_effects
 from sysid.effects.turbulence import Score
 from sysid.parallel import SERIAL
 from tests.helpers.flown import fly as flown
-from uqharness.identification.linearised import gusts as refine_gusts
-from uqharness.identification.linearised.fit import positions, step_from, stepped, steps_of
-from uqharness.identification.linearised.gusts import as_measured, in_step, moved, rows_late
+from uqharness.identification.linearised import prediction_error as refine_gusts
+from uqharness.identification.linearised.flight_data import ModelState, make_setup
 from uqharness.identification.linearised.linearise import (
     Probe,
     as_sensed,
     effect_columns,
     later_controls,
 )
-from uqharness.identification.linearised.types import Point, make_setup
-from uqharness.refinement import evaluation as refine_show
-from uqharness.refinement import rounds as refine_rounds
+from uqharness.identification.linearised.prediction_error import (
+    as_measured,
+    in_step,
+    moved,
+    rows_late,
+)
+from uqharness.identification.linearised.replay_fit import positions, step_from, stepped, steps_of
 from uqharness.replay.flights import prepare
 from uqharness.replay.model import ReplayFolder
 from uqharness.simulator.aircraft import find_aircraft
@@ -45,8 +47,8 @@ MASS = MassProperties(
 )
 
 
-def point(**sensed: float) -> Point:
-    return Point(
+def point(**sensed: float) -> ModelState:
+    return ModelState(
         {}, {}, (), {f"effect/sensor.{k.replace('__', '/')}": v for k, v in sensed.items()}
     )
 
@@ -57,7 +59,7 @@ def setup_of(measured: np.ndarray) -> SimpleNamespace:
         outputs=OUTPUTS,
         measured=(measured,),
         segments=(segment,),
-        which=[0, 1, 8],
+        output_rows=[0, 1, 8],
         servos={},
         limits={},
     )
@@ -159,7 +161,7 @@ def test_outputs_between_rows_go_as_the_model_moves_them_however_the_reference_j
     which = [STEP_OUTPUTS.index(n) for n in names]
     segment = SimpleNamespace(flight="one", dt_s=h)
     setup = SimpleNamespace(
-        outputs=names, which=which, segments=(segment,), measured=(np.zeros((N, 3)),)
+        outputs=names, output_rows=which, segments=(segment,), measured=(np.zeros((N, 3)),)
     )
     linear = refine_gusts._Linear(setup, SimpleNamespace(point=point()), [probe], SERIAL)  # type: ignore[arg-type]
     steps = linearise(rolled, probe.mass, gusts=acting)
@@ -352,23 +354,17 @@ def test_noise_that_no_filter_can_follow_is_not_the_likeliest(monkeypatch):
         lambda some, states: [None], [np.zeros((2, 1))], [0], np.ones(1), [20.0], SERIAL
     )  # type: ignore
     found = search.descend(
-        [0], turbulence._Point((GustStates(3.0),), np.ones(7), np.array([0.1])), ["wind"]
+        [0], turbulence._Point((GustStates(3.0),), np.ones(9), np.array([0.1])), ["wind"]
     )
     assert max(calls) > 1.0
     assert found.factors[0] == pytest.approx(np.exp(-1.0), rel=0.05)
 
 
-def test_effects_that_no_filter_can_follow_are_not_flown(monkeypatch, tmp_path):
-    def flown(*_):
-        raise np.linalg.LinAlgError("Matrix is not positive definite")
-
-    monkeypatch.setattr(refine_rounds, "_flown", flown)
-    assert refine_rounds.fly(None, None, None, tmp_path) is None  # type: ignore[arg-type]
-
-
 def some_air(strength=1.0, air=True, flights=("one",)):
     own = dict.fromkeys(flights)
-    return SimpleNamespace(states=None, process=None, values=np.array([strength]), air=air, own=own)
+    return SimpleNamespace(
+        states=None, process=None, values=np.array([strength]), air=air, by_flight=own
+    )
 
 
 def iterated(monkeypatch, steps, strengths=(1.0,), quieter=(1.0,), air=True, **asked):
@@ -408,17 +404,17 @@ def iterated(monkeypatch, steps, strengths=(1.0,), quieter=(1.0,), air=True, **a
         "as_measured": lambda setup, path, before, after: path,
         "_air": search,
         "stepped": lambda setup, point, step, limits: taken.append(step["aero/Cm_q"]) or point,
-        "Fit": lambda *a: None,
+        "Linearisation": lambda *a: None,
     }.items():
         monkeypatch.setattr(refine_gusts, name, instead)
     setup = SimpleNamespace(
         active=(),
-        held=(),
-        least={},
+        fixed_effects=(),
+        lower_bounds={},
         jumping=(),
         late={},
         noise=np.ones(1),
-        which=[0],
+        output_rows=[0],
         segments=[SimpleNamespace(flight="one")],
         properties=lambda point: {},
     )
@@ -429,23 +425,23 @@ def iterated(monkeypatch, steps, strengths=(1.0,), quieter=(1.0,), air=True, **a
 def test_the_air_is_sought_about_predictions_and_where_it_is_known_not_at_all(monkeypatch):
     near = [(1.0, 0.1)] * 9
     assert iterated(monkeypatch, near)[0] == [None, 1.0]
-    assert iterated(monkeypatch, near, near=some_air())[0] == [1.0]
-    assert iterated(monkeypatch, near, near=some_air(), known=True)[0] == []
+    assert iterated(monkeypatch, near, prior_model=some_air())[0] == [1.0]
+    assert iterated(monkeypatch, near, prior_model=some_air(), fixed_air=True)[0] == []
     # Air of other flights is none to filter these with.
-    assert iterated(monkeypatch, near, near=some_air(6.0, flights=("two",)))[0] == [6.0, 1.0]
+    assert iterated(monkeypatch, near, prior_model=some_air(6.0, flights=("two",)))[0] == [6.0, 1.0]
 
 
 def test_the_air_is_sought_anew_where_estimates_have_moved_since(monkeypatch):
     """By more than three standard errors in all, or it is what it was."""
     little = [(1.0, 2.0), (1.0, 2.0), (1.0, 0.9), (1.0, 0.1)]
-    sought, taken, _ = iterated(monkeypatch, little, near=some_air(6.0))
+    sought, taken, _ = iterated(monkeypatch, little, prior_model=some_air(6.0))
     assert sought == [6.0]
     assert len(taken) == 3
     far = [(1.0, 2.0), (1.0, 2.0), (1.0, 1.1), (1.0, 0.1), (1.0, 0.1)]
-    assert iterated(monkeypatch, far, near=some_air(6.0))[0] == [6.0, 1.0]
+    assert iterated(monkeypatch, far, prior_model=some_air(6.0))[0] == [6.0, 1.0]
     # A fit does not end in air that was sought elsewhere.
     back = [(1.0, 2.0), (1.0, 4.0), (1.0, 0.1), (1.0, 0.1)]
-    assert iterated(monkeypatch, back, near=some_air(6.0))[0] == [6.0, 1.0]
+    assert iterated(monkeypatch, back, prior_model=some_air(6.0))[0] == [6.0, 1.0]
 
 
 def test_what_is_no_air_is_not_followed_further(monkeypatch):
@@ -458,7 +454,7 @@ def test_far_from_what_the_parameters_want_the_air_waits(monkeypatch):
     """
     steps = [(1.0, 9.0), (1.0, 8.0), (1.0, 4.0), (1.0, 0.1), (1.0, 0.1)]
     assert iterated(monkeypatch, steps, strengths=(5.0, 5.0))[0] == [None, 5.0]
-    assert iterated(monkeypatch, steps, strengths=(5.0, 5.0), near=some_air())[0] == [1.0]
+    assert iterated(monkeypatch, steps, strengths=(5.0, 5.0), prior_model=some_air())[0] == [1.0]
     hasty = [*[(1.0, 9.0)] * 6, *[(1.0, 0.1)] * 4]
     assert iterated(monkeypatch, hasty, strengths=(5.0, 2.0, 2.0))[0] == [None, 5.0, 2.0]
 
@@ -467,7 +463,7 @@ def test_a_fit_ends_about_its_own_predictions(monkeypatch):
     """The measured flight has seen what comes: it serves to begin with, however small the first
     step is.
     """
-    paths = iterated(monkeypatch, [(1.0, 0.1)] * 9, near=some_air(), known=True)[2]
+    paths = iterated(monkeypatch, [(1.0, 0.1)] * 9, prior_model=some_air(), fixed_air=True)[2]
     assert paths == [None, ["path 1"]]
 
 
@@ -494,7 +490,7 @@ def test_steps_too_long_are_shortened_and_those_too_short_lengthened(gain, share
 def test_steps_are_shortened_in_a_fit(monkeypatch):
     """Steps of 2.5 times what is asked: 2.5, then -3.75, of which two fifths are taken."""
     grown = [(2.5, 20.0), (-3.75, 60.0), (0.0, 0.1)]
-    assert iterated(monkeypatch, grown, near=some_air(), known=True)[1] == pytest.approx(
+    assert iterated(monkeypatch, grown, prior_model=some_air(), fixed_air=True)[1] == pytest.approx(
         [2.5, -1.5]
     )
 
@@ -502,14 +498,18 @@ def test_steps_are_shortened_in_a_fit(monkeypatch):
 def test_steps_that_grow_because_the_air_is_another_stay_whole(monkeypatch):
     """In the same air the second of these steps is taken to a half."""
     found = [(1.0, 0.9), (-1.0, 1.4), (0.1, 0.1)]
-    assert iterated(monkeypatch, found, near=some_air())[1] == [1.0, -1.0]
-    assert iterated(monkeypatch, found, near=some_air(), known=True)[1] == [1.0, -0.5]
+    assert iterated(monkeypatch, found, prior_model=some_air())[1] == [1.0, -1.0]
+    assert iterated(monkeypatch, found, prior_model=some_air(), fixed_air=True)[1] == [1.0, -0.5]
 
 
 def test_shares_of_jumps_stay_between_none_and_all():
     """A step beyond an end is held back there, and what the others do is asked without it."""
     setup = SimpleNamespace(
-        active=(), held=[], jumping=("f", "g"), nuisance=("unseen/f", "unseen/g"), least={}
+        active=(),
+        fixed_effects=[],
+        jumping=("f", "g"),
+        nuisance=("unseen/f", "unseen/g"),
+        lower_bounds={},
     )
     asked = []
 
@@ -518,7 +518,7 @@ def test_shares_of_jumps_stay_between_none_and_all():
         return np.array([0.3, 0.3]), 1.0
 
     evidence = SimpleNamespace(names=("unseen/f", "unseen/g"), step=step)
-    point = Point({}, {"unseen/f": 1.0, "unseen/g": 0.9}, ())
+    point = ModelState({}, {"unseen/f": 1.0, "unseen/g": 0.9}, ())
     step_from(setup, point, evidence)  # type: ignore[arg-type]
     assert asked == [[], ["unseen/f"]]
     moved = stepped(setup, point, {"unseen/f": -0.2, "unseen/g": 0.3}, {})  # type: ignore[arg-type]
@@ -530,13 +530,18 @@ def test_a_rate_limit_stays_where_it_is_felt():
     key = "effect/actuator.aileron/rate_limit"
     effect = SimpleNamespace(key=key)
     setup = SimpleNamespace(
-        active=(effect,), held=[], jumping=(), nuisance=(), least={key: -0.02}, carriers={key: None}
+        active=(effect,),
+        fixed_effects=[],
+        jumping=(),
+        nuisance=(),
+        lower_bounds={key: -0.02},
+        carriers={key: None},
     )
     asked = []
     evidence = SimpleNamespace(
         names=(key,), step=lambda held: asked.append(held) or (np.array([-0.03]), 1.0)
     )
-    inside, at_end = (Point({}, {}, (), {key: value}) for value in (-0.01, -0.02))
+    inside, at_end = (ModelState({}, {}, (), {key: value}) for value in (-0.01, -0.02))
     step_from(setup, inside, evidence)  # type: ignore[arg-type]
     step_from(setup, at_end, evidence)  # type: ignore[arg-type]
     assert asked == [[], [], [key]]
@@ -546,32 +551,9 @@ def test_a_rate_limit_stays_where_it_is_felt():
 
 def test_a_step_that_is_no_number_ends_the_fit(monkeypatch):
     with pytest.raises(np.linalg.LinAlgError, match="no numbers"):
-        iterated(monkeypatch, [(1.0, 9.0), (np.nan, np.nan)], near=some_air(), known=True)
-
-
-def test_the_air_of_flights_that_no_filter_follows_is_that_of_the_others(monkeypatch):
-    def refit(*_, **__):
-        raise np.linalg.LinAlgError("Eigenvalues did not converge")
-
-    monkeypatch.setattr(
-        refine_show,
-        "Bench",
-        lambda *_: contextlib.nullcontext(SimpleNamespace(model=None, direct_model=None)),
-    )
-    monkeypatch.setattr(refine_show, "replace", lambda x, **_: x)
-    monkeypatch.setattr(refine_show, "with_sensors_of", lambda setup, _: setup)
-    monkeypatch.setattr(refine_show, "gust_refit", refit)
-    near = SimpleNamespace(in_other=lambda V, flights: ("the others'", V, flights))
-    setup = SimpleNamespace(
-        segments=[SimpleNamespace(flight="t", start=None)],
-        channels=[{"V_mps": np.array([20.0, np.nan, 22.0])}],
-    )
-    found = refine_show.air_of(None, setup, map, {}, near)  # type: ignore[arg-type]
-    assert found == ("the others'", [21.0], ["t"])
-    monkeypatch.setattr(
-        refine_show, "gust_refit", lambda *_, **__: SimpleNamespace(gusts="their own")
-    )
-    assert refine_show.air_of(None, setup, map, {}, near) == "their own"  # type: ignore[arg-type]
+        iterated(
+            monkeypatch, [(1.0, 9.0), (np.nan, np.nan)], prior_model=some_air(), fixed_air=True
+        )
 
 
 @pytest.mark.parametrize("late_s", [0.011, -0.0263])
@@ -583,15 +565,15 @@ def test_surfaces_stand_where_commands_that_act_late_have_them(late_s):
     flight = prepare("f", flown((("pitch-doublet", 22.0),), seed=1, seconds=8.0), ())
     setup = make_setup(aircraft, [flight], ())
     with ReplayFolder(aircraft) as model:
-        both, shares = refine_gusts.acting(
-            model, setup, Point({}, {"lateness/f/controls": late_s}, ())
+        both, shares = refine_gusts.setups_about_delay(
+            model, setup, ModelState({}, {"lateness/f/controls": late_s}, ())
         )
         found = refine_gusts._between([positions(model, acts) for acts in both], shares)
         expected = positions(
             model, make_setup(aircraft, [flight.with_delayed_commands(late_s)], ())
         )
         rows = positions(model, setup)
-        alone, nothing = refine_gusts.acting(model, setup, Point({}, {}, ()))
+        alone, nothing = refine_gusts.setups_about_delay(model, setup, ModelState({}, {}, ()))
     assert [acts is setup for acts in alone] == [True]
     assert not any(nothing)
     for one, other, at_rows in zip(found, expected, rows, strict=True):
@@ -610,8 +592,8 @@ def test_where_surfaces_stand_goes_with_how_late_commands_act_without_a_step():
     with ReplayFolder(aircraft) as model:
 
         def at(places):
-            both, shares = refine_gusts.acting(
-                model, setup, Point({}, {"lateness/f/controls": places * step}, ())
+            both, shares = refine_gusts.setups_about_delay(
+                model, setup, ModelState({}, {"lateness/f/controls": places * step}, ())
             )
             return np.concatenate(
                 refine_gusts._between([positions(model, acts) for acts in both], shares)

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from sysid.effects.catalogue import subsystem_effects
+from uqharness.identification.linearised.flight_data import ModelState
 from uqharness.identification.linearised.linearise import at_vane, placed, sensor_late_s
-from uqharness.identification.linearised.types import Point
-from uqharness.refinement.round import candidates_for
+from uqharness.refinement.candidates import candidate_effects
 from uqharness.replay import Segment
 
 RATES = ("p_radps", "q_radps", "r_radps")
@@ -26,7 +26,7 @@ RATES = ("p_radps", "q_radps", "r_radps")
     ],
 )
 def test_a_channel_is_late_with_its_sensor_and_by_itself(late, expected):
-    point = Point(
+    point = ModelState(
         {}, {}, (), {f"effect/sensor.{name}/delay": value for name, value in late.items()}
     )
     segment = SimpleNamespace(flight="one", dt_s=0.02)
@@ -34,17 +34,20 @@ def test_a_channel_is_late_with_its_sensor_and_by_itself(late, expected):
 
 
 def test_one_sensor_alone_is_counted_once():
-    point = Point({}, {"delay/one/alpha_rad": 0.01}, (), {"effect/sensor.alpha_rad/delay": 0.03})
+    point = ModelState(
+        {}, {"delay/one/alpha_rad": 0.01}, (), {"effect/sensor.alpha_rad/delay": 0.03}
+    )
     assert sensor_late_s("alpha_rad", SimpleNamespace(flight="one"), point) == pytest.approx(0.04)
 
 
 def test_candidates_hold_each_channel_of_a_sensor_but_none_where_logs_estimate_delays():
     outputs = ("alpha_rad", *RATES)
     keys = {
-        e.key for e in candidates_for(SimpleNamespace(servos={}, outputs=outputs, late={}), (), ())
+        e.key
+        for e in candidate_effects(SimpleNamespace(servos={}, outputs=outputs, late={}), (), ())
     }
     assert {f"effect/sensor.{s}/delay" for s in ("alpha_rad", "rates", *RATES)} <= keys
-    logged = candidates_for(
+    logged = candidate_effects(
         SimpleNamespace(servos={}, outputs=outputs, late={"one": ["alpha_rad"]}), (), ()
     )
     assert not [
@@ -79,8 +82,8 @@ def test_accelerometers_are_where_a_point_says():
     segment = Segment(
         "a", "one", np.arange(3.0), np.zeros((3, 4)), np.zeros(9), 0.0, 0.0, arm_m=(0.1, 0.0, 0.0)
     )
-    assert placed(segment, Point({}, {}, ())) is segment
-    moved = Point(
+    assert placed(segment, ModelState({}, {}, ())) is segment
+    moved = ModelState(
         {},
         {},
         (),

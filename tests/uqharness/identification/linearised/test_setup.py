@@ -5,11 +5,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from uqharness.identification.linearised.types import (
+from uqharness.identification.linearised.flight_data import (
     estimated_channels,
-    known_noise,
-    noise_left,
+    output_noise,
     setup_in_gusts,
+    with_estimator_noise,
 )
 
 OUTPUTS = ("alpha_rad", "p_radps")
@@ -29,15 +29,21 @@ def test_channels_that_an_estimator_computed_are_known():
 
 def test_noise_of_a_computed_channel_is_what_the_model_leaves_of_it():
     setup = setup_of(estimates=("alpha_rad",))
-    assert noise_left(setup, {"alpha_rad": 0.007, "p_radps": 0.02}).tolist() == [0.007, 0.004]
+    assert with_estimator_noise(setup, {"alpha_rad": 0.007, "p_radps": 0.02}).tolist() == [
+        0.007,
+        0.004,
+    ]
     # A channel that shows less than its own noise keeps that, and so does one that was not fitted.
-    assert noise_left(setup, {"alpha_rad": 0.001, "p_radps": 0.02}).tolist() == [0.002, 0.004]
+    assert with_estimator_noise(setup, {"alpha_rad": 0.001, "p_radps": 0.02}).tolist() == [
+        0.002,
+        0.004,
+    ]
     assert (
-        noise_left(setup, {}).tolist()
-        == noise_left(setup, {"alpha_rad": np.nan}).tolist()
+        with_estimator_noise(setup, {}).tolist()
+        == with_estimator_noise(setup, {"alpha_rad": np.nan}).tolist()
         == [0.002, 0.004]
     )
-    assert noise_left(setup_of(), {"alpha_rad": 0.007}).tolist() == [0.002, 0.004]
+    assert with_estimator_noise(setup_of(), {"alpha_rad": 0.007}).tolist() == [0.002, 0.004]
 
 
 def test_noise_is_known_by_samples_and_card():
@@ -47,14 +53,14 @@ def test_noise_is_known_by_samples_and_card():
         )
     )
     data = np.array([0.001, 0.01]) * np.random.default_rng(0).standard_normal((8000, 2))
-    assert known_noise(aircraft, [data[:3000], data[3000:]], OUTPUTS) == pytest.approx(
+    assert output_noise(aircraft, [data[:3000], data[3000:]], OUTPUTS) == pytest.approx(
         [0.0017, 0.01], rel=0.05
     )
 
 
 def test_in_gusts_the_card_speaks_of_sensors_alone(monkeypatch):
     monkeypatch.setattr(
-        "uqharness.identification.linearised.types.replace", lambda setup, noise: noise
+        "uqharness.identification.linearised.flight_data.replace", lambda setup, noise: noise
     )
     card = SimpleNamespace(
         sensors=SimpleNamespace(noise_std={"alpha_rad": 0.0017, "p_radps": 0.0035})

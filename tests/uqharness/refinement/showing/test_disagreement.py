@@ -9,7 +9,7 @@ import re
 import numpy as np
 import pytest
 
-from uqharness.refinement.document import disagreements
+from uqharness.refinement.residual_location import disagreements
 
 N, DT = 600, 0.02
 
@@ -55,4 +55,4 @@ def test_the_worst_come_first_and_no_more_than_asked_for():
     gap[1][:, 5] += 9.0
     found = disagreements(gap, allowed, states, labels, DT)
     assert [d["coefficient"] for d in found] == ["Cn", "Cl"]
-    assert disagreements(gap, allowed, states, labels, DT, most=1) == found[:1]
+    assert disagreements(gap, allowed, states, labels, DT, count=1) == found[:1]

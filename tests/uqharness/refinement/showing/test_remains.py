@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from sysid.effects.catalogue import catalogue
-from uqharness.refinement.document import NOTHING, Series, no_place, where_loudest, would_tell
+from uqharness.refinement.residual_location import NO_RESIDUAL, Series, no_place, where_loudest
+from uqharness.refinement.sentences import would_tell
 from uqharness.report.pages.refinement import place_words
 from uqharness.results.refinement import ResidualLocation
 
@@ -128,7 +129,7 @@ def test_a_place_is_told_in_three_lines():
 
 
 def test_nothing_left_says_nothing():
-    assert place_words(ResidualLocation(**no_place(NOTHING))) == []
+    assert place_words(ResidualLocation(**no_place(NO_RESIDUAL))) == []
 
 
 @pytest.mark.parametrize(

@@ -7,13 +7,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from uqharness.refinement.document import (
+from uqharness.refinement.residual_location import (
     BY_CHANCE,
     band_of,
     densest,
     dependence,
-    goes_with,
     loudest,
+    state_correlate,
 )
 
 RATE = 50.0
@@ -99,7 +99,7 @@ def states(seed: int, n: int = 3000) -> dict[str, np.ndarray]:
 def test_a_residual_goes_with_the_state_that_makes_it():
     x = states(1)
     mean = np.where(x["alpha_rad"] > 0.6, 2.0, 0.0)
-    found = goes_with([noise(2, 3000) + mean], [x])
+    found = state_correlate([noise(2, 3000) + mean], [x])
     assert found is not None
     assert (found.state, found.of) == ("alpha_rad", "mean")
     assert found.low == pytest.approx(0.6, abs=0.05)
@@ -109,7 +109,7 @@ def test_a_residual_goes_with_the_state_that_makes_it():
 
 def test_a_residual_whose_sign_changes_goes_with_a_state_by_its_size():
     x = states(3)
-    found = goes_with([noise(4, 3000) * np.where(np.abs(x["p_radps"]) > 0.7, 4.0, 1.0)], [x])
+    found = state_correlate([noise(4, 3000) * np.where(np.abs(x["p_radps"]) > 0.7, 4.0, 1.0)], [x])
     assert found is not None
     assert (found.state, found.of) == ("p_radps", "size")
 
@@ -118,13 +118,15 @@ def test_noise_goes_with_no_state_white_or_coloured():
     """A coloured residual beside a slow state: counted as independent samples, chance would pass in
     most draws.
     """
-    white = [goes_with([noise(seed, 3000)], [states(100 + seed)]) for seed in range(60)]
+    white = [state_correlate([noise(seed, 3000)], [states(100 + seed)]) for seed in range(60)]
     assert sum(found is not None for found in white) <= 3
 
     def slow(seed: int) -> np.ndarray:
         return np.convolve(noise(seed, 3149), np.ones(150) / 150.0**0.5, "valid")
 
-    coloured = [goes_with([slow(seed)], [{"alpha_rad": slow(1000 + seed)}]) for seed in range(60)]
+    coloured = [
+        state_correlate([slow(seed)], [{"alpha_rad": slow(1000 + seed)}]) for seed in range(60)
+    ]
     assert sum(found is not None for found in coloured) <= 6
 
 
@@ -132,7 +134,7 @@ def test_rows_not_measured_are_left_out():
     x = states(5)
     e = noise(6, 3000) + 3.0 * x["alpha_rad"]
     e[::3] = np.nan
-    found = goes_with([e], [x])
+    found = state_correlate([e], [x])
     assert found is not None
     assert found.state == "alpha_rad"
 
@@ -153,7 +155,7 @@ def test_a_residual_depends_on_what_it_was_made_of():
     assert (name, other) == ("alpha_rad", "V_mps")
     slope = 1600.0 * 0.3**2 / 12.0
     assert share == pytest.approx(slope / (slope + 1.0), abs=0.03)
-    assert dependence(made, x, most=1) == [(name, share)]
+    assert dependence(made, x, count=1) == [(name, share)]
     # Adjusted for its numbers, a curve through noise explains nothing.
     assert abs(rest) < 0.02
     assert all(abs(s) < 0.02 for _, s in dependence(white, x))

@@ -11,9 +11,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from tests.helpers.trajectory import fly
 
 from sysid.parallel import SERIAL
-from tests.helpers.flown import fly
 from tests.helpers.report_folders import refinement
 from tests.helpers.sixdof import Airframe
 from tests.hidden_effects.flights import Flight as HiddenFlight
@@ -23,21 +23,21 @@ from tests.uqharness.refinement.test_refine import TEST, TRAIN, document, with_p
 from uqharness.cli.main import main
 from uqharness.errors import BadInputError
 from uqharness.identification.compare import compare
-from uqharness.identification.linearised import Point, make_setup, setup_in_gusts
-from uqharness.refinement import judge as refine_judge
-from uqharness.refinement.document import Nearest
-from uqharness.refinement.evaluation import Shown, _told_noise, gap_document, with_replays
+from uqharness.identification.linearised import ModelState, make_setup, setup_in_gusts
+from uqharness.refinement.estimators import Dataset, ReplayEstimator
+from uqharness.refinement.evaluation import Evaluation, residual_tables, with_replays
+from uqharness.refinement.hold_out import leave_out, train_information
 from uqharness.refinement.mission import (
     FlightSet,
     IntervalJob,
-    both_boxes,
     campaign_for,
     fit_intervals,
     fly_missions,
     intervals_document,
+    pbox_pair,
 )
-from uqharness.refinement.round import Side
-from uqharness.refinement.run import Job, Refinement, _put, refine
+from uqharness.refinement.residual_location import Nearest
+from uqharness.refinement.run import Job, Refinement, _place, refine
 from uqharness.replay.flights import prepare, read_flights
 from uqharness.report.pages.refinement import no_region_words, remaining_words
 from uqharness.report.refinement import write_results
@@ -146,8 +146,8 @@ def test_leaving_nothing_out_is_what_was_chosen(judged_flights):
     model without effects.
     """
     chosen = judged_flights[1].chosen
-    evidence = refine_judge.evidence_of(chosen)
-    same = refine_judge.left_out(chosen, evidence, [])
+    evidence = train_information(chosen)
+    same = leave_out(chosen, evidence, [])
     for one, other in zip(chosen.selection.chosen, same.selection.chosen, strict=True):
         assert (one.key, one.value, one.std) == (
             other.key,
@@ -156,7 +156,7 @@ def test_leaving_nothing_out_is_what_was_chosen(judged_flights):
         )
     for name, (value, std) in chosen.parameters.items():
         assert abs(same.parameters[name][0] - value) < 0.1 * std
-    none = refine_judge.left_out(chosen, evidence, [c.key for c in chosen.selection.chosen])
+    none = leave_out(chosen, evidence, [c.key for c in chosen.selection.chosen])
     assert {n: v for n, (v, _) in none.parameters.items()} == {
         n: chosen.plain[n] for n in chosen.names
     }
@@ -281,12 +281,12 @@ def test_pbox_numbers_in_closed_form():
     low, high = (
         Sample(str(k), np.arange(first, first + 4.0)) for k, first in enumerate((1.0, 3.0))
     )
-    found = both_boxes((low, high), (low,))
+    found = pbox_pair((low, high), (low,))
     assert found["width_before"] == pytest.approx(2.0)
     assert found["width_after"] == 0.0
     assert found["quantiles"]["0.5"] == {"before": [2.0, 4.0], "after": [2.0, 2.0]}
     failed = replace(low, values=low.values[:3], unknown=1)
-    assert np.isnan(both_boxes((low, high), (failed,))["quantiles"]["0.95"]["after"][1])
+    assert np.isnan(pbox_pair((low, high), (failed,))["quantiles"]["0.95"]["after"][1])
 
 
 @pytest.mark.slow
@@ -301,19 +301,19 @@ def test_a_mission_goes_on_and_another_model_flies_anew(tmp_path, campaign):
     assert made is not None
     form.write_text(made.to_json(), encoding="utf-8")
 
-    def flown(which):
+    def trajectory(which):
         result = fly_missions(
             {"before": which}, {"before": form}, campaign, tmp_path, 1, told.append
         )
         assert result["reason"] is None
         return result
 
-    first = flown(aircraft)
+    first = trajectory(aircraft)
     assert told
     told.clear()
-    assert (flown(aircraft), told) == (first, [])
+    assert (trajectory(aircraft), told) == (first, [])
     form.write_text(replace(made, confidence=0.9).to_json(), encoding="utf-8")
-    flown(aircraft)
+    trajectory(aircraft)
     assert told
 
 
@@ -372,7 +372,7 @@ def test_engines_beside_the_aircraft_go_with_it(tmp_path):
     used = '<propulsion><engine file="own"/></propulsion></fdm_config>'
     xml.write_text(xml.read_text(encoding="utf-8").replace("</fdm_config>", used), encoding="utf-8")
     given = find_aircraft(made)
-    put = _put(given, given, tmp_path / "out")
+    put = _place(given, given, tmp_path / "out")
     assert put.folder == tmp_path / "out" / "aircraft" / "espaaro"
     assert put.engine_path == tmp_path / "out" / "engine"
     assert [path.name for path in put.engine_path.iterdir()] == ["own.xml"]
@@ -382,7 +382,7 @@ def test_the_hidden_effect_is_among_the_nearest_and_leaves_the_noise(judged_flig
     """The axial force that the train flights hold, withdrawn: its candidate brings the channel to
     the noise, others do not.
     """
-    nearest = Nearest(judged_flights[1].judged.found)
+    nearest = Nearest(judged_flights[1].hold_out.result)
     channel, hidden = "ax_mps2", "effect/CX/beta^2"
     candidates, now = nearest.leaving(channel, set())
     leaves = {key: left for key, _, left in candidates}
@@ -416,9 +416,11 @@ def test_in_turbulence_the_table_is_that_of_compare(gusty):
     aircraft = find_aircraft("espaaro")
     setup = setup_in_gusts(aircraft, make_setup(aircraft, [gusty], ()))
     zeros = [np.zeros_like(z) for z in setup.measured]
-    predicted = Shown(None, zeros, setup.noise, [np.ones((9, 6))], np.ones(6), zeros, 0.0, (0.0,))  # type: ignore[arg-type]
-    shown = with_replays(predicted, aircraft, Side(setup), SERIAL, Point({}, {}, ()))
-    found = gap_document(setup, shown, shown)
+    predicted = Evaluation(
+        None, zeros, setup.noise, [np.ones((9, 6))], np.ones(6), zeros, 0.0, (0.0,)
+    )  # type: ignore[arg-type]
+    shown = with_replays(predicted, aircraft, Dataset(setup), SERIAL, ModelState({}, {}, ()))
+    found = residual_tables(setup, shown, shown)
     other = compare(aircraft, gusty, (), workers=1)
     ratios = {c: row["rms_after"] / row["noise_rms"] for c, row in found["channels"].items()}
     assert max(ratios.values()) > 1.5
@@ -452,11 +454,11 @@ def test_tables_speak_of_the_noise_that_compare_knows_but_for_what_an_estimator_
         noise=np.array([0.013, 0.05]),
         flights=flights,
     )
-    assert _told_noise(card, setup) == pytest.approx([0.01, 0.05], rel=0.05)
+    assert ReplayEstimator().evaluation_noise(card, setup) == pytest.approx([0.01, 0.05], rel=0.05)
     quiet = SimpleNamespace(
         measured=(0.1 * louder,),
         outputs=setup.outputs,
         noise=np.array([0.001, 0.05]),
         flights=flights,
     )
-    assert _told_noise(card, quiet)[0] == 0.004
+    assert ReplayEstimator().evaluation_noise(card, quiet)[0] == 0.004

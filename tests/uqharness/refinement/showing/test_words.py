@@ -8,9 +8,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from sysid.effects import Choice
+from sysid.effects import SelectedEffect
 from sysid.effects.catalogue import coefficient_effect
-from uqharness.refinement.document import moments_of, strong_of, why
+from uqharness.refinement.document import strong_of, unexplained_moments
+from uqharness.refinement.estimators import PredictionErrorEstimator, ReplayEstimator
+from uqharness.refinement.sentences import reason_for
 from uqharness.results.refinement import NearbyCandidate
 
 
@@ -20,12 +22,13 @@ from uqharness.results.refinement import NearbyCandidate
 def test_moments_that_nothing_explains_are_told_by_their_axes(gains, told):
     air = SimpleNamespace(moments=np.array(gains))
     found = SimpleNamespace(
-        gusts=air, setup=SimpleNamespace(outputs=("p_radps", "q_radps", "r_radps"))
+        estimator=PredictionErrorEstimator(air),
+        setup=SimpleNamespace(outputs=("p_radps", "q_radps", "r_radps")),
     )
-    said = moments_of(found)
+    said = unexplained_moments(found)
     assert [row["coefficient"] for row in said.values()] == told
     assert all(f"{row['twice_log_likelihood']:.0f}" in row["words"] for row in said.values())
-    assert not moments_of(SimpleNamespace(gusts=None, setup=found.setup))
+    assert not unexplained_moments(SimpleNamespace(estimator=ReplayEstimator(), setup=found.setup))
 
 
 def test_of_the_nearest_candidates_those_are_told_that_are_strong_and_not_told_yet():
@@ -43,6 +46,6 @@ def test_of_the_nearest_candidates_those_are_told_that_are_strong_and_not_told_y
 )
 def test_a_sign_that_is_usual_is_told(usual, told):
     effect = replace(coefficient_effect("Cm", "p_hat^2"), sign=usual)
-    assert f"Estimate -2 ± 0.1 {told}, |t| 20.0" in why(
-        effect, Choice("k", -2.0, 0.1, -20.0, 400.0, 300.0, 0.5)
+    assert f"Estimate -2 ± 0.1 {told}, |t| 20.0" in reason_for(
+        effect, SelectedEffect("k", -2.0, 0.1, -20.0, 400.0, 300.0, 0.5)
     )

@@ -10,7 +10,7 @@ import pytest
 from sysid.effects.catalogue import coefficient_effect
 from uqharness.plugin import Bounds, bake_scales, instrument_aircraft, with_card
 from uqharness.plugin.apply import Estimate, put_values
-from uqharness.refinement.write_xml import Written, write_effects
+from uqharness.refinement.write_xml import EffectToWrite, write_effects
 from uqharness.simulator import engine
 from uqharness.simulator.aircraft import find_aircraft, open_aircraft
 
@@ -44,7 +44,7 @@ def glider(tmp_path_factory):
 def test_an_effect_is_one_more_function_of_the_authors_axis(glider, tmp_path):
     out = tmp_path / "sgs126"
     effect = coefficient_effect("Cm", "beta^2")
-    write_effects(glider, [Written(effect, 1.0, "a remark", {})], {}, out)
+    write_effects(glider, [EffectToWrite(effect, 1.0, "a remark", {})], {}, out)
     text = (out / "sgs126.xml").read_text(encoding="utf-8")
     start = text.index('<function name="aero/coefficient/Cmbeta2">')
     function = text[start : text.index("</function>", start)]
@@ -70,7 +70,9 @@ def test_an_effect_is_one_more_function_of_the_authors_axis(glider, tmp_path):
 
 def test_an_authors_axis_in_wind_keeps_the_turned_increment(glider, tmp_path):
     out = tmp_path / "sgs126"
-    write_effects(glider, [Written(coefficient_effect("CZ", "alpha^3"), 1.0, "", {})], {}, out)
+    write_effects(
+        glider, [EffectToWrite(coefficient_effect("CZ", "alpha^3"), 1.0, "", {})], {}, out
+    )
     text = (out / "sgs126.xml").read_text(encoding="utf-8")
     # Lift and drag are in wind axes: the body-axis force has a part in both.
     assert 'name="aero/effects/force/LIFT"' in text

@@ -14,7 +14,7 @@ from sysid.effects.catalogue import coefficient_effect, subsystem_effects
 from uqharness.errors import BadInputError
 from uqharness.identification.linearised import Carrier, servo_change
 from uqharness.plugin.apply import Estimate
-from uqharness.refinement.write_xml import Written, carrier, switch_of, write_effects
+from uqharness.refinement.write_xml import EffectToWrite, carrier, switch_of, write_effects
 from uqharness.replay.replay import runs_per_row
 from uqharness.simulator import engine
 from uqharness.simulator.actuators import Actuator
@@ -33,10 +33,10 @@ STATES = (
 
 
 def written(effect, value, slopes=None):
-    return Written(effect, value, "a remark", slopes or {})
+    return EffectToWrite(effect, value, "a remark", slopes or {})
 
 
-def flown(aircraft, properties=None, seconds=2.0):
+def trajectory(aircraft, properties=None, seconds=2.0):
     """(n, 8) states in a roll with all surfaces moved."""
     fdm = open_aircraft(aircraft)
     for name, value in (properties or {}).items():
@@ -76,14 +76,14 @@ def test_a_term_joins_the_authors_sum_and_0_restores_the_model_bit_for_bit(tmp_p
     )
     assert '<property value="3">aero/Cm_p2</property>  <!-- a remark; 0 switches it off -->' in text
     changed = find_aircraft(out)
-    before = flown(aircraft)
-    assert np.array_equal(flown(changed, {"aero/Cm_p2": 0.0}), before)
-    assert np.abs(flown(changed)[:, 1] - before[:, 1]).max() > 0.005
+    before = trajectory(aircraft)
+    assert np.array_equal(trajectory(changed, {"aero/Cm_p2": 0.0}), before)
+    assert np.abs(trajectory(changed)[:, 1] - before[:, 1]).max() > 0.005
     # The effect by itself: the reference truth's own term of the same value.
-    truth = flown(
+    truth = trajectory(
         find_aircraft("espaaro_truth"), {"aero/stall": 0.0, "aero/CX_q": 0.0, "aero/Cl_de": 0.0}
     )
-    assert np.allclose(flown(changed), truth, atol=1e-12)
+    assert np.allclose(trajectory(changed), truth, atol=1e-12)
 
 
 def test_a_term_carried_at_zero_gets_its_number(tmp_path):
@@ -108,11 +108,11 @@ def test_every_kind_of_variable_has_a_form_that_jsbsim_flies(tmp_path, term):
     effect = coefficient_effect("CZ", term)
     write_effects(aircraft, [written(effect, 0.01)], {}, out)
     changed = find_aircraft(out)
-    after = flown(changed, seconds=0.3)
+    after = trajectory(changed, seconds=0.3)
     assert np.isfinite(after).all()
-    assert not np.array_equal(after, flown(aircraft, seconds=0.3))
+    assert not np.array_equal(after, trajectory(aircraft, seconds=0.3))
     assert np.array_equal(
-        flown(changed, {effect.property_name: 0.0}, 0.3), flown(aircraft, seconds=0.3)
+        trajectory(changed, {effect.property_name: 0.0}, 0.3), trajectory(aircraft, seconds=0.3)
     )
 
 
@@ -133,8 +133,8 @@ def test_rates_are_of_this_frames_airspeed_where_the_author_has_no_name_for_them
         out = tmp_path / folder / "espaaro"
         out.parent.mkdir()
         assert write_effects(aircraft, [effect], {}, out) == []
-        states.append(flown(find_aircraft(out)))
-    assert np.abs(states[0] - flown(known)).max() > 1e-3
+        states.append(trajectory(find_aircraft(out)))
+    assert np.abs(states[0] - trajectory(known)).max() > 1e-3
     assert np.allclose(states[0], states[1], rtol=0.0, atol=1e-10)
 
 
@@ -153,10 +153,10 @@ def test_beside_the_axes_it_does_the_same_as_in_the_sum(tmp_path):
     )
     assert "aero/effect/" in (tmp_path / "beside" / "espaaro.xml").read_text(encoding="utf-8")
     inside, beside = (
-        flown(find_aircraft(tmp_path / "in")),
-        flown(find_aircraft(tmp_path / "beside")),
+        trajectory(find_aircraft(tmp_path / "in")),
+        trajectory(find_aircraft(tmp_path / "beside")),
     )
-    assert np.abs(inside - flown(aircraft)).max() > 1e-4
+    assert np.abs(inside - trajectory(aircraft)).max() > 1e-4
     assert np.allclose(inside, beside, atol=1e-10)
 
 
@@ -179,7 +179,7 @@ def test_subsystems_have_their_places(tmp_path):
     assert '<property value="20">effect/actuator/aileron-lag</property>' in text
     assert "<lag>effect/actuator/aileron-lag</lag>" in text
     changed = find_aircraft(out)
-    assert np.isfinite(flown(changed)).all()
+    assert np.isfinite(trajectory(changed)).all()
     assert carrier(by_key["effect/propulsion/thrust_scale"], aircraft) == Carrier(
         "propulsion/thrust-scale", 1.0
     )
@@ -228,7 +228,7 @@ def test_a_rate_limit_counts_from_the_one_the_servo_has(tmp_path):
         " switches it off -->" in text
     )
     assert "<rate_limit>effect/actuator/aileron-rate_limit</rate_limit>" in text
-    # Found once more in the aircraft that has it: one property, the newer number.
+    # SearchResult once more in the aircraft that has it: one property, the newer number.
     write_effects(
         find_aircraft(tmp_path / "espaaro"),
         [written(effect, 1.0 / 40.0 - 1.0 / 80.0)],
@@ -254,9 +254,9 @@ def test_a_servos_old_number_in_its_property_restores_the_model_bit_for_bit(
     write_effects(aircraft, [written(effect, value)], {}, tmp_path / "espaaro")
     changed = find_aircraft(tmp_path / "espaaro")
     assert switch_of(effect, aircraft) == (f"effect/actuator/aileron-{term}", off)
-    before = flown(aircraft)
-    assert np.array_equal(flown(changed, {f"effect/actuator/aileron-{term}": off}), before)
-    assert not np.array_equal(flown(changed), before)
+    before = trajectory(aircraft)
+    assert np.array_equal(trajectory(changed, {f"effect/actuator/aileron-{term}": off}), before)
+    assert not np.array_equal(trajectory(changed), before)
 
 
 def test_what_jsbsim_reads_as_a_number_alone_has_no_switch():
@@ -281,7 +281,7 @@ def test_a_commented_actuator_is_none(tmp_path):
     ]
     write_effects(find_aircraft(source), [written(effect, 0.01)], {}, tmp_path / "espaaro")
     assert old in (tmp_path / "espaaro" / "espaaro.xml").read_text(encoding="utf-8")
-    assert np.isfinite(flown(find_aircraft(tmp_path / "espaaro"))).all()
+    assert np.isfinite(trajectory(find_aircraft(tmp_path / "espaaro"))).all()
 
 
 def test_a_centre_of_gravity_that_moves_leaves_the_accelerometers_behind(tmp_path):
@@ -345,7 +345,7 @@ def test_a_flights_name_with_accents_and_hyphens_is_written_as_the_file_is(
     remark = "Vol d'été 1, a---b"
     write_effects(
         find_aircraft(folder),
-        [Written(e, v, remark, {}) for e, v in effects],
+        [EffectToWrite(e, v, remark, {}) for e, v in effects],
         {},
         tmp_path / "espaaro",
     )

@@ -12,10 +12,16 @@ import numpy as np
 import pytest
 
 from sysid.effects.catalogue import subsystem_effects
-from sysid.effects.selection import Choice, Selection
-from uqharness.identification.linearised import Point, Probe, ProbeJob, effect_columns, probe_all
+from sysid.effects.selection import SelectedEffect, Selection
+from uqharness.identification.linearised import (
+    ModelState,
+    Probe,
+    ProbeJob,
+    effect_columns,
+    probe_all,
+)
 from uqharness.refinement.write_xml import (
-    Written,
+    EffectToWrite,
     control_slopes,
     inflow_numbers,
     of_lift_slope,
@@ -73,7 +79,10 @@ def test_written_into_the_aircraft_it_does_what_the_column_says(nominal: Probe, 
     (effect,) = [e for e in subsystem_effects([], [], []) if e.key == "effect/propulsion/inflow"]
     slopes = inflow_numbers([nominal])
     write_effects(
-        find_aircraft("espaaro"), [Written(effect, K, "a remark", slopes)], {}, tmp_path / "espaaro"
+        find_aircraft("espaaro"),
+        [EffectToWrite(effect, K, "a remark", slopes)],
+        {},
+        tmp_path / "espaaro",
     )
     changed = probed(find_aircraft(tmp_path / "espaaro"))
     moved = (changed.coefficients - nominal.coefficients)[::4]
@@ -121,7 +130,7 @@ def test_without_a_propeller_there_is_no_inflow():
 
 def fit_of(nominal: Probe, **values: float) -> SimpleNamespace:
     return SimpleNamespace(
-        probes=[nominal], flown=SimpleNamespace(point=SimpleNamespace(values=values))
+        probes=[nominal], trajectory=SimpleNamespace(point=SimpleNamespace(values=values))
     )
 
 
@@ -130,7 +139,7 @@ def test_stall_is_a_share_of_the_lift_slope_beside_it(nominal: Probe):
     the slope that is there.
     """
     choices = tuple(
-        Choice(f"effect/{k}", 1.3, 0.01, 90.0, 8e3, 1.0, 0.0)
+        SelectedEffect(f"effect/{k}", 1.3, 0.01, 90.0, 8e3, 1.0, 0.0)
         for k in ("stall/separation", "Cm/p_hat^2")
     )
     before = fit_of(nominal)
@@ -155,15 +164,15 @@ def test_columns_of_what_flies_are_those_of_the_numbers_written(nominal: Probe):
     setup = SimpleNamespace(
         segments=[SimpleNamespace(dt_s=0.02, flight="f")], slopes=slopes, outputs=()
     )
-    flown = SimpleNamespace(outputs=[np.zeros((N, 0))], point=Point({}, {}, ()))
+    trajectory = SimpleNamespace(outputs=[np.zeros((N, 0))], point=ModelState({}, {}, ()))
     moved = replace(nominal, controls=nominal.controls + 2.0)
     moved.reference.x[:, 1] = 0.25
     wanted = [by_term["separation"], by_term["slipstream"]]
-    (columns,) = effect_columns(setup, [moved], flown, wanted)  # type: ignore[arg-type]
+    (columns,) = effect_columns(setup, [moved], trajectory, wanted)  # type: ignore[arg-type]
     _, stall = columns.inputs[wanted[0].key]
     _, stream = columns.inputs[wanted[1].key]
     setup.slopes = {**slopes, "CZ_alpha": -1.5}
-    (half,) = effect_columns(setup, [moved], flown, wanted[:1])  # type: ignore[arg-type]
+    (half,) = effect_columns(setup, [moved], trajectory, wanted[:1])  # type: ignore[arg-type]
     assert np.abs(stall[:, 2]).min() > 0.1
     np.testing.assert_allclose(half.inputs[wanted[0].key][1], 0.5 * stall)
     CT = moved.variables()["CT"]

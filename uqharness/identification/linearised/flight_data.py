@@ -75,19 +75,20 @@ class Carrier:
 
 
 @dataclass(frozen=True)
-class Setup:
+class FlightData:
     """Everything about the flights that does not change with the model's numbers.
 
-    measured [(n, m)] outputs as logged; noise (m,); positions: surfaces whose positions the record
-    has, ideal: controls that are passed straight through; late: flight -> sensors whose delay is
-    estimated; timed: flights of which it is estimated how late the controls act (`lateness`);
-    jumping: of which is estimated what is `unseen`; biased: channels; active: effects that the
-    model being flown has, or that its sensors have; carriers: key -> carrier of those that have
-    one; servos: actuators of the surfaces whose commands alone were recorded; limits: surface ->
-    rate limits [deg/s] from and to which a slower servo's effect is read while it is no part of the
-    model; zones: surface -> width [deg] of the dead zone by which one is; least: key -> value of an
-    active rate limit's effect below which nothing changes any more; slopes: numbers that the active
-    effects are written with (`writing.slopes.control_slopes`), none where none is"""
+    measured [(n, m)] outputs as logged; noise (m,); positions: surfaces whose positions the
+    record has, ideal: controls that are passed straight through; late: flight -> sensors whose
+    delay is estimated; timed: flights of which it is estimated how late the controls act
+    (`lateness`); jumping: of which is estimated what is `unseen`; biased: channels; active:
+    effects that the model being flown has, or that its sensors have; carriers: key -> carrier of
+    those that have one; servos: actuators of the surfaces whose commands alone were recorded;
+    limits: surface -> rate limits [deg/s] from and to which a slower servo's effect is read while
+    it is no part of the model; zones: surface -> width [deg] of the dead zone by which one is;
+    lower_bounds: key -> value of an active rate limit's effect below which nothing changes any
+    more; slopes: numbers that the active effects are written with
+    (`writing.slopes.control_slopes`), none where none is"""
 
     flights: tuple[Flight, ...]
     segments: tuple[Segment, ...]
@@ -104,26 +105,26 @@ class Setup:
     servos: Mapping[str, Actuator] = field(default_factory=dict)
     limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     zones: Mapping[str, float] = field(default_factory=dict)
-    least: Mapping[str, float] = field(default_factory=dict)
+    lower_bounds: Mapping[str, float] = field(default_factory=dict)
     slopes: Mapping[str, float] = field(default_factory=dict)
     timed: tuple[str, ...] = ()
     jumping: tuple[str, ...] = ()
 
     @property
-    def which(self) -> list[int]:
+    def output_rows(self) -> list[int]:
         """Columns of the replay's outputs that are compared."""
         return [STEP_OUTPUTS.index(c) for c in self.outputs]
 
-    def properties(self, point: Point) -> dict[str, float]:
+    def properties(self, point: ModelState) -> dict[str, float]:
         """Every property that is set at a point: its values, and those of the active effects."""
-        carried = {
+        by_carrier = {
             carrier.name: carrier.at(point.effects.get(key, 0.0))
             for key, carrier in self.carriers.items()
         }
-        return {**point.values, **carried}
+        return {**point.values, **by_carrier}
 
     @property
-    def held(self) -> list[str]:
+    def fixed_effects(self) -> list[str]:
         """Keys of active effects that JSBSim reads once (mass, dead zones): no step moves them."""
         return [e.key for e in self.active if e.key not in self.carriers and in_dynamics(e)]
 
@@ -136,7 +137,7 @@ class Setup:
 
 
 @dataclass(frozen=True)
-class Point:
+class ModelState:
     """Values of properties and nuisance by name; start (9,) of every segment; effects: values of
     the active effects by key.
     """
@@ -147,23 +148,23 @@ class Point:
     effects: Mapping[str, float] = field(default_factory=dict)
 
 
-def late_by(point: Point, flight: str) -> float:
+def late_by(point: ModelState, flight: str) -> float:
     """How late [s] a flight's controls act at a point."""
     return point.nuisance.get(lateness(flight), 0.0)
 
 
-def unseen_share(point: Point, flight: str) -> float:
+def unseen_share(point: ModelState, flight: str) -> float:
     """The share of a jump that is unseen at a point."""
     return point.nuisance.get(unseen(flight), 0.0)
 
 
 @dataclass(frozen=True)
-class Flown:
+class Trajectory:
     """Replays at a point: outputs [(n, m)] with biases and delays, reference states [(n, 8)], cost:
     sum of squares over noise.
     """
 
-    point: Point
+    point: ModelState
     outputs: list[FloatArray]
     x: list[FloatArray]
     height: list[FloatArray]
@@ -179,10 +180,10 @@ def make_setup(
     flights: Sequence[Flight],
     measured: Sequence[str],
     ideal: Sequence[str] = (),
-) -> Setup:
+) -> FlightData:
     """Segments, measured outputs and noise of some flights."""
     arm = aircraft.accelerometer_m
-    cut = [s for f in flights for s in segments(f, measured, arm)]
+    pieces = [s for f in flights for s in segments(f, measured, arm)]
     outputs = tuple(
         c for c in OUTPUTS if any(c in f.record and np.isfinite(f.record[c]).any() for f in flights)
     )
@@ -192,13 +193,13 @@ def make_setup(
         for f in flights
         if f.record.metadata.native_hz
     }
-    return Setup(
+    return FlightData(
         tuple(flights),
-        tuple(cut),
+        tuple(pieces),
         tuple(states(f, p) for f in flights for p in f.pieces),
         outputs,
         tuple(data),
-        known_noise(aircraft, data, outputs),
+        output_noise(aircraft, data, outputs),
         tuple(b for b in BIASES if b in outputs),
         late,
         tuple(measured),
@@ -208,19 +209,19 @@ def make_setup(
     )
 
 
-def known_noise(
+def output_noise(
     aircraft: Aircraft, measured: Sequence[FloatArray], outputs: Sequence[str]
 ) -> FloatArray:
     """(m,) noise of outputs [(n, m)] by their own samples and the aircraft's card."""
-    known = channel_noise(measured, outputs, aircraft.card.sensors.noise_std)
-    return np.array([known[c] for c in outputs])
+    stds = channel_noise(measured, outputs, aircraft.card.sensors.noise_std)
+    return np.array([stds[c] for c in outputs])
 
 
-def with_sensors_of(setup: Setup, aircraft: Aircraft) -> Setup:
+def with_sensors_of(setup: FlightData, aircraft: Aircraft) -> FlightData:
     """The same flights, without effects that are active, with the accelerometers where this
     aircraft has them: a centre of gravity that moves leaves them behind."""
     segments = tuple(replace(s, arm_m=aircraft.accelerometer_m) for s in setup.segments)
-    return replace(setup, segments=segments, active=(), carriers={}, least={})
+    return replace(setup, segments=segments, active=(), carriers={}, lower_bounds={})
 
 
 def servos_of(
@@ -237,55 +238,57 @@ def servos_of(
     return out
 
 
-class Bench(ExitStack):
+class StagedModels(ExitStack):
     """An aircraft staged for replay, as it flies and with every control straight through.
 
     A context.
     """
 
-    def __init__(self, aircraft: Aircraft, setup: Setup) -> None:
+    def __init__(self, aircraft: Aircraft, setup: FlightData) -> None:
         super().__init__()
         self._folders = [
             ReplayFolder(aircraft, measured=setup.positions, ideal=ideal)
             for ideal in (setup.ideal, CONTROLS)
         ]
 
-    def __enter__(self) -> Bench:
+    def __enter__(self) -> StagedModels:
         self.model, self.direct_model = map(self.enter_context, self._folders)
         return self
 
 
-def turbulent(setup: Setup, flown: Flown) -> bool:
+def turbulent(setup: FlightData, trajectory: Trajectory) -> bool:
     """Whether what the replay leaves is coloured, no function of the motion, and there in quiet
     flight as well.
     """
     columns = [
         k for k, c in enumerate(setup.outputs) if c[:2] in ("p_", "q_", "r_", "ax", "ay", "az")
     ]
-    residual = [(z - y)[:, columns] for z, y in zip(setup.measured, flown.outputs, strict=True)]
+    residual = [
+        (z - y)[:, columns] for z, y in zip(setup.measured, trajectory.outputs, strict=True)
+    ]
     return shows_process_noise(
-        residual, [y[:, columns] for y in flown.outputs], setup.noise[columns]
+        residual, [y[:, columns] for y in trajectory.outputs], setup.noise[columns]
     )
 
 
-def estimated_channels(setup: Setup) -> tuple[str, ...]:
+def estimated_channels(setup: FlightData) -> tuple[str, ...]:
     """Outputs that no sensor measured in some flight, the autopilot's estimator computed them."""
-    told = {c for flight in setup.flights for c in flight.record.metadata.estimates}
-    return tuple(c for c in setup.outputs if c in told)
+    estimates = {c for flight in setup.flights for c in flight.record.metadata.estimates}
+    return tuple(c for c in setup.outputs if c in estimates)
 
 
-def noise_left(setup: Setup, left: Mapping[str, float]) -> FloatArray:
-    """(m,) noise of the setup, but for channels that an estimator computed: there, the rms of what
-    a fit has ``left`` of them where it is larger, for no card knows an estimator's error."""
+def with_estimator_noise(setup: FlightData, residual_rms: Mapping[str, float]) -> FloatArray:
+    """(m,) noise of the setup, but for channels that an estimator computed: there, the
+    ``residual_rms`` of a fit where it is larger, for no card knows an estimator's error."""
     guessed = estimated_channels(setup)
-    given = zip(setup.outputs, setup.noise.tolist(), strict=True)
-    return np.array([max(n, left.get(c, n)) if c in guessed else n for c, n in given])
+    stated = zip(setup.outputs, setup.noise.tolist(), strict=True)
+    return np.array([max(n, residual_rms.get(c, n)) if c in guessed else n for c, n in stated])
 
 
-def setup_in_gusts(aircraft: Aircraft, setup: Setup) -> Setup:
+def setup_in_gusts(aircraft: Aircraft, setup: FlightData) -> FlightData:
     """The same with the card's sensor noise where it says one: third differences of an
     accelerometer see gusts as noise. The card says nothing of what an estimator computed."""
     stated, guessed = aircraft.card.sensors.noise_std, estimated_channels(setup)
-    given = zip(setup.outputs, setup.noise.tolist(), strict=True)
-    noise = np.array([n if c in guessed else stated.get(c, n) for c, n in given])
+    card_noise = zip(setup.outputs, setup.noise.tolist(), strict=True)
+    noise = np.array([n if c in guessed else stated.get(c, n) for c, n in card_noise])
     return replace(setup, noise=noise)

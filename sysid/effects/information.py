@@ -1,5 +1,5 @@
-"""Score tests of candidate effects on whitened innovations: who explains what is left, and can the
-data separate them.
+"""Information: normal equations of whitened innovations, score tests of candidate effects, and
+covariances.
 
 With columns b of the parameters already free and one column c per candidate (start states projected
 out of all of them),
@@ -35,7 +35,7 @@ information.
 
 
 @dataclass(frozen=True)
-class Evidence:
+class Information:
     """Sums of whitened columns and innovations over groups of segments.
 
     gram (G, K, K), score (G, K): Y'Y and Y'e of each group; group (S,): that of each segment;
@@ -51,8 +51,8 @@ class Evidence:
     group: Index
     prior: FloatArray
     white: Sequence[White]
-    held: tuple[str, ...] | None = None
-    remembered: dict[frozenset[str], dict[str, Estimate]] = field(default_factory=dict, init=False)
+    stored: tuple[str, ...] | None = None
+    cache: dict[frozenset[str], dict[str, Estimate]] = field(default_factory=dict, init=False)
 
     def index(self, names: Iterable[str]) -> Index:
         """Positions (n,) of those unknowns in ``gram`` and ``score``.
@@ -66,16 +66,16 @@ class Evidence:
         return {n: i for i, n in enumerate(self.names)}
 
     @cached_property
-    def everything(self) -> tuple[FloatArray, FloatArray]:
+    def total(self) -> tuple[FloatArray, FloatArray]:
         """Information (n, n), prior included, and score (n,), summed over all manoeuvres."""
         return self.gram.sum(axis=0) + np.diag(self.prior), self.score.sum(axis=0)
 
-    def part(self, segments: NDArray[np.bool_] | None) -> tuple[FloatArray, FloatArray]:
+    def of_segments(self, segments: NDArray[np.bool_] | None) -> tuple[FloatArray, FloatArray]:
         """(K, K) information and (K,) score of some segments, whole groups of them, priors
         included. Raises ValueError.
         """
         if segments is None:
-            return self.everything
+            return self.total
         some = np.unique(self.group[segments])
         if np.isin(self.group, some).sum() != np.sum(segments):
             raise ValueError("segments of one group are in no two parts")
@@ -94,34 +94,34 @@ class Evidence:
 
         Raises KeyError for one that is neither held nor made again.
         """
-        if self.held is None:
+        if self.stored is None:
             return w.columns[:, :, some].astype(np.float64)
         names = np.array([self.names[k] for k in some], dtype=str)
-        here = np.isin(names, self.held)
+        is_stored = np.isin(names, self.stored)
         out = np.empty((*w.residual.shape, len(names)))
-        out[:, :, here] = w.columns[:, :, [self.held.index(n) for n in names[here]]]
-        if missing := names[~here].tolist():
+        out[:, :, is_stored] = w.columns[:, :, [self.stored.index(n) for n in names[is_stored]]]
+        if missing := names[~is_stored].tolist():
             if w.more is None:
                 raise KeyError(missing[0])
-            out[:, :, ~here] = w.more(missing)
+            out[:, :, ~is_stored] = w.more(missing)
         return out
 
-    def step(self, held: Sequence[str] = ()) -> tuple[FloatArray, float]:
+    def step(self, fixed: Sequence[str] = ()) -> tuple[FloatArray, float]:
         """Gauss-Newton step of all columns but those held (K,), and its length in standard
         errors.
         """
-        _, u = self.everything
-        delta = self.fitted(self.index(n for n in self.names if n not in held))
+        _, u = self.total
+        delta = self.estimates(self.index(n for n in self.names if n not in fixed))
         return delta, math.sqrt(max(float(delta @ u), 0.0))
 
-    def fitted(self, free: Index) -> FloatArray:
+    def estimates(self, free: Index) -> FloatArray:
         """(K,) estimates of the free columns, 0 elsewhere."""
-        G, u = self.everything
+        G, u = self.total
         out = np.zeros(len(self.names))
         out[free] = solve(G[np.ix_(free, free)], u[free, None])[:, 0]
         return out
 
-    def taken_out(self, values: Mapping[str, float]) -> Evidence:
+    def without_values(self, values: Mapping[str, float]) -> Information:
         """The evidence as it would be had the columns ``values`` not been in the model flown: their
         part is back in the residual.
 
@@ -141,26 +141,31 @@ class Evidence:
         """
         used = np.flatnonzero(delta)
         return [
-            np.where(w.there, w.residual - self.series(w, used) @ delta[used], np.nan)
+            np.where(w.is_measured, w.residual - self.series(w, used) @ delta[used], np.nan)
             for w in self.white
         ]
 
 
-def gather(
+def normal_equations(
     white: Iterable[White],
     names: Sequence[str],
     group: Sequence[int] | NDArray[np.bool_],
     prior: Mapping[str, float],
-    held: Sequence[str] | None = None,
-) -> Evidence:
-    """Evidence from filtered segments. group (S,): whose sums are kept together, 0 and up; prior:
-    kind of column (its name up to the first /) -> standard deviation known beforehand; held: names
-    of the columns that it has at hand, None: all. Those of candidates are most of the memory that
-    evidence would take."""
+    stored: Sequence[str] | None = None,
+) -> Information:
+    """Information from filtered segments.
+
+    Parameters
+    ----------
+    group : (S,) whose sums are kept together, 0 and up
+    prior : kind of column (its name up to the first /) -> standard deviation known beforehand
+    stored : names of the columns to keep; None: all. Those of candidates would take most of the
+        memory
+    """
     K, groups = len(names), np.asarray(group, dtype=np.intp)
     gram, score = np.zeros((groups.max() + 1, K, K)), np.zeros((groups.max() + 1, K))
-    kept: list[White] = []
-    at = None if held is None else [list(names).index(n) for n in held]
+    segments: list[White] = []
+    at = None if stored is None else [list(names).index(n) for n in stored]
     for s, w in enumerate(white):
         flat = w.columns.reshape(-1, K)
         scale = np.sqrt(np.einsum("ij,ij->j", flat, flat, dtype=np.float64))
@@ -168,10 +173,16 @@ def gather(
         unit = flat / np.where(scale > 0.0, scale, 1.0).astype(np.float32)
         gram[groups[s]] += (unit.T @ unit).astype(np.float64) * np.outer(scale, scale)
         score[groups[s]] += flat.astype(np.float64).T @ w.residual.ravel()
-        kept.append(w if at is None else replace(w, columns=w.columns[:, :, at]))
-    known = np.array([1.0 / prior.get(n.split("/")[0], math.inf) ** 2 for n in names])
-    return Evidence(
-        tuple(names), gram, score, groups, known, kept, None if held is None else tuple(held)
+        segments.append(w if at is None else replace(w, columns=w.columns[:, :, at]))
+    prior_information = np.array([1.0 / prior.get(n.split("/")[0], math.inf) ** 2 for n in names])
+    return Information(
+        tuple(names),
+        gram,
+        score,
+        groups,
+        prior_information,
+        segments,
+        None if stored is None else tuple(stored),
     )
 
 
@@ -182,10 +193,11 @@ def solve(G: FloatArray, right: FloatArray) -> FloatArray:
     scale = np.sqrt(np.maximum(np.diagonal(G), 0.0))
     scale[scale == 0.0] = 1.0
     values, vectors = np.linalg.eigh(G / np.outer(scale, scale))
-    kept = values > 1e-9 * max(values[-1], 1e-300)
-    basis = vectors[:, kept]
+    determined = values > 1e-9 * max(values[-1], 1e-300)
+    basis = vectors[:, determined]
     return np.asarray(
-        (basis @ ((basis.T @ (right / scale[:, None])) / values[kept][:, None])) / scale[:, None]
+        (basis @ ((basis.T @ (right / scale[:, None])) / values[determined][:, None]))
+        / scale[:, None]
     )
 
 
@@ -201,16 +213,18 @@ def projected(
     ] @ x[:, -1]
 
 
-def shared(
-    evidence: Evidence, names: Sequence[str], at: Mapping[str, float]
+def marginal_information(
+    information: Information, names: Sequence[str], values: Mapping[str, float]
 ) -> tuple[FloatArray, FloatArray]:
-    """Information (n, n) of the unknowns ``names``, everything else but effects taken out, and that
-    times their values there (n,): what evidence of other flights adds to. at: values about which
-    the columns are."""
-    G, u = evidence.everything
-    own = [n for n in evidence.names if n not in names and not n.startswith("effect/")]
-    information, left = projected(G, u, evidence.index(own), evidence.index(names))
-    return information, left + information @ np.array([at[n] for n in names])
+    """Information (n, n) of the unknowns ``names`` with everything else but effects projected out,
+    and its product (n,) with their estimates: both add up over independent flights.
+
+    values : about which the columns are
+    """
+    G, u = information.total
+    nuisance = [n for n in information.names if n not in names and not n.startswith("effect/")]
+    marginal, score = projected(G, u, information.index(nuisance), information.index(names))
+    return marginal, score + marginal @ np.array([values[n] for n in names])
 
 
 @dataclass(frozen=True)
@@ -228,7 +242,7 @@ class Scores:
 
 
 def scores(
-    evidence: Evidence,
+    information: Information,
     free: Sequence[str],
     candidates: Sequence[str],
     segments: NDArray[np.bool_] | None = None,
@@ -236,59 +250,66 @@ def scores(
     """Equation (LM) for every candidate; NaN where the data hold nothing of it that the free
     columns do not.
     """
-    G, u = evidence.part(segments)
-    b, c = evidence.index(free), evidence.index(candidates)
+    G, u = information.of_segments(segments)
+    b, c = information.index(free), information.index(candidates)
     x = solve(G[np.ix_(b, b)], np.column_stack([G[np.ix_(b, c)], u[b]]))
-    own = np.diagonal(G)[c]
-    g = own - np.einsum("bc,bc->c", G[np.ix_(b, c)], x[:, :-1])
-    left = u[c] - G[np.ix_(c, b)] @ x[:, -1]
+    diagonal = np.diagonal(G)[c]
+    g = diagonal - np.einsum("bc,bc->c", G[np.ix_(b, c)], x[:, :-1])
+    u_projected = u[c] - G[np.ix_(c, b)] @ x[:, -1]
     with np.errstate(invalid="ignore", divide="ignore"):
-        share = np.where(own > 0.0, g / own, 0.0)
+        share = np.where(diagonal > 0.0, g / diagonal, 0.0)
         g = np.where(share > DEPENDENT, g, np.nan)
-        return Scores(tuple(candidates), left / g, g, left / np.sqrt(g), left**2 / g, share)
+        return Scores(
+            tuple(candidates),
+            u_projected / g,
+            g,
+            u_projected / np.sqrt(g),
+            u_projected**2 / g,
+            share,
+        )
 
 
-def corrected(evidence: Evidence, free: Sequence[str], candidate: str) -> Estimate:
+def corrected_estimate(information: Information, free: Sequence[str], candidate: str) -> Estimate:
     """Estimate of one candidate, its standard error by the residuals' colour after the fit, and the
     error were they white.
     """
-    return corrected_each(evidence, [*free, candidate], [candidate])[candidate]
+    return corrected_estimates(information, [*free, candidate], [candidate])[candidate]
 
 
-def corrected_each(
-    evidence: Evidence, names: Sequence[str], wanted: Sequence[str]
+def corrected_estimates(
+    information: Information, names: Sequence[str], requested: Sequence[str]
 ) -> dict[str, Estimate]:
-    """`corrected` of each of the ``wanted`` among the columns ``names``, all estimated together:
+    """`corrected` of each of the ``requested`` among the columns ``names``, all estimated together:
     what the fit leaves, and so its colour, is the same for all of them and computed once."""
-    known = evidence.remembered.setdefault(frozenset(names), {})
-    if not known.keys() >= {*wanted}:
-        known |= _corrected(
-            evidence,
+    estimates = information.cache.setdefault(frozenset(names), {})
+    if not estimates.keys() >= {*requested}:
+        estimates |= _compute_corrected(
+            information,
             names,
-            [*wanted, *(n for n in names if n.startswith("effect/") and n not in wanted)],
+            [*requested, *(n for n in names if n.startswith("effect/") and n not in requested)],
         )
-    return {n: known[n] for n in wanted}
+    return {n: estimates[n] for n in requested}
 
 
-def _corrected(
-    evidence: Evidence, names: Sequence[str], wanted: Sequence[str]
+def _compute_corrected(
+    information: Information, names: Sequence[str], requested: Sequence[str]
 ) -> dict[str, Estimate]:
-    names, some = list(names), evidence.index(names)
-    G = evidence.everything[0][np.ix_(some, some)]
-    delta = evidence.fitted(some)[some]
+    names, some = list(names), information.index(names)
+    G = information.total[0][np.ix_(some, some)]
+    delta = information.estimates(some)[some]
     # What the others leave of a column.
-    alone, g = np.zeros((len(some), len(wanted))), np.empty(len(wanted))
-    places = [names.index(name) for name in wanted]
+    combination, g = np.zeros((len(some), len(requested))), np.empty(len(requested))
+    places = [names.index(name) for name in requested]
     for k, c in enumerate(places):
         b = np.flatnonzero(np.arange(len(some)) != c)
-        alone[b, k], alone[c, k] = -solve(G[np.ix_(b, b)], G[b, c][:, None])[:, 0], 1.0
-        g[k] = G[c] @ alone[:, k]
-    own, left = [], []
-    for w in evidence.white:
-        columns = evidence.series(w, some)
-        own.append(columns @ alone)
-        left.append(np.where(w.there, w.residual - columns @ delta, np.nan))
-    bracket = np.diagonal(coloured_information(own, left))
+        combination[b, k], combination[c, k] = -solve(G[np.ix_(b, b)], G[b, c][:, None])[:, 0], 1.0
+        g[k] = G[c] @ combination[:, k]
+    projected_columns, residuals = [], []
+    for w in information.white:
+        columns = information.series(w, some)
+        projected_columns.append(columns @ combination)
+        residuals.append(np.where(w.is_measured, w.residual - columns @ delta, np.nan))
+    bracket = np.diagonal(coloured_information(projected_columns, residuals))
     # Where the data hold nothing of a column, as of a rate limit that is never reached, it has no
     # standard error.
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -296,33 +317,33 @@ def _corrected(
         std = np.maximum(np.sqrt(np.maximum(bracket, 0.0)) * plain**2, plain)
     return {
         n: (float(delta[c]), float(std[k]), float(plain[k]))
-        for k, (n, c) in enumerate(zip(wanted, places, strict=True))
+        for k, (n, c) in enumerate(zip(requested, places, strict=True))
     }
 
 
 def agreement(
-    evidence: Evidence, free: Sequence[str], candidate: str, part: NDArray[np.bool_]
+    information: Information, free: Sequence[str], candidate: str, part: NDArray[np.bool_]
 ) -> tuple[float, float]:
     """(gain on the other segments of the value estimated on ``part``, difference of the two
     estimates in standard errors).
 
     The free columns are fitted anew on either side: only the effect itself is carried over.
     """
-    sides = [scores(evidence, free, [candidate], side) for side in (part, ~part)]
+    sides = [scores(information, free, [candidate], side) for side in (part, ~part)]
     (a, ga), (b, gb) = ((float(s.estimate[0]), float(s.information[0])) for s in sides)
     gain = gb * (2.0 * a * b - a * a)  # 2 u a - g a^2 with u = g b
     return gain, (a - b) / math.sqrt(1.0 / ga + 1.0 / gb)
 
 
-def likeness(
-    evidence: Evidence, free: Sequence[str], first: str, others: Sequence[str]
+def column_correlations(
+    information: Information, free: Sequence[str], first: str, candidates: Sequence[str]
 ) -> FloatArray:
     """Correlation (C,) of what is left of a column with what is left of others, the free columns
     taken out.
     """
-    left, _ = projected(
-        *evidence.everything, evidence.index(free), evidence.index([first, *others])
+    projected_information, _ = projected(
+        *information.total, information.index(free), information.index([first, *candidates])
     )
-    size = np.sqrt(np.maximum(np.diagonal(left), 0.0))
+    size = np.sqrt(np.maximum(np.diagonal(projected_information), 0.0))
     with np.errstate(invalid="ignore", divide="ignore"):
-        return np.asarray(left[0, 1:] / (size[0] * size[1:]))
+        return np.asarray(projected_information[0, 1:] / (size[0] * size[1:]))

@@ -20,24 +20,21 @@ from sysid.effects import (
     DIFFERENT,
     REMEMBERED_AIRS,
     Columns,
-    Followed,
-    Gusts,
+    FilteredSegment,
+    TurbulenceModel,
     follow,
-    gather,
     gust_intensity,
     minus_twice_log,
+    normal_equations,
     whitened,
 )
 from sysid.parallel import Processes
-from uqharness.identification.linearised.fit import (
-    PRIOR,
-    Fit,
-    parameter_columns,
-    positions,
-    probes,
-    step_from,
-    stepped,
-    steps_of,
+from uqharness.identification.linearised.flight_data import (
+    FlightData,
+    ModelState,
+    Trajectory,
+    late_by,
+    unseen_share,
 )
 from uqharness.identification.linearised.linearise import (
     Probe,
@@ -56,7 +53,16 @@ from uqharness.identification.linearised.linearise import (
     with_jumps,
     with_properties,
 )
-from uqharness.identification.linearised.types import Flown, Point, Setup, late_by, unseen_share
+from uqharness.identification.linearised.replay_fit import (
+    PRIOR,
+    Linearisation,
+    parameter_columns,
+    positions,
+    probes,
+    step_from,
+    stepped,
+    steps_of,
+)
 from uqharness.replay import ReplayModel, Segment
 from uqharness.replay.flights import segments
 
@@ -72,7 +78,7 @@ _KINDS = {
 }
 """Channels of one kind of sensor, by what stands before their unit."""
 _SMOOTH_HZ = {"V_mps": 2.0}
-SETTLED, SEARCH_BY = 5.0, 5
+SEARCH_LENGTH, SEARCH_BY = 5.0, 5
 """Length of a step, in standard errors, below which the gusts are searched anew; the iteration that
 does so in any case.
 """
@@ -91,21 +97,21 @@ TOLERANCE, ITERATIONS = 0.2, 10
 
 
 @dataclass(frozen=True)
-class GustFit:
+class TurbulentFit:
     """A fit with the gusts it was made with; length: that of its last step, in standard errors."""
 
-    fit: Fit
-    gusts: Gusts
-    setup: Setup
+    fit: Linearisation
+    gusts: TurbulenceModel
+    setup: FlightData
     length: float
 
     @property
-    def surprise(self) -> float:
+    def neg2_log_likelihood(self) -> float:
         """Minus twice the log likelihood of the flights."""
         return minus_twice_log(self.fit.evidence.white)
 
 
-def measured_states(setup: Setup, point: Point) -> list[FloatArray]:
+def measured_states(setup: FlightData, point: ModelState) -> list[FloatArray]:
     """[(n, 8)] the flight as measured, smoothed, what the sensors make of it taken out."""
     x = []
     for segment, channels in zip(setup.segments, setup.channels, strict=True):
@@ -115,28 +121,28 @@ def measured_states(setup: Setup, point: Point) -> list[FloatArray]:
             value = smooth(value, segment.dt_s, _SMOOTH_HZ.get(name, 6.0))
             late = sensor_late_s(name, segment, point)
             columns.append(moved_later(value, -late / segment.dt_s) if late else value)
-        felt = np.column_stack(columns)
-        x.append(felt - vane_place_m(point) * at_vane(felt, X_STATES))
+        seen_values = np.column_stack(columns)
+        x.append(seen_values - vane_place_m(point) * at_vane(seen_values, X_STATES))
     return x
 
 
-def rows_late(setup: Setup, segment: Segment, point: Point) -> dict[str, int]:
+def rows_late(setup: FlightData, segment: Segment, point: ModelState) -> dict[str, int]:
     """Whole rows by which the channels' sensors are late at a point."""
     return {c: round(sensor_late_s(c, segment, point) / segment.dt_s) for c in setup.outputs}
 
 
-def in_step(setup: Setup, point: Point) -> list[FloatArray]:
+def in_step(setup: FlightData, point: ModelState) -> list[FloatArray]:
     """[(n, m)] what was measured, each channel moved by the rows its sensor is late: a sample
     speaks of the state it was taken of.
 
     A filter that has the late sample beside the others of its row takes gusts that it has not seen
     yet for noise."""
-    both = [
+    delayed = [
         (z, rows_late(setup, s, point)) for s, z in zip(setup.segments, setup.measured, strict=True)
     ]
     return [
         np.column_stack([moved(z[:, k], -late[c]) for k, c in enumerate(setup.outputs)])
-        for z, late in both
+        for z, late in delayed
     ]
 
 
@@ -148,35 +154,42 @@ def moved(values: FloatArray, rows: int) -> FloatArray:
 
 def predict(
     model: ReplayModel,
-    straight: ReplayModel,
-    setup: Setup,
-    point: Point,
+    direct_model: ReplayModel,
+    setup: FlightData,
+    point: ModelState,
     map_: Processes,
     path: Sequence[FloatArray] | None = None,
-) -> tuple[Flown, list[Probe]]:
+) -> tuple[Trajectory, list[Probe]]:
     """The measured flight, or ``path`` [(n, 8)] in its place, instead of a replay, and the model's
     forces along it.
     """
     x = measured_states(setup, point) if path is None else list(path)
     height = [np.array(c["h_m"], dtype=float) for c in setup.channels]
-    flown = Flown(
+    trajectory = Trajectory(
         point,
         [np.zeros((len(s.time_s), len(setup.outputs))) for s in setup.segments],
         x,
         height,
         float("nan"),
     )
-    both, shares = acting(model, setup, point)
-    controls = _between([positions(model, acts, point) for acts in both], shares)
-    away = _between([middles(model, acts, point) for acts in both], shares)
-    found = probes(straight, setup, flown, controls, map_, consistent=False)
-    bent = zip(found, bends_of(straight, setup, flown, found, away, map_), away, strict=True)
-    return flown, [
-        replace(p, reference=replace(p.reference, bend=b), jumped=jumped(a)) for p, b, a in bent
+    shifted, shares = setups_about_delay(model, setup, point)
+    controls = _between([positions(model, acts, point) for acts in shifted], shares)
+    offsets = _between([middles(model, acts, point) for acts in shifted], shares)
+    linear_probes = probes(direct_model, setup, trajectory, controls, map_, consistent=False)
+    curved = zip(
+        linear_probes,
+        bends_of(direct_model, setup, trajectory, linear_probes, offsets, map_),
+        offsets,
+        strict=True,
+    )
+    return trajectory, [
+        replace(p, reference=replace(p.reference, bend=b), jumped=jumped(a)) for p, b, a in curved
     ]
 
 
-def acting(model: ReplayModel, setup: Setup, point: Point) -> tuple[list[Setup], list[float]]:
+def setups_about_delay(
+    model: ReplayModel, setup: FlightData, point: ModelState
+) -> tuple[list[FlightData], list[float]]:
     """The setup with the commands of its segments at the places before and after where they act at
     a point, and the share of the way from the one to the other in each segment; one setup alone
     where that is nothing.
@@ -194,40 +207,44 @@ def acting(model: ReplayModel, setup: Setup, point: Point) -> tuple[list[Setup],
 
 
 def _at_places(
-    model: ReplayModel, setup: Setup, places: Mapping[str, float], further: float
-) -> Setup:
+    model: ReplayModel, setup: FlightData, places: Mapping[str, float], offset: float
+) -> FlightData:
     """The setup with each flight's commands so many PLACES later."""
-    if not further and not any(places.values()):
+    if not offset and not any(places.values()):
         return setup
-    later = [
-        f.with_delayed_commands((places.get(f.name, 0.0) + further) * PLACES * f.record.dt_s)
+    delayed_flights = [
+        f.with_delayed_commands((places.get(f.name, 0.0) + offset) * PLACES * f.record.dt_s)
         for f in setup.flights
     ]
-    cut = [s for f in later for s in segments(f, tuple(model.measured), setup.segments[0].arm_m)]
-    return replace(setup, segments=tuple(cut))
+    pieces = [
+        s
+        for f in delayed_flights
+        for s in segments(f, tuple(model.measured), setup.segments[0].arm_m)
+    ]
+    return replace(setup, segments=tuple(pieces))
 
 
-def _between(both: Sequence[Sequence[FloatArray]], shares: Sequence[float]) -> list[FloatArray]:
+def _between(ends: Sequence[Sequence[FloatArray]], shares: Sequence[float]) -> list[FloatArray]:
     """Of each segment what stands the share of the way from one to the other."""
-    first, last = both[0], both[-1]
+    first, last = ends[0], ends[-1]
     return [a + share * (b - a) for a, b, share in zip(first, last, shares, strict=True)]
 
 
 def gust_refit(
     model: ReplayModel,
-    straight: ReplayModel,
-    setup: Setup,
-    start: Point,
+    direct_model: ReplayModel,
+    setup: FlightData,
+    start: ModelState,
     names: Sequence[str],
     limits: Mapping[str, tuple[float, float]],
     map_: Processes,
-    near: Gusts | None = None,
+    prior_model: TurbulenceModel | None = None,
     iterations: int = ITERATIONS,
     tune: bool = False,
-    known: bool = False,
-    told: Callable[[int, float], None] | None = None,
-) -> GustFit:
-    """Parameters, biases and the gusts, searched from ``near``, or ``known`` to be those.
+    fixed_air: bool = False,
+    callback: Callable[[int, float], None] | None = None,
+) -> TurbulentFit:
+    """Estimate parameters, biases and the gusts, from ``prior_model`` on (``fixed_air``: as it is).
 
     tune: the sensors' noise as well (not of an autopilot's log, whose attitudes are filtered); the
     fit's setup has it. told: is told each iteration's number and the length of its step in standard
@@ -235,28 +252,34 @@ def gust_refit(
     setup = with_jumps(setup, model)
     point = (
         start
-        if near is not None or not setup.late
-        else likelier(model, straight, setup, start, map_)
+        if prior_model is not None or not setup.late
+        else likelier_delays(model, direct_model, setup, start, map_)
     )
-    gusts, analytic = near, None
+    gusts, analytic = prior_model, None
     length, share, since = float("inf"), 1.0, float("inf")
     delta: FloatArray | None = None
     path: list[FloatArray] | None = None
-    own, flights = (
+    properties, flights = (
         [n for n in names if n not in {e.key for e in setup.active}],
         {s.flight for s in setup.segments},
     )
     for number in range(1, iterations + 1):
-        flown, found = predict(model, straight, setup, point, map_, path)
-        found, analytic = with_properties(
-            straight, setup.segments, found, own, setup.properties(point), analytic, map_
+        trajectory, linear_probes = predict(model, direct_model, setup, point, map_, path)
+        linear_probes, analytic = with_properties(
+            direct_model,
+            setup.segments,
+            linear_probes,
+            properties,
+            setup.properties(point),
+            analytic,
+            map_,
         )
-        steps = _Linear(setup, flown, found, map_)
+        steps = _Linear(setup, trajectory, linear_probes, map_)
         # Where the flight is far from what the parameters say, what they will explain would be
         # taken for gusts.
-        near_enough = length < SETTLED or number == SEARCH_BY
-        other = gusts is None or not flights <= gusts.own.keys()
-        sought = not known and (other or (since > DIFFERENT and near_enough))
+        near_enough = length < SEARCH_LENGTH or number == SEARCH_BY
+        other = gusts is None or not flights <= gusts.by_flight.keys()
+        sought = not fixed_air and (other or (since > DIFFERENT and near_enough))
         if sought:
             gusts, factors = _air(setup, steps, gusts, tune and not setup.late)
             setup = replace(setup, noise=factors * setup.noise)
@@ -265,24 +288,26 @@ def gust_refit(
         # Systems of the air that was tried would stand beside the columns, which take the most
         # memory.
         del steps
-        followed = [*follow(linearised, measured, setup.which, setup.noise, gusts.process)]
-        flown, found = predicted(setup, flown, found, linearised, followed, gusts)
+        followed = [*follow(linearised, measured, setup.output_rows, setup.noise, gusts.process)]
+        trajectory, linear_probes = predicted(
+            setup, trajectory, linear_probes, linearised, followed, gusts
+        )
         # The measured states have seen what comes after them: linear about those, the airspeed's
         # sensor reads half a percent high.
-        causal, path = path is not None, [p.body for p in found]
-        columns = parameter_columns(setup, found, flown, names, analytic)
+        causal, path = path is not None, [p.body for p in linear_probes]
+        columns = parameter_columns(setup, linear_probes, trajectory, names, analytic)
         white = whitened(followed, columns)
-        evidence = gather(white, columns[0].names, [0] * len(white), PRIOR)
+        evidence = normal_equations(white, columns[0].names, [0] * len(white), PRIOR)
         before = None if sought else delta
         delta, length = step_from(setup, point, evidence)
         # In other air the same step is another one.
-        share = 1.0 if before is None else relaxed(share, before, delta, evidence.everything[0])
+        share = 1.0 if before is None else relaxed(share, before, delta, evidence.total[0])
         if not np.isfinite(delta).all():
             raise np.linalg.LinAlgError("predictions with this model are no numbers")
-        if told is not None:
-            told(number, length)
+        if callback is not None:
+            callback(number, length)
         # Air that was sought where estimates were as near as this is what it would be here.
-        since = 0.0 if known or (sought and causal) else since
+        since = 0.0 if fixed_air or (sought and causal) else since
         if (
             (causal and length < TOLERANCE and since <= DIFFERENT)
             or number == iterations
@@ -296,22 +321,24 @@ def gust_refit(
     assert gusts is not None
     assert analytic is not None
     cost = float(sum(np.sum(w.residual**2) for w in white))
-    return GustFit(
-        Fit(replace(flown, cost=cost), found, linearised, columns, evidence, analytic),
+    return TurbulentFit(
+        Linearisation(
+            replace(trajectory, cost=cost), linear_probes, linearised, columns, evidence, analytic
+        ),
         gusts,
         setup,
         length,
     )
 
 
-def relaxed(share: float, before: FloatArray, now: FloatArray, information: FloatArray) -> float:
-    """Share of the step ``now`` (K,) to take, by what became of that ``before``, of which ``share``
-    was taken: Aitken's for vectors (Irons and Tuck, Int. J. Numer. Meth. Eng. 1, 1969), lengths in
+def relaxed(share: float, before: FloatArray, step: FloatArray, information: FloatArray) -> float:
+    """Share of ``step`` (K,) to take, by what became of that ``before``, of which ``share`` was
+    taken: Aitken's for vectors (Irons and Tuck, Int. J. Numer. Meth. Eng. 1, 1969), lengths in
     standard errors.
 
     A force that goes with alphadot changes the acceleration that it goes with: columns know half of
     it, and steps overshoot. Steps of late sensors fall short."""
-    change = now - before
+    change = step - before
     size = float(change @ information @ change)
     return (
         float(np.clip(-share * (before @ information @ change) / size, *SHARE_WITHIN))
@@ -321,7 +348,7 @@ def relaxed(share: float, before: FloatArray, now: FloatArray, information: Floa
 
 
 def as_measured(
-    setup: Setup, path: Sequence[FloatArray], before: Point, after: Point
+    setup: FlightData, path: Sequence[FloatArray], before: ModelState, after: ModelState
 ) -> list[FloatArray]:
     """[(n, 8)] states of which sensors as they are ``after`` show what those ``before`` showed, for
     a filter follows those.
@@ -344,66 +371,72 @@ def as_measured(
 
 def unfiltered(
     model: ReplayModel,
-    straight: ReplayModel,
-    setup: Setup,
-    point: Point,
+    direct_model: ReplayModel,
+    setup: FlightData,
+    point: ModelState,
     map_: Processes,
-    gusts: Gusts,
-) -> tuple[Flown, list[FloatArray]]:
+    gusts: TurbulenceModel,
+) -> tuple[Trajectory, list[FloatArray]]:
     """The measured flight, and by how much, in units of the noise, the outputs of the model there
     are not what was measured.
     """
-    flown, found = predict(model, straight, setup, point, map_)
-    steps = _Linear(setup, flown, found, map_)
-    both = zip(steps.measured, steps.all(gusts.states), strict=True)
-    return flown, [(z - s.y_ref[:, setup.which]) / setup.noise for z, s in both]
+    trajectory, linear_probes = predict(model, direct_model, setup, point, map_)
+    steps = _Linear(setup, trajectory, linear_probes, map_)
+    pairs = zip(steps.measured, steps.all(gusts.states), strict=True)
+    return trajectory, [(z - s.y_ref[:, setup.output_rows]) / setup.noise for z, s in pairs]
 
 
-def likelier(
-    model: ReplayModel, straight: ReplayModel, setup: Setup, start: Point, map_: Processes
-) -> Point:
+def likelier_delays(
+    model: ReplayModel,
+    direct_model: ReplayModel,
+    setup: FlightData,
+    start: ModelState,
+    map_: Processes,
+) -> ModelState:
     """``start``, or the same with every sensor in time, whichever is likelier in its likeliest air.
 
     Delays found by replays in turbulence may be far off, and a filter that begins with them stays
     near them."""
     in_time = {n: 0.0 if n.startswith("delay/") else v for n, v in start.nuisance.items()}
-    found = []
+    trials = []
     for point in (start, replace(start, nuisance=in_time)):
-        steps = _Linear(setup, *predict(model, straight, setup, point, map_), map_)
+        steps = _Linear(setup, *predict(model, direct_model, setup, point, map_), map_)
         gusts, _ = _air(setup, steps, None, tune=False)
         followed = follow(
-            steps.all(gusts.states), steps.measured, setup.which, setup.noise, gusts.process
+            steps.all(gusts.states), steps.measured, setup.output_rows, setup.noise, gusts.process
         )
-        found.append(
+        trials.append(
             (
                 minus_twice_log(whitened(followed, [Columns((), {}, {})] * len(setup.segments))),
                 point,
             )
         )
-    return min(found, key=lambda one: one[0])[1]
+    return min(trials, key=lambda one: one[0])[1]
 
 
 class _Linear:
     """Linear systems of the segments by what gusts do in them, those asked for last remembered;
     measured: `in_step`, which they speak of."""
 
-    def __init__(self, setup: Setup, flown: Flown, found: Sequence[Probe], by: Processes) -> None:
-        self.setup, self.flown, self.found, self.by = setup, flown, found, by
-        self.measured = in_step(setup, flown.point)
+    def __init__(
+        self, setup: FlightData, trajectory: Trajectory, probes: Sequence[Probe], by: Processes
+    ) -> None:
+        self.setup, self.flown, self.found, self.by = setup, trajectory, probes, by
+        self.measured = in_step(setup, trajectory.point)
         self.made: OrderedDict[tuple[int, GustStates], Steps] = OrderedDict()
 
     def __call__(self, some: Sequence[int], states: Sequence[GustStates]) -> list[Steps]:
-        asked = list(zip(some, states, strict=True))
-        missing, point = [key for key in asked if key not in self.made], self.flown.point
-        made = steps_of(
+        requests = list(zip(some, states, strict=True))
+        missing, point = [key for key in requests if key not in self.made], self.flown.point
+        systems = steps_of(
             [self.found[k] for k, _ in missing],
             [air for _, air in missing],
             self.setup,
             point,
             self.by,
         )
-        for (k, acting), s in zip(missing, made, strict=True):
-            which, segment = self.setup.which, self.setup.segments[k]
+        for (k, acting), s in zip(missing, systems, strict=True):
+            which, segment = self.setup.output_rows, self.setup.segments[k]
             share, rows = unseen_share(point, segment.flight), rows_late(self.setup, segment, point)
             # Outputs are those at the reference, biases added.
             y = s.y_ref[:, which] - share * as_felt(
@@ -418,15 +451,15 @@ class _Linear:
             )
             s.y_ref[:, which] = as_sensed(y, self.setup, segment, point, rows, behind=behind)
             self.made[k, acting] = replace(s, H=between_rows(s, which, part)) if any(part) else s
-        for key in asked:
+        for key in requests:
             self.made.move_to_end(key)
-        out = [self.made[key] for key in asked]
+        out = [self.made[key] for key in requests]
         while len(self.made) > REMEMBERED_AIRS * len(self.found):
             self.made.popitem(last=False)
         return out
 
     def _behind(
-        self, p: Probe, steps: Steps, y: FloatArray, acting: GustStates, late: FloatArray
+        self, p: Probe, steps: Steps, y: FloatArray, states: GustStates, late: FloatArray
     ) -> FloatArray:
         """(n, m) by how much outputs ``y`` (n, m) of the reference are behind, parts ``late`` (m,)
         of a row, as the model moves its states and as controls move what is not made of these. The
@@ -434,22 +467,22 @@ class _Linear:
         a parabola from its start with the rate that is there to where it ends."""
         point = self.flown.point
         gain = np.array([sensor_gain(c, point) for c in self.setup.outputs])
-        H = steps.H[:, self.setup.which] / gain[:, None]
-        x = with_gust_states(p.reference.x, acting)
-        first = rates(p.reference, p.mass, x, gusts=acting) * steps.dt_s
-        bent = steps.defect + np.diff(x, axis=0) - first[:-1]
+        H = steps.H[:, self.setup.output_rows] / gain[:, None]
+        x = with_gust_states(p.reference.x, states)
+        first = rates(p.reference, p.mass, x, gusts=states) * steps.dt_s
+        curvature = steps.defect + np.diff(x, axis=0) - first[:-1]
         # A sensor that is late sees the step before a row, one that is early the step behind it.
-        none = np.zeros_like(bent[:1])
+        none = np.zeros_like(curvature[:1])
         ended, bent_before = (
-            np.concatenate([first[:1], first[:-1] + 2.0 * bent]),
-            np.concatenate([none, bent]),
+            np.concatenate([first[:1], first[:-1] + 2.0 * curvature]),
+            np.concatenate([none, curvature]),
         )
-        begun, bent_behind = first, np.concatenate([bent, none])
-        felt = y + vane_place_m(point) * at_vane(y, self.setup.outputs)
-        by_controls = np.diff(felt, axis=0) - np.einsum("nij,nj->ni", H[1:], np.diff(x, axis=0))
+        start_rate, bent_behind = first, np.concatenate([curvature, none])
+        sensed = y + vane_place_m(point) * at_vane(y, self.setup.outputs)
+        by_controls = np.diff(sensed, axis=0) - np.einsum("nij,nj->ni", H[1:], np.diff(x, axis=0))
         out = late * np.concatenate([by_controls[:1], by_controls])
         for k, part in enumerate(late):
-            slope, bend = (ended, bent_before) if part > 0.0 else (begun, bent_behind)
+            slope, bend = (ended, bent_before) if part > 0.0 else (start_rate, bent_behind)
             out[:, k] += np.einsum("nx,nx->n", H[:, k], part * slope - part**2 * bend)
         return np.asarray(out)
 
@@ -457,12 +490,12 @@ class _Linear:
         return self(range(len(self.found)), states)
 
 
-def between_rows(steps: Steps, which: Sequence[int], late: Sequence[float]) -> FloatArray:
-    """H (n, m, x) where outputs ``which`` see states parts of a row ``late``, as these go from row
+def between_rows(steps: Steps, rows: Sequence[int], late: Sequence[float]) -> FloatArray:
+    """H (n, m, x) where outputs ``rows`` see states parts of a row ``late``, as these go from row
     to row: (I + T)^a in powers of T = phi - I of the step in which that is, a = -late."""
     H = steps.H.copy()
     turn = steps.phi - np.eye(steps.phi.shape[1])
-    for k, part in zip(which, late, strict=True):
+    for k, part in zip(rows, late, strict=True):
         if part:
             step = np.concatenate([turn[:1], turn] if part > 0.0 else [turn, turn[-1:]])
             power = H[:, k]
@@ -472,7 +505,9 @@ def between_rows(steps: Steps, which: Sequence[int], late: Sequence[float]) -> F
     return H
 
 
-def _air(setup: Setup, steps: _Linear, near: Gusts | None, tune: bool) -> tuple[Gusts, FloatArray]:
+def _air(
+    setup: FlightData, steps: _Linear, prior_model: TurbulenceModel | None, tune: bool
+) -> tuple[TurbulenceModel, FloatArray]:
     """The likeliest air, and (m,) factors on the sensors' noise, each 1 where that is not asked
     for.
     """
@@ -481,31 +516,44 @@ def _air(setup: Setup, steps: _Linear, near: Gusts | None, tune: bool) -> tuple[
     states = GustStates(steps.found[0].mass.b)
     kinds = [_KINDS.get(c.split("_")[0], c) for c in setup.outputs] if tune else ()
     return gust_intensity(
-        steps, steps.measured, setup.which, setup.noise, speeds, of, states, near, steps.by, kinds
+        steps,
+        steps.measured,
+        setup.output_rows,
+        setup.noise,
+        speeds,
+        of,
+        states,
+        prior_model,
+        steps.by,
+        kinds,
     )
 
 
 def predicted(
-    setup: Setup,
-    flown: Flown,
-    found: Sequence[Probe],
+    setup: FlightData,
+    trajectory: Trajectory,
+    linear_probes: Sequence[Probe],
     steps: Sequence[Steps],
-    followed: Sequence[Followed],
-    gusts: Gusts,
-) -> tuple[Flown, list[Probe]]:
+    followed: Sequence[FilteredSegment],
+    gusts: TurbulenceModel,
+) -> tuple[Trajectory, list[Probe]]:
     """Probes whose terms are evaluated at states predicted from the past, and the outputs predicted
     there, as a filter ``followed`` the ``steps``.
 
     At the measured states a term would know of the gust that it is to predict: Cl_p came out at
     three quarters."""
     out, outputs = [], []
-    for p, s, d, acting in zip(
-        found, steps, (one.alone.path for one in followed), gusts.states, strict=True
+    for p, s, d, states in zip(
+        linear_probes,
+        steps,
+        (one.innovations_only.path for one in followed),
+        gusts.states,
+        strict=True,
     ):
-        x = with_gust_states(p.reference.x, acting) + d
-        air = x[:, 3:6] - np.column_stack(acting.rotation(x.T))
-        whole = rates(p.reference, p.mass, x, gusts=acting)
-        flow = rates(p.reference, p.mass, x, gusts=acting._replace(turning_with=False))
+        x = with_gust_states(p.reference.x, states) + d
+        air = x[:, 3:6] - np.column_stack(states.rotation(x.T))
+        full_rates = rates(p.reference, p.mass, x, gusts=states)
+        flow = rates(p.reference, p.mass, x, gusts=states._replace(turning_with=False))
         relative = np.column_stack([x[:, :3], air, x[:, 6:8]])
         coefficients = p.coefficients + _changed(p, (relative - p.reference.x)[:, : len(AIR)])
         out.append(
@@ -514,12 +562,14 @@ def predicted(
                 coefficients=coefficients,
                 body=x[:, :8],
                 x=relative,
-                rate=whole[:, :8],
+                rate=full_rates[:, :8],
                 flow_rate=flow[:, 1:3],
             )
         )
-        outputs.append(s.y_ref[:, setup.which] + np.einsum("nij,nj->ni", s.H[:, setup.which], d))
-    return replace(flown, outputs=outputs), out
+        outputs.append(
+            s.y_ref[:, setup.output_rows] + np.einsum("nij,nj->ni", s.H[:, setup.output_rows], d)
+        )
+    return replace(trajectory, outputs=outputs), out
 
 
 def _changed(p: Probe, moved: FloatArray) -> FloatArray:

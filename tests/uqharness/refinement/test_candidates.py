@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from sysid.effects.catalogue import subsystem_effects
+from sysid.effects.information import normal_equations
 from sysid.effects.prediction import White
-from sysid.effects.score import gather
-from sysid.effects.selection import Choice, Selection
-from uqharness.refinement.rounds import eligible, largest_step, resolved
+from sysid.effects.selection import SelectedEffect, Selection
+from uqharness.refinement.candidates import eligible, largest_step, without_unresolved
 from uqharness.simulator.actuators import Actuator
 
 DT = 0.02
@@ -34,7 +34,7 @@ def at(value: float, late: dict[str, list[str]], servos=None, held=EFFECTS) -> d
         np.ones((50, 2), dtype=bool),
         np.ones(2),
     )
-    evidence = gather([white], [e.key for e in held], [0], {})
+    evidence = normal_equations([white], [e.key for e in held], [0], {})
     controls = np.zeros((50, 4))
     controls[10:20, 1], controls[20:30, 1] = 10.0, -10.0
     setup = SimpleNamespace(
@@ -107,16 +107,10 @@ def test_a_rate_limit_below_what_rows_resolve_is_no_effect_though_it_was_flown(
         late=late,
         servos={"aileron": Actuator(25.0, 240.0)},
     )
-    found = SimpleNamespace(
-        selection=Selection((Choice(effect.key, value, 1e-6, 17.0, 289.0, 1.0, 0.0),)),
-        free=keys,
-        evidence=gather([white], keys, [0], {}),
-        keys=frozenset([effect.key]),
-    )
-    assert (
-        bool(resolved(SimpleNamespace(setup=setup, effects={effect.key: effect}), found).chosen)
-        is named
-    )  # type: ignore[arg-type]
+    selection = Selection((SelectedEffect(effect.key, value, 1e-6, 17.0, 289.0, 1.0, 0.0),))
+    information = normal_equations([white], keys, [0], {})
+    kept = without_unresolved(selection, [effect], setup, keys, information)  # type: ignore[arg-type]
+    assert bool(kept.chosen) is named
 
 
 def test_a_time_below_what_rows_resolve_is_no_effect_though_it_was_flown():
@@ -131,24 +125,20 @@ def test_a_time_below_what_rows_resolve_is_no_effect_though_it_was_flown():
         np.ones((200, 2), dtype=bool),
         np.ones(2),
     )
-    evidence = gather([white], ["aero/Cm_q", *keys], [0], {})
+    evidence = normal_equations([white], ["aero/Cm_q", *keys], [0], {})
     setup = SimpleNamespace(segments=[SimpleNamespace(dt_s=DT)], late={}, servos={})
     units = zip(keys, ("s", "1"), strict=True)
     effects = {k: SimpleNamespace(key=k, unit=u, positive=False, odds=0.0) for k, u in units}
-    start = SimpleNamespace(setup=setup, effects=effects)
 
     def kept(late_s: float) -> list[str]:
         chosen = tuple(
-            Choice(k, v, 1e-5, 9.0, 81.0, 1.0, 0.0)
+            SelectedEffect(k, v, 1e-5, 9.0, 81.0, 1.0, 0.0)
             for k, v in zip(keys, (late_s, 1.0), strict=True)
         )
-        found = SimpleNamespace(
-            selection=Selection(chosen),
-            free=("aero/Cm_q", *keys),
-            evidence=evidence,
-            keys=frozenset(keys),
+        rest = without_unresolved(
+            Selection(chosen), [*effects.values()], setup, ("aero/Cm_q", *keys), evidence
         )
-        return [c.key for c in resolved(start, found).chosen]  # type: ignore[arg-type]
+        return [c.key for c in rest.chosen]
 
     assert kept(0.0008) == keys
     assert kept(0.0005) == keys[1:]
@@ -175,20 +165,15 @@ def test_a_time_too_short_to_be_named_stands_beside_the_effect_that_it_may_be(
         np.ones((200, 2), dtype=bool),
         np.ones(2),
     )
-    evidence = gather([white], [term, delay], [0], {})
-    start = SimpleNamespace(
-        setup=SimpleNamespace(segments=[SimpleNamespace(dt_s=DT)], late={}, servos={}),
-        effects={
-            k: SimpleNamespace(
-                key=k, unit=u, positive=positive, odds=0.0, subsystem=of, term=k.rpartition("/")[2]
-            )
-            for k, u, of in ((term, "1", None), (delay, "s", "actuator.elevator"))
-        },
-    )
-    chosen = (Choice(term, 1.0, 0.05, 20.0, 400.0, 1.0, 0.0),)
-    found = SimpleNamespace(
-        selection=Selection(chosen), free=(term,), evidence=evidence, keys=frozenset([term])
-    )
-    (effect,) = resolved(start, found).chosen  # type: ignore[arg-type]
+    evidence = normal_equations([white], [term, delay], [0], {})
+    setup = SimpleNamespace(segments=[SimpleNamespace(dt_s=DT)], late={}, servos={})
+    effects = [
+        SimpleNamespace(
+            key=k, unit=u, positive=positive, odds=0.0, subsystem=of, term=k.rpartition("/")[2]
+        )
+        for k, u, of in ((term, "1", None), (delay, "s", "actuator.elevator"))
+    ]
+    chosen = (SelectedEffect(term, 1.0, 0.05, 20.0, 400.0, 1.0, 0.0),)
+    (effect,) = without_unresolved(Selection(chosen), effects, setup, (term,), evidence).chosen
     assert effect.key == term
     assert [a.key for a in effect.alternatives if not a.separable] == ([delay] if beside else [])

@@ -20,15 +20,24 @@ from sysid.aerodynamics.rigid_body import MassProperties
 from sysid.arrays import FloatArray
 from sysid.effects import (
     Columns,
-    Evidence,
+    Information,
     MadeColumns,
     White,
-    corrected_each,
-    gather,
+    corrected_estimates,
     names_of,
+    normal_equations,
     whiten,
 )
 from sysid.parallel import SERIAL, Processes
+from uqharness.identification.linearised.flight_data import (
+    FlightData,
+    ModelState,
+    Trajectory,
+    in_dynamics,
+    late_by,
+    unseen,
+    unseen_share,
+)
 from uqharness.identification.linearised.linearise import (
     Probe,
     ProbeJob,
@@ -50,15 +59,6 @@ from uqharness.identification.linearised.linearise import (
     vane_slopes,
     with_properties,
 )
-from uqharness.identification.linearised.types import (
-    Flown,
-    Point,
-    Setup,
-    in_dynamics,
-    late_by,
-    unseen,
-    unseen_share,
-)
 from uqharness.identification.replay_fit import Observed, ReplayFit
 from uqharness.replay import (
     CHANNELS,
@@ -77,7 +77,7 @@ from uqharness.replay import (
 )
 
 
-def fly(model: ReplayModel, setup: Setup, point: Point, map_: Processes) -> Flown:
+def fly(model: ReplayModel, setup: FlightData, point: ModelState, map_: Processes) -> Trajectory:
     """Replay every segment at a point; cost inf where a flight leaves the finite."""
     pieces = []
     for s, start in zip(setup.segments, point.starts, strict=True):
@@ -101,12 +101,12 @@ def fly(model: ReplayModel, setup: Setup, point: Point, map_: Processes) -> Flow
         raw.append(rows[0] if rows else at_rows(fine, len(s.time_s)))
         outputs.append(as_sensed(raw[-1][:, columns], setup, s, point, between=fine[:, columns]))
     x = [r[:, [CHANNELS.index(c) for c in X_STATES]] for r in raw]
-    return Flown(
+    return Trajectory(
         point, outputs, x, [r[:, CHANNELS.index("h_m")] for r in raw], cost_of(setup, outputs)
     )
 
 
-def cost_of(setup: Setup, outputs: Sequence[FloatArray]) -> float:
+def cost_of(setup: FlightData, outputs: Sequence[FloatArray]) -> float:
     """Sum of the squares of what outputs [(n, m)] leave of what was measured, over its noise; inf
     where one is no number.
     """
@@ -117,12 +117,16 @@ def cost_of(setup: Setup, outputs: Sequence[FloatArray]) -> float:
     return cost
 
 
-def best_flown(model: ReplayModel, setup: Setup, points: Sequence[Point], map_: Processes) -> Flown:
+def best_flown(
+    model: ReplayModel, setup: FlightData, points: Sequence[ModelState], map_: Processes
+) -> Trajectory:
     """The replay of least cost."""
     return min((fly(model, setup, p, map_) for p in points), key=lambda f: f.cost)
 
 
-def positions(model: ReplayModel, setup: Setup, point: Point | None = None) -> list[FloatArray]:
+def positions(
+    model: ReplayModel, setup: FlightData, point: ModelState | None = None
+) -> list[FloatArray]:
     """(n, c) where the controls stood in every segment, servos as they are at a point."""
     return surface_positions(
         model, setup.segments, CONTROLS, {} if point is None else setup.properties(point)
@@ -130,9 +134,9 @@ def positions(model: ReplayModel, setup: Setup, point: Point | None = None) -> l
 
 
 def probes(
-    straight: ReplayModel,
-    setup: Setup,
-    flown: Flown,
+    direct_model: ReplayModel,
+    setup: FlightData,
+    trajectory: Trajectory,
     controls: Sequence[FloatArray],
     map_: Processes,
     consistent: bool = True,
@@ -140,9 +144,17 @@ def probes(
     """Forces, slopes and so on along the flights flown."""
     jobs = [
         ProbeJob(
-            straight, placed(s, flown.point), x, u, setup.properties(flown.point), consistent, h
+            direct_model,
+            placed(s, trajectory.point),
+            x,
+            u,
+            setup.properties(trajectory.point),
+            consistent,
+            h,
         )
-        for s, x, u, h in zip(setup.segments, flown.x, controls, flown.height, strict=True)
+        for s, x, u, h in zip(
+            setup.segments, trajectory.x, controls, trajectory.height, strict=True
+        )
     ]
     return probe_all(jobs, map_)
 
@@ -153,29 +165,31 @@ def _linearised(job: tuple[Reference, MassProperties, GustStates | None]) -> Ste
 
 
 def steps_of(
-    found: Sequence[Probe],
+    linear_probes: Sequence[Probe],
     air: Sequence[GustStates | None],
-    setup: Setup,
-    point: Point,
+    setup: FlightData,
+    point: ModelState,
     by: Processes = SERIAL,
 ) -> list[Steps]:
     """Linear systems along the flights, outputs as the sensors scale them; air: how gusts act in
     each.
     """
     gain, forward = np.ones((len(STEP_OUTPUTS), 1)), vane_place_m(point)
-    gain[setup.which, 0] = [sensor_gain(c, point) for c in setup.outputs]
+    gain[setup.output_rows, 0] = [sensor_gain(c, point) for c in setup.outputs]
     out = []
-    made = by(_linearised, [(p.reference, p.mass, a) for p, a in zip(found, air, strict=True)])
-    for p, a, steps in zip(found, air, made, strict=True):
+    systems = by(
+        _linearised, [(p.reference, p.mass, a) for p, a in zip(linear_probes, air, strict=True)]
+    )
+    for p, a, steps in zip(linear_probes, air, systems, strict=True):
         H = steps.H + forward * vane_slopes(p.reference.x, a) if forward else steps.H
         out.append(replace(steps, H=H * gain, D=steps.D * gain))
     return out
 
 
 def parameter_columns(
-    setup: Setup,
-    found: Sequence[Probe],
-    flown: Flown,
+    setup: FlightData,
+    linear_probes: Sequence[Probe],
+    trajectory: Trajectory,
     names: Sequence[str],
     analytic: Sequence[str],
 ) -> list[Columns]:
@@ -184,43 +198,47 @@ def parameter_columns(
     """
     out = []
     active = [e for e in setup.active if e.key in names]
-    own = [n for n in names if n not in {e.key for e in active}]
-    gain = [sensor_gain(c, flown.point) for c in setup.outputs]
-    made = effect_columns(setup, found, flown, active)
-    for segment, p, y, effects in zip(setup.segments, found, flown.outputs, made, strict=True):
+    properties = [n for n in names if n not in {e.key for e in active}]
+    gain = [sensor_gain(c, trajectory.point) for c in setup.outputs]
+    effect_regressors = effect_columns(setup, linear_probes, trajectory, active)
+    for segment, p, y, effects in zip(
+        setup.segments, linear_probes, trajectory.outputs, effect_regressors, strict=True
+    ):
         before, variables, share = (
             p.just_before(),
             p.variables(),
-            unseen_share(flown.point, segment.flight),
+            unseen_share(trajectory.point, segment.flight),
         )
-        earlier = variables if before is p else before.variables()
+        variables_before = variables if before is p else before.variables()
         inputs, outputs = dict(effects.inputs), dict(effects.outputs)
-        ends, felt = dict(effects.ends), dict(effects.felt)
-        for name in own:
+        ends, seen_values = dict(effects.ends), dict(effects.seen)
+        for name in properties:
             inputs[name] = (
                 term_column(name, variables) if name in analytic else (-1, p.by_property[name])
             )
             if before is not p and name in analytic:
-                ends[name] = term_column(name, earlier)[1]
-                felt[name] = seen_of(inputs[name][1], ends[name], share)
+                ends[name] = term_column(name, variables_before)[1]
+                seen_values[name] = seen_of(inputs[name][1], ends[name], share)
         for name in setup.nuisance:
-            kind, flight, *rest = name.split("/")
+            kind, flight, *channels = name.split("/")
             if flight != segment.flight:
                 continue
             if kind == "lateness":
-                inputs[name], ends[name], felt[name] = later_controls(
-                    p, late_by(flown.point, flight)
+                inputs[name], ends[name], seen_values[name] = later_controls(
+                    p, late_by(trajectory.point, flight)
                 )
                 continue
             outputs[name] = block = np.zeros_like(y)
             if kind == UNSEEN:
                 block -= as_felt(p.felt_jump(share), setup.outputs) * gain
             for k, c in enumerate(setup.outputs):
-                if kind == "bias" and [c] == rest:
+                if kind == "bias" and [c] == channels:
                     block[:, k] = 1.0
-                elif kind == "delay" and [SENSOR_OF.get(c, c)] == rest:
-                    block[:, k] = -late_rate(p, c, y[:, k], sensor_late_s(c, segment, flown.point))
-        out.append(Columns((*names, *setup.nuisance), inputs, outputs, ends, felt))
+                elif kind == "delay" and [SENSOR_OF.get(c, c)] == channels:
+                    block[:, k] = -late_rate(
+                        p, c, y[:, k], sensor_late_s(c, segment, trajectory.point)
+                    )
+        out.append(Columns((*names, *setup.nuisance), inputs, outputs, ends, seen_values))
     return out
 
 
@@ -228,7 +246,7 @@ def merged(first: Sequence[Columns], second: Sequence[Columns]) -> MadeColumns:
     """Two sets of columns side by side."""
     names = (*names_of(first), *names_of(second))
 
-    def both(k: int, some: Collection[str]) -> Columns:
+    def join_segment(k: int, some: Collection[str]) -> Columns:
         a, b = (
             c.some(k, [n for n in c.names if n in some]) if isinstance(c, MadeColumns) else c[k]
             for c in (first, second)
@@ -238,23 +256,23 @@ def merged(first: Sequence[Columns], second: Sequence[Columns]) -> MadeColumns:
             {**a.inputs, **b.inputs},
             {**a.outputs, **b.outputs},
             {**a.ends, **b.ends},
-            {**a.felt, **b.felt},
+            {**a.seen, **b.seen},
         )
 
-    return MadeColumns(names, both, len(first))
+    return MadeColumns(names, join_segment, len(first))
 
 
 @dataclass(frozen=True)
-class Fit:
+class Linearisation:
     """A re-identification: the flights flown, probes, linear systems, columns of the parameters and
     their evidence.
     """
 
-    flown: Flown
+    trajectory: Trajectory
     probes: list[Probe]
     steps: list[Steps]
     columns: list[Columns]
-    evidence: Evidence
+    evidence: Information
     analytic: tuple[str, ...]
 
 
@@ -270,73 +288,82 @@ _STEP_SHARES = tuple(0.35**k for k in range(5))
 
 def refit(
     model: ReplayModel,
-    straight: ReplayModel,
-    setup: Setup,
-    start: Point,
+    direct_model: ReplayModel,
+    setup: FlightData,
+    start: ModelState,
     names: Sequence[str],
     limits: Mapping[str, tuple[float, float]],
     map_: Processes,
-) -> Fit:
+) -> Linearisation:
     """Output error from ``start`` over the properties ``names``, biases, delays and start states.
     Raises LinAlgError where replays from there leave the finite."""
-    flown, analytic = fly(model, setup, start, map_), None
-    if not math.isfinite(flown.cost):
+    trajectory, analytic = fly(model, setup, start, map_), None
+    if not math.isfinite(trajectory.cost):
         raise np.linalg.LinAlgError("replays with this model are no numbers")
     for _ in range(_MOST_ITERATIONS):
-        fit = fit_at(model, straight, setup, names, flown, map_, analytic)
+        fit = fit_at(model, direct_model, setup, names, trajectory, map_, analytic)
         analytic, white = fit.analytic, fit.evidence.white
-        delta, length = step_from(setup, flown.point, fit.evidence)
+        delta, length = step_from(setup, trajectory.point, fit.evidence)
         if length < _TOLERANCE:
             break
         for share in _STEP_SHARES:
             step = dict(zip(fit.columns[0].names, (share * delta).tolist(), strict=True))
-            starts = moved_starts(flown.point.starts, white, delta, share)
+            starts = moved_starts(trajectory.point.starts, white, delta, share)
             trial = fly(
                 model,
                 setup,
-                replace(stepped(setup, flown.point, step, limits), starts=starts),
+                replace(stepped(setup, trajectory.point, step, limits), starts=starts),
                 map_,
             )
-            if trial.cost < flown.cost:
+            if trial.cost < trajectory.cost:
                 break
         else:
             break
-        settled = flown.cost - trial.cost < 0.02 and share == 1.0
-        flown = trial
-        if settled:
+        is_converged = trajectory.cost - trial.cost < 0.02 and share == 1.0
+        trajectory = trial
+        if is_converged:
             break
-    return replace(fit, flown=flown)
+    return replace(fit, trajectory=trajectory)
 
 
 def fit_at(
     model: ReplayModel,
-    straight: ReplayModel,
-    setup: Setup,
+    direct_model: ReplayModel,
+    setup: FlightData,
     names: Sequence[str],
-    flown: Flown,
+    trajectory: Trajectory,
     map_: Processes,
     analytic: tuple[str, ...] | None = None,
-) -> Fit:
+) -> Linearisation:
     """The flights linearised at the replays flown: evidence of the properties and active effects
     ``names`` and the nuisance. analytic: properties known to be the coefficient terms their names
     say."""
-    point, own = flown.point, [n for n in names if n not in {e.key for e in setup.active}]
-    found = probes(straight, setup, flown, positions(model, setup, point), map_)
-    found, analytic = with_properties(
-        straight, setup.segments, found, own, setup.properties(point), analytic, map_
+    point, properties = (
+        trajectory.point,
+        [n for n in names if n not in {e.key for e in setup.active}],
+    )
+    linear_probes = probes(direct_model, setup, trajectory, positions(model, setup, point), map_)
+    linear_probes, analytic = with_properties(
+        direct_model,
+        setup.segments,
+        linear_probes,
+        properties,
+        setup.properties(point),
+        analytic,
+        map_,
     )
     if setup.jumping:
-        found = [
+        linear_probes = [
             replace(p, jumped=jumped(a))
-            for p, a in zip(found, middles(model, setup, point), strict=True)
+            for p, a in zip(linear_probes, middles(model, setup, point), strict=True)
         ]
-    steps = steps_of(found, [None] * len(found), setup, point, map_)
-    for s, y in zip(steps, flown.outputs, strict=True):
-        s.y_ref[:, setup.which] = y
-    columns = parameter_columns(setup, found, flown, names, analytic)
-    white = whiten(steps, setup.measured, columns, setup.which, setup.noise)
-    evidence = gather(white, columns[0].names, [0] * len(white), PRIOR)
-    return Fit(flown, found, steps, columns, evidence, analytic)
+    steps = steps_of(linear_probes, [None] * len(linear_probes), setup, point, map_)
+    for s, y in zip(steps, trajectory.outputs, strict=True):
+        s.y_ref[:, setup.output_rows] = y
+    columns = parameter_columns(setup, linear_probes, trajectory, names, analytic)
+    white = whiten(steps, setup.measured, columns, setup.output_rows, setup.noise)
+    evidence = normal_equations(white, columns[0].names, [0] * len(white), PRIOR)
+    return Linearisation(trajectory, linear_probes, steps, columns, evidence, analytic)
 
 
 def moved_starts(
@@ -352,11 +379,13 @@ def moved_starts(
     return tuple(moved)
 
 
-def step_from(setup: Setup, point: Point, evidence: Evidence) -> tuple[FloatArray, float]:
+def step_from(
+    setup: FlightData, point: ModelState, evidence: Information
+) -> tuple[FloatArray, float]:
     """Gauss-Newton step (K,) from a point, and its length in standard errors. What is `held` stays,
     and what flights would have beyond where it ends: a share of a jump beyond SHARES, a rate limit
     where it is not felt."""
-    delta, length = evidence.step(setup.held)
+    delta, length = evidence.step(setup.fixed_effects)
     move = dict(zip(evidence.names, delta.tolist(), strict=True))
     (low, high), shares = SHARES, {unseen(f): unseen_share(point, f) for f in setup.jumping}
     stay = [
@@ -366,15 +395,18 @@ def step_from(setup: Setup, point: Point, evidence: Evidence) -> tuple[FloatArra
     ]
     stay += [
         key
-        for key, least in setup.least.items()
+        for key, least in setup.lower_bounds.items()
         if point.effects.get(key, 0.0) <= least and move[key] < 0.0
     ]
-    return evidence.step([*setup.held, *stay]) if stay else (delta, length)
+    return evidence.step([*setup.fixed_effects, *stay]) if stay else (delta, length)
 
 
 def stepped(
-    setup: Setup, point: Point, step: Mapping[str, float], limits: Mapping[str, tuple[float, float]]
-) -> Point:
+    setup: FlightData,
+    point: ModelState,
+    step: Mapping[str, float],
+    limits: Mapping[str, tuple[float, float]],
+) -> ModelState:
     """Properties, active effects and nuisance moved by a step; properties stay within their limits,
     rate limits where they are felt, shares within SHARES."""
     free = (-math.inf, math.inf)
@@ -386,7 +418,7 @@ def stepped(
     for e in setup.active:
         if e.key in step and (e.key in setup.carriers or not in_dynamics(e)):
             effects[e.key] = max(
-                effects.get(e.key, 0.0) + step[e.key], setup.least.get(e.key, -math.inf)
+                effects.get(e.key, 0.0) + step[e.key], setup.lower_bounds.get(e.key, -math.inf)
             )
     nuisance = {n: v for n, v in point.nuisance.items() if n.startswith(f"{UNSEEN}/")}
     nuisance |= {n: point.nuisance.get(n, 0.0) + step[n] for n in setup.nuisance}
@@ -395,18 +427,19 @@ def stepped(
 
 
 def in_one_step(
-    evidence: Evidence,
+    evidence: Information,
     names: Sequence[str],
-    fit: Fit,
+    fit: Linearisation,
     chosen: Sequence[str] = (),
     moved: bool = True,
 ) -> dict[str, tuple[float, float]]:
     """(value, standard error corrected for colour) of properties beside the effects ``chosen``, the
     last step taken unless not ``moved``."""
     free = [*(n for n in fit.columns[0].names if not n.startswith("effect/")), *chosen]
-    found, at = corrected_each(evidence, free, names), fit.flown.point.values
+    estimates, at = corrected_estimates(evidence, free, names), fit.trajectory.point.values
     return {
-        n: (float(at[n] + (delta if moved else 0.0)), std) for n, (delta, std, _) in found.items()
+        n: (float(at[n] + (delta if moved else 0.0)), std)
+        for n, (delta, std, _) in estimates.items()
     }
 
 
@@ -414,14 +447,14 @@ def in_one_step(
 # determine left alone.
 
 
-def observed(setup: Setup, sensed: Mapping[str, float] | None = None) -> Observed:
+def observed(setup: FlightData, sensed: Mapping[str, float] | None = None) -> Observed:
     """What a fit compares replays with; sensed: values of sensors' effects by key, taken out of
     what was measured.
     """
     late = {**setup.late, **dict.fromkeys(setup.timed, (CONTROL_DELAY,))}
     if not sensed:
         return Observed(setup.segments, setup.outputs, setup.measured, setup.biased, late)
-    point = Point({}, {}, (), dict(sensed))
+    point = ModelState({}, {}, (), dict(sensed))
     late_s = {c: sensor_late_s(c, setup.segments[0], point) for c in setup.outputs}
     data = [
         np.column_stack([unsensed(z[:, k], c, s, point) for k, c in enumerate(setup.outputs)])
@@ -431,20 +464,23 @@ def observed(setup: Setup, sensed: Mapping[str, float] | None = None) -> Observe
 
 
 def point_of(
-    found: ReplayFit, setup: Setup, names: Sequence[str], sensed: Mapping[str, float] | None = None
-) -> Point:
+    replay_fit: ReplayFit,
+    setup: FlightData,
+    names: Sequence[str],
+    sensed: Mapping[str, float] | None = None,
+) -> ModelState:
     """Where a fit of properties ``names`` ended, with the sensors' effects that were taken out of
     what was measured; 0 stands for what the fit has not estimated."""
-    estimates = found.values()
+    estimates = replay_fit.values()
     nuisance = {n: estimates.get(n.replace("lateness/", "delay/"), 0.0) for n in setup.nuisance}
     nuisance |= {n: v for n, v in estimates.items() if n.startswith(f"{UNSEEN}/")}
-    point = Point(
-        {n: estimates[n] for n in names}, nuisance, tuple(found.starts()), dict(sensed or {})
+    point = ModelState(
+        {n: estimates[n] for n in names}, nuisance, tuple(replay_fit.starts()), dict(sensed or {})
     )
     return replace(point, nuisance={n: value * _gain(n, point) for n, value in nuisance.items()})
 
 
-def begun_at(point: Point) -> dict[str, float]:
+def begun_at(point: ModelState) -> dict[str, float]:
     """The other way: values by the names of a fit's layout from which a point's biases, delays and
     shares are sought.
     """
@@ -454,7 +490,7 @@ def begun_at(point: Point) -> dict[str, float]:
     }
 
 
-def _gain(name: str, point: Point) -> float:
+def _gain(name: str, point: ModelState) -> float:
     """By what a sensor multiplies a bias of that name, of the channel before it; 1 of all that is
     no bias.
     """

@@ -1,0 +1,67 @@
+"""Flights of the hidden effects' own simulator in any air."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sysid.arrays import FloatArray
+from sysid.record import FlightRecord
+from tests.gust_fields.fields import BODY, Air, Setting, air_of, to_earth
+from tests.hidden_effects.flights import NOISE, Flight, _record, substeps
+from tests.hidden_effects.gusts import NODE_S
+from tests.hidden_effects.manoeuvres import Pilot
+from tests.hidden_effects.motion import Air as AirData
+from tests.hidden_effects.motion import Model, integrate, trim
+
+
+@dataclass
+class Breath:
+    """Writes the air's nodes of the next interval before it is flown, at the state as it will be."""
+
+    pilot: Pilot
+    air: Air
+    in_body: bool
+    nodes: FloatArray
+    away: FloatArray
+    dt_s: float
+
+    def __call__(self, k: int, air: AirData, x: FloatArray) -> FloatArray:
+        self.write(k * self.dt_s, x[:, 0], air.dot[:, 0])
+        self.away[k] = self.air(k * self.dt_s, x[:, 0])[1]
+        return self.pilot(k, air, x)
+
+    def write(self, time_s: float, state: FloatArray, rate: FloatArray) -> None:
+        """Nodes from a time to one behind the next sample."""
+        first = int(np.ceil(time_s / NODE_S - 1e-9))
+        for node in range(first, min(first + int(self.dt_s / NODE_S) + 2, len(self.nodes))):
+            there = state + (node * NODE_S - time_s) * rate
+            gust, _ = self.air(node * NODE_S, there)
+            if self.in_body:
+                level = to_earth(np.array([there[6], there[7], 0.0]))
+                gust = np.concatenate([level @ gust[:3], level @ gust[3:]])
+            self.nodes[node, :, 0] = gust
+
+
+def fly_in(flight: Flight, family: str, setting: Setting) -> FlightRecord:
+    """Fly one flight in the air of a family and return its record."""
+    card = flight.card
+    dt = 1.0 / card.rate_hz
+    n = round(card.seconds * card.rate_hz)
+    model = Model([flight.airframe], [flight.effects], [flight.drive])
+    x0, s0 = trim(model, np.array([card.V_mps]), np.array([card.h_m]))
+    rng = np.random.default_rng([card.seed, 1])
+    noise = {name: card.noise * std * rng.standard_normal(n) for name, std in NOISE.items()}
+    read = np.column_stack([noise[c] for c in ("V_mps", "phi_rad", "theta_rad", "h_m")])
+    held = s0 + np.sign(s0) * 0.5 * model.deadband
+    pilot = Pilot([card], x0, held, read[:, :, None])
+    nodes = np.zeros((round(card.seconds / NODE_S) + 5, 6, 1))
+    breath = Breath(pilot, air_of(family, setting), family in BODY, nodes, np.zeros((n, 3)), dt)
+    breath.write(0.0, x0[:, 0], np.zeros(12))
+    history = integrate(model, x0, held, n, dt, substeps(dt), breath, nodes)
+    # A vane elsewhere meets other air.
+    V, away = history.V[:, 0], breath.away
+    history.alpha[:, 0] -= away[:, 2] / V
+    history.beta[:, 0] -= away[:, 1] / V
+    return _record(replace(flight, card=replace(card, w20_kt=0.0)), history, 0, noise, dt)

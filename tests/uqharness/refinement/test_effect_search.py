@@ -1,0 +1,165 @@
+"""The search for effects, end to end on a linear aircraft of three states with known answers."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sysid.effects import OVERWHELMING
+from sysid.effects.catalogue import coefficient_effect, subsystem_effects
+from sysid.effects.information import Information, normal_equations
+from sysid.effects.prediction import White
+from sysid.effects.selection import SelectedEffect
+from tests.uqharness.refinement.linear_aircraft import PARAMETERS, LinearFlights
+from uqharness.refinement.effect_search import (
+    EffectSearch,
+    SearchOutcome,
+    comparable_candidates,
+    delays_among_times,
+)
+
+KEYS = ("free", "thrust", "speed", "twin", "other")
+
+
+def search(flights: LinearFlights, limit: float | None = None) -> SearchOutcome:
+    context, information = flights.context(limit)
+    return EffectSearch(context, flights, lambda _: None).run(information)
+
+
+def flights(**effects: float) -> LinearFlights:
+    scaled = {k: v * 1.1 for k, v in PARAMETERS.items()}
+    return LinearFlights({**scaled, **{f"effect/Cm/{k}": v for k, v in effects.items()}})
+
+
+def test_a_missing_effect_is_named_with_its_value_and_the_parameters_are_right():
+    truth = flights(**{"alpha^2": 40.0})
+    outcome = search(truth)
+    (effect,) = outcome.model.selection.chosen
+    assert effect.key == "effect/Cm/alpha^2"
+    assert abs(effect.value - 40.0) < 3.5 * effect.std
+    assert 2.0 < effect.std < 5.0
+    assert outcome.model.is_stationary
+    values = outcome.model.fit.trajectory.point.values
+    assert values["aero/Cm_q"] == pytest.approx(1.1 * PARAMETERS["aero/Cm_q"], rel=0.03)
+    assert truth.fitted == [("effect/Cm/alpha^2",)]
+
+
+def test_nothing_is_named_where_nothing_is_missing():
+    truth = flights()
+    outcome = search(truth)
+    assert outcome.model.keys == set()
+    assert truth.fitted == []
+    assert outcome.model.criterion == truth.context()[0].cost
+
+
+def test_two_effects_are_named_with_their_values():
+    outcome = search(flights(**{"alpha^2": 40.0, "de^2": 0.03}))
+    assert outcome.model.keys == {"effect/Cm/alpha^2", "effect/Cm/de^2"}
+    for effect in outcome.model.selection.chosen:
+        true = {"effect/Cm/alpha^2": 40.0, "effect/Cm/de^2": 0.03}[effect.key]
+        assert abs(effect.value - true) < 3.5 * effect.std
+
+
+def test_an_overwhelming_effect_flies_before_others_are_proposed():
+    truth = flights(**{"alpha^2": 60.0, "de^2": 0.04})
+    context, information = truth.context()
+    first = context.select(information, context.free)
+    assert len(first.chosen) == 1
+    assert abs(first.chosen[0].t) > OVERWHELMING
+    outcome = search(truth)
+    assert len(truth.fitted[0]) == 1
+    assert outcome.model.keys == {"effect/Cm/alpha^2", "effect/Cm/de^2"}
+
+
+def test_an_effect_below_the_limit_stays_out_and_the_criterion_decides():
+    """At a limit above its |t| an effect is not proposed; the model's criterion counts its cost."""
+    truth = flights(**{"alpha^2": 20.0})
+    named = search(truth, limit=3.5)
+    t = abs(named.model.selection.chosen[0].t)
+    assert 3.5 < t < OVERWHELMING
+    assert search(truth, limit=1.05 * t).model.keys == set()
+    context, _ = truth.context(3.5)
+    assert named.model.criterion < context.cost
+    assert named.model.criterion == pytest.approx(
+        named.model.fit.trajectory.cost + 0.6 * 3.5**2 + context.effects["effect/Cm/alpha^2"].odds
+    )
+
+
+class Unfollowed(LinearFlights):
+    """Flights that no estimator follows with some effects in the model."""
+
+    unfollowed: frozenset[str] = frozenset()
+
+    def fit(self, context, proposal, about, label):
+        """Fit, or None."""
+        if self.unfollowed & proposal.values.keys():
+            self.fitted.append(tuple(proposal.values))
+            return None
+        return super().fit(context, proposal, about, label)
+
+
+def test_where_no_estimator_follows_the_flights_candidates_that_explain_as_much_are_tried():
+    truth = Unfollowed(flights(**{"alpha^3": 900.0}).truth)
+    truth.unfollowed = frozenset({"effect/Cm/alpha^3"})
+    outcome = search(truth)
+    assert truth.fitted[0] == ("effect/Cm/alpha^3",)
+    assert "effect/Cm/alpha^3" not in outcome.model.keys
+    truth.unfollowed = frozenset(truth.context()[0].effects)
+    blocked = search(truth)
+    assert blocked.model.keys == set()
+    assert any("neither replayed nor followed" in line for line in blocked.trail)
+
+
+# Which other candidates compete, from normal equations with known columns.
+
+
+def information(share: float = 0.3) -> Information:
+    """``speed`` is there; ``thrust`` resembles it, ``twin`` is thrust by another name."""
+    rng = np.random.default_rng(6)
+    free, speed, different, other = rng.standard_normal((4, 400, 2))
+    thrust = speed + share * different
+    columns = np.stack([free, thrust, speed, -2.0 * thrust, other], axis=2)
+    residual = 2.0 * speed + rng.standard_normal((400, 2))
+    there = np.ones((400, 2), dtype=bool)
+    white = White(residual, columns.astype(np.float32), 0.0, np.zeros((8, 6)), there, np.ones(2))
+    return normal_equations([white], KEYS, [0], {})
+
+
+def test_comparable_candidates_explain_nearly_as_much_and_are_something_else():
+    near = information()
+    assert comparable_candidates(near, ["free"], KEYS[1:], "thrust") == ["speed"]
+    assert comparable_candidates(near, ["free"], KEYS[1:], "speed") in (["thrust"], ["twin"])
+    assert comparable_candidates(near, ["free"], ["thrust"], "thrust") == []
+    # Half of the gain is the least: a column with more of its own than of speed has less.
+    far = information(share=1.3)
+    assert comparable_candidates(far, ["free"], KEYS[1:], "speed") == []
+
+
+TIMES = {
+    e.key: e
+    for e in (
+        *subsystem_effects(
+            ["aileron"], ["p_radps", "alpha_rad"], ["rates", "alpha_rad"], ["p_radps", "phi_rad"]
+        ),
+        coefficient_effect("Cm", "p_hat^2"),
+    )
+}
+
+
+@pytest.mark.parametrize(
+    ("keys", "doubtful"),
+    [
+        (["sensor.p_radps/delay", "actuator.aileron/lag"], True),
+        (["sensor.p_radps/delay", "sensor.phi_rad/delay"], True),
+        (["sensor.p_radps/delay", "sensor.alpha_rad/delay"], True),
+        (["actuator.aileron/deadband", "sensor.phi_rad/delay"], True),
+        ([], False),
+        (["sensor.p_radps/delay"], False),
+        (["sensor.p_radps/delay", "Cm/p_hat^2"], False),
+        (["sensor.rates/delay", "actuator.aileron/lag"], False),
+        (["sensor.p_radps/scale", "actuator.aileron/lag"], False),
+    ],
+)
+def test_the_delay_of_one_channel_is_doubtful_beside_another_time(keys, doubtful):
+    some = [SelectedEffect(f"effect/{k}", 1.0, 0.1, 10.0, 100.0, 30.0, 0.0) for k in keys]
+    assert bool(delays_among_times(some, TIMES)) is doubtful

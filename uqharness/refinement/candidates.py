@@ -1,0 +1,343 @@
+"""Candidates: which effects may be proposed for these flights, and which times they resolve.
+
+The catalogue (`sysid.effects.catalogue`) less what the model estimates already, with the user's
+own effects. A servo's rate limit and dead zone act only beyond a threshold, so that one slope is
+right nowhere: several values are tried, and the one whose estimated change is the change that it
+makes stands for the effect until it has flown.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from sysid.arrays import FloatArray
+from sysid.effects import (
+    DIFFERENT,
+    RESOLVED_ROWS,
+    UNKNOWN_ROWS,
+    Columns,
+    Effect,
+    Information,
+    SelectedEffect,
+    Selection,
+    estimate_selected,
+    scores,
+    subsystem_effects,
+)
+from sysid.effects.catalogue import catalogue
+from uqharness.identification.linearised import (
+    NEARBY_SHARE,
+    FlightData,
+    Linearisation,
+    in_dead_zone,
+    surface_change,
+)
+from uqharness.refinement.estimators import Estimator
+from uqharness.replay import CONTROLS, SENSOR_OF, runs_per_row
+from uqharness.simulator import Actuator
+
+SHORTEST_ROWS = DIFFERENT * RESOLVED_ROWS
+"""Shortest time, in rows, that a replay resolves."""
+TIME_UNITS = ("s", "s/deg")
+"""Units of delays and lags, and of rate limits."""
+SLOWER_SHARES = (0.98, 0.95, 0.9, 0.85, 0.75, 0.6, 0.45, 0.3)
+"""Rate limits tried below the servo's nominal one, as shares of the fastest motion."""
+FASTER_SHARES = (0.75, 0.5, 0.25, 0.0)
+"""Rate limits tried above the nominal one: its share in the travel time per degree; the rest is
+that of the fastest motion."""
+WIDTHS_DEG = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6)
+"""Widths of dead zones tried: a column has the form of a zone about as wide."""
+
+
+def candidate_effects(
+    data: FlightData, parameters: Sequence[str], extra: Sequence[Effect]
+) -> list[Effect]:
+    """The user's effects ``extra`` and the catalogue, less what the model estimates already."""
+    # Delays of an autopilot's sensors are nuisances there, no candidates.
+    delayed = data.outputs if not data.late else ()
+    sensors = list(dict.fromkeys(SENSOR_OF.get(c, c) for c in delayed))
+    channels = [c for c in delayed if c in SENSOR_OF]
+    subsystems = subsystem_effects(list(data.servos), data.outputs, sensors, channels)
+    effects: dict[str, Effect] = {}
+    for e in (*extra, *catalogue(), *subsystems):
+        if e.coefficient is None or e.property_name not in parameters:
+            effects.setdefault(e.key, e)
+    return list(effects.values())
+
+
+def eligible(
+    effects: Sequence[Effect], data: FlightData, free: Sequence[str], information: Information
+) -> dict[str, float]:
+    """Key -> odds of the candidates worth scoring beside the columns ``free``.
+
+    Left out are candidates of which the flights hold no information of their own, those of the
+    impossible sign, and times that a replay cannot resolve.
+    """
+    present = [e for e in effects if e.key in information.names]
+    result = scores(information, free, [e.key for e in present])
+    rows = zip(present, result.estimate.tolist(), result.share, strict=True)
+    return {
+        e.key: e.odds
+        for e, estimate, share in rows
+        if share > 0.0 and _has_possible_sign(e, estimate, data) and _is_resolved(e, estimate, data)
+    }
+
+
+def without_unresolved(
+    selection: Selection,
+    effects: Sequence[Effect],
+    data: FlightData,
+    free: Sequence[str],
+    information: Information,
+) -> Selection:
+    """The effects of a model, less times and rate limits that a replay or a log's rows do not
+    resolve; the others are estimated without them.
+
+    A time too short to be named may still be the cause: it stays among the alternatives, if it
+    explains as much.
+
+    Parameters
+    ----------
+    effects : all candidates
+    free : columns that the model's fit estimates, those of its effects included
+    """
+    by_key = {e.key: e for e in effects}
+    values = selection.values
+    resolved = [k for k, value in values.items() if _is_resolved(by_key[k], value, data)]
+    others_free = [n for n in free if n not in values]
+    unselected = [e for e in effects if e.key in information.names and e.key not in resolved]
+    open_keys = list(eligible(unselected, data, free, information))
+    closed = [e for e in unselected if e.key not in open_keys]
+    short = _short_times(closed, others_free, resolved, information, data)
+    if len(resolved) == len(values) and not short:
+        return selection
+    estimated = estimate_selected(information, others_free, resolved, [*open_keys, *short])
+    if len(resolved) == len(values):
+        # The same effects with more alternatives: their estimates are those of the flight.
+        by_key_flown = {c.key: c for c in selection.chosen}
+        estimated = tuple(
+            replace(
+                c,
+                value=by_key_flown[c.key].value,
+                std=by_key_flown[c.key].std,
+                t=by_key_flown[c.key].t,
+            )
+            for c in estimated
+        )
+    return replace(selection, chosen=estimated)
+
+
+def _short_times(
+    effects: Sequence[Effect],
+    free: Sequence[str],
+    selected: Sequence[str],
+    information: Information,
+    data: FlightData,
+) -> list[str]:
+    """Times that are too short to be candidates and that have a possible sign in the place of a
+    kept effect.
+    """
+    times = [e for e in effects if e.unit in TIME_UNITS]
+    if not times or not selected:
+        return []
+    keys = [e.key for e in times]
+    in_place = [
+        scores(information, [*free, *(o for o in selected if o != k)], keys).estimate
+        for k in selected
+    ]
+    largest = np.max(np.nan_to_num(in_place, nan=-np.inf), axis=0)
+    return [
+        e.key
+        for e, value in zip(times, largest, strict=True)
+        if _has_possible_sign(e, float(value), data)
+    ]
+
+
+def _has_possible_sign(effect: Effect, value: float, data: FlightData) -> bool:
+    """Whether an effect may have that sign: a time is positive, unless a servo has one to lose."""
+    return value > 0.0 or not effect.positive or may_be_faster(effect, data)
+
+
+def _is_resolved(effect: Effect, value: float, data: FlightData) -> bool:
+    """Whether an effect of time is longer than a replay or a log's rows leave open, a rate limit's
+    over the travel of a doublet; True of other effects.
+    """
+    if effect.unit not in TIME_UNITS:
+        return True
+    travel = largest_step(data, effect) if effect.unit == "s/deg" else 1.0
+    # A log does not say when within a row a command changed.
+    shortest_rows = UNKNOWN_ROWS if data.late else SHORTEST_ROWS
+    return abs(value) * travel > shortest_rows * data.segments[0].dt_s
+
+
+def may_be_faster(effect: Effect, data: FlightData) -> bool:
+    """Whether the effect is the lag or the rate limit of a servo that has one in the XML, which the
+    real one need not have.
+    """
+    servo = data.servos.get((effect.subsystem or "").removeprefix("actuator."), Actuator(None))
+    return (effect.term == "lag" and servo.lag is not None) or (
+        effect.term == "rate_limit" and np.isfinite(servo.rate)
+    )
+
+
+def largest_step(data: FlightData, effect: Effect) -> float:
+    """Half the range [deg] of an actuator's commands: the travel of a doublet."""
+    k = CONTROLS.index((effect.subsystem or "").partition(".")[2])
+    return 0.5 * max(float(np.ptp(s.controls[:, k])) for s in data.segments)
+
+
+# Rate limits and dead zones of servos.
+
+
+def with_servo_limits(data: FlightData, fit: Linearisation, estimator: Estimator) -> FlightData:
+    """The data with the rate limit and the dead zone of each servo whose estimated change is the
+    change that it makes, by a fit without effects.
+    """
+    if not data.servos:
+        return data
+    rates = {surface: _trial_rates(data, surface, servo) for surface, servo in data.servos.items()}
+    # A column of what each trial value changes along the flights.
+    columns = []
+    for segment, p in zip(data.segments, fit.probes, strict=True):
+        inputs: dict[str, tuple[int, FloatArray]] = {}
+        for surface, servo in data.servos.items():
+            k = CONTROLS.index(surface)
+            changes = {
+                _rate_column(surface, x): surface_change(
+                    "rate_limit", servo, segment, k, (servo.rate, x)
+                )
+                for x in rates[surface]
+            }
+            changes |= {
+                _zone_column(surface, width): in_dead_zone(p.controls[:, k], width)
+                for width in WIDTHS_DEG
+            }
+            inputs |= {
+                name: (-1, p.by_control[:, :, k] * change[:, None])
+                for name, change in changes.items()
+            }
+        columns.append(Columns(tuple(inputs), inputs, {}))
+    information = estimator.information(data, fit, columns)
+    free = fit.columns[0].names
+    widths, limits, zones = np.array(WIDTHS_DEG), {}, {}
+    for surface, servo in data.servos.items():
+        result = scores(information, free, [_zone_column(surface, w) for w in WIDTHS_DEG])
+        zone = limit_of_unit_gain(widths, result.estimate / widths, result.t)
+        if zone is not None:
+            zones[surface] = zone
+        result = scores(information, free, [_rate_column(surface, x) for x in rates[surface]])
+        speeds = np.array(rates[surface])
+        gain = result.estimate / (1.0 / speeds - 1.0 / servo.rate)
+        strength = np.where(gain > 0.0, np.abs(result.t), 0.0)
+        # A servo is either slower or faster than nominal: the side that explains more.
+        side = max(
+            (speeds < servo.rate, speeds > servo.rate), key=lambda s: strength[s].max(initial=0.0)
+        )
+        rate = limit_of_unit_gain(speeds[side], gain[side], result.t[side])
+        if rate is not None:
+            limits[surface] = (servo.rate, rate)
+    return replace(data, limits=limits, zones=zones)
+
+
+def _trial_rates(data: FlightData, surface: str, servo: Actuator) -> list[float]:
+    """Rate limits to try [deg/s]: below the fastest motion and the nominal limit, falling; and
+    above it, up to the fastest motion without a limit, rising.
+    """
+    fastest, unlimited = (
+        _fastest_motion(data, surface, s) for s in (servo, replace(servo, rate=np.inf))
+    )
+    slower = [
+        limit
+        for share in SLOWER_SHARES
+        if 1.0 < (limit := share * min(fastest, servo.rate)) < servo.rate
+    ]
+    # Interpolated in travel time per degree; the last limit is never reached.
+    faster = (
+        [1.0 / (share / servo.rate + (1.0 - share) / unlimited) for share in FASTER_SHARES]
+        if unlimited > servo.rate / NEARBY_SHARE
+        else []
+    )
+    return [*slower, *faster]
+
+
+def _rate_column(surface: str, limit: float) -> str:
+    return f"{surface}@{limit:g}"
+
+
+def _zone_column(surface: str, width: float) -> str:
+    return f"{surface}~{width:g}"
+
+
+def limit_of_unit_gain(limit: FloatArray, gain: FloatArray, t: FloatArray) -> float | None:
+    """The limit whose estimated change is the change that it makes.
+
+    Parameters
+    ----------
+    limit : (n,) values further and further from the nominal one
+    gain : (n,) estimated change over the change that each makes
+
+    Returns
+    -------
+    The limit of gain 1, interpolated; else the one of largest |t|; None where no gain is positive.
+    """
+    usable = np.isfinite(gain) & (gain > 0.0)
+    if not usable.any():
+        return None
+    limit, log_gain, t = limit[usable], np.log(gain[usable]), t[usable]
+    for k in range(len(limit) - 1):
+        if log_gain[k] >= 0.0 > log_gain[k + 1]:
+            step, fall = limit[k + 1] - limit[k], log_gain[k] - log_gain[k + 1]
+            return float(limit[k] + step * log_gain[k] / fall)
+    return float(limit[int(np.argmax(np.abs(t)))])
+
+
+def _fastest_motion(data: FlightData, surface: str, servo: Actuator) -> float:
+    """Fastest motion of a surface [deg/s], from row to row."""
+    k = CONTROLS.index(surface)
+    return max(
+        float(
+            np.abs(
+                np.diff(servo.follow(s.controls[:, k], s.dt_s, s.dt_s / runs_per_row(s.dt_s)))
+            ).max(initial=0.0)
+        )
+        / s.dt_s
+        for s in (segment.at_commands() for segment in data.segments)
+    )
+
+
+def clip_to_active_range(selection: Selection, data: FlightData) -> Selection:
+    """The selection with rate limits no higher than the fastest motion: above it any limit is the
+    same.
+    """
+
+    def clipped(c: SelectedEffect) -> SelectedEffect:
+        lower_bound = least_active_value(data, c.key)
+        return c if c.value >= lower_bound else replace(c, value=lower_bound, t=lower_bound / c.std)
+
+    return replace(selection, chosen=tuple(clipped(c) for c in selection.chosen))
+
+
+def least_active_value(data: FlightData, key: str) -> float:
+    """Value [s/deg] of a rate limit's effect below which nothing changes any more; of any other
+    effect -inf.
+    """
+    surface = key.removeprefix("effect/actuator.").partition("/")[0]
+    servo = data.servos.get(surface)
+    if not key.endswith("/rate_limit") or servo is None or not np.isfinite(servo.rate):
+        return -np.inf
+    fastest = _fastest_motion(data, surface, replace(servo, rate=np.inf))
+    if servo.lag is not None:
+        # A servo is fastest where its command jumps, and slows down to the next row.
+        rows = servo.lag * data.segments[0].at_commands().dt_s
+        fastest *= rows / -np.expm1(-rows)
+    return float(min(1.0 / fastest - 1.0 / servo.rate, 0.0))
+
+
+def is_fastest(effect: SelectedEffect, data: FlightData) -> bool:
+    """Whether a rate limit is within its error of the fastest motion asked of the servo, so that it
+    may be any number above.
+    """
+    return bool(effect.value - 2.0 * effect.std <= least_active_value(data, effect.key))

@@ -1,0 +1,837 @@
+"""The search for missing effects on the train flights: baseline, timing, propose, fit, compare,
+stop.
+
+1. Baseline (`fit_baseline`): the parameters of the model without effects are estimated; the
+   residuals choose the estimator, for calm air or for turbulence.
+2. Timing (`controls_offset`): one time offset of all controls is an error of the record, not an
+   effect. Where it explains as much as any effect, the controls are shifted and 1 is repeated.
+3. Propose (`SearchContext.select`): the linearised likelihood about the last model proposes
+   effects. One whose |t| is overwhelming is flown before others are proposed beside it: what
+   linearisation leaves of it looks like others.
+4. Fit (`ModelFitter.fit`): the proposal is flown and everything is estimated. Where the newest
+   effect is doubtful, others that explain nearly as much are flown in its place: an airspeed sensor
+   that reads a quarter too much looks at first like a thrust error, |t| 36 and 37. Flown, the
+   sensor's fault leaves nothing to explain.
+5. Compare (`likeliest`): by the log likelihood, less what each effect must earn (`EARNED`).
+6. Stop at a model that proposes itself, and drop effects that are weak once flown (`drop_weak`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from sysid.effects import (
+    ALIKE,
+    CERTAIN_T,
+    COMPARABLE,
+    DIFFERENT,
+    EARNED,
+    OVERWHELMING,
+    RESOLVED_ROWS,
+    SEVERAL,
+    UNKNOWN_ROWS,
+    Effect,
+    Information,
+    RejectedCandidate,
+    SelectedEffect,
+    Selection,
+    TurbulenceModel,
+    agreement,
+    column_correlations,
+    conditional_interval,
+    corrected_estimate,
+    estimate_selected,
+    projected,
+    scores,
+    solve,
+    threshold,
+)
+from sysid.parallel import Processes
+from uqharness.errors import BadInputError
+from uqharness.identification.linearised import (
+    PRIOR,
+    FlightData,
+    Linearisation,
+    StagedModels,
+    effect_columns,
+    in_one_step,
+    lateness,
+    make_setup,
+    with_jumps,
+)
+from uqharness.plugin import Estimate
+from uqharness.refinement.candidate_model import (
+    AircraftFitter,
+    CandidateModel,
+    ModelFitter,
+    SearchContext,
+    with_local_rate_limits,
+)
+from uqharness.refinement.candidates import (
+    SHORTEST_ROWS,
+    candidate_effects,
+    eligible,
+    with_servo_limits,
+    without_unresolved,
+)
+from uqharness.refinement.estimators import (
+    Estimator,
+    Limits,
+    ModelFit,
+    OutputErrorFit,
+    estimator_for,
+    fit_in_turbulence,
+    fit_without_effects,
+    looks_turbulent,
+    note_unestimated,
+    with_residual_noise,
+)
+from uqharness.refinement.stages import Stages
+from uqharness.refinement.write_xml import of_lift_slope
+from uqharness.replay import SENSOR_OF, Flight
+from uqharness.simulator import Aircraft
+
+MOST_MODELS = 6
+"""Proposals flown, at most."""
+MOST_CORRECTIONS = 4
+"""Shifts of the controls, at most."""
+Callback = Callable[[str], object]
+CONTROLS_LATE = Effect(
+    None,
+    "record",
+    "delay",
+    "controls recorded early or late",
+    "all commands act one time later than the record says",
+    unit="s",
+)
+"""The time offset of all controls, which competes with the candidates as one column."""
+CALM_AFTER_ALL = (
+    "the residuals of replays looked like turbulence, but of air that does not move across the"
+    " flight path: an effect in the aircraft or its sensors, and the flights were judged by replays"
+)
+
+
+@dataclass(frozen=True)
+class FormMismatch:
+    """A curve in the states of chosen effects that none of their forms describes.
+
+    name : of the curve, in words
+    gain : in twice the log likelihood beside all effects chosen
+    p : probability of such a gain by chance
+    replaced : keys of the effects that the curve can be
+    """
+
+    coefficient: str
+    states: tuple[str, ...]
+    name: str
+    gain: float
+    p: float
+    replaced: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class SearchResult:
+    """What the train flights say: models without and with effects, and everything estimated.
+
+    before, after : fits without and with the effects; the same where there are none
+    effects : all candidates by key
+    parameters : property -> (value, standard error corrected for colour)
+    plain : property -> value without the effects
+    turbulence : the air; None where it was calm
+    scoreboard : (name, t) of the candidates that explain most, each alone beside the parameters
+    limit : |t| required of an effect
+    late_s : shift of all controls before the search
+    slopes : numbers that effects of stall and propulsion are written with
+    flown_values : key -> value of each effect in ``after``
+    unclear : effects too weak to be named beside something unexplained
+    mismatch : the curve that chosen effects should have
+    remaining : (key, t) of candidates not chosen with |t| above CERTAIN_T, the strongest first
+    """
+
+    setup: FlightData
+    names: tuple[str, ...]
+    before: Linearisation
+    after: Linearisation
+    selection: Selection
+    effects: Mapping[str, Effect]
+    parameters: Mapping[str, tuple[float, float]]
+    notes: tuple[str, ...]
+    plain: Mapping[str, float] = field(default_factory=dict)
+    turbulence: TurbulenceModel | None = None
+    scoreboard: tuple[tuple[str, float], ...] = ()
+    limit: float = float("nan")
+    late_s: float = 0.0
+    trail: tuple[str, ...] = ()
+    slopes: Mapping[str, float] = field(default_factory=dict)
+    flown_values: Mapping[str, float] = field(default_factory=dict)
+    unclear: tuple[SelectedEffect, ...] = ()
+    mismatch: FormMismatch | None = None
+    remaining: tuple[tuple[str, float], ...] = ()
+
+    @property
+    def estimator(self) -> Estimator:
+        """The estimator that judged the flights."""
+        return estimator_for(self.turbulence)
+
+    @property
+    def controls_late_s(self) -> float:
+        """By how much the controls act late in records whose clock is off: the shift, and the mean
+        of what is estimated after it; 0 without a shift.
+        """
+        if not self.late_s:
+            return 0.0
+        nuisance = self.after.trajectory.point.nuisance
+        estimates = [v for n, v in nuisance.items() if n.startswith("lateness/")]
+        return self.late_s + float(np.mean(estimates or [0.0]))
+
+
+def find_effects(
+    aircraft: Aircraft,
+    data: FlightData,
+    extra: Sequence[Effect],
+    folder: Path,
+    pool: Processes,
+    callback: Callback,
+    stages: Stages,
+) -> SearchResult:
+    """Find and estimate the missing effects.
+
+    Parameters
+    ----------
+    data : the train flights as recorded
+    extra : the user's own candidates
+    folder : for copies of the aircraft
+    stages : results of an earlier run that was interrupted
+    """
+    # Baseline and timing: shift the controls until they are on time.
+    shifts: list[float] = []
+    std_s = 0.0
+    while True:
+        baseline = fit_baseline(aircraft, data, extra, shifts, pool, callback, stages)
+        offset = baseline.controls_offset(data.segments[0].command_s, first=not shifts)
+        if offset is None:
+            break
+        callback(f"all controls act {1e3 * offset[0]:.1f} ms after their rows; shifting them")
+        std_s = std_s if shifts else offset[1]
+        shifts.append(offset[0])
+    # Propose, fit, compare, stop.
+    context = baseline.context()
+    fitter = AircraftFitter(aircraft, folder, pool)
+    outcome = EffectSearch(context, fitter, callback).run(baseline.information)
+    model = outcome.model
+    if model.keys:
+        callback("estimating everything by output error")
+        model = fitter.polish(context, model, "settled")
+    result = _result_of(context, baseline, replace(outcome, model=model))
+    result = replace(result, late_s=sum(shifts))
+    notes = [*baseline.notes, *note_unestimated([*aircraft.card.parameters], context.parameters)]
+    if shifts:
+        command_s = data.segments[0].command_s
+        notes.insert(0, offset_words(result.controls_late_s, std_s, command_s))
+    return replace(result, notes=(*notes, *result.notes))
+
+
+# 1. Baseline
+
+
+@dataclass(frozen=True)
+class Baseline:
+    """The model without effects, fitted to the train flights.
+
+    effects : the candidates
+    information : columns of the fit and of all candidates
+    competes : whether the time offset of all controls is among the columns
+    """
+
+    estimator: Estimator
+    data: FlightData
+    fit: Linearisation
+    parameters: tuple[str, ...]
+    limits: Limits
+    cost: float
+    effects: list[Effect]
+    information: Information
+    competes: bool
+    notes: list[str]
+
+    def context(self) -> SearchContext:
+        """What the candidate models share."""
+        free = self.fit.columns[0].names
+        candidates = list(eligible(self.effects, self.data, free, self.information))
+        return SearchContext(
+            self.data,
+            self.fit,
+            self.parameters,
+            {e.key: e for e in self.effects},
+            self.limits,
+            self.estimator.threshold(self.information, free, candidates),
+            self.cost,
+            self.estimator,
+        )
+
+    def controls_offset(self, command_s: float, *, first: bool) -> tuple[float, float] | None:
+        """Time offset of all controls and its standard error [s]; None where there is none.
+
+        command_s : time from one command to the next
+        first : whether the controls are as recorded
+        """
+        if not self.competes:
+            return None
+        # The information as it is with the controls at their rows.
+        nuisance = self.fit.trajectory.point.nuisance
+        offsets = {lateness(f): nuisance[lateness(f)] for f in self.data.timed}
+        information = self.information.without_values(offsets)
+        free = [n for n in self.fit.columns[0].names if n not in offsets]
+        odds = eligible(self.effects, self.data, free, information)
+        limit = max(threshold(len(odds) + 1), self.estimator.least_t)
+        return controls_offset(
+            information, free, odds, limit, *offset_tolerance_s(command_s, first)
+        )
+
+
+def fit_baseline(
+    aircraft: Aircraft,
+    recorded: FlightData,
+    extra: Sequence[Effect],
+    shifts: Sequence[float],
+    pool: Processes,
+    callback: Callback,
+    stages: Stages,
+) -> Baseline:
+    """Estimate the model without effects; the residuals choose the estimator.
+
+    ``shifts`` [s] of the controls so far are applied to the flights as recorded.
+    """
+    requested = tuple(aircraft.card.parameters)
+    if not requested:
+        raise BadInputError(
+            f"aircraft '{aircraft.name}': its airframe.toml lists no [parameters], so nothing says"
+            " what may be re-identified first"
+        )
+    suffix = len(shifts) or ""
+    data = recorded
+    if shifts:
+        flights = shifted_flights(recorded.flights, sum(shifts))
+        data = make_setup(aircraft, flights, recorded.positions, recorded.ideal)
+    unlimited = (-np.inf, np.inf)
+    limits = {
+        n: unlimited if c.bounds is None else c.bounds for n, c in aircraft.card.parameters.items()
+    }
+    air: ModelFit | None = None
+    with StagedModels(aircraft, data) as bench:
+        callback("re-identifying the parameters")
+        data = with_jumps(data, bench.model)
+        replayed = stages(
+            f"parameters{suffix}",
+            OutputErrorFit,
+            lambda: fit_without_effects(aircraft, bench, data, requested, limits, pool),
+        )
+        notes, fitted = replayed.notes, replace(data, noise=replayed.noise)
+        effects = candidate_effects(fitted, requested, extra)
+        if looks_turbulent(fitted, replayed.fit):
+            callback(
+                "the air was turbulent: predicting one sample ahead, scoring"
+                f" {len(effects)} candidate effects"
+            )
+            air = stages(
+                f"air{suffix}",
+                ModelFit,
+                lambda: fit_in_turbulence(aircraft, bench, fitted, replayed, limits, pool),
+            )
+            if air.turbulence is None or not air.turbulence.air:
+                air, notes = None, [*notes, CALM_AFTER_ALL]
+    if air is None:
+        callback(f"scoring {len(effects)} candidate effects")
+    model = air or with_residual_noise(fitted, replayed.fit)
+    estimator = estimator_for(model.turbulence)
+    parameters = replayed.names if air is None else replayed.excited
+    data = with_servo_limits(model.data, model.fit, estimator)
+    competes = len(shifts) < MOST_CORRECTIONS and not data.late
+    scored = [*effects, CONTROLS_LATE] if competes else effects
+    columns = effect_columns(data, model.fit.probes, model.fit.trajectory, scored)
+    return Baseline(
+        estimator,
+        data,
+        model.fit,
+        parameters,
+        limits,
+        model.neg2_log_likelihood,
+        effects,
+        estimator.information(data, model.fit, columns),
+        competes,
+        notes,
+    )
+
+
+# 2. Timing
+
+
+def controls_offset(
+    information: Information,
+    free: Sequence[str],
+    odds: Mapping[str, float],
+    limit: float,
+    least_s: float,
+    earliest_s: float,
+) -> tuple[float, float] | None:
+    """Time by which all controls act after their rows, and its standard error [s].
+
+    None where the flights do not show one: it must exceed its limits, explain as much as the best
+    candidate and as all servos' lags together, and be confirmed by held-out manoeuvres.
+
+    Parameters
+    ----------
+    information : with the column of CONTROLS_LATE
+    odds : candidate -> gain required of it
+    limit : |t| required
+    least_s, earliest_s : offsets between -earliest_s and least_s are no error of the record
+    """
+    key = CONTROLS_LATE.key
+    value, std, _ = corrected_estimate(information, free, key)
+    if not abs(value / std) > limit or not (value > least_s or value < -earliest_s):
+        return None
+    gain = float(scores(information, free, [key]).gain[0])
+    rivals = list(odds)
+    rival_gain = scores(information, free, rivals).gain - np.array([odds[k] for k in rivals])
+    if np.nanmax(rival_gain, initial=0.0) > gain:
+        return None
+    lags = [k for k in rivals if k.startswith("effect/actuator.") and k.endswith("/lag")]
+    if lags and joint_gain(information, free, lags) > gain + DIFFERENT**2:
+        return None
+    confirming = information.confirming
+    if confirming is not None and not agreement(information, free, key, ~confirming)[0] > 0.0:
+        return None
+    return value, std
+
+
+def joint_gain(information: Information, free: Sequence[str], keys: Sequence[str]) -> float:
+    """Rise of twice the log likelihood by several candidates at once, u' g^-1 u, with the free
+    columns projected out.
+    """
+    g, u = projected(*information.total, information.index(free), information.index(keys))
+    return float(u @ solve(g, u[:, None])[:, 0])
+
+
+def offset_tolerance_s(command_s: float, first: bool) -> tuple[float, float]:
+    """Latest and earliest offset [s] that is no error of the record.
+
+    Every fit allows for the offset of an integration, and a simulator's controls act up to half a
+    step before their row; a second shift has only the resolution as its limit.
+    """
+    resolution_s = SHORTEST_ROWS * command_s
+    return (
+        (max(resolution_s, PRIOR["lateness"]), UNKNOWN_ROWS * command_s)
+        if first
+        else (resolution_s, resolution_s)
+    )
+
+
+def shifted_flights(flights: Sequence[Flight], late_s: float) -> list[Flight]:
+    """The flights with every command and position ``late_s`` seconds later; before the first row
+    its value is held.
+    """
+    return [f.with_delayed_commands(late_s) if late_s else f for f in flights]
+
+
+def offset_words(late_s: float, std_s: float, dt_s: float) -> str:
+    """The time offset as a note."""
+    direction = "after" if late_s > 0 else "before"
+    return (
+        f"the controls act {1e3 * abs(late_s):.1f} +/- {1e3 * std_s:.1f} ms"
+        f" ({abs(late_s) / dt_s:.2f} rows) {direction} the time the records give them, all by the"
+        " same: a matter of the record's clock, not of a servo; put right in every flight here"
+        " before effects were looked for. Find out which clock stamps the commands"
+    )
+
+
+# 3 to 6. Propose, fit, compare, stop
+
+
+@dataclass(frozen=True)
+class SearchOutcome:
+    """The best model, which may be the one without effects, the search's record, and notes."""
+
+    model: CandidateModel
+    trail: tuple[str, ...]
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class EffectSearch:
+    """The loop that proposes, fits and compares models.
+
+    fitter : flies what is proposed
+    callback : receives each stage
+    """
+
+    context: SearchContext
+    fitter: ModelFitter
+    callback: Callback
+
+    def run(self, information: Information) -> SearchOutcome:
+        """Search, and again without delays of single channels where one was chosen beside another
+        time: a servo whose command comes late looks like a late gyro, a late attitude and a lag.
+
+        information : of the model without effects
+        """
+        outcome = self._run_once(information, "round")
+        doubtful = delays_among_times(outcome.model.selection.chosen, self.context.effects)
+        if not doubtful:
+            return outcome
+        effects = {k: e for k, e in self.context.effects.items() if not is_channel_delay(e)}
+        second = replace(self, context=replace(self.context, effects=effects))
+        other = second._run_once(information, "whole")
+        # Unless it is less likely by more than chance gives, on the same samples.
+        if self.context.estimator.same_samples(outcome.model.keys, other.model.keys):
+            limit = outcome.model.criterion + CERTAIN_T**2
+            if not other.model.keys or other.model.criterion > limit:
+                return outcome
+        names = ", ".join(f"{e.subsystem} {e.term}" for e in doubtful)
+        note = (
+            "one channel of a sensor late by itself was not believed beside other delays and servos"
+            f" ({names}): the effects were sought without such delays"
+        )
+        return replace(other, notes=(note,))
+
+    def _run_once(self, information: Information, label: str) -> SearchOutcome:
+        context = self.context
+        # The model without effects proposes first.
+        first = context.select(information, context.free)
+        baseline = CandidateModel(
+            context.data,
+            context.baseline,
+            information,
+            Selection(()),
+            first,
+            context.cost,
+            context.estimator.turbulence,
+        )
+        about, models = baseline, list[CandidateModel]()
+        visited: set[frozenset[str]] = set()
+        trail = [f"round 1: {line}" for line in first.trail]
+        competitors_left = SEVERAL
+        for number in range(2, MOST_MODELS + 2):
+            # Propose: stop at a model that proposes itself.
+            proposal = about.reselection
+            if about.is_stationary or not proposal.chosen:
+                break
+            # Fit the proposal, and competing ones where its newest effect is doubtful.
+            self.callback(f"round {number}: flying with {listed(proposal.values)}")
+            name = f"{label}{number}"
+            model = self.fitter.fit(context, proposal, about, name)
+            if model is not None:
+                trail += [f"round {number}: {line}" for line in model.reselection.trail]
+            competitors = competing_proposals(context, model, proposal, about)[:competitors_left]
+            competitors_left -= len(competitors)
+            if competitors:
+                texts = "; ".join(listed(o.values) for o in competitors)
+                self.callback(f"flying {texts} instead")
+            # Compare: one at a time, because a model takes a tenth of a gigabyte and more.
+            for k, other in enumerate(competitors):
+                trial = self.fitter.fit(context, other, about, f"{name}-instead{k}")
+                model = best_model([m for m in (trial, model) if m is not None])
+                del trial
+            if model is None:
+                trail.append(
+                    f"round {number}: flights with these effects can be neither replayed nor"
+                    " followed; what was flown before stands"
+                )
+                break
+            if model.keys != proposal.values.keys():
+                winner, loser = listed(model.keys), listed(proposal.values)
+                trail.append(f"round {number}: {winner} flies better than {loser}")
+            # Keep the best of each set of samples, and the last.
+            models = [*(m for m in models if m is best_model([*models, m])), model]
+            about = model
+            # Stop where the search would go round in circles.
+            visited.add(model.keys)
+            following = frozenset(model.reselection.values)
+            if following in visited and following != model.keys:
+                trail.append(f"round {number}: back to effects flown before; the best round stands")
+                break
+        best, lines = self._best_of(models, baseline, f"{label}-kept")
+        return SearchOutcome(best, (*trail, *lines))
+
+    def _best_of(
+        self, models: Sequence[CandidateModel], baseline: CandidateModel, label: str
+    ) -> tuple[CandidateModel, list[str]]:
+        """The likeliest model without effects that are weak once flown, and why."""
+        best, lines = self.drop_weak(best_model(models) or baseline, baseline, models, label)
+        is_better = best.criterion < baseline.criterion
+        if best.keys and not is_better and best.estimator.same_samples(best.keys, baseline.keys):
+            reason = "flown, the effects do not lower the error by what they must earn"
+            return baseline, [*lines, reason]
+        if best.keys and not best.is_stationary and not lines:
+            lines = ["the best of the rounds flown, not one that stands"]
+        return best, lines
+
+    def drop_weak(
+        self,
+        best: CandidateModel,
+        baseline: CandidateModel,
+        models: Sequence[CandidateModel],
+        label: str,
+    ) -> tuple[CandidateModel, list[str]]:
+        """The best model, or the one without effects whose |t| is too small once flown; and why.
+
+        Such a choice goes to and fro: what an effect seemed to be is gone when it flies, and there
+        again when it does not.
+        """
+        limit, effects = self.context.limit, best.selection.chosen
+        if not any(c.t**2 > EARNED * limit**2 for c in effects):
+            return baseline, [f"flown, {c.key} has |t| {abs(c.t):.1f}: no effect" for c in effects]
+        weak = [c for c in effects if not abs(c.t) > limit] if not best.is_stationary else []
+        if not weak or len(weak) == len(effects):
+            return best, []
+        strong = tuple(c for c in effects if c not in weak)
+        same = [m for m in models if m.keys == {c.key for c in strong}]
+        reduced = (
+            min(same, key=lambda m: m.criterion)
+            if same
+            else self.fitter.fit(self.context, Selection(strong), best, label)
+        )
+        if reduced is None:
+            return best, []
+        return reduced, [
+            f"flown, {c.key} has |t| {abs(c.t):.1f}: the best round without it" for c in weak
+        ]
+
+
+def best_model(models: Sequence[CandidateModel]) -> CandidateModel | None:
+    """The model of the smallest criterion among those judged by the same samples as the last; None
+    of none.
+    """
+    comparable = [m for m in models if m.estimator.same_samples(m.keys, models[-1].keys)]
+    return min(comparable, key=lambda m: m.criterion, default=None)
+
+
+def competing_proposals(
+    context: SearchContext,
+    model: CandidateModel | None,
+    proposal: Selection,
+    about: CandidateModel,
+) -> list[Selection]:
+    """Proposals with another candidate in the place of the newest effect, where that is doubtful:
+    no estimator follows flights with it (``model`` is None), it leaves moments that nothing
+    explains, or it is overwhelming and several more effects would be selected beside it.
+    """
+    new = [c for c in proposal.chosen if c.key not in about.values]
+    if len(new) != 1:
+        return []
+    if model is not None:
+        more = sum(c.key not in model.keys for c in model.reselection.chosen)
+        overwhelming = abs(new[0].t) > OVERWHELMING and more >= SEVERAL
+        if not overwhelming and not model.estimator.unexplained_moments():
+            return []
+    unchanged_keys = [k for k in proposal.values if k != new[0].key]
+    required = context.required_gains(
+        [*context.free, *about.values], about.information, unchanged_keys
+    )
+    alternatives = [k for k in required if k not in unchanged_keys]
+    keys = comparable_candidates(
+        about.information, [*context.free, *unchanged_keys], alternatives, new[0].key
+    )
+    return [
+        Selection(estimate_selected(about.information, context.free, [*unchanged_keys, key], ()))
+        for key in keys
+    ]
+
+
+def comparable_candidates(
+    information: Information, free: Sequence[str], candidates: Sequence[str], key: str
+) -> list[str]:
+    """Other candidates that explain nearly as much as ``key`` in its place, the best first, no two
+    of them alike.
+    """
+    alternatives = [k for k in candidates if k != key]
+    gain, *other_gains = np.nan_to_num(
+        scores(information, free, [key, *alternatives]).gain, nan=-np.inf
+    )
+    gains = np.array(other_gains)
+    result: list[str] = []
+    for k in np.argsort(-gains):
+        if len(result) == SEVERAL or not gains[k] >= COMPARABLE * gain:
+            break
+        correlations = column_correlations(information, free, alternatives[k], [key, *result])
+        if np.abs(np.nan_to_num(correlations)).max() < ALIKE:
+            result.append(alternatives[k])
+    return result
+
+
+def delays_among_times(
+    chosen: Sequence[SelectedEffect], effects: Mapping[str, Effect]
+) -> list[Effect]:
+    """Delays of single channels and everything else that is a time or a servo's, where both were
+    chosen; else none.
+    """
+    times = [
+        e
+        for e in (effects[c.key] for c in chosen)
+        if e.unit in ("s", "s/deg") or (e.subsystem or "").startswith("actuator.")
+    ]
+    return times if any(map(is_channel_delay, times)) and len(times) > 1 else []
+
+
+def is_channel_delay(effect: Effect) -> bool:
+    """Whether an effect is the delay of one channel of a sensor that has several."""
+    return effect.unit == "s" and (effect.subsystem or "").partition(".")[2] in SENSOR_OF
+
+
+def listed(keys: Iterable[str]) -> str:
+    """Effects in a line of the search's record."""
+    return ", ".join(k.removeprefix("effect/").replace("/", " ") for k in keys)
+
+
+# The result: everything estimated with the best model.
+
+
+def _result_of(context: SearchContext, baseline: Baseline, outcome: SearchOutcome) -> SearchResult:
+    """The result of a search whose best model has been polished."""
+    model, estimator = outcome.model, context.estimator
+    # Estimates by replays are at their optimum; linear ones include the last step.
+    is_linear = not estimator.uses_replays
+    if model.keys:
+        resolved = without_unresolved(
+            model.selection,
+            [*context.effects.values()],
+            context.data,
+            model.free,
+            model.information,
+        )
+        selection = with_time_resolution(
+            with_local_rate_limits(resolved, model),
+            context.effects,
+            model.data.segments[0].dt_s,
+        )
+    else:
+        refused = _unconfirmed(context, model.reselection) or model.reselection.refused
+        selection = replace(model.reselection, chosen=(), refused=refused)
+    # A number that JSBSim reads once is within its error of the one flown, and what depends on it
+    # moves by that, too.
+    parameters = in_one_step(
+        model.information,
+        context.parameters,
+        model.fit,
+        [*selection.values],
+        moved=is_linear or bool(model.read_once),
+    )
+    plain = in_one_step(
+        baseline.information, context.parameters, context.baseline, (), moved=is_linear
+    )
+    selection, slopes = of_lift_slope(selection, context.baseline, model.fit)
+    all_effects = [*context.effects.values()]
+    candidates = eligible(all_effects, context.data, model.free, model.information)
+    scored = eligible(all_effects, context.data, context.free, baseline.information)
+    return SearchResult(
+        model.data,
+        context.parameters,
+        context.baseline,
+        model.fit,
+        selection,
+        context.effects,
+        parameters,
+        (*outcome.notes, *model.estimator.description),
+        {n: value for n, (value, _) in plain.items()},
+        model.turbulence,
+        limit=context.limit,
+        trail=tuple(f"{estimator.trail_prefix}{line}" for line in outcome.trail),
+        slopes=slopes,
+        flown_values=model.values,
+        scoreboard=score_table(
+            baseline.information, context.free, [e for e in all_effects if e.key in scored]
+        ),
+        remaining=strong_candidates(
+            model.information, context.free, [*selection.values], candidates
+        ),
+    )
+
+
+def _unconfirmed(context: SearchContext, selection: Selection) -> RejectedCandidate | None:
+    """The strongest effect selected on the linearised flight that no simulation confirmed."""
+    if not selection.chosen:
+        return None
+    c = selection.chosen[0]
+    reported, strong = context.estimator.refutes(c.t, context.limit)
+    reason = "flown in the simulation it does not lower the error by as much"
+    return RejectedCandidate(c.key, c.t, c.gain, reason, strong) if reported else None
+
+
+def with_time_resolution(
+    selection: Selection, effects: Mapping[str, Effect], dt_s: float
+) -> Selection:
+    """The selection with the resolution of a replay in the standard errors of times: a servo's lag
+    by Tustin's rule is off by part of a ms.
+    """
+
+    def widened(c: SelectedEffect) -> SelectedEffect:
+        if effects[c.key].unit != "s":
+            return c
+        std = float(np.hypot(c.std, RESOLVED_ROWS * dt_s))
+        return replace(c, std=std, t=c.value / std)
+
+    return replace(selection, chosen=tuple(widened(c) for c in selection.chosen))
+
+
+def chosen_interval(effect: SelectedEffect, limit: float) -> tuple[float, float]:
+    """95 % interval of an effect, conditional on its selection at |t| above ``limit``; that t may
+    be by a narrower standard error than the one stated.
+    """
+    selection_value = effect.t * effect.std
+    ratio = abs(effect.value / selection_value) if selection_value else 1.0
+    return conditional_interval(effect.value, effect.std, limit * ratio)
+
+
+def strong_candidates(
+    information: Information, free: Sequence[str], chosen: Sequence[str], odds: Iterable[str]
+) -> tuple[tuple[str, float], ...]:
+    """(key, t) of candidates not chosen whose |t| beside the chosen is above CERTAIN_T, the
+    strongest first.
+    """
+    columns = [n for n in free if not n.startswith("effect/")]
+    keys = [k for k in odds if k not in chosen and k in information.names]
+    t = scores(information, [*columns, *chosen], keys).t if keys else np.zeros(0)
+    t = np.nan_to_num(t)
+    order = np.argsort(-np.abs(t))
+    return tuple((keys[i], float(t[i])) for i in order if abs(t[i]) > CERTAIN_T)
+
+
+def score_table(
+    information: Information, free: Sequence[str], effects: Sequence[Effect]
+) -> tuple[tuple[str, float], ...]:
+    """(name, t) of the twelve candidates with the largest gain, each alone beside the
+    parameters.
+    """
+    result = scores(information, free, [e.key for e in effects])
+    order = np.argsort(-np.nan_to_num(result.gain, nan=-1.0))[:12]
+    return tuple(
+        (f"{effects[i].coefficient or effects[i].subsystem} {effects[i].term}", float(result.t[i]))
+        for i in order
+    )
+
+
+def remark(
+    choice: SelectedEffect, effect: Effect, flights: Sequence[str], command: str, limit: float
+) -> str:
+    """The remark beside an effect's number in the XML; limit: |t| above which it was chosen."""
+    low, high = chosen_interval(choice, limit)
+    text = (
+        f"{effect.name}: {choice.value:.5g} +/- {choice.std:.2g}, 95 % [{low:.5g}, {high:.5g}];"
+        f" from {', '.join(flights)}"
+    )
+    return f"{text}; {command}" if command else text
+
+
+def parameter_estimates(
+    result: SearchResult, flights: Sequence[str], initial: Mapping[str, float]
+) -> dict[str, Estimate]:
+    """New numbers of the re-identified parameters with their remarks."""
+    return {
+        n: Estimate(
+            value, f"{value:.5g} +/- {std:.2g}, was {initial[n]:.5g}; refine; {', '.join(flights)}"
+        )
+        for n, (value, std) in result.parameters.items()
+    }

@@ -1,0 +1,148 @@
+"""Sentences about effects: why one was named, what speaks against it, and which manoeuvre would
+separate two of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from sysid.effects import Effect, SelectedEffect
+
+_EXCITES = {
+    "alpha": (
+        "slow changes of angle of attack by speed (level flight from the slowest to the fastest)"
+    ),
+    "beta": "steady sideslips at several angles",
+    "p_hat": "aileron doublets of two sizes and lengths",
+    "q_hat": "elevator doublets of two lengths",
+    "r_hat": "rudder doublets of two lengths",
+    "alphadot_hat": (
+        "elevator doublets beside turns at constant angle of attack: alphadot without q and q"
+        " without alphadot"
+    ),
+    "betadot_hat": "flat turns beside rudder doublets: r without betadot",
+    "de": "elevator steps at constant speed, by throttle",
+    "da": "short aileron pulses: deflection before there is a roll rate",
+    "dr": "short rudder pulses: deflection before there is a yaw rate",
+    "dt": "throttle steps",
+    "CT": "throttle doublets at constant speed and angle of attack",
+    "V_rel": "the same manoeuvres at widely different speeds, thrust held",
+    "h_over_b": "the same manoeuvres high and low",
+}
+_SUBSYSTEM = {
+    "stall": "a slow approach to the stall, and a fast one",
+    "propulsion": "throttle doublets at two speeds; a static thrust measurement",
+    "mass": (
+        "none in the air: a swing test on the ground measures Ixz, weighing the centre of gravity"
+    ),
+    "actuator": "the surface moved on the ground with its position logged",
+    "sensor": "calibration of the sensor on the ground",
+    "ground": "the same manoeuvre low and high",
+    "record": "a tap on the aircraft logged by all sensors",
+}
+
+
+def reason_for(effect: Effect, choice: SelectedEffect) -> str:
+    """One sentence: physics, where it shows, how strongly the flights say so."""
+    sign = "positive" if choice.value > 0 else "negative"
+    usual = f", where {effect.sign} is usual" if effect.sign else ""
+    where = f"; it shows in {effect.regime}" if effect.regime else ""
+    source = f" ({effect.reference})" if effect.reference else ""
+    return (
+        f"{effect.physics}{where}{source}. Estimate {choice.value:.4g} ± {choice.std:.2g}"
+        f" ({sign}{usual}), |t| {abs(choice.t):.1f} with standard errors corrected for coloured"
+        " residuals"
+    )
+
+
+def separating_manoeuvre(one: Effect, other: Effect) -> str:
+    """The manoeuvre that would separate two effects that these flights do not."""
+    for effect in (one, other):
+        part = (effect.subsystem or "").partition(".")[0]
+        if part == "mass" and effect.term == "Ixz":
+            return (
+                "measure Ixz on the ground (swing test); in the air a wrong Ixz is pitching moment"
+                " from roll rate squared and, with the other sign, from yaw rate squared: rudder"
+                " doublets separate them only as long as the aircraft has no moment from yaw rate"
+                " squared of its own"
+            )
+        if part in _SUBSYSTEM:
+            return _SUBSYSTEM[part]
+    a, b = one.parsed, other.parsed
+    assert a is not None
+    assert b is not None
+    different = [
+        v for v in (*a.variables, *b.variables) if (v in a.variables) != (v in b.variables)
+    ]
+    if not different:
+        return (
+            f"the same manoeuvres at several amplitudes: {a.text} and {b.text} differ in how they"
+            " grow"
+        )
+    return "; ".join(dict.fromkeys(_EXCITES[v] for v in different[:2]))
+
+
+_OF_STATE = {
+    "V_mps": "V_rel",
+    "alpha_rad": "alpha",
+    "beta_rad": "beta",
+    "p_radps": "p_hat",
+    "q_radps": "q_hat",
+    "r_radps": "r_hat",
+    "elevator_deg": "de",
+    "aileron_deg": "da",
+    "rudder_deg": "dr",
+    "throttle_pct": "dt",
+}
+
+
+def would_tell(state: str | None, nearest: Sequence[Effect], loudest: tuple[str, float]) -> str:
+    """The flight that would tell what is left.
+
+    state: with which the residual goes; nearest: candidates, the best first; loudest: kind of
+    manoeuvre in which the channel's residual is largest, and its rms over noise there"""
+    kind, ratio = loudest
+    sentences = [
+        (
+            f"repeat {kind}, where the channel is at {ratio:.2f} times its noise,"
+            " at other amplitudes and speeds"
+        )
+    ]
+    if state is not None:
+        sentences.insert(0, _EXCITES[_OF_STATE[state]])
+    if len(nearest) > 1:
+        first, second = nearest[:2]
+        sentences.append(
+            f"to separate {first.name} from {second.name}: {separating_manoeuvre(first, second)}"
+        )
+    return "; ".join(sentences)
+
+
+def withdrawal_reason(effect: Effect, choice: SelectedEffect, gap: str) -> str:
+    """What is said of an effect that the train flights ask for and the test flights speak against,
+    or do not show beside what is unexplained. gap: what the test flights say (judge.Verdict)."""
+    start = f"the train flights ask for {effect.name} (|t| {abs(choice.t):.1f}), and "
+    if gap == "grew":
+        grew = "with it the gap on the test flights grew: it is withdrawn"
+        return f"{start}{grew}; something differs between the flights that has no name here"
+    return (
+        f"{start}the test flights do not show it: beside something that nothing explains it is"
+        " withdrawn"
+    )
+
+
+def too_weak_to_name(effect: Effect, choice: SelectedEffect) -> str:
+    """What is said of an effect that would have been named, were nothing unexplained beside it."""
+    return (
+        f"{effect.name} would explain a part of it (|t| {abs(choice.t):.1f}), too little to be"
+        " named beside something that nothing explains"
+    )
+
+
+def still_asked(effect: Effect, t: float) -> str:
+    """What is said of a candidate that the flights still ask for beside the effects that were
+    chosen.
+    """
+    return (
+        f"{effect.name} is still asked for (|t| {abs(t):.1f}): it, or something like it, is missing"
+    )
