@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from uqharness.refinement.round import candidates_for, column_evidence
 
 from sysid.effects import scores
 from sysid.parallel import SERIAL
@@ -35,7 +36,6 @@ from uqharness.identification.linearised import (
     make_setup,
     setup_in_gusts,
 )
-from uqharness.refinement.round import candidates_for, column_evidence
 from uqharness.replay.flights import read_flights
 from uqharness.simulator import find_aircraft
 
