@@ -255,8 +255,8 @@ class TurbulenceModel:
         """
         first = self.states[0]
         shape = first.q_length, first.r_length, first.q_share, first.r_share
-        own = self.values[_OWN_ROTATION] > _LITTLE * self.values[1:3]
-        return shape == (1.0, 1.0, 1.0, 1.0) and not own.any()
+        is_strong = self.values[_OWN_ROTATION] > _LITTLE * self.values[1:3]
+        return shape == (1.0, 1.0, 1.0, 1.0) and not is_strong.any()
 
     @property
     def kind(self) -> tuple[bool, bool, bool]:
@@ -546,15 +546,15 @@ class _Search:
                 for r, t, body in _STRUCTURES
                 if (r, t, body) != best.kind
             ]
-            best = self.likelier(some, best, [self.unabsorbed(some, best, frames)], kinds)
+            best = self.accept_trials(some, best, [self.unabsorbed(some, best, frames)], kinds)
             if best.states[0].rotating:
                 for axis in ("q", "r"):
-                    best = self.likelier(some, best, [self.length(some, best, axis)], kinds)
+                    best = self.accept_trials(some, best, [self.length(some, best, axis)], kinds)
             if best.states == before.states:
                 break
         return best
 
-    def likelier(
+    def accept_trials(
         self, some: Sequence[int], best: _Point, trials: Sequence[_Point], kinds: Sequence[str]
     ) -> _Point:
         """The best point, or the likeliest near one of the trials that gains more than chance."""
@@ -661,8 +661,8 @@ class _Search:
         upper = np.full(len(scale), _REACH)
         # The air's own pitch and yaw are as strong as gusts across the path, or its roll, allow.
         roll = point.values[3] * (LENGTHS[1] * point.states[0].b / V_REFERENCE) ** 2
-        most = _MOST_OWN * np.maximum(point.values[1:3], roll) / point.values[_OWN_ROTATION]
-        upper[_OWN_ROTATION] = np.clip(np.log(most), 1.0 - _REACH, _REACH)
+        limit = _MOST_OWN * np.maximum(point.values[1:3], roll) / point.values[_OWN_ROTATION]
+        upper[_OWN_ROTATION] = np.clip(np.log(limit), 1.0 - _REACH, _REACH)
         bounds = Bounds(-_REACH * scale, upper * scale)
         optimum = minimize(cost, none, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
         x = optimum.x / scale
