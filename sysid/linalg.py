@@ -8,6 +8,7 @@ as a bidiagonal system. `compiled` and `jitable` wrap numba with the options of 
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -193,7 +194,22 @@ def compiled(loop: Loop) -> Loop:
         dispatcher: Loop = njit(cache=True, nogil=True, error_model="numpy")(loop)
     except RuntimeError:
         dispatcher = njit(nogil=True, error_model="numpy")(loop)
+    _discard_unreadable_cache(dispatcher)
     return dispatcher
+
+
+def _discard_unreadable_cache(dispatcher: Loop) -> None:
+    """Empty a loop's cache whose index names modules that an upgrade has moved or removed.
+
+    numba reads the index before it compares the source's time, and would end with that error.
+    """
+    # Without a cache file there is nothing to discard; one that cannot be written stays.
+    with contextlib.suppress(AttributeError, OSError):
+        cache = dispatcher._cache._cache_file  # type: ignore[attr-defined]
+        try:
+            cache.load(None)
+        except Exception:  # whatever unpickling of a foreign index raises
+            cache.flush()
 
 
 def jitable(part: Loop) -> Loop:
