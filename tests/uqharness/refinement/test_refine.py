@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.helpers.trajectory import fly
+from tests.helpers.flown import fly
 
 from sysid.record import FlightRecord
 from tests.helpers import trajectory
