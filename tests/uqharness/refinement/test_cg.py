@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.helpers.trajectory import fly
+from tests.helpers.flown import fly
 
 from sysid.effects.catalogue import subsystem_effects
 from sysid.parallel import SERIAL

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.helpers.trajectory import fly
 
 from sysid.record import FlightRecord
-from tests.helpers import trajectory
+from tests.helpers import flown
+from tests.helpers.flown import fly
 from tests.helpers.page_checks import problems
 from tests.helpers.sixdof import Airframe, derivative
 from uqharness.cli.main import main
@@ -320,7 +320,7 @@ def test_a_record_one_sample_late_is_a_matter_of_its_clock(tmp_path):
 def test_a_slow_servo_is_no_matter_of_the_clock(tmp_path, monkeypatch):
     """A lag of the elevator alone is named as that."""
 
-    monkeypatch.setattr(trajectory, "LAG", np.array([16.0, 25.0, 25.0, 6.0]))
+    monkeypatch.setattr(flown, "LAG", np.array([16.0, 25.0, 25.0, 6.0]))
     made = {
         "train": fly(TRAIN, seed=5, seconds=6.0),
         "test": fly((("pitch-3211", 20.0),), seed=6, seconds=6.0),

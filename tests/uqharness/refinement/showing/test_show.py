@@ -11,7 +11,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from tests.helpers.trajectory import fly
+from tests.helpers.flown import fly
 
 from sysid.parallel import SERIAL
 from tests.helpers.report_folders import refinement
