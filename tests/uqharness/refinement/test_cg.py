@@ -11,11 +11,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.helpers.flown import fly
 
 from sysid.effects.catalogue import subsystem_effects
 from sysid.parallel import SERIAL
 from sysid.units import IN_M
+from tests.helpers.flown import fly
 from uqharness.errors import BadInputError
 from uqharness.identification.linearised import (
     FlightData,

@@ -11,9 +11,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from tests.helpers.flown import fly
 
 from sysid.parallel import SERIAL
+from tests.helpers.flown import fly
 from tests.helpers.report_folders import refinement
 from tests.helpers.sixdof import Airframe
 from tests.hidden_effects.flights import Flight as HiddenFlight
