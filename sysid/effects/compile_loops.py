@@ -11,7 +11,7 @@ import numpy as np
 from sysid.aerodynamics import GustStates, Reference, linearise
 from sysid.aerodynamics.rigid_body import OUTPUTS, MassProperties
 from sysid.effects.prediction import Columns, whiten
-from sysid.effects.turbulence import AirLikelihood, process_of
+from sysid.effects.turbulence import LIGHT_AIR, AirLikelihood, process_of
 from sysid.estimation import Process
 
 _ROWS, _DT_S, _SPEED_MPS = 4, 0.02, 20.0
@@ -30,7 +30,7 @@ def compile_loops() -> None:
     measured = np.zeros((_ROWS, len(OUTPUTS)))
     columns = [Columns(("c",), {"c": (0, np.zeros(_ROWS))}, {})]
     calm, gusty = (linearise(reference, mass, gusts=air) for air in (None, gusts))
-    variances, begin = process_of(np.ones(7), _SPEED_MPS, gusts)
+    variances, begin = process_of(LIGHT_AIR, _SPEED_MPS, gusts)
     process = Process(variances[None], begin[None])
     whiten([calm], [measured], columns, which, noise)
     whiten([gusty], [measured], columns, which, noise, process)

@@ -144,7 +144,7 @@ def _one(
 Linear = Callable[[Sequence[int], Sequence[GustStates]], Sequence[Steps]]
 """Steps of some of the segments, linearised with gusts that act so in each."""
 V_REFERENCE = 20.0
-_START = np.array([0.25, 5e-4, 5e-4, 5e-2, 1e-4, 1e-4, 1e-4, 1e-6, 1e-6])
+LIGHT_AIR = np.array([0.25, 5e-4, 5e-4, 5e-2, 1e-4, 1e-4, 1e-4, 1e-6, 1e-6])
 """Intensities of V [m2/s3], alpha and beta [rad2/s], the air's roll [rad2/s3], of moments about
 the three axes that nothing explains, as angular accelerations [rad2/s3], and of the air's pitch and
 yaw beyond what gusts at the wing make, as rates of alpha and beta [rad2/s]; all at V_REFERENCE.
@@ -173,7 +173,7 @@ _WITHOUT_ACROSS = np.array([1.0, _NONE, _NONE, *[1.0] * 6])
 for those.
 """
 _FACTORS = (1e-4, 1e-2, 0.1, 1.0, 5.0)
-"""Of _START, from the best of which the search begins."""
+"""Of LIGHT_AIR, from the best of which the search begins."""
 _MOST_SEGMENTS, _OF_A_FLIGHT, _FOR_SPEED = 10, 6, 4
 _FASTER, _MOST_FASTER, _AS_MEANT = 0.04, 3.0, 0.02
 """Logarithm of the passing speed by which it is moved to find the likeliest; how many such steps
@@ -203,7 +203,7 @@ NOISE_PRIOR = np.log(2.0)
 class TurbulenceModel:
     """The air of some flights.
 
-    states    how gusts act in each segment; values (7,) as _START, of the air the flights' mean;
+    states    how gusts act in each segment; values (7,) as LIGHT_AIR, of the air the flights' mean;
     by_flight: flight -> (7,); passing:
               flight -> speed at which its gusts pass [m/s], 0: the airspeed
     process   noise that they make in each segment; gain: twice the log likelihood gained over calm
@@ -313,7 +313,7 @@ def gust_strength_mps2(values: FloatArray) -> float:
 
 def process_of(values: FloatArray, V: float, states: GustStates) -> tuple[FloatArray, FloatArray]:
     """(13,) variances per second of the states' noise at airspeed V, and (13,) of the air's at the
-    start, from the nine values of _START. Spectra of the velocities go with the speed at which the
+    start, from the nine values of LIGHT_AIR. Spectra of the velocities go with the speed at which the
     gusts pass."""
     faster = (states.passing_mps or V) / V_REFERENCE
     noise, begin = np.zeros(NX), np.zeros(NX)
@@ -378,7 +378,7 @@ def gust_intensity(
     of = _members(flights)
     if prior_model is None:
         last = search.best(
-            some, [_Point((states,) * len(measured), f * _START, prior_factors) for f in _FACTORS]
+            some, [_Point((states,) * len(measured), f * LIGHT_AIR, prior_factors) for f in _FACTORS]
         )
     else:
         prior_model = prior_model.in_other(V, flights)
@@ -411,7 +411,7 @@ def gust_intensity(
         if prior_model is None
         else (prior_model.gain, prior_model.across)
     )
-    single_moments = np.where(np.eye(len(_START)), _NONE, 1.0)[_MOMENTS]
+    single_moments = np.where(np.eye(len(LIGHT_AIR)), _NONE, 1.0)[_MOMENTS]
     losses = np.array([search.loss(some, best, left) for left in single_moments])
     moments = np.where(np.isfinite(losses), losses, np.nan)
     by_flight = {f: best.of(members[0]) for f, members in of.items()}
@@ -428,7 +428,7 @@ class _Point:
     values: FloatArray
     factors: FloatArray
     cost: float = np.inf
-    stronger: FloatArray = field(default_factory=lambda: np.ones((1, len(_START))))
+    stronger: FloatArray = field(default_factory=lambda: np.ones((1, len(LIGHT_AIR))))
 
     @property
     def kind(self) -> tuple[bool, bool, bool]:
@@ -499,7 +499,7 @@ class _Search:
         if len(of) == 1:
             return point
         single = {
-            f: replace(point, values=point.of(part[0]), stronger=np.ones((1, len(_START))))
+            f: replace(point, values=point.of(part[0]), stronger=np.ones((1, len(LIGHT_AIR))))
             for f, part in of.items()
         }
         by_flight = {
@@ -569,7 +569,7 @@ class _Search:
         """The likeliest of points where neither moments that nothing explains nor the air's own
         rotation hide what gusts do; with the intensities of the best point."""
         clean = best.values.copy()
-        clean[4:] = np.minimum(clean[4:], _START[4:])
+        clean[4:] = np.minimum(clean[4:], LIGHT_AIR[4:])
         cleaned = [replace(p, values=clean, stronger=best.stronger) for p in (best, *others)]
         chosen = self.best(some, cleaned)
         return best if chosen.states == best.states else replace(chosen, cost=np.inf)
