@@ -313,8 +313,8 @@ def gust_strength_mps2(values: FloatArray) -> float:
 
 def process_of(values: FloatArray, V: float, states: GustStates) -> tuple[FloatArray, FloatArray]:
     """(13,) variances per second of the states' noise at airspeed V, and (13,) of the air's at the
-    start, from the nine values of LIGHT_AIR. Spectra of the velocities go with the speed at which the
-    gusts pass."""
+    start, from the nine values of LIGHT_AIR. Spectra of the velocities go with the speed at which
+    the gusts pass."""
     faster = (states.passing_mps or V) / V_REFERENCE
     noise, begin = np.zeros(NX), np.zeros(NX)
     # Dryden far above its corner: PSD of u' is 2 sigma^2 V/L, of alpha' = w'/V 3 sigma^2/(L V).
@@ -377,9 +377,8 @@ def gust_intensity(
     some = _evenly_spaced(range(len(measured)), _MOST_SEGMENTS)
     of = _members(flights)
     if prior_model is None:
-        last = search.best(
-            some, [_Point((states,) * len(measured), f * LIGHT_AIR, prior_factors) for f in _FACTORS]
-        )
+        starts = [_Point((states,) * len(measured), f * LIGHT_AIR, prior_factors) for f in _FACTORS]
+        last = search.best(some, starts)
     else:
         prior_model = prior_model.in_other(V, flights)
         last = _Point(prior_model.states, prior_model.values, prior_factors).with_intensities(
