@@ -52,6 +52,7 @@ UQHARNESS = (
     Room("next_flight", "test points and their script"),
     Room("campaign", "cases, execution, journal, tables"),
     Room("sensitivity", "five methods, of any function"),
+    Room("authoring", "aircraft from geometry, slips, prior"),
     Room("exchange", "models of other programs, their loss"),
     Room("identification", "parameters, comparison, bounds"),
     Room("replay", "recorded flights flown again"),

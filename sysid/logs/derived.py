@@ -20,8 +20,9 @@ from sysid.logs.servo import extrapolating_table
 from sysid.logs.signal_map import Derived, Entry, RowSelection, SignalMap
 from sysid.logs.time_base import clean
 from sysid.record import FlightRecord
+from sysid.units import G0_MPS2
 
-_RHO0, _T0_K, _LAPSE, _GAS, _G0 = 1.225, 288.15, 0.0065, 287.053, 9.80665
+_RHO0, _T0_K, _LAPSE, _GAS = 1.225, 288.15, 0.0065, 287.053
 _P0 = 101325.0
 
 
@@ -56,7 +57,7 @@ def derived_signal(derived: Derived, columns: Mapping[str, FloatArray]) -> tuple
             case "density_of_height":
                 height = p["altitude_m"] + column("h_m")
                 # Pressure of the standard atmosphere (ISA), temperature of the day.
-                pressure = _P0 * (1.0 - _LAPSE * height / _T0_K) ** (_G0 / (_GAS * _LAPSE))
+                pressure = _P0 * (1.0 - _LAPSE * height / _T0_K) ** (G0_MPS2 / (_GAS * _LAPSE))
                 kelvin = p["temperature_C"] + 273.15 - _LAPSE * column("h_m")
                 text = (
                     f"standard pressure at {p['altitude_m']:g} m + h_m,"

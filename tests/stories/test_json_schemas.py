@@ -61,6 +61,11 @@ COMMANDS = {
         "identify espaaro --flight {}/f1.parquet --params aero/Cm_q --no-figures --workers 1 --out"
         " {}/identified"
     ),
+    "compare-models": (
+        "compare espaaro espaaro_truth --flight {}/f1.parquet --workers 1 --out {}/models"
+    ),
+    "author": "author KITE/kite.st KITE/kite.mass --out {}/kite",
+    "performance": "performance espaaro",
     "compare": "compare espaaro --flight {}/f1.parquet --no-figures --workers 1 --out {}/gap",
     "bounds": (
         "bounds espaaro --flight {}/f1.parquet --order 0 --no-check --no-figures --out {}/bounds"
@@ -110,7 +115,8 @@ def printed(capsys: pytest.CaptureFixture[str], line: str, folder: Path) -> Any:
         import pandas as pd
 
         case = str(pd.read_parquet(folder / "results" / "cases.parquet")["case_id"][0])
-    words = line.replace("{case}", case).replace("{}", str(folder)).split()
+    words = line.replace("{case}", case).replace("{}", str(folder))
+    words = words.replace("KITE", str(ROOT / "tests/uqharness/authoring/data")).split()
     code = cli.main([*words, "--json"])
     said = capsys.readouterr()
     assert code in (0, 1), said.err
@@ -120,6 +126,8 @@ def printed(capsys: pytest.CaptureFixture[str], line: str, folder: Path) -> Any:
 SEARCHING = (
     "modes, no trim",
     "compare",
+    "compare-models",
+    "performance",
     "diff",
     "campaign-merge",
     "campaign-salvage",
@@ -227,7 +235,7 @@ def leaves(parser: argparse.ArgumentParser, path: tuple[str, ...] = ()) -> Itera
 
 def test_every_command_has_a_schema():
     known = set(leaves(cli.complete_parser()))
-    assert known | {"next-flight-redone", "sensitivity-modal"} == set(SCHEMAS)
+    assert known | {"compare-models", "next-flight-redone", "sensitivity-modal"} == set(SCHEMAS)
     assert {name.split(",")[0] for name in (*COMMANDS, *DEAR)} == set(SCHEMAS)
 
 

@@ -18,6 +18,7 @@ from typing import Any
 import jinja2
 
 from sysid.aerodynamics import COEFFICIENTS
+from sysid.units import G0_MPS2
 from uqharness.authoring.model import TERMS, AeroModel
 from uqharness.authoring.prior import Prior, prior_document, prior_form, priors
 from uqharness.errors import BadInputError
@@ -28,7 +29,6 @@ from uqharness.toml import as_toml
 from uqharness.xml import in_comment
 
 _SEA_LEVEL_KGPM3 = 1.225
-_G_MPS2 = 9.80665
 _TITLES = {
     "CX": "Axial force",
     "CY": "Side force",
@@ -95,7 +95,7 @@ def design_speed(model: AeroModel) -> float:
     lift += model.coefficient("CX", alpha) * math.sin(alpha)
     if not 0.25 <= lift <= 0.8:
         lift = 0.4
-    weight = model.mass.mass_kg * _G_MPS2
+    weight = model.mass.mass_kg * G0_MPS2
     return math.sqrt(2.0 * weight / (_SEA_LEVEL_KGPM3 * model.S * lift))
 
 
@@ -236,7 +236,7 @@ def _xml(
         }
         for key, (alphas, values) in model.tables.items()
     ]
-    weight = model.mass.mass_kg * _G_MPS2
+    weight = model.mass.mass_kg * G0_MPS2
     assumed = [
         *(["static thrust"] if equipment.thrust_N is None else []),
         *(["pitch speed"] if equipment.pitch_speed_mps is None else []),

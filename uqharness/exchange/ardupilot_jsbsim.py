@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from sysid.units import FT_M, IN_M
+from sysid.units import FT_M, G0_MPS2, IN_M
 from uqharness.errors import BadInputError
 from uqharness.exchange.frozen_copy import frozen, own_files, subfolder
 from uqharness.exchange.states import Derivatives, SourceModel
@@ -49,7 +49,6 @@ _COMMANDS = ("elevator", "aileron", "rudder", "throttle")
 _OWN_GAINS = ("EST_HGT_OMEGA", "RATE_D_ON", "EAS2TAS")
 """Parameters under ``ap/`` that ArduPlane does not have by this name."""
 _SETTLE_S = 10.0
-_GRAVITY_MPS2 = 9.80665
 
 
 @dataclass(frozen=True)
@@ -227,7 +226,7 @@ def _contact_points(document: Document, source: SourceModel, cg_in: list[float])
     """Return three wheels below the CG: one in front, two beside and a little behind it."""
     reference = source.reference
     span = reference.b_m
-    weight_n = reference.mass_kg * _GRAVITY_MPS2
+    weight_n = reference.mass_kg * G0_MPS2
     # Each carries a third of the weight at 2 cm, damped at .7 of critical.
     spring = weight_n / 3.0 / 0.02
     damping = 2.0 * 0.7 * math.sqrt(spring * reference.mass_kg / 3.0)

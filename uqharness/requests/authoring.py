@@ -91,7 +91,7 @@ DIR/airframe.toml, DIR/Systems and DIR/model-form.json of kind prior."""
     )
     length_unit_m: Number | None = option(
         None,
-        "length of the files' unit, m, such as 0.0254 (default: Lunit of the .mass, else 1)",
+        "length of the files' unit, m, such as 0.001 (default: Lunit of the .mass, else 1)",
         gt=0,
         le=1e3,
         metavar="M",

@@ -47,6 +47,8 @@ FUNCTIONS = {
     "report": "report",
     "dossier": "dossier",
     "export": "export",
+    "author": "author",
+    "performance": "performance",
 }
 RENAMED = {
     "property": "properties",
@@ -74,6 +76,8 @@ LEFT_OUT = {
         "log": "paths: the function reads several",
         "out": RETURNED,
         "whole": "log_info reads all of a log",
+        "from_s": "a part of a record is a slice of it",
+        "to_s": "a part of a record is a slice of it",
         **dict.fromkeys(("cache", "use_cache"), "the function always uses the user's cache"),
     },
     "instrument": {
