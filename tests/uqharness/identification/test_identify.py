@@ -311,7 +311,7 @@ def test_figures_and_tables_are_there(flights, tmp_path):
     assert (out / "figures" / "pitch-00-pitch-3211.svg").read_text().startswith("<svg")
     assert (out / "parameters.csv").read_text().splitlines()[
         0
-    ] == "parameter,initial,estimate,std,crb,status,reason"
+    ] == "parameter,initial,estimate,std,crb,status,reason,basis"
     assert problems((out / "report.html").read_text(encoding="utf-8")) == []
     # Again over the same folder: replaced, and an earlier remark does not pile up.
     assert (

@@ -24,7 +24,7 @@ def test_the_last_step_is_taken_unless_what_was_flown_stands(monkeypatch):
         asked.append(tuple(free))
         return dict.fromkeys(wanted, (0.5, 0.2, 0.1))
 
-    monkeypatch.setattr(fits, "corrected_each", corrected_each)
+    monkeypatch.setattr(fits, "corrected_estimates", corrected_each)
     assert in_one_step(None, names[:2], fit) == {"aero/CZ_q": (1.5, 0.2), "aero/Cm_q": (-2.5, 0.2)}
     assert in_one_step(None, names[:1], fit, ["effect/Cm/de"], moved=False) == {
         "aero/CZ_q": (1.0, 0.2)

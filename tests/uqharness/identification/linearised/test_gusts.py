@@ -386,7 +386,7 @@ def iterated(monkeypatch, steps, strengths=(1.0,), quieter=(1.0,), air=True, **a
     evidence = SimpleNamespace(
         names=("aero/Cm_q",),
         step=lambda held: (lambda d, length: (np.array([d]), length))(*next(queue)),
-        everything=(np.eye(1), None),
+        total=(np.eye(1), None),
     )
     linear = SimpleNamespace(all=lambda states: [], measured=[])
     columns = [SimpleNamespace(names=("aero/Cm_q",))]
@@ -398,7 +398,7 @@ def iterated(monkeypatch, steps, strengths=(1.0,), quieter=(1.0,), air=True, **a
         "parameter_columns": lambda *a: columns,
         "follow": lambda *a: [],
         "whitened": lambda *a: [],
-        "gather": lambda *a: evidence,
+        "normal_equations": lambda *a: evidence,
         "replace": lambda x, **_: x,
         "with_jumps": lambda setup, _: setup,
         "as_measured": lambda setup, path, before, after: path,
