@@ -104,8 +104,8 @@ class Forecast:
     def expect(self, expected_s: Mapping[str, float]) -> None:
         """Replace the expected durations of stages that have not begun."""
         names = list(self.expected_s)
-        begun = names.index(self._stage) + 1 if self._stage else 0
-        self.expected_s |= {name: expected_s[name] for name in names[begun:]}
+        reached = names.index(self._stage) + 1 if self._stage else 0
+        self.expected_s |= {name: expected_s[name] for name in names[reached:]}
 
     def begin(self, stage: str) -> None:
         """Note that a stage begins; one that is repeated or unknown continues the current."""
@@ -128,12 +128,12 @@ class Forecast:
         expected_s = sum(self.expected_s[n] for n in finished)
         ratio = (actual_s + self._PRIOR_S) / (expected_s + self._PRIOR_S)
         names = list(self.expected_s)
-        later = names[names.index(self._stage) + 1 :] if self._stage else names
+        following = names[names.index(self._stage) + 1 :] if self._stage else names
         elapsed_s = self._now() - self._stage_start_s if self._stage else 0.0
         current_s = ratio * self.expected_s.get(self._stage, 0.0)
         # A stage that takes longer than expected has a third of its time ahead.
         current_left_s = max(current_s - elapsed_s, min(elapsed_s, current_s) / 3.0)
-        return current_left_s + ratio * sum(self.expected_s[n] for n in later)
+        return current_left_s + ratio * sum(self.expected_s[n] for n in following)
 
 
 class _State:

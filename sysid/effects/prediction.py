@@ -145,11 +145,15 @@ def follow(
     """Filter every segment, one after the other; arguments of `whiten`, which makes columns white
     by what is given here. Raises LinAlgError where no filter follows."""
     for k, (system, z) in enumerate(zip(steps, measured, strict=True)):
-        seen = MeasuredSystem.of(system, z, rows)
+        measured_system = MeasuredSystem.of(system, z, rows)
         filter_gains = gains(
-            seen, noise, None if process is None else (process.noise[k], process.begin[k])
+            measured_system,
+            noise,
+            None if process is None else (process.noise[k], process.begin[k]),
         )
-        yield FilteredSegment(seen, filter_gains, whiten_innovations(seen, filter_gains))
+        yield FilteredSegment(
+            measured_system, filter_gains, whiten_innovations(measured_system, filter_gains)
+        )
 
 
 def whiten(

@@ -117,8 +117,8 @@ def compare_forecasts(
     measured = ~(np.isnan(errors_a) | np.isnan(errors_b))
     finite = measured & np.isfinite(errors_a) & np.isfinite(errors_b)
     # A diverged prediction counts as a large error, so that it is neither dropped nor infinite.
-    both = np.where(finite, 0.5 * (errors_a**2 + errors_b**2), 0.0)
-    size = np.sqrt(both.sum(axis=0) / np.maximum(finite.sum(axis=0), 1))
+    mean_square = np.where(finite, 0.5 * (errors_a**2 + errors_b**2), 0.0)
+    size = np.sqrt(mean_square.sum(axis=0) / np.maximum(finite.sum(axis=0), 1))
     size = np.where(size > 0.0, size, 1.0)
     clipped = [np.clip(e, -_DIVERGED * size, _DIVERGED * size) for e in (errors_a, errors_b)]
     scores = [_scores(e, block) for e in clipped]
@@ -167,8 +167,8 @@ def _scores(errors: FloatArray, block: FloatArray) -> FloatArray:
     out = np.full(errors.shape, np.nan)
     for one in np.unique(block):
         rows = block == one
-        others = np.maximum(number - count[rows].sum(axis=0), 1.0)
-        variance = (total - square[rows].sum(axis=0)) / others
+        other_blocks = np.maximum(number - count[rows].sum(axis=0), 1.0)
+        variance = (total - square[rows].sum(axis=0)) / other_blocks
         # A channel that is predicted exactly everywhere else keeps a positive width.
         std = np.sqrt(np.maximum(variance, 1e-12 * np.maximum(total, 1e-300)))
         out[rows] = crps_normal(errors[rows], std)

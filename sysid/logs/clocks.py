@@ -147,20 +147,20 @@ def best_offset(
     best = int(np.argmax(correlation))
     top = float(correlation[best])
     # The peak ends where the correlation has fallen to half and rises again.
-    left = right = best
+    lower = right = best
     while (
-        left > 0
-        and correlation[left - 1] > -np.inf
-        and (correlation[left] > 0.5 * top or correlation[left - 1] < correlation[left])
+        lower > 0
+        and correlation[lower - 1] > -np.inf
+        and (correlation[lower] > 0.5 * top or correlation[lower - 1] < correlation[lower])
     ):
-        left -= 1
+        lower -= 1
     while (
         right < len(correlation) - 1
         and correlation[right + 1] > -np.inf
         and (correlation[right] > 0.5 * top or correlation[right + 1] < correlation[right])
     ):
         right += 1
-    outside = np.concatenate([correlation[:left], correlation[right + 1 :]])
+    outside = np.concatenate([correlation[:lower], correlation[right + 1 :]])
     rival = float(outside.max()) if np.isfinite(outside).any() else 0.0
     # Vertex of the parabola through the three best points.
     shift = 0.0

@@ -199,8 +199,8 @@ def select_rows(
     if int(chosen.sum()) < 2:
         available = ""
         if mode is not None:
-            seen = np.unique(mode[1][np.isfinite(mode[1])])[:10]
-            available = f"; its values are {', '.join(f'{value:g}' for value in seen)}"
+            modes = np.unique(mode[1][np.isfinite(mode[1])])[:10]
+            available = f"; its values are {', '.join(f'{value:g}' for value in modes)}"
         raise LogError(
             f"no rows are selected by {' and '.join(texts)}; the log covers {time[0]:g} to"
             f" {time[-1]:g} s{available}"

@@ -132,18 +132,18 @@ def read_geometry(path: Path, text: str) -> Geometry:
     reference = {
         key: Entry(value, path, lines[3][0]) for key, value in zip("Scb", header, strict=False)
     } | {key: Entry(value, path, lines[4][0]) for key, value in zip("xyz", centre, strict=False)}
-    rest = lines[5:]
+    sections = lines[5:]
     drag = Entry(0.0, path)
-    if rest and _keyword(rest[0][1]) is None:
-        drag = Entry(_numbers(path, rest[0], 1)[0], path, rest[0][0])
-        rest = rest[1:]
+    if sections and _keyword(sections[0][1]) is None:
+        drag = Entry(_numbers(path, sections[0], 1)[0], path, sections[0][0])
+        sections = sections[1:]
     surfaces: list[Surface] = []
     i = 0
-    while i < len(rest):
-        keyword = _keyword(rest[i][1])
-        following = rest[i + 1] if i + 1 < len(rest) else (rest[i][0], "")
+    while i < len(sections):
+        keyword = _keyword(sections[i][1])
+        following = sections[i + 1] if i + 1 < len(sections) else (sections[i][0], "")
         if keyword == "SURFACE":
-            surfaces.append(Surface(following[1].strip(), rest[i][0]))
+            surfaces.append(Surface(following[1].strip(), sections[i][0]))
             i += 1
         elif surfaces and keyword == "YDUPLICATE":
             surfaces[-1].duplicated = True
@@ -174,9 +174,9 @@ def _content(text: str) -> list[tuple[int, str]]:
     """Return numbered lines without comments and blank lines."""
     rows = []
     for number, line in enumerate(text.splitlines(), start=1):
-        bare = line.split("#")[0].split("!")[0].rstrip()
-        if bare.strip():
-            rows.append((number, bare))
+        code = line.split("#")[0].split("!")[0].rstrip()
+        if code.strip():
+            rows.append((number, code))
     return rows
 
 

@@ -361,8 +361,8 @@ def _longitudinal(
         for name in _LONGITUDINAL:
             totals = np.array([row[name, TOTAL] for row in rows])
             degree = 2 if name == "CX" and len(alphas) > 2 else 1
-            near = np.argsort(np.abs(alphas - a0))[: 4 if degree == 2 else 3]
-            fitted = np.polyfit(alphas[near], totals[near], degree)[::-1]
+            nearest = np.argsort(np.abs(alphas - a0))[: 4 if degree == 2 else 3]
+            fitted = np.polyfit(alphas[nearest], totals[nearest], degree)[::-1]
             for term, value in zip(("0", "alpha", "alpha2"), fitted, strict=False):
                 unit = {"0": "1", "alpha": "1/rad", "alpha2": "1/rad^2"}[term]
                 terms[f"{name}_{term}"] = TermValue(
@@ -421,9 +421,9 @@ def _table(
     """Add what the source has beyond a term, where there are several alphas."""
     if len(alphas) < 2:
         return
-    rest = np.asarray(values) - (0.0 if middle is None else values[middle])
-    if np.max(np.abs(rest)) > 1e-9:
-        tables[key] = (alphas, rest)
+    offsets = np.asarray(values) - (0.0 if middle is None else values[middle])
+    if np.max(np.abs(offsets)) > 1e-9:
+        tables[key] = (alphas, offsets)
 
 
 def gyration(mass_kg: float, span: float, centre: tuple[float, float, float]) -> MassProperties:

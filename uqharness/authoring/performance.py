@@ -116,10 +116,10 @@ def sheet(
         float(speed[glide]),
     )
     sink = drag * speed / weight_N
-    least = int(np.argmin(sink))
+    index = int(np.argmin(sink))
     figures["least_sink_rate"], figures["least_sink_speed"] = (
-        float(sink[least]),
-        float(speed[least]),
+        float(sink[index]),
+        float(speed[index]),
     )
     available = _thrust_at(thrust_N, speeds, speed)
     climb = speed * (available - drag) / weight_N
@@ -315,9 +315,17 @@ def _thrusts(
     controls = [name for name in ("throttle",) if name in inputs]
     n = len(speeds) * len(altitudes_m)
     full = np.array([[max(inputs[name].limits) for name in controls]] * n)
-    still = ("alpha_rad", "beta_rad", "phi_rad", "theta_rad", "p_radps", "q_radps", "r_radps")
+    zero_signals = (
+        "alpha_rad",
+        "beta_rad",
+        "phi_rad",
+        "theta_rad",
+        "p_radps",
+        "q_radps",
+        "r_radps",
+    )
     every = np.tile(speeds, len(altitudes_m))
-    motion = {"V_mps": every, **dict.fromkeys(still, np.zeros(n))}
+    motion = {"V_mps": every, **dict.fromkeys(zero_signals, np.zeros(n))}
     with ReplayFolder(aircraft, controls, ideal=controls) as model:
         segment = Segment(
             "thrust",

@@ -75,8 +75,10 @@ def find_slips(sources: Sources) -> list[Slip]:
         out += _geometry(sources.geometry)
     if sources.masses is not None:
         out += _masses(sources.masses, source)
-    once = {(slip.kind, slip.place): slip for slip in reversed(out)}
-    return sorted(once.values(), key=lambda slip: (slip.place.rpartition(":")[0], _line(slip)))
+    unique_slips = {(slip.kind, slip.place): slip for slip in reversed(out)}
+    return sorted(
+        unique_slips.values(), key=lambda slip: (slip.place.rpartition(":")[0], _line(slip))
+    )
 
 
 def _line(slip: Slip) -> int:
@@ -576,10 +578,10 @@ def _surfaces(source: Source) -> Iterator[Slip]:
             yield from _surface(point, control, surface, weights)
         if len(row) == 1:
             yield from _one_sided(point, control, next(iter(row)), weights)
-    named = {name for row in weights.values() for name in row}
+    names = {name for row in weights.values() for name in row}
     for surface in source.surfaces:
         values = [abs(point.value(name, surface)) for name in STABILITY]
-        if max(values) < 1e-9 and surface not in named:
+        if max(values) < 1e-9 and surface not in names:
             entry = point.entries.get(("CL", surface)) or point.entries.get(("Cm", surface))
             if entry is not None:
                 yield _slip(
@@ -763,9 +765,9 @@ def _stab_cases(path: Path, text: str) -> Iterator[Slip]:
                 continue
             total = columns.get("Total")
             in_case = base[1][coefficient].value
-            wrong = []
+            findings = []
             if total is not None and abs(total.value - in_case) > 2e-6:
-                wrong.append(f"Total {total.value:.4g} (the cases give {in_case:.4g})")
+                findings.append(f"Total {total.value:.4g} (the cases give {in_case:.4g})")
             for column, case in cases.items():
                 if column not in columns or case not in block.cases:
                     continue
@@ -778,8 +780,8 @@ def _stab_cases(path: Path, text: str) -> Iterator[Slip]:
                 tolerance = 3e-7 * factors[column] + 0.02 * abs(expected) + 1e-6
                 received = columns[column].value
                 if abs(received - expected) > tolerance:
-                    wrong.append(f"{column} {received:.4g} (the cases give {expected:.4g})")
-            for message in wrong[:1]:
+                    findings.append(f"{column} {received:.4g} (the cases give {expected:.4g})")
+            for message in findings[:1]:
                 entry = next(iter(columns.values()))
                 sign = "sign" if _is_reversed(message) else "derivative"
                 yield _slip(

@@ -69,9 +69,9 @@ def read_stab(path: Path, text: str) -> Source:
             " the end"
         )
     smallest = min(abs(block.values["Beta_"].value) for block in every)
-    straight = [b for b in every if abs(b.values["Beta_"].value) == smallest]
-    slowest = min(block.values["Mach_"].value for block in straight)
-    chosen = [b for b in straight if b.values["Mach_"].value == slowest]
+    symmetric_blocks = [b for b in every if abs(b.values["Beta_"].value) == smallest]
+    slowest = min(block.values["Mach_"].value for block in symmetric_blocks)
+    chosen = [b for b in symmetric_blocks if b.values["Mach_"].value == slowest]
     chosen.sort(key=lambda block: block.values["AoA_"].value)
     first = chosen[0]
     notes = []

@@ -42,7 +42,7 @@ def author(request: AuthorRequest, callback: Callback = silent) -> Outcome[Autho
     """Read the sources, look for slips, and write the aircraft."""
     check_output_folder(request.out)
     callback("reading")
-    given = {
+    options = {
         key: value
         for key, value in (
             ("S", request.area_m2),
@@ -51,7 +51,7 @@ def author(request: AuthorRequest, callback: Callback = silent) -> Outcome[Autho
         )
         if value is not None
     }
-    sources = read_sources(request.sources, request.length_unit_m, given)
+    sources = read_sources(request.sources, request.length_unit_m, options)
     slips = find_slips(sources)
     mass, notes = _mass_properties(request, sources)
     model = build(

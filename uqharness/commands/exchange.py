@@ -242,7 +242,7 @@ def _ardupilot_jsbsim(source: SourceModel, states: FlightStates, name: str) -> F
         f"stands {start.height_m:.2f} m high at {math.degrees(start.theta_rad):.1f} deg pitch",
         *gear,
     )
-    return files, target, ardupilot_jsbsim.LOST, notes
+    return files, target, ardupilot_jsbsim.LOST_TERMS, notes
 
 
 def _ardupilot_json(source: SourceModel, states: FlightStates, name: str) -> Fitted:
@@ -256,7 +256,7 @@ def _ardupilot_json(source: SourceModel, states: FlightStates, name: str) -> Fit
         "thrust is the program's own, throttle times its weight over 0.7",
     )
     files = {f"{name}.json": ardupilot_json.text(keys).encode()}
-    return files, target, ardupilot_json.LOST, notes
+    return files, target, ardupilot_json.LOST_TERMS, notes
 
 
 def _gazebo(source: SourceModel, states: FlightStates, _: str) -> Fitted:
@@ -271,7 +271,7 @@ def _gazebo(source: SourceModel, states: FlightStates, _: str) -> Fitted:
         "gz-sim before its change 3817 of July 2026 ignores Cem0 and Cema; use a later one",
         _SURFACES,
     )
-    return files, gazebo.coefficients(model, states), gazebo.LOST, notes
+    return files, gazebo.coefficients(model, states), gazebo.LOST_TERMS, notes
 
 
 def _fmu(source: SourceModel, states: FlightStates, name: str) -> Fitted:
@@ -289,7 +289,7 @@ def _fmu(source: SourceModel, states: FlightStates, name: str) -> Fitted:
         f"starts in the trim; frames of {model['dt_s']:g} s",
         _SURFACES,
     )
-    return {f"{model['identifier']}.fmu": unit}, target, fmu.LOST, notes
+    return {f"{model['identifier']}.fmu": unit}, target, fmu.LOST_TERMS, notes
 
 
 def _csv(source: SourceModel, states: FlightStates, _: str) -> Fitted:

@@ -44,7 +44,7 @@ RATE_HZ = 1200.0
 SWITCH = "ardupilot/commands"
 """Property that is 1 where ArduPilot's commands drive the model, 0 where its own commands do."""
 SYSTEM = "ardupilot"
-LOST = ("nothing of the aerodynamics: the program runs JSBSim",)
+LOST_TERMS = ("nothing of the aerodynamics: the program runs JSBSim",)
 _COMMANDS = ("elevator", "aileron", "rudder", "throttle")
 _OWN_GAINS = ("EST_HGT_OMEGA", "RATE_D_ON", "EAS2TAS")
 """Parameters under ``ap/`` that ArduPlane does not have by this name."""

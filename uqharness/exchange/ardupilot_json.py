@@ -34,7 +34,7 @@ KEYS = (
     "c_m_0", "c_m_a", "c_m_q", "c_m_deltae", "c_n_0", "c_n_b", "c_n_p", "c_n_r", "c_n_deltaa",
     "c_n_deltar",
 )  # fmt: skip
-LOST = (
+LOST_TERMS = (
     "sideslip and lateral controls in lift, drag and pitching moment",
     "angle of attack, pitch rate and elevator in side force, rolling and yawing moment",
     "all products and squares but the drag polar",

@@ -21,7 +21,7 @@ from uqharness.files import scratch_folder, write_bytes
 from uqharness.simulator import TRIM_LATITUDE_DEG, Aircraft, find_aircraft
 from uqharness.xml import attribute, declaration, declared_properties, folder_documents
 
-LOST = ("nothing of the aerodynamics: the unit runs JSBSim",)
+LOST_TERMS = ("nothing of the aerodynamics: the unit runs JSBSim",)
 _LEVEL = re.compile(r"uq/(active|C[XYZlmn]/(level|active))")
 
 

@@ -38,7 +38,7 @@ GEOMETRY = ("area", "mac", "AR", "eff", "alpha_stall", "Cema_stall", "air_densit
 TAGS = (*(f"{prefix}{end}" for prefix, ends in _TAGS.items() for end in ends), *GEOMETRY)
 _CTRL = tuple(f"{prefix}_ctrl" for prefix in _TAGS)
 _STALL_RAD, _SHARPNESS, _K1, _K2 = 0.4712, 15.0, -0.224, -0.115
-LOST = (
+LOST_TERMS = (
     "constants of side force, rolling and yawing moment",
     "all products and squares but the drag polar",
     "the propeller and its torque, the model-form deltas",

@@ -118,18 +118,18 @@ def _speed_scale(record: FlightRecord) -> tuple[float, float, FloatArray]:
     without turns.
     """
     names = ("vn_mps", "ve_mps", "V_mps")
-    nothing = (1.0, np.inf, np.zeros(2))
+    no_estimate = (1.0, np.inf, np.zeros(2))
     if not all(n in record for n in names):
-        return nothing
+        return no_estimate
     north, east, speed = (record[n] for n in names)
     down = record.columns.get("vd_mps", np.zeros(len(record)))
     usable = np.isfinite(north) & np.isfinite(east) & np.isfinite(speed) & np.isfinite(down)
     rows = np.flatnonzero(usable)[:: max(1, round(0.5 / record.dt_s))]
     if len(rows) < _MIN_SAMPLES:
-        return nothing
+        return no_estimate
     course = np.unwrap(np.arctan2(east[rows], north[rows]))
     if np.ptp(course) < _MIN_TURN_RAD:
-        return nothing
+        return no_estimate
 
     def fit(chosen: FloatArray) -> FloatArray:
         """Return wind and scale of the rows chosen."""
@@ -189,11 +189,11 @@ def _angle_errors(
             value, std = PRIOR[channel, "scale"][0], np.inf
         out[channel, "scale"] = value, std
         slope, slope_std = combine(value, std, PRIOR[channel, "scale"])
-        offset, spread = _jackknife(
+        offset, standard_error = _jackknife(
             lambda chosen, x=x, y=y, s=slope: float(y[chosen].mean() - s * x[chosen].mean()), block
         )
         # A misaligned attitude is an offset of the true angle.
-        parts = (spread, slope * attitude_std, slope_std * float(x.mean()))
+        parts = (standard_error, slope * attitude_std, slope_std * float(x.mean()))
         out[channel, "offset"] = offset, float(np.linalg.norm(parts))
     return out
 
@@ -232,9 +232,9 @@ def _jackknife(fit: object, block: FloatArray) -> tuple[float, float]:
     value = fit(np.ones(len(block), dtype=bool))
     if len(numbers) < 3:
         return value, np.inf
-    left = np.array([fit(block != n) for n in numbers])
+    estimates = np.array([fit(block != n) for n in numbers])
     b = len(numbers)
-    return value, float(np.sqrt((b - 1) / b * np.sum((left - left.mean()) ** 2)))
+    return value, float(np.sqrt((b - 1) / b * np.sum((estimates - estimates.mean()) ** 2)))
 
 
 def motion_angle(record: FlightRecord, channel: str, time_constant_s: float) -> FloatArray:

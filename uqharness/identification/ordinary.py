@@ -180,17 +180,19 @@ def control_delay_s(flights: Sequence[Flight], measured: Sequence[str]) -> float
                 time_s = record["time_s"][rows]
                 channels = [record[c][rows] for c in motion if c in record]
                 fixed = np.column_stack([np.ones(len(time_s)), *channels])
-                acting = [record[columns[c]][rows] for c in controls]
-                if not all(np.isfinite(v).all() for v in (fixed, *acting, record[rate][rows])):
+                active_controls = [record[columns[c]][rows] for c in controls]
+                if not all(
+                    np.isfinite(v).all() for v in (fixed, *active_controls, record[rate][rows])
+                ):
                     continue
                 rate_dot = smooth(record[rate][rows][:, None], record.dt_s, derivative=1)[:, 0]
                 fixed = smooth(fixed, record.dt_s)
                 samples += len(time_s)
                 for k, delay in enumerate(_DELAYS_S):
-                    moved = [np.interp(time_s - delay, time_s, v) for v in acting]
+                    moved = [np.interp(time_s - delay, time_s, v) for v in active_controls]
                     x = np.column_stack([fixed, smooth(np.column_stack(moved), record.dt_s)])
-                    left = rate_dot - x @ np.linalg.lstsq(x, rate_dot, rcond=None)[0]
-                    square[k] += float(left @ left)
+                    residual = rate_dot - x @ np.linalg.lstsq(x, rate_dot, rcond=None)[0]
+                    square[k] += float(residual @ residual)
         if samples:
             cost += samples * np.log(np.maximum(square, 1e-300))
     best = int(np.argmin(cost))
@@ -292,13 +294,16 @@ def identify_ordinary(
     unmeasured = sorted({c for f in flights for c in unmeasured_angles(f)})
     # Without a vane the gusts are missing from the angle, and slopes would come out far too small.
     angles = tuple(c.removesuffix("_rad") for c in unmeasured)
-    held = {
+    fixed_terms = {
         i: prior[n][1] if n in prior else 0.0
         for i, n in enumerate(names)
         if (parsed := split_name(n)) is not None and parsed[1].rstrip("2") in angles
     }
     begin = np.array(
-        [prior[n][0] if i in held and n in prior else initial[i] for i, n in enumerate(names)]
+        [
+            prior[n][0] if i in fixed_terms and n in prior else initial[i]
+            for i, n in enumerate(names)
+        ]
     )
     views = [*_VIEWS, *(_ANGLE_VIEWS if unmeasured else ())]
     groups = _groups(names)
@@ -315,7 +320,7 @@ def identify_ordinary(
             aircraft, flights, models, names, begin, measured, delay_s, view, unmeasured
         )
         estimates.append(
-            {c: _regress(data, c, members, begin, held) for c, members in groups.items()}
+            {c: _regress(data, c, members, begin, fixed_terms) for c, members in groups.items()}
         )
     terms = {i: n.removeprefix("aero/").partition("_")[2] for i, n in enumerate(names)}
     theta, cov, reason = begin.copy(), np.zeros((len(names), len(names))), {}
@@ -323,8 +328,8 @@ def identify_ordinary(
     for coefficient, members in groups.items():
         main = estimates[0][coefficient]
         # What the estimates change with choices that the flight does not decide.
-        spread = np.array([e[coefficient].theta - main.theta for e in estimates[1:]])
-        square = np.max(spread**2, axis=0)
+        deviations = np.array([e[coefficient].theta - main.theta for e in estimates[1:]])
+        square = np.max(deviations**2, axis=0)
         covariance = (
             main.cov
             + np.diag(square)
@@ -333,13 +338,13 @@ def identify_ordinary(
         theta[list(members)], block = _with_prior(
             main.theta,
             covariance,
-            [None if i in held else prior.get(names[i]) for i in members],
+            [None if i in fixed_terms else prior.get(names[i]) for i in members],
         )
         cov[np.ix_(list(members), list(members))] = block
         fit_share[coefficient] = main.unexplained
     std = np.sqrt(np.diagonal(cov))
     for i, (name, (low, high)) in enumerate(zip(names, limits, strict=True)):
-        if i in held and name not in prior:
+        if i in fixed_terms and name not in prior:
             reason[name] = "no vane measures its angle; give --prior FILE"
         elif not np.isfinite(std[i]) or std[i] == 0.0:
             reason[name] = "no effect in these data"
@@ -351,7 +356,9 @@ def identify_ordinary(
     places = [names.index(n) for n in identified]
     ok = np.array([not reason[n] for n in names])
     late = [f.with_delayed_commands(delay_s) for f in flights]
-    cut = tuple(s for f in late for s in segments(f, measured, aircraft.accelerometer_m))
+    flight_segments = tuple(
+        s for f in late for s in segments(f, measured, aircraft.accelerometer_m)
+    )
     outputs = tuple(
         c
         for c in OUTPUTS
@@ -361,7 +368,7 @@ def identify_ordinary(
     observed = [block for f in late for block in measured_outputs(f, outputs)]
     callback("replays")
     values = dict(zip(names, np.where(ok, theta, initial).tolist(), strict=True))
-    jobs = [ReplayJob(model, s, values, s.start) for s in cut]
+    jobs = [ReplayJob(model, s, values, s.start) for s in flight_segments]
     columns = [CHANNELS.index(c) for c in outputs]
     modelled = [out[:, columns] for out in fly_all(jobs)]
     result = Identification(
@@ -377,7 +384,7 @@ def identify_ordinary(
         nuisance={f"delay/{f.name}/controls": (delay_s, 0.015) for f in flights}
         | {f"sensor.{e.channel}/{e.kind}": (e.value, e.std) for e in errors},
         outputs=outputs,
-        segments=cut,
+        segments=flight_segments,
         measured=observed,
         modelled=modelled,
         residual=[z - y for z, y in zip(observed, modelled, strict=True)],
@@ -451,10 +458,14 @@ def _regression_data(
     late = [f.with_delayed_commands(delay_s + view.late_s) for f in flights]
     if unmeasured:
         late = [_with_angles(f, unmeasured, view.time_constant_s) for f in late]
-    cut = [s for f in late for s in segments(f, measured, aircraft.accelerometer_m)]
+    flight_segments = [s for f in late for s in segments(f, measured, aircraft.accelerometer_m)]
     channels_of = [states(f, piece) for f in late for piece in f.pieces]
     forced_models = forced_at(
-        model, direct_model, cut, channels_of, dict(zip(names, initial.tolist(), strict=True))
+        model,
+        direct_model,
+        flight_segments,
+        channels_of,
+        dict(zip(names, initial.tolist(), strict=True)),
     )
     terms = {i: parsed[1] for i, n in enumerate(names) if (parsed := split_name(n)) is not None}
     excess, demand, blocks = [], [], []
@@ -465,8 +476,10 @@ def _regression_data(
         aircraft.card.sensors.noise_std,
     )
     noise, first = np.zeros(6), 0
-    for segment, channels, (forced, variables) in zip(cut, channels_of, forced_models, strict=True):
-        wanted = demanded(
+    for segment, channels, (forced, variables) in zip(
+        flight_segments, channels_of, forced_models, strict=True
+    ):
+        demand_of_flight = demanded(
             np.column_stack([channels[f"a{a}_mps2"] for a in "xyz"]),
             np.column_stack([channels[f"{a}_radps"] for a in "pqr"]),
             forced.qbar,
@@ -477,26 +490,25 @@ def _regression_data(
             arm_m=np.array(segment.arm_m),
             cutoff_hz=view.cutoff_hz,
         )
-        demand.append(wanted)
-        excess.append(wanted - smooth(forced.coefficients, segment.dt_s, view.cutoff_hz))
+        demand.append(demand_of_flight)
+        excess.append(demand_of_flight - smooth(forced.coefficients, segment.dt_s, view.cutoff_hz))
         regressors = {k: smooth(v, segment.dt_s, view.cutoff_hz) for k, v in variables.items()}
         for i, term in terms.items():
             columns[i].append(regressor(term, regressors))
         count = max(1, round((segment.time_s[-1] - segment.time_s[0]) / BLOCK_S))
-        blocks.append(first + (np.arange(len(wanted)) * count // len(wanted)))
+        blocks.append(first + (np.arange(len(demand_of_flight)) * count // len(demand_of_flight)))
         first += count
-        noise += len(wanted) * _noise_of(forced, segment, noise_std, view.cutoff_hz)
-    together = np.concatenate(demand)
+        noise += len(demand_of_flight) * _noise_of(forced, segment, noise_std, view.cutoff_hz)
+    demands = np.concatenate(demand)
     # Gusts that rotate the air are as long as the span, and filters remember their own width.
     speed = float(np.mean(np.concatenate([c["V_mps"] for c in channels_of])))
     span_s = forced_models[0][0].mass.b / max(speed, 1.0)
-    least = 2 * half_width(cut[0].dt_s, view.cutoff_hz) + 1
+    shortest = 2 * half_width(flight_segments[0].dt_s, view.cutoff_hz) + 1
     lags = tuple(
-        max(least + k, round(lag * span_s / cut[0].dt_s)) for k, lag in enumerate(view.lags)
+        max(shortest + k, round(lag * span_s / flight_segments[0].dt_s))
+        for k, lag in enumerate(view.lags)
     )
-    return _RegressionData(
-        excess, columns, blocks, together.var(axis=0), noise / len(together), lags
-    )
+    return _RegressionData(excess, columns, blocks, demands.var(axis=0), noise / len(demands), lags)
 
 
 _INERTIAL = ("p_radps", "q_radps", "r_radps", "ax_mps2", "ay_mps2", "az_mps2")
@@ -522,7 +534,7 @@ def _regress(
     coefficient: str,
     members: Sequence[int],
     initial: FloatArray,
-    held: Mapping[int, float] | None = None,
+    fixed_terms: Mapping[int, float] | None = None,
 ) -> _Regression:
     """Regress one coefficient by instrumental variables, with the covariance of clusters of time.
 
@@ -541,10 +553,10 @@ def _regress(
     regressor has alone. It does not fall with the length of the flight, and it is zero for a model
     that leaves sensor noise.
 
-    Parameters that are ``held`` keep their start values with a standard deviation, which adds to
-    the covariance of the others.
+    Parameters that are ``fixed_terms`` keep their start values with a standard deviation, which
+    adds to the covariance of the others.
     """
-    k, held = _ORDER.index(coefficient), held or {}
+    k, fixed_terms = _ORDER.index(coefficient), fixed_terms or {}
     first, last = max(data.lags), min(data.lags)
     x, y, z, block = [], [], [], []
     for piece, (excess, of) in enumerate(zip(data.excess, data.block, strict=True)):
@@ -557,7 +569,7 @@ def _regress(
         z.append(np.column_stack([part[first - lag : n - lag] for lag in (first, last)]))
         block.append(of[first:])
     regressors, target, instruments = (np.concatenate(v) for v in (x, y, z))
-    fixed = np.array([i in held for i in members])
+    fixed = np.array([i in fixed_terms for i in members])
     fixed_columns = regressors[:, fixed]
     regressors = np.where(fixed, 0.0, regressors)
     instruments = np.where(np.tile(fixed, 2), 0.0, instruments)
@@ -578,17 +590,17 @@ def _regress(
     count = len(numbers)
     sandwich = count / max(1, count - 1) * inverse @ (scores.T @ scores) @ inverse
     variance = max(float(data.variance[k]), 1e-300)
-    left = max(float(np.mean(residual**2)) - float(data.noise[k]), 0.0)
-    bias = ENDOGENEITY**2 * left * len(target) * inverse
-    rho = min(left / variance, 1.0)
+    unexplained = max(float(np.mean(residual**2)) - float(data.noise[k]), 0.0)
+    bias = ENDOGENEITY**2 * unexplained * len(target) * inverse
+    rho = min(unexplained / variance, 1.0)
     cov = (sandwich + bias) / np.outer(scale, scale)
     cov[~usable, :] = 0.0
     cov[:, ~usable] = 0.0
     change = np.zeros((len(members), int(fixed.sum())))
     change[usable] = -(inverse @ (fitted.T @ fixed_columns) / scale[:, None])[usable]
     change[fixed] = np.eye(int(fixed.sum()))
-    known = np.diag([held[i] ** 2 for i in members if i in held])
-    cov += change @ known @ change.T
+    fixed_variance = np.diag([fixed_terms[i] ** 2 for i in members if i in fixed_terms])
+    cov += change @ fixed_variance @ change.T
     theta = initial[list(members)] + np.where(usable, delta / scale, 0.0)
     return _Regression(theta, cov, rho)
 
@@ -596,8 +608,10 @@ def _regress(
 def _solve(matrix: FloatArray, right: FloatArray) -> FloatArray:
     """Return matrix^-1 right for a symmetric matrix; directions without information get nothing."""
     values, vectors = np.linalg.eigh(matrix)
-    kept = values > 1e-10 * max(values[-1], 1e-300)
-    return np.asarray((vectors[:, kept] / values[kept]) @ (vectors[:, kept].T @ right))
+    significant = values > 1e-10 * max(values[-1], 1e-300)
+    return np.asarray(
+        (vectors[:, significant] / values[significant]) @ (vectors[:, significant].T @ right)
+    )
 
 
 def _from_air_data(

@@ -213,8 +213,8 @@ def _messages(
         groups.setdefault((struct, len(values)), {})[name] = values
     clocks: dict[tuple[str, int], _TimeBase] = {}
     findings: list[Any] = []
-    named = None if time is None else _field_of(time.field, arrays)
-    if time is not None and named is None:
+    time_field = None if time is None else _field_of(time.field, arrays)
+    if time is not None and time_field is None:
         raise LogError(
             f"no field {time.field} for the time ([signals.time_s] of the map); the fields are"
             f" {', '.join(f'{s}.{n}' for s, n in list(arrays)[:40])}",
@@ -222,11 +222,11 @@ def _messages(
         )
     for (struct, length), fields in groups.items():
         candidates = time_names(list(fields))
-        if named is not None and named[0] == struct and len(arrays[named]) == length:
+        if time_field is not None and time_field[0] == struct and len(arrays[time_field]) == length:
             assert time is not None
             seconds = TIME_UNITS[time.unit] if time.unit in TIME_UNITS else float(time.unit)
-            values = fields[named[1]].astype(np.float64) * seconds
-            clocks[struct, length] = (named[1], values, str(time.unit))
+            values = fields[time_field[1]].astype(np.float64) * seconds
+            clocks[struct, length] = (time_field[1], values, str(time.unit))
         elif candidates:
             column, time_s, notes = times_of({n: fields[n] for n in candidates}, None, path)
             clocks[struct, length] = (column.field, time_s, column.unit)
@@ -240,13 +240,13 @@ def _messages(
     messages: dict[tuple[str, int], MessageTable] = {}
     sources: dict[str, _TimeBase] = {}
     # The longest group of a struct has the name of the struct.
-    taken: set[str] = set()
+    used_names: set[str] = set()
     for (struct, length), fields in sorted(groups.items(), key=lambda item: -item[0][1]):
         clock = clocks.get((struct, length)) or _outer_clock(struct, length, clocks)
         if clock is None:
             continue
-        name = struct if struct not in taken else f"{struct}/{clock[0]}"
-        taken.add(struct)
+        name = struct if struct not in used_names else f"{struct}/{clock[0]}"
+        used_names.add(struct)
         messages[name, 0] = MessageTable(clock[1], dict(fields))
         sources[name] = clock
     return messages, findings, sources
