@@ -153,6 +153,16 @@ STATE = _State()
 
 
 @contextmanager
+def forecast_shown(forecast: Forecast) -> Iterator[None]:
+    """Show the remaining time of a forecast while the work that it is about goes on."""
+    earlier, STATE.forecast = STATE.forecast, forecast
+    try:
+        yield
+    finally:
+        STATE.forecast = earlier
+
+
+@contextmanager
 def bar_drawn() -> Iterator[None]:
     """Suppress the heartbeat while a progress bar is shown."""
     STATE.bars += 1

@@ -21,7 +21,7 @@ from sysid.parallel import Processes
 from uqharness import __version__, checksums
 from uqharness.errors import BadInputError
 from uqharness.files import inner_folder, scratch_folder
-from uqharness.heartbeat import STATE, Forecast
+from uqharness.heartbeat import Forecast, forecast_shown
 from uqharness.identification import choose_servos
 from uqharness.identification.linearised import FlightData, StagedModels, make_setup, positions
 from uqharness.parallel import usable_cores, worker_map
@@ -158,16 +158,20 @@ def _with_forecast(callback: Callback, forecast: Forecast) -> Callback:
         forecast.begin(next((name for name in STAGES if text.startswith(name)), ""))
         return callback(text)
 
-    STATE.forecast = forecast
     return stage
 
 
 def refine(request: Job, callback: Callback = lambda _: None) -> Refinement:
     """Find missing effects, write them into the aircraft and test them. Raises BadInputError."""
-    start_s = time.perf_counter()
     flights = len(request.train) + len(request.test)
     forecast = Forecast(_durations(request, _ASSUMED_FLIGHT_S * flights))
-    callback = _with_forecast(callback, forecast)
+    with forecast_shown(forecast):
+        return _refine(request, _with_forecast(callback, forecast), forecast)
+
+
+def _refine(request: Job, callback: Callback, forecast: Forecast) -> Refinement:
+    """Go through the steps of `refine`."""
+    start_s = time.perf_counter()
     aircraft = request.aircraft
     refuse_shared_flights(request.train, request.test)
     if request.options.campaign is not None:

@@ -18,7 +18,7 @@ from uqharness.cli.progress import (
     print_warnings,
     working,
 )
-from uqharness.heartbeat import STATE, Forecast, Rate, counting, heartbeat
+from uqharness.heartbeat import STATE, Forecast, Rate, counting, forecast_shown, heartbeat
 
 
 def test_progress_on_a_terminal_and_silence_elsewhere():
@@ -150,3 +150,9 @@ def test_the_time_to_go_is_part_of_the_line_and_ends_with_the_command(monkeypatc
         assert shown.wait(30.0)
     assert any("about 1:30 to go" in line for line in lines)
     assert STATE.forecast is None
+
+
+def test_a_forecast_is_shown_for_its_own_work_alone():
+    with forecast_shown(Forecast({"fit": 10.0})):
+        assert "to go" in STATE.time_to_go()
+    assert STATE.time_to_go() == ""
