@@ -17,7 +17,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from uqharness.refinement.round import candidates_for, column_evidence
 
 from sysid.effects import scores
 from sysid.parallel import SERIAL
@@ -36,6 +35,8 @@ from uqharness.identification.linearised import (
     make_setup,
     setup_in_gusts,
 )
+from uqharness.refinement.candidates import candidate_effects
+from uqharness.refinement.estimators import PredictionErrorEstimator
 from uqharness.replay.flights import read_flights
 from uqharness.simulator import find_aircraft
 
@@ -90,9 +91,10 @@ def measure(paths: list[Path]) -> Finding:
         air = gust_refit(
             bench.model, bench.direct_model, setup, start, names, {}, SERIAL, tune=True
         )
-        effects = candidates_for(air.setup, names, ())
+        effects = candidate_effects(air.setup, names, ())
         columns = effect_columns(air.setup, air.fit.probes, air.fit.trajectory, effects)
-        evidence = column_evidence(air.setup, air.fit, columns, air.gusts)
+        estimator = PredictionErrorEstimator(air.gusts)
+        evidence = estimator.information(air.setup, air.fit, columns)
     free = list(air.fit.columns[0].names)
     keys = [e.key for e in effects]
     t = dict(zip(keys, np.abs(scores(evidence, free, keys).t).tolist(), strict=True))
@@ -109,7 +111,7 @@ def measure(paths: list[Path]) -> Finding:
 
 def coverage(evidence, estimates, truth):  # type: ignore[no-untyped-def]
     """Share of parameters whose 95 % interval has the truth."""
-    information, _ = evidence.everything
+    information, _ = evidence.total
     std = np.sqrt(np.diag(np.linalg.pinv(information)))
     place = {n: k for k, n in enumerate(evidence.names)}
     inside = [abs(estimates[n] - truth[n]) <= COVERED * std[place[n]] for n in truth if n in place]
