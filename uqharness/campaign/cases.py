@@ -112,7 +112,6 @@ def uq_properties(spec: CampaignSpec, sample: Epistemic) -> dict[str, float]:
     such a coefficient is switched off by ``uq/<C>/active = 0``.
     """
     # A driver moves its coefficients in flight; without one the levels are constant.
-    # A driver moves its coefficients in flight; without one the levels are constant.
     varied = sample.driver.coefficients if sample.driver is not None else tuple(sample.levels)
     if not varied:
         return {}

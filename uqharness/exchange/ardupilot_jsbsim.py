@@ -16,15 +16,17 @@ from pathlib import Path
 
 from sysid.units import FT_M, G0_MPS2, IN_M
 from uqharness.errors import BadInputError
-from uqharness.exchange.frozen_copy import frozen, own_files, subfolder
+from uqharness.exchange.frozen_copy import (
+    copied_files,
+    declared_values,
+    subfolder,
+    write_aircraft,
+)
 from uqharness.exchange.states import Derivatives, SourceModel
-from uqharness.files import write_bytes
 from uqharness.simulator import (
     Aircraft,
     Staging,
     engine,
-    find_aircraft,
-    model_files,
     open_aircraft,
 )
 from uqharness.xml import (
@@ -34,7 +36,6 @@ from uqharness.xml import (
     append_child,
     apply,
     attribute,
-    declarations,
     insert_before,
     parse_document,
 )
@@ -48,6 +49,7 @@ LOST_TERMS = ("nothing of the aerodynamics: the program runs JSBSim",)
 _COMMANDS = ("elevator", "aileron", "rudder", "throttle")
 _OWN_GAINS = ("EST_HGT_OMEGA", "RATE_D_ON", "EAS2TAS")
 """Parameters under ``ap/`` that ArduPlane does not have by this name."""
+_PARAMETER = re.compile(r"[A-Z][A-Z0-9_]+")
 _SETTLE_S = 10.0
 
 
@@ -93,11 +95,9 @@ def write_folder(
         If a property to be frozen is declared by no file of the aircraft.
     """
     aircraft = source.aircraft
-    files = own_files(aircraft)
-    main = aircraft.xml.relative_to(aircraft.folder).as_posix()
-    files = frozen(files, source.properties, aircraft)
+    files = copied_files(source, name)
     systems = subfolder(files, "systems")
-    document = parse_document(Path(main), files.pop(main))
+    document = parse_document(Path(f"{name}.xml"), files[f"{name}.xml"])
     fdm = open_aircraft(aircraft)
     engine.run_ic(fdm)  # fills the tanks and places the CG
     engines = fdm.get_propulsion().get_num_engines()
@@ -110,12 +110,8 @@ def write_folder(
     ]
     files[f"{name}.xml"] = apply(document, insertions)
     files[f"{systems}/{SYSTEM}.xml"] = _command_system(aircraft, engines)
-    files["airframe.toml"] = _card(aircraft, name)
-    folder = root / "aircraft" / name
-    for path, content in files.items():
-        (folder / path).parent.mkdir(parents=True, exist_ok=True)
-        write_bytes(folder / path, content)
-    return find_aircraft(folder)
+    files["airframe.toml"] = _card(files["airframe.toml"].decode())
+    return write_aircraft(files, name, root)
 
 
 def _system_reference(document: Document) -> list[Insertion]:
@@ -142,26 +138,17 @@ def _command_system(aircraft: Aircraft, engines: int) -> bytes:
         f'  <property value="1">{SWITCH}</property>',
     ]
     if not engines:
+        declared = declared_values(aircraft)
         # The backend sets both; JSBSim drops the whole frame's commands where one is unknown.
         lines += [
             f'  <property value="0">{name}</property>'
             for name in ("fcs/throttle-cmd-norm", "propulsion/engine[0]/set-running")
-            if not _declares(aircraft, name)
+            if name not in declared
         ]
     scales = [line for control in _COMMANDS for line in _scale(aircraft, control, engines)]
     if scales:
         lines += [f'  <channel name="{SYSTEM}" execute="{SWITCH}">', *scales, "  </channel>"]
     return "\n".join([*lines, "</system>", ""]).encode()
-
-
-def _declares(aircraft: Aircraft, name: str) -> bool:
-    """Return whether a file of the aircraft declares a property."""
-    return any(
-        name == declared
-        for path, content in model_files(aircraft).contents()
-        if path.endswith(".xml")
-        for declared, _ in declarations(parse_document(Path(path), content))
-    )
 
 
 def _scale(aircraft: Aircraft, control: str, engines: int) -> list[str]:
@@ -275,10 +262,8 @@ def _removal(document: Document, node: Node) -> Insertion:
     return Insertion(start, b"", document.raw[start : node.end])
 
 
-def _card(aircraft: Aircraft, name: str) -> bytes:
-    """Return the card of the copy: its XML file, and the model's own commands in open loop."""
-    text = (aircraft.folder / "airframe.toml").read_text(encoding="utf-8")
-    text = re.sub(r'(?m)^(\s*xml\s*=\s*)"[^"]*"', rf'\g<1>"{name}.xml"', text, count=1)
+def _card(text: str) -> bytes:
+    """Return the card of the copy, with the model's own commands in open loop."""
     switch = f'"{SWITCH}" = 0'
     for pattern, replacement in (
         (r"(?m)^(\s*open_loop\s*=\s*\{)\s*(?=\S)", rf"\g<1> {switch}, "),
@@ -316,15 +301,12 @@ def parameters(source: SourceModel, fitted: Mapping[str, Derivatives]) -> str:
         low, high = throttle.limits
         share = (source.trim.controls["throttle"] - low) / (high - low)
         values["TRIM_THROTTLE"] = round(100.0 * share)
-    for content in own_files(source.aircraft).values():
-        for name, value in re.findall(
-            rb'<property\s+value="([^"]+)"\s*>\s*ap/([A-Z][A-Z0-9_]+)\s*<', content
-        ):
-            gain, text = value.decode(), name.decode()
-            if gain == "RATE_FLTD":
-                values |= {"RLL_RATE_FLTD": float(text), "PTCH_RATE_FLTD": float(text)}
-            elif gain not in _OWN_GAINS:
-                values[gain] = float(text)
+    for prop, number in declared_values(source.aircraft).items():
+        gain = prop.removeprefix("ap/")
+        if gain == "RATE_FLTD":
+            values |= {"RLL_RATE_FLTD": number, "PTCH_RATE_FLTD": number}
+        elif prop != gain and gain not in _OWN_GAINS and _PARAMETER.fullmatch(gain):
+            values[gain] = number
     # ArduPlane's speed controller needs room on both sides of the cruise speed.
     low, high = 1.15 * values["AIRSPEED_MIN"], 0.9 * values["AIRSPEED_MAX"]
     values["AIRSPEED_CRUISE"] = round(min(max(speed, low), high), 1)

@@ -15,11 +15,11 @@ from typing import Any
 
 from sysid.units import FT_M
 from uqharness.errors import BadInputError
-from uqharness.exchange import frozen_copy
+from uqharness.exchange.frozen_copy import copied_files, declared_values, write_aircraft
 from uqharness.exchange.states import SourceModel
-from uqharness.files import scratch_folder, write_bytes
-from uqharness.simulator import TRIM_LATITUDE_DEG, Aircraft, find_aircraft
-from uqharness.xml import attribute, declaration, declared_properties, folder_documents
+from uqharness.files import scratch_folder
+from uqharness.simulator import TRIM_LATITUDE_DEG, Aircraft
+from uqharness.xml import declared_properties
 
 LOST_TERMS = ("nothing of the aerodynamics: the unit runs JSBSim",)
 _LEVEL = re.compile(r"uq/(active|C[XYZlmn]/(level|active))")
@@ -27,18 +27,7 @@ _LEVEL = re.compile(r"uq/(active|C[XYZlmn]/(level|active))")
 
 def write_copy(source: SourceModel, name: str, root: Path) -> Aircraft:
     """Write ``root/aircraft/NAME`` with the source's properties frozen, and return the aircraft."""
-    aircraft = source.aircraft
-    files = frozen_copy.frozen(frozen_copy.own_files(aircraft), source.properties, aircraft)
-    files[f"{name}.xml"] = files.pop(aircraft.xml.relative_to(aircraft.folder).as_posix())
-    card = (aircraft.folder / "airframe.toml").read_text(encoding="utf-8")
-    files["airframe.toml"] = re.sub(
-        r'(?m)^(\s*xml\s*=\s*)"[^"]*"', rf'\g<1>"{name}.xml"', card, count=1
-    ).encode()
-    folder = root / "aircraft" / name
-    for path, content in files.items():
-        (folder / path).parent.mkdir(parents=True, exist_ok=True)
-        write_bytes(folder / path, content)
-    return find_aircraft(folder)
+    return write_aircraft(copied_files(source, name), name, root)
 
 
 def description(source: SourceModel, copy: Aircraft) -> dict[str, Any]:
@@ -54,8 +43,9 @@ def description(source: SourceModel, copy: Aircraft) -> dict[str, Any]:
         }
         for control, entry in card.inputs.items()
     ]
+    declared = declared_values(copy)
     levels = {
-        name: _declared_value(copy, name)
+        name: declared[name]
         for name in declared_properties(copy.folder, "uq/")
         if _LEVEL.fullmatch(name)
     }
@@ -84,12 +74,6 @@ def description(source: SourceModel, copy: Aircraft) -> dict[str, Any]:
             "ic/h-sl-ft": trim.condition.altitude_m / FT_M,
         },
     }
-
-
-def _declared_value(aircraft: Aircraft, name: str) -> float:
-    """Return the value that a file of the aircraft declares for a property."""
-    nodes = ((d, declaration(d, name)) for d in folder_documents(aircraft.folder))
-    return next(float(attribute(node, "value")) for _, node in nodes if node is not None)
 
 
 def build(model: dict[str, Any], root: Path) -> bytes:

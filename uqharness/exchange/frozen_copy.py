@@ -6,11 +6,14 @@ owns the run script, or sets no properties, flies the member.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
 
 from uqharness.errors import BadInputError
-from uqharness.simulator import INSIDE, Aircraft, model_files
+from uqharness.exchange.states import SourceModel
+from uqharness.files import write_bytes
+from uqharness.simulator import INSIDE, Aircraft, find_aircraft, model_files
 from uqharness.xml import (
     append_remark,
     apply,
@@ -67,3 +70,37 @@ def frozen(
             " the folder cannot hold its value; declare it in the XML or leave it out"
         )
     return result
+
+
+def copied_files(source: SourceModel, name: str) -> dict[str, bytes]:
+    """Return the files of a copy called NAME: its XML, what that names, and its card.
+
+    Raises BadInputError if a property of the source is declared by no file.
+    """
+    aircraft = source.aircraft
+    files = frozen(own_files(aircraft), source.properties, aircraft)
+    files[f"{name}.xml"] = files.pop(aircraft.xml.relative_to(aircraft.folder).as_posix())
+    card = (aircraft.folder / "airframe.toml").read_text(encoding="utf-8")
+    files["airframe.toml"] = re.sub(
+        r'(?m)^(\s*xml\s*=\s*)"[^"]*"', rf'\g<1>"{name}.xml"', card, count=1
+    ).encode()
+    return files
+
+
+def write_aircraft(files: Mapping[str, bytes], name: str, root: Path) -> Aircraft:
+    """Write files as ``root/aircraft/NAME`` and return the aircraft."""
+    folder = root / "aircraft" / name
+    for path, content in files.items():
+        (folder / path).parent.mkdir(parents=True, exist_ok=True)
+        write_bytes(folder / path, content)
+    return find_aircraft(folder)
+
+
+def declared_values(aircraft: Aircraft) -> dict[str, float]:
+    """Return property to value of each ``<property value=...>`` of the aircraft's files."""
+    return {
+        name: float(attribute(node, "value"))
+        for path, content in own_files(aircraft).items()
+        if path.endswith(".xml")
+        for name, node in declarations(parse_document(Path(path), content))
+    }

@@ -62,7 +62,8 @@ class AutopilotSettings:
     timeout_s : float
         Longest real time without a packet of it [s].
     port : int
-        UDP port of the simulator; 0 lets the system choose, for peers that are told.
+        UDP port of the simulator; 0 lets the system choose. ``{port}`` in the command is its
+        number.
     """
 
     command: str
