@@ -1,6 +1,6 @@
 """Limits of the search for effects: numbers that no theory gives, each with its reason.
 
-Everything that was tuned stands here; docs/refine-method.md prints the same table. |t| is an
+Everything that was tuned stands here. |t| is an
 estimate over its standard error; a gain is what an effect adds to twice the log likelihood. Steps,
 tolerances and sizes of computations are elsewhere: smaller ones give the same answer.
 """

@@ -2,7 +2,7 @@
 
 Maps are TOML files. The package ships one for each dialect (``signal_maps/*.toml``), and a user's
 map overlays it. This module reads and checks them; `sysid.logs.channels` evaluates their entries.
-`markdown_table` writes the table of docs/log-reference.md.
+`markdown_table` writes the table of signals of the site's reference.
 """
 
 from __future__ import annotations
