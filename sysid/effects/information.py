@@ -40,9 +40,9 @@ class Information:
 
     gram (G, K, K), score (G, K): Y'Y and Y'e of each group; group (S,): that of each segment;
     prior (K,): information from elsewhere.
-    held        names of the columns that ``white`` has, in its order; None: all. Others it makes
-                again or does not have.
-    remembered  results of `corrected_each`: a search needs the same columns again and again
+    stored : names of the columns that ``white`` has, in its order; None: all. Others are computed
+        again, or are missing.
+    cache : results of `corrected_estimates`; a search needs the same columns many times
     """
 
     names: tuple[str, ...]

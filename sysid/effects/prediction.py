@@ -166,8 +166,12 @@ def whiten(
 ) -> list[White]:
     """Filter every segment.
 
-    which  rows of the steps' OUTPUTS that ``measured`` (n, m) holds; noise (m,) standard
-    deviations; process: None for calm air. Raises LinAlgError where no filter follows."""
+    rows : rows of the steps' OUTPUTS that ``measured`` (n, m) has
+    noise : (m,) standard deviations
+    process : None for calm air
+
+    Raises LinAlgError where no steady filter exists.
+    """
     return whitened(follow(steps, measured, rows, noise, process), columns)
 
 

@@ -1,10 +1,10 @@
 """Which candidates are in the data: forward selection with exchange and removal on the linearised
 likelihood, by a fixed rule.
 
-A candidate enters when it explains most (gain less its odds), when its t, corrected for the colour
-of what it leaves, stands above what the largest of all candidates reaches by chance (Sidak), and
-when two parts of the flights do not contradict each other in it. What it replaces is taken out
-again. Candidates without which the answer would be as likely are its alternatives."""
+A candidate enters when its gain in 2 ln L exceeds the gain required of it by the most, when its
+|t|, corrected for coloured residuals, is above the largest |t| that chance gives among all
+candidates (Sidak), and when two parts of the flights agree on its value. Chosen effects that it
+makes superfluous are removed. Candidates that explain nearly as much are its alternatives."""
 
 from __future__ import annotations
 
@@ -68,8 +68,11 @@ class SelectedEffect:
 
 @dataclass(frozen=True)
 class RejectedCandidate:
-    """The best candidate that did not enter, and why. strong: it stands well above chance, so
-    something is there; unconfirmed: parts of the flights contradict each other in it."""
+    """The best candidate that did not enter, and why.
+
+    strong : its |t| is well above chance, so something is missing from the model
+    unconfirmed : parts of the flights contradict each other about its value
+    """
 
     key: str
     t: float
@@ -136,7 +139,7 @@ def chance_limit(
 def select(
     information: Information,
     free: Sequence[str],
-    candidates: Mapping[str, float],
+    required_gains: Mapping[str, float],
     chosen: Sequence[str] = (),
     max_effects: int = 6,
     limit: float | None = None,
@@ -145,26 +148,30 @@ def select(
 ) -> Selection:
     """Choose effects.
 
-    free        columns that are estimated in any case; candidates: key -> odds
-    chosen      effects to begin with, which may be exchanged or removed again
-    limit       smallest |t| of an effect (default: chance_limit)
-    empirical   whether |t| must also exceed the limit times the standard deviation of all
-                candidates' t (Efron, JASA 99, 2004), which is one for noise alone
-    alone       |t| from which one that enters is the last to do so
+    Parameters
+    ----------
+    free : columns that are estimated in any case
+    required_gains : candidate -> gain in 2 ln L that is required of it
+    chosen : effects to begin with, which may be exchanged or removed again
+    max_effects : most effects that may be chosen
+    limit : smallest |t| of an effect (default: `chance_limit`)
+    empirical : whether |t| must also exceed the limit times the standard deviation of all
+        candidates' t (Efron, JASA 99, 2004), which is one for noise alone
+    decisive_t : |t| from which an entering effect ends the selection
     """
-    limit = chance_limit(information, free, list(candidates)) if limit is None else limit
+    limit = chance_limit(information, free, list(required_gains)) if limit is None else limit
     current: list[str] = list(chosen)
     trail: list[str] = []
     refused: RejectedCandidate | None = None
     for _ in range(3 * max_effects):
         before = list(current)
-        _exchange(information, free, candidates, current, trail)
+        _exchange(information, free, required_gains, current, trail)
         _prune(information, free, current, trail, limit)
         refused = None
         if len(current) < max_effects:
-            unselected = [c for c in candidates if c not in current]
+            unselected = [c for c in required_gains if c not in current]
             entering = _entering(
-                information, [*free, *current], unselected, candidates, limit, empirical
+                information, [*free, *current], unselected, required_gains, limit, empirical
             )
             if isinstance(entering, RejectedCandidate):
                 refused = entering
@@ -176,23 +183,23 @@ def select(
         if current == before:
             break
     return Selection(
-        estimate_selected(information, free, current, list(candidates)), refused, tuple(trail)
+        estimate_selected(information, free, current, list(required_gains)), refused, tuple(trail)
     )
 
 
 def estimate_selected(
     information: Information, free: Sequence[str], keys: Sequence[str], candidates: Sequence[str]
 ) -> tuple[SelectedEffect, ...]:
-    """The effects ``keys`` as they stand, each beside the others, with alternatives among the
+    """Estimate the effects ``keys`` together, and find the alternatives of each among the
     candidates; the strongest first.
     """
-    open_ = [k for k in candidates if k not in keys]
+    unselected = [k for k in candidates if k not in keys]
     out = []
     for key in keys:
         free_beside = [*free, *(o for o in keys if o != key)]
         out.append(
             _with_alternatives(
-                information, free_beside, _estimate_one(information, free_beside, key), open_
+                information, free_beside, _estimate_one(information, free_beside, key), unselected
             )
         )
     return tuple(sorted(out, key=lambda c: -c.gain))
@@ -211,24 +218,26 @@ def _estimate_one(information: Information, free: Sequence[str], key: str) -> Se
 def _entering(
     information: Information,
     free: Sequence[str],
-    open_: Sequence[str],
-    odds: Mapping[str, float],
+    unselected: Sequence[str],
+    required_gains: Mapping[str, float],
     limit: float,
     empirical: bool,
 ) -> SelectedEffect | RejectedCandidate | None:
-    """The candidate to enter. One in which the flights contradict each other may be disturbed by
-    another that is missing as well: those that do not resemble it are then asked; it comes to its
-    turn again beside them."""
+    """The candidate to enter, or the best one that may not.
+
+    Where the flights contradict each other about the best candidate, another missing effect may
+    disturb it: candidates whose correlation with it is below UNLIKE are tried next, and it is
+    tried again after one of them has entered."""
     first: RejectedCandidate | None = None
     for _ in range(TURNS):
-        best = _best(information, free, open_, odds, limit, empirical)
+        best = _best(information, free, unselected, required_gains, limit, empirical)
         if not (isinstance(best, RejectedCandidate) and best.unconfirmed):
             return best if isinstance(best, SelectedEffect) else first or best
         first = first or best
-        alike = column_correlations(information, free, best.key, open_)
-        open_ = [
+        alike = column_correlations(information, free, best.key, unselected)
+        unselected = [
             k
-            for k, a in zip(open_, alike, strict=True)
+            for k, a in zip(unselected, alike, strict=True)
             if k != best.key and abs(np.nan_to_num(a)) < UNLIKE
         ]
     return first
@@ -237,14 +246,16 @@ def _entering(
 def _best(
     information: Information,
     free: Sequence[str],
-    open_: Sequence[str],
-    odds: Mapping[str, float],
+    unselected: Sequence[str],
+    required_gains: Mapping[str, float],
     limit: float,
     empirical: bool,
 ) -> SelectedEffect | RejectedCandidate | None:
-    result = scores(information, free, open_)
-    merit = np.nan_to_num(result.gain - np.array([odds[k] for k in open_]), nan=-np.inf)
-    if not np.isfinite(merit).any():
+    result = scores(information, free, unselected)
+    penalised_gain = np.nan_to_num(
+        result.gain - np.array([required_gains[k] for k in unselected]), nan=-np.inf
+    )
+    if not np.isfinite(penalised_gain).any():
         return None
     # A candidate that is really there moves few of the others: their median does not know of it.
     dispersion = (
@@ -252,12 +263,14 @@ def _best(
         if empirical
         else 1.0
     )
-    best, *next_ = np.argsort(-merit)[:LOOKED_AT].tolist()
-    choice = _estimate_one(information, free, open_[best])
+    best, *runners_up = np.argsort(-penalised_gain)[:LOOKED_AT].tolist()
+    choice = _estimate_one(information, free, unselected[best])
     if not abs(choice.t) > limit:
         # Colour may weigh on one candidate more than on the next.
         next_best = (
-            _estimate_one(information, free, open_[k]) for k in next_ if merit[k] >= limit**2
+            _estimate_one(information, free, unselected[k])
+            for k in runners_up
+            if penalised_gain[k] >= limit**2
         )
         choice = next((c for c in next_best if abs(c.t) > limit), choice)
         if not abs(choice.t) > limit:
@@ -293,22 +306,26 @@ def _best(
 def _exchange(
     information: Information,
     free: Sequence[str],
-    odds: Mapping[str, float],
+    required_gains: Mapping[str, float],
     current: list[str],
     trail: list[str],
 ) -> None:
-    """Every chosen effect against every other candidate in its place."""
+    """Replace each chosen effect by the candidate that explains more in its place."""
     for k, key in enumerate(current):
         free_beside = [*free, *current[:k], *current[k + 1 :]]
-        open_ = [c for c in odds if c not in current or c == key]
-        merit = np.nan_to_num(
-            scores(information, free_beside, open_).gain - np.array([odds[c] for c in open_]),
+        unselected = [c for c in required_gains if c not in current or c == key]
+        penalised_gain = np.nan_to_num(
+            scores(information, free_beside, unselected).gain
+            - np.array([required_gains[c] for c in unselected]),
             nan=-np.inf,
         )
-        best = int(np.argmax(merit))
-        if open_[best] != key and merit[best] > merit[open_.index(key)] + DIFFERENT**2:
-            current[k] = open_[best]
-            trail.append(f"{key} -> {open_[best]}")
+        best = int(np.argmax(penalised_gain))
+        if (
+            unselected[best] != key
+            and penalised_gain[best] > penalised_gain[unselected.index(key)] + DIFFERENT**2
+        ):
+            current[k] = unselected[best]
+            trail.append(f"{key} -> {unselected[best]}")
 
 
 def _prune(
@@ -318,7 +335,7 @@ def _prune(
     trail: list[str],
     limit: float,
 ) -> None:
-    """The weakest effect below the limit taken out, again and again; one that is alone stays."""
+    """Remove the weakest effect below the limit until none is; a single effect stays."""
     while len(current) > 1:
         t = [
             abs(value / std)
@@ -335,9 +352,10 @@ def _prune(
 def _companions(
     information: Information, free: Sequence[str], companions: Sequence[str]
 ) -> list[str]:
-    """Terms to be left free beside a confounded effect: those named, and for every effect in roll
-    or yaw that stands the same one about the other axis, because a wrong product of inertia turns
-    the one into the other."""
+    """Terms to estimate together with a confounded effect: those given, and for each chosen effect
+    in roll or yaw the same term about the other axis, because a wrong product of inertia turns the
+    one into the other.
+    """
     if not companions:
         return []
     axes = ("effect/Cl/", "effect/Cn/"), ("effect/Cn/", "effect/Cl/")
@@ -350,29 +368,29 @@ def _companions(
 
 
 def _with_alternatives(
-    information: Information, free: Sequence[str], choice: SelectedEffect, open_: Sequence[str]
+    information: Information, free: Sequence[str], choice: SelectedEffect, unselected: Sequence[str]
 ) -> SelectedEffect:
-    """The effect with the candidates that would do nearly as well in its place, the best first;
-    inseparable ones before.
+    """Add the candidates that would explain nearly as much in the effect's place: inseparable ones
+    first, then by gain.
     """
-    if not open_:
+    if not unselected:
         return choice
-    gains = np.nan_to_num(scores(information, free, open_).gain, nan=-np.inf)
+    gains = np.nan_to_num(scores(information, free, unselected).gain, nan=-np.inf)
     effect_information = float(scores(information, free, [choice.key]).information[0])
     least_gain = min(COMPARABLE * choice.gain, choice.gain - DIFFERENT**2)
     nearest_rows = [i for i in np.argsort(-gains)[:LOOKED_AT].tolist() if gains[i] > least_gain]
     nearest_rows += [
         i
-        for i, k in enumerate(open_)
+        for i, k in enumerate(unselected)
         if (choice.key, k) in TWINS and i not in nearest_rows and np.isfinite(gains[i])
     ]
     rows = []
     for i, same in zip(
         nearest_rows,
-        column_correlations(information, free, choice.key, [open_[i] for i in nearest_rows]),
+        column_correlations(information, free, choice.key, [unselected[i] for i in nearest_rows]),
         strict=True,
     ):
-        key = open_[i]
+        key = unselected[i]
         companions = _companions(information, free, TWINS.get((choice.key, key), ()))
         with_rival = scores(information, [*free, key, *companions], [choice.key])
         # White t of the effect beside its rival, brought to the colour of the residuals by the
@@ -387,13 +405,19 @@ def _with_alternatives(
         )
     # Causes that physics makes alike before a third form of the same: those of the effect, then of
     # the nearest alternative.
-    kin = {key for one, key in TWINS if one == choice.key}
+    twins_of_effect = {key for one, key in TWINS if one == choice.key}
     alike = [r for r in rows if not r.separable]
-    nearest = next((a.key for a in alike if a.key not in kin), "")
+    nearest = next((a.key for a in alike if a.key not in twins_of_effect), "")
     inseparable_rows = sorted(
         alike,
         key=lambda a: (
-            0 if a.key in kin else 1 if a.key == nearest else 2 if (nearest, a.key) in TWINS else 3
+            0
+            if a.key in twins_of_effect
+            else 1
+            if a.key == nearest
+            else 2
+            if (nearest, a.key) in TWINS
+            else 3
         ),
     )
     return replace(

@@ -6,14 +6,15 @@ stop.
 2. Timing (`controls_offset`): one time offset of all controls is an error of the record, not an
    effect. Where it explains as much as any effect, the controls are shifted and 1 is repeated.
 3. Propose (`SearchContext.select`): the linearised likelihood about the last model proposes
-   effects. One whose |t| is overwhelming is flown before others are proposed beside it: what
-   linearisation leaves of it looks like others.
+   effects. An effect with overwhelming |t| is flown alone first, because what linearisation leaves
+   of it resembles other effects.
 4. Fit (`ModelFitter.fit`): the proposal is flown and everything is estimated. Where the newest
    effect is doubtful, others that explain nearly as much are flown in its place: an airspeed sensor
    that reads a quarter too much looks at first like a thrust error, |t| 36 and 37. Flown, the
    sensor's fault leaves nothing to explain.
-5. Compare (`likeliest`): by the log likelihood, less what each effect must earn (`EARNED`).
-6. Stop at a model that proposes itself, and drop effects that are weak once flown (`drop_weak`).
+5. Compare (`best_model`): by the log likelihood, less the gain required of each effect (`EARNED`).
+6. Stop at a model that proposes itself, and drop effects whose |t| in the simulation is too small
+   (`drop_weak`).
 """
 
 from __future__ import annotations
@@ -286,10 +287,10 @@ class Baseline:
         offsets = {lateness(f): nuisance[lateness(f)] for f in self.data.timed}
         information = self.information.without_values(offsets)
         free = [n for n in self.fit.columns[0].names if n not in offsets]
-        odds = eligible(self.effects, self.data, free, information)
-        limit = max(threshold(len(odds) + 1), self.estimator.least_t)
+        required_gains = eligible(self.effects, self.data, free, information)
+        limit = max(threshold(len(required_gains) + 1), self.estimator.least_t)
         return controls_offset(
-            information, free, odds, limit, *offset_tolerance_s(command_s, first)
+            information, free, required_gains, limit, *offset_tolerance_s(command_s, first)
         )
 
 
@@ -373,7 +374,7 @@ def fit_baseline(
 def controls_offset(
     information: Information,
     free: Sequence[str],
-    odds: Mapping[str, float],
+    required_gains: Mapping[str, float],
     limit: float,
     least_s: float,
     earliest_s: float,
@@ -386,7 +387,7 @@ def controls_offset(
     Parameters
     ----------
     information : with the column of CONTROLS_LATE
-    odds : candidate -> gain required of it
+    required_gains : candidate -> gain required of it
     limit : |t| required
     least_s, earliest_s : offsets between -earliest_s and least_s are no error of the record
     """
@@ -395,8 +396,10 @@ def controls_offset(
     if not abs(value / std) > limit or not (value > least_s or value < -earliest_s):
         return None
     gain = float(scores(information, free, [key]).gain[0])
-    rivals = list(odds)
-    rival_gain = scores(information, free, rivals).gain - np.array([odds[k] for k in rivals])
+    rivals = list(required_gains)
+    rival_gain = scores(information, free, rivals).gain - np.array(
+        [required_gains[k] for k in rivals]
+    )
     if np.nanmax(rival_gain, initial=0.0) > gain:
         return None
     lags = [k for k in rivals if k.startswith("effect/actuator.") and k.endswith("/lag")]
@@ -443,8 +446,8 @@ def offset_words(late_s: float, std_s: float, dt_s: float) -> str:
     return (
         f"the controls act {1e3 * abs(late_s):.1f} +/- {1e3 * std_s:.1f} ms"
         f" ({abs(late_s) / dt_s:.2f} rows) {direction} the time the records give them, all by the"
-        " same: a matter of the record's clock, not of a servo; put right in every flight here"
-        " before effects were looked for. Find out which clock stamps the commands"
+        " same. The cause is the record's clock, not a servo; all flights were corrected before the"
+        " search for effects. Find out which clock stamps the commands"
     )
 
 
@@ -510,29 +513,31 @@ class EffectSearch:
             context.cost,
             context.estimator.turbulence,
         )
-        about, models = baseline, list[CandidateModel]()
+        reference_model, models = baseline, list[CandidateModel]()
         visited: set[frozenset[str]] = set()
         trail = [f"round 1: {line}" for line in first.trail]
         competitors_left = SEVERAL
         for number in range(2, MOST_MODELS + 2):
             # Propose: stop at a model that proposes itself.
-            proposal = about.reselection
-            if about.is_stationary or not proposal.chosen:
+            proposal = reference_model.reselection
+            if reference_model.is_stationary or not proposal.chosen:
                 break
             # Fit the proposal, and competing ones where its newest effect is doubtful.
             self.callback(f"round {number}: flying with {listed(proposal.values)}")
             name = f"{label}{number}"
-            model = self.fitter.fit(context, proposal, about, name)
+            model = self.fitter.fit(context, proposal, reference_model, name)
             if model is not None:
                 trail += [f"round {number}: {line}" for line in model.reselection.trail]
-            competitors = competing_proposals(context, model, proposal, about)[:competitors_left]
+            competitors = competing_proposals(context, model, proposal, reference_model)[
+                :competitors_left
+            ]
             competitors_left -= len(competitors)
             if competitors:
                 texts = "; ".join(listed(o.values) for o in competitors)
                 self.callback(f"flying {texts} instead")
             # Compare: one at a time, because a model takes a tenth of a gigabyte and more.
             for k, other in enumerate(competitors):
-                trial = self.fitter.fit(context, other, about, f"{name}-instead{k}")
+                trial = self.fitter.fit(context, other, reference_model, f"{name}-instead{k}")
                 model = best_model([m for m in (trial, model) if m is not None])
                 del trial
             if model is None:
@@ -546,7 +551,7 @@ class EffectSearch:
                 trail.append(f"round {number}: {winner} flies better than {loser}")
             # Keep the best of each set of samples, and the last.
             models = [*(m for m in models if m is best_model([*models, m])), model]
-            about = model
+            reference_model = model
             # Stop where the search would go round in circles.
             visited.add(model.keys)
             following = frozenset(model.reselection.values)
@@ -576,10 +581,10 @@ class EffectSearch:
         models: Sequence[CandidateModel],
         label: str,
     ) -> tuple[CandidateModel, list[str]]:
-        """The best model, or the one without effects whose |t| is too small once flown; and why.
+        """The best model without the effects whose |t| is too small in the simulation; and why.
 
-        Such a choice goes to and fro: what an effect seemed to be is gone when it flies, and there
-        again when it does not.
+        The selection oscillates in such a case: |t| is large in the linearisation about the model
+        without the effect, and small about the model with it.
         """
         limit, effects = self.context.limit, best.selection.chosen
         if not any(c.t**2 > EARNED * limit**2 for c in effects):
@@ -786,13 +791,13 @@ def chosen_interval(effect: SelectedEffect, limit: float) -> tuple[float, float]
 
 
 def strong_candidates(
-    information: Information, free: Sequence[str], chosen: Sequence[str], odds: Iterable[str]
+    information: Information, free: Sequence[str], chosen: Sequence[str], candidates: Iterable[str]
 ) -> tuple[tuple[str, float], ...]:
     """(key, t) of candidates not chosen whose |t| beside the chosen is above CERTAIN_T, the
     strongest first.
     """
     columns = [n for n in free if not n.startswith("effect/")]
-    keys = [k for k in odds if k not in chosen and k in information.names]
+    keys = [k for k in candidates if k not in chosen and k in information.names]
     t = scores(information, [*columns, *chosen], keys).t if keys else np.zeros(0)
     t = np.nan_to_num(t)
     order = np.argsort(-np.abs(t))

@@ -294,7 +294,7 @@ def compare(
     with_effect: Evaluation,
     data: FlightData,
     fitted: Evaluation,
-    spare: float = np.inf,
+    train_excess_t2: float = np.inf,
 ) -> Verdict:
     """The rise of minus twice the log likelihood when an effect is left out.
 
@@ -307,7 +307,7 @@ def compare(
     Parameters
     ----------
     fitted : the model with its effects on the train flights
-    spare : t^2 on the train flights less the square of the required limit
+    train_excess_t2 : t^2 on the train flights less the square of the required limit
     """
     more_likely = rival
     if with_effect.neg2_log_likelihood <= rival.neg2_log_likelihood:
@@ -326,7 +326,9 @@ def compare(
         starts = np.arange(0, len(terms), max(1, round(BLOCK_S / segment.dt_s)))
         variance += float(np.sum(np.add.reduceat(terms, starts) ** 2))
     residual_ratio = _mean_square(more_likely) ** 0.5 / _mean_square(fitted) ** 0.5
-    return Verdict(change, float(np.sqrt(variance)), residual_ratio, change + spare, (size, fall))
+    return Verdict(
+        change, float(np.sqrt(variance)), residual_ratio, change + train_excess_t2, (size, fall)
+    )
 
 
 def _mean_square(evaluation: Evaluation) -> float:

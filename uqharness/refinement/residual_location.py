@@ -74,11 +74,13 @@ def place_of(
     keys: Sequence[str],
     controls: Sequence[FloatArray],
 ) -> ResidualLocation:
-    """`remaining.place` of refinement.json where something remains.
+    """Find where in the flights the residuals remain: `remaining.place` of refinement.json.
 
-    left      "train", "test" -> channels that are above their noise or coloured there
-    asked     keys of what the train flights ask for beside the effects, or of effects that have
-    another form than what is missing controls  positions in every train segment"""
+    channels : "train", "test" -> channels whose residuals there exceed their noise or are coloured
+    keys : candidates that the train flights support besides the effects, or effects whose form
+        differs from what is missing
+    controls : positions of the controls in every train segment
+    """
     setup, _, evaluation = outcome.train
     test_setup, _, test_evaluation = outcome.test
     series = series_of("train", setup, evaluation, controls) + series_of(

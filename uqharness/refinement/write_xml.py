@@ -1,9 +1,9 @@
 """Effects written into a copy of an aircraft: a term where the author sums the coefficient, else a
 body-axis increment.
 
-Every effect carries a remark with value, interval, data and command and, but for mass and dead
-zones (`writing.numbers`), a property of its own that restores the model without it bit for bit: a
-term's at 0."""
+Every effect carries a remark with value, interval, data and command. Effects other than mass and
+dead zones (`write_mass`, `write_servo`) have a property that restores the model without the effect
+bit for bit; for a term, its value is 0."""
 
 from __future__ import annotations
 
@@ -321,8 +321,9 @@ def term_xml(term: Term, section: AeroSection, aircraft: Aircraft) -> list[Expre
 def subsystem_terms(
     effect: Effect, slopes: Mapping[str, float], section: AeroSection, aircraft: Aircraft
 ) -> list[tuple[str, float, list[Expression]]]:
-    """(coefficient, number, factors) that make up a subsystem's effect; slopes: of
-    `writing.effects.Written`.
+    """(coefficient, number, factors) that make up a subsystem's effect.
+
+    slopes : as in `EffectToWrite`
     """
 
     def x(name: str) -> Expression:

@@ -103,7 +103,7 @@ def sampling_errors(
 
     Parameters
     ----------
-    model, straight
+    model, direct_model
         The aircraft with its actuators, and with its controls passed straight through.
     parts
         Segments that the coefficients are computed of.

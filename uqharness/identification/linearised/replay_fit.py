@@ -382,9 +382,11 @@ def moved_starts(
 def step_from(
     setup: FlightData, point: ModelState, evidence: Information
 ) -> tuple[FloatArray, float]:
-    """Gauss-Newton step (K,) from a point, and its length in standard errors. What is `held` stays,
-    and what flights would have beyond where it ends: a share of a jump beyond SHARES, a rate limit
-    where it is not felt."""
+    """Gauss-Newton step (K,) from a point, and its length in standard errors.
+
+    Fixed effects do not move; neither does a parameter that the step would take beyond its range: a
+    share of a jump beyond SHARES, a rate limit that no command reaches.
+    """
     delta, length = evidence.step(setup.fixed_effects)
     move = dict(zip(evidence.names, delta.tolist(), strict=True))
     (low, high), shares = SHARES, {unseen(f): unseen_share(point, f) for f in setup.jumping}
