@@ -25,6 +25,7 @@ from sysid.logs.card import AirframeCard, read_card
 from sysid.logs.channels import wrap_angles
 from sysid.logs.derived import assumptions, select_rows
 from sysid.logs.importers import dataflash
+from sysid.logs.importers.csv_dialects import CSV_DIALECTS, PLAIN
 from sysid.logs.importers.detect import detect
 from sysid.logs.signal_map import Entry, RowSelection, SignalMap, read_map, shipped_map
 from sysid.logs.time_base import split
@@ -327,7 +328,7 @@ _MAP_OF = {
     "dataflash-text": "dataflash",
     "tlog": "tlog",
     "ulog": "ulog",
-    "jsbsim-csv": "jsbsim-csv",
+    **{name: name for name in CSV_DIALECTS if name != PLAIN.name},
 }
 
 

@@ -24,6 +24,7 @@ from sysid.logs.assemble import assemble
 from sysid.logs.card import AirframeCard, read_card
 from sysid.logs.channels import Times, resolve
 from sysid.logs.checking.physics import evaluate_laws
+from sysid.logs.importers.csv_dialects import CSV_DIALECTS
 from sysid.logs.importers.detect import detect
 from sysid.logs.load import map_of_dialect, read_raw
 from sysid.logs.sensors import Sensors
@@ -229,7 +230,7 @@ def propose_map(
         _time_of(raw),
         tuple(proposals[n] for n in SIGNALS if n in proposals),
         tuple(n for n, s in SIGNALS.items() if s.core and n != "time_s" and n not in available),
-        _unused(raw, used) if dialect in ("csv", "parquet", "jsbsim-csv") else {},
+        _unused(raw, used) if dialect in (*CSV_DIALECTS, "parquet") else {},
         tuple(
             n
             for n in SIGNALS
@@ -375,8 +376,8 @@ def _propose_field(
             f"unit {unit}"
             f" {'by the line of units' if f'unit {field}' in raw.facts else 'by its name'}"
         )
-    elif raw.dialect == "jsbsim-csv":
-        evidence.append("lengths, speeds and forces of JSBSim's names are read in SI")
+    elif raw.dialect in CSV_DIALECTS and CSV_DIALECTS[raw.dialect].names_state_units:
+        evidence.append(f"the names of {raw.dialect} state units; the values are in SI")
     else:
         scale, note = _scale_by_size(signal_unit, signal, values)
         unsure.append(note)

@@ -11,6 +11,7 @@ from pathlib import Path
 from sysid.errors import LogError
 from sysid.foreign.regular_files import open_regular
 from sysid.logs.channels import COMPONENTS
+from sysid.logs.importers.csv_dialects import csv_dialect_of
 from sysid.logs.importers.dataflash import FMT_LENGTH, FMT_TYPE, MAGIC
 from sysid.logs.importers.tables import SNIFFED_BYTES, decoded, sniff
 from sysid.vocabulary import SIGNALS
@@ -33,20 +34,6 @@ _SUPPORTED = (
     "DataFlash .bin or .log, MAVLink .tlog, PX4 .ulg, MATLAB .mat, a flight record in Parquet or"
     " CSV, JSBSim's CSV"
 )
-JSBSIM_HEADINGS = frozenset(
-    {
-        "V_{Total} (ft/s)",
-        "V_{Inertial} (ft/s)",
-        "P (deg/s)",
-        "Phi (deg)",
-        "Alpha (deg)",
-        "Altitude ASL (ft)",
-        "Aileron Command (norm)",
-        "Rho (slugs/ft^3)",
-        "F_{Total x} (lbs)",
-    }
-)
-"""At least one heading of each group of JSBSim's <output> (FGOutputTextFile.cpp, version 1.3.3)."""
 
 
 def detect(path: Path) -> str:
@@ -168,12 +155,5 @@ def _text(head: bytes) -> str | None:
         return "csv"
     if table is None or table.numeric < 2:
         return None
-    if table.names[0] == "Time" and any(is_jsbsim_name(name) for name in table.names):
-        return "jsbsim-csv"
-    # A table of numbers with other names can be used with a user's map.
-    return "csv"
-
-
-def is_jsbsim_name(name: str) -> bool:
-    """Return whether a column is named as a JSBSim property or a heading of its <output>."""
-    return "/" in name.split(" (")[0] or "fdm" in name or name in JSBSIM_HEADINGS
+    # A table of numbers with unknown names can be used with a user's map.
+    return csv_dialect_of(table.names)

@@ -29,6 +29,7 @@ from sysid.errors import LogError
 from sysid.foreign.limited import MemoryLimit
 from sysid.foreign.raw import ProgressCallback, RawLog, TimeColumn
 from sysid.foreign.typed_files import dump
+from sysid.logs.importers.csv_dialects import CSV_DIALECTS
 
 _PROGRESS_S = 0.1
 
@@ -110,7 +111,7 @@ def _messages(
 def _csv(tables: Any, path: Path, order: Mapping[str, Any], callback: ProgressCallback) -> Parts:
     """Read a CSV table."""
     return _log_parts(
-        tables.read_csv(path, _selection(order), order["kind"] == "jsbsim-csv", _time(order))
+        tables.read_csv(path, _selection(order), CSV_DIALECTS[order["kind"]], _time(order))
     )
 
 
@@ -145,8 +146,7 @@ _READERS: dict[str, tuple[str, Callable[..., Parts]]] = {
     "ulog": ("ulog", _messages),
     "tlog": ("tlog", _messages),
     "mat": ("mat", _mat),
-    "csv": ("tables", _csv),
-    "jsbsim-csv": ("tables", _csv),
+    **dict.fromkeys(CSV_DIALECTS, ("tables", _csv)),
     "parquet": ("tables", _parquet),
     "record": ("tables", _record),
     "table": ("tables", _table),

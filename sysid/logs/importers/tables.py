@@ -36,8 +36,8 @@ from sysid.foreign.limited import (
 from sysid.foreign.raw import FieldSelection, MessageTable, RawLog, TimeColumn
 from sysid.foreign.regular_files import in_words, open_regular
 from sysid.logs.channels import COMPONENTS, with_air_data
+from sysid.logs.importers.csv_dialects import PLAIN, CsvDialect
 from sysid.logs.time_base import TIME_UNITS, likely_time_unit, time_unit_finding
-from sysid.units import FT_M, KT_MPS, LBF_N, PSF_PA, SLUG_FT2_KGM2, SLUG_FT3_KGPM3, SLUG_KG
 from sysid.vocabulary import LABELS, SIGNALS
 
 # Format of a text table. Python's csv module splits the first lines by every combination of
@@ -433,48 +433,12 @@ _CSV_MARK = "# flight_record"
 _MESSAGE = "csv"
 _CHECKED_ROWS = 100
 _QUOTED = re.compile(rb'"[^"]*"')
-# Suffix of a JSBSim property to its factor into SI. Angles keep their unit; a map converts them.
-_SUFFIXES = {
-    "-ft_sec2": FT_M,
-    "-fps_sec": FT_M,
-    "-fps": FT_M,
-    "-ft": FT_M,
-    "-kts": KT_MPS,
-    "-slugs_ft3": SLUG_FT3_KGPM3,
-    "-lbs": LBF_N,
-    "-lbs_ft2": PSF_PA,
-    "-psf": PSF_PA,
-    "-slugs": SLUG_KG,
-    "-slug_ft2": SLUG_FT2_KGM2,
-    # Headings of JSBSim's <output>.
-    "(ft/s)": FT_M,
-    "(ft)": FT_M,
-    "(lbs)": LBF_N,
-    "(psf)": PSF_PA,
-    "(slugs/ft^3)": SLUG_FT3_KGPM3,
-}
-_FT_S2 = frozenset(f"BodyAccel_{axis}" for axis in "XYZ")
-"""Headings of JSBSim's <output> without a unit, in ft/s2."""
-
-
-def si_factor(name: str) -> float:
-    """Return the factor from the unit of a JSBSim property or heading to SI; 1 for angles and
-    unknown units.
-
-    Examples
-    --------
-    >>> round(si_factor("velocities/vt-fps"), 3)
-    0.305
-    """
-    if name in _FT_S2:
-        return FT_M
-    return next((f for s, f in _SUFFIXES.items() if name.endswith(s)), 1.0)
 
 
 def read_csv(
     path: Path,
     selection: FieldSelection | None = None,
-    jsbsim: bool = False,
+    dialect: CsvDialect = PLAIN,
     time: TimeColumn | None = None,
 ) -> RawLog:
     """Read a CSV table as one message "csv".
@@ -485,8 +449,8 @@ def read_csv(
         File.
     selection : mapping or None
         Message "csv" to column names; None reads all.
-    jsbsim : bool
-        Remove a leading /fdm/jsbsim/ from names and convert to SI by their suffix.
+    dialect : CsvDialect
+        How names are cleaned and units converted.
     time : TimeColumn or None
         Column of times by a map; None to detect it.
 
@@ -499,7 +463,7 @@ def read_csv(
     with _as_log_error("CSV table", path):
         # Read all columns: with some left out, pandas does not report lines that are too long.
         frame = pd.read_csv(path, **_pandas_options(table_format, path))
-    names = [_plain(name, jsbsim) for name in frame.columns]
+    names = [dialect.column_name(name) for name in frame.columns]
     columns_read = _columns_to_read(names, selection, time, path)
     columns = [(name, frame.iloc[:, k]) for k, name in enumerate(names)]
     first_line = 2 if table_format is None else table_format.first_row_line + 1
@@ -508,7 +472,7 @@ def read_csv(
         len(frame),
         path,
         columns_read=columns_read,
-        jsbsim=jsbsim,
+        dialect=dialect,
         time=time,
         line=first_line,
     )
@@ -845,12 +809,6 @@ def _series(column: pa.ChunkedArray) -> pd.Series:
     return pd.Series(values[codes])
 
 
-def _plain(name: Any, jsbsim: bool) -> str:
-    """Return a column name without blanks and, for JSBSim, without its prefix."""
-    text = str(name).strip()
-    return text.removeprefix("/fdm/jsbsim/") if jsbsim else text
-
-
 def _columns_to_read(
     names: Sequence[str], selection: FieldSelection | None, time: TimeColumn | None, path: Path
 ) -> set[str]:
@@ -874,7 +832,7 @@ def _from_columns(
     path: Path,
     *,
     columns_read: set[str] | None = None,
-    jsbsim: bool = False,
+    dialect: CsvDialect = PLAIN,
     time: TimeColumn | None = None,
     line: int = 2,
 ) -> RawLog:
@@ -890,8 +848,8 @@ def _from_columns(
         File, for messages.
     columns_read : set of str or None
         Columns that the log keeps; None keeps all.
-    jsbsim : bool
-        Convert to SI by suffix.
+    dialect : CsvDialect
+        Gives the factor from a column's unit to SI.
     time : TimeColumn or None
         Column of times by a map.
     line : int
@@ -923,7 +881,7 @@ def _from_columns(
                     {"cells": float(text_cells), "line": float(row)},
                 )
             )
-        fields[name] = numbers * (si_factor(name) if jsbsim else 1.0)
+        fields[name] = numbers * dialect.si_factor(name)
     column, time_s, time_findings = times_of(fields, time, path)
     del fields[column.field]
     has_time = np.isfinite(time_s)
@@ -932,13 +890,12 @@ def _from_columns(
     fields = {
         n: v[has_time] for n, v in fields.items() if columns_read is None or n in columns_read
     }
-    dialect = "jsbsim-csv" if jsbsim else "csv"
     table = MessageTable(time_s[has_time], fields)
     return RawLog(
-        dialect,
+        dialect.name,
         {(_MESSAGE, 0): table},
         {_MESSAGE: rows},
-        vehicle="JSBSim" if jsbsim else "",
+        vehicle=dialect.vehicle,
         findings=(*time_findings, *findings),
         facts={"time column": column.field, "time unit": column.unit},
     )
