@@ -15,8 +15,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from sysid.digests import file_sha256, sha256_hex
-from sysid.foreign.regular_files import read_regular
+from sysid.foreign.regular_files import file_sha256, read_regular, sha256_hex
 from uqharness.errors import BadInputError
 
 SUMS = "SHA256SUMS"

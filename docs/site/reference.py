@@ -32,8 +32,7 @@ from uqharness.results.identification import Bounds, Compare, Coverage, Fit
 from uqharness.results.next_flight import NextFlightPlan
 from uqharness.results.refinement import Refinement
 from uqharness.results.study import Study
-from uqharness.simulator.aircraft import PROJECT_ROOT, STANDARD
-from uqharness.simulator.card import Card
+from uqharness.simulator.aircraft import PROJECT_ROOT, STANDARD, Card
 
 NOTE = "<!-- Written by docs/site/reference.py at every build. -->\n\n"
 

@@ -97,7 +97,7 @@ _HOME = Path(__file__).parents[2]
 # needed.
 _READER_CODE = (
     "import sys; sys.path.insert(0, sys.argv[1]); import sysid; del sys.path[0]; "
-    "from sysid.logs.importers.limited_child import main; main()"
+    "from sysid.logs.limited_child import main; main()"
 )
 
 

@@ -27,8 +27,8 @@ from typing import Any, Literal, TypeVar, Union, get_args, get_origin
 
 import numpy as np
 
-from sysid.digests import sha256_of_parts
 from sysid.errors import one_line
+from sysid.foreign.regular_files import sha256_of_parts
 
 _NUMBERS: dict[Any, tuple[type, ...]] = {
     float: (float, int, np.floating, np.integer),

@@ -25,3 +25,4 @@ from .map_proposal import propose_map as propose_map
 from .servo import logged_rows as logged_rows
 from .servo import parse_parameters as parse_parameters
 from .servo import place_steps as place_steps
+from .tables import read_small_table as read_small_table

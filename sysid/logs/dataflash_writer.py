@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from sysid.arrays import FloatArray
 from sysid.errors import LogError
 from sysid.logs.card import AirframeCard, Mix, Servo
-from sysid.logs.importers.dataflash import CHARACTERS, FMT_LENGTH, FMT_TYPE, MAGIC, Format
+from sysid.logs.dataflash import CHARACTERS, FMT_LENGTH, FMT_TYPE, MAGIC, Format
 from sysid.logs.servo import FUNCTIONS, PANEL_FUNCTIONS, USUAL_CHANNELS
 from sysid.record import FlightRecord
 from sysid.vocabulary import MANOEUVRE_TEXT, MODE_NUMBERS

@@ -15,18 +15,16 @@ from pathlib import Path
 
 import numpy as np
 
-from sysid.digests import file_sha256, sha256_hex
 from sysid.errors import Finding, LogError
 from sysid.foreign import limited
 from sysid.foreign.raw import ProgressCallback, RawLog
-from sysid.foreign.regular_files import read_regular_text
+from sysid.foreign.regular_files import file_sha256, read_regular_text, sha256_hex
+from sysid.logs import dataflash
 from sysid.logs.assemble import assemble, with_checks, with_current_checks
 from sysid.logs.card import AirframeCard, read_card
-from sysid.logs.channels import wrap_angles
-from sysid.logs.derived import assumptions, select_rows
-from sysid.logs.importers import dataflash
-from sysid.logs.importers.csv_dialects import CSV_DIALECTS, PLAIN
-from sysid.logs.importers.detect import detect
+from sysid.logs.channels import assumptions, select_rows, wrap_angles
+from sysid.logs.csv_dialects import CSV_DIALECTS, PLAIN
+from sysid.logs.detect import detect
 from sysid.logs.signal_map import Entry, RowSelection, SignalMap, read_map, shipped_map
 from sysid.logs.time_base import split
 from sysid.record import Boot, FlightRecord

@@ -24,8 +24,8 @@ from sysid.logs.assemble import assemble
 from sysid.logs.card import AirframeCard, read_card
 from sysid.logs.channels import Times, resolve
 from sysid.logs.checking.physics import evaluate_laws
-from sysid.logs.importers.csv_dialects import CSV_DIALECTS
-from sysid.logs.importers.detect import detect
+from sysid.logs.csv_dialects import CSV_DIALECTS
+from sysid.logs.detect import detect
 from sysid.logs.load import map_of_dialect, read_raw
 from sysid.logs.sensors import Sensors
 from sysid.logs.signal_map import Entry, SignalMap

@@ -45,7 +45,7 @@ DOORS: Mapping[str, tuple[str, ...]] = {
         "uqharness/campaign/dask.py",  # Dask's futures end with its errors
     ),
     "hashlib": (
-        "sysid/digests.py",
+        "sysid/foreign/regular_files.py",
         "sysid/foreign/typed_files.py",  # raw bytes inside a file format
         "uqharness/simulator/staging.py",  # an identity of many files in order
         "uqharness/flight/random_numbers.py",  # a number from a name
@@ -80,7 +80,7 @@ XML_TEXT = (
     "uqharness/flight/fly.py",
     "uqharness/simulator/engine.py",
     "uqharness/simulator/mission.py",
-    "uqharness/simulator/xml_findings.py",
+    "uqharness/simulator/aircraft_checks.py",
 )
 UNITS = ("units.py", "engine_files.py")
 FACTORS = re.compile(

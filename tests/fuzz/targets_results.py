@@ -113,7 +113,7 @@ def _signed_again(files: Files, name: str, rng: np.random.Generator) -> None:
     """Every other time the manifest's digests are made to fit, so that what lies behind them is
     reached.
     """
-    from sysid.digests import sha256_hex
+    from sysid.foreign.regular_files import sha256_hex
     from uqharness.campaign.manifest import digest_of_text
 
     try:

@@ -21,9 +21,9 @@ from uqharness import child_process
 from uqharness.child_process import ProcessResult, run_module
 
 USERS = (
-    "uqharness.simulator.physical_checks",
+    "uqharness.simulator.aircraft_checks",
     "uqharness.simulator.facts",
-    "uqharness.plugin.check",
+    "uqharness.plugin.apply",
 )
 """Modules that run themselves in a child."""
 

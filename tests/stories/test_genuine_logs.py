@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from pymavlink import DFReader
 
-from sysid.logs.importers import dataflash as dataflash_binary
+from sysid.logs import dataflash as dataflash_binary
 from sysid.logs.info import LogInfo, log_info
 from sysid.logs.load import import_log
 from sysid.record import FlightRecord

@@ -299,7 +299,7 @@ def test_python_files_of_the_working_folder_are_not_imported_by_children(
     command = [
         sys.executable,
         "-m",
-        "uqharness.simulator.physical_checks",
+        "uqharness.simulator.aircraft_checks",
         "/nowhere",
         "x.xml",
         "/nowhere",
@@ -317,7 +317,7 @@ def test_without_that_environment_they_are(tmp_path: Path) -> None:
     command = [
         sys.executable,
         "-m",
-        "uqharness.simulator.physical_checks",
+        "uqharness.simulator.aircraft_checks",
         "/nowhere",
         "x.xml",
         "/nowhere",

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from sysid.digests import file_sha256, sha256_hex, sha256_of_parts
+from sysid.foreign.regular_files import file_sha256, sha256_hex, sha256_of_parts
 
 OF_ABC = (
     "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"  # FIPS 180-2, appendix B.1

@@ -14,7 +14,7 @@ import stat
 import tempfile
 from pathlib import Path
 
-from sysid.digests import sha256_hex
+from sysid.foreign.regular_files import sha256_hex
 from uqharness.files import user_cache
 
 MARK = b"uqharness object 1\n"

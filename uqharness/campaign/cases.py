@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sysid.digests import sha256_hex
+from sysid.foreign.regular_files import sha256_hex
 from uqharness.campaign.conditions import counted_radii
 from uqharness.campaign.sampling import NOMINAL, Epistemic, epistemic_samples
 from uqharness.campaign.spec import CampaignSpec, VariableSection

@@ -20,7 +20,7 @@ import pandas as pd
 import pyarrow as pa
 
 from sysid.errors import LogError
-from sysid.logs.importers import read_small_table
+from sysid.logs import read_small_table
 from sysid.units import percent
 from uqharness.campaign.conditions import (
     CONFIDENCE,

@@ -31,7 +31,7 @@ from typing import Any, TypeVar
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
-from sysid.digests import file_sha256
+from sysid.foreign.regular_files import file_sha256
 from uqharness.campaign.manifest import binding_versions
 from uqharness.campaign.processes import BATCH_S, PARTS, ProcessExecutor, single_groups
 from uqharness.campaign.worker import (

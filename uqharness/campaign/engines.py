@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 
-from sysid.digests import sha256_hex
+from sysid.foreign.regular_files import sha256_hex
 from uqharness.campaign import read_bounds
 from uqharness.campaign.cases import Case, Mission
 from uqharness.campaign.conditions import Condition

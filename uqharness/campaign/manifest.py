@@ -20,8 +20,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, ValidationError, model_validator
 
 import uqharness
-from sysid.digests import sha256_hex, sha256_of_parts
-from sysid.foreign.regular_files import read_regular
+from sysid.foreign.regular_files import read_regular, sha256_hex, sha256_of_parts
 from uqharness.campaign.cases import Mission
 from uqharness.campaign.read_spec import campaign_from, checked_settings
 from uqharness.campaign.spec import CampaignSpec, Document, without_flights

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from sysid.digests import sha256_hex
+from sysid.foreign.regular_files import sha256_hex
 from uqharness import checksums
 from uqharness.campaign.cases import Case, Mission, build_cases, group_cases
 from uqharness.campaign.cost import Cost, Pace, measure_pace, one_case, one_case_each, size_of

@@ -17,8 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from sysid.digests import sha256_hex
-from sysid.foreign.regular_files import read_regular
+from sysid.foreign.regular_files import read_regular, sha256_hex
 from sysid.units import counted, percent
 from uqharness import checksums
 from uqharness.campaign.cases import Case, Mission, build_cases

@@ -18,9 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field, field_validator, model_validator
 
-from sysid.digests import sha256_hex
 from sysid.errors import LogError
-from sysid.foreign.regular_files import ParseError, parse_json, read_regular
+from sysid.foreign.regular_files import ParseError, parse_json, read_regular, sha256_hex
 from uqharness.errors import BadInputError
 from uqharness.flight import (
     COEFFICIENTS,

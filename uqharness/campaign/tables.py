@@ -19,8 +19,7 @@ from typing import Any
 import pandas as pd
 import pyarrow as pa
 
-from sysid.digests import sha256_hex
-from sysid.foreign.regular_files import read_regular
+from sysid.foreign.regular_files import read_regular, sha256_hex
 from uqharness.campaign.cases import Case
 from uqharness.campaign.conditions import (
     CONFIDENCE,

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
 from numpy.typing import NDArray
 
-from sysid.digests import file_sha256, sha256_hex
+from sysid.foreign.regular_files import file_sha256, sha256_hex
 from sysid.record import FlightRecord
 from sysid.vocabulary import LABELS
 from uqharness.arguments import instance

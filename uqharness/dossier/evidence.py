@@ -15,7 +15,7 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator, Field
 
-from sysid.digests import file_sha256
+from sysid.foreign.regular_files import file_sha256
 from uqharness.campaign import Manifest, read_complete
 from uqharness.dossier.match import FAIL, INCONCLUSIVE, PASS, Match
 from uqharness.errors import BadInputError

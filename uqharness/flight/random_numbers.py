@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.arrays import FloatArray
-from sysid.digests import sha256_hex
+from sysid.foreign.regular_files import sha256_hex
 from uqharness.flight.spec import COEFFICIENTS
 
 GROUP = 16

@@ -19,7 +19,7 @@ import numpy as np
 
 from sysid.aerodynamics import COEFFICIENTS, Cutoffs, Residuals, combine_flights
 from sysid.arrays import FloatArray
-from sysid.digests import file_sha256
+from sysid.foreign.regular_files import file_sha256
 from sysid.model_form import (
     CoefficientBounds,
     Design,

@@ -18,8 +18,7 @@ from typing import Any
 import tomlkit
 
 from sysid.aerodynamics import COEFFICIENTS
-from sysid.digests import sha256_hex
-from sysid.foreign.regular_files import parse_json, read_regular
+from sysid.foreign.regular_files import parse_json, read_regular, sha256_hex
 from sysid.model_form import ModelForm
 from sysid.units import FT_M
 from uqharness.errors import BadInputError

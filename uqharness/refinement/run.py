@@ -14,8 +14,8 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
-from sysid.digests import file_sha256
 from sysid.effects import Effect
+from sysid.foreign.regular_files import file_sha256
 from sysid.logs import FROM_COMMANDS
 from sysid.parallel import Processes
 from uqharness import __version__, checksums

@@ -9,8 +9,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
-from sysid.digests import sha256_hex
-from sysid.foreign.regular_files import read_regular
+from sysid.foreign.regular_files import read_regular, sha256_hex
 from sysid.foreign.typed_files import DataFileError, dump_parts, load
 from uqharness.errors import BadInputError
 from uqharness.files import write_parts

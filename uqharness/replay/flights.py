@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 
 from sysid.aerodynamics import MAX_S, MIN_S, Piece, as_logged, cut_pieces
 from sysid.arrays import FloatArray
-from sysid.digests import file_sha256
 from sysid.errors import LogError
 from sysid.estimation import white_noise
+from sysid.foreign.regular_files import file_sha256
 from sysid.logs import (
     bridge,
     default_cache,

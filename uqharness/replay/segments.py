@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from sysid.arrays import FloatArray
-from sysid.digests import sha256_hex
+from sysid.foreign.regular_files import sha256_hex
 
 
 @dataclass(frozen=True)

@@ -21,8 +21,7 @@ from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Any, Protocol
 from xml.parsers import expat
 
-from sysid.digests import sha256_of_parts
-from sysid.foreign.regular_files import read_regular, require_regular
+from sysid.foreign.regular_files import read_regular, require_regular, sha256_of_parts
 from uqharness.errors import BadInputError
 from uqharness.files import Scratch, scratch_folder
 

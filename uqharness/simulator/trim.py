@@ -21,6 +21,7 @@ from sysid.units import G0_MPS2, LBF_N, SLUG_KG
 from uqharness.errors import BadInputError
 from uqharness.simulator import engine, forced_state, settling
 from uqharness.simulator.aircraft import Aircraft, host_properties, open_aircraft, with_step
+from uqharness.simulator.aircraft_checks import rotor_place
 from uqharness.simulator.forced_state import (
     ACCELERATIONS,
     BodyState,
@@ -32,7 +33,6 @@ from uqharness.simulator.forced_state import (
     set_control,
     set_initial_state,
 )
-from uqharness.simulator.physical_checks import rotor_place
 
 # Explanations of trims without enough, or with too much, thrust.
 

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sysid.digests import sha256_hex
+from sysid.foreign.regular_files import sha256_hex
 from sysid.model_form import MIN_SHARE_INSIDE
 from sysid.units import counted, percent
 from uqharness.campaign import (

@@ -20,9 +20,14 @@ from typing import Any
 import tomlkit
 
 import uqharness
-from sysid.digests import file_sha256, sha256_hex
 from sysid.errors import LogError
-from sysid.foreign.regular_files import ParseError, parse_json, read_regular
+from sysid.foreign.regular_files import (
+    ParseError,
+    file_sha256,
+    parse_json,
+    read_regular,
+    sha256_hex,
+)
 from uqharness import checksums
 from uqharness.campaign import LOCK, binding_versions, read_bounds, run_lock
 from uqharness.errors import BadInputError

@@ -23,7 +23,7 @@ from sysid.foreign import limited
 from sysid.foreign.limited import LIMITS, Limit
 from sysid.foreign.raw import RawLog
 from sysid.foreign.typed_files import load
-from sysid.logs.importers import tables, tlog, ulog
+from sysid.logs import tables, tlog, ulog
 from sysid.logs.load import import_log
 from sysid.logs.signal_map import shipped_map
 from sysid.record import FlightRecord

@@ -11,7 +11,7 @@ from scipy.io import savemat
 
 from sysid.errors import LogError
 from sysid.logs import import_log
-from sysid.logs.clocks import best_offset
+from sysid.logs.assemble import best_offset
 from sysid.logs.signal_map import parse_map
 
 STEP_S = 0.02

@@ -10,7 +10,7 @@ import math
 import numpy as np
 import pytest
 
-from sysid.digests import sha256_hex
+from sysid.foreign.regular_files import sha256_hex
 from uqharness.campaign.conditions import Condition
 from uqharness.campaign.manifest import DamageError
 from uqharness.campaign.sensitivity import (

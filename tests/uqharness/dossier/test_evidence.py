@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from sysid.digests import file_sha256
+from sysid.foreign.regular_files import file_sha256
 from tests.helpers import report_folders as folders
 from uqharness.dossier.evidence import read_evidence
 from uqharness.errors import BadInputError

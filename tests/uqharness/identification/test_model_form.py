@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sysid.digests import file_sha256
+from sysid.foreign.regular_files import file_sha256
 from sysid.model_form.model_form import read_model_form
 from sysid.record import FlightRecord
 from tests.helpers.page_checks import problems

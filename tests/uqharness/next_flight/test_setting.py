@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from sysid.digests import file_sha256
+from sysid.foreign.regular_files import file_sha256
 from uqharness.errors import BadInputError
 from uqharness.next_flight.plan import bounds_of, warnings_of
 from uqharness.simulator.aircraft import content_hash, find_aircraft

@@ -10,8 +10,7 @@ import pytest
 from uqharness.cli.main import main
 from uqharness.errors import BadInputError
 from uqharness.plugin import apply
-from uqharness.plugin.apply import instrument_aircraft
-from uqharness.plugin.check import Verdict
+from uqharness.plugin.apply import Verdict, instrument_aircraft
 from uqharness.plugin.instrument import Bounds
 from uqharness.simulator import facts as aircraft_facts
 from uqharness.simulator.aircraft import find_aircraft

@@ -21,8 +21,7 @@ from tests.jsbsim_defects.small_models import SKELETON
 from uqharness.cli.main import build_parser, main
 from uqharness.cli.request_command import request_of
 from uqharness.errors import BadInputError
-from uqharness.plugin.apply import undo, write
-from uqharness.plugin.check import check, check_in_child
+from uqharness.plugin.apply import check, check_in_child, undo, write
 from uqharness.plugin.instrument import Bounds, plan
 from uqharness.requests.simulation import InstrumentRequest
 from uqharness.simulator import engine

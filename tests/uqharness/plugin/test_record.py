@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from sysid.digests import sha256_hex
+from sysid.foreign.regular_files import sha256_hex
 from uqharness.errors import BadInputError
 from uqharness.plugin.instrument import FILE_NAME, make_change, read_record, restore, to_json
 from uqharness.xml.document import Insertion

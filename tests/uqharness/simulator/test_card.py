@@ -13,8 +13,15 @@ from sysid.logs import card as airframe_card
 from sysid.logs.card import Reference
 from uqharness.errors import BadInputError
 from uqharness.replay.model import _factor
-from uqharness.simulator.aircraft import Aircraft, find_aircraft, position_factor, sources
-from uqharness.simulator.card import InputCard, parse_card, read_card
+from uqharness.simulator.aircraft import (
+    Aircraft,
+    InputCard,
+    find_aircraft,
+    parse_card,
+    position_factor,
+    read_card,
+    sources,
+)
 from uqharness.simulator.facts import AircraftFacts, ControlFacts
 
 

@@ -7,7 +7,7 @@ import tomllib
 import pytest
 
 from uqharness.errors import BadInputError
-from uqharness.simulator.card import DECIMALS, sensors_from_cg
+from uqharness.simulator.aircraft import DECIMALS, sensors_from_cg
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import pytest
 
 from uqharness.cli.main import main
 from uqharness.errors import BadInputError
-from uqharness.simulator import engine, physical_checks
+from uqharness.simulator import aircraft_checks, engine
 from uqharness.simulator.aircraft import find_aircraft, open_aircraft
 from uqharness.simulator.trim import SteadyCondition, find_trim
 
@@ -51,7 +51,7 @@ def plane(tmp_path, **changes):
 
 @pytest.fixture(autouse=True)
 def _say_again(monkeypatch):
-    monkeypatch.setattr(physical_checks, "_noted", set())
+    monkeypatch.setattr(aircraft_checks, "_noted", set())
 
 
 @pytest.mark.parametrize(
@@ -77,17 +77,17 @@ def test_impossible_sizes_and_inertia_are_refused_with_file_and_line(
 
 
 def test_a_sound_aircraft_passes_without_a_word(tmp_path, caplog):
-    physical_checks.check_physical(find_aircraft(plane(tmp_path)))
+    aircraft_checks.check_physical(find_aircraft(plane(tmp_path)))
     assert caplog.records == []
 
 
 def test_an_inertia_that_no_body_has_is_noted_once(tmp_path, caplog):
     aircraft = find_aircraft(plane(tmp_path, izz=0.26))
     with caplog.at_level(logging.WARNING, "uqharness"):
-        physical_checks.check_physical(aircraft)
-        physical_checks.check_physical(aircraft)
+        aircraft_checks.check_physical(aircraft)
+        aircraft_checks.check_physical(aircraft)
         copy = shutil.copytree(aircraft.folder, tmp_path / "copy" / aircraft.folder.name)
-        physical_checks.check_physical(find_aircraft(copy))
+        aircraft_checks.check_physical(find_aircraft(copy))
     (record,) = caplog.records
     assert f"{aircraft.xml}:9: impossible inertia" in record.getMessage()
     assert "exceeds the sum of the others by 100 %" in record.getMessage()
@@ -164,4 +164,4 @@ def test_a_rotorcraft_is_named_and_not_trimmed(tmp_path, caplog):
     assert "this is a rotorcraft" in caplog.text
     with pytest.raises(BadInputError, match=r"ah1s\.xml:\d+: .* rotorcraft"):
         find_trim(aircraft, SteadyCondition(30.0))
-    assert physical_checks.rotor_place(find_aircraft("c172x")) == ""
+    assert aircraft_checks.rotor_place(find_aircraft("c172x")) == ""

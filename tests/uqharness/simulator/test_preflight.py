@@ -8,7 +8,7 @@ import pytest
 
 from uqharness.child_process import ProcessResult, run_module
 from uqharness.errors import BadInputError
-from uqharness.simulator import physical_checks
+from uqharness.simulator import aircraft_checks
 from uqharness.simulator.aircraft import check_loadable, find_aircraft, open_aircraft
 from uqharness.simulator.mission import StagedMission
 
@@ -18,7 +18,7 @@ AIRCRAFT = find_aircraft("espaaro")
 @pytest.fixture
 def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr(physical_checks, "_checked", {})
+    monkeypatch.setattr(aircraft_checks, "_checked", {})
     return tmp_path / "uqharness" / "loadable"
 
 
@@ -27,10 +27,10 @@ def ends(monkeypatch: pytest.MonkeyPatch, ended: ProcessResult) -> list[tuple[ob
 
     def run_module(module: str, *arguments: object, timeout_s: float) -> ProcessResult:
         asked.append(arguments)
-        assert module == "uqharness.simulator.physical_checks"
+        assert module == "uqharness.simulator.aircraft_checks"
         return ended
 
-    monkeypatch.setattr(physical_checks, "run_module", run_module)
+    monkeypatch.setattr(aircraft_checks, "run_module", run_module)
     return asked
 
 
@@ -38,13 +38,13 @@ def test_a_model_that_loads_is_loaded_once_and_remembered(
     cache: Path, monkeypatch: pytest.MonkeyPatch
 ):
     asked = ends(monkeypatch, ProcessResult(0, {}, "", ""))
-    physical_checks.ensure_loadable(AIRCRAFT, "content")
-    physical_checks.ensure_loadable(AIRCRAFT, "content")
-    monkeypatch.setattr(physical_checks, "_checked", {})  # another process
-    physical_checks.ensure_loadable(AIRCRAFT, "content")
+    aircraft_checks.ensure_loadable(AIRCRAFT, "content")
+    aircraft_checks.ensure_loadable(AIRCRAFT, "content")
+    monkeypatch.setattr(aircraft_checks, "_checked", {})  # another process
+    aircraft_checks.ensure_loadable(AIRCRAFT, "content")
     assert len(asked) == 1
     assert [path.name.partition("-")[0] for path in cache.iterdir()] == ["content"]
-    physical_checks.ensure_loadable(AIRCRAFT, "other")
+    aircraft_checks.ensure_loadable(AIRCRAFT, "other")
     assert len(asked) == 2
 
 
@@ -66,7 +66,7 @@ def test_one_that_does_not_is_named_and_not_remembered(
     asked = ends(monkeypatch, ended)
     for _ in range(2):
         with pytest.raises(BadInputError, match=said):
-            physical_checks.ensure_loadable(AIRCRAFT, "content")
+            aircraft_checks.ensure_loadable(AIRCRAFT, "content")
     assert len(asked) == 2
     assert not cache.exists()
 
@@ -74,16 +74,16 @@ def test_one_that_does_not_is_named_and_not_remembered(
 def test_the_child_loads_the_real_thing_and_refuses_what_is_none(
     cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    monkeypatch.setattr(physical_checks, "run_module", run_module)
-    physical_checks.ensure_loadable(AIRCRAFT, "content")
+    monkeypatch.setattr(aircraft_checks, "run_module", run_module)
+    aircraft_checks.ensure_loadable(AIRCRAFT, "content")
     folder = tmp_path / "empty"
     folder.mkdir()
     (folder / "empty.xml").write_text("<fdm_config name='empty' version='2.0'/>")
-    empty = physical_checks._AircraftPaths(
+    empty = aircraft_checks._AircraftPaths(
         folder, folder / "empty.xml", AIRCRAFT.engine_path, AIRCRAFT.systems_path
     )
     with pytest.raises(BadInputError, match="empty"):
-        physical_checks.ensure_loadable(empty, "empty")
+        aircraft_checks.ensure_loadable(empty, "empty")
 
 
 PLANE = """<?xml version="1.0"?>
@@ -187,8 +187,8 @@ def test_all_of_them_are_named_at_once_and_the_verdict_is_remembered(
     )
     with pytest.raises(BadInputError, match=message):
         check_loadable(aircraft)
-    monkeypatch.setattr(physical_checks, "_checked", {})
-    monkeypatch.setattr(physical_checks, "run_module", lambda *a, **k: pytest.fail("loaded again"))
+    monkeypatch.setattr(aircraft_checks, "_checked", {})
+    monkeypatch.setattr(aircraft_checks, "run_module", lambda *a, **k: pytest.fail("loaded again"))
     check_loadable(aircraft, defined=("aero/alpha-radd", "aero/two", "inertia/three"))
 
 

@@ -10,10 +10,10 @@ from pymavlink import DFReader
 
 from sysid.errors import LogError
 from sysid.foreign.raw import RawLog
+from sysid.logs import dataflash
+from sysid.logs import dataflash as dataflash_binary
 from sysid.logs.card import AirframeCard, Mix, Servo
 from sysid.logs.dataflash_writer import pwm_of, write_dataflash
-from sysid.logs.importers import dataflash
-from sysid.logs.importers import dataflash as dataflash_binary
 from sysid.logs.load import import_log
 from sysid.logs.servo import deflection
 from sysid.record import FlightRecord

@@ -7,7 +7,7 @@ import struct
 import numpy as np
 import pytest
 
-from sysid.logs.importers.dataflash import CHARACTERS, make_format, scaled, text
+from sysid.logs.dataflash import CHARACTERS, make_format, scaled, text
 
 SIZES = {"a": 64, "n": 4, "N": 16, "Z": 64, "M": 1, "c": 2, "C": 2, "e": 4, "E": 4, "L": 4, "g": 2}
 

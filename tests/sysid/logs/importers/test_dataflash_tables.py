@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sysid.errors import LogError
-from sysid.logs.importers.dataflash import MAX_INSTANCES, assemble, make_format
+from sysid.logs.dataflash import MAX_INSTANCES, assemble, make_format
 from sysid.logs.info import no_aeroplane
 from sysid.logs.load import import_log
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from sysid.errors import LogError
-from sysid.logs.importers.detect import detect, frame_length, frame_time
+from sysid.logs.detect import detect, frame_length, frame_time
 from sysid.logs.load import import_log
 from sysid.record import FlightRecord
 from tests.helpers.log_writers import write_text_log, write_tlog, write_ulog

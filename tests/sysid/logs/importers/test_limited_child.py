@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from sysid.foreign.typed_files import load
-from sysid.logs.importers import limited_child
+from sysid.logs import limited_child
 
 
 def served(kind: str, path: Path, wanted=None) -> list[tuple[str, bytes]]:

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from sysid.errors import LogError
-from sysid.logs.importers.tables import sniff
 from sysid.logs.info import log_info
 from sysid.logs.load import import_log
+from sysid.logs.tables import sniff
 from sysid.record import FlightRecord
 
 NAMES = ("TAS", "roll", "pitch", "heading", "p", "q", "r", "STAB_POS", "RUDDER_POS")

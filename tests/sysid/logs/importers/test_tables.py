@@ -11,14 +11,14 @@ import pyarrow.parquet as pq
 import pytest
 
 from sysid.errors import LogError
-from sysid.logs.importers.csv_dialects import CSV_DIALECTS, CsvDialect, csv_dialect_of, si_factor
-from sysid.logs.importers.tables import (
+from sysid.logs.csv_dialects import CSV_DIALECTS, CsvDialect, csv_dialect_of, si_factor
+from sysid.logs.load import import_log
+from sysid.logs.tables import (
     read_csv,
     read_parquet,
     read_record,
     read_small_table,
 )
-from sysid.logs.load import import_log
 from sysid.record import FlightRecord
 from tests.helpers.synthetic import flight
 

@@ -10,8 +10,8 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from sysid.errors import LogError
-from sysid.logs.importers import tlog
-from sysid.logs.importers.detect import frame_length, frame_time
+from sysid.logs import tlog
+from sysid.logs.detect import frame_length, frame_time
 from sysid.logs.info import log_info
 from sysid.logs.load import import_log
 from tests.helpers.log_writers import write_tlog

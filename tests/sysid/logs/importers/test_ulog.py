@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sysid.errors import LogError
-from sysid.logs.importers import ulog
+from sysid.logs import ulog
 from sysid.logs.load import import_log
 from tests.helpers.log_writers import write_ulog
 from tests.helpers.synthetic import flight

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from sysid.digests import sha256_hex
+from sysid.foreign.regular_files import sha256_hex
 from uqharness.campaign.manifest import DamageError
 from uqharness.campaign.tables import is_sealed, read_checked, read_decisions, table_digests
 from uqharness.errors import BadInputError

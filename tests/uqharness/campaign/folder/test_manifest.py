@@ -14,7 +14,7 @@ import shutil
 import pandas as pd
 import pytest
 
-from sysid.digests import sha256_hex
+from sysid.foreign.regular_files import sha256_hex
 from tests.helpers import campaign_fakes as fakes
 from tests.helpers.places import TESTS
 from uqharness.campaign.manifest import digest_of_text, read_manifest, write_manifest

@@ -29,7 +29,7 @@ from sysid.errors import LogError
 from sysid.foreign.limited import MemoryLimit
 from sysid.foreign.raw import ProgressCallback, RawLog, TimeColumn
 from sysid.foreign.typed_files import dump
-from sysid.logs.importers.csv_dialects import CSV_DIALECTS
+from sysid.logs.csv_dialects import CSV_DIALECTS
 
 _PROGRESS_S = 0.1
 
@@ -60,7 +60,7 @@ def _serve(order: Mapping[str, Any], answers: BinaryIO) -> None:
     try:
         # The time and memory for loading the libraries do not count for the file.
         module, read = _READERS[order["kind"]]
-        importer = importlib.import_module(f"sysid.logs.importers.{module}")
+        importer = importlib.import_module(f"sysid.logs.{module}")
         _frame(answers, b"r")
         with MemoryLimit(int(order["memory"])):
             for part in read(importer, Path(order["path"]), order, _progress(answers)):

@@ -11,9 +11,9 @@ from pathlib import Path
 from sysid.errors import LogError
 from sysid.foreign.regular_files import open_regular
 from sysid.logs.channels import COMPONENTS
-from sysid.logs.importers.csv_dialects import csv_dialect_of
-from sysid.logs.importers.dataflash import FMT_LENGTH, FMT_TYPE, MAGIC
-from sysid.logs.importers.tables import SNIFFED_BYTES, decoded, sniff
+from sysid.logs.csv_dialects import csv_dialect_of
+from sysid.logs.dataflash import FMT_LENGTH, FMT_TYPE, MAGIC
+from sysid.logs.tables import SNIFFED_BYTES, decoded, sniff
 from sysid.vocabulary import SIGNALS
 
 _FOREIGN = {

@@ -24,7 +24,7 @@ from sysid.arrays import FloatArray
 from sysid.errors import Finding, LogError
 from sysid.foreign.raw import FieldSelection, MessageTable, ProgressCallback, RawLog
 from sysid.foreign.regular_files import open_regular
-from sysid.logs.importers.detect import frame_length, frame_time
+from sysid.logs.detect import frame_length, frame_time
 from sysid.logs.time_base import boundaries
 
 BLOCK_BYTES = 4 << 20

@@ -36,7 +36,7 @@ from sysid.foreign.limited import (
 from sysid.foreign.raw import FieldSelection, MessageTable, RawLog, TimeColumn
 from sysid.foreign.regular_files import in_words, open_regular
 from sysid.logs.channels import COMPONENTS, with_air_data
-from sysid.logs.importers.csv_dialects import PLAIN, CsvDialect
+from sysid.logs.csv_dialects import PLAIN, CsvDialect
 from sysid.logs.time_base import TIME_UNITS, likely_time_unit, time_unit_finding
 from sysid.vocabulary import LABELS, SIGNALS
 

@@ -18,7 +18,7 @@ from sysid.errors import LogError, one_line
 from sysid.foreign.limited import MAX_COLUMNS
 from sysid.foreign.raw import FieldSelection, MessageTable, RawLog, TimeColumn
 from sysid.foreign.regular_files import open_regular
-from sysid.logs.importers.tables import time_names, times_of
+from sysid.logs.tables import time_names, times_of
 from sysid.logs.time_base import TIME_UNITS
 
 _TimeBase = tuple[str, NDArray[np.float64], str]

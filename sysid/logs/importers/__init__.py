@@ -1,5 +1,0 @@
-"""Importers: one module a log format, each returning a `RawLog`."""
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

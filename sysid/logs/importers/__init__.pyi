@@ -1,1 +1,0 @@
-from .tables import read_small_table as read_small_table
