@@ -37,7 +37,7 @@ from campaigns.library.tables import (
 from uqharness.campaign.conditions import (
     CONFIDENCE,
     ERROR_METRICS,
-    UNCOMMANDED_METRICS,
+    OPTIONAL_METRICS,
     Condition,
     conditions,
     samples,
@@ -77,7 +77,7 @@ def comparisons(
 ) -> Iterator[dict[str, Any]]:
     """Yield by metric how the walks' p-box ``inner`` lies to the corners' ``outer`` in one
     condition, from how many samples and hours."""
-    names = (*ERROR_METRICS, *UNCOMMANDED_METRICS)
+    names = (*ERROR_METRICS, *OPTIONAL_METRICS)
     for metric in (name for name in names if name in outer and name in inner):
         curves = [samples(frame, metric) for frame in (outer, inner)]
         if not all(any(sample.values.size for sample in part) for part in curves):

@@ -244,7 +244,7 @@ def described(columns: Sequence[tuple[str, str]], told: dict[str, str]) -> str:
 
 def case_columns() -> list[tuple[str, str]]:
     """Every column that cases.parquet may have, with its type."""
-    more = (*tables.UNCOMMANDED_METRICS,)
+    more = (*tables.OPTIONAL_METRICS,)
     schema = tables._schema((15.0, 25.0), more, ("level_<property>", "variable_<property>"))
     return [(field.name, str(field.type)) for field in schema]
 

@@ -91,7 +91,7 @@ def memory_refusal(content: str, needed: float, allowed: float) -> str:
 
 
 # The child loads its libraries only, so that a long wait means a slow disk.
-_START_S = 120.0  # nothing of a stranger's is read yet: only a busy disk makes this long
+_START_S = 120.0
 _HOME = Path(__file__).parents[2]
 # Import sysid from the folder of this file, and leave that folder on the path no longer than
 # needed.

@@ -263,7 +263,7 @@ def assemble(
         If the log has none of the channels that a record is made of.
     """
     # A copy whose messages are dropped one by one as the record grows.
-    raw = replace(raw, messages=dict(raw.messages))  # ours to empty as the work proceeds
+    raw = replace(raw, messages=dict(raw.messages))
     mode = mode_rows(raw, signal_map.rows)
     # Clocks are aligned over both parts of a flight, which then agree.
     selection = partial(selected, rows=replace(signal_map.rows, part=""), mode=mode)

@@ -173,7 +173,7 @@ def _whole_log(
             record = FlightRecord.read(stored)
         except LogError:
             # An interrupted run left half a file: import again.
-            stored.unlink(missing_ok=True)  # cut short by an interrupted run: make it anew
+            stored.unlink(missing_ok=True)
         else:
             return with_current_checks(
                 replace(record, metadata=replace(record.metadata, source=path.name))

@@ -631,7 +631,7 @@ def find_free_flight(
         return FlightPhase(None, None, None, text)
     is_flying = smooth > max(0.5 * usual_mps, 5.0)
     # The speed may begin later than the first row.
-    first = int(np.argmax(np.isfinite(smooth)))  # the speed may come later than the first row
+    first = int(np.argmax(np.isfinite(smooth)))
     begins_at_rest = bool(np.nanmedian(smooth[first : first + max(1, round(1.0 / step))]) < 3.0)
     if height is not None and begins_at_rest and np.isfinite(height).any():
         is_high = moving_mean(height, max(1, round(1.0 / step))) > MIN_CLIMB_M

@@ -32,14 +32,17 @@ ERROR_METRICS = tuple(
 error as the noisy sensors report it.
 """
 
-UNCOMMANDED_METRICS = (
+PATHLESS_METRICS = (
     "heading_median_deg",
     "heading_mean_deg",
     "heading_max_deg",
     "load_factor_max",
 )
-"""Metrics of a flight without a commanded path. Only campaigns that fly such missions have the
-columns.
+"""Metrics of a flight without a commanded path."""
+
+OPTIONAL_METRICS = (*PATHLESS_METRICS,)
+"""Metrics whose columns a campaign has only if its flights computed them. A new metric belongs
+here: in ``ERROR_METRICS`` it would make earlier campaign tables unreadable.
 """
 
 
@@ -198,7 +201,7 @@ def pboxes(
     tuple of (str, Condition, PBox)
         A metric without a value in any flight is left out.
     """
-    for metric in (*ERROR_METRICS, *(name for name in UNCOMMANDED_METRICS if name in frame)):
+    for metric in (*ERROR_METRICS, *(name for name in OPTIONAL_METRICS if name in frame)):
         for condition in conditions(frame):
             corner_samples = samples(in_condition(frame, condition), metric)
             if any(sample.values.size for sample in corner_samples):

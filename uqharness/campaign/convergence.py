@@ -25,6 +25,7 @@ from sysid.units import percent
 from uqharness.campaign.conditions import (
     CONFIDENCE,
     ERROR_METRICS,
+    OPTIONAL_METRICS,
     Condition,
     conditions,
     in_condition,
@@ -118,7 +119,11 @@ def study_convergence(
     """
     manifest = read_complete(folder)
     frame = read_cases(folder, manifest)
-    available = [name for name in ERROR_METRICS if name in frame and frame[name].notna().any()]
+    available = [
+        name
+        for name in (*ERROR_METRICS, *OPTIONAL_METRICS)
+        if name in frame and frame[name].notna().any()
+    ]
     requested = list(metrics) or [name for name in METRICS if name in available]
     unknown = [name for name in requested if name not in available]
     if unknown:

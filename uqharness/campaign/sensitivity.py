@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from sysid.arrays import FloatArray
 from uqharness.campaign.conditions import (
     ERROR_METRICS,
-    UNCOMMANDED_METRICS,
+    OPTIONAL_METRICS,
     Condition,
     conditions,
     excursion_columns,
@@ -237,7 +237,7 @@ def _read_campaign(folder: Path) -> CornerCampaign:
 def metrics_of(campaign: CornerCampaign) -> tuple[str, ...]:
     """Return the error statistics and excursion counts that a case table has."""
     radii = campaign.manifest["campaign"]["metrics"]["excursion_radius_m"]
-    names = (*ERROR_METRICS, *UNCOMMANDED_METRICS, *excursion_columns(radii))
+    names = (*ERROR_METRICS, *OPTIONAL_METRICS, *excursion_columns(radii))
     return tuple(
         name for name in names if name in campaign.frame and campaign.frame[name].notna().any()
     )

@@ -24,7 +24,7 @@ from uqharness.campaign.cases import Case
 from uqharness.campaign.conditions import (
     CONFIDENCE,
     ERROR_METRICS,
-    UNCOMMANDED_METRICS,
+    OPTIONAL_METRICS,
     counted_radii,
     excursion_columns,
     in_condition,
@@ -79,17 +79,17 @@ def build_table(cases: Sequence[Case], outcomes: Iterable[CaseOutcome]) -> pa.Ta
     so far.
     """
     by_id = {outcome.case_id: outcome for outcome in outcomes}
-    # Columns follow from the campaign: radii, uncommanded metrics, inputs.
+    # Columns follow from the campaign: radii, optional metrics, inputs.
     radii = cases[0].flight.excursion_radius_m if cases else ()
     metric_names = {name for outcome in by_id.values() for name in outcome.metrics}
-    uncommanded = tuple(name for name in UNCOMMANDED_METRICS if name in metric_names)
-    schema = _schema(radii, uncommanded, tuple(cases[0].inputs) if cases else ())
+    optional = tuple(name for name in OPTIONAL_METRICS if name in metric_names)
+    schema = _schema(radii, optional, tuple(cases[0].inputs) if cases else ())
     columns: dict[str, list[Any]] = {name: [] for name in schema.names}
     for case in cases:
         outcome = by_id.get(case.case_id)
         if outcome is None:
             continue
-        for name, value in _row(case, outcome, radii, uncommanded).items():
+        for name, value in _row(case, outcome, radii, optional).items():
             columns[name].append(value)
     return pa.table([pa.array(columns[field.name], field.type) for field in schema], schema=schema)
 
@@ -108,7 +108,7 @@ def checked_table(table: pa.Table, path: Path, campaign: Mapping[str, Any]) -> p
     for field in _schema(counted_radii(campaign["metrics"]), (), means):
         # Tables of older versions have no engine column.
         if field.name == _ENGINE and field.name not in types:
-            continue  # a table from before there was another engine than JSBSim
+            continue
         if field.name not in types or len(table.schema.get_all_field_indices(field.name)) != 1:
             raise BadInputError(f"{path}: has no column {field.name}; run the campaign again")
         if types[field.name] != field.type:
@@ -128,8 +128,8 @@ def checked_table(table: pa.Table, path: Path, campaign: Mapping[str, Any]) -> p
         bad_columns += [name] if set(table[name].unique().to_pylist()) - set(allowed_values) else []
     if bad_columns or not table.num_rows:
         raise BadInputError(
-            f"{path}: column {(bad_columns or ['case_id'])[0]} holds what no flight leaves; run the"
-            " campaign again"
+            f"{path}: column {(bad_columns or ['case_id'])[0]} has missing or unknown values (a"
+            f" status is one of {', '.join(STATUSES)}); run the campaign again"
         )
     return table
 

@@ -51,10 +51,6 @@ from uqharness.simulator import (
     refuse_conflicts,
 )
 
-# Scores. An excursion is counted when the distance from the path first exceeds the radius, and
-# re-arms ``rearm_m`` inside it. Loss of control is |bank| > 80 deg, |alpha| > 25 deg, altitude
-# error > 60 m, or a state that is not finite.
-
 # Scores of a flight along a commanded path: medians, means, maxima, excursions, loss of
 # control.
 #
@@ -610,7 +606,7 @@ def record_mission(
 
     Returns
     -------
-    Recorded
+    RecordedFlight
         Rows at ``spec.record_rate_hz``, and how the flight ended.
 
     Raises

@@ -19,7 +19,7 @@ from sysid.model_form import AircraftReference, Coverage, ModelForm
 from uqharness.campaign import (
     ERROR_METRICS,
     MANIFEST,
-    UNCOMMANDED_METRICS,
+    OPTIONAL_METRICS,
     CampaignSpec,
     ProcessExecutor,
     Progress,
@@ -229,7 +229,7 @@ def _stage_of(callback: Callback, name: str) -> Callable[[Progress], None]:
 
 
 def _rows(before: pd.DataFrame, after: pd.DataFrame) -> Iterator[MissionMetric]:
-    for metric in (*ERROR_METRICS, *UNCOMMANDED_METRICS):
+    for metric in (*ERROR_METRICS, *OPTIONAL_METRICS):
         if metric.endswith("_measured") or metric not in before or metric not in after:
             continue
         for condition in conditions(before):

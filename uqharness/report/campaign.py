@@ -22,9 +22,9 @@ from uqharness.campaign import (
     ENOUGH_EXCURSIONS,
     FULL_FLIGHT,
     INTERIOR_MARK,
+    PATHLESS_METRICS,
     STATUS,
     TOLERANCE,
-    UNCOMMANDED_METRICS,
     CheckRow,
     Condition,
     Document,
@@ -604,7 +604,7 @@ def _verdict(
             sentences.append(
                 Sentence(with_sample_noun(sentence(statement), kind), answer_level(statement))
             )
-    if UNCOMMANDED_METRICS[0] in frame:
+    if PATHLESS_METRICS[0] in frame:
         sentences.append(
             Sentence(
                 "No path was commanded: errors are deviations from the state in which scoring"

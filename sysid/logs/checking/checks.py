@@ -184,7 +184,8 @@ def check_surfaces(record: FlightRecord) -> list[Finding]:
             f"+ {column} {opposite_effects[axis.surface]}: {axis.rate} changes by"
             f" {surface_effect.slope:+.3g} +- {surface_effect.std:.2g} rad/s2 a degree,"
             f" {surface_effect.late_s * 1e3:.0f} ms later"
-            f" ({100 * surface_effect.share:.0f} % of what else is left): its sign is reversed"
+            f" (it explains {100 * surface_effect.share:.0f} % of the acceleration that the other"
+            " signals leave): its sign is reversed"
         )
         numbers = {
             "slope": -1.0,
@@ -370,7 +371,7 @@ def _hold(name: str, c: Channel, grid_step_s: float) -> list[Finding]:
 
 def _resolution_findings(name: str, c: Channel) -> list[Finding]:
     """Return a finding on a channel with fewer or coarser values than samples."""
-    if name in COMMANDS or name == "rho_kgpm3":  # a density is computed, and hardly changes
+    if name in COMMANDS or name == "rho_kgpm3":
         # Commands are held by nature; a density is computed and hardly changes.
         return []
     repetition = sample_hold(c.values)
@@ -398,8 +399,8 @@ def _resolution_findings(name: str, c: Channel) -> list[Finding]:
         rate = c.rate_hz / interval
         text = (
             f"{name} is logged at {c.rate_hz:.1f} Hz but lies on straight lines between values at"
-            f" {rate:.1f} Hz: somebody has interpolated it; its noise looks smaller than it is, and"
-            " its samples are not independent"
+            f" {rate:.1f} Hz: it was interpolated before logging; its noise looks smaller than it"
+            " is, and its samples are not independent"
         )
         numbers = {"logged_hz": c.rate_hz, "native_hz": rate}
         return [
@@ -506,8 +507,8 @@ def _components_interpolated(flight: FlightRecord) -> list[Finding]:
     native = logged / max(intervals)
     text = (
         f"airspeed, alpha and beta come at {logged:.1f} Hz but their components u, v, w lie on"
-        f" straight lines between values at {native:.1f} Hz: somebody has interpolated them; their"
-        " noise looks smaller than it is"
+        f" straight lines between values at {native:.1f} Hz: they were interpolated before logging;"
+        " their noise looks smaller than it is"
     )
     numbers = {"logged_hz": logged, "native_hz": native}
     spoils = "standard errors, and what is faster than its own rate"

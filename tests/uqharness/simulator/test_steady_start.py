@@ -19,7 +19,7 @@ import uqharness as uq
 from tests.helpers.few import few
 from tests.helpers.page_checks import problems
 from uqharness.campaign.cases import build_cases
-from uqharness.campaign.conditions import UNCOMMANDED_METRICS
+from uqharness.campaign.conditions import OPTIONAL_METRICS
 from uqharness.campaign.engines import make_copy
 from uqharness.campaign.processes import SerialExecutor
 from uqharness.campaign.read_spec import read_campaign
@@ -75,7 +75,7 @@ def test_a_stock_aircraft_goes_through_a_campaign_to_a_pbox(flown):
     folder, _ = flown
     frame = read_table(folder / "out" / CASES).to_pandas()
     assert (frame["status"] == "ok").all()
-    assert list(frame.columns[-4:]) == list(UNCOMMANDED_METRICS)
+    assert list(frame.columns[-4:]) == list(OPTIONAL_METRICS)
     assert frame[["altitude_max_m", "speed_max_mps", "heading_max_deg"]].gt(0.0).all().all()
     assert frame["load_factor_max"].between(1.0, 2.0).all()
     # The path is the straight line it began on.
