@@ -4,7 +4,8 @@ from .cases import build_cases as build_cases
 from .cases import uq_properties as uq_properties
 from .conditions import CONFIDENCE as CONFIDENCE
 from .conditions import ERROR_METRICS as ERROR_METRICS
-from .conditions import UNCOMMANDED_METRICS as UNCOMMANDED_METRICS
+from .conditions import OPTIONAL_METRICS as OPTIONAL_METRICS
+from .conditions import PATHLESS_METRICS as PATHLESS_METRICS
 from .conditions import Condition as Condition
 from .conditions import ExcursionCell as ExcursionCell
 from .conditions import hardest_condition as hardest_condition
