@@ -227,10 +227,7 @@ def dask_cluster(workers: int = 2, processes: bool = True) -> Iterator[Any]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv(MODULES_VARIABLE, "tests.helpers.campaign_fakes")
         with LocalCluster(
-            n_workers=workers,
-            threads_per_worker=1,
-            processes=processes,
-            dashboard_address=":0",
+            n_workers=workers, threads_per_worker=1, processes=processes, dashboard_address=":0"
         ) as found:
             yield found
 

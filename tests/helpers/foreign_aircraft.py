@@ -65,9 +65,7 @@ def aerodynamics(positions: Mapping[str, str] = POSITIONS) -> str:
             },
         ),
         _axis(
-            "YAW",
-            b,
-            {"beta": (0.065, "aero/beta-rad"), "r": (-0.1, bi, r), "dr": (-0.06, rudder)},
+            "YAW", b, {"beta": (0.065, "aero/beta-rad"), "r": (-0.1, bi, r), "dr": (-0.06, rudder)}
         ),
     ]
     return "<aerodynamics>\n" + "\n".join(axes) + "\n</aerodynamics>"
@@ -369,11 +367,7 @@ def _glider() -> dict[str, str]:
     return {"glider.xml": config("glider", body)}
 
 
-SMALL = {
-    "wing": (3.2, 3.9, 0.85),
-    "inertia": (0.045, 0.05, 0.09),
-    "weight_lbs": 3.3,
-}
+SMALL = {"wing": (3.2, 3.9, 0.85), "inertia": (0.045, 0.05, 0.09), "weight_lbs": 3.3}
 
 
 def _electric_foam() -> dict[str, str]:

@@ -60,10 +60,7 @@ def test_what_does_not_exist_is_seen():
     assert wrong_places(
         "`sysid/estimation/noise.py:concentrated_cost` `sysid/estimation/noise.py:nothing`"
         " `sysid/nowhere.py`"
-    ) == [
-        "sysid/estimation/noise.py:nothing",
-        "sysid/nowhere.py",
-    ]
+    ) == ["sysid/estimation/noise.py:nothing", "sysid/nowhere.py"]
     with pytest.raises(AssertionError):
         check_commands("`uqharness bounds AIRCRAFT --rolling-terms`", "here")
     with pytest.raises(AssertionError):

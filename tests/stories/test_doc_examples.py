@@ -30,8 +30,7 @@ LONG_PAGES = (
 
 
 @pytest.mark.parametrize(
-    "name",
-    [pytest.param(n, marks=pytest.mark.slow) if n in LONG_PAGES else n for n in PAGES],
+    "name", [pytest.param(n, marks=pytest.mark.slow) if n in LONG_PAGES else n for n in PAGES]
 )
 def test_examples_run(name: str, tmp_path: Path):
     with flying_here():

@@ -46,10 +46,7 @@ def test_no_random_system_differs(seeds):
             AGREED,
         ),
         # A NaN key of a grid with one column.
-        (
-            ONE_COLUMN,
-            AGREED,
-        ),
+        (ONE_COLUMN, AGREED),
         # The engine's limits, hidden by an operation that passes NaN over.
         ("<min><v>2</v><tan><p>i/c</p></tan></min>", REFUSED),
         ("<max><v>2</v><fmod><p>i/c</p><v>1e-9</v></fmod></max>", REFUSED),
@@ -59,10 +56,7 @@ def test_no_random_system_differs(seeds):
             "<ifthen><lt><abs><p>i/c</p></abs><v>100</v></lt><tan><p>i/c</p></tan><v>1</v></ifthen>",
             AGREED,
         ),
-        (
-            "<switch><gt><p>i/c</p><v>10</v></gt><sin><p>i/c</p></sin><v>1</v></switch>",
-            AGREED,
-        ),
+        ("<switch><gt><p>i/c</p><v>10</v></gt><sin><p>i/c</p></sin><v>1</v></switch>", AGREED),
         # JSBSim ends the process: counted, in a child.
         ("<mod><v>1</v><v>0.5</v></mod>", DEAD),
         ("<switch><v>-3</v><v>0.5</v></switch>", DEAD),

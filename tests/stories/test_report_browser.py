@@ -242,10 +242,7 @@ def test_the_cursor_reads_the_pbox_by_keyboard_mouse_and_touch(opened, pages):
     assert [
         f"{100 * rows[k]:.0f} %" in read or f"{100 * rows[k]:.1f} %" in read
         for k in ("lower", "upper")
-    ] == [
-        True,
-        True,
-    ]
+    ] == [True, True]
     corners = json.loads(figure.locator("script").text_content())["boxes"][0]["corners"]
     assert any(corner in read for corner in corners)
     assert figure.locator(".picked").count() >= 1

@@ -1,8 +1,10 @@
 """Run a study: one request per stage, and a verdict at the end.
 
-A stage is skipped if its inputs (by content), request and outputs are those of the last run, so
-the same call resumes an interrupted study. study.json in the study's folder holds the state of each
-stage, the verdict, the answer and the ground tracks; it is rewritten after each stage.
+A stage starts as soon as the stages that it reads from are done. Two run side by side where there
+are two cores, since most leave a core idle part of the time. A stage is skipped if its inputs (by
+content), request and outputs are those of the last run, so the same call resumes an interrupted
+study. study.json in the study's folder holds the state of each stage, the verdict, the answer and
+the ground tracks; it is rewritten after each stage.
 """
 
 from __future__ import annotations
@@ -14,6 +16,9 @@ import os
 import shutil
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +37,7 @@ from uqharness import checksums
 from uqharness.campaign import LOCK, binding_versions, read_bounds, run_lock
 from uqharness.errors import BadInputError
 from uqharness.files import PART, check_output_folder, write_bytes, write_json, write_text
+from uqharness.isolation import Worker
 from uqharness.requests.base import Callback, Request, options_of, silent
 from uqharness.results.base import Outcome, read_result
 from uqharness.results.refinement import Refinement
@@ -94,6 +100,7 @@ class _Record:
 
     def __init__(self, folder: Path, study: Study) -> None:
         self.folder, self.study = folder, study
+        self.starts_s: dict[int, float] = {}
 
     def update(self, **parts: Any) -> None:
         """Replace parts of the document."""
@@ -237,11 +244,12 @@ def run_chain(
     workers: int | None = None,
     command: str = "",
     callback: Callback = silent,
+    lanes: int = 1,
 ) -> Study:
     """Run a study: all stages that are not up to date.
 
     A stage that ends with 1 (its answer is no) is done, and the study goes on. Results of finished
-    stages are kept whatever happens.
+    stages are kept whatever happens. The results do not depend on ``lanes``.
 
     Parameters
     ----------
@@ -257,6 +265,8 @@ def run_chain(
         Command line that is stored in study.json.
     callback : callable
         Called with one line of text as stages start and end.
+    lanes : int
+        Stages that run side by side, each in a process of its own; 1 runs them in this process.
 
     Returns
     -------
@@ -296,22 +306,22 @@ def run_chain(
         # study.
         record.update(former=list(old.values()))
         record.save()
-        for number, stage in enumerate(stages):
-            try:
-                _run_stage(run, stage, number, record, workers, callback)
-            except KeyboardInterrupt:
-                # Interrupted: the state "running" stays, and the next call resumes.
-                raise
-            except BaseException as error:
-                # Any other error ends the study; the finished stages stay.
-                record.update_stage(number, state="failed", exit=2, error=str(error))
-                record.update(state="failed")
-                with contextlib.suppress(BadInputError):
-                    record.save()
-                if isinstance(error, BadInputError):
-                    lines = f"stage {stage.name}: {error}".split("\n")
-                    raise BadInputError(*lines, f"  the stage alone: {stage.command}") from None
-                raise
+        try:
+            _run_stages(run, stages, record, workers, callback, lanes)
+        except KeyboardInterrupt:
+            # Interrupted: the state "running" stays, and the next call resumes.
+            raise
+        except _StageError as failure:
+            # Any other error ends the study; the finished stages stay.
+            stage, error = stages[failure.number], failure.error
+            record.update_stage(failure.number, state="failed", exit=2, error=str(error))
+            record.update(state="failed")
+            with contextlib.suppress(BadInputError):
+                record.save()
+            if isinstance(error, BadInputError):
+                lines = f"stage {stage.name}: {error}".split("\n")
+                raise BadInputError(*lines, f"  the stage alone: {stage.command}") from None
+            raise error from None
         names = {stage.name for stage in stages}
         if {f"campaign-{BEFORE}", f"campaign-{AFTER}"} <= names:
             pair = Pair(before=f"campaign-{BEFORE}", after=f"campaign-{AFTER}")
@@ -386,26 +396,156 @@ def _row(stage: Stage, old: StageResult | None) -> StageResult:
     )
 
 
-def _run_stage(
+class _StageError(Exception):
+    """The error of a stage, with the stage's number."""
+
+    def __init__(self, number: int, error: BaseException) -> None:
+        super().__init__(number, error)
+        self.number, self.error = number, error
+
+
+@dataclass(frozen=True)
+class _Job:
+    """A stage as it is sent to the process that runs it."""
+
+    run: Runner
+    stage: Stage
+    out: Path
+    workers: int | None
+
+
+def _run_stages(
     run: Runner,
-    stage: Stage,
-    number: int,
+    stages: Sequence[Stage],
     record: _Record,
     workers: int | None,
     callback: Callback,
+    lanes: int,
 ) -> None:
-    """Run one stage unless it is up to date; its entry in study.json is updated and saved.
+    """Run each stage as soon as the stages whose outputs it reads are done and a lane is free.
 
-    Raises BadInputError if an input is missing, or if the command did not write its outputs.
+    With one lane this is the order of the list. Only the first of the running stages reports its
+    progress. Raises _StageError; stages that run beside the one that fails are interrupted and run
+    again with the next call.
+    """
+    producers = [
+        {k for k, earlier in enumerate(stages[:number]) if _reads_from(stage, earlier)}
+        for number, stage in enumerate(stages)
+    ]
+    waiting, done = list(range(len(stages))), set[int]()
+    running: dict[Future[int], int] = {}
+
+    def title(number: int) -> str:
+        return f"[{number + 1}/{len(stages)}] {stages[number].name}"
+
+    def show(number: int, text: str) -> object:
+        """Name the stage with what it does."""
+        is_first = number <= min(running.values(), default=number)
+        return callback(f"{title(number)}: {text}") if is_first else None
+
+    with _pool(lanes) as submit:
+        while waiting or running:
+            ready = [number for number in waiting if producers[number] <= done]
+            if ready and len(running) < lanes:
+                number = ready[0]
+                waiting.remove(number)
+                callback(title(number))
+                try:
+                    is_needed = _begin_stage(stages[number], number, record)
+                    if is_needed:
+                        job = _Job(run, stages[number], record.folder, workers)
+                        running[submit(job, partial(show, number))] = number
+                    else:
+                        show(number, "unchanged")
+                        done.add(number)
+                except KeyboardInterrupt:
+                    raise
+                except BaseException as error:
+                    raise _StageError(number, error) from error
+                continue
+            for future in wait(running, return_when=FIRST_COMPLETED).done:
+                number = running.pop(future)
+                try:
+                    code = future.result()
+                    seconds = _end_stage(stages[number], number, record, code)
+                except KeyboardInterrupt:
+                    raise
+                except BaseException as error:
+                    raise _StageError(number, error) from error
+                show(
+                    number,
+                    f"{seconds:.0f} s" + ("" if code == 0 else f", exit {code}: the answer is no"),
+                )
+                done.add(number)
+
+
+def _reads_from(stage: Stage, earlier: Stage) -> bool:
+    """Return whether a stage reads an output of an earlier one."""
+    return any(
+        path == output or output in path.parents or path in output.parents
+        for path in stage.inputs.values()
+        for output in earlier.outputs
+    )
+
+
+Submit = Callable[[_Job, Callback], "Future[int]"]
+
+
+@contextlib.contextmanager
+def _pool(lanes: int) -> Iterator[Submit]:
+    """Yield a function that starts a stage: at once in this process, or in a free one of several.
+
+    An exception that leaves the block interrupts the stages that still run.
+    """
+    if lanes == 1:
+        yield _run_here
+        return
+    free = [Worker() for _ in range(lanes)]
+    processes = tuple(free)
+
+    def call(worker: Worker, job: _Job, callback: Callback) -> int:
+        try:
+            code: int = worker.run(_run_job, job, callback)
+            return code
+        finally:
+            free.append(worker)
+
+    with ThreadPoolExecutor(lanes) as threads:
+        try:
+            yield lambda job, callback: threads.submit(call, free.pop(), job, callback)
+        except BaseException:
+            for worker in processes:
+                worker.interrupt()
+            raise
+        finally:
+            threads.shutdown()
+            for worker in processes:
+                worker.close()
+
+
+def _run_here(job: _Job, callback: Callback) -> Future[int]:
+    """Run a stage in this process."""
+    future: Future[int] = Future()
+    try:
+        future.set_result(_run_job(job, callback))
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:
+        future.set_exception(error)
+    return future
+
+
+def _run_job(job: _Job, callback: Callback) -> int:
+    """Run the request of a stage; return its exit code."""
+    return _run_request(job.run, job.stage, job.out, job.workers, callback)
+
+
+def _begin_stage(stage: Stage, number: int, record: _Record) -> bool:
+    """Prepare a stage and save its entry as running; return False if it is up to date.
+
+    Raises BadInputError if an input is missing.
     """
     out, row = record.folder, record.study.stages[number]
-    title = f"[{number + 1}/{len(record.study.stages)}] {stage.name}"
-    callback(title)
-
-    def show(text: str) -> object:
-        """Name the stage with what it does."""
-        return callback(f"{title}: {text}")
-
     inputs = {label: content(path) for label, path in stage.inputs.items()}
     # Inputs are files of earlier stages or of the user.
     missing = [label for label, digest in inputs.items() if not digest]
@@ -415,8 +555,7 @@ def _run_stage(
     same_key = row.key == key
     # Up to date: same inputs, options and outputs.
     if same_key and row.state == "done" and row.outputs == _outputs(stage, out):
-        show("unchanged")
-        return
+        return False
     # Without the old outputs a failed command cannot be mistaken for a finished one.
     _clear_outputs(stage, row, out, same_key)
     record.update_stage(
@@ -436,9 +575,18 @@ def _run_stage(
     if stage.writes is not None:
         path, data = stage.writes
         write_bytes(path, (_HEADER + tomlkit.dumps(data)).encode())
-    start_s = time.monotonic()
-    code = _run_request(run, stage, out, workers, show)
-    seconds, outputs = round(time.monotonic() - start_s, 1), _outputs(stage, out)
+    record.starts_s[number] = time.monotonic()
+    return True
+
+
+def _end_stage(stage: Stage, number: int, record: _Record, code: int) -> float:
+    """Save the entry of a stage that has run; return its time [s].
+
+    Raises BadInputError if the command did not write its outputs.
+    """
+    out = record.folder
+    seconds = round(time.monotonic() - record.starts_s[number], 1)
+    outputs = _outputs(stage, out)
     record.update_stage(number, exit=code, seconds=seconds, outputs=outputs, state="done")
     missing_outputs = [name for name, digest in outputs.items() if not digest]
     # A command that wrote nothing has not succeeded, whatever its exit code.
@@ -448,7 +596,7 @@ def _run_stage(
             f" from; its output is in {out / LOGS / stage.name}.txt"
         )
     record.save()
-    show(f"{seconds:.0f} s" + ("" if code == 0 else f", exit {code}: the answer is no"))
+    return seconds
 
 
 _HEADER = "# Written by `uqharness study`; edit the study's file instead.\n\n"

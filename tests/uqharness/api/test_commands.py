@@ -81,7 +81,7 @@ LEFT_OUT = {
         **dict.fromkeys(("cache", "use_cache"), "the function always uses the user's cache"),
     },
     "instrument": {
-        "undo": "it removes a folder's systems in place, which the function never changes",
+        "undo": "it removes a folder's systems in place, which the function never changes"
     },
     "campaign run": {
         "shard": "merge_campaign makes results of shards",

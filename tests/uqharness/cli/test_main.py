@@ -67,10 +67,7 @@ def test_an_error_of_a_log_is_bad_input(
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (
-            ("modes", "espaaro", "--speed-mps", "0"),
-            "--speed-mps 0: a number above 0 is needed",
-        ),
+        (("modes", "espaaro", "--speed-mps", "0"), "--speed-mps 0: a number above 0 is needed"),
         (
             ("modes", "espaaro", "--speed-mps", "22", "--bank-deg", "85"),
             "--bank-deg 85: a number above -85 and below 85 is needed",

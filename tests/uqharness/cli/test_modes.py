@@ -117,10 +117,7 @@ def test_a_page_is_written_when_asked_and_json_stays_as_it_is(tmp_path, capsys):
             ["--out", "m.html", "--speeds", "30:20"],
             "--speeds 30:20: LO:HI, two true airspeeds in m/s above 0, LO below HI, is needed",
         ),
-        (
-            ["--out", "m.html", "--speeds", "30"],
-            "--speeds 30: LO:HI, two true airspeeds in m/s",
-        ),
+        (["--out", "m.html", "--speeds", "30"], "--speeds 30: LO:HI, two true airspeeds in m/s"),
         (
             ["--out", "m.html", "--speeds", "0:30"],
             "--speeds 0:30: LO:HI, two true airspeeds in m/s above 0",

@@ -72,10 +72,7 @@ def test_a_repeated_option_is_repeated_and_the_words_are_those_of_the_same_comma
     words = command_words(made(*given))
     assert words.count("--states") == 2
     again = made(*words[1:], "--out", "o")
-    assert (again.states, again.flights) == (
-        {"CX": ("V",), "Cm": ("alpha", "q")},
-        (Path("x.bin"),),
-    )
+    assert (again.states, again.flights) == ({"CX": ("V",), "Cm": ("alpha", "q")}, (Path("x.bin"),))
 
 
 def test_a_folder_that_cannot_be_made_is_one_sentence(tmp_path: Path) -> None:

@@ -11,13 +11,7 @@ import pytest
 from rich.console import Console
 
 from uqharness.campaign.run import Progress
-from uqharness.cli.progress import (
-    ProgressView,
-    clock,
-    describe,
-    print_warnings,
-    working,
-)
+from uqharness.cli.progress import ProgressView, clock, describe, print_warnings, working
 from uqharness.heartbeat import STATE, Forecast, Rate, counting, forecast_shown, heartbeat
 
 

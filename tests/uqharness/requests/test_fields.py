@@ -57,10 +57,7 @@ def _bound(info: Any, *names: str) -> float | None:
 
 
 # What the rules between fields and the endings of files require besides.
-SOUND: dict[str, dict[str, Any]] = {
-    "diff": {"speed_mps": (22.0,)},
-    "log import": {"out": "x.csv"},
-}
+SOUND: dict[str, dict[str, Any]] = {"diff": {"speed_mps": (22.0,)}, "log import": {"out": "x.csv"}}
 
 
 def _valid(model: type[Request]) -> dict[str, Any]:

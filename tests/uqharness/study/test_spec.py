@@ -194,11 +194,7 @@ def test_every_option_of_a_command_is_a_key_of_its_section(tmp_path):
     [
         ('name = "mine"', 'nmae = "mine"', ["[study] nmae: unknown key", "did you mean name?"]),
         ('name = "mine"', 'name = "my study"', ['[study] name = "my study": a text of the form']),
-        (
-            'question = "Does it hold?"',
-            "question = 3",
-            ["[study] question = 3: a text"],
-        ),
+        ('question = "Does it hold?"', "question = 3", ["[study] question = 3: a text"]),
         (
             'aircraft = "espaaro"\n',
             'aircraft = "espaaroo"\n',
