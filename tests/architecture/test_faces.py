@@ -101,17 +101,6 @@ def not_asked_for(name: str, listed: set[str], everything: str) -> set[str]:
     return listed - set(re.findall(r"\w+", " ".join(asked)))
 
 
-def test_a_name_counts_as_used_where_it_or_its_room_is_imported():
-    listed = {"fly", "spare"}
-    assert not_asked_for("uqharness.flight", listed, "from uqharness.flight import fly\n") == {
-        "spare"
-    }
-    assert not_asked_for(
-        "uqharness.flight", listed, "from uqharness import flight\nflight.fly()\n"
-    ) == {"spare"}
-    assert not_asked_for("uqharness.flight", listed, "flight.fly()\nother.flight.spare\n") == listed
-
-
 def test_a_face_lists_no_more_than_is_used():
     """Names of the inner rooms' lists that no other room, test or campaign asks for."""
     everything = "\n".join(

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import pytest
-
 from tests.architecture.rooms import (
     BASE,
     LAYERS,
@@ -13,7 +11,6 @@ from tests.architecture.rooms import (
     importers,
     imports,
     modules,
-    room,
 )
 
 # The command's first file, which every worker process reads again, loads the command line when it
@@ -60,18 +57,6 @@ def test_a_circle_and_an_arrow_up_are_seen():
     assert against_the_layers("uqharness.flight.fly", "uqharness.campaign.run")
     assert against_the_layers("sysid.record", "uqharness.errors")
     assert not against_the_layers("uqharness.campaign.run", "uqharness.flight.fly")
-
-
-@pytest.mark.parametrize(
-    ("name", "expected"),
-    [
-        ("uqharness.campaign.store", ("uqharness", "campaign")),
-        ("sysid.record", ("sysid", "")),
-        ("uqharness", ("uqharness", "")),
-    ],
-)
-def test_rooms(name, expected):
-    assert room(name) == expected
 
 
 def test_the_walk_sees_nested_and_partial_imports():

@@ -167,8 +167,3 @@ def test_the_import_loads_no_numerical_library(module: str):
 
     assert loaded(CODE) == f"[] {module}"
     assert "'numpy'" in loaded(CODE.replace("face.LogError", "import sysid.record"))
-
-
-def test_the_wheel_takes_the_lists_of_names():
-    for name in FACES:
-        assert (ROOT / name.replace(".", "/") / "__init__.pyi").is_file()

@@ -1,17 +1,14 @@
 """Flip single bits of finished journals, tables and manifests, and see whether anybody could be
 misled by it.
 
-    python -m tests.helpers.bit_flips --flips 5000 [--seed 1]
-
 Each flip is made in a copy of a small campaign's folder; then verify, status, report (where it
 reads the file) and the command that flew it are called, in this process. No effect: tables, report
 and answers are the same bytes. Found: a command says so in a sentence, verify does too, what the
 others give is the same, and a run that refuses has changed no file. SILENT: anything else.
-Traceback: a command ends in one. Exit code 1 for either of the last two."""
+Traceback: a command ends in one."""
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import io
 import os
@@ -19,8 +16,6 @@ import random
 import shutil
 import signal
 import sqlite3
-import sys
-import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import closing
@@ -315,34 +310,3 @@ def harmless() -> Iterator[None]:
     finally:
         campaign.validate_model, flight.fly, campaign.make_tables = before
         seal.make_tables = before[2]
-
-
-def table(found: dict[str, Counter[str]]) -> str:
-    """Outcomes as a table, with a line of sums."""
-    rows = [*sorted(found.items()), ("all", sum(found.values(), Counter()))]
-    lines = [f"{'file':<28}" + "".join(f"{name:>11}" for name in ("flips", *OUTCOMES))]
-    for name, counted in rows:
-        lines.append(
-            f"{name:<28}{counted.total():>11}"
-            + "".join(f"{counted[outcome]:>11}" for outcome in OUTCOMES)
-        )
-    return "\n".join(lines)
-
-
-def main() -> int:
-    """Exit code: 1 if a flip was silent or ended in a traceback."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--flips", type=int, default=500, metavar="N")
-    parser.add_argument("--seed", type=int, default=1, metavar="S")
-    given = parser.parse_args()
-    with tempfile.TemporaryDirectory() as name:
-        found = run(given.flips, given.seed, Path(name), lambda text: print(text, flush=True))
-    print(table(found))
-    counted = sum(found.values(), Counter())
-    return int(counted[SILENT] + counted[TRACEBACK] > 0)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

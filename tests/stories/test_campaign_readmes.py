@@ -79,13 +79,6 @@ def test_an_option_that_does_not_exist_is_seen(monkeypatch, capsys):
     assert "--repeat-s" in capsys.readouterr().err
 
 
-def test_a_command_that_does_not_exist_is_seen(tmp_path):
-    page = tmp_path / "README.md"
-    page.write_text("    uqharness campaign run x.toml --out y --hous 3\n")
-    with pytest.raises(SystemExit):
-        build_parser().parse_args(commands(page)[0][1:])
-
-
 def small(path: Path) -> dict[str, object]:
     """The campaign with one short flight in one condition for two coefficients; method, metrics and
     all the rest as they stand.

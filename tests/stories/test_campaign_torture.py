@@ -180,25 +180,6 @@ def check(tmp_path, flights, at_least, hit, how="spawn"):
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:This process .* is multi-threaded:DeprecationWarning")
-def test_kills_in_the_middle_of_a_flight_and_of_writes(tmp_path):
-    fakes.campaign_file(tmp_path)
-    hit = torture(tmp_path, None, 3, ["worker", "journal"], seed=20161202)
-    check(tmp_path, 3, 3, hit, "fork")
-    assert hit == ["worker", "journal", "table"]
-
-
-@pytest.mark.slow
-def test_four_kills_of_four_kinds(tmp_path, cluster):
-    fakes.campaign_file(tmp_path)
-    hit = torture(
-        tmp_path, cluster, 6, ["journal", "worker", "dask worker", "parent on dask"], seed=20161201
-    )
-    check(tmp_path, 6, 4, hit)
-    assert "table" in hit
-
-
-@pytest.mark.slow
-@pytest.mark.filterwarnings("ignore:This process .* is multi-threaded:DeprecationWarning")
 def test_a_campaign_that_decides_is_killed_between_its_looks(tmp_path):
     """What to fly next depends on what is done: a look at half a round would answer another
     question.

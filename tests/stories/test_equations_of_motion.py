@@ -139,16 +139,3 @@ def test_every_term_counts_the_same_on_both_sides():
         reference = integrate(Airframe(coefficients=changed), states, positions)
         ratio = excess(states, reference)
         assert ratio.max() < 1.0, (control, dict(zip(STATES, ratio.round(2), strict=True)))
-
-
-def test_error_at_the_campaigns_step():
-    # The same comparison at 100 Hz, where JSBSim's integration costs some percent of peak;
-    # docs/aircraft.md quotes it.
-    worst = 0.0
-    for control in DOUBLETS:
-        states, positions = fly_jsbsim(control, dt=0.01)
-        reference = integrate(Airframe(), states, positions, dt=0.01)
-        moving = np.max(np.abs(reference - reference[0]), axis=0) > 20 * FLOOR
-        peak = np.max(np.abs(reference - reference[0]), axis=0)[moving]
-        worst = max(worst, float(np.max(np.max(np.abs(states - reference), axis=0)[moving] / peak)))
-    assert 0.01 < worst < 0.10

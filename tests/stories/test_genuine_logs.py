@@ -44,16 +44,6 @@ def test_purposes(flight_data: Path, card_path: Path, name: str) -> None:
     )
 
 
-def test_findings_of_a_loiter_log(flight_data: Path, card_path: Path) -> None:
-    found = {
-        (f.code, f.channel): f
-        for f in load(flight_data, card_path, "flight4_loiter_medium")[1].findings
-    }
-    assert found["gap", "IMU"].numbers["longest_s"] == pytest.approx(2.46, abs=0.02)
-    assert ("estimate", "alpha_rad") in found
-    assert found["delay", "ground velocity"].numbers["delay_s"] == pytest.approx(0.1, abs=0.02)
-
-
 def test_manoeuvres_show_in_their_surfaces(flight_data: Path, card_path: Path) -> None:
     """Every doublet of the list moves its own surface within its time, by the sign table of the
     card.

@@ -196,29 +196,6 @@ def test_the_installed_wheel_works_in_a_folder_of_its_own(installed: Path, tmp_p
     assert "2 flights done" in run(installed, tmp_path, *part)
 
 
-@pytest.mark.slow
-def test_the_wheel_installs_from_the_index_into_an_empty_environment(wheel: Path, tmp_path: Path):
-    environment = tmp_path / "env"
-    venv.create(environment, with_pip=True)
-    pip = [
-        environment / "bin" / "python",
-        "-m",
-        "pip",
-        "install",
-        "--quiet",
-        "--disable-pip-version-check",
-        str(wheel),
-    ]
-    done = subprocess.run(pip, capture_output=True, text=True, check=False)
-    if done.returncode and "No matching distribution" in done.stderr + done.stdout:
-        pytest.skip("no package index can be reached from here")
-    assert done.returncode == 0, done.stderr
-    run(environment / "bin", tmp_path, "modes", "espaaro", "--speed-mps", "22.2")
-    run(environment / "bin", tmp_path, "campaign", "run", "demo", "--out", "all", "--hours", "0.05")
-    run(environment / "bin", tmp_path, "campaign", "report", "all", "--no-tracks")
-    assert (tmp_path / "all" / "report.html").stat().st_size > 10_000
-
-
 def undocumented(source: str) -> list[str]:
     """Public classes, functions and methods of a module without a docstring, and the module itself
     as ``<module>``.
@@ -297,10 +274,3 @@ def test_what_every_spawned_process_reads_again_loads_nothing():
     assert loaded("uqharness.__main__") == []
     assert loaded("uqharness.cli.main") == ["uqharness.cli.main"]
     assert "scipy" in loaded("uqharness.commands.simulation")
-
-
-def test_the_package_runs_as_a_module():
-    done = subprocess.run(
-        [sys.executable, "-m", "uqharness", "--version"], cwd=ROOT, capture_output=True, text=True
-    )
-    assert (done.returncode, done.stdout.split()[0]) == (0, "uqharness")

@@ -126,107 +126,70 @@ INITIAL = """<?xml version="1.0"?>
 DOCUMENTS = {"aircraft": AIRCRAFT, "system": SYSTEM, "script": SCRIPT, "initial": INITIAL}
 
 CHORD = '<chord unit="M">.5</chord>'
-SPAN = '<wingspan unit="M">3</wingspan>'
 PLACE = '<location unit="M"><x>0</x><y>0</y><z>0</z></location>'
 DIRECTION = "<direction><x>1</x><y>0</y><z>0</z></direction>"
-INPUT = "<input>-test/in</input>"
 GAIN = "<gain>test/k</gain>"
 
 # What it is, the document, the text to change, what it becomes.
 REFUSED = [
     ("unknown root", "system", "system", "systems"),
     # the aircraft file and its sections
-    ("no version", "aircraft", ' version="2.0"', ""),
     ("version of two digits", "aircraft", 'version="2.0"', 'version="2.10"'),
-    ("date in words", "aircraft", "2024-01-31", "January"),
     (
         "no metrics",
         "aircraft",
         AIRCRAFT[AIRCRAFT.index("<metrics>") : AIRCRAFT.index("<mass_balance")],
         "",
     ),
-    ("metrics out of order", "aircraft", SPAN + "\n    " + CHORD, CHORD + SPAN),
     ("metrics not all there", "aircraft", CHORD, ""),
-    ("word for a number", "aircraft", ">1.5<", ">large<"),
     ("negative area", "aircraft", ">1.5<", ">-1.5<"),
-    ("unknown unit", "aircraft", 'unit="M2"', 'unit="M3"'),
     ("unknown reference point", "aircraft", "AERORP", "AERO"),
-    ("system after the aerodynamics", "aircraft", "</aerodynamics>", "</aerodynamics><system/>"),
     ("property outside a section", "aircraft", "<system ", "<property>test/x</property><system "),
-    ("force without a place", "aircraft", PLACE + "\n      <direction>", "<direction>"),
     ("place after the direction", "aircraft", PLACE + "\n      " + DIRECTION, DIRECTION + PLACE),
-    ("place with a name", "aircraft", PLACE, PLACE.replace("<location", '<location name="nose"')),
     ("persistent outside a script", "aircraft", 'value="1"', 'value="1" persistent="true"'),
-    ("unknown axis", "aircraft", '"LIFT"', '"NORMAL"'),
     (
         "property within an axis",
         "aircraft",
         '<axis name="LIFT">',
         '<axis name="LIFT"><property>test/x</property>',
     ),
-    ("apply_at_cg not a boolean", "aircraft", 'apply_at_cg="true"', 'apply_at_cg="yes"'),
     (
         "apply_at_cg outside an axis",
         "aircraft",
         'name="aero/qS"',
         'name="aero/qS" apply_at_cg="true"',
     ),
-    (
-        "table without data",
-        "aircraft",
-        "<tableData> -0.1 -0.4 <!-- linear --> 0.1 0.6 </tableData>",
-        "",
-    ),
     ("word in a table", "aircraft", "0.1 0.6", "0.1 six"),
-    ("output without a rate", "aircraft", ' rate="10"', ""),
     # systems
     ("note in a system", "system", "<property value", "<note>about it</note><property value"),
-    (
-        "documentation in a channel",
-        "system",
-        "<pure_gain",
-        "<documentation>about it</documentation><pure_gain",
-    ),
     (
         "component outside a channel",
         "system",
         "<channel",
         '<summer name="x"><input>a/b</input></summer><channel',
     ),
-    ("channel without a name", "system", '<channel name="control"', "<channel"),
     ("unknown component", "system", "lag_filter", "low_pass"),
-    ("component without a name", "system", '<summer name="test/sum">', "<summer>"),
     ("gain without a gain", "system", GAIN, ""),
-    ("gain before its input", "system", INPUT + GAIN, GAIN + INPUT),
     ("dot in a property name", "system", "-test/in", "-test/in.a"),
-    ("space in a property name", "system", "-test/in", "- test/in"),
     ("property for a filter coefficient", "system", "<c1>5</c1>", "<c1>test/c1</c1>"),
-    ("second order filter with a coefficient too few", "system", "<c6>9</c6>", ""),
     (
         "two outputs of an actuator",
         "system",
         "<lag>20</lag>",
         "<output>test/x</output><output>test/y</output>",
     ),
-    ("two rate limits", "system", "<lag>20</lag>", '<rate_limit sense="incr">1</rate_limit>'),
     ("test without a value", "system", ' value="test/pid"', ""),
-    ("default after the tests", "system", "</switch>", '<default value="1"/></switch>'),
     ("misspelt attribute", "system", "logic=", "login="),
-    ("misspelt distribution", "system", "GAUSSIAN", "NORMAL"),
     ("bits not whole", "system", "<bits>12</bits>", "<bits>12.5</bits>"),
     # functions
-    ("unknown operation", "system", "abs", "modulus"),
     ("operation upstream left out", "system", "abs", "sign"),
-    ("one operand too few", "system", "<lt><p>test/a</p><v>1</v></lt>", "<lt><p>test/a</p></lt>"),
     (
         "one operand too many",
         "system",
         "<abs><p>test/a</p></abs>",
         "<abs><p>test/a</p><v>1</v></abs>",
     ),
-    ("sum of one", "system", "<abs><p>test/a</p></abs>", "<sum><p>test/a</p></sum>"),
     ("word for a value", "system", "<v>1</v>", "<v>one</v>"),
-    ("two roots of a function", "system", "<pi/></ifthen>", "<pi/></ifthen><v>1</v>"),
     (
         "copy of a function",
         "system",
@@ -234,20 +197,10 @@ REFUSED = [
         '<function name="test/noise" copyto="test/x"',
     ),
     # scripts and initial conditions
-    ("script without an aircraft", "script", ' aircraft="test"', ""),
     ("run without an end", "script", ' end="10"', ""),
-    ("word for a step", "script", 'dt="0.01"', 'dt="small"'),
     ("unknown action", "script", "FG_RAMP", "FG_JUMP"),
-    ("set without a name", "script", 'set name="test/in"', "set"),
     ("property after the events", "script", "</run>", "<property>test/x</property></run>"),
-    (
-        "notification of words only",
-        "script",
-        "<notify>",
-        "<notify><description>now</description></notify><notify>",
-    ),
     ("unknown state", "initial", "ubody", "u-body"),
-    ("two heights", "initial", "<running>", "<altitudeMSL>1</altitudeMSL><running>"),
     ("unknown format", "initial", 'name="test"', 'version="3.0"'),
 ]
 

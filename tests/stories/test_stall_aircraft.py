@@ -16,7 +16,7 @@ from tests.helpers import sixdof, stall_model
 from tests.helpers.few import few
 from tests.helpers.stall_model import Separation, StallingAirframe
 from uqharness.simulator import engine
-from uqharness.simulator.aircraft import PROJECT_ROOT, content_hash, find_aircraft, open_aircraft
+from uqharness.simulator.aircraft import PROJECT_ROOT, find_aircraft, open_aircraft
 from uqharness.simulator.forced_state import BodyState, apply_controls, body_velocity, force_state
 from uqharness.simulator.trim import SteadyCondition, find_trim
 
@@ -34,7 +34,6 @@ MANOEUVRES = {
     "yaw": ("rudder", [(0.5, 8.0), (1.0, -8.0), (1.5, 0.0)]),
 }
 DURATION = 4.0
-STATES = ("u", "v", "w", "p", "q", "r", "phi", "theta", "psi", "h")
 FLOOR = np.array([2e-3, 2e-3, 2e-3, 2.5e-4, 2.5e-4, 2.5e-4, 3e-4, 3e-4, 1.5e-3, 1e-2])
 PROPERTIES = (
     "velocities/u-fps",
@@ -116,13 +115,6 @@ def excess(states, expected) -> float:
 @pytest.mark.parametrize("manoeuvre", few(MANOEUVRES, 2))
 def test_flight_agrees_to_one_percent(name, manoeuvre):
     assert excess(fly(name, manoeuvre)[0], reference(name, manoeuvre)) < 1.0
-
-
-@pytest.mark.parametrize("name", STEADY)
-def test_the_pull_enters_the_stall(name):
-    states, _, X = fly(name, "stall")
-    assert X.min() < 0.3
-    assert np.degrees(np.arctan2(states[:, 2], states[:, 0])).max() > 12.0
 
 
 SEEN = [
@@ -220,17 +212,6 @@ def test_the_truth_is_the_espaaro_and_four_effects():
     )
     assert len(gone) == 5
     assert all(any(name in line for name in names) for line in gone), gone
-
-
-@pytest.mark.parametrize("name", STEADY)
-def test_systems_are_the_espaaros(name):
-    own = PROJECT_ROOT / "aircraft/espaaro/Systems"
-    for path in own.glob("*.xml"):
-        assert (
-            PROJECT_ROOT / "aircraft" / name / "Systems" / path.name
-        ).resolve() == path.resolve()
-    # A link's content counts for the identity of the aircraft.
-    assert content_hash(find_aircraft(name)) != content_hash(find_aircraft("espaaro"))
 
 
 @pytest.mark.parametrize("name", STEADY)

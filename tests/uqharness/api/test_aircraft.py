@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -43,27 +42,6 @@ def test_trim_and_modes_are_those_of_the_command(capsys: pytest.CaptureFixture):
     assert np.isfinite(model.A).all()
     assert model.B.shape == (8, len(model.controls))
     assert capsys.readouterr() == ("", "")
-
-
-def test_no_steady_flight_is_a_result_that_cannot_be_linearised():
-    steady = replace(
-        uq.find_trim("espaaro", 22.2), converged=False, reason="no steady flight at 5 m/s"
-    )
-    with pytest.raises(uq.BadInputError, match="cannot linearise"):
-        uq.linearise("espaaro", steady)
-
-
-@pytest.mark.parametrize(
-    ("wrong", "message"),
-    [
-        ({"V_mps": -1.0}, "V_mps = -1"),
-        ({"bank_rad": 2.0}, "bank_rad = 2"),
-        ({"altitude_m": math.nan}, "altitude_m = nan"),
-    ],
-)
-def test_numbers_that_mean_no_flight_are_refused(wrong: dict, message: str):
-    with pytest.raises(uq.BadInputError, match=message):
-        uq.find_trim(**({"aircraft": "espaaro", "V_mps": 22.2} | wrong))
 
 
 def tree(folder: Path) -> dict[str, bytes]:

@@ -10,7 +10,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 import uqharness as uq
@@ -232,26 +231,12 @@ def test_what_is_refused_is_named_and_leaves_nothing(
     assert capfd.readouterr() == ("", "")
 
 
-def test_edges_that_mean_something_are_taken(flight: Flight):
-    box = uq.pbox([[1.0, 2.0]])
-    assert (box.quantile(0), box.quantile(np.float64(1.0))) == ((1.0, 1.0), (2.0, 2.0))
-    assert (
-        len(uq.fly("espaaro", "trim", duration_s=np.int64(1), noise=np.True_, seed=np.int64(1)))
-        == 51
-    )
-
-
 @pytest.mark.parametrize("other", ["espaaro_truth", "c172x"])
 def test_a_trim_belongs_to_its_aircraft(other: str):
     steady = uq.find_trim("espaaro", 22.2, bank_rad=0.2)
     with pytest.raises(uq.BadInputError, match=f"not of aircraft '{other}'"):
         uq.linearise(other, steady)
     assert uq.linearise("espaaro", steady).A.shape == (8, 8)
-
-
-def test_one_parameter_may_be_given_by_its_name():
-    flight = uq.fly("espaaro", "doublet-elevator", noise=True, seed=1)
-    assert uq.identify("espaaro", flight, parameters="aero/Cm_q", workers=1).names == ("aero/Cm_q",)
 
 
 def test_results_are_shown_in_a_line_and_as_a_table(flight: Flight):

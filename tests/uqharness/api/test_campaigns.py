@@ -98,22 +98,6 @@ def test_a_dictionary_and_a_file_mean_the_same(result: CampaignResult, tmp_path:
     )
 
 
-def test_a_dictionary_may_hold_numbers_of_numpy_and_paths():
-    plain = tomllib.loads(CAMPAIGN.read_text())
-    given = tomllib.loads(CAMPAIGN.read_text())
-    given["campaign"] |= {
-        "seed": np.int64(plain["campaign"]["seed"]),
-        "aircraft": Path(plain["campaign"]["aircraft"]),
-    }
-    given["aleatory"] |= {
-        "flights": np.int32(plain["aleatory"]["flights"]),
-        "duration_s": np.float64(20),
-        "wind_mps": np.array([3.0]),
-    }
-    plain["aleatory"] |= {"duration_s": 20, "wind_mps": [3.0]}
-    assert campaign_of(given).as_dict() == campaign_of(plain).as_dict()
-
-
 @pytest.mark.parametrize(
     ("section", "wrong"),
     [
@@ -129,13 +113,6 @@ def test_an_error_in_a_dictionary_names_no_file(section: str, wrong: dict, tmp_p
     assert "campaign.toml" not in str(caught.value)
     assert "the file" not in str(caught.value)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_folder_of_the_user_stays_as_it_was(tmp_path: Path):
-    (tmp_path / "thesis.tex").write_text("mine")
-    with pytest.raises(uq.BadInputError, match="not a campaign folder"):
-        uq.run_campaign(CAMPAIGN, tmp_path)
-    assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
 
 
 def test_bad_input_is_said(result: CampaignResult, tmp_path: Path):

@@ -149,24 +149,6 @@ def test_functions_that_packages_are_named_after_can_be_called():
     assert uqharness.report.write_report is not None
 
 
-def test_a_command_s_refusal_is_bad_input(tmp_path):
-    with pytest.raises(uq.BadInputError, match="nothing to fly: give speed_mps"):
-        uq.diff("espaaro", "espaaro")
-
-
-def test_campaign_results_say_what_they_are(tmp_path):
-    folder = tmp_path / "results"
-    manifest = {
-        "cases": 12,
-        "campaign": {"campaign": {"aircraft": "a/plane"}, "epistemic": {"method": "corners"}},
-    }
-    from uqharness.commands.campaign import CampaignResult
-
-    text = repr(CampaignResult(folder, manifest))
-    assert "12 flights of plane" in text
-    assert "corners" in text
-
-
 def test_a_campaign_s_folder_is_read_without_a_command(tmp_path, capfd):
     folder = flown_campaign(tmp_path)
     status = uq.campaign_status(folder)
@@ -210,8 +192,3 @@ def test_shards_are_merged(tmp_path):
         merged = uq.merge_campaign(folder)
         assert (merged["missing"] > 0) == (part == "1/2")
     assert merged["done"] == merged["cases"] == len(uq.read_campaign(folder).cases)
-
-
-def test_a_mission_is_a_script_by_another_name():
-    flight = uq.fly("espaaro", mission="trim", duration_s=1)
-    assert (flight.name, len(flight)) == ("trim", 51)

@@ -11,7 +11,6 @@ import pytest
 
 import uqharness as uq
 from sysid.record import FlightRecord
-from sysid.vocabulary import SIGNALS
 from uqharness.cli.main import main
 from uqharness.commands.flights import Flight, flights_of
 from uqharness.simulator.aircraft import find_aircraft
@@ -60,33 +59,6 @@ def test_a_flight_is_that_of_the_command(
         for name, values in first.columns.items():
             np.testing.assert_array_equal(values, second[name])
     assert capsys.readouterr() == ("", "")
-
-
-def test_its_table_holds_every_column_of_the_record():
-    flight = flown()
-    table = flight.to_dataframe()
-    core = {s.name for s in SIGNALS.values() if s.core}
-    assert core | {"elevator_pos_deg", "manoeuvre"} <= set(table.columns)
-    assert list(table.columns) == list(flight.record.columns)
-    assert len(table) == len(flight) == 301
-    np.testing.assert_array_equal(table["q_radps"], flight["q_radps"])
-    other = uq.fly(
-        "espaaro",
-        "doublet-elevator",
-        duration_s=6,
-        wind_mps=3,
-        turbulence="light",
-        noise=True,
-        seed=4,
-    )
-    assert not table["q_radps"].equals(other.to_dataframe()["q_radps"])
-    assert other.sha256 != flight.sha256 == flown().sha256
-
-
-def test_a_crash_is_a_result():
-    flight = uq.fly("espaaro", "doublet-elevator", properties={"aero/CZ_0": 0.8})
-    assert flight.status in ("ground-contact", "diverged")
-    assert flight.reason
 
 
 def test_what_is_read_is_what_was_flown(tmp_path: Path):

@@ -141,23 +141,6 @@ def test_fit_model_form_gives_the_file_of_the_command(
     assert capsys.readouterr() == ("", "")
 
 
-@pytest.mark.parametrize(
-    ("wrong", "message"),
-    [
-        ({"workers": 0}, "workers = 0"),
-        ({"start": "zero"}, "start = 'zero'"),
-        ({"method": "magic"}, "method = 'magic'"),
-        ({"servos": "slow"}, "servos = 'slow'"),
-        ({"biases": ["rpm"]}, "unknown channel rpm"),
-        ({"parameters": ["aero/none"]}, "aero/none"),
-    ],
-)
-def test_bad_input_is_one_sentence(flight: Path, wrong: dict, message: str):
-    with pytest.raises(uq.BadInputError, match=message) as caught:
-        uq.identify("espaaro", flight, **({"workers": 1} | wrong))
-    assert "\n" not in str(caught.value)
-
-
 def test_compare_takes_one_flight_and_model_forms_need_sound_numbers(flight: Path, tmp_path: Path):
     other = tmp_path / "other.parquet"
     flown(5).write(other)

@@ -34,31 +34,6 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list:
     return found
 
 
-def test_it_asks_what_the_command_asks(asked: list, tmp_path: Path):
-    files = [tmp_path / f"{name}.parquet" for name in "ab"]
-    for seed, path in enumerate(files):
-        uq.fly("espaaro", "trim", duration_s=3, noise=True, seed=seed).write(path)
-    words = [
-        "--train",
-        str(files[0]),
-        "--test",
-        str(files[1]),
-        "--out",
-        str(tmp_path / "out"),
-        "--no-pbox",
-        "--workers",
-        "1",
-    ]
-    assert main(["refine", "espaaro", *words]) == 0
-    uq.refine(
-        "espaaro", train=files[0], test=[str(files[1])], out=tmp_path / "out", pbox=False, workers=1
-    )
-    command, python = (job for job, _ in asked)
-    assert command == python
-    wanted = ["--train", "a.parquet", "--test", "b.parquet", "--no-pbox", "--workers", "1"]
-    assert python.command == ("uqharness", "refine", "espaaro", *wanted)
-
-
 def test_flights_in_memory_are_handed_on(asked: list, tmp_path: Path):
     flights = [uq.fly("espaaro", "trim", duration_s=3, noise=True, seed=seed) for seed in range(3)]
     flights[2].write(tmp_path / "file.parquet")

@@ -115,9 +115,3 @@ def test_a_flight_function_of_the_script_needs_a_guard_and_that_is_said(tmp_path
     # The worker's own message and the script's.
     assert done.stderr.count("Traceback") <= 2 + done.stderr.count("During handling")
     assert (tmp_path / "begun").read_text() == "xx"
-
-
-@pytest.mark.slow
-def test_with_its_guard_it_flies(tmp_path: Path):
-    done = run("script", OWN.replace("GUARD", 'if __name__ == "__main__":'), tmp_path)
-    assert (done.returncode, done.stdout) == (0, "{'ok': 2}\n"), done.stderr

@@ -25,11 +25,6 @@ def other(tmp_path):
     return out
 
 
-def test_a_model_and_itself(capsys):
-    assert main(["diff", "espaaro", "espaaro", "--speed-mps", "22"]) == 0
-    assert "do not differ" in capsys.readouterr().out
-
-
 def test_a_heavier_nose_shows_in_words_numbers_and_a_page(other, tmp_path, capsys):
     page = tmp_path / "diff.html"
     assert main(["diff", "espaaro", str(other), "--speed-mps", "22", "--out", str(page)]) == 1

@@ -16,17 +16,6 @@ def refined(tmp_path):
     return folder
 
 
-def test_a_complete_folder(refined, capsys):
-    assert main(["dossier", str(refined)]) == 0
-    first = (refined / "dossier.html").read_bytes()
-    assert capsys.readouterr().out.startswith(
-        "This dossier lays out evidence. It claims no compliance"
-    )
-    # The dossier itself is no source of the next.
-    assert main(["dossier", str(refined)]) == 0
-    assert (refined / "dossier.html").read_bytes() == first
-
-
 def test_json_and_another_place(refined, tmp_path, capsys):
     out = tmp_path / "evidence.html"
     assert main(["dossier", str(refined), "--out", str(out), "--json"]) == 0

@@ -33,11 +33,6 @@ def test_the_summary_is_one_line_or_json(tmp_path, capsys):
     assert (found["status"], found["rows"]) == ("ok", 11)
 
 
-def test_an_ending_without_a_format_is_refused_before_a_flight(tmp_path, capsys):
-    assert main(["fly", "espaaro", "--out", str(tmp_path / "flight.txt")]) == 2
-    assert "flight.txt: the name must end with .csv or .parquet or .bin" in capsys.readouterr().err
-
-
 def request(*words: str) -> FlyRequest:
     arguments = build_parser().parse_args(["fly", "espaaro", *words])
     return request_of(FlyRequest, arguments)
@@ -73,14 +68,3 @@ def test_a_page_is_written_beside_the_record_when_asked(tmp_path, capsys):
     assert "Wind 3 m/s from 270 deg, no turbulence, without sensor noise, seed 0." in said
     assert "commanded circle, radius 120 m" in said
     assert "--page" not in said
-
-
-def test_a_page_of_another_ending_is_refused_before_a_flight(tmp_path, capsys):
-    assert (
-        main(
-            ["fly", "espaaro", "--out", str(tmp_path / "a.csv"), "--page", str(tmp_path / "a.htm")]
-        )
-        == 2
-    )
-    assert "a.htm: a page, FILE.html, is written" in capsys.readouterr().err
-    assert list(tmp_path.iterdir()) == []

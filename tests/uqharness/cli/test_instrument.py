@@ -28,15 +28,6 @@ def test_every_table_has_its_headings(tmp_path, capsys):
     assert [place.partition(":")[0] for place in places] == ["c172p.xml"] * 6
 
 
-def test_a_dry_run_says_that_nothing_was_written(tmp_path, capsys):
-    out = tmp_path / "mine"
-    assert main(["instrument", "c172p", "--out", str(out), "--dry-run"]) == 0
-    told = capsys.readouterr().out
-    assert "would have bounded increments" in told
-    assert told.splitlines()[1] == "Nothing was written (--dry-run)."
-    assert not out.exists()
-
-
 def check(status: str, reason: str = "", properties: int = 0, worst: float | None = None) -> str:
     return _check_sentence(
         PluginCheck(

@@ -14,7 +14,7 @@ from sysid.logs.signal_map import shipped_map
 from sysid.record import FlightRecord
 from tests.helpers.log_writers import write_text_log, write_tlog
 from tests.helpers.page_checks import problems, words_of
-from tests.helpers.places import ROOT, TESTS
+from tests.helpers.places import TESTS
 from tests.helpers.synthetic import flight
 from uqharness.cli.main import main
 
@@ -28,13 +28,6 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
         flight(duration_s=40.0, start_s=5.0), path, read_card(CARD), vehicle="ArduPlane V4.6.0"
     )
     return path
-
-
-def test_info_as_json(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["log", "info", str(log), "--aircraft", str(CARD), "--json", "--no-cache"]) == 0
-    out = json.loads(capsys.readouterr().out)
-    assert out["purposes"]["identification"]["serves"] is True
-    assert out["channels"]["q_radps"] == {"source": "IMU.GyrY", "rate_hz": pytest.approx(50.0)}
 
 
 def test_info_as_text(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -173,54 +166,6 @@ def test_bad_arguments_exit_2(
         assert printed.startswith("uqharness: error: ")
         assert said in printed
         assert printed.count("\n") == 1
-
-
-def test_an_aircraft_is_a_name_a_folder_or_a_card(log: Path, tmp_path: Path) -> None:
-    printed = []
-    folder = ROOT / "aircraft" / "espaaro"
-    for number, aircraft in enumerate(("espaaro", folder, folder / "airframe.toml")):
-        out = tmp_path / f"{number}.csv"
-        assert (
-            main(
-                [
-                    "log",
-                    "import",
-                    str(log),
-                    "--out",
-                    str(out),
-                    "--aircraft",
-                    str(aircraft),
-                    "--no-cache",
-                ]
-            )
-            == 0
-        )
-        printed.append(out.read_bytes())
-    assert printed[0] == printed[1] == printed[2]
-    assert b"elevator_deg" in printed[0]
-
-
-def test_import_makes_the_folders_on_its_way(log: Path, tmp_path: Path) -> None:
-    assert (
-        main(
-            [
-                "log",
-                "import",
-                str(log),
-                "--out",
-                str(tmp_path / "a" / "b" / "c.parquet"),
-                "--no-cache",
-            ]
-        )
-        == 0
-    )
-    assert FlightRecord.read(tmp_path / "a" / "b" / "c.parquet")["time_s"].size
-
-
-def test_the_logs_own_folder_gets_nothing_written(log: Path, tmp_path: Path) -> None:
-    before = sorted(p.name for p in log.parent.iterdir())
-    assert main(["log", "info", str(log), "--cache", str(tmp_path / "c")]) == 1
-    assert sorted(p.name for p in log.parent.iterdir()) == before
 
 
 def test_a_logs_vehicle_and_a_files_name_cannot_steer_the_terminal(

@@ -15,22 +15,6 @@ from uqharness.commands import simulation
 from uqharness.flight import Assessment
 
 
-def test_json_has_the_contracted_keys(capsys):
-    assert main(["modes", "espaaro", "--speed-mps", "22.2", "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
-    assert {"V_mps", "alpha_deg", "elevator_deg", "throttle_pct", "thrust_N", "rpm"} <= set(
-        found["trim"]
-    )
-    assert {m["name"] for m in found["modes"]} == {
-        "short_period",
-        "phugoid",
-        "dutch_roll",
-        "roll",
-        "spiral",
-    }
-    assert all(set(m) == {"name", "real", "imag", "wn_radps", "zeta"} for m in found["modes"])
-
-
 def test_wind_moves_the_path_and_not_the_modes(capsys):
     seen = []
     for wind in ([], ["--wind-mps", "5", "--wind-from-deg", "180"]):

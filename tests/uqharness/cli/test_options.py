@@ -10,17 +10,14 @@ from pathlib import Path
 import pytest
 
 from uqharness.cli.main import (
-    Command,
-    RequestCommand,
     build_parser,
     commands_of,
     complete_parser,
-    run_words,
 )
 from uqharness.cli.request_command import request_of
 from uqharness.errors import BadInputError
 from uqharness.files import results_folder
-from uqharness.requests.base import command_line, command_words
+from uqharness.requests.base import command_words
 from uqharness.requests.identification import BoundsRequest
 
 
@@ -37,23 +34,6 @@ def commands() -> list[argparse.ArgumentParser]:
 
 def made(*words: str) -> BoundsRequest:
     return request_of(BoundsRequest, build_parser().parse_args(words))
-
-
-def test_the_words_that_repeat_a_command_name_files_and_leave_out_defaults() -> None:
-    request = made(
-        "bounds",
-        "espaaro",
-        "--flight",
-        "a/x.bin",
-        "b/y.bin",
-        "--out",
-        "here",
-        "--json",
-        "--order",
-        "2",
-        "--no-check",
-    )
-    assert command_line(request) == "uqharness bounds espaaro --flight x.bin y.bin --no-check"
 
 
 def test_a_repeated_option_is_repeated_and_the_words_are_those_of_the_same_command() -> None:
@@ -119,27 +99,3 @@ def test_an_option_means_the_same_in_every_command(commands: list[argparse.Argum
     assert "--no-check" in told
     assert "--no-checks" not in told
     assert len(told["--seed"]) > 1  # says what it seeds: the comparison sees a difference
-
-
-@pytest.mark.parametrize(
-    "words",
-    [
-        ("identify", "--flight", "f"),
-        ("compare", "--flight", "f"),
-        ("study",),
-        ("refine", "--train", "a", "--test", "b"),
-    ],
-)
-def test_no_workers_are_refused_wherever_they_are_asked_for(words: tuple[str, ...]) -> None:
-    with pytest.raises(BadInputError, match="--workers 0: a whole number of at least 1 is needed"):
-        run_words([words[0], "thing", *words[1:], "--out", "o", "--workers", "0"])
-
-
-def test_a_parser_is_completed_once() -> None:
-    parser = Command(prog="uqharness report")
-    parser.entry = RequestCommand("folders:ReportRequest", "folders:report", "")
-    parser.complete()
-    before = len(parser._actions)
-    parser.complete()
-    assert len(parser._actions) == before
-    assert parser.parse_args(["results"]).folder == "results"

@@ -12,7 +12,7 @@ from rich.console import Console
 
 from uqharness.campaign.run import Progress
 from uqharness.cli.progress import ProgressView, clock, describe, print_warnings, working
-from uqharness.heartbeat import STATE, Forecast, Rate, counting, forecast_shown, heartbeat
+from uqharness.heartbeat import STATE, Forecast, Rate, heartbeat
 
 
 def test_progress_on_a_terminal_and_silence_elsewhere():
@@ -28,12 +28,6 @@ def test_progress_on_a_terminal_and_silence_elsewhere():
             view.update(state)
         assert ("60/100" in drawn.getvalue()) is terminal
         assert bool(drawn.getvalue()) is terminal
-
-
-def test_a_count_is_a_stage_with_its_total():
-    stages = []
-    counting("repeats", stages.append)(1.5, 2)
-    assert stages[0].startswith("repeats: 1 of 2")
 
 
 def test_the_time_to_go_follows_recent_work_and_counts_down():
@@ -144,9 +138,3 @@ def test_the_time_to_go_is_part_of_the_line_and_ends_with_the_command(monkeypatc
         assert shown.wait(30.0)
     assert any("about 1:30 to go" in line for line in lines)
     assert STATE.forecast is None
-
-
-def test_a_forecast_is_shown_for_its_own_work_alone():
-    with forecast_shown(Forecast({"fit": 10.0})):
-        assert "to go" in STATE.time_to_go()
-    assert STATE.time_to_go() == ""

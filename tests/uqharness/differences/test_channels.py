@@ -39,17 +39,6 @@ def test_every_aircraft_has_forces_moments_motion_and_surfaces(name):
     )
 
 
-def test_units_are_si():
-    aircraft = find_aircraft("c172p")
-    fdm = open_aircraft(aircraft)
-    fdm.run_ic()
-    found = {c.name: c for c in channels_of(aircraft, fdm)}
-    kg = found["mass"].source.factor * fdm[found["mass"].source.property]
-    assert kg == pytest.approx(fdm["inertia/weight-lbs"] * 0.45359237, rel=1e-3)
-    arm = found["CG x"].source.factor * fdm[found["CG x"].source.property]
-    assert arm == pytest.approx(fdm["inertia/cg-x-in"] * 0.0254)
-
-
 def test_a_property_of_ones_own_is_a_channel_and_one_that_is_not_there_is_not():
     aircraft = find_aircraft("c172p")
     names = [

@@ -4,22 +4,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 from uqharness.differences.elsewhere import FlightSettings, channels_of, fly_frames
 from uqharness.simulator import find_aircraft, open_aircraft
 
 LOITER = Path("scripts/loiter.xml").resolve()
-
-
-@pytest.mark.parametrize(("dt_s", "frames"), [(0.01, 101), (0.005, 201)])
-def test_rows_are_frames(dt_s, frames):
-    aircraft = find_aircraft("espaaro")
-    channels = channels_of(aircraft, open_aircraft(aircraft))
-    found = fly_frames(aircraft, LOITER, channels, FlightSettings(max_s=1.0, dt_s=dt_s))
-    assert len(found["time_s"]) == frames
-    assert np.diff(found["time_s"]) == pytest.approx(dt_s)
-    assert {c.name for c in channels} <= found.keys()
 
 
 def test_an_ulp_moves_it_and_a_seed_of_the_air_does():

@@ -9,7 +9,6 @@ import pytest
 
 from tests.helpers.places import ROOT
 from uqharness.differences import aircraft_at, revisions
-from uqharness.differences.revisions import split_revision
 from uqharness.errors import BadInputError
 
 pytestmark = pytest.mark.skipif(shutil.which("git") is None, reason="git is not installed")
@@ -53,14 +52,6 @@ def test_revisions_and_the_working_copy(repository, tmp_path, monkeypatch):
 def test_what_is_not_there_is_told(repository, tmp_path, text):
     with pytest.raises(BadInputError, match="REVISION:FOLDER"):
         aircraft_at(text, tmp_path / "x")
-
-
-@pytest.mark.parametrize(
-    ("text", "found"),
-    [("HEAD~1:a/b", ("HEAD~1", "a/b")), ("c172p", None), ("C:/x", None), ("HEAD:", None)],
-)
-def test_which_words_name_a_revision(text, found):
-    assert split_revision(text) == found
 
 
 def run_git(folder, *words, **options):

@@ -109,13 +109,6 @@ def test_a_function_that_is_added_is_one_line(given, tmp_path):
     assert added.path.endswith("function aero/Cmadot")
 
 
-def test_the_order_within_a_product_does_not_count(given, tmp_path):
-    swapped = "<value>-12.4</value><property>aero/qbar-psf</property>"
-    other = XML.replace("<property>aero/qbar-psf</property><value>-12.4</value>", swapped)
-    assert other != XML
-    assert differing_terms(given, made(tmp_path / "b", other)) == []
-
-
 def test_a_folder_without_xml_is_refused(given, tmp_path):
     (tmp_path / "b").mkdir()
     with pytest.raises(BadInputError, match="no XML"):

@@ -1,6 +1,5 @@
 """What one model varies by itself, in other air and within its bounds, counts as equal."""
 
-import numpy as np
 import pytest
 
 from uqharness.differences.ranking import (
@@ -8,7 +7,6 @@ from uqharness.differences.ranking import (
     by_channel,
     differences,
     fly_matched,
-    largest_deviation,
 )
 from uqharness.errors import BadInputError
 from uqharness.simulator import find_aircraft
@@ -20,13 +18,6 @@ def found(**asked):
         one, two, MatchedRequest(speeds_mps=(22.0,), missions=("doublets",), **asked)
     )
     return {d.channel: d for d in by_channel(differences(channels, flights, []))}, flights[0]
-
-
-def test_the_largest_over_all_others():
-    flight = {"q": np.array([0.0, 1.0, 2.0])}
-    others = [{"q": np.array([0.0, 1.5, 2.0])}, {"q": np.array([-0.25, 1.0])}]
-    assert largest_deviation(flight, others) == {"q": 0.5}
-    assert largest_deviation(flight, []) == {"q": 0.0}
 
 
 def test_other_air():

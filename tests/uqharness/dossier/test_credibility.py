@@ -6,7 +6,7 @@ import json
 
 from tests.helpers import report_folders as folders
 from uqharness.dossier.evidence import factors, read_evidence, simulating_models
-from uqharness.dossier.match import Match, proof_of_match
+from uqharness.dossier.match import Match
 
 NAMES = [
     "Data pedigree",
@@ -62,8 +62,3 @@ def test_flights_of_a_simulation_are_called_that(tmp_path):
     for stages, expected in (([fly, real], ["plane_truth"]), ([real], [])):
         (tmp_path / "study.json").write_text(json.dumps(folders.study(stages)))
         assert simulating_models(read_evidence(tmp_path)) == expected
-
-
-def test_the_proof_of_match_counts(tmp_path):
-    found = evidence_of(folders.refined(tmp_path / "r"), proof_of_match([], "_after", {}))
-    assert not any("proof of match" in line for line in found["Validation"])

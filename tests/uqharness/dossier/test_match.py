@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from uqharness.dossier.match import ABSENT, FAIL, INCONCLUSIVE, PASS, proof_of_match
+from uqharness.dossier.match import FAIL, INCONCLUSIVE, PASS, proof_of_match
 from uqharness.replay import History
 
 DEG = math.pi / 180.0
@@ -107,16 +107,6 @@ def test_a_second_control_is_another_manoeuvre():
     found, match = answers(segment(also=("rudder",)))
     assert found == {}
     assert match.missing["2.c.10"] == "rudder moved with the elevator"
-
-
-def test_channels_that_are_not_there():
-    lacking = segment()
-    del lacking.columns["az_mps2_model"]
-    assert answers(lacking)[1].missing["2.c.10"] == "the results have no az_mps2 of log and model"
-    gone = answers(segment(az_mps2=np.nan))[1].results[0]
-    assert (gone.answer, gone.reason) == (INCONCLUSIVE, "a channel has no samples")
-    assert proof_of_match([], "_model", {}).missing["2.c.10"] == "there is no segment of a flight"
-    assert ABSENT == "not in the data"
 
 
 def test_small_inputs_need_their_size_and_their_time():

@@ -8,8 +8,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from uqharness.report.campaign import MOST_TRACKS, track_cases, track_section, worst_case
-from uqharness.report.parts import Facts, Figures, Words
+from uqharness.report.campaign import MOST_TRACKS, track_cases, track_section
+from uqharness.report.parts import Figures, Words
 
 pytestmark = pytest.mark.usefixtures("flights_here")
 
@@ -41,12 +41,6 @@ def record(folder, case, radius=100.0):
 def blocks(folder, frame=FRAME):
     (section,) = track_section(folder, frame, "x-")
     return section.blocks
-
-
-def test_without_records_the_worst_flight_of_the_hardest_condition_is_named(tmp_path):
-    assert worst_case(FRAME) == "d"
-    facts = next(b for b in blocks(tmp_path) if isinstance(b, Facts))
-    assert facts.items[0][1] == "uqharness campaign rerun DIR --case d"
 
 
 def test_the_worst_and_the_median_flight_of_the_hardest_condition_are_shown():

@@ -49,19 +49,6 @@ def test_every_channel_has_a_chart_in_its_group():
     }
 
 
-def test_a_command_is_drawn_beside_the_position_and_without_it_no_legend():
-    both = str(
-        drawn({"elevator_deg": TIME, "elevator_pos_deg": TIME})["Controls and engine"][
-            "channel-elevator_deg"
-        ].svg
-    )
-    assert ">command<" in both
-    assert ">position<" in both
-    assert ">command<" not in str(
-        drawn({"elevator_deg": TIME})["Controls and engine"]["channel-elevator_deg"].svg
-    )
-
-
 @pytest.mark.parametrize(
     ("name", "quantity", "unit", "factor"),
     [
@@ -98,14 +85,6 @@ def test_a_flag_is_in_its_own_channel_and_said_in_the_caption():
     assert "Findings: error stuck, estimate." in found["Air data"]["channel-V_mps"].caption
     assert areas(found["Air data"]["channel-alpha_rad"], "fillbad") == []
     assert "Findings" not in found["Air data"]["channel-alpha_rad"].caption
-
-
-def test_a_moment_is_still_seen():
-    figure = drawn({"V_mps": TIME}, flags={"V_mps": [Flag("gap", ((30.0, 30.0),))]})["Air data"][
-        "channel-V_mps"
-    ]
-    ((left, right),) = areas(figure, "fillbad")
-    assert right - left == pytest.approx(0.004, abs=0.001)
 
 
 def test_what_stands_still_looks_so_and_what_is_nowhere_says_so():

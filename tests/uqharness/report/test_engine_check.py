@@ -4,19 +4,11 @@ from __future__ import annotations
 
 from uqharness.campaign.tables import CheckRow
 from uqharness.report.campaign import engine_section
-from uqharness.report.parts import Table, Words
+from uqharness.report.parts import Table
 
 
 def row(metric, difference, verdict="alike", remark="", case="1", part="whole"):
     return CheckRow(part, "calm", case, metric, "1", "1", "1", difference, verdict, remark)
-
-
-def test_jsbsim_and_the_reason():
-    reason = "plane.xml:7: <rocket_engine> is not understood"
-    (words,) = engine_section("jsbsim", [reason], []).blocks
-    assert isinstance(words, Words)
-    assert words.text == "Flown in JSBSim, because plane.xml:7: <rocket_engine> is not understood."
-    assert engine_section("jsbsim", [], []).blocks[0].text == "Flown in JSBSim."
 
 
 def test_the_largest_difference_of_each_metric_and_what_was_excused():

@@ -45,12 +45,6 @@ def test_channels(channel, names):
     assert channels_of(finding("gap", channel), record()) == names
 
 
-def test_a_stretch_that_the_finding_names():
-    assert spans_of(finding("stuck", "V_mps", start_s=3.0, end_s=8.0), "V_mps", record()) == (
-        (3.0, 8.0),
-    )
-
-
 def test_stretches_that_the_record_shows():
     speed = np.full(TIME.size, 20.0)
     speed[100:111], speed[500] = np.nan, 2000.0

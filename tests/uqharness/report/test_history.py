@@ -9,7 +9,7 @@ import pytest
 from lxml import etree
 
 from uqharness.replay.histories import History
-from uqharness.report.history import Model, end_to_end, file_name, history_section
+from uqharness.report.history import Model, end_to_end, history_section
 
 TIME = np.arange(0.0, 2.0, 0.02)
 MODEL = Model("_model", "first", "model")
@@ -23,12 +23,6 @@ def segment(number, gap):
         TIME,
         {"q_radps": np.sin(TIME), "q_radps_model": np.sin(TIME) + gap},
     )
-
-
-def drawn(section):
-    return [
-        figure for part in section.parts for block in part.blocks[-1:] for figure in block.items
-    ]
 
 
 def test_the_worst_segments_come_first_and_all_when_asked():
@@ -49,13 +43,6 @@ def test_the_worst_segments_come_first_and_all_when_asked():
     assert history_section([], {}, [MODEL], "T") == ()
 
 
-@pytest.mark.parametrize(("noise", "bands"), [(0.01, 1), (None, 0)])
-def test_a_band_where_the_noise_is_known(noise, bands):
-    (section,) = history_section([segment(0, 0.01)], {"q_radps": noise}, [MODEL], "T")
-    (figure,) = drawn(section)
-    assert figure.svg.count('class="band fill1"') == bands
-
-
 def test_pieces_stand_end_to_end_with_a_gap_and_what_is_outside_is_marked():
     found = [
         History(k, "f", "m", TIME + 50.0 * k, {"Cm": np.where(TIME < 0.1, 9.0, 0.0)})
@@ -73,7 +60,3 @@ def test_pieces_stand_end_to_end_with_a_gap_and_what_is_outside_is_marked():
     assert line.count("M") == 2
     dots = [e.get("d") for e in root.iter("path") if e.get("class") == "dots dotout"]
     assert sum(d.count("M") for d in dots) == 2 * np.count_nonzero(TIME < 0.1)
-
-
-def test_words_as_the_name_of_a_file():
-    assert file_name("../a b-00-3-2-1-1, 22 m/s") == "..-a-b-00-3-2-1-1-22-m-s"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import re
-from pathlib import Path
 
 import pytest
 from lxml import etree
@@ -43,12 +42,3 @@ def test_a_campaign_shows_its_size_statements_and_p_boxes(flown: CampaignResult)
     assert "3 m/s" in words
     # A style sheet outside the image would change the rest of the notebook.
     assert "<style" not in shown
-
-
-def test_a_campaign_without_a_metric_shows_no_chart(
-    flown: CampaignResult, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-):
-    from uqharness.report import plots
-
-    monkeypatch.setattr(plots, "pboxes", lambda cases, confidence: iter(()))
-    assert "<img" not in flown._repr_html_()

@@ -10,7 +10,7 @@ import pytest
 
 from tests.helpers import report_folders as folders
 from uqharness.report.campaign import overlay_section, read_campaign_report
-from uqharness.report.parts import Figures, Table, Words
+from uqharness.report.parts import Figures, Table
 
 pytestmark = pytest.mark.usefixtures("flights_here")
 
@@ -21,14 +21,6 @@ NAMES = {"before": "one", "after": "two"}
 def pair(tmp_path_factory):
     root = folders.campaigns(tmp_path_factory.mktemp("campaigns"))
     return [read_campaign_report(root / name) for name in ("before", "after")]
-
-
-def test_unlike_flights_are_told(pair):
-    section = overlay_section(*pair, NAMES)
-    said = [block.text for block in section.blocks if isinstance(block, Words)]
-    assert said[1].startswith("Not the same flights otherwise: flights differ")
-    alike = overlay_section(pair[0], pair[0], NAMES)
-    assert len([block for block in alike.blocks if isinstance(block, Words)]) == 1
 
 
 def test_each_quantity_in_common_has_a_figure_and_a_row(pair):

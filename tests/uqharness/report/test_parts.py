@@ -9,19 +9,14 @@ import pytest
 from uqharness.report.parts import (
     Bullets,
     Cell,
-    Facts,
     Page,
     Section,
     Sentence,
     Table,
     Words,
-    every_section,
     first_lines,
     format_value,
-    is_wanted,
     percent,
-    provenance,
-    remarks,
     render,
 )
 
@@ -65,27 +60,6 @@ def test_what_is_undefined_says_so():
         "1.23e+03",
     ]
     assert (percent(None), percent(0.123, ".1f")) == ("undefined", "12.3")
-
-
-def test_remarks_are_a_section_only_where_there_are_some():
-    assert remarks({"warnings": [], "notes": []}) == remarks({}) == ()
-    (section,) = remarks({"warnings": ["w"], "notes": ["n"]}, key=("notes",))
-    assert section.blocks == (Bullets(("w",)), Bullets(("n",), key=True))
-
-
-def test_sections_are_met_as_a_reader_meets_them():
-    tree = (Section("a", (), (Section("b", ()),)), Section("c", ()))
-    assert [section.title for section in every_section(tree)] == ["a", "b", "c"]
-
-
-def test_what_is_not_shown_need_not_be_made():
-    assert is_wanted("A", None)
-    assert is_wanted("A", ["B", "A"])
-    assert not is_wanted("A", ["B"])
-
-
-def test_provenance_is_facts():
-    assert provenance(("Command", "x")).blocks == (Facts((("Command", "x"),)),)
 
 
 @pytest.mark.parametrize("text", ["<b>", "&", "a\x1b[31mb"])

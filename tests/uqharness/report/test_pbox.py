@@ -54,14 +54,6 @@ def test_a_smooth_share_rises_without_steps_from_0_to_1():
     assert np.abs(share - many).max() < 0.2
 
 
-def test_nothing_is_put_below_an_error_of_0():
-    share = smooth_share(
-        np.abs(np.random.default_rng(5).normal(size=100)), np.array([-1.0, 0.0, 0.1])
-    )
-    assert share[:2].tolist() == [0.0, 0.0]
-    assert share[2] == pytest.approx(0.08, abs=0.03)
-
-
 @pytest.mark.parametrize("values", [[2.0], [2.0, 2.0, 2.0]])
 def test_values_without_a_spread_stay_a_step(values):
     assert smooth_share(np.array(values), np.array([1.9, 2.0, 2.1])).tolist() == [0.0, 1.0, 1.0]

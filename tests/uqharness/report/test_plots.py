@@ -78,28 +78,12 @@ def test_it_draws_into_the_axes_given_and_names_its_units(kind):
     assert dict(matplotlib.rcParams) == before
 
 
-@pytest.mark.parametrize("kind", DRAW)
-def test_without_axes_it_makes_a_figure(kind, monkeypatch):
-    plt = pytest.importorskip("matplotlib.pyplot")
-    plt.switch_backend("Agg")
-    ax = DRAW[kind](None)
-    assert plt.get_fignums() != []
-    assert ax.figure.axes == [ax]
-    plt.close("all")
-
-
 def test_a_p_box_is_drawn_where_it_lies():
     ax = plot_pbox(BOX, Figure().subplots())
     upper, lower = ax.lines[:2]
     for line, side in ((upper, BOX.upper), (lower, BOX.lower)):
         at = dict(zip(line.get_xdata(), line.get_ydata(), strict=True))
         assert [at[v] for v in BOX.value] == pytest.approx(side)
-
-
-def test_angles_are_drawn_in_degrees():
-    ax = plot_overlay(HISTORY, "q_radps", Figure().subplots())
-    assert ax.lines[0].get_ydata() == pytest.approx(np.degrees(np.sin(TIME)))
-    assert ax.lines[1].get_ydata() == pytest.approx(np.degrees(np.cos(TIME)))
 
 
 def test_the_largest_share_is_on_top_and_an_open_interval_ends_at_the_share():

@@ -12,7 +12,7 @@ import pytest
 from lxml import etree
 from markupsafe import Markup
 
-from uqharness.report.svg import Chart, Scale, log_scale, scale, standalone, style, thin_line
+from uqharness.report.svg import Chart, Scale, log_scale, standalone, style, thin_line
 
 
 def luminance(colour):
@@ -60,12 +60,6 @@ def test_lines_are_told_apart_without_colour():
     assert len({str(d) for d in dashes}) == 3
 
 
-def test_a_chart_of_one_moment_is_still_drawn():
-    chart = Chart("a", "label", Scale("time [s]", 3.0, 3.0), Scale("y [m]", 0.0, 0.0))
-    chart.line(np.array([3.0]), np.array([0.0]), "first")
-    assert "nan" not in chart.svg()
-
-
 def test_a_point_lands_where_its_axes_put_it():
     chart = Chart("a", "label", Scale("x [m]", 0.0, 10.0), Scale("y [m]", -1.0, 1.0))
     left, top, width, height = chart.plot
@@ -79,16 +73,6 @@ def test_a_gap_in_the_data_is_a_gap_in_the_line():
     assert chart.marks[0].count("M") == 2
     chart.line(np.arange(2.0), np.array([math.nan, math.inf]), "first")
     assert len(chart.marks) == 1
-
-
-def test_thinning_keeps_the_peaks():
-    x = np.linspace(0.0, 1.0, 20001)
-    y = np.zeros(x.size)
-    y[12345], y[777] = 5.0, -3.0
-    few, values = thin_line(x, y)
-    assert few.size <= 402
-    assert (values.max(), values.min()) == (5.0, -3.0)
-    assert few[values.argmax()] == x[12345]
 
 
 def test_thinning_keeps_the_first_extremes_and_the_first_gap_of_each_bucket():
@@ -151,25 +135,6 @@ def test_a_logarithmic_axis_has_decades_of_equal_length():
     assert log_scale("x [1]", [np.zeros(2)]).ticks()
 
 
-def test_markers_and_words_stand_where_they_are_put_and_the_legend_shows_their_shape():
-    drawn = Chart("a", "label", Scale("x [m]", 0.0, 2.0), Scale("y [m]", 0.0, 2.0))
-    drawn.marker(1.0, 1.0, "second", "cross", "the point")
-    drawn.text(1.0, 1.0, "a < b", "end", (-3.0, 5.0))
-    u, v = (float(w) for w in drawn.at(1.0, 1.0))
-    svg = etree.fromstring(drawn.svg())
-    (words,) = (e for e in svg.iter("text") if e.text == "a < b")
-    assert [float(words.get(k)) for k in ("x", "y")] == pytest.approx([u - 3.0, v + 5.0], abs=0.06)
-    assert sum("l8 8" in (e.get("d") or "") for e in svg.iter("path")) == 2
-    drawn.text(math.nan, 1.0, "nowhere")
-    assert "nowhere" not in drawn.svg()
-
-
-def test_a_scale_of_nothing_known_is_still_a_scale():
-    assert scale("x [m]", [np.array([math.nan])]).ticks()
-    one = scale("x [m]", [np.array([3.0])])
-    assert one.low < 3.0 < one.high
-
-
 # Files.
 
 
@@ -188,28 +153,6 @@ def test_a_file_stands_alone_in_light_colours_without_variables():
     assert {"A title & more", "A caption.", "band", "words", "x [m]", "y [m]"} <= set(words)
     # The page's own sheet does have what was looked for.
     assert "var(--ink)" in style()
-
-
-def test_charts_stand_side_by_side_and_none_over_another():
-    charts = [
-        (
-            chart(str(k)),
-            "A caption of more than one line, which the sheet has to make room for. " * k,
-        )
-        for k in range(5)
-    ]
-    root = etree.fromstring(standalone(charts, columns=2).encode())
-    boxes = [
-        [float(e.get(key)) for key in ("x", "y", "width", "height")] for e in root.findall("{*}svg")
-    ]
-    assert len(boxes) == 5
-    width, height = (float(v) for v in root.get("viewBox").split()[2:])
-    for k, (x, y, w, h) in enumerate(boxes):
-        assert 0.0 <= x <= width - w
-        assert 0.0 <= y <= height - h
-        assert not any(abs(x - a) < w and abs(y - b) < h for a, b, _, _ in boxes[k + 1 :])
-    captions = [float(e.get("y")) for e in root.iter("{*}text") if e.get("class") == "caption"]
-    assert max(captions) < height
 
 
 def test_a_control_character_in_a_name_is_made_visible():

@@ -4,8 +4,6 @@ page's first lines.
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
 import pytest
 from lxml import etree, html
@@ -13,14 +11,10 @@ from lxml import etree, html
 from tests.helpers import report_folders as folders
 from tests.helpers.model_forms import made_up_form
 from tests.helpers.page_checks import problems
-from uqharness.errors import BadInputError
-from uqharness.report.parts import Figure, Figures, Page, Section, Sentence
+from uqharness.report.parts import Figure, Figures, Section
 from uqharness.report.svg import Chart, Scale
 from uqharness.report.write import (
-    page_of,
-    write_campaign_report,
     write_figures,
-    write_page,
     write_report,
 )
 
@@ -58,23 +52,6 @@ def test_a_file_holds_the_charts_of_the_page(tmp_path, kind):
     assert {path: path.read_bytes() for path in report.figures} == first
 
 
-@pytest.mark.parametrize(("kind", "times"), [("identified", 2), ("bounded", 1)])
-def test_a_page_that_shows_all_segments_is_made_once(tmp_path, monkeypatch, kind, times):
-    made = []
-    monkeypatch.setattr(
-        "uqharness.report.write.page_of",
-        lambda *args, **more: (made.append(args), page_of(*args, **more))[1],
-    )
-    write_report(getattr(folders, kind)(tmp_path / "results"), figures=True)
-    assert len(made) == times
-
-
-def test_without_figures_no_folder_is_made(tmp_path):
-    report = write_report(folders.compared(tmp_path / "results"))
-    assert report.figures == ()
-    assert not (tmp_path / "results" / "figures").exists()
-
-
 def test_every_segment_has_its_file_and_the_page_the_worst_alone(tmp_path):
     folder = folders.identified(tmp_path / "results")
     many = [(f"flight{k}", "roll doublet", folders.TIME) for k in range(5)]
@@ -104,16 +81,6 @@ def test_names_of_flights_and_manoeuvres_are_safe_as_names_of_files(tmp_path):
     assert path == folder / "figures" / "..-a-b-00-3-2-1-1-22-m-s.svg"
 
 
-def test_no_figures_of_an_effect_without_one(tmp_path):
-    left = {"unexplained": False, "where": [], "channels_above_noise": {}, "coloured_channels": []}
-    document = folders.refinement(
-        effects=[], withdrawn=[], disagreement=[], remaining=left, verdict="no-missing-effect"
-    )
-    folder = folders.refined(tmp_path / "results")
-    (folder / "refinement.json").write_text(json.dumps(document))
-    assert "history" not in {path.stem for path in write_report(folder, figures=True).figures}
-
-
 def figure(name):
     chart = Chart(name, f"label of {name}", Scale("x [m]", 0.0, 1.0), Scale("y [m]", 0.0, 1.0))
     chart.upright(0.5, "first")
@@ -134,23 +101,3 @@ def test_drawings_go_where_their_section_says(tmp_path):
     assert [path.name for path in paths] == ["both.svg", "c.svg"]
     assert labels(paths[0]) == ["label of a", "label of b"]
     assert "Title: outer" in paths[0].read_text(encoding="utf-8")
-
-
-def test_a_page_in_hand_is_written_like_any_other(tmp_path):
-    page = Page(
-        "Title",
-        "What?",
-        (Sentence("It is so.", "good"),),
-        (Section("s", (Figures((figure("a"),), file="one"),)),),
-    )
-    report = write_page(tmp_path, page, page)
-    assert (report.path, report.verdict) == (tmp_path / "report.html", ["It is so."])
-    assert [path.name for path in report.figures] == ["one.svg"]
-    assert report.text.startswith("It is so.\n")
-    assert report.text.endswith(f"results in {tmp_path}, the report in {tmp_path / 'report.html'}")
-    assert write_page(tmp_path, page).figures == ()
-
-
-def test_a_campaigns_report_is_of_a_campaign(tmp_path):
-    with pytest.raises(BadInputError, match="not a campaign folder"):
-        write_campaign_report(folders.compared(tmp_path / "results"))

@@ -14,9 +14,9 @@ from uqharness.campaign.cases import Mission
 from uqharness.campaign.processes import SerialExecutor
 from uqharness.campaign.read_spec import read_campaign
 from uqharness.campaign.run import run_campaign
-from uqharness.campaign.statements import DISPERSION_EXCEEDED, bound_dispersion
+from uqharness.campaign.statements import DISPERSION_EXCEEDED
 from uqharness.results.refinement import Refinement
-from uqharness.study.answer import answer_of, performance, read_campaigns
+from uqharness.study.answer import answer_of, read_campaigns
 
 pytestmark = pytest.mark.usefixtures("flights_here")
 
@@ -95,10 +95,6 @@ def _no_check_flight(monkeypatch):
     monkeypatch.setattr("uqharness.campaign.run.validate_model", lambda fly, case: None)
 
 
-def clustered(*asked):
-    return replace(bound_dispersion(*asked), is_contradicted=True)
-
-
 def answered(tmp_path, before, after=None, flights=40, winds="3", no=(), air='"moderate"'):
     text = TWO_CORNERS.replace("flights = 3", f"flights = {flights}").replace(
         "wind_mps = 3", f"wind_mps = {winds}"
@@ -135,13 +131,6 @@ def test_a_worse_model_is_a_no(tmp_path):
     assert (
         "a better model may change the no in 3 m/s moderate: the best corner has 0/h." in found.next
     )
-
-
-def test_a_no_at_every_corner_is_told_apart_from_one_that_a_better_model_may_change(tmp_path):
-    found = answered(tmp_path, everywhere).next
-    assert "fails at the best corner too" in found
-    # A flight narrows the model, which changes nothing here.
-    assert found.endswith("so no better model changes it.")
 
 
 def test_too_few_hours_are_inconclusive_and_say_how_many_would_do(tmp_path):
@@ -202,29 +191,6 @@ def test_conditions_of_several_turbulences_are_named_by_it(tmp_path):
     assert " in 3 m/s moderate, " in found.why
 
 
-def test_clusters_beyond_the_carried_limit_are_the_reason_and_more_hours_no_advice(
-    tmp_path, monkeypatch
-):
-    monkeypatch.setattr("uqharness.campaign.statements.bound_dispersion", clustered)
-    found = answered(tmp_path, quiet)
-    assert (found.level, found.answer[:52]) == (
-        "warn",
-        "Inconclusive (clusters beyond the carried limit) in ",
-    )
-    assert (
-        found.next
-        == "Next: raise [metrics] dispersion for 3 m/s moderate: clusters beyond the carried limit,"
-        " which more hours do not change."
-    )
-    said, *_ = [
-        text
-        for text, _ in performance(read_campaigns(tmp_path, refined=False))
-        if "at every corner?" in text
-    ]
-    assert "Inconclusive (clusters beyond the carried limit): " in said
-    assert "too few flight hours" not in said
-
-
 def test_hours_and_clusters_are_each_named_with_their_conditions(tmp_path):
     answered(tmp_path, quiet, flights=4, winds="[1, 3]")
     flown = read_campaigns(tmp_path, refined=False)
@@ -242,18 +208,6 @@ def test_hours_and_clusters_are_each_named_with_their_conditions(tmp_path):
     )
     assert "4.25 h per corner in 3 m/s moderate" in found.next
     assert "raise [metrics] dispersion for 1 m/s moderate" in found.next
-
-
-def test_lines_fit_two_rows_of_a_terminal(tmp_path):
-    question = "Can the E-SPAARO hold 15 m of the circle in moderate turbulence?"
-    found = answered(tmp_path, windy, windy, winds="[3, 7, 12]")
-    assert (
-        max(
-            len(line)
-            for line in (f"{question} {found.answer}", found.why, found.lacked, found.next)
-        )
-        <= 160
-    )
 
 
 def test_a_refinement_without_effect_and_stages_that_answered_no(tmp_path):

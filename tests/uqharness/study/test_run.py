@@ -251,14 +251,6 @@ def test_a_folder_that_is_not_the_studys_is_not_removed(study, tmp_path):
     assert (tmp_path / "out" / "refine" / "thesis.tex").exists()
 
 
-def test_another_version_does_everything_again(study, monkeypatch):
-    run, ran, _ = study
-    run()
-    monkeypatch.setattr("uqharness.__version__", "99")
-    run()
-    assert ran == ALL
-
-
 def test_a_stage_that_answers_no_is_done_and_the_study_goes_on(study):
     run, ran, fail = study
     fail["validate-before"] = 1
@@ -359,14 +351,6 @@ def test_bounds_of_another_model_are_not_flown(tmp_path):
         chain_run._refuse_other_model(form, PROJECT_ROOT / "aircraft" / "espaaro")
 
 
-def test_the_folder_it_is_called_from_changes_nothing(study, tmp_path, monkeypatch):
-    run, ran, _ = study
-    run()
-    monkeypatch.chdir(tmp_path / "plane")
-    run()
-    assert ran == []
-
-
 REAL = """
 [study]
 name = "small"
@@ -454,15 +438,6 @@ def test_ctrl_c_ends_with_130_and_says_how_to_go_on(study, tmp_path, capsys):
     fail.clear()
     assert cli.main(command(tmp_path)) == 0
     assert "It holds." in capsys.readouterr().out
-
-
-def test_an_answer_of_no_is_the_exit_code_and_is_named(study, tmp_path, capsys):
-    _, _, fail = study
-    fail["validate-before"] = 1
-    assert cli.main([*command(tmp_path), "--json"]) == 1
-    assert json.loads(capsys.readouterr().out)["state"] == "done"
-    assert cli.main(command(tmp_path)) == 1
-    assert "answered no: validate-before" in capsys.readouterr().out
 
 
 def test_a_terminal_sees_each_stage_and_a_pipe_only_the_end(study, tmp_path, capsys, monkeypatch):

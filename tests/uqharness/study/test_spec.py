@@ -12,7 +12,6 @@ from uqharness.cli.main import build_parser
 from uqharness.cli.request_command import request_of
 from uqharness.errors import BadInputError
 from uqharness.requests.base import command_words
-from uqharness.simulator.aircraft import PROJECT_ROOT
 from uqharness.study.spec import read_chain
 from uqharness.study.stages import plan
 
@@ -328,22 +327,6 @@ def test_the_line_is_that_of_the_right_table(tmp_path):
     )
 
 
-def test_bounds_are_not_made_from_a_flight_that_refinement_trains_on(tmp_path):
-    text = STUDY.replace('train = ["one"]', 'train = ["one", "two"]')
-    message = refusal(tmp_path, text)
-    line = line_of(text, 'flights = ["two"]')
-    assert f'study.toml:{line}: [bounds] flights: "two" is also in [refine] train' in message
-    assert "too small for bounds" in message
-
-
-def test_every_mistake_is_told_at_once(tmp_path):
-    message = refusal(
-        tmp_path, STUDY.replace("seed = 1", "sede = 1").replace("[identify]", "[identfy]")
-    )
-    assert "sede" in message
-    assert "identfy" in message
-
-
 def test_a_file_that_asks_for_nothing_or_is_not_there(tmp_path):
     nothing = STUDY[: STUDY.index("[[fly]]")]
     assert "give at least one of" in refusal(tmp_path, nothing)
@@ -351,11 +334,3 @@ def test_a_file_that_asks_for_nothing_or_is_not_there(tmp_path):
         read_chain(tmp_path / "no.toml")
     headless = STUDY.replace('[campaign]\nmission = "loiter"\nseed = 7\n', "")
     assert "[campaign]: required; a section is needed" in refusal(tmp_path, headless)
-
-
-def test_the_study_of_the_project_is_read_from_any_folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    path = PROJECT_ROOT / "campaigns" / "chain" / "chain.toml"
-    stages = plan(read_chain(path), tmp_path / "out")
-    assert len(stages) == 16
-    assert stages[0].request.script == PROJECT_ROOT / "scripts" / "flight-ident.xml"

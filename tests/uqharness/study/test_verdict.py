@@ -133,17 +133,6 @@ def test_failed_flights_leave_the_p_box_open(tmp_path):
         )
 
 
-def test_the_answer_is_that_of_the_last_campaign(tmp_path):
-    text, level = about(flown(tmp_path / "a", wide, often), "beyond 15 m")
-    assert (level, "at every corner? No: " in text, "Before refinement: inconclusive" in text) == (
-        "bad",
-        True,
-        True,
-    )
-    text, level = about(flown(tmp_path / "b", often), "beyond 15 m")
-    assert (level, "Before refinement" in text) == ("bad", False)
-
-
 def test_time_outside_the_data_is_told_of_bounds_that_have_an_outside(tmp_path):
     assert not [text for text, _ in flown(tmp_path, often) if "outside the states" in text]
     rows = pd.DataFrame({"extrapolated_share": [0.2, 0.4]})
@@ -152,20 +141,6 @@ def test_time_outside_the_data_is_told_of_bounds_that_have_an_outside(tmp_path):
     ((text, level),) = chain_performance._extrapolation(rows * 0.0, Condition(3.0, "light"))
     assert (level, "extrapolated" in text) == ("", False)
     assert list(chain_performance._extrapolation(rows * math.nan, Condition(3.0, "light"))) == []
-
-
-def test_several_conditions_are_counted_and_told(tmp_path):
-    found = flown(tmp_path, wide, winds="[1, 6]")
-    text, _ = about(found, "Of 2 conditions")
-    assert "inconclusive in 2 (1 m/s moderate, 6 m/s moderate)" in text
-    for wind in (1, 6):
-        assert (
-            about(
-                found,
-                f"In {wind} m/s wind and moderate turbulence: at most 0.1 excursions beyond 15 m",
-            )[1]
-            == "warn"
-        )
 
 
 def test_of_many_conditions_the_hardest_is_told(tmp_path):
@@ -277,19 +252,6 @@ def test_coverage_and_widths(tmp_path):
     write_coverage(tmp_path / "x", "after", 0.95, 0.02)
     *_, (widths, level) = chain_verdict._coverage(tmp_path / "x", ("c",), True)
     assert (level, "none is narrower" in widths) == ("warn", True)
-
-
-def test_a_flight_too_short_to_tell_is_said(tmp_path):
-    write_coverage(tmp_path, "before", 0.95, 0.02)
-    path = tmp_path / "validate-before" / "coverage.json"
-    path.write_text(
-        json.dumps(
-            json.loads(path.read_text()) | {"verdicts": {"CX": "holds", "Cl": "inconclusive"}}
-        )
-    )
-    ((text, level),) = chain_verdict._coverage(tmp_path, ("c",), False)
-    assert text.endswith("too short a flight to tell of Cl.")
-    assert level == "warn"
 
 
 def test_widths_that_are_not_known_stay_undefined(tmp_path):

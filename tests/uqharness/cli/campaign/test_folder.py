@@ -11,7 +11,6 @@ from uqharness.campaign.manifest import read_manifest, write_manifest
 from uqharness.campaign.store import run_lock
 from uqharness.campaign.tables import read_cases
 from uqharness.cli.main import run_words
-from uqharness.errors import BadInputError
 from uqharness.simulator.aircraft import find_aircraft
 
 pytestmark = pytest.mark.usefixtures("flights_here")
@@ -54,17 +53,6 @@ def test_status_of_complete_running_and_interrupted(flown, capsys):
     assert "running, 192 of 200" in capsys.readouterr().out
 
 
-def test_report(flown, capsys):
-    capsys.readouterr()
-    assert call("report", flown / "out", "--no-tracks") == 0
-    printed = capsys.readouterr().out
-    assert "6 figures in " in printed
-    assert printed.rstrip().endswith(f"Report: {flown / 'out' / 'report.html'}")
-    assert call("report", flown / "out", "--json", "--no-tracks") == 0
-    found = json.loads(capsys.readouterr().out)
-    assert (len(found["figures"]), found["flown_again"]) == (6, [])
-
-
 CAMPAIGN = """
 [campaign]
 aircraft = "plane"
@@ -101,9 +89,3 @@ def test_a_report_flies_the_worst_and_the_median_flight_again_once(tmp_path, cap
         assert call("report", out, "--json") == 0
         assert json.loads(capsys.readouterr().out)["flown_again"] == expected
     assert len(list((out / "rerun").glob("*/record.parquet"))) == 2
-
-
-@pytest.mark.parametrize("verb", ["status", "report", "merge"])
-def test_a_folder_of_something_else_is_bad_input(tmp_path, verb):
-    with pytest.raises(BadInputError):
-        call(verb, tmp_path)

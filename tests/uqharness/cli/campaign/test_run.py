@@ -36,18 +36,6 @@ def test_run_says_one_line_and_nothing_else_in_a_pipe(tmp_path, monkeypatch, cap
     assert "--serial" not in manifest["command"]
 
 
-def test_a_run_that_flies_between_the_corners_claims_the_box(tmp_path, monkeypatch, capsys, caplog):
-    monkeypatch.setattr("uqharness.flight.fly.fly", fakes.steady)
-    text = fakes.CAMPAIGN.replace("interior = 0\nnominal = false\n", "")
-    path = fakes.campaign_file(tmp_path, text.replace("flights = 3", "flights = 1"))
-    assert call("run", path, "--out", tmp_path / "out", "--serial") == 0
-    captured = capsys.readouterr()
-    assert "81 flights (81 epistemic samples, 16 of them between the corners" in caplog.text
-    assert "corners only" not in captured.out
-    statements = (tmp_path / "out" / "statements.csv").read_text().splitlines()
-    assert statements[1].endswith(',"corners, 16 interior points and nominal model"')
-
-
 def test_run_again_resumes_and_speaks_json(flown, capsys):
     capsys.readouterr()
     assert call("run", flown / "campaign.toml", "--out", flown / "out", "--serial", "--json") == 0
@@ -58,15 +46,6 @@ def test_run_again_resumes_and_speaks_json(flown, capsys):
         0,
         {"ok": 192},
     )
-
-
-def test_hours_replace_the_number_of_flights(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("uqharness.flight.fly.fly", fakes.steady)
-    path = fakes.campaign_file(tmp_path)
-    assert (
-        call("run", path, "--out", tmp_path / "out", "--serial", "--hours", "0.05", "--json") == 0
-    )
-    assert json.loads(capsys.readouterr().out)["cases"] == 2 * 64
 
 
 def test_samples_replace_the_number_of_walks(tmp_path, monkeypatch, capsys):
@@ -85,38 +64,3 @@ def test_samples_replace_the_number_of_walks(tmp_path, monkeypatch, capsys):
         call(
             "run", fakes.campaign_file(tmp_path, walks), "--out", tmp_path / "o2", "--samples", "0"
         )
-
-
-def test_bad_input_is_for_the_command_line_to_print(tmp_path):
-    with pytest.raises(BadInputError):
-        call("run", tmp_path / "no.toml", "--out", tmp_path / "o")
-    path = fakes.campaign_file(tmp_path)
-    for verb in (("run", path, "--out", tmp_path / "o"), ("check", path)):
-        with pytest.raises(
-            BadInputError, match="--workers 0: a whole number of at least 1 is needed"
-        ):
-            call(*verb, "--workers", "0")
-
-
-@pytest.mark.parametrize(
-    "verb",
-    [
-        "check",
-        "run",
-        "status",
-        "report",
-        "merge",
-        "rerun",
-        "verify",
-        "salvage",
-        "convergence",
-        "area",
-    ],
-)
-def test_each_verb_has_help_with_an_example(verb, capsys):
-    with pytest.raises(SystemExit) as left:
-        call(verb, "--help")
-    assert left.value.code == 0
-    text = capsys.readouterr().out
-    assert f"uqharness campaign {verb} " in text
-    assert "--json" in text

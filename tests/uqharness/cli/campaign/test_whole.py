@@ -7,9 +7,7 @@ import json
 import pytest
 
 from uqharness.cli.main import run_words
-from uqharness.commands.campaign import flying_command
 from uqharness.errors import BadInputError
-from uqharness.requests.campaign import SalvageRequest
 
 pytestmark = pytest.mark.usefixtures("flights_here")
 
@@ -58,20 +56,3 @@ def test_salvage_writes_again_what_was_damaged(flown, capsys):
 def test_a_size_without_its_campaign_is_refused(flown):
     with pytest.raises(BadInputError, match="--hours and --samples belong to --campaign"):
         call("salvage", flown / "out", "--hours", "1")
-
-
-def test_the_words_that_fly_it_again_have_the_size(tmp_path):
-    request = SalvageRequest.of(folder="out", campaign="c.toml", hours=0.50, samples=3)
-    words = flying_command(request, tmp_path)
-    assert words == [
-        "uqharness",
-        "campaign",
-        "run",
-        "c.toml",
-        "--out",
-        str(tmp_path),
-        "--hours",
-        "0.5",
-        "--samples",
-        "3",
-    ]

@@ -52,13 +52,6 @@ def test_sections(refined):
     assert "uqharness refine plane --train a --test b" in text
 
 
-def test_the_same_bytes(refined):
-    first = render(page_of(refined).page)
-    assert render(page_of(refined).page) == first
-    (refined / "model.diff").write_text("another\n")
-    assert render(page_of(refined).page) != first
-
-
 def test_names_with_markup_stay_text(tmp_path):
     text = render(page_of(complete(folders.identified(tmp_path / "i"))).page)
     assert "a<b>.parquet" not in text
@@ -73,13 +66,6 @@ def test_what_is_missing_comes_first(refined):
     assert dossier.source is None
     assert dossier.missing == ("histories.parquet is not there, which refine writes",)
     assert "Not in the data: the folder has no time histories" in render(dossier.page)
-
-
-def test_a_torn_document_still_gives_a_page(refined):
-    (refined / "refinement.json").write_text('{"verdict": "effects-found"')
-    dossier = page_of(refined)
-    assert any("refinement.json" in line for line in dossier.missing)
-    assert "cannot be read" in render(dossier.page)
 
 
 def test_a_campaign(tmp_path):

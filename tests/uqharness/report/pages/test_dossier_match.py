@@ -60,9 +60,3 @@ def test_figures_have_measured_band_and_model_and_every_sample_outside(tmp_path)
     assert figures[1].svg.count("h0") >= T.size
     inside = section_of(with_rudder(folders.refined(tmp_path / "good"), 0.01))
     assert "dotout" not in next(b for b in inside.blocks if isinstance(b, Figures)).items[1].svg
-
-
-def test_without_histories(tmp_path):
-    folder = folders.refined(tmp_path / "r")
-    (folder / "histories.parquet").unlink()
-    assert "Not in the data" in texts(section_of(folder))

@@ -55,19 +55,3 @@ def test_a_record_without_path_and_manoeuvres():
     assert problems(text) == []
     assert "Ground track" not in words_of(text)
     assert "Manoeuvres" not in words_of(text)
-
-
-def test_a_flight_of_one_row():
-    assert (
-        problems(
-            page(
-                {
-                    "time_s": np.zeros(1),
-                    "V_mps": np.full(1, 20.0),
-                    "north_m": np.zeros(1),
-                    "east_m": np.zeros(1),
-                }
-            )
-        )
-        == []
-    )

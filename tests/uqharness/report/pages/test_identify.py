@@ -78,13 +78,6 @@ def test_standard_errors_are_not_vouched_for_where_the_model_does_not_explain_th
     assert "q 40 %" in found
 
 
-def test_a_channel_without_a_value_draws_nothing_and_says_so(identified):
-    tree = html.document_fromstring(page_of(identified))
-    figure = tree.get_element_by_id("fit-history-0-V_mps")
-    assert "The log has no value of it here." in figure.find("svg").get("aria-label")
-    assert not figure.xpath(".//path[contains(@class, 'dots')]")
-
-
 def test_a_reason_that_parameters_share_stands_once(identified):
     fit = json.loads((identified / "fit.json").read_text())
     reason = "not converged; values unchanged"

@@ -7,7 +7,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 from tests.helpers.model_forms import made_up_form
 from tests.helpers.page_checks import problems, words_of
@@ -59,15 +58,6 @@ def test_constant_bounds():
     assert "Constant bounds of 2 coefficients." in words
     assert "CX -0.01 to 0.02" in text
     assert "Slices" not in words
-
-
-@pytest.mark.parametrize(
-    ("check", "sign"), [((True, "It flies."), "good"), ((False, "It does not fly."), "bad")]
-)
-def test_the_check_stands_in_the_verdict(check, sign):
-    assert f'<li class="{sign}">' in page(
-        constant={"CX": (-0.01, 0.02)}, done=replace(DONE, check=check)
-    )
 
 
 def test_no_bounds_are_all_zero_and_said():

@@ -4,8 +4,6 @@ channel it concerns.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from lxml import html
 
@@ -82,14 +80,3 @@ def test_phases_modes_and_manoeuvres_are_shaded_in_every_channel():
     assert "40.10 50.00" in words_of(text).replace("pitch doublet", "").replace(
         "40.1050.00", "40.10 50.00"
     )
-
-
-def test_a_log_without_findings_or_free_flight():
-    columns = {k: v for k, v in COLUMNS.items() if k in ("time_s", "V_mps")}
-    text = page(replace(META, free_flight_s=(), findings=()), columns)
-    assert problems(text) == []
-    words = words_of(text)
-    assert "no free flight" in words
-    assert "The log serves no purpose." in words
-    assert bands(text, "V_mps", "fillrange") == 0
-    assert "not free flight" not in words

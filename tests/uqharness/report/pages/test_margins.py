@@ -81,19 +81,6 @@ def test_the_delayed_curve_of_nichols_runs_through_the_critical_point():
     assert near["third"] < 3.0 < near["first"]
 
 
-def test_a_loop_without_crossovers_and_frequencies_that_were_not_read():
-    scatter = np.where(W < 0.2, 0.5, 0.0)
-    text = page(loop(0.2 / (1.0 + 1j * W), name="rudder"), loop(integrator(), scatter))
-    assert problems(text) == []
-    words = words_of(text)
-    assert (
-        "Rudder: gain margin up none in the measured band, down none in the measured band; phase"
-        " margin none" in words
-    )
-    assert "not read" in words
-    assert "not read" not in words_of(page(loop(integrator())))
-
-
 def test_a_conditionally_stable_loop_shows_its_margin_downwards():
     s = 1j * W
     text = page(loop(20.0 * (s + 1.0) ** 2 / s**3))

@@ -84,11 +84,6 @@ def test_a_mode_worse_than_level_3_is_said_first():
     assert "Spiral: time to double 1.73 s, worse than Level 3." in words
 
 
-def test_two_real_roots_and_an_unstable_one_are_drawn():
-    points = [point(16.0, short=(-2.0, 0.0), spiral=0.02), point(20.0), point(24.0)]
-    assert problems(page(points=points)) == []
-
-
 @pytest.mark.parametrize(("roll", "inside"), [(-8.0, True), (-0.2, False)])
 def test_the_marker_lies_in_the_area_of_its_level(roll, inside):
     """Roll at Level 1: a root below -1/1.4 1/s, category B; the area's lower edge is the

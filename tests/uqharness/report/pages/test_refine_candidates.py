@@ -63,14 +63,3 @@ def test_all_of_them_are_in_the_chart_and_few_of_the_others(done):
         assert name in drawn
     assert sum(f"CX alpha^{k} " in drawn for k in range(20)) <= MAX_UNLISTED
     assert "CX alpha^19" not in drawn
-
-
-def test_where_nothing_is_named_or_scored_there_is_none(done):
-    bare = done | {
-        "effects": [],
-        "withdrawn": [],
-        "remaining": refinement()["remaining"],
-        "best_refused": None,
-        "candidates": {},
-    }
-    assert candidate_figure(Refinement.model_validate(bare)) is None

@@ -29,10 +29,6 @@ def test_lines_that_name_an_effect_with_what_stands_around_them():
     assert lines_naming(DIFF, ["aero/Cn_de"]) == ""
 
 
-def test_places_apart_are_joined_by_dots():
-    assert lines_naming(DIFF, ["aero/Cm_p2", 'value="1"'], 0).splitlines()[1] == "..."
-
-
 def test_an_effect_has_its_error_bar_and_its_change():
     part = effect_section(Refinement.model_validate(refinement()), DIFF).parts[0]
     assert any(

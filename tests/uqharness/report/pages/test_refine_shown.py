@@ -48,12 +48,6 @@ def test_widths_and_coverage_are_drawn():
     assert cells[1] == ["CX", *["undefined"] * 4]
 
 
-def test_nothing_known_draws_nothing():
-    section = interval_section(intervals(CX=dict.fromkeys(ROW)))
-    (figures,) = (block for block in section.blocks if isinstance(block, Figures))
-    assert figures.items == ()
-
-
 def test_why_it_is_not_shown_is_said(tmp_path):
     for section in (
         interval_section(tables()),

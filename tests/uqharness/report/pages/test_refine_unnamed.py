@@ -85,11 +85,6 @@ def test_the_section_has_the_curve_its_gap_and_the_forms():
     assert shapes.rows == (("Step at 0.03", "0.980", "1.030"),)
 
 
-def test_none_is_offered_none_is_shown():
-    assert smooth_sections(remaining(None)) == []
-    assert smooth_lines(remaining(None)) == ()
-
-
 def test_a_curve_of_uneven_columns_is_refused():
     smooth = done()["remaining"]["smooth"]
     with pytest.raises(ValueError, match="of one length"):

@@ -37,15 +37,6 @@ def test_a_refinement(refined):
     assert "Not shown: no loiter here." in words
 
 
-def test_an_error_that_does_not_change_stays(tmp_path):
-    document = refinement()
-    for row in document["gap"]["test"]["channels"].values():
-        row["rms_after"] = row["rms_before"]
-    words = words_of(page_of(written(tmp_path / "refined", "refinement.json", document)))
-    assert "stays at 0.407 deg/s (rms), with noise of 0.201 deg/s" in words
-    assert "goes from" not in words
-
-
 @pytest.mark.parametrize(
     ("verdict", "level", "text"),
     [

@@ -11,10 +11,6 @@ from lxml import html
 from tests.helpers import report_folders as folders
 from tests.helpers.page_checks import page_of, words_of
 from tests.helpers.report_folders import stage, study, written
-from uqharness.report.pages.identify import identify_page
-from uqharness.report.pages.model_form import bounds_page, coverage_page
-from uqharness.report.pages.refinement import refine_page
-from uqharness.report.pages.study import _PAGES, _STAGE_SECTIONS
 
 pytestmark = pytest.mark.usefixtures("flights_here")
 
@@ -64,28 +60,6 @@ def test_a_study_with_two_campaigns_over_each_other(tmp_path, campaigns, refined
     assert "What could not be read" in words
     assert "model-form.json" in words
     assert "cd" * 32 in words
-
-
-@pytest.mark.parametrize(
-    ("kind", "folder", "page"),
-    [
-        ("identify", folders.identified, identify_page),
-        ("bounds", folders.bounded, bounds_page),
-        ("validate-bounds", folders.covered, coverage_page),
-        ("refine", folders.refined, refine_page),
-    ],
-)
-def test_what_is_shown_of_a_stage_is_of_its_own_page_and_the_rest_is_not_made(
-    tmp_path, kind, folder, page
-):
-    made = folder(tmp_path / "stage")
-    whole, part = page(made, "s0-").sections, _PAGES[kind](made, "s0-").sections
-    shown, expected = (
-        [s for s in some if s.title in _STAGE_SECTIONS[kind]] for some in (part, whole)
-    )
-    assert shown == expected != []
-    # The bounds' folder here holds no residuals, and so nothing to leave out.
-    assert len(part) == len(whole) if kind == "bounds" else len(part) < len(whole)
 
 
 @pytest.mark.parametrize(

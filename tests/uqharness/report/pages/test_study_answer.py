@@ -136,24 +136,6 @@ def test_inconclusive_cells_have_no_tick(tmp_path, campaigns):
     ]
 
 
-def test_the_p_box_has_no_steps_and_the_reader_no_band_that_excludes_nothing(tmp_path, campaigns):
-    tree = page(tmp_path, campaigns)
-    (svg,) = tree.xpath("//figure[@id='answer-pbox']/svg")
-    drawn = [
-        path.get("d")
-        for path in svg.xpath("./g[@clip-path]/path")
-        if (path.get("class") or "").startswith("line")
-    ]
-    assert len(drawn) == 4
-    assert not any("V" in way for way in drawn)
-    (figure,) = tree.xpath("//figure[@id='answer-pbox']")
-    assert all(
-        box["smooth"] and not box["corners"]
-        for box in json.loads(figure.findtext("script"))["boxes"]
-    )
-    assert "Half of the flights stay below" in figure.findtext("figcaption")
-
-
 def cells_of(tree):
     (table,) = [
         t
@@ -196,36 +178,6 @@ def test_aborted_flights_are_shown_by_kind_with_the_limit_of_their_rate(campaign
     assert cells_section({"": other}).blocks[-1].head[-2] == "Ended otherwise"
 
 
-def test_an_inconclusive_cell_says_why(campaigns):
-    found = read_campaign_report(campaigns / "after")
-    item = replace(found.signed[0], reason="clusters beyond the carried limit")
-    cell = cells_section({"": replace(found, signed=(item,))}).blocks[-1].rows[0][2]
-    assert cell.small.startswith("clusters beyond the carried limit; ")
-
-
-def test_lines_of_the_first_figures_have_a_legend(tmp_path, campaigns):
-    tree = page(tmp_path, campaigns)
-    for figure in ("ground-track", "track-distance", "answer-pbox", "effect-residuals"):
-        (svg,) = tree.xpath(f"//figure[@id='{figure}']/svg")
-        keyed = {
-            path.get("class")
-            for key in svg.xpath(".//g[@class='key']")
-            for path in key.iter("path")
-        }
-        drawn = {
-            path.get("class")
-            for path in svg.xpath("./g[@clip-path]/path")
-            if (path.get("class") or "").startswith("line")
-        }
-        assert drawn - {"line link"} <= keyed, figure
-
-
-def test_a_study_without_tracks_has_the_p_box_alone(tmp_path, campaigns):
-    tree = page(tmp_path, campaigns, tracks={"reason": "no flight tells"})
-    assert not tree.xpath("//figure[@id='ground-track']")
-    assert tree.xpath("//figure[@id='answer-pbox']")
-
-
 @pytest.mark.parametrize("content", [b"no parquet", None])
 def test_damaged_tracks_are_told_and_leave_the_p_box(tmp_path, campaigns, content, monkeypatch):
     def damaged(folder):
@@ -239,9 +191,3 @@ def test_damaged_tracks_are_told_and_leave_the_p_box(tmp_path, campaigns, conten
     assert tree.xpath("//figure[@id='answer-pbox']")
     (heading,) = [e for e in tree.iter("h2") if e.text == "What could not be read"]
     assert "tracks.parquet" in heading.getnext().text_content()
-
-
-def test_a_study_of_an_older_version_is_told_by_its_sentences(tmp_path, campaigns):
-    tree = page(tmp_path, campaigns, answer=None)
-    assert tree.findtext(".//h1") == "Study: small"
-    assert "It holds." in tree.find(".//section[@class='verdict']").text_content()
