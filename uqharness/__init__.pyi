@@ -1,12 +1,12 @@
 from . import sensitivity as sensitivity
+from .api.aircraft import author as author
 from .api.aircraft import diff as diff
 from .api.aircraft import export as export
 from .api.aircraft import find_trim as find_trim
 from .api.aircraft import instrument as instrument
 from .api.aircraft import linearise as linearise
 from .api.aircraft import margins as margins
-from .api.authoring import author as author
-from .api.authoring import performance as performance
+from .api.aircraft import performance as performance
 from .api.campaigns import campaign_area as campaign_area
 from .api.campaigns import campaign_convergence as campaign_convergence
 from .api.campaigns import campaign_report as campaign_report
@@ -28,8 +28,8 @@ from .api.flights import read_flights as read_flights
 from .api.identification import compare as compare
 from .api.identification import fit_model_form as fit_model_form
 from .api.identification import identify as identify
+from .api.identification import refine as refine
 from .api.identification import validate_bounds as validate_bounds
-from .api.refinement import refine as refine
 from .api.results import dossier as dossier
 from .api.results import report as report
 from .api.results import study as study

@@ -9,8 +9,7 @@ from uqharness.commands import study as studies
 from uqharness.heartbeat import notebook_line
 from uqharness.isolation import isolated
 from uqharness.requests.base import accepts
-from uqharness.requests.folders import DossierRequest, ReportRequest
-from uqharness.requests.study import StudyRequest
+from uqharness.requests.folders import DossierRequest, ReportRequest, StudyRequest
 from uqharness.results.folders import DossierFile
 from uqharness.results.study import Study
 

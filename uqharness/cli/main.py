@@ -187,7 +187,7 @@ COMMANDS: Table = {
         "stall, glide, climb, ceiling and turn, with intervals from the bounds",
     ),
     "export": RequestCommand(
-        "exchange:ExportRequest",
+        "authoring:ExportRequest",
         "exchange:export",
         "write the model for ArduPilot, Gazebo or a table, with the loss",
     ),
@@ -239,7 +239,7 @@ COMMANDS: Table = {
         "plan the test flight that narrows the p-box most",
     ),
     "study": RequestCommand(
-        "study:StudyRequest",
+        "folders:StudyRequest",
         "study:study",
         "the whole chain: flights to p-boxes, before and after refinement",
     ),

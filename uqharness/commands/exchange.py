@@ -51,11 +51,11 @@ from uqharness.files import (
     write_text,
 )
 from uqharness.identification import load_form
+from uqharness.requests.authoring import ExportRequest
 from uqharness.requests.base import Callback, command_line, silent
-from uqharness.requests.exchange import ExportRequest
 from uqharness.requests.simulation import MODEL_FILES
+from uqharness.results.authoring import Loss, LossOfCoefficient, ModelDifference, ModelSlip
 from uqharness.results.base import Outcome
-from uqharness.results.exchange import Loss, LossOfCoefficient, ModelDifference, ModelSlip
 from uqharness.simulator import content_hash
 from uqharness.text_tables import csv_text, text_table
 

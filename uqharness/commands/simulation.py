@@ -86,8 +86,8 @@ from uqharness.requests.simulation import (
     MarginsRequest,
     ModesRequest,
 )
+from uqharness.results.authoring import ModelDifference
 from uqharness.results.base import Outcome
-from uqharness.results.exchange import ModelDifference
 from uqharness.results.simulation import (
     AssessedLevel,
     ChannelDifference,

@@ -11,7 +11,7 @@ from uqharness.files import find_campaign
 from uqharness.parallel import usable_cores
 from uqharness.report import write_report
 from uqharness.requests.base import Callback, Request, command_line, silent
-from uqharness.requests.study import StudyRequest
+from uqharness.requests.folders import StudyRequest
 from uqharness.results.base import Outcome
 from uqharness.results.study import Study
 from uqharness.study import read_chain, run_chain

@@ -18,7 +18,7 @@ DOCUMENTS: dict[str, str] = {
     "completion": "folders:CompletionScript",
     "diff": "simulation:DiffDocument",
     "dossier": "folders:DossierFile",
-    "export": "exchange:Loss",
+    "export": "authoring:Loss",
     "fly": "simulation:FlownFlight",
     "identify": "identification:Fit",
     "instrument": "simulation:PluginOutcome",

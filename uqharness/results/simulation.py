@@ -6,8 +6,8 @@ from typing import Literal
 
 from pydantic import Field
 
+from uqharness.results.authoring import ModelDifference
 from uqharness.results.base import Number, Numbers, Part, Texts
-from uqharness.results.exchange import ModelDifference
 
 
 class GainsTaken(Part):

@@ -10,7 +10,13 @@ import numpy as np
 import pytest
 from lxml import etree
 
-from uqharness.report.channels import Flag, Shade, channel_sections, named_stretches, shown_signal
+from uqharness.report.pages.flight import (
+    Flag,
+    Shade,
+    channel_sections,
+    named_stretches,
+    shown_signal,
+)
 
 TIME = np.linspace(0.0, 100.0, 1001)
 

@@ -9,7 +9,7 @@ import pytest
 
 from sysid.errors import Finding
 from sysid.record import FlightRecord, Metadata
-from uqharness.report.channels import MOST_SPANS, channels_of, flags_of, spans_of
+from uqharness.report.pages.flight import MOST_SPANS, channels_of, flags_of, spans_of
 
 TIME = np.arange(0.0, 100.0, 0.1)
 SOURCES = {"V_mps": "ARSP.Airspeed x CTUN.E2T", "alpha_rad": "AOA.AOA", "beta_rad": "AOA.SSA"}
