@@ -21,7 +21,6 @@ from sysid.display import clean_terminal, cursor_stream
 from sysid.errors import LogError
 from uqharness import __version__
 from uqharness.errors import BadInputError, EnginesDifferError, TerminatedError
-from uqharness.files import hide_scratch_paths
 from uqharness.heartbeat import QUIET_VARIABLE, heartbeat
 
 # Commands by name: the list of commands loads no library, a command its request alone.
@@ -349,6 +348,14 @@ def _resumes(words: str) -> bool:
     )
 
 
+def _printable(text: str) -> str:
+    """Hide the paths of temporary folders. There are none while nothing has loaded the module that
+    makes them, which the help of a command does without.
+    """
+    files = sys.modules.get("uqharness.files")
+    return text if files is None else str(files.hide_scratch_paths(text))
+
+
 class _Notes(logging.Handler):
     """Prints notes of the program to standard error, one a line."""
 
@@ -356,7 +363,7 @@ class _Notes(logging.Handler):
         """Print a note, overwriting a progress line."""
         if sys.stderr.isatty():
             print("\r\x1b[K", end="", file=cursor_stream(sys.stderr))
-        print(f"note: {hide_scratch_paths(record.getMessage())}", file=sys.stderr)
+        print(f"note: {_printable(record.getMessage())}", file=sys.stderr)
 
 
 def _run(argv: Sequence[str] | None) -> int:
@@ -366,7 +373,7 @@ def _run(argv: Sequence[str] | None) -> int:
         sys.stdout.flush()
         return code
     except BadInputError as error:
-        print(f"uqharness: error: {hide_scratch_paths(str(error))}", file=sys.stderr)
+        print(f"uqharness: error: {_printable(str(error))}", file=sys.stderr)
         return 2
     except EnginesDifferError as error:
         print(f"uqharness: {error}", file=sys.stderr)
