@@ -4,39 +4,22 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
 from tests.helpers.places import ROOT
 
 PACKAGES = ("sysid", "uqharness")
+# Lowest first. "" is what lies in the package itself; BASE beside it.
+_SYSID = "logs aerodynamics estimation model_form effects"
+_UQHARNESS = (
+    "simulator xml flight differences batch plugin statistics replay identification exchange"
+    " authoring sensitivity campaign next_flight refinement study dossier report commands api cli"
+)
 LAYERS: Mapping[str, tuple[str, ...]] = {
-    # Lowest first. "" is what lies in the package itself; BASE beside it.
-    "sysid": ("", "logs", "aerodynamics", "estimation", "model_form", "effects"),
-    "uqharness": (
-        "",
-        "simulator",
-        "xml",
-        "flight",
-        "differences",
-        "batch",
-        "plugin",
-        "statistics",
-        "replay",
-        "identification",
-        "exchange",
-        "authoring",
-        "sensitivity",
-        "campaign",
-        "next_flight",
-        "refinement",
-        "study",
-        "dossier",
-        "report",
-        "commands",
-        "api",
-        "cli",
-    ),
+    "sysid": ("", *_SYSID.split()),
+    "uqharness": ("", *_UQHARNESS.split()),
 }
 
 BASE = {"sysid": ("foreign",), "uqharness": ("requests", "results")}
@@ -58,18 +41,49 @@ def modules() -> Mapping[str, Path]:
     return found
 
 
-@cache
-def imported_by(source: str) -> tuple[tuple[str, ...], ...]:
-    """What a source imports, at any depth of nesting: for each name, the dotted names that it may
-    stand for, longest first.
+@dataclass(frozen=True)
+class Scan:
+    """What a source imports, at any depth of nesting, prints, and has in floats and texts.
+
+    ``imports`` has a pair of module and names for each statement; ``import x`` has the module None.
     """
-    found: list[tuple[str, ...]] = []
+
+    imports: tuple[tuple[str | None, tuple[str, ...]], ...]
+    prints: bool
+    floats: frozenset[float]
+    texts: tuple[str, ...]
+
+
+@cache
+def scan(source: str) -> Scan:
+    """Parse a source once; its texts are the string constants that are no docstrings."""
+    imports: list[tuple[str | None, tuple[str, ...]]] = []
+    prints, floats, documents, texts = False, set(), set(), []
     for node in ast.walk(ast.parse(source)):
-        if isinstance(node, ast.Import):
-            found += [(alias.name,) for alias in node.names]
-        elif isinstance(node, ast.ImportFrom) and node.module:
-            found += [(f"{node.module}.{alias.name}", node.module) for alias in node.names]
-    return tuple(found)
+        if isinstance(node, ast.Import | ast.ImportFrom):
+            module = node.module if isinstance(node, ast.ImportFrom) else None
+            imports.append((module, tuple(alias.name for alias in node.names)))
+        elif isinstance(node, ast.Call):
+            prints |= isinstance(node.func, ast.Name) and node.func.id == "print"
+        elif isinstance(node, ast.Constant) and isinstance(node.value, float):
+            floats.add(node.value)
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+            texts += [node.value] if id(node) not in documents else []
+        elif isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and node.body:
+            # Visited before what it holds.
+            documents.add(id(node.body[0].value if isinstance(node.body[0], ast.Expr) else None))
+    return Scan(tuple(imports), prints, frozenset(floats), tuple(texts))
+
+
+def imported_by(source: str) -> list[tuple[str, ...]]:
+    """What a source imports: for each name, the dotted names that it may stand for, longest
+    first.
+    """
+    return [
+        (f"{module}.{name}", module) if module else (name,)
+        for module, names in scan(source).imports
+        for name in names
+    ]
 
 
 def imports(name: str) -> set[str]:
