@@ -5,6 +5,7 @@ name of what the model lacks.
 from __future__ import annotations
 
 import json
+import shlex
 from pathlib import Path
 
 import numpy as np
@@ -159,11 +160,7 @@ def test_three_commands_lead_from_nothing_to_the_gap(tmp_path, capsys):
     log = tmp_path / "flight.bin"
     assert (
         ran(
-            "fly",
-            "c172p",
-            "--mission",
-            "doublets",
-            "--speed-mps",
+            *shlex.split("fly c172p --mission doublets --speed-mps"),
             50,
             "--noise",
             "--seed",

@@ -7,6 +7,7 @@ from __future__ import annotations
 import ast
 import json
 import os
+import shlex
 import subprocess
 import sys
 import sysconfig
@@ -172,26 +173,12 @@ def test_the_installed_wheel_works_in_a_folder_of_its_own(installed: Path, tmp_p
     run(
         installed,
         tmp_path,
-        "fly",
-        "espaaro_truth",
-        "--script",
-        "doublet-elevator",
-        "--out",
-        "doublet.csv",
+        *shlex.split("fly espaaro_truth --script doublet-elevator --out doublet.csv"),
     )
     assert len((tmp_path / "doublet.csv").read_text().splitlines()) > 100
     # Two flights of the demonstration's 512, by name.
     part = [
-        "campaign",
-        "run",
-        "demo",
-        "--out",
-        "part",
-        "--hours",
-        "0.05",
-        "--shard",
-        "1/32",
-        "--serial",
+        *shlex.split("campaign run demo --out part --hours 0.05 --shard 1/32 --serial"),
     ]
     assert "2 flights done" in run(installed, tmp_path, *part)
 

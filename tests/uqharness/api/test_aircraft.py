@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import shlex
 from pathlib import Path
 
 import numpy as np
@@ -18,15 +19,9 @@ def test_trim_and_modes_are_those_of_the_command(capsys: pytest.CaptureFixture):
     assert (
         main(
             [
-                "modes",
-                "espaaro",
-                "--speed-mps",
-                "22.2",
-                "--bank-deg",
-                "20",
-                "--altitude-m",
-                "100",
-                "--json",
+                *shlex.split(
+                    "modes espaaro --speed-mps 22.2 --bank-deg 20 --altitude-m 100 --json"
+                ),
             ]
         )
         == 0

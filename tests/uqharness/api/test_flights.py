@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from pathlib import Path
 
 import numpy as np
@@ -15,19 +16,9 @@ from uqharness.cli.main import main
 from uqharness.commands.flights import Flight, flights_of
 from uqharness.simulator.aircraft import find_aircraft
 
-WORDS = [
-    "--script",
-    "doublet-elevator",
-    "--duration-s",
-    "6",
-    "--wind-mps",
-    "3",
-    "--turbulence",
-    "light",
-    "--noise",
-    "--seed",
-    "3",
-]
+WORDS = shlex.split(
+    "--script doublet-elevator --duration-s 6 --wind-mps 3 --turbulence light --noise --seed 3"
+)
 
 
 def flown() -> Flight:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from pathlib import Path
 
 import pytest
@@ -34,15 +35,11 @@ def test_identify_gives_what_the_command_gives(
     flight: Path, tmp_path: Path, capsys: pytest.CaptureFixture
 ):
     words = [
-        "identify",
-        "espaaro",
-        "--flight",
+        *shlex.split("identify espaaro --flight"),
         str(flight),
         "--params",
         ",".join(PARAMETERS),
-        "--workers",
-        "1",
-        "--no-figures",
+        *shlex.split("--workers 1 --no-figures"),
     ]
     wanted = command([*words, "--out", str(tmp_path / "out")], capsys)
     for given in (flight, uq.read_flights([flight], "espaaro"), flown(1)):
@@ -62,14 +59,9 @@ def test_compare_gives_what_the_command_gives(
     flight: Path, tmp_path: Path, capsys: pytest.CaptureFixture
 ):
     words = [
-        "compare",
-        "espaaro",
-        "--flight",
+        *shlex.split("compare espaaro --flight"),
         str(flight),
-        "--workers",
-        "1",
-        "--no-figures",
-        "--out",
+        *shlex.split("--workers 1 --no-figures --out"),
         str(tmp_path / "out"),
     ]
     wanted = command(words, capsys)
@@ -92,14 +84,9 @@ def test_fit_model_form_gives_the_file_of_the_command(
     path = tmp_path / "bounds.parquet"
     uq.fly("espaaro_truth", "flight-bounds", duration_s=24, noise=True, seed=2).write(path)
     more = [
-        "--states",
-        "CX=V,alpha,q",
-        "--terms",
-        "Cm=1,alpha,p^2",
-        "--outside",
-        "clamp",
-        "--confidence",
-        "0.9",
+        *shlex.split(
+            "--states CX=V,alpha,q --terms Cm=1,alpha,p^2 --outside clamp --confidence 0.9"
+        ),
     ]
     for words, options in (
         ([], {}),

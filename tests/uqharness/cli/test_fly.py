@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 
 import pytest
 
@@ -15,13 +16,7 @@ from uqharness.requests.simulation import FlyRequest
 
 def test_the_summary_is_one_line_or_json(tmp_path, capsys):
     words = [
-        "fly",
-        "espaaro",
-        "--duration-s",
-        "1",
-        "--rate-hz",
-        "10",
-        "--out",
+        *shlex.split("fly espaaro --duration-s 1 --rate-hz 10 --out"),
         str(tmp_path / "a" / "flight.csv"),
     ]
     assert main(words) == 0
@@ -49,15 +44,7 @@ def test_settings_are_properties_with_finite_numbers():
 def test_a_page_is_written_beside_the_record_when_asked(tmp_path, capsys):
     page = tmp_path / "flight.html"
     words = [
-        "fly",
-        "espaaro",
-        "--duration-s",
-        "60",
-        "--rate-hz",
-        "10",
-        "--wind-mps",
-        "3",
-        "--out",
+        *shlex.split("fly espaaro --duration-s 60 --rate-hz 10 --wind-mps 3 --out"),
         str(tmp_path / "flight.parquet"),
     ]
     assert main([*words, "--page", str(page), "--json"]) == 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from pathlib import Path
 
 import numpy as np
@@ -133,10 +134,7 @@ def test_import_labels_what_is_found(
     words = [
         "--aircraft",
         str(CARD),
-        "--no-cache",
-        "--manoeuvres",
-        "found",
-        "--out",
+        *shlex.split("--no-cache --manoeuvres found --out"),
         str(tmp_path / "a.parquet"),
     ]
     assert main(["log", "import", str(flown), *words]) == 0

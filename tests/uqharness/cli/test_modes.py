@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 import math
+import shlex
 
 import pytest
 
@@ -72,12 +73,7 @@ def test_a_page_is_written_when_asked_and_json_stays_as_it_is(tmp_path, capsys):
     assert (
         main(
             [
-                "modes",
-                "espaaro",
-                "--speed-mps",
-                "22.2",
-                "--json",
-                "--out",
+                *shlex.split("modes espaaro --speed-mps 22.2 --json --out"),
                 str(path),
                 "--speeds",
                 "21:24",

@@ -5,6 +5,7 @@ each.
 from __future__ import annotations
 
 import argparse
+import shlex
 from pathlib import Path
 
 import pytest
@@ -38,16 +39,7 @@ def made(*words: str) -> BoundsRequest:
 
 def test_a_repeated_option_is_repeated_and_the_words_are_those_of_the_same_command() -> None:
     given = (
-        "bounds",
-        "espaaro",
-        "--flight",
-        "x.bin",
-        "--states",
-        "CX=V",
-        "--states",
-        "Cm=alpha,q",
-        "--out",
-        "o",
+        *shlex.split("bounds espaaro --flight x.bin --states CX=V --states Cm=alpha,q --out o"),
     )
     words = command_words(made(*given))
     assert words.count("--states") == 2
@@ -77,16 +69,9 @@ def test_every_command_has_examples_json_and_exit_codes(
 
 def test_an_option_means_the_same_in_every_command(commands: list[argparse.ArgumentParser]) -> None:
     shared = (
-        "--json",
-        "--no-figures",
-        "--map",
-        "--manoeuvres",
-        "--servos",
-        "--biases",
-        "--delays",
-        "--hours",
-        "--samples",
-        "--yes",
+        *shlex.split(
+            "--json --no-figures --map --manoeuvres --servos --biases --delays --hours --samples --yes"
+        ),
     )
     told: dict[str, set[str]] = {}
     for parser in commands:

@@ -5,6 +5,7 @@ the working folder.
 from __future__ import annotations
 
 import os
+import shlex
 import signal
 import subprocess
 import sys
@@ -263,13 +264,7 @@ def test_a_campaign_that_is_killed_leaves_no_process_and_after_the_next_command_
     process.communicate()  # ends when nobody holds its standard error any more
     assert process.returncode == (143 if number == signal.SIGTERM else -number)
     fly = [
-        "fly",
-        "espaaro",
-        "--script",
-        "loiter",
-        "--duration-s",
-        "1",
-        "--out",
+        *shlex.split("fly espaaro --script loiter --duration-s 1 --out"),
         str(tmp_path / "a.csv"),
     ]
     subprocess.run(

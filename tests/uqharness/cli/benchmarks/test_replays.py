@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shlex
+
 import pytest
 
 from uqharness.cli.benchmark_batch import measure_replays, replay_lines
@@ -33,13 +35,7 @@ def test_a_short_flight_is_refused(tmp_path):
     flight = tmp_path / "flight.parquet"
     main(
         [
-            "fly",
-            "espaaro",
-            "--script",
-            "doublet-elevator",
-            "--duration-s",
-            "6",
-            "--out",
+            *shlex.split("fly espaaro --script doublet-elevator --duration-s 6 --out"),
             str(flight),
         ]
     )
