@@ -44,65 +44,39 @@ def identified(folder):
     """An identification with a parameter that is not identified and a channel without noise or
     value.
     """
-    parameters = {
-        "aero/Cm_q": {
-            "value": -13.5,
-            "std": 0.4,
-            "std_crb": 0.1,
-            "status": "identified",
-            "reason": "",
-            "initial": -9.7,
-        },
-        "aero/Cl_0": {
-            "value": 0.001,
-            "std": 1e-5,
-            "std_crb": 1e-5,
-            "status": "identified",
-            "reason": "",
-            "initial": 0.0,
-        },
-        "aero/Cn_p": {
-            "value": 0.2,
-            "std": None,
-            "std_crb": None,
-            "status": "not-identified",
-            "reason": "<no> roll",
-            "initial": 0.2,
-        },
+    names = ("value", "std", "std_crb", "status", "reason", "initial")
+    rows = {
+        "aero/Cm_q": (-13.5, 0.4, 0.1, "identified", "", -9.7),
+        "aero/Cl_0": (0.001, 1e-5, 1e-5, "identified", "", 0.0),
+        "aero/Cn_p": (0.2, None, None, "not-identified", "<no> roll", 0.2),
     }
-    fit = {
+    channels = {
+        "q_radps": {"rms": 0.01, "noise": 0.004, "predictable_share": None},
+        "V_mps": {"rms": 0.5, "noise": None},
+    }
+    fit = {key: [] for key in ("names", "cov", "notes")} | {
         "aircraft": "plane & co",
         "method": "output error",
         "converged": True,
-        "parameters": parameters,
-        "names": [],
-        "cov": [],
+        "parameters": {name: dict(zip(names, row, strict=True)) for name, row in rows.items()},
         "warnings": ["coloured residuals"],
-        "notes": [],
         "flights": ["a<b>.parquet"],
         "flights_sha256": ["ab" * 32],
-        "fit": {
-            "q_radps": {"rms": 0.01, "noise": 0.004, "predictable_share": None},
-            "V_mps": {"rms": 0.5, "noise": None},
-        },
+        "fit": channels,
         "command": "uqharness identify plane --flight 'a<b>.parquet' --out out",
     }
     out = written(folder, "fit.json", fit)
     nothing = [np.full(TIME.size, np.nan)] * 2
-    columns = {
-        "q_radps": wave(0.3),
-        "q_radps_model": wave(0.29),
-        "V_mps": nothing,
-        "V_mps_model": wave(),
-        "elevator": wave(5.0),
-    }
+    columns = {"q_radps": wave(0.3), "q_radps_model": wave(0.29), "elevator": wave(5.0)}
+    columns |= {"V_mps": nothing, "V_mps_model": wave()}
     pieces(out, "histories.parquet", columns)
     return out
 
 
 def compared(folder):
     """A comparison with a channel that is not judged."""
-    channel = {"theil_u": 0.1, "delay_s": 0.0, "delay_std_s": None}
+    channel = {"theil_u": 0.1, "delay_s": 0.0, "delay_std_s": None, "rms": 0.02}
+    moment = {"time_s": 1.0, "channel": "q_radps", "manoeuvre": "roll doublet", "gap": 0.1}
     document = {
         "aircraft": "plane",
         "flight": "flight1",
@@ -110,37 +84,29 @@ def compared(folder):
         "above": ["q_radps"],
         "rule": "a rule",
         "channels": {
-            "q_radps": {"rms": 0.02, "noise": 0.004, "ratio": 5.0, "judged": True, **channel},
-            "psi_rad": {"rms": 0.02, "noise": 1e-9, "ratio": 2e7, "judged": False, **channel},
+            "q_radps": channel | {"noise": 0.004, "ratio": 5.0, "judged": True},
+            "psi_rad": channel | {"noise": 1e-9, "ratio": 2e7, "judged": False},
         },
         "coefficients": {"Cm": {"rms": 0.002, "noise": 0.001, "mean": None}},
         "manoeuvres": {
             "roll doublet": {"channels": {"q_radps": 5.0}, "coefficients": {"Cm": None}}
         },
-        "moments": [
-            {
-                "time_s": 1.0,
-                "channel": "q_radps",
-                "manoeuvre": "roll doublet",
-                "gap": 0.1,
-                "noises": 9.0,
-            }
-        ],
+        "moments": [moment | {"noises": 9.0}],
         "notes": [],
     }
     out = written(folder, "compare.json", document)
-    columns = {
-        "q_radps": wave(0.3),
-        "q_radps_model": wave(0.2),
-        "psi_rad": wave(),
-        "psi_rad_model": wave(),
-    }
+    columns = {"q_radps": wave(0.3), "q_radps_model": wave(0.2)}
+    columns |= {"psi_rad": wave(), "psi_rad_model": wave()}
     pieces(out, "histories.parquet", columns | {"Cm_flight": wave(0.01), "Cm_model": wave(0.02)})
     return out
 
 
 def refinement(**changes):
     """refinement.json."""
+    rivals = [
+        {"term": "da^2", "name": "aileron squared", "would_separate": "a roll at rest"},
+        {"term": "r_hat^2", "name": "yaw rate squared"},
+    ]
     effect = {
         "coefficient": "Cm",
         "term": "p_hat^2",
@@ -152,40 +118,22 @@ def refinement(**changes):
         "property": "aero/Cm_p2",
         "withdrawn": False,
         "evidence": {"t": 164.7, "twice_log_likelihood": None, "interval_95": [2.961, 3.032]},
-        "alternatives": [
-            {
-                "term": "da^2",
-                "name": "aileron squared",
-                "separable": False,
-                "would_separate": "a roll at rest",
-            },
-            {"term": "r_hat^2", "name": "yaw rate squared", "separable": True},
-        ],
+        "alternatives": [row | {"separable": k == 1} for k, row in enumerate(rivals)],
     }
-    where = {
-        "coefficient": "Cm",
-        "manoeuvre": "roll",
-        "region": {"p_radps": [0.5, 2.0]},
-        "share_outside_95": 0.7,
-        "size": 4.2,
-    }
+    where = {"coefficient": "Cm", "manoeuvre": "roll", "region": {"p_radps": [0.5, 2.0]}}
+    where |= {"share_outside_95": 0.7, "size": 4.2}
     row = {"rms_before": 0.0071, "rms_after": 0.0034, "noise_rms": 0.0035}
-    gap = {
-        "channels": {"q_radps": row},
-        "coefficients": {"Cm": row},
-        "theil": {"before": 0.1, "after": 0.05},
-    }
-    inside = {
-        "width_before": 0.04,
-        "width_after": 0.03,
-        "coverage_before": 0.97,
-        "coverage_after": 0.96,
-    }
-    inside |= {"coverage_std_before": 0.01, "coverage_std_after": None}
+    gap = {"channels": {"q_radps": row}, "coefficients": {"Cm": row}}
+    gap["theil"] = {"before": 0.1, "after": 0.05}
+    inside = {"width_before": 0.04, "width_after": 0.03, "coverage_before": 0.97}
+    inside |= {"coverage_after": 0.96, "coverage_std_before": 0.01, "coverage_std_after": None}
     test = gap | {
         "intervals": {"reason": None, "confidence": 0.95, "coefficients": {"Cm": inside}},
         "pbox": {"reason": "no loiter here"},
     }
+    remaining = {"unexplained": False, "where": []}
+    remaining |= {"channels_above_noise": {}, "coloured_channels": []}
+    scores = [{"effect": "Cm p_hat^2", "t": 164.7}, {"effect": "Cm da^2", "t": -90.0}]
     harmful = effect | {
         "name": "yawing moment due to elevator",
         "alternatives": [],
@@ -199,22 +147,14 @@ def refinement(**changes):
         "gap": {"train": gap, "test": test},
         "model": "aircraft/plane/plane.xml",
         "disagreement": [where],
-        "remaining": {
-            "unexplained": False,
-            "where": [],
-            "channels_above_noise": {},
-            "coloured_channels": [],
-        },
+        "remaining": remaining,
         "parameters": {"aero/Cm_q": {"value": -13.8, "std": 0.1}},
         "switch": [{"property": "aero/Cm_p2", "off": 0.0}],
         "best_refused": None,
         "notes": [],
         "train": ["a"],
         "test": ["b"],
-        "candidates": {
-            "limit": 4.2,
-            "scores": [{"effect": "Cm p_hat^2", "t": 164.7}, {"effect": "Cm da^2", "t": -90.0}],
-        },
+        "candidates": {"limit": 4.2, "scores": scores},
         "command": "uqharness refine plane --train a --test b",
         "seconds": 9.0,
     } | changes
@@ -242,13 +182,8 @@ def covered(folder):
     """A validation in which one coefficient's bounds do not hold, with the samples behind it."""
     row = {"0.95": 0.97, "0.68": 0.7, "n_effective": 80.0, "mean_width": 0.02}
     coverage = {"CX": row, "Cm": row | {"0.95": 0.4, "n_effective": None}}
-    document = {
-        "coverage": coverage,
-        "errors": {"CX": {"0.95": 0.01, "0.68": None}},
-        "failed": ["Cm"],
-        "warnings": [],
-        "notes": [],
-    }
+    document = {"coverage": coverage, "errors": {"CX": {"0.95": 0.01, "0.68": None}}}
+    document |= {"failed": ["Cm"], "warnings": [], "notes": []}
     out = written(folder, "coverage.json", document)
     edge = [np.full(TIME.size, 0.8)] * 2
     columns = {c: wave() for c in ("CX", "Cm")}
@@ -322,31 +257,14 @@ def tracks(folder):
 
 def stage(name, kind, folder, **changes):
     """A stage of study.json."""
-    row = {
-        "name": name,
-        "kind": kind,
-        "folder": folder,
-        "command": f"uqharness {kind} ...",
-        "state": "done",
-        "exit": 0,
-    }
-    return row | {"seconds": 1.5, "inputs": {"flight.bin": "cd" * 32}, "error": ""} | changes
+    row = {"name": name, "kind": kind, "folder": folder, "command": f"uqharness {kind} ..."}
+    row |= {"state": "done", "exit": 0, "seconds": 1.5, "inputs": {"flight.bin": "cd" * 32}}
+    return row | {"error": ""} | changes
 
 
 def study(stages, **changes):
     """study.json."""
-    said = [{"text": "It holds.", "level": "good"}]
-    row = {
-        "study": "small",
-        "question": "Is it good enough?",
-        "file": "small.toml",
-        "hash": "ef" * 32,
-        "version": "0",
-    }
-    row |= {
-        "state": "done",
-        "command": "uqharness study small.toml --out out",
-        "stages": stages,
-        "verdict": said,
-    }
-    return row | changes
+    row = {"study": "small", "question": "Is it good enough?", "file": "small.toml"}
+    row |= {"hash": "ef" * 32, "version": "0", "state": "done", "stages": stages}
+    row |= {"command": "uqharness study small.toml --out out"}
+    return row | {"verdict": [{"text": "It holds.", "level": "good"}]} | changes

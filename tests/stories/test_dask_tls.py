@@ -5,6 +5,7 @@ certificates.
 from __future__ import annotations
 
 import os
+import shlex
 import shutil
 import socket
 import subprocess
@@ -19,31 +20,26 @@ from tests.helpers.places import ROOT
 HERE = "127.0.0.1"
 BIN = Path(sys.executable).parent
 
-pytestmark = pytest.mark.skipif(
-    shutil.which("openssl") is None or not (BIN / "dask").exists(),
-    reason="needs openssl and dask's commands",
-)
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(
+        shutil.which("openssl") is None or not (BIN / "dask").exists(),
+        reason="needs openssl and dask's commands",
+    ),
+]
+
+
+def make_certificate(folder: Path, name: str) -> None:
+    words = shlex.split(f"req -x509 -newkey rsa:3072 -nodes -days 2 -subj /CN={name}")
+    files = ("-keyout", folder / "key.pem", "-out", folder / "cert.pem")
+    subprocess.run(["openssl", *words, *files], check=True, capture_output=True)
 
 
 @pytest.fixture(scope="module")
 def certificate(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     """The environment of everybody who takes part."""
     folder = tmp_path_factory.mktemp("tls")
-    names = ("-keyout", folder / "key.pem", "-out", folder / "cert.pem")
-    command = [
-        "openssl",
-        "req",
-        "-x509",
-        "-newkey",
-        "rsa:3072",
-        "-nodes",
-        "-days",
-        "2",
-        "-subj",
-        "/CN=campaign",
-        *names,
-    ]
-    subprocess.run(command, check=True, capture_output=True)
+    make_certificate(folder, "campaign")
     settings = {"REQUIRE_ENCRYPTION": "true", "TLS__CA_FILE": folder / "cert.pem"}
     for role in ("SCHEDULER", "WORKER", "CLIENT"):
         settings |= {
@@ -83,18 +79,9 @@ def cluster(certificate: dict[str, str]) -> Iterator[tuple[str, list[int]]]:
 
 
 def run(address: str, out: Path, environment: dict[str, str]) -> subprocess.CompletedProcess[str]:
-    command = [
-        BIN / "uqharness",
-        "campaign",
-        "run",
-        ROOT / "tests" / "doc_campaign.toml",
-        "--out",
-        out,
-        "--engine",
-        "jsbsim",
-        "--dask",
-        address,
-    ]
+    campaign = ROOT / "tests" / "doc_campaign.toml"
+    words = ("--out", out, "--engine", "jsbsim", "--dask", address)
+    command = [BIN / "uqharness", "campaign", "run", campaign, *words]
     return subprocess.run(
         command, env=environment, capture_output=True, text=True, check=False, timeout=240
     )
@@ -119,7 +106,6 @@ def listens(pids: list[int]) -> set[str]:
     return found
 
 
-@pytest.mark.slow
 def test_a_campaign_flies_over_tls_on_one_address(cluster, certificate, tmp_path) -> None:
     address, pids = cluster
     done = run(address, tmp_path / "out", certificate)
@@ -138,23 +124,8 @@ def test_without_the_certificate_nobody_answers(cluster, tmp_path) -> None:
     assert "Traceback" not in done.stderr
 
 
-@pytest.mark.slow
 def test_another_certificate_is_turned_away(cluster, certificate, tmp_path) -> None:
-    names = ("-keyout", tmp_path / "key.pem", "-out", tmp_path / "cert.pem")
-    command = [
-        "openssl",
-        "req",
-        "-x509",
-        "-newkey",
-        "rsa:3072",
-        "-nodes",
-        "-days",
-        "2",
-        "-subj",
-        "/CN=else",
-        *names,
-    ]
-    subprocess.run(command, check=True, capture_output=True)
+    make_certificate(tmp_path, "else")
     prefix = "DASK_DISTRIBUTED__COMM__TLS__"
     other = certificate | {
         f"{prefix}CLIENT__CERT": str(tmp_path / "cert.pem"),

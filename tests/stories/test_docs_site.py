@@ -96,6 +96,7 @@ def test_every_page_can_be_reached_from_the_first(site: Path):
     assert {page for page in pages if f'href="{page}"' not in first} == set()
 
 
+@pytest.mark.slow
 def test_a_broken_link_fails_the_build(tmp_path: Path):
     (tmp_path / "index.md").write_text("# A page\n\n[nowhere](nowhere.md), $x^2$\n")
     words = ["-b", "html", "-W", "-q", "-c", str(SITE), str(tmp_path), str(tmp_path / "out")]

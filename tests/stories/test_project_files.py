@@ -4,7 +4,6 @@ contributor's page.
 
 from __future__ import annotations
 
-import json
 import re
 import runpy
 import tomllib
@@ -17,7 +16,6 @@ from tests.conftest import LONGEST_FILES
 from tests.helpers.doc_names import check_commands, wrong_folders, wrong_places
 from tests.helpers.places import ROOT
 
-FORMS = sorted((ROOT / ".github" / "ISSUE_TEMPLATE").glob("*.yml"))
 CONTRIBUTING = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
 MAKEFILE = (ROOT / "Makefile").read_text(encoding="utf-8")
 CHANGELOG = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
@@ -103,43 +101,6 @@ def test_the_conda_recipe_asks_for_what_the_wheel_asks_for():
     assert recipe["context"]["version"] == project["version"]
     (entry,) = recipe["build"]["python"]["entry_points"]
     assert entry == f"uqharness = {project['scripts']['uqharness']}"
-
-
-def test_the_dev_container_sets_up_as_the_readme_does():
-    container = json.loads(
-        (ROOT / ".devcontainer" / "devcontainer.json").read_text(encoding="utf-8")
-    )
-    assert container["postCreateCommand"] == "make setup"
-    assert container["image"].endswith(":3.11")
-
-
-def test_the_page_for_each_system_is_the_workflows_matrix():
-    page = (
-        (ROOT / "docs" / "development.md")
-        .read_text(encoding="utf-8")
-        .split("## Windows and macOS", 1)[1]
-        .split("\n## ", 1)[0]
-    )
-    matrix = loaded(".github/workflows/ci.yml")["jobs"]["test"]["strategy"]["matrix"]
-    names = {"ubuntu": "Linux", "macos": "macOS", "windows": "Windows"}
-    systems = {names[system.removesuffix("-latest")] for system in matrix["system"]}
-    assert {name for name in systems if name not in page} == set()
-    assert f"{matrix['python'][0]} to {matrix['python'][-1]}" in page
-    assert "No runner has run" in page
-
-
-@pytest.mark.parametrize(
-    "path", [form for form in FORMS if form.stem != "config"], ids=lambda path: path.stem
-)
-def test_a_form_asks_for_what_is_needed(path):
-    form = yaml.safe_load(path.read_text(encoding="utf-8"))
-    assert form["name"]
-    assert form["description"]
-    fields = [field for field in form["body"] if field["type"] != "markdown"]
-    assert len({field["id"] for field in fields}) == len(fields) >= 3
-    assert any(field["validations"]["required"] for field in fields)
-    if path.stem in ("bug", "result"):
-        assert "uqharness --version" in fields[0]["attributes"]["description"]
 
 
 def test_the_changelog_begins_with_this_release():

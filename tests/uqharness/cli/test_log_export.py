@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 from pathlib import Path
 
@@ -64,17 +63,3 @@ def test_a_record_needs_a_start(flown: Path, tmp_path: Path, capsys: pytest.Capt
     assert "--generic=file,in,30," in said
     first = np.loadtxt(tmp_path / "shown" / "playback.csv", delimiter=",")[0]
     assert first[:2] == pytest.approx([37.2, -80.4], abs=1e-6)
-
-
-def test_a_record_in_csv_has_the_layout_that_plotjuggler_reads(flown: Path):
-    """One header line, a time column that grows, a number in each cell of a channel."""
-    with (flown / "a.csv").open(newline="") as file:
-        head, *rows = csv.reader(file)
-    assert head[0] == "time_s"
-    assert len(set(head)) == len(head)
-    assert {len(row) for row in rows} == {len(head)}
-    time_s = np.array([float(row[0]) for row in rows])
-    assert (np.diff(time_s) > 0.0).all()
-    for number, name in enumerate(head):
-        if name != "manoeuvre":
-            assert np.isfinite([float(row[number]) for row in rows]).all(), name

@@ -47,12 +47,3 @@ def test_a_page_is_written_when_asked(tmp_path, capsys: pytest.CaptureFixture[st
     assert lines[3].startswith("  aileron: 3 of 55 frequencies, 0.19 to 0.31 rad/s, are not used")
     told = lines[2].split()
     assert f"gain margin up {told[1]} dB, down {told[2]} dB; phase margin {told[3]} deg" in words
-
-
-def test_a_page_that_cannot_be_written_is_refused_before_the_flight(
-    tmp_path, capsys: pytest.CaptureFixture[str]
-):
-    folder = tmp_path / "page.html"
-    folder.mkdir()
-    assert main(["margins", "espaaro", "--out", str(folder)]) == 2
-    assert "is a folder; a page, FILE.html, is written" in capsys.readouterr().err

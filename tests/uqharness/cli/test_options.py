@@ -16,8 +16,6 @@ from uqharness.cli.main import (
     complete_parser,
 )
 from uqharness.cli.request_command import request_of
-from uqharness.errors import BadInputError
-from uqharness.files import results_folder
 from uqharness.requests.base import command_words
 from uqharness.requests.identification import BoundsRequest
 
@@ -45,13 +43,6 @@ def test_a_repeated_option_is_repeated_and_the_words_are_those_of_the_same_comma
     assert words.count("--states") == 2
     again = made(*words[1:], "--out", "o")
     assert (again.states, again.flights) == ({"CX": ("V",), "Cm": ("alpha", "q")}, (Path("x.bin"),))
-
-
-def test_a_folder_that_cannot_be_made_is_one_sentence(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    with pytest.raises(BadInputError, match="cannot be made"):
-        results_folder(tmp_path / "file" / "below")
-    assert results_folder(tmp_path / "a" / "b").is_dir()
 
 
 def test_every_command_has_examples_json_and_exit_codes(

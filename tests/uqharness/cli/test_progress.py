@@ -11,7 +11,7 @@ import pytest
 from rich.console import Console
 
 from uqharness.campaign.run import Progress
-from uqharness.cli.progress import ProgressView, clock, describe, print_warnings, working
+from uqharness.cli.progress import ProgressView, clock, describe, working
 from uqharness.heartbeat import STATE, Forecast, Rate, heartbeat
 
 
@@ -92,13 +92,6 @@ def test_finished_stages_stay_where_that_is_asked_for():
             stage(text)
     lines = re.findall(r"refine: ([^\n\r\x1b]*) \(0:00\)", drawn.getvalue())
     assert lines == ["reading", "mission: 2 of 2 flights", "report"]
-
-
-def test_warnings_are_told_in_a_pipe_too(capsys):
-    print_warnings(["too short", "too calm"])
-    assert (
-        capsys.readouterr().err == "uqharness: warning: too short\nuqharness: warning: too calm\n"
-    )
 
 
 def test_a_forecast_is_corrected_by_the_stages_that_have_ended():

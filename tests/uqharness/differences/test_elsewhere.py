@@ -48,9 +48,3 @@ def test_an_environment_that_cannot_fly(tmp_path, code, said):
     channels = channels_of(aircraft, open_aircraft(aircraft))
     with pytest.raises(BadInputError, match=said):
         fly_elsewhere(python, aircraft, Path("scripts/loiter.xml").resolve(), channels, HOW)
-
-
-def test_no_interpreter(tmp_path):
-    aircraft = find_aircraft("espaaro")
-    with pytest.raises(BadInputError, match="cannot be started"):
-        fly_elsewhere(tmp_path / "none", aircraft, Path("scripts/loiter.xml").resolve(), [], HOW)

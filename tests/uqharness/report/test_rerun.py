@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import numpy as np
 import pandas as pd
-import pytest
 from lxml import etree
 
 from uqharness.flight.spec import FlightSpec
@@ -78,19 +77,3 @@ def test_what_is_not_scored_is_shaded_and_near_radii_are_drawn():
         len([e for e in found.iter("path") if e.get("class") == "line limit"]) == 3
     )  # both sides, and the legend's
     assert "not scored" not in words(drawn(RECORD, burn_in_s=0.0)["flight-errors"])
-
-
-@pytest.mark.parametrize("turned", [False, True])
-def test_a_metre_is_as_long_to_the_east_as_to_the_north(turned):
-    """A circle is drawn as one, from velocities or from places."""
-    east, north = 500.0 + 80.0 * np.cos(0.7 * TIME), 80.0 * np.sin(0.7 * TIME)
-    record = RECORD.assign(east_m=east, north_m=north)
-    if turned:
-        record = RECORD.assign(ve_mps=np.gradient(east, TIME), vn_mps=np.gradient(north, TIME))
-    (path,) = (
-        e.get("d")
-        for e in drawn(record)["flight-track"].iter("path")
-        if e.get("class") == "line first thin"
-    )
-    points = np.array([[float(v) for v in pair.split()] for pair in path[1:].split("L")])
-    assert np.ptp(points[:, 0]) == pytest.approx(np.ptp(points[:, 1]), rel=0.05)

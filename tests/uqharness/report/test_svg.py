@@ -94,24 +94,6 @@ def test_thinning_keeps_the_first_extremes_and_the_first_gap_of_each_bucket():
     assert few.size < np.unique(np.concatenate([few, x[::40]])).size  # not every 40th
 
 
-def test_numbers_of_a_line_have_one_decimal_where_it_is_not_0():
-    chart = Chart("a", "label", Scale("x [m]", 0.0, 10.0), Scale("y [m]", 0.0, 10.0))
-    x, y = np.array([0.0, 1.0, 2.2, math.nan, 5.0]), np.array([10.0, 0.0, 3.3, 1.0, 7.77])
-    (u, v), places = chart.at(x, y), []
-    for a, b in zip(u.tolist(), v.tolist(), strict=True):
-        places.append(" ".join(f"{w:.1f}".removesuffix(".0") for w in (a, b)))
-    chart.line(x, y, "first")
-    assert f'd="M{places[0]}L{places[1]}L{places[2]}M{places[4]}"' in chart.marks[-1]
-    chart.line(x, y, "first", steps=True)
-    assert (
-        f'd="M{places[0]}H{places[1].replace(" ", "V")}H{places[2].replace(" ", "V")}M{places[4]}"'
-        in chart.marks[-1]
-    )
-    chart.dots(x, y, "dot")
-    assert chart.marks[-1].count("h0") == 4
-    assert f"M{places[2]}h0M{places[4]}h0" in chart.marks[-1]
-
-
 @pytest.mark.parametrize(
     ("low", "high"),
     [(0.0, 1.0), (-3e-5, 2e-5), (1000.0, 1003.0), (-0.5, 7.3), (1e-12, 3e-12), (2e6, 9e6)],

@@ -11,10 +11,7 @@ from lxml import etree, html
 from tests.helpers import report_folders as folders
 from tests.helpers.model_forms import made_up_form
 from tests.helpers.page_checks import problems
-from uqharness.report.parts import Figure, Figures, Section
-from uqharness.report.svg import Chart, Scale
 from uqharness.report.write import (
-    write_figures,
     write_report,
 )
 
@@ -79,25 +76,3 @@ def test_names_of_flights_and_manoeuvres_are_safe_as_names_of_files(tmp_path):
     folders.write_pieces(folder / "histories.parquet", odd, columns)
     (path,) = write_report(folder, figures=True).figures
     assert path == folder / "figures" / "..-a-b-00-3-2-1-1-22-m-s.svg"
-
-
-def figure(name):
-    chart = Chart(name, f"label of {name}", Scale("x [m]", 0.0, 1.0), Scale("y [m]", 0.0, 1.0))
-    chart.upright(0.5, "first")
-    return Figure(name, chart.svg(), "caption")
-
-
-def test_drawings_go_where_their_section_says(tmp_path):
-    """Together under one name, each under its own, or into no file; sections within sections are
-    not forgotten.
-    """
-    inner = Section("inner", (Figures((figure("c"),), file=""),))
-    blocks = (
-        Figures((figure("a"), figure("b")), file="both"),
-        Figures((figure("d"),)),
-        Figures((), file="empty"),
-    )
-    paths = write_figures(tmp_path, [Section("outer", blocks, (inner,))], "Title")
-    assert [path.name for path in paths] == ["both.svg", "c.svg"]
-    assert labels(paths[0]) == ["label of a", "label of b"]
-    assert "Title: outer" in paths[0].read_text(encoding="utf-8")

@@ -90,17 +90,3 @@ def test_a_reason_that_parameters_share_stands_once(identified):
     assert words.count("not-identified (1)") == len(rows) == 3
     # The terminal shows the table, so it shows what (1) stands for.
     assert write_report(identified).text.count(f"(1) {reason}") == 1
-
-
-def test_white_innovations_do_not_vouch_for_a_fit_that_identifies_nothing(identified):
-    fit = json.loads((identified / "fit.json").read_text())
-    white = {c: {**row, "whiteness_p": 1.0} for c, row in fit["fit"].items()}
-    claim = "the model and the process noise found explain the flights"
-    assert claim in said(identified, method="filter error", fit=white)
-    refused = {
-        name: {**row, "status": "not-identified", "reason": "the residual of az is 15 sigma"}
-        for name, row in fit["parameters"].items()
-    }
-    words = said(identified, parameters=refused)
-    assert "innovations are white." in words
-    assert claim not in words

@@ -28,26 +28,6 @@ def test_a_change_is_told_to_three_figures_of_its_standard_error(change, std, te
     assert said == f"on the test flights the gap shrank: twice the log likelihood {text} with it"
 
 
-def test_the_share_of_an_estimate_is_told_where_it_says_something():
-    test = {
-        "gap": "cannot tell",
-        "change_of_twice_log_likelihood": -31.0,
-        "std": 59.0,
-        "share_of_estimate": 0.39,
-    }
-    said = says({**test, "share_std": 0.21}, withdrawn=True)
-    assert said.endswith(
-        "with it, 0.39 ± 0.21 of the estimate fits them best; withdrawn beside what nothing"
-        " explains"
-    )
-    for vague in (
-        {"share_std": 0.7},
-        {"share_std": None},
-        {"share_of_estimate": None, "share_std": None},
-    ):
-        assert "fits them best" not in says({**test, **vague})
-
-
 def test_a_change_of_replays_that_diverge_is_told_without_its_digits():
     test = {
         "gap": "shrank",

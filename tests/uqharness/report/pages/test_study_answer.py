@@ -93,16 +93,6 @@ def test_the_question_the_answer_and_three_figures_stand_first(tmp_path, campaig
     ]
 
 
-def test_all_else_is_folded_and_in_the_contents(tmp_path, campaigns):
-    tree = page(tmp_path, campaigns, shrank())
-    folded = [e.findtext("summary/h2") for e in tree.findall(".//main/details")]
-    assert folded[:2] == ["All findings", "Before and after"]
-    assert folded[-2:] == ["Stages", "Provenance"]
-    assert all(e.get("open") is None for e in tree.iter("details"))
-    named = {e.get("href")[1:] for e in tree.findall(".//nav//a")}
-    assert {e.get("id") for e in tree.findall(".//main/details")} <= named
-
-
 @pytest.mark.parametrize(
     ("test", "ticks"), [(shrank(), 1), (None, 0), ({**shrank(), "gap": "cannot tell"}, 0)]
 )
