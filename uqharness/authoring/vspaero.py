@@ -113,16 +113,20 @@ def blocks(path: Path, text: str) -> list[Block]:
         elif words[0].startswith(("#", "*")) or not out:
             continue
         elif part == "values" and len(words) >= 2:
-            out[-1].values[words[0]] = _entry(words[1], path, number)
-            if words[2:] == ["deg"] and words[0] not in _FIXED_ROWS:
-                out[-1].groups.append(words[0])
-        elif part == "cases" and len(words) == len(columns) + 3:
-            delta = _entry(words[1], path, number).value
+            # Names of control groups may have spaces; a quantity without a unit is a pair.
+            place = 1 if len(words) == 2 else len(words) - 2
+            name = "_".join(words[:place])
+            out[-1].values[name] = _entry(words[place], path, number)
+            if words[place + 1 :] == ["deg"] and name not in _FIXED_ROWS:
+                out[-1].groups.append(name)
+        elif part == "cases" and len(words) >= len(columns) + 3:
+            *names, delta_word, _ = words[: -len(columns)]
+            delta = _entry(delta_word, path, number).value
             row = {
                 name: _entry(word, path, number)
-                for name, word in zip(columns, words[3:], strict=True)
+                for name, word in zip(columns, words[-len(columns) :], strict=True)
             }
-            out[-1].cases[words[0]] = (delta, row)
+            out[-1].cases["_".join(names)] = (delta, row)
         elif part == "derivatives" and len(words) == len(columns) + 1:
             out[-1].derivatives[words[0]] = {
                 name: _entry(word, path, number)

@@ -1,38 +1,35 @@
-"""XFLR5's stability text: the log of a stability analysis.
+"""XFLR5's and flow5's text: the log of a stability analysis.
 
-Non-dimensional derivatives stand at the right of the dimensional ones ("CXa= ... CLq= ... Cnr="),
-in stability axes; control derivatives (CXde, CYde, ...) are per radian. Forces CX forward and CZ
-down where the log prints them so; CLa and CLq are lift. XFLR5 prints no reference lengths in
-every version; options give them then.
+Each derivative stands beside its dimensional one ("Zw= -3.15  CLa= 4.30"), in stability axes at the
+trim of a control position. Both together give the reference lengths, which no log prints: forces
+are over rho V S/2, moments over that times b or c. The dimensional name tells the force, because
+``CLa`` is lift and ``CLde`` is a rolling moment. Control derivatives of XFLR5 are per radian, of
+flow5 per degree of a gain of 1. Air of 1.225 kg/m3, their default, is taken; options replace the
+lengths.
 """
 
 from __future__ import annotations
 
 import math
 import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
+from statistics import median
 
-from uqharness.authoring.source import STABILITY, TOTAL, Entry, Point, Source
+from uqharness.authoring.source import TOTAL, Entry, Point, Source
 from uqharness.errors import BadInputError
 
+_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _PAIR = re.compile(
-    r"([A-Za-z][\w .'/]*?)\s*[=:]\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*"
-    r"(m²|m2|mm|cm|m|°|deg|kg)?"
+    rf"\b([XYZLMN])(u|v|w|p|q|r|de)\s*=\s*({_NUMBER})\s+(C[A-Za-z]{{2,3}})\s*=\s*({_NUMBER})"
 )
-_DERIVATIVES = {
-    "Cxa": ("CX", "alpha"),
-    "CXa": ("CX", "alpha"),
-    "CLa": ("CL", "alpha"),
-    "Cma": ("Cm", "alpha"),
-    "CXq": ("CX", "q"),
-    "Cxq": ("CX", "q"),
-    "CLq": ("CL", "q"),
-    "Cmq": ("Cm", "q"),
-} | {
-    f"{name}{letter}": (name, variable)
-    for name in ("CY", "Cl", "Cn")
-    for letter, variable in (("b", "beta"), ("p", "p"), ("r", "r"))
-}
+_LABEL = re.compile(
+    rf"([A-Za-z][\w .'/]*?)\s*[=:]\s*({_NUMBER})\s*(kg\.m²|kg\.m2|m/s|m²|m2|mm|cm|kg|m|°|deg)?"
+)
+_ROTATION = re.compile(rf"otal (?:flap )?angle is ({_NUMBER})")
+_COEFFICIENT = {"X": "CX", "Y": "CY", "Z": "CZ", "L": "Cl", "M": "Cm", "N": "Cn"}
+_VARIABLE = {"w": "alpha", "v": "beta", "p": "p", "q": "q", "r": "r"}
 _REFERENCE = {
     "S": ("ref. area", "reference area", "wing area", "sref"),
     "b": ("wing span", "ref. span", "reference span", "bref", "span"),
@@ -40,11 +37,32 @@ _REFERENCE = {
     "x": ("cog_x", "cog.x", "xcg", "x_cg", "x cog", "cog x"),
     "z": ("cog_z", "cog.z", "zcg", "z_cg", "z cog", "cog z"),
 }
-_UNIT = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "m²": 1.0, "m2": 1.0}
+_FACTS = {
+    "mass": "mass_kg",
+    "ibxx": "Ixx",
+    "ibyy": "Iyy",
+    "ibzz": "Izz",
+    "neutral point position": "x_np",
+    "neutral point": "x_np",
+}
+_UNIT = {"mm": 1e-3, "cm": 1e-2}
+_CONTROL_OF = {"Cm": "elevator", "Cl": "aileron", "Cn": "rudder"}
+_GRAVITY, _DENSITY = 9.81, 1.225
+
+
+@dataclass
+class _Condition:
+    """One trim of the log: numbers by name, derivatives, and the ratios that give the lengths."""
+
+    values: dict[str, Entry] = field(default_factory=dict)
+    entries: dict[tuple[str, str], Entry] = field(default_factory=dict)
+    pressures: dict[str, list[float]] = field(default_factory=dict)
+    controls: list[dict[str, Entry]] = field(default_factory=list)
+    deflections_deg: list[float] = field(default_factory=list)
 
 
 def is_xflr5(text: str) -> bool:
-    """Return whether a text is a stability log of XFLR5.
+    """Return whether a text is a stability log of XFLR5 or flow5.
 
     >>> is_xflr5("Longitudinal derivatives\\n Lateral derivatives")
     True
@@ -53,79 +71,189 @@ def is_xflr5(text: str) -> bool:
 
 
 def read_xflr5(path: Path, text: str) -> Source:
-    """Read the first trimmed condition of an XFLR5 stability log.
+    """Read the trimmed condition of a log whose control position is nearest to zero.
 
     Raises
     ------
     BadInputError
-        Where the log has no CLa.
+        Where no condition of the log has a lift slope.
     """
-    entries: dict[tuple[str, str], Entry] = {}
-    reference: dict[str, Entry] = {}
-    facts: dict[str, Entry] = {}
-    surfaces: list[str] = []
-    alpha = mach = Entry(0.0, path)
-    total_cl = None
-    for number, line in enumerate(text.splitlines(), start=1):
-        surface = re.search(r"ontrol derivatives(?:\s+of\s+|\s*[:,]\s*)(\S+)", line)
-        if surface is not None:
-            surfaces.append(surface[1])
-        for label, word, unit in _PAIR.findall(line):
-            name, value = label.strip(), float(word)
-            key = name.split()[-1]
-            if key in _DERIVATIVES:
-                entries.setdefault(_DERIVATIVES[key], Entry(value, path, number))
-            elif re.fullmatch(r"C[XYZxyzlmn]de", key):
-                if not surfaces:
-                    surfaces.append("elevator")
-                coefficient = key[:2] if key[1] in "lmn" else key[:2].upper()
-                entries.setdefault((coefficient, surfaces[-1]), Entry(value, path, number))
-            elif name.lower() in ("alpha", "a", "trim alpha"):
-                alpha = Entry(math.radians(value), path, number)
-            elif key == "CL" and total_cl is None:
-                total_cl = Entry(value, path, number)
-            elif key == "CD":
-                entries.setdefault(("CD", TOTAL), Entry(value, path, number))
-            elif key == "Mach":
-                mach = Entry(value, path, number)
-            elif "neutral point" in name.lower():
-                facts["x_np"] = Entry(value * _UNIT.get(unit, 1.0), path, number)
-            elif name.lower() == "mass" and unit == "kg":
-                facts["mass_kg"] = Entry(value, path, number)
-            else:
-                for reference_key, names in _REFERENCE.items():
-                    if name.lower() in names:
-                        factor = _UNIT.get(unit, 1.0)
-                        reference[reference_key] = Entry(value * factor, path, number)
-    if ("CL", "alpha") not in entries:
+    conditions = [c for c in _conditions(path, text) if ("CZ", "alpha") in c.entries]
+    if not conditions:
         raise BadInputError(
-            f"{path}: the stability log holds no CLa; save XFLR5's log after a stability analysis"
+            f"{path}: the stability log holds no Zw with CLa; save the log of a stability analysis"
+            " that found a trim"
         )
-    if total_cl is not None:
-        entries["CL", TOTAL] = total_cl
-    # CX and CZ along stability axes: forward is -drag, down is -lift.
-    for variable in ("alpha", "q", *surfaces):
-        for force, name in (("CX", "CD"), ("CZ", "CL")):
-            entry = entries.pop((force, variable), None)
-            if entry is not None:
-                # Cxa contains the turn of the lift into the axis: CX_alpha = CL - CD_alpha.
-                turn = total_cl.value if (variable, force) == ("alpha", "CX") and total_cl else 0.0
-                value = turn - entry.value if force == "CX" else -entry.value
-                entries.setdefault((name, variable), Entry(value, path, entry.line))
-    entries = {key: entry for key, entry in entries.items() if key[0] in STABILITY}
-    for key in ("x", "y", "z"):
-        reference.setdefault(key, Entry(0.0, path))
+    chosen = min(conditions, key=lambda c: max((abs(d) for d in c.deflections_deg), default=0.0))
+    values, notes = chosen.values, []
+    if len(conditions) > 1:
+        notes.append(f"{len(conditions)} trims in the log: the least deflected one is used")
+    reference = _reference(path, chosen, notes)
+    entries, surfaces = _entries(path, chosen, reference, notes)
+    facts = {key: values[key] for key in _FACTS.values() if key in values}
     return Source(
         path=path,
         tool="XFLR5",
         name=path.stem,
         reference=reference,
-        points=(Point(alpha, mach, "stability", "stability", entries),),
-        surfaces=tuple(dict.fromkeys(surfaces)),
-        facts=facts,
-        notes=(
-            ()
-            if total_cl is not None
-            else ("the log gives no CL at its alpha: CL_alpha times alpha is used",)
+        points=(
+            Point(
+                values.get("alpha", Entry(0.0, path)),
+                values.get("mach", Entry(0.0, path)),
+                "stability",
+                "stability",
+                entries,
+            ),
         ),
+        surfaces=surfaces,
+        facts=facts,
+        notes=tuple(notes),
     )
+
+
+def _conditions(path: Path, text: str) -> list[_Condition]:
+    """Return the conditions of a log in its order."""
+    out = [_Condition()]
+    for number, line in enumerate(text.splitlines(), start=1):
+        if re.search(r"alculation for control position", line):
+            out.append(_Condition())
+            continue
+        condition = out[-1]
+        if "ongitudinal derivatives" in line and ("CZ", "alpha") in condition.entries:
+            # Another trim of a log without headings of control positions.
+            condition = _Condition(values=dict(condition.values))
+            out.append(condition)
+        rotation = _ROTATION.search(line)
+        if rotation is not None:
+            condition.deflections_deg.append(float(rotation[1]))
+        pairs = _PAIR.findall(line)
+        for letter, variable, dimensional, name, word in pairs:
+            _add(path, number, condition, (letter, variable, name), float(dimensional), float(word))
+        if pairs:
+            continue
+        for label, word, unit in _LABEL.findall(line):
+            name, value = label.strip().lower(), float(word) * _UNIT.get(unit, 1.0)
+            entry = Entry(value, path, number)
+            if re.search(r"\balpha$|^a$", name):
+                condition.values.setdefault("alpha", Entry(math.radians(value), path, number))
+            elif name.endswith("vinf"):
+                condition.values.setdefault("speed", entry)
+            elif name in ("cl", "cd", "mach"):
+                condition.values.setdefault(name, entry)
+            elif name in _FACTS:
+                condition.values[_FACTS[name]] = entry
+            else:
+                for key, names in _REFERENCE.items():
+                    if name in names:
+                        condition.values[key] = entry
+    return out
+
+
+def _add(
+    path: Path,
+    line: int,
+    condition: _Condition,
+    names: tuple[str, str, str],
+    dimensional: float,
+    value: float,
+) -> None:
+    """Add one pair of a dimensional and a dimensionless derivative."""
+    letter, variable, name = names
+    # Lift is up, Z down; a rolling moment is called CLde beside Lde.
+    sign = -1.0 if letter == "Z" and name.startswith("CL") else 1.0
+    entry = Entry(sign * value, path, line)
+    coefficient = _COEFFICIENT[letter]
+    if variable == "de":
+        if not condition.controls or coefficient in condition.controls[-1]:
+            condition.controls.append({})
+        condition.controls[-1][coefficient] = entry
+        return
+    if variable in _VARIABLE:
+        condition.entries[coefficient, _VARIABLE[variable]] = entry
+    if variable in "vw" and value and dimensional:
+        kind = {"X": "S", "Y": "S", "Z": "S", "L": "Sb", "N": "Sb", "M": "Sc"}[letter]
+        condition.pressures.setdefault(kind, []).append(abs(dimensional / value))
+    if (letter, variable) == ("X", "u"):
+        condition.values["CXu"] = entry
+
+
+def _reference(path: Path, condition: _Condition, notes: list[str]) -> dict[str, Entry]:
+    """Return the reference values: printed ones, else those of the dimensional derivatives."""
+    values = condition.values
+    reference = {key: values[key] for key in "Sbcxz" if key in values}
+    for key in "xyz":
+        reference.setdefault(key, Entry(0.0, path))
+    ratios = {kind: median(found) for kind, found in condition.pressures.items()}
+    if "S" in ratios:
+        for key, kind in (("b", "Sb"), ("c", "Sc")):
+            if key not in reference and kind in ratios:
+                reference[key] = Entry(ratios[kind] / ratios["S"], path)
+        if "S" not in reference and values.get("speed", Entry(0.0)).value > 0.0:
+            area = 2.0 * ratios["S"] / (_DENSITY * values["speed"].value)
+            reference["S"] = Entry(area, path)
+            notes.append(
+                f"reference area {area:.4g} m2 follows from the derivatives of the log at"
+                f" {_DENSITY} kg/m3 (--area-m2 replaces it)"
+            )
+    return reference
+
+
+def _entries(
+    path: Path, condition: _Condition, reference: Mapping[str, Entry], notes: list[str]
+) -> tuple[dict[tuple[str, str], Entry], tuple[str, ...]]:
+    """Return totals and derivatives as lift and drag, and the names of the controls."""
+    values, entries = condition.values, dict(condition.entries)
+    lift = values.get("cl")
+    pressure = (
+        median(condition.pressures.get("S", [math.nan]))
+        * values.get("speed", Entry(math.nan)).value
+    )
+    if lift is None and "mass_kg" in values and pressure > 0.0:
+        # The analysis flies level: the lift carries the weight.
+        lift = Entry(values["mass_kg"].value * _GRAVITY / pressure, path)
+    if lift is None:
+        notes.append("the log gives no CL at its alpha: CL_alpha times alpha is used")
+    surfaces = _name_controls(condition.controls)
+    for name, control in zip(surfaces, condition.controls, strict=True):
+        # flow5 states degrees of a gain of 1; XFLR5's analysis has one control, in radians.
+        per_radian = math.degrees(1.0) if ("CX", "q") in condition.entries else 1.0
+        for coefficient, entry in control.items():
+            entries[coefficient, name] = Entry(per_radian * entry.value, path, entry.line)
+    for variable in ("alpha", "q", *surfaces):
+        for force, coefficient in (("CX", "CD"), ("CZ", "CL")):
+            entry = entries.pop((force, variable), None)
+            if entry is None:
+                continue
+            # Cxa contains the turn of the lift into the axis: CX_alpha = CL - CD_alpha.
+            turn = lift.value if (variable, force) == ("alpha", "CX") and lift else 0.0
+            entries[coefficient, variable] = Entry(turn - entry.value, path, entry.line)
+    if lift is not None:
+        entries["CL", TOTAL] = lift
+    if "cd" in values:
+        entries["CD", TOTAL] = values["cd"]
+    elif "CXu" in values and values["CXu"].value < 0.0:
+        # X_u of a polar that does not depend on the speed: -2 CD.
+        entries["CD", TOTAL] = Entry(-0.5 * values["CXu"].value, path, values["CXu"].line)
+    deflections = {round(d, 6) for d in condition.deflections_deg}
+    if len(surfaces) == 1 and len(deflections) == 1 and deflections != {0.0}:
+        # The trim is that of a deflected surface; the model's totals are those without.
+        angle = math.radians(deflections.pop())
+        notes.append(f"totals are moved from {math.degrees(angle):g} deg of control to 0")
+        for name in ("CL", "CD", "Cm"):
+            slope, total = entries.get((name, surfaces[0])), entries.get((name, TOTAL))
+            if slope is not None:
+                base = 0.0 if total is None else total.value
+                entries[name, TOTAL] = Entry(base - slope.value * angle, path, slope.line)
+    stability = ("CD", "CY", "CL", "Cl", "Cm", "Cn")
+    return {key: entry for key, entry in entries.items() if key[0] in stability}, surfaces
+
+
+def _name_controls(controls: Iterable[Mapping[str, Entry]]) -> tuple[str, ...]:
+    """Return a name of each control, after the moment that it makes most of."""
+    names: list[str] = []
+    for control in controls:
+        moments = {c: abs(control[c].value) for c in _CONTROL_OF if c in control}
+        name = _CONTROL_OF[max(moments, key=lambda c: moments[c])] if moments else "elevator"
+        count = sum(other.startswith(name) for other in names)
+        names.append(f"{name}{count + 1}" if count else name)
+    return tuple(names)

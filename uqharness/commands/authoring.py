@@ -145,7 +145,11 @@ def _mass_properties(request: AuthorRequest, sources: Sources) -> tuple[MassProp
         elif cg[0] is None:
             notes.append("the centre of gravity is at the moment centre (--cg-x-m moves it)")
         properties = gyration(mass_kg, source.length("b"), stated_centre)
-        if request.ixx_kgm2 is None:
+        printed = [source.facts[key].value for key in ("Ixx", "Iyy", "Izz") if key in source.facts]
+        if len(printed) == 3 and min(printed) > 0.0:
+            xx, yy, zz = (value * mass_kg / source.facts["mass_kg"].value for value in printed)
+            properties = replace(properties, Ixx=xx, Iyy=yy, Izz=zz, source=source.path.name)
+        elif request.ixx_kgm2 is None:
             notes.append("inertia from radii of gyration of light aeroplanes (--ixx-kgm2 ...)")
     options = (request.ixx_kgm2, request.iyy_kgm2, request.izz_kgm2, request.ixz_kgm2)
     count = sum(value is not None for value in options)

@@ -420,21 +420,15 @@ def _compared(
             own.reference,
         )
     path = Path(str(name))
-    reference = _reference_of_file(path, other)
     if _SUFFIXES[path.suffix] == "gazebo":
-        model = gazebo.read(path)
-        unnamed = [s.name for s in model.surfaces if not s.variable]
-        if unnamed:
-            raise BadInputError(
-                f"{path}: the joints {', '.join(unnamed)} name no surface; a name with elev, ail or"
-                " rud is needed"
-            )
+        model, reference = gazebo.read(path)
         return ComparedModel(
             path.name,
             lambda states: in_reference(gazebo.coefficients(model, states), reference, common),
             reference,
         )
     keys = ardupilot_json.read(path)
+    reference = _reference_of_file(path, other)
     throw = common.throw_deg
     return ComparedModel(
         path.name,
@@ -452,7 +446,7 @@ def _reference_of_file(path: Path, source: SourceModel | None) -> Reference:
     for.
     """
     if _SUFFIXES[path.suffix] == "gazebo":
-        return gazebo.reference(path)
+        return gazebo.read(path)[1]
     mass_kg = ardupilot_json.PROGRAM_MASS_KG if source is None else source.reference.mass_kg
     throw = {} if source is None else source.reference.throw_deg
     return ardupilot_json.reference(ardupilot_json.read(path), mass_kg, throw)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,10 @@ PROGRAM_MASS_KG = 2.0
 """Mass of the frame ``plane`` in SIM_Plane.cpp."""
 SIGN = {"elevator": -1.0, "aileron": 1.0, "rudder": -1.0}
 """Program's positive deflection over ours: nose up, right wing down, nose right."""
+DEFAULT_CG_OFFSET = (-0.15, 0.0, -0.05)
+"""Point of the forces that the program takes where the file has none [m]."""
+DEFAULT_INERTIA = (1.0, 1.0, 1.0)
+"""What the program divides moments by where the file has none [kg m2]."""
 DEFAULTS: Mapping[str, float] = {"mcoeff": 50.0, "alpha_stall": 0.4712}
 """Stall of the program's default model; no flight of the source goes there."""
 KEYS = (
@@ -157,7 +162,7 @@ def coefficients(
         + keys["c_m_q"] * value["q"]
         + keys["c_m_deltae"] * elevator
     )
-    x, y, z = keys.get("CGOffset") or (0.0, 0.0, 0.0)
+    x, y, z = keys.get("CGOffset", DEFAULT_CG_OFFSET)
     cy, roll, yaw = lateral("y"), lateral("l"), lateral("n")
     roll = roll + (y * cz - z * cy) / keys["b"]
     pitch = pitch + (-x * cz + z * cx) / keys["c"]
@@ -168,10 +173,9 @@ def coefficients(
 def reference(keys: Mapping[str, Any], mass_kg: float, throw_deg: Mapping[str, float]) -> Reference:
     """Return the geometry and inertia that a file stands for, of an aircraft of ``mass_kg``."""
     scale = mass_kg / PROGRAM_MASS_KG
-    inertia = keys.get("aero_moment_inertia")
+    inertia = keys.get("aero_moment_inertia", DEFAULT_INERTIA)
     matrix = np.full((3, 3), math.nan)
-    if isinstance(inertia, list) and len(inertia) == 3:
-        np.fill_diagonal(matrix, [float(x) * scale for x in inertia])
+    np.fill_diagonal(matrix, [float(x) * scale for x in inertia])
     throws = throw_deg or dict.fromkeys(SIGN, 20.0)
     return Reference(keys["s"] * scale, keys["b"], keys["c"], math.nan, matrix, throws)
 
@@ -184,7 +188,9 @@ def text(keys: Mapping[str, Any]) -> str:
 def read(path: Path) -> dict[str, Any]:
     """Read a model file. Raises BadInputError, naming keys that are missing or no numbers."""
     try:
-        document = parse_json(read_regular(path, 1_000_000))
+        # The program ignores lines that begin with "#".
+        content = re.sub(rb"(?m)^[ \t]*#[^\r\n]*", b"", read_regular(path, 1_000_000))
+        document = parse_json(content)
     except OSError as error:
         raise BadInputError(f"{path}: cannot be read: {error.strerror or error}") from None
     except ParseError as error:
@@ -203,4 +209,9 @@ def read(path: Path) -> dict[str, Any]:
     ]
     if odd:
         raise BadInputError(f"{path}: {odd[0]} = {document[odd[0]]!r}: a finite number is needed")
+    for key in ("CGOffset", "aero_moment_inertia"):
+        row = document.get(key, [0.0, 0.0, 0.0])
+        numbers = [x for x in row if isinstance(x, int | float)] if isinstance(row, list) else []
+        if len(numbers) != 3 or len(row) != 3 or not all(map(math.isfinite, numbers)):
+            raise BadInputError(f"{path}: {key} = {row!r}: three finite numbers are needed")
     return document

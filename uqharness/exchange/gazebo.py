@@ -11,8 +11,9 @@ degree of its joint.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -53,21 +54,19 @@ class ControlSurface:
     ----------
     name : str
         Joint.
-    variable : str
-        Deflection that moves it: ``de``, ``da`` or ``dr``; "" where its name does not say.
+    shares : Mapping
+        Joint's angle over each deflection (``de``, ``da``, ``dr``) that moves it: the trailing edge
+        goes up for a turn about an axis to the left, to the right for one about an axis up. Empty
+        for a flap.
     direction : float
         The program multiplies the joint's angle by it.
-    joint_sign : float
-        Joint's angle over the deflection: the trailing edge goes up for a turn about an axis to the
-        left, to the right for one about an axis up.
     effects : Mapping
         ``CL_ctrl`` ... ``Cen_ctrl`` [1/deg].
     """
 
     name: str
-    variable: str
+    shares: Mapping[str, float]
     direction: float
-    joint_sign: float
     effects: Mapping[str, float]
 
 
@@ -81,10 +80,16 @@ class LiftDragModel:
         `TAGS` to numbers.
     surfaces : sequence of ControlSurface
         Its control surfaces.
+    arm_m : tuple of float
+        From the centre of gravity to the point where the forces act, forward, right, down [m].
+    axes : ndarray
+        (3, 3) forward, right and down of the system (rows) in forward, right, down of the link.
     """
 
     tags: Mapping[str, float]
     surfaces: Sequence[ControlSurface]
+    arm_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    axes: FloatArray = field(default_factory=lambda: np.eye(3), compare=False)
 
 
 def parameters(source: SourceModel, fitted: Mapping[str, Derivatives]) -> LiftDragModel:
@@ -134,7 +139,7 @@ def parameters(source: SourceModel, fitted: Mapping[str, Derivatives]) -> LiftDr
         share = 1.0 / len(names)
         surfaces += [
             ControlSurface(
-                name, variable, direction, direction, {k: share * x for k, x in effects.items()}
+                name, {variable: direction}, direction, {k: share * x for k, x in effects.items()}
             )
             for name, direction in names
         ]
@@ -146,7 +151,8 @@ def coefficients(model: LiftDragModel, states: FlightStates) -> FloatArray:
     tag = model.tags
     # Without <mac> the program takes the mean chord.
     span = math.sqrt(tag["area"] * tag["AR"])
-    value = states.reduced_by(span, tag["mac"] or tag["area"] / span).values
+    chord = tag["mac"] or tag["area"] / span
+    value = _in_axes(states.reduced_by(span, chord), model.axes).values
     alpha = value["alpha"]
     # The program's speed is that in the plane of symmetry, its sideslip atan2(v, u).
     plane = np.cos(value["beta"])
@@ -157,11 +163,11 @@ def coefficients(model: LiftDragModel, states: FlightStates) -> FloatArray:
     plate = 2.0 * np.sign(alpha) * np.sin(alpha) ** 2 * np.cos(alpha)
     control = {key: np.zeros(len(states)) for key in _CTRL}
     for surface in model.surfaces:
-        deflection = value[surface.variable] if surface.variable else np.zeros(len(states))
-        # The program multiplies the joint's angle by the direction.
-        deflection = deflection * surface.joint_sign * surface.direction
-        for key in _CTRL:
-            control[key] = control[key] + surface.effects[key] * deflection
+        for variable, share in surface.shares.items():
+            # The program multiplies the joint's angle by the direction.
+            turned = value[variable] * share * surface.direction
+            for key in _CTRL:
+                control[key] = control[key] + surface.effects[key] * turned
 
     def rates(prefix: str) -> FloatArray:
         # Rates are reduced by the speed in the plane, and act with its pressure.
@@ -188,7 +194,30 @@ def coefficients(model: LiftDragModel, states: FlightStates) -> FloatArray:
     cz = -drag * np.sin(alpha) - lift * np.cos(alpha)
     lateral = [plane**2 * linear(p) + rates(p) for p in ("CY", "Cell", "Cen")]
     pitch = plane**2 * pitch + rates("Cem")
-    return np.column_stack([cx, lateral[0], cz, lateral[1], pitch, lateral[2]])
+    # Back to the link's axes; the forces act at <cp>.
+    lengths = np.array([span, chord, span])
+    forces = np.column_stack([cx, lateral[0], cz]) @ model.axes
+    moments = (np.column_stack([lateral[1], pitch, lateral[2]]) * lengths) @ model.axes
+    moments = moments + np.cross(np.array(model.arm_m), forces)
+    return np.hstack([forces, moments / lengths])
+
+
+def _in_axes(states: FlightStates, axes: FloatArray) -> FlightStates:
+    """Return states in other axes (rows: forward, right, down of the new ones)."""
+    if np.array_equal(axes, np.eye(3)):
+        return states
+    value = states.values
+    alpha, beta = value["alpha"], value["beta"]
+    air = np.stack([np.cos(alpha) * np.cos(beta), np.sin(beta), np.sin(alpha) * np.cos(beta)])
+    lengths = np.array([states.b_m, states.c_m, states.b_m])[:, None]
+    air = axes @ air
+    rates = axes @ (np.stack([value["p"], value["q"], value["r"]]) / lengths) * lengths
+    turned = {
+        "alpha": np.arctan2(air[2], air[0]),
+        "beta": np.arcsin(np.clip(air[1], -1.0, 1.0)),
+        **dict(zip("pqr", rates, strict=True)),
+    }
+    return FlightStates(states.V_mps, {**value, **turned}, states.b_m, states.c_m)
 
 
 def text(model: LiftDragModel, source: SourceModel, classic: bool = False) -> bytes:
@@ -260,35 +289,40 @@ def _add_joint(
     etree.SubElement(joint, "parent").text = "base_link"
     etree.SubElement(joint, "child").text = link.get("name")
     axis = etree.SubElement(joint, "axis")
-    etree.SubElement(axis, "xyz").text = "0 0 1" if surface.variable == "dr" else "0 1 0"
+    variable = next(iter(surface.shares))
+    etree.SubElement(axis, "xyz").text = "0 0 1" if variable == "dr" else "0 1 0"
     limit = etree.SubElement(axis, "limit")
-    name = {"de": "elevator", "da": "aileron", "dr": "rudder"}[surface.variable]
+    name = {"de": "elevator", "da": "aileron", "dr": "rudder"}[variable]
     travel = math.radians(throw_deg.get(name, 25.0))
     _add(limit, "lower", -travel)
     _add(limit, "upper", travel)
 
 
-def reference(path: Path) -> Reference:
-    """Return the geometry, mass and inertia of an SDF file; NaN where it has none."""
-    tags = read(path).tags
-    span = math.sqrt(tags["area"] * tags["AR"])
-    link = _root(path).find(".//link/inertial")
+def _inertial(path: Path, root: etree._Element, plugin: etree._Element) -> etree._Element | None:
+    """Return the inertial element of the link that the plugin moves."""
+    link_name = (plugin.findtext("link_name") or "").strip().split("::")[-1]
+    links = list(root.iter("link"))
+    named = [link for link in links if link.get("name") == link_name] or links[:1]
+    return named[0].find("inertial") if named else None
+
+
+def _mass(path: Path, inertial: etree._Element | None) -> tuple[float, FloatArray]:
+    """Return the mass and the inertia (3, 3) in forward, right, down; NaN where there is none."""
     matrix, mass = np.full((3, 3), math.nan), math.nan
-    if link is not None:
-        mass = _number(path, link, "mass", math.nan)
-        inertia = link.find("inertia")
+    if inertial is not None:
+        mass = _number(path, inertial, "mass", math.nan)
+        inertia = inertial.find("inertia")
         if inertia is not None:
-            found = {
+            moments = {
                 tag: _number(path, inertia, tag, 0.0)
                 for tag in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
             }
             # From forward, left, up to forward, right, down.
-            xy, xz, yz = -found["ixy"], -found["ixz"], found["iyz"]
+            xy, xz, yz = -moments["ixy"], -moments["ixz"], moments["iyz"]
             matrix = np.array(
-                [[found["ixx"], xy, xz], [xy, found["iyy"], yz], [xz, yz, found["izz"]]]
+                [[moments["ixx"], xy, xz], [xy, moments["iyy"], yz], [xz, yz, moments["izz"]]]
             )
-    throws = dict.fromkeys(("elevator", "aileron", "rudder"), 20.0)
-    return Reference(tags["area"], span, tags["mac"] or tags["area"] / span, mass, matrix, throws)
+    return mass, matrix
 
 
 def _root(path: Path) -> etree._Element:
@@ -304,59 +338,154 @@ def _root(path: Path) -> etree._Element:
         raise BadInputError(f"{path}:{error.lineno or 1}: no XML: {error.msg}") from None
 
 
-def read(path: Path) -> LiftDragModel:
-    """Read the first AdvancedLiftDrag element of an SDF file. Raises BadInputError."""
+def read(path: Path) -> tuple[LiftDragModel, Reference]:
+    """Read the first AdvancedLiftDrag element of an SDF file, and its link's mass and inertia.
+
+    Geometry of the element; mass and inertia are NaN where the link has none.
+
+    Raises
+    ------
+    BadInputError
+        With the line, for no such element, or numbers and axes that are none.
+    """
     root = _root(path)
-    plugin = next(
-        (
-            element
-            for element in root.iter("plugin")
-            if "advanced" in f"{element.get('filename')}{element.get('name')}".lower()
-        ),
-        None,
-    )
+    plugins = {
+        element: f"{element.get('filename')}{element.get('name')}".lower().replace("_", "")
+        for element in root.iter("plugin")
+    }
+    plugin = next((e for e, name in plugins.items() if "advancedliftdrag" in name), None)
     if plugin is None:
-        raise BadInputError(f"{path}: has no plugin AdvancedLiftDrag; nothing can be compared")
+        plain = sum("liftdrag" in name for name in plugins.values())
+        raise BadInputError(
+            f"{path}: has no plugin AdvancedLiftDrag; nothing can be compared"
+            + (f" ({plain} plugins LiftDrag, of single wings, are not read)" if plain else "")
+        )
     # Tags that are missing are 0 in the program, but for these.
     defaults = {"alpha_stall": math.pi / 2.0, "air_density": 1.2041, "area": 1.0}
     tags = {tag: _number(path, plugin, tag, defaults.get(tag, 0.0)) for tag in TAGS}
     for tag in ("area", "AR", "eff"):
         if not tags[tag] > 0.0:
             raise BadInputError(f"{path}: <{tag}> = {tags[tag]:g}: a number above 0 is needed")
+    joints = {joint.get("name"): joint for joint in root.iter("joint")}
+    elements = list(plugin.iter("control_surface"))
+    names = [(element.findtext("name") or "").strip() for element in elements]
+    links = [f"{name} {_child(joints.get(name))}" for name in names]
+    has_elevator = any(variable_of(link) == "de" for link in links)
     surfaces = []
-    for element in plugin.iter("control_surface"):
-        name = (element.findtext("name") or "").strip()
+    for element, name, link in zip(elements, names, links, strict=True):
         effects = {key: _number(path, element, key, 0.0) for key in _CTRL}
         direction = _number(path, element, "direction", 1.0)
-        sign = _joint_sign(root, name)
-        surfaces.append(ControlSurface(name, variable_of(name), direction, sign, effects))
-    return LiftDragModel(tags, surfaces)
-
-
-def _joint_sign(root: etree._Element, joint: str) -> float:
-    """Return the joint's angle over the deflection, by its axis and the side that its name tells.
-
-    Deflections are positive trailing edge down; for ailerons that of the left one, for the rudder
-    trailing edge left.
-    """
-    axis = next(
-        (e.findtext("axis/xyz") for e in root.iter("joint") if e.get("name") == joint), None
+        along = _axis(path, joints.get(name))
+        shares = _shares(link, along, {k: direction * x for k, x in effects.items()}, has_elevator)
+        surfaces.append(ControlSurface(name, shares, direction, effects))
+    inertial = _inertial(path, root, plugin)
+    mass, inertia = _mass(path, inertial)
+    place = None if inertial is None else inertial.find("pose")
+    centre = np.zeros(3) if place is None else _vector(path, place, 3)
+    point = plugin.find("cp")
+    x, y, z = (np.zeros(3) if point is None else _vector(path, point, 3)) - centre
+    span = math.sqrt(tags["area"] * tags["AR"])
+    throws = dict.fromkeys(("elevator", "aileron", "rudder"), 20.0)
+    chord = tags["mac"] or tags["area"] / span
+    return (
+        LiftDragModel(tags, surfaces, (float(x), -float(y), -float(z)), _axes(path, plugin)),
+        Reference(tags["area"], span, chord, mass, inertia, throws),
     )
-    component = 2 if variable_of(joint) == "dr" else 1
+
+
+def _axes(path: Path, plugin: etree._Element) -> FloatArray:
+    """Return the system's forward, right and down in those of the link."""
+    rows = []
+    for tag, default in (("forward", (1.0, 0.0, 0.0)), ("upward", (0.0, 0.0, 1.0))):
+        element = plugin.find(tag)
+        vector = np.array(default) if element is None else _vector(path, element, 3)
+        length = float(np.linalg.norm(vector))
+        if not length > 0.0:
+            raise BadInputError(f"{path}: <{tag}> has no length; a direction is needed")
+        rows.append(vector / length)
+    forward, upward = rows
+    if abs(float(forward @ upward)) > 1e-3:
+        raise BadInputError(f"{path}: <forward> and <upward> are not perpendicular")
+    axes = np.array([forward, np.cross(forward, upward), -upward])
+    # From forward, left, up of the link to its forward, right, down.
+    return np.asarray(axes * np.array([1.0, -1.0, -1.0]) + 0.0)
+
+
+def _vector(path: Path, element: etree._Element, count: int) -> FloatArray:
+    """Return the first numbers of an element's text."""
     try:
-        along = float((axis or "0 1 1").split()[component])
-    except (ValueError, IndexError):
-        along = 1.0
-    right = variable_of(joint) == "da" and "right" in joint.lower()
-    return math.copysign(1.0, along) * (1.0 if right else -1.0)
+        vector = np.array([float(word) for word in (element.text or "").split()][:count])
+    except ValueError:
+        vector = np.zeros(0)
+    if len(vector) < count or not np.all(np.isfinite(vector)):
+        raise BadInputError(
+            f"{path}:{element.sourceline}: <{element.tag}> {element.text!r}: {count} finite numbers"
+            " are needed"
+        )
+    return vector
 
 
-def variable_of(joint: str) -> str:
-    """Return the deflection that a joint's name tells: de, da, dr; "" where it tells none."""
-    lower = joint.lower()
-    return next(
-        (v for word, v in (("elev", "de"), ("ail", "da"), ("rud", "dr")) if word in lower), ""
-    )
+def _child(joint: etree._Element | None) -> str:
+    """Return the name of the link that a joint turns."""
+    return "" if joint is None else (joint.findtext("child") or "").strip()
+
+
+def _axis(path: Path, joint: etree._Element | None) -> FloatArray:
+    """Return the axis of a joint in forward, left, up; left and up both where the file has none."""
+    element = None if joint is None else joint.find("axis/xyz")
+    return np.array([0.0, 1.0, 1.0]) if element is None else _vector(path, element, 3)
+
+
+def _shares(
+    name: str, axis: FloatArray, effects: Mapping[str, float], has_elevator: bool
+) -> dict[str, float]:
+    """Return a joint's angle over each deflection that moves it.
+
+    Deflections are positive trailing edge down (ailerons: of the left one), trailing edge left for
+    a rudder; the joint's and link's names tell the surface, its axis the sign. Elevons and v-tails
+    move with two of them; the elevons of an aeroplane with an elevator are ailerons. A surface
+    whose names tell nothing is what its moments are largest of, with this project's signs.
+
+    Parameters
+    ----------
+    name : str
+        Of joint and link.
+    axis : ndarray
+        Of the joint, forward, left, up.
+    effects : Mapping
+        Per degree of the joint.
+    has_elevator : bool
+        Whether another joint is an elevator.
+    """
+    lower = name.lower()
+    edge_down = -math.copysign(1.0, axis[1])
+    right = -1.0 if re.search(r"right|starboard|(?:^|[\W_])r(?:[\W_]|$)", lower) else 1.0
+    if "elevon" in lower:
+        ailerons = {"da": right * edge_down}
+        return ailerons if has_elevator else {"de": edge_down, **ailerons}
+    by_moment = {
+        "de": -effects["Cem_ctrl"],
+        "da": effects["Cell_ctrl"],
+        "dr": -effects["Cen_ctrl"],
+    }
+    if re.search(r"v_?-?tail|ruddervator", lower):
+        return {"de": edge_down, "dr": math.copysign(1.0, by_moment["dr"])}
+    variable = variable_of(lower)
+    if not variable and "flap" in lower:
+        return {}
+    if variable == "dr":
+        return {"dr": -math.copysign(1.0, axis[2])}
+    if variable:
+        return {variable: edge_down * (right if variable == "da" else 1.0)}
+    variable = max(by_moment, key=lambda v: abs(by_moment[v]))
+    return {variable: math.copysign(1.0, by_moment[variable])} if by_moment[variable] else {}
+
+
+def variable_of(name: str) -> str:
+    """Return the deflection that a name tells: de, da, dr; "" for none, and for elevons."""
+    words = {"elev": "de", "ail": "da", "rud": "dr"}
+    lower = re.sub(r"elevon|ruddervator|v_?-?tail", "", name.lower())
+    return next((variable for word, variable in words.items() if word in lower), "")
 
 
 def _number(path: Path, parent: etree._Element, tag: str, default: float) -> float:

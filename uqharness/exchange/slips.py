@@ -188,7 +188,11 @@ def _of_reference(a: ComparedModel, b: ComparedModel) -> list[Slip]:
             continue
         cause = "the sign is opposite" if abs(x + y) < 0.01 * abs(x) else ""
         others = [
-            other for other in first if other != name and abs(first[other] - y) < 1e-3 * abs(y)
+            other
+            for other in first
+            if other != name
+            and other.split("[")[1] == name.split("[")[1]
+            and abs(first[other] - y) < 1e-3 * abs(y)
         ]
         if not cause and others and y != 0.0:
             cause = f"that is the first model's {others[0]}"

@@ -266,6 +266,10 @@ def test_stab_points_and_signs():
     source = read_stab(Path("kite.stab"), stab_text())
     assert [round(math.degrees(p.alpha.value)) for p in source.points] == [0, 4, 8]
     assert source.surfaces == ("Elev",)
+    spaced = read_stab(
+        Path("kite.stab"), re.sub(r"^Elev ", "Tail Group 1 ", stab_text(), flags=re.M)
+    )
+    assert spaced.surfaces == ("Tail_Group_1",)
     values = body_coefficients(source.points[1], source.surfaces)
     assert values["CZ", "alpha"] == -5.1
     assert values["Cm", "Elev"] == -1.8
@@ -274,54 +278,82 @@ def test_stab_points_and_signs():
         read_stab(Path("kite.stab"), stab_text().split("Coef")[0])
 
 
+# The layout of XFLR5 6: a glider of 0.19 kg, its lengths hidden in the dimensional derivatives.
 XFLR5 = """
-  Plane name: Kite
-  Mass= 1.470 kg
-  Ref. Area= 0.3438 m²
-  Wing span= 1.600 m
-  Mean Aero Chord= 0.2163 m
-  CoG_x= 0.1500 m
-  CoG_z= 0.0100 m
-  alpha= 3.000°
-  CL= 0.3700
-  CD= 0.0200
-   Longitudinal derivatives
-      Xu= -0.05      Cxu= -0.04
-      Xw=  0.9       Cxa=  0.17
-      Zw= -14.0      CLa=  5.10
-      Zq= -2.9       CLq=  9.80
-      Mw= -0.4       Cma= -0.70
-      Mq= -0.5       Cmq= -17.0
-      Neutral Point position= 0.17969 m
-   Lateral derivatives
-      Yv= -0.5       CYb= -0.190
-      Yp= -0.2       CYp= -0.090
-      Yr=  0.4       CYr=  0.200
-      Lv= -0.3       Clb= -0.065
-      Lp= -1.5       Clp= -0.505
-      Lr=  0.3       Clr=  0.104
-      Nv=  0.3       Cnb=  0.074
-      Np= -0.1       Cnp= -0.031
-      Nr= -0.2       Cnr= -0.081
-   Control derivatives
-      Xde= -0.1      CXde= -0.01
-      Zde= -20.0     CZde= -0.57
-      Mde= -9.0      Cmde= -1.80
+      Calculation for control position -8.00
+         Rotating the elevator by -8.00°, total angle is -8.00°
+      Searching for zero-moment angle... Alpha=0.50000°
+      Longitudinal derivatives
+      Zw= -3.0  CLa= 4.1
+      Calculation for control position -2.00
+   Mass=       0.190 kg
+    CoG_x=      0.0600 m
+    CoG_z=      0.0100 m
+    Ibxx=       0.004 kg.m²
+    Ibyy=       0.005 kg.m²
+    Ibzz=       0.008 kg.m²
+         Rotating the elevator by -2.00°, total angle is -2.00°
+      Searching for zero-moment angle... Alpha=1.50000°
+      Calculating speed to balance the weight...VInf = 10.00000 m/s
+      Longitudinal derivatives
+      Xu=  -0.03675         Cxu=       -0.04
+      Xw=   0.13781         Cxa=        0.15
+      Zw=    -3.9506        CLa=         4.3
+      Zq=      -0.63        CLq=         6.9
+      Mw=   -0.10005        Cma=      -0.605
+      Mq=      -0.12        Cmq=        -8.7
+      Neutral Point position=   0.08533 m
+      Lateral derivatives
+      Yv=   -0.77175        CYb=       -0.84
+      Lv=  -0.055860        Clb=      -0.076
+      Lp=      -0.09        Clp=       -0.39
+      Nv=      0.2646       Cnb=        0.36
+      Nr=      -0.09        Cnr=       -0.41
+      Control derivatives
+      Xde=   -0.09        CXde=    -0.01
+      Yde= -4.9e-06       CYde=  -7.8e-07
+      Zde=     -8.54      CZde=    -0.93
+      Lde= -2.5e-08       CLde= -4.9e-09
+      Mde=     -2.90      CMde=     -1.80
+      Nde= -3.8e-06       CNde= -7.6e-07
+      _____State matrices__________
+             -0.155991             0.58972
+      Eigenvalue:     -20.88+   -10.57i   |      -20.88+    10.57i
 """
 
 
 def test_xflr5_log():
-    source = read_xflr5(Path("kite.txt"), XFLR5)
-    assert source.length("S") == 0.3438
-    assert source.facts["x_np"].value == 0.17969
+    source = read_xflr5(Path("glider.txt"), XFLR5)
+    lengths = {"S": 0.15, "b": 0.8, "c": 0.18}
+    assert {key: source.length(key) for key in lengths} == pytest.approx(lengths, rel=1e-3)
+    assert (source.facts["Iyy"].value, source.facts["x_np"].value) == (0.005, 0.08533)
     point = source.points[0]
-    assert math.degrees(point.alpha.value) == pytest.approx(3.0)
-    # Along stability axes CX_alpha = CL - CD_alpha, and CZ is minus lift.
-    assert point.value("CD", "alpha") == pytest.approx(0.37 - 0.17)
-    assert point.value("CL", "elevator") == 0.57
-    assert point.value("Cm", "elevator") == -1.80
-    with pytest.raises(BadInputError, match="no CLa"):
-        read_xflr5(Path("kite.txt"), XFLR5.replace("CLa=", "CLz="))
+    assert math.degrees(point.alpha.value) == pytest.approx(1.5)
+    # The weight over the pressure and area; the trim's surface stands at -2 degrees.
+    lift, angle = 0.19 * 9.81 / (0.5 * 1.225 * 100 * 0.15), math.radians(-2.0)
+    assert point.value("CL", TOTAL) == pytest.approx(lift - 0.93 * angle, rel=1e-3)
+    assert point.value("Cm", TOTAL) == pytest.approx(1.80 * angle)
+    # Along stability axes CX_alpha = CL - CD_alpha, and CZ is minus lift; CLde is a rolling moment.
+    assert point.value("CD", "alpha") == pytest.approx(lift - 0.15, rel=1e-3)
+    surfaces = {name: point.value(name, "elevator") for name in ("CL", "Cm", "Cl")}
+    assert surfaces == pytest.approx({"CL": 0.93, "Cm": -1.80, "Cl": -4.9e-9})
+    with pytest.raises(BadInputError, match="no Zw with CLa"):
+        read_xflr5(Path("glider.txt"), XFLR5.replace("CLa=", "CLz:"))
+
+
+def test_flow5_log_with_two_controls_per_degree():
+    """flow5 prints Z in place of lift, a name above each control, and degrees."""
+    control = " elevator\n Xde = 0 CXde = 0\n Zde = -.5 CZde = -0.016\n Mde = -.2 CMde = -0.031\n"
+    control += " ailerons\n Xde = 0 CXde = 0\n Lde = .1 CLde = 0.004\n Mde = 0 CMde = 0\n"
+    text = re.sub(r"      Xde=.*(?=      _____State)", control, XFLR5, flags=re.DOTALL)
+    text = text.replace("CLa=         4.3", "CZa =  -4.3").replace("CLq=         6.9", "CZq = -6.9")
+    text = text.replace("Zq=", "Xq  = 0.01 CXq = 0.1\n Zq=")
+    source = read_xflr5(Path("glider.txt"), text)
+    point = source.points[0]
+    assert source.surfaces == ("elevator", "aileron")
+    assert (point.value("CL", "alpha"), point.value("CL", "q")) == (4.3, 6.9)
+    assert point.value("Cm", "elevator") == pytest.approx(-math.degrees(0.031))
+    assert point.value("Cl", "aileron") == pytest.approx(math.degrees(0.004))
 
 
 def test_masses_against_hand_computation():

@@ -54,8 +54,7 @@ def gazebo_model() -> gazebo.LiftDragModel:
     surfaces = [
         gazebo.ControlSurface(
             name,
-            gazebo.variable_of(name),
-            direction,
+            {gazebo.variable_of(name): direction},
             direction,
             {
                 f"{c}_ctrl": float(rng.normal()) / 30.0
@@ -136,15 +135,17 @@ def by_gazebo(model: gazebo.LiftDragModel, V: float, x: dict[str, float], turn: 
     spin = 2 * V * np.array([
         x["p"] / REFERENCE.b_m, -x["q"] / REFERENCE.c_m, -x["r"] / REFERENCE.b_m,
     ])  # fmt: skip
-    air, rates = turn.apply(speed), spin
-    ex, ez = turn.apply([1.0, 0, 0]), -turn.apply([0, 0, 1.0])
+    air, spin = turn.apply(speed), turn.apply(spin)
+    flu = np.array([1.0, -1.0, -1.0])
+    link = [turn.apply(flu * axis) for axis in np.eye(3)]
+    ex, ez = turn.apply(flu * model.axes[0]), turn.apply(flu * model.axes[2])
     ey = np.cross(ez, ex)
     plane = air - (air @ ey) * ey
     size = float(np.linalg.norm(plane))
     sx = plane / size
     sz = np.cross(sx, ey)
     span = math.sqrt(t["area"] * t["AR"])
-    rr, pr, yr = rates[0], -rates[1], -rates[2]
+    rr, pr, yr = spin @ ex, spin @ ey, spin @ ez
     alpha, beta = math.atan2(sx @ ez, sx @ ex), math.atan2(air @ ey, air @ ex)
     pressure, half = 0.5 * t["air_density"] * size**2, 0.5 * t["air_density"] * size
     m, a0 = 15.0, t["alpha_stall"]
@@ -154,7 +155,8 @@ def by_gazebo(model: gazebo.LiftDragModel, V: float, x: dict[str, float], turn: 
     control = dict.fromkeys(("CL", "CD", "CY", "Cell", "Cem", "Cen"), 0.0)
     for surface in model.surfaces:
         # The joint that the exporter writes turns by direction times deflection.
-        joint = surface.direction * x[surface.variable]
+        ((variable, share),) = surface.shares.items()
+        joint = share * x[variable]
         for key in control:
             control[key] += joint * surface.effects[f"{key}_ctrl"] * surface.direction
 
@@ -186,11 +188,13 @@ def by_gazebo(model: gazebo.LiftDragModel, V: float, x: dict[str, float], turn: 
     moment = (pitch * pressure + damped("Cem")) * t["area"] * t["mac"] * ey
     moment = moment + (roll * pressure + damped("Cell")) * t["area"] * span * ex
     moment = moment + (yaw * pressure + damped("Cen")) * t["area"] * span * ez
+    moment = moment + np.cross(turn.apply(flu * model.arm_m), force)
     whole = 0.5 * t["air_density"] * V**2 * t["area"]
-    return np.array([
-        force @ ex / whole, force @ ey / whole, force @ ez / whole, moment @ ex / (whole * span),
-        moment @ ey / (whole * t["mac"]), moment @ ez / (whole * span),
-    ])  # fmt: skip
+    lengths = (span, t["mac"], span)
+    return np.array(
+        [force @ axis / whole for axis in link]
+        + [moment @ axis / whole / length for axis, length in zip(link, lengths, strict=True)]
+    )
 
 
 def rows(of: FlightStates) -> list[tuple[float, dict[str, float]]]:
@@ -206,8 +210,13 @@ def test_ardupilots_equations():
     assert computed == pytest.approx(np.array(expected), rel=1e-11, abs=1e-11)
 
 
-def test_gazebos_equations():
+@pytest.mark.parametrize("turned", [False, True])
+def test_gazebos_equations(turned: bool):
+    """Also with <cp> off the centre of gravity, and <forward> and <upward> turned in the link."""
     model, of = gazebo_model(), states(1000)
+    if turned:
+        axes = Rotation.from_euler("zyx", [0.2, -0.3, 0.1]).as_matrix()
+        model = replace(model, arm_m=(-0.1, 0.03, 0.05), axes=axes)
     turns = Rotation.random(len(of), random_state=3)
     expected = [by_gazebo(model, V, x, turns[k]) for k, (V, x) in enumerate(rows(of))]
     computed = gazebo.coefficients(model, of)
@@ -269,9 +278,9 @@ def test_the_model_of_an_aircraft_holds_its_pitching_moment(tmp_path: Path):
 
 def test_files_are_read_as_they_were_written(tmp_path: Path):
     uq.export("espaaro", "gazebo", out=tmp_path, speed_mps=22.2, states=50)
-    models = [gazebo.read(tmp_path / name) for name in ("model.sdf", "model-classic.sdf")]
+    models = [gazebo.read(tmp_path / name)[0] for name in ("model.sdf", "model-classic.sdf")]
     assert models[0] == models[1]
-    assert {s.variable for s in models[0].surfaces} == {"de", "da", "dr"}
+    assert [(*s.shares,) for s in models[0].surfaces] == [("de",), ("da",), ("da",), ("dr",)]
     text = (tmp_path / "model.sdf").read_text()
     # Forward, left, up: the product of inertia keeps JSBSim's sign.
     assert "<ixz>0.249" in text
@@ -286,9 +295,45 @@ def test_files_are_read_as_they_were_written(tmp_path: Path):
         spoilt = tmp_path / "spoilt.sdf"
         assert old in text
         spoilt.write_text(text.replace(old, new, 1))
-        assert gazebo.read(spoilt) != models[0]
+        assert gazebo.read(spoilt)[0] != models[0]
         if "direction" not in old and "mac" not in old:
-            assert np.abs(gazebo.coefficients(gazebo.read(spoilt), of) - whole).max() > 1e-4
+            assert np.abs(gazebo.coefficients(gazebo.read(spoilt)[0], of) - whole).max() > 1e-4
+
+
+FOREIGN = """<sdf version="1.5"><model name="plane">
+<link name="base_link"><inertial><pose>0.02 0 0 0 0 0</pose><mass>1</mass></inertial></link>
+{joints}
+<plugin name="gz::sim::systems::AdvancedLiftDrag"><area>0.34</area><AR>6.5</AR><eff>0.97</eff>
+<mac>0.22</mac><cp>-0.12 0.01 0</cp><link_name>base_link</link_name>{surfaces}</plugin>
+</model></sdf>"""
+
+
+@pytest.mark.parametrize(
+    ("joint", "child", "axis", "effects", "shares"),
+    [
+        # Of an aeroplane with an elevator "elevons" are ailerons; the axis tells the sign.
+        ("servo_0", "left_elevon", "0 1 0", {"Cell": -0.003}, {"da": -1.0}),
+        ("servo_1", "right_elevon", "0 -1 0", {"Cell": -0.003}, {"da": -1.0}),
+        ("servo_3", "rudder", "0 0 1", {"Cen": 0.0016}, {"dr": -1.0}),
+        ("servo_4", "left_flap", "0 1 0", {"Cem": 0.01}, {}),
+        # Names that tell nothing: the largest moment, in this project's signs.
+        ("servo_5", "", "0 1 0", {"Cen": 0.002, "Cell": 0.001}, {"dr": -1.0}),
+        ("servo_6", "panel", "0 1 0", {}, {}),
+    ],
+)
+def test_joints_of_other_peoples_models(joint, child, axis, effects, shares, tmp_path: Path):
+    elevator = '<joint name="servo_2"><child>elevator</child><axis><xyz>0 1 0</xyz></axis></joint>'
+    joints = f'<joint name="{joint}"><child>{child}</child><axis><xyz>{axis}</xyz></axis></joint>'
+    numbers = "".join(f"<{key}_ctrl>{value}</{key}_ctrl>" for key, value in effects.items())
+    surfaces = "<control_surface><name>servo_2</name></control_surface>"
+    surfaces += f"<control_surface><name>{joint}</name>{numbers}</control_surface>"
+    path = tmp_path / "plane.sdf"
+    path.write_text(FOREIGN.format(joints=elevator + joints, surfaces=surfaces))
+    model, geometry = gazebo.read(path)
+    assert model.surfaces[1].shares == shares
+    # <cp> counts from the link, the arm from its centre of gravity, forward, right, down.
+    assert model.arm_m == pytest.approx((-0.14, -0.01, 0.0))
+    assert (geometry.mass_kg, geometry.c_m) == (1.0, 0.22)
 
 
 @pytest.mark.parametrize(
@@ -298,6 +343,10 @@ def test_files_are_read_as_they_were_written(tmp_path: Path):
         ('{"s": 1}', "lacks b, c"),
         ("{", "a JSON object is needed"),
         (json.dumps(dict.fromkeys(ardupilot_json.KEYS, 1.0) | {"c_m_a": "x"}), "c_m_a = 'x'"),
+        (
+            json.dumps(dict.fromkeys(ardupilot_json.KEYS, 1.0) | {"CGOffset": [1, 2]}),
+            "three finite",
+        ),
     ],
 )
 def test_bad_json_is_one_sentence(content: str, message: str, tmp_path: Path):
@@ -311,6 +360,11 @@ def test_bad_json_is_one_sentence(content: str, message: str, tmp_path: Path):
     ("content", "message"),
     [
         ("<sdf><model/></sdf>", "has no plugin"),
+        ('<sdf><plugin name="LiftDragPlugin"/></sdf>', "1 plugins LiftDrag, of single wings"),
+        (
+            '<sdf><plugin name="AdvancedLiftDrag"><AR>6</AR><eff>1</eff><cp>0 0</cp></plugin></sdf>',
+            "<cp> '0 0': 3 finite",
+        ),
         ("<sdf>", "no XML"),
         ('<sdf><plugin name="AdvancedLiftDrag"><AR>x</AR></plugin></sdf>', "<AR> 'x': a finite"),
         ('<sdf><plugin name="AdvancedLiftDrag"><AR>0</AR></plugin></sdf>', "<AR> = 0: a number"),
