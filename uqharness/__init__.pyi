@@ -12,6 +12,7 @@ from .api.campaigns import campaign_convergence as campaign_convergence
 from .api.campaigns import campaign_report as campaign_report
 from .api.campaigns import campaign_status as campaign_status
 from .api.campaigns import check_campaign as check_campaign
+from .api.campaigns import check_surrogate as check_surrogate
 from .api.campaigns import merge_campaign as merge_campaign
 from .api.campaigns import next_flight as next_flight
 from .api.campaigns import pbox as pbox

@@ -81,6 +81,9 @@ COMMANDS = {
     "campaign-status": "campaign status {}/results",
     "campaign-report": "campaign report {}/results",
     "campaign-rerun": "campaign rerun {}/results --case {case}",
+    "campaign-surrogate-check": (
+        "campaign surrogate-check {}/results --flights 4 --autopilot-port 0 --autopilot-process true"
+    ),
     "campaign-verify": "campaign verify {}/results",
     "campaign-salvage": "campaign salvage {}/results --workers 1",
     "campaign-convergence": "campaign convergence {}/results --repeats 2",
@@ -132,6 +135,7 @@ SEARCHING = (
     "campaign-merge",
     "campaign-salvage",
     "campaign-convergence",
+    "campaign-surrogate-check",
 )
 """Commands that take seconds and that no other waits for."""
 

@@ -32,6 +32,7 @@ from uqharness.requests.campaign import (
     SalvageRequest,
     SensitivityRequest,
     StatusRequest,
+    SurrogateCheckRequest,
     VerifyRequest,
 )
 from uqharness.requests.next_flight import NextFlightRequest
@@ -47,6 +48,7 @@ from uqharness.results.campaign import (
     ModalSensitivity,
     Rerun,
     Salvaged,
+    SurrogateCheck,
 )
 from uqharness.results.next_flight import AchievedNarrowing, NextFlightPlan
 from uqharness.statistics import PBox, Sample
@@ -321,6 +323,27 @@ def rerun_case(request: RerunRequest) -> Rerun:
     True
     """
     return commands.rerun(request).value
+
+
+@notebook_line("check_surrogate")
+@accepts(SurrogateCheckRequest)
+@isolated
+def check_surrogate(request: SurrogateCheckRequest) -> SurrogateCheck:
+    """Fly cases of a campaign with a real autopilot in the same air, as ``uqharness campaign
+    surrogate-check`` does.
+
+    Returns
+    -------
+    SurrogateCheck
+        ``flights`` with the real autopilot, and by metric its ``difference`` from the campaign's
+        flights with limits, and the ``quantiles`` of the corrected p-box.
+
+    Raises
+    ------
+    BadInputError
+        For an incomplete campaign, an aircraft that has changed, and a command that cannot start.
+    """
+    return commands.surrogate_check(request).value
 
 
 @notebook_line("salvage_campaign")

@@ -86,6 +86,9 @@ from .statements import points_flown as points_flown
 from .store import LOCK as LOCK
 from .store import Store as Store
 from .store import run_lock as run_lock
+from .surrogate import control_variate as control_variate
+from .surrogate import corrections as corrections
+from .surrogate import fly_pairs as fly_pairs
 from .tables import FULL_FLIGHT as FULL_FLIGHT
 from .tables import STATUS as STATUS
 from .tables import CheckRow as CheckRow

@@ -142,7 +142,11 @@ _LOG_VERBS = {
     ),
 }
 _CAMPAIGN_VERBS = {
-    verb: RequestCommand(f"campaign:{verb.capitalize()}Request", f"campaign:{verb}", text)
+    verb: RequestCommand(
+        f"campaign:{verb.title().replace('-', '')}Request",
+        f"campaign:{verb.replace('-', '_')}",
+        text,
+    )
     for verb, text in {
         "check": "cost of a campaign before it is flown",
         "run": "fly a campaign, or resume it",
@@ -150,6 +154,7 @@ _CAMPAIGN_VERBS = {
         "report": "write report.html and the figures",
         "merge": "merge shards and write the tables",
         "rerun": "fly one case again with full output and a plot",
+        "surrogate-check": "fly cases with a real autopilot, and correct the p-boxes",
         "verify": "check a folder against its digests",
         "salvage": "repair a damaged campaign: keep sound flights, fly the rest again",
         "convergence": "convergence over flights and epistemic samples",

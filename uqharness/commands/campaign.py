@@ -24,8 +24,10 @@ from uqharness.campaign import (
     AREAS,
     CONFIDENCE,
     CONVERGENCE,
+    ERROR_METRICS,
     RERUN,
     STATEMENTS,
+    UNCOMMANDED_METRICS,
     CampaignSpec,
     Cost,
     Executor,
@@ -38,8 +40,10 @@ from uqharness.campaign import (
     bounds_notes,
     campaign_from,
     corners_only_words,
+    corrections,
     describe,
     engine_words,
+    fly_pairs,
     joint_level,
     joint_words,
     make_copy,
@@ -71,6 +75,7 @@ from uqharness.campaign import salvage as salvage_folder
 from uqharness.campaign.verify import verify as verify_folder
 from uqharness.errors import BadInputError
 from uqharness.files import find_campaign, scratch_folder
+from uqharness.flight import AutopilotSettings
 from uqharness.heartbeat import clock
 from uqharness.parallel import usable_cores
 from uqharness.report import (
@@ -92,6 +97,7 @@ from uqharness.requests.campaign import (
     RunRequest,
     SalvageRequest,
     StatusRequest,
+    SurrogateCheckRequest,
     VerifyRequest,
 )
 from uqharness.results.base import Outcome
@@ -108,6 +114,10 @@ from uqharness.results.campaign import (
     Merged,
     Rerun,
     Salvaged,
+    SurrogateCheck,
+    SurrogateFlight,
+    SurrogateMetric,
+    SurrogateQuantile,
 )
 from uqharness.statistics import PBox
 
@@ -538,6 +548,91 @@ def rerun(request: RerunRequest, callback: Callback = silent) -> Outcome[Rerun]:
     line = f"{repeated.folder}: {outcome.status}{end}, {comparison}"
     lines = [f"{line}; {', '.join(path.name for path in files)}", *repeated.differences]
     return Outcome(document, document, lines, 1 if same is False else 0)
+
+
+def surrogate_check(
+    request: SurrogateCheckRequest, callback: Callback = silent
+) -> Outcome[SurrogateCheck]:
+    """Fly cases with a real autopilot, and compare and correct the metrics."""
+    callback("flying with the real autopilot")
+    settings = AutopilotSettings(
+        request.autopilot_process, request.autopilot_warmup_s, port=request.autopilot_port
+    )
+    pairs = fly_pairs(request.folder, request.flights, settings)
+    unknown = [name for name in request.metric if name not in pairs.rows]
+    if unknown:
+        raise BadInputError(
+            f"--metric {unknown[0]}: {request.folder} has no such metric; allowed are"
+            f" {', '.join(name for name in ERROR_METRICS if name in pairs.rows)}"
+        )
+    requested = request.metric or tuple(
+        name
+        for name in (*ERROR_METRICS, *UNCOMMANDED_METRICS)
+        if "median" in name and not name.endswith("_measured") and name in pairs.rows
+    )
+    by_metric = corrections(pairs, requested)
+    document = SurrogateCheck(
+        condition=pairs.condition.label,
+        flights=[
+            SurrogateFlight(
+                case_id=case.case_id,
+                epistemic_id=case.epistemic_id,
+                aleatory_id=case.aleatory_id,
+                status=outcome.status,
+                reason=outcome.reason,
+                metrics=dict(outcome.metrics),
+            )
+            for case, outcome in zip(pairs.cases, pairs.outcomes, strict=True)
+        ],
+        failed=sum(outcome.status != "ok" for outcome in pairs.outcomes),
+        metrics={
+            name: SurrogateMetric(
+                pairs=c.pairs,
+                difference=c.difference[0],
+                difference_limits=list(c.difference[1:]),
+                scatter=c.scatter,
+                correlation=c.correlation,
+                slope=c.slope,
+                mean_surrogate=c.mean_surrogate,
+                mean=c.mean[0],
+                mean_limits=list(c.mean[1:]),
+                differs=c.differs,
+                quantiles=[
+                    SurrogateQuantile(probability=p, surrogate=list(a), corrected=list(b))
+                    for p, (a, b) in c.quantiles.items()
+                ],
+            )
+            for name, c in by_metric.items()
+        },
+    )
+    code = int(document.failed > 0 or not by_metric or any(c.differs for c in by_metric.values()))
+    return Outcome(document, document, list(_surrogate_lines(document)), code)
+
+
+def _surrogate_lines(document: SurrogateCheck) -> Iterator[str]:
+    """Yield the lines of a surrogate check."""
+    yield (
+        f"{document.condition}: {len(document.flights)} flights with the real autopilot, in the air"
+        f" of the stored ones, {document.failed} failed"
+    )
+    failed = [row for row in document.flights if row.status != "ok"]
+    yield from (f"{row.case_id}: {row.status}: {row.reason}" for row in failed[:3])
+    if not document.metrics:
+        yield "no metric has four pairs of flights; ask for more flights, or name one by --metric"
+    for name, row in document.metrics.items():
+        low, high = row.difference_limits
+        verdict = "differs" if row.differs else "no difference beyond chance"
+        yield (
+            f"{name}: real less built-in {row.difference:+.3g} [{low:+.3g}, {high:+.3g}]"
+            f" ({row.pairs} pairs, correlation {row.correlation:.2f}): {verdict}"
+        )
+        for quantile in row.quantiles:
+            if quantile.probability in (0.5, 0.95):
+                before, after = quantile.surrogate, quantile.corrected
+                yield (
+                    f"  {100 * quantile.probability:g} %: p-box {before[0]:.3g} to {before[1]:.3g},"
+                    f" corrected {after[0]:.3g} to {after[1]:.3g}"
+                )
 
 
 def verify(request: VerifyRequest, callback: Callback = silent) -> Outcome[FolderCheck]:

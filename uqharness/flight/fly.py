@@ -479,13 +479,15 @@ _RESERVED = {
 _MAX_SEED = 2**31 - 2
 
 
-def fly(spec: FlightSpec) -> FlightResult:
+def fly(spec: FlightSpec, autopilot: AutopilotSettings | None = None) -> FlightResult:
     """Fly one mission and score it.
 
     Parameters
     ----------
     spec : FlightSpec
         The flight.
+    autopilot : AutopilotSettings, optional
+        A real autopilot in place of the script's.
 
     Returns
     -------
@@ -497,7 +499,7 @@ def fly(spec: FlightSpec) -> FlightResult:
     BadInputError
         If the flight cannot start: unknown aircraft, script or property, impossible values.
     """
-    return _fly_and_score(spec, one_ulp_off=False)
+    return _fly_and_score(spec, one_ulp_off=False, autopilot=autopilot)
 
 
 def fly_one_ulp_off(spec: FlightSpec) -> FlightResult:
@@ -505,11 +507,18 @@ def fly_one_ulp_off(spec: FlightSpec) -> FlightResult:
     return _fly_and_score(spec, one_ulp_off=True)
 
 
-def _fly_and_score(spec: FlightSpec, one_ulp_off: bool) -> FlightResult:
+def _fly_and_score(
+    spec: FlightSpec, one_ulp_off: bool, autopilot: AutopilotSettings | None = None
+) -> FlightResult:
     """Fly and score a spec."""
     mission = staged_mission(spec)
     recorded = record_mission(
-        mission, spec, scored_signals(mission), OPTIONAL_SIGNALS, one_ulp_off=one_ulp_off
+        mission,
+        spec,
+        scored_signals(mission),
+        OPTIONAL_SIGNALS,
+        one_ulp_off=one_ulp_off,
+        autopilot=autopilot,
     )
     return score(mission, spec, recorded)
 

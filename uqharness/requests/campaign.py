@@ -244,6 +244,46 @@ DIR/rerun/ID."""
     )
 
 
+class SurrogateCheckRequest(FolderRequest):
+    """Fly some cases again with a real autopilot in the same air, and correct the p-boxes."""
+
+    command: ClassVar[str] = "campaign surrogate-check"
+    done: ClassVar[str] = "no metric differs beyond chance, and every flight ended well"
+    no: ClassVar[str] = "a metric differs beyond chance, or a flight failed"
+    examples: ClassVar[str] = """
+  uqharness campaign surrogate-check results --flights 12 --autopilot-warmup-s 40 \\
+    --autopilot-process "arduplane --model JSON:127.0.0.1 --defaults plane.parm --home 45,0,0,0"
+
+Flies cases of the hardest condition, each with the air, noise and epistemic member of the stored
+flight. Prints the difference of each metric with its interval, and the p-box with the stored
+flights as control variate (docs/autopilot.md)."""
+
+    autopilot_process: str = option(
+        ...,
+        "command that starts the real autopilot; {port} in it is the UDP port",
+        metavar="COMMAND",
+        needed="a command line, such as 'arduplane --model JSON:127.0.0.1',",
+    )
+    flights: WholeNumber = option(8, "flights with the real autopilot", ge=4, le=1000, metavar="K")
+    autopilot_warmup_s: Number = option(
+        0.0,
+        "time in which the real autopilot receives the state and the run script commands, s; at"
+        " most the burn-in",
+        ge=0,
+        le=1e5,
+        metavar="T",
+    )
+    autopilot_port: WholeNumber = option(
+        9002, "UDP port; 0 lets the system choose", ge=0, le=65535, metavar="PORT"
+    )
+    metric: Names = option(
+        (),
+        "metric to compare, a column of cases.parquet (default: medians of the true errors)",
+        repeat=True,
+        metavar="M",
+    )
+
+
 class VerifyRequest(FolderRequest):
     """Check a folder against its digests."""
 

@@ -9,6 +9,7 @@ DOCUMENTS: dict[str, str] = {
     "campaign-merge": "campaign:Merged",
     "campaign-report": "campaign:CampaignPage",
     "campaign-rerun": "campaign:Rerun",
+    "campaign-surrogate-check": "campaign:SurrogateCheck",
     "campaign-run": "campaign:CampaignRun",
     "campaign-salvage": "campaign:Salvaged",
     "campaign-status": "campaign:CampaignStatus",

@@ -120,6 +120,50 @@ class Rerun(Part):
     files: Texts = Field(description="files written")
 
 
+class SurrogateQuantile(Part):
+    """One quantile of a metric over the epistemic members."""
+
+    probability: float = Field(description="probability of the quantile")
+    surrogate: Ends = Field(description="ends of the campaign's p-box; null: open")
+    corrected: Ends = Field(description="ends of the p-box of the real autopilot")
+
+
+class SurrogateMetric(Part):
+    """One metric with the built-in and with the real autopilot, limits at 95 %."""
+
+    pairs: int = Field(description="flights with a value of both")
+    difference: Number = Field(description="mean of real less built-in")
+    difference_limits: Ends = Field(description="confidence limits of that mean")
+    scatter: Number = Field(description="standard deviation of the difference")
+    correlation: Number = Field(description="of both; null where one does not vary")
+    slope: Number = Field(description="change of the real metric with the built-in's")
+    mean_surrogate: Number = Field(description="mean over all flights of the condition")
+    mean: Number = Field(description="mean of the real autopilot over the same flights")
+    mean_limits: Ends = Field(description="confidence limits of that mean")
+    differs: bool = Field(description="whether the difference is beyond chance")
+    quantiles: list[SurrogateQuantile] = Field(description="p-box before and after")
+
+
+class SurrogateFlight(Part):
+    """One flight with the real autopilot."""
+
+    case_id: str = Field(description="id of the case")
+    epistemic_id: str = Field(description="epistemic member")
+    aleatory_id: int = Field(description="air and noise")
+    status: str = Field(description="how it ended: ok, or how it failed")
+    reason: str = Field(description="why it failed")
+    metrics: dict[str, Number] = Field(description="metrics; null where undefined")
+
+
+class SurrogateCheck(Part):
+    """Document of `campaign surrogate-check`: real autopilot against the built-in one."""
+
+    condition: str = Field(description="wind and turbulence of the flights")
+    flights: list[SurrogateFlight] = Field(description="flights with the real autopilot")
+    failed: int = Field(description="those that did not end well")
+    metrics: dict[str, SurrogateMetric] = Field(description="comparison by metric")
+
+
 class RerunDocument(Part):
     """result.json of a case that was flown again."""
 

@@ -37,6 +37,7 @@ FUNCTIONS = {
     "campaign report": "campaign_report",
     "campaign merge": "merge_campaign",
     "campaign rerun": "rerun_case",
+    "campaign surrogate-check": "check_surrogate",
     "campaign verify": "verify",
     "campaign salvage": "salvage_campaign",
     "campaign convergence": "campaign_convergence",
