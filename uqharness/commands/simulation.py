@@ -45,11 +45,14 @@ from uqharness.flight import (
     AutopilotGains,
     AutopilotSettings,
     FlightSpec,
+    FlownItem,
     LoopMargins,
+    WaypointMission,
     default_speeds,
     locus_point,
     measure_loop,
     read_gains,
+    read_mission,
     recorded_flight,
     root_locus,
     seeded_spec,
@@ -142,6 +145,7 @@ def fly(request: FlyRequest, callback: Callback = silent) -> Outcome[Flight]:
     if request.page is not None:
         check_output_path(request.page, "--page")
     aircraft = (carded_aircraft if request.generated else aircraft_of)(request.aircraft)
+    waypoints = read_mission(request.mission) if request.flies_waypoints else None
     with _flown_script(request, aircraft) as (flight_aircraft, path):
         script = read_script(path)
         gains = _gains_of(request.autopilot, flight_aircraft, path)
@@ -158,11 +162,11 @@ def fly(request: FlyRequest, callback: Callback = silent) -> Outcome[Flight]:
             record_rate_hz=request.rate_hz,
         )
         callback(f"flying {path.stem}")
-        autopilot = (
-            None
-            if request.autopilot_process is None
-            else AutopilotSettings(request.autopilot_process, request.autopilot_warmup_s)
-        )
+        autopilot: AutopilotSettings | WaypointMission | None = None
+        if waypoints is not None:
+            autopilot = waypoints
+        elif request.autopilot_process is not None:
+            autopilot = AutopilotSettings(request.autopilot_process, request.autopilot_warmup_s)
         table, recorded = recorded_flight(
             flight_aircraft, script, seeded_spec(spec, request.seed), autopilot
         )
@@ -195,6 +199,7 @@ def fly(request: FlyRequest, callback: Callback = silent) -> Outcome[Flight]:
             "out": None if request.out is None else str(request.out),
             "left_out": left_out,
             "autopilot": _gains_document(gains),
+            "mission_items": [asdict(item) for item in recorded.items],
         }
     )
     end = "" if recorded.status == "ok" else f", {recorded.status}: {recorded.reason}"
@@ -203,6 +208,7 @@ def fly(request: FlyRequest, callback: Callback = silent) -> Outcome[Flight]:
     lines = [
         f"{place}: {len(table)} rows, {recorded.flown_s:.1f} s{end}{unsupported}",
         *_gains_lines(request.autopilot, gains),
+        *_waypoint_lines(waypoints, recorded.items),
     ]
     # A flight in memory has the vocabulary's columns; the file has all.
     record = _checked_record({n: v for n, v in columns.items() if n in SIGNALS}, path.stem)
@@ -225,7 +231,8 @@ def _flown_script(request: FlyRequest, aircraft: Aircraft) -> Iterator[tuple[Air
     Initial conditions must lie in the aircraft's folder, so generated manoeuvres fly a copy.
     """
     if request.mission is None or request.speed_mps is None:
-        yield aircraft, find_script(request.mission or request.script)
+        named = None if request.flies_waypoints else request.mission
+        yield aircraft, find_script(named or request.script)
         return
     with scratch_folder("fly") as scratch:
         folder = scratch.path / "aircraft" / aircraft.folder.name
@@ -288,6 +295,21 @@ def _read_gains(path: Path, aircraft: Aircraft, script: Path) -> AutopilotGains:
 def _gains_lines(path: Path | None, gains: AutopilotGains | None) -> list[str]:
     """Describe which gains were used, which were not, and why."""
     return [] if gains is None else [f"{path}:", *(f"  {line}" for line in gains.lines())]
+
+
+def _waypoint_lines(mission: WaypointMission | None, items: Sequence[FlownItem]) -> list[str]:
+    """Describe how the items of a mission were flown, and what is left out."""
+    if mission is None:
+        return []
+    complete = sum(item.complete for item in items)
+    lines = [f"{mission.path}: {complete} of {len(mission.items)} items complete"]
+    for item in items:
+        end = f"to {item.to_s:.1f} s" if item.complete else "not complete"
+        lines.append(
+            f"  item {item.number}, {item.kind}: from {item.from_s:.1f} s {end}, off the path"
+            f" {item.cross_track_median_m:.1f} m (median), {item.cross_track_max_m:.1f} m (most)"
+        )
+    return [*lines, *(f"  note: {note}" for note in mission.notes)]
 
 
 def _gains_document(gains: AutopilotGains | None) -> GainsTaken | None:

@@ -60,3 +60,6 @@ from .spec import TransientDriver as TransientDriver
 from .stepping import Levels as Levels
 from .stepping import first_levels as first_levels
 from .stepping import has_air_system as has_air_system
+from .waypoints import FlownItem as FlownItem
+from .waypoints import WaypointMission as WaypointMission
+from .waypoints import read_mission as read_mission

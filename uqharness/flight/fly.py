@@ -31,6 +31,7 @@ from uqharness.flight.autopilot_process import (
 from uqharness.flight.random_numbers import Split
 from uqharness.flight.spec import COEFFICIENTS, TURBULENCE_W20_KT, FlightResult, FlightSpec
 from uqharness.flight.stepping import first_levels, has_air_system, stepper
+from uqharness.flight.waypoints import FlownItem, WaypointGuide, WaypointMission
 from uqharness.isolation import report_time
 from uqharness.simulator import (
     CHANGEABLE,
@@ -150,6 +151,8 @@ class RecordedFlight:
         Time at the end [s].
     signals : dict
         Signal to (n,).
+    items : list of FlownItem
+        Items of a waypoint mission.
     """
 
     def __init__(
@@ -163,6 +166,7 @@ class RecordedFlight:
         self.status = status
         self.reason = reason
         self.flown_s = flown_s
+        self.items: list[FlownItem] = []
         self.signals: dict[str, NDArray[np.float64]] = {
             name: rows[:, column] for column, name in enumerate(names)
         }
@@ -590,7 +594,7 @@ def record_mission(
     keep_burn_in: bool = False,
     one_ulp_off: bool = False,
     splits: Sequence[Split] = (),
-    autopilot: AutopilotSettings | None = None,
+    autopilot: AutopilotSettings | WaypointMission | None = None,
 ) -> RecordedFlight:
     """Fly a spec and record signals.
 
@@ -610,8 +614,9 @@ def record_mission(
         Whether the ground velocity starts one unit in the last place larger.
     splits : sequence of Split
         Frames behind which the flight branches.
-    autopilot : AutopilotSettings, optional
-        A real autopilot that commands the aircraft in lock step.
+    autopilot : AutopilotSettings or WaypointMission, optional
+        A real autopilot that commands the aircraft in lock step, or a mission that the aircraft's
+        own autopilot flies.
 
     Returns
     -------
@@ -664,8 +669,12 @@ def record_mission(
     if burn_in_rows == 0:
         values.extend([get() for get in getters])
     connection = contextlib.ExitStack()
+    guide = None
     try:
-        if autopilot is not None:
+        if isinstance(autopilot, WaypointMission):
+            guide = WaypointGuide(autopilot, fdm)
+            advance = guide.around(advance)
+        elif autopilot is not None:
             process = connection.enter_context(AutopilotProcess(autopilot, mission.aircraft))
             advance = process.around(fdm, advance)
         for block in range(burn_in_rows + recorded_rows):
@@ -689,7 +698,9 @@ def record_mission(
     finally:
         connection.close()
     rows = to_signals(np.frombuffer(values).reshape(-1, len(getters)), table)
-    return RecordedFlight(list(table), rows, status, reason, float(fdm.get_sim_time()))
+    recorded = RecordedFlight(list(table), rows, status, reason, float(fdm.get_sim_time()))
+    recorded.items = [] if guide is None else guide.report()
+    return recorded
 
 
 def row_counts(spec: FlightSpec, row_s: float, keep_burn_in: bool = False) -> tuple[int, int]:

@@ -24,6 +24,7 @@ from uqharness.flight.autopilot_process import AutopilotSettings
 from uqharness.flight.fly import RecordedFlight, record_mission
 from uqharness.flight.random_numbers import draw_normals
 from uqharness.flight.spec import FlightSpec
+from uqharness.flight.waypoints import WaypointMission
 from uqharness.isolation import ProcessEndedError, run_isolated
 from uqharness.simulator import (
     MANOEUVRE_PROPERTY,
@@ -51,7 +52,7 @@ def recorded_flight(
     aircraft: Aircraft,
     script: Script,
     spec: FlightSpec,
-    autopilot: AutopilotSettings | None = None,
+    autopilot: AutopilotSettings | WaypointMission | None = None,
 ) -> tuple[pd.DataFrame, RecordedFlight]:
     """Fly a spec from its start in a worker process and return the flight record.
 
@@ -63,8 +64,8 @@ def recorded_flight(
         Its script names the manoeuvres.
     spec : FlightSpec
         Conditions, seeds and duration.
-    autopilot : AutopilotSettings, optional
-        A real autopilot that commands the aircraft in lock step.
+    autopilot : AutopilotSettings or WaypointMission, optional
+        A real autopilot that commands the aircraft in lock step, or a mission of waypoints.
 
     Returns
     -------
@@ -98,7 +99,10 @@ def recorded_flight(
 
 
 def _record_in_worker(
-    aircraft: Aircraft, script: Script, spec: FlightSpec, autopilot: AutopilotSettings | None
+    aircraft: Aircraft,
+    script: Script,
+    spec: FlightSpec,
+    autopilot: AutopilotSettings | WaypointMission | None,
 ) -> RecordedFlight:
     """Fly and record all signals of a record."""
     with StagedMission(aircraft, script.path) as mission:
@@ -114,6 +118,9 @@ def _record_in_worker(
             optional |= {
                 name: table.pop(name) for name in controls
             } | properties.standard_positions()
+        if isinstance(autopilot, WaypointMission):
+            # It counts from the script's circle, which the mission moves.
+            optional.pop("cross_track_m", None)
         # Without a sensors system nothing in the aircraft needs noise; the record gets it anyway.
         has_sensors = mission.open().get_property_manager().hasNode("sensor/V-mps")
         flight = spec if has_sensors else replace(spec, sensor_noise=False)

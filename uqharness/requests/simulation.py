@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
@@ -19,6 +20,8 @@ from uqharness.requests.base import (
     option,
 )
 
+MISSION_SUFFIXES = (".plan", ".waypoints", ".mission", ".txt")
+"""Endings of missions of ground stations."""
 MISSIONS = ("steady", "doublets", "3-2-1-1")
 """Manoeuvres that are generated from a trim of any aircraft."""
 Category = Literal["A", "B", "C"]
@@ -71,7 +74,8 @@ class FlyRequest(Request):
     mission: fields.OptionalPath = option(
         None,
         "steady, doublets or 3-2-1-1: manoeuvres from trim at the speed, for any aircraft, in place"
-        " of a script; else a run script, by the name that campaigns have for it",
+        " of a script; a mission of QGroundControl (.plan) or ArduPilot (.waypoints), flown by the"
+        " built-in autopilot; else a run script, by the name that campaigns have for it",
         metavar="M",
         kind="str or Path, optional",
     )
@@ -120,9 +124,23 @@ class FlyRequest(Request):
         """Return whether the manoeuvres are generated from a trim."""
         return str(self.mission) in MISSIONS
 
+    @property
+    def flies_waypoints(self) -> bool:
+        """Return whether the mission is a file of waypoints."""
+        return (
+            self.mission is not None
+            and Path(self.mission).suffix.lower() in MISSION_SUFFIXES
+            and not self.generated
+        )
+
     @model_validator(mode="after")
     def _check_speed(self) -> FlyRequest:
         """Require the airspeed of generated manoeuvres, and refuse it otherwise."""
+        if self.flies_waypoints and self.autopilot_process is not None:
+            raise ValueError(
+                f"{{mission}} {self.mission}: the built-in autopilot flies it, a real one has its"
+                " own; leave out {autopilot_process} or {mission}"
+            )
         if self.generated and self.speed_mps is None:
             raise ValueError(
                 f"{{mission}} {self.mission}: add {{speed_mps}}, at which the aircraft trims"

@@ -21,6 +21,18 @@ class GainsTaken(Part):
 _GAINS = "gains taken from the parameter file; null without one"
 
 
+class FlownMissionItem(Part):
+    """One item of a mission of waypoints."""
+
+    number: int = Field(description="number of the item in the file")
+    kind: str = Field(description="leg, loiter, turns, time, to-altitude or home")
+    from_s: float = Field(description="when it began, s")
+    to_s: float = Field(description="when it was complete, or the flight ended, s")
+    complete: bool = Field(description="whether it was flown to its end")
+    cross_track_median_m: Number = Field(description="median distance from leg or circle, m")
+    cross_track_max_m: Number = Field(description="largest distance, m")
+
+
 class FlownFlight(Part):
     """One flight (`uqharness fly`)."""
 
@@ -33,6 +45,9 @@ class FlownFlight(Part):
     out: str | None = Field(description="file of the record; null if none was written")
     left_out: Texts = Field(description="columns that the file's format cannot hold")
     autopilot: GainsTaken | None = Field(default=None, description=_GAINS)
+    mission_items: list[FlownMissionItem] = Field(
+        default=[], description="items of a mission of waypoints"
+    )
 
 
 class Eigenvalue(Part):
