@@ -19,8 +19,8 @@ from tests.helpers.places import ROOT
 NAMES = {
     "uqharness": (
         "BadInputError LogError author campaign_area campaign_convergence campaign_report"
-        " campaign_status check_campaign compare diff dossier export export_log find_aircraft"
-        " find_trim fit_model_form fly identify instrument linearise log_info margins"
+        " campaign_status check_campaign check_surrogate compare diff dossier export export_log"
+        " find_aircraft find_trim fit_model_form fly identify instrument linearise log_info margins"
         " merge_campaign next_flight pbox performance plot_pbox propose_map read_campaign"
         " read_flights refine report rerun_case run_campaign salvage_campaign sensitivity study"
         " validate_bounds verify"

@@ -342,6 +342,24 @@ def check_surrogate(request: SurrogateCheckRequest) -> SurrogateCheck:
     ------
     BadInputError
         For an incomplete campaign, an aircraft that has changed, and a command that cannot start.
+
+    Examples
+    --------
+    A command that ends at once flies nothing.
+
+    >>> import uqharness as uq
+    >>> campaign = {
+    ...     "campaign": {
+    ...         "aircraft": "espaaro", "mission": "loiter", "seed": 1, "engine": "jsbsim"
+    ...     },
+    ...     "aleatory": {"flights": 4, "duration_s": 2, "burn_in_s": 0},
+    ...     "epistemic": {"method": "none"},
+    ... }
+    >>> flown = uq.run_campaign(campaign, "results", workers=1)
+    >>> uq.check_surrogate("results", autopilot_process="true", flights=4, autopilot_port=0)[
+    ...     "failed"
+    ... ]
+    4
     """
     return commands.surrogate_check(request).value
 

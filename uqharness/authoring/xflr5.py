@@ -3,7 +3,7 @@
 Each derivative stands beside its dimensional one ("Zw= -3.15  CLa= 4.30"), in stability axes at the
 trim of a control position. Both together give the reference lengths, which no log prints: forces
 are over rho V S/2, moments over that times b or c. The dimensional name tells the force, because
-``CLa`` is lift and ``CLde`` is a rolling moment. Control derivatives of XFLR5 are per radian, of
+"CLa" is lift and "CLde" a rolling moment. Control derivatives of XFLR5 are per radian, of
 flow5 per degree of a gain of 1. Air of 1.225 kg/m3, their default, is taken; options replace the
 lengths.
 """
@@ -221,9 +221,9 @@ def _entries(
             entries[coefficient, name] = Entry(per_radian * entry.value, path, entry.line)
     for variable in ("alpha", "q", *surfaces):
         for force, coefficient in (("CX", "CD"), ("CZ", "CL")):
-            entry = entries.pop((force, variable), None)
-            if entry is None:
+            if (force, variable) not in entries:
                 continue
+            entry = entries.pop((force, variable))
             # Cxa contains the turn of the lift into the axis: CX_alpha = CL - CD_alpha.
             turn = lift.value if (variable, force) == ("alpha", "CX") and lift else 0.0
             entries[coefficient, variable] = Entry(turn - entry.value, path, entry.line)

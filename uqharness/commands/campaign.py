@@ -25,9 +25,9 @@ from uqharness.campaign import (
     CONFIDENCE,
     CONVERGENCE,
     ERROR_METRICS,
+    OPTIONAL_METRICS,
     RERUN,
     STATEMENTS,
-    UNCOMMANDED_METRICS,
     CampaignSpec,
     Cost,
     Executor,
@@ -567,7 +567,7 @@ def surrogate_check(
         )
     requested = request.metric or tuple(
         name
-        for name in (*ERROR_METRICS, *UNCOMMANDED_METRICS)
+        for name in (*ERROR_METRICS, *OPTIONAL_METRICS)
         if "median" in name and not name.endswith("_measured") and name in pairs.rows
     )
     by_metric = corrections(pairs, requested)
