@@ -76,7 +76,6 @@ LONGEST_FILES = (
     "tests/sysid/effects/test_turbulence.py",
     "tests/uqharness/refinement/test_refine.py",
     "tests/uqharness/simulator/test_trim_causes.py",
-    "tests/uqharness/refinement/showing/test_show.py",
     "tests/uqharness/api/test_scripts.py",
     "tests/uqharness/flight/test_same_bytes.py",
     "tests/uqharness/identification/test_model_form.py",
@@ -88,7 +87,7 @@ LONGEST_FILES = (
     "tests/stories/test_bit_flips.py",
     "tests/stories/test_fuzz.py",
     "tests/uqharness/campaign/execution/test_dask.py",
-    "tests/hidden_effects/second/test_drawn.py",
+    "tests/hidden_effects/test_drawn.py",
 )
 """Files that take longest, which start first: a worker would otherwise end with one of them while
 the others idle. The order changes no result.

@@ -15,9 +15,11 @@ from .information import scores as scores
 from .information import solve as solve
 from .prediction import Columns as Columns
 from .prediction import FilteredSegment as FilteredSegment
+from .prediction import InnovationColour as InnovationColour
 from .prediction import MadeColumns as MadeColumns
 from .prediction import White as White
 from .prediction import follow as follow
+from .prediction import innovation_colour as innovation_colour
 from .prediction import minus_twice_log as minus_twice_log
 from .prediction import names_of as names_of
 from .prediction import whiten as whiten

@@ -26,7 +26,7 @@ from scipy.optimize import Bounds, minimize
 
 from sysid.aerodynamics import LENGTHS, NX, GustStates, Steps
 from sysid.arrays import FloatArray
-from sysid.effects.prediction import start_fitted
+from sysid.effects.prediction import InnovationColour, start_fitted
 from sysid.effects.tuned import CERTAIN_T, DIFFERENT
 from sysid.estimation import MeasuredSystem, Process, gains, variance_gradient, whiten_innovations
 from sysid.parallel import SERIAL, Processes, Shared
@@ -210,7 +210,10 @@ class TurbulenceModel:
     air
     across    the part of it that is lost without gusts across the path, in alpha and beta moments
     (3,) what is lost without moments about each axis that nothing explains; NaN where no filter
-    follows without factors   (m,) on the noise that the sensors are said to have"""
+    follows without
+    factors   (m,) on the noise that the sensors are said to have
+    colour    what a filter of this air leaves of the flights: how they depart from the gust model;
+              None: nothing"""
 
     states: tuple[GustStates, ...]
     values: FloatArray
@@ -221,6 +224,7 @@ class TurbulenceModel:
     across: float
     moments: FloatArray
     factors: FloatArray
+    colour: InnovationColour | None = None
 
     @property
     def air(self) -> bool:
@@ -417,7 +421,16 @@ def gust_intensity(
     passing = {f: best.states[members[0]].passing_mps for f, members in of.items()}
     process = search.process(range(len(measured)), best)
     return TurbulenceModel(
-        best.states, best.values, by_flight, passing, process, gain, across, moments, best.factors
+        best.states,
+        best.values,
+        by_flight,
+        passing,
+        process,
+        gain,
+        across,
+        moments,
+        best.factors,
+        None if prior_model is None else prior_model.colour,
     ), best.factors / prior_factors
 
 

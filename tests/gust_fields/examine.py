@@ -1,32 +1,38 @@
-"""Measures what the estimator finds in air of other kinds.
+"""Measures `refine` in air of other kinds.
 
     python -m tests.gust_fields.examine [FAMILY...] [--seconds S] [--w20-kt W] [--seeds N]
-        [--effect KEY --t T]
+        [--kinds KIND...] [--refine]
 
-Per family and seed, flights without a missing effect, or with the effect KEY of the battery at the
-size that three flights of 90 s in light turbulence see at |t| T: gains of moments without a candidate, the
-air that was found, the largest |t| of scales of the vanes and of any candidate, and the share of
-parameters whose 95 % interval has the truth."""
+Per family, kind of flight (`KINDS`) and seed: gains of moments without a candidate, the air that was
+estimated, the largest |t| of scales of the vanes and of any candidate, and the share of parameters
+whose 95 % interval has the truth. With --refine `refine` runs instead, on two flights and a test
+flight. Stock aircraft (`SPEEDS_OF`) are flown by JSBSim, in its own turbulence."""
 
 from __future__ import annotations
 
 import argparse
+import json
 import tempfile
 import time
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 
 from sysid.effects import scores
 from sysid.parallel import SERIAL
+from sysid.record import FlightRecord
+from sysid.units import FT_M
 from tests.gust_fields.fields import FAMILIES, Setting
 from tests.gust_fields.flights import fly_in
 from tests.helpers.sixdof import Airframe
-from tests.hidden_effects.catalogue import ENTRIES
+from tests.hidden_effects.answers import canonical, stands_for
 from tests.hidden_effects.effects import Effect
 from tests.hidden_effects.flights import Flight
+from tests.hidden_effects.gusts import KNOT
 from tests.hidden_effects.manoeuvres import card
+from uqharness.cli.main import main as uqharness
 from uqharness.identification.linearised import (
     ModelState,
     StagedModels,
@@ -40,7 +46,34 @@ from uqharness.refinement.estimators import PredictionErrorEstimator
 from uqharness.replay.flights import read_flights
 from uqharness.simulator import find_aircraft
 
-SPEEDS, STRENGTHS, COVERED = (20.5, 23.5), (0.9, 1.1), 1.96
+SPEEDS, STRENGTHS, COVERED = (20.5, 23.5, 22.0), (0.9, 1.1, 1.0), 1.96
+KINDS: dict[str, tuple[Effect, ...]] = {
+    "null": (),
+    "effect": (Effect("CX", "q_hat", 13.8),),
+    "vane": (Effect("sensor.beta_rad", "scale", 0.3),),
+    "outside": (Effect("Cn", "step(beta)", 0.005, "tanh(beta/0.05)"),),
+}
+"""What the model lacks: nothing, an effect of |t| 60 in three flights of 90 s, a vane that reads too
+much, a form that is not in the catalogue."""
+SPEEDS_OF = {"sgs126": (30, 36, 33), "sgs233": (28, 33, 30), "c172x": (50, 55, 52)}
+"""Stock aircraft of JSBSim, and the speeds of three flights [m/s]."""
+_FORCE = """<function name="aero/missing"> <product>
+    <property>aero/qbar-psf</property> <property>metrics/Sw-sqft</property>
+    <property>metrics/cbarw-ft</property> {}
+</product> </function>
+"""
+STOCK = {
+    "effect": _FORCE.format(2 * "<property>aero/beta-rad</property>" + "<value>1.0</value>"),
+    "outside": _FORCE.format(
+        """<table> <independentVar lookup="row">aero/beta-rad</independentVar>
+    <tableData> -1 -0.02
+    -0.02 -0.02
+    0.02 0.02
+    1 0.02 </tableData> </table>"""
+    ),
+}
+"""What stock aircraft lack, as functions of the pitching moment."""
+OF_KIND = {"effect": "CX:q_hat", "vane": "sensor.beta_rad:scale"}
 VANES = ("effect/sensor.alpha_rad/scale", "effect/sensor.beta_rad/scale")
 
 
@@ -64,10 +97,11 @@ def write_flights(
     w20_kt: float,
     folder: Path,
     effects: tuple[Effect, ...] = (),
+    count: int = 2,
 ) -> list[Path]:
-    """Fly and write two flights of a family."""
+    """Fly and write up to three flights of a family."""
     paths = []
-    for k, (V, strength) in enumerate(zip(SPEEDS, STRENGTHS, strict=True)):
+    for k, (V, strength) in enumerate(zip(SPEEDS[:count], STRENGTHS[:count], strict=True)):
         flown = card(100 * seed + k, V, seconds=seconds, strength=strength, first=5 * k, h_m=80.0)
         airframe = Airframe()
         at = Setting(V, 80.0, w20_kt, airframe.b, 1.6, seconds, 100 * seed + k)
@@ -75,6 +109,80 @@ def write_flights(
         paths.append(folder / f"{family}-{seed}-{k}.parquet")
         record.write(paths[-1])
     return paths
+
+
+def jsbsim_flights(
+    name: str, kind: str, seed: int, seconds: float, w20_kt: float, folder: Path
+) -> tuple[Path, list[Path]]:
+    """Fly a stock aircraft in JSBSim's own turbulence (MIL-F-8785C, atmosphere/turb-type 3).
+
+    Returns the aircraft that `refine` is given, and three flights of one that has the effect.
+    """
+    models = [folder / which / name for which in ("given", "truth")]
+    for model in models:
+        assert uqharness(["instrument", name, "--out", str(model), "--no-check", "--quiet"]) == 0
+    xml = models[1] / f"{name}.xml"
+    text = xml.read_text(encoding="utf-8")
+    place = text.index('<function name="uq/scaled/PITCH">')
+    xml.write_text(text[:place] + STOCK.get(kind, "") + text[place:], encoding="utf-8")
+    air = {"turb-type": 3, "turbulence/milspec/severity": 3}
+    air["turbulence/milspec/windspeed_at_20ft_AGL-fps"] = w20_kt * KNOT / FT_M
+    settings = [w for k, v in air.items() for w in ("--set", f"atmosphere/{k}={v}")]
+    paths = []
+    for k, mission in enumerate(("doublets", "3-2-1-1", "doublets")):
+        path = folder / f"{kind}-{seed}-{k}.parquet"
+        words = ["fly", str(models[1]), "--mission", mission, "--noise", "--quiet"]
+        words += ["--speed-mps", str(SPEEDS_OF[name][k]), "--altitude-m", "500"]
+        words += settings if w20_kt else []
+        words += ["--seed", str(100 * seed + k + 1), "--duration-s", str(seconds)]
+        assert uqharness([*words, "--out", str(path)]) == 0
+        record = FlightRecord.read(path)
+        scale = 1.3 if kind == "vane" else 1.0
+        record.with_columns({"beta_rad": scale * record["beta_rad"]}).write(path)
+        paths.append(path)
+    return models[0], paths
+
+
+def run_refine(aircraft: str | Path, paths: list[Path], kind: str, out: Path) -> str:
+    """Return in words whether `refine` was right, its verdict, effects and coverage."""
+    *train, test = map(str, paths)
+    words = ["refine", str(aircraft), "--train", *train, "--test", test, "--out", str(out)]
+    start = time.process_time()
+    uqharness([*words, "--no-pbox", "--no-figures", "--workers", "1"])
+    seconds = time.process_time() - start
+    document = json.loads((out / "refinement.json").read_text(encoding="utf-8"))
+    sets = [stands_for(e) for e in document["effects"]]
+    is_stock = str(aircraft) != "espaaro"
+    key = "Cm:beta^2" if kind == "effect" and is_stock else OF_KIND.get(kind)
+    coefficient = "Cm:" if is_stock else "Cn:"
+    is_named = any(key in names for names in sets)
+    false = sum(
+        not any(k.startswith(coefficient) for k in names) if kind == "outside" else key not in names
+        for names in sets
+    )
+    verdict = document["verdict"]
+    right = {
+        "null": verdict == "no-missing-effect",
+        "outside": verdict == "unexplained"
+        or any(coefficient in k for names in sets for k in names),
+    }.get(kind, is_named)
+    truth, z = Airframe().coefficients, []
+    for name, row in document["parameters"].items():
+        if row["std"]:
+            # The scales of a stock aircraft's coefficients are 1, its offsets 0.
+            default = 1.0 if "/scale/" in name else 0.0
+            true_value = truth.get(name.removeprefix("aero/"), default)
+            z.append((row["value"] - true_value) / row["std"])
+    effects = ", ".join(
+        f"{canonical(e)} {e['value']:.3g} t {e['evidence']['t']:.1f}" for e in document["effects"]
+    )
+    refused = document.get("best_refused") or {}
+    return (
+        f"{'right' if right else 'WRONG'} {verdict:17} false {false} covered"
+        f" {np.mean(np.abs(z) < COVERED):.2f} {seconds:4.0f} s  {effects or '-'}"
+        f"  refused {refused.get('effect')} {refused.get('t') or 0.0:.1f}"
+        f"  {[w['words'][:90] for w in document['remaining']['where'][:2]]}"
+    )
 
 
 def measure(paths: list[Path]) -> Finding:
@@ -99,8 +207,10 @@ def measure(paths: list[Path]) -> Finding:
     keys = [e.key for e in effects]
     t = dict(zip(keys, np.abs(scores(evidence, free, keys).t).tolist(), strict=True))
     largest = max((k for k in t if np.isfinite(t[k])), key=lambda k: t[k])
+    colour = air.gusts.colour
+    order = "" if colour is None else f"; innovations of order {len(colour.coefficients)}"
     return Finding(
-        air.gusts.words,
+        air.gusts.words + order,
         tuple(air.gusts.moments.tolist()),
         tuple(t.get(v, float("nan")) for v in VANES),
         (largest, t[largest]),
@@ -121,28 +231,35 @@ def coverage(evidence, estimates, truth):  # type: ignore[no-untyped-def]
 def main() -> None:
     """Measure the families of the command line and print a row of each."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("families", nargs="*", default=list(FAMILIES))
-    parser.add_argument("--seconds", type=float, default=60.0)
+    parser.add_argument("families", nargs="*", default=[*FAMILIES, *SPEEDS_OF])
+    parser.add_argument("--seconds", type=float, default=45.0)
     parser.add_argument("--w20-kt", type=float, default=15.0)
     parser.add_argument("--seeds", type=int, default=1)
-    parser.add_argument("--effect", choices=sorted(ENTRIES), metavar="KEY")
-    parser.add_argument("--t", type=float, default=30.0)
+    parser.add_argument("--first", type=int, default=1, help="first seed")
+    parser.add_argument("--kinds", nargs="+", choices=KINDS, default=["null"])
+    parser.add_argument("--refine", action="store_true")
     request = parser.parse_args()
-    effects = (ENTRIES[request.effect].effect(request.t, "light"),) if request.effect else ()
-    for family in request.families:
-        for seed in range(request.seeds):
-            with tempfile.TemporaryDirectory() as folder:
-                paths = write_flights(
-                    family, seed, request.seconds, request.w20_kt, Path(folder), effects
-                )
-                row = measure(paths)
-            gains = " ".join(f"{g:9.0f}" for g in row.moments)
-            vanes = " ".join(f"{t:5.1f}" for t in row.vane_t)
-            print(
-                f"{family:18} {seed} {gains}  vanes {vanes}  {row.largest[1]:5.1f}"
-                f" {row.largest[0]:34} {row.covered:.2f} {row.seconds:4.0f} s  {row.air}",
-                flush=True,
-            )
+    seeds = range(request.first, request.first + request.seeds)
+    for family, kind, seed in product(request.families, request.kinds, seeds):
+        with tempfile.TemporaryDirectory() as folder:
+            setting = (seed, request.seconds, request.w20_kt, Path(folder))
+            aircraft: str | Path = "espaaro"
+            if family in SPEEDS_OF:
+                aircraft, paths = jsbsim_flights(family, kind, *setting)
+            else:
+                paths = write_flights(family, *setting, KINDS[kind], 3 if request.refine else 2)
+            if request.refine:
+                answer = run_refine(aircraft, paths, kind, Path(folder) / "out")
+                print(f"{family:14} {kind:8} {seed} {answer}", flush=True)
+                continue
+            row = measure(paths)
+        gains = " ".join(f"{g:9.0f}" for g in row.moments)
+        vanes = " ".join(f"{t:5.1f}" for t in row.vane_t)
+        print(
+            f"{family:18} {kind:8} {seed} {gains}  vanes {vanes}  {row.largest[1]:5.1f}"
+            f" {row.largest[0]:34} {row.covered:.2f} {row.seconds:4.0f} s  {row.air}",
+            flush=True,
+        )
 
 
 if __name__ == "__main__":

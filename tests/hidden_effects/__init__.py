@@ -1,5 +1,5 @@
-"""Flights with hidden effects: an examination for `uqharness refine` whose answers it never sees.
+"""Flights with hidden effects, on which `uqharness refine` is tested.
 
-The flights come from equations of motion of their own (motion.py, no JSBSim); effects.py hides
-effects in them, cases.py lists the battery, answers.py knows what may be answered, run.py asks.
-docs/hidden-effects.md tells how to use it."""
+Flights come from equations of motion without JSBSim (motion.py, equations.py); effects.py hides
+effects in them, drawn.py draws cases, weighing.py sizes their effects, verdict.py and answers.py
+judge refinement.json, and `python -m tests.hidden_effects` runs 40 cases."""

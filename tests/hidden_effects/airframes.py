@@ -23,15 +23,6 @@ _MASS = {
 }
 
 
-def aircraft_folder(name: str, airframe: Airframe, folder: Path) -> Path:
-    """aircraft/espaaro of the project as it stands, or a copy called ``name`` that holds the
-    airframe's numbers.
-    """
-    if name == "espaaro":
-        return ROOT / "aircraft" / "espaaro"
-    return write_aircraft(name, airframe, folder)
-
-
 def write_aircraft(name: str, airframe: Airframe, folder: Path) -> Path:
     """folder/name: a copy of aircraft/espaaro whose coefficients, masses and lengths are the
     airframe's. Returns its folder.

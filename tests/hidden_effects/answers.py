@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping
 from typing import Any
 
-from tests.helpers.sixdof import isa_density
-from tests.hidden_effects.cases import Case
 from tests.hidden_effects.catalogue import ENTRIES
-from tests.hidden_effects.effects import COEFFICIENTS
 
 # rms over noise up to which a channel is at the noise floor, as `uqharness compare` has it
 FLOOR = 1.15
@@ -31,32 +27,6 @@ _CHANNELS = (
     "az_mps2",
     "h_m",
 )
-
-
-@dataclass(frozen=True)
-class Score:
-    """One case judged.
-
-    right     the case's own criterion: right name (or inseparable set with it) first; both of a
-    pair; nothing for a null;
-              off form: unexplained, or proxies alone that bring the test gap to the floor
-    together  of a cause that is one and the same with another on the data: both stand in the answer
-    (None: no such cause, or
-              the other belongs to no body)
-    spurious  effects that stand for nothing hidden
-    z         (value - truth) / std of each coefficient term that was named as hidden
-    gap       test gap after over the noise, root mean square over channels
-    faults    where the file breaks its contract
-    """
-
-    right: bool
-    verdict: str
-    answer: tuple[str, ...]
-    spurious: int
-    together: bool | None = None
-    z: tuple[float, ...] = ()
-    gap: float = math.nan
-    faults: tuple[str, ...] = field(default=())
 
 
 def canonical(effect: Mapping[str, Any]) -> str:
@@ -85,72 +55,6 @@ def stands_for(effect: Mapping[str, Any]) -> set[str]:
         canonical(effect),
         *(canonical(a) for a in effect.get("alternatives", ()) if a.get("separable") is False),
     }
-
-
-def judge(case: Case, found: Mapping[str, Any], exit_code: int) -> Score:
-    """Score of a refinement.json against the case's truth."""
-    faults = tuple(contract_faults(found, exit_code))
-    effects: Sequence[Mapping[str, Any]] = found.get("effects") or []
-    sets = [stands_for(e) for e in effects]
-    verdict = str(found.get("verdict"))
-    hidden = [ENTRIES[k] for k in case.entries]
-    allowed = set().union(*(accepted(e.key) | set(e.proxies) for e in hidden)) if hidden else set()
-    spurious = sum(1 for s in sets if not s & allowed)
-    gap = test_gap(found)
-    if case.kind == "null":
-        right = verdict == "no-missing-effect" and not effects
-    elif any(e.off_form for e in hidden):
-        right = spurious == 0 and (verdict == "unexplained" or (bool(effects) and at_floor(found)))
-    elif case.kind == "pair":
-        right = all(any(s & accepted(e.key) for s in sets) for e in hidden)
-    else:
-        right = (
-            bool(sets) and bool(sets[0] & accepted(hidden[0].key)) and len(sets[0]) <= LARGEST_SET
-        )
-    with_twin = [e for e in hidden if e.same and ENTRIES.get(e.same[0]) and _any_body(case, e.key)]
-    together = None
-    if with_twin:
-        together = all(any({e.key, *e.same} <= s for s in sets) for e in with_twin)
-    return Score(
-        right,
-        verdict,
-        tuple(" | ".join(sorted(s)) for s in sets),
-        spurious,
-        together,
-        _errors(case, effects),
-        gap,
-        faults,
-    )
-
-
-def _any_body(case: Case, key: str) -> bool:
-    """Whether a body could have the product of inertia that does what pitching moment from roll
-    rate squared does.
-
-    Ixz p^2 = qbar S c Cm_p2 (p b / 2V)^2, so Ixz = rho S c b^2 Cm_p2 / 8; no body's squared is
-    above Ixx Izz."""
-    a = case.airframe
-    hidden = [e.size for e in case.effects if e.key == key == "Cm:p_hat^2"]
-    return all(
-        abs(isa_density(0.0) * a.S * a.c * a.b**2 * size / 8.0) < math.sqrt(a.Ixx * a.Izz)
-        for size in hidden
-    )
-
-
-def _errors(case: Case, effects: Sequence[Mapping[str, Any]]) -> tuple[float, ...]:
-    """(value - truth) / std where a hidden coefficient term was named by its own name."""
-    out = []
-    for truth in case.effects:
-        if truth.subject not in COEFFICIENTS or truth.form:
-            continue
-        for e in effects:
-            if canonical(e) == truth.key:
-                value, std = e.get("value"), e.get("std")
-                good = (
-                    isinstance(value, (int, float)) and isinstance(std, (int, float)) and std > 0.0
-                )
-                out.append((value - truth.size) / std if good else math.inf)
-    return tuple(out)
 
 
 def _judging(found: Mapping[str, Any]) -> Mapping[str, Any]:

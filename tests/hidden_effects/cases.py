@@ -1,6 +1,4 @@
-"""The battery: cases with opaque names, each an aircraft with hidden effects, three flights to
-train on and one to test on.
-"""
+"""Cases: an aircraft with hidden effects, three flights to train on and one to test on."""
 
 from __future__ import annotations
 
@@ -12,7 +10,6 @@ from pathlib import Path
 import numpy as np
 
 from tests.helpers.sixdof import TABLE_2_6, Airframe
-from tests.hidden_effects.catalogue import ENTRIES, IN_FORM, OFF_FORM, Entry, sizes
 from tests.hidden_effects.effects import Effect
 from tests.hidden_effects.flights import Flight, fly
 from tests.hidden_effects.manoeuvres import KINDS, Card, card
@@ -31,12 +28,6 @@ SLOW_KINDS = (
 )
 GROUND_KINDS = ("elevator doublet", "aileron doublet", "elevator 3-2-1-1", "rudder doublet")
 _FLOWN_KINDS = {"mixed": KINDS, "slow": SLOW_KINDS, "ground": GROUND_KINDS}
-CLEAR, MARGINAL, OBVIOUS, TURBULENT = (
-    (14.0, 120.0),
-    (4.0, 8.0),
-    (60.0, 200.0),
-    (12.0, 22.0),
-)  # ranges of |t| aimed at, by geometric chance
 
 # A second aeroplane, for those who should not learn the first by heart: heavier, a tail that pushes
 # down, more dihedral.
@@ -97,11 +88,10 @@ class Case:
     test: tuple[Card, ...]
     airframe: Airframe = field(default_factory=Airframe)
     aircraft: str = "espaaro"
-    core: bool = False
 
     @property
     def id(self) -> str:
-        text = f"{self.truth}|{self.kind}|{self.air}|{self.aircraft}|battery"
+        text = f"{self.truth}|{self.kind}|{self.air}|{self.aircraft}"
         return hashlib.sha256(text.encode()).hexdigest()[:10]
 
     def flights(self, which: str) -> list[Flight]:
@@ -193,92 +183,6 @@ def cards(
     return tuple(found)
 
 
-def _case(
-    truth: str,
-    kind: str,
-    entries: Sequence[Entry],
-    t: tuple[float, float],
-    air: str,
-    **more: object,
-) -> Case:
-    name = f"{truth}/{kind}"
-    rng = np.random.default_rng(_seed(name))
-    servo = any(e.subject.startswith("actuator") for e in entries)
-    flown = next((e.flown for e in entries if e.flown != "mixed"), "mixed")
-    four = cards(
-        name,
-        flown,
-        LIGHT_KT if air == "light" else 0.0,
-        rate_hz=float(rng.choice([50.0, 50.0, 50.0, 50.0, 25.0, 100.0])),
-        positions=not servo and bool(rng.random() < 0.25),
-    )
-    # Sizes are for three flights of Table 2.1's noise; no size is typical.
-    effects = tuple(e.effect(t[0] * (t[1] / t[0]) ** float(rng.random()), air) for e in entries)
-    return Case(
-        truth,
-        kind,
-        air,
-        tuple(e.key for e in entries),
-        effects,
-        four[:3],
-        four[3:],
-        core=all(e.core for e in entries),
-        **more,  # type: ignore[arg-type]
-    )
-
-
-def _nulls() -> list[Case]:
-    """Thirty each in calm air and light turbulence: nominal, wrong parameters, other noise, other
-    rates, another aeroplane.
-    """
-    found = []
-    for air, w20 in (("calm", 0.0), ("light", LIGHT_KT)):
-        for i in range(30):
-            name = f"null {i}"
-            rng = np.random.default_rng(_seed(f"{name}/{air}"))
-            kind = ("nominal", "parameters", "noise", "parameters", "rate", "second")[i % 6]
-            airframe, aircraft, noise, rate = Airframe(), "espaaro", 1.0, 50.0
-            effects: tuple[Effect, ...] = ()
-            if kind == "parameters":
-                airframe = perturbed(Airframe(), rng)
-                # A centre of gravity that lies elsewhere is one more way to have wrong parameters:
-                # the linear terms take it up.
-                effects = (
-                    (Effect("mass", "cg_x", float(rng.choice([-0.02, 0.02]))),)
-                    if i % 12 == 1
-                    else ()
-                )
-            elif kind == "noise":
-                noise = float(rng.choice([0.5, 2.0]))
-            elif kind == "rate":
-                rate = float(rng.choice([25.0, 100.0]))
-            elif kind == "second":
-                airframe, aircraft = perturbed(SECOND, rng), "second"
-            four = cards(
-                f"{name}/{air}",
-                "slow" if i % 10 == 9 else "mixed",
-                w20,
-                noise,
-                rate,
-                positions=i % 5 == 4,
-            )
-            found.append(
-                Case(
-                    f"{name} {kind}",
-                    "null",
-                    air,
-                    (),
-                    effects,
-                    four[:3],
-                    four[3:],
-                    airframe,
-                    aircraft,
-                    core=i < 6,
-                )
-            )
-    return found
-
-
 def perturbed(airframe: Airframe, rng: np.random.Generator) -> Airframe:
     """The airframe with every coefficient moved by 15 % (one standard deviation); those carried at
     zero stay there.
@@ -288,42 +192,3 @@ def perturbed(airframe: Airframe, rng: np.random.Generator) -> Airframe:
         for n, v in airframe.coefficients.items()
     }
     return replace(airframe, coefficients=moved)
-
-
-_PAIRS = (
-    ("Cm:p_hat^2", "Cl:de"),
-    ("CX:q_hat", "Cn:alpha*p_hat"),
-    ("Cm:alpha^2", "CY:abs(beta)*beta"),
-    ("Cl:CT", "CX:beta^2"),
-    ("actuator.elevator:lag", "Cl:alpha*beta"),
-    ("sensor.alpha_rad:scale", "Cm:beta^2"),
-    ("propulsion:thrust_scale", "Cm:CT"),
-    ("CZ:q_hat", "actuator.aileron:deadband"),
-    ("Cm:dr", "Cl:alpha*p_hat"),
-    ("CX:de", "Cn:abs(beta)*beta"),
-)
-
-
-def battery() -> list[Case]:
-    """Every case, in an order that never changes."""
-    found = []
-    for entry in IN_FORM:
-        for kind, t in (("clear", CLEAR), ("marginal", MARGINAL)):
-            found.append(_case(entry.key, kind, [entry], t, "calm"))
-        if entry.key in sizes("light"):
-            found.append(_case(entry.key, "clear", [entry], TURBULENT, "light"))
-    for entry in OFF_FORM:
-        found += [
-            _case(entry.key, "off-form", [entry], CLEAR, "calm"),
-            _case(f"{entry.key} more", "off-form", [entry], OBVIOUS, "calm"),
-        ]
-    found += [
-        _case(" and ".join(keys), "pair", [ENTRIES[k] for k in keys], CLEAR, "calm")
-        for keys in _PAIRS
-    ]
-    found += _nulls()
-    rng = np.random.default_rng(7)
-    for key in ("Cm:p_hat^2", "Cl:alpha*beta", "CX:q_hat", "actuator.elevator:lag"):
-        one = _case(f"{key} on another aeroplane", "clear", [ENTRIES[key]], OBVIOUS, "calm")
-        found.append(replace(one, airframe=perturbed(SECOND, rng), aircraft="second"))
-    return found

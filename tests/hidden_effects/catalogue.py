@@ -1,4 +1,4 @@
-"""Which effects the battery hides, in which kind of flight, and what may be answered.
+"""Which effects are hidden, in which kind of flight, and what may be answered.
 
 Sizes stand in sizes.csv.
 """
@@ -18,15 +18,15 @@ SIZES = Path(__file__).with_name("sizes.csv")
 
 @dataclass(frozen=True)
 class Entry:
-    """One effect of the battery.
+    """One hidden effect.
 
     guess    its size before calibration, with its sign          flown    kind of flight: mixed |
     slow | ground
     same     keys that are the same thing on the data: any of them, or a set with one of them, is
     the right name proxies  off form only: keys that may stand in its place if they bring the gap
     down
-    form     regressor of an effect that no vocabulary knows     core     belongs to the battery's
-    core"""
+    form     regressor of an effect that no vocabulary knows
+    """
 
     subject: str
     term: str
@@ -35,7 +35,6 @@ class Entry:
     same: tuple[str, ...] = ()
     proxies: tuple[str, ...] = ()
     form: str = ""
-    core: bool = False
 
     @property
     def key(self) -> str:
@@ -60,9 +59,7 @@ class Entry:
 
 @lru_cache(maxsize=2)
 def sizes(air: str) -> Mapping[str, float]:
-    """Key -> size at |t| = 10 in calm air or light turbulence, as `python -m
-    tests.hidden_effects.calibrate` measured it.
-    """
+    """Key -> size at |t| = 10 in calm air or light turbulence."""
     if not SIZES.is_file():
         return {}
     with SIZES.open(encoding="utf-8") as handle:
@@ -70,51 +67,51 @@ def sizes(air: str) -> Mapping[str, float]:
 
 
 IN_FORM = (
-    Entry("Cm", "p_hat^2", 0.12, same=("mass:Ixz",), core=True),
-    Entry("Cm", "alpha^2", 0.16, core=True),
-    Entry("Cm", "beta^2", 0.03, core=True),
+    Entry("Cm", "p_hat^2", 0.12, same=("mass:Ixz",)),
+    Entry("Cm", "alpha^2", 0.16),
+    Entry("Cm", "beta^2", 0.03),
     Entry("Cm", "de^3", -3e-6),
     Entry("Cm", "dr", 5e-5),
-    Entry("Cm", "CT", 0.02, same=("propulsion:slipstream",), core=True),
+    Entry("Cm", "CT", 0.02, same=("propulsion:slipstream",)),
     Entry("Cm", "de*CT", -0.004, same=("propulsion:slipstream",)),
     Entry("Cm", "alpha*q_hat", -30.0),
     Entry("Cm", "alphadot_hat", -4.0),
-    Entry("CZ", "q_hat", -1.0, core=True),
+    Entry("CZ", "q_hat", -1.0),
     Entry("CZ", "alpha^2", 2.0),
-    Entry("CZ", "alpha^3", 10.0, core=True),
-    Entry("CX", "q_hat", 0.35, core=True),
-    Entry("CX", "beta^2", -0.05, core=True),
+    Entry("CZ", "alpha^3", 10.0),
+    Entry("CX", "q_hat", 0.35),
+    Entry("CX", "beta^2", -0.05),
     Entry("CX", "de", 2e-4),
-    Entry("CY", "abs(beta)*beta", -0.1, core=True),
+    Entry("CY", "abs(beta)*beta", -0.1),
     Entry("CY", "alpha*beta", -0.3),
     Entry("CY", "da", 1e-4),
-    Entry("Cl", "de", 6e-6, core=True),
-    Entry("Cl", "alpha*beta", -0.03, core=True),
+    Entry("Cl", "de", 6e-6),
+    Entry("Cl", "alpha*beta", -0.03),
     Entry("Cl", "alpha*p_hat", 0.2),
     Entry("Cl", "da^3", -1e-6),
-    Entry("Cl", "CT", 0.001, same=("propulsion:torque",), core=True),
+    Entry("Cl", "CT", 0.001, same=("propulsion:torque",)),
     Entry("Cn", "alpha*beta", 0.03),
-    Entry("Cn", "alpha*p_hat", -0.2, core=True),
+    Entry("Cn", "alpha*p_hat", -0.2),
     Entry("Cn", "abs(beta)*beta", 0.01),
     Entry("Cn", "alpha*da", -1e-3),
     Entry("Cn", "de", 5e-6),
-    Entry("actuator.elevator", "lag", 23.0, core=True),
+    Entry("actuator.elevator", "lag", 23.0),
     Entry("actuator.aileron", "lag", 23.0),
     Entry("actuator.rudder", "lag", 22.0),
     Entry("actuator.elevator", "deadband", 0.05),
-    Entry("actuator.aileron", "deadband", 0.04, core=True),
+    Entry("actuator.aileron", "deadband", 0.04),
     Entry("actuator.rudder", "deadband", 0.1),
     Entry("actuator.aileron", "rate_limit", 90.0),
-    Entry("propulsion", "thrust_scale", 0.04, same=("CX:CT",), core=True),
+    Entry("propulsion", "thrust_scale", 0.04, same=("CX:CT",)),
     Entry("mass", "Ixz", 0.05, same=("Cm:p_hat^2",)),
-    Entry("sensor.alpha_rad", "scale", 0.05, core=True),
+    Entry("sensor.alpha_rad", "scale", 0.05),
     Entry("sensor.beta_rad", "scale", 0.03),
-    Entry("sensor.alpha_rad", "delay", 0.01, core=True),
+    Entry("sensor.alpha_rad", "delay", 0.01),
     Entry("sensor.beta_rad", "delay", 0.01),
     Entry("sensor.V_mps", "scale", 0.05),
     Entry("sensor.ax_mps2", "bias", 0.1),
     Entry("sensor.theta_rad", "bias", 0.02),
-    Entry("stall", "separation", 0.2, flown="slow", core=True),
+    Entry("stall", "separation", 0.2, flown="slow"),
     Entry("stall", "dynamic", 0.2, flown="slow"),
     Entry("ground", "lift", 0.05, flown="ground"),
 )
@@ -126,7 +123,6 @@ OFF_FORM = (
         -0.08,
         form="maximum(alpha-0.05,0)",
         proxies=("Cm:alpha^2", "Cm:alpha^3", "Cm:abs(alpha)*alpha"),
-        core=True,
     ),
     Entry(
         "Cn",
@@ -134,14 +130,12 @@ OFF_FORM = (
         0.001,
         form="tanh(beta/0.05)",
         proxies=("Cn:beta^3", "Cn:abs(beta)*beta"),
-        core=True,
     ),
     Entry(
         "actuator.elevator",
         "backlash",
         0.1,
         proxies=("actuator.elevator:deadband", "actuator.elevator:lag"),
-        core=True,
     ),
     Entry(
         "Cl",
@@ -157,7 +151,7 @@ OFF_FORM = (
         form="maximum(abs(da)-3,0)",
         proxies=("CX:da^2", "CX:abs(da)", "CX:abs(da)*da"),
     ),
-    Entry("Cm", "wave(t)", 5e-4, form="sin(2.5*t_s)", core=True),
+    Entry("Cm", "wave(t)", 5e-4, form="sin(2.5*t_s)"),
     Entry("Cl", "break(t)", 3e-5, form="where(t_s>45,1,0)"),
     Entry("CZ", "ripple(alpha)", 0.01, form="sin(80*alpha)", proxies=("CZ:alpha^2", "CZ:alpha^3")),
     Entry("actuator.aileron", "late", 1.0, proxies=("actuator.aileron:lag",)),
@@ -170,7 +164,7 @@ OFF_FORM = (
     ),
 )
 
-# Hidden in fresh draws alone (fresh.py), where the size is found for the case's own flights: the
+# Hidden in draws alone, where the size is found for the case's own flights: the
 # guess only has to be small.
 OTHERS = (
     *(Entry("CX", term, 0.01) for term in ("alpha^3", "alpha*q_hat", "dr^2", "da^2")),
@@ -204,6 +198,5 @@ OTHERS = (
     Entry("sensor.p_radps", "delay", 0.005),
 )
 
-BATTERY = (*IN_FORM, *OFF_FORM)
 ON_ORDER = (Entry("mass", "cg_in_airframe", 0.03, same=("mass:cg_x",)),)
-ENTRIES: Mapping[str, Entry] = {e.key: e for e in (*BATTERY, *OTHERS, *ON_ORDER)}
+ENTRIES: Mapping[str, Entry] = {e.key: e for e in (*IN_FORM, *OFF_FORM, *OTHERS, *ON_ORDER)}

@@ -10,11 +10,11 @@ import pytest
 from tests.hidden_effects import effects
 from tests.hidden_effects.cases import SECOND
 from tests.hidden_effects.catalogue import ENTRIES
+from tests.hidden_effects.drawn import drawn
 from tests.hidden_effects.effects import Effect
 from tests.hidden_effects.equations import STACK, VARIABLES, interpolated, run
 from tests.hidden_effects.expressions import programme
 from tests.hidden_effects.motion import Model, evaluate
-from tests.hidden_effects.second.drawn import drawn
 
 COEFFICIENT_TERMS = sorted(
     {e.form or e.term for e in ENTRIES.values() if e.subject in effects.COEFFICIENTS}

@@ -544,9 +544,10 @@ def _information(
     """Normal equations of a fit's own columns beside further regressors."""
     columns = merged(fit.columns, regressors)
     process = None if turbulence is None else turbulence.process
+    colour = None if turbulence is None else turbulence.colour
     filtered = follow(fit.steps, measured, data.output_rows, data.noise, process)
     return normal_equations(
-        whiten_each(filtered, columns),
+        whiten_each(filtered, columns, colour),
         columns.names,
         confirming_segments(data),
         PRIOR,

@@ -21,9 +21,11 @@ from sysid.effects import (
     REMEMBERED_AIRS,
     Columns,
     FilteredSegment,
+    InnovationColour,
     TurbulenceModel,
     follow,
     gust_intensity,
+    innovation_colour,
     minus_twice_log,
     normal_equations,
     whitened,
@@ -92,6 +94,8 @@ on a straight line.
 """
 SHARE_WITHIN = 0.125, 4.0
 """Least and largest share of a step that is taken."""
+COLOUR_TURNS = 2
+"""Estimates of the innovations' colour in an iteration."""
 TOLERANCE, ITERATIONS = 0.2, 10
 """Length of a step, in standard errors, that ends the iteration; how many there are at most."""
 
@@ -108,7 +112,8 @@ class TurbulentFit:
     @property
     def neg2_log_likelihood(self) -> float:
         """Minus twice the log likelihood of the flights."""
-        return minus_twice_log(self.fit.evidence.white)
+        colour = self.gusts.colour
+        return minus_twice_log(self.fit.evidence.white) + (colour.penalty if colour else 0.0)
 
 
 def measured_states(setup: FlightData, point: ModelState) -> list[FloatArray]:
@@ -296,7 +301,11 @@ def gust_refit(
         # sensor reads half a percent high.
         causal, path = path is not None, [p.body for p in linear_probes]
         columns = parameter_columns(setup, linear_probes, trajectory, names, analytic)
-        white = whitened(followed, columns)
+        colour = gusts.colour
+        if not fixed_air:
+            colour = colour_of(followed, columns, colour)
+            gusts = replace(gusts, colour=colour)
+        white = whitened(followed, columns, colour)
         evidence = normal_equations(white, columns[0].names, [0] * len(white), PRIOR)
         before = None if sought else delta
         delta, length = step_from(setup, point, evidence)
@@ -329,6 +338,26 @@ def gust_refit(
         setup,
         length,
     )
+
+
+def colour_of(
+    followed: Sequence[FilteredSegment],
+    columns: Sequence[Columns],
+    colour: InnovationColour | None,
+) -> InnovationColour | None:
+    """What the innovations' colour is beside the best parameters, from an estimate of it on: by
+    turns, each given the other (Cochrane and Orcutt, JASA 44, 1949).
+    """
+    plain = whitened(followed, columns)
+    names, groups = columns[0].names, [0] * len(plain)
+    observed = normal_equations(plain, names, groups, PRIOR)
+    for _ in range(COLOUR_TURNS):
+        white = whitened(followed, columns, colour) if colour else plain
+        step, _ = normal_equations(white, names, groups, PRIOR).step()
+        colour = innovation_colour(observed.residual(step))
+        if colour is None:
+            break
+    return colour
 
 
 def relaxed(share: float, before: FloatArray, step: FloatArray, information: FloatArray) -> float:

@@ -18,7 +18,7 @@ from tests.hidden_effects.catalogue import IN_FORM, OTHERS, Entry
 from tests.hidden_effects.effects import COEFFICIENTS
 from tests.hidden_effects.flights import Flight
 from tests.hidden_effects.motion import IDEAL, Drive
-from tests.hidden_effects.second.wrongs import (
+from tests.hidden_effects.wrongs import (
     IDEAL_SERVOS,
     KINDS,
     PLAIN,

@@ -11,9 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from tests.hidden_effects.catalogue import Entry
-from tests.hidden_effects.effects import Effect
-from tests.hidden_effects.flights import Flight, fly_and_tell
-from tests.hidden_effects.second.drawn import (
+from tests.hidden_effects.drawn import (
     CLEAR_T,
     LEAST_CARD_T,
     Question,
@@ -21,6 +19,8 @@ from tests.hidden_effects.second.drawn import (
     linear,
     shortened,
 )
+from tests.hidden_effects.effects import Effect
+from tests.hidden_effects.flights import Flight, fly_and_tell
 from tests.hidden_effects.strength import strengths, strengths_alone
 
 COARSE_S = 0.02

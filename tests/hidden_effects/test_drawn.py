@@ -11,11 +11,7 @@ import numpy as np
 import pytest
 
 from tests.helpers.sixdof import Airframe
-from tests.hidden_effects.effects import SURFACES, Effect
-from tests.hidden_effects.flights import Flight, earlier, fly, fly_and_tell
-from tests.hidden_effects.manoeuvres import card
-from tests.hidden_effects.motion import IDEAL, LAG, Model, evaluate, trim
-from tests.hidden_effects.second.drawn import (
+from tests.hidden_effects.drawn import (
     DEVELOPMENT,
     DEVELOPMENT_SEED,
     SEEDS,
@@ -24,10 +20,14 @@ from tests.hidden_effects.second.drawn import (
     shortened,
     slots,
 )
-from tests.hidden_effects.second.folders import folder_of, state
-from tests.hidden_effects.second.weighing import question, sized
-from tests.hidden_effects.second.wrongs import KINDS, Stated, wrong
+from tests.hidden_effects.effects import SURFACES, Effect
+from tests.hidden_effects.flights import Flight, earlier, fly, fly_and_tell
+from tests.hidden_effects.folders import folder_of, state
+from tests.hidden_effects.manoeuvres import card
+from tests.hidden_effects.motion import IDEAL, LAG, Model, evaluate, trim
 from tests.hidden_effects.strength import strengths_alone
+from tests.hidden_effects.weighing import question, sized
+from tests.hidden_effects.wrongs import KINDS, Stated, wrong
 from uqharness.simulator.actuators import actuators
 from uqharness.simulator.aircraft import find_aircraft
 

@@ -20,8 +20,8 @@ from tests.hidden_effects.answers import (
     test_gap,
 )
 from tests.hidden_effects.catalogue import ENTRIES
-from tests.hidden_effects.second.drawn import Question
-from tests.hidden_effects.second.wrongs import SAME_NUMBER
+from tests.hidden_effects.drawn import Question
+from tests.hidden_effects.wrongs import SAME_NUMBER
 
 NORMAL_95 = 1.959964
 STRONG_T = 10.0

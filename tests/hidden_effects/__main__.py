@@ -1,0 +1,93 @@
+"""Runs `uqharness refine` on 40 cases and judges the answers: a regression test of some hours.
+
+    python -m tests.hidden_effects --out DIR [--numbers N ...] [--seconds S]
+
+Cases 0 to 15 are the development draw, 16 to 39 come from draw 1. DIR/answers.csv has a line per
+case; cases that are in it are not run again. Exit code 0: at most `ALLOWED` answers are wrong."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+from tests.hidden_effects.cases import write
+from tests.hidden_effects.drawn import DEVELOPMENT, Question, slots
+from tests.hidden_effects.folders import folder_of
+from tests.hidden_effects.verdict import Verdict, judge
+from tests.hidden_effects.weighing import question
+from uqharness.cli.main import main as uqharness
+
+COUNT, ALLOWED = 40, 3
+COLUMNS = ("number", "case", "kind", "air", "truth", "t", "right", "verdict", "answer", "cpu_s")
+
+
+def case(number: int, folder: Path, seconds: float | None = None) -> Question:
+    """Return a case with its effects sized; sizes are kept in ``folder``."""
+    development = len(slots(DEVELOPMENT))
+    if number < development:
+        return question(DEVELOPMENT, number, folder, seconds)
+    draw = len(slots(1))
+    return question(1, (number - development) * draw // (COUNT - development), folder, seconds)
+
+
+def ask(asked: Question, folder: Path) -> tuple[dict[str, Any], int]:
+    """Return refinement.json and the exit code of `refine`."""
+    if write([asked], folder / "flights"):
+        raise SystemExit(f"case {asked.id}: an effect so large that a flight is lost")
+    files, out = asked.files(folder / "flights"), folder / "refined" / asked.id
+    aircraft = folder_of(asked, folder / "aircraft")
+    words = ["refine", str(aircraft), "--train", *map(str, files["train"])]
+    words += ["--test", *map(str, files["test"]), "--out", str(out)]
+    code = uqharness([*words, "--no-pbox", "--no-figures", "--workers", "1"])
+    path = out / "refinement.json"
+    return (json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}), code
+
+
+def right(asked: Question, verdict: Verdict) -> bool:
+    """Whether the answer names everything hidden and nothing else."""
+    if verdict.fair is not None:
+        return verdict.fair
+    nothing = verdict.verdict == "no-missing-effect" or bool(asked.entries or asked.wrong)
+    return nothing and all(verdict.named) and verdict.card is not False and not verdict.spurious
+
+
+def main() -> int:
+    """Run the cases and print a line of each."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--numbers", type=int, nargs="+", default=list(range(COUNT)))
+    parser.add_argument("--seconds", type=float)
+    request = parser.parse_args()
+    request.out.mkdir(parents=True, exist_ok=True)
+    path = request.out / "answers.csv"
+    if not path.is_file():
+        path.write_text(",".join(COLUMNS) + "\n", encoding="utf-8")
+    for number in request.numbers:
+        with path.open(encoding="utf-8") as handle:
+            if str(number) in {row["number"] for row in csv.DictReader(handle)}:
+                continue
+        asked = case(number, request.out / "questions", request.seconds)
+        start = time.process_time()
+        found, code = ask(asked, request.out)
+        verdict = judge(asked, found, code)
+        truth = [*asked.entries, *([asked.wrong.key] if asked.wrong else [])]
+        row = [number, asked.id, asked.kind, asked.air, " + ".join(truth)]
+        row += [" ".join(f"{t:.1f}" for t in asked.t), int(right(asked, verdict))]
+        row += [verdict.verdict, "; ".join(verdict.answer), f"{time.process_time() - start:.0f}"]
+        with path.open("a", encoding="utf-8", newline="") as handle:
+            csv.writer(handle).writerow(row)
+        print(*row, flush=True)
+    with path.open(encoding="utf-8") as handle:
+        rows = [row for row in csv.DictReader(handle) if int(row["number"]) in request.numbers]
+    wrong = [row["number"] for row in rows if row["right"] != "1"]
+    print(f"{len(rows) - len(wrong)} of {len(rows)} right; wrong: {', '.join(wrong) or 'none'}")
+    return int(len(wrong) > ALLOWED)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
