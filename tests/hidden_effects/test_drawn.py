@@ -4,7 +4,6 @@ folders that are as said.
 
 from __future__ import annotations
 
-from collections import Counter
 from dataclasses import replace
 
 import numpy as np
@@ -13,12 +12,9 @@ import pytest
 from tests.helpers.sixdof import Airframe
 from tests.hidden_effects.drawn import (
     DEVELOPMENT,
-    DEVELOPMENT_SEED,
-    SEEDS,
     THIRD,
     drawn,
     shortened,
-    slots,
 )
 from tests.hidden_effects.effects import SURFACES, Effect
 from tests.hidden_effects.flights import Flight, earlier, fly, fly_and_tell
@@ -30,38 +26,6 @@ from tests.hidden_effects.weighing import question, sized
 from tests.hidden_effects.wrongs import KINDS, Stated, wrong
 from uqharness.simulator.actuators import actuators
 from uqharness.simulator.aircraft import find_aircraft
-
-NEEDED = {
-    "clear": 60,
-    "pair": 5,
-    "marginal": 60,
-    "weak": 10,
-    "null": 50,
-    "card": 40,
-    "off-form": 12,
-}
-
-
-@pytest.mark.parametrize("draw", sorted(SEEDS))
-def test_a_draw_holds_what_the_marks_count(draw):
-    found = slots(draw)
-    assert Counter(s.kind for s in found) == NEEDED
-    assert sum(1 for s in found if s.beside) + 60 + 2 * 5 == 80
-    assert Counter(s.card for s in found if s.card) == Counter(KINDS)
-    for kind in ("clear", "pair", "marginal", "null", "card", "off-form"):
-        light = sum(s.air == "light" for s in found if s.kind == kind)
-        assert 0.2 <= light / NEEDED[kind] <= 0.45, kind
-    assert found == slots(draw)
-
-
-def test_draws_differ_and_development_is_none_of_them():
-    assert len({*SEEDS.values(), DEVELOPMENT_SEED}) == 4
-    assert DEVELOPMENT not in SEEDS
-    assert [s.kind for s in slots(1)] != [s.kind for s in slots(2)]
-    assert (
-        len({drawn(d, n).id for d in (DEVELOPMENT, *SEEDS) for n in range(len(slots(d)))})
-        == 16 + 3 * 237
-    )
 
 
 def test_chance_spreads_over_aeroplanes_rates_air_and_servos():

@@ -84,6 +84,7 @@ from uqharness.refinement.estimators import (
     Limits,
     ModelFit,
     OutputErrorFit,
+    ReplayEstimator,
     estimator_for,
     fit_in_turbulence,
     fit_without_effects,
@@ -111,8 +112,8 @@ CONTROLS_LATE = Effect(
 )
 """The time offset of all controls, which competes with the candidates as one column."""
 CALM_AFTER_ALL = (
-    "the residuals of replays looked like turbulence, but of air that does not move across the"
-    " flight path: an effect in the aircraft or its sensors, and the flights were judged by replays"
+    "the residuals of replays looked like turbulence, but effects in the aircraft or its sensors"
+    " explain them better: the flights were judged by replays"
 )
 
 
@@ -343,7 +344,9 @@ def fit_baseline(
                 ModelFit,
                 lambda: fit_in_turbulence(aircraft, bench, fitted, replayed, limits, pool),
             )
-            if air.turbulence is None or not air.turbulence.air:
+            calm_cost = least_cost_in_calm_air(fitted, replayed.fit, effects)
+            is_air = air.turbulence is not None and air.turbulence.air
+            if not is_air or calm_cost < air.neg2_log_likelihood:
                 air, notes = None, [*notes, CALM_AFTER_ALL]
     if air is None:
         callback(f"scoring {len(effects)} candidate effects")
@@ -366,6 +369,27 @@ def fit_baseline(
         competes,
         notes,
     )
+
+
+def least_cost_in_calm_air(
+    data: FlightData, fit: Linearisation, effects: Sequence[Effect]
+) -> float:
+    """Return minus twice the log likelihood of replays if all candidates act at once, as far as the
+    linearised flight goes, plus the number of columns.
+
+    Effects of the aircraft can leave what looks like turbulence; turbulence leaves more than all
+    effects together explain. Each channel has the noise that remains.
+    """
+    columns = effect_columns(data, fit.probes, fit.trajectory, effects)
+    information = ReplayEstimator().information(data, fit, columns)
+    free = fit.columns[0].names
+    names = [*free, *eligible(effects, data, free, information)]
+    residuals = np.concatenate(
+        information.residual(information.estimates(information.index(names)))
+    )
+    count = np.isfinite(residuals).sum(axis=0)
+    variance = np.nanmean(residuals**2, axis=0) * data.noise**2
+    return float(np.sum(count * (1.0 + np.log(variance)))) + len(names)
 
 
 # 2. Timing

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import os
 import pickle
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +11,6 @@ import pytest
 
 from sysid.errors import Finding
 from sysid.foreign.typed_files import dump
-from tests.helpers.places import ROOT
 from uqharness.refinement.stages import FOLDER, Stages
 
 
@@ -68,24 +65,6 @@ def test_what_is_not_the_stage_is_said_and_made_again(folder, caplog, content, w
     if content is not None:
         assert len(caplog.messages) == 1
         assert stages("effects", list[Finding], fail) == found()
-
-
-def test_it_is_said_to_a_user_who_asked_for_no_log(folder):
-    folder.mkdir()
-    script = f"""
-from pathlib import Path
-from uqharness.refinement.stages import Stages
-stages = Stages(Path({str(folder)!r}), ["input"])
-(stages.folder / f"effects-{{stages.key}}.data").write_bytes(b"x")
-print(stages("effects", int, lambda: 5))
-"""
-    done = subprocess.run(
-        [sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=True
-    )
-    assert done.stdout == "5\n"
-    assert done.stderr.endswith(
-        ".data: not a data file of this version of the program; this stage is computed again\n"
-    )
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no such pipes")

@@ -21,6 +21,7 @@ from sysid.effects import (
     REMEMBERED_AIRS,
     Columns,
     FilteredSegment,
+    Information,
     InnovationColour,
     TurbulenceModel,
     follow,
@@ -301,12 +302,10 @@ def gust_refit(
         # sensor reads half a percent high.
         causal, path = path is not None, [p.body for p in linear_probes]
         columns = parameter_columns(setup, linear_probes, trajectory, names, analytic)
-        colour = gusts.colour
-        if not fixed_air:
-            colour = colour_of(followed, columns, colour)
-            gusts = replace(gusts, colour=colour)
-        white = whitened(followed, columns, colour)
-        evidence = normal_equations(white, columns[0].names, [0] * len(white), PRIOR)
+        colour, evidence = with_colour(
+            followed, columns, gusts.colour, 0 if fixed_air else COLOUR_TURNS
+        )
+        gusts, white = replace(gusts, colour=colour), evidence.white
         before = None if sought else delta
         delta, length = step_from(setup, point, evidence)
         # In other air the same step is another one.
@@ -340,24 +339,30 @@ def gust_refit(
     )
 
 
-def colour_of(
+def with_colour(
     followed: Sequence[FilteredSegment],
     columns: Sequence[Columns],
     colour: InnovationColour | None,
-) -> InnovationColour | None:
-    """What the innovations' colour is beside the best parameters, from an estimate of it on: by
-    turns, each given the other (Cochrane and Orcutt, JASA 44, 1949).
+    turns: int,
+) -> tuple[InnovationColour | None, Information]:
+    """The innovations' colour beside the best parameters, and information with it.
+
+    From an estimate of the colour on, by turns: parameters given the colour, the colour given the
+    parameters (Cochrane and Orcutt, JASA 44, 1949).
     """
-    plain = whitened(followed, columns)
-    names, groups = columns[0].names, [0] * len(plain)
-    observed = normal_equations(plain, names, groups, PRIOR)
-    for _ in range(COLOUR_TURNS):
-        white = whitened(followed, columns, colour) if colour else plain
-        step, _ = normal_equations(white, names, groups, PRIOR).step()
-        colour = innovation_colour(observed.residual(step))
+
+    def information(colour: InnovationColour | None) -> Information:
+        white = whitened(followed, columns, colour)
+        return normal_equations(white, columns[0].names, [0] * len(white), PRIOR)
+
+    current = information(colour)
+    plain = information(None) if colour and turns else current
+    for _ in range(turns):
+        colour = innovation_colour(plain.residual(current.step()[0]))
         if colour is None:
-            break
-    return colour
+            return None, plain
+        current = information(colour)
+    return colour, current
 
 
 def relaxed(share: float, before: FloatArray, step: FloatArray, information: FloatArray) -> float:
