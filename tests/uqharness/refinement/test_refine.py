@@ -23,6 +23,7 @@ from tests.hidden_effects.flights import Flight as HiddenFlight
 from tests.hidden_effects.flights import fly as fly_hidden
 from tests.hidden_effects.manoeuvres import card
 from uqharness.cli.main import main
+from uqharness.commands.refinement import write_results
 from uqharness.errors import BadInputError
 from uqharness.identification.compare import compare
 from uqharness.identification.linearised import ModelState, make_setup, setup_in_gusts
@@ -43,7 +44,6 @@ from uqharness.refinement.residual_location import Nearest
 from uqharness.refinement.run import Job, Refinement, _place, refine
 from uqharness.replay.flights import prepare, read_flights
 from uqharness.report.pages.refinement import no_region_words, remaining_words
-from uqharness.report.refinement import write_results
 from uqharness.report.write import write_report
 from uqharness.requests.refinement import RefineRequest
 from uqharness.results.refinement import Refinement as Refined
