@@ -108,7 +108,6 @@ DOORS: Mapping[str, tuple[str, ...]] = {
     ),
     "concurrent": (
         "uqharness/parallel.py",
-        "uqharness/study/run.py",  # threads that wait for two stages side by side
         "uqharness/campaign/dask.py",  # Dask's futures end with its errors
     ),
     "hashlib": (

@@ -14,9 +14,9 @@ import json
 import logging
 import os
 import shutil
+import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -266,7 +266,7 @@ def run_chain(
     callback : callable
         Called with one line of text as stages start and end.
     lanes : int
-        Stages that run side by side, each in a process of its own; 1 runs them in this process.
+        1, or 2: stages then run side by side, in this process and in a worker.
 
     Returns
     -------
@@ -424,59 +424,115 @@ def _run_stages(
 ) -> None:
     """Run each stage as soon as the stages whose outputs it reads are done and a lane is free.
 
-    With one lane this is the order of the list. Only the first of the running stages reports its
-    progress. Raises _StageError; stages that run beside the one that fails are interrupted and run
-    again with the next call.
+    The first lane is this process, the second a worker process; with one lane this is the order of
+    the list. Raises _StageError, once the stage that runs beside the failed one has ended. An
+    interruption ends both.
     """
-    producers = [
-        {k for k, earlier in enumerate(stages[:number]) if _reads_from(stage, earlier)}
-        for number, stage in enumerate(stages)
-    ]
-    waiting, done = list(range(len(stages))), set[int]()
-    running: dict[Future[int], int] = {}
+    schedule = _Schedule(run, stages, record, workers, callback)
+    if lanes == 1:
+        schedule.work(_run_job)
+    else:
+        worker = Worker()
+        # A daemon: an exception in this thread must not wait for a stage of the other.
+        side = threading.Thread(
+            target=schedule.work, args=(partial(worker.run, _run_job),), daemon=True
+        )
+        side.start()
+        try:
+            schedule.work(_run_job)
+        except BaseException as error:
+            schedule.stop(error)
+            worker.interrupt()
+            raise
+        finally:
+            side.join()
+            worker.close()
+    if schedule.failure is not None:
+        raise schedule.failure
 
-    def title(number: int) -> str:
-        return f"[{number + 1}/{len(stages)}] {stages[number].name}"
 
-    def show(number: int, text: str) -> object:
-        """Name the stage with what it does."""
-        is_first = number <= min(running.values(), default=number)
-        return callback(f"{title(number)}: {text}") if is_first else None
+class _Schedule:
+    """The stages of a study that wait, run and are done, shared by the lanes that run them."""
 
-    with _pool(lanes) as submit:
-        while waiting or running:
-            ready = [number for number in waiting if producers[number] <= done]
-            if ready and len(running) < lanes:
-                number = ready[0]
-                waiting.remove(number)
-                callback(title(number))
-                try:
-                    is_needed = _begin_stage(stages[number], number, record)
-                    if is_needed:
-                        job = _Job(run, stages[number], record.folder, workers)
-                        running[submit(job, partial(show, number))] = number
-                    else:
-                        show(number, "unchanged")
-                        done.add(number)
-                except KeyboardInterrupt:
+    def __init__(
+        self,
+        run: Runner,
+        stages: Sequence[Stage],
+        record: _Record,
+        workers: int | None,
+        callback: Callback,
+    ) -> None:
+        self._stages, self._record, self._callback = stages, record, callback
+        self._jobs = [_Job(run, stage, record.folder, workers) for stage in stages]
+        self._producers = [
+            {k for k, earlier in enumerate(stages[:number]) if _reads_from(stage, earlier)}
+            for number, stage in enumerate(stages)
+        ]
+        self._waiting, self._done = list(range(len(stages))), set[int]()
+        self._running = set[int]()
+        self._changed, self._thread = threading.Condition(), threading.current_thread()
+        self.failure: _StageError | None = None
+
+    def work(self, run_job: Callable[[_Job, Callback], int]) -> None:
+        """Run ready stages by ``run_job`` until none is left or one has failed."""
+        while True:
+            with self._changed:
+                while (number := self._ready()) is None:
+                    if self.failure is not None or not self._waiting:
+                        return
+                    self._changed.wait()
+            try:
+                self._run(number, run_job)
+            except BaseException as error:
+                if isinstance(error, KeyboardInterrupt) and self._is_first_lane():
                     raise
-                except BaseException as error:
-                    raise _StageError(number, error) from error
-                continue
-            for future in wait(running, return_when=FIRST_COMPLETED).done:
-                number = running.pop(future)
-                try:
-                    code = future.result()
-                    seconds = _end_stage(stages[number], number, record, code)
-                except KeyboardInterrupt:
-                    raise
-                except BaseException as error:
-                    raise _StageError(number, error) from error
-                show(
-                    number,
-                    f"{seconds:.0f} s" + ("" if code == 0 else f", exit {code}: the answer is no"),
-                )
-                done.add(number)
+                self.stop(error, number)
+            finally:
+                with self._changed:
+                    self._running.discard(number)
+                    self._changed.notify_all()
+
+    def stop(self, error: BaseException, number: int = -1) -> None:
+        """Let no further stage begin; ``number`` is the stage that failed."""
+        with self._changed:
+            self.failure = self.failure or _StageError(number, error)
+            self._changed.notify_all()
+
+    def _is_first_lane(self) -> bool:
+        """Return whether this is the thread that interruptions reach."""
+        return threading.current_thread() is self._thread
+
+    def _ready(self) -> int | None:
+        """Take the first stage whose producers are done, unless one has failed."""
+        for number in self._waiting if self.failure is None else ():
+            if self._producers[number] <= self._done:
+                self._waiting.remove(number)
+                self._running.add(number)
+                return number
+        return None
+
+    def _run(self, number: int, run_job: Callable[[_Job, Callback], int]) -> None:
+        """Run one stage unless it is up to date."""
+        stage = self._stages[number]
+        title = f"[{number + 1}/{len(self._stages)}] {stage.name}"
+
+        def show(text: str) -> object:
+            """Name the stage with what it does; the first of the running stages alone is shown."""
+            is_first = number <= min(tuple(self._running), default=number)
+            return self._callback(f"{title}: {text}") if is_first else None
+
+        self._callback(title)
+        with self._changed:
+            is_needed = _begin_stage(stage, number, self._record)
+        if is_needed:
+            code = run_job(self._jobs[number], show)
+            with self._changed:
+                seconds = _end_stage(stage, number, self._record, code)
+            show(f"{seconds:.0f} s" + ("" if code == 0 else f", exit {code}: the answer is no"))
+        else:
+            show("unchanged")
+        with self._changed:
+            self._done.add(number)
 
 
 def _reads_from(stage: Stage, earlier: Stage) -> bool:
@@ -486,53 +542,6 @@ def _reads_from(stage: Stage, earlier: Stage) -> bool:
         for path in stage.inputs.values()
         for output in earlier.outputs
     )
-
-
-Submit = Callable[[_Job, Callback], "Future[int]"]
-
-
-@contextlib.contextmanager
-def _pool(lanes: int) -> Iterator[Submit]:
-    """Yield a function that starts a stage: at once in this process, or in a free one of several.
-
-    An exception that leaves the block interrupts the stages that still run.
-    """
-    if lanes == 1:
-        yield _run_here
-        return
-    free = [Worker() for _ in range(lanes)]
-    processes = tuple(free)
-
-    def call(worker: Worker, job: _Job, callback: Callback) -> int:
-        try:
-            code: int = worker.run(_run_job, job, callback)
-            return code
-        finally:
-            free.append(worker)
-
-    with ThreadPoolExecutor(lanes) as threads:
-        try:
-            yield lambda job, callback: threads.submit(call, free.pop(), job, callback)
-        except BaseException:
-            for worker in processes:
-                worker.interrupt()
-            raise
-        finally:
-            threads.shutdown()
-            for worker in processes:
-                worker.close()
-
-
-def _run_here(job: _Job, callback: Callback) -> Future[int]:
-    """Run a stage in this process."""
-    future: Future[int] = Future()
-    try:
-        future.set_result(_run_job(job, callback))
-    except KeyboardInterrupt:
-        raise
-    except BaseException as error:
-        future.set_exception(error)
-    return future
 
 
 def _run_job(job: _Job, callback: Callback) -> int:
