@@ -395,6 +395,13 @@ def catalog(fdm: Any) -> list[str]:
     return [row.split(" (")[0].strip() for row in rows if row.strip()]
 
 
+def writable(fdm: Any) -> list[str]:
+    """Return the names of the loaded model's properties that can be set."""
+    listing = fdm.query_property_catalog("")
+    rows = listing.splitlines() if isinstance(listing, str) else list(listing)
+    return [row.split(" (")[0].strip() for row in rows if "W" in row.rpartition("(")[2]]
+
+
 def handle(fdm: Any, name: str) -> Any:
     """Return the node of a property, whose getter and setter are fast enough for loops."""
     require(fdm, [name])

@@ -1,7 +1,8 @@
 """States imposed on the model: attitude, velocity and controls set, engines and controls settled.
 
-`force_state` returns the accelerations of a new instance at a given state; trim, linearisation and
-replays use it. With a `ControlEquilibrium` the control system is first brought to rest: frames are
+`force_state` returns the accelerations at a given state; trim, linearisation and replays use it. It
+loads the XML once for many states: the instance is reset, after a check that this gives the bits of
+a new one. With a `ControlEquilibrium` the control system is first brought to rest: frames are
 run with the motion frozen until nothing changes. Body rates can be left free, for control laws that
 integrate a rate error and settle only at the commanded rate.
 """
@@ -10,7 +11,9 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from io import BytesIO
 from typing import Any
@@ -22,7 +25,7 @@ from numpy.typing import NDArray
 from sysid.units import FT_M
 from uqharness.errors import BadInputError
 from uqharness.simulator import engine, settling
-from uqharness.simulator.aircraft import Aircraft, model_files, open_aircraft
+from uqharness.simulator.aircraft import Aircraft, model_files, open_aircraft, staged
 from uqharness.simulator.staging import HasFiles
 
 # Control system at rest. In the first frames of an instance, filters and integrators start from
@@ -353,8 +356,34 @@ def force_state(
     BadInputError
         If the model does not load or a property does not exist.
     """
-    fdm, _ = open_forced(aircraft, state, controls, altitude_m, properties, equilibrium)
-    return read_accelerations(fdm, outputs)
+    return evaluate_state(
+        aircraft, state, controls, altitude_m, properties, outputs, equilibrium=equilibrium
+    )[:2]
+
+
+Evaluation = tuple[NDArray[np.float64], dict[str, float], str]
+"""Accelerations, outputs, and what does not settle (empty if all does)."""
+
+
+def evaluate_state(
+    aircraft: Aircraft,
+    state: BodyState,
+    controls: Mapping[str, float],
+    altitude_m: float,
+    properties: Mapping[str, float] | None = None,
+    outputs: tuple[str, ...] = (),
+    *,
+    equilibrium: ControlEquilibrium | None = None,
+) -> Evaluation:
+    """Return what `force_state` does, and what does not settle at the state."""
+
+    def action(fdm: Any, rearm: bool) -> Evaluation:
+        unsettled = impose_state(
+            fdm, aircraft, state, controls, altitude_m, properties, equilibrium, rearm=rearm
+        )
+        return (*read_accelerations(fdm, outputs), unsettled)
+
+    return on_shared_instance(aircraft, action)
 
 
 def read_accelerations(
@@ -381,6 +410,25 @@ def open_forced(
     `force_state`.
     """
     fdm = open_aircraft(aircraft)
+    return fdm, impose_state(fdm, aircraft, state, controls, altitude_m, properties, equilibrium)
+
+
+def impose_state(
+    fdm: Any,
+    aircraft: Aircraft,
+    state: BodyState,
+    controls: Mapping[str, float],
+    altitude_m: float,
+    properties: Mapping[str, float] | None,
+    equilibrium: ControlEquilibrium | None = None,
+    *,
+    rearm: bool = False,
+) -> str:
+    """Bring an instance in the state after loading to a state; return what does not settle.
+
+    ``rearm`` puts actuators at their commands first, where a reset leaves them at zero. Other
+    parameters as of `force_state`.
+    """
     for name, value in (properties or {}).items():
         engine.set_property(fdm, name, value)
     apply_controls(fdm, aircraft, controls)
@@ -389,9 +437,170 @@ def open_forced(
     fdm["ic/terrain-elevation-ft"] = (altitude_m - 300.0) / FT_M
     fdm["ic/h-sl-ft"] = altitude_m / FT_M
     set_initial_state(fdm, state)
+    # In trim mode actuators take a frame for their first one.
+    fdm.set_trim_status(rearm)
     engine.run_ic(fdm)
+    if rearm:
+        fdm.set_trim_status(False)
+        engine.renew_forces(fdm)
     unsettled = engine.settle_engines(fdm) if fdm.get_propulsion().get_num_engines() else ""
-    return fdm, unsettled or (bring_to_rest(fdm, equilibrium) if equilibrium is not None else "")
+    return unsettled or (bring_to_rest(fdm, equilibrium) if equilibrium is not None else "")
+
+
+# One instance for many states: loading the XML takes ten times as long as an evaluation.
+
+_MAX_SHARED = 4
+# Only a file sets all initial conditions at once; setting one property rounds the others.
+_ORIGIN = """<?xml version="1.0"?>
+<initialize name="origin" version="2.0">
+  <position frame="ECEF">
+    <x unit="FT">20925646.32546</x> <y unit="FT">0</y> <z unit="FT">0</z>
+  </position>
+  <orientation unit="RAD" frame="LOCAL"> <x>0</x> <y>0</y> <z>0</z> </orientation>
+</initialize>
+"""
+_ORIGIN_ZEROS = ("ic/terrain-elevation-ft", "ic/vt-fps", "ic/lat-gc-rad", "ic/h-sl-ft")
+# Setting these does something.
+_ACTING = ("ic/", "simulation/", "propulsion/set-running")
+_shared_lock = threading.RLock()
+
+
+class _SharedInstance:
+    """A loaded instance that can be reset, and the evidence that a reset is exact.
+
+    JSBSim's own reset leaves commands and other plain properties, which are put back, and the
+    memory of actuators, which `impose_state` rearms. Where neither way gives the bits of a new
+    instance (propellers that do not settle to the last digit, control laws with memory), every
+    evaluation loads the XML.
+    """
+
+    def __init__(self, aircraft: Aircraft) -> None:
+        self.aircraft = aircraft
+        self.fdm = open_aircraft(aircraft)
+        self._origin = staged(aircraft).root / "uqharness-origin.xml"
+        self._origin.write_text(_ORIGIN, encoding="utf-8")
+        # Values after loading, and how to put them back.
+        self._settings = [
+            (node.get_double_value, node.set_double_value, node.get_double_value())
+            for name in engine.writable(self.fdm)
+            if not name.startswith(_ACTING)
+            for node in (engine.handle(self.fdm, name),)
+        ]
+        self.checked = False
+        self.ways = [False, True]
+
+    def reset(self) -> None:
+        """Put the instance back into its state after loading."""
+        self.fdm.reset_to_initial_conditions(2)
+        self.fdm.load_ic(str(self._origin), False)
+        for name in _ORIGIN_ZEROS:
+            self.fdm[name] = 0.0
+        for get, put, value in self._settings:
+            if get() != value:
+                put(value)
+
+    def evaluate(self, action: Callable[[Any, bool], Evaluation]) -> Evaluation:
+        """Return an action's evaluation on the reset instance."""
+        self.reset()
+        return action(self.fdm, self.ways[0])
+
+    def check(self) -> None:
+        """Keep the ways of resetting that give the bits of a new instance in unlike states."""
+        self.checked = True
+        for state, share in _UNLIKE:
+            expected = self._probe(open_aircraft(self.aircraft), state, share, False)
+            # Frames with other commands, which a reset must make undone.
+            self.fdm.run()
+            self.keep_exact(
+                lambda fdm, rearm, at=(state, share): self._probe(fdm, *at, rearm),  # type: ignore[misc]
+                expected,
+            )
+
+    def keep_exact(self, action: Callable[[Any, bool], Evaluation], expected: Evaluation) -> None:
+        """Keep the ways of resetting with which an action gives the expected bits."""
+        exact = []
+        for rearm in self.ways:
+            try:
+                self.reset()
+                if _same_bits(action(self.fdm, rearm), expected):
+                    exact.append(rearm)
+            except (BadInputError, engine.RuntimeFailure):
+                continue
+        self.ways = exact
+
+    def _probe(self, fdm: Any, state: BodyState, share: float | None, rearm: bool) -> Evaluation:
+        """Return the evaluation of a state with controls at a share of their ranges, or unset."""
+        exists = fdm.get_property_manager().hasNode
+        controls = {
+            name: (1.0 - share) * card.limits[0] + share * card.limits[1]
+            for name, card in self.aircraft.card.inputs.items()
+            if share is not None and card.limits and exists(card.property)
+        }
+        unsettled = impose_state(fdm, self.aircraft, state, controls, 800.0, None, rearm=rearm)
+        return (*read_accelerations(fdm, _PROBED), unsettled)
+
+
+_UNLIKE = (
+    (BodyState(40.0, 1.0, 2.0, 0.1, 0.1, 0.2, 0.1, 0.05, 0.02), 0.7),
+    (BodyState(55.0, -1.5, 1.0, -0.2, 0.05, 0.0, -0.05, -0.02, 0.01), None),
+)
+_PROBED = (
+    *(f"forces/fb{axis}-{part}-lbs" for axis in "xyz" for part in ("aero", "prop", "total")),
+    *(f"moments/{axis}-{part}-lbsft" for axis in "lmn" for part in ("aero", "prop", "total")),
+)
+_shared: OrderedDict[object, _SharedInstance] = OrderedDict()
+
+
+def _same_bits(a: Evaluation, b: Evaluation) -> bool:
+    """Return whether two evaluations are equal to the last bit."""
+    bits = [
+        (x.tobytes(), tuple(values), np.array([*values.values()]).tobytes(), text)
+        for x, values, text in (a, b)
+    ]
+    return bits[0] == bits[1]
+
+
+def on_shared_instance(aircraft: Aircraft, action: Callable[[Any, bool], Evaluation]) -> Evaluation:
+    """Return an action's evaluation on an instance as it is after loading.
+
+    Parameters
+    ----------
+    aircraft : Aircraft
+        The aircraft.
+    action : callable
+        Takes an instance and whether to rearm its actuators (`impose_state`). It must leave the
+        integration step and integrators as they are, and keep no reference to the instance.
+
+    Returns
+    -------
+    Evaluation
+        With the bits of a new instance.
+
+    Raises
+    ------
+    BadInputError
+        If the model does not load, or of the action.
+    """
+    modes = aircraft.card.modes.get("open_loop", {})
+    key = (staged(aircraft).root, aircraft.name, aircraft.dt_s, tuple(modes.items()))
+    with _shared_lock:
+        # Taken out: an error leaves an instance that is not used again.
+        shared = _shared.pop(key, None)
+        if shared is None:
+            shared = _SharedInstance(aircraft)
+            result = action(shared.fdm, False)
+        elif not shared.ways:
+            result = action(open_aircraft(aircraft), False)
+        elif not shared.checked:
+            shared.check()
+            result = action(open_aircraft(aircraft), False)
+            shared.keep_exact(action, result)
+        else:
+            result = shared.evaluate(action)
+        _shared[key] = shared
+        while len(_shared) > _MAX_SHARED:
+            _shared.popitem(last=False)
+        return result
 
 
 def set_initial_state(fdm: Any, state: BodyState) -> None:

@@ -1,10 +1,10 @@
 """Steady flight: attitude, controls and throttle at which no acceleration remains.
 
 JSBSim's trim needs a <propulsion> engine and fails for a thrust map in external_reactions.
-`find_trim` instead solves for zero accelerations by bounded least squares. Each evaluation uses a
-new instance at the imposed state (`forced_state`), because an instance that has run remembers its
-actuators. It serves any winged aircraft with named controls, gliders included. If there is no trim,
-the result says which control saturates, or how much thrust is missing.
+`find_trim` instead solves for zero accelerations by bounded least squares. Each evaluation imposes
+a state on the model as it is after loading (`forced_state`), because an instance that has run
+remembers its actuators. It serves any winged aircraft with named controls, gliders included. If
+there is no trim, the result says which control saturates, or how much thrust is missing.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,11 +24,13 @@ from uqharness.simulator import engine, forced_state, settling
 from uqharness.simulator.aircraft import Aircraft, host_properties, open_aircraft, with_step
 from uqharness.simulator.aircraft_checks import rotor_place
 from uqharness.simulator.forced_state import (
-    ACCELERATIONS,
     BodyState,
     ControlEquilibrium,
     body_velocity,
+    evaluate_state,
     force_state,
+    impose_state,
+    on_shared_instance,
     open_forced,
     read_accelerations,
     set_control,
@@ -330,21 +333,27 @@ def force_near_trim(
     BadInputError.
     """
     condition = trim.condition
-    fdm, _ = open_forced(
-        aircraft,
-        trim.state,
-        trim.controls,
-        condition.altitude_m,
-        condition.properties,
-        trim.equilibrium,
-    )
-    for name, value in controls.items():
-        set_control(fdm, aircraft, name, value)
-    set_initial_state(fdm, state)
-    engine.run_ic(fdm)
-    if fdm.get_propulsion().get_num_engines():
-        engine.settle_engines(fdm)
-    return read_accelerations(fdm, ())[0]
+
+    def action(fdm: Any, rearm: bool) -> forced_state.Evaluation:
+        impose_state(
+            fdm,
+            aircraft,
+            trim.state,
+            trim.controls,
+            condition.altitude_m,
+            condition.properties,
+            trim.equilibrium,
+            rearm=rearm,
+        )
+        for name, value in controls.items():
+            set_control(fdm, aircraft, name, value)
+        set_initial_state(fdm, state)
+        engine.run_ic(fdm)
+        if fdm.get_propulsion().get_num_engines():
+            engine.settle_engines(fdm)
+        return (*read_accelerations(fdm, ()), "")
+
+    return on_shared_instance(aircraft, action)[0]
 
 
 def find_trim(aircraft: Aircraft, condition: SteadyCondition) -> Trim:
@@ -581,18 +590,22 @@ def _throttle_acts(
     accelerations, unsettled = [], ""
     # Compare the accelerations at both ends of the throttle.
     for end in card.limits:
-        fdm, end_unsettled = open_forced(
+        acceleration, _, end_unsettled = evaluate_state(
             aircraft,
             state,
             {"throttle": end},
             condition.altitude_m,
             condition.properties,
-            equilibrium,
+            equilibrium=equilibrium,
         )
-        accelerations.append(np.array([fdm[name] for name in ACCELERATIONS]))
+        accelerations.append(acceleration)
         unsettled = unsettled or end_unsettled
     if float(np.max(np.abs(accelerations[1] - accelerations[0]))) > _MIN_CHANGE:
         return True, ""
+    full = {"throttle": card.limits[1]}
+    fdm, _ = open_forced(
+        aircraft, state, full, condition.altitude_m, condition.properties, equilibrium
+    )
     if not fdm.get_propulsion().get_num_engines() or settling.spent_rockets(fdm):
         return False, ""
     exists = fdm.get_property_manager().hasNode
@@ -612,14 +625,14 @@ def _unsettled(problem: _Problem, x: NDArray[np.float64]) -> tuple[str, bool]:
         state, controls, _, _ = problem.unpack(x)
         if not math.isfinite(state.theta):
             return ""
-        return open_forced(
+        return evaluate_state(
             aircraft,
             state,
             controls,
             condition.altitude_m,
             condition.properties,
-            problem.equilibrium,
-        )[1]
+            equilibrium=problem.equilibrium,
+        )[2]
 
     # At the solution; else where the search failed last.
     reason = unsettled_with(problem.aircraft)
@@ -651,14 +664,14 @@ def _unsettled_at(problem: _Problem, x: NDArray[np.float64]) -> str:
     """Return what does not settle at these unknowns."""
     state, controls, _, _ = problem.unpack(x)
     condition = problem.condition
-    return open_forced(
+    return evaluate_state(
         problem.aircraft,
         state,
         controls,
         condition.altitude_m,
         condition.properties,
-        problem.equilibrium,
-    )[1]
+        equilibrium=problem.equilibrium,
+    )[2]
 
 
 def _mass_kg(problem: _Problem, x: NDArray[np.float64]) -> float:
@@ -832,7 +845,7 @@ class _Problem:
         def callback(intermediate_result: OptimizeResult) -> None:
             cost = float(intermediate_result.cost)
             costs.append(cost)
-            # Ends failing searches early: each evaluation opens an instance.
+            # Ends failing searches early: evaluations with engines to settle are slow.
             stalled = (
                 len(costs) > _STALLED_STEPS and cost > _STALLED_GAIN * costs[-1 - _STALLED_STEPS]
             )
@@ -891,15 +904,15 @@ class _Problem:
         if not math.isfinite(state.theta):
             return np.full(7 if self.turning else 6, 1e3)
         condition = self.condition
-        fdm, unsettled = open_forced(
+        acceleration, out, unsettled = evaluate_state(
             self.aircraft,
             state,
             controls,
             condition.altitude_m,
             condition.properties,
-            self.equilibrium,
+            (_LATERAL_LOAD_FACTOR, *_BODY_RATES),
+            equilibrium=self.equilibrium,
         )
-        acceleration, out = read_accelerations(fdm, (_LATERAL_LOAD_FACTOR, *_BODY_RATES))
         self.evaluations += 1
         if unsettled:
             self.unsettled.append(x.copy())

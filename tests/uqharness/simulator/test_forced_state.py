@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 
 from sysid.units import FT_M
@@ -84,3 +85,56 @@ def test_outputs_that_the_model_lacks_are_left_out():
 def test_a_property_that_is_none_is_refused():
     with pytest.raises(BadInputError, match="aero/no-such"):
         force_state(find_aircraft("c172p"), STATE, {}, 300.0, {"aero/no-such": 1.0})
+
+
+def _evaluations(name, seed):
+    """Return evaluations of random states on the shared instance and on new ones, and loads."""
+    aircraft = find_aircraft(name)
+    rng = np.random.default_rng(seed)
+    forced_state._shared.clear()
+    loads = 0
+    opened = forced_state.open_aircraft
+
+    def count(*words):
+        nonlocal loads
+        loads += 1
+        return opened(*words)
+
+    pairs = []
+    for _ in range(12):
+        V, alpha, beta, *rest = rng.uniform(-1.0, 1.0, 8)
+        uvw = body_velocity(60.0 + 10.0 * V, 0.05 + 0.05 * alpha, 0.05 * beta)
+        state = BodyState(*uvw, *(0.1 * x for x in rest), 0.01)
+        controls = {
+            key: float(rng.uniform(*card.limits))
+            for key, card in aircraft.card.inputs.items()
+            if key in ("elevator", "aileron", "rudder", "throttle")
+        }
+        where = (aircraft, state, controls, 500.0)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(forced_state, "open_aircraft", count)
+            shared = force_state(*where)[0]
+        fdm, _ = open_forced(*where, None)
+        pairs.append((shared, forced_state.read_accelerations(fdm, ())[0]))
+    return pairs, loads
+
+
+@pytest.mark.parametrize(
+    ("name", "most_loads"), [("espaaro", 4), ("c172p", 4), ("737", 4), ("c172x", 15)]
+)
+def test_a_reset_instance_gives_the_bits_of_a_new_one(name, most_loads):
+    # An actuator's memory is rearmed (espaaro); a control law's is not, and its XML is loaded anew.
+    pairs, loads = _evaluations(name, 1)
+    assert loads <= most_loads
+    for shared, fresh in pairs:
+        assert shared.tobytes() == fresh.tobytes()
+
+
+def test_an_instance_whose_reset_is_not_exact_is_not_used_again(monkeypatch):
+    def without_initial_conditions(instance):
+        instance.fdm.reset_to_initial_conditions(2)
+
+    monkeypatch.setattr(forced_state._SharedInstance, "reset", without_initial_conditions)
+    pairs, loads = _evaluations("c172p", 2)
+    assert loads > 12
+    assert all(shared.tobytes() == fresh.tobytes() for shared, fresh in pairs)
