@@ -88,6 +88,7 @@ from uqharness.simulator import CHANGEABLE, FTLBF_PER_S_HP, Source, StagedMissio
 # initialising frames.
 
 _SETTLING_FRAMES = 200
+_RENEWALS = 12
 """Steps between two tests of whether engines are steady."""
 
 
@@ -236,6 +237,9 @@ def settle(
         # JSBSim cranks an engine that stopped; here it has no starter.
         if isinstance(settler.engine.motor, Piston):
             is_beyond |= values[f"{name}set-running"] == 0.0
+        else:
+            # Electric motors never report that they run, so that JSBSim's frames settle them.
+            off_balance[:] = True
     if is_beyond.any():
         values[OUT_OF_RANGE] = np.where(is_beyond, 1.0, values.get(OUT_OF_RANGE, 0.0))
     if not off_balance.any():
@@ -245,6 +249,10 @@ def settle(
         going = settling_slot(settler.engine, balancing=True)
         values[going] = off_balance.astype(float)
         _settle_engine(settler.balance, going, values, count)
+    # Rates of incidence are of the accelerations a frame before, which JSBSim's frames leave at
+    # those of the settled thrust.
+    for _ in range(_RENEWALS):
+        renew()
     run_ic()
     renew()
     # A lane does not depend on the others.
