@@ -496,6 +496,8 @@ def _search(
     fixed = {} if acts else {n: cards[n].limits[0] for n in names if n == "throttle"}
     # Without thrust to set, the path is unknown instead.
     gliding = bool(fixed) or "throttle" not in names
+    # A surface that moves nothing (the rudder of a flying wing) would take the search's steps.
+    fixed |= _dead_surfaces(aircraft, condition, names, equilibrium)
     problem = _Problem(
         aircraft,
         condition,
@@ -612,6 +614,36 @@ def _throttle_acts(
     return False, dead_throttle_message(
         card.property, LBF_N * sum(fdm[name] for name in _ENGINE_THRUSTS if exists(name)), unsettled
     )
+
+
+def _dead_surfaces(
+    aircraft: Aircraft,
+    condition: SteadyCondition,
+    names: list[str],
+    equilibrium: ControlEquilibrium | None,
+) -> dict[str, float]:
+    """Return the surfaces that change no force and no moment, at the middle of their ranges."""
+    u, v, w = body_velocity(condition.V_mps, 0.05, 0.0)
+    state = BodyState(u, v, w, 0.0, 0.05, condition.heading_rad)
+    dead = {}
+    for name in names:
+        if name == "throttle":
+            continue
+        low, high = aircraft.card.inputs[name].limits
+        accelerations = [
+            evaluate_state(
+                aircraft,
+                state,
+                {name: low + share * (high - low)},
+                condition.altitude_m,
+                condition.properties,
+                equilibrium=equilibrium,
+            )[0]
+            for share in (0.25, 0.8)
+        ]
+        if float(np.max(np.abs(accelerations[1] - accelerations[0]))) <= _MIN_CHANGE:
+            dead[name] = 0.5 * (low + high)
+    return dead
 
 
 def _unsettled(problem: _Problem, x: NDArray[np.float64]) -> tuple[str, bool]:
