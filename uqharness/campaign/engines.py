@@ -647,8 +647,15 @@ class EngineComparison:
         self._write()
 
     def _write(self) -> None:
-        """Write engine-check.csv and raise EnginesDifferError if a row differs."""
-        rows = [row for flight_rows in self._rows.values() for row in flight_rows]
+        """Write engine-check.csv and raise EnginesDifferError if a row differs.
+
+        The first seconds come first, then flights in the campaign's order, whichever ended first.
+        """
+        place = {case_id: k for k, case_id in enumerate(self._cases)}
+        keys = sorted(
+            self._rows, key=lambda key: (key[0] != START, place.get(key[1], len(place)), key[1])
+        )
+        rows = [row for key in keys for row in self._rows[key]]
         write_check(self._folder, rows)
         refuse_difference(self._folder, rows)
 

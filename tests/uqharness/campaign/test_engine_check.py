@@ -15,6 +15,7 @@ from tests.helpers.engine_fakes import Deadly, Flown, Raising, engines
 from uqharness.campaign.cases import build_cases
 from uqharness.campaign.engines import (
     MIN_SCALE,
+    EngineComparison,
     compare_outcomes,
     difference_scale,
     refuse_difference,
@@ -250,6 +251,26 @@ def test_metrics_beyond_lost_control_are_judged_by_jsbsims_own_rounding(tmp_path
         assert found[METRIC][0] == expected
     assert verdicts(tmp_path, value(math.nan, 0.0), value(math.nan, 0.0))[METRIC][0] == "alike"
     assert verdicts(tmp_path, value(math.nan, 0.0), value(5.0, 0.0))[METRIC][0] == "differs"
+
+
+def test_rows_stand_in_the_campaign_s_order_whichever_flight_ended_first(tmp_path):
+    spec = fakes.small_spec(tmp_path, 1)
+    case = build_cases(spec, find_mission(spec))[0]
+    cases = [dataclasses.replace(case, case_id=f"{k:016x}", wind_mps=float(k)) for k in (3, 1, 2)]
+    written = []
+    for reverse in (False, True):
+        comparison = EngineComparison(tmp_path, cases, lambda case: outcome())
+        for case in reversed(cases) if reverse else cases:
+            pair = [
+                dataclasses.replace(outcome(**{METRIC: 1.0}), case_id=prefix + case.case_id)
+                for prefix in ("", comparison.groups([case])[0].cases[0][0][: -len(case.case_id)])
+            ]
+            comparison.take(pair)
+            comparison.compare(final=False)
+        comparison.compare(final=True)
+        written.append((tmp_path / "engine-check.csv").read_bytes())
+        (tmp_path / "engine-check.csv").unlink()
+    assert written[0] == written[1]
 
 
 def test_what_differs_is_named_with_the_worst_first(tmp_path):
