@@ -199,6 +199,8 @@ _STALLED_STEPS, _STALLED_GAIN = 3, 0.98  # a search ends where that many steps l
 _LATERAL_SHARE = 0.1  # of the largest acceleration, from where bank may help
 _UNSETTLED_SHARE = 0.25  # of a failed search's evaluations, from where it failed for that
 _STEP_SHARES = (0.5, 0.2, 0.1, 0.05)  # of the step, at which an unstable engine is tried again
+# Forces that are no aerodynamic ones
+_PUSHES = tuple(f"forces/fb{a}-{part}-lbs" for a in "xyz" for part in ("prop", "external"))
 _MIN_CHANGE = 1e-9  # m/s2, rad/s2
 _MAX_CLIMB_RAD = 0.9
 _NEARLY_STEADY = 1e-3  # m/s2, rad/s2: steady to the digits that a sentence has
@@ -492,8 +494,8 @@ def _search(
         for name in _SURFACES
         if name in cards and (aircraft.has_card or exists(cards[name].property))
     ]
-    acts, dead = _throttle_acts(aircraft, condition, names, equilibrium)
-    fixed = {} if acts else {n: cards[n].limits[0] for n in names if n == "throttle"}
+    acts, unused, dead = _throttle_acts(aircraft, condition, names, equilibrium)
+    fixed = {} if acts else {n: unused for n in names if n == "throttle"}
     # Without thrust to set, the path is unknown instead.
     gliding = bool(fixed) or "throttle" not in names
     # A surface that moves nothing (the rudder of a flying wing) would take the search's steps.
@@ -582,38 +584,45 @@ def _throttle_acts(
     condition: SteadyCondition,
     names: list[str],
     equilibrium: ControlEquilibrium | None,
-) -> tuple[bool, str]:
-    """Return whether the throttle changes a force or moment, and an error if engines ignore it."""
+) -> tuple[bool, float, str]:
+    """Return whether the throttle sets thrust, its setting if not, and an error if engines ignore
+    it.
+
+    A glider's throttle may be the lever of its air brakes, which stay in.
+    """
     if "throttle" not in names:
-        return False, ""
+        return False, 0.0, ""
     card = aircraft.card.inputs["throttle"]
     u, v, w = body_velocity(condition.V_mps, 0.05, 0.0)
     state = BodyState(u, v, w, 0.0, 0.05, condition.heading_rad)
-    accelerations, unsettled = [], ""
+    accelerations, pushes, unsettled = [], [], ""
     # Compare the accelerations at both ends of the throttle.
     for end in card.limits:
-        acceleration, _, end_unsettled = evaluate_state(
+        acceleration, out, end_unsettled = evaluate_state(
             aircraft,
             state,
             {"throttle": end},
             condition.altitude_m,
             condition.properties,
+            _PUSHES,
             equilibrium=equilibrium,
         )
         accelerations.append(acceleration)
+        pushes.append(np.array([*out.values()]))
         unsettled = unsettled or end_unsettled
+    forward = [float(acceleration[0]) for acceleration in accelerations]
     if float(np.max(np.abs(accelerations[1] - accelerations[0]))) > _MIN_CHANGE:
-        return True, ""
+        is_brake = np.array_equal(*pushes) and max(forward) < 0.0
+        return not is_brake, card.limits[int(np.argmax(forward))], ""
     full = {"throttle": card.limits[1]}
     fdm, _ = open_forced(
         aircraft, state, full, condition.altitude_m, condition.properties, equilibrium
     )
     if not fdm.get_propulsion().get_num_engines() or settling.spent_rockets(fdm):
-        return False, ""
+        return False, card.limits[0], ""
     exists = fdm.get_property_manager().hasNode
-    return False, dead_throttle_message(
-        card.property, LBF_N * sum(fdm[name] for name in _ENGINE_THRUSTS if exists(name)), unsettled
-    )
+    thrust_N = LBF_N * sum(fdm[name] for name in _ENGINE_THRUSTS if exists(name))
+    return False, card.limits[0], dead_throttle_message(card.property, thrust_N, unsettled)
 
 
 def _dead_surfaces(

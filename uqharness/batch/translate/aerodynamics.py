@@ -374,7 +374,8 @@ def _vector(
     frame: Frame, scope: Scope, node: Node, axes: tuple[str, str, str], size: str
 ) -> Vector:
     """Return the force or moment of an element in body axes."""
-    scope.only(node, ("name", "frame"))
+    # JSBSim reads no unit here: a force is in lbf.
+    scope.only(node, ("name", "frame", "unit"))
     kind = node.attributes.get("frame", "")
     if kind not in _KINDS:
         scope.refuse(
