@@ -791,7 +791,7 @@ _SURFACES = (*_WITH_SIZE, "flap", "speedbrake", "spoiler")
 _CONTROLS_LEVERS = ("throttle", "mixture", "advance", "feather")
 CHANNEL_STEP = "simulation/channel-dt"
 _NO_VALUE = re.compile(
-    r"fcs/mag-.*-pos-rad|fcs/feather-.*|.*/(saturated|initial-integrator-value|randomseed"
+    r"fcs/mag-.*-pos-rad|.*/(saturated|initial-integrator-value|randomseed"
     r"|malfunction/fail_(zero|hardover|stuck|low|high))"
 )
 
@@ -819,6 +819,13 @@ HOOKS: Mapping[str, Callable[[Frame, Value], None]] = {
     f"fcs/{surface}-pos-{unit}": _surface(surface, unit == "deg")
     for surface in _SURFACES
     for unit in ("rad", "deg")
+} | {
+    name: truth_hook(name)
+    for name in (
+        f"fcs/feather-{kind}-norm{index}"
+        for kind in ("cmd", "pos")
+        for index in ("", *(f"[{k}]" for k in range(1, 8)))
+    )
 }
 """For ``Frame.hooks``: properties whose setting changes others."""
 
