@@ -57,6 +57,8 @@ from uqharness.simulator import (
     xml_numbers_for,
 )
 from uqharness.simulator import facts as aircraft_facts
+from uqharness.simulator.aircraft import with_rotor_inertia
+from uqharness.simulator.staging import model_files as author_files
 from uqharness.xml import (
     Document,
     Insertion,
@@ -387,6 +389,10 @@ def write(aircraft: Aircraft, planned: Plan, out: Path) -> None:
     if not in_place:
         for name, content in carried_files(aircraft, out).items():
             files[name], changes[name] = content, make_change(None, content)
+    for name, (content, _) in with_rotor_inertia(aircraft, author_files(aircraft)).items():
+        path = aircraft.folder / name
+        before = read_xml(path) if path.is_file() else None
+        files[name], changes[name] = content, make_change(before, content)
     if (aircraft.folder / FILE_NAME).is_file():
         changes = _merge_records(read_record(aircraft.folder), changes)
     with tempfile.TemporaryDirectory(dir=out.absolute().parent, prefix=".instrument-") as temporary:

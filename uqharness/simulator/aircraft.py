@@ -28,7 +28,7 @@ from sysid.foreign.regular_files import sha256_hex
 from sysid.logs import AirframeCard, Reference, Sensors
 from sysid.logs import card as airframe_card
 from sysid.record import FlightRecord
-from sysid.units import FT_M, RAD_DEG, SLUG_FT3_KGPM3
+from sysid.units import FT_M, RAD_DEG, SLUG_FT2_KGM2, SLUG_FT3_KGPM3
 from uqharness.arguments import path as argument_path
 from uqharness.errors import BadInputError
 from uqharness.files import PROJECT_ROOT
@@ -536,6 +536,11 @@ def model_files(aircraft: HasFiles) -> ModelFiles:
     if not isinstance(aircraft, Aircraft):
         return files
     local = dict(files.local)
+    # In the aircraft's folder, where JSBSim looks before the shared one.
+    for name, (content, text) in with_rotor_inertia(aircraft, files).items():
+        part = local.get(name) or files.shared[f"engine/{Path(name).name}"]
+        local[name] = replace(part, content=content)
+        _report(text)
     carried = _carried_system(files)
     if carried and aircraft.card.host:
         content = host.host_system_xml(host.with_host_entries((), aircraft.card.host))
@@ -555,6 +560,50 @@ def model_files(aircraft: HasFiles) -> ModelFiles:
     content = host.insert_system(author.content, host.host_system_xml(rows), str(aircraft.xml))
     local[main] = replace(author, content=content)
     return ModelFiles(local, files.shared, files.shared_paths)
+
+
+_LEAST_INERTIA = 1e-6
+"""Inertia [slug ft2] that JSBSim takes for any smaller one."""
+_INERTIA_KGM3 = 0.055
+"""Moment of inertia over the fifth power of the diameter, of small wooden and plastic propellers.
+"""
+
+
+def with_rotor_inertia(aircraft: HasFiles, files: ModelFiles) -> dict[str, tuple[bytes, str]]:
+    """Return the propellers without inertia: name in the folder to mended content and a sentence.
+
+    Generators of aircraft write <ixx> 0.00 for small propellers. JSBSim takes 1e-6 slug ft2, with
+    which the speed alternates between 0 and millions of rpm at any usual step; a propeller of
+    typical inertia is as good as steady.
+    """
+    mended = {}
+    places = {name: (aircraft.folder / name, file) for name, file in files.local.items()}
+    for key, file in files.shared.items():
+        kind, _, name = key.partition("/")
+        if kind == "engine":
+            places.setdefault(f"Engines/{name}", (aircraft.engine_path / name, file))
+    for name, (path, file) in places.items():
+        if file.root != "propeller":
+            continue
+        root = etree.fromstring(file.content, etree.XMLParser(resolve_entities=False))
+        node, diameter = root.find("ixx"), _length(root, "diameter")
+        if node is None or not diameter or (node.text or "").strip("0. +-\t\r\n"):
+            continue
+        inertia = f"{_INERTIA_KGM3 * diameter**5 / SLUG_FT2_KGM2:.3g}"
+        if not float(inertia) > _LEAST_INERTIA:
+            continue
+        lines = file.content.split(b"\n")
+        lines[node.sourceline - 1] = re.sub(
+            rb"<ixx[^>]*>[^<]*</ixx>",
+            f'<ixx unit="SLUG*FT2"> {inertia} </ixx>'.encode(),
+            lines[node.sourceline - 1],
+        )
+        sentence = (
+            f"{path}:{node.sourceline}: <ixx> is 0, with which it turns at no steady speed:"
+            f" flown with {inertia} slug ft2, typical of its diameter; write its own there"
+        )
+        mended[name] = (b"\n".join(lines), sentence)
+    return mended
 
 
 def _provided(aircraft: Aircraft) -> tuple[HostProperty, ...]:
@@ -579,7 +628,9 @@ def staged(aircraft: Aircraft) -> Staging:
     It is staged again once a file has changed. Raises BadInputError.
     """
     author = staging.staged(aircraft)
-    if not aircraft.card.host and not _provided(aircraft):
+    if author.root not in _mended:
+        _mended[author.root] = bool(with_rotor_inertia(aircraft, staging.model_files(aircraft)))
+    if not aircraft.card.host and not _provided(aircraft) and not _mended[author.root]:
         return author
     # A card that was changed in this process has entries of its own.
     place = author.root / f"hosted-{sha256_hex(_entries(aircraft).encode())[:12]}"
@@ -592,6 +643,9 @@ def staged(aircraft: Aircraft) -> Staging:
             (place / at.relative_to(author.root), real) for at, real in author.user_folders
         ),
     )
+
+
+_mended: dict[Path, bool] = {}
 
 
 def _without_comments(content: bytes) -> bytes:
@@ -817,7 +871,7 @@ def standard_positions() -> dict[str, Source]:
 # or altitude in the record, the altitude of the aircraft's only initial condition is used, with
 # a warning.
 
-_METRES = {"M": 1.0, "FT": FT_M, "KM": 1000.0}
+_METRES = {"M": 1.0, "FT": FT_M, "IN": FT_M / 12.0, "KM": 1000.0}
 _SETTLES = "a column rho_kgpm3 settles it"
 
 
