@@ -15,7 +15,8 @@ POSITIONS = {
 }
 
 
-def _product(*factors: str | float) -> str:
+def product(*factors: str | float) -> str:
+    """Return a <product> of properties and numbers."""
     parts = [
         f"<value>{f}</value>" if not isinstance(f, str) else f"<property>{f}</property>"
         for f in factors
@@ -26,7 +27,7 @@ def _product(*factors: str | float) -> str:
 def _axis(axis: str, length: str | None, terms: Mapping[str, tuple[str | float, ...]]) -> str:
     scale = ("aero/qbar-psf", "metrics/Sw-sqft") + ((length,) if length else ())
     functions = "\n".join(
-        f'    <function name="aero/{axis.lower()}/{name}">{_product(*scale, *factors)}</function>'
+        f'    <function name="aero/{axis.lower()}/{name}">{product(*scale, *factors)}</function>'
         for name, factors in terms.items()
     )
     return f'  <axis name="{axis}">\n{functions}\n  </axis>'

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 
 from tests.helpers import foreign_aircraft, gallery
+from uqharness.batch.course import fly_many
+from uqharness.flight.fly import fly
+from uqharness.flight.spec import FlightSpec
 from uqharness.plugin.apply import instrument_aircraft, undo
 from uqharness.plugin.instrument import Bounds
 from uqharness.simulator import (
@@ -19,6 +24,9 @@ from uqharness.simulator import (
     host_properties,
     open_aircraft,
 )
+from uqharness.simulator.aircraft import with_rotor_inertia
+from uqharness.simulator.own_mission import StartSection, write_steady_start
+from uqharness.simulator.staging import model_files
 
 # In a process of its own and without this project: the copy is plain JSBSim.
 PLAIN = """
@@ -157,3 +165,84 @@ def test_three_commands_lead_to_a_p_box(style, tmp_path):
     if style != "glider":
         assert 0.0 < row.throttle_pct < 100.0
     assert row.engine == "batch" or row.reason
+
+
+@pytest.fixture
+def foam(tmp_path):
+    """Return an electric foam wing with JSBSim's throttle, whose moments feel rates of incidence."""
+    folder = foreign_aircraft.write("wing", tmp_path)
+    xml = folder / "wing.xml"
+    text = xml.read_text().replace("uav/motor-command", "fcs/throttle-cmd-norm")
+    lag = foreign_aircraft.product(
+        "aero/qbar-psf",
+        "metrics/Sw-sqft",
+        "metrics/cbarw-ft",
+        "aero/ci2vel",
+        "aero/alphadot-rad_sec",
+        -6.0,
+    )
+    axis = '<axis name="PITCH">'
+    assert axis in text
+    xml.write_text(
+        text.replace(axis, f'{axis}<function name="aero/pitch/alphadot">{lag}</function>')
+    )
+    return folder
+
+
+def test_electric_motors_start_settled_in_the_batch_engine_as_in_jsbsim(foam):
+    script = foam.parent / "steady.xml"
+    trim = write_steady_start(
+        find_aircraft(foam), StartSection(V_mps=15.0, altitude_m=200.0), script, ""
+    )
+    # A flying wing has no rudder: the search leaves it where it is.
+    assert trim.controls["rudder"] == 0.0
+    spec = FlightSpec(foam, script, 1.0, wind_mps=3.0, record_rate_hz=50.0)
+    theirs, (ours,) = fly(spec), fly_many([spec])
+    for name in ("V_mps", "alpha_rad", "theta_rad", "height_m"):
+        if name in theirs.signals:
+            error = np.max(np.abs(theirs.signals[name] - ours.signals[name]))
+            assert error < 1e-8 * np.max(np.abs(theirs.signals[name])), name
+
+
+@pytest.mark.slow
+def test_a_propeller_without_inertia_gets_a_typical_one_and_undo_takes_it_back(foam, caplog):
+    screw = foam / "Engines" / "small_airscrew.xml"
+    author = screw.read_bytes()
+    assert with_rotor_inertia(find_aircraft(foam), model_files(find_aircraft(foam))) == {}
+    screw.write_bytes(re.sub(rb"<ixx[^>]*>[^<]*</ixx>", b"<ixx>   0.00 </ixx>", author))
+    author = screw.read_bytes()
+    with caplog.at_level("INFO", logger="uqharness"):
+        assert find_trim(find_aircraft(foam), SteadyCondition(15.0, 200.0)).converged
+    line = 1 + author[: author.index(b"<ixx>")].count(b"\n")
+    assert f"small_airscrew.xml:{line}: <ixx> is 0" in caplog.text
+    out = foam.parent / "copy" / "wing"
+    instrument_aircraft(find_aircraft(foam), Bounds(), out, check=False)
+    assert b'<ixx unit="SLUG*FT2">' in (out / "Engines" / screw.name).read_bytes()
+    undo(out, out)
+    assert (out / "Engines" / screw.name).read_bytes() == author
+
+
+def test_a_lever_that_moves_air_brakes_is_no_throttle(tmp_path):
+    folder = foreign_aircraft.write("glider", tmp_path)
+    lever = "/controls/engines/engine/throttle"
+    drag = foreign_aircraft.product("aero/qbar-psf", "metrics/Sw-sqft", 0.1, lever).replace(
+        f"<property>{lever}</property>",
+        f"<difference><value>1</value><property>{lever}</property></difference>",
+    )
+    xml = folder / "glider.xml"
+    axis = '<axis name="DRAG">'
+    text = xml.read_text()
+    assert axis in text
+    xml.write_text(text.replace(axis, f'{axis}<function name="aero/drag/brake">{drag}</function>'))
+    (folder / "airframe.toml").write_text(
+        '[aircraft]\nname = "glider"\nxml = "glider.xml"\n'
+        f'[inputs.throttle]\nproperty = "{lever}"\nunit = "norm"\nlimits = [0, 1]\n'
+        + "".join(
+            f'[inputs.{name}]\nproperty = "fcs/{name}-cmd-norm"\nunit = "norm"\nlimits = [-1, 1]\n'
+            for name in ("elevator", "aileron", "rudder")
+        )
+    )
+    trim = find_trim(find_aircraft(folder), SteadyCondition(28.0, 500.0))
+    assert trim.converged, trim.reason
+    assert trim.controls["throttle"] == 1.0
+    assert -0.1 < trim.condition.climb_rad < -0.01

@@ -9,8 +9,13 @@ import pytest
 
 from uqharness.cli.main import main
 from uqharness.errors import BadInputError
-from uqharness.simulator import aircraft_checks, engine
-from uqharness.simulator.aircraft import find_aircraft, open_aircraft
+from uqharness.simulator import aircraft_checks, engine, staging
+from uqharness.simulator.aircraft import (
+    find_aircraft,
+    model_files,
+    open_aircraft,
+    with_rotor_inertia,
+)
 from uqharness.simulator.trim import SteadyCondition, find_trim
 
 XML = """<?xml version="1.0"?>
@@ -165,3 +170,29 @@ def test_a_rotorcraft_is_named_and_not_trimmed(tmp_path, caplog):
     with pytest.raises(BadInputError, match=r"ah1s\.xml:\d+: .* rotorcraft"):
         find_trim(aircraft, SteadyCondition(30.0))
     assert aircraft_checks.rotor_place(find_aircraft("c172x")) == ""
+
+
+def test_a_propeller_without_inertia_gets_that_of_its_diameter(tmp_path):
+    folder = plane(tmp_path)
+    main = folder / "plane.xml"
+    main.write_text(
+        main.read_text().replace(
+            "<aerodynamics/>",
+            '<propulsion><engine file="motor"><thruster file="screw"/></engine></propulsion>'
+            "<aerodynamics/>",
+        )
+    )
+    (folder / "Engines").mkdir()
+    (folder / "Engines" / "motor.xml").write_text('<electric_engine name="m"/>')
+    for text, mended in (("0.0004", False), ("0.00", True)):
+        (folder / "Engines" / "screw.xml").write_text(
+            f'<propeller name="s">\n<ixx> {text} </ixx>\n<diameter unit="IN"> 14 </diameter>\n'
+            "</propeller>\n"
+        )
+        aircraft = find_aircraft(folder)
+        content = model_files(aircraft).local["Engines/screw.xml"].content
+        assert (b'<ixx unit="SLUG*FT2">' in content) is mended
+    # A rod of 50 g, 14 in long, has 3.9e-4 slug ft2; blades taper.
+    assert float(content.split(b"SLUG*FT2")[1].split()[1]) == pytest.approx(2.3e-4, rel=0.02)
+    ((_, sentence),) = with_rotor_inertia(aircraft, staging.model_files(aircraft)).values()
+    assert "screw.xml:2: <ixx> is 0" in sentence
