@@ -12,11 +12,9 @@ from pathlib import Path
 
 import pandas as pd
 
-from tests.helpers import foreign_aircraft, foreign_styles
+from tests.helpers.foreign_aircraft import SPEEDS_MPS, STYLES
 from uqharness.simulator import SteadyCondition, find_aircraft, find_trim
 
-STYLES = {**foreign_aircraft.STYLES, **foreign_styles.STYLES}
-SPEEDS_MPS = {**foreign_aircraft.SPEEDS_MPS, **foreign_styles.SPEEDS_MPS}
 ALTITUDE_M = 200.0
 BOUNDS = "CX=0.01,CY=0.01,CZ=0.05,Cl=0.001,Cm=0.01,Cn=0.001"
 CAMPAIGN = """[campaign]

@@ -98,23 +98,6 @@ def test_a_dictionary_and_a_file_mean_the_same(result: CampaignResult, tmp_path:
     )
 
 
-@pytest.mark.parametrize(
-    ("section", "wrong"),
-    [
-        ("aleatory", {"flights": 0, "duration_s": 1}),
-        ("campaign", {"aircraft": "espaaro", "mission": "steady", "seed": 1}),
-        ("stop", {"rule": "decide", "radius_m": 99.0}),
-        ("nonsense", {}),
-    ],
-)
-def test_an_error_in_a_dictionary_names_no_file(section: str, wrong: dict, tmp_path: Path):
-    with pytest.raises(uq.BadInputError) as caught:
-        uq.run_campaign(tomllib.loads(CAMPAIGN.read_text()) | {section: wrong}, tmp_path / "out")
-    assert "campaign.toml" not in str(caught.value)
-    assert "the file" not in str(caught.value)
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_bad_input_is_said(result: CampaignResult, tmp_path: Path):
     with pytest.raises(uq.BadInputError, match="not a campaign folder"):
         uq.read_campaign(tmp_path)

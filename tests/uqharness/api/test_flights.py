@@ -84,24 +84,6 @@ def test_flights_are_taken_as_they_are_given(tmp_path: Path):
         flights_of([3], aircraft)
 
 
-@pytest.mark.parametrize(
-    ("wrong", "message"),
-    [
-        ({"duration_s": -1}, "duration_s = -1"),
-        ({"wind_mps": float("nan")}, "wind_mps = nan"),
-        ({"seed": -2}, "seed = -2"),
-        ({"rate_hz": 7}, "record rate 7 Hz"),
-        ({"turbulence": "strong"}, "turbulence = 'strong'"),
-        ({"script": "nosuch"}, "script 'nosuch' not found"),
-        ({"properties": {"no/such": 1.0}}, "no/such"),
-    ],
-)
-def test_bad_input_is_one_sentence(wrong: dict, message: str):
-    with pytest.raises(uq.BadInputError, match=message) as caught:
-        uq.fly("espaaro", **({"duration_s": 2} | wrong))
-    assert "\n" not in str(caught.value)
-
-
 def test_a_record_in_degrees_or_of_another_aircraft_is_refused(tmp_path: Path):
     record = flown().record
     other = FlightRecord(record.columns, type(record.metadata)(aircraft="c172x"))

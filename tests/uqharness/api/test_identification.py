@@ -126,17 +126,3 @@ def test_fit_model_form_gives_the_file_of_the_command(
     assert (table["persistent"] > 0.0).all()
     assert table["found"].isin([True, False]).all()
     assert capsys.readouterr() == ("", "")
-
-
-def test_compare_takes_one_flight_and_model_forms_need_sound_numbers(flight: Path, tmp_path: Path):
-    other = tmp_path / "other.parquet"
-    flown(5).write(other)
-    with pytest.raises(uq.BadInputError, match=r"one flight .* is needed"):
-        uq.compare("espaaro", [flight, other])
-    for wrong, message in (
-        ({"confidence": 1.0}, "confidence = 1"),
-        ({"order": 4}, "order = 4"),
-        ({"outside": "x"}, "outside = 'x'"),
-    ):
-        with pytest.raises(uq.BadInputError, match=message):
-            uq.fit_model_form("espaaro", flight, **wrong)

@@ -327,20 +327,3 @@ def test_a_damaged_record_of_an_instrumentation_is_one_sentence(tmp_path: Path, 
     (tmp_path / "uq-instrument.json").write_text(text)
     with pytest.raises(BadInputError, match="is no record of an instrumentation"):
         undo(tmp_path, tmp_path)
-
-
-@pytest.mark.parametrize(("given", "threads"), [({}, "1"), ({"OPENBLAS_NUM_THREADS": "2"}, "2")])
-def test_linear_algebra_takes_one_thread_unless_the_user_says_otherwise(
-    tmp_path: Path, given: dict[str, str], threads: str
-) -> None:
-    code = f"import sys; sys.path.append({str(ROOT)!r})\nimport os, uqharness.cli.main\n"
-    code += (
-        "def main(argv): print(os.environ['OPENBLAS_NUM_THREADS'])\nuqharness.cli.main.main ="
-        " main\n"
-    )
-    code += "from uqharness.__main__ import main\nmain([])"
-    environment = {k: v for k, v in _environment().items() if k != "OPENBLAS_NUM_THREADS"} | given
-    done = subprocess.run(
-        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, env=environment
-    )
-    assert done.stdout.strip() == threads, done.stderr

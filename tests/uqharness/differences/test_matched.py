@@ -74,20 +74,6 @@ def _negated(folder):
     )
 
 
-def test_what_b_cannot_fly_is_said(given, tmp_path):
-    other = changed(
-        tmp_path,
-        "<input>fcs/elevator-selected-deg</input>",
-        "<input>fcs/elevator-nowhere-deg</input>",
-    )
-    _, flights = fly_matched(given, other, ASKED)
-    assert all(f.reason or differences_of(f) for f in flights)
-
-
-def differences_of(flight) -> bool:
-    return any(np.any(flight.a[c] != flight.b[c]) for c in flight.b)
-
-
 def test_scripts_are_flown_too(given):
     script = ROOT / "scripts" / "doublet-elevator.xml"
     _, (flight,) = fly_matched(

@@ -20,17 +20,6 @@ def found(**asked):
     return {d.channel: d for d in by_channel(differences(channels, flights, []))}, flights[0]
 
 
-def test_other_air():
-    plain, alone = found(turbulence="moderate")
-    widened, repeated = found(turbulence="moderate", repeats=3)
-    assert alone.varied == {}
-    assert repeated.varied["w_dot"] > 0.1
-    assert set(widened) < set(plain)
-    # Air does not move the rounding that the mass has.
-    assert repeated.varied["mass"] == 0.0
-    assert all(d.size > repeated.varied[c] for c, d in widened.items())
-
-
 def test_bounds():
     plain, _ = found()
     widened, flight = found(bounds=True)

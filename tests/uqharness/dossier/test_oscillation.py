@@ -28,20 +28,6 @@ def wave(period_s, damping, t=T, phase=0.4):
     return np.exp(-decay * t) * np.cos(omega * t + phase) + 0.3 + 0.02 * t
 
 
-@pytest.mark.parametrize("period_s", [0.8, 1.7, 4.0])
-@pytest.mark.parametrize("damping", [-0.03, 0.0, 0.05, 0.3])
-def test_without_noise(period_s, damping):
-    found = fit_mode(T, wave(period_s, damping), 0.3, 20.0)
-    assert found.period_s == pytest.approx(period_s, rel=1e-6)
-    assert found.damping == pytest.approx(damping, abs=1e-7)
-    assert found.cycles == pytest.approx(T[-1] / period_s, rel=1e-6)
-    if damping:
-        omega = 2.0 * np.pi / period_s
-        assert found.half_s == pytest.approx(
-            np.log(2.0) * np.sqrt(1.0 - damping**2) / (abs(damping) * omega), rel=1e-5
-        )
-
-
 def test_standard_errors_are_the_scatter_over_seeds():
     clean = wave(2.0, 0.05)
     found = [

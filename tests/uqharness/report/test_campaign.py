@@ -104,40 +104,6 @@ def test_the_published_flight_is_marked_on_the_measured_figures_only(page):
     }
 
 
-def test_aborted_flights_stand_apart_by_kind_where_there_are_some(folder, page, tmp_path):
-    def claims(text):
-        caption = "Supportable claims: excursions per flight hour, by condition and radius."
-        (table,) = [
-            t
-            for t in html.document_fromstring(text).iter("table")
-            if t.findtext("caption") == caption
-        ]
-        rows = [[e.text_content() for e in row] for row in table.findall("tbody/tr")]
-        return [
-            dict(zip([e.text_content() for e in table.findall("thead//th")], row, strict=True))
-            for row in rows
-        ]
-
-    signed = list(csv.DictReader((folder / "statements.csv").read_text().splitlines()))
-    names = {
-        "Loss of control": "loss_of_control",
-        "Ground contact": "ground_contact",
-        "Diverged": "diverged",
-    }
-    for row, item in zip(claims(page), signed, strict=True):
-        assert {name: row[name] for name in names} == {
-            name: item[column] for name, column in names.items()
-        }
-        assert float(row["Aborted flights, 95 % upper limit [1/h]"]) == pytest.approx(
-            float(item["loss_upper_per_h"]), rel=0.01
-        )
-    assert sum(int(signed[0][column]) for column in names.values()) > 0
-    spec = fakes.small_spec(tmp_path, 2)
-    run_campaign(spec, tmp_path / "out", executor=SerialExecutor(), fly=fakes.steady)
-    quiet = claims(write_report(tmp_path / "out").path.read_text())
-    assert not set(names) & set(quiet[0])
-
-
 def test_text_from_outside_is_escaped(page):
     assert "a&lt;b&gt;&amp;" in page
     assert "a<b>" not in page

@@ -15,7 +15,6 @@ from uqharness.report.ground_track import (
     flight_track,
     ground_track,
     lap_of,
-    track_distance,
 )
 
 TIME = np.arange(0.0, 200.0, 0.2)
@@ -134,27 +133,6 @@ def test_a_flight_that_ended_early_is_compared_while_it_flew():
     found = lap_of(table(**{"before_nominal": short, "before_worst-corner": lap(AWAY)}))
     assert 80.0 <= found.at_s < 100.0
     assert found.apart_m == pytest.approx(5.0)
-
-
-def test_a_path_that_is_no_circle_is_not_drawn():
-    found = lap_of(table(**{"before_worst-corner": lap(AWAY) | {"distance_m": np.abs(AWAY)}}))
-    assert "commanded path" not in words_in(ground_track("track", found, 15.0, "calm"))
-    assert "distance from the path [m]" in words_in(track_distance("distance", found, 15.0))
-
-
-def test_a_straight_flight_is_cut_to_two_minutes():
-    straight = {
-        "time_s": TIME,
-        "north_m": 20.0 * TIME,
-        "east_m": 0.0 * TIME,
-        "distance_m": np.where(TIME == 100.0, 5.0, 0.0),
-    }
-    assert (
-        "(120 s)"
-        in ground_track(
-            "track", lap_of(table(**{"before_worst-corner": straight})), 15.0, "calm"
-        ).caption
-    )
 
 
 def test_flights_without_a_distance_have_no_lap():

@@ -6,8 +6,8 @@ from tests.helpers import report_folders as folders
 from uqharness.dossier import read_evidence
 from uqharness.replay.histories import write_pieces
 from uqharness.report.pages.dossier import compare_with_log, match_section
-from uqharness.report.parts import Figures, Section, Table, render
 from uqharness.report.parts import Page as WholePage
+from uqharness.report.parts import Section, Table, render
 
 T = np.arange(0.0, 6.0, 0.02)
 
@@ -49,14 +49,3 @@ def test_pass_and_fail(tmp_path):
         assert answers["2.d.6"] == word
         assert answers["2.c.10"] == "not in the data"
     assert "yaw &lt;doublet&gt;" in texts(bad)
-
-
-def test_figures_have_measured_band_and_model_and_every_sample_outside(tmp_path):
-    section = section_of(with_rudder(folders.refined(tmp_path / "bad"), 0.05))
-    figures = next(b for b in section.blocks if isinstance(b, Figures)).items
-    assert [f.name for f in figures] == ["match-2-d-6-r_radps", "match-2-d-6-r_radps-gap"]
-    for kind in ("dots dot", "band fill1", "line first"):
-        assert kind in figures[0].svg
-    assert figures[1].svg.count("h0") >= T.size
-    inside = section_of(with_rudder(folders.refined(tmp_path / "good"), 0.01))
-    assert "dotout" not in next(b for b in inside.blocks if isinstance(b, Figures)).items[1].svg

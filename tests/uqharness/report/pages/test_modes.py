@@ -71,12 +71,6 @@ def test_the_page_is_sound_and_says_levels_and_speeds():
     assert "Speeds without a trim" not in words
 
 
-def test_a_speed_without_a_trim_stands_with_its_reason():
-    words = words_of(page(refused=[(30.0, "deceleration at full throttle")]))
-    assert "1 further speeds have no trim, or were not tried." in words
-    assert re.search("30 ?deceleration at full throttle", words)
-
-
 def test_a_mode_worse_than_level_3_is_said_first():
     points = [point(20.0, spiral=0.4, level=4)]
     words = words_of(page(points=points))

@@ -104,27 +104,6 @@ def test_what_is_said_of_the_gap_is_what_the_hold_out_flights_said_of_the_effect
     assert tuple(line.get("class") for line in said[: len(levels)]) == levels
 
 
-def test_effects_with_something_left_beside_them_are_said_together(tmp_path):
-    """Without effects the sentence above stands."""
-    effect = refinement()["effects"][0]
-    inertia = {
-        "term": "Ixz",
-        "name": "product of inertia Ixz off",
-        "separable": False,
-        "would_separate": "none in the air",
-    }
-    other = effect | {"name": "axial force due to pitch rate", "alternatives": [inertia]}
-    done = refinement(verdict="unexplained", effects=[effect, other])
-    words = words_of(page_of(written(tmp_path / "refined", "refinement.json", done)))
-    assert (
-        "Effects were found, and something beside them is left that no effect of the catalogue"
-        " explains (unexplained)." in words
-    )
-    assert "Something is missing" not in words
-    assert "Pitching moment due to roll rate squared is confounded with: aileron squared." in words
-    assert "Axial force due to pitch rate is confounded with: product of inertia Ixz." in words
-
-
 def test_errors_of_predictions_stand_under_their_own_name(tmp_path):
     done = refinement()
     assert "one sample ahead" not in words_of(
