@@ -14,6 +14,7 @@ pytestmark = pytest.mark.usefixtures("flights_here")
 
 SLOW = {
     "campaign_area",
+    "campaign_convergence",
     "campaign_report",
     "check_campaign",
     "diff",
@@ -21,6 +22,7 @@ SLOW = {
     "export_log",
     "margins",
     "next_flight",
+    "performance",
     "refine",
     "report",
     "rerun_case",

@@ -14,7 +14,7 @@ from uqharness.commands.campaign import CampaignResult
 pytestmark = pytest.mark.usefixtures("flights_here")
 
 CAMPAIGN = {
-    "campaign": {"aircraft": "espaaro", "mission": "loiter", "seed": 1},
+    "campaign": {"aircraft": "espaaro", "mission": "loiter", "seed": 1, "engine": "jsbsim"},
     "aleatory": {"flights": 2, "duration_s": 5, "burn_in_s": 0, "wind_mps": [0, 3]},
     "epistemic": {
         "method": "corners",
