@@ -59,7 +59,6 @@ from .tuned import RESOLVED_ROWS as RESOLVED_ROWS
 from .tuned import SEVERAL as SEVERAL
 from .tuned import STANDS as STANDS
 from .tuned import UNKNOWN_ROWS as UNKNOWN_ROWS
-from .tuned import VANE_ODDS as VANE_ODDS
 from .turbulence import REMEMBERED_AIRS as REMEMBERED_AIRS
 from .turbulence import TurbulenceModel as TurbulenceModel
 from .turbulence import gust_intensity as gust_intensity

@@ -43,9 +43,6 @@ GUST_LIMIT = 6.0
 GUST_ODDS = 30.0
 """Additional gain required of candidates that a slightly wrong gust model resembles: rates of the
 wind angles, sensors, servos, masses."""
-VANE_ODDS = 400.0
-"""Additional gain required of scales of vanes where the air does not rotate as the standard has it:
-false scales reach |t| of 17."""
 RESOLVED_ROWS = 0.01
 """Additional standard error of times, in rows: estimates of absent lags and delays are .007 to .018
 rows (rms). Three times this is the smallest time that counts as an effect."""

@@ -155,8 +155,6 @@ _MOST_OWN = 1.0
 """Largest noise of the air's own pitch and yaw, as a share of that of gusts across the path, or of
 the air's roll: an isotropic field has no more.
 """
-_LITTLE = 0.02
-"""Share of the noise of gusts across the path below which the air's own rotation is nothing."""
 _LENGTHS = (1.0, 0.5, 0.25, 2.0, 0.7, 1.4)
 """Lengths of q_h and r_h that are tried, in units of the standard's."""
 _STRUCTURE_ROUNDS = 2
@@ -253,16 +251,6 @@ class TurbulenceModel:
         )
 
     @property
-    def is_standard(self) -> bool:
-        """Whether the air rotates as the standard has it, or not at all; in other air the spectra
-        of alpha' and beta' are unknown as well.
-        """
-        first = self.states[0]
-        shape = first.q_length, first.r_length, first.q_share, first.r_share
-        is_strong = self.values[_OWN_ROTATION] > _LITTLE * self.values[1:3]
-        return shape == (1.0, 1.0, 1.0, 1.0) and not is_strong.any()
-
-    @property
     def kind(self) -> tuple[bool, bool, bool]:
         """Whether the gusts rotate the air, turn with the aircraft, and pass at one speed in each
         flight.
@@ -277,9 +265,11 @@ class TurbulenceModel:
         passing = ", and pass at one speed in each flight" if at_one_speed else ""
         rotate, turn = ("" if so else "do not " for so in (rotating, turning_with))
         axes = " of the body's axes" if self.states[0].in_body else ""
+        order = 0 if self.colour is None else len(self.colour.coefficients)
+        rest = f", and whose innovations depend on {order} rows before" if order else ""
         return (
             f"gusts{axes} that {rotate}rotate the air{self._lengths} and {turn}turn with the"
-            f" aircraft{passing}"
+            f" aircraft{passing}{rest}"
         )
 
     @property

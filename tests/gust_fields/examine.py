@@ -207,10 +207,8 @@ def measure(paths: list[Path]) -> Finding:
     keys = [e.key for e in effects]
     t = dict(zip(keys, np.abs(scores(evidence, free, keys).t).tolist(), strict=True))
     largest = max((k for k in t if np.isfinite(t[k])), key=lambda k: t[k])
-    colour = air.gusts.colour
-    order = "" if colour is None else f"; innovations of order {len(colour.coefficients)}"
     return Finding(
-        air.gusts.words + order,
+        air.gusts.words,
         tuple(air.gusts.moments.tolist()),
         tuple(t.get(v, float("nan")) for v in VANES),
         (largest, t[largest]),

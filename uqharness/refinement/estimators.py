@@ -24,7 +24,6 @@ from sysid.effects import (
     GUST_ODDS,
     OVERWHELMING,
     QUIETER,
-    VANE_ODDS,
     Columns,
     Effect,
     Information,
@@ -76,7 +75,6 @@ ESTIMATOR_ROUNDS = 2
 """Fits after which the noise of channels that an autopilot's estimator computed has settled."""
 DIVERGED = 1e6
 """Gain over calm air that only says that the model leaves the flights in calm air."""
-VANES = ("sensor.alpha_rad", "sensor.beta_rad")
 _AXES = ("p_radps", "q_radps", "r_radps")
 
 
@@ -392,8 +390,6 @@ class PredictionErrorEstimator:
     def required_gain(self, effect: Effect) -> float:
         """The effect's own odds, and those of what a slightly wrong gust model looks like."""
         subsystem = effect.subsystem or ""
-        if not self.turbulence.is_standard and subsystem in VANES and effect.term == "scale":
-            return effect.odds + VANE_ODDS
         like_gusts = depends_on_wind_rates(effect) or subsystem.startswith(
             ("sensor.", "actuator.", "mass")
         )

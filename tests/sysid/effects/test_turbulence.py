@@ -141,7 +141,6 @@ def test_axes_and_lengths_of_gusts_are_the_likeliest():
     assert short.q_length == pytest.approx(0.4, abs=0.15)
     reversed_ = found_in(*drawn(GustStates(MASS.b, q_share=-1.0), INTENSITIES))
     assert reversed_.states[0].q_share == -1.0
-    assert not reversed_.is_standard
 
 
 @pytest.mark.parametrize(("rotating", "turning"), [(True, True), (False, True)])
