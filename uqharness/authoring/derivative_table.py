@@ -2,10 +2,11 @@
 
 Each row has a name, a value, a unit and a source. Names are ``S b c x_ref y_ref z_ref x_cg x_np
 alpha mach axes rate_axes`` and coefficients with their variable: ``CL_alpha``, ``Cm_0``,
-``Cn_rudder``. A CSV file has the columns name, value, unit and, where wanted, source and alpha_deg;
-rows without an alpha hold at every alpha. A TOML file has ``[reference]``, ``[condition]`` and
-``[derivatives]`` with ``CL_alpha = { value = 4.6, unit = "1/rad", source = "..." }``, or a number,
-which is in SI and per radian.
+``Cn_rudder``, ``CL_flap``, and ``CD_gear`` for the extended gear. ``ground_lift`` is the factor of
+the lift at ``h_over_b``, height over span. A CSV file has the columns name, value, unit and, where
+wanted, source, alpha_deg and h_over_b; rows without an alpha hold at every alpha. A TOML file has
+``[reference]``, ``[condition]``, ``[derivatives]`` with ``CL_alpha = { value = 4.6, unit = "1/rad",
+source = "..." }``, or a number, which is in SI and per radian, and ``[ground_effect]``.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import io
 import math
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -55,6 +56,8 @@ _UNITS = {
     "cm": 1e-2,
 }
 _LENGTHS = {"S": "S", "b": "b", "c": "c", "x_ref": "x", "y_ref": "y", "z_ref": "z"}
+_GROUND = "ground_lift"
+"""Factor of the lift near the ground; its rows have a height over the span."""
 _FACTS = ("x_np", "x_cg", "e")
 _SURFACES = {
     "de": "elevator",
@@ -77,6 +80,7 @@ class _Row:
     unit: str
     line: int
     alpha: float = math.nan
+    height: float = math.nan
 
 
 def read_table_file(path: Path, text: str) -> Source:
@@ -97,6 +101,7 @@ def read_table_file(path: Path, text: str) -> Source:
     facts: dict[str, Entry] = {}
     condition = {"alpha": Entry(0.0, path), "mach": Entry(0.0, path)}
     entries: dict[float, dict[tuple[str, str], Entry]] = {}
+    ground: dict[float, float] = {}
     surfaces: list[str] = []
     for row in rows:
         if isinstance(row.value, str):
@@ -114,6 +119,8 @@ def read_table_file(path: Path, text: str) -> Source:
             facts[row.name] = entry
         elif row.name in condition:
             condition[row.name] = entry
+        elif row.name == _GROUND:
+            ground[row.height] = row.value
         elif coefficient in (*BODY, *STABILITY):
             if coefficient not in names:
                 raise BadInputError(
@@ -144,7 +151,21 @@ def read_table_file(path: Path, text: str) -> Source:
         points=_points(entries, condition, axes, rate_axes),
         surfaces=tuple(surfaces),
         facts=facts,
+        ground=_checked_ground(path, ground),
     )
+
+
+def _checked_ground(
+    path: Path, ground: dict[float, float]
+) -> tuple[tuple[float, float], ...] | None:
+    """Return the rows of the ground effect in order of height."""
+    if not ground:
+        return None
+    if len(ground) < 2 or any(math.isnan(h) or h < 0.0 for h in ground):
+        raise BadInputError(
+            f"{path}: {_GROUND}: at least two rows with an h_over_b of 0 or more are needed"
+        )
+    return tuple(sorted(ground.items()))
 
 
 def _points(
@@ -200,9 +221,12 @@ def _toml_rows(path: Path, text: str) -> Iterator[_Row]:
         document = parse_toml(text)
     except ParseError as error:
         raise BadInputError(f"{path}:{error.line or 1}: {error}") from None
-    allowed = ("aircraft", "reference", "condition", "derivatives")
+    allowed = ("aircraft", "reference", "condition", "derivatives", "ground_effect")
     for section, content in document.items():
         line = line_of(text, (section,))
+        if section == "ground_effect" and isinstance(content, dict):
+            yield from _toml_ground(path, line, content)
+            continue
         if section not in allowed or not isinstance(content, dict):
             raise BadInputError(
                 f"{path}:{line}: unknown section {section!r}; allowed are {', '.join(allowed)}"
@@ -216,6 +240,21 @@ def _toml_rows(path: Path, text: str) -> Iterator[_Row]:
                 if section != "derivatives" and name.endswith(key) and unit == "":
                     name, unit = name.removesuffix(key), factor
             yield _row(path, line, str(name), value, str(unit))
+
+
+def _toml_ground(path: Path, line: int, content: dict[str, Any]) -> Iterator[_Row]:
+    """Yield the rows of [ground_effect]: lists h_over_b and lift of one length."""
+    heights, factors = (content.get(key) for key in ("h_over_b", "lift"))
+    if not (isinstance(heights, list) and isinstance(factors, list)) or (
+        len(heights) != len(factors) or set(content) != {"h_over_b", "lift"}
+    ):
+        raise BadInputError(
+            f"{path}:{line}: [ground_effect] needs the lists h_over_b and lift of one length"
+        )
+    for height, factor in zip(heights, factors, strict=True):
+        over = _row(path, line, "h_over_b", height, "1")
+        assert isinstance(over.value, float)
+        yield replace(_row(path, line, _GROUND, factor, "1"), height=over.value)
 
 
 def _csv_rows(path: Path, text: str) -> Iterator[_Row]:
@@ -241,6 +280,11 @@ def _csv_rows(path: Path, text: str) -> Iterator[_Row]:
             at = _row(path, number, "alpha", alpha, "deg")
             assert isinstance(at.value, float)
             row = _Row(row.name, row.value, row.unit, row.line, math.radians(at.value))
+        height = cells.get("h_over_b", "")
+        if height:
+            over = _row(path, number, "h_over_b", height, "1")
+            assert isinstance(over.value, float)
+            row = replace(row, height=over.value)
         yield row
 
 

@@ -91,6 +91,10 @@ class AeroModel:
         Angles of attack of the source [rad].
     notes : tuple of str
         Assumptions.
+    increments : mapping of str to TermValue
+        Of flaps, per degree (``CZ_df``), and of the gear, down (``CX_gear``).
+    ground : (array (n,), array (n,)) or None
+        Factor of the normal force over height above ground in spans.
     """
 
     name: str
@@ -105,6 +109,8 @@ class AeroModel:
     mixing: Mapping[str, str]
     alphas: tuple[float, ...]
     notes: tuple[str, ...] = field(default=())
+    increments: Mapping[str, TermValue] = field(default_factory=dict)
+    ground: tuple[FloatArray, FloatArray] | None = None
 
     @property
     def static_margin(self) -> float:
@@ -286,6 +292,9 @@ def build(
                 )
     for coefficient in ("CY", "Cl", "Cn"):
         terms[f"{coefficient}_0"] = TermValue(0.0, "1", "symmetric aeroplane")
+    increments = _increments(source, rows[middle], where, notes)
+    if source.ground is not None:
+        notes.append("the ground's effect is that of its lift alone")
     return AeroModel(
         name=name or source.name or source.path.stem,
         tool=source.tool,
@@ -306,7 +315,37 @@ def build(
         },
         alphas=tuple(float(a) for a in alphas),
         notes=tuple(notes),
+        increments=increments,
+        ground=None
+        if source.ground is None
+        else (np.array([h for h, _ in source.ground]), np.array([k for _, k in source.ground])),
     )
+
+
+def _increments(
+    source: Source, row: Mapping[tuple[str, str], float], where: str, notes: list[str]
+) -> dict[str, TermValue]:
+    """Return what flaps add per degree, and the gear when it is down.
+
+    Flaps are the surfaces of that name, trailing edge down: the sign is that of more lift.
+    """
+    flaps = [name for name in source.surfaces if "flap" in name.lower()]
+    out = {}
+    for kind, unit, names in (
+        ("df", "1/deg", flaps),
+        ("gear", "1", [name for name in source.surfaces if name.lower() == "gear"]),
+    ):
+        for coefficient in _LONGITUDINAL if names else ():
+            value = 0.0
+            for name in names:
+                sign = math.copysign(1.0, -row["CZ", name]) if kind == "df" else 1.0
+                value += sign * row[coefficient, name]
+            out[f"{coefficient}_{kind}"] = TermValue(
+                math.radians(value) if kind == "df" else value, unit, where
+            )
+    if out:
+        notes.append("flaps and gear have no prior and are not in the bounds")
+    return out
 
 
 def _twin(coefficient: str) -> str:

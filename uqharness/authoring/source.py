@@ -104,6 +104,8 @@ class Source:
         use.
     notes : tuple of str
         What was assumed while reading.
+    ground : tuple of (float, float)
+        Height above the ground in spans, and the factor of the lift there; None without any.
     """
 
     path: Path
@@ -114,6 +116,7 @@ class Source:
     surfaces: tuple[str, ...] = ()
     facts: Mapping[str, Entry] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    ground: tuple[tuple[float, float], ...] | None = None
 
     def length(self, key: str) -> float:
         """Return a reference value [m, m2]; BadInputError where the file has none."""

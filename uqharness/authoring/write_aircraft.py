@@ -48,6 +48,8 @@ _VARIABLES = {
     "de": "fcs/elevator-pos-deg",
     "da": "fcs/aileron-pos-deg",
     "dr": "fcs/rudder-pos-deg",
+    "df": "fcs/flap-pos-deg",
+    "gear": "fcs/gear-down-norm",
 }
 _POSITIVE = {"elevator": "nose down", "aileron": "right wing down", "rudder": "nose left"}
 
@@ -222,9 +224,22 @@ def _xml(
                     "remark": in_comment(remark),
                 }
             )
+        extra = [key for key in model.increments if key.startswith(f"{name}_")]
+        for key in extra:
+            value, short = model.increments[key], key.partition("_")[2]
+            terms.append(
+                {
+                    "name": key,
+                    "value": f"{value.value:.8g}",
+                    "variable": _VARIABLES[short],
+                    "power": 1,
+                    "table": False,
+                    "remark": in_comment(f"{value.unit:7s} {value.source}; no prior"),
+                }
+            )
         products = " + ".join(
             f"{name}_{t}" if t == "0" else f"{name}_{t} {t.replace('alpha2', 'alpha^2')}"
-            for t in TERMS[name]
+            for t in (*TERMS[name], *(key.partition("_")[2] for key in extra))
         )
         title = f"{_TITLES[name]} {name} = {products}"
         coefficients.append({"name": name, "title": title, "terms": terms})
@@ -248,6 +263,11 @@ def _xml(
         tool=in_comment(model.tool),
         mixing={key: in_comment(text) for key, text in model.mixing.items()},
         notes=[in_comment(note) for note in model.notes],
+        flaps="CZ_df" in model.increments,
+        gear="CX_gear" in model.increments,
+        ground=[]
+        if model.ground is None
+        else [(f"{h:.8g}", f"{k:.8g}") for h, k in zip(*model.ground, strict=True)],
         alphas_deg=", ".join(f"{math.degrees(a):.3g}" for a in model.alphas),
         S=f"{model.S:.8g}",
         b=f"{model.b:.8g}",

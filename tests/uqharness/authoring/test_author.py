@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -171,3 +172,35 @@ def test_from_avl_text_to_a_p_box_with_three_commands(tmp_path, monkeypatch):
     # The prior makes the p-box wide: bounds differ by more than a metre in five seconds.
     assert (box.upper - box.lower).max() > 0.5
     assert (tmp_path / "results" / "report.html").is_file()
+
+
+def test_flaps_gear_and_ground_of_a_table_fly(tmp_path):
+    """Lift of 20 degrees of flap lowers the trim's alpha, drag of the gear needs thrust."""
+    rows = (DATA / "kite.csv").read_text().rstrip().splitlines()
+    head = [row for row in rows if row.startswith(("#", "name"))][-1]
+    more = ["CL_flap,0.6,1/rad,t", "CD_flap,0.08,1/rad,t", "CD_gear,0.02,1,t"]
+    more += ["ground_lift,1.2,1,t,0", "ground_lift,1,1,t,1"]
+    table = tmp_path / "kite.csv"
+    table.write_text("\n".join([*rows, *more]).replace(head, f"{head},h_over_b") + "\n")
+    document = authored(tmp_path / "kite", table, mass_kg=1.47, cg_x_m=0.15)
+    assert any("no prior" in note for note in document.notes)
+    aircraft = find_aircraft(tmp_path / "kite")
+
+    def trim(**properties):
+        return find_trim(aircraft, SteadyCondition(14.0, 200.0, properties=properties))
+
+    clean = trim(**{"fcs/gear-down-norm": 0.0})
+    flaps = trim(**{"fcs/gear-down-norm": 0.0, "fcs/flap-cmd-deg": 20.0})
+    lift, slope = 0.6 * math.radians(20.0), 5.147
+    assert clean.alpha_rad - flaps.alpha_rad == pytest.approx(lift / slope, rel=0.15)
+    gear = trim()
+    density = 1.225 * 0.981
+    drag = 0.5 * density * 14.0**2 * 0.3438 * 0.02
+    assert gear.thrust_N - clean.thrust_N == pytest.approx(drag, rel=0.05)
+    # Trims are far above the ground; the table is JSBSim's, over its own height in spans.
+    text = aircraft.xml.read_text()
+    assert re.search(r"aero/h_b-mac-ft.*?<tableData>\s+0\s+1\.2\s+1\s+1\s+</tableData>", text, re.S)
+    assert re.search(r'name="aero/CZ">\s+<product>\s+<property>aero/ground-lift', text)
+    table.write_text(table.read_text().replace("ground_lift,1,1,t,1\n", ""))
+    with pytest.raises(BadInputError, match="at least two rows"):
+        authored(tmp_path / "again", table, mass_kg=1.47)
