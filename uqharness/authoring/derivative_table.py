@@ -2,7 +2,7 @@
 
 Each row has a name, a value, a unit and a source. Names are ``S b c x_ref y_ref z_ref x_cg x_np
 alpha mach axes rate_axes`` and coefficients with their variable: ``CL_alpha``, ``Cm_0``,
-``Cn_rudder``, ``CL_flap``, and ``CD_gear`` for the extended gear. ``ground_lift`` is the factor of
+``Cn_rudder``, "CL_flap", and "CD_gear" for the extended gear. ``ground_lift`` is the factor of
 the lift at ``h_over_b``, height over span. A CSV file has the columns name, value, unit and, where
 wanted, source, alpha_deg and h_over_b; rows without an alpha hold at every alpha. A TOML file has
 ``[reference]``, ``[condition]``, ``[derivatives]`` with ``CL_alpha = { value = 4.6, unit = "1/rad",

@@ -175,17 +175,17 @@ def _spread(rows: pd.DataFrame, count: int, seed: int) -> list[str]:
             f"--flights {count}: the condition has {len(rows)} flights that ended well; at least"
             f" {FEWEST_PAIRS} pairs are needed"
         )
-    rng = np.random.default_rng(seed)
-    left = rows.iloc[rng.permutation(len(rows))]
+    order = np.random.default_rng(seed).permutation(len(rows))
+    columns = [rows[name].to_numpy()[order] for name in ("epistemic_id", "aleatory_id")]
+    case_ids = rows["case_id"].to_numpy()[order]
+    used = np.zeros(len(rows))
     chosen: list[str] = []
-    flown: dict[str, dict[object, int]] = {"epistemic_id": {}, "aleatory_id": {}}
     for _ in range(count):
-        used = sum(left[name].map(lambda v, n=name: flown[n].get(v, 0)) for name in flown)
-        row = left.loc[used.idxmin()]
-        chosen.append(str(row["case_id"]))
-        for name, counts in flown.items():
-            counts[row[name]] = counts.get(row[name], 0) + 1
-        left = left.drop(index=row.name)
+        k = int(np.argmin(used))
+        chosen.append(str(case_ids[k]))
+        for column in columns:
+            used[column == column[k]] += 1.0
+        used[k] = math.inf
     return chosen
 
 
@@ -193,11 +193,13 @@ def corrections(
     pairs: Pairs, metrics: Sequence[str], confidence: float = 0.95
 ) -> dict[str, Correction]:
     """Return the correction of each metric that enough pairs have."""
-    stored = pairs.rows.set_index("case_id")
     out = {}
     for metric in metrics:
+        stored = dict(
+            zip(pairs.rows["case_id"], pairs.rows[metric].to_numpy(dtype=float), strict=True)
+        )
         both = [
-            (float(stored.loc[case.case_id, metric]), outcome.metrics.get(metric, math.nan))
+            (float(stored[case.case_id]), outcome.metrics.get(metric, math.nan))
             for case, outcome in zip(pairs.cases, pairs.outcomes, strict=True)
             if outcome.status == "ok"
         ]

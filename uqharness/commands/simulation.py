@@ -145,7 +145,7 @@ def fly(request: FlyRequest, callback: Callback = silent) -> Outcome[Flight]:
     if request.page is not None:
         check_output_path(request.page, "--page")
     aircraft = (carded_aircraft if request.generated else aircraft_of)(request.aircraft)
-    waypoints = read_mission(request.mission) if request.flies_waypoints else None
+    waypoints = None if request.waypoints is None else read_mission(request.waypoints)
     with _flown_script(request, aircraft) as (flight_aircraft, path):
         script = read_script(path)
         gains = _gains_of(request.autopilot, flight_aircraft, path)
@@ -231,7 +231,7 @@ def _flown_script(request: FlyRequest, aircraft: Aircraft) -> Iterator[tuple[Air
     Initial conditions must lie in the aircraft's folder, so generated manoeuvres fly a copy.
     """
     if request.mission is None or request.speed_mps is None:
-        named = None if request.flies_waypoints else request.mission
+        named = request.mission if request.waypoints is None else None
         yield aircraft, find_script(named or request.script)
         return
     with scratch_folder("fly") as scratch:

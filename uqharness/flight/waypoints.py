@@ -256,8 +256,9 @@ def _plan_items(path: Path, index: int, row: Any, before: Sequence[_Item]) -> li
         raise BadInputError(f"{where}: params {str(parameters)[:40]}: seven numbers are needed")
     numbers = [x if isinstance(x, int | float) else math.nan for x in parameters]
     p1, p2, p3, p4, lat, lon, alt = (0.0 if math.isnan(x) else float(x) for x in numbers)
-    number = row.get("doJumpId", len(before) + 1)
-    command, frame = row.get("command"), row.get("frame", 3)
+    number: Any = row.get("doJumpId", len(before) + 1)
+    command: Any = row.get("command")
+    frame: Any = row.get("frame", 3)
     if not all(isinstance(x, int) for x in (number, command, frame)):
         raise BadInputError(f"{where}: command {command!r}, frame {frame!r}: numbers are needed")
     return [_Item(number, where, frame, command, (p1, p2, p3, p4), lat, lon, alt)]

@@ -125,18 +125,15 @@ class FlyRequest(Request):
         return str(self.mission) in MISSIONS
 
     @property
-    def flies_waypoints(self) -> bool:
-        """Return whether the mission is a file of waypoints."""
-        return (
-            self.mission is not None
-            and Path(self.mission).suffix.lower() in MISSION_SUFFIXES
-            and not self.generated
-        )
+    def waypoints(self) -> Path | None:
+        """Return the mission if it is a file of waypoints."""
+        is_file = self.mission is not None and self.mission.suffix.lower() in MISSION_SUFFIXES
+        return self.mission if is_file else None
 
     @model_validator(mode="after")
     def _check_speed(self) -> FlyRequest:
         """Require the airspeed of generated manoeuvres, and refuse it otherwise."""
-        if self.flies_waypoints and self.autopilot_process is not None:
+        if self.waypoints is not None and self.autopilot_process is not None:
             raise ValueError(
                 f"{{mission}} {self.mission}: the built-in autopilot flies it, a real one has its"
                 " own; leave out {autopilot_process} or {mission}"
