@@ -42,18 +42,7 @@ def test_a_command_s_help_loads_its_request_alone() -> None:
 
 def test_complete_parser_has_the_verbs_and_loading_names_them() -> None:
     campaign = cli.commands_of(cli.complete_parser())["campaign"]
-    assert {
-        "check",
-        "run",
-        "status",
-        "report",
-        "merge",
-        "rerun",
-        "verify",
-        "salvage",
-        "convergence",
-        "area",
-    } == set(cli.commands_of(campaign))
+    assert {"check", "run", "status", "report", "rerun"} <= set(cli.commands_of(campaign))
     cli.load_command(["campaign", "status", "folder"])
     assert "uqharness.requests.campaign" in sys.modules
     cli.load_command(["no-such-command"])
