@@ -585,7 +585,7 @@ def with_rotor_inertia(aircraft: HasFiles, files: ModelFiles) -> dict[str, tuple
     for name, (path, file) in places.items():
         if file.root != "propeller":
             continue
-        root = etree.fromstring(file.content, etree.XMLParser(resolve_entities=False))
+        root: Any = etree.fromstring(file.content, etree.XMLParser(resolve_entities=False))
         node, diameter = root.find("ixx"), _length(root, "diameter")
         if node is None or not diameter or (node.text or "").strip("0. +-\t\r\n"):
             continue

@@ -9,6 +9,7 @@ integrate a rate error and settle only at the commanded rate.
 
 from __future__ import annotations
 
+import functools
 import math
 import re
 import threading
@@ -508,13 +509,11 @@ class _SharedInstance:
         """Keep the ways of resetting that give the bits of a new instance in unlike states."""
         self.checked = True
         for state, share in _UNLIKE:
-            expected = self._probe(open_aircraft(self.aircraft), state, share, False)
+            expected = self._probe(open_aircraft(self.aircraft), False, state=state, share=share)
             # Frames with other commands, which a reset must make undone.
             self.fdm.run()
-            self.keep_exact(
-                lambda fdm, rearm, at=(state, share): self._probe(fdm, *at, rearm),  # type: ignore[misc]
-                expected,
-            )
+            probe = functools.partial(self._probe, state=state, share=share)
+            self.keep_exact(probe, expected)
 
     def keep_exact(self, action: Callable[[Any, bool], Evaluation], expected: Evaluation) -> None:
         """Keep the ways of resetting with which an action gives the expected bits."""
@@ -528,7 +527,7 @@ class _SharedInstance:
                 continue
         self.ways = exact
 
-    def _probe(self, fdm: Any, state: BodyState, share: float | None, rearm: bool) -> Evaluation:
+    def _probe(self, fdm: Any, rearm: bool, *, state: BodyState, share: float | None) -> Evaluation:
         """Return the evaluation of a state with controls at a share of their ranges, or unset."""
         exists = fdm.get_property_manager().hasNode
         controls = {

@@ -612,7 +612,7 @@ def _throttle_acts(
         unsettled = unsettled or end_unsettled
     forward = [float(acceleration[0]) for acceleration in accelerations]
     if float(np.max(np.abs(accelerations[1] - accelerations[0]))) > _MIN_CHANGE:
-        is_brake = np.array_equal(*pushes) and max(forward) < 0.0
+        is_brake = np.array_equal(pushes[0], pushes[1]) and max(forward) < 0.0
         return not is_brake, card.limits[int(np.argmax(forward))], ""
     full = {"throttle": card.limits[1]}
     fdm, _ = open_forced(
