@@ -88,21 +88,24 @@ def slips(
     rows = [model.coefficients(states) for model in (a, b)]
     findings = _of_reference(a, b)
     slopes: dict[tuple[str, str], tuple[float, float]] = {}
+    effects: dict[tuple[str, str], float] = {}
     for k, coefficient in enumerate(COEFFICIENTS):
         of_first, of_second = (polynomial(states, row[:, k]).tangent(middle) for row in rows)
         spread = max(float(row[:, k].std()) for row in rows)
         for variable in VARIABLES:
+            slopes[coefficient, variable] = of_first[variable], of_second[variable]
             reach = float(states.values[variable].std())
-            size = max(abs(of_first[variable]), abs(of_second[variable])) * reach
-            if size > _RELEVANT * spread:
-                slopes[coefficient, variable] = of_first[variable], of_second[variable]
-    centre = _moment_centre(slopes, states)
+            effects[coefficient, variable] = reach / spread if spread > 0.0 else 0.0
+    centre = _moment_centre(slopes, effects, states)
     if centre is not None:
-        findings.append(centre)
+        findings.append(centre[0])
     for (coefficient, variable), (first, second) in slopes.items():
-        if abs(first - second) <= _AGREE * max(abs(first), abs(second)):
+        size = max(abs(first), abs(second))
+        if size * effects[coefficient, variable] <= _RELEVANT:
             continue
-        if centre is not None and coefficient == "Cm" and variable in ("alpha", "q", "de"):
+        if centre is not None and (coefficient, variable) in centre[1]:
+            continue
+        if abs(first - second) <= _AGREE * size:
             continue
         cause = _cause(coefficient, variable, first, second, states)
         findings.append(Slip(f"{coefficient} over {_WORDS[variable]}", first, second, cause))
@@ -152,28 +155,41 @@ def _twice(variable: str) -> str:
 
 
 def _moment_centre(
-    slopes: Mapping[tuple[str, str], tuple[float, float]], states: FlightStates
-) -> Slip | None:
-    """Return the slip of a shifted moment centre.
+    slopes: Mapping[tuple[str, str], tuple[float, float]],
+    effects: Mapping[tuple[str, str], float],
+    states: FlightStates,
+) -> tuple[Slip, set[tuple[str, str]]] | None:
+    """Return the slip of a shifted moment centre, and the slopes that it explains.
 
-    About a point that lies x further forward Cm grows by CZ x/c, for all variables alike.
+    About a point that lies x further forward Cm grows by CZ x/c and Cn falls by CY x/b, for all
+    variables alike: one x, by least squares, must give each change that it makes visible.
     """
-    shifts = []
-    for variable in ("alpha", "de"):
-        pitch, force = slopes.get(("Cm", variable)), slopes.get(("CZ", variable))
-        if pitch is None or force is None or force[0] == 0.0:
-            return None
-        shifts.append((pitch[1] - pitch[0]) / force[0])
-    alpha, elevator = shifts
-    agree = abs(alpha - elevator) < 0.2 * max(abs(alpha), abs(elevator))
-    if abs(alpha) < 0.02 or not agree:
+    rows = []
+    for moment, force, factor in (("Cm", "CZ", 1.0), ("Cn", "CY", -states.c_m / states.b_m)):
+        for variable in VARIABLES:
+            key = moment, variable
+            first, second = slopes[key]
+            lever = factor * 0.5 * sum(slopes[force, variable])
+            rows.append((key, lever * effects[key], (second - first) * effects[key]))
+    levers, changes = (np.array([row[k] for row in rows]) for k in (1, 2))
+    if not float(levers @ levers) > 0.0:
+        return None
+    shift = float(levers @ changes) / float(levers @ levers)
+    visible = np.abs(shift * levers) > _RELEVANT
+    agree = np.abs(changes - shift * levers) < 0.25 * np.abs(shift * levers)
+    if abs(shift) < 0.02 or visible.sum() < 2 or not agree[visible].all():
         return None
     first, second = slopes["Cm", "alpha"]
     cause = (
-        f"the moment centre is {abs(alpha) * states.c_m:.3g} m further"
-        f" {'forward' if alpha > 0.0 else 'aft'} in the second"
+        f"the moment centre is {abs(shift) * states.c_m:.3g} m further"
+        f" {'forward' if shift > 0.0 else 'aft'} in the second"
     )
-    return Slip("Cm over angle of attack", first, second, cause)
+    explained = {
+        key
+        for (key, lever, change) in rows
+        if abs(change - shift * lever) <= 0.25 * max(abs(shift * lever), _RELEVANT)
+    }
+    return Slip("Cm over angle of attack", first, second, cause), explained
 
 
 def _of_reference(a: ComparedModel, b: ComparedModel) -> list[Slip]:
