@@ -368,7 +368,7 @@ def _add_host(
 ) -> SectionEdit:
     """Add the system of the host to ``files``, loaded before all others; return the edit."""
     main = edit.section.main
-    carried = next(
+    host_node = next(
         (
             node
             for node in main.root.all("system")
@@ -376,10 +376,10 @@ def _add_host(
         ),
         None,
     )
-    if carried is not None:
+    if host_node is not None:
         # An edited [host] of the card is written again.
         if aircraft.card.host:
-            name = _system_file(aircraft, HOST_SYSTEM, known=True)
+            name = _system_file(aircraft, HOST_SYSTEM, may_exist=True)
             files[name] = host_system_xml(with_host_entries(host, aircraft.card.host))
         return edit
     if not host:
@@ -567,13 +567,13 @@ def _candidates(aircraft: Aircraft, name: str) -> list[Path]:
     ]
 
 
-def _system_file(aircraft: Aircraft, name: str, known: bool = False) -> str:
+def _system_file(aircraft: Aircraft, name: str, may_exist: bool = False) -> str:
     """Return the file of a new system; BadInputError if the aircraft has another of that name.
 
-    With ``known`` the file of that name is this program's.
+    With ``may_exist`` a file of that name is this program's.
     """
     for path in _candidates(aircraft, name)[:3]:
-        if path.is_file() and known:
+        if path.is_file() and may_exist:
             return path.relative_to(aircraft.folder).as_posix()
         if path.is_file() and declaration(read_document(path), "uq/active") is None:
             raise BadInputError(

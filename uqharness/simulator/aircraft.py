@@ -433,9 +433,9 @@ def _commands(folder: Path, xml: str) -> dict[str, str]:
 
 def _only_model(folder: Path) -> Path:
     """Return the model of a folder without a card: that of its name, else its only one."""
-    named = folder / f"{folder.name}.xml"
-    if named.is_file():
-        return named
+    same_name = folder / f"{folder.name}.xml"
+    if same_name.is_file():
+        return same_name
     models = [path for path in sorted(folder.glob("*.xml")) if b"<fdm_config" in read_xml(path)]
     if len(models) == 1:
         return models[0]
@@ -517,10 +517,14 @@ def host_properties(aircraft: Aircraft) -> tuple[HostProperty, ...]:
             rows = host.with_initial_values(rows, host.initial_values(read_xml(path)))
         # An instrumented aircraft brings the host's system along; its entries stay.
         files = staging.model_files(aircraft)
-        if carried := _carried_system(files):
-            names = host.scan([(carried, files.local[carried].content)])
-            settled = {*names.computed, *names.declared, *map(host.canonical, aircraft.card.host)}
-            rows = tuple(row for row in rows if host.canonical(row.name) not in settled)
+        if host_system := _carried_system(files):
+            names = host.scan([(host_system, files.local[host_system].content)])
+            taken = {
+                *names.computed,
+                *names.declared,
+                *map(host.canonical, aircraft.card.host),
+            }
+            rows = tuple(row for row in rows if host.canonical(row.name) not in taken)
         else:
             rows = host.with_host_entries(rows, aircraft.card.host)
         _host[stamp] = rows
@@ -541,15 +545,15 @@ def model_files(aircraft: HasFiles) -> ModelFiles:
         part = local.get(name) or files.shared[f"engine/{Path(name).name}"]
         local[name] = replace(part, content=content)
         _report(text)
-    carried = _carried_system(files)
-    if carried and aircraft.card.host:
+    host_system = _carried_system(files)
+    if host_system and aircraft.card.host:
         content = host.host_system_xml(host.with_host_entries((), aircraft.card.host))
-        if _without_comments(content) != _without_comments(local[carried].content):
+        if _without_comments(content) != _without_comments(local[host_system].content):
             _report(
-                f"{aircraft.folder / carried} differs from [host] of airframe.toml, which is flown;"
-                " `uqharness instrument` writes the system again"
+                f"{aircraft.folder / host_system} differs from [host] of airframe.toml, which is"
+                " flown; `uqharness instrument` writes the system again"
             )
-            local[carried] = replace(local[carried], content=content)
+            local[host_system] = replace(local[host_system], content=content)
     rows = _provided(aircraft)
     if not rows:
         return ModelFiles(local, files.shared, files.shared_paths)

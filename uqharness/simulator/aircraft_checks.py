@@ -469,7 +469,7 @@ def findings(
     refused : bool
         Whether JSBSim refused the model; else only operations are judged, which it ignores.
     """
-    found: list[str] = []
+    messages: list[str] = []
     for name, file in [*files.local.items(), *files.shared.items()]:
         where = names.get(name, name)
         parser = etree.XMLParser(remove_comments=True, resolve_entities=False)
@@ -484,8 +484,8 @@ def findings(
         if refused:
             rows += [*_files(root, files, stems), *_numbers(root), *_tables(root)]
             rows += [*_doubles(root), *_units(root)]
-        found += [f"{where}:{line}: {text}" for line, text in sorted(set(rows))]
-    return found[:_MAX_FINDINGS]
+        messages += [f"{where}:{line}: {text}" for line, text in sorted(set(rows))]
+    return messages[:_MAX_FINDINGS]
 
 
 def _functional_elements(root: Any) -> Iterator[Any]:
@@ -551,9 +551,9 @@ def _suggested(text: str) -> str:
     comma = text.replace(",", ".")
     if _is_number(comma):
         return f", such as {comma}"
-    head, _, rest = comma.partition(".")
-    joined = f"{head}.{rest.replace('.', '')}"
-    return f", such as {joined}" if _is_number(joined) else ""
+    head, _, decimals = comma.partition(".")
+    number = f"{head}.{decimals.replace('.', '')}"
+    return f", such as {number}" if _is_number(number) else ""
 
 
 def _tables(root: Any) -> Iterator[tuple[int, str]]:
@@ -584,7 +584,7 @@ def _tables(root: Any) -> Iterator[tuple[int, str]]:
 
 
 def _block(block: Any, axes: int) -> Iterator[tuple[int, str]]:
-    """Yield what is wrong with one <tableData>."""
+    """Yield errors in one <tableData>."""
     # Rows of the data with their lines in the file.
     start = _line(block)
     lines = [
@@ -593,10 +593,10 @@ def _block(block: Any, axes: int) -> Iterator[tuple[int, str]]:
         if text.split()
     ]
     # Words that are no number make every further check meaningless.
-    wrong = [(line, token) for line, row in lines for token in row if not _is_number(token)]
-    for line, token in wrong:
+    other_words = [(line, token) for line, row in lines for token in row if not _is_number(token)]
+    for line, token in other_words:
         yield line, f"{token!r} in <tableData> is no number{_suggested(token)}"
-    if wrong or not lines:
+    if other_words or not lines:
         return
     # A table of two axes has a first row without a key.
     widths = [len(row) for _, row in lines]

@@ -434,9 +434,9 @@ class _Bench:
             and self._exists(name)
         ]
         # Names that say so come first; only engines tell a throttle from other inputs.
-        named = [name for name in candidates if words.search(name.lower())]
-        others = [name for name in candidates if name not in named]
-        groups = [named, others] if control == "throttle" and self._engines else [named]
+        matching = [name for name in candidates if words.search(name.lower())]
+        other_names = [name for name in candidates if name not in matching]
+        groups = [matching, other_names] if control == "throttle" and self._engines else [matching]
         for group in groups:
             strengths = {name: self._strength(control, name) for name in group[:_MAX_CANDIDATES]}
             best = max(strengths, key=lambda name: strengths[name], default="")

@@ -478,8 +478,8 @@ def resolve(
             )
         )
         # A constant that the model declares itself stays the author's.
-        settled = name not in unset and names.declared.get(name) is not None
-        if row is not None and not (settled and not parse_source(row.source).terms):
+        is_constant = name not in unset and names.declared.get(name) is not None
+        if row is not None and not (is_constant and not parse_source(row.source).terms):
             rows[name] = row
     if any(row.source == THROTTLE for row in rows.values()):
         rows[THROTTLE] = HostProperty(THROTTLE, "0", "command")
@@ -701,8 +701,8 @@ def describe(properties: Collection[HostProperty]) -> str:
             parts.append(f"{number} {one if number == 1 else many}")
     other = [row.name for row in properties if row.kind == "unknown"]
     if other:
-        named = ", ".join(other[:3]) + (", ..." if len(other) > 3 else "")
-        parts.append(f"{len(other)} more at a fixed value ({named})")
+        examples = ", ".join(other[:3]) + (", ..." if len(other) > 3 else "")
+        parts.append(f"{len(other)} more at a fixed value ({examples})")
     return f"reads properties of its host (FlightGear), which are provided: {', '.join(parts)}"
 
 
