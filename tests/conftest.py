@@ -75,7 +75,7 @@ LONGEST_FILES = (
     "tests/uqharness/batch/lanes/test_fly.py",
     "tests/sysid/effects/test_turbulence.py",
     "tests/uqharness/refinement/test_refine.py",
-    "tests/uqharness/simulator/test_trim_causes.py",
+    "tests/uqharness/simulator/test_trim.py",
     "tests/uqharness/api/test_scripts.py",
     "tests/uqharness/flight/test_same_bytes.py",
     "tests/uqharness/identification/test_model_form.py",

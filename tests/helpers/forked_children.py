@@ -2,7 +2,7 @@
 
 `run_module` starts Python, which takes a third of a second of processor time, and the tests make
 hundreds of aircraft. A fork is as safe from an aircraft that ends its process and takes
-milliseconds. tests/uqharness/test_child_process.py and simulator/test_preflight.py start Python.
+milliseconds. tests/uqharness/test_child_process.py starts Python.
 """
 
 from __future__ import annotations

@@ -13,7 +13,7 @@ from sysid.logs import dataflash as dataflash_binary
 from sysid.logs.info import LogInfo, log_info
 from sysid.logs.load import import_log
 from sysid.record import FlightRecord
-from tests.sysid.logs.importers.test_dataflash import assert_equal_to_pymavlink, pymavlink_tables
+from tests.sysid.logs.test_dataflash import assert_equal_to_pymavlink, pymavlink_tables
 
 RELEASED = {
     "flight1_ident": 61.6,

@@ -20,7 +20,7 @@ def reproductions(*names: str) -> set[str]:
 
 def test_each_trap_names_its_test():
     there = reproductions(*TRAPS)
-    there |= reproductions("../uqharness/replay/test_fast_roll.py")
+    there |= reproductions("../uqharness/replay/test_speed.py")
     untested = 0
     for row in rows(PAGE):
         assert len(row) == 4, row

@@ -1,25 +1,13 @@
-"""What estimators ask of their input, and the sentences with which they refuse the rest."""
+"""Inputs of estimators and the refusals of bad ones."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from sysid.arrays import as_array, as_bounds, as_free, as_names, as_parameters, as_segments
+from sysid.arrays import as_bounds, as_free, as_segments
 
 NAMES = ("a", "b", "c")
-
-
-def test_one_array_and_a_list_of_them_become_segments():
-    series = np.arange(6.0)
-    (one,) = as_segments(series, "z", dropouts=False)
-    assert one.shape == (6, 1)
-    (nested,) = as_segments([[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]], "z", dropouts=False)
-    assert nested.tolist() == [[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]]
-    many = as_segments([series, series[:2]], "z", dropouts=False)
-    assert [part.shape for part in many] == [(6, 1), (2, 1)]
-    deep = as_segments([[[1.0, 2.0]], [[3.0, 4.0], [5.0, 6.0]]], "z", dropouts=False)
-    assert [part.shape for part in deep] == [(1, 2), (2, 2)]
 
 
 @pytest.mark.parametrize(
@@ -36,42 +24,6 @@ def test_one_array_and_a_list_of_them_become_segments():
 def test_segments_that_are_none(value, said):
     with pytest.raises(ValueError, match=said):
         as_segments(value, "z", dropouts=True)
-
-
-def test_a_dropout_is_allowed_where_it_is_asked_for_alone():
-    holes = np.array([1.0, np.nan, 2.0])
-    assert np.isnan(as_segments(holes, "z", dropouts=True)[0][1, 0])
-    with pytest.raises(ValueError, match="repair or cut these samples"):
-        as_segments(holes, "u", dropouts=False)
-
-
-def test_parameters_are_a_copy_of_finite_numbers():
-    given = np.array([1.0, 2.0])
-    taken = as_parameters(given)
-    taken[0] = 9.0
-    assert given[0] == 1.0
-    assert as_parameters(3.0).tolist() == [3.0]
-    for bad, said in (
-        ([], "at least one"),
-        ([[1.0]], "vector"),
-        ([1.0, np.nan, np.inf], r"\[1, 2\]"),
-    ):
-        with pytest.raises(ValueError, match=said):
-            as_parameters(bad)
-    with pytest.raises(ValueError, match="numeric"):
-        as_array(object(), "z")
-
-
-def test_names_are_given_or_numbered():
-    assert as_names(None, 2, "p") == ("p0", "p1")
-    assert as_names(["x", "y"], 2, "p") == ("x", "y")
-    for bad, said in (
-        (["x"], "1 entries for 2"),
-        (["x", "x"], "repeats x"),
-        ("xy", "single string"),
-    ):
-        with pytest.raises(ValueError, match=said):
-            as_names(bad, 2, "p")
 
 
 def test_every_form_of_bounds_says_the_same():

@@ -1,6 +1,4 @@
-"""The linear system along a flight against the equations written in the open, and what gusts do in
-it.
-"""
+"""The system linearised along a flight, against independent equations of motion."""
 
 from __future__ import annotations
 
@@ -8,9 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
+from sysid.aerodynamics import flight_equations as equations
 from sysid.aerodynamics.air_motion import GustStates
 from sysid.aerodynamics.coefficients import MassProperties
+from sysid.aerodynamics.flight_equations import Body, ReferenceFlight, loops, motion, sines
 from sysid.aerodynamics.rigid_body import (
     AIR,
     NX,
@@ -110,47 +111,6 @@ def test_the_system_is_that_of_the_open_equations(rotating, turning, monkeypatch
     assert np.abs(found.defect[1]).max() > 0.01
 
 
-@pytest.mark.parametrize("turning", [True, False])
-def test_rates_of_change_are_those_of_the_open_equations(turning, monkeypatch):
-    """At states away from the reference, air that moves and rotates."""
-    equations = OpenEquations(TERMS, (), ("V_mps",), MASS)
-    gusts = GustStates(MASS.b, turning_with=turning)
-    monkeypatch.setattr(OpenEquations, "gusts", gusts)
-    x = flight(4)
-    away = np.array(
-        [0.3, 0.004, -0.003, 0.02, -0.01, 0.01, 0.02, 0.01, 0.05, 0.01, -0.01, 1.5, 0.04]
-    )
-    state = with_gust_states(x, gusts) + away
-    found = rates(reference(x, equations), MASS, state, gusts=gusts)
-    expected = np.array([equations.f(row, INPUTS, VALUES) for row in state], dtype=float)
-    # Forces are linear about the reference: what is left is of second order.
-    np.testing.assert_allclose(found, expected, atol=0.02)
-    still = rates(
-        reference(x, equations), MASS, state, gusts=GustStates(MASS.b, turning_with=False)
-    )
-    assert (np.abs(found - still)[:, :3].max() > 1e-3) == turning
-    at = with_gust_states(x, gusts)
-    exact = np.array([equations.f(row, INPUTS, VALUES) for row in at], dtype=float)
-    np.testing.assert_allclose(
-        rates(reference(x, equations), MASS, at, gusts=gusts), exact, atol=1e-9
-    )
-
-
-def test_without_forces_the_wind_angles_turn_with_the_body_and_weight():
-    x = flight(5)
-    free = Reference(
-        DT,
-        x,
-        np.zeros((5, 3)),
-        np.zeros((5, 3)),
-        np.zeros((5, 6, 6)),
-        np.ones(5),
-        np.zeros(3),
-        False,
-    )
-    np.testing.assert_allclose(unforced(x), rates(free, MASS, x)[:, 1:3], atol=1e-12)
-
-
 def test_a_moment_by_alphadot_follows_the_motion_and_not_the_air_that_rotates():
     """M = L alphadot of a body without other forces: where the air rotates, slopes by rates
     relative to it are not all of it.
@@ -208,3 +168,99 @@ def test_still_air_stays_still_wherever_the_flight_begins():
     for k in range(len(x) - 1):
         wrong = gusty.phi[k] @ wrong
     assert np.abs(wrong[:8] - small).max() > 10.0 * np.abs(large[:8] - small).max()
+
+
+# The compiled loops against the equations as Python, differences of them, and the matrix
+# exponential.
+
+INERTIA = np.array([[2.0, 0.0, -0.2], [0.0, 3.0, 0.0], [-0.2, 0.0, 4.0]])
+SIZES = {True: 13, False: 8}
+
+
+def system(
+    gusty: bool, by_flow: bool, passing_mps: float = 0.0, n: int = 3
+) -> tuple[np.ndarray, Body, ReferenceFlight]:
+    rng = np.random.default_rng(3)
+    x = np.array([20.0, 0.06, 0.02, 0.3, 0.2, 0.1, 0.4, 0.1, 0.05, 0.01, -0.02, 20.5, 0.03])[
+        : SIZES[gusty]
+    ]
+    x = x + 0.01 * rng.standard_normal((n, len(x)))
+    along = ReferenceFlight(
+        x[:, :8] + 0.01 * rng.standard_normal((n, 8)),
+        rng.normal(0.0, 10.0, (n, 6)),
+        rng.normal(0.0, 5.0, (n, 6, 6)),
+        rng.standard_normal((n, 6, 2)),
+    )
+    gusts = GustStates(3.0, passing_mps)
+    return (
+        x,
+        Body(
+            18.0,
+            INERTIA,
+            np.linalg.inv(INERTIA),
+            np.array([0.1, -0.05, 0.02]),
+            9.81,
+            gusty,
+            gusts,
+            by_flow,
+        ),
+        along,
+    )
+
+
+def at(along: ReferenceFlight, k: int) -> ReferenceFlight:
+    return ReferenceFlight(*(v[k] for v in along))
+
+
+@pytest.mark.parametrize(
+    ("gusty", "by_flow", "passing"), [(True, True, 0.0), (True, False, 15.0), (False, True, 0.0)]
+)
+def test_compiled_rates_are_those_of_the_equations(
+    gusty: bool, by_flow: bool, passing: float
+) -> None:
+    x, body, along = system(gusty, by_flow, passing)
+    rate, seen = np.empty(x.shape), np.empty((len(x), 11))
+    loops().rates(x, body, along, along.load, rate, seen)
+    for k in range(len(x)):
+        own, out = np.empty(x.shape[1]), np.empty(11)
+        motion(x[k], sines(x[k]), body, at(along, k), along.load[k], np.empty(12), own, out)
+        np.testing.assert_allclose(rate[k], own, rtol=1e-12, atol=1e-13)
+        np.testing.assert_allclose(seen[k], out, rtol=1e-12, atol=1e-13)
+
+
+def test_a_step_is_the_exponential_and_inputs_are_linear_in_between() -> None:
+    rng = np.random.default_rng(5)
+    A, B, h = rng.standard_normal((4, 4)), rng.standard_normal((4, 6)), 0.05
+    both_A, both_B = np.stack([A, A]), np.stack([B, B])
+    phi, g0, g1 = np.empty((1, 4, 4)), np.zeros((1, 4, 6)), np.zeros((1, 4, 6))
+    loops().discretise(both_A, both_B, h, phi, g0, g1)
+    # A ramp of the input is another state.
+    wide = np.zeros((16, 16))
+    wide[:4, :4], wide[:4, 4:10], wide[4:10, 10:] = A, B, np.eye(6)
+    exact = expm(h * wide)
+    np.testing.assert_allclose(phi[0], exact[:4, :4], atol=1e-8)
+    np.testing.assert_allclose(g0[0] + g1[0], exact[:4, 4:10], atol=1e-8)
+    np.testing.assert_allclose(g1[0], exact[:4, 10:] / h, atol=1e-8)
+    assert np.abs(g1[0] - g0[0]).max() > 1e-4
+
+
+def test_what_python_calls_is_what_is_compiled() -> None:
+    """Everything that a loop calls is of its own file: numba renews what it keeps by that file
+    alone.
+    """
+    for name in (
+        "sines",
+        "gust_lags_s",
+        "heading",
+        "gust_axes",
+        "heading_rates",
+        "gust_axes_rates",
+        "level",
+        "rotation",
+        "turning",
+        "gust_rates",
+        "flow_rates",
+        "motion",
+        "_series",
+    ):
+        assert getattr(equations, name).__module__ == equations.__name__

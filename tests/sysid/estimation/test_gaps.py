@@ -1,5 +1,4 @@
-"""How far a model is from a flight: known series, and whether what a replay leaves is turbulence's
-(coloured, no function of the motion, there in quiet flight too)."""
+"""Measures of the distance between model and flight, on series whose values are known."""
 
 from __future__ import annotations
 
@@ -10,64 +9,12 @@ from scipy.signal import lfilter
 from sysid.estimation.gaps import (
     channel_noise,
     largest_residuals,
-    quiet_share,
     rms,
     shows_process_noise,
     theil,
     time_shift,
     white_noise,
 )
-
-NOISE = np.full(4, 0.1)
-
-
-def flights(gusty, formed, waits=False, seed=0):
-    """Residuals and motion, (500, 4) twice: ``gusty`` channels have coloured noise, ``formed`` ones
-    a function of the motion.
-
-    waits: the coloured noise comes with the motion alone.
-    """
-    rng = np.random.default_rng(seed)
-    residual, motion = [], []
-    for _ in range(2):
-        busy = np.repeat([0.0, 1.0, 0.0, 1.0], 125)[:, None]
-        y = lfilter([0.2], [1.0, -0.8], rng.normal(size=(500, 4)), axis=0) * (0.02 + busy)
-        e = NOISE * rng.normal(size=(500, 4))
-        gusts = lfilter([0.3], [1.0, -0.9], rng.normal(size=(500, 4)), axis=0) * (
-            busy if waits else 1.0
-        )
-        e[:, gusty] += gusts[:, gusty]
-        e[:, formed] += (y**2 + y)[:, formed]
-        residual.append(e)
-        motion.append(y)
-    return residual, motion, NOISE
-
-
-def test_turbulence_is_seen():
-    assert shows_process_noise(*flights([0, 1, 2, 3], []))
-
-
-def test_a_wrong_sensor_in_turbulence_does_not_hide_it():
-    assert shows_process_noise(*flights([0, 1, 2], [3]))
-
-
-def test_calm_air_is_calm():
-    assert not shows_process_noise(*flights([], []))
-
-
-def test_beside_a_wrong_force_half_of_the_channels_must_be_gusty():
-    assert shows_process_noise(*flights([0, 1], [3]))
-    assert not shows_process_noise(*flights([0], [3]))
-    assert shows_process_noise(*flights([0], []))
-
-
-def test_what_is_wrong_in_most_channels_is_the_models_form():
-    assert not shows_process_noise(*flights([0], [1, 2, 3]))
-    assert not shows_process_noise(*flights([], [0]))
-
-
-def test_what_waits_for_manoeuvres_is_not_the_air():
-    assert not shows_process_noise(*flights([0, 1, 2, 3], [], waits=True))
 
 
 def test_gap_figures_of_known_series():
@@ -140,17 +87,39 @@ def test_a_model_that_stands_still_shows_no_shift():
     ).seconds == pytest.approx(0.1)
 
 
-def test_the_quiet_share_of_air_and_of_a_wrong_model():
-    residual, motion, noise = flights([0, 1, 2, 3], [], seed=1)
-    assert quiet_share(residual, motion, noise).min() > 0.5
-    residual, motion, noise = flights([0, 1, 2, 3], [], waits=True, seed=1)
-    assert quiet_share(residual, motion, noise).max() < 0.1
+def residuals_and_motion(gusty, formed, waits):
+    """Return residuals and motion, (500, 4) twice, and the sizes of the noise.
+
+    Channels in ``gusty`` have coloured noise, with ``waits`` only while the motion lasts; those in
+    ``formed`` have a function of the motion.
+    """
+    rng = np.random.default_rng(0)
+    residual, motion = [], []
+    for _ in range(2):
+        busy = np.repeat([0.0, 1.0, 0.0, 1.0], 125)[:, None]
+        y = lfilter([0.2], [1.0, -0.8], rng.normal(size=(500, 4)), axis=0) * (0.02 + busy)
+        e = 0.1 * rng.normal(size=(500, 4))
+        gusts = lfilter([0.3], [1.0, -0.9], rng.normal(size=(500, 4)), axis=0)
+        e[:, gusty] += (gusts * (busy if waits else 1.0))[:, gusty]
+        e[:, formed] += (y**2 + y)[:, formed]
+        residual.append(e)
+        motion.append(y)
+    return residual, motion, np.full(4, 0.1)
 
 
-def test_worst_moments_leave_out_what_was_not_measured():
-    gap = np.array([1.0, np.nan, -7.0, 2.0])
-    assert largest_residuals(gap, np.arange(4.0), 0.0, 9, 0.5) == [
-        (2.0, -7.0),
-        (3.0, 2.0),
-        (0.0, 1.0),
-    ]
+@pytest.mark.parametrize(
+    ("gusty", "formed", "waits", "turbulent"),
+    [
+        ([0, 1, 2, 3], [], False, True),
+        ([0, 1, 2], [3], False, True),  # a wrong sensor does not hide turbulence
+        ([0, 1], [3], False, True),
+        ([0], [], False, True),
+        ([0], [3], False, False),  # beside a wrong force, half of the channels must be gusty
+        ([], [], False, False),
+        ([], [0], False, False),
+        ([0], [1, 2, 3], False, False),
+        ([0, 1, 2, 3], [], True, False),  # what waits for manoeuvres is not the air
+    ],
+)
+def test_turbulence_is_coloured_in_quiet_flight_too(gusty, formed, waits, turbulent):
+    assert shows_process_noise(*residuals_and_motion(gusty, formed, waits)) is turbulent

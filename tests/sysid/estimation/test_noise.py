@@ -1,4 +1,4 @@
-"""Measurement noise of outputs with dropouts, against normal densities of scipy."""
+"""Noise of outputs with dropouts, against normal densities; noise sizes from spectra."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from sysid.estimation.noise import Noise, concentrated_cost, residual_noise
+from sysid.estimation.noise import PRIOR_STD, concentrated_cost, noise_size, residual_noise
 
 COV = np.array([[4.0, 1.5, 0.0], [1.5, 1.0, -0.3], [0.0, -0.3, 0.25]])
 
@@ -57,32 +57,66 @@ def test_the_diagonal_noise_is_the_likeliest():
     ) == pytest.approx(0.01)
 
 
-def test_full_noise_of_whole_samples_is_their_covariance():
-    v = residuals()
-    v = v[np.isfinite(v).all(axis=1)]
-    np.testing.assert_allclose(
-        residual_noise(v, np.full(3, 1e-9), True).cov, v.T @ v / len(v), rtol=1e-9, atol=1e-12
+# White noise found beneath a signal, whatever the card says.
+
+DT, FROM = 0.02, 6.0
+
+
+def channel(seed, std, gusts=0.0, n=300, pieces=9):
+    """Manoeuvres: a slow motion and a step now and then, gusts as a first-order process of 1 s, and
+    white noise.
+    """
+    rng = np.random.default_rng(seed)
+    out = []
+    for _ in range(pieces):
+        t = DT * np.arange(n)
+        x = np.sin(2 * t + 6 * rng.random()) + 0.3 * (t > 3.0) * (1 - np.exp(-(t - 3.0) / 0.2))
+        gust = np.zeros(n)
+        for k in range(1, n):
+            gust[k] = 0.98 * gust[k - 1] + gusts * np.sqrt(1 - 0.98**2) * rng.standard_normal()
+        out.append(x + gust + std * rng.standard_normal(n))
+    return out
+
+
+@pytest.mark.parametrize("card", [0.05, 0.1, 0.025, None])
+def test_the_samples_decide_whatever_the_card_says(card):
+    found = [noise_size(channel(seed, 0.05), DT, FROM, card) for seed in range(8)]
+    assert np.mean([f.std for f in found]) == pytest.approx(0.05, rel=0.03)
+    assert np.std([f.std for f in found]) < 2.0 * 0.05 * np.mean([f.relative_std for f in found])
+    assert all(f.relative_std < 0.06 for f in found)
+
+
+def test_the_spread_is_as_large_as_the_error():
+    """Where gusts hide the noise the spread says so, within a factor of three: the gusts' spectrum
+    is a model too.
+    """
+    found = [noise_size(channel(seed, 0.02, gusts=0.3), DT, FROM, 0.02) for seed in range(12)]
+    off = np.array([np.log(f.std / 0.02) / f.relative_std for f in found])
+    assert np.sqrt(np.mean(off**2)) < 3.0
+    still = noise_size(channel(1, 0.02), DT, FROM, 0.02)
+    assert np.mean([f.relative_std for f in found]) > 2.0 * still.relative_std
+
+
+def test_gusts_far_above_the_noise_leave_the_cards_figure():
+    found = noise_size(channel(3, 0.0005, gusts=0.5), DT, FROM, 0.0005)
+    assert found.std == pytest.approx(0.0005, rel=1.5)
+    assert found.relative_std > 0.3
+
+
+def test_what_tells_nothing():
+    short = [np.random.default_rng(1).standard_normal(20)]
+    assert noise_size(short, DT, FROM) is None
+    assert noise_size(short, DT, FROM, 0.3) is not None
+    assert (
+        noise_size(short, DT, FROM, 0.3).std,
+        noise_size(short, DT, FROM, 0.3).relative_std,
+    ) == (
+        0.3,
+        PRIOR_STD,
     )
-    # Two outputs that are one leave a matrix that can be whitened all the same.
-    twice = np.column_stack([v[:, 0], v[:, 0]])
-    assert np.linalg.eigvalsh(residual_noise(twice, np.full(2, 1e-9), True).cov).min() > 0.0
-
-
-@pytest.mark.parametrize("full", [False, True])
-def test_white_products_are_those_with_the_inverse(full):
-    v, rng = residuals(), np.random.default_rng(1)
-    s = rng.standard_normal((len(v), 3, 2))
-    cov = COV if full else np.diag(np.diagonal(COV))
-    white, scaled = Noise(cov, full).whiten(v, s)
-    expected = np.zeros((2, 2))
-    quadratic = 0.0
-    for row, part in zip(v, s, strict=True):
-        seen = np.flatnonzero(np.isfinite(row))
-        inverse = np.linalg.inv(cov[np.ix_(seen, seen)])
-        expected += part[seen].T @ inverse @ part[seen]
-        quadratic += row[seen] @ inverse @ row[seen]
-    np.testing.assert_allclose(np.einsum("nak,nal->kl", scaled, scaled), expected, rtol=1e-10)
-    assert np.sum(white**2) == pytest.approx(quadratic)
-    assert Noise(cov, full).whiten(v)[1] is None
-    # Half the covariance is another weight.
-    assert np.sum(Noise(0.5 * cov, full).whiten(v)[0] ** 2) == pytest.approx(2.0 * quadratic)
+    # A channel that stands still, or is logged without noise, shows none; the card may know of a
+    # sensor behind it.
+    assert noise_size([np.ones(500)], DT, FROM) is None
+    assert noise_size([np.ones(500)], DT, FROM, float("nan")) is None
+    # A sampling rate that reaches no frequency above the signal's.
+    assert noise_size(channel(1, 0.05), 0.1, FROM) is None

@@ -1,13 +1,22 @@
-"""output_error against certified values, scipy, and known truth; and where it must say no."""
+"""Output error against certified values and known truth; derivatives, failures and refusals."""
 
+from __future__ import annotations
+
+import re
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
-from scipy import optimize, signal
+from scipy import signal
 
 from campaigns.estimators import aircraft
 from sysid import output_error
+from sysid.estimation.output_error import (
+    SafeSimulation,
+    first_steps,
+    forward_differences,
+    sensitivities,
+)
 from tests.reference import nist
 
 
@@ -73,39 +82,6 @@ def noisy(seed, scale=1.0):
         0.05,
         2.0,
     ]
-
-
-def test_scipy_weighted_least_squares_agrees():
-    measured = noisy(0)
-    fit = output_error(
-        lambda theta: decay(theta, T), [1.0, 1.0, 0.0, 0.0], measured, differences="central"
-    )
-    weight = 1.0 / np.sqrt(np.diagonal(fit.noise_cov))
-    found = optimize.least_squares(
-        lambda theta: ((measured - decay(theta, T)) * weight).ravel(),
-        TRUE,
-        x_scale=TRUE,
-        xtol=1e-14,
-        ftol=1e-14,
-    )
-    np.testing.assert_allclose(fit.theta, found.x, rtol=1e-4)
-    np.testing.assert_allclose(fit.cov_crb, np.linalg.inv(found.jac.T @ found.jac), rtol=2e-3)
-    np.testing.assert_allclose(fit.std, fit.std_crb, rtol=0.2)
-    assert fit.converged
-    assert fit.warnings == []
-    assert fit.n_simulations < 150
-    assert np.sqrt(np.diagonal(fit.noise_cov)) == pytest.approx([0.05, 2.0], rel=0.1)
-
-
-@pytest.mark.parametrize("unit", [1e-9, 1e9])
-def test_units_do_not_matter_and_zeros_are_a_start(unit):
-    measured = noisy(1)
-    plain = output_error(lambda theta: decay(theta, T), [1.0, 1.0, 0.0, 0.0], measured)
-    scaled = output_error(
-        lambda theta: decay(theta / [1, 1, unit, unit], T), [1.0, 1.0, 0.0, 0.0], measured
-    )
-    np.testing.assert_allclose(scaled.theta, plain.theta * [1, 1, unit, unit], rtol=1e-5)
-    np.testing.assert_allclose(scaled.std, plain.std * [1, 1, unit, unit], rtol=1e-4)
 
 
 def test_segments_dropouts_full_noise_and_an_injected_map():
@@ -196,29 +172,6 @@ def test_a_simulation_that_fails_or_diverges_at_trial_points_is_stepped_around()
     assert (np.diff(fit.cost_history) <= 0.0).all()
     with pytest.raises(ValueError, match=r"fails at theta0.*beyond the table"):
         output_error(fragile, [6.0, 3.0, 1.0, 0.0], measured)
-
-
-def test_an_all_zero_start_of_an_unstable_looking_model_is_brought_home():
-    elevator = np.sign(np.sin(T * 2.0)) * (T < 6.0)
-    matrix = np.array([[1.0, 1.0], [0.0, 0.0]])
-
-    def short_period(theta):
-        x, out = np.zeros(2), np.empty((T.size, 2))
-        for k in range(T.size):
-            out[k] = x
-            matrix[:] = [[theta[0], 1.0], [theta[1], theta[2]]]
-            x = x + 0.02 * (matrix @ x + [0.0, theta[3] * elevator[k]])
-        return out
-
-    truth = np.array([-2.0, -8.0, -3.0, -10.0])
-    measured = short_period(truth) + np.random.default_rng(8).normal(size=(T.size, 2)) * [
-        0.01,
-        0.02,
-    ]
-    fit = output_error(short_period, np.zeros(4), measured)
-    assert fit.converged
-    assert (np.abs(fit.theta - truth) < 4.5 * fit.std).all()
-    assert (np.diff(fit.cost_history) <= 0.0).all()
 
 
 def test_sensitivities_carried_on_give_the_same_answer_with_fewer_simulations():
@@ -324,3 +277,154 @@ def test_estimates_alone_are_the_same_and_say_nothing_of_errors():
     assert np.isnan(alone.std).all()
     assert np.isnan(alone.cov).all()
     assert np.isfinite(whole.std).all()
+
+
+# Sensitivities by differences against derivatives written out; simulations that fail, are rough
+# or do not care.
+
+SENSITIVITIES_T = np.linspace(0.0, 3.0, 60)
+FREE = (np.full(2, -np.inf), np.full(2, np.inf))
+
+
+def decay_sensitivities(theta):
+    """Two outputs of an amplitude and a rate."""
+    y = theta[0] * np.exp(-theta[1] * SENSITIVITIES_T)
+    return np.column_stack([y, 1e4 * y**2])
+
+
+def differences(
+    theta, model=decay_sensitivities, limits=FREE, central=True, columns=(0, 1), map_=None
+):
+    theta = np.asarray(theta, dtype=float)
+    simulation = SafeSimulation(model, (SENSITIVITIES_T.size,), 2)
+    base = simulation(theta)
+    assert not isinstance(base, str)
+    step = first_steps(theta, *limits)
+    return sensitivities(
+        simulation,
+        theta,
+        base,
+        step,
+        columns,
+        limits,
+        np.abs(base).max(axis=0),
+        central=central,
+        map_fn=map_,
+    )
+
+
+@pytest.mark.parametrize(
+    ("answer", "said"),
+    [
+        (np.ones((3, 2)), r"returned shapes \[\(3, 2\)\], measured has \[\(4, 2\)\]"),
+        (
+            np.array([[1.0, 2.0], [1.0, np.nan], [1.0, 1.0], [1.0, 1.0]]),
+            "not finite, .* from stacked sample 1 on",
+        ),
+        (np.full((4, 2), 1e150), "beyond 1e.100"),
+        ("words", "not numeric"),
+    ],
+)
+def test_wrong_outputs_are_a_sentence(answer, said):
+    found = SafeSimulation(lambda theta: answer, (4,), 2)(np.zeros(1))
+    assert isinstance(found, str)
+    assert re.search(said, found)
+
+
+# Parameters that move different segments share a run, and give what each alone would.
+
+LENGTHS = (30, 40, 50)
+THETA = np.array([0.7, 1.0, 2.0, 3.0, -0.5])
+"""A rate that all segments share, a start for each, a bias of the last two."""
+
+
+class Decays:
+    """Three decays; counts how often it is simulated."""
+
+    def __init__(
+        self, of=lambda index: {1: (0,), 2: (1,), 3: (2,), 4: (1, 2)}.get(index), fails=None
+    ):
+        self.moved, self.fails, self.runs = of, fails, 0
+
+    def __call__(self, theta):
+        self.runs += 1
+        if self.fails is not None and self.fails(theta):
+            raise RuntimeError("no")
+        parts = []
+        for number, n in enumerate(LENGTHS):
+            t = np.linspace(0.0, 2.0, n)
+            y = theta[1 + number] * np.exp(-theta[0] * t) + (theta[4] if number else 0.0)
+            parts.append(np.column_stack([y, y**2]))
+        return parts
+
+
+def differences_together(model, central):
+    simulation = SafeSimulation(model, LENGTHS, 2)
+    base = simulation(THETA)
+    limits = (np.full(5, -np.inf), np.full(5, np.inf))
+    step, spread = first_steps(THETA, *limits), np.ones(2)
+    return sensitivities(
+        simulation, THETA, base, step, range(5), limits, spread, central=central, map_fn=None
+    )
+
+
+def test_one_that_fails_does_not_take_its_group_along():
+    found = differences_together(Decays(fails=lambda theta: theta[2] != THETA[2]), False)
+    assert found.effect.tolist() == [True, True, False, True, True]
+    right = differences_together(Decays(), False).sensitivity.dense()
+    np.testing.assert_allclose(
+        np.delete(found.sensitivity.dense(), 2, axis=2),
+        np.delete(right, 2, axis=2),
+        rtol=1e-9,
+        atol=1e-12,
+    )
+
+
+def test_forward_differences_at_steps_given():
+    found = forward_differences(Decays(), THETA, np.full(5, 1e-6), (LENGTHS, 2))
+    assert found is not None
+    np.testing.assert_allclose(
+        found.dense(), differences_together(Decays(), True).sensitivity.dense(), atol=1e-4
+    )
+    assert [columns.tolist() for columns in found.columns] == [[0, 1], [0, 2, 4], [0, 3, 4]]
+    assert (
+        forward_differences(
+            Decays(fails=lambda theta: theta[4] != THETA[4]), THETA, np.full(5, 1e-6), (LENGTHS, 2)
+        )
+        is None
+    )
+
+
+# Edges of what an estimator may say: no degree of freedom left, zero responses, forms of bounds
+# and starts.
+
+
+def two_outputs(theta):
+    time = np.linspace(0.0, 5.0, 40)
+    return np.column_stack([theta[0] + theta[1] * time, theta[2] + 0.0 * time])
+
+
+def test_an_output_met_exactly_by_its_only_parameter_gives_no_bound():
+    rng = np.random.default_rng(1)
+    measured = two_outputs([1.0, 2.0, 3.0]) + 0.1 * rng.normal(size=(40, 2))
+    measured[1:, 1] = np.nan
+    fit = output_error(two_outputs, np.zeros(3), measured, names=["a", "b", "c"])
+    assert fit.status == {"a": "identified", "b": "identified", "c": "not-identified"}
+    assert np.isnan(fit.std[2])
+    assert "output 1 has 1 samples, of which the parameters use up 1.0" in fit.reason["c"]
+    measured[5, 1] = 3.1
+    assert (
+        output_error(two_outputs, np.zeros(3), measured, names=["a", "b", "c"]).status["c"]
+        == "identified"
+    )
+
+
+def test_bounds_of_a_name_that_is_none_are_a_value_error():
+    with pytest.raises(ValueError, match="bounds names 1; the parameters are a, b, c"):
+        output_error(
+            two_outputs,
+            np.zeros(3),
+            two_outputs([1, 2, 3]),
+            names=["a", "b", "c"],
+            bounds={1: (0, 2)},
+        )

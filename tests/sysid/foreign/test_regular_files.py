@@ -1,4 +1,4 @@
-"""Only regular files are read, at once and in bounds."""
+"""Special files are refused at once; TOML, JSON and digests of regular ones."""
 
 from __future__ import annotations
 
@@ -9,23 +9,15 @@ from pathlib import Path
 import pytest
 
 from sysid.foreign.regular_files import (
-    in_words,
+    ParseError,
     open_regular,
+    parse_json,
+    parse_toml,
     read_regular,
-    read_regular_text,
     require_regular,
+    sha256_hex,
+    sha256_of_parts,
 )
-
-
-def test_a_regular_file_and_a_link_to_one_are_read(tmp_path: Path) -> None:
-    file = tmp_path / "a.txt"
-    file.write_bytes(b"x = 1\r\ny = 2\r")
-    (tmp_path / "link.txt").symlink_to(file)
-    assert read_regular(tmp_path / "link.txt") == file.read_bytes()
-    assert read_regular_text(file) == "x = 1\ny = 2\n"
-    assert require_regular(file).st_size == 13
-    with open_regular(file) as handle:
-        assert handle.readline() == b"x = 1\r\n"
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes in the file system here")
@@ -93,10 +85,58 @@ def test_a_missing_file_and_a_name_that_cannot_be_one(tmp_path: Path) -> None:
         read_regular(Path("a\0b"))
 
 
-def test_sizes_in_words() -> None:
-    assert [in_words(n) for n in (12, 62_000, 19_700_000, 3_200_000_000)] == [
-        "12 bytes",
-        "62 KB",
-        "19.7 MB",
-        "3.2 GB",
-    ]
+# TOML and JSON from anywhere: plain types, or one error with its line.
+
+DEEP = 100_000
+
+
+def test_what_is_sound_is_read() -> None:
+    assert parse_toml("[a]\nb = [1, 2.5]\n") == {"a": {"b": [1, 2.5]}}
+    assert parse_json(b'{"a": [1, null]}') == parse_json('{"a": [1, null]}') == {"a": [1, None]}
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "word"),
+    [
+        ("a = 1\nb = = 2\n", 2, "TOML"),
+        ("a = 1\nb = [", 2, "TOML"),
+        (f"a = {'[' * DEEP}{']' * DEEP}", None, "deeply"),
+        (f"a = {'9' * 5000}", None, "digits"),
+        ("a = 2024-02-31", 1, "date"),
+        ("a = 1\na = 2", 2, "TOML"),
+    ],
+)
+def test_toml_that_is_none(text: str, line: int | None, word: str) -> None:
+    with pytest.raises(ParseError, match=word) as found:
+        parse_toml(text)
+    assert found.value.line == line
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "word"),
+    [
+        ('{"a": 1,\n "b" 2}', 2, "JSON"),
+        ("", 1, "JSON"),
+        (f"{'[' * DEEP}{']' * DEEP}", None, "deeply"),
+        ("9" * 5000, None, "digits"),
+        (b'{"a": "\xff"}', None, "UTF-8"),
+    ],
+)
+def test_json_that_is_none(text: str | bytes, line: int | None, word: str) -> None:
+    with pytest.raises(ParseError, match=word) as found:
+        parse_json(text)
+    assert found.value.line == line
+
+
+# Digests of files and bytes.
+
+OF_ABC = (
+    "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"  # FIPS 180-2, appendix B.1
+)
+
+
+def test_bytes_have_the_published_digest() -> None:
+    assert sha256_hex(b"abc") == OF_ABC
+    assert sha256_hex(b"abd") != OF_ABC
+    assert sha256_of_parts(part for part in (b"a", memoryview(b"bc"))) == OF_ABC
+    assert sha256_of_parts([b"bc", b"a"]) != OF_ABC

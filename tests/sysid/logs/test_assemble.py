@@ -1,17 +1,19 @@
-"""Messages become a record: grid, held commands, angles on the circle, modes and manoeuvres."""
+"""Messages become a record: grid, held commands, angles, manoeuvres and dropouts."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from sysid.errors import LogError
 from sysid.foreign.raw import MessageTable, RawLog
-from sysid.logs.assemble import assemble
+from sysid.logs.assemble import assemble, bridge
 from sysid.logs.load import import_log
 from sysid.logs.signal_map import Entry, SignalMap
+from sysid.record import FlightRecord
 
 FAST, SLOW = 0.02 * np.arange(250), 0.1 * np.arange(50) + 0.008
 ENTRIES = {
@@ -52,29 +54,6 @@ def test_the_fastest_rate_is_the_grid_and_the_rest_lies_on_it() -> None:
     assert record.metadata.native_hz["theta_rad"] == pytest.approx(10.0)
 
 
-def test_commands_are_held() -> None:
-    record = made(raw_log())
-    k = np.searchsorted(SLOW, FAST + 1e-9, side="right") - 1
-    expected = np.round(4.0 * np.sin(3.0 * SLOW))[np.maximum(k, 0)]
-    np.testing.assert_array_equal(record["elevator_deg"][5:240], expected[5:240])
-    assert set(np.unique(record["elevator_deg"][5:240] % 1.0)) == {0.0}
-
-
-def test_modes_have_the_names_of_aeroplanes_where_it_is_one() -> None:
-    record = made(raw_log())
-    assert set(record["mode"][FAST < 2.0]) == {"MANUAL"}
-    assert set(record["mode"][FAST > 2.02]) == {"LOITER"}
-    assert set(made(raw_log("tlog", facts={"mav_type": 2.0}))["mode"]) == {"mode 0", "mode 12"}
-    assert "LOITER" in made(raw_log("tlog", facts={"mav_type": 1.0}))["mode"]
-
-
-def test_texts_name_manoeuvres() -> None:
-    texts = ((1.0, "manoeuvre pull-up"), (1.5, "hello"), (2.0, "manoeuvre end"))
-    labels = made(raw_log(texts=texts))["manoeuvre"]
-    np.testing.assert_array_equal(labels == "pull-up", (FAST >= 0.99) & (FAST < 1.99))
-    assert "manoeuvre" not in made(raw_log(texts=((1.5, "hello"),)))
-
-
 def test_where_the_flight_began() -> None:
     raw = raw_log()
     fix = MessageTable(
@@ -93,11 +72,6 @@ def test_where_the_flight_began() -> None:
     )
 
 
-def test_a_log_without_a_signal_of_the_map_is_refused() -> None:
-    with pytest.raises(LogError, match="no signal of the map 'test' is in this log; it has BAT"):
-        made(RawLog("dataflash", {("BAT", 0): MessageTable(FAST, {"V": FAST})}))
-
-
 @pytest.mark.parametrize("absurd", [1e300, 2.0**63, 1e10])
 def test_absurd_times_ask_for_no_memory(tmp_path: Path, absurd: float) -> None:
     lines = ["FMT, 130, 20, IMU, Qfff, TimeUS,GyrX,GyrY,GyrZ"]
@@ -107,3 +81,72 @@ def test_absurd_times_ask_for_no_memory(tmp_path: Path, absurd: float) -> None:
     (tmp_path / "a.log").write_text("\n".join(lines))
     with pytest.raises(LogError, match=r"would be more than .* rows"):
         import_log(tmp_path / "a.log")
+
+
+# Short dropouts are bridged, long ones are not, and the figures say how many.
+
+N = 200
+
+
+def record(**columns):
+    time = 1e5 + 0.02 * np.arange(N)
+    wave = np.sin(0.1 * np.arange(N))
+    return FlightRecord(
+        {"time_s": time, "q_radps": wave, "elevator_deg": np.round(wave), **columns}
+    )
+
+
+def test_lost_rows_come_back_with_straight_lines_and_held_commands():
+    whole = record(manoeuvre=np.array(["pitch"] * N, dtype=object))
+    kept = np.ones(N, dtype=bool)
+    kept[[20, 21, 50, 70, 71, 72]] = False
+    found, notes = bridge(whole.rows(kept), ("q_radps", "elevator_deg"), ("elevator_deg",))
+    assert len(found) == N
+    assert np.allclose(found["time_s"], whole["time_s"], atol=1e-9, rtol=0)
+    assert np.allclose(found["q_radps"], whole["q_radps"], atol=0.02)
+    assert found["q_radps"][50] == np.mean(whole["q_radps"][[49, 51]])
+    assert (found["elevator_deg"][70:73] == whole["elevator_deg"][69]).all()
+    assert set(found["manoeuvre"]) == {"pitch"}
+    assert notes == ["6 lost row(s) were put back, each gap at most 0.1 s long"]
+    assert len(found.segments(("q_radps", "elevator_deg"))) == 1
+
+
+def test_nothing_is_bridged_across_a_long_gap_nor_in_a_channel_that_is_mostly_holes():
+    whole = record()
+    kept = np.ones(N, dtype=bool)
+    kept[80:90] = False
+    found, notes = bridge(whole.rows(kept), ("q_radps",))
+    assert len(found) == N - 10
+    assert not notes
+    assert len(found.segments(("q_radps",))) == 2
+    holes = np.array(whole["q_radps"])
+    holes[::3] = np.nan
+    found, notes = bridge(record(q_radps=holes), ("q_radps",))
+    assert np.isnan(found["q_radps"]).sum() == np.isnan(holes).sum()
+    assert not notes
+
+
+def test_missing_samples_are_counted_and_the_ends_stay_missing():
+    holes = np.array(record()["q_radps"])
+    holes[[0, 1, 40, 41, 100, -1]] = np.nan
+    found, notes = bridge(record(q_radps=holes), ("q_radps", "alpha_rad"))
+    assert np.flatnonzero(np.isnan(found["q_radps"])).tolist() == [0, 1, N - 1]
+    assert notes == ["3 of 197 samples of q_radps are missing and were bridged in straight lines"]
+
+
+def test_a_table_of_pandas_is_read_with_its_row_numbers_and_checked_for_degrees(tmp_path):
+    from sysid.logs.checking.checks import in_degrees
+    from sysid.logs.load import import_log
+    from tests.helpers.synthetic import flight
+
+    good = flight(40.0)
+    table = pd.DataFrame(dict(good.columns))
+    table.to_csv(tmp_path / "good.csv")
+    read = import_log(tmp_path / "good.csv")
+    assert set(read.columns) == set(good.columns)
+    assert not [f for f in read.metadata.findings if in_degrees(f)]
+    for name in ("phi_rad", "theta_rad", "q_radps"):
+        table.assign(**{name: np.degrees(table[name])}).to_csv(tmp_path / "bad.csv", index=False)
+        assert [f for f in import_log(tmp_path / "bad.csv").metadata.findings if in_degrees(f)], (
+            name
+        )

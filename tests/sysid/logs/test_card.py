@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from sysid.errors import LogError
-from sysid.logs.card import AirframeCard, Reference, Servo, parse_card, read_card
+from sysid.logs.card import AirframeCard, Reference, Servo, read_card
 
 
 def test_a_card_by_file_or_folder(card_path: Path, card: AirframeCard) -> None:
@@ -20,15 +20,6 @@ def test_a_card_by_file_or_folder(card_path: Path, card: AirframeCard) -> None:
     assert card.document["inputs"]["elevator"]["property"] == "fcs/elevator-cmd-deg"
     with pytest.raises(LogError, match="no such file"):
         read_card(card_path.with_name("none.toml"))
-
-
-def test_sections_of_others_do_not_make_another_card(card_path: Path, card: AirframeCard) -> None:
-    text = card_path.read_text(encoding="utf-8")
-    more = parse_card(text + "\n[modes]\nopen_loop = { a = 1 }\n", card_path)
-    assert more == card
-    assert repr(more) == repr(card)
-    assert more.document["modes"] == {"open_loop": {"a": 1}}
-    assert parse_card(text.replace("1.97", "1.98"), card_path) != card
 
 
 @pytest.mark.parametrize(

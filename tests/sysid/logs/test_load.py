@@ -1,11 +1,11 @@
-"""Every importer against damage: a record or a LogError, in bounded time, and never
-anything else.
-"""
+"""Bad files, the cache of imported records, and several boots in one log."""
 
 from __future__ import annotations
 
+import struct
 import time
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,44 +15,13 @@ from sysid.errors import LogError
 from sysid.logs.card import AirframeCard
 from sysid.logs.dataflash_writer import write_dataflash
 from sysid.logs.info import log_info
-from sysid.logs.load import import_log
+from sysid.logs.load import import_log, store
+from sysid.logs.time_base import boundaries
 from sysid.record import FlightRecord
-from tests.helpers.log_writers import write_text_log, write_tlog, write_ulog
+from tests.helpers.log_writers import px4_topics, write_text_log, write_tlog, write_ulog
+from tests.helpers.synthetic import flight
 
-FORMATS = ("bin", "log", "tlog", "ulg", "csv", "jsbsim", "parquet")
 LIMIT_S = 20.0  # a clean import of these logs takes well under a second
-
-
-@pytest.fixture(scope="module")
-def samples(
-    tmp_path_factory: pytest.TempPathFactory, flown: FlightRecord, card: AirframeCard
-) -> dict[str, bytes]:
-    folder = tmp_path_factory.mktemp("fuzz")
-    short = flown.rows(slice(0, 600))
-    out = {}
-    write_dataflash(short, folder / "a.bin", card)
-    write_text_log(folder / "a.log", short)
-    write_tlog(folder / "a.tlog", short)
-    us = np.rint(short["time_s"] * 1e6).astype(np.int64)
-    names = {
-        "gyro_rad": ("p_radps", "q_radps", "r_radps"),
-        "accelerometer_m_s2": ("ax_mps2", "ay_mps2", "az_mps2"),
-    }
-    imu = {f"{g}[{i}]": short[n] for g, members in names.items() for i, n in enumerate(members)}
-    write_ulog(
-        folder / "a.ulg",
-        {"sensor_combined": (us, imu), "airspeed": (us, {"true_airspeed_m_s": short["V_mps"]})},
-    )
-    short.write(folder / "a.csv")
-    short.write(folder / "a.parquet")
-    header = "Time,/fdm/jsbsim/velocities/vtrue-fps,/fdm/jsbsim/velocities/q-rad_sec,/fdm/jsbsim/fcs/elevator-cmd-deg"
-    table = np.column_stack(
-        [short["time_s"], short["V_mps"] / 0.3048, short["q_radps"], short["elevator_deg"]]
-    )
-    np.savetxt(folder / "a.jsbsim", table, delimiter=",", header=header, comments="", fmt="%.9g")
-    for kind in FORMATS:
-        out[kind] = (folder / f"a.{kind}").read_bytes()
-    return out
 
 
 def damaged(data: bytes, rng: np.random.Generator) -> bytes:
@@ -96,70 +65,6 @@ def attempt(path: Path) -> str:
     return outcome
 
 
-def fuzz(data: bytes, kind: str, folder: Path, seeds: range) -> dict[str, int]:
-    counts = {"record": 0, "refused": 0}
-    for seed in seeds:
-        path = folder / f"{kind}-{seed}.dat"
-        path.write_bytes(damaged(data, np.random.default_rng([seed, FORMATS.index(kind)])))
-        counts["record" if attempt(path) == "record" else "refused"] += 1
-        path.unlink()
-    return counts
-
-
-@pytest.mark.parametrize("kind", FORMATS)
-def test_undamaged_samples_are_read(kind: str, samples: dict[str, bytes], tmp_path: Path) -> None:
-    path = tmp_path / "renamed.xyz"
-    path.write_bytes(samples[kind])
-    record = import_log(path)
-    assert len(record) > 100
-    assert "q_radps" in record
-
-
-@pytest.mark.parametrize("kind", FORMATS)
-def test_damage_gives_a_record_or_a_clear_refusal(
-    kind: str, samples: dict[str, bytes], tmp_path: Path
-) -> None:
-    counts = fuzz(samples[kind], kind, tmp_path, range(8))
-    assert sum(counts.values()) == 8
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", FORMATS)
-def test_much_damage(kind: str, samples: dict[str, bytes], tmp_path: Path) -> None:
-    fuzz(samples[kind], kind, tmp_path, range(1000, 2000))
-
-
-@pytest.mark.parametrize("kind", FORMATS)
-def test_every_early_cut(kind: str, samples: dict[str, bytes], tmp_path: Path) -> None:
-    data = samples[kind]
-    for size in [0, 1, 2, 3, 7, 8, 9, 16, 17, 30, 64, 89, 90, 200, len(data) // 2, len(data) - 1]:
-        path = tmp_path / "cut.bin"
-        path.write_bytes(data[:size])
-        attempt(path)
-
-
-FOREIGN = {
-    "picture.bin": b"\x89PNG\r\n\x1a\n" + bytes(range(256)) * 20,
-    "archive.ulg": b"PK\x03\x04" + bytes(500),
-    "notes.log": b"This is a text about flying.\nNothing else.\n" * 50,
-    "zeros.tlog": bytes(10000),
-    "noise.bin": np.random.default_rng(3).bytes(20000),
-    "noise.tlog": np.random.default_rng(4).bytes(20000),
-    "words.csv": b"name,colour\nsparrow,brown\nrobin,red\n" * 20,
-    "page.html": b"<html><body>a, b, c</body></html>\n" * 30,
-    "magic-only.bin": b"\xa3\x95",
-    "magic.ulg": b"ULog\x01\x12\x35\x01",
-    "magic.parquet": b"PAR1 and nothing more PAR1",
-}
-
-
-@pytest.mark.parametrize("name", FOREIGN)
-def test_foreign_files_are_refused(name: str, tmp_path: Path) -> None:
-    path = tmp_path / name
-    path.write_bytes(FOREIGN[name])
-    assert attempt(path) != "record"
-
-
 def test_empty_missing_folder_and_zip(tmp_path: Path) -> None:
     (tmp_path / "empty.bin").write_bytes(b"")
     assert "empty" in attempt(tmp_path / "empty.bin")
@@ -168,3 +73,169 @@ def test_empty_missing_folder_and_zip(tmp_path: Path) -> None:
     with zipfile.ZipFile(tmp_path / "log.bin", "w") as archive:
         archive.writestr("a.bin", b"x" * 100)
     assert "ZIP" in attempt(tmp_path / "log.bin")
+
+
+# Where imported logs are kept.
+
+
+def test_a_record_is_kept_whole_and_what_cannot_be_written_is_let_go(tmp_path: Path) -> None:
+    record = flight(1.0)
+    store(record, tmp_path / "new" / "a.parquet")
+    assert [p.name for p in (tmp_path / "new").iterdir()] == ["a.parquet"]
+    assert len(FlightRecord.read(tmp_path / "new" / "a.parquet")) == len(record)
+    (tmp_path / "file").write_text("")
+    store(record, tmp_path / "file" / "a.parquet")
+    (tmp_path / "b.parquet").mkdir()  # cannot be replaced by a file
+    store(record, tmp_path / "b.parquet")
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["b.parquet", "file", "new"]
+
+
+# Several boots in one log: told apart, listed, one read; damage and lines out of order are no
+# boots.
+
+_RATE = 100.0
+
+
+def stamps(*spans: tuple[float, float]) -> np.ndarray:
+    """Stamps of a stream of records that covers each span in turn."""
+    return np.concatenate([np.arange(start, end, 1.0 / _RATE) for start, end in spans])
+
+
+def begins(time_s: np.ndarray, headers: tuple[int, ...] = ()) -> list[int]:
+    return boundaries(np.arange(len(time_s)), time_s, headers)
+
+
+def test_a_clock_that_begins_again_is_a_boundary_to_the_record() -> None:
+    assert begins(stamps((3.0, 20.0), (0.5, 60.0))) == [1700]
+    assert begins(stamps((0.0, 20.0), (0.0, 20.0), (5.0, 9.0))) == [2000, 4000]
+
+
+def test_lines_out_of_order_late_blocks_and_wrong_stamps_are_no_boots() -> None:
+    time_s = stamps((0.0, 60.0))
+    rng = np.random.default_rng(1)
+    shuffled = time_s.copy()
+    for k in rng.integers(0, len(time_s) - 30, 100):
+        shuffled[[k, k + 20]] = shuffled[[k + 20, k]]
+    spikes = time_s.copy()
+    spikes[rng.integers(0, len(time_s), 60)] = rng.choice([0.0, 1e9, 4e6, -3.0, np.nan], 60)
+    late = np.concatenate([time_s[:1000], time_s[1500:3000], time_s[1000:1500], time_s[3000:]])
+    wrong_clock = time_s.copy()
+    wrong_clock[2000:2200] += 900.0
+    for damaged in (shuffled, spikes, late, wrong_clock):
+        assert begins(damaged) == []
+
+
+def test_a_repeated_header_parts_boots_whose_clock_runs_forward_but_no_boot() -> None:
+    assert begins(stamps((0.0, 20.0), (45.0, 60.0)), (2000,)) == [2000]
+    assert begins(stamps((0.0, 20.0), (45.0, 60.0))) == []
+    assert begins(stamps((0.0, 20.0), (20.0, 60.0)), (2000,)) == []
+
+
+@pytest.fixture(scope="module")
+def brief() -> FlightRecord:
+    return flight(duration_s=20.0, start_s=5.0)
+
+
+def early(brief: FlightRecord) -> FlightRecord:
+    """Eight seconds of another boot, told from the long flight by airspeeds of 30 m/s more."""
+    part = brief.between(10.0, 18.0)
+    return part.with_columns({"time_s": part["time_s"] - 7.0, "V_mps": part["V_mps"] + 30.0})
+
+
+def logs(kind: str, first: FlightRecord, second: FlightRecord, folder: Path, card: AirframeCard):
+    """The path of a log of ``kind`` with two boots."""
+    parts = []
+    for k, record in enumerate((first, second)):
+        path = folder / f"{k}.part"
+        if kind.startswith("dataflash-text"):
+            write_text_log(path, record)
+            lines = path.read_text().splitlines(keepends=True)
+            keep = [x for x in lines if not x.startswith(("FMT", "MSG"))]
+            parts.append("".join(keep if k and kind.endswith("headless") else lines).encode())
+        elif kind == "dataflash":
+            write_dataflash(record, path, card)
+            parts.append(path.read_bytes())
+        elif kind == "tlog":
+            write_tlog(path, record, every=1)
+            parts.append(path.read_bytes())
+        else:
+            write_ulog(path, px4_topics(record))
+            data = path.read_bytes()
+            at = 16
+            while kind.endswith("headless") and k and data[at + 2 : at + 3] != b"D":
+                at += 3 + struct.unpack_from("<H", data, at)[0]
+            parts.append(data[at:] if at > 16 else data)
+    path = folder / "two.log"
+    path.write_bytes(b"".join(parts))
+    return path
+
+
+KINDS = ("dataflash", "dataflash-text", "dataflash-text headless", "tlog", "ulog", "ulog headless")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_boots_of_every_dialect_are_listed_and_one_is_read(
+    kind: str, tmp_path: Path, brief: FlightRecord, card: AirframeCard, card_path: Path
+) -> None:
+    path = logs(kind, early(brief), brief, tmp_path, card)
+    longest = import_log(path, None, card_path)
+    assert longest.metadata.flight_number == 2
+    assert [b.number for b in longest.metadata.flights] == [1, 2]
+    spans = [b.end_s - b.start_s for b in longest.metadata.flights]
+    assert spans == pytest.approx([8.0, 20.0], abs=0.3)
+    (finding,) = (f for f in longest.metadata.findings if f.code == "clock-restart")
+    assert finding.severity == "warning"
+    assert "--flight-number" in finding.message
+    assert not any(f.code == "time-backwards" for f in longest.metadata.findings)
+    # Nothing of the other boot: its airspeeds are 30 m/s higher.
+    fast = np.nanmax(brief["V_mps"]) + 5.0
+    assert np.nanmax(longest["V_mps"]) < fast
+    first = import_log(path, None, card_path, flight_number=1)
+    assert np.nanmin(first["V_mps"]) > fast
+    assert first["time_s"][-1] - first["time_s"][0] == pytest.approx(8.0, abs=0.3)
+    with pytest.raises(LogError, match="flights 1 to 2"):
+        import_log(path, None, card_path, flight_number=3)
+
+
+def test_parameters_are_those_of_the_boot(
+    tmp_path: Path, brief: FlightRecord, card: AirframeCard, card_path: Path
+) -> None:
+    other = replace(
+        card,
+        servos={
+            n: replace(s, table=tuple((p, 2 * a) for p, a in s.table))
+            for n, s in card.servos.items()
+        },
+    )
+    paths = [tmp_path / "a.bin", tmp_path / "b.bin"]
+    write_dataflash(brief, paths[0], card)
+    write_dataflash(early(brief), paths[1], other, parameters={"SERVO2_REVERSED": 1.0})
+    both = tmp_path / "both.bin"
+    both.write_bytes(b"".join(p.read_bytes() for p in paths))
+    alone = import_log(paths[0], None, card_path)
+    assert np.array_equal(
+        import_log(both, None, card_path)["elevator_deg"], alone["elevator_deg"], equal_nan=True
+    )
+
+
+def test_the_boots_stay_with_a_record_and_its_cache(
+    tmp_path: Path, brief: FlightRecord, card: AirframeCard, card_path: Path
+) -> None:
+    path = logs("dataflash", early(brief), brief, tmp_path, card)
+    cache = tmp_path / "cache"
+    for number in (None, 1, None):
+        record = import_log(path, None, card_path, flight_number=number, cache=cache)
+        assert record.metadata.flight_number == (number or 2)
+    record = import_log(path, None, card_path, flight_number=1, cache=cache)
+    record.write(tmp_path / "one.parquet")
+    again = FlightRecord.read(tmp_path / "one.parquet")
+    assert again.metadata.flights == record.metadata.flights
+    assert again.metadata.flight_number == 1
+
+
+def test_one_boot_lists_nothing_and_holds_no_second(bin_log: Path, card_path: Path) -> None:
+    record = import_log(bin_log, None, card_path)
+    assert record.metadata.flights == ()
+    assert len(import_log(bin_log, None, card_path, flight_number=1)) == len(record)
+    with pytest.raises(LogError, match="holds one flight"):
+        import_log(bin_log, None, card_path, flight_number=2)

@@ -1,4 +1,4 @@
-"""A proposed map brings a strange table back to the record that it was made of."""
+"""A proposed map restores the record from which a table with unknown columns was made."""
 
 from __future__ import annotations
 
@@ -60,14 +60,6 @@ def test_units_and_signs_of_a_strange_table_are_found(tmp_path: Path) -> None:
     assert not [f for f in again.metadata.findings if f.code in ("unit", "sign", "out-of-range")]
     assert "Note" in proposal.unused
     assert "# unsure: " in proposal.to_toml()
-
-
-def test_columns_without_names_of_signals_are_listed_and_not_mapped(tmp_path: Path) -> None:
-    rows = [f"{0.1 * k:.1f},{k % 7},{k % 5}" for k in range(100)]
-    (tmp_path / "a.csv").write_text("time,ch1,ch2\n" + "\n".join(rows) + "\n")
-    proposal = propose_map(tmp_path / "a.csv")
-    assert not proposal.signals
-    assert "#   ch1: median 3, range 0 to 6" in proposal.to_toml()
 
 
 def test_a_dialects_own_fields_are_kept(tmp_path: Path) -> None:

@@ -11,7 +11,6 @@ from scipy.io import savemat
 
 from sysid.errors import LogError
 from sysid.logs import import_log
-from sysid.logs.assemble import best_offset
 from sysid.logs.signal_map import parse_map
 
 STEP_S = 0.02
@@ -131,22 +130,6 @@ def test_second_clock_is_aligned_by_correlation(files: tuple[Path, Path]) -> Non
     throttle = _flight()["thr"]
     assert isinstance(throttle, np.ndarray)
     assert record["rpm"][row] == pytest.approx(3000.0 + 1000.0 * throttle[row], abs=40.0)
-
-
-def test_unrelated_signals_give_no_offset(files: tuple[Path, Path]) -> None:
-    text = files[1].read_text(encoding="utf-8").replace('"log", "thr"]', '"log", "p"]')
-    files[1].write_text(text, encoding="utf-8")
-    with pytest.raises(LogError, match=r"offset cannot be found.*offset_s"):
-        import_log(*files)
-
-
-def test_offset_is_exact_between_samples() -> None:
-    t = np.arange(0.0, 80.0, 0.02)
-    x = np.cumsum(np.random.default_rng(1).normal(size=len(t)))
-    slow = np.arange(0.0, 40.0, 0.1)
-    offset, correlation, _ = best_offset((slow, np.interp(slow + 13.013, t, x)), (t, x))
-    assert offset == pytest.approx(13.013, abs=0.01)
-    assert correlation > 0.99
 
 
 def test_derived_signals_follow_their_formulas(files: tuple[Path, Path]) -> None:

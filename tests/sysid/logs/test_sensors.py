@@ -1,4 +1,4 @@
-"""The sensor in use and its valid rows, by what DataFlash, PX4 and telemetry log of them."""
+"""Choice of the sensor instance and of its valid rows, in DataFlash, PX4 and telemetry."""
 
 from __future__ import annotations
 
@@ -78,35 +78,6 @@ def test_the_primary_is_followed_though_both_claim_to_be_healthy() -> None:
     assert "ARSP[0] from 0.0 to 9.9 s, then ARSP[1] from 10.0 to 19.9 s" in choice(record)
 
 
-def test_stamps_of_the_instances_may_differ() -> None:
-    primary = np.where(HALF, 0, 1)
-    second = MessageTable(T + 0.0007, arsp(np.where(HALF, 5.0, GOOD), 1, primary).fields)
-    record = read({("ARSP", 0): arsp(np.where(HALF, GOOD, 11.0), 1, primary), ("ARSP", 1): second})
-    assert np.nanmax(np.abs(record["V_mps"] - GOOD)) < 0.02
-
-
-def test_without_a_valid_sensor_there_is_no_airspeed() -> None:
-    lost = ((T > 5.0) & (T < 8.0)) | ((T > 12.0) & (T < 13.0))
-    healthy = np.where(lost, 0, 1)
-    record = read({("ARSP", 0): arsp(np.where(lost, 2.0, GOOD), healthy, 0)})
-    assert np.isnan(record["V_mps"][lost]).all()
-    assert record["V_mps"][~lost] == pytest.approx(GOOD[~lost])
-    assert "no data from 5.1 to 7.9 and 12.1 to 12.9 s" in choice(record)
-
-
-def test_a_sensor_that_the_pilot_did_not_use_is_still_a_measurement() -> None:
-    record = read({("ARSP", 0): arsp(GOOD, 1, 0, used=0.0)})
-    assert record["V_mps"] == pytest.approx(GOOD)
-    assert not choice(record)
-
-
-def test_the_autopilots_own_airspeed_is_measured_or_an_estimate_as_it_says() -> None:
-    for kind, estimate in ((1, False), (3, True)):
-        record = read({("ARSP", 0): arsp(BAD, 0, 0), ("CTUN", 0): table(As=GOOD, AsT=kind)})
-        assert record["V_mps"] == pytest.approx(GOOD)
-        assert ("V_mps" in record.metadata.estimates) == estimate
-
-
 def gps(fix: np.ndarray | float, used: float = 1.0) -> MessageTable:
     ok = np.broadcast_to(np.asarray(fix) >= 3, T.shape)
     return table(
@@ -135,15 +106,6 @@ def test_rows_without_a_fix_are_missing_in_position_and_velocity(status: int) ->
     assert record.metadata.start["alt_m"] == 300.0
 
 
-@pytest.mark.parametrize("second", ["GPS", "GPS2"])
-def test_the_receiver_with_a_fix_is_read(second: str) -> None:
-    key = ("GPS", 1) if second == "GPS" else ("GPS2", 0)
-    record = read({("GPS", 0): gps(1, used=0.0), key: gps(4)})
-    assert record["ve_mps"] == pytest.approx(20.0)
-    assert record.metadata.channels["ve_mps"].startswith("GPS[1]" if second == "GPS" else "GPS2")
-    assert record.metadata.start["lat_deg"] == pytest.approx(45.0)
-
-
 def imu(
     value: np.ndarray | float, gyro: np.ndarray | float, accel: np.ndarray | float
 ) -> MessageTable:
@@ -156,27 +118,6 @@ def test_gyros_and_accelerometers_are_judged_apart() -> None:
     assert record["q_radps"] == pytest.approx(0.3)
     assert record["az_mps2"] == pytest.approx(0.0)
     assert "IMU[1] is read of 2 instances: it is valid throughout" in choice(record)
-
-
-def test_of_equal_instances_the_first_is_read_and_named() -> None:
-    record = read({("IMU", 0): imu(0.1, 1, 1), ("IMU", 1): imu(0.3, 1, 1)})
-    assert record["q_radps"] == pytest.approx(0.1)
-    assert not choice(record)
-    assert "IMU[0] is read of 2 instances: the first of equal instances" in choice(record, "info")
-
-
-def test_one_plain_sensor_needs_no_word() -> None:
-    record = read({("IMU", 0): imu(0.1, 1, 1), ("ARSP", 0): arsp(GOOD, 1, 0), ("GPS", 0): gps(3)})
-    assert not [f for f in record.metadata.findings if f.code == "sensor-choice"]
-
-
-def test_an_instance_that_the_users_map_names_is_binding() -> None:
-    line = '[signals.V_mps]\nmessage = "ARSP"\nfield = "Airspeed"\n'
-    messages = {("ARSP", 0): arsp(BAD, 0, 1), ("ARSP", 1): arsp(GOOD, 1, 1)}
-    assert read(messages, extra=line)["V_mps"] == pytest.approx(GOOD)
-    record = read(messages, extra=line + "instance = 0\n")
-    assert record["V_mps"] == pytest.approx(BAD)
-    assert "because the map names it, though no row is valid" in choice(record)
 
 
 def test_a_users_rule_marks_rows_of_any_message() -> None:
@@ -203,16 +144,6 @@ def test_px4_follows_the_airspeed_sensor_that_was_selected(name: str) -> None:
     assert record["V_mps"] == pytest.approx(GOOD)
 
 
-def test_px4_airspeed_without_a_sensor_is_an_estimate() -> None:
-    messages = {
-        ("airspeed", 0): table(true_airspeed_m_s=BAD),
-        ("airspeed_validated", 0): table(airspeed_source=0, true_airspeed_m_s=GOOD),
-    }
-    record = read(messages, "ulog")
-    assert record["V_mps"] == pytest.approx(GOOD)
-    assert record.metadata.estimates == ("V_mps",)
-
-
 def test_px4_positions_and_velocities_count_where_they_are_valid() -> None:
     local = table(
         x=1.0, y=2.0, z=-3.0, xy_valid=HALF, z_valid=1, vx=0.0, vy=0.0, vz=0.0, v_xy_valid=HALF
@@ -225,22 +156,6 @@ def test_px4_positions_and_velocities_count_where_they_are_valid() -> None:
         assert np.isnan(record[name][~HALF]).all(), name
         assert np.isfinite(record[name][HALF]).all(), name
     assert np.isfinite(record["h_m"]).all()
-
-
-def test_px4_reads_the_selected_gyro_and_the_primary_estimator() -> None:
-    gyros = {
-        ("sensor_gyro", k): table(x=0.1 * k, y=0.2 * k, z=0.3 * k, device_id=40 + k)
-        for k in range(3)
-    }
-    heights = {("estimator_local_position", k): table(z=-10.0 * k) for k in range(2)}
-    states = {
-        ("sensor_selection", 0): table(np.zeros(1), gyro_device_id=42),
-        ("estimator_selector_status", 0): table(np.zeros(1), primary_instance=1),
-        ("vehicle_angular_velocity", 0): table(np.zeros(1), **{f"xyz[{k}]": 0.0 for k in range(3)}),
-    }
-    record = read({**gyros, **heights, **states}, "ulog")
-    assert record["p_radps"] == pytest.approx(0.2)
-    assert record["h_m"] == pytest.approx(10.0)
 
 
 def status(**healthy: np.ndarray | int) -> MessageTable:
@@ -273,25 +188,3 @@ def test_telemetry_without_a_fix_or_a_healthy_pitot_is_no_data() -> None:
     both = read(second, "tlog")
     assert np.isfinite(both["vn_mps"]).all()
     assert np.isfinite(both["V_mps"]).all()
-
-
-def test_telemetry_of_an_unhealthy_imu_is_left_for_the_second() -> None:
-    fields = ("xgyro", "ygyro", "zgyro", "xacc", "yacc", "zacc")
-    messages = {
-        ("SYS_STATUS", 0): status(gyro=0, accel=0),
-        ("RAW_IMU", 0): table(**dict.fromkeys(fields, 0.0)),
-        ("SCALED_IMU2", 0): table(**dict.fromkeys(fields, 100.0)),
-    }
-    record = read(messages, "tlog")
-    assert record["p_radps"] == pytest.approx(0.1)
-    assert record["az_mps2"] == pytest.approx(0.980665)
-    assert read({**messages, ("SYS_STATUS", 0): status()}, "tlog")["p_radps"] == pytest.approx(0.0)
-
-
-def test_old_logs_name_further_instances_apart() -> None:
-    second = imu(0.3, 1, 1)
-    record = read({("IMU", 0): imu(0.0, 0, 0), ("IMU2", 0): second})
-    assert record["q_radps"] == pytest.approx(0.3)
-    assert record.metadata.channels["q_radps"] == "IMU2.GyrY"
-    wanted = shipped_map("dataflash").field_selection()
-    assert {"GyrY", "GH", "AccX"} <= wanted["IMU2"]

@@ -1,14 +1,24 @@
-"""Tables of servo outputs: the log's parameters before the card, degrees by the card, each said."""
+"""Deflections from servo outputs, parameters of autopilots, and steps of slowly logged commands."""
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from sysid.logs.card import parse_card
-from sysid.logs.servo import controls, deflection
+from sysid.logs.servo import (
+    controls,
+    deflection,
+    functions,
+    logged_rows,
+    outputs,
+    parse_parameters,
+    place_steps,
+)
+from tests.helpers.few import few
 
 TABLE = (
     "[inputs.elevator]\nproperty = 'fcs/elevator'\nlimits = [-25, 25]\nservo_pwm = [[1100, -20],"
@@ -30,14 +40,6 @@ def angles(
     control = found["elevator_deg"]
     ((_, servo, _),) = control.parts
     return deflection(np.array(pwm), servo).tolist(), control.description, control.conflicts
-
-
-def test_a_log_that_agrees_with_the_card_changes_nothing() -> None:
-    values, told, against = angles(TABLE, LOG, [1100.0, 1500.0, 1900.0])
-    assert values == pytest.approx([-20.0, 0.0, 20.0])
-    assert "SERVO2_FUNCTION" in told
-    assert "degrees a us by the card's servo_pwm" in told
-    assert against == ""
 
 
 def test_neutral_and_sense_are_the_logs_and_the_conflict_is_told() -> None:
@@ -64,14 +66,135 @@ def test_without_a_table_the_ends_of_travel_are_the_cards_limits_and_it_says_so(
     assert "elevator_deg" not in nothing
 
 
-def test_limits_of_a_normalised_command_are_no_degrees() -> None:
-    text = TABLE.replace("limits = [-25, 25]", "unit = 'norm'\nlimits = [-1, 1]")
-    assert angles(text, {}, [1900.0])[0] == [20.0]
-    assert angles(TABLE.replace("[-25, 25]", "[-15, 15]"), {}, [1900.0])[0] == [15.0]
+# Servo outputs by an autopilot's own parameters.
+
+ARDUPLANE = {
+    "SERVO1_FUNCTION": 4.0,
+    "SERVO1_MIN": 1100.0,
+    "SERVO1_MAX": 1900.0,
+    "SERVO1_TRIM": 1500.0,
+    "SERVO1_REVERSED": 0.0,
+    "SERVO5_FUNCTION": 19.0,
+    "SERVO5_MIN": 1200.0,
+    "SERVO5_MAX": 1900.0,
+    "SERVO5_TRIM": 1520.0,
+    "SERVO5_REVERSED": 1.0,
+    "SERVO6_FUNCTION": 0.0,
+}
 
 
-def test_without_parameters_the_card_and_the_usual_order_count() -> None:
-    values, told, against = angles(TABLE, {}, [1900.0])
-    assert (values, against) == ([20.0], "")
-    assert told == "elevator is servo 2, 1100/1500/1900 us = -20/0/20 deg by the card's servo_pwm"
-    assert controls(None, {})[0] == {}
+def test_arduplane() -> None:
+    found = outputs(ARDUPLANE)
+    assert set(found) == {"aileron", "elevator"}
+    (elevator,) = found["elevator"]
+    # Reversed, so that more PWM is nose down, which a flight record counts as +.
+    assert (elevator.channel, elevator.low, elevator.neutral, elevator.high, elevator.sense) == (
+        5,
+        1200.0,
+        1520.0,
+        1900.0,
+        1.0,
+    )
+    assert found["aileron"][0].sense == 1.0
+    assert outputs({**ARDUPLANE, "SERVO5_REVERSED": 0.0})["elevator"][0].sense == -1.0
+    unsaid = outputs({"SERVO2_FUNCTION": 19.0})["elevator"][0]
+    assert unsaid.sense == 0.0
+    assert math.isnan(unsaid.neutral)
+    assert not unsaid.spans
+    assert functions(ARDUPLANE) == {1: 4, 5: 19}
+
+
+def test_arduplane_before_servo_parameters() -> None:
+    old = {
+        "RC2_MIN": 1100.0,
+        "RC2_MAX": 1900.0,
+        "RC2_TRIM": 1490.0,
+        "RC2_REV": -1.0,
+        "RC1_TRIM": 1500.0,
+    }
+    found = outputs(old)
+    assert set(found) == {"elevator"}  # a trim alone says nothing of the sense
+    assert (found["elevator"][0].channel, found["elevator"][0].sense) == (2, 1.0)
+    # PX4 calibrates its receiver's inputs by parameters of the same names.
+    assert outputs({**old, "RC_MAP_PITCH": 2.0}) == {}
+    assert outputs({**old, "SYS_AUTOSTART": 2100.0}) == {}
+
+
+def test_px4() -> None:
+    parameters = {
+        "PWM_MAIN_FUNC1": 201.0,
+        "PWM_MAIN_FUNC2": 202.0,
+        "PWM_MAIN_FUNC3": 203.0,
+        "PWM_MAIN_FUNC4": 101.0,
+        "PWM_MAIN_REV": 2.0,
+        "CA_SV_CS0_TYPE": 1.0,
+        "CA_SV_CS0_TRQ_R": -0.5,
+        "CA_SV_CS1_TYPE": 2.0,
+        "CA_SV_CS1_TRQ_R": 0.5,
+        "CA_SV_CS2_TYPE": 3.0,
+        "CA_SV_CS2_TRQ_P": 1.0,
+        "CA_SV_CS2_TRIM": 0.1,
+        "PWM_MAIN_MIN3": 1100.0,
+        "PWM_MAIN_MAX3": 1900.0,
+    }
+    found = outputs(parameters)
+    assert [(o.channel, o.sense) for o in found["aileron"]] == [(1, -1.0), (2, -1.0)]
+    assert (found["elevator"][0].neutral, found["elevator"][0].sense) == (1540.0, -1.0)
+    assert found["throttle"][0].channel == 4
+    assert outputs({"PWM_MAIN_FUNC1": 201.0}) == {}
+
+
+def test_parameter_files() -> None:
+    assert parse_parameters(
+        "# plane\nSERVO2_TRIM 1500\nRLL2SRV_TCONST,0.5  # s\n1\t1\tTRIM_ARSPD_CM\t2200\t6\n"
+    ) == {
+        "SERVO2_TRIM": 1500.0,
+        "RLL2SRV_TCONST": 0.5,
+        "TRIM_ARSPD_CM": 2200.0,
+    }
+    for bad in ("SERVO2_TRIM\n", "SERVO2_TRIM fifteen\n", "a-b 1\n", "A nan\n"):
+        with pytest.raises(ValueError, match=r"line 1: .* is no parameter"):
+            parse_parameters(bad)
+    with pytest.raises(ValueError, match="holds no parameter"):
+        parse_parameters("# nothing\n")
+
+
+# Steps of slowly logged commands: placed where they happened, and left alone where the gyro
+# does not say.
+
+DT, STRIDE, NOISE = 0.02, 2, 0.0036
+
+
+def flown(seed, size=6.0, late_s=0.0, dt=DT, stride=STRIDE):
+    """Command as carried out, as logged, and the noisy roll rate of p' = -4 p + 0.25 u seen by a
+    gyro that is late.
+    """
+    rng = np.random.default_rng(seed)
+    n, fine = round(12.0 / dt), 20
+    acted = np.zeros(n)
+    for at in np.arange(30, 570, 40) + rng.integers(0, 9, 14):
+        at = round(at * DT / dt) + int(rng.integers(0, stride))
+        acted[at:] = size * (acted[at - 1] == 0.0)
+    logged = acted[(np.arange(n) // stride) * stride]
+    h = dt / fine
+    rate = np.zeros(n * fine + 1)
+    for k, u in enumerate(np.repeat(acted, fine)):
+        rate[k + 1] = rate[k] + h * (-4.0 * rate[k] + 0.25 * u)
+    seen = np.interp(np.arange(n) * dt - late_s, np.arange(n * fine + 1) * h, rate)
+    return acted, logged, seen + NOISE * rng.standard_normal(n)
+
+
+@pytest.mark.parametrize(
+    ("late_s", "dt", "stride"),
+    few([(0.006, 0.02, 2), (0.0, 0.02, 2), (0.011, 0.02, 2), (0.005, 0.005, 8)], 1),
+)
+def test_steps_are_found_where_they_happened(late_s, dt, stride):
+    before = after = 0.0
+    for seed in range(6):
+        acted, logged, rate = flown(seed, late_s=late_s, dt=dt, stride=stride)
+        found = place_steps(logged, logged_rows(logged, stride), rate, NOISE, dt)
+        placed, moved = found.command, found.steps
+        assert moved > 0
+        before += np.abs(logged - acted).sum()
+        after += np.abs(placed - acted).sum()
+    assert after < 0.3 * before

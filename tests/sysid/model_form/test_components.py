@@ -1,14 +1,19 @@
-"""Model error apart from noise: over many draws of known parts, and where there is none."""
+"""Components of the model error, over many draws of known parts and against closed forms."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy import stats
+from scipy import fft, stats
 
 from sysid.aerodynamics.coefficients import regressors
 from sysid.model_form import components
-from sysid.model_form.components import TIMES_S, UncertainVariance, make_blocks, separate
+from sysid.model_form.components import (
+    TIMES_S,
+    make_blocks,
+    sample,
+    separate,
+)
 from sysid.model_form.fit import Design, FitOptions, fit_bounds
 from tests.helpers.residual_pieces import HALF, filtered, first_order, residuals_of
 
@@ -107,24 +112,6 @@ def test_new_blocks_lie_within_as_often_as_stated(parts):
     assert over_draws(range(6), widen=0.6, **parts) < 0.9
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "size",
-    [
-        (0.005, 0.005, 0.005, 0.02),
-        (0.0, 0.02, 0.01, 0.03),
-        (0.02, 0.01, 0.01, 0.02),
-        (0.0, 0.0, 0.02, 0.02),
-    ],
-)
-def test_coverage_over_many_draws(size):
-    polynomial, persistent, transient, noise = size
-    share = over_draws(
-        range(500), polynomial=polynomial, persistent=persistent, transient=transient, noise=noise
-    )
-    assert 0.93 <= share <= 0.975
-
-
 def test_the_parts_are_those_that_were_put_in():
     found = [fitted(draw(seed, 0.01, 0.012, 0.02, 0.02)[0]).bounds.parts for seed in range(8)]
     assert np.mean([p.transient for p in found]) == pytest.approx(0.02, rel=0.1)
@@ -169,16 +156,6 @@ def test_what_differs_from_flight_to_flight_widens_the_persistent_part():
     assert np.mean([p.flight for p in apart]) > 3.0 * np.mean([p.flight for p in alike])
     assert np.mean([p.flight for p in apart]) == pytest.approx(0.02, rel=0.6)
     assert all(p.persistent > p.flight for p in apart)
-
-
-def test_few_blocks_are_trusted_less():
-    made = {"polynomial": 0.0, "persistent": 0.02, "transient": 0.002, "noise": 0.005}
-    few, many = (
-        [fitted(draw(seed, blocks=n, **made)[0]).bounds for seed in range(4)] for n in (4, 40)
-    )
-    assert np.mean([b.dof for b in few]) < 0.7 * np.mean([b.dof for b in many])
-    # Twice the quantile of a normal distribution where four blocks are all that is known.
-    assert np.mean([b.t for b in few]) > np.mean([b.t for b in many])
 
 
 def test_points_together_are_the_dense_formulas_one_by_one(monkeypatch):
@@ -249,21 +226,6 @@ def test_leaving_blocks_out_is_fitting_the_others():
     assert np.any(np.abs(all_blocks.beta - again.beta) > 0.2 * spread)
 
 
-def test_a_quantile_of_an_uncertain_variance():
-    """Inverse chi-square weights of nu degrees of freedom make Student's t (scaled to unit
-    variance).
-    """
-    nu = 6.0
-    values = stats.invgamma(nu / 2.0, scale=nu / 2.0).ppf((np.arange(20_000) + 0.5) / 20_000)
-    found = UncertainVariance(values, np.full(len(values), 1.0 / len(values)))
-    assert found.quantile(0.95) == pytest.approx(
-        stats.t.ppf(0.975, nu) * np.sqrt((nu - 2.0) / nu), rel=0.01
-    )
-    sure = UncertainVariance(np.ones(3), np.full(3, 1.0 / 3.0))
-    assert sure.quantile(0.95) == pytest.approx(1.959964, rel=1e-5)
-    assert sure.dof > 1e5
-
-
 def test_tails_that_reach_further_than_a_normal_distributions_widen_the_interval():
     """Error in two blocks of twelve alone: its variance says too little of those two."""
     residuals, errors = draw(1, 0.0, 0.0, 0.0, 0.005)
@@ -280,3 +242,40 @@ def test_tails_that_reach_further_than_a_normal_distributions_widen_the_interval
     found = fitted(made)
     assert found.separation.components().tail > 1.1
     assert share_inside(found.bounds, made, errors) > 0.93
+
+
+# Blocks: what is constant, what is coloured, and the noise, by frequency.
+
+
+def test_coloured_variances_are_those_of_the_process():
+    rng = np.random.default_rng(3)
+    n, time = 200, 0.4
+    waves = np.array(
+        [fft.dct(first_order(n, time, rng), norm="ortho") ** 2 for _ in range(3000)]
+    ).mean(axis=0)
+    blocks = make_blocks(residuals_of([np.zeros(n)]), "CX", [np.ones((n, 1))])
+    found = blocks.coloured(time)
+    np.testing.assert_allclose(found, waves[: len(found)], rtol=0.2)
+    assert np.abs(blocks.coloured(3 * time) / waves[: len(found)] - 1.0).max() > 0.5
+
+
+# Importance sampling against integrals in closed form.
+
+
+@pytest.mark.parametrize("width", [1.0, 0.05, 0.002])
+def test_means_spreads_and_evidence_of_a_normal_likelihood(width):
+    """A correlated normal in the cube, from flat to one that 256 points of the prior all miss."""
+    middle = np.array([0.4, 0.6, 0.55])
+    cov = width**2 * np.array([[0.04, 0.02, 0.0], [0.02, 0.04, 0.0], [0.0, 0.0, 0.01]])
+    normal = stats.multivariate_normal(middle, cov)
+    found = sample(normal.logpdf, 3)
+    assert found.weights.sum() == pytest.approx(1.0)
+    assert found.effective > 100.0
+    if width < 1.0:  # the whole of it lies inside the cube
+        mean = found.weights @ found.points
+        spread = (found.points - mean).T @ ((found.points - mean) * found.weights[:, None])
+        np.testing.assert_allclose(mean, middle, atol=0.15 * 0.2 * width)
+        np.testing.assert_allclose(spread, cov, atol=0.2 * 0.04 * width**2)
+        assert found.log_evidence == pytest.approx(0.0, abs=0.1)
+        other = sample(lambda x: normal.logpdf(x) + 3.0, 3)
+        assert other.log_evidence == pytest.approx(3.0, abs=0.1)

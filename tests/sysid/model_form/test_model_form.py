@@ -1,10 +1,9 @@
-"""Intervals against statsmodels and against known truth; the file; the hull."""
+"""Intervals against statsmodels and known truth; their file; their hull."""
 
 from __future__ import annotations
 
 import dataclasses
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,7 +12,7 @@ import statsmodels.api as sm
 from sysid.aerodynamics.coefficients import full_polynomial, regressors, term_name
 from sysid.aerodynamics.residuals import Cutoffs, ResidualPiece, Residuals, combine_flights
 from sysid.errors import LogError
-from sysid.model_form.coverage import coverage, leave_one_out, share_error
+from sysid.model_form.coverage import coverage, leave_one_out
 from sysid.model_form.fit import Design, FitOptions, default_designs, fit_bounds, with_walk_rates
 from sysid.model_form.model_form import (
     AircraftReference,
@@ -131,20 +130,6 @@ def test_the_bounds_enclose_zero_and_the_interval_within_them():
     assert np.array_equal(upper, np.where(high > 0.0, high, 0.0))
 
 
-def test_coverage_of_white_residuals_is_nominal_over_many_seeds():
-    shares = {0.95: [], 0.68: []}
-    for seed in range(25):
-        # Noise well above the truth: at 68 % the sign clip would otherwise widen the bounds, and
-        # rightly cover more.
-        made, new = made_up(seed, noise=0.012), made_up(1000 + seed, noise=0.012)
-        found = coverage(form_of(made, coefficients=("CX",)), new)["CX"]
-        for level, values in shares.items():
-            values.append(found.share[level])
-        assert found.mean_width == pytest.approx(2 * 1.96 * 0.012, rel=0.05)
-    assert np.mean(shares[0.95]) == pytest.approx(0.95, abs=0.01)
-    assert np.mean(shares[0.68]) == pytest.approx(0.68, abs=0.015)
-
-
 def test_autocorrelation_breaks_the_published_interval_and_effective_samples_mend_it():
     """At 20 samples' memory over 32 s the fit follows the noise: counted one by one the samples
     promise too much.
@@ -161,51 +146,6 @@ def test_autocorrelation_breaks_the_published_interval_and_effective_samples_men
     assert np.mean(published) < 0.925
     assert np.mean(ours) == pytest.approx(0.95, abs=0.02), (np.mean(published), np.mean(ours))
     assert np.mean(effective) == pytest.approx(1600 * (1 - 0.9) / (1 + 0.9), rel=0.4)
-
-
-def test_the_conformal_factor_is_finite_where_bounds_end_at_zero():
-    """A model error that is all on one side: a sample on the other lies outside by a finite
-    factor.
-    """
-    made = made_up(1)
-    form = form_of(made, coefficients=("CX",))
-    b = form.coefficients["CX"]
-    constant = np.array([float(not any(term)) for term in b.terms])
-    above = dataclasses.replace(
-        form, coefficients={"CX": dataclasses.replace(b, beta_hat=0.1 * constant)}
-    )
-    half = b.half_width(b.leverage(b.normalised(made.states)), b.t)
-    below = dataclasses.replace(
-        made,
-        pieces=tuple(
-            dataclasses.replace(p, delta=np.full_like(p.delta, -0.1)) for p in made.pieces
-        ),
-    )
-    factor = coverage(above, below)["CX"].conformal.factor
-    assert 0.2 / half.max() <= factor <= 0.2 / half.min()
-    inside = dataclasses.replace(
-        made,
-        pieces=tuple(
-            dataclasses.replace(p, delta=np.full_like(p.delta, 0.05)) for p in made.pieces
-        ),
-    )
-    assert coverage(above, inside)["CX"].conformal.factor == 0.0
-
-
-def test_the_error_of_a_share_counts_runs():
-    rng = np.random.default_rng(1)
-    single = (rng.random(4000) < 0.9).astype(float)
-    runs = np.repeat(single[:400], 10)
-    assert share_error([single]) == pytest.approx(np.sqrt(0.09 / 4000), rel=0.15)
-    assert share_error([runs]) > 2.5 * share_error([single])
-
-
-def test_coefficients_of_the_same_states_share_one_matrix():
-    form = form_of(made_up(4))
-    a, b = form.coefficients["CX"], form.coefficients["Cm"]
-    assert np.array_equal(a.XtX_inv, b.XtX_inv)
-    assert np.array_equal(a.centre, b.centre)
-    assert a.leverage_factor != b.leverage_factor
 
 
 def test_the_file_keeps_every_bit(tmp_path):
@@ -278,55 +218,6 @@ def test_no_file_and_no_json_are_refused(tmp_path):
         read_model_form(path)
 
 
-def test_clamped_bounds_stand_still_outside_the_box_and_grown_ones_grow():
-    grow = form_of(made_up(7))
-    clamp = dataclasses.replace(grow, outside="clamp")
-    far = {
-        s: np.array([m, m + 8 * d, m + 16 * d])
-        for s, m, d in zip(STATES, MEAN, SPREAD, strict=True)
-    }
-    width = {o.outside: np.subtract(*o.bounds(far)["CX"][::-1]) for o in (grow, clamp)}
-    assert width["clamp"][1] == width["clamp"][2]
-    assert width["grow"][2] > 2 * width["grow"][1] > 4 * width["grow"][0]
-    assert list(clamp.extrapolated(far)) == list(grow.extrapolated(far)) == [False, True, True]
-
-
-def test_the_data_lie_inside_their_hull_and_the_empty_corner_of_the_box_outside():
-    residuals = made_up(8)
-    form = form_of(residuals)
-    assert not form.extrapolated(residuals.states).any()
-    hull = form.coefficients["CX"].hull
-    corner = {s: np.array([v]) for s, v in zip(STATES, hull.high, strict=True)}
-    assert form.extrapolated(corner).all()
-    assert form.coefficients["CX"].distance(corner)[0] > 0.0
-    one = {s: np.array([m]) for s, m in zip(STATES, hull.middle[:, 1], strict=True)}
-    beyond = {**one, "V_mps": hull.high[:1] + 0.5 * (hull.high[:1] - hull.low[:1])}
-    assert form.coefficients["CX"].distance(beyond)[0] >= 0.5
-
-
-def test_a_state_that_stood_still_is_left_out_and_said():
-    residuals = made_up(9)
-    still = [
-        dataclasses.replace(p, states={**p.states, "theta_rad": np.full(len(p), 0.06)})
-        for p in residuals.pieces
-    ]
-    fitted = fit_bounds(Residuals(tuple(still), 0.02, Cutoffs()), {"CX": Design(STATES)})["CX"]
-    assert len(fitted.bounds.terms) == 10
-    assert not any(t[3] for t in fitted.bounds.terms)
-    assert "theta_rad hardly varied" in fitted.notes[0]
-    elsewhere = {s: np.array([m]) for s, m in zip(STATES, MEAN, strict=True)} | {
-        "theta_rad": np.array([0.3])
-    }
-    assert fitted.bounds.distance(elsewhere)[0] > 0.0
-    assert np.array_equal(
-        fitted.bounds.bounds(elsewhere),
-        fitted.bounds.bounds({**elsewhere, "theta_rad": np.array([0.06])}),
-    )
-    quite = {s: np.full_like(v, 0.1) for s, v in still[0].states.items()}
-    none = Residuals((dataclasses.replace(still[0], states=quite),), 0.02, Cutoffs())
-    assert fit_bounds(none, {"CX": Design(STATES)})["CX"].bounds.terms == ((0, 0, 0, 0),)
-
-
 def test_collinear_states_leave_terms_out_and_the_bounds_finite():
     residuals = made_up(10)
     tied = [
@@ -387,8 +278,3 @@ def test_flights_of_other_filters_are_not_mixed():
         combine_flights([made_up(1), dataclasses.replace(made_up(2), cutoffs=Cutoffs(3.0))])
     with pytest.raises(ValueError, match="no beta_rad"):
         fit_bounds(made_up(1))
-
-
-def test_forms_write_to_their_own_folder_only(tmp_path: Path):
-    form_of(made_up(14)).write(tmp_path / "a.json")
-    assert [p.name for p in tmp_path.iterdir()] == ["a.json"]

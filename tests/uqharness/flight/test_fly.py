@@ -1,10 +1,7 @@
-"""Flights: determinism, conditions, scores, failures that are counted and inputs that are
-refused.
-"""
+"""Flights: determinism, scores, ground contact, and inputs that are refused."""
 
 from __future__ import annotations
 
-import json
 import math
 import shutil
 import subprocess
@@ -22,13 +19,18 @@ from uqharness.cli.main import main
 from uqharness.errors import BadInputError
 from uqharness.flight.dryden import dryden_gusts
 from uqharness.flight.fly import (
+    GroundWatch,
+    RecordedFlight,
     absolute_statistics,
     count_excursions,
     fly,
+    fly_one_ulp_off,
     lost_control,
     record_mission,
+    score_from_start,
 )
-from uqharness.flight.spec import COEFFICIENTS, FlightSpec
+from uqharness.flight.spec import FlightResult, FlightSpec
+from uqharness.simulator import engine, stage
 from uqharness.simulator.aircraft import PROJECT_ROOT, STANDARD, Source, find_aircraft
 from uqharness.simulator.mission import StagedMission, find_script
 
@@ -102,13 +104,6 @@ def test_the_same_seed_gives_the_same_bytes_in_a_fresh_process(tmp_path, ending,
     assert here.read_bytes() != other.read_bytes()
 
 
-def test_seed_zero_is_a_seed_of_its_own(tmp_path):
-    paths = [tmp_path / f"{seed}.csv" for seed in (0, 1)]
-    for seed, path in enumerate(paths):
-        assert main([*command(path), "--seed", str(seed)]) == 0
-    assert paths[0].read_bytes() != paths[1].read_bytes()
-
-
 def test_record_is_a_flight_record(tmp_path):
     out = tmp_path / "flight.csv"
     assert (
@@ -177,19 +172,6 @@ def test_specific_force_follows_the_rates_of_change(tmp_path):
     assert np.corrcoef(az[inner], -r.az_mps2[inner])[0, 1] < 0
 
 
-def test_wind_blows_from_where_it_is_said(tmp_path):
-    for direction, (north, east) in {0: (-1, 0), 90: (0, -1), 180: (1, 0), 270: (0, 1)}.items():
-        out = tmp_path / f"{direction}.csv"
-        arguments = ["fly", "espaaro", "--script", "trim", "--duration-s", "3", "--wind-mps", "5"]
-        assert main([*arguments, "--wind-from-deg", str(direction), "--out", str(out)]) == 0
-        record = pd.read_csv(out)
-        # The airspeed stays what the script asks for; the ground sees the wind on top of 22.2 m/s
-        # north.
-        assert record["V_mps"].to_numpy() == pytest.approx(22.2, abs=0.15)
-        assert record["vn_mps"].iloc[-1] == pytest.approx(22.2 + 5 * north, abs=0.3)
-        assert record["ve_mps"].iloc[-1] == pytest.approx(5 * east, abs=0.3)
-
-
 def test_scores_follow_the_recorded_signals():
     result = fly(SPEC)
     assert result.status == "ok"
@@ -201,25 +183,6 @@ def test_scores_follow_the_recorded_signals():
         # The noise-laden score is another number, and a worse one on average.
         assert result.metrics[f"{key}_mean_{unit}_measured"] != result.metrics[f"{key}_mean_{unit}"]
     assert result.metrics["excursions_15m"] == 0.0
-
-
-def test_levels_change_the_flight_and_seeds_are_common():
-    base = {"uq/active": 1.0} | {f"uq/{name}/level": 0.5 for name in COEFFICIENTS}
-    middle = fly(replace(SPEC, properties=base))
-    high = fly(replace(SPEC, properties=base | {"uq/CX/level": 1.0}))
-    nominal = fly(SPEC)
-    # Symmetric stand-in bounds: the middle is the nominal model.
-    assert middle.metrics["altitude_median_m"] == nominal.metrics["altitude_median_m"]
-    assert high.metrics["altitude_median_m"] != nominal.metrics["altitude_median_m"]
-
-
-def test_a_flight_into_the_ground_is_a_result():
-    result = fly(replace(SPEC, properties={"ap/altitude-cmd-m": -200.0}, duration_s=120.0))
-    assert result.status == "ground-contact"
-    assert result.reason.startswith("the centre of gravity touched the ground at ")
-    assert result.metrics["loss_of_control"] == 1.0
-    assert math.isnan(result.metrics["altitude_median_m"])
-    assert "ground" in result.undefined["altitude_median_m"]
 
 
 def test_a_flight_to_nan_is_a_result():
@@ -264,38 +227,6 @@ def test_bad_arguments_are_one_line(tmp_path, capsys, extra):
     assert error.startswith("uqharness: error: ")
     assert error.count("\n") == 1
     assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize(
-    ("setting", "message"),
-    [
-        ("aero/CX=1", "the model computes it"),
-        ("velocities/p-rad_sec=1", "the model computes it"),
-        ("air/wind-mps=5", "--wind-mps"),
-        ("air/turbulence-w20-kt=45", "--turbulence"),
-        ("simulation/dt=0.02", "card"),
-    ],
-)
-def test_a_setting_that_would_move_nothing_is_refused(tmp_path, capsys, setting, message):
-    assert main(command(tmp_path / "x.csv", "--set", setting)) == 2
-    assert message in capsys.readouterr().err
-
-
-def test_a_script_made_for_another_aircraft_is_refused_in_words(tmp_path, capsys):
-    assert main(["fly", "c172x", "--out", str(tmp_path / "x.csv")]) == 2
-    assert "initial conditions 'cruise'" in capsys.readouterr().err
-
-
-def test_out_must_be_writable_and_known(tmp_path, capsys):
-    assert main(command(tmp_path / "x.xls")) == 2
-    (tmp_path / "file").write_text("")
-    assert main(command(tmp_path / "file" / "x.csv")) == 2
-    assert "is no folder" in capsys.readouterr().err
-
-
-def test_summary_is_json(tmp_path, capsys):
-    assert main(command(tmp_path / "x.csv", "--json")) == 0
-    assert json.loads(capsys.readouterr().out)["status"] == "ok"
 
 
 def test_an_event_that_would_override_the_host_is_refused(tmp_path):
@@ -400,3 +331,135 @@ def test_statistics_and_loss_of_control_by_hand():
     assert lost_control(still, np.array([0, -0.45, 0]), still)
     assert lost_control(still, still, np.array([0, 61.0, 0]))
     assert lost_control(still, np.array([0, np.nan, 0]), still)
+
+
+# Scores of signals made by hand.
+
+SCORING_SPEC = FlightSpec(Path("plane"), Path("mission.xml"), 3.0)
+
+
+def test_deviations_by_hand():
+    names = ["height_m", "V_mps", "psi_rad", "load_factor", "phi_rad", "alpha_rad"]
+    rows = np.array(
+        [
+            [100.0, 50.0, 6.2, 1.0, 0.0, 0.0],
+            [103.0, 49.0, 6.3 - 2 * np.pi, 1.5, 0.1, 0.0],
+            [98.0, 52.0, 6.1, 0.7, 0.1, 0.0],
+        ]
+    )
+    result = score_from_start(SCORING_SPEC, RecordedFlight(names, rows, "ok", "", 3.0))
+    assert isinstance(result, FlightResult)
+    assert [result.metrics[f"altitude_{kind}_m"] for kind in ("median", "mean", "max")] == [
+        2.0,
+        5.0 / 3.0,
+        3.0,
+    ]
+    assert result.metrics["speed_max_mps"] == 2.0
+    # The heading passes north, which is no jump of 360 deg.
+    assert result.metrics["heading_max_deg"] == pytest.approx(np.rad2deg(0.1))
+    assert result.metrics["load_factor_max"] == 1.5
+    assert result.metrics["loss_of_control"] == 0.0
+    # Nothing says that this flight is to go straight on.
+    assert result.undefined["cross_track"] == "no path is commanded"
+    assert "excursions_15m" not in result.metrics
+    straight = np.column_stack(
+        [rows, [0.0, 10.0, 20.0], [0.0, 10.0, 52.0], [5.0, 0.0, 0.0], [5.0, 9.0, 9.0]]
+    )
+    onwards = score_from_start(
+        SCORING_SPEC,
+        RecordedFlight([*names, "north_m", "east_m", "vn_mps", "ve_mps"], straight, "ok", "", 3.0),
+    )
+    # Began towards the north-east; 52 m east and 20 m north lies 32/sqrt(2) m to the right of that
+    # line.
+    assert onwards.metrics["cross_track_max_m"] == pytest.approx(32.0 / np.sqrt(2.0))
+    assert (onwards.metrics["excursions_15m"], onwards.metrics["excursions_25m"]) == (1.0, 0.0)
+    broken = score_from_start(
+        SCORING_SPEC, RecordedFlight(names, rows, "crashed", "hit the ground", 3.0)
+    )
+    assert np.isnan(broken.metrics["altitude_max_m"])
+    assert broken.undefined["altitude"] == "hit the ground"
+    assert broken.metrics["loss_of_control"] == 1.0
+
+
+# Contact with the ground: the first step in which a contact point touches, in flights that have
+# been in the air.
+
+_DT_S, _BLOCK = 0.01, 10
+START = """<initialize name="low">
+  <latitude unit="DEG"> 45 </latitude> <longitude unit="DEG"> 0 </longitude>
+  <altitude unit="FT"> {altitude_ft} </altitude> <vt unit="FT/SEC"> {speed_fps} </vt>
+</initialize>
+"""
+SCRIPT = (
+    '<runscript><use aircraft="c172p" initialize="low"/><run start="0" end="60"'
+    ' dt="0.01"/></runscript>'
+)
+
+
+@pytest.fixture(scope="module")
+def staging(tmp_path_factory):
+    return stage(find_aircraft("c172p"), tmp_path_factory.mktemp("staged"))
+
+
+def opened(staging, height_ft, speed_fps=0.0):
+    fdm = engine.open_fdm(staging, _DT_S)
+    fdm["ic/h-agl-ft"], fdm["ic/u-fps"] = height_ft, speed_fps
+    engine.run_ic(fdm)
+    return fdm
+
+
+def watched(fdm, blocks):
+    watch = GroundWatch(fdm, find_aircraft("c172p"), _BLOCK * _DT_S)
+    for _ in range(blocks):
+        touched = watch.advance(lambda steps: [fdm.run() for _ in range(steps)], _BLOCK)
+        if touched:
+            return touched, round(fdm.get_sim_time() / _DT_S)
+    return "", round(fdm.get_sim_time() / _DT_S)
+
+
+def first_contact(fdm):
+    units = {f"gear/unit[{n}]": name for n, name in enumerate(("NOSE", "LEFT_MAIN", "RIGHT_MAIN"))}
+    units |= {
+        f"contact/unit[{n + 3}]": name
+        for n, name in enumerate(("NOSE_SKID", "TAIL_SKID", "LEFT_TIP", "RIGHT_TIP"))
+    }
+    while not (
+        touching := [name for unit, name in units.items() if fdm[f"{unit}/compression-ft"] > 0.0]
+    ):
+        fdm.run()
+    return f"contact point {touching[0]}", round(fdm.get_sim_time() / _DT_S)
+
+
+@pytest.mark.parametrize(("height_ft", "speed_fps"), [(6.0, 100.0), (100.0, 100.0), (300.0, 0.0)])
+def test_the_first_step_of_contact_is_found_whatever_the_block(staging, height_ft, speed_fps):
+    expected = first_contact(opened(staging, height_ft, speed_fps))
+    assert watched(opened(staging, height_ft, speed_fps), 200) == expected
+    assert expected[1] % _BLOCK, (
+        "a contact at the end of a block would be found without looking at each step"
+    )
+
+
+def low(tmp_path: Path, altitude_ft: float, speed_fps: float = 100.0) -> FlightSpec:
+    folder = tmp_path / "c172p"
+    shutil.copytree(find_aircraft("c172p").folder, folder)
+    (folder / "low.xml").write_text(START.format(altitude_ft=altitude_ft, speed_fps=speed_fps))
+    script = tmp_path / "low-script.xml"
+    script.write_text(SCRIPT)
+    return FlightSpec(folder, script, duration_s=20.0)
+
+
+def test_a_flight_ends_with_the_name_of_what_touched_and_the_time(tmp_path):
+    result = fly(low(tmp_path, 60.0))
+    assert result.status == "ground-contact"
+    assert result.reason == f"contact point NOSE touched the ground at {result.flown_s:.1f} s"
+    assert 1.0 < result.flown_s < 5.0
+    # Today's bounce would go on from here: without the watch the aircraft is in the air again.
+    assert result.signals["height_m"].min() > 0.0
+
+
+def test_a_unit_in_the_last_place_is_another_flight_by_rounding_alone(tmp_path):
+    spec = low(tmp_path, 3000.0)
+    one, moved, again = fly(spec), fly_one_ulp_off(spec), fly(spec)
+    assert one.signals["V_mps"].tobytes() == again.signals["V_mps"].tobytes()
+    assert one.signals["V_mps"].tobytes() != moved.signals["V_mps"].tobytes()
+    assert moved.signals["V_mps"] == pytest.approx(one.signals["V_mps"], rel=1e-9)

@@ -1,16 +1,28 @@
-"""Levels of MIL-F-8785C, by hand on either side of the specification's limits."""
+"""Levels of MIL-F-8785C on either side of their limits; modes over airspeed."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
+from dataclasses import replace
 from itertools import chain
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from uqharness.flight.handling import assess, load_factor_per_alpha
+from uqharness.flight.handling import (
+    CATEGORIES,
+    CLASSES,
+    OSCILLATORY,
+    assess,
+    cap_limits,
+    default_speeds,
+    level_edges,
+    locus_point,
+    root_limits,
+    root_locus,
+)
 from uqharness.simulator.aircraft import find_aircraft
 from uqharness.simulator.linear import Mode, linearise, modes
 from uqharness.simulator.trim import SteadyCondition, find_trim
@@ -39,23 +51,6 @@ def test_levels_follow_the_specification():
     assert {a.level for a in assess(model, unstable, "B") if a.mode == "spiral"} == {2}
     with pytest.raises(ValueError, match="allowed"):
         assess(model, found, "D")
-
-
-def test_lightly_damped_dutch_roll_loses_levels():
-    aircraft = find_aircraft("espaaro")
-    model = linearise(aircraft, find_trim(aircraft, SteadyCondition(22.2)))
-    found = modes(model)
-
-    def level(zeta: float, wn: float) -> int:
-        changed = [
-            Mode("dutch_roll", -zeta * wn, wn * math.sqrt(1 - zeta**2), wn, zeta)
-            if m.name == "dutch_roll"
-            else m
-            for m in found
-        ]
-        return next(a.level for a in assess(model, changed, "B") if a.mode == "dutch_roll")
-
-    assert [level(0.2, 3.0), level(0.04, 3.0), level(0.01, 3.0), level(-0.01, 3.0)] == [1, 2, 3, 4]
 
 
 def model(z_w=-4.903325, speed=20.0):
@@ -87,10 +82,6 @@ def levels(category="B", aircraft_class="I", **changes):
     }
 
 
-def test_load_factor_per_alpha():
-    assert load_factor_per_alpha(model()) == pytest.approx(10.0)
-
-
 @pytest.mark.parametrize(
     ("category", "zeta", "level"),
     [
@@ -108,35 +99,6 @@ def test_short_period_damping(category, zeta, level):
         levels(category, short_period=[pair("short_period", zeta, 2.0)])["short_period", "damping"]
         == level
     )
-
-
-@pytest.mark.parametrize(
-    ("cap", "level"), [(0.09, 1), (0.08, 2), (0.037, 4), (3.5, 1), (3.7, 2), (10.1, 3)]
-)
-def test_control_anticipation(cap, level):
-    found = levels(short_period=[pair("short_period", 0.7, math.sqrt(10.0 * cap))])
-    assert found["short_period", "CAP"] == level
-
-
-def test_two_real_roots_are_an_overdamped_pair_and_one_unstable_is_worst():
-    wn = 2.0
-    roots = [
-        real("short_period", -wn * (1.5 - math.sqrt(1.25))),
-        real("short_period", -wn * (1.5 + math.sqrt(1.25))),
-    ]
-    assert levels("B", short_period=roots)["short_period", "damping"] == 1
-    assert levels("A", short_period=roots)["short_period", "damping"] == 2
-    assert (
-        levels(short_period=[real("short_period", 0.1), roots[0]])["short_period", "damping"] == 4
-    )
-
-
-@pytest.mark.parametrize(
-    ("zeta", "wn", "level"), [(0.041, 0.5, 1), (0.01, 0.5, 2), (-0.02, 0.5, 3), (-0.03, 0.5, 4)]
-)
-def test_phugoid(zeta, wn, level):
-    """Doubling takes ln 2/(-zeta wn): 69 s, then 46 s, of which 55 s are asked for."""
-    assert levels(phugoid=[pair("phugoid", zeta, wn)])["phugoid", "damping"] == level
 
 
 @pytest.mark.parametrize(
@@ -158,40 +120,12 @@ def test_roll(category, kind, constant, level):
     assert levels(roll=[real("roll", 0.1)])["roll", "time constant"] == 4
 
 
-@pytest.mark.parametrize(("double", "level"), [(21.0, 1), (19.0, 2), (7.9, 3), (3.9, 4)])
-def test_spiral(double, level):
-    assert (
-        levels(spiral=[real("spiral", math.log(2.0) / double)])["spiral", "time to double"] == level
-    )
-
-
-def test_the_class_counts():
-    slow = [pair("dutch_roll", 0.3, 0.6)]
-    assert levels("C", "I", dutch_roll=slow)["dutch_roll", "damping"] == 2
-    assert levels("C", "III", dutch_roll=slow)["dutch_roll", "damping"] == 1
-    with pytest.raises(ValueError, match="class 'V'"):
-        levels("B", "V")
-
-
 @pytest.mark.parametrize(("double", "level"), [(6.1, 3), (5.9, 4), (0.8, 4)])
 def test_a_longitudinal_divergence(double, level):
     """MIL-F-8785C 3.2.1.1: none at Levels 1 and 2, not below 6 s at Level 3."""
     roots = [real("phugoid", -0.5), real("phugoid", math.log(2.0) / double)]
     found = {key: value for key, value in levels(phugoid=roots).items() if key[0] == "phugoid"}
     assert found == {("phugoid", "divergence, time to double"): level}
-
-
-def test_a_third_mode_is_judged_as_the_pitch_oscillation_that_it_is():
-    third = {
-        "short_period": [real("short_period", -20.0)],
-        "third": [pair("third", 0.17, 2.0)],
-        "phugoid": [real("phugoid", -0.2)],
-    }
-    assert {key: value for key, value in levels(**third).items() if key[0] in third} == {
-        ("third", "damping"): 3,
-        ("third", "CAP"): 1,
-        ("phugoid", "damping"): 1,
-    }
 
 
 @pytest.mark.parametrize(("product", "level"), [(0.51, 1), (0.31, 2), (0.16, 3), (0.14, 4)])
@@ -202,7 +136,112 @@ def test_a_coupled_roll_spiral_oscillation(product, level):
     assert levels("A", **joined)[key] == 4
 
 
-@pytest.mark.parametrize(("roots", "level"), [((-0.4, -1.0), 1), ((-0.1, -0.2), 4)])
-def test_a_dutch_roll_of_two_real_roots_needs_the_frequency_too(roots, level):
-    found = [real("dutch_roll", value) for value in roots]
-    assert levels(dutch_roll=found)["dutch_roll", "damping"] == level
+# The Levels' edges in the complex plane, against the Levels that `assess` gives to poles on
+# either side of them.
+
+IMAG = np.array([0.05, 0.3, 0.9, 2.0, 7.0])
+STEP = 1e-6
+
+
+def mode(name, real, imag=0.0):
+    wn = math.hypot(real, imag)
+    return Mode(name, real, imag, wn, -real / wn)
+
+
+def level_of(name, found, category, aircraft_class):
+    """Level of one mode's first criterion, all others well inside Level 1."""
+    A = np.zeros((8, 8))
+    A[2, 2] = -5.0
+    model = SimpleNamespace(A=A, trim=SimpleNamespace(condition=SimpleNamespace(V_mps=20.0)))
+    usual = {
+        "short_period": mode("short_period", -2.0, 1.0),
+        "phugoid": mode("phugoid", -0.1, 0.3),
+        "dutch_roll": mode("dutch_roll", -1.0, 3.0),
+        "roll": mode("roll", -5.0),
+        "spiral": mode("spiral", -0.1),
+    } | {name: found}
+    return next(
+        a.level
+        for a in assess(model, list(usual.values()), category, aircraft_class)
+        if a.mode == name
+    )
+
+
+@pytest.mark.parametrize("name", OSCILLATORY)
+@pytest.mark.parametrize("category", CATEGORIES)
+@pytest.mark.parametrize("aircraft_class", CLASSES)
+def test_a_pole_left_of_an_edge_has_the_level_and_one_right_of_it_has_not(
+    name, category, aircraft_class
+):
+    edges = level_edges(name, category, aircraft_class, IMAG)
+    for number, edge in enumerate(edges, start=1):
+        for real, imag in zip(edge, IMAG, strict=True):
+            assert level_of(name, mode(name, real - STEP, imag), category, aircraft_class) <= number
+            assert level_of(name, mode(name, real + STEP, imag), category, aircraft_class) > number
+
+
+def test_edges_as_the_specification_prints_them():
+    """Category B, class I at 1 rad/s: damping 0.3, 0.2, 0.15; T2 of 55 s; a spiral that doubles in
+    20 s; CAP 0.085 to 3.6.
+    """
+    first, second, third = (float(e[0]) for e in level_edges("short_period", "B", "I", np.ones(1)))
+    assert [-e / math.hypot(e, 1.0) for e in (first, second, third)] == pytest.approx(
+        [0.30, 0.20, 0.15]
+    )
+    assert level_edges("phugoid", "B", "I", np.ones(1))[2][0] == pytest.approx(0.0126, abs=1e-4)
+    assert root_limits("spiral", "B", "I")[0] == pytest.approx(0.03466, abs=1e-5)
+    assert cap_limits("B") == ((0.085, 3.6), (0.038, 10.0))
+
+
+def test_a_mode_that_has_no_such_edge_is_refused():
+    with pytest.raises(ValueError, match="allowed"):
+        level_edges("roll", "B", "I", IMAG)
+    with pytest.raises(ValueError, match="allowed"):
+        root_limits("phugoid", "B", "I")
+
+
+# Modes over airspeed: each point is what the modes at that speed are alone, and a speed without
+# a trim has its reason.
+
+CONDITION = SteadyCondition(22.0)
+
+
+@pytest.fixture(scope="module")
+def espaaro():
+    return find_aircraft("espaaro")
+
+
+@pytest.fixture(scope="module")
+def first(espaaro):
+    return locus_point(linearise(espaaro, find_trim(espaaro, CONDITION)), "B", "I")
+
+
+def test_points_are_the_modes_at_their_speeds(espaaro, first):
+    seen = []
+    found = root_locus(
+        espaaro,
+        CONDITION,
+        (18.0, 26.0),
+        "B",
+        "I",
+        first=first,
+        callback=lambda done, total: seen.append((done, total)),
+    )
+    assert [p.V_mps for p in found.points] == [18.0, 22.0, 26.0]
+    assert found.refused == ()
+    assert seen == [(1, 2), (2, 2)]
+    alone = modes(linearise(espaaro, find_trim(espaaro, replace(CONDITION, V_mps=18.0))))
+    assert [(m.name, m.real, m.imag) for m in found.points[0].modes] == [
+        (m.name, m.real, m.imag) for m in alone
+    ]
+    assert found.points[1] is first
+    # n/alpha = q S CLalpha / (m g) grows with the square of the airspeed.
+    assert found.points[2].n_alpha / found.points[0].n_alpha == pytest.approx(
+        (26.0 / 18.0) ** 2, rel=0.02
+    )
+
+
+def test_usual_speeds():
+    assert default_speeds(20.0)[0] == pytest.approx(14.0)
+    assert default_speeds(20.0)[-1] == pytest.approx(32.0)
+    assert default_speeds(20.0, 16.0, 28.0)[1] == pytest.approx(17.0)

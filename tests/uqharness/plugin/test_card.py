@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
-import pytest
-
 from sysid.foreign.regular_files import parse_toml
 from uqharness.plugin.card import ERRORS_XML, ScaledFunction, card_text
 from uqharness.simulator.facts import AircraftFacts, ControlFacts
@@ -50,23 +46,3 @@ def test_scales_and_path_errors_are_added_where_there_are_some():
     }
     for entry in card["metrics"].values():
         assert f'name="{entry["true"]}"'.encode() in ERRORS_XML
-
-
-@pytest.mark.parametrize("name", ['my "best" plane', "back\\slash", "a\x7fb"])
-def test_a_name_is_read_back_as_it_was(name):
-    assert (
-        parse_toml(card_text(name, f"{name}.xml", FACTS, [], errors=False))["aircraft"]["name"]
-        == name
-    )
-
-
-def test_what_was_not_measured_is_not_written_as_a_fact():
-    reason = "with the throttle open, engine 1 does not settle"
-    controls = CONTROLS | {"throttle": ControlFacts(1, unmeasured=reason)}
-    text = card_text("plane", "plane.xml", replace(FACTS, controls=controls), [], errors=False)
-    lines = {line.split("]")[0]: line for line in text.splitlines() if line.startswith("[inputs.")}
-    assert f"# not measured, so sense and throw are assumed: {reason}" in lines["[inputs.throttle"]
-    assert "moves nothing" in lines["[inputs.aileron"]
-    controls |= {"throttle": ControlFacts(1, thrust_N=(-5.0, 1787.4))}
-    text = card_text("plane", "plane.xml", replace(FACTS, controls=controls), [], errors=False)
-    assert "# thrust -5 N closed, 1787 N open" in text

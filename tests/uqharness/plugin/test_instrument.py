@@ -1,6 +1,4 @@
-"""``instrument``: copies that fly to the last bit like the original, deltas where they belong, a
-way back, and what is refused.
-"""
+"""The `instrument` command: unchanged flights, deltas, undo, and refusals."""
 
 from __future__ import annotations
 
@@ -11,19 +9,15 @@ import tomllib
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
 
 from tests.helpers.jsbsim_schema import schema_errors
 from tests.helpers.model_forms import made_up_form
-from tests.helpers.page_checks import problems, words_of
 from tests.jsbsim_defects.small_models import SKELETON
-from uqharness.cli.main import build_parser, main
-from uqharness.cli.request_command import request_of
+from uqharness.cli.main import main
 from uqharness.errors import BadInputError
-from uqharness.plugin.apply import check, check_in_child, undo, write
-from uqharness.plugin.instrument import Bounds, plan
-from uqharness.requests.simulation import InstrumentRequest
+from uqharness.plugin.apply import check, undo, write
+from uqharness.plugin.instrument import FILE_NAME, Bounds, plan, read_record
 from uqharness.simulator import engine
 from uqharness.simulator.aircraft import PROJECT_ROOT, content_hash, find_aircraft, open_aircraft
 from uqharness.simulator.facts import open_mid_envelope
@@ -170,19 +164,6 @@ def test_undo_restores_the_bytes_and_keeps_what_an_author_changed_since(small, t
     }
 
 
-def test_in_place_and_back(small):
-    before = tree(small)
-    instrumented(small, small)
-    assert set(tree(small)) == {
-        "small.xml",
-        "Systems/model-form.xml",
-        "Systems/scale-bias.xml",
-        "uq-instrument.json",
-    }
-    undo(small, small)
-    assert tree(small) == before
-
-
 def test_a_link_to_another_aircrafts_file_is_not_written_through(small):
     shared = small.parent / "other" / "shared.xml"
     shared.parent.mkdir()
@@ -244,15 +225,6 @@ def test_refusals_name_file_and_line_and_write_nothing(small, tmp_path, old, new
     assert not (tmp_path / "out" / "small").exists()
 
 
-def test_a_strangers_folder_is_not_overwritten(small, tmp_path):
-    (tmp_path / "mine").mkdir()
-    (tmp_path / "mine" / "letter.txt").write_text("dear")
-    with pytest.raises(BadInputError, match="is no instrumented aircraft"):
-        write(find_aircraft(small), plan(find_aircraft(small), Bounds()), tmp_path / "mine")
-    write(find_aircraft(small), plan(find_aircraft(small), Bounds()), tmp_path / "no" / "where")
-    assert (tmp_path / "no" / "where" / "small.xml").is_file()
-
-
 def test_an_aircraft_with_coefficient_properties_and_plugin_gets_new_bounds_only(tmp_path):
     source = PROJECT_ROOT / "aircraft" / "espaaro"
     aircraft = find_aircraft(source)
@@ -269,45 +241,6 @@ def test_an_aircraft_with_coefficient_properties_and_plugin_gets_new_bounds_only
     undo(tmp_path / "out", tmp_path / "out")
     assert tree(tmp_path / "out") == tree(source)
     assert content_hash(find_aircraft(tmp_path / "out")) == content_hash(aircraft)
-
-
-def test_engines_and_systems_beside_the_folder_go_along(small, tmp_path):
-    root = small.parent.parent
-    (root / "engine").mkdir()
-    (root / "systems").mkdir()
-    (root / "engine" / "puller.xml").write_text(
-        '<electric_engine name="puller"><power unit="WATTS">500</power></electric_engine>'
-    )
-    (root / "engine" / "nozzle.xml").write_text('<direct name="Direct"></direct>')
-    (root / "systems" / "aside.xml").write_text(
-        '<system name="aside"><property value="1">own/aside</property></system>'
-    )
-    xml = small / "small.xml"
-    parts = (
-        '<propulsion><engine file="puller"><location'
-        ' unit="M"><x>0</x><y>0</y><z>0</z></location><thruster file="nozzle"><location'
-        ' unit="M"><x>0</x><y>0</y><z>0</z></location></thruster></engine></propulsion><system'
-        ' file="aside"/>'
-    )
-    xml.write_bytes(
-        xml.read_bytes().replace(b"<flight_control", parts.encode() + b"<flight_control")
-    )
-    out = tmp_path / "far" / "away" / "small"
-    instrumented(small, out)
-    assert {"Engines/puller.xml", "Engines/nozzle.xml", "Systems/aside.xml"} <= set(tree(out))
-    verdict = check(find_aircraft(small), find_aircraft(out), 0.7)
-    assert verdict.status == "works", verdict.reason
-
-
-def test_constant_bounds_on_the_command_line():
-    def constant(text):
-        words = ["instrument", "c172p", "--out", "o", "--constant", text]
-        return request_of(InstrumentRequest, build_parser().parse_args(words)).constant
-
-    assert constant("CX=0.008, CZ=-0.05:0.08") == {"CX": (-0.008, 0.008), "CZ": (-0.05, 0.08)}
-    for text in ("CX", "Cq=1", "CX=a", "CX=-0.1", "CX=0.1:0.2", "CX=1,CX=2", "CX=nan"):
-        with pytest.raises(BadInputError, match="--constant"):
-            constant(text)
 
 
 def test_the_command_writes_card_table_and_record(small, tmp_path, capsys):
@@ -358,33 +291,6 @@ def test_the_command_writes_card_table_and_record(small, tmp_path, capsys):
     assert tree(out) == tree(small)
 
 
-def test_what_a_host_would_provide_is_written_into_the_copy(small, tmp_path, capsys):
-    xml = small / "small.xml"
-    xml.write_bytes(
-        xml.read_bytes().replace(
-            b"<property>own/used</property>", b"<property>host/gives</property>"
-        )
-    )
-    out = tmp_path / "elsewhere"
-    assert main(["instrument", str(small), "--out", str(out)]) == 0
-    assert "host/gives" in capsys.readouterr().err
-    assert find_aircraft(out).card.host == {"host/gives": 0.0}
-    assert b'"0">host/gives<' in (out / "Systems" / "flightgear-host.xml").read_bytes()
-    assert main(["instrument", str(out), "--out", str(out), "--undo"]) == 0
-    assert tree(out) == tree(small)
-
-
-def test_a_misspelt_property_is_no_property_of_a_host(small, tmp_path, capsys):
-    xml = small / "small.xml"
-    xml.write_bytes(
-        xml.read_bytes().replace(
-            b"<property>own/used</property>", b"<property>velocities/vc-knts</property>"
-        )
-    )
-    assert main(["instrument", str(small), "--out", str(tmp_path / "elsewhere")]) == 2
-    assert "did you mean velocities/vc-kts" in capsys.readouterr().err
-
-
 def test_bad_input_is_one_line_and_exit_code_two(small, tmp_path, capsys):
     (tmp_path / "bounds.json").write_text("{}")
     assert (
@@ -405,187 +311,37 @@ def test_bad_input_is_one_line_and_exit_code_two(small, tmp_path, capsys):
     assert "Traceback" not in error
 
 
-def test_an_aircraft_that_ends_the_interpreter_is_a_verdict(small, tmp_path):
-    broken = tmp_path / "aircraft" / "broken"
-    shutil.copytree(small, broken)
-    (broken / "small.xml").rename(broken / "broken.xml")
-    xml = broken / "broken.xml"
-    xml.write_bytes(
-        xml.read_bytes()
-        .replace(b"<sum>", b"<smu>")
-        .replace(b"<product><property>own/used", b"<prodct><property>own/used")
-    )
-    verdict = check_in_child(broken, broken, 0.7)
-    assert verdict.status == "fails"
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["c172x", "F450", "Short_S23", "weather-balloon", "737", "ah1s"])
-def test_stock_aircraft(tmp_path, name):
-    aircraft = find_aircraft(engine.default_root() / "aircraft" / name)
-    planned = plan(aircraft, Bounds())
-    write(aircraft, planned, tmp_path / name)
-    verdict = check_in_child(aircraft.folder, tmp_path / name)
-    assert verdict.status == "works", verdict.reason
-    assert verdict.worst < 1e-9
-    assert planned.scaled
-
-
-GLIDE = """<?xml version="1.0"?>
-<initialize name="glide">
-  <vt unit="KTS">50</vt> <altitude unit="FT">3000</altitude> <gamma unit="DEG">-2.5</gamma>
-  <latitude unit="DEG" type="geodetic">45</latitude> <longitude unit="DEG">0</longitude> <psi unit="DEG">0</psi>
-</initialize>
-"""
-STEPS = (
-    (3, "elevator", 0.0),
-    (4, "elevator", -0.2),
-    (5, "elevator", -0.1),
-    (9, "aileron", 0.1),
-    (10, "aileron", 0.0),
-    (13, "elevator", 0.0),
-    (13.5, "elevator", -0.1),
-)
-
-
-@pytest.mark.slow
-def test_a_glider_nobody_prepared_is_identified_by_its_scales(tmp_path, capsys):
-    out = tmp_path / "sgs233"
-    assert main(["instrument", "sgs233", "--out", str(out), "--no-check"]) == 0
-    (out / "glide.xml").write_text(GLIDE)
-    events = "".join(
-        f'<event name="{k}"><condition>simulation/sim-time-sec gt {t - 0.005}</condition>'
-        f'<set name="fcs/{name}-cmd-norm" value="{value}"/></event>'
-        for k, (t, name, value) in enumerate(STEPS)
-    )
-    script = tmp_path / "glide.xml"
-    script.write_text(
-        '<?xml version="1.0"?><runscript name="glide"><use aircraft="sgs233"'
-        ' initialize="glide"/><run start="0" end="16" dt="0.01"><property'
-        f' value="-0.1">fcs/elevator-cmd-norm</property>{events}</run></runscript>'
-    )
-    truth = {"uq/scale/Cmalpha": 1.2, "uq/scale/Cmde": 0.9, "uq/scale/Cmq": 1.0}
-    settings = [part for name, value in truth.items() for part in ("--set", f"{name}={value}")]
-    flight = str(tmp_path / "flight.csv")
-    assert main(["fly", str(out), "--script", str(script), *settings, "--out", flight]) == 0
-    arguments = [
-        "--params",
-        ",".join(truth),
-        "--biases",
-        "none",
-        "--workers",
-        "1",
-        "--no-figures",
-        "--json",
-    ]
-    capsys.readouterr()
-    main(["identify", str(out), "--flight", flight, "--out", str(tmp_path / "fit"), *arguments])
-    found = json.loads(capsys.readouterr().out)["parameters"]
-    assert {name: found[name]["value"] for name in truth} == pytest.approx(truth, rel=0.03)
-
-
-@pytest.mark.slow
-def test_a_stock_aeroplane_is_replayed_with_its_engine_running_and_its_linkage_as_it_is(tmp_path):
-    """Elevator with hysteresis, bias, lag and two unequal ends of travel; a piston engine that
-    wants mixture.
-    """
-    folder = tmp_path / "c172x"
-    assert main(["instrument", "c172x", "--out", str(folder), "--no-check"]) == 0
-    script = tmp_path / "doublet.xml"
-    events = "".join(
-        f"<event name='{t}'><condition>simulation/sim-time-sec ge {t}</condition>"
-        f"<set name='fcs/elevator-cmd-norm' value='{v}'/></event>"
-        for t, v in ((4.995, -0.15), (5.495, 0.15), (5.995, 0.0))
-    )
-    script.write_text(
-        "<runscript name='doublet'><use aircraft='c172x' initialize='elevator_doublet_init'/><run"
-        " start='0' end='20' dt='0.01'><property"
-        " value='1'>fcs/mixture-cmd-norm</property><property"
-        " value='0.65'>fcs/throttle-cmd-norm</property><event"
-        " name='engine'><condition>simulation/sim-time-sec gt 0.005</condition><set"
-        " name='propulsion/set-running' value='-1'/><set name='fcs/throttle-cmd-norm'"
-        f" value='0.65'/></event>{events}</run></runscript>"
-    )
-    flight = tmp_path / "flight.parquet"
-    assert (
-        main(
-            [
-                "fly",
-                str(folder),
-                "--script",
-                str(script),
-                "--duration-s",
-                "10",
-                "--out",
-                str(flight),
-            ]
-        )
-        == 0
-    )
-    # Three seconds into the flight the propeller has come to its speed; the surfaces' positions are
-    # left to the model.
-    record = pd.read_parquet(flight)
-    record[record.time_s >= 3.0].drop(columns=["elevator_pos_deg", "rudder_pos_deg"]).to_parquet(
-        flight
-    )
-    main(
-        [
-            "compare",
-            str(folder),
-            "--flight",
-            str(flight),
-            "--out",
-            str(tmp_path / "gap"),
-            "--no-figures",
-        ]
-    )
-    gaps = json.loads((tmp_path / "gap" / "compare.json").read_text())
-    found = {
-        name: gap["rms"]
-        for kind in ("channels", "coefficients")
-        for name, gap in gaps[kind].items()
-    }
-    # Without mixture CX was .08 off; with one factor for both ends of the elevator's travel Cm was
-    # .03, and .34 before.
-    limits = {
-        "V_mps": 0.05,
-        "q_radps": 1e-3,
-        "az_mps2": 0.05,
-        "Cm": 0.002,
-        "CZ": 0.005,
-        "CX": 0.005,
-    }
-    assert {name: found[name] for name, limit in limits.items() if not found[name] < limit} == {}
-
-
-def test_a_page_is_written_when_asked_and_json_stays_as_it_is(tmp_path, capsys):
-    words = [
-        "instrument",
-        "c172p",
-        "--constant",
-        "CX=0.01,Cm=-0.02:0.03",
-        "--no-check",
-        "--json",
-        "--out",
-        str(tmp_path / "made"),
-    ]
-    assert main(words) == 0
-    plain = capsys.readouterr().out
-    shutil.rmtree(tmp_path / "made")
-    page = tmp_path / "bounds.html"
-    assert main([*words, "--page", str(page)]) == 0
-    assert capsys.readouterr().out == plain
-    text = page.read_text(encoding="utf-8")
-    assert problems(text) == []
-    assert "Constant bounds of 2 coefficients." in words_of(text)
+# What an instrumentation did, written, read and taken back to the byte.
 
 
 @pytest.mark.parametrize(
-    "words",
-    [["--page", "b.txt"], ["--page", "b.html", "--dry-run"], ["--page", "b.html", "--undo"]],
+    ("document", "said"),
+    [
+        ({"format": "instrument 9", "files": {}}, "format is 'instrument 9'"),
+        ([], "is no record"),
+        ({"files": {}}, "is no record"),
+        *(
+            (
+                {"format": "instrument 1", "files": {name: {"before": "", "after": ""}}},
+                "no file that an instrumentation makes",
+            )
+            for name in ("../a.xml", "/a.xml", "C:a.xml", ".hidden", "a//b", "a\\b", FILE_NAME)
+        ),
+        (
+            {
+                "format": "instrument 1",
+                "files": {"a": {"before": "", "after": "", "insertions": [[-1, "x", ""]]}},
+            },
+            "before its file",
+        ),
+        (
+            {"format": "instrument 1", "files": {"a": {"before": 3, "after": ""}}},
+            "a hash is no text",
+        ),
+    ],
+    ids=str,
 )
-def test_a_page_that_cannot_be_is_refused(words, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    assert main(["instrument", "c172p", "--out", "made", *words]) == 2
-    assert "--page" in capsys.readouterr().err
-    assert list(tmp_path.iterdir()) == []
+def test_a_strangers_record_is_refused(tmp_path, document, said):
+    (tmp_path / FILE_NAME).write_text(json.dumps(document))
+    with pytest.raises(BadInputError, match=said):
+        read_record(tmp_path)

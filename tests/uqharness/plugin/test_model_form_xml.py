@@ -1,10 +1,7 @@
-"""Bounds computed inside JSBSim against sysid's numpy, and the small print of the system around
-them.
-"""
+"""Bounds computed inside JSBSim against sysid's numpy, and the system around them."""
 
 from __future__ import annotations
 
-import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -13,15 +10,13 @@ import numpy as np
 import pytest
 from scipy.stats import qmc
 
-from sysid.aerodynamics.coefficients import COEFFICIENTS, regressors
+from sysid.aerodynamics.coefficients import COEFFICIENTS
 from sysid.model_form.model_form import ModelForm
-from tests.helpers.jsbsim_schema import schema_errors
-from tests.helpers.model_forms import LATERAL, LONGITUDINAL, PUBLISHED, made_up_form, with_parts
+from tests.helpers.model_forms import made_up_form, with_parts
 from uqharness.errors import BadInputError
-from uqharness.plugin.model_form_xml import constant_xml, model_form_xml, quadratic_form
+from uqharness.plugin.model_form_xml import constant_xml, model_form_xml
 from uqharness.simulator import engine
 from uqharness.simulator.aircraft import PROJECT_ROOT, Aircraft, find_aircraft, open_aircraft
-from uqharness.xml.aerodynamics import horner
 
 WIDE = {
     "V_mps": (12.0, 35.0),
@@ -134,19 +129,6 @@ def test_bounds_equal_numpys_well_outside_the_data_clip_included(aircraft, outsi
     assert system_of(aircraft).read_text().count('name="uq/leverage/') == 2
 
 
-def test_states_terms_and_coefficients_are_free(aircraft):
-    states = {
-        "CX": ("alpha_rad",),
-        "CZ": (*LONGITUDINAL, "elevator_pos_deg"),
-        "Cm": ("q_radps", "p_radps", "throttle_pct"),
-        "Cl": LATERAL,
-    }
-    form = made_up_form(states, orders={"CX": 4, "Cl": 1})
-    bounds, flags = compare(form, aircraft, 60, fresh=True)
-    assert not bounds[:, COEFFICIENTS.index("CY")].any()
-    assert flags.any()
-
-
 def test_the_comparison_sees_a_wrong_digit(aircraft):
     form = made_up_form()
     system_of(aircraft).write_bytes(model_form_xml(form, aircraft))
@@ -224,76 +206,9 @@ def test_a_transient_part_adds_its_half_width_times_its_level(aircraft):
     )
 
 
-def test_bounds_with_parts_are_the_persistent_ones(aircraft):
-    bounds, _ = compare(with_parts(made_up_form(), persistent=0.003), aircraft, 20)
-    published, _ = compare(made_up_form(), aircraft, 20)
-    assert (np.abs(bounds) <= np.abs(published)).all()
-    assert np.abs(bounds - published).max() > 1e-3
-
-
-def test_every_plugin_has_the_same_properties(aircraft):
-    def declared(text):
-        return set(re.findall(r"<property value=[^>]*>([^<]+)<", text.decode()))
-
-    constant, formed = (
-        constant_xml({"CX": (-0.01, 0.02)}, "made up"),
-        model_form_xml(made_up_form(), aircraft),
-    )
-    wanted = {
-        f"uq/{c}/{what}"
-        for c in COEFFICIENTS
-        for what in ("level", "active", "transient", "transient-level")
-    }
-    assert wanted <= declared(constant)
-    assert wanted <= declared(formed)
-    assert "uq/extrapolation" in declared(constant)
-    assert '<property value="0">uq/CX/transient</property>' in formed.decode()
-
-
-@pytest.mark.parametrize(
-    ("dt_s", "rate_hz", "every"),
-    [(0.01, 50, 2), (1 / 120, 50, 2), (0.02, 50, 1), (0.05, 50, 1), (0.005, 10, 20)],
-)
-def test_bounds_run_at_least_at_their_rate(aircraft, dt_s, rate_hz, every):
-    card = aircraft.card.model_copy(
-        update={"aircraft": aircraft.card.aircraft.model_copy(update={"dt_s": dt_s})}
-    )
-    text = model_form_xml(made_up_form(), replace(aircraft, card=card), rate_hz).decode()
-    assert f'<channel name="Bounds" execrate="{every}">' in text
-
-
-def test_the_same_form_gives_the_same_bytes_and_the_xml_fits_the_schema(aircraft, tmp_path):
-    first = model_form_xml(made_up_form(), aircraft)
-    assert model_form_xml(made_up_form(), aircraft) == first
-    assert model_form_xml(made_up_form(seed=2), aircraft) != first
-    (tmp_path / "a.xml").write_bytes(first)
-    assert schema_errors(tmp_path / "a.xml") == []
-
-
-def test_a_control_that_the_card_does_not_know_is_refused():
-    stock = find_aircraft("c172x")
-    with pytest.raises(BadInputError, match=r"elevator_pos_deg.*inputs\.elevator.*unit \"norm\""):
-        model_form_xml(made_up_form({"Cm": ("alpha_rad", "elevator_pos_deg")}), stock)
-    assert model_form_xml(made_up_form(PUBLISHED), stock)
-
-
 def test_constant_bounds_have_to_enclose_the_model():
     text = constant_xml({"CX": (-0.01, 0.02)}, "made up").decode()
     assert '<property value="-0.01">uq/CX/lower</property>' in text
     assert '<property value="0.0">uq/Cn/upper</property>' in text
     with pytest.raises(BadInputError, match=r"bounds of Cm: lower must be <= 0"):
         constant_xml({"Cm": (0.001, 0.02)}, "made up")
-
-
-def test_horners_form_is_the_quadratic_form():
-    bounds = made_up_form().coefficients["CZ"]
-    polynomial = quadratic_form(bounds)
-    assert len(polynomial) == 70
-    z = np.random.default_rng(3).standard_normal((5, 4))
-    row = regressors(z, bounds.terms)
-    direct = np.einsum("ni,ij,nj->n", row, bounds.XtX_inv, row)
-    summed = sum(c * np.prod(z ** np.array(powers), axis=1) for powers, c in polynomial.items())
-    assert summed == pytest.approx(direct, rel=1e-12)
-    text = horner(polynomial, ["a", "b", "c", "d"]).line()
-    # One multiplication by a state per monomial but the constant.
-    assert text.count("<property>") == 69

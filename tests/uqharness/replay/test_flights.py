@@ -1,4 +1,4 @@
-"""Records above 60 Hz are thinned; commands act at their own times."""
+"""Flights for replay: thinning, times of commands, and throttles from thrust."""
 
 from __future__ import annotations
 
@@ -7,18 +7,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import uqharness as uq
 from sysid.errors import Finding
+from sysid.logs.servo import MAX_LATE_S
 from sysid.record import FlightRecord, Metadata
 from tests.helpers.flown import fly
 from uqharness.errors import BadInputError
 from uqharness.replay.flights import (
+    SOURCES,
     in_free_flight,
-    measured_outputs,
-    measured_surfaces,
+    mean_ahead,
     prepare,
     segments,
+    throttle_at,
+    with_steps_placed,
+    with_throttle,
 )
-from uqharness.replay.model import CONTROLS
 from uqharness.simulator import find_aircraft
 
 
@@ -33,34 +37,6 @@ def test_a_command_between_two_kept_rows_acts_as_long_as_it_did():
     assert abs(thin.dt_s - 0.02) < 1e-12
     np.testing.assert_allclose(thin["elevator_deg"][49:52], [0.0, 1.0, 2.0])
     np.testing.assert_array_equal(thin["q_radps"], fast["q_radps"][::2])
-
-
-def test_segments_of_a_thinned_record_hold_its_commands_between_their_rows():
-    record = fly((("pitch-doublet", 22.0),), seed=1, rate_hz=100.0)
-    flight = prepare("fast", record, ())
-    for segment in segments(flight, ()):
-        own = segment.at_commands()
-        assert segment.per_row == 2
-        assert own.command_s == pytest.approx(0.01)
-        rows = record.between(segment.time_s[0] - 1e-6, segment.time_s[-1] + 1e-6)
-        column = own.controls[:, CONTROLS.index("elevator")]
-        np.testing.assert_array_equal(column, rows["elevator_deg"])
-
-
-def test_commands_of_a_very_fast_record_are_averaged_over_five_milliseconds():
-    n = 4000
-    record = fly((("pitch-doublet", 22.0),), seed=1, seconds=6.0)
-    column = np.where(np.arange(n) >= 1001, 2.0, 0.0)
-    slow = record.rows(np.arange(len(record)) < 1)
-    fast = type(record)(
-        {c: np.repeat(slow[c], n) for c in slow.columns}
-        | {"time_s": 1e-3 * np.arange(n), "elevator_deg": column},
-        record.metadata,
-    )
-    flight = prepare("fast", fast, ())
-    assert flight.per_row == 4
-    assert flight.record.dt_s == pytest.approx(0.02)
-    np.testing.assert_allclose(flight.commands["elevator_deg"][199:203], [0.0, 1.6, 2.0, 2.0])
 
 
 def test_a_clock_that_is_one_row_late_is_one_command_late_and_nothing_else():
@@ -109,47 +85,6 @@ def test_a_command_that_is_late_by_a_part_of_a_row_is_held_as_long_as_it_was(rat
     np.testing.assert_allclose(whole.record["elevator_deg"][1:], asked[:-1], atol=1e-9)
 
 
-def test_a_position_that_is_its_command_is_not_measured():
-    """A surface without a lag jumps with its command; drawn from row to row in a straight line it
-    would come half a row early.
-    """
-    record = fly((("roll-yaw", 22.0),), seed=1, seconds=6.0)
-    assert measured_surfaces([record]) == ("elevator", "aileron", "rudder")
-    jumping = record.with_columns({"rudder_pos_deg": record["rudder_deg"] * (1.0 + 1e-6)})
-    assert measured_surfaces([jumping]) == ("elevator", "aileron")
-    # Another record, in which it is one, decides for both.
-    assert measured_surfaces([jumping, record]) == ("elevator", "aileron", "rudder")
-    late = record.with_columns({"rudder_pos_deg": np.roll(record["rudder_deg"], 1)})
-    assert "rudder" in measured_surfaces([late])
-
-
-def northward(**metadata):
-    """A flight whose heading has its noise on both sides of north, as a record has it: from 0 to 2
-    pi.
-    """
-    record = fly((("pitch-doublet", 22.0),), seed=1, rate_hz=50.0)
-    noise = np.random.default_rng(4).normal(0.0, 0.01, len(record))
-    noise[:2] = -0.01, 0.01
-    turned = record.with_columns({"psi_rad": noise % (2.0 * np.pi)})
-    return replace(turned, metadata=replace(turned.metadata, **metadata)), noise
-
-
-def test_a_late_heading_that_is_moved_stays_north():
-    late = Finding(
-        "delay", "psi_rad", "warning", "psi_rad is late", {"delay_s": 0.03, "std_s": 0.002}
-    )
-    record, noise = northward(findings=(late,))
-    flight = prepare("north", record, ())
-    assert any("psi_rad was moved 30 ms" in note for note in flight.notes)
-    (heading, *_) = measured_outputs(flight, ("psi_rad",))
-    start = segments(flight, ())[0].start[5]
-    assert abs(np.sin(start)) < 0.01
-    gap = heading[:, 0] - start
-    # A straight line from 6.28 to 0.01 would put south in between, and every such place would count
-    # as a turn.
-    assert np.nanmax(np.abs(gap)) < 2.0 * np.abs(noise).max()
-
-
 @pytest.mark.parametrize(
     ("numbers", "align", "moved"),
     [
@@ -174,49 +109,6 @@ def test_a_channel_is_moved_only_where_it_is_late_for_sure(numbers, align, moved
     assert stands is (not align)
 
 
-def test_a_heading_logged_at_every_other_row_counts_from_the_turn_of_its_start():
-    record, noise = northward(native_hz={"psi_rad": 25.0})
-    # West of north at every row that was not logged: a segment that begins there begins just below
-    # 2 pi.
-    noise = np.abs(noise) * np.where(np.arange(len(noise)) % 2, -1.0, 1.0)
-    flight = prepare(
-        "north", record.with_columns({"psi_rad": noise % (2.0 * np.pi)}), (), min_s=1.0, max_s=3.02
-    )
-    assert any(piece.rows.start % 2 for piece in flight.pieces)
-    for segment, block in zip(
-        segments(flight, ()), measured_outputs(flight, ("psi_rad",)), strict=True
-    ):
-        assert np.isnan(block).any()
-        assert np.nanmax(np.abs(block - segment.start[5])) < 2.0 * np.abs(noise).max()
-
-
-def starts_of_p(motion, draws=25):
-    """Start states of p, in its noise, less what they are in truth, of flights whose p is a motion
-    from the first row on.
-    """
-    record = fly((("pitch-doublet", 22.0),), seed=1, rate_hz=50.0)
-    time_s, noise, out = record["time_s"] - record["time_s"][0], 0.003, []
-    for seed in range(draws):
-        drawn = noise * np.random.default_rng(seed).standard_normal(len(record))
-        flight = prepare("f", record.with_columns({"p_radps": motion(time_s) + drawn}), ())
-        (first, *_) = segments(flight, ())
-        out.append((first.start[6] - motion(np.zeros(1))[0]) / noise)
-    return np.array(out)
-
-
-@pytest.mark.parametrize("roll_s", [0.02, 0.05, 0.15])
-def test_a_segment_that_begins_with_a_fast_roll_starts_where_it_began(roll_s):
-    """A straight line through the first 0.4 s would start some 300 times its noise away."""
-    off = starts_of_p(lambda t: 1.1 * (1.0 - np.exp(-t / roll_s)))
-    assert np.sqrt(np.mean(off**2)) < 1.3
-    assert np.abs(off).max() < 4.0
-
-
-def test_a_straight_beginning_still_averages_the_noise():
-    off = starts_of_p(lambda t: 0.02 + 0.1 * t)
-    assert np.sqrt(np.mean(off**2)) < 0.6
-
-
 @pytest.mark.parametrize(("speed", "flew"), [(0.4, False), (-2.5, False), (7.0, True)])
 def test_a_log_that_stood_on_the_ground_is_refused(speed, flew):
     """A slow glider flies, whatever the log's own rule says of it; a parked aircraft does not."""
@@ -234,3 +126,109 @@ def test_a_log_that_stood_on_the_ground_is_refused(speed, flew):
         return
     with pytest.raises(BadInputError, match=r"x\.ulg: it never flew: slow; a log with free flight"):
         in_free_flight(record, aircraft, "x.ulg")
+
+
+# Commands of a log on a replay's rows, and what a late accelerometer tells of the time before a
+# segment.
+
+EVERY = 8
+
+
+def logged(rate_hz=200.0):
+    """A record at 200 Hz whose commands were logged at 25 Hz, and the commands as they were."""
+    record = fly((("roll-yaw", 22.0),), seed=3, rate_hz=rate_hz, positions=False)
+    acted = np.asarray(record["aileron_deg"])
+    rows = np.maximum(
+        ((np.arange(len(acted)) + 5) // EVERY) * EVERY - 5, 0
+    )  # its clock is not the manoeuvres'
+    native = {"aileron_deg": 25.0, "elevator_deg": 25.0, "rudder_deg": 25.0, "p_radps": rate_hz}
+    slow = record.with_columns(
+        {c: np.asarray(record[c])[rows] for c in ("elevator_deg", "aileron_deg", "rudder_deg")}
+    )
+    return replace(slow, metadata=replace(slow.metadata, native_hz=native)), acted
+
+
+def test_steps_are_placed_on_the_logs_own_rows_before_it_is_thinned():
+    record, acted = logged()
+    placed, notes, late_s = with_steps_placed(record, ("elevator_deg", "aileron_deg", "rudder_deg"))
+    assert (
+        np.abs(placed["aileron_deg"] - acted).sum()
+        < 0.7 * np.abs(record["aileron_deg"] - acted).sum()
+    )
+    assert len(notes) == 3
+    assert 0.0 <= late_s <= MAX_LATE_S
+    assert notes[1].startswith("aileron_deg was logged at 25 Hz")
+    flown = prepare("f", record, ()).record["aileron_deg"]
+    direct = prepare(
+        "f", record.with_columns({"aileron_deg": np.asarray(record["aileron_deg"])}), ()
+    ).record["aileron_deg"]
+    np.testing.assert_array_equal(flown, direct)
+    right = mean_ahead(acted, 4)[::4]
+    held = mean_ahead(np.asarray(record["aileron_deg"]), 4)[::4]
+    assert np.abs(flown - right).sum() < 0.7 * np.abs(held - right).sum()
+
+
+def test_commands_as_felt_are_half_way_at_their_jump_and_as_late_as_the_gyro():
+    record = fly((("roll-yaw", 22.0),), seed=None)
+    flight = prepare("f", record, ())
+    (at,) = np.flatnonzero(np.diff(record["aileron_deg"]) > 5.0)[:1]
+    before, after = record["aileron_deg"][at], record["aileron_deg"][at + 1]
+    for late_s, share in ((0.0, 0.5), (0.005, 0.25)):
+        felt = replace(flight, gyro_late_s=late_s).with_smoothing_delay().record["aileron_deg"]
+        assert felt[at + 1] == pytest.approx(share * after + (1.0 - share) * before)
+        assert felt[at + 2] == pytest.approx(record["aileron_deg"][at + 2])
+
+
+# Thrust or propeller speed in place of the throttle: the throttle that a flight had comes back.
+
+AIRCRAFT = find_aircraft("espaaro")
+
+
+@pytest.fixture(scope="module")
+def record() -> FlightRecord:
+    """A flight of the aircraft itself, whose thrust and propeller speed JSBSim computed as
+    it flew.
+    """
+    return uq.fly("espaaro", script="doublet-elevator", duration_s=6).record
+
+
+def only(record: FlightRecord, column: str, factor: float = 1.0) -> FlightRecord:
+    """Without throttle, and with one of SOURCES."""
+    kept = without(record).columns
+    return FlightRecord({**kept, column: factor * record[column]}, record.metadata)
+
+
+def without(record: FlightRecord) -> FlightRecord:
+    """The record without throttle and what can stand for it."""
+    kept = {
+        name: values
+        for name, values in record.columns.items()
+        if name not in ("throttle_pct", *SOURCES)
+    }
+    return FlightRecord(kept, record.metadata)
+
+
+@pytest.mark.parametrize("column", ["thrust_N", "rpm"])
+def test_the_throttle_that_was_flown_comes_back(record: FlightRecord, column: str) -> None:
+    found, said = with_throttle(only(record, column), AIRCRAFT, "f")
+    # The flight's thrust follows its changing airspeed late by the propeller's time constant.
+    assert np.abs(found["throttle_pct"] - record["throttle_pct"]).max() < 0.5
+    assert said.startswith(f"throttle_pct was made of {column}: ")
+
+
+def test_a_thrust_that_the_engine_cannot_have_is_refused(record: FlightRecord) -> None:
+    with pytest.raises(
+        BadInputError,
+        match=r"f: thrust_N is .* N, and espaaro's engines have .* between no and full throttle",
+    ):
+        with_throttle(only(record, "thrust_N", 20.0), AIRCRAFT, "f")
+
+
+def test_throttle_at_is_the_inverse_of_the_curves() -> None:
+    speeds, throttles = np.array([20.0, 40.0]), np.array([0.0, 50.0, 100.0])
+    curves = np.array([[0.0, 100.0, 200.0], [-50.0, 0.0, 50.0]])
+    V = np.array([20.0, 40.0, 30.0, np.nan, 20.0, 20.0])
+    wanted = np.array([150.0, 25.0, 50.0, 1.0, np.nan, 900.0])
+    np.testing.assert_allclose(
+        throttle_at(V, wanted, speeds, throttles, curves), [75.0, 75.0, 50.0, np.nan, np.nan, 100.0]
+    )

@@ -1,4 +1,4 @@
-"""histories.parquet: what is written comes back, and what is not of its kind is refused."""
+"""histories.parquet: written, read back and refused; names and units of channels."""
 
 from __future__ import annotations
 
@@ -7,12 +7,14 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from sysid.vocabulary import SIGNALS
 from uqharness.errors import BadInputError
 from uqharness.replay.histories import (
     HISTORIES,
     columns_of,
     have_columns,
     read_histories,
+    shown_channel,
     write_histories,
     write_pieces,
 )
@@ -49,10 +51,6 @@ def test_what_is_written_comes_back(tmp_path):
     assert (tmp_path / HISTORIES).read_bytes() == before
 
 
-def test_no_file_is_no_history(tmp_path):
-    assert read_histories(tmp_path / HISTORIES) == []
-
-
 @pytest.mark.parametrize(
     ("change", "said"),
     [
@@ -80,3 +78,16 @@ def test_columns_of_another_kind_are_refused(tmp_path, change, said):
     pq.write_table(pa.table(table), path)
     with pytest.raises(BadInputError, match=said):
         read_histories(path)
+
+
+# Channels as they are shown: quantity, unit, factor.
+
+
+def test_every_channel_of_a_record_has_its_unit():
+    """rpm is a name without one, N is not drawn."""
+    unknown = {
+        name
+        for name, signal in SIGNALS.items()
+        if signal.kind != "label" and shown_channel(name)[1] == "-"
+    }
+    assert unknown <= {"rpm", "thrust_N", "mode", "manoeuvre"}

@@ -1,11 +1,8 @@
-"""Replays by the batch engine against JSBSim's, and by JSBSim where the engine does not understand
-the aircraft.
-"""
+"""Replays by the batch engine against JSBSim's, and JSBSim as the fallback."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,7 +10,6 @@ import pytest
 from uqharness.errors import BadInputError
 from uqharness.plugin import with_card
 from uqharness.replay import (
-    CHANNELS,
     ReplayFolder,
     ReplayJob,
     ReplayModel,
@@ -76,19 +72,6 @@ def test_replays_agree_with_jsbsim(model: ReplayModel) -> None:
         assert apart(ours, theirs) < 1e-8
 
 
-def refuse(*_: object) -> list[np.ndarray]:
-    """In JSBSim's place: no replay is to be flown by it."""
-    raise AssertionError("JSBSim was asked")
-
-
-def test_the_batch_engine_flew_them(model: ReplayModel, monkeypatch: pytest.MonkeyPatch) -> None:
-    # Programs of other tests of this process, refused ones among them, do not count.
-    monkeypatch.setattr(module, "_programs", {})
-    # The first job is judged by JSBSim; the others are not flown by it.
-    fly_all(jobs(model)[:1])
-    assert len(fly_all(jobs(model), refuse)) == 6
-
-
 def test_a_change_of_a_ten_thousandth_is_noticed(model: ReplayModel) -> None:
     job = jobs(model)[0]
     other = ReplayJob(
@@ -99,41 +82,6 @@ def test_a_change_of_a_ten_thousandth_is_noticed(model: ReplayModel) -> None:
         0.004,
     )
     assert apart(fly_all([other])[0], by_jsbsim(job)) > 1e-7
-
-
-def test_a_step_later_is_noticed(model: ReplayModel) -> None:
-    job = jobs(model)[0]
-    late = ReplayJob(model, job.segment, job.properties, job.start, 0.014)
-    assert apart(fly_all([late])[0], by_jsbsim(job)) > 1e-4
-
-
-@pytest.mark.parametrize("late_s", [-0.004, 0.004])
-def test_both_begin_with_the_first_run_where_controls_move_in_the_first_row(
-    model: ReplayModel, late_s: float
-) -> None:
-    piece = segment()
-    moved = replace(
-        piece,
-        controls=piece.controls
-        + np.minimum(np.arange(ROWS), 3)[:, None] * np.array([0.5, 1.0, 0.5, 2.0]),
-    )
-    job = ReplayJob(model, moved, {}, piece.start, late_s)
-    fly_all(jobs(model)[:1])
-    assert apart(fly_all([job], refuse)[0], by_jsbsim(job)) < 1e-8
-
-
-def test_further_properties_and_the_arm_of_the_accelerometers(model: ReplayModel) -> None:
-    piece = segment()
-    job = ReplayJob(
-        model,
-        replace(piece, arm_m=(0.3, 0.1, -0.2)),
-        {},
-        piece.start,
-        extra=("aero/CZ", "fcs/elevator-pos-deg"),
-    )
-    ours, theirs = fly_all([job])[0], by_jsbsim(job)
-    assert ours.shape == (ROWS, len(CHANNELS) + 2)
-    assert apart(ours, theirs) < 1e-8
 
 
 def test_rows_behind_a_failure_are_nan(model: ReplayModel) -> None:
@@ -173,64 +121,6 @@ def test_an_engine_that_differs_is_not_used(
     job = jobs(model)[0]
     np.testing.assert_array_equal(fly_all([job])[0], by_jsbsim(job))
     assert "differs" in caplog.text
-
-
-TUMBLING = {"aero/Cn_beta": -0.1, "aero/Cm_alpha": 0.2}
-"""Unstable in yaw and pitch: two flights 1e-7 apart at the start are a rad/s apart after two
-seconds.
-"""
-
-
-def tumbling(model: ReplayModel) -> ReplayJob:
-    """Eight seconds."""
-    piece = segment(400)
-    return ReplayJob(model, piece, TUMBLING, piece.start)
-
-
-def test_where_rounding_decides_the_engine_is_used(
-    model: ReplayModel, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(module, "_programs", {})
-    job = tumbling(model)
-    ours, theirs = fly_all([job])[0], by_jsbsim(job)
-    assert module._programs[module._program_key(job)] is not None
-    assert apart(ours[:50], theirs[:50]) < 1e-6
-    assert apart(ours, theirs) > 1e-4
-
-
-@pytest.mark.parametrize("fault", ["scale", "failure"])
-def test_an_engine_that_differs_before_rounding_decides_is_not_used(
-    model: ReplayModel,
-    monkeypatch: pytest.MonkeyPatch,
-    caplog: pytest.LogCaptureFixture,
-    fault: str,
-) -> None:
-    real = module._fly_batch
-
-    def other(rows: np.ndarray) -> np.ndarray:
-        if fault == "scale":
-            return rows * (1.0 + 1e-5)
-        rows = rows.copy()
-        rows[30:] = np.nan
-        return rows
-
-    monkeypatch.setattr(module, "_programs", {})
-    monkeypatch.setattr(
-        module, "_fly_batch", lambda program, some: [other(rows) for rows in real(program, some)]
-    )
-    job = tumbling(model)
-    fly_all([job])
-    assert module._programs[module._program_key(job)] is None
-    assert "differs" in caplog.text
-
-
-def test_without_a_compiler_jsbsim_flies(
-    model: ReplayModel, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(module, "_programs", {})
-    monkeypatch.setattr("uqharness.batch.available", lambda: "llvmlite is not installed")
-    job = jobs(model)[0]
-    np.testing.assert_array_equal(fly_all([job])[0], by_jsbsim(job))
 
 
 @pytest.mark.parametrize("name", ["c172p", pytest.param("T37", marks=pytest.mark.slow)])

@@ -1,6 +1,4 @@
-"""Where the surfaces stood: components alone against the whole aircraft in JSBSim, and what shares
-an answer.
-"""
+"""Surface positions by actuators alone, against the whole aircraft in JSBSim."""
 
 from __future__ import annotations
 
@@ -13,7 +11,6 @@ import numpy as np
 import pytest
 
 from tests.uqharness.replay.test_in_lanes import DT_S, apart, segment
-from uqharness.plugin import with_card
 from uqharness.replay import (
     CHANNELS,
     CONTROLS,
@@ -21,7 +18,6 @@ from uqharness.replay import (
     ReplayJob,
     ReplayModel,
     Segment,
-    fly_all,
     positions,
     surface_positions,
 )
@@ -101,16 +97,6 @@ def test_components_alone_put_the_surfaces_where_jsbsim_s_aircraft_does(
     assert apart(stood, piece.controls) > 0.01
 
 
-def test_a_servo_s_number_in_force_counts(model: ReplayModel, flights: dict[str, int]) -> None:
-    piece = segment(seed=4)
-    (fast,) = surface_positions(model, [piece], CONTROLS)
-    (slow,) = surface_positions(model, [piece], CONTROLS, {RATE: 20.0, "aero/Cm_q": -3.0})
-    np.testing.assert_allclose(slow, in_jsbsim(model, piece, {RATE: 20.0}), rtol=0.0, atol=1e-12)
-    assert apart(fast, slow) > 0.05
-    surface_positions(model, [piece], CONTROLS, {RATE: 20.0, "aero/Cm_q": -30.0})
-    assert flights == {"chain": 2, "whole": 0}
-
-
 def test_a_copy_with_another_aerodynamics_another_start_and_another_height_share(
     model: ReplayModel, flights: dict[str, int], tmp_path: Path
 ) -> None:
@@ -127,18 +113,6 @@ def test_a_copy_with_another_aerodynamics_another_start_and_another_height_share
         assert flights == {"chain": 1, "whole": 0}
         np.testing.assert_array_equal(after, before)
         np.testing.assert_allclose(after, in_jsbsim(copy, moved), rtol=0.0, atol=1e-12)
-
-
-def test_a_copy_with_another_lag_does_not_share(
-    model: ReplayModel, flights: dict[str, int], tmp_path: Path
-) -> None:
-    piece = segment(seed=6)
-    (before,) = surface_positions(model, [piece], CONTROLS)
-    with ReplayFolder(changed(tmp_path, LAG, "<lag>12</lag>")) as copy:
-        (after,) = surface_positions(copy, [piece], CONTROLS)
-        assert flights == {"chain": 2, "whole": 0}
-        assert apart(after, before) > 0.01
-        np.testing.assert_allclose(after, in_jsbsim(copy, piece), rtol=0.0, atol=1e-12)
 
 
 def test_a_servo_that_reads_the_airspeed_is_flown_with_its_aircraft(
@@ -173,51 +147,6 @@ def test_a_chain_that_comes_to_other_positions_is_not_used(
     (stood,) = surface_positions(model, [piece], CONTROLS)
     assert flights == {"chain": 0, "whole": 1}
     np.testing.assert_allclose(stood, in_jsbsim(model, piece), rtol=0.0, atol=1e-9)
-
-
-def test_a_chain_that_fails_or_cannot_be_compared_is_not_used(
-    model: ReplayModel, flights: dict[str, int], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    real = module.fly_chain
-    monkeypatch.setattr(
-        module, "fly_chain", lambda *asked: [np.full_like(rows, np.nan) for rows in real(*asked)]
-    )
-    surface_positions(model, [segment(seed=11)], CONTROLS)
-    assert flights["whole"] == 1
-    monkeypatch.setattr(module, "fly_chain", real)
-    module._chains.clear()
-    module._chain_agrees.cache.clear()
-    monkeypatch.setattr(
-        module,
-        "by_jsbsim",
-        lambda job: (
-            by_jsbsim(job) * np.where(np.arange(len(job.segment.time_s)) < 3, 1.0, np.nan)[:, None]
-        ),
-    )
-    surface_positions(model, [segment(seed=12)], CONTROLS)
-    assert flights["whole"] == 2
-
-
-def test_an_aircraft_with_an_engine_and_its_lever(flights: dict[str, int]) -> None:
-    aircraft = with_card(find_aircraft("c172p"))
-    lever = aircraft.card.inputs["throttle"].model_copy(
-        update={"position": "fcs/throttle-pos-norm"}
-    )
-    card = aircraft.card.model_copy(update={"inputs": {**aircraft.card.inputs, "throttle": lever}})
-    with ReplayFolder(replace(aircraft, card=card)) as model:
-        piece = replace(
-            segment(seed=9), start=np.array([50.0, 0.03, 0.0, 0.02, 0.03, 1.0, 0.0, 0.0, 0.0])
-        )
-        (stood,) = surface_positions(model, [piece], CONTROLS)
-        assert flights == {"chain": 1, "whole": 0}
-        job = ReplayJob(
-            model, piece, {}, piece.start, extra=("fcs/rudder-pos-deg", "fcs/throttle-pos-norm")
-        )
-        rudder, throttle = by_jsbsim(job)[:, len(CHANNELS) :].T
-        np.testing.assert_allclose(stood[:, CONTROLS.index("rudder")], rudder, rtol=0.0, atol=1e-12)
-        np.testing.assert_allclose(
-            stood[:, CONTROLS.index("throttle")], 100.0 * throttle, rtol=0.0, atol=1e-10
-        )
 
 
 def in_both(
@@ -257,46 +186,3 @@ def test_the_batch_engine_moves_the_components_as_jsbsim_does(
         for a, b, piece in zip(theirs, ours, cut, strict=True):
             np.testing.assert_allclose(b, a, rtol=0.0, atol=1e-11)
             assert apart(a, piece.controls) > 0.01
-
-
-def test_where_the_engines_differ_jsbsim_moves_the_components(
-    model: ReplayModel, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(positions, "_programs", {})
-    monkeypatch.setattr(positions, "MIN_CHAIN_BATCH_S", 0.0)
-    real = positions._fly_batch
-    monkeypatch.setattr(
-        positions, "_fly_batch", lambda *asked: [1.001 * rows for rows in real(*asked)]
-    )
-    piece = segment(seed=23)
-    (stood,) = surface_positions(model, [piece], CONTROLS)
-    assert list(positions._programs.values()) == [None]
-    np.testing.assert_allclose(stood, in_jsbsim(model, piece), rtol=0.0, atol=1e-9)
-
-
-def test_measured_positions_are_the_record_s_own(flights: dict[str, int]) -> None:
-    with ReplayFolder(find_aircraft("espaaro"), measured=CONTROLS[:3]) as model:
-        piece = segment(seed=10)
-        (stood,) = surface_positions(model, [piece], CONTROLS)
-        np.testing.assert_array_equal(stood[:, :3], piece.controls[:, :3])
-        assert apart(stood[:, 3:], piece.controls[:, 3:]) > 0.01
-
-
-def test_whole_aircraft_come_to_the_same_whoever_flies_them(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    flown = []
-    monkeypatch.setattr(module, "fly_all", lambda some: flown.append(len(some)) or fly_all(some))
-    monkeypatch.setattr(module, "control_chain", lambda *_: None)
-    with ReplayFolder(find_aircraft("espaaro")) as commanded:
-        found = []
-        for worth_s, times in ((0.0, 1), (1e3, 0)):
-            monkeypatch.setattr(module, "_position_cache", OrderedDict())
-            (stood,) = surface_positions(
-                commanded, [segment(seed=7)], CONTROLS, min_batch_s=worth_s
-            )
-            found.append(stood)
-            assert len(flown) == times
-            flown.clear()
-    assert apart(*found) < 1e-9
-    assert apart(found[0], segment(seed=7).controls) > 0.01

@@ -1,17 +1,16 @@
-"""Replays remembered: each piece is flown once, many points need no more memory than some, and a
-point says what it moves.
-"""
+"""Replays as functions of a parameter vector: what each parameter moves."""
 
 from __future__ import annotations
+
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from tests.helpers.flown import fly
 from tests.uqharness.replay.test_replay import SURFACES, prepared_step
-from uqharness.replay import CONTROL_DELAY, Replay, ReplayFolder, simulation
+from uqharness.replay import CONTROL_DELAY, Replay, ReplayFolder
 from uqharness.replay.flights import prepare, segments
-from uqharness.replay.simulation import batched_pool
 from uqharness.simulator import find_aircraft
 
 CHANNELS = ("q_radps", "alpha_rad", "az_mps2")
@@ -38,75 +37,11 @@ def replay():
         yield Replay(model, cut, NAMES, CHANNELS, "test-simulation")
 
 
-class Asked:
-    """As output error asks: a wrapper whose ``simulate`` is the replay."""
-
-    def __init__(self, replay):
-        self.simulate = replay
-
-    def __call__(self, theta):
-        return [part.copy() for part in self.simulate(theta)]
-
-
 def points():
     base = np.zeros(len(NAMES))
     base[:2] = -13.8, -0.014
     steps = np.diag([0.1, 1e-4, 1e-3, 1e-3, 1e-3, 0.1, 1e-2, 1e-2])
     return [base, *(base + step for step in steps)]
-
-
-def test_pieces_are_flown_once_whatever_room_memory_has(replay, monkeypatch):
-    flown = []
-    fly_all = simulation.fly_all
-    monkeypatch.setattr(
-        simulation,
-        "fly_all",
-        lambda jobs, *rest: (flown.append(len(jobs)), fly_all(jobs, *rest))[1],
-    )
-    replay.forget()
-    together = list(batched_pool(map)(Asked(replay), points()))
-    # Two segments: at the base, for each of two coefficients, lateness and jump, and one more for
-    # each start.
-    wanted = 2 * 5 + 2
-    assert sum(flown) == wanted
-    assert len([count for count in flown if count]) == 1
-    replay.forget()
-    flown.clear()
-    # Room for a few pieces: flown a few at a time, but none again and none alone after it has been
-    # forgotten.
-    room = 8 * max(replay._sizes)
-    monkeypatch.setattr(simulation, "_MAX_CACHE_BYTES", room)
-    monkeypatch.setattr(simulation, "_MAX_PENDING_BYTES", room // 4)
-    apart = list(batched_pool(map)(Asked(replay), points()))
-    assert sum(flown) == wanted
-    assert len([count for count in flown if count]) > 2
-    assert simulation.counter["bytes"] <= room
-    # Afterwards those read last are kept, the base among them, and no more than may stay.
-    monkeypatch.setattr(simulation, "_MAX_IDLE_BYTES", room // 2)
-    flown.clear()
-    list(batched_pool(map)(Asked(replay), points()[1:]))
-    assert simulation.counter["bytes"] <= room // 2
-    flown.clear()
-    replay(points()[-1])
-    assert sum(flown) == 0
-    for one, other in zip(together, apart, strict=True):
-        for a, b in zip(one, other, strict=True):
-            np.testing.assert_array_equal(a, b)
-
-
-def test_what_is_forgotten_before_it_is_read_is_flown_again(replay, monkeypatch):
-    """Negative control: more together than memory keeps is what made long logs slow."""
-    flown = []
-    fly_all = simulation.fly_all
-    monkeypatch.setattr(
-        simulation,
-        "fly_all",
-        lambda jobs, *rest: (flown.append(len(jobs)), fly_all(jobs, *rest))[1],
-    )
-    replay.forget()
-    monkeypatch.setattr(simulation, "_MAX_CACHE_BYTES", 4 * max(replay._sizes))
-    list(batched_pool(map)(Asked(replay), points()))
-    assert sum(flown) > 2 * 5 + 2
 
 
 def test_a_point_moves_the_segments_that_it_says(replay):
@@ -149,3 +84,13 @@ def test_one_late_sensor_leaves_what_the_others_have_seen_of_a_jump():
     # A share that were lost would leave all three alike.
     assert felt[1] == pytest.approx(0.5 * (felt[0] + felt[2]), abs=0.02 * abs(felt[2] - felt[0]))
     assert abs(felt[2] - felt[0]) > 0.1
+
+
+# What a replay's theta holds beside the parameters, and records whose commands stand in the
+# wrong row.
+
+
+def flight(native_hz):
+    return SimpleNamespace(
+        name="f", record=SimpleNamespace(metadata=SimpleNamespace(native_hz=native_hz))
+    )

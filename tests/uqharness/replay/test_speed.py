@@ -1,8 +1,9 @@
-"""How finely replays step: where forces go with alphadot, which JSBSim takes from the run before,
-and where a sensor is late.
-"""
+"""Step sizes of replays for late sensors and for a fast roll."""
+
+from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,12 +15,13 @@ from tests.helpers.sixdof import Airframe, simulate
 from tests.hidden_effects.cases import cards
 from tests.hidden_effects.effects import Effect
 from tests.hidden_effects.flights import NOISE, Flight, fly_and_tell
+from uqharness.cli.main import main
+from uqharness.commands.flights import carded_aircraft
 from uqharness.identification.linearised import moved_later
 from uqharness.refinement.write_xml import EffectToWrite, write_effects
-from uqharness.replay import replay
-from uqharness.replay.flights import prepare, segments
+from uqharness.replay.flights import prepare, read_flights, segments
 from uqharness.replay.model import ReplayFolder
-from uqharness.replay.replay import CHANNELS, STATES, at_rows, fly_segment, late_rows, runs_per_row
+from uqharness.replay.replay import CHANNELS, STATES, at_rows, fly_segment, late_rows
 from uqharness.simulator.aircraft import find_aircraft
 
 SURFACES = ("elevator", "aileron", "rudder")
@@ -45,36 +47,6 @@ def record():
     return fly_and_tell([Flight(card, Airframe(), (effect,))])[0].record
 
 
-def worst(model, record):
-    """Largest rms of replay minus flight over its pitch manoeuvres, by channel, in Table 2.1's
-    noise.
-    """
-    flight, found = prepare("f", record, SURFACES), dict.fromkeys(CHANNELS, 0.0)
-    for segment in segments(flight, SURFACES):
-        rows = record.between(segment.time_s[0] - 1e-6, segment.time_s[-1] + 1e-6)
-        start = np.array([rows[c][0] for c in STATES])
-        flown = fly_segment(model, replace(segment, start=start), {})
-        for k, name in enumerate(CHANNELS):
-            if name in ("alpha_rad", "q_radps", "az_mps2"):
-                gap = float(np.sqrt(np.mean((flown[:, k] - rows[name]) ** 2)) / NOISE[name])
-                found[name] = max(found[name], gap)
-    return found
-
-
-@pytest.mark.slow
-def test_runs_are_short_enough_where_forces_go_with_the_rate_of_alpha(
-    aircraft, record, monkeypatch
-):
-    assert [runs_per_row(dt, replay.SHORT_STEP_S) for dt in (0.005, 0.02, 0.04)] == [2, 8, 16]
-    with ReplayFolder(aircraft, measured=SURFACES) as model:
-        short = worst(model, record)
-        monkeypatch.setattr(replay, "SHORT_STEP_S", 0.01)
-        long = worst(model, record)
-    assert max(short.values()) < 0.05, short
-    for channel in ("q_radps", "az_mps2"):
-        assert short[channel] < 0.7 * long[channel], (channel, short, long)
-
-
 @pytest.fixture(scope="module")
 def rolled():
     """A record of aileron steps without servos, of the independent equations, and its roll rate
@@ -96,14 +68,6 @@ def replayed(model, record, **asked):
     return fly_segment(model, segment, {}, **asked)[:, CHANNELS.index("p_radps")]
 
 
-def test_runs_are_short_enough_where_a_surface_jumps(rolled, monkeypatch):
-    record, p = rolled
-    with ReplayFolder(find_aircraft("espaaro"), ideal=SURFACES) as model:
-        assert np.abs(replayed(model, record) - p[::20]).max() < 0.5 * NOISE["p_radps"]
-        monkeypatch.setattr(replay, "SHORT_STEP_S", 0.01)
-        assert np.abs(replayed(model, record) - p[::20]).max() > 10.0 * NOISE["p_radps"]
-
-
 def test_a_late_gyro_is_a_late_gyro_at_the_kinks_of_a_rate(rolled):
     record, p = rolled
     late, at = 0.0045 / 0.02, np.arange(len(p), dtype=float)
@@ -119,8 +83,106 @@ def test_a_late_gyro_is_a_late_gyro_at_the_kinks_of_a_rate(rolled):
     assert np.abs(rows - seen).max() > 16.0 * NOISE["p_radps"]
 
 
-def test_outputs_that_are_late_hold_the_ends():
-    between = np.arange(9.0)
-    assert at_rows(between, 5).tolist() == [0.0, 2.0, 4.0, 6.0, 8.0]
-    assert late_rows(between, 5, 0.75).tolist() == [0.0, 0.5, 2.5, 4.5, 6.5]
-    assert late_rows(between, 5, -0.75).tolist() == [1.5, 3.5, 5.5, 7.5, 8.0]
+# A glider whose roll settles within a row: it meets its own flight, from start states that are
+# within their noise.
+
+FAST_ROLL_NOISE = np.radians(0.2)
+ROLL_PER_S = 45.0
+P = CHANNELS.index("p_radps")
+
+
+def coefficient(name: str, axis: str, length: str, terms: str) -> str:
+    return (
+        f'<axis name="{axis}"><function'
+        f' name="aero/{name}"><product><property>aero/qbar-psf</property>'
+        f"<property>metrics/Sw-sqft</property>{length}<sum>{terms}</sum></product></function></axis>"
+    )
+
+
+def term(value: float, *names: str) -> str:
+    factors = "".join(f"<property>{name}</property>" for name in names)
+    return f"<product><value>{value}</value>{factors}</product>"
+
+
+def surface(name: str, command: str, position: str) -> str:
+    return (
+        "<aerosurface_scale"
+        f' name="{name}"><input>fcs/{command}-cmd-norm</input><range><min>-0.3</min>'
+        f"<max>0.3</max></range><output>fcs/{position}-pos-rad</output></aerosurface_scale>"
+    )
+
+
+def glider_xml() -> str:
+    span, chord = (f"<property>metrics/{n}-ft</property>" for n in ("bw", "cbarw"))
+    alpha, beta, p, q, r = (
+        "aero/alpha-rad",
+        "aero/beta-rad",
+        "velocities/p-aero-rad_sec",
+        "velocities/q-aero-rad_sec",
+        "velocities/r-aero-rad_sec",
+    )
+    elevator, aileron, rudder = (f"fcs/{n}-pos-rad" for n in ("elevator", "left-aileron", "rudder"))
+    axes = [
+        coefficient("lift", "LIFT", "", "<value>0.35</value>" + term(5.0, alpha)),
+        coefficient("drag", "DRAG", "", "<value>0.03</value>" + term(0.5, alpha, alpha)),
+        coefficient("side", "SIDE", "", term(-0.4, beta)),
+        coefficient(
+            "roll",
+            "ROLL",
+            span,
+            term(-0.04, beta) + term(-0.45, "aero/bi2vel", p) + term(0.18, aileron),
+        ),
+        coefficient(
+            "pitch",
+            "PITCH",
+            chord,
+            term(-0.7, alpha) + term(-11.0, "aero/ci2vel", q) + term(-0.9, elevator),
+        ),
+        coefficient(
+            "yaw",
+            "YAW",
+            span,
+            term(0.07, beta) + term(-0.1, "aero/bi2vel", r) + term(-0.06, rudder),
+        ),
+    ]
+    # Roll damping over inertia, at 16 m/s and 200 m, is ROLL_PER_S.
+    inertia = 0.45 * 0.25 * 1.2017 * 16.0 * 0.4 * 1.8**2 / ROLL_PER_S
+    return f"""<?xml version="1.0"?>
+<fdm_config name="lively" version="2.0" release="ALPHA">
+ <metrics><wingarea unit="M2">0.4</wingarea><wingspan unit="M">1.8</wingspan><chord unit="M">0.22</chord>
+  <location name="AERORP" unit="M"><x>0</x><y>0</y><z>0</z></location></metrics>
+ <mass_balance negated_crossproduct_inertia="false"><ixx unit="KG*M2">{inertia}</ixx>
+  <iyy unit="KG*M2">0.08</iyy><izz unit="KG*M2">0.13</izz><emptywt unit="KG">2.1</emptywt>
+  <location name="CG" unit="M"><x>0</x><y>0</y><z>0</z></location></mass_balance>
+ <ground_reactions/>
+ <flight_control name="fcs"><channel name="surfaces">
+  {surface("elevator", "elevator", "elevator")}{surface("aileron", "aileron", "left-aileron")}
+  {surface("rudder", "rudder", "rudder")}</channel></flight_control>
+ <aerodynamics>{"".join(axes)}</aerodynamics>
+</fdm_config>
+"""
+
+
+@pytest.fixture(scope="module")
+def lively(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("fast") / "lively"
+    folder.mkdir()
+    (folder / "lively.xml").write_text(glider_xml(), encoding="utf-8")
+    words = ["fly", str(folder), "--mission", "doublets", "--speed-mps", "16"]
+    assert main([*words, "--out", str(folder.parent / "clean.csv")]) == 0
+    assert main([*words, "--noise", "--out", str(folder.parent / "noisy.csv")]) == 0
+    return folder
+
+
+def test_a_step_is_flown_as_one_that_is_held_from_its_row_on(lively):
+    """Replays give a step its own time; half a frame of it would be 20 sigma of p."""
+    aircraft = carded_aircraft(str(lively))
+    (flight,), measured = read_flights([lively.parent / "clean.csv"], aircraft)
+    cut = segments(flight, measured)
+    number = next(k for k, s in enumerate(cut) if s.kind == "roll doublet")
+    seen = flight.record["p_radps"][flight.pieces[number].rows]
+    with ReplayFolder(aircraft, measured=measured) as model:
+        flown = fly_segment(model, cut[number], {})[:, P]
+    assert seen[0] == pytest.approx(0.0, abs=1e-3)
+    assert seen[1] > 0.5
+    assert np.abs(flown - seen)[:40].max() < FAST_ROLL_NOISE

@@ -47,13 +47,6 @@ def test_a_command_is_held_until_its_own_row():
     assert odd.tolist() == [0.0, 2.5]
 
 
-def test_slower_ones():
-    assert Actuator(20.0).lag_with(0.05) == pytest.approx(10.0)
-    assert Actuator(None).lag_with(0.05) == pytest.approx(20.0)
-    assert Actuator(None, rate=100.0).slowed_to(0.01) == pytest.approx(50.0)
-    assert Actuator(None).slowed_to(0.01) == pytest.approx(100.0)
-
-
 def test_an_aircrafts_own():
     aircraft = find_aircraft("espaaro")
     found = actuators(aircraft, ("elevator", "aileron"))

@@ -1,21 +1,33 @@
-"""The E-SPAARO's XML: thrust map, command styles, actuators, the delta plugin at the CG, and what a
-bad model does.
-"""
+"""The E-SPAARO's XML and card: thrust, commands, the plugin, density, and broken models."""
 
 from __future__ import annotations
 
+import dataclasses
 import re
 import shutil
+import tomllib
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from sysid.record import FlightRecord
 from tests.helpers import sixdof
 from uqharness.errors import BadInputError
 from uqharness.flight.spec import COEFFICIENTS
+from uqharness.replay.model import _factor
 from uqharness.simulator import engine
-from uqharness.simulator.aircraft import PROJECT_ROOT, find_aircraft, open_aircraft
+from uqharness.simulator.aircraft import (
+    PROJECT_ROOT,
+    Aircraft,
+    InputCard,
+    find_aircraft,
+    open_aircraft,
+    read_card,
+    sensors_from_cg,
+    sources,
+    with_start_altitude,
+)
 from uqharness.simulator.forced_state import BodyState, force_state
 
 FT, LBF = 0.3048, 4.4482216152605
@@ -50,12 +62,6 @@ def test_thrust_map(throttle, V):
         sixdof.thrust(throttle, V, rho), rel=1e-3, abs=1e-3
     )
     assert rho == pytest.approx(1.225, rel=1e-4)
-
-
-def test_thrust_check_figure():
-    # 20.05 N at 53.9 % and 20 m/s is printed to four digits; the map itself must hold to 0.1 %.
-    assert sixdof.thrust(53.9, 20.0, 1.225) == pytest.approx(20.02, abs=0.05)
-    assert sixdof.rpm(53.9) == pytest.approx(5145, abs=5)
 
 
 def test_totals_are_the_independent_coefficients():
@@ -231,28 +237,113 @@ def test_command_styles():
     )
 
 
-def test_actuator_lags_and_is_rate_limited():
+def test_misspelt_and_illegal_property_names_are_refused():
     fdm = open_aircraft(find_aircraft("espaaro"))
-    fdm["ic/u-fps"], fdm["ic/h-sl-ft"] = 72.0, 1000.0
-    engine.run_ic(fdm)
-    start = fdm["fcs/elevator-pos-deg"]
-    fdm["fcs/elevator-cmd-deg"] = start + 1.0
-    small = []
-    for _ in range(20):
-        fdm.run()
-        small.append(fdm["fcs/elevator-pos-deg"] - start)
-    # First order at 25 1/s: 63 % after 0.04 s.
-    assert np.interp(1 - np.exp(-1), small, 0.01 * np.arange(1, 21)) == pytest.approx(
-        0.04, abs=0.006
-    )
-    fdm["fcs/elevator-cmd-deg"] = start + 20.0
-    fdm.run()
-    before = fdm["fcs/elevator-pos-deg"]
-    fdm.run()
-    assert fdm["fcs/elevator-pos-deg"] - before <= 240 * 0.01 + 1e-9
+    with pytest.raises(BadInputError, match=r"did you mean aero/Cm_q"):
+        engine.set_property(fdm, "aero/Cmq", -1.0)
+    with pytest.raises(BadInputError, match="not a legal"):
+        engine.set_property(fdm, "aero/Cm_p^2", -1.0)
+
+
+# The air's density of a record that does not say how high it was flown.
+
+TIME = {"time_s": np.arange(5) * 0.02, "V_mps": np.full(5, 20.0)}
+INITIAL = '<initialize name="a">{}</initialize>'
+
+
+def test_the_aircrafts_initial_conditions_say_where_it_flies(tmp_path):
+    (tmp_path / "model.xml").write_text("<fdm_config/>")
+    record, said = with_start_altitude(FlightRecord(TIME), tmp_path)
+    assert "alt_m" not in record.metadata.start
+    assert "air of sea level" in said
+    for text, altitude in (
+        ('<elevation unit="M">30</elevation><altitudeAGL unit="M">100</altitudeAGL>', 130.0),
+        ("<altitude>1000</altitude>", 304.8),
+        ('<altitudeMSL unit="FT">500</altitudeMSL>', 152.4),
+    ):
+        (tmp_path / "start.xml").write_text(INITIAL.format(text))
+        record, said = with_start_altitude(FlightRecord(TIME), tmp_path)
+        assert record.metadata.start["alt_m"] == pytest.approx(altitude)
+        assert f"{altitude:g} m above sea level were taken from start.xml" in said
+    (tmp_path / "other.xml").write_text(INITIAL.format("<altitude>9000</altitude>"))
+    assert "air of sea level" in with_start_altitude(FlightRecord(TIME), tmp_path)[1]
+
+
+# The card as the simulator reads it; normalised commands in a record's degrees.
+
+
+def with_elevator(**keys) -> Aircraft:
+    stock = find_aircraft("c172x")
+    inputs = {
+        **stock.card.inputs,
+        "elevator": InputCard(property="fcs/elevator-cmd-norm", unit="norm", **keys),
+    }
+    return dataclasses.replace(stock, card=stock.card.model_copy(update={"inputs": inputs}))
+
+
+def test_a_throw_makes_degrees_of_norms_both_ways():
+    aircraft = with_elevator(throw_deg=-20.0, position="fcs/elevator-pos-rad")
+    table = sources(aircraft)
+    assert table["elevator_deg"].factor == -20.0
+    assert table["elevator_pos_deg"].factor == pytest.approx(-57.29577951308232)
+    assert _factor(aircraft.card, "elevator") == pytest.approx(-1.0 / 20.0)
+    assert "elevator_norm" in sources(with_elevator())
+
+
+SOUND = (
+    '[aircraft]\nname = "a"\nxml = "a.xml"\n[inputs.elevator]\nproperty ='
+    ' "fcs/elevator-cmd-deg"\nunit = "deg"\n'
+)
+
+
+def test_a_card_with_an_unknown_key_is_refused(tmp_path):
+    card = tmp_path / "airframe.toml"
+    card.write_text(SOUND.replace("[inputs", "dt_ms = 10\n[inputs"))
+    with pytest.raises(BadInputError, match=r"airframe\.toml: aircraft\.dt_ms: no such key"):
+        read_card(card)
+    card.write_text(SOUND + "[else]\na = 1\n")
+    with pytest.raises(BadInputError, match=r"airframe\.toml: else: no such key"):
+        read_card(card)
+    card.write_text("[aircraft\n")
+    with pytest.raises(BadInputError, match="not valid TOML"):
+        read_card(card)
+    with pytest.raises(BadInputError, match="no such file"):
+        read_card(tmp_path / "none.toml")
+
+
+# Positions in a card changed in place; the author's remarks stay.
+
+
+@pytest.mark.parametrize(
+    ("card", "expected"),
+    [
+        (
+            "# mine\n[sensors]\nnoise_std = { q_radps = 0.1 }  # that\n",
+            {"accelerometer": [-0.02, 0.0, 0.0]},
+        ),
+        (
+            "[sensors.position_m]\nvane = [1.0, 0.5, 0]\n",
+            {"accelerometer": [-0.02, 0.0, 0.0], "vane": [0.98, 0.5, 0.0]},
+        ),
+        ("a = 1\n", {"accelerometer": [-0.02, 0.0, 0.0]}),
+    ],
+)
+def test_sensors_stay_in_the_airframe_and_remarks_in_the_card(tmp_path, card, expected):
+    path = tmp_path / "airframe.toml"
+    path.write_text(card, encoding="utf-8")
+    sensors_from_cg(path, 0.02, "moved")
+    text = path.read_text(encoding="utf-8")
+    assert tomllib.loads(text)["sensors"]["position_m"] == expected
+    assert all(line in text for line in card.splitlines() if "#" in line)
+    path.write_text("a = [", encoding="utf-8")
+    with pytest.raises(BadInputError, match=r"airframe\.toml"):
+        sensors_from_cg(path, 0.02, "moved")
+    sensors_from_cg(tmp_path / "none.toml", 0.02, "moved")
+    assert not (tmp_path / "none.toml").exists()
 
 
 NESTED = r"<product> <property>aero/CZ_alpha</property>(.*?)</product>"
+
 BREAKS = {
     # JSBSim flies on without the term, and says nothing.
     "unknown-operation-in-a-sum": (
@@ -289,17 +380,3 @@ def test_a_broken_model_is_one_clear_error(copy, kind):
     xml.write_text(text)
     with pytest.raises(BadInputError, match=message):
         force_state(find_aircraft(copy), STATE, CONTROLS, 100.0)
-
-
-def test_misspelt_and_illegal_property_names_are_refused():
-    fdm = open_aircraft(find_aircraft("espaaro"))
-    with pytest.raises(BadInputError, match=r"did you mean aero/Cm_q"):
-        engine.set_property(fdm, "aero/Cmq", -1.0)
-    with pytest.raises(BadInputError, match="not a legal"):
-        engine.set_property(fdm, "aero/Cm_p^2", -1.0)
-
-
-def test_an_aircraft_in_a_folder_of_another_name_flies(tmp_path):
-    folder = tmp_path / "estimates"
-    shutil.copytree(PROJECT_ROOT / "aircraft" / "espaaro", folder)
-    assert np.array_equal(fly(folder, 50), fly(PROJECT_ROOT / "aircraft" / "espaaro", 50))

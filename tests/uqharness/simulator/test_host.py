@@ -1,29 +1,13 @@
-"""What a host provides: sources by name, the system in XML, commands, switches, and its limits."""
+"""Properties that a host such as FlightGear provides."""
 
 from __future__ import annotations
-
-import math
 
 import pytest
 
 from tests.helpers import foreign_aircraft
 from uqharness.errors import BadInputError
-from uqharness.simulator import engine, facts, find_aircraft, host, open_aircraft, staged
+from uqharness.simulator import engine, find_aircraft, host, open_aircraft, staged
 from uqharness.simulator.aircraft import host_properties
-
-STATES = (
-    ("/velocities/airspeed-kt", "velocities/vc-kts", 1.0, 0.0),
-    ("/velocities/groundspeed-kt", "velocities/vg-fps", 0.5924838, 0.0),
-    ("/position/altitude-agl-ft", "position/h-agl-ft", 1.0, 0.0),
-    ("/orientation/pitch-deg", "attitude/theta-rad", 180.0 / math.pi, 0.0),
-    ("/orientation/heading-magnetic-deg", "attitude/psi-deg", 1.0, 0.0),
-    ("/environment/temperature-degc", "atmosphere/T-R", 5.0 / 9.0, -273.15),
-    ("/engines/engine[0]/thruster/rpm", "propulsion/engine/propeller-rpm", 1.0, 0.0),
-    ("/engines/engine/running", "propulsion/engine/set-running", 1.0, 0.0),
-    ("/consumables/fuel/tank[0]/level-lbs", "propulsion/tank/contents-lbs", 1.0, 0.0),
-    ("/gear/gear[0]/rollspeed-ms", "gear/unit/wheel-speed-fps", 0.3048, 0.0),
-    ("/sim/time/elapsed-sec", "simulation/sim-time-sec", 1.0, 0.0),
-)
 
 
 def reads(names, computed=(), declared=None):
@@ -51,12 +35,6 @@ def test_every_source_is_an_expression_of_legal_names():
         for source in (source for row in patterns for source in row):
             for _, name in host.parse_source(source.replace("{n}", "[1]")).terms:
                 assert engine.is_legal_name(name), source
-
-
-@pytest.mark.parametrize("text", ["a b", "2 *", "fcs/x * 2", "", "1 + + 2"])
-def test_other_texts_are_no_source(text):
-    with pytest.raises(ValueError):
-        host.parse_source(text)
 
 
 @pytest.mark.parametrize(
@@ -91,26 +69,6 @@ def test_a_name_has_the_source_that_flightgear_would_write(name, source, kind):
         assert found == (source, kind)
 
 
-def test_a_command_that_the_model_computes_from_a_control_is_no_copy():
-    name = "/controls/flight/elevator"
-    assert sources([name])[name] == ("fcs/elevator-cmd-norm", "control")
-    computed = sources([name], computed=["fcs/elevator-cmd-norm"])
-    assert computed[name] == ("0", "command")
-    assert host.commands(reads([name], ["fcs/elevator-cmd-norm"])) == {"elevator": name}
-    assert host.commands(reads([name])) == {}
-
-
-def test_what_the_author_declares_with_a_value_stays_the_author_s():
-    name = "/systems/electrical/battery-switch"
-    assert host.resolve(reads([name], declared={name: 0.0}), {}, lambda _: True) == ()
-    (row,) = host.resolve(reads([name], declared={name: None}), {}, lambda _: True)
-    assert row.source == "1"
-    # FlightGear overwrites a state whatever the model declares.
-    speed = "/velocities/airspeed-kt"
-    (row,) = host.resolve(reads([speed], declared={speed: 5.0}), {}, lambda _: True)
-    assert row.source == "velocities/vc-kts"
-
-
 def test_a_misspelt_name_of_jsbsim_is_told_from_a_name_of_the_host(tmp_path):
     folder = foreign_aircraft.write("glider", tmp_path)
     aircraft = with_readings(folder, ["velocities/vc-knts"])
@@ -120,20 +78,6 @@ def test_a_misspelt_name_of_jsbsim_is_told_from_a_name_of_the_host(tmp_path):
         '[aircraft]\nname = "glider"\nxml = "glider.xml"\n[host]\n"velocities/vc-knts" = 2.5\n'
     )
     assert open_aircraft(find_aircraft(folder))["velocities/vc-knts"] == 2.5
-
-
-def test_states_are_jsbsim_s_in_flightgear_s_units(tmp_path):
-    folder = foreign_aircraft.write("single", tmp_path)
-    aircraft = with_readings(folder, [name for name, *_ in STATES])
-    fdm, step = facts.open_mid_envelope(aircraft)
-    for k in range(5):
-        step(k)
-    before = {source: fdm[source] for _, source, *_ in STATES}
-    step(5)
-    for name, source, factor, offset in STATES:
-        # JSBSim updates positions before systems, and speeds and engines after them.
-        frames = [factor * value + offset for value in (before[source], fdm[source])]
-        assert any(fdm[name] == pytest.approx(value, rel=1e-6) for value in frames), name
 
 
 @pytest.mark.parametrize("source", ['"0.5 * fcs/flap-cmd-norm + 0.25"', "0.25"])
@@ -148,15 +92,6 @@ def test_an_entry_of_the_card_replaces_a_source(tmp_path, source):
     engine.run_ic(fdm)
     trim = fdm["/controls/flight/elevator-trim"]
     assert trim == pytest.approx(0.75 if "flap" in source else 0.25)
-
-
-def test_a_wrong_entry_of_the_card_is_one_line(tmp_path):
-    folder = foreign_aircraft.write("glider", tmp_path)
-    (folder / "airframe.toml").write_text(
-        '[aircraft]\nname = "glider"\nxml = "glider.xml"\n[host]\n"/a/b" = "fcs/x times 2"\n'
-    )
-    with pytest.raises(BadInputError, match="neither a number nor"):
-        find_aircraft(folder)
 
 
 def test_two_engines_have_one_throttle_and_lines_keep_their_numbers(tmp_path):
@@ -198,41 +133,3 @@ def test_the_author_s_initial_values_are_taken_where_nothing_else_is_known(tmp_p
     found = {row.name: row.source for row in host_properties(aircraft)}
     assert [found[name] for name in names] == ["7.5", "1", "0", "3"]
     assert found["/velocities/mach"] == "velocities/mach"
-
-
-def test_a_system_that_a_control_needs_is_switched_on_by_its_effect(tmp_path):
-    folder = foreign_aircraft.write("vtail", tmp_path)
-    xml = folder / "vtail.xml"
-    text = xml.read_text().replace('<property value="1">systems/esc/armed</property>', "")
-    xml.write_text(text.replace("systems/esc/armed", "systems/esc/go"))
-    author = find_aircraft(folder)
-    (row,) = host_properties(author)
-    assert (row.name, row.source) == ("systems/esc/go", "0")
-    live = facts.with_live_controls(author)
-    assert live.card.host == {"systems/esc/go": 1.0}
-    # The switch is no throttle, although more of it is more thrust at an open throttle.
-    assert live.card.inputs["throttle"].property == "fcs/throttle-cmd-norm"
-
-
-def test_an_aircraft_whose_controls_answer_is_left_as_it_is(tmp_path):
-    author = find_aircraft(foreign_aircraft.write("single", tmp_path))
-    assert facts.with_live_controls(author) is author
-
-
-@pytest.mark.parametrize(
-    ("command", "unit", "limits"),
-    [("uav/motor-command", "norm", (0.0, 1.0)), ("uav/motor-pct", "pct", (0.0, 100.0))],
-)
-def test_a_throttle_in_percent_has_its_range(tmp_path, command, unit, limits):
-    folder = foreign_aircraft.write("wing", tmp_path)
-    xml = folder / "wing.xml"
-    text = xml.read_text().replace("uav/motor-command", command)
-    if unit == "pct":
-        text = text.replace(f"<input>{command}</input>", "<input>motor/share</input>").replace(
-            '<channel name="Motor">',
-            f'<channel name="Motor"><pure_gain name="motor/share"><input>{command}</input>'
-            "<gain>0.01</gain></pure_gain>",
-        )
-    xml.write_text(text)
-    throttle = facts.with_live_controls(find_aircraft(folder)).card.inputs["throttle"]
-    assert (throttle.property, throttle.unit, throttle.limits) == (command, unit, limits)

@@ -13,8 +13,7 @@ from tests.helpers.few import few
 from uqharness.cli.main import main
 from uqharness.flight.handling import assess
 from uqharness.simulator.aircraft import find_aircraft
-from uqharness.simulator.linear import MODE_NAMES, STATES, linearise, modes
-from uqharness.simulator.own_mission import manoeuvres
+from uqharness.simulator.linear import STATES, linearise, modes
 from uqharness.simulator.trim import SteadyCondition, find_trim
 
 AT = {name: k for k, name in enumerate(STATES)}
@@ -85,43 +84,6 @@ def test_every_arrangement_of_roots_has_its_names_and_each_root_once(changes, ex
     assert names(found) == expected
     printed = roots([vars(m) for m in found])
     assert printed == pytest.approx(np.sort_complex(np.linalg.eigvals(model.A)), abs=1e-12)
-
-
-def test_names_follow_eigenvectors_and_not_magnitudes():
-    """A phugoid faster than the short period, as of an airship: alpha and q, u and theta apart."""
-    apart = {"u_w": 0.0, "u_q": 0.0, "w_u": 0.0, "w_theta": 0.0, "q_u": 0.0, "theta_q": 0.0}
-    model = linear_model(**apart, w_w=-0.3, w_q=1.0, q_w=-0.2, q_q=-0.3, theta_u=0.06)
-    found = {mode.name: mode for mode in modes(model)}
-    assert found["short_period"].wn_radps == pytest.approx(math.sqrt(0.29))
-    assert found["phugoid"].wn_radps == pytest.approx(math.sqrt(9.8 * 0.06))
-
-
-def test_an_unstable_root_never_has_a_level_better_than_three():
-    rng = np.random.default_rng(7)
-    checked = 0
-    for _ in range(300):
-        entries = {"q_w": 0.8, "q_u": 0.05, "r_v": 0.5, "w_w": 3.0}
-        model = linear_model(**{key: rng.normal(0.0, size) for key, size in entries.items()})
-        found = modes(model)
-        assert set(names(found)) <= set(MODE_NAMES)
-        assert roots([vars(m) for m in found]) == pytest.approx(
-            np.sort_complex(np.linalg.eigvals(model.A)), abs=1e-9
-        )
-        levels = assess(model, found)
-        for m in found:
-            if m.real > 1e-6 and m.name != "spiral":
-                checked += 1
-                assert max(a.level for a in levels if a.mode == m.name) >= 3, m
-    assert checked > 100
-
-
-def test_a_manoeuvre_is_timed_where_roll_and_spiral_have_joined():
-    model = linear_model(p_p=-0.3, p_r=0.0)
-    aircraft = find_aircraft("espaaro")
-    model.B, model.controls = np.zeros((8, 1)), ("aileron",)
-    model.B[AT["p"], 0] = 0.5
-    model.trim.controls = {"aileron": 0.0}
-    assert [step.control for step in manoeuvres(aircraft, model, "doublets")] == ["aileron"]
 
 
 @pytest.mark.parametrize(

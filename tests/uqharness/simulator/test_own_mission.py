@@ -1,25 +1,32 @@
-"""Manoeuvres without a script: sized by the linear model, flown by JSBSim, for aircraft of several
-kinds.
-"""
+"""Missions without a script: manoeuvres for any aircraft, steady flight, and `[start]`."""
+
+from __future__ import annotations
 
 import json
+import tomllib
 from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 import pytest
+from pydantic import ValidationError
 
+import uqharness as uq
+from tests.helpers.page_checks import problems
+from uqharness.campaign.cases import build_cases
+from uqharness.campaign.conditions import OPTIONAL_METRICS
+from uqharness.campaign.processes import SerialExecutor
+from uqharness.campaign.read_spec import read_campaign
+from uqharness.campaign.run import find_mission, run_campaign
+from uqharness.campaign.tables import CASES
 from uqharness.cli.main import main
 from uqharness.errors import BadInputError
-from uqharness.simulator import (
-    StartSection,
-    copy_folder,
-    find_aircraft,
-    own_mission,
-    write_own_mission,
-)
-from uqharness.simulator.forced_state import ControlEquilibrium
-from uqharness.simulator.own_mission import EXCURSION_DEG
+from uqharness.flight.fly import fly
+from uqharness.parquet_files import read_table
+from uqharness.report.write import write_report
+from uqharness.simulator.aircraft import PROJECT_ROOT
+from uqharness.simulator.mission import read_script
+from uqharness.simulator.own_mission import EXCURSION_DEG, PLANS, StartSection, script
 
 
 @pytest.mark.parametrize(
@@ -60,66 +67,203 @@ def test_any_aircraft_flies_doublets_of_a_few_degrees(name, speed, tmp_path, cap
     assert np.rad2deg(np.ptp(before["alpha_rad"])) < 0.05
 
 
-def test_steady_stays_and_3211_has_four_steps(tmp_path):
-    folder = tmp_path / "aircraft" / "c172p"
-    copy_folder(find_aircraft("c172p").folder, folder)
-    aircraft = find_aircraft(folder)
-    _, none = write_own_mission(aircraft, StartSection(V_mps=50, altitude_m=200), "steady")
-    assert none == []
-    _, steps = write_own_mission(aircraft, StartSection(V_mps=50, altitude_m=200), "3-2-1-1")
-    assert [step.name for step in steps] == ["3-2-1-1", "roll doublet", "yaw doublet"]
-    assert sum(units for units, _ in steps[0].pattern) == 7
-    with pytest.raises(BadInputError, match="allowed are"):
-        write_own_mission(aircraft, StartSection(V_mps=50, altitude_m=200), "loop")
+# Run scripts of the identification flights.
 
 
-def test_an_aircraft_whose_commands_are_rates_is_refused_in_words(tmp_path, monkeypatch):
-    folder = tmp_path / "aircraft" / "x24b"
-    copy_folder(find_aircraft("x24b").folder, folder)
-    aircraft, start, trimmed = (
-        find_aircraft(folder),
-        StartSection(V_mps=196.1, altitude_m=3000),
-        own_mission.write_steady_start,
+@pytest.mark.parametrize("plan", PLANS, ids=lambda plan: plan.name)
+def test_scripts_are_as_the_plans_say(plan):
+    assert (PROJECT_ROOT / "scripts" / f"{plan.name}.xml").read_text(encoding="utf-8") == script(
+        plan
     )
-    assert write_own_mission(aircraft, start, "doublets")[1]
-    monkeypatch.setattr(
-        own_mission,
-        "write_steady_start",
-        lambda *asked: replace(trimmed(*asked), equilibrium=ControlEquilibrium((), free=True)),
+
+
+def test_a_manoeuvre_number_that_is_none_is_refused(tmp_path):
+    text = script(PLANS[0]).replace(
+        'name="flight/manoeuvre" value="2"', 'name="flight/manoeuvre" value="x"'
     )
-    with pytest.raises(BadInputError, match="answer a command with a body rate"):
-        write_own_mission(aircraft, start, "doublets")
-    assert write_own_mission(aircraft, start, "steady")[1] == []
+    path = tmp_path / "bad.xml"
+    path.write_text(text)
+    with pytest.raises(BadInputError, match="flight/manoeuvre is set to 'x'"):
+        read_script(path)
 
 
-@pytest.mark.slow
-def test_noise_and_dataflash_for_an_aircraft_that_instrument_gave_a_card(tmp_path, capsys):
-    mine = tmp_path / "mine"
-    assert main(["instrument", "c172p", "--out", str(mine), "--no-check"]) == 0
-    out = tmp_path / "flight.bin"
-    words = [
+# Steady flight as a mission of an aircraft that has neither autopilot nor card: it begins in
+# trim, and deviations are scored.
+
+pytestmark = pytest.mark.usefixtures("flights_here")
+
+CAMPAIGN = """
+[campaign]
+aircraft = "c172p"
+mission = "steady"
+seed = 1
+
+[start]
+V_mps = 55
+altitude_m = 200
+heading_deg = 30
+
+[aleatory]
+flights = 2
+duration_s = 4
+burn_in_s = 0
+wind_mps = [0, 4]
+turbulence = "light"
+sensor_noise = false
+
+[epistemic]
+method = "none"
+"""
+
+
+def write(folder, text=CAMPAIGN):
+    path = folder / "campaign.toml"
+    path.write_text(text)
+    return path
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("steady")
+    spec = read_campaign(write(folder))
+    run_campaign(spec, folder / "out", executor=SerialExecutor())
+    return folder, spec
+
+
+def test_a_stock_aircraft_goes_through_a_campaign_to_a_pbox(flown):
+    folder, _ = flown
+    frame = read_table(folder / "out" / CASES).to_pandas()
+    assert (frame["status"] == "ok").all()
+    assert list(frame.columns[-4:]) == list(OPTIONAL_METRICS)
+    assert frame[["altitude_max_m", "speed_max_mps", "heading_max_deg"]].gt(0.0).all().all()
+    assert frame["load_factor_max"].between(1.0, 2.0).all()
+    # The path is the straight line it began on.
+    assert frame["cross_track_max_m"].gt(0.01).all()
+    assert (frame["excursions_15m"] == 0).all()
+    metrics = set(read_table(folder / "out" / "pbox.parquet").to_pandas()["metric"])
+    assert {
+        "heading_median_deg",
+        "load_factor_max",
+        "altitude_max_m",
+        "cross_track_max_m",
+    } <= metrics
+    report = write_report(folder / "out")
+    assert problems(report.path.read_text(encoding="utf-8")) == []
+    assert (
+        "No path was commanded: errors are deviations from the state in which scoring began."
+        in report.verdict
+    )
+    assert any("heading" in path.name for path in report.figures)
+
+
+@pytest.mark.parametrize("wind_mps", [0.0, 4.0])
+def test_it_begins_in_trim_and_stays_there_in_still_air(flown, wind_mps):
+    _, spec = flown
+    calm = spec.aleatory.model_copy(
+        update={"turbulence": ("none",), "wind_mps": (wind_mps,), "flights": 1}
+    )
+    mission = find_mission(spec, flown[0] / "out")
+    (case,) = build_cases(replace(spec, aleatory=calm), mission)
+    result = fly(replace(case.flight, duration_s=10.0))
+    assert result.metrics["altitude_max_m"] < 0.2
+    assert result.metrics["cross_track_max_m"] < 0.2
+    assert result.metrics["speed_max_mps"] < 0.02
+    assert result.metrics["heading_max_deg"] < 0.05
+    assert result.metrics["load_factor_max"] == pytest.approx(1.0, abs=0.02)
+    assert result.signals["V_mps"][1:] == pytest.approx(55.0, abs=0.05)
+    assert np.rad2deg(result.signals["psi_rad"]) == pytest.approx(30.0, abs=0.05)
+
+
+def test_the_mission_is_two_files_that_fly_without_the_harness(flown, tmp_path, capsys):
+    folder, _ = flown
+    out = folder / "out"
+    command = [
         "fly",
-        str(mine),
-        "--mission",
-        "doublets",
-        "--speed-mps",
-        "50",
-        "--noise",
-        "--seed",
-        "3",
-        "--out",
-        str(out),
+        str(out / "aircraft" / "c172p"),
+        "--script",
+        str(out / "steady-mission.xml"),
+        "--duration-s",
+        "5",
     ]
-    assert main(words) == 0
-    assert out.stat().st_size > 10_000
-    quiet, noisy = tmp_path / "quiet.csv", tmp_path / "noisy.csv"
-    assert main([*words[:6], "--out", str(quiet)]) == 0
-    assert main([*words[:6], "--noise", "--seed", "3", "--out", str(noisy)]) == 0
-    difference = pd.read_csv(noisy)["q_radps"] - pd.read_csv(quiet)["q_radps"]
-    assert difference.std() == pytest.approx(0.003, rel=0.2)
+    assert main([*command, "--out", str(tmp_path / "x.csv"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["status"] == "ok"
+    record = pd.read_csv(tmp_path / "x.csv")
+    assert record["V_mps"].to_numpy() == pytest.approx(55.0, abs=0.1)
+    assert "no airframe.toml" not in (out / "steady-mission.xml").read_text()
 
 
-def test_a_mission_without_a_speed_is_refused(tmp_path, capsys):
-    assert main(["fly", "c172p", "--mission", "steady", "--out", str(tmp_path / "x.csv")]) == 2
-    assert "--speed-mps" in capsys.readouterr().err
-    assert main(["fly", "espaaro", "--speed-mps", "22", "--out", str(tmp_path / "x.csv")]) == 2
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('"steady"', '"scripts/loiter.xml"', "belong together"),
+        ("[start]\nV_mps = 55\naltitude_m = 200\nheading_deg = 30\n", "", "belong together"),
+        (
+            "V_mps = 55",
+            "V_mps = -1",
+            r"campaign.toml:8: \[start\] V_mps = -1: a number above 0",
+        ),
+        ("V_mps = 55", "V_kt = 55", r"campaign.toml:8: \[start\] V_kt: unknown key"),
+        pytest.param(
+            "V_mps = 55",
+            "V_mps = 140",
+            "no steady flight at 140 m/s.*uqharness modes c172p",
+            marks=pytest.mark.slow,
+        ),
+        ("sensor_noise = false", "sensor_noise = true", "sensor_noise = false"),
+        (
+            "sensor_noise = false",
+            'sensor_noise = false\nturbulence_source = "jsbsim"',
+            'turbulence_source = "spec"',
+        ),
+        ('method = "none"', 'method = "corners"', "add the plugin first: uqharness instrument"),
+    ],
+)
+def test_what_cannot_be_is_refused_in_words(tmp_path, old, new, message):
+    assert CAMPAIGN.count(old) == 1
+    with pytest.raises(BadInputError, match=message):
+        run_campaign(
+            read_campaign(write(tmp_path, CAMPAIGN.replace(old, new))), tmp_path / "out", workers=1
+        )
+
+
+HIGH = CAMPAIGN.replace("altitude_m = 200", "altitude_m = 305").replace(
+    'turbulence = "light"', 'turbulence = ["none", "light"]'
+)
+ABOVE_MODEL = '[start] altitude_m = 305: [aleatory] turbulence = ["light"]'
+
+
+def test_a_start_above_the_turbulence_model_names_its_key_before_anything_flies(tmp_path, capsys):
+    path = write(tmp_path, HIGH)
+    for command in (["check", str(path)], ["run", str(path), "--out", str(tmp_path / "out")]):
+        assert main(["campaign", *command]) == 2
+        error = capsys.readouterr().err
+        assert f"{path}:9: {ABOVE_MODEL}" in error
+        assert "304.8 m" in error
+        assert 'turbulence = "none"' in error
+    with pytest.raises(BadInputError) as refusal:
+        uq.run_campaign(tomllib.loads(HIGH), tmp_path / "out")
+    assert str(refusal.value).startswith(ABOVE_MODEL)
+    assert not (tmp_path / "out").exists()
+
+
+# [start]: the trimmed flight of a mission without a script.
+
+
+@pytest.mark.parametrize(
+    "section",
+    [
+        {"V_mps": 0.0, "altitude_m": 100.0},
+        {"V_mps": 22.0, "altitude_m": 0.0},
+        {"V_mps": 22.0},
+        {"V_mps": "22", "altitude_m": 1.0},
+        {"V_mps": float("nan"), "altitude_m": 100.0},
+        {"V_mps": 22.0, "altitude_m": 100.0, "heading_deg": 361.0},
+        {"V_mps": 22.0, "altitude_m": 100.0, "climb_deg": -46.0},
+        {"V_mps": 22.0, "altitude_m": 100.0, "bank_deg": 0.0},
+        {"V_mps": True, "altitude_m": 100.0},
+    ],
+    ids=str,
+)
+def test_what_is_no_start_is_refused(section):
+    with pytest.raises(ValidationError):
+        StartSection.model_validate(section)

@@ -1,16 +1,22 @@
-"""Engines settle where JSBSim's own way does not arrive; held against JSBSim flown in real time,
-the motion left free.
-"""
+"""Engines and control systems at rest, against JSBSim flown in real time."""
+
+from __future__ import annotations
 
 import math
 
 import pytest
 
 from sysid.units import FT_M, LBF_N
-from tests.helpers import foreign_aircraft
-from uqharness.simulator import engine, settling
+from uqharness.simulator import engine, forced_state, settling
 from uqharness.simulator.aircraft import find_aircraft, open_aircraft
-from uqharness.simulator.forced_state import BodyState, body_velocity, force_state
+from uqharness.simulator.forced_state import (
+    BodyState,
+    ControlEquilibrium,
+    apply_controls,
+    body_velocity,
+    force_state,
+    open_forced,
+)
 from uqharness.simulator.trim import SteadyCondition, find_trim
 
 SPEED_MPS = 60.0
@@ -106,55 +112,6 @@ def test_the_thrust_is_that_of_jsbsim_flown_free():
     assert settled_N(0.8) != pytest.approx(free_N, rel=0.02)
 
 
-def test_a_c310_trims_although_its_thrust_leaps_between_two_steady_states():
-    trim = find_trim(find_aircraft("c310"), SteadyCondition(65.0, 200.0))
-    assert trim.converged, trim.reason
-    _, drag_N = flown_free("c310", 65.0, trim.alpha_rad, 0.0)
-    assert trim.thrust_N * math.cos(trim.alpha_rad) == pytest.approx(drag_N, rel=0.03)
-
-
-def test_engines_that_the_throttle_does_not_move_make_no_glider(tmp_path):
-    # Its motor is commanded by uav/motor-command.
-    folder = foreign_aircraft.write("wing", tmp_path)
-    trim = find_trim(find_aircraft(folder), SteadyCondition(15.0, 200.0))
-    assert not trim.converged
-    assert "fcs/throttle-cmd-norm does not change the thrust" in trim.reason
-    assert "`uqharness instrument` looks for" in trim.reason
-    glider = find_trim(find_aircraft("sgs126"), SteadyCondition(25.0, 200.0))
-    assert glider.converged, glider.reason
-    assert glider.condition.climb_rad < 0.0
-
-
-@pytest.mark.slow
-def test_turboprops_that_never_leave_rest_are_said():
-    trim = find_trim(find_aircraft("L410"), SteadyCondition(80.0, 200.0))
-    assert not trim.converged
-    assert "does not settle at a step of 0.01 s: propeller-rpm still changes" in trim.reason
-
-
-def test_a_turboprop_keeps_its_power_in_the_first_frames():
-    fdm = opened("pc7", 0.8)
-    engine.settle_engines(fdm)
-    thrust, n1 = fdm["propulsion/engine/thrust-lbs"], fdm["propulsion/engine/n1"]
-    for _ in range(10):
-        fdm.run()
-    assert fdm["propulsion/engine/n1"] == pytest.approx(n1, abs=0.01)
-    assert fdm["propulsion/engine/thrust-lbs"] == pytest.approx(thrust, rel=0.02)
-    # JSBSim's own way, and a frame in which time stands still, take it.
-    fdm = opened("pc7", 0.8)
-    fdm.get_propulsion().get_steady_state()
-    engine.renew_forces(fdm)
-    for _ in range(10):
-        fdm.run()
-    assert fdm["propulsion/engine/n1"] < n1 - 5.0
-
-
-def test_an_engine_that_jsbsim_settles_is_left_to_it():
-    fdm = opened("c172p", 0.7)
-    assert engine.settle_engines(fdm) == ""
-    assert settling.is_balanced(fdm)
-
-
 def test_a_piston_engine_is_leaned_where_the_air_is_thin(tmp_path):
     aircraft = find_aircraft("c172p")
     high = find_trim(aircraft, SteadyCondition(50.0, 3000.0))
@@ -173,3 +130,97 @@ def test_a_piston_engine_is_leaned_where_the_air_is_thin(tmp_path):
     fdm["ic/h-sl-ft"] = 5000.0
     engine.run_ic(fdm)
     assert engine.lean_mixtures(fdm) == {}
+
+
+# The control system comes to rest with the airframe: held against JSBSim flown on from there
+# with nothing frozen.
+
+F22_ALPHA = 0.08
+
+
+def placed(name, V_mps, alpha_rad, **controls):
+    u, v, w = body_velocity(V_mps, alpha_rad, 0.0)
+    aircraft = find_aircraft(name)
+    fdm, _ = open_forced(aircraft, BodyState(u, v, w, 0.0, alpha_rad, 0.0), controls, 200.0, None)
+    return aircraft, fdm
+
+
+def test_what_forces_feel_of_the_control_system():
+    assert set(forced_state.control_outputs(find_aircraft("c172p"))) >= {
+        "fcs/elevator-pos-rad",
+        "fcs/rudder-pos-rad",
+        "fcs/flap-pos-deg",
+    }
+    f22 = set(forced_state.control_outputs(find_aircraft("f22")))
+    assert {
+        "fcs/throttle-pos-norm",
+        "fcs/throttle-pos-norm[1]",
+        "fcs/tvc-pos-rad",
+        "fcs/elevator-pos-rad",
+    } <= f22
+    # What only another component reads is no force.
+    assert "fcs/stick-filter" not in f22
+    assert "fcs/pitch-rate-integrator" not in f22
+
+
+def test_filters_come_to_rest_where_jsbsim_in_flight_brings_them():
+    aircraft, fdm = placed("f22", 129.2, F22_ALPHA, elevator=0.0, throttle=0.5)
+    rest = forced_state.control_equilibrium(aircraft, fdm, free=True)
+    moving = forced_state.moving_property(fdm, rest)
+    assert moving in rest.watched
+    names = (
+        "velocities/u-fps",
+        "velocities/w-fps",
+        "attitude/theta-rad",
+        "position/h-sl-ft",
+        "propulsion/total-fuel-lbs",
+    )
+    first, state = fdm["fcs/throttle-pos-norm"], [fdm[n] for n in names]
+    assert forced_state.bring_to_rest(fdm, rest) == ""
+    assert forced_state.moving_property(fdm, rest) == ""
+    assert [fdm[n] for n in names] == pytest.approx(state, rel=1e-9)
+    assert fdm.get_sim_time() == 0.0
+    rested, thrust = fdm["fcs/throttle-pos-norm"], fdm["propulsion/engine/thrust-lbs"]
+    # JSBSim alone, nothing frozen, twelve seconds at that command: the throttle ends where it
+    # rested.
+    free = open_aircraft(aircraft)
+    apply_controls(free, aircraft, {"throttle": 0.5})
+    free["ic/lat-geod-deg"], free["ic/h-sl-ft"], free["ic/theta-rad"] = (
+        45.0,
+        3000.0 / FT_M,
+        F22_ALPHA,
+    )
+    free["ic/u-fps"], free["ic/w-fps"] = (
+        129.2 / FT_M * math.cos(F22_ALPHA),
+        129.2 / FT_M * math.sin(F22_ALPHA),
+    )
+    engine.run_ic(free)
+    while free.get_sim_time() < 12.0:
+        free.run()
+    assert free["fcs/throttle-pos-norm"] == pytest.approx(rested, abs=1e-5)
+    assert first < 0.05 * rested
+    # And nothing jumps when it flies on.
+    for _ in range(3):
+        fdm.run()
+    assert fdm["fcs/throttle-pos-norm"] == pytest.approx(rested, abs=1e-9)
+    assert fdm["propulsion/engine/thrust-lbs"] == pytest.approx(thrust, rel=0.01)
+
+
+def test_a_control_law_that_integrates_rests_with_the_rates_free_and_not_with_them_held():
+    aircraft, fdm = placed(
+        "f22", 129.2, F22_ALPHA, elevator=0.0, aileron=0.0, rudder=0.0, throttle=0.5
+    )
+    rest = forced_state.control_equilibrium(aircraft, fdm, free=True)
+    assert abs(fdm["accelerations/qdot-rad_sec2"]) > 0.5
+    assert forced_state.bring_to_rest(fdm, rest) == ""
+    assert abs(fdm["velocities/q-rad_sec"]) < 1e-8
+    assert abs(fdm["accelerations/qdot-rad_sec2"]) < 1e-8
+    # A stick off centre commands a rate, and the aircraft turns with it.
+    _, fdm = placed("f22", 129.2, F22_ALPHA, elevator=-0.1, aileron=0.0, rudder=0.0, throttle=0.5)
+    assert forced_state.bring_to_rest(fdm, rest) == ""
+    assert fdm["velocities/q-rad_sec"] == pytest.approx(0.02595, abs=1e-4)
+    # With the rates held nothing tells the integrator that the aircraft does not turn: the surface
+    # stays, the moment too.
+    _, fdm = placed("f22", 129.2, F22_ALPHA, elevator=0.0, aileron=0.0, rudder=0.0, throttle=0.5)
+    forced_state.bring_to_rest(fdm, ControlEquilibrium(rest.watched))
+    assert abs(fdm["accelerations/qdot-rad_sec2"]) > 0.5

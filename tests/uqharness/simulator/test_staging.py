@@ -1,20 +1,26 @@
-"""A private copy of an aircraft: kept while its files stay, made anew once one changes."""
+"""Private copies of an aircraft, its identity, and what its XML may name."""
 
 from __future__ import annotations
 
+import hashlib
 import logging
 from pathlib import Path
 
 import pytest
 
-from uqharness.simulator.aircraft import find_aircraft
+from uqharness.errors import BadInputError
+from uqharness.simulator import engine
+from uqharness.simulator.aircraft import PROJECT_ROOT, find_aircraft
 from uqharness.simulator.staging import (
     copy_folder,
-    copy_staging,
     fingerprint,
+    identity,
+    leads_out,
     model_files,
+    screen_file,
     stage,
     staged,
+    walk,
 )
 
 
@@ -50,15 +56,6 @@ def test_a_staging_is_kept_until_a_file_changes(folder: Path) -> None:
     assert fingerprint(find_aircraft(folder)) != mark
 
 
-def test_a_second_root_may_be_edited(folder: Path, tmp_path: Path) -> None:
-    first = staged(find_aircraft(folder))
-    second = copy_staging(first, tmp_path / "second")
-    second.xml.write_text("<gone/>")
-    assert first.xml.read_bytes() != second.xml.read_bytes()
-    assert [real for _, real in second.user_folders] == [real for _, real in first.user_folders]
-    assert all(at.is_relative_to(tmp_path / "second") for at, _ in second.user_folders)
-
-
 def test_what_was_taken_out_is_said_once(
     folder: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -73,3 +70,121 @@ def test_what_was_taken_out_is_said_once(
     assert len(said) == 1
     assert "1 <output> left out" in said[0]
     assert b"<output" not in made.xml.read_bytes()
+
+
+# Files that an aircraft is made of: their identity, what is read, and copies.
+
+
+def test_the_identity_of_a_self_contained_aircraft_is_that_of_its_folder() -> None:
+    """Case ids of campaigns hang on it."""
+    folder = PROJECT_ROOT / "aircraft" / "espaaro"
+    digest = hashlib.sha256()
+    for path in sorted(folder.rglob("*")):
+        if path.suffix in {".xml", ".toml"} and path.is_file():
+            digest.update(
+                path.relative_to(folder).as_posix().encode() + b"\0" + path.read_bytes() + b"\0"
+            )
+    assert identity(find_aircraft("espaaro")) == digest.hexdigest()
+
+
+@pytest.fixture
+def folder_aircraft_files(tmp_path: Path) -> Path:
+    """A copy of the project's own aircraft."""
+    copy_folder(find_aircraft("espaaro").folder, tmp_path / "plane")
+    return tmp_path / "plane"
+
+
+def test_what_jsbsim_may_open_is_what_the_xml_refers_to(folder_aircraft_files: Path) -> None:
+    before = set(model_files(find_aircraft(folder_aircraft_files)).local)
+    assert "espaaro.xml" in before
+    (folder_aircraft_files / "unused.xml").write_text("<system name='x'/>")
+    text = (folder_aircraft_files / "espaaro.xml").read_text()
+    (folder_aircraft_files / "espaaro.xml").write_text(
+        text.replace("</fdm_config>", '<system file="used"/></fdm_config>')
+    )
+    (folder_aircraft_files / "Systems").mkdir(exist_ok=True)
+    (folder_aircraft_files / "Systems" / "used.xml").write_text("<system name='x'/>")
+    assert set(model_files(find_aircraft(folder_aircraft_files)).local) - before == {
+        "Systems/used.xml"
+    }
+
+
+# What a foreign XML may ask for: elements blanked byte by byte, names that lead out, entities.
+
+
+def test_what_is_taken_out_leaves_every_other_byte_and_line() -> None:
+    raw = (
+        b'<a>\r\n<output name="x>y"/>\n<b><output>kept</output></b>\n<output>\n<c'
+        b' file="/etc"/></output><input/><c/>\n</a>\n'
+    )
+    found = screen_file(raw, "a.xml")
+    assert [(tag, line) for tag, line in found.removed] == [
+        ("output", 2),
+        ("output", 4),
+        ("input", 5),
+    ]
+    assert len(found.content) == len(raw)
+    assert found.content.count(b"\n") == raw.count(b"\n")
+    assert b"<b><output>kept</output></b>" in found.content
+    assert found.content.rstrip().endswith(b"<c/>\n</a>")
+    assert found.references == ()
+    assert screen_file(b"<a><b/></a>", "b.xml").content == b"<a><b/></a>"
+
+
+def test_an_element_made_by_an_entity_is_refused() -> None:
+    sly = b"<!DOCTYPE a [<!ENTITY o \"<output name='/tmp/x' type='CSV'/>\">]><a>&o;</a>"
+    with pytest.raises(BadInputError, match="comes from an entity"):
+        screen_file(sly, "a.xml")
+    path = b'<!DOCTYPE a [<!ENTITY p "/etc/passwd">]><a><system file="&p;"/></a>'
+    with pytest.raises(BadInputError, match="leads out"):
+        screen_file(path, "a.xml")
+    # Text from an entity is what stock systems have.
+    assert screen_file(b'<!DOCTYPE a [<!ENTITY on "1">]><a><v>&on;</v></a>', "a.xml").removed == ()
+
+
+def test_entities_do_not_multiply() -> None:
+    lines = "".join(f'<!ENTITY e{k} "{f"&e{k - 1};" * 10}">' for k in range(1, 12))
+    bomb = f'<!DOCTYPE a [<!ENTITY e0 "0123456789">{lines}]><a>&e11;</a>'.encode()
+    with pytest.raises(BadInputError, match="not well-formed"):
+        screen_file(bomb, "bomb.xml")
+
+
+def test_every_stock_file_passes() -> None:
+    stock = engine.default_root()
+    roots = {screen_file(path.read_bytes(), path.name).root for path in stock.rglob("*.xml")}
+    assert {
+        "fdm_config",
+        "system",
+        "runscript",
+        "turbine_engine",
+        "propeller",
+        "initialize",
+    } <= roots
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "/etc/passwd",
+        "~/x",
+        "../x",
+        "a/../../x",
+        "a/..",
+        "C:\\x",
+        "C:x",
+        "\\\\host\\share",
+        "..\\x",
+        "a\\..\\x",
+        "a\0b",
+    ],
+)
+def test_names_that_lead_out_on_some_system(name):
+    assert leads_out(name)
+
+
+def test_a_linked_folder_is_refused(folder: Path, tmp_path: Path) -> None:
+    (folder / "loop").symlink_to(folder, target_is_directory=True)
+    with pytest.raises(BadInputError, match="link to a folder"):
+        list(walk(folder))
+    with pytest.raises(BadInputError, match="cannot be read"):
+        list(walk(tmp_path / "nowhere"))

@@ -1,6 +1,4 @@
-"""What stands between commands and positions: what belongs to it, what it reads, and what is
-refused.
-"""
+"""The components between commands and surface positions."""
 
 from __future__ import annotations
 
@@ -23,9 +21,6 @@ GIVEN = ("fcs/elevator-cmd-deg",)
 SPREAD = (
     '<distributor type="exclusive"><case><property'
     ' value="1">fcs/rate</property></case></distributor>'
-)
-TRIM = (
-    '<pure_gain name="trim"><input>ap/on</input><output>fcs/elevator-pos-rad</output></pure_gain>'
 )
 
 
@@ -50,13 +45,6 @@ def chain(
     return control_chain(ControlFiles(systems, [document], engines), [wanted], given)
 
 
-def text(**changes: str) -> str:
-    """Its aircraft."""
-    found = chain(**changes)
-    assert found is not None
-    return found.xml
-
-
 def test_it_has_the_components_and_constants_that_make_a_position_and_no_others() -> None:
     found = chain()
     assert found is not None
@@ -73,16 +61,6 @@ def test_it_has_the_components_and_constants_that_make_a_position_and_no_others(
     assert '<property value="0">ap/held</property>' in found.xml
     for part in ("Gear Horn", "aero/Cm_q", "lift", "deg/s"):
         assert part not in found.xml
-
-
-def test_another_aerodynamics_makes_no_other_chain_and_another_servo_does() -> None:
-    assert (
-        text(aero='<function name="aero/more"><property>fcs/elevator-pos-deg</property></function>')
-        == text()
-    )
-    assert text(servo=SERVO.replace(" 25 ", "25").replace("<!-- deg/s -->", "")) == text()
-    assert text(servo=SERVO.replace("25", "26")) != text()
-    assert text(selector=SELECTOR.replace("gt", "lt")) != text()
 
 
 @pytest.mark.parametrize(
@@ -134,20 +112,6 @@ def test_another_aerodynamics_makes_no_other_chain_and_another_servo_does() -> N
 )
 def test_what_reads_or_may_read_the_motion_is_refused(changes: dict[str, str]) -> None:
     assert chain(**changes) is None
-
-
-def test_a_component_that_reads_the_motion_elsewhere_is_no_matter() -> None:
-    more = (
-        "<channel><sensor"
-        ' name="nav/speed"><input>velocities/vc-kts</input><noise>1</noise></sensor></channel>'
-    )
-    assert text(more=more) == text()
-
-
-def test_a_second_writer_and_a_position_in_another_unit_belong_to_it() -> None:
-    more = f'<channel name="late">{TRIM}</channel>'
-    assert '<channel name="late">' in text(more=more)
-    assert chain(more=more.replace("ap/on", "aero/beta-rad")) is None
 
 
 def test_an_engine_s_lever_goes_with_its_command() -> None:

@@ -1,0 +1,149 @@
+"""Expected narrowing of intervals and choice of manoeuvres, against closed forms and
+enumeration.
+"""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from sysid.model_form.information_gain import (
+    Offer,
+    asymptotic,
+    belief,
+    choose,
+    expected_width,
+    information,
+    mean_power,
+    parameter_variance,
+    speed_power,
+    weighted_quartiles,
+    width,
+    with_more_data,
+)
+from tests.helpers.model_forms import bounds_from
+
+STATE = "alpha_rad"
+
+
+def test_a_straight_line_follows_the_textbook():
+    """s2 (1/n + (x - mean)^2/Sxx) of a line, before and after points are added at both ends (Draper
+    and Smith, ch. 1).
+    """
+    rng = np.random.default_rng(1)
+    x = np.linspace(-1.0, 1.0, 40)
+    now = bounds_from(x, 0.3 * x + 0.1 * rng.standard_normal(40), f=2.0)
+    more = np.repeat([-3.0, 3.0], 10)
+    then = with_more_data(now, [information(now, {STATE: more})])
+    at = np.array([-2.0, 0.0, 0.7, 5.0])
+    both = np.concatenate([x, more])
+    for bounds, data in ((now, x), (then, both)):
+        expected = (
+            2.0
+            * now.s2
+            * (1.0 / len(data) + (at - data.mean()) ** 2 / np.sum((data - data.mean()) ** 2))
+        )
+        assert parameter_variance(bounds, {STATE: at}) == pytest.approx(expected, rel=1e-12)
+    assert (then.n, then.n_effective, then.dof) == (60, 30.0, 28.0)
+    assert then.t == pytest.approx(stats.t.ppf(0.975, 28.0))
+    assert then.hull.low[0] == -3.0
+    # No more data, no change; endless data, no parameter part and the normal's quantile.
+    assert with_more_data(now, []) is now
+    ever = width(asymptotic(now), {STATE: at})
+    assert ever.parameter == 0.0
+    assert asymptotic(now).t == pytest.approx(1.959964, rel=1e-6)
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.8])
+def test_the_expected_width_is_that_of_futures_played_out(offset):
+    """Draw the truth from what is believed today, make the second flight's data from it, fit both,
+    measure: the mean over futures.
+
+    With an offset the bounds are stretched to hold zero, and the width depends on what will be
+    found."""
+    rng = np.random.default_rng(3)
+    sigma = 0.4
+    x, z = rng.uniform(-1.0, 1.0, 60), rng.uniform(1.0, 3.0, 200)
+    now = bounds_from(x, offset + 0.2 * x + sigma * rng.standard_normal(60))
+    at = {STATE: np.linspace(0.0, 3.0, 15)}
+    then = with_more_data(now, [information(now, {STATE: z})])
+    predicted = expected_width(now, then, at, draws=2000)
+    X, Z, A = (np.column_stack([np.ones(len(v)), v]) for v in (x, z, at[STATE]))
+    mean, covariance = belief(now)
+    root = np.linalg.cholesky(covariance)
+    C = np.linalg.inv(X.T @ X + Z.T @ Z)
+    half = stats.t.ppf(0.975, 258) * np.sqrt(now.s2 * (1.0 + np.einsum("ni,ij,nj->n", A, C, A)))
+    found = []
+    for _ in range(3000):
+        truth = mean + root @ rng.standard_normal(2)
+        second = Z @ truth + np.sqrt(now.s2) * rng.standard_normal(200)
+        beta = C @ (X.T @ X @ now.beta_hat + Z.T @ second)
+        y = A @ beta
+        found.append(np.mean(np.maximum(y + half, 0.0) - np.minimum(y - half, 0.0)))
+    error = np.std(found) / np.sqrt(len(found))
+    assert predicted.total == pytest.approx(
+        np.mean(found), abs=max(4.0 * error, 0.002 * predicted.total)
+    )
+    if offset:
+        # The stretched part is there: half-widths alone would be less.
+        assert predicted.total > 1.1 * np.mean(2.0 * half)
+
+
+def test_scatter_falls_with_speed_as_it_was_made_to():
+    rng = np.random.default_rng(7)
+    speeds = rng.uniform(18.0, 25.0, 60)
+    variances = 3.0 * speeds**-4.0 * np.exp(0.1 * rng.standard_normal(60))
+    assert speed_power(speeds, variances, np.full(60, 200.0)) == pytest.approx(-4.0, abs=0.5)
+    # Speeds that do not differ, or variances that follow nothing, tell no power.
+    assert speed_power(np.full(60, 22.0), variances, np.full(60, 200.0)) == 0.0
+    assert speed_power(speeds, np.exp(3.0 * rng.standard_normal(60)), np.full(60, 200.0)) == 0.0
+    even = rng.uniform(18.0, 25.0, 200_000)
+    middle = np.quantile(even, [0.25, 0.5, 0.75])
+    assert mean_power(middle, 18.0, 25.0, -4.0) == pytest.approx(np.mean(even**-4.0), rel=2e-3)
+
+
+def test_weighted_quartiles():
+    values = np.arange(1.0, 101.0)
+    assert weighted_quartiles(values, np.ones(100)) == pytest.approx([25.0, 50.0, 75.0])
+    assert weighted_quartiles(values, (values == 7.0).astype(float)) == pytest.approx(
+        [7.0, 7.0, 7.0]
+    )
+    assert np.isnan(weighted_quartiles(values, np.zeros(100))).all()
+
+
+# Which manoeuvres to fly: against every set that could be flown, and a budget of seconds.
+
+FLIGHT_CHOICE_STATE = "alpha_rad"
+
+
+def test_the_choice_is_the_best_set_where_all_sets_can_be_tried():
+    rng = np.random.default_rng(5)
+    x = rng.normal(0.0, 0.5, 80)
+    now = bounds_from(x, rng.standard_normal(80), order=2)
+    mission = {FLIGHT_CHOICE_STATE: rng.normal(2.0, 0.2, 300)}
+    places = (-2.0, 0.0, 1.0, 2.0, 3.0)
+    offers = [
+        Offer(
+            str(p), 10.0, information(now, {FLIGHT_CHOICE_STATE: p + 0.1 * rng.standard_normal(50)})
+        )
+        for p in places
+    ]
+    chosen = choose(now, offers, mission, 30.0, 0.0)
+    assert [c.seconds for c in chosen] == [10.0, 10.0, 10.0]
+    halves = {
+        s: float(
+            np.mean(
+                with_more_data(now, [offers[k].information for k in s]).interval(mission)[1]
+                - with_more_data(now, [offers[k].information for k in s]).interval(mission)[0]
+            )
+        )
+        / 2.0
+        for s in itertools.combinations_with_replacement(range(5), 3)
+    }
+    got = halves[tuple(sorted(c.index for c in chosen))]
+    assert chosen[-1].half_width == pytest.approx(got, rel=1e-9)
+    assert got <= 1.01 * min(halves.values())
+    assert got < 0.9 * halves[(1, 1, 1)]

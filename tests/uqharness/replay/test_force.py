@@ -1,0 +1,88 @@
+"""Forces at measured states by JSBSim and by the batch engine."""
+
+from __future__ import annotations
+
+import logging
+
+import numpy as np
+import pytest
+
+from uqharness import batch
+from uqharness.replay import CONTROLS, ReplayFolder, force
+from uqharness.replay.force import ForcedModel, force_states
+from uqharness.replay.segments import Segment
+from uqharness.simulator import find_aircraft
+
+N = 40
+MOTION = {
+    "V_mps": np.linspace(17.0, 27.0, N),
+    "alpha_rad": np.linspace(-0.05, 0.15, N),
+    "beta_rad": np.linspace(0.1, -0.1, N),
+    "phi_rad": np.linspace(-1.0, 1.0, N),
+    "theta_rad": np.linspace(0.2, -0.2, N),
+    "p_radps": np.linspace(-1.0, 1.0, N),
+    "q_radps": np.linspace(0.5, -0.5, N),
+    "r_radps": np.linspace(-0.3, 0.3, N),
+}
+U = np.column_stack(
+    [
+        np.linspace(-10.0, 10.0, N),
+        np.linspace(8.0, -8.0, N),
+        np.linspace(-5.0, 5.0, N),
+        np.linspace(0.0, 100.0, N),
+    ]
+)
+HEIGHT_M = np.linspace(100.0, 900.0, N)
+
+
+@pytest.fixture(scope="module")
+def straight():
+    with ReplayFolder(find_aircraft("espaaro"), ideal=CONTROLS) as model:
+        yield model
+
+
+@pytest.fixture(autouse=True)
+def nothing_known():
+    force._cached_programs.clear()
+    yield
+    force._cached_programs.clear()
+
+
+def of_step(dt_s: float) -> Segment:
+    start = np.array(
+        [MOTION[c][0] for c in ("V_mps", "alpha_rad", "beta_rad", "phi_rad", "theta_rad")]
+        + [0.0] * 4
+    )
+    return Segment("f", "f", dt_s * np.arange(N), U, start, 300.0, 0.0)
+
+
+def said(model, monkeypatch, worth: int, **properties: float) -> ForcedModel:
+    monkeypatch.setattr(force, "MIN_BATCH_STATES", worth)
+    return force_states(
+        model, of_step(0.02), MOTION, U, {f"aero/{k}": v for k, v in properties.items()}, HEIGHT_M
+    )
+
+
+def apart(a: ForcedModel, b: ForcedModel) -> float:
+    return float(
+        np.abs(a.coefficients / b.coefficients - 1.0).max()
+        + np.abs(a.other_force - b.other_force).max()
+    )
+
+
+def test_both_engines_say_the_same(straight, monkeypatch):
+    theirs = said(straight, monkeypatch, 10**9, Cm_q=-11.0)
+    ours = said(straight, monkeypatch, 1, Cm_q=-11.0)
+    assert force._cached_programs[straight.identity].program is not None
+    assert 0.0 < apart(ours, theirs) < 1e-8
+    assert apart(said(straight, monkeypatch, 1, Cm_q=-11.1), theirs) > 1e-3
+
+
+def test_jsbsim_answers_where_the_engines_differ(straight, monkeypatch, caplog):
+    theirs = said(straight, monkeypatch, 10**9)
+    answer = batch.at_states
+    monkeypatch.setattr(batch, "at_states", lambda *given: 1.00001 * answer(*given))
+    with caplog.at_level(logging.WARNING, logger="uqharness"):
+        ours = said(straight, monkeypatch, 1)
+    assert "the batch engine differs" in caplog.text
+    assert apart(ours, theirs) == 0.0
