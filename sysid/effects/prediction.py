@@ -78,7 +78,7 @@ class InnovationColour:
 
     @cached_property
     def _inverse(self) -> FloatArray:
-        return np.linalg.inv(self.root)
+        return np.asarray(np.linalg.inv(self.root))
 
     def __call__(self, series: NDArray[Any]) -> NDArray[Any]:
         """White series of a segment, (n, m) or (n, m, K), in its precision; zero before its first
@@ -88,7 +88,7 @@ class InnovationColour:
         white = np.matmul(self._inverse.astype(series.dtype), flat)
         for j, matrix in enumerate(self._inverse @ self.coefficients, 1):
             white[j:] -= np.matmul(matrix.astype(series.dtype), flat[:-j])
-        return white.reshape(series.shape)
+        return np.asarray(white.reshape(series.shape))
 
 
 def innovation_colour(residuals: Sequence[FloatArray]) -> InnovationColour | None:
@@ -125,9 +125,9 @@ def innovation_colour(residuals: Sequence[FloatArray]) -> InnovationColour | Non
         penalty += math.log(rows) * (len(chosen) + (not is_unit))
     if not penalty:
         return None
-    root = np.linalg.inv(present) * deviation
+    unmixed = np.asarray(np.linalg.inv(present))
     order = max((j + 1 for j in range(last) if matrices[j].any()), default=0)
-    return InnovationColour(np.linalg.inv(present) @ matrices[:order], root, penalty)
+    return InnovationColour(unmixed @ matrices[:order], unmixed * deviation, penalty)
 
 
 def _price(rows: int, m: int, numbers: int) -> float:
@@ -158,7 +158,7 @@ def _predictors(
                     for lag in range(0 if o < channel else 1, reach + 1)
                 ]
                 gram, moment = moments[np.ix_(places, places)], moments[places, channel]
-                solution = np.linalg.lstsq(gram, moment, rcond=1e-10)[0]
+                solution = np.asarray(np.linalg.lstsq(gram, moment, rcond=1e-10)[0])
                 remainder = float(moments[channel, channel] - moment @ solution)
                 gain = rows * math.log(left / remainder) if remainder > 0.0 else 0.0
                 gain -= _price(rows, m, len(places) - len(chosen))
