@@ -48,6 +48,7 @@ _MOMENTS = ("ixx", "iyy", "izz")
 _PRODUCTS = ("ixy", "ixz", "iyz")
 _TO_KGM2 = {"KG*M2": 1.0, "SLUG*FT2": SLUG_FT2_KGM2}
 _TRIANGLE_TOLERANCE = 0.01  # inertia in an XML has two or three digits
+_FEWEST_ROTORS = 3  # of a multirotor
 _noted: set[tuple[str, str]] = set()
 
 
@@ -75,10 +76,17 @@ def check_physical(aircraft: HasFiles) -> None:
     """
     files = model_files(aircraft)
     root = _root(aircraft, files, aircraft.xml.relative_to(aircraft.folder).as_posix())
-    _check_sizes(_section(aircraft, files, root, "metrics"))
+    rotor = rotor_place(aircraft)
+    try:
+        _check_sizes(_section(aircraft, files, root, "metrics"))
+    except BadInputError as error:
+        # A multirotor has no wing to measure.
+        raise BadInputError(
+            f"{rotor}; only aircraft with wings fly here" if rotor else str(error)
+        ) from None
     _check_inertia(_section(aircraft, files, root, "mass_balance"))
     # Rotors fly in JSBSim but are not trimmed here.
-    if rotor := rotor_place(aircraft):
+    if rotor:
         place, _, text = rotor.partition(": ")
         _note(
             place, f"{text}; it is not trimmed, so commands that start from steady flight refuse it"
@@ -100,7 +108,48 @@ def rotor_place(aircraft: HasFiles) -> str:
                 return (
                     f'{place}: <thruster file="{reference.name}"> is a rotor: this is a rotorcraft'
                 )
-    return ""
+    return _multirotor_place(
+        _root(aircraft, files, aircraft.xml.relative_to(aircraft.folder).as_posix())
+    )
+
+
+def _multirotor_place(root: _Section | None) -> str:
+    """Return where three or more propellers or forces lift and none pulls; empty if not so."""
+    if root is None:
+        return ""
+    lifting, forward = [], 0
+    for node in root.element.iter("thruster", "force"):
+        share = _upward_share(node)
+        if share > 0.9:
+            lifting.append(node)
+        forward += share < 0.5
+    if len(lifting) < _FEWEST_ROTORS or forward:
+        return ""
+    first = lifting[0]
+    return (
+        f"{root.where}:{first.sourceline}: {len(lifting)} <{first.tag}> lift and none pulls"
+        " forward: this is a multirotor"
+    )
+
+
+def _upward_share(node: Any) -> float:
+    """Return the share of a thruster's or body-axis force's direction along z; NaN without one."""
+    if node.tag == "thruster":
+        pitch = _number(node.find("orient/pitch"))
+        orient = node.find("orient")
+        in_degrees = orient is not None and (orient.get("unit") or "").upper() == "DEG"
+        return abs(math.sin(math.radians(pitch) if in_degrees else pitch))
+    x, y, z = (_number(node.find(f"direction/{axis}")) for axis in "xyz")
+    size = math.hypot(x, y, z)
+    return abs(z) / size if size > 0.0 and node.get("frame") == "BODY" else math.nan
+
+
+def _number(node: Any) -> float:
+    """Return the number of an element; 0 if there is none."""
+    try:
+        return float(node.text) if node is not None else 0.0
+    except (TypeError, ValueError):
+        return 0.0
 
 
 @dataclass(frozen=True)

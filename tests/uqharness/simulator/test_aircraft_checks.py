@@ -380,3 +380,25 @@ def test_a_propeller_without_inertia_gets_that_of_its_diameter(tmp_path):
     assert float(content.split(b"SLUG*FT2")[1].split()[1]) == pytest.approx(2.3e-4, rel=0.02)
     ((_, sentence),) = with_rotor_inertia(aircraft, staging.model_files(aircraft)).values()
     assert "screw.xml:2: <ixx> is 0" in sentence
+
+
+@pytest.mark.parametrize(("pulls", "chord"), [(False, 0), (False, 0.2), (True, 0.2)])
+def test_a_multirotor_is_named_whether_it_has_sizes_of_a_wing_or_not(tmp_path, pulls, chord):
+    folder = plane(tmp_path, chord=chord)
+    main = folder / "plane.xml"
+    forces = "".join(
+        f'<force name="m{k}" frame="BODY"><location unit="M"><x>{k}</x></location>'
+        f"<direction><x>{x}</x><y>0</y><z>{z}</z></direction></force>\n"
+        for k, (x, z) in enumerate([(0, -1)] * 4 + [(1, 0)] * pulls)
+    )
+    main.write_text(
+        main.read_text().replace(
+            "<aerodynamics/>", f"<external_reactions>\n{forces}</external_reactions><aerodynamics/>"
+        )
+    )
+    if chord:
+        # A wing with a propeller in front is none.
+        assert (aircraft_checks.rotor_place(find_aircraft(folder)) == "") is pulls
+        return
+    with pytest.raises(BadInputError, match=r"plane.xml:17: 4 <force> lift .* a multirotor"):
+        open_aircraft(find_aircraft(folder))
