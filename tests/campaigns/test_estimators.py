@@ -1,5 +1,7 @@
 """The coverage study in small: the full one is `python -m campaigns.estimators.reproduce`."""
 
+from __future__ import annotations
+
 import numpy as np
 import pandas as pd
 import pytest

@@ -6,17 +6,22 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from campaigns.excursions.reproduce import PUBLISHED, main, published, verdict
+from campaigns.excursions.reproduce import HOME as EXCURSIONS
+from campaigns.excursions.reproduce import PUBLISHED, main
+from campaigns.library.flights import FLIGHTS, case_tables, records, settings
 from campaigns.library.study import published_table
 from tests.helpers import campaign_fakes as fakes
 from uqharness.campaign.processes import SerialExecutor
 from uqharness.campaign.read_spec import read_campaign
 from uqharness.campaign.run import run_campaign
+from uqharness.campaign.spec import read_bounds
 from uqharness.flight.spec import FlightResult
+from uqharness.simulator.aircraft import PROJECT_ROOT
 
 pytestmark = pytest.mark.filterwarnings(
     "ignore:This process .* is multi-threaded:DeprecationWarning"
 )
+
 SEVERE = fakes.CAMPAIGN.partition("bounds =")[0].replace("flights = 3", "flights = 20").replace(
     "150", "3600"
 ) + (
@@ -76,14 +81,6 @@ def test_the_published_tables_are_as_printed():
     assert far.to_numpy().sum() == pytest.approx(0.002)
 
 
-def test_limits_that_overlap_agree():
-    few, many = (0.0, 0.0, 0.02), (0.1, 0.05, 0.2)
-    assert verdict(few, (0.01, 0.001, 0.03)) == "as published"
-    assert (verdict(few, many), verdict(many, few)) == ("fewer", "more")
-    rate, lower, upper = published(25.342)
-    assert lower < rate < upper
-
-
 def test_a_campaign_beside_the_print(tmp_path, capsys):
     like = flown(tmp_path, "like", counting(25.0, 0.0))
     assert (
@@ -115,3 +112,35 @@ def test_what_is_not_in_print_is_refused(tmp_path, capsys):
     assert main([gale, "--out", str(tmp_path / "out")]) == 2
     assert "no wind" in capsys.readouterr().err
     assert main([str(tmp_path / "nowhere"), "--out", str(tmp_path / "out")]) == 2
+
+
+HOME = PROJECT_ROOT / "campaigns" / "excursions-from-flights"
+
+
+MODELS = ("identified", "refined")
+
+
+def test_refinement_leaves_narrower_bounds_of_what_it_named():
+    """Cl_de, Cm_p2 and CX_q are in the refined model, and what they did is no longer in its
+    bounds.
+    """
+    lasting = {}
+    for model in MODELS:
+        form = read_bounds(HOME / model / "model-form.json")
+        lasting[model] = {name: c.parts.persistent for name, c in form.coefficients.items()}
+    ratio = {
+        name: lasting["refined"][name] / lasting["identified"][name] for name in lasting["refined"]
+    }
+    assert max(ratio[c] for c in ("CX", "Cl", "Cm")) < 0.5
+    assert min(ratio[c] for c in ("CZ", "Cn")) > 0.8
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_the_flights_are_those_of_the_file_in_the_air_of_the_stand_ins(model):
+    ours, theirs = (settings(folder / FLIGHTS) for folder in (HOME / model, EXCURSIONS))
+    assert {**ours["aleatory"], "flights": 0} == {**theirs["aleatory"], "flights": 0}
+    assert ours["campaign"]["seed"] == theirs["campaign"]["seed"]
+    assert len(records(HOME / model / FLIGHTS)) == 24
+    frame = next(case_tables(HOME / model / FLIGHTS, cell="severe-7"))
+    assert frame.groupby("epistemic_id").size().tolist() == [50] * 64
+    assert (frame["status"] == "ok").mean() > 0.9

@@ -45,12 +45,6 @@ def study(tmp_path_factory):
     return folder
 
 
-@pytest.mark.parametrize("value", [1e-9, 0.1234, 1.0, 2.0, 17.3, 4e5])
-def test_the_grid_keeps_a_value_within_its_resolution(value):
-    (back,) = decoded(coded(np.array([value])).astype(float).filled(np.nan))
-    assert abs(back / value - 1.0) <= RESOLUTION * (1.0 + 1e-12)
-
-
 def test_the_grid_keeps_order_zero_and_undefined_values():
     rising = coded(np.geomspace(1e-3, 1e3, 5000))
     assert np.all(np.diff(rising.astype(int)) >= 0)

@@ -4,9 +4,6 @@ numbers the print's.
 
 from __future__ import annotations
 
-import re
-import shutil
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -21,13 +18,10 @@ from campaigns.identification.air_equations import (
 )
 from campaigns.identification.reproduce import (
     CASES,
-    Data,
     covered,
     fly_flights,
-    identify,
     published,
     read_data,
-    run_seed,
     side_by_side,
     summary,
     through_jsbsim,
@@ -35,8 +29,6 @@ from campaigns.identification.reproduce import (
 )
 from tests.helpers import sixdof, stall_model
 from uqharness.cli.main import main
-from uqharness.replay.model import CONTROLS
-from uqharness.simulator.actuators import Actuator, actuators
 from uqharness.simulator.aircraft import find_aircraft
 
 STATE = {
@@ -49,9 +41,12 @@ STATE = {
     "phi": 0.3,
     "theta": 0.1,
 }
+
+
 U = np.array([1.5, -2.0, 3.0, 62.0])
+
+
 HEIGHT = 120.0
-FLOWN = "synthetic_stall"
 
 
 def independent(model, derivative):
@@ -124,16 +119,6 @@ def test_air_that_rotates_counts_as_the_body_rotating_the_other_way():
     assert abs(equations.f(gusty, u, theta)[3] - equations.f(calm, u, theta)[3]) > 0.5
 
 
-def test_equations_broadcast_over_lanes():
-    names = parameters(tuple(find_aircraft("espaaro").card.parameters))
-    equations = AirEquations(body_axis_build, names, {})
-    theta = np.array([sixdof.TABLE_2_6[n] for n in names])
-    x, u = start_state(*STATE.values()), np.append(U, 1.2)
-    lanes = [np.repeat(v[:, None], 3, axis=1) for v in (x, u, theta)]
-    for function in (equations.f, equations.g):
-        np.testing.assert_array_equal(function(*lanes)[:, 2], function(x, u, theta))
-
-
 @pytest.fixture(scope="module")
 def flown(tmp_path_factory):
     folder = tmp_path_factory.mktemp("flown")
@@ -168,32 +153,6 @@ def test_positions_from_the_log_are_the_aircrafts(flown):
         np.testing.assert_allclose(z[:, 0], piece["V_mps"], atol=1e-4)
         assert t[0] == 0.0
         assert x0[0] == pytest.approx(piece["V_mps"].iloc[0], abs=0.2)
-
-
-def test_actuators_are_read_from_the_xml():
-    found = actuators(find_aircraft("espaaro"), CONTROLS)
-    assert found["elevator"] == Actuator(25.0, 240.0, -25.0, 25.0)
-    assert found["throttle"].lag == 6.0
-    assert found["throttle"].high == 100.0
-
-
-def test_rate_limit_and_stop():
-    out = Actuator(None, 100.0, -5.0, 5.0).follow(
-        np.array([0.0, 8.0, 8.0, 8.0, 8.0, 8.0]), 0.02, 0.01
-    )
-    np.testing.assert_allclose(out, [0.0, 1.0, 3.0, 5.0, 5.0, 5.0])
-
-
-def test_positions_half_way_between_rows():
-    servo, commands = Actuator(None, 100.0, -5.0, 5.0), np.array([0.0, 8.0, 8.0, 8.0])
-    rows, middle = servo.follow_with_midpoints(commands, 0.02, 0.01)  # steps: 0, 0, 1, 2, 3, 4, 5
-    np.testing.assert_allclose(rows, [0.0, 1.0, 3.0, 5.0])
-    np.testing.assert_allclose(middle, [0.0, 2.0, 4.0])
-    rows, middle = servo.follow_with_midpoints(
-        commands, 0.03, 0.01
-    )  # steps: 0, 0, 0, 1, 2, 3, 4, 5, 5, 5: the middle between two
-    np.testing.assert_allclose(rows, [0.0, 1.0, 4.0, 5.0])
-    np.testing.assert_allclose(middle, [0.0, 2.5, 5.0])
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
@@ -235,37 +194,6 @@ def gusty(tmp_path_factory):
     )
 
 
-@pytest.mark.slow
-def test_roll_parameters_in_turbulence(gusty):
-    # Without the air's own rotation in the equations Cl_p comes out at -0.20, ten of its standard
-    # errors off.
-    rolls = [k for k, u in enumerate(gusty.u) if np.ptp(u[:, 1]) > 10.0]
-    data = Data(
-        *(
-            [part[k] for k in rolls]
-            for part in (gusty.x0, gusty.u, gusty.u_middle, gusty.z, gusty.t)
-        )
-    )
-    free = ("Cl_0", "Cl_p", "Cl_da")
-    start = {**stall_model.TABLE_2_4, "Cl_p": -0.2, "Cl_da": 0.002}
-    fit = identify(CASES[0], data, start, free)
-    assert fit.converged
-    for name in free:
-        k = fit.names.index(name)
-        assert abs(fit.theta[k] - stall_model.TABLE_2_4[name]) < 3.0 * fit.std[k], name
-    assert fit.theta[fit.names.index("Cl_p")] == pytest.approx(-0.32, rel=0.15)
-
-
-@pytest.mark.slow
-def test_simplified_model_of_table_2_4_is_closer_than_the_published_one(tmp_path):
-    table, fit = run_seed(1, tmp_path, CASES[:1])["SL"]
-    assert fit.converged
-    numbers = summary(table)
-    assert numbers["median_error_pct"] < 4.3
-    assert numbers["identified"] == 26
-    assert numbers["covered_95"] > numbers["published_covered_95"] + 0.4
-
-
 def test_coverage_through_jsbsim_counts_what_has_no_estimate():
     table = pd.DataFrame({"z": [0.1, -1.9, 2.1, np.nan], "method": "filter error"})
     assert covered(table) == 0.5
@@ -277,28 +205,3 @@ def test_a_log_in_turbulence_is_identified_as_a_user_does(tmp_path):
     assert set(table["method"]) == {"filter error"}
     assert table["converged"].all()
     assert covered(table) > 0.85
-
-
-@pytest.mark.slow
-def test_the_form_without_pitch_damping_does_not_reach_the_noise_floor(tmp_path):
-    for name, script, seed in (("first", "flight-ident", 1), ("third", "flight-validation", 3)):
-        words = ["--script", script, "--noise", "--seed", str(seed), "--duration-s", "12"]
-        assert main(["fly", FLOWN, *words, "--out", str(tmp_path / f"{name}.parquet")]) == 0
-    codes = []
-    for form, properties in (("right", ()), ("slm", ("stall", "Cm_q"))):
-        shutil.copytree(find_aircraft(FLOWN).folder, tmp_path / form)
-        xml = tmp_path / form / f"{FLOWN}.xml"
-        text = xml.read_text()
-        for name in properties:
-            text, count = re.subn(rf'value="[-.\d]+">aero/{name}<', f'value="0">aero/{name}<', text)
-            assert count == 1
-        xml.write_text(text)
-        free = [f"aero/Cm_{n}" for n in ("0", "alpha", "q", "de") if f"Cm_{n}" not in properties]
-        options = ["--params", ",".join(free), "--start", "initial", "--method", "output-error"]
-        flight, out = tmp_path / "first.parquet", tmp_path / f"{form}-fit"
-        words = ["--flight", str(flight), *options, "--no-figures", "--workers", "1"]
-        main(["identify", str(tmp_path / form), *words, "--out", str(out)])
-        flight = tmp_path / "third.parquet"
-        words = ["--flight", str(flight), "--no-figures", "--workers", "1"]
-        codes.append(main(["compare", str(out / "aircraft"), *words]))
-    assert codes == [0, 1]

@@ -10,14 +10,17 @@ import pytest
 
 from campaigns.excursions.reproduce import HOME as EXCURSIONS
 from campaigns.library.flights import FLIGHTS
-from campaigns.library.study import published_table
-from campaigns.loiter.reproduce import CELL, METRICS, compare, main
+from campaigns.loiter.one_flight import SIGNALS, errors, flights, run
+from campaigns.loiter.reproduce import CELL, METRICS, main
 from tests.helpers.study_flights import flown, with_medians
-from uqharness.flight import COEFFICIENTS
+from uqharness.errors import BadInputError
+from uqharness.flight import COEFFICIENTS, FlightResult
 
 # Effects of a level [the metric's unit]: shares are each over their sum where all have one sign,
 # whatever the others are.
 PRINTED = {"CX": 0.02, "CY": 3.95, "CZ": 0.32, "Cl": 0.33, "Cm": 0.4, "Cn": 4.98}
+
+
 OTHERWISE = {"CX": 9.0, "CY": 0.2, "CZ": 0.2, "Cl": 0.2, "Cm": 0.2, "Cn": 0.2}
 
 
@@ -85,14 +88,51 @@ def test_the_pbox_has_its_quantiles_and_the_picture_its_charts(folders):
     )
 
 
-def test_ranges_are_compared_by_their_limits():
-    table = published_table("4.7").set_index("coefficient")
-    assert table.loc["CX", "altitude_max"] == 0.7427
-    assert compare((0.1, 0.4), (0.4, 0.5)) == "overlaps"
-    assert compare((0.1, 0.35), (0.4, 0.5)) == "below"
-    assert compare((0.55, 0.8), (0.4, 0.5)) == "above"
-
-
 def test_a_source_without_flights_is_bad_input(tmp_path, capsys):
     assert main([str(tmp_path), "--out", str(tmp_path)]) == 2
     assert str(tmp_path) in capsys.readouterr().err
+
+
+def flight_with(spread):
+    """Errors normal with the standard deviation ``spread``, those that sensors saw twice as
+    large.
+    """
+
+    def fly(spec):
+        true = np.random.default_rng(3).normal(0.0, spread, 40_000)
+        signals = {
+            f"{name}{suffix}": factor * true
+            for name in SIGNALS
+            for suffix, factor in (("", 1.0), ("_measured", 2.0))
+        }
+        return FlightResult("ok", "", spec.duration_s, {}, {}, signals)
+
+    return fly
+
+
+def test_quantiles_are_those_of_the_folded_normal_distribution(tmp_path):
+    told = run(tmp_path, flight_with(1.5))
+    frame = pd.read_csv(tmp_path / "one-flight.csv")
+    assert len(frame) == len(told) * 2 * len(SIGNALS)
+    for measured, rows in frame.groupby(frame["error"].str.endswith("_measured")):
+        # Half of |x| lies below 0.6745 sigma, 95 % below 1.96 sigma.
+        sigma = 3.0 if measured else 1.5
+        assert rows["q50"].to_numpy() == pytest.approx(0.6745 * sigma, rel=0.02)
+        assert rows["q95"].to_numpy() == pytest.approx(1.96 * sigma, rel=0.02)
+        assert rows["q50"].to_numpy() != pytest.approx(0.6745 * 2.0, rel=0.02)
+    picture = (tmp_path / "one-flight.svg").read_text()
+    assert picture.count("median, published flight") == 3
+
+
+def test_a_flight_that_ended_early_has_no_distribution_of_an_hour():
+    with pytest.raises(BadInputError, match="ended diverged"):
+        errors(FlightResult("diverged", "not finite at 60 s", 60.0, {}, {}, {}))
+
+
+def test_four_flights_differ_by_air_or_model_alone():
+    found = list(flights().values())
+    assert len(found) == 4
+    assert len({spec.seed_turbulence for spec in found}) == 1
+    assert [spec.turbulence for spec in found] == ["moderate", "severe", "severe", "severe"]
+    assert [bool(spec.properties) for spec in found] == [False, False, True, True]
+    assert found[2].properties != found[3].properties

@@ -17,15 +17,11 @@ from uqharness.sensitivity.modal import (
     ALEATORY,
     NOMINAL,
     OUTPUTS,
-    SystemMatrix,
-    intervals,
-    longitudinal_modes,
     modal_model,
     modal_sensitivity,
     modes_of,
     run_modal_study,
     system_matrix,
-    trim,
 )
 from uqharness.simulator.aircraft import find_aircraft
 from uqharness.simulator.linear import linearise, modes
@@ -46,40 +42,6 @@ def as_published():
     return modal_sensitivity("as_published", 16, seed=0)
 
 
-def test_trim_holds_the_weight_and_the_moment():
-    alpha, elevator = trim(arrays())
-    CZ = NOMINAL["CZ_0"] + NOMINAL["CZ_alpha"] * alpha + NOMINAL["CZ_de"] * elevator
-    assert (CZ * 245.0 * 1.97).item() == pytest.approx(-21.34 * 9.81)
-    assert NOMINAL["Cm_0"] + NOMINAL["Cm_alpha"] * alpha + NOMINAL[
-        "Cm_de"
-    ] * elevator == pytest.approx(0.0, abs=1e-15)
-    assert np.degrees(alpha) == pytest.approx(1.85, abs=0.01)
-
-
-def test_modes_by_iteration_are_those_by_eigenvalues():
-    rng = np.random.default_rng(5)
-    changes = {name: value * rng.uniform(0.5, 1.5, 400) for name, value in MEANS.items()}
-    for reading in ("as_corrected", "as_published"):
-        matrix = system_matrix(reading, arrays(**changes))
-        assert np.allclose(
-            modes_of(matrix), longitudinal_modes(matrix.dense()), rtol=1e-9, equal_nan=True
-        )
-
-
-def test_modes_that_lie_close_together_or_have_split_still_come_out():
-    one = np.ones(1)
-    # Stiffness of the wrong sign: the short period splits into real roots, one unstable, and has no
-    # frequency.
-    matrix = SystemMatrix(
-        -0.1 * one, 0.4 * one, -1.0 * one, -4.0 * one, 20.0, 3.0 * one, -5.0 * one
-    )
-    found = np.array(modes_of(matrix)).ravel()
-    assert np.allclose(
-        found, np.array(longitudinal_modes(matrix.dense())).ravel(), rtol=1e-6, equal_nan=True
-    )
-    assert np.isnan(found).any()
-
-
 def test_corrected_reading_agrees_with_an_independent_linearisation_of_the_same_aeroplane():
     zeta_phugoid, wn_phugoid, zeta, wn = (
         float(value[0]) for value in modes_of(system_matrix("as_corrected", arrays()))
@@ -94,12 +56,6 @@ def test_corrected_reading_agrees_with_an_independent_linearisation_of_the_same_
 def test_published_frequency_is_the_ratio_of_damping():
     zeta, ratio = (modal_model("as_published")(**arrays())[name] for name in OUTPUTS[1:])
     assert ratio == pytest.approx(zeta / np.sqrt(1 - zeta**2))
-
-
-def test_intervals_are_five_per_cent():
-    for name, (low, high) in intervals().items():
-        assert low < NOMINAL[name] < high
-        assert high - low == pytest.approx(0.1 * abs(NOMINAL[name]))
 
 
 @pytest.mark.slow
@@ -166,21 +122,6 @@ def test_the_command_gives_the_contracted_json_and_a_text(capsys):
     text = capsys.readouterr().out
     assert "R^2 adds up to" in text
     assert "Cm_alpha" in text
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        ((), "either DIR, the folder of a campaign, or --modal"),
-        (("somewhere", "--modal", "as_published"), "either DIR"),
-        (("--modal", "as_published", "--repeats", "1"), "--repeats 1"),
-        (("--modal", "as_published", "--interior", "x"), "--interior belongs"),
-        (("--modal", "as_published", "--seed", "-1"), "--seed -1"),
-    ],
-)
-def test_the_command_refuses_with_a_sentence(words, message):
-    with pytest.raises(BadInputError, match=message):
-        call(*words)
 
 
 @pytest.fixture(scope="module")

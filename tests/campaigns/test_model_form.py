@@ -12,21 +12,27 @@ from typing import Any
 import numpy as np
 import pytest
 
-from campaigns.library.study import seed_range
-from sysid.aerodynamics import noise_variance, with_sensor_noise
-from sysid.aerodynamics.coefficients import COEFFICIENTS
-from sysid.model_form.fit import fit_bounds
+from sysid.aerodynamics import noise_variance
 from tests.helpers.campaign_scripts import campaign_script
-from uqharness.errors import BadInputError
-from uqharness.replay.residuals import prediction_of
-from uqharness.simulator.aircraft import find_aircraft
 
 FLIGHTS: ModuleType = campaign_script("model-form", "flights")
+
+
 JUDGE: ModuleType = campaign_script("model-form", "judge")
+
+
 STUDY: ModuleType = campaign_script("model-form")
+
+
 PBOX: ModuleType = campaign_script("model-form", "pbox")
+
+
 REFINED: ModuleType = campaign_script("model-form", "refined")
+
+
 TABLES: ModuleType = campaign_script("model-form", "tables")
+
+
 CASES = {c.name: c for c in FLIGHTS.CASES}
 
 
@@ -40,56 +46,6 @@ def quiet_bounds_flight(name: str) -> Any:
 def answers() -> list[dict[str, Any]]:
     """A seed of the truth and of the model itself in still air."""
     return [JUDGE.run_seed(CASES[name], 3) for name in ("nominal-calm", "truth-calm")]
-
-
-@pytest.mark.slow
-def test_the_model_has_no_error_against_itself_and_the_truth_has_its_four():
-    nominal, truth = (quiet_bounds_flight(name) for name in ("nominal-calm", "truth-calm"))
-    assert not nominal.true.delta.any()
-    states, delta = truth.true.states, truth.true.delta
-    # CX_q 1.5 times q c/2V, by hand.
-    expected = 1.5 * states["q_radps"] * 0.53 / (2.0 * states["V_mps"])
-    # Where lift does not separate yet; then CX has a share of what is lost.
-    calm = states["alpha_rad"] < np.radians(3.0)
-    left = delta[calm, 0] - expected[calm]
-    assert np.sqrt(np.mean(left**2)) < 0.05 * np.sqrt(np.mean(expected[calm] ** 2))
-    assert np.sqrt(np.mean((left - expected[calm]) ** 2)) > 0.5 * np.sqrt(
-        np.mean(expected[calm] ** 2)
-    )
-    # CY and Cn lack nothing but what two orders of a sum differ by.
-    assert np.abs(delta[:, [1, 5]]).max() < 1e-12
-
-
-@pytest.mark.slow
-def test_gains_of_the_noise_free_flight_serve_the_noisy_one():
-    """Asked at noisy states the model gives nearly the same gains: no width moves by a
-    twentieth.
-    """
-    quiet = quiet_bounds_flight("truth-calm")
-    with FLIGHTS.model_pair(quiet.measured) as pair:
-        noisy = FLIGHTS.noisy_twin(quiet, pair, (3, 2, 0), (1.0,))
-    quick = noisy.exactly()
-    std, model = FLIGHTS.table_noise(), find_aircraft(FLIGHTS.MODEL)
-    channels = {c: quiet.record[c] for c in std if c in quiet.record}
-    record = quiet.record.with_columns(
-        FLIGHTS.with_noise(channels, std, np.random.default_rng((3, 2, 0)))
-    )
-    flight = FLIGHTS.recut(FLIGHTS.prepare("noisy", record, quiet.measured), quiet.measured)
-    with prediction_of(model, quiet.measured) as pair:
-        full = with_sensor_noise(
-            noisy.residuals,
-            flight.record,
-            flight.pieces,
-            pair.of(flight),
-            model.accelerometer_m,
-            std,
-        )
-    ours, theirs = (fit_bounds(r) for r in (quick, full))
-    for c in COEFFICIENTS:
-        widths = [
-            np.mean(JUDGE.error_interval(f[c].bounds, quiet.true.states)[1]) for f in (ours, theirs)
-        ]
-        assert widths[0] == pytest.approx(widths[1], rel=0.05)
 
 
 def test_noise_is_added_where_it_should_be():
@@ -151,32 +107,6 @@ def test_tables_and_verdicts(answers):
     assert good == []
 
 
-@pytest.mark.slow
-def test_what_is_there_is_not_flown_again(answers, tmp_path, monkeypatch, capsys):
-    flown: list[tuple[str, int]] = []
-
-    def run_seed(case, seed):
-        flown.append((case.name, seed))
-        if seed == 2:
-            raise BadInputError("it ended on the ground")
-        return {**next(a for a in answers if a["case"] == case.name), "seed": seed}
-
-    monkeypatch.setattr(STUDY, "run_seed", run_seed)
-    command = ["--out", str(tmp_path), "--cases", "truth-calm", "nominal-calm", "--seeds"]
-    STUDY.main([*command, "1"])
-    STUDY.main([*command, "2"])
-    assert flown == [("nominal-calm", 1), ("truth-calm", 1), ("nominal-calm", 2), ("truth-calm", 2)]
-    assert "left out: truth-calm, seed 2: it ended on the ground" in capsys.readouterr().out
-    STUDY.main([*command, "1-2"])
-    STUDY.main(["--tables", "--out", str(tmp_path)])
-    assert len(flown) == 4
-    kept = json.loads((tmp_path / "seeds" / "truth-calm-001.json").read_text())
-    assert len(kept["rows"]) == 4 * 3 * 6
-    with pytest.raises(ValueError, match="a number of seeds"):
-        seed_range("4-1")
-    assert list(seed_range("7-9")) == [7, 8, 9]
-
-
 def test_the_p_box_by_parts_is_held_against_the_published_one(tmp_path, monkeypatch, capsys):
     levels = {"truth": [2.0], "by-parts": [1.9, 2.1], "as-published": [0.5, 4.5]}
 
@@ -199,12 +129,6 @@ def test_the_p_box_by_parts_is_held_against_the_published_one(tmp_path, monkeypa
     (row,) = [json.loads(p.read_text()) for p in (tmp_path / "pbox").glob("*.json")]
     wide = {**row, "by parts": {**row["by parts"], "area": 3.0, "flown": "outside"}}
     assert [line.partition(":")[0] for line in PBOX.verdict([wide])] == ["nominal-calm"] * 2
-
-
-@pytest.mark.slow
-def test_forty_seeds(tmp_path):
-    assert STUDY.main(["--out", str(tmp_path), "--seeds", "40"]) == 0
-    assert "as asked for" in (tmp_path / "tables.md").read_text()
 
 
 def test_refinements_that_narrow_are_counted_and_too_few_fail(tmp_path, monkeypatch):

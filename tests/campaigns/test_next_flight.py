@@ -11,12 +11,23 @@ from tests.helpers.campaign_scripts import campaign_script
 from uqharness.next_flight.plan import Options
 
 _SCRIPT = campaign_script("next-flight")
+
+
 CASES = _SCRIPT.CASES
+
+
 Study = _SCRIPT.Study
-main = _SCRIPT.main
+
+
 mission_of = _SCRIPT.mission_of
+
+
 narrowings = _SCRIPT.narrowings
+
+
 tables = _SCRIPT.tables
+
+
 verdict = _SCRIPT.verdict
 
 
@@ -85,9 +96,3 @@ def test_the_verdict_says_no_where_a_prediction_is_off():
     assert any("parameter part is 2.00" in line for line in verdict(narrowings(off)))
     wide = seeds.assign(achieved=0.5 * (seeds["now"] + seeds["achieved"]))
     assert any("of the width" in line for line in verdict(narrowings(wide)))
-
-
-@pytest.mark.slow
-def test_eight_seeds(tmp_path):
-    assert main(["--out", str(tmp_path), "--seeds", "8"]) == 0
-    assert "as asked for" in (tmp_path / "tables.md").read_text()

@@ -29,20 +29,15 @@ from campaigns.rare_events.reproduce import (
     write_tuning,
 )
 from campaigns.rare_events.study import (
-    CENTRE_EAST_M,
     NAMES,
-    PROPERTIES,
     TOP,
     Size,
     Study,
     Tuning,
     chosen_hits,
-    regressors,
 )
-from sysid.units import FT_M
-from uqharness.campaign.rare_events import DistancePredictor, FirstExcursion
+from uqharness.campaign.rare_events import DistancePredictor
 from uqharness.errors import BadInputError
-from uqharness.flight import Split
 from uqharness.statistics import Levels, interval
 
 SHORT = """
@@ -69,11 +64,19 @@ bounds = { CX = 0.008, CY = 0.010, CZ = 0.05, Cl = 0.0015, Cm = 0.012, Cn = 0.00
 excursion_radius_m = [8, 10]
 rearm_m = 1
 """
+
+
 SIZE = Size(roots=3, plain=4, noted=2)
+
+
 NOW = tuple(float(name == "distance") for name in NAMES)
+
+
 TUNING = Tuning(
     Levels((-4.0, -2.0), 2), DistancePredictor(10.0, (1.0,), (NOW,), (0.0,), (1.0,)), 0.5, 1.0
 )
+
+
 """Levels 4 and 2 m inside 10 m."""
 
 
@@ -220,18 +223,6 @@ def test_rates_agree_with_plain_flights_or_do_not():
     assert "1 of 4 replicates have no event" in none["reason"]
 
 
-def test_paths_of_many_roots_are_chosen_first():
-    def hit(root, kind, frame, splits=1):
-        return FirstExcursion(root, kind, frame, 9.0, (Split(1, 1, root, 1, frame),) * splits)
-
-    hits = [hit(1, 1, 5), hit(1, 1, 6), hit(2, 0, 7), hit(3, 1, 8, 0)]
-    assert [(one.aleatory_id, one.frame) for one in chosen_hits(hits, 3)] == [
-        (1, 5),
-        (2, 7),
-        (1, 6),
-    ]
-
-
 def test_a_pilot_that_has_replicates_and_no_levels_is_refused(done, tmp_path):
     study, _ = done
     add_row(tmp_path / REPLICATES, {"number": 0})
@@ -255,39 +246,6 @@ def test_the_pilot_fits_predictions_and_finds_levels(done, tmp_path):
     assert read_tuning(tmp_path) == tuned
     with pytest.raises(BadInputError, match="fly more or longer paths than 1 in the pilot"):
         replace(short, size=replace(short.size, pilot_roots=1, pilot_s=12.0, aim_m=math.inf)).tune()
-
-
-def test_states_are_turned_into_the_axes_of_the_circle():
-    """East of the centre, flying and blown south: along the circle, not outward."""
-    values = {name: np.zeros(1) for name in PROPERTIES}
-    values |= {
-        "nav/east-m": np.array([CENTRE_EAST_M + 100.0]),
-        "velocities/v-north-fps": np.array([-1.0 / FT_M]),
-    }
-    found = dict(zip(NAMES, regressors(values, np.array([3.0]))[0], strict=True))
-    assert found["distance"] == 3.0
-    assert found["distance x sine"] == 3.0
-    assert (found["distance x cosine"], found["ground speed outward"]) == (0.0, 0.0)
-    assert found["ground speed along"] == pytest.approx(1.0, abs=1e-12)
-    assert found["one x sine"] == 1.0
-
-
-def test_intervals_that_hold_are_counted(monkeypatch, tmp_path, capsys):
-    rng = np.random.default_rng(2)
-    monkeypatch.setattr(coverage, "pilot", lambda *_, **__: Levels((-2.0,)))
-    right = 0.1 * np.exp(0.3 * rng.standard_normal((100, 8)))
-    monkeypatch.setattr(coverage, "observed", lambda *_: (right, 1.0))
-    monkeypatch.setattr(coverage, "truth", lambda *_: (418, 4000))
-    out = ["--out", str(tmp_path)]
-    assert coverage.main(out) == 0
-    found = rows_of(tmp_path / coverage.TABLE)
-    assert [number for row in found for number in wrong_in(row)] == []
-    assert 90 <= sum(row["held"] == "yes" for row in found) < 100
-    monkeypatch.setattr(coverage, "observed", lambda *_: (0.5 * right, 1.0))
-    assert coverage.main([*out, "--roots", "4"]) == 1
-    assert "of 100 intervals hold it" in capsys.readouterr().out
-    assert sum(row["held"] == "yes" for row in rows_of(tmp_path / "coverage-4-roots.csv")) < 90
-    assert coverage.main([*out, "--repeats", "5"]) == 2
 
 
 def rows_of(path: Path) -> list[dict[str, str]]:
@@ -321,27 +279,6 @@ def test_the_committed_intervals_hold_the_rate_of_plain_flights_nine_times_in_te
     assert sum(row["held"] == "yes" for row in found) >= 90
 
 
-def test_means_of_fewer_flights_often_have_no_limits():
-    found = rows_of(reproduce.HOME / coverage.table_name(4))
-    assert [name for row in found for name in wrong_in(row)] == []
-    assert (
-        sum(row["lower"] == "" for row in found),
-        sum(row["held"] == "yes" for row in found),
-    ) == (33, 65)
-
-
-def test_a_row_that_was_changed_is_seen():
-    row = rows_of(reproduce.HOME / coverage.TABLE)[0]
-    assert wrong_in(row) == []
-    assert wrong_in({**row, "held": "no" if row["held"] == "yes" else "yes"}) == ["held"]
-    assert "upper" in wrong_in({**row, "upper": str(1.01 * float(row["upper"]))})
-    assert wrong_in({**row, "mean_3": str(2.0 * float(row["mean_3"]))}) == [
-        "estimate",
-        "lower",
-        "upper",
-    ]
-
-
 def test_the_committed_intervals_hold_what_quadrature_gives():
     truth = closed_form.exact(closed_form.STEPS, closed_form.THRESHOLD, closed_form.REARM)
     found = rows_of(reproduce.HOME / closed_form.TABLE)
@@ -359,18 +296,3 @@ def test_the_committed_intervals_hold_what_quadrature_gives():
     assert len(found) == 200
     assert min(held["splitting", "probability"], held["splitting", "events"]) >= 90
     assert held["copies that begin elsewhere", "probability"] <= 5
-
-
-def test_repeats_of_the_closed_form_are_kept_with_their_limits():
-    known, none = interval([0.003, 0.004, 0.005]), interval([0.0, 0.004, 0.005])
-    found = closed_form.Coverage(((known, known), (none, known)), (0.004, 0.05))
-    assert (len(found.studies), found.counts) == (2, (1, 0))
-    assert found.ratio == pytest.approx((0.004 + 0.003) / 2 / 0.004)
-    first, second = found.rows("splitting")
-    assert (first["probability_held"], first["events_held"], second["probability_held"]) == (
-        "yes",
-        "no",
-        "no",
-    )
-    assert second["probability_lower"] == ""
-    assert number(first["probability_upper"]) == pytest.approx(known.upper)

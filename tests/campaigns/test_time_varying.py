@@ -20,12 +20,14 @@ from uqharness.flight import COEFFICIENTS, FlightResult
 from uqharness.simulator.aircraft import PROJECT_ROOT
 from uqharness.statistics.pbox import Sample, containment, envelope, pbox
 
-_SCRIPT = campaign_script("time-varying")
-main, HOME = _SCRIPT.main, _SCRIPT.HOME
-
 pytestmark = pytest.mark.filterwarnings(
     "ignore:This process .* is multi-threaded:DeprecationWarning"
 )
+
+_SCRIPT = campaign_script("time-varying")
+
+
+main, HOME = _SCRIPT.main, _SCRIPT.HOME
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -108,19 +110,6 @@ def folders(tmp_path_factory):
         spec = read_campaign(fakes.campaign_file(tmp_path, text))
         run_campaign(spec, tmp_path / name, executor=SerialExecutor(), fly=gentle)
     return tmp_path
-
-
-def test_two_campaigns_are_compared_metric_by_metric(folders, capsys):
-    words = [str(folders / "corners"), str(folders / "walks"), "--out", str(folders / "study")]
-    assert main(words) == 0
-    frame = pd.read_csv(folders / "study" / "containment.csv")
-    assert set(frame["verdict"]) == {"inside"}
-    assert (frame["corners"] == 2).all()
-    assert (frame["walks"] == 3).all()
-    assert (frame["area_ratio"] == 0.0).all()  # three walks that fly alike
-    # The other way round the corners leave the walks' box.
-    assert main([words[1], words[0], *words[2:]]) == 1
-    assert "outside" in capsys.readouterr().out
 
 
 def test_unlike_campaigns_are_not_compared(folders, capsys):

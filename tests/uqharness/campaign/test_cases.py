@@ -1,27 +1,40 @@
-"""Seeds and cases: identity, order, common random numbers.
-
-Golden values guard old campaigns against new code.
-"""
+"""Cases: seeds, identity, order, common random numbers, groups for the batch engine."""
 
 from __future__ import annotations
 
 import dataclasses
-import itertools
+from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 
+from tests.helpers import campaign_fakes as fakes
 from tests.helpers.campaign_fakes import CAMPAIGN, campaign_file
-from uqharness.campaign.cases import Mission, build_cases, epistemic_samples, uq_properties
+from uqharness.campaign.cases import (
+    FLIGHT_S_PER_CORE_S,
+    GROUP_S,
+    MAX_LANES,
+    Mission,
+    build_cases,
+    epistemic_samples,
+    group_cases,
+    uq_properties,
+)
 from uqharness.campaign.read_spec import read_campaign
 from uqharness.flight.random_numbers import flight_seed, walk_stream
-from uqharness.flight.spec import COEFFICIENTS
 
 MISSION = Mission(Path("plane"), "a" * 64, Path("loiter.xml"), "b" * 64)
+
+
 GOLDEN_TURBULENCE = [98091368, 21354800, 1119640398]
+
+
 GOLDEN_NOISE = [790604505, 1417974109, 472059078]
+
+
 GOLDEN_WALK = [3525987992, 873814931]
+
+
 GOLDEN_IDS = ("4c4000eebc386034", "b099e9f67b944cd8")
 
 
@@ -49,35 +62,11 @@ def test_seeds_are_in_the_range_of_the_generator_and_distinct():
         flight_seed(0, 0, "walk")
 
 
-def test_walks_depend_on_sample_and_coefficient():
-    states = {
-        tuple(walk_stream(1, name, coefficient).generate_state(4).tolist())
-        for name in ("w0", "w1")
-        for coefficient in COEFFICIENTS
-    }
-    assert len(states) == 12
-    assert np.array_equal(
-        walk_stream(1, "w0", "CX").generate_state(4), walk_stream(1, "w0", "CX").generate_state(4)
-    )
-
-
 def test_golden_case_ids(spec):
     cases = build_cases(spec, MISSION)
     assert len(cases) == 3 * 64
     assert (cases[0].case_id, cases[-1].case_id) == GOLDEN_IDS
     assert len({case.case_id for case in cases}) == len(cases)
-
-
-def test_corners_and_their_order(spec):
-    samples = epistemic_samples(spec)
-    assert [sample.epistemic_id for sample in samples] == [
-        "".join(bits) for bits in itertools.product("01", repeat=6)
-    ]
-    assert dict(samples[1].levels) == {**dict.fromkeys(COEFFICIENTS, 0.0), "Cn": 1.0}
-    properties = uq_properties(spec, samples[1])
-    assert properties["uq/active"] == 1.0
-    assert (properties["uq/CZ/lower"], properties["uq/CZ/upper"]) == (-0.05, 0.05)
-    assert properties["uq/Cn/level"] == 1.0
 
 
 def test_certain_coefficients_have_no_delta(tmp_path):
@@ -132,7 +121,7 @@ def test_random_numbers_are_common_to_corners_and_conditions(tmp_path):
     assert max(counts) - min(counts) <= 1
 
 
-def test_the_id_follows_everything_that_defines_a_flight(spec):
+def test_case_ids_depend_on_all_that_defines_a_flight(spec):
     base = build_cases(spec, MISSION)[0].case_id
     for change in ({"aircraft_hash": "c" * 64}, {"script_hash": "c" * 64}):
         assert build_cases(spec, dataclasses.replace(MISSION, **change))[0].case_id != base
@@ -151,3 +140,43 @@ def test_the_id_follows_everything_that_defines_a_flight(spec):
     assert build_cases(spec, moved)[0].case_id == base
     more = dataclasses.replace(spec, aleatory=spec.aleatory.model_copy(update={"flights": 9}))
     assert build_cases(more, MISSION)[0].case_id == base
+
+
+def cases(tmp_path, flights=6, **changes):
+    spec = fakes.small_spec(tmp_path, flights, **changes)
+    return build_cases(spec, Mission(spec.path, "a" * 64, spec.path, "b" * 64))
+
+
+def test_every_case_is_in_one_group_of_one_condition(tmp_path):
+    every = cases(tmp_path, wind_mps=(0.0, 3.0))
+    by_id = {case.case_id: case for case in every}
+    groups = group_cases(every, 2)
+    flown = [case_id for group in groups for case_id, _ in group.cases]
+    assert sorted(flown) == sorted(by_id)
+    for group in groups:
+        assert len({by_id[case_id].wind_mps for case_id, _ in group.cases}) == 1
+        # Whole airs side by side.
+        assert len(group.cases) % 64 == 0
+        airs = [by_id[case_id].aleatory_id for case_id, _ in group.cases]
+        assert airs == sorted(airs)
+    assert groups[0].cases[0][0] == every[0].case_id
+    assert len(groups) >= 4, "two workers have something to do"
+
+
+@pytest.mark.parametrize(
+    ("duration_s", "most"), [(150.0, MAX_LANES), (3600.0, 491), (86_000.0, 20)]
+)
+def test_groups_are_limited_in_flight_time(tmp_path, duration_s, most):
+    groups = group_cases(cases(tmp_path, 40, duration_s=duration_s), 1)
+    lanes = max(len(group.cases) for group in groups)
+    assert lanes <= most
+    assert lanes * (duration_s + 60.0) / FLIGHT_S_PER_CORE_S <= GROUP_S
+    assert group_cases([], 1) == []
+
+
+def test_groups_of_an_incomplete_round(tmp_path):
+    every = cases(tmp_path, 4)[5:200]
+    flown = [case_id for group in group_cases(every, 3) for case_id, _ in group.cases]
+    assert sorted(flown) == sorted(case.case_id for case in every)
+    assert group_cases(every[:1], 8)[0].cases == ((every[0].case_id, every[0].flight),)
+    assert group_cases([replace(every[0])], 1)[0].engine == "batch"

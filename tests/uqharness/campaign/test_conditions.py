@@ -9,11 +9,9 @@ import pytest
 from uqharness.campaign.conditions import (
     ERROR_METRICS,
     Condition,
-    conditions,
     excursion_cells,
     hardest_condition,
     in_condition,
-    pboxes,
     samples,
 )
 
@@ -42,13 +40,6 @@ def frame(**columns) -> pd.DataFrame:
     )
 
 
-def test_conditions_in_the_tables_order_and_in_words():
-    assert conditions(frame()) == [Condition(5.0, "none"), Condition(3.0, "none")]
-    assert Condition(3.0, "none").label == "3 m/s none"
-    assert Condition(3.0, "none").words == "3 m/s wind and no turbulence"
-    assert Condition(3.5, "severe").words == "3.5 m/s wind and severe turbulence"
-
-
 def test_the_hardest_is_the_strongest_turbulence_before_the_strongest_wind():
     found = [
         Condition(9.0, "light"),
@@ -69,15 +60,6 @@ def test_what_is_not_known_of_a_flight_is_counted():
     assert sorted(second.values) == sorted(rows[rows["epistemic_id"] == "01"][METRIC])
     # A value that is not finite is not known either.
     assert samples(rows.assign(**{METRIC: np.inf}), METRIC)[1].unknown == 4
-
-
-def test_a_metric_that_no_flight_has_is_left_out():
-    found = list(pboxes(frame()))
-    assert [(metric, condition.wind_mps) for metric, condition, _ in found] == [
-        (METRIC, 5.0),
-        (METRIC, 3.0),
-    ]
-    assert list(pboxes(frame(**{METRIC: np.nan}))) == []
 
 
 def test_rates_are_counts_over_hours():

@@ -1,21 +1,24 @@
-"""A campaign that stops where it is answered: same bytes however it is run, killed or resumed; what
-it leaves behind.
-"""
+"""A campaign that stops when its question is answered: same bytes however it is run, killed or resumed; aborted flights."""
 
 from __future__ import annotations
 
 import csv
 import json
+from dataclasses import replace
 
+import numpy as np
 import pandas as pd
 import pytest
 
 from tests.helpers import campaign_fakes as fakes
 from tests.helpers.page_checks import problems
+from uqharness.campaign import CaseOutcome
+from uqharness.campaign.cases import build_cases
 from uqharness.campaign.manifest import read_manifest
 from uqharness.campaign.processes import ProcessExecutor, SerialExecutor
 from uqharness.campaign.read_spec import read_campaign
-from uqharness.campaign.run import run_campaign
+from uqharness.campaign.rounds import KINDS, aborted_flight, count_aborted
+from uqharness.campaign.run import find_mission, run_campaign
 from uqharness.campaign.shards import Shard
 from uqharness.campaign.tables import CASES
 from uqharness.cli.main import main
@@ -23,7 +26,11 @@ from uqharness.errors import BadInputError
 from uqharness.parquet_files import read_table
 from uqharness.report.write import write_report
 
+pytestmark = pytest.mark.usefixtures("flights_here")
+
 TABLES = (CASES, "pbox.parquet", "excursions.csv", "decisions.csv", "statements.csv")
+
+
 TOML = """
 [campaign]
 aircraft = "plane"
@@ -77,7 +84,7 @@ def rows(folder, name):
         return list(csv.DictReader(handle))
 
 
-def test_each_cell_gets_its_answer_and_no_flight_more_than_it_needs(tmp_path):
+def test_each_cell_stops_at_its_answer(tmp_path):
     summary = run(tmp_path, "out")
     decided = rows(tmp_path / "out", "decisions.csv")
     cells = {row["condition"]: row for row in decided if row["epistemic_id"] == "all"}
@@ -169,7 +176,7 @@ def test_status_while_it_flies_and_after(tmp_path, capsys):
     assert "at most 1 excursion per hour beyond 15 m? 1 yes, 1 no" in capsys.readouterr().out
 
 
-def test_the_report_says_what_can_be_signed(tmp_path):
+def test_the_report_lists_supportable_claims(tmp_path):
     run(tmp_path, "out")
     report = write_report(tmp_path / "out")
     assert problems(report.path.read_text(encoding="utf-8")) == []
@@ -196,7 +203,7 @@ def test_the_band_pays_for_having_looked(tmp_path):
     assert same["band_lower"].sum() < fixed["band_lower"].sum()
 
 
-def test_what_cannot_be_decided_is_refused(tmp_path):
+def test_undecidable_campaigns_are_refused(tmp_path):
     with pytest.raises(BadInputError, match="looks at all corners together"):
         run(tmp_path, "shard", shard=Shard(1, 2))
 
@@ -248,3 +255,59 @@ def test_a_campaign_of_fixed_hours_answers_too(tmp_path):
                 float(row["flights_upper_per_h"]) >= float(row["limit_upper_per_h"])
                 or int(row["excursions"]) > 0
             )
+
+
+def corner(*flights):
+    """(status, share flown, loss of control) of each flight."""
+    return pd.DataFrame(
+        [{"status": s, "duration_s": 3600.0 * d, "loss_of_control": c} for s, d, c in flights]
+    )
+
+
+def test_each_aborted_flight_is_of_one_kind():
+    first = corner(("ok", 1.0, 0), ("ok", 1.0, 1), ("diverged", 0.25, 1))
+    second = corner(("ground-contact", 0.5, None), ("timeout", 0.0, None))
+    found = count_aborted([first, second], 3600.0)
+    assert found.kinds == dict.fromkeys(KINDS, 1)
+    assert found.total == 4
+    np.testing.assert_array_equal(found.is_aborted, [[0.0, 1.0, 1.0], [1.0, 1.0, np.nan]])
+    np.testing.assert_allclose(found.missing_shares, [0.75, 1.5])
+
+
+def test_a_flight_that_lost_control_and_flew_on_misses_nothing():
+    assert count_aborted([corner(("ok", 1.0, 1))], 3600.0).missing_shares.tolist() == [0.0]
+
+
+def test_limits_are_per_hour_flown():
+    """Half of the flights end half way: 0.5 aborted flights in 0.75 flights' time."""
+    half = corner(*[("diverged", 0.5, 1), ("ok", 1.0, 0)] * 200)
+    kept_on = corner(*[("ok", 1.0, 1), ("ok", 1.0, 0)] * 200)
+    (ended,), (flew_on,) = (
+        count_aborted([group], 3600.0).upper(0.025, None) for group in (half, kept_on)
+    )
+    assert ended > 0.5 / 0.75
+    assert 0.5 < flew_on < ended
+
+
+def test_nothing_flown_bounds_nothing():
+    assert count_aborted([corner(*[("diverged", 0.0, 1)] * 50)], 3600.0).upper(
+        0.025, None
+    ).tolist() == [np.inf]
+
+
+@pytest.mark.parametrize(
+    ("status", "flown_s", "lost", "expected"),
+    [
+        ("ok", 210.0, 0.0, (0.0, 0.0)),
+        ("ok", 210.0, 1.0, (1.0, 0.0)),
+        ("diverged", 135.0, 1.0, (1.0, 0.5)),
+        ("crashed", 0.0, 0.0, (1.0, 1.0)),
+    ],
+)
+def test_a_flight_by_itself(tmp_path, status, flown_s, lost, expected):
+    spec = fakes.small_spec(tmp_path, flights=1)
+    case = build_cases(spec, find_mission(spec))[0]
+    outcome = CaseOutcome(case.case_id, status, "", flown_s, {"loss_of_control": lost})
+    assert aborted_flight(
+        outcome, replace(case.flight, burn_in_s=60.0, duration_s=150.0)
+    ) == pytest.approx(expected)

@@ -25,11 +25,11 @@ from uqharness.campaign.tables import CASES
 from uqharness.errors import BadInputError
 from uqharness.parquet_files import read_table
 
-TABLES = (CASES, "pbox.parquet", "excursions.csv")
-
 pytestmark = pytest.mark.filterwarnings(
     "ignore:This process .* is multi-threaded:DeprecationWarning"
 )
+
+TABLES = (CASES, "pbox.parquet", "excursions.csv")
 
 
 @pytest.fixture(autouse=True)

@@ -1,10 +1,9 @@
-"""Sensitivity from the flights of a corner campaign: known shares, common random numbers, failures,
-refusals.
-"""
+"""Sensitivity from the flights of a corner campaign: known shares, common random numbers, failures, refusals, its table."""
 
 from __future__ import annotations
 
 import csv
+import io
 import json
 import math
 
@@ -12,28 +11,46 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from sysid.digests import sha256_hex
 from tests.helpers import campaign_fakes as fakes
 from tests.helpers.model_forms import made_up_form
 from uqharness.campaign.cases import Mission
-from uqharness.campaign.manifest import read_manifest, write_manifest
+from uqharness.campaign.conditions import Condition
+from uqharness.campaign.manifest import DamageError, read_manifest, write_manifest
 from uqharness.campaign.processes import SerialExecutor
 from uqharness.campaign.read_spec import read_campaign
 from uqharness.campaign.run import run_campaign
 from uqharness.campaign.sensitivity import (
+    COLUMNS,
+    SENSITIVITY,
+    MetricSensitivity,
     analyse_campaign,
+    as_csv,
+    find_winner,
     read_corner_campaign,
     read_interior_campaign,
+    read_sensitivity,
+    shares_by_condition,
 )
 from uqharness.cli.main import run_words
 from uqharness.errors import BadInputError
 from uqharness.flight.spec import FlightResult
-from uqharness.sensitivity import Index, MethodResult, PairRange
-from uqharness.sensitivity.result import rank
+from uqharness.sensitivity.result import (
+    Index,
+    MethodResult,
+    PairRange,
+    Ranking,
+    all_undefined,
+)
 
 pytestmark = pytest.mark.usefixtures("flights_here")
 
 SLOPES = {"CX": 4.0, "CY": 2.0, "CZ": 1.0, "Cl": 0.5, "Cm": 0.25, "Cn": 0.0}
+
+
 SHARES = {name: slope / 7.75 for name, slope in SLOPES.items()}
+
+
 FLIGHTS = 12
 
 
@@ -54,17 +71,8 @@ def known_effects(spec):
     return FlightResult("ok", "", spec.burn_in_s + spec.duration_s, metrics, {}, {})
 
 
-def bump(spec):
-    """Largest in the middle of CX."""
-    return with_bump(spec, 8.0)
-
-
 def large(spec):
     return with_bump(spec, 80.0)
-
-
-def steeper(spec):
-    return with_bump(spec, 12.0)
 
 
 def dip(spec):
@@ -87,15 +95,6 @@ def one_fails(spec):
     result = known_effects(spec)
     corner = all(spec.properties[f"uq/{name}/level"] == 1.0 for name in SLOPES)
     if corner and spec.seed_turbulence % 5 == 0:
-        return FlightResult("crashed", "reached the ground at 90 s", 90.0, {}, {}, {})
-    return result
-
-
-def interior_fails(spec):
-    """The first interior point crashes in every air."""
-    result = known_effects(spec)
-    level = spec.properties.get("uq/CX/level", 0.5)
-    if level not in (0.0, 1.0) and level < 1.0 / 3.0:
         return FlightResult("crashed", "reached the ground at 90 s", 90.0, {}, {}, {})
     return result
 
@@ -157,38 +156,6 @@ def test_a_metric_that_no_corner_moves_is_undefined_with_a_reason(flown):
     assert "no width" in found.words
 
 
-@pytest.mark.slow
-def test_interior_levels_check_the_corners(tmp_path):
-    corners = fly(tmp_path, bump, flights=2)
-    middle_text = fakes.CAMPAIGN.replace('method = "corners"', 'method = "levels"\nlevels = [0.5]')
-    middle = fly(tmp_path, bump, "middle", middle_text, 2)
-    flown = read_corner_campaign(corners)
-    (found,) = analyse_campaign(
-        flown, read_interior_campaign(middle, flown), ("cross_track_median_m",)
-    )
-    # All levels in the middle: 3.875 + 2 of the corners' 0..7.75; the bump does not lead outside.
-    assert found.result.holds is True
-    text = middle_text.replace("[0.5]", "[0.5, 1.0]")
-    mixed = fly(tmp_path, bump, "mixed", text, 2)
-    (found,) = analyse_campaign(
-        flown, read_interior_campaign(mixed, flown), ("cross_track_median_m",)
-    )
-    # CX in the middle, all others up: 3.75 + 2 + 2 = the corners' 7.75 at most.
-    assert found.result.details["interior_outside"] == pytest.approx(0.0, abs=1e-9)
-    steep = fly(tmp_path, steeper, "steep", text, 2)
-    (found,) = analyse_campaign(
-        flown, read_interior_campaign(steep, flown), ("cross_track_median_m",)
-    )
-    assert found.result.details["interior_outside"] == pytest.approx(1.0 / 7.75)
-    assert found.result.holds is False
-    assert "too small" in found.result.statement
-    other_seed = fly(tmp_path, bump, "seed", middle_text.replace("seed = 7", "seed = 8"), 2)
-    with pytest.raises(BadInputError, match=r"does not belong to .*: seed differ"):
-        read_interior_campaign(other_seed, flown)
-    with pytest.raises(BadInputError, match="not a campaign of levels"):
-        read_interior_campaign(corners, flown)
-
-
 def test_failed_flights_leave_their_air_out_everywhere_and_end_certainty(tmp_path):
     folder = fly(tmp_path, one_fails, flights=30)
     lost = sum(
@@ -207,27 +174,6 @@ def test_failed_flights_leave_their_air_out_everywhere_and_end_certainty(tmp_pat
     assert not found.ranking.certain
 
 
-def test_only_some_coefficients_may_be_uncertain(tmp_path):
-    text = fakes.CAMPAIGN.replace(
-        "bounds = { CX = 0.008, CY = 0.010, CZ = 0.05, Cl = 0.0015, Cm = 0.012, Cn = 0.0015 }",
-        'coefficients = ["CX", "Cm"]\nbounds = { CX = 0.008, Cm = 0.012 }',
-    )
-
-    def two(spec):
-        result = fakes.steady(spec)
-        result.metrics["cross_track_median_m"] = (
-            3.0 * spec.properties["uq/CX/level"]
-            + spec.properties["uq/Cm/level"]
-            + 1e-3 * (spec.seed_turbulence % 100)
-        )
-        return result
-
-    found = found_in(fly(tmp_path, two, text=text), "cross_track_median_m")
-    assert {
-        name: index.maximum.value for name, index in found.result.indices.items()
-    } == pytest.approx({"CX": 0.75, "Cm": 0.25})
-
-
 def test_one_flight_per_corner_has_shares_but_no_certainty(tmp_path):
     found = found_in(fly(tmp_path, known_effects, flights=1), "cross_track_median_m")
     assert found.result.indices["CX"].maximum.value == pytest.approx(SHARES["CX"])
@@ -237,28 +183,26 @@ def test_one_flight_per_corner_has_shares_but_no_certainty(tmp_path):
 
 
 def test_campaigns_that_are_no_corners_or_not_complete_are_refused(tmp_path, flown):
-    with pytest.raises(BadInputError, match="not a campaign folder"):
-        read_corner_campaign(tmp_path)
-    none = fly(
-        tmp_path,
-        fakes.steady,
-        "none",
-        fakes.CAMPAIGN.split("[epistemic]")[0] + '[epistemic]\nmethod = "none"\n',
-    )
-    with pytest.raises(BadInputError, match=r'not a corner campaign \(method = "none"\)'):
-        read_corner_campaign(none)
-    middle_text = fakes.CAMPAIGN.replace('method = "corners"', 'method = "levels"\nlevels = [0.5]')
-    with pytest.raises(BadInputError, match=r"levels \[0.5\]"):
-        read_corner_campaign(fly(tmp_path, fakes.steady, "middle", middle_text))
+    def refused(folder, message):
+        with pytest.raises(BadInputError, match=message):
+            read_corner_campaign(folder)
+
+    refused(tmp_path, "not a campaign folder")
+    text = fakes.CAMPAIGN.split("[epistemic]")[0] + '[epistemic]\nmethod = "none"\n'
+    none = fly(tmp_path, fakes.steady, "none", text)
+    refused(none, r'not a corner campaign \(method = "none"\)')
+    text = fakes.CAMPAIGN.replace('method = "corners"', 'method = "levels"\nlevels = [0.5]')
+    middle = fly(tmp_path, fakes.steady, "middle", text)
+    refused(middle, r"levels \[0.5\]")
+    corners = read_corner_campaign(flown)
+    assert len(read_interior_campaign(middle, corners).frame) == FLIGHTS
+    with pytest.raises(BadInputError, match="not a campaign of levels"):
+        read_interior_campaign(flown, corners)
     manifest = read_manifest(none)
     write_manifest(none, manifest | {"state": "interrupted", "command": "uqharness campaign run x"})
-    with pytest.raises(
-        BadInputError, match="not complete; finish it first with: uqharness campaign run x"
-    ):
-        read_corner_campaign(none)
+    refused(none, "not complete; finish it first with: uqharness campaign run x")
     write_manifest(none, manifest | {"cases": 5})
-    with pytest.raises(BadInputError, match="the manifest lists 5"):
-        read_corner_campaign(none)
+    refused(none, "the manifest lists 5")
     with pytest.raises(BadInputError, match="metric cross_tracks: not in"):
         found_in(flown, "cross_tracks")
 
@@ -305,23 +249,6 @@ def test_nothing_to_compare_exits_with_one(tmp_path, capsys):
     assert "no width" in capsys.readouterr().out
 
 
-def test_ranking_needs_a_lead_to_be_certain():
-    def share(low, high):
-        return PairRange(Index(low, math.nan, math.nan), Index(high, math.nan, math.nan))
-
-    def ranked(lead, lost=0):
-        indices = {"a": share(0.5, 0.6), "b": share(0.2, 0.3)}
-        details = {"lead": np.array([[0.0, lead], [-0.4, 0.0]]), "shrink_low": np.array([0.3, 0.1])}
-        return rank(MethodResult("proposed", 8, indices, True, "", details), lost)
-
-    assert ranked(0.05).certain
-    assert not ranked(0.05, lost=1).certain
-    assert ranked(-0.05).by_sampling == ("b",)
-    assert ranked(math.nan).by_sampling == ("b",)
-    assert not ranked(math.nan).certain
-    assert ranked(-0.05).by_ranges == ()
-
-
 def test_interior_points_check_the_corners_and_move_no_share(tmp_path, flown):
     text = fakes.CAMPAIGN.replace("interior = 0\nnominal = false", "interior = 9")
     beside = analyse_campaign(
@@ -361,15 +288,6 @@ def test_the_p_box_holds_the_nominal_model_and_the_points_between_corners(tmp_pa
     assert smallest_median(boxes["all"]) <= nominal < smallest_median(boxes["corners"])
 
 
-def test_a_failed_interior_flight_leaves_no_air_out(tmp_path):
-    text = fakes.CAMPAIGN.replace("interior = 0\nnominal = false", "interior = 3")
-    (found,) = analyse_campaign(
-        read_corner_campaign(fly(tmp_path, interior_fails, text=text)),
-        metrics=["cross_track_median_m"],
-    )
-    assert (found.flights, found.left_out) == (FLIGHTS, 0)
-
-
 def test_an_ellipsoid_has_no_corners_to_compare(tmp_path):
     made_up_form().write(tmp_path / "model-form.json")
     text = (
@@ -383,3 +301,107 @@ def test_an_ellipsoid_has_no_corners_to_compare(tmp_path):
     )
     with pytest.raises(BadInputError, match=r'points of an ellipsoid.*set = "box"'):
         read_corner_campaign(tmp_path / "out")
+
+
+RANGES = {"CX": (0.2, 0.3), "Cm": (0.7, 0.8)}
+
+
+def found() -> list[MetricSensitivity]:
+    indices = {
+        n: PairRange(Index(a, a - 0.1, a), Index(b, b, math.nan)) for n, (a, b) in RANGES.items()
+    }
+    shrink = {f"shrink_{end}": np.array([0.1, 0.6]) for end in ("min", "max", "low", "high")}
+    details = {"area": 12.0, "area_low": 11.0, "area_high": 13.0, **shrink}
+    result = MethodResult("proposed", 8, indices, True, "s", details)
+    one = MetricSensitivity(
+        Condition(3.0, "moderate"),
+        "speed_max_mps",
+        result,
+        20,
+        1,
+        Ranking("Cm", ("CX",)),
+        "reduce Cm first",
+    )
+    nothing = all_undefined("proposed", RANGES, "no width")
+    return [
+        one,
+        MetricSensitivity(
+            Condition(5.0, "none"), "altitude_max_m", nothing, 20, 0, Ranking(""), "undefined"
+        ),
+    ]
+
+
+def manifest(content: bytes) -> dict:
+    return {"format": 2, "state": "complete", "tables": {SENSITIVITY: sha256_hex(content)}}
+
+
+def test_a_row_a_coefficient_and_nothing_where_it_is_undefined(tmp_path):
+    content = as_csv(found())
+    rows = list(csv.DictReader(io.StringIO(content.decode())))
+    assert tuple(rows[0]) == COLUMNS
+    assert [(r["condition"], r["coefficient"]) for r in rows] == [
+        ("3 m/s moderate", "CX"),
+        ("3 m/s moderate", "Cm"),
+        ("5 m/s none", "CX"),
+        ("5 m/s none", "Cm"),
+    ]
+    assert (rows[1]["share_min"], rows[1]["share_high"], rows[1]["unit"], rows[1]["width"]) == (
+        "0.7",
+        "",
+        "m/s",
+        "12",
+    )
+    assert (rows[2]["share_min"], rows[2]["reason"]) == ("", "no width")
+    (tmp_path / SENSITIVITY).write_bytes(content)
+    assert read_sensitivity(tmp_path, manifest(content)) == rows
+
+
+def test_the_json_tells_who_comes_first():
+    shares = shares_by_condition(found())
+    speed = shares["3 m/s moderate"]["speed_max_mps"]
+    assert (speed.first, speed.rivals_by_ranges, speed.certain) == ("Cm", ["CX"], False)
+    assert shares["5 m/s none"]["altitude_max_m"].first is None
+    # Undefined numbers are null in JSON.
+    json.dumps([s.as_json() for c in shares.values() for s in c.values()], allow_nan=False)
+
+
+def test_no_table_is_none_and_a_changed_one_is_refused(tmp_path):
+    content = as_csv(found())
+    assert read_sensitivity(tmp_path, {"format": 2, "state": "complete", "tables": {}}) is None
+    (tmp_path / SENSITIVITY).write_bytes(content.replace(b"0.7", b"0.9"))
+    with pytest.raises(DamageError, match="digest"):
+        read_sensitivity(tmp_path, manifest(content))
+    for old, new in ((b"moderate", b"mild"), (b"0.7,", b","), (b"0.7,", b"wide,")):
+        changed = content.replace(old, new)
+        (tmp_path / SENSITIVITY).write_bytes(changed)
+        with pytest.raises(BadInputError, match=r"sensitivity\.csv"):
+            read_sensitivity(tmp_path, manifest(changed))
+
+
+def by_wind(spec):
+    """Wide in wind, where Cm drives the error; narrow without, where CX does."""
+    result = fakes.steady(spec)
+    level = {name: spec.properties[f"uq/{name}/level"] for name in ("CX", "Cm")}
+    chance = 1e-3 * (spec.seed_turbulence % 100)
+    slopes = {"CX": 3.0, "Cm": 6.0} if spec.wind_mps else {"CX": 0.8, "Cm": 0.2}
+    total = sum(slopes[name] * level[name] for name in slopes)
+    result.metrics["cross_track_median_m"] = chance + total
+    return result
+
+
+def test_the_condition_with_the_widest_p_box_names_the_winner(tmp_path):
+    text = fakes.CAMPAIGN.partition("bounds =")[0].replace("wind_mps = 3", "wind_mps = [0, 3]")
+    text += 'bounds = { CX = 0.008, Cm = 0.012 }\ncoefficients = ["CX", "Cm"]\n'
+    folder = fly(tmp_path, by_wind, text=text)
+    winner = find_winner(folder, "cross_track_median_m")
+    assert (winner.coefficient, winner.condition) == ("Cm", "3 m/s moderate")
+    assert winner.share == pytest.approx((2.0 / 3.0, 2.0 / 3.0))
+    # In calm air CX drives it: the answer is not the same everywhere.
+    assert not winner.certain
+    assert find_winner(folder, "cross_track_median_m", coefficient="CX").share[0] < 0.5
+    for options, message in (
+        ({"metric": "altitude"}, "--metric altitude: .* has "),
+        ({"coefficient": "Cn"}, "--coefficient Cn: not uncertain in"),
+    ):
+        with pytest.raises(BadInputError, match=message):
+            find_winner(folder, **options)

@@ -1,41 +1,45 @@
-"""The command next-flight: from a corner campaign and bounds to test points that fly, and what
-their data do to the bounds.
-"""
+"""Next flights: from a corner campaign and bounds to test points that fly, and what their data do to the bounds."""
 
 from __future__ import annotations
 
 import csv
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from sysid.aerodynamics.residuals import Cutoffs
+from sysid.aerodynamics.residuals import Cutoffs, ResidualPiece, Residuals
 from sysid.model_form.model_form import read_model_form
 from tests.helpers import campaign_fakes as fakes
 from tests.helpers.jsbsim_schema import schema_errors
+from tests.helpers.model_forms import LONGITUDINAL, MEAN, SPREAD, made_up_form
 from tests.helpers.page_checks import problems
-from uqharness.campaign.cases import build_cases
 from uqharness.campaign.processes import SerialExecutor
 from uqharness.campaign.read_spec import read_campaign
 from uqharness.campaign.run import run_campaign
-from uqharness.campaign.sensitivity import find_winner
 from uqharness.cli.main import main
-from uqharness.errors import BadInputError
 from uqharness.flight.spec import FlightResult
+from uqharness.next_flight.plan import (
+    achieved,
+    as_text,
+    prospects,
+    scatter_ratios,
+    widths_over,
+)
 from uqharness.next_flight.points import (
     AUTOPILOT,
     RECOVERY_S,
     Condition,
+    Occupancy,
     Steps,
     TestPoint,
     library,
-    open_campaign,
     schedule,
-    some_cases,
 )
 from uqharness.next_flight.trials import TestFlight, fly_points, try_points, unit_times
 from uqharness.simulator.aircraft import PROJECT_ROOT, find_aircraft
@@ -62,6 +66,8 @@ interior = 0
 nominal = false
 bounds = { CX = 0.008, CY = 0.010, CZ = 0.05, Cl = 0.0015, Cm = 0.012, Cn = 0.0015 }
 """
+
+
 SLOPES = {"CX": 1.0, "CY": 4.0, "CZ": 0.5, "Cl": 0.25, "Cm": 0.1, "Cn": 0.05}
 
 
@@ -240,72 +246,6 @@ def test_the_script_flies_and_the_redone_bounds_are_as_predicted(
         assert achieved[c]["predicted_parameter"] == document["prospects"][c]["parameter_narrowing"]
 
 
-@pytest.mark.slow
-def test_what_scatters_is_asked_of_the_flights_behind(campaign, tmp_path, capsys):
-    """In still air the reference truth's Cl_de is most of what scatters in Cl; polynomials of V,
-    beta, p and r lack it.
-    """
-    flight, made = tmp_path / "calm.parquet", tmp_path / "bounds"
-    assert (
-        main(
-            [
-                "fly",
-                "espaaro_truth",
-                "--script",
-                "flight-bounds",
-                "--noise",
-                "--seed",
-                "3",
-                "--out",
-                str(flight),
-            ]
-        )
-        == 0
-    )
-    assert (
-        main(
-            [
-                "bounds",
-                "espaaro",
-                "--flight",
-                str(flight),
-                "--out",
-                str(made),
-                "--no-check",
-                "--no-figures",
-            ]
-        )
-        == 0
-    )
-    capsys.readouterr()
-    arguments = [
-        "next-flight",
-        str(campaign),
-        "--bounds",
-        str(made / "model-form.json"),
-        "--coefficient",
-        "Cl",
-        "--cases",
-        "2",
-    ]
-    arguments += [
-        "--speeds",
-        "22",
-        "--minutes",
-        "1",
-        "--no-figures",
-        "--json",
-        "--flight",
-        str(flight),
-    ]
-    main([*arguments, "--out", str(tmp_path / "next")])
-    document = json.loads(capsys.readouterr().out)
-    assert document["missing"][0]["term"] == "elevator_pos_deg"
-    assert document["missing"][0]["share"] > 0.5
-    assert document["scatter"]["bounds"] > 1.3 * document["scatter"]["simulated"]
-    assert any("elevator_pos_deg" in w and "lack" in w for w in document["words"])
-
-
 def test_the_script_keeps_the_missions_lines_and_none_of_its_air(planned):
     _, out = planned
     text = (out / "next-flight.xml").read_text()
@@ -332,34 +272,6 @@ def test_the_table_holds_every_step(planned):
     assert {int(r["number"]) for r in rows} == {p["number"] for p in document["points"]}
     limits = find_aircraft("espaaro").card.inputs
     assert all(limits[c].limits[0] < size < limits[c].limits[1] for _, c, size in steps)
-
-
-@pytest.mark.slow
-def test_bounds_that_more_data_cannot_narrow_are_an_answer(campaign, bounds, tmp_path, capsys):
-    """The same bounds as if from a hundred times the data: what is left is scatter."""
-    document = json.loads(bounds.read_text())
-    for row in document["coefficients"].values():
-        row["XtX_inv"] = (np.array(row["XtX_inv"]) / 3000.0).tolist()
-        row["n"], row["n_effective"] = 3000 * row["n"], 3000.0 * row["n_effective"]
-        row["dof"] = row["n_effective"] - len(row["terms"])
-    many = tmp_path / "many.json"
-    many.write_text(json.dumps(document))
-    arguments = [
-        "next-flight",
-        str(campaign),
-        "--bounds",
-        str(many),
-        "--minutes",
-        "1",
-        "--speeds",
-        "22",
-        "--cases",
-        "2",
-    ]
-    assert main([*arguments, "--out", str(tmp_path / "next"), "--no-figures"]) == 1
-    said = capsys.readouterr().out
-    assert "More data cannot narrow this interval" in said
-    assert not (tmp_path / "next" / "figures").exists()
 
 
 @pytest.fixture(scope="module")
@@ -458,23 +370,6 @@ def test_the_library_follows_the_cards_stops_and_the_models_modes():
     assert RECOVERY_S > 5.0
 
 
-def test_the_cases_flown_are_spread_over_corners_and_air(campaign):
-    opened = open_campaign(campaign)
-    some = some_cases(opened.cases, 6)
-    assert len({c.case_id for c in some}) == 6
-    assert len({c.aleatory_id for c in some}) == 2
-    assert all(len({c.levels[name] for c in some}) == 2 for name in ("CX", "CY", "Cn"))
-    assert len(some_cases(opened.cases[:3], 6)) <= 3
-    assert len(build_cases(opened.spec, opened.mission)) == len(opened.cases) + opened.failed
-
-
-def test_another_metric_has_another_winner(campaign):
-    assert find_winner(campaign, "altitude_median_m").coefficient == "CX"
-    assert find_winner(campaign, coefficient="Cm").coefficient == "Cm"
-    with pytest.raises(BadInputError, match="no sensitivity of speed_median_mps"):
-        find_winner(campaign, "speed_median_mps")
-
-
 def refused(capsys, *arguments: str) -> str:
     assert main(["next-flight", *arguments]) == 2
     return capsys.readouterr().err
@@ -512,14 +407,6 @@ def test_what_cannot_be_answered_is_refused_with_what_to_do(campaign, bounds, tm
     assert not (tmp_path / "next").exists()
 
 
-def test_a_campaign_without_corners_is_refused(tmp_path, bounds, capsys):
-    text = CAMPAIGN.replace('method = "corners"', 'method = "levels"\nlevels = [0.5]')
-    folder = flown_campaign(tmp_path / "middle", text)
-    assert "not a corner campaign" in refused(
-        capsys, str(folder), "--bounds", str(bounds), "--out", str(tmp_path / "n")
-    )
-
-
 def test_the_campaigns_own_form_is_taken_where_it_flew_one(tmp_path, bounds, capsys):
     """Told what the same bounds have brought: nothing."""
     (tmp_path / "c").mkdir()
@@ -546,3 +433,100 @@ def test_the_campaigns_own_form_is_taken_where_it_flew_one(tmp_path, bounds, cap
     assert not (tmp_path / "next").exists()
     assert main(arguments) == 1
     assert "narrowing" in capsys.readouterr().out
+
+
+FORM = made_up_form({"CZ": LONGITUDINAL, "Cm": LONGITUDINAL})
+
+
+MISSION = Occupancy(
+    {name: np.full(20, MEAN.get(name, 0.0)) for name in LONGITUDINAL}, 1, 0, 2.0, "the mission"
+)
+
+
+def states(rng, n, speed=22.0):
+    return {s: MEAN.get(s, 0.0) + SPREAD[s] * rng.standard_normal(n) for s in LONGITUDINAL} | {
+        "V_mps": np.full(n, speed)
+    }
+
+
+def flown(n=2000, **more) -> Residuals:
+    rng = np.random.default_rng(0)
+    return Residuals(
+        (ResidualPiece("m", 0.02 * np.arange(n), np.zeros((n, 6)), states(rng, n, **more)),),
+        0.02,
+        Cutoffs(),
+    )
+
+
+def trial(speed, power=-4.0, n=400):
+    rng = np.random.default_rng(int(speed))
+    delta = np.sqrt(speed**power) * rng.standard_normal((n, 6))
+    return SimpleNamespace(states={"V_mps": np.full(n, speed)}, delta=delta)
+
+
+STEADY = [trial(22.0)] * 4
+
+
+def test_more_data_narrow_and_endless_data_narrow_most():
+    few, many = (prospects(FORM, MISSION, flown(n), 0.2, STEADY) for n in (500, 20_000))
+    for name in ("CZ", "Cm"):
+        assert few[name].narrowing < many[name].narrowing <= many[name].at_most < 1.0
+        assert few[name].parameter_narrowing < many[name].parameter_narrowing < 1.0
+        assert many[name].current == widths_over(FORM, MISSION)[name]
+        assert many[name].asymptotic.parameter == 0.0
+    nothing = prospects(FORM, MISSION, flown(500), 0.0, STEADY)
+    assert nothing["CZ"].parameter_narrowing == pytest.approx(0.0, abs=0.01)
+
+
+def test_scatter_follows_the_speed_as_the_trials_do():
+    trials = [trial(v) for v in np.linspace(16.0, 28.0, 40)]
+    slow, fast = (scatter_ratios(FORM, flown(speed=v), trials)["CZ"] for v in (18.0, 26.0))
+    assert slow / fast == pytest.approx((26.0 / 18.0) ** 4, rel=0.3)
+    assert scatter_ratios(FORM, flown(speed=18.0), STEADY) == {"CZ": 1.0, "Cm": 1.0}
+    # Bounds that do not know the speed cannot tell.
+    blind = replace(
+        FORM,
+        coefficients={
+            n: replace(b, states=("x", *b.states[1:])) for n, b in FORM.coefficients.items()
+        },
+    )
+    assert scatter_ratios(blind, flown(speed=18.0), trials)["CZ"] == 1.0
+
+
+def narrowed(factor: float):
+    """The same bounds with their scatter and their terms' error so much smaller, and no part that
+    holds zero.
+    """
+    rows = {
+        n: replace(b, s2=b.s2 * factor**2, beta_hat=b.beta_hat * factor)
+        for n, b in FORM.coefficients.items()
+    }
+    return replace(FORM, coefficients=rows)
+
+
+def test_half_the_scatter_is_half_the_width(tmp_path):
+    found = achieved(FORM, narrowed(0.5), MISSION, tmp_path / "none.json")
+    assert set(found) == {"CZ", "Cm"}
+    for row in found.values():
+        assert row["narrowing"] == pytest.approx(0.5)
+        assert row["width_after"] == pytest.approx(0.5 * row["width"])
+        assert row["parameter_narrowing"] == pytest.approx(0.5)
+        assert row["predicted"] is None
+    same = achieved(FORM, FORM, MISSION, tmp_path / "none.json")
+    assert same["CZ"]["narrowing"] == 0.0
+
+
+def test_what_was_predicted_stands_beside_it(tmp_path):
+    plan = tmp_path / "next-flight.json"
+    plan.write_text(
+        json.dumps({"prospects": {"Cm": {"narrowing_redone": 0.4, "parameter_narrowing": 0.6}}})
+    )
+    found = achieved(FORM, narrowed(0.5), MISSION, plan)
+    assert (found["Cm"]["predicted"], found["Cm"]["predicted_parameter"]) == (0.4, 0.6)
+    assert found["CZ"]["predicted"] is None
+    header, first, second = as_text(found).splitlines()
+    assert header.split()[:3] == ["coefficient", "width", "width_after"]
+    assert "40 %" in second
+    assert "–" in first
+    plan.write_text("[]")
+    assert achieved(FORM, FORM, MISSION, plan)["Cm"]["predicted"] is None

@@ -17,6 +17,8 @@ PUBLISHED = (
     (0.0, 0.0, 0.0, 0.0, 0.002, 0.036, 0.324, 3.886),
     (0.068, 0.092, 0.136, 0.31, 0.868, 2.44, 7.762, 25.342),
 )
+
+
 CORNERS, MOST, LOOK = 64, 500, 10
 
 
@@ -82,18 +84,6 @@ def test_many_corners_a_little_below_do_not_add_up_to_a_no():
     assert found.count(NO) / 120 <= 0.05 + 2.0 * np.sqrt(0.05 * 0.95 / 120)
 
 
-def test_looking_all_the_time_at_fixed_limits_would_err_more_often():
-    """The counter-case: a 5 % test that is repeated after every round is no 5 % test."""
-    from scipy import stats
-
-    generator = np.random.default_rng(12)
-    counts = generator.poisson(0.1, (400, 500)).cumsum(axis=1)[:, LOOK - 1 :: LOOK]
-    hours = np.arange(LOOK, 501, LOOK)
-    said_no = stats.poisson.sf(counts - 1, 0.1 * hours) < 0.05
-    assert said_no.any(axis=1).mean() > 0.1
-    assert said_no[:, -1].mean() < 0.08
-
-
 def test_allowing_for_less_dispersion_than_there_is_errs():
     """What the declared dispersion is for: clusters of 12 taken as independent."""
     rash = question(dispersion=1.0, every_corner=True)
@@ -122,19 +112,6 @@ def test_it_needs_a_fifth_of_the_published_hours_at_most(dispersion, cells, savi
                 assert found.cell == NO
     assert not wrong
     assert 24 * CORNERS * MOST / flown >= saving >= 5.0
-
-
-def test_how_close_to_the_information_limit():
-    """Without an excursion independent flights need ln(2/error)/0.1 h at least, half the error
-    being kept for aborted ones.
-    """
-    quiet = np.zeros((CORNERS, MOST))
-    hours = [
-        decide(quiet, question(error=error, dispersion=1.0), 1).flights.max()
-        for error in (0.05, 0.05 / 24)
-    ]
-    limits = [np.log(2.0 / error) / 0.1 for error in (0.05, 0.05 / 24)]
-    assert all(limit <= needed <= 1.25 * limit for needed, limit in zip(hours, limits, strict=True))
 
 
 def test_a_single_bad_corner_answers_for_its_cell_and_good_ones_land_early():

@@ -1,7 +1,8 @@
-"""P-boxes and rates against closed forms and simulation."""
+"""P-boxes, their bands, the area metric and convergence against closed forms and simulation."""
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
@@ -10,13 +11,21 @@ from scipy import stats
 
 from uqharness.errors import BadInputError
 from uqharness.statistics.pbox import (
+    MIN_AIRS,
+    RESAMPLES,
     Sample,
+    _distances,
+    _multiplicities,
+    area_metric,
     band_half_width,
     best_and_worst,
+    common_air_half_width,
     excursion_rate,
+    growth,
     pbox,
     poisson_limits,
     poisson_upper,
+    repeats,
     widened,
 )
 
@@ -35,18 +44,6 @@ def test_envelope_of_two_known_steps():
     assert box.quantile(0.5) == (2.0, 3.0)
 
 
-def test_corners_that_cross_share_the_sides():
-    box = pbox([sample("wide", [0, 10]), sample("narrow", [4, 6])])
-    assert box.corner_upper.tolist() == ["wide", "wide", "narrow", "wide"]
-    assert box.corner_lower.tolist() == ["narrow", "wide", "wide", "wide"]
-
-
-def test_equal_corners_have_no_width_and_the_first_names_it():
-    box = pbox([sample("first", [1, 2]), sample("second", [1, 2])])
-    assert np.array_equal(box.lower, box.upper)
-    assert set(box.corner_lower) == {"first"}
-
-
 def test_failures_widen_and_are_never_dropped():
     whole = pbox([sample("a", [1, 2, 3, 4])])
     failed = pbox([sample("a", [1, 2, 3], unknown=1)])
@@ -62,14 +59,6 @@ def test_failures_widen_and_are_never_dropped():
     dropped = pbox([sample("a", [1, 2, 3])])
     assert dropped.lower[-1] == 1.0 > failed.lower[-1]
     assert whole.lower[-1] == 1.0
-
-
-def test_uniform_samples_give_their_closed_form():
-    values = (np.arange(1000) + 0.5) / 1000
-    box = pbox([sample("u", values), sample("shifted", values + 0.2)], max_points=100_000)
-    inside = (box.value > 0.2) & (box.value < 1.0)
-    assert np.allclose(box.upper[inside], box.value[inside], atol=6e-4)
-    assert np.allclose(box.lower[inside], box.value[inside] - 0.2, atol=6e-4)
 
 
 def test_thinning_keeps_rows_exact_and_both_ends():
@@ -167,20 +156,6 @@ def test_every_corner_is_within_the_band_at_once_which_needs_bonferroni():
     assert np.mean(distance <= alone) < 0.2
 
 
-def test_binomial_samples():
-    """Values 0 or 1 with probability p: the p-box at 0 is the share of zeros, and the band has the
-    stated half-width.
-    """
-    values = np.array([0.0] * 30 + [1.0] * 70)
-    box = pbox([sample("a", values), sample("b", 1 - values)])
-    assert box.value.tolist() == [0.0, 1.0]
-    assert (box.lower[0], box.upper[0]) == (0.3, 0.7)
-    width = band_half_width(100, 2, 0.95)
-    assert box.band_lower[0] == pytest.approx(0.3 - width)
-    assert box.band_upper[0] == pytest.approx(0.7 + width)
-    assert box.band_quantile(0.5)[0] == -math.inf
-
-
 def test_nothing_to_draw_is_an_error():
     for wrong in ([], [sample("a", [])], [sample("a", [], unknown=3)], [sample("a", [1, np.nan])]):
         with pytest.raises(ValueError, match="p-box needs"):
@@ -198,17 +173,6 @@ def test_exact_poisson_limits_of_the_published_count():
     assert stats.poisson.cdf(46, high * 500) == pytest.approx(0.025)
 
 
-def test_poisson_limits_cover():
-    generator = np.random.default_rng(5)
-    for rate in (0.02, 0.5, 3.0):
-        counts = generator.poisson(rate * 10.0, size=2000)
-        inside = [
-            low <= rate <= high
-            for low, high in (poisson_limits(int(count), 10.0) for count in counts)
-        ]
-        assert np.mean(inside) >= 0.95 - 0.01
-
-
 def test_rates_bound_failed_flights_from_above():
     rate = excursion_rate("c", [0, 2, None, 1], failed=2, hours=0.5, corners=64)
     assert (rate.events, rate.events_upper) == (3, 5)
@@ -221,16 +185,6 @@ def test_rates_bound_failed_flights_from_above():
     # No hours, no rate: undefined is not zero, and it is never the best.
     assert math.isnan(nothing.rate)
     assert best_and_worst([nothing, rate])[0] is rate
-
-
-def test_best_and_worst():
-    rates = [
-        excursion_rate(name, counts, failed, 1.0, 3)
-        for name, counts, failed in (("a", [1], 0), ("b", [0], 1), ("c", [0, 0], 0))
-    ]
-    best, worst = best_and_worst(rates)
-    assert (best.epistemic_id, worst.epistemic_id) == ("b", "a")
-    assert best.rate == 0.0
 
 
 def test_the_worst_of_many_needs_the_simultaneous_limit():
@@ -264,3 +218,182 @@ def test_samples_that_join_widen_by_a_share_of_the_area():
     assert widened(corners, [Sample("between", np.array([4.0]))]) == 0.0
     assert widened(corners, [Sample("best", np.array([1.0]))]) == pytest.approx(0.25)
     assert np.isnan(widened(corners[:1], [Sample("a2", np.array([3.0]))]))
+
+
+def flown(corners: int, airs: int, seed: int = 0, own: float = 0.1) -> np.ndarray:
+    """(corners, airs) with a part of their own beside the air's."""
+    rng = np.random.default_rng(seed)
+    found: np.ndarray = rng.normal(size=airs) + own * rng.normal(size=(corners, airs))
+    return found
+
+
+def samples(values: np.ndarray, airs: bool = True) -> list[Sample]:
+    ids = np.arange(values.shape[1]) if airs else None
+    return [Sample(str(k), row, 0, ids) for k, row in enumerate(values)]
+
+
+def half_width(box) -> float:
+    return float((box.band_upper - box.upper).max())
+
+
+def test_distances_are_those_of_resamples_counted_one_by_one():
+    """With values that are alike: both distribution functions are looked at after all of them."""
+    row = np.array([3.0, 1.0, 1.0, 2.0, 1.0, 5.0, 4.0, 2.0])
+    times = _multiplicities(8, 3)
+    found = _distances(row, times - 1)
+    assert times.shape == (8, RESAMPLES)
+    assert (times.sum(axis=0) == 8).all()
+    for k in range(50):
+        drawn = np.repeat(row, times[:, k])
+        away = [abs((drawn <= v).sum() - (row <= v).sum()) for v in np.unique(row)]
+        assert found[k] == max(away)
+    assert len(set(found.tolist())) > 3
+
+
+def test_one_corner_has_about_kolmogorovs_band():
+    found = common_air_half_width(flown(1, 200), 0.95)
+    assert found == pytest.approx(band_half_width(200, 1, 0.95), rel=0.1)
+
+
+def test_corners_that_err_together_have_a_narrower_band():
+    values = flown(16, 100)
+    together, alone = common_air_half_width(values, 0.95), common_air_half_width(values[:1], 0.95)
+    assert alone < together < 0.9 * band_half_width(100, 16, 0.95)
+    assert half_width(pbox(samples(values))) == pytest.approx(together)
+    assert half_width(pbox(samples(values, airs=False))) == pytest.approx(
+        band_half_width(100, 16, 0.95), abs=1e-9
+    )
+
+
+def test_the_same_corner_twice_costs_nothing():
+    values = flown(1, 100)
+    assert common_air_half_width(np.repeat(values, 5, axis=0), 0.95) == common_air_half_width(
+        values, 0.95
+    )
+
+
+@pytest.mark.parametrize("airs", [MIN_AIRS - 1, MIN_AIRS])
+def test_with_too_few_airs_bonferroni_stays(airs):
+    narrower = half_width(pbox(samples(flown(16, airs)))) < 0.95 * band_half_width(airs, 16, 0.95)
+    assert narrower == (airs >= MIN_AIRS)
+
+
+def test_the_order_of_flights_does_not_matter_and_lost_ones_are_kept():
+    values = flown(4, 60)
+    values[1, 7] = values[2, 30] = np.nan
+    rng = np.random.default_rng(5)
+    made = []
+    for k, row in enumerate(values):
+        order = rng.permutation(60)
+        known = order[np.isfinite(row[order])]
+        made.append(
+            Sample(
+                str(k),
+                row[known],
+                60 - known.size,
+                np.concatenate([known, np.setdiff1d(order, known)]),
+            )
+        )
+    box = pbox(made)
+    assert half_width(box) == pytest.approx(
+        min(band_half_width(60, 4, 0.95), common_air_half_width(values, 0.95)), abs=1e-9
+    )
+
+
+def test_repeats_of_one_law_lie_within_what_chance_explains_and_others_do_not():
+    generator = np.random.default_rng(3)
+    apart = [repeats(generator.gamma(4.0, 1.0, 400), 10) for _ in range(200)]
+    assert np.mean([item.distance <= item.expected for item in apart]) >= 0.95
+    assert apart[0].curves.shape == (10, 40)
+    drifting = generator.normal(size=400) + np.repeat(np.arange(10), 40)
+    assert repeats(drifting, 10).distance > apart[0].expected
+    with pytest.raises(ValueError, match="do not make 10 repeats"):
+        repeats(np.arange(19.0), 10)
+
+
+def test_the_chance_that_one_more_sample_leaves_the_envelope():
+    """Walks as draws from one law: at a fixed value the next one lies outside in 2/(m + 1) of
+    studies, in no more.
+    """
+    generator = np.random.default_rng(4)
+    curves = generator.random((4000, 17))
+    outside = (curves[:, 16] > curves[:, :16].max(axis=1)) | (
+        curves[:, 16] < curves[:, :16].min(axis=1)
+    )
+    samples = [generator.normal(generator.normal(), 1.0, 50) for _ in range(16)]
+    found = growth(samples, seed=1)
+    assert [item.samples for item in found] == [2, 4, 8, 16]
+    assert np.mean(outside) == pytest.approx(found[-1].chance_of_more, abs=0.02)
+    areas = [item.area for item in found]
+    assert areas == sorted(areas)
+    assert found[-1].area_low == found[-1].area == found[-1].area_high
+    same = growth([np.array([1.0, 2.0, np.inf])] * 4, seed=1)
+    assert [item.area for item in same] == [0.0, 0.0]
+
+
+def test_the_distance_is_the_largest_of_two_sample_statistics():
+    values = np.random.default_rng(5).normal(size=103)
+    found = repeats(values, 4)
+    parts = values[:100].reshape(4, 25)
+    expected = max(stats.ks_2samp(a, b).statistic for a, b in itertools.combinations(parts, 2))
+    assert found.distance == pytest.approx(expected)
+    assert found.medians == pytest.approx(np.median(parts, axis=1))
+    # Failed flights are the largest of all.
+    failed = values.copy()
+    failed[:20] = np.inf
+    assert repeats(failed, 4).distance > 0.7
+
+
+def box(*corners, unknown=0):
+    return pbox(
+        [
+            Sample(str(number), np.asarray(values, float), unknown)
+            for number, values in enumerate(corners)
+        ]
+    )
+
+
+def test_the_area_of_a_single_flight_is_its_mean_distance():
+    """One corner, one flight: integral of |F - step| = mean |X - x|; within a wide box the flight
+    is inside.
+    """
+    values = [1.0, 2.0, 4.0]
+    for flight in (0.0, 2.0, 7.0):
+        found = area_metric(box(values), np.array([flight]))
+        assert found.area == pytest.approx(np.mean(np.abs(np.array(values) - flight)))
+    assert area_metric(box([0.0, 1.0], [5.0, 6.0]), np.array([3.0])).area == 0.0
+
+
+def test_the_area_is_the_shift_where_one_distribution_is_moved():
+    values = np.random.default_rng(1).normal(size=200)
+    for shift in (0.5, -0.5):
+        found = area_metric(box(values), values + shift)
+        assert found.area == pytest.approx(abs(shift), rel=0.05)
+        assert (found.above if shift > 0 else found.below) == pytest.approx(found.area)
+    # Between two corners nothing is left of it.
+    assert area_metric(box(values, values + 1.0), values + 0.5).area == pytest.approx(0.0, abs=1e-9)
+
+
+def test_failed_flights_leave_room_above():
+    flights = np.array([9.0] * 8)
+    assert area_metric(box([1.0] * 8), flights).area == pytest.approx(8.0)
+    assert area_metric(box([1.0] * 4, unknown=4), flights).area == pytest.approx(4.0)
+
+
+def test_chance_is_blamed_before_the_model_is():
+    generator = np.random.default_rng(2)
+    false = 0
+    for _ in range(200):
+        model = box(*(generator.normal(shift, 1.0, 60) for shift in (0.0, 0.5, 1.0)))
+        false += area_metric(model, generator.normal(1.0, 1.0, 12)).beyond_chance > 0.0
+    assert false / 200 <= 0.05
+    model = box(generator.normal(size=200))
+    assert area_metric(model, generator.normal(2.0, 1.0, 30)).beyond_chance > 0.0
+    # A single flight far away is no proof: the model may send one in fifty there.
+    assert area_metric(model, np.array([9.0])).beyond_chance == 0.0
+
+
+@pytest.mark.parametrize("values", [[], [1.0, np.nan], [np.inf]])
+def test_no_flight_and_no_number_are_refused(values):
+    with pytest.raises(ValueError, match="at least one flight"):
+        area_metric(box([1.0, 2.0]), np.array(values))

@@ -110,34 +110,6 @@ def test_weights_of_paths_that_rise_fall_and_end():
     assert run(Scripted([[0.0], [0.0]], ended={(0, 0)}), 1, Levels(()), 1).steps == 1
 
 
-def test_roots_are_counted_apart():
-    found = run(
-        Scripted([[0.0, 0.0, 0.0], [7.0, 0.0, 3.0], [9.5, 0.0, 3.0]]), 3, Levels((2.0, 6.0)), 1
-    )
-    np.testing.assert_allclose(found.probability_by_root[:, 0], [1.0, 0.0, 0.0])
-    np.testing.assert_allclose(found.events_by_root.mean(axis=0), found.events)
-
-
-def test_plain_paths_give_the_first_levels():
-    grid = np.arange(0.0, 8.0)
-    plain = Occupancy(grid, 0.3 * 3.0**-grid, np.full(8, 1000.0))
-    levels = pilot(
-        lambda number: pytest.fail("no round is needed"),
-        10,
-        1,
-        grid,
-        4.5,
-        share=0.3 / 9.0,
-        plain=plain,
-    )
-    np.testing.assert_allclose(levels.scores, [2.0, 3.0, 4.0])
-
-
-def test_a_path_about_a_level_is_not_copied_again_and_again():
-    found = run(Scripted([[3.0], [1.0], [3.0], [1.0], [3.0]]), 1, Levels((0.5, 2.0)), 1)
-    assert found.max_paths == 9
-
-
 def test_a_path_that_has_fallen_back_is_one_again():
     one = Scripted([[3.0], [-2.0], [-2.0]])
     assert run(one, 1, Levels((0.5, 2.0)), 1).max_paths == 9

@@ -14,6 +14,8 @@ ROLL = (
     "<axis name='ROLL'><function"
     " name='f/roll'><product><p>i/l</p><v>.1</v></product></function></axis>"
 )
+
+
 RECORDS = (
     *(f"forces/f{k}{a}-aero-lbs" for k in "bws" for a in "xyz"),
     *(f"moments/{a}-aero-lbsft" for a in "lmn"),
@@ -31,6 +33,8 @@ RECORDS = (
     "accelerations/wdot-ft_sec2",
     "accelerations/qdot-rad_sec2",
 )
+
+
 HOST = "<system name='host'><property>i/a</property><property>i/l</property></system>"
 
 
@@ -137,19 +141,13 @@ CROSSED = (
     " name='a/last'><product><p>f/z</p><v>2</v></product></function><function name='a/post'"
     " type='post'><product><p>f/z</p><v>3</v></product></function>"
 )
+
+
 CROSSED_RECORDS = (*RECORDS, "f/m", "f/x", "f/z", "f/at", "a/first", "a/last", "a/post")
 
 
 def test_functions_that_read_each_other_run_in_jsbsims_order():
     assert worst(differences(CROSSED, records=CROSSED_RECORDS)) < 1e-10
-
-
-def test_the_files_order_of_axes_is_noticed(monkeypatch):
-    """Axes as they stand in the file: the functions would read numbers of another frame."""
-    from uqharness.batch.translate import aerodynamics
-
-    monkeypatch.setattr(aerodynamics, "_MOMENTS", ("YAW", "PITCH", "ROLL"))
-    assert worst(differences(SYSTEMS["moments"])) > 1e-3
 
 
 STALL = (

@@ -1,12 +1,12 @@
-"""Channels and functions of systems against JSBSim: order, rates, switches, the first frames; and
-the project's aircraft.
-"""
+"""Systems and channels against JSBSim: order, rates, switches, files, ignored elements, unsupported elements."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
+from tests.helpers import batch_engines as engines
+from tests.helpers import batch_flights as flights
 from tests.helpers import batch_oracle as oracle
 from tests.helpers.batch_stock import flown_by_both
 from tests.helpers.batch_systems import (
@@ -27,6 +27,8 @@ from uqharness.simulator import engine, find_aircraft, find_script, staged
 from uqharness.xml.document import parse_document
 
 GAIN = '<pure_gain name="g"><input>i/a</input><gain>@2</gain></pure_gain>'
+
+
 CASES = {
     "functions before and behind channels": (
         '<function name="o/before"><sum><p>fcs/g</p><p>o/behind</p></sum></function><function'
@@ -260,3 +262,227 @@ def test_systems_of_stock_aircraft_have_jsbsims_bits(name: str) -> None:
             np.abs(pair.theirs[changed])
         )
     assert sum(len(np.unique(series)) > 10 for series in pair.theirs.values()) >= 10
+
+
+ADD = "<pure_gain name='o/{}'><input>o/{}</input><gain>{}</gain></pure_gain>"
+
+
+def part(tag, name, of, gain, extra=""):
+    return (
+        f"<{tag} name='{name}'{extra}><channel"
+        f" name='c'>{ADD.format(name, of, gain)}</channel></{tag}>"
+    )
+
+
+DECLARED = "<system name='d'><property value='1'>o/start</property></system>"
+
+
+def test_systems_run_before_the_autopilot_and_that_before_the_flight_control():
+    """Whatever their order in the file: each reads what the one before has made in the same
+    frame.
+    """
+    body = (
+        part("flight_control", "last", "middle", 3)
+        + part("autopilot", "middle", "first", 2)
+        + DECLARED
+    )
+    body += (
+        part("system", "first", "second", 1.5)
+        + part("system", "second", "start", 1.25)
+        + "<aerodynamics/>"
+    )
+    with flights.craft(flights.aircraft(body)) as made:
+        tags = [system.node.attributes["name"] for system in made.sources().systems]
+    assert tags == ["d", "first", "second", "middle", "last"]
+    assert (
+        flights.worst(
+            flights.compared(
+                flights.aircraft(body),
+                [f"o/{n}" for n in ("first", "second", "middle", "last")],
+                frames=5,
+            )
+        )
+        < 1e-15
+    )
+
+
+@pytest.mark.parametrize("place", ["x.xml", "Systems/x.xml", "systems/x.xml"])
+def test_a_system_in_a_file(place):
+    body = "<system file='x'><property value='4'>o/start</property></system><aerodynamics/>"
+    with flights.craft(
+        flights.aircraft(body), files={place: part("system", "inside", "start", 2)}
+    ) as made:
+        systems = made.sources().systems
+    assert systems[0].document.path.name == "x.xml"
+    assert systems[0].outer is not None
+
+
+@pytest.mark.parametrize(
+    ("body", "said"),
+    [
+        ("<planet/><aerodynamics/>", "<planet> is not understood"),
+    ],
+)
+def test_refused_with_line(body, said):
+    found = flights.refused(flights.aircraft(body))
+    assert said in found
+    assert "point.xml:7: " in found
+
+
+def test_a_file_that_is_not_there_is_refused():
+    with flights.craft(flights.aircraft("<aerodynamics/>")) as made:
+        xml = made.root / "aircraft" / "point" / "point.xml"
+        xml.write_text(flights.aircraft("<system file='nowhere'/><aerodynamics/>"))
+        with pytest.raises(BadInputError, match="nowhere"):
+            made.sources()
+
+
+A = "<input>i/a</input>"
+
+
+SYSTEMS = {
+    "elements of a component": f"""<pure_gain name="g" colour="red">{A}<gain>@2</gain><gain>3</gain>
+<bias>4</bias><wheels/></pure_gain><actuator name="a">{A}<lag>@3</lag><lag>9</lag><gain>7</gain>
+</actuator><sensor name="s">{A}<gain>@1.5</gain><axis>Z</axis></sensor>""",
+    "a property and an unknown component in a channel": f"""<property value="5">i/unread</property>
+<wobbler name="w">{A}</wobbler><summer name="g">{A}<bias>@2</bias></summer>""",
+    "a second default and a misspelt attribute": """<switch name="s"><default value="@2"/>
+<default value="3"/><test value="4" login="OR">i/a gt 1</test></switch>""",
+    "operations": f"""<fcs_function name="f">{A}<function name="f/x"><sum>text<v>@1.5</v>
+<wobble><v>3</v></wobble><function><v>7</v></function><p>i/b</p></sum></function></fcs_function>""",
+}
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_systems_have_jsbsims_bits(name: str) -> None:
+    body = f"<thing/><channel>{SYSTEMS[name]}</channel>"
+    differences, control = judged(body, random_inputs(300))
+    assert differences == {}
+    assert control != {}
+
+
+def test_named_tables_and_operations_are_properties() -> None:
+    body = """<function name="o/f"><sum><product name="o/p"><v>@2.5</v><p>i/a</p></product>
+<table name="o/t"><independentVar>i/b</independentVar><tableData>
+-1 0
+ 2 @3</tableData></table></sum></function>
+<channel><summer name="o/s"><input>o/p</input><input>o/t</input></summer></channel>"""
+    differences, control = judged(body, random_inputs(300))
+    assert differences == {}
+    assert control != {}
+
+
+def test_elements_of_engines_aerodynamics_and_the_aircraft_are_ignored() -> None:
+    """JSBSim takes the first of two <aerodynamics>."""
+    mounted = engines.mounted("motor", "fixed").replace(
+        "</engine>", "<colour>1</colour></engine><wings/>"
+    )
+    fixed = engines.FIXED_PITCH.replace(
+        "<numblades>2</numblades>",
+        "<numblades>2</numblades><blades>7</blades><table name='C_NOISE' type='internal'>"
+        "<tableData>0 1</tableData></table>",
+    )
+    text = (
+        engines.aircraft(mounted)
+        .replace('<axis name="DRAG">', "<gradient/><axis name=\"DRAG\" colour='red'><note/>")
+        .replace("</fdm_config>", "<wings/><aerodynamics/></fdm_config>")
+    )
+    case = engines.Case(
+        text,
+        [*engines.TOTALS, *engines.MOTION],
+        engines.levers(30),
+        {**engines.FILES, "Engines/fixed.xml": fixed},
+        "",
+    )
+    theirs = case.theirs()
+    assert flights.worst(flights.apart(theirs, case.ours())) < 1e-9
+    other = case.ours(text.replace("<v>.3</v>", "<v>.30001</v>"))
+    assert flights.worst(flights.apart(theirs, other)) > 1e-7
+
+
+MAGNETOMETER = """<magnetometer name="i/compass"><axis>X</axis><location unit="M"><x>0</x><y>0</y>
+<z>0</z></location>{noise}</magnetometer>"""
+
+
+LIGHTS = """<system name="lights"><property value="1">i/switch</property><channel name="lights">
+{magnetometer}<summer name="i/needle"><input>i/compass</input><bias>1</bias></summer>
+<switch name="i/lamp"><default value="0"/><test value="1">i/needle gt 0</test></switch>
+<sensor name="i/other"><input>i/switch</input><noise variation="ABSOLUTE"
+ distribution="GAUSSIAN">.1</noise></sensor></channel></system>"""
+
+
+FORCE = """<aerodynamics><function name="aero/shown"><p>i/lamp</p></function><axis name="X">
+<function name="aero/x"><product><p>{reads}</p><v>9</v></product></function></axis></aerodynamics>"""
+
+
+NOISE = '<noise variation="PERCENT" distribution="{kind}">.1</noise>'
+
+
+def aircraft(reads: str, noise: str = "") -> str:
+    lights = LIGHTS.replace("{magnetometer}", MAGNETOMETER.replace("{noise}", noise))
+    return flights.aircraft(lights + FORCE.replace("{reads}", reads))
+
+
+def test_a_chain_of_instruments_is_left_out_with_its_reasons() -> None:
+    with flights.craft(aircraft("i/switch")) as made:
+        flight = flights.translated(made, ["velocities/u-fps"])
+    assert len(flight.left_out) == 4
+    assert all("point.xml:" in reason for reason in flight.left_out)
+    assert all("<magnetometer> takes the field of the day" in why for why in flight.left_out)
+
+
+@pytest.mark.parametrize("reads", ["i/compass", "i/needle", "i/lamp", "aero/shown"])
+def test_what_the_flight_reads_is_refused_with_the_reason_at_its_root(reads: str) -> None:
+    said = flights.refused(aircraft(reads))
+    assert "point.xml:" in said
+    assert "<magnetometer> takes the field of the day" in said
+
+
+def test_a_record_of_what_was_left_out_is_refused() -> None:
+    with (
+        flights.craft(aircraft("i/switch")) as made,
+        pytest.raises(flights.BadInputError, match="<magnetometer>"),
+    ):
+        flights.translated(made, ["i/needle"])
+
+
+@pytest.mark.parametrize("kind", ["GAUSSIAN", "UNIFORM"])
+def test_noise_of_what_was_left_out_is_drawn_all_the_same(kind: str) -> None:
+    with flights.craft(aircraft("i/other", NOISE.replace("{kind}", kind))) as made:
+        flight = flights.translated(made, ["i/other"])
+    assert [name.endswith("/uniform") for name, _ in flight.draws] == [kind == "UNIFORM", False]
+
+
+def test_ground_functions_are_not_taken_for_constants() -> None:
+    ground = """<ground_reactions><function name="gear/load"><p>position/h-agl-ft</p></function>
+</ground_reactions>"""
+    text = flights.aircraft(
+        FORCE.replace("{reads}", "gear/load").replace("i/lamp", "aero/qbar-psf")
+    )
+    said = flights.refused(text.replace("<ground_reactions/>", ground))
+    assert "<function> of <ground_reactions> is not understood" in said
+
+
+def test_a_flight_with_instruments_is_jsbsims() -> None:
+    text = aircraft("i/switch")
+    records = ["velocities/u-fps", "attitude/theta-rad", "forces/fbx-aero-lbs"]
+    assert flights.worst(flights.compared(text, records, frames=50)) < 1e-9
+    changed = text.replace("<v>9</v>", "<v>9.001</v>")
+    assert flights.worst(flights.compared(text, records, frames=50, changed=changed)) > 1e-8
+
+
+def test_host_properties_are_constants_and_inputs() -> None:
+    """A property outside JSBSim's tree that the XML declares, or that the host feeds."""
+    text = flights.aircraft(
+        "<system name='s'><property value='.3'>/mine/flaps</property>"
+        "<property value='0'>/mine/elevator</property><channel><summer name='fcs/e'>"
+        "<input>/mine/elevator</input><input>/mine/flaps</input>"
+        "<output>/mine/flap-position</output></summer></channel></system>"
+        + FORCE.replace("{reads}", "/mine/flap-position").replace("i/lamp", "fcs/e")
+    )
+    elevator = {"/mine/elevator": np.sin(np.arange(61) / 7.0)}
+    records = ["fcs/e", "/mine/flap-position", "velocities/u-fps"]
+    assert flights.worst(flights.compared(text, records, elevator, frames=60)) < 1e-9
+    changed = text.replace("value='.3'", "value='.301'").replace("<v>9</v>", "<v>9.01</v>")
+    gap = flights.compared(text, records, elevator, frames=60, changed=changed)
+    assert flights.worst(gap) > 1e-6

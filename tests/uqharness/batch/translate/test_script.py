@@ -14,6 +14,8 @@ BODY = """<system name='s'><property value='1'>i/a</property><property value='2'
 <property>i/on</property><channel name='c'><pure_gain name='s/a'><input>i/a</input><gain>2</gain></pure_gain>
 <summer name='s/b'><input>i/b</input><input>s/a</input></summer></channel></system>
 <aerodynamics><axis name='X'><function name='f/x'><sum><p>i/a</p><p>i/b</p></sum></function></axis></aerodynamics>"""
+
+
 RECORDS = ("i/a", "i/b", "i/c", "s/a", "s/b", "f/x", "simulation/sim-time-sec", "velocities/u-fps")
 
 
@@ -33,6 +35,8 @@ def event(text, condition="i/on eq 1", attributes=""):
 
 
 FUNCTION = "<function><product><p>i/c</p><p>simulation/sim-time-sec</p></product></function>"
+
+
 EVENTS = {
     "value": event("<set name='i/a' value='7'/>"),
     "at a time": event("<set name='i/a' value='7'/>", "simulation/sim-time-sec ge 0.2"),

@@ -1,0 +1,82 @@
+"""The builder: each value once, constants folded, simplifications that keep every bit; and what it
+refuses.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from tests.helpers.batch_against import same_bits
+from uqharness.batch.ir import Builder, evaluate, rewrite
+
+
+def test_constants_are_folded_and_the_unused_left_out() -> None:
+    b = Builder()
+    x = b.input("x")
+    _ = x * 7.0
+    three = b.op("sqrt", b.constant(4.0)) + 1.0
+    function = b.finish({"r": x * three})
+    assert three.constant == 3.0
+    assert function.counts() == {"input": 1, "const": 1, "mul": 1}
+
+
+def test_simplifications_keep_every_bit() -> None:
+    x = np.array([0.0, -0.0, 1.5, -2.5, math.inf, -math.inf, math.nan, 5e-324, 1e308])
+    b = Builder()
+    v = b.input("x")
+    made = {
+        "one": v * 1.0,
+        "left": 1.0 * v,
+        "over": v / 1.0,
+        "less": v - 0.0,
+        "more": v + -0.0,
+        "twice": b.op("neg", -v),
+        "four": v / 4.0,
+        "minus": v * -1.0,
+    }
+    got, _ = evaluate(b.finish(made), {"x": x})
+    wanted = {"four": x / 4.0, "minus": -x}
+    for name, row in got.items():
+        assert same_bits(row, wanted.get(name, x)).all(), name
+    assert "div" not in b.finish(made).counts()
+    kept = b.finish({"a": v + 0.0, "b": v * 0.0})
+    assert {"add", "mul"} <= set(kept.counts())
+
+
+def test_state_is_read_at_the_begin_and_written_at_the_end() -> None:
+    b = Builder()
+    old = b.load("s")
+    b.store("s", old + b.input("x"))
+    function = b.finish({"old": old, "new": b.load("s")})
+    outputs, after = evaluate(function, {"x": np.array([1.0, 2.0])}, {"s": np.array([10.0, 20.0])})
+    assert outputs["old"].tolist() == [10, 20]
+    assert outputs["new"].tolist() == after["s"].tolist() == [11, 22]
+
+
+def test_wrong_kinds_and_strangers_are_refused() -> None:
+    b, other = Builder(), Builder()
+    with pytest.raises(ValueError, match="add takes f64, f64; received f64, i1"):
+        b.op("add", b.input("x"), b.truth(True))
+    with pytest.raises(ValueError, match="another builder"):
+        b.op("neg", other.input("x"))
+    with pytest.raises(ValueError, match="only after"):
+        evaluate(b.finish({"r": b.op("sin", b.input("x"))}), {"x": np.zeros(1)})
+
+
+def test_tables_are_told_apart_and_folded() -> None:
+    b = Builder()
+    assert b.table([0.0, 1.0]).index == b.table([0, 1]).index
+    assert b.table([0.0, 1.0]).index != b.table([-0.0, 1.0]).index
+    assert b.op("lookup", b.table([3.0, 4.0]), b.constant(1.5)).constant == 4.0
+    function = b.finish({"r": b.op("lookup", b.table([3.0, 4.0]), b.input("x"))})
+    assert (
+        rewrite(function, ("lookup",), lambda builder, node, a: builder.op(node.operation, *a))
+        == function
+    )
+    with pytest.raises(ValueError, match="a number at least"):
+        b.table([])
+    with pytest.raises(ValueError, match="lookup takes table, f64"):
+        b.op("lookup", b.input("x"), b.input("x"))

@@ -1,0 +1,108 @@
+"""A mission made ready: what keeps its value, what JSBSim is asked for, which start a
+flight has.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.helpers.batch_flights import START, aircraft, craft
+from tests.helpers.batch_whole import copied, spec
+from uqharness.batch.course import compiled_mission, fly_many
+from uqharness.batch.mission import initial_values
+from uqharness.errors import BadInputError
+from uqharness.flight.fly import record_mission, staged_mission
+from uqharness.simulator import (
+    Source,
+    StartSection,
+    copy_folder,
+    engine,
+    find_aircraft,
+    write_own_mission,
+)
+
+BODY = """<system name='s'><property value='3'>s/declared</property><property value='3'>velocities/vc-kts</property>
+<function name='s/f'><sum><property>position/vrp-radius-ft</property><property>s/declared</property></sum></function></system>
+<aerodynamics/>"""
+
+
+def test_values_before_the_first_frame():
+    with craft(aircraft(BODY), START) as made:
+        value = initial_values(made.open)
+        fdm = made.open()
+        engine.run_ic(fdm)
+    # Loading alone does not make mass and metrics.
+    assert value("inertia/mass-slugs") == fdm["inertia/mass-slugs"] > 0.0
+    assert value("s/declared") == 3.0
+    assert value("s/unheard-of") is None
+    assert value("aero/qbar-area") == 0.0
+
+
+def test_what_the_model_computes_cannot_be_set():
+    """JSBSim's engine says the same of a property that initialising overwrites."""
+    with pytest.raises(BadInputError, match="uq/CZ/delta was set to 1 and is 0 after initialising"):
+        fly_many([spec(properties={"uq/CZ/delta": 1.0}, duration_s=2.0)])
+
+
+def test_a_mission_is_translated_once_for_flights_that_are_alike():
+    one, other = spec(seed_noise=1, duration_s=5.0), spec(seed_noise=2, duration_s=9.0)
+    assert compiled_mission(one) is compiled_mission(other)
+    assert compiled_mission(one) is not compiled_mission(spec(sensor_noise=True, duration_s=5.0))
+    assert compiled_mission(one) is not compiled_mission(
+        spec(properties={"uq/active": 1.0}, duration_s=5.0)
+    )
+
+
+def test_an_aircraft_that_was_edited_is_translated_anew(tmp_path):
+    plane = copied(tmp_path)
+    given = spec(plane, duration_s=5.0)
+    (before,) = fly_many([given])
+    file = plane / "espaaro.xml"
+    file.write_text(file.read_text().replace("</fdm_config>", "<!-- --></fdm_config>"))
+    (same,) = fly_many([given])
+    assert before.signals["cross_track"].tobytes() == same.signals["cross_track"].tobytes()
+    text = (plane / "Systems/autopilot.xml").read_text()
+    compass = (
+        "<magnetometer name='m'><location/><output>fcs/elevator-cmd-norm</output></magnetometer>"
+    )
+    (plane / "Systems/autopilot.xml").write_text(
+        text.replace("</channel>", f"{compass}</channel>", 1)
+    )
+    with pytest.raises(BadInputError):
+        fly_many([given])
+
+
+def test_a_start_with_the_control_system_at_rest_is_left_to_jsbsim(tmp_path):
+    folder = tmp_path / "aircraft" / "x24b"
+    folder.parent.mkdir()
+    copy_folder(find_aircraft("x24b").folder, folder)
+    script, _ = write_own_mission(
+        find_aircraft(folder), StartSection(V_mps=196.1, altitude_m=3000.0), "steady"
+    )
+    given = spec(
+        aircraft=str(folder),
+        script=str(script),
+        duration_s=1.0,
+        burn_in_s=0.0,
+        turbulence="none",
+        sensor_noise=False,
+    )
+    with pytest.raises(
+        BadInputError, match="bring the control system to rest before the flight begins"
+    ):
+        compiled_mission(given)
+
+    def moved():
+        """Greatest way [rad] of the elevator from one row of JSBSim's flight to the next."""
+        recorded = record_mission(
+            staged_mission(given), given, {"elevator": Source("fcs/elevator-pos-rad")}
+        )
+        assert recorded.status == "ok"
+        return np.abs(np.diff(recorded.signals["elevator"])).max()
+
+    assert moved() < 1e-4
+    text = script.read_text()
+    script.write_text(text.replace('<property value="1">flight/steady-controls</property>', ""))
+    assert script.read_text() != text
+    assert moved() > 1e-3

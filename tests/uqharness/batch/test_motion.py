@@ -1,0 +1,446 @@
+"""Equations of motion against JSBSim, its start state, the earth against geodesy in many digits, vectors against numpy."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import mpmath
+import numpy as np
+import pytest
+
+from tests.helpers.batch_flights import MASS, METRICS, START, aircraft, compared, craft, worst
+from tests.helpers.batch_states import BODY, RECORDS, STATES, attitude, integrators, one_frame
+from tests.helpers.few import few
+from uqharness.batch.ir import Builder, Value, evaluate
+from uqharness.batch.maths import lower
+from uqharness.batch.models import atmosphere, auxiliary, motion, vectors
+from uqharness.batch.models.motion import CONDITIONS, round_44_bits, start_state
+from uqharness.simulator import engine
+
+AGREES, SEEN = 2e-11, 5e-10
+
+
+CONTROL = {
+    "ic/lat-geod-rad": 1.05,
+    "ic/h-sl-ft": 3000.0,
+    "ic/u-fps": 200.0,
+    "ic/phi-rad": 1.2,
+    **integrators(3, 3, 1, 4),
+}
+
+
+@pytest.mark.parametrize("number", few(range(6), 3))
+@pytest.mark.parametrize("name", STATES)
+def test_a_frame_from_a_copied_state(name, number):
+    assert (
+        worst(
+            one_frame({**STATES[name], **integrators(number, number, number, number)}, seed=number)
+        )
+        < AGREES
+    )
+
+
+@pytest.mark.parametrize("numbers", [(1, 3, 1, 4), (3, 3, 3, 3), (2, 4, 5, 1)])
+def test_integrators_of_the_four_parts_differ(numbers):
+    assert (
+        worst(one_frame({**STATES["rapid roll"], **integrators(*numbers)}, seed=sum(numbers)))
+        < AGREES
+    )
+
+
+@pytest.mark.parametrize(
+    ("module", "name", "factor"),
+    [
+        (motion, "J2", 0.0),
+        (motion, "J2", 1.0 + 1e-6),
+        (motion, "RATE_RADPS", 1.0 + 1e-6),
+        (motion, "GM_FT3_S2", 1.0 + 1e-9),
+        (motion, "A_FT", 1.0 + 1e-11),
+        (atmosphere, "_R_DRY", 1.0 + 1e-9),
+        (auxiliary, "G_FPS2", 1.0 + 1e-9),
+    ],
+)
+def test_a_constant_a_little_off_is_noticed(monkeypatch, module, name, factor):
+    monkeypatch.setattr(module, name, getattr(module, name) * factor)
+    assert worst(one_frame(CONTROL)) > SEEN
+
+
+@pytest.mark.parametrize("number", range(1, 6))
+def test_another_integrator_is_noticed(monkeypatch, number):
+    monkeypatch.setitem(motion.WEIGHTS, number, motion.WEIGHTS[number % 5 + 1])
+    assert worst(one_frame({**CONTROL, **integrators(number, number, number, number)})) > SEEN
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        aircraft(BODY, mass=MASS.replace(".3</ixz>", "-.3</ixz>")),
+        aircraft(BODY, mass=MASS.replace(".3</ixz>", ".3000001</ixz>")),
+        aircraft(BODY, metrics=METRICS.replace("<z>2</z>", "<z>2.000001</z>")),
+        aircraft(BODY, metrics=METRICS.replace("<z>5</z>", "<z>5.000001</z>")),
+        aircraft(BODY.replace(' apply_at_cg="true"', "")),
+    ],
+    ids=["sign of ixz", "ixz", "arm of AERORP", "eyepoint", "apply_at_cg"],
+)
+def test_another_aircraft_is_noticed(changed):
+    assert worst(one_frame(CONTROL, changed=changed)) > SEEN
+
+
+def test_wind_a_frame_late_is_noticed():
+    assert worst(one_frame(CONTROL, late_wind=True)) > SEEN
+
+
+def test_geodetic_height_for_geocentric_is_noticed(monkeypatch):
+    place = motion.place
+    monkeypatch.setattr(
+        motion,
+        "place",
+        lambda ecef: replace(
+            place(ecef), height_ft=place(ecef).radius_ft - place(ecef).sea_level_radius_ft
+        ),
+    )
+    assert worst(one_frame(CONTROL)) > SEEN
+
+
+def test_derivatives_of_another_frame_are_noticed(monkeypatch):
+    """The history as it would be if the accelerations of a frame moved that frame."""
+    names = motion.slots
+    monkeypatch.setattr(
+        motion, "slots", lambda part, back=-1: names(part, back + 1 if back >= 1 else back)
+    )
+    assert worst(one_frame(CONTROL)) > SEEN
+
+
+@pytest.mark.parametrize("numbers", [(1, 3, 1, 4), (3, 3, 3, 3), (4, 5, 5, 5)])
+def test_frames_from_the_start(numbers):
+    """Behind initialising the history is JSBSim's too."""
+    rng = np.random.default_rng(1)
+    inputs = {f"i/{name}": rng.normal(size=31) * 5.0 for name in "xyzlmn"}
+    found = compared(aircraft(BODY), RECORDS, inputs, 30, {**START, **integrators(*numbers)})
+    assert worst(found) < AGREES
+
+
+def test_the_quaternion_is_brought_to_unit_length_beyond_a_limit(monkeypatch):
+    fast = {"ic/p-rad_sec": 20.0, "ic/q-rad_sec": -20.0}
+    assert worst(one_frame({**fast, **integrators(1, 3, 1, 4)})) < AGREES
+    monkeypatch.setattr(motion, "_NORMAL", 1.0)
+    assert worst(one_frame({**fast, **integrators(1, 3, 1, 4)})) > SEEN
+
+
+START_RECORDS = (
+    *(f"position/eci-{a}-ft" for a in "xyz"),
+    *(f"velocities/eci-{a}-fps" for a in "xyz"),
+    *(f"velocities/{a}i-rad_sec" for a in "pqr"),
+    *(f"velocities/{a}-fps" for a in "uvw"),
+    *(f"attitude/{a}-rad" for a in ("phi", "theta", "psi")),
+    "position/geod-alt-ft",
+    "position/lat-geod-rad",
+    "position/long-gc-rad",
+    "velocities/vt-fps",
+    "aero/alpha-rad",
+    "aero/beta-rad",
+)
+
+
+def random_start(seed):
+    rng = np.random.default_rng(seed)
+    return {
+        "ic/lat-geod-deg": rng.uniform(-85.0, 85.0),
+        "ic/long-gc-deg": rng.uniform(-180.0, 180.0),
+        "ic/h-sl-ft": rng.uniform(0, 3e4),
+        "ic/psi-true-deg": rng.uniform(0.0, 360.0),
+        "ic/theta-deg": rng.uniform(-80.0, 80.0),
+        "ic/phi-deg": rng.uniform(-180.0, 180.0),
+        "ic/u-fps": rng.uniform(20.0, 500.0),
+        "ic/v-fps": rng.normal() * 20.0,
+        "ic/w-fps": rng.normal() * 20.0,
+        "ic/p-rad_sec": rng.normal(),
+        "ic/q-rad_sec": rng.normal(),
+        "ic/r-rad_sec": rng.normal(),
+    }
+
+
+def by_airspeed(seed):
+    rng = np.random.default_rng(seed)
+    return {
+        "ic/h-sl-ft": rng.uniform(0.0, 2e4),
+        "ic/psi-true-deg": rng.uniform(0.0, 360.0),
+        "ic/vt-fps": rng.uniform(50.0, 200.0),
+        "ic/alpha-deg": rng.normal() * 4.0,
+        "ic/beta-deg": rng.normal() * 4.0,
+        "ic/vw-mag-fps": 20.0,
+        "ic/vw-dir-deg": 70.0,
+    }
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("made", [random_start, by_airspeed])
+def test_jsbsims_state_behind_its_initialisation(made, seed):
+    """Conditions are taken to 44 bits, which is 3e-14 of each."""
+    wind = made is by_airspeed
+    names = [
+        name
+        for name in START_RECORDS
+        if not (wind and name.startswith("aero/")) and not (wind and name == "velocities/vt-fps")
+    ]
+    assert (
+        worst(compared(aircraft("<aerodynamics/>"), names, frames=0, start=made(seed), floor=1.0))
+        < 3e-12
+    )
+
+
+@pytest.mark.parametrize("name", [name for name in CONDITIONS if "fps" in name or "rad" in name])
+def test_each_condition_a_little_off_is_noticed(name):
+    with craft(aircraft("<aerodynamics/>"), random_start(3)) as made:
+        fdm = made.open()
+        given = {name: np.array([fdm[name]]) for name in CONDITIONS}
+        engine.run_ic(fdm)
+        wanted = [fdm[f"position/eci-{a}-ft"] for a in "xyz"] + [
+            fdm[f"velocities/eci-{a}-fps"] for a in "xyz"
+        ]
+        wanted += [fdm[f"velocities/{a}i-rad_sec"] for a in "pqr"]
+        turned = attitude(fdm)
+    parts = [("position", 3, 2e7), ("velocity", 3, 1e3), ("rates", 3, 1.0), ("attitude", 4, 1.0)]
+    sizes = np.concatenate([np.full(count, size) for _, count, size in parts])
+
+    def gap(conditions):
+        found = start_state(conditions)
+        ours = np.array(
+            [found[f"#{part}/{k}"][0] for part, count, _ in parts for k in range(count)]
+        )
+        sign = np.sign(ours[-4:] @ turned)
+        return float(np.max(np.abs(ours - [*wanted, *(sign * turned)]) / sizes))
+
+    assert gap(given) < 1e-12
+    assert gap({**given, name: given[name] * (1.0 + 1e-8)}) > 1e-11
+
+
+def test_rounding_to_44_bits():
+    assert round_44_bits(0.1) == round(0.1 * 2**47) / 2**47
+    assert round_44_bits(1.0 + 2.0**-43) == 1.0 + 2.0**-43
+    assert round_44_bits(1.0 + 2.0**-46) == 1.0
+    assert round_44_bits(-3e7) == -3e7
+    assert math.isnan(round_44_bits(math.nan))
+    assert round_44_bits(math.inf) == math.inf
+    # The last places of a sine, which differ between machines.
+    assert round_44_bits(math.sin(0.7)) == round_44_bits(math.nextafter(math.sin(0.7), 1.0))
+
+
+# NIMA TR8350.2, table 3.1: half axes of WGS-84 [m], and the foot.
+A_M, B_M, FOOT = 6378137.0, 6356752.3142, 0.3048
+
+
+LATITUDES = [-1.5706, -1.2, -0.7, -1e-9, 0.0, 1e-9, 0.3, np.pi / 4, 1.05, 1.5, 1.5707]
+
+
+def placed(x, y, z):
+    """Place and gravity of points."""
+    b = Builder()
+    ecef = tuple(b.input(name) for name in "xyz")
+    at = motion.place(ecef)
+    g = motion.gravity(at)
+    named = {
+        "height": at.height_ft,
+        "radius": at.radius_ft,
+        "sea": at.sea_level_radius_ft,
+        "sin": at.sin_latitude,
+        "cos": at.cos_latitude,
+        "sinlon": at.sin_longitude,
+        "coslon": at.cos_longitude,
+        **{f"g{k}": b.value(g[k]) for k in range(3)},
+        **{f"l{i}{j}": b.value(at.to_local[i][j]) for i in range(3) for j in range(3)},
+    }
+    found, _ = evaluate(
+        b.finish(named),
+        {name: np.atleast_1d(value) for name, value in zip("xyz", (x, y, z), strict=True)},
+    )
+    return found
+
+
+def cartesian(latitude, longitude, height_ft):
+    """Earth-fixed coordinates [ft] in 40 digits: the closed form from latitude and height."""
+    with mpmath.workdps(40):
+        a, b = mpmath.mpf(motion.A_FT), mpmath.mpf(motion.B_FT)
+        lat, lon, h = mpmath.mpf(latitude), mpmath.mpf(longitude), mpmath.mpf(height_ft)
+        squeeze = (b / a) ** 2
+        n = a / mpmath.sqrt(1 - (1 - squeeze) * mpmath.sin(lat) ** 2)
+        across = (n + h) * mpmath.cos(lat)
+        return (
+            across * mpmath.cos(lon),
+            across * mpmath.sin(lon),
+            (n * squeeze + h) * mpmath.sin(lat),
+        )
+
+
+@pytest.mark.parametrize("height_ft", [-1000.0, 0.0, 300.0, 30000.0, 300000.0])
+@pytest.mark.parametrize("latitude", LATITUDES)
+def test_latitude_and_height_come_back(latitude, height_ft):
+    longitude = 2.0 - latitude
+    found = placed(*[float(c) for c in cartesian(latitude, longitude, height_ft)])
+    assert found["height"][0] == pytest.approx(height_ft, abs=2e-8)  # the last places of a radius
+    assert np.arctan2(found["sin"], found["cos"])[0] == pytest.approx(
+        latitude, abs=2e-15 if height_ft <= 1e5 else 2e-14
+    )
+    assert np.arctan2(found["sinlon"], found["coslon"])[0] == pytest.approx(
+        np.arctan2(np.sin(longitude), np.cos(longitude)), abs=1e-15
+    )
+
+
+def test_the_check_notices_a_shape_a_little_off(monkeypatch):
+    point = [float(c) for c in cartesian(0.7, 0.1, 1000.0)]
+    monkeypatch.setattr(motion, "_RATIO", motion._RATIO + 1e-14)
+    assert abs(placed(*point)["height"][0] - 1000.0) > 2e-8
+
+
+def test_axes_of_the_ellipsoid():
+    """On the equator and at the poles height is a difference of lengths."""
+    found = placed(
+        [motion.A_FT + 100.0, 0.0, 0.0],
+        [0.0, 0.0, -motion.A_FT - 7.0],
+        [0.0, -motion.B_FT - 50.0, 0.0],
+    )
+    assert found["height"] == pytest.approx([100.0, 50.0, 7.0], abs=1e-8)
+    assert found["sea"] == pytest.approx([motion.A_FT, motion.B_FT, motion.A_FT], abs=1e-8)
+    assert (found["sin"][1], found["cos"][0]) == (-1.0, 1.0)
+
+
+def test_the_ellipsoid_is_that_of_wgs_84():
+    assert pytest.approx([A_M, B_M], rel=2e-11) == [motion.A_FT * FOOT, motion.B_FT * FOOT]
+    # TR8350.2, table 3.1: GM in m3/s2, angular velocity; J2 from the normalised second harmonic.
+    assert pytest.approx(3.986004418e14, rel=1e-7) == motion.GM_FT3_S2 * FOOT**3
+    assert pytest.approx(7.292115e-5, rel=1e-9) == motion.RATE_RADPS
+    assert pytest.approx(0.484166774985e-3 * 5**0.5, rel=1e-5) == motion.J2
+
+
+def test_gravity_is_the_gradient_of_its_potential():
+    """J2's potential differentiated in 40 digits."""
+
+    def potential(x, y, z):
+        r2 = x * x + y * y + z * z
+        ratio = mpmath.mpf(motion.A_FT) ** 2 / r2
+        return (
+            motion.GM_FT3_S2
+            / mpmath.sqrt(r2)
+            * (1 - mpmath.mpf(motion.J2) / 2 * ratio * (3 * z * z / r2 - 1))
+        )
+
+    with mpmath.workdps(40):
+        for latitude in (-1.2, 0.0, 0.5, 1.0):
+            point = tuple(mpmath.mpf(float(c)) for c in cartesian(latitude, 0.4, 20000.0))
+            wanted = [
+                float(mpmath.diff(potential, point, tuple(int(k == axis) for k in range(3))))
+                for axis in range(3)
+            ]
+            found = placed(*[float(c) for c in point])
+            assert [found[f"g{k}"][0] for k in range(3)] == pytest.approx(wanted, abs=2e-14)
+
+
+def test_local_axes_are_orthogonal_and_point_down():
+    found = placed(*[float(c) for c in cartesian(0.6, -1.0, 5000.0)])
+    local = np.array([[found[f"l{i}{j}"][0] for j in range(3)] for i in range(3)])
+    assert local @ local.T == pytest.approx(np.eye(3), abs=1e-15)
+    higher = np.array([float(c) for c in cartesian(0.6, -1.0, 6000.0)]) - [
+        float(c) for c in cartesian(0.6, -1.0, 5000.0)
+    ]
+    assert local @ higher == pytest.approx([0.0, 0.0, -1000.0], abs=1e-7)
+
+
+def test_earth_fixed_axes_undo_the_rotation():
+    b = Builder()
+    angle = b.input("angle")
+    out = motion.earth_fixed(b.op("sin", angle), b.op("cos", angle), (b.input("x"), 0.0, 2.0))
+    found, _ = evaluate(
+        lower(b.finish({str(k): b.value(value) for k, value in enumerate(out)})),
+        {"angle": np.array([0.3]), "x": np.array([5.0])},
+    )
+    assert [found[k][0] for k in "012"] == pytest.approx(
+        [5.0 * np.cos(0.3), -5.0 * np.sin(0.3), 2.0]
+    )
+
+
+def computed(function, *arguments):
+    """The function of arrays, as an array."""
+    b = Builder()
+    inputs = {}
+
+    def named(array, name):
+        if np.ndim(array) == 0:
+            inputs[name] = np.array([float(array)])
+            return b.input(name)
+        return tuple(named(part, f"{name}.{k}") for k, part in enumerate(array))
+
+    made = function(*[named(argument, f"x{k}") for k, argument in enumerate(arguments)])
+    flat: dict[str, Value] = {}
+
+    def collect(part, name):
+        if isinstance(part, Value | float):
+            flat[name] = b.value(part)
+            return name
+        return [collect(one, f"{name}.{k}") for k, one in enumerate(part)]
+
+    names = collect(made, "out")
+    found, _ = evaluate(b.finish(flat), inputs)
+
+    def filled(part):
+        return float(found[part][0]) if isinstance(part, str) else [filled(one) for one in part]
+
+    return np.array(filled(names))
+
+
+RNG = np.random.default_rng(0)
+
+
+A, B, C = (RNG.normal(size=3) for _ in range(3))
+
+
+M, N = (RNG.normal(size=(3, 3)) for _ in range(2))
+
+
+Q = RNG.normal(size=4)
+
+
+Q /= np.linalg.norm(Q)
+
+
+def test_sums_and_products():
+    assert computed(vectors.plus, A, B) == pytest.approx(A + B)
+    assert computed(vectors.minus, A, B) == pytest.approx(A - B)
+    assert computed(vectors.times, A, 2.5) == pytest.approx(2.5 * A)
+    assert computed(vectors.cross, A, B) == pytest.approx(np.cross(A, B))
+    assert computed(vectors.dot, A, B) == pytest.approx(A @ B)
+
+
+def test_matrices():
+    assert computed(vectors.matvec, M, A) == pytest.approx(M @ A)
+    assert computed(vectors.transpose, M) == pytest.approx(M.T)
+    assert computed(vectors.matmul, M, N) == pytest.approx(M @ N)
+    assert computed(vectors.inverse, M) == pytest.approx(np.linalg.inv(M))
+
+
+def test_a_quaternions_matrix_and_rate():
+    matrix = computed(vectors.rotation, Q)
+    assert matrix @ matrix.T == pytest.approx(np.eye(3))
+    assert np.linalg.det(matrix) == pytest.approx(1.0)
+    # Rodrigues: the axis stays, and the trace is 1 + 2 cos of the angle.
+    assert matrix @ Q[1:] == pytest.approx(Q[1:])
+    assert np.trace(matrix) == pytest.approx(4.0 * Q[0] ** 2 - 1.0)
+    step = 1e-6
+    later = Q + step * computed(vectors.quaternion_rate, Q, A)
+    # Components in axes that turn with A: dM/dt = -[A x] M.
+    turned = -np.array([[0.0, -A[2], A[1]], [A[2], 0.0, -A[0]], [-A[1], A[0], 0.0]]) @ matrix
+    assert (computed(vectors.rotation, later) - matrix) / step == pytest.approx(turned, abs=1e-5)
+
+
+@pytest.mark.parametrize("size", [1.0, 1e-9, 3e-200, 1e50])
+def test_direction(size):
+    for angle in np.linspace(-3.1, 3.1, 41):
+        found = computed(vectors.direction, size * np.cos(angle), size * np.sin(angle))
+        assert found == pytest.approx([np.cos(angle), np.sin(angle)], rel=0.0, abs=4e-16)
+        assert found != pytest.approx(
+            [np.cos(angle + 1e-14), np.sin(angle + 1e-14)], rel=0.0, abs=4e-16
+        )
+
+
+def test_the_origin_has_no_direction():
+    assert np.isnan(computed(vectors.direction, 0.0, 0.0)).all()

@@ -1,0 +1,375 @@
+"""Passes over programs: the same bits recorded and kept, and less work."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.helpers.batch_against import same_bits
+from tests.helpers.batch_programs import feeds, mixed, run_program
+from uqharness.batch.interpret import Interpreter
+from uqharness.batch.ir import Builder
+from uqharness.batch.maths import COSINE, SINE, reuse_sines
+from uqharness.batch.passes import (
+    PASSED,
+    eliminate_dead_stores,
+    fuse_sections,
+    hoist_invariants,
+    lower_program,
+    optimise,
+    propagate_constants,
+    prune_slots,
+    sink,
+)
+from uqharness.batch.program import Program, Section, Stream, When, initial_state, slot
+
+LANES, FRAMES = 11, 40
+
+
+PASSES = {
+    "fuse_sections": fuse_sections,
+    "eliminate_dead_stores": eliminate_dead_stores,
+    "hoist_invariants": hoist_invariants,
+    "prune_slots": prune_slots,
+    "optimise": optimise,
+    "lower_program": lower_program,
+}
+
+
+def _flown(program: Program, pieces: tuple[int, ...] = (FRAMES,)) -> np.ndarray:
+    rng = np.random.default_rng(4)
+    own = {name: rng.normal(size=LANES) for name in ("s0", "s1", "s2", "constant a", "s20")}
+    state = initial_state(
+        program, LANES, {name: value for name, value in own.items() if name in program.slots}
+    )
+    out, frame = [], 1
+    for frames in pieces:
+        out.append(run_program(program, state, frame, frames, feeds(FRAMES, LANES), 2))
+        frame += frames
+    return np.concatenate(out, axis=2)
+
+
+@functools.cache
+def _mixed(seed: int) -> tuple[Program, np.ndarray]:
+    """A program, lowered, and what it records before."""
+    program = mixed(seed, sections=9)
+    return lower_program(program), _flown(program)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        name
+        if name in ("optimise", "lower_program")
+        else pytest.param(name, marks=pytest.mark.slow)
+        for name in PASSES
+    ],
+)
+@pytest.mark.parametrize(
+    "seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))]
+)
+def test_every_pass_keeps_the_bits_of_what_is_recorded(name: str, seed: int) -> None:
+    program, wanted = _mixed(seed)
+    changed = PASSES[name](program)
+    assert same_bits(_flown(changed), wanted).all()
+    assert same_bits(_flown(changed, (1, 3, 36)), wanted).all()
+
+
+def test_a_wrong_pass_is_noticed() -> None:
+    program = mixed(0, sections=9)
+    wrong = replace(program, sections=program.sections[:1] + program.sections[:0:-1])
+    assert not same_bits(_flown(wrong), _flown(program)).all()
+
+
+def _section(stores: dict[str, tuple[str, ...]], when: When | None = None) -> Section:
+    """Each slot becomes the sum of others."""
+    b = Builder()
+    values = {
+        goal: sum((b.load(name) for name in names[1:]), b.load(names[0]))
+        for goal, names in stores.items()
+    }
+    return Section("s", b.finish({}, values), when or When())
+
+
+def _stored(program: Program) -> list[list[str]]:
+    return [sorted(section.function.stores) for section in program.sections]
+
+
+def test_dead_stores_are_eliminated() -> None:
+    sections = (
+        _section({"a": ("x", "y"), "unused": ("x", "y")}),
+        _section({"own": ("own", "x"), "b": ("a", "x"), "over": ("x", "y")}),
+        _section({"over": ("y", "y"), "record": ("b", "over")}),
+    )
+    names = ("a", "b", "x", "y", "own", "over", "unused", "record")
+    program = Program(sections, dict.fromkeys(names, 1.0), (), ("record",))
+    # The last store of "over" is written over before anybody reads it.
+    assert _stored(eliminate_dead_stores(program)) == [["a"], ["b", "over"], ["record"]]
+    assert _stored(eliminate_dead_stores(program, ["own", "over"])) == [
+        ["a"],
+        ["b", "over", "own"],
+        ["over", "record"],
+    ]
+    assert set(prune_slots(eliminate_dead_stores(program)).slots) == {
+        "a",
+        "b",
+        "x",
+        "y",
+        "over",
+        "record",
+    }
+
+
+def test_invariants_are_hoisted() -> None:
+    b = Builder()
+    fixed, x = b.load("fixed"), b.load("x")
+    expensive = b.op("exp", b.op("sin", fixed)) / (fixed * fixed + 1.0)
+    chosen = b.op("and", fixed.lt(2.0), fixed.gt(-2.0)).choose(expensive, -expensive)
+    b.store("x", x * chosen + fixed + (fixed * 2.0))
+    program = Program((Section("s", b.finish({})),), {"fixed": 0.3, "x": 1.0}, (), ("x",))
+    changed = optimise(program)
+    assert changed.prelude is not None
+    assert changed.sections[0].function.counts() == {"load": 3, "mul": 2, "add": 2, "const": 1}
+    assert changed.prelude.counts()["div"] >= 1
+    a, b_ = (
+        initial_state(program, 3, {"fixed": np.array([0.1, 5.0, -1.0])}),
+        initial_state(changed, 3, {"fixed": np.array([0.1, 5.0, -1.0])}),
+    )
+    assert same_bits(run_program(program, a, 1, 5), run_program(changed, b_, 1, 5)).all()
+    with pytest.raises(ValueError, match="has a prelude"):
+        hoist_invariants(changed)
+
+
+def test_a_slot_changed_between_calls_counts() -> None:
+    b = Builder()
+    b.store("x", b.op("exp", b.load("level")) + b.load("x"))
+    program = optimise(Program((Section("s", b.finish({})),), {"level": 0.0, "x": 0.0}, (), ("x",)))
+    state = initial_state(program, 1)
+    run_program(program, state, 1, 2)
+    state[:, list(program.slots).index("level"), :] = 1.0
+    run_program(program, state, 3, 1)
+    assert slot(program, state, "x", 1)[0] == 2.0 + np.exp(1.0)
+
+
+def _flown_sinking(
+    program: Program, stride: int, pieces: tuple[int, ...] = (FRAMES,)
+) -> np.ndarray:
+    own = {
+        name: np.random.default_rng(4).normal(size=LANES)
+        for name in ("s0", "s1", "s20")
+        if name in program.slots
+    }
+    state = initial_state(program, LANES, own)
+    out, frame = [], 1
+    for frames in pieces:
+        out.append(
+            run_program(
+                program,
+                state,
+                frame,
+                frames,
+                feeds(FRAMES, LANES) if program.streams else {},
+                stride,
+            )
+        )
+        frame += frames
+    return np.concatenate(out, axis=2)
+
+
+@pytest.mark.parametrize(
+    "stride", [1, 3, 10, *(pytest.param(stride, marks=pytest.mark.slow) for stride in (2, 6))]
+)
+@pytest.mark.parametrize(
+    "seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2, 3, 4, 5))]
+)
+def test_records_keep_their_bits(seed: int, stride: int) -> None:
+    program = eliminate_dead_stores(fuse_sections(lower_program(mixed(seed, sections=4 + seed))))
+    wanted = _flown_sinking(program, stride)
+    for changed in (sink(program, (), stride), optimise(program, (), stride)):
+        assert same_bits(_flown_sinking(changed, stride), wanted).all()
+        assert same_bits(_flown_sinking(changed, stride, (1, 6, 3, 30)), wanted).all()
+
+
+def _two(readers: tuple[int, ...] = (2,), kept: bool = False) -> Program:
+    """A walk, and of it and its old value a long sum, which sections of every n-th frame load."""
+    b = Builder()
+    old = b.load("x")
+    new = old * 0.9 + 0.1
+    total = b.constant(0.0)
+    for k in range(30):
+        total = total * old + new * float(k)
+    b.store("x", new)
+    b.store("sum", total)
+    sections = [Section("walk", b.finish({}))]
+    for every in readers:
+        b = Builder()
+        b.store(f"read {every}", b.load(f"read {every}") + b.load("sum"))
+        sections.append(Section(f"reader {every}", b.finish({}), When(every=every)))
+    slots = {"x": 0.3, "sum": 0.0} | {f"read {every}": 0.0 for every in readers}
+    return Program(
+        tuple(sections),
+        slots,
+        (),
+        tuple(f"read {every}" for every in readers) + (("sum",) if kept else ()),
+    )
+
+
+def test_computations_sink_to_their_readers() -> None:
+    changed = sink(_two((4, 6)))
+    assert [s.when.every for s in changed.sections] == [1, 2, 4, 6]
+    assert len(changed.sections[0].function.nodes) < 10
+    assert any(name.startswith(PASSED) for name in changed.slots)
+    assert (_flown_sinking(changed, 1) == _flown_sinking(_two((4, 6)), 1)).all()
+
+
+def test_records_off_the_stride_differ() -> None:
+    """The negative control: a record in a frame that the stride does not divide shows what has
+    moved.
+    """
+    program = _two((), True)
+    state = initial_state(program, 1)
+    changed = sink(program, (), 10)
+    there = initial_state(changed, 1)
+    run_program(program, state, 1, 15)
+    run_program(changed, there, 1, 15)
+    assert slot(program, state, "sum", 1) != slot(changed, there, "sum", 1)
+
+
+def section(name: str, when: When, **stores: object) -> Section:
+    """Stores by slot: a function of the builder gives the value."""
+    b = Builder()
+    for name_, make in stores.items():
+        b.store(name_, make(b))  # type: ignore[operator]
+    return Section(name, b.finish({}), when)
+
+
+def program(switch_written: float) -> Program:
+    """A switch that is written with a number, a section that it masks, one that counts, and one
+    that is fed.
+    """
+    sections = (
+        section("switch", When(), switch=lambda b: b.load("setting") * 0.0 + switch_written),
+        section("masked", When(mask="switch"), gain=lambda b: b.load("gain") + 1.0),
+        section("count", When(), count=lambda b: b.load("count") + b.load("gain")),
+        section("fed", When(), out=lambda b: b.load("feed") * b.load("lane")),
+    )
+    slots = {
+        "setting": 2.0,
+        "switch": 0.0,
+        "gain": 1.0,
+        "count": 0.0,
+        "feed": 0.0,
+        "lane": 3.0,
+        "out": 0.0,
+    }
+    return Program(sections, slots, (Stream("air", ("feed",)),), ("count", "out"))
+
+
+def flown(made: Program) -> np.ndarray:
+    """Records of four frames in two lanes."""
+    state = initial_state(made, 2, {"lane": np.array([3.0, 5.0])} if "lane" in made.slots else {})
+    rows = np.arange(1.0, 5.0)[:, None]
+    return Interpreter(made).fly(state, 1, 4, {"air": (rows, 0, np.zeros(2, dtype=np.int64))})[
+        :, :2
+    ]
+
+
+def test_a_switch_that_stays_off_takes_its_section_along():
+    made = propagate_constants((), program(0.0), ("lane",))
+    assert "masked" not in [s.name for s in made.sections]
+    np.testing.assert_array_equal(flown(made), flown(program(0.0)))
+    np.testing.assert_array_equal(flown(made)[0, 0], [1.0, 2.0, 3.0, 4.0])
+
+
+def test_a_switch_that_goes_on_keeps_its_section():
+    made = propagate_constants((), program(1.0), ("lane",))
+    assert "masked" in [s.name for s in made.sections]
+    np.testing.assert_array_equal(flown(made), flown(program(1.0)))
+    np.testing.assert_array_equal(flown(made)[0, 0], [2.0, 5.0, 9.0, 14.0])
+
+
+def test_lanes_and_streams_are_not_folded():
+    made = propagate_constants((), program(0.0), ("lane",))
+    np.testing.assert_array_equal(flown(made)[1], [[3.0, 6.0, 9.0, 12.0], [5.0, 10.0, 15.0, 20.0]])
+    wrong = propagate_constants((), program(0.0), ())
+    assert not np.array_equal(flown(wrong)[1], flown(made)[1])
+
+
+def test_values_of_the_initialising_frame_are_folded():
+    first = Program((section("first", When(), gain=lambda b: b.constant(4.0)),), {"gain": 1.0})
+    made = propagate_constants((first,), program(0.0), ("lane",))
+    count = next(s for s in made.sections if s.name == "count")
+    assert 4.0 in [node.value for node in count.function.nodes]
+
+
+ANGLES = np.linspace(-3.0, 3.0, 16)
+
+
+def _publishing(scale: float = 1.0, beside: bool = True) -> Section:
+    """An angle that moves, and beside it ``scale`` times its sine and cosine."""
+    b = Builder()
+    angle = b.load("angle") + 0.01
+    b.store("angle", angle)
+    if beside:
+        b.store(SINE + "angle", b.op("sin", angle) * scale)
+        b.store(COSINE + "angle", b.op("cos", angle) * scale)
+    return Section("publishing", b.finish({}))
+
+
+def _reading(every: int = 1) -> Section:
+    b = Builder()
+    angle = b.load("angle")
+    for name, value in (
+        ("s", b.op("sin", angle)),
+        ("c", b.op("cos", angle)),
+        ("-s", b.op("sin", -angle)),
+        ("-c", b.op("cos", -angle)),
+    ):
+        b.store(name, value)
+    b.store("tan", b.op("tan", angle))
+    return Section("reading", b.finish({}), When(every=every))
+
+
+def _program(*sections: Section, streams: tuple[Stream, ...] = ()) -> Program:
+    names = ("angle", SINE + "angle", COSINE + "angle", "s", "c", "-s", "-c", "tan")
+    return Program(sections, dict.fromkeys(names, 0.0), streams, ("s", "c", "-s", "-c", "tan"))
+
+
+def _flown_angles(program: Program) -> np.ndarray:
+    state = initial_state(program, len(ANGLES), {"angle": ANGLES})
+    run_program(program, state, 1, 4)
+    return np.array([slot(program, state, name, len(ANGLES)) for name in program.records])
+
+
+def test_stored_sines_are_reused() -> None:
+    program = _program(_publishing(), _reading(2))
+    short = reuse_sines(program)
+    assert set(short.sections[1].function.counts()) == {"load", "neg", "tan"}
+    assert (_flown_angles(short) == _flown_angles(program)).all()
+    assert (_flown_angles(optimise(short)) == _flown_angles(program)).all()
+    # What stands there is taken: were it wrong, that would show.
+    other = _program(_publishing(1.0 + 1e-12), _reading(2))
+    assert (_flown_angles(reuse_sines(other))[:4] != _flown_angles(program)[:4]).mean() > 0.5
+
+
+@pytest.mark.parametrize("kind", ["nothing beside", "another writer", "fed"])
+def test_an_angle_without_them_stays(kind: str) -> None:
+    b = Builder()
+    b.store("angle", b.load("s"))
+    sections = {
+        "nothing beside": (_publishing(beside=False), _reading()),
+        "another writer": (
+            _publishing(),
+            Section("other", b.finish({}), When(every=3)),
+            _reading(),
+        ),
+        "fed": (_publishing(), _reading()),
+    }[kind]
+    program = _program(*sections, streams=(Stream("angles", ("angle",)),) if kind == "fed" else ())
+    assert (
+        reuse_sines(program).sections[-1].function.counts()
+        == program.sections[-1].function.counts()
+    )

@@ -1,0 +1,198 @@
+"""JSBSim's own properties, its flight controls in all units, numbers and names as JSBSim reads them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.helpers import batch_oracle as oracle
+from tests.helpers.batch_systems import judged, random_inputs
+from uqharness.batch.ir import Builder
+from uqharness.batch.translate.frame import (
+    HOOKS,
+    REQUIRED,
+    Scope,
+    canonical,
+    is_number,
+    keeps_value,
+    made_by_jsbsim,
+    property_of,
+    read_only,
+    settable,
+    writable,
+)
+from uqharness.errors import BadInputError
+from uqharness.simulator import engine
+from uqharness.xml.document import parse_document
+
+# Levers and surfaces, which any aircraft's XML moves.
+FREE = ("fcs/", "gear/gear-", "gear/tailhook")
+
+
+def bare():
+    fdm = oracle.loaded(oracle.model(""), 0.01)
+    engine.run_ic(fdm)
+    return fdm
+
+
+def test_all_properties_of_a_bare_aircraft_are_listed():
+    names = [
+        name
+        for name in engine.catalog(bare())
+        if not name.startswith(FREE) or name.startswith("fcs/mag-")
+    ]
+    assert len(names) > 250
+    assert [name for name in names if not made_by_jsbsim(name)] == []
+
+
+def test_properties_of_authors_are_not_jsbsims():
+    assert not any(
+        made_by_jsbsim(name)
+        for name in (
+            "ap/engaged",
+            "aero/Cm_q",
+            "fcs/x",
+            "uq/CZ/delta",
+            "systems/flaps",
+            "propulsion/my-switch",
+        )
+    )
+
+
+def test_writable_ones_take_a_value_in_jsbsim():
+    fdm = bare()
+    names = [
+        name
+        for name in engine.catalog(fdm)
+        if made_by_jsbsim(name) and writable(name) and name != "atmosphere/psiw-rad"
+    ]
+    assert {"atmosphere/delta-T", "atmosphere/wind-north-fps", "metrics/aero-rp-x-in"} <= set(names)
+    fdm["atmosphere/wind-north-fps"] = 5.0
+    for name in names:
+        before = fdm[name]
+        fdm[name] = before + 1.0
+        assert fdm[name] == pytest.approx(before + 1.0), name
+        fdm[name] = before
+
+
+def test_required_values_are_those_of_an_aircraft_that_sets_nothing():
+    fdm = oracle.loaded(oracle.model(""), 0.01)
+    there = fdm.get_property_manager().hasNode
+    assert [name for name, value in REQUIRED.items() if there(name) and fdm[name] != value] == []
+    assert sum(there(name) for name in REQUIRED) > 12
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        *REQUIRED,
+        "position/h-sl-ft",
+        "velocities/u-fps",
+        "metrics/Sw-sqft",
+        "aero/alpha-max-rad",
+        "simulation/frame",
+    ],
+)
+def test_what_does_more_than_keep_a_value_is_not_writable(name):
+    assert not writable(name)
+    assert settable(name) == (name == "simulation/gravity-model")
+
+
+def test_fixed_ones_stand_still_in_flight():
+    fdm = oracle.loaded(oracle.model(""), 0.01)
+    engine.run_ic(fdm)
+    before = {name: fdm[name] for name in engine.catalog(fdm) if keeps_value(name)}
+    for _ in range(50):
+        fdm.run()
+    moved = [name for name, value in before.items() if fdm[name] != value]
+    assert moved == []
+    assert not keeps_value("position/h-sl-ft")
+    assert not keeps_value("velocities/vc-kts")
+
+
+@pytest.mark.parametrize("name", HOOKS)
+def test_a_surface_moves_in_all_units(name: str) -> None:
+    body = (
+        "<channel><pure_gain"
+        f' name="{name}"><input>i/a</input><gain>@.3</gain></pure_gain></channel>'
+    )
+    apart, control = judged(body, random_inputs(300))
+    assert apart == {}
+    assert (
+        len(control) == 3
+        if "flap" not in name and "brake" not in name and "spoiler" not in name
+        else 2
+    )
+
+
+@pytest.mark.parametrize(
+    "name", ["fcs/mag-elevator-pos-rad", "simulation/channel-dt", "fcs/a/saturated"]
+)
+def test_what_takes_no_value(name: str) -> None:
+    fdm = oracle.load(
+        '<channel><actuator name="a"><input>fcs/elevator-cmd-norm</input></actuator></channel>'
+    )
+    before = fdm[name]
+    fdm[name] = 17.0
+    assert fdm[name] == before
+    assert read_only(name)
+    assert not read_only("fcs/elevator-cmd-norm")
+
+
+def test_levers_are_copied_before_the_channels() -> None:
+    body = (
+        "<channel><pure_gain"
+        ' name="g"><input>fcs/throttle-pos-norm</input><gain>@2</gain></pure_gain></channel>'
+    )
+    apart, control = judged(body, {"fcs/throttle-cmd-norm": random_inputs(300)["i/a"]}, engines=1)
+    assert apart == {}
+    assert set(control) == {"fcs/g"}
+
+
+DOCUMENT = parse_document(Path("a.xml"), b"<a>\n<gain>x</gain></a>")
+
+
+NODE = DOCUMENT.root.children[0]
+
+
+def _scope() -> Scope:
+    builder = Builder()
+    return Scope(builder, DOCUMENT, lambda name: builder.load(name) if name == "x/y" else None)
+
+
+@pytest.mark.parametrize("text", ["1", "-.5", "+2.", " 1e-3 ", "0.25E+7"])
+def test_numbers(text: str) -> None:
+    assert is_number(text)
+    assert _scope().parameter(NODE, text).constant == float(text)
+
+
+@pytest.mark.parametrize("text", ["x/y", "-x/y", "/fdm/jsbsim/x/y", "x[0]/y"])
+def test_properties_with_a_sign(text: str) -> None:
+    scope = _scope()
+    assert not is_number(text)
+    value = scope.parameter(NODE, text)
+    plain = scope.builder.load("x/y")
+    assert value.index == (-plain if text.startswith("-") else plain).index
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("1.5x", "must be the name of a property; received '1.5x'"),
+        ("--x/y", "must be the name of a property"),
+        ("x y", "must be the name of a property"),
+        ("1e999", "finite decimal number"),
+        ("x/z", "property x/z is not computed"),
+    ],
+)
+def test_refusals(text: str, message: str) -> None:
+    with pytest.raises(BadInputError, match=message) as error:
+        _scope().parameter(NODE, text)
+    assert str(error.value).startswith("a.xml:2: ")
+
+
+def test_one_spelling_of_a_name() -> None:
+    assert canonical(" /fdm/jsbsim/fcs/throttle-cmd-norm[0] ") == "fcs/throttle-cmd-norm"
+    assert canonical("/host/x") == "/host/x"
+    assert property_of(_scope(), NODE, "a/b[2]") == "a/b[2]"

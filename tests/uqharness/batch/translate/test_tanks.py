@@ -1,0 +1,231 @@
+"""Tanks against JSBSim, and the mass, place and inertia that follow."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.helpers import batch_engines as engines
+from tests.helpers import batch_flights as flights
+from tests.helpers.few import few
+from uqharness.batch.translate.tanks import DRY, Tank, dry_aircraft
+
+FEEDS = "<feed>0</feed><feed>1</feed><feed>2</feed>"
+
+
+TANKS = (
+    engines.tank(0.06, "<priority>2</priority>")
+    + engines.tank(
+        0.05,
+        '<unusable-volume unit="GAL">0.004</unusable-volume><density unit="LBS/GAL">6.1</density>',
+    )
+    + engines.tank(0.03)
+)
+
+
+OF_TANKS = [
+    f"propulsion/tank{index}/{name}"
+    for index in ("", "[1]", "[2]")
+    for name in ("contents-lbs", "pct-full", "priority")
+]
+
+
+POINTMASS = (
+    "</mass_balance>",
+    """<pointmass name="p"><weight unit="LBS">90</weight><location unit="IN"><x>-30</x><y>9</y><z>4</z></location></pointmass>
+</mass_balance>""",
+)
+
+
+def case(systems: str = "", inputs: dict | None = None, frames: int = 900) -> engines.Case:
+    moved = engines.levers(frames)
+    return engines.Case(
+        engines.aircraft(
+            engines.mounted("eng_io320", "prop_75in2f", feed=FEEDS) + TANKS,
+            engines.HEAVY.replace(*POINTMASS),
+            systems,
+        ),
+        [
+            *OF_TANKS,
+            *engines.of(
+                0,
+                [
+                    "fuel-used-lbs",
+                    "fuel-flow-rate-pps",
+                    "fuel-flow-rate-gph",
+                    "set-running",
+                    "thrust-lbs",
+                ],
+            ),
+            "propulsion/total-fuel-lbs",
+            *engines.MASS,
+            *engines.TOTALS,
+            *engines.MOTION,
+        ],
+        {**moved, **(inputs or {}), "fcs/throttle-cmd-norm": np.ones(frames + 1)},
+        engines.stock("eng_io320", "prop_75in2f"),
+        start={"ic/u-fps": 150.0},
+    )
+
+
+def test_tanks_empty_in_their_order_and_the_engine_stops() -> None:
+    made = case()
+    theirs = made.theirs()
+    ours = made.ours()
+    assert flights.worst(flights.apart(theirs, ours)) < 1e-11
+    # All of it has happened: the first two tanks gave until nothing was left, then the one of
+    # second priority, then none.
+    assert theirs["propulsion/tank[1]/contents-lbs"][-1] == pytest.approx(0.0244)
+    assert theirs["propulsion/tank[2]/contents-lbs"][-1] == 0.0
+    assert theirs["propulsion/tank/contents-lbs"][-1] == 0.0
+    assert theirs["propulsion/engine/set-running"][0] == 1.0
+    assert theirs["propulsion/engine/set-running"][-1] == 0.0
+    assert ours["inertia/weight-lbs"][0] > ours["inertia/weight-lbs"][-1]
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    few(
+        [
+            ("<priority>2", "<priority>1"),
+            ('unit="GAL">0.004', 'unit="GAL">0.00401'),
+            ("<feed>2</feed>", ""),
+            ('<radius unit="IN">6', '<radius unit="IN">6.1'),
+            ("<z>-6</z></drain", "<z>-6.01</z></drain"),
+            ('LBS/GAL">6.1', 'LBS/GAL">6.11'),
+        ],
+        2,
+    ),
+)
+def test_each_number_matters(before: str, after: str) -> None:
+    made = case()
+    theirs = made.theirs()
+    assert before in made.text
+    assert flights.worst(flights.apart(theirs, made.ours(made.text.replace(before, after)))) > 1e-9
+
+
+@pytest.mark.slow
+def test_contents_and_priorities_are_set_and_fuel_flows_by_itself() -> None:
+    systems = """<system name="s"><channel name="c">
+    <fcs_function name="s/a"><function><product><v>30</v><p>s/in</p></product></function>
+    <output>propulsion/tank/contents-lbs</output></fcs_function>
+    <fcs_function name="s/b"><function><sum><v>1.3</v><p>s/in</p></sum></function>
+    <output>propulsion/tank[1]/priority</output></fcs_function>
+    <fcs_function name="s/c"><function><difference><v>.5</v><p>s/in</p></difference></function>
+    <output>propulsion/tank[2]/external-flow-rate-pps</output></fcs_function></channel>
+    <property value="0">s/in</property></system>"""
+    rng = np.random.default_rng(4)
+    made = case(systems, {"s/in": rng.uniform(-0.2, 1.0, 301)}, 300)
+    theirs = made.theirs()
+    assert flights.worst(flights.apart(theirs, made.ours())) < 1e-11
+    assert (
+        flights.worst(
+            flights.apart(theirs, made.ours(made.text.replace("<v>30</v>", "<v>30.001</v>")))
+        )
+        > 1e-9
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('<tank type="BATTERY"/>', "a tank of type 'BATTERY': allowed are FUEL and OXIDIZER"),
+        (
+            '<tank type="FUEL"><grain_config type="CYLINDRICAL"/></tank>',
+            "<grain_config> has a length",
+        ),
+        (
+            '<tank type="FUEL"><grain_config type="FUNCTION"/></tank>',
+            "type='FUNCTION' of <grain_config> is not understood",
+        ),
+        (
+            engines.tank(5.0)
+            + '<engine file="motor"><feed>1</feed><thruster file="direct"/></engine>',
+            "an engine feeds from tanks 0 to 0; received 1",
+        ),
+    ],
+)
+def test_what_is_not_understood_is_refused(text: str, said: str) -> None:
+    message = engines.refusal(engines.aircraft(text), engines.FILES)
+    assert said in message
+    assert "point.xml:" in message
+
+
+@pytest.mark.parametrize("tank", few([engines.tank(6.0), ""], 1))
+def test_an_electric_engine_takes_nothing_from_its_tank(tank: str) -> None:
+    """With a tank, and with the number of one that is not there, as converted models have it."""
+    text = engines.aircraft(engines.mounted("motor", "fixed", feed="<feed>0</feed>") + tank)
+    records = [*engines.TOTALS, *engines.MOTION, "inertia/weight-lbs"]
+    made = engines.Case(text, records, engines.levers(40), engines.FILES, "")
+    theirs = made.theirs()
+    assert flights.worst(flights.apart(theirs, made.ours())) < 1e-9
+    assert np.ptp(theirs["inertia/weight-lbs"]) == 0.0
+    changed = made.ours(text.replace("<y>-3</y>", "<y>-3.01</y>"))
+    assert flights.worst(flights.apart(theirs, changed)) > 1e-8
+
+
+SPIN = """<aerodynamics><axis name="ROLL"><function name="aero/r"><v>1</v></function></axis>
+<axis name="PITCH"><function name="aero/q"><v>2</v></function></axis></aerodynamics>"""
+
+
+def test_the_dry_aircraft_is_a_point_that_weighs_what_is_left() -> None:
+    tank = Tank("propulsion/tank/", None, 100.0, 0.0)
+    values = {
+        "inertia/weight-lbs": 32.174049,
+        "inertia/cg-x-in": 6.0,
+        "inertia/cg-y-in": 0.0,
+        "inertia/cg-z-in": 0.0,
+        **dict.fromkeys(
+            (f"inertia/{name}-slugs_ft2" for name in ("ixx", "ixy", "ixz", "iyz")), 0.0
+        ),
+        "inertia/iyy-slugs_ft2": 0.25,
+        "inertia/izz-slugs_ft2": 0.25,
+        "propulsion/tank/contents-lbs": 32.174049 / 2.0,
+        "propulsion/tank/x-position": 12.0,
+        "propulsion/tank/y-position": 0.0,
+        "propulsion/tank/z-position": 0.0,
+    }
+    # Two half slugs a foot apart turn about their middle with 2 (1/2)(1/2)^2 slug ft2; one is fuel.
+    dry = dry_aircraft([tank], [], values.__getitem__)
+    assert dry[DRY[0]] == pytest.approx(32.174049 / 2.0)
+    assert [dry[name] for name in DRY[1:]] == pytest.approx([0.0] * 9, abs=1e-12)
+
+
+@pytest.mark.parametrize("name", few(["ixy", "ixz", "iyz"], 2))
+@pytest.mark.parametrize("negated", few(["true", "false"], 1))
+def test_products_of_inertia_turn_as_in_jsbsim(name: str, negated: str) -> None:
+    tag = f'<{name} unit="SLUG*FT2">.3</{name}>'
+    mass = flights.MASS.replace('<ixz unit="SLUG*FT2">.3</ixz>', tag)
+    mass = mass.replace("<mass_balance", f'<mass_balance negated_crossproduct_inertia="{negated}"')
+    text = flights.aircraft(SPIN, mass=mass)
+    records = ["velocities/p-rad_sec", "velocities/q-rad_sec", "velocities/r-rad_sec"]
+    assert flights.worst(flights.compared(text, records, frames=60)) < 1e-11
+    assert (
+        flights.worst(
+            flights.compared(text, records, frames=60, changed=text.replace(">.3<", ">-.3<"))
+        )
+        > 1e-4
+    )
+
+
+def test_mass_moves_with_the_fuel() -> None:
+    contents = np.linspace(11.0, 0.5, 81)
+    text = engines.aircraft(
+        engines.mounted("motor", "fixed") + engines.tank(6.0) + engines.tank(2.0)
+    )
+    made = engines.Case(
+        text,
+        [*engines.MASS, *engines.MOTION],
+        {"propulsion/tank/contents-lbs": contents},
+        engines.FILES,
+    )
+    theirs = made.theirs()
+    assert flights.worst(flights.apart(theirs, made.ours())) < 1e-11
+    assert (
+        flights.worst(
+            flights.apart(
+                theirs, made.ours(text.replace("<z>-6</z></drain", "<z>-6.001</z></drain"))
+            )
+        )
+        > 1e-9
+    )

@@ -1,0 +1,352 @@
+"""manifest.json and tables with wrong content: one sentence and exit code 2 in every command; folders of version 0.1."""
+
+from __future__ import annotations
+
+import copy
+import csv
+import io
+import json
+import random
+import shutil
+import tomllib
+
+import pandas as pd
+import pytest
+
+from sysid.foreign.regular_files import sha256_hex
+from tests.helpers import campaign_fakes as fakes
+from tests.helpers.campaign_fakes import CAMPAIGN
+from tests.helpers.places import TESTS
+from uqharness.campaign.manifest import (
+    checked_content,
+    digest_of_text,
+    read_manifest,
+    write_manifest,
+)
+from uqharness.campaign.processes import SerialExecutor
+from uqharness.campaign.read_spec import read_campaign
+from uqharness.campaign.run import run_campaign
+from uqharness.cli.main import main
+from uqharness.next_flight.points import open_campaign
+
+pytestmark = pytest.mark.usefixtures("flights_here")
+
+OLD = TESTS / "format_1"
+
+
+READING = (
+    ["campaign", "status"],
+    ["campaign", "report", "--no-tracks"],
+    ["sensitivity"],
+    ["campaign", "convergence", "--repeats", "2"],
+    ["campaign", "area", "--value", "altitude_median_m=3"],
+)
+
+
+FLYING = (["campaign", "rerun", "--case", "0"], ["campaign", "merge"], ["campaign", "salvage"])
+
+
+@pytest.fixture(autouse=True)
+def _no_check_flight(monkeypatch):
+    monkeypatch.setattr("uqharness.campaign.run.validate_model", lambda fly, case: None)
+    monkeypatch.setattr("uqharness.flight.fly.fly", fakes.steady)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    root = tmp_path_factory.mktemp("manifest")
+    text = fakes.CAMPAIGN.replace("flights = 3", "flights = 4").partition("[epistemic]")[0]
+    text += (
+        '[epistemic]\nmethod = "corners"\ncoefficients = ["CX", "CY"]\nbounds = { CX = 0.008, CY ='
+        " 0.010 }\n"
+    )
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("uqharness.campaign.run.validate_model", lambda fly, case: None)
+        run_campaign(
+            read_campaign(fakes.campaign_file(root, text)),
+            root / "out",
+            executor=SerialExecutor(),
+            fly=fakes.steady,
+        )
+    return root / "out"
+
+
+def call(capsys, words, folder):
+    """Exit code and output of a command on a folder; a traceback would pass through."""
+    capsys.readouterr()
+    number = 2 if words[0] == "campaign" else 1
+    code = main([*words[:number], str(folder), *words[number:]])
+    return code, capsys.readouterr()
+
+
+def sealed(folder, document):
+    """Write a manifest as somebody would who knows how its digest is made."""
+    content = {key: value for key, value in document.items() if key != "digest"}
+    (folder / "manifest.json").write_text(json.dumps(content | {"digest": digest_of_text(content)}))
+
+
+def places(tree, prefix=()):
+    for key, value in tree.items():
+        yield (*prefix, key)
+        if isinstance(value, dict):
+            yield from places(value, (*prefix, key))
+
+
+@pytest.mark.parametrize("every", [4, pytest.param(1, marks=pytest.mark.slow)])
+def test_a_missing_or_retyped_part_is_one_sentence(made, tmp_path, capsys, every):
+    """Also with a digest that fits, in every command."""
+    folder = tmp_path / "out"
+    shutil.copytree(made, folder)
+    document = json.loads((made / "manifest.json").read_text())
+    chance = random.Random(1)
+    strange = [None, True, -1, 1.5, "x", [], {}, [1], {"a": 1}, "\x00", 1e400, 2**70]
+    refused = 0
+    for place in list(places(document))[::every]:
+        for what in ("gone", "retyped"):
+            changed = copy.deepcopy(document)
+            node = changed
+            for key in place[:-1]:
+                node = node[key]
+            if what == "gone":
+                del node[place[-1]]
+            else:
+                node[place[-1]] = chance.choice(strange)
+            sealed(folder, changed)
+            for words in chance.sample([*READING[:3], *FLYING, ["campaign", "verify"]], 2):
+                code, said = call(capsys, words, folder)
+                assert code in (0, 1, 2), (place, what, words)
+                if code == 2:
+                    refused += 1
+                    assert said.err.startswith("uqharness: error: ")
+                    assert "Traceback" not in said.err
+                assert "\x00" not in said.err
+    assert refused > 50 / every
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "null",
+        "[]",
+        "[" * 99_999,
+        "\ufeff{}",
+        "1" * 5000,
+        *(f'{{"format": {what}}}' for what in ("2", "1", "true", "[2]")),
+    ],
+    ids=range(10),
+)
+def test_files_that_are_no_manifest(tmp_path, capsys, text):
+    (tmp_path / "manifest.json").write_text(text)
+    for words in (*READING, *FLYING[:1], FLYING[2]):
+        code, said = call(capsys, words, tmp_path)
+        assert code == 2
+        assert "manifest.json" in said.err
+    assert call(capsys, ["campaign", "verify"], tmp_path)[0] == 1
+
+
+def test_a_changed_manifest_is_refused(made, tmp_path, capsys):
+    document = json.loads((made / "manifest.json").read_text())
+    (tmp_path / "manifest.json").write_text(json.dumps(document))
+    assert read_manifest(tmp_path) == read_manifest(made)
+    for changed in (document | {"cases": 17}, document | {"note": "x"}, document | {"format": 1}):
+        (tmp_path / "manifest.json").write_text(json.dumps(changed))
+        code, said = call(capsys, ["campaign", "status"], tmp_path)
+        assert (code, "does not fit its digest" in said.err) == (2, True)
+
+
+def put(folder, name, content):
+    """A table with a digest that fits, as damage cannot make it and another program could."""
+    (folder / name).write_bytes(content)
+    manifest = read_manifest(folder)
+    write_manifest(folder, manifest | {"tables": manifest["tables"] | {name: sha256_hex(content)}})
+
+
+def test_tables_with_a_column_less_or_of_another_type_are_one_sentence(made, tmp_path, capsys):
+    frame = pd.read_parquet(made / "cases.parquet")
+    gone = ("extrapolated_share", "level_CX", "status", "turbulence", "excursions_15m_3d")
+    wrong = {name: frame.drop(columns=name) for name in gone}
+    wrong |= {
+        f"{name} retyped": frame.assign(**{name: "x"})
+        for name in ("wind_mps", "aleatory_id", "altitude_mean_m")
+    }
+    for column, value in (("status", "fine"), ("turbulence", "wild"), ("case_id", None)):
+        wrong[f"{column} strange"] = frame.assign(**{column: value})
+    wrong |= {"flights": frame.iloc[:3], "none": frame.iloc[:0]}
+    for name, changed in wrong.items():
+        folder = tmp_path / name.replace(" ", "-")
+        shutil.copytree(made, folder)
+        changed.to_parquet(folder / "new.parquet")
+        put(folder, "cases.parquet", (folder / "new.parquet").read_bytes())
+        for words in READING[1:]:
+            code, said = call(capsys, words, folder)
+            assert code == 2, name
+            assert "cases.parquet: " in said.err
+            assert name.split()[0] in said.err or name == "none"
+
+
+@pytest.mark.parametrize("name", ["statements.csv", "sensitivity.csv"])
+def test_csv_tables_with_a_column_less_or_no_number_are_one_sentence(made, tmp_path, capsys, name):
+    folder = tmp_path / "out"
+    shutil.copytree(made, folder)
+    assert main(["sensitivity", str(folder)]) in (0, 1)
+    rows = list(csv.DictReader((folder / name).read_text().splitlines()))
+    words = ["campaign", "status"] if name == "statements.csv" else ["campaign", "report"]
+    number = "hours" if name == "statements.csv" else "share_min"
+    for change in ("gone", "word", "cut"):
+        changed = [dict(row) for row in rows]
+        for row in changed:
+            if change == "gone":
+                del row[number]
+            elif change == "word":
+                row[number] = "many"
+        text = io.StringIO()
+        writer = csv.DictWriter(text, list(changed[0]))
+        writer.writeheader()
+        writer.writerows(changed)
+        lines = text.getvalue().splitlines()
+        lines[-1] = lines[-1][: len(lines[-1]) // 2] if change == "cut" else lines[-1]
+        put(folder, name, "\n".join(lines).encode())
+        code, said = call(capsys, words, folder)
+        assert code == 2
+        assert f"{name}" in said.err
+    put(folder, name, b"\xff\xfe")
+    assert "not a text file in UTF-8" in call(capsys, words, folder)[1].err
+
+
+def test_results_of_0_1_can_be_read(tmp_path, capsys):
+    folder = tmp_path / "results"
+    shutil.copytree(OLD / "results", folder)
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    said = {}
+    for words in READING:
+        code, said[words[-1]] = call(capsys, words, folder)
+        assert code in (0, 1), words
+    assert "complete, 16 of 16 flights done, none failed" in said["status"].out
+    assert {name: (folder / name).read_bytes() for name in before} == before
+    # The same flights by this version: the tables are the same bytes, but for bands, which are
+    # rounded up to 1e-9 since 0.3.
+    campaign = fakes.campaign_file(tmp_path / "again", (OLD / "campaign.toml").read_text())
+    run_campaign(
+        read_campaign(campaign),
+        tmp_path / "again" / "out",
+        executor=SerialExecutor(),
+        fly=fakes.steady,
+    )
+    assert (tmp_path / "again" / "out" / "excursions.csv").read_bytes() == before["excursions.csv"]
+    # Statements have more columns since 0.6 (aborted flights, measured clusters); what both have is
+    # the same.
+    statements, told = (
+        pd.read_csv(place / "statements.csv") for place in (tmp_path / "again" / "out", folder)
+    )
+    pd.testing.assert_frame_equal(statements[list(told)], told, check_exact=True)
+    now, then = (
+        pd.read_parquet(place / "pbox.parquet") for place in (tmp_path / "again" / "out", folder)
+    )
+    pd.testing.assert_frame_equal(now, then, check_exact=False, rtol=0.0, atol=2e-9)
+    same = [name for name in now if not name.startswith("band_")]
+    pd.testing.assert_frame_equal(now[same], then[same], check_exact=True)
+
+
+def test_results_of_0_1_are_not_flown_on(tmp_path, capsys):
+    campaign = fakes.campaign_file(tmp_path, (OLD / "campaign.toml").read_text())
+    folder = tmp_path / "results"
+    shutil.copytree(OLD / "results", folder)
+    shutil.copytree(folder, tmp_path / "merged" / "shards" / "1-of-1")
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    for words in (
+        ["run", campaign, "--out", folder, "--serial"],
+        ["rerun", folder, "--case", "0"],
+        ["salvage", folder],
+        ["merge", tmp_path / "merged"],
+        ["salvage", tmp_path / "merged"],
+    ):
+        capsys.readouterr()
+        assert main(["campaign", *map(str, words)]) == 2
+        assert (
+            "made by uqharness 0.1, whose flights carry no digests: finish it there"
+            in capsys.readouterr().err
+        )
+    code, said = call(capsys, ["campaign", "verify"], folder)
+    assert code == 1
+    assert said.out.count("no digests") == 6
+    assert all((folder / name).read_bytes() == content for name, content in before.items())
+
+
+def test_a_mission_of_0_1_can_be_flown_over_again(tmp_path):
+    """For next-flight: the same aircraft may have another hash now, and the table's ids are of the
+    old one.
+    """
+    fakes.campaign_file(tmp_path, (OLD / "campaign.toml").read_text())
+    folder = tmp_path / "results"
+    shutil.copytree(OLD / "results", folder)
+    manifest = json.loads((folder / "manifest.json").read_text())
+    manifest["campaign_file"] = str(tmp_path / "campaign.toml")
+    (folder / "manifest.json").write_text(json.dumps(manifest))
+    found = open_campaign(folder)
+    assert (len(found.cases), found.failed, found.same_aircraft) == (16, 0, False)
+
+
+GOOD = {
+    "format": 2,
+    "state": "running",
+    "command": "uqharness campaign run",
+    "seed": 7,
+    "cases": 192,
+    "versions": {"numpy": "2"},
+    "campaign": tomllib.loads(CAMPAIGN),
+    "hashes": {"aircraft": "a" * 64, "script": "b" * 64},
+}
+
+
+def test_defaults_are_filled_in():
+    found = checked_content(GOOD | {"of_a_later_version": 1})
+    assert found["of_a_later_version"] == 1
+    assert found["campaign"]["stop"]["rule"] == "flights"
+    assert "stop" not in GOOD["campaign"]
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"format": 3}, "format: must be 1 or 2"),
+        ({"state": "asleep"}, "state: must be"),
+        ({"seed": 8}, "seed is 8, that of the campaign in it 7"),
+        ({"seed": True}, "seed: must be"),
+        ({"cases": -1}, "cases: must be greater than or equal to 0"),
+        ({"hashes": {"aircraft": "a" * 64}}, "hashes lack script"),
+        ({"hashes": {"aircraft": "xyz", "script": "b" * 64}}, "hashes.aircraft"),
+        ({"state": "complete"}, "it is complete and has no digest of the journal"),
+        ({"tables": {"../a.csv": "a" * 64}}, "tables"),
+        ({"shard": "1/2/3"}, "shard"),
+        ({"campaign": {}}, "campaign.*is missing"),
+        (
+            {
+                "campaign": {
+                    **GOOD["campaign"],
+                    "campaign": {**GOOD["campaign"]["campaign"], "seed": "x"},
+                }
+            },
+            "campaign.campaign.seed",
+        ),
+    ],
+)
+def test_bad_content_is_named(change, said):
+    with pytest.raises(ValueError, match=said):
+        checked_content(GOOD | change)
+
+
+def test_old_campaigns_of_corners_have_no_interior_points():
+    epistemic = {"method": "corners", "bounds": "model-form.json"}
+    old = checked_content(GOOD | {"campaign": GOOD["campaign"] | {"epistemic": epistemic}})[
+        "campaign"
+    ]["epistemic"]
+    assert (old["interior"], old["nominal"], old["set"]) == (0, False, "box")
+    new = checked_content(
+        GOOD | {"campaign": GOOD["campaign"] | {"epistemic": epistemic | {"interior": 16}}}
+    )
+    assert new["campaign"]["epistemic"]["interior"] == 16
+    plain = checked_content(GOOD)["campaign"]["epistemic"]
+    assert plain["method"] != "corners" or (plain["interior"], plain["nominal"]) == (0, False)
+    with pytest.raises(ValueError, match=r"bounds\.confidence"):
+        checked_content(GOOD | {"bounds": {"confidence": 1.5, "transient": []}})

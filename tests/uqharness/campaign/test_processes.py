@@ -1,0 +1,208 @@
+"""Executors: every case comes back once, whatever it does to its worker; the engines by name."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import random
+import threading
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.helpers import campaign_fakes as fakes
+from uqharness.campaign import worker
+from uqharness.campaign.processes import ProcessExecutor, SerialExecutor, default_timeout_s
+from uqharness.campaign.worker import Group, OneByOne
+from uqharness.errors import BadInputError
+from uqharness.flight.fly import fly, fly_one_ulp_off
+from uqharness.flight.spec import FlightResult, FlightSpec
+
+pytestmark = pytest.mark.filterwarnings(
+    "ignore:This process .* is multi-threaded:DeprecationWarning"
+)
+
+
+def flights(number):
+    return [
+        (
+            f"{index:04d}",
+            FlightSpec(Path("plane"), Path("loiter.xml"), 150.0, seed_turbulence=index),
+        )
+        for index in range(number)
+    ]
+
+
+def fly_all(executor, function, cases):
+    outcomes = [outcome for batch in executor.run(function, cases) for outcome in batch]
+    assert sorted(o.case_id for o in outcomes) == sorted(case_id for case_id, _ in cases)
+    return {outcome.case_id: outcome for outcome in outcomes}
+
+
+def test_serial_and_processes_agree():
+    cases = flights(30)
+    before = multiprocessing.active_children()
+    serial = fly_all(SerialExecutor(), fakes.steady, cases)
+    assert fly_all(ProcessExecutor(1, "fork"), fakes.steady, cases) == serial
+    assert fly_all(ProcessExecutor(3, "fork"), fakes.steady, cases) == serial
+    assert fly_all(ProcessExecutor(2, "spawn"), fakes.steady, cases) == serial
+    assert multiprocessing.active_children() == before
+
+
+def test_crashes_are_counted_with_their_reason():
+    found = fly_all(ProcessExecutor(2, "fork"), fakes.hazardous, flights(20))
+    kinds = {
+        index: (found[f"{index:04d}"].status, found[f"{index:04d}"].reason) for index in range(10)
+    }
+    # level_sum is 3 for a flight without levels, and 3 * 7 + seed decides: see campaign_fakes.
+    assert kinds[9] == ("crashed", "the worker process ended: signal 6 (SIGABRT) (tried 2 times)")
+    assert kinds[0] == ("crashed", "the worker process ended: signal 11 (SIGSEGV) (tried 2 times)")
+    assert kinds[1] == ("diverged", "the state was no longer finite at 90.0 s")
+    assert kinds[2] == ("crashed", "RuntimeError: a flight that raises")
+    assert kinds[3] == ("crashed", "the worker process ended: exit code 3 (tried 2 times)")
+    assert [kinds[index][0] for index in range(4, 9)] == ["ok"] * 5
+
+
+def test_workers_killed_from_outside_cost_no_case():
+    done = threading.Event()
+    kills = []
+
+    def murder():
+        chance = random.Random(3)
+        while not done.wait(0.15) and len(kills) < 8:
+            children = multiprocessing.active_children()
+            if children:
+                victim = chance.choice(children)
+                if victim.pid:
+                    os.kill(victim.pid, 9)
+                    kills.append(victim.pid)
+
+    cases = flights(150)
+    reference = fly_all(SerialExecutor(), fakes.steady, cases)
+    thread = threading.Thread(target=murder)
+    thread.start()
+    try:
+        found = fly_all(ProcessExecutor(2, "fork"), fakes.slow, cases)
+    finally:
+        done.set()
+        thread.join()
+    assert len(kills) >= 3
+    assert found == reference
+
+
+def groups(cases, size):
+    return [
+        Group("batch", tuple(cases[first : first + size])) for first in range(0, len(cases), size)
+    ]
+
+
+def fly_groups(executor, function, cases, size):
+    outcomes = [
+        outcome for batch in executor.run_groups(function, groups(cases, size)) for outcome in batch
+    ]
+    assert sorted(outcome.case_id for outcome in outcomes) == sorted(
+        case_id for case_id, _ in cases
+    )
+    return {outcome.case_id: outcome for outcome in outcomes}
+
+
+def test_groups_give_what_single_flights_give():
+    cases = flights(50)
+    reference = fly_all(SerialExecutor(), fakes.steady, cases)
+    for executor, size in (
+        (SerialExecutor(), 7),
+        (ProcessExecutor(2, "fork"), 16),
+        (ProcessExecutor(2, "spawn"), 50),
+    ):
+        assert fly_groups(executor, OneByOne(fakes.steady), cases, size) == reference
+
+
+def test_a_group_that_crashes_is_split_down_to_the_case():
+    # Of twenty flights, eight do something dreadful; all the others come back.
+    cases = flights(20)
+    alone = fly_all(ProcessExecutor(2, "fork"), fakes.hazardous, cases)
+    assert fly_groups(ProcessExecutor(2, "fork"), OneByOne(fakes.hazardous), cases, 10) == alone
+    assert {outcome.status for outcome in alone.values()} == {"ok", "crashed", "diverged"}
+
+
+def test_a_group_that_hangs_is_split_down_to_the_case():
+    executor = ProcessExecutor(2, "fork", timeout_s=lambda flight: 0.5)
+    found = fly_groups(executor, OneByOne(fakes.hangs_sometimes), flights(12), 12)
+    assert {case_id for case_id, outcome in found.items() if outcome.status != "ok"} == {"0009"}
+    assert found["0009"].reason == "no result after 0.5 s (tried 2 times)"
+
+
+def too_few(engine, flights):
+    return [fakes.steady(flight) for flight in flights[1:]]
+
+
+def test_a_group_function_that_loses_a_flight_is_no_result():
+    found = fly_groups(SerialExecutor(), too_few, flights(3), 3)
+    assert {outcome.status for outcome in found.values()} == {"crashed"}
+
+
+def test_bad_input_is_marked():
+    found = fly_all(ProcessExecutor(1, "fork"), fakes.refuses, flights(1))["0000"]
+    assert found.bad_input
+    assert "uq/active" in found.reason
+
+
+def test_stopping_leaves_no_process():
+    batches = ProcessExecutor(2, "fork").run(fakes.slow, flights(2000))
+    for _ in range(4):
+        next(batches)
+    batches.close()
+    assert not multiprocessing.active_children()
+
+
+def test_children_have_one_numerical_thread_each(monkeypatch):
+    monkeypatch.setenv("OMP_NUM_THREADS", "8")
+    found = fly_all(ProcessExecutor(1, "spawn"), fakes.reports_threads, flights(1))["0000"]
+    assert found.metrics == {"omp": 1.0, "openblas": 1.0}
+    assert os.environ["OMP_NUM_THREADS"] == "8"
+
+
+def test_workers_that_cannot_start_are_an_error():
+    with pytest.raises(BadInputError, match="before they start"):
+        fly_all(ProcessExecutor(1, "spawn"), fakes.NotThere(), flights(1))
+
+
+def test_impossible_settings():
+    with pytest.raises(BadInputError, match="workers = 0"):
+        ProcessExecutor(0)
+    with pytest.raises(BadInputError, match="start method 'thread'"):
+        ProcessExecutor(1, "thread")
+    assert default_timeout_s(FlightSpec(Path("a"), Path("b"), 3600.0)) == pytest.approx(420.0)
+
+
+SPEC = FlightSpec(Path("espaaro"), Path("loiter"), duration_s=4.0, wind_mps=3.0, turbulence="light")
+
+
+def signals(result: FlightResult) -> bytes:
+    return result.signals["alpha_rad"].tobytes()
+
+
+def test_engines_by_name():
+    alone, moved = fly(SPEC), fly_one_ulp_off(SPEC)
+    assert signals(alone) != signals(moved)
+    for name, expected in (
+        (worker.JSBSIM, alone),
+        (worker.JUDGE, alone),
+        (worker.ONE_ULP_OFF, moved),
+    ):
+        (found,) = worker.fly_group(name, [SPEC])
+        assert signals(found) == signals(expected)
+        assert expected.metrics.items() <= found.metrics.items()
+
+
+def test_the_judge_reports_the_distance_to_each_radius():
+    (found,) = worker.fly_group(
+        worker.JUDGE, [replace(SPEC, excursion_radius_m=(1.0,), rearm_m=0.25)]
+    )
+    distance = np.abs(found.signals["cross_track"])
+    expected = min(np.abs(distance - 1.0).min(), np.abs(distance - 0.75).min())
+    assert found.metrics["nearest_excursions_1m"] == expected
+    without = replace(fakes.steady(SPEC), signals={})
+    assert np.isnan(worker.with_distances(without, SPEC).metrics["nearest_excursions_15m"])

@@ -1,0 +1,341 @@
+"""Shards that merge into the bytes of one run, status and answers of a folder, cases flown again."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import pandas as pd
+import pytest
+from lxml import etree
+
+from tests.helpers import campaign_fakes as fakes
+from uqharness.campaign.manifest import MANIFEST, DamageError, read_manifest, write_manifest
+from uqharness.campaign.processes import SerialExecutor
+from uqharness.campaign.read_spec import read_campaign
+from uqharness.campaign.run import run_campaign
+from uqharness.campaign.shards import (
+    Answer,
+    Shard,
+    lines,
+    merge,
+    parse_shard,
+    read_answers,
+    read_status,
+    shard_folders,
+)
+from uqharness.campaign.store import JOURNAL, Store, run_lock
+from uqharness.campaign.tables import CASES
+from uqharness.cli.main import main
+from uqharness.errors import BadInputError
+from uqharness.parquet_files import read_table
+from uqharness.report.write import write_report
+from uqharness.simulator.aircraft import PROJECT_ROOT
+from uqharness.study.spec import read_chain
+
+pytestmark = pytest.mark.usefixtures("flights_here")
+
+TABLES = (CASES, "pbox.parquet", "excursions.csv")
+
+
+@pytest.fixture(autouse=True)
+def _no_check_flight(monkeypatch):
+    monkeypatch.setattr("uqharness.campaign.run.validate_model", lambda fly, case: None)
+
+
+def run(tmp_path, out, shard=None, fly=fakes.hazardous_but_alive, flights=2):
+    spec = fakes.small_spec(tmp_path, flights)
+    return run_campaign(spec, tmp_path / out, executor=SerialExecutor(), fly=fly, shard=shard)
+
+
+def tables(folder):
+    return {name: (folder / name).read_bytes() for name in TABLES}
+
+
+@pytest.mark.parametrize("count", [pytest.param(1, marks=pytest.mark.slow), 3])
+def test_merged_shards_are_the_bytes_of_one_run(tmp_path, count):
+    run(tmp_path, "whole", flights=1)
+    for number in reversed(range(1, count + 1)):
+        summary = run(tmp_path, "parts", Shard(number, count), flights=1)
+        assert abs(summary.cases - 64 / count) < 1
+    assert not (tmp_path / "parts" / CASES).exists()
+    merged = merge(tmp_path / "parts")
+    assert (merged.cases, merged.missing) == (64, 0)
+    assert tables(tmp_path / "parts") == tables(tmp_path / "whole")
+    assert read_manifest(tmp_path / "parts")["state"] == "complete"
+    write_report(tmp_path / "parts")
+    # Merging again changes nothing, and the folder is now a campaign that is done.
+    assert merge(tmp_path / "parts").missing == 0
+    assert tables(tmp_path / "parts") == tables(tmp_path / "whole")
+    assert run(tmp_path, "parts", fly=fakes.aborts_always, flights=1).done_before == 64
+
+
+def test_a_missing_shard_is_missing_flights_until_it_is_there(tmp_path, capsys):
+    fakes.campaign_file(tmp_path)
+    run(tmp_path, "out", Shard(1, 3), fakes.steady)
+    run(tmp_path, "out", Shard(3, 3), fakes.steady)
+    assert main(["campaign", "merge", str(tmp_path / "out"), "--json"]) == 1
+    found = json.loads(capsys.readouterr().out)
+    assert (found["cases"], found["missing"], found["shards"]) == (128, 43, ["1-of-3", "3-of-3"])
+    assert not (tmp_path / "out" / CASES).exists()
+    with pytest.raises(BadInputError, match="not complete"):
+        write_report(tmp_path / "out")
+    run(tmp_path, "out", Shard(2, 3), fakes.steady)
+    assert main(["campaign", "merge", str(tmp_path / "out")]) == 0
+    run(tmp_path, "whole", fly=fakes.steady)
+    assert tables(tmp_path / "out") == tables(tmp_path / "whole")
+
+
+def test_status_adds_the_shards_up(tmp_path, capsys):
+    run(tmp_path, "out", Shard(1, 2), fakes.steady)
+    assert main(["campaign", "status", str(tmp_path / "out"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["done"] == 64
+    run(tmp_path, "out", Shard(2, 2), fakes.steady)
+    part = shard_folders(tmp_path / "out")[0]
+    write_manifest(part, read_manifest(part) | {"state": "running"})
+    assert main(["campaign", "status", str(tmp_path / "out"), "--json"]) == 1
+    found = json.loads(capsys.readouterr().out)
+    assert (found["state"], found["cases"], found["done"]) == ("interrupted", 128, 128)
+
+
+def test_shards_of_different_campaigns_do_not_mix(tmp_path):
+    run(tmp_path, "out", Shard(1, 2))
+    run(tmp_path, "out", Shard(2, 2), flights=3)
+    with pytest.raises(BadInputError, match=r"\[aleatory\] flights was 3, is 2"):
+        merge(tmp_path / "out")
+    with pytest.raises(BadInputError, match="has no shards"):
+        merge(tmp_path)
+
+
+def test_a_shard_that_is_being_flown_or_is_spoilt_is_not_merged(tmp_path):
+    run(tmp_path, "out", Shard(1, 1))
+    part = shard_folders(tmp_path / "out")[0]
+    with run_lock(part), pytest.raises(BadInputError, match="another run is using"):
+        merge(tmp_path / "out")
+    write_manifest(part, read_manifest(part) | {"state": "spoilt"})
+    with pytest.raises(BadInputError, match="fly that shard again"):
+        merge(tmp_path / "out")
+
+
+@pytest.mark.parametrize("text", ["0/2", "3/2", "1", "a/b", "1/0", "-1/2"])
+def test_bad_shard_numbers(text):
+    with pytest.raises(BadInputError, match="1 <= i <= n"):
+        parse_shard(text)
+    assert parse_shard("2/8") == Shard(2, 8)
+
+
+CAMPAIGN = """
+[campaign]
+aircraft = "espaaro"
+mission = "scripts/loiter.xml"
+seed = 5
+
+[aleatory]
+flights = 1
+duration_s = 6
+burn_in_s = 2
+wind_mps = 3
+turbulence = "moderate"
+
+[epistemic]
+method = "walk"
+samples = 2
+walk_rate_per_sqrt_s = 0.2
+coefficients = ["CX", "Cm"]
+
+[aleatory.variables."inertia/mass-slugs"]
+distribution = "normal"
+mean = [1.4, 1.5]
+std = 0.02
+"""
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("rerun")
+    (folder / "campaign.toml").write_text(CAMPAIGN)
+    run_campaign(read_campaign(folder / "campaign.toml"), folder / "out", executor=SerialExecutor())
+    return folder / "out"
+
+
+def test_a_case_comes_out_as_stored_with_full_output_and_a_plot(flown, capsys):
+    row = read_table(flown / CASES).to_pandas().iloc[1]
+    before = tables(flown)
+    assert main(["campaign", "rerun", str(flown), "--case", row["case_id"][:10], "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert (found["case_id"], found["status"], found["same_as_stored"]) == (
+        row["case_id"],
+        "ok",
+        True,
+    )
+    target = flown / "rerun" / row["case_id"]
+    record = pd.read_parquet(target / "record.parquet")
+    # Burn-in included, 50 Hz, everything that moves: the scored part gives the stored score.
+    assert len(record) == 8 * 50 + 1
+    assert {
+        "V_mps",
+        "elevator_deg",
+        "error_cross_track",
+        "level_CX",
+        "delta_Cm",
+        "upper_CX",
+        "wind_down_mps",
+    } <= set(record)
+    assert record["level_Cm"].nunique() > 300
+    scored = record[record["scored"]]["error_cross_track"].abs()
+    # The record is JSBSim's, whichever engine flew the case.
+    assert scored.max() + 1e-6 >= row["cross_track_max_m"] > 0.99 * scored.max()
+    result = json.loads((target / "result.json").read_text())
+    assert result["metrics"]["altitude_median_m"] == row["altitude_median_m"]
+    assert result["levels"]["epistemic_id"] == row["epistemic_id"]
+    assert result["properties"]["inertia/mass-slugs"] == row["variable_inertia/mass-slugs"]
+    assert (
+        etree.parse(str(target / "flight.svg")).getroot().tag == "{http://www.w3.org/2000/svg}svg"
+    )
+    assert tables(flown) == before
+
+
+def test_a_rerun_that_differs_is_reported(flown, capsys):
+    row = read_table(flown / CASES).to_pandas().iloc[0]
+    with Store(flown) as store:
+        stored = store.outcome(row["case_id"])
+        store.add([replace(stored, metrics=dict(stored.metrics) | {"altitude_max_m": 0.125})])
+    assert main(["campaign", "rerun", str(flown), "--case", row["case_id"]]) == 1
+    assert "NOT as stored" in (text := capsys.readouterr().out)
+    assert "altitude_max_m 0.125 then" in text
+    with Store(flown) as store:
+        store.add([stored])
+
+
+def test_unknown_ambiguous_and_foreign_cases_are_refused(flown, tmp_path):
+    from uqharness.campaign.rerun import rerun_case
+
+    with pytest.raises(BadInputError, match="no such case"):
+        rerun_case(flown, "ffffffffffffffff")
+    with pytest.raises(BadInputError, match="no such case"):
+        rerun_case(flown, "")
+    with pytest.raises(BadInputError, match="not a campaign folder"):
+        rerun_case(tmp_path, "00")
+    manifest = read_manifest(flown)
+    try:
+        write_manifest(flown, manifest | {"hashes": manifest["hashes"] | {"aircraft": "0" * 64}})
+        with pytest.raises(BadInputError, match="content of the aircraft"):
+            rerun_case(flown, "00")
+    finally:
+        write_manifest(flown, manifest)
+
+
+def test_the_committed_campaigns_are_valid_and_explained():
+    paths = sorted((PROJECT_ROOT / "campaigns").glob("*/*.toml"))
+    assert len(paths) >= 4
+    for path in paths:
+        if path.parent.name == "chain":
+            assert read_chain(path).campaign_data["campaign"]
+        else:
+            assert read_campaign(path).aleatory.flights >= 1
+        assert path.name in (path.parent / "README.md").read_text()
+
+
+@pytest.fixture(scope="module")
+def flown_status(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two walks of three flights."""
+    root = tmp_path_factory.mktemp("walks")
+    text = fakes.CAMPAIGN.replace('"corners"', '"walk"\nsamples = 2\nwalk_rate_per_sqrt_s = 0.01')
+    spec = read_campaign(fakes.campaign_file(root, text))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("uqharness.campaign.run.validate_model", lambda fly, case: None)
+        run_campaign(spec, root / "out", executor=SerialExecutor(), fly=fakes.steady)
+    return root / "out"
+
+
+@pytest.fixture
+def folder(flown_status: Path, tmp_path: Path) -> Path:
+    shutil.copytree(flown_status, tmp_path / "copy")
+    return tmp_path / "copy"
+
+
+def test_a_journal_with_missing_flights_is_damaged(folder: Path) -> None:
+    manifest = {key: value for key, value in read_manifest(folder).items() if key != "digest"}
+    write_manifest(folder, manifest | {"journal": manifest["journal"] | {"rows": 7}})
+    with pytest.raises(DamageError, match="6 flights are in it, the manifest lists 7"):
+        read_status(folder)
+
+
+def test_the_journal_of_an_old_folder_must_be_there(folder: Path) -> None:
+    manifest = {key: value for key, value in read_manifest(folder).items() if key != "digest"}
+    (folder / MANIFEST).write_text(json.dumps(manifest | {"format": 1}))
+    (folder / JOURNAL).unlink()
+    with pytest.raises(BadInputError, match=r"made by uqharness 0\.1"):
+        read_status(folder)
+
+
+COMPLETE = {"format": 1, "state": "complete"}
+
+
+HEAD = "condition,epistemic_id,radius_m,acceptable_per_h,answer,reason,hours,distance\n"
+
+
+ANSWERS = [
+    Answer(
+        condition=condition,
+        radius_m=15.0,
+        acceptable_per_h=2.0,
+        answer=answer,
+        reason=reason,
+        hours=hours,
+    )
+    for condition, answer, reason, hours in (
+        ("3 m/s none", "yes", "", 12.3456),
+        ("5 m/s none", "open", "too few flights", 4.0),
+        ("7 m/s none", "yes", "", 1.0),
+    )
+]
+
+
+def test_a_summary_and_a_line_a_condition():
+    assert lines(ANSWERS) == [
+        "at most 2 excursions per hour beyond 15 m? 2 yes, 1 inconclusive",
+        "  3 m/s none: yes, 12.35 flight h",
+        "  5 m/s none: inconclusive (too few flights), 4 flight h",
+        "  7 m/s none: yes, 1 flight h",
+    ]
+    assert lines([]) == []
+    assert ANSWERS[1].as_json()["reason"] == "too few flights"
+
+
+def test_decisions_are_read_for_whole_cells_alone(tmp_path: Path):
+    rows = "3 m/s none,all,15,2,yes,,12.5,horizontal\n3 m/s none,000000,15,2,no,x,1,horizontal\n"
+    (tmp_path / "decisions.csv").write_text(HEAD + rows)
+    (answer,) = read_answers(tmp_path, COMPLETE)
+    assert (answer.condition, answer.answer, answer.hours) == ("3 m/s none", "yes", 12.5)
+
+
+def test_answers_use_the_smallest_radius(tmp_path: Path):
+    rows = "a,,25,2,yes,,1,horizontal\na,,15,2,no,,1,horizontal\na,,15,2,open,,1,3d\n"
+    (tmp_path / "statements.csv").write_text(HEAD + rows)
+    assert [(x.radius_m, x.answer) for x in read_answers(tmp_path, COMPLETE)] == [(15.0, "no")]
+
+
+def test_nothing_flown_is_no_answer_and_a_damaged_table_is_refused(tmp_path: Path):
+    assert read_answers(tmp_path, COMPLETE) == []
+    (tmp_path / "statements.csv").write_text(HEAD + "a,,wide,2,yes,,1,horizontal\n")
+    with pytest.raises(BadInputError, match=r"statements\.csv:2: radius_m is 'wide'"):
+        read_answers(tmp_path, COMPLETE)
+
+
+def test_answers_give_the_share_of_flights_with_an_excursion(tmp_path: Path):
+    head = HEAD.replace("distance\n", "distance,flight_share_upper\n")
+    rows = (
+        "a,,15,2,yes,,1,horizontal,0.00746\nb,,15,2,open,clusters beyond the carried"
+        " limit,1,horizontal,\n"
+    )
+    (tmp_path / "statements.csv").write_text(head + rows)
+    assert lines(read_answers(tmp_path, COMPLETE))[1:] == [
+        (
+            "  a: yes, 1 flight h, at most 0.75 % of flights with an excursion at the worst corner"
+            " (95 % limit)"
+        ),
+        "  b: inconclusive (clusters beyond the carried limit), 1 flight h",
+    ]
