@@ -72,7 +72,7 @@ def collect_from_both_ends(config: pytest.Config) -> None:
 
 LONGEST_FILES = (
     "tests/stories/test_doc_examples.py",
-    "tests/uqharness/batch/lanes/test_fly.py",
+    "tests/uqharness/batch/test_fly_many.py",
     "tests/sysid/effects/test_turbulence.py",
     "tests/uqharness/refinement/test_refine.py",
     "tests/uqharness/simulator/test_trim.py",
@@ -86,7 +86,7 @@ LONGEST_FILES = (
     "tests/stories/test_any_aircraft.py",
     "tests/stories/test_bit_flips.py",
     "tests/stories/test_fuzz.py",
-    "tests/uqharness/campaign/execution/test_dask.py",
+    "tests/uqharness/campaign/test_dask.py",
     "tests/hidden_effects/test_drawn.py",
 )
 """Files that take longest, which start first: a worker would otherwise end with one of them while
@@ -125,8 +125,8 @@ def load_mission() -> Callable[..., Any]:
 # Lines of progress come after seconds: what a command writes must not depend on the machine's
 # speed.
 os.environ["UQHARNESS_QUIET"] = "1"
-# All targets give the same bits (tests/uqharness/batch/machine), and LLVM compiles two lanes in half
-# the time of eight. tests/uqharness/batch/lanes/test_fly.py flies the widest.
+# All targets give the same bits (tests/uqharness/batch/test_llvm_flight.py), and LLVM compiles two
+# lanes in half the time of eight. tests/uqharness/batch/test_fly_many.py flies the widest.
 os.environ.setdefault("UQHARNESS_VECTORS", "sse2")
 
 

@@ -34,13 +34,14 @@ from uqharness.next_flight.plan import (
     try_library,
     widths_over,
 )
-from uqharness.next_flight.points import Occupancy, recorded_mission
-from uqharness.next_flight.trials import (
+from uqharness.next_flight.points import (
+    Occupancy,
     RefusedPoint,
     TestFlight,
     Trial,
     fly_points,
     fly_script,
+    recorded_mission,
     residuals_of,
 )
 from uqharness.simulator.aircraft import content_hash, find_aircraft

@@ -26,8 +26,8 @@ from campaigns.rare_events.rates import shown
 from campaigns.rare_events.reproduce import AIM_M, CELL, CORNER, HOME, read_tuning
 from campaigns.rare_events.study import GRID, TOP, LoiterScore, Size, Study
 from sysid.arrays import FloatArray
+from uqharness.campaign.processes import BATCH, fly_group
 from uqharness.campaign.rare_events import CheckpointPlan, LoiterPaths
-from uqharness.campaign.worker import BATCH, fly_group
 from uqharness.errors import BadInputError
 from uqharness.flight import FlightSpec
 from uqharness.statistics import Levels, interval, pilot, run

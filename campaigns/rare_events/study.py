@@ -24,6 +24,7 @@ from sysid.units import FT_M
 from uqharness.batch import compiled_mission
 from uqharness.campaign.cases import Case
 from uqharness.campaign.manifest import digest_of_rows
+from uqharness.campaign.processes import BATCH, fly_group
 from uqharness.campaign.rare_events import (
     DISTANCE,
     CheckpointPlan,
@@ -34,7 +35,6 @@ from uqharness.campaign.rare_events import (
 )
 from uqharness.campaign.read_spec import read_campaign
 from uqharness.campaign.sampling import epistemic_samples
-from uqharness.campaign.worker import BATCH, fly_group
 from uqharness.errors import BadInputError
 from uqharness.flight import (
     OPTIONAL_SIGNALS,

@@ -107,7 +107,7 @@ def test_the_published_flights_are_all_there():
 @pytest.mark.slow
 def test_a_flight_of_the_published_tables_comes_out_again():
     """The batch engine of today gives the counts and medians that the file has."""
-    from uqharness.campaign.worker import BATCH, fly_group
+    from uqharness.campaign.processes import BATCH, fly_group
 
     cases = cases_of(EXCURSIONS / "campaign.toml", "severe-7", range(1))[:8]
     frame = next(case_tables(EXCURSIONS / FLIGHTS, cell="severe-7"))[:8]

@@ -243,8 +243,8 @@ def _wire(root: Path) -> None:
     from tests.helpers.campaign_fakes import small_spec
     from uqharness.campaign.cases import build_cases
     from uqharness.campaign.dask import OWN_FLIGHT, Answer, Order, answer_text, order_text
+    from uqharness.campaign.processes import CaseOutcome, Group
     from uqharness.campaign.run import find_mission
-    from uqharness.campaign.worker import CaseOutcome, Group
 
     spec = small_spec(_SCRATCH / "wire")
     case = build_cases(spec, find_mission(spec, _SCRATCH / "wire"))[0]

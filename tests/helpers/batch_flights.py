@@ -16,13 +16,13 @@ import pytest
 from tests.helpers.batch_flyers import flyer_of
 from tests.helpers.batch_systems import Series
 from uqharness.batch.mission import initial_values
-from uqharness.batch.models.motion import CONDITIONS, start_state
-from uqharness.batch.models.winds import NORMALS
+from uqharness.batch.motion import CONDITIONS, start_state
 from uqharness.batch.program import Feed, Program, Stream, initial_state, slot
 from uqharness.batch.streams import Turbulence
 from uqharness.batch.translate.channels import Sources, read_sources
 from uqharness.batch.translate.flight import Flight, TraceRequest, trace_flight
 from uqharness.batch.translate.frame import Values, is_constant
+from uqharness.batch.winds import NORMALS
 from uqharness.errors import BadInputError
 from uqharness.files import scratch_folder
 from uqharness.simulator import engine

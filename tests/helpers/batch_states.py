@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from tests.helpers.batch_flights import START, aircraft, apart, craft, flown, translated
-from uqharness.batch.models.motion import WEIGHTS_PARTS, slots
+from uqharness.batch.motion import WEIGHTS_PARTS, slots
 from uqharness.batch.program import Feed
 from uqharness.simulator import engine
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 from tests.helpers import campaign_fakes as fakes
 from uqharness.campaign.engines import Engines
-from uqharness.campaign.worker import BATCH, ONE_ULP_OFF
+from uqharness.campaign.processes import BATCH, ONE_ULP_OFF
 from uqharness.flight.spec import FlightResult, FlightSpec
 
 

@@ -9,8 +9,8 @@ from pathlib import Path
 
 from campaigns.library.flights import RESOLUTION, cases_of, write_flights
 from tests.helpers import campaign_fakes as fakes
+from uqharness.campaign.processes import CaseOutcome
 from uqharness.campaign.tables import build_table
-from uqharness.campaign.worker import CaseOutcome
 from uqharness.flight import FlightResult, FlightSpec
 
 

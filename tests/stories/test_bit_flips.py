@@ -11,8 +11,8 @@ from collections import Counter
 import pytest
 
 from tests.helpers import bit_flips
+from uqharness.campaign.processes import CaseOutcome
 from uqharness.campaign.store import Store
-from uqharness.campaign.worker import CaseOutcome
 
 pytestmark = pytest.mark.usefixtures("flights_here")
 

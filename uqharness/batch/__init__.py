@@ -1,9 +1,9 @@
 """Batch engine: an aircraft's XML is traced to a typed intermediate form, compiled, and flown in
 many lanes at once.
 
-``translate`` and ``models`` trace a frame into the intermediate form of ``ir``, ``program`` and
-``maths``, which ``passes`` simplifies. ``llvm``, ``llvm_flight`` and ``llvm_random`` compile it;
-``course``, ``mission``, ``replay`` and ``streams`` fly it.
+``translate``, ``motion``, ``winds``, ``atmosphere`` and ``auxiliary`` trace a frame into the
+intermediate form of ``ir``, ``program`` and ``maths``, which ``passes`` simplifies. ``llvm`` and
+``llvm_flight`` compile it; ``course``, ``mission``, ``replay`` and ``streams`` fly it.
 """
 
 import lazy_loader

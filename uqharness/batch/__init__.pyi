@@ -6,10 +6,10 @@ from .course import forget as forget
 from .course import left_out_elements as left_out_elements
 from .course import record_many as record_many
 from .course import refusals as refusals
-from .installation import available as available
 from .llvm import VECTORS as VECTORS
 from .llvm import target_names as target_names
-from .models.motion import CONDITIONS as CONDITIONS
+from .motion import CONDITIONS as CONDITIONS
+from .program import available as available
 from .replay import ReplayLane as ReplayLane
 from .replay import ReplayProgram as ReplayProgram
 from .replay import StateProgram as StateProgram

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from sysid.arrays import FloatArray
 from sysid.units import FT_M
+from uqharness.batch.auxiliary import POINT, TOUCHED
 from uqharness.batch.interpret import Interpreter
 from uqharness.batch.llvm import Target, choose_target
 from uqharness.batch.mission import (
@@ -32,9 +33,7 @@ from uqharness.batch.mission import (
     load_start,
     make_mission,
 )
-from uqharness.batch.models.auxiliary import POINT, TOUCHED
-from uqharness.batch.models.motion import CONDITIONS, round_44_bits, start_state
-from uqharness.batch.models.winds import COUNTER, NORMALS
+from uqharness.batch.motion import CONDITIONS, round_44_bits, start_state
 from uqharness.batch.program import (
     Feed,
     Flyer,
@@ -61,6 +60,7 @@ from uqharness.batch.streams import (
 from uqharness.batch.translate.engines import has_power_balance, settling_slot
 from uqharness.batch.translate.frame import OUT_OF_RANGE, TIME, canonical
 from uqharness.batch.translate.piston import Piston
+from uqharness.batch.winds import COUNTER, NORMALS
 from uqharness.errors import BadInputError
 from uqharness.flight import (
     OPTIONAL_SIGNALS,

@@ -13,11 +13,11 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
+from uqharness.batch.auxiliary import POINT, TOUCHED
 from uqharness.batch.interpret import Interpreter
 from uqharness.batch.llvm import choose_target
 from uqharness.batch.llvm_flight import compile_program
-from uqharness.batch.models.auxiliary import POINT, TOUCHED
-from uqharness.batch.models.motion import CONDITIONS, WEIGHTS_PARTS, round_44_bits, slots
+from uqharness.batch.motion import CONDITIONS, WEIGHTS_PARTS, round_44_bits, slots
 from uqharness.batch.passes import optimise, propagate_constants, specialise_startup
 from uqharness.batch.program import Flyer, Program, Stream
 from uqharness.batch.streams import GUSTS, LEVELS, TRANSIENTS, noise_streams

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
+from importlib.util import find_spec
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -368,3 +369,16 @@ def select_lanes(state: np.ndarray, lanes: Sequence[int] | np.ndarray) -> np.nda
     return np.ascontiguousarray(
         state[full // BLOCK, :, full % BLOCK].reshape(-1, BLOCK, state.shape[1]).transpose(0, 2, 1)
     )
+
+
+# Whether this installation can compile.
+
+
+def available() -> str | None:
+    """Return None if the batch engine can be used, else a sentence that says why not."""
+    if find_spec("llvmlite") is None:
+        return (
+            "llvmlite is not installed, so flights are flown by JSBSim; pip install llvmlite for"
+            " the batch engine"
+        )
+    return None

@@ -24,7 +24,7 @@ from uqharness.batch.interpret import Interpreter
 from uqharness.batch.llvm import choose_target
 from uqharness.batch.llvm_flight import compile_program
 from uqharness.batch.mission import Settler, initial_values, settlers_of
-from uqharness.batch.models.motion import (
+from uqharness.batch.motion import (
     CONDITIONS,
     WEIGHTS_PARTS,
     slots,

@@ -41,9 +41,14 @@ from .manifest import read_complete as read_complete
 from .manifest import read_manifest as read_manifest
 from .manifest import refuse_if_different as refuse_if_different
 from .manifest import spec_of as spec_of
+from .processes import CaseOutcome as CaseOutcome
 from .processes import Executor as Executor
+from .processes import FlightFunction as FlightFunction
+from .processes import Group as Group
 from .processes import ProcessExecutor as ProcessExecutor
 from .processes import SerialExecutor as SerialExecutor
+from .processes import attempt as attempt
+from .processes import unavailable_reason as unavailable_reason
 from .read_spec import campaign_from as campaign_from
 from .read_spec import read_campaign as read_campaign
 from .read_spec import with_samples as with_samples
@@ -101,8 +106,3 @@ from .tables import read_engine_check as read_engine_check
 from .tables import record_table as record_table
 from .verify import RunOptions as RunOptions
 from .verify import salvage as salvage
-from .worker import CaseOutcome as CaseOutcome
-from .worker import FlightFunction as FlightFunction
-from .worker import Group as Group
-from .worker import attempt as attempt
-from .worker import unavailable_reason as unavailable_reason

@@ -23,9 +23,9 @@ import numpy as np
 
 from sysid.foreign.regular_files import sha256_hex
 from uqharness.campaign.conditions import counted_radii
+from uqharness.campaign.processes import BATCH, JSBSIM, Group
 from uqharness.campaign.sampling import NOMINAL, Epistemic, epistemic_samples
 from uqharness.campaign.spec import CampaignSpec, VariableSection
-from uqharness.campaign.worker import BATCH, JSBSIM, Group
 from uqharness.errors import BadInputError
 from uqharness.flight import (
     COEFFICIENTS,

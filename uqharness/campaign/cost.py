@@ -15,8 +15,8 @@ from collections.abc import Callable, Collection
 from dataclasses import dataclass
 
 from uqharness.campaign.cases import Case, Mission, Part, build_cases
+from uqharness.campaign.processes import BATCH, JSBSIM
 from uqharness.campaign.spec import SAMPLED, CampaignSpec
-from uqharness.campaign.worker import BATCH, JSBSIM
 from uqharness.errors import BadInputError
 from uqharness.flight import TURBULENCE_W20_KT, FlightSpec
 

@@ -33,17 +33,20 @@ from pydantic import TypeAdapter, ValidationError
 
 from sysid.foreign.regular_files import file_sha256
 from uqharness.campaign.manifest import binding_versions
-from uqharness.campaign.processes import BATCH_S, PARTS, ProcessExecutor, single_groups
-from uqharness.campaign.worker import (
+from uqharness.campaign.processes import (
     BATCH,
+    BATCH_S,
     JSBSIM,
     JUDGE,
     ONE_ULP_OFF,
+    PARTS,
     CaseOutcome,
     FlightFunction,
     Group,
     GroupFunction,
     OneByOne,
+    ProcessExecutor,
+    single_groups,
     unavailable_reason,
 )
 from uqharness.child_process import CHILD_ENVIRONMENT
@@ -56,7 +59,7 @@ from uqharness.toml import dotted
 
 T = TypeVar("T")
 OWN_FLIGHT = "uqharness.flight.fly:fly"
-OWN_GROUP = "uqharness.campaign.worker:fly_group"
+OWN_GROUP = "uqharness.campaign.processes:fly_group"
 MODULES_VARIABLE = "UQHARNESS_FLIGHT_MODULES"
 """Environment variable of a worker: comma-separated modules whose functions it may fly with, in
 addition to those of this program.

@@ -30,21 +30,7 @@ from uqharness.campaign.cases import Case, Mission
 from uqharness.campaign.conditions import Condition
 from uqharness.campaign.cost import Pace, one_case_each, trial_conditions
 from uqharness.campaign.manifest import MANIFEST, read_manifest
-from uqharness.campaign.processes import ProcessExecutor
-from uqharness.campaign.shards import SHARDS, shard_folders
-from uqharness.campaign.spec import CampaignSpec
-from uqharness.campaign.tables import (
-    ENGINE_CHECK,
-    FULL_FLIGHT,
-    START,
-    STATUS,
-    CheckRow,
-    as_number,
-    as_text,
-    read_check,
-    write_check,
-)
-from uqharness.campaign.worker import (
+from uqharness.campaign.processes import (
     BATCH,
     JSBSIM,
     JUDGE,
@@ -57,7 +43,21 @@ from uqharness.campaign.worker import (
     GroupFunction,
     LocalBatch,
     OneByOne,
+    ProcessExecutor,
     fly_group,
+)
+from uqharness.campaign.shards import SHARDS, shard_folders
+from uqharness.campaign.spec import CampaignSpec
+from uqharness.campaign.tables import (
+    ENGINE_CHECK,
+    FULL_FLIGHT,
+    START,
+    STATUS,
+    CheckRow,
+    as_number,
+    as_text,
+    read_check,
+    write_check,
 )
 from uqharness.errors import BadInputError, EnginesDifferError
 from uqharness.files import inner_folder, scratch_folder

@@ -24,10 +24,15 @@ from uqharness.campaign.manifest import (
     refuse_without_digests,
     spec_of,
 )
-from uqharness.campaign.processes import ProcessExecutor
+from uqharness.campaign.processes import (
+    JSBSIM,
+    CaseOutcome,
+    ProcessExecutor,
+    fly_group,
+    unavailable_reason,
+)
 from uqharness.campaign.run import find_mission
 from uqharness.campaign.store import Store
-from uqharness.campaign.worker import JSBSIM, CaseOutcome, fly_group, unavailable_reason
 from uqharness.errors import BadInputError
 from uqharness.files import inner_folder, remove, write_bytes
 from uqharness.flight import (

@@ -21,9 +21,9 @@ import numpy as np
 
 from sysid.arrays import FloatArray
 from uqharness.campaign.cases import Case
+from uqharness.campaign.processes import CaseOutcome
 from uqharness.campaign.spec import CampaignSpec
 from uqharness.campaign.store import Store
-from uqharness.campaign.worker import CaseOutcome
 from uqharness.errors import BadInputError
 from uqharness.files import write_bytes
 from uqharness.flight import FlightSpec

@@ -45,7 +45,14 @@ from uqharness.campaign.manifest import (
     refuse_without_digests,
     write_manifest,
 )
-from uqharness.campaign.processes import Executor, ProcessExecutor
+from uqharness.campaign.processes import (
+    BATCH,
+    JSBSIM,
+    CaseOutcome,
+    Executor,
+    FlightFunction,
+    ProcessExecutor,
+)
 from uqharness.campaign.read_spec import naming_keys
 from uqharness.campaign.rounds import Rounds
 from uqharness.campaign.shards import (
@@ -59,7 +66,6 @@ from uqharness.campaign.shards import (
 from uqharness.campaign.spec import CampaignSpec
 from uqharness.campaign.store import JOURNAL, LOCK, Store, run_lock
 from uqharness.campaign.tables import make_tables, write_tables
-from uqharness.campaign.worker import BATCH, JSBSIM, CaseOutcome, FlightFunction
 from uqharness.errors import BadInputError
 from uqharness.files import PART
 from uqharness.flight import TURBULENCE_W20_KT, FlightSpec

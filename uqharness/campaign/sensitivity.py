@@ -37,8 +37,7 @@ from uqharness.errors import BadInputError
 from uqharness.flight import COEFFICIENTS, TURBULENCE_W20_KT
 from uqharness.results.campaign import MetricShares
 from uqharness.sensitivity import Evaluations, MethodResult, PairRange, Study
-from uqharness.sensitivity.measures import corner_pairs
-from uqharness.sensitivity.result import Ranking, rank, unit_of, words
+from uqharness.sensitivity.measures import Ranking, corner_pairs, rank, unit_of, words
 from uqharness.sensitivity.study import corners as box_corners
 from uqharness.text_tables import csv_rows
 

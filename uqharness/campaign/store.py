@@ -33,7 +33,7 @@ from uqharness.campaign.manifest import (
     row_digest,
     sum_digests,
 )
-from uqharness.campaign.worker import CaseOutcome
+from uqharness.campaign.processes import CaseOutcome
 from uqharness.checksums import LOCK as LOCK
 from uqharness.errors import BadInputError
 from uqharness.files import open_without_links, try_lock

@@ -37,6 +37,7 @@ from uqharness.campaign.manifest import (
     read_manifest,
     write_manifest,
 )
+from uqharness.campaign.processes import BATCH, JSBSIM, CaseOutcome
 from uqharness.campaign.rounds import DECISIONS, band_confidence, decision_rows
 from uqharness.campaign.spec import CampaignSpec
 from uqharness.campaign.statements import (
@@ -46,7 +47,6 @@ from uqharness.campaign.statements import (
     statements,
     statements_csv,
 )
-from uqharness.campaign.worker import BATCH, JSBSIM, CaseOutcome
 from uqharness.errors import BadInputError
 from uqharness.files import write_bytes
 from uqharness.flight import COEFFICIENTS, STATUSES, TURBULENCE_W20_KT

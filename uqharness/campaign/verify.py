@@ -39,7 +39,7 @@ from uqharness.campaign.manifest import (
     spec_of,
     write_manifest,
 )
-from uqharness.campaign.processes import Executor
+from uqharness.campaign.processes import BATCH, JSBSIM, CaseOutcome, Executor, FlightFunction
 from uqharness.campaign.run import find_mission, run_campaign
 from uqharness.campaign.shards import SHARDS, Shard, merge, parse_shard, refuse_if_changed
 from uqharness.campaign.spec import CampaignSpec
@@ -55,7 +55,6 @@ from uqharness.campaign.store import (
     run_lock,
 )
 from uqharness.campaign.tables import ENGINE_CHECK, TABLE_NAMES, is_sealed, table_digests
-from uqharness.campaign.worker import BATCH, JSBSIM, CaseOutcome, FlightFunction
 from uqharness.checksums import SUMS, SumsError, faults, is_behind_link, read_sums, update_sums
 from uqharness.errors import BadInputError
 from uqharness.files import scratch_folder

@@ -1,9 +1,9 @@
 from .analysis import Sensitivity as Sensitivity
 from .analysis import analyse as analyse
 from .analysis import average as average
-from .result import Index as Index
-from .result import MethodResult as MethodResult
-from .result import PairRange as PairRange
+from .measures import Index as Index
+from .measures import MethodResult as MethodResult
+from .measures import PairRange as PairRange
 from .study import METHODS as METHODS
 from .study import Evaluations as Evaluations
 from .study import Study as Study

@@ -16,8 +16,17 @@ import numpy as np
 from sysid.distributions import student_quantile
 from uqharness.arguments import flag, instance, integer
 from uqharness.errors import BadInputError
-from uqharness.sensitivity.measures import anova, corner_pairs, local, pinching, scatter
-from uqharness.sensitivity.result import CONFIDENCE, Index, MethodResult, PairRange
+from uqharness.sensitivity.measures import (
+    CONFIDENCE,
+    Index,
+    MethodResult,
+    PairRange,
+    anova,
+    corner_pairs,
+    local,
+    pinching,
+    scatter,
+)
 from uqharness.sensitivity.study import METHODS, Evaluations, Study
 from uqharness.text_tables import TabularResult
 

@@ -8,7 +8,7 @@ import pytest
 from sysid.units import FT_M
 from tests.helpers.batch_flights import START, aircraft, by_batch, compared, craft, worst
 from tests.helpers.few import few
-from uqharness.batch.models import atmosphere
+from uqharness.batch import atmosphere
 
 NAMES = ("T-R", "P-psf", "rho-slugs_ft3", "a-fps", "T-sl-R", "rho-sl-slugs_ft3", "a-sl-fps")
 

@@ -20,10 +20,10 @@ from tests.helpers.batch_flights import (
     worst,
 )
 from tests.helpers.few import few
+from uqharness.batch import auxiliary
+from uqharness.batch.auxiliary import POINT, TOUCHED
 from uqharness.batch.mission import initial_values
-from uqharness.batch.models import auxiliary
-from uqharness.batch.models.auxiliary import POINT, TOUCHED
-from uqharness.batch.models.motion import CONDITIONS
+from uqharness.batch.motion import CONDITIONS
 from uqharness.batch.translate.flight import TraceRequest, trace_flight
 from uqharness.batch.translate.frame import Values, is_constant
 from uqharness.flight.fly import contact_points

@@ -12,10 +12,10 @@ import pytest
 from tests.helpers import batch_flights
 from tests.helpers.batch_flights import aircraft, craft, started, translated
 from tests.helpers.batch_whole import SECOND_ORDER
+from uqharness.batch import motion
 from uqharness.batch.llvm import choose_target
 from uqharness.batch.llvm_flight import compile_program
-from uqharness.batch.models import motion
-from uqharness.batch.models.motion import CONDITIONS
+from uqharness.batch.motion import CONDITIONS
 from uqharness.batch.program import initial_state
 
 DT_S = 0.002

@@ -17,9 +17,9 @@ from uqharness.batch.course import (
     compiled_mission,
     initialise_lanes,
 )
-from uqharness.batch.models.winds import COUNTER, NORMALS
 from uqharness.batch.program import initial_state
 from uqharness.batch.streams import GUSTS
+from uqharness.batch.winds import COUNTER, NORMALS
 
 ACTIVE = {"uq/active": 1.0}
 

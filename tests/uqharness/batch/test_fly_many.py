@@ -32,8 +32,8 @@ from tests.helpers.few import few
 from uqharness.batch import course
 from uqharness.batch import course as lanes
 from uqharness.batch.course import fly_many
-from uqharness.batch.installation import available
 from uqharness.batch.llvm import VECTORS, target_names
+from uqharness.batch.program import available
 from uqharness.errors import BadInputError
 from uqharness.flight.fly import fly
 from uqharness.flight.spec import COEFFICIENTS, FlightResult, FlightSpec

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from tests.helpers.batch_against import same_bits
-from uqharness.batch import llvm, object_cache
+from uqharness.batch import llvm
 from uqharness.batch.ir import TRANSCENDENTAL, Builder, Function, evaluate
 from uqharness.batch.llvm import Target, compile_function, print_function, targets
 from uqharness.batch.llvm_flight import compile_program
@@ -168,9 +168,9 @@ def test_another_process_takes_the_code_of_the_same_text(folder):
 
 @pytest.mark.parametrize("damage", ["digest", "mark", "short", "writable", "link", "folder"])
 def test_damaged_or_foreign_code_is_compiled_again(folder, damage, tmp_path):
-    key, code = object_cache.object_key("a"), bytes(range(256)) * 8
-    object_cache.remember(key, code)
-    assert object_cache.recall(key) == code
+    key, code = llvm.object_key("a"), bytes(range(256)) * 8
+    llvm.remember(key, code)
+    assert llvm.recall(key) == code
     (file,) = folder.iterdir()
     content = file.read_bytes()
     if damage == "digest":
@@ -186,21 +186,21 @@ def test_damaged_or_foreign_code_is_compiled_again(folder, damage, tmp_path):
     else:
         file.rename(tmp_path / "elsewhere")
         file.symlink_to(tmp_path / "elsewhere")
-    assert object_cache.recall(key) is None
-    object_cache.remember(key, code)
-    assert object_cache.recall(key) == (None if damage == "folder" else code)
+    assert llvm.recall(key) is None
+    llvm.remember(key, code)
+    assert llvm.recall(key) == (None if damage == "folder" else code)
 
 
 def test_the_code_that_was_used_last_is_kept(folder, monkeypatch):
-    keys = [object_cache.object_key(str(k)) for k in range(4)]
+    keys = [llvm.object_key(str(k)) for k in range(4)]
     for key in keys:
-        object_cache.remember(key, b"x" * 1000)
-        os.utime(folder / f"{key}{object_cache.SUFFIX}", (1e9, 1e9))
-    assert object_cache.recall(keys[1]) is not None
-    monkeypatch.setattr(object_cache, "MAX_BYTES", 2500)
-    object_cache.remember(object_cache.object_key("new"), b"x" * 1000)
-    kept = [key for key in (*keys, object_cache.object_key("new")) if object_cache.recall(key)]
-    assert kept == [keys[1], object_cache.object_key("new")]
+        llvm.remember(key, b"x" * 1000)
+        os.utime(folder / f"{key}{llvm.SUFFIX}", (1e9, 1e9))
+    assert llvm.recall(keys[1]) is not None
+    monkeypatch.setattr(llvm, "MAX_BYTES", 2500)
+    llvm.remember(llvm.object_key("new"), b"x" * 1000)
+    kept = [key for key in (*keys, llvm.object_key("new")) if llvm.recall(key)]
+    assert kept == [keys[1], llvm.object_key("new")]
 
 
 def test_a_kept_flight_gives_the_same_bits(folder):

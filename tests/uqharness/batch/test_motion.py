@@ -12,10 +12,10 @@ import pytest
 from tests.helpers.batch_flights import MASS, METRICS, START, aircraft, compared, craft, worst
 from tests.helpers.batch_states import BODY, RECORDS, STATES, attitude, integrators, one_frame
 from tests.helpers.few import few
+from uqharness.batch import atmosphere, auxiliary, maths, motion
 from uqharness.batch.ir import Builder, Value, evaluate
 from uqharness.batch.maths import lower
-from uqharness.batch.models import atmosphere, auxiliary, motion, vectors
-from uqharness.batch.models.motion import CONDITIONS, round_44_bits, start_state
+from uqharness.batch.motion import CONDITIONS, round_44_bits, start_state
 from uqharness.simulator import engine
 
 AGREES, SEEN = 2e-11, 5e-10
@@ -404,38 +404,38 @@ Q /= np.linalg.norm(Q)
 
 
 def test_sums_and_products():
-    assert computed(vectors.plus, A, B) == pytest.approx(A + B)
-    assert computed(vectors.minus, A, B) == pytest.approx(A - B)
-    assert computed(vectors.times, A, 2.5) == pytest.approx(2.5 * A)
-    assert computed(vectors.cross, A, B) == pytest.approx(np.cross(A, B))
-    assert computed(vectors.dot, A, B) == pytest.approx(A @ B)
+    assert computed(maths.plus, A, B) == pytest.approx(A + B)
+    assert computed(maths.minus, A, B) == pytest.approx(A - B)
+    assert computed(maths.times, A, 2.5) == pytest.approx(2.5 * A)
+    assert computed(maths.cross, A, B) == pytest.approx(np.cross(A, B))
+    assert computed(maths.dot, A, B) == pytest.approx(A @ B)
 
 
 def test_matrices():
-    assert computed(vectors.matvec, M, A) == pytest.approx(M @ A)
-    assert computed(vectors.transpose, M) == pytest.approx(M.T)
-    assert computed(vectors.matmul, M, N) == pytest.approx(M @ N)
-    assert computed(vectors.inverse, M) == pytest.approx(np.linalg.inv(M))
+    assert computed(maths.matvec, M, A) == pytest.approx(M @ A)
+    assert computed(maths.transpose, M) == pytest.approx(M.T)
+    assert computed(maths.matmul, M, N) == pytest.approx(M @ N)
+    assert computed(maths.inverse, M) == pytest.approx(np.linalg.inv(M))
 
 
 def test_a_quaternions_matrix_and_rate():
-    matrix = computed(vectors.rotation, Q)
+    matrix = computed(maths.rotation, Q)
     assert matrix @ matrix.T == pytest.approx(np.eye(3))
     assert np.linalg.det(matrix) == pytest.approx(1.0)
     # Rodrigues: the axis stays, and the trace is 1 + 2 cos of the angle.
     assert matrix @ Q[1:] == pytest.approx(Q[1:])
     assert np.trace(matrix) == pytest.approx(4.0 * Q[0] ** 2 - 1.0)
     step = 1e-6
-    later = Q + step * computed(vectors.quaternion_rate, Q, A)
+    later = Q + step * computed(maths.quaternion_rate, Q, A)
     # Components in axes that turn with A: dM/dt = -[A x] M.
     turned = -np.array([[0.0, -A[2], A[1]], [A[2], 0.0, -A[0]], [-A[1], A[0], 0.0]]) @ matrix
-    assert (computed(vectors.rotation, later) - matrix) / step == pytest.approx(turned, abs=1e-5)
+    assert (computed(maths.rotation, later) - matrix) / step == pytest.approx(turned, abs=1e-5)
 
 
 @pytest.mark.parametrize("size", [1.0, 1e-9, 3e-200, 1e50])
 def test_direction(size):
     for angle in np.linspace(-3.1, 3.1, 41):
-        found = computed(vectors.direction, size * np.cos(angle), size * np.sin(angle))
+        found = computed(maths.direction, size * np.cos(angle), size * np.sin(angle))
         assert found == pytest.approx([np.cos(angle), np.sin(angle)], rel=0.0, abs=4e-16)
         assert found != pytest.approx(
             [np.cos(angle + 1e-14), np.sin(angle + 1e-14)], rel=0.0, abs=4e-16
@@ -443,4 +443,4 @@ def test_direction(size):
 
 
 def test_the_origin_has_no_direction():
-    assert np.isnan(computed(vectors.direction, 0.0, 0.0)).all()
+    assert np.isnan(computed(maths.direction, 0.0, 0.0)).all()

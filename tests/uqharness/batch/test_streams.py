@@ -9,7 +9,6 @@ import pytest
 
 from tests.helpers import batch_oracle
 from uqharness.batch.llvm import targets
-from uqharness.batch.llvm_random import compiled_pairs, compiled_recursion, compiled_tries
 from uqharness.batch.streams import (
     MODULUS,
     MULTIPLIER,
@@ -18,6 +17,9 @@ from uqharness.batch.streams import (
     MovingLevels,
     Noise,
     Turbulence,
+    compiled_pairs,
+    compiled_recursion,
+    compiled_tries,
     noise_streams,
     numpy_tries,
     polar_normals,

@@ -19,8 +19,8 @@ from tests.helpers.batch_flights import (
     worst,
 )
 from tests.helpers.batch_programs import run_program
+from uqharness.batch import winds
 from uqharness.batch.ir import Builder, evaluate
-from uqharness.batch.models import winds
 
 TYPE, SEVERITY = "atmosphere/turb-type", "atmosphere/turbulence/milspec/severity"
 

@@ -31,10 +31,16 @@ from uqharness.campaign.dask import (
     order_from,
     order_text,
 )
-from uqharness.campaign.processes import ProcessExecutor, SerialExecutor
+from uqharness.campaign.processes import (
+    CaseOutcome,
+    Group,
+    OneByOne,
+    ProcessExecutor,
+    SerialExecutor,
+    attempt,
+)
 from uqharness.campaign.run import run_campaign
 from uqharness.campaign.tables import CASES
-from uqharness.campaign.worker import CaseOutcome, Group, OneByOne, attempt
 from uqharness.cli.main import run_words
 from uqharness.errors import BadInputError
 from uqharness.flight.spec import FlightResult, FlightSpec, LevelDriver, TransientDriver

@@ -32,12 +32,11 @@ from uqharness.campaign.engines import (
     reasons_against,
 )
 from uqharness.campaign.manifest import read_manifest, write_manifest
-from uqharness.campaign.processes import ProcessExecutor, SerialExecutor
+from uqharness.campaign.processes import NEAREST, CaseOutcome, ProcessExecutor, SerialExecutor
 from uqharness.campaign.run import find_mission, run_campaign
 from uqharness.campaign.shards import merge, parse_shard, read_status
 from uqharness.campaign.tables import ENGINE_CHECK, FULL_FLIGHT, read_check
 from uqharness.campaign.verify import RunOptions, salvage
-from uqharness.campaign.worker import NEAREST, CaseOutcome
 from uqharness.errors import BadInputError, EnginesDifferError
 from uqharness.flight import flight_seed
 from uqharness.parquet_files import read_table

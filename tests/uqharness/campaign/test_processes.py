@@ -13,9 +13,14 @@ import numpy as np
 import pytest
 
 from tests.helpers import campaign_fakes as fakes
-from uqharness.campaign import worker
-from uqharness.campaign.processes import ProcessExecutor, SerialExecutor, default_timeout_s
-from uqharness.campaign.worker import Group, OneByOne
+from uqharness.campaign import processes
+from uqharness.campaign.processes import (
+    Group,
+    OneByOne,
+    ProcessExecutor,
+    SerialExecutor,
+    default_timeout_s,
+)
 from uqharness.errors import BadInputError
 from uqharness.flight.fly import fly, fly_one_ulp_off
 from uqharness.flight.spec import FlightResult, FlightSpec
@@ -188,21 +193,21 @@ def test_engines_by_name():
     alone, moved = fly(SPEC), fly_one_ulp_off(SPEC)
     assert signals(alone) != signals(moved)
     for name, expected in (
-        (worker.JSBSIM, alone),
-        (worker.JUDGE, alone),
-        (worker.ONE_ULP_OFF, moved),
+        (processes.JSBSIM, alone),
+        (processes.JUDGE, alone),
+        (processes.ONE_ULP_OFF, moved),
     ):
-        (found,) = worker.fly_group(name, [SPEC])
+        (found,) = processes.fly_group(name, [SPEC])
         assert signals(found) == signals(expected)
         assert expected.metrics.items() <= found.metrics.items()
 
 
 def test_the_judge_reports_the_distance_to_each_radius():
-    (found,) = worker.fly_group(
-        worker.JUDGE, [replace(SPEC, excursion_radius_m=(1.0,), rearm_m=0.25)]
+    (found,) = processes.fly_group(
+        processes.JUDGE, [replace(SPEC, excursion_radius_m=(1.0,), rearm_m=0.25)]
     )
     distance = np.abs(found.signals["cross_track"])
     expected = min(np.abs(distance - 1.0).min(), np.abs(distance - 0.75).min())
     assert found.metrics["nearest_excursions_1m"] == expected
     without = replace(fakes.steady(SPEC), signals={})
-    assert np.isnan(worker.with_distances(without, SPEC).metrics["nearest_excursions_15m"])
+    assert np.isnan(processes.with_distances(without, SPEC).metrics["nearest_excursions_15m"])

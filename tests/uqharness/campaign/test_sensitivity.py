@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from sysid.digests import sha256_hex
+from sysid.foreign.regular_files import sha256_hex
 from tests.helpers import campaign_fakes as fakes
 from tests.helpers.model_forms import made_up_form
 from uqharness.campaign.cases import Mission
@@ -35,13 +35,7 @@ from uqharness.campaign.sensitivity import (
 from uqharness.cli.main import run_words
 from uqharness.errors import BadInputError
 from uqharness.flight.spec import FlightResult
-from uqharness.sensitivity.result import (
-    Index,
-    MethodResult,
-    PairRange,
-    Ranking,
-    all_undefined,
-)
+from uqharness.sensitivity.measures import Index, MethodResult, PairRange, Ranking, all_undefined
 
 pytestmark = pytest.mark.usefixtures("flights_here")
 

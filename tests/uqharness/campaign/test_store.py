@@ -12,9 +12,9 @@ import sys
 import pytest
 
 from uqharness.campaign.manifest import read_manifest, refuse_if_different, write_manifest
+from uqharness.campaign.processes import CaseOutcome
 from uqharness.campaign.read_spec import checked_settings
 from uqharness.campaign.store import JOURNAL, Store, is_running, run_lock
-from uqharness.campaign.worker import CaseOutcome
 from uqharness.errors import BadInputError
 
 

@@ -37,11 +37,14 @@ from uqharness.next_flight.points import (
     Condition,
     Occupancy,
     Steps,
+    TestFlight,
     TestPoint,
+    fly_points,
     library,
     schedule,
+    try_points,
+    unit_times,
 )
-from uqharness.next_flight.trials import TestFlight, fly_points, try_points, unit_times
 from uqharness.simulator.aircraft import PROJECT_ROOT, find_aircraft
 from uqharness.simulator.mission import find_script
 

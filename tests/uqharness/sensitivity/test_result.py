@@ -11,7 +11,7 @@ from scipy import stats
 
 from uqharness.errors import BadInputError
 from uqharness.sensitivity.analysis import Sensitivity, average
-from uqharness.sensitivity.result import (
+from uqharness.sensitivity.measures import (
     Index,
     MethodResult,
     PairRange,

@@ -15,10 +15,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from uqharness.batch.auxiliary import arm, structural_to_body
 from uqharness.batch.ir import Value
-from uqharness.batch.models.auxiliary import arm, structural_to_body
-from uqharness.batch.models.motion import INERTIAL, MATRIX, matrix
-from uqharness.batch.models.vectors import Matrix, Vector, cross, matvec, plus, times, transpose
+from uqharness.batch.maths import Matrix, Vector, cross, matvec, plus, times, transpose
+from uqharness.batch.motion import INERTIAL, MATRIX, matrix
 from uqharness.batch.translate.frame import Frame, Scope, canonical, function_name, writable
 from uqharness.batch.translate.functions import function_value
 from uqharness.xml import Document, Node

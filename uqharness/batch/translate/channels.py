@@ -16,9 +16,9 @@ from pathlib import Path
 
 from uqharness.batch.ir import Value
 from uqharness.batch.program import When
+from uqharness.batch.translate import components as filters
 from uqharness.batch.translate import components as gains
 from uqharness.batch.translate import components as waypoints
-from uqharness.batch.translate import filters
 from uqharness.batch.translate.components import Component, written_properties
 from uqharness.batch.translate.frame import (
     CHANNEL_STEP,

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from uqharness.batch.ir import Value
-from uqharness.batch.models.vectors import Vector, plus
+from uqharness.batch.maths import Vector, plus
 from uqharness.batch.program import When
 from uqharness.batch.translate.aerodynamics import write_function
 from uqharness.batch.translate.channels import Sources, compute_inner_names, compute_where_read

@@ -10,11 +10,11 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 
+from uqharness.batch import winds
+from uqharness.batch.atmosphere import trace_air_data, trace_atmosphere, trace_ratios
+from uqharness.batch.auxiliary import trace_auxiliary, trace_ground, trace_start_distance
 from uqharness.batch.ir import Value
-from uqharness.batch.models import winds
-from uqharness.batch.models.atmosphere import trace_air_data, trace_atmosphere, trace_ratios
-from uqharness.batch.models.auxiliary import trace_auxiliary, trace_ground, trace_start_distance
-from uqharness.batch.models.motion import (
+from uqharness.batch.motion import (
     INTEGRATORS,
     WEIGHTS,
     remember_derivatives,

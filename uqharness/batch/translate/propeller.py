@@ -12,10 +12,10 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from uqharness.batch.auxiliary import arm
 from uqharness.batch.ir import Value
-from uqharness.batch.models.auxiliary import arm
-from uqharness.batch.models.motion import slots
-from uqharness.batch.models.vectors import Matrix, Vector, cross, matvec, plus, transpose
+from uqharness.batch.maths import Matrix, Vector, cross, matvec, plus, transpose
+from uqharness.batch.motion import slots
 from uqharness.batch.translate.engine_files import (
     Part,
     grid,

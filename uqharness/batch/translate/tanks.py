@@ -17,7 +17,7 @@ import numpy as np
 
 from sysid.units import SLUG_LB
 from uqharness.batch.ir import Builder, Value
-from uqharness.batch.models.vectors import Vector
+from uqharness.batch.maths import Vector
 from uqharness.batch.translate.engine_files import Part, number, refuse_tags, triplet
 from uqharness.batch.translate.frame import Frame, Scope, canonical
 from uqharness.xml import Node

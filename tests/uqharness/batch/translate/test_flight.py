@@ -73,7 +73,7 @@ def test_systems_see_what_jsbsims_see():
 
 def test_another_order_is_noticed(monkeypatch):
     """Winds behind the systems: they would see the wind of the frame before."""
-    from uqharness.batch.models import winds
+    from uqharness.batch import winds
     from uqharness.batch.translate import flight
 
     trace = flight.Systems.trace

@@ -15,9 +15,8 @@ from typing import NamedTuple
 
 from sysid.units import FT_M
 from uqharness.batch.ir import Value
-from uqharness.batch.maths import round_to_even
-from uqharness.batch.models.motion import MATRIX, matrix
-from uqharness.batch.models.vectors import Vector, direction, matvec
+from uqharness.batch.maths import Vector, direction, matvec, round_to_even
+from uqharness.batch.motion import MATRIX, matrix
 from uqharness.batch.program import Stream, When
 from uqharness.batch.translate.frame import Frame, integer_hook
 from uqharness.errors import BadInputError

@@ -11,13 +11,12 @@ import math
 from collections.abc import Sequence
 
 from sysid.units import FT_M, G0_MPS2, SLUG_LB
+from uqharness.batch.atmosphere import STANDARD_DENSITY_SLUGS_FT3
 from uqharness.batch.ir import Value
-from uqharness.batch.models.atmosphere import STANDARD_DENSITY_SLUGS_FT3
-from uqharness.batch.models.geodesic import geodesic
-from uqharness.batch.models.motion import BODY_ACCELERATION, MATRIX, PLACE, matrix, slots, vector
-from uqharness.batch.models.vectors import Vector, cross, dot, matvec, minus, plus, times
-from uqharness.batch.models.winds import AXES
+from uqharness.batch.maths import Vector, cross, dot, matvec, minus, plus, times
+from uqharness.batch.motion import BODY_ACCELERATION, MATRIX, PLACE, geodesic, matrix, slots, vector
 from uqharness.batch.translate.frame import TIME, Frame
+from uqharness.batch.winds import AXES
 from uqharness.flight import ContactPoint
 
 _DEG = 180.0 / math.pi

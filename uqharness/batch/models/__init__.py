@@ -1,1 +1,0 @@
-"""JSBSim's own models as values: motion, atmosphere, winds, auxiliary quantities."""
