@@ -115,19 +115,6 @@ def test_the_span_and_the_limit_of_speed_are_noticed(monkeypatch):
     assert worst(compared(aircraft(BODY), RECORDS, DRIVEN, 5)) > 1e-3
 
 
-def test_systems_see_positions_and_incidence_of_the_frame_before():
-    """A system that read them in the same frame would be noticed."""
-    names = ("position/from-start-neu-n-ft", "s/north", "aero/alpha-rad", "s/alpha")
-    with craft(aircraft(BODY)) as made:
-        fdm = made.open()
-        for name, values in DRIVEN.items():
-            fdm[name] = float(values[0])
-        ours = by_batch(made, DRIVEN, names, 30)
-    assert ours["s/north"][1:] == pytest.approx(ours[names[0]][:-1], abs=1e-9)
-    assert ours["s/alpha"][1:] == pytest.approx(ours["aero/alpha-rad"][:-1], abs=1e-12)
-    assert np.abs(ours["s/north"] - ours[names[0]]).max() > 0.1
-
-
 DERIVED = [
     "forces/load-factor",
     "velocities/vc-kts",
@@ -186,9 +173,9 @@ def test_derived_properties_are_jsbsims() -> None:
     text = ground_aircraft(f"<system name='s'><channel>{system}</channel></system>")
     records = [*DERIVED, *copies]
     assert flights.worst(flights.compared(text, records, frames=60, floor=1e-2)) < 1e-8
-    changed = text.replace("<v>3</v>", "<v>3.001</v>")
-    found = flights.compared(text, records, frames=60, changed=changed, floor=1e-2)
-    assert found["forces/load-factor"] > 1e-7
+    plain, changed = ground_aircraft(), ground_aircraft().replace("<v>3</v>", "<v>3.001</v>")
+    gaps = flights.compared(plain, DERIVED[:1], frames=20, changed=changed, floor=1e-2)
+    assert gaps["forces/load-factor"] > 1e-7
 
 
 def test_systems_may_set_gear_positions_and_friction() -> None:
@@ -315,9 +302,3 @@ def test_gear_that_is_up_does_not_count():
     assert up is not None
     assert (down[1], up[0] > down[0]) == (1, True)
     assert records[0, -1] == pytest.approx(up[0] * DT_S, abs=1e-12)
-
-
-def test_high_up_nothing_touches():
-    first, records = contact({"ic/h-sl-ft": 500.0})
-    assert first is None
-    assert np.unique(records[0]) == [-1.0]

@@ -303,31 +303,6 @@ def test_lanes_of_one_air_share_its_numbers():
     assert all(feed.offsets[0] == feed.offsets[2] != feed.offsets[1] for feed in noise)
 
 
-@pytest.mark.parametrize("pieces", [(100,), (30, 70), (1, 2, 97)])
-def test_pieces_are_the_whole(pieces):
-    _, whole, state = made(specs())
-    all_at_once = whole.feeds(np.arange(3), 100, state)[GUSTS.name]
-    _, feeder, state = made(specs())
-    got, frame = [], 0
-    for count in pieces:
-        feed = feeder.feeds(np.arange(3), count, state)[GUSTS.name]
-        assert feed.first_row == frame
-        got.append(rows(feed, 1, count))
-        frame += count
-    assert np.concatenate(got).tobytes() == rows(all_at_once, 1, 100).tobytes()
-
-
-def test_lanes_that_have_ended_are_left_out():
-    _, feeder, state = made(specs())
-    feeder.feeds(np.arange(3), 10, state)
-    rest = feeder.feeds(np.array([1]), 10, state)[GUSTS.name]
-    assert len(rest.array) == 10
-    assert rest.first_row == 10
-    _, other, state = made(specs())
-    both = other.feeds(np.arange(3), 20, state)[GUSTS.name]
-    assert rest.array.tobytes() == rows(both, 1, 20)[10:].tobytes()
-
-
 def test_jsbsims_turbulence_keeps_rows_that_a_lane_still_needs():
     """Lanes of one air stand at different rows where its filters did not run in all of them."""
     lanes, feeder, state = made(specs(turbulence_source="jsbsim"))

@@ -17,9 +17,9 @@ from tests.helpers.few import few
 from uqharness.batch import maths as a
 from uqharness.batch.ir import TRANSCENDENTAL, Builder, Value, evaluate
 from uqharness.batch.llvm import compile_function, targets
-from uqharness.batch.maths import exp, log, log2, log10, lower, power
+from uqharness.batch.maths import log2, lower, power
 
-COUNT = int(os.environ.get("BATCH_POINTS", "8000"))
+COUNT = int(os.environ.get("BATCH_POINTS", "3000"))
 
 
 INF, NAN = math.inf, math.nan
@@ -73,9 +73,9 @@ def test_errors_are_below_two_ulp(operation: str) -> None:
     assert found.max() <= (0.0 if operation == "fmod" else ALLOWED)
 
 
-@pytest.mark.parametrize("exponent", [2.0, 0.5, 3.0, 4.0, -1.0, 1.0, 0.0])
+@pytest.mark.parametrize("exponent", few([2.0, 0.5, 3.0, -1.0, 4.0, 1.0, 0.0], 3))
 def test_short_powers(exponent: float) -> None:
-    x = np.random.default_rng(3).uniform(0.01, 30, 20_000)
+    x = np.random.default_rng(3).uniform(0.01, 30, COUNT)
     points = (x, np.full(len(x), exponent))
     assert errors("pow", points, values("pow", (x,), exponent)).max() <= {3.0: 1.5, 4.0: 2.0}.get(
         exponent, 0.5
@@ -138,7 +138,7 @@ def test_beyond_the_limits_there_is_no_number() -> None:
 
 @pytest.mark.parametrize("operation", TRANSCENDENTAL)
 def test_every_width_has_the_bits_of_numpy(operation: str) -> None:
-    points = POINTS[operation](np.random.default_rng(5), 20_000)
+    points = POINTS[operation](np.random.default_rng(5), 5_000)
     special = [(x, y) for x in SPECIAL for y in SPECIAL]
     points = tuple(
         np.concatenate([p, column])
@@ -156,7 +156,7 @@ def test_every_width_has_the_bits_of_numpy(operation: str) -> None:
 def test_constants_are_folded_to_the_same_bits() -> None:
     rng = np.random.default_rng(2)
     for operation, count in TRANSCENDENTAL.items():
-        numbers = rng.uniform(0.1, 0.9, (30, count))
+        numbers = rng.uniform(0.1, 0.9, (8, count))
         b = Builder()
         outputs = {str(k): b.op(operation, *row.tolist()) for k, row in enumerate(numbers)}
         function = lower(b.finish(outputs))
@@ -237,29 +237,6 @@ def test_two_doubles_are_that_exact(
     assert _error({"high": made["high"], "low": np.zeros(len(X))}, wanted) > 2.0**-60
 
 
-def test_signs_and_whole_numbers() -> None:
-    special = np.array([0.0, -0.0, 1.5, -1.5, 2.5, -2.5, 1e15, -1e15])
-    made = _made(
-        lambda x, y: {
-            "signed": a.copysign(x.builder.op("abs", y), x),
-            "flipped": a.flip_sign(y, a.sign_bit(x)),
-            "cut": a.truncate(x),
-            "near": a.round_to_even(x),
-            "third": a.bit_set(a.to_integer(a.truncate(x)), 1).choose(1.0, 0.0),
-            "power": a.power_of_two(a.to_integer(a.round_to_even(y))),
-        },
-        special,
-        np.arange(-4.0, 4.0),
-    )
-    y = np.arange(-4.0, 4.0)
-    assert same_bits(made["signed"], np.copysign(y, special)).all()
-    assert same_bits(made["flipped"], np.where(np.signbit(special), -y, y)).all()
-    assert (made["cut"] == np.trunc(special)).all()
-    assert (made["near"] == np.rint(special)).all()
-    assert made["third"].tolist() == [float((int(x) >> 1) & 1) for x in special]
-    assert made["power"].tolist() == np.exp2(y).tolist()
-
-
 def _values(function: Callable[..., Value], *columns: np.ndarray) -> np.ndarray:
     b = Builder()
     names = [str(k) for k in range(len(columns))]
@@ -271,21 +248,3 @@ def test_powers_of_two_are_whole() -> None:
     n = np.arange(-1074.0, 1024.0)
     assert (_values(log2, np.ldexp(1.0, n.astype(int))) == n).all()
     assert (_values(power, np.full(len(n), 2.0), n) == np.ldexp(1.0, n.astype(int))).all()
-
-
-def test_decimal_powers_are_whole() -> None:
-    n = np.arange(0.0, 23.0)
-    assert (_values(log10, np.array([float(10 ** int(k)) for k in n])) == n).all()
-
-
-def test_exp_undoes_log() -> None:
-    x = np.exp2(np.random.default_rng(1).uniform(-500, 500, 2000))
-    logs = _values(log, x)
-    np.testing.assert_allclose(_values(exp, logs), x, rtol=4e-16 * np.abs(logs).max())
-    assert np.abs(_values(exp, np.nextafter(logs, np.inf)) / x - 1).max() > 1e-14
-
-
-def test_the_logarithm_grows_with_its_argument() -> None:
-    x = np.sort(np.exp2(np.random.default_rng(2).uniform(-3, 3, 20_000)))
-    for logarithm in (log, log2, log10):
-        assert (np.diff(_values(logarithm, x)) >= 0).all()

@@ -9,14 +9,12 @@ import mpmath
 import numpy as np
 import pytest
 
-from tests.helpers.batch_flights import MASS, METRICS, START, aircraft, compared, craft, worst
-from tests.helpers.batch_states import BODY, RECORDS, STATES, attitude, integrators, one_frame
+from tests.helpers.batch_flights import MASS, METRICS, START, aircraft, compared, worst
+from tests.helpers.batch_states import BODY, RECORDS, STATES, integrators, one_frame
 from tests.helpers.few import few
-from uqharness.batch import atmosphere, auxiliary, maths, motion
-from uqharness.batch.ir import Builder, Value, evaluate
-from uqharness.batch.maths import lower
-from uqharness.batch.motion import CONDITIONS, round_44_bits, start_state
-from uqharness.simulator import engine
+from uqharness.batch import atmosphere, auxiliary, motion
+from uqharness.batch.ir import Builder, evaluate
+from uqharness.batch.motion import round_44_bits
 
 AGREES, SEEN = 2e-11, 5e-10
 
@@ -30,7 +28,7 @@ CONTROL = {
 }
 
 
-@pytest.mark.parametrize("number", few(range(6), 3))
+@pytest.mark.parametrize("number", few(range(6), 2))
 @pytest.mark.parametrize("name", STATES)
 def test_a_frame_from_a_copied_state(name, number):
     assert (
@@ -41,7 +39,7 @@ def test_a_frame_from_a_copied_state(name, number):
     )
 
 
-@pytest.mark.parametrize("numbers", [(1, 3, 1, 4), (3, 3, 3, 3), (2, 4, 5, 1)])
+@pytest.mark.parametrize("numbers", few([(2, 4, 5, 1), (3, 3, 3, 3), (1, 3, 1, 4)], 1))
 def test_integrators_of_the_four_parts_differ(numbers):
     assert (
         worst(one_frame({**STATES["rapid roll"], **integrators(*numbers)}, seed=sum(numbers)))
@@ -66,7 +64,7 @@ def test_a_constant_a_little_off_is_noticed(monkeypatch, module, name, factor):
     assert worst(one_frame(CONTROL)) > SEEN
 
 
-@pytest.mark.parametrize("number", range(1, 6))
+@pytest.mark.parametrize("number", few(range(1, 6), 2))
 def test_another_integrator_is_noticed(monkeypatch, number):
     monkeypatch.setitem(motion.WEIGHTS, number, motion.WEIGHTS[number % 5 + 1])
     assert worst(one_frame({**CONTROL, **integrators(number, number, number, number)})) > SEEN
@@ -87,10 +85,6 @@ def test_another_aircraft_is_noticed(changed):
     assert worst(one_frame(CONTROL, changed=changed)) > SEEN
 
 
-def test_wind_a_frame_late_is_noticed():
-    assert worst(one_frame(CONTROL, late_wind=True)) > SEEN
-
-
 def test_geodetic_height_for_geocentric_is_noticed(monkeypatch):
     place = motion.place
     monkeypatch.setattr(
@@ -103,16 +97,7 @@ def test_geodetic_height_for_geocentric_is_noticed(monkeypatch):
     assert worst(one_frame(CONTROL)) > SEEN
 
 
-def test_derivatives_of_another_frame_are_noticed(monkeypatch):
-    """The history as it would be if the accelerations of a frame moved that frame."""
-    names = motion.slots
-    monkeypatch.setattr(
-        motion, "slots", lambda part, back=-1: names(part, back + 1 if back >= 1 else back)
-    )
-    assert worst(one_frame(CONTROL)) > SEEN
-
-
-@pytest.mark.parametrize("numbers", [(1, 3, 1, 4), (3, 3, 3, 3), (4, 5, 5, 5)])
+@pytest.mark.parametrize("numbers", few([(1, 3, 1, 4), (3, 3, 3, 3), (4, 5, 5, 5)], 1))
 def test_frames_from_the_start(numbers):
     """Behind initialising the history is JSBSim's too."""
     rng = np.random.default_rng(1)
@@ -174,7 +159,7 @@ def by_airspeed(seed):
     }
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", few(range(6), 2))
 @pytest.mark.parametrize("made", [random_start, by_airspeed])
 def test_jsbsims_state_behind_its_initialisation(made, seed):
     """Conditions are taken to 44 bits, which is 3e-14 of each."""
@@ -188,32 +173,6 @@ def test_jsbsims_state_behind_its_initialisation(made, seed):
         worst(compared(aircraft("<aerodynamics/>"), names, frames=0, start=made(seed), floor=1.0))
         < 3e-12
     )
-
-
-@pytest.mark.parametrize("name", [name for name in CONDITIONS if "fps" in name or "rad" in name])
-def test_each_condition_a_little_off_is_noticed(name):
-    with craft(aircraft("<aerodynamics/>"), random_start(3)) as made:
-        fdm = made.open()
-        given = {name: np.array([fdm[name]]) for name in CONDITIONS}
-        engine.run_ic(fdm)
-        wanted = [fdm[f"position/eci-{a}-ft"] for a in "xyz"] + [
-            fdm[f"velocities/eci-{a}-fps"] for a in "xyz"
-        ]
-        wanted += [fdm[f"velocities/{a}i-rad_sec"] for a in "pqr"]
-        turned = attitude(fdm)
-    parts = [("position", 3, 2e7), ("velocity", 3, 1e3), ("rates", 3, 1.0), ("attitude", 4, 1.0)]
-    sizes = np.concatenate([np.full(count, size) for _, count, size in parts])
-
-    def gap(conditions):
-        found = start_state(conditions)
-        ours = np.array(
-            [found[f"#{part}/{k}"][0] for part, count, _ in parts for k in range(count)]
-        )
-        sign = np.sign(ours[-4:] @ turned)
-        return float(np.max(np.abs(ours - [*wanted, *(sign * turned)]) / sizes))
-
-    assert gap(given) < 1e-12
-    assert gap({**given, name: given[name] * (1.0 + 1e-8)}) > 1e-11
 
 
 def test_rounding_to_44_bits():
@@ -293,18 +252,6 @@ def test_the_check_notices_a_shape_a_little_off(monkeypatch):
     assert abs(placed(*point)["height"][0] - 1000.0) > 2e-8
 
 
-def test_axes_of_the_ellipsoid():
-    """On the equator and at the poles height is a difference of lengths."""
-    found = placed(
-        [motion.A_FT + 100.0, 0.0, 0.0],
-        [0.0, 0.0, -motion.A_FT - 7.0],
-        [0.0, -motion.B_FT - 50.0, 0.0],
-    )
-    assert found["height"] == pytest.approx([100.0, 50.0, 7.0], abs=1e-8)
-    assert found["sea"] == pytest.approx([motion.A_FT, motion.B_FT, motion.A_FT], abs=1e-8)
-    assert (found["sin"][1], found["cos"][0]) == (-1.0, 1.0)
-
-
 def test_the_ellipsoid_is_that_of_wgs_84():
     assert pytest.approx([A_M, B_M], rel=2e-11) == [motion.A_FT * FOOT, motion.B_FT * FOOT]
     # TR8350.2, table 3.1: GM in m3/s2, angular velocity; J2 from the normalised second harmonic.
@@ -344,103 +291,3 @@ def test_local_axes_are_orthogonal_and_point_down():
         float(c) for c in cartesian(0.6, -1.0, 5000.0)
     ]
     assert local @ higher == pytest.approx([0.0, 0.0, -1000.0], abs=1e-7)
-
-
-def test_earth_fixed_axes_undo_the_rotation():
-    b = Builder()
-    angle = b.input("angle")
-    out = motion.earth_fixed(b.op("sin", angle), b.op("cos", angle), (b.input("x"), 0.0, 2.0))
-    found, _ = evaluate(
-        lower(b.finish({str(k): b.value(value) for k, value in enumerate(out)})),
-        {"angle": np.array([0.3]), "x": np.array([5.0])},
-    )
-    assert [found[k][0] for k in "012"] == pytest.approx(
-        [5.0 * np.cos(0.3), -5.0 * np.sin(0.3), 2.0]
-    )
-
-
-def computed(function, *arguments):
-    """The function of arrays, as an array."""
-    b = Builder()
-    inputs = {}
-
-    def named(array, name):
-        if np.ndim(array) == 0:
-            inputs[name] = np.array([float(array)])
-            return b.input(name)
-        return tuple(named(part, f"{name}.{k}") for k, part in enumerate(array))
-
-    made = function(*[named(argument, f"x{k}") for k, argument in enumerate(arguments)])
-    flat: dict[str, Value] = {}
-
-    def collect(part, name):
-        if isinstance(part, Value | float):
-            flat[name] = b.value(part)
-            return name
-        return [collect(one, f"{name}.{k}") for k, one in enumerate(part)]
-
-    names = collect(made, "out")
-    found, _ = evaluate(b.finish(flat), inputs)
-
-    def filled(part):
-        return float(found[part][0]) if isinstance(part, str) else [filled(one) for one in part]
-
-    return np.array(filled(names))
-
-
-RNG = np.random.default_rng(0)
-
-
-A, B, C = (RNG.normal(size=3) for _ in range(3))
-
-
-M, N = (RNG.normal(size=(3, 3)) for _ in range(2))
-
-
-Q = RNG.normal(size=4)
-
-
-Q /= np.linalg.norm(Q)
-
-
-def test_sums_and_products():
-    assert computed(maths.plus, A, B) == pytest.approx(A + B)
-    assert computed(maths.minus, A, B) == pytest.approx(A - B)
-    assert computed(maths.times, A, 2.5) == pytest.approx(2.5 * A)
-    assert computed(maths.cross, A, B) == pytest.approx(np.cross(A, B))
-    assert computed(maths.dot, A, B) == pytest.approx(A @ B)
-
-
-def test_matrices():
-    assert computed(maths.matvec, M, A) == pytest.approx(M @ A)
-    assert computed(maths.transpose, M) == pytest.approx(M.T)
-    assert computed(maths.matmul, M, N) == pytest.approx(M @ N)
-    assert computed(maths.inverse, M) == pytest.approx(np.linalg.inv(M))
-
-
-def test_a_quaternions_matrix_and_rate():
-    matrix = computed(maths.rotation, Q)
-    assert matrix @ matrix.T == pytest.approx(np.eye(3))
-    assert np.linalg.det(matrix) == pytest.approx(1.0)
-    # Rodrigues: the axis stays, and the trace is 1 + 2 cos of the angle.
-    assert matrix @ Q[1:] == pytest.approx(Q[1:])
-    assert np.trace(matrix) == pytest.approx(4.0 * Q[0] ** 2 - 1.0)
-    step = 1e-6
-    later = Q + step * computed(maths.quaternion_rate, Q, A)
-    # Components in axes that turn with A: dM/dt = -[A x] M.
-    turned = -np.array([[0.0, -A[2], A[1]], [A[2], 0.0, -A[0]], [-A[1], A[0], 0.0]]) @ matrix
-    assert (computed(maths.rotation, later) - matrix) / step == pytest.approx(turned, abs=1e-5)
-
-
-@pytest.mark.parametrize("size", [1.0, 1e-9, 3e-200, 1e50])
-def test_direction(size):
-    for angle in np.linspace(-3.1, 3.1, 41):
-        found = computed(maths.direction, size * np.cos(angle), size * np.sin(angle))
-        assert found == pytest.approx([np.cos(angle), np.sin(angle)], rel=0.0, abs=4e-16)
-        assert found != pytest.approx(
-            [np.cos(angle + 1e-14), np.sin(angle + 1e-14)], rel=0.0, abs=4e-16
-        )
-
-
-def test_the_origin_has_no_direction():
-    assert np.isnan(computed(maths.direction, 0.0, 0.0)).all()

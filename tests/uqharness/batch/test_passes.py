@@ -143,17 +143,6 @@ def test_invariants_are_hoisted() -> None:
         hoist_invariants(changed)
 
 
-def test_a_slot_changed_between_calls_counts() -> None:
-    b = Builder()
-    b.store("x", b.op("exp", b.load("level")) + b.load("x"))
-    program = optimise(Program((Section("s", b.finish({})),), {"level": 0.0, "x": 0.0}, (), ("x",)))
-    state = initial_state(program, 1)
-    run_program(program, state, 1, 2)
-    state[:, list(program.slots).index("level"), :] = 1.0
-    run_program(program, state, 3, 1)
-    assert slot(program, state, "x", 1)[0] == 2.0 + np.exp(1.0)
-
-
 def _flown_sinking(
     program: Program, stride: int, pieces: tuple[int, ...] = (FRAMES,)
 ) -> np.ndarray:
@@ -296,13 +285,6 @@ def test_lanes_and_streams_are_not_folded():
     np.testing.assert_array_equal(flown(made)[1], [[3.0, 6.0, 9.0, 12.0], [5.0, 10.0, 15.0, 20.0]])
     wrong = propagate_constants((), program(0.0), ())
     assert not np.array_equal(flown(wrong)[1], flown(made)[1])
-
-
-def test_values_of_the_initialising_frame_are_folded():
-    first = Program((section("first", When(), gain=lambda b: b.constant(4.0)),), {"gain": 1.0})
-    made = propagate_constants((first,), program(0.0), ("lane",))
-    count = next(s for s in made.sections if s.name == "count")
-    assert 4.0 in [node.value for node in count.function.nodes]
 
 
 ANGLES = np.linspace(-3.0, 3.0, 16)

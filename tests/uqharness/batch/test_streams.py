@@ -26,7 +26,7 @@ from uqharness.batch.streams import (
 )
 from uqharness.flight import Split
 from uqharness.flight.dryden import COMPONENTS, dryden_gusts, dryden_parameters, numpy_recursion
-from uqharness.flight.random_numbers import Normals, numpy_pairs
+from uqharness.flight.random_numbers import numpy_pairs
 from uqharness.flight.spec import COEFFICIENTS, LevelDriver, TransientDriver
 from uqharness.flight.stepping import level_blocks
 
@@ -87,18 +87,6 @@ def test_frames_cut_the_noise_anywhere_and_copies_go_on(draws: tuple[tuple[str, 
         assert len(joined) == 500 // stream.every
         assert parts[-1][stream.name].first_row == 250 // stream.every
         assert again[stream.name].array.tobytes() == parts[-1][stream.name].array.tobytes()
-
-
-def test_rates_that_never_meet_are_refused() -> None:
-    with pytest.raises(ValueError, match="at most"):
-        Noise(1, [("a", 997), ("b", 991)])
-
-
-def test_turbulence_has_a_generator_of_its_own() -> None:
-    turbulence = Turbulence(31)
-    rows = np.concatenate([turbulence.rows(n).array for n in (3, 0, 5)])
-    assert rows.tobytes() == JsbsimNormals(31).take(32).tobytes()
-    assert turbulence.rows(1).first_row == 8
 
 
 def test_host_gusts_are_those_of_jsbsims_engine() -> None:
@@ -297,12 +285,6 @@ def test_states_have_numpys_bits(name: str, steps: int) -> None:
     assert ours.tobytes() != recur(drive, powers, 1.0 / powers, 0.7 * (1.0 + 2.0**-52)).tobytes()
 
 
-def test_other_sizes_are_refused() -> None:
-    recur = compiled_recursion(next(iter(targets().values())))
-    with pytest.raises(ValueError, match="multiple"):
-        recur(np.zeros(100), np.ones(64), np.ones(64), 0.0)
-
-
 @pytest.mark.parametrize("name", list(targets()))
 def test_pairs_have_numpys_bits(name: str) -> None:
     raw = np.random.PCG64(1).random_raw(160_000).view(np.int64).reshape(-1, 2, 8)
@@ -312,9 +294,3 @@ def test_pairs_have_numpys_bits(name: str) -> None:
     # One bit of a raw number that counts is seen.
     raw[7, 0, 3] ^= 1 << 12
     assert ours.tobytes() != numpy_pairs(raw).tobytes()
-
-
-def test_a_stream_takes_either_form() -> None:
-    compiled = compiled_pairs(list(targets().values())[-1])
-    one, other = Normals(np.random.PCG64(4), compiled), Normals(np.random.PCG64(4))
-    assert one.take(1001).tobytes() == other.take(1001).tobytes()

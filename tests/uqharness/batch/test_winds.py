@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import mpmath as mp
 import numpy as np
 import pytest
@@ -18,7 +16,7 @@ from tests.helpers.batch_flights import (
     refused,
     worst,
 )
-from tests.helpers.batch_programs import run_program
+from tests.helpers.few import few
 from uqharness.batch import winds
 from uqharness.batch.ir import Builder, evaluate
 
@@ -112,11 +110,6 @@ def test_the_winds_azimuth_turns_the_turbulence(wind):
     assert worst(differences(inputs=air(wind))) < 5e-10
 
 
-def test_an_aircraft_without_span_is_taken_for_30_ft():
-    text = aircraft("<aerodynamics/>", METRICS.replace(">10</wingspan>", ">0</wingspan>"))
-    assert worst(differences(text=text)) < 5e-10
-
-
 def test_terms_a_little_off_are_noticed(monkeypatch):
     changed = aircraft(
         "<aerodynamics/>", METRICS.replace(">10</wingspan>", ">10.000001</wingspan>")
@@ -164,7 +157,7 @@ def test_unknown_types_of_turbulence():
         )
 
 
-@pytest.mark.parametrize("psi", [0.7, 3.0, 6.0])
+@pytest.mark.parametrize("psi", few([0.7, 3.0, 6.0], 1))
 def test_azimuth_and_size_may_be_written(psi):
     """JSBSim turns or stretches the steady wind."""
     events = "".join(
@@ -183,36 +176,6 @@ def test_azimuth_and_size_may_be_written(psi):
         worst(compared(aircraft("<aerodynamics/>"), names, frames=20, start=start(), events=events))
         < 1e-11
     )
-
-
-def test_gusts_in_heading_axes_for_aircraft_without_air():
-    """Heading of the frame before; metres to feet."""
-    from uqharness.batch.program import initial_state, slot
-    from uqharness.batch.translate.frame import Frame
-
-    names = [
-        "attitude/psi-rad",
-        *(f"air/host/{n}-mps" for n in "uvw"),
-        *(f"atmosphere/gust-{a}-fps" for a in winds.AXES),
-    ]
-    frame = Frame(0.01, dict.fromkeys(names, 0.0), names)
-    with frame.section("gusts"):
-        winds.turn_gusts(frame)
-    program = frame.program([])
-    state = initial_state(
-        program,
-        1,
-        {
-            "attitude/psi-rad": 0.5,
-            "air/host/u-mps": 3.0,
-            "air/host/v-mps": 2.0,
-            "air/host/w-mps": -1.0,
-        },
-    )
-    run_program(program, state, 1, 1)
-    found = [slot(program, state, f"atmosphere/gust-{a}-fps", 1)[0] * 0.3048 for a in winds.AXES]
-    c, s = math.cos(0.5), math.sin(0.5)
-    assert found == pytest.approx([3.0 * c - 2.0 * s, 3.0 * s + 2.0 * c, -1.0])
 
 
 def test_the_filters_cotangent():

@@ -95,7 +95,7 @@ SYSTEMS = {
 }
 
 
-@pytest.mark.parametrize("name", few(SYSTEMS, 8))
+@pytest.mark.parametrize("name", few(SYSTEMS, 5))
 def test_systems_of_axes(name):
     found = differences(SYSTEMS[name])
     if name == "side alone":
@@ -175,17 +175,6 @@ def test_stall_warning_and_hysteresis():
         .replace(">3<", ">.05<")
     )
     assert worst(differences(radians, frames=60)) < 1e-10
-
-
-def test_alphadot_and_betadot_in_a_function():
-    text = "".join(
-        f"<axis name='{name}'><function name='f/{name}'><sum><p>i/a</p>"
-        f"<product><p>aero/{which}-rad_sec</p><v>-2</v></product></sum>"
-        "</function></axis>"
-        for name, which in (("Z", "alphadot"), ("Y", "betadot"))
-    )
-    assert worst(differences(text)) < 1e-10
-    assert worst(differences(text, text.replace("betadot", "alphadot"))) > 1e-3
 
 
 def test_the_reference_point_may_be_written():

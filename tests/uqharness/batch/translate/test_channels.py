@@ -10,7 +10,6 @@ from tests.helpers import batch_flights as flights
 from tests.helpers import batch_oracle as oracle
 from tests.helpers.batch_stock import flown_by_both
 from tests.helpers.batch_systems import (
-    by_jsbsim,
     compared,
     document_of,
     judged,
@@ -24,7 +23,6 @@ from tests.helpers.batch_systems import (
 from uqharness.batch.translate.channels import System, read_sources
 from uqharness.errors import BadInputError
 from uqharness.simulator import engine, find_aircraft, find_script, staged
-from uqharness.xml.document import parse_document
 
 GAIN = '<pure_gain name="g"><input>i/a</input><gain>@2</gain></pure_gain>'
 
@@ -113,58 +111,6 @@ def test_a_channel_may_begin_in_flight(start: float) -> None:
     )
     assert apart == {}
     assert control != {}
-
-
-def test_another_rate_is_noticed() -> None:
-    inputs = random_inputs(200)
-    body = (
-        '<channel execrate="3"><pure_gain'
-        ' name="g"><input>i/a</input><gain>2</gain></pure_gain></channel>'
-    )
-    assert compared(body, inputs, body.replace('"3"', '"4"')).apart() != {}
-
-
-def test_functions_of_all_systems_come_before_any_channel() -> None:
-    first = '<channel><pure_gain name="g"><input>o/f</input><gain>2</gain></pure_gain></channel>'
-    second = (
-        '<property>i/a</property><function name="o/f"><sum><p>i/a</p><p>fcs/g</p></sum></function>'
-    )
-    text = oracle.model(first).replace(
-        "<aerodynamics/>", f'<flight_control name="x">{second}</flight_control><aerodynamics/>'
-    )
-    inputs = {"i/a": random_inputs(300)["i/a"]}
-    fdm = oracle.loaded(text, 0.01)
-    fdm["i/a"] = float(inputs["i/a"][0])
-    parts = [
-        System(document, document.root) for document in (document_of(first), document_of(second))
-    ]
-    values = values_of(fdm)
-    names = ["fcs/g", "o/f"]
-    frames = {order: traced(parts[::order], values, ["i/a"]) for order in (1, -1)}
-    for name in names:
-        values.setdefault(name)
-    theirs = by_jsbsim(fdm, inputs, names)
-    ours = run(frames[1], inputs, names)
-    assert all(same_bits(theirs[name], ours[name]).all() for name in names)
-
-
-def _outer(text: str) -> System:
-    outer = parse_document(document_of("").path, text.encode())
-    inner = document_of(f"<channel>{GAIN}</channel>".replace("@", ""))
-    return System(inner, inner.root, (outer, outer.root))
-
-
-def test_properties_beside_a_file_are_allowed_and_nothing_else() -> None:
-    values = values_of(oracle.loaded(oracle.model("<property>i/a</property>"), 0.01))
-    traced(
-        [_outer('<system file="x"><property value="2">i/a</property></system>')], values, ["i/a"]
-    )
-    with pytest.raises(
-        BadInputError, match=r"system.xml:2: <channel> beside a file is not understood"
-    ):
-        traced([_outer('<system file="x">\n<channel/></system>')], values, ["i/a"])
-    with pytest.raises(BadInputError, match="<autopilot> names a file of <system>"):
-        traced([_outer('<autopilot file="x"/>')], values, ["i/a"])
 
 
 EARLY = """<property>i/x</property><function name="o/f"><p>o/g</p></function>
@@ -436,14 +382,6 @@ def test_what_the_flight_reads_is_refused_with_the_reason_at_its_root(reads: str
     said = flights.refused(aircraft(reads))
     assert "point.xml:" in said
     assert "<magnetometer> takes the field of the day" in said
-
-
-def test_a_record_of_what_was_left_out_is_refused() -> None:
-    with (
-        flights.craft(aircraft("i/switch")) as made,
-        pytest.raises(flights.BadInputError, match="<magnetometer>"),
-    ):
-        flights.translated(made, ["i/needle"])
 
 
 @pytest.mark.parametrize("kind", ["GAUSSIAN", "UNIFORM"])

@@ -449,15 +449,6 @@ def test_the_property_of_a_name_is_jsbsims(name: str) -> None:
     assert fdm[own_name(name)] == 6.0
 
 
-def test_two_components_of_one_name_keep_memories_of_their_own() -> None:
-    one = '<lag_filter name="l"><input>i/a</input><c1>@3</c1></lag_filter>'
-    two = '<lag_filter name="l"><input>i/b</input><c1>@9</c1></lag_filter>'
-    for order in (one + two, two + one):
-        apart, control = judged(f"<channel>{order}</channel>", random_inputs(500))
-        assert apart == {}
-        assert control != {}
-
-
 def test_a_component_without_a_name_has_its_outputs() -> None:
     body = "<summer><input>i/a</input><bias>@2</bias><output>o/one</output><output>o/two</output><description/></summer>"
     ends = "<range><documentation>x</documentation><min>-2</min><max>@3</max></range>"
@@ -624,18 +615,6 @@ def test_noise_that_lanes_draw_at_different_times_is_refused(attributes: str) ->
     assert "has no stream" in refusal(f"<channel {attributes}>{body}</channel>")
 
 
-@pytest.mark.parametrize(
-    ("body", "message"),
-    [
-        ("<gyro name='g'><axis>X</axis></gyro>", "velocities/pi-rad_sec is not computed"),
-        ("<gyro name='g'><input>i/a</input><axis>X</axis></gyro>", "has 0 <input>"),
-    ],
-)
-def test_what_a_gyro_needs(body: str, message: str) -> None:
-    inputs = ("i/a",) if "not computed" in message else ("i/a", *NOW)
-    assert message in refusal(f"<channel>{body}</channel>", inputs)
-
-
 def _body(kind: str, unit: str, degrees: bool = False) -> str:
     angle = ' unit="DEG"' if degrees else ""
     places = "".join(
@@ -683,13 +662,3 @@ def test_headings_and_distances_are_jsbsims(degrees: bool, scale: float) -> None
         )
     )
     assert _gap(body, _places(scale)) < 1e-8
-
-
-def test_a_wrong_unit_is_noticed() -> None:
-    right, wrong = _body("distance", "M"), _body("distance", "M", degrees=True)
-    assert _gap(right, _places(1.0), wrong) > 1e-3
-
-
-def test_unknown_units_are_refused() -> None:
-    said = refusal(f"<channel>{_body('heading', 'GRAD')}</channel>", [f"i/{k}" for k in "abcd"])
-    assert "unit='GRAD' of <waypoint_heading>: allowed are RAD and DEG" in said

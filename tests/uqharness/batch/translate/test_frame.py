@@ -13,11 +13,8 @@ from uqharness.batch.translate.frame import (
     HOOKS,
     REQUIRED,
     Scope,
-    canonical,
-    is_number,
     keeps_value,
     made_by_jsbsim,
-    property_of,
     read_only,
     settable,
     writable,
@@ -44,20 +41,6 @@ def test_all_properties_of_a_bare_aircraft_are_listed():
     ]
     assert len(names) > 250
     assert [name for name in names if not made_by_jsbsim(name)] == []
-
-
-def test_properties_of_authors_are_not_jsbsims():
-    assert not any(
-        made_by_jsbsim(name)
-        for name in (
-            "ap/engaged",
-            "aero/Cm_q",
-            "fcs/x",
-            "uq/CZ/delta",
-            "systems/flaps",
-            "propulsion/my-switch",
-        )
-    )
 
 
 def test_writable_ones_take_a_value_in_jsbsim():
@@ -161,21 +144,6 @@ def _scope() -> Scope:
     return Scope(builder, DOCUMENT, lambda name: builder.load(name) if name == "x/y" else None)
 
 
-@pytest.mark.parametrize("text", ["1", "-.5", "+2.", " 1e-3 ", "0.25E+7"])
-def test_numbers(text: str) -> None:
-    assert is_number(text)
-    assert _scope().parameter(NODE, text).constant == float(text)
-
-
-@pytest.mark.parametrize("text", ["x/y", "-x/y", "/fdm/jsbsim/x/y", "x[0]/y"])
-def test_properties_with_a_sign(text: str) -> None:
-    scope = _scope()
-    assert not is_number(text)
-    value = scope.parameter(NODE, text)
-    plain = scope.builder.load("x/y")
-    assert value.index == (-plain if text.startswith("-") else plain).index
-
-
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -190,9 +158,3 @@ def test_refusals(text: str, message: str) -> None:
     with pytest.raises(BadInputError, match=message) as error:
         _scope().parameter(NODE, text)
     assert str(error.value).startswith("a.xml:2: ")
-
-
-def test_one_spelling_of_a_name() -> None:
-    assert canonical(" /fdm/jsbsim/fcs/throttle-cmd-norm[0] ") == "fcs/throttle-cmd-norm"
-    assert canonical("/host/x") == "/host/x"
-    assert property_of(_scope(), NODE, "a/b[2]") == "a/b[2]"

@@ -173,7 +173,9 @@ def test_all_events_in_one_flight():
     )
 
 
-@pytest.mark.parametrize("name", few(EVENTS, 3))
+@pytest.mark.parametrize(
+    "name", ["a surface", *(pytest.param(name, marks=pytest.mark.slow) for name in EVENTS)]
+)
 def test_events(name):
     assert worst(differences(EVENTS[name])) < 1e-12
 
@@ -193,25 +195,12 @@ def test_events(name):
             ("two conditions", "i/on eq 1", "i/on ge 0"),
             ("or", "OR", "AND"),
         ],
-        3,
+        2,
     ),
 )
 def test_another_event_is_noticed(name, old, new):
     assert old in EVENTS[name]
     assert worst(differences(EVENTS[name], EVENTS[name].replace(old, new))) > 1e-9
-
-
-def test_a_run_that_begins_later(monkeypatch):
-    from tests.helpers import batch_flights
-
-    plain = batch_flights.script
-    monkeypatch.setattr(
-        batch_flights, "script", lambda events: plain(events).replace('start="0"', 'start="2.5"')
-    )
-    assert (
-        worst(differences(event("<set name='i/a' value='7'/>", "simulation/sim-time-sec ge 2.7")))
-        < 1e-12
-    )
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,6 @@ import pytest
 from tests.helpers import batch_engines as engines
 from tests.helpers import batch_flights as flights
 from tests.helpers.few import few
-from uqharness.batch.translate.tanks import DRY, Tank, dry_aircraft
 
 FEEDS = "<feed>0</feed><feed>1</feed><feed>2</feed>"
 
@@ -104,28 +103,6 @@ def test_each_number_matters(before: str, after: str) -> None:
     assert flights.worst(flights.apart(theirs, made.ours(made.text.replace(before, after)))) > 1e-9
 
 
-@pytest.mark.slow
-def test_contents_and_priorities_are_set_and_fuel_flows_by_itself() -> None:
-    systems = """<system name="s"><channel name="c">
-    <fcs_function name="s/a"><function><product><v>30</v><p>s/in</p></product></function>
-    <output>propulsion/tank/contents-lbs</output></fcs_function>
-    <fcs_function name="s/b"><function><sum><v>1.3</v><p>s/in</p></sum></function>
-    <output>propulsion/tank[1]/priority</output></fcs_function>
-    <fcs_function name="s/c"><function><difference><v>.5</v><p>s/in</p></difference></function>
-    <output>propulsion/tank[2]/external-flow-rate-pps</output></fcs_function></channel>
-    <property value="0">s/in</property></system>"""
-    rng = np.random.default_rng(4)
-    made = case(systems, {"s/in": rng.uniform(-0.2, 1.0, 301)}, 300)
-    theirs = made.theirs()
-    assert flights.worst(flights.apart(theirs, made.ours())) < 1e-11
-    assert (
-        flights.worst(
-            flights.apart(theirs, made.ours(made.text.replace("<v>30</v>", "<v>30.001</v>")))
-        )
-        > 1e-9
-    )
-
-
 @pytest.mark.parametrize(
     ("text", "said"),
     [
@@ -166,29 +143,6 @@ def test_an_electric_engine_takes_nothing_from_its_tank(tank: str) -> None:
 
 SPIN = """<aerodynamics><axis name="ROLL"><function name="aero/r"><v>1</v></function></axis>
 <axis name="PITCH"><function name="aero/q"><v>2</v></function></axis></aerodynamics>"""
-
-
-def test_the_dry_aircraft_is_a_point_that_weighs_what_is_left() -> None:
-    tank = Tank("propulsion/tank/", None, 100.0, 0.0)
-    values = {
-        "inertia/weight-lbs": 32.174049,
-        "inertia/cg-x-in": 6.0,
-        "inertia/cg-y-in": 0.0,
-        "inertia/cg-z-in": 0.0,
-        **dict.fromkeys(
-            (f"inertia/{name}-slugs_ft2" for name in ("ixx", "ixy", "ixz", "iyz")), 0.0
-        ),
-        "inertia/iyy-slugs_ft2": 0.25,
-        "inertia/izz-slugs_ft2": 0.25,
-        "propulsion/tank/contents-lbs": 32.174049 / 2.0,
-        "propulsion/tank/x-position": 12.0,
-        "propulsion/tank/y-position": 0.0,
-        "propulsion/tank/z-position": 0.0,
-    }
-    # Two half slugs a foot apart turn about their middle with 2 (1/2)(1/2)^2 slug ft2; one is fuel.
-    dry = dry_aircraft([tank], [], values.__getitem__)
-    assert dry[DRY[0]] == pytest.approx(32.174049 / 2.0)
-    assert [dry[name] for name in DRY[1:]] == pytest.approx([0.0] * 9, abs=1e-12)
 
 
 @pytest.mark.parametrize("name", few(["ixy", "ixz", "iyz"], 2))

@@ -253,22 +253,3 @@ def test_what_is_not_understood_is_refused_of_turboprop(old: str, new: str, said
     assert old in text
     files = {**made.files, "Engines/turboprop.xml": text.replace(old, new)}
     assert said in engines.refusal(made.text, files)
-
-
-@pytest.mark.slow
-def test_a_turbine_turns_a_propeller_with_its_thrust_for_power() -> None:
-    """As JSBSim 1.3.3 does."""
-    text = engines.aircraft(
-        engines.mounted("CFM56", "variable", feed="<feed>0</feed>")
-        + engines.tank(900.0, capacity=9000.0),
-        engines.HEAVY,
-    )
-    made = engines.Case(
-        text,
-        [*engines.of(0, (*engines.PROPELLER[:-1], "n2")), *engines.TOTALS],
-        engines.levers(400),
-        {**engines.FILES, **engines.stock("CFM56")},
-    )
-    theirs = made.theirs()
-    assert worst(apart(theirs, made.ours())) < 1e-9
-    assert worst(apart(theirs, made.ours(text.replace("<y>-3</y>", "<y>-3.1</y>")))) > 1e-7
