@@ -32,12 +32,7 @@ trims is flown."""
 _SPEED = re.compile(r"try V [<>]= ([\d.]+) m/s")
 _PATH = re.compile(r"try a path of [<>]= (-?[\d.]+) deg")
 BOUNDS = "CX=0.01,CY=0.01,CZ=0.05,Cl=0.001,Cm=0.01,Cn=0.001"
-STATE = (
-    "velocities/vt-fps",
-    "position/h-agl-ft",
-    "attitude/phi-rad",
-    "attitude/theta-rad",
-)
+STATE = ("velocities/vt-fps", "position/h-agl-ft", "attitude/phi-rad", "attitude/theta-rad")
 STEPS = ("instrument", "trim", "modes", "campaign", "p-box")
 _CAMPAIGN = """[campaign]
 aircraft = "mine"

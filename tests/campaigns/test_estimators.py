@@ -59,16 +59,7 @@ def test_dryden_gusts_have_the_stated_variance_and_length():
 
 def test_command_writes_the_table_and_refuses_bad_input(tmp_path, capsys):
     out = tmp_path / "table.csv"
-    arguments = [
-        "--seeds",
-        "2",
-        "--segments",
-        "2",
-        "--samples",
-        "200",
-        "--only",
-        "lateral, calm",
-    ]
+    arguments = ["--seeds", "2", "--segments", "2", "--samples", "200", "--only", "lateral, calm"]
     arguments += ["--out", str(out)]
     assert study_coverage.main(arguments) in (0, 1)
     assert list(pd.read_csv(out)["parameter"])[-1] == "pooled"

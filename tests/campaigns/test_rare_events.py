@@ -28,14 +28,7 @@ from campaigns.rare_events.reproduce import (
     read_tuning,
     write_tuning,
 )
-from campaigns.rare_events.study import (
-    NAMES,
-    TOP,
-    Size,
-    Study,
-    Tuning,
-    chosen_hits,
-)
+from campaigns.rare_events.study import NAMES, TOP, Size, Study, Tuning, chosen_hits
 from uqharness.campaign.rare_events import DistancePredictor
 from uqharness.errors import BadInputError
 from uqharness.statistics import Levels, interval

@@ -1,4 +1,4 @@
-"""Of many like cases a few for the default set; the rest are slow."""
+"""Cases for ``pytest.mark.parametrize``: of many alike a few for the default set, or a table of text."""
 
 from __future__ import annotations
 
@@ -24,3 +24,11 @@ def _slow(case: Any) -> Any:
         if isinstance(case, tuple)
         else pytest.param(case, marks=pytest.mark.slow)
     )
+
+
+def rows(text: str) -> list[tuple[str, ...]]:
+    """The cases of a table: a line each, cells between bars; ``\\n`` in a cell ends a line."""
+    return [
+        tuple(cell.strip().replace("\\n", "\n") for cell in line.split(" | "))
+        for line in text.strip().splitlines()
+    ]

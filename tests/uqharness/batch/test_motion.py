@@ -39,7 +39,7 @@ def test_a_frame_from_a_copied_state(name, number):
     )
 
 
-@pytest.mark.parametrize("numbers", few([(2, 4, 5, 1), (3, 3, 3, 3), (1, 3, 1, 4)], 1))
+@pytest.mark.parametrize("numbers", few([[2, 4, 5, 1], [3, 3, 3, 3], [1, 3, 1, 4]], 1))
 def test_integrators_of_the_four_parts_differ(numbers):
     assert (
         worst(one_frame({**STATES["rapid roll"], **integrators(*numbers)}, seed=sum(numbers)))
@@ -97,7 +97,7 @@ def test_geodetic_height_for_geocentric_is_noticed(monkeypatch):
     assert worst(one_frame(CONTROL)) > SEEN
 
 
-@pytest.mark.parametrize("numbers", few([(1, 3, 1, 4), (3, 3, 3, 3), (4, 5, 5, 5)], 1))
+@pytest.mark.parametrize("numbers", few([[1, 3, 1, 4], [3, 3, 3, 3], [4, 5, 5, 5]], 1))
 def test_frames_from_the_start(numbers):
     """Behind initialising the history is JSBSim's too."""
     rng = np.random.default_rng(1)

@@ -42,23 +42,19 @@ def campaign(acceptable=4.0, rule="flights") -> dict:
 def flown(means=(0.5, 1.5), flights=400, failed=0, seed=0) -> pd.DataFrame:
     """Poisson counts per flight, of corners with these means."""
     rng = np.random.default_rng(seed)
-    rows = []
-    for corner, mean in enumerate(means):
-        for k in range(flights):
-            bad = k < failed
-            rows.append(
-                {
-                    "wind_mps": 3.0,
-                    "turbulence": "none",
-                    "epistemic_id": f"{corner:02d}",
-                    "status": "crashed" if bad else "ok",
-                    "duration_s": 3600.0 * HOURS,
-                    "excursions_15m": float(rng.poisson(mean)),
-                    "excursions_15m_3d": np.nan,
-                    "extrapolated_share": 0.25,
-                }
-            )
-    return pd.DataFrame(rows)
+    frame = pd.DataFrame(
+        {"epistemic_id": np.repeat([f"{k:02d}" for k in range(len(means))], flights)}
+    )
+    status = np.where(np.arange(flights) < failed, "crashed", "ok")
+    return frame.assign(
+        wind_mps=3.0,
+        turbulence="none",
+        status=np.tile(status, len(means)),
+        duration_s=3600.0 * HOURS,
+        excursions_15m=np.concatenate([rng.poisson(mean, flights) for mean in means]).astype(float),
+        excursions_15m_3d=np.nan,
+        extrapolated_share=0.25,
+    )
 
 
 def test_the_best_and_the_worst_corner_and_their_limits():
@@ -76,8 +72,14 @@ def test_the_best_and_the_worst_corner_and_their_limits():
 
 
 @pytest.mark.parametrize(("acceptable", "answer"), [(4.0, "yes"), (3.0, "open"), (2.0, "no")])
-def test_the_answer_is_about_the_worst_corner(acceptable, answer):
+def test_the_answer_is_about_the_worst_corner_and_a_decision_that_was_taken_stands(
+    acceptable, answer
+):
     assert statements(flown(), campaign(acceptable))[0].answer == answer
+    row = {"condition": "3 m/s none", "radius_m": "15", "epistemic_id": "all", "answer": "flying"}
+    assert statements(flown(), campaign(acceptable), [row])[0].answer == "flying"
+    other = [{**row, "radius_m": "25"}]
+    assert statements(flown(), campaign(acceptable), other)[0].answer == answer
 
 
 def test_a_flight_that_failed_may_have_had_one_more():
@@ -92,19 +94,9 @@ def test_more_flights_narrow_the_limits():
     assert many.upper - many.lower < 0.5 * (few.upper - few.lower)
 
 
-def test_a_decision_that_was_taken_stands():
-    rows = [
-        {"condition": "3 m/s none", "radius_m": "15", "epistemic_id": "all", "answer": "flying"}
-    ]
-    assert statements(flown(), campaign(), rows)[0].answer == "flying"
-    other = [{**rows[0], "radius_m": "25"}]
-    assert statements(flown(), campaign(), other)[0].answer == "yes"
-
-
 def test_the_table_has_a_row_a_statement_and_nothing_where_nothing_is_known():
-    (row,) = csv.DictReader(
-        io.StringIO(statements_csv(statements(flown((0.001, 0.001), 30), campaign())).decode())
-    )
+    table = statements_csv(statements(flown((0.001, 0.001), 30), campaign())).decode()
+    (row,) = csv.DictReader(io.StringIO(table))
     assert (row["condition"], row["radius_m"], row["flights"]) == ("3 m/s none", "15", "60")
     assert row["dispersion_observed"] == ""
     assert float(row["hours"]) == pytest.approx(60 * HOURS)
@@ -116,10 +108,7 @@ def ended(frame: pd.DataFrame, share: float, flown: float = 0.1) -> pd.DataFrame
     """The same where that share of each corner's flights diverged after so much of their time."""
     for _, group in frame.groupby("epistemic_id"):
         rows = group.index[: round(share * len(group))]
-        frame.loc[rows, "status"], frame.loc[rows, "duration_s"] = (
-            "diverged",
-            3600.0 * HOURS * flown,
-        )
+        frame.loc[rows, ["status", "duration_s"]] = ("diverged", 3600.0 * HOURS * flown)
     return frame
 
 
@@ -137,11 +126,10 @@ def test_two_excursions_an_hour_allowed_and_every_flight_diverging():
     """One excursion a flight of an hour or more is below 2 per hour scheduled; per hour flown it is
     not.
     """
-    made = campaign(2.0)
+    made, calm = campaign(2.0), flown((0.0, 0.0)).assign(duration_s=3600.0)
     made["aleatory"]["duration_s"] = 3600.0
-    frame = ended(flown((0.0, 0.0)).assign(duration_s=3600.0), 1.0, flown=0.2)
-    assert statements(frame, made)[0].answer != "yes"
-    assert statements(flown((0.0, 0.0)).assign(duration_s=3600.0), made)[0].answer == "yes"
+    assert statements(calm, made)[0].answer == "yes"
+    assert statements(ended(calm, 1.0, flown=0.2), made)[0].answer != "yes"
 
 
 def test_aborted_flights_have_an_acceptable_rate_of_their_own():
@@ -155,19 +143,14 @@ def test_aborted_flights_have_an_acceptable_rate_of_their_own():
     assert 0.04 < found.loss_upper_per_h < 0.5
 
 
-def test_control_lost_counts_as_one_excursion_at_least():
-    frame = flown((0.0, 0.0)).assign(loss_of_control=1)
-    (found,) = statements(frame, campaign(0.5))
-    assert found.worst.rate == pytest.approx(1.0 / HOURS)
-    assert found.best.rate == 0.0
+def test_control_lost_counts_as_one_excursion_and_a_silent_cell_bounds_the_share_of_flights():
+    silent = flown((0.0, 0.0))
+    (found,) = statements(silent.assign(loss_of_control=1), campaign(0.5))
+    assert (found.worst.rate, found.best.rate) == pytest.approx((1.0 / HOURS, 0.0))
     assert found.aborted["loss_of_control"] == 800
-
-
-def test_a_silent_cell_bounds_the_share_of_flights():
-    """Clopper and Pearson: nothing in 400 flights leaves 1 - 0.05^(1/400)."""
-    assert statements(flown((0.0, 0.0)), campaign())[0].flight_share_upper == pytest.approx(
-        1.0 - 0.05 ** (1.0 / 400.0)
-    )
+    # Clopper and Pearson: nothing in 400 flights leaves 1 - 0.05^(1/400).
+    share = statements(silent, campaign())[0].flight_share_upper
+    assert share == pytest.approx(1.0 - 0.05 ** (1.0 / 400.0))
 
 
 def with_nearer(frame: pd.DataFrame, cluster: int) -> tuple[pd.DataFrame, dict]:
@@ -235,60 +218,52 @@ def counts(per_h: float, cluster: int = 1, seed: int = 1) -> np.ndarray:
 SILENT = np.zeros((1, FLIGHTS))
 
 
-def of(nearer: dict[float, np.ndarray], asked: np.ndarray = SILENT):
-    return bound_dispersion({**nearer, 15.0: asked}, 15.0, HOURS_CARRIED, ASSUMED, ERROR)
+def few(cluster: float, number: int) -> np.ndarray:
+    """So many clusters in the first flights."""
+    found = np.zeros((1, FLIGHTS))
+    found[0, :number] = cluster
+    return found
 
 
-def test_without_a_smaller_radius_it_is_assumed():
-    found = of({})
-    assert found.dispersion == pytest.approx([ASSUMED])
-    assert (found.measured, found.is_contradicted) == (0, False)
-    assert np.isnan(found.nearest_m)
-
-
-def test_single_excursions_nearer_by_are_carried_as_such():
-    found = of({8.0: counts(0.5), 12.0: counts(0.2)})
-    assert 1.0 <= found.dispersion[0] < 1.8
-    assert found.radius_m == pytest.approx([12.0])
-    assert not found.is_contradicted
-
-
-@pytest.mark.parametrize(("per_h", "measured"), [(0.02, 0), (0.2, 1), (3.0, 0)])
-def test_too_few_and_too_frequent_ones_measure_nothing(per_h, measured):
-    assert of({10.0: counts(per_h)}).measured == measured
-
-
-def test_clusters_nearer_by_are_carried_with_a_margin():
-    found = of({10.0: counts(0.5, 4)})
-    assert 4.0 < found.dispersion[0] < 10.0
-    assert not found.is_contradicted
-
-
-def test_a_larger_radius_says_nothing():
-    assert of({25.0: counts(0.5, 4)}).measured == 0
-
-
-def test_clusters_beyond_the_carried_limit_are_said():
-    """20 excursions in clusters of 4 are too few to measure by and enough to contradict 2; single
-    ones contradict nothing.
-    """
-    few = np.zeros((1, FLIGHTS))
-    few[0, :5] = 4.0
-    single = np.zeros((1, FLIGHTS))
-    single[0, :20] = 1.0
-    assert of({10.0: few}).is_contradicted
-    assert of({}, few).is_contradicted
-    assert not of({10.0: single}).is_contradicted
-    assert not of({}, single).is_contradicted
+@pytest.mark.parametrize(
+    ("nearer", "asked", "measured", "limits", "contradicted"),
+    [
+        # Without a smaller radius it is assumed; a larger one tells nothing.
+        ({}, SILENT, 0, (ASSUMED, ASSUMED), False),
+        ({25.0: counts(0.5, 4)}, SILENT, 0, (ASSUMED, ASSUMED), False),
+        # Single excursions nearer by are carried as such, clusters with a margin.
+        ({8.0: counts(0.5), 12.0: counts(0.2)}, SILENT, 1, (1.0, 1.8), False),
+        ({10.0: counts(0.5, 4)}, SILENT, 1, (4.0, 10.0), False),
+        # Too few and too frequent ones measure nothing.
+        ({10.0: counts(0.02)}, SILENT, 0, (ASSUMED, ASSUMED), False),
+        ({10.0: counts(0.2)}, SILENT, 1, (1.0, 2.0), False),
+        ({10.0: counts(3.0)}, SILENT, 0, (ASSUMED, ASSUMED), False),
+        # 20 excursions in clusters of 4 are too few to measure by and enough to contradict 2;
+        # single ones contradict nothing.
+        ({10.0: few(4.0, 5)}, SILENT, 0, (ASSUMED, np.inf), True),
+        ({}, few(4.0, 5), 0, (ASSUMED, np.inf), True),
+        ({10.0: few(1.0, 20)}, SILENT, 0, (0.0, np.inf), False),
+        ({}, few(1.0, 20), 0, (ASSUMED, ASSUMED), False),
+    ],
+)
+def test_clusters_at_smaller_radii_bound_the_dispersion(
+    nearer, asked, measured, limits, contradicted
+):
+    found = bound_dispersion({**nearer, 15.0: asked}, 15.0, HOURS_CARRIED, ASSUMED, ERROR)
+    assert limits[0] <= found.dispersion[0] <= limits[1]
+    assert (found.measured, found.is_contradicted) == (measured, contradicted)
+    nearest = max((radius for radius in nearer if radius < 15.0), default=0.0)
+    if measured:
+        assert found.radius_m == pytest.approx([nearest])
+    if not nearer:
+        assert np.isnan(found.nearest_m)
 
 
 def test_a_corner_that_assumes_hears_of_the_others():
-    few = np.zeros((2, FLIGHTS))
-    few[0, :5] = 4.0
+    nearer, asked = np.vstack([few(4.0, 5), SILENT]), np.zeros((2, FLIGHTS))
     hours = np.repeat(HOURS_CARRIED, 2)
-    assert bound_dispersion(
-        {10.0: few, 15.0: np.zeros((2, FLIGHTS))}, 15.0, hours, ASSUMED, ERROR
-    ).is_contradicted
+    found = bound_dispersion({10.0: nearer, 15.0: asked}, 15.0, hours, ASSUMED, ERROR)
+    assert found.is_contradicted
 
 
 def false_yes(
@@ -305,16 +280,10 @@ def false_yes(
         (cluster * rng.poisson(rate / cluster, shape)).astype(float)
         for rate in (0.1001, nearer_per_h or 1.0)
     )
-    found = [
-        bound_dispersion(
-            {15.0: row} if nearer_per_h is None else {10.0: near, 15.0: row},
-            15.0,
-            flown,
-            ASSUMED,
-            ERROR,
-        )
-        for row, near in zip(asked, nearer, strict=True)
-    ]
+    found = []
+    for row, near in zip(asked, nearer, strict=True):
+        radii = {15.0: row} if nearer_per_h is None else {10.0: near, 15.0: row}
+        found.append(bound_dispersion(radii, 15.0, flown, ASSUMED, ERROR))
     allowed = np.maximum(observed_dispersion(asked[:, 0]), [item.dispersion[0] for item in found])
     limits = upper_limits(
         np.full(repeats, float(hours)), asked.sum(axis=(1, 2)), allowed, ERROR / 2
@@ -345,20 +314,10 @@ def test_an_assumed_dispersion_alone_misses_the_level(repeats):
 
 
 def manifest(confidence=0.95, transient=(), **epistemic):
-    section = {
-        "method": "corners",
-        "set": "box",
-        "coefficients": list(COEFFICIENTS),
-        "interior": 16,
-        "nominal": True,
-        **epistemic,
-    }
-    bounds = (
-        {}
-        if confidence is None
-        else {"bounds": {"confidence": confidence, "transient": list(transient)}}
-    )
-    return {"campaign": {"epistemic": section}, **bounds}
+    section = {"method": "corners", "set": "box", "coefficients": list(COEFFICIENTS)}
+    section |= {"interior": 16, "nominal": True, **epistemic}
+    bounds = {"confidence": confidence, "transient": list(transient)}
+    return {"campaign": {"epistemic": section}} | ({"bounds": bounds} if confidence else {})
 
 
 @pytest.mark.parametrize(
@@ -380,32 +339,22 @@ def test_bounds_without_points_between_the_corners_are_remarked_on(
     assert (remark in remarks[0]) if remark else remarks == []
 
 
-def test_six_intervals_of_95_percent_hold_together_at_74():
+def test_joint_levels_and_their_words():
+    """Six intervals of 95 % hold together at 74 %; an ellipsoid has the level of one interval."""
     assert joint_level(manifest()) == pytest.approx(0.95**6)
-    (said,) = joint_words(manifest())
-    assert said.startswith(
-        "box of 6 intervals of 95 % each: together they hold at 73.5 % if independent"
-    )
-    assert "4.80 standard deviations" in said
     assert joint_level(manifest(coefficients=["CX"])) == 0.95
-
-
-def test_an_ellipsoid_has_the_level_of_one_interval():
     assert joint_level(manifest(set="ellipsoid")) == 0.95
+    (said,) = joint_words(manifest())
+    begin = "box of 6 intervals of 95 % each: together they hold at 73.5 % if independent"
+    assert said.startswith(begin)
+    assert "4.80 standard deviations" in said
     (said,) = joint_words(manifest(set="ellipsoid"))
     assert said.startswith("joint 95 % ellipsoid of 6 intervals, 3.55 standard deviations")
-
-
-def test_whether_transient_error_flies_is_said():
-    assert joint_words(manifest(transient=["CX", "Cm"]))[1] == (
-        "transient model error of CX, Cm walks in every flight"
-    )
+    walks = "transient model error of CX, Cm walks in every flight"
+    assert joint_words(manifest(transient=["CX", "Cm"]))[1] == walks
     left_out = manifest()
     left_out["campaign"]["epistemic"]["transient"] = False
     assert joint_words(left_out)[1] == "no transient model error is flown"
-
-
-@pytest.mark.parametrize("found", [manifest(None), manifest(method="none")])
-def test_nothing_is_said_where_no_interval_has_a_confidence(found):
-    assert joint_level(found) is None
-    assert joint_words(found) == []
+    # Nothing is said where no interval has a confidence.
+    for unknown in (manifest(None), manifest(method="none")):
+        assert (joint_level(unknown), joint_words(unknown)) == (None, [])

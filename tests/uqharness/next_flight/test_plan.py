@@ -24,13 +24,7 @@ from uqharness.campaign.read_spec import read_campaign
 from uqharness.campaign.run import run_campaign
 from uqharness.cli.main import main
 from uqharness.flight.spec import FlightResult
-from uqharness.next_flight.plan import (
-    achieved,
-    as_text,
-    prospects,
-    scatter_ratios,
-    widths_over,
-)
+from uqharness.next_flight.plan import achieved, as_text, prospects, scatter_ratios, widths_over
 from uqharness.next_flight.points import (
     AUTOPILOT,
     RECOVERY_S,

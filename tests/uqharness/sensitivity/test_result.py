@@ -33,10 +33,7 @@ def test_results_are_plain_json_and_nan_is_null():
         {"a": index, "b": PairRange(index, Index(1.0, 0.5, 2.0))},
         None,
         "s",
-        {
-            "matrix": np.array([[1.0, np.nan]]),
-            "single": np.float64(2.0),
-        },
+        {"matrix": np.array([[1.0, np.nan]]), "single": np.float64(2.0)},
     )
     found = json.loads(json.dumps(result.as_dict(), allow_nan=False))
     assert found["indices"]["a"] == {"value": 0.5, "interval": [0.25, None]}
@@ -71,11 +68,7 @@ def result(ranges, lead, shrink_low=0.4) -> MethodResult:
         indices,
         True,
         "s",
-        {
-            "lead": np.array(lead),
-            "area": 12.345,
-            **{k: np.full(d, v) for k, v in ends.items()},
-        },
+        {"lead": np.array(lead), "area": 12.345, **{k: np.full(d, v) for k, v in ends.items()}},
     )
 
 

@@ -92,8 +92,7 @@ def test_allowing_for_less_dispersion_than_there_is_errs():
 
 
 @pytest.mark.parametrize(
-    ("dispersion", "cells", "saving"),
-    [(2.0, 1, 6.0), (1.0, 24, 6.0), (1.0, 1, 9.0)],
+    ("dispersion", "cells", "saving"), [(2.0, 1, 6.0), (1.0, 24, 6.0), (1.0, 1, 9.0)]
 )
 def test_it_needs_a_fifth_of_the_published_hours_at_most(dispersion, cells, saving):
     """All 24 cells of the published table against 500 h each; ``cells`` share the error rate."""

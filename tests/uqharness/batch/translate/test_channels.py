@@ -264,10 +264,7 @@ def test_a_system_in_a_file(place):
 
 
 @pytest.mark.parametrize(
-    ("body", "said"),
-    [
-        ("<planet/><aerodynamics/>", "<planet> is not understood"),
-    ],
+    ("body", "said"), [("<planet/><aerodynamics/>", "<planet> is not understood")]
 )
 def test_refused_with_line(body, said):
     found = flights.refused(flights.aircraft(body))

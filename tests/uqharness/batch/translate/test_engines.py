@@ -13,12 +13,7 @@ from tests.helpers import batch_flights as flights
 from tests.helpers.batch_flights import apart, worst
 from tests.helpers.few import few
 from uqharness.batch.ir import Builder
-from uqharness.batch.translate.engine_files import (
-    UNITS,
-    grid,
-    number,
-    required_number,
-)
+from uqharness.batch.translate.engine_files import UNITS, grid, number, required_number
 from uqharness.batch.translate.frame import Scope
 from uqharness.errors import BadInputError
 from uqharness.xml.document import Node, parse_document
