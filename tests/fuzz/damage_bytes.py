@@ -6,23 +6,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from tests.fuzz.hostile import WORDS, pick
+
 _HEADER = 2048
-_INTEGERS = (
-    0,
-    1,
-    0x7F,
-    0x80,
-    0xFF,
-    0x7FFF,
-    0x8000,
-    0xFFFF,
-    0x7FFFFFFF,
-    0x80000000,
-    0xFFFFFFFF,
-    2**63 - 1,
-    2**63,
-    2**64 - 1,
-)
+_INTEGERS = WORDS["integers"]
 
 
 def damaged(data: bytes, rng: np.random.Generator) -> bytes:
@@ -30,7 +17,7 @@ def damaged(data: bytes, rng: np.random.Generator) -> bytes:
     for _ in range(int(rng.integers(1, 4))):
         if not data:
             return data
-        data = _KINDS[int(rng.integers(0, len(_KINDS)))](data, rng)
+        data = pick(_KINDS, rng)(data, rng)
     return data
 
 
@@ -100,7 +87,7 @@ def _swapped(data: bytes, rng: np.random.Generator) -> bytes:
 
 def _integer(data: bytes, rng: np.random.Generator) -> bytes:
     size = int(rng.choice([1, 2, 4, 8]))
-    value = _INTEGERS[int(rng.integers(0, len(_INTEGERS)))] % 2 ** (8 * size)
+    value = pick(_INTEGERS, rng) % 2 ** (8 * size)
     span = len(data) if rng.random() < 0.5 else min(len(data), _HEADER)
     a = int(rng.integers(0, max(1, span)))
     order = "little" if rng.random() < 0.8 else "big"
@@ -112,18 +99,6 @@ def _appended(data: bytes, rng: np.random.Generator) -> bytes:
 
 
 _KINDS = (
-    _cut,
-    _flips,
-    _flips_in_header,
-    _flips_in_footer,
-    _one_flip,
-    _one_flip,
-    _zeros,
-    _noise,
-    _twice,
-    _removed,
-    _swapped,
-    _integer,
-    _integer,
-    _appended,
+    *(_cut, _flips, _flips_in_header, _flips_in_footer, _one_flip, _one_flip, _zeros),
+    *(_noise, _twice, _removed, _swapped, _integer, _integer, _appended),
 )

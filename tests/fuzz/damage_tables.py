@@ -14,6 +14,7 @@ import pyarrow.parquet as pq
 
 from tests.fuzz import damage_bytes, hostile
 from tests.fuzz.damage_tree import damaged_tree, value
+from tests.fuzz.hostile import pick
 
 
 def parquet_damage(data: bytes, rng: np.random.Generator) -> bytes:
@@ -29,7 +30,7 @@ def parquet_damage(data: bytes, rng: np.random.Generator) -> bytes:
     for _ in range(int(rng.integers(1, 4))):
         if not table.num_columns:
             break
-        table = _PARQUET[int(rng.integers(0, len(_PARQUET)))](table, rng)
+        table = pick(_PARQUET, rng)(table, rng)
     out = io.BytesIO()
     compression = str(rng.choice(["zstd", "snappy", "gzip", "none", "brotli"]))
     try:
@@ -94,7 +95,7 @@ def _retype(table: pa.Table, rng: np.random.Generator) -> pa.Table:
         lambda: pa.array(np.zeros(n, np.float16)),
         lambda: pa.array(["a" * 2000] * n),
     ]
-    return _with(table, k, kinds[int(rng.integers(0, len(kinds)))]())
+    return _with(table, k, pick(kinds, rng)())
 
 
 def _fill(table: pa.Table, rng: np.random.Generator) -> pa.Table:
@@ -146,7 +147,7 @@ def _rows(table: pa.Table, rng: np.random.Generator) -> pa.Table:
 
 def _metadata(table: pa.Table, rng: np.random.Generator) -> pa.Table:
     kept = dict(table.schema.metadata or {b"pandas": b'{"index_columns": [], "columns": []}'})
-    key = list(kept)[int(rng.integers(0, len(kept)))]
+    key = pick(list(kept), rng)
     if rng.random() < 0.3:
         kept[key] = rng.bytes(50)
     else:
@@ -158,19 +159,8 @@ def _metadata(table: pa.Table, rng: np.random.Generator) -> pa.Table:
 
 
 _PARQUET = (
-    _lose,
-    _lose,
-    _double,
-    _rename,
-    _swap,
-    _retype,
-    _retype,
-    _retype,
-    _fill,
-    _fill,
-    _nulls,
-    _rows,
-    _metadata,
+    *(_lose, _lose, _double, _rename, _swap, _retype, _retype, _retype, _fill, _fill),
+    *(_nulls, _rows, _metadata),
 )
 
 
@@ -197,9 +187,9 @@ def _statement(base: sqlite3.Connection, rng: np.random.Generator) -> None:
     tables = [row[0] for row in base.execute("select name from sqlite_master where type = 'table'")]
     if not tables:
         return
-    table = tables[int(rng.integers(0, len(tables)))]
+    table = pick(tables, rng)
     columns = [row[1] for row in base.execute(f'pragma table_info("{table}")')]
-    column = columns[int(rng.integers(0, len(columns)))]
+    column = pick(columns, rng)
     kind = int(rng.integers(0, 12))
     some = " where rowid % 2" if rng.random() < 0.3 else ""
     if (
@@ -269,7 +259,7 @@ def npz_damage(data: bytes, rng: np.random.Generator) -> bytes:
         return damage_bytes.damaged(data, rng)
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         members = {name: archive.read(name) for name in archive.namelist()}
-    name = list(members)[int(rng.integers(0, len(members)))]
+    name = pick(list(members), rng)
     kind = int(rng.integers(0, 9))
     if kind == 0:
         del members[name]
@@ -296,7 +286,7 @@ def npz_damage(data: bytes, rng: np.random.Generator) -> bytes:
     else:
         old = np.load(io.BytesIO(members[name]))
         types = ["f2", "i8", "U5", "S3", "c16", "M8[s]", "?"]
-        members[name] = _array(np.zeros(old.shape, dtype=types[int(rng.integers(0, len(types)))]))
+        members[name] = _array(np.zeros(old.shape, dtype=pick(types, rng)))
     out = io.BytesIO()
     with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
         for key, content in members.items():

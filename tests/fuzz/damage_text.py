@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from tests.fuzz import damage_bytes, hostile
+from tests.fuzz.hostile import pick
 
 Lines = list[bytes]
 _LONG = 5000
@@ -18,7 +19,7 @@ def damaged_text(data: bytes, rng: np.random.Generator) -> bytes:
     """
     lines = data.split(b"\n")
     for _ in range(int(rng.integers(1, 4))):
-        lines = _LINES[int(rng.integers(0, len(_LINES)))](lines or [b""], rng)
+        lines = pick(_LINES, rng)(lines or [b""], rng)
     out = b"\n".join(lines)
     kind = int(rng.integers(0, 20))
     if kind == 0:
@@ -94,18 +95,8 @@ def _plain(value: float) -> str:
 
 
 _LINES: tuple[Callable[[Lines, np.random.Generator], Lines], ...] = (
-    _lost,
-    _doubled,
-    _moved,
-    _joined,
-    _broken,
-    _word,
-    _word,
-    _word,
-    _word,
-    _odd_bytes,
-    _empty,
-    _long_line,
+    *(_lost, _doubled, _moved, _joined, _broken, _word, _word, _word, _word, _odd_bytes),
+    *(_empty, _long_line),
 )
 
 
@@ -119,7 +110,7 @@ def damaged_table(data: bytes, rng: np.random.Generator) -> bytes:
     for _ in range(int(rng.integers(1, 4))):
         if not rows or not rows[0]:
             break
-        _COLUMNS[int(rng.integers(0, len(_COLUMNS)))](rows, rng)
+        pick(_COLUMNS, rng)(rows, rng)
     if rng.random() < 0.15:
         remarks = []
     text = "\n".join([*remarks, *(",".join(row) for row in rows)]) + "\n"
@@ -153,24 +144,7 @@ def _swap_names(rows: list[list[str]], rng: np.random.Generator) -> None:
 
 def _fill_column(rows: list[list[str]], rng: np.random.Generator) -> None:
     k = _column(rows, rng)
-    new = str(
-        rng.choice(
-            [
-                "",
-                "nan",
-                "inf",
-                "text",
-                "0",
-                "1e300",
-                "-1",
-                "1e999",
-                '"',
-                "True",
-                "2024-01-01",
-                "1e-320",
-            ]
-        )
-    )
+    new = str(rng.choice(hostile.WORDS["cells"]))
     start = int(rng.integers(1, max(2, len(rows))))
     for row in rows[1:] if rng.random() < 0.6 else rows[start : start + 5]:
         if k < len(row):
@@ -187,7 +161,7 @@ def _scale_column(rows: list[list[str]], rng: np.random.Generator) -> None:
 
 
 def _one_cell(rows: list[list[str]], rng: np.random.Generator) -> None:
-    row = rows[int(rng.integers(0, len(rows)))]
+    row = pick(rows, rng)
     if row:
         row[int(rng.integers(0, len(row)))] = (
             hostile.string(rng) if rng.random() < 0.5 else _plain(hostile.number(rng))
@@ -206,23 +180,12 @@ def _few_rows(rows: list[list[str]], rng: np.random.Generator) -> None:
 
 
 def _ragged(rows: list[list[str]], rng: np.random.Generator) -> None:
-    row = rows[int(rng.integers(0, len(rows)))]
+    row = pick(rows, rng)
     row += ["7"] * int(rng.choice([1, 2, 500]))
 
 
 _COLUMNS = (
-    _lose_column,
-    _lose_column,
-    _double_column,
-    _rename_column,
-    _swap_names,
-    _fill_column,
-    _fill_column,
-    _fill_column,
-    _scale_column,
-    _one_cell,
-    _one_cell,
-    _shuffle_rows,
-    _few_rows,
-    _ragged,
+    *(_lose_column, _lose_column, _double_column, _rename_column, _swap_names),
+    *(_fill_column, _fill_column, _fill_column, _scale_column, _one_cell, _one_cell),
+    *(_shuffle_rows, _few_rows, _ragged),
 )

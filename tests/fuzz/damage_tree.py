@@ -15,6 +15,7 @@ import numpy as np
 
 from tests.fuzz import hostile
 from tests.fuzz.damage_text import damaged_text
+from tests.fuzz.hostile import pick
 
 _DEEP = "\x02deep\x02"
 _LONG = "\x02long\x02"
@@ -31,8 +32,8 @@ def damaged_tree(tree: Any, rng: np.random.Generator) -> Any:
         places = list(_places(box))
         if not places:  # nothing is left
             break
-        holder, key = places[int(rng.integers(0, len(places)))]
-        _KINDS[int(rng.integers(0, len(_KINDS)))](holder, key, rng, places)
+        holder, key = pick(places, rng)
+        pick(_KINDS, rng)(holder, key, rng, places)
     return box.get("root")
 
 
@@ -54,22 +55,8 @@ def value(rng: np.random.Generator) -> Any:
         return hostile.string(rng)
     if kind < 6:
         return hostile.number(rng)
-    return [
-        None,
-        True,
-        False,
-        [],
-        {},
-        [None],
-        [[]],
-        {"": 0},
-        [1, 2, 3],
-        [1, "a"],
-        ["CX"],
-        {"a": {"b": []}},
-        _DEEP,
-        _LONG,
-    ][int(rng.integers(0, 14))]
+    plain = [None, True, False, [], {}, [None], [[]], {"": 0}, [1, 2, 3], [1, "a"], ["CX"]]
+    return pick([*plain, {"a": {"b": []}}, _DEEP, _LONG], rng)
 
 
 def _delete(holder: Any, key: Any, rng: np.random.Generator, _: Any) -> None:
@@ -92,7 +79,7 @@ def _same_type(holder: Any, key: Any, rng: np.random.Generator, _: Any) -> None:
     elif isinstance(old, str):
         holder[key] = hostile.string(rng)
     elif isinstance(old, list):
-        holder[key] = [old * 2, old[:-1], old[::-1], old[:1] * 50][int(rng.integers(0, 4))]
+        holder[key] = pick([old * 2, old[:-1], old[::-1], old[:1] * 50], rng)
     elif isinstance(old, dict):
         holder[key] = {hostile.string(rng): v for v in old.values()}
 
@@ -114,7 +101,7 @@ def _add(holder: Any, key: Any, rng: np.random.Generator, _: Any) -> None:
 
 def _move(holder: Any, key: Any, rng: np.random.Generator, places: list[tuple[Any, Any]]) -> None:
     """A node from elsewhere in its place."""
-    other, name = places[int(rng.integers(0, len(places)))]
+    other, name = pick(places, rng)
     try:
         holder[key] = copy.deepcopy(other[name])
     except (KeyError, IndexError):  # an earlier injury took it away
@@ -130,18 +117,8 @@ def _empty(holder: Any, key: Any, rng: np.random.Generator, _: Any) -> None:
 
 
 _KINDS: tuple[Callable[[Any, Any, np.random.Generator, Any], None], ...] = (
-    _delete,
-    _delete,
-    _replace,
-    _replace,
-    _same_type,
-    _same_type,
-    _same_type,
-    _rename,
-    _add,
-    _move,
-    _wrap,
-    _empty,
+    *(_delete, _delete, _replace, _replace, _same_type, _same_type, _same_type, _rename),
+    *(_add, _move, _wrap, _empty),
 )
 
 

@@ -75,7 +75,6 @@ def folder(place: str, under: str = "") -> dict[str, str]:
 
 def all_formats() -> dict[str, Format]:
     """Every format by name."""
-    from tests.fuzz import targets_aircraft, targets_logs, targets_results, targets_settings
+    from tests.fuzz.targets import FORMATS
 
-    modules = (targets_logs, targets_settings, targets_results, targets_aircraft)
-    return {item.name: item for module in modules for item in module.FORMATS}
+    return {item.name: item for item in FORMATS}

@@ -21,8 +21,8 @@ class Refused(Exception):
     """The program's own error; its text is what a user reads."""
 
 
-def command(*arguments: str) -> None:
-    """Run a command of the command line in this process.
+def command(words: str, *arguments: str) -> None:
+    """Run a command of the command line in this process: its words, and arguments as they are.
 
     Raises Refused for exit code 2; whatever else it raises is a finding.
     """
@@ -35,7 +35,7 @@ def command(*arguments: str) -> None:
     )
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
         try:
-            code: Any = cli.main(list(arguments))
+            code: Any = cli.main([*words.split(), *arguments])
         except SystemExit as left:  # argparse; a fixed command line cannot be at fault
             code = left.code
     told, said = (stream.buffer.getvalue().decode("utf-8", "replace") for stream in (out, err))
