@@ -480,14 +480,14 @@ class FunctionPrinter:
         """Return the code of one node; ValueError for a transcendental operation."""
         operation = node.operation
         if operation in TRANSCENDENTAL:
-            raise ValueError(
-                f"{operation} is compiled only after form.maths.lower has written it out"
-            )
+            raise ValueError(f"{operation} is compiled only after maths.lower has written it out")
+        # A table is read by address.
         names = [self.name(i) for i in node.arguments]
         if operation == "lookup":
             table = self.function.nodes[node.arguments[0]].value
             assert isinstance(table, tuple)
             return self._lookup(index, names[0], names[1], len(table))
+        # Arithmetic and comparisons are one instruction each.
         kinds = [self.vectors.of(self.function.nodes[i].kind) for i in node.arguments]
         result = f"  {self.name(index)} ="
         if operation in _SIMPLE:
@@ -505,6 +505,7 @@ class FunctionPrinter:
                     f" {kinds[1]} {names[1]}"
                 ),
             ]
+        # Functions of the processor, and what remains.
         if operation in _CALL:
             function = f"@{_CALL[operation]}.{self.vectors.suffix}"
             return [f"{result} call {kinds[0]} {function}({kinds[0]} {names[0]})"]

@@ -104,7 +104,9 @@ class _ProgramPrinter:
         frame += [
             line for k, section in enumerate(program.sections) for line in self._section(k, section)
         ]
+        # What a frame records, and what the function is called with.
         recorded = self._record()
+        # Arguments: state, room for the slots, feeds, records, and their sizes.
         pointers = ", ".join(
             f"ptr noalias %{name}" for name in ("state", "slots", "feeds", "records", "sizes")
         )
@@ -281,10 +283,13 @@ done:
     def _stream(self, number: int, stream: Stream) -> list[str]:
         """Put a row of a stream into the slots of its columns."""
         prefix, me = f"feed{number}.", f"%stream{number}"
+        # Only in frames in which the stream has a row.
         out = self._branch_if_due(When(every=stream.every), prefix)
         if stream.counter:
+            # Each lane has a row of its own,
             out += self._counted_rows(stream, prefix, me)
         else:
+            # or all lanes have that of the frame.
             out += [
                 f"  %{prefix}turn = udiv i64 %k, {stream.every}",
                 f"  %{prefix}row = sub i64 %{prefix}turn, 1",
@@ -300,6 +305,7 @@ done:
             for j in range(self.width):
                 out.append(f"  {name}p{j} = getelementptr double, ptr %{prefix}at{j}, i64 {column}")
                 out.append(f"  {name}x{j} = load double, ptr {name}p{j}, align 8")
+            # A lane whose counter points to no row has NaN.
             value = self._gather(out, f"{name}v", [f"{name}x{j}" for j in range(self.width)])
             if stream.counter:
                 nan = self.vectors.splat(F64, "0x7FF8000000000000")
@@ -321,6 +327,7 @@ done:
         """
         assert stream.counter is not None
         names = ["first", "rows"]
+        # Row number of each lane, and the rows that there are.
         out = self._load(stream.counter, f"{prefix}count")
         for name in names:
             self._gather(out, f"%{prefix}{name}", [f"{me}.{name}"] * self.width)
@@ -371,6 +378,7 @@ done:
                 f"  %record.start{j} = mul i64 %record.lane{j}, %times",
                 f"  %record.first{j} = add i64 %record.start{j}, %time",
             ]
+        # A record's channels follow each other.
         for number, slot in enumerate(self.program.records):
             name = f"record{number}"
             out += self._load(slot, name)

@@ -762,6 +762,7 @@ def reuse_sines(program: Program) -> Program:
     # An angle that a stream sets has no sine beside it.
     fed = {name for stream in program.streams for name in stream.columns}
     angles = {name.removeprefix(SINE) for name in program.slots if name.startswith(SINE)} - fed
+    # A section that stores the angle without its sine makes it useless.
     for section in program.sections:
         stored = section.function.stores
         angles -= {
@@ -773,6 +774,7 @@ def reuse_sines(program: Program) -> Program:
     def rule(builder: Builder, node: Node, arguments: list[Value]) -> Value:
         """Load the sine or cosine of a slot, or compute it as before."""
         prefix = _PREFIXES[node.operation]
+        # The node whose sine or cosine is taken.
         of = builder.nodes[arguments[0].index]
         # sin(-x) = -sin(x) and cos(-x) = cos(x)
         negative = of.operation == "neg"

@@ -406,9 +406,11 @@ def _hoist_section(
         """Return a node's value in the frame: loaded if it is hoisted and worth a load, else
         computed.
         """
+        # Built already.
         cached = late[index]
         if cached is not None:
             return cached
+        # Constants need no slot, cheap values are cheaper computed than loaded.
         node, first = function.nodes[index], early[index]
         if first is not None and first.constant is not None:
             result = builder.constant(first.constant, first.kind)
@@ -423,6 +425,7 @@ def _hoist_section(
         late[index] = result
         return result
 
+    # Inputs, loads and constants are in both; what is fixed is computed in the prelude.
     for index, node in enumerate(function.nodes):
         late.append(None if node.arguments else builder.copy_node(node, ()))
         early.append(None)

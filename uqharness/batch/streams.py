@@ -178,6 +178,7 @@ def _generator_text(target: Target, modulus: int, factors: list[int]) -> str:
     at [l // BLOCK, k, l % BLOCK]; all numbers of a block are computed from the state before it by
     powers of the multiplier.
     """
+    # A block of tries is drawn in parts of one vector each.
     width = target.width
     parts = BLOCK // width
     vector, of = f"<{width} x i64>", f"<{width} x double>"
@@ -211,6 +212,7 @@ def _generator_text(target: Target, modulus: int, factors: list[int]) -> str:
                 f"  %place{me} = getelementptr double, ptr %here, i64 {k * BLOCK + part * width}",
                 f"  store {of} %less{me}, ptr %place{me}, align 8",
             ]
+    # The last number drawn is the state that the next block begins with.
     body = "\n".join(lines)
     last = f"{parts - 1}.3"
     return f"""
@@ -293,6 +295,7 @@ def compiled_recursion(target: Target) -> dryden.Recur:
 
     The returned function raises ValueError for other sizes.
     """
+    # The pointers are those of drive, powers, inverse and out.
     code = build_code(_recursion_text(target), "recur", target)
     pointer, integer = ctypes.c_void_p, ctypes.c_int64
     call = ctypes.CFUNCTYPE(None, *[pointer] * 3, integer, integer, ctypes.c_double, pointer)(
@@ -305,6 +308,7 @@ def compiled_recursion(target: Target) -> dryden.Recur:
         inverse: dryden.FloatArray,
         last: float,
     ) -> dryden.FloatArray:
+        # All segments have the length of the powers.
         segments = drive.size // powers.size
         if (
             segments * powers.size != drive.size

@@ -136,6 +136,7 @@ class LoiterPaths:
                 f"the card of {first.aircraft.name} names no {DISTANCE} under [metrics]: nothing to"
                 " leave"
             )
+        # Checkpoints are at whole recorded rows.
         source, dt_s = prepared.table[DISTANCE], prepared.lanes.dt_s
         self._stride = record_stride(first, dt_s)
         self._row_s = self._stride * dt_s
@@ -146,6 +147,7 @@ class LoiterPaths:
                 " them at least"
             )
         self._step, self._watch, self._root = rows * self._stride, watch, root
+        # Where the distance is among the records, and its unit.
         self._channel, self._factor = (
             list(prepared.lanes.program.records).index(source.property),
             source.factor,
@@ -154,6 +156,7 @@ class LoiterPaths:
         # Burn in, and discard its rows.
         self._course.fly(row_counts(first, self._row_s)[0] * self._stride)
         self._course.take_rows()
+        # Which radii each path is outside of, and which it has been outside of.
         self._ids = np.asarray(aleatory_ids)
         self._radii, self._rearm = np.asarray(first.excursion_radius_m, dtype=float), first.rearm_m
         self._outside = np.zeros((len(specs), self._radii.size), dtype=bool)

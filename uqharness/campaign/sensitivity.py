@@ -192,6 +192,7 @@ def read_interior_campaign(folder: Path, corners: CornerCampaign) -> CornerCampa
 
     Raises BadInputError naming what differs.
     """
+    # Corners are levels of 0 and 1; the others are in a campaign of levels.
     interior = _read_campaign(folder)
     if interior.manifest["campaign"]["epistemic"]["method"] != "levels":
         raise BadInputError(
@@ -215,6 +216,7 @@ def read_interior_campaign(folder: Path, corners: CornerCampaign) -> CornerCampa
         for key, value in corners.manifest["hashes"].items()
         if interior.manifest["hashes"].get(key) != value
     ]
+    # Every air of the corners must have been met.
     if mine["aleatory"]["flights"] < theirs["aleatory"]["flights"]:
         different.append(
             f"flights ({mine['aleatory']['flights']}, at least {theirs['aleatory']['flights']} are"

@@ -517,6 +517,7 @@ def read_inputs(section: EpistemicSection, folder: Path) -> CampaignInputs:
     if section.method == "walk" and not rates and not isinstance(section.bounds, str):
         rates = dict.fromkeys(coefficients, PUBLISHED_WALK_RATE_PER_SQRT_S)
     form: ModelForm | None = None
+    # Bounds from a model form, for the coefficients that it has.
     if isinstance(section.bounds, str):
         model_form = _find(section.bounds, folder, "bounds", hashes)
         form = read_bounds(model_form)
@@ -531,6 +532,7 @@ def read_inputs(section: EpistemicSection, folder: Path) -> CampaignInputs:
                     f"{model_form}: no walk_rate for {', '.join(lacking)}; give"
                     " walk_rate_per_sqrt_s in [epistemic], or take the bounds from a longer flight"
                 )
+    # Parameters from a fit.
     estimates = None
     if section.parameters is not None:
         path = _find(section.parameters.fit, folder, "fit", hashes)
@@ -601,12 +603,14 @@ def _coefficients(section: EpistemicSection, path: Path, form: ModelForm) -> tup
 
 def _estimates(path: Path, requested: tuple[str, ...] | None) -> Estimates:
     """Read the parameters of a fit. Raises BadInputError."""
+    # Read the document,
     try:
         document = parse_json(read_regular(path))
     except OSError as error:
         raise BadInputError(f"{path}: cannot be read: {error.strerror or error}") from None
     except ParseError as error:
         raise BadInputError(f"{path}: {error}") from None
+    # and of it the names, the values and their covariance.
     try:
         names = [str(name) for name in document["names"]]
         # Validate shape, symmetry and definiteness before anything is drawn.
@@ -635,6 +639,7 @@ def _estimates(path: Path, requested: tuple[str, ...] | None) -> Estimates:
         raise BadInputError(f"{path}: cov is not symmetric")
     # Symmetrise: the file may be symmetric to rounding only.
     estimates = Estimates(tuple(names), values, 0.5 * (covariance + covariance.T))
+    # Keep the rows and columns of the requested parameters.
     if requested is not None:
         unknown = [name for name in requested if name not in names]
         if unknown:
@@ -644,6 +649,7 @@ def _estimates(path: Path, requested: tuple[str, ...] | None) -> Estimates:
             )
         rows = [names.index(name) for name in requested]
         estimates = Estimates(requested, values[rows], estimates.covariance[np.ix_(rows, rows)])
+    # What cannot be factorised cannot be drawn from.
     try:
         if not (np.diag(estimates.covariance) > 0).all():
             raise ValueError("a variance is not positive")

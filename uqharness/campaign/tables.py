@@ -297,11 +297,13 @@ def _excursions_csv(frame: pd.DataFrame, claims: Sequence[Statement]) -> bytes:
         cell = statement.cell
         # Mark the best and the worst corner of each condition.
         best, worst = best_and_worst(cell.rates)
+        # Share of the time that each corner flew outside its bounds' data.
         shares = (
             in_condition(frame, cell.condition)
             .groupby("epistemic_id", sort=False)["extrapolated_share"]
             .mean()
         )
+        # One row per corner.
         for item, limits, dispersion in zip(
             cell.rates, statement.corner_limits, statement.dispersions, strict=True
         ):

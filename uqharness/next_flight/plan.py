@@ -146,10 +146,12 @@ def prospects(
     dict
         Coefficient -> Prospect.
     """
+    # Length of the data behind the bounds, and of the simulated flight.
     data_s = sum(f.seconds for f in form.flights)
     new_s = sum(float(p.time_s[-1] - p.time_s[0]) for p in simulated.pieces)
     scatter = scatter_ratios(form, simulated, trials)
     out = {}
+    # What the flight adds to each coefficient's information, at the states of the mission.
     for c, bounds in form.coefficients.items():
         states = mission.of(bounds.states)
         gained = [information(bounds, simulated.states, weight)]
@@ -826,6 +828,7 @@ def warnings_of(
             "the campaign was made by uqharness 0.1: later changes of its aircraft or of its table"
             " cannot be detected"
         )
+    # The bounds of the plan are others than the campaign's.
     if campaign.spec.inputs.model_form is None:
         kind = (
             "constant ones"

@@ -1030,6 +1030,7 @@ def _check_points(
     accepted: list[TestPoint] = []
     rejected: list[RefusedPoint] = []
     for point, start_s, end_s in points:
+        # The point and the recovery after it.
         rows = frame[(frame["time_s"] >= start_s) & (frame["time_s"] <= end_s + RECOVERY_S)]
         reason = ""
         if "h_m" in rows and float(rows["h_m"].iloc[0] - rows["h_m"].min()) > MAX_HEIGHT_LOSS_M:
@@ -1037,6 +1038,7 @@ def _check_points(
                 f"it loses {float(rows['h_m'].iloc[0] - rows['h_m'].min()):.0f} m, allowed are"
                 f" {MAX_HEIGHT_LOSS_M:g}"
             )
+        # States within the ranges.
         for state, (low, high) in allowed.items():
             values = rows[state].to_numpy()
             if reason:

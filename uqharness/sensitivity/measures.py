@@ -700,6 +700,7 @@ def corner_pairs(
     """
     if runs.corners is None:
         return all_undefined(CORNER_PAIRS_METHOD, study.names, "the study has no corner runs")
+    # Without numbers at every corner, or without width, no share is defined.
     y, d = runs.corners, len(study.names)
     reason = missing_values(corners=y)
     if reason:
@@ -725,9 +726,11 @@ def corner_pairs(
             Index(float(index.max()), float(low.max()), float(high.max()), no_interval_reason),
             tuple(index.tolist()),
         )
+    # Samples inside the box test whether the corners bound the output.
     holds, statement, outside = _smoothness(y, interior, band.area)
     if np.isnan(band.low).any() and intervals:
         statement += f"; {_no_interval(y.shape[1], intervals)}"
+    # Shares by which the envelope shrinks with a parameter at its lower or upper bound.
     shrink = {
         "shrink_low": band.low[:, -2:].min(axis=1),
         "shrink_min": band.index[:, -2:].min(axis=1),
@@ -904,6 +907,7 @@ def pinching(
             study.names,
             "the study has no runs with a parameter at its nominal value",
         )
+    # Reasons for which no share is defined.
     free, pinned = runs.sampled, runs.pinned
     cost = free.size + pinned.size
     reason = missing_values(sampled=free, pinned=pinned)

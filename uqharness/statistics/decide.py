@@ -153,6 +153,7 @@ def add(
     Evidence
         After the round.
     """
+    # Corners that are decided fly no more: their rows count nothing.
     has_flown = np.isfinite(high)
     counted, upper = np.where(has_flown, low, 0.0), np.where(has_flown, high, 0.0)
     time_missing = np.where(has_flown, 0.0 if missing is None else missing, 0.0)

@@ -347,6 +347,7 @@ def trace_external(frame: Frame, document: Document, node: Node | None) -> None:
         for child in children:
             if child.tag == "function":
                 write_function(frame, scope, child)
+        # A force acts at its location, and so with a moment about the CG.
         for child in children:
             if child.tag == "force":
                 one = _vector(frame, scope, child, ("x", "y", "z"), "magnitude")

@@ -1032,6 +1032,7 @@ def _quantized(c: Component, value: Value, stuck: Value) -> Value:
     if node is None:
         return value
     c.scope.only(node, ("name",))
+    # Numbers of the element.
     numbers = {"bits": 0.0, "min": 0.0, "max": 0.0}
     for child in inner(node):
         if child.tag not in numbers:
@@ -1055,6 +1056,7 @@ def _quantized(c: Component, value: Value, stuck: Value) -> Value:
     value = value.gt(high).choose(high, value)
     step = (high - low) / 2**bits
     count = truncate((value - low) / step)
+    # The count itself is a property where it is named.
     name = quantity_name(node)
     if name:
         target = property_of(c.scope, node, name)

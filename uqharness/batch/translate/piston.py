@@ -283,6 +283,7 @@ class Piston:
         b, boost, name = frame.builder, self.boost, self.name
         if boost is None:
             return intake, b.constant(0.0)
+        # Pressure rises in proportion to rpm at the speed in use.
         speed = self._speed(frame, boost, outside)
 
         def of_speed(values: tuple[float, ...]) -> Value:
@@ -296,6 +297,7 @@ class Piston:
             tuple((f - 1.0) / r for f, r in zip(boost.factor, boost.rated_rpm, strict=True))
         )
         manifold = intake * (rate * rpm + 1.0)
+        # The limiter cuts at the rated pressure, beyond the gate at that for take-off.
         if boost.limits:
             limit = of_speed(boost.rated_pa)
             if boost.has_takeoff:
@@ -504,6 +506,7 @@ def _read_boost(scope: Scope, node: Node) -> Boost | None:
     count = int(get("numboostspeeds", 0.0))
     if count > _MAX_SPEEDS:
         scope.refuse(node, f"numboostspeeds is at most {_MAX_SPEEDS}; received {count}")
+    # Ratings of the speeds: boost, power, height.
     rated = [get(f"ratedboost{k}", 0.0, "PSI") for k in (1, 2, 3)]
     power = [get(f"ratedpower{k}", 0.0, "HP") for k in (1, 2, 3)]
     heights = [get(f"ratedaltitude{k}", 0.0, "FT") for k in (1, 2, 3)]
@@ -519,9 +522,11 @@ def _read_boost(scope: Scope, node: Node) -> Boost | None:
         scope.refuse(node, f"ratings of the {usable + 1}. boost speed are missing")
     if count < 1:
         return None
+    # Pressures that the speeds hold, and the one for take-off above the first.
     rated_pa = [_STANDARD_PA + boost * _PSI_PA for boost in rated[:count]]
     takeoff = get("takeoffboost", 0.0, "PSI")
     extra = max(takeoff - rated[0], 0.0) * _PSI_PA
+    # Pressure ratios at the rated heights, and pressures at which the next speed takes over.
     return Boost(
         tuple(
             pa / (_standard_psf(height) * MANIFOLD_PA_PSF)

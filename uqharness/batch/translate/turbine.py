@@ -361,6 +361,7 @@ def read_turbine(scope: Scope, part: Part, name: str, index: str) -> Turbine:
         """Return a number of the file, or JSBSim's default."""
         return number(scope, node, tag, default, unit)
 
+    # What the file has.
     names = frozenset(_function_title(child).rpartition("/")[2] for child in node.all("function"))
     augmented, method = int(get("augmented", 0.0)) == 1, int(get("augmethod", 0.0))
     # Functions that the thrust needs.
@@ -373,6 +374,7 @@ def read_turbine(scope: Scope, part: Part, name: str, index: str) -> Turbine:
             scope.refuse(node, f"a turbine has a function {function_name}")
     if method not in (0, 1, 2):
         scope.refuse(node, f"augmethod {method} is not understood by the batch engine")
+    # Numbers with JSBSim's defaults.
     windmill = node.find("disable-windmill")
     numbers = TurbineData(
         get("milthrust", 10000.0, "LBS"),
