@@ -117,7 +117,8 @@ def test_failures_are_rows_with_reasons(tmp_path):
     frame = read_table(tmp_path / "out" / CASES).to_pandas()
     assert len(frame) == 64
     assert summary.failed == (frame["status"] != "ok").sum() > 0
-    for word in ("SIGABRT", "SIGSEGV", "exit code 3", "RuntimeError"):
+    # Each kind of crash has its reason: test_processes.
+    for word in ("SIGABRT", "RuntimeError"):
         assert frame["reason"].str.contains(word).any(), word
     diverged = frame[frame["status"] == "diverged"].iloc[0]
     assert (diverged["duration_s"], diverged["excursions_15m"]) == (30.0, 2)

@@ -14,6 +14,7 @@ from scipy import stats
 from sysid.model_form.model_form import AircraftReference, read_model_form
 from tests.helpers import campaign_fakes as fakes
 from tests.helpers.campaign_fakes import CAMPAIGN, campaign_file
+from tests.helpers.few import rows
 from tests.helpers.model_forms import PUBLISHED, made_up_form, with_parts
 from uqharness.campaign import sampling
 from uqharness.campaign.cases import Mission, build_cases
@@ -173,35 +174,25 @@ def test_a_form_without_such_a_part_flies_none(tmp_path):
     assert all(case.flight.transient is None for case in build_cases(old, mission(tmp_path)))
 
 
-@pytest.mark.parametrize(
-    ("bounds", "key", "message"),
-    [
-        ('"model-form.json"', "transient = true", "transient = true: .*has no transient part"),
-        (BOUNDS[9:], "transient = true", "transient = true: bounds are no model-form.json"),
-        (BOUNDS[9:], 'set = "ellipsoid"', "set = .ellipsoid.: it needs intervals"),
-    ],
-)
-def test_settings_that_the_bounds_lack_are_refused(tmp_path, bounds, key, message):
+REFUSED = r"""
+bounds = "model-form.json"\ntransient = true |  | campaign.toml:\d+: .epistemic. transient = true: .*has no transient part
+bounds = CONSTANT\ntransient = true |  | campaign.toml:\d+: .epistemic. transient = true: bounds are no model-form.json
+bounds = CONSTANT\nset = "ellipsoid" |  | campaign.toml:\d+: .epistemic. set = .ellipsoid.: it needs intervals
+bounds = "absent.json" |  | named as bounds and not there
+bounds = "bad.json" | { | bad.json.*uqharness bounds AIRCRAFT
+bounds = "bad.json" | {"coefficients": {"CL": {}}} | bad.json.*uqharness bounds AIRCRAFT
+"""
+
+
+@pytest.mark.parametrize(("settings", "content", "message"), rows(REFUSED))
+def test_bounds_that_are_bad_or_lack_what_is_set_are_refused(tmp_path, settings, content, message):
     model_form(tmp_path / "model-form.json")
-    text = f'method = "corners"\nbounds = {bounds}\n'
-    with pytest.raises(BadInputError, match=rf"campaign.toml:\d+: \[epistemic\] {message}"):
-        campaign(tmp_path, f"{text}{key}\n")
-    assert campaign(tmp_path, f"{text}transient = false\n").inputs.transient_rates == {}
-
-
-@pytest.mark.parametrize(
-    ("content", "message"),
-    [
-        (None, "named as bounds and not there"),
-        ("{", "model-form.json.*uqharness bounds AIRCRAFT"),
-        ('{"coefficients": {"CL": {}}}', "model-form.json.*uqharness bounds AIRCRAFT"),
-    ],
-)
-def test_a_bad_model_form_is_refused(tmp_path, content, message):
-    if content is not None:
-        (tmp_path / "model-form.json").write_text(content)
+    (tmp_path / "bad.json").write_text(content)
+    text = settings.replace("CONSTANT", BOUNDS[9:].strip())
     with pytest.raises(BadInputError, match=message):
-        campaign(tmp_path, 'method = "corners"\nbounds = "model-form.json"\n')
+        campaign(tmp_path, f'method = "corners"\n{text}\n')
+    constant = campaign(tmp_path, f'method = "corners"\n{BOUNDS}transient = false\n')
+    assert constant.inputs.transient_rates == {}
 
 
 PARAMETERS = '[epistemic.parameters]\nfit = "fit.json"\n'
@@ -209,24 +200,20 @@ PARAMETERS = '[epistemic.parameters]\nfit = "fit.json"\n'
 
 def test_parameters_are_drawn_from_the_covariance(tmp_path):
     write(tmp_path / "fit.json", FIT)
-    samples = epistemic_samples(
-        campaign(tmp_path, f'method = "none"\nsamples = 4000\n{PARAMETERS}')
-    )
-    assert samples[3].epistemic_id == "nominal+p000003"
-    drawn = np.array([[sample.parameters[name] for name in FIT["names"]] for sample in samples])
-    for column, name in enumerate(FIT["names"]):
-        known = FIT["parameters"][name]
-        assert (
-            stats.kstest(drawn[:, column], "norm", args=(known["value"], known["std"])).pvalue
-            > 1e-3
-        )
-        assert (
-            stats.kstest(drawn[:, column], "norm", args=(known["value"], 1.2 * known["std"])).pvalue
-            < 1e-3
-        )
+
+    def samples(number):
+        text = f'method = "none"\nsamples = {number}\n{PARAMETERS}'
+        return epistemic_samples(campaign(tmp_path, text))
+
+    many = samples(4000)
+    assert many[3].epistemic_id == "nominal+p000003"
+    drawn = np.array([[sample.parameters[name] for name in FIT["names"]] for sample in many])
+    for column, name in zip(drawn.T, FIT["names"], strict=True):
+        value, std = (FIT["parameters"][name][key] for key in ("value", "std"))
+        assert stats.kstest(column, "norm", args=(value, std)).pvalue > 1e-3
+        assert stats.kstest(column, "norm", args=(value, 1.2 * std)).pvalue < 1e-3
     assert np.corrcoef(drawn.T)[0, 1] == pytest.approx(0.7, abs=4 * (1 - 0.49) / np.sqrt(4000))
-    fewer = epistemic_samples(campaign(tmp_path, f'method = "none"\nsamples = 5\n{PARAMETERS}'))
-    assert [item.parameters for item in fewer] == [item.parameters for item in samples[:5]]
+    assert [item.parameters for item in samples(5)] == [item.parameters for item in many[:5]]
 
 
 def test_a_box_is_filled_to_its_edges_and_no_further(tmp_path):
@@ -245,51 +232,32 @@ def test_parameters_multiply_corners_and_join_walks(tmp_path):
     corners = campaign(tmp_path, f'method = "corners"\nsamples = 3\n{BOUNDS}{PARAMETERS}')
     samples = epistemic_samples(corners)
     assert len(samples) == (64 + 16 + 1) * 3
-    assert [item.epistemic_id for item in samples[:4]] == [
-        "000000+p000000",
-        "000000+p000001",
-        "000000+p000002",
-        "000001+p000000",
-    ]
+    names = ["000000+p000000", "000000+p000001", "000000+p000002", "000001+p000000"]
+    assert [item.epistemic_id for item in samples[:4]] == names
     assert samples[0].parameters == samples[3].parameters != samples[1].parameters
     case = build_cases(corners, mission(tmp_path))[0]
     assert case.flight.properties["aero/Cm_q"] == samples[0].parameters["aero/Cm_q"]
     assert case.inputs["parameter_aero/Cm_q"] == samples[0].parameters["aero/Cm_q"]
-    walks = epistemic_samples(
-        campaign(
-            tmp_path,
-            f'method = "walk"\nwalk_rate_per_sqrt_s = 0.01\nsamples = 3\n{BOUNDS}{PARAMETERS}',
-        )
-    )
+    text = f'method = "walk"\nwalk_rate_per_sqrt_s = 0.01\nsamples = 3\n{BOUNDS}{PARAMETERS}'
+    walks = epistemic_samples(campaign(tmp_path, text))
     assert len({item.parameters["aero/Cm_q"] for item in walks}) == len(walks) == 3
 
 
 @pytest.mark.parametrize(
-    ("change", "message"),
+    ("change", "line", "message"),
     [
-        ({"names": []}, "nothing was identified"),
-        ({"cov": [[1.0]]}, "2 x 2"),
-        ({"cov": [[1.0, 2.0], [2.0, 1.0]]}, "not positive definite"),
-        ({"cov": [[1.0, 0.1], [0.2, 1.0]]}, "not symmetric"),
-        ({"cov": [[1.0, None], [0.2, 1.0]]}, "finite"),
-        ({"names": ["aero/Cm_q", "aero/none"]}, "not a fit"),
+        ({"names": []}, "", "nothing was identified"),
+        ({"cov": [[1.0]]}, "", "2 x 2"),
+        ({"cov": [[1.0, 2.0], [2.0, 1.0]]}, "", "not positive definite"),
+        ({"cov": [[1.0, 0.1], [0.2, 1.0]]}, "", "not symmetric"),
+        ({"cov": [[1.0, None], [0.2, 1.0]]}, "", "finite"),
+        ({"names": ["aero/Cm_q", "aero/none"]}, "", "not a fit"),
+        ({}, 'parameters = ["aero/CZ_q"]', "aero/CZ_q is not among the identified"),
+        ({}, "confidence = 0.9", r"\[epistemic.parameters\].*confidence belongs to .* = .box"),
     ],
 )
-def test_a_bad_fit_is_refused(tmp_path, change, message):
+def test_a_bad_fit_and_bad_choices_of_its_parameters_are_refused(tmp_path, change, line, message):
     write(tmp_path / "fit.json", FIT | change)
-    with pytest.raises(BadInputError, match=message):
-        campaign(tmp_path, f'method = "none"\nsamples = 2\n{PARAMETERS}')
-
-
-@pytest.mark.parametrize(
-    ("line", "message"),
-    [
-        ('parameters = ["aero/CZ_q"]', "aero/CZ_q is not among the identified"),
-        ("confidence = 0.9", r'\[epistemic.parameters\].*confidence belongs to .* = "box"'),
-    ],
-)
-def test_bad_choices_of_parameters_are_refused(tmp_path, line, message):
-    write(tmp_path / "fit.json", FIT)
     with pytest.raises(BadInputError, match=message):
         campaign(tmp_path, f'method = "none"\nsamples = 2\n{PARAMETERS}{line}\n')
 
@@ -302,46 +270,38 @@ def variables(mean):
 
 
 def test_a_variable_is_drawn_per_flight_and_common_to_corners(tmp_path):
-    cases = build_cases(
-        campaign(tmp_path, f'method = "corners"\n{BOUNDS}', variables("20")), mission(tmp_path)
-    )
+    def made(text, head):
+        return build_cases(campaign(tmp_path, text, head), mission(tmp_path))
+
+    corners = f'method = "corners"\n{BOUNDS}'
+    cases = made(corners, variables("20"))
     drawn = {case.aleatory_id: case.flight.properties["load/kg"] for case in cases}
     assert len(set(drawn.values())) == 3
     assert all(case.flight.properties["load/kg"] == drawn[case.aleatory_id] for case in cases)
     assert cases[0].inputs == {"variable_load/kg": drawn[0]}
-    many = campaign(
-        tmp_path, 'method = "none"\n', variables("20").replace("flights = 3", "flights = 3000")
-    )
-    values = [case.flight.properties["load/kg"] for case in build_cases(many, mission(tmp_path))]
+    many = variables("20").replace("flights = 3", "flights = 3000")
+    values = [case.flight.properties["load/kg"] for case in made('method = "none"\n', many)]
     assert stats.kstest(values, "norm", args=(20.0, 0.5)).pvalue > 1e-3
     # A variable's stream bears its name: another variable beside it moves nothing.
-    other = (
-        variables("20")
-        + '[aleatory.variables."a/b"]\ndistribution = "uniform"\nlow = 0\nhigh = 1\n'
-    )
-    again = build_cases(
-        campaign(tmp_path, f'method = "corners"\n{BOUNDS}', other), mission(tmp_path)
-    )
-    assert all(case.flight.properties["load/kg"] == drawn[case.aleatory_id] for case in again)
+    other = '[aleatory.variables."a/b"]\ndistribution = "uniform"\nlow = 0\nhigh = 1\n'
+    for case in made(corners, variables("20") + other):
+        assert case.flight.properties["load/kg"] == drawn[case.aleatory_id]
 
 
 def test_an_unknown_mean_is_an_epistemic_input_with_corners(tmp_path):
-    spec = campaign(tmp_path, f'method = "corners"\n{BOUNDS}', variables("[19, 22]"))
-    cases = build_cases(spec, mission(tmp_path))
+    def made(text):
+        return campaign(tmp_path, text, variables("[19, 22]"))
+
+    cases = build_cases(made(f'method = "corners"\n{BOUNDS}'), mission(tmp_path))
     assert len(cases) == 3 * (128 + 16 + 1)
     low, high = cases[0], cases[1]
     assert (low.epistemic_id, high.epistemic_id) == ("000000+0", "000000+1")
-    assert high.flight.properties["load/kg"] - low.flight.properties["load/kg"] == pytest.approx(
-        3.0
-    )
+    moved = high.flight.properties["load/kg"] - low.flight.properties["load/kg"]
+    assert moved == pytest.approx(3.0)
     assert (low.inputs["level_load/kg"], high.inputs["level_load/kg"]) == (0.0, 1.0)
-    nominal = build_cases(
-        campaign(tmp_path, 'method = "none"\n', variables("[19, 22]")), mission(tmp_path)
-    )
+    nominal = build_cases(made('method = "none"\n'), mission(tmp_path))
     assert [case.epistemic_id for case in nominal[:2]] == ["nominal+0", "nominal+1"]
-    lhs = epistemic_samples(
-        campaign(tmp_path, f'method = "lhs"\nsamples = 8\n{BOUNDS}', variables("[19, 22]"))
-    )
+    lhs = epistemic_samples(made(f'method = "lhs"\nsamples = 8\n{BOUNDS}'))
     assert sorted(np.floor([8 * item.means["load/kg"] for item in lhs])) == list(range(8))
 
 
@@ -356,13 +316,9 @@ def heavy(spec):
 
 def test_an_unknown_mean_takes_its_place_among_the_sensitivities(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("uqharness.campaign.run.validate_model", lambda fly, case: None)
-    head = (
-        variables("[19, 22]")
-        .replace("std = 0.5", "std = 0.01")
-        .replace("flights = 3", "flights = 20")
-    )
+    head = variables("[19, 22]").replace("std = 0.5", "std = 0.01")
     epistemic = 'method = "corners"\ncoefficients = ["CX"]\nbounds = { CX = 0.008 }\n'
-    spec = campaign(tmp_path, epistemic, head)
+    spec = campaign(tmp_path, epistemic, head.replace("flights = 3", "flights = 20"))
     run_campaign(
         spec, tmp_path / "out", executor=SerialExecutor(), fly=heavy, mission=mission(tmp_path)
     )
@@ -470,18 +426,7 @@ def test_the_bounds_of_a_file_fly_in_a_copy_of_the_aircraft(tmp_path, bounded, m
         run(read_campaign(tmp_path / "campaign.toml"))
 
 
-def test_bounds_need_the_plugin(tmp_path, bounded):
-    xml = tmp_path / "plane" / "espaaro.xml"
-    xml.write_text(xml.read_text().replace('<system file="model-form"/>', ""))
-    with pytest.raises(
-        BadInputError, match=r'no <system file="model-form"/>.*uqharness instrument'
-    ):
-        run_campaign(bounded, tmp_path / "out", executor=SerialExecutor(), fly=fakes.steady)
-
-
-def test_constant_bounds_need_the_plugin_too(tmp_path):
-    path = tmp_path / "campaign.toml"
-    text = """[campaign]
+STOCK = """[campaign]
 aircraft = "c172p"
 mission = "steady"
 seed = 1
@@ -493,10 +438,20 @@ flights = 2
 duration_s = 20
 [epistemic]
 """
-    path.write_text(f'{text}method = "corners"\ncoefficients = ["Cm"]\nbounds = {{ Cm = 0.002 }}\n')
+
+
+def test_bounds_need_the_plugin(tmp_path, bounded):
+    xml = tmp_path / "plane" / "espaaro.xml"
+    xml.write_text(xml.read_text().replace('<system file="model-form"/>', ""))
+    message = r'no <system file="model-form"/>.*uqharness instrument'
+    with pytest.raises(BadInputError, match=message):
+        run_campaign(bounded, tmp_path / "out", executor=SerialExecutor(), fly=fakes.steady)
+    path = tmp_path / "campaign.toml"
+    constant = 'method = "corners"\ncoefficients = ["Cm"]\nbounds = { Cm = 0.002 }\n'
+    path.write_text(STOCK + constant)
     with pytest.raises(BadInputError, match="add the plugin first: uqharness instrument c172p"):
         find_mission(read_campaign(path), tmp_path)
-    path.write_text(f'{text}method = "none"\n')
+    path.write_text(f'{STOCK}method = "none"\n')
     assert find_mission(read_campaign(path), tmp_path).source is not None
 
 
