@@ -86,7 +86,7 @@ DOORS: Mapping[str, tuple[str, ...]] = {
         "uqharness/simulator/engine.py",
         "uqharness/exchange/fmu_slave.py",  # a program inside an FMU, without this project
     ),
-    "llvmlite": ("uqharness/batch/llvm.py", "uqharness/batch/object_cache.py"),
+    "llvmlite": ("uqharness/batch/llvm.py",),
     "numba": ("sysid/linalg.py",),
     "matplotlib": ("uqharness/report/plots.py",),
     "argparse": ("uqharness/cli/",),
@@ -96,7 +96,6 @@ DOORS: Mapping[str, tuple[str, ...]] = {
         "uqharness/parallel.py",
         "uqharness/isolation.py",  # the one process that an aircraft may end
         "uqharness/campaign/processes.py",
-        "uqharness/campaign/worker.py",
         "uqharness/campaign/dask.py",
         "uqharness/files.py",  # a folder that ends with the process, whatever started it
     ),

@@ -31,10 +31,9 @@ from uqharness.campaign.manifest import (
     refuse_without_digests,
     spec_of,
 )
-from uqharness.campaign.processes import ProcessExecutor
+from uqharness.campaign.processes import CaseOutcome, ProcessExecutor
 from uqharness.campaign.run import find_mission
 from uqharness.campaign.tables import read_cases
-from uqharness.campaign.worker import CaseOutcome
 from uqharness.errors import BadInputError
 from uqharness.flight import AutopilotSettings, FlightResult, FlightSpec
 from uqharness.flight.fly import fly
