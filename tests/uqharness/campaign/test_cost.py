@@ -8,11 +8,13 @@ import tracemalloc
 import pytest
 
 from tests.helpers import campaign_fakes as fakes
+from tests.helpers.engine_fakes import Flown, engines
 from tests.uqharness.campaign.test_rounds import TOML as DECIDE
 from uqharness.campaign import cost
 from uqharness.campaign.cases import build_cases
+from uqharness.campaign.processes import ProcessExecutor
 from uqharness.campaign.read_spec import read_campaign
-from uqharness.campaign.run import find_mission
+from uqharness.campaign.run import find_mission, run_campaign
 from uqharness.campaign.sampling import epistemic_samples
 from uqharness.cli.main import main
 
@@ -144,3 +146,32 @@ def test_check_flies_nothing_that_counts(tmp_path, capsys):
     assert main([*check, "--hours", "1000000"]) == 0
     assert "needs --yes or --hours" in capsys.readouterr().out
     assert main([*check, "--workers", "0"]) == 2
+
+
+class Enough(Exception):
+    """Ends a campaign before it flies."""
+
+
+@pytest.mark.parametrize("engine", ["batch", "jsbsim"])
+def test_the_pace_of_very_many_flights_is_known_before_their_cases_are_made(
+    tmp_path, monkeypatch, engine
+):
+    def stop(told):
+        costs.append((told.engine, told.missing, told.pace is None))
+        raise Enough
+
+    costs: list[tuple[str, int, bool]] = []
+    spec, out = fakes.small_spec(tmp_path, 3).with_engine(engine), tmp_path / "out"
+    keys = {"executor": ProcessExecutor(2, "fork"), "fly": engines(Flown()), "before_flying": stop}
+    monkeypatch.setattr("uqharness.campaign.run.MANY_FLIGHTS", 191)
+    with monkeypatch.context() as patch:
+        patch.setattr("uqharness.campaign.run.build_cases", None)
+        with pytest.raises(Enough):
+            run_campaign(spec, out, **keys)
+    assert not out.exists()
+    # With one flight fewer than that the cases are made first, and the folder with them.
+    monkeypatch.setattr("uqharness.campaign.run.MANY_FLIGHTS", 192)
+    with pytest.raises(Enough):
+        run_campaign(spec, out, **keys)
+    assert out.exists()
+    assert costs == [(engine, 192, False)] * 2

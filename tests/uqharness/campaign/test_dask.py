@@ -259,6 +259,8 @@ def test_orders_survive_a_round_trip():
     odd = order_of(replace(still, properties=numpy_values, seed_noise=np.int64(3)))
     plain = order_of(replace(still, properties={"x": 1 / 3}, seed_noise=3))
     assert order_from(order_text(odd)) == plain
+    with pytest.raises(BadInputError, match="no UTF-8 cannot be sent"):
+        order_text(order_of(replace(FLIGHT, aircraft=Path("/a\udc80"))))
 
 
 def bits(value):

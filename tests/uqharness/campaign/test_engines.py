@@ -20,6 +20,7 @@ from uqharness.campaign.cost import TRIAL_CONDITIONS, size_of, trial_conditions
 from uqharness.campaign.engines import (
     CASES_EACH,
     MIN_SCALE,
+    EngineComparison,
     Engines,
     PreviousEngine,
     batch_pace,
@@ -487,3 +488,23 @@ def test_every_condition_of_a_small_grid_is_tried_out():
     assert len(trial_conditions((3.0, 0.0, 6.0), ("none", "severe"))) == 6
     # A grid of one wind in each turbulence, and of two winds, keeps both.
     assert trial_conditions((5.0,), ("light",)) == ((5.0, "light"),)
+
+
+def test_rows_stand_in_the_campaigns_order_whichever_flight_ended_first(tmp_path):
+    spec = fakes.small_spec(tmp_path, 1)
+    case = build_cases(spec, find_mission(spec))[0]
+    cases = [replace(case, case_id=f"{k:016x}", wind_mps=float(k)) for k in (3, 1, 2)]
+    written = set()
+    for order in (cases, cases[::-1]):
+        comparison = EngineComparison(tmp_path, cases, lambda case: outcome())
+        for case in order:
+            judged = comparison.groups([case])[0].cases[0][0]
+            pair = [
+                replace(outcome(**{METRIC: 1.0}), case_id=name) for name in (case.case_id, judged)
+            ]
+            comparison.take(pair)
+            comparison.compare(final=False)
+        comparison.compare(final=True)
+        written.add((tmp_path / ENGINE_CHECK).read_bytes())
+        (tmp_path / ENGINE_CHECK).unlink()
+    assert len(written) == 1

@@ -505,6 +505,8 @@ def test_the_joint_radius_is_that_of_chi_square(dof, confidence):
     exact = math.sqrt(stats.chi2.ppf(confidence, dof))
     assert sampling.joint_radius(dof, confidence) == pytest.approx(exact, rel=1e-12)
     assert sampling.joint_radius(dof + 1, confidence) > 1.02 * exact
+    with pytest.raises(ValueError, match="at least 1"):
+        sampling.joint_radius(0, confidence)
 
 
 def test_six_intervals_of_95_percent():

@@ -276,6 +276,9 @@ def test_the_same_corner_twice_costs_nothing():
 def test_with_too_few_airs_bonferroni_stays(airs):
     narrower = half_width(pbox(samples(flown(16, airs)))) < 0.95 * band_half_width(airs, 16, 0.95)
     assert narrower == (airs >= MIN_AIRS)
+    other = samples(flown(4, 60))
+    other[2] = Sample("2", other[2].values, 0, np.arange(1, 61))
+    assert half_width(pbox(other)) == pytest.approx(band_half_width(60, 4, 0.95), abs=1e-9)
 
 
 def test_the_order_of_flights_does_not_matter_and_lost_ones_are_kept():

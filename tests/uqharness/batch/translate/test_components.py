@@ -316,7 +316,7 @@ def test_failures_come_and_go(name: str, prefix: str, failures: str) -> None:
     "attributes", ['execute="i/on"', 'execrate="3" execute="i/on"', 'execrate="2"']
 )
 def test_a_delay_line_moves_when_its_channel_runs(attributes: str) -> None:
-    body = CASES["switch: delay and clip"]
+    body = CASES["delay and clip"]
     check_bits(f"<channel {attributes}>{body}</channel>", random_inputs(FRAMES))
 
 
