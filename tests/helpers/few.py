@@ -1,4 +1,4 @@
-"""Cases for ``pytest.mark.parametrize``: of many alike a few for the default set, or a table of text."""
+"""Cases for ``pytest.mark.parametrize``: a few of many alike, or a table of text."""
 
 from __future__ import annotations
 
