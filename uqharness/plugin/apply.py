@@ -53,12 +53,12 @@ from uqharness.simulator import (
     open_mid_envelope,
     read_xml,
     staged,
+    staging,
+    with_rotor_inertia,
     with_step,
     xml_numbers_for,
 )
 from uqharness.simulator import facts as aircraft_facts
-from uqharness.simulator.aircraft import with_rotor_inertia
-from uqharness.simulator.staging import model_files as author_files
 from uqharness.xml import (
     Document,
     Insertion,
@@ -389,7 +389,7 @@ def write(aircraft: Aircraft, planned: Plan, out: Path) -> None:
     if not in_place:
         for name, content in carried_files(aircraft, out).items():
             files[name], changes[name] = content, make_change(None, content)
-    for name, (content, _) in with_rotor_inertia(aircraft, author_files(aircraft)).items():
+    for name, (content, _) in with_rotor_inertia(aircraft, staging.model_files(aircraft)).items():
         path = aircraft.folder / name
         before = read_xml(path) if path.is_file() else None
         files[name], changes[name] = content, make_change(before, content)

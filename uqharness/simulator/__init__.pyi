@@ -24,6 +24,7 @@ from .aircraft import position_factor as position_factor
 from .aircraft import sensors_from_cg as sensors_from_cg
 from .aircraft import stage as stage
 from .aircraft import staged as staged
+from .aircraft import with_rotor_inertia as with_rotor_inertia
 from .aircraft import with_start_altitude as with_start_altitude
 from .aircraft import with_step as with_step
 from .aircraft_checks import function_properties as function_properties
