@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -30,6 +30,7 @@ from sysid.logs.checking.kinematics import (
     estimate_relation,
     stretches,
 )
+from sysid.logs.checking.signals import sample_hold
 from sysid.logs.checking.timing import channel_lateness
 from sysid.logs.signal_map import shipped_dialects, shipped_map
 from sysid.record import FlightRecord, Metadata
@@ -119,6 +120,7 @@ SAME = 1.33
 units.
 """
 _SHARP = 2.0  # largest ratio of the limits of an informative scale
+_CLEAR = 1.5  # of one that proves a unit
 _MAX_FAULTS = 4
 _MAX_HZ = 40.0
 _ALIKE = 8.0  # factor between noise levels of sensors of one kind
@@ -237,7 +239,7 @@ def check_physics(record: FlightRecord) -> list[Finding]:
     list of Finding
         Codes "unit", "sign", "kinematics-disagree" and "delay". Noise of any size is no finding.
     """
-    corrected, late_s = _align_ground_velocity(_to_radians(_thinned(record)))
+    corrected, late_s = _align_ground_velocity(_to_radians(_thinned(_at_own_rates(record))))
     out: list[Finding] = []
     # Remove one error after the other, the best explanation first.
     for _ in range(_MAX_FAULTS):
@@ -281,6 +283,19 @@ def _evaluate_corrected(
             h = h if parts is None else LawResult(h.law, estimate_relation(h.law, parts))
         out.append(h)
     return out
+
+
+def _at_own_rates(record: FlightRecord) -> FlightRecord:
+    """Return the record with the rates at which held ground velocities and places change.
+
+    The laws are compared up to a share of a channel's rate; steps above it are no motion.
+    """
+    rates = dict(record.metadata.native_hz)
+    for name in (*GROUND, *_PLACES):
+        repetition = sample_hold(record[name]) if name in record else None
+        if repetition is not None and repetition.is_held:
+            rates[name] = 1.0 / (record.dt_s * repetition.run)
+    return FlightRecord(record.columns, replace(record.metadata, native_hz=rates))
 
 
 def _thinned(record: FlightRecord) -> FlightRecord:
@@ -434,7 +449,14 @@ def _explanation(
     base = _points(results)
     scored = []
     for fault in _candidate_faults(record, violated):
-        if not any(h.agrees for h in _evaluate_corrected(record, violated, fault)):
+        # A unit or sign is one exact factor: afterwards the scale itself must be right, and known,
+        # not only its limits reach there. Bands that disagree show dynamics, as those of a
+        # barometer do whose static port reads the flow too.
+        mended = [h.relation for h in _evaluate_corrected(record, violated, fault) if h.agrees]
+        if not any(
+            abs(math.log(abs(r.scale))) <= math.log(SAME) and r.high < _CLEAR * r.low
+            for r in mended
+        ):
             # It repairs nothing: the other laws need not be evaluated.
             continue
         corrected = _evaluate_corrected(record, results, fault)

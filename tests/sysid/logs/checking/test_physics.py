@@ -209,3 +209,15 @@ def test_a_record_imported_before_a_fault_was_known_is_checked_again(tmp_path: P
     old.write(tmp_path / "old.parquet")
     assert slips(list(import_log(tmp_path / "old.parquet").metadata.findings)) == {"az_mps2": -1.0}
     assert slips(recheck(noisy(1))) == {}
+
+
+def test_coarse_barometer_that_reads_the_flow_is_in_no_other_unit() -> None:
+    """Its error in the band of the check is dynamic: no constant factor, so no unit."""
+    record = noisy(1)
+    time_s, h = record["time_s"], record["h_m"]
+    fast = h - np.convolve(np.pad(h, 75, mode="edge"), np.ones(151) / 151, mode="valid")
+    held = (np.arange(len(time_s)) // round(0.55 / record.dt_s)) * round(0.55 / record.dt_s)
+    columns = {n: record[n][held] for n in ("vn_mps", "ve_mps", "vd_mps")}
+    port = 1.76 * np.round((h + 2.0 * fast) / 1.76)
+    findings = check_physics(record.with_columns({**columns, "h_m": port}))
+    assert not [f.message for f in findings if f.severity == "error"]
