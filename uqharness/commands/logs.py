@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import textwrap
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 
@@ -30,6 +31,7 @@ from uqharness.files import (
     write_text,
 )
 from uqharness.flight import playback_rows
+from uqharness.identification.air_data import air_data_errors
 from uqharness.replay import read_flight
 from uqharness.report import write_html
 from uqharness.report.pages import log_page
@@ -65,6 +67,8 @@ def log_info(request: LogInfoRequest, callback: Callback = silent) -> Outcome[Lo
         check_output_path(request.out)
     record = _read(request, callback)
     info = report_of_log(record)
+    callback("air data")
+    info = replace(info, findings=(*info.findings, *_air_data_findings(record, info)))
     if request.out is not None:
         if request.manoeuvres is not None:
             record = with_manoeuvres(record, request.manoeuvres, request.log.stem)
@@ -73,6 +77,23 @@ def log_info(request: LogInfoRequest, callback: Callback = silent) -> Outcome[Lo
         write_html(request.out, log_page(info, record, command_line(request)))
     document = LogContents.model_validate(finite(info.as_dict()))
     return Outcome(info, document, _info_lines(info), 0 if info.serves else 1, request.out)
+
+
+def _air_data_findings(record: FlightRecord, info: LogInfo) -> list[Finding]:
+    """Return scale and offset of the air data that the flight determines, with 95 % intervals."""
+    if info.flight_s is None or not record.metadata.native_hz:
+        return []
+    return [
+        Finding(
+            "air-data",
+            e.channel,
+            "info",
+            e.text(),
+            {e.kind: e.value, "std": e.std},
+        )
+        for e in air_data_errors(record.between(*info.flight_s))
+        if e.basis != "prior only"
+    ]
 
 
 def propose_map(request: LogMapRequest, callback: Callback = silent) -> Outcome[MapProposal]:
@@ -296,7 +317,9 @@ def _condensed(findings: Sequence[Finding]) -> list[str]:
     groups: dict[tuple[str, str], list[Finding]] = {}
     for f in sorted(findings, key=lambda f: ("error", "warning", "info").index(f.severity)):
         # Every assumption is listed; of other codes one message stands for all.
-        key = f"{f.code} {f.channel}" if f.code.startswith("assumed") else f.code
+        key = f.code
+        if f.code.startswith("assumed") or f.code == "air-data":
+            key = f"{f.code} {f.channel} {' '.join(f.numbers)}"
         groups.setdefault((f.severity, key), []).append(f)
     lines = []
     for (severity, _), members in groups.items():

@@ -25,9 +25,11 @@ PRIOR = {
     ("alpha_rad", "offset"): (0.0, 0.05),
     ("beta_rad", "scale"): (1.0, 0.3),
     ("beta_rad", "offset"): (0.0, 0.05),
+    ("h_m", "position"): (0.0, 0.1),
 }
 """Mean and standard deviation of a sensor's scale and offset (rad) before the flight: a probe
-beside a fuselage or wing reads angles wrong by up to a half, speeds by some percent."""
+beside a fuselage or wing reads angles wrong by up to a half, speeds by some percent, and static
+pressure by some percent of the dynamic one."""
 BLOCK_S = 20.0
 _MIN_SAMPLES = 40
 _PITCH_STD_RAD, _HEADING_STD_RAD = 0.015, 0.05
@@ -37,12 +39,13 @@ _MIN_TURN_RAD = 1.5  # of the course, below which wind and airspeed cannot be to
 
 @dataclass(frozen=True)
 class AirDataError:
-    """Scale or offset of an air-data channel: truth = (reading - offset) / scale.
+    """Scale or offset of an air-data channel: truth = (reading - offset) / scale. The position
+    error is that of a barometer's static port, as a share of the dynamic pressure.
 
     Attributes
     ----------
     channel, kind : str
-        Channel, and "scale" or "offset" (rad).
+        Channel, and "scale", "offset" (rad) or "position".
     value, std : float
         Estimate and standard error.
     basis : str
@@ -61,6 +64,11 @@ class AirDataError:
         if self.kind == "scale":
             return (
                 f"{self.channel} reads {self.value:.2f} ± {half:.2f} times the truth ({self.basis})"
+            )
+        if self.kind == "position":
+            return (
+                f"{self.channel} rises by {self.value:.2f} ± {half:.2f} times V^2/2g with airspeed"
+                f" (position error of static pressure, {self.basis})"
             )
         return (
             f"{self.channel} is offset by {np.degrees(self.value):.1f} ±"
@@ -96,8 +104,12 @@ def air_data_errors(record: FlightRecord) -> list[AirDataError]:
     estimates = {("V_mps", "scale"): (speed[0], speed[1])}
     if np.isfinite(speed[1]) and "psi_rad" in record:
         estimates |= _angle_errors(record, speed[2])
+    if (position := _position_error(record)) is not None:
+        estimates["h_m", "position"] = position
     out = []
     for (channel, kind), prior in PRIOR.items():
+        if kind == "position" and (channel, kind) not in estimates:
+            continue
         if channel not in record or channel in record.metadata.estimates:
             continue
         value, std = estimates.get((channel, kind), (prior[0], np.inf))
@@ -143,6 +155,34 @@ def _speed_scale(record: FlightRecord) -> tuple[float, float, FloatArray]:
 
     value, std = _jackknife(lambda chosen: float(fit(chosen)[2]), _blocks(record["time_s"][rows]))
     return value, std, fit(np.ones(len(rows), dtype=bool))[:2]
+
+
+def _position_error(record: FlightRecord) -> tuple[float, float] | None:
+    """Return by what share of V^2/2g a barometric height rises with airspeed, and its error.
+
+    Heights less the integral of the vertical speed are regressed in each block of time, with a
+    drift; a late velocity adds a multiple of itself.
+    """
+    if not all(n in record for n in ("h_m", "vd_mps", "V_mps")):
+        return None
+    h, climb, speed = record["h_m"], -record["vd_mps"], record["V_mps"]
+    rows = np.flatnonzero(np.isfinite(h) & np.isfinite(climb) & np.isfinite(speed))
+    if len(rows) < _MIN_SAMPLES * 5:
+        return None
+    path = np.cumsum(np.nan_to_num(climb)) * record.dt_s
+    block = _blocks(record["time_s"][rows])
+    excess, columns = (h - path)[rows], []
+    for values in (speed**2 / (2.0 * G0_MPS2), climb):
+        columns.append(values[rows])
+    x, y = np.column_stack(columns), excess.copy()
+    for b in np.unique(block):
+        part = block == b
+        level = np.column_stack([np.ones(part.sum()), np.arange(part.sum())])
+        for values in (y, *x.T):
+            values[part] -= level @ np.linalg.lstsq(level, values[part], rcond=None)[0]
+    return _jackknife(
+        lambda chosen: float(np.linalg.lstsq(x[chosen], y[chosen], rcond=None)[0][0]), block
+    )
 
 
 def _angle_errors(

@@ -237,12 +237,15 @@ _ORDER = ("CX", "CY", "CZ", "Cl", "Cm", "Cn")
 @dataclass(frozen=True)
 class _Regression:
     """Least squares of one coefficient: estimates (k,), covariance (k, k), share of the demanded
-    coefficient's variance that is not explained.
+    coefficient's variance that is not explained, standard errors (k,) of white residuals, and
+    whether the instruments determine every combination of the terms.
     """
 
     theta: FloatArray
     cov: FloatArray
     unexplained: float
+    white_std: FloatArray
+    determined: bool
 
 
 def identify_ordinary(
@@ -325,6 +328,7 @@ def identify_ordinary(
     terms = {i: n.removeprefix("aero/").partition("_")[2] for i, n in enumerate(names)}
     theta, cov, reason = begin.copy(), np.zeros((len(names), len(names))), {}
     fit_share: dict[str, float] = {}
+    std_crb, determined = np.full(len(names), np.nan), True
     for coefficient, members in groups.items():
         main = estimates[0][coefficient]
         # What the estimates change with choices that the flight does not decide.
@@ -342,6 +346,8 @@ def identify_ordinary(
         )
         cov[np.ix_(list(members), list(members))] = block
         fit_share[coefficient] = main.unexplained
+        std_crb[list(members)] = main.white_std
+        determined = determined and main.determined
     std = np.sqrt(np.diagonal(cov))
     for i, (name, (low, high)) in enumerate(zip(names, limits, strict=True)):
         if i in fixed_terms and name not in prior:
@@ -377,7 +383,7 @@ def identify_ordinary(
         initial=initial,
         theta=np.where(ok, theta, initial),
         std=np.where(ok, std, np.nan),
-        std_crb=np.where(ok, std, np.nan),
+        std_crb=np.where(ok, std_crb, np.nan),
         status={n: "not-identified" if reason[n] else "identified" for n in names},
         reason=reason,
         cov=cov[np.ix_(places, places)],
@@ -391,7 +397,7 @@ def identify_ordinary(
         whiteness=np.full(len(outputs), np.nan),
         noise=channel_noise(observed, outputs, aircraft.card.sensors.noise_std),
         method="equation error",
-        converged=True,
+        converged=determined,
         warnings=(),
         notes=(),
         simulations=len(views),
@@ -602,13 +608,21 @@ def _regress(
     fixed_variance = np.diag([fixed_terms[i] ** 2 for i in members if i in fixed_terms])
     cov += change @ fixed_variance @ change.T
     theta = initial[list(members)] + np.where(usable, delta / scale, 0.0)
-    return _Regression(theta, cov, rho)
+    white = np.sqrt(np.mean(residual**2) * np.diagonal(inverse)) / scale
+    eigenvalues = np.linalg.eigvalsh(fitted.T @ fitted)
+    rank = int(np.sum(eigenvalues > _SINGULAR * max(eigenvalues[-1], 1e-300)))
+    determined = rank == int(usable.sum()) and bool(np.isfinite(theta).all())
+    return _Regression(theta, cov, rho, np.where(usable, white, np.nan), determined)
+
+
+_SINGULAR = 1e-10
+"""Share of the largest eigenvalue below which a direction has no information."""
 
 
 def _solve(matrix: FloatArray, right: FloatArray) -> FloatArray:
     """Return matrix^-1 right for a symmetric matrix; directions without information get nothing."""
     values, vectors = np.linalg.eigh(matrix)
-    significant = values > 1e-10 * max(values[-1], 1e-300)
+    significant = values > _SINGULAR * max(values[-1], 1e-300)
     return np.asarray(
         (vectors[:, significant] / values[significant]) @ (vectors[:, significant].T @ right)
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -66,7 +67,27 @@ def test_intervals_hold_the_truth_and_grow_with_the_unexplained_share() -> None:
     quiet = _regress(_rolling(1, gust=0.05), "Cl", (0, 1), np.zeros(2))
     gusty = _regress(_rolling(1), "Cl", (0, 1), np.zeros(2))
     assert quiet.unexplained < gusty.unexplained
+    # White residuals and a correct model would give smaller errors.
+    assert np.all(gusty.white_std < np.sqrt(np.diagonal(gusty.cov)))
     assert quiet.cov[0, 0] < 0.5 * gusty.cov[0, 0]
+
+
+def test_terms_that_move_alike_are_not_determined() -> None:
+    data = _rolling(1)
+    assert _regress(data, "Cl", (0, 1), np.zeros(2)).determined
+    twin = replace(data, columns={0: data.columns[0], 1: [2.0 * data.columns[0][0]]})
+    assert not _regress(twin, "Cl", (0, 1), np.zeros(2)).determined
+
+
+def test_barometer_that_rises_with_airspeed_is_found() -> None:
+    record = _banking(1.0, 0.0, 1.0)
+    rng = np.random.default_rng(2)
+    rise = 0.2 * record["V_mps"] ** 2 / (2.0 * 9.80665)
+    height = 100.0 + rise + 0.1 * rng.normal(size=len(record))
+    errors = air_data_errors(record.with_columns({"h_m": height}))
+    (position,) = [e for e in errors if e.kind == "position"]
+    assert abs(position.value - 0.2) < 1.96 * position.std
+    assert position.std < 0.03
 
 
 def test_prior_and_data_combine_by_their_information() -> None:
