@@ -2,8 +2,9 @@
 
 Scale of the airspeed: V = s |ground velocity - wind|, in flight that turns through the wind. Scale
 and offset of angle of attack and sideslip: the measured angle against that of the motion through
-the mean wind. Each has a normal prior, and the scatter between blocks of time gives its standard
-error; a flight that does not determine an error leaves its prior.
+the mean wind. A late ground velocity is moved to the accelerations first. Each error has a normal
+prior, and the scatter between blocks of time gives its standard error; a flight that does not
+determine an error leaves its prior.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from scipy.optimize import least_squares
 from sysid.aerodynamics import smooth
 from sysid.arrays import FloatArray
 from sysid.logs import alpha_of, beta_of
+from sysid.logs.checking.kinematics import to_earth
 from sysid.record import FlightRecord
 from sysid.units import G0_MPS2
 
@@ -100,10 +102,16 @@ def air_data_errors(record: FlightRecord) -> list[AirDataError]:
     record : FlightRecord
         Flight; without ground velocity and heading the priors remain.
     """
+    late_s = velocity_lateness(record)
+    record, later = (_with_earlier_velocity(record, s) for s in (late_s, late_s + _LATE_STD_S))
     speed = _speed_scale(record)
     estimates = {("V_mps", "scale"): (speed[0], speed[1])}
     if np.isfinite(speed[1]) and "psi_rad" in record:
-        estimates |= _angle_errors(record, speed[2])
+        angles, others = (_angle_errors(r, speed[2]) for r in (record, later))
+        # A turn begins within a second: what a later velocity changes is an error too.
+        for key, (value, std) in angles.items():
+            change = others[key][0] - value if key in others and late_s else 0.0
+            estimates[key] = value, float(np.hypot(std, change))
     if (position := _position_error(record)) is not None:
         estimates["h_m", "position"] = position
     out = []
@@ -116,6 +124,54 @@ def air_data_errors(record: FlightRecord) -> list[AirDataError]:
         value, std = combine(value, std, prior)
         out.append(AirDataError(channel, kind, value, std, basis_of(std, prior[1])))
     return out
+
+
+def velocity_lateness(record: FlightRecord) -> float:
+    """Return how late the ground velocity follows the accelerations, s; 0 without these.
+
+    A satellite receiver holds and filters its velocity. The delay is the one at which the velocity
+    is nearest to the integral of the accelerations, apart from a drift in each block of time.
+    """
+    names = ("ax_mps2", "ay_mps2", "az_mps2", "phi_rad", "theta_rad", "psi_rad")
+    velocities = ("vn_mps", "ve_mps", "vd_mps")
+    if not all(n in record for n in (*names, *velocities)):
+        return 0.0
+    columns = {n: np.asarray(record[n], dtype=float) for n in (*names, *velocities)}
+    time_s, usable = record["time_s"], np.ones(len(record), dtype=bool)
+    for values in columns.values():
+        usable &= np.isfinite(values)
+    if usable.sum() < _MIN_SAMPLES * 5:
+        return 0.0
+    earth = to_earth(columns, np.stack([columns[n] for n in names[:3]]))
+    earth[2] += G0_MPS2
+    integral = np.cumsum(np.nan_to_num(earth), axis=1) * record.dt_s
+    block = _blocks(time_s)
+    lags = np.arange(0.0, _MAX_LATE_S, 0.02)
+    cost = np.zeros(len(lags))
+    for b in np.unique(block):
+        part = (block == b) & usable
+        if part.sum() < 0.5 * BLOCK_S / record.dt_s:
+            continue
+        t = time_s[part]
+        drift = np.column_stack([np.ones(len(t)), t - t.mean(), (t - t.mean()) ** 2])
+        q = np.linalg.qr(drift)[0]
+        for axis, name in enumerate(velocities):
+            for k, lag in enumerate(lags):
+                rest = np.interp(t + lag, time_s, columns[name]) - integral[axis][part]
+                rest -= q @ (q.T @ rest)
+                cost[k] += float(rest @ rest)
+    return float(lags[int(np.argmin(cost))]) if cost.any() else 0.0
+
+
+_MAX_LATE_S, _LATE_STD_S = 1.0, 0.04
+"""Largest delay of a ground velocity, and the error of its estimate, s."""
+
+
+def _with_earlier_velocity(record: FlightRecord, late_s: float) -> FlightRecord:
+    """Return the record with the ground velocity moved to earlier times."""
+    time_s = record["time_s"]
+    names = [n for n in ("vn_mps", "ve_mps", "vd_mps") if n in record and late_s]
+    return record.with_columns({n: np.interp(time_s + late_s, time_s, record[n]) for n in names})
 
 
 def _blocks(time_s: FloatArray) -> FloatArray:
@@ -171,10 +227,8 @@ def _position_error(record: FlightRecord) -> tuple[float, float] | None:
         return None
     path = np.cumsum(np.nan_to_num(climb)) * record.dt_s
     block = _blocks(record["time_s"][rows])
-    excess, columns = (h - path)[rows], []
-    for values in (speed**2 / (2.0 * G0_MPS2), climb):
-        columns.append(values[rows])
-    x, y = np.column_stack(columns), excess.copy()
+    x = np.column_stack([speed**2 / (2.0 * G0_MPS2), climb])[rows]
+    y = (h - path)[rows]
     for b in np.unique(block):
         part = block == b
         level = np.column_stack([np.ones(part.sum()), np.arange(part.sum())])

@@ -10,9 +10,16 @@ import numpy as np
 import pytest
 
 from sysid.arrays import FloatArray
+from sysid.logs.checking.kinematics import to_body
 from sysid.record import FlightRecord
 from uqharness.errors import BadInputError
-from uqharness.identification.air_data import air_data_errors, basis_of, combine, motion_angles
+from uqharness.identification.air_data import (
+    air_data_errors,
+    basis_of,
+    combine,
+    motion_angles,
+    velocity_lateness,
+)
 from uqharness.identification.ordinary import _regress, _RegressionData, _with_prior
 from uqharness.identification.prior import read_prior
 
@@ -77,6 +84,22 @@ def test_terms_that_move_alike_are_not_determined() -> None:
     assert _regress(data, "Cl", (0, 1), np.zeros(2)).determined
     twin = replace(data, columns={0: data.columns[0], 1: [2.0 * data.columns[0][0]]})
     assert not _regress(twin, "Cl", (0, 1), np.zeros(2)).determined
+
+
+def test_late_ground_velocity_is_moved_to_the_accelerations() -> None:
+    record = _banking(1.4, 0.03, 1.06)
+    t, names = record["time_s"], ("vn_mps", "ve_mps", "vd_mps")
+    earth = np.stack([np.gradient(record[n], DT_S) for n in names])
+    earth[2] -= 9.80665
+    force = to_body(record.columns, earth)
+    held = {n: np.interp(t - 0.5, t, record[n])[np.arange(len(t)) // 25 * 25] for n in names}
+    axes = {f"a{a}_mps2": force[k] for k, a in enumerate("xyz")}
+    late = record.with_columns({**held, **axes})
+    # Held for half a second, it is a quarter later still.
+    assert velocity_lateness(late) == pytest.approx(0.74, abs=0.06)
+    assert velocity_lateness(record.with_columns(axes)) == pytest.approx(0.0, abs=0.03)
+    scale = {(e.channel, e.kind): e for e in air_data_errors(late)}["alpha_rad", "scale"]
+    assert abs(scale.value - 1.4) < 1.96 * scale.std
 
 
 def test_barometer_that_rises_with_airspeed_is_found() -> None:
