@@ -9,6 +9,7 @@ from .checking.checks import check_units as check_units
 from .checking.checks import in_degrees as in_degrees
 from .checking.kinematics import Relation as Relation
 from .checking.kinematics import relate as relate
+from .checking.kinematics import to_earth as to_earth
 from .checking.physics import surely_late as surely_late
 from .dataflash_writer import write_dataflash as write_dataflash
 from .info import LogInfo as LogInfo

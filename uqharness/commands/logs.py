@@ -31,7 +31,7 @@ from uqharness.files import (
     write_text,
 )
 from uqharness.flight import playback_rows
-from uqharness.identification.air_data import air_data_errors
+from uqharness.identification import air_data_errors
 from uqharness.replay import read_flight
 from uqharness.report import write_html
 from uqharness.report.pages import log_page

@@ -1,3 +1,4 @@
+from .air_data import air_data_errors as air_data_errors
 from .bounds import BoundsOptions as BoundsOptions
 from .bounds import CutoffRow as CutoffRow
 from .bounds import MadeBounds as MadeBounds

@@ -16,8 +16,7 @@ from scipy.optimize import least_squares
 
 from sysid.aerodynamics import smooth
 from sysid.arrays import FloatArray
-from sysid.logs import alpha_of, beta_of
-from sysid.logs.checking.kinematics import to_earth
+from sysid.logs import alpha_of, beta_of, to_earth
 from sysid.record import FlightRecord
 from sysid.units import G0_MPS2
 

@@ -642,6 +642,8 @@ def _from_air_data(
     out = np.zeros((len(theta), len(theta)))
     place = {term: k for k, term in enumerate(terms)}
     for e in errors:
+        if e.kind == "position":  # of a barometer: no coefficient depends on it
+            continue
         change = np.zeros(len(theta))
         if e.channel == "V_mps":
             change = 2.0 * theta / e.value

@@ -20,7 +20,12 @@ from uqharness.identification.air_data import (
     motion_angles,
     velocity_lateness,
 )
-from uqharness.identification.ordinary import _regress, _RegressionData, _with_prior
+from uqharness.identification.ordinary import (
+    _from_air_data,
+    _regress,
+    _RegressionData,
+    _with_prior,
+)
 from uqharness.identification.prior import read_prior
 
 DT_S, L_P, L_DA = 0.02, -8.0, 3.0
@@ -111,6 +116,9 @@ def test_barometer_that_rises_with_airspeed_is_found() -> None:
     (position,) = [e for e in errors if e.kind == "position"]
     assert abs(position.value - 0.2) < 1.96 * position.std
     assert position.std < 0.03
+    # It says nothing about coefficients.
+    cov = _from_air_data(np.array([1.0]), ["0"], [position], {"alpha": 0.0, "beta": 0.0})
+    assert cov == pytest.approx(0.0)
 
 
 def test_prior_and_data_combine_by_their_information() -> None:
