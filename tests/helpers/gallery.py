@@ -1,21 +1,44 @@
-"""Small aircraft in the styles in which people publish theirs, each by three commands to a p-box."""
+"""The gallery of docs: small aircraft in others' styles, each by three commands to a p-box.
+
+``python -m tests.helpers.gallery [STYLE]...`` takes them (all: ten minutes of one core) and writes
+their rows of docs/gallery.md.
+"""
 
 from __future__ import annotations
 
+import argparse
 import json
 import math
 import subprocess
 import sys
+import tempfile
 import textwrap
 from dataclasses import dataclass
 from pathlib import Path
 
 import pandas as pd
 
-from tests.helpers.foreign_aircraft import SPEEDS_MPS, STYLES
+from tests.helpers import foreign_aircraft, foreign_styles
 from uqharness.simulator import SteadyCondition, find_aircraft, find_trim
 
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "gallery.md"
+STYLES = {**foreign_aircraft.STYLES, **foreign_styles.STYLES}
+SPEEDS_MPS = {**foreign_aircraft.SPEEDS_MPS, **foreign_styles.SPEEDS_MPS}
 ALTITUDE_M = 200.0
+DESCRIPTIONS = {
+    "single": "piston single; electrics, magnetos, starter and mixture in a system",
+    "glider": "glider with its tow as external force; no throttle",
+    "wing": "electric foam wing with elevons; throttle under another name",
+    "twin": "piston twin; FlightGear's levers compute JSBSim's commands",
+    "vtail": "electric V-tail; armed speed controller",
+    "jet": "business jet; hydraulics, control law, fuel cutoff",
+    "turboprop": "turboprop; condition lever, ground effect table, two tanks",
+    "retractable": "supercharged single; governor, fuel selector, gear, flaps, wing leveller",
+    "pusher": "electric flying wing, pusher; mixer and servos in a system at half rate",
+    "ducted": "ducted fan; exponential stick, gains by airspeed",
+    "contra": "racer with contra-rotating propellers on one lever",
+    "biplane": "biplane; pushback force, canopy, pedal mix, tail wheel",
+}
 BOUNDS = "CX=0.01,CY=0.01,CZ=0.05,Cl=0.001,Cm=0.01,Cn=0.001"
 CAMPAIGN = """[campaign]
 aircraft = "mine"
@@ -48,6 +71,16 @@ class Row:
     reason: str
     flights: int
     altitude_m: tuple[float, float]
+
+    def line(self) -> str:
+        """Return the row of the table."""
+        low, high = self.altitude_m
+        throttle = "" if self.style == "glider" else f"{self.throttle_pct:.0f} %"
+        engine = self.engine + (f": {self.reason}" if self.engine == "jsbsim" else "")
+        return (
+            f"| {self.style} | {DESCRIPTIONS[self.style]} | {SPEEDS_MPS[self.style]:.0f} m/s |"
+            f" {self.alpha_deg:.1f} deg | {throttle} | {low:.2f} to {high:.2f} m | {engine} |"
+        )
 
 
 def uqharness(folder: Path, *words: str) -> str:
@@ -96,3 +129,29 @@ def row_of(style: str, folder: Path) -> Row:
         len(cases),
         (float(errors.min()), float(errors.max())),
     )
+
+
+def main() -> None:
+    """Take the aircraft and write their rows into the page."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("style", nargs="*", choices=[*STYLES, []])
+    styles = parser.parse_args().style or list(STYLES)
+    for style in styles:
+        with tempfile.TemporaryDirectory() as name:
+            try:
+                line = take(style, Path(name)).line()
+            except RuntimeError as error:
+                print(style, error, flush=True)
+                continue
+        print(line, flush=True)
+        if not PAGE.is_file():
+            continue
+        lines = PAGE.read_text().splitlines()
+        for k, old in enumerate(lines):
+            if old.startswith(f"| {style} |"):
+                lines[k] = line
+        PAGE.write_text("\n".join(lines) + "\n")
+
+
+if __name__ == "__main__":
+    main()

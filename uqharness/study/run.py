@@ -313,15 +313,15 @@ def run_chain(
             raise
         except _StageError as failure:
             # Any other error ends the study; the finished stages stay.
-            stage, error = stages[failure.number], failure.error
-            record.update_stage(failure.number, state="failed", exit=2, error=str(error))
+            stage, cause = stages[failure.number], failure.error
+            record.update_stage(failure.number, state="failed", exit=2, error=str(cause))
             record.update(state="failed")
             with contextlib.suppress(BadInputError):
                 record.save()
-            if isinstance(error, BadInputError):
-                lines = f"stage {stage.name}: {error}".split("\n")
+            if isinstance(cause, BadInputError):
+                lines = f"stage {stage.name}: {cause}".split("\n")
                 raise BadInputError(*lines, f"  the stage alone: {stage.command}") from None
-            raise error from None
+            raise cause from None
         names = {stage.name for stage in stages}
         if {f"campaign-{BEFORE}", f"campaign-{AFTER}"} <= names:
             pair = Pair(before=f"campaign-{BEFORE}", after=f"campaign-{AFTER}")

@@ -167,6 +167,16 @@ def test_three_commands_lead_to_a_p_box(style, tmp_path):
     assert row.engine == "batch" or row.reason
 
 
+def test_the_gallery_has_a_row_for_each_aircraft():
+    rows = [line.split("|") for line in gallery.PAGE.read_text().splitlines() if "m/s |" in line]
+    assert [row[1].strip() for row in rows] == list(gallery.STYLES)
+    for row in rows:
+        style = row[1].strip()
+        assert row[2].strip() == gallery.DESCRIPTIONS[style]
+        assert float(row[3].split()[0]) == gallery.SPEEDS_MPS[style]
+        assert row[7].split(":")[0].strip() in ("", "batch", "jsbsim")
+
+
 @pytest.fixture
 def foam(tmp_path):
     """Return an electric foam wing with JSBSim's throttle, whose moments feel rates of incidence."""
