@@ -52,7 +52,7 @@ from .tuned import DISAGREES as DISAGREES
 from .tuned import EARNED as EARNED
 from .tuned import FAR as FAR
 from .tuned import GUST_LIMIT as GUST_LIMIT
-from .tuned import GUST_ODDS as GUST_ODDS
+from .tuned import GUST_PENALTY as GUST_PENALTY
 from .tuned import OVERWHELMING as OVERWHELMING
 from .tuned import QUIETER as QUIETER
 from .tuned import RESOLVED_ROWS as RESOLVED_ROWS

@@ -15,7 +15,7 @@ import numpy as np
 
 from sysid.aerodynamics import COEFFICIENTS
 from sysid.arrays import FloatArray
-from sysid.effects.tuned import ODDS
+from sysid.effects.tuned import PENALTY
 from sysid.errors import LogError
 from sysid.foreign.regular_files import ParseError, parse_toml, read_regular_text
 
@@ -183,16 +183,17 @@ HALE = "Hale (2016), section 2.7.2"
 class Effect:
     """One candidate.
 
-    coefficient  CX..Cn, or None where ``subsystem`` (stall, actuator.<surface>, propulsion, mass,
-    sensor.<channel>, ground) counts
-    term         text of the term, or the subsystem's own word (lag, thrust_scale, Ixz ...) name,
-    physics, regime, sign, reference  words for an engineer; sign: what is usual, "" where either is
-    unit         of the value
-    positive     whether only a positive value is physics: no sensor is early, no servo faster than
-    its command (one with a lag
-                 in the XML may be faster than that)
-    odds         what the candidate must explain more than a plain one, in units of 2 ln L: 0 for
-    what every textbook lists"""
+    coefficient : CX..Cn, or None for an effect of a ``subsystem``
+    subsystem : stall, actuator.<surface>, propulsion, mass, sensor.<channel> or ground
+    term : text of the term, or what is missing in the subsystem (lag, thrust_scale, Ixz ...)
+    name, physics, regime, sign, reference : sentences for an engineer; ``sign`` is the usual sign,
+        empty if either is usual
+    unit : of the value
+    penalty : gain in 2 ln L required of the candidate beyond that of a plain one; 0 for effects
+        that every textbook lists
+    positive : whether only a positive value is possible: no sensor is early, and no servo faster
+        than its command (one with a lag in the XML may be faster than that)
+    """
 
     coefficient: str | None
     subsystem: str | None
@@ -203,7 +204,7 @@ class Effect:
     sign: str = ""
     reference: str = ""
     unit: str = "1"
-    odds: float = 0.0
+    penalty: float = 0.0
     positive: bool = False
 
     @property
@@ -531,7 +532,7 @@ def read_effects(path: Path) -> list[Effect]:
             )
         numbers[effect.key] = number
         texts = {k: text for k, text in row.items() if text and k not in ("coefficient", "term")}
-        out.append(replace(effect, odds=0.0, **texts))
+        out.append(replace(effect, penalty=0.0, **texts))
     return out
 
 
@@ -637,10 +638,26 @@ _AIRCRAFT = (
 
 
 def _effect(
-    subsystem: str, term: str, name: str, physics: str, regime: str, unit: str, odds: float = ODDS
+    subsystem: str,
+    term: str,
+    name: str,
+    physics: str,
+    regime: str,
+    unit: str,
+    penalty: float = PENALTY,
 ) -> Effect:
     return Effect(
-        None, subsystem, term, name, physics, regime, "", JATEGAONKAR, unit, odds, term in _POSITIVE
+        None,
+        subsystem,
+        term,
+        name,
+        physics,
+        regime,
+        "",
+        JATEGAONKAR,
+        unit,
+        penalty,
+        term in _POSITIVE,
     )
 
 
@@ -684,7 +701,7 @@ def subsystem_effects(
                 "s/deg",
             ),
         ]
-    any_, abrupt, double_odds = "all manoeuvres", "abrupt manoeuvres", 2.0 * ODDS
+    any_, abrupt, double_penalty = "all manoeuvres", "abrupt manoeuvres", 2.0 * PENALTY
     for c in channels:
         short, unit = c.split("_")
         physics = "position error or upwash at the sensor" if c in _WIND else "calibration"
@@ -696,7 +713,7 @@ def subsystem_effects(
                 physics,
                 any_,
                 "1",
-                double_odds,
+                double_penalty,
             )
         )
         if short not in ("p", "q", "r"):
@@ -709,7 +726,7 @@ def subsystem_effects(
                     physics,
                     any_,
                     unit,
-                    double_odds,
+                    double_penalty,
                 )
             )
     if {"ax_mps2", "ay_mps2", "az_mps2"} & set(channels):
@@ -722,7 +739,7 @@ def subsystem_effects(
                 physics,
                 abrupt,
                 "m",
-                double_odds,
+                double_penalty,
             )
             for axis, way in (("x", "forward"), ("y", "right"), ("z", "down"))
         ]
@@ -738,18 +755,18 @@ def subsystem_effects(
                 physics,
                 abrupt,
                 "m",
-                double_odds,
+                double_penalty,
             )
         )
     late = [
-        (c, "sensor late", "filtering and transport of the signal", double_odds) for c in delays
+        (c, "sensor late", "filtering and transport of the signal", double_penalty) for c in delays
     ]
     late += [
         (
             c,
             "alone late",
             "filtered otherwise than the other channels of its sensor",
-            2.0 * double_odds,
+            2.0 * double_penalty,
         )
         for c in parts
     ]
@@ -761,7 +778,7 @@ def subsystem_effects(
             physics,
             "fast manoeuvres",
             "s",
-            odds,
+            penalty,
         )
-        for c, name, physics, odds in late
+        for c, name, physics, penalty in late
     ]

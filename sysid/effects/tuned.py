@@ -40,7 +40,7 @@ STANDS = 0.5
 """Tolerance, in standard errors, of values that JSBSim reads once."""
 GUST_LIMIT = 6.0
 """|t| required in turbulence, where the spectrum of the air is a model as well."""
-GUST_ODDS = 30.0
+GUST_PENALTY = 30.0
 """Additional gain required of candidates that a slightly wrong gust model resembles: rates of the
 wind angles, sensors, servos, masses."""
 RESOLVED_ROWS = 0.01
@@ -61,6 +61,6 @@ aircraft, or faulty flights."""
 DISAGREES = 0.12
 """Share of samples outside the 95 % interval above which a region is reported: that of residuals a
 quarter larger than allowed."""
-ODDS = 1.0
+PENALTY = 1.0
 """Additional gain required of effects that are no coefficient term: a part of the aircraft once, a
 sensor twice, one channel of a sensor four times. It decides between candidates of equal gain."""

@@ -176,7 +176,7 @@ class SelectionStep:
 
 
 @dataclass(frozen=True)
-class Selection:
+class ParameterSelection:
     """Regressors chosen by `sysid.stepwise`.
 
     Attributes

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from sysid.arrays import FloatArray, as_names
 from sysid.distributions import f_upper_quantile
 from sysid.estimation.equation_error import checked_regressors, equation_error, segment_edges
-from sysid.estimation.results import Regression, Selection, SelectionStep
+from sysid.estimation.results import ParameterSelection, Regression, SelectionStep
 
 ALPHA_ENTER = 0.01
 """Level of the F test to enter, divided by the number of candidates."""
@@ -39,7 +39,7 @@ def stepwise(
     f_remove: float | None = None,
     segments: Sequence[int] | None = None,
     max_terms: int | None = None,
-) -> Selection:
+) -> ParameterSelection:
     """Choose columns of X to model y; deterministic, ties go to the lower index.
 
     A constant is a candidate like any other, if X has a column of ones; force it by `keep`.
@@ -137,7 +137,7 @@ def stepwise(
             break
         visited.add(tuple(chosen))
     final = data.fit(chosen) if chosen else None
-    return Selection(
+    return ParameterSelection(
         names=tuple(labels[index] for index in chosen),
         selected=chosen,
         theta=final.theta if final else np.zeros(0),

@@ -21,7 +21,7 @@ from .fit import missing_terms as missing_terms
 from .fit import noise_floor as noise_floor
 from .fit import with_noise as with_noise
 from .fit import with_walk_rates as with_walk_rates
-from .information_gain import Information as Information
+from .information_gain import BoundInformation as BoundInformation
 from .information_gain import Offer as Offer
 from .information_gain import Width as Width
 from .information_gain import asymptotic as asymptotic

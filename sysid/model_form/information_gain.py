@@ -38,7 +38,7 @@ _MAX_STATES = 400
 
 
 @dataclass(frozen=True)
-class Information:
+class BoundInformation:
     """Information of some data on one coefficient.
 
     Attributes
@@ -75,7 +75,7 @@ class Width:
 
 def information(
     bounds: CoefficientBounds, states: Mapping[str, FloatArray], weight: float = 1.0
-) -> Information:
+) -> BoundInformation:
     """Compute the information of data at states (n,).
 
     Parameters
@@ -101,11 +101,11 @@ def information(
     x = stack(states, bounds.states)
     # States are not clamped here: clamping applies when an interval is used, not when it is made.
     z = regressors((x - bounds.centre) / bounds.scale, bounds.terms)
-    return Information(weight * (z.T @ z), weight * len(z), x.min(axis=0), x.max(axis=0))
+    return BoundInformation(weight * (z.T @ z), weight * len(z), x.min(axis=0), x.max(axis=0))
 
 
 def with_more_data(
-    bounds: CoefficientBounds, additional: Sequence[Information], scatter: float = 1.0
+    bounds: CoefficientBounds, additional: Sequence[BoundInformation], scatter: float = 1.0
 ) -> CoefficientBounds:
     """Predict the interval with additional data, except for beta, which is unknown.
 
@@ -357,7 +357,7 @@ class Offer:
 
     group: str
     seconds: float
-    information: Information
+    information: BoundInformation
 
 
 @dataclass(frozen=True)

@@ -139,7 +139,8 @@ def initialise_lanes(lanes: LaneMission, specs: Sequence[FlightSpec]) -> Initial
     }
     # Without an air system JSBSim initialises with its own wind; the flight's wind follows.
     wind, flight_wind = (
-        np.array([getattr(one, field) for one in loaded]) for field in ("wind_fps", "blown_fps")
+        np.array([getattr(one, field) for one in loaded])
+        for field in ("wind_fps", "flight_wind_fps")
     )
     # With engines there is a third initialising frame, after their steady state.
     noise = {

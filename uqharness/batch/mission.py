@@ -71,7 +71,7 @@ class LoadedStart:
         Mass and start properties that differ from the aircraft's.
     wind_fps : tuple
         Steady wind (north, east, down) of JSBSim's initial conditions.
-    blown_fps : tuple
+    flight_wind_fps : tuple
         Steady wind of the flight, if JSBSim and not the air system applies it.
     """
 
@@ -79,7 +79,7 @@ class LoadedStart:
     settings: Mapping[str, float]
     static: Mapping[str, float]
     wind_fps: tuple[float, ...]
-    blown_fps: tuple[float, ...]
+    flight_wind_fps: tuple[float, ...]
 
 
 @dataclass(frozen=True)

@@ -21,10 +21,10 @@ from sysid.aerodynamics import COEFFICIENTS, Cutoffs, Residuals, combine_flights
 from sysid.arrays import FloatArray
 from sysid.foreign.regular_files import file_sha256
 from sysid.model_form import (
+    BoundInformation,
     CoefficientBounds,
     Design,
     FitOptions,
-    Information,
     MissingTerm,
     ModelForm,
     Offer,
@@ -157,7 +157,7 @@ def prospects(
         gained = [information(bounds, simulated.states, weight)]
         share = new_s / data_s if data_s > 0.0 else math.nan
         # Repeating the old manoeuvres multiplies their normal matrix by the ratio of flight times.
-        repeated_information = Information(
+        repeated_information = BoundInformation(
             np.asarray(share * np.linalg.inv(bounds.XtX_inv)),
             share * bounds.n,
             bounds.hull.low,

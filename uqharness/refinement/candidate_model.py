@@ -72,6 +72,7 @@ class SearchContext:
     data, baseline : the train flights, and the fit of the model without effects
     parameters : names of the properties that are estimated
     effects : candidates by key
+    bounds : lowest and highest value of each parameter
     limit : |t| required of an effect
     cost : minus twice the log likelihood of the baseline
     """
@@ -80,7 +81,7 @@ class SearchContext:
     baseline: Linearisation
     parameters: tuple[str, ...]
     effects: Mapping[str, Effect]
-    limits: Limits
+    bounds: Limits
     limit: float
     cost: float
     estimator: Estimator
@@ -92,7 +93,7 @@ class SearchContext:
 
     def criterion(self, cost: float, keys: Sequence[str]) -> float:
         """Penalised likelihood: a model's cost, and what each of its effects must earn."""
-        return cost + sum(self.effects[k].odds + EARNED * self.limit**2 for k in keys)
+        return cost + sum(self.effects[k].penalty + EARNED * self.limit**2 for k in keys)
 
     def required_gains(
         self, free: Sequence[str], information: Information, keys: Sequence[str] = ()
@@ -250,7 +251,7 @@ class AircraftFitter:
                 replace(context.baseline.trajectory.point, effects=values),
             )
             with StagedModels(staged, data) as bench:
-                fit = context.estimator.fit(bench, data, starts, names, context.limits, self.pool)
+                fit = context.estimator.fit(bench, data, starts, names, context.bounds, self.pool)
             return assess(context, fit, values)
         except np.linalg.LinAlgError:
             return None
@@ -272,7 +273,7 @@ class AircraftFitter:
         names = [n for n in context.parameters if n in point.values]
         with StagedModels(staged, data) as bench:
             trajectory = fit_output_error(
-                bench.model, data, point, names, context.limits, self.pool
+                bench.model, data, point, names, context.bounds, self.pool
             )
             # The concentrated likelihood and this cost, of fixed noise, differ a little at the
             # optimum.
@@ -320,7 +321,7 @@ def joint_point(context: SearchContext, about: CandidateModel, keys: Sequence[st
     step = dict(zip(context.free, changes, strict=True))
     values = {n: point.values.get(n, v) for n, v in baseline.values.items()}
     start = replace(baseline, values=values, nuisance=point.nuisance)
-    shifted = stepped(context.data, start, step, context.limits)
+    shifted = stepped(context.data, start, step, context.bounds)
     delta[information.index(list(about.values))] -= [*about.values.values()]
     return replace(shifted, starts=moved_starts(point.starts, information.white, delta))
 

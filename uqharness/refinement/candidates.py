@@ -71,7 +71,7 @@ def candidate_effects(
 def eligible(
     effects: Sequence[Effect], data: FlightData, free: Sequence[str], information: Information
 ) -> dict[str, float]:
-    """Key -> odds of the candidates worth scoring beside the columns ``free``.
+    """Key -> penalty of the candidates worth scoring beside the columns ``free``.
 
     Left out are candidates of which the flights hold no information of their own, those of the
     impossible sign, and times that a replay cannot resolve.
@@ -80,7 +80,7 @@ def eligible(
     result = scores(information, free, [e.key for e in present])
     rows = zip(present, result.estimate.tolist(), result.share, strict=True)
     return {
-        e.key: e.odds
+        e.key: e.penalty
         for e, estimate, share in rows
         if share > 0.0 and _has_possible_sign(e, estimate, data) and _is_resolved(e, estimate, data)
     }

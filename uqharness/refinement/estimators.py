@@ -21,7 +21,7 @@ from sysid.effects import (
     CERTAIN_T,
     DIFFERENT,
     GUST_LIMIT,
-    GUST_ODDS,
+    GUST_PENALTY,
     OVERWHELMING,
     QUIETER,
     Columns,
@@ -259,12 +259,12 @@ class ReplayEstimator:
         return None
 
     def is_coloured(self, data: FlightData) -> bool:
-        """Only an autopilot's estimates are coloured in calm air."""
+        """Return whether a channel is an autopilot's estimate: only these are coloured."""
         return bool(data.late)
 
     def required_gain(self, effect: Effect) -> float:
-        """The effect's own odds."""
-        return effect.odds
+        """Return the penalty of the effect."""
+        return effect.penalty
 
     def threshold(
         self, information: Information, free: Sequence[str], candidates: Sequence[str]
@@ -384,16 +384,16 @@ class PredictionErrorEstimator:
                 return self.turbulence.in_other(speeds, [s.flight for s in data.segments])
 
     def is_coloured(self, data: FlightData) -> bool:
-        """Predictions are as coloured as the gust model is wrong."""
+        """Return True: an imperfect gust model colours the predictions."""
         return True
 
     def required_gain(self, effect: Effect) -> float:
-        """The effect's own odds, and those of what a slightly wrong gust model looks like."""
+        """Return the effect's penalty, larger for effects that resemble an imperfect gust model."""
         subsystem = effect.subsystem or ""
         like_gusts = depends_on_wind_rates(effect) or subsystem.startswith(
             ("sensor.", "actuator.", "mass")
         )
-        return effect.odds + GUST_ODDS * like_gusts
+        return effect.penalty + GUST_PENALTY * like_gusts
 
     def threshold(
         self, information: Information, free: Sequence[str], candidates: Sequence[str]

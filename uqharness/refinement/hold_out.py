@@ -54,12 +54,12 @@ from uqharness.refinement.evaluation import (
     excess_residuals,
     with_replays,
 )
-from uqharness.results.refinement import Gap
+from uqharness.results.refinement import HoldOutVerdict
 from uqharness.simulator import Aircraft
 
 Write = Callable[[SearchResult], Aircraft]
 """Writes a model as an aircraft in a folder of its own."""
-CANNOT_TELL: Gap = "cannot tell"
+CANNOT_TELL: HoldOutVerdict = "cannot tell"
 BLOCK_S = 2.0
 """Residuals this far apart count as independent."""
 BEYOND_CHANCE = 1.645
@@ -73,15 +73,15 @@ class Verdict:
     change : rise of minus twice the log likelihood without the effect; std: its standard error
     residual_ratio : rms of the better model's residuals over noise, relative to the train flights
     excess_t2 : t^2 of both sides together, less the square of the required limit
-    between : sum of squares of what is between both models' predictions, whitened; and that of the
-        model without the effect less that of the model with it
+    difference_ss : sum of squares of the difference of both models' predictions, whitened; and the
+        residual sum of squares without the effect less that with it
     """
 
     change: float
     std: float
     residual_ratio: float = 1.0
     excess_t2: float = np.inf
-    between: tuple[float, float] = (0.0, 0.0)
+    difference_ss: tuple[float, float] = (0.0, 0.0)
 
     @property
     def share(self) -> tuple[float, float]:
@@ -90,7 +90,7 @@ class Verdict:
         With residuals a without and b with the effect and d = a - b, the share is
         a.d / d.d = (1 + (a.a - b.b) / d.d) / 2. NaN where the models are the same.
         """
-        size, fall = self.between
+        size, fall = self.difference_ss
         return (0.5 + 0.5 * fall / size, 0.5 * self.std / size) if size > 0.0 else (np.nan, np.nan)
 
     @property
@@ -105,7 +105,7 @@ class Verdict:
         return self.change / self.std if self.std > 0.0 else 0.0
 
     @property
-    def gap(self) -> Gap:
+    def gap(self) -> HoldOutVerdict:
         """Whether the residual shrank or grew with the effect; "cannot tell" where chance gives as
         much; "too far" where the flights judge neither model.
         """

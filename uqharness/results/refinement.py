@@ -65,7 +65,7 @@ class Evidence(Part):
     )
 
 
-Gap = Literal["shrank", "grew", "cannot tell", "too far"]
+HoldOutVerdict = Literal["shrank", "grew", "cannot tell", "too far"]
 
 
 class HoldOutTest(Part):
@@ -75,7 +75,7 @@ class HoldOutTest(Part):
         description="change of twice the log likelihood of the hold-out flights"
     )
     std: Number = Field(description="standard error of the change")
-    gap: Gap = Field(description="whether the residual of the hold-out flights shrank")
+    gap: HoldOutVerdict = Field(description="whether the residual of the hold-out flights shrank")
     rms_over_that_of_train: Number = Field(
         default=0.0, description="rms of the hold-out residual over that of the train flights"
     )

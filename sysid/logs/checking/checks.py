@@ -79,7 +79,7 @@ AXES = (
 
 
 @dataclass(frozen=True)
-class Effect:
+class SurfaceEffect:
     """Effect of a surface on the angular acceleration.
 
     Attributes
@@ -110,7 +110,7 @@ class Effect:
         )
 
 
-def effect(record: FlightRecord, axis: Axis) -> Effect | None:
+def effect(record: FlightRecord, axis: Axis) -> SurfaceEffect | None:
     """Estimate the effect of a surface on its axis.
 
     Returns
@@ -231,7 +231,7 @@ def _parts(record: FlightRecord, names: tuple[str, ...], dt: float) -> list[dict
 
 def _regress(
     rows: list[dict[str, FloatArray]], column: str, covariates: tuple[str, ...], lag: int, dt: float
-) -> Effect | None:
+) -> SurfaceEffect | None:
     """Regress with the surface ``lag`` samples earlier.
 
     Standard errors are cluster-robust over blocks of seconds (Liang and Zeger 1986).
@@ -265,7 +265,9 @@ def _regress(
     sums = np.zeros(count)
     np.add.at(sums, block, surface * (acceleration - slope * surface))
     std = math.sqrt(float(sums @ sums) * count / (count - 2.0)) / power
-    return Effect(slope, std, lag * dt, slope**2 * power / float(acceleration @ acceleration))
+    return SurfaceEffect(
+        slope, std, lag * dt, slope**2 * power / float(acceleration @ acceleration)
+    )
 
 
 _GUIDANCE = frozenset({"h_demand_m", "V_demand_mps", "cross_track_m"})

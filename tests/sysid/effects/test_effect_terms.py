@@ -49,11 +49,14 @@ def test_values_of_terms():
     assert parse("1/h_over_b").values(found) == pytest.approx([0.5, 0.25])
 
 
-def test_left_and_right_decide_the_odds():
+def test_left_and_right_decide_the_penalty():
     assert not parse("p_hat^2").odd_lateral
     assert parse("alpha*beta").odd_lateral
     assert not parse("abs(beta)").odd_lateral
-    assert coefficient_effect("Cm", "p_hat^2").odds < coefficient_effect("Cm", "alpha*p_hat").odds
+    assert (
+        coefficient_effect("Cm", "p_hat^2").penalty
+        < coefficient_effect("Cm", "alpha*p_hat").penalty
+    )
 
 
 def test_the_catalogue_is_complete_and_without_doubles():

@@ -249,14 +249,16 @@ def test_beside_an_overwhelming_effect_that_has_flown_a_weak_one_is_asked_no_mor
     rng = np.random.default_rng(8)
     strong, weak, own = drawn(rng), drawn(rng), drawn(rng)
     columns = {"strong": strong, "weak": weak, "own": own}
-    odds = dict.fromkeys(columns, 0.0)
+    penalty = dict.fromkeys(columns, 0.0)
     both = evidence(columns, 3.0 * strong + 5.5 / np.sqrt(np.sum(weak**2)) * weak + drawn(rng))
-    assert [c.key for c in select(both, [], odds, decisive_t=15.0).chosen] == ["strong"]
-    assert {c.key for c in select(both, [], odds, chosen=["strong"], decisive_t=15.0).chosen} == {
+    assert [c.key for c in select(both, [], penalty, decisive_t=15.0).chosen] == ["strong"]
+    assert {
+        c.key for c in select(both, [], penalty, chosen=["strong"], decisive_t=15.0).chosen
+    } == {
         "strong",
         "weak",
     }
     noise = evidence(columns, 3.0 * strong + drawn(rng))
     assert [
-        c.key for c in select(noise, [], odds, chosen=["strong", "weak"], decisive_t=15.0).chosen
+        c.key for c in select(noise, [], penalty, chosen=["strong", "weak"], decisive_t=15.0).chosen
     ] == ["strong"]

@@ -128,7 +128,7 @@ def test_a_time_below_what_rows_resolve_is_no_effect_though_it_was_flown():
     evidence = normal_equations([white], ["aero/Cm_q", *keys], [0], {})
     setup = SimpleNamespace(segments=[SimpleNamespace(dt_s=DT)], late={}, servos={})
     units = zip(keys, ("s", "1"), strict=True)
-    effects = {k: SimpleNamespace(key=k, unit=u, positive=False, odds=0.0) for k, u in units}
+    effects = {k: SimpleNamespace(key=k, unit=u, positive=False, penalty=0.0) for k, u in units}
 
     def kept(late_s: float) -> list[str]:
         chosen = tuple(
@@ -169,7 +169,7 @@ def test_a_time_too_short_to_be_named_stands_beside_the_effect_that_it_may_be(
     setup = SimpleNamespace(segments=[SimpleNamespace(dt_s=DT)], late={}, servos={})
     effects = [
         SimpleNamespace(
-            key=k, unit=u, positive=positive, odds=0.0, subsystem=of, term=k.rpartition("/")[2]
+            key=k, unit=u, positive=positive, penalty=0.0, subsystem=of, term=k.rpartition("/")[2]
         )
         for k, u, of in ((term, "1", None), (delay, "s", "actuator.elevator"))
     ]

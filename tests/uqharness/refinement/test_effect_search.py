@@ -81,7 +81,9 @@ def test_an_effect_below_the_limit_stays_out_and_the_criterion_decides():
     context, _ = truth.context(3.5)
     assert named.model.criterion < context.cost
     assert named.model.criterion == pytest.approx(
-        named.model.fit.trajectory.cost + 0.6 * 3.5**2 + context.effects["effect/Cm/alpha^2"].odds
+        named.model.fit.trajectory.cost
+        + 0.6 * 3.5**2
+        + context.effects["effect/Cm/alpha^2"].penalty
     )
 
 

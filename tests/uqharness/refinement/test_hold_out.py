@@ -155,7 +155,9 @@ def test_more_than_half_of_an_estimate_is_an_effect_that_is_seen(share, std, see
     """
     size = 1e4
     verdict = Verdict(
-        size * (2.0 * share - 1.0), 2.0 * size * std, between=(size, size * (2.0 * share - 1.0))
+        size * (2.0 * share - 1.0),
+        2.0 * size * std,
+        difference_ss=(size, size * (2.0 * share - 1.0)),
     )
     assert verdict.share == pytest.approx((share, std))
     assert verdict.is_visible == seen

@@ -56,8 +56,8 @@ def test_candidates_hold_each_channel_of_a_sensor_but_none_where_logs_estimate_d
 
 
 def test_a_channel_alone_must_explain_more_than_its_sensor():
-    odds = {e.key: e.odds for e in subsystem_effects([], [], ["rates"], ["p_radps"])}
-    assert odds["effect/sensor.p_radps/delay"] > odds["effect/sensor.rates/delay"]
+    penalty = {e.key: e.penalty for e in subsystem_effects([], [], ["rates"], ["p_radps"])}
+    assert penalty["effect/sensor.p_radps/delay"] > penalty["effect/sensor.rates/delay"]
 
 
 def test_vanes_ahead_of_the_centre_of_gravity_see_its_velocity_and_the_rotation():
