@@ -46,7 +46,7 @@ def test_parameters_and_start_states_move_with_the_effects():
         data=SimpleNamespace(active=(), carriers={}, nuisance=(), jumping=()),
         baseline=SimpleNamespace(trajectory=SimpleNamespace(point=plain)),
         free=["aero/a"],
-        limits={},
+        bounds={},
     )
     result = joint_point(context, about, ["effect/one"])  # type: ignore[arg-type]
     assert result.values == pytest.approx({"aero/a": 12.0, "aero/b": 7.0}, abs=1e-5)
