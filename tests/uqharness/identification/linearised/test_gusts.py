@@ -360,113 +360,6 @@ def test_noise_that_no_filter_can_follow_is_not_the_likeliest(monkeypatch):
     assert found.factors[0] == pytest.approx(np.exp(-1.0), rel=0.05)
 
 
-def some_air(strength=1.0, air=True, flights=("one",)):
-    own = dict.fromkeys(flights)
-    return SimpleNamespace(
-        states=None, process=None, values=np.array([strength]), air=air, by_flight=own
-    )
-
-
-def iterated(monkeypatch, steps, strengths=(1.0,), quieter=(1.0,), air=True, **asked):
-    """`gust_refit` on steps (delta, length) that are given, whose searches find gusts of given
-    strengths and factors on the noise, the last of them again and again: the strengths that the air
-    was sought from, None for from the beginning, and the steps taken."""
-    queue, sought, taken, paths = iter(steps), [], [], []
-
-    def predict(*a):
-        paths.append(a[5])
-        return SimpleNamespace(point=None), [SimpleNamespace(body=f"path {len(paths)}")]
-
-    def search(setup, steps, near, tune):
-        sought.append(None if near is None else float(near.values[0]))
-        k = len(sought) - 1
-        factor = quieter[min(k, len(quieter) - 1)] if tune else 1.0
-        return some_air(strengths[min(k, len(strengths) - 1)], air), np.array([factor])
-
-    evidence = SimpleNamespace(
-        names=("aero/Cm_q",),
-        step=lambda held: (lambda d, length: (np.array([d]), length))(*next(queue)),
-        total=(np.eye(1), None),
-    )
-    linear = SimpleNamespace(all=lambda states: [], measured=[])
-    columns = [SimpleNamespace(names=("aero/Cm_q",))]
-    for name, instead in {
-        "predict": predict,
-        "with_properties": lambda *a: (a[2], ("aero/Cm_q",)),
-        "_Linear": lambda *a: linear,
-        "predicted": lambda *a: (a[1], a[2]),
-        "parameter_columns": lambda *a: columns,
-        "follow": lambda *a: [],
-        "whitened": lambda *a: [],
-        "normal_equations": lambda *a: evidence,
-        "replace": lambda x, **_: x,
-        "with_jumps": lambda setup, _: setup,
-        "as_measured": lambda setup, path, before, after: path,
-        "_air": search,
-        "stepped": lambda setup, point, step, limits: taken.append(step["aero/Cm_q"]) or point,
-        "Linearisation": lambda *a: None,
-    }.items():
-        monkeypatch.setattr(refine_gusts, name, instead)
-    setup = SimpleNamespace(
-        active=(),
-        fixed_effects=(),
-        lower_bounds={},
-        jumping=(),
-        late={},
-        noise=np.ones(1),
-        output_rows=[0],
-        segments=[SimpleNamespace(flight="one")],
-        properties=lambda point: {},
-    )
-    refine_gusts.gust_refit(None, None, setup, SimpleNamespace(), ["aero/Cm_q"], {}, map, **asked)  # type: ignore[arg-type]
-    return sought, taken, paths
-
-
-def test_the_air_is_sought_about_predictions_and_where_it_is_known_not_at_all(monkeypatch):
-    near = [(1.0, 0.1)] * 9
-    assert iterated(monkeypatch, near)[0] == [None, 1.0]
-    assert iterated(monkeypatch, near, prior_model=some_air())[0] == [1.0]
-    assert iterated(monkeypatch, near, prior_model=some_air(), fixed_air=True)[0] == []
-    # Air of other flights is none to filter these with.
-    assert iterated(monkeypatch, near, prior_model=some_air(6.0, flights=("two",)))[0] == [6.0, 1.0]
-
-
-def test_the_air_is_sought_anew_where_estimates_have_moved_since(monkeypatch):
-    """By more than three standard errors in all, or it is what it was."""
-    little = [(1.0, 2.0), (1.0, 2.0), (1.0, 0.9), (1.0, 0.1)]
-    sought, taken, _ = iterated(monkeypatch, little, prior_model=some_air(6.0))
-    assert sought == [6.0]
-    assert len(taken) == 3
-    far = [(1.0, 2.0), (1.0, 2.0), (1.0, 1.1), (1.0, 0.1), (1.0, 0.1)]
-    assert iterated(monkeypatch, far, prior_model=some_air(6.0))[0] == [6.0, 1.0]
-    # A fit does not end in air that was sought elsewhere.
-    back = [(1.0, 2.0), (1.0, 4.0), (1.0, 0.1), (1.0, 0.1)]
-    assert iterated(monkeypatch, back, prior_model=some_air(6.0))[0] == [6.0, 1.0]
-
-
-def test_what_is_no_air_is_not_followed_further(monkeypatch):
-    assert iterated(monkeypatch, [(1.0, 9.0)], air=False)[0] == [None]
-
-
-def test_far_from_what_the_parameters_want_the_air_waits(monkeypatch):
-    """What parameters will explain would be taken for gusts; where steps do not become small, it is
-    sought all the same.
-    """
-    steps = [(1.0, 9.0), (1.0, 8.0), (1.0, 4.0), (1.0, 0.1), (1.0, 0.1)]
-    assert iterated(monkeypatch, steps, strengths=(5.0, 5.0))[0] == [None, 5.0]
-    assert iterated(monkeypatch, steps, strengths=(5.0, 5.0), prior_model=some_air())[0] == [1.0]
-    hasty = [*[(1.0, 9.0)] * 6, *[(1.0, 0.1)] * 4]
-    assert iterated(monkeypatch, hasty, strengths=(5.0, 2.0, 2.0))[0] == [None, 5.0, 2.0]
-
-
-def test_a_fit_ends_about_its_own_predictions(monkeypatch):
-    """The measured flight has seen what comes: it serves to begin with, however small the first
-    step is.
-    """
-    paths = iterated(monkeypatch, [(1.0, 0.1)] * 9, prior_model=some_air(), fixed_air=True)[2]
-    assert paths == [None, ["path 1"]]
-
-
 @pytest.mark.parametrize(
     ("gain", "shares"),
     [(2.5, [1.0, 0.4]), (0.4, [1.0, 2.5]), (1.0, [1.0]), (20.0, [1.0, 0.125]), (0.1, [1.0, 4.0])],
@@ -485,21 +378,6 @@ def test_steps_too_long_are_shortened_and_those_too_short_lengthened(gain, share
     assert taken == pytest.approx(shares)
     if gain in (2.5, 0.4, 1.0):
         np.testing.assert_allclose(x, answer)
-
-
-def test_steps_are_shortened_in_a_fit(monkeypatch):
-    """Steps of 2.5 times what is asked: 2.5, then -3.75, of which two fifths are taken."""
-    grown = [(2.5, 20.0), (-3.75, 60.0), (0.0, 0.1)]
-    assert iterated(monkeypatch, grown, prior_model=some_air(), fixed_air=True)[1] == pytest.approx(
-        [2.5, -1.5]
-    )
-
-
-def test_steps_that_grow_because_the_air_is_another_stay_whole(monkeypatch):
-    """In the same air the second of these steps is taken to a half."""
-    found = [(1.0, 0.9), (-1.0, 1.4), (0.1, 0.1)]
-    assert iterated(monkeypatch, found, prior_model=some_air())[1] == [1.0, -1.0]
-    assert iterated(monkeypatch, found, prior_model=some_air(), fixed_air=True)[1] == [1.0, -0.5]
 
 
 def test_shares_of_jumps_stay_between_none_and_all():
@@ -547,13 +425,6 @@ def test_a_rate_limit_stays_where_it_is_felt():
     assert asked == [[], [], [key]]
     assert stepped(setup, inside, {key: -0.03}, {}).effects == {key: -0.02}  # type: ignore[arg-type]
     assert stepped(setup, inside, {key: 0.03}, {}).effects == {key: pytest.approx(0.02)}  # type: ignore[arg-type]
-
-
-def test_a_step_that_is_no_number_ends_the_fit(monkeypatch):
-    with pytest.raises(np.linalg.LinAlgError, match="no numbers"):
-        iterated(
-            monkeypatch, [(1.0, 9.0), (np.nan, np.nan)], prior_model=some_air(), fixed_air=True
-        )
 
 
 @pytest.mark.parametrize("late_s", [0.011, -0.0263])
