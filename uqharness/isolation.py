@@ -113,8 +113,11 @@ def run_isolated(function: Callable[P, R], *args: P.args, **kwargs: P.kwargs) ->
     # One worker serves one call at a time; recursion from a callback is allowed.
     with _one_call:
         if not (_workers and _workers[0].is_usable):
-            _workers[:] = [Worker()]
-        return _workers[0].run(function, *args, **kwargs)
+            _workers[:] = [_Worker()]
+        succeeded, result = _workers[0].call(function, args, kwargs)
+    if not succeeded:
+        raise result
+    return result
 
 
 def report_time(time_s: float) -> None:
@@ -123,7 +126,7 @@ def report_time(time_s: float) -> None:
         _clock.value = time_s
 
 
-class Worker:
+class _Worker:
     """Worker process, its pipe, and the time of its flight, which survives it."""
 
     def __init__(self) -> None:
@@ -149,21 +152,6 @@ class Worker:
             self._pipe.close()
             self._process.join(_GOODBYE_S)
             self._process.kill()
-
-    def run(self, function: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
-        """Call a function; return its result or raise its exception."""
-        succeeded, result = self.call(function, args, kwargs)
-        if not succeeded:
-            raise result
-        return result
-
-    def interrupt(self) -> None:
-        """End the function that another thread's call runs; kill the worker if it goes on."""
-        with contextlib.suppress(OSError):
-            os.kill(self._process.pid, signal.SIGINT)  # type: ignore[arg-type]
-        patience = threading.Timer(_GOODBYE_S, self._process.kill)
-        patience.daemon = True
-        patience.start()
 
     def call(self, function: Callable[..., Any], args: Any, kwargs: Any) -> tuple[bool, Any]:
         """Call a function; return whether it succeeded, and its result or exception.
@@ -226,7 +214,7 @@ class Worker:
 
 
 _one_call = threading.RLock()
-_workers: list[Worker] = []
+_workers: list[_Worker] = []
 
 # State of the worker process.
 _in_worker = False

@@ -8,7 +8,6 @@ from typing import Any
 
 from uqharness.campaign import Progress
 from uqharness.files import find_campaign
-from uqharness.parallel import usable_cores
 from uqharness.report import write_report
 from uqharness.requests.base import Callback, Request, command_line, silent
 from uqharness.requests.folders import StudyRequest
@@ -16,7 +15,6 @@ from uqharness.results.base import Outcome
 from uqharness.results.study import Study
 from uqharness.study import read_chain, run_chain
 
-_LANES = 2
 _FUNCTIONS: Mapping[str, str] = {
     "instrument": "simulation:instrument",
     "fly": "simulation:fly",
@@ -36,9 +34,7 @@ def study(request: StudyRequest, callback: Callback = silent) -> Outcome[Study]:
     """Run or resume a study; the answer is no where a stage answered no."""
     spec = read_chain(find_campaign(request.study, "chain.toml"))
     command = command_line(request.model_copy(update={"workers": None}), full=True)
-    # Few stages use two cores all the time; more side by side would only share these.
-    lanes = 1 if request.workers == 1 else min(_LANES, usable_cores())
-    done = run_chain(run_request, spec, request.out, request.workers, command, callback, lanes)
+    done = run_chain(run_request, spec, request.out, request.workers, command, callback)
     report = write_report(request.out).path
     document = done.model_copy(update={"report": str(report)})
     # Stages that ran but answered no, such as a comparison above the noise floor.

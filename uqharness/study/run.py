@@ -1,10 +1,8 @@
 """Run a study: one request per stage, and a verdict at the end.
 
-A stage starts as soon as the stages that it reads from are done. Two run side by side where there
-are two cores, since most leave a core idle part of the time. A stage is skipped if its inputs (by
-content), request and outputs are those of the last run, so the same call resumes an interrupted
-study. study.json in the study's folder holds the state of each stage, the verdict, the answer and
-the ground tracks; it is rewritten after each stage.
+A stage is skipped if its inputs (by content), request and outputs are those of the last run, so
+the same call resumes an interrupted study. study.json in the study's folder holds the state of each
+stage, the verdict, the answer and the ground tracks; it is rewritten after each stage.
 """
 
 from __future__ import annotations
@@ -14,11 +12,8 @@ import json
 import logging
 import os
 import shutil
-import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +32,6 @@ from uqharness import checksums
 from uqharness.campaign import LOCK, binding_versions, read_bounds, run_lock
 from uqharness.errors import BadInputError
 from uqharness.files import PART, check_output_folder, write_bytes, write_json, write_text
-from uqharness.isolation import Worker
 from uqharness.requests.base import Callback, Request, options_of, silent
 from uqharness.results.base import Outcome, read_result
 from uqharness.results.refinement import Refinement
@@ -100,7 +94,6 @@ class _Record:
 
     def __init__(self, folder: Path, study: Study) -> None:
         self.folder, self.study = folder, study
-        self.starts_s: dict[int, float] = {}
 
     def update(self, **parts: Any) -> None:
         """Replace parts of the document."""
@@ -244,12 +237,11 @@ def run_chain(
     workers: int | None = None,
     command: str = "",
     callback: Callback = silent,
-    lanes: int = 1,
 ) -> Study:
     """Run a study: all stages that are not up to date.
 
     A stage that ends with 1 (its answer is no) is done, and the study goes on. Results of finished
-    stages are kept whatever happens. The results do not depend on ``lanes``.
+    stages are kept whatever happens.
 
     Parameters
     ----------
@@ -265,8 +257,6 @@ def run_chain(
         Command line that is stored in study.json.
     callback : callable
         Called with one line of text as stages start and end.
-    lanes : int
-        1, or 2: stages then run side by side, in this process and in a worker.
 
     Returns
     -------
@@ -306,22 +296,22 @@ def run_chain(
         # study.
         record.update(former=list(old.values()))
         record.save()
-        try:
-            _run_stages(run, stages, record, workers, callback, lanes)
-        except KeyboardInterrupt:
-            # Interrupted: the state "running" stays, and the next call resumes.
-            raise
-        except _StageError as failure:
-            # Any other error ends the study; the finished stages stay.
-            stage, cause = stages[failure.number], failure.error
-            record.update_stage(failure.number, state="failed", exit=2, error=str(cause))
-            record.update(state="failed")
-            with contextlib.suppress(BadInputError):
-                record.save()
-            if isinstance(cause, BadInputError):
-                lines = f"stage {stage.name}: {cause}".split("\n")
-                raise BadInputError(*lines, f"  the stage alone: {stage.command}") from None
-            raise cause from None
+        for number, stage in enumerate(stages):
+            try:
+                _run_stage(run, stage, number, record, workers, callback)
+            except KeyboardInterrupt:
+                # Interrupted: the state "running" stays, and the next call resumes.
+                raise
+            except BaseException as error:
+                # Any other error ends the study; the finished stages stay.
+                record.update_stage(number, state="failed", exit=2, error=str(error))
+                record.update(state="failed")
+                with contextlib.suppress(BadInputError):
+                    record.save()
+                if isinstance(error, BadInputError):
+                    lines = f"stage {stage.name}: {error}".split("\n")
+                    raise BadInputError(*lines, f"  the stage alone: {stage.command}") from None
+                raise
         names = {stage.name for stage in stages}
         if {f"campaign-{BEFORE}", f"campaign-{AFTER}"} <= names:
             pair = Pair(before=f"campaign-{BEFORE}", after=f"campaign-{AFTER}")
@@ -396,165 +386,26 @@ def _row(stage: Stage, old: StageResult | None) -> StageResult:
     )
 
 
-class _StageError(Exception):
-    """The error of a stage, with the stage's number."""
-
-    def __init__(self, number: int, error: BaseException) -> None:
-        super().__init__(number, error)
-        self.number, self.error = number, error
-
-
-@dataclass(frozen=True)
-class _Job:
-    """A stage as it is sent to the process that runs it."""
-
-    run: Runner
-    stage: Stage
-    out: Path
-    workers: int | None
-
-
-def _run_stages(
+def _run_stage(
     run: Runner,
-    stages: Sequence[Stage],
+    stage: Stage,
+    number: int,
     record: _Record,
     workers: int | None,
     callback: Callback,
-    lanes: int,
 ) -> None:
-    """Run each stage as soon as the stages whose outputs it reads are done and a lane is free.
+    """Run one stage unless it is up to date; its entry in study.json is updated and saved.
 
-    The first lane is this process, the second a worker process; with one lane this is the order of
-    the list. Raises _StageError, once the stage that runs beside the failed one has ended. An
-    interruption ends both.
-    """
-    schedule = _Schedule(run, stages, record, workers, callback)
-    if lanes == 1:
-        schedule.work(_run_job)
-    else:
-        worker = Worker()
-        # A daemon: an exception in this thread must not wait for a stage of the other.
-        side = threading.Thread(
-            target=schedule.work, args=(partial(worker.run, _run_job),), daemon=True
-        )
-        side.start()
-        try:
-            schedule.work(_run_job)
-        except BaseException as error:
-            schedule.stop(error)
-            worker.interrupt()
-            raise
-        finally:
-            side.join()
-            worker.close()
-    if schedule.failure is not None:
-        raise schedule.failure
-
-
-class _Schedule:
-    """The stages of a study that wait, run and are done, shared by the lanes that run them."""
-
-    def __init__(
-        self,
-        run: Runner,
-        stages: Sequence[Stage],
-        record: _Record,
-        workers: int | None,
-        callback: Callback,
-    ) -> None:
-        self._stages, self._record, self._callback = stages, record, callback
-        self._jobs = [_Job(run, stage, record.folder, workers) for stage in stages]
-        self._producers = [
-            {k for k, earlier in enumerate(stages[:number]) if _reads_from(stage, earlier)}
-            for number, stage in enumerate(stages)
-        ]
-        self._waiting, self._done = list(range(len(stages))), set[int]()
-        self._running = set[int]()
-        self._changed, self._thread = threading.Condition(), threading.current_thread()
-        self.failure: _StageError | None = None
-
-    def work(self, run_job: Callable[[_Job, Callback], int]) -> None:
-        """Run ready stages by ``run_job`` until none is left or one has failed."""
-        while True:
-            with self._changed:
-                while (number := self._ready()) is None:
-                    if self.failure is not None or not self._waiting:
-                        return
-                    self._changed.wait()
-            try:
-                self._run(number, run_job)
-            except BaseException as error:
-                if isinstance(error, KeyboardInterrupt) and self._is_first_lane():
-                    raise
-                self.stop(error, number)
-            finally:
-                with self._changed:
-                    self._running.discard(number)
-                    self._changed.notify_all()
-
-    def stop(self, error: BaseException, number: int = -1) -> None:
-        """Let no further stage begin; ``number`` is the stage that failed."""
-        with self._changed:
-            self.failure = self.failure or _StageError(number, error)
-            self._changed.notify_all()
-
-    def _is_first_lane(self) -> bool:
-        """Return whether this is the thread that interruptions reach."""
-        return threading.current_thread() is self._thread
-
-    def _ready(self) -> int | None:
-        """Take the first stage whose producers are done, unless one has failed."""
-        for number in self._waiting if self.failure is None else ():
-            if self._producers[number] <= self._done:
-                self._waiting.remove(number)
-                self._running.add(number)
-                return number
-        return None
-
-    def _run(self, number: int, run_job: Callable[[_Job, Callback], int]) -> None:
-        """Run one stage unless it is up to date."""
-        stage = self._stages[number]
-        title = f"[{number + 1}/{len(self._stages)}] {stage.name}"
-
-        def show(text: str) -> object:
-            """Name the stage with what it does; the first of the running stages alone is shown."""
-            is_first = number <= min(tuple(self._running), default=number)
-            return self._callback(f"{title}: {text}") if is_first else None
-
-        self._callback(title)
-        with self._changed:
-            is_needed = _begin_stage(stage, number, self._record)
-        if is_needed:
-            code = run_job(self._jobs[number], show)
-            with self._changed:
-                seconds = _end_stage(stage, number, self._record, code)
-            show(f"{seconds:.0f} s" + ("" if code == 0 else f", exit {code}: the answer is no"))
-        else:
-            show("unchanged")
-        with self._changed:
-            self._done.add(number)
-
-
-def _reads_from(stage: Stage, earlier: Stage) -> bool:
-    """Return whether a stage reads an output of an earlier one."""
-    return any(
-        path == output or output in path.parents or path in output.parents
-        for path in stage.inputs.values()
-        for output in earlier.outputs
-    )
-
-
-def _run_job(job: _Job, callback: Callback) -> int:
-    """Run the request of a stage; return its exit code."""
-    return _run_request(job.run, job.stage, job.out, job.workers, callback)
-
-
-def _begin_stage(stage: Stage, number: int, record: _Record) -> bool:
-    """Prepare a stage and save its entry as running; return False if it is up to date.
-
-    Raises BadInputError if an input is missing.
+    Raises BadInputError if an input is missing, or if the command did not write its outputs.
     """
     out, row = record.folder, record.study.stages[number]
+    title = f"[{number + 1}/{len(record.study.stages)}] {stage.name}"
+    callback(title)
+
+    def show(text: str) -> object:
+        """Name the stage with what it does."""
+        return callback(f"{title}: {text}")
+
     inputs = {label: content(path) for label, path in stage.inputs.items()}
     # Inputs are files of earlier stages or of the user.
     missing = [label for label, digest in inputs.items() if not digest]
@@ -564,7 +415,8 @@ def _begin_stage(stage: Stage, number: int, record: _Record) -> bool:
     same_key = row.key == key
     # Up to date: same inputs, options and outputs.
     if same_key and row.state == "done" and row.outputs == _outputs(stage, out):
-        return False
+        show("unchanged")
+        return
     # Without the old outputs a failed command cannot be mistaken for a finished one.
     _clear_outputs(stage, row, out, same_key)
     record.update_stage(
@@ -584,18 +436,9 @@ def _begin_stage(stage: Stage, number: int, record: _Record) -> bool:
     if stage.writes is not None:
         path, data = stage.writes
         write_bytes(path, (_HEADER + tomlkit.dumps(data)).encode())
-    record.starts_s[number] = time.monotonic()
-    return True
-
-
-def _end_stage(stage: Stage, number: int, record: _Record, code: int) -> float:
-    """Save the entry of a stage that has run; return its time [s].
-
-    Raises BadInputError if the command did not write its outputs.
-    """
-    out = record.folder
-    seconds = round(time.monotonic() - record.starts_s[number], 1)
-    outputs = _outputs(stage, out)
+    start_s = time.monotonic()
+    code = _run_request(run, stage, out, workers, show)
+    seconds, outputs = round(time.monotonic() - start_s, 1), _outputs(stage, out)
     record.update_stage(number, exit=code, seconds=seconds, outputs=outputs, state="done")
     missing_outputs = [name for name, digest in outputs.items() if not digest]
     # A command that wrote nothing has not succeeded, whatever its exit code.
@@ -605,7 +448,7 @@ def _end_stage(stage: Stage, number: int, record: _Record, code: int) -> float:
             f" from; its output is in {out / LOGS / stage.name}.txt"
         )
     record.save()
-    return seconds
+    show(f"{seconds:.0f} s" + ("" if code == 0 else f", exit {code}: the answer is no"))
 
 
 _HEADER = "# Written by `uqharness study`; edit the study's file instead.\n\n"

@@ -10,11 +10,9 @@ import shutil
 import subprocess
 import sys
 import time
-from types import SimpleNamespace
 
 import pytest
 
-from tests.helpers import isolated_calls
 from tests.helpers.model_forms import made_up_form
 from tests.helpers.report_folders import refinement
 from uqharness.campaign.store import Store, run_lock
@@ -23,13 +21,11 @@ from uqharness.commands.study import run_request
 from uqharness.errors import BadInputError
 from uqharness.report.parts import Page
 from uqharness.report.write import Report
-from uqharness.requests.simulation import FlyRequest
 from uqharness.results.refinement import Refinement
 from uqharness.simulator.aircraft import PROJECT_ROOT
 from uqharness.study import run as chain_run
 from uqharness.study.run import read_study, run_chain
 from uqharness.study.spec import read_chain
-from uqharness.study.stages import Stage
 
 pytestmark = pytest.mark.usefixtures("flights_here")
 
@@ -363,62 +359,6 @@ def test_bounds_of_another_model_are_not_flown(tmp_path):
         chain_run._refuse_other_model(form, PROJECT_ROOT / "aircraft" / "espaaro")
 
 
-def made_up(folder, seeds):
-    """Stages a and b, each of which waits until the other has begun, and c, which reads a."""
-
-    def one(name, other, seed, inputs=()):
-        out = folder / f"{name}.csv"
-        request = FlyRequest(
-            aircraft="x", script=folder / other, out=out, seed=seed, noise=bool(other)
-        )
-        return Stage(name, "fly", ".", request, {p.name: p for p in inputs}, (out,), (out,))
-
-    a, b = (one(name, other, seed) for name, other, seed in zip("ab", "ba", seeds, strict=False))
-    return [a, b, one("c", "", seeds[2], a.outputs)]
-
-
-def test_stages_that_need_nothing_of_each_other_run_side_by_side(tmp_path):
-    spec = SimpleNamespace(
-        path=tmp_path / "s.toml", source="", study=SimpleNamespace(name="s", question="?")
-    )
-    record = chain_run._Record(tmp_path, chain_run.begin(spec, "", "1"))
-    stages = made_up(tmp_path, (1, 2, 13))
-    record.update(stages=[chain_run._row(stage, None) for stage in stages])
-    told: list[str] = []
-    with pytest.raises(chain_run._StageError) as caught:
-        chain_run._run_stages(isolated_calls.stage, stages, record, None, told.append, 2)
-    assert (caught.value.number, str(caught.value.error)) == (2, "no luck")
-    assert record.study.stages[0].state == "done"
-    assert (tmp_path / "a.csv").read_text() == "1"
-    assert (tmp_path / "b.begun").exists()
-    assert "[1/3] a: at work" in told
-    assert (tmp_path / "log" / "a.txt").read_text().endswith("a.csv\n")
-
-
-REAL = """
-[study]
-name = "small"
-question = "Does it hold for twenty seconds?"
-aircraft = "espaaro"
-
-[campaign]
-mission = "loiter"
-seed = 7
-
-[aleatory]
-flights = 1
-duration_s = 20
-burn_in_s = 5
-wind_mps = 3
-turbulence = "light"
-
-[epistemic]
-method = "lhs"
-samples = 64
-bounds = { CX = 0.008, CY = 0.010, CZ = 0.05, Cl = 0.0015, Cm = 0.012, Cn = 0.0015 }
-"""
-
-
 def command(tmp_path):
     return ["study", str(tmp_path / "study.toml"), "--out", str(tmp_path / "out"), "--workers", "1"]
 
@@ -448,6 +388,30 @@ def kill_in_flight(tmp_path):
         process.kill()
         process.communicate(timeout=60)
     return counted(tmp_path / "out" / "campaign-before")
+
+
+REAL = """
+[study]
+name = "small"
+question = "Does it hold for twenty seconds?"
+aircraft = "espaaro"
+
+[campaign]
+mission = "loiter"
+seed = 7
+
+[aleatory]
+flights = 1
+duration_s = 20
+burn_in_s = 5
+wind_mps = 3
+turbulence = "light"
+
+[epistemic]
+method = "lhs"
+samples = 64
+bounds = { CX = 0.008, CY = 0.010, CZ = 0.05, Cl = 0.0015, Cm = 0.012, Cn = 0.0015 }
+"""
 
 
 @pytest.mark.slow
