@@ -673,6 +673,7 @@ def subsystem_effects(
     parts: channels of a sensor with several, whose filter may be another than the others'.
     """
     effects = [_effect(*row) for row in _AIRCRAFT]
+    # Servos: what a linear surface model leaves out.
     for s in surfaces:
         servo = f"actuator.{s}"
         effects += [
@@ -702,6 +703,7 @@ def subsystem_effects(
             ),
         ]
     any_, abrupt, double_penalty = "all manoeuvres", "abrupt manoeuvres", 2.0 * PENALTY
+    # Sensors: scale and zero. Biases of the gyros are estimated in any case.
     for c in channels:
         short, unit = c.split("_")
         physics = "position error or upwash at the sensor" if c in _WIND else "calibration"
@@ -729,6 +731,7 @@ def subsystem_effects(
                     double_penalty,
                 )
             )
+    # Sensor positions, which only fast rotation shows.
     if {"ax_mps2", "ay_mps2", "az_mps2"} & set(channels):
         physics = "they feel the rotation about the CG"
         effects += [
@@ -758,6 +761,7 @@ def subsystem_effects(
                 double_penalty,
             )
         )
+    # Delays: of a sensor, and of single channels of one, which are rarer.
     late = [
         (c, "sensor late", "filtering and transport of the signal", double_penalty) for c in delays
     ]

@@ -554,6 +554,7 @@ class FilterProblem:
                 ]
             self.step[indices[0]] *= 0.03
             return list(indices)
+        # Central differences, or forward ones from the present point.
         repeated = []
         logs = range(*self.layout.logs.indices(derivatives.vector.size))
         deviation = np.sqrt(derivatives.s)
@@ -574,6 +575,8 @@ class FilterProblem:
             derivatives.dS[:, :, index] = (above[1] - below[1]) / (up - down)
             if index in logs:
                 continue
+            # A step is suitable if it changes the innovations neither by rounding nor
+            # beyond linearity.
             change = self.step[index] * float(
                 np.sqrt(
                     np.mean((derivatives.dE[:, :, index] / deviation) ** 2)

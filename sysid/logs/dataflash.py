@@ -208,6 +208,7 @@ def assemble(
         if stamp is None or stamp[0] not in columns[name]:
             continue
         table = columns[name]
+        # Instances (two IMUs, three compasses) become messages of their own.
         time_s = table[stamp[0]] / np.float64(round(1.0 / stamp[1]))
         for instance, rows in _instances(table, fmt.instance_column):
             fields = {
@@ -223,6 +224,7 @@ def assemble(
             "no message carries a time stamp (TimeUS or TimeMS); nothing can be placed in time",
             path,
         )
+    # Parameters and texts keep the place in the file at which they were set.
     texts, parameters = _texts(messages), _parameters(columns)
     text_table = messages.get(("MSG", 0))
     set_at = places.get("PARM")
@@ -640,6 +642,7 @@ def read_text(
                 continue
             name, _, content = line.partition(",")
             name = name.strip()
+            # A format line describes the lines that follow; a second header begins another log.
             if name == "FMT":
                 fmt = _format(content)
                 if fmt is not None and fmt.name == "FMT" and counts:
@@ -663,6 +666,7 @@ def read_text(
             else:
                 bad_lines += 1
                 first_bad_line = first_bad_line or line_number
+    # Damaged lines are counted; a file without any sound record is refused.
     if not any(n for name, n in counts.items() if name != "FMT"):
         raise LogError(
             f"no DataFlash record could be read in {line_number} lines; copy the log again", path

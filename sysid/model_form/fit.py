@@ -330,6 +330,7 @@ def _fit(
         selected_terms, selection_notes = _choose_terms(
             residuals, coefficient, design, terms, scaling, options
         )
+        # Samples correlate: what counts is how many independent ones they are worth.
         if n <= len(selected_terms):
             continue
         x = _design_matrix(residuals, design, selected_terms, scaling)
@@ -377,6 +378,7 @@ def _fit_separated(
     terms, selection_notes = _choose_terms(
         residuals, coefficient, design, candidate_terms, scaling, options
     )
+    # Long pieces in blocks keep the matrices of the likelihood small.
     blocks = split_long_pieces(residuals)
     x = _design_matrix(blocks, design, terms, scaling)
     # Posterior of the components, block by block.
@@ -386,11 +388,13 @@ def _fit_separated(
         y - part @ components.beta
         for y, part in zip(residuals.columns(coefficient), _parts(x, residuals), strict=True)
     ]
+    # The posterior in the form of a regression: s2 and (X'X)^-1 that give its covariance.
     n = len(x)
     n_effective = effective_samples(residual)
     s2 = sum(float(e @ e) for e in residual) / n
     inverse = components.covariance / (s2 * (n / n_effective))
     leverage = float(np.einsum("nj,nj->n", x @ inverse, x).max())
+    # Mean variance of sensor noise in this coefficient, which the interval does not include.
     noise = np.concatenate(
         [
             noise_variance(p.noise)[:, COEFFICIENTS.index(coefficient)]

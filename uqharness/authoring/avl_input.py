@@ -125,6 +125,7 @@ def read_geometry(path: Path, text: str) -> Geometry:
     lines = _content(text)
     if len(lines) < 5:
         raise BadInputError(f"{path}: an AVL geometry begins with five lines of header")
+    # Header: name, Mach number, symmetry, reference lengths, reference point.
     name = lines[0][1].strip()
     mach = Entry(_numbers(path, lines[1], 1)[0], path, lines[1][0])
     header = _numbers(path, lines[3], 3)
@@ -132,11 +133,13 @@ def read_geometry(path: Path, text: str) -> Geometry:
     reference = {
         key: Entry(value, path, lines[3][0]) for key, value in zip("Scb", header, strict=False)
     } | {key: Entry(value, path, lines[4][0]) for key, value in zip("xyz", centre, strict=False)}
+    # The profile drag is optional: the next line is a number or a keyword.
     sections = lines[5:]
     drag = Entry(0.0, path)
     if sections and _keyword(sections[0][1]) is None:
         drag = Entry(_numbers(path, sections[0], 1)[0], path, sections[0][0])
         sections = sections[1:]
+    # Keywords with the lines that belong to them; unknown ones are passed over.
     surfaces: list[Surface] = []
     i = 0
     while i < len(sections):
@@ -164,6 +167,7 @@ def read_geometry(path: Path, text: str) -> Geometry:
             places.append((numbers[0], sign, following[0]))
             i += 1
         i += 1
+    # A surface needs two sections; bodies have none.
     surfaces = [surface for surface in surfaces if len(surface.sections) > 1]
     if not surfaces:
         raise BadInputError(f"{path}: holds no SURFACE with two sections")
@@ -249,6 +253,7 @@ def read_masses(path: Path, text: str) -> Masses:
     factors, offsets = [np.ones(10)], [np.zeros(10)]
     items: list[tuple[float, FloatArray, FloatArray, int]] = []
     for number, line in _content(text):
+        # Units and constants.
         if "=" in line:
             name, value = (part.strip() for part in line.split("=", 1))
             words = value.split()
@@ -261,6 +266,7 @@ def read_masses(path: Path, text: str) -> Masses:
             elif name == "rho":
                 density = _numbers(path, (number, value), 1)[0]
             continue
+        # Factors and offsets hold for the items below them.
         word = line.split()[0]
         if word in "*+":
             row = np.zeros(10) if word == "+" else np.ones(10)
@@ -272,6 +278,7 @@ def read_masses(path: Path, text: str) -> Masses:
         row = np.zeros(10)
         row[: len(numbers)] = numbers
         row = row * factors[-1] + offsets[-1]
+        # AVL's products are integrals of xy dm: the tensor has them with a minus.
         xx, yy, zz, xy, xz, yz = row[4:]
         tensor = np.array([[xx, -xy, -xz], [-xy, yy, -yz], [-xz, -yz, zz]])
         items.append((float(row[0]), row[1:4], tensor, number))
@@ -285,6 +292,7 @@ def read_masses(path: Path, text: str) -> Masses:
     weights = np.array([item[0] for item in items]) * units["Munit"]
     places = np.array([item[1] for item in items]) * length
     centre = weights @ places / mass
+    # Parallel axes: each item's own inertia, and its mass at its distance from the centre.
     inertia = np.zeros((3, 3))
     for weight, place, item in zip(weights, places - centre, items, strict=True):
         inertia += item[2] * units["Munit"] * length**2

@@ -92,6 +92,7 @@ def read_table_file(path: Path, text: str) -> Source:
         With file and line: an unknown name or unit, a value that is no number, a coefficient of
         the other axes, a missing reference.
     """
+    # Texts first: they tell the axes in which the numbers are.
     rows = list(_toml_rows(path, text) if path.suffix == ".toml" else _csv_rows(path, text))
     texts = {row.name: row for row in rows if isinstance(row.value, str)}
     axes = _axes(path, texts.get("axes"), _guess_axes(rows))
@@ -106,6 +107,7 @@ def read_table_file(path: Path, text: str) -> Source:
     for row in rows:
         if isinstance(row.value, str):
             continue
+        # Every number is converted to SI and radians with its line kept.
         if row.unit not in _UNITS:
             allowed = ", ".join(unit for unit in _UNITS if unit)
             raise BadInputError(
@@ -113,6 +115,7 @@ def read_table_file(path: Path, text: str) -> Source:
             )
         entry = Entry(row.value * _UNITS[row.unit], path, row.line)
         coefficient, _, variable = row.name.partition("_")
+        # The name tells what a row is: reference length, fact, condition, or coefficient.
         if row.name in _LENGTHS:
             reference[_LENGTHS[row.name]] = entry
         elif row.name in _FACTS:

@@ -227,6 +227,8 @@ def build(
     BadInputError
         Without derivatives, reference lengths, or a lift slope.
     """
+    # Vector from the centre of gravity to the source's moment centre, in body axes: the source's x
+    # points aft and its z up.
     span, chord, area = source.length("b"), source.length("c"), source.length("S")
     centre = [source.reference[key].value if key in source.reference else 0.0 for key in "xyz"]
     x, y, z = (a - b for a, b in zip(centre, mass.centre_m, strict=True))
@@ -237,6 +239,7 @@ def build(
             f"{source.path}: running AVL needs the package optvl (pip install uqharness[avl]);"
             " without it, give AVL's own output (ST) too"
         )
+    # Surfaces of the source become the controls of the aircraft.
     weights = control_weights(source, controls)
     absent = [control for control in CONTROLS if control not in weights]
     if absent:
@@ -258,6 +261,7 @@ def build(
         values["CZ", "alpha"] -= added_drag * cosine
         rows.append(about(values, offset, span, chord, point.alpha.value))
     alphas = np.array([point.alpha.value for point in source.points])
+    # Derivatives are those nearest to 3 deg, where such aircraft fly; the others become tables.
     middle = int(np.argmin(np.abs(alphas - math.radians(3.0))))
     if abs(rows[middle]["CZ", "alpha"]) < 1e-6:
         raise BadInputError(
@@ -271,6 +275,7 @@ def build(
     _longitudinal(terms, tables, source, rows, alphas, middle, offset, added_drag, where)
     for coefficient in BODY:
         for variable in STATES:
+            # Derivatives by states, other than those of the longitudinal polar.
             key = f"{coefficient}_{variable}"
             if key in terms or variable == "alpha" or variable not in TERMS[coefficient]:
                 continue
@@ -281,6 +286,7 @@ def build(
                 f"{where}{_line(point.entries.get((_twin(coefficient), variable)))}",
             )
             _table(tables, key, alphas, [row[coefficient, variable] for row in rows], middle)
+        # Controls, as sums over their surfaces, per degree.
         for control, short in CONTROLS.items():
             if short in TERMS[coefficient]:
                 value = sum(
@@ -290,6 +296,7 @@ def build(
                 terms[f"{coefficient}_{short}"] = TermValue(
                     math.radians(value), "1/deg", where if control in weights else "none"
                 )
+    # Asymmetries in a source are those of its panels.
     for coefficient in ("CY", "Cl", "Cn"):
         terms[f"{coefficient}_0"] = TermValue(0.0, "1", "symmetric aeroplane")
     increments = _increments(source, rows[middle], where, notes)

@@ -102,6 +102,7 @@ def sheet(
     """
     figures = dict.fromkeys(_UNITS, math.nan)
     reasons: dict[str, str] = {}
+    # Level flight: each lift coefficient has its speed, and its drag is the thrust required.
     lifts = polar.cl > 1e-3
     if not np.any(lifts):
         return Sheet(figures, dict.fromkeys(_UNITS, "no lift below the stall"))
@@ -110,17 +111,20 @@ def sheet(
     drag = weight_N * cd / cl
     figures["stall_speed"] = float(np.min(speed))
     ratio = cl / cd
+    # Best glide: largest lift over drag.
     glide = int(np.argmax(ratio))
     figures["best_glide_ratio"], figures["best_glide_speed"] = (
         float(ratio[glide]),
         float(speed[glide]),
     )
+    # Least sink: least power required.
     sink = drag * speed / weight_N
     index = int(np.argmin(sink))
     figures["least_sink_rate"], figures["least_sink_speed"] = (
         float(sink[index]),
         float(speed[index]),
     )
+    # Climb: excess power over weight.
     available = _thrust_at(thrust_N, speeds, speed)
     climb = speed * (available - drag) / weight_N
     best = int(np.argmax(climb))
@@ -129,6 +133,7 @@ def sheet(
             reasons[name] = "no thrust"
     else:
         figures["climb_rate"], figures["climb_speed"] = float(climb[best]), float(speed[best])
+        # Greatest speed: the fastest at which full throttle holds level flight.
         fast = np.linspace(figures["stall_speed"], float(speeds[-1]), 2000)
         required = np.interp(
             2.0 * weight_N / (rho * S_m2 * fast**2), np.sort(cl), cd[np.argsort(cl)]

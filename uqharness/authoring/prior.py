@@ -225,10 +225,12 @@ def prior_form(
     lengths = {"p": model.b, "q": model.c, "r": model.b}
     coefficients = {}
     for name in COEFFICIENTS:
+        # Range of each variable in flight: it scales the regressors.
         variables = [term for term in TERMS[name] if term in _STATE_OF]
         ranges = [
             _RANGE[v] if v in _RANGE else 0.3 * 2.0 * speed_mps / lengths[v] for v in variables
         ]
+        # Priors are of dimensionless rates, states of rates in rad/s.
         stds = []
         for variable in variables:
             per_state = lengths[variable] / (2.0 * speed_mps) if variable in lengths else 1.0
@@ -236,6 +238,7 @@ def prior_form(
         centre = np.array([model.alpha if v == "alpha" else 0.0 for v in variables])
         scale = np.array(ranges)
         constant = by_term[f"{name}_0"].std
+        # Independent terms make X'X diagonal, in units of the constant's variance.
         quadratic = (np.array(stds) * scale / constant) ** 2
         count = len(variables)
         terms = tuple(tuple(1 if i == j else 0 for j in range(count)) for i in range(-1, count))

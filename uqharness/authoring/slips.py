@@ -608,6 +608,7 @@ def _surface(
     entry = point.entries.get((name, surface))
     if entry is None:
         return
+    # Size: per degree in place of per radian is a factor of 57.
     size = abs(entry.value)
     shared = sum(surface in row for row in weights.values()) > 1
     if not low <= size <= high and not shared:
@@ -619,6 +620,7 @@ def _surface(
             "The surface is too strong or too weak by that factor",
         )
     if control == "elevator":
+        # The ratio of moment to lift is the tail's arm in chords.
         lift = point.entries.get(("CL", surface))
         if lift is not None and abs(lift.value) > 1e-6 and lift.value * entry.value > 0.0:
             arm = entry.value / lift.value
@@ -639,6 +641,7 @@ def _surface(
                 "Lift and moment of the elevator do not belong together",
             )
     if control == "rudder" and not shared:
+        # The same for the fin, in spans.
         side = point.entries.get(("CY", surface))
         if side is not None and abs(side.value) > 1e-6 and side.value * entry.value > 0.0:
             yield _slip(
@@ -648,6 +651,7 @@ def _surface(
                 " sign, which is a fin ahead of the CG; behind it they are opposite",
                 "The rudder yaws the wrong way",
             )
+        # A rudder above the centre of gravity rolls the way it pushes.
         roll = point.entries.get(("Cl", surface))
         if (
             roll is not None

@@ -207,6 +207,7 @@ def _xml(
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
+    # Terms with a prior, in the order of the build-up.
     coefficients = []
     for name in COEFFICIENTS:
         terms = []
@@ -224,6 +225,7 @@ def _xml(
                     "remark": in_comment(remark),
                 }
             )
+        # Flaps, gear and the like, for which no prior is known.
         extra = [key for key in model.increments if key.startswith(f"{name}_")]
         for key in extra:
             value, short = model.increments[key], key.partition("_")[2]
@@ -237,12 +239,14 @@ def _xml(
                     "remark": in_comment(f"{value.unit:7s} {value.source}; no prior"),
                 }
             )
+        # The comment above each coefficient is the formula that the XML computes.
         products = " + ".join(
             f"{name}_{t}" if t == "0" else f"{name}_{t} {t.replace('alpha2', 'alpha^2')}"
             for t in (*TERMS[name], *(key.partition("_")[2] for key in extra))
         )
         title = f"{_TITLES[name]} {name} = {products}"
         coefficients.append({"name": name, "title": title, "terms": terms})
+    # Tables hold differences from the linear term, so that the term keeps its value.
     tables = [
         {
             "name": key,

@@ -248,9 +248,11 @@ def control_variate(
     ([7.0, 7.0], 7.0)
     """
     k = len(surrogate)
+    # Paired differences with their t interval.
     difference = real - surrogate
     t = float(student_quantile(0.5 + 0.5 * confidence, k - 1))
     half = t * float(difference.std(ddof=1)) / math.sqrt(k)
+    # The line from the surrogate's metric to the real one's.
     centre = float(surrogate.mean())
     spread = float(np.sum((surrogate - centre) ** 2))
     # Without a spread of the surrogate the pairs cannot tell a slope.
@@ -259,6 +261,7 @@ def control_variate(
     freedom = k - 2 if has_slope else k - 1
     residuals = real - real.mean() - slope * (surrogate - centre)
     sigma = math.sqrt(float(residuals @ residuals) / freedom)
+    # Scaled, the residuals have the variance that the fit estimates.
     residuals = residuals * math.sqrt(k / freedom)
     t_line = float(student_quantile(0.5 + 0.5 * confidence, freedom))
 
@@ -269,14 +272,17 @@ def control_variate(
         lever = (x - centre) ** 2 / spread if has_slope else 0.0
         return t_line * sigma * math.sqrt(1.0 / k + lever)
 
+    # The mean of all flights of the campaign, carried by the line.
     every = np.concatenate(list(members.values()))
     mean_surrogate = float(every.mean())
     mean = float(line(np.array([mean_surrogate]))[0])
     box = pbox([Sample(name, values) for name, values in members.items()])
+    # Each member's distribution is its metric on the line, with the residuals' scatter.
     moved = {
         name: np.sort((line(values)[:, None] + residuals[None, :]).ravel())
         for name, values in members.items()
     }
+    # Ends of the p-box, wider by the confidence limits of the line there.
     quantiles = {}
     for probability in PROBABILITIES:
         ends = box.quantile(probability)

@@ -51,6 +51,7 @@ def author(request: AuthorRequest, callback: Callback = silent) -> Outcome[Autho
         )
         if value is not None
     }
+    # Slips are looked for in the sources, before the model hides them.
     sources = read_sources(request.sources, request.length_unit_m, options)
     slips = find_slips(sources)
     mass, notes = _mass_properties(request, sources)
@@ -62,6 +63,7 @@ def author(request: AuthorRequest, callback: Callback = silent) -> Outcome[Autho
         controls=_controls(request.controls),
     )
     model = replace(model, notes=(*model.notes, *notes))
+    # An aircraft with a slip would fly, wrongly: it is written on request only.
     refused = bool(slips) and not request.accept_slips
     by_term = priors(model)
     if not refused:
@@ -73,6 +75,7 @@ def author(request: AuthorRequest, callback: Callback = silent) -> Outcome[Autho
             contacts=read_contacts(request.contacts),
         )
         write_aircraft(results_folder(request.out), model, sources.derivatives.path, equipment)
+    # The document lists each term with its prior, written or not.
     margin_std = class_errors()["static margin"].gaussian_std
     document = Authored(
         aircraft=None if refused else str(request.out),
@@ -108,6 +111,7 @@ def _mass_properties(request: AuthorRequest, sources: Sources) -> tuple[MassProp
     """Return mass, centre of gravity and inertia of options, .mass file or assumptions."""
     notes = []
     source, masses = sources.derivatives, sources.masses
+    # Mass: option, then source, then .mass file.
     mass_kg = request.mass_kg
     if mass_kg is None and "mass_kg" in source.facts:
         mass_kg = source.facts["mass_kg"].value
@@ -115,6 +119,7 @@ def _mass_properties(request: AuthorRequest, sources: Sources) -> tuple[MassProp
         raise BadInputError("no mass: give --mass-kg, or AVL's .mass file with the other files")
     cg = (request.cg_x_m, request.cg_y_m, request.cg_z_m)
     stated_centre = _xyz(source)
+    # A .mass file has everything; another mass scales its inertia.
     if masses is not None:
         total = masses.mass_kg.value if mass_kg is None else mass_kg
         tensor = masses.inertia_kgm2 * (total / masses.mass_kg.value)
@@ -127,6 +132,7 @@ def _mass_properties(request: AuthorRequest, sources: Sources) -> tuple[MassProp
             float(-tensor[0, 2]),
             masses.path.name,
         )
+        # OpenVSP's mass file may count from another origin than its aerodynamics.
         x = masses.centre_m[0]
         if (
             source.tool == "VSPAERO"
@@ -139,6 +145,7 @@ def _mass_properties(request: AuthorRequest, sources: Sources) -> tuple[MassProp
             )
             properties = replace(properties, centre_m=stated_centre)
     else:
+        # Without one the centre is the source's and the inertia is assumed.
         assert mass_kg is not None
         if "x_cg" in source.facts:
             stated_centre = (source.facts["x_cg"].value, *stated_centre[1:])
@@ -151,6 +158,7 @@ def _mass_properties(request: AuthorRequest, sources: Sources) -> tuple[MassProp
             properties = replace(properties, Ixx=xx, Iyy=yy, Izz=zz, source=source.path.name)
         elif request.ixx_kgm2 is None:
             notes.append("inertia from radii of gyration of light aeroplanes (--ixx-kgm2 ...)")
+    # Options replace single values, and the origin says so.
     options = (request.ixx_kgm2, request.iyy_kgm2, request.izz_kgm2, request.ixz_kgm2)
     count = sum(value is not None for value in options)
     x, y, z = (

@@ -253,6 +253,7 @@ def _angle_errors(
         np.column_stack([record["vn_mps"] - wind_mps[0], record["ve_mps"] - wind_mps[1], down]),
         np.column_stack([phi, theta, psi]),
     )
+    # Ten samples a second: gusts correlate over longer times.
     out: dict[tuple[str, str], tuple[float, float]] = {}
     load = 1.0 / np.maximum(np.cos(phi), 0.2)
     step = max(1, round(0.1 / record.dt_s))
@@ -276,11 +277,13 @@ def _angle_errors(
             below = float(lever @ x[chosen])
             return float(lever @ y[chosen]) / below if below else np.nan
 
+        # Jackknife over blocks of time, since gusts colour the difference.
         block = _blocks(record["time_s"][rows])
         value, std = _jackknife(scale, block)
         if not np.isfinite(std) or not 0.2 < value < 5.0:
             value, std = PRIOR[channel, "scale"][0], np.inf
         out[channel, "scale"] = value, std
+        # The offset is taken at the scale that prior and flight give together.
         slope, slope_std = combine(value, std, PRIOR[channel, "scale"])
         offset, standard_error = _jackknife(
             lambda chosen, x=x, y=y, s=slope: float(y[chosen].mean() - s * x[chosen].mean()), block

@@ -117,6 +117,7 @@ def compare_models(
     """
     record = first.flight.record
     horizons, starts = _starts(first)
+    # Measured channels alone: an autopilot's estimates follow its own model.
     channels = tuple(
         c
         for c in OUTPUTS
@@ -127,6 +128,7 @@ def compare_models(
     )
     if not channels:
         raise BadInputError(f"{first.flight.name}: no measured channel can be predicted")
+    # Both models predict from the same starts; the errors are compared in pairs.
     errors, delays = [], []
     for label, one in zip("AB", (first, second), strict=True):
         callback(f"predictions of model {label}")

@@ -462,10 +462,14 @@ def _regression_data(
     """Evaluate the model along the flights, in one view."""
     model, direct_model = models
     late = [f.with_delayed_commands(delay_s + view.late_s) for f in flights]
+    # Angles that no vane measures are reconstructed from accelerations and the path.
     if unmeasured:
         late = [_with_angles(f, unmeasured, view.time_constant_s) for f in late]
     flight_segments = [s for f in late for s in segments(f, measured, aircraft.accelerometer_m)]
     channels_of = [states(f, piece) for f in late for piece in f.pieces]
+    # Forces of the start values at the measured states: what the aircraft would have, and the
+    # variables
+    # of each term.
     forced_models = forced_at(
         model,
         direct_model,
@@ -476,6 +480,7 @@ def _regression_data(
     terms = {i: parsed[1] for i, n in enumerate(names) if (parsed := split_name(n)) is not None}
     excess, demand, blocks = [], [], []
     columns: dict[int, list[FloatArray]] = {i: [] for i in terms}
+    # Sensor noise is what the model may leave without being wrong.
     noise_std = channel_noise(
         [np.column_stack([c[n] for n in _INERTIAL]) for c in channels_of],
         _INERTIAL,
@@ -485,6 +490,8 @@ def _regression_data(
     for segment, channels, (forced, variables) in zip(
         flight_segments, channels_of, forced_models, strict=True
     ):
+        # What the measured motion demands of the aerodynamics (2.11 to 2.16), filtered
+        # like the regressors.
         demand_of_flight = demanded(
             np.column_stack([channels[f"a{a}_mps2"] for a in "xyz"]),
             np.column_stack([channels[f"{a}_radps"] for a in "pqr"]),
@@ -501,6 +508,7 @@ def _regression_data(
         regressors = {k: smooth(v, segment.dt_s, view.cutoff_hz) for k, v in variables.items()}
         for i, term in terms.items():
             columns[i].append(regressor(term, regressors))
+        # Blocks of equal length, numbered through all segments: the clusters of the sandwich.
         count = max(1, round((segment.time_s[-1] - segment.time_s[0]) / BLOCK_S))
         blocks.append(first + (np.arange(len(demand_of_flight)) * count // len(demand_of_flight)))
         first += count
@@ -564,6 +572,7 @@ def _regress(
     """
     k, fixed_terms = _ORDER.index(coefficient), fixed_terms or {}
     first, last = max(data.lags), min(data.lags)
+    # Rows whose instruments lie in the same segment.
     x, y, z, block = [], [], [], []
     for piece, (excess, of) in enumerate(zip(data.excess, data.block, strict=True)):
         n = len(excess)
@@ -575,33 +584,41 @@ def _regress(
         z.append(np.column_stack([part[first - lag : n - lag] for lag in (first, last)]))
         block.append(of[first:])
     regressors, target, instruments = (np.concatenate(v) for v in (x, y, z))
+    # Terms that keep their values are taken out of regressors and instruments.
     fixed = np.array([i in fixed_terms for i in members])
     fixed_columns = regressors[:, fixed]
     regressors = np.where(fixed, 0.0, regressors)
     instruments = np.where(np.tile(fixed, 2), 0.0, instruments)
     cluster = np.concatenate(block)
+    # Columns of unit size: their units differ by orders of magnitude.
     scale = np.sqrt(np.mean(regressors**2, axis=0))
     usable = scale > 0.0
     scale = np.where(usable, scale, 1.0)
     design = regressors / scale
     spread = np.sqrt(np.mean(instruments**2, axis=0))
     instruments = instruments / np.where(spread > 0.0, spread, 1.0)
+    # Two-stage least squares: regress the regressors on the instruments, then the target on
+    # the result.
     fitted = instruments @ _solve(instruments.T @ instruments, instruments.T @ design)
     inverse = _solve(fitted.T @ fitted, np.eye(len(members)))
     delta = inverse @ (fitted.T @ target)
     residual = target - design @ delta
+    # Sandwich over clusters: scores summed within each block of time.
     numbers, position = np.unique(cluster, return_inverse=True)
     scores = np.zeros((len(numbers), len(members)))
     np.add.at(scores, position, fitted * residual[:, None])
     count = len(numbers)
     sandwich = count / max(1, count - 1) * inverse @ (scores.T @ scores) @ inverse
+    # Bias by what the model does not explain beyond sensor noise.
     variance = max(float(data.variance[k]), 1e-300)
     unexplained = max(float(np.mean(residual**2)) - float(data.noise[k]), 0.0)
     bias = ENDOGENEITY**2 * unexplained * len(target) * inverse
     rho = min(unexplained / variance, 1.0)
+    # Back to the units of the parameters; a column of zeros determines nothing.
     cov = (sandwich + bias) / np.outer(scale, scale)
     cov[~usable, :] = 0.0
     cov[:, ~usable] = 0.0
+    # Errors of the fixed terms move the others.
     change = np.zeros((len(members), int(fixed.sum())))
     change[usable] = -(inverse @ (fitted.T @ fixed_columns) / scale[:, None])[usable]
     change[fixed] = np.eye(int(fixed.sum()))

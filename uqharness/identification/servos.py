@@ -187,6 +187,7 @@ def _fit(
         n: c.bounds if c.bounds is not None else (-math.inf, math.inf)
         for n, c in aircraft.card.parameters.items()
     }
+    # The same model flies with the card's servos or with ideal ones.
     setup = make_setup(aircraft, flights, measured, ideal)
     with StagedModels(aircraft, setup) as bench:
         setup = with_jumps(setup, bench.model)

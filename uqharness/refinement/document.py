@@ -228,6 +228,7 @@ def document_of(
     """
     result, (data, before, after) = outcome.result, outcome.train
     switches = {c.key: switch_of(chosen.effects[c.key], aircraft) for c in chosen.selection.chosen}
+    # Effects that the hold-out flights support, and those that they withdrew.
     effects = [
         EffectDocument(**_effect(result, c, outcome.verdicts[c.key], switches))
         for c in result.selection.chosen
@@ -236,6 +237,7 @@ def document_of(
         Withdrawn(**_effect(chosen, c, outcome.verdicts[c.key], switches, withdrawn=True))
         for c in outcome.withdrawn
     ]
+    # What remains decides the verdict: effects do not count while something is unexplained.
     remaining = _remaining(chosen, outcome, controls)
     refused = result.selection.refused
     return Refinement(

@@ -314,6 +314,8 @@ def fit_baseline(
             f"aircraft '{aircraft.name}': its airframe.toml lists no [parameters], so nothing says"
             " what may be re-identified first"
         )
+    # Flights with their controls shifted are other data: made from the records, not from
+    # shifted ones.
     suffix = len(shifts) or ""
     data = recorded
     if shifts:
@@ -323,6 +325,7 @@ def fit_baseline(
     limits = {
         n: unlimited if c.bounds is None else c.bounds for n, c in aircraft.card.parameters.items()
     }
+    # One staged copy of the aircraft serves both estimators.
     air: ModelFit | None = None
     with StagedModels(aircraft, data) as bench:
         callback("re-identifying the parameters")
@@ -332,6 +335,7 @@ def fit_baseline(
             OutputErrorFit,
             lambda: fit_without_effects(aircraft, bench, data, requested, limits, pool),
         )
+        # The noise of the fit weighs the residuals from here on.
         notes, fitted = replayed.notes, replace(data, noise=replayed.noise)
         effects = candidate_effects(fitted, requested, extra)
         if looks_turbulent(fitted, replayed.fit):
@@ -344,16 +348,20 @@ def fit_baseline(
                 ModelFit,
                 lambda: fit_in_turbulence(aircraft, bench, fitted, replayed, limits, pool),
             )
+            # Missing effects, too, leave what looks like turbulence: the likelihood decides,
+            # with all candidates in calm air against none in turbulence.
             calm_cost = least_cost_in_calm_air(fitted, replayed.fit, effects)
             is_air = air.turbulence is not None and air.turbulence.air
             if not is_air or calm_cost < air.neg2_log_likelihood:
                 air, notes = None, [*notes, CALM_AFTER_ALL]
     if air is None:
         callback(f"scoring {len(effects)} candidate effects")
+    # Linearise about the model of the chosen estimator, with every candidate as a column.
     model = air or with_residual_noise(fitted, replayed.fit)
     estimator = estimator_for(model.turbulence)
     parameters = replayed.names if air is None else replayed.excited
     data = with_servo_limits(model.data, model.fit, estimator)
+    # A common delay of the controls competes, unless it was corrected before.
     competes = len(shifts) < MOST_CORRECTIONS and not data.late
     scored = [*effects, CONTROLS_LATE] if competes else effects
     columns = effect_columns(data, model.fit.probes, model.fit.trajectory, scored)

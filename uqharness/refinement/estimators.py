@@ -777,6 +777,7 @@ def fit_output_error(
     The replay at the estimates, or None if the fit did not converge.
     """
     unlimited = (-np.inf, np.inf)
+    # Effects in the equations of motion are properties of the XML; those of sensors act on outputs.
     carried_properties = {k: prop for k, prop in carried_effects(data).items() if k not in absent}
     of_sensors = {
         e.key: point.effects[e.key]
@@ -799,10 +800,12 @@ def fit_output_error(
         batched_pool(pool),
         errors=False,
     )
+    # The replays of a fit take much memory.
     result.replay.forget()
     if not result.fit.converged:
         return None
     estimates = result.values()
+    # A carrier has another value than 0 where its effect is absent.
     effects = {
         key: estimates[carried_properties[key]] - data.carriers[key].absent
         if key in carried_properties

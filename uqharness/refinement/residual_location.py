@@ -159,13 +159,16 @@ def where_loudest(series: Sequence[Series]) -> tuple[dict[str, Any], StateCorrel
     """Place of the largest gain over noise; where chance alone would give it, the loudest channel
     without an interval.
     """
+    # The loudest stretch and band of every series; short series have none.
     long = [s for s in series if len(s.present) >= LEAST_SAMPLES]
     bursts = [(burst, s) for s in long if (burst := loudest(s.present, s.rate_hz)) is not None]
     burst, best = max(
         bursts, key=lambda f: f[0].gain, default=(None, max(series, key=lambda s: rms(s.white)))
     )
+    # Its channel in all segments: does the residual go with a state?
     alike = [s for s in series if (s.flights, s.channel) == (best.flights, best.channel)]
     correlate = state_correlate([s.white for s in alike], [s.states for s in alike])
+    # Bonferroni over the series that were searched.
     p = 1.0 if burst is None else min(1.0, burst.p * len(bursts))
     place = no_place("") | {
         "flights": best.flights,
@@ -185,6 +188,7 @@ def where_loudest(series: Sequence[Series]) -> tuple[dict[str, Any], StateCorrel
             },
             correlate,
         )
+    # Share of the channel's excess over noise that the stretch explains.
     rows = np.flatnonzero(np.isfinite(best.white))[burst.start : burst.stop]
     inside = best.white[rows]
     excess = sum(float(np.nansum(s.white**2 - np.isfinite(s.white))) for s in alike)

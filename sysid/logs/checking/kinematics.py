@@ -529,6 +529,7 @@ def _laws() -> tuple[Law, ...]:
         Law(n, "the rate of the logged attitude", (*ATTITUDE, n), _rate(k))
         for k, n in enumerate(RATES)
     ]
+    # Accelerations: from the path over ground, and from the motion through the air.
     for k, n in enumerate(ACCELERATIONS):
         laws.append(
             Law(
@@ -555,6 +556,7 @@ def _laws() -> tuple[Law, ...]:
         )
         for n, sides in zip(AIR, (speed_change, _alpha_change, _beta_change), strict=True)
     ]
+    # Laws of means, for what is too slow or too noisy to differentiate.
     laws += [
         Law(
             "az_mps2",

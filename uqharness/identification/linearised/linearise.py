@@ -330,6 +330,7 @@ def property_slopes(
     renewed, the state unmoved, until they no longer change: lift moves the rate of alpha and the
     induced drag, which JSBSim reads from the frame before."""
     direct_model, segment, x, controls, height_m, properties, names = job
+    # One instance for all samples, with the properties in force.
     fdm = direct_model.open(segment.dt_s)
     for name, value in properties.items():
         engine.set_property(fdm, name, value)
@@ -338,6 +339,7 @@ def property_slopes(
     setters = control_setters(fdm, direct_model)
     fdm["ic/lat-geod-deg"] = TRIM_LATITUDE_DEG
     fdm["ic/terrain-elevation-ft"] = terrain_m(direct_model, segment) / FT_M
+    # Handles are looked up once: a name costs more than a frame.
     places = (
         "phi-rad",
         "theta-rad",
@@ -353,6 +355,7 @@ def property_slopes(
     loads = [f"forces/fb{a}-total-lbs" for a in "xyz"] + [f"moments/{a}-total-lbsft" for a in "lmn"]
     get = [engine.handle(fdm, name).get_double_value for name in loads]
     moved = [engine.handle(fdm, name).set_double_value for name in names]
+    # Central differences with steps of a thousandth.
     values = [properties[n] if n in properties else fdm[n] for n in names]
     steps = [1e-3 * max(abs(v), 1e-2) for v in values]
     unit = np.array([LBF_N] * 3 + [LBF_FT_NM] * 3)
@@ -364,6 +367,7 @@ def property_slopes(
         strict=True,
     )
     for k, ((V, alpha, beta, p, q, r, phi, theta), positions, altitude) in enumerate(samples):
+        # Force the sample's controls, then its state.
         for handles, value in zip(setters, positions, strict=True):
             for setter in handles:
                 setter(value)
@@ -378,6 +382,7 @@ def property_slopes(
         )
         for setter, value in zip(state_setters, state, strict=True):
             setter(value)
+        # With the motion frozen, move one property at a time, both ways.
         engine.run_ic(fdm)
         fdm.suspend_integration()
         for name, move, value, step in zip(names, moved, values, steps, strict=True):

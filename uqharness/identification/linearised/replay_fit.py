@@ -204,6 +204,8 @@ def parameter_columns(
     for segment, p, y, effects in zip(
         setup.segments, linear_probes, trajectory.outputs, effect_regressors, strict=True
     ):
+        # A jump of a surface divides its row: forces before and after it, and the share that the
+        # accelerometers have not measured yet.
         before, variables, share = (
             p.just_before(),
             p.variables(),
@@ -212,6 +214,8 @@ def parameter_columns(
         variables_before = variables if before is p else before.variables()
         inputs, outputs = dict(effects.inputs), dict(effects.outputs)
         ends, seen_values = dict(effects.ends), dict(effects.seen)
+        # Properties that the aerodynamics have linearly come from the regressors, others
+        # from probes.
         for name in properties:
             inputs[name] = (
                 term_column(name, variables) if name in analytic else (-1, p.by_property[name])
@@ -219,6 +223,7 @@ def parameter_columns(
             if before is not p and name in analytic:
                 ends[name] = term_column(name, variables_before)[1]
                 seen_values[name] = seen_of(inputs[name][1], ends[name], share)
+        # Nuisance of this flight: late controls, unmeasured jumps, biases and delays of sensors.
         for name in setup.nuisance:
             kind, flight, *channels = name.split("/")
             if flight != segment.flight:
