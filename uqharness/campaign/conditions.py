@@ -10,12 +10,14 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from uqharness.errors import BadInputError
 from uqharness.flight import TURBULENCE_W20_KT
 from uqharness.statistics import ExcursionRate, PBox, Sample, excursion_rate
 from uqharness.statistics.pbox import pbox
@@ -44,6 +46,28 @@ OPTIONAL_METRICS = (*PATHLESS_METRICS,)
 """Metrics whose columns a campaign has only if its flights computed them. A new metric belongs
 here: in ``ERROR_METRICS`` it would make earlier campaign tables unreadable.
 """
+
+
+def requested_metrics(
+    frame: pd.DataFrame, names: Iterable[str], default: Iterable[str], path: Path
+) -> tuple[str, ...]:
+    """Return the requested metrics, or the default ones that the table of ``path`` has.
+
+    Raises
+    ------
+    BadInputError
+        For a requested column that is no metric, or a metric without a value.
+    """
+    available = [
+        name
+        for name in (*ERROR_METRICS, *OPTIONAL_METRICS)
+        if name in frame and frame[name].notna().any()
+    ]
+    requested = tuple(names) or tuple(name for name in default if name in available)
+    unknown = [name for name in requested if name not in available]
+    if unknown:
+        raise BadInputError(f"--metric {unknown[0]}: not in {path}; it has {', '.join(available)}")
+    return requested
 
 
 def excursion_columns(radii_m: Iterable[float]) -> tuple[str, ...]:

@@ -24,12 +24,11 @@ from sysid.logs import read_small_table
 from sysid.units import percent
 from uqharness.campaign.conditions import (
     CONFIDENCE,
-    ERROR_METRICS,
-    OPTIONAL_METRICS,
     Condition,
     conditions,
     in_condition,
     pboxes,
+    requested_metrics,
 )
 from uqharness.campaign.manifest import read_complete
 from uqharness.campaign.rounds import band_confidence
@@ -119,17 +118,7 @@ def study_convergence(
     """
     manifest = read_complete(folder)
     frame = read_cases(folder, manifest)
-    available = [
-        name
-        for name in (*ERROR_METRICS, *OPTIONAL_METRICS)
-        if name in frame and frame[name].notna().any()
-    ]
-    requested = list(metrics) or [name for name in METRICS if name in available]
-    unknown = [name for name in requested if name not in available]
-    if unknown:
-        raise BadInputError(
-            f"--metric {unknown[0]}: not in {folder / CASES}; it has {', '.join(available)}"
-        )
+    requested = requested_metrics(frame, metrics, METRICS, folder / CASES)
     epistemic = manifest["campaign"]["epistemic"]
     is_random = epistemic["method"] in _RANDOM_METHODS or "parameters" in epistemic
     results = [

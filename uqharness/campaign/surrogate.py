@@ -22,7 +22,15 @@ import pandas as pd
 from sysid.arrays import FloatArray
 from sysid.distributions import student_quantile
 from uqharness.campaign.cases import Case, build_cases
-from uqharness.campaign.conditions import Condition, conditions, hardest_condition, in_condition
+from uqharness.campaign.conditions import (
+    ERROR_METRICS,
+    OPTIONAL_METRICS,
+    Condition,
+    conditions,
+    hardest_condition,
+    in_condition,
+    requested_metrics,
+)
 from uqharness.campaign.engines import make_copy, needs_copy
 from uqharness.campaign.manifest import (
     describe,
@@ -33,7 +41,7 @@ from uqharness.campaign.manifest import (
 )
 from uqharness.campaign.processes import CaseOutcome, ProcessExecutor
 from uqharness.campaign.run import find_mission
-from uqharness.campaign.tables import read_cases
+from uqharness.campaign.tables import CASES, read_cases
 from uqharness.errors import BadInputError
 from uqharness.flight import AutopilotSettings, FlightResult, FlightSpec
 from uqharness.flight.fly import fly
@@ -43,6 +51,12 @@ from uqharness.statistics.pbox import pbox
 PROBABILITIES = (0.05, 0.25, 0.5, 0.75, 0.95)
 FEWEST_PAIRS = 4
 """A line and its scatter need two more flights than it has parameters."""
+DEFAULT_METRICS = tuple(
+    name
+    for name in (*ERROR_METRICS, *OPTIONAL_METRICS)
+    if "median" in name and not name.endswith("_measured")
+)
+"""Metrics that are compared by default."""
 
 
 @dataclass(frozen=True)
@@ -70,12 +84,15 @@ class Pairs:
         The cases that the real autopilot flew.
     outcomes : tuple of CaseOutcome
         What it made of them, in the same order.
+    metrics : tuple of str
+        Metrics to compare.
     """
 
     condition: Condition
     rows: pd.DataFrame
     cases: tuple[Case, ...]
     outcomes: tuple[CaseOutcome, ...]
+    metrics: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -115,7 +132,9 @@ class Correction:
         return not self.difference[1] <= 0.0 <= self.difference[2]
 
 
-def fly_pairs(folder: Path, count: int, settings: AutopilotSettings) -> Pairs:
+def fly_pairs(
+    folder: Path, count: int, settings: AutopilotSettings, metrics: Sequence[str] = ()
+) -> Pairs:
     """Fly cases of the hardest condition of a complete campaign with a real autopilot.
 
     Parameters
@@ -126,11 +145,14 @@ def fly_pairs(folder: Path, count: int, settings: AutopilotSettings) -> Pairs:
         Number of flights; epistemic members and airs are drawn evenly, by the campaign's seed.
     settings : AutopilotSettings
         The real autopilot.
+    metrics : sequence of str
+        Metrics to compare; default: `DEFAULT_METRICS`.
 
     Raises
     ------
     BadInputError
-        If the campaign is incomplete, or aircraft, script or versions have changed.
+        Before the first flight, if the campaign is incomplete, a metric is unknown, or aircraft,
+        script or versions have changed.
     """
     manifest = read_manifest(folder)
     refuse_without_digests(folder, manifest)
@@ -140,12 +162,13 @@ def fly_pairs(folder: Path, count: int, settings: AutopilotSettings) -> Pairs:
     refuse_if_different(folder, manifest, describe(spec, mission, manifest["cases"], ""))
     condition = hardest_condition(conditions(frame))
     rows = in_condition(frame, condition)
+    requested = requested_metrics(rows, metrics, DEFAULT_METRICS, folder / CASES)
     if settings.warmup_s > float(spec.aleatory.burn_in_s):
         raise BadInputError(
             f"--autopilot-warmup-s {settings.warmup_s:g}: the campaign scores from"
             f" {float(spec.aleatory.burn_in_s):g} s on (burn_in_s); a warm-up ends before"
         )
-    chosen = _spread(rows[rows["status"] == "ok"], count, spec.campaign.seed)
+    chosen = _varied_cases(rows[rows["status"] == "ok"], count, spec.campaign.seed)
     if needs_copy(spec):
         make_copy(spec, mission, folder)
     by_id = {case.case_id: case for case in build_cases(spec, mission)}
@@ -164,10 +187,11 @@ def fly_pairs(folder: Path, count: int, settings: AutopilotSettings) -> Pairs:
     refused = next((o for o in outcomes.values() if o.bad_input), None)
     if refused is not None:
         raise BadInputError(refused.reason)
-    return Pairs(condition, rows, cases, tuple(outcomes[case.case_id] for case in cases))
+    results = tuple(outcomes[case.case_id] for case in cases)
+    return Pairs(condition, rows, cases, results, requested)
 
 
-def _spread(rows: pd.DataFrame, count: int, seed: int) -> list[str]:
+def _varied_cases(rows: pd.DataFrame, count: int, seed: int) -> list[str]:
     """Return case ids of different airs and members as far as there are any."""
     if len(rows) < count:
         raise BadInputError(
@@ -188,12 +212,10 @@ def _spread(rows: pd.DataFrame, count: int, seed: int) -> list[str]:
     return chosen
 
 
-def corrections(
-    pairs: Pairs, metrics: Sequence[str], confidence: float = 0.95
-) -> dict[str, Correction]:
-    """Return the correction of each metric that enough pairs have."""
+def corrections(pairs: Pairs, confidence: float = 0.95) -> dict[str, Correction]:
+    """Return the correction of each requested metric that enough pairs have."""
     out = {}
-    for metric in metrics:
+    for metric in pairs.metrics:
         stored = dict(
             zip(pairs.rows["case_id"], pairs.rows[metric].to_numpy(dtype=float), strict=True)
         )
@@ -203,15 +225,15 @@ def corrections(
             if outcome.status == "ok"
         ]
         x, y = np.array(both, dtype=float).reshape(-1, 2).T
-        known = np.isfinite(x) & np.isfinite(y)
-        if known.sum() < FEWEST_PAIRS:
+        is_defined = np.isfinite(x) & np.isfinite(y)
+        if is_defined.sum() < FEWEST_PAIRS:
             continue
         good = pairs.rows[np.isfinite(pairs.rows[metric]) & (pairs.rows["status"] == "ok")]
         members = {
             str(name): group[metric].to_numpy(dtype=float)
             for name, group in good.groupby("epistemic_id", sort=False)
         }
-        out[metric] = control_variate(x[known], y[known], members, confidence)
+        out[metric] = control_variate(x[is_defined], y[is_defined], members, confidence)
     return out
 
 

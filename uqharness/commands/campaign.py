@@ -24,8 +24,6 @@ from uqharness.campaign import (
     AREAS,
     CONFIDENCE,
     CONVERGENCE,
-    ERROR_METRICS,
-    OPTIONAL_METRICS,
     RERUN,
     STATEMENTS,
     CampaignSpec,
@@ -558,19 +556,8 @@ def surrogate_check(
     settings = AutopilotSettings(
         request.autopilot_process, request.autopilot_warmup_s, port=request.autopilot_port
     )
-    pairs = fly_pairs(request.folder, request.flights, settings)
-    unknown = [name for name in request.metric if name not in pairs.rows]
-    if unknown:
-        raise BadInputError(
-            f"--metric {unknown[0]}: {request.folder} has no such metric; allowed are"
-            f" {', '.join(name for name in ERROR_METRICS if name in pairs.rows)}"
-        )
-    requested = request.metric or tuple(
-        name
-        for name in (*ERROR_METRICS, *OPTIONAL_METRICS)
-        if "median" in name and not name.endswith("_measured") and name in pairs.rows
-    )
-    by_metric = corrections(pairs, requested)
+    pairs = fly_pairs(request.folder, request.flights, settings, request.metric)
+    by_metric = corrections(pairs)
     document = SurrogateCheck(
         condition=pairs.condition.label,
         flights=[

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -12,8 +14,10 @@ from uqharness.campaign.conditions import (
     excursion_cells,
     hardest_condition,
     in_condition,
+    requested_metrics,
     samples,
 )
+from uqharness.errors import BadInputError
 
 METRIC = ERROR_METRICS[0]
 
@@ -78,3 +82,12 @@ def test_a_count_that_no_flight_has_makes_no_cell():
     assert {c.distance for c in excursion_cells(frame(), [15.0])} == {"horizontal"}
     counted = frame(excursions_15m_3d=1.0)
     assert {c.distance for c in excursion_cells(counted, [15.0])} == {"horizontal", "3d"}
+
+
+def test_a_requested_metric_is_one_that_the_table_has():
+    table = pd.DataFrame({"case_id": ["a"], "speed_max_mps": [1.0], "altitude_max_m": [np.nan]})
+    some = ("speed_max_mps", "altitude_max_m")
+    assert requested_metrics(table, (), some, Path("cases.parquet")) == ("speed_max_mps",)
+    for name in ("case_id", "altitude_max_m", "nothing"):
+        with pytest.raises(BadInputError, match=f"{name}: not in .*; it has speed_max_mps"):
+            requested_metrics(table, [name], some, Path("cases.parquet"))

@@ -56,11 +56,14 @@ def test_flights_of_a_stand_in_are_compared(tmp_path: Path, capsys: pytest.Captu
     campaign = {
         "campaign": {"aircraft": "espaaro", "mission": "loiter", "seed": 1, "engine": "jsbsim"},
         "aleatory": {
-            "flights": 4, "duration_s": 3, "burn_in_s": 1, "wind_mps": [3],
+            "flights": 4,
+            "duration_s": 3,
+            "burn_in_s": 1,
+            "wind_mps": [3],
             "turbulence": ["light"],
         },
         "epistemic": {"method": "none"},
-    }  # fmt: skip
+    }
     out = tmp_path / "results"
     flown = uq.run_campaign(campaign, out, workers=1)
     peer = tmp_path / "peer.py"
@@ -89,3 +92,6 @@ def test_flights_of_a_stand_in_are_compared(tmp_path: Path, capsys: pytest.Captu
     assert "ended with exit code 1" in dead["flights"][0]["reason"]
     assert main([*words[:-1], "--autopilot-process", "x", "--autopilot-warmup-s", "2"]) == 2
     assert "scores from 1 s on" in capsys.readouterr().err
+    # A column that is no metric is refused before the first flight.
+    assert main([*words[:7], "--metric", "case_id", "--autopilot-process", "x"]) == 2
+    assert "--metric case_id: not in" in capsys.readouterr().err
