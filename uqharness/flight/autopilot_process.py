@@ -107,9 +107,11 @@ class AutopilotProcess:
         try:
             self._process = subprocess.Popen(
                 [word.replace("{port}", port) for word in words],
-                stdin=subprocess.DEVNULL, stdout=self._output, stderr=subprocess.STDOUT,
+                stdin=subprocess.DEVNULL,
+                stdout=self._output,
+                stderr=subprocess.STDOUT,
                 start_new_session=True,
-            )  # fmt: skip
+            )
         except OSError as error:
             self._resources.close()
             raise BadInputError(

@@ -40,10 +40,17 @@ _STILL = {
 """Commands that do not move an aeroplane in the air: cameras, servos, delays; take-off and markers
 of a landing."""
 _NAMES = {
-    _LAND: "NAV_LAND", 82: "NAV_SPLINE_WAYPOINT", 84: "NAV_VTOL_TAKEOFF", 85: "NAV_VTOL_LAND",
-    30: "NAV_CONTINUE_AND_CHANGE_ALT", 93: "NAV_DELAY", 92: "NAV_GUIDED_ENABLE",
-    94: "NAV_PAYLOAD_PLACE", 83: "NAV_ALTITUDE_WAIT", 42702: "NAV_SCRIPT_TIME",
-}  # fmt: skip
+    _LAND: "NAV_LAND",
+    82: "NAV_SPLINE_WAYPOINT",
+    84: "NAV_VTOL_TAKEOFF",
+    85: "NAV_VTOL_LAND",
+    30: "NAV_CONTINUE_AND_CHANGE_ALT",
+    93: "NAV_DELAY",
+    92: "NAV_GUIDED_ENABLE",
+    94: "NAV_PAYLOAD_PLACE",
+    83: "NAV_ALTITUDE_WAIT",
+    42702: "NAV_SCRIPT_TIME",
+}
 _SET = (
     "loiter-center-north-m",
     "loiter-center-east-m",
@@ -186,10 +193,16 @@ def _waypoints(path: Path, text: str, notes: list[str]) -> tuple[Home, list[_Ite
         number, _, frame, command, p1, p2, p3, p4, lat, lon, alt, _ = numbers
         items.append(
             _Item(
-                int(number), f"{path}:{line}", int(frame), int(command), (p1, p2, p3, p4),
-                lat, lon, alt,
+                int(number),
+                f"{path}:{line}",
+                int(frame),
+                int(command),
+                (p1, p2, p3, p4),
+                lat,
+                lon,
+                alt,
             )
-        )  # fmt: skip
+        )
     if len(items) < 2:
         raise BadInputError(f"{path}: holds home and no item")
     first = items[0]

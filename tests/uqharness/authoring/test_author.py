@@ -60,9 +60,14 @@ def test_written_aircraft_computes_the_model(kite):
     masses = sources.masses
     tensor = masses.inertia_kgm2
     mass = MassProperties(
-        masses.mass_kg.value, masses.centre_m, tensor[0, 0], tensor[1, 1], tensor[2, 2],
-        -tensor[0, 2], "x",
-    )  # fmt: skip
+        masses.mass_kg.value,
+        masses.centre_m,
+        tensor[0, 0],
+        tensor[1, 1],
+        tensor[2, 2],
+        -tensor[0, 2],
+        "x",
+    )
     model = build(sources.derivatives, mass)
     source = source_model(aircraft, design_speed(model))
     states = box(source, 40, 1)

@@ -133,9 +133,14 @@ def test_all_members_of_a_campaign(tmp_path: Path) -> None:
     text = text.replace('"CX", "CY"', '"CX"').replace(", CY = 0.010", "")
     campaign.write_text(text.replace("scripts/", f"{ROOT}/scripts/"))
     loss = uq.export(
-        "espaaro", "ardupilot-jsbsim", out=tmp_path / "out", speed_mps=22.2, states=20,
-        member="all", campaign=campaign,
-    )  # fmt: skip
+        "espaaro",
+        "ardupilot-jsbsim",
+        out=tmp_path / "out",
+        speed_mps=22.2,
+        states=20,
+        member="all",
+        campaign=campaign,
+    )
     names = sorted(path.name for path in (tmp_path / "out/aircraft").iterdir())
     assert names == ["espaaro_0-----", "espaaro_1-----"]
     assert max(row.max for row in loss.coefficients.values()) < 1e-12

@@ -37,9 +37,13 @@ def flown(unit: Path, start: dict[str, float] | None = None, step_deg: float = 0
         signals[name] = value
     signals["elevator_deg"] += np.where(signals["time"] >= 0.995, step_deg, 0.0)
     return fmpy.simulate_fmu(
-        str(unit), stop_time=3.0, output_interval=0.01, input=signals,
-        start_values=start or {}, output=["V_mps", "alpha_rad", "q_radps", "theta_rad", "h_m"],
-    )  # fmt: skip
+        str(unit),
+        stop_time=3.0,
+        output_interval=0.01,
+        input=signals,
+        start_values=start or {},
+        output=["V_mps", "alpha_rad", "q_radps", "theta_rad", "h_m"],
+    )
 
 
 def test_it_is_valid_and_starts_in_its_trim(unit: Path) -> None:

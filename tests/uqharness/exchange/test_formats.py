@@ -23,9 +23,13 @@ from uqharness.exchange import FlightStates, ardupilot_json, derivatives, gazebo
 from uqharness.exchange.states import VARIABLES, Reference
 
 REFERENCE = Reference(
-    0.8, 2.1, 0.36, 6.5, np.array([[0.9, 0.0, -0.07], [0, 0.6, 0], [-0.07, 0, 1.4]]),
+    0.8,
+    2.1,
+    0.36,
+    6.5,
+    np.array([[0.9, 0.0, -0.07], [0, 0.6, 0], [-0.07, 0, 1.4]]),
     {"elevator": 24.0, "aileron": 20.0, "rudder": 28.0},
-)  # fmt: skip
+)
 
 
 def states(n: int, seed: int = 0) -> FlightStates:
@@ -39,18 +43,27 @@ def ardupilot_keys() -> dict[str, Any]:
     rng = np.random.default_rng(1)
     keys = {key: float(rng.normal()) for key in ardupilot_json.KEYS}
     return keys | {
-        "s": 0.24, "b": 2.1, "c": 0.36, "oswald": 0.8, "mcoeff": 50.0, "alpha_stall": 0.3,
+        "s": 0.24,
+        "b": 2.1,
+        "c": 0.36,
+        "oswald": 0.8,
+        "mcoeff": 50.0,
+        "alpha_stall": 0.3,
         "CGOffset": [0.02, -0.01, 0.03],
-    }  # fmt: skip
+    }
 
 
 def gazebo_model() -> gazebo.LiftDragModel:
     rng = np.random.default_rng(2)
     tags = {tag: float(rng.normal()) for tag in gazebo.TAGS}
     tags |= {
-        "area": 0.8, "mac": 0.36, "AR": 2.1**2 / 0.8, "eff": 0.85, "alpha_stall": 0.3,
+        "area": 0.8,
+        "mac": 0.36,
+        "AR": 2.1**2 / 0.8,
+        "eff": 0.85,
+        "alpha_stall": 0.3,
         "air_density": 1.2041,
-    }  # fmt: skip
+    }
     surfaces = [
         gazebo.ControlSurface(
             name,
@@ -95,15 +108,19 @@ def by_ardupilot(k: dict[str, Any], V: float, x: dict[str, float]) -> list[float
     sine, cosine = math.sin(alpha), math.cos(alpha)
     pressure = 0.5 * rho * V**2 * s
     fx = pressure * (
-        -drag * cosine + lift * sine
+        -drag * cosine
+        + lift * sine
         + (-k["c_drag_q"] * cosine + k["c_lift_q"] * sine) * c * q / (2 * V)
-        - k["c_drag_deltae"] * cosine * abs(elevator) + k["c_lift_deltae"] * sine * elevator
-    )  # fmt: skip
+        - k["c_drag_deltae"] * cosine * abs(elevator)
+        + k["c_lift_deltae"] * sine * elevator
+    )
     fz = pressure * (
-        -drag * sine - lift * cosine
+        -drag * sine
+        - lift * cosine
         + (-k["c_drag_q"] * sine - k["c_lift_q"] * cosine) * c * q / (2 * V)
-        - k["c_drag_deltae"] * sine * abs(elevator) - k["c_lift_deltae"] * cosine * elevator
-    )  # fmt: skip
+        - k["c_drag_deltae"] * sine * abs(elevator)
+        - k["c_lift_deltae"] * cosine * elevator
+    )
 
     def lateral(z: str) -> float:
         rates = (k[f"c_{z}_p"] * p + k[f"c_{z}_r"] * r) * b / (2 * V)
@@ -113,28 +130,51 @@ def by_ardupilot(k: dict[str, Any], V: float, x: dict[str, float]) -> list[float
     fy = pressure * lateral("y")
     gx, gy, gz = k["CGOffset"]
     roll = pressure * b * lateral("l") + gy * fz - gz * fy
-    pitch = pressure * c * (
-        k["c_m_0"] + k["c_m_a"] * alpha + k["c_m_q"] * c * q / (2 * V)
-        + k["c_m_deltae"] * elevator
-    ) - gx * fz + gz * fx  # fmt: skip
+    pitch = (
+        pressure
+        * c
+        * (
+            k["c_m_0"]
+            + k["c_m_a"] * alpha
+            + k["c_m_q"] * c * q / (2 * V)
+            + k["c_m_deltae"] * elevator
+        )
+        - gx * fz
+        + gz * fx
+    )
     yaw = pressure * b * lateral("n") - gy * fx + gx * fy
     return [
-        fx / pressure, fy / pressure, fz / pressure,
-        roll / (pressure * b), pitch / (pressure * c), yaw / (pressure * b),
-    ]  # fmt: skip
+        fx / pressure,
+        fy / pressure,
+        fz / pressure,
+        roll / (pressure * b),
+        pitch / (pressure * c),
+        yaw / (pressure * b),
+    ]
 
 
 def by_gazebo(model: gazebo.LiftDragModel, V: float, x: dict[str, float], turn: Rotation) -> Any:
     """AdvancedLiftDrag.cc, one state in a world that is turned by any rotation."""
     t = model.tags
     # Link axes forward, left, up.
-    speed = V * np.array([
-        math.cos(x["alpha"]) * math.cos(x["beta"]), -math.sin(x["beta"]),
-        -math.sin(x["alpha"]) * math.cos(x["beta"]),
-    ])  # fmt: skip
-    spin = 2 * V * np.array([
-        x["p"] / REFERENCE.b_m, -x["q"] / REFERENCE.c_m, -x["r"] / REFERENCE.b_m,
-    ])  # fmt: skip
+    speed = V * np.array(
+        [
+            math.cos(x["alpha"]) * math.cos(x["beta"]),
+            -math.sin(x["beta"]),
+            -math.sin(x["alpha"]) * math.cos(x["beta"]),
+        ]
+    )
+    spin = (
+        2
+        * V
+        * np.array(
+            [
+                x["p"] / REFERENCE.b_m,
+                -x["q"] / REFERENCE.c_m,
+                -x["r"] / REFERENCE.b_m,
+            ]
+        )
+    )
     air, spin = turn.apply(speed), turn.apply(spin)
     flu = np.array([1.0, -1.0, -1.0])
     link = [turn.apply(flu * axis) for axis in np.eye(3)]
@@ -162,9 +202,10 @@ def by_gazebo(model: gazebo.LiftDragModel, V: float, x: dict[str, float], turn: 
 
     def damped(name: str) -> float:
         return half * (
-            t[f"{name}p"] * rr * span / 2 + t[f"{name}q"] * pr * t["mac"] / 2
+            t[f"{name}p"] * rr * span / 2
+            + t[f"{name}q"] * pr * t["mac"] / 2
             + t[f"{name}r"] * yr * span / 2
-        )  # fmt: skip
+        )
 
     lift = (1 - sigma) * (t["CL0"] + t["CLa"] * alpha)
     lift += sigma * 2 * (alpha / abs(alpha)) * math.sin(alpha) ** 2 * math.cos(alpha)

@@ -64,9 +64,12 @@ def flown(peer: Path, *words: str, duration_s: float = 12.0, warmup_s: float = 0
     command = " ".join([sys.executable, str(peer), "{port}", *words])
     script = read_script(ROOT / "scripts/loiter.xml")
     spec = FlightSpec(
-        aircraft=find_aircraft("espaaro").folder, script=script.path, duration_s=duration_s,
-        turbulence="light", seed_turbulence=3,
-    )  # fmt: skip
+        aircraft=find_aircraft("espaaro").folder,
+        script=script.path,
+        duration_s=duration_s,
+        turbulence="light",
+        seed_turbulence=3,
+    )
     settings = AutopilotSettings(command, warmup_s, timeout_s=20.0, port=0)
     return recorded_flight(find_aircraft("espaaro"), script, spec, settings)
 
@@ -97,8 +100,11 @@ def test_a_command_that_does_not_exist(tmp_path: Path) -> None:
 def test_pulses_follow_the_card() -> None:
     scales = command_scales(find_aircraft("espaaro"))
     assert {name: scale.output for name, scale in scales.items()} == {
-        "aileron": 1, "elevator": 2, "throttle": 3, "rudder": 4,
-    }  # fmt: skip
+        "aileron": 1,
+        "elevator": 2,
+        "throttle": 3,
+        "rudder": 4,
+    }
     assert scales["elevator"].values == (-20.0, 0.0, 20.0)
     assert scales["throttle"].pulses_us == (1000.0, 2000.0)
     # Without a card: JSBSim's normalised commands over ArduPlane's default pulses.

@@ -34,9 +34,11 @@ def waypoints(rows, home=HOME) -> str:
 def simple(row) -> dict:
     frame, command, *params = row
     return {
-        "type": "SimpleItem", "command": command, "frame": frame,
+        "type": "SimpleItem",
+        "command": command,
+        "frame": frame,
         "params": [x or None for x in params[:4]] + params[4:],
-    }  # fmt: skip
+    }
 
 
 def plan(items, **more) -> str:
