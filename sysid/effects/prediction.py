@@ -324,7 +324,9 @@ class _WhitenedOnDemand:
     ) -> None:
         self.one, self.columns, self.k, self.colour = one, columns, k, colour
         plain = one.innovations_only
-        innovations, starts = (_coloured(colour, x) for x in (plain.innovations, plain.starts))
+        innovations, starts = (
+            _without_colour(colour, x) for x in (plain.innovations, plain.starts)
+        )
         self.q = start_fitted(innovations, starts)[1]
         self.made: dict[str, NDArray[np.float32]] = {}
 
@@ -332,7 +334,7 @@ class _WhitenedOnDemand:
         """(n, m, C) in single precision, the start state fitted."""
         if missing := [n for n in names if n not in self.made]:
             made = self.one.with_columns(self.columns.some(self.k, missing)).columns
-            remainder, _ = _without_start(_coloured(self.colour, made), self.q)
+            remainder, _ = _without_start(_without_colour(self.colour, made), self.q)
             self.made |= {
                 n: np.ascontiguousarray(remainder[:, :, c]) for c, n in enumerate(missing)
             }
@@ -351,7 +353,7 @@ def whitened(
     return [_whitened(one, columns[k], colour) for k, one in enumerate(followed)]
 
 
-def _coloured(colour: InnovationColour | None, series: NDArray[Any]) -> NDArray[Any]:
+def _without_colour(colour: InnovationColour | None, series: NDArray[Any]) -> NDArray[Any]:
     """Make innovations, or their changes, white."""
     return series if colour is None else colour(series)
 
@@ -367,7 +369,7 @@ def _whitened(
     )
     plain = one.with_columns(segment_columns)
     innovations, starts, changes = (
-        _coloured(colour, x) for x in (plain.innovations, plain.starts, plain.columns)
+        _without_colour(colour, x) for x in (plain.innovations, plain.starts, plain.columns)
     )
     residual, q, r = start_fitted(innovations, starts)
     remainder, inside = _without_start(changes, q)

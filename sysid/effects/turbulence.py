@@ -266,10 +266,10 @@ class TurbulenceModel:
         rotate, turn = ("" if so else "do not " for so in (rotating, turning_with))
         axes = " of the body's axes" if self.states[0].in_body else ""
         order = 0 if self.colour is None else len(self.colour.coefficients)
-        rest = f", and whose innovations depend on {order} rows before" if order else ""
+        colour_words = f", and whose innovations depend on {order} rows before" if order else ""
         return (
             f"gusts{axes} that {rotate}rotate the air{self._lengths} and {turn}turn with the"
-            f" aircraft{passing}{rest}"
+            f" aircraft{passing}{colour_words}"
         )
 
     @property

@@ -192,10 +192,7 @@ def parse_json(text: str | bytes) -> Any:
         raise ParseError(f"not usable as JSON: {_TOO_LONG}") from None
 
 
-# SHA-256 digests of files and byte strings, for provenance and cache keys.
-#
-# Results record the digest of every input, so that a reader can check which file they came
-# from.
+# Digests: results record that of every input, so that a reader can check which file they came from.
 
 
 def sha256_hex(content: bytes) -> str:
@@ -220,8 +217,7 @@ def sha256_of_parts(parts: Iterable[bytes | memoryview]) -> str:
 def file_sha256(path: Path) -> str:
     """Return the SHA-256 of a regular file as 64 hexadecimal digits, read block by block.
 
-    Raises OSError if the file does not exist or is not a regular file, as
-    `sysid.foreign.regular_files.require_regular` does.
+    Raises OSError if the file does not exist or is not a regular file, as `require_regular` does.
     """
     with open_regular(path) as handle:
         return hashlib.file_digest(handle, "sha256").hexdigest()

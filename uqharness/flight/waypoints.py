@@ -32,7 +32,7 @@ _ACCEPTANCE_M, _LOITER_M, _HEIGHT_M = 90.0, 60.0, 5.0
 _MOST_ITEMS = 5000
 _WAYPOINT, _UNLIM, _TURNS, _TIME, _RTL, _LAND, _TAKEOFF, _TO_ALT = 16, 17, 18, 19, 20, 21, 22, 31
 _JUMP, _SPEED = 177, 178
-_STILL = {
+_MOTIONLESS = {
     *(201, 203, 205, 206, 214, 530, 531, 532, 2000, 2001, 2500, 2501),
     *(112, 114, 115, 181, 182, 183, 184, 600, 601),
     *(_TAKEOFF, 189, 212),
@@ -151,20 +151,20 @@ def read_mission(path: Path) -> WaypointMission:
         raise BadInputError(f"{path}: {len(items)} items; at most {_MOST_ITEMS} are flown")
     flown: list[Waypoint] = []
     speed = math.nan
-    still: dict[int, int] = {}
+    motionless: dict[int, int] = {}
     for item in _unrolled(path, items, notes):
         if item.command == _SPEED:
             speed = _speed(item)
-        elif item.command in _STILL:
-            still[item.command] = still.get(item.command, 0) + 1
+        elif item.command in _MOTIONLESS:
+            motionless[item.command] = motionless.get(item.command, 0) + 1
         else:
             flown.append(replace(_waypoint(item, home), speed_mps=speed))
             speed = math.nan
     if not flown:
         raise BadInputError(f"{path}: holds no item that moves the aircraft")
-    if _TAKEOFF in still:
+    if _TAKEOFF in motionless:
         notes.append("the take-off is left out: flights begin in the air")
-    others = sum(count for command, count in still.items() if command != _TAKEOFF)
+    others = sum(count for command, count in motionless.items() if command != _TAKEOFF)
     if others:
         notes.append(f"{others} items that do not move the aircraft are left out")
     return WaypointMission(path, tuple(flown), tuple(notes))
@@ -280,7 +280,7 @@ def _plan_items(path: Path, index: int, row: Any, before: Sequence[_Item]) -> li
 def _unrolled(path: Path, items: Sequence[_Item], notes: list[str]) -> list[_Item]:
     """Return the items with DO_JUMP carried out; a jump for ever is one of many rounds."""
     place = {item.number: k for k, item in enumerate(items)}
-    left: dict[int, int] = {}
+    jumps_left: dict[int, int] = {}
     out: list[_Item] = []
     k = 0
     while k < len(items) and len(out) < _MOST_ITEMS:
@@ -294,9 +294,9 @@ def _unrolled(path: Path, items: Sequence[_Item], notes: list[str]) -> list[_Ite
             raise BadInputError(f"{item.place}: DO_JUMP to item {target}, which does not exist")
         if count < 0 and k < len(items):
             notes.append(f"items behind the endless jump of item {item.number} are never reached")
-        remaining = left.setdefault(item.number, count)
+        remaining = jumps_left.setdefault(item.number, count)
         if remaining != 0:
-            left[item.number] = remaining - 1
+            jumps_left[item.number] = remaining - 1
             k = place[target]
     return out
 
