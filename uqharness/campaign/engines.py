@@ -396,7 +396,7 @@ def choose_engine(
             )
         return EngineChoice(spec.with_engine(BATCH), requested, given_reasons)
     # Ask the batch engine whether it understands aircraft and mission.
-    reasons = reasons_against(spec, mission, engines)
+    reasons, left_out = _support(spec, mission, engines)
     if engine_name == BATCH:
         if reasons:
             raise BadInputError(
@@ -406,50 +406,53 @@ def choose_engine(
         return EngineChoice(spec.with_engine(BATCH), requested, (_REQUESTED,))
     if reasons:
         return EngineChoice(spec.with_engine(JSBSIM), requested, reasons)
-    return EngineChoice(spec.with_engine(BATCH), requested, reasons_for(spec, mission, engines))
+    if not left_out:
+        return EngineChoice(
+            spec.with_engine(BATCH), requested, ("it understands the whole aircraft and mission",)
+        )
+    return EngineChoice(
+        spec.with_engine(BATCH),
+        requested,
+        (
+            "it understands all that the flight reads",
+            *(f"left out, since nothing reads it: {text}" for text in left_out),
+        ),
+    )
 
 
 def reasons_against(spec: CampaignSpec, mission: Mission, engines: Engines) -> tuple[str, ...]:
     """Return why the batch engine cannot fly a campaign, one sentence each; empty if it can."""
+    return _support(spec, mission, engines)[0]
+
+
+def _support(
+    spec: CampaignSpec, mission: Mission, engines: Engines
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return what the batch engine refuses of a campaign and what it leaves out of the aircraft.
+
+    One case of each condition is asked. The sentences name the author's files.
+    """
     reason = engines.unavailable()
-    if reason is not None or engines.batch is None:
-        return (reason or engines.no_batch,)
-    return _sentences_of_cases(spec, mission, engines.batch, _refusals)
-
-
-def reasons_for(spec: CampaignSpec, mission: Mission, engines: Engines) -> tuple[str, ...]:
-    """Return why the batch engine can fly a campaign, and what of the aircraft it leaves out."""
-    assert engines.batch is not None
-    left_out = _sentences_of_cases(
-        spec, mission, engines.batch, lambda batch, flight, varying: batch.left_out(flight, varying)
-    )
-    if not left_out:
-        return ("it understands the whole aircraft and mission",)
-    return (
-        "it understands all that the flight reads",
-        *(f"left out, since nothing reads it: {text}" for text in left_out),
-    )
-
-
-def _sentences_of_cases(
-    spec: CampaignSpec,
-    mission: Mission,
-    batch: Batch,
-    sentences: Callable[[Batch, FlightSpec, tuple[str, ...]], tuple[str, ...]],
-) -> tuple[str, ...]:
-    """Return what the batch engine reports for a case of each condition, in the author's files."""
+    batch = engines.batch
+    if reason is not None or batch is None:
+        return (reason or engines.no_batch,), ()
     varying = varying_properties(spec)
+    # Both questions read one staged copy, so the engine translates the mission once.
     with staged_mission_of(spec, mission) as staged:
-        texts = [
-            text
-            for case in one_case_each(spec, staged)
-            for text in sentences(batch, case.flight, varying)
-        ]
-        return tuple(
-            dict.fromkeys(
-                text.replace(str(staged.aircraft), str(mission.aircraft)) for text in texts
+        flights = [case.flight for case in one_case_each(spec, staged)]
+
+        def named(texts: Iterable[str]) -> tuple[str, ...]:
+            """Return the sentences with the author's path in the place of the copy's."""
+            return tuple(
+                dict.fromkeys(
+                    text.replace(str(staged.aircraft), str(mission.aircraft)) for text in texts
+                )
             )
-        )
+
+        refused = named(text for flight in flights for text in _refusals(batch, flight, varying))
+        if refused:
+            return refused, ()
+        return (), named(text for flight in flights for text in batch.left_out(flight, varying))
 
 
 def _refusals(batch: Batch, flight: FlightSpec, varying: tuple[str, ...]) -> tuple[str, ...]:
