@@ -99,8 +99,11 @@ class Geometry:
     surfaces: tuple[Surface, ...]
 
     def wings(self) -> list[Surface]:
-        """Return the surface of the largest area, and its mirror image where it is listed."""
-        main = max(self.surfaces, key=lambda surface: surface.area())
+        """Return the surface of the largest area times span, and its mirror image if listed.
+
+        A fuselage of flat plates may have more area than the wing, but has no span.
+        """
+        main = max(self.surfaces, key=lambda surface: surface.area() * surface.span())
         if main.duplicated:
             return [main]
         mirror = [

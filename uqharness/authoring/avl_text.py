@@ -13,13 +13,23 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
-from uqharness.authoring.source import BODY, LARGEST, TOTAL, Entry, Point, Source
+from uqharness.authoring.source import (
+    BODY,
+    LARGEST,
+    TOTAL,
+    Entry,
+    Point,
+    Source,
+    without_deflections,
+)
 from uqharness.errors import BadInputError
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][-+]?\d+)?|\*+|[-+]?nan|[-+]?inf(?:inity)?"
 _PAIR = re.compile(rf"([A-Za-z][\w'./]*)\s*=\s*({_NUMBER})", re.IGNORECASE)
 _SURFACE = re.compile(r"([A-Za-z]\S*)\s+d(\d+)\b")
 _TOTALS = {f"{name}tot": name for name in ("CX", "CY", "CZ", "Cl", "Cm", "Cn", "CL", "CD")}
+_SINGLE = ("CLtot", "CDtot", "Neutral point  Xnp")
+"""Labels that stand alone in a line and are no control."""
 _VARIABLE = {"a": "alpha", "b": "beta", "p": "p", "q": "q", "r": "r"}
 
 
@@ -32,36 +42,47 @@ def is_avl_output(text: str) -> bool:
     return "Vortex Lattice Output" in text or "axis derivatives..." in text
 
 
-def read_avl_text(path: Path, text: str) -> Source:
-    """Read AVL's ``FT``, ``ST`` or ``SB`` output.
+def read_avl_text(path: Path, text: str) -> list[Source]:
+    """Read AVL's ``FT``, ``ST`` or ``SB`` output, or a log of several.
 
     Parameters
     ----------
     path : Path
         Named in messages.
     text : str
-        Content of the file.
+        Content of the file. AVL appends to a file on request, so that one may hold many cases.
 
     Returns
     -------
-    Source
-        One point. ``FT`` alone has totals and no derivatives.
+    list of Source
+        One point each. ``FT`` alone has totals and no derivatives.
 
     Raises
     ------
     BadInputError
         For a missing header, a number that overflowed its field, or a file cut short.
     """
+    lines = text.splitlines()
+    starts = [i for i, line in enumerate(lines) if "Vortex Lattice Output" in line] or [0]
+    ends = [*starts[1:], len(lines)]
+    cases = [_read_case(path, lines[i:k], i + 1) for i, k in zip(starts, ends, strict=True)]
+    with_derivatives = [case for case in cases if case.surfaces or len(case.points[0].entries) > 8]
+    return with_derivatives or cases[:1]
+
+
+def _read_case(path: Path, lines: list[str], first: int) -> Source:
+    """Read one case, whose first line has the number ``first``."""
+    text = "\n".join(lines)
     values: dict[str, Entry] = {}
-    for name, entry in _pairs(path, text):
+    for name, entry in _pairs(path, lines, first):
         values.setdefault(name, entry)
-    missing = [name for name in ("Sref", "Cref", "Bref", "Alpha", "CLtot") if name not in values]
+    missing = [name for name in ("Alpha", "CLtot") if name not in values]
     if missing:
         raise BadInputError(
-            f"{path}: AVL's output without {', '.join(missing)}; write the file with FT, ST or SB"
-            " from AVL's OPER menu"
+            f"{path}:{first}: AVL's output without {', '.join(missing)}; write the file with FT, ST"
+            " or SB from AVL's OPER menu"
         )
-    names = _surface_names(text)
+    names, deflections = _surfaces(path, lines, first)
     kind = "body" if "eometry-axis derivatives" in text else "stability"
     has_derivatives = "axis derivatives..." in text
     geometric = "Geometric axis orientation" in text
@@ -98,10 +119,34 @@ def read_avl_text(path: Path, text: str) -> Source:
     }
     spiral = re.search(rf"Clb Cnr / Clr Cnb\s*=\s*({_NUMBER})", text)
     if spiral is not None:
-        line = text[: spiral.start()].count("\n") + 1
+        line = text[: spiral.start()].count("\n") + first
         facts["spiral"] = Entry(_float(spiral[1], path, line), path, line)
     title = re.search(r"Configuration:\s*(.*?)\s*$", text, re.MULTILINE)
     zero = Entry(0.0, path)
+    point = Point(
+        alpha=_degrees(values["Alpha"]),
+        mach=values.get("Mach", zero),
+        axes="body" if kind == "body" else "stability",
+        rate_axes="body" if kind == "body" else "stability",
+        entries=entries,
+        beta=_degrees(values.get("Beta", zero)).value,
+    )
+    notes = ["geometric axes: roll and yaw were reversed"] if geometric else []
+    # The model's totals are those without deflections and rates, which a trimmed run has.
+    primes = "" if kind == "body" else "'"
+    amounts = {name: entry.value for name, entry in deflections.items() if entry.value}
+    for rate, label in (("p", f"p{primes}b/2V"), ("q", "qc/2V"), ("r", f"r{primes}b/2V")):
+        if label in values and values[label].value:
+            amounts[rate] = values[label].value
+    if amounts and has_derivatives:
+        point = without_deflections(point, amounts)
+        stated = ", ".join(
+            f"{name} {math.degrees(amount):.4g} deg"
+            if name in deflections
+            else f"{name} {amount:g}"
+            for name, amount in amounts.items()
+        )
+        notes.append(f"totals are moved to zero deflection from {stated}")
     return Source(
         path=path,
         tool="AVL",
@@ -113,25 +158,16 @@ def read_avl_text(path: Path, text: str) -> Source:
             )
             if label in values
         },
-        points=(
-            Point(
-                alpha=_degrees(values["Alpha"]),
-                mach=values.get("Mach", zero),
-                axes="body" if kind == "body" else "stability",
-                rate_axes="body" if kind == "body" else "stability",
-                entries=entries,
-                beta=_degrees(values.get("Beta", zero)).value,
-            ),
-        ),
+        points=(point,),
         surfaces=tuple(names.values()) if has_derivatives else (),
         facts=facts,
-        notes=("geometric axes: roll and yaw were reversed",) if geometric else (),
+        notes=tuple(notes),
     )
 
 
-def _pairs(path: Path, text: str) -> Iterator[tuple[str, Entry]]:
-    """Yield each ``name = number`` of the text."""
-    for number, line in enumerate(text.splitlines(), start=1):
+def _pairs(path: Path, lines: list[str], first: int) -> Iterator[tuple[str, Entry]]:
+    """Yield each ``name = number`` of the lines."""
+    for number, line in enumerate(lines, start=first):
         # The last line, "Clb Cnr / Clr Cnb = ...", is a ratio of four derivatives.
         if "/ Clr Cnb" in line:
             continue
@@ -157,20 +193,30 @@ def _degrees(entry: Entry) -> Entry:
     return Entry(math.radians(entry.value), entry.path, entry.line)
 
 
-def _surface_names(text: str) -> dict[str, str]:
-    """Return the names of control variables by d1, d2, ... (d01 in later versions).
+def _surfaces(path: Path, lines: list[str], first: int) -> tuple[dict[str, str], dict[str, Entry]]:
+    """Return the control variables' names by d1, d2, ... (d01 in later versions), and deflections.
 
-    The heads of the columns give the names; a control without one keeps its number.
+    The totals list every control in order, with its whole name and its deflection in degrees; heads
+    of columns have the first twelve letters. A control without a name keeps its number.
     """
     heads: dict[int, str] = {}
-    for line in text.splitlines():
+    stated: list[tuple[str, Entry]] = []
+    for number, line in enumerate(lines, start=first):
         if "=" not in line and "|" not in line:
-            heads |= {int(number): name for name, number in _SURFACE.findall(line)}
-    labels = set(re.findall(r"\bC[A-Za-z](d\d+)\s*=", text))
-    return {
-        label: heads.get(int(label[1:]), label)
-        for label in sorted(labels, key=lambda label: int(label[1:]))
-    }
+            heads |= {int(index): name for name, index in _SURFACE.findall(line)}
+        row = re.fullmatch(rf"\s{{2,}}([^\s#][^=|]*?)\s*=\s*({_NUMBER})\s*", line, re.IGNORECASE)
+        if row is not None and row[1] not in _SINGLE:
+            stated.append((row[1], _degrees(Entry(_float(row[2], path, number), path, number))))
+    labels = sorted(
+        set(re.findall(r"\bC[A-Za-z](d\d+)\s*=", "\n".join(lines))),
+        key=lambda label: int(label[1:]),
+    )
+    names = {label: heads.get(int(label[1:]), label) for label in labels}
+    if len(stated) == len(labels):
+        names = {label: name for label, (name, _) in zip(labels, stated, strict=True)}
+        if len(set(names.values())) == len(labels):
+            return names, dict(stated)
+    return names, {}
 
 
 def _derivatives(
@@ -226,7 +272,7 @@ def _induced_drag(
     names: dict[str, str],
 ) -> dict[tuple[str, str], Entry]:
     """Return derivatives of the induced drag, CD = CL^2/(pi AR e), which AVL does not print."""
-    if "e" not in values or not values["e"].value > 0.0:
+    if "e" not in values or not values["e"].value > 0.0 or not {"Bref", "Sref"} <= values.keys():
         return {}
     aspect_ratio = values["Bref"].value ** 2 / values["Sref"].value
     slope = 2.0 * values["CLtot"].value / (math.pi * aspect_ratio * values["e"].value)

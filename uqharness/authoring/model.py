@@ -164,12 +164,21 @@ def control_weights(
     values = body_coefficients(middle, source.surfaces)
     kinds: dict[str, list[str]] = {control: [] for control in CONTROLS}
     for name in source.surfaces:
-        for control in _meaning(name):
+        for control in controls_of(name):
             kinds[control].append(name)
     out: dict[str, dict[str, float]] = {}
     for control, names in kinds.items():
         coefficient, sign = _MOMENT_OF[control]
-        live = [name for name in names if abs(values[coefficient, name]) > 1e-9]
+        # The symmetric and the differential part of elevons both bear the name: each makes one
+        # moment, and the last printed digit of the other. Ailerons that move the same way have
+        # lift, and no roll.
+        largest = max((abs(values[coefficient, name]) for name in names), default=0.0)
+        live = [
+            name
+            for name in names
+            if abs(values[coefficient, name])
+            > 0.02 * max(largest, abs(values["CZ", name]), abs(values["CY", name])) + 1e-9
+        ]
         if live:
             out[control] = {
                 name: math.copysign(1.0, sign * values[coefficient, name]) for name in live
@@ -177,18 +186,22 @@ def control_weights(
     return out
 
 
-def _meaning(name: str) -> tuple[str, ...]:
-    """Return the controls that a surface's name speaks of."""
+def controls_of(name: str) -> tuple[str, ...]:
+    """Return the controls that a surface's name speaks of.
+
+    >>> controls_of("R_elevon"), controls_of("vtail_sym"), controls_of("flap")
+    (('elevator', 'aileron'), ('elevator', 'rudder'), ())
+    """
     word = name.lower()
     if re.search(r"v-?_?tail|ruddervator", word):
         return ("elevator", "rudder")
     if "elevon" in word:
         return ("elevator", "aileron")
-    if re.search(r"elev|stab|htail|^de$|^canard", word):
+    if re.search(r"elev|stab|h-?_?tail|tailplane|^de$|canard|foreplane|profundor", word):
         return ("elevator",)
-    if re.search(r"ail|^da$", word):
+    if re.search(r"(?<!t)ail|^da$|querruder", word):
         return ("aileron",)
-    if re.search(r"rud|fin|^dr$", word):
+    if re.search(r"rud|fin|^dr$|leme", word):
         return ("rudder",)
     return ()
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from sysid.foreign.regular_files import read_regular_text
+from sysid.foreign.regular_files import MAX_TEXT_BYTES, read_regular
 from uqharness.authoring.avl_input import (
     Geometry,
     Masses,
@@ -18,7 +18,7 @@ from uqharness.authoring.avl_input import (
 )
 from uqharness.authoring.avl_text import is_avl_output, read_avl_text
 from uqharness.authoring.derivative_table import read_table_file
-from uqharness.authoring.source import Entry, Point, Source, scaled_lengths
+from uqharness.authoring.source import Entry, Source, merge, scaled_lengths
 from uqharness.authoring.vspaero import is_stab, read_polar, read_stab
 from uqharness.authoring.xflr5 import is_xflr5, read_xflr5
 from uqharness.errors import BadInputError
@@ -41,22 +41,40 @@ class Sources:
         Of an ``.avl`` file, in its own unit of length.
     texts : mapping of Path to str
         Content of the files.
+    parts : tuple of Source
+        The files of derivatives one by one, as `derivatives` holds them.
     """
 
     derivatives: Source
     masses: Masses | None
     geometry: Geometry | None
     texts: dict[Path, str]
+    parts: tuple[Source, ...] = ()
 
 
 def read_text(path: Path) -> str:
-    """Return the text of a file. Raises BadInputError."""
+    r"""Return the text of a file in UTF-8, UTF-16 or Windows-1252 with ``\n`` as the line end.
+
+    Programs print on Windows consoles and editors save in the system's encoding: the text is ASCII
+    but for units (kg.m², °), so that the encoding changes no number. Raises BadInputError.
+    """
     try:
-        return read_regular_text(path)
-    except UnicodeDecodeError:
-        raise BadInputError(f"{path}: not a text file in UTF-8") from None
+        content = read_regular(path, MAX_TEXT_BYTES)
     except OSError as error:
         raise BadInputError(f"{path}: cannot be read: {error.strerror or error}") from None
+    encodings = ["utf-8-sig", "cp1252"]
+    if content[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        encodings = ["utf-16"]
+    elif content[1:2] == b"\0" or content[:1] == b"\0":
+        encodings = ["utf-16-le" if content[1:2] == b"\0" else "utf-16-be"]
+    for encoding in encodings:
+        try:
+            text = content.decode(encoding)
+        except UnicodeDecodeError:
+            continue
+        if "\0" not in text:
+            return text.replace("\r\n", "\n").replace("\r", "\n")
+    raise BadInputError(f"{path}: not a text file in UTF-8, UTF-16 or Windows-1252")
 
 
 def read_sources(
@@ -96,7 +114,7 @@ def read_sources(
         elif suffix == ".vspaero":
             continue
         else:
-            sources.append(_reader(path, text)(path, text))
+            sources += _reader(path, text)(path, text)
     if not sources and geometry is not None:
         sources = [
             run_avl(geometry, [math.radians(a) for a in RUN_ALPHAS_DEG])
@@ -108,54 +126,33 @@ def read_sources(
             f"{', '.join(map(str, paths))}: no source of derivatives; AVL's ST or SB output, a"
             " .stab, an XFLR5 log, a table (.toml, .csv) or an .avl geometry is needed"
         )
-    source = _merged(sources)
     unit = unit_m if unit_m is not None else 1.0 if masses is None else masses.length_unit_m
-    if source.tool in ("AVL", "VSPAERO"):
-        source = scaled_lengths(source, unit)
-    if given:
-        from_options = {key: Entry(value, Path(f"option of {key}")) for key, value in given.items()}
-        source = replace(source, reference={**source.reference, **from_options})
-    return Sources(replace(source, notes=(*source.notes, *notes)), masses, geometry, texts)
+    from_options = {
+        key: Entry(value, Path(f"option of {key}")) for key, value in (given or {}).items()
+    }
+    parts = []
+    for source in sources:
+        scaled = scaled_lengths(source, unit) if source.tool in ("AVL", "VSPAERO") else source
+        parts.append(replace(scaled, reference={**scaled.reference, **from_options}))
+    source = merge(parts)
+    return Sources(
+        replace(source, notes=(*source.notes, *notes)), masses, geometry, texts, tuple(parts)
+    )
 
 
-def _reader(path: Path, text: str) -> Callable[[Path, str], Source]:
+def _reader(path: Path, text: str) -> Callable[[Path, str], list[Source]]:
     """Return the reader of a file, known by its content."""
     if path.suffix.lower() in (".toml", ".csv"):
-        return read_table_file
+        return lambda path, text: [read_table_file(path, text)]
     if is_stab(text):
-        return read_stab
+        return lambda path, text: [read_stab(path, text)]
     if is_avl_output(text):
         return read_avl_text
     if is_xflr5(text):
-        return read_xflr5
+        return lambda path, text: [read_xflr5(path, text)]
+    if not text.strip():
+        raise BadInputError(f"{path}: the file is empty")
     raise BadInputError(
         f"{path}: not a known source; AVL's ST, SB or FT output, VSPAERO's .stab, an XFLR5"
         " stability log, a .toml or .csv table, an .avl geometry are read"
     )
-
-
-def _merged(sources: Sequence[Source]) -> Source:
-    """Return one source of several outputs of AVL at different alphas."""
-    if not any(source.points for source in sources):
-        return sources[0]
-    with_derivatives = [s for s in sources if any(v != "0" for p in s.points for _, v in p.entries)]
-    if not with_derivatives:
-        raise BadInputError(
-            f"{sources[0].path}: totals without derivatives; write ST or SB from AVL's OPER menu"
-        )
-    first = with_derivatives[0]
-    points: dict[float, Point] = {}
-    for source in with_derivatives:
-        for key in "Sbc":
-            if key in first.reference and not math.isclose(
-                source.length(key), first.length(key), rel_tol=1e-3
-            ):
-                raise BadInputError(
-                    f"{source.reference[key].place}: reference {key} {source.length(key):g}"
-                    f" differs from {first.path}'s {first.length(key):g}; the files are not of one"
-                    " aircraft"
-                )
-        for point in source.points:
-            points.setdefault(round(point.alpha.value, 6), point)
-    ordered = tuple(points[alpha] for alpha in sorted(points))
-    return replace(first, points=ordered)

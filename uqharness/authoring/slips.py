@@ -12,7 +12,8 @@ formula of the lift slope.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+import re
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -21,7 +22,7 @@ import numpy as np
 
 from uqharness.authoring import vspaero
 from uqharness.authoring.avl_input import Geometry, Masses
-from uqharness.authoring.model import control_weights
+from uqharness.authoring.model import control_weights, controls_of
 from uqharness.authoring.read import Sources
 from uqharness.authoring.source import (
     STABILITY,
@@ -48,13 +49,17 @@ class Slip:
         return f"{self.place}: {self.kind}: {self.message}. {self.effect}"
 
 
-def find_slips(sources: Sources) -> list[Slip]:
+def find_slips(
+    sources: Sources, controls: Mapping[str, Mapping[str, float]] | None = None
+) -> list[Slip]:
     """Return the slips of a set of files, each once, in order of the line.
 
     Parameters
     ----------
     sources : Sources
         As `read_sources` returns them.
+    controls : mapping, optional
+        Surfaces of the controls where they are stated, as for `control_weights`.
 
     Returns
     -------
@@ -62,11 +67,14 @@ def find_slips(sources: Sources) -> list[Slip]:
         Empty for clean files.
     """
     source = sources.derivatives
-    out = [*_references(source, sources.geometry, sources.masses)]
-    for point in source.points[:1] if len(source.points) == 1 else source.points:
-        if len(source.points) == 1 or abs(point.alpha.value) < math.radians(8.0):
-            out += _point(source, _stability(point))
-    out += _surfaces(source)
+    parts = sources.parts or (source,)
+    out: list[Slip] = []
+    for part in parts:
+        out += _references(part, sources.geometry, sources.masses)
+        for point in part.points:
+            if len(part.points) == 1 or abs(point.alpha.value) < math.radians(8.0):
+                out += _point(part, _stability(point))
+    out += _surfaces(source, sources.geometry, controls)
     out += _alphas(source)
     for path, text in sources.texts.items():
         if vspaero.is_stab(text):
@@ -234,9 +242,16 @@ def _reference_of_geometry(source: Source, geometry: Geometry) -> Iterator[Slip]
     span = 2.0 * float(np.max(np.abs(points[:, 1])))
     chord = wings[0].mean_chord()
     effect = "Every coefficient is scaled by it, so lift, damping and speed are wrong"
-    for key, value, name in (("S", area, "area"), ("b", span, "span"), ("c", chord, "chord")):
+    # A wing that begins at the fuselage's side has its reference area through the fuselage.
+    inner = int(np.argmin(np.abs(points[:, 1])))
+    carried = 2.0 * float(abs(points[inner, 1]) * points[inner, 3]) if wings[0].duplicated else 0.0
+    for key, value, largest, name in (
+        ("S", area, area + carried, "area"),
+        ("b", span, span, "span"),
+        ("c", chord, chord, "chord"),
+    ):
         entry = geometry.reference[key]
-        if not 0.85 <= entry.value / value <= 1.18:
+        if not 0.85 * value <= entry.value <= 1.18 * largest:
             yield _slip(
                 entry,
                 "reference area" if key == "S" else "reference length",
@@ -376,14 +391,18 @@ def _longitudinal(
                 f"Cm_q {damping.value:.4g}; a value below 0 is expected (q nose up, Cm nose up)",
                 "Pitch oscillations grow",
             )
-        elif not max(0.3, 0.08 * point.value("CL", "q")) <= -damping.value <= 90.0:
-            yield _slip(
-                damping,
-                "deg/rad",
-                f"Cm_q {damping.value:.4g} per qc/2V; -0.3 to -90 is expected"
-                + _unit_remark(-damping.value / 10.0),
-                "Pitch damping is off by the same factor",
-            )
+        else:
+            # Cm_q over CL_q is an arm of the tail in chords, less than the span.
+            lift_q = abs(point.value("CL", "q"))
+            largest = max(90.0, lift_q * aspect_ratio)
+            if not max(0.3, 0.08 * lift_q) <= -damping.value <= largest:
+                yield _slip(
+                    damping,
+                    "deg/rad",
+                    f"Cm_q {damping.value:.4g} per qc/2V; -0.3 to {-largest:.3g} is expected"
+                    + _unit_remark(-damping.value / 10.0),
+                    "Pitch damping is off by the same factor",
+                )
     lift_q = point.entries.get(("CL", "q"))
     if lift_q is not None and not -6.0 <= lift_q.value <= 40.0:
         yield _slip(
@@ -410,6 +429,10 @@ def _lateral(point: Point, span: float, aspect_ratio: float) -> Iterator[Slip]:
         return found if found is not None and abs(found.value) > 1e-12 else None
 
     lift = max(point.value("CL", TOTAL), 0.0)
+    # Dihedral tilts the lift of the wing that meets the wind: its part of Cn_beta is Cl_beta CL
+    # over CL_alpha, against the fin's, which a large span at a high lift nearly cancels.
+    slope = max(point.value("CL", "alpha"), 1.0)
+    wing_yaw = min(point.value("Cl", "beta"), 0.0) * lift / slope
     side, yaw, roll = entry("CY", "beta"), entry("Cn", "beta"), entry("Cl", "beta")
     if side is not None and side.value > 0.0:
         yield _slip(
@@ -443,7 +466,7 @@ def _lateral(point: Point, span: float, aspect_ratio: float) -> Iterator[Slip]:
             "The dutch roll is too fast or too slow by the root of that factor",
         )
     elif yaw is not None and side is not None and side.value < 0.0:
-        arm = -yaw.value / side.value
+        arm = -(yaw.value - wing_yaw) / side.value
         if not 0.02 <= arm <= 1.3:
             yield _slip(
                 yaw,
@@ -490,12 +513,11 @@ def _lateral(point: Point, span: float, aspect_ratio: float) -> Iterator[Slip]:
             )
     yaw_damping = entry("Cn", "r")
     if yaw_damping is not None:
-        arm = (
-            -yaw.value / side.value
-            if yaw is not None and side is not None and yaw.value > 0.0 > side.value
-            else 0.4
-        )
-        expected = 2.0 * (yaw.value if yaw is not None and yaw.value > 0 else 0.08) * arm
+        fin = 0.08 if yaw is None or yaw.value <= 0.0 else yaw.value - wing_yaw
+        arm = 0.4
+        if yaw is not None and side is not None and yaw.value > 0.0 > side.value:
+            arm = -fin / side.value
+        expected = 2.0 * fin * arm
         if yaw_damping.value > 0.0:
             yield _slip(
                 yaw_damping,
@@ -567,19 +589,38 @@ def _symmetry(point: Point) -> Iterator[Slip]:
         )
 
 
-def _surfaces(source: Source) -> Iterator[Slip]:
+def _surfaces(
+    source: Source,
+    geometry: Geometry | None,
+    controls: Mapping[str, Mapping[str, float]] | None,
+) -> Iterator[Slip]:
     """Check the derivatives of control surfaces."""
     if not source.surfaces or not source.points:
         return
     point = _stability(min(source.points, key=lambda p: abs(p.alpha.value)))
-    weights = control_weights(source)
+    weights = control_weights(source, controls)
+    forward = set((controls or {}).get("elevator", {}))
+    forward |= {s for s in source.surfaces if re.search("canard|foreplane", s.lower())}
+    if geometry is not None:
+        forward |= _ahead_of_centre(source, geometry)
     for control, row in weights.items():
         for surface in row:
-            yield from _surface(point, control, surface, weights)
+            yield from _surface(point, control, surface, weights, forward)
         if len(row) == 1:
             yield from _one_sided(point, control, next(iter(row)), weights)
     names = {name for row in weights.values() for name in row}
     for surface in source.surfaces:
+        lift, roll = (point.entries.get((name, surface)) for name in ("CL", "Cl"))
+        if controls_of(surface) == ("aileron",) and surface not in names and lift is not None:
+            rolling = 0.0 if roll is None else roll.value
+            if abs(lift.value) > 0.02 and abs(rolling) < 0.02 * abs(lift.value):
+                yield _slip(
+                    roll or lift,
+                    "control sign",
+                    f"{surface}: Cl {rolling:.4g} beside CL {lift.value:.4g} per rad: both sides"
+                    " move the same way (AVL's SgnDup 1); ailerons need -1",
+                    "Ailerons work as flaps: no roll control",
+                )
         values = [abs(point.value(name, surface)) for name in STABILITY]
         if max(values) < 1e-9 and surface not in names:
             entry = point.entries.get(("CL", surface)) or point.entries.get(("Cm", surface))
@@ -600,10 +641,25 @@ _SIZES = {
 }
 
 
+def _ahead_of_centre(source: Source, geometry: Geometry) -> set[str]:
+    """Return the controls of the geometry whose surface lies ahead of the moment centre."""
+    centre = geometry.reference["x"].value
+    out = set()
+    for surface in geometry.surfaces:
+        points = surface.points()
+        if float(np.mean(points[:, 0] + 0.5 * points[:, 3])) < centre:
+            out |= surface.controls.keys() & set(source.surfaces)
+    return out
+
+
 def _surface(
-    point: Point, control: str, surface: str, weights: dict[str, dict[str, float]]
+    point: Point,
+    control: str,
+    surface: str,
+    weights: dict[str, dict[str, float]],
+    forward: set[str],
 ) -> Iterator[Slip]:
-    """Check size and signs of one surface as one control."""
+    """Check size and signs of one surface as one control; ``forward`` ones may be canards."""
     name, low, high, expected = _SIZES[control]
     entry = point.entries.get((name, surface))
     if entry is None:
@@ -622,14 +678,15 @@ def _surface(
     if control == "elevator":
         # The ratio of moment to lift is the tail's arm in chords.
         lift = point.entries.get(("CL", surface))
-        if lift is not None and abs(lift.value) > 1e-6 and lift.value * entry.value > 0.0:
+        is_ahead = lift is not None and lift.value * entry.value > 0.0
+        if lift is not None and abs(lift.value) > 1e-6 and is_ahead and surface not in forward:
             arm = entry.value / lift.value
             yield _slip(
                 entry,
                 "control sign",
                 f"{surface}: Cm {entry.value:.4g} and CL {lift.value:.4g} per rad have the same"
                 f" sign, which is a surface {arm:.2g} chords ahead of the CG; behind it they are"
-                " opposite",
+                f" opposite (a canard: --control elevator={surface})",
                 "The elevator works the wrong way round, or lift falls as the tail lifts",
             )
         elif lift is not None and abs(lift.value) > 1e-6 and abs(entry.value / lift.value) > 12.0:
@@ -780,8 +837,8 @@ def _stab_cases(path: Path, text: str) -> Iterator[Slip]:
                     continue
                 expected = (row[coefficient].value - base[1][coefficient].value) / delta
                 expected *= factors[column]
-                # Seven decimals of the cases, and the first order of the program's own difference.
-                tolerance = 3e-7 * factors[column] + 0.02 * abs(expected) + 1e-6
+                # Seven decimals of the cases, over steps of 1 (versions 3 to 5) or 0.01 (later).
+                tolerance = 3e-7 * factors[column] / abs(delta) + 0.02 * abs(expected) + 1e-6
                 received = columns[column].value
                 if abs(received - expected) > tolerance:
                     findings.append(f"{column} {received:.4g} (the cases give {expected:.4g})")
@@ -839,9 +896,8 @@ def _geometry(geometry: Geometry) -> Iterator[Slip]:
     for surface in geometry.surfaces:
         every = [(name, len(rows), *row) for name, rows in surface.controls.items() for row in rows]
         for name, count, gain, sign, line in every:
-            word = name.lower()
             entry = Entry(gain, geometry.path, line)
-            is_aileron = "ail" in word
+            is_aileron = controls_of(name) == ("aileron",)
             if surface.duplicated and is_aileron and sign > 0.0:
                 yield _slip(
                     entry,
@@ -850,7 +906,7 @@ def _geometry(geometry: Geometry) -> Iterator[Slip]:
                     " ailerons",
                     "Ailerons work as flaps: no roll control",
                 )
-            if surface.duplicated and "elev" in word and sign < 0.0:
+            if surface.duplicated and controls_of(name) == ("elevator",) and sign < 0.0:
                 yield _slip(
                     entry,
                     "control sign",

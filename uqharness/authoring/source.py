@@ -10,7 +10,7 @@ are made dimensionless by b/2V and c/2V, derivatives of surfaces are per radian.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
@@ -59,6 +59,8 @@ class Point:
         Angle of attack [rad] and Mach number.
     beta : float
         Sideslip [rad].
+    taken_out : float
+        Largest deflection [rad] or dimensionless rate that the totals were freed of.
     axes : {"stability", "body"}
         Axes of the force and moment coefficients.
     rate_axes : {"stability", "body"}
@@ -74,6 +76,7 @@ class Point:
     rate_axes: Axes
     entries: Mapping[tuple[str, str], Entry]
     beta: float = 0.0
+    taken_out: float = 0.0
 
     def value(self, coefficient: str, variable: str) -> float:
         """Return a number, 0 where the file has none."""
@@ -130,6 +133,98 @@ class Source:
 
 
 _OPTION = {"S": "area-m2", "b": "span-m", "c": "chord-m"}
+
+
+def without_deflections(point: Point, amounts: Mapping[str, float]) -> Point:
+    """Return a point whose totals are those with surfaces and rates at zero.
+
+    Programs are often run at a trim: its moment is zero because the elevator is deflected. The
+    model adds the surfaces' effects itself, so that its totals are those without.
+
+    Parameters
+    ----------
+    point : Point
+        As printed.
+    amounts : mapping of str to float
+        Deflections [rad] by surface, and dimensionless rates p, q, r.
+
+    Examples
+    --------
+    >>> entries = {("Cm", "0"): Entry(0.0), ("Cm", "elevator"): Entry(-1.2)}
+    >>> trimmed = Point(Entry(0.05), Entry(0.0), "stability", "stability", entries)
+    >>> without_deflections(trimmed, {"elevator": -0.1}).value("Cm", "0")
+    -0.12
+    """
+    entries = dict(point.entries)
+    for (name, variable), entry in point.entries.items():
+        amount = amounts.get(variable, 0.0)
+        if amount and (name, TOTAL) in entries:
+            total = entries[name, TOTAL]
+            moved = total.value - entry.value * amount
+            entries[name, TOTAL] = Entry(moved, total.path, total.line)
+    largest = max((abs(amount) for amount in amounts.values()), default=0.0)
+    return replace(point, entries=entries, taken_out=largest)
+
+
+def merge(sources: Sequence[Source]) -> Source:
+    """Return one source of several outputs of one aircraft at different alphas.
+
+    Points of the smallest sideslip and, of these, the lowest Mach number are used; of several at
+    one alpha the one with the smallest deflections and rates.
+
+    Raises
+    ------
+    BadInputError
+        Where no source has derivatives, or reference values differ.
+    """
+    if not any(source.points for source in sources):
+        return sources[0]
+    with_derivatives = [s for s in sources if any(v != "0" for p in s.points for _, v in p.entries)]
+    if not with_derivatives:
+        raise BadInputError(
+            f"{sources[0].path}: totals without derivatives; write ST or SB from AVL's OPER menu"
+        )
+    first = with_derivatives[0]
+    for source in with_derivatives[1:]:
+        for key, name in zip(
+            "Sbcxyz", ("S", "b", "c", *(f"point {k}" for k in "xyz")), strict=True
+        ):
+            if key not in source.reference or key not in first.reference:
+                continue
+            scale = 1.0 if key == "S" or key == "c" else first.reference["c"].value
+            new, old = source.reference[key], first.reference[key]
+            if abs(new.value - old.value) > 1e-3 * max(abs(old.value), abs(scale)):
+                raise BadInputError(
+                    f"{new.place}: reference {name} {new.value:g} differs from {old.place}'s"
+                    f" {old.value:g}; the files are not of one aircraft about one point"
+                )
+        if source.surfaces != first.surfaces:
+            raise BadInputError(
+                f"{source.path}: surfaces {', '.join(source.surfaces) or 'none'} differ from"
+                f" {first.path}'s {', '.join(first.surfaces) or 'none'}; give files of one geometry"
+            )
+    pairs = [(point, source) for source in with_derivatives for point in source.points]
+    level = min(abs(point.beta) for point, _ in pairs)
+    pairs = [pair for pair in pairs if abs(pair[0].beta) < level + 1e-9]
+    slowest = min(point.mach.value for point, _ in pairs)
+    pairs = [pair for pair in pairs if pair[0].mach.value < slowest + 1e-9]
+    chosen: dict[float, tuple[Point, Source]] = {}
+    for point, source in sorted(pairs, key=lambda pair: pair[0].taken_out):
+        chosen.setdefault(round(point.alpha.value, 6), (point, source))
+    ordered = [chosen[alpha] for alpha in sorted(chosen)]
+    count = sum(len(source.points) for source in with_derivatives)
+    notes = [note for _, source in ordered for note in source.notes]
+    if len(ordered) < count:
+        notes.append(
+            f"{len(ordered)} of {count} cases are used: beta {math.degrees(level):.3g} deg, Mach"
+            f" {slowest:.3g}, each alpha once"
+        )
+    # Facts such as the neutral point are those of the first point.
+    return replace(
+        ordered[0][1],
+        points=tuple(point for point, _ in ordered),
+        notes=tuple(dict.fromkeys(notes)),
+    )
 
 
 def rotate_forces(cl: float, cd: float, alpha: float) -> tuple[float, float]:

@@ -14,7 +14,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from uqharness.authoring.source import LARGEST, TOTAL, Entry, Point, Source, rotate_forces
+from uqharness.authoring.source import (
+    LARGEST,
+    TOTAL,
+    Entry,
+    Point,
+    Source,
+    rotate_forces,
+    without_deflections,
+)
 from uqharness.errors import BadInputError
 
 _REFERENCE = {"Sref_": "S", "Cref_": "c", "Bref_": "b", "Xcg_": "x", "Ycg_": "y", "Zcg_": "z"}
@@ -74,7 +82,14 @@ def read_stab(path: Path, text: str) -> Source:
     chosen = [b for b in symmetric_blocks if b.values["Mach_"].value == slowest]
     chosen.sort(key=lambda block: block.values["AoA_"].value)
     first = chosen[0]
-    notes = []
+    points, notes = [], []
+    for block in chosen:
+        point, amounts = _point(block), _amounts(block)
+        if amounts:
+            point = without_deflections(point, amounts)
+        points.append(point)
+    if any(point.taken_out for point in points):
+        notes.append("totals are moved to zero deflection and rates of the control groups")
     if len(chosen) < len(every):
         notes.append(
             f"{len(chosen)} of {len(every)} blocks are used: beta {smallest:g} deg, Mach"
@@ -85,7 +100,7 @@ def read_stab(path: Path, text: str) -> Source:
         tool="VSPAERO",
         name=path.stem.removesuffix("_DegenGeom"),
         reference={key: first.values[name] for name, key in _REFERENCE.items()},
-        points=tuple(_point(block) for block in chosen),
+        points=tuple(points),
         surfaces=tuple(first.groups),
         facts={"x_np": first.values["X_np"]} if "X_np" in first.values else {},
         notes=tuple(notes),
@@ -183,6 +198,22 @@ def _point(block: Block) -> Point:
     )
 
 
+def _amounts(block: Block) -> dict[str, float]:
+    """Return the block's deflections [rad] and dimensionless rates, those that are not zero."""
+    values = block.values
+    amounts = {name: math.radians(values[name].value) for name in block.groups}
+    speed = values["Vinf_"].value if "Vinf_" in values else 0.0
+    if speed > 0.0:
+        for rate, name, length in (
+            ("p", "Roll__Rate", "Bref_"),
+            ("q", "Pitch_Rate", "Cref_"),
+            ("r", "Yaw___Rate", "Bref_"),
+        ):
+            if name in values:
+                amounts[rate] = values[name].value * values[length].value / (2.0 * speed)
+    return {name: amount for name, amount in amounts.items() if amount}
+
+
 def _set_forces(
     entries: dict[tuple[str, str], Entry], block: Block, named: Mapping[str, str]
 ) -> None:
@@ -207,12 +238,18 @@ def read_polar(path: Path, text: str) -> Mapping[str, list[float]]:
     Raises
     ------
     BadInputError
-        Without the columns AoA, CL and CDtot.
+        Without the columns AoA, CDtot, and CL (CLtot since version 7).
     """
     rows = [line.split() for line in text.splitlines() if line.split()]
-    heads = [i for i, row in enumerate(rows) if "AoA" in row and "CL" in row and "CDtot" in row]
+    heads = [
+        i
+        for i, row in enumerate(rows)
+        if {"AoA", "CDtot"} <= set(row) and ("CL" in row or "CLtot" in row)
+    ]
     if not heads:
-        raise BadInputError(f"{path}: no head with AoA, CL and CDtot; a VSPAERO polar is needed")
+        raise BadInputError(
+            f"{path}: no head with AoA, CL (or CLtot) and CDtot; a VSPAERO polar is needed"
+        )
     head = rows[heads[-1]]
     numbers = []
     for row in rows[heads[-1] + 1 :]:

@@ -78,6 +78,9 @@ def read_xflr5(path: Path, text: str) -> Source:
     BadInputError
         Where no condition of the log has a lift slope.
     """
+    if not re.search(r"=\s*-?\d*\.\d", text):
+        # Saved by a program of a country that writes decimal commas.
+        text = re.sub(r"(\d),(?=\d)", r"\1.", text)
     conditions = [c for c in _conditions(path, text) if ("CZ", "alpha") in c.entries]
     if not conditions:
         raise BadInputError(

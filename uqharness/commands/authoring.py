@@ -53,14 +53,15 @@ def author(request: AuthorRequest, callback: Callback = silent) -> Outcome[Autho
     }
     # Slips are looked for in the sources, before the model hides them.
     sources = read_sources(request.sources, request.length_unit_m, options)
-    slips = find_slips(sources)
+    controls = _controls(request.controls)
+    slips = find_slips(sources, controls)
     mass, notes = _mass_properties(request, sources)
     model = build(
         sources.derivatives,
         mass,
         name=request.name or "",
         profile_drag=request.cd0,
-        controls=_controls(request.controls),
+        controls=controls,
     )
     model = replace(model, notes=(*model.notes, *notes))
     # An aircraft with a slip would fly, wrongly: it is written on request only.
@@ -226,6 +227,12 @@ def _lines(document: Authored, refused: bool) -> list[str]:
             (
                 f"static margin {100 * (document.static_margin or 0):.3g} % of the chord, prior std"
                 f" {100 * (document.static_margin_std or 0):.3g} %"
+                + (
+                    ": unstable in pitch, the centre of gravity is behind the neutral point"
+                    " (--cg-x-m moves it)"
+                    if (document.static_margin or 0) < 0
+                    else ""
+                )
             ),
             *(f"1 degree of {c} is {mix}" for c, mix in document.mixing.items()),
             *(f"Assumed: {note}" for note in document.notes),

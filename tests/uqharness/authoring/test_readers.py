@@ -34,7 +34,8 @@ DATA = Path(__file__).parent / "data"
 
 
 def read(name):
-    return read_avl_text(DATA / name, (DATA / name).read_text())
+    (source,) = read_avl_text(DATA / name, (DATA / name).read_text())
+    return source
 
 
 def body(source):
@@ -103,7 +104,7 @@ def test_moved_moments_and_rates_equal_a_run_about_the_other_point():
 
 def test_geometric_axes_are_reversed():
     text = (DATA / "kite.st").read_text()
-    source = read_avl_text(Path("g.st"), text.replace("Standard axis", "Geometric axis"))
+    (source,) = read_avl_text(Path("g.st"), text.replace("Standard axis", "Geometric axis"))
     standard = read("kite.st").points[0]
     point = source.points[0]
     assert point.value("Cl", "beta") == -standard.value("Cl", "beta")
@@ -122,7 +123,7 @@ def test_lines_of_numbers():
 
 def test_two_digits_of_later_versions():
     text = re.sub(r"(C[LYlmn])d([123]) =", r"\1d0\2 =", (DATA / "kite.st").read_text())
-    source = read_avl_text(Path("later.st"), text)
+    (source,) = read_avl_text(Path("later.st"), text)
     assert source.surfaces == ("aileron", "elevator", "rudder")
     assert source.points[0].entries == {
         key: Entry(entry.value, Path("later.st"), entry.line)
@@ -130,11 +131,66 @@ def test_two_digits_of_later_versions():
     }
 
 
+def test_one_file_of_several_cases(tmp_path):
+    """AVL appends FT, ST and SB of one case, and cases of several alphas, to one file."""
+    st, sb, other = ((DATA / n).read_text() for n in ("kite.st", "kite.sb", "kite-7deg.st"))
+    totals = st[: st.index(" Stability-axis")]
+    path = tmp_path / "log.txt"
+    path.write_text(totals + other + st + sb)
+    source = read_sources([path]).derivatives
+    assert [round(math.degrees(p.alpha.value)) for p in source.points] == [3, 7]
+    line = source.points[0].entries["Cm", "q"].line
+    assert "Cmq = -17.968149" in path.read_text().splitlines()[line - 1]
+    assert any("2 of 3 cases" in note for note in source.notes)
+    assert source.facts["x_np"].value == 0.1779
+    # Another span, moment centre or surface is another aircraft.
+    for change in (("1.6", "1.7"), ("0.12", "0.15"), ("rudder ", "fin    ")):
+        (tmp_path / "b.st").write_text(other.replace(*change))
+        with pytest.raises(BadInputError, match=r"kite-7deg|b\.st"):
+            read_sources([DATA / "kite.st", tmp_path / "b.st"])
+
+
+def test_totals_of_a_trimmed_run_are_moved_to_zero_deflection():
+    """The same wing at the same alpha, elevator at -4 degrees, as AVL prints it."""
+    text, de = (DATA / "kite.st").read_text(), -4.0
+    for old, new in (
+        ("elevator        =   0.00000", f"elevator        =  {de:.5f}"),
+        ("CLtot =   0.37030", f"CLtot =   {0.3703 + 0.010051 * de:.5f}"),
+        ("Cmtot =   0.00452", f"Cmtot =   {0.00452 - 0.032619 * de:.5f}"),
+    ):
+        assert old in text
+        text = text.replace(old, new)
+    (trimmed,) = read_avl_text(Path("t.st"), text)
+    plain = read("kite.st").points[0]
+    for name in ("CL", "Cm"):
+        assert trimmed.points[0].value(name, TOTAL) == pytest.approx(
+            plain.value(name, TOTAL), abs=2e-5
+        )
+    assert "elevator -4 deg" in trimmed.notes[0]
+
+
+@pytest.mark.parametrize(
+    ("name", "encoding"),
+    [("kite.st", "utf-16"), ("kite.st", "utf-16-le"), ("kite.st", "utf-8-sig"), ("", "cp1252")],
+)
+def test_encodings_and_decimal_commas(name, encoding, tmp_path):
+    text = (DATA / name).read_text() if name else XFLR5
+    path = tmp_path / "source.txt"
+    written = text if name else re.sub(r"(\d)\.(?=\d)", r"\1,", text)
+    path.write_bytes(written.replace("\n", "\r\n").encode(encoding))
+    plain = tmp_path / "plain.txt"
+    plain.write_text(text)
+    source, expected = (read_sources([p]).derivatives for p in (path, plain))
+    assert {k: (e.value, e.line) for k, e in source.points[0].entries.items()} == {
+        k: (e.value, e.line) for k, e in expected.points[0].entries.items()
+    }
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
         (("CLtot =   0.37030", "CLtot = *********"), "finite number"),
-        (("  Sref =     0.3438", "  Area =     0.3438"), "Sref"),
+        (("  Alpha =", "  Angle ="), "broken.st:2: .*Alpha"),
     ],
 )
 def test_broken_output_is_refused_with_its_line(change, message):

@@ -210,3 +210,72 @@ def test_a_reversed_convention_is_no_slip(tmp_path):
     path = tmp_path / "kite.st"
     path.write_text(text)
     assert find_slips(read_sources([path])) == []
+
+
+# A human-powered aircraft: the wing's dihedral nearly cancels the fin at a CL of 1.2.
+HUGE_SPAN = (
+    "Sref 30.69 Cref 1.0058 Bref 33 Alpha 10.98762 CLtot 1.23521 CDtot 0.0209 CXtot 0.21849 CZtot"
+    " -1.21585 CLff 1.2352 CDff 0.0171 CDind 0.0171 e 0.8 Xnp 0.3936 CLa 5.348 Cma -1.4547 CYb"
+    " -0.245 Clb -0.1405 Cnb 0.0044 Clp -0.6 Clr 0.2866 Cnp -0.1276 Cnr -0.0137 CYr 0.1747 CLq"
+    " 5.93 Cmq -9.37"
+)
+
+
+@pytest.mark.parametrize("change", [None, ("Cnb", 1 / D), ("Cnr", D), ("Cnb", -1)])
+def test_a_wing_that_nearly_cancels_the_fin_is_no_slip(change, tmp_path):
+    text = ST
+    for name, value in re.findall(r"(\S+) (\S+)", HUGE_SPAN):
+        text, _ = number(text, name, lambda _, value=value: float(value))
+    line = None
+    if change:
+        text, line = number(text, change[0], times(change[1]))
+    path = tmp_path / "hpa.st"
+    path.write_text(text)
+    places = [slip.place for slip in find_slips(read_sources([path]))]
+    if line is None:
+        assert places == []
+    else:
+        assert f"{path}:{line}" in places, places
+
+
+def test_a_canard_is_no_slip_where_it_is_stated(tmp_path):
+    text, line = number(ST, "Cmd2", reverse)
+    path = tmp_path / "kite.st"
+    path.write_text(text)
+    sources = read_sources([path])
+    (slip,) = find_slips(sources)
+    assert slip.place == f"{path}:{line}"
+    assert "--control elevator=elevator" in slip.message
+    assert find_slips(sources, {"elevator": {"elevator": 1.0}}) == []
+    path.write_text(text.replace("elevator", "canard  "))
+    assert find_slips(read_sources([path])) == []
+
+
+def test_ailerons_that_move_the_same_way(tmp_path):
+    """SgnDup 1 in AVL: lift and no roll."""
+    text, _ = number(ST, "CLd1", lambda _: 0.0175)
+    text, line = number(text, "Cld1", lambda _: 0.0)
+    path = tmp_path / "kite.st"
+    path.write_text(text)
+    places = {(slip.place, slip.kind) for slip in find_slips(read_sources([path]))}
+    assert (f"{path}:{line}", "control sign") in places
+
+
+def test_steps_of_later_vspaero_are_no_slip(tmp_path):
+    """Versions 6 and 7 print differences over 0.01 deg with seven decimals."""
+    lines = STAB.splitlines()
+    base: list[str] = []
+    for i, line in enumerate(lines):
+        words = line.split()
+        if line.startswith("Base_Aero"):
+            base = words
+        elif base and len(words) == len(base) and words[1] == "+1.000":
+            values = [
+                float(b) + 0.01 * (float(v) - float(b))
+                for v, b in zip(words[3:], base[3:], strict=True)
+            ]
+            lines[i] = " ".join([words[0], "+0.010", words[2], *(f"{v:.7f}" for v in values)])
+    path = tmp_path / "kite.stab"
+    path.write_text("\n".join(lines) + "\n")
+    assert "+0.010" in path.read_text()
+    assert find_slips(read_sources([path])) == []
