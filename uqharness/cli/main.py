@@ -141,6 +141,11 @@ _LOG_VERBS = {
         "logs:LogExportRequest", "logs:export_log", "write a flight for FlightGear"
     ),
 }
+_LOG_EXAMPLE = """examples:
+  uqharness log info flight1.bin --aircraft aircraft/espaaro
+  uqharness log import flight1.bin --aircraft aircraft/espaaro --out flight1.parquet
+
+uqharness log VERB --help gives the options."""
 _CAMPAIGN_VERBS = {
     verb: RequestCommand(
         f"campaign:{verb.title().replace('-', '')}Request",
@@ -165,107 +170,145 @@ _CAMPAIGN_EXAMPLE = """example:
   uqharness campaign run campaigns/demo/campaign.toml --out campaigns/demo/results
 
 uqharness campaign VERB --help gives the options."""
-COMMANDS: Table = {
-    "fly": RequestCommand("simulation:FlyRequest", "simulation:fly", "one flight, recorded"),
-    "modes": RequestCommand(
-        "simulation:ModesRequest", "simulation:modes", "trim, eigenvalues, MIL-F-8785C levels"
-    ),
-    "margins": RequestCommand(
-        "simulation:MarginsRequest",
-        "simulation:margins",
-        "gain, phase and delay margins of the autopilot",
-    ),
-    "diff": RequestCommand(
-        "simulation:DiffRequest",
-        "simulation:diff",
-        "fly two models side by side and list their differences",
-    ),
-    "author": RequestCommand(
-        "authoring:AuthorRequest",
-        "authoring:author",
-        "write an aircraft from AVL, VSPAERO, XFLR5 or a table, with prior bounds",
-    ),
-    "performance": RequestCommand(
-        "authoring:PerformanceRequest",
-        "authoring:performance",
-        "stall, glide, climb, ceiling and turn, with intervals from the bounds",
-    ),
-    "export": RequestCommand(
-        "authoring:ExportRequest",
-        "exchange:export",
-        "write the model for ArduPilot, Gazebo or a table, with the loss",
-    ),
-    "log": Verbs(
-        _LOG_VERBS,
-        "flight logs: contents and checks, conversion to records",
-        "Check a flight log, convert it to a flight record, or export it to FlightGear.",
-    ),
-    "identify": RequestCommand(
-        "identification:IdentifyRequest", "identification:identify", "parameters from flights"
-    ),
-    "compare": RequestCommand(
-        "identification:CompareRequest",
-        "identification:compare",
-        "compare a flight with the model",
-    ),
-    "bounds": RequestCommand(
-        "identification:BoundsRequest",
-        "identification:bounds",
-        "model-form bounds from flights",
-    ),
-    "validate-bounds": RequestCommand(
-        "identification:ValidateBoundsRequest",
-        "identification:validate_bounds",
-        "coverage of bounds on a new flight",
-    ),
-    "instrument": RequestCommand(
-        "simulation:InstrumentRequest",
-        "simulation:instrument",
-        "add the model-form plugin to any JSBSim aircraft",
-    ),
-    "refine": RequestCommand(
-        "refinement:RefineRequest", "refinement:refine", "find, name and add missing effects"
-    ),
-    "campaign": Verbs(
-        _CAMPAIGN_VERBS,
-        "nested Monte Carlo campaigns: check, run, status, report, merge, rerun, verify, salvage",
-        "Fly a campaign over corners of model-form uncertainty, watch it, and report it.",
-        _CAMPAIGN_EXAMPLE,
-    ),
-    "sensitivity": RequestCommand(
-        "campaign:SensitivityRequest",
-        "sensitivity:sensitivity",
-        "which uncertainty to reduce first",
-    ),
-    "next-flight": RequestCommand(
-        "next_flight:NextFlightRequest",
-        "next_flight:next_flight",
-        "plan the test flight that narrows the p-box most",
-    ),
-    "study": RequestCommand(
-        "folders:StudyRequest",
-        "study:study",
-        "the whole chain: flights to p-boxes, before and after refinement",
-    ),
-    "report": RequestCommand(
-        "folders:ReportRequest", "folders:report", "write report.html of a folder of results"
-    ),
-    "dossier": RequestCommand(
-        "folders:DossierRequest",
-        "folders:dossier",
-        "the evidence of a folder of results as one printable document",
-    ),
-    "completion": RequestCommand(
-        "folders:CompletionRequest",
-        "uqharness.cli.completion:completion",
-        "a script for the completion of bash or zsh",
-    ),
+GROUPS: Mapping[str, Mapping[str, RequestCommand | Verbs]] = {
+    "aircraft and models": {
+        "author": RequestCommand(
+            "authoring:AuthorRequest",
+            "authoring:author",
+            "write an aircraft from AVL, VSPAERO, XFLR5 or a table, with prior bounds",
+        ),
+        "instrument": RequestCommand(
+            "simulation:InstrumentRequest",
+            "simulation:instrument",
+            "add the model-form plugin to any JSBSim aircraft",
+        ),
+        "modes": RequestCommand(
+            "simulation:ModesRequest", "simulation:modes", "trim, eigenvalues, MIL-F-8785C levels"
+        ),
+        "performance": RequestCommand(
+            "authoring:PerformanceRequest",
+            "authoring:performance",
+            "stall, glide, climb, ceiling and turn, with intervals from the bounds",
+        ),
+        "margins": RequestCommand(
+            "simulation:MarginsRequest",
+            "simulation:margins",
+            "gain, phase and delay margins of the autopilot",
+        ),
+        "diff": RequestCommand(
+            "simulation:DiffRequest",
+            "simulation:diff",
+            "fly two models side by side and list their differences",
+        ),
+        "export": RequestCommand(
+            "authoring:ExportRequest",
+            "exchange:export",
+            "write the model for ArduPilot, Gazebo or a table, with the loss",
+        ),
+    },
+    "flights and logs": {
+        "fly": RequestCommand("simulation:FlyRequest", "simulation:fly", "one flight, recorded"),
+        "log": Verbs(
+            _LOG_VERBS,
+            "flight logs: contents and checks, conversion to records",
+            "Check a flight log, convert it to a flight record, or export it to FlightGear.",
+            _LOG_EXAMPLE,
+        ),
+        "compare": RequestCommand(
+            "identification:CompareRequest",
+            "identification:compare",
+            "compare a flight with the model",
+        ),
+    },
+    "from flights to a model with bounds": {
+        "identify": RequestCommand(
+            "identification:IdentifyRequest", "identification:identify", "parameters from flights"
+        ),
+        "bounds": RequestCommand(
+            "identification:BoundsRequest",
+            "identification:bounds",
+            "model-form bounds from flights",
+        ),
+        "validate-bounds": RequestCommand(
+            "identification:ValidateBoundsRequest",
+            "identification:validate_bounds",
+            "coverage of bounds on a new flight",
+        ),
+        "refine": RequestCommand(
+            "refinement:RefineRequest", "refinement:refine", "find, name and add missing effects"
+        ),
+    },
+    "campaigns": {
+        "campaign": Verbs(
+            _CAMPAIGN_VERBS,
+            "nested Monte Carlo campaigns: check, run, status, report and more",
+            "Fly a campaign over corners of model-form uncertainty, watch it, and report it.",
+            _CAMPAIGN_EXAMPLE,
+        ),
+        "sensitivity": RequestCommand(
+            "campaign:SensitivityRequest",
+            "sensitivity:sensitivity",
+            "which uncertainty to reduce first",
+        ),
+        "next-flight": RequestCommand(
+            "next_flight:NextFlightRequest",
+            "next_flight:next_flight",
+            "plan the test flight that narrows the p-box most",
+        ),
+        "study": RequestCommand(
+            "folders:StudyRequest",
+            "study:study",
+            "the whole chain: flights to p-boxes, before and after refinement",
+        ),
+    },
+    "results": {
+        "report": RequestCommand(
+            "folders:ReportRequest", "folders:report", "write report.html of a folder of results"
+        ),
+        "dossier": RequestCommand(
+            "folders:DossierRequest",
+            "folders:dossier",
+            "the evidence of a folder of results as one printable document",
+        ),
+    },
+    "shell": {
+        "completion": RequestCommand(
+            "folders:CompletionRequest",
+            "uqharness.cli.completion:completion",
+            "a script for the completion of bash or zsh",
+        ),
+    },
 }
+"""Commands by what they are for, in the order of the help page."""
+COMMANDS: Table = {name: entry for group in GROUPS.values() for name, entry in group.items()}
+
+
+class CommandLine(argparse.ArgumentParser):
+    """Parser of the whole command line, whose help page has the commands by group."""
+
+    def format_help(self) -> str:
+        """Return the help page; argparse alone prints all commands as one list."""
+        formatter = self._get_formatter()
+        formatter.add_usage(self.usage, self._actions, self._mutually_exclusive_groups)
+        formatter.add_text(self.description)
+        (commands,) = (a for a in self._actions if isinstance(a, argparse._SubParsersAction))
+        lines = {line.dest: line for line in commands._choices_actions}
+        options = [action for action in self._actions if action.option_strings]
+        sections = {
+            title: [lines[name] for name in table if name in lines]
+            for title, table in GROUPS.items()
+        }
+        for title, actions in {**sections, "options": options}.items():
+            formatter.start_section(title)
+            formatter.add_arguments(actions)
+            formatter.end_section()
+        formatter.add_text(self.epilog)
+        return formatter.format_help()
 
 
 def build_parser() -> argparse.ArgumentParser:
     """Return the parser of the whole command line."""
-    parser = argparse.ArgumentParser(
+    parser = CommandLine(
         prog="uqharness",
         description="From flight logs and a JSBSim model to p-boxes of the aircraft's performance.",
         epilog=_EXAMPLE,
