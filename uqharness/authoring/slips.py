@@ -393,9 +393,9 @@ def _longitudinal(
             )
         else:
             # Cm_q over CL_q is an arm of the tail in chords, less than the span.
-            lift_q = abs(point.value("CL", "q"))
-            largest = max(90.0, lift_q * aspect_ratio)
-            if not max(0.3, 0.08 * lift_q) <= -damping.value <= largest:
+            size = abs(point.value("CL", "q"))
+            largest = max(90.0, size * aspect_ratio)
+            if not max(0.3, 0.08 * size) <= -damping.value <= largest:
                 yield _slip(
                     damping,
                     "deg/rad",
