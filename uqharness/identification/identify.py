@@ -27,7 +27,12 @@ from sysid.estimation import (
 )
 from uqharness.errors import BadInputError
 from uqharness.identification.excitation import restrict_to_excited
-from uqharness.identification.ordinary import identify_ordinary, is_ordinary, whole_flight
+from uqharness.identification.ordinary import (
+    identify_ordinary,
+    is_ordinary,
+    whole_flight,
+    with_prior,
+)
 from uqharness.identification.replay_fit import (
     BIASES,
     OUTPUTS,
@@ -271,8 +276,8 @@ def identify(
     method : {"auto", "output-error", "filter-error"}
         ``auto`` uses filter error where the residuals of output error show turbulence.
     prior : Mapping, optional
-        Parameter to mean and standard deviation known beforehand; the flight is then treated as one
-        without manoeuvres (`uqharness.identification.ordinary`).
+        Parameter to mean and standard deviation known beforehand, which the estimates are combined
+        with.
     workers : int, optional
         Processes.
     callback : callable
@@ -299,7 +304,24 @@ def identify(
             "--prior needs parameters that are coefficient terms such as aero/Cm_q, and --method"
             " auto"
         )
-    if method == "auto" and (prior or (terms_only and all(map(is_ordinary, flights)))):
+    without_manoeuvres = terms_only and all(map(is_ordinary, flights))
+    if prior and not without_manoeuvres:
+        result = identify(
+            aircraft,
+            flights,
+            measured,
+            parameters,
+            start=start,
+            biases=biases,
+            delays=delays,
+            outputs=outputs,
+            ideal_servos=ideal_servos,
+            workers=workers,
+            callback=callback,
+            message_callback=message_callback,
+        )
+        return with_prior(result, prior)
+    if method == "auto" and without_manoeuvres:
         return _identify_whole_flight(
             aircraft,
             flights,

@@ -694,6 +694,45 @@ def _with_prior(
     return posterior @ (information @ theta + known @ mean), posterior
 
 
+def with_prior(result: Identification, prior: Mapping[str, tuple[float, float]]) -> Identification:
+    """Combine the estimates of output or filter error with normal priors.
+
+    Near its end the fit is linear in the parameters, so that mean and covariance of the posterior
+    follow from the estimates, their covariance and the priors. Parameters that the flights do not
+    excite were held at their start values; their priors become the estimates.
+    """
+    members = [i for i, name in enumerate(result.names) if name in result.identified]
+    theta, std = result.theta.copy(), result.std.copy()
+    if members:
+        theta[members], cov = _with_prior(
+            theta[members], result.cov, [prior.get(result.names[i]) for i in members]
+        )
+        std[members] = np.sqrt(np.diagonal(cov))
+    else:
+        cov = np.zeros((0, 0))
+    status, reason = dict(result.status), dict(result.reason)
+    added = [i for i, n in enumerate(result.names) if i not in members and n in prior]
+    for i in added:
+        name = result.names[i]
+        theta[i], std[i] = prior[name]
+        status[name], reason[name] = "identified", ""
+    # The covariance is ordered as the identified parameters are.
+    order = members + added
+    joint = np.diag([0.0] * len(members) + [float(std[i]) ** 2 for i in added])
+    joint[: len(members), : len(members)] = cov
+    places = np.argsort(order)
+    combined = replace(
+        result,
+        theta=theta,
+        std=std,
+        status=status,
+        reason=reason,
+        cov=joint[np.ix_(places, places)],
+        notes=(*result.notes, "estimates of the manoeuvres are combined with the prior"),
+    )
+    return replace(combined, labels=prior_labels(combined, prior))
+
+
 def _calibrated(flight: Flight, errors: Sequence[AirDataError]) -> Flight:
     """Return the flight with scales and offsets of its air data taken out."""
     columns = {

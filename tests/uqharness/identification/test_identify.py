@@ -219,6 +219,26 @@ def test_what_a_flight_does_not_tell_is_said_and_left_alone(flights, tmp_path):
     )
 
 
+def test_a_prior_does_not_hide_what_manoeuvres_show(flights, tmp_path):
+    """Manoeuvres outweigh a wide prior; what they do not excite keeps it."""
+    (tmp_path / "prior.toml").write_text(
+        '[parameters."aero/Cm_q"]\nmean = -6.0\nstd = 5.0\nsource = "t"\n'
+        '[parameters."aero/Cn_da"]\nmean = -0.0001\nstd = 0.0002\nsource = "t"\n'
+    )
+    words = ["identify", "espaaro", "--flight", str(flights / "pitch.parquet"), "--workers", "1"]
+    words += ["--params", "aero/Cm_q,Cm_alpha,aero/Cn_0,aero/Cn_da", "--no-figures"]
+    words += ["--prior", str(tmp_path / "prior.toml"), "--out", str(tmp_path / "id")]
+    assert main(words) == 0
+    fit = json.loads((tmp_path / "id" / "fit.json").read_text())
+    damping, adverse = (fit["parameters"][f"aero/{n}"] for n in ("Cm_q", "Cn_da"))
+    assert fit["method"] == "output error"
+    assert abs(damping["value"] - TABLE_2_6["Cm_q"]) < 4.0 * damping["std"]
+    assert (damping["basis"], adverse["basis"]) == ("data", "prior only")
+    assert (adverse["value"], adverse["std"]) == (-0.0001, 0.0002)
+    assert "aero/Cn_da" in fit["names"]
+    assert np.linalg.eigvalsh(np.array(fit["cov"])).min() > 0.0
+
+
 def test_parameters_follow_from_what_the_manoeuvres_excite(flights, tmp_path):
     """Pitch manoeuvres alone: what acts in roll and yaw is held with the reason, but for the
     constants, which act at all times.
