@@ -168,6 +168,7 @@ class ColumnInputs(NamedTuple):
             Column to the values just before each row, and to those that the row's channels
             measured, where they differ from the values at the row (jumps).
         """
+        # A column acts on one coefficient, on all six, or on the channels directly.
         columns: list[int] = []
         coefficient: list[int] = []
         values = [np.zeros((n, 0))]
@@ -183,6 +184,7 @@ class ColumnInputs(NamedTuple):
                     blocks.append(
                         np.reshape((override or {}).get(name, column_values), values[-1].shape)
                     )
+        # Columns are numbered from 1; column 0 is the measurement itself.
         direct = [k for k, name in enumerate(names, 1) if name in outputs]
         added = (
             np.stack([outputs[names[k - 1]] for k in direct], axis=2)
@@ -190,6 +192,7 @@ class ColumnInputs(NamedTuple):
             else np.zeros((n, m, 0))
         )
         places = [np.array(some, dtype=np.intp) for some in (columns, coefficient, direct)]
+        # Without jumps the values before a row and at it share one array.
         at_rows = np.hstack(values)
         end_rows, feedthrough_rows = (
             np.hstack(blocks) if override else at_rows
@@ -367,6 +370,7 @@ def whiten_innovations(
         With ``columns`` in the order of ``names``.
     """
     n, m, size = system.H.shape
+    # One pass filters the measurements and the unknown start state.
     if without_columns is None:
         path, start_out = np.zeros((n, size)), np.zeros((n, m, 1 + START_COLUMNS))
         _run_columns(
@@ -382,6 +386,7 @@ def whiten_innovations(
         )
     if not names:
         return without_columns
+    # Columns pass in blocks that fit into the cache; single precision is enough for them.
     columns, scratch_path = (
         np.zeros((n, m, len(names)), dtype=np.float32),
         np.empty_like(without_columns.path),

@@ -668,6 +668,7 @@ class OutputErrorProblem:
 
         A fit that starts at its optimum differences once and does not need the roughness.
         """
+        # Roughness of the simulated outputs limits how small a step may be.
         if self._differenced_before and self._target is None:
             small_steps = np.zeros_like(self.step)
             small_steps[self.columns] = 1e-3 * self.step[self.columns]
@@ -681,6 +682,7 @@ class OutputErrorProblem:
                 map_fn=self.map_fn,
             )
             self._target, self.runs = target_for(rms_roughness), self.runs + runs
+        # Keep the chosen steps for the next iteration.
         differences = sensitivities(
             self.simulation,
             self.full_vector(theta),

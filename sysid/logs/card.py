@@ -166,6 +166,7 @@ def parse_card(text: str, file: Path) -> AirframeCard:
     name = str(file)
     aircraft = _table(data.get("aircraft", {}), "[aircraft]", name)
     inputs = _table(data.get("inputs", {}), "[inputs]", name)
+    # Each control has a servo, a throw, both or neither.
     servos, throws = {}, {}
     for key, value in inputs.items():
         where = f"[inputs.{key}]"

@@ -480,6 +480,7 @@ class _BinaryReader:
 
     def findings(self, size: int) -> list[Finding]:
         """Return findings on damage, with the place of the first."""
+        # Bytes that belong to no record, then definitions that contradict themselves.
         out = []
         if self.skipped_bytes:
             out.append(

@@ -279,6 +279,7 @@ def _servo_outputs(
         raise LogError(
             f"the record has {sorted(commands.values())}; their PWM needs an airframe card", path
         )
+    # Mixed pairs (elevons, v-tails) use two commands at once.
     out: dict[int, FloatArray] = {}
     for mix in card.mixes:
         first, second = mix.outputs
@@ -287,6 +288,7 @@ def _servo_outputs(
                 mix, record[commands.pop(first)], record[commands.pop(second)], parameters
             )
             stored |= {f"{first}_deg", f"{second}_deg"}
+    # What no mix took has a servo of its own.
     for name, column in commands.items():
         servo = card.servos.get(name)
         if servo is None:

@@ -165,6 +165,7 @@ class MapProposal:
             ),
             "# marked 'unsure', then: uqharness log info FILE --map THIS-FILE",
         ]
+        # Time first, then one table per signal with its evidence above it.
         if self.time is not None:
             unit = self.time.unit
             lines += [
@@ -180,6 +181,7 @@ class MapProposal:
                 *_comments("unsure: ", proposal.unsure),
             ]
             lines += _entry_lines(proposal.signal, proposal.entry)
+        # What the card supplies, what is missing, and what was left unused.
         if self.from_servos:
             lines += ["", f"# From the servo outputs, by the card: {', '.join(self.from_servos)}"]
         if self.absent:
@@ -411,11 +413,13 @@ def _scale_by_size(signal_unit: str, signal: str, values: FloatArray) -> tuple[f
     """Return the scale of a field without a unit, by the size of its values, and a note."""
     size = float(np.quantile(np.abs(values), 0.99)) if values.size else 0.0
     middle = float(np.median(values)) if values.size else 0.0
+    # Largest plausible angles in rad: a larger value must be in degrees.
     limit = {"theta_rad": 1.65, "phi_rad": 3.3, "psi_rad": 6.6, "alpha_rad": 1.65, "beta_rad": 1.65}
     if signal_unit == "rad" and size > limit.get(signal, math.inf):
         return _RAD, f"no unit in the name; values up to {size:.3g} are degrees"
     if signal_unit == "rad/s" and size > 20.0:
         return _RAD, f"no unit in the name; values up to {size:.3g} are deg/s"
+    # The vertical accelerometer shows gravity in level flight, in whatever unit and sign.
     if signal_unit == "m/s2" and signal == "az_mps2":
         for unit, factor in (("m/s2", 1.0), ("g", G0_MPS2), ("ft/s2", FT_M)):
             if 0.7 < abs(middle) * factor / G0_MPS2 < 1.4:
@@ -428,6 +432,7 @@ def _scale_by_size(signal_unit: str, signal: str, values: FloatArray) -> tuple[f
                         f" {unit}{sign_note}"
                     ),
                 )
+    # Small throttles and surfaces are normalised.
     if signal_unit == "%" and size <= 1.5:
         return 100.0, f"no unit in the name; values up to {size:.3g} are 0 to 1"
     if signal_unit == "deg" and size <= 1.0:

@@ -170,6 +170,7 @@ def _fields(
     """Yield struct path, field name and values of every vector of at least two numbers."""
     if depth > _MAX_DEPTH:
         return
+    # Structs and cells are walked; their path names the field.
     if isinstance(node, Mapping):
         for name, value in node.items():
             yield from _fields(value, f"{path}.{name}" if path else str(name), objects, depth + 1)
@@ -181,6 +182,7 @@ def _fields(
             if isinstance(value, Mapping | list | np.ndarray):
                 yield from _fields(value, f"{path}({number})", objects, depth + 1)
         return
+    # Objects of MATLAB classes cannot be read and are listed.
     if not isinstance(node, np.ndarray):
         if not isinstance(node, str | bytes | int | float | complex | np.generic | None):
             objects.append(path)
@@ -190,6 +192,7 @@ def _fields(
         return
     if node.dtype.kind not in "fiub" or node.size < 2:
         return
+    # Vectors are fields; the columns of a narrow matrix are fields by number.
     values = np.squeeze(node)
     struct, _, name = path.rpartition(".")
     struct = struct or WORKSPACE

@@ -472,6 +472,7 @@ def _clocks(data: Any, name: str) -> tuple[Clock, ...]:
         if unknown := sorted(set(row) - {"offset_s", "align", "search_s"}):
             text = f"unknown keys {unknown}; allowed are offset_s, align, search_s"
             raise LogError(text, name, where)
+        # The offset is given, or found by correlating two fields that move alike.
         offset = None if "offset_s" not in row else _number(row["offset_s"], name, where)
         align = row.get("align")
         if (offset is None) == (align is None):
@@ -488,6 +489,7 @@ def _clocks(data: Any, name: str) -> tuple[Clock, ...]:
         ):
             text = f'align must be ["field", "MESSAGE", "field"]; received {align!r}'
             raise LogError(text, name, where)
+        # Range of offsets [s] that the correlation searches.
         search = row.get("search_s", [-math.inf, math.inf])
         if not isinstance(search, list) or len(search) != 2:
             raise LogError(f"search_s must be [least, largest]; received {search!r}", name, where)
@@ -547,6 +549,7 @@ def _rows(data: Any, name: str) -> RowSelection:
     allowed = ["from_s", "to_s", "message", "field", "values", "part", "block_s"]
     if unknown := sorted(set(data) - set(allowed)):
         raise LogError(f"unknown keys {unknown}; allowed are {allowed}", name, where)
+    # Rows by the value of a field: three keys or none.
     keys = [key in data for key in ("message", "field", "values")]
     if any(keys) and not all(keys):
         text = "message, field and values belong together: rows in which the field has a value"
@@ -554,10 +557,12 @@ def _rows(data: Any, name: str) -> RowSelection:
     values = data.get("values", [])
     if not isinstance(values, list) or (any(keys) and not values):
         raise LogError(f"values must be a list of numbers; received {values!r}", name, where)
+    # Rows by time.
     start = _number(data["from_s"], name, where) if "from_s" in data else -math.inf
     end = _number(data["to_s"], name, where) if "to_s" in data else math.inf
     if start >= end:
         raise LogError(f"from_s = {start:g} must be less than to_s = {end:g}", name, where)
+    # Rows by alternating blocks of time, for training and test from one flight.
     part = data.get("part", "")
     if part not in ("", "odd", "even"):
         text = f'part = {part!r}; allowed are "odd" and "even" blocks of time'
@@ -617,6 +622,7 @@ def _sensor_rules(data: Any, name: str) -> tuple[SensorRule, ...]:
             raise LogError('message = "..." is missing', name, "[[sensors]]")
         if unknown := sorted(set(row) - set(allowed)):
             raise LogError(f"unknown keys {unknown}; allowed are {allowed}", name, "[[sensors]]")
+        # A value of the wrong type raises in a conversion; the author sees the whole row.
         try:
             rules.append(
                 SensorRule(

@@ -246,6 +246,7 @@ def _rejection_text(target: Target) -> str:
     returns their number. Every pair is written; the position advances only if the pair is accepted,
     which avoids a branch.
     """
+    # %square is the squared radius of a pair; Marsaglia's polar method keeps 0 < r^2 <= 1.
     return f"""
 define i64 @choose(i64 %count, ptr noalias %made, ptr noalias %out) #0 {{
 entry:

@@ -432,6 +432,8 @@ def _rows(results: Sequence[MetricSensitivity]) -> Iterator[list[str]]:
         details = item.result.details
         for i, (name, index) in enumerate(item.result.indices.items()):
             assert isinstance(index, PairRange)
+            # Share of the width, how much a coefficient known exactly would shrink it, and the
+            # width itself, each with its limits.
             shares = [
                 index.minimum.value,
                 index.maximum.value,

@@ -285,6 +285,7 @@ def _campaigns(
             },
             folder / "campaign.toml",
         )
+        # The parent's clock includes start-up, storing and tables.
         start_s = time.monotonic()
         summary = run_campaign(
             spec,

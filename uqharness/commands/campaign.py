@@ -592,6 +592,7 @@ def surrogate_check(
             for name, c in by_metric.items()
         },
     )
+    # The answer is no if a flight failed or a metric differs beyond its interval.
     code = int(document.failed > 0 or not by_metric or any(c.differs for c in by_metric.values()))
     return Outcome(document, document, list(_surrogate_lines(document)), code)
 

@@ -576,6 +576,7 @@ def _input_pedigree(evidence: Evidence, _: Match) -> list[str]:
 def _uncertainty(evidence: Evidence, _: Match) -> list[str]:
     """State standard errors, error bounds, their coverage, and the p-boxes."""
     statements = []
+    # Parameters, then bounds, then their coverage, then what they do to the performance.
     for step, fit in evidence.results(Fit):
         rows = fit.parameters.values()
         n_identified = sum(r.status == "identified" for r in rows)

@@ -149,6 +149,7 @@ def read_mission(path: Path) -> WaypointMission:
     home, items = (_plan if is_plan else _waypoints)(path, text, notes)
     if len(items) > _MOST_ITEMS:
         raise BadInputError(f"{path}: {len(items)} items; at most {_MOST_ITEMS} are flown")
+    # A change of speed belongs to the next item; commands without motion are counted.
     flown: list[Waypoint] = []
     speed = math.nan
     motionless: dict[int, int] = {}
@@ -323,6 +324,7 @@ def _check_place(item: _Item) -> None:
 def _waypoint(item: _Item, home: Home) -> Waypoint:
     """Return an item that moves the aircraft. Raises BadInputError for one that is not flown."""
     p1, p2, p3, _ = item.parameters
+    # Kind, radius and amount (turns or seconds) of each command, by MAVLink's numbering.
     kinds = {
         _WAYPOINT: ("leg", p2, math.nan),
         _UNLIM: ("loiter", p3, math.nan),
@@ -338,6 +340,7 @@ def _waypoint(item: _Item, home: Home) -> Waypoint:
             " and the return home (commands 16 to 20, 31), changes of airspeed and jumps"
         )
     kind, radius, amount = kinds[item.command]
+    # What an aeroplane or a flat earth cannot do is refused at its item.
     if kind == "leg" and p1 > 0.0:
         raise BadInputError(f"{item.place}: a hold of {p1:g} s at a waypoint: aeroplanes cannot")
     if kind in ("turns", "time") and not amount > 0.0:
@@ -349,6 +352,7 @@ def _waypoint(item: _Item, home: Home) -> Waypoint:
             f"{item.place}: frame {item.frame}: heights above home (3) or sea level (0) can be"
             " flown; the ground of a flight is flat"
         )
+    # Positions become metres north and east of home; 0, 0 means "where the aircraft is".
     height = item.altitude - (home[2] if _FRAMES[item.frame] == "above sea level" else 0.0)
     north = east = math.nan
     if item.latitude or item.longitude:
@@ -374,6 +378,7 @@ class WaypointGuide:
     """
 
     def __init__(self, mission: WaypointMission, fdm: Any) -> None:
+        # The autopilot is needed before the first frame.
         needed = [
             *(f"ap/{name}" for name in _SET),
             *("ap/NAVL1_PERIOD", "ap/NAVL1_DAMPING", "ap/EAS2TAS", "ap/engaged"),
@@ -397,8 +402,10 @@ class WaypointGuide:
                 "stretch": "ap/EAS2TAS",
             }.items()
         }
+        # Radius and L1 distance per speed, as ArduPlane computes them from its parameters.
         self._default_radius = abs(float(fdm["ap/WP_LOITER_RAD"])) or _LOITER_M
         self._l1_s = float(fdm["ap/NAVL1_DAMPING"]) * float(fdm["ap/NAVL1_PERIOD"]) / math.pi
+        # Progress along the mission: the item, its start, and the angle swept around a loiter.
         self._rows: list[FlownItem] = []
         self._distances: list[float] = []
         self._number = -1

@@ -580,6 +580,7 @@ def with_rotor_inertia(aircraft: HasFiles, files: ModelFiles) -> dict[str, tuple
     which the speed alternates between 0 and millions of rpm at any usual step; a propeller of
     typical inertia is as good as steady.
     """
+    # Propellers lie in the aircraft's folder or in the shared engine folder.
     mended = {}
     places = {name: (aircraft.folder / name, file) for name, file in files.local.items()}
     for key, file in files.shared.items():
@@ -593,9 +594,11 @@ def with_rotor_inertia(aircraft: HasFiles, files: ModelFiles) -> dict[str, tuple
         node, diameter = root.find("ixx"), _length(root, "diameter")
         if node is None or not diameter or (node.text or "").strip("0. +-\t\r\n"):
             continue
+        # Inertia grows with the fifth power of the diameter for one shape and material.
         inertia = f"{_INERTIA_KGM3 * diameter**5 / SLUG_FT2_KGM2:.3g}"
         if not float(inertia) > _LEAST_INERTIA:
             continue
+        # Only this element changes; all other bytes are the author's.
         lines = file.content.split(b"\n")
         lines[node.sourceline - 1] = re.sub(
             rb"<ixx[^>]*>[^<]*</ixx>",

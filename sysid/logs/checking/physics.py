@@ -391,12 +391,14 @@ def _candidate_faults(
 
     Sensors of one kind share a unit if they have the same noise.
     """
+    # Only channels that a violated law uses can explain it.
     touched = {n for h in violated for n in h.law.uses}
     for family, units, signal_unit in _FAMILIES:
         same_noise = len(family) > 1 and _same_noise(record, family)
         for channels in (*([family] if same_noise else []), *((n,) for n in family)):
             if not touched & set(channels) or not all(n in record for n in channels):
                 continue
+            # A fault of a whole family of sensors is more usual than that of one of them.
             usual = 0 if len(channels) == len(family) or not same_noise else 1
             yield ChannelFault(channels, -1.0, "the sign is reversed", 1)
             for factor, unit in units.items():

@@ -102,6 +102,7 @@ def _channels(differences: Sequence[Difference]) -> Section:
     """Return the table of channels that differ."""
     if not differences:
         return Section("Channels", (Words("None differs."),))
+    # One row a channel, in the order of cause and effect.
     rows = tuple(
         (
             d.channel,

@@ -91,6 +91,7 @@ def _table(measured: Sequence[LoopMargins]) -> Section:
         """Format a margin with its frequency."""
         return f"{value:{form}} at {radps:.3g}" if math.isfinite(value) else "none"
 
+    # A margin without a crossover is "none", not a number.
     rows = []
     for item in measured:
         m = item.margins
