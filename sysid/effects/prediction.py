@@ -312,22 +312,23 @@ def whiten_each(
     need not hold them.
     """
     for k, one in enumerate(followed):
-        more = _WhitenedOnDemand(one, columns, k, colour)
-        yield replace(_whitened(one, columns[k], colour), more=more)
+        start = _Start.of(one, colour)
+        more = _WhitenedOnDemand(one, columns, k, colour, start.q)
+        yield replace(_whitened(one, columns[k], colour, start), more=more)
 
 
 class _WhitenedOnDemand:
     """Columns of a segment made white again by their names; those asked for last are remembered."""
 
     def __init__(
-        self, one: FilteredSegment, columns: MadeColumns, k: int, colour: InnovationColour | None
+        self,
+        one: FilteredSegment,
+        columns: MadeColumns,
+        k: int,
+        colour: InnovationColour | None,
+        q: FloatArray,
     ) -> None:
-        self.one, self.columns, self.k, self.colour = one, columns, k, colour
-        plain = one.innovations_only
-        innovations, starts = (
-            _without_colour(colour, x) for x in (plain.innovations, plain.starts)
-        )
-        self.q = start_fitted(innovations, starts)[1]
+        self.one, self.columns, self.k, self.colour, self.q = one, columns, k, colour, q
         self.made: dict[str, NDArray[np.float32]] = {}
 
     def __call__(self, names: Sequence[str]) -> NDArray[np.float32]:
@@ -350,7 +351,9 @@ def whitened(
     colour: InnovationColour | None = None,
 ) -> list[White]:
     """`whiten` of segments that a filter has followed, and that leave ``colour``."""
-    return [_whitened(one, columns[k], colour) for k, one in enumerate(followed)]
+    return [
+        _whitened(one, columns[k], colour, _Start.of(one, colour)) for k, one in enumerate(followed)
+    ]
 
 
 def _without_colour(colour: InnovationColour | None, series: NDArray[Any]) -> NDArray[Any]:
@@ -358,8 +361,28 @@ def _without_colour(colour: InnovationColour | None, series: NDArray[Any]) -> ND
     return series if colour is None else colour(series)
 
 
+@dataclass(frozen=True)
+class _Start:
+    """White innovations (n, m) of a segment, what its start state, once fitted, leaves of them, and
+    q (n m, 8), r (8, 8) of the start's columns.
+    """
+
+    innovations: FloatArray
+    residual: FloatArray
+    q: FloatArray
+    r: FloatArray
+
+    @staticmethod
+    def of(one: FilteredSegment, colour: InnovationColour | None) -> _Start:
+        plain = one.innovations_only
+        innovations = _without_colour(colour, plain.innovations)
+        return _Start(
+            innovations, *start_fitted(innovations, _without_colour(colour, plain.starts))
+        )
+
+
 def _whitened(
-    one: FilteredSegment, segment_columns: Columns, colour: InnovationColour | None = None
+    one: FilteredSegment, segment_columns: Columns, colour: InnovationColour | None, start: _Start
 ) -> White:
     """The segment with its start state fitted and taken out of everything."""
     is_measured = one.system.is_measured
@@ -367,22 +390,18 @@ def _whitened(
         np.where(is_measured, one.gains.prior_variance, 0.0).sum(axis=0)
         / np.maximum(is_measured.sum(axis=0), 1)
     )
-    plain = one.with_columns(segment_columns)
-    innovations, starts, changes = (
-        _without_colour(colour, x) for x in (plain.innovations, plain.starts, plain.columns)
-    )
-    residual, q, r = start_fitted(innovations, starts)
-    remainder, inside = _without_start(changes, q)
-    inside = np.column_stack([q.T @ innovations.ravel(), inside])
+    changes = _without_colour(colour, one.with_columns(segment_columns).columns)
+    remainder, inside = _without_start(changes, start.q)
+    inside = np.column_stack([start.q.T @ start.innovations.ravel(), inside])
     try:
-        fitted = np.linalg.solve(r, inside)
+        fitted = np.linalg.solve(start.r, inside)
     except np.linalg.LinAlgError:
-        fitted = np.linalg.lstsq(r, inside, rcond=None)[0]
+        fitted = np.linalg.lstsq(start.r, inside, rcond=None)[0]
     fitted[:, 1:] *= -1.0
     return White(
-        residual,
+        start.residual,
         remainder,
-        one.gains.logdet + (0.0 if colour is None else len(innovations) * colour.logdet),
+        one.gains.logdet + (0.0 if colour is None else len(remainder) * colour.logdet),
         np.asarray(fitted, dtype=np.float64),
         is_measured,
         deviation,

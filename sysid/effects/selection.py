@@ -98,21 +98,21 @@ class Selection:
         return {c.key: c.value for c in self.chosen}
 
 
-def threshold(candidates: int, family: float = FAMILY) -> float:
+def sidak_critical_t(candidates: int, family: float = FAMILY) -> float:
     """|t| that the largest of so many candidates exceeds with probability ``family`` when nothing
     is there (Sidak).
     """
     return -float(normal_quantile(0.5 * (1.0 - (1.0 - family) ** (1.0 / max(candidates, 1)))))
 
 
-def chance_limit(
+def critical_t_of(
     information: Information, free: Sequence[str], candidates: Sequence[str], family: float = FAMILY
 ) -> float:
     """|t| that the largest of the candidates exceeds with probability ``family`` when nothing is
     there.
 
     Candidates resemble each other, so the largest of 400 is the largest of fewer: drawn from their
-    own correlation, what the free columns take up removed. Never above Sidak's limit, which is for
+    own correlation, what the free columns take up removed. Never above Sidak's, which is for
     candidates that have nothing in common."""
     informative = [
         k
@@ -120,7 +120,7 @@ def chance_limit(
         if share > DEPENDENT
     ]
     if len(informative) < 2:
-        return threshold(len(informative), family)
+        return sidak_critical_t(len(informative), family)
     projected_information, _ = projected(
         *information.total, information.index(free), information.index(informative)
     )
@@ -133,7 +133,9 @@ def chance_limit(
         for _ in range(DRAWN_IN)
     )
     largest = np.concatenate([np.abs(part).max(axis=1) for part in parts])
-    return min(threshold(len(informative), family), float(np.quantile(largest, 1.0 - family)))
+    return min(
+        sidak_critical_t(len(informative), family), float(np.quantile(largest, 1.0 - family))
+    )
 
 
 def select(
@@ -142,7 +144,7 @@ def select(
     required_gains: Mapping[str, float],
     chosen: Sequence[str] = (),
     max_effects: int = 6,
-    limit: float | None = None,
+    critical_t: float | None = None,
     empirical: bool = False,
     decisive_t: float = np.inf,
 ) -> Selection:
@@ -154,24 +156,26 @@ def select(
     required_gains : candidate -> gain in 2 ln L that is required of it
     chosen : effects to begin with, which may be exchanged or removed again
     max_effects : most effects that may be chosen
-    limit : smallest |t| of an effect (default: `chance_limit`)
-    empirical : whether |t| must also exceed the limit times the standard deviation of all
+    critical_t : smallest |t| of an effect (default: `critical_t_of`)
+    empirical : whether |t| must also exceed critical_t times the standard deviation of all
         candidates' t (Efron, JASA 99, 2004), which is one for noise alone
     decisive_t : |t| from which an entering effect ends the selection
     """
-    limit = chance_limit(information, free, list(required_gains)) if limit is None else limit
+    critical_t = (
+        critical_t_of(information, free, list(required_gains)) if critical_t is None else critical_t
+    )
     current: list[str] = list(chosen)
     trail: list[str] = []
     refused: RejectedCandidate | None = None
     for _ in range(3 * max_effects):
         before = list(current)
         _exchange(information, free, required_gains, current, trail)
-        _prune(information, free, current, trail, limit)
+        _prune(information, free, current, trail, critical_t)
         refused = None
         if len(current) < max_effects:
             unselected = [c for c in required_gains if c not in current]
             entering = _entering(
-                information, [*free, *current], unselected, required_gains, limit, empirical
+                information, [*free, *current], unselected, required_gains, critical_t, empirical
             )
             if isinstance(entering, RejectedCandidate):
                 refused = entering
@@ -220,7 +224,7 @@ def _entering(
     free: Sequence[str],
     unselected: Sequence[str],
     required_gains: Mapping[str, float],
-    limit: float,
+    critical_t: float,
     empirical: bool,
 ) -> SelectedEffect | RejectedCandidate | None:
     """The candidate to enter, or the best one that may not.
@@ -230,7 +234,7 @@ def _entering(
     tried again after one of them has entered."""
     first: RejectedCandidate | None = None
     for _ in range(TURNS):
-        best = _best(information, free, unselected, required_gains, limit, empirical)
+        best = _best(information, free, unselected, required_gains, critical_t, empirical)
         if not (isinstance(best, RejectedCandidate) and best.unconfirmed):
             return best if isinstance(best, SelectedEffect) else first or best
         first = first or best
@@ -248,7 +252,7 @@ def _best(
     free: Sequence[str],
     unselected: Sequence[str],
     required_gains: Mapping[str, float],
-    limit: float,
+    critical_t: float,
     empirical: bool,
 ) -> SelectedEffect | RejectedCandidate | None:
     result = scores(information, free, unselected)
@@ -265,25 +269,25 @@ def _best(
     )
     best, *runners_up = np.argsort(-penalised_gain)[:LOOKED_AT].tolist()
     choice = _estimate_one(information, free, unselected[best])
-    if not abs(choice.t) > limit:
+    if not abs(choice.t) > critical_t:
         # Colour may weigh on one candidate more than on the next.
         next_best = (
             _estimate_one(information, free, unselected[k])
             for k in runners_up
-            if penalised_gain[k] >= limit**2
+            if penalised_gain[k] >= critical_t**2
         )
-        choice = next((c for c in next_best if abs(c.t) > limit), choice)
-        if not abs(choice.t) > limit:
+        choice = next((c for c in next_best if abs(c.t) > critical_t), choice)
+        if not abs(choice.t) > critical_t:
             return RejectedCandidate(
                 choice.key,
                 choice.t,
                 choice.gain,
-                f"|t| {abs(choice.t):.1f} is not above {limit:.1f}",
+                f"|t| {abs(choice.t):.1f} is not above {critical_t:.1f}",
             )
-    if not np.sqrt(choice.gain) > limit * dispersion:
+    if not np.sqrt(choice.gain) > critical_t * dispersion:
         reason = (
-            f"|t| {np.sqrt(choice.gain):.1f} is not above {limit:.1f} times {dispersion:.2f}, the"
-            " spread of all candidates"
+            f"|t| {np.sqrt(choice.gain):.1f} is not above {critical_t:.1f} times {dispersion:.2f},"
+            " the spread of all candidates"
         )
         return RejectedCandidate(choice.key, choice.t, choice.gain, reason)
     if choice.confirmed_gain <= 0.0 and abs(choice.difference) > DIFFERENT:
@@ -297,7 +301,7 @@ def _best(
             choice.t,
             choice.gain,
             reason,
-            not empirical and abs(choice.t) > limit + DIFFERENT,
+            not empirical and abs(choice.t) > critical_t + DIFFERENT,
             True,
         )
     return choice
@@ -333,9 +337,9 @@ def _prune(
     free: Sequence[str],
     current: list[str],
     trail: list[str],
-    limit: float,
+    critical_t: float,
 ) -> None:
-    """Remove the weakest effect below the limit until none is; a single effect stays."""
+    """Remove the weakest effect below critical_t until none is; a single effect stays."""
     while len(current) > 1:
         t = [
             abs(value / std)
@@ -344,7 +348,7 @@ def _prune(
             ).values()
         ]
         worst = int(np.argmin(t))
-        if t[worst] >= limit:
+        if t[worst] >= critical_t:
             break
         trail.append(f"- {current.pop(worst)} t {t[worst]:.1f}")
 
@@ -433,28 +437,28 @@ def _with_alternatives(
 # chosen.
 #
 # What stands out does so by its truth and by luck, so that a value and its plain interval are
-# too large where |t| is little above the limit. With Z ~ N(theta, 1) seen only if |Z| > c, its
+# too large where |t| is little above critical_t. With Z ~ N(theta, 1) seen only if |Z| > c, its
 # distribution is the normal one cut at -c and c; the interval holds every theta under which
 # what was seen is neither in the lower nor in the upper tail (Lee, Sun, Sun and Taylor, Annals
-# of Statistics 44, 2016, section 5). Well above the limit it is the plain interval.
+# of Statistics 44, 2016, section 5). Well above critical_t it is the plain interval.
 
 _SEARCH_RANGE = 40.0
 """Standard errors beyond which nothing is looked for."""
 
 
 def conditional_interval(
-    value: float, std: float, limit: float, confidence: float = 0.95
+    value: float, std: float, critical_t: float, confidence: float = 0.95
 ) -> tuple[float, float]:
     """Interval of an effect estimated at ``value`` +/- ``std`` and named because |value / std| is
-    above ``limit``.
+    above ``critical_t``.
 
-    Without a limit (NaN), or where |t| is not above it, the plain interval. NaN where std is no
+    Without one (NaN), or where |t| is not above it, the plain interval. NaN where std is no
     positive number."""
     if not (std > 0.0 and math.isfinite(value) and math.isfinite(std)):
         return math.nan, math.nan
     tail = 0.5 * (1.0 - confidence)
     t = abs(value) / std
-    if not t > limit:
+    if not t > critical_t:
         reach = -float(special.ndtri(tail)) * std
         return value - reach, value + reach
 
@@ -463,7 +467,7 @@ def conditional_interval(
         # small.
         above, tails = (
             special.ndtr(theta - t),
-            special.ndtr(theta - limit) + special.ndtr(-limit - theta),
+            special.ndtr(theta - critical_t) + special.ndtr(-critical_t - theta),
         )
         return float(above / tails) - share
 

@@ -18,7 +18,7 @@ CERTAIN_T = 10.0
 chosen. Moments that gain its square in twice the log likelihood are reported; air whose gusts
 across the path gain less is calm."""
 OVERWHELMING = 15.0
-"""|t| above which the linearisation error of an effect exceeds the limit: it is simulated before
+"""|t| above which the linearisation error of an effect exceeds critical_t: it is simulated before
 others are chosen."""
 COMPARABLE = 0.5
 """Share of the strongest candidate's gain, or |t|, above which another is simulated as well. A
@@ -34,11 +34,12 @@ distinguished from it."""
 SEVERAL = 3
 """Additional effects that may be shares of one cause, and candidates simulated in its place."""
 EARNED = 0.6
-"""Share of limit^2 by which each effect must lower the cost of the simulation, since the linearised
-gain is not fully reached. A simulated effect below its square root times the limit is dropped."""
+"""Share of critical_t^2 by which each effect must lower the cost of the simulation, since the
+linearised gain is not fully reached. A simulated effect below its square root times critical_t is
+dropped."""
 STANDS = 0.5
 """Tolerance, in standard errors, of values that JSBSim reads once."""
-GUST_LIMIT = 6.0
+TURBULENCE_CRITICAL_T = 6.0
 """|t| required in turbulence, where the spectrum of the air is a model as well."""
 GUST_PENALTY = 30.0
 """Additional gain required of candidates that a slightly wrong gust model resembles: rates of the

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from sysid.effects import GUST_LIMIT
+from sysid.effects import TURBULENCE_CRITICAL_T
 from tests.gust_fields import examine
 from tests.gust_fields.fields import FAMILIES
 
@@ -19,6 +19,6 @@ def test_each_kind_of_air_is_flown(tmp_path):
 @pytest.mark.parametrize("family", ["heading", "body", "tail-delay", "field-wing"])
 def test_flights_that_lack_nothing_show_nothing_in_any_air(family, tmp_path):
     row = examine.measure(examine.write_flights(family, 1, 45.0, 15.0, tmp_path))
-    assert row.largest[1] < GUST_LIMIT + 1.0
+    assert row.largest[1] < TURBULENCE_CRITICAL_T + 1.0
     assert max(row.vane_t) < 4.0
     assert row.covered > 0.75

@@ -73,7 +73,7 @@ class SearchContext:
     parameters : names of the properties that are estimated
     effects : candidates by key
     bounds : lowest and highest value of each parameter
-    limit : |t| required of an effect
+    critical_t : |t| required of an effect
     cost : minus twice the log likelihood of the baseline
     """
 
@@ -82,7 +82,7 @@ class SearchContext:
     parameters: tuple[str, ...]
     effects: Mapping[str, Effect]
     bounds: Limits
-    limit: float
+    critical_t: float
     cost: float
     estimator: Estimator
 
@@ -93,7 +93,7 @@ class SearchContext:
 
     def criterion(self, cost: float, keys: Sequence[str]) -> float:
         """Penalised likelihood: a model's cost, and what each of its effects must earn."""
-        return cost + sum(self.effects[k].penalty + EARNED * self.limit**2 for k in keys)
+        return cost + sum(self.effects[k].penalty + EARNED * self.critical_t**2 for k in keys)
 
     def required_gains(
         self, free: Sequence[str], information: Information, keys: Sequence[str] = ()
@@ -117,7 +117,7 @@ class SearchContext:
             [n for n in free if n not in keys],
             self.required_gains(free, information, keys),
             chosen=keys,
-            limit=self.limit,
+            critical_t=self.critical_t,
             empirical=self.estimator.is_coloured(self.data),
             decisive_t=OVERWHELMING,
         )
@@ -337,7 +337,7 @@ def assess(
     slopes = slopes_here(data.active, fit.trajectory.point)
     columns = effect_columns(data, fit.probes, fit.trajectory, [*unselected, *slopes])
     estimator = estimator_for(model_fit.turbulence)
-    information = estimator.information(data, fit, columns).without_values(values)
+    information = estimator.information(data, fit, columns, unselected).without_values(values)
     read_once = {k: values_in_xml[k] for k in data.fixed_effects}
     return with_selection(context, model_fit, information, list(values_in_xml), values, read_once)
 

@@ -128,7 +128,7 @@ def _remaining(chosen: SearchResult, outcome: HoldOutResult, controls: Sequence[
     strong = [refused] if refused is not None and refused.strong else []
     # What the train flights ask for and the test flights contradict is a disagreement without a
     # name, unless it was asked for by chance.
-    contradicted = [c for c in outcome.withdrawn if abs(c.t) > chosen.limit + DIFFERENT]
+    contradicted = [c for c in outcome.withdrawn if abs(c.t) > chosen.critical_t + DIFFERENT]
     reported = {c.key for c in (*contradicted, *chosen.unclear, *chosen.selection.chosen)}
     candidates = [(key, t) for key, t in chosen.remaining if key not in reported]
     mismatch = chosen.mismatch
@@ -270,7 +270,8 @@ def document_of(
             )
         ),
         candidates=Candidates(
-            limit=result.limit, scores=[Score(effect=name, t=t) for name, t in result.scoreboard]
+            limit=result.critical_t,
+            scores=[Score(effect=name, t=t) for name, t in result.scoreboard],
         ),
         timing=Timing(controls_late_s=result.controls_late_s),
         trail=list(result.trail),
@@ -378,7 +379,7 @@ def _effect(
 def _interval(result: SearchResult, e: Effect, c: SelectedEffect) -> list[float | None]:
     """95 % interval of the number as it stands in the XML, given that it was chosen; open above
     where a servo is never asked for more than its rate limit."""
-    low, high = chosen_interval(c, result.limit)
+    low, high = chosen_interval(c, result.critical_t)
     ends = sorted(_as_written(result, e, replace(c, value=v))[0] for v in (low, high))
     return [ends[0], None if e.term == "rate_limit" and is_fastest(c, result.setup) else ends[1]]
 

@@ -48,8 +48,8 @@ from sysid.effects import (
     estimate_selected,
     projected,
     scores,
+    sidak_critical_t,
     solve,
-    threshold,
 )
 from sysid.parallel import Processes
 from uqharness.errors import BadInputError
@@ -145,7 +145,7 @@ class SearchResult:
     plain : property -> value without the effects
     turbulence : the air; None where it was calm
     scoreboard : (name, t) of the candidates that explain most, each alone beside the parameters
-    limit : |t| required of an effect
+    critical_t : |t| required of an effect
     late_s : shift of all controls before the search
     slopes : numbers that effects of stall and propulsion are written with
     flown_values : key -> value of each effect in ``after``
@@ -165,7 +165,7 @@ class SearchResult:
     plain: Mapping[str, float] = field(default_factory=dict)
     turbulence: TurbulenceModel | None = None
     scoreboard: tuple[tuple[str, float], ...] = ()
-    limit: float = float("nan")
+    critical_t: float = float("nan")
     late_s: float = 0.0
     trail: tuple[str, ...] = ()
     slopes: Mapping[str, float] = field(default_factory=dict)
@@ -270,7 +270,7 @@ class Baseline:
             self.parameters,
             {e.key: e for e in self.effects},
             self.limits,
-            self.estimator.threshold(self.information, free, candidates),
+            self.estimator.critical_t(self.information, free, candidates),
             self.cost,
             self.estimator,
         )
@@ -289,9 +289,9 @@ class Baseline:
         information = self.information.without_values(offsets)
         free = [n for n in self.fit.columns[0].names if n not in offsets]
         required_gains = eligible(self.effects, self.data, free, information)
-        limit = max(threshold(len(required_gains) + 1), self.estimator.least_t)
+        critical_t = max(sidak_critical_t(len(required_gains) + 1), self.estimator.least_critical_t)
         return controls_offset(
-            information, free, required_gains, limit, *offset_tolerance_s(command_s, first)
+            information, free, required_gains, critical_t, *offset_tolerance_s(command_s, first)
         )
 
 
@@ -373,7 +373,7 @@ def fit_baseline(
         limits,
         model.neg2_log_likelihood,
         effects,
-        estimator.information(data, model.fit, columns),
+        estimator.information(data, model.fit, columns, effects),
         competes,
         notes,
     )
@@ -407,7 +407,7 @@ def controls_offset(
     information: Information,
     free: Sequence[str],
     required_gains: Mapping[str, float],
-    limit: float,
+    critical_t: float,
     least_s: float,
     earliest_s: float,
 ) -> tuple[float, float] | None:
@@ -420,12 +420,12 @@ def controls_offset(
     ----------
     information : with the column of CONTROLS_LATE
     required_gains : candidate -> gain required of it
-    limit : |t| required
+    critical_t : |t| required
     least_s, earliest_s : offsets between -earliest_s and least_s are no error of the record
     """
     key = CONTROLS_LATE.key
     value, std, _ = corrected_estimate(information, free, key)
-    if not abs(value / std) > limit or not (value > least_s or value < -earliest_s):
+    if not abs(value / std) > critical_t or not (value > least_s or value < -earliest_s):
         return None
     gain = float(scores(information, free, [key]).gain[0])
     rivals = list(required_gains)
@@ -522,8 +522,8 @@ class EffectSearch:
         other = second._run_once(information, "whole")
         # Unless it is less likely by more than chance gives, on the same samples.
         if self.context.estimator.same_samples(outcome.model.keys, other.model.keys):
-            limit = outcome.model.criterion + CERTAIN_T**2
-            if not other.model.keys or other.model.criterion > limit:
+            largest_criterion = outcome.model.criterion + CERTAIN_T**2
+            if not other.model.keys or other.model.criterion > largest_criterion:
                 return outcome
         names = ", ".join(f"{e.subsystem} {e.term}" for e in doubtful)
         note = (
@@ -618,10 +618,10 @@ class EffectSearch:
         The selection oscillates in such a case: |t| is large in the linearisation about the model
         without the effect, and small about the model with it.
         """
-        limit, effects = self.context.limit, best.selection.chosen
-        if not any(c.t**2 > EARNED * limit**2 for c in effects):
+        critical_t, effects = self.context.critical_t, best.selection.chosen
+        if not any(c.t**2 > EARNED * critical_t**2 for c in effects):
             return baseline, [f"flown, {c.key} has |t| {abs(c.t):.1f}: no effect" for c in effects]
-        weak = [c for c in effects if not abs(c.t) > limit] if not best.is_stationary else []
+        weak = [c for c in effects if not abs(c.t) > critical_t] if not best.is_stationary else []
         if not weak or len(weak) == len(effects):
             return best, []
         strong = tuple(c for c in effects if c not in weak)
@@ -774,7 +774,7 @@ def _result_of(context: SearchContext, baseline: Baseline, outcome: SearchOutcom
         (*outcome.notes, *model.estimator.description),
         {n: value for n, (value, _) in plain.items()},
         model.turbulence,
-        limit=context.limit,
+        critical_t=context.critical_t,
         trail=tuple(f"{estimator.trail_prefix}{line}" for line in outcome.trail),
         slopes=slopes,
         flown_values=model.values,
@@ -792,7 +792,7 @@ def _unconfirmed(context: SearchContext, selection: Selection) -> RejectedCandid
     if not selection.chosen:
         return None
     c = selection.chosen[0]
-    reported, strong = context.estimator.refutes(c.t, context.limit)
+    reported, strong = context.estimator.refutes(c.t, context.critical_t)
     reason = "flown in the simulation it does not lower the error by as much"
     return RejectedCandidate(c.key, c.t, c.gain, reason, strong) if reported else None
 
@@ -813,13 +813,13 @@ def with_time_resolution(
     return replace(selection, chosen=tuple(widened(c) for c in selection.chosen))
 
 
-def chosen_interval(effect: SelectedEffect, limit: float) -> tuple[float, float]:
-    """95 % interval of an effect, conditional on its selection at |t| above ``limit``; that t may
-    be by a narrower standard error than the one stated.
+def chosen_interval(effect: SelectedEffect, critical_t: float) -> tuple[float, float]:
+    """95 % interval of an effect, conditional on its selection at |t| above ``critical_t``; that t
+    may be by a narrower standard error than the one stated.
     """
     selection_value = effect.t * effect.std
     ratio = abs(effect.value / selection_value) if selection_value else 1.0
-    return conditional_interval(effect.value, effect.std, limit * ratio)
+    return conditional_interval(effect.value, effect.std, critical_t * ratio)
 
 
 def strong_candidates(
@@ -851,10 +851,10 @@ def score_table(
 
 
 def remark(
-    choice: SelectedEffect, effect: Effect, flights: Sequence[str], command: str, limit: float
+    choice: SelectedEffect, effect: Effect, flights: Sequence[str], command: str, critical_t: float
 ) -> str:
-    """The remark beside an effect's number in the XML; limit: |t| above which it was chosen."""
-    low, high = chosen_interval(choice, limit)
+    """The remark beside an effect's number in the XML; chosen at |t| above ``critical_t``."""
+    low, high = chosen_interval(choice, critical_t)
     text = (
         f"{effect.name}: {choice.value:.5g} +/- {choice.std:.2g}, 95 % [{low:.5g}, {high:.5g}];"
         f" from {', '.join(flights)}"

@@ -20,18 +20,20 @@ from sysid.arrays import FloatArray
 from sysid.effects import (
     CERTAIN_T,
     DIFFERENT,
-    GUST_LIMIT,
     GUST_PENALTY,
     OVERWHELMING,
     QUIETER,
+    TURBULENCE_CRITICAL_T,
     Columns,
     Effect,
     Information,
+    InnovationColour,
     TurbulenceModel,
-    chance_limit,
+    critical_t_of,
     follow,
     normal_equations,
-    threshold,
+    scores,
+    sidak_critical_t,
     whiten,
     whiten_each,
 )
@@ -53,6 +55,7 @@ from uqharness.identification.linearised import (
     gust_refit,
     in_dynamics,
     in_step,
+    least_cost,
     merged,
     moved,
     observed,
@@ -63,6 +66,7 @@ from uqharness.identification.linearised import (
     setup_in_gusts,
     turbulent,
     unfiltered,
+    with_colour,
     with_estimator_noise,
     with_sensors_of,
 )
@@ -71,6 +75,8 @@ from uqharness.simulator import Aircraft, engine
 
 Limits = Mapping[str, tuple[float, float]]
 """Lower and upper bound of each parameter."""
+COLOURS_TRIED = 6
+"""Candidates that are given a colour of the innovations of their own."""
 ESTIMATOR_ROUNDS = 2
 """Fits after which the noise of channels that an autopilot's estimator computed has settled."""
 DIVERGED = 1e6
@@ -121,7 +127,7 @@ class Estimator(Protocol):
         """The air that the estimator assumes; None: calm."""
 
     @property
-    def least_t(self) -> float:
+    def least_critical_t(self) -> float:
         """|t| below which no effect is named, however few the candidates."""
 
     @property
@@ -154,20 +160,26 @@ class Estimator(Protocol):
     def required_gain(self, effect: Effect) -> float:
         """Gain in twice the log likelihood asked of a candidate besides its |t|."""
 
-    def threshold(
+    def critical_t(
         self, information: Information, free: Sequence[str], candidates: Sequence[str]
     ) -> float:
         """|t| that an effect must exceed beside the ``free`` columns."""
 
-    def refutes(self, t: float, limit: float) -> tuple[bool, bool]:
+    def refutes(self, t: float, critical_t: float) -> tuple[bool, bool]:
         """Whether a candidate of that |t| which no simulation confirmed is reported, and whether
         something must be missing then.
         """
 
     def information(
-        self, data: FlightData, fit: Linearisation, regressors: Sequence[Columns]
+        self,
+        data: FlightData,
+        fit: Linearisation,
+        regressors: Sequence[Columns],
+        candidates: Sequence[Effect] = (),
     ) -> Information:
-        """Information of the fit's own columns beside further ``regressors``."""
+        """Information of the fit's own columns beside further ``regressors``, those of
+        ``candidates`` among them.
+        """
 
     def fit(
         self,
@@ -242,7 +254,7 @@ class ReplayEstimator:
     """Output error: replays in calm air, sensor noise alone."""
 
     turbulence: None = None
-    least_t: float = 0.0
+    least_critical_t: float = 0.0
     uses_replays: bool = True
     detects_colour: bool = True
     description: tuple[str, ...] = ()
@@ -266,18 +278,22 @@ class ReplayEstimator:
         """Return the penalty of the effect."""
         return effect.penalty
 
-    def threshold(
+    def critical_t(
         self, information: Information, free: Sequence[str], candidates: Sequence[str]
     ) -> float:
         """|t| that the largest of the candidates reaches by chance."""
-        return chance_limit(information, free, candidates)
+        return critical_t_of(information, free, candidates)
 
-    def refutes(self, t: float, limit: float) -> tuple[bool, bool]:
+    def refutes(self, t: float, critical_t: float) -> tuple[bool, bool]:
         """Always reported; strong where linearisation cannot have made it up."""
         return True, abs(t) > OVERWHELMING
 
     def information(
-        self, data: FlightData, fit: Linearisation, regressors: Sequence[Columns]
+        self,
+        data: FlightData,
+        fit: Linearisation,
+        regressors: Sequence[Columns],
+        candidates: Sequence[Effect] = (),
     ) -> Information:
         """Information from the residuals of replays."""
         return _information(data, fit, regressors, data.measured, None)
@@ -343,7 +359,7 @@ class PredictionErrorEstimator:
     """Prediction error: one-step predictions of a Kalman filter, with process noise of gusts."""
 
     turbulence: TurbulenceModel
-    least_t: float = GUST_LIMIT
+    least_critical_t: float = TURBULENCE_CRITICAL_T
     uses_replays: bool = False
     detects_colour: bool = False
     """A gust spectrum is a model: the colour of predictions says nothing of the aircraft."""
@@ -395,23 +411,65 @@ class PredictionErrorEstimator:
         )
         return effect.penalty + GUST_PENALTY * like_gusts
 
-    def threshold(
+    def critical_t(
         self, information: Information, free: Sequence[str], candidates: Sequence[str]
     ) -> float:
-        """The limit for chance, at least that for errors of the gust model."""
-        return max(threshold(len(candidates)), self.least_t)
+        """The critical value for chance, at least that for errors of the gust model."""
+        return max(sidak_critical_t(len(candidates)), self.least_critical_t)
 
-    def refutes(self, t: float, limit: float) -> tuple[bool, bool]:
+    def refutes(self, t: float, critical_t: float) -> tuple[bool, bool]:
         """Reported where gusts estimated with the effect cannot explain it."""
-        strong = abs(t) > limit + DIFFERENT
+        strong = abs(t) > critical_t + DIFFERENT
         return strong, strong
 
     def information(
-        self, data: FlightData, fit: Linearisation, regressors: Sequence[Columns]
+        self,
+        data: FlightData,
+        fit: Linearisation,
+        regressors: Sequence[Columns],
+        candidates: Sequence[Effect] = (),
     ) -> Information:
-        """Information from innovations of the filter."""
+        """Information from innovations of the filter, their colour that of the likeliest model with
+        at most one of the candidates.
+        """
         measured = in_step(data, fit.trajectory.point)
-        return _information(data, fit, regressors, measured, self.turbulence)
+        turbulence = self.turbulence
+        if turbulence.colour is not None and candidates:
+            colour = self._colour_beside_candidates(data, fit, regressors, measured, candidates)
+            turbulence = replace(turbulence, colour=colour)
+        return _information(data, fit, regressors, measured, turbulence)
+
+    def _colour_beside_candidates(
+        self,
+        data: FlightData,
+        fit: Linearisation,
+        regressors: Sequence[Columns],
+        measured: Sequence[FloatArray],
+        candidates: Sequence[Effect],
+    ) -> InnovationColour | None:
+        """The colour of the likeliest model: the one fitted, or it with a candidate.
+
+        What an effect leaves is coloured, too. Where its colour is estimated without the effect it
+        absorbs it: |t| 10 in place of 60. So each of the strongest candidates is given a colour of
+        its own (profile likelihood), and one that earns what an effect must decides the colour.
+        """
+        air = replace(self.turbulence, colour=None)
+        free = fit.columns[0].names
+        plain = _information(data, fit, regressors, measured, air)
+        effects = {e.key: e for e in candidates}
+        gains = np.nan_to_num(scores(plain, free, [*effects]).gain)
+        strongest = [[*effects][k] for k in np.argsort(-gains)[:COLOURS_TRIED]]
+        columns = merged(fit.columns, regressors)
+        followed = [*follow(fit.steps, measured, data.output_rows, data.noise, air.process)]
+        best = self.turbulence.colour, least_cost(self.turbulence.colour, fit.evidence)
+        for key in strongest:
+            names = [*free, key]
+            beside = [columns.some(k, names) for k in range(len(columns))]
+            colour, information = with_colour(followed, beside, None)
+            cost = least_cost(colour, information)
+            cost += self.least_critical_t**2 + self.required_gain(effects[key])
+            best = min(best, (colour, cost), key=lambda one: one[1])
+        return best[0]
 
     def fit(
         self,

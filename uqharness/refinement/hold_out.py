@@ -72,7 +72,7 @@ class Verdict:
 
     change : rise of minus twice the log likelihood without the effect; std: its standard error
     residual_ratio : rms of the better model's residuals over noise, relative to the train flights
-    excess_t2 : t^2 of both sides together, less the square of the required limit
+    excess_t2 : t^2 of both sides together, less the square of critical_t
     difference_ss : sum of squares of the difference of both models' predictions, whitened; and the
         residual sum of squares without the effect less that with it
     """
@@ -152,80 +152,120 @@ class HoldOutTest:
 
     def run(self) -> HoldOutResult:
         """Judge every effect; withdraw until nothing more is to be withdrawn."""
-        chosen, baseline = self.chosen, without_effects(self.chosen)
-        point = chosen.after.trajectory.point
-        effects = chosen.selection.chosen
-        # Both models on both sides.
-        train_before = self._evaluate(baseline, self.train, chosen.before.trajectory.point)
-        train_after = self._evaluate(chosen, self.train, point) if effects else train_before
-        test_before = self._evaluate(baseline, self.test, None)
-        test_after = self._evaluate(chosen, self.test, None) if effects else test_before
-        self._complete_on_test = test_after
-        remaining, evaluation = chosen, test_after
+        remaining, evaluation = self.chosen, self._test_after
         verdicts: dict[str, Verdict] = {}
         withdrawn: list[SelectedEffect] = []
         while remaining.selection.chosen:
-            # Leave out each remaining effect alone.
-            rivals: dict[str, tuple[SearchResult, Evaluation]] = {}
-            latest: dict[str, Verdict] = {}
-            for c in remaining.selection.chosen:
-                if len(remaining.selection.chosen) == 1:
-                    rival = without_effects(remaining), test_before
-                else:
-                    keys = [*(w.key for w in withdrawn), c.key]
-                    model = self._leave_out(keys)
-                    rival = model, self._evaluate(model, self.test, evaluation.trajectory.point)
-                rivals[c.key] = rival
-                spare = c.t**2 - chosen.limit**2
-                latest[c.key] = compare(rival[1], evaluation, self.test.setup, train_after, spare)
-            # Two effects may compensate each other: then neither alone does harm.
-            joint = None
-            if len(latest) > 1:
-                joint = compare(test_before, evaluation, self.test.setup, train_after)
-            if any(v is not None and v.gap == "grew" for v in (*latest.values(), joint)):
-                # Where the test contradicts an effect, the train flights' errors count as well.
-                keys = list(latest)
-                latest = {
-                    k: self._with_parameter_uncertainty(v, rivals[k][1], evaluation, keys, k)
-                    for k, v in latest.items()
-                }
-                joint = joint and self._with_parameter_uncertainty(
-                    joint, test_before, evaluation, keys
-                )
-            worst = min(latest, key=lambda k: latest[k].z)
-            if latest[worst].gap != "grew" and joint is not None and joint.gap == "grew":
-                latest[worst] = joint
+            rivals = self._rivals(remaining, evaluation, [c.key for c in withdrawn])
+            latest = self._verdicts(remaining, evaluation, rivals)
             verdicts |= latest
-            if latest[worst].gap != "grew":
-                # Beside something unexplained, an effect must be visible here.
-                invisible = [
-                    k for k, v in latest.items() if v.gap == CANNOT_TELL and not v.is_visible
-                ]
-                if not invisible or not self._leaves_something(train_after):
-                    break
-                worst = min(invisible, key=lambda k: latest[k].z)
-            withdrawn.append(next(c for c in effects if c.key == worst))
-            remaining, evaluation = rivals[worst]
+            key = self._effect_to_withdraw(latest)
+            if key is None:
+                break
+            withdrawn += [c for c in remaining.selection.chosen if c.key == key]
+            remaining, evaluation = rivals[key]
         # The others are estimated again without what was withdrawn.
+        train_final = self._train_after if remaining.selection.chosen else self._train_before
         if withdrawn and remaining.selection.chosen:
             refitted = self._refit(remaining)
             if refitted is not remaining:
                 remaining = refitted
                 evaluation = self._evaluate(refitted, self.test, evaluation.trajectory.point)
-        if not withdrawn:
-            train_final = train_after
-        elif remaining.selection.chosen:
+            point = self.chosen.after.trajectory.point
             train_final = self._evaluate(remaining, self.train, point)
-        else:
-            train_final = train_before
         return HoldOutResult(
             remaining,
             tuple(withdrawn),
             verdicts,
-            self._before_and_after(remaining, self.train, train_before, train_final),
-            self._before_and_after(remaining, self.test, test_before, evaluation),
+            self._before_and_after(remaining, self.train, self._train_before, train_final),
+            self._before_and_after(remaining, self.test, self._test_before, evaluation),
             (self.train, self.test),
         )
+
+    # The chosen model and the one without effects on both sides.
+
+    @cached_property
+    def _train_before(self) -> Evaluation:
+        point = self.chosen.before.trajectory.point
+        return self._evaluate(without_effects(self.chosen), self.train, point)
+
+    @cached_property
+    def _train_after(self) -> Evaluation:
+        if not self.chosen.selection.chosen:
+            return self._train_before
+        return self._evaluate(self.chosen, self.train, self.chosen.after.trajectory.point)
+
+    @cached_property
+    def _test_before(self) -> Evaluation:
+        return self._evaluate(without_effects(self.chosen), self.test, None)
+
+    @cached_property
+    def _test_after(self) -> Evaluation:
+        if not self.chosen.selection.chosen:
+            return self._test_before
+        return self._evaluate(self.chosen, self.test, None)
+
+    # One round: leave out each remaining effect alone, judge, name the one to withdraw.
+
+    def _rivals(
+        self, remaining: SearchResult, evaluation: Evaluation, withdrawn: Sequence[str]
+    ) -> dict[str, tuple[SearchResult, Evaluation]]:
+        """Effect -> the model without it, estimated on the train flights, evaluated on the others.
+
+        evaluation : the ``remaining`` model on the test flights
+        """
+        keys = [*remaining.selection.values]
+        if len(keys) == 1:
+            return {keys[0]: (without_effects(remaining), self._test_before)}
+        models = {key: self._leave_out([*withdrawn, key]) for key in keys}
+        point = evaluation.trajectory.point
+        return {k: (m, self._evaluate(m, self.test, point)) for k, m in models.items()}
+
+    def _verdicts(
+        self,
+        remaining: SearchResult,
+        evaluation: Evaluation,
+        rivals: Mapping[str, tuple[SearchResult, Evaluation]],
+    ) -> dict[str, Verdict]:
+        """What the test flights say of each remaining effect."""
+        keys = list(rivals)
+        verdicts = {}
+        for c in remaining.selection.chosen:
+            _, rival = rivals[c.key]
+            excess_t2 = c.t**2 - self.chosen.critical_t**2
+            verdicts[c.key] = self._compare(rival, evaluation, excess_t2)
+        # Two effects may compensate each other: then neither alone does harm.
+        joint = self._compare(self._test_before, evaluation) if len(keys) > 1 else None
+        if any(v is not None and v.gap == "grew" for v in (*verdicts.values(), joint)):
+            # Where the test contradicts an effect, the train flights' errors count as well.
+            verdicts = {
+                k: self._with_parameter_uncertainty(v, rivals[k][1], evaluation, keys, k)
+                for k, v in verdicts.items()
+            }
+            joint = joint and self._with_parameter_uncertainty(
+                joint, self._test_before, evaluation, keys
+            )
+        worst = min(verdicts, key=lambda k: verdicts[k].z)
+        if verdicts[worst].gap != "grew" and joint is not None and joint.gap == "grew":
+            verdicts[worst] = joint
+        return verdicts
+
+    def _effect_to_withdraw(self, verdicts: Mapping[str, Verdict]) -> str | None:
+        """The effect that the test flights contradict most; beside something unexplained also one
+        that they do not show.
+        """
+        worst = min(verdicts, key=lambda k: verdicts[k].z)
+        if verdicts[worst].gap == "grew":
+            return worst
+        invisible = [k for k, v in verdicts.items() if v.gap == CANNOT_TELL and not v.is_visible]
+        if not invisible or not self._leaves_something(self._train_after):
+            return None
+        return min(invisible, key=lambda k: verdicts[k].z)
+
+    def _compare(
+        self, rival: Evaluation, evaluation: Evaluation, excess_t2: float = np.inf
+    ) -> Verdict:
+        return compare(rival, evaluation, self.test.setup, self._train_after, excess_t2)
 
     def _evaluate(
         self, model: SearchResult, side: Dataset, initial: ModelState | None
@@ -271,7 +311,7 @@ class HoldOutTest:
             self._information,
             self.complete,
             self.test,
-            self._complete_on_test,
+            self._test_after,
             self.pool,
         )
 
@@ -307,7 +347,7 @@ def compare(
     Parameters
     ----------
     fitted : the model with its effects on the train flights
-    train_excess_t2 : t^2 on the train flights less the square of the required limit
+    train_excess_t2 : t^2 on the train flights less the square of critical_t
     """
     more_likely = rival
     if with_effect.neg2_log_likelihood <= rival.neg2_log_likelihood:
@@ -428,7 +468,7 @@ def with_parameter_uncertainty(
     # The effect's error is in both terms of the change, and to the first order in neither.
     other_keys = [k for k in keys if key is not None and k != key]
     std = float(np.hypot(verdict.std, np.sqrt(sides.variance(differences, other_keys))))
-    excess_t2 = np.inf if key is None else sides.t(key, keys) ** 2 - sides.result.limit**2
+    excess_t2 = np.inf if key is None else sides.t(key, keys) ** 2 - sides.result.critical_t**2
     return replace(verdict, std=std, excess_t2=excess_t2)
 
 

@@ -418,7 +418,7 @@ def _writer(request: Job, folder: Path) -> Write:
             EffectToWrite(
                 result.effects[c.key],
                 c.value,
-                remark(c, result.effects[c.key], names, command, result.limit),
+                remark(c, result.effects[c.key], names, command, result.critical_t),
                 result.slopes,
             )
             for c in result.selection.chosen

@@ -215,7 +215,7 @@ def drop_unclear_effects(
     """
     effects, curve = result.selection.chosen, find_form_mismatch(result)
     if curve is None:
-        weak = too_weak(effects, result.limit)
+        weak = too_weak(effects, result.critical_t)
         values = property_values(result, result)
         point = point_as_written(result, values, result.after.trajectory.point)
         if weak:
@@ -226,7 +226,7 @@ def drop_unclear_effects(
         mismatch, outside = curve
         result = replace(result, mismatch=mismatch)
         inside = [c for c in effects if c.key in mismatch.replaced]
-        weak_keys = {c.key for c in too_weak([*inside, *outside], result.limit)}
+        weak_keys = {c.key for c in too_weak([*inside, *outside], result.critical_t)}
         weak = tuple(c for c in effects if c.key in weak_keys)
     if not weak:
         return result
@@ -235,13 +235,13 @@ def drop_unclear_effects(
     return replace(strong, unclear=weak, trail=(*result.trail, *lines))
 
 
-def too_weak(effects: Sequence[SelectedEffect], limit: float) -> tuple[SelectedEffect, ...]:
-    """Effects that would not be named beside something unexplained; limit: |t| required of any.
+def too_weak(effects: Sequence[SelectedEffect], critical_t: float) -> tuple[SelectedEffect, ...]:
+    """Effects that would not be named beside something unexplained.
 
     |t| is by the standard error that is stated, which may be wider than what chose them.
     """
     t = [abs(c.value / c.std) for c in effects]
-    required = max(min(COMPARABLE * max(t, default=0.0), OVERWHELMING), limit + DIFFERENT)
+    required = max(min(COMPARABLE * max(t, default=0.0), OVERWHELMING), critical_t + DIFFERENT)
     return tuple(c for c, size in zip(effects, t, strict=True) if not size >= required)
 
 

@@ -27,7 +27,7 @@ from sysid.effects.prediction import (
     whiten_each,
     whitened,
 )
-from sysid.effects.selection import select, threshold
+from sysid.effects.selection import select, sidak_critical_t
 from sysid.estimation.kalman import Process
 from tests.helpers.linear_systems import system
 
@@ -217,8 +217,8 @@ def test_all_of_a_fit_at_once_are_as_each_alone():
 
 
 def test_the_limit_grows_with_the_number_of_candidates():
-    assert threshold(1, 0.01) == pytest.approx(2.5758, abs=1e-3)
-    assert threshold(300, 0.01) > 4.0
+    assert sidak_critical_t(1, 0.01) == pytest.approx(2.5758, abs=1e-3)
+    assert sidak_critical_t(300, 0.01) > 4.0
 
 
 def test_an_effect_taken_out_is_found_again():

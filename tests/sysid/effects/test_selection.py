@@ -9,7 +9,7 @@ import pytest
 
 from sysid.effects.information import Information, normal_equations, scores
 from sysid.effects.prediction import White
-from sysid.effects.selection import chance_limit, select, threshold
+from sysid.effects.selection import critical_t_of, select, sidak_critical_t
 
 SEGMENTS, N, M = 6, 40, 3
 CONFIRMING = np.arange(SEGMENTS) % 3 == 1
@@ -39,8 +39,8 @@ def drawn(rng: np.random.Generator) -> np.ndarray:
 def test_the_limit_is_sidaks_for_candidates_that_have_nothing_in_common():
     rng = np.random.default_rng(1)
     found = evidence({f"c{k}": drawn(rng) for k in range(30)}, drawn(rng))
-    limit = chance_limit(found, [], [f"c{k}" for k in range(30)], 0.05)
-    assert limit == pytest.approx(threshold(30, 0.05), abs=0.06)
+    critical_t = critical_t_of(found, [], [f"c{k}" for k in range(30)], 0.05)
+    assert critical_t == pytest.approx(sidak_critical_t(30, 0.05), abs=0.06)
 
 
 def test_the_limit_of_one_candidate_by_thirty_names_is_that_of_one():
@@ -49,9 +49,9 @@ def test_the_limit_of_one_candidate_by_thirty_names_is_that_of_one():
     found = evidence(
         {"free": free, **{f"c{k}": (1.0 + k) * own + k * free for k in range(30)}}, drawn(rng)
     )
-    limit = chance_limit(found, ["free"], [f"c{k}" for k in range(30)], 0.05)
-    assert limit == pytest.approx(1.96, abs=0.05)
-    assert threshold(30, 0.05) > 3.0
+    critical_t = critical_t_of(found, ["free"], [f"c{k}" for k in range(30)], 0.05)
+    assert critical_t == pytest.approx(1.96, abs=0.05)
+    assert sidak_critical_t(30, 0.05) > 3.0
 
 
 def test_nothing_is_chosen_from_noise_more_often_than_the_limit_allows():
@@ -59,12 +59,12 @@ def test_nothing_is_chosen_from_noise_more_often_than_the_limit_allows():
     shared = drawn(rng)
     columns = {"free": drawn(rng), **{f"c{k}": drawn(rng) + shared for k in range(20)}}
     candidates = {f"c{k}": 0.0 for k in range(20)}
-    limit = chance_limit(evidence(columns, shared), ["free"], list(candidates), 0.05)
+    critical_t = critical_t_of(evidence(columns, shared), ["free"], list(candidates), 0.05)
     largest = [
         float(np.abs(scores(evidence(columns, drawn(rng)), ["free"], list(candidates)).t).max())
         for _ in range(300)
     ]
-    assert 0.02 < np.mean(np.array(largest) > limit) < 0.085
+    assert 0.02 < np.mean(np.array(largest) > critical_t) < 0.085
 
 
 @pytest.mark.parametrize(
@@ -76,10 +76,13 @@ def test_an_overwhelming_candidate_is_the_last_to_enter(alone, entered):
     columns = {"large": drawn(rng), "small": drawn(rng)}
     found = evidence(columns, drawn(rng) + 1.0 * columns["large"] + 0.35 * columns["small"])
     none = dict.fromkeys(columns, 0.0)
-    assert [c.key for c in select(found, [], none, limit=4.0, decisive_t=alone).chosen] == entered
+    assert [
+        c.key for c in select(found, [], none, critical_t=4.0, decisive_t=alone).chosen
+    ] == entered
     # One that has flown does not keep others from entering.
     assert [
-        c.key for c in select(found, [], none, chosen=["large"], limit=4.0, decisive_t=alone).chosen
+        c.key
+        for c in select(found, [], none, chosen=["large"], critical_t=4.0, decisive_t=alone).chosen
     ] == [
         "large",
         "small",
@@ -238,7 +241,7 @@ def test_it_is_enough_that_the_parts_do_not_contradict_each_other(t, by_chance, 
     found = evidence(
         {"there": column, "other": drawn(rng)}, t / np.sqrt(np.sum(column**2)) * column + noise
     )
-    selection = select(found, [], dict.fromkeys(found.names, 0.0), limit=4.0)
+    selection = select(found, [], dict.fromkeys(found.names, 0.0), critical_t=4.0)
     assert bool(selection.chosen) == entering
     if not entering:
         assert selection.refused is not None

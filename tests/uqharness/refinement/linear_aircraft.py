@@ -135,16 +135,16 @@ class LinearFlights:
         data = FlightData((), (), (), ("alpha_rad", "q_radps"), (), NOISE, (), {})
         return ModelFit(data, fit, cost), information
 
-    def context(self, limit: float | None = None) -> tuple[SearchContext, Information]:
+    def context(self, critical_t: float | None = None) -> tuple[SearchContext, Information]:
         """The search's context, and the information of the model without effects."""
         model, information = self.model_fit(())
         estimator = ReplayEstimator()
         candidates: dict[str, Effect] = EFFECTS
-        if limit is None:
-            limit = estimator.threshold(information, [*PARAMETERS], [*candidates])
+        if critical_t is None:
+            critical_t = estimator.critical_t(information, [*PARAMETERS], [*candidates])
         cost = model.neg2_log_likelihood
         context = SearchContext(
-            model.data, model.fit, tuple(PARAMETERS), candidates, {}, limit, cost, estimator
+            model.data, model.fit, tuple(PARAMETERS), candidates, {}, critical_t, cost, estimator
         )
         return context, information
 

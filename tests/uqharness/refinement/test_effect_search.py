@@ -21,8 +21,8 @@ from uqharness.refinement.effect_search import (
 KEYS = ("free", "thrust", "speed", "twin", "other")
 
 
-def search(flights: LinearFlights, limit: float | None = None) -> SearchOutcome:
-    context, information = flights.context(limit)
+def search(flights: LinearFlights, critical_t: float | None = None) -> SearchOutcome:
+    context, information = flights.context(critical_t)
     return EffectSearch(context, flights, lambda _: None).run(information)
 
 
@@ -72,12 +72,12 @@ def test_an_overwhelming_effect_flies_before_others_are_proposed():
 
 
 def test_an_effect_below_the_limit_stays_out_and_the_criterion_decides():
-    """At a limit above its |t| an effect is not proposed; the model's criterion counts its cost."""
+    """At a critical_t above its |t| an effect is not proposed; the model's criterion counts its cost."""
     truth = flights(**{"alpha^2": 20.0})
-    named = search(truth, limit=3.5)
+    named = search(truth, critical_t=3.5)
     t = abs(named.model.selection.chosen[0].t)
     assert 3.5 < t < OVERWHELMING
-    assert search(truth, limit=1.05 * t).model.keys == set()
+    assert search(truth, critical_t=1.05 * t).model.keys == set()
     context, _ = truth.context(3.5)
     assert named.model.criterion < context.cost
     assert named.model.criterion == pytest.approx(

@@ -292,7 +292,7 @@ def result_of(flights: LinearFlights, keys: Sequence[str]) -> SearchResult:
         parameters,
         (),
         plain,
-        limit=4.0,
+        critical_t=4.0,
     )
 
 

@@ -64,7 +64,7 @@ def both(
     std = np.sqrt(np.linalg.inv(X.T @ X)[2, 2])
     t = fitted[2] / std
     choice = SelectedEffect(KEY, fitted[2], std, t, t * t, 1.0, 0.0)
-    found = SimpleNamespace(names=NAMES, selection=Selection((choice,)), limit=3.0)
+    found = SimpleNamespace(names=NAMES, selection=Selection((choice,)), critical_t=3.0)
     return (
         TrainTestInformation(found, train, test, at),
         dict(zip((*NAMES, KEY), fitted, strict=False)),

@@ -117,6 +117,15 @@ class TurbulentFit:
         return minus_twice_log(self.fit.evidence.white) + (colour.penalty if colour else 0.0)
 
 
+def least_cost(colour: InnovationColour | None, information: Information) -> float:
+    """Minus twice the log likelihood after a step to the estimates of all columns, and the penalty
+    of the colour.
+    """
+    delta, score = information.step()[0], information.total[1]
+    penalty = colour.penalty if colour else 0.0
+    return minus_twice_log(information.white) - float(delta @ score) + penalty
+
+
 def measured_states(setup: FlightData, point: ModelState) -> list[FloatArray]:
     """[(n, 8)] the flight as measured, smoothed, what the sensors make of it taken out."""
     x = []
@@ -302,8 +311,10 @@ def gust_refit(
         # sensor reads half a percent high.
         causal, path = path is not None, [p.body for p in linear_probes]
         columns = parameter_columns(setup, linear_probes, trajectory, names, analytic)
+        # Colour estimated without an effect has absorbed the effect, and would go on doing so.
+        before_colour = None if number == 1 and not fixed_air else gusts.colour
         colour, evidence = with_colour(
-            followed, columns, gusts.colour, 0 if fixed_air else COLOUR_TURNS
+            followed, columns, before_colour, 0 if fixed_air else COLOUR_TURNS
         )
         gusts, white = replace(gusts, colour=colour), evidence.white
         before = None if sought else delta
@@ -343,7 +354,7 @@ def with_colour(
     followed: Sequence[FilteredSegment],
     columns: Sequence[Columns],
     colour: InnovationColour | None,
-    turns: int,
+    turns: int = COLOUR_TURNS,
 ) -> tuple[InnovationColour | None, Information]:
     """The innovations' colour beside the best parameters, and information with it.
 
