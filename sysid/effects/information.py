@@ -22,7 +22,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.arrays import FloatArray
-from sysid.effects.prediction import White
+from sysid.effects.coloured_innovations import InnovationColour, innovation_colour
+from sysid.effects.prediction import (
+    Columns,
+    FilteredSegment,
+    MadeColumns,
+    White,
+    minus_twice_log,
+    whitened,
+)
 from sysid.estimation import coloured_information
 
 Index = NDArray[np.intp]
@@ -347,3 +355,85 @@ def column_correlations(
     size = np.sqrt(np.maximum(np.diagonal(projected_information), 0.0))
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.asarray(projected_information[0, 1:] / (size[0] * size[1:]))
+
+
+# The colour of innovations is estimated with the model.
+
+COLOUR_TURNS = 2
+"""Estimates of the innovations' colour, one after the other."""
+COLOURS_TRIED = 6
+"""Candidates that are given a colour of the innovations of their own."""
+
+
+def with_colour(
+    followed: Sequence[FilteredSegment],
+    columns: Sequence[Columns],
+    prior: Mapping[str, float],
+    colour: InnovationColour | None = None,
+    *,
+    fixed: bool = False,
+) -> tuple[InnovationColour | None, Information]:
+    """The innovations' colour beside the best parameters, or ``fixed``, and information with it.
+
+    From an estimate of the colour on, by turns: parameters given the colour, the colour given the
+    parameters (Cochrane and Orcutt, JASA 44, 1949).
+    """
+
+    def information(colour: InnovationColour | None) -> Information:
+        white = whitened(followed, columns, colour)
+        return normal_equations(white, columns[0].names, [0] * len(white), prior)
+
+    current = information(colour)
+    if fixed:
+        return colour, current
+    plain = information(None) if colour else current
+    for _ in range(COLOUR_TURNS):
+        colour = innovation_colour(plain.residual(current.step()[0]))
+        if colour is None:
+            return None, plain
+        current = information(colour)
+    return colour, current
+
+
+def least_cost(colour: InnovationColour | None, information: Information) -> float:
+    """Minus twice the log likelihood after a step to the estimates of all columns, and the penalty
+    of the colour.
+    """
+    delta, score = information.step()[0], information.total[1]
+    penalty = colour.penalty if colour else 0.0
+    return minus_twice_log(information.white) - float(delta @ score) + penalty
+
+
+def likeliest_colour(
+    followed: Sequence[FilteredSegment],
+    columns: MadeColumns,
+    fitted: tuple[InnovationColour | None, Information],
+    plain: Information,
+    required_gains: Mapping[str, float],
+    prior: Mapping[str, float],
+) -> InnovationColour | None:
+    """The colour of the likeliest model: the one fitted, or that with one candidate.
+
+    What an effect leaves is coloured, too. A colour that is estimated without the effect absorbs
+    it, |t| 10 in place of 60. So each of the strongest candidates is given a colour of its own
+    (profile likelihood), and decides the colour if it gains what is required of it.
+
+    Parameters
+    ----------
+    columns : those of the model and of its candidates
+    fitted : the colour estimated with the model, and information of its columns with that
+    plain : information of all columns without a colour
+    required_gains : candidate -> gain in 2 ln L that is required of it
+    """
+    colour, information = fitted
+    free = list(information.names)
+    gains = np.nan_to_num(scores(plain, free, [*required_gains]).gain)
+    strongest = [[*required_gains][k] for k in np.argsort(-gains)[:COLOURS_TRIED]]
+    least = least_cost(colour, information)
+    for key in strongest:
+        beside = [columns.some(k, [*free, key]) for k in range(len(columns))]
+        trial = with_colour(followed, beside, prior)
+        cost = least_cost(*trial) + required_gains[key]
+        if cost < least:
+            least, colour = cost, trial[0]
+    return colour

@@ -210,12 +210,14 @@ def estimate_selected(
 
 
 def _estimate_one(information: Information, free: Sequence[str], key: str) -> SelectedEffect:
-    value, std, _ = corrected_estimate(information, free, key)
+    value, std, white_std = corrected_estimate(information, free, key)
     gain = float(scores(information, free, [key]).gain[0])
     confirmed = difference = float("nan")
     if (confirming := information.confirming) is not None:
         confirmed, difference = agreement(information, free, key, ~confirming)
         confirmed = min(confirmed, agreement(information, free, key, confirming)[0])
+        # Colour widens the errors of both parts as it does those of all flights.
+        difference *= white_std / std
     return SelectedEffect(key, value, std, value / std, gain, confirmed, difference)
 
 

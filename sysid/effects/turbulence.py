@@ -26,7 +26,8 @@ from scipy.optimize import Bounds, minimize
 
 from sysid.aerodynamics import LENGTHS, NX, GustStates, Steps
 from sysid.arrays import FloatArray
-from sysid.effects.prediction import InnovationColour, start_fitted
+from sysid.effects.coloured_innovations import InnovationColour
+from sysid.effects.prediction import start_fitted
 from sysid.effects.tuned import CERTAIN_T, DIFFERENT
 from sysid.estimation import MeasuredSystem, Process, gains, variance_gradient, whiten_innovations
 from sysid.parallel import SERIAL, Processes, Shared

@@ -27,12 +27,11 @@ from sysid.effects import (
     Columns,
     Effect,
     Information,
-    InnovationColour,
     TurbulenceModel,
     critical_t_of,
     follow,
+    likeliest_colour,
     normal_equations,
-    scores,
     sidak_critical_t,
     whiten,
     whiten_each,
@@ -55,7 +54,6 @@ from uqharness.identification.linearised import (
     gust_refit,
     in_dynamics,
     in_step,
-    least_cost,
     merged,
     moved,
     observed,
@@ -66,7 +64,6 @@ from uqharness.identification.linearised import (
     setup_in_gusts,
     turbulent,
     unfiltered,
-    with_colour,
     with_estimator_noise,
     with_sensors_of,
 )
@@ -75,8 +72,6 @@ from uqharness.simulator import Aircraft, engine
 
 Limits = Mapping[str, tuple[float, float]]
 """Lower and upper bound of each parameter."""
-COLOURS_TRIED = 6
-"""Candidates that are given a colour of the innovations of their own."""
 ESTIMATOR_ROUNDS = 2
 """Fits after which the noise of channels that an autopilot's estimator computed has settled."""
 DIVERGED = 1e6
@@ -432,44 +427,19 @@ class PredictionErrorEstimator:
         """Information from innovations of the filter, their colour that of the likeliest model with
         at most one of the candidates.
         """
-        measured = in_step(data, fit.trajectory.point)
-        turbulence = self.turbulence
+        measured, turbulence = in_step(data, fit.trajectory.point), self.turbulence
         if turbulence.colour is not None and candidates:
-            colour = self._colour_beside_candidates(data, fit, regressors, measured, candidates)
+            white_air = replace(turbulence, colour=None)
+            colour = likeliest_colour(
+                [*follow(fit.steps, measured, data.output_rows, data.noise, turbulence.process)],
+                merged(fit.columns, regressors),
+                (turbulence.colour, fit.evidence),
+                _information(data, fit, regressors, measured, white_air),
+                {e.key: self.least_critical_t**2 + self.required_gain(e) for e in candidates},
+                PRIOR,
+            )
             turbulence = replace(turbulence, colour=colour)
         return _information(data, fit, regressors, measured, turbulence)
-
-    def _colour_beside_candidates(
-        self,
-        data: FlightData,
-        fit: Linearisation,
-        regressors: Sequence[Columns],
-        measured: Sequence[FloatArray],
-        candidates: Sequence[Effect],
-    ) -> InnovationColour | None:
-        """The colour of the likeliest model: the one fitted, or it with a candidate.
-
-        What an effect leaves is coloured, too. Where its colour is estimated without the effect it
-        absorbs it: |t| 10 in place of 60. So each of the strongest candidates is given a colour of
-        its own (profile likelihood), and one that earns what an effect must decides the colour.
-        """
-        air = replace(self.turbulence, colour=None)
-        free = fit.columns[0].names
-        plain = _information(data, fit, regressors, measured, air)
-        effects = {e.key: e for e in candidates}
-        gains = np.nan_to_num(scores(plain, free, [*effects]).gain)
-        strongest = [[*effects][k] for k in np.argsort(-gains)[:COLOURS_TRIED]]
-        columns = merged(fit.columns, regressors)
-        followed = [*follow(fit.steps, measured, data.output_rows, data.noise, air.process)]
-        best = self.turbulence.colour, least_cost(self.turbulence.colour, fit.evidence)
-        for key in strongest:
-            names = [*free, key]
-            beside = [columns.some(k, names) for k in range(len(columns))]
-            colour, information = with_colour(followed, beside, None)
-            cost = least_cost(colour, information)
-            cost += self.least_critical_t**2 + self.required_gain(effects[key])
-            best = min(best, (colour, cost), key=lambda one: one[1])
-        return best[0]
 
     def fit(
         self,

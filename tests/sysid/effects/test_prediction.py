@@ -21,7 +21,6 @@ from sysid.effects.prediction import (
     Columns,
     MadeColumns,
     follow,
-    innovation_colour,
     names_of,
     whiten,
     whiten_each,
@@ -357,46 +356,3 @@ def test_what_is_asked_again_is_remembered_by_its_columns_alone(monkeypatch):
     assert corrected_estimates(evidence, ["c3", "b", "a"], ["a"]) == first
     with pytest.raises(TypeError):
         corrected_estimates(evidence, ["a", "c3"], ["a"])
-
-
-def coloured_series(rng, n):
-    """(n, 2) innovations of a filter whose air is another: the second follows the first."""
-    w = rng.standard_normal((n, 2))
-    e = w.copy()
-    for k in range(1, n):
-        e[k] += np.array([[0.4, 0.0], [0.5, 0.2]]) @ e[k - 1]
-    return e, w
-
-
-def test_the_colour_of_innovations_is_estimated_and_taken_out():
-    e, w = coloured_series(np.random.default_rng(5), 6000)
-    series = [e[:2000], e[2000:]]
-    series[1][7, 0] = np.nan
-    colour = innovation_colour(series)
-    assert colour is not None
-    np.testing.assert_allclose(colour.coefficients[0], [[0.4, 0.0], [0.5, 0.2]], atol=0.05)
-    np.testing.assert_allclose(colour(series[0])[1:], w[1:2000], atol=0.3)
-    columns = np.stack([series[0], 2.0 * series[0]], axis=2)
-    np.testing.assert_allclose(colour(columns)[:, :, 1], 2.0 * colour(series[0]), rtol=1e-9)
-    # The likelihood of the coloured series is that of the white one.
-    cost = np.sum(colour(series[0]) ** 2) + 2.0 * 2000 * colour.logdet
-    assert cost == pytest.approx(np.sum(w[:2000] ** 2), rel=0.01)
-
-
-def test_white_innovations_have_no_colour():
-    rng = np.random.default_rng(6)
-    assert sum(innovation_colour([rng.standard_normal((900, 8))]) is None for _ in range(5)) > 3
-
-
-def test_a_column_that_follows_the_air_is_no_effect_once_the_colour_is_out():
-    """What a sensor of the first innovation does to the second: gusts move both."""
-    t = {"plain": [], "white": []}
-    for seed in range(20):
-        e, _ = coloured_series(np.random.default_rng(seed), 1500)
-        c = np.column_stack([np.zeros(1500), np.concatenate([[0.0], e[:-1, 0]])])
-        colour = innovation_colour([e])
-        assert colour is not None
-        for name, (x, r) in {"plain": (c, e), "white": (colour(c), colour(e))}.items():
-            t[name].append(np.sum(x * r) / np.linalg.norm(x))
-    assert np.min(t["plain"]) > 10.0
-    assert np.abs(t["white"]).max() < 3.0

@@ -9,7 +9,7 @@ import pytest
 
 from sysid.effects.information import Information, normal_equations, scores
 from sysid.effects.prediction import White
-from sysid.effects.selection import critical_t_of, select, sidak_critical_t
+from sysid.effects.selection import critical_t_of, estimate_selected, select, sidak_critical_t
 
 SEGMENTS, N, M = 6, 40, 3
 CONFIRMING = np.arange(SEGMENTS) % 3 == 1
@@ -246,6 +246,25 @@ def test_it_is_enough_that_the_parts_do_not_contradict_each_other(t, by_chance, 
     if not entering:
         assert selection.refused is not None
         assert selection.refused.unconfirmed
+
+
+@pytest.mark.parametrize(("smoothing", "is_off"), [(1, False), (20, False), (1, True)])
+def test_parts_of_coloured_flights_differ_by_their_colour(smoothing, is_off):
+    """Of 40 drawn flights few say that their parts differ, coloured or not; all where they do."""
+    kernel = np.ones(smoothing) / np.sqrt(smoothing)
+
+    def smooth(x: np.ndarray) -> np.ndarray:
+        return np.apply_along_axis(lambda s: np.convolve(s, kernel, "same"), 1, x)
+
+    count = 0
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        column = smooth(drawn(rng))
+        size = 1.0 - is_off * 2.0 * CONFIRMING[:, None, None]
+        found = evidence({"there": column}, size * column + smooth(drawn(rng)))
+        (effect,) = estimate_selected(found, [], ["there"], [])
+        count += abs(effect.difference) > 3.0
+    assert count == 40 if is_off else count <= 2
 
 
 def test_beside_an_overwhelming_effect_that_has_flown_a_weak_one_is_asked_no_more_than_alone():

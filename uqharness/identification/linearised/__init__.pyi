@@ -31,11 +31,9 @@ from .linearise import surface_change as surface_change
 from .linearise import with_jumps as with_jumps
 from .prediction_error import gust_refit as gust_refit
 from .prediction_error import in_step as in_step
-from .prediction_error import least_cost as least_cost
 from .prediction_error import moved as moved
 from .prediction_error import rows_late as rows_late
 from .prediction_error import unfiltered as unfiltered
-from .prediction_error import with_colour as with_colour
 from .replay_fit import PRIOR as PRIOR
 from .replay_fit import Linearisation as Linearisation
 from .replay_fit import begun_at as begun_at

@@ -21,15 +21,12 @@ from sysid.effects import (
     REMEMBERED_AIRS,
     Columns,
     FilteredSegment,
-    Information,
-    InnovationColour,
     TurbulenceModel,
     follow,
     gust_intensity,
-    innovation_colour,
     minus_twice_log,
-    normal_equations,
     whitened,
+    with_colour,
 )
 from sysid.parallel import Processes
 from uqharness.identification.linearised.flight_data import (
@@ -95,8 +92,6 @@ on a straight line.
 """
 SHARE_WITHIN = 0.125, 4.0
 """Least and largest share of a step that is taken."""
-COLOUR_TURNS = 2
-"""Estimates of the innovations' colour in an iteration."""
 TOLERANCE, ITERATIONS = 0.2, 10
 """Length of a step, in standard errors, that ends the iteration; how many there are at most."""
 
@@ -115,15 +110,6 @@ class TurbulentFit:
         """Minus twice the log likelihood of the flights."""
         colour = self.gusts.colour
         return minus_twice_log(self.fit.evidence.white) + (colour.penalty if colour else 0.0)
-
-
-def least_cost(colour: InnovationColour | None, information: Information) -> float:
-    """Minus twice the log likelihood after a step to the estimates of all columns, and the penalty
-    of the colour.
-    """
-    delta, score = information.step()[0], information.total[1]
-    penalty = colour.penalty if colour else 0.0
-    return minus_twice_log(information.white) - float(delta @ score) + penalty
 
 
 def measured_states(setup: FlightData, point: ModelState) -> list[FloatArray]:
@@ -313,9 +299,7 @@ def gust_refit(
         columns = parameter_columns(setup, linear_probes, trajectory, names, analytic)
         # Colour estimated without an effect has absorbed the effect, and would go on doing so.
         before_colour = None if number == 1 and not fixed_air else gusts.colour
-        colour, evidence = with_colour(
-            followed, columns, before_colour, 0 if fixed_air else COLOUR_TURNS
-        )
+        colour, evidence = with_colour(followed, columns, PRIOR, before_colour, fixed=fixed_air)
         gusts, white = replace(gusts, colour=colour), evidence.white
         before = None if sought else delta
         delta, length = step_from(setup, point, evidence)
@@ -348,32 +332,6 @@ def gust_refit(
         setup,
         length,
     )
-
-
-def with_colour(
-    followed: Sequence[FilteredSegment],
-    columns: Sequence[Columns],
-    colour: InnovationColour | None,
-    turns: int = COLOUR_TURNS,
-) -> tuple[InnovationColour | None, Information]:
-    """The innovations' colour beside the best parameters, and information with it.
-
-    From an estimate of the colour on, by turns: parameters given the colour, the colour given the
-    parameters (Cochrane and Orcutt, JASA 44, 1949).
-    """
-
-    def information(colour: InnovationColour | None) -> Information:
-        white = whitened(followed, columns, colour)
-        return normal_equations(white, columns[0].names, [0] * len(white), PRIOR)
-
-    current = information(colour)
-    plain = information(None) if colour and turns else current
-    for _ in range(turns):
-        colour = innovation_colour(plain.residual(current.step()[0]))
-        if colour is None:
-            return None, plain
-        current = information(colour)
-    return colour, current
 
 
 def relaxed(share: float, before: FloatArray, step: FloatArray, information: FloatArray) -> float:
