@@ -6,6 +6,8 @@ from .prior import priors as priors
 from .read import Sources as Sources
 from .read import read_sources as read_sources
 from .slips import find_slips as find_slips
+from .slips import mass_slips as mass_slips
+from .source import Entry as Entry
 from .source import Source as Source
 from .write_aircraft import Equipment as Equipment
 from .write_aircraft import design_speed as design_speed

@@ -41,10 +41,8 @@ _UNITS = {
     "1": 1.0,
     "-": 1.0,
     "1/rad": 1.0,
-    "per rad": 1.0,
     "rad": 1.0,
     "1/deg": math.degrees(1.0),
-    "per deg": math.degrees(1.0),
     "deg": math.radians(1.0),
     "m": 1.0,
     "m2": 1.0,
@@ -93,7 +91,7 @@ def read_table_file(path: Path, text: str) -> Source:
         the other axes, a missing reference.
     """
     # Texts first: they tell the axes in which the numbers are.
-    rows = list(_toml_rows(path, text) if path.suffix == ".toml" else _csv_rows(path, text))
+    rows = list(_toml_rows(path, text) if path.suffix.lower() == ".toml" else _csv_rows(path, text))
     texts = {row.name: row for row in rows if isinstance(row.value, str)}
     axes = _axes(path, texts.get("axes"), _guess_axes(rows))
     rate_axes = _axes(path, texts.get("rate_axes"), axes)
@@ -108,12 +106,13 @@ def read_table_file(path: Path, text: str) -> Source:
         if isinstance(row.value, str):
             continue
         # Every number is converted to SI and radians with its line kept.
-        if row.unit not in _UNITS:
+        unit = _plain_unit(row.unit)
+        if unit not in _UNITS:
             allowed = ", ".join(unit for unit in _UNITS if unit)
             raise BadInputError(
                 f"{path}:{row.line}: {row.name}: unit {row.unit!r}; allowed are {allowed}"
             )
-        entry = Entry(row.value * _UNITS[row.unit], path, row.line)
+        entry = Entry(row.value * _UNITS[unit], path, row.line)
         coefficient, _, variable = row.name.partition("_")
         # The name tells what a row is: reference length, fact, condition, or coefficient.
         if row.name in _LENGTHS:
@@ -156,6 +155,19 @@ def read_table_file(path: Path, text: str) -> Source:
         facts=facts,
         ground=_checked_ground(path, ground),
     )
+
+
+def _plain_unit(unit: str) -> str:
+    """Return a unit as `_UNITS` spells it.
+
+    >>> _plain_unit("rad^-1"), _plain_unit("per degree"), _plain_unit("m²"), _plain_unit("sq ft")
+    ('1/rad', '1/deg', 'm2', 'ft2')
+    """
+    text = unit.strip().lower().replace("²", "2").replace("^", "").replace("°", "deg")
+    text = re.sub(r"\bsq\.? ?(m|ft|in)\b", r"\g<1>2", text)
+    text = re.sub(r"radians?", "rad", re.sub(r"degrees?", "deg", text))
+    text = re.sub(r"^(?:per |1 ?/ ?|/)(rad|deg)$|^(rad|deg) ?-1$", r"1/\1\2", text)
+    return {"inch": "in", "feet": "ft", "metre": "m", "meter": "m", "none": ""}.get(text, text)
 
 
 def _checked_ground(
@@ -263,10 +275,14 @@ def _toml_ground(path: Path, line: int, content: dict[str, Any]) -> Iterator[_Ro
 def _csv_rows(path: Path, text: str) -> Iterator[_Row]:
     """Yield the rows of a CSV file; lines that begin with # are comments."""
     head: list[str] | None = None
+    delimiter = ","
     for number, line in enumerate(text.splitlines(), start=1):
         if not line.strip() or line.lstrip().startswith("#"):
             continue
-        words = [word.strip() for word in next(csv.reader(io.StringIO(line)))]
+        if head is None:
+            # Spreadsheets of countries with decimal commas separate by semicolons, others by tabs.
+            delimiter = max(",;\t", key=line.count)
+        words = [word.strip() for word in next(csv.reader(io.StringIO(line), delimiter=delimiter))]
         if head is None:
             head = words
             missing = [name for name in ("name", "value", "unit") if name not in head]
@@ -277,6 +293,16 @@ def _csv_rows(path: Path, text: str) -> Iterator[_Row]:
                 )
             continue
         cells = dict(zip(head, words, strict=False))
+        if delimiter != ",":
+            cells |= {
+                name: re.sub(r"(?<=\d),(?=\d)|^,(?=\d)", ".", cells[name])
+                for name in ("value", "alpha_deg", "h_over_b")
+                if name in cells
+            }
+        if "name" not in cells:
+            raise BadInputError(
+                f"{path}:{number}: received {line.strip()[:60]!r}, a name is needed"
+            )
         row = _row(path, number, cells["name"], cells.get("value", ""), cells.get("unit", ""))
         alpha = cells.get("alpha_deg", "")
         if alpha:

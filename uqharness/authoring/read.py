@@ -142,7 +142,7 @@ def read_sources(
 
 def _reader(path: Path, text: str) -> Callable[[Path, str], list[Source]]:
     """Return the reader of a file, known by its content."""
-    if path.suffix.lower() in (".toml", ".csv"):
+    if path.suffix.lower() in (".toml", ".csv", ".tsv"):
         return lambda path, text: [read_table_file(path, text)]
     if is_stab(text):
         return lambda path, text: [read_stab(path, text)]

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -83,6 +83,9 @@ def find_slips(
         out += _geometry(sources.geometry)
     if sources.masses is not None:
         out += _masses(sources.masses, source)
+    elif "mass_kg" in source.facts:
+        inertia = [source.facts[key] for key in ("Ixx", "Iyy", "Izz") if key in source.facts]
+        out += mass_slips(source, source.facts["mass_kg"], inertia if len(inertia) == 3 else [])
     unique_slips = {(slip.kind, slip.place): slip for slip in reversed(out)}
     return sorted(
         unique_slips.values(), key=lambda slip: (slip.place.rpartition(":")[0], _line(slip))
@@ -119,6 +122,11 @@ def _stability(point: Point) -> Point:
 def _slip(entry: Entry, kind: str, message: str, effect: str) -> Slip:
     """Return a finding at an entry."""
     return Slip(kind, entry.place, message, effect)
+
+
+def _in_line(entry: Entry) -> str:
+    """Return the line of a number that may be the wrong one as well."""
+    return f" (line {entry.line})" if entry.line else ""
 
 
 def _unit_remark(ratio: float) -> str:
@@ -201,8 +209,8 @@ def _references(source: Source, geometry: Geometry | None, masses: Masses | None
                 "sign" if opposite else "moment centre",
                 f"Cm_alpha {pitch.value:.4g} with CL_alpha {lift.value:.4g} puts the neutral point"
                 f" at x = {reference['x'].value - pitch.value / lift.value * chord:.4g}; the file"
-                f" says {margin.value:.4g}, which needs Cm_alpha {expected:.4g} about"
-                f" x = {reference['x'].value:.4g}" + _unit_remark(pitch.value / expected),
+                f" says {margin.value:.4g}{_in_line(margin)}, which needs Cm_alpha {expected:.4g}"
+                f" about x = {reference['x'].value:.4g}" + _unit_remark(pitch.value / expected),
                 "The static margin is wrong: the aeroplane may diverge in pitch",
             )
     if masses is not None:
@@ -667,6 +675,16 @@ def _surface(
     # Size: per degree in place of per radian is a factor of 57.
     size = abs(entry.value)
     shared = sum(surface in row for row in weights.values()) > 1
+    # No flap at the trailing edge has more lift per radian than the wing has by alpha.
+    lift, slope = point.entries.get(("CL", surface)), point.value("CL", "alpha")
+    if lift is not None and slope > 0.5 and abs(lift.value) > 1.3 * slope:
+        yield _slip(
+            lift,
+            "deg/rad",
+            f"{surface}: CL {lift.value:.4g} per rad with CL_alpha {slope:.4g}; less than that is"
+            " expected" + _unit_remark(abs(lift.value) / (0.1 * slope)),
+            "The surface lifts too much by that factor",
+        )
     if not low <= size <= high and not shared:
         yield _slip(
             entry,
@@ -684,9 +702,9 @@ def _surface(
             yield _slip(
                 entry,
                 "control sign",
-                f"{surface}: Cm {entry.value:.4g} and CL {lift.value:.4g} per rad have the same"
-                f" sign, which is a surface {arm:.2g} chords ahead of the CG; behind it they are"
-                f" opposite (a canard: --control elevator={surface})",
+                f"{surface}: Cm {entry.value:.4g} and CL {lift.value:.4g}{_in_line(lift)} per rad"
+                f" have the same sign, which is a surface {arm:.2g} chords ahead of the CG; behind"
+                f" it they are opposite (a canard: --control elevator={surface})",
                 "The elevator works the wrong way round, or lift falls as the tail lifts",
             )
         elif lift is not None and abs(lift.value) > 1e-6 and abs(entry.value / lift.value) > 12.0:
@@ -704,8 +722,8 @@ def _surface(
             yield _slip(
                 entry,
                 "control sign",
-                f"{surface}: Cn {entry.value:.4g} and CY {side.value:.4g} per rad have the same"
-                " sign, which is a fin ahead of the CG; behind it they are opposite",
+                f"{surface}: Cn {entry.value:.4g} and CY {side.value:.4g}{_in_line(side)} per rad"
+                " have the same sign, which is a fin ahead of the CG; behind it they are opposite",
                 "The rudder yaws the wrong way",
             )
         # A rudder above the centre of gravity rolls the way it pushes.
@@ -803,8 +821,21 @@ _CASE_OF = {
 def _stab_cases(path: Path, text: str) -> Iterator[Slip]:
     """Check the derivatives of a ``.stab`` against its own finite differences, line by line."""
     blocks = vspaero.blocks(path, text)
-    usual_centre = float(np.median([block.values["Xcg_"].value for block in blocks]))
+    usual = {
+        name: float(np.median([block.values[name].value for block in blocks]))
+        for name in ("Sref_", "Bref_", "Cref_", "Xcg_", "Zcg_")
+    }
     for block in blocks:
+        # One run has one set of reference values.
+        for name, value in usual.items():
+            entry = block.values[name]
+            if abs(entry.value - value) > 1e-3 * max(abs(value), usual["Cref_"] * 0.1):
+                yield _slip(
+                    entry,
+                    "moment centre" if name in ("Xcg_", "Zcg_") else "reference length",
+                    f"{name} {entry.value:.4g}; most blocks have {value:.4g}",
+                    "Every derivative of the block is scaled or moved by it",
+                )
         base = block.cases.get("Base_Aero")
         if base is None or not block.derivatives:
             continue
@@ -851,6 +882,7 @@ def _stab_cases(path: Path, text: str) -> Iterator[Slip]:
                     f"{coefficient} with respect to {message}",
                     "The derivative does not belong to the cases above it in the file",
                 )
+        yield from _lift_of_stab(block, base[1])
         pairs = (("CMl", "CMx", -1.0), ("CMm", "CMy", 1.0), ("CMn", "CMz", -1.0))
         for first, second, sign_factor in pairs:
             row = base[1]
@@ -869,16 +901,39 @@ def _stab_cases(path: Path, text: str) -> Iterator[Slip]:
         margin, neutral = block.values.get("SM"), block.values.get("X_np")
         if margin is not None and neutral is not None:
             expected = block.values["Xcg_"].value + margin.value * chord
+            centre = block.values["Xcg_"]
             if abs(neutral.value - expected) > 1e-3 * chord + 2e-6:
-                is_usual = block.values["Xcg_"].value == usual_centre
+                is_usual = len(blocks) > 1 and centre.value == usual["Xcg_"]
                 yield _slip(
-                    neutral if is_usual else block.values["Xcg_"],
+                    neutral if is_usual else centre,
                     "moment centre",
-                    f"x of the moment centre {block.values['Xcg_'].value:.4g} and static margin"
-                    f" {margin.value:.4g} of chord {chord:.4g} give a neutral point at"
-                    f" {expected:.4g}; the file says {neutral.value:.4g}",
+                    f"x of the moment centre {centre.value:.4g} (line {centre.line}) and static"
+                    f" margin {margin.value:.4g} of chord {chord:.4g} give a neutral point at"
+                    f" {expected:.4g}; line {neutral.line} says {neutral.value:.4g}",
                     "The static margin is wrong: the aeroplane may diverge in pitch",
                 )
+
+
+def _lift_of_stab(block: vspaero.Block, base: Mapping[str, Entry]) -> Iterator[Slip]:
+    """Check that CL is CFz cos(alpha) - CFx sin(alpha), as VSPAERO turns it."""
+    if not {"CL", "CFx", "CFz"} <= base.keys() or abs(block.values["Beta_"].value) > 1e-6:
+        return
+    lift, axial, normal = (base[name].value for name in ("CL", "CFx", "CFz"))
+    angle = block.values["AoA_"]
+    turned = normal * math.cos(math.radians(angle.value))
+    turned -= axial * math.sin(math.radians(angle.value))
+    if abs(turned - lift) > 2e-3 * max(abs(lift), 0.1):
+        candidates = np.radians(np.linspace(-30.0, 30.0, 12001))
+        errors = np.abs(normal * np.cos(candidates) - axial * np.sin(candidates) - lift)
+        near = np.degrees(candidates[errors < 1e-3 * max(abs(lift), 0.1)])
+        fits = f"; alpha of {near[0]:.3g} deg would fit" if near.size else ""
+        yield _slip(
+            angle if near.size else base["CL"],
+            "deg/rad" if near.size else "axes",
+            f"CFx {axial:.4g} and CFz {normal:.4g} give CL {turned:.4g} at alpha"
+            f" {angle.value:.4g} deg; the file says {lift:.4g}{fits}",
+            "Drag and lift are turned by the wrong angle: thrust and glide are wrong",
+        )
 
 
 def _is_reversed(message: str) -> bool:
@@ -943,40 +998,58 @@ def _geometry(geometry: Geometry) -> Iterator[Slip]:
 
 
 def _masses(masses: Masses, source: Source) -> Iterator[Slip]:
-    """Check mass and inertia against the span."""
-    span = source.length("b")
-    mass = masses.mass_kg.value
-    inertia = masses.inertia_kgm2
-    radii = {
-        axis: math.sqrt(max(float(inertia[i, i]), 0.0) / mass) / span
-        for i, axis in enumerate(("x", "y", "z"))
-    }
+    """Check mass and inertia of a ``.mass`` file."""
     line = masses.lines.get("Lunit") or masses.lines.get("items", 0)
-    for axis, radius in radii.items():
+    mass = masses.mass_kg
+    if "Munit" in masses.lines:
+        mass = Entry(mass.value, mass.path, masses.lines["Munit"])
+    tensor = masses.inertia_kgm2
+    inertia = [Entry(float(tensor[i, i]), masses.path, line) for i in range(3)]
+    yield from mass_slips(source, mass, inertia)
+
+
+def mass_slips(source: Source, mass: Entry, inertia: Sequence[Entry]) -> Iterator[Slip]:
+    """Check a mass [kg] and moments of inertia [kg m2] against area and span.
+
+    Parameters
+    ----------
+    source : Source
+        Reference lengths.
+    mass : Entry
+        Of the aircraft.
+    inertia : sequence of Entry
+        About x, y and z; empty if unknown.
+    """
+    area, span = source.length("S"), source.length("b")
+    for axis, entry in zip("xyz", inertia, strict=False):
+        radius = math.sqrt(max(entry.value, 0.0) / mass.value) / span
         if not 0.02 <= radius <= 0.6:
             yield _slip(
-                Entry(radius, masses.path, line),
+                entry,
                 "mass units",
                 f"radius of gyration about {axis} is {radius:.3g} spans; 0.05 to 0.3 is expected:"
-                " check Lunit, Munit and the items",
+                " check units of mass, length and inertia (Lunit, Munit and the items)",
                 "Every rotation is too fast or too slow",
             )
             break
-    xx, yy, zz = (float(inertia[i, i]) for i in range(3))
-    if not (xx + yy > 0.98 * zz and yy + zz > 0.98 * xx and zz + xx > 0.98 * yy):
+    if len(inertia) == 3:
+        xx, yy, zz = (entry.value for entry in inertia)
+        if not (xx + yy > 0.98 * zz and yy + zz > 0.98 * xx and zz + xx > 0.98 * yy):
+            yield _slip(
+                inertia[0],
+                "inertia",
+                f"Ixx {xx:.4g}, Iyy {yy:.4g}, Izz {zz:.4g} kg m2: no body has one above the sum of"
+                " the other two",
+                "JSBSim's rotations are impossible ones",
+            )
+    # Mass over area and span is, but for a factor, the square of speed over gravity and span: from
+    # .1 of a human-powered aircraft over 2 of models and gliders to 40 of a fighter.
+    volume = area * span
+    if not 0.05 <= mass.value / volume <= 60.0:
         yield _slip(
-            Entry(0.0, masses.path, line),
-            "inertia",
-            f"Ixx {xx:.4g}, Iyy {yy:.4g}, Izz {zz:.4g} kg m2: no body has one above the sum of the"
-            " other two",
-            "JSBSim's rotations are impossible ones",
-        )
-    density = mass / (span**3)
-    if not 0.02 <= density <= 60.0:
-        yield _slip(
-            Entry(mass, masses.path, masses.lines.get("Munit") or masses.mass_kg.line),
+            mass,
             "mass units",
-            f"{mass:.4g} kg for a span of {span:.4g} m; {0.05 * span**3:.3g} to"
-            f" {20 * span**3:.3g} kg is expected",
+            f"{mass.value:.4g} kg for an area of {area:.4g} m2 and a span of {span:.4g} m;"
+            f" {0.1 * volume:.2g} to {40.0 * volume:.3g} kg is expected",
             "Speed and inertia are wrong by roots of that factor",
         )

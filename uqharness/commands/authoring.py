@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from pathlib import Path
 
 from uqharness.authoring import (
+    Entry,
     Equipment,
     MassProperties,
     Source,
@@ -15,6 +17,7 @@ from uqharness.authoring import (
     design_speed,
     find_slips,
     gyration,
+    mass_slips,
     priors,
     read_contacts,
     read_sources,
@@ -56,6 +59,9 @@ def author(request: AuthorRequest, callback: Callback = silent) -> Outcome[Autho
     controls = _controls(request.controls)
     slips = find_slips(sources, controls)
     mass, notes = _mass_properties(request, sources)
+    if request.mass_kg is not None:
+        stated = Entry(request.mass_kg, Path("--mass-kg"))
+        slips += mass_slips(sources.derivatives, stated, _stated_inertia(request))
     model = build(
         sources.derivatives,
         mass,
@@ -181,6 +187,15 @@ def _mass_properties(request: AuthorRequest, sources: Sources) -> tuple[MassProp
             " above 0 is needed; give --ixx-kgm2, --iyy-kgm2, --izz-kgm2"
         )
     return properties, notes
+
+
+def _stated_inertia(request: AuthorRequest) -> list[Entry]:
+    """Return the moments of inertia of the options, none unless all three are given."""
+    named = (("x", request.ixx_kgm2), ("y", request.iyy_kgm2), ("z", request.izz_kgm2))
+    entries = [
+        Entry(value, Path(f"--i{axis}{axis}-kgm2")) for axis, value in named if value is not None
+    ]
+    return entries if len(entries) == len(named) else []
 
 
 def _xyz(source: Source) -> tuple[float, float, float]:

@@ -224,6 +224,21 @@ def test_table_units():
     assert point.entries["Cm", "q"].line == 10
 
 
+@pytest.mark.parametrize(("delimiter", "decimal"), [(";", ","), ("\t", "."), ("\t", ",")])
+def test_tables_of_spreadsheets(delimiter, decimal, tmp_path):
+    text = (DATA / "kite.csv").read_text()
+    (tmp_path / "plain.csv").write_text(text)
+    rows = [row.split(",") for row in text.splitlines()]
+    foreign = [delimiter.join(word.replace(".", decimal) for word in row) for row in rows]
+    (tmp_path / "foreign.csv").write_text("\r\n".join(foreign).replace("1/rad", "rad^-1"))
+    plain, source = (
+        read_sources([tmp_path / name]).derivatives for name in ("plain.csv", "foreign.csv")
+    )
+    for key, entry in plain.points[0].entries.items():
+        assert source.points[0].entries[key].value == entry.value, key
+    assert source.length("S") == plain.length("S")
+
+
 def test_table_in_toml_equals_csv():
     text = """
 [reference]

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from uqharness.authoring import find_slips, read_sources
+from uqharness.authoring import Entry, find_slips, mass_slips, read_sources
 
 DATA = Path(__file__).parent / "data"
 ST = (DATA / "kite.st").read_text()
@@ -112,6 +113,7 @@ SLIPS = {
         "chord in mm": ("Cref_", times(1000)),
         "area in dm2": ("Sref_", times(100)),
         "neutral point": ("X_np", times(1.2)),
+        "alpha in rad": ("AoA_", lambda value: 0.0349 if value else 2.0),
     },
 }
 CASES = [(kind, name) for kind, rows in SLIPS.items() for name in rows]
@@ -174,6 +176,17 @@ def test_masses(change, kind, tmp_path):
     (tmp_path / "kite.mass").write_text(MASS.replace(*change))
     found = find_slips(read_sources([tmp_path / "kite.st", tmp_path / "kite.mass"]))
     assert kind in {slip.kind for slip in found}
+
+
+def test_mass_in_grams(tmp_path):
+    source = read_sources([DATA / "kite.csv"]).derivatives
+    inertia = [Entry(value, Path("--ixx-kgm2")) for value in (0.06, 0.08, 0.13)]
+    assert list(mass_slips(source, Entry(1.47, Path("--mass-kg")), inertia)) == []
+    kinds = [(s.place, s.kind) for s in mass_slips(source, Entry(1470.0, Path("--mass-kg")), [])]
+    assert kinds == [("--mass-kg", "mass units")]
+    grams = [replace(entry, value=1e3 * entry.value) for entry in inertia]
+    kinds = [s.kind for s in mass_slips(source, Entry(1.47), grams)]
+    assert kinds == ["mass units"]
 
 
 AVL = (DATA / "kite.avl").read_text()
