@@ -319,7 +319,6 @@ def _thrusts(
     inputs = aircraft.card.inputs
     controls = [name for name in ("throttle",) if name in inputs]
     n = len(speeds) * len(altitudes_m)
-    full = np.array([[max(inputs[name].limits) for name in controls]] * n)
     zero_signals = (
         "alpha_rad",
         "beta_rad",
@@ -341,6 +340,8 @@ def _thrusts(
             float(altitudes_m[0]),
             0.0,
         )
+        ends = [max(model.to_record(name, x) for x in inputs[name].limits) for name in controls]
+        full = np.array([ends] * n)
         forced = force_states(model, segment, motion, full, {}, np.repeat(altitudes_m, len(speeds)))
     thrust = forced.other_force[:, 0].reshape(len(altitudes_m), -1)
     density = (2.0 * forced.qbar / every**2).reshape(len(altitudes_m), -1)[:, -1]

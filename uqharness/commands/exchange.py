@@ -37,6 +37,7 @@ from uqharness.exchange import (
     gazebo,
     in_reference,
     losses,
+    px4_sih,
     slips,
     source_model,
     sweeps,
@@ -274,6 +275,22 @@ def _gazebo(source: SourceModel, states: FlightStates, _: str) -> Fitted:
     return files, gazebo.coefficients(model, states), gazebo.LOST_TERMS, notes
 
 
+def _px4_sih(source: SourceModel, states: FlightStates, name: str) -> Fitted:
+    """Set the parameters of PX4's simulation in hardware."""
+    keys = px4_sih.parameters(source, states)
+    mass, area = keys["SIH_MASS"], source.reference.S_m2
+    notes = (
+        (
+            f"{mass:.4g} kg on the program's {px4_sih.AREA_M2:.3g} m2 stand for"
+            f" {source.reference.mass_kg:.4g} kg on {area:.4g} m2; inertia and thrust are scaled"
+        ),
+        "commands: +1 is right wing down, nose up, nose right",
+        f"start make px4_sitl_sih sihsim_airplane and load {name}.params in QGroundControl",
+    )
+    files = {f"{name}.params": px4_sih.text(keys, name).encode()}
+    return files, px4_sih.coefficients(keys, source, states), px4_sih.LOST_TERMS, notes
+
+
 def _fmu(source: SourceModel, states: FlightStates, name: str) -> Fitted:
     """Pack a functional mock-up unit."""
     with scratch_folder("export-") as scratch:
@@ -298,7 +315,7 @@ def _csv(source: SourceModel, states: FlightStates, _: str) -> Fitted:
     files = {"coefficients.csv": sweeps.text(tables).encode()}
     lost = ("products of two variables", "the dependence on speed")
     notes = (
-        "angles in rad, deflections in the card's unit, rates as pb/2V, qc/2V, rb/2V",
+        "angles in rad, deflections in deg, rates as pb/2V, qc/2V, rb/2V",
         _SURFACES,
     )
     return files, sweeps.coefficients(source, tables, states), lost, notes
@@ -308,6 +325,7 @@ _FORMATS = {
     "ardupilot-jsbsim": _ardupilot_jsbsim,
     "ardupilot-json": _ardupilot_json,
     "gazebo": _gazebo,
+    "px4-sih": _px4_sih,
     "fmu": _fmu,
     "csv": _csv,
 }

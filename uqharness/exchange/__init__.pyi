@@ -2,6 +2,7 @@ from . import ardupilot_jsbsim as ardupilot_jsbsim
 from . import ardupilot_json as ardupilot_json
 from . import fmu as fmu
 from . import gazebo as gazebo
+from . import px4_sih as px4_sih
 from . import sweeps as sweeps
 from .loss import CoefficientLoss as CoefficientLoss
 from .loss import differences as differences

@@ -284,12 +284,16 @@ def parameters(source: SourceModel, fitted: Mapping[str, Derivatives]) -> str:
     has ArduPlane's loops as a system.
     """
     middle = source.middle
-    effects = {
-        1: fitted["Cl"].tangent(middle)["da"] < 0.0,
-        2: fitted["Cm"].tangent(middle)["de"] < 0.0,
-        4: fitted["Cn"].tangent(middle)["dr"] < 0.0,
-    }
-    values = {f"SERVO{servo}_REVERSED": float(reversed_) for servo, reversed_ in effects.items()}
+    values = {}
+    for servo, coefficient, variable, surface in (
+        (1, "Cl", "da", "aileron"),
+        (2, "Cm", "de", "elevator"),
+        (4, "Cn", "dr", "rudder"),
+    ):
+        # A command may move the surface against the sign of flight records.
+        low, high = source.full(surface) if surface in source.controls else (0.0, 1.0)
+        slope = fitted[coefficient].tangent(middle)[variable] * (high - low)
+        values[f"SERVO{servo}_REVERSED"] = float(slope < 0.0)
     speed = source.trim.condition.V_mps
     values |= {
         "AIRSPEED_CRUISE": round(speed, 1),

@@ -104,13 +104,8 @@ def _half_widths(source: SourceModel, states: FlightStates, form: ModelForm) -> 
         "elevator_pos_deg": value["de"],
         "aileron_pos_deg": value["da"],
         "rudder_pos_deg": value["dr"],
-        "throttle_pct": np.full(n, source.trim.controls.get("throttle", 0.0)),
+        "throttle_pct": np.full(n, source.controls.get("throttle", 0.0)),
     }
-    # A card in other units than degrees does not say the positions that the bounds need.
-    inputs = source.aircraft.card.inputs
-    for surface in ("elevator", "aileron", "rudder"):
-        if surface not in inputs or inputs[surface].unit != "deg":
-            del flight_states[f"{surface}_pos_deg"]
     widths = {}
     for name, bounds in form.coefficients.items():
         known = {state: flight_states[state] for state in bounds.states if state in flight_states}

@@ -11,16 +11,16 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+from cachetools import LRUCache, cached
 
 from sysid.aerodynamics import COEFFICIENTS
-from sysid.aerodynamics.coefficients import MassProperties
 from sysid.arrays import FloatArray
 from uqharness.errors import BadInputError
-from uqharness.replay import ReplayFolder, Segment, force_states
-from uqharness.simulator import Aircraft, SteadyCondition, Trim, find_trim
+from uqharness.replay import ForcedModel, ReplayFolder, Segment, force_states
+from uqharness.simulator import Aircraft, SteadyCondition, Trim, content_hash, find_trim
 
 VARIABLES = ("alpha", "beta", "p", "q", "r", "de", "da", "dr")
 """Angles [rad], rates pb/2V, qc/2V, rb/2V [-], deflections [deg]: the terms of a derivative."""
@@ -141,17 +141,73 @@ class SourceModel:
     properties: Mapping[str, float] = field(default_factory=dict)
 
     @property
+    def controls(self) -> dict[str, float]:
+        """Return the trim's controls as flight records have them: degrees, percent."""
+        model = _folder_of(self.aircraft).model
+        commands = self.trim.controls
+        return {name: model.to_record(name, commands.get(name, 0.0)) for name in model.controls}
+
+    @property
     def middle(self) -> dict[str, float]:
         """Return the trim's values of `VARIABLES`."""
-        controls = zip(("de", "da", "dr"), SURFACES, strict=True)
-        return {
-            "alpha": self.trim.alpha_rad,
-            **{name: self.trim.controls.get(surface, 0.0) for name, surface in controls},
-        }
+        deflections, controls = ("de", "da", "dr"), self.controls
+        values = {d: controls.get(s, 0.0) for d, s in zip(deflections, SURFACES, strict=True)}
+        return {"alpha": self.trim.alpha_rad, **values}
+
+    def full(self, control: str) -> tuple[float, float]:
+        """Return the ends of a control's travel in degrees or percent, in its property's order."""
+        model = _folder_of(self.aircraft).model
+        low, high = (model.to_record(control, x) for x in model.card.inputs[control].limits)
+        return low, high
 
     def coefficients(self, states: FlightStates) -> FloatArray:
         """Return CX CY CZ Cl Cm Cn of the aerodynamics (n, 6), body axes at the CG."""
-        return _evaluate(self.aircraft, self.trim, states, self.properties)[0]
+        return self._forced(states).coefficients
+
+    def thrust(self, throttle: float | None = None) -> tuple[float, float]:
+        """Return the force forward [N] and the moment about the forward axis [N m] of the engines.
+
+        At the trim's speed and angle of attack, and its throttle unless another one is given [%].
+        """
+        middle = self.middle
+        values = {name: np.full(1, middle.get(name, 0.0)) for name in VARIABLES}
+        states = FlightStates(np.array([self.trim.condition.V_mps]), values, 1.0, 1.0)
+        forced = self._forced(states, throttle)
+        return float(forced.other_force[0, 0]), float(forced.other_moment[0, 0])
+
+    def _forced(self, states: FlightStates, throttle: float | None = None) -> ForcedModel:
+        """Impose the states, at the trim's throttle unless another one is given [%]."""
+        model, n = _folder_of(self.aircraft).model, len(states)
+        if throttle is None:
+            throttle = self.controls.get("throttle", 0.0)
+        columns = {
+            "elevator": states.values["de"],
+            "aileron": states.values["da"],
+            "rudder": states.values["dr"],
+            "throttle": np.full(n, throttle),
+        }
+        rate = 2.0 * states.V_mps
+        motion = {
+            "V_mps": states.V_mps,
+            "alpha_rad": states.values["alpha"],
+            "beta_rad": states.values["beta"],
+            "phi_rad": np.zeros(n),
+            "theta_rad": states.values["alpha"],
+            "p_radps": states.values["p"] * rate / states.b_m,
+            "q_radps": states.values["q"] * rate / states.c_m,
+            "r_radps": states.values["r"] * rate / states.b_m,
+        }
+        segment = Segment(
+            "states",
+            "export",
+            self.aircraft.dt_s * np.arange(2.0),
+            np.zeros((2, len(model.controls))),
+            np.zeros(9),
+            self.trim.condition.altitude_m,
+            0.0,
+        )
+        controls = np.column_stack([columns[name] for name in model.controls])
+        return force_states(model, segment, motion, controls, self.properties)
 
 
 def source_model(
@@ -179,11 +235,21 @@ def source_model(
     trim = _trim(aircraft, speed_mps, in_force)
     zero = {name: np.zeros(1) for name in VARIABLES}
     one = FlightStates(np.array([trim.condition.V_mps]), zero, 1.0, 1.0)
-    _, mass = _evaluate(aircraft, trim, one, in_force)
-    reference = Reference(
-        mass.S, mass.b, mass.c, mass.mass, np.asarray(mass.inertia), _throws(aircraft)
-    )
-    return SourceModel(aircraft, trim, reference, in_force)
+    source = SourceModel(aircraft, trim, Reference(1.0, 1.0, 1.0, 1.0, np.eye(3), {}), in_force)
+    mass = source._forced(one).mass
+    throws = {s: max(map(abs, source.full(s))) for s in SURFACES if s in aircraft.card.inputs}
+    reference = Reference(mass.S, mass.b, mass.c, mass.mass, np.asarray(mass.inertia), throws)
+    return replace(source, reference=reference)
+
+
+@cached(LRUCache(4), key=content_hash)
+def _folder_of(aircraft: Aircraft) -> ReplayFolder:
+    """Return the copy of an aircraft that is evaluated; commands pass at once.
+
+    A lag would depend on the state before.
+    """
+    controls = [name for name in (*SURFACES, "throttle") if name in aircraft.card.inputs]
+    return ReplayFolder(aircraft, controls, ideal=controls)
 
 
 def _trim(aircraft: Aircraft, speed_mps: float | None, properties: Mapping[str, float]) -> Trim:
@@ -209,12 +275,6 @@ def _trim(aircraft: Aircraft, speed_mps: float | None, properties: Mapping[str, 
             f" {_SPEEDS_MPS[-1]:.0f} m/s; `uqharness modes` says why at one speed"
         )
     return trims[len(trims) // 2]
-
-
-def _throws(aircraft: Aircraft) -> dict[str, float]:
-    """Return the largest command of each surface, in the card's unit: degrees, or 1."""
-    inputs = aircraft.card.inputs
-    return {name: max(map(abs, inputs[name].limits)) for name in SURFACES if name in inputs}
 
 
 def box(source: SourceModel, n: int, seed: int = 0, spread: bool = True) -> FlightStates:
@@ -251,56 +311,13 @@ def box_around(
         for name, half_width in _HALF_WIDTH.items()
     }
     for name, surface in zip(("de", "da", "dr"), SURFACES, strict=True):
-        travel = _TRAVEL_SHARE * reference.throw_deg.get(surface, 0.0)
-        values[name] = middle.get(name, 0.0) + travel * rng.uniform(-1.0, 1.0, n)
+        throw = reference.throw_deg.get(surface, 0.0)
+        spread_deg = _TRAVEL_SHARE * throw * rng.uniform(-1.0, 1.0, n)
+        values[name] = np.clip(middle.get(name, 0.0) + spread_deg, -throw, throw)
     speed = np.full(n, 20.0 if trim is None else trim.condition.V_mps)
     if spread:
         speed = speed * (1.0 + _SPEED_SHARE * rng.uniform(-1.0, 1.0, n))
     return FlightStates(speed, values, reference.b_m, reference.c_m)
-
-
-def _evaluate(
-    aircraft: Aircraft,
-    trim: Trim,
-    states: FlightStates,
-    properties: Mapping[str, float],
-) -> tuple[FloatArray, MassProperties]:
-    """Impose the states on the aircraft; return the coefficients and the mass properties."""
-    inputs = aircraft.card.inputs
-    controls = [name for name in (*SURFACES, "throttle") if name in inputs]
-    n = len(states)
-    columns = {
-        "elevator": states.values["de"],
-        "aileron": states.values["da"],
-        "rudder": states.values["dr"],
-        "throttle": np.full(n, trim.controls.get("throttle", 0.0)),
-    }
-    rate = 2.0 * states.V_mps
-    motion = {
-        "V_mps": states.V_mps,
-        "alpha_rad": states.values["alpha"],
-        "beta_rad": states.values["beta"],
-        "phi_rad": np.zeros(n),
-        "theta_rad": states.values["alpha"],
-        "p_radps": states.values["p"] * rate / states.b_m,
-        "q_radps": states.values["q"] * rate / states.c_m,
-        "r_radps": states.values["r"] * rate / states.b_m,
-    }
-    # Commands pass at once: a lag would depend on the state before.
-    with ReplayFolder(aircraft, controls, ideal=controls) as model:
-        segment = Segment(
-            "states",
-            "export",
-            aircraft.dt_s * np.arange(2.0),
-            np.zeros((2, len(controls))),
-            np.zeros(9),
-            trim.condition.altitude_m,
-            0.0,
-        )
-        forced = force_states(
-            model, segment, motion, np.column_stack([columns[c] for c in controls]), properties
-        )
-    return forced.coefficients, forced.mass
 
 
 def derivatives(source: SourceModel, n: int = 600, seed: int = 1) -> dict[str, Derivatives]:

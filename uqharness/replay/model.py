@@ -125,6 +125,16 @@ class ReplayModel:
                 out[..., column] = np.interp(controls[..., column], *throw)
         return out
 
+    def to_record(self, control: str, command: float) -> float:
+        """Convert a command in its property's unit to the record's, degrees or percent."""
+        column = self.controls.index(control)
+        throw = self.throws[column]
+        if throw is None:
+            return command / self.factor[column]
+        positions, commands = (np.array(row) for row in throw)
+        order = np.argsort(commands)
+        return float(np.interp(command, commands[order], positions[order]))
+
     def control_properties(self) -> tuple[tuple[str, ...], tuple[int, ...]]:
         """Return the properties that the controls set, and the index in ``controls`` of each.
 

@@ -170,7 +170,7 @@ class PerformanceRequest(Request):
 
 # Requests of export: models for other simulators.
 
-Format = Literal["ardupilot-jsbsim", "ardupilot-json", "gazebo", "fmu", "csv"]
+Format = Literal["ardupilot-jsbsim", "ardupilot-json", "gazebo", "px4-sih", "fmu", "csv"]
 
 
 class ExportRequest(Request):
@@ -186,9 +186,9 @@ class ExportRequest(Request):
   uqharness export espaaro --to ardupilot-jsbsim --member 010011 --out sitl
 
 Writes DIR/loss.json and DIR/loss.csv, and the model: DIR/aircraft/NAME with DIR/NAME.parm,
-DIR/NAME.json, DIR/model.sdf with DIR/model-classic.sdf, DIR/NAME.fmu, or DIR/coefficients.csv. The
-loss is the difference between the model as the other program computes it and the source, over
-random states around steady flight."""
+DIR/NAME.json, DIR/model.sdf with DIR/model-classic.sdf, DIR/NAME.params, DIR/NAME.fmu, or
+DIR/coefficients.csv. The loss is the difference between the model as the other program computes it
+and the source, over random states around steady flight."""
     no: ClassVar[str] = (
         "the format loses more than the bounds of --bounds allow; without --accept-loss the model"
         " is not written"

@@ -6,6 +6,8 @@ from __future__ import annotations
 
 import json
 import math
+import re
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -19,8 +21,16 @@ import uqharness as uq
 from tests.helpers.places import ROOT
 from uqharness.cli import main as cli
 from uqharness.errors import BadInputError
-from uqharness.exchange import FlightStates, ardupilot_json, derivatives, gazebo, sweeps
+from uqharness.exchange import (
+    FlightStates,
+    ardupilot_json,
+    derivatives,
+    gazebo,
+    source_model,
+    sweeps,
+)
 from uqharness.exchange.states import VARIABLES, Reference
+from uqharness.simulator import find_aircraft
 
 REFERENCE = Reference(
     0.8,
@@ -450,3 +460,25 @@ def test_a_table_holds_one_variable_at_a_time_exactly():
     assert sweeps.coefficients(source, tables, bounded) == pytest.approx(
         formula(bounded), abs=1e-12
     )
+
+
+def test_the_cards_unit_of_the_commands_does_not_matter(tmp_path: Path):
+    """Commands of 20 deg at 1 in place of degrees."""
+    models = []
+    for norm in (False, True):
+        folder = tmp_path / str(norm) / "espaaro"
+        shutil.copytree(ROOT / "aircraft/espaaro", folder)
+        card = (folder / "airframe.toml").read_text().replace("[-25, 25]", "[-20, 20]")
+        if norm:
+            card = re.sub(r'"fcs/(\w+)-cmd-(deg|pct)"', r'"fcs/\1-cmd-norm"', card)
+            card = re.sub(r"(?m)^(selected|servo_pwm) =.*\n", "", card)
+            card = card.replace('unit = "pct"', 'unit = "norm"').replace("[0, 100]", "[0, 1]")
+            card = card.replace('unit = "deg"\npos', 'throw_deg = 20\nunit = "norm"\npos')
+            card = card.replace("[-20, 20]", "[-1, 1]").replace('norm" = 0', 'norm" = 1')
+        (folder / "airframe.toml").write_text(card)
+        source = source_model(find_aircraft(folder), 22.2)
+        assert source.reference.throw_deg["elevator"] == pytest.approx(20.0)
+        assert 20.0 < source.controls["throttle"] < 80.0
+        models.append(ardupilot_json.parameters(source, derivatives(source)))
+    for key in ardupilot_json.KEYS:
+        assert models[1][key] == pytest.approx(models[0][key], rel=2e-3, abs=1e-4), key
