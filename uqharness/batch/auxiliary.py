@@ -245,7 +245,14 @@ def trace_ground(frame: Frame, points: Sequence[ContactPoint]) -> None:
     # Walked backwards, so that the first point in the list wins.
     number: Value = b.constant(-1.0)
     for k, contact in reversed(list(enumerate(points))):
-        x, y, z = (b.constant(c) for c in contact.at_in)
+        places = [
+            frame.read(f"{contact.unit}/{axis}-position") if contact.unit else None
+            for axis in "xyz"
+        ]
+        x, y, z = (
+            b.constant(at) if place is None else place
+            for place, at in zip(places, contact.at_in, strict=True)
+        )
         # How far the point lies below the CG: the body's axes seen from the local vertical.
         below = dot((down[0][2], down[1][2], down[2][2]), arm(frame, (x, y, z)))
         low = (height - below).lt(0.0)

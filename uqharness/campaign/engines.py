@@ -188,7 +188,7 @@ def find_copied_mission(
         aircraft_hash,
         (script or place / SCRIPT).resolve(),
         script_hash,
-        aircraft.folder,
+        aircraft.source,
     )
 
 
@@ -217,7 +217,7 @@ def make_copy(spec: CampaignSpec, mission: Mission, folder: Path) -> None:
 
 def _copy_aircraft(spec: CampaignSpec, aircraft: Aircraft, root: Path) -> Path:
     """Copy the aircraft below ``root`` and apply bounds and start; return the copied folder."""
-    copy = root / _COPIED / aircraft.folder.name
+    copy = root / _COPIED / aircraft.copy_name
     # The aircraft with what JSBSim needs next to it (engine, systems).
     copy_folder(aircraft.folder, copy)
     copy_shared_parts(aircraft, root, engine.default_root())

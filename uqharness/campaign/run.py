@@ -179,7 +179,7 @@ def find_mission(spec: CampaignSpec, folder: Path = Path()) -> Mission:
         return find_copied_mission(spec, aircraft, script, folder)
     assert script is not None
     script_hash = sha256_hex(read_xml(script))
-    return Mission(aircraft.folder, content_hash(aircraft), script, script_hash)
+    return Mission(aircraft.source, content_hash(aircraft), script, script_hash)
 
 
 def run_campaign(

@@ -150,7 +150,7 @@ def fly(request: FlyRequest, callback: Callback = silent) -> Outcome[Flight]:
         script = read_script(path)
         gains = _gains_of(request.autopilot, flight_aircraft, path)
         spec = FlightSpec(
-            aircraft=flight_aircraft.folder,
+            aircraft=flight_aircraft.source,
             script=script.path,
             duration_s=script.end_s if request.duration_s is None else request.duration_s,
             wind_mps=request.wind_mps,
@@ -235,7 +235,7 @@ def _flown_script(request: FlyRequest, aircraft: Aircraft) -> Iterator[tuple[Air
         yield aircraft, find_script(named or request.script)
         return
     with scratch_folder("fly") as scratch:
-        folder = scratch.path / "aircraft" / aircraft.folder.name
+        folder = scratch.path / "aircraft" / aircraft.copy_name
         copy_folder(aircraft.folder, folder)
         copy_shared_parts(aircraft, scratch.path, engine.default_root())
         copy = with_fine_step(find_aircraft(folder))

@@ -285,9 +285,9 @@ def fly_matched(
 
 def _copy(aircraft: Aircraft, root: Path) -> Aircraft:
     """Copy an aircraft to where scripts can be written; engines and systems stay the original's."""
-    copy_folder(aircraft.folder, root / "aircraft" / aircraft.folder.name)
+    copy_folder(aircraft.folder, root / "aircraft" / aircraft.copy_name)
     copy_shared_parts(aircraft, root, engine.default_root())
-    copied = find_aircraft(root / "aircraft" / aircraft.folder.name)
+    copied = find_aircraft(root / "aircraft" / aircraft.copy_name)
     return replace(copied, engine_path=aircraft.engine_path, systems_path=aircraft.systems_path)
 
 

@@ -41,12 +41,11 @@ from uqharness.simulator import (
     Aircraft,
     Source,
     StagedMission,
+    aircraft_fingerprint,
     bring_to_rest,
     engine,
     find_aircraft,
-    find_folder,
     find_script,
-    folder_fingerprint,
     marked_equilibrium,
     parse_xml,
     refuse_conflicts,
@@ -394,11 +393,14 @@ class ContactPoint:
         Position in the structural frame [in].
     retracts : bool
         Whether it counts only with the gear down.
+    unit : str
+        Property folder, whose positions the aircraft's systems may move; empty without one.
     """
 
     name: str
     at_in: tuple[float, float, float]
     retracts: bool
+    unit: str = ""
 
 
 def contact_points(fdm: Any, aircraft: Aircraft) -> list[ContactPoint]:
@@ -412,9 +414,8 @@ def contact_points(fdm: Any, aircraft: Aircraft) -> list[ContactPoint]:
         names = [f"{unit}/{axis}-position" for axis in "xyz"]
         engine.require(fdm, names)
         x, y, z = (float(fdm[n]) for n in names)
-        points.append(
-            ContactPoint(name, (x, y, z), fdm.get_property_manager().hasNode(f"{unit}/pos-norm"))
-        )
+        retracts = fdm.get_property_manager().hasNode(f"{unit}/pos-norm")
+        points.append(ContactPoint(name, (x, y, z), retracts, unit))
     return points
 
 
@@ -574,7 +575,7 @@ def _fingerprint(spec: FlightSpec) -> str:
     """Return a text that changes with the files of aircraft and script."""
     # A long-lived worker must notice edits, so that the cache is keyed by file states.
     script = find_script(spec.script)
-    return f"{folder_fingerprint(find_folder(spec.aircraft))}-{script.stat().st_mtime_ns}"
+    return f"{aircraft_fingerprint(spec.aircraft)}-{script.stat().st_mtime_ns}"
 
 
 @lru_cache(maxsize=8)

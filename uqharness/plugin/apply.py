@@ -46,8 +46,11 @@ from uqharness.simulator import (
     content_hash,
     copy_folder,
     copy_shared_parts,
+    describe_fuel,
     engine,
     find_aircraft,
+    fuel_levels,
+    fuel_text,
     host_properties,
     model_files,
     open_mid_envelope,
@@ -73,6 +76,7 @@ from uqharness.xml import (
     parse_document,
     read_document,
     replace_attribute,
+    replace_text,
 )
 
 # Check of the plugin: an instrumented aircraft flown against the untouched one.
@@ -597,6 +601,18 @@ def mass_insertions(
     return tuple(_edit(document, path, text) for path, text in texts.items())
 
 
+def fuel_insertions(document: Document, levels: Mapping[int, float]) -> tuple[Insertion, ...]:
+    """Return the edits of the aircraft's XML that fill its tanks, by number [lb]."""
+    propulsion = document.root.find("propulsion")
+    tanks = list(propulsion.all("tank")) if propulsion is not None else []
+    nodes = {number: tanks[number].find("contents") for number in levels}
+    return tuple(
+        replace_text(document, node, f"{fuel_text(attribute(node, 'unit'), levels[number])}")
+        for number, node in nodes.items()
+        if node is not None
+    )
+
+
 def _edit(document: Document, path: str, text: str) -> Insertion:
     """Return the edit that writes a number into the element at ``path``, made if absent."""
     node = document.root
@@ -709,7 +725,7 @@ def instrument_aircraft(
     if not aircraft.has_card:
         try:
             # Sense, throws and thrust are measured in a child process.
-            facts = aircraft_facts.measure_facts_in_child(aircraft.folder)
+            facts = aircraft_facts.measure_facts_in_child(aircraft.source)
         except BadInputError as error:
             if check:
                 raise BadInputError(
@@ -744,7 +760,11 @@ def instrument_aircraft(
         f" {reason}"
         for name, reason in unmeasured.items()
     ]
-    edits = mass_insertions(aircraft, read_document(aircraft.xml), mass or MassProperties())
+    document = read_document(aircraft.xml)
+    edits = mass_insertions(aircraft, document, mass or MassProperties())
+    if levels := fuel_levels(aircraft):
+        edits += fuel_insertions(document, levels)
+        notes.append(describe_fuel(levels))
     # Measured facts know more: which systems must be on for a control to move.
     rows = facts.host if facts is not None and facts.host else host_properties(aircraft)
     rows = tuple(row for row in rows if not row.misspelt)
@@ -763,12 +783,12 @@ def instrument_aircraft(
 def _checked(aircraft: Aircraft, out: Path, edits: tuple[Insertion, ...]) -> Verdict:
     """Return the comparison with the aircraft that only differs from the author's by ``edits``."""
     if not edits:
-        return check_in_child(aircraft.folder, out, CHECK_S)
+        return check_in_child(aircraft.source, out, CHECK_S)
     with scratch_folder("mass") as scratch:
-        folder = scratch.path / "aircraft" / aircraft.folder.name
+        folder = scratch.path / "aircraft" / aircraft.copy_name
         copy_folder(aircraft.folder, folder)
         copy_shared_parts(aircraft, scratch.path, engine.default_root())
-        document = read_document(folder / aircraft.xml.name)
+        document = read_document(folder / aircraft.card.aircraft.xml)
         document.path.write_bytes(apply(document, list(edits)))
         return check_in_child(folder, out, CHECK_S)
 
@@ -793,7 +813,7 @@ def with_card(aircraft: Aircraft) -> Aircraft:
             aircraft
         )  # names the user's file; later checks would name the copy and its lines
         scratch = scratch_folder("card")
-        folder = scratch.path / "aircraft" / aircraft.folder.name
+        folder = scratch.path / "aircraft" / aircraft.copy_name
         folder.parent.mkdir()
         done = instrument_aircraft(aircraft, Bounds(), folder, check=False)
         for control, reason in done.unmeasured.items():

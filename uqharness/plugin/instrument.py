@@ -294,7 +294,7 @@ def plan(
         the card does not give.
     """
     # Refuse what cannot be instrumented before anything is planned.
-    section = read_section(aircraft.folder, aircraft.xml.name)
+    section = read_section(aircraft.folder, aircraft.card.aircraft.xml)
     _refuse_outside(section)
     reference = coefficient_reference(aircraft, section)
     if None in (reference.S_sqft, reference.b_ft, reference.c_ft):
@@ -414,7 +414,7 @@ def _add_card(
         files[_system_file(aircraft, IDLE_SYSTEM)] = IDLE_XML
         edit = add_system(edit, IDLE_SYSTEM)
     files["airframe.toml"] = card_text(
-        aircraft.name, aircraft.xml.name, facts, scaled, errors
+        aircraft.name, aircraft.card.aircraft.xml, facts, scaled, errors
     ).encode("utf-8")
     return edit
 
@@ -458,7 +458,7 @@ def coefficient_reference(aircraft: Aircraft, section: AeroSection) -> Reference
 
 def metrics_of(aircraft: Aircraft) -> tuple[float, float, float]:
     """Return S [m2], b and c [m] of the XML. Raises BadInputError."""
-    S, b, c = read_reference(read_section(aircraft.folder, aircraft.xml.name))
+    S, b, c = read_reference(read_section(aircraft.folder, aircraft.card.aircraft.xml))
     return S * FT_M**2, b * FT_M, c * FT_M
 
 

@@ -381,7 +381,7 @@ def _smooth_term(
     the refined one.
     """
     stale = request.out / UNNAMED / "aircraft" / request.aircraft.folder.name
-    if (stale / request.aircraft.xml.name).is_file():
+    if (stale / request.aircraft.card.aircraft.xml).is_file():
         shutil.rmtree(stale)
     if document.verdict != "unexplained":
         return None, EXPLAINED
@@ -449,7 +449,7 @@ def _remove_stale(out: Path, aircraft: Aircraft) -> None:
     over.
     """
     before = out / "before" / "aircraft" / aircraft.folder.name
-    if (before / aircraft.xml.name).is_file():
+    if (before / aircraft.card.aircraft.xml).is_file():
         shutil.rmtree(before)
     if (mission := out / PBOX / "after").is_dir():
         from uqharness.campaign import MANIFEST
@@ -496,7 +496,9 @@ def _complete(
     return document.model_copy(
         update={
             "gap": gap,
-            "model": f"aircraft/{request.aircraft.folder.name}/{request.aircraft.xml.name}",
+            "model": "/".join(
+                ("aircraft", request.aircraft.folder.name, request.aircraft.card.aircraft.xml)
+            ),
             "train": [p.name for p in request.train],
             "test": [p.name for p in request.test],
             "command": shlex.join(request.command),

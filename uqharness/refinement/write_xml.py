@@ -87,7 +87,7 @@ def servo_of(effect: Effect, aircraft: Aircraft) -> Actuator | None:
 def write_mass(folder: Path, aircraft: Aircraft, effect: Effect, value: float, remark: str) -> None:
     """The number in <mass_balance> changed: Ixz [kg m2] with the author's unit and sign convention,
     or the CG along x [m], with the sensors' places from it. Raises BadInputError."""
-    path = folder / aircraft.xml.name
+    path = folder / aircraft.card.aircraft.xml
     document = read_document(path)
     block = document.root.find("mass_balance")
     if block is None:
@@ -465,7 +465,7 @@ def write_effects(
         if property_of(w.effect) is None:
             write = write_mass if w.effect.subsystem == "mass" else write_servo
             write(out, aircraft, w.effect, w.value, w.remark)
-    section = read_section(out, aircraft.xml.name)
+    section = read_section(out, aircraft.card.aircraft.xml)
     edit = SectionEdit(section)
     plain: dict[str, Estimate] = {}
     summands: dict[str, list[str]] = {}
@@ -679,7 +679,7 @@ def property_of_table(term: SmoothTerm) -> str:
 def write_table(aircraft: Aircraft, fit: SmoothFit) -> None:
     """The term added to an aircraft's aerodynamics, in its own folder. Raises BadInputError."""
     term, name = fit.term, property_of_table(fit.term)
-    section = read_section(aircraft.folder, aircraft.xml.name)
+    section = read_section(aircraft.folder, aircraft.card.aircraft.xml)
     edit = SectionEdit(section)
     state = variable_xml(term.state, section, aircraft)
     key = state.text

@@ -9,12 +9,15 @@ from .aircraft import Aircraft as Aircraft
 from .aircraft import Card as Card
 from .aircraft import InputCard as InputCard
 from .aircraft import Source as Source
+from .aircraft import aircraft_fingerprint as aircraft_fingerprint
 from .aircraft import check_loadable as check_loadable
 from .aircraft import content_hash as content_hash
+from .aircraft import describe_fuel as describe_fuel
 from .aircraft import find_aircraft as find_aircraft
 from .aircraft import find_folder as find_folder
-from .aircraft import folder_fingerprint as folder_fingerprint
 from .aircraft import folder_hash as folder_hash
+from .aircraft import fuel_levels as fuel_levels
+from .aircraft import fuel_text as fuel_text
 from .aircraft import host_properties as host_properties
 from .aircraft import model_files as model_files
 from .aircraft import open_aircraft as open_aircraft

@@ -28,7 +28,7 @@ from sysid.foreign.regular_files import sha256_hex
 from sysid.logs import AirframeCard, Reference, Sensors
 from sysid.logs import card as airframe_card
 from sysid.record import FlightRecord
-from sysid.units import FT_M, RAD_DEG, SLUG_FT2_KGM2, SLUG_FT3_KGPM3
+from sysid.units import FT_M, LB_KG, RAD_DEG, SLUG_FT2_KGM2, SLUG_FT3_KGPM3
 from uqharness.arguments import path as argument_path
 from uqharness.errors import BadInputError
 from uqharness.files import PROJECT_ROOT
@@ -296,6 +296,8 @@ class Aircraft:
         Content of airframe.toml, or a standard card.
     engine_path, systems_path : Path
         Folders searched for engines and systems after its own.
+    source : Path
+        What `find_aircraft` takes for it: its folder, or one of the files that the folder offers.
     """
 
     name: str
@@ -303,6 +305,7 @@ class Aircraft:
     card: Card
     engine_path: Path
     systems_path: Path
+    source: Path
 
     def __repr__(self) -> str:
         return f"Aircraft({self.name!r}, {str(self.folder)!r})"
@@ -311,6 +314,11 @@ class Aircraft:
     def xml(self) -> Path:
         """Return the aircraft's main XML file."""
         return self.folder / self.card.aircraft.xml
+
+    @property
+    def copy_name(self) -> str:
+        """Return the name of a copy's folder, in which this model is found again."""
+        return self.folder.name if self.source == self.folder else self.name
 
     @property
     def has_card(self) -> bool:
@@ -338,7 +346,8 @@ def find_aircraft(name_or_folder: str | Path) -> Aircraft:
     Parameters
     ----------
     name_or_folder : str or Path
-        A name, or a folder that holds ``<name>.xml`` and, optionally, airframe.toml.
+        A name, a folder that holds ``<name>.xml`` and, optionally, airframe.toml, or one of the
+        models of a folder: its XML, or FlightGear's ``-set.xml`` that names it.
 
     Returns
     -------
@@ -358,12 +367,32 @@ def find_aircraft(name_or_folder: str | Path) -> Aircraft:
     >>> aircraft.name, aircraft.dt_s
     ('espaaro', 0.01)
     """
-    return _read_aircraft(find_folder(argument_path("aircraft", name_or_folder)))
+    return _read_aircraft(_find_source(argument_path("aircraft", name_or_folder)))
 
 
 def find_folder(name_or_folder: str | Path) -> Path:
     """Return the folder of an aircraft without reading its files. Raises BadInputError."""
+    return _folder_of(_find_source(name_or_folder))
+
+
+def _folder_of(source: Path) -> Path:
+    """Return the folder of an aircraft, whose model may lie in a subfolder such as Aero."""
+    if source.is_dir():
+        return source
+    outer = source.parent.parent
+    parts = {name for names in staging.INSIDE.values() for name in names if name}
+    beside = any((source.parent / name).is_dir() for name in parts)
+    return outer if not beside and any(outer.glob(f"*{_SET}")) else source.parent
+
+
+_SET = "-set.xml"
+
+
+def _find_source(name_or_folder: str | Path) -> Path:
+    """Return the folder or file of an aircraft. Raises BadInputError."""
     requested = Path(name_or_folder)
+    if requested.suffix == ".xml" and requested.is_file():
+        return requested.resolve()
     roots = [Path.cwd() / "aircraft", PROJECT_ROOT / "aircraft", engine.default_root() / "aircraft"]
     # A folder counts before a name; names have one part.
     candidates = [requested] if requested.is_dir() else []
@@ -387,34 +416,38 @@ def find_folder(name_or_folder: str | Path) -> Path:
     )
 
 
-def _read_aircraft(folder: Path) -> Aircraft:
-    """Read the card of an aircraft's folder and find its engines and systems."""
+def _read_aircraft(source: Path) -> Aircraft:
+    """Read the card of an aircraft and find its engines and systems."""
+    folder = _folder_of(source)
     card_file = folder / "airframe.toml"
     if card_file.is_file():
-        card = read_card(card_file)
+        card, source = read_card(card_file), folder
     else:
-        xml = _only_model(folder)
-        card = standard_card(xml.stem, xml.name, _commands(folder, xml.name))
-    if Path(card.aircraft.xml).name != card.aircraft.xml or "\\" in card.aircraft.xml:
+        folder, model = _model(source)
+        source = folder if source.is_dir() else source
+        xml = model.relative_to(folder).as_posix()
+        card = standard_card(model.stem, xml, _commands(folder, xml))
+    if staging.leads_out(card.aircraft.xml) or "\\" in card.aircraft.xml:
         raise BadInputError(
             f'{card_file}: [aircraft] xml = "{card.aircraft.xml}": the name of a file in this'
             " folder is needed"
         )
-    xml = folder / card.aircraft.xml
-    if not xml.is_file():
+    xml_file = folder / card.aircraft.xml
+    if not xml_file.is_file():
         raise BadInputError(
-            f'{card_file}: [aircraft] xml = "{card.aircraft.xml}", but {xml} does not exist'
+            f'{card_file}: [aircraft] xml = "{card.aircraft.xml}", but {xml_file} does not exist'
         )
     # Engines and systems lie next to the folder "aircraft" in a JSBSim root.
     root = folder.parent.parent
     own_engine, own_systems = root / "engine", root / "systems"
     stock = engine.default_root()
     return Aircraft(
-        name=xml.stem,
+        name=xml_file.stem,
         folder=folder,
         card=card,
         engine_path=own_engine if own_engine.is_dir() else stock / "engine",
         systems_path=own_systems if own_systems.is_dir() else stock / "systems",
+        source=source,
     )
 
 
@@ -431,24 +464,108 @@ def _commands(folder: Path, xml: str) -> dict[str, str]:
         return {}
 
 
-def _only_model(folder: Path) -> Path:
-    """Return the model of a folder without a card: that of its name, else its only one."""
+def _model(source: Path) -> tuple[Path, Path]:
+    """Return the folder and the model of an aircraft without a card.
+
+    A folder's model is that of its name, else the one that FlightGear's -set.xml of its name or
+    its only ones name, else its only one, else that of its only subfolder with one.
+    """
+    folder = _folder_of(source)
+    if source.is_file() and source.name.endswith(_SET):
+        aero = _set_file(folder, source.name).aero
+        if not aero or not (folder / f"{aero}.xml").is_file():
+            raise BadInputError(
+                f"{source}: names no JSBSim model of this folder; <sim> <aero> must be the name of"
+                f" its XML, received '{aero}'"
+            )
+        return folder, folder / f"{aero}.xml"
+    if source.is_file():
+        if b"<fdm_config" not in read_xml(source):
+            raise BadInputError(
+                f"{source}: is no JSBSim aircraft, which begins with <fdm_config>; give its XML,"
+                " its folder or FlightGear's -set.xml"
+            )
+        return folder, source
     same_name = folder / f"{folder.name}.xml"
     if same_name.is_file():
-        return same_name
+        return folder, same_name
+    sets = {
+        path: folder / f"{aero}.xml"
+        for path, aero in _jsbsim_sets(folder).items()
+        if (folder / f"{aero}.xml").is_file()
+    }
+    by_name = [model for model in sets.values() if model.stem == folder.name]
+    named = sets.get(folder / f"{folder.name}{_SET}") or next(iter(by_name), None)
     models = [path for path in sorted(folder.glob("*.xml")) if b"<fdm_config" in read_xml(path)]
-    if len(models) == 1:
-        return models[0]
-    if not models:
+    choices = [named] if named else sorted(set(sets.values())) or models
+    if len(choices) == 1:
+        return folder, choices[0]
+    if not choices:
+        below = [path for path in sorted(folder.iterdir()) if path.is_dir() and _has_model(path)]
+        if len(below) == 1:
+            return _model(below[0])
+        if not below:
+            raise BadInputError(
+                f"{folder}: no airframe.toml and no {folder.name}.xml, so this is not a JSBSim"
+                " aircraft folder"
+            )
         raise BadInputError(
-            f"{folder}: no airframe.toml and no {folder.name}.xml, so this is not a JSBSim aircraft"
-            " folder"
+            f"{folder}: has no model itself, but {_listed(below, folder)} have one; give one of"
+            " these folders"
         )
+    files = [path for path, model in sets.items() if model in choices] or choices
     raise BadInputError(
-        f"{folder}: no airframe.toml and no {folder.name}.xml, but"
-        f" {' and '.join(path.name for path in models)}; put an airframe.toml with [aircraft] name"
-        f' = "{models[0].stem}" and xml = "{models[0].name}", or another of them, into it'
+        f"{folder}: no airframe.toml and no {folder.name}.xml, but {_listed(choices, folder)}; give"
+        f" {files[0]} or another of them, or put an airframe.toml with [aircraft] name ="
+        f' "{choices[0].stem}" and xml = "{choices[0].relative_to(folder).as_posix()}" into it'
     )
+
+
+def _listed(paths: Collection[Path], folder: Path) -> str:
+    """Return names in a folder as a list of words."""
+    names = [path.relative_to(folder).as_posix() for path in paths]
+    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
+
+
+def _has_model(folder: Path) -> bool:
+    """Return whether a folder looks like an aircraft's."""
+    return (folder / f"{folder.name}.xml").is_file() or bool(_jsbsim_sets(folder))
+
+
+def _set_file(folder: Path, name: str) -> host.SetFile:
+    """Return FlightGear's description of an aircraft, includes within its folder followed."""
+
+    def read(place: str) -> bytes | None:
+        path = folder / place
+        return read_xml(path) if not staging.leads_out(place) and path.is_file() else None
+
+    return host.read_set_file(name, read)
+
+
+def _jsbsim_sets(folder: Path) -> dict[Path, str]:
+    """Return the -set.xml of a folder that fly in JSBSim, with the model that each names."""
+    files = {path: _set_file(folder, path.name) for path in sorted(folder.glob(f"*{_SET}"))}
+    return {
+        path: file.aero
+        for path, file in files.items()
+        if file.aero and file.flight_model in ("", "jsb")
+    }
+
+
+def _initial_values(aircraft: Aircraft) -> Mapping[str, float]:
+    """Return the initial values of the -set.xml that belongs to the model."""
+    sets = _jsbsim_sets(aircraft.folder)
+    model = Path(aircraft.card.aircraft.xml).with_suffix("").as_posix()
+    mine = [path for path, aero in sets.items() if aero == model] or sorted(
+        aircraft.folder.glob(f"*{_SET}")
+    )
+    # One for each variant of an aircraft: that of the request, of the folder, or of the model.
+    preferred = [
+        aircraft.source,
+        *(aircraft.folder / f"{name}{_SET}" for name in (aircraft.folder.name, aircraft.name)),
+    ]
+    chosen = next((path for path in preferred if path in mine), mine[0] if mine else None)
+    return {} if chosen is None else _set_file(aircraft.folder, chosen.name).values
 
 
 def open_aircraft(aircraft: Aircraft, dt_s: float | None = None) -> Any:
@@ -501,7 +618,7 @@ def host_properties(aircraft: Aircraft) -> tuple[HostProperty, ...]:
     not loadable.
     """
     # Cached by file states within this process, and by content on disk.
-    stamp = fingerprint(aircraft), _entries(aircraft)
+    stamp = fingerprint(aircraft), f"{aircraft.source.name} {_entries(aircraft)}"
     if stamp not in _host:
         refuse_unknown_operations(aircraft)
         check_physical(aircraft)
@@ -513,8 +630,7 @@ def host_properties(aircraft: Aircraft) -> tuple[HostProperty, ...]:
             if not errors:
                 raise
             raise BadInputError(_all_findings(errors)) from error
-        for path in sorted(aircraft.folder.glob("*-set.xml")):
-            rows = host.with_initial_values(rows, host.initial_values(read_xml(path)))
+        rows = host.with_initial_values(rows, _initial_values(aircraft))
         # An instrumented aircraft brings the host's system along; its entries stay.
         files = staging.model_files(aircraft)
         if host_system := _carried_system(files):
@@ -545,6 +661,10 @@ def model_files(aircraft: HasFiles) -> ModelFiles:
         part = local.get(name) or files.shared[f"engine/{Path(name).name}"]
         local[name] = replace(part, content=content)
         _report(text)
+    main = aircraft.xml.relative_to(aircraft.folder).as_posix()
+    if levels := fuel_levels(aircraft):
+        local[main] = replace(local[main], content=_with_fuel(local[main].content, levels))
+        _report(f"{aircraft.xml}: {describe_fuel(levels)}")
     host_system = _carried_system(files)
     if host_system and aircraft.card.host:
         content = host.host_system_xml(host.with_host_entries((), aircraft.card.host))
@@ -558,8 +678,7 @@ def model_files(aircraft: HasFiles) -> ModelFiles:
     if not rows:
         return ModelFiles(local, files.shared, files.shared_paths)
     _report(f"{aircraft.name}: {host.describe(rows)}")
-    main = aircraft.xml.relative_to(aircraft.folder).as_posix()
-    author = files.local[main]
+    author = local[main]
     # In the aircraft's own file, so that readers need no other.
     content = host.insert_system(author.content, host.host_system_xml(rows), str(aircraft.xml))
     local[main] = replace(author, content=content)
@@ -613,6 +732,89 @@ def with_rotor_inertia(aircraft: HasFiles, files: ModelFiles) -> dict[str, tuple
     return mended
 
 
+_BURNING = frozenset({"piston_engine", "turbine_engine", "turboprop_engine"})
+_LBS_GAL = 6.0  # of aviation gasoline
+_ASSUMED_FILL = 0.5
+
+
+def fuel_levels(aircraft: Aircraft) -> dict[int, float]:
+    """Return the fuel [lb] of tanks that are empty in the XML and filled by FlightGear, by number.
+
+    FlightGear fills tanks from the -set.xml or by scripts. Tanks are half full where the former
+    has no level. Nothing is filled if no engine starves; if other tanks have fuel, those of the
+    starving engines only are filled, as a system would.
+    """
+    files = staging.model_files(aircraft)
+    parts = {**files.shared, **files.local}
+    roots = {Path(name).stem: part.root for name, part in parts.items()}
+    main = files.local[aircraft.xml.relative_to(aircraft.folder).as_posix()]
+    root: Any = etree.fromstring(main.content, etree.XMLParser(resolve_entities=False))
+    tanks = root.findall("propulsion/tank")
+    contents = [_number(tank, "contents") for tank in tanks]
+    starved: set[int] = set()
+    for node in root.iterfind("propulsion/engine"):
+        feeds = [int(feed.text) for feed in node.iterfind("feed") if (feed.text or "").strip()]
+        burns = roots.get(Path(node.get("file", "")).stem) in _BURNING
+        in_range = [number for number in feeds if number < len(tanks)]
+        if burns and not any(contents[number] for number in in_range):
+            starved |= set(in_range)
+    if not starved:
+        return {}
+    values = _initial_values(aircraft)
+    levels = {}
+    for number, (tank, present) in enumerate(zip(tanks, contents, strict=True)):
+        capacity = _number(tank, "capacity")
+        is_reserve = any(contents) and number not in starved
+        if present or is_reserve or not capacity or tank.find("contents") is None:
+            continue
+        name = "/consumables/fuel/tank" + (f"[{number}]" if number else "")
+        levels[number] = (
+            values.get(f"{name}/level-lbs", 0.0)
+            or values.get(f"{name}/level-gal_us", 0.0) * _LBS_GAL
+            or values.get(f"{name}/level-norm", _ASSUMED_FILL) * capacity
+            or _ASSUMED_FILL * capacity
+        )
+    return levels
+
+
+def describe_fuel(levels: Mapping[int, float]) -> str:
+    """Return a sentence that names the tanks that are filled."""
+    tanks = ", ".join(f"{number}: {level:.4g} lb" for number, level in levels.items())
+    return (
+        f"its engines have no fuel, which FlightGear fills in: flown with tank {tanks}; write"
+        " <contents> of its tanks"
+    )
+
+
+def _number(parent: Any, tag: str) -> float:
+    """Return a child's weight [lb]; 0 without a number."""
+    node = parent.find(tag)
+    try:
+        value = float(node.text)
+    except (AttributeError, TypeError, ValueError):
+        return 0.0
+    return value / LB_KG if node.get("unit", "LBS") == "KG" else value
+
+
+def fuel_text(tank_unit: str, level_lb: float) -> str:
+    """Return the number of <contents> in its unit for a level [lb]."""
+    return f"{level_lb * LB_KG if tank_unit == 'KG' else level_lb:.6g}"
+
+
+def _with_fuel(content: bytes, levels: Mapping[int, float]) -> bytes:
+    """Return an aircraft's XML with other contents of its tanks; lines keep their numbers."""
+    root: Any = etree.fromstring(content, etree.XMLParser(resolve_entities=False))
+    lines = content.split(b"\n")
+    for number, tank in enumerate(root.findall("propulsion/tank")):
+        node = tank.find("contents")
+        if number in levels:
+            text = fuel_text(node.get("unit", "LBS"), levels[number]).encode()
+            lines[node.sourceline - 1] = re.sub(
+                rb"(<contents[^>]*>)[^<]*", rb"\g<1>" + text, lines[node.sourceline - 1]
+            )
+    return b"\n".join(lines)
+
+
 def _provided(aircraft: Aircraft) -> tuple[HostProperty, ...]:
     """Return what a host provides; nothing for a model that JSBSim refuses.
 
@@ -636,7 +838,9 @@ def staged(aircraft: Aircraft) -> Staging:
     """
     author = staging.staged(aircraft)
     if author.root not in _mended:
-        _mended[author.root] = bool(with_rotor_inertia(aircraft, staging.model_files(aircraft)))
+        _mended[author.root] = bool(
+            with_rotor_inertia(aircraft, staging.model_files(aircraft)) or fuel_levels(aircraft)
+        )
     if not aircraft.card.host and not _provided(aircraft) and not _mended[author.root]:
         return author
     # A card that was changed in this process has entries of its own.
@@ -724,26 +928,30 @@ def content_hash(aircraft: Aircraft) -> str:
 
     It identifies the aircraft of a campaign. Raises BadInputError.
     """
-    return identity(aircraft)
+    files = identity(aircraft)
+    # A folder offers several models.
+    chosen = aircraft.source.relative_to(aircraft.folder).as_posix()
+    return files if chosen == "." else sha256_hex(f"{files} {chosen}".encode())
 
 
 def folder_hash(folder: Path) -> str:
     """Return the `content_hash` of the aircraft in a folder. Raises BadInputError."""
-    return identity(_read_aircraft(folder.resolve()))
+    return content_hash(_read_aircraft(folder.resolve()))
 
 
-def folder_fingerprint(folder: Path) -> str:
+def aircraft_fingerprint(name_or_folder: str | Path) -> str:
     """Return a text that changes whenever a file of the aircraft does.
 
     Files are read only after a change. Raises BadInputError.
     """
-    return fingerprint(_read_cached(folder, signature(folder)))
+    source = _find_source(name_or_folder)
+    return fingerprint(_read_cached(source, signature(_folder_of(source))))
 
 
 @lru_cache(maxsize=8)
-def _read_cached(folder: Path, _: object) -> Aircraft:
+def _read_cached(source: Path, _: object) -> Aircraft:
     """Return the aircraft of a folder, read again only if its file states changed."""
-    return _read_aircraft(folder)
+    return _read_aircraft(source)
 
 
 def parse_xml(path: Path) -> etree._ElementTree:

@@ -328,7 +328,7 @@ def undefined_message(undefined: tuple[HostProperty, ...]) -> str:
 def _try_in_child(aircraft: NamedFiles) -> tuple[HostProperty, ...]:
     """Load the model in a child process and return what it reads of a host."""
     folder = aircraft.folder
-    places = (folder, aircraft.xml.name, aircraft.engine_path, aircraft.systems_path)
+    places = (folder, aircraft.xml.relative_to(folder), aircraft.engine_path, aircraft.systems_path)
     child = run_module(__name__, *places, timeout_s=TIMEOUT_S)
     if child.code is None:
         raise BadInputError(

@@ -12,6 +12,7 @@ import difflib
 import os
 import re
 from collections.abc import Iterable
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -393,6 +394,21 @@ def catalog(fdm: Any) -> list[str]:
     listing = fdm.query_property_catalog("")
     rows = listing.splitlines() if isinstance(listing, str) else list(listing)
     return [row.split(" (")[0].strip() for row in rows if row.strip()]
+
+
+@lru_cache(maxsize=1)
+def _without_model() -> Any:
+    """Return the properties of an instance without a model."""
+    _collect().take()
+    fdm = jsbsim.FGFDMExec(None)
+    fdm.set_debug_level(0)
+    return fdm.get_property_manager(), fdm
+
+
+@lru_cache(maxsize=4096)
+def exists_without_model(name: str) -> bool:
+    """Return whether JSBSim has a property whatever the model is."""
+    return bool(_without_model()[0].hasNode(name))
 
 
 def writable(fdm: Any) -> list[str]:

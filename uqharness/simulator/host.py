@@ -17,6 +17,7 @@ import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from io import BytesIO
+from pathlib import PurePosixPath
 from typing import Any
 from xml.parsers import expat
 from xml.sax.saxutils import escape
@@ -203,8 +204,7 @@ _SYSTEMS = _words(
 _ON = _words(
     "alternator avail avionics bat batt battery boost breaker bus circuit condition enable enabled"
     " feed gen generator ignition main master on open operational output outputs power powered"
-    " pressure pump pumps running selected selector serviceable supply switch system tank valve"
-    " working"
+    " pressure pump pumps running selected selector serviceable supply switch system valve working"
 )
 _SAME_NAME = 0.92  # similarity of names outside JSBSim's tree, from where one is a misspelling
 # Sections of JSBSim's own tree: in the first ones scripts may add names, in the others an unknown
@@ -620,7 +620,9 @@ def switch_value(name: str) -> float:
     for group, value in _WORDS:
         if present & group:
             return value
-    return 1.0 if present & _SYSTEMS and leaf & _ON else 0.0
+    # A valve is named after its tank.
+    is_valve = "tank" in leaf and bool(present & {"valve", "valves"})
+    return 1.0 if present & _SYSTEMS and (leaf & _ON or is_valve) else 0.0
 
 
 def is_off(name: str) -> bool:
@@ -629,36 +631,104 @@ def is_off(name: str) -> bool:
     return any(value == 0.0 and words & group for group, value in _WORDS)
 
 
-def initial_values(content: bytes) -> dict[str, float]:
-    """Return the numbers of a FlightGear aircraft's ``-set.xml`` by property.
+@dataclass(frozen=True)
+class SetFile:
+    """What FlightGear reads of an aircraft's ``-set.xml`` and of the files that it includes.
 
-    Values by which other files are included are left out. Empty for other XML.
+    Attributes
+    ----------
+    aero : str
+        Name of the flight model, without ``.xml``; empty without one.
+    flight_model : str
+        Program of the flight model, such as "jsb"; empty without one.
+    values : dict
+        Property to its initial number.
     """
+
+    aero: str = ""
+    flight_model: str = ""
+    values: Mapping[str, float] = field(default_factory=dict)
+
+
+def read_set_file(name: str, read: Callable[[str], bytes | None]) -> SetFile:
+    """Return the content of a ``-set.xml``; empty for XML that is none.
+
+    Parameters
+    ----------
+    name : str
+        Path in the aircraft's folder.
+    read : callable
+        Returns the content of a file of the aircraft's folder; None without that file, such as one
+        of FlightGear's own.
+    """
+    texts: dict[str, str] = {}
+    aliases: dict[str, str] = {}
+    _read_list(name, "", read, texts, aliases, depth=0)
+    for key, target in aliases.items():
+        if target in texts:
+            texts[key] = texts[target]
+    values = {}
+    for key, text in texts.items():
+        if text.lower() in ("true", "false"):
+            values[key] = float(text.lower() == "true")
+        elif _NUMBER.fullmatch(text):
+            values[key] = float(text)
+    aero = texts.get("/sim/aero", "").removesuffix(".xml")
+    return SetFile(aero, texts.get("/sim/flight-model", ""), values)
+
+
+_MOST_INCLUDES = 20
+
+
+def _read_list(
+    name: str,
+    path: str,
+    read: Callable[[str], bytes | None],
+    texts: dict[str, str],
+    aliases: dict[str, str],
+    depth: int,
+) -> None:
+    """Add the properties of a file below ``path``; what is inside an element replaces includes."""
+    content = read(name) if depth < _MOST_INCLUDES else None
+    if content is None:
+        return
     parser = etree.XMLParser(remove_comments=True, resolve_entities=False)
     try:
         root = etree.parse(BytesIO(content), parser).getroot()
     except etree.XMLSyntaxError:
-        return {}
-    values: dict[str, float] = {}
+        return
+    if root.tag != "PropertyList":
+        return
 
     def walk(element: Any, path: str) -> None:
+        if include := (element.get("include") or "").strip():
+            for place in _included_places(include, name):
+                if read(place) is not None:
+                    _read_list(place, path, read, texts, aliases, depth + 1)
+                    break
         numbers: dict[str, int] = {}
         for child in element.iterchildren("*"):
             number = child.get("n")
             index = int(number) if (number or "").isdigit() else numbers.get(child.tag, 0)
             numbers[child.tag] = index + 1
-            name = f"{path}/{child.tag}" + (f"[{index}]" if index else "")
-            text = (child.text or "").strip()
-            if len(child):
-                walk(child, name)
-            elif text.lower() in ("true", "false"):
-                values[canonical(name)] = float(text.lower() == "true")
-            elif _NUMBER.fullmatch(text):
-                values[canonical(name)] = float(text)
+            key = canonical(f"{path}/{child.tag}" + (f"[{index}]" if index else ""))
+            if alias := child.get("alias"):
+                aliases[key] = canonical(alias)
+            if not len(child) and (text := (child.text or "").strip()):
+                texts[key] = text
+                aliases.pop(key, None)
+            walk(child, key if key.startswith("/") else f"/fdm/jsbsim/{key}")
 
-    if root.tag == "PropertyList":
-        walk(root, "")
-    return values
+    walk(root, path)
+
+
+def _included_places(include: str, name: str) -> Iterator[str]:
+    """Yield where a file may lie that another one includes: beside it, or in Aircraft/NAME."""
+    yield (PurePosixPath(name).parent / include).as_posix()
+    yield include
+    parts = PurePosixPath(include).parts
+    if len(parts) > 2 and parts[0] == "Aircraft":
+        yield PurePosixPath(*parts[2:]).as_posix()
 
 
 def with_initial_values(

@@ -586,6 +586,7 @@ def write(files: ModelFiles, aircraft: NamedFiles, root: Path) -> Staging:
         root,
         aircraft.name,
         (
+            (root / "aircraft" / aircraft.name / f"{aircraft.name}.xml", aircraft.xml),
             (root / "aircraft" / aircraft.name, aircraft.folder),
             (root / "engine", aircraft.engine_path),
             (root / "systems", aircraft.systems_path),
@@ -593,8 +594,10 @@ def write(files: ModelFiles, aircraft: NamedFiles, root: Path) -> Staging:
     )
     for folder in (staging.folder, root / "engine", root / "systems"):
         folder.mkdir(parents=True, exist_ok=True)
+    main = aircraft.xml.relative_to(aircraft.folder).as_posix()
     for name, file in files.local.items():
-        _write_screened(staging.folder / name, file)
+        # FlightGear's <aero> may name a file of a subfolder; its parts lie beside the subfolder.
+        _write_screened(staging.xml if name == main else staging.folder / name, file)
         _report_removed(str(aircraft.folder / name), file)
     for name, file in files.shared.items():
         _write_screened(root / name, file)

@@ -181,8 +181,13 @@ def test_derived_properties_are_jsbsims() -> None:
 def test_systems_may_set_gear_positions_and_friction() -> None:
     system = """<system name='s'><channel><summer name='i/g'><bias>.5</bias>
 <output>gear/unit/pos-norm</output><output>gear/unit/static_friction_coeff</output>
-<output>fcs/steer-cmd-norm</output></summer></channel></system>"""
-    records = ["gear/unit/pos-norm", "gear/unit/static_friction_coeff", "velocities/u-fps"]
+<output>fcs/steer-cmd-norm</output><output>gear/unit/broken</output>
+<output>ground/snow-possible</output><output>contact/unit[1]/x-position</output></summer>
+</channel></system>"""
+    # Authors name properties of their own as JSBSim names its.
+    written = ["pos-norm", "static_friction_coeff", "broken"]
+    records = [*(f"gear/unit/{name}" for name in written), "ground/snow-possible"]
+    records += ["contact/unit[1]/x-position", "velocities/u-fps"]
     assert flights.worst(flights.compared(ground_aircraft(system), records, frames=20)) < 1e-9
 
 
@@ -238,7 +243,7 @@ GROUND_GROUND = (
 )
 
 
-def contact(start, steps=120):
+def contact(start, steps=120, system=""):
     """Step and number of the first contact by JSBSim, and time and number by the translation."""
     given = {
         **START,
@@ -249,7 +254,7 @@ def contact(start, steps=120):
         "ic/q-rad_sec": 0.0,
         **start,
     }
-    with craft(aircraft("<aerodynamics/>", ground=GROUND_GROUND), given) as made:
+    with craft(aircraft(f"{system}<aerodynamics/>", ground=GROUND_GROUND), given) as made:
         fdm, sources = made.open(), made.sources()
         points = contact_points(fdm, find_aircraft(made.root / "aircraft" / "point"))
         conditions = {name: float(fdm[name]) for name in CONDITIONS}
@@ -291,6 +296,18 @@ def test_the_first_point_and_its_step(start, name):
     assert list(POINTS)[number] == name
     assert (records[0, : step - 1] == -1.0).all()
     assert records[0, step - 1 :] == pytest.approx(step * DT_S, abs=1e-12)
+    assert (records[1, step - 1 :] == number).all()
+
+
+def test_a_point_that_a_system_moves_touches_where_it_is():
+    start = {"ic/theta-rad": 0.5, "ic/phi-rad": 0.0}
+    system = """<system name="s"><channel><summer name="i/z"><bias>60</bias>
+<output>contact/unit/z-position</output></summer></channel></system>"""
+    first, records = contact(start, system=system)
+    assert first is not None
+    step, number = first
+    assert list(POINTS)[number] != "TAIL"
+    assert (records[1, : step - 1] == -1.0).all()
     assert (records[1, step - 1 :] == number).all()
 
 

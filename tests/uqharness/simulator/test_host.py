@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import re
+import shutil
+
 import pytest
 
 from tests.helpers import foreign_aircraft
 from uqharness.errors import BadInputError
 from uqharness.simulator import engine, find_aircraft, host, open_aircraft, staged
-from uqharness.simulator.aircraft import host_properties
+from uqharness.simulator.aircraft import content_hash, fuel_levels, host_properties
 
 
 def reads(names, computed=(), declared=None):
@@ -133,3 +136,85 @@ def test_the_author_s_initial_values_are_taken_where_nothing_else_is_known(tmp_p
     found = {row.name: row.source for row in host_properties(aircraft)}
     assert [found[name] for name in names] == ["7.5", "1", "0", "3"]
     assert found["/velocities/mach"] == "velocities/mach"
+
+
+def flightgear_folder(parent, models=("single",)):
+    """Return an aircraft in FlightGear's layout: models in Aero, a -set.xml for each, includes."""
+    folder = parent / "repository" / "Aircraft" / "Plane"
+    foreign_aircraft.write("single", parent)
+    folder.parent.mkdir(parents=True)
+    (parent / "single").rename(folder)
+    (folder / "Aero").mkdir()
+    text = (folder / "single.xml").read_text()
+    (folder / "single.xml").unlink()
+    for name in models:
+        (folder / "Aero" / f"{name}.xml").write_text(text)
+        (folder / f"{name}-set.xml").write_text(
+            f'<PropertyList include="Aircraft/Plane/base.xml"><sim><aero>Aero/{name}</aero></sim>'
+            f"<options><variant>{len(name)}</variant></options></PropertyList>"
+        )
+    (folder / "yasim-set.xml").write_text(
+        "<PropertyList><sim><flight-model>yasim</flight-model><aero>y</aero></sim></PropertyList>"
+    )
+    (folder / "base.xml").write_text(
+        "<PropertyList><sim><flight-model>jsb</flight-model><aero>none</aero></sim>"
+        '<options include="options.xml"><variant>1</variant></options></PropertyList>'
+    )
+    (folder / "options.xml").write_text(
+        '<PropertyList><ballast>7.5</ballast><same alias="/options/ballast"/></PropertyList>'
+    )
+    return folder
+
+
+def test_flightgear_s_layout_is_an_aircraft(tmp_path):
+    folder = flightgear_folder(tmp_path)
+    names = ["/options/ballast", "/options/same", "/options/variant"]
+    with_readings(folder / "Aero", names)
+    # The repository has one aircraft; its model lies in a subfolder, beside Engines and Systems.
+    for place in (folder, folder.parent, folder / "single-set.xml", folder / "Aero/single.xml"):
+        aircraft = find_aircraft(place)
+        assert (aircraft.folder, aircraft.name) == (folder, "single")
+    sources = {row.name: row.source for row in host_properties(aircraft)}
+    assert [sources[name] for name in names] == ["7.5", "7.5", "6"]
+    assert engine_count(aircraft) == 1
+
+
+def engine_count(aircraft):
+    """Return the number of engines that JSBSim loads."""
+    return open_aircraft(aircraft).get_propulsion().get_num_engines()
+
+
+def test_variants_of_a_folder_are_told_apart(tmp_path):
+    folder = flightgear_folder(tmp_path, ("single", "second"))
+    with pytest.raises(BadInputError, match=r"Aero/second\.xml and Aero/single\.xml; give .*-set"):
+        find_aircraft(folder)
+    first, second = (find_aircraft(folder / f"{name}-set.xml") for name in ("single", "second"))
+    assert (first.name, second.name) == ("single", "second")
+    assert content_hash(first) != content_hash(second)
+    copy = tmp_path / "copies" / second.copy_name
+    shutil.copytree(folder, copy)
+    assert find_aircraft(copy).name == "second"
+    with pytest.raises(BadInputError, match=r"yasim-set\.xml: names no JSBSim model"):
+        find_aircraft(folder / "yasim-set.xml")
+
+
+@pytest.mark.parametrize(
+    ("set_file", "level"),
+    [
+        ("", "60"),
+        ("<tank><level-lbs>33</level-lbs></tank>", "33"),
+        ("<tank><level-gal_us>10</level-gal_us></tank>", "60"),
+    ],
+)
+def test_tanks_that_flightgear_fills_are_filled(tmp_path, set_file, level):
+    folder = foreign_aircraft.write("single", tmp_path)
+    xml = folder / "single.xml"
+    text = re.sub(r"(<capacity[^>]*>)[^<]*(</capacity>)", r"\g<1>120\g<2>", xml.read_text())
+    xml.write_text(text)
+    assert fuel_levels(find_aircraft(folder)) == {}
+    xml.write_text(re.sub(r"(<contents[^>]*>)[^<]*(</contents>)", r"\g<1>0\g<2>", text))
+    (folder / "single-set.xml").write_text(
+        f"<PropertyList><consumables><fuel>{set_file}</fuel></consumables></PropertyList>"
+    )
+    fdm = open_aircraft(find_aircraft(folder))
+    assert fdm["propulsion/tank/contents-lbs"] == pytest.approx(float(level))

@@ -13,6 +13,7 @@ import re
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from types import MappingProxyType
 from typing import NoReturn
 
@@ -20,6 +21,7 @@ from uqharness.batch.ir import Builder, Value
 from uqharness.batch.maths import reuse_sines
 from uqharness.batch.program import Program, Section, Stream, When
 from uqharness.errors import BadInputError
+from uqharness.simulator import engine
 from uqharness.xml import Document, Node
 
 # Shared by all translators: builder, document, reading of properties, errors with file and line.
@@ -632,12 +634,16 @@ _TANK_SET = (
     r"|[xyz]-position)"
 )
 _TANK_MADE = r"propulsion/tank(\[\d+\])?/(pct-full|density-lbs_per_gal|local-i..-slug_ft2)"
-_CONTACT_SET = r"(gear|contact)/unit(\[\d+\])?/(pos-norm|(static|dynamic|rolling)_friction_coeff)"
+_CONTACT_SET = (
+    r"(gear|contact)/unit(\[\d+\])?/"
+    r"(pos-norm|[xyz]-position|(static|dynamic|rolling)_friction_coeff)"
+)
 _CONTACT = (
     rf"{_CONTACT_SET}|(gear|contact)/unit(\[\d+\])?/(WOW|compression-ft|compression-velocity-fps"
-    r"|[xyz]-position|slip-angle-deg|wheel-speed-fps|steering-angle-deg|castered|solid|bumpiness"
-    r"|maximum-force-lbs|(rolling|static)_friction-factor)"
+    r"|slip-angle-deg|wheel-speed-fps|steering-angle-deg|castered|solid|bumpiness"
+    r"|maximum-force-lbs|rolling_friction-factor|static-friction-factor)"
 )
+_CONTACT_MADE = r"(gear|contact)/unit(\[\d+\])?/(AGL-ft|side_friction_coeff)"
 _STEERING = r"fcs/steer-pos-deg(\[\d+\])?"
 _JSBSIM_MADE = re.compile(
     r"(simulation|inertial|ic|orbital|velocities|position|attitude|accelerations|forces|moments"
@@ -646,8 +652,7 @@ _JSBSIM_MADE = re.compile(
     r"|aero/(Re|alpha(-wing|-max|-min)?-rad|alpha-deg|(alpha|beta)dot-(rad|deg)_sec"
     r"|(mag-)?beta-(rad|deg)|[bc]i2vel|cl-squared"
     r"|h_b-(cg|mac)-ft|qbar(UV|UW)?-psf|qbar-area|stall-hyst-norm)"
-    r"|systems/stall-warn-norm|gear/(num-units|wow|unit(\[\d+\])?/.*)|contact/unit(\[\d+\])?/.*"
-    rf"|fcs/mag-.*-pos-rad|{_STEERING}"
+    rf"|systems/stall-warn-norm|gear/(num-units|wow)|{_CONTACT}|{_CONTACT_MADE}|fcs/mag-.*-pos-rad|{_STEERING}"
     r"|propulsion/(tat-[rc]|pt-lbs_sqft|active_engine|set-running|starter_cmd|cutoff_cmd"
     r"|magneto_cmd|refuel|fuel_dump|fuel_freeze"
     rf"|total-.*-lbs)|{_ENGINE_SET}|{_ENGINE_MADE}|{_TANK_SET}|{_TANK_MADE}|buoyant_forces/.*"
@@ -708,16 +713,34 @@ REQUIRED: Mapping[str, float] = MappingProxyType(
 """Settings of JSBSim -> the only supported value."""
 
 
+_SECTIONS = re.compile(
+    r"(simulation|inertial|ic|orbital|velocities|position|attitude|accelerations|forces|moments"
+    r"|flight-path|inertia|metrics|ground|atmosphere)/.*"
+)
+_OF_MODEL = re.compile(
+    r"(forces|moments)/.*-(prop|buoyancy)-.*|inertia/pointmass-.*|simulation/integrator/.*"
+)
+
+
+@lru_cache(maxsize=4096)
 def made_by_jsbsim(name: str) -> bool:
     """Return whether JSBSim computes the property, so that it may change although no XML writes
     it.
     """
-    return _JSBSIM_MADE.fullmatch(name) is not None
+    if _JSBSIM_MADE.fullmatch(name) is None:
+        return False
+    # Authors put properties of their own into JSBSim's sections.
+    return bool(
+        not _SECTIONS.fullmatch(name)
+        or _OF_MODEL.fullmatch(name)
+        or engine.exists_without_model(name)
+    )
 
 
 def keeps_value(name: str) -> bool:
     """Return whether a property of JSBSim keeps its value unless something writes it."""
-    return _FIXED.fullmatch(name) is not None
+    is_authors = _JSBSIM_MADE.fullmatch(name) is not None and not made_by_jsbsim(name)
+    return _FIXED.fullmatch(name) is not None and not is_authors
 
 
 def is_constant(name: str) -> bool:
