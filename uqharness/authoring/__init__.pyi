@@ -10,6 +10,7 @@ from .slips import mass_slips as mass_slips
 from .source import Entry as Entry
 from .source import Source as Source
 from .write_aircraft import Equipment as Equipment
+from .write_aircraft import SteadyFlight as SteadyFlight
 from .write_aircraft import design_speed as design_speed
 from .write_aircraft import read_contacts as read_contacts
 from .write_aircraft import write_aircraft as write_aircraft

@@ -158,10 +158,16 @@ def control_weights(
                     f" unknown; surfaces are {', '.join(source.surfaces) or 'none'}, controls"
                     f" {', '.join(CONTROLS)}"
                 )
-        by_name = control_weights(source)
-        return by_name | {control: dict(weights) for control, weights in stated.items()}
-    middle = _middle(source)
-    values = body_coefficients(middle, source.surfaces)
+        values = body_coefficients(_middle(source), source.surfaces)
+        turned = {}
+        for control, weights in stated.items():
+            # The statement says which panels go together; the moment says which way is positive.
+            coefficient, sign = _MOMENT_OF[control]
+            moment = sum(w * values[coefficient, name] for name, w in weights.items())
+            turn = -1.0 if sign * moment < 0.0 else 1.0
+            turned[control] = {name: turn * w for name, w in weights.items()}
+        return control_weights(source) | turned
+    values = body_coefficients(_middle(source), source.surfaces)
     kinds: dict[str, list[str]] = {control: [] for control in CONTROLS}
     for name in source.surfaces:
         for control in controls_of(name):

@@ -367,6 +367,7 @@ def _longitudinal(
             "The aeroplane needs the wrong alpha to carry its weight",
         )
         return
+    yield from _polar(point, lift.value, aspect_ratio)
     if pitch is not None:
         margin = -pitch.value / lift.value
         if margin < -0.02 and source.facts.get("x_np") is None:
@@ -426,6 +427,26 @@ def _longitudinal(
             f"CL_q {lift_q.value:.4g} with Cm_q {damping.value:.4g}; a tail behind the CG gives a"
             " positive CL_q",
             "Lift falls with the pitch rate",
+        )
+
+
+def _polar(point: Point, lift_slope: float, aspect_ratio: float) -> Iterator[Slip]:
+    """Check that drag and its slope leave a drag at zero lift: CD = CD_0 + k CL^2."""
+    lift = point.value("CL", TOTAL)
+    drag, slope = (point.entries.get(("CD", variable)) for variable in (TOTAL, "alpha"))
+    if drag is None or slope is None or abs(lift) < 0.1:
+        return
+    curvature = slope.value / (2.0 * lift * lift_slope)
+    least = drag.value - curvature * lift**2
+    if least < -0.005:
+        efficiency = 1.0 / (math.pi * aspect_ratio * curvature)
+        yield _slip(
+            slope,
+            "drag",
+            f"CD_alpha {slope.value:.4g} per rad with CD {drag.value:.4g} at CL {lift:.4g} gives a"
+            f" drag of {least:.3g} at zero lift and e = {efficiency:.2g}; above 0 and about 0.8 are"
+            f" expected (CL_0 is the lift at zero alpha){_unit_remark(0.8 / efficiency)}",
+            "Drag is negative at low lift: there is no trim",
         )
 
 

@@ -24,7 +24,14 @@ from uqharness.authoring.prior import Prior, prior_document, prior_form, priors
 from uqharness.errors import BadInputError
 from uqharness.files import write_bytes, write_text
 from uqharness.plugin import AIR_FILE, ERRORS_SYSTEM, ERRORS_XML, Bounds, bounds_xml
-from uqharness.simulator import MEMS_NOISE_STD, Aircraft, content_hash, find_aircraft
+from uqharness.simulator import (
+    MEMS_NOISE_STD,
+    Aircraft,
+    SteadyCondition,
+    content_hash,
+    find_aircraft,
+    find_trim,
+)
 from uqharness.toml import as_toml
 from uqharness.xml import in_comment
 
@@ -101,6 +108,39 @@ def design_speed(model: AeroModel) -> float:
     return math.sqrt(2.0 * weight / (_SEA_LEVEL_KGPM3 * model.S * lift))
 
 
+@dataclass(frozen=True)
+class SteadyFlight:
+    """Speed [m/s] and height [m] of the campaign, and why it is no trim; empty where it is one."""
+
+    speed_mps: float
+    altitude_m: float
+    reason: str = ""
+
+
+_OTHER_LIFTS = (0.5, 0.3, 0.7, 0.2, 0.9)
+"""Lift coefficients tried in turn where the source's has no trim."""
+
+
+def steady_flight(aircraft: Aircraft, model: AeroModel) -> SteadyFlight:
+    """Return a level flight of the written aircraft, near the speed of the source's lift.
+
+    A tailless or overloaded aircraft may have no trim at that speed but at another. The height
+    leaves room for five seconds of flight with wrong pitching moments.
+    """
+    first = design_speed(model)
+    weight = model.mass.mass_kg * G0_MPS2
+    speeds = [math.sqrt(2.0 * weight / (_SEA_LEVEL_KGPM3 * model.S * k)) for k in _OTHER_LIFTS]
+    flights = []
+    for speed in (first, *speeds):
+        rounded = float(f"{speed:.3g}")
+        altitude = max(200.0, 100.0 * round(0.15 * rounded))
+        trim = find_trim(aircraft, SteadyCondition(rounded, altitude))
+        flights.append(SteadyFlight(rounded, altitude, "" if trim.converged else trim.reason))
+        if trim.converged:
+            return flights[-1]
+    return flights[0]
+
+
 def safe_name(text: str) -> str:
     """Return a name that a folder, an XML file and a property can have.
 
@@ -112,7 +152,7 @@ def safe_name(text: str) -> str:
 
 def write_aircraft(
     folder: Path, model: AeroModel, source: Path, equipment: Equipment
-) -> tuple[Aircraft, Mapping[str, Prior]]:
+) -> tuple[Aircraft, SteadyFlight]:
     """Write the folder of an aircraft.
 
     Parameters
@@ -130,10 +170,12 @@ def write_aircraft(
     -------
     Aircraft
         Of the folder.
-    mapping of str to Prior
-        By term.
+    SteadyFlight
+        Of its campaign.
     """
-    model = replace(model, name=safe_name(model.name))
+    # Titles such as "****" make no name.
+    has_letters = re.search("[A-Za-z0-9]", model.name) is not None
+    model = replace(model, name=safe_name(model.name if has_letters else source.stem))
     by_term = priors(model)
     speed = design_speed(model)
     xml = _xml(model, by_term, source, equipment, speed)
@@ -145,13 +187,14 @@ def write_aircraft(
     write_bytes(systems / f"{ERRORS_SYSTEM}.xml", ERRORS_XML)
     # The bounds depend on the aircraft's controls, so the aircraft is read before its bounds are.
     aircraft = _with_bounds(folder, model, by_term, speed)
-    write_text(folder / "campaign.toml", _campaign(speed))
+    flight = steady_flight(aircraft, model)
+    write_text(folder / "campaign.toml", _campaign(flight))
     form = prior_form(model, by_term, speed, content_hash(aircraft))
     write_text(folder / "model-form.json", prior_document(form, model, by_term))
-    return aircraft, by_term
+    return aircraft, flight
 
 
-def _campaign(speed: float) -> str:
+def _campaign(flight: SteadyFlight) -> str:
     """Return a campaign of steady flight over the corners of the prior."""
     return "\n".join(
         (
@@ -163,8 +206,8 @@ def _campaign(speed: float) -> str:
             "seed = 1",
             "",
             "[start]",
-            f"V_mps = {speed:.3g}",
-            "altitude_m = 200",
+            f"V_mps = {flight.speed_mps:.3g}",
+            f"altitude_m = {flight.altitude_m:g}",
             "",
             "[aleatory]",
             "flights = 4                  # per corner",

@@ -12,6 +12,7 @@ from uqharness.authoring import (
     MassProperties,
     Source,
     Sources,
+    SteadyFlight,
     build,
     class_errors,
     design_speed,
@@ -72,6 +73,7 @@ def author(request: AuthorRequest, callback: Callback = silent) -> Outcome[Autho
     model = replace(model, notes=(*model.notes, *notes))
     # An aircraft with a slip would fly, wrongly: it is written on request only.
     refused = bool(slips) and not request.accept_slips
+    flight = SteadyFlight(design_speed(model), 200.0)
     by_term = priors(model)
     if not refused:
         callback("writing")
@@ -81,7 +83,9 @@ def author(request: AuthorRequest, callback: Callback = silent) -> Outcome[Autho
             pitch_speed_mps=request.pitch_speed_mps,
             contacts=read_contacts(request.contacts),
         )
-        write_aircraft(results_folder(request.out), model, sources.derivatives.path, equipment)
+        _, flight = write_aircraft(
+            results_folder(request.out), model, sources.derivatives.path, equipment
+        )
     # The document lists each term with its prior, written or not.
     margin_std = class_errors()["static margin"].gaussian_std
     document = Authored(
@@ -95,7 +99,7 @@ def author(request: AuthorRequest, callback: Callback = silent) -> Outcome[Autho
         },
         static_margin=model.static_margin,
         static_margin_std=margin_std,
-        speed_mps=design_speed(model),
+        speed_mps=flight.speed_mps,
         terms={
             f"aero/{key}": AuthoredTerm(
                 value=value.value,
@@ -111,7 +115,10 @@ def author(request: AuthorRequest, callback: Callback = silent) -> Outcome[Autho
         ],
         notes=list(model.notes),
     )
-    return Outcome(document, document, _lines(document, refused), code=int(refused))
+    lines = _lines(document, refused)
+    if flight.reason:
+        lines.insert(-1, f"No steady flight was found for campaign.toml: {flight.reason}")
+    return Outcome(document, document, lines, code=int(refused))
 
 
 def _mass_properties(request: AuthorRequest, sources: Sources) -> tuple[MassProperties, list[str]]:
@@ -251,7 +258,10 @@ def _lines(document: Authored, refused: bool) -> list[str]:
             ),
             *(f"1 degree of {c} is {mix}" for c, mix in document.mixing.items()),
             *(f"Assumed: {note}" for note in document.notes),
-            f"next: uqharness modes {document.aircraft} --speed-mps {document.speed_mps:.3g}",
+            (
+                f"next: uqharness modes {document.aircraft} --speed-mps {document.speed_mps:.3g},"
+                f" uqharness campaign run {document.aircraft}/campaign.toml --out DIR"
+            ),
         ]
     return lines
 

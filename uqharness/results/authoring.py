@@ -35,7 +35,9 @@ class Authored(Part):
     reference: Numbers = Field(description="S_m2, b_m, c_m, mass_kg")
     static_margin: Number = Field(description="neutral point behind the CG over the chord")
     static_margin_std: Number = Field(description="standard deviation of its prior")
-    speed_mps: Number = Field(description="speed that makes the prior's rates dimensionless, m/s")
+    speed_mps: Number = Field(
+        description="true airspeed of the steady flight in campaign.toml, m/s"
+    )
     terms: dict[str, AuthoredTerm] = Field(description="terms by property")
     mixing: dict[str, str] = Field(description="surfaces of each control")
     slips: list[SlipFound] = Field(description="usual slips that were found")

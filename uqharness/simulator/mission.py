@@ -220,7 +220,8 @@ class StagedMission:
             raise BadInputError(
                 f"{script_path}: starts from the initial conditions '{self.script.initialize}',"
                 f" which aircraft '{aircraft.name}' does not have ({start}.xml); give a script made"
-                " for this aircraft"
+                " for this aircraft, or a mission for any: steady, doublets, 3-2-1-1 (fly --mission"
+                " doublets --speed-mps V)"
             )
         self._scratch = scratch_folder("mission")
         self._staging = stage(aircraft, self._scratch.path)
