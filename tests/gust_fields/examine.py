@@ -238,7 +238,9 @@ def main() -> None:
     parser.add_argument("--refine", action="store_true")
     request = parser.parse_args()
     if unknown := {*request.families} - {*FAMILIES, *SPEEDS_OF}:
-        parser.error(f"no family {', '.join(unknown)}; there are {', '.join([*FAMILIES, *SPEEDS_OF])}")
+        parser.error(
+            f"no family {', '.join(unknown)}; there are {', '.join([*FAMILIES, *SPEEDS_OF])}"
+        )
     seeds = range(request.first, request.first + request.seeds)
     for family, kind, seed in product(request.families, request.kinds, seeds):
         with tempfile.TemporaryDirectory() as folder:

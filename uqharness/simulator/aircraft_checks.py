@@ -477,8 +477,25 @@ if __name__ == "__main__":
 # about models that JSBSim refused, so that no working model is judged by these rules.
 
 _MAX_FINDINGS = 30
-# A text of digits, signs and points that is meant as a number.
-_NUMBER_LIKE = re.compile(r"[-+]?[.,]?\d[\d.,eE+\-]*")
+# A text that is meant as a number: properties begin with a letter or a slash.
+_NUMBER_LIKE = re.compile(r"[-+]?[.,]?\d\S*")
+_AXES_TEXT = "DRAG SIDE LIFT AXIAL NORMAL X Y Z ROLL PITCH YAW"
+_AXES = tuple(_AXES_TEXT.split())
+_COMPONENTS_TEXT = """
+accelerometer actuator aerosurface_scale angles angle deadband distributor fcs_function gyro
+integrator kinematic lag_filter lead_lag_filter magnetometer pid property pure_gain scheduled_gain
+second_order_filter sensor summer switch washout_filter waypoint_distance waypoint_heading
+"""
+_COMPONENTS = frozenset(_COMPONENTS_TEXT.split())
+_COEFFICIENTS = {
+    "lag_filter": 1,
+    "washout_filter": 1,
+    "integrator": 1,
+    "lead_lag_filter": 4,
+    "second_order_filter": 6,
+}
+_SECTIONS = ("metrics", "mass_balance", "ground_reactions", "aerodynamics")
+_BURNING = frozenset({"piston_engine", "turbine_engine", "turboprop_engine"})
 _UNITS_TEXT = """
 M FT IN KM M2 FT2 M3 FT3 IN3 CC LTR LBS LB KG SLUG N NEWTONS DEG RAD DEG/SEC RAD/SEC FT/SEC M/S KTS
 KPH MPH SLUG*FT2 KG*M2 LBS/FT N/M LBS/FT/SEC N/M/SEC LBS/FT2/SEC2 N/M2/SEC2 WATTS HP KW INHG PSF PA
@@ -516,7 +533,8 @@ def findings(
     stems : collection of str
         Names of the XML files of the folder, without suffix, for hints.
     refused : bool
-        Whether JSBSim refused the model; else only operations are judged, which it ignores.
+        Whether JSBSim refused the model; else only what it ignores, or crashes on in flight, is
+        judged.
     """
     messages: list[str] = []
     for name, file in [*files.local.items(), *files.shared.items()]:
@@ -529,10 +547,10 @@ def findings(
             raise BadInputError(f"{where}:{error.lineno}: not well-formed XML: {words}") from None
         if root.tag in ("initialize", "runscript"):
             continue
-        rows = [*_operations(root, operations)]
+        rows = [*_operations(root, operations), *_components(root), *_feeds(root, files)]
         if refused:
             rows += [*_files(root, files, stems), *_numbers(root), *_tables(root)]
-            rows += [*_doubles(root), *_units(root)]
+            rows += [*_doubles(root), *_units(root), *_missing_parts(root)]
         messages += [f"{where}:{line}: {text}" for line, text in sorted(set(rows))]
     return messages[:_MAX_FINDINGS]
 
@@ -575,6 +593,8 @@ def _numbers(root: Any) -> Iterator[tuple[int, str]]:
         if element.tag == "tableData":
             continue
         texts = [(element.text or "").strip(), (element.get("value") or "").strip()]
+        if element.tag in ("value", "v") and not texts[0]:
+            yield _line(element), f"<{element.tag}> is empty; write a number into it"
         for text in texts:
             if _NUMBER_LIKE.fullmatch(text) and not _is_number(text):
                 yield (
@@ -610,6 +630,9 @@ def _tables(root: Any) -> Iterator[tuple[int, str]]:
     for table in root.iter("table", "t"):
         data = table.findall("tableData")
         if not data:
+            # A table may refer to another one by its name.
+            if table.find("independentVar") is not None:
+                yield _line(table), "this <table> has no <tableData>; add its numbers"
             continue
         axes = max(
             (
@@ -675,7 +698,7 @@ def _block(block: Any, axes: int) -> Iterator[tuple[int, str]]:
             if len(row) != width:
                 yield line, f"this row of <tableData> has {len(row)} numbers; {width} are needed"
     # Keys must increase from row to row.
-    first = 1 if two and axes != 1 else 0
+    first = 1 if (two and not one) or (axes == 2 and not one) else 0
     keys = [(line, float(row[0])) for line, row in lines[first:]]
     for (_, before), (line, after) in itertools.pairwise(keys):
         if after <= before:
@@ -708,13 +731,69 @@ def _units(root: Any) -> Iterator[tuple[int, str]]:
     """Yield units that JSBSim does not know."""
     for element in _functional_elements(root):
         unit = (element.get("unit") or "").strip()
-        if unit and unit.upper() not in _UNITS:
+        if unit and unit not in _UNITS:
             matches = difflib.get_close_matches(unit.upper(), sorted(_UNITS), n=1)
             hint = f"; did you mean {matches[0]}?" if matches else ""
             yield (
                 _line(element),
                 f'<{element.tag} unit="{unit}">: no unit of JSBSim{hint}',
             )
+
+
+def _missing_parts(root: Any) -> Iterator[tuple[int, str]]:
+    """Yield sections, coefficients, settings and axes without which JSBSim loads nothing."""
+    if root.tag == "fdm_config":
+        for tag in _SECTIONS:
+            if root.find(tag) is None:
+                yield _line(root), f"<fdm_config> has no <{tag}>; add it"
+    for axis in root.iterfind("aerodynamics/axis"):
+        if (name := axis.get("name", "")) not in _AXES:
+            matches = difflib.get_close_matches(name.upper(), _AXES, n=1)
+            hint = f"; did you mean {matches[0]}?" if matches else ""
+            yield _line(axis), f'<axis name="{name}">: allowed are {", ".join(_AXES)}{hint}'
+    for tag, number in _COEFFICIENTS.items():
+        for component in root.iter(tag):
+            missing = [f"c{k}" for k in range(1, number + 1) if component.find(f"c{k}") is None]
+            if missing:
+                yield _line(component), f"<{tag}> has no <{'>, <'.join(missing)}>; add it"
+    for tag in (*_COEFFICIENTS, "pure_gain", "deadband", "pid"):
+        for component in root.iterfind(f".//channel/{tag}"):
+            if component.find("input") is None:
+                yield _line(component), f"<{tag}> has no <input>; add the property that it reads"
+    for variable in root.iter("independentVar"):
+        lookup = variable.get("lookup", "row")
+        if not (lookup in _LENGTHS_OF_TABLES or re.fullmatch(r"axis\d+", lookup)):
+            yield _line(variable), f'lookup="{lookup}": allowed are row, column and table'
+    for setting in root.iter("setting"):
+        for tag in ("position", "time"):
+            if setting.find(tag) is None:
+                yield _line(setting), f"<setting> of <kinematic> has no <{tag}>; add it"
+
+
+def _components(root: Any) -> Iterator[tuple[int, str]]:
+    """Yield misspelt components, which JSBSim ignores."""
+    for element in root.iterfind(".//channel/*"):
+        if not isinstance(element.tag, str) or element.tag in _COMPONENTS:
+            continue
+        matches = difflib.get_close_matches(element.tag, sorted(_COMPONENTS), n=1, cutoff=0.8)
+        if matches:
+            text = f"<{element.tag}> is no component of JSBSim, which would ignore it"
+            yield _line(element), f"{text}; did you mean <{matches[0]}>?"
+
+
+def _feeds(root: Any, files: ModelFiles) -> Iterator[tuple[int, str]]:
+    """Yield engines that draw fuel from a tank that does not exist, where JSBSim crashes."""
+    parts = {**files.shared, **files.local}
+    kinds = {PurePosixPath(name).stem: part.root for name, part in parts.items()}
+    tanks = len(root.findall("propulsion/tank"))
+    for node in root.iterfind("propulsion/engine"):
+        if kinds.get(PurePosixPath(node.get("file", "")).stem) not in _BURNING:
+            continue
+        for feed in node.iterfind("feed"):
+            text = (feed.text or "").strip()
+            if text.isdigit() and int(text) >= tanks:
+                number = f"{tanks} tank{'s' * (tanks != 1)}, counted from 0"
+                yield _line(feed), f"<feed> is {text}, of {number}; name one of them"
 
 
 def _operations(root: Any, operations: frozenset[str]) -> Iterator[tuple[int, str]]:

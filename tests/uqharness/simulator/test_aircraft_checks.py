@@ -246,6 +246,13 @@ def table(axes, data):
     return "<aerodynamics>", "<aerodynamics>" + TABLE.format(axes, data)
 
 
+INPUT = "<input>fcs/elevator-cmd-norm</input>"
+
+
+def component(tag, inside):
+    return "</channel>", f"<{tag} name='t/x'>{inside}</{tag}></channel>"
+
+
 CASES = {
     "number": (("<x>45</x>", "<x>-32.5.0</x>"), r"single\.xml:\d+: <x> is '-32\.5\.0', no number"),
     "comma": (("<max>0.35</max>", "<max>0,35</max>"), r"'0,35', no number; .* such as 0\.35"),
@@ -265,6 +272,16 @@ CASES = {
     "system": (('file="switchboard"', 'file="swichboard"'), r"no such file; put swichboard\.xml"),
     "engine": (('file="flat_four"', 'file="flat_for"'), r"did you mean flat_four\?"),
     "unit": (('unit="FT2"', 'unit="FT^2"'), r'unit="FT\^2">: no unit of JSBSim; did you mean FT2'),
+    "case": (('unit="FT2"', 'unit="ft2"'), r'unit="ft2">: no unit of JSBSim; did you mean FT2'),
+    "letter": (("<value>4.8</value>", "<value>4.B</value>"), r"<value> is '4\.B', no number"),
+    "empty": (("<value>4.8</value>", "<value/>"), "<value> is empty"),
+    "lookup": (table(COLUMN.replace("column", "col"), "0 1\n1 2 3"), 'lookup="col": allowed'),
+    "no data": (table("", "X"), "'X' in <tableData> is no number"),
+    "axis": (('<axis name="LIFT">', '<axis name="LIFTT">'), "did you mean LIFT"),
+    "coefficient": (component("lag_filter", INPUT), "<lag_filter> has no <c1>"),
+    "input": (component("lag_filter", "<c1>1</c1>"), "<lag_filter> has no <input>"),
+    "component": (component("lagg_filter", INPUT), "did you mean <lag_filter>"),
+    "feed": (("<feed>0</feed>", "<feed>4</feed>"), "<feed> is 4, of 1 tank, counted from 0"),
 }
 
 
