@@ -166,7 +166,11 @@ def fly(request: FlyRequest, callback: Callback = silent) -> Outcome[Flight]:
         if waypoints is not None:
             autopilot = waypoints
         elif request.autopilot_process is not None:
-            autopilot = AutopilotSettings(request.autopilot_process, request.autopilot_warmup_s)
+            autopilot = AutopilotSettings(
+                request.autopilot_process,
+                request.autopilot_warmup_s,
+                protocol=request.autopilot_protocol,
+            )
         table, recorded = recorded_flight(
             flight_aircraft, script, seeded_spec(spec, request.seed), autopilot
         )

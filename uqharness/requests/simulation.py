@@ -99,8 +99,13 @@ class FlyRequest(Request):
     autopilot_process: str | None = option(
         None,
         "command that starts a real autopilot, such as 'arduplane --model JSON:127.0.0.1'; it flies"
-        " the aircraft in lock step over UDP port 9002 (docs/autopilot.md)",
+        " the aircraft in lock step (docs/autopilot.md)",
         metavar="COMMAND",
+    )
+    autopilot_protocol: Literal["ardupilot-json", "px4-hil"] = option(
+        "ardupilot-json",
+        "how the real autopilot is connected: ArduPilot's JSON back-end (UDP port 9002), or PX4's"
+        " simulation link (MAVLink, TCP port 4560)",
     )
     autopilot_warmup_s: Number = option(
         0.0,

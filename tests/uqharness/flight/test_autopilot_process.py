@@ -7,6 +7,7 @@ from __future__ import annotations
 import re
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ import pytest
 from tests.helpers.places import ROOT
 from uqharness.errors import BadInputError
 from uqharness.flight import AutopilotSettings, FlightSpec, recorded_flight
-from uqharness.flight.autopilot_process import AutopilotProcess, command_scales
+from uqharness.flight.autopilot_process import AutopilotProcess, command_scales, control_scales
 from uqharness.simulator import find_aircraft, read_script
 
 PEER = """
@@ -52,6 +53,44 @@ while True:
         sys.exit("gains lost")
 """
 
+HIL_PEER = """
+import socket, sys, time
+from pymavlink.dialects.v20 import common as mavlink
+port, mode = int(sys.argv[1]), sys.argv[2]
+link = socket.create_connection(("127.0.0.1", port), 20.0)
+pack = mavlink.MAVLink(None, 1, 1)
+def send(message):
+    link.sendall(message.pack(pack))
+if mode == "silent":
+    time.sleep(60)
+if mode == "garbage":
+    link.sendall(b"x" * 9000)
+    time.sleep(60)
+send(mavlink.MAVLink_heartbeat_message(1, 3 if mode == "other" else 12, 0, 0, 0, 3))
+count, truth, gps = 0, None, []
+while True:
+    for message in pack.parse_buffer(link.recv(65536)) or ():
+        if message.get_type() == "HIL_STATE_QUATERNION":
+            truth = message
+        elif message.get_type() == "HIL_GPS":
+            gps.append(message)
+        elif message.get_type() == "HIL_SENSOR":
+            assert truth.time_usec == message.time_usec and message.fields_updated == 0x1FFF
+            assert len(gps) >= 1 and 900 < message.abs_pressure < 1014
+            w, x, y, z = truth.attitude_quaternion
+            roll, pitch = 2 * (w * x + y * z), 2 * (w * y - z * x)
+            climb = -truth.vz / 100
+            aileron = -(0.8 * roll + 0.2 * message.xgyro)
+            elevator = -(0.8 * (pitch - 0.03 + 0.05 * climb) + 0.2 * message.ygyro)
+            controls = [aileron, elevator, 0.0, 0.5] + [float("nan")] * 12
+            flags = 0 if mode == "free" else 1
+            send(mavlink.MAVLink_hil_actuator_controls_message(message.time_usec, controls, 129, flags))
+            count += 1
+            if mode == "closes" and count == 100:
+                link.close()
+                time.sleep(60)
+"""
+
 
 @pytest.fixture
 def peer(tmp_path: Path) -> Path:
@@ -60,7 +99,14 @@ def peer(tmp_path: Path) -> Path:
     return path
 
 
-def flown(peer: Path, *words: str, duration_s: float = 12.0, warmup_s: float = 0.0):
+def flown(
+    peer: Path,
+    *words: str,
+    duration_s: float = 12.0,
+    warmup_s: float = 0.0,
+    protocol: Any = "ardupilot-json",
+    timeout_s: float = 20.0,
+):
     command = " ".join([sys.executable, str(peer), "{port}", *words])
     script = read_script(ROOT / "scripts/loiter.xml")
     spec = FlightSpec(
@@ -70,7 +116,7 @@ def flown(peer: Path, *words: str, duration_s: float = 12.0, warmup_s: float = 0
         turbulence="light",
         seed_turbulence=3,
     )
-    settings = AutopilotSettings(command, warmup_s, timeout_s=20.0, port=0)
+    settings = AutopilotSettings(command, warmup_s, timeout_s, 0, protocol)
     return recorded_flight(find_aircraft("espaaro"), script, spec, settings)
 
 
@@ -111,3 +157,53 @@ def test_pulses_follow_the_card() -> None:
     plain = command_scales(find_aircraft("c172p"))
     assert plain["elevator"].property == "fcs/elevator-cmd-norm"
     assert plain["elevator"].pulses_us == (1100.0, 1500.0, 1900.0)
+
+
+@pytest.fixture
+def px4(tmp_path: Path) -> Path:
+    path = tmp_path / "px4.py"
+    path.write_text(HIL_PEER)
+    return path
+
+
+def test_px4s_messages_fly_in_lock_step_and_again_alike(px4: Path) -> None:
+    table, recorded = flown(px4, "hold", protocol="px4-hil", duration_s=8.0)
+    assert recorded.status == "ok", recorded.reason
+    # The peer flies wings level, where the script's own autopilot would turn.
+    assert np.abs(table["phi_rad"]).max() < 0.25
+    assert np.ptp(table["psi_rad"]) < 0.3
+    assert np.ptp(table["h_m"]) < 15.0
+    again, _ = flown(px4, "hold", protocol="px4-hil", duration_s=8.0)
+    assert table.equals(again)
+
+
+@pytest.mark.parametrize(
+    ("mode", "reason"),
+    [
+        ("closes", r"closed the connection at (0\.9|1\.0). s of flight"),
+        ("silent", "is silent for 1 s at 0.00 s"),
+        ("garbage", "bytes that are no MAVLink 2"),
+        ("other", "is no PX4: its heartbeat has autopilot 3"),
+        ("free", "does not run in lock step"),
+    ],
+)
+def test_a_peer_that_is_no_px4_is_told_by_its_fault(mode: str, reason: str, px4: Path) -> None:
+    timeout_s = 1.0 if mode == "silent" else 20.0
+    _, recorded = flown(px4, mode, protocol="px4-hil", duration_s=2.0, timeout_s=timeout_s)
+    assert recorded.status == "crashed"
+    assert re.search(reason, recorded.reason), recorded.reason
+
+
+def test_px4s_controls_follow_the_signs_of_flight_records(tmp_path: Path) -> None:
+    scales = control_scales(find_aircraft("espaaro"))
+    # Nose up and nose right are negative deflections; the card's channels count from 1.
+    assert scales["elevator"].values == (25.0, 0.0, -25.0)
+    assert scales["aileron"].values == (-25.0, 0.0, 25.0)
+    assert scales["throttle"].values == (0.0, 100.0)
+    assert [scales[name].output for name in ("aileron", "elevator", "rudder")] == [1, 2, 3]
+
+
+@pytest.mark.parametrize(("command", "message"), [("", "is empty"), ("px4 'x", "quotation")])
+def test_a_command_line_that_is_none(command: str, message: str) -> None:
+    with pytest.raises(BadInputError, match=message):
+        AutopilotProcess(AutopilotSettings(command, port=0), find_aircraft("espaaro"))
