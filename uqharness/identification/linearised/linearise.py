@@ -427,9 +427,13 @@ def with_properties(
     analytic: tuple[str, ...] | None,
     map_: Processes,
 ) -> tuple[list[Probe], tuple[str, ...]]:
-    """The probes with what the properties ``names`` do, read at every fourth sample, but for those
-    known, or found, to be ``analytic``: the coefficient terms that their names say. And which those
-    are. values: of all properties in force."""
+    """The probes with what the properties ``names`` do at the states where coefficients are
+    evaluated, but for those known, or found, to be ``analytic``: the coefficient terms that their
+    names say. And which those are. values: of all properties in force.
+
+    JSBSim is asked at every fourth sample. States that a filter predicts jump at every sample, and
+    so does what a property does: a polynomial of the states describes it, and what that leaves is
+    interpolated."""
     if analytic is None:
         analytic = tuple(named_terms(direct_model, segments[0], linear_probes[0], names, values))
     numeric = [n for n in names if n not in analytic]
@@ -440,11 +444,47 @@ def with_properties(
         (direct_model, s, p.x[k], p.controls[k], p.height_m[k], values, numeric)
         for s, p, k in zip(segments, linear_probes, rows, strict=True)
     ]
-    slopes = zip(linear_probes, rows, map_(property_slopes, jobs), strict=True)
-    return [
-        replace(p, by_property={n: _between(k, len(p.x), v) / p.scale for n, v in by.items()})
-        for p, k, by in slopes
-    ], analytic
+    coarse = [
+        np.stack([by[n] for n in numeric], axis=1) / _scale_at_x(p)[k, None]
+        for p, k, by in zip(linear_probes, rows, map_(property_slopes, jobs), strict=True)
+    ]
+    features = _polynomials(linear_probes, rows)
+    smooth, values_there = (
+        np.concatenate([f[k] for f, k in zip(features, rows, strict=True)]),
+        np.concatenate(coarse).reshape(-1, 6 * len(numeric)),
+    )
+    weights = np.linalg.lstsq(smooth, values_there, rcond=1e-8)[0]
+    out = []
+    for p, k, f, v in zip(linear_probes, rows, features, coarse, strict=True):
+        remainder = v - (f[k] @ weights).reshape(v.shape)
+        every = (f @ weights).reshape(-1, *v.shape[1:]) + _between(k, len(p.x), remainder)
+        out.append(replace(p, by_property={n: every[:, i] for i, n in enumerate(numeric)}))
+    return out, analytic
+
+
+def _scale_at_x(p: Probe) -> FloatArray:
+    """(n, 6) forces and moments of coefficients of 1 at the states where they are evaluated."""
+    return p.scale * (p.x[:, :1] / p.reference.x[:, :1]) ** 2
+
+
+def _polynomials(
+    linear_probes: Sequence[Probe], rows: Sequence[NDArray[np.intp]]
+) -> list[FloatArray]:
+    """[(n, f)] a constant, air data, rates and controls of every row, and their products where
+    ``rows`` are three times as many.
+    """
+    pieces = [np.hstack([p.x[:, : len(AIR)], p.controls]) for p in linear_probes]
+    stacked = np.concatenate(pieces)
+    std = stacked.std(axis=0)
+    moving = std > 1e-9
+    first, second = np.triu_indices(int(moving.sum()))
+    with_products = 3 * (1 + moving.sum() + len(first)) <= sum(map(len, rows))
+    out = []
+    for piece in pieces:
+        z = ((piece - stacked.mean(axis=0)) / np.where(moving, std, 1.0))[:, moving]
+        products = z[:, first] * z[:, second] if with_products else z[:, :0]
+        out.append(np.hstack([np.ones((len(z), 1)), z, products]))
+    return out
 
 
 def named_terms(

@@ -266,15 +266,6 @@ def gust_refit(
     )
     for number in range(1, iterations + 1):
         trajectory, linear_probes = predict(model, direct_model, setup, point, map_, path)
-        linear_probes, analytic = with_properties(
-            direct_model,
-            setup.segments,
-            linear_probes,
-            properties,
-            setup.properties(point),
-            analytic,
-            map_,
-        )
         steps = _Linear(setup, trajectory, linear_probes, map_)
         # Where the flight is far from what the parameters say, what they will explain would be
         # taken for gusts.
@@ -296,6 +287,15 @@ def gust_refit(
         # The measured states have seen what comes after them: linear about those, the airspeed's
         # sensor reads half a percent high.
         causal, path = path is not None, [p.body for p in linear_probes]
+        linear_probes, analytic = with_properties(
+            direct_model,
+            setup.segments,
+            linear_probes,
+            properties,
+            setup.properties(point),
+            analytic,
+            map_,
+        )
         columns = parameter_columns(setup, linear_probes, trajectory, names, analytic)
         # Colour estimated without an effect has absorbed the effect, and would go on doing so.
         before_colour = None if number == 1 and not fixed_air else gusts.colour

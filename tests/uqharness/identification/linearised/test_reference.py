@@ -4,11 +4,19 @@ change has them.
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
+from sysid.parallel import SERIAL
 from uqharness.cli.main import main
-from uqharness.identification.linearised.linearise import property_slopes
+from uqharness.identification.linearised.linearise import (
+    EVERY,
+    Probe,
+    property_slopes,
+    with_properties,
+)
 from uqharness.replay import CONTROLS, ReplayFolder, Segment, SegmentStates, force_all
 from uqharness.simulator import find_aircraft
 
@@ -57,3 +65,29 @@ def test_a_slope_has_what_lift_does_to_the_rate_of_alpha_and_to_induced_drag(gli
             assert np.all(np.abs(slopes[name] - expected) < 0.01 * size), name
     # The moment of the change of lift by way of the rate of alpha: none without Cmadot.
     assert abs(slopes["uq/scale/CLalpha"][0, 4]) > 100.0
+
+
+def test_what_a_property_does_is_that_at_states_that_jump_from_row_to_row(glider):
+    """As a filter predicts them; JSBSim is asked at every fourth row only."""
+    rng, n = np.random.default_rng(2), 400
+    at, spread = [27.0, 0.05, 0.0, 0, 0, 0, 0, 0], [0.5, 0.02, 0.02, 0.1, 0.1, 0.1, 0, 0]
+    x = at + rng.standard_normal((n, 8)) * spread
+    controls, height = np.zeros((n, len(CONTROLS))), np.full(n, 200.0)
+    segment = Segment("test", "test", 0.02 * np.arange(n), controls, np.zeros(9), 200.0, 200.0)
+    names = ("uq/scale/Clb", "uq/scale/Clp", "uq/scale/CYb", "uq/scale/CDi")
+    values, none = dict.fromkeys(names, 1.0), np.zeros((n, 6))
+    reference = SimpleNamespace(x=np.tile(at, (n, 1)), qbar=np.full(n, 400.0))
+    mass = SimpleNamespace(S=10.0, lengths=np.array([10.0, 1.0, 10.0]))
+    one = none[:, 0]
+    probe = Probe(reference, mass, none, none, none, none, controls, one, height, x, x, x, x[:, :2])  # type: ignore[arg-type]
+    with ReplayFolder(glider, ideal=CONTROLS) as straight:
+        (probe,), _ = with_properties(straight, [segment], [probe], names, values, (), SERIAL)
+        rows = np.arange(2, n, 9 * EVERY)
+        exact = property_slopes(
+            (straight, segment, x[rows], controls[rows], height[rows], values, names)
+        )
+    faster = (x[rows, :1] / 27.0) ** 2
+    for name in names:
+        expected = exact[name] / probe.scale[rows] / faster
+        size = np.sqrt(np.mean(expected**2, axis=0)).max()
+        assert np.abs(probe.by_property[name][rows] - expected).max() < 0.03 * size, name
