@@ -30,8 +30,8 @@ from sysid.arrays import (
     as_segments,
     is_segment_list,
 )
-from sysid.estimation.gaps import white_noise
 from sysid.estimation.gauss_newton import IterationCallback, Linearisation, Minimum, minimise
+from sysid.estimation.goodness_of_fit import white_noise
 from sysid.estimation.noise import Noise, concentrated_cost, residual_noise
 from sysid.estimation.results import Findings, OutputErrorFit, assess_fit, split, unassessed_fit
 from sysid.linalg import Blocks, Index

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from sysid.estimation.gaps import (
+from sysid.estimation.goodness_of_fit import (
     channel_noise,
     largest_residuals,
     rms,
