@@ -258,8 +258,13 @@ def performance(
             for levels in itertools.product((0.0, 1.0), repeat=3)
         ]
     sheets = []
+    without_drag = 0
     for properties in cases:
         case = polar if not properties else _polar(source, stall_alpha_deg, properties)[0]
+        if properties and np.any(case.cd[case.cl > 0.0] <= 0.0):
+            # Independent errors of CX and CZ may cancel all drag, which no aeroplane can.
+            without_drag += 1
+            continue
         one = sheet(
             case, weight, source.reference.S_m2, densities[altitude_m], speeds, thrusts[altitude_m]
         )
@@ -273,6 +278,11 @@ def performance(
             (min(values), max(values)) if has_bounds and values else (math.nan, math.nan)
         )
     notes = [] if stalls else [f"stall assumed at alpha {stall_alpha_deg:g} deg"]
+    if without_drag:
+        notes.append(
+            f"{without_drag} of {len(cases) - 1} corners have no drag and are left out: the bounds"
+            " of CX are wider than its drag"
+        )
     undefined = sum(not math.isfinite(s.figures["climb_rate"]) for s in sheets)
     if undefined and has_bounds:
         notes.append(f"{undefined} of {len(sheets)} corners have no lift below the stall")

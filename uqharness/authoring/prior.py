@@ -70,7 +70,7 @@ CLASSES: Mapping[str, ErrorClass] = {
     "lift slope": _class(0.10, True, "CZ_alpha"),
     "lift at zero alpha": _class(0.06, False, "CZ_0"),
     "lift due to pitch rate": _class(0.30, True, "CZ_q"),
-    "drag at zero lift": _class(0.012, False, "CX_0"),
+    "drag at zero lift": _class(0.40, True, "CX_0"),
     "drag due to lift": _class(0.25, True, "CX_alpha2", "CX_alpha"),
     "static margin": _class(0.10, False, "Cm_alpha"),
     "moment at zero alpha": _class(0.03, False, "Cm_0"),
@@ -89,7 +89,10 @@ CLASSES: Mapping[str, ErrorClass] = {
     "cross-coupling of controls": _class(0.01, False, "Cn_da", "Cl_dr", "CY_da", CY_da=4.0),
     "asymmetry": _class(0.002, False, "Cl_0", "Cn_0", "CY_0", CY_0=4.0),
 }
-"""Guesses are per radian. The static margin is in chords; Cm_alpha follows from it."""
+"""Guesses are per radian. The static margin is in chords; Cm_alpha follows from it.
+
+Drag at zero lift is positive: its errors are logarithms of measured over predicted.
+"""
 
 _CLASS_OF = {term: name for name, row in CLASSES.items() for term in row.terms}
 
@@ -210,6 +213,7 @@ def prior_form(
     The variance of a coefficient is the sum over its terms of (std times variable)^2, written as
     s2 (1 + x' (X'X)^-1 x) with the constant's variance as s2. Alpha counts from the trim's, where
     lift and pitching moment are balanced: an error of the zero-lift angle is in the constant.
+    CX counts drag by factors, so that its interval leaves drag above zero.
 
     Parameters
     ----------
@@ -238,6 +242,14 @@ def prior_form(
         centre = np.array([model.alpha if v == "alpha" else 0.0 for v in variables])
         scale = np.array(ranges)
         constant = by_term[f"{name}_0"].std
+        z = float(student_quantile(0.5 + 0.5 * CONFIDENCE, _GAUSSIAN_DOF))
+        shift = 0.0
+        if name == "CX":
+            # Drag between D/f and D f: an interval whose middle has more drag than D.
+            drag = by_term["CX_0"].mean
+            width = z * constant / max(abs(drag), 1e-9)
+            shift = drag * (math.cosh(width) - 1.0)
+            constant = abs(drag) * math.sinh(width) / z
         # Independent terms make X'X diagonal, in units of the constant's variance.
         quadratic = (np.array(stds) * scale / constant) ** 2
         count = len(variables)
@@ -248,11 +260,11 @@ def prior_form(
             centre=centre,
             scale=scale,
             terms=terms,
-            beta_hat=np.zeros(count + 1),
+            beta_hat=np.array([shift, *[0.0] * count]),
             XtX_inv=matrix,
             s2=constant**2,
             dof=_GAUSSIAN_DOF,
-            t=float(student_quantile(0.5 + 0.5 * CONFIDENCE, _GAUSSIAN_DOF)),
+            t=z,
             confidence=CONFIDENCE,
             leverage_factor=1.0,
             n=1,

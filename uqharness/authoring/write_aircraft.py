@@ -125,7 +125,7 @@ def steady_flight(aircraft: Aircraft, model: AeroModel) -> SteadyFlight:
     """Return a level flight of the written aircraft, near the speed of the source's lift.
 
     A tailless or overloaded aircraft may have no trim at that speed but at another. The height
-    leaves room for five seconds of flight with wrong pitching moments.
+    leaves room below, within the 304.8 m (1000 ft) of the turbulence model.
     """
     first = design_speed(model)
     weight = model.mass.mass_kg * G0_MPS2
@@ -133,7 +133,7 @@ def steady_flight(aircraft: Aircraft, model: AeroModel) -> SteadyFlight:
     flights = []
     for speed in (first, *speeds):
         rounded = float(f"{speed:.3g}")
-        altitude = max(200.0, 100.0 * round(0.15 * rounded))
+        altitude = 200.0 if rounded < 25.0 else 300.0
         trim = find_trim(aircraft, SteadyCondition(rounded, altitude))
         flights.append(SteadyFlight(rounded, altitude, "" if trim.converged else trim.reason))
         if trim.converged:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -132,6 +133,34 @@ def test_prior_form_is_read_and_has_the_stated_width(kite):
     terms = document.terms
     expected = 1.96 * math.hypot(terms["aero/Cn_0"].std, 0.1 * terms["aero/Cn_beta"].std)
     assert at_beta == pytest.approx(expected, rel=1e-3)
+
+
+def test_the_prior_leaves_drag_above_zero(kite):
+    """Drag at zero lift between D/f and D f; an interval of D -/+ the same width holds zero."""
+    document, aircraft = kite
+    form = read_model_form(aircraft.folder / "model-form.json")
+    at_trim = {name: np.zeros(1) for name in form.states}
+    at_trim["alpha_rad"] = form.coefficients["CX"].centre[:1]
+    lower, upper = (float(ends[0]) for ends in form.bounds(at_trim)["CX"])
+    drag = -document.terms["aero/CX_0"].value
+    factor = math.exp(1.96 * document.terms["aero/CX_0"].std / drag)
+    assert drag - upper == pytest.approx(drag / factor, rel=1e-3)
+    assert drag - lower == pytest.approx(drag * factor, rel=1e-3)
+
+
+def test_diff_names_what_an_identification_changed(kite, tmp_path, capsys):
+    _, aircraft = kite
+    other = tmp_path / "identified"
+    shutil.copytree(aircraft.folder, other)
+    path = next(other.glob("*.xml"))
+    text = path.read_text()
+    line = next(row for row in text.splitlines() if ">aero/Cm_q<" in row)
+    path.write_text(text.replace(line, re.sub(r'value="[^"]+"', 'value="-12.2"', line)))
+    words = ["diff", str(aircraft.folder), str(other), "--speed-mps", "14", "--json"]
+    assert main(words) == 1
+    document = json.loads(capsys.readouterr().out)
+    assert [term["path"].rpartition("/")[2].strip() for term in document["terms"]] == ["Cm_q"]
+    assert any("Cm" in row["channel"] for row in document["differences"])
 
 
 def test_static_margin_is_the_parameter():
