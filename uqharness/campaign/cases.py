@@ -64,7 +64,7 @@ class Mission:
     source: Path = Path()
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Case:
     """Describe one flight of a campaign.
 
@@ -185,10 +185,14 @@ def _cases(spec: CampaignSpec, mission: Mission, part: Part) -> Iterator[Case]:
     requested_samples = epistemic_samples(spec)
     if part.samples is not None:
         requested_samples = requested_samples[part.samples.start : part.samples.stop]
+    # What cases have in common is made once and shared: a million cases must fit into memory.
     samples = [
-        (sample, uq_properties(spec, sample) | dict(sample.parameters))
+        (sample, uq_properties(spec, sample) | dict(sample.parameters), _columns(sample))
         for sample in requested_samples
     ]
+    duration_s, burn_in_s, wind_from_deg, rearm_m = map(
+        float, (air.duration_s, air.burn_in_s, air.wind_from_deg, spec.metrics.rearm_m)
+    )
     _refuse_conflicting_properties(samples[0][1], air.variables)
     for aleatory_id in part.aleatory_ids:
         # All corners and conditions of an aleatory sample share these streams: common random
@@ -204,7 +208,8 @@ def _cases(spec: CampaignSpec, mission: Mission, part: Part) -> Iterator[Case]:
         # The transient error has its own stream per aleatory id, common to all corners.
         transient = _transient(spec, aleatory_id)
         for wind_mps, turbulence in part.conditions:
-            for sample, properties in samples:
+            wind_mps = float(wind_mps)
+            for sample, properties, columns in samples:
                 values = {
                     name: item.value(draws[name], sample.means.get(name, 0.5))
                     for name, item in air.variables.items()
@@ -212,10 +217,10 @@ def _cases(spec: CampaignSpec, mission: Mission, part: Part) -> Iterator[Case]:
                 flight = FlightSpec(
                     aircraft=mission.aircraft,
                     script=mission.script,
-                    duration_s=float(air.duration_s),
-                    burn_in_s=float(air.burn_in_s),
-                    wind_mps=float(wind_mps),
-                    wind_from_deg=float(air.wind_from_deg),
+                    duration_s=duration_s,
+                    burn_in_s=burn_in_s,
+                    wind_mps=wind_mps,
+                    wind_from_deg=wind_from_deg,
                     turbulence=turbulence,
                     turbulence_source=air.turbulence_source,
                     sensor_noise=air.sensor_noise is not False,
@@ -223,7 +228,7 @@ def _cases(spec: CampaignSpec, mission: Mission, part: Part) -> Iterator[Case]:
                     seed_noise=seed_noise,
                     properties=properties | values if values else properties,
                     excursion_radius_m=radii,
-                    rearm_m=float(spec.metrics.rearm_m),
+                    rearm_m=rearm_m,
                     levels=sample.driver,
                     # The nominal model flies without any model error.
                     transient=None if sample.epistemic_id.startswith(NOMINAL) else transient,
@@ -233,11 +238,13 @@ def _cases(spec: CampaignSpec, mission: Mission, part: Part) -> Iterator[Case]:
                     epistemic_id=sample.epistemic_id,
                     levels=sample.levels,
                     aleatory_id=aleatory_id,
-                    wind_mps=flight.wind_mps,
+                    wind_mps=wind_mps,
                     turbulence=turbulence,
                     seed=seed_turbulence,
                     flight=flight,
-                    inputs=_columns(sample, values),
+                    inputs=columns | {f"variable_{name}": x for name, x in values.items()}
+                    if values
+                    else columns,
                     engine=engine,
                 )
 
@@ -264,11 +271,10 @@ def unit_draw(root_seed: int, aleatory_id: int, name: str, variable: VariableSec
     return float(np.random.Generator(np.random.PCG64(seed_sequence)).uniform(-1.0, 1.0))
 
 
-def _columns(sample: Epistemic, values: Mapping[str, float]) -> dict[str, float]:
-    """Return what was drawn for a flight, by column name of cases.parquet."""
+def _columns(sample: Epistemic) -> dict[str, float]:
+    """Return the means and parameters of a sample by column name of cases.parquet."""
     columns = {f"level_{name}": level for name, level in sample.means.items()}
-    columns |= {f"parameter_{name}": value for name, value in sample.parameters.items()}
-    return columns | {f"variable_{name}": value for name, value in values.items()}
+    return columns | {f"parameter_{name}": value for name, value in sample.parameters.items()}
 
 
 def _refuse_conflicting_properties(

@@ -174,12 +174,15 @@ class DamageError(BadInputError):
         )
 
 
+_CANONICAL = json.JSONEncoder(sort_keys=True, separators=(",", ":"))
+
+
 def digest_of_text(values: Any) -> str:
     """Return a SHA-256 over the canonical JSON of plain values.
 
     Raises TypeError or ValueError for values that JSON cannot hold.
     """
-    return sha256_hex(json.dumps(values, sort_keys=True, separators=(",", ":")).encode())
+    return sha256_hex(_CANONICAL.encode(values).encode())
 
 
 def row_digest(columns: Sequence[Any]) -> str:

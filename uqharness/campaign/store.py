@@ -362,7 +362,7 @@ def outcome_of(row: Sequence[Any]) -> CaseOutcome:
     if not (has_texts and isinstance(flown_s, float) and row_digest(row[:-1]) == digest):
         name = f"flight {case_id}" if isinstance(case_id, str) and case_id.isalnum() else "a flight"
         raise ValueError(f"the row of {name} does not fit its digest")
-    values, reasons = _mapping(metrics, (int, float)), _mapping(undefined, (str,))
+    values, reasons = _mapping(metrics, {int, float}), _mapping(undefined, {str})
     if status not in STATUSES or values is None or reasons is None:
         raise ValueError("a row holds what no flight of this program leaves")
     return CaseOutcome(case_id, status, reason, flown_s, values, reasons)
@@ -380,7 +380,7 @@ def read_tally(database: sqlite3.Connection) -> tuple[Counter[str], str]:
         or digest_of_text(rows[0][:2]) != rows[0][2]
     ):
         raise ValueError("its tally of flights does not fit its digest")
-    statuses = _mapping(rows[0][0], (int,))
+    statuses = _mapping(rows[0][0], {int})
     if statuses is None or not set(statuses) <= set(STATUSES):
         raise ValueError("its tally counts what is no status of a flight")
     return Counter(statuses), str(rows[0][1])
@@ -392,13 +392,13 @@ def _tally_row(statuses: Mapping[str, int], total: str) -> tuple[str, str, str]:
     return text, total, digest_of_text([text, total])
 
 
-def _mapping(text: str, kinds: tuple[type, ...]) -> dict[str, Any] | None:
+def _mapping(text: str, kinds: set[type]) -> dict[str, Any] | None:
     """Parse a flat JSON object with values of given types; None for anything else."""
     try:
         mapping = json.loads(text)
     except (ValueError, RecursionError):
         return None
-    if not isinstance(mapping, dict) or not all(type(value) in kinds for value in mapping.values()):
+    if not isinstance(mapping, dict) or not set(map(type, mapping.values())) <= kinds:
         return None
     return mapping
 

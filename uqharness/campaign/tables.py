@@ -16,9 +16,11 @@ from dataclasses import astuple, dataclass, fields
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 import pyarrow as pa
 
+from sysid.arrays import FloatArray
 from sysid.foreign.regular_files import read_regular, sha256_hex
 from uqharness.campaign.cases import Case
 from uqharness.campaign.conditions import (
@@ -78,20 +80,70 @@ def build_table(cases: Sequence[Case], outcomes: Iterable[CaseOutcome]) -> pa.Ta
     flights have no error statistics, which would describe a shorter flight, but keep their counts
     so far.
     """
-    by_id = {outcome.case_id: outcome for outcome in outcomes}
+    place = {case.case_id: k for k, case in enumerate(cases)}
+    status, reason = [""] * len(cases), [""] * len(cases)
+    flown_s = np.zeros(len(cases))
+    metrics: dict[str, FloatArray] = {}
+    # Numbers go into arrays one by one: a million flights as objects would fill the memory.
+    for outcome in outcomes:
+        for name in outcome.metrics:
+            if name not in metrics:
+                metrics[name] = np.full(len(cases), np.nan)
+        k = place.get(outcome.case_id)
+        if k is None:
+            continue
+        status[k], flown_s[k] = outcome.status, outcome.flown_s
+        reason[k] = outcome.reason or "; ".join(
+            f"{name}: {text}" for name, text in sorted(outcome.undefined.items())
+        )
+        for name, value in outcome.metrics.items():
+            metrics[name][k] = value
+    finished = np.array([text != "" for text in status], dtype=bool)
+    flown = [case for case, done in zip(cases, finished.tolist(), strict=True) if done]
+    status, reason = ([t for t, s in zip(of, status, strict=True) if s] for of in (status, reason))
+    ok = np.array([text == "ok" for text in status], dtype=bool)
+    # A flight that ended early was scored for what it flew after the burn-in.
+    planned_s = np.array([case.flight.duration_s for case in flown], dtype=float)
+    burn_in_s = np.array([case.flight.burn_in_s for case in flown], dtype=float)
+    scored_s = np.clip(flown_s[finished] - burn_in_s, 0.0, planned_s)
+    columns: dict[str, Any] = {
+        "case_id": [case.case_id for case in flown],
+        "epistemic_id": [case.epistemic_id for case in flown],
+        "aleatory_id": [case.aleatory_id for case in flown],
+        "wind_mps": [case.wind_mps for case in flown],
+        "turbulence": [case.turbulence for case in flown],
+        "seed": [case.seed for case in flown],
+        _ENGINE: [case.engine for case in flown],
+        "duration_s": np.where(ok, planned_s, scored_s),
+        "status": status,
+        "reason": reason,
+    }
+    columns |= {f"level_{name}": [case.levels.get(name) for case in flown] for name in COEFFICIENTS}
     # Columns follow from the campaign: radii, optional metrics, inputs.
     radii = cases[0].flight.excursion_radius_m if cases else ()
-    metric_names = {name for outcome in by_id.values() for name in outcome.metrics}
-    optional = tuple(name for name in OPTIONAL_METRICS if name in metric_names)
-    schema = _schema(radii, optional, tuple(cases[0].inputs) if cases else ())
-    columns: dict[str, list[Any]] = {name: [] for name in schema.names}
-    for case in cases:
-        outcome = by_id.get(case.case_id)
-        if outcome is None:
-            continue
-        for name, value in _row(case, outcome, radii, optional).items():
-            columns[name].append(value)
-    return pa.table([pa.array(columns[field.name], field.type) for field in schema], schema=schema)
+    inputs = tuple(cases[0].inputs) if cases else ()
+    optional = tuple(name for name in OPTIONAL_METRICS if name in metrics)
+    columns |= {name: [case.inputs.get(name) for case in flown] for name in inputs}
+    absent = np.full(len(cases), np.nan)
+    for name in (*ERROR_METRICS, "extrapolated_share", *optional):
+        values = metrics.pop(name, absent)[finished]
+        columns[name] = pa.array(values, pa.float64(), mask=~(np.isfinite(values) & ok))
+    # Counts are integers; a failed flight keeps those that it reached.
+    for name in (*excursion_columns(radii), "loss_of_control"):
+        values = metrics.pop(name, absent)[finished]
+        is_counted = np.isfinite(values)
+        counts = np.rint(np.where(is_counted, values, 0.0)).astype(np.int64)
+        columns[name] = pa.array(counts, pa.int64(), mask=~is_counted)
+    schema = _schema(radii, optional, inputs)
+    return pa.table(
+        [
+            columns[field.name]
+            if isinstance(columns[field.name], pa.Array)
+            else pa.array(columns[field.name], field.type)
+            for field in schema
+        ],
+        schema=schema,
+    )
 
 
 def checked_table(table: pa.Table, path: Path, campaign: Mapping[str, Any]) -> pa.Table:
@@ -160,52 +212,6 @@ def _schema(radii_m: Sequence[float], more: Sequence[str], inputs: Sequence[str]
     return pa.schema(fields)
 
 
-def _row(
-    case: Case, outcome: CaseOutcome, radii_m: Sequence[float], more: Sequence[str]
-) -> dict[str, Any]:
-    """Return the row of a case."""
-    ok = outcome.status == "ok"
-    flight = case.flight
-    # A flight that ended early was scored for what it flew after the burn-in.
-    scored_s = (
-        flight.duration_s
-        if ok
-        else min(max(outcome.flown_s - flight.burn_in_s, 0.0), flight.duration_s)
-    )
-    row: dict[str, Any] = {
-        "case_id": case.case_id,
-        "epistemic_id": case.epistemic_id,
-        "aleatory_id": case.aleatory_id,
-        "wind_mps": case.wind_mps,
-        "turbulence": case.turbulence,
-        "seed": case.seed,
-        _ENGINE: case.engine,
-        "duration_s": scored_s,
-        "status": outcome.status,
-        "reason": (
-            outcome.reason
-            or "; ".join(f"{name}: {reason}" for name, reason in sorted(outcome.undefined.items()))
-        ),
-    }
-    # Levels and sampled inputs, then metrics; failed flights have none.
-    row |= {f"level_{name}": case.levels.get(name) for name in COEFFICIENTS} | dict(case.inputs)
-    row |= {
-        name: _finite(outcome, name) if ok else None
-        for name in (*ERROR_METRICS, "extrapolated_share", *more)
-    }
-    # Counts are integers; a failed flight keeps those that it reached.
-    for name in (*excursion_columns(radii_m), "loss_of_control"):
-        value = _finite(outcome, name)
-        row[name] = None if value is None else round(value)
-    return row
-
-
-def _finite(outcome: CaseOutcome, name: str) -> float | None:
-    """Return a metric, or None (null in the table) if it is undefined."""
-    value = outcome.metrics.get(name, math.nan)
-    return value if math.isfinite(value) else None
-
-
 PBOXES = "pbox.parquet"
 EXCURSIONS = "excursions.csv"
 
@@ -244,12 +250,15 @@ def make_tables(
 ) -> dict[str, bytes]:
     """Return the content of all tables by name, decisions.csv included if given."""
     table = build_table(cases, outcomes)
-    frame, campaign = table.to_pandas(), spec.as_dict()
+    cases_table, campaign = table_bytes(table), spec.as_dict()
+    # The table gives its memory to the frame, column by column.
+    frame = table.to_pandas(split_blocks=True, self_destruct=True)
+    del table
     claims = statements(
         frame, campaign, [] if decisions is None else decision_rows(decisions, Path(DECISIONS))
     )
     tables = {
-        CASES: table_bytes(table),
+        CASES: cases_table,
         PBOXES: table_bytes(_pbox_table(frame, band_confidence(campaign, CONFIDENCE))),
         EXCURSIONS: _excursions_csv(frame, claims),
         STATEMENTS: statements_csv(claims),

@@ -84,7 +84,7 @@ class TransientDriver:
     rates_per_sqrt_s: tuple[float, ...]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class FlightSpec:
     """One flight of a mission script.
 
