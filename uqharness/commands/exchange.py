@@ -5,10 +5,10 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from sysid.aerodynamics import COEFFICIENTS
 from sysid.arrays import FloatArray
@@ -399,12 +399,16 @@ def diff_models(
         if not is_model_file(name)
     }
     source = next(iter(sources.values()), None)
+    files = {name: _read(name, source) for name in (first, second) if name not in sources}
     if source is None:
-        common, middle = _reference_of_file(Path(str(first)), None), {"alpha": 0.05}
+        common, middle = files[first].reference, {"alpha": 0.05}
     else:
         common, middle = source.reference, source.middle
     states = box_around(common, middle, None if source is None else source.trim, _STATES)
-    a, b = (_compared(name, sources.get(name), source, common) for name in (first, second))
+    a, b = (
+        _of_aircraft(sources[name], common) if name in sources else _of_file(files[name], common)
+        for name in (first, second)
+    )
     findings = slips(a, b, states, middle)
     by_coefficient = differences(b.coefficients(states), a.coefficients(states))
     document = ModelDifference(
@@ -427,44 +431,56 @@ def diff_models(
     return Outcome(document, document, lines, code=int(bool(findings)))
 
 
-def _compared(
-    name: AnyAircraft, own: SourceModel | None, other: SourceModel | None, common: Reference
-) -> ComparedModel:
-    """Return a model in the common reference."""
-    if own is not None:
-        return ComparedModel(
-            own.aircraft.name,
-            lambda states: in_reference(own.coefficients(states), own.reference, common),
-            own.reference,
-        )
-    path = Path(str(name))
-    if _SUFFIXES[path.suffix] == "gazebo":
-        model, reference = gazebo.read(path)
-        return ComparedModel(
-            path.name,
-            lambda states: in_reference(gazebo.coefficients(model, states), reference, common),
-            reference,
-        )
-    keys = ardupilot_json.read(path)
-    reference = _reference_of_file(path, other)
-    throw = common.throw_deg
-    return ComparedModel(
-        path.name,
-        lambda states: in_reference(
-            ardupilot_json.coefficients(keys, states, throw), reference, common
-        ),
-        reference,
-    )
+@dataclass(frozen=True)
+class _ModelFile:
+    """A model file: its content, and the geometry, mass and inertia that it stands for."""
+
+    name: str
+    content: gazebo.LiftDragModel | dict[str, Any]
+    reference: Reference
 
 
-def _reference_of_file(path: Path, source: SourceModel | None) -> Reference:
-    """Return geometry, mass and inertia of a model file; NaN where it does not hold them.
+def _read(name: AnyAircraft, source: SourceModel | None) -> _ModelFile:
+    """Read a model file.
 
     ArduPilot's area and inertia are those of its own mass; ``source`` says which mass they stand
     for.
     """
+    path = Path(str(name))
     if _SUFFIXES[path.suffix] == "gazebo":
-        return gazebo.read(path)[1]
+        return _ModelFile(path.name, *gazebo.read(path))
+    keys = ardupilot_json.read(path)
     mass_kg = ardupilot_json.PROGRAM_MASS_KG if source is None else source.reference.mass_kg
     throw = {} if source is None else source.reference.throw_deg
-    return ardupilot_json.reference(ardupilot_json.read(path), mass_kg, throw)
+    return _ModelFile(path.name, keys, ardupilot_json.reference(keys, mass_kg, throw))
+
+
+def _of_aircraft(source: SourceModel, common: Reference) -> ComparedModel:
+    """Return an aircraft in the common reference."""
+    return ComparedModel(
+        source.aircraft.name,
+        lambda states: in_reference(source.coefficients(states), source.reference, common),
+        source.reference,
+    )
+
+
+def _of_file(file: _ModelFile, common: Reference) -> ComparedModel:
+    """Return a model file in the common reference."""
+    content, reference = file.content, file.reference
+    if isinstance(content, gazebo.LiftDragModel):
+        return ComparedModel(
+            file.name,
+            lambda states: in_reference(gazebo.coefficients(content, states), reference, common),
+            reference,
+            gazebo.parts(content),
+            content.axes,
+            "gazebo",
+        )
+    return ComparedModel(
+        file.name,
+        lambda states: in_reference(
+            ardupilot_json.coefficients(content, states, common.throw_deg), reference, common
+        ),
+        reference,
+        format="ardupilot-json",
+    )

@@ -146,6 +146,18 @@ def parameters(source: SourceModel, fitted: Mapping[str, Derivatives]) -> LiftDr
     return LiftDragModel({tag: tags[tag] for tag in TAGS}, surfaces)
 
 
+def parts(model: LiftDragModel) -> dict[tuple[str, str], list[float]]:
+    """Return what each surface adds to a coefficient per deflection of its variable."""
+    result: dict[tuple[str, str], list[float]] = {}
+    for surface in model.surfaces:
+        for variable, share in surface.shares.items():
+            turned = share * surface.direction
+            for prefix, name in _COEFFICIENT.items():
+                effect = turned * surface.effects[f"{prefix}_ctrl"]
+                result.setdefault((name, variable), []).append(effect)
+    return result
+
+
 def coefficients(model: LiftDragModel, states: FlightStates) -> FloatArray:
     """Return CX CY CZ Cl Cm Cn (n, 6) by the program's equations, of its area and lengths."""
     tag = model.tags

@@ -8,14 +8,21 @@ cause, which is named; slopes that differ together point to one slip behind them
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from sysid.aerodynamics import COEFFICIENTS
 from sysid.arrays import FloatArray
-from uqharness.exchange.states import VARIABLES, FlightStates, Reference, polynomial
+from sysid.units import FT_M, IN_M, LB_KG, SLUG_FT2_KGM2, SLUG_KG
+from uqharness.exchange.states import (
+    VARIABLES,
+    FlightStates,
+    Reference,
+    lift_and_drag,
+    polynomial,
+)
 
 _WORDS: Mapping[str, str] = {
     "alpha": "angle of attack",
@@ -27,7 +34,7 @@ _WORDS: Mapping[str, str] = {
     "da": "aileron",
     "dr": "rudder",
 }
-_TOLERANCE = 0.03
+_TOLERANCE = 0.1
 """Relative width around a usual ratio; fits of two programs differ by less."""
 _ABSENT = 1e-3
 """Relative size of a slope that is none."""
@@ -35,6 +42,16 @@ _AGREE = 0.1
 """Relative difference of a slope that is no finding."""
 _RELEVANT = 0.02
 """Share of a coefficient's variation below which a slope is not judged."""
+_NAMED = 5e-4
+"""The same for a usual slip between two files of one format."""
+_ABSENCE = "one of the models lacks the term, or its parts cancel"
+_BODY_TO_WIND = {"CZ": "CL", "CX": "CD"}
+_UNITS: Mapping[str, Sequence[tuple[float, str]]] = {
+    "m": ((FT_M, "feet and metres"), (IN_M, "inches and metres")),
+    "m2": ((FT_M**2, "square feet and square metres"),),
+    "kg": ((LB_KG, "pounds and kilograms"), (SLUG_KG, "slugs and kilograms")),
+    "kg m2": ((SLUG_FT2_KGM2, "slug ft2 and kg m2"), (LB_KG * FT_M**2, "lb ft2 and kg m2")),
+}
 
 
 @dataclass(frozen=True)
@@ -49,11 +66,20 @@ class ComparedModel:
         States to CX CY CZ Cl Cm Cn (n, 6), of the common reference.
     reference : Reference or None
         Its own geometry, mass and inertia; None where the format does not hold them.
+    parts : Mapping
+        Coefficient and variable to what each surface of a model with several adds.
+    axes : ndarray, optional
+        (3, 3) its axes in those of the body, where the format holds them.
+    format : str
+        Of a file; two files of one format are compared more closely.
     """
 
     name: str
     coefficients: Callable[[FlightStates], FloatArray]
     reference: Reference | None = None
+    parts: Mapping[tuple[str, str], Sequence[float]] = field(default_factory=dict)
+    axes: FloatArray | None = None
+    format: str = ""
 
 
 @dataclass(frozen=True)
@@ -85,31 +111,93 @@ def slips(
     a: ComparedModel, b: ComparedModel, states: FlightStates, middle: Mapping[str, float]
 ) -> list[Slip]:
     """Compare two models' slopes at the middle of the states, and their geometry and mass."""
+    # Lift and drag are what files hold; a slip in them is seen through both body axes.
     rows = [model.coefficients(states) for model in (a, b)]
-    findings = _of_reference(a, b)
+    alpha = states.values["alpha"]
+    rows = [np.column_stack([row, *lift_and_drag(row, alpha)]) for row in rows]
     slopes: dict[tuple[str, str], tuple[float, float]] = {}
     effects: dict[tuple[str, str], float] = {}
-    for k, coefficient in enumerate(COEFFICIENTS):
+    for k, coefficient in enumerate((*COEFFICIENTS, "CL", "CD")):
         of_first, of_second = (polynomial(states, row[:, k]).tangent(middle) for row in rows)
         spread = max(float(row[:, k].std()) for row in rows)
         for variable in VARIABLES:
             slopes[coefficient, variable] = of_first[variable], of_second[variable]
             reach = float(states.values[variable].std())
             effects[coefficient, variable] = reach / spread if spread > 0.0 else 0.0
-    centre = _moment_centre(slopes, effects, states)
-    if centre is not None:
-        findings.append(centre[0])
-    for (coefficient, variable), (first, second) in slopes.items():
+    findings = _of_reference(a, b)
+    same_format = a.format == b.format != ""
+    of_all = _exchanged(slopes, effects) or _moment_centre(slopes, effects, states)
+    if of_all is not None:
+        findings.append(of_all[0])
+    for key, (first, second) in slopes.items():
         size = max(abs(first), abs(second))
-        if size * effects[coefficient, variable] <= _RELEVANT:
+        if key[0] in ("CL", "CD") or abs(first - second) <= _AGREE * size:
             continue
-        if centre is not None and (coefficient, variable) in centre[1]:
+        if of_all is not None and key in of_all[1]:
             continue
-        if abs(first - second) <= _AGREE * size:
+        cause = _cause(*key, first, second, states)
+        share = size * effects[key]
+        # Two files of one format differ by slips alone, so that a usual one counts if it is small.
+        least = _NAMED if same_format and cause not in ("", _ABSENCE) else _RELEVANT
+        if share <= least:
             continue
-        cause = _cause(coefficient, variable, first, second, states)
-        findings.append(Slip(f"{coefficient} over {_WORDS[variable]}", first, second, cause))
+        if not cause and key[0] in _BODY_TO_WIND:
+            wind = _BODY_TO_WIND[key[0]], key[1]
+            cause = _cause(*wind, *slopes[wind], states)
+        findings.append(Slip(_where(key), first, second, _of_parts(key, a, b) or cause))
+    if findings:
+        findings += _turned(a, b)
     return findings
+
+
+def _where(key: tuple[str, str]) -> str:
+    """Return coefficient and variable as text."""
+    return f"{key[0]} over {_WORDS[key[1]]}"
+
+
+def _of_parts(key: tuple[str, str], a: ComparedModel, b: ComparedModel) -> str:
+    """Return the cause that two surfaces of one model show; "" for none."""
+    for parts in (model.parts.get(key, ()) for model in (b, a)):
+        sizes = sorted(map(abs, parts))
+        if len(parts) < 2 or not sizes[0] > 0.0:
+            continue
+        if min(parts) * max(parts) < 0.0:
+            return "the sign of one surface is opposite, its part cancels the other's"
+        if sizes[-1] / sizes[0] > 1.5:
+            return "per surface and for both surfaces together are mixed in one of the surfaces"
+    return ""
+
+
+def _turned(a: ComparedModel, b: ComparedModel) -> list[Slip]:
+    """Return axes that differ from those of the other model, or of the body."""
+    first, second = (np.eye(3) if model.axes is None else model.axes for model in (a, b))
+    names = ("forward", "right", "down")
+    cosines = np.sum(first * second, axis=1)
+    return [
+        Slip(f"axis {name}", 1.0, float(cosine), "the axes are turned against each other")
+        for name, cosine in zip(names, cosines, strict=True)
+        if cosine < 0.99
+    ]
+
+
+def _exchanged(
+    slopes: Mapping[tuple[str, str], tuple[float, float]],
+    effects: Mapping[tuple[str, str], float],
+) -> tuple[Slip, set[tuple[str, str]]] | None:
+    """Return the slip of rolling and yawing moments that changed places."""
+    pairs = [
+        (variable, slopes[x, variable][0], slopes[y, variable][1], effects[x, variable])
+        for x, y in (("Cl", "Cn"), ("Cn", "Cl"))
+        for variable in VARIABLES
+    ]
+    visible = [row for row in pairs if abs(row[1]) * row[3] > _RELEVANT]
+    first, second = slopes["Cl", "p"]
+    if not visible or abs(first - second) < _AGREE * abs(first):
+        return None
+    if any(abs(x - y) > _AGREE * abs(x) for _, x, y, _ in visible):
+        return None
+    slip = Slip("Cl over roll rate", first, second, "rolling and yawing moment are exchanged")
+    return slip, {(name, v) for name in ("Cl", "Cn") for v in VARIABLES}
 
 
 def _cause(
@@ -117,29 +205,25 @@ def _cause(
 ) -> str:
     """Return the usual cause of a ratio; "" for none."""
     if min(abs(first), abs(second)) < _ABSENT * max(abs(first), abs(second)):
-        return "one of the models lacks the term, or its parts cancel"
+        return _ABSENCE
     ratio = second / first
     span_chord = states.b_m / states.c_m
-    degrees = 180.0 / math.pi
     usual: list[tuple[float, str]] = [
-        (degrees, "per radian and per degree are mixed"),
-        (1.0 / degrees, "per radian and per degree are mixed"),
+        (180.0 / math.pi, "per radian and per degree are mixed"),
         (2.0, _twice(variable)),
-        (0.5, _twice(variable)),
     ]
     if coefficient in ("Cl", "Cm", "Cn") or variable in ("p", "q", "r"):
-        usual += [
-            (span_chord, "span and chord are mixed as the reference length"),
-            (1.0 / span_chord, "span and chord are mixed as the reference length"),
-        ]
+        usual.append((span_chord, "span and chord are mixed as the reference length"))
     if variable in ("p", "q", "r"):
-        usual += [
-            (x, "span and chord are mixed in moment and rate")
-            for x in (span_chord**2, 1.0 / span_chord**2)
-        ]
-    for value, cause in usual:
-        if abs(abs(ratio) / value - 1.0) < _TOLERANCE:
-            return f"{cause}, with the opposite sign" if ratio < 0.0 else cause
+        usual.append((span_chord**2, "span and chord are mixed in moment and rate"))
+    # The nearest usual ratio counts. A slope that is 57 times smaller is bent by other terms.
+    size = abs(math.log(abs(ratio)))
+    away, cause = min(
+        (abs(size - abs(math.log(value))) / max(0.12 * abs(math.log(value)), _TOLERANCE), text)
+        for value, text in usual
+    )
+    if away < 1.0:
+        return f"{cause}, with the opposite sign" if ratio < 0.0 else cause
     if abs(ratio + 1.0) < 2.0 * _AGREE:
         return "the sign is opposite"
     return "the sign is opposite, and the size differs" if ratio < 0.0 else ""
@@ -161,35 +245,70 @@ def _moment_centre(
 ) -> tuple[Slip, set[tuple[str, str]]] | None:
     """Return the slip of a shifted moment centre, and the slopes that it explains.
 
-    About a point that lies x further forward Cm grows by CZ x/c and Cn falls by CY x/b, for all
-    variables alike: one x, by least squares, must give each change that it makes visible.
+    About a point that lies d away moments change by -d x F, for all variables alike: one d, by
+    least squares, must give each change that it makes visible.
     """
-    rows = []
-    for moment, force, factor in (("Cm", "CZ", 1.0), ("Cn", "CY", -states.c_m / states.b_m)):
-        for variable in VARIABLES:
-            key = moment, variable
-            first, second = slopes[key]
-            lever = factor * 0.5 * sum(slopes[force, variable])
-            rows.append((key, lever * effects[key], (second - first) * effects[key]))
-    levers, changes = (np.array([row[k] for row in rows]) for k in (1, 2))
-    if not float(levers @ levers) > 0.0:
+    keys = [(moment, v) for moment in ("Cl", "Cm", "Cn") for v in VARIABLES]
+    span, weights = states.b_m / states.c_m, np.array([effects[key] for key in keys])
+    levers = []
+    for moment, variable in keys:
+        x, y, z = (0.5 * sum(slopes[force, variable]) for force in ("CX", "CY", "CZ"))
+        levers.append(
+            {
+                "Cl": (0.0, -z / span, y / span),
+                "Cm": (z, 0.0, -x),
+                "Cn": (-y / span, x / span, 0.0),
+            }[moment]
+        )
+    # Chords forward, right and down.
+    matrix = np.array(levers) * weights[:, None]
+    changes = np.array([slopes[key][1] - slopes[key][0] for key in keys]) * weights
+    changed = np.abs(changes) > _RELEVANT
+    if changed.sum() == 1:
+        key = keys[int(np.argmax(changed))]
+        if _cause(*key, *slopes[key], states):
+            return None
+    seen = np.zeros(3, dtype=bool)
+    shift = np.zeros(3)
+    # Directions one after the other, so that none takes what another explains.
+    for _ in range(3):
+        gains = [
+            -1.0 if seen[k] else abs(column @ (changes - matrix @ shift)) / norm
+            for k, column in enumerate(matrix.T)
+            if (norm := max(float(np.linalg.norm(column)), 1e-12))
+        ]
+        trial = seen.copy()
+        trial[int(np.argmax(gains))] = True
+        solution = np.zeros(3)
+        solution[trial] = np.linalg.lstsq(matrix[:, trial], changes, rcond=None)[0]
+        before = float(np.sum((changes - matrix @ shift) ** 2))
+        after = float(np.sum((changes - matrix @ solution) ** 2))
+        if after > 0.5 * before:
+            break
+        seen, shift = trial, solution
+        # What is left is the difference of two sound fits.
+        if after < 1e-3 * float(changes @ changes):
+            break
+    predicted = matrix @ shift
+    visible = np.abs(predicted) > 0.25 * _RELEVANT
+    tolerance = np.maximum(0.25 * np.abs(predicted), 0.5 * _RELEVANT)
+    agree = np.abs(changes - predicted) < tolerance
+    if not (np.abs(predicted) > _RELEVANT).any() or visible.sum() < 2 or not agree[visible].all():
         return None
-    shift = float(levers @ changes) / float(levers @ levers)
-    visible = np.abs(shift * levers) > _RELEVANT
-    agree = np.abs(changes - shift * levers) < 0.25 * np.abs(shift * levers)
-    if abs(shift) < 0.02 or visible.sum() < 2 or not agree[visible].all():
-        return None
-    first, second = slopes["Cm", "alpha"]
-    cause = (
-        f"the moment centre is {abs(shift) * states.c_m:.3g} m further"
-        f" {'forward' if shift > 0.0 else 'aft'} in the second"
-    )
-    explained = {
-        key
-        for (key, lever, change) in rows
-        if abs(change - shift * lever) <= 0.25 * max(abs(shift * lever), _RELEVANT)
-    }
-    return Slip("Cm over angle of attack", first, second, cause), explained
+    words = [
+        f"{abs(distance) * states.c_m:.3g} m further {forward if distance > 0.0 else aft}"
+        for distance, (forward, aft) in zip(
+            shift, (("forward", "aft"), ("right", "left"), ("down", "up")), strict=True
+        )
+        if abs(distance) > 0.05 * float(np.abs(shift).max())
+    ]
+    key = keys[int(np.argmax(np.abs(predicted)))]
+    if abs(shift[0]) == np.abs(shift).max():
+        key = ("Cm", "alpha")
+    cause = f"the moment centre is {' and '.join(words)} in the second"
+    # Slips of other slopes are judged by themselves.
+    explained = {key for key, good in zip(keys, agree, strict=True) if good}
+    return Slip(_where(key), *slopes[key], cause), explained
 
 
 def _of_reference(a: ComparedModel, b: ComparedModel) -> list[Slip]:
@@ -202,7 +321,7 @@ def _of_reference(a: ComparedModel, b: ComparedModel) -> list[Slip]:
         x, y = first[name], second[name]
         if not (math.isfinite(x) and math.isfinite(y)) or abs(x - y) <= 0.01 * max(abs(x), abs(y)):
             continue
-        cause = "the sign is opposite" if abs(x + y) < 0.01 * abs(x) else ""
+        cause = "the sign is opposite" if abs(x + y) < 0.01 * abs(x) else _unit(name, x, y)
         others = [
             other
             for other in first
@@ -214,6 +333,17 @@ def _of_reference(a: ComparedModel, b: ComparedModel) -> list[Slip]:
             cause = f"that is the first model's {others[0]}"
         findings.append(Slip(name, x, y, cause))
     return findings
+
+
+def _unit(name: str, first: float, second: float) -> str:
+    """Return the units that a ratio of two quantities mixes; "" for none."""
+    if first == 0.0 or second == 0.0:
+        return ""
+    ratio = abs(second / first)
+    for factor, words in _UNITS[name.split("[")[1].rstrip("]")]:
+        if any(abs(ratio * f - 1.0) < 0.01 for f in (factor, 1.0 / factor)):
+            return f"{words} are mixed"
+    return ""
 
 
 def _quantities(reference: Reference) -> dict[str, float]:

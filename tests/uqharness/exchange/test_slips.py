@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 import uqharness as uq
+from uqharness.commands.exchange import diff_models
 
 SPEED = 22.2
 
@@ -22,7 +23,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def found(first: Path, second: Path) -> list[tuple[str, str]]:
-    document = uq.diff(first, second)
+    document = diff_models(first, second).document
     return [(f.where, f.cause) for f in document.findings]
 
 
@@ -36,7 +37,7 @@ GAZEBO = [
     ("Cema", 1 / DEGREES, "Cm over angle of attack", UNITS),
     ("Cema", DEGREES, "Cm over angle of attack", UNITS),
     ("CLa", -1.0, "CZ over angle of attack", OPPOSITE),
-    ("CLa", 1 / DEGREES, "CZ over angle of attack", ""),
+    ("CLa", 1 / DEGREES, "CZ over angle of attack", UNITS),
     ("Cenb", -1.0, "Cn over sideslip", OPPOSITE),
     ("Cenb", 1 / DEGREES, "Cn over sideslip", UNITS),
     ("Cellb", -1.0, "Cl over sideslip", OPPOSITE),
@@ -63,7 +64,7 @@ SURFACES = [
     ("rudder", "direction", -1.0, "Cn over rudder", OPPOSITE),
     ("rudder", "Cen_ctrl", 0.5, "Cn over rudder", BOTH),
     ("left_aileron", "Cell_ctrl", 3.0, "Cl over aileron", BOTH),
-    ("right_aileron", "direction", -1.0, "Cl over aileron", "lacks the term"),
+    ("right_aileron", "direction", -1.0, "Cl over aileron", "sign of one surface"),
 ]
 JSON = [
     ("c_m_a", -1.0, "Cm over angle of attack", OPPOSITE),
@@ -155,3 +156,42 @@ def test_sound_files_have_no_slip(folder: Path):
     assert {f.where for f in outcome.findings} <= {"CX over elevator"}
     outcome = uq.diff("espaaro", sdf, speed_mps=SPEED)
     assert {f.where for f in outcome.findings} <= {"CX over angle of attack"}
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "cause"),
+    [
+        # The forces act 5 cm right of and 10 cm above the centre of gravity.
+        ("gazebo/model.sdf", "<cp>0 0 0<", "<cp>0 -0.05 0<", "centre is 0.05 m further left"),
+        ("gazebo/model.sdf", "<cp>0 0 0<", "<cp>0 0 0.1<", "centre is 0.1 m further down"),
+        ("gazebo/model.sdf", "<cp>0 0 0<", "<cp>0.1 0 0.1<", "0.1 m further aft and 0.1 m"),
+        ("gazebo/model.sdf", "<forward>1 0 0", "<forward>-1 0 0", "axes are turned"),
+        ("gazebo/model.sdf", "<upward>0 0 1", "<upward>0 0 -1", "axes are turned"),
+        ("gazebo/model.sdf", "Cell|Cen", "", "rolling and yawing moment are exchanged"),
+        ("ardupilot-json/espaaro.json", "c_l_|c_n_", "", "yawing moment are exchanged"),
+        ("gazebo/model.sdf", "<mass>([^<]*)", "2.20462", "pounds and kilograms"),
+        ("gazebo/model.sdf", "<mac>([^<]*)", "3.28084", "feet and metres"),
+        ("ardupilot-json/espaaro.json", '"s": ([^,]*)', "10.7639", "square feet"),
+    ],
+)
+def test_a_slip_of_many_terms_is_one_finding(name, old, new, cause, folder: Path, tmp_path: Path):
+    sound = folder / name
+    text = sound.read_text()
+    if "|" in old:
+        pair = old.split("|")
+        swapped = {pair[0]: pair[1], pair[1]: pair[0]}
+        text = re.sub(f'(?<=[</"])({old})(?!ift)', lambda m: swapped[m[1]], text)
+    elif "(" in old:
+        text = re.sub(
+            old,
+            lambda m: m[0].replace(m[1], repr(float(new) * float(m[1]))),
+            text,
+            count=1,
+        )
+    else:
+        text = text.replace(old, new)
+    spoilt = tmp_path / f"spoilt{sound.suffix}"
+    spoilt.write_text(text)
+    assert text != sound.read_text()
+    causes = [c for _, c in found(sound, spoilt)]
+    assert any(cause in c for c in causes), causes
