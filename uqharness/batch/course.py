@@ -60,6 +60,7 @@ from uqharness.batch.streams import (
 from uqharness.batch.translate.engines import has_power_balance, settling_slot
 from uqharness.batch.translate.frame import OUT_OF_RANGE, TIME, canonical
 from uqharness.batch.translate.piston import Piston
+from uqharness.batch.translate.propeller import Propeller
 from uqharness.batch.winds import COUNTER, NORMALS
 from uqharness.errors import BadInputError
 from uqharness.flight import (
@@ -235,14 +236,20 @@ def settle(
             values[f"{name}{reading}"] for reading in ("propeller-power-ftlbps", "power-hp")
         )
         off_balance |= ~power_is_balanced(absorbed, power_hp * FTLBF_PER_S_HP)
-        # JSBSim cranks an engine that stopped; here it has no starter.
-        if isinstance(settler.engine.motor, Piston):
-            is_beyond |= values[f"{name}set-running"] == 0.0
+        # JSBSim cranks an engine that its half-second steps stopped. Here its propeller turns it
+        # from full speed, and the steady state is the same.
+        motor, thruster = settler.engine.motor, settler.engine.thruster
+        if isinstance(motor, Piston) and isinstance(thruster, Propeller):
+            stopped = values[f"{name}set-running"] == 0.0
+            for shaft, rpm in (
+                ("engine-rpm", motor.numbers.max_rpm),
+                ("propeller-rpm", motor.numbers.max_rpm / thruster.gear),
+            ):
+                values[f"{name}{shaft}"] = np.where(stopped, rpm, values[f"{name}{shaft}"])
+            off_balance |= stopped
         else:
             # Electric motors never report that they run, so that JSBSim's frames settle them.
             off_balance[:] = True
-    if is_beyond.any():
-        values[OUT_OF_RANGE] = np.where(is_beyond, 1.0, values.get(OUT_OF_RANGE, 0.0))
     if not off_balance.any():
         return
     balanced_values = dict(values)
@@ -250,6 +257,10 @@ def settle(
         going = settling_slot(settler.engine, balancing=True)
         values[going] = off_balance.astype(float)
         _settle_engine(settler.balance, going, values, count)
+        if isinstance(settler.engine.motor, Piston):
+            is_beyond |= values[f"{settler.engine.name}set-running"] == 0.0
+    if is_beyond.any():
+        values[OUT_OF_RANGE] = np.where(is_beyond, 1.0, values.get(OUT_OF_RANGE, 0.0))
     # Rates of incidence are of the accelerations a frame before, which JSBSim's frames leave at
     # those of the settled thrust.
     for _ in range(_RENEWALS):

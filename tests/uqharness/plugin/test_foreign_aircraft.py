@@ -214,6 +214,24 @@ def test_electric_motors_start_settled_in_the_batch_engine_as_in_jsbsim(foam):
             assert error < 1e-8 * np.max(np.abs(theirs.signals[name])), name
 
 
+@pytest.mark.parametrize("style", ["contra", pytest.param("retractable", marks=pytest.mark.slow)])
+def test_engines_that_long_steps_stop_start_settled_in_the_batch_engine(style, tmp_path):
+    folder = tmp_path / "aircraft" / style
+    for name, content in gallery.STYLES[style]().items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(content)
+    start = StartSection(V_mps=gallery.SPEEDS_MPS[style], altitude_m=200.0)
+    script = tmp_path / "steady.xml"
+    write_steady_start(find_aircraft(folder), start, script, "test")
+    spec = FlightSpec(folder, script, 1.0, wind_mps=3.0, record_rate_hz=50.0)
+    theirs, (ours,) = fly(spec), fly_many([spec])
+    assert ours.status == theirs.status == "ok"
+    assert "alpha_rad" in theirs.signals
+    for name, signal in theirs.signals.items():
+        error = np.max(np.abs(signal - ours.signals[name]))
+        assert error <= 1e-7 * max(np.max(np.abs(signal)), 1e-3), (name, error)
+
+
 @pytest.mark.slow
 def test_a_propeller_without_inertia_gets_a_typical_one_and_undo_takes_it_back(foam, caplog):
     screw = foam / "Engines" / "small_airscrew.xml"
