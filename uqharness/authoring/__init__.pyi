@@ -5,6 +5,7 @@ from .prior import class_errors as class_errors
 from .prior import priors as priors
 from .read import Sources as Sources
 from .read import read_sources as read_sources
+from .slips import centre_slips as centre_slips
 from .slips import find_slips as find_slips
 from .slips import mass_slips as mass_slips
 from .source import Entry as Entry

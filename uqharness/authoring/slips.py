@@ -22,7 +22,7 @@ import numpy as np
 
 from uqharness.authoring import vspaero
 from uqharness.authoring.avl_input import Geometry, Masses
-from uqharness.authoring.model import control_weights, controls_of
+from uqharness.authoring.model import AeroModel, control_weights, controls_of
 from uqharness.authoring.read import Sources
 from uqharness.authoring.source import (
     STABILITY,
@@ -1027,6 +1027,20 @@ def _masses(masses: Masses, source: Source) -> Iterator[Slip]:
     tensor = masses.inertia_kgm2
     inertia = [Entry(float(tensor[i, i]), masses.path, line) for i in range(3)]
     yield from mass_slips(source, mass, inertia)
+
+
+def centre_slips(x: Entry, model: AeroModel) -> Iterator[Slip]:
+    """Check a stated centre of gravity [m] against the model's neutral point."""
+    margin = model.static_margin
+    if not -0.3 <= margin <= 1.5:
+        neutral = x.value + margin * model.c
+        yield _slip(
+            x,
+            "moment centre",
+            f"{x.value:.4g} m is {margin:.3g} chords ahead of the neutral point at {neutral:.4g} m;"
+            " 0 to 0.4 is expected: check unit and origin, aft is positive",
+            "The aeroplane diverges in pitch, or the elevator cannot trim it",
+        )
 
 
 def mass_slips(source: Source, mass: Entry, inertia: Sequence[Entry]) -> Iterator[Slip]:

@@ -14,6 +14,7 @@ from uqharness.authoring import (
     Sources,
     SteadyFlight,
     build,
+    centre_slips,
     class_errors,
     design_speed,
     find_slips,
@@ -70,6 +71,8 @@ def author(request: AuthorRequest, callback: Callback = silent) -> Outcome[Autho
         profile_drag=request.cd0,
         controls=controls,
     )
+    if request.cg_x_m is not None:
+        slips += centre_slips(Entry(request.cg_x_m, Path("--cg-x-m")), model)
     model = replace(model, notes=(*model.notes, *notes))
     # An aircraft with a slip would fly, wrongly: it is written on request only.
     refused = bool(slips) and not request.accept_slips

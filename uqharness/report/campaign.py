@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import csv
 import math
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path
@@ -451,8 +452,9 @@ class CampaignReport:
 
     @property
     def aircraft(self) -> str:
-        """Name of the aircraft."""
-        return Path(self.settings.campaign.aircraft).name
+        """Name of the aircraft; "." is the folder of the campaign's file."""
+        place = Path(self.manifest.campaign_file).parent / self.settings.campaign.aircraft
+        return Path(os.path.normpath(place)).name
 
 
 def read_campaign_report(folder: Path) -> CampaignReport:

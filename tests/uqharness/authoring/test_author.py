@@ -178,6 +178,23 @@ def test_no_mass_is_bad_input(tmp_path):
         authored(tmp_path / "a", DATA / "kite.st")
 
 
+@pytest.mark.parametrize(
+    ("options", "place"),
+    [
+        ({"mass_kg": 1470.0}, "--mass-kg"),
+        ({"cg_x_m": 15.0}, "--cg-x-m"),
+        ({"iyy_kgm2": 80.0, "ixx_kgm2": 60.0, "izz_kgm2": 130.0, "mass_kg": 1.47}, "--ixx-kgm2"),
+    ],
+)
+def test_options_in_other_units_stop_the_command(options, place, tmp_path):
+    request = AuthorRequest(
+        sources=(DATA / "kite.st",), out=tmp_path, **{"mass_kg": 1.47} | options
+    )
+    outcome = author(request)
+    assert outcome.code == 1
+    assert [slip.place for slip in outcome.value.slips] == [place]
+
+
 def test_slip_stops_the_command(tmp_path):
     path = tmp_path / "kite.st"
     path.write_text((DATA / "kite.st").read_text().replace("Cnb =   0.073998", "Cnb =  -0.073998"))
@@ -205,7 +222,7 @@ def test_from_avl_text_to_a_p_box_with_three_commands(tmp_path, monkeypatch):
     box = boxes[boxes.metric == "altitude_median_m"]
     # The prior makes the p-box wide: bounds differ by more than a metre in five seconds.
     assert (box.upper - box.lower).max() > 0.5
-    assert (tmp_path / "results" / "report.html").is_file()
+    assert "Campaign of kite<" in (tmp_path / "results" / "report.html").read_text()
 
 
 def test_flaps_gear_and_ground_of_a_table_fly(tmp_path):
