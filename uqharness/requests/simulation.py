@@ -143,6 +143,11 @@ class FlyRequest(Request):
                 f"{{mission}} {self.mission}: the built-in autopilot flies it, a real one has its"
                 " own; leave out {autopilot_process} or {mission}"
             )
+        if self.autopilot_process is None and self.autopilot_protocol != "ardupilot-json":
+            raise ValueError(
+                "{autopilot_protocol}: add {autopilot_process}, the command that starts the"
+                " autopilot"
+            )
         if self.generated and self.speed_mps is None:
             raise ValueError(
                 f"{{mission}} {self.mission}: add {{speed_mps}}, at which the aircraft trims"
