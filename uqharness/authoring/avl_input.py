@@ -8,6 +8,7 @@ and moved afterwards (`uqharness.authoring.source.about`).
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import importlib.util
 import math
@@ -89,7 +90,10 @@ class Surface:
 
 @dataclass(frozen=True)
 class Geometry:
-    """Content of an ``.avl`` file in its own length unit."""
+    """Content of an ``.avl`` file in its own length unit.
+
+    ``airfoils`` are files of airfoils, relative to the geometry's folder, with their lines.
+    """
 
     path: Path
     name: str
@@ -97,6 +101,15 @@ class Geometry:
     mach: Entry
     profile_drag: Entry
     surfaces: tuple[Surface, ...]
+    airfoils: tuple[tuple[str, int], ...] = ()
+
+    def missing_airfoils(self) -> list[tuple[str, int]]:
+        """Return names and lines of files of airfoils that are not there, each name once."""
+        lines: dict[str, int] = {}
+        for name, line in self.airfoils:
+            if not (self.path.parent / name).is_file():
+                lines.setdefault(name, line)
+        return list(lines.items())
 
     def wings(self) -> list[Surface]:
         """Return the surface of the largest area times span, and its mirror image if listed.
@@ -144,6 +157,7 @@ def read_geometry(path: Path, text: str) -> Geometry:
         sections = sections[1:]
     # Keywords with the lines that belong to them; unknown ones are passed over.
     surfaces: list[Surface] = []
+    airfoils: list[tuple[str, int]] = []
     i = 0
     while i < len(sections):
         keyword = _keyword(sections[i][1])
@@ -169,12 +183,15 @@ def read_geometry(path: Path, text: str) -> Geometry:
             places = surfaces[-1].controls.setdefault(words[0], [])
             places.append((numbers[0], sign, following[0]))
             i += 1
+        elif surfaces and keyword in ("AFILE", "AFIL"):
+            airfoils.append((following[1].strip().strip('"'), following[0]))
+            i += 1
         i += 1
     # A surface needs two sections; bodies have none.
     surfaces = [surface for surface in surfaces if len(surface.sections) > 1]
     if not surfaces:
         raise BadInputError(f"{path}: holds no SURFACE with two sections")
-    return Geometry(path, name, reference, mach, drag, tuple(surfaces))
+    return Geometry(path, name, reference, mach, drag, tuple(surfaces), tuple(airfoils))
 
 
 def _content(text: str) -> list[tuple[int, str]]:
@@ -332,7 +349,9 @@ def run_avl(geometry: Geometry, alphas_rad: Sequence[float]) -> Source:
     """
     solver_class = importlib.import_module("optvl").OVLSolver
     try:
-        solver = solver_class(geo_file=str(geometry.path.resolve()))
+        # AVL looks for airfoils where it is started, and takes flat plates without a word.
+        with contextlib.chdir(geometry.path.resolve().parent):
+            solver = solver_class(geo_file=geometry.path.name)
     except Exception as error:  # optvl raises bare exceptions for bad geometry
         raise BadInputError(f"{geometry.path}: AVL refuses the file: {error}") from None
     points = []

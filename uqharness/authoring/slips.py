@@ -81,6 +81,8 @@ def find_slips(
             out += _stab_cases(path, text)
     if sources.geometry is not None:
         out += _geometry(sources.geometry)
+        if source.path == sources.geometry.path:
+            out += _airfoils(sources.geometry)
     if sources.masses is not None:
         out += _masses(sources.masses, source)
     elif "mass_kg" in source.facts:
@@ -965,6 +967,17 @@ def _is_reversed(message: str) -> bool:
     except (ValueError, IndexError):
         return False
     return first * second < 0.0 and abs(first + second) < 0.1 * abs(second)
+
+
+def _airfoils(geometry: Geometry) -> Iterator[Slip]:
+    """Check that AVL finds the airfoils of a geometry that it runs."""
+    for name, line in geometry.missing_airfoils():
+        yield _slip(
+            Entry(0.0, geometry.path, line),
+            "geometry",
+            f"the airfoil {name[:60]} is not beside the geometry; AVL takes a flat plate for it",
+            "Lift and pitching moment at zero alpha lack the camber: trim is wrong",
+        )
 
 
 def _geometry(geometry: Geometry) -> Iterator[Slip]:

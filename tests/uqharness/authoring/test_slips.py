@@ -292,3 +292,18 @@ def test_steps_of_later_vspaero_are_no_slip(tmp_path):
     path.write_text("\n".join(lines) + "\n")
     assert "+0.010" in path.read_text()
     assert find_slips(read_sources([path])) == []
+
+
+def test_an_airfoil_that_avl_would_not_find(tmp_path):
+    """AVL takes a flat plate for it without a word."""
+    path = tmp_path / "kite.avl"
+    path.write_text(AVL.replace("CONTROL\naileron", "AFILE\nclarky.dat\nCONTROL\naileron", 1))
+    line = path.read_text().splitlines().index("clarky.dat") + 1
+    slips = find_slips(read_sources([path]))
+    assert (f"{path}:{line}", "geometry") in {(slip.place, slip.kind) for slip in slips}
+    (tmp_path / "clarky.dat").write_text("Clark Y\n")
+    assert find_slips(read_sources([path])) == []
+    # Derivatives from AVL's own output do not depend on the file.
+    (tmp_path / "clarky.dat").unlink()
+    (tmp_path / "kite.st").write_text(ST)
+    assert find_slips(read_sources([path, tmp_path / "kite.st"])) == []
