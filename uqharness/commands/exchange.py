@@ -474,7 +474,6 @@ def _of_file(file: _ModelFile, common: Reference) -> ComparedModel:
             reference,
             gazebo.parts(content),
             content.axes,
-            "gazebo",
         )
     return ComparedModel(
         file.name,
@@ -482,5 +481,4 @@ def _of_file(file: _ModelFile, common: Reference) -> ComparedModel:
             ardupilot_json.coefficients(content, states, common.throw_deg), reference, common
         ),
         reference,
-        format="ardupilot-json",
     )

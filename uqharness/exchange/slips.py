@@ -43,7 +43,7 @@ _AGREE = 0.1
 _RELEVANT = 0.02
 """Share of a coefficient's variation below which a slope is not judged."""
 _NAMED = 5e-4
-"""The same for a usual slip between two files of one format."""
+"""The same for a usual slip between models that the polynomials hold exactly."""
 _ABSENCE = "one of the models lacks the term, or its parts cancel"
 _BODY_TO_WIND = {"CZ": "CL", "CX": "CD"}
 _UNITS: Mapping[str, Sequence[tuple[float, str]]] = {
@@ -70,8 +70,6 @@ class ComparedModel:
         Coefficient and variable to what each surface of a model with several adds.
     axes : ndarray, optional
         (3, 3) its axes in those of the body, where the format holds them.
-    format : str
-        Of a file; two files of one format are compared more closely.
     """
 
     name: str
@@ -79,7 +77,6 @@ class ComparedModel:
     reference: Reference | None = None
     parts: Mapping[tuple[str, str], Sequence[float]] = field(default_factory=dict)
     axes: FloatArray | None = None
-    format: str = ""
 
 
 @dataclass(frozen=True)
@@ -117,15 +114,20 @@ def slips(
     rows = [np.column_stack([row, *lift_and_drag(row, alpha)]) for row in rows]
     slopes: dict[tuple[str, str], tuple[float, float]] = {}
     effects: dict[tuple[str, str], float] = {}
+    least: dict[str, float] = {}
     for k, coefficient in enumerate((*COEFFICIENTS, "CL", "CD")):
-        of_first, of_second = (polynomial(states, row[:, k]).tangent(middle) for row in rows)
+        fits = [polynomial(states, row[:, k]) for row in rows]
+        of_first, of_second = (fit.tangent(middle) for fit in fits)
         spread = max(float(row[:, k].std()) for row in rows)
         for variable in VARIABLES:
             slopes[coefficient, variable] = of_first[variable], of_second[variable]
             reach = float(states.values[variable].std())
             effects[coefficient, variable] = reach / spread if spread > 0.0 else 0.0
+        # A slope's standard error, as a share of the variation, is what the fits leave over sqrt n.
+        rest = max(float((r[:, k] - f.over(states)).std()) for r, f in zip(rows, fits, strict=True))
+        error = rest / max(spread, 1e-30) / math.sqrt(len(states))
+        least[coefficient] = min(max(_NAMED, 10.0 * error), _RELEVANT)
     findings = _of_reference(a, b)
-    same_format = a.format == b.format != ""
     of_all = _exchanged(slopes, effects) or _moment_centre(slopes, effects, states)
     if of_all is not None:
         findings.append(of_all[0])
@@ -137,9 +139,8 @@ def slips(
             continue
         cause = _cause(*key, first, second, states)
         share = size * effects[key]
-        # Two files of one format differ by slips alone, so that a usual one counts if it is small.
-        least = _NAMED if same_format and cause not in ("", _ABSENCE) else _RELEVANT
-        if share <= least:
+        # A usual slip counts if it is small, but larger than the errors of the fits.
+        if share <= (_RELEVANT if cause in ("", _ABSENCE) else least[key[0]]):
             continue
         if not cause and key[0] in _BODY_TO_WIND:
             wind = _BODY_TO_WIND[key[0]], key[1]

@@ -102,6 +102,14 @@ class Derivatives:
                 total += factor * math.prod(values.get(v, 0.0) for v in name.split("*"))
         return total
 
+    def over(self, states: FlightStates) -> FloatArray:
+        """Return the polynomial's values at n states."""
+        total = np.full(len(states), self.terms["0"])
+        for name, factor in self.terms.items():
+            if name != "0":
+                total += factor * np.prod([states.values[v] for v in name.split("*")], axis=0)
+        return total
+
     def tangent(self, values: Mapping[str, float]) -> dict[str, float]:
         """Return the linear function that touches the polynomial at these values.
 
