@@ -33,7 +33,8 @@ from uqharness.batch.mission import (
     load_start,
     make_mission,
 )
-from uqharness.batch.motion import CONDITIONS, round_44_bits, start_state
+from uqharness.batch.motion import CONDITIONS, WEIGHTS_PARTS, round_44_bits, start_state
+from uqharness.batch.motion import slots as state_slots
 from uqharness.batch.program import (
     Feed,
     Flyer,
@@ -61,6 +62,7 @@ from uqharness.batch.translate.engines import has_power_balance, settling_slot
 from uqharness.batch.translate.frame import OUT_OF_RANGE, TIME, canonical
 from uqharness.batch.translate.piston import Piston
 from uqharness.batch.translate.propeller import Propeller
+from uqharness.batch.translate.turbine import Turboprop
 from uqharness.batch.winds import COUNTER, NORMALS
 from uqharness.errors import BadInputError
 from uqharness.flight import (
@@ -224,6 +226,10 @@ def settle(
     run_ic : callable
         Computes the initialising frames once more.
     """
+    turboprops = [s.engine.motor for s in settlers if isinstance(s.engine.motor, Turboprop)]
+    for motor in turboprops:
+        if (lost := values.get(f"#{motor.limited_throttle}")) is not None:
+            values[f"#{motor.limited_throttle}"] = np.nan_to_num(lost, nan=1.0)
     for settler in settlers:
         _settle_engine(settler.steady, settling_slot(settler.engine), values, count)
     renew()
@@ -248,7 +254,8 @@ def settle(
                 values[f"{name}{shaft}"] = np.where(stopped, rpm, values[f"{name}{shaft}"])
             off_balance |= stopped
         else:
-            # Electric motors never report that they run, so that JSBSim's frames settle them.
+            # Electric motors never report that they run, and turboprops no power in a frame without
+            # time, so that JSBSim's frames settle them.
             off_balance[:] = True
     if not off_balance.any():
         return
@@ -263,10 +270,21 @@ def settle(
         values[OUT_OF_RANGE] = np.where(is_beyond, 1.0, values.get(OUT_OF_RANGE, 0.0))
     # Rates of incidence are of the accelerations a frame before, which JSBSim's frames leave at
     # those of the settled thrust.
+    values |= {f"#{motor.settled}": np.ones(count) for motor in turboprops}
     for _ in range(_RENEWALS):
         renew()
-    run_ic()
-    renew()
+    if turboprops:
+        # Initialising would set them to idle: JSBSim's frames have filled the integrators' history
+        # with the present rates.
+        for part in WEIGHTS_PARTS:
+            for back in (1, 2, 3):
+                pairs = zip(state_slots(part, back), state_slots(part, 0), strict=True)
+                values |= {
+                    f"#{old}": values[f"#{new}"] for old, new in pairs if f"#{new}" in values
+                }
+    else:
+        run_ic()
+        renew()
     # A lane does not depend on the others.
     values |= {
         name: np.where(off_balance, values[name], value) for name, value in balanced_values.items()

@@ -81,6 +81,7 @@ def settle(fdm: Any) -> str:
     }
     moved, number, quantity = 0.0, 1, ""
     pistons = manager.hasNode("propulsion/magneto_cmd")
+    earth_rad = fdm["position/epa-rad"]
     for name in INTEGRATORS:
         fdm[name] = 0.0
     # In trim mode engines draw no fuel.
@@ -102,9 +103,16 @@ def settle(fdm: Any) -> str:
         fdm.set_sim_time(time_s)
         for name, value in saved.items():
             fdm[name] = value
-        # Restore the initial position, because the Earth turned meanwhile. Not for a turboprop,
-        # which initialisation sets to idle.
-        if not has_turboprop(fdm):
+        # Restore the initial position, because the Earth turned meanwhile. Initialisation would
+        # set a turboprop to idle.
+        if has_turboprop(fdm):
+            for name in INTEGRATORS:
+                fdm[name] = 0.0
+            _turn_earth_back(fdm, earth_rad, time_s)
+            fdm.set_dt(dt_s)
+            for name, value in saved.items():
+                fdm[name] = value
+        else:
             wind = {name: fdm[name] for name in _WIND}
             fdm.run_ic()
             for name, value in wind.items():
@@ -113,6 +121,36 @@ def settle(fdm: Any) -> str:
         return ""
     changing = f"{quantity} still changes by {moved:.2g} of its value in {BLOCK_FRAMES} frames"
     return f"engine {number} does not settle at a step of {dt_s:g} s: {in_turn or changing}"
+
+
+_EARTH_RADPS = 7.292115e-5
+_RENEWALS, _NO_TIME_S = 4, 1e-9  # frames that refill the integrators' history, and their length
+_MODELS = (
+    "Inertial Atmosphere Winds FCS MassBalance Auxiliary Propulsion Aerodynamics GroundReactions"
+    " ExternalReactions BuoyantForces Aircraft Accelerations"
+)
+
+
+def _turn_earth_back(fdm: Any, earth_rad: float, time_s: float) -> None:
+    """Turn the Earth back to its angle before; engines and all other models keep their states.
+
+    Position and attitude are frozen in space, so that the aircraft would start west of its place,
+    and inclined. Frames without length renew the forces.
+    """
+    switches = [f"simulation/models/FG{model}/enabled" for model in _MODELS.split()]
+    switches = [name for name in switches if fdm.get_property_manager().hasNode(name)]
+    for name in switches:
+        fdm[name] = 0.0
+    turned_s = (fdm["position/epa-rad"] - earth_rad) / _EARTH_RADPS
+    fdm.set_dt(-turned_s - _RENEWALS * _NO_TIME_S)
+    fdm.run()
+    for name in switches:
+        fdm[name] = 1.0
+    fdm.set_dt(_NO_TIME_S)
+    for _ in range(_RENEWALS):
+        fdm.set_sim_time(time_s)
+        fdm.run()
+    fdm.set_sim_time(time_s)
 
 
 def _alternation(fdm: Any, number: int, time_s: float) -> str:

@@ -214,7 +214,7 @@ def test_electric_motors_start_settled_in_the_batch_engine_as_in_jsbsim(foam):
             assert error < 1e-8 * np.max(np.abs(theirs.signals[name])), name
 
 
-@pytest.mark.parametrize("style", ["contra", pytest.param("retractable", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("style", ["contra", "turboprop"])
 def test_engines_that_long_steps_stop_start_settled_in_the_batch_engine(style, tmp_path):
     folder = tmp_path / "aircraft" / style
     for name, content in gallery.STYLES[style]().items():

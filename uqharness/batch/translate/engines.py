@@ -512,7 +512,7 @@ class Propulsion:
 def has_power_balance(engine: Engine) -> bool:
     """Return whether an engine reports the power that its propeller has to absorb."""
     return isinstance(engine.thruster, Propeller) and isinstance(
-        engine.motor, Piston | Electric | Brushless
+        engine.motor, Piston | Electric | Brushless | Turboprop
     )
 
 

@@ -449,6 +449,16 @@ class Turboprop:
         """Prefix of the names of its memory."""
         return f"engine{self.index}"
 
+    @property
+    def limited_throttle(self) -> str:
+        """Memory of the throttle that the torque limiter leaves."""
+        return f"{self.key}/throttle"
+
+    @property
+    def settled(self) -> str:
+        """Memory that is 1 once frames of the flight have settled it."""
+        return f"{self.key}/settled"
+
     def trace(self, frame: Frame, thruster: Propeller | Jet) -> Value:
         """Return the shaft power [ft lbf/s]."""
         assert isinstance(thruster, Propeller)
@@ -465,7 +475,8 @@ class Turboprop:
         hot = frame.memory(f"{key}/hot")
         outside = frame.get("propulsion/tat-c")
         if frame.initialising:
-            phase = b.constant(_TRIM)
+            # One that frames of the flight have settled runs on.
+            phase = frame.memory(self.settled).ne(0.0).choose(_RUN, _TRIM)
         else:
             # A running engine starts from idle, any other one is off and cold.
             begins = phase.eq(_TRIM)
@@ -542,7 +553,7 @@ class Turboprop:
 
     def _limited(self, frame: Frame, throttle: Value) -> Value:
         """Return the throttle that the torque limiter leaves."""
-        b, n, name, key = frame.builder, self.numbers, self.name, self.key
+        b, n, name = frame.builder, self.numbers, self.name
         if not n.max_torque > 0.0:
             frame.store(f"{name}ielu_intervent", frame.get(f"{name}ielu_intervent"))
             return throttle
@@ -551,8 +562,10 @@ class Turboprop:
         started = frame.values.get(f"{name}set-running")
         is_unknown = started and frame.values.get(f"{name}ielu_intervent")
         first = math.nan if is_unknown else 1.0 if started else 0.0
-        before = frame.memory(f"{key}/throttle", first)
-        frame.note_beyond(before.ne(before))
+        before = frame.memory(self.limited_throttle, first)
+        is_lost = before.ne(before)
+        if not frame.initialising:
+            frame.note_beyond(is_lost)
         torque = frame.get(f"{name}propeller-torque-ftlb")
         rises = throttle.ge(before)
         lowers = b.op("and", b.op("abs", torque).gt(n.max_torque), rises)
@@ -561,7 +574,9 @@ class Turboprop:
             before - 0.1 * frame.step, raises.choose(before + 0.05 * frame.step, throttle)
         )
         frame.store(f"{name}ielu_intervent", b.op("or", lowers, raises).choose(1.0, 0.0))
-        frame.remember(f"{key}/throttle", limited, first)
+        # Engines that are settled next forget it; a flight that begins without that is refused.
+        kept = is_lost.choose(before, limited) if frame.initialising else limited
+        frame.remember(self.limited_throttle, kept, first)
         return limited
 
     def _factor(self, frame: Frame) -> Value:
