@@ -227,9 +227,9 @@ def settle(
         Computes the initialising frames once more.
     """
     turboprops = [s.engine.motor for s in settlers if isinstance(s.engine.motor, Turboprop)]
-    for motor in turboprops:
-        if (lost := values.get(f"#{motor.limited_throttle}")) is not None:
-            values[f"#{motor.limited_throttle}"] = np.nan_to_num(lost, nan=1.0)
+    for turboprop in turboprops:
+        if (lost := values.get(f"#{turboprop.limited_throttle}")) is not None:
+            values[f"#{turboprop.limited_throttle}"] = np.nan_to_num(lost, nan=1.0)
     for settler in settlers:
         _settle_engine(settler.steady, settling_slot(settler.engine), values, count)
     renew()
