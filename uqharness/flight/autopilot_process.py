@@ -40,6 +40,7 @@ PORTS: Mapping[Protocol, int] = {"ardupilot-json": 9002, "px4-hil": 4560}
 _PACKETS = {18458: struct.Struct("<HHI16H"), 29569: struct.Struct("<HHI32H")}
 """Magic number to layout: magic, frame rate, frame count, pulses [us] of 16 or 32 outputs."""
 _OUTPUTS = {"aileron": 1, "elevator": 2, "throttle": 3, "rudder": 4}
+_THROTTLE = "fcs/throttle-cmd-norm"
 _CLOSED_US, _NEUTRAL_US, _OPEN_US = 1100.0, 1500.0, 1900.0
 """ArduPlane's default SERVOn_MIN, _TRIM and _MAX."""
 _LONGEST_OUTPUT = 400
@@ -111,7 +112,7 @@ class _Link(Interface):
     def connect(self, fdm: Any) -> None:
         """Bind the properties of the state."""
 
-    def receive(self, check: Callable[[float], None]) -> Mapping[str, float]:
+    def receive(self, check: Callable[[float], None]) -> dict[str, float]:
         """Wait for the commands of the next frame; return property to value."""
 
     def send(self, time_s: float) -> None:
@@ -176,6 +177,7 @@ class AutopilotProcess:
     def around(self, fdm: Any, advance: Callable[[int], None]) -> Callable[[int], None]:
         """Return a loop that exchanges commands and state in each of n frames."""
         self._link.connect(fdm)
+        engines = fdm.get_propulsion().get_num_engines()
 
         def check(silent_s: float) -> None:
             self._check(fdm.get_sim_time(), silent_s)
@@ -187,6 +189,9 @@ class AutopilotProcess:
                 except _PeerError as error:
                     self._stop(str(error), fdm.get_sim_time())
                 if fdm.get_sim_time() >= self._settings.warmup_s:
+                    # JSBSim's throttle is that of the first engine.
+                    others = range(1, engines if _THROTTLE in commands else 1)
+                    commands |= {f"{_THROTTLE}[{k}]": commands[_THROTTLE] for k in others}
                     for name, value in {**self._open_loop, **commands}.items():
                         engine.set_property(fdm, name, value)
                 advance(1)

@@ -4,9 +4,11 @@ of the trim predicts.
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 from typing import Any
 
+import jsbsim
 import numpy as np
 import pytest
 from scipy.signal import lsim
@@ -78,3 +80,21 @@ def test_levels_of_the_model_form_are_parameters(unit: Path) -> None:
     # CZ less by .05: more lift, the aircraft climbs.
     assert lower["h_m"][-1] - nominal["h_m"][-1] > 0.5
     assert np.array_equal(flown(unit)["h_m"], nominal["h_m"])
+
+
+def test_both_engines_have_the_throttle(tmp_path: Path) -> None:
+    """An aeroplane with two engines holds its trim; with one it loses .8 m/s each second."""
+    folder = tmp_path / "c310"
+    stock = Path(jsbsim.get_default_root_dir()) / "aircraft/c310"
+    shutil.copytree(stock, folder)
+    controls = {"elevator": "nose down", "aileron": "right wing down", "rudder": "nose left"}
+    card = '[aircraft]\nname = "c310"\nxml = "c310.xml"\ndt_s = 0.01\n'
+    for name, sense in controls.items():
+        card += f'[inputs.{name}]\nproperty = "fcs/{name}-cmd-norm"\nunit = "norm"\n'
+        card += f'positive = "{sense}"\nlimits = [-1, 1]\nthrow_deg = 15\n'
+    card += '[inputs.throttle]\nproperty = "fcs/throttle-cmd-norm"\nunit = "norm"\n'
+    (folder / "airframe.toml").write_text(card + 'positive = "more thrust"\nlimits = [0, 1]\n')
+    uq.export(folder, "fmu", out=tmp_path / "out", speed_mps=60.0, states=20)
+    unit = str(tmp_path / "out/c310.fmu")
+    result = fmpy.simulate_fmu(unit, stop_time=1.0, output_interval=0.1, output=["V_mps"])
+    assert np.ptp(result["V_mps"]) < 0.4
