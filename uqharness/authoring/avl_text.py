@@ -190,6 +190,10 @@ def _float(text: str, path: Path, line: int) -> float:
 
 def _degrees(entry: Entry) -> Entry:
     """Return an angle that was printed in degrees, in radians."""
+    if not abs(entry.value) <= 90.0:
+        raise BadInputError(
+            f"{entry.place}: received an angle of {entry.value:g} deg; -90 to 90 is allowed"
+        )
     return Entry(math.radians(entry.value), entry.path, entry.line)
 
 
@@ -272,7 +276,8 @@ def _induced_drag(
     names: dict[str, str],
 ) -> dict[tuple[str, str], Entry]:
     """Return derivatives of the induced drag, CD = CL^2/(pi AR e), which AVL does not print."""
-    if "e" not in values or not values["e"].value > 0.0 or not {"Bref", "Sref"} <= values.keys():
+    lengths = [values[name].value for name in ("Bref", "Sref", "e") if name in values]
+    if len(lengths) < 3 or min(lengths) <= 1e-9:
         return {}
     aspect_ratio = values["Bref"].value ** 2 / values["Sref"].value
     slope = 2.0 * values["CLtot"].value / (math.pi * aspect_ratio * values["e"].value)

@@ -143,7 +143,7 @@ def _unit_remark(ratio: float) -> str:
 def _references(source: Source, geometry: Geometry | None, masses: Masses | None) -> Iterator[Slip]:
     """Check reference lengths and area among each other, with the geometry and the CG."""
     reference = source.reference
-    if not all(key in reference and reference[key].value > 0.0 for key in "Sbc"):
+    if not all(key in reference and reference[key].value > 1e-6 for key in "Sbc"):
         return
     area, span, chord = (reference[key].value for key in "Sbc")
     aspect_ratio = span**2 / area
@@ -205,14 +205,15 @@ def _references(source: Source, geometry: Geometry | None, masses: Masses | None
         expected = -lift.value * (margin.value - reference["x"].value) / chord
         if abs(pitch.value - expected) > 0.05 * abs(expected) + 0.02 * lift.value:
             opposite = abs(pitch.value + expected) < 0.1 * abs(expected) + 0.02
-            entry = pitch if opposite or _unit_remark(pitch.value / expected) else reference["x"]
+            ratio = pitch.value / expected if expected else 0.0
+            entry = pitch if opposite or _unit_remark(ratio) else reference["x"]
             yield _slip(
                 entry,
                 "sign" if opposite else "moment centre",
                 f"Cm_alpha {pitch.value:.4g} with CL_alpha {lift.value:.4g} puts the neutral point"
                 f" at x = {reference['x'].value - pitch.value / lift.value * chord:.4g}; the file"
                 f" says {margin.value:.4g}{_in_line(margin)}, which needs Cm_alpha {expected:.4g}"
-                f" about x = {reference['x'].value:.4g}" + _unit_remark(pitch.value / expected),
+                f" about x = {reference['x'].value:.4g}" + _unit_remark(ratio),
                 "The static margin is wrong: the aeroplane may diverge in pitch",
             )
     if masses is not None:
@@ -1069,6 +1070,9 @@ def mass_slips(source: Source, mass: Entry, inertia: Sequence[Entry]) -> Iterato
         About x, y and z; empty if unknown.
     """
     area, span = source.length("S"), source.length("b")
+    if not mass.value > 0.0:
+        yield _slip(mass, "mass units", f"a mass of {mass.value:.4g} kg", "Nothing can fly")
+        return
     for axis, entry in zip("xyz", inertia, strict=False):
         radius = math.sqrt(max(entry.value, 0.0) / mass.value) / span
         if not 0.02 <= radius <= 0.6:

@@ -191,9 +191,10 @@ def merge(sources: Sequence[Source]) -> Source:
         ):
             if key not in source.reference or key not in first.reference:
                 continue
-            scale = 1.0 if key == "S" or key == "c" else first.reference["c"].value
+            chord = first.reference["c"].value if "c" in first.reference else 1.0
+            scale = 0.0 if key in "Sbc" else abs(chord)
             new, old = source.reference[key], first.reference[key]
-            if abs(new.value - old.value) > 1e-3 * max(abs(old.value), abs(scale)):
+            if abs(new.value - old.value) > 1e-3 * max(abs(old.value), scale):
                 raise BadInputError(
                     f"{new.place}: reference {name} {new.value:g} differs from {old.place}'s"
                     f" {old.value:g}; the files are not of one aircraft about one point"
@@ -205,9 +206,9 @@ def merge(sources: Sequence[Source]) -> Source:
             )
     pairs = [(point, source) for source in with_derivatives for point in source.points]
     level = min(abs(point.beta) for point, _ in pairs)
-    pairs = [pair for pair in pairs if abs(pair[0].beta) < level + 1e-9]
+    pairs = [pair for pair in pairs if abs(pair[0].beta) <= level + 1e-9]
     slowest = min(point.mach.value for point, _ in pairs)
-    pairs = [pair for pair in pairs if pair[0].mach.value < slowest + 1e-9]
+    pairs = [pair for pair in pairs if pair[0].mach.value <= slowest + 1e-9]
     chosen: dict[float, tuple[Point, Source]] = {}
     for point, source in sorted(pairs, key=lambda pair: pair[0].taken_out):
         chosen.setdefault(round(point.alpha.value, 6), (point, source))

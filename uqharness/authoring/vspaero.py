@@ -134,7 +134,7 @@ def blocks(path: Path, text: str) -> list[Block]:
             out[-1].values[name] = _entry(words[place], path, number)
             if words[place + 1 :] == ["deg"] and name not in _FIXED_ROWS:
                 out[-1].groups.append(name)
-        elif part == "cases" and len(words) >= len(columns) + 3:
+        elif part == "cases" and columns and len(words) >= len(columns) + 3:
             *names, delta_word, _ = words[: -len(columns)]
             delta = _entry(delta_word, path, number).value
             row = {
@@ -157,6 +157,12 @@ def blocks(path: Path, text: str) -> list[Block]:
             name
             for name in ((*_FORCES, *_MOMENTS) if block.derivatives else ())
             if name not in block.derivatives
+        ]
+        missing += [
+            f"{column} of {row}"
+            for row, columns in block.derivatives.items()
+            for column in ("Total", "Alpha")
+            if column not in columns
         ]
         if missing:
             raise BadInputError(f"{path}: a block lacks {', '.join(missing)}; run VSPAERO again")

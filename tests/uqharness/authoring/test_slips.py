@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import re
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from uqharness.authoring import Entry, find_slips, mass_slips, read_sources
+from uqharness.errors import BadInputError
 
 DATA = Path(__file__).parent / "data"
 ST = (DATA / "kite.st").read_text()
@@ -307,3 +309,21 @@ def test_an_airfoil_that_avl_would_not_find(tmp_path):
     (tmp_path / "clarky.dat").unlink()
     (tmp_path / "kite.st").write_text(ST)
     assert find_slips(read_sources([path, tmp_path / "kite.st"])) == []
+
+
+@pytest.mark.parametrize(
+    ("text", "change"),
+    [
+        (ST, ("Sref =     0.3438", "Sref =     0.0000")),
+        (ST, ("Bref =        1.6", "Bref =        0.0")),
+        (ST + ST, ("Beta  =   0.00000", "Beta  =   1e9")),
+        (STAB, ("Coef          Total", "Coef          Sum")),
+        (STAB, ("Units         CFx", "Units\n#     CFx")),
+    ],
+)
+def test_damaged_files_are_bad_input_or_slips(text, change, tmp_path):
+    assert change[0] in text
+    path = tmp_path / "kite.txt"
+    path.write_text(text.replace(*change))
+    with suppress(BadInputError):
+        assert find_slips(read_sources([path])) != []
