@@ -268,6 +268,11 @@ _NEEDED = (
 RUN_UP_S = 4.0
 """Time before a segment whose commands determine the initial actuator positions [s]: a hundred time
 constants of a servo, four of a slow one."""
+RUN_IN_S = 0.3
+"""Time after which a servo has forgotten the commands before the first row [s]: seven time
+constants of a usual one."""
+STILL_RADPS = 0.2
+"""Rate of turn at a first row below which surfaces stand still there, at their commands."""
 _COLUMN = {
     "elevator": "elevator_deg",
     "aileron": "aileron_deg",
@@ -580,11 +585,27 @@ def prepare(
             f"{name}: no stretch of {min_s:g} s has all of {', '.join((*_NEEDED, *columns))}"
             f" without a gap{_describe_gaps(record, columns)}; nothing can be replayed"
         )
+    pieces = [_after_run_in(record, p, min_s) for p in pieces]
     notes.append(
         f"{name}: {len(pieces)} segments, {sum(p.end_s - p.start_s for p in pieces):.0f} s;"
         f" {cut_note}"
     )
     return Flight(name, record, tuple(pieces), tuple(notes), gyro_late_s, between, per_row)
+
+
+def _after_run_in(record: FlightRecord, piece: Piece, min_s: float) -> Piece:
+    """The piece without its first RUN_IN_S where it begins in a manoeuvre whose commands are not
+    in the record: lagging surfaces are not at their commands there.
+    """
+    first, time = piece.rows.start, record["time_s"]
+    is_preceded = first > 0 and time[first] - time[first - 1] < 1.5 * record.dt_s
+    rows = slice(first, first + max(1, round(0.1 / record.dt_s)))
+    rates = [abs(float(np.mean(record[c][rows]))) for c in ("p_radps", "q_radps", "r_radps")]
+    begin = first + math.ceil(RUN_IN_S / record.dt_s - 1e-6)
+    is_short = piece.end_s - piece.start_s < min_s + RUN_IN_S
+    if is_preceded or is_short or max(rates) < STILL_RADPS:
+        return piece
+    return replace(piece, rows=slice(begin, piece.rows.stop), start_s=float(time[begin]))
 
 
 def _reduce_rows(

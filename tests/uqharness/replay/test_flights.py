@@ -39,6 +39,19 @@ def test_a_command_between_two_kept_rows_acts_as_long_as_it_did():
     np.testing.assert_array_equal(thin["q_radps"], fast["q_radps"][::2])
 
 
+@pytest.mark.parametrize(("in_manoeuvre", "skipped"), [(True, 15), (False, 0)])
+def test_a_record_that_begins_in_a_manoeuvre_is_replayed_once_servos_are_at_their_commands(
+    in_manoeuvre, skipped
+):
+    record = fly((("pitch-doublet", 22.0),), seed=1, seconds=8.0)
+    first = int(np.argmax(np.abs(record["q_radps"]))) if in_manoeuvre else 0
+    cut = FlightRecord({c: record[c][first:] for c in record.columns}, record.metadata)
+    assert (abs(cut["q_radps"][0]) > 0.2) == in_manoeuvre
+    flight = prepare("cut", cut, ())
+    assert flight.pieces[0].rows.start == skipped
+    assert segments(flight, ())[0].time_s[0] == pytest.approx(cut["time_s"][skipped])
+
+
 def test_a_clock_that_is_one_row_late_is_one_command_late_and_nothing_else():
     record = fly((("pitch-doublet", 22.0),), seed=1, rate_hz=100.0)
     flight = prepare("fast", record, ())
