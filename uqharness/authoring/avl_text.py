@@ -210,7 +210,9 @@ def _surfaces(path: Path, lines: list[str], first: int) -> tuple[dict[str, str],
             heads |= {int(index): name for name, index in _SURFACE.findall(line)}
         row = re.fullmatch(rf"\s{{2,}}([^\s#][^=|]*?)\s*=\s*({_NUMBER})\s*", line, re.IGNORECASE)
         if row is not None and row[1] not in _SINGLE:
-            stated.append((row[1], _degrees(Entry(_float(row[2], path, number), path, number))))
+            # Units of the variable, which may be percent of a gain: derivatives are per unit.
+            amount = math.radians(_float(row[2], path, number))
+            stated.append((row[1], Entry(amount, path, number)))
     labels = sorted(
         set(re.findall(r"\bC[A-Za-z](d\d+)\s*=", "\n".join(lines))),
         key=lambda label: int(label[1:]),

@@ -152,7 +152,12 @@ def test_one_file_of_several_cases(tmp_path):
 
 def test_totals_of_a_trimmed_run_are_moved_to_zero_deflection():
     """The same wing at the same alpha, elevator at -4 degrees, as AVL prints it."""
-    text, de = (DATA / "kite.st").read_text(), -4.0
+    text, de = (
+        (DATA / "kite.st")
+        .read_text()
+        .replace("aileron         =   0.0", "aileron         = 100.0"),
+        -4.0,
+    )
     for old, new in (
         ("elevator        =   0.00000", f"elevator        =  {de:.5f}"),
         ("CLtot =   0.37030", f"CLtot =   {0.3703 + 0.010051 * de:.5f}"),
@@ -166,7 +171,7 @@ def test_totals_of_a_trimmed_run_are_moved_to_zero_deflection():
         assert trimmed.points[0].value(name, TOTAL) == pytest.approx(
             plain.value(name, TOTAL), abs=2e-5
         )
-    assert "elevator -4 deg" in trimmed.notes[0]
+    assert "aileron 100 deg, elevator -4 deg" in trimmed.notes[0]
 
 
 @pytest.mark.parametrize(
