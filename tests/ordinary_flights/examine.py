@@ -111,7 +111,8 @@ def estimate(
     begin = time.process_time()
     aircraft = find_aircraft(model)
     flights, measured = read_flights([path], aircraft)
-    result = identify(aircraft, flights, measured, workers=1)
+    # The record has surface positions.
+    result = identify(aircraft, flights, measured, workers=1, ideal_servos=True)
     return result, time.process_time() - begin
 
 

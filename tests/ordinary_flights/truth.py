@@ -162,16 +162,17 @@ def _derivatives(
     """Return derivatives of the aerodynamic coefficients by central differences.
 
     The simulator's angle of attack changes at the rate that follows from the perturbed state.
-    Attitudes far from level change that rate alone, so regression separates what depends on it; a
-    linear model without it has its sum with the pitch rate's, as flight tests have.
+    Attitudes far from level change that rate alone, so regression separates what depends on it. A
+    linear model without it has, in each derivative, the part by way of that rate: a state changes
+    the lift, which turns the flight path.
     """
     rng = np.random.default_rng(7)
     V, base = stock.V_mps, _settings(stock, x)
     size = {"alpha": 0.02, "beta": 0.03, "p": 0.02, "q": 0.004, "r": 0.02}
     surfaces = dict.fromkeys(CONTROLS, 0.1)
     rows, coefficients = [], []
-    draws = rng.choice([-1.0, 1.0], size=(48, 8))
-    for draw, attitude in zip(draws, rng.uniform(-1.0, 1.0, size=(48, 2)), strict=True):
+    draws, attitudes = rng.choice([-1.0, 1.0], size=(48, 8)), rng.uniform(-1.0, 1.0, size=(48, 2))
+    for draw, attitude in zip(draws, attitudes, strict=True):
         alpha, beta, p, q, r = draw[:5] * list(size.values())
         commands = dict(zip(CONTROLS, draw[5:] * list(surfaces.values()), strict=True))
         fdm = open_fdm(
@@ -202,10 +203,12 @@ def _derivatives(
     matrix = np.array(rows)
     matrix[:, 6] -= matrix[:, 6].mean()
     solution = np.linalg.lstsq(matrix, np.array(coefficients), rcond=None)[0]
+    phi, gamma = np.array(attitudes).T
+    path = np.column_stack([matrix[:, :9], np.cos(phi) * np.cos(gamma)])
+    solution[:9] += np.outer(np.linalg.lstsq(path, matrix[:, 9], rcond=None)[0][:9], solution[9])
     # Positions with the project's signs: nose down, right wing down, nose left.
     sign = np.array([-np.sign(solution[6, 4]), np.sign(solution[7, 3]), -np.sign(solution[8, 5])])
     solution[6:9] *= sign[:, None]
-    solution[4] += solution[9]
     commands = np.abs(draws[:, 5:] * list(surfaces.values())).mean(axis=0)
     per_command = np.array(
         [np.mean((matrix[:, 6 + k]) * draws[:, 5 + k]) / commands[k] for k in range(3)]

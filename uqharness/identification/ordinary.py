@@ -56,7 +56,8 @@ MANOEUVRE_S = 40.0
 PIECE_S = 20.0
 MANOEUVRE_SHARE, _MARGIN_S = 0.1, 2.0
 """Share of the flight below which manoeuvres, with a margin [s] on both sides, are ignored."""
-_DELAYS_S = tuple(0.01 * k for k in range(-3, 21))
+_DELAYS_S = tuple(0.01 * k for k in range(21))
+_PAST_ROWS = 10  # of a rate, from which its change to the next row is predicted
 _AXES = (
     ("p_radps", ("beta_rad", "p_radps", "r_radps"), ("aileron", "rudder")),
     ("q_radps", ("alpha_rad", "q_radps"), ("elevator",)),
@@ -165,42 +166,42 @@ def _with_angles(flight: Flight, absent: Sequence[str], time_constant_s: float =
 def control_delay_s(flights: Sequence[Flight], measured: Sequence[str]) -> float:
     """Return how late the angular accelerations follow the controls, s.
 
-    Each rate's derivative is regressed on the motion and on the controls, moved by the delay; the
-    delay with the least sum of logarithms of residual squares over the three axes is the likeliest.
+    The change of each rate to the next row is regressed on earlier rows of the motion and on the
+    controls, moved by the delay; the delay with the least sum of logarithms of residual squares
+    over the three axes is the likeliest. A prediction from the past alone: the controls answer the
+    motion of the same instant, so a regression of that instant finds them too early or too late.
     """
     columns = dict(zip(CONTROLS, control_columns(measured), strict=True))
     cost = np.zeros(len(_DELAYS_S))
     for rate, motion, controls in _AXES:
-        square = np.zeros(len(_DELAYS_S))
-        samples = 0
+        square, samples = np.zeros(len(_DELAYS_S)), 0
         for flight in flights:
             record = flight.record
             for piece in flight.pieces:
-                rows = piece.rows
-                time_s = record["time_s"][rows]
-                channels = [record[c][rows] for c in motion if c in record]
-                fixed = np.column_stack([np.ones(len(time_s)), *channels])
-                active_controls = [record[columns[c]][rows] for c in controls]
-                if not all(
-                    np.isfinite(v).all() for v in (fixed, *active_controls, record[rate][rows])
+                rows, last = piece.rows, -1
+                time_s, rates = record["time_s"][rows], record[rate][rows]
+                others = [record[c][rows] for c in motion if c in record and c != rate]
+                commands = [record[columns[c]][rows] for c in controls]
+                if len(time_s) < 5 * _PAST_ROWS or not all(
+                    np.isfinite(v).all() for v in (rates, *others, *commands)
                 ):
                     continue
-                rate_dot = smooth(record[rate][rows][:, None], record.dt_s, derivative=1)[:, 0]
-                fixed = smooth(fixed, record.dt_s)
-                samples += len(time_s)
+                past = [np.ones(len(time_s) - _PAST_ROWS - 1)]
+                for values, count in ((rates, _PAST_ROWS), *((v, 3) for v in others)):
+                    past += [values[_PAST_ROWS - k : last - k] for k in range(count)]
+                basis = np.linalg.qr(np.column_stack(past))[0]
+                change = np.diff(rates)[_PAST_ROWS:]
+                change = change - basis @ (basis.T @ change)
+                samples += len(change)
                 for k, delay in enumerate(_DELAYS_S):
-                    moved = [np.interp(time_s - delay, time_s, v) for v in active_controls]
-                    x = np.column_stack([fixed, smooth(np.column_stack(moved), record.dt_s)])
-                    residual = rate_dot - x @ np.linalg.lstsq(x, rate_dot, rcond=None)[0]
+                    moved = [np.interp(time_s - delay, time_s, v) for v in commands]
+                    x = np.column_stack(moved)[_PAST_ROWS:last]
+                    x = x - basis @ (basis.T @ x)
+                    residual = change - x @ np.linalg.lstsq(x, change, rcond=None)[0]
                     square[k] += float(residual @ residual)
         if samples:
             cost += samples * np.log(np.maximum(square, 1e-300))
-    best = int(np.argmin(cost))
-    if 0 < best < len(cost) - 1:
-        bend = cost[best - 1] - 2.0 * cost[best] + cost[best + 1]
-        shift = 0.5 * (cost[best - 1] - cost[best + 1]) / bend if bend > 0.0 else 0.0
-        return float(_DELAYS_S[best] + shift * 0.01)
-    return float(_DELAYS_S[best])
+    return float(_DELAYS_S[int(np.argmin(cost))])
 
 
 @dataclass(frozen=True)

@@ -5,10 +5,12 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from sysid.aerodynamics import Piece
 from sysid.arrays import FloatArray
 from sysid.logs.checking.kinematics import to_body
 from sysid.record import FlightRecord
@@ -25,6 +27,7 @@ from uqharness.identification.ordinary import (
     _regress,
     _RegressionData,
     _with_prior,
+    control_delay_s,
 )
 from uqharness.identification.prior import read_prior
 
@@ -89,6 +92,27 @@ def test_terms_that_move_alike_are_not_determined() -> None:
     assert _regress(data, "Cl", (0, 1), np.zeros(2)).determined
     twin = replace(data, columns={0: data.columns[0], 1: [2.0 * data.columns[0][0]]})
     assert not _regress(twin, "Cl", (0, 1), np.zeros(2)).determined
+
+
+@pytest.mark.parametrize("late_rows", [1, 4])
+def test_delay_of_controls_that_answer_the_motion_of_their_row(late_rows: int) -> None:
+    rng = np.random.default_rng(late_rows)
+    n = 4000
+    p, aileron, gust, bank = np.zeros(n), np.zeros(n), 0.0, 0.0
+    for k in range(n - 1):
+        # Gusts last ten rows; the autopilot damps and holds a bank that changes.
+        gust += -0.1 * gust + 0.3 * rng.normal()
+        bank += DT_S * p[k]
+        aileron[k] = -4.0 * p[k] - 3.0 * (bank - 0.4 * np.sign(np.sin(0.3 * k * DT_S)))
+        acting = aileron[max(k - late_rows, 0)]
+        p[k + 1] = p[k] + DT_S * (0.3 * L_P * p[k] + L_DA * acting + gust)
+    zero = np.zeros(n)
+    time_s = DT_S * np.arange(n)
+    columns = dict.fromkeys(("q_radps", "r_radps", "elevator_deg", "rudder_deg"), zero)
+    noisy = p + 1e-4 * rng.normal(size=n)
+    record = FlightRecord({"time_s": time_s, "p_radps": noisy, "aileron_deg": aileron, **columns})
+    flight = SimpleNamespace(record=record, pieces=(Piece("", slice(0, n), 0.0, time_s[-1]),))
+    assert control_delay_s([flight], ()) == pytest.approx(late_rows * DT_S, abs=0.011)
 
 
 def test_late_ground_velocity_is_moved_to_the_accelerations() -> None:
