@@ -7,6 +7,7 @@ import uqharness
 from uqharness import sensitivity
 
 CHAPTERS = {
+    "Models": ("author", "performance", "export"),
     "Flights": ("find_aircraft", "fly", "read_flights", "export_log", "diff"),
     "Logs": ("log_info", "propose_map"),
     "From flights to a model and its bounds": (
@@ -30,6 +31,7 @@ CHAPTERS = {
         "rerun_case",
         "verify",
         "salvage_campaign",
+        "check_surrogate",
         "pbox",
         "plot_pbox",
     ),

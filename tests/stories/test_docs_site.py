@@ -66,6 +66,16 @@ class _Fetched(HTMLParser):
             self.addresses.append(given.get("href") or "")
 
 
+def test_every_public_name_has_a_chapter(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.syspath_prepend(str(SITE))
+    import reference_python
+
+    import uqharness
+
+    chapters = [name for names in reference_python.CHAPTERS.values() for name in names]
+    assert sorted([*chapters, "sensitivity"]) == sorted(uqharness.__all__)
+
+
 @pytest.mark.slow
 def test_every_page_is_built_and_nothing_is_fetched_from_a_network(site: Path):
     pages = {path.relative_to(site).with_suffix("").as_posix() for path in site.rglob("*.html")}
