@@ -81,7 +81,7 @@ def innovation_colour(residuals: Sequence[FloatArray]) -> InnovationColour | Non
     matrices, present = np.zeros((last, m, m)), np.eye(m)
     deviation, penalty = np.ones(m), 0.0
     for channel in range(m):
-        chosen, weights, left = _predictors(moments, rows, channel, m)
+        chosen, weights, remaining = _predictors(moments, rows, channel, m)
         for place, weight in zip(chosen, weights, strict=True):
             lag, other = divmod(place, m)
             if lag:
@@ -89,7 +89,7 @@ def innovation_colour(residuals: Sequence[FloatArray]) -> InnovationColour | Non
             else:
                 present[channel, other] = -weight
         # One number more for its size, if it is not that of the filter.
-        variance = left / rows
+        variance = remaining / rows
         is_unit = not chosen and rows * (variance - 1.0 - math.log(variance)) < _price(rows, m, 1)
         deviation[channel] = 1.0 if is_unit else math.sqrt(variance)
         penalty += math.log(rows) * (len(chosen) + (not is_unit))
@@ -113,7 +113,7 @@ def _predictors(
     """
     orders: dict[int, int] = {}  # of each channel taken up; -1: present row alone
     chosen: list[int] = []
-    weights, left = np.zeros(0), float(moments[channel, channel])
+    weights, variance = np.zeros(0), float(moments[channel, channel])
     while True:
         best: tuple[float, dict[int, int], list[int], FloatArray, float] | None = None
         for other in range(m):
@@ -130,10 +130,10 @@ def _predictors(
                 gram, moment = moments[np.ix_(places, places)], moments[places, channel]
                 solution = np.asarray(np.linalg.lstsq(gram, moment, rcond=1e-10)[0])
                 remainder = float(moments[channel, channel] - moment @ solution)
-                gain = rows * math.log(left / remainder) if remainder > 0.0 else 0.0
+                gain = rows * math.log(variance / remainder) if remainder > 0.0 else 0.0
                 gain -= _price(rows, m, len(places) - len(chosen))
                 if gain > 0.0 and (best is None or gain > best[0]):
                     best = gain, trial, places, solution, remainder
         if best is None:
-            return chosen, weights, left
-        _, orders, chosen, weights, left = best
+            return chosen, weights, variance
+        _, orders, chosen, weights, variance = best

@@ -429,11 +429,11 @@ def likeliest_colour(
     free = list(information.names)
     gains = np.nan_to_num(scores(plain, free, [*required_gains]).gain)
     strongest = [[*required_gains][k] for k in np.argsort(-gains)[:COLOURS_TRIED]]
-    least = least_cost(colour, information)
+    base_cost = least_cost(colour, information)
     for key in strongest:
-        beside = [columns.some(k, [*free, key]) for k in range(len(columns))]
-        trial = with_colour(followed, beside, prior)
+        with_effect = [columns.some(k, [*free, key]) for k in range(len(columns))]
+        trial = with_colour(followed, with_effect, prior)
         cost = least_cost(*trial) + required_gains[key]
-        if cost < least:
-            least, colour = cost, trial[0]
+        if cost < base_cost:
+            base_cost, colour = cost, trial[0]
     return colour

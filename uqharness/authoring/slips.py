@@ -255,9 +255,11 @@ def _reference_of_geometry(source: Source, geometry: Geometry) -> Iterator[Slip]
     effect = "Every coefficient is scaled by it, so lift, damping and speed are wrong"
     # A wing that begins at the fuselage's side has its reference area through the fuselage.
     inner = int(np.argmin(np.abs(points[:, 1])))
-    carried = 2.0 * float(abs(points[inner, 1]) * points[inner, 3]) if wings[0].duplicated else 0.0
+    carry_over = (
+        2.0 * float(abs(points[inner, 1]) * points[inner, 3]) if wings[0].duplicated else 0.0
+    )
     for key, value, largest, name in (
-        ("S", area, area + carried, "area"),
+        ("S", area, area + carry_over, "area"),
         ("b", span, span, "span"),
         ("c", chord, chord, "chord"),
     ):
@@ -440,15 +442,15 @@ def _polar(point: Point, lift_slope: float, aspect_ratio: float) -> Iterator[Sli
     if drag is None or slope is None or abs(lift) < 0.1:
         return
     curvature = slope.value / (2.0 * lift * lift_slope)
-    least = drag.value - curvature * lift**2
-    if least < -0.005:
+    least_drag = drag.value - curvature * lift**2
+    if least_drag < -0.005:
         efficiency = 1.0 / (math.pi * aspect_ratio * curvature)
         yield _slip(
             slope,
             "drag",
             f"CD_alpha {slope.value:.4g} per rad with CD {drag.value:.4g} at CL {lift:.4g} gives a"
-            f" drag of {least:.3g} at zero lift and e = {efficiency:.2g}; above 0 and about 0.8 are"
-            f" expected (CL_0 is the lift at zero alpha){_unit_remark(0.8 / efficiency)}",
+            f" drag of {least_drag:.3g} at zero lift and e = {efficiency:.2g}; above 0 and about"
+            f" 0.8 are expected (CL_0 is the lift at zero alpha){_unit_remark(0.8 / efficiency)}",
             "Drag is negative at low lift: there is no trim",
         )
 
@@ -949,11 +951,11 @@ def _lift_of_stab(block: vspaero.Block, base: Mapping[str, Entry]) -> Iterator[S
     if abs(turned - lift) > 2e-3 * max(abs(lift), 0.1):
         candidates = np.radians(np.linspace(-30.0, 30.0, 12001))
         errors = np.abs(normal * np.cos(candidates) - axial * np.sin(candidates) - lift)
-        near = np.degrees(candidates[errors < 1e-3 * max(abs(lift), 0.1)])
-        fits = f"; alpha of {near[0]:.3g} deg would fit" if near.size else ""
+        matching_deg = np.degrees(candidates[errors < 1e-3 * max(abs(lift), 0.1)])
+        fits = f"; alpha of {matching_deg[0]:.3g} deg would fit" if matching_deg.size else ""
         yield _slip(
-            angle if near.size else base["CL"],
-            "deg/rad" if near.size else "axes",
+            angle if matching_deg.size else base["CL"],
+            "deg/rad" if matching_deg.size else "axes",
             f"CFx {axial:.4g} and CFz {normal:.4g} give CL {turned:.4g} at alpha"
             f" {angle.value:.4g} deg; the file says {lift:.4g}{fits}",
             "Drag and lift are turned by the wrong angle: thrust and glide are wrong",

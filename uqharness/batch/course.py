@@ -228,8 +228,8 @@ def settle(
     """
     turboprops = [s.engine.motor for s in settlers if isinstance(s.engine.motor, Turboprop)]
     for turboprop in turboprops:
-        if (lost := values.get(f"#{turboprop.limited_throttle}")) is not None:
-            values[f"#{turboprop.limited_throttle}"] = np.nan_to_num(lost, nan=1.0)
+        if (limited_throttle := values.get(f"#{turboprop.limited_throttle}")) is not None:
+            values[f"#{turboprop.limited_throttle}"] = np.nan_to_num(limited_throttle, nan=1.0)
     for settler in settlers:
         _settle_engine(settler.steady, settling_slot(settler.engine), values, count)
     renew()

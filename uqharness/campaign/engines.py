@@ -441,7 +441,7 @@ def _support(
     with staged_mission_of(spec, mission) as staged:
         flights = [case.flight for case in one_case_each(spec, staged)]
 
-        def named(texts: Iterable[str]) -> tuple[str, ...]:
+        def in_authors_files(texts: Iterable[str]) -> tuple[str, ...]:
             """Return the sentences with the author's path in the place of the copy's."""
             return tuple(
                 dict.fromkeys(
@@ -449,10 +449,14 @@ def _support(
                 )
             )
 
-        refused = named(text for flight in flights for text in _refusals(batch, flight, varying))
+        refused = in_authors_files(
+            text for flight in flights for text in _refusals(batch, flight, varying)
+        )
         if refused:
             return refused, ()
-        return (), named(text for flight in flights for text in batch.left_out(flight, varying))
+        return (), in_authors_files(
+            text for flight in flights for text in batch.left_out(flight, varying)
+        )
 
 
 def _refusals(batch: Batch, flight: FlightSpec, varying: tuple[str, ...]) -> tuple[str, ...]:

@@ -99,31 +99,33 @@ def build_table(cases: Sequence[Case], outcomes: Iterable[CaseOutcome]) -> pa.Ta
         for name, value in outcome.metrics.items():
             metrics[name][k] = value
     finished = np.array([text != "" for text in status], dtype=bool)
-    flown = [case for case, done in zip(cases, finished.tolist(), strict=True) if done]
+    flown_cases = [case for case, done in zip(cases, finished.tolist(), strict=True) if done]
     status, reason = ([t for t, s in zip(of, status, strict=True) if s] for of in (status, reason))
     ok = np.array([text == "ok" for text in status], dtype=bool)
     # A flight that ended early was scored for what it flew after the burn-in.
-    planned_s = np.array([case.flight.duration_s for case in flown], dtype=float)
-    burn_in_s = np.array([case.flight.burn_in_s for case in flown], dtype=float)
+    planned_s = np.array([case.flight.duration_s for case in flown_cases], dtype=float)
+    burn_in_s = np.array([case.flight.burn_in_s for case in flown_cases], dtype=float)
     scored_s = np.clip(flown_s[finished] - burn_in_s, 0.0, planned_s)
     columns: dict[str, Any] = {
-        "case_id": [case.case_id for case in flown],
-        "epistemic_id": [case.epistemic_id for case in flown],
-        "aleatory_id": [case.aleatory_id for case in flown],
-        "wind_mps": [case.wind_mps for case in flown],
-        "turbulence": [case.turbulence for case in flown],
-        "seed": [case.seed for case in flown],
-        _ENGINE: [case.engine for case in flown],
+        "case_id": [case.case_id for case in flown_cases],
+        "epistemic_id": [case.epistemic_id for case in flown_cases],
+        "aleatory_id": [case.aleatory_id for case in flown_cases],
+        "wind_mps": [case.wind_mps for case in flown_cases],
+        "turbulence": [case.turbulence for case in flown_cases],
+        "seed": [case.seed for case in flown_cases],
+        _ENGINE: [case.engine for case in flown_cases],
         "duration_s": np.where(ok, planned_s, scored_s),
         "status": status,
         "reason": reason,
     }
-    columns |= {f"level_{name}": [case.levels.get(name) for case in flown] for name in COEFFICIENTS}
+    columns |= {
+        f"level_{name}": [case.levels.get(name) for case in flown_cases] for name in COEFFICIENTS
+    }
     # Columns follow from the campaign: radii, optional metrics, inputs.
     radii = cases[0].flight.excursion_radius_m if cases else ()
     inputs = tuple(cases[0].inputs) if cases else ()
     optional = tuple(name for name in OPTIONAL_METRICS if name in metrics)
-    columns |= {name: [case.inputs.get(name) for case in flown] for name in inputs}
+    columns |= {name: [case.inputs.get(name) for case in flown_cases] for name in inputs}
     absent = np.full(len(cases), np.nan)
     for name in (*ERROR_METRICS, "extrapolated_share", *optional):
         values = metrics.pop(name, absent)[finished]

@@ -201,11 +201,11 @@ def _mass_properties(request: AuthorRequest, sources: Sources) -> tuple[MassProp
 
 def _stated_inertia(request: AuthorRequest) -> list[Entry]:
     """Return the moments of inertia of the options, none unless all three are given."""
-    named = (("x", request.ixx_kgm2), ("y", request.iyy_kgm2), ("z", request.izz_kgm2))
+    moments = (("x", request.ixx_kgm2), ("y", request.iyy_kgm2), ("z", request.izz_kgm2))
     entries = [
-        Entry(value, Path(f"--i{axis}{axis}-kgm2")) for axis, value in named if value is not None
+        Entry(value, Path(f"--i{axis}{axis}-kgm2")) for axis, value in moments if value is not None
     ]
-    return entries if len(entries) == len(named) else []
+    return entries if len(entries) == len(moments) else []
 
 
 def _xyz(source: Source) -> tuple[float, float, float]:

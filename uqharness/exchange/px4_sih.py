@@ -232,9 +232,9 @@ def _plate(
     # The program turns by the angle from zero lift.
     forward = lift * np.sin(alpha) - drag * np.cos(alpha)
     down = -lift * np.cos(alpha) - drag * np.sin(alpha)
-    still = np.zeros_like(lift)
-    force = to_body @ (pressure * np.stack([forward, still, down]))
-    moment = to_body @ (pressure * plate.chord_m * np.stack([still, pitch, still]))
+    zero = np.zeros_like(lift)
+    force = to_body @ (pressure * np.stack([forward, zero, down]))
+    moment = to_body @ (pressure * plate.chord_m * np.stack([zero, pitch, zero]))
     return force, moment + np.cross(place, force, axis=0)
 
 
@@ -266,8 +266,8 @@ def _of_plate(
         _CD0 + np.abs(separated[0] * np.tan(effective)),
         -0.17 * _KV * np.abs(np.sin(effective)) * np.sin(effective),
     )
-    beyond = np.where(effective > 0.0, effective - limits[0], limits[1] - effective)
-    blend = 0.5 * (1.0 - np.tanh(4.0 * beyond / _BLEND_RAD))
+    excess = np.where(effective > 0.0, effective - limits[0], limits[1] - effective)
+    blend = 0.5 * (1.0 - np.tanh(4.0 * excess / _BLEND_RAD))
     lift, drag, pitch = (
         a * blend + s * (1.0 - blend) for a, s in zip(attached, separated, strict=True)
     )

@@ -42,7 +42,7 @@ _AGREE = 0.1
 """Relative difference of a slope that is no finding."""
 _RELEVANT = 0.02
 """Share of a coefficient's variation below which a slope is not judged."""
-_NAMED = 5e-4
+_RELEVANT_EXACT = 5e-4
 """The same for a usual slip between models that the polynomials hold exactly."""
 _ABSENCE = "one of the models lacks the term, or its parts cancel"
 _BODY_TO_WIND = {"CZ": "CL", "CX": "CD"}
@@ -114,7 +114,7 @@ def slips(
     rows = [np.column_stack([row, *lift_and_drag(row, alpha)]) for row in rows]
     slopes: dict[tuple[str, str], tuple[float, float]] = {}
     effects: dict[tuple[str, str], float] = {}
-    least: dict[str, float] = {}
+    least_change: dict[str, float] = {}
     for k, coefficient in enumerate((*COEFFICIENTS, "CL", "CD")):
         fits = [polynomial(states, row[:, k]) for row in rows]
         of_first, of_second = (fit.tangent(middle) for fit in fits)
@@ -124,9 +124,11 @@ def slips(
             reach = float(states.values[variable].std())
             effects[coefficient, variable] = reach / spread if spread > 0.0 else 0.0
         # A slope's standard error, as a share of the variation, is what the fits leave over sqrt n.
-        rest = max(float((r[:, k] - f.over(states)).std()) for r, f in zip(rows, fits, strict=True))
-        error = rest / max(spread, 1e-30) / math.sqrt(len(states))
-        least[coefficient] = min(max(_NAMED, 10.0 * error), _RELEVANT)
+        misfit = max(
+            float((r[:, k] - f.over(states)).std()) for r, f in zip(rows, fits, strict=True)
+        )
+        error = misfit / max(spread, 1e-30) / math.sqrt(len(states))
+        least_change[coefficient] = min(max(_RELEVANT_EXACT, 10.0 * error), _RELEVANT)
     findings = _of_reference(a, b)
     of_all = _exchanged(slopes, effects) or _moment_centre(slopes, effects, states)
     if of_all is not None:
@@ -140,7 +142,7 @@ def slips(
         cause = _cause(*key, first, second, states)
         share = size * effects[key]
         # A usual slip counts if it is small, but larger than the errors of the fits.
-        if share <= (_RELEVANT if cause in ("", _ABSENCE) else least[key[0]]):
+        if share <= (_RELEVANT if cause in ("", _ABSENCE) else least_change[key[0]]):
             continue
         if not cause and key[0] in _BODY_TO_WIND:
             wind = _BODY_TO_WIND[key[0]], key[1]
@@ -219,11 +221,11 @@ def _cause(
         usual.append((span_chord**2, "span and chord are mixed in moment and rate"))
     # The nearest usual ratio counts. A slope that is 57 times smaller is bent by other terms.
     size = abs(math.log(abs(ratio)))
-    away, cause = min(
+    distance, cause = min(
         (abs(size - abs(math.log(value))) / max(0.12 * abs(math.log(value)), _TOLERANCE), text)
         for value, text in usual
     )
-    if away < 1.0:
+    if distance < 1.0:
         return f"{cause}, with the opposite sign" if ratio < 0.0 else cause
     if abs(ratio + 1.0) < 2.0 * _AGREE:
         return "the sign is opposite"
@@ -269,16 +271,16 @@ def _moment_centre(
         key = keys[int(np.argmax(changed))]
         if _cause(*key, *slopes[key], states):
             return None
-    seen = np.zeros(3, dtype=bool)
+    observed = np.zeros(3, dtype=bool)
     shift = np.zeros(3)
     # Directions one after the other, so that none takes what another explains.
     for _ in range(3):
         gains = [
-            -1.0 if seen[k] else abs(column @ (changes - matrix @ shift)) / norm
+            -1.0 if observed[k] else abs(column @ (changes - matrix @ shift)) / norm
             for k, column in enumerate(matrix.T)
             if (norm := max(float(np.linalg.norm(column)), 1e-12))
         ]
-        trial = seen.copy()
+        trial = observed.copy()
         trial[int(np.argmax(gains))] = True
         solution = np.zeros(3)
         solution[trial] = np.linalg.lstsq(matrix[:, trial], changes, rcond=None)[0]
@@ -286,7 +288,7 @@ def _moment_centre(
         after = float(np.sum((changes - matrix @ solution) ** 2))
         if after > 0.5 * before:
             break
-        seen, shift = trial, solution
+        observed, shift = trial, solution
         # What is left is the difference of two sound fits.
         if after < 1e-3 * float(changes @ changes):
             break
@@ -308,7 +310,7 @@ def _moment_centre(
         key = ("Cm", "alpha")
     cause = f"the moment centre is {' and '.join(words)} in the second"
     # Slips of other slopes are judged by themselves.
-    explained = {key for key, good in zip(keys, agree, strict=True) if good}
+    explained = {key for key, agrees in zip(keys, agree, strict=True) if agrees}
     return Slip(_where(key), *slopes[key], cause), explained
 
 

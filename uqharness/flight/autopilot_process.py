@@ -190,8 +190,8 @@ class AutopilotProcess:
                     self._stop(str(error), fdm.get_sim_time())
                 if fdm.get_sim_time() >= self._settings.warmup_s:
                     # JSBSim's throttle is that of the first engine.
-                    others = range(1, engines if _THROTTLE in commands else 1)
-                    commands |= {f"{_THROTTLE}[{k}]": commands[_THROTTLE] for k in others}
+                    other_engines = range(1, engines if _THROTTLE in commands else 1)
+                    commands |= {f"{_THROTTLE}[{k}]": commands[_THROTTLE] for k in other_engines}
                     for name, value in {**self._open_loop, **commands}.items():
                         engine.set_property(fdm, name, value)
                 advance(1)

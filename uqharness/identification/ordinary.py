@@ -180,14 +180,14 @@ def control_delay_s(flights: Sequence[Flight], measured: Sequence[str]) -> float
             for piece in flight.pieces:
                 rows, last = piece.rows, -1
                 time_s, rates = record["time_s"][rows], record[rate][rows]
-                others = [record[c][rows] for c in motion if c in record and c != rate]
+                other_motion = [record[c][rows] for c in motion if c in record and c != rate]
                 commands = [record[columns[c]][rows] for c in controls]
                 if len(time_s) < 5 * _PAST_ROWS or not all(
-                    np.isfinite(v).all() for v in (rates, *others, *commands)
+                    np.isfinite(v).all() for v in (rates, *other_motion, *commands)
                 ):
                     continue
                 past = [np.ones(len(time_s) - _PAST_ROWS - 1)]
-                for values, count in ((rates, _PAST_ROWS), *((v, 3) for v in others)):
+                for values, count in ((rates, _PAST_ROWS), *((v, 3) for v in other_motion)):
                     past += [values[_PAST_ROWS - k : last - k] for k in range(count)]
                 basis = np.linalg.qr(np.column_stack(past))[0]
                 change = np.diff(rates)[_PAST_ROWS:]

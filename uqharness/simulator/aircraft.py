@@ -381,8 +381,8 @@ def _folder_of(source: Path) -> Path:
         return source
     outer = source.parent.parent
     parts = {name for names in staging.INSIDE.values() for name in names if name}
-    beside = any((source.parent / name).is_dir() for name in parts)
-    return outer if not beside and any(outer.glob(f"*{_SET}")) else source.parent
+    has_parts = any((source.parent / name).is_dir() for name in parts)
+    return outer if not has_parts and any(outer.glob(f"*{_SET}")) else source.parent
 
 
 _SET = "-set.xml"
@@ -495,9 +495,9 @@ def _model(source: Path) -> tuple[Path, Path]:
         if (folder / f"{aero}.xml").is_file()
     }
     by_name = [model for model in sets.values() if model.stem == folder.name]
-    named = sets.get(folder / f"{folder.name}{_SET}") or next(iter(by_name), None)
+    model_set = sets.get(folder / f"{folder.name}{_SET}") or next(iter(by_name), None)
     models = [path for path in sorted(folder.glob("*.xml")) if b"<fdm_config" in read_xml(path)]
-    choices = [named] if named else sorted(set(sets.values())) or models
+    choices = [model_set] if model_set else sorted(set(sets.values())) or models
     if len(choices) == 1:
         return folder, choices[0]
     if not choices:
