@@ -230,9 +230,14 @@ def test_a_pipe_in_the_folder_holds_nothing_up(plane: Path, tmp_path: Path) -> N
 
 def test_a_card_names_a_file_of_its_own_folder(plane: Path, tmp_path: Path) -> None:
     shutil.copyfile(plane / "plane.xml", tmp_path / "other.xml")
-    for name in ("../other.xml", str(tmp_path / "other.xml"), "sub/other.xml"):
+    message = "name of a file in this folder"
+    for name, problem in (
+        ("../other.xml", message),
+        (str(tmp_path / "other.xml"), message),
+        ("sub/other.xml", "does not exist"),
+    ):
         (plane / "airframe.toml").write_text(f'[aircraft]\nname = "plane"\nxml = "{name}"\n')
-        with pytest.raises(BadInputError, match="name of a file in this folder"):
+        with pytest.raises(BadInputError, match=problem):
             find_aircraft(plane)
 
 

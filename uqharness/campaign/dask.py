@@ -23,7 +23,7 @@ import types
 import uuid
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, is_dataclass, replace
+from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import cache, lru_cache
 from pathlib import Path, PurePath
 from typing import Any, TypeVar
@@ -237,7 +237,7 @@ def _read(kind: Callable[..., T], text: Any, kind_name: str) -> T:
 def _as_json_type(value: Any) -> Any:
     """Convert dataclasses, mappings, paths and NumPy scalars for `json.dumps`."""
     if is_dataclass(value):
-        return vars(value)
+        return {field.name: getattr(value, field.name) for field in fields(value)}
     if isinstance(value, Mapping):
         return dict(value)
     if isinstance(value, PurePath):
