@@ -13,7 +13,6 @@ import uqharness as uq
 from tests.helpers.sixdof import Airframe
 from tests.hidden_effects.airframes import write_aircraft
 from tests.hidden_effects.cases import perturbed
-from tests.hidden_effects.effects import Effect
 from tests.hidden_effects.flights import Flight, fly
 from tests.hidden_effects.manoeuvres import card
 
@@ -100,21 +99,6 @@ def test_what_is_asked_for_is_estimated_and_no_more(folder: Path):
     assert all(
         m.shape[1] == len(outputs) for m in (*found.measured, *found.modelled, *found.residual)
     )
-
-
-@pytest.mark.slow
-def test_moments_that_the_model_lacks_are_told(folder: Path):
-    """Pitching moment due to roll rate squared, as the dissertation's section 2.7.2 has it, is in
-    no parameter.
-    """
-    hidden = Effect("Cm", "p_hat^2", 12.0)
-    (record,) = fly([Flight(card(7, 21.0, seconds=45.0, w20_kt=12.0), TRUTH, (hidden,))])
-    record.write(folder / "hidden.parquet")
-    found = uq.identify(folder / "espaaro", folder / "hidden.parquet", workers=1)
-    assert found.method == "filter error"
-    assert [w.split(" axis")[0] for w in found.warnings if "moments act" in w] == [
-        "moments act about the pitch"
-    ]
 
 
 @pytest.mark.slow
