@@ -365,12 +365,13 @@ class FlightRecord:
             raise LogError(f"cannot write suffix '{path.suffix}'; use .parquet or .csv", path)
 
     @classmethod
-    def read(cls, path: Path) -> FlightRecord:
+    def read(cls, path: str | Path) -> FlightRecord:
         """Read a file of `write`, or a plain table with the names of the vocabulary.
 
         The format is recognised by content. Raises LogError with file and column for anything
         else.
         """
+        path = Path(path)
         columns, meta = read_record(path)
         try:
             metadata = (

@@ -82,6 +82,9 @@ SCALE_MARGIN = 0.33
 """Deviation of the scale from 1 that errors of derivatives can explain; more suggests a
 wrong unit.
 """
+SLIP_SHARE = 0.5
+"""Share of a channel's gap that a wrong sign or scale must remove to be named. Gusts that the
+controls answer leave a scale far from 1, too, which removes hardly anything."""
 _ANSWER_HZ = (0.1, 2.5)
 _NO_RELATION = Relation(math.nan, math.nan, math.nan, math.inf, 0.0, 0)
 
@@ -107,6 +110,12 @@ class ChannelResponse:
 def describe_slip(answer: Relation) -> str:
     """Describe a sign or scale that is certainly wrong; "" where it is right or undetermined."""
     if not answer.evident or answer.allows(1.0, SCALE_MARGIN):
+        return ""
+    # Powers over that of the model: both limits give the common and the measured one.
+    sign = math.copysign(1.0, answer.scale)
+    common, measured = abs(answer.low), answer.low * answer.high
+    gap, removed = measured - 2.0 * sign * common + 1.0, (common - sign) ** 2
+    if not removed > SLIP_SHARE * gap:
         return ""
     size = f"{answer.scale:.2f} times the model's (between {answer.low:.2f} and {answer.high:.2f})"
     return f"reversed: {size}" if answer.scale < 0.0 else f"out of scale: {size}"
@@ -297,6 +306,8 @@ class Comparison(TabularResult):
         it.
     late_limit_s : float
         Delay that a record allows [s]; infinite for a log, whose channels are stamped when written.
+    controls_late_share : float
+        Share of the gap beyond the noise that this delay removes; 1 where it is within its limit.
     """
 
     aircraft: str
@@ -317,6 +328,7 @@ class Comparison(TabularResult):
     controls_late_s: float = 0.0
     late_limit_s: float = math.inf
     controls_late_std_s: float = 0.0
+    controls_late_share: float = 1.0
 
     def __repr__(self) -> str:
         return (
@@ -336,9 +348,9 @@ class Comparison(TabularResult):
 
         A shift of one row would otherwise pass for a lag of every servo.
         """
-        return (
-            not abs(self.controls_late_s) - _DELAY_SIGMA * self.controls_late_std_s
-            > self.late_limit_s
+        return not (
+            _exceeds(self.controls_late_s, self.controls_late_std_s, self.late_limit_s)
+            and self.controls_late_share > SLIP_SHARE
         )
 
     @property
@@ -480,6 +492,17 @@ def compare(
         # Replay all channels with the estimated nuisance parameters.
         replay = Replay(model, cut_segments, layout_names, present, uuid.uuid4().hex)
         modelled = replay(theta)
+        late_s = _control_delay_s(layout_names, theta)
+        late_limit = late_limit_s(flight, cut_segments[0].command_s)
+        share = 1.0
+        if _exceeds(late_s, late_std_s, late_limit):
+            # In moving air the delay of an autopilot's controls is biased, and explains little.
+            is_delay = [name.endswith(f"/{CONTROL_DELAY}") for name in layout_names]
+            excess, excess_at_rows = (
+                _excess(outputs, data, flyable, present, judged_channels, noise)
+                for outputs in (modelled, replay(np.where(is_delay, 0.0, theta)))
+            )
+            share = 1.0 - excess / excess_at_rows if excess_at_rows > 0.0 else 0.0
         callback("coefficients")
         with ReplayFolder(aircraft, measured=measured, ideal=CONTROLS) as direct_model:
             demand, predicted, floor = _coefficients(
@@ -488,7 +511,7 @@ def compare(
                 flight,
                 cut_segments,
                 noise,
-                _control_delay_s(layout_names, theta),
+                late_s,
             )
     # Drop the segments that the model cannot fly.
     data = [d for d, ok in zip(data, flyable, strict=True) if ok]
@@ -545,10 +568,37 @@ def compare(
         predicted=predicted,
         nuisance=dict(zip(layout_names, theta.tolist(), strict=True)),
         notes=(*flight.notes, *notes),
-        controls_late_s=_control_delay_s(layout_names, theta),
-        late_limit_s=late_limit_s(flight, cut_segments[0].command_s),
+        controls_late_s=late_s,
+        late_limit_s=late_limit,
         controls_late_std_s=late_std_s,
+        controls_late_share=share,
     )
+
+
+def _exceeds(late_s: float, std_s: float, limit_s: float) -> bool:
+    """Return whether the delay of the controls certainly exceeds a limit [s]."""
+    return abs(late_s) - _DELAY_SIGMA * std_s > limit_s
+
+
+def _excess(
+    modelled: Sequence[FloatArray],
+    data: Sequence[FloatArray],
+    flyable: Sequence[bool],
+    present: Sequence[str],
+    judged_channels: Sequence[str],
+    noise: Mapping[str, float],
+) -> float:
+    """Return the sum of squares over the noise by which the judged channels exceed the noise."""
+    columns = [list(present).index(c) for c in judged_channels]
+    scales = np.array([noise[c] for c in judged_channels])
+    squares = np.concatenate(
+        [
+            np.square((z - y)[:, columns] / scales)
+            for z, y, ok in zip(data, modelled, flyable, strict=True)
+            if ok
+        ]
+    )
+    return float(np.nansum(squares)) - np.count_nonzero(np.isfinite(squares))
 
 
 def _fit_starts(

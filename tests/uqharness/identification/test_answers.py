@@ -5,10 +5,12 @@ reason elsewhere.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from sysid.logs.checking.kinematics import Relation
 from uqharness.identification.compare import MOTION_SIGMA, channel_response, describe_slip, motion
 
 DT_S = 0.02
@@ -86,3 +88,11 @@ def test_a_segment_that_was_not_flown_through_does_not_move() -> None:
 
 def test_a_straight_line_is_no_motion() -> None:
     assert motion([5.0 + 0.3 * T]) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_scale_that_explains_little_of_a_channel_is_no_slip():
+    """Gusts that the controls answer: a third of the power in common, 2.6 times the model's."""
+    gusts = Relation(1.5, 4.67, 0.0, 0.01, 0.32, 3)
+    assert describe_slip(gusts) == ""
+    assert describe_slip(replace(gusts, low=3.1, high=3.5)).startswith("out of scale")
+    assert describe_slip(replace(gusts, low=-1.0, high=-2.0)).startswith("reversed")
