@@ -155,11 +155,13 @@ def test_bad_input_is_marked():
 
 
 def test_stopping_leaves_no_process():
+    # Another test's processes may still be ending.
+    others = set(multiprocessing.active_children())
     batches = ProcessExecutor(2, "fork").run(fakes.slow, flights(2000))
     for _ in range(4):
         next(batches)
     batches.close()
-    assert not multiprocessing.active_children()
+    assert not set(multiprocessing.active_children()) - others
 
 
 def test_children_have_one_numerical_thread_each(monkeypatch):
