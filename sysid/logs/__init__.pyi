@@ -2,6 +2,7 @@ from .assemble import bridge as bridge
 from .card import AirframeCard as AirframeCard
 from .card import Reference as Reference
 from .card import Sensors as Sensors
+from .card import Servo as Servo
 from .card import read_card as read_card
 from .channels import alpha_of as alpha_of
 from .channels import beta_of as beta_of

@@ -18,7 +18,7 @@ import struct
 import subprocess
 import tempfile
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Any, Literal, NoReturn
@@ -29,10 +29,10 @@ from pymavlink.dialects.v20 import common as mavlink
 from pymavlink.mavextra import get_mag_field_ef
 from scipy.spatial.transform import Rotation
 
-from sysid.logs import read_card
+from sysid.logs import Servo, read_card
 from sysid.units import FT_M, G0_MPS2, PSF_PA
 from uqharness.errors import BadInputError
-from uqharness.simulator import Aircraft, engine
+from uqharness.simulator import Aircraft, InputCard, engine, set_command
 
 Protocol = Literal["ardupilot-json", "px4-hil"]
 PORTS: Mapping[Protocol, int] = {"ardupilot-json": 9002, "px4-hil": 4560}
@@ -40,7 +40,6 @@ PORTS: Mapping[Protocol, int] = {"ardupilot-json": 9002, "px4-hil": 4560}
 _PACKETS = {18458: struct.Struct("<HHI16H"), 29569: struct.Struct("<HHI32H")}
 """Magic number to layout: magic, frame rate, frame count, pulses [us] of 16 or 32 outputs."""
 _OUTPUTS = {"aileron": 1, "elevator": 2, "throttle": 3, "rudder": 4}
-_THROTTLE = "fcs/throttle-cmd-norm"
 _CLOSED_US, _NEUTRAL_US, _OPEN_US = 1100.0, 1500.0, 1900.0
 """ArduPlane's default SERVOn_MIN, _TRIM and _MAX."""
 _LONGEST_OUTPUT = 400
@@ -177,7 +176,6 @@ class AutopilotProcess:
     def around(self, fdm: Any, advance: Callable[[int], None]) -> Callable[[int], None]:
         """Return a loop that exchanges commands and state in each of n frames."""
         self._link.connect(fdm)
-        engines = fdm.get_propulsion().get_num_engines()
 
         def check(silent_s: float) -> None:
             self._check(fdm.get_sim_time(), silent_s)
@@ -189,11 +187,10 @@ class AutopilotProcess:
                 except _PeerError as error:
                     self._stop(str(error), fdm.get_sim_time())
                 if fdm.get_sim_time() >= self._settings.warmup_s:
-                    # JSBSim's throttle is that of the first engine.
-                    other_engines = range(1, engines if _THROTTLE in commands else 1)
-                    commands |= {f"{_THROTTLE}[{k}]": commands[_THROTTLE] for k in other_engines}
-                    for name, value in {**self._open_loop, **commands}.items():
+                    for name, value in self._open_loop.items():
                         engine.set_property(fdm, name, value)
+                    for name, value in commands.items():
+                        set_command(fdm, name, value)
                 advance(1)
                 self._link.send(fdm.get_sim_time())
 
@@ -302,13 +299,11 @@ class _JsonLink:
 
     def _commands(self, pulses: tuple[int, ...]) -> dict[str, float]:
         """Return the model's command properties from the pulses of all outputs [us]."""
-        commands = {}
-        for scale in self._scales.values():
-            pulse = pulses[scale.output - 1]
-            # A pulse of 0 is an output that is off.
-            value = np.interp(pulse, scale.pulses_us, scale.values) if pulse else scale.off
-            commands[scale.property] = float(value)
-        return commands
+        # A pulse of 0 is an output that is off.
+        return {
+            scale.property: scale.command(pulses[scale.output - 1] or math.nan)
+            for scale in self._scales.values()
+        }
 
     def send(self, time_s: float) -> None:
         """Send the state after a frame."""
@@ -424,14 +419,14 @@ class _HilLink:
         return newest
 
     def _commands(self, controls: Sequence[float]) -> dict[str, float]:
-        """Return the model's command properties from PX4's controls, -1 to 1 or 0 to 1."""
-        commands = {}
-        for scale in self._scales.values():
-            control = controls[scale.output - 1]
-            value = np.interp(control, scale.inputs, scale.values)
-            # An output without a function is no number.
-            commands[scale.property] = float(value) if math.isfinite(control) else scale.off
-        return commands
+        """Return the model's command properties from PX4's controls, -1 to 1 or 0 to 1.
+
+        An output without a function is NaN.
+        """
+        return {
+            scale.property: scale.command(controls[scale.output - 1])
+            for scale in self._scales.values()
+        }
 
     def send(self, time_s: float) -> None:
         """Send the sensors after a frame."""
@@ -527,99 +522,83 @@ def _sensors(time_us: int, values: Mapping[str, Sequence[float]]) -> Any:
 
 
 @dataclass(frozen=True)
-class ControlScale:
-    """From a control of PX4 to a command of the model.
+class CommandScale:
+    """From an output of the autopilot to a command of the model.
 
     Attributes
     ----------
     property : str
         Command property.
     output : int
-        Place in HIL_ACTUATOR_CONTROLS, from 1.
-    inputs, values : tuple of float
-        Table: control and command in the property's unit.
+        Place of the output in a packet, from 1.
+    signals, values : tuple of float
+        Table: pulse [us] or normalised control, and command in the property's unit.
     off : float
         Command where the output is off.
     """
 
     property: str
     output: int
-    inputs: tuple[float, ...]
+    signals: tuple[float, ...]
     values: tuple[float, ...]
     off: float
 
+    def command(self, signal: float) -> float:
+        """Return the command of a signal; one that is not finite is off."""
+        if not math.isfinite(signal):
+            return self.off
+        return float(np.interp(signal, self.signals, self.values))
 
-def control_scales(aircraft: Aircraft) -> dict[str, ControlScale]:
-    """Return the scale of each control that the card names.
+
+def _inputs_and_servos(
+    aircraft: Aircraft, outputs: Mapping[str, int]
+) -> Iterator[tuple[str, InputCard, Servo | None, int]]:
+    """Yield each control that the card names, with its input, its servo and its output.
+
+    The output is the servo's ``channel``, else the autopilot's usual one.
+    """
+    servos = read_card(aircraft.folder / "airframe.toml").servos if aircraft.has_card else {}
+    for control, usual in outputs.items():
+        card, servo = aircraft.card.inputs.get(control), servos.get(control)
+        if card is not None:
+            yield control, card, servo, servo.channel or usual if servo is not None else usual
+
+
+def control_scales(aircraft: Aircraft) -> dict[str, CommandScale]:
+    """Return the scale of PX4's controls that the card names.
 
     Full control is the end of the travel: +1 is right wing down, nose up, nose right. Outputs are
     the card's ``channel``, else aileron 1, elevator 2, rudder 3, throttle 4.
     """
-    servos = read_card(aircraft.folder / "airframe.toml").servos if aircraft.has_card else {}
     scales = {}
-    for control, output in _HIL_OUTPUTS.items():
-        card = aircraft.card.inputs.get(control)
-        if card is None:
-            continue
-        servo = servos.get(control)
-        channel = output if servo is None else servo.channel or output
+    for control, card, _, output in _inputs_and_servos(aircraft, _HIL_OUTPUTS):
         low, high = card.limits
-        inputs: tuple[float, ...] = (0.0, 1.0)
+        signals: tuple[float, ...] = (0.0, 1.0)
         values: tuple[float, ...] = (low, high)
         off = low
         if control != "throttle":
             # A command may move the surface against the sign of flight records.
             if _HIL_SIGNS[control] * (card.throw_deg or 1.0) < 0.0:
                 low, high = high, low
-            inputs, values, off = (-1.0, 0.0, 1.0), (low, 0.0, high), 0.0
-        scales[control] = ControlScale(card.property, channel, inputs, values, off)
+            signals, values, off = (-1.0, 0.0, 1.0), (low, 0.0, high), 0.0
+        scales[control] = CommandScale(card.property, output, signals, values, off)
     return scales
 
 
-@dataclass(frozen=True)
-class CommandScale:
-    """From a servo's pulses to a command of the model.
-
-    Attributes
-    ----------
-    property : str
-        Command property.
-    output : int
-        Servo output, from 1.
-    pulses_us, values : tuple of float
-        Table: pulse [us] and command in the property's unit.
-    off : float
-        Command where the output is off.
-    """
-
-    property: str
-    output: int
-    pulses_us: tuple[float, ...]
-    values: tuple[float, ...]
-    off: float
-
-
 def command_scales(aircraft: Aircraft) -> dict[str, CommandScale]:
-    """Return the scale of each control that the card names.
+    """Return the scale of each servo's pulses for the controls that the card names.
 
     The card's ``servo_pwm`` and ``channel`` count; without them ArduPlane's default pulses span the
     card's limits, and its default outputs are aileron 1, elevator 2, throttle 3 and rudder 4.
     """
-    servos = read_card(aircraft.folder / "airframe.toml").servos if aircraft.has_card else {}
     scales = {}
-    for control, output in _OUTPUTS.items():
-        card = aircraft.card.inputs.get(control)
-        if card is None:
-            continue
+    for control, card, servo, output in _inputs_and_servos(aircraft, _OUTPUTS):
         low, high = card.limits
         table = [(_CLOSED_US, low), (_OPEN_US, high)]
         if control != "throttle":
             table = [(_CLOSED_US, low), (_NEUTRAL_US, 0.0), (_OPEN_US, high)]
-        servo = servos.get(control)
-        if servo is not None:
-            output = servo.channel or output
-            if card.unit in ("deg", "pct"):
-                table = sorted(servo.table)
+        if servo is not None and card.unit in ("deg", "pct"):
+            table = sorted(servo.table)
         pulses, values = zip(*table, strict=True)
         off = low if control == "throttle" else 0.0
         scales[control] = CommandScale(card.property, output, pulses, values, off)

@@ -640,9 +640,13 @@ def set_control(fdm: Any, aircraft: Aircraft, control: str, value: float) -> Non
     Does nothing if the card has no such input.
     """
     card = aircraft.card.inputs.get(control)
-    if card is None:
-        return
-    engine.set_property(fdm, card.property, value)
-    if card.property == "fcs/throttle-cmd-norm":
+    if card is not None:
+        set_command(fdm, card.property, value)
+
+
+def set_command(fdm: Any, name: str, value: float) -> None:
+    """Set a command property; all throttles if it is JSBSim's first one."""
+    engine.set_property(fdm, name, value)
+    if name == "fcs/throttle-cmd-norm":
         for index in range(1, fdm.get_propulsion().get_num_engines()):
-            fdm[f"fcs/throttle-cmd-norm[{index}]"] = value
+            fdm[f"{name}[{index}]"] = value

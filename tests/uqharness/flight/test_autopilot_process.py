@@ -152,11 +152,11 @@ def test_pulses_follow_the_card() -> None:
         "rudder": 4,
     }
     assert scales["elevator"].values == (-20.0, 0.0, 20.0)
-    assert scales["throttle"].pulses_us == (1000.0, 2000.0)
+    assert scales["throttle"].signals == (1000.0, 2000.0)
     # Without a card: JSBSim's normalised commands over ArduPlane's default pulses.
     plain = command_scales(find_aircraft("c172p"))
     assert plain["elevator"].property == "fcs/elevator-cmd-norm"
-    assert plain["elevator"].pulses_us == (1100.0, 1500.0, 1900.0)
+    assert plain["elevator"].signals == (1100.0, 1500.0, 1900.0)
 
 
 @pytest.fixture
