@@ -273,13 +273,11 @@ def _moment_centre(
             return None
     observed = np.zeros(3, dtype=bool)
     shift = np.zeros(3)
+    norms = np.maximum(np.linalg.norm(matrix, axis=0), 1e-12)
     # Directions one after the other, so that none takes what another explains.
     for _ in range(3):
-        gains = [
-            -1.0 if observed[k] else abs(column @ (changes - matrix @ shift)) / norm
-            for k, column in enumerate(matrix.T)
-            if (norm := max(float(np.linalg.norm(column)), 1e-12))
-        ]
+        gains = np.abs(matrix.T @ (changes - matrix @ shift)) / norms
+        gains[observed] = -1.0
         trial = observed.copy()
         trial[int(np.argmax(gains))] = True
         solution = np.zeros(3)

@@ -12,6 +12,7 @@ import itertools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from cachetools import LRUCache, cached
@@ -96,18 +97,18 @@ class Derivatives:
 
     def at(self, values: Mapping[str, float]) -> float:
         """Return the polynomial's value; variables that are not named are 0."""
-        total = self.terms["0"]
-        for name, factor in self.terms.items():
-            if name != "0":
-                total += factor * math.prod(values.get(v, 0.0) for v in name.split("*"))
-        return total
+        return float(self._sum(values))
 
     def over(self, states: FlightStates) -> FloatArray:
         """Return the polynomial's values at n states."""
-        total = np.full(len(states), self.terms["0"])
+        return np.asarray(self._sum(states.values))
+
+    def _sum(self, values: Mapping[str, Any]) -> Any:
+        """Return the sum of the terms at numbers or arrays."""
+        total = self.terms["0"]
         for name, factor in self.terms.items():
             if name != "0":
-                total += factor * np.prod([states.values[v] for v in name.split("*")], axis=0)
+                total = total + factor * math.prod(values.get(v, 0.0) for v in name.split("*"))
         return total
 
     def tangent(self, values: Mapping[str, float]) -> dict[str, float]:
