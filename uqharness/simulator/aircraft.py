@@ -732,7 +732,6 @@ def with_rotor_inertia(aircraft: HasFiles, files: ModelFiles) -> dict[str, tuple
     return mended
 
 
-_BURNING = frozenset({"piston_engine", "turbine_engine", "turboprop_engine"})
 _LBS_GAL = 6.0  # of aviation gasoline
 _ASSUMED_FILL = 0.5
 
@@ -745,8 +744,7 @@ def fuel_levels(aircraft: Aircraft) -> dict[int, float]:
     starving engines only are filled, as a system would.
     """
     files = staging.model_files(aircraft)
-    parts = {**files.shared, **files.local}
-    roots = {Path(name).stem: part.root for name, part in parts.items()}
+    burning = aircraft_checks.burning_engines(files)
     main = files.local[aircraft.xml.relative_to(aircraft.folder).as_posix()]
     root: Any = etree.fromstring(main.content, etree.XMLParser(resolve_entities=False))
     tanks = root.findall("propulsion/tank")
@@ -754,7 +752,7 @@ def fuel_levels(aircraft: Aircraft) -> dict[int, float]:
     starved: set[int] = set()
     for node in root.iterfind("propulsion/engine"):
         feeds = [int(feed.text) for feed in node.iterfind("feed") if (feed.text or "").strip()]
-        burns = roots.get(Path(node.get("file", "")).stem) in _BURNING
+        burns = Path(node.get("file", "")).stem in burning
         in_range = [number for number in feeds if number < len(tanks)]
         if burns and not any(contents[number] for number in in_range):
             starved |= set(in_range)

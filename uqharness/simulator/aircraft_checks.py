@@ -781,13 +781,19 @@ def _components(root: Any) -> Iterator[tuple[int, str]]:
             yield _line(element), f"{text}; did you mean <{matches[0]}>?"
 
 
-def _feeds(root: Any, files: ModelFiles) -> Iterator[tuple[int, str]]:
-    """Yield engines that draw fuel from a tank that does not exist, where JSBSim crashes."""
+def burning_engines(files: ModelFiles) -> set[str]:
+    """Return the names of the aircraft's engine files whose engines burn fuel."""
     parts = {**files.shared, **files.local}
     kinds = {PurePosixPath(name).stem: part.root for name, part in parts.items()}
+    return {name for name, kind in kinds.items() if kind in _BURNING}
+
+
+def _feeds(root: Any, files: ModelFiles) -> Iterator[tuple[int, str]]:
+    """Yield engines that draw fuel from a tank that does not exist, where JSBSim crashes."""
+    burning = burning_engines(files)
     tanks = len(root.findall("propulsion/tank"))
     for node in root.iterfind("propulsion/engine"):
-        if kinds.get(PurePosixPath(node.get("file", "")).stem) not in _BURNING:
+        if PurePosixPath(node.get("file", "")).stem not in burning:
             continue
         for feed in node.iterfind("feed"):
             text = (feed.text or "").strip()
