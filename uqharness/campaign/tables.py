@@ -137,15 +137,7 @@ def build_table(cases: Sequence[Case], outcomes: Iterable[CaseOutcome]) -> pa.Ta
         counts = np.rint(np.where(is_counted, values, 0.0)).astype(np.int64)
         columns[name] = pa.array(counts, pa.int64(), mask=~is_counted)
     schema = _schema(radii, optional, inputs)
-    return pa.table(
-        [
-            columns[field.name]
-            if isinstance(columns[field.name], pa.Array)
-            else pa.array(columns[field.name], field.type)
-            for field in schema
-        ],
-        schema=schema,
-    )
+    return pa.table({name: columns[name] for name in schema.names}, schema=schema)
 
 
 def checked_table(table: pa.Table, path: Path, campaign: Mapping[str, Any]) -> pa.Table:
