@@ -391,7 +391,7 @@ def _smooth_term(
         return None, result
     aircraft, smooth = result
     placed = _place(aircraft, request.aircraft, request.out / UNNAMED)
-    model = f"{UNNAMED}/aircraft/{placed.folder.name}/{placed.xml.name}"
+    model = f"{UNNAMED}/aircraft/{placed.folder.name}/{placed.card.aircraft.xml}"
     return smooth.model_copy(update={"model": model}), None
 
 
