@@ -1,4 +1,4 @@
-"""The colour of a filter's innovations, estimated alone, and with a model that may lack an effect."""
+"""The colour of a filter's innovations, alone and with a model that may lack an effect."""
 
 from __future__ import annotations
 
