@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import fftconvolve
 
 from sysid.arrays import FloatArray
 from sysid.errors import Finding, LogError
@@ -210,6 +209,9 @@ def _sliding_correlation(a: FloatArray, b: FloatArray) -> NDArray[np.float64]:
 
     Means and variances are those of the overlapping parts.
     """
+    # Its import takes half a second, and most flights need no alignment.
+    from scipy.signal import fftconvolve
+
     ones_a, ones_b = np.ones_like(a), np.ones_like(b)
     a, b = a - a.mean(), b - b.mean()
 

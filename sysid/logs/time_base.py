@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter
 
 from sysid.arrays import FloatArray
 from sysid.errors import Finding
@@ -303,6 +302,9 @@ def _restarts(time_s: FloatArray) -> list[int]:
     """Return rows at which the clock begins again, for stamps in the order of the file."""
     if not _steps_back(time_s):
         return []
+    # Imported where it is needed, because that takes a quarter of a second.
+    from scipy.ndimage import median_filter
+
     # The running median ignores single wrong stamps.
     level = median_filter(time_s, size=2 * _HALF_WINDOW + 1, mode="nearest")
     rows: list[int] = []

@@ -21,18 +21,20 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Any, Literal, NoReturn
+from typing import TYPE_CHECKING, Any, Literal, NoReturn
 from typing import Protocol as Interface
 
 import numpy as np
 from pymavlink.dialects.v20 import common as mavlink
 from pymavlink.mavextra import get_mag_field_ef
-from scipy.spatial.transform import Rotation
 
 from sysid.logs import Servo, read_card
 from sysid.units import FT_M, G0_MPS2, PSF_PA
 from uqharness.errors import BadInputError
 from uqharness.simulator import Aircraft, InputCard, engine, set_command
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 Protocol = Literal["ardupilot-json", "px4-hil"]
 PORTS: Mapping[Protocol, int] = {"ardupilot-json": 9002, "px4-hil": 4560}
@@ -456,6 +458,9 @@ def _integer(value: float, bits: int, signed: bool = True) -> int:
 
 def _rotation(attitude: Sequence[float]) -> Rotation:
     """Return the rotation from body to north, east, down."""
+    # Most flights have a built-in autopilot and need no more of scipy.
+    from scipy.spatial.transform import Rotation
+
     return Rotation.from_euler("ZYX", attitude[::-1])
 
 
