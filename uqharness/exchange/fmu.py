@@ -1,6 +1,6 @@
 """A functional mock-up unit (FMI 3.0, co-simulation) of the six-degree-of-freedom aircraft.
 
-The unit holds the aircraft's files and `fmu_slave`, packed by the package pythonfmu3. Inputs are
+The unit holds the aircraft's files, `fmu_slave` and `settling`, packed by pythonfmu3. Inputs are
 the card's commands and the wind, parameters the levels of the model form, outputs the motion. It
 starts in the trim and flies frames of the aircraft's own integration step.
 """
@@ -18,7 +18,7 @@ from uqharness.errors import BadInputError
 from uqharness.exchange.frozen_copy import copied_files, declared_values, write_aircraft
 from uqharness.exchange.states import SourceModel
 from uqharness.files import scratch_folder
-from uqharness.simulator import TRIM_LATITUDE_DEG, Aircraft
+from uqharness.simulator import TRIM_LATITUDE_DEG, Aircraft, settling
 from uqharness.xml import declared_properties
 
 LOST_TERMS = ("nothing of the aerodynamics: the unit runs JSBSim",)
@@ -95,5 +95,6 @@ def build(model: dict[str, Any], root: Path) -> bytes:
         files = Path(place) / "root"
         shutil.copytree(root, files)
         out = Path(place) / "out"
-        unit = FmuBuilder.build_FMU(program, out, [description_file, files])
+        resources = [description_file, files, Path(settling.__file__)]
+        unit = FmuBuilder.build_FMU(program, out, resources)
         return Path(unit).read_bytes()

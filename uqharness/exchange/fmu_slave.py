@@ -1,7 +1,8 @@
 """The program inside an exported FMU: JSBSim stepped by an FMI 3.0 co-simulation master.
 
-It runs without uqharness; the importing program's Python needs the package jsbsim. ``model.json``
-beside it has the aircraft, its integration step, commands, trimmed state and parameters.
+It runs without uqharness; the importing program's Python needs the package jsbsim. Beside it are
+``model.json`` (the aircraft, its integration step, commands, trimmed state and parameters) and
+``settling.py``, the module of uqharness.simulator.
 """
 
 import json
@@ -9,6 +10,7 @@ import math
 from pathlib import Path
 
 import jsbsim
+import settling
 from pythonfmu3 import Float64, Fmi3Causality, Fmi3Slave, Fmi3Variability
 
 OUTPUTS = {
@@ -99,15 +101,28 @@ class Aircraft(Fmi3Slave):
         self.fdm = fdm
         self._command()
         fdm.run_ic()
+        # Mixtures and propellers as in the trim: rich and fine.
         fdm["propulsion/set-running"] = -1
+        for k in range(fdm.get_propulsion().get_num_engines()):
+            for lever in ("mixture", "advance"):
+                fdm[f"fcs/{lever}-cmd-norm[{k}]"] = 1.0
         self._command()
+        self._stand(2.0)
         fdm.get_propulsion().get_steady_state()
-        # Servos and filters reach the positions of the trim while the motion stands still.
-        fdm.suspend_integration()
-        for _ in range(round(2.0 / self.model["dt_s"])):
-            fdm.run()
-        fdm.resume_integration()
+        self._stand(0.0)
+        # JSBSim's own method leaves many propellers, and engines behind a delay, elsewhere.
+        if not settling.is_balanced(fdm):
+            settling.settle(fdm)
+            if not settling.has_turboprop(fdm):
+                self._stand(2.0)
         self._read()
+
+    def _stand(self, seconds):
+        """Run frames without motion: servos and filters reach the positions of the trim."""
+        self.fdm.suspend_integration()
+        for _ in range(round(seconds / self.model["dt_s"]) + 1):
+            self.fdm.run()
+        self.fdm.resume_integration()
 
     def _command(self):
         """Set commands, wind and parameters."""

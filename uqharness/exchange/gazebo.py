@@ -22,7 +22,14 @@ from lxml import etree
 from sysid.arrays import FloatArray
 from sysid.foreign.regular_files import read_regular
 from uqharness.errors import BadInputError
-from uqharness.exchange.states import Derivatives, FlightStates, Reference, SourceModel, lift_drag
+from uqharness.exchange.states import (
+    Derivatives,
+    FlightStates,
+    Reference,
+    SourceModel,
+    air_velocity,
+    lift_drag,
+)
 
 _COLUMNS = {"a": "alpha", "b": "beta", "p": "p", "q": "q", "r": "r"}
 _TAGS: Mapping[str, tuple[str, ...]] = {
@@ -82,6 +89,8 @@ class LiftDragModel:
         Its control surfaces.
     arm_m : tuple of float
         From the centre of gravity to the point where the forces act, forward, right, down [m].
+    air_m : tuple of float
+        The same to the point whose velocity counts.
     axes : ndarray
         (3, 3) forward, right and down of the system (rows) in forward, right, down of the link.
     """
@@ -89,6 +98,7 @@ class LiftDragModel:
     tags: Mapping[str, float]
     surfaces: Sequence[ControlSurface]
     arm_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    air_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     axes: FloatArray = field(default_factory=lambda: np.eye(3), compare=False)
 
 
@@ -164,11 +174,12 @@ def coefficients(model: LiftDragModel, states: FlightStates) -> FloatArray:
     # Without <mac> the program takes the mean chord.
     span = math.sqrt(tag["area"] * tag["AR"])
     chord = tag["mac"] or tag["area"] / span
-    value = _in_axes(states.reduced_by(span, chord), model.axes).values
-    alpha = value["alpha"]
+    lengths = np.array([span, chord, span])
+    # The velocity is that of a point of the link; rates are the link's, whatever the axes.
+    u, v, w = model.axes @ air_velocity(states, model.air_m)
     # The program's speed is that in the plane of symmetry, its sideslip atan2(v, u).
-    plane = np.cos(value["beta"])
-    beta = np.arctan2(np.tan(value["beta"]), np.cos(alpha))
+    plane, alpha, beta = np.hypot(u, w), np.arctan2(w, u), np.arctan2(v, u)
+    value = states.reduced_by(span, chord).values
     stall = tag["alpha_stall"]
     before, behind = np.exp(-_SHARPNESS * (alpha - stall)), np.exp(_SHARPNESS * (alpha + stall))
     sigma = (1.0 + before + behind) / ((1.0 + before) * (1.0 + behind))
@@ -206,30 +217,11 @@ def coefficients(model: LiftDragModel, states: FlightStates) -> FloatArray:
     cz = -drag * np.sin(alpha) - lift * np.cos(alpha)
     lateral = [plane**2 * linear(p) + rates(p) for p in ("CY", "Cell", "Cen")]
     pitch = plane**2 * pitch + rates("Cem")
-    # Back to the link's axes; the forces act at <cp>.
-    lengths = np.array([span, chord, span])
+    # Back to the link's axes; the forces act at a point of the link.
     forces = np.column_stack([cx, lateral[0], cz]) @ model.axes
     moments = (np.column_stack([lateral[1], pitch, lateral[2]]) * lengths) @ model.axes
     moments = moments + np.cross(np.array(model.arm_m), forces)
     return np.hstack([forces, moments / lengths])
-
-
-def _in_axes(states: FlightStates, axes: FloatArray) -> FlightStates:
-    """Return states in other axes (rows: forward, right, down of the new ones)."""
-    if np.array_equal(axes, np.eye(3)):
-        return states
-    value = states.values
-    alpha, beta = value["alpha"], value["beta"]
-    air = np.stack([np.cos(alpha) * np.cos(beta), np.sin(beta), np.sin(alpha) * np.cos(beta)])
-    lengths = np.array([states.b_m, states.c_m, states.b_m])[:, None]
-    air = axes @ air
-    rates = axes @ (np.stack([value["p"], value["q"], value["r"]]) / lengths) * lengths
-    turned = {
-        "alpha": np.arctan2(air[2], air[0]),
-        "beta": np.arcsin(np.clip(air[1], -1.0, 1.0)),
-        **dict(zip("pqr", rates, strict=True)),
-    }
-    return FlightStates(states.V_mps, {**value, **turned}, states.b_m, states.c_m)
 
 
 def text(model: LiftDragModel, source: SourceModel, classic: bool = False) -> bytes:
@@ -238,7 +230,8 @@ def text(model: LiftDragModel, source: SourceModel, classic: bool = False) -> by
     ``classic`` writes the plug-in of Gazebo classic in place of gz-sim's system.
     """
     reference, name = source.reference, source.aircraft.name
-    sdf = etree.Element("sdf", version="1.9")
+    # Gazebo classic reads SDF up to 1.7.
+    sdf = etree.Element("sdf", version="1.6" if classic else "1.9")
     sdf.append(etree.Comment(f" Written from {name} by uqharness export; axes forward, left, up. "))
     body = etree.SubElement(sdf, "model", name=name)
     link = etree.SubElement(body, "link", name="base_link")
@@ -266,7 +259,7 @@ def text(model: LiftDragModel, source: SourceModel, classic: bool = False) -> by
     )
     for tag in TAGS:
         _add(plugin, tag, model.tags[tag])
-    etree.SubElement(plugin, "cp").text = "0 0 0"
+    etree.SubElement(plugin, "ref_pt" if classic else "cp").text = "0 0 0"
     etree.SubElement(plugin, "forward").text = "1 0 0"
     etree.SubElement(plugin, "upward").text = "0 0 1"
     etree.SubElement(plugin, "link_name").text = "base_link"
@@ -278,6 +271,8 @@ def text(model: LiftDragModel, source: SourceModel, classic: bool = False) -> by
         _add(element, "direction", surface.direction)
         for key in ("CD", "CY", "CL", "Cell", "Cem", "Cen"):
             _add(element, f"{key}_ctrl", surface.effects[f"{key}_ctrl"])
+    if classic:
+        etree.SubElement(plugin, "robotNamespace").text = ""
     etree.indent(sdf)
     return bytes(etree.tostring(sdf, xml_declaration=True, encoding="utf-8", pretty_print=True))
 
@@ -379,7 +374,9 @@ def read(path: Path) -> tuple[LiftDragModel, Reference]:
         if not tags[tag] > 0.0:
             raise BadInputError(f"{path}: <{tag}> = {tags[tag]:g}: a number above 0 is needed")
     joints = {joint.get("name"): joint for joint in root.iter("joint")}
-    elements = list(plugin.iter("control_surface"))
+    # The program counts on <num_ctrl_surfaces>.
+    count = round(_number(path, plugin, "num_ctrl_surfaces", 0.0))
+    elements = list(plugin.iter("control_surface"))[: max(count, 0)]
     names = [(element.findtext("name") or "").strip() for element in elements]
     links = [f"{name} {_child(joints.get(name))}" for name in names]
     has_elevator = any(variable_of(link) == "de" for link in links)
@@ -394,13 +391,16 @@ def read(path: Path) -> tuple[LiftDragModel, Reference]:
     mass, inertia = _mass(path, inertial)
     place = None if inertial is None else inertial.find("pose")
     centre = np.zeros(3) if place is None else _vector(path, place, 3)
-    point = plugin.find("cp")
-    x, y, z = (np.zeros(3) if point is None else _vector(path, point, 3)) - centre
+    # Gazebo classic's point is <ref_pt>; its forces act there from the centre of gravity.
+    classic = plugin.find("ref_pt") is not None
+    element = plugin.find("ref_pt" if classic else "cp")
+    point = np.zeros(3) if element is None else _vector(path, element, 3)
+    arm = point if classic else point - centre
     span = math.sqrt(tags["area"] * tags["AR"])
     throws = dict.fromkeys(("elevator", "aileron", "rudder"), 20.0)
     chord = tags["mac"] or tags["area"] / span
     return (
-        LiftDragModel(tags, surfaces, (float(x), -float(y), -float(z)), _axes(path, plugin)),
+        LiftDragModel(tags, surfaces, _down(arm), _down(point - centre), _axes(path, plugin)),
         Reference(tags["area"], span, chord, mass, inertia, throws),
     )
 
@@ -421,6 +421,12 @@ def _axes(path: Path, plugin: etree._Element) -> FloatArray:
     axes = np.array([forward, np.cross(forward, upward), -upward])
     # From forward, left, up of the link to its forward, right, down.
     return np.asarray(axes * np.array([1.0, -1.0, -1.0]) + 0.0)
+
+
+def _down(vector: FloatArray) -> tuple[float, float, float]:
+    """Return a vector of forward, left, up in forward, right, down."""
+    x, y, z = map(float, vector)
+    return x, 0.0 - y, 0.0 - z
 
 
 def _vector(path: Path, element: etree._Element, count: int) -> FloatArray:

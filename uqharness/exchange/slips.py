@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from uqharness.exchange.states import (
     VARIABLES,
     FlightStates,
     Reference,
+    air_velocity,
     lift_and_drag,
     polynomial,
 )
@@ -108,11 +109,60 @@ def slips(
     a: ComparedModel, b: ComparedModel, states: FlightStates, middle: Mapping[str, float]
 ) -> list[Slip]:
     """Compare two models' slopes at the middle of the states, and their geometry and mass."""
+    slopes, effects, least_change = _slopes(a, b, states, middle)
+    findings = _of_reference(a, b)
+    exchanged, centre = _exchanged(slopes, effects), None
+    if exchanged is None:
+        centre = _moment_centre(slopes, effects, states)
+    if exchanged is not None:
+        findings.append(exchanged[0])
+    elif centre is not None:
+        findings.append(centre[0])
+        # What remains is judged about the second model's centre; its program may take the
+        # velocity of the air there, too.
+        moved = [
+            _slopes(_moved(a, centre[1], has_air), b, states, middle) for has_air in (False, True)
+        ]
+        slopes, effects, least_change = min(
+            moved,
+            key=lambda rows: sum(((x - y) * rows[1][key]) ** 2 for key, (x, y) in rows[0].items()),
+        )
+    for key, (first, second) in slopes.items():
+        size = max(abs(first), abs(second))
+        if key[0] in ("CL", "CD") or abs(first - second) <= _AGREE * size:
+            continue
+        if exchanged is not None and key in exchanged[1]:
+            continue
+        cause = _cause(*key, first, second, states)
+        share = size * effects[key]
+        # A usual slip counts if it is small, but larger than the errors of the fits.
+        if share <= (_RELEVANT if cause in ("", _ABSENCE) else least_change[key[0]]):
+            continue
+        if not cause and key[0] in _BODY_TO_WIND:
+            wind = _BODY_TO_WIND[key[0]], key[1]
+            cause = _cause(*wind, *slopes[wind], states)
+        findings.append(Slip(_where(key), first, second, _of_parts(key, a, b) or cause))
+    if findings:
+        findings += _turned(a, b)
+    return findings
+
+
+Slopes = dict[tuple[str, str], tuple[float, float]]
+
+
+def _slopes(
+    a: ComparedModel, b: ComparedModel, states: FlightStates, middle: Mapping[str, float]
+) -> tuple[Slopes, dict[tuple[str, str], float], dict[str, float]]:
+    """Return both models' slopes, their reach, and each coefficient's least change that counts.
+
+    Keys are coefficient and variable. The reach of a slope of 1 is a share of the coefficient's
+    variation.
+    """
     # Lift and drag are what files hold; a slip in them is seen through both body axes.
     rows = [model.coefficients(states) for model in (a, b)]
     alpha = states.values["alpha"]
     rows = [np.column_stack([row, *lift_and_drag(row, alpha)]) for row in rows]
-    slopes: dict[tuple[str, str], tuple[float, float]] = {}
+    slopes: Slopes = {}
     effects: dict[tuple[str, str], float] = {}
     least_change: dict[str, float] = {}
     for k, coefficient in enumerate((*COEFFICIENTS, "CL", "CD")):
@@ -129,28 +179,31 @@ def slips(
         )
         error = misfit / max(spread, 1e-30) / math.sqrt(len(states))
         least_change[coefficient] = min(max(_RELEVANT_EXACT, 10.0 * error), _RELEVANT)
-    findings = _of_reference(a, b)
-    of_all = _exchanged(slopes, effects) or _moment_centre(slopes, effects, states)
-    if of_all is not None:
-        findings.append(of_all[0])
-    for key, (first, second) in slopes.items():
-        size = max(abs(first), abs(second))
-        if key[0] in ("CL", "CD") or abs(first - second) <= _AGREE * size:
-            continue
-        if of_all is not None and key in of_all[1]:
-            continue
-        cause = _cause(*key, first, second, states)
-        share = size * effects[key]
-        # A usual slip counts if it is small, but larger than the errors of the fits.
-        if share <= (_RELEVANT if cause in ("", _ABSENCE) else least_change[key[0]]):
-            continue
-        if not cause and key[0] in _BODY_TO_WIND:
-            wind = _BODY_TO_WIND[key[0]], key[1]
-            cause = _cause(*wind, *slopes[wind], states)
-        findings.append(Slip(_where(key), first, second, _of_parts(key, a, b) or cause))
-    if findings:
-        findings += _turned(a, b)
-    return findings
+    return slopes, effects, least_change
+
+
+def _moved(model: ComparedModel, shift: FloatArray, has_air: bool) -> ComparedModel:
+    """Return a model whose moments are taken about a point that lies ``shift`` chords away.
+
+    ``has_air``: angles and speed are those of the air at the opposite point, where the forces of
+    the other model act.
+    """
+
+    def coefficients(states: FlightStates) -> FloatArray:
+        distance = np.asarray(shift) * states.c_m
+        lengths = np.array([states.b_m, states.c_m, states.b_m])
+        local, pressure = states, np.ones(len(states))
+        if has_air:
+            u, v, w = air_velocity(states, -distance)
+            speed = np.sqrt(u**2 + v**2 + w**2)
+            angles = {"alpha": np.arctan2(w, u), "beta": np.arcsin(v / speed)}
+            rates = {name: states.values[name] / speed for name in "pqr"}
+            values = {**states.values, **angles, **rates}
+            local, pressure = replace(states, V_mps=states.V_mps * speed, values=values), speed**2
+        rows = model.coefficients(local) * pressure[:, None]
+        return np.hstack([rows[:, :3], rows[:, 3:] - np.cross(distance, rows[:, :3]) / lengths])
+
+    return replace(model, coefficients=coefficients)
 
 
 def _where(key: tuple[str, str]) -> str:
@@ -245,13 +298,15 @@ def _moment_centre(
     slopes: Mapping[tuple[str, str], tuple[float, float]],
     effects: Mapping[tuple[str, str], float],
     states: FlightStates,
-) -> tuple[Slip, set[tuple[str, str]]] | None:
-    """Return the slip of a shifted moment centre, and the slopes that it explains.
+) -> tuple[Slip, FloatArray] | None:
+    """Return the slip of a shifted moment centre, and the shift in chords.
 
     About a point that lies d away moments change by -d x F, for all variables alike: one d, by
-    least squares, must give each change that it makes visible.
+    least squares, must give each change that it makes visible. Rates are left out: they also move
+    the point through the air.
     """
-    keys = [(moment, v) for moment in ("Cl", "Cm", "Cn") for v in VARIABLES]
+    static = [v for v in VARIABLES if v not in ("p", "q", "r")]
+    keys = [(moment, v) for moment in ("Cl", "Cm", "Cn") for v in static]
     span, weights = states.b_m / states.c_m, np.array([effects[key] for key in keys])
     levers = []
     for moment, variable in keys:
@@ -307,9 +362,7 @@ def _moment_centre(
     if abs(shift[0]) == np.abs(shift).max():
         key = ("Cm", "alpha")
     cause = f"the moment centre is {' and '.join(words)} in the second"
-    # Slips of other slopes are judged by themselves.
-    explained = {key for key, agrees in zip(keys, agree, strict=True) if agrees}
-    return Slip(_where(key), *slopes[key], cause), explained
+    return Slip(_where(key), *slopes[key], cause), shift
 
 
 def _of_reference(a: ComparedModel, b: ComparedModel) -> list[Slip]:

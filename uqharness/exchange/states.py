@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 from cachetools import LRUCache, cached
+from numpy.typing import ArrayLike
 
 from sysid.aerodynamics import COEFFICIENTS
 from sysid.arrays import FloatArray
@@ -59,6 +60,19 @@ class FlightStates:
         factor = {"p": b_m / self.b_m, "q": c_m / self.c_m, "r": b_m / self.b_m}
         values = {name: value * factor.get(name, 1.0) for name, value in self.values.items()}
         return FlightStates(self.V_mps, values, b_m, c_m)
+
+
+def air_velocity(states: FlightStates, place_m: ArrayLike) -> FloatArray:
+    """Return the velocity (3, n) of a point of the turning body through the air, over the speed.
+
+    ``place_m`` counts from the centre of gravity; forward, right, down.
+    """
+    value = states.values
+    alpha, beta = value["alpha"], value["beta"]
+    air = np.stack([np.cos(alpha) * np.cos(beta), np.sin(beta), np.sin(alpha) * np.cos(beta)])
+    lengths = np.array([states.b_m, states.c_m, states.b_m])
+    turn = 2.0 * np.column_stack([value[v] for v in "pqr"]) / lengths
+    return np.asarray(air + np.cross(turn, place_m).T)
 
 
 @dataclass(frozen=True)

@@ -185,8 +185,9 @@ def by_gazebo(model: gazebo.LiftDragModel, V: float, x: dict[str, float], turn: 
             ]
         )
     )
-    air, spin = turn.apply(speed), turn.apply(spin)
+    rr, pr, yr = spin * np.array([1.0, -1.0, -1.0])
     flu = np.array([1.0, -1.0, -1.0])
+    air = turn.apply(speed + np.cross(spin, flu * model.air_m))
     link = [turn.apply(flu * axis) for axis in np.eye(3)]
     ex, ez = turn.apply(flu * model.axes[0]), turn.apply(flu * model.axes[2])
     ey = np.cross(ez, ex)
@@ -195,7 +196,6 @@ def by_gazebo(model: gazebo.LiftDragModel, V: float, x: dict[str, float], turn: 
     sx = plane / size
     sz = np.cross(sx, ey)
     span = math.sqrt(t["area"] * t["AR"])
-    rr, pr, yr = spin @ ex, spin @ ey, spin @ ez
     alpha, beta = math.atan2(sx @ ez, sx @ ex), math.atan2(air @ ey, air @ ex)
     pressure, half = 0.5 * t["air_density"] * size**2, 0.5 * t["air_density"] * size
     m, a0 = 15.0, t["alpha_stall"]
@@ -263,11 +263,14 @@ def test_ardupilots_equations():
 
 @pytest.mark.parametrize("turned", [False, True])
 def test_gazebos_equations(turned: bool):
-    """Also with <cp> off the centre of gravity, and <forward> and <upward> turned in the link."""
+    """Also with <cp> off the centre of gravity, and <forward> and <upward> turned in the link.
+
+    Rates are those of the link; the air is felt at <cp>.
+    """
     model, of = gazebo_model(), states(1000)
     if turned:
         axes = Rotation.from_euler("zyx", [0.2, -0.3, 0.1]).as_matrix()
-        model = replace(model, arm_m=(-0.1, 0.03, 0.05), axes=axes)
+        model = replace(model, arm_m=(-0.1, 0.03, 0.05), air_m=(-0.1, 0.02, 0.05), axes=axes)
     turns = Rotation.random(len(of), random_state=3)
     expected = [by_gazebo(model, V, x, turns[k]) for k, (V, x) in enumerate(rows(of))]
     computed = gazebo.coefficients(model, of)
@@ -355,7 +358,8 @@ FOREIGN = """<sdf version="1.5"><model name="plane">
 <link name="base_link"><inertial><pose>0.02 0 0 0 0 0</pose><mass>1</mass></inertial></link>
 {joints}
 <plugin name="gz::sim::systems::AdvancedLiftDrag"><area>0.34</area><AR>6.5</AR><eff>0.97</eff>
-<mac>0.22</mac><cp>-0.12 0.01 0</cp><link_name>base_link</link_name>{surfaces}</plugin>
+<mac>0.22</mac><cp>-0.12 0.01 0</cp><link_name>base_link</link_name>
+<num_ctrl_surfaces>2</num_ctrl_surfaces>{surfaces}</plugin>
 </model></sdf>"""
 
 
@@ -383,7 +387,12 @@ def test_joints_of_other_peoples_models(joint, child, axis, effects, shares, tmp
     model, geometry = gazebo.read(path)
     assert model.surfaces[1].shares == shares
     # <cp> counts from the link, the arm from its centre of gravity, forward, right, down.
-    assert model.arm_m == pytest.approx((-0.14, -0.01, 0.0))
+    assert model.arm_m == model.air_m == pytest.approx((-0.14, -0.01, 0.0))
+    # Gazebo classic puts the forces <ref_pt> from the centre of gravity, and counts the surfaces.
+    path.write_text(path.read_text().replace("cp>", "ref_pt>").replace(">2</num", ">1</num"))
+    classic, _ = gazebo.read(path)
+    assert classic.arm_m == pytest.approx((-0.12, -0.01, 0.0))
+    assert (classic.air_m, len(classic.surfaces)) == (model.air_m, 1)
     assert (geometry.mass_kg, geometry.c_m) == (1.0, 0.22)
 
 
