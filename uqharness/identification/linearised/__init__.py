@@ -1,5 +1,5 @@
-"""A model's fit to flights linearised about themselves: replays in calm air, one-step predictions
-in turbulence.
+"""Estimation with a model that is linearised along the flight: output error in calm air,
+prediction error in turbulence.
 """
 
 import lazy_loader

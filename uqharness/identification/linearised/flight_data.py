@@ -1,4 +1,8 @@
-"""What the stages of a refinement hand each other."""
+"""Flights, model and replays as the linearised estimators share them.
+
+`FlightData` is fixed for a set of flights, `ModelState` holds all numbers that are estimated, and
+`Trajectory` the replays at one `ModelState`. `StagedModels` keeps JSBSim's folders.
+"""
 
 from __future__ import annotations
 
@@ -32,26 +36,41 @@ from uqharness.simulator.actuators import actuators
 
 
 def in_dynamics(effect: Effect) -> bool:
-    """Whether the effect belongs in the aircraft's XML; a sensor's does not move the aircraft."""
+    """Return whether an effect acts on the motion, and so belongs in the aircraft's XML.
+
+    Effects of sensors and of the record's clock do not.
+    """
     return not (effect.subsystem or "").startswith(("sensor.", "record"))
 
 
 def lateness(flight: str) -> str:
-    """Name of the time [s] by which a flight's controls act after their rows: a simulation's half
-    step, a hand that logged late.
+    """Return the name of the delay [s] with which a flight's controls act after their rows.
+
+    A simulation's half step and late logging cause one.
     """
     return f"lateness/{flight}/{CONTROL_DELAY}"
 
 
 def unseen(flight: str) -> str:
-    """Name of the share of a control's jump that the accelerometers of its row have not seen."""
+    """Return the name of the share of a control's jump that its row's accelerometers miss."""
     return f"{UNSEEN}/{flight}"
 
 
 @dataclass(frozen=True)
 class Carrier:
-    """Property of the simulation that an effect moves: name; absent: its value without the effect;
-    servo, term: of a servo's lag or rate limit the servo as given, and which of the two it is."""
+    """Property of the simulation through which an effect acts.
+
+    Attributes
+    ----------
+    name : str
+        The property.
+    absent : float
+        Its value without the effect.
+    servo : Actuator or None
+        The servo without the effect, for an effect on a servo.
+    term : str
+        "lag" or "rate_limit" of the servo.
+    """
 
     name: str
     absent: float
@@ -60,13 +79,14 @@ class Carrier:
 
     @property
     def exact(self) -> bool:
-        """Whether the property restores the aircraft as given, bit for bit: no number is a servo
-        without a lag.
+        """Whether a value of the property restores the aircraft bit for bit.
+
+        A servo without a lag has no such value.
         """
         return self.servo is None or self.term != "lag" or self.servo.lag is not None
 
     def at(self, value: float) -> float:
-        """The property where the effect has a value."""
+        """Return the property's value for a value of the effect."""
         return (
             self.absent + value
             if self.servo is None
@@ -76,19 +96,48 @@ class Carrier:
 
 @dataclass(frozen=True)
 class FlightData:
-    """Everything about the flights that does not change with the model's numbers.
+    """Flights and settings of an estimation: all that does not change with the parameters.
 
-    measured [(n, m)] outputs as logged; noise (m,); positions: surfaces whose positions the
-    record has, ideal: controls that are passed straight through; late: flight -> sensors whose
-    delay is estimated; timed: flights of which it is estimated how late the controls act
-    (`lateness`); jumping: of which is estimated what is `unseen`; biased: channels; active:
-    effects that the model being flown has, or that its sensors have; carriers: key -> carrier of
-    those that have one; servos: actuators of the surfaces whose commands alone were recorded;
-    limits: surface -> rate limits [deg/s] from and to which a slower servo's effect is read while
-    it is no part of the model; zones: surface -> width [deg] of the dead zone by which one is;
-    lower_bounds: key -> value of an active rate limit's effect below which nothing changes any
-    more; slopes: numbers that the active effects are written with
-    (`writing.slopes.control_slopes`), none where none is"""
+    Attributes
+    ----------
+    flights, segments : tuple
+        Flights, and the segments of all of them.
+    channels : tuple of mapping
+        Each segment's states, (n,) each.
+    outputs : tuple of str
+        The m compared channels.
+    measured : tuple of (n, m) array
+        Logged outputs of each segment.
+    noise : (m,) array
+        Standard deviations of the outputs' noise.
+    biased : tuple of str
+        Channels with an estimated bias.
+    late : mapping
+        Flight to the sensors whose delay is estimated.
+    positions : tuple of str
+        Surfaces whose positions were recorded.
+    ideal : tuple of str
+        Controls without an actuator.
+    active : tuple of Effect
+        Effects that the model or its sensors have.
+    carriers : mapping
+        Effect key to the property through which it acts.
+    servos : mapping
+        Actuators of the surfaces of which only commands were recorded.
+    limits : mapping
+        Surface to the two rate limits [deg/s] whose difference is a slower servo's regressor
+        while the model has no such effect.
+    zones : mapping
+        Surface to the width [deg] of the dead zone that gives its regressor likewise.
+    lower_bounds : mapping
+        Effect key to the value of a rate limit's effect below which nothing changes.
+    slopes : mapping
+        Control slopes that active effects are written with.
+    timed : tuple of str
+        Flights whose controls have an estimated delay (`lateness`).
+    jumping : tuple of str
+        Flights with an estimated share of jumps (`unseen`).
+    """
 
     flights: tuple[Flight, ...]
     segments: tuple[Segment, ...]
@@ -112,11 +161,11 @@ class FlightData:
 
     @property
     def output_rows(self) -> list[int]:
-        """Columns of the replay's outputs that are compared."""
+        """Columns of the compared outputs in a replay."""
         return [STEP_OUTPUTS.index(c) for c in self.outputs]
 
     def properties(self, point: ModelState) -> dict[str, float]:
-        """Every property that is set at a point: its values, and those of the active effects."""
+        """Return all properties that are set at a point: parameters and active effects."""
         by_carrier = {
             carrier.name: carrier.at(point.effects.get(key, 0.0))
             for key, carrier in self.carriers.items()
@@ -125,12 +174,12 @@ class FlightData:
 
     @property
     def fixed_effects(self) -> list[str]:
-        """Keys of active effects that JSBSim reads once (mass, dead zones): no step moves them."""
+        """Keys of active effects that no step changes: JSBSim reads mass and dead zones once."""
         return [e.key for e in self.active if e.key not in self.carriers and in_dynamics(e)]
 
     @property
     def nuisance(self) -> tuple[str, ...]:
-        """Names of gyro biases and delays, estimated beside parameters and effects."""
+        """Names of biases, delays and jump shares, estimated beside parameters and effects."""
         names = [f"bias/{f.name}/{c}" for f in self.flights for c in self.biased]
         names += [*(lateness(f) for f in self.timed), *(unseen(f) for f in self.jumping)]
         return (*names, *(f"delay/{f}/{s}" for f, sensors in self.late.items() for s in sensors))
@@ -138,8 +187,18 @@ class FlightData:
 
 @dataclass(frozen=True)
 class ModelState:
-    """Values of properties and nuisance by name; start (9,) of every segment; effects: values of
-    the active effects by key.
+    """All numbers of a model that are estimated.
+
+    Attributes
+    ----------
+    values : mapping
+        Parameters: properties by name.
+    nuisance : mapping
+        Biases, delays and jump shares by name.
+    starts : tuple of (9,) array
+        Start state of each segment.
+    effects : mapping
+        Values of the active effects by key.
     """
 
     values: Mapping[str, float]
@@ -149,19 +208,30 @@ class ModelState:
 
 
 def late_by(point: ModelState, flight: str) -> float:
-    """How late [s] a flight's controls act at a point."""
+    """Return the delay of a flight's controls [s]."""
     return point.nuisance.get(lateness(flight), 0.0)
 
 
 def unseen_share(point: ModelState, flight: str) -> float:
-    """The share of a jump that is unseen at a point."""
+    """Return the share of a flight's jumps that its rows' accelerometer readings lack."""
     return point.nuisance.get(unseen(flight), 0.0)
 
 
 @dataclass(frozen=True)
 class Trajectory:
-    """Replays at a point: outputs [(n, m)] with biases and delays, reference states [(n, 8)], cost:
-    sum of squares over noise.
+    """Replays at one `ModelState`.
+
+    Attributes
+    ----------
+    point : ModelState
+    outputs : list of (n, m) array
+        Outputs of each segment, with the sensors' errors.
+    x : list of (n, 8) array
+        States of the reference.
+    height : list of (n,) array
+        Height above ground [m].
+    cost : float
+        Sum of squared residuals over noise; infinite where a replay diverged.
     """
 
     point: ModelState
@@ -171,8 +241,7 @@ class Trajectory:
     cost: float
 
 
-# What a refinement is made of before anything is chosen: flights cut and judged, aircraft
-# staged, candidates listed.
+# Preparation: segments, measured outputs and their noise.
 
 
 def make_setup(
@@ -181,7 +250,7 @@ def make_setup(
     measured: Sequence[str],
     ideal: Sequence[str] = (),
 ) -> FlightData:
-    """Segments, measured outputs and noise of some flights."""
+    """Return the data of some flights; parameters as the attributes of `FlightData`."""
     arm = aircraft.accelerometer_m
     pieces = [s for f in flights for s in segments(f, measured, arm)]
     outputs = tuple(
@@ -212,14 +281,16 @@ def make_setup(
 def output_noise(
     aircraft: Aircraft, measured: Sequence[FloatArray], outputs: Sequence[str]
 ) -> FloatArray:
-    """(m,) noise of outputs [(n, m)] by their own samples and the aircraft's card."""
+    """Return the noise (m,) of measured outputs, from their samples and the aircraft's card."""
     stds = channel_noise(measured, outputs, aircraft.card.sensors.noise_std)
     return np.array([stds[c] for c in outputs])
 
 
 def with_sensors_of(setup: FlightData, aircraft: Aircraft) -> FlightData:
-    """The same flights, without effects that are active, with the accelerometers where this
-    aircraft has them: a centre of gravity that moves leaves them behind."""
+    """Return the data without active effects, with the accelerometers' position of an aircraft.
+
+    An effect that moves the centre of gravity changes that position.
+    """
     segments = tuple(replace(s, arm_m=aircraft.accelerometer_m) for s in setup.segments)
     return replace(setup, segments=segments, active=(), carriers={}, lower_bounds={})
 
@@ -227,8 +298,8 @@ def with_sensors_of(setup: FlightData, aircraft: Aircraft) -> FlightData:
 def servos_of(
     aircraft: Aircraft, measured: Sequence[str], ideal: Sequence[str]
 ) -> dict[str, Actuator]:
-    """Actuators of the surfaces that the flights know by their commands alone; none where the XML
-    has none by that name.
+    """Return the actuators of surfaces of which only commands were recorded, where the XML has
+    one.
     """
     out: dict[str, Actuator] = {}
     for surface in ("elevator", "aileron", "rudder"):
@@ -239,9 +310,8 @@ def servos_of(
 
 
 class StagedModels(ExitStack):
-    """An aircraft staged for replay, as it flies and with every control straight through.
-
-    A context.
+    """Context of an aircraft's two staged copies: ``model`` with its actuators, and
+    ``direct_model`` without.
     """
 
     def __init__(self, aircraft: Aircraft, setup: FlightData) -> None:
@@ -257,8 +327,9 @@ class StagedModels(ExitStack):
 
 
 def turbulent(setup: FlightData, trajectory: Trajectory) -> bool:
-    """Whether what the replay leaves is coloured, no function of the motion, and there in quiet
-    flight as well.
+    """Return whether a replay's residuals show turbulence.
+
+    They do if they are coloured, no function of the motion, and present in quiet flight as well.
     """
     columns = [
         k for k, c in enumerate(setup.outputs) if c[:2] in ("p_", "q_", "r_", "ax", "ay", "az")
@@ -272,22 +343,27 @@ def turbulent(setup: FlightData, trajectory: Trajectory) -> bool:
 
 
 def estimated_channels(setup: FlightData) -> tuple[str, ...]:
-    """Outputs that no sensor measured in some flight, the autopilot's estimator computed them."""
+    """Return the outputs that an autopilot's estimator computed in some flight."""
     estimates = {c for flight in setup.flights for c in flight.record.metadata.estimates}
     return tuple(c for c in setup.outputs if c in estimates)
 
 
 def with_estimator_noise(setup: FlightData, residual_rms: Mapping[str, float]) -> FloatArray:
-    """(m,) noise of the setup, but for channels that an estimator computed: there, the
-    ``residual_rms`` of a fit where it is larger, for no card knows an estimator's error."""
+    """Return the noise (m,) of the outputs, raised to ``residual_rms`` for an estimator's channels.
+
+    A card states noise of sensors, not errors of an estimator.
+    """
     guessed = estimated_channels(setup)
     stated = zip(setup.outputs, setup.noise.tolist(), strict=True)
     return np.array([max(n, residual_rms.get(c, n)) if c in guessed else n for c, n in stated])
 
 
 def setup_in_gusts(aircraft: Aircraft, setup: FlightData) -> FlightData:
-    """The same with the card's sensor noise where it says one: third differences of an
-    accelerometer see gusts as noise. The card says nothing of what an estimator computed."""
+    """Return the data with the noise that the card states.
+
+    In gusts the samples of an accelerometer overstate its noise. Channels of an estimator keep
+    the noise of their samples.
+    """
     stated, guessed = aircraft.card.sensors.noise_std, estimated_channels(setup)
     card_noise = zip(setup.outputs, setup.noise.tolist(), strict=True)
     noise = np.array([n if c in guessed else stated.get(c, n) for c, n in card_noise])

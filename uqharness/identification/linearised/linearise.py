@@ -1,5 +1,8 @@
-"""What the refinement asks JSBSim along a flight: forces, moments, their slopes, and what each
-property and control adds.
+"""Linearise the model along recorded flights.
+
+`probe_all` reads forces, moments and their slopes from JSBSim at the states of each segment.
+`effect_columns` turns candidate effects into regressors there, `with_properties` parameters.
+`as_sensed` applies the sensors' errors to outputs.
 """
 
 from __future__ import annotations
@@ -59,40 +62,57 @@ from uqharness.replay import (
 from uqharness.simulator import MAX_FRAMES, TRIM_LATITUDE_DEG, Actuator, body_velocity, engine
 
 EVERY = 4
-"""Slopes are read at every fourth sample: they move with the state, and the state takes longer than
-that.
-"""
+"""Samples between two at which slopes are read: states change slowly against the sampling."""
 _STEPS = np.array([0.1, 1e-3, 1e-3, 0.01, 0.01, 0.01])
 """Steps of AIR by which slopes are read."""
 _CONTROL_STEP = 0.1
 _STATIONARY_SHARE = 1e-9
-"""Share of the largest load by which loads of two frames differ at most where they stand still."""
+"""Relative change of the loads between two frames below which they are stationary."""
 _BANKED = (0.5 * np.pi, np.pi)
-"""Banks [rad] besides the flight's own at which forces show what the rates of alpha and beta do to
-them.
+"""Added bank angles [rad] from which the loads' slopes with the rates of alpha and beta are
+read.
 """
 
 
 @dataclass(frozen=True)
 class Probe:
-    """What JSBSim said along one segment.
+    """Forces, moments and slopes of the model along one segment.
 
-    reference   for `sysid.aerodynamics.rigid_body.linearise`
-    mass        mass properties; coefficients (n, 6) CX..Cn; other_force, other_moment (n, 3) N, N
-    m: thrust and the like by_control  (n, 6, c) change of CX..Cn by each control, per record unit;
-    controls (n, c) positions by_inflow   (n,) change of CX by thrust's own slope with airspeed, V
-    dT/dV/(qbar S): by an inflow that is twice the model's
-    height_m    (n,) above the ground; infinite where the record does not say
-    body        (n, 8) states of the reference; x (n, 8): those at which coefficients are evaluated,
-    rates relative to the air
-    rate        (n, 8) rates of change of ``body``; flow_rate (n, 2): those of alpha and beta that
-    coefficients depend on by_property property -> (n, 6) change of CX..Cn by a unit of it
-    jumped      (n, c) by how much the controls jump at each row; none where nothing jumps
+    In turbulence states and rates are predictions from earlier samples: a regressor that contains
+    a sample must not predict that sample. Rates are then those of the model's equations, because
+    differences of successive predictions contain the innovations.
 
-    In turbulence these states and rates are predicted from the past: a regressor that has seen a
-    sample must not be used to predict that sample. Rates are then as the model has them, flow_rate
-    less the air's own acceleration. Differences of predictions would be no rates: every sample
-    moves a prediction, by as much as it surprises."""
+    Attributes
+    ----------
+    reference : Reference
+        Trajectory and loads for `sysid.aerodynamics.rigid_body.linearise`.
+    mass : MassProperties
+    coefficients : (n, 6) array
+        CX, CY, CZ, Cl, Cm, Cn of the aerodynamics.
+    other_force, other_moment : (n, 3) array
+        Loads of everything else, such as thrust [N, N m].
+    by_control : (n, 6, c) array
+        Change of CX to Cn by each control, per unit of the record.
+    controls : (n, c) array
+        Positions of the controls.
+    by_inflow : (n,) array
+        Change of CX when thrust's slope with airspeed doubles, V dT/dV / (qbar S).
+    height_m : (n,) array
+        Height above ground; infinite where the record has none.
+    body : (n, 8) array
+        States of the reference.
+    x : (n, 8) array
+        States at which coefficients are evaluated, rates relative to the air.
+    rate : (n, 8) array
+        Rates of change of ``body``.
+    flow_rate : (n, 2) array
+        Rates of alpha and beta on which coefficients depend; without the air's acceleration in
+        turbulence.
+    by_property : mapping
+        Property to (n, 6) change of CX to Cn per unit of it.
+    jumped : (n, c) array or None
+        Jump of each control at each row; None where none jumps.
+    """
 
     reference: Reference
     mass: MassProperties
@@ -112,17 +132,19 @@ class Probe:
 
     @property
     def scale(self) -> FloatArray:
-        """(n, 6) forces [N] and moments [N m] of coefficients CX..Cn of 1."""
+        """Loads (n, 6) of coefficients of 1 [N, N m]."""
         return _scale(self.reference.qbar, self.mass)
 
     def jumps(self, before: float = 0.5) -> FloatArray:
-        """(n, 6, c) change of CX..Cn by what each control jumps at each row, by its slopes on the
-        two sides of the jump, of which those before weigh ``before``: thrust bends with the
-        throttle."""
+        """Return the change (n, 6, c) of CX to Cn by each control's jump at each row.
+
+        ``before`` is the weight of the slope before the jump; the slope after it has the rest,
+        because thrust is not linear in the throttle.
+        """
         if self.jumped is None:
             return np.zeros_like(self.by_control)
-        # Slopes are read at every so many rows: as far away as this, none of what is on a row's
-        # other side is in them.
+        # Slopes are interpolated over EVERY rows: this far away they contain nothing from the
+        # other side of the jump.
         rows = np.arange(len(self.controls))
         early, late = (
             self.by_control[np.clip(rows + away, 0, len(rows) - 1)] for away in (-EVERY, EVERY - 1)
@@ -130,13 +152,13 @@ class Probe:
         return np.asarray((before * early + (1.0 - before) * late) * self.jumped[:, None, :])
 
     def just_before(self) -> Probe:
-        """The same an instant before each row, where the controls have not jumped yet."""
+        """Return the probe an instant before each row, before the controls jump."""
         if self.jumped is None:
             return self
         k, jumps = CONTROLS.index("throttle"), self.jumps()
         thrust = np.zeros_like(self.other_force)
-        # Of what the throttle does, thrust along the body's axis is most; what else it does moves
-        # no term.
+        # Thrust along the x axis is the throttle's main effect; its other effects change no
+        # coefficient term.
         thrust[:, 0] = jumps[:, 0, k] * self.scale[:, 0]
         aero = jumps.sum(axis=2) - jumps[:, :, k]
         return replace(
@@ -148,14 +170,15 @@ class Probe:
         )
 
     def felt_jump(self, before: float = 0.5) -> FloatArray:
-        """(n, 3) what the accelerometers feel of the controls' jumps [m/s2], by `jumps`."""
+        """Return the jump (n, 3) of the accelerometers' readings at the controls' jumps [m/s2]."""
         load = self.jumps(before).sum(axis=2) * self.scale
         turn = load[:, 3:] @ np.linalg.inv(self.mass.inertia).T
         return np.asarray(load[:, :3] / self.mass.mass + np.cross(turn, self.reference.arm_m))
 
     def rate_of(self, channel: str, values: FloatArray) -> FloatArray:
-        """(n,) rate of change of an output: in turbulence the model's, or where it has none that of
-        earlier predictions.
+        """Return the rate of change (n,) of an output.
+
+        In turbulence it is the model's for a state, and a backward difference for other outputs.
         """
         if self.reference.consistent:
             return np.gradient(values, self.reference.dt_s)
@@ -164,7 +187,7 @@ class Probe:
         return np.diff(values, prepend=values[:1]) / self.reference.dt_s
 
     def variables(self) -> dict[str, FloatArray]:
-        """Variables of coefficient terms, (n,) each."""
+        """Return the variables of coefficient terms, (n,) each."""
         b, c = self.mass.b, self.mass.c
         V, alpha, beta, p, q, r = self.x.T[:6]
         de, da, dr, dt = self.controls.T[:4]
@@ -180,13 +203,14 @@ class Probe:
 
 
 def _scale(qbar: FloatArray, mass: MassProperties) -> FloatArray:
+    """Return loads (n, 6) of coefficients of 1 [N, N m]."""
     return np.asarray(qbar[:, None] * mass.S * np.append(np.ones(3), mass.lengths))
 
 
 @dataclass(frozen=True)
 class ProbeJob:
-    """One segment to probe: x (n, 8) reference states, controls (n, c) positions, properties in
-    force.
+    """A segment to probe: reference states ``x`` (n, 8), positions ``controls`` (n, c), and the
+    properties that are set.
     """
 
     direct_model: ReplayModel
@@ -199,9 +223,7 @@ class ProbeJob:
 
 
 def probe_all(jobs: Sequence[ProbeJob], map_: Processes = SERIAL) -> list[Probe]:
-    """Force the model along references, all states asked for at once: jobs of one model and the
-    same properties.
-    """
+    """Probe the model along all references in one call; the jobs share model and properties."""
     forced_models = force_all(
         jobs[0].direct_model, [_probe_states(job) for job in jobs], jobs[0].properties, map_
     )
@@ -209,13 +231,23 @@ def probe_all(jobs: Sequence[ProbeJob], map_: Processes = SERIAL) -> list[Probe]
 
 
 def _coarse(n: int) -> NDArray[np.intp]:
+    """Return the rows at which slopes are read."""
     return np.unique(np.append(np.arange(0, n, EVERY), n - 1))
 
 
 def _moved(job: ProbeJob) -> tuple[NDArray[np.intp], NDArray[np.intp], FloatArray, FloatArray]:
-    """Rows that are forced as they are, ``coarse`` rows at which the model is asked for slopes, and
-    the states (k, coarse, 8) and controls (k, coarse, c) of these: AIR moved, then controls, then
-    banks where rates of the wind angles are asked for."""
+    """Return what is evaluated for a job's loads and slopes.
+
+    Returns
+    -------
+    rows : array
+        Rows at which loads are evaluated as they are.
+    coarse : array
+        Rows at which slopes are read.
+    x, u : (k, coarse, 8) and (k, coarse, c) arrays
+        States and controls there with one quantity moved each: the air's, then the controls, then
+        the bank where loads depend on the rates of alpha and beta.
+    """
     coarse, (n, controls) = _coarse(len(job.x)), job.controls.shape
     banks = _BANKED if job.direct_model.by_rates and not job.consistent else ()
     first = len(AIR) + controls
@@ -223,18 +255,18 @@ def _moved(job: ProbeJob) -> tuple[NDArray[np.intp], NDArray[np.intp], FloatArra
     for k, step in enumerate(_STEPS):
         x[k, :, k] += step
     for c in range(controls):
-        # Away from the stop, or the change would be none.
+        # Step away from the stop, where the surface could not move.
         u[len(AIR) + c, :, c] += np.where(
             job.controls[coarse, c] > 0.0, -_CONTROL_STEP, _CONTROL_STEP
         )
     for k, angle in enumerate(banks):
-        # Nothing but weight turns with the bank, and weight changes the rates of alpha and beta.
+        # Bank changes only the direction of weight, and with it the rates of alpha and beta.
         x[first + k, :, STATES.index("phi_rad")] += angle
     return coarse if job.consistent else np.arange(n), coarse, x, u
 
 
 def _probe_states(job: ProbeJob) -> SegmentStates:
-    """All states that a probe asks of the model, one behind the other."""
+    """Return all states at which a probe evaluates the model, stacked."""
     base, coarse, moved, turned = _moved(job)
     x = np.concatenate([job.x[base], *moved])
     rows = np.concatenate([base, *[coarse] * len(moved)])
@@ -244,6 +276,7 @@ def _probe_states(job: ProbeJob) -> SegmentStates:
 
 
 def _probe_of(job: ProbeJob, forced: ForcedModel) -> Probe:
+    """Return the probe of a job from the evaluated loads."""
     base, coarse, x, u = _moved(job)
     n, air, controls, mass = len(job.x), len(AIR), job.controls.shape[1], forced.mass
     to_rows, all_rows = partial(_between, coarse, n), partial(_between, base, n)
@@ -256,10 +289,11 @@ def _probe_of(job: ProbeJob, forced: ForcedModel) -> Probe:
     load, other, qbar = (all_rows(v[: len(base)]) for v in (load, other, forced.qbar))
     scale = _scale(qbar, mass)
 
-    def known_before(values: FloatArray) -> FloatArray:
-        # On a line between predicted states a row would know of samples that came after it: it
-        # reads them as sensors that are off (alpha by a degree in light turbulence). Held, a slope
-        # goes with the dynamic pressure of each row.
+    def causal_slopes(values: FloatArray) -> FloatArray:
+        """Return slopes at every row that contain no later sample of a prediction."""
+        # Interpolation between predicted states would use later samples, which appears as sensor
+        # error (one degree of alpha in light turbulence). The last slope is held instead, and
+        # scaled with the dynamic pressure of each row.
         if job.consistent:
             return to_rows(values)
         each = qbar.reshape(-1, *(1,) * (values.ndim - 1))
@@ -271,24 +305,22 @@ def _probe_of(job: ProbeJob, forced: ForcedModel) -> Probe:
         turned = np.stack(
             [unforced(s) - unforced(job.x[coarse]) for s in x[air + controls :]], axis=1
         )
-        by_flow = known_before(
+        by_flow = causal_slopes(
             np.linalg.solve(turned, change[air + controls :].swapaxes(0, 1)).swapaxes(1, 2)
         )
     steps = (u - job.controls[coarse]).sum(axis=0)
-    # Along straight lines, the slope about a jump is that half-way up: thrust bends with the
-    # throttle.
+    # Linear interpolation gives the mean slope about a jump: thrust is not linear in the throttle.
     slope = (
         to_rows(np.moveaxis(change[air : air + controls], 0, 2) / steps[:, None, :])
         / scale[:, :, None]
     )
     coefficients = (load - other) / scale
     if job.consistent:
-        # Between the samples that were forced surfaces may have jumped; what is left without them
-        # is a straight line.
+        # Surfaces may have jumped between evaluated samples: interpolate what they do not explain.
         surfaces = [k for k, c in enumerate(CONTROLS) if c != "throttle"]
         moved = np.einsum("njk,nk->nj", slope[:, :, surfaces], job.controls[:, surfaces])
         coefficients = to_rows((coefficients - moved)[coarse]) + moved
-    slopes = known_before(np.moveaxis(change[:air], 0, 2) / _STEPS)
+    slopes = causal_slopes(np.moveaxis(change[:air], 0, 2) / _STEPS)
     arm, rate = np.array(job.segment.arm_m), np.gradient(job.x, job.segment.dt_s, axis=0)
     return Probe(
         Reference(
@@ -322,13 +354,18 @@ def property_slopes(
         ReplayModel, Segment, FloatArray, FloatArray, FloatArray, Mapping[str, float], Sequence[str]
     ],
 ) -> dict[str, FloatArray]:
-    """property -> (n, 6) change of force [N] and moment [N m] by a unit of it, central. job: the
-    model, a segment and of n of its samples states (n, 8), controls (n, c) and heights (n,) [m];
-    properties in force, names of those that are moved.
+    """Return each property's change (n, 6) of force [N] and moment [N m] per unit.
 
-    Each state is forced once; then the properties are moved one after the other and the forces
-    renewed, the state unmoved, until they no longer change: lift moves the rate of alpha and the
-    induced drag, which JSBSim reads from the frame before."""
+    Each state is set once. Then one property after the other is moved both ways, with the motion
+    frozen, until the loads are stationary: lift changes the rate of alpha and the induced drag,
+    which JSBSim reads from the previous frame.
+
+    Parameters
+    ----------
+    job : tuple
+        Model, segment, states (n, 8), controls (n, c) and heights (n,) [m] of n samples, the
+        properties that are set, and the names of those to move.
+    """
     direct_model, segment, x, controls, height_m, properties, names = job
     # One instance for all samples, with the properties in force.
     fdm = direct_model.open(segment.dt_s)
@@ -414,7 +451,7 @@ def _settled_loads(fdm: Any, get: Sequence[Callable[[], float]]) -> FloatArray:
 
 
 def _between(coarse: NDArray[np.intp], n: int, values: FloatArray) -> FloatArray:
-    """(n, ...) what was found at ``coarse`` rows, at every row along straight lines."""
+    """Interpolate values at ``coarse`` rows linearly to all ``n`` rows."""
     return np.asarray(np.apply_along_axis(lambda v: np.interp(np.arange(n), coarse, v), 0, values))
 
 
@@ -427,13 +464,24 @@ def with_properties(
     analytic: tuple[str, ...] | None,
     map_: Processes,
 ) -> tuple[list[Probe], tuple[str, ...]]:
-    """The probes with what the properties ``names`` do at the states where coefficients are
-    evaluated, but for those known, or found, to be ``analytic``: the coefficient terms that their
-    names say. And which those are. values: of all properties in force.
+    """Add the slopes of the properties ``names`` to probes.
 
-    JSBSim is asked at every fourth sample. States that a filter predicts jump at every sample, and
-    so does what a property does: a polynomial of the states describes it, and what that leaves is
-    interpolated."""
+    JSBSim is evaluated at every fourth sample. Predicted states of a filter jump at every sample,
+    and so do slopes: a polynomial of the states describes them, its residual is interpolated.
+
+    Parameters
+    ----------
+    values : mapping
+        All properties that are set.
+    analytic : tuple of str or None
+        Properties that are the coefficient terms of their names; None to test for them.
+
+    Returns
+    -------
+    probes : list of Probe
+        With slopes of the properties that are not analytic.
+    analytic : tuple of str
+    """
     if analytic is None:
         analytic = tuple(named_terms(direct_model, segments[0], linear_probes[0], names, values))
     numeric = [n for n in names if n not in analytic]
@@ -463,15 +511,15 @@ def with_properties(
 
 
 def _scale_at_x(p: Probe) -> FloatArray:
-    """(n, 6) forces and moments of coefficients of 1 at the states where they are evaluated."""
+    """Return loads (n, 6) of coefficients of 1 at the states where these are evaluated."""
     return p.scale * (p.x[:, :1] / p.reference.x[:, :1]) ** 2
 
 
 def _polynomials(
     linear_probes: Sequence[Probe], rows: Sequence[NDArray[np.intp]]
 ) -> list[FloatArray]:
-    """[(n, f)] a constant, air data, rates and controls of every row, and their products where
-    ``rows`` are three times as many.
+    """Return features (n, f) of every row of each probe: a constant, air data, rates and controls,
+    and their products if there are three ``rows`` for each feature.
     """
     pieces = [np.hstack([p.x[:, : len(AIR)], p.controls]) for p in linear_probes]
     stacked = np.concatenate(pieces)
@@ -494,8 +542,9 @@ def named_terms(
     names: Sequence[str],
     values: Mapping[str, float],
 ) -> list[str]:
-    """Those of ``names`` that are, in this model, the coefficient term their name says: told by
-    moving each of them.
+    """Return those of ``names`` that act in this model as the coefficient term of their name.
+
+    Each is moved, and the change of the loads is compared with the term.
     """
     term_names = [name for name in names if split_name(name) is not None]
     if not term_names:
@@ -517,48 +566,42 @@ def named_terms(
 
 
 def term_column(name: str, term_variables: Mapping[str, FloatArray]) -> tuple[int, FloatArray]:
-    """Coefficient's index and values (n,) of a property such as ``aero/Cm_q``."""
+    """Return the coefficient's index and the regressor (n,) of a property such as
+    ``aero/Cm_q``.
+    """
     parsed = split_name(name)
     assert parsed is not None
     return COEFFICIENTS.index(parsed[0]), regressor(parsed[1], term_variables)
 
 
-# What each candidate effect would do along the flights: extra coefficients, surfaces that stand
-# elsewhere, channels that read otherwise.
+# Regressors of candidate effects: changed coefficients, surface positions and channels.
 
 STALL = {"a1_per_deg": 0.5, "alpha1_deg": 11.0, "alpha2_deg": -20.0}
-"""Steepness and angles of attack of the separation point that a loss of lift by stall is written
-with.
-"""
+"""Steepness and angles of attack of the separation point in the effect of stall."""
 GROUND_SPANS = 3.0
-"""Height in spans above which nothing is asked of the ground: less than half a per cent of its
-share is left there.
-"""
+"""Height in spans above which ground effect is zero (less than half a per cent is left there)."""
 LEAST_INFLOW = 1e-9
-"""Change of CX by inflow from which thrust depends on airspeed at all."""
+"""Change of CX by inflow above which thrust depends on airspeed."""
 _VANES = (("alpha_rad", "q_radps", -1.0), ("beta_rad", "r_radps", 1.0))
-"""Angles that vanes measure, the rate that each feels forward of the centre of gravity, and the
-sense of that.
+"""Angles that vanes measure, the rate that changes each forward of the centre of gravity, and the
+sign of that change.
 """
 AIR_RATES, _SLOPE_STEP = X_STATES[3:6], 1e-5
 _DEADBAND_DEG = 0.5
 _LAG_S = 0.002
 NEARBY_SHARE = 0.97
-"""Share of a rate limit down to which its slope is taken."""
+"""Ratio of the two rate limits whose difference gives the slope."""
 LOCAL_SLOPE = "@here"
-"""What the term of a rate limit above the servo's own has besides, as the column of its slope where
-it flies.
-"""
+"""Suffix of a rate limit's term for its slope at the current value."""
 
 
 def effect_columns(
     setup: FlightData, probes: Sequence[Probe], trajectory: Trajectory, effects: Sequence[Effect]
 ) -> MadeColumns:
-    """Columns of the candidates by their keys, one set a segment; a candidate that does nothing
-    there has none.
-    """
+    """Return the regressors of candidate effects by key, one set per segment, made on demand."""
 
     def make(k: int, names: Collection[str]) -> Columns:
+        """Return the columns of some candidates in segment ``k``."""
         return _of_segment(setup, k, probes[k], trajectory, [e for e in effects if e.key in names])
 
     return MadeColumns([e.key for e in effects], make, len(setup.segments))
@@ -567,6 +610,7 @@ def effect_columns(
 def _of_segment(
     setup: FlightData, k: int, p: Probe, trajectory: Trajectory, effects: Sequence[Effect]
 ) -> Columns:
+    """Return the regressors of effects in segment ``k``."""
     segment, y, point = setup.segments[k], trajectory.outputs[k], trajectory.point
     inputs: dict[str, tuple[int, FloatArray]] = {}
     outputs: dict[str, FloatArray] = {}
@@ -589,7 +633,7 @@ def _of_segment(
             outputs[key] = _of_sensor(e, setup, segment, p, y, point)
             continue
         if e.key == "effect/mass/cg_x":
-            # The accelerometers stay behind.
+            # The accelerometers do not move with the centre of gravity.
             outputs[key] = _felt_at(p, setup.outputs, np.array([-1.0, 0.0, 0.0]))
         inputs[key] = _input(e, setup, segment, p, term_variables, point)
         if before is not p and part != "actuator":
@@ -603,44 +647,48 @@ def _of_segment(
 
 
 def slopes_here(active: Sequence[Effect], point: ModelState) -> list[Effect]:
-    """Rate limits above the servos' own that fly at a point, by the slope there, which says how
-    well they are known; the slope halfway back to the servo's own, by which they are chosen, says
-    what they change."""
+    """Return the active rate limits above the servos' own, with the term of their local slope.
+
+    The local slope gives their standard error. They are selected by the slope halfway back to the
+    servo's own limit, which shows their effect.
+    """
     faster = [e for e in active if e.term == "rate_limit" and point.effects.get(e.key, 0.0) < 0.0]
     return [replace(e, term=e.term + LOCAL_SLOPE) for e in faster]
 
 
 def seen_of(values: FloatArray, before_jump: FloatArray, share: float) -> FloatArray:
-    """Values that jump at their rows as the channels of these rows have seen them; earlier: just
-    before; share: what is unseen.
+    """Return values that jump at their rows as the accelerometers of these rows measure them.
+
+    ``share`` of each jump is not measured yet in its row.
     """
     return np.asarray(values + share * (before_jump - values))
 
 
 def sensor_gain(channel: str, point: ModelState) -> float:
-    """By what a sensor multiplies its channel at a point."""
+    """Return the factor of a sensor on its channel."""
     return 1.0 + point.effects.get(f"effect/sensor.{channel}/scale", 0.0)
 
 
 def sensor_offset(channel: str, segment: Segment, point: ModelState) -> float:
-    """What a sensor adds to its channel at a point, in the channel's unit."""
+    """Return the offset of a sensor, in its channel's unit."""
     bias = point.nuisance.get(f"bias/{segment.flight}/{channel}", 0.0)
     return bias + point.effects.get(f"effect/sensor.{channel}/bias", 0.0)
 
 
 def unsensed(sensed: FloatArray, channel: str, segment: Segment, point: ModelState) -> FloatArray:
-    """(n,) what a sensor shows without what it adds and multiplies at a point."""
+    """Return readings (n,) without the sensor's offset and factor."""
     return (sensed - sensor_offset(channel, segment, point)) / sensor_gain(channel, point)
 
 
 def vane_place_m(point: ModelState) -> float:
-    """How much further forward [m] than the aircraft's card says the wind vanes are at a point."""
+    """Return how far the wind vanes are forward of the card's position [m]."""
     return point.effects.get("effect/sensor.vane/place_x", 0.0)
 
 
 def at_vane(y: FloatArray, outputs: Sequence[str]) -> FloatArray:
-    """(n, m) change of the outputs (n, m) by each metre that the vanes stand further forward: alpha
-    by -q/V, beta by r/V.
+    """Return the change (n, m) of outputs (n, m) per metre that the vanes move forward.
+
+    Alpha changes by -q/V, beta by r/V.
     """
     out = np.zeros_like(y)
     at = {c: k for k, c in enumerate(outputs)}
@@ -654,12 +702,15 @@ def at_vane(y: FloatArray, outputs: Sequence[str]) -> FloatArray:
 
 
 def vane_slopes(x: FloatArray, gusts: GustStates | None) -> FloatArray:
-    """(n, outputs, states) change with the states, at X_STATES (n, 8), of what vanes feel each
-    metre further forward: the rates there are those relative to the air, which rotates."""
+    """Return derivatives (n, outputs, states) of `at_vane` at the states ``x`` (n, 8).
+
+    Rates are relative to the air, which rotates in turbulence.
+    """
     at = (x if gusts is None else with_gust_states(x, gusts)).T
     out = np.zeros((at.shape[1], len(STEP_OUTPUTS), len(at)))
 
     def vane_angles(z: FloatArray) -> FloatArray:
+        """Return the vanes' change per metre at states (8 or more, n)."""
         air = np.zeros((3, 1)) if gusts is None else np.array(gusts.rotation(z))
         rates = z[3:6] - air
         return np.array(
@@ -681,8 +732,9 @@ def _input(
     term_variables: Mapping[str, FloatArray],
     point: ModelState,
 ) -> tuple[int, FloatArray]:
-    """Extra coefficients per unit of an effect, as in `Columns`: (index, values (n,)) of one, (-1,
-    values (n, 6)) of all.
+    """Return the change of coefficients per unit of an effect, as `Columns` holds it.
+
+    (index, values (n,)) for one coefficient, (-1, values (n, 6)) for all.
     """
     if (term := e.parsed) is not None:
         return COEFFICIENTS.index(e.coefficient), term.values(term_variables)
@@ -691,7 +743,7 @@ def _input(
     C = np.zeros(scale.shape)
     if part == "stall":
         lag = p.flow_rate[:, 0] * p.mass.c / p.x[:, 0] if e.term == "dynamic" else 0.0
-        # Flown, it is the number written that counts: the model's own slope has the stall in it.
+        # In a model with the effect the written slope counts: the model's slope contains the stall.
         slope = setup.slopes.get("CZ_alpha", p.reference.slopes[:, 2, 1] / scale[:, 2])
         C[:, 2] = (
             slope
@@ -724,10 +776,9 @@ def _input(
     elif e.term == "cg_x":
         C[:, 4], C[:, 5] = p.coefficients[:, 2] / p.mass.c, -p.coefficients[:, 1] / p.mass.b
     elif part == "mass":
-        # Inertia knows nothing of the air: rates and their changes are the body's own.
+        # Inertial moments depend on the body's rates, not on those relative to the air.
         (pr, q, r), (pd, _, rd) = p.body[:, 3:6].T, p.rate[:, 3:6].T
-        # I w' + w x I w = M with I_xz raised by one: the moment that this takes, as if it were
-        # lost.
+        # I w' + w x I w = M: the moment that a product of inertia I_xz of 1 takes, negative.
         C[:, 3:] = np.column_stack([rd + pr * q, r * r - pr * pr, pd - q * r]) / scale[:, 3:]
     elif part == "actuator":
         k = CONTROLS.index(part_name)
@@ -752,7 +803,7 @@ def _input(
 def _of_sensor(
     e: Effect, setup: FlightData, segment: Segment, p: Probe, y: FloatArray, point: ModelState
 ) -> FloatArray:
-    """(n, m) what a unit of a sensor's effect adds to the outputs (n, m)."""
+    """Return the change (n, m) of outputs ``y`` (n, m) per unit of a sensor's effect."""
     sensor_name = (e.subsystem or "").partition(".")[2]
     if e.term.startswith("place_"):
         axis = np.eye(3)["xyz".index(e.term[-1])]
@@ -772,7 +823,7 @@ def _of_sensor(
 
 
 def _felt_by_vanes(p: Probe, y: FloatArray, outputs: Sequence[str]) -> FloatArray:
-    """`at_vane` of the rates relative to the air, which rotates."""
+    """Return `at_vane` with rates relative to the air, which rotates in turbulence."""
     measured = [c for c in AIR_RATES if c in outputs]
     vane_states = y.copy()
     vane_states[:, [outputs.index(c) for c in measured]] = p.x[
@@ -784,8 +835,9 @@ def _felt_by_vanes(p: Probe, y: FloatArray, outputs: Sequence[str]) -> FloatArra
 def _as_flown(
     setup: FlightData, surface: str, point: ModelState
 ) -> tuple[Actuator | None, tuple[float, float] | None]:
-    """A servo as it flies at a point, and the rate limits whose difference is its rate limit's
-    slope: a slow servo made slower by a little does less than a fast one."""
+    """Return a servo with its effects at a point, and the two rate limits whose difference gives
+    the slope of its rate limit.
+    """
     servo, limits = setup.servos.get(surface), setup.limits.get(surface)
     if servo is None:
         return None, None
@@ -801,35 +853,39 @@ def _as_flown(
 
 
 def around(servo: Actuator, slowness: float) -> tuple[float, float]:
-    """Limits [deg/s] between which the slope at a rate limit effect's value [s/deg] is taken."""
+    """Return the two rate limits [deg/s] that give the slope at an effect's value [s/deg]."""
     limit = servo.slowed_to(slowness)
-    # One above the servo's own may hardly be reached, where a little less changes nothing: halfway
-    # back to the servo's own does.
+    # A limit above the servo's own is hardly reached, and a small change does nothing. Halfway
+    # back to the servo's own limit it does.
     return limit, min(
         NEARBY_SHARE * limit, servo.slowed_to(0.5 * slowness) if slowness < 0.0 else limit
     )
 
 
 def in_dead_zone(u: FloatArray, width_deg: float, in_model: bool = False) -> FloatArray:
-    """(n,) how far a surface that stands at u (n,) [deg] moves by each degree of a dead zone, read
-    by one of that width; flown: by each degree that the one it stands in is wider."""
+    """Return a surface's change of position (n,) per degree of a dead zone at positions ``u`` (n,)
+    [deg].
+
+    ``width_deg`` is the dead zone of the finite difference. With ``in_model`` the model has a dead
+    zone already, and the slope with its width is returned.
+    """
     if in_model:
         return np.asarray(-0.5 * np.sign(u))
-    # Within half the width around zero the surface stays; beyond, it is short by half of it.
+    # Within half the width the surface stays at zero, beyond it is short by half the width.
     half = 0.5 * width_deg
     return np.asarray(-np.clip(u, -half, half) / width_deg)
 
 
 def _felt_at(p: Probe, outputs: Sequence[str], place_m: FloatArray) -> FloatArray:
-    """(n, m) what accelerometers at ``place_m`` (3,) from where they are feel besides: w' x r + w x
-    (w x r).
+    """Return the change (n, m) of the outputs if accelerometers move by ``place_m`` (3,):
+    w' x r + w x (w x r).
     """
     rates, dot = p.body[:, 3:6], p.rate[:, 3:6]
     return as_felt(np.cross(dot, place_m) + np.cross(rates, np.cross(rates, place_m)), outputs)
 
 
 def as_felt(acceleration: FloatArray, outputs: Sequence[str]) -> FloatArray:
-    """(n, m) outputs of accelerometers that feel ``acceleration`` (n, 3), zero in all others."""
+    """Return outputs (n, m) with ``acceleration`` (n, 3) in those of accelerometers, else 0."""
     out = np.zeros((len(acceleration), len(outputs)))
     for name, value in zip(JUMPING_CHANNELS, acceleration.T, strict=True):
         if name in outputs:
@@ -840,20 +896,28 @@ def as_felt(acceleration: FloatArray, outputs: Sequence[str]) -> FloatArray:
 def later_controls(
     p: Probe, late_s: float
 ) -> tuple[tuple[int, FloatArray], FloatArray, FloatArray]:
-    """Input (n, 6), its values just before each row and what the row's accelerometers see of them:
-    change of the coefficients per second by which all controls act later.
+    """Return the regressor of a delay of all controls, per second of delay.
 
-    late_s: how late they act already. A jump is an impulse then, after its row where controls are
-    late and before it where they are early, in a step whose area and first moment are the
-    impulse's; half of each where they are neither. Of when a surface jumps the row of the jump sees
-    nothing."""
+    The derivative of a jump is an impulse: after its row where controls are late (``late_s``
+    positive), before it where they are early, half of it on each side at zero. It is represented
+    by a linear function over the step with the impulse's area and first moment.
+
+    Returns
+    -------
+    input : (-1, (n, 6) array)
+        Change of the coefficients at each row, as `Columns` holds it.
+    ends : (n, 6) array
+        The same just before each row.
+    seen : (n, 6) array
+        What the row's accelerometers measure of it: nothing of the impulses.
+    """
     h, jump = p.reference.dt_s, p.jumps().sum(axis=2)
     jumps = np.zeros_like(p.controls) if p.jumped is None else p.jumped
     moving = np.gradient(p.controls - np.cumsum(jumps, axis=0), h, axis=0)
     steady = -np.einsum("ncj,nj->nc", p.by_control, moving)
     after = 0.5 * (1.0 + np.sign(late_s))
-    # A straight line from 4 to -2 over a step has the area 1 and its centre at the start; from -2
-    # to 4, at the end.
+    # A line from 4 to -2 over a step has area 1 and its centroid at the start; from -2 to 4 at the
+    # end.
     none = np.zeros((1, 6))
     last, following = np.vstack([none, jump[:-1]]), np.vstack([jump[1:], none])
     values = steady - (4.0 * after * jump - 2.0 * (1.0 - after) * following) / h
@@ -862,13 +926,13 @@ def later_controls(
 
 
 def _slipstream_slopes(slopes: Mapping[str, float], control: str) -> FloatArray:
-    """(6,) change of CX..Cn by a degree of a tail surface as the slipstream over it is written."""
+    """Return the change (6,) of CX to Cn per degree of a tail surface in its slipstream term."""
     of = {"de": ("CZ", "Cm"), "dr": ("CY", "Cl", "Cn")}[control]
     return np.array([slopes.get(f"{c}_{control}", 0.0) if c in of else 0.0 for c in COEFFICIENTS])
 
 
 def _attached(alpha_deg: FloatArray) -> FloatArray:
-    """Lift factor [(1 + sqrt X)/2]^2 of section 2's separation point X."""
+    """Return the lift factor [(1 + sqrt X)/2]^2 of a separation point X (Goman and Khrabrov)."""
     a1, up, down = STALL["a1_per_deg"], STALL["alpha1_deg"], STALL["alpha2_deg"]
     X = 0.25 * (1.0 - np.tanh(a1 * (alpha_deg - up))) * (1.0 - np.tanh(a1 * (down - alpha_deg)))
     return np.asarray((0.5 * (1.0 + np.sqrt(X))) ** 2)
@@ -881,7 +945,7 @@ def surface_change(
     k: int,
     limits: tuple[float, float] | None = None,
 ) -> FloatArray:
-    """(n,) `servo_change` of control ``k`` at a segment's rows."""
+    """Return `servo_change` (n,) of control ``k`` at a segment's rows."""
     commands = segment.at_commands()
     command = commands.controls[:, k]
     return segment.on_rows(servo_change(kind, servo, command, commands.dt_s, limits))
@@ -894,11 +958,18 @@ def servo_change(
     h: float,
     limits: tuple[float, float] | None = None,
 ) -> FloatArray:
-    """(n,) how far the surface stands from where it was taken to be, per unit of the effect.
+    """Return the change (n,) of a surface's position per unit of a servo's effect.
 
-    Lag [s] and inverse of the rate limit [s/deg] count from the servo's own. command: asked for, at
-    rows h [s] apart. limits: rate limits [deg/s] whose difference is taken; without them the
-    servo's own and one that is felt."""
+    Parameters
+    ----------
+    kind : {"lag", "rate_limit"}
+        The effect: a lag [s], or the inverse of a rate limit [s/deg], beyond the servo's own.
+    command : (n,) array
+        Commands at rows ``h`` [s] apart.
+    limits : pair of float, optional
+        Rate limits [deg/s] of the finite difference; by default the servo's own and one a quarter
+        below its fastest motion.
+    """
     if servo is None:
         return np.zeros_like(command)
     step = h / runs_per_row(h)
@@ -908,7 +979,7 @@ def servo_change(
             replace(servo, lag=servo.lag_with(_LAG_S)).follow(command, h, step) - before
         ) / _LAG_S
     if limits is None:
-        # A limit a quarter below the fastest motion seen.
+        # A limit a quarter below the fastest motion.
         fastest = float(np.abs(np.diff(before)).max()) / h
         limits = servo.rate, 0.75 * fastest
         if not fastest > 1.0 or not limits[1] < servo.rate:
@@ -917,13 +988,12 @@ def servo_change(
     return (other - one) / (1.0 / limits[1] - 1.0 / limits[0])
 
 
-# Where controls stand between rows: paths that are not straight, jumps at a row, and what
-# accelerometers have seen of them.
+# Controls between rows: curved paths, and jumps at rows.
 
 
 def with_jumps(setup: FlightData, model: ReplayModel) -> FlightData:
-    """The setup with the flights in which some control of the model jumps: what accelerometers miss
-    of that is estimated.
+    """Return the setup with the flights in which a control jumps, whose share of the jump in
+    accelerometer readings is estimated.
     """
     return replace(setup, jumping=tuple(jumping_flights(model, setup.segments, setup.late)))
 
@@ -931,12 +1001,12 @@ def with_jumps(setup: FlightData, model: ReplayModel) -> FlightData:
 def middles(
     model: ReplayModel, setup: FlightData, point: ModelState | None = None
 ) -> list[FloatArray]:
-    """[(2, n - 1, c)] how far the controls stand from the mean of a step's ends at its middle, and
-    at its end from the next row's.
+    """Return the controls' deviations from straight lines between rows, (2, n - 1, c) per segment.
 
-    A servo's path is no straight line, and a surface without a lag jumps at a row: until then it
-    stands where it stood. Where commands act between rows, the middle is such that Simpson's rule
-    has the path's own area."""
+    First the deviation at the middle of each step from the mean of its ends, then at its end from
+    the next row's position: a surface without a lag jumps at the row. Where commands act between
+    rows, the middle is such that Simpson's rule gives the path's area.
+    """
     pieces = [segment.at_commands() for segment in setup.segments]
     is_command = np.array([c not in model.measured for c in model.controls])
     servos = {} if point is None else setup.properties(point)
@@ -955,7 +1025,7 @@ def middles(
 
 
 def _halved(segment: Segment) -> Segment:
-    """The same flight with rows half as far apart; a command is held over both halves."""
+    """Return the segment with twice the rows; commands are held over both halves."""
     fine = np.repeat(segment.controls, 2, axis=0)[:-1]
     time_s = np.linspace(segment.time_s[0], segment.time_s[-1], len(fine))
     targets = None if segment.targets is None else np.repeat(segment.targets, 2, axis=0)[:-1]
@@ -970,6 +1040,7 @@ def _middle(
     jumps: NDArray[np.bool_],
     k: int,
 ) -> FloatArray:
+    """Return one segment's deviations, as `middles` does; ``k`` steps of a command per row."""
     middle = np.where(
         is_command,
         ends[:-1],
@@ -995,9 +1066,12 @@ def bends_of(
     offsets: Sequence[FloatArray],
     map_: Processes,
 ) -> list[FloatArray]:
-    """[(2, n - 1, 6)] by how much force and moment at the middle of a step differ from the mean of
-    its ends, and at its end from the next row's: what the model says there, the surfaces where they
-    stand by their `middles`, the motion half-way."""
+    """Return the loads' deviations from straight lines between rows, (2, n - 1, 6) per segment.
+
+    At the middle of each step from the mean of its ends, and at its end from the next row's: the
+    model is evaluated there with the surfaces' positions by ``offsets`` (`middles`) and the
+    motion interpolated.
+    """
     requests = []
     for segment, p, height, (middle, end) in zip(
         setup.segments, linear_probes, trajectory.height, offsets, strict=True
@@ -1031,14 +1105,14 @@ def bends_of(
 
 
 def jumped(offsets: FloatArray) -> FloatArray | None:
-    """(n, c) by how much the controls jump at each row, by their `middles`; the first row's is not
-    known. None where none does.
+    """Return the controls' jump (n, c) at each row, from their `middles`; None where none jumps.
+
+    The first row's jump is unknown and 0.
     """
     return np.vstack([np.zeros_like(offsets[1, :1]), -offsets[1]]) if offsets[1].any() else None
 
 
-# Outputs as the sensors give them: elsewhere than the card says, late, scaled, off by a
-# constant.
+# Errors of sensors: position, delay, factor, offset.
 
 
 def as_sensed(
@@ -1050,12 +1124,17 @@ def as_sensed(
     between: FloatArray | None = None,
     behind: FloatArray | None = None,
 ) -> FloatArray:
-    """(n, m) outputs as the sensors give them: elsewhere, late, scaled, off by a constant. Changes
-    ``y`` in place.
+    """Apply the sensors' position, delay, factor and offset to outputs ``y`` (n, m), in place.
 
-    shifted_rows: channel -> rows by which it is compared with what was measured that much later.
-    Where some are late, between: the same outputs between the rows of a replay as well, or behind
-    (n, m): what it takes from them."""
+    Parameters
+    ----------
+    shifted_rows : mapping, optional
+        Whole rows of each channel's delay that are taken out of the measurements instead.
+    between : (k n, m) array, optional
+        Outputs at the finer rows of a replay, from which delayed values are interpolated.
+    behind : (n, m) array, optional
+        Changes of the outputs by the delays, used instead of ``between``.
+    """
     forward = vane_place_m(point)
     if forward:
         y += forward * at_vane(y, setup.outputs)
@@ -1073,7 +1152,7 @@ def as_sensed(
 
 
 def placed(segment: Segment, point: ModelState) -> Segment:
-    """The segment with the accelerometers where they are at a point."""
+    """Return the segment with the accelerometers at their position of a point."""
     x, y, z = (
         own + point.effects.get(f"effect/sensor.accelerometer/place_{axis}", 0.0)
         for axis, own in zip("xyz", segment.arm_m, strict=True)
@@ -1082,7 +1161,7 @@ def placed(segment: Segment, point: ModelState) -> Segment:
 
 
 def sensor_late_s(channel: str, segment: Segment, point: ModelState) -> float:
-    """By how much a channel is late at a point [s]."""
+    """Return the delay of a channel's sensor [s]."""
     sensor = SENSOR_OF.get(channel, channel)
     names = {sensor, channel}
     return point.nuisance.get(f"delay/{segment.flight}/{sensor}", 0.0) + sum(
@@ -1091,10 +1170,8 @@ def sensor_late_s(channel: str, segment: Segment, point: ModelState) -> float:
 
 
 def moved_later(values: FloatArray, rows: float) -> FloatArray:
-    """(n,) values as they come ``rows`` later, along a cubic; the first, or for negative rows the
-    last, held beyond the ends.
-    """
-    # Takes a tenth of a second to load, and few flights have a late sensor.
+    """Return values (n,) delayed by a number of rows, by cubic interpolation; held at the ends."""
+    # Imported here: it takes a tenth of a second to load, and few flights have a late sensor.
     from scipy.interpolate import CubicSpline
 
     at = np.arange(len(values), dtype=float)
@@ -1102,8 +1179,11 @@ def moved_later(values: FloatArray, rows: float) -> FloatArray:
 
 
 def late_rate(p: Probe, channel: str, values: FloatArray, late_s: float) -> FloatArray:
-    """(n,) rate of change of an output that is late: in a replay that of the time before each row
-    (after it, if early), since a step of a control makes a kink at a row."""
+    """Return the rate of change (n,) of a delayed output.
+
+    In a replay it is the rate in the step before each row (after it, if the output is early): a
+    control's step makes a kink at its row.
+    """
     if not p.reference.consistent or late_s == 0.0:
         return p.rate_of(channel, values)
     step = np.diff(values) / p.reference.dt_s

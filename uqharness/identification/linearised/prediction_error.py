@@ -1,9 +1,10 @@
-"""Re-identification in turbulence: the model's forces along the measured flight, one-step
-predictions by a filter that allows for gusts.
+"""Prediction error method in turbulence: a Kalman filter with gust states predicts each sample.
 
-The flight cannot be replayed, for the gusts are not known; but forces and their slopes at the
-measured states can be asked of JSBSim, and what the aircraft did from one sample to the next can be
-predicted from there."""
+A flight in turbulence cannot be replayed, because its gusts are unknown. The model's forces and
+their slopes are evaluated along the measured flight instead. A linear filter about them predicts
+each sample from the samples before it. `gust_refit` alternates between estimating the air and a
+Gauss-Newton step of the parameters.
+"""
 
 from __future__ import annotations
 
@@ -76,29 +77,38 @@ _KINDS = {
     }.items()
     for c in members
 }
-"""Channels of one kind of sensor, by what stands before their unit."""
+"""Kind of sensor of each channel, by the channel's name without unit."""
 _SMOOTH_HZ = {"V_mps": 2.0}
 SEARCH_LENGTH, SEARCH_BY = 5.0, 5
-"""Length of a step, in standard errors, below which the gusts are searched anew; the iteration that
-does so in any case.
+"""Length of a step, in standard errors, below which the air is estimated again, and the iteration
+in which it is in any case.
 """
 POWERS = 5
-"""Powers in which states go from a row to between rows: where a row damps a motion by a third the
-sixth is 2e-4.
+"""Terms of the binomial series for states between rows; the sixth is 2e-4 where a motion decays by
+a third per row.
 """
 PLACES = 0.05
-"""Part of a row from one place to the next to which commands are moved; between two, surfaces are
-on a straight line.
-"""
+"""Grid of the controls' delay, in rows; positions are interpolated linearly between its points."""
 SHARE_WITHIN = 0.125, 4.0
-"""Least and largest share of a step that is taken."""
+"""Smallest and largest share of a step."""
 TOLERANCE, ITERATIONS = 0.2, 10
-"""Length of a step, in standard errors, that ends the iteration; how many there are at most."""
+"""Length of a step, in standard errors, that ends the iteration, and the most iterations."""
 
 
 @dataclass(frozen=True)
 class TurbulentFit:
-    """A fit with the gusts it was made with; length: that of its last step, in standard errors."""
+    """Result of `gust_refit`.
+
+    Attributes
+    ----------
+    fit : Linearisation
+    gusts : TurbulenceModel
+        The estimated air.
+    setup : FlightData
+        With the noise that was estimated.
+    length : float
+        Length of the last step, in standard errors.
+    """
 
     fit: Linearisation
     gusts: TurbulenceModel
@@ -113,7 +123,7 @@ class TurbulentFit:
 
 
 def measured_states(setup: FlightData, point: ModelState) -> list[FloatArray]:
-    """[(n, 8)] the flight as measured, smoothed, what the sensors make of it taken out."""
+    """Return the measured states (n, 8) of each segment, smoothed, without the sensors' errors."""
     x = []
     for segment, channels in zip(setup.segments, setup.channels, strict=True):
         columns = []
@@ -128,16 +138,16 @@ def measured_states(setup: FlightData, point: ModelState) -> list[FloatArray]:
 
 
 def rows_late(setup: FlightData, segment: Segment, point: ModelState) -> dict[str, int]:
-    """Whole rows by which the channels' sensors are late at a point."""
+    """Return each channel's delay in whole rows."""
     return {c: round(sensor_late_s(c, segment, point) / segment.dt_s) for c in setup.outputs}
 
 
 def in_step(setup: FlightData, point: ModelState) -> list[FloatArray]:
-    """[(n, m)] what was measured, each channel moved by the rows its sensor is late: a sample
-    speaks of the state it was taken of.
+    """Return the measured outputs (n, m) of each segment with whole rows of delay removed.
 
-    A filter that has the late sample beside the others of its row takes gusts that it has not seen
-    yet for noise."""
+    A delayed sample beside current ones contradicts gusts that the filter has followed already,
+    which would appear as noise.
+    """
     delayed = [
         (z, rows_late(setup, s, point)) for s, z in zip(setup.segments, setup.measured, strict=True)
     ]
@@ -148,7 +158,7 @@ def in_step(setup: FlightData, point: ModelState) -> list[FloatArray]:
 
 
 def moved(values: FloatArray, rows: int) -> FloatArray:
-    """(n,) values whole rows later, or for negative rows earlier; NaN where there are none."""
+    """Return values (n,) delayed by whole rows (advanced if negative); NaN where there are none."""
     at, last = np.arange(len(values)) - rows, len(values) - 1
     return np.where((at >= 0) & (at <= last), values[np.clip(at, 0, last)], np.nan)
 
@@ -161,9 +171,7 @@ def predict(
     map_: Processes,
     path: Sequence[FloatArray] | None = None,
 ) -> tuple[Trajectory, list[Probe]]:
-    """The measured flight, or ``path`` [(n, 8)] in its place, instead of a replay, and the model's
-    forces along it.
-    """
+    """Probe the model along the measured flight, or along ``path`` ((n, 8) per segment)."""
     x = measured_states(setup, point) if path is None else list(path)
     height = [np.array(c["h_m"], dtype=float) for c in setup.channels]
     trajectory = Trajectory(
@@ -191,12 +199,12 @@ def predict(
 def setups_about_delay(
     model: ReplayModel, setup: FlightData, point: ModelState
 ) -> tuple[list[FlightData], list[float]]:
-    """The setup with the commands of its segments at the places before and after where they act at
-    a point, and the share of the way from the one to the other in each segment; one setup alone
-    where that is nothing.
+    """Return the setup with the controls' delay at the grid points below and above a point's.
 
-    One place alone, and slopes from there, had estimates half-way between two places hop from one
-    to the other without end."""
+    Also returns each segment's share of the way from the lower to the upper one. There is one
+    setup alone if all delays lie on the grid. With the nearest grid point alone, estimates half-way
+    between two points would alternate without end.
+    """
     places = {s.flight: late_by(point, s.flight) / s.dt_s / PLACES for s in setup.segments}
     before = {flight: float(np.floor(place)) for flight, place in places.items()}
     shares = [places[s.flight] - before[s.flight] for s in setup.segments]
@@ -210,7 +218,7 @@ def setups_about_delay(
 def _at_places(
     model: ReplayModel, setup: FlightData, places: Mapping[str, float], offset: float
 ) -> FlightData:
-    """The setup with each flight's commands so many PLACES later."""
+    """Return the setup with each flight's commands delayed by multiples of PLACES rows."""
     if not offset and not any(places.values()):
         return setup
     delayed_flights = [
@@ -226,7 +234,7 @@ def _at_places(
 
 
 def _between(ends: Sequence[Sequence[FloatArray]], shares: Sequence[float]) -> list[FloatArray]:
-    """Of each segment what stands the share of the way from one to the other."""
+    """Interpolate each segment's arrays between the first and the last set by its share."""
     first, last = ends[0], ends[-1]
     return [a + share * (b - a) for a, b, share in zip(first, last, shares, strict=True)]
 
@@ -245,11 +253,31 @@ def gust_refit(
     fixed_air: bool = False,
     callback: Callable[[int, float], None] | None = None,
 ) -> TurbulentFit:
-    """Estimate parameters, biases and the gusts, from ``prior_model`` on (``fixed_air``: as it is).
+    """Estimate parameters, nuisance and the air from a flight in turbulence.
 
-    tune: the sensors' noise as well (not of an autopilot's log, whose attitudes are filtered); the
-    fit's setup has it. told: is told each iteration's number and the length of its step in standard
-    errors."""
+    Parameters
+    ----------
+    start : ModelState
+        First values.
+    names : sequence of str
+        Estimated properties and active effects.
+    limits : mapping
+        Limits of properties.
+    prior_model : TurbulenceModel, optional
+        First values of the air.
+    tune : bool
+        Estimate the sensors' noise as well. It has no effect on an autopilot's log, whose
+        attitudes are filtered.
+    fixed_air : bool
+        Keep ``prior_model``.
+    callback : callable, optional
+        Receives each iteration's number and the length of its step in standard errors.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If predictions are not finite.
+    """
     setup = with_jumps(setup, model)
     point = (
         start
@@ -267,8 +295,7 @@ def gust_refit(
     for number in range(1, iterations + 1):
         trajectory, linear_probes = predict(model, direct_model, setup, point, map_, path)
         steps = _Linear(setup, trajectory, linear_probes, map_)
-        # Where the flight is far from what the parameters say, what they will explain would be
-        # taken for gusts.
+        # Far from the estimate, what parameters will explain would be taken for gusts.
         near_enough = length < SEARCH_LENGTH or number == SEARCH_BY
         other = gusts is None or not flights <= gusts.by_flight.keys()
         sought = not fixed_air and (other or (since > DIFFERENT and near_enough))
@@ -277,15 +304,14 @@ def gust_refit(
             setup = replace(setup, noise=factors * setup.noise)
         assert gusts is not None
         linearised, measured = steps.all(gusts.states), steps.measured
-        # Systems of the air that was tried would stand beside the columns, which take the most
-        # memory.
+        # Free the systems of other airs before the columns, which take the most memory.
         del steps
         followed = [*follow(linearised, measured, setup.output_rows, setup.noise, gusts.process)]
         trajectory, linear_probes = predicted(
             setup, trajectory, linear_probes, linearised, followed, gusts
         )
-        # The measured states have seen what comes after them: linear about those, the airspeed's
-        # sensor reads half a percent high.
+        # Smoothed measurements contain later samples: linearised about them, the airspeed sensor
+        # appears half a percent high. From the second iteration on, the path is a prediction.
         causal, path = path is not None, [p.body for p in linear_probes]
         linear_probes, analytic = with_properties(
             direct_model,
@@ -297,19 +323,19 @@ def gust_refit(
             map_,
         )
         columns = parameter_columns(setup, linear_probes, trajectory, names, analytic)
-        # Colour estimated without an effect has absorbed the effect, and would go on doing so.
+        # Colour estimated without an effect has absorbed it, so the first iteration estimates anew.
         before_colour = None if number == 1 and not fixed_air else gusts.colour
         colour, evidence = with_colour(followed, columns, PRIOR, before_colour, fixed=fixed_air)
         gusts, white = replace(gusts, colour=colour), evidence.white
         before = None if sought else delta
         delta, length = step_from(setup, point, evidence)
-        # In other air the same step is another one.
+        # Steps in different air are not comparable.
         share = 1.0 if before is None else relaxed(share, before, delta, evidence.total[0])
         if not np.isfinite(delta).all():
             raise np.linalg.LinAlgError("predictions with this model are no numbers")
         if callback is not None:
             callback(number, length)
-        # Air that was sought where estimates were as near as this is what it would be here.
+        # The air was estimated close enough to here.
         since = 0.0 if fixed_air or (sought and causal) else since
         if (
             (causal and length < TOLERANCE and since <= DIFFERENT)
@@ -335,12 +361,16 @@ def gust_refit(
 
 
 def relaxed(share: float, before: FloatArray, step: FloatArray, information: FloatArray) -> float:
-    """Share of ``step`` (K,) to take, by what became of that ``before``, of which ``share`` was
-    taken: Aitken's for vectors (Irons and Tuck, Int. J. Numer. Meth. Eng. 1, 1969), lengths in
-    standard errors.
+    """Return the share of ``step`` (K,) to take, by Aitken's rule for vectors.
 
-    A force that goes with alphadot changes the acceleration that it goes with: columns know half of
-    it, and steps overshoot. Steps of late sensors fall short."""
+    ``share`` is what was taken of the step ``before``; the metric is ``information``. A force that
+    depends on alphadot changes that acceleration itself, of which columns contain half, so that
+    steps overshoot. Steps of a sensor's delay fall short.
+
+    References
+    ----------
+    Irons and Tuck, Int. J. Numer. Meth. Eng. 1, 1969.
+    """
     change = step - before
     size = float(change @ information @ change)
     return (
@@ -353,8 +383,8 @@ def relaxed(share: float, before: FloatArray, step: FloatArray, information: Flo
 def as_measured(
     setup: FlightData, path: Sequence[FloatArray], before: ModelState, after: ModelState
 ) -> list[FloatArray]:
-    """[(n, 8)] states of which sensors as they are ``after`` show what those ``before`` showed, for
-    a filter follows those.
+    """Return states (n, 8) whose readings by the sensors ``after`` equal those of ``path`` by the
+    sensors ``before``, since a filter follows the readings.
     """
     return [
         np.column_stack(
@@ -380,8 +410,9 @@ def unfiltered(
     map_: Processes,
     gusts: TurbulenceModel,
 ) -> tuple[Trajectory, list[FloatArray]]:
-    """The measured flight, and by how much, in units of the noise, the outputs of the model there
-    are not what was measured.
+    """Return the measured flight and its residuals without a filter, in units of the noise.
+
+    Residuals are measured outputs minus the model's at the measured states, (n, m) per segment.
     """
     trajectory, linear_probes = predict(model, direct_model, setup, point, map_)
     steps = _Linear(setup, trajectory, linear_probes, map_)
@@ -396,10 +427,10 @@ def likelier_delays(
     start: ModelState,
     map_: Processes,
 ) -> ModelState:
-    """``start``, or the same with every sensor in time, whichever is likelier in its likeliest air.
+    """Return ``start``, or the same without delays of sensors, whichever is likelier in its air.
 
-    Delays found by replays in turbulence may be far off, and a filter that begins with them stays
-    near them."""
+    Delays estimated by replays in turbulence may be far off, and the filter stays near its start.
+    """
     in_time = {n: 0.0 if n.startswith("delay/") else v for n, v in start.nuisance.items()}
     trials = []
     for point in (start, replace(start, nuisance=in_time)):
@@ -418,8 +449,13 @@ def likelier_delays(
 
 
 class _Linear:
-    """Linear systems of the segments by what gusts do in them, those asked for last remembered;
-    measured: `in_step`, which they speak of."""
+    """Linear systems of the segments for different airs; the last ones are cached.
+
+    Attributes
+    ----------
+    measured : list of (n, m) array
+        The outputs that the systems describe, from `in_step`.
+    """
 
     def __init__(
         self, setup: FlightData, trajectory: Trajectory, probes: Sequence[Probe], by: Processes
@@ -464,17 +500,20 @@ class _Linear:
     def _behind(
         self, p: Probe, steps: Steps, y: FloatArray, states: GustStates, late: FloatArray
     ) -> FloatArray:
-        """(n, m) by how much outputs ``y`` (n, m) of the reference are behind, parts ``late`` (m,)
-        of a row, as the model moves its states and as controls move what is not made of these. The
-        reference itself jumps: each row begins with what the one before did not predict. Of a step,
-        a parabola from its start with the rate that is there to where it ends."""
+        """Return the change (n, m) of the reference's outputs ``y`` (n, m) over delays ``late``
+        (m,), fractions of a row.
+
+        States move by the model between rows, not along the reference, which jumps by the
+        innovation at each row: a parabola from the start of each step with its rate to the end.
+        Controls add what the states do not explain.
+        """
         point = self.flown.point
         gain = np.array([sensor_gain(c, point) for c in self.setup.outputs])
         H = steps.H[:, self.setup.output_rows] / gain[:, None]
         x = with_gust_states(p.reference.x, states)
         first = rates(p.reference, p.mass, x, gusts=states) * steps.dt_s
         curvature = steps.defect + np.diff(x, axis=0) - first[:-1]
-        # A sensor that is late sees the step before a row, one that is early the step behind it.
+        # A delayed sensor measures the step before a row, an early one the step after it.
         none = np.zeros_like(curvature[:1])
         ended, bent_before = (
             np.concatenate([first[:1], first[:-1] + 2.0 * curvature]),
@@ -490,12 +529,16 @@ class _Linear:
         return np.asarray(out)
 
     def all(self, states: Sequence[GustStates]) -> list[Steps]:
+        """Return the systems of all segments."""
         return self(range(len(self.found)), states)
 
 
 def between_rows(steps: Steps, rows: Sequence[int], late: Sequence[float]) -> FloatArray:
-    """H (n, m, x) where outputs ``rows`` see states parts of a row ``late``, as these go from row
-    to row: (I + T)^a in powers of T = phi - I of the step in which that is, a = -late."""
+    """Return H (n, m, x) for outputs ``rows`` that are delayed by fractions ``late`` of a row.
+
+    States between rows follow (I + T)^a with a = -late and T = phi - I of the step, as a binomial
+    series.
+    """
     H = steps.H.copy()
     turn = steps.phi - np.eye(steps.phi.shape[1])
     for k, part in zip(rows, late, strict=True):
@@ -511,9 +554,7 @@ def between_rows(steps: Steps, rows: Sequence[int], late: Sequence[float]) -> Fl
 def _air(
     setup: FlightData, steps: _Linear, prior_model: TurbulenceModel | None, tune: bool
 ) -> tuple[TurbulenceModel, FloatArray]:
-    """The likeliest air, and (m,) factors on the sensors' noise, each 1 where that is not asked
-    for.
-    """
+    """Return the likeliest air, and factors (m,) on the sensors' noise (1 unless ``tune``)."""
     speeds = [float(x[:, 0].mean()) for x in steps.flown.x]
     of = [s.flight for s in setup.segments]
     states = GustStates(steps.found[0].mass.b)
@@ -540,11 +581,12 @@ def predicted(
     followed: Sequence[FilteredSegment],
     gusts: TurbulenceModel,
 ) -> tuple[Trajectory, list[Probe]]:
-    """Probes whose terms are evaluated at states predicted from the past, and the outputs predicted
-    there, as a filter ``followed`` the ``steps``.
+    """Return probes whose terms are evaluated at the filter's predicted states, and the outputs
+    there.
 
-    At the measured states a term would know of the gust that it is to predict: Cl_p came out at
-    three quarters."""
+    At the measured states a term would contain the gust that it is to predict: Cl_p was estimated
+    at three quarters of its value.
+    """
     out, outputs = [], []
     for p, s, d, states in zip(
         linear_probes,
@@ -576,9 +618,7 @@ def predicted(
 
 
 def _changed(p: Probe, moved: FloatArray) -> FloatArray:
-    """(n, 6) change of CX..Cn where the air is met otherwise than at the reference, by AIR
-    (n, 6).
-    """
+    """Return the change (n, 6) of CX to Cn for a change ``moved`` (n, 6) of the air quantities."""
     faster = moved[:, :1] / p.reference.x[:, :1]
     change = (
         np.einsum("nij,nj->ni", p.reference.slopes, moved) / p.scale - 2.0 * faster * p.coefficients

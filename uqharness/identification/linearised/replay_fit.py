@@ -1,9 +1,9 @@
-"""Re-identification for the refinement: Gauss-Newton on JSBSim replays with sensitivities of the
-linearised flight.
+"""Output error with the sensitivities of the linearised model: Gauss-Newton on JSBSim replays.
 
-A few replays and one look at the forces instead of a replay for every parameter and start state.
-Estimates are as consistent as output error's own: at the answer the residuals are orthogonal to
-sensitivities that do not depend on them."""
+`refit` needs a few replays and one set of probes per step, instead of a replay for every parameter
+and start state. Its estimates are consistent like those of output error: at the solution the
+residuals are orthogonal to sensitivities that do not depend on them.
+"""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ from uqharness.replay import (
 
 
 def fly(model: ReplayModel, setup: FlightData, point: ModelState, map_: Processes) -> Trajectory:
-    """Replay every segment at a point; cost inf where a flight leaves the finite."""
+    """Replay every segment at a point; the cost is infinite where a replay diverges."""
     pieces = []
     for s, start in zip(setup.segments, point.starts, strict=True):
         on_time = [c for c in setup.outputs if not sensor_late_s(c, s, point)]
@@ -107,8 +107,9 @@ def fly(model: ReplayModel, setup: FlightData, point: ModelState, map_: Processe
 
 
 def cost_of(setup: FlightData, outputs: Sequence[FloatArray]) -> float:
-    """Sum of the squares of what outputs [(n, m)] leave of what was measured, over its noise; inf
-    where one is no number.
+    """Return the sum of squared residuals of outputs, (n, m) per segment, over their noise.
+
+    It is infinite where an output is not finite.
     """
     cost = 0.0
     for z, y in zip(setup.measured, outputs, strict=True):
@@ -120,14 +121,14 @@ def cost_of(setup: FlightData, outputs: Sequence[FloatArray]) -> float:
 def best_flown(
     model: ReplayModel, setup: FlightData, points: Sequence[ModelState], map_: Processes
 ) -> Trajectory:
-    """The replay of least cost."""
+    """Return the replay of least cost among points."""
     return min((fly(model, setup, p, map_) for p in points), key=lambda f: f.cost)
 
 
 def positions(
     model: ReplayModel, setup: FlightData, point: ModelState | None = None
 ) -> list[FloatArray]:
-    """(n, c) where the controls stood in every segment, servos as they are at a point."""
+    """Return the positions (n, c) of the controls in every segment, with the servos of a point."""
     return surface_positions(
         model, setup.segments, CONTROLS, {} if point is None else setup.properties(point)
     )
@@ -141,7 +142,7 @@ def probes(
     map_: Processes,
     consistent: bool = True,
 ) -> list[Probe]:
-    """Forces, slopes and so on along the flights flown."""
+    """Probe the model along a trajectory."""
     jobs = [
         ProbeJob(
             direct_model,
@@ -160,6 +161,7 @@ def probes(
 
 
 def _linearised(job: tuple[Reference, MassProperties, GustStates | None]) -> Steps:
+    """Return the linear system of one segment."""
     reference, mass, gusts = job
     return linearise(reference, mass, gusts=gusts)
 
@@ -171,8 +173,9 @@ def steps_of(
     point: ModelState,
     by: Processes = SERIAL,
 ) -> list[Steps]:
-    """Linear systems along the flights, outputs as the sensors scale them; air: how gusts act in
-    each.
+    """Return the linear systems of the segments, with the sensors' factors in the outputs.
+
+    ``air`` states for each segment how gusts act; None in calm air.
     """
     gain, forward = np.ones((len(STEP_OUTPUTS), 1)), vane_place_m(point)
     gain[setup.output_rows, 0] = [sensor_gain(c, point) for c in setup.outputs]
@@ -193,8 +196,8 @@ def parameter_columns(
     names: Sequence[str],
     analytic: Sequence[str],
 ) -> list[Columns]:
-    """Columns of the properties and active effects ``names`` (effects by key) and of the nuisance,
-    one set a segment.
+    """Return the regressors of parameters, active effects (by key) and nuisance, one set per
+    segment.
     """
     out = []
     active = [e for e in setup.active if e.key in names]
@@ -204,8 +207,8 @@ def parameter_columns(
     for segment, p, y, effects in zip(
         setup.segments, linear_probes, trajectory.outputs, effect_regressors, strict=True
     ):
-        # A jump of a surface divides its row: forces before and after it, and the share that the
-        # accelerometers have not measured yet.
+        # At a jump of a surface a row has loads before and after it, and accelerometer readings
+        # that lack a share of it.
         before, variables, share = (
             p.just_before(),
             p.variables(),
@@ -223,7 +226,7 @@ def parameter_columns(
             if before is not p and name in analytic:
                 ends[name] = term_column(name, variables_before)[1]
                 seen_values[name] = seen_of(inputs[name][1], ends[name], share)
-        # Nuisance of this flight: late controls, unmeasured jumps, biases and delays of sensors.
+        # Nuisance of this flight: the controls' delay, jump shares, biases and delays of sensors.
         for name in setup.nuisance:
             kind, flight, *channels = name.split("/")
             if flight != segment.flight:
@@ -248,10 +251,11 @@ def parameter_columns(
 
 
 def merged(first: Sequence[Columns], second: Sequence[Columns]) -> MadeColumns:
-    """Two sets of columns side by side."""
+    """Return two sets of columns side by side."""
     names = (*names_of(first), *names_of(second))
 
     def join_segment(k: int, some: Collection[str]) -> Columns:
+        """Return some columns of both sets in segment ``k``."""
         a, b = (
             c.some(k, [n for n in c.names if n in some]) if isinstance(c, MadeColumns) else c[k]
             for c in (first, second)
@@ -269,8 +273,20 @@ def merged(first: Sequence[Columns], second: Sequence[Columns]) -> MadeColumns:
 
 @dataclass(frozen=True)
 class Linearisation:
-    """A re-identification: the flights flown, probes, linear systems, columns of the parameters and
-    their evidence.
+    """The flights linearised at a trajectory.
+
+    Attributes
+    ----------
+    trajectory : Trajectory
+    probes : list of Probe
+    steps : list of Steps
+        Linear systems.
+    columns : list of Columns
+        Regressors of parameters, active effects and nuisance.
+    evidence : Information
+        Normal equations of the columns.
+    analytic : tuple of str
+        Parameters whose regressor is the coefficient term of their name.
     """
 
     trajectory: Trajectory
@@ -282,13 +298,13 @@ class Linearisation:
 
 
 PRIOR = {"bias": 0.1, "delay": 0.1, "lateness": 0.005, UNSEEN: 1.0}
-"""Standard deviations known beforehand.
+"""Prior standard deviations: biases in the channel's unit, delays [s].
 
-Controls act at their rows; a simulation of 10 ms a step has them act half a step early.
+Controls act at their rows, to half a step: 5 ms in a simulation of 10 ms a step.
 """
 _MOST_ITERATIONS, _TOLERANCE = 12, 0.05
 _STEP_SHARES = tuple(0.35**k for k in range(5))
-"""Shares of a step that are tried until one lowers the cost."""
+"""Shares of a step, tried in turn until one lowers the cost."""
 
 
 def refit(
@@ -300,8 +316,10 @@ def refit(
     limits: Mapping[str, tuple[float, float]],
     map_: Processes,
 ) -> Linearisation:
-    """Output error from ``start`` over the properties ``names``, biases, delays and start states.
-    Raises LinAlgError where replays from there leave the finite."""
+    """Minimise the output error from ``start`` over parameters, nuisance and start states.
+
+    Raises LinAlgError if the replays from ``start`` diverge.
+    """
     trajectory, analytic = fly(model, setup, start, map_), None
     if not math.isfinite(trajectory.cost):
         raise np.linalg.LinAlgError("replays with this model are no numbers")
@@ -340,9 +358,11 @@ def fit_at(
     map_: Processes,
     analytic: tuple[str, ...] | None = None,
 ) -> Linearisation:
-    """The flights linearised at the replays flown: evidence of the properties and active effects
-    ``names`` and the nuisance. analytic: properties known to be the coefficient terms their names
-    say."""
+    """Linearise the flights at a trajectory.
+
+    ``names`` are the estimated properties and active effects. ``analytic`` lists properties that
+    act as the coefficient terms of their names; None to test for them.
+    """
     point, properties = (
         trajectory.point,
         [n for n in names if n not in {e.key for e in setup.active}],
@@ -374,8 +394,8 @@ def fit_at(
 def moved_starts(
     starts: Sequence[FloatArray], white: Sequence[White], delta: FloatArray, share: float = 1.0
 ) -> tuple[FloatArray, ...]:
-    """Start states moved to where they fit best beside a change (K,) of the columns, or a share of
-    the way.
+    """Return the start states that fit best beside a change ``delta`` (K,) of the estimates, or a
+    share of the way to them.
     """
     order = [STATES.index(s) for s in X_STATES]
     moved = [start.copy() for start in starts]
@@ -387,10 +407,10 @@ def moved_starts(
 def step_from(
     setup: FlightData, point: ModelState, evidence: Information
 ) -> tuple[FloatArray, float]:
-    """Gauss-Newton step (K,) from a point, and its length in standard errors.
+    """Return the Gauss-Newton step (K,) from a point, and its length in standard errors.
 
-    Fixed effects do not move; neither does a parameter that the step would take beyond its range: a
-    share of a jump beyond SHARES, a rate limit that no command reaches.
+    Fixed effects do not move. Neither does a quantity at its limit that the step would take beyond
+    it: a jump share (SHARES), or a rate limit that no command reaches.
     """
     delta, length = evidence.step(setup.fixed_effects)
     move = dict(zip(evidence.names, delta.tolist(), strict=True))
@@ -414,8 +434,9 @@ def stepped(
     step: Mapping[str, float],
     limits: Mapping[str, tuple[float, float]],
 ) -> ModelState:
-    """Properties, active effects and nuisance moved by a step; properties stay within their limits,
-    rate limits where they are felt, shares within SHARES."""
+    """Return a point moved by a step, within the limits of parameters, rate limits and jump
+    shares.
+    """
     free = (-math.inf, math.inf)
     values = {
         n: float(np.clip(v + step[n], *limits.get(n, free))) if n in step else v
@@ -440,8 +461,11 @@ def in_one_step(
     chosen: Sequence[str] = (),
     moved: bool = True,
 ) -> dict[str, tuple[float, float]]:
-    """(value, standard error corrected for colour) of properties beside the effects ``chosen``, the
-    last step taken unless not ``moved``."""
+    """Return value and standard error of properties, estimated jointly with the effects ``chosen``.
+
+    Standard errors are corrected for coloured residuals. The last step is added to the values if
+    ``moved``.
+    """
     free = [*(n for n in fit.columns[0].names if not n.startswith("effect/")), *chosen]
     estimates, at = corrected_estimates(evidence, free, names), fit.trajectory.point.values
     return {
@@ -450,14 +474,11 @@ def in_one_step(
     }
 
 
-# The fit of the model as it is: its parameters re-identified, those that the flights do not
-# determine left alone.
+# Exchange with `identification.replay_fit`, which fits the model without effects.
 
 
 def observed(setup: FlightData, sensed: Mapping[str, float] | None = None) -> Observed:
-    """What a fit compares replays with; sensed: values of sensors' effects by key, taken out of
-    what was measured.
-    """
+    """Return the observations of a fit, without the sensors' effects ``sensed`` (values by key)."""
     late = {**setup.late, **dict.fromkeys(setup.timed, (CONTROL_DELAY,))}
     if not sensed:
         return Observed(setup.segments, setup.outputs, setup.measured, setup.biased, late)
@@ -476,8 +497,11 @@ def point_of(
     names: Sequence[str],
     sensed: Mapping[str, float] | None = None,
 ) -> ModelState:
-    """Where a fit of properties ``names`` ended, with the sensors' effects that were taken out of
-    what was measured; 0 stands for what the fit has not estimated."""
+    """Return the point at which a fit of properties ``names`` ended.
+
+    ``sensed`` are the sensors' effects that `observed` took out. What the fit has not estimated is
+    0.
+    """
     estimates = replay_fit.values()
     nuisance = {n: estimates.get(n.replace("lateness/", "delay/"), 0.0) for n in setup.nuisance}
     nuisance |= {n: v for n, v in estimates.items() if n.startswith(f"{UNSEEN}/")}
@@ -488,9 +512,7 @@ def point_of(
 
 
 def begun_at(point: ModelState) -> dict[str, float]:
-    """The other way: values by the names of a fit's layout from which a point's biases, delays and
-    shares are sought.
-    """
+    """Return start values for a fit's biases, delays and jump shares from a point."""
     return {
         n.replace("lateness/", "delay/"): value / _gain(n, point)
         for n, value in point.nuisance.items()
@@ -498,7 +520,5 @@ def begun_at(point: ModelState) -> dict[str, float]:
 
 
 def _gain(name: str, point: ModelState) -> float:
-    """By what a sensor multiplies a bias of that name, of the channel before it; 1 of all that is
-    no bias.
-    """
+    """Return the sensor's factor on the bias of that name; 1 for other names."""
     return sensor_gain(name.split("/")[2], point) if name.startswith("bias/") else 1.0
