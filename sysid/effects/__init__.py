@@ -1,6 +1,4 @@
-"""Missing effects: the catalogue of candidates, their scores against flights, and the choice among
-them.
-"""
+"""Missing effects of a model: catalogue, score tests against flights, selection."""
 
 import lazy_loader
 

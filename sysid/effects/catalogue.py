@@ -1,8 +1,8 @@
-"""The catalogue of candidate effects: what a model may lack, its physics in a sentence, where it
-shows, where to read about it.
+"""Catalogue of candidate effects: what a model may lack, with physics, regime and reference.
 
-A coefficient effect is a term (effect_terms.py) in one of CX CY CZ Cl Cm Cn; any other belongs to a
-subsystem. Nothing here knows how a simulator would carry it."""
+A coefficient effect is a `Term` in one of CX, CY, CZ, Cl, Cm, Cn; other effects belong to a
+subsystem such as a servo or a sensor. How a simulator represents them is defined elsewhere.
+"""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ VARIABLES: Mapping[str, str] = {
     "V_rel": "V/22.2",
     "h_over_b": "h/b",
 }
-"""Variables of a term and their units, in the order in which a term's factors stand."""
+"""Variables of terms and their units, in the order of a term's factors."""
 V_REFERENCE_MPS = 22.2
 _FACTOR = re.compile(
     r"(?P<inverse>1/)?(?:abs\((?P<absolute>\w+)\)|(?P<plain>\w+?))(?:\^(?P<power>-?\d))?"
@@ -59,7 +59,7 @@ class Factor:
 
     @property
     def text(self) -> str:
-        """The factor as a term writes it: ``p_hat^2``, ``abs(beta)``, ``1/V_rel``."""
+        """The factor as text: ``p_hat^2``, ``abs(beta)``, ``1/V_rel``."""
         if self.power == -1 and not self.absolute:
             return f"1/{self.variable}"
         name = f"abs({self.variable})" if self.absolute else self.variable
@@ -68,18 +68,18 @@ class Factor:
 
 @dataclass(frozen=True)
 class Term:
-    """A product of factors in their standing order."""
+    """A product of factors in the order of VARIABLES."""
 
     factors: tuple[Factor, ...]
 
     @property
     def text(self) -> str:
-        """The term as it is written: factors joined by ``*``, in the vocabulary's order."""
+        """The term as text: factors joined by ``*``."""
         return "*".join(f.text for f in self.factors)
 
     @property
     def suffix(self) -> str:
-        """What stands behind ``aero/Cm_`` in a property: letters, digits and underscores alone."""
+        """Suffix of a property such as ``aero/Cm_``: letters, digits and underscores."""
         out = []
         for f in self.factors:
             before, power = (
@@ -103,9 +103,9 @@ class Term:
         )
 
     def values(self, variables: Mapping[str, FloatArray]) -> FloatArray:
-        """(n,) values from those of the variables, each (n,).
+        """Return the term's values (n,) from those of the variables, (n,) each.
 
-        Raises KeyError for a variable that is not there.
+        Raises KeyError for a missing variable.
         """
         each = [
             (np.abs(variables[f.variable]) if f.absolute else variables[f.variable])
@@ -116,10 +116,7 @@ class Term:
 
 
 def parse(text: str) -> Term:
-    """The term of a text such as ``alpha*beta``.
-
-    Raises ValueError saying what was received and what is allowed.
-    """
+    """Parse a term such as ``alpha*beta``; raises ValueError for anything else."""
     gathered: dict[tuple[str, bool], int] = {}
     for part in text.replace(" ", "").split("*"):
         match = _FACTOR.fullmatch(part)
@@ -181,18 +178,25 @@ HALE = "Hale (2016), section 2.7.2"
 
 @dataclass(frozen=True)
 class Effect:
-    """One candidate.
+    """A candidate effect.
 
-    coefficient : CX..Cn, or None for an effect of a ``subsystem``
-    subsystem : stall, actuator.<surface>, propulsion, mass, sensor.<channel> or ground
-    term : text of the term, or what is missing in the subsystem (lag, thrust_scale, Ixz ...)
-    name, physics, regime, sign, reference : sentences for an engineer; ``sign`` is the usual sign,
-        empty if either is usual
-    unit : of the value
-    penalty : gain in 2 ln L required of the candidate beyond that of a plain one; 0 for effects
-        that every textbook lists
-    positive : whether only a positive value is possible: no sensor is early, and no servo faster
-        than its command (one with a lag in the XML may be faster than that)
+    Attributes
+    ----------
+    coefficient : str or None
+        CX to Cn, or None for an effect of a ``subsystem``.
+    subsystem : str or None
+        stall, actuator.<surface>, propulsion, mass, sensor.<channel> or ground.
+    term : str
+        The term as text, or the subsystem's quantity (lag, thrust_scale, Ixz, ...).
+    name, physics, regime, sign, reference : str
+        Descriptions for an engineer; ``sign`` is the usual sign, empty if both are usual.
+    unit : str
+        Unit of the value.
+    penalty : float
+        Additional gain in 2 ln L required of the candidate; 0 for textbook effects.
+    positive : bool
+        Whether only positive values are possible: no sensor is early, and no servo precedes its
+        command.
     """
 
     coefficient: str | None
@@ -209,12 +213,12 @@ class Effect:
 
     @property
     def key(self) -> str:
-        """Name of the effect among the unknowns of an estimate: ``effect/Cm/p_hat^2``."""
+        """Name of the effect among estimated quantities: ``effect/Cm/p_hat^2``."""
         return f"effect/{self.coefficient or self.subsystem}/{self.term}"
 
     @property
     def property_name(self) -> str:
-        """Property that carries its value."""
+        """Property that holds its value."""
         if self.subsystem is None:
             return f"aero/{self.coefficient}_{parse(self.term).suffix}"
         part, _, detail = self.subsystem.partition(".")
@@ -222,7 +226,7 @@ class Effect:
 
     @property
     def parsed(self) -> Term | None:
-        """The term in factors; None for an effect of a subsystem, which is no coefficient term."""
+        """The parsed term; None for an effect of a subsystem."""
         return parse(self.term) if self.coefficient is not None else None
 
 
@@ -410,13 +414,15 @@ _TERMS: dict[str, tuple[str, str, str]] = {
 _P2, _R2, _IXZ = "effect/Cm/p_hat^2", "effect/Cm/r_hat^2", "effect/mass/Ixz"
 _COUPLED = (_R2, "effect/Cl/p_hat*q_hat", "effect/Cn/q_hat*r_hat")
 TWINS: dict[tuple[str, str], tuple[str, ...]] = {(_P2, _IXZ): _COUPLED, (_IXZ, _P2): _COUPLED}
-"""(effect, alternative) -> terms by which alone the two differ. A wrong Ixz is a pitching moment
-Ixz (r^2 - p^2), and moments with p q and q r; its linear part the rate derivatives take up (rigid
-body, e.g. Etkin and Reid eq 4.7,2)."""
+"""Pairs of effects that only further terms distinguish, and these terms.
+
+A wrong Ixz causes a pitching moment Ixz (r^2 - p^2) and moments with p q and q r; the rate
+derivatives absorb its linear part (Etkin and Reid, eq 4.7,2).
+"""
 
 
 def words(term: str) -> str:
-    """A term in words: ``roll rate squared``."""
+    """Return a term in words: ``roll rate squared``."""
     out = []
     for f in parse(term).factors:
         word = f"magnitude of {_WORDS[f.variable]}" if f.absolute else _WORDS[f.variable]
@@ -429,9 +435,9 @@ def words(term: str) -> str:
 
 
 def coefficient_effect(coefficient: str, term: str) -> Effect:
-    """The effect of a term in a coefficient; term in any order of factors.
+    """Return the effect of a term in a coefficient; the factors may have any order.
 
-    Raises ValueError for what is neither.
+    Raises ValueError for an unknown coefficient or term.
     """
     if coefficient not in COEFFICIENTS:
         raise ValueError(f"coefficient '{coefficient}': allowed are {', '.join(COEFFICIENTS)}")
@@ -458,7 +464,7 @@ def coefficient_effect(coefficient: str, term: str) -> Effect:
 
 
 def catalogue() -> list[Effect]:
-    """Every coefficient term of the catalogue in every coefficient."""
+    """Return every coefficient effect of the catalogue."""
     return [
         coefficient_effect(c, term)
         for c in COEFFICIENTS
@@ -474,11 +480,11 @@ def catalogue() -> list[Effect]:
 
 _KEYS = {"coefficient", "term", "name", "physics", "regime", "sign", "reference"}
 _MOST_CHARACTERS = 2000
-"""Of a text of an effect: some paragraphs."""
+"""Longest text of an effect, some paragraphs."""
 
 
 def read_effects(path: Path) -> list[Effect]:
-    """The effects of a file. Raises LogError with file, entry and what is allowed."""
+    """Read a user's effects from a file; raises LogError with file and entry."""
     try:
         data = parse_toml(read_regular_text(path))
     except OSError as error:
@@ -667,13 +673,21 @@ def subsystem_effects(
     delays: Sequence[str],
     parts: Sequence[str] = (),
 ) -> list[Effect]:
-    """Effects that are no coefficient term, for the surfaces, measured channels and sensors (for
-    delays) at hand.
+    """Return the effects that are no coefficient term.
 
-    parts: channels of a sensor with several, whose filter may be another than the others'.
+    Parameters
+    ----------
+    surfaces : sequence of str
+        Surfaces with a servo.
+    channels : sequence of str
+        Measured channels.
+    delays : sequence of str
+        Sensors whose delay is estimated.
+    parts : sequence of str
+        Channels of a sensor with several, each of which may be filtered differently.
     """
     effects = [_effect(*row) for row in _AIRCRAFT]
-    # Servos: what a linear surface model leaves out.
+    # Servos.
     for s in surfaces:
         servo = f"actuator.{s}"
         effects += [
@@ -703,7 +717,7 @@ def subsystem_effects(
             ),
         ]
     any_, abrupt, double_penalty = "all manoeuvres", "abrupt manoeuvres", 2.0 * PENALTY
-    # Sensors: scale and zero. Biases of the gyros are estimated in any case.
+    # Sensors: scale and zero. Biases of the gyros are always estimated.
     for c in channels:
         short, unit = c.split("_")
         physics = "position error or upwash at the sensor" if c in _WIND else "calibration"
@@ -731,7 +745,7 @@ def subsystem_effects(
                     double_penalty,
                 )
             )
-    # Sensor positions, which only fast rotation shows.
+    # Sensor positions, which appear in fast rotation only.
     if {"ax_mps2", "ay_mps2", "az_mps2"} & set(channels):
         physics = "they feel the rotation about the CG"
         effects += [
@@ -761,7 +775,7 @@ def subsystem_effects(
                 double_penalty,
             )
         )
-    # Delays: of a sensor, and of single channels of one, which are rarer.
+    # Delays of a sensor, and of single channels of one, which are rarer.
     late = [
         (c, "sensor late", "filtering and transport of the signal", double_penalty) for c in delays
     ]

@@ -1,9 +1,9 @@
 """The colour of a filter's innovations.
 
-Innovations are white only if the air is of the filter's kind. In any other stationary air they are
-coloured, and columns that go with the gusts are biased as well as too sure: a vector autoregression
-of the innovations (`InnovationColour`) makes both white again (Ljung, System Identification,
-section 10.2: generalised least squares),
+Innovations are white only in air that the filter's gust model describes. In other stationary air
+they are coloured, and estimates whose columns correlate with gusts are biased, with standard errors
+that are too small. A vector autoregression of the innovations (`InnovationColour`) whitens them and
+the columns (Ljung, System Identification, section 10.2: generalised least squares),
 
     w(k) = L^-1 (e(k) - sum over j of A_j e(k - j)),   sum |w|^2 + 2 n ln det L
 """
@@ -22,19 +22,24 @@ from numpy.typing import NDArray
 from sysid.arrays import FloatArray
 
 _ROWS_A_CHANNEL = 20
-"""Rows below which no colour is estimated."""
+"""Rows per channel below which no colour is estimated."""
 _ORDERS = (1, 2, 3, 4, 6, 8, 10)
 """Past rows that `innovation_colour` tries."""
 
 
 @dataclass(frozen=True)
 class InnovationColour:
-    """Vector autoregression of whitened innovations (n, m): what a filter leaves in air that its
-    gust model does not describe.
+    """Vector autoregression of a filter's innovations (n, m) in air beyond its gust model.
 
-    coefficients (p, m, m): of the p innovations before; root (m, m): lower triangular, of the
-    covariance of what they do not predict; penalty: of its numbers in twice the log likelihood
-    (Schwarz, Annals of Statistics 6, 1978)
+    Attributes
+    ----------
+    coefficients : (p, m, m) array
+        Weights of the p previous innovations.
+    root : (m, m) array
+        Lower triangular root of the covariance of the prediction errors.
+    penalty : float
+        Penalty of its parameters in twice the log likelihood (Schwarz, Annals of Statistics 6,
+        1978).
     """
 
     coefficients: FloatArray
@@ -43,7 +48,7 @@ class InnovationColour:
 
     @cached_property
     def logdet(self) -> float:
-        """Sum of the logarithms of the roots' diagonal, of one row."""
+        """Sum of the logarithms of the root's diagonal, per row."""
         return float(np.sum(np.log(np.diagonal(self.root))))
 
     @cached_property
@@ -51,8 +56,9 @@ class InnovationColour:
         return np.asarray(np.linalg.inv(self.root))
 
     def __call__(self, series: NDArray[Any]) -> NDArray[Any]:
-        """White series of a segment, (n, m) or (n, m, K), in its precision; zero before its first
-        row.
+        """Whiten a segment's series, (n, m) or (n, m, K), in its precision.
+
+        The series is taken as zero before its first row.
         """
         flat = series if series.ndim == 3 else series[:, :, None]
         white = np.matmul(self._inverse.astype(series.dtype), flat)
@@ -88,7 +94,7 @@ def innovation_colour(residuals: Sequence[FloatArray]) -> InnovationColour | Non
                 matrices[lag - 1, channel, other] = weight
             else:
                 present[channel, other] = -weight
-        # One number more for its size, if it is not that of the filter.
+        # The variance is a parameter if it differs from the filter's.
         variance = remaining / rows
         is_unit = not chosen and rows * (variance - 1.0 - math.log(variance)) < _price(rows, m, 1)
         deviation[channel] = 1.0 if is_unit else math.sqrt(variance)
@@ -101,17 +107,19 @@ def innovation_colour(residuals: Sequence[FloatArray]) -> InnovationColour | Non
 
 
 def _price(rows: int, m: int, numbers: int) -> float:
-    """Extended Bayesian information criterion of one channel's rows as a predictor."""
+    """Return the penalty of ``numbers`` predictors by the extended Bayesian information
+    criterion.
+    """
     return math.log(rows) * numbers + 2.0 * math.log(m * m)
 
 
 def _predictors(
     moments: FloatArray, rows: int, channel: int, m: int
 ) -> tuple[list[int], FloatArray, float]:
-    """Places in ``moments`` that predict a channel's innovation, their weights, and the sum of
-    squares that they leave.
+    """Return the predictors of a channel's innovation, as places in ``moments``, their weights, and
+    the remaining sum of squares.
     """
-    orders: dict[int, int] = {}  # of each channel taken up; -1: present row alone
+    orders: dict[int, int] = {}  # highest lag of each channel that is a predictor
     chosen: list[int] = []
     weights, variance = np.zeros(0), float(moments[channel, channel])
     while True:

@@ -1,8 +1,8 @@
-"""Compiles the loops of identification ahead, as a set-up does: `python -m
-sysid.effects.compile_loops`.
+"""Compile the loops of identification ahead of use: `python -m sysid.effects.compile_loops`.
 
-The first flight in turbulence would do so else, in some twenty seconds; the machine code is kept
-beside the sources."""
+The set-up runs it. Otherwise the first flight in turbulence compiles them, which takes some twenty
+seconds. The machine code is kept beside the sources.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _ROWS, _DT_S, _SPEED_MPS = 4, 0.02, 20.0
 
 
 def compile_loops() -> None:
-    """Linearise and filter a made flight of a few samples, in calm air and in gusts."""
+    """Linearise and filter an artificial flight of a few samples, in calm air and in gusts."""
     x = np.zeros((_ROWS, 8))
     x[:, 0] = _SPEED_MPS
     nothing, slopes = np.zeros((_ROWS, 3)), np.zeros((_ROWS, 6, 6))

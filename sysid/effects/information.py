@@ -1,15 +1,16 @@
 """Information: normal equations of whitened innovations, score tests of candidate effects, and
 covariances.
 
-With columns b of the parameters already free and one column c per candidate (start states projected
-out of all of them),
+For free columns b (parameters and chosen effects) and the column c of one candidate, with the start
+states projected out of all of them,
 
     g = G_cc - G_cb G_bb^-1 G_bc,   u = u_c - G_cb G_bb^-1 u_b,   estimate u/g,   t = u/sqrt(g),
     gain u^2/g          (LM)
 
-the gain being twice the rise of the log likelihood: Rao's score (Lagrange multiplier) test. Where
-residuals are coloured, t is corrected as standard errors are (coloured.py). Sums are kept by
-segment, so that any part of the flights can be fitted and any other asked whether it agrees."""
+The gain is twice the increase of the log likelihood: Rao's score (Lagrange multiplier) test. With
+coloured residuals t is corrected like standard errors (`sysid.estimation.coloured_residuals`). Sums
+are kept by group of segments, so that one part of the flights can be fitted and another confirm it.
+"""
 
 from __future__ import annotations
 
@@ -37,20 +38,31 @@ Index = NDArray[np.intp]
 Estimate = tuple[float, float, float]
 """Value, standard error corrected for colour, and that of white residuals."""
 DEPENDENT = 1e-5
-"""Share of a column that must be left after the free parameters' part is taken out; less is no
+"""Share of a column that must remain after projection on the free columns; less is no
 information.
 """
 
 
 @dataclass(frozen=True)
 class Information:
-    """Sums of whitened columns and innovations over groups of segments.
+    """Normal equations of whitened columns and innovations, by group of segments.
 
-    gram (G, K, K), score (G, K): Y'Y and Y'e of each group; group (S,): that of each segment;
-    prior (K,): information from elsewhere.
-    stored : names of the columns that ``white`` has, in its order; None: all. Others are computed
-        again, or are missing.
-    cache : results of `corrected_estimates`; a search needs the same columns many times
+    Attributes
+    ----------
+    names : tuple of str
+        The K columns.
+    gram, score : (G, K, K) and (G, K) array
+        Y'Y and Y'e of each group.
+    group : (S,) array
+        Group of each segment.
+    prior : (K,) array
+        Prior information.
+    white : sequence of White
+        The filtered segments.
+    stored : tuple of str or None
+        Columns that ``white`` holds, in its order; None for all. Others are computed on demand.
+    cache : dict
+        Results of `corrected_estimates`, which a search needs many times.
     """
 
     names: tuple[str, ...]
@@ -63,9 +75,9 @@ class Information:
     cache: dict[frozenset[str], dict[str, Estimate]] = field(default_factory=dict, init=False)
 
     def index(self, names: Iterable[str]) -> Index:
-        """Positions (n,) of those unknowns in ``gram`` and ``score``.
+        """Return the positions (n,) of columns in ``gram`` and ``score``.
 
-        Raises KeyError for a name that is not there.
+        Raises KeyError for an unknown name.
         """
         return np.array([self._where[n] for n in names], dtype=np.intp)
 
@@ -75,12 +87,13 @@ class Information:
 
     @cached_property
     def total(self) -> tuple[FloatArray, FloatArray]:
-        """Information (n, n), prior included, and score (n,), summed over all manoeuvres."""
+        """Information (K, K), prior included, and score (K,) of all segments."""
         return self.gram.sum(axis=0) + np.diag(self.prior), self.score.sum(axis=0)
 
     def of_segments(self, segments: NDArray[np.bool_] | None) -> tuple[FloatArray, FloatArray]:
-        """(K, K) information and (K,) score of some segments, whole groups of them, priors
-        included. Raises ValueError.
+        """Return information (K, K), prior included, and score (K,) of some segments.
+
+        Raises ValueError if a group is in it only in part.
         """
         if segments is None:
             return self.total
@@ -91,16 +104,16 @@ class Information:
 
     @property
     def confirming(self) -> NDArray[np.bool_] | None:
-        """(S,) segments not of the first group, which confirm what that says and it them; None
-        where it is alone.
+        """Mask (S,) of the segments outside the first group, which confirm the others; None if
+        there is one group.
         """
         part = self.group > 0
         return part if part.any() and not part.all() else None
 
     def series(self, w: White, some: Index) -> FloatArray:
-        """(n, m, C) columns of a segment.
+        """Return columns (n, m, C) of a segment.
 
-        Raises KeyError for one that is neither held nor made again.
+        Raises KeyError for a column that is neither stored nor computed on demand.
         """
         if self.stored is None:
             return w.columns[:, :, some].astype(np.float64)
@@ -115,25 +128,25 @@ class Information:
         return out
 
     def step(self, fixed: Sequence[str] = ()) -> tuple[FloatArray, float]:
-        """Gauss-Newton step of all columns but those held (K,), and its length in standard
-        errors.
+        """Return the Gauss-Newton step (K,) of all columns except ``fixed``, and its length in
+        standard errors.
         """
         _, u = self.total
         delta = self.estimates(self.index(n for n in self.names if n not in fixed))
         return delta, math.sqrt(max(float(delta @ u), 0.0))
 
     def estimates(self, free: Index) -> FloatArray:
-        """(K,) estimates of the free columns, 0 elsewhere."""
+        """Return estimates (K,) of the free columns, 0 for the others."""
         G, u = self.total
         out = np.zeros(len(self.names))
         out[free] = solve(G[np.ix_(free, free)], u[free, None])[:, 0]
         return out
 
     def without_values(self, values: Mapping[str, float]) -> Information:
-        """The evidence as it would be had the columns ``values`` not been in the model flown: their
-        part is back in the residual.
+        """Return the information of a model without the effects ``values`` (by name).
 
-        So one flight, flown with the effects chosen, serves to choose again.
+        Their contribution is added to the residuals again, so that effects can be selected anew
+        from replays with some of them.
         """
         v = np.zeros(len(self.names))
         v[self.index(values)] = [*values.values()]
@@ -144,8 +157,8 @@ class Information:
         return replace(self, score=self.score + self.gram @ v, white=white)
 
     def residual(self, delta: FloatArray) -> list[FloatArray]:
-        """[(n, m)] whitened innovations after a change of the columns, NaN where nothing was
-        measured.
+        """Return whitened innovations (n, m) of each segment after a change ``delta`` (K,) of the
+        estimates; NaN where nothing was measured.
         """
         used = np.flatnonzero(delta)
         return [
@@ -161,14 +174,24 @@ def normal_equations(
     prior: Mapping[str, float],
     stored: Sequence[str] | None = None,
 ) -> Information:
-    """Information from filtered segments.
+    """Sum the normal equations of filtered segments.
 
     Parameters
     ----------
-    group : (S,) whose sums are kept together, 0 and up
-    prior : kind of column (its name up to the first /) -> standard deviation known beforehand
-    stored : names of the columns to keep; None: all. Those of candidates would take most of the
-        memory
+    white : iterable of White
+        Filtered segments.
+    names : sequence of str
+        Their columns.
+    group : (S,) array
+        Group of each segment, from 0.
+    prior : mapping
+        Kind of column (its name up to the first /) to its prior standard deviation.
+    stored : sequence of str, optional
+        Columns to keep, by default all. Those of candidates would take most of the memory.
+
+    Returns
+    -------
+    Information
     """
     K, groups = len(names), np.asarray(group, dtype=np.intp)
     gram, score = np.zeros((groups.max() + 1, K, K)), np.zeros((groups.max() + 1, K))
@@ -177,7 +200,7 @@ def normal_equations(
     for s, w in enumerate(white):
         flat = w.columns.reshape(-1, K)
         scale = np.sqrt(np.einsum("ij,ij->j", flat, flat, dtype=np.float64))
-        # Columns differ by many powers of ten; single precision is for columns of unit length.
+        # Single precision needs columns of unit length: they differ by many powers of ten.
         unit = flat / np.where(scale > 0.0, scale, 1.0).astype(np.float32)
         gram[groups[s]] += (unit.T @ unit).astype(np.float64) * np.outer(scale, scale)
         score[groups[s]] += flat.astype(np.float64).T @ w.residual.ravel()
@@ -195,7 +218,7 @@ def normal_equations(
 
 
 def solve(G: FloatArray, right: FloatArray) -> FloatArray:
-    """G x = right for an information matrix whose lost directions get nothing."""
+    """Solve G x = right for an information matrix; undetermined directions of x are zero."""
     if not len(G):
         return np.zeros_like(right)
     scale = np.sqrt(np.maximum(np.diagonal(G), 0.0))
@@ -212,8 +235,8 @@ def solve(G: FloatArray, right: FloatArray) -> FloatArray:
 def projected(
     G: FloatArray, u: FloatArray, free: Index, some: Index
 ) -> tuple[FloatArray, FloatArray]:
-    """Information (C, C) and score (C,) of columns ``some`` with those that are ``free`` taken out,
-    as in (LM).
+    """Return information (C, C) and score (C,) of columns ``some`` with the ``free`` ones projected
+    out, as in (LM).
     """
     x = solve(G[np.ix_(free, free)], np.column_stack([G[np.ix_(free, some)], u[free]]))
     return G[np.ix_(some, some)] - G[np.ix_(some, free)] @ x[:, :-1], u[some] - G[
@@ -224,10 +247,10 @@ def projected(
 def marginal_information(
     information: Information, names: Sequence[str], values: Mapping[str, float]
 ) -> tuple[FloatArray, FloatArray]:
-    """Information (n, n) of the unknowns ``names`` with everything else but effects projected out,
-    and its product (n,) with their estimates: both add up over independent flights.
+    """Return the information (n, n) of columns with the other parameters projected out.
 
-    values : about which the columns are
+    Also returns its product (n,) with their estimates; both add up over independent flights.
+    ``values`` are the values about which the model was linearised. Effects are not in the model.
     """
     G, u = information.total
     nuisance = [n for n in information.names if n not in names and not n.startswith("effect/")]
@@ -237,8 +260,15 @@ def marginal_information(
 
 @dataclass(frozen=True)
 class Scores:
-    """Of candidates c, given free columns: estimate, information g, t, gain (all (C,)), share: what
-    of a column is its own.
+    """Score tests of C candidates, equation (LM).
+
+    Attributes
+    ----------
+    names : tuple of str
+    estimate, information, t, gain : (C,) array
+        u/g, g, t and gain.
+    share : (C,) array
+        Share of each column that is orthogonal to the free columns.
     """
 
     names: tuple[str, ...]
@@ -255,9 +285,7 @@ def scores(
     candidates: Sequence[str],
     segments: NDArray[np.bool_] | None = None,
 ) -> Scores:
-    """Equation (LM) for every candidate; NaN where the data hold nothing of it that the free
-    columns do not.
-    """
+    """Evaluate (LM) for every candidate; NaN where its column depends on the free columns."""
     G, u = information.of_segments(segments)
     b, c = information.index(free), information.index(candidates)
     x = solve(G[np.ix_(b, b)], np.column_stack([G[np.ix_(b, c)], u[b]]))
@@ -278,8 +306,8 @@ def scores(
 
 
 def corrected_estimate(information: Information, free: Sequence[str], candidate: str) -> Estimate:
-    """Estimate of one candidate, its standard error by the residuals' colour after the fit, and the
-    error were they white.
+    """Return a candidate's estimate, its standard error for coloured residuals, and that for white
+    ones.
     """
     return corrected_estimates(information, [*free, candidate], [candidate])[candidate]
 
@@ -287,8 +315,10 @@ def corrected_estimate(information: Information, free: Sequence[str], candidate:
 def corrected_estimates(
     information: Information, names: Sequence[str], requested: Sequence[str]
 ) -> dict[str, Estimate]:
-    """`corrected` of each of the ``requested`` among the columns ``names``, all estimated together:
-    what the fit leaves, and so its colour, is the same for all of them and computed once."""
+    """Return `corrected_estimate` of the ``requested`` columns, all ``names`` estimated jointly.
+
+    The residuals and their colour are the same for all of them and computed once.
+    """
     estimates = information.cache.setdefault(frozenset(names), {})
     if not estimates.keys() >= {*requested}:
         estimates |= _compute_corrected(
@@ -302,10 +332,11 @@ def corrected_estimates(
 def _compute_corrected(
     information: Information, names: Sequence[str], requested: Sequence[str]
 ) -> dict[str, Estimate]:
+    """Compute the estimates of `corrected_estimates`."""
     names, some = list(names), information.index(names)
     G = information.total[0][np.ix_(some, some)]
     delta = information.estimates(some)[some]
-    # What the others leave of a column.
+    # Project each column on the others.
     combination, g = np.zeros((len(some), len(requested))), np.empty(len(requested))
     places = [names.index(name) for name in requested]
     for k, c in enumerate(places):
@@ -318,8 +349,8 @@ def _compute_corrected(
         projected_columns.append(columns @ combination)
         residuals.append(np.where(w.is_measured, w.residual - columns @ delta, np.nan))
     bracket = np.diagonal(coloured_information(projected_columns, residuals))
-    # Where the data hold nothing of a column, as of a rate limit that is never reached, it has no
-    # standard error.
+    # A column without information, such as a rate limit that is never reached, has no standard
+    # error.
     with np.errstate(invalid="ignore", divide="ignore"):
         plain = 1.0 / np.sqrt(np.where(g > 0.0, g, np.nan))
         std = np.maximum(np.sqrt(np.maximum(bracket, 0.0)) * plain**2, plain)
@@ -332,10 +363,10 @@ def _compute_corrected(
 def agreement(
     information: Information, free: Sequence[str], candidate: str, part: NDArray[np.bool_]
 ) -> tuple[float, float]:
-    """(gain on the other segments of the value estimated on ``part``, difference of the two
-    estimates in standard errors).
+    """Compare a candidate between two parts of the flights.
 
-    The free columns are fitted anew on either side: only the effect itself is carried over.
+    Returns the gain on the other segments of the value estimated on ``part``, and the difference
+    of the two parts' estimates in standard errors. The free columns are estimated in each part.
     """
     sides = [scores(information, free, [candidate], side) for side in (part, ~part)]
     (a, ga), (b, gb) = ((float(s.estimate[0]), float(s.information[0])) for s in sides)
@@ -346,9 +377,7 @@ def agreement(
 def column_correlations(
     information: Information, free: Sequence[str], first: str, candidates: Sequence[str]
 ) -> FloatArray:
-    """Correlation (C,) of what is left of a column with what is left of others, the free columns
-    taken out.
-    """
+    """Return correlations (C,) of a column with others, the free columns projected out of all."""
     projected_information, _ = projected(
         *information.total, information.index(free), information.index([first, *candidates])
     )
@@ -360,9 +389,9 @@ def column_correlations(
 # The colour of innovations is estimated with the model.
 
 COLOUR_TURNS = 2
-"""Estimates of the innovations' colour, one after the other."""
+"""Iterations between parameters and the innovations' colour."""
 COLOURS_TRIED = 6
-"""Candidates that are given a colour of the innovations of their own."""
+"""Candidates for which the innovations' colour is estimated again."""
 
 
 def with_colour(
@@ -373,13 +402,14 @@ def with_colour(
     *,
     fixed: bool = False,
 ) -> tuple[InnovationColour | None, Information]:
-    """The innovations' colour beside the best parameters, or ``fixed``, and information with it.
+    """Estimate the innovations' colour with the parameters, and the information given it.
 
-    From an estimate of the colour on, by turns: parameters given the colour, the colour given the
-    parameters (Cochrane and Orcutt, JASA 44, 1949).
+    Parameters given the colour and the colour given the parameters alternate (Cochrane and Orcutt,
+    JASA 44, 1949). With ``fixed`` the colour stays.
     """
 
     def information(colour: InnovationColour | None) -> Information:
+        """Return the normal equations with a colour."""
         white = whitened(followed, columns, colour)
         return normal_equations(white, columns[0].names, [0] * len(white), prior)
 
@@ -396,8 +426,8 @@ def with_colour(
 
 
 def least_cost(colour: InnovationColour | None, information: Information) -> float:
-    """Minus twice the log likelihood after a step to the estimates of all columns, and the penalty
-    of the colour.
+    """Return minus twice the log likelihood at the estimates of all columns, plus the colour's
+    penalty.
     """
     delta, score = information.step()[0], information.total[1]
     penalty = colour.penalty if colour else 0.0
@@ -412,18 +442,24 @@ def likeliest_colour(
     required_gains: Mapping[str, float],
     prior: Mapping[str, float],
 ) -> InnovationColour | None:
-    """The colour of the likeliest model: the one fitted, or that with one candidate.
+    """Return the innovations' colour of the likeliest model: without or with one candidate.
 
-    What an effect leaves is coloured, too. A colour that is estimated without the effect absorbs
-    it, |t| 10 in place of 60. So each of the strongest candidates is given a colour of its own
-    (profile likelihood), and decides the colour if it gains what is required of it.
+    Residuals of a missing effect are coloured. A colour that is estimated without the effect
+    absorbs it: |t| falls from 60 to 10. So the colour is estimated with each of the strongest
+    candidates in turn (profile likelihood), and one that gains what is required of it decides.
 
     Parameters
     ----------
-    columns : those of the model and of its candidates
-    fitted : the colour estimated with the model, and information of its columns with that
-    plain : information of all columns without a colour
-    required_gains : candidate -> gain in 2 ln L that is required of it
+    columns : MadeColumns
+        Columns of the model and of all candidates.
+    fitted : tuple
+        The colour estimated with the model, and the information given it.
+    plain : Information
+        Information of all columns without a colour.
+    required_gains : mapping
+        Candidate to the gain in 2 ln L that is required of it.
+    prior : mapping
+        As in `normal_equations`.
     """
     colour, information = fitted
     free = list(information.names)

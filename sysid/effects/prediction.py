@@ -1,13 +1,12 @@
-"""One-step predictions along linearised flights: white innovations, and how each candidate would
-have moved them.
+"""One-step predictions along linearised flights: innovations and their sensitivities.
 
-A Kalman filter with the process noise of turbulence; without any it is output error. The
-innovations' sensitivity to a column of extra coefficients runs through the same gains, so that what
-is judged is what the likelihood sees (Astrom, Automatica 16, 1980):
+A Kalman filter has the process noise of turbulence; without any it is output error. The
+sensitivity of the innovations to a column of coefficients passes through the same gains (Astrom,
+Automatica 16, 1980):
 
     s = H X + D u + e,   X+ = X - K s,   X' = Phi X+ + G0 u(k) + G1 u(k+1-)
 
-The start state is estimated, one a segment: its columns are projected out of everything.
+Each segment's start state is estimated: its columns are projected out of everything else.
 """
 
 from __future__ import annotations
@@ -34,24 +33,28 @@ from sysid.estimation import (
 )
 
 _REMEMBERED = 24
-"""Columns of a segment that are remembered of those made again: those that stand and the few that
-compete.
-"""
+"""Columns of a segment that are cached after computation on demand."""
 _AT_ONCE = 256
-"""Rows that are taken in double precision together, to make columns orthogonal to the start
-states.
-"""
+"""Rows that are converted to double precision together."""
 
 
 @dataclass(frozen=True)
 class Columns:
-    """What K parameters do along one segment of n samples, per unit of each.
+    """Regressors of K parameters along one segment of n samples, per unit of each.
 
-    inputs    column -> (index of the coefficient CX..Cn, values (n,)), or (-1, values (n, 6)) for
-    all six outputs   column -> (n, m) added to the measured channels
-    ends      column -> its input's values just before each row, where they jump there
-    seen      column -> its input's values as the channels of the same row have seen them, where
-    that is otherwise"""
+    Attributes
+    ----------
+    names : tuple of str
+        The columns.
+    inputs : mapping
+        Column to (index of a coefficient CX to Cn, values (n,)), or (-1, values (n, 6)) for all.
+    outputs : mapping
+        Column to its direct change (n, m) of the outputs.
+    ends : mapping
+        Column to its input's values just before each row, where the input jumps.
+    seen : mapping
+        Column to its input's values in the outputs of the same row, where these differ.
+    """
 
     names: tuple[str, ...]
     inputs: Mapping[str, tuple[int, FloatArray]]
@@ -61,9 +64,10 @@ class Columns:
 
 
 class MadeColumns(Sequence[Columns]):
-    """Columns of segments that are made as often as they are asked for, all by the same ``names``:
-    those of a flight's candidates take as much memory as what is computed from them. make: those of
-    a segment that are among some names."""
+    """Columns of segments that are computed on demand, to save memory.
+
+    ``make`` returns the columns of a segment that are among given names.
+    """
 
     def __init__(
         self, names: Sequence[str], make: Callable[[int, Collection[str]], Columns], count: int
@@ -79,24 +83,33 @@ class MadeColumns(Sequence[Columns]):
         return self.some(k, self.names)
 
     def some(self, k: int, names: Sequence[str]) -> Columns:
-        """Of a segment, those ``names`` alone, in this order."""
+        """Return the columns ``names`` of segment ``k``, in this order."""
         return replace(self._make(k, frozenset(names)), names=tuple(names))
 
 
 def names_of(columns: Sequence[Columns]) -> tuple[str, ...]:
-    """What the columns of all segments are called."""
+    """Return the names of the columns, which all segments share."""
     return columns.names if isinstance(columns, MadeColumns) else columns[0].names
 
 
 @dataclass(frozen=True)
 class White:
-    """One segment: whitened innovations (n, m) and columns (n, m, K), the start state projected
-    out; NaN rows are zero.
+    """A segment's whitened innovations and columns, with the start state projected out.
 
-    logdet: sum of the logarithms of the innovations' deviations; start (8, 1 + K): start state that
-    fits best, and its change by column; is_measured (n, m): which values were
-    measured; deviation (m,): rms of the innovations' standard deviation, in the channels' units;
-    more: makes columns (n, m, C) by names, where they can be made again"""
+    Attributes
+    ----------
+    residual, columns : (n, m) and (n, m, K) array
+        Whitened innovations and columns; zero where nothing was measured.
+    logdet : float
+        Sum of the logarithms of the innovations' standard deviations.
+    start : (8, 1 + K) array
+        Start state that fits best, and its change per unit of each column.
+    is_measured : (n, m) array
+    deviation : (m,) array
+        Root mean square of the innovations' standard deviations, in the channels' units.
+    more : callable or None
+        Returns columns (n, m, C) by name, if they can be computed on demand.
+    """
 
     residual: FloatArray
     columns: NDArray[np.float32]
@@ -109,22 +122,20 @@ class White:
 
 @dataclass(frozen=True)
 class FilteredSegment:
-    """One segment as a filter follows it: what was measured, the gains, and whitened innovations
-    without any columns.
-    """
+    """A filtered segment: the system, the filter's gains, and innovations without columns."""
 
     system: MeasuredSystem
     gains: Gains
     innovations_only: Whitened
 
     def path_from(self, start: FloatArray) -> FloatArray:
-        """(n, x) predicted states less the reference, the segment begun at the start state
-        ``start`` (8,) less the reference's.
+        """Return predicted states (n, x) from the deviation ``start`` (8,) of the start state, both
+        relative to the reference.
         """
         return predicted_path(self.system, self.gains, self.system.start @ start)
 
     def with_columns(self, segment_columns: Columns) -> Whitened:
-        """The same with columns."""
+        """Return the whitened innovations with the columns of a segment."""
         return whiten_innovations(
             self.system,
             self.gains,
@@ -144,8 +155,10 @@ def follow(
     noise: FloatArray,
     process: Process | None = None,
 ) -> Iterator[FilteredSegment]:
-    """Filter every segment, one after the other; arguments of `whiten`, which makes columns white
-    by what is given here. Raises LinAlgError where no filter follows."""
+    """Filter every segment; parameters as `whiten`.
+
+    Raises LinAlgError where no filter exists.
+    """
     for k, (system, z) in enumerate(zip(steps, measured, strict=True)):
         measured_system = MeasuredSystem.of(system, z, rows)
         filter_gains = gains(
@@ -166,13 +179,27 @@ def whiten(
     noise: FloatArray,
     process: Process | None = None,
 ) -> list[White]:
-    """Filter every segment.
+    """Filter every segment and whiten its innovations and columns.
 
-    rows : rows of the steps' OUTPUTS that ``measured`` (n, m) has
-    noise : (m,) standard deviations
-    process : None for calm air
+    Parameters
+    ----------
+    steps : sequence of Steps
+        Linear systems.
+    measured : sequence of (n, m) array
+        Measured outputs.
+    columns : sequence of Columns
+        Regressors.
+    rows : sequence of int
+        Rows of the steps' OUTPUTS that were measured.
+    noise : (m,) array
+        Standard deviations of the outputs' noise.
+    process : Process, optional
+        Process noise; None for calm air.
 
-    Raises LinAlgError where no steady filter exists.
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        Where no filter exists.
     """
     return whitened(follow(steps, measured, rows, noise, process), columns)
 
@@ -182,9 +209,7 @@ def whiten_each(
     columns: MadeColumns,
     colour: InnovationColour | None = None,
 ) -> Iterator[White]:
-    """`whitened`, segment by segment, of columns that can be made again: whoever needs their sums
-    need not hold them.
-    """
+    """Yield `whitened` segments one by one, so that their columns need not be held together."""
     for k, one in enumerate(followed):
         start = _Start.of(one, colour)
         more = _WhitenedOnDemand(one, columns, k, colour, start.q)
@@ -192,7 +217,7 @@ def whiten_each(
 
 
 class _WhitenedOnDemand:
-    """Columns of a segment made white again by their names; those asked for last are remembered."""
+    """Whitened columns of a segment, computed by name; the last ones are cached."""
 
     def __init__(
         self,
@@ -206,7 +231,7 @@ class _WhitenedOnDemand:
         self.made: dict[str, NDArray[np.float32]] = {}
 
     def __call__(self, names: Sequence[str]) -> NDArray[np.float32]:
-        """(n, m, C) in single precision, the start state fitted."""
+        """Return columns (n, m, C) with the start state projected out."""
         if missing := [n for n in names if n not in self.made]:
             made = self.one.with_columns(self.columns.some(self.k, missing)).columns
             remainder, _ = _without_start(_without_colour(self.colour, made), self.q)
@@ -224,21 +249,21 @@ def whitened(
     columns: Sequence[Columns],
     colour: InnovationColour | None = None,
 ) -> list[White]:
-    """`whiten` of segments that a filter has followed, and that leave ``colour``."""
+    """Whiten filtered segments whose innovations have a ``colour``; otherwise as `whiten`."""
     return [
         _whitened(one, columns[k], colour, _Start.of(one, colour)) for k, one in enumerate(followed)
     ]
 
 
 def _without_colour(colour: InnovationColour | None, series: NDArray[Any]) -> NDArray[Any]:
-    """Make innovations, or their changes, white."""
+    """Remove the colour from innovations or their sensitivities."""
     return series if colour is None else colour(series)
 
 
 @dataclass(frozen=True)
 class _Start:
-    """White innovations (n, m) of a segment, what its start state, once fitted, leaves of them, and
-    q (n m, 8), r (8, 8) of the start's columns.
+    """White innovations (n, m) of a segment before and after fitting its start state, and the QR
+    decomposition of the start's columns.
     """
 
     innovations: FloatArray
@@ -258,7 +283,7 @@ class _Start:
 def _whitened(
     one: FilteredSegment, segment_columns: Columns, colour: InnovationColour | None, start: _Start
 ) -> White:
-    """The segment with its start state fitted and taken out of everything."""
+    """Return a segment with its start state projected out."""
     is_measured = one.system.is_measured
     deviation = np.sqrt(
         np.where(is_measured, one.gains.prior_variance, 0.0).sum(axis=0)
@@ -283,15 +308,18 @@ def _whitened(
 
 
 def minus_twice_log(white: Sequence[White]) -> float:
-    """Minus twice the log likelihood of filtered segments."""
+    """Return minus twice the log likelihood of filtered segments."""
     return float(sum(np.sum(w.residual**2) + 2.0 * w.logdet for w in white))
 
 
 def start_fitted(
     innovations: FloatArray, starts: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Whitened innovations (n, m) with the start fitted, starts (n, m, 8) being what its states do
-    to them; and q (n m, 8), r (8, 8) of the starts, in units of the states."""
+    """Fit a segment's start state to its innovations.
+
+    ``starts`` (n, m, 8) are the innovations' sensitivities to the start state. Returns the
+    remaining innovations (n, m), and q (n m, 8), r (8, 8) of the sensitivities.
+    """
     flat = starts.reshape(-1, START_COLUMNS)
     scale = np.sqrt(np.sum(flat**2, axis=0))
     scale[scale == 0.0] = 1.0
@@ -303,7 +331,10 @@ def start_fitted(
 def _without_start(
     columns: NDArray[np.float32], q: FloatArray
 ) -> tuple[NDArray[np.float32], FloatArray]:
-    """Columns (n, m, K) less what the start's columns q (n m, 8) have of them, and that (8, K)."""
+    """Project the start's columns q (n m, 8) out of columns (n, m, K).
+
+    Returns the remaining columns and the projections (8, K).
+    """
     flat = columns.reshape(len(q), columns.shape[2])
     inside, remainder = np.zeros((START_COLUMNS, flat.shape[1])), np.empty_like(flat)
     parts = [slice(first, first + _AT_ONCE) for first in range(0, len(q), _AT_ONCE)]

@@ -1,10 +1,10 @@
-"""Which candidates are in the data: forward selection with exchange and removal on the linearised
-likelihood, by a fixed rule.
+"""Select effects by stepwise regression on the linearised likelihood.
 
-A candidate enters when its gain in 2 ln L exceeds the gain required of it by the most, when its
-|t|, corrected for coloured residuals, is above the largest |t| that chance gives among all
-candidates (Sidak), and when two parts of the flights agree on its value. Chosen effects that it
-makes superfluous are removed. Candidates that explain nearly as much are its alternatives."""
+A candidate enters if three conditions hold. Its gain in 2 ln L exceeds the gain required of it by
+more than any other's. Its |t|, corrected for coloured residuals, exceeds the critical value for the
+largest of all candidates (Sidak). Two parts of the flights agree on its value. Then selected
+effects may be exchanged or removed. Candidates that explain nearly as much are its alternatives.
+"""
 
 from __future__ import annotations
 
@@ -37,10 +37,21 @@ MOST_ALTERNATIVES = 3
 
 @dataclass(frozen=True)
 class Alternative:
-    """Another candidate for the same residual: its gain in the effect's place, the effect's t
-    beside it, correlation of the two.
+    """Another candidate that explains the same residual.
 
-    companions: terms left free beside it when the two were distinguished
+    Attributes
+    ----------
+    key : str
+    gain : float
+        Its gain in the effect's place.
+    t_beside : float
+        The effect's t with the alternative in the model.
+    likeness : float
+        Correlation of the two.
+    separable : bool
+        Whether the data distinguish them.
+    companions : tuple of str
+        Terms that were estimated with the alternative in that comparison.
     """
 
     key: str
@@ -53,8 +64,20 @@ class Alternative:
 
 @dataclass(frozen=True)
 class SelectedEffect:
-    """One effect: estimate, corrected and white standard error, t, gain, agreement with the
-    confirming part (gain there, difference)."""
+    """A selected effect.
+
+    Attributes
+    ----------
+    key : str
+    value, std, t : float
+        Estimate, standard error for coloured residuals, and their ratio.
+    gain : float
+        Increase of 2 ln L.
+    confirmed_gain, difference : float
+        Gain on the part of the flights that did not estimate it (the smaller of the two), and
+        difference of the two estimates in standard errors; NaN with one part.
+    alternatives : tuple of Alternative
+    """
 
     key: str
     value: float
@@ -68,10 +91,14 @@ class SelectedEffect:
 
 @dataclass(frozen=True)
 class RejectedCandidate:
-    """The best candidate that did not enter, and why.
+    """The best candidate that was rejected, and the reason.
 
-    strong : its |t| is well above chance, so something is missing from the model
-    unconfirmed : parts of the flights contradict each other about its value
+    Attributes
+    ----------
+    strong : bool
+        Whether its |t| is so large that the model lacks something.
+    unconfirmed : bool
+        Whether parts of the flights contradict each other about its value.
     """
 
     key: str
@@ -84,8 +111,16 @@ class RejectedCandidate:
 
 @dataclass(frozen=True)
 class Selection:
-    """What the choice came to: effects in order of choice, the candidate refused if any, and the
-    steps in words.
+    """Result of a selection.
+
+    Attributes
+    ----------
+    chosen : tuple of SelectedEffect
+        The strongest first.
+    refused : RejectedCandidate or None
+        The best candidate that was rejected last.
+    trail : tuple of str
+        The steps in words.
     """
 
     chosen: tuple[SelectedEffect, ...]
@@ -94,13 +129,13 @@ class Selection:
 
     @property
     def values(self) -> dict[str, float]:
-        """Values of the effects by key, in order of choice."""
+        """Values of the effects by key."""
         return {c.key: c.value for c in self.chosen}
 
 
 def sidak_critical_t(candidates: int, family: float = FAMILY) -> float:
-    """|t| that the largest of so many candidates exceeds with probability ``family`` when nothing
-    is there (Sidak).
+    """Return the |t| that the largest of independent candidates exceeds with probability ``family``
+    if the model lacks nothing (Sidak).
     """
     return -float(normal_quantile(0.5 * (1.0 - (1.0 - family) ** (1.0 / max(candidates, 1)))))
 
@@ -108,12 +143,12 @@ def sidak_critical_t(candidates: int, family: float = FAMILY) -> float:
 def critical_t_of(
     information: Information, free: Sequence[str], candidates: Sequence[str], family: float = FAMILY
 ) -> float:
-    """|t| that the largest of the candidates exceeds with probability ``family`` when nothing is
-    there.
+    """Return the |t| that the largest of the candidates exceeds with probability ``family`` if the
+    model lacks nothing.
 
-    Candidates resemble each other, so the largest of 400 is the largest of fewer: drawn from their
-    own correlation, what the free columns take up removed. Never above Sidak's, which is for
-    candidates that have nothing in common."""
+    It is drawn from the candidates' correlation, with the free columns projected out. It is never
+    above Sidak's value, which holds for independent candidates.
+    """
     informative = [
         k
         for k, share in zip(candidates, scores(information, free, candidates).share, strict=True)
@@ -148,18 +183,31 @@ def select(
     empirical: bool = False,
     decisive_t: float = np.inf,
 ) -> Selection:
-    """Choose effects.
+    """Select effects.
 
     Parameters
     ----------
-    free : columns that are estimated in any case
-    required_gains : candidate -> gain in 2 ln L that is required of it
-    chosen : effects to begin with, which may be exchanged or removed again
-    max_effects : most effects that may be chosen
-    critical_t : smallest |t| of an effect (default: `critical_t_of`)
-    empirical : whether |t| must also exceed critical_t times the standard deviation of all
-        candidates' t (Efron, JASA 99, 2004), which is one for noise alone
-    decisive_t : |t| from which an entering effect ends the selection
+    information : Information
+        Normal equations of all columns.
+    free : sequence of str
+        Columns that are always estimated.
+    required_gains : mapping
+        Candidate to the gain in 2 ln L that is required of it.
+    chosen : sequence of str
+        Effects at the start, which may be exchanged or removed.
+    max_effects : int
+        Largest number of effects.
+    critical_t : float, optional
+        Smallest |t| of an effect, by default `critical_t_of`.
+    empirical : bool
+        Whether |t| must also exceed critical_t times the spread of all candidates' t (Efron, JASA
+        99, 2004), which is one for noise alone.
+    decisive_t : float
+        |t| of an entering effect that ends the selection.
+
+    Returns
+    -------
+    Selection
     """
     critical_t = (
         critical_t_of(information, free, list(required_gains)) if critical_t is None else critical_t
@@ -194,8 +242,10 @@ def select(
 def estimate_selected(
     information: Information, free: Sequence[str], keys: Sequence[str], candidates: Sequence[str]
 ) -> tuple[SelectedEffect, ...]:
-    """Estimate the effects ``keys`` together, and find the alternatives of each among the
-    candidates; the strongest first.
+    """Estimate the effects ``keys`` jointly, and find the alternatives of each among the
+    candidates.
+
+    Returns the strongest effect first.
     """
     unselected = [k for k in candidates if k not in keys]
     out = []
@@ -210,13 +260,14 @@ def estimate_selected(
 
 
 def _estimate_one(information: Information, free: Sequence[str], key: str) -> SelectedEffect:
+    """Estimate an effect beside the free columns, without alternatives."""
     value, std, white_std = corrected_estimate(information, free, key)
     gain = float(scores(information, free, [key]).gain[0])
     confirmed = difference = float("nan")
     if (confirming := information.confirming) is not None:
         confirmed, difference = agreement(information, free, key, ~confirming)
         confirmed = min(confirmed, agreement(information, free, key, confirming)[0])
-        # Colour widens the errors of both parts as it does those of all flights.
+        # Colour increases the parts' standard errors like that of all flights.
         difference *= white_std / std
     return SelectedEffect(key, value, std, value / std, gain, confirmed, difference)
 
@@ -229,11 +280,12 @@ def _entering(
     critical_t: float,
     empirical: bool,
 ) -> SelectedEffect | RejectedCandidate | None:
-    """The candidate to enter, or the best one that may not.
+    """Return the candidate that enters, or the best one that is rejected.
 
-    Where the flights contradict each other about the best candidate, another missing effect may
-    disturb it: candidates whose correlation with it is below UNLIKE are tried next, and it is
-    tried again after one of them has entered."""
+    If the flights contradict each other about the best candidate, another missing effect may bias
+    it: candidates whose correlation with it is below UNLIKE are tried next. It is tried again
+    after one of them has entered.
+    """
     first: RejectedCandidate | None = None
     for _ in range(TURNS):
         best = _best(information, free, unselected, required_gains, critical_t, empirical)
@@ -257,13 +309,14 @@ def _best(
     critical_t: float,
     empirical: bool,
 ) -> SelectedEffect | RejectedCandidate | None:
+    """Return the candidate of largest penalised gain, or its rejection."""
     result = scores(information, free, unselected)
     penalised_gain = np.nan_to_num(
         result.gain - np.array([required_gains[k] for k in unselected]), nan=-np.inf
     )
     if not np.isfinite(penalised_gain).any():
         return None
-    # A candidate that is really there moves few of the others: their median does not know of it.
+    # A true effect changes few of the others' t, so their median is robust against it.
     dispersion = (
         max(1.0, float(np.nanmedian(np.abs(result.t))) / normal_quantile(0.75))
         if empirical
@@ -272,7 +325,7 @@ def _best(
     best, *runners_up = np.argsort(-penalised_gain)[:LOOKED_AT].tolist()
     choice = _estimate_one(information, free, unselected[best])
     if not abs(choice.t) > critical_t:
-        # Colour may weigh on one candidate more than on the next.
+        # Colour may increase the standard error of one candidate more than of the next.
         next_best = (
             _estimate_one(information, free, unselected[k])
             for k in runners_up
@@ -293,8 +346,8 @@ def _best(
         )
         return RejectedCandidate(choice.key, choice.t, choice.gain, reason)
     if choice.confirmed_gain <= 0.0 and abs(choice.difference) > DIFFERENT:
-        # Where the parts agree, all that they say of it together is in its t; one that fits both is
-        # somewhat off, being alone.
+        # If the parts agree, t contains all evidence. A candidate that is estimated alone may be
+        # slightly biased in both parts.
         reason = (
             f"two parts of the flights differ in it by {abs(choice.difference):.1f} standard errors"
         )
@@ -316,7 +369,7 @@ def _exchange(
     current: list[str],
     trail: list[str],
 ) -> None:
-    """Replace each chosen effect by the candidate that explains more in its place."""
+    """Replace a selected effect by a candidate that explains more in its place."""
     for k, key in enumerate(current):
         free_beside = [*free, *current[:k], *current[k + 1 :]]
         unselected = [c for c in required_gains if c not in current or c == key]
@@ -341,7 +394,7 @@ def _prune(
     trail: list[str],
     critical_t: float,
 ) -> None:
-    """Remove the weakest effect below critical_t until none is; a single effect stays."""
+    """Remove the weakest effect until all |t| reach critical_t; a single effect stays."""
     while len(current) > 1:
         t = [
             abs(value / std)
@@ -358,9 +411,10 @@ def _prune(
 def _companions(
     information: Information, free: Sequence[str], companions: Sequence[str]
 ) -> list[str]:
-    """Terms to estimate together with a confounded effect: those given, and for each chosen effect
-    in roll or yaw the same term about the other axis, because a wrong product of inertia turns the
-    one into the other.
+    """Return the terms to estimate together with a confounded effect.
+
+    They are the given ones, and for each selected effect in roll or yaw the same term about the
+    other axis, because a wrong product of inertia couples the two.
     """
     if not companions:
         return []
@@ -376,8 +430,9 @@ def _companions(
 def _with_alternatives(
     information: Information, free: Sequence[str], choice: SelectedEffect, unselected: Sequence[str]
 ) -> SelectedEffect:
-    """Add the candidates that would explain nearly as much in the effect's place: inseparable ones
-    first, then by gain.
+    """Add the candidates that explain nearly as much in the effect's place.
+
+    Inseparable ones come first, then those of larger gain.
     """
     if not unselected:
         return choice
@@ -399,8 +454,8 @@ def _with_alternatives(
         key = unselected[i]
         companions = _companions(information, free, TWINS.get((choice.key, key), ()))
         with_rival = scores(information, [*free, key, *companions], [choice.key])
-        # White t of the effect beside its rival, brought to the colour of the residuals by the
-        # ratio found for the effect alone.
+        # Correct the effect's t beside its rival for coloured residuals by the ratio for the effect
+        # alone.
         t = float(np.nan_to_num(with_rival.t[0])) * (
             abs(choice.t) / np.sqrt(choice.gain) if choice.gain > 0 else 1.0
         )
@@ -409,8 +464,8 @@ def _with_alternatives(
         rows.append(
             Alternative(key, float(gains[i]), t, float(same), not inseparable, tuple(companions))
         )
-    # Causes that physics makes alike before a third form of the same: those of the effect, then of
-    # the nearest alternative.
+    # List physically equivalent causes before other forms of the same term: the effect's twins,
+    # then those of the nearest alternative.
     twins_of_effect = {key for one, key in TWINS if one == choice.key}
     alike = [r for r in rows if not r.separable]
     nearest = next((a.key for a in alike if a.key not in twins_of_effect), "")
@@ -435,27 +490,26 @@ def _with_alternatives(
     )
 
 
-# Intervals of an effect that was named because its |t| was large: conditional on having been
-# chosen.
+# Intervals of a selected effect, conditional on its selection.
 #
-# What stands out does so by its truth and by luck, so that a value and its plain interval are
-# too large where |t| is little above critical_t. With Z ~ N(theta, 1) seen only if |Z| > c, its
-# distribution is the normal one cut at -c and c; the interval holds every theta under which
-# what was seen is neither in the lower nor in the upper tail (Lee, Sun, Sun and Taylor, Annals
-# of Statistics 44, 2016, section 5). Well above critical_t it is the plain interval.
+# An effect is selected because its |t| is large, so estimates little above critical_t are biased
+# away from zero. Z ~ N(theta, 1) that is observed only if |Z| > c has a truncated normal
+# distribution. The interval holds every theta under which the observation lies in neither tail of
+# that distribution (Lee, Sun, Sun and Taylor, Annals of Statistics 44, 2016, section 5). Far above
+# critical_t it equals the ordinary interval.
 
 _SEARCH_RANGE = 40.0
-"""Standard errors beyond which nothing is looked for."""
+"""Limit of the search for theta, in standard errors."""
 
 
 def conditional_interval(
     value: float, std: float, critical_t: float, confidence: float = 0.95
 ) -> tuple[float, float]:
-    """Interval of an effect estimated at ``value`` +/- ``std`` and named because |value / std| is
-    above ``critical_t``.
+    """Return the interval of an effect that was selected because |value / std| > ``critical_t``.
 
-    Without one (NaN), or where |t| is not above it, the plain interval. NaN where std is no
-    positive number."""
+    It is the ordinary interval if ``critical_t`` is NaN or |t| does not exceed it, and NaN if
+    ``std`` is not positive.
+    """
     if not (std > 0.0 and math.isfinite(value) and math.isfinite(std)):
         return math.nan, math.nan
     tail = 0.5 * (1.0 - confidence)
@@ -465,8 +519,8 @@ def conditional_interval(
         return value - reach, value + reach
 
     def excess(theta: float, share: float) -> float:
-        # P(|Z| > c, Z > t) and P(|Z| > c): upper tails, which keep their figures where they are
-        # small.
+        """Return the conditional probability beyond t minus a share."""
+        # P(|Z| > c, Z > t) and P(|Z| > c), as upper tails, which are accurate where small.
         above, tails = (
             special.ndtr(theta - t),
             special.ndtr(theta - critical_t) + special.ndtr(-critical_t - theta),

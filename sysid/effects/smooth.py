@@ -1,21 +1,19 @@
-"""A smooth term in one state, or one that multiplies a second: what is left when no form of the
-catalogue explains it. Pure.
+"""Fit a smooth term of one state, or one times a second, where no form of the catalogue fits.
 
-    f(x) = b0 + b1 x + sum over j of z_j(x) v_j,    v ~ N(0, tau^2 I)
-    (S)
+    f(x) = b0 + b1 x + sum over j of z_j(x) v_j,    v ~ N(0, tau^2 I)                         (S)
 
-Cubic splines on even knots; the z_j are such that sum v_j^2 is the integral of f''^2 (O'Sullivan,
-Statistical Science 1, 1986), less the straight line that fits each best at the data. What of the
-line the model has as its own parameters is left to those. With G and u the information and score of
-the z_j, everything that is estimated in any case projected out (LM of score.py), over the
-dispersion c,
+The term is a cubic spline on even knots. The z_j are scaled so that sum v_j^2 is the integral of
+f''^2 (O'Sullivan, Statistical Science 1, 1986), with the best straight line subtracted. The line's
+part that the model has as parameters is left to these. G and u are the information and score of the
+z_j, with the other columns projected out ((LM) of `information`), c is the dispersion. Then
 
-    R(tau) = sum over i of [ tau^2 w_i^2 / (1 + tau^2 d_i) - ln(1 + tau^2 d_i) ],    G/c = V d V',
-    w = V'u/c               (R)
+    R(tau) = sum over i of [ tau^2 w_i^2 / (1 + tau^2 d_i) - ln(1 + tau^2 d_i) ],             (R)
+    G/c = V d V',   w = V'u/c
 
-is twice the rise of the restricted log likelihood over tau = 0, which smoothing by REML makes
-largest. c is what coloured residuals take from the information (Rao and Scott, Annals of Statistics
-12, 1984). The band is the posterior's (Nychka, JASA 83, 1988)."""
+is twice the increase of the restricted log likelihood over tau = 0. Smoothing by REML maximises
+it. c reduces the information for coloured residuals (Rao and Scott, Annals of Statistics 12, 1984).
+The band is that of the posterior (Nychka, JASA 83, 1988).
+"""
 
 from __future__ import annotations
 
@@ -37,21 +35,24 @@ from sysid.effects.tuned import FAMILY
 from sysid.estimation import coloured_information
 
 SPANS = 10
-"""Spans between knots over the range of the data. The penalty and not the knots decides how much a
-curve bends; a bump narrower than two spans is smeared."""
+"""Spans between knots over the range of the data.
+
+The penalty, not the knots, limits the curvature; bumps narrower than two spans are smoothed.
+"""
 _LINE = 2
-"""Columns of a term that are its straight line."""
+"""Number of columns of the straight line."""
 _TAUS = np.logspace(-8.0, 8.0, 161)
-"""Values of tau^2 d that are tried, d being the largest of (R)."""
+"""Grid of tau^2 d, with d the largest of (R)."""
 
 
 @dataclass(frozen=True)
 class SmoothTerm:
-    """Functions of ``state`` between the ends of ``knots``, times the variable ``times`` where
+    """Functions of ``state`` over the range of ``knots``, multiplied by the variable ``times`` if
     there is one.
 
-    turn (B, K): coefficients of B-splines of each column: the line's two, then the z_j, the
-    smoothest first"""
+    ``turn`` (B, K) holds the B-spline coefficients of each column: the line's two, then the z_j,
+    the smoothest first.
+    """
 
     coefficient: str
     state: str
@@ -68,7 +69,7 @@ class SmoothTerm:
 
     @property
     def ends(self) -> tuple[float, float]:
-        """Least and largest value of the state in the data; the columns are held beyond."""
+        """Range of the state in the data; beyond it the columns are constant."""
         return float(self.knots[3]), float(self.knots[-4])
 
     @property
@@ -78,7 +79,7 @@ class SmoothTerm:
 
     @property
     def name(self) -> str:
-        """The term in words, which call it no effect."""
+        """The term in words."""
         subject = coefficient_effect(self.coefficient, self.state).name.partition(" due to ")[0]
         times = f", times {words(self.times)}," if self.times else ""
         return f"smooth term of {words(self.state)}{times} in {subject}"
@@ -89,14 +90,13 @@ class SmoothTerm:
         return tuple(f"smooth/{self.label}/{k}" for k in range(self.turn.shape[1]))
 
     def at(self, x: FloatArray) -> FloatArray:
-        """(n, K) the columns at values (n,) of the state, the second variable being 1; held beyond
-        the ends.
-        """
+        """Return the columns (n, K) at values (n,) of the state, with 1 for the second variable."""
         return _splines(x, self.knots) @ self.turn
 
     def inputs(self, variables: Mapping[str, FloatArray]) -> dict[str, tuple[int, FloatArray]]:
-        """Columns along a flight, as `prediction.Columns` has them; variables: values (n,) of the
-        variables.
+        """Return the columns along a flight, in the form of `prediction.Columns.inputs`.
+
+        ``variables`` holds values (n,) of each variable.
         """
         rows = self.at(variables[self.state]) * (
             variables[self.times][:, None] if self.times else 1.0
@@ -110,8 +110,9 @@ class SmoothTerm:
 def smooth_term(
     coefficient: str, state: str, times: str | None, variables: Mapping[str, FloatArray]
 ) -> SmoothTerm | None:
-    """The functions over the range of the data, by values (n,) of the variables; None where the
-    state does not vary.
+    """Return the term over the range of the data, from values (n,) of the variables.
+
+    None if the state does not vary.
     """
     x = variables[state]
     low, high = float(x.min()), float(x.max())
@@ -120,15 +121,15 @@ def smooth_term(
     inner = np.linspace(low, high, SPANS + 1)
     step = inner[1] - inner[0]
     knots = np.concatenate([low + step * np.arange(-3, 0), inner, high + step * np.arange(1, 4)])
-    # The product of second derivatives is a square in each span, which two points integrate exactly
-    # (Gauss).
+    # Products of second derivatives are quadratic in each span: two Gauss points integrate them
+    # exactly.
     middle = 0.5 * (inner[1:] + inner[:-1])
     bend = _splines(
         np.concatenate([middle - step / math.sqrt(12.0), middle + step / math.sqrt(12.0)]), knots, 2
     )
     values, vectors = np.linalg.eigh(0.5 * step * bend.T @ bend)
     free = vectors[:, _LINE:] / np.sqrt(values[_LINE:])
-    # A straight line in B-splines has the knots' own means for coefficients.
+    # The B-spline coefficients of a straight line are means of knots.
     centre = (knots[1:-3] + knots[2:-2] + knots[3:-1]) / 3.0 - float(x.mean())
     line = np.column_stack([np.ones_like(centre), centre])
     weight = np.ones_like(x) if times is None else variables[times]
@@ -138,7 +139,8 @@ def smooth_term(
 
 
 def _splines(x: FloatArray, knots: FloatArray, derivative: int = 0) -> FloatArray:
-    # Takes a tenth of a second to load, and few flights ask for a smooth term.
+    """Return B-splines (n, B) or their derivative at values (n,)."""
+    # Imported here: it takes a tenth of a second to load, and few flights need a smooth term.
     from scipy.interpolate import BSpline
 
     return np.asarray(
@@ -148,14 +150,26 @@ def _splines(x: FloatArray, knots: FloatArray, derivative: int = 0) -> FloatArra
 
 @dataclass(frozen=True)
 class SmoothFit:
-    """A term with its smoothing by REML.
+    """A term smoothed by REML.
 
-    values, cov : (K,) and (K, K) of its columns; zero for those that the model has itself
-    estimated : (K,) which columns are the term's
-    edf : effective degrees of freedom
-    ratio : twice the log likelihood gained, (R) and the line's part; p: of as much by chance
-    precision : (K,) 1/tau^2 of the z_j, 0 of the line
-    dispersion : c
+    Attributes
+    ----------
+    values, cov : (K,) and (K, K) array
+        Estimates and covariance of its columns; zero for those that the model has already.
+    estimated : (K,) array
+        Which columns are estimated.
+    edf : float
+        Effective degrees of freedom.
+    ratio : float
+        Twice the gained log likelihood: (R) and the line's part.
+    merit : float
+        ``ratio`` less twice the number of parameters.
+    p : float
+        Probability of such a gain by chance.
+    precision : (K,) array
+        1/tau^2 of the z_j, 0 of the line.
+    dispersion : float
+        c.
     """
 
     term: SmoothTerm
@@ -171,23 +185,21 @@ class SmoothFit:
 
     @property
     def estimated_columns(self) -> tuple[str, ...]:
-        """Names of its own columns."""
+        """Names of the estimated columns."""
         return tuple(n for n, k in zip(self.term.columns, self.estimated, strict=True) if k)
 
     @property
     def column_values(self) -> dict[str, float]:
-        """Values of its own columns by name."""
+        """Values of the estimated columns by name."""
         return dict(zip(self.estimated_columns, self.values[self.estimated].tolist(), strict=True))
 
     def curve(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Value and standard error (n,) at values of the state."""
+        """Return the curve and its standard error (n,) at values of the state."""
         rows = self.term.at(x)
         return rows @ self.values, np.sqrt(np.einsum("nk,kj,nj->n", rows, self.cov, rows))
 
     def stands_out(self, terms_tried: int) -> bool:
-        """Whether it explains more than the best of so many terms does by chance, but in FAMILY of
-        the times.
-        """
+        """Return whether the term is significant as the best of so many, at level FAMILY."""
         return self.p * terms_tried < FAMILY
 
 
@@ -197,7 +209,7 @@ def fit_smooth(
     terms: Sequence[SmoothTerm],
     dispersion: float = 1.0,
 ) -> list[SmoothFit]:
-    """Each of the terms alone beside the ``free`` columns."""
+    """Fit each of the terms alone beside the ``free`` columns."""
     G, u = information.total
     c = information.index([n for t in terms for n in t.columns])
     g, score, diagonal = (
@@ -215,6 +227,9 @@ def fit_smooth(
 def _fitted(
     term: SmoothTerm, G: FloatArray, u: FloatArray, diagonal: FloatArray, dispersion: float
 ) -> SmoothFit:
+    """Fit a term from its projected information, score, and the information's diagonal before
+    projection.
+    """
     estimated = np.diagonal(G) > DEPENDENT * diagonal
     line, bends = np.flatnonzero(estimated[:_LINE]), _LINE + np.flatnonzero(estimated[_LINE:])
     ratio, precision = 0.0, np.zeros(len(u))
@@ -235,7 +250,7 @@ def _fitted(
     )
     mine = np.isin(np.arange(len(u)), some)
     edf, total, count = float(np.sum(cov * G)), ratio + gained, len(line)
-    # A variance that may be zero at the least counts half (Self and Liang, JASA 82, 1987).
+    # A variance at its bound counts half (Self and Liang, JASA 82, 1987).
     p = float(special.chdtrc(count + 1, total)) if count else 0.5 * float(special.chdtrc(1, total))
     return SmoothFit(
         term, cov @ u, cov, mine, edf, total, total - 2.0 * (count + 1), p, precision, dispersion
@@ -245,9 +260,11 @@ def _fitted(
 def colour_dispersion(
     information: Information, free: Sequence[str], fit: SmoothFit, residual: Sequence[FloatArray]
 ) -> float:
-    """c of a term: the trace of the information by the colour of ``residual`` [(n, m)] (MK of
-    coloured.py) over that of a white one, each direction by how much of it the smoothing lets
-    through; 1 at the least."""
+    """Return the dispersion c of a term, at least 1.
+
+    It is the trace of the information for coloured residuals, (n, m) per segment, over that for
+    white ones, weighted by the covariance of the smoothed term.
+    """
     G, _ = information.total
     b, c = information.index(free), information.index(fit.estimated_columns)
     part = solve(G[np.ix_(b, b)], G[np.ix_(b, c)])
@@ -268,8 +285,9 @@ def colour_dispersion(
 def held_out_gain(
     information: Information, free: Sequence[str], fit: SmoothFit, part: NDArray[np.bool_]
 ) -> float:
-    """Twice the log likelihood that the curve estimated on the segments ``part`` gains on the
-    others: `score.agreement`.
+    """Return the gain in 2 ln L on the other segments of the curve estimated on ``part``.
+
+    `information.agreement` does the same for an effect.
     """
     b, c = information.index(free), information.index(fit.estimated_columns)
     (G, u), (other, score) = (
@@ -295,8 +313,8 @@ _PLACED: Mapping[str, Callable[[float, float, FloatArray], FloatArray]] = {
 
 
 def known_forms(knots: FloatArray) -> dict[str, Form]:
-    """Forms that physics has names for, as functions of the state: powers, and kinks, steps, humps
-    and dead zones at each knot.
+    """Return named forms as functions of the state: powers, and kinks, steps, humps and dead zones
+    at each knot.
     """
     places, wide = knots[4:-4], float(knots[4] - knots[3])
     placed = {
@@ -308,15 +326,18 @@ def known_forms(knots: FloatArray) -> dict[str, Form]:
 
 
 def forms_like(fit: SmoothFit, x: FloatArray, weight: FloatArray) -> list[tuple[str, float]]:
-    """(form, correlation) of the curve with each kind of `known_forms` at its best place, straight
-    lines taken out of both; the nearest first. x, weight (n,): the state at the data, and the
-    second variable there or ones."""
+    """Return the correlation of the curve with each kind of named form, the most similar first.
+
+    Straight lines are removed from both; forms with a place are evaluated at the best knot. ``x``
+    (n,) is the state at the data, ``weight`` (n,) the second variable there, or ones.
+    """
     line = np.column_stack([np.ones_like(x), x]) * weight[:, None]
 
     def bending(values: FloatArray) -> FloatArray:
+        """Return values without their straight line, of unit length."""
         y = values * weight
         remainder = y - line @ np.linalg.lstsq(line, y, rcond=None)[0]
-        # What rounding leaves of a line, such as a magnitude on one side of zero, is no form.
+        # A form that is a line at the data (a magnitude on one side of zero) leaves rounding only.
         size = float(np.linalg.norm(remainder))
         return (
             remainder / size if size > 1e-6 * float(np.linalg.norm(y)) else np.zeros_like(remainder)

@@ -1,8 +1,8 @@
-"""Limits of the search for effects: numbers that no theory gives, each with its reason.
+"""Tuned limits of the search for effects, each with its reason.
 
-Everything that was tuned stands here. |t| is an
-estimate over its standard error; a gain is what an effect adds to twice the log likelihood. Steps,
-tolerances and sizes of computations are elsewhere: smaller ones give the same answer.
+No theory gives these numbers. |t| is an estimate over its standard error; a gain is the increase of
+twice the log likelihood. Steps and tolerances of computations stand where they are used, because
+smaller ones give the same answer.
 """
 
 from __future__ import annotations

@@ -1,18 +1,21 @@
-"""How gusty the air was: process noise of the linearised flight by maximum likelihood.
+"""Estimate the turbulence of recorded flights by maximum likelihood.
 
-Gusts enter V, alpha and beta as white rates; what else they do, rotating with the air and turning
-with the aircraft, is in the states of `sysid.aerodynamics.air_motion`. Whether they do either is
-decided by the likelihood. The spectra go with the airspeed V and with the air of the day (in
-MIL-F-8785C with height, too): those of V and p as V, those of alpha and beta as 1/V, and each
-flight has intensities of its own. Where gusts were made beforehand for one speed, as simulations
-often do, they pass at that speed however fast the aircraft flies. Left out, the air's rotation
-would pass for stability: gusts that pitch the air and change alpha at once made Cm_alpha a third of
-its size. Gusts along the path that turn with the aircraft, left out, were moments from yaw rate
-squared at |t| of 7. Where the model lacks a moment, white moments about the body's axes stand for
-it, as large as the flights ask for: without them a filter takes it for air, and terms in other
-coefficients for what such air would do. Gusts that pass at one speed, taken to pass at the
-airspeed, were damping and stability that go with thrust or angle of attack at |t| of 4 to 6, since
-the slow flight's air rotated too fast."""
+Gusts enter V, alpha and beta as white rates. Their rotation of the air and their axes are states of
+`sysid.aerodynamics.air_motion`; the likelihood chooses among these structures. The spectral
+densities depend on the airspeed, those of V and p as V, those of alpha and beta as 1/V, and each
+flight has its own intensities. Gusts may pass at one constant speed, as in simulations that
+generate them beforehand.
+
+Each part of this model prevents a bias that was measured:
+
+- Without the air's rotation, gusts that pitch the air and change alpha reduced Cm_alpha to a third.
+- Without gusts along the path that turn with the aircraft, a moment from yaw rate squared appeared
+  at |t| of 7.
+- Without white moments about the body's axes, a moment that the model lacks is attributed to the
+  air, and terms in other coefficients to the effects of such air.
+- Gusts that pass at one speed, taken to pass at the airspeed, appeared as damping and stability
+  that depend on thrust or angle of attack, at |t| of 4 to 6.
+"""
 
 from __future__ import annotations
 
@@ -32,33 +35,40 @@ from sysid.effects.tuned import CERTAIN_T, DIFFERENT
 from sysid.estimation import MeasuredSystem, Process, gains, variance_gradient, whiten_innovations
 from sysid.parallel import SERIAL, Processes, Shared
 
-# How likely flights are in an air, and the score: how that goes with the air's intensities and
-# the sensors' noise.
+# The likelihood of flights in an air, and its score: the derivatives with the air's intensities
+# and the sensors' noise.
 #
-# Minus twice the log likelihood of one-step predictions, start states fitted (Astrom,
+# Minus twice the log likelihood of one-step predictions with fitted start states (Astrom,
 # Automatica 16, 1980), with w = L^-1 e whitened:
 #
 # sum |w|^2 + 2 ln det L, L L' = F = H P H' + R (1)
 #
-# Its slopes come of one pass backwards, channel by channel (Koopman and Shephard, Biometrika
-# 79, 1992; Durbin and Koopman, Time Series Analysis by State Space Methods, 2012, sections 6.4
-# and 7.3.3). With the innovation v, its variance s, the gain K and C = 1 - K h,
+# One backward pass gives its derivatives, channel by channel (Koopman and Shephard, Biometrika 79,
+# 1992; Durbin and Koopman, Time Series Analysis by State Space Methods, 2012, sections 6.4 and
+# 7.3.3). With the innovation v, its variance s, the gain K and C = 1 - K h,
 #
-# u = v/s - K'r, D = 1/s + K'N K, r- = C'r + h'v/s, N- = C'N C + h'h/s (2) d/dR = D - u^2, d/dQ
-# = N - r r' behind the step, d/dP(0) = N - r r' before the first sample (3)
+# u = v/s - K'r,  D = 1/s + K'N K,  r- = C'r + h'v/s,  N- = C'N C + h'h/s                (2)
+# d/dR = D - u^2,  d/dQ = N - r r' after the step,  d/dP(0) = N - r r' before the first sample  (3)
 #
-# The start state is where the likelihood is largest, so that its change with the air takes
-# nothing away.
+# The start state maximises the likelihood, so its change with the air has no first-order effect.
 
 
 @dataclass(frozen=True)
 class Score:
-    """cost: minus twice the log likelihood; its slopes with the logarithm of each sensor's standard
-    deviation, noise (m,), and with the variances of each segment's process noise and begin (S, x).
-    Infinite, its slopes zero, where no filter follows.
+    """Minus twice the log likelihood and its derivatives.
 
-    curvature: the same slopes without the sum of squares, (m,), (S, x), (S, x), an upper bound of
-    the curvature with the logarithms"""
+    Attributes
+    ----------
+    cost : float
+        Minus twice the log likelihood; infinite, with zero derivatives, where no filter exists.
+    noise : (m,) array
+        Derivative with the logarithm of each sensor's standard deviation.
+    process, begin : (S, x) array
+        Derivatives with the variances of each segment's process noise and initial air.
+    curvature : tuple of array
+        The three derivatives without the sum of squares: upper bounds of the curvature with the
+        logarithms.
+    """
 
     cost: float
     noise: FloatArray
@@ -68,10 +78,11 @@ class Score:
 
 
 class AirLikelihood:
-    """Segments whose likelihood is asked for in many airs.
+    """Likelihood of segments as a function of the air.
 
-    which: rows of OUTPUTS that ``measured`` [(n, m)] holds. Who does the work does not change a bit
-    of it."""
+    ``rows`` are the rows of OUTPUTS that ``measured``, (n, m) per segment, holds. The result does
+    not depend on the number of processes.
+    """
 
     def __init__(
         self,
@@ -90,7 +101,7 @@ class AirLikelihood:
         ]
 
     def __call__(self, noise: FloatArray, process: Process, slopes: bool = True) -> Score:
-        """noise (m,) standard deviations of the sensors; without ``slopes`` they are zero."""
+        """Evaluate the likelihood with sensor noise (m,); without ``slopes`` derivatives are 0."""
         jobs = [
             (shared, noise, process.of(group), slopes)
             for shared, group in zip(self._shared, self._groups, strict=True)
@@ -114,8 +125,9 @@ _Slopes = tuple[float, FloatArray, FloatArray, FloatArray]
 
 
 def _scored(job: tuple[Shared, FloatArray, Process, bool]) -> list[_Slopes]:
-    """Cost of each segment, and its slopes, those of the logarithm and those of the squares (2, m),
-    (2, x) and (2, x); infinite, its slopes zero, where no filter follows."""
+    """Return the cost of each segment and its derivatives, (2, m), (2, x) and (2, x): the parts of
+    the determinant and of the squares.
+    """
     shared, noise, process, sloping = job
     return [
         _one(seen, noise, (q, p), sloping)
@@ -126,6 +138,7 @@ def _scored(job: tuple[Shared, FloatArray, Process, bool]) -> list[_Slopes]:
 def _one(
     system: MeasuredSystem, noise: FloatArray, air: tuple[FloatArray, FloatArray], sloping: bool
 ) -> _Slopes:
+    """Return the cost of one segment and its derivatives, as `_scored`."""
     flat = np.zeros((2, len(noise))), np.zeros((2, len(air[0]))), np.zeros((2, len(air[0])))
     try:
         filter_gains = gains(system, noise, air, with_prior_variance=False)
@@ -143,76 +156,90 @@ def _one(
 
 
 Linear = Callable[[Sequence[int], Sequence[GustStates]], Sequence[Steps]]
-"""Steps of some of the segments, linearised with gusts that act so in each."""
+"""Function that returns the linear systems of some segments in given airs."""
 V_REFERENCE = 20.0
 LIGHT_AIR = np.array([0.25, 5e-4, 5e-4, 5e-2, 1e-4, 1e-4, 1e-4, 1e-6, 1e-6])
-"""Intensities of V [m2/s3], alpha and beta [rad2/s], the air's roll [rad2/s3], of moments about
-the three axes that nothing explains, as angular accelerations [rad2/s3], and of the air's pitch and
-yaw beyond what gusts at the wing make, as rates of alpha and beta [rad2/s]; all at V_REFERENCE.
-Light air, to begin with."""
+"""The nine intensities of light air, at V_REFERENCE: start of the search.
+
+V [m2/s3]; alpha and beta [rad2/s]; the air's roll [rad2/s3]; unexplained moments about the three
+axes, as angular accelerations [rad2/s3]; the air's pitch and yaw beyond those of gusts at the
+wing, as rates of alpha and beta [rad2/s].
+"""
 _MOMENTS = slice(4, 7)
 _OWN_ROTATION = slice(7, 9)
 _MOST_OWN = 1.0
-"""Largest noise of the air's own pitch and yaw, as a share of that of gusts across the path, or of
-the air's roll: an isotropic field has no more.
+"""Largest independent noise of the air's pitch and yaw, as a share of that of gusts across the path
+or of the air's roll; an isotropic field has no more.
 """
 _LENGTHS = (1.0, 0.5, 0.25, 2.0, 0.7, 1.4)
-"""Lengths of q_h and r_h that are tried, in units of the standard's."""
+"""Trial lengths of the air's pitch and yaw, in units of the standard's."""
 _STRUCTURE_ROUNDS = 2
 _FINER = 1.2
-"""Factor by which the likeliest length is refined."""
+"""Factor of the refinement about the likeliest length."""
 _NONE = 1e-6
-"""Factor on an intensity that leaves nothing of it."""
+"""Factor that makes an intensity negligible."""
 _MEMORY_S = 10.0
-"""How long gusts along and across the path last: L/V of MIL-F-8785C at the heights of model
-aircraft.
-"""
+"""Time scale of gusts along and across the path: L/V of MIL-F-8785C at heights of small UAVs."""
 _WITHOUT_ACROSS = np.array([1.0, _NONE, _NONE, *[1.0] * 6])
-"""Factors that leave gusts along the path and the air's roll: a sensor that is off, or play, passes
-for those.
+"""Factors that remove gusts across the path. Those along it and the air's roll stay, because sensor
+errors and play resemble them.
 """
 _FACTORS = (1e-4, 1e-2, 0.1, 1.0, 5.0)
-"""Of LIGHT_AIR, from the best of which the search begins."""
+"""Factors on LIGHT_AIR; the search starts from the likeliest."""
 _MOST_SEGMENTS, _OF_A_FLIGHT, _FOR_SPEED = 10, 6, 4
 _FASTER, _MOST_FASTER, _AS_MEANT = 0.04, 3.0, 0.02
-"""Logarithm of the passing speed by which it is moved to find the likeliest; how many such steps
-that is away at most; standard deviation of that logarithm about a flight's mean airspeed, for gusts
-are made beforehand for the speed that is to be flown."""
+"""Step of the logarithm of the passing speed, the most such steps, and the prior standard deviation
+of the logarithm about a flight's mean airspeed.
+"""
 _STRUCTURES = tuple(
     (rotating, turning_with, in_body)
     for in_body in (False, True)
     for rotating, turning_with in ((True, True), (True, False), (False, False), (False, True))
     if turning_with or not in_body
 )
-"""Whether gusts rotate the air, turn with their axes, and have the body's axes. Gusts in axes that
-do not turn are fixed to the earth.
+"""Structures: whether gusts rotate the air, whether their axes turn with the aircraft (otherwise
+they are fixed to the earth), and whether these are the body's axes.
 """
 _REACH, _ENOUGH, _FAILED, _LEAST_BENT = 14.0, 1.0, 1e12, 20.0
-"""Of the search, in logarithms: how far it goes; the fall of minus twice the log likelihood at
-which it ends; that of a filter that fails; the least curvature that it takes."""
+"""Settings of the search in logarithms: its range, the decrease of the cost that ends it, the cost
+of a filter that fails, and the least curvature.
+"""
 _FEW, _MOST_DESCENTS = 4, 25
 REMEMBERED_AIRS = 2
-"""Ways in which gusts act whose linear systems are remembered: the one searched about and the one
-tried. Each takes as much memory as a fit."""
+"""Structures of the air whose linear systems are cached: the current one and the trial. Each takes
+as much memory as a fit.
+"""
 NOISE_PRIOR = np.log(2.0)
-"""Standard deviation of the logarithm of a sensor's noise about what the card says."""
+"""Prior standard deviation of the logarithm of a sensor's noise about the card's value."""
 
 
 @dataclass(frozen=True)
 class TurbulenceModel:
-    """The air of some flights.
+    """Estimated air of some flights.
 
-    states    how gusts act in each segment; values (7,) as LIGHT_AIR, of the air the flights' mean;
-    by_flight: flight -> (7,); passing:
-              flight -> speed at which its gusts pass [m/s], 0: the airspeed
-    process   noise that they make in each segment; gain: twice the log likelihood gained over calm
-    air
-    across    the part of it that is lost without gusts across the path, in alpha and beta moments
-    (3,) what is lost without moments about each axis that nothing explains; NaN where no filter
-    follows without
-    factors   (m,) on the noise that the sensors are said to have
-    colour    what a filter of this air leaves of the flights: how they depart from the gust model;
-              None: nothing"""
+    Attributes
+    ----------
+    states : tuple of GustStates
+        Structure of the gusts in each segment.
+    values : (9,) array
+        Intensities as LIGHT_AIR, the mean of the flights.
+    by_flight : mapping
+        Flight to its intensities (9,).
+    passing : mapping
+        Flight to the speed at which its gusts pass [m/s]; 0 for the airspeed.
+    process : Process
+        Process noise of each segment.
+    gain : float
+        Twice the log likelihood gained over calm air.
+    across : float
+        The part of the gain that is lost without gusts across the path, in alpha and beta.
+    moments : (3,) array
+        Loss without unexplained moments about each axis; NaN where no filter exists without them.
+    factors : (m,) array
+        Factors on the sensors' stated noise.
+    colour : InnovationColour or None
+        Colour of the innovations in this air: the departure from the gust model.
+    """
 
     states: tuple[GustStates, ...]
     values: FloatArray
@@ -227,13 +254,17 @@ class TurbulenceModel:
 
     @property
     def air(self) -> bool:
-        """Whether it is air at all: turbulence moves across the path, too. A transient moment
-        passes for air that rotates, a sensor that is off for gusts along the path."""
+        """Whether the air is turbulent, by gusts across the path.
+
+        Transient moments resemble air that rotates, sensor errors gusts along the path.
+        """
         return self.across > CERTAIN_T**2
 
     def in_other(self, V: Sequence[float], flights: Sequence[str]) -> TurbulenceModel:
-        """The same air in other segments, V their airspeeds, flights whose they are: those not
-        known of have what all have, and gusts that pass at one speed pass at their mean airspeed.
+        """Return the same air in other segments, with airspeeds ``V`` of the named ``flights``.
+
+        New flights have the mean intensities. If gusts pass at one speed, it is the mean airspeed
+        in a new flight.
         """
         first = self.states[0]
         passing = {
@@ -253,15 +284,13 @@ class TurbulenceModel:
 
     @property
     def kind(self) -> tuple[bool, bool, bool]:
-        """Whether the gusts rotate the air, turn with the aircraft, and pass at one speed in each
-        flight.
-        """
+        """Whether gusts rotate the air, turn with the aircraft, and pass at one speed."""
         first = self.states[0]
         return first.rotating, first.turning_with, bool(first.passing_mps)
 
     @property
     def words(self) -> str:
-        """How the gusts act."""
+        """Description of the gusts."""
         rotating, turning_with, at_one_speed = self.kind
         passing = ", and pass at one speed in each flight" if at_one_speed else ""
         rotate, turn = ("" if so else "do not " for so in (rotating, turning_with))
@@ -275,7 +304,7 @@ class TurbulenceModel:
 
     @property
     def _lengths(self) -> str:
-        """How the air's pitch and yaw depart from the standard, in words."""
+        """Departures of the air's pitch and yaw from the standard, in words."""
         first = self.states[0]
         parts = []
         for name, share, length in (
@@ -297,9 +326,8 @@ def gust_strength_mps2(values: FloatArray) -> float:
     """Return the strength sigma^2 / L of gusts [m/s2], the larger of those along and across the
     path.
 
-    values: (7,) estimates of the air of a flight, as `TurbulenceModel.by_flight` has them. The
-    spectral density of u' is 2 sigma^2 V / L, that of alpha' and beta' 3 sigma^2 / (L V)
-    (`process_of`).
+    ``values`` (9,) are intensities as in `TurbulenceModel.by_flight`. The spectral density of u' is
+    2 sigma^2 V / L, that of alpha' and beta' 3 sigma^2 / (L V) (`process_of`).
     """
     along_path = values[0] / (2.0 * V_REFERENCE)
     across = np.max(values[1:3]) * V_REFERENCE / 3.0
@@ -307,9 +335,12 @@ def gust_strength_mps2(values: FloatArray) -> float:
 
 
 def process_of(values: FloatArray, V: float, states: GustStates) -> tuple[FloatArray, FloatArray]:
-    """(13,) variances per second of the states' noise at airspeed V, and (13,) of the air's at the
-    start, from the nine values of LIGHT_AIR. Spectra of the velocities go with the speed at which
-    the gusts pass."""
+    """Return the process noise (13,) of the states per second at airspeed V, and the initial
+    variances (13,) of the air.
+
+    ``values`` are the nine intensities of LIGHT_AIR; those of velocities scale with the speed at
+    which gusts pass.
+    """
     faster = (states.passing_mps or V) / V_REFERENCE
     noise, begin = np.zeros(NX), np.zeros(NX)
     # Dryden far above its corner: PSD of u' is 2 sigma^2 V/L, of alpha' = w'/V 3 sigma^2/(L V).
@@ -317,7 +348,7 @@ def process_of(values: FloatArray, V: float, states: GustStates) -> tuple[FloatA
         values[0] * faster,
         *(faster * values[1:3] * (V_REFERENCE / V) ** 2),
     )
-    # A coefficient's noise is a moment's by dynamic pressure.
+    # Moments are coefficients times dynamic pressure.
     noise[3:6] = values[_MOMENTS] * (V / V_REFERENCE) ** 4
     noise[8] = values[3] * faster
     # Stationary from the start: x' = -x/T + n has the variance N T/2, and the states 9 to 12 are
@@ -337,7 +368,7 @@ def process_of(values: FloatArray, V: float, states: GustStates) -> tuple[FloatA
         * states.turning_with
         * (noise[[2, 1]] * V**2 if states.in_body else noise[[0, 2]] * [1.0, V**2])
     )
-    # The air's own pitch and yaw; h_q and h_r are velocities.
+    # Independent noise of the air's pitch and yaw; h_q and h_r are velocities.
     noise[9:11] = V**2 * faster * values[_OWN_ROTATION] * (V_REFERENCE / V) ** 2
     begin[9:11] += 0.5 * np.array(states.lags_s(V)[1:]) * noise[9:11]
     return noise, begin
@@ -355,18 +386,40 @@ def gust_intensity(
     by: Processes = SERIAL,
     kinds: Sequence[str] = (),
 ) -> tuple[TurbulenceModel, FloatArray]:
-    """The likeliest air of the segments, V their airspeeds, flights whose they are; found on at
-    most ten of them, then of each flight on at most six. And (m,) factors by which the sensors'
-    noise changes.
+    """Estimate the air of segments.
 
-    states: what gusts do besides, to begin with; near: an estimate from which to search, its
-    factors part of ``noise``; where strength and noise alone gain no more than chance would, the
-    rest of it stands. Gusts pass at the airspeed, or at one speed in each flight, which is then
-    found with the rest, whichever is likelier. kinds: of each channel; the sensors of a kind have
-    one factor beside the air, by a prior about what they are said to have (NOISE_PRIOR); none:
-    their noise is known. In gusts the samples of a channel do not tell its noise by themselves, and
-    a filter that takes sensors for twice as noisy as they are follows them late: that looks like a
-    servo's lag."""
+    The air is estimated on at most ten segments, then that of each flight on at most six.
+
+    Parameters
+    ----------
+    linear : callable
+        Returns the linear systems of some segments in given airs.
+    measured : sequence of (n, m) array
+        Measured outputs of each segment.
+    rows : sequence of int
+        Rows of OUTPUTS that were measured.
+    noise : (m,) array
+        Sensor noise; includes the factors of ``prior_model``.
+    V, flights : sequence
+        Airspeed [m/s] and flight of each segment.
+    states : GustStates
+        Structure of the gusts at the start.
+    prior_model : TurbulenceModel, optional
+        Start of the search. Its structure is kept if new intensities and noise gain no more than
+        chance.
+    by : Processes
+        Pool of processes.
+    kinds : sequence of str
+        Kind of sensor of each channel. The sensors of a kind have one estimated factor on their
+        noise, with the prior NOISE_PRIOR; empty if the noise is known. In gusts samples do not
+        determine the noise, and a filter with twice the true noise lags, like a servo.
+
+    Returns
+    -------
+    model : TurbulenceModel
+    factors : (m,) array
+        Changes of the sensors' noise.
+    """
     prior_factors = np.ones(len(noise)) if prior_model is None else prior_model.factors
     search = _Search(linear, measured, rows, noise / prior_factors, V, by)
     some = _evenly_spaced(range(len(measured)), _MOST_SEGMENTS)
@@ -379,26 +432,25 @@ def gust_intensity(
         last = _Point(prior_model.states, prior_model.values, prior_factors).with_intensities(
             prior_model.by_flight, flights
         )
-        # Far from what is stated no slope may lead back.
+        # Far from the stated noise the search may not find its way back.
         is_far = len(kinds) and np.abs(np.log(prior_factors)).max() > NOISE_PRIOR
         last = search.best(
             some, [last, *([replace(last, factors=np.ones(len(noise)))] if is_far else [])]
         )
     best = search.descend(some, last, kinds)
     if prior_model is None or last.cost - best.cost > DIFFERENT**2:
-        # What gusts do, an effect that is missing or a sensor that is off may have decided before.
+        # Missing effects or sensor errors may have determined the earlier structure.
         best = search.structured(some, best, kinds)
         if prior_model is None:
-            # A flight in weaker air looks like one whose gusts pass slower, and where air is not
-            # its own, like moments that act.
+            # Weaker air in one flight resembles gusts that pass more slowly, or moments.
             best = search.by_flight(of, best, flights, _FEW)
         if best.states[0].rotating:
-            # Gusts tell how fast they pass by the moments of their rotation, and that only beside
-            # parameters that are near.
+            # The moments of their rotation determine how fast gusts pass, if the parameters are
+            # close.
             other = search.best(some, [best.with_states(passing_mps=0.0), search.passing(of, best)])
             best = search.descend(some, other, kinds) if other.states != best.states else best
         best = search.by_flight(of, best, flights)
-    # What is lost counts from this air, which was found flight by flight.
+    # Losses count from this air, with intensities by flight.
     best = search.best(some, [best])
     gain, across = (
         (search.loss(some, best, left) for left in (0.0, _WITHOUT_ACROSS))
@@ -427,6 +479,10 @@ def gust_intensity(
 
 @dataclass(frozen=True)
 class _Point:
+    """An air in the search: structure, intensities, noise factors, cost, and each segment's factors
+    on the intensities.
+    """
+
     states: tuple[GustStates, ...]
     values: FloatArray
     factors: FloatArray
@@ -440,14 +496,16 @@ class _Point:
         return first.rotating, first.turning_with, first.in_body
 
     def of(self, k: int) -> FloatArray:
-        """(7,) intensities in a segment."""
+        """Return the intensities (9,) in a segment."""
         return np.asarray(self.values * self.stronger[k % len(self.stronger)])
 
     def with_intensities(
         self, by_flight: Mapping[str, FloatArray], flights: Sequence[str]
     ) -> _Point:
-        """With the air of each segment as strong as that of its flight; moments that nothing
-        explains are the model's, and alike in all flights."""
+        """Return the point with the intensities of each segment's flight.
+
+        Unexplained moments belong to the model and are equal in all flights.
+        """
         values = np.mean([by_flight[f] for f in dict.fromkeys(flights)], axis=0)
         values[_MOMENTS] = self.values[_MOMENTS]
         stronger = np.array([by_flight[f] / values for f in flights])
@@ -455,13 +513,13 @@ class _Point:
         return replace(self, values=values, stronger=stronger, cost=np.inf)
 
     def with_states(self, **changes: Any) -> _Point:
-        """With gusts that act otherwise in every segment."""
+        """Return the point with a changed structure in every segment."""
         return replace(self, states=tuple(s._replace(**changes) for s in self.states))
 
 
 @dataclass(frozen=True)
 class _Search:
-    """Minus twice the log likelihood of segments, by the gusts in them and the sensors' noise."""
+    """Search for the likeliest air of segments."""
 
     linear: Linear
     measured: Sequence[FloatArray]
@@ -474,7 +532,7 @@ class _Search:
     )
 
     def score(self, some: Sequence[int], point: _Point, slopes: bool = True) -> Score:
-        """That of the segments ``some``."""
+        """Return the score of the segments ``some``."""
         states = [point.states[k] for k in some]
         key = tuple(zip(some, states, strict=True))
         if key not in self.likelihoods:
@@ -485,7 +543,7 @@ class _Search:
         return self.likelihoods[key](point.factors * self.noise, self.process(some, point), slopes)
 
     def process(self, some: Sequence[int], point: _Point) -> Process:
-        """Noise that gusts make in the segments ``some``."""
+        """Return the process noise in the segments ``some``."""
         return _process(
             [point.of(k) for k in some], [self.V[k] for k in some], [point.states[k] for k in some]
         )
@@ -497,8 +555,10 @@ class _Search:
         flights: Sequence[str],
         max_descents: int = _MOST_DESCENTS,
     ) -> _Point:
-        """The point with each flight's own intensities, sought from those that it has there; of:
-        flight -> its segments; flights: whose each segment is."""
+        """Return the point with estimated intensities of each flight.
+
+        ``of`` maps flights to their segments, ``flights`` names each segment's flight.
+        """
         if len(of) == 1:
             return point
         single = {
@@ -512,8 +572,11 @@ class _Search:
         return point.with_intensities(by_flight, flights)
 
     def passing(self, flights: Mapping[str, Sequence[int]], point: _Point) -> _Point:
-        """A point with gusts that pass at one speed in each of the ``flights`` (their segments),
-        the likeliest about the mean airspeed: the lowest point of a parabola through three."""
+        """Return the point with gusts that pass at one speed in each flight.
+
+        The speed is the minimum of a parabola through three speeds about the mean airspeed.
+        ``flights`` maps flights to their segments.
+        """
         states = list(point.states)
         for members in flights.values():
             speed = float(np.mean([self.V[k] for k in members]))
@@ -524,7 +587,7 @@ class _Search:
             slower, best_point, faster = (self.score(some, p, slopes=False).cost for p in trials)
             bend = slower - 2.0 * best_point + faster + 2.0 * (_FASTER / _AS_MEANT) ** 2
             steps = 0.5 * (slower - faster) / bend if bend > 0.0 else np.sign(slower - faster)
-            # Where no filter follows there is no parabola.
+            # Without a filter at all three speeds there is no parabola.
             steps = steps if np.isfinite([slower, best_point, faster]).all() else 0.0
             likeliest = speed * float(np.exp(_FASTER * np.clip(steps, -_MOST_FASTER, _MOST_FASTER)))
             for k in members:
@@ -532,15 +595,17 @@ class _Search:
         return replace(point, states=tuple(states))
 
     def best(self, some: Sequence[int], points: Sequence[_Point]) -> _Point:
-        """The likeliest of points."""
+        """Return the likeliest of points."""
         return min(
             (replace(p, cost=self.score(some, p, slopes=False).cost) for p in points),
             key=lambda p: p.cost,
         )
 
     def structured(self, some: Sequence[int], point: _Point, kinds: Sequence[str]) -> _Point:
-        """Choose how gusts act: whether they rotate the air and turn, their axes, the lengths of
-        pitch and yaw. Each choice is asked again after the others."""
+        """Choose the structure of the gusts: rotation, axes, and the lengths of pitch and yaw.
+
+        Each choice is repeated after the others.
+        """
         best = point
         for _ in range(_STRUCTURE_ROUNDS):
             before = best
@@ -560,7 +625,7 @@ class _Search:
     def accept_trials(
         self, some: Sequence[int], best: _Point, trials: Sequence[_Point], kinds: Sequence[str]
     ) -> _Point:
-        """The best point, or the likeliest near one of the trials that gains more than chance."""
+        """Return the best point, or the optimum from a trial that gains more than chance."""
         for trial in trials:
             if trial.states == best.states:
                 continue
@@ -569,8 +634,11 @@ class _Search:
         return best
 
     def unabsorbed(self, some: Sequence[int], best: _Point, others: Sequence[_Point]) -> _Point:
-        """The likeliest of points where neither moments that nothing explains nor the air's own
-        rotation hide what gusts do; with the intensities of the best point."""
+        """Return the likeliest of points, compared with light unexplained moments and light
+        independent rotation.
+
+        At their estimated size these would absorb the differences between structures.
+        """
         clean = best.values.copy()
         clean[4:] = np.minimum(clean[4:], LIGHT_AIR[4:])
         cleaned = [replace(p, values=clean, stronger=best.stronger) for p in (best, *others)]
@@ -578,9 +646,10 @@ class _Search:
         return best if chosen.states == best.states else replace(chosen, cost=np.inf)
 
     def length(self, some: Sequence[int], best: _Point, axis: str) -> _Point:
-        """The likeliest sign and length of the air's pitch (axis q) or yaw (r)."""
+        """Return the point with the likeliest sign and length of the air's pitch (q) or yaw (r)."""
 
         def at(share: float, length: float) -> _Point:
+            """Return the point with a sign and length."""
             return best.with_states(**{f"{axis}_share": share, f"{axis}_length": length})
 
         some = _evenly_spaced(some, _FOR_SPEED)
@@ -594,9 +663,7 @@ class _Search:
         return self.unabsorbed(some, chosen, finer)
 
     def loss(self, some: Sequence[int], point: _Point, factors: FloatArray | float) -> float:
-        """Twice the log likelihood that is lost where so much is ``factors`` of each intensity at a
-        point found.
-        """
+        """Return the loss in 2 ln L if the intensities of a point are multiplied by ``factors``."""
         return (
             self.score(some, replace(point, values=factors * point.values), slopes=False).cost
             - point.cost
@@ -609,9 +676,11 @@ class _Search:
         kinds: Sequence[str],
         max_descents: int = _MOST_DESCENTS,
     ) -> _Point:
-        """The likeliest air near a point, and with ``kinds`` the likeliest noise of the sensors: a
-        quasi-Newton search in the logarithms (L-BFGS-B; Byrd, Lu, Nocedal and Zhu, SIAM J. Sci.
-        Comput. 16, 1995)."""
+        """Return the likeliest intensities near a point, and with ``kinds`` the sensors' noise.
+
+        A quasi-Newton search in the logarithms (L-BFGS-B; Byrd, Lu, Nocedal and Zhu, SIAM J. Sci.
+        Comput. 16, 1995).
+        """
         unlike = list(dict.fromkeys(kinds))
         shared = np.array([[kind == one for kind in kinds] for one in unlike], dtype=float).reshape(
             len(unlike), len(point.factors)
@@ -620,6 +689,7 @@ class _Search:
         each = [self.process(some, replace(point, values=alone)) for alone in np.diag(point.values)]
 
         def point_at(x: FloatArray) -> _Point:
+            """Return the point at changes of the logarithms."""
             return replace(
                 point,
                 values=point.values * np.exp(x[:at]),
@@ -629,29 +699,30 @@ class _Search:
         def by_each(
             x: FloatArray, noise: FloatArray, process: FloatArray, begin: FloatArray
         ) -> FloatArray:
-            # The noise of a step, and the air at the start, go with each intensity in a straight
-            # line.
+            """Return derivatives with the logarithms from those with the variances."""
+            # Process noise and initial variances are linear in each intensity.
             air = [np.sum(process * p.noise) + np.sum(begin * p.begin) for p in each]
             return np.concatenate([np.exp(x[:at]) * air, shared @ noise])
 
         prior = np.repeat([0.0, NOISE_PRIOR**-2], sizes)
         none = np.zeros(len(prior))
-        # From what the sensors are said to have to where the search begins.
+        # Logarithms of the noise factors at the start of the search, relative to the prior.
         off = np.concatenate(
             [np.zeros(at), shared @ np.log(point.factors) / np.maximum(shared.sum(axis=1), 1.0)]
         )
         first = self.score(some, point)
-        # A variance's logarithm bends as steeply as the logarithm's own slope, that of a deviation
-        # twice so.
+        # Scale by the curvature: with a variance's logarithm it equals the determinant's
+        # derivative, with a standard deviation's twice that.
         scale = np.sqrt(
             np.maximum(by_each(none, *first.curvature) * np.repeat([1.0, 2.0], sizes), _LEAST_BENT)
         )
 
         def cost(y: FloatArray) -> tuple[float, FloatArray]:
+            """Return the penalised cost and its gradient in scaled logarithms."""
             x = y / scale
             score = self.score(some, point_at(x)) if y.any() else first
             if not np.isfinite(score.cost):
-                # A filter that fails is as unlikely as can be, and no slope.
+                # A filter that fails has the largest cost and no gradient.
                 return _FAILED, none
             slope = by_each(x, score.noise, score.process, score.begin) + 2.0 * prior * (x + off)
             return score.cost + float(prior @ (x + off) ** 2), slope / scale
@@ -662,7 +733,7 @@ class _Search:
             "gtol": 0.0,
         }
         upper = np.full(len(scale), _REACH)
-        # The air's own pitch and yaw are as strong as gusts across the path, or its roll, allow.
+        # Gusts across the path and the air's roll limit the independent pitch and yaw.
         roll = point.values[3] * (LENGTHS[1] * point.states[0].b / V_REFERENCE) ** 2
         limit = _MOST_OWN * np.maximum(point.values[1:3], roll) / point.values[_OWN_ROTATION]
         upper[_OWN_ROTATION] = np.clip(np.log(limit), 1.0 - _REACH, _REACH)
@@ -673,14 +744,14 @@ class _Search:
 
 
 def _members(flights: Sequence[str]) -> dict[str, list[int]]:
-    """Flight -> its segments."""
+    """Return the segments of each flight."""
     return {f: [k for k, own in enumerate(flights) if own == f] for f in dict.fromkeys(flights)}
 
 
 def _process(
     values: Sequence[FloatArray], V: Sequence[float], states: Sequence[GustStates]
 ) -> Process:
-    """Of segments with such values and airspeeds."""
+    """Return the process noise of segments from their intensities and airspeeds."""
     noise, begin = zip(
         *(process_of(p, v, s) for p, v, s in zip(values, V, states, strict=True)), strict=True
     )
@@ -688,7 +759,7 @@ def _process(
 
 
 def _evenly_spaced(members: Sequence[int], max_count: int) -> list[int]:
-    """At most so many of them, from the first to the last."""
+    """Return at most ``max_count`` members, evenly spaced from the first to the last."""
     return [
         members[k]
         for k in np.unique(
