@@ -202,6 +202,8 @@ _STATE_OF = {
     "da": "aileron_pos_deg",
     "dr": "rudder_pos_deg",
 }
+_NEGATIVE = ("CZ_alpha", "CY_beta", "Cl_p", "Cm_q", "Cn_r")
+"""Terms that take energy from the motion: their intervals end at zero."""
 _RANGE = {"alpha": 0.2, "beta": 0.2, "de": 15.0, "da": 15.0, "dr": 15.0}
 
 
@@ -213,7 +215,8 @@ def prior_form(
     The variance of a coefficient is the sum over its terms of (std times variable)^2, written as
     s2 (1 + x' (X'X)^-1 x) with the constant's variance as s2. Alpha counts from the trim's, where
     lift and pitching moment are balanced: an error of the zero-lift angle is in the constant.
-    CX counts drag by factors, so that its interval leaves drag above zero.
+    CX counts drag by factors, so that its interval leaves drag above zero; intervals of damping end
+    at zero.
 
     Parameters
     ----------
@@ -235,21 +238,29 @@ def prior_form(
             _RANGE[v] if v in _RANGE else 0.3 * 2.0 * speed_mps / lengths[v] for v in variables
         ]
         # Priors are of dimensionless rates, states of rates in rad/s.
-        stds = []
+        z = float(student_quantile(0.5 + 0.5 * CONFIDENCE, _GAUSSIAN_DOF))
+        stds, slopes = [], []
         for variable in variables:
             per_state = lengths[variable] / (2.0 * speed_mps) if variable in lengths else 1.0
-            stds.append(by_term[f"{name}_{variable}"].std * per_state)
+            prior = by_term[f"{name}_{variable}"]
+            low, high = -z * prior.std, z * prior.std
+            if f"{name}_{variable}" in _NEGATIVE:
+                high = max(min(high, -prior.mean), low)
+            stds.append(0.5 * (high - low) / z * per_state)
+            slopes.append(0.5 * (high + low) * per_state)
         centre = np.array([model.alpha if v == "alpha" else 0.0 for v in variables])
         scale = np.array(ranges)
         constant = by_term[f"{name}_0"].std
-        z = float(student_quantile(0.5 + 0.5 * CONFIDENCE, _GAUSSIAN_DOF))
         shift = 0.0
         if name == "CX":
             # Drag between D/f and D f: an interval whose middle has more drag than D.
-            drag = by_term["CX_0"].mean
-            width = z * constant / max(abs(drag), 1e-9)
-            shift = drag * (math.cosh(width) - 1.0)
-            constant = abs(drag) * math.sinh(width) / z
+            drag = abs(by_term["CX_0"].mean)
+            width = z * constant / max(drag, 1e-9)
+            shift = -drag * (math.cosh(width) - 1.0)
+            turned = _turned_drag(model, z * by_term["CZ_0"].std)
+            upper, lower = drag * (1.0 - math.exp(-width)), drag * (math.exp(width) - 1.0)
+            half = 0.5 * (upper + lower) - min(turned, 0.7 * upper)
+            constant = half / z
         # Independent terms make X'X diagonal, in units of the constant's variance.
         quadratic = (np.array(stds) * scale / constant) ** 2
         count = len(variables)
@@ -260,7 +271,7 @@ def prior_form(
             centre=centre,
             scale=scale,
             terms=terms,
-            beta_hat=np.array([shift, *[0.0] * count]),
+            beta_hat=np.array([shift, *(np.array(slopes) * scale)]),
             XtX_inv=matrix,
             s2=constant**2,
             dof=_GAUSSIAN_DOF,
@@ -285,6 +296,21 @@ def prior_form(
         outside="clamp",
         coefficients=coefficients,
     )
+
+
+def _turned_drag(model: AeroModel, error: float) -> float:
+    """Return the drag that an error of CZ of either sign takes away at the same lift.
+
+    The aircraft flies at another alpha then, and the normal force turns with alpha into drag.
+    """
+
+    def drag(alpha: float, delta: float) -> float:
+        cx, cz = model.coefficient("CX", alpha), model.coefficient("CZ", alpha) + delta
+        return -cx * math.cos(alpha) - cz * math.sin(alpha)
+
+    slope = -max(abs(model.terms["CZ_alpha"].value), 1.0)
+    nominal = drag(model.alpha, 0.0)
+    return max(nominal - drag(model.alpha - d / slope, d) for d in (-error, 0.0, error))
 
 
 def prior_document(form: ModelForm, model: AeroModel, by_term: Mapping[str, Prior]) -> str:

@@ -19,6 +19,7 @@ import jinja2
 
 from sysid.aerodynamics import COEFFICIENTS
 from sysid.units import G0_MPS2
+from uqharness.authoring.line_hold import IDLE_XML, LINE_HOLD_SYSTEM, line_hold_xml
 from uqharness.authoring.model import TERMS, AeroModel
 from uqharness.authoring.prior import Prior, prior_document, prior_form, priors
 from uqharness.errors import BadInputError
@@ -110,11 +111,22 @@ def design_speed(model: AeroModel) -> float:
 
 @dataclass(frozen=True)
 class SteadyFlight:
-    """Speed [m/s] and height [m] of the campaign, and why it is no trim; empty where it is one."""
+    """Flight of the campaign.
+
+    Attributes
+    ----------
+    speed_mps, altitude_m : float
+        True airspeed and height.
+    reason : str
+        Why it is no trim; empty where it is one.
+    no_hold : str
+        Why the aircraft has no line hold; empty where it has one.
+    """
 
     speed_mps: float
     altitude_m: float
     reason: str = ""
+    no_hold: str = ""
 
 
 _OTHER_LIFTS = (0.5, 0.3, 0.7, 0.2, 0.9)
@@ -180,14 +192,27 @@ def write_aircraft(
     speed = design_speed(model)
     xml = _xml(model, by_term, source, equipment, speed)
     write_text(folder / f"{model.name}.xml", xml)
-    write_text(folder / "airframe.toml", _card(model, by_term, source, equipment))
+    card = folder / "airframe.toml"
+    write_text(card, _card(model, by_term, source, equipment, hold=False))
     systems = folder / "Systems"
     systems.mkdir(exist_ok=True)
     write_bytes(systems / "air.xml", AIR_FILE.read_bytes())
     write_bytes(systems / f"{ERRORS_SYSTEM}.xml", ERRORS_XML)
     # The bounds depend on the aircraft's controls, so the aircraft is read before its bounds are.
+    hold = systems / f"{LINE_HOLD_SYSTEM}.xml"
+    write_bytes(hold, IDLE_XML)
     aircraft = _with_bounds(folder, model, by_term, speed)
     flight = steady_flight(aircraft, model)
+    # The gains follow from the flight condition's linear model, so the aircraft is trimmed before.
+    if not flight.reason:
+        trim = find_trim(aircraft, SteadyCondition(flight.speed_mps, flight.altitude_m))
+        try:
+            write_bytes(hold, line_hold_xml(aircraft, trim))
+        except BadInputError as error:
+            flight = replace(flight, no_hold=str(error))
+        else:
+            write_text(card, _card(model, by_term, source, equipment, hold=True))
+        aircraft = find_aircraft(folder)
     write_text(folder / "campaign.toml", _campaign(flight))
     form = prior_form(model, by_term, speed, content_hash(aircraft))
     write_text(folder / "model-form.json", prior_document(form, model, by_term))
@@ -196,32 +221,36 @@ def write_aircraft(
 
 def _campaign(flight: SteadyFlight) -> str:
     """Return a campaign of steady flight over the corners of the prior."""
-    return "\n".join(
-        (
-            "# Steady flight with fixed controls over the corners of the prior, before any flight.",
-            "",
-            "[campaign]",
-            'aircraft = "."',
-            'mission = "steady"',
-            "seed = 1",
-            "",
-            "[start]",
-            f"V_mps = {flight.speed_mps:.3g}",
-            f"altitude_m = {flight.altitude_m:g}",
-            "",
-            "[aleatory]",
-            "flights = 4                  # per corner",
-            "duration_s = 5",
-            "burn_in_s = 0",
-            'turbulence = "light"',
-            "",
-            "[epistemic]",
-            'method = "corners"',
-            'coefficients = ["CX", "CY", "CZ", "Cl", "Cm", "Cn"]',
-            "interior = 0",
-            "",
-        )
-    )
+    held = not (flight.reason or flight.no_hold)
+    way = "on the line hold" if held else "with fixed controls"
+    lines = [
+        f"# Steady flight {way} over the bounds of the prior, before any flight.",
+        "",
+        "[campaign]",
+        'aircraft = "."',
+        'mission = "steady"',
+        "seed = 1",
+        "",
+        "[start]",
+        f"V_mps = {flight.speed_mps:.3g}",
+        f"altitude_m = {flight.altitude_m:g}",
+        *(["autopilot = true             # false: the trimmed controls stay fixed"] * held),
+        "",
+        "[aleatory]",
+        "flights = 4                  # per corner",
+        f"duration_s = {60 if held else 5}",
+        f"burn_in_s = {20 if held else 0}",
+        'turbulence = "light"',
+        "",
+        "[epistemic]",
+        'method = "corners"',
+        'set = "ellipsoid"            # joint 95 %; the corners of a "box" are beyond that',
+        'bounds = "model-form.json"',
+        'coefficients = ["CX", "CY", "CZ", "Cl", "Cm", "Cn"]',
+        "interior = 0",
+        "",
+    ]
+    return "\n".join(lines)
 
 
 def _with_bounds(
@@ -354,9 +383,14 @@ def _read_template(name: str) -> str:
 
 
 def _card(
-    model: AeroModel, by_term: Mapping[str, Prior], source: Path, equipment: Equipment
+    model: AeroModel,
+    by_term: Mapping[str, Prior],
+    source: Path,
+    equipment: Equipment,
+    *,
+    hold: bool,
 ) -> str:
-    """Return airframe.toml."""
+    """Return airframe.toml; ``hold`` says whether the aircraft has a line hold."""
     throw = equipment.throw_deg
     remark = as_toml(f"{model.name}, authored from {source.name}")[1:-1]
     lines = [
@@ -400,9 +434,10 @@ def _card(
         "",
         "[modes]",
         'open_loop = { "ap/engaged" = 0, "ap/input-norm" = 0 }',
+        *(['autopilot = { "ap/engaged" = 1 }              # Systems/line-hold.xml'] * hold),
         "",
         "[replay]                                      # without effect in still air",
-        f'without_systems = ["air", "{ERRORS_SYSTEM}"]',
+        f'without_systems = ["air", "{ERRORS_SYSTEM}", "{LINE_HOLD_SYSTEM}"]',
         "",
         "[outputs]",
         'thrust_N = "propulsion/thrust-N"',

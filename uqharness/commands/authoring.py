@@ -121,6 +121,8 @@ def author(request: AuthorRequest, callback: Callback = silent) -> Outcome[Autho
     lines = _lines(document, refused)
     if flight.reason:
         lines.insert(-1, f"No steady flight was found for campaign.toml: {flight.reason}")
+    if flight.no_hold:
+        lines.insert(-1, f"campaign.toml flies with fixed controls: {flight.no_hold}")
     return Outcome(document, document, lines, code=int(refused))
 
 

@@ -42,7 +42,7 @@ MARK = "flight/steady-start"
 
 
 class StartSection(Section):
-    """Steady flight, wings level, above flat ground at sea level, with the trimmed controls fixed.
+    """Steady flight, wings level, above flat ground at sea level.
 
     Attributes
     ----------
@@ -54,12 +54,15 @@ class StartSection(Section):
         True heading [deg].
     climb_deg : float or None
         Flight-path angle [deg]; None for level flight. Solved for if the throttle gives no thrust.
+    autopilot : bool
+        Whether the card's ``[modes] autopilot`` flies; by default the trimmed controls are fixed.
     """
 
     V_mps: Number = Field(gt=0, le=1000)
     altitude_m: Number = Field(gt=0, le=30_000)
     heading_deg: Number = Field(default=0.0, ge=0, le=360)
     climb_deg: Number | None = Field(default=None, ge=-45, le=45)
+    autopilot: bool = False
 
 
 # Steady flight as a mission. Controls are fixed, so flights should last seconds to two minutes.
@@ -115,8 +118,14 @@ def write_steady_start(aircraft: Aircraft, start: StartSection, script: Path, so
             f" altitude_m or climb_deg (uqharness modes {aircraft.name} --speed-mps V --altitude-m"
             " H lists trims)"
         )
+    mode = "autopilot" if start.autopilot else "open_loop"
+    if start.autopilot and mode not in aircraft.card.modes:
+        raise BadInputError(
+            f"{source}: [start] autopilot = true: airframe.toml of '{aircraft.name}' has no"
+            ' autopilot = { "PROPERTY" = VALUE } in [modes] that engages one'
+        )
     write_bytes(aircraft.folder / f"{INITIALIZE}.xml", _initialize(trim).encode())
-    write_bytes(script, _script(aircraft, trim).encode())
+    write_bytes(script, _script(aircraft, trim, mode).encode())
     return trim
 
 
@@ -159,12 +168,12 @@ def _leaned(fdm: Any, trim: Trim) -> dict[str, float]:
     return engine.lean_mixtures(fdm)
 
 
-def _script(aircraft: Aircraft, trim: Trim) -> str:
-    """Return a run script that holds the trimmed controls."""
+def _script(aircraft: Aircraft, trim: Trim, mode: str) -> str:
+    """Return a run script that begins with the trimmed controls, in a mode of the card."""
     fdm = open_aircraft(aircraft)
     engines = fdm.get_propulsion().get_num_engines()
     marks = [(MARK, 1.0), *([(trim.equilibrium.mark, 1.0)] if trim.equilibrium is not None else [])]
-    properties = [*marks, *aircraft.card.modes.get("open_loop", {}).items()]
+    properties = [*marks, *aircraft.card.modes.get(mode, {}).items()]
     if engines:
         # Starting an engine opens its throttle, so the throttle follows.
         properties += [
@@ -179,8 +188,9 @@ def _script(aircraft: Aircraft, trim: Trim) -> str:
     lines = "\n".join(
         f'    <property value="{value:.9g}">{name}</property>' for name, value in properties
     )
+    way = "on its autopilot" if mode == "autopilot" else "controls fixed"
     return f"""<?xml version="1.0" encoding="UTF-8"?>
-<!-- Steady flight of {aircraft.name}, trimmed as the nominal model, controls fixed. -->
+<!-- Steady flight of {aircraft.name}, trimmed as the nominal model, {way}. -->
 <runscript name="steady">
   <use aircraft="{aircraft.name}" initialize="{INITIALIZE}"/>
   <run start="0" end="60" dt="{aircraft.dt_s:g}">

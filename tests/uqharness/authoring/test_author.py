@@ -135,17 +135,36 @@ def test_prior_form_is_read_and_has_the_stated_width(kite):
     assert at_beta == pytest.approx(expected, rel=1e-3)
 
 
-def test_the_prior_leaves_drag_above_zero(kite):
-    """Drag at zero lift between D/f and D f; an interval of D -/+ the same width holds zero."""
+def test_the_prior_takes_no_energy_from_the_air(kite):
+    """Trimmed at the same lift with CZ at either end, drag is at least D/f; sideslip drags."""
     document, aircraft = kite
     form = read_model_form(aircraft.folder / "model-form.json")
-    at_trim = {name: np.zeros(1) for name in form.states}
-    at_trim["alpha_rad"] = form.coefficients["CX"].centre[:1]
-    lower, upper = (float(ends[0]) for ends in form.bounds(at_trim)["CX"])
-    drag = -document.terms["aero/CX_0"].value
-    factor = math.exp(1.96 * document.terms["aero/CX_0"].std / drag)
-    assert drag - upper == pytest.approx(drag / factor, rel=1e-3)
-    assert drag - lower == pytest.approx(drag * factor, rel=1e-3)
+    value = {name.removeprefix("aero/"): term.value for name, term in document.terms.items()}
+    alpha = float(form.coefficients["CX"].centre[0])
+    zero = {name: np.zeros(1) for name in form.states}
+
+    def drag(alpha, **levels):
+        ends = form.bounds(zero | {"alpha_rad": np.array([alpha])})
+        cx = value["CX_0"] + value["CX_alpha"] * alpha + value["CX_alpha2"] * alpha**2
+        cz = value["CZ_0"] + value["CZ_alpha"] * alpha
+        cx, cz = (
+            nominal + (float(ends[name][levels[name]][0]) if levels else 0.0)
+            for name, nominal in (("CX", cx), ("CZ", cz))
+        )
+        return -cx * math.cos(alpha) - cz * math.sin(alpha)
+
+    profile = -value["CX_0"]
+    factor = math.exp(1.96 * document.terms["aero/CX_0"].std / profile)
+    least = drag(alpha) - profile * (1.0 - 1.0 / factor)
+    shift = 1.96 * document.terms["aero/CZ_0"].std / value["CZ_alpha"]
+    corners = [drag(alpha - shift, CX=1, CZ=1), drag(alpha + shift, CX=1, CZ=0)]
+    assert min(corners) == pytest.approx(least, abs=0.1 * profile)
+    for beta in (-0.15, 0.15):
+        states = zero | {"beta_rad": np.array([beta]), "alpha_rad": np.array([alpha])}
+        # Apart from the constant's error, which has no sign.
+        constant = 1.96 * document.terms["aero/CY_0"].std
+        for end in form.bounds(states)["CY"]:
+            assert (value["CY_beta"] * beta + float(end[0])) * np.sign(beta) < constant
 
 
 def test_diff_names_what_an_identification_changed(kite, tmp_path, capsys):
