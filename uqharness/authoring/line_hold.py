@@ -39,7 +39,10 @@ _UNITS = {
     "height-integral": "m s",
     "cross-track-integral": "m s",
 }
-_CONTROLS = {LONGITUDINAL: ("elevator", "throttle"), LATERAL: ("aileron", "rudder")}
+_CONTROLS: dict[tuple[str, ...], tuple[str, ...]] = {
+    LONGITUDINAL: ("elevator", "throttle"),
+    LATERAL: ("aileron", "rudder"),
+}
 _HARMLESS_TRAVEL = 0.2
 """Share of a control's range that counts as harmless."""
 _LAG_RADPS = {"elevator": 25.0, "aileron": 25.0, "rudder": 25.0, "throttle": 6.0}
