@@ -1,9 +1,8 @@
-"""A candidate model: effects written into a copy of the aircraft, flown and estimated with
-everything else.
+"""Fit a candidate model: write effects into a copy of the aircraft, and estimate everything.
 
-Parameters, nuisance and effects move to their joint estimate together. An effect that the
-parameters have compensated so far cannot be added alone: with another centre of gravity and
-Cm_alpha unchanged, the replay is worse than without, and no step leads down from there.
+Parameters, nuisance and effects move to their joint estimate together. An effect that parameters
+have compensated so far cannot be added alone: with another centre of gravity and unchanged
+Cm_alpha the replay is worse than without, and no step from there improves it.
 """
 
 from __future__ import annotations
@@ -67,14 +66,25 @@ MOST_SECANT_STEPS = 8
 
 @dataclass(frozen=True)
 class SearchContext:
-    """What every candidate model of a search shares.
+    """Data that all candidate models of a search share.
 
-    data, baseline : the train flights, and the fit of the model without effects
-    parameters : names of the properties that are estimated
-    effects : candidates by key
-    bounds : lowest and highest value of each parameter
-    critical_t : |t| required of an effect
-    cost : minus twice the log likelihood of the baseline
+    Attributes
+    ----------
+    data : FlightData
+        The training flights.
+    baseline : Linearisation
+        The fit of the model without effects.
+    parameters : tuple of str
+        Estimated properties.
+    effects : mapping
+        Candidates by key.
+    bounds : mapping
+        Limits of each parameter.
+    critical_t : float
+        |t| required of an effect.
+    cost : float
+        Minus twice the log likelihood of the baseline.
+    estimator : Estimator
     """
 
     data: FlightData
@@ -88,18 +98,18 @@ class SearchContext:
 
     @property
     def free(self) -> tuple[str, ...]:
-        """Names of the columns that are estimated in any case."""
+        """Names of the columns that are always estimated."""
         return self.baseline.columns[0].names
 
     def criterion(self, cost: float, keys: Sequence[str]) -> float:
-        """Penalised likelihood: a model's cost, and what each of its effects must earn."""
+        """Return the penalised likelihood: the cost plus the required gain of each effect."""
         return cost + sum(self.effects[k].penalty + EARNED * self.critical_t**2 for k in keys)
 
     def required_gains(
         self, free: Sequence[str], information: Information, keys: Sequence[str] = ()
     ) -> dict[str, float]:
-        """Candidates that may be selected beside the ``free`` columns, those with ``keys``
-        included, and the gain required of each.
+        """Return the candidates that may be selected beside the ``free`` columns, and the gain
+        required of each; those with ``keys`` are included.
         """
         unselected = [e for e in self.effects.values() if e.key not in keys]
         open_keys = eligible(unselected, self.data, free, information)
@@ -111,7 +121,7 @@ class SearchContext:
     def select(
         self, information: Information, free: Sequence[str], keys: Sequence[str] = ()
     ) -> Selection:
-        """Select effects by the linearised likelihood, beginning with those of ``keys``."""
+        """Select effects by the linearised likelihood, starting from those of ``keys``."""
         return select(
             information,
             [n for n in free if n not in keys],
@@ -125,15 +135,26 @@ class SearchContext:
 
 @dataclass(frozen=True)
 class CandidateModel:
-    """A model with effects, flown, with everything estimated; the first one has no effects.
+    """A model with effects and everything estimated; the first one has no effects.
 
-    information : as it would be without the effects, linearised about the flight with them
-    selection : the effects of the model, estimated there
-    reselection : what would be selected there
-    criterion : minus twice the log likelihood and what the effects must earn; less is better
-    turbulence : the air, estimated with the model
-    values : key -> value flown
-    read_once : the same of numbers that JSBSim reads only once (mass, dead zones)
+    Attributes
+    ----------
+    data, fit : FlightData, Linearisation
+        The flights and the fit with the effects.
+    information : Information
+        Normal equations about this fit, with the effects' contribution added to the residuals.
+    selection : Selection
+        The model's effects, estimated here.
+    reselection : Selection
+        The effects that would be selected here.
+    criterion : float
+        Minus twice the log likelihood plus the required gains; less is better.
+    turbulence : TurbulenceModel or None
+        The air, estimated with the model.
+    values : mapping
+        Value of each effect in the simulation, by key.
+    read_once : mapping
+        The same for numbers that JSBSim reads once (mass, dead zones).
     """
 
     data: FlightData
@@ -158,20 +179,23 @@ class CandidateModel:
 
     @property
     def free(self) -> tuple[str, ...]:
-        """Columns that its fit estimates, those of its effects included."""
+        """Names of the columns that its fit estimates, effects included."""
         return self.fit.columns[0].names
 
     @property
     def is_stationary(self) -> bool:
-        """Whether the model proposes itself, numbers that are read once included."""
+        """Whether the model selects itself, with settled numbers that JSBSim reads once."""
         return self.reselection.values.keys() == self.keys and not self._differing(STANDS)
 
     @property
     def not_converged(self) -> dict[str, float]:
-        """Key -> value flown, of numbers that are read once and whose estimates are elsewhere."""
+        """Values of numbers that JSBSim reads once and whose estimates differ from them, by key."""
         return self._differing(DIFFERENT)
 
     def _differing(self, tolerance: float) -> dict[str, float]:
+        """Return the ``read_once`` values that differ from their estimates by more than
+        ``tolerance`` standard errors.
+        """
         effects = [c for c in self.selection.chosen if c.key in self.read_once]
         return {
             c.key: self.read_once[c.key]
@@ -181,22 +205,26 @@ class CandidateModel:
 
 
 class ModelFitter(Protocol):
-    """Fits the models that a search proposes."""
+    """Fitter of the models that a search proposes."""
 
     def fit(
         self, context: SearchContext, proposal: Selection, about: CandidateModel, label: str
     ) -> CandidateModel | None:
-        """The proposed effects, flown, with everything estimated; None where the estimator cannot
-        follow the flights with them. ``label`` names a folder for the aircraft.
+        """Return the model of the proposed effects with everything estimated.
+
+        None where the estimator cannot follow the flights with it. ``label`` names a folder for the
+        aircraft.
         """
 
     def polish(self, context: SearchContext, model: CandidateModel, label: str) -> CandidateModel:
-        """The model with everything estimated by the objective of `identify`."""
+        """Estimate the model once more by the objective of `identify`."""
 
 
 @dataclass(frozen=True)
 class AircraftFitter:
-    """Writes proposed effects into copies of an aircraft and flies them in JSBSim."""
+    """Fitter that writes proposed effects into copies of an aircraft and simulates these in
+    JSBSim.
+    """
 
     aircraft: Aircraft
     folder: Path
@@ -207,9 +235,9 @@ class AircraftFitter:
     ) -> CandidateModel | None:
         """Fit, and repeat by the secant method until numbers that JSBSim reads once have settled.
 
-        Until they have, what they leave looks like other effects. An effect whose estimated change
-        stays as large when it is changed, and which is no likelier for it, does not do what its
-        column says: it is dropped.
+        Until then their error resembles other effects. An effect whose estimated change stays as
+        large when it is changed, without a better likelihood, does not act as its column says: it
+        is dropped.
         """
         model = self._fit_once(context, proposal, about, label)
         previous: dict[str, tuple[float, float]] = {}
@@ -242,6 +270,7 @@ class AircraftFitter:
     def _fit_once(
         self, context: SearchContext, proposal: Selection, about: CandidateModel, label: str
     ) -> CandidateModel | None:
+        """Write, simulate and estimate the proposed effects once."""
         values = clip_to_active_range(proposal, context.data).values
         names = [*context.parameters, *values]
         staged, data = stage(context, self.aircraft, values, self.folder / label)
@@ -259,8 +288,8 @@ class AircraftFitter:
     def polish(self, context: SearchContext, model: CandidateModel, label: str) -> CandidateModel:
         """Estimate once more by output error on replays.
 
-        In turbulence, and where that does not converge or fits worse, the model stays as it is. So
-        do numbers that JSBSim reads once, and what sensors do.
+        The model stays as it is in turbulence, and where that fit does not converge or is worse.
+        Numbers that JSBSim reads once and effects of sensors keep their values.
         """
         if not model.estimator.uses_replays or not model.values:
             return model
@@ -294,10 +323,11 @@ class AircraftFitter:
 
 
 def secant_step(last: tuple[float, float] | None, current: tuple[float, float]) -> float:
-    """How far to move a value, given (value, estimated change) there and before; at most to twice
+    """Return the step of a value from (value, estimated change) now and before, at most to twice
     the value.
 
-    A lag's slope falls off with the lag: the next estimated change is a small part of the total.
+    The effect of a lag is less than linear in the lag, so the estimated change is a small part of
+    the total.
     """
     value, change = current
     if last is None or last[0] == value:
@@ -310,9 +340,10 @@ def secant_step(last: tuple[float, float] | None, current: tuple[float, float]) 
 
 
 def joint_point(context: SearchContext, about: CandidateModel, keys: Sequence[str]) -> ModelState:
-    """Parameters, nuisance and start states at their linear estimate beside the effects ``keys``.
+    """Return parameters, nuisance and start states at their linear estimate with the effects
+    ``keys``.
 
-    The effects themselves are not in the point; other properties are as they were without any.
+    The point does not contain the effects; other properties are as without any effect.
     """
     information, point = about.information, about.fit.trajectory.point
     baseline = context.baseline.trajectory.point
@@ -329,7 +360,7 @@ def joint_point(context: SearchContext, about: CandidateModel, keys: Sequence[st
 def assess(
     context: SearchContext, model_fit: ModelFit, values_in_xml: Mapping[str, float]
 ) -> CandidateModel:
-    """The candidate model of effects written at such values, linearised about its flight."""
+    """Return the candidate model of effects with such values, linearised about its simulation."""
     data, fit = model_fit.data, model_fit.fit
     values = {e.key: fit.trajectory.point.effects[e.key] for e in data.active}
     # Columns of all other candidates, and of slopes at the values flown.
@@ -350,9 +381,10 @@ def with_selection(
     values: Mapping[str, float],
     read_once: Mapping[str, float],
 ) -> CandidateModel:
-    """The candidate model with effects ``keys``, their estimates, and what would be selected there.
+    """Return the candidate model with effects ``keys``, their estimates, and a new selection.
 
-    information : about the flight with the effects, as it would be without them
+    ``information`` is linearised about the simulation with the effects, with their contribution
+    added to the residuals.
     """
     fit, free = model_fit.fit, model_fit.fit.columns[0].names
     reselection = clip_to_active_range(context.select(information, free, keys), context.data)
@@ -377,7 +409,7 @@ def with_selection(
 
 
 def with_values(selection: Selection, values: Mapping[str, float]) -> Selection:
-    """The selection with other values of some effects by key; standard errors stay."""
+    """Return the selection with other values of some effects by key; standard errors stay."""
     effects = tuple(
         replace(c, value=values[c.key], t=values[c.key] / c.std) if c.key in values else c
         for c in selection.chosen
@@ -386,13 +418,14 @@ def with_values(selection: Selection, values: Mapping[str, float]) -> Selection:
 
 
 def with_local_rate_limits(selection: Selection, model: CandidateModel) -> Selection:
-    """Rate limits above the servos' nominal ones, estimated by their slope at the value flown.
+    """Replace the estimates of rate limits above the servos' own by those from their local slope.
 
-    Where the flights say nothing of that slope, the distance to the fastest motion is the error.
-    |t|, of the whole change, stays.
+    Where the flights do not determine that slope, the distance to the fastest motion is the
+    standard error. |t| stays that of the whole change.
     """
 
     def local(c: SelectedEffect) -> SelectedEffect:
+        """Return one effect with its local estimate."""
         slope = c.key + LOCAL_SLOPE
         if slope not in model.information.names:
             return c
@@ -414,7 +447,9 @@ def with_local_rate_limits(selection: Selection, model: CandidateModel) -> Selec
 def stage(
     context: SearchContext, aircraft: Aircraft, values: Mapping[str, float], folder: Path
 ) -> tuple[Aircraft, FlightData]:
-    """A copy of the aircraft that carries effects of such values, and the flights' data for it."""
+    """Write a copy of the aircraft with effects of such values, and return it with its flight
+    data.
+    """
     slopes, effects = control_slopes(context.baseline), [context.effects[k] for k in values]
     staged = write_staged(
         aircraft, [EffectToWrite(e, values[e.key], "", slopes) for e in effects], folder
@@ -428,9 +463,9 @@ def stage(
 
 
 def write_staged(aircraft: Aircraft, effects: Sequence[EffectToWrite], folder: Path) -> Aircraft:
-    """A copy of the aircraft in which effects with a property of their own are at zero.
+    """Write a copy of the aircraft in which effects with a property are zero.
 
-    Whoever flies it sets them: the same effects give the same file, which is compiled once.
+    The properties are set in flight: the same effects give the same file, which is compiled once.
     """
     at_zero = [w if carrier(w.effect, aircraft) is None else replace(w, value=0.0) for w in effects]
     return write_copy(aircraft, at_zero, {}, folder)
@@ -442,8 +477,8 @@ def write_copy(
     estimates: Mapping[str, Estimate],
     folder: Path,
 ) -> Aircraft:
-    """A copy of the aircraft in ``folder`` with effects and new numbers of its parameters, on its
-    engines and systems.
+    """Write a copy of the aircraft with effects and new parameters, beside its engines and
+    systems.
     """
     target = folder / "aircraft" / aircraft.folder.name
     target.parent.mkdir(parents=True)

@@ -1,9 +1,9 @@
-"""Candidates: which effects may be proposed for these flights, and which times they resolve.
+"""Candidate effects of given flights, and the shortest times that these resolve.
 
-The catalogue (`sysid.effects.catalogue`) less what the model estimates already, with the user's
-own effects. A servo's rate limit and dead zone act only beyond a threshold, so that one slope is
-right nowhere: several values are tried, and the one whose estimated change is the change that it
-makes stands for the effect until it has flown.
+Candidates are the catalogue (`sysid.effects.catalogue`) without what the model estimates already,
+and the user's own effects. A servo's rate limit and dead zone act only beyond a threshold, so no
+single slope is right: several values are tried. The value whose estimated change equals its actual
+change represents the effect until it is simulated.
 """
 
 from __future__ import annotations
@@ -55,7 +55,9 @@ WIDTHS_DEG = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6)
 def candidate_effects(
     data: FlightData, parameters: Sequence[str], extra: Sequence[Effect]
 ) -> list[Effect]:
-    """The user's effects ``extra`` and the catalogue, less what the model estimates already."""
+    """Return the user's effects ``extra`` and the catalogue, without what the model estimates
+    already.
+    """
     # Delays of an autopilot's sensors are nuisances there, no candidates.
     delayed = data.outputs if not data.late else ()
     sensors = list(dict.fromkeys(SENSOR_OF.get(c, c) for c in delayed))
@@ -71,10 +73,10 @@ def candidate_effects(
 def eligible(
     effects: Sequence[Effect], data: FlightData, free: Sequence[str], information: Information
 ) -> dict[str, float]:
-    """Key -> penalty of the candidates worth scoring beside the columns ``free``.
+    """Return the candidates to score beside the columns ``free``, with their penalties.
 
-    Left out are candidates of which the flights hold no information of their own, those of the
-    impossible sign, and times that a replay cannot resolve.
+    Candidates without information of their own, of an impossible sign, and times that a replay
+    cannot resolve are left out.
     """
     present = [e for e in effects if e.key in information.names]
     result = scores(information, free, [e.key for e in present])
@@ -93,16 +95,22 @@ def without_unresolved(
     free: Sequence[str],
     information: Information,
 ) -> Selection:
-    """The effects of a model, less times and rate limits that a replay or a log's rows do not
-    resolve; the others are estimated without them.
+    """Remove times and rate limits that replays or the log's rows do not resolve; re-estimate the
+    others.
 
-    A time too short to be named may still be the cause: it stays among the alternatives, if it
-    explains as much.
+    A removed time may be the cause all the same: it stays among the alternatives if it explains as
+    much.
 
     Parameters
     ----------
-    effects : all candidates
-    free : columns that the model's fit estimates, those of its effects included
+    selection : Selection
+        Effects of a model.
+    effects : sequence of Effect
+        All candidates.
+    data : FlightData
+    free : sequence of str
+        Columns that the model's fit estimates, effects included.
+    information : Information
     """
     by_key = {e.key: e for e in effects}
     values = selection.values
@@ -137,8 +145,8 @@ def _short_times(
     information: Information,
     data: FlightData,
 ) -> list[str]:
-    """Times that are too short to be candidates and that have a possible sign in the place of a
-    kept effect.
+    """Return times that are too short to be candidates but have a possible sign in place of a kept
+    effect.
     """
     times = [e for e in effects if e.unit in TIME_UNITS]
     if not times or not selected:
@@ -157,13 +165,16 @@ def _short_times(
 
 
 def _has_possible_sign(effect: Effect, value: float, data: FlightData) -> bool:
-    """Whether an effect may have that sign: a time is positive, unless a servo has one to lose."""
+    """Return whether an effect may have that sign: times are positive, unless a servo has one to
+    lose.
+    """
     return value > 0.0 or not effect.positive or may_be_faster(effect, data)
 
 
 def _is_resolved(effect: Effect, value: float, data: FlightData) -> bool:
-    """Whether an effect of time is longer than a replay or a log's rows leave open, a rate limit's
-    over the travel of a doublet; True of other effects.
+    """Return whether replays and the log's rows resolve a time, or a rate limit over a doublet.
+
+    Other effects are always resolved.
     """
     if effect.unit not in TIME_UNITS:
         return True
@@ -174,8 +185,8 @@ def _is_resolved(effect: Effect, value: float, data: FlightData) -> bool:
 
 
 def may_be_faster(effect: Effect, data: FlightData) -> bool:
-    """Whether the effect is the lag or the rate limit of a servo that has one in the XML, which the
-    real one need not have.
+    """Return whether an effect is the lag or rate limit of a servo that has one in the XML, which
+    the real servo may lack.
     """
     servo = data.servos.get((effect.subsystem or "").removeprefix("actuator."), Actuator(None))
     return (effect.term == "lag" and servo.lag is not None) or (
@@ -184,7 +195,7 @@ def may_be_faster(effect: Effect, data: FlightData) -> bool:
 
 
 def largest_step(data: FlightData, effect: Effect) -> float:
-    """Half the range [deg] of an actuator's commands: the travel of a doublet."""
+    """Return half the range of an actuator's commands [deg], the travel of a doublet."""
     k = CONTROLS.index((effect.subsystem or "").partition(".")[2])
     return 0.5 * max(float(np.ptp(s.controls[:, k])) for s in data.segments)
 
@@ -193,8 +204,9 @@ def largest_step(data: FlightData, effect: Effect) -> float:
 
 
 def with_servo_limits(data: FlightData, fit: Linearisation, estimator: Estimator) -> FlightData:
-    """The data with the rate limit and the dead zone of each servo whose estimated change is the
-    change that it makes, by a fit without effects.
+    """Return the data with the rate limit and dead zone of each servo that represent these effects.
+
+    Their estimated change equals their actual change, by a fit without effects.
     """
     if not data.servos:
         return data
@@ -243,8 +255,10 @@ def with_servo_limits(data: FlightData, fit: Linearisation, estimator: Estimator
 
 
 def _trial_rates(data: FlightData, surface: str, servo: Actuator) -> list[float]:
-    """Rate limits to try [deg/s]: below the fastest motion and the nominal limit, falling; and
-    above it, up to the fastest motion without a limit, rising.
+    """Return trial rate limits [deg/s].
+
+    First those below the fastest motion and the nominal limit, falling, then those above the limit,
+    up to the fastest motion without one, rising.
     """
     fastest, unlimited = (
         _fastest_motion(data, surface, s) for s in (servo, replace(servo, rate=np.inf))
@@ -264,24 +278,32 @@ def _trial_rates(data: FlightData, surface: str, servo: Actuator) -> list[float]
 
 
 def _rate_column(surface: str, limit: float) -> str:
+    """Return the name of a trial rate limit's column."""
     return f"{surface}@{limit:g}"
 
 
 def _zone_column(surface: str, width: float) -> str:
+    """Return the name of a trial dead zone's column."""
     return f"{surface}~{width:g}"
 
 
 def limit_of_unit_gain(limit: FloatArray, gain: FloatArray, t: FloatArray) -> float | None:
-    """The limit whose estimated change is the change that it makes.
+    """Return the limit whose estimated change equals its actual change.
 
     Parameters
     ----------
-    limit : (n,) values further and further from the nominal one
-    gain : (n,) estimated change over the change that each makes
+    limit : (n,) array
+        Values with increasing distance from the nominal one.
+    gain : (n,) array
+        Ratio of the estimated to the actual change.
+    t : (n,) array
+        |t| of each.
 
     Returns
     -------
-    The limit of gain 1, interpolated; else the one of largest |t|; None where no gain is positive.
+    float or None
+        The limit of gain 1, interpolated; otherwise that of largest |t|; None if no gain is
+        positive.
     """
     usable = np.isfinite(gain) & (gain > 0.0)
     if not usable.any():
@@ -295,7 +317,7 @@ def limit_of_unit_gain(limit: FloatArray, gain: FloatArray, t: FloatArray) -> fl
 
 
 def _fastest_motion(data: FlightData, surface: str, servo: Actuator) -> float:
-    """Fastest motion of a surface [deg/s], from row to row."""
+    """Return the fastest motion of a surface from row to row [deg/s]."""
     k = CONTROLS.index(surface)
     return max(
         float(
@@ -309,11 +331,10 @@ def _fastest_motion(data: FlightData, surface: str, servo: Actuator) -> float:
 
 
 def clip_to_active_range(selection: Selection, data: FlightData) -> Selection:
-    """The selection with rate limits no higher than the fastest motion: above it any limit is the
-    same.
-    """
+    """Limit rate limits to the fastest motion, above which any limit is equivalent."""
 
     def clipped(c: SelectedEffect) -> SelectedEffect:
+        """Return one effect within its range."""
         lower_bound = least_active_value(data, c.key)
         return c if c.value >= lower_bound else replace(c, value=lower_bound, t=lower_bound / c.std)
 
@@ -321,8 +342,8 @@ def clip_to_active_range(selection: Selection, data: FlightData) -> Selection:
 
 
 def least_active_value(data: FlightData, key: str) -> float:
-    """Value [s/deg] of a rate limit's effect below which nothing changes any more; of any other
-    effect -inf.
+    """Return the value of a rate limit's effect [s/deg] below which nothing changes; -inf for
+    others.
     """
     surface = key.removeprefix("effect/actuator.").partition("/")[0]
     servo = data.servos.get(surface)
@@ -337,7 +358,8 @@ def least_active_value(data: FlightData, key: str) -> float:
 
 
 def is_fastest(effect: SelectedEffect, data: FlightData) -> bool:
-    """Whether a rate limit is within its error of the fastest motion asked of the servo, so that it
-    may be any number above.
+    """Return whether a rate limit is within its error of the servo's fastest commanded motion.
+
+    Its interval is then open above.
     """
     return bool(effect.value - 2.0 * effect.std <= least_active_value(data, effect.key))

@@ -1,5 +1,6 @@
-"""refinement.json: verdict, effects, disagreement and what remains, from a search and its hold-out
-test. Flies nothing.
+"""Contents of refinement.json: verdict, effects, disagreements and remaining residuals.
+
+They follow from a search and its hold-out test; nothing is simulated here.
 """
 
 from __future__ import annotations
@@ -78,10 +79,10 @@ _AXES = (("p_radps", "Cl", "roll"), ("q_radps", "Cm", "pitch"), ("r_radps", "Cn"
 def find_disagreements(
     setup: FlightData, evaluation: Evaluation, reference: Evaluation, controls: Sequence[Any]
 ) -> list[Region]:
-    """Where ``evaluation`` is outside what noise explains.
+    """Return regions in which an evaluation exceeds what noise explains.
 
-    A ``reference`` at the noise in flight leaves more than that in coefficients, because held
-    commands and gusts contribute there; then what it leaves is allowed.
+    Held commands and gusts leave more than noise in coefficients. If the ``reference`` evaluation
+    is at the noise in the channels, its residuals in coefficients are allowed as well.
     """
     kinds = [s.kind for s in setup.segments]
     allowed = [reference.floor] * len(kinds)
@@ -108,7 +109,9 @@ def find_disagreements(
 
 
 def _ranges(evaluation: Evaluation, controls: Sequence[Any]) -> list[dict[str, Any]]:
-    """States in which regions are looked for, one mapping a segment: rates by their size."""
+    """Return the states in which regions are searched, one mapping per segment; rates by
+    magnitude.
+    """
     rates = {rate: f"abs_{rate}" for rate, _, _ in _AXES}
     segments = states_along(evaluation.trajectory, controls)
     return [
@@ -118,7 +121,7 @@ def _ranges(evaluation: Evaluation, controls: Sequence[Any]) -> list[dict[str, A
 
 
 def _remaining(chosen: SearchResult, outcome: HoldOutResult, controls: Sequence[Any]) -> Remaining:
-    """Whether noise leaves anything unexplained, where, and on what it depends."""
+    """Return whether residuals exceed noise, where, and on what they depend."""
     result, (data, _, after) = outcome.result, outcome.train
     test_data, _, test_after = outcome.test
     excess = excess_residuals(data, after, result.estimator)
@@ -187,8 +190,8 @@ def _remaining(chosen: SearchResult, outcome: HoldOutResult, controls: Sequence[
 def _disagreeing(
     setup: FlightData, evaluation: Evaluation, controls: Sequence[Any]
 ) -> list[RemainingPart]:
-    """Regions in which coefficients disagree, then coefficients above their noise and the states on
-    which they depend.
+    """Return regions in which coefficients disagree, then coefficients above their noise with the
+    states on which they depend.
     """
     regions = find_disagreements(setup, evaluation, evaluation, controls)
     out = [RemainingPart(**region.as_json()) for region in regions]
@@ -205,8 +208,8 @@ def _disagreeing(
 
 
 def _unconfirmed(effect: Effect, refused: RejectedCandidate) -> RemainingPart:
-    """Where the residual is and on what it depends, from the nearest candidate that was not
-    confirmed.
+    """Describe where the residual is and on what it depends, from the nearest unconfirmed
+    candidate.
     """
     term = effect.parsed
     depends = [] if term is None else [State(state=v) for v in term.variables]
@@ -221,10 +224,18 @@ def _unconfirmed(effect: Effect, refused: RejectedCandidate) -> RemainingPart:
 def document_of(
     chosen: SearchResult, outcome: HoldOutResult, aircraft: Aircraft, controls: Sequence[Any]
 ) -> Refinement:
-    """refinement.json as far as flights and models determine it.
+    """Return the part of refinement.json that flights and models determine.
 
-    chosen : what the train flights chose; outcome: what remains of it
-    aircraft : as it was; controls: of every train segment
+    Parameters
+    ----------
+    chosen : SearchResult
+        The selection on the training flights.
+    outcome : HoldOutResult
+        What remains after the hold-out test.
+    aircraft : Aircraft
+        The original aircraft.
+    controls : sequence of array
+        Control positions of every training segment.
     """
     result, (data, before, after) = outcome.result, outcome.train
     switches = {c.key: switch_of(chosen.effects[c.key], aircraft) for c in chosen.selection.chosen}
@@ -280,7 +291,7 @@ def document_of(
 
 
 def unexplained_moments(chosen: SearchResult) -> dict[str, RemainingPart]:
-    """Angular rate -> report of moments about its axis that the gust model does not describe."""
+    """Return, by angular rate, reports of moments that the gust model does not describe."""
     parts = {}
     gains = chosen.estimator.unexplained_moments()
     for rate, c, axis in _AXES:
@@ -295,7 +306,7 @@ def unexplained_moments(chosen: SearchResult) -> dict[str, RemainingPart]:
 
 
 def _wrong_form(form: FormMismatch, effects: Sequence[Effect]) -> RemainingPart:
-    """A curve in effects' own states that shows that they have not the form of what is missing."""
+    """Describe a curve in the states of effects whose form is not that of the missing one."""
     words = (
         f"what is missing in {form.coefficient} does not have the form of"
         f" {' and '.join(e.name for e in effects)}: beside {'them' if len(effects) > 1 else 'it'} a"
@@ -313,8 +324,11 @@ def _wrong_form(form: FormMismatch, effects: Sequence[Effect]) -> RemainingPart:
 def strong_of(
     candidates: Sequence[NearbyCandidate], reported: Collection[str]
 ) -> list[tuple[str, float]]:
-    """(key, t) of the nearest candidates beside what stands that have more than CERTAIN_T and are
-    not told yet: an effect that was withdrawn had their place."""
+    """Return (key, t) of candidates with |t| above CERTAIN_T that are not reported yet, the
+    strongest first.
+
+    A withdrawn effect may have taken their place.
+    """
     keys = [f"effect/{c.coefficient or c.subsystem}/{c.term}" for c in candidates]
     return [
         (k, c.t)
@@ -324,6 +338,7 @@ def strong_of(
 
 
 def _still_asked(effect: Effect, t: float, rank: int) -> RemainingPart:
+    """Describe a candidate that the flights still support."""
     return (
         _part(effect, t, still_asked(effect, t))
         if rank < MOST_SAID
@@ -332,6 +347,7 @@ def _still_asked(effect: Effect, t: float, rank: int) -> RemainingPart:
 
 
 def _part(effect: Effect, t: float, words: str) -> RemainingPart:
+    """Return an entry of ``remaining`` for an effect."""
     return RemainingPart(**label(effect), t=t, words=words)
 
 
@@ -342,7 +358,7 @@ def _effect(
     switches: Mapping[str, tuple[str, float] | None],
     withdrawn: bool = False,
 ) -> dict[str, Any]:
-    """One effect; what the test flights say of it is no part of what was chosen."""
+    """Return the document of one effect, with the verdict of the hold-out flights."""
     e, switch = result.effects[c.key], switches[c.key]
     value, std, unit = _as_written(result, e, c)
     test = verdict and {
@@ -377,16 +393,18 @@ def _effect(
 
 
 def _interval(result: SearchResult, e: Effect, c: SelectedEffect) -> list[float | None]:
-    """95 % interval of the number as it stands in the XML, given that it was chosen; open above
-    where a servo is never asked for more than its rate limit."""
+    """Return the 95 % interval of the number in the XML, conditional on its selection.
+
+    It is open above where a servo is never commanded faster than its rate limit.
+    """
     low, high = chosen_interval(c, result.critical_t)
     ends = sorted(_as_written(result, e, replace(c, value=v))[0] for v in (low, high))
     return [ends[0], None if e.term == "rate_limit" and is_fastest(c, result.setup) else ends[1]]
 
 
 def _as_written(result: SearchResult, e: Effect, c: SelectedEffect) -> tuple[float, float, str]:
-    """Value, standard error and unit as the number stands in the XML: a servo's lag there is 1/s,
-    its rate limit deg/s.
+    """Return value, standard error and unit of the number in the XML: a lag is in 1/s, a rate limit
+    in deg/s.
     """
     surface = (e.subsystem or "").partition(".")[2]
     servo = result.setup.servos.get(surface)
@@ -400,6 +418,7 @@ def _as_written(result: SearchResult, e: Effect, c: SelectedEffect) -> tuple[flo
 
 
 def _alternative(result: SearchResult, effect: Effect, a: Alternative) -> AlternativeDocument:
+    """Return the document of an alternative."""
     other = result.effects[a.key]
     advice = {} if a.separable else {"would_separate": separating_manoeuvre(effect, other)}
     return AlternativeDocument(
@@ -420,8 +439,8 @@ def _alternative(result: SearchResult, effect: Effect, a: Alternative) -> Altern
 
 
 def refinement_view(title: str, document: Refinement) -> str:
-    """Verdict, effects with estimate and standard deviation, and each channel's residual on the
-    test flights.
+    """Return the text for the terminal: verdict, effects, and each channel's residual on the
+    hold-out flights.
     """
     effects = [
         {
@@ -452,4 +471,5 @@ def refinement_view(title: str, document: Refinement) -> str:
 
 
 def _ratio(rms: float | None, noise: float | None) -> float:
+    """Return a residual over its noise; NaN without noise."""
     return math.nan if rms is None or not noise else rms / noise

@@ -1,19 +1,19 @@
-"""The search for missing effects on the train flights: baseline, timing, propose, fit, compare,
+"""Search for missing effects on the training flights: baseline, timing, propose, fit, compare,
 stop.
 
-1. Baseline (`fit_baseline`): the parameters of the model without effects are estimated; the
-   residuals choose the estimator, for calm air or for turbulence.
-2. Timing (`controls_offset`): one time offset of all controls is an error of the record, not an
-   effect. Where it explains as much as any effect, the controls are shifted and 1 is repeated.
+1. Baseline (`fit_baseline`): estimate the parameters of the model without effects. The residuals
+   choose the estimator, for calm air or for turbulence.
+2. Timing (`controls_offset`): a common time offset of all controls is an error of the record, not
+   an effect. If it explains as much as any effect, shift the controls and repeat 1.
 3. Propose (`SearchContext.select`): the linearised likelihood about the last model proposes
-   effects. An effect with overwhelming |t| is flown alone first, because what linearisation leaves
-   of it resembles other effects.
-4. Fit (`ModelFitter.fit`): the proposal is flown and everything is estimated. Where the newest
-   effect is doubtful, others that explain nearly as much are flown in its place: an airspeed sensor
-   that reads a quarter too much looks at first like a thrust error, |t| 36 and 37. Flown, the
-   sensor's fault leaves nothing to explain.
-5. Compare (`best_model`): by the log likelihood, less the gain required of each effect (`EARNED`).
-6. Stop at a model that proposes itself, and drop effects whose |t| in the simulation is too small
+   effects. An effect of overwhelming |t| is simulated alone first, because its linearisation error
+   resembles other effects.
+4. Fit (`ModelFitter.fit`): simulate the proposal and estimate everything. If the newest effect is
+   doubtful, simulate competing ones as well: an airspeed sensor that reads a quarter too much at
+   first resembles a thrust error, |t| 36 and 37; with the sensor's error simulated, nothing
+   remains.
+5. Compare (`best_model`) by the log likelihood less the gain required of each effect (`EARNED`).
+6. Stop at a model that selects itself, and drop effects whose |t| in the simulation is too small
    (`drop_weak`).
 """
 
@@ -119,12 +119,18 @@ CALM_AFTER_ALL = (
 
 @dataclass(frozen=True)
 class FormMismatch:
-    """A curve in the states of chosen effects that none of their forms describes.
+    """A curve in the states of selected effects that none of their forms describes.
 
-    name : of the curve, in words
-    gain : in twice the log likelihood beside all effects chosen
-    p : probability of such a gain by chance
-    replaced : keys of the effects that the curve can be
+    Attributes
+    ----------
+    coefficient, states, name : str, tuple of str, str
+        The curve.
+    gain : float
+        Its gain in 2 ln L beside all effects.
+    p : float
+        Probability of such a gain by chance.
+    replaced : tuple of str
+        Keys of the effects that the curve may replace.
     """
 
     coefficient: str
@@ -137,21 +143,40 @@ class FormMismatch:
 
 @dataclass(frozen=True)
 class SearchResult:
-    """What the train flights say: models without and with effects, and everything estimated.
+    """Result of a search on the training flights.
 
-    before, after : fits without and with the effects; the same where there are none
-    effects : all candidates by key
-    parameters : property -> (value, standard error corrected for colour)
-    plain : property -> value without the effects
-    turbulence : the air; None where it was calm
-    scoreboard : (name, t) of the candidates that explain most, each alone beside the parameters
-    critical_t : |t| required of an effect
-    late_s : shift of all controls before the search
-    slopes : numbers that effects of stall and propulsion are written with
-    flown_values : key -> value of each effect in ``after``
-    unclear : effects too weak to be named beside something unexplained
-    mismatch : the curve that chosen effects should have
-    remaining : (key, t) of candidates not chosen with |t| above CERTAIN_T, the strongest first
+    Attributes
+    ----------
+    setup : FlightData
+    names : tuple of str
+        Estimated parameters.
+    before, after : Linearisation
+        Fits without and with the effects; the same without effects.
+    selection : Selection
+    effects : mapping
+        All candidates by key.
+    parameters : mapping
+        Property to its value and standard error for coloured residuals.
+    plain : mapping
+        Property to its value without effects.
+    turbulence : TurbulenceModel or None
+        The air; None if calm.
+    scoreboard : tuple
+        (name, t) of the candidates that explain most, each alone beside the parameters.
+    critical_t : float
+        |t| required of an effect.
+    late_s : float
+        Shift of all controls before the search [s].
+    slopes : mapping
+        Numbers with which effects of stall and propulsion are written.
+    flown_values : mapping
+        Value of each effect in ``after``, by key.
+    unclear : tuple of SelectedEffect
+        Effects that are too weak to be named beside unexplained residuals.
+    mismatch : FormMismatch or None
+        A curve that selected effects should have.
+    remaining : tuple
+        (key, t) of other candidates with |t| above CERTAIN_T, the strongest first.
     """
 
     setup: FlightData
@@ -176,7 +201,7 @@ class SearchResult:
 
     @property
     def estimator(self) -> Estimator:
-        """The estimator that judged the flights."""
+        """The estimator of the flights."""
         return estimator_for(self.turbulence)
 
     @property
@@ -200,14 +225,31 @@ def find_effects(
     callback: Callback,
     stages: Stages,
 ) -> SearchResult:
-    """Find and estimate the missing effects.
+    """Find and estimate missing effects.
 
     Parameters
     ----------
-    data : the train flights as recorded
-    extra : the user's own candidates
-    folder : for copies of the aircraft
-    stages : results of an earlier run that was interrupted
+    aircraft : Aircraft
+    data : FlightData
+        The training flights as recorded.
+    extra : sequence of Effect
+        The user's own candidates.
+    folder : Path
+        Folder for copies of the aircraft.
+    pool : Processes
+    callback : callable
+        Receives each stage.
+    stages : Stages
+        Results of an interrupted run.
+
+    Returns
+    -------
+    SearchResult
+
+    Raises
+    ------
+    BadInputError
+        If the aircraft lists no parameters.
     """
     # Baseline and timing: shift the controls until they are on time.
     shifts: list[float] = []
@@ -242,11 +284,16 @@ def find_effects(
 
 @dataclass(frozen=True)
 class Baseline:
-    """The model without effects, fitted to the train flights.
+    """The model without effects, fitted to the training flights.
 
-    effects : the candidates
-    information : columns of the fit and of all candidates
-    competes : whether the time offset of all controls is among the columns
+    Attributes
+    ----------
+    effects : list of Effect
+        The candidates.
+    information : Information
+        Columns of the fit and of all candidates.
+    competes : bool
+        Whether the time offset of all controls is among the columns.
     """
 
     estimator: Estimator
@@ -261,7 +308,7 @@ class Baseline:
     notes: list[str]
 
     def context(self) -> SearchContext:
-        """What the candidate models share."""
+        """Return the data that candidate models share."""
         free = self.fit.columns[0].names
         candidates = list(eligible(self.effects, self.data, free, self.information))
         return SearchContext(
@@ -276,10 +323,10 @@ class Baseline:
         )
 
     def controls_offset(self, command_s: float, *, first: bool) -> tuple[float, float] | None:
-        """Time offset of all controls and its standard error [s]; None where there is none.
+        """Return the time offset of all controls and its standard error [s]; None without one.
 
-        command_s : time from one command to the next
-        first : whether the controls are as recorded
+        ``command_s`` is the time between commands. ``first`` says whether the controls are as
+        recorded.
         """
         if not self.competes:
             return None
@@ -306,7 +353,7 @@ def fit_baseline(
 ) -> Baseline:
     """Estimate the model without effects; the residuals choose the estimator.
 
-    ``shifts`` [s] of the controls so far are applied to the flights as recorded.
+    ``shifts`` [s] of the controls are applied to the flights as recorded.
     """
     requested = tuple(aircraft.card.parameters)
     if not requested:
@@ -382,11 +429,11 @@ def fit_baseline(
 def least_cost_in_calm_air(
     data: FlightData, fit: Linearisation, effects: Sequence[Effect]
 ) -> float:
-    """Return minus twice the log likelihood of replays if all candidates act at once, as far as the
-    linearised flight goes, plus the number of columns.
+    """Return minus twice the log likelihood of replays with all candidates at once, plus their
+    number.
 
-    Effects of the aircraft can leave what looks like turbulence; turbulence leaves more than all
-    effects together explain. Each channel has the noise that remains.
+    It is computed from the linearised model, with each channel's remaining noise. Effects of the
+    aircraft can resemble turbulence, but turbulence leaves more than all effects together explain.
     """
     columns = effect_columns(data, fit.probes, fit.trajectory, effects)
     information = ReplayEstimator().information(data, fit, columns)
@@ -411,17 +458,23 @@ def controls_offset(
     least_s: float,
     earliest_s: float,
 ) -> tuple[float, float] | None:
-    """Time by which all controls act after their rows, and its standard error [s].
+    """Return the time by which all controls act after their rows, and its standard error [s].
 
-    None where the flights do not show one: it must exceed its limits, explain as much as the best
+    None if the flights do not show one: it must exceed its limits, explain as much as the best
     candidate and as all servos' lags together, and be confirmed by held-out manoeuvres.
 
     Parameters
     ----------
-    information : with the column of CONTROLS_LATE
-    required_gains : candidate -> gain required of it
-    critical_t : |t| required
-    least_s, earliest_s : offsets between -earliest_s and least_s are no error of the record
+    information : Information
+        With the column of CONTROLS_LATE.
+    free : sequence of str
+        Columns that are always estimated.
+    required_gains : mapping
+        Candidate to the gain required of it.
+    critical_t : float
+        |t| required.
+    least_s, earliest_s : float
+        Offsets between -earliest_s and least_s are no error of the record.
     """
     key = CONTROLS_LATE.key
     value, std, _ = corrected_estimate(information, free, key)
@@ -444,18 +497,18 @@ def controls_offset(
 
 
 def joint_gain(information: Information, free: Sequence[str], keys: Sequence[str]) -> float:
-    """Rise of twice the log likelihood by several candidates at once, u' g^-1 u, with the free
-    columns projected out.
+    """Return the gain in 2 ln L of several candidates at once, u' g^-1 u, with the free columns
+    projected out.
     """
     g, u = projected(*information.total, information.index(free), information.index(keys))
     return float(u @ solve(g, u[:, None])[:, 0])
 
 
 def offset_tolerance_s(command_s: float, first: bool) -> tuple[float, float]:
-    """Latest and earliest offset [s] that is no error of the record.
+    """Return the latest and the earliest offset [s] that is no error of the record.
 
-    Every fit allows for the offset of an integration, and a simulator's controls act up to half a
-    step before their row; a second shift has only the resolution as its limit.
+    Every fit estimates an offset of the integration, and a simulator's controls act up to half a
+    step before their row. After the first shift the limit is the resolution.
     """
     resolution_s = SHORTEST_ROWS * command_s
     return (
@@ -466,14 +519,14 @@ def offset_tolerance_s(command_s: float, first: bool) -> tuple[float, float]:
 
 
 def shifted_flights(flights: Sequence[Flight], late_s: float) -> list[Flight]:
-    """The flights with every command and position ``late_s`` seconds later; before the first row
-    its value is held.
+    """Return the flights with all commands and positions ``late_s`` later, constant before the
+    first row.
     """
     return [f.with_delayed_commands(late_s) if late_s else f for f in flights]
 
 
 def offset_words(late_s: float, std_s: float, dt_s: float) -> str:
-    """The time offset as a note."""
+    """Return the time offset as a note."""
     direction = "after" if late_s > 0 else "before"
     return (
         f"the controls act {1e3 * abs(late_s):.1f} +/- {1e3 * std_s:.1f} ms"
@@ -488,7 +541,7 @@ def offset_words(late_s: float, std_s: float, dt_s: float) -> str:
 
 @dataclass(frozen=True)
 class SearchOutcome:
-    """The best model, which may be the one without effects, the search's record, and notes."""
+    """The best model, which may have no effects, the search's record, and notes."""
 
     model: CandidateModel
     trail: tuple[str, ...]
@@ -497,10 +550,9 @@ class SearchOutcome:
 
 @dataclass(frozen=True)
 class EffectSearch:
-    """The loop that proposes, fits and compares models.
+    """Loop that proposes, fits and compares models.
 
-    fitter : flies what is proposed
-    callback : receives each stage
+    ``fitter`` simulates proposals; ``callback`` receives each stage.
     """
 
     context: SearchContext
@@ -508,10 +560,11 @@ class EffectSearch:
     callback: Callback
 
     def run(self, information: Information) -> SearchOutcome:
-        """Search, and again without delays of single channels where one was chosen beside another
-        time: a servo whose command comes late looks like a late gyro, a late attitude and a lag.
+        """Search, and again without delays of single channels if one was selected with another
+        time.
 
-        information : of the model without effects
+        A servo with delayed commands resembles a late gyro, a late attitude and a lag.
+        ``information`` is that of the model without effects.
         """
         outcome = self._run_once(information, "round")
         doubtful = delays_among_times(outcome.model.selection.chosen, self.context.effects)
@@ -533,6 +586,7 @@ class EffectSearch:
         return replace(other, notes=(note,))
 
     def _run_once(self, information: Information, label: str) -> SearchOutcome:
+        """Run the loop with the current candidates."""
         context = self.context
         # The model without effects proposes first.
         first = context.select(information, context.free)
@@ -596,7 +650,9 @@ class EffectSearch:
     def _best_of(
         self, models: Sequence[CandidateModel], baseline: CandidateModel, label: str
     ) -> tuple[CandidateModel, list[str]]:
-        """The likeliest model without effects that are weak once flown, and why."""
+        """Return the likeliest model without effects that are weak in the simulation, and the
+        reasons.
+        """
         best, lines = self.drop_weak(best_model(models) or baseline, baseline, models, label)
         is_better = best.criterion < baseline.criterion
         if best.keys and not is_better and best.estimator.same_samples(best.keys, baseline.keys):
@@ -613,7 +669,8 @@ class EffectSearch:
         models: Sequence[CandidateModel],
         label: str,
     ) -> tuple[CandidateModel, list[str]]:
-        """The best model without the effects whose |t| is too small in the simulation; and why.
+        """Return the best model without effects whose |t| in the simulation is too small, and the
+        reasons.
 
         The selection oscillates in such a case: |t| is large in the linearisation about the model
         without the effect, and small about the model with it.
@@ -639,8 +696,9 @@ class EffectSearch:
 
 
 def best_model(models: Sequence[CandidateModel]) -> CandidateModel | None:
-    """The model of the smallest criterion among those judged by the same samples as the last; None
-    of none.
+    """Return the model of smallest criterion among those judged by the samples of the last one.
+
+    None for no models.
     """
     comparable = [m for m in models if m.estimator.same_samples(m.keys, models[-1].keys)]
     return min(comparable, key=lambda m: m.criterion, default=None)
@@ -652,9 +710,11 @@ def competing_proposals(
     proposal: Selection,
     about: CandidateModel,
 ) -> list[Selection]:
-    """Proposals with another candidate in the place of the newest effect, where that is doubtful:
-    no estimator follows flights with it (``model`` is None), it leaves moments that nothing
-    explains, or it is overwhelming and several more effects would be selected beside it.
+    """Return proposals with another candidate in place of a doubtful newest effect.
+
+    The newest effect is doubtful if no estimator follows the flights with it (``model`` is None),
+    if it leaves unexplained moments, or if it is overwhelming and several more effects would be
+    selected.
     """
     new = [c for c in proposal.chosen if c.key not in about.values]
     if len(new) != 1:
@@ -681,8 +741,8 @@ def competing_proposals(
 def comparable_candidates(
     information: Information, free: Sequence[str], candidates: Sequence[str], key: str
 ) -> list[str]:
-    """Other candidates that explain nearly as much as ``key`` in its place, the best first, no two
-    of them alike.
+    """Return candidates that explain nearly as much as ``key`` in its place, the best first, no two
+    alike.
     """
     alternatives = [k for k in candidates if k != key]
     gain, *other_gains = np.nan_to_num(
@@ -702,8 +762,8 @@ def comparable_candidates(
 def delays_among_times(
     chosen: Sequence[SelectedEffect], effects: Mapping[str, Effect]
 ) -> list[Effect]:
-    """Delays of single channels and everything else that is a time or a servo's, where both were
-    chosen; else none.
+    """Return delays of single channels and all other times and servo effects, if both were
+    selected.
     """
     times = [
         e
@@ -714,12 +774,12 @@ def delays_among_times(
 
 
 def is_channel_delay(effect: Effect) -> bool:
-    """Whether an effect is the delay of one channel of a sensor that has several."""
+    """Return whether an effect is the delay of one channel of a sensor with several."""
     return effect.unit == "s" and (effect.subsystem or "").partition(".")[2] in SENSOR_OF
 
 
 def listed(keys: Iterable[str]) -> str:
-    """Effects in a line of the search's record."""
+    """Return effects as a line of the search's record."""
     return ", ".join(k.removeprefix("effect/").replace("/", " ") for k in keys)
 
 
@@ -727,7 +787,7 @@ def listed(keys: Iterable[str]) -> str:
 
 
 def _result_of(context: SearchContext, baseline: Baseline, outcome: SearchOutcome) -> SearchResult:
-    """The result of a search whose best model has been polished."""
+    """Return the result of a search whose best model is final."""
     model, estimator = outcome.model, context.estimator
     # Estimates by replays are at their optimum; linear ones include the last step.
     is_linear = not estimator.uses_replays
@@ -788,7 +848,7 @@ def _result_of(context: SearchContext, baseline: Baseline, outcome: SearchOutcom
 
 
 def _unconfirmed(context: SearchContext, selection: Selection) -> RejectedCandidate | None:
-    """The strongest effect selected on the linearised flight that no simulation confirmed."""
+    """Return the strongest effect of the linearised flight that no simulation confirmed."""
     if not selection.chosen:
         return None
     c = selection.chosen[0]
@@ -800,11 +860,13 @@ def _unconfirmed(context: SearchContext, selection: Selection) -> RejectedCandid
 def with_time_resolution(
     selection: Selection, effects: Mapping[str, Effect], dt_s: float
 ) -> Selection:
-    """The selection with the resolution of a replay in the standard errors of times: a servo's lag
-    by Tustin's rule is off by part of a ms.
+    """Add the resolution of replays to the standard errors of times.
+
+    A servo's lag by Tustin's rule is off by part of a millisecond.
     """
 
     def widened(c: SelectedEffect) -> SelectedEffect:
+        """Return one effect with its increased standard error."""
         if effects[c.key].unit != "s":
             return c
         std = float(np.hypot(c.std, RESOLVED_ROWS * dt_s))
@@ -814,8 +876,10 @@ def with_time_resolution(
 
 
 def chosen_interval(effect: SelectedEffect, critical_t: float) -> tuple[float, float]:
-    """95 % interval of an effect, conditional on its selection at |t| above ``critical_t``; that t
-    may be by a narrower standard error than the one stated.
+    """Return the 95 % interval of an effect, conditional on its selection at |t| above
+    ``critical_t``.
+
+    The selection's |t| may be by a smaller standard error than the stated one.
     """
     selection_value = effect.t * effect.std
     ratio = abs(effect.value / selection_value) if selection_value else 1.0
@@ -825,7 +889,7 @@ def chosen_interval(effect: SelectedEffect, critical_t: float) -> tuple[float, f
 def strong_candidates(
     information: Information, free: Sequence[str], chosen: Sequence[str], candidates: Iterable[str]
 ) -> tuple[tuple[str, float], ...]:
-    """(key, t) of candidates not chosen whose |t| beside the chosen is above CERTAIN_T, the
+    """Return (key, t) of other candidates with |t| above CERTAIN_T beside the selected ones, the
     strongest first.
     """
     columns = [n for n in free if not n.startswith("effect/")]
@@ -839,7 +903,7 @@ def strong_candidates(
 def score_table(
     information: Information, free: Sequence[str], effects: Sequence[Effect]
 ) -> tuple[tuple[str, float], ...]:
-    """(name, t) of the twelve candidates with the largest gain, each alone beside the
+    """Return (name, t) of the twelve candidates with the largest gain, each alone beside the
     parameters.
     """
     result = scores(information, free, [e.key for e in effects])
@@ -853,7 +917,7 @@ def score_table(
 def remark(
     choice: SelectedEffect, effect: Effect, flights: Sequence[str], command: str, critical_t: float
 ) -> str:
-    """The remark beside an effect's number in the XML; chosen at |t| above ``critical_t``."""
+    """Return the remark beside an effect's number in the XML."""
     low, high = chosen_interval(choice, critical_t)
     text = (
         f"{effect.name}: {choice.value:.5g} +/- {choice.std:.2g}, 95 % [{low:.5g}, {high:.5g}];"
@@ -865,7 +929,7 @@ def remark(
 def parameter_estimates(
     result: SearchResult, flights: Sequence[str], initial: Mapping[str, float]
 ) -> dict[str, Estimate]:
-    """New numbers of the re-identified parameters with their remarks."""
+    """Return new values of the estimated parameters with their remarks."""
     return {
         n: Estimate(
             value, f"{value:.5g} +/- {std:.2g}, was {initial[n]:.5g}; refine; {', '.join(flights)}"

@@ -1,10 +1,10 @@
-"""How models are fitted to flights and judged by them: one protocol, two estimators.
+"""Estimators: how models are fitted to flights and judged by them, one protocol with two forms.
 
-`ReplayEstimator` is output error in calm air: JSBSim replays a flight from its start state, and
-what the replay leaves of the measurement is sensor noise. `PredictionErrorEstimator` allows for
-turbulence: a Kalman filter predicts each sample from those before it, with the process noise of a
-gust model (`sysid.effects.turbulence`). Everything that differs between calm and turbulent air is
-decided here; the search for effects and the hold-out test call the protocol.
+`ReplayEstimator` is output error in calm air: JSBSim replays a flight from its start state, and the
+residuals are sensor noise. `PredictionErrorEstimator` is for turbulence: a Kalman filter predicts
+each sample from earlier ones, with the process noise of a gust model (`sysid.effects.turbulence`).
+All differences between calm and turbulent air are here; the search for effects and the hold-out
+test call the protocol.
 """
 
 from __future__ import annotations
@@ -83,9 +83,15 @@ _AXES = ("p_radps", "q_radps", "r_radps")
 class ModelFit:
     """A model fitted to flights.
 
-    data : the flights, with the sensor noise that the fit assumes
-    neg2_log_likelihood : minus twice the log likelihood, less a constant
-    turbulence : the air estimated with the model; None in calm air
+    Attributes
+    ----------
+    data : FlightData
+        The flights, with the sensor noise of the fit.
+    fit : Linearisation
+    neg2_log_likelihood : float
+        Minus twice the log likelihood, up to a constant.
+    turbulence : TurbulenceModel or None
+        The air, estimated with the model; None if calm.
     """
 
     data: FlightData
@@ -96,14 +102,22 @@ class ModelFit:
 
 @dataclass(frozen=True)
 class Residuals:
-    """What a model leaves of flights.
+    """Residuals of a model.
 
-    trajectory : outputs of the model, and start states, biases and delays estimated with it
-    white : [(n, m)] residuals over their standard deviation
-    physical : [(n, m)] residuals in the channels' units
-    noise : (m,) standard deviations of the channels
-    cost : sum of squares of ``white``
-    logdet : (S,) sum of the logarithms of the standard deviations in each segment, 0 for replays
+    Attributes
+    ----------
+    trajectory : Trajectory
+        Outputs of the model, with the estimated start states, biases and delays.
+    white : list of (n, m) array
+        Residuals over their standard deviation.
+    physical : list of (n, m) array
+        Residuals in the channels' units.
+    noise : (m,) array
+        Standard deviations of the channels.
+    cost : float
+        Sum of squares of ``white``.
+    logdet : (S,) array
+        Sum of the logarithms of the standard deviations in each segment; 0 for replays.
     """
 
     trajectory: Trajectory
@@ -115,19 +129,21 @@ class Residuals:
 
 
 class Estimator(Protocol):
-    """How a model is fitted to flights and judged by them."""
+    """Protocol of an estimator: how a model is fitted to flights and judged by them."""
 
     @property
     def turbulence(self) -> TurbulenceModel | None:
-        """The air that the estimator assumes; None: calm."""
+        """The air that the estimator assumes; None for calm air."""
 
     @property
     def least_critical_t(self) -> float:
-        """|t| below which no effect is named, however few the candidates."""
+        """|t| below which no effect is named, however few candidates there are."""
 
     @property
     def uses_replays(self) -> bool:
-        """Whether models are fitted by replays, as `identify` does, and not by linear steps."""
+        """Whether models are fitted by replays, like those of `identify`, and not by linear
+        steps.
+        """
 
     @property
     def detects_colour(self) -> bool:
@@ -135,34 +151,36 @@ class Estimator(Protocol):
 
     @property
     def description(self) -> tuple[str, ...]:
-        """Notes about the air for whoever reads the result."""
+        """Notes about the air for the result."""
 
     @property
     def trail_prefix(self) -> str:
-        """What each line of the search's record begins with."""
+        """Prefix of each line of the search's record."""
 
     def prepare(self, aircraft: Aircraft, data: FlightData) -> FlightData:
-        """The data of flights with the sensor noise from which the estimator starts."""
+        """Return the data with the sensor noise from which the estimator starts."""
 
     def air_of(
         self, aircraft: Aircraft, data: FlightData, point: ModelState, pool: Processes
     ) -> TurbulenceModel | None:
-        """The air of other flights, estimated with a model and sensors as they are at a point."""
+        """Estimate the air of other flights with the model and sensors at a point."""
 
     def is_coloured(self, data: FlightData) -> bool:
-        """Whether the spread of all candidates' t measures chance, instead of white noise."""
+        """Return whether the spread of all candidates' t, instead of white noise, measures
+        chance.
+        """
 
     def required_gain(self, effect: Effect) -> float:
-        """Gain in twice the log likelihood asked of a candidate besides its |t|."""
+        """Return the gain in 2 ln L required of a candidate besides its |t|."""
 
     def critical_t(
         self, information: Information, free: Sequence[str], candidates: Sequence[str]
     ) -> float:
-        """|t| that an effect must exceed beside the ``free`` columns."""
+        """Return the |t| that an effect must exceed beside the ``free`` columns."""
 
     def refutes(self, t: float, critical_t: float) -> tuple[bool, bool]:
-        """Whether a candidate of that |t| which no simulation confirmed is reported, and whether
-        something must be missing then.
+        """Return whether a candidate that no simulation confirmed is reported at this |t|, and
+        whether the model then certainly lacks something.
         """
 
     def information(
@@ -172,8 +190,8 @@ class Estimator(Protocol):
         regressors: Sequence[Columns],
         candidates: Sequence[Effect] = (),
     ) -> Information:
-        """Information of the fit's own columns beside further ``regressors``, those of
-        ``candidates`` among them.
+        """Return the normal equations of the fit's columns and of ``regressors``, which include
+        those of ``candidates``.
         """
 
     def fit(
@@ -200,7 +218,7 @@ class Estimator(Protocol):
         names: Sequence[str],
         pool: Processes,
     ) -> tuple[FlightData, Linearisation]:
-        """The flights linearised about a ``trajectory``, parameters at ``point``."""
+        """Linearise the flights about a ``trajectory`` with the parameters of ``point``."""
 
     def residuals(
         self,
@@ -211,29 +229,29 @@ class Estimator(Protocol):
         noise: FloatArray,
         pool: Processes,
     ) -> Residuals:
-        """What the model leaves; only start states, biases and delays are estimated.
+        """Return the residuals of a model; only start states, biases and delays are estimated.
 
-        noise : (m,) of `evaluation_noise`; a filter has its own
+        ``noise`` (m,) is that of `evaluation_noise`; a filter has its own.
         """
 
     def evaluation_noise(self, aircraft: Aircraft, data: FlightData) -> FloatArray:
-        """(m,) noise that residual tables refer to."""
+        """Return the noise (m,) to which residual tables refer."""
 
     def same_samples(self, keys: Collection[str], other_keys: Collection[str]) -> bool:
-        """Whether models with these effects are judged by the same samples."""
+        """Return whether models with these effects are judged by the same samples."""
 
     def unexplained_moments(self) -> dict[str, float]:
-        """Angular rate -> gain of allowing for moments about its axis that no effect explains."""
+        """Return, by angular rate, the gain of moments about its axis that no effect explains."""
 
 
 def estimator_for(turbulence: TurbulenceModel | None) -> Estimator:
-    """The estimator for flights in such air."""
+    """Return the estimator for flights in such air."""
     return ReplayEstimator() if turbulence is None else PredictionErrorEstimator(turbulence)
 
 
 @dataclass(frozen=True)
 class Dataset:
-    """Train or test flights, and the air that they met; None: calm."""
+    """Training or hold-out flights, and their air (None if calm)."""
 
     setup: FlightData
     turbulence: TurbulenceModel | None = None
@@ -246,7 +264,7 @@ class Dataset:
 
 @dataclass(frozen=True)
 class ReplayEstimator:
-    """Output error: replays in calm air, sensor noise alone."""
+    """Output error in calm air: replays with sensor noise alone."""
 
     turbulence: None = None
     least_critical_t: float = 0.0
@@ -256,13 +274,13 @@ class ReplayEstimator:
     trail_prefix: str = ""
 
     def prepare(self, aircraft: Aircraft, data: FlightData) -> FlightData:
-        """The data as it is."""
+        """Return the data unchanged."""
         return data
 
     def air_of(
         self, aircraft: Aircraft, data: FlightData, point: ModelState, pool: Processes
     ) -> TurbulenceModel | None:
-        """Calm."""
+        """Return None: the air is calm."""
         return None
 
     def is_coloured(self, data: FlightData) -> bool:
@@ -276,11 +294,11 @@ class ReplayEstimator:
     def critical_t(
         self, information: Information, free: Sequence[str], candidates: Sequence[str]
     ) -> float:
-        """|t| that the largest of the candidates reaches by chance."""
+        """Return the |t| that the largest of the candidates reaches by chance."""
         return critical_t_of(information, free, candidates)
 
     def refutes(self, t: float, critical_t: float) -> tuple[bool, bool]:
-        """Always reported; strong where linearisation cannot have made it up."""
+        """Return True, and whether |t| exceeds what linearisation errors cause."""
         return True, abs(t) > OVERWHELMING
 
     def information(
@@ -290,7 +308,7 @@ class ReplayEstimator:
         regressors: Sequence[Columns],
         candidates: Sequence[Effect] = (),
     ) -> Information:
-        """Information from the residuals of replays."""
+        """Return the normal equations of replays."""
         return _information(data, fit, regressors, data.measured, None)
 
     def fit(
@@ -302,7 +320,7 @@ class ReplayEstimator:
         limits: Limits,
         pool: Processes,
     ) -> ModelFit:
-        """Output error from the start whose replay is nearest to the flights."""
+        """Minimise output error from the start whose replay is closest to the flights."""
         nearest = best_flown(bench.model, data, starts, pool)
         fit = refit(bench.model, bench.direct_model, data, nearest.point, names, limits, pool)
         return ModelFit(data, fit, fit.trajectory.cost)
@@ -316,7 +334,7 @@ class ReplayEstimator:
         names: Sequence[str],
         pool: Processes,
     ) -> tuple[FlightData, Linearisation]:
-        """The flights linearised about their replays."""
+        """Linearise the flights about their replays."""
         shifted = replace(trajectory, point=point)
         return data, fit_at(bench.model, bench.direct_model, data, names, shifted, pool)
 
@@ -329,29 +347,31 @@ class ReplayEstimator:
         noise: FloatArray,
         pool: Processes,
     ) -> Residuals:
-        """Measurement minus replay, start states sought from those of ``estimate``."""
+        """Return measurement minus replay; start states are estimated from those of
+        ``estimate``.
+        """
         trajectory = replay_from(bench.model, data, replace(start, nuisance={}), pool, estimate)
         physical = replay_residuals(data, trajectory)
         white = [r / data.noise for r in physical]
         return Residuals(trajectory, white, physical, noise, trajectory.cost, (0.0,) * len(white))
 
     def evaluation_noise(self, aircraft: Aircraft, data: FlightData) -> FloatArray:
-        """Noise that `compare` uses, but for channels that an estimator computed."""
+        """Return the noise that `compare` uses, except for channels of an estimator."""
         computed = np.isin(data.outputs, estimated_channels(data))
         return np.where(computed, data.noise, output_noise(aircraft, data.measured, data.outputs))
 
     def same_samples(self, keys: Collection[str], other_keys: Collection[str]) -> bool:
-        """Replays use every sample."""
+        """Return True: replays use every sample."""
         return True
 
     def unexplained_moments(self) -> dict[str, float]:
-        """None: calm air exerts no moments."""
+        """Return nothing: calm air exerts no moments."""
         return {}
 
 
 @dataclass(frozen=True)
 class PredictionErrorEstimator:
-    """Prediction error: one-step predictions of a Kalman filter, with process noise of gusts."""
+    """Prediction error in turbulence: one-step predictions of a Kalman filter with gust states."""
 
     turbulence: TurbulenceModel
     least_critical_t: float = TURBULENCE_CRITICAL_T
@@ -362,7 +382,7 @@ class PredictionErrorEstimator:
 
     @property
     def description(self) -> tuple[str, ...]:
-        """How turbulence was recognised, and how the gusts act."""
+        """Notes on how turbulence was recognised, and on the gusts."""
         gain = self.turbulence.gain
         gain_words = f"{gain:.4g}" if gain < DIVERGED else "over a million"
         note = (
@@ -373,14 +393,16 @@ class PredictionErrorEstimator:
         return (note,)
 
     def prepare(self, aircraft: Aircraft, data: FlightData) -> FlightData:
-        """The data with the card's noise: differences of an accelerometer see gusts as noise."""
+        """Return the data with the card's noise, because samples in gusts overstate an
+        accelerometer's.
+        """
         return setup_in_gusts(aircraft, data)
 
     def air_of(
         self, aircraft: Aircraft, data: FlightData, point: ModelState, pool: Processes
     ) -> TurbulenceModel | None:
-        """The air from this one on; this one itself where no filter follows the flights with such
-        a model.
+        """Estimate the air from this one; keep it where no filter follows the flights with such a
+        model.
         """
         with StagedModels(aircraft, data) as bench:
             data = with_sensors_of(data, aircraft)
@@ -409,11 +431,11 @@ class PredictionErrorEstimator:
     def critical_t(
         self, information: Information, free: Sequence[str], candidates: Sequence[str]
     ) -> float:
-        """The critical value for chance, at least that for errors of the gust model."""
+        """Return the critical value for chance, at least that for errors of the gust model."""
         return max(sidak_critical_t(len(candidates)), self.least_critical_t)
 
     def refutes(self, t: float, critical_t: float) -> tuple[bool, bool]:
-        """Reported where gusts estimated with the effect cannot explain it."""
+        """Return whether gusts that are estimated with the effect cannot explain it."""
         strong = abs(t) > critical_t + DIFFERENT
         return strong, strong
 
@@ -424,8 +446,8 @@ class PredictionErrorEstimator:
         regressors: Sequence[Columns],
         candidates: Sequence[Effect] = (),
     ) -> Information:
-        """Information from innovations of the filter, their colour that of the likeliest model with
-        at most one of the candidates.
+        """Return the normal equations of innovations, with the colour of the likeliest model with
+        at most one candidate.
         """
         measured, turbulence = in_step(data, fit.trajectory.point), self.turbulence
         if turbulence.colour is not None and candidates:
@@ -450,10 +472,10 @@ class PredictionErrorEstimator:
         limits: Limits,
         pool: Processes,
     ) -> ModelFit:
-        """Parameters, air and sensor noise at once, from the first start.
+        """Estimate parameters, air and sensor noise together, from the first start.
 
-        What an effect did was noise to the sensors, and a filter that follows vanes late finds
-        their scales and rates.
+        Without the effect its contribution appeared as sensor noise, and a filter that follows
+        vanes too slowly biases their scales and rates.
         """
         result = gust_refit(
             bench.model,
@@ -477,7 +499,7 @@ class PredictionErrorEstimator:
         names: Sequence[str],
         pool: Processes,
     ) -> tuple[FlightData, Linearisation]:
-        """The flights linearised about one-step predictions in the same air."""
+        """Linearise the flights about one-step predictions in the same air."""
         result = gust_refit(
             bench.model,
             bench.direct_model,
@@ -501,10 +523,10 @@ class PredictionErrorEstimator:
         noise: FloatArray,
         pool: Processes,
     ) -> Residuals:
-        """Innovations at the rows of the record.
+        """Return innovations at the rows of the record.
 
-        A model so far off that no filter follows it is judged by its outputs at the measured
-        states.
+        Where no filter follows the flights with a model, its outputs at the measured states are
+        used.
         """
         models = bench.model, bench.direct_model
         try:
@@ -526,28 +548,28 @@ class PredictionErrorEstimator:
         return Residuals(trajectory, white, physical, filter_noise, cost, tuple(logdet))
 
     def evaluation_noise(self, aircraft: Aircraft, data: FlightData) -> FloatArray:
-        """The noise that the fit assumed."""
+        """Return the noise of the fit."""
         return data.noise
 
     def same_samples(self, keys: Collection[str], other_keys: Collection[str]) -> bool:
-        """A sensor's delay takes samples away from predictions."""
+        """Return whether both models have the same delays of sensors, which remove samples."""
         differing = {*keys} ^ {*other_keys}
         return not any(k.startswith("effect/sensor.") and k.endswith("/delay") for k in differing)
 
     def unexplained_moments(self) -> dict[str, float]:
-        """Gains above that of certain effects."""
+        """Return the gains above that of a certain effect."""
         gains = zip(_AXES, self.turbulence.moments.tolist(), strict=False)
         return {rate: gain for rate, gain in gains if gain > CERTAIN_T**2}
 
 
 def depends_on_wind_rates(effect: Effect) -> bool:
-    """Whether an effect is a term with the rates of the wind angles, as turning air has."""
+    """Return whether an effect contains the rates of the wind angles, like air that rotates."""
     term = effect.parsed
     return term is not None and any(v in ("alphadot_hat", "betadot_hat") for v in term.variables)
 
 
 def confirming_segments(data: FlightData) -> NDArray[np.bool_]:
-    """(S,) every third manoeuvre of each kind, which confirms what the others say.
+    """Return a mask (S,) of every third manoeuvre of each kind, which confirm the others.
 
     The kind is a manoeuvre's label without speeds and numbers.
     """
@@ -565,7 +587,7 @@ def _information(
     measured: Sequence[FloatArray],
     turbulence: TurbulenceModel | None,
 ) -> Information:
-    """Normal equations of a fit's own columns beside further regressors."""
+    """Return the normal equations of a fit's columns and further regressors."""
     columns = merged(fit.columns, regressors)
     process = None if turbulence is None else turbulence.process
     colour = None if turbulence is None else turbulence.colour
@@ -586,9 +608,9 @@ def replay_from(
     pool: Processes,
     estimate: ModelState | None = None,
 ) -> Trajectory:
-    """Replays from the start states, biases and delays that fit best, as `compare` has them.
+    """Return replays from the start states, biases and delays that fit best, as `compare` does.
 
-    They are sought from those of ``estimate``, where there is one.
+    The fit starts from those of ``estimate``, if given.
     """
     trajectory = fly(model, data, start, pool)
     if not np.isfinite(trajectory.cost):
@@ -605,15 +627,15 @@ def replay_from(
 
 
 def replay_residuals(data: FlightData, trajectory: Trajectory) -> list[FloatArray]:
-    """[(n, m)] measurement minus replay."""
+    """Return measurement minus replay, (n, m) per segment."""
     return [z - y for z, y in zip(data.measured, trajectory.outputs, strict=True)]
 
 
 def _at_recorded_rows(
     data: FlightData, point: ModelState, rows: Sequence[FloatArray]
 ) -> list[FloatArray]:
-    """[(n, m)] residuals of predictions at the rows of their samples in the record; 0 where no
-    sample was used.
+    """Return residuals of predictions at their samples' rows in the record, (n, m) per segment; 0
+    where no sample was used.
     """
     pairs = ((rows_late(data, s, point), r) for s, r in zip(data.segments, rows, strict=True))
     return [
@@ -632,9 +654,13 @@ def _at_recorded_rows(
 class OutputErrorFit:
     """The model without effects, fitted by output error.
 
-    names, excited : parameters that the flights determine, and that they excite
-    noise : (m,) of the outputs; that of channels which an autopilot's estimator computed is what
-        the fit leaves of them, for no card states an estimator's error
+    Attributes
+    ----------
+    names, excited : tuple of str
+        Parameters that the flights determine, and those that they excite.
+    noise : (m,) array
+        Noise of the outputs. For channels of an autopilot's estimator it is the residual of the
+        fit, because no card states an estimator's error.
     """
 
     fit: Linearisation
@@ -652,9 +678,9 @@ def fit_without_effects(
     limits: Limits,
     pool: Processes,
 ) -> OutputErrorFit:
-    """Fit the parameters of the model as it is.
+    """Fit the parameters of the model without effects.
 
-    Parameters that a missing effect drives to a bound keep their value here and are free beside
+    Parameters that a missing effect drives to a limit keep their value here and are estimated with
     effects; in an autopilot's log they stay fixed.
     """
     model, direct = bench.model, bench.direct_model
@@ -716,7 +742,7 @@ def fit_in_turbulence(
     limits: Limits,
     pool: Processes,
 ) -> ModelFit:
-    """Fit the model without effects and the air by prediction error, from output error's answer."""
+    """Fit the model without effects and the air by prediction error, starting from output error."""
     result = gust_refit(
         bench.model,
         bench.direct_model,
@@ -731,15 +757,15 @@ def fit_in_turbulence(
 
 
 def looks_turbulent(data: FlightData, fit: Linearisation) -> bool:
-    """Whether the residuals of replays look like process noise."""
+    """Return whether the residuals of replays resemble process noise."""
     return turbulent(data, fit.trajectory)
 
 
 def with_residual_noise(data: FlightData, fit: Linearisation) -> ModelFit:
-    """The fit with the noise that it leaves where that is less than the card's.
+    """Return the fit with the noise of its residuals where that is less than the card's.
 
-    Noise taken twice as large halves every t. It is at least `QUIETER` of the card's; a missing
-    effect is part of what the fit leaves, so that noise is hardly taken too small.
+    Noise that is twice too large halves every t. The noise is at least `QUIETER` of the card's.
+    Missing effects are part of the residuals, so it is rarely too small.
     """
     noise = np.clip(_residual_rms(data, fit.trajectory), QUIETER * data.noise, data.noise)
     data = replace(data, noise=noise)
@@ -752,13 +778,13 @@ def with_residual_noise(data: FlightData, fit: Linearisation) -> ModelFit:
 
 
 def _residual_rms(data: FlightData, trajectory: Trajectory) -> FloatArray:
-    """(m,) rms of what replays leave of each output."""
+    """Return the rms (m,) of the residuals of replays."""
     residual = np.concatenate(replay_residuals(data, trajectory))
     return np.asarray(np.sqrt(np.nanmean(residual**2, axis=0)))
 
 
 def note_unestimated(requested: Sequence[str], names: Sequence[str]) -> list[str]:
-    """A note about requested parameters that are not among the ``names`` estimated, if any."""
+    """Return a note about requested parameters that were not estimated, if any."""
     fixed = ", ".join(n for n in requested if n not in names)
     text = f"not excited or not determined by these flights and left as they are: {fixed}"
     return [text] if fixed else []
@@ -769,16 +795,14 @@ def note_unestimated(requested: Sequence[str], names: Sequence[str]) -> list[str
 
 
 def carried_effects(data: FlightData) -> dict[str, str]:
-    """Key -> property of the active effects that a fit of replays estimates: all carried ones but
-    those of servos.
+    """Return key and property of the active effects that a fit of replays estimates: all with a
+    property except those of servos.
     """
     return {key: place.name for key, place in data.carriers.items() if place.servo is None}
 
 
 def moves_sensors(data: FlightData, point: ModelState) -> bool:
-    """Whether an active effect moves a sensor; replays of a fit have their sensors where the card
-    says.
-    """
+    """Return whether an active effect moves a sensor; replays of a fit use the card's positions."""
     return any("/place_" in e.key and point.effects.get(e.key) for e in data.active)
 
 
@@ -791,18 +815,27 @@ def fit_output_error(
     pool: Processes,
     absent: Collection[str] = (),
 ) -> Trajectory | None:
-    """Estimate properties, carried effects, start states and nuisances at once on replays.
+    """Estimate properties, effects, start states and nuisance together on replays.
 
     Parameters
     ----------
-    model : the aircraft with the active effects of ``data``
-    point : where the fit begins; what it does not estimate keeps the value it has there
-    names : properties to estimate, with their ``limits``
-    absent : keys of active effects that stay at zero
+    model : ReplayModel
+        The aircraft with the active effects of ``data``.
+    data : FlightData
+    point : ModelState
+        Start of the fit; what it does not estimate keeps its value.
+    names : sequence of str
+        Properties to estimate.
+    limits : mapping
+        Their limits.
+    pool : Processes
+    absent : collection of str
+        Keys of active effects that stay zero.
 
     Returns
     -------
-    The replay at the estimates, or None if the fit did not converge.
+    Trajectory or None
+        The replay at the estimates; None if the fit did not converge.
     """
     unlimited = (-np.inf, np.inf)
     # Effects in the equations of motion are properties of the XML; those of sensors act on outputs.

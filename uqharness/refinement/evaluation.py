@@ -1,5 +1,6 @@
-"""A model evaluated on flights: residuals of channels and coefficients, with start states, biases
-and delays estimated anew; and the tables of refinement.json made of two evaluations.
+"""Evaluate a model on flights: residuals of channels and coefficients.
+
+Start states, biases and delays are estimated anew. `residual_tables` compares two evaluations.
 """
 
 from __future__ import annotations
@@ -32,10 +33,9 @@ from uqharness.simulator import Aircraft
 
 @dataclass(frozen=True)
 class Replays:
-    """Replays of flights that predictions judged, as `compare` has them.
+    """Replays of flights that were judged by predictions, as `compare` makes them.
 
-    residual : [(n, m)] in the channels' units
-    noise : (m,) of the channels
+    ``residual`` (n, m) per segment is in the channels' units, ``noise`` (m,) is theirs.
     """
 
     trajectory: Trajectory
@@ -47,11 +47,26 @@ class Replays:
 class Evaluation:
     """One model on some flights.
 
-    residual : [(n, m)] of replays or one-step predictions; noise: (m,) of the channels
-    coefficients : [(n, 6)] demanded by the flight minus the model's; floor: (6,) their noise
-    white : [(n, m)] residuals over their standard deviation; cost: sum of their squares
-    logdet : (S,) of each segment, sum of the logarithms of standard deviations; 0 for replays
-    replays : of flights judged by predictions, the model's replays where they were asked for
+    Attributes
+    ----------
+    trajectory : Trajectory
+        Replays or predictions.
+    residual : list of (n, m) array
+        Residuals of replays or of one-step predictions.
+    noise : (m,) array
+        Noise of the channels.
+    coefficients : list of (n, 6) array
+        Coefficients that the flight demands minus the model's.
+    floor : (6,) array
+        Noise of ``coefficients``.
+    white : list of (n, m) array
+        Residuals over their standard deviation.
+    cost : float
+        Sum of squares of ``white``.
+    logdet : tuple of float
+        Sum of the logarithms of the standard deviations in each segment; 0 for replays.
+    replays : Replays or None
+        The model's replays of flights judged by predictions.
     """
 
     trajectory: Trajectory
@@ -66,15 +81,15 @@ class Evaluation:
 
     @property
     def neg2_log_likelihood(self) -> float:
-        """Minus twice the log likelihood, less a constant."""
+        """Minus twice the log likelihood, up to a constant."""
         return self.cost + 2.0 * sum(self.logdet)
 
     def channel_rms(self, k: int) -> float:
-        """Rms of channel ``k``'s residual over all flights."""
+        """Return the rms of channel ``k``'s residual over all flights."""
         return rms(np.concatenate([r[:, k] for r in self.residual]))
 
     def coefficient_rms(self, k: int) -> float:
-        """Rms of coefficient ``k``'s residual over all flights."""
+        """Return the rms of coefficient ``k``'s residual over all flights."""
         return rms(np.concatenate([g[:, k] for g in self.coefficients]))
 
 
@@ -83,9 +98,9 @@ def evaluate(
 ) -> Evaluation:
     """Evaluate an aircraft on flights; only start states, biases and delays are estimated.
 
-    ``point`` has properties that differ from the aircraft's XML, and effects of its sensors. Biases
-    and delays are sought from those of the point; start states from those it has, or as measured;
-    in turbulence always as measured.
+    ``point`` holds properties that differ from the aircraft's XML, and effects of its sensors.
+    Biases and delays start from the point's; start states from its own or from measurements, in
+    turbulence always from measurements.
     """
     data, estimator = dataset.setup, dataset.estimator
     with StagedModels(aircraft, data) as bench:
@@ -124,8 +139,9 @@ def evaluate(
 def with_replays(
     evaluation: Evaluation, aircraft: Aircraft, dataset: Dataset, pool: Processes, point: ModelState
 ) -> Evaluation:
-    """An evaluation by predictions with the model's replays, whose noise and delays are those of
-    `compare`; other arguments of `evaluate`.
+    """Add the model's replays to an evaluation by predictions; other parameters as `evaluate`.
+
+    Their noise and delays are those of `compare`.
     """
     data = dataset.setup
     with StagedModels(aircraft, data) as bench:
@@ -140,7 +156,7 @@ def with_replays(
 
 
 def _with_smoothed_commands(segment: Segment, flight: Flight, ideal: Sequence[str]) -> Segment:
-    """The segment with commands of ideal servos delayed as the smoothed rates are."""
+    """Return the segment with commands of ideal servos delayed like smoothed rates."""
     controls = segment.controls.copy()
     for k in (k for k, c in enumerate(CONTROLS) if c in ideal):
         controls[:, k] = delayed_command(controls[:, k], segment.time_s, flight.smoothing_delay_s())
@@ -148,14 +164,17 @@ def _with_smoothed_commands(segment: Segment, flight: Flight, ideal: Sequence[st
 
 
 def residual_tables(data: FlightData, before: Evaluation, after: Evaluation) -> ResidualTables:
-    """Residuals before and after, for refinement.json: channels of replays, as `compare` has them,
-    and errors of predictions where those judged.
+    """Return residuals before and after, for refinement.json.
+
+    They are channels of replays, as `compare` has them, and errors of predictions where these
+    judged.
     """
     replays_before, replays_after = before.replays or before, after.replays or after
 
     def rows(
         names: Sequence[str], b: Sequence[FloatArray], a: Sequence[FloatArray], noise: FloatArray
     ) -> dict[str, BeforeAfter]:
+        """Return a table of names with rms before and after."""
         columns = zip(names, np.concatenate(b).T, np.concatenate(a).T, noise.tolist(), strict=True)
         return {
             c: BeforeAfter(rms_before=rms(x), rms_after=rms(y), noise_rms=n)
@@ -163,6 +182,7 @@ def residual_tables(data: FlightData, before: Evaluation, after: Evaluation) -> 
         }
 
     def theil_mean(trajectory: Trajectory) -> float:
+        """Return the mean of Theil's coefficient over the channels."""
         z, y = (np.concatenate(rows) for rows in (data.measured, trajectory.outputs))
         return float(np.nanmean([theil(z[:, k], y[:, k]).u for k in range(len(data.outputs))]))
 
@@ -190,21 +210,26 @@ def residual_tables(data: FlightData, before: Evaluation, after: Evaluation) -> 
 
 @dataclass(frozen=True)
 class Excess:
-    """What flights leave beyond noise.
+    """Residuals beyond noise.
 
-    above : channel -> rms over noise, above NOISE_FLOOR
-    coloured : channels whose residual is not white
+    Attributes
+    ----------
+    above : mapping
+        Channel to its rms over noise, above NOISE_FLOOR.
+    coloured : tuple of str
+        Channels whose residual is not white.
     """
 
     above: dict[str, float]
     coloured: tuple[str, ...]
 
     def __bool__(self) -> bool:
+        """Return whether there are any."""
         return bool(self.above) or bool(self.coloured)
 
 
 def excess_residuals(data: FlightData, evaluation: Evaluation, estimator: Estimator) -> Excess:
-    """What a model leaves of flights, beyond noise."""
+    """Return the channels in which a model's residuals exceed noise or are coloured."""
     ratios = {
         c: evaluation.channel_rms(k) / float(evaluation.noise[k])
         for k, c in enumerate(data.outputs)

@@ -1,10 +1,10 @@
-"""The hold-out test: what other flights say of the effects that train flights chose.
+"""Hold-out test: whether flights that did not select the effects confirm them.
 
-An effect without which the test flights are met as well, or better, is withdrawn. Where the train
-flights leave something unexplained, which many candidates resemble a little, an effect must be
-visible on the test flights. Nothing is chosen here: each effect is left out alone, the others and
-the parameters are estimated again on the train flights, and both models are evaluated on the test
-flights.
+An effect without which the hold-out flights are predicted as well, or better, is withdrawn. If the
+training flights leave something unexplained, which many candidates resemble a little, an effect
+must be visible on the hold-out flights. Nothing is selected here: each effect is left out alone,
+the others and the parameters are estimated again on the training flights, and both models are
+evaluated on the hold-out flights.
 """
 
 from __future__ import annotations
@@ -68,13 +68,21 @@ BEYOND_CHANCE = 1.645
 
 @dataclass(frozen=True)
 class Verdict:
-    """What the test flights say of one effect.
+    """Verdict of the hold-out flights on one effect.
 
-    change : rise of minus twice the log likelihood without the effect; std: its standard error
-    residual_ratio : rms of the better model's residuals over noise, relative to the train flights
-    excess_t2 : t^2 of both sides together, less the square of critical_t
-    difference_ss : sum of squares of the difference of both models' predictions, whitened; and the
-        residual sum of squares without the effect less that with it
+    Attributes
+    ----------
+    change : float
+        Increase of minus twice the log likelihood without the effect.
+    std : float
+        Its standard error.
+    residual_ratio : float
+        Rms of the better model's residuals over noise, relative to the training flights.
+    excess_t2 : float
+        t^2 of training and hold-out flights together, less the square of critical_t.
+    difference_ss : tuple of float
+        Sum of squares of the difference of both models' whitened predictions, and the residual sum
+        of squares without the effect less that with it.
     """
 
     change: float
@@ -85,29 +93,33 @@ class Verdict:
 
     @property
     def share(self) -> tuple[float, float]:
-        """Share of the effect's estimate that fits the test flights best, and its standard error.
+        """Share of the effect's estimate that fits the hold-out flights best, and its standard
+        error.
 
         With residuals a without and b with the effect and d = a - b, the share is
-        a.d / d.d = (1 + (a.a - b.b) / d.d) / 2. NaN where the models are the same.
+        a.d / d.d = (1 + (a.a - b.b) / d.d) / 2. NaN if the models are the same.
         """
         size, fall = self.difference_ss
         return (0.5 + 0.5 * fall / size, 0.5 * self.std / size) if size > 0.0 else (np.nan, np.nan)
 
     @property
     def is_visible(self) -> bool:
-        """Whether the test flights show more than half of the effect's estimate, beyond chance."""
+        """Whether the hold-out flights show more than half of the effect's estimate, beyond
+        chance.
+        """
         share, std = self.share
         return share > max(0.5, BEYOND_CHANCE * std)
 
     @property
     def z(self) -> float:
-        """Change over its standard error; 0 where there is none."""
+        """Change over its standard error; 0 without one."""
         return self.change / self.std if self.std > 0.0 else 0.0
 
     @property
     def gap(self) -> HoldOutVerdict:
-        """Whether the residual shrank or grew with the effect; "cannot tell" where chance gives as
-        much; "too far" where the flights judge neither model.
+        """Whether the residual shrank or grew with the effect.
+
+        "cannot tell" if chance gives as much; "too far" if neither model describes the flights.
         """
         if self.residual_ratio > FAR:
             return "too far"
@@ -120,12 +132,18 @@ class Verdict:
 
 @dataclass(frozen=True)
 class HoldOutResult:
-    """What remains, estimated without what was withdrawn; residuals before and after.
+    """What remains after the hold-out test, estimated without withdrawn effects.
 
-    result : the model that remains
-    verdicts : of every effect by key, beside the others that remained when it was judged last
-    train, test : flights, evaluation without effects, evaluation of the model that remains
-    sides : train and test flights
+    Attributes
+    ----------
+    result : SearchResult
+        The remaining model.
+    verdicts : mapping
+        Verdict of every effect by key, beside the others that remained when it was last judged.
+    train, test : tuple
+        Flights, evaluation without effects, and evaluation of the remaining model.
+    sides : tuple of Dataset
+        Training and hold-out flights.
     """
 
     result: SearchResult
@@ -138,9 +156,10 @@ class HoldOutResult:
 
 @dataclass
 class HoldOutTest:
-    """Evaluates models on both sides and withdraws effects one by one, the most harmful first.
+    """Test that evaluates models on both sides and withdraws effects one by one, the worst first.
 
-    chosen : the model that the train flights chose; complete: the aircraft with all its effects
+    ``chosen`` is the model that the training flights selected, ``complete`` the aircraft with all
+    its effects.
     """
 
     chosen: SearchResult
@@ -151,7 +170,7 @@ class HoldOutTest:
     pool: Processes
 
     def run(self) -> HoldOutResult:
-        """Judge every effect; withdraw until nothing more is to be withdrawn."""
+        """Judge every effect, and withdraw until all remaining ones stay."""
         remaining, evaluation = self.chosen, self._test_after
         verdicts: dict[str, Verdict] = {}
         withdrawn: list[SelectedEffect] = []
@@ -186,21 +205,25 @@ class HoldOutTest:
 
     @cached_property
     def _train_before(self) -> Evaluation:
+        """Evaluation of the training flights without effects."""
         point = self.chosen.before.trajectory.point
         return self._evaluate(without_effects(self.chosen), self.train, point)
 
     @cached_property
     def _train_after(self) -> Evaluation:
+        """Evaluation of the training flights with all effects."""
         if not self.chosen.selection.chosen:
             return self._train_before
         return self._evaluate(self.chosen, self.train, self.chosen.after.trajectory.point)
 
     @cached_property
     def _test_before(self) -> Evaluation:
+        """Evaluation of the hold-out flights without effects."""
         return self._evaluate(without_effects(self.chosen), self.test, None)
 
     @cached_property
     def _test_after(self) -> Evaluation:
+        """Evaluation of the hold-out flights with all effects."""
         if not self.chosen.selection.chosen:
             return self._test_before
         return self._evaluate(self.chosen, self.test, None)
@@ -210,9 +233,10 @@ class HoldOutTest:
     def _rivals(
         self, remaining: SearchResult, evaluation: Evaluation, withdrawn: Sequence[str]
     ) -> dict[str, tuple[SearchResult, Evaluation]]:
-        """Effect -> the model without it, estimated on the train flights, evaluated on the others.
+        """Return, for each effect, the model without it and its evaluation on the hold-out flights.
 
-        evaluation : the ``remaining`` model on the test flights
+        The models are estimated on the training flights. ``evaluation`` is that of the
+        ``remaining`` model on the hold-out flights.
         """
         keys = [*remaining.selection.values]
         if len(keys) == 1:
@@ -227,7 +251,7 @@ class HoldOutTest:
         evaluation: Evaluation,
         rivals: Mapping[str, tuple[SearchResult, Evaluation]],
     ) -> dict[str, Verdict]:
-        """What the test flights say of each remaining effect."""
+        """Return the verdict on each remaining effect."""
         keys = list(rivals)
         verdicts = {}
         for c in remaining.selection.chosen:
@@ -251,8 +275,9 @@ class HoldOutTest:
         return verdicts
 
     def _effect_to_withdraw(self, verdicts: Mapping[str, Verdict]) -> str | None:
-        """The effect that the test flights contradict most; beside something unexplained also one
-        that they do not show.
+        """Return the effect that the hold-out flights contradict most.
+
+        Beside unexplained residuals also one that they do not show; None if all stay.
         """
         worst = min(verdicts, key=lambda k: verdicts[k].z)
         if verdicts[worst].gap == "grew":
@@ -265,26 +290,31 @@ class HoldOutTest:
     def _compare(
         self, rival: Evaluation, evaluation: Evaluation, excess_t2: float = np.inf
     ) -> Verdict:
+        """Compare a model without an effect to one with it."""
         return compare(rival, evaluation, self.test.setup, self._train_after, excess_t2)
 
     def _evaluate(
         self, model: SearchResult, side: Dataset, initial: ModelState | None
     ) -> Evaluation:
+        """Evaluate a model on one side."""
         aircraft, values = flown_as(model, self.chosen, self.complete, self.write)
         return evaluate(aircraft, side, self.pool, point_as_written(model, values, initial))
 
     def _leave_out(self, keys: Sequence[str]) -> SearchResult:
+        """Return the selected model estimated without some effects."""
         return leave_out(self.chosen, self._information, keys)
 
     def _refit(self, remaining: SearchResult) -> SearchResult:
+        """Estimate the remaining model again by output error."""
         return refit_remaining(remaining, self.chosen, self.complete, self.pool)
 
     def _before_and_after(
         self, remaining: SearchResult, side: Dataset, before: Evaluation, after: Evaluation
     ) -> tuple[FlightData, Evaluation, Evaluation]:
-        """Evaluations before and after, in turbulence with replays."""
+        """Return the evaluations before and after, in turbulence with replays."""
 
         def completed(model: SearchResult, evaluation: Evaluation) -> Evaluation:
+            """Return an evaluation with replays."""
             if side.estimator.uses_replays:
                 return evaluation
             aircraft, values = flown_as(model, self.chosen, self.complete, self.write)
@@ -295,17 +325,21 @@ class HoldOutTest:
         return side.setup, first, first if after is before else completed(remaining, after)
 
     def _leaves_something(self, fitted: Evaluation) -> bool:
-        """Whether the train flights, or a curve of the wrong form, leave something unexplained."""
+        """Return whether the training flights, or a curve of another form, leave something
+        unexplained.
+        """
         if self.chosen.mismatch is not None:
             return True
         return bool(excess_residuals(self.train.setup, fitted, self.chosen.estimator))
 
     @cached_property
     def _information(self) -> Information:
+        """Information of the training flights without effects."""
         return train_information(self.chosen)
 
     @cached_property
     def _both_sides(self) -> TrainTestInformation:
+        """Information of training and hold-out flights."""
         return train_test_information(
             self.chosen,
             self._information,
@@ -323,6 +357,7 @@ class HoldOutTest:
         keys: Sequence[str],
         key: str | None = None,
     ) -> Verdict:
+        """Return a verdict with the errors of the parameters in its standard error."""
         return with_parameter_uncertainty(verdict, self._both_sides, rival, after, keys, key)
 
 
@@ -336,18 +371,23 @@ def compare(
     fitted: Evaluation,
     train_excess_t2: float = np.inf,
 ) -> Verdict:
-    """The rise of minus twice the log likelihood when an effect is left out.
+    """Return the increase of minus twice the log likelihood when an effect is left out.
 
-    With a and b the whitened residuals without and with it and d = a - b, the rise is
-    sum(a^2 - b^2) = sum(d^2) + 2 sum(b d). What noise e makes of it is 2 sum(e d), the residuals of
-    the better model standing for e. Its variance is that of sums over blocks, so that residuals may
-    be coloured within them. Predictions with another damping have another variance, too: what it
-    changes the squares by, in d, the rise of the logarithms takes back.
+    With the whitened residuals a without and b with the effect and d = a - b, the increase is
+    sum(a^2 - b^2) = sum(d^2) + 2 sum(b d). Noise e contributes 2 sum(e d), with the better model's
+    residuals in place of e. Its variance is computed from sums over blocks, within which residuals
+    may be coloured. Predictions with another damping also have another variance: their logarithms
+    compensate its contribution to the squares.
 
     Parameters
     ----------
-    fitted : the model with its effects on the train flights
-    train_excess_t2 : t^2 on the train flights less the square of critical_t
+    rival, with_effect : Evaluation
+        Evaluations without and with the effect.
+    data : FlightData
+    fitted : Evaluation
+        The model with its effects on the training flights.
+    train_excess_t2 : float
+        t^2 on the training flights less the square of critical_t.
     """
     more_likely = rival
     if with_effect.neg2_log_likelihood <= rival.neg2_log_likelihood:
@@ -372,7 +412,7 @@ def compare(
 
 
 def _mean_square(evaluation: Evaluation) -> float:
-    """Mean square of the residuals over noise."""
+    """Return the mean square of the residuals over noise."""
     return evaluation.cost / sum(int(np.isfinite(w).sum()) for w in evaluation.white)
 
 
@@ -383,8 +423,8 @@ def _mean_square(evaluation: Evaluation) -> float:
 
 @dataclass(frozen=True)
 class TrainTestInformation:
-    """Information of the train and of the test flights, each about its own parameters and no
-    effect; values: those about which the columns of each are.
+    """Information of training and hold-out flights, each linearised about its own parameters
+    without effects; ``values`` are those parameters.
     """
 
     result: SearchResult
@@ -393,8 +433,8 @@ class TrainTestInformation:
     values: tuple[dict[str, float], dict[str, float]]
 
     def t(self, key: str, keys: Sequence[str]) -> float:
-        """t of an effect among others, everything estimated on all flights, corrected as that of
-        the train flights is.
+        """Return the t of an effect among others, estimated on all flights, with the training
+        flights' correction for colour.
         """
         names = [*self.result.names, *keys]
         sides = zip((self.train, self.test), self.values, strict=True)
@@ -406,10 +446,10 @@ class TrainTestInformation:
         return float(value / np.sqrt(variance) * abs(effect.t) / np.sqrt(effect.gain))
 
     def variance(self, differences: Sequence[FloatArray], keys: Sequence[str]) -> float:
-        """Variance of a change of twice the log likelihood by the errors of the parameters and of
-        the effects ``keys``, as train flights estimate them.
+        """Return the variance of a change of 2 ln L due to the errors of parameters and effects.
 
-        differences : [(n, m)] whitened residuals without the effect in question less those with it
+        The errors are those of the training flights' estimates. ``differences`` are whitened
+        residuals without the effect in question less those with it, (n, m) per segment.
         """
         names = [*self.result.names, *keys]
         G, _ = marginal_information(self.train, names, self.values[0])
@@ -428,10 +468,19 @@ def train_test_information(
     evaluation: Evaluation,
     pool: Processes,
 ) -> TrainTestInformation:
-    """Information of both sides.
+    """Return the information of both sides.
 
-    train : of the train flights, about no effect
-    aircraft : with every effect of ``result``; ``evaluation``: it on the test flights
+    Parameters
+    ----------
+    result : SearchResult
+    train : Information
+        Of the training flights, without effects.
+    aircraft : Aircraft
+        With every effect of ``result``.
+    test : Dataset
+    evaluation : Evaluation
+        The aircraft on the hold-out flights.
+    pool : Processes
     """
     values = result.selection.values
     effects = [result.effects[key] for key in values]
@@ -459,10 +508,10 @@ def with_parameter_uncertainty(
     keys: Sequence[str],
     key: str | None = None,
 ) -> Verdict:
-    """The verdict, of one effect by key or of all, with the errors of the train flights' estimates
-    in its standard error; of one effect, with the t of all flights.
+    """Add the errors of the training flights' estimates to the standard error of a verdict.
 
-    keys : of the effects that ``after`` has
+    The verdict of one effect (``key``) also gets the t of all flights. ``keys`` are the effects of
+    ``after``.
     """
     differences = [a - b for a, b in zip(rival.white, after.white, strict=True)]
     # The effect's error is in both terms of the change, and to the first order in neither.
@@ -480,7 +529,7 @@ def linearise_as_written(
     trajectory: Trajectory,
     pool: Processes,
 ) -> tuple[FlightData, Linearisation]:
-    """Flights that an aircraft with everything of ``result`` in its XML flew, linearised there, and
+    """Linearise flights about an aircraft with everything of ``result`` in its XML, and return
     their data.
     """
     stated = {n: v for n, (v, _) in result.parameters.items()}
@@ -497,18 +546,20 @@ def linearise_as_written(
 def flown_as(
     model: SearchResult, chosen: SearchResult, complete: Aircraft, write: Write
 ) -> tuple[Aircraft, dict[str, float]]:
-    """An aircraft and property values with which it flies as ``model``.
+    """Return an aircraft and property values with which it flies as ``model``.
 
-    That is the complete one, because each further XML would be compiled anew; a copy is written
-    where a number of the model is in the XML alone.
+    It is the complete aircraft, because another XML would be compiled anew. A copy is written if a
+    number of the model exists in the XML alone.
     """
     values = property_values(model, chosen)
     return (write(model), {}) if values is None else (complete, values)
 
 
 def property_values(model: SearchResult, chosen: SearchResult) -> dict[str, float] | None:
-    """Properties with which an aircraft that has the effects of ``chosen`` flies as ``model``,
-    which has some of them; None where a number is in the XML alone.
+    """Return property values with which an aircraft with the effects of ``chosen`` flies as
+    ``model``.
+
+    ``model`` has some of these effects. None if a number exists in the XML alone.
     """
     properties = {name: value for name, (value, _) in model.parameters.items()}
     values = model.selection.values
@@ -528,8 +579,10 @@ def point_as_written(
     values: Mapping[str, float] | None = None,
     initial: ModelState | None = None,
 ) -> ModelState:
-    """The point of an aircraft written as ``model``: properties that differ from its XML, effects
-    of its sensors, and nuisance and start states of another point of the same flights.
+    """Return the point of an aircraft written as ``model``.
+
+    It holds properties that differ from its XML, effects of its sensors, and nuisance and start
+    states of ``initial``, another point of the same flights.
     """
     nuisance, starts = ({}, ()) if initial is None else (initial.nuisance, initial.starts)
     of_sensors = {
@@ -539,7 +592,7 @@ def point_as_written(
 
 
 def without_effects(result: SearchResult) -> SearchResult:
-    """The same without effects, its parameters as they were estimated without any."""
+    """Return the result without effects, with the parameters that were estimated without them."""
     parameters = {n: (result.plain[n], result.parameters[n][1]) for n in result.names}
     return replace(result, parameters=parameters, selection=replace(result.selection, chosen=()))
 
@@ -547,10 +600,10 @@ def without_effects(result: SearchResult) -> SearchResult:
 def train_information(
     result: SearchResult, keys: Sequence[str] = (), regressors: Sequence[Columns] = ()
 ) -> Information:
-    """Information of the train flights as it is with no effect in the model.
+    """Return the information of the training flights without effects.
 
-    It has columns of parameters, nuisance, chosen effects, the candidates ``keys``, and
-    ``regressors``, one set a segment.
+    It has columns of parameters, nuisance, selected effects, the candidates ``keys``, and
+    ``regressors``, one set per segment.
     """
     active = {e.key for e in result.setup.active}
     requested = dict.fromkeys([*result.selection.values, *keys])
@@ -562,10 +615,10 @@ def train_information(
 
 
 def leave_out(result: SearchResult, information: Information, keys: Sequence[str]) -> SearchResult:
-    """Estimate everything on the train flights without the effects ``keys``.
+    """Estimate everything on the training flights without the effects ``keys``.
 
-    The stated estimates come from replays. They move as far as the linear estimates move when the
-    effects are left out, and their standard errors change in the same proportion.
+    The stated estimates come from replays. They move like the linear estimates when the effects are
+    left out, and their standard errors change in the same proportion.
     """
     remaining = [c for c in result.selection.chosen if c.key not in keys]
     if not remaining:
@@ -591,25 +644,30 @@ def leave_out(result: SearchResult, information: Information, keys: Sequence[str
 def _moved(
     stated: tuple[float, float], before: Sequence[float], after: Sequence[float]
 ) -> tuple[float, float]:
-    """Return a stated (value, standard error), moved as the linear estimate of it moves."""
+    """Return a stated (value, standard error), changed like its linear estimate."""
     return stated[0] + (after[0] - before[0]), stated[1] * (after[1] / before[1])
 
 
 def refit_remaining(
     model: SearchResult, chosen: SearchResult, complete: Aircraft, pool: Processes
 ) -> SearchResult:
-    """Estimate a model from which effects were withdrawn by output error on the train flights.
+    """Estimate a model from which effects were withdrawn by output error on the training flights.
 
     Parameters
     ----------
-    model : what remains, estimated on linearised columns
-    chosen : the model with every effect that the train flights chose
-    complete : the aircraft with every effect of ``chosen``; withdrawn ones fly at zero
+    model : SearchResult
+        What remains, estimated on linearised columns.
+    chosen : SearchResult
+        The model with every selected effect.
+    complete : Aircraft
+        The aircraft with every effect of ``chosen``; withdrawn ones are set to zero.
+    pool : Processes
 
     Returns
     -------
-    The model with new values and the standard errors it had. In turbulence, where a number is in
-    the XML alone, and where the fit does not converge or fits worse, the model unchanged.
+    SearchResult
+        The model with new values and unchanged standard errors. It is unchanged in turbulence,
+        where a number exists in the XML alone, and where the fit does not converge or is worse.
     """
     if not chosen.estimator.uses_replays or property_values(model, chosen) is None:
         return model

@@ -1,5 +1,6 @@
-"""A mission's p-box before and after a refinement: a small campaign with each model inside its own
-intervals, in the same air.
+"""P-box of a mission before and after a refinement.
+
+A small campaign flies each model within its own intervals, in the same air.
 """
 
 from __future__ import annotations
@@ -64,17 +65,19 @@ PROBABILITIES = (0.05, 0.5, 0.95)
 
 
 def pbox_pair(before: Sequence[Sample], after: Sequence[Sample]) -> dict[str, Any]:
-    """Quantiles and widths of one metric's p-boxes before and after, from the samples of every
-    corner.
+    """Return quantiles and widths of one metric's p-boxes before and after.
 
-    A quantile is an interval, an end of it NaN where failed flights leave that open. A width is the
-    area between the envelopes over the range that both models reach, in the metric's unit."""
+    The p-boxes come from the samples of every corner. A quantile is an interval, with NaN at an end
+    that failed flights leave open. A width is the area between the envelopes over the range that
+    both models reach, in the metric's unit.
+    """
     value = np.unique(np.concatenate([s.values for s in (*before, *after)]))
     boxes = {
         when: envelope(samples, value) for when, samples in (("before", before), ("after", after))
     }
 
     def reached(side: np.ndarray[Any, np.dtype[np.float64]], probability: float) -> float:
+        """Return the value at which a side reaches a probability; NaN if it does not."""
         at = np.flatnonzero(side >= probability - 1e-12)
         return float(value[at[0]]) if at.size else float("nan")
 
@@ -94,7 +97,7 @@ def pbox_pair(before: Sequence[Sample], after: Sequence[Sample]) -> dict[str, An
 
 
 def no_pbox(reason: str) -> Mission:
-    """The document where nothing was flown."""
+    """Return the document of a mission that was not flown."""
     return Mission(reason=reason, metrics=[])
 
 
@@ -120,9 +123,9 @@ Callback = Callable[[str], object]
 
 
 def campaign_for(aircraft: Aircraft, campaign: Path | None) -> dict[str, Any]:
-    """What is flown, as a campaign file holds it.
+    """Return the campaign as a campaign file holds it.
 
-    Raises BadInputError where the aircraft has no mission of its own.
+    Raises BadInputError if the aircraft has no mission of its own.
     """
     if campaign is not None:
         read_campaign(campaign)
@@ -155,8 +158,9 @@ def campaign_for(aircraft: Aircraft, campaign: Path | None) -> dict[str, Any]:
 
 
 def specification(data: Mapping[str, Any], aircraft: Aircraft, form: Path) -> CampaignSpec:
-    """The campaign with an aircraft and its intervals' file, beside which relative names are looked
-    for. Raises BadInputError.
+    """Return the campaign with an aircraft and its intervals' file.
+
+    Relative names are resolved beside that file. Raises BadInputError.
     """
     campaign = {**data["campaign"], "aircraft": str(aircraft.folder)}
     # Corners alone unless the campaign says otherwise: what is compared is the same set of samples
@@ -175,11 +179,12 @@ def fly_missions(
     workers: int | None,
     callback: Callback = lambda _: None,
 ) -> Mission:
-    """gap.test.pbox of refinement.json: the campaign flown with each of ``models`` (before, after;
-    a single one is both) within its intervals, those of ``forms``, in ``out``/pbox/<name>.
+    """Fly the campaign with each model within its intervals, and return gap.test.pbox.
 
-    A run that was killed goes on; a folder with another campaign in it is made anew. What stands in
-    the way of a mission is its reason."""
+    ``models`` are (before, after), or one for both; ``forms`` are their intervals. The campaigns
+    are kept in ``out``/pbox/<name>. An interrupted run continues; a folder of another campaign is
+    made anew. If a mission cannot be flown, the document says why.
+    """
     executor = ProcessExecutor(workers or usable_cores(), keep=True)
     frames: dict[str, pd.DataFrame] = {}
     with contextlib.closing(executor):
@@ -204,8 +209,10 @@ def fly_missions(
 
 
 def _clear_if_other(folder: Path, spec: CampaignSpec) -> None:
-    """Remove an earlier refinement's campaign, whose model or intervals were others. Raises
-    BadInputError for a damaged one, and for a mission that cannot be flown."""
+    """Remove the campaign of an earlier refinement with another model or other intervals.
+
+    Raises BadInputError for a damaged one, and for a mission that cannot be flown.
+    """
     if not (folder / MANIFEST).is_file():
         return
     manifest, requested = read_manifest(folder), describe(spec, find_mission(spec, folder), 0, "")
@@ -217,9 +224,11 @@ def _clear_if_other(folder: Path, spec: CampaignSpec) -> None:
 
 
 def _stage_of(callback: Callback, name: str) -> Callable[[Progress], None]:
+    """Return a callback that reports a campaign's progress by name."""
     quarters = set[int]()
 
     def update(progress: Progress) -> None:
+        """Report the progress."""
         quarter = 4 * progress.done // max(progress.cases, 1)
         if quarter and quarter not in quarters:
             quarters.add(quarter)
@@ -229,6 +238,7 @@ def _stage_of(callback: Callback, name: str) -> Callable[[Progress], None]:
 
 
 def _rows(before: pd.DataFrame, after: pd.DataFrame) -> Iterator[MissionMetric]:
+    """Yield the rows of metrics."""
     for metric in (*ERROR_METRICS, *OPTIONAL_METRICS):
         if metric.endswith("_measured") or metric not in before or metric not in after:
             continue
@@ -241,7 +251,10 @@ def _rows(before: pd.DataFrame, after: pd.DataFrame) -> Iterator[MissionMetric]:
 def _document(
     spec: CampaignSpec, folders: list[str], before: pd.DataFrame, after: pd.DataFrame
 ) -> Mission:
+    """Return the document of the campaigns."""
+
     def count(frame: pd.DataFrame) -> MissionFlights:
+        """Return the numbers of flights."""
         return MissionFlights(
             flights=len(frame),
             failed=int((frame["status"] != "ok").sum()),
@@ -272,8 +285,8 @@ LEVEL = 0.95
 
 @dataclass(frozen=True)
 class FlightSet:
-    """Flights, surfaces whose positions they carry, SHA-256 of their files, and controls that are
-    passed straight through.
+    """Flights, the surfaces whose positions they hold, SHA-256 of their files, and ideal
+    controls.
     """
 
     flights: tuple[Flight, ...]
@@ -284,9 +297,9 @@ class FlightSet:
 
 @dataclass(frozen=True)
 class IntervalJob:
-    """A model whose intervals come from ``train`` and are held against ``test``.
+    """A model whose intervals are made from ``train`` and validated on ``test``.
 
-    flown: the aircraft that flies as the model does where its properties have ``values``
+    ``flown`` is the aircraft that flies as the model if its properties have ``values``.
     """
 
     aircraft: Aircraft
@@ -299,8 +312,8 @@ class IntervalJob:
 
 @dataclass(frozen=True)
 class Intervals:
-    """A model's intervals and their coverage of the test flights; none of either, with the reason,
-    where that cannot be told.
+    """A model's intervals and their coverage of the hold-out flights, or the reason why there
+    are none.
     """
 
     form: ModelForm | None
@@ -309,7 +322,7 @@ class Intervals:
 
 
 def fit_intervals(job: IntervalJob) -> Intervals:
-    """Intervals as `uqharness bounds` makes them and `validate-bounds` judges them."""
+    """Make intervals as `uqharness bounds` and validate them as `validate-bounds`."""
     form: ModelForm | None = None
     try:
         train, test = (
@@ -336,7 +349,9 @@ def fit_intervals(job: IntervalJob) -> Intervals:
 
 
 def write_forms(intervals_by_model: Mapping[str, Intervals], out: Path) -> dict[str, Path]:
-    """``out``/intervals/<name>.json of every model that has intervals, by name."""
+    """Write ``out``/intervals/<name>.json for every model with intervals; return the paths by
+    name.
+    """
     paths = {}
     for name, intervals in intervals_by_model.items():
         if intervals.form is not None:
@@ -346,7 +361,7 @@ def write_forms(intervals_by_model: Mapping[str, Intervals], out: Path) -> dict[
 
 
 def intervals_document(before: Intervals, after: Intervals) -> IntervalsDocument:
-    """gap.test.intervals of refinement.json: NaN, with the reason, for what cannot be told."""
+    """Return gap.test.intervals of refinement.json: NaN, with the reason, for undefined values."""
     rows: dict[str, dict[str, float]] = {c: {} for c in COEFFICIENTS}
     for c, row in rows.items():
         for when, intervals in (("before", before), ("after", after)):

@@ -1,11 +1,11 @@
-"""Where the strongest of the remaining residuals is: flight, stretch of time, channel, band of
-frequencies, state, and the candidates that come nearest.
+"""Locate the strongest remaining residual: flight, time, channel, frequency band, state,
+candidates.
 
-The place is that of the largest gain of a scan statistic over the channels that are above their
-noise or coloured, on train and test flights. Where every channel is at its noise and a candidate is
-strong all the same, it is the place of what the candidate explains. What candidates would leave is
-computed from the linearised likelihood of the train flights, everything estimated again beside
-each.
+The location is that of the largest gain of a scan statistic over the channels above their noise or
+coloured, on training and hold-out flights. If all channels are at their noise but a candidate is
+strong, it is the location of what the candidate explains. The residuals that candidates would leave
+are computed from the linearised likelihood of the training flights, with everything estimated
+again.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ _CONTROLS = ("elevator_deg", "aileron_deg", "rudder_deg", "throttle_pct")
 
 @dataclass(frozen=True)
 class Series:
-    """One channel of one segment: residual over noise (n,) at time_s (n,), where it was measured;
-    states at all rows.
+    """One channel of one segment: residual over noise (n,) at times (n,), and states at all
+    rows.
     """
 
     flights: str
@@ -58,12 +58,12 @@ class Series:
 
     @property
     def present(self) -> FloatArray:
-        """Residual at the rows at which the channel was measured."""
+        """Residuals at measured rows."""
         return self.white[np.isfinite(self.white)]
 
     @property
     def rate_hz(self) -> float:
-        """Measured rows a second; NaN below two."""
+        """Measured rows per second; NaN below two."""
         t = self.time_s[np.isfinite(self.white)]
         return float((len(t) - 1) / (t[-1] - t[0])) if len(t) > 1 else float("nan")
 
@@ -74,12 +74,18 @@ def place_of(
     keys: Sequence[str],
     controls: Sequence[FloatArray],
 ) -> ResidualLocation:
-    """Find where in the flights the residuals remain: `remaining.place` of refinement.json.
+    """Find where in the flights residuals remain: `remaining.place` of refinement.json.
 
-    channels : "train", "test" -> channels whose residuals there exceed their noise or are coloured
-    keys : candidates that the train flights support besides the effects, or effects whose form
-        differs from what is missing
-    controls : positions of the controls in every train segment
+    Parameters
+    ----------
+    outcome : HoldOutResult
+    channels : mapping
+        "train" and "test" to the channels whose residuals exceed their noise or are coloured.
+    keys : sequence of str
+        Candidates that the training flights support besides the effects, or effects of another form
+        than the missing one.
+    controls : sequence of array
+        Control positions in every training segment.
     """
     setup, _, evaluation = outcome.train
     test_setup, _, test_evaluation = outcome.test
@@ -111,7 +117,7 @@ def place_of(
 
 
 def no_place(reason: str) -> dict[str, Any]:
-    """The place of nothing."""
+    """Return the document without a place, and the reason."""
     names = (
         "flights",
         "flight",
@@ -131,7 +137,7 @@ def no_place(reason: str) -> dict[str, Any]:
 def series_of(
     flights: str, setup: FlightData, evaluation: Evaluation, controls: Sequence[FloatArray]
 ) -> list[Series]:
-    """Every channel of every segment of one side's flights."""
+    """Return every channel of every segment of one side's flights."""
     return [
         Series(flights, s.flight, s.kind, c, w[:, k], s.time_s, states)
         for s, w, states in zip(
@@ -147,7 +153,7 @@ def series_of(
 def states_along(
     trajectory: Trajectory, controls: Sequence[FloatArray]
 ) -> list[dict[str, FloatArray]]:
-    """States and controls by name, each (n,), one mapping a segment."""
+    """Return states and controls by name, (n,) each, one mapping per segment."""
     pairs = zip(trajectory.x, controls, strict=True)
     return [
         dict(zip(_STATES, x.T, strict=False)) | dict(zip(_CONTROLS, u.T, strict=False))
@@ -156,8 +162,9 @@ def states_along(
 
 
 def where_loudest(series: Sequence[Series]) -> tuple[dict[str, Any], StateCorrelate | None]:
-    """Place of the largest gain over noise; where chance alone would give it, the loudest channel
-    without an interval.
+    """Return the place of the largest gain over noise.
+
+    If chance alone gives as much, it is the channel of largest residual, without an interval.
     """
     # The loudest stretch and band of every series; short series have none.
     long = [s for s in series if len(s.present) >= LEAST_SAMPLES]
@@ -213,7 +220,9 @@ def where_loudest(series: Sequence[Series]) -> tuple[dict[str, Any], StateCorrel
 
 
 class Nearest:
-    """Candidates beside the chosen effects, on the linearised likelihood of the train flights."""
+    """Candidates beside the selected effects, on the linearised likelihood of the training
+    flights.
+    """
 
     def __init__(self, result: SearchResult) -> None:
         self.result = result
@@ -234,15 +243,15 @@ class Nearest:
         self.scores = scores(self.information, self.free, [*open_, *dropped])
 
     def residual(self, *keys: str, left_out: str = "") -> list[FloatArray]:
-        """[(n, m)] residuals over noise with everything fitted beside these candidates, less one
-        effect.
+        """Return residuals over noise (n, m) of each segment with everything estimated beside these
+        candidates, without one effect.
         """
         free = [n for n in (*self.free, *keys) if n != left_out]
         return self.information.residual(self.information.estimates(self.information.index(free)))
 
     def trace(self, key: str) -> list[FloatArray]:
-        """[(n, m)] what a candidate would explain beside the effects, or an effect does beside the
-        others.
+        """Return what a candidate would explain beside the effects, or an effect beside the others,
+        (n, m) per segment.
         """
         with_candidate = self.residual(*(() if key in self.free else (key,)))
         return [a - b for a, b in zip(self.residual(left_out=key), with_candidate, strict=True)]
@@ -250,8 +259,11 @@ class Nearest:
     def leaving(
         self, channel: str, withdrawn: set[str]
     ) -> tuple[list[tuple[str, float, float]], float]:
-        """Three candidates (key, t, rms over noise that each leaves of the channel), and what is
-        there without any. withdrawn: keys that the hold-out flights spoke against."""
+        """Return three candidates (key, t, rms over noise that each leaves of the channel), and the
+        rms without any.
+
+        ``withdrawn`` are keys that the hold-out flights contradicted.
+        """
         k = self.result.setup.outputs.index(channel)
         order = np.argsort(-np.nan_to_num(self.scores.gain, nan=-1.0))
         strongest = [
@@ -266,14 +278,17 @@ class Nearest:
         return sorted(rows, key=lambda r: r[2])[:NEAREST], self._rms(k)
 
     def _rms(self, k: int, *keys: str) -> float:
+        """Return the rms of channel ``k``'s residual over noise."""
         return rms(np.concatenate([e[:, k] for e in self.residual(*keys)]))
 
 
 def _place_of_candidate(
     nearest: Nearest, series: Sequence[Series], key: str
 ) -> tuple[dict[str, Any], StateCorrelate | None]:
-    """Place of what a candidate or an effect explains on the train flights: the half of it that
-    lies closest together in time, and in frequency."""
+    """Return the place of what a candidate or an effect explains on the training flights.
+
+    It is the shortest time, and the narrowest band, that hold half of it.
+    """
     setup, trace = nearest.result.setup, nearest.trace(key)
     power = np.array([np.nansum(d**2, axis=0) for d in trace])
     k = int(np.argmax(power.sum(axis=0)))
@@ -301,6 +316,7 @@ def _place_of_candidate(
 
 
 def _state(correlate: StateCorrelate | None) -> dict[str, Any]:
+    """Return the document of a state with which a residual varies."""
     if correlate is None:
         return {
             "state": None,
@@ -310,7 +326,7 @@ def _state(correlate: StateCorrelate | None) -> dict[str, Any]:
 
 
 def label(effect: Effect) -> dict[str, Any]:
-    """An effect's coefficient or subsystem, and its term."""
+    """Return an effect's coefficient or subsystem, and its term."""
     where = (
         {"coefficient": effect.coefficient}
         if effect.coefficient is not None
@@ -320,7 +336,7 @@ def label(effect: Effect) -> dict[str, Any]:
 
 
 def _loudest_manoeuvre(series: Sequence[Series], place: Mapping[str, Any]) -> tuple[str, float]:
-    """Kind of manoeuvre in which the channel's residual is largest, and its rms over noise
+    """Return the kind of manoeuvre with the channel's largest residual, and the rms over noise
     there.
     """
     mine = [s for s in series if (s.flights, s.channel) == (place["flights"], place["channel"])]
@@ -363,10 +379,11 @@ TENTHS = 10
 
 @dataclass(frozen=True)
 class Burst:
-    """Rows [start, stop) and band [Hz] of a series in which it stands above the noise.
+    """Rows [start, stop) and band [Hz] in which a series exceeds the noise.
 
-    gain: equation (G), corrected for the window; p: chance that noise alone gives as much in any
-    rectangle of this series"""
+    ``gain`` is equation (G), corrected for the window; ``p`` is the probability that noise alone
+    gives as much in any rectangle of the series.
+    """
 
     start: int
     stop: int
@@ -378,9 +395,11 @@ class Burst:
 
 @dataclass(frozen=True)
 class StateCorrelate:
-    """The range [low, high] of a state with which a series goes, the share of its variance that the
-    state explains, and the p-value of that share among the states tried. of: "mean" where its mean
-    changes with the state, "size" where its square does."""
+    """Range [low, high] of a state with which a series varies.
+
+    ``share`` of the series' variance is explained by the state, with p-value ``p`` among the tested
+    states. ``of`` is "mean" if its mean varies with the state, "size" if its square does.
+    """
 
     state: str
     low: float
@@ -391,8 +410,10 @@ class StateCorrelate:
 
 
 def loudest(white: FloatArray, rate_hz: float) -> Burst | None:
-    """The rectangle of largest gain in a residual over its noise (n,) at equal steps; None where no
-    rectangle is above the noise or the series is shorter than `LEAST_SAMPLES`."""
+    """Return the rectangle of largest gain in a residual over its noise (n,) at equal steps.
+
+    None if no rectangle exceeds the noise or the series is shorter than `LEAST_SAMPLES`.
+    """
     bursts: list[tuple[Burst, int]] = []
     rectangles_tried = 0
     for length_s in BLOCKS_S:
@@ -411,14 +432,16 @@ def loudest(white: FloatArray, rate_hz: float) -> Burst | None:
 
 
 def _gain(S: FloatArray, N: FloatArray) -> FloatArray:
-    """Equation (G) of sums S of N ordinates; 0 where they are not above the noise."""
+    """Evaluate equation (G) for sums S of N ordinates; 0 where they do not exceed the noise."""
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where((S > N) & (N > 0.0), 2.0 * (S - N - N * np.log(S / N)), 0.0)
 
 
 def _sharpened(white: FloatArray, rate_hz: float, burst: Burst, n: int) -> tuple[int, int]:
-    """Rows [start, stop) of the largest gain in the burst's band, whose ends lie within a block of
-    the burst's: where in a block it begins, the blocks do not say."""
+    """Return the rows [start, stop) of largest gain in the burst's band.
+
+    The ends lie within a block of the burst's, because blocks do not resolve them.
+    """
     f = np.fft.rfftfreq(len(white), 1.0 / rate_hz)
     inside = (f >= burst.low_hz) & (f < burst.high_hz)
     band = np.fft.irfft(np.where(inside, np.fft.rfft(white), 0.0), len(white))
@@ -436,8 +459,8 @@ def _sharpened(white: FloatArray, rate_hz: float, burst: Burst, n: int) -> tuple
 def _periodogram(
     white: FloatArray, n: int, rate_hz: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(blocks, bands) sums of ordinates, (bands,) ordinates in each band, (bands + 1,) edges [Hz];
-    Nyquist's is left out.
+    """Return sums of ordinates (blocks, bands), ordinates per band (bands,), and edges (bands + 1,)
+    [Hz], without Nyquist's.
     """
     blocks = white[: len(white) // n * n].reshape(-1, n)
     window = np.hanning(n + 1)[:-1]
@@ -453,8 +476,8 @@ def _periodogram(
 
 
 def _largest(white: FloatArray, n: int, rate_hz: float) -> tuple[Burst | None, int]:
-    """The rectangle of largest gain in blocks of n rows, p that of this rectangle alone, and how
-    many rectangles there are.
+    """Return the rectangle of largest gain in blocks of n rows, with its own p, and the number of
+    rectangles.
     """
     power, weight, edges = _periodogram(white, n, rate_hz)
     blocks, bands = power.shape
@@ -481,8 +504,8 @@ def _largest(white: FloatArray, n: int, rate_hz: float) -> tuple[Burst | None, i
 
 
 def _variance_ratio(ordinates: FloatArray) -> FloatArray:
-    """By how much the variance of a sum of neighbouring ordinates exceeds that of
-    independent ones.
+    """Return the ratio of the variance of sums of neighbouring ordinates to that of independent
+    ones.
     """
     one, two = (
         c * np.maximum(ordinates - lag, 0.0) / ordinates for lag, c in enumerate(WINDOW_LIKENESS, 1)
@@ -491,8 +514,8 @@ def _variance_ratio(ordinates: FloatArray) -> FloatArray:
 
 
 def densest(weights: FloatArray, share: float = 0.5) -> tuple[int, int]:
-    """The shortest stretch [start, stop) that holds at least ``share`` of the sum of weights (n,),
-    none negative.
+    """Return the shortest stretch [start, stop) with ``share`` of the sum of non-negative
+    weights (n,).
     """
     total = np.append(0.0, np.cumsum(weights))
     need = share * total[-1] * (1.0 - 1e-12)
@@ -504,7 +527,7 @@ def densest(weights: FloatArray, share: float = 0.5) -> tuple[int, int]:
 
 
 def band_of(series: FloatArray, rate_hz: float) -> tuple[float, float]:
-    """The narrowest band [Hz] that holds half of a series' power."""
+    """Return the narrowest band [Hz] that holds half of a series' power."""
     window = np.hanning(len(series) + 2)[1:-1]
     power = np.abs(np.fft.rfft(series * window)) ** 2
     low, high = densest(power)
@@ -515,13 +538,25 @@ def band_of(series: FloatArray, rate_hz: float) -> tuple[float, float]:
 def state_correlate(
     series: Sequence[FloatArray], states: Sequence[Mapping[str, FloatArray]], certain: bool = False
 ) -> StateCorrelate | None:
-    """The state, or control, with which a residual goes: a mean by tenths of the state explains
-    most of its variance.
+    """Return the state or control whose tenths explain most of a residual's variance by their
+    means.
 
-    series [(n,)], states name -> (n,) at the same rows; rows that are not finite are left out. A
-    residual whose mean goes with nothing is asked for its square. None where chance (`BY_CHANCE`, F
-    test with as many samples as the coloured series is worth, all states tried) explains as much;
-    certain: the series has no noise, and the state that explains most is told."""
+    Parameters
+    ----------
+    series : sequence of (n,) array
+        Residuals; rows that are not finite are omitted.
+    states : sequence of mapping
+        State name to (n,) values at the same rows.
+    certain : bool
+        The series has no noise: the state that explains most is returned in any case.
+
+    Returns
+    -------
+    StateCorrelate or None
+        None if chance (`BY_CHANCE`; F test with the effective number of samples of the coloured
+        series, over all states) explains as much. If the mean varies with no state, the square is
+        tested.
+    """
     finite = [np.isfinite(e) for e in series]
     measured = [e[k] for e, k in zip(series, finite, strict=True)]
     if sum(len(e) for e in measured) <= 2 * TENTHS:
@@ -551,8 +586,9 @@ def state_correlate(
 def dependence(
     series: Sequence[FloatArray], states: Sequence[Mapping[str, FloatArray]], count: int = 3
 ) -> list[tuple[str, float]]:
-    """States on which a residual [(n,)] depends: (name, adjusted share of its variance that a mean
-    by tenths of the state explains), the largest first."""
+    """Return the states on which a residual depends, as (name, adjusted share of variance), the
+    largest first.
+    """
     y = np.concatenate(series)
     y = y - y.mean()
     every = ((n, _explained(y, np.concatenate([s[n] for s in states]), len(y))) for n in states[0])
@@ -562,8 +598,8 @@ def dependence(
 def _explained(
     y: FloatArray, x: FloatArray, effective_samples: float
 ) -> tuple[float, float, float, float] | None:
-    """(adjusted share of y's variance that a mean by tenths of x explains, its p-value, the range
-    of x with half of that).
+    """Return the adjusted share of y's variance that means by tenths of x explain, its p-value, and
+    the range of x with half of it.
     """
     edges = np.unique(np.quantile(x, np.linspace(0.0, 1.0, TENTHS + 1)))
     total = float(y @ y)
@@ -595,13 +631,26 @@ def disagreements(
     dt_s: float,
     count: int = 12,
 ) -> list[Region]:
-    """gap, allowed [(n, 6)]: coefficients demanded minus predicted, and the standard deviation that
-    noise and parameters allow; states: name -> (n,), where a region may be looked for; labels:
-    manoeuvre of every segment.
+    """Return regions of the states in which coefficients disagree, the largest disagreement first.
 
-    Each entry, the largest first, is the third of a state's range, of the state that tells most, in
-    which the share of samples outside the 95 % interval is largest; size: rms there over the
-    standard deviation allowed."""
+    Each is the third of a state's range with the largest share of samples outside the 95 %
+    interval, for the state that explains most; its size is the rms there over the allowed standard
+    deviation.
+
+    Parameters
+    ----------
+    gap, allowed : sequence of (n, 6) array
+        Demanded minus predicted coefficients, and the standard deviation that noise and parameters
+        allow.
+    states : sequence of mapping
+        State name to (n,), in which regions are searched.
+    labels : sequence of str
+        Manoeuvre of every segment.
+    dt_s : float
+        Step of the rows.
+    count : int
+        Largest number of regions.
+    """
     regions: list[tuple[float, Region]] = []
     for kind in dict.fromkeys(labels):
         mine = [k for k, label in enumerate(labels) if label == kind]
@@ -637,9 +686,7 @@ def disagreements(
 def _densest_region(
     outside: NDArray[np.bool_], states: Mapping[str, FloatArray]
 ) -> tuple[tuple[str, float, float], NDArray[np.bool_]]:
-    """The region, a third of some state's samples, in which most of the samples outside are
-    gathered.
-    """
+    """Return the region, a third of a state's samples, that holds most of the samples outside."""
     regions = []
     for name, values in states.items():
         for low, high in pairwise(np.quantile(values, [0.0, 1.0 / 3.0, 2.0 / 3.0, 1.0]).tolist()):

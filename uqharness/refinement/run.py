@@ -1,6 +1,6 @@
-"""A whole refinement: flights in, refinement.json and a better aircraft out.
+"""Run a refinement: flights in, refinement.json and an improved aircraft out.
 
-Train flights choose, test flights show.
+Training flights select effects, hold-out flights test them.
 """
 
 from __future__ import annotations
@@ -83,8 +83,9 @@ from uqharness.simulator import (
 class Job:
     """A request with its aircraft, the files of its flights, and the user's effects.
 
-    ideal_servos: None for the likelier on the train flights; command: what is written beside
-    effects, empty where no command repeats the refinement."""
+    ``ideal_servos`` is None to choose by likelihood on the training flights. ``command`` is written
+    beside effects; it is empty if no command repeats the refinement.
+    """
 
     options: RefineRequest
     aircraft: Aircraft
@@ -102,11 +103,20 @@ class Job:
 
 @dataclass(frozen=True)
 class Refinement:
-    """A refinement.
+    """Result of a refinement.
 
-    chosen : what the train flights chose; hold_out: what remains after the hold-out test
-    aircraft, original : refined, and as it was
-    earlier_damage : files of an earlier refinement in the folder that were damaged before this one
+    Attributes
+    ----------
+    document : RefinementDocument
+        Content of refinement.json.
+    chosen : SearchResult
+        The selection on the training flights.
+    hold_out : HoldOutResult
+        What remains after the hold-out test.
+    aircraft, original : Aircraft
+        Refined and original aircraft.
+    earlier_damage : DamageRecord
+        Files of an earlier refinement in the folder that were damaged before this one.
     """
 
     document: RefinementDocument
@@ -117,9 +127,11 @@ class Refinement:
     earlier_damage: checksums.DamageRecord = field(default_factory=checksums.DamageRecord)
 
     def __repr__(self) -> str:
+        """Return verdict and aircraft."""
         return f"Refinement({self.document.verdict}, {self.aircraft!r})"
 
     def _repr_html_(self) -> str:
+        """Return a summary for notebooks."""
         return refinement_view(repr(self), self.document)
 
 
@@ -144,7 +156,7 @@ _ASSUMED_FLIGHT_S, _MISSION_S = 90.0, 60.0
 
 
 def _durations(request: Job, flight_s: float) -> dict[str, float]:
-    """Stage -> expected duration [s] with so many seconds of flight, train and test."""
+    """Return the expected duration [s] of each stage for so many seconds of flight."""
     durations = {stage: share * flight_s for stage, share in STAGES.items()}
     if request.options.pbox:
         durations["flying the mission"] = _MISSION_S / (request.options.workers or usable_cores())
@@ -152,9 +164,10 @@ def _durations(request: Job, flight_s: float) -> dict[str, float]:
 
 
 def _with_forecast(callback: Callback, forecast: Forecast) -> Callback:
-    """The callback, which also moves the forecast of the remaining time to each stage."""
+    """Return the callback, extended to update the forecast of the remaining time at each stage."""
 
     def stage(text: str) -> object:
+        """Report a stage."""
         forecast.begin(next((name for name in STAGES if text.startswith(name)), ""))
         return callback(text)
 
@@ -162,7 +175,10 @@ def _with_forecast(callback: Callback, forecast: Forecast) -> Callback:
 
 
 def refine(request: Job, callback: Callback = lambda _: None) -> Refinement:
-    """Find missing effects, write them into the aircraft and test them. Raises BadInputError."""
+    """Find missing effects, write them into the aircraft and test them.
+
+    Raises BadInputError.
+    """
     flights = len(request.train) + len(request.test)
     forecast = Forecast(_durations(request, _ASSUMED_FLIGHT_S * flights))
     with forecast_shown(forecast):
@@ -170,7 +186,7 @@ def refine(request: Job, callback: Callback = lambda _: None) -> Refinement:
 
 
 def _refine(request: Job, callback: Callback, forecast: Forecast) -> Refinement:
-    """Go through the steps of `refine`."""
+    """Run the steps of `refine`."""
     start_s = time.perf_counter()
     aircraft = request.aircraft
     refuse_shared_flights(request.train, request.test)
@@ -266,7 +282,7 @@ def _refine(request: Job, callback: Callback, forecast: Forecast) -> Refinement:
 
 
 def file_hash(path: Path) -> str:
-    """SHA-256 of a file's content. Raises BadInputError."""
+    """Return the SHA-256 of a file's content; raises BadInputError."""
     try:
         return file_sha256(path)
     except OSError as error:
@@ -274,7 +290,7 @@ def file_hash(path: Path) -> str:
 
 
 def refuse_shared_flights(train: Sequence[Path], test: Sequence[Path]) -> None:
-    """Raise BadInputError where a test file has the content of a train file."""
+    """Raise BadInputError if a hold-out file has the content of a training file."""
     hashes = {file_hash(path): path for path in train}
     for path in test:
         other = hashes.get(file_hash(path))
@@ -286,7 +302,10 @@ def refuse_shared_flights(train: Sequence[Path], test: Sequence[Path]) -> None:
 
 
 def _read_both(request: Job, callback: Callback) -> tuple[Job, FlightSet, FlightSet]:
-    """Train and test flights, and the request with its servos chosen on the train flights."""
+    """Read training and hold-out flights; return them with the request and its servos.
+
+    The servos are chosen on the training flights.
+    """
     train = _read(request, request.train)
     if request.ideal_servos is None:
         callback("servos: the card's or ideal ones")
@@ -306,6 +325,7 @@ def _read_both(request: Job, callback: Callback) -> tuple[Job, FlightSet, Flight
 
 
 def _read(request: Job, paths: Sequence[Path]) -> FlightSet:
+    """Read the flights of some files."""
     files = (*request.train, *request.test)
     numbers = numbers_of_files(request.options.flight_number, len(files))
     first = files.index(paths[0])
@@ -322,17 +342,20 @@ def _read(request: Job, paths: Sequence[Path]) -> FlightSet:
 
 
 def _ideal_controls(request: Job, measured: Sequence[str]) -> tuple[str, ...]:
-    """Controls whose commands are passed straight through."""
+    """Return the controls without an actuator."""
     return tuple(c for c in CONTROLS if c not in measured) if request.ideal_servos else ()
 
 
 def _flight_data(aircraft: Aircraft, flights: FlightSet) -> FlightData:
+    """Return the data of flights."""
     return make_setup(aircraft, flights.flights, flights.measured, flights.ideal)
 
 
 def _identity(request: Job) -> list[str]:
-    """Everything that the choice depends on, the test flights not: aircraft, train flights, own
-    effects, options, version.
+    """Return everything that the selection depends on.
+
+    That is aircraft, training flights, the user's effects, options and version, not the hold-out
+    flights.
     """
     tables = [
         p
@@ -352,7 +375,9 @@ def _identity(request: Job) -> list[str]:
 
 
 def _dataset(request: Job, chosen: SearchResult, flights: FlightSet) -> Dataset:
-    """Flights as the chosen effects were judged on; the air is that of the train flights."""
+    """Return flights in the form in which the selected effects were judged, with the training
+    flights' air.
+    """
     data = _flight_data(request.aircraft, flights)
     setup = chosen.estimator.prepare(request.aircraft, data)
     if setup.outputs == chosen.setup.outputs:
@@ -361,7 +386,7 @@ def _dataset(request: Job, chosen: SearchResult, flights: FlightSet) -> Dataset:
 
 
 def _with_all_effects(request: Job, chosen: SearchResult, folder: Path) -> Aircraft:
-    """The aircraft with every chosen effect, as the last model flew it."""
+    """Return the aircraft with every selected effect, as the last model had it."""
     effects = [
         EffectToWrite(chosen.effects[c.key], c.value, "", chosen.slopes)
         for c in chosen.selection.chosen
@@ -377,8 +402,9 @@ def _smooth_term(
     pool: Processes,
     callback: Callback,
 ) -> tuple[SmoothTerm | None, str | None]:
-    """A smooth term where nothing of the catalogue explains what is left, and its aircraft beside
-    the refined one.
+    """Return a smooth term if no effect of the catalogue explains the residuals.
+
+    Its aircraft is written beside the refined one. Otherwise the reason is returned.
     """
     stale = request.out / UNNAMED / "aircraft" / request.aircraft.folder.name
     if (stale / request.aircraft.card.aircraft.xml).is_file():
@@ -398,18 +424,21 @@ def _smooth_term(
 def _with_smooth(
     document: RefinementDocument, smooth: SmoothTerm | None, reason: str | None
 ) -> RefinementDocument:
-    """The document with a smooth term, or the reason why there is none."""
+    """Return the document with a smooth term, or with the reason why there is none."""
     parts = {"smooth": smooth, "smooth_reason": reason}
     return document.model_copy(update={"remaining": document.remaining.model_copy(update=parts)})
 
 
 def _writer(request: Job, folder: Path) -> Write:
-    """Writes the aircraft as given with the effects and parameters of a model, each time in a
-    numbered folder of ``folder``.
+    """Return a function that writes the original aircraft with the effects and parameters of a
+    model.
+
+    It uses a new numbered folder of ``folder`` each time.
     """
     aircraft, names, number = request.aircraft, [p.name for p in request.train], count()
 
     def write(result: SearchResult) -> Aircraft:
+        """Write the aircraft of a model."""
         fdm = open_aircraft(aircraft)
         initial = {n: float(fdm[n]) for n in result.names}
         estimates = parameter_estimates(result, names, initial)
@@ -429,8 +458,8 @@ def _writer(request: Job, folder: Path) -> Write:
 
 
 def _place(copy: Aircraft, original: Aircraft, root: Path) -> Aircraft:
-    """The aircraft in its place under ``root``, with the engines and systems that lie beside the
-    one given.
+    """Move an aircraft to its place under ``root``, beside the engines and systems of the
+    original.
     """
     target = inner_folder(root, "aircraft") / copy.folder.name
     # Copied beside its place and put there at once; an earlier one is replaced.
@@ -445,9 +474,7 @@ def _place(copy: Aircraft, original: Aircraft, root: Path) -> Aircraft:
 
 
 def _remove_stale(out: Path, aircraft: Aircraft) -> None:
-    """What an earlier refinement with an effect left in the folder, and one without does not write
-    over.
-    """
+    """Remove files of an earlier refinement that this one does not overwrite."""
     before = out / "before" / "aircraft" / aircraft.folder.name
     if (before / aircraft.card.aircraft.xml).is_file():
         shutil.rmtree(before)
@@ -462,6 +489,7 @@ def _remove_stale(out: Path, aircraft: Aircraft) -> None:
 def _mission(
     request: Job, models: Mapping[str, Aircraft], forms: Mapping[str, Path], callback: Callback
 ) -> Mission:
+    """Return the mission's p-boxes, or the reason why there are none."""
     if not request.options.pbox:
         return no_pbox("left out (--no-pbox)")
     lacking = [name for name in models if name not in forms]
@@ -485,7 +513,7 @@ def _complete(
     mission: Mission,
     last: Mapping[str, Any],
 ) -> RefinementDocument:
-    """The document with intervals, mission and provenance."""
+    """Return the document with intervals, mission and provenance."""
     assert document.gap.train is not None
     test_parts = {"intervals": intervals_document(intervals[0], intervals[-1]), "pbox": mission}
     chosen_on = {"pbox": no_pbox("a mission belongs to no flight: see gap.test")}

@@ -1,5 +1,5 @@
-"""Sentences about effects: why one was named, what speaks against it, and which manoeuvre would
-separate two of them.
+"""Sentences about effects: the evidence for each, the evidence against it, and separating
+manoeuvres.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _SUBSYSTEM = {
 
 
 def reason_for(effect: Effect, choice: SelectedEffect) -> str:
-    """One sentence: physics, where it shows, how strongly the flights say so."""
+    """Return a sentence with an effect's physics, regime and evidence."""
     sign = "positive" if choice.value > 0 else "negative"
     usual = f", where {effect.sign} is usual" if effect.sign else ""
     where = f"; it shows in {effect.regime}" if effect.regime else ""
@@ -56,7 +56,7 @@ def reason_for(effect: Effect, choice: SelectedEffect) -> str:
 
 
 def separating_manoeuvre(one: Effect, other: Effect) -> str:
-    """The manoeuvre that would separate two effects that these flights do not."""
+    """Return the manoeuvre that would separate two effects that these flights do not."""
     for effect in (one, other):
         part = (effect.subsystem or "").partition(".")[0]
         if part == "mass" and effect.term == "Ixz":
@@ -97,10 +97,12 @@ _OF_STATE = {
 
 
 def would_tell(state: str | None, nearest: Sequence[Effect], loudest: tuple[str, float]) -> str:
-    """The flight that would tell what is left.
+    """Return the flight that would explain the remaining residual.
 
-    state: with which the residual goes; nearest: candidates, the best first; loudest: kind of
-    manoeuvre in which the channel's residual is largest, and its rms over noise there"""
+    ``state`` is the state with which the residual varies, ``nearest`` are candidates, the best
+    first, ``loudest`` is the kind of manoeuvre with the channel's largest residual, and its rms
+    over noise.
+    """
     kind, ratio = loudest
     sentences = [
         (
@@ -119,8 +121,11 @@ def would_tell(state: str | None, nearest: Sequence[Effect], loudest: tuple[str,
 
 
 def withdrawal_reason(effect: Effect, choice: SelectedEffect, gap: str) -> str:
-    """What is said of an effect that the train flights ask for and the test flights speak against,
-    or do not show beside what is unexplained. gap: what the test flights say (judge.Verdict)."""
+    """Return why an effect that the training flights support is withdrawn.
+
+    The hold-out flights contradict it, or do not show it beside unexplained residuals (``gap``, see
+    `hold_out.Verdict`).
+    """
     start = f"the train flights ask for {effect.name} (|t| {abs(choice.t):.1f}), and "
     if gap == "grew":
         grew = "with it the gap on the test flights grew: it is withdrawn"
@@ -132,7 +137,7 @@ def withdrawal_reason(effect: Effect, choice: SelectedEffect, gap: str) -> str:
 
 
 def too_weak_to_name(effect: Effect, choice: SelectedEffect) -> str:
-    """What is said of an effect that would have been named, were nothing unexplained beside it."""
+    """Return why an effect is not named beside unexplained residuals."""
     return (
         f"{effect.name} would explain a part of it (|t| {abs(choice.t):.1f}), too little to be"
         " named beside something that nothing explains"
@@ -140,8 +145,8 @@ def too_weak_to_name(effect: Effect, choice: SelectedEffect) -> str:
 
 
 def still_asked(effect: Effect, t: float) -> str:
-    """What is said of a candidate that the flights still ask for beside the effects that were
-    chosen.
+    """Return the sentence on a candidate that the flights still support beside the selected
+    effects.
     """
     return (
         f"{effect.name} is still asked for (|t| {abs(t):.1f}): it, or something like it, is missing"

@@ -1,9 +1,9 @@
-"""A smooth term where nothing of the catalogue explains what remains; and whether chosen effects
-have the form of what is missing.
+"""Smooth terms: curves where no effect of the catalogue explains the residuals.
 
-The term is a curve in one state, or in one state times a second. It is searched on the train
-flights' linearised likelihood beside everything that was chosen, written as a table into a copy of
-the aircraft, and evaluated on both sides as an effect is. It names nothing and changes no verdict.
+They also test whether selected effects have the right form. A term is a curve in one state, or in
+one state times a second. It is selected on the training flights' linearised likelihood beside the
+selected effects, written as a table into a copy of the aircraft, and evaluated on both sides like
+an effect. It names no cause and changes no verdict.
 """
 
 from __future__ import annotations
@@ -74,10 +74,10 @@ Inputs = dict[str, tuple[int, FloatArray]]
 
 @dataclass(frozen=True)
 class CurveEstimate:
-    """A term estimated about a flight.
+    """A term estimated about a trajectory.
 
-    result : everything else as it is beside the term
-    replaced : keys of the effects in whose place the term is
+    ``result`` holds the other estimates beside the term, ``replaced`` the keys of the effects in
+    whose place it is.
     """
 
     result: SearchResult
@@ -86,9 +86,8 @@ class CurveEstimate:
 
 
 class CurveFits:
-    """Estimates of curves about a flight.
-
-    The flight is that of ``result`` or, with its data, another, which has the curve ``flown_term``.
+    """Fits of curves about the trajectory of ``result``, or about another with its data that has
+    the curve ``flown_term``.
     """
 
     def __init__(
@@ -105,8 +104,8 @@ class CurveFits:
     def information(
         self, make: Callable[[Mapping[str, FloatArray]], Inputs]
     ) -> tuple[Information, list[str]]:
-        """Information of everything and of columns that ``make`` computes from a segment's
-        variables; and the names of the other free columns.
+        """Return the information of all columns and of those that ``make`` computes from a
+        segment's variables, and the names of the other free columns.
         """
         names = tuple(make(self.along[0]))
         curves = MadeColumns(
@@ -137,8 +136,10 @@ class CurveFits:
     def fit_coloured(
         self, term: SmoothTerm, replaced: Sequence[str] = ()
     ) -> tuple[SmoothFit, Information, list[str]]:
-        """Fit a term in the place of the effects ``replaced``, with the information that coloured
-        residuals leave; with the information used, and the names of the other free columns.
+        """Fit a term in place of the effects ``replaced``, with the information for coloured
+        residuals.
+
+        Also returns the information used, and the names of the other free columns.
         """
         information, free = self.information(term.inputs)
         free = [n for n in free if n not in replaced]
@@ -149,7 +150,7 @@ class CurveFits:
         return fit_smooth(information, free, [term], dispersion)[0], information, free
 
     def terms(self, coefficient: str, times: str | None = None) -> list[SmoothTerm]:
-        """Terms of every state that varies, times a second one."""
+        """Return terms of every state that varies, times a second one if given."""
         terms = (smooth_term(coefficient, s, times, self.samples) for s in STATES if s != times)
         return [t for t in terms if t is not None]
 
@@ -180,7 +181,7 @@ class CurveFits:
 
 
 def is_in(effect: Effect, term: SmoothTerm) -> bool:
-    """Whether a curve of the term's states can be what the effect is."""
+    """Return whether a curve of the term's states can represent the effect."""
     parsed = effect.parsed
     if parsed is None or effect.coefficient != term.coefficient:
         return False
@@ -192,7 +193,7 @@ def is_in(effect: Effect, term: SmoothTerm) -> bool:
 
 
 def with_smoothing(information: Information, fit: SmoothFit) -> Information:
-    """The information with the smoothing as a prior of the term's columns."""
+    """Return the information with the smoothing as a prior of the term's columns."""
     prior = information.prior.copy()
     prior[information.index(fit.term.columns)] += fit.dispersion * fit.precision
     return replace(information, prior=prior)
@@ -208,10 +209,11 @@ def with_smoothing(information: Information, fit: SmoothFit) -> Information:
 def drop_unclear_effects(
     result: SearchResult, train: Dataset, complete: Aircraft, pool: Processes
 ) -> SearchResult:
-    """Estimate everything again without effects that are too weak, if the model leaves the train
-    flights unexplained: by its residuals, or by a curve that the chosen forms do not describe.
+    """Estimate everything again without weak effects, if the model leaves the training flights
+    unexplained.
 
-    complete : the aircraft with all chosen effects
+    Residuals show that, or a curve that the selected forms do not describe. ``complete`` is the
+    aircraft with all selected effects.
     """
     effects, curve = result.selection.chosen, find_form_mismatch(result)
     if curve is None:
@@ -236,9 +238,9 @@ def drop_unclear_effects(
 
 
 def too_weak(effects: Sequence[SelectedEffect], critical_t: float) -> tuple[SelectedEffect, ...]:
-    """Effects that would not be named beside something unexplained.
+    """Return the effects that are not named beside unexplained residuals.
 
-    |t| is by the standard error that is stated, which may be wider than what chose them.
+    |t| is by the stated standard error, which may be larger than that of the selection.
     """
     t = [abs(c.value / c.std) for c in effects]
     required = max(min(COMPARABLE * max(t, default=0.0), OVERWHELMING), critical_t + DIFFERENT)
@@ -248,8 +250,10 @@ def too_weak(effects: Sequence[SelectedEffect], critical_t: float) -> tuple[Sele
 def find_form_mismatch(
     result: SearchResult,
 ) -> tuple[FormMismatch, tuple[SelectedEffect, ...]] | None:
-    """The curve in a chosen effect's states and coefficient that stands out most beside all that
-    was chosen, and the other effects as they are beside it; None where none stands out.
+    """Return the most significant curve in a selected effect's states and coefficient, and the
+    other effects as estimated beside it.
+
+    None if no curve is significant.
     """
     curves = CurveFits(result, result.after)
     terms = _terms_of_effects(result, curves)
@@ -268,8 +272,9 @@ def find_form_mismatch(
 
 
 def _terms_of_effects(result: SearchResult, curves: CurveFits) -> list[SmoothTerm]:
-    """Curves that chosen effects can be, each in one of its states; of an effect of two states, in
-    one times the other.
+    """Return curves that can represent selected effects, each in one of its states.
+
+    For an effect of two states it is a curve in one times the other.
     """
     effects = [result.effects[c.key] for c in result.selection.chosen]
     keys: dict[tuple[str, str, str | None], None] = {}
@@ -289,10 +294,10 @@ def _terms_of_effects(result: SearchResult, curves: CurveFits) -> list[SmoothTer
 
 @dataclass(frozen=True)
 class _FlownTerm:
-    """A term that flew on the train flights.
+    """A term that was simulated on the training flights.
 
-    searched : as it was selected; curves: about which flight it was estimated
-    aircraft : with the term and everything beside it
+    ``searched`` is the term as selected, ``curves`` the fits about its trajectory, ``aircraft`` the
+    aircraft with the term and everything beside it.
     """
 
     searched: SmoothFit
@@ -305,8 +310,8 @@ class _FlownTerm:
 def find_smooth_term(
     outcome: HoldOutResult, write: Write, pool: Processes
 ) -> tuple[Aircraft, SmoothTermDocument] | str:
-    """The aircraft with the smooth term that explains most of what remains, and the term's part of
-    refinement.json; or why there is none.
+    """Return the aircraft with the smooth term that explains most of the residuals, and the term's
+    part of refinement.json; or the reason why there is none.
     """
     train, test = outcome.sides
     result = outcome.result
@@ -384,8 +389,9 @@ def find_smooth_term(
 def _fly_twice(
     curves: CurveFits, fit: SmoothFit, train: Dataset, write: Write, pool: Processes
 ) -> _FlownTerm | None:
-    """A term flown, and in calm air estimated once more about the flight with it, which is nearer
-    to the measurement; None as `_fly`.
+    """Simulate a term, and in calm air estimate it once more about its own simulation.
+
+    That trajectory is closer to the measurements. None as `_fly`.
     """
     first = _fly(curves, fit, train, write, pool)
     by_prediction = not curves.result.estimator.uses_replays
@@ -404,9 +410,7 @@ def _fly_twice(
 def _fly(
     curves: CurveFits, fit: SmoothFit, train: Dataset, write: Write, pool: Processes
 ) -> _FlownTerm | None:
-    """The term as it flies; None where the flight that it is estimated about is so far off that its
-    estimates are not finite.
-    """
+    """Simulate a term; None if its estimates about the simulation are not finite."""
     estimate = curves.estimate(fit.term)
     numbers = [
         *estimate.fit.values,
@@ -422,10 +426,10 @@ def _fly(
 
 
 def _curve_document(flown_term: _FlownTerm, tables: ResidualTables) -> dict[str, Any]:
-    """The channel of which the term explains most, what it and similar forms leave there, and its
-    curve over the data.
+    """Return the channel of which the term explains most, the residuals of the term and of similar
+    forms there, and its curve over the data.
 
-    tables : residuals of the train flights without and with it
+    ``tables`` are residuals of the training flights without and with it.
     """
     curves, fit, term = flown_term.curves, flown_term.estimate.fit, flown_term.estimate.fit.term
     ratio = {
@@ -440,6 +444,7 @@ def _curve_document(flown_term: _FlownTerm, tables: ResidualTables) -> dict[str,
     forms, shapes = forms_like(fit, x, second), known_forms(term.knots)
 
     def columns(v: Mapping[str, FloatArray]) -> Inputs:
+        """Return the term's columns."""
         k, factor = COEFFICIENTS.index(term.coefficient), v[term.times] if term.times else 1.0
         return term.inputs(v) | {
             f"form/{n}": (k, shapes[n](v[term.state]) * factor) for n, _ in forms
@@ -449,6 +454,7 @@ def _curve_document(flown_term: _FlownTerm, tables: ResidualTables) -> dict[str,
     free = [n for n in free if n not in flown_term.estimate.replaced]
 
     def remaining_rms(form: str) -> float:
+        """Return the rms that a form leaves."""
         estimates = information.estimates(information.index([*free, form]))
         k = list(tables.channels).index(channel)
         return float(rms(np.concatenate([r[:, k] for r in information.residual(estimates)])))

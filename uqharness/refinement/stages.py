@@ -1,4 +1,4 @@
-"""Results of a refinement's stages on disk: a run that was interrupted continues where it was."""
+"""Store the results of a refinement's stages on disk, so that an interrupted run continues."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ _NAME = re.compile(r"[a-z]+[0-9]*-[0-9a-f]{16}\.data")
 
 
 class Stages:
-    """Store of the results of functions, by name and by a key of all their inputs.
+    """Store of results, by name and by a key of all their inputs.
 
-    A folder of results may come from anybody: its files are data, and nothing in them is run. A
-    file that cannot be read, or that does not hold the type of its stage, is ignored with a
+    A folder of results may come from anybody: its files are data, and nothing in them is executed.
+    A file that cannot be read, or that does not hold the type of its stage, is ignored with a
     warning.
     """
 
@@ -58,7 +58,7 @@ class Stages:
         return result
 
     def remove(self) -> None:
-        """Remove the files when the refinement is done; other files, and then the folder, stay."""
+        """Remove the files of a finished refinement, and the folder if it is empty."""
         folder = self._usable()
         if folder is None:
             return
@@ -69,7 +69,7 @@ class Stages:
             folder.rmdir()
 
     def _usable(self) -> Path | None:
-        """The folder, unless it is a link to another place."""
+        """Return the folder, unless it is a link to another place."""
         if self.folder is None or not self.folder.is_symlink():
             return self.folder
         _LOG.warning(

@@ -1,9 +1,10 @@
-"""Effects written into a copy of an aircraft: a term where the author sums the coefficient, else a
-body-axis increment.
+"""Write effects into a copy of an aircraft: as a term of the author's sum, or as a body-axis
+increment.
 
-Every effect carries a remark with value, interval, data and command. Effects other than mass and
-dead zones (`write_mass`, `write_servo`) have a property that restores the model without the effect
-bit for bit; for a term, its value is 0."""
+Every effect has a remark with value, interval, data and command. All effects except mass and dead
+zones (`write_mass`, `write_servo`) have a property that restores the original model bit for bit;
+for a term, its value is 0.
+"""
 
 from __future__ import annotations
 
@@ -77,7 +78,7 @@ _TAGS = {"lag": "lag", "rate_limit": "rate_limit", "deadband": "deadband_width"}
 
 
 def servo_of(effect: Effect, aircraft: Aircraft) -> Actuator | None:
-    """The servo, as given, whose lag or rate limit an effect is; None for any other effect."""
+    """Return the original servo of an effect on lag or rate limit; None for other effects."""
     part, _, surface = (effect.subsystem or "").partition(".")
     if part != "actuator" or effect.term not in ("lag", "rate_limit"):
         return None
@@ -85,8 +86,11 @@ def servo_of(effect: Effect, aircraft: Aircraft) -> Actuator | None:
 
 
 def write_mass(folder: Path, aircraft: Aircraft, effect: Effect, value: float, remark: str) -> None:
-    """The number in <mass_balance> changed: Ixz [kg m2] with the author's unit and sign convention,
-    or the CG along x [m], with the sensors' places from it. Raises BadInputError."""
+    """Change a number in <mass_balance>: Ixz [kg m2] or the CG along x [m].
+
+    Ixz has the author's unit and sign convention; sensors keep their positions. Raises
+    BadInputError.
+    """
     path = folder / aircraft.card.aircraft.xml
     document = read_document(path)
     block = document.root.find("mass_balance")
@@ -130,9 +134,9 @@ def write_mass(folder: Path, aircraft: Aircraft, effect: Effect, value: float, r
 
 
 def _over_empty(aircraft: Aircraft) -> float:
-    """Weight of the aircraft, fuel and loads on board included, over that of it empty.
+    """Return the ratio of the aircraft's weight, with fuel and loads, to its empty weight.
 
-    Raises BadInputError where that is none.
+    Raises BadInputError if there is none.
     """
     fdm = open_aircraft(aircraft)
     engine.run_ic(fdm)
@@ -148,7 +152,7 @@ def _over_empty(aircraft: Aircraft) -> float:
 def write_servo(
     folder: Path, aircraft: Aircraft, effect: Effect, value: float, remark: str
 ) -> None:
-    """A servo's own number changed: lag [1/s], rate_limit, both as properties, or deadband_width.
+    """Change a servo's number: lag [1/s] or rate_limit, both as properties, or deadband_width.
 
     Raises BadInputError.
     """
@@ -194,7 +198,7 @@ def write_servo(
 
 
 def _shift(document: Document, node: Node, by: float, remark: str) -> None:
-    """The number in an element moved, with a remark behind it."""
+    """Change the number of an element and add a remark."""
     edits = [
         replace_text(document, node, f"{number(node, f'<{node.tag}>', document) + by:.8g}"),
         append_remark(document, node, remark),
@@ -203,10 +207,12 @@ def _shift(document: Document, node: Node, by: float, remark: str) -> None:
 
 
 def _write(document: Document, edits: list[Insertion]) -> None:
+    """Write a document with edits."""
     document.path.write_bytes(apply(document, edits))
 
 
 def _actuator(folder: Path, name: str | None) -> tuple[Document, Node] | None:
+    """Return the actuator of that name and its document; None if there is none."""
     documents = (read_document(path) for path in sorted(folder.rglob("*.xml")))
     every = ((d, n) for d in documents for n in d.root.walk())
     return next(
@@ -215,7 +221,7 @@ def _actuator(folder: Path, name: str | None) -> tuple[Document, Node] | None:
 
 
 def _channel(node: Node) -> Node:
-    """The channel around a component, or the component where there is none."""
+    """Return the channel around a component, or the component if there is none."""
     above = node.parent
     while above is not None and above.tag != "channel":
         above = above.parent
@@ -237,12 +243,14 @@ _QBAR_S = (property_value("aero/qbar-psf"), property_value("metrics/Sw-sqft"))
 
 
 def _computes(section: AeroSection, name: str) -> bool:
+    """Return whether a section computes a property."""
     return any(has_function(document, name) for document in section.documents)
 
 
 def _per_rate(length: str, section: AeroSection) -> Expression:
-    """b/2V or c/2V [s] of this frame: JSBSim's own aero/bi2vel, aero/ci2vel are a frame old in an
-    effect's function.
+    """Return b/2V or c/2V [s] of the current frame.
+
+    JSBSim's aero/bi2vel and aero/ci2vel are one frame old in an effect's function.
     """
     if _computes(section, f"aero/{length}_2V"):
         return property_value(f"aero/{length}_2V")
@@ -252,7 +260,7 @@ def _per_rate(length: str, section: AeroSection) -> Expression:
 
 
 def variable_xml(variable: str, section: AeroSection, aircraft: Aircraft) -> Expression:
-    """A term's variable in this aircraft. Raises BadInputError where nothing gives it."""
+    """Return a term's variable in this aircraft; raises BadInputError if nothing provides it."""
     if variable in ("alpha", "beta"):
         return property_value(f"aero/{variable}-rad")
     if variable.endswith("_hat"):
@@ -298,7 +306,7 @@ def variable_xml(variable: str, section: AeroSection, aircraft: Aircraft) -> Exp
 
 
 def term_xml(term: Term, section: AeroSection, aircraft: Aircraft) -> list[Expression]:
-    """Factors of a term."""
+    """Return the factors of a term."""
     out: list[Expression] = []
     for f in term.factors:
         one = variable_xml(f.variable, section, aircraft)
@@ -321,12 +329,13 @@ def term_xml(term: Term, section: AeroSection, aircraft: Aircraft) -> list[Expre
 def subsystem_terms(
     effect: Effect, slopes: Mapping[str, float], section: AeroSection, aircraft: Aircraft
 ) -> list[tuple[str, float, list[Expression]]]:
-    """(coefficient, number, factors) that make up a subsystem's effect.
+    """Return (coefficient, number, factors) of the terms that represent a subsystem's effect.
 
-    slopes : as in `EffectToWrite`
+    ``slopes`` are those of `EffectToWrite`.
     """
 
     def x(name: str) -> Expression:
+        """Return the variable of that name."""
         return variable_xml(name, section, aircraft)
 
     match effect.subsystem, effect.term:
@@ -377,7 +386,7 @@ def subsystem_terms(
 
 
 def _lift_lost(term: str, section: AeroSection) -> Expression:
-    """Share of the lift that separation takes, 0 or less: ((1 + sqrt X)/2)^2 - 1."""
+    """Return the share of the lift that separation takes, 0 or less: ((1 + sqrt X)/2)^2 - 1."""
     lag = value(0, "g")
     if term == "dynamic":
         lag = call(
@@ -390,6 +399,7 @@ def _lift_lost(term: str, section: AeroSection) -> Expression:
     a1 = 2.0 * STALL["a1_per_deg"]
 
     def side(sign: int, at: float) -> Expression:
+        """Return 1 + exp(sign a1 (angle - at)) of positive or negative stall."""
         exponent = call("product", value(sign * a1, "g"), call("difference", angle, value(at, "g")))
         return call("sum", value(1, "g"), call("exp", exponent))
 
@@ -404,9 +414,18 @@ THRUST_SCALE = "propulsion/thrust-scale"
 
 @dataclass(frozen=True)
 class EffectToWrite:
-    """An effect to write: its value and a remark (ASCII); slopes: mean change of CX..Cn by a degree
-    of elevator and rudder, of CZ by a radian of alpha, and the polynomial of CX by inflow over CT,
-    which some subsystems need as numbers."""
+    """An effect to write.
+
+    Attributes
+    ----------
+    effect : Effect
+    value : float
+    remark : str
+        ASCII.
+    slopes : mapping
+        Numbers that some subsystems need: mean change of CX to Cn per degree of elevator and
+        rudder, of CZ per radian of alpha, and the polynomial over CT of CX by inflow.
+    """
 
     effect: Effect
     value: float
@@ -415,8 +434,9 @@ class EffectToWrite:
 
 
 def property_of(effect: Effect) -> str | None:
-    """Property of the simulation that carries the effect, None where it has none (sensors; numbers
-    that JSBSim reads once).
+    """Return the property of the simulation that holds the effect.
+
+    None for sensors and for numbers that JSBSim reads once.
     """
     if (
         not in_dynamics(effect)
@@ -428,7 +448,7 @@ def property_of(effect: Effect) -> str | None:
 
 
 def carrier(effect: Effect, aircraft: Aircraft) -> Carrier | None:
-    """Property that carries the effect in this aircraft; None where there is none."""
+    """Return the property that holds the effect in this aircraft; None if there is none."""
     if _is_scale(effect) and folder_declares(aircraft.folder, THRUST_SCALE):
         return Carrier(THRUST_SCALE, 1.0)
     servo = servo_of(effect, aircraft)
@@ -441,8 +461,11 @@ def carrier(effect: Effect, aircraft: Aircraft) -> Carrier | None:
 
 
 def switch_of(effect: Effect, aircraft: Aircraft) -> tuple[str, float] | None:
-    """Property of the aircraft written with the effect, and its value that restores the aircraft as
-    given, bit for bit; None where a number stands in the XML alone, or nothing does."""
+    """Return the property of the written aircraft that switches the effect off, and its value for
+    that.
+
+    None if a number exists in the XML alone, or nothing does.
+    """
     place = carrier(effect, aircraft)
     return (place.name, place.absent) if place is not None and place.exact else None
 
@@ -453,10 +476,9 @@ def write_effects(
     estimates: Mapping[str, Estimate],
     out: Path,
 ) -> list[str]:
-    """Copy the aircraft's folder to ``out`` (which must not exist) with effects and estimates;
-    names of estimates without a place.
+    """Copy the aircraft's folder to ``out``, which must not exist, with effects and estimates.
 
-    Raises BadInputError.
+    Returns the names of estimates without a place. Raises BadInputError.
     """
     copy_folder(aircraft.folder, out)
     mine = [_with_switch(w, aircraft) for w in effects if in_dynamics(w.effect)]
@@ -495,6 +517,7 @@ def write_effects(
 
 
 def _with_switch(w: EffectToWrite, aircraft: Aircraft) -> EffectToWrite:
+    """Return an effect with its switch in the remark."""
     switch = switch_of(w.effect, aircraft)
     return (
         w
@@ -504,14 +527,16 @@ def _with_switch(w: EffectToWrite, aircraft: Aircraft) -> EffectToWrite:
 
 
 def _is_scale(effect: Effect) -> bool:
+    """Return whether an effect is a factor on thrust."""
     return effect.subsystem == "propulsion" and effect.term == "thrust_scale"
 
 
 def _add(
     edit: SectionEdit, aircraft: Aircraft, w: EffectToWrite, summands: dict[str, list[str]]
 ) -> SectionEdit:
-    """The effect's property, and its terms in the author's sums or as functions, whose names join
-    ``summands``.
+    """Add the effect's property, and its terms in the author's sums or as functions.
+
+    The names of the functions are appended to ``summands``.
     """
     name, term = w.effect.property_name, w.effect.parsed
     declared = [declare(name, f"{w.value:.8g}", w.remark)]
@@ -598,7 +623,7 @@ def _author_style(
 
 
 def _sum_of(section: AeroSection, coefficient: str) -> tuple[Document, Node] | None:
-    """The <sum> in which the author adds up the coefficient ``aero/<C>``."""
+    """Return the <sum> in which the author adds up the coefficient ``aero/<C>``."""
     for document in section.documents:
         for node in document.root.walk():
             if node.tag == "function" and attribute(node, "name") == f"aero/{coefficient}":
@@ -613,8 +638,8 @@ def _sum_of(section: AeroSection, coefficient: str) -> tuple[Document, Node] | N
 
 
 def control_slopes(fit: Linearisation) -> dict[str, float]:
-    """Mean change of the coefficients by a degree of elevator and rudder, of CZ by a radian of
-    alpha, of CX by inflow.
+    """Return the mean change of coefficients per degree of elevator and rudder, of CZ per radian of
+    alpha, and of CX by inflow.
     """
     by = np.concatenate([p.by_control for p in fit.probes])
     out = {
@@ -629,7 +654,7 @@ def control_slopes(fit: Linearisation) -> dict[str, float]:
 
 
 def inflow_numbers(probes: Sequence[Probe]) -> dict[str, float]:
-    """Polynomial over CT of what an inflow twice the model's does to CX."""
+    """Return the polynomial over CT of the change of CX if the inflow doubles."""
     pairs = [(p.variables()["CT"], p.by_inflow) for p in probes if p.by_inflow is not None]
     if not pairs:
         return {}
@@ -641,11 +666,12 @@ def inflow_numbers(probes: Sequence[Probe]) -> dict[str, float]:
 def of_lift_slope(
     selection: Selection, before: Linearisation, after: Linearisation
 ) -> tuple[Selection, dict[str, float]]:
-    """Lift lost by separation as a share of the lift slope that is estimated beside it, and the
+    """Return lift lost by separation as a share of the lift slope estimated beside it, and the
     numbers to write effects with.
 
-    Flights that stall say of a model without stall that its lift slope is small: of that slope the
-    share would be too large."""
+    Flights with stall reduce the lift slope of a model without stall: the share of that slope would
+    be too large.
+    """
     slopes = control_slopes(before)
     estimate = after.trajectory.point.values.get("aero/CZ_alpha", 0.0)
     if not estimate * slopes["CZ_alpha"] > 0.0:
@@ -672,12 +698,12 @@ PREFIX = "uq/unnamed"
 
 
 def property_of_table(term: SmoothTerm) -> str:
-    """Property that holds the term's value in flight."""
+    """Return the property that holds the term's value in flight."""
     return f"{PREFIX}/{term.label}"
 
 
 def write_table(aircraft: Aircraft, fit: SmoothFit) -> None:
-    """The term added to an aircraft's aerodynamics, in its own folder. Raises BadInputError."""
+    """Add the term to an aircraft's aerodynamics in its own folder; raises BadInputError."""
     term, name = fit.term, property_of_table(fit.term)
     section = read_section(aircraft.folder, aircraft.card.aircraft.xml)
     edit = SectionEdit(section)
