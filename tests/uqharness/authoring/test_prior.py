@@ -29,10 +29,25 @@ def test_statistics_of_a_class():
 
 def test_an_aircraft_counts_once_and_can_be_left_out():
     everything, without = class_errors(), class_errors(["UltraStick120"])
-    assert everything["elevator"].dof == GUESS_DOF + 1
-    assert everything["elevator"].aircraft == ("UltraStick120",)
-    assert without["elevator"].dof == GUESS_DOF
-    assert without["elevator"].std == CLASSES["elevator"].guess
+    assert everything["static margin"].aircraft == ("UltraStick120", "Babyshark VTOL")
+    # Two tools of one aircraft are one vote.
+    assert everything["static margin"].dof == GUESS_DOF + 2
+    assert without["moment at zero alpha"].dof == GUESS_DOF
+    assert without["moment at zero alpha"].std == pytest.approx(
+        CLASSES["moment at zero alpha"].guess
+    )
+
+
+def test_intervals_hold_for_aircraft_left_out():
+    """Errors of each aircraft lie in the 90 % intervals that the others give."""
+    rows = read_evidence()
+    inside = [
+        abs(float(row["error"])) <= class_errors([row["aircraft"]])[row["class"]].half_width(0.9)
+        for row in rows
+    ]
+    assert np.mean(inside) > 0.9
+    widths = {name: error.half_width(0.9) / 3.0 for name, error in class_errors().items()}
+    assert np.mean([abs(float(row["error"])) <= widths[row["class"]] for row in rows]) < 0.7
 
 
 def test_evidence_belongs_to_classes():
