@@ -639,6 +639,7 @@ def assemble(
     identifiability = assess(
         linearisation.information[np.ix_(inside, inside)], tuple(every_name[i] for i in inside)
     )
+    # Covariances: that of white innovations, and that corrected for their colour.
     pieces, whites = problem.whitened(evaluation[1])
     # (MK) of `coloured_residuals` corrects the innovations' part of the information; the part of
     # the covariances stays.
@@ -688,6 +689,7 @@ def assemble(
     block = np.ix_(layout.columns, layout.columns)
     full_cov[block], full_crb[block] = cov[:k_free, :k_free], crb[:k_free, :k_free]
     full_vif[layout.columns] = vif[:k_free]
+    # Each parameter is fixed, identified, or not identified for a reason.
     status, reasons = (
         dict.fromkeys(labels, "fixed"),
         dict.fromkeys(labels, "held at theta0 (free=)"),
@@ -704,6 +706,7 @@ def assemble(
     ratio = np.sqrt(np.diagonal(cov)[:k_free]), np.sqrt(np.diagonal(crb)[:k_free])
     warnings += colour_warnings(residual_colour, *ratio, "filter error")
     innovation = [evaluation[1].base.raw[:length, :, s] for s, length in enumerate(record.lengths)]
+    # Standard errors of the process noise follow those of the free parameters.
     q_std = np.full(q.size, np.nan)
     q_std[layout.noisy] = np.sqrt(np.diagonal(cov)[k_free : k_free + layout.noisy.size])
     return FilterErrorFit(
@@ -764,7 +767,7 @@ def filter_error(
     jacobian_every: int = 4,
     max_iterations: int = 60,
     tolerance: float = 1e-2,
-    told: IterationCallback | None = None,
+    callback: IterationCallback | None = None,
 ) -> FilterErrorFit:
     """Estimate theta (k,) of dx/dt = f(x, u, theta) + w, z = g(x, u, theta) + v in turbulence.
 
@@ -800,7 +803,7 @@ def filter_error(
         Samples between renewals of the filter's Jacobians (4: a tenth of a second at 40 Hz).
     max_iterations, tolerance
         Stop when the next step is shorter than `tolerance` standard errors.
-    told : callable, optional
+    callback : callable, optional
         Called in each iteration of a descent with its number and the length of the next step in
         standard errors.
 
@@ -888,7 +891,7 @@ def filter_error(
         difference=1e-5 * np.maximum(scale, np.abs(initial).max(axis=1)),
         every=jacobian_every,
         state_scale=scale,
-        callback=told,
+        callback=callback,
     )
     process = (
         positive_vector(process_noise_start, nx, "process_noise_start")

@@ -752,7 +752,7 @@ def output_error(
     max_iterations: int = 100,
     tolerance: float = 1e-5,
     errors: bool = True,
-    told: IterationCallback | None = None,
+    callback: IterationCallback | None = None,
 ) -> OutputErrorFit:
     """Estimate theta (k,) such that simulate(theta) comes closest to what was measured.
 
@@ -786,7 +786,7 @@ def output_error(
     errors : bool
         False for the estimates alone: standard errors, covariances and variance inflation are then
         NaN, and identifiability is not assessed.
-    told : callable, optional
+    callback : callable, optional
         Called in each iteration of a descent with its number and the length of the next step in
         standard errors.
 
@@ -889,7 +889,7 @@ def output_error(
             tolerance=length,
             max_iterations=iterations,
             always_central=differences == "central",
-            callback=told,
+            callback=callback,
         )
 
     # Descend from theta0; if another minimum may be better, try one by way of short segments.

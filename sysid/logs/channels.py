@@ -387,6 +387,7 @@ def derived_signal(derived: Derived, columns: Mapping[str, FloatArray]) -> tuple
                 )
                 return pressure / (_GAS * kelvin), text
             case "true_airspeed":
+                # Dynamic pressure is equal: V = V_indicated sqrt(rho0 / rho).
                 indicated = column("V_mps")
                 if "rho_kgpm3" in columns:
                     density, basis = columns["rho_kgpm3"], "rho_kgpm3"
@@ -395,6 +396,7 @@ def derived_signal(derived: Derived, columns: Mapping[str, FloatArray]) -> tuple
                 return indicated * np.sqrt(_RHO0 / density), (
                     f"V_mps was indicated airspeed, density from {basis}"
                 )
+            # T = CT rho n^2 D^4 with CT at the advance ratio J = V / (n D).
             case "propeller_thrust":
                 n = column("rpm") * p["rpm_scale"] / 60.0
                 speed = column("V_mps")

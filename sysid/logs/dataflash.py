@@ -641,6 +641,7 @@ def read_text(
             line = raw.decode("latin-1").rstrip("\r\n")
             if not line.strip():
                 continue
+            # Every line begins with the name of its message.
             name, _, content = line.partition(",")
             name = name.strip()
             # A format line describes the lines that follow; a second header begins another log.
@@ -680,6 +681,7 @@ def read_text(
         )
         numbers = {"lines": float(bad_lines), "first_line": float(first_bad_line)}
         findings.append(Finding("damaged-lines", "", "warning", message, numbers))
+    # Columns of the messages that were read, and the line of each row.
     columns = {
         name: c.columns() for name, c in collectors.items() if c is not None and counts[name]
     }

@@ -59,6 +59,7 @@ def read(
     with open_regular(path) as handle:
         head = handle.read(520)
     try:
+        # Version 7.3 is HDF5, whose signature follows an optional block of 512 bytes.
         is_hdf5 = head.startswith(_HDF5) or head[512:520] == _HDF5
         tree = _read_hdf5(path) if is_hdf5 else _read_v5(path)
     except (LogError, MemoryError):
@@ -69,6 +70,7 @@ def read(
             " with `save FILE.mat`",
             path,
         ) from None
+    # Vectors of all structs; objects of MATLAB classes are listed, they cannot be read.
     arrays: dict[tuple[str, str], NDArray[Any]] = {}
     objects: list[str] = []
     for struct, name, values in _fields(tree, "", objects, 0):

@@ -214,6 +214,7 @@ class Sensors:
                 reasons.append(reason)
             valid = valid & rows
 
+        # Fields of the row itself, then states of other messages at its time.
         for name, (low, high) in rule.valid.items():
             if (values := _numbers(table, name)) is not None:
                 text = f"{name} must be {_range(low, high)}"
@@ -239,6 +240,7 @@ class Sensors:
                 )
                 text = f"bit {rule.bits[number]} of {message}.{prefix}_health must be set"
                 require(~(present & enabled) | healthy, text)
+        # The instance that the autopilot uses, by its own account.
         primary = self._primary(rule)
         in_use = None if primary is not None else self._in_use(rule, table, keep, time_s)
         instance = _Instance(
@@ -398,6 +400,7 @@ def _describe(
     marked = marked or (".".join(rule.selected[1:]) if rule.selected else rule.in_use)
     invalid = [i for i in instances if not i.valid.all()]
     parts = []
+    # Which instance is read, and why.
     if not read:
         parts.append(f"no row of {rule.message} is valid")
     elif len(instances) == 1:
@@ -428,6 +431,7 @@ def _describe(
             alternating = " and ".join(names[k] for k in read)
             turns = f"{alternating} in turn, {len(spans) - 1} changes"
         parts.append(f"{rule.message} is read from {reason}: {turns}")
+    # Rows of each instance that are no data.
     for name, instance in zip(names, instances, strict=True):
         if instance.valid.all():
             continue

@@ -184,6 +184,7 @@ def read(
         If no packet with flight data can be read.
     """
     state = _Tlog(selection)
+    # Packets may be split between blocks: the unread bytes join the next one.
     unread, done = b"", 0
     with open_regular(path) as handle:
         size = max(1, os.fstat(handle.fileno()).st_size)
@@ -202,6 +203,7 @@ def read(
             f" ({state.bad_packets} packets failed their checksum); record the telemetry again",
             path,
         )
+    # Position in the file, time of receipt and time since boot of each message.
     streams = {
         name: _Stream(
             np.frombuffer(state.place[name], dtype=np.float64).astype(np.int64),
@@ -213,6 +215,7 @@ def read(
     # Vehicle clock and radio clock differ by another offset after each boot.
     begins = _boots(streams)
     times, offsets = _times(streams, begins)
+    # Tables of all fields that every message of a kind carries.
     messages = {}
     for name, stream in streams.items():
         fields = {f: np.frombuffer(v, dtype=np.float64) for f, v in state.values[name].items()}

@@ -721,11 +721,13 @@ def _summary(
     covariance = np.einsum("i,ijk->jk", w, covariances) + (betas - beta).T @ (
         (betas - beta) * w[:, None]
     )
+    # Persistent and transient variances at each point of the posterior.
     flight = points.flight if problem.has_several_flights else np.zeros(len(points))
     persistent = points.block + flight
     transient = points.transient
     # Uncertainty of the polynomial, averaged over the data.
     polynomial_variance = np.einsum("ijk,jk->i", covariances, problem.gram)
+    # Model error: mean, its uncertainty, and both random parts.
     error = np.sqrt(
         np.einsum("ij,jk,ik->i", betas, problem.gram, betas, optimize=True)
         + polynomial_variance
@@ -742,6 +744,7 @@ def _summary(
             )
         )
     )
+    # The posterior mean as one point, for the tail of the residuals.
     noise = float(w @ points.noise)
     mean_colour = float(np.average(colour, weights=w * transient))
     middle = _Points(

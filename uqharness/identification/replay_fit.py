@@ -199,7 +199,7 @@ def fit_replays(
             max_iterations=MAX_ITERATIONS,
             differences="secant",
             errors=errors,
-            told=callback,
+            callback=callback,
         )
 
     def fit_from(theta: FloatArray, free: Sequence[str]) -> OutputErrorFit:

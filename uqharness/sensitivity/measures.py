@@ -815,6 +815,7 @@ def local(study: Study, runs: Evaluations, seed: int = 0, intervals: bool = True
     box = runs.sampled if runs.sampled is not None else runs.corners
     if box is None:
         return all_undefined(LOCAL_METHOD, study.names, "the study has no p-box to take shares of")
+    # Reasons for which no share is defined.
     cost = runs.nominal.size + runs.forward.size
     reason = missing_values(nominal=runs.nominal, forward=runs.forward, p_box=box)
     if reason:
@@ -830,6 +831,7 @@ def local(study: Study, runs: Evaluations, seed: int = 0, intervals: bool = True
     # One parameter at a time.
     slope = np.abs((runs.forward - runs.nominal) / study.step)  # (4.1)
     share = study.width * slope / area  # (4.2)
+    # The interval of the shares is that of the width, on a logarithmic scale.
     reach = np.nan
     if intervals and runs.sampled is not None:
         reach = float(reach_of_box(lambda e, a: log_area(box[np.ix_(e, a)]), box.shape, seed))

@@ -471,6 +471,7 @@ def _model(source: Path) -> tuple[Path, Path]:
     its only ones name, else its only one, else that of its only subfolder with one.
     """
     folder = _folder_of(source)
+    # A -set.xml of FlightGear names its model, an XML file is one.
     if source.is_file() and source.name.endswith(_SET):
         aero = _set_file(folder, source.name).aero
         if not aero or not (folder / f"{aero}.xml").is_file():
@@ -486,6 +487,7 @@ def _model(source: Path) -> tuple[Path, Path]:
                 " its folder or FlightGear's -set.xml"
             )
         return folder, source
+    # A folder: its name decides, then FlightGear's -set.xml, then the only model.
     same_name = folder / f"{folder.name}.xml"
     if same_name.is_file():
         return folder, same_name
@@ -500,6 +502,7 @@ def _model(source: Path) -> tuple[Path, Path]:
     choices = [model_set] if model_set else sorted(set(sets.values())) or models
     if len(choices) == 1:
         return folder, choices[0]
+    # Without a model of its own the only subfolder with one is taken.
     if not choices:
         below = [path for path in sorted(folder.iterdir()) if path.is_dir() and _has_model(path)]
         if len(below) == 1:

@@ -994,6 +994,7 @@ def _coverage(out: Path, flights: Sequence[str], refined: bool) -> Iterator[Sent
         failing = [c for c, verdict in verdicts.items() if verdict == "fails"] or [
             c for c in shares if not shares[c] >= MIN_SHARE_INSIDE
         ]
+        # The worst verdict decides the sentence and its level.
         undecided = [c for c, verdict in verdicts.items() if verdict == "inconclusive"]
         if failing:
             text += f": those of {', '.join(failing)} do not hold."
@@ -1018,6 +1019,7 @@ def _coverage(out: Path, flights: Sequence[str], refined: bool) -> Iterator[Sent
         )
         unchanged = ", ".join(c for c, x in change.items() if abs(x) <= NEGLIGIBLE_CHANGE)
         unknown = ", ".join(c for c, x in change.items() if math.isnan(x))
+        # Coefficients with changed, unchanged and undefined widths.
         groups = (
             (moved, ""),
             (unchanged, " as before"),

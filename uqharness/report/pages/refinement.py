@@ -820,6 +820,7 @@ def refine_page(folder: Path, prefix: str = "", only: Collection[str] | None = N
     histories = read_histories(folder / HISTORIES)
     gap = done.gap.test
     diff = _diff(folder)
+    # First what shrank, which effects did it, and where residuals remain.
     sections = [
         gap_section(gap, prefix),
         effect_section(done, diff, prefix),
@@ -845,6 +846,7 @@ def refine_page(folder: Path, prefix: str = "", only: Collection[str] | None = N
         sections.append(
             Section("Coefficients before and after", (Words(text, note=True), figure_block))
         )
+    # Hold-out flights beside the replays of both models.
     noise = {c: row.noise_rms for c, row in gap.channels.items()}
     models = [Model("_before", "second", "before"), Model("_after", "first", "after")]
     if is_wanted(title := "Test flights against both models", only):
@@ -857,6 +859,7 @@ def refine_page(folder: Path, prefix: str = "", only: Collection[str] | None = N
             2,
             lambda rank, _: "history" if rank == 0 and done.effects else None,
         )
+    # Consequences for intervals and mission, then everything for reference.
     sections += [interval_section(gap, prefix), mission_section(folder, gap, prefix)]
     sections += [
         _remaining_section(done),
@@ -864,6 +867,7 @@ def refine_page(folder: Path, prefix: str = "", only: Collection[str] | None = N
         _model_section(done, diff),
         *remarks({"notes": done.notes}),
     ]
+    # Provenance.
     train, test = (", ".join(names) or "flights not recorded" for names in (done.train, done.test))
     facts = (
         ("Command", done.command or "not recorded"),
