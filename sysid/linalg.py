@@ -42,11 +42,6 @@ class Blocks:
     k: int
 
     @staticmethod
-    def from_dense(dense: FloatArray, edges: Sequence[int]) -> Blocks:
-        """Split a dense matrix of shape (N, m, k) at the row numbers ``edges``."""
-        return Blocks.from_segments([dense[a:b] for a, b in pairwise(edges)])
-
-    @staticmethod
     def from_segments(segments: Sequence[FloatArray]) -> Blocks:
         """Store one dense array of shape (n, m, k) per segment without its zero columns."""
         columns = [np.flatnonzero(part.any(axis=(0, 1))) for part in segments]

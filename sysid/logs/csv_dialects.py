@@ -17,11 +17,20 @@ from sysid.units import FT_M, KT_MPS, LBF_N, PSF_PA, SLUG_FT2_KGM2, SLUG_FT3_KGP
 class CsvDialect:
     """A CSV layout of one program.
 
-    name : of the dialect, and of its map in signal_maps/
-    vehicle : name that a record shows
-    prefix : part of column names that is removed
-    is_header : whether the column names of a file are those of this dialect
-    si_factor : column name -> factor from its unit to SI
+    Attributes
+    ----------
+    name : str
+        Name of the dialect, and of its map in signal_maps/.
+    vehicle : str
+        Name that a record shows.
+    prefix : str
+        Part of column names that is removed.
+    is_header : callable
+        Whether the column names of a file are those of this dialect.
+    si_factor : callable
+        Column name to the factor from its unit to SI.
+    names_state_units : bool
+        Whether all column names include their unit, so that values are in SI once read.
     """
 
     name: str
@@ -29,11 +38,7 @@ class CsvDialect:
     prefix: str = ""
     is_header: Callable[[Sequence[str]], bool] = lambda names: False
     si_factor: Callable[[str], float] = lambda name: 1.0
-
-    @property
-    def names_state_units(self) -> bool:
-        """Whether the column names tell the unit, so that values are in SI once read."""
-        return self.name != PLAIN.name
+    names_state_units: bool = False
 
     def column_name(self, heading: object) -> str:
         """Return the column's name without blanks and without the dialect's prefix."""
@@ -112,7 +117,14 @@ CSV_DIALECTS: Mapping[str, CsvDialect] = {
     dialect.name: dialect
     for dialect in (
         PLAIN,
-        CsvDialect("jsbsim-csv", "JSBSim", "/fdm/jsbsim/", _is_jsbsim_header, si_factor),
+        CsvDialect(
+            "jsbsim-csv",
+            "JSBSim",
+            "/fdm/jsbsim/",
+            _is_jsbsim_header,
+            si_factor,
+            names_state_units=True,
+        ),
     )
 }
 

@@ -49,7 +49,6 @@ _SNIFFED_LINES = 60
 _WAYS = ((",", "."), (";", ","), (";", "."), ("\t", "."), ("\t", ","), ("|", "."), (",", ","))
 _CLOCK = re.compile(r"\d:\d\d")
 _SPACES = ((" ", "."), (" ", ","))
-SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", " ": "spaces"}
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import pickle
+from itertools import pairwise
 
 import numba
 import numpy as np
@@ -25,7 +26,7 @@ def sensitivity(seed: int = 0) -> np.ndarray:
 
 
 def blocks(dense: np.ndarray) -> Blocks:
-    return Blocks.from_dense(dense, EDGES)
+    return Blocks.from_segments([dense[a:b] for a, b in pairwise(EDGES)])
 
 
 def test_of_each_segment_the_columns_that_move_it_are_kept():

@@ -33,7 +33,6 @@ _R_DRY = 1716.5571582043528
 _GAMMA = 1.4
 _SLOPES = tuple((t1 - t0) / (h1 - h0) for (h0, t0), (h1, t1) in itertools.pairwise(_LAYERS))
 
-PRODUCED = ("atmosphere/T-R", "atmosphere/P-psf", "atmosphere/rho-slugs_ft3", "atmosphere/a-fps")
 SETTINGS = {"atmosphere/delta-T": 0.0, "atmosphere/P-sl-psf": 2116.228}
 """Settable properties, with the values of the standard day."""
 

@@ -103,7 +103,7 @@ def compiled_pairs(target: Target) -> random_numbers.Pairs:
 
 
 Tries = Callable[[int, int], tuple[FloatArray, int]]
-
+"""(state of the generator, number of tries) -> (normals in order, state after them)."""
 
 Points = Callable[[Sequence[Any], random_numbers.Operations], tuple[Any, Any, Any]]
 _CHUNK = 8192
@@ -431,7 +431,6 @@ _BELOW_ONE = float(np.nextafter(1.0, 0.0))
 _TRIES_CHUNK = 4096
 _ACCEPTANCE = np.pi / 4.0
 """Share of tries that are accepted."""
-"""(state of the generator, number of tries) -> (normals in order, state after them)."""
 
 
 class JsbsimNumbers:

@@ -103,7 +103,7 @@ CONFIDENCE = 0.95
 
 @dataclass(frozen=True)
 class Condition:
-    """Name one cell of the wind x turbulence grid.
+    """One cell of the wind x turbulence grid.
 
     Attributes
     ----------
@@ -135,7 +135,7 @@ class Condition:
 
 @dataclass(frozen=True)
 class ExcursionCell:
-    """Hold the excursion rates of all corners in one condition, for one radius [m] and one
+    """Excursion rates of all corners in one condition, for one radius [m] and one
     distance.
 
     ``distance`` is horizontal or 3d.
@@ -254,9 +254,9 @@ def excursion_cells(frame: pd.DataFrame, radii_m: Iterable[float]) -> list[Excur
             for name, at in by_corner
         ]
         # 3-D distances are separate columns with a suffix.
-        for distance, suffix in (("horizontal", ""), ("3d", "_3d")):
+        for distance in ("horizontal", "3d"):
             for radius in radii_m:
-                column = f"excursions_{radius:g}m{suffix}"
+                column = excursion_column(radius, distance)
                 if _not_measured(rows, column, distance):
                     continue
                 counts = rows[column].to_numpy(dtype=float, na_value=np.nan)

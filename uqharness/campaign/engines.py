@@ -420,11 +420,6 @@ def choose_engine(
     )
 
 
-def reasons_against(spec: CampaignSpec, mission: Mission, engines: Engines) -> tuple[str, ...]:
-    """Return why the batch engine cannot fly a campaign, one sentence each; empty if it can."""
-    return _support(spec, mission, engines)[0]
-
-
 def _support(
     spec: CampaignSpec, mission: Mission, engines: Engines
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:

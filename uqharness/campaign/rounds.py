@@ -21,6 +21,7 @@ import numpy as np
 
 from sysid.arrays import FloatArray
 from uqharness.campaign.cases import Case
+from uqharness.campaign.conditions import Condition, excursion_column
 from uqharness.campaign.processes import CaseOutcome
 from uqharness.campaign.spec import CampaignSpec
 from uqharness.campaign.store import Store
@@ -325,7 +326,7 @@ class Rounds:
             outcomes = {case.case_id: _outcome(store, case) for case in round_cases}
             # Update the evidence of each condition.
             for cell in self._cells:
-                cell.learn(ids, outcomes)
+                cell.add_flights(ids, outcomes)
             first = ids.stop
             # Corners that are still open may need all remaining flights.
             self.max_cases = flown_cases + sum(
@@ -361,12 +362,12 @@ def decision_rows(content: bytes, path: Path) -> list[dict[str, str]]:
 
 
 class _Cell:
-    """Collect the evidence of one condition."""
+    """Evidence of one condition."""
 
     def __init__(self, cases: Sequence[Case], rule: Rule) -> None:
         self.first = cases[0]
         self._question = rule.question(self.first.flight.duration_s)
-        self._column = f"excursions_{rule.radius_m:g}m"
+        self._column = excursion_column(rule.radius_m, "horizontal")
         self._corners = list(dict.fromkeys(case.epistemic_id for case in cases))
         self._by_place = {(case.epistemic_id, case.aleatory_id): case for case in cases}
         self.evidence: Evidence = begin(len(self._corners))
@@ -377,7 +378,7 @@ class _Cell:
             if is_open:
                 yield from (self._by_place[corner, number] for number in ids)
 
-    def learn(self, ids: range, outcomes: Mapping[str, CaseOutcome]) -> None:
+    def add_flights(self, ids: range, outcomes: Mapping[str, CaseOutcome]) -> None:
         """Add the flights ``ids`` of the open corners to the evidence and test it."""
         low, high, is_aborted, missing = np.full((4, len(self._corners), len(ids)), np.nan)
         # Rows of answered corners stay NaN and add no evidence.
@@ -397,7 +398,7 @@ class _Cell:
         """Yield the rows of decisions.csv: the condition first, then its corners."""
         evidence, hours = self.evidence, self.first.flight.duration_s / 3600.0
         condition = [
-            f"{self.first.wind_mps:g} m/s {self.first.turbulence}",
+            Condition(self.first.wind_mps, self.first.turbulence).label,
             f"{self.first.wind_mps:g}",
             self.first.turbulence,
         ]

@@ -70,7 +70,6 @@ from uqharness.xml import (
     apply,
     attribute,
     comment,
-    declaration,
     declarations,
     folder_documents,
     parse_document,
@@ -876,17 +875,11 @@ def write_estimates(aircraft: Aircraft, estimates: Mapping[str, Estimate], out: 
     return undeclared
 
 
-def with_value(document: Document, name: str, estimate: Estimate) -> bytes | None:
-    """Return a file with another value of a declared property; None if it does not declare it.
+def _edits(document: Document, node: Node, estimate: Estimate) -> list[Insertion]:
+    """Return the edits of a declaration: its value, and the comment on its line.
 
     An earlier comment of this program is replaced, the author's comments are kept.
     """
-    node = declaration(document, name)
-    return None if node is None else apply(document, _edits(document, node, estimate))
-
-
-def _edits(document: Document, node: Node, estimate: Estimate) -> list[Insertion]:
-    """Return the edits of a declaration: its value, and the comment on its line."""
     end = document.raw.find(b"\n", node.end)
     old = document.raw[node.end : None if end < 0 else end].removesuffix(b"\r")
     other_text = _REMARK.sub(b"", old).rstrip(b" \t")

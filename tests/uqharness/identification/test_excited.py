@@ -29,7 +29,7 @@ def judged(
 ) -> Excitation:
     """Of one array, in two segments."""
     return of_blocks(
-        Blocks.from_dense(np.moveaxis(motion, 0, 2), (0, N // 4, N)), labels, size, outputs
+        Blocks.from_segments(np.split(np.moveaxis(motion, 0, 2), [N // 4])), labels, size, outputs
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import tempfile
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,7 +22,6 @@ from uqharness.plugin.apply import (
     put_values,
     undo,
     with_card,
-    with_value,
     write_estimates,
 )
 from uqharness.plugin.instrument import Bounds
@@ -30,7 +30,6 @@ from uqharness.simulator import facts as aircraft_facts
 from uqharness.simulator.aircraft import find_aircraft, open_aircraft
 from uqharness.simulator.staging import copy_folder, copy_shared_parts
 from uqharness.xml import read_document
-from uqharness.xml.document import parse_document
 
 BOUNDS = Bounds(None, {"CX": (-0.01, 0.01)})
 
@@ -115,8 +114,11 @@ TEXT = (
 
 
 def edited(text: str, name: str, estimate: Estimate, encoding: str = "utf-8") -> str | None:
-    done = with_value(parse_document(Path("a.xml"), text.encode(encoding)), name, estimate)
-    return None if done is None else done.decode(encoding)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "a.xml")
+        path.write_bytes(text.encode(encoding))
+        undeclared = put_values(path.parent, {name: estimate})
+        return None if undeclared else path.read_bytes().decode(encoding)
 
 
 def test_a_value_is_edited_in_place_and_nowhere_else():
