@@ -30,8 +30,3 @@ def test_another_file_of_a_folder_by_its_name(tmp_path: Path, monkeypatch: pytes
     assert find_campaign("mine", "study.toml") == Path("mine/study.toml")
     with pytest.raises(BadInputError, match=r"no folder with a campaign\.toml"):
         find_campaign("mine")
-
-
-@pytest.mark.parametrize("name", ["aircraft", "scripts", "campaigns", "tests/reference"])
-def test_the_root_holds_what_comes_with_it(name: str):
-    assert (PROJECT_ROOT / name).is_dir()
