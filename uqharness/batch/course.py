@@ -362,7 +362,7 @@ Splits = tuple[Split, ...]
 
 
 class Feeder:
-    """Provide the feeds of the next frames for the lanes that are still flying.
+    """Feeds of the next frames for the lanes that are still flying.
 
     Parameters
     ----------

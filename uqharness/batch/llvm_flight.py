@@ -76,7 +76,7 @@ def print_program(program: Program, target: Target) -> str:
 
 
 class _ProgramPrinter:
-    """Print a program as LLVM text.
+    """Printer of a program as LLVM text.
 
     Slots are at %slots, W doubles each, in the program's order; ``%stream<k>`` is the k-th stream.
     """

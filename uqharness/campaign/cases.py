@@ -39,7 +39,7 @@ from uqharness.flight import (
 
 @dataclass(frozen=True)
 class Mission:
-    """Hold the files that a campaign flies and the hashes of their content.
+    """The files that a campaign flies and the hashes of their content.
 
     Paths are not part of a case's identity; the hashes are.
 
@@ -66,7 +66,7 @@ class Mission:
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """Describe one flight of a campaign.
+    """One flight of a campaign.
 
     Attributes
     ----------
@@ -130,7 +130,7 @@ def uq_properties(spec: CampaignSpec, sample: Epistemic) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class Part:
-    """Select a part of a campaign.
+    """A part of a campaign.
 
     Attributes
     ----------

@@ -278,7 +278,7 @@ def _not_measured(rows: pd.DataFrame, column: str, distance: str) -> bool:
 
 @dataclass(frozen=True)
 class _Corner:
-    """Hold one corner's rows of a condition, its failed flights and its scored time [h]."""
+    """One corner's rows of a condition, its failed flights and its scored time [h]."""
 
     name: str
     places: NDArray[np.intp]

@@ -67,7 +67,7 @@ _COLUMNS = (
 
 @dataclass(frozen=True)
 class MetricConvergence:
-    """Hold the convergence of one metric in one condition.
+    """The convergence of one metric in one condition.
 
     Attributes
     ----------
@@ -305,7 +305,7 @@ _AREA_COLUMNS = (
 
 @dataclass(frozen=True)
 class AreaComparison:
-    """Hold the comparison of real flights with the p-box of one metric in one condition."""
+    """The comparison of real flights with the p-box of one metric in one condition."""
 
     metric: str
     condition: Condition

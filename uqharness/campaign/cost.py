@@ -44,7 +44,7 @@ _SLOW_S = 0.2
 
 @dataclass(frozen=True)
 class Size:
-    """Count the flights of a campaign.
+    """Numbers of flights of a campaign.
 
     Attributes
     ----------
@@ -83,7 +83,7 @@ class Size:
 
 @dataclass(frozen=True)
 class Pace:
-    """Describe how fast one process of this machine flies.
+    """Pace of one process of this machine.
 
     Attributes
     ----------
@@ -106,7 +106,7 @@ class Pace:
 
 @dataclass(frozen=True)
 class Cost:
-    """Combine the size of a campaign with the pace of this machine.
+    """Cost of a campaign: its size at the pace of this machine.
 
     Attributes
     ----------

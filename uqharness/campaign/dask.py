@@ -68,7 +68,7 @@ addition to those of this program.
 
 @dataclass(frozen=True)
 class Order:
-    """Hold cases for a remote worker; fields are keys of the JSON.
+    """Cases for a remote worker; fields are keys of the JSON.
 
     Attributes
     ----------
@@ -98,7 +98,7 @@ class Order:
 
 @dataclass(frozen=True)
 class Answer:
-    """Hold the outcomes of an order, or the reason why the worker refused it."""
+    """The outcomes of an order, or the reason why the worker refused it."""
 
     outcomes: tuple[CaseOutcome, ...] | None
     refused: str = ""
@@ -398,7 +398,7 @@ _ROUNDS = 2
 
 
 class DaskExecutor:
-    """Fly on the cluster of a Dask scheduler.
+    """Executor on the cluster of a Dask scheduler.
 
     ``workers`` is the current number of threads of the cluster. Workers may come and go; a cluster
     without any is waited for.

@@ -266,7 +266,7 @@ _MAX_REASONS = 8
 
 @dataclass(frozen=True)
 class Engines:
-    """Hold the functions to fly with.
+    """The functions to fly with.
 
     Attributes
     ----------
@@ -307,7 +307,7 @@ class Engines:
 
 @dataclass(frozen=True)
 class EngineChoice:
-    """Hold a campaign whose engine is chosen.
+    """A campaign whose engine is chosen.
 
     Attributes
     ----------
@@ -346,7 +346,7 @@ def engine_words(engine: str, reasons: tuple[str, ...]) -> str:
 
 @dataclass(frozen=True)
 class PreviousEngine:
-    """Hold the engine of a campaign that has begun, and the reasons of its choice."""
+    """The engine of a campaign that has begun, and the reasons of its choice."""
 
     engine: str
     reasons: tuple[str, ...] = ()

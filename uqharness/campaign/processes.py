@@ -41,7 +41,7 @@ GroupFunction = Callable[[str, Sequence[FlightSpec]], Sequence[FlightResult]]
 
 @dataclass(frozen=True)
 class Group:
-    """Hold cases (id, flight) that one worker flies together in the engine of that name."""
+    """Cases (id, flight) that one worker flies together in the engine of that name."""
 
     engine: str
     cases: tuple[tuple[str, FlightSpec], ...]
@@ -57,7 +57,7 @@ class Group:
 
 @dataclass(frozen=True)
 class OneByOne:
-    """Wrap a flight function as a group function that flies one flight after the other."""
+    """Group function that flies one flight after the other."""
 
     fly: FlightFunction
 
@@ -68,7 +68,7 @@ class OneByOne:
 
 @dataclass(frozen=True)
 class CaseOutcome:
-    """Hold what a campaign keeps of one flight: the result without its signals.
+    """Stored result of one flight, without its signals.
 
     Attributes
     ----------
@@ -175,7 +175,7 @@ NEAREST = "nearest_"
 
 
 class Batch(Protocol):
-    """Report what the batch engine can fly."""
+    """Queries of what the batch engine can fly."""
 
     def available(self) -> str | None:
         """Return None if it can fly on this machine, else the reason."""
@@ -196,7 +196,7 @@ class Batch(Protocol):
 
 
 class LocalBatch:
-    """Report what the batch engine of this program can fly."""
+    """Queries of what the batch engine of this program can fly."""
 
     def available(self) -> str | None:
         """Return None if it can fly on this machine, else the reason."""
@@ -285,7 +285,7 @@ _GUARD = (
 
 
 class Executor(Protocol):
-    """Fly cases, singly or in groups.
+    """Executor of cases, singly or in groups.
 
     Outcomes come in batches, in any order, at most about `BATCH_S` after the flight; a batch may be
     empty.
@@ -319,7 +319,7 @@ def single_groups(flights: Iterable[tuple[str, FlightSpec]]) -> Iterator[Group]:
 
 
 class SerialExecutor:
-    """Fly in this process, for debugging. A case that ends the interpreter ends the run."""
+    """Executor in this process, for debugging; a case that ends the interpreter ends the run."""
 
     workers = 1
 
@@ -345,7 +345,7 @@ class SerialExecutor:
 
 @dataclass
 class _Task:
-    """Hold a group and how often its worker failed or was killed from outside."""
+    """A group and how often its worker failed or was killed from outside."""
 
     group: Group
     failures: int = 0
@@ -354,7 +354,7 @@ class _Task:
 
 @dataclass
 class _Worker:
-    """Hold a worker process, its pipe and its queue of tasks."""
+    """A worker process, its pipe and its queue of tasks."""
 
     process: Any
     pipe: Connection
@@ -364,7 +364,7 @@ class _Worker:
 
 
 class ProcessExecutor:
-    """Fly in worker processes, with a time limit and a second attempt per case.
+    """Executor in worker processes, with a time limit and a second attempt per case.
 
     A group whose worker dies or hangs is flown again in smaller groups, until the failing case is
     alone.

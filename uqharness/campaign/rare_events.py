@@ -28,7 +28,7 @@ DISTANCE = "cross_track"
 
 @dataclass(frozen=True)
 class FirstExcursion:
-    """Record the first excursion of a path beyond a radius.
+    """First excursion of a path beyond a radius.
 
     Attributes
     ----------
@@ -79,7 +79,7 @@ class Score(Protocol):
 
 @dataclass(frozen=True)
 class CheckpointPlan:
-    """Say when paths are scored and how.
+    """Times and method of the scoring of paths.
 
     Attributes
     ----------
@@ -97,7 +97,7 @@ class CheckpointPlan:
 
 
 class LoiterPaths:
-    """Fly paths that differ in their gusts and noise only, with branching at checkpoints.
+    """Paths that differ in their gusts and noise only, with branching at checkpoints.
 
     Excursions are counted as in the tables of a campaign, from the rows recorded between two
     checkpoints.
@@ -267,7 +267,7 @@ sign for nearly collinear regressors.
 
 @dataclass(frozen=True)
 class DistancePredictor:
-    """Predict the distance from the commanded path at several horizons.
+    """Predictor of the distance from the commanded path at several horizons.
 
     Attributes
     ----------

@@ -55,7 +55,7 @@ RECORD_HZ = 50.0
 
 @dataclass(frozen=True)
 class RerunResult:
-    """Report a repeated flight.
+    """A repeated flight.
 
     Attributes
     ----------

@@ -55,7 +55,7 @@ _BY_STATUS = {
 
 @dataclass(frozen=True)
 class AbortedFlights:
-    """Hold the aborted flights of one condition.
+    """The aborted flights of one condition.
 
     Attributes
     ----------
@@ -182,7 +182,7 @@ _COLUMNS = (
 
 @dataclass(frozen=True)
 class Rule:
-    """Hold the rule *decide* with all defaults filled in.
+    """The rule *decide* with all defaults filled in.
 
     Attributes
     ----------

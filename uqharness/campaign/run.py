@@ -85,7 +85,7 @@ reported before that.
 
 @dataclass(frozen=True)
 class Progress:
-    """Report the state of a run after a batch is on the disk.
+    """State of a run after a batch is on the disk.
 
     Attributes
     ----------
@@ -121,7 +121,7 @@ class Progress:
 
 @dataclass(frozen=True)
 class CampaignSummary:
-    """Report the outcome of a run.
+    """The outcome of a run.
 
     Attributes
     ----------

@@ -125,7 +125,7 @@ NOMINAL = "nominal"
 
 @dataclass(frozen=True)
 class Epistemic:
-    """Hold one epistemic sample.
+    """One epistemic sample.
 
     Attributes
     ----------

@@ -52,7 +52,7 @@ _RANKS_BY = ("levels", "corners")
 
 @dataclass(frozen=True)
 class CornerCampaign:
-    """Hold the flights of one campaign: its folder, case table and manifest."""
+    """The flights of one campaign: its folder, case table and manifest."""
 
     folder: Path
     frame: pd.DataFrame
@@ -76,7 +76,7 @@ class CornerCampaign:
 
 @dataclass(frozen=True)
 class _LevelFlights:
-    """Group the flights of one condition by their levels.
+    """Flights of one condition by their levels.
 
     Attributes
     ----------
@@ -108,7 +108,7 @@ class _LevelFlights:
 
 @dataclass(frozen=True)
 class _ConditionFlights:
-    """Hold one campaign in one condition: its corners and levels, and its interior points."""
+    """One campaign in one condition: its corners and levels, and its interior points."""
 
     campaign: CornerCampaign
     levels: _LevelFlights
@@ -128,7 +128,7 @@ class _ConditionFlights:
 
 @dataclass(frozen=True)
 class MetricSensitivity:
-    """Hold the sensitivity of one metric in one condition.
+    """The sensitivity of one metric in one condition.
 
     Attributes
     ----------
@@ -529,7 +529,7 @@ DEFAULT_METRIC = "cross_track_median_m"
 
 @dataclass(frozen=True)
 class Winner:
-    """Name the coefficient whose uncertainty causes most of a metric's p-boxes.
+    """The coefficient whose uncertainty causes most of a metric's p-boxes.
 
     Attributes
     ----------

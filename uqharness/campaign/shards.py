@@ -204,7 +204,7 @@ SHARDS = "shards"
 
 @dataclass(frozen=True)
 class Shard:
-    """Identify part ``number`` of ``count``, counted from 1."""
+    """Part ``number`` of ``count``, counted from 1."""
 
     number: int
     count: int

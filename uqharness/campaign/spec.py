@@ -430,7 +430,7 @@ _ORDER = ("mean", "std", "low", "high", "half_width")
 
 @dataclass(frozen=True)
 class Estimates:
-    """Hold identified parameters.
+    """Identified parameters.
 
     Attributes
     ----------
@@ -460,7 +460,7 @@ class Estimates:
 
 @dataclass(frozen=True)
 class CampaignInputs:
-    """Hold what the files named by a campaign contain.
+    """Contents of the files named by a campaign.
 
     Attributes
     ----------
@@ -767,7 +767,7 @@ class Document(Section):
 
 @dataclass(frozen=True)
 class CampaignSpec:
-    """Hold a validated campaign.
+    """A validated campaign.
 
     Attributes
     ----------

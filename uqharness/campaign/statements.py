@@ -77,7 +77,7 @@ DISPERSION_EXCEEDED = "clusters beyond the carried limit"
 
 @dataclass(frozen=True)
 class DispersionBound:
-    """Hold the dispersion that the limits of each corner allow for.
+    """The dispersion that the limits of each corner allow for.
 
     Attributes
     ----------
@@ -303,7 +303,7 @@ _COLUMNS = (
 
 @dataclass(frozen=True)
 class RateRange:
-    """Hold a rate per flight hour with its limits and the corner at which it was observed."""
+    """A rate per flight hour with its limits and the corner at which it was observed."""
 
     rate: float
     lower: float
@@ -313,7 +313,7 @@ class RateRange:
 
 @dataclass(frozen=True)
 class Statement:
-    """Hold the claims on one condition, radius and distance.
+    """The claims on one condition, radius and distance.
 
     Attributes
     ----------
@@ -433,7 +433,7 @@ def statements(
 
 @dataclass(frozen=True)
 class _ConditionFlights:
-    """Hold a condition's rows of a case table.
+    """A condition's rows of a case table.
 
     Attributes
     ----------

@@ -491,7 +491,7 @@ _UNREADABLE = (sqlite3.Error, OverflowError, MemoryError, UnicodeError)
 
 
 class JournalScan:
-    """Read a journal that may be damaged, without changing it.
+    """Reader of a journal that may be damaged, which it does not change.
 
     Parameters
     ----------

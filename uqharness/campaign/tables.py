@@ -353,7 +353,7 @@ MOST_CHECK_BYTES = 64_000_000
 
 @dataclass(frozen=True)
 class CheckRow:
-    """Hold one row of engine-check.csv: a metric of a flight in both engines, as text.
+    """One row of engine-check.csv: a metric of a flight in both engines, as text.
 
     Attributes
     ----------

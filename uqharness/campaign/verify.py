@@ -65,7 +65,7 @@ INTACT, DAMAGED, MISSING, NO_DIGEST = "whole", "damaged", "missing", "no digests
 
 @dataclass(frozen=True)
 class JournalScanResult:
-    """Count the rows of a journal that are intact, damaged and missing.
+    """Numbers of intact, damaged and missing rows of a journal.
 
     ``missing`` is None if the original number is not known; ``problem`` says what is wrong.
     """
@@ -279,7 +279,7 @@ _OWN_TABLES = ("sensitivity.csv", "convergence.csv", "area.csv", ENGINE_CHECK)
 
 @dataclass(frozen=True)
 class RunOptions:
-    """Hold the options with which missing flights are flown, see `run_campaign`."""
+    """The options with which missing flights are flown, see `run_campaign`."""
 
     executor: Executor
     before_flying: Callable[[Cost], None] = lambda _: None

@@ -367,7 +367,7 @@ _PUBLISHED_AIRCRAFT, _PUBLISHED_WIND_MPS, _PUBLISHED_AIR = "espaaro", 3.0, ("mod
 
 @dataclass(frozen=True)
 class Finding:
-    """Hold the p-box of a median error.
+    """The p-box of a median error.
 
     Attributes
     ----------
@@ -414,7 +414,7 @@ class Finding:
 
 @dataclass(frozen=True)
 class CampaignReport:
-    """Hold a complete campaign with its results.
+    """A complete campaign with its results.
 
     Attributes
     ----------

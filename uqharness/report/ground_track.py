@@ -41,7 +41,7 @@ _KINDS: Mapping[tuple[str, str], str] = {
 
 @dataclass(frozen=True)
 class Circle:
-    """Hold the centre and radius [m] of a commanded circle."""
+    """The centre and radius [m] of a commanded circle."""
 
     north_m: float
     east_m: float
@@ -113,7 +113,7 @@ def equal_scales(east: FloatArray, north: FloatArray, height: int) -> tuple[Scal
 
 @dataclass(frozen=True)
 class Lap:
-    """Hold one lap of the flights of a study, all in the same gusts.
+    """One lap of the flights of a study, all in the same gusts.
 
     Attributes
     ----------

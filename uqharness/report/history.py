@@ -33,7 +33,7 @@ def file_name(text: str) -> str:
 
 @dataclass(frozen=True)
 class Model:
-    """Identify a model in a file of histories: column suffix, class of its line, and name."""
+    """A model in a file of histories: column suffix, class of its line, and name."""
 
     suffix: str
     kind: str

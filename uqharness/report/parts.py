@@ -33,7 +33,7 @@ def level_of(value: str | None) -> Level:
 
 @dataclass(frozen=True)
 class Sentence:
-    """Hold a sentence of the verdict; ``level`` is good, warn, bad or empty for a plain fact."""
+    """A sentence of the verdict; ``level`` is good, warn, bad or empty for a plain fact."""
 
     text: str
     level: Level = ""
@@ -46,7 +46,7 @@ class Sentence:
 
 @dataclass(frozen=True)
 class Words:
-    """Hold a paragraph; a ``note`` is shown in a softer colour."""
+    """A paragraph; a ``note`` is shown in a softer colour."""
 
     kind: ClassVar[str] = "words"
     text: str
@@ -55,7 +55,7 @@ class Words:
 
 @dataclass(frozen=True)
 class Bullets:
-    """Hold a list of sentences; with ``key`` a terminal shows it too."""
+    """A list of sentences; with ``key`` a terminal shows it too."""
 
     kind: ClassVar[str] = "bullets"
     items: tuple[str, ...]
@@ -64,7 +64,7 @@ class Bullets:
 
 @dataclass(frozen=True)
 class Sentences:
-    """Hold sentences with levels."""
+    """Sentences with levels."""
 
     kind: ClassVar[str] = "told"
     items: tuple[Sentence, ...]
@@ -72,7 +72,7 @@ class Sentences:
 
 @dataclass(frozen=True)
 class Cell:
-    """Hold a table cell with a level.
+    """A table cell with a level.
 
     Attributes
     ----------
@@ -102,7 +102,7 @@ class Cell:
 
 @dataclass(frozen=True)
 class Table:
-    """Hold a table of text or cells; the first column heads its row.
+    """A table of text or cells; the first column heads its row.
 
     With ``key`` a terminal shows it too.
     """
@@ -121,7 +121,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Figure:
-    """Hold a drawing with its caption.
+    """A drawing with its caption.
 
     ``cursor`` holds the data that the page's script reads out under the pointer; None for no
     cursor.
@@ -135,7 +135,7 @@ class Figure:
 
 @dataclass(frozen=True)
 class Figures:
-    """Hold drawings side by side.
+    """Drawings side by side.
 
     Attributes
     ----------
@@ -158,7 +158,7 @@ class Figures:
 
 @dataclass(frozen=True)
 class Facts:
-    """Hold names and values."""
+    """Names and values."""
 
     kind: ClassVar[str] = "facts"
     items: tuple[tuple[str, str], ...]
@@ -166,7 +166,7 @@ class Facts:
 
 @dataclass(frozen=True)
 class Code:
-    """Hold lines of a file or a command line."""
+    """Lines of a file or a command line."""
 
     kind: ClassVar[str] = "code"
     label: str
@@ -178,7 +178,7 @@ Block = Words | Bullets | Sentences | Table | Figures | Facts | Code
 
 @dataclass(frozen=True)
 class Section:
-    """Hold a heading, its blocks and subsections; ``folded`` sections are closed at first."""
+    """A heading, its blocks and subsections; ``folded`` sections are closed at first."""
 
     title: str
     blocks: tuple[Block, ...]
@@ -188,7 +188,7 @@ class Section:
 
 @dataclass(frozen=True)
 class Page:
-    """Hold a report.
+    """A report.
 
     Attributes
     ----------

@@ -31,7 +31,7 @@ _BOX_CLASSES = ("first", "fill1"), ("second", "fill2")
 
 @dataclass(frozen=True)
 class LabelledBox:
-    """Hold a p-box of a figure.
+    """A p-box of a figure.
 
     Attributes
     ----------

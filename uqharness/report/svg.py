@@ -35,7 +35,7 @@ _MAX_LOG_TICKS = 9
 
 @dataclass(frozen=True)
 class Scale:
-    """Describe an axis.
+    """An axis.
 
     Attributes
     ----------
@@ -169,7 +169,7 @@ def _number(value: float, step: float) -> str:
 
 @dataclass
 class Chart:
-    """Collect the marks of a chart and write it as SVG.
+    """Marks of a chart, written as SVG.
 
     Attributes
     ----------

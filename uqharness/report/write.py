@@ -127,7 +127,7 @@ _MAX_NAMED = 5
 
 @dataclass(frozen=True)
 class Report:
-    """Report what was written.
+    """Files that were written.
 
     Attributes
     ----------

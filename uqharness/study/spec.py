@@ -41,7 +41,7 @@ CAMPAIGN_SECTIONS = ("campaign", "aleatory", "epistemic", "metrics", "stop", "st
 
 
 class StudySection(Section):
-    """Hold the question, the aircraft and the options that all stages share.
+    """The question, the aircraft and the options that all stages share.
 
     ``servos`` is passed to every stage that replays a flight. ``air`` is passed to `instrument`,
     which runs only if the aircraft has no plugin yet.
@@ -55,7 +55,7 @@ class StudySection(Section):
 
 
 class StageSection(Section):
-    """Hold the keys of a section that belong to the study; the others are options of its command.
+    """The keys of a section that belong to the study; the others are options of its command.
 
     ``options`` are the fields of the command's request that the section sets.
     """
@@ -66,7 +66,7 @@ class StageSection(Section):
 
 
 class FlySection(StageSection):
-    """Describe one flight of a simulated truth that is written as a log."""
+    """One flight of a simulated truth that is written as a log."""
 
     name: str = Field(pattern=rf"^{_NAME}$")
     aircraft: str = Field(min_length=1)
@@ -74,7 +74,7 @@ class FlySection(StageSection):
 
 
 class LogSection(StageSection):
-    """Describe one log of the user; paths are relative to the study file."""
+    """One log of the user; paths are relative to the study file."""
 
     name: str = Field(pattern=rf"^{_NAME}$")
     file: str = Field(min_length=1)
@@ -83,19 +83,19 @@ class LogSection(StageSection):
 
 
 class IdentifySection(StageSection):
-    """Name the flights that the parameters are estimated from."""
+    """The flights that the parameters are estimated from."""
 
     flights: Names
 
 
 class CompareSection(StageSection):
-    """Name the flights that the model is compared with, before and after refinement."""
+    """The flights that the model is compared with, before and after refinement."""
 
     flights: Names
 
 
 class BoundsSection(StageSection):
-    """Name the flights of the model-form bounds and those that check them.
+    """The flights of the model-form bounds and those that check them.
 
     ``samples`` = "all" is ``as_published``, by its earlier name.
     """
@@ -106,7 +106,7 @@ class BoundsSection(StageSection):
 
 
 class RefineSection(StageSection):
-    """Name training and hold-out flights."""
+    """Training and hold-out flights."""
 
     train: Names
     test: Names
@@ -132,7 +132,7 @@ STAGE_SECTIONS: Mapping[str, tuple[type[StageSection], type[Request], Mapping[st
 
 
 class _Document(Section):
-    """Hold all sections of a study file; the campaign's are validated later, with the aircraft
+    """All sections of a study file; the campaign's are validated later, with the aircraft
     added.
     """
 

@@ -323,7 +323,7 @@ class LeftOut:
 
 
 class Frame:
-    """Trace one frame.
+    """Trace of one frame.
 
     Parameters
     ----------

@@ -74,7 +74,7 @@ _MOST_DOTS = 250
 
 @dataclass(frozen=True)
 class LogComparison:
-    """Hold log and model of a step.
+    """Log and model of a step.
 
     Attributes
     ----------
@@ -436,7 +436,7 @@ _TITLES = (
 
 @dataclass(frozen=True)
 class Dossier:
-    """Hold the page, the proof of match (None without time histories) and what is missing."""
+    """The page, the proof of match (None without time histories) and the missing evidence."""
 
     page: Page
     source: LogComparison | None

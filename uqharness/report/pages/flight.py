@@ -98,7 +98,7 @@ class Shade:
 
 @dataclass(frozen=True)
 class Flag:
-    """Describe a finding of a channel and the time intervals [s] where it holds; none means
+    """A finding of a channel and the time intervals [s] where it holds; none means
     everywhere.
     """
 
@@ -404,7 +404,7 @@ MAX_LISTED = 60
 
 @dataclass(frozen=True)
 class FlightFacts:
-    """Describe a flight: aircraft, script, conditions, record file, and the command that repeats
+    """A flight: aircraft, script, conditions, record file, and the command that repeats
     it.
     """
 

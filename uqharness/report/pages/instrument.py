@@ -36,7 +36,7 @@ Constant = Mapping[str, tuple[float, float]]
 
 @dataclass(frozen=True)
 class Instrumentation:
-    """Describe what was done to an aircraft.
+    """Changes that were made to an aircraft.
 
     Attributes
     ----------

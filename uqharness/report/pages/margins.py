@@ -136,7 +136,7 @@ def _loop(item: LoopMargins) -> Section:
 
 
 class _Response:
-    """Hold a loop's gain [dB] and phase [deg] at its reliable frequencies.
+    """A loop's gain [dB] and phase [deg] at its reliable frequencies.
 
     The branch of the phase is the one on which the phase margin is read at -180 deg.
     """

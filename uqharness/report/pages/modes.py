@@ -60,7 +60,7 @@ _TALL = 250
 
 @dataclass(frozen=True)
 class ModesFacts:
-    """Describe the analysis: aircraft, flight-phase category, class, trim and command line."""
+    """The analysis: aircraft, flight-phase category, class, trim and command line."""
 
     aircraft: str
     category: str

@@ -72,7 +72,7 @@ _MARKS = {
 
 @dataclass(frozen=True)
 class ListedCandidate:
-    """Hold a candidate that the page lists.
+    """A candidate that the page lists.
 
     Attributes
     ----------
