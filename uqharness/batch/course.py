@@ -91,8 +91,10 @@ from uqharness.simulator import CHANGEABLE, FTLBF_PER_S_HP, Source, StagedMissio
 # initialising frames.
 
 _SETTLING_FRAMES = 200
-_RENEWALS = 12
 """Steps between two tests of whether engines are steady."""
+_RENEWALS = 12
+_BALANCING_ROUNDS, _BALANCED = 50, 1e-9
+"""Rounds of balancing at most, and the relative change of power that ends them."""
 
 
 @dataclass(frozen=True)
@@ -259,20 +261,36 @@ def settle(
             off_balance[:] = True
     if not off_balance.any():
         return
-    balanced_values = dict(values)
-    for settler in settlers:
-        going = settling_slot(settler.engine, balancing=True)
-        values[going] = off_balance.astype(float)
-        _settle_engine(settler.balance, going, values, count)
-        if isinstance(settler.engine.motor, Piston):
-            is_beyond |= values[f"{settler.engine.name}set-running"] == 0.0
+    unbalanced_values = dict(values)
+    powers = [
+        f"{settler.engine.name}power-hp"
+        for settler in settlers
+        if isinstance(settler.engine.motor, Piston)
+    ]
+    for _ in range(_BALANCING_ROUNDS):
+        for settler in settlers:
+            going = settling_slot(settler.engine, balancing=True)
+            # Count the turns of this round only.
+            counts = (f"{going.removesuffix('going')}{word}" for word in ("count", "turns"))
+            values |= {name: np.zeros(count) for name in counts}
+            values[going] = off_balance.astype(float)
+            _settle_engine(settler.balance, going, values, count)
+            if isinstance(settler.engine.motor, Piston):
+                is_beyond |= values[f"{settler.engine.name}set-running"] == 0.0
+        # Rates of incidence are of the accelerations a frame before, which JSBSim's frames leave
+        # at those of the settled thrust.
+        values |= {f"#{motor.settled}": np.ones(count) for motor in turboprops}
+        balanced = [values[name] for name in powers]
+        for _ in range(_RENEWALS):
+            renew()
+        # Systems that read an engine and set its efficiency or friction move its balance.
+        if all(
+            np.allclose(values[name], power, rtol=_BALANCED, atol=_BALANCED)
+            for name, power in zip(powers, balanced, strict=True)
+        ):
+            break
     if is_beyond.any():
         values[OUT_OF_RANGE] = np.where(is_beyond, 1.0, values.get(OUT_OF_RANGE, 0.0))
-    # Rates of incidence are of the accelerations a frame before, which JSBSim's frames leave at
-    # those of the settled thrust.
-    values |= {f"#{motor.settled}": np.ones(count) for motor in turboprops}
-    for _ in range(_RENEWALS):
-        renew()
     if turboprops:
         # Initialising would set them to idle: JSBSim's frames have filled the integrators' history
         # with the present rates.
@@ -287,7 +305,8 @@ def settle(
         renew()
     # A lane does not depend on the others.
     values |= {
-        name: np.where(off_balance, values[name], value) for name, value in balanced_values.items()
+        name: np.where(off_balance, values[name], value)
+        for name, value in unbalanced_values.items()
     }
 
 

@@ -184,11 +184,12 @@ _WORDS: tuple[tuple[frozenset[str], float], ...] = (
     (frozenset({"serviceable", "available", "healthy"}), 1.0),
     (
         _words(
-            "apu augmentation autobrake brake canopy chute crash crashed cutoff damage damaged"
-            " dead disabled door doors drag drogue dump external fail failed failure failures fire"
-            " feather freeze hook ice icing inop jammed jato jettison lock locked parking primer"
-            " pushback refuel refueling reverser reversed smoke starter stuck tailhook tow towing"
-            " tiller use winch wow wingholder groundhandling"
+            "apu augmentation autobrake brake canopy chute contaminated contamination crash"
+            " crashed cutoff damage damaged dead disabled door doors drag drogue dump external fail"
+            " failed failure failures fault faults fire feather flooded fouling freeze friction"
+            " groundhandling hook ice icing inop jammed jato jettison kill killed leak leakage lock"
+            " locked parking primer pushback reduction refuel refueling repairing reverser reversed"
+            " roughness smoke starter stuck tailhook tiller tow towing use winch wingholder wow"
         ),
         0.0,
     ),
@@ -206,7 +207,7 @@ _ON = _words(
     " feed gen generator ignition main master on open operational output outputs power powered"
     " pressure pump pumps running selected selector serviceable supply switch system valve working"
 )
-_SAME_NAME = 0.92  # similarity of names outside JSBSim's tree, from where one is a misspelling
+_SAME_NAME = 0.85  # similarity of names outside JSBSim's tree, from where one is a misspelling
 # Sections of JSBSim's own tree: in the first ones scripts may add names, in the others an unknown
 # name is an error.
 _JSBSIM = _words("fcs gear simulation propulsion")
@@ -481,6 +482,9 @@ def resolve(
         is_constant = name not in unset and names.declared.get(name) is not None
         if row is not None and not (is_constant and not parse_source(row.source).terms):
             rows[name] = row
+        # A brake or fault of FlightGear's tree that is set for the start is released in flight.
+        elif name.startswith("/") and is_constant and names.declared[name] and is_off(name):
+            rows[name] = HostProperty(name, "0", "unknown", place)
     if any(row.source == THROTTLE for row in rows.values()):
         rows[THROTTLE] = HostProperty(THROTTLE, "0", "command")
     return tuple(rows.values())
@@ -597,8 +601,16 @@ def _is_misspelt(name: str, similar: str) -> bool:
     if name.partition("/")[0] in _PHYSICS:
         return True
     sections = {name.partition("/")[0], similar.partition("/")[0]}
-    ratio = difflib.SequenceMatcher(None, name, similar).ratio()
-    return bool(similar and (sections & (_JSBSIM | _PHYSICS) or ratio >= _SAME_NAME))
+    # Compare only the parts that differ: a long common path makes all names of a system alike.
+    words = [
+        part
+        for part in zip(name.split("/"), similar.split("/"), strict=False)
+        if part[0] != part[1]
+    ]
+    is_slip = name.count("/") == similar.count("/") and all(
+        difflib.SequenceMatcher(None, *pair).ratio() >= _SAME_NAME for pair in words
+    )
+    return bool(similar and (sections & (_JSBSIM | _PHYSICS) or is_slip))
 
 
 def switch_value(name: str) -> float:
@@ -622,7 +634,12 @@ def switch_value(name: str) -> float:
             return value
     # A valve is named after its tank.
     is_valve = "tank" in leaf and bool(present & {"valve", "valves"})
-    return 1.0 if present & _SYSTEMS and (leaf & _ON or is_valve) else 0.0
+    if present & _SYSTEMS and (leaf & _ON or is_valve):
+        return 1.0
+    # A consumer among the outputs of the electrics has its voltage; a factor leaves a product.
+    if present & {"electric", "electrical"} and "outputs" in present:
+        return 28.0
+    return 1.0 if leaf & {"factor", "multiplier"} else 0.0
 
 
 def is_off(name: str) -> bool:

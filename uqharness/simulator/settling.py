@@ -72,6 +72,9 @@ def settle(fdm: Any) -> str:
     """
     manager = fdm.get_property_manager()
     saved = {name: fdm[name] for name in INTEGRATORS}
+    # The aircraft's systems pump fuel between tanks in these frames, too.
+    tanks = (f"propulsion/tank[{k}]/contents-lbs" for k in itertools.count())
+    contents = {name: fdm[name] for name in itertools.takewhile(manager.hasNode, tanks)}
     time_s, dt_s, trimming = fdm.get_sim_time(), fdm.get_delta_t(), fdm.get_trim_status()
     watched = {
         (number, reading): manager.get_node(f"{name}/{reading}").get_double_value
@@ -101,7 +104,7 @@ def settle(fdm: Any) -> str:
         fdm.set_dt(dt_s)
         fdm.set_trim_status(trimming)
         fdm.set_sim_time(time_s)
-        for name, value in saved.items():
+        for name, value in (saved | contents).items():
             fdm[name] = value
         # Restore the initial position, because the Earth turned meanwhile. Initialisation would
         # set a turboprop to idle.

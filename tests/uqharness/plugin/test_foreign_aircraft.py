@@ -214,10 +214,47 @@ def test_electric_motors_start_settled_in_the_batch_engine_as_in_jsbsim(foam):
             assert error < 1e-8 * np.max(np.abs(theirs.signals[name])), name
 
 
-@pytest.mark.parametrize("style", ["contra", "turboprop"])
+# Efficiency by the manifold's pressure, and a header tank that a valve fills to 90 % and leaves.
+FEEDBACK = """
+<system name="feedback"><channel name="engine">
+<fcs_function name="feedback/efficiency"><function><table>
+<independentVar lookup="row">propulsion/engine/map-inhg</independentVar>
+<independentVar lookup="column">atmosphere/density-altitude</independentVar>
+<tableData breakPoint="0">
+      0  9000
+  10  0.5  0.4
+  30  0.9  0.8
+</tableData></table></function><output>propulsion/engine/volumetric-efficiency</output></fcs_function>
+<switch name="feedback/valve"><default value="0"/>
+<test logic="AND" value="0.5">
+<test logic="OR">
+/controls/fuel/selector EQ 3
+/controls/fuel/selector EQ 1
+</test>
+propulsion/tank[1]/pct-full LT 90
+</test></switch>
+<pure_gain name="feedback/fill"><input>feedback/valve</input><gain>1</gain>
+<output>propulsion/tank[1]/external-flow-rate-pps</output></pure_gain>
+<pure_gain name="feedback/drain"><input>-feedback/valve</input><gain>1</gain>
+<output>propulsion/tank/external-flow-rate-pps</output></pure_gain>
+</channel></system>
+"""
+HEADER_TANK = """
+<tank type="FUEL"><location unit="IN"><x>9</x><y>30</y><z>0</z></location>
+<capacity unit="LBS">0.05</capacity><contents unit="LBS">0</contents></tank>
+"""
+
+
+def with_feedback(files):
+    xml = files["single.xml"].replace("</propulsion>", f"{HEADER_TANK}</propulsion>{FEEDBACK}")
+    return files | {"single.xml": xml}
+
+
+@pytest.mark.parametrize("style", ["contra", "turboprop", "single"])
 def test_engines_that_long_steps_stop_start_settled_in_the_batch_engine(style, tmp_path):
     folder = tmp_path / "aircraft" / style
-    for name, content in gallery.STYLES[style]().items():
+    files = gallery.STYLES[style]()
+    for name, content in (with_feedback(files) if style == "single" else files).items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_text(content)
     start = StartSection(V_mps=gallery.SPEEDS_MPS[style], altitude_m=200.0)

@@ -17,10 +17,13 @@ def reads(names, computed=(), declared=None):
     return host.Names(dict.fromkeys(names, "x.xml:1"), set(computed), dict(declared or {}))
 
 
-def sources(names, **others):
-    listed = reads(names, **others)
-    rows = host.resolve(listed, dict.fromkeys(names, ""), lambda name: True)
+def sources_of(listed, missing=()):
+    rows = host.resolve(listed, dict.fromkeys(missing, ""), lambda name: True)
     return {row.name: (row.source, row.kind) for row in rows}
+
+
+def sources(names, **others):
+    return sources_of(reads(names, **others), names)
 
 
 def with_readings(folder, names):
@@ -62,6 +65,9 @@ def test_every_source_is_an_expression_of_legal_names():
         ("/controls/gear/brake-parking", "0", "unknown"),
         ("/systems/electrical/external-power-switch", "0", "unknown"),
         ("/sim/model/door-positions/left/position-norm", "0", "unknown"),
+        ("/systems/electrical/outputs/flaps", "28", "system"),
+        ("/engines/engine/manual-power-reduction-pct", "0", "unknown"),
+        ("/test-factor", "1", "system"),
     ],
 )
 def test_a_name_has_the_source_that_flightgear_would_write(name, source, kind):
@@ -70,6 +76,25 @@ def test_a_name_has_the_source_that_flightgear_would_write(name, source, kind):
         assert found == ("1", "system")
     else:
         assert found == (source, kind)
+
+
+def test_a_brake_that_the_author_set_for_the_start_is_released():
+    brake, switch = "/controls/engines/engine/propeller-brake", "/controls/electric/master-switch"
+    declared = {brake: 1.0, switch: 1.0, "/controls/engines/engine/friction": 0.0}
+    assert sources_of(reads(declared, declared=declared)) == {brake: ("0", "unknown")}
+
+
+@pytest.mark.parametrize(
+    ("name", "similar", "kind"),
+    [
+        ("systems/propulsion/plugs/affected", "systems/propulsion/plugs/affected-switch", False),
+        ("systems/propulsion/left/fouling", "systems/propulsion/right/fouling", False),
+        ("systems/propulsion/plugs/foulng-norm", "systems/propulsion/plugs/fouling-norm", True),
+    ],
+)
+def test_a_long_common_path_makes_no_misspelling(name, similar, kind):
+    (row,) = host.resolve(reads([name]), {name: similar}, lambda _: True)
+    assert row.misspelt is kind
 
 
 def test_a_misspelt_name_of_jsbsim_is_told_from_a_name_of_the_host(tmp_path):

@@ -139,7 +139,7 @@ def grid(scope: Scope, table: Node) -> Grid:
     data = table.all("tableData")
     if len(data) != 1 or table.all("independentVar"):
         scope.refuse(table, "a table of an engine has one <tableData> and no <independentVar>")
-    scope.only(data[0])
+    scope.only(data[0], ("breakPoint",))
     # Two dimensions: the first line has one number less than the second.
     lines = [line.split() for line in data[0].text.splitlines() if line.strip()]
     if not lines:

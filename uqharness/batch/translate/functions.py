@@ -205,7 +205,8 @@ def table_value(scope: Scope, node: Node) -> Value:
         scope.refuse(
             node, f"a <table> of {len(keys)} dimensions has one <tableData>; received {len(data)}"
         )
-    scope.only(data[0])
+    # JSBSim ignores a breakPoint below three dimensions.
+    scope.only(data[0], ("breakPoint",))
     grid = read_grid(scope, data[0], "column" in keys)
     return interpolate(grid, keys["row"], keys.get("column"))
 

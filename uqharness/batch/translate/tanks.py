@@ -282,11 +282,16 @@ def trace_tanks(frame: Frame, tanks: Sequence[Tank]) -> None:
             tank.drain(frame, -amount, out)
             more = tank.contents(frame) + out.choose(0.0, amount)
             tank.store_contents(frame, more.gt(tank.capacity_lbs).choose(tank.capacity_lbs, more))
+        # JSBSim rounds differently after filling and draining; switches of valves see it.
+        filled, drained = (
+            tank.contents(frame) / tank.capacity_lbs * 100.0,
+            100.0 * tank.contents(frame) / tank.capacity_lbs,
+        )
         if tank.is_fuel:
             total = total + tank.contents(frame)
         else:
             oxidizer = oxidizer + tank.contents(frame)
-        frame.store(f"{tank.name}pct-full", 100.0 * tank.contents(frame) / tank.capacity_lbs)
+        frame.store(f"{tank.name}pct-full", flow.lt(0.0).choose(drained, filled))
     if tanks:
         frame.store("propulsion/total-fuel-lbs", total)
         frame.store("propulsion/total-oxidizer-lbs", oxidizer)
