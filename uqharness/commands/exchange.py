@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from os import PathLike
@@ -12,6 +14,7 @@ from typing import Any, Literal
 
 from sysid.aerodynamics import COEFFICIENTS
 from sysid.arrays import FloatArray
+from sysid.foreign.regular_files import ParseError, parse_json, read_regular
 from uqharness.campaign import (
     epistemic_samples,
     read_campaign,
@@ -57,7 +60,7 @@ from uqharness.requests.base import Callback, command_line, silent
 from uqharness.requests.simulation import MODEL_FILES
 from uqharness.results.authoring import Loss, LossOfCoefficient, ModelDifference, ModelSlip
 from uqharness.results.base import Outcome
-from uqharness.simulator import content_hash
+from uqharness.simulator import Aircraft, content_hash
 from uqharness.text_tables import csv_text, text_table
 
 _SURFACES = "deflections are positive nose down, right wing down, nose left in the source"
@@ -68,9 +71,10 @@ def export(request: ExportRequest, callback: Callback = silent) -> Outcome[Loss]
     # Refuse what cannot be written before the fits, which take minutes.
     aircraft = carded_aircraft(request.aircraft)
     assert request.out is not None
-    check_output_folder(request.out)
-    form = None if request.bounds is None else load_form(request.bounds)
     members = _members(request)
+    names = {member: _program_name(aircraft.name, member, request.to) for member in members}
+    _check_output(request.out, request.to, aircraft, names)
+    form = None if request.bounds is None else load_form(request.bounds)
     # A format that holds one model is fitted once for each member of a family.
     exports, by_coefficient = [], dict[str, CoefficientLoss]()
     for member, properties in members.items():
@@ -79,19 +83,23 @@ def export(request: ExportRequest, callback: Callback = silent) -> Outcome[Loss]
         source = source_model(aircraft, request.speed_mps, {**request.properties, **properties})
         states = box(source, request.states, request.seed)
         callback(f"{place}fit of the format's model")
-        name = f"{aircraft.name}_{member}" if member else aircraft.name
-        fitted = _FORMATS[request.to](source, states, name)
+        fitted = _FORMATS[request.to](source, states, names[member])
         exports.append((member, fitted))
         callback(f"{place}loss")
         # The loss of a family is that of its worst member.
         by_coefficient = worst(by_coefficient, losses(source, fitted[1], states, form))
-    files, lost, notes = _together(exports)
+    files, lost, notes = _together(exports, names)
     beyond = any(loss.is_beyond for loss in by_coefficient.values())
     verdict: Literal["within", "beyond", "no bounds"]
     verdict = "no bounds" if form is None else "beyond" if beyond else "within"
     # A loss beyond the bounds is written only if the user accepts it.
     refused = beyond and not request.accept_loss
     written = [] if refused else sorted(files)
+    if names.get("", aircraft.name) != aircraft.name:
+        notes = (
+            f"{aircraft.name} is called {names['']}: the program may not take its name",
+            *notes,
+        )
     if len(exports) > 1:
         notes = (f"the loss is the largest of {len(exports)} members", *notes)
     document = Loss(
@@ -106,13 +114,17 @@ def export(request: ExportRequest, callback: Callback = silent) -> Outcome[Loss]
         files=[*written, "loss.csv", "loss.json"],
         command=command_line(request),
     )
-    # The loss is written in every case; it says why the model is not.
+    # The loss is written in every case; it says why the model is not. A model of an earlier export
+    # does not stay beside it.
     out = results_folder(request.out)
-    for name in written:
+    write_json(out / "loss.json", document.as_json())
+    write_text(out / "loss.csv", csv_text(_rows(document.coefficients, ".17g")))
+    for name in files:
+        if name not in written:
+            (out / name).unlink(missing_ok=True)
+            continue
         results_folder((out / name).parent)
         write_bytes(out / name, files[name])
-    write_text(out / "loss.csv", csv_text(_rows(document.coefficients, ".17g")))
-    write_json(out / "loss.json", document.as_json())
     warnings = []
     # Bounds of another model are a warning: half-widths still give a scale.
     if form is not None and form.aircraft.sha256 != content_hash(aircraft):
@@ -122,6 +134,56 @@ def export(request: ExportRequest, callback: Callback = silent) -> Outcome[Loss]
         )
     lines = _lines(document, out, refused)
     return Outcome(document, document, lines, code=int(beyond), warnings=warnings)
+
+
+def _program_name(name: str, member: str, to: str) -> str:
+    """Return what the aircraft is called in the other program.
+
+    SDF, C and command lines take letters, digits and underscores. ArduPilot looks for words such
+    as ``-jet``, ``vtail`` and ``elevon`` in the name and flies another frame.
+    """
+    plain = re.sub(r"[^A-Za-z0-9_]", "_", name)
+    if member:
+        plain += "_" + re.sub(r"[^A-Za-z0-9_]" if to == "fmu" else r"[^A-Za-z0-9_-]", "_", member)
+    plain = re.sub(r"(?i)(v)(tail)|(e)(levon)", lambda m: "_".join(filter(None, m.groups())), plain)
+    is_reserved = plain == "world" or plain.startswith("__") or (to == "fmu" and plain[0].isdigit())
+    return f"aircraft_{plain}" if is_reserved else plain
+
+
+_OUTPUTS: Mapping[str, Sequence[str]] = {
+    "ardupilot-jsbsim": ("aircraft/{}", "{}.parm"),
+    "ardupilot-json": ("{}.json",),
+    "gazebo": ("model.sdf", "model-classic.sdf"),
+    "px4-sih": ("{}.params",),
+    "fmu": ("{}.fmu",),
+    "csv": ("coefficients.csv",),
+}
+"""Files and folders that each format writes for a name, beside the loss."""
+
+
+def _check_output(out: Path, to: str, aircraft: Aircraft, names: Mapping[str, str]) -> None:
+    """Raise BadInputError where an export would overwrite what it has not written.
+
+    Files of an earlier export of the aircraft to the format, which its loss.json tells, may be
+    replaced.
+    """
+    check_output_folder(out)
+    if out.resolve().is_relative_to(aircraft.folder.resolve()):
+        raise BadInputError(
+            f"--out {out}: lies in the folder of the aircraft, {aircraft.folder}; choose another"
+        )
+    with contextlib.suppress(OSError, ParseError, AttributeError):
+        earlier = parse_json(read_regular(out / "loss.json", 10_000_000))
+        if (earlier.get("aircraft"), earlier.get("format")) == (aircraft.name, to):
+            return
+    places = [pattern.format(name) for name in names.values() for pattern in _OUTPUTS[to]]
+    places += [f"{member}/{place}" for member in names if member for place in places]
+    for place in ("loss.json", "loss.csv", *places):
+        if (out / place).exists():
+            raise BadInputError(
+                f"--out {out}: has {place}, which no export of {aircraft.name} to {to} wrote;"
+                " choose another folder"
+            )
 
 
 def _members(request: ExportRequest) -> dict[str, dict[str, float]]:
@@ -179,14 +241,14 @@ def _campaign_members(path: Path) -> dict[str, dict[str, float]]:
 
 
 def _together(
-    exports: Sequence[tuple[str, Fitted]],
+    exports: Sequence[tuple[str, Fitted]], names: Mapping[str, str]
 ) -> tuple[dict[str, bytes], tuple[str, ...], tuple[str, ...]]:
     """Return files, losses and notes of all members; each member's files have a place of their
     own.
     """
     files: dict[str, bytes] = {}
     for member, (contents, _, _, _) in exports:
-        separate = len(exports) > 1 and not all(member in name for name in contents)
+        separate = len(exports) > 1 and not all(names[member] in name for name in contents)
         files |= {f"{member}/{name}" if separate else name: c for name, c in contents.items()}
     _, (_, _, lost, notes) = exports[0]
     return files, lost, notes
@@ -260,12 +322,12 @@ def _ardupilot_json(source: SourceModel, states: FlightStates, name: str) -> Fit
     return files, target, ardupilot_json.LOST_TERMS, notes
 
 
-def _gazebo(source: SourceModel, states: FlightStates, _: str) -> Fitted:
+def _gazebo(source: SourceModel, states: FlightStates, name: str) -> Fitted:
     """Fit Gazebo's AdvancedLiftDrag."""
     model = gazebo.parameters(source, derivatives(source))
     files = {
-        "model.sdf": gazebo.text(model, source),
-        "model-classic.sdf": gazebo.text(model, source, classic=True),
+        "model.sdf": gazebo.text(model, source, name),
+        "model-classic.sdf": gazebo.text(model, source, name, classic=True),
     }
     notes = (
         "a joint turns by the deflection times its <direction>",

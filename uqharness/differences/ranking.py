@@ -8,6 +8,7 @@ with the XML elements that may explain it.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from difflib import SequenceMatcher
@@ -249,7 +250,10 @@ def fly_matched(
                         or mission_file == path
                         or mission_file.name == "steady-start.xml"
                     ):
-                        write_bytes(copy_b.folder / mission_file.name, mission_file.read_bytes())
+                        content = mission_file.read_bytes()
+                        if mission_file == path:
+                            content = _with_open_loop(content, copy_a, copy_b)
+                        write_bytes(copy_b.folder / mission_file.name, content)
                 add_flight(
                     _fly_both(
                         copy_a,
@@ -281,6 +285,17 @@ def fly_matched(
                 )
             )
     return channels, flights
+
+
+def _with_open_loop(script: bytes, a: Aircraft, b: Aircraft) -> bytes:
+    """Return a script of A that also sets what only B's card needs for commands to pass."""
+    own, other = (aircraft.card.modes.get("open_loop", {}) for aircraft in (a, b))
+    lines = "".join(
+        f'\n    <property value="{value:.9g}">{name}</property>'
+        for name, value in other.items()
+        if name not in own
+    )
+    return re.sub(rb"<run [^>]*>", lambda run: run[0] + lines.encode(), script, count=1)
 
 
 def _copy(aircraft: Aircraft, root: Path) -> Aircraft:

@@ -50,7 +50,7 @@ def description(source: SourceModel, copy: Aircraft) -> dict[str, Any]:
         if _LEVEL.fullmatch(name)
     }
     return {
-        "identifier": re.sub(r"\W", "_", copy.name),
+        "identifier": copy.name,
         "description": f"{source.aircraft.name} in JSBSim, from its trim at"
         f" {trim.condition.V_mps:.4g} m/s",
         "aircraft": copy.name,

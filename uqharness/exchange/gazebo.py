@@ -224,15 +224,15 @@ def coefficients(model: LiftDragModel, states: FlightStates) -> FloatArray:
     return np.hstack([forces, moments / lengths])
 
 
-def text(model: LiftDragModel, source: SourceModel, classic: bool = False) -> bytes:
+def text(model: LiftDragModel, source: SourceModel, name: str, classic: bool = False) -> bytes:
     """Return a complete SDF model: a link with mass and inertia, joints, and the system.
 
     ``classic`` writes the plug-in of Gazebo classic in place of gz-sim's system.
     """
-    reference, name = source.reference, source.aircraft.name
+    reference = source.reference
     # Gazebo classic reads SDF up to 1.7.
     sdf = etree.Element("sdf", version="1.6" if classic else "1.9")
-    sdf.append(etree.Comment(f" Written from {name} by uqharness export; axes forward, left, up. "))
+    sdf.append(etree.Comment(" Written by uqharness export; axes forward, left, up. "))
     body = etree.SubElement(sdf, "model", name=name)
     link = etree.SubElement(body, "link", name="base_link")
     inertial = etree.SubElement(link, "inertial")

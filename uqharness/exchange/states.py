@@ -20,9 +20,18 @@ from numpy.typing import ArrayLike
 
 from sysid.aerodynamics import COEFFICIENTS
 from sysid.arrays import FloatArray
+from sysid.units import PSF_PA
 from uqharness.errors import BadInputError
 from uqharness.replay import ForcedModel, ReplayFolder, Segment, force_states
-from uqharness.simulator import Aircraft, SteadyCondition, Trim, content_hash, find_trim
+from uqharness.simulator import (
+    Aircraft,
+    SteadyCondition,
+    Trim,
+    content_hash,
+    engine,
+    find_trim,
+    open_aircraft,
+)
 
 VARIABLES = ("alpha", "beta", "p", "q", "r", "de", "da", "dr")
 """Angles [rad], rates pb/2V, qc/2V, rb/2V [-], deflections [deg]: the terms of a derivative."""
@@ -31,6 +40,7 @@ _HALF_WIDTH = {"alpha": 0.1, "beta": 0.1, "p": 0.05, "q": 0.005, "r": 0.03}
 """Half-widths of the box [rad, -]: gusts and manoeuvres of ordinary flight."""
 _SPEED_SHARE, _TRAVEL_SHARE = 0.2, 0.4
 _SPEEDS_MPS = np.geomspace(8.0, 260.0, 16)
+_SEA_LEVEL_DENSITY, _ORDINARY_LIFT = 1.225, 0.5
 
 
 @dataclass(frozen=True)
@@ -285,13 +295,29 @@ def _trim(aircraft: Aircraft, speed_mps: float | None, properties: Mapping[str, 
                 " --speed-mps"
             )
         return trim
-    trims = []
-    for speed in _SPEEDS_MPS:
-        trim = find_trim(aircraft, SteadyCondition(float(speed), 200.0, properties=properties))
-        if trim.converged:
+
+    def trim_at(k: int) -> Trim | None:
+        if not 0 <= k < len(_SPEEDS_MPS):
+            return None
+        trim = find_trim(
+            aircraft, SteadyCondition(float(_SPEEDS_MPS[k]), 200.0, properties=properties)
+        )
+        return trim if trim.converged else None
+
+    # Begin at an ordinary lift coefficient: speeds that do not trim take the longest.
+    fdm = open_aircraft(aircraft)
+    engine.run_ic(fdm)
+    loading = float(fdm["inertia/weight-lbs"]) / max(float(fdm["metrics/Sw-sqft"]), 1e-9)
+    ordinary = math.sqrt(2.0 * loading * PSF_PA / _SEA_LEVEL_DENSITY / _ORDINARY_LIFT)
+    order = np.argsort(np.abs(np.log(_SPEEDS_MPS / ordinary)))
+    start, trim = next(((k, t) for k in order.tolist() if (t := trim_at(k))), (0, None))
+    trims = [] if trim is None else [trim]
+    for step in (1, -1):
+        k = start + step
+        while trims and (trim := trim_at(k)) is not None:
             trims.append(trim)
-        elif trims:
-            break
+            k += step
+    trims.sort(key=lambda t: t.condition.V_mps)
     if not trims:
         raise BadInputError(
             f"{aircraft.name}: trims at no speed from {_SPEEDS_MPS[0]:.0f} to"

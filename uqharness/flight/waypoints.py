@@ -12,7 +12,8 @@ commands_logic.cpp and AP_L1_Control.cpp (when an item is complete, when a turn 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+import re
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -30,19 +31,19 @@ _LEG_RADIUS_M = 5e4
 _ACCEPTANCE_M, _LOITER_M, _HEIGHT_M = 90.0, 60.0, 5.0
 """ArduPlane's WP_RADIUS and WP_LOITER_RAD, and its tolerance of LOITER_TO_ALT."""
 _MOST_ITEMS = 5000
-_WAYPOINT, _UNLIM, _TURNS, _TIME, _RTL, _LAND, _TAKEOFF, _TO_ALT = 16, 17, 18, 19, 20, 21, 22, 31
-_JUMP, _SPEED = 177, 178
+_WAYPOINT, _UNLIM, _TURNS, _TIME, _RTL, _LAND, _TO_ALT = 16, 17, 18, 19, 20, 21, 31
+_TAKEOFFS, _LANDINGS = (22, 84), (_LAND, 85)
+_JUMP, _SPEED, _TAG, _JUMP_TAG = 177, 178, 600, 601
 _MOTIONLESS = {
     *(201, 203, 205, 206, 214, 530, 531, 532, 2000, 2001, 2500, 2501),
-    *(112, 114, 115, 181, 182, 183, 184, 600, 601),
-    *(_TAKEOFF, 189, 212),
+    *(112, 114, 115, 181, 182, 183, 184, _TAG),
+    *(*_TAKEOFFS, 189, 212),
 }
 """Commands that do not move an aeroplane in the air: cameras, servos, delays; take-off and markers
 of a landing."""
 _NAMES = {
     _LAND: "NAV_LAND",
     82: "NAV_SPLINE_WAYPOINT",
-    84: "NAV_VTOL_TAKEOFF",
     85: "NAV_VTOL_LAND",
     30: "NAV_CONTINUE_AND_CHANGE_ALT",
     93: "NAV_DELAY",
@@ -60,7 +61,11 @@ _SET = (
     "airspeed-cmd-mps",
 )
 _DASHED = {name.replace("-", "_") for name in _SET if "-" in name}
-_FRAMES = {0: "above sea level", 3: "above home", 5: "above sea level", 6: "above home"}
+_FRAMES = {
+    **dict.fromkeys((0, 5), "above sea level"),
+    **dict.fromkeys((3, 6), "above home"),
+    **dict.fromkeys((10, 11), "above the ground"),
+}
 
 
 @dataclass(frozen=True)
@@ -153,22 +158,39 @@ def read_mission(path: Path) -> WaypointMission:
     flown: list[Waypoint] = []
     speed = math.nan
     motionless: dict[int, int] = {}
+    landing: _Item | None = None
     for item in _unrolled(path, items, notes):
         if item.command == _SPEED:
             speed = _speed(item)
         elif item.command in _MOTIONLESS:
             motionless[item.command] = motionless.get(item.command, 0) + 1
+        elif item.command in _LANDINGS and landing is None:
+            landing = item
         else:
-            flown.append(replace(_waypoint(item, home), speed_mps=speed))
+            # A landing on the way is refused as any other command that is not flown.
+            flown.append(replace(_waypoint(landing or item, home), speed_mps=speed))
             speed = math.nan
     if not flown:
         raise BadInputError(f"{path}: holds no item that moves the aircraft")
-    if _TAKEOFF in motionless:
+    if landing is not None:
+        notes.append(f"{landing.place}: the landing is left out: the aircraft returns home")
+    for event, rows in (
+        ("heights above terrain count from home", [i for i in items if i.frame in (10, 11)]),
+        ("holds are left out, as by ArduPlane", [i for i in items if _has_hold(i)]),
+    ):
+        if rows:
+            notes.append(f"{rows[0].place}: {event}")
+    if motionless.keys() & _TAKEOFFS:
         notes.append("the take-off is left out: flights begin in the air")
-    others = sum(count for command, count in motionless.items() if command != _TAKEOFF)
+    others = sum(count for command, count in motionless.items() if command not in _TAKEOFFS)
     if others:
         notes.append(f"{others} items that do not move the aircraft are left out")
     return WaypointMission(path, tuple(flown), tuple(notes))
+
+
+def _has_hold(item: _Item) -> bool:
+    """Return whether an item is a waypoint at which a multirotor would wait."""
+    return item.command == _WAYPOINT and item.parameters[0] > 0.0
 
 
 Home = tuple[float, float, float]
@@ -242,29 +264,39 @@ def _plan(path: Path, text: str, notes: list[str]) -> tuple[Home, list[_Item]]:
         part = document.get(key)
         if isinstance(part, dict) and any(isinstance(v, list) and v for v in part.values()):
             notes.append(f"the {name} are not observed")
+    # Simple items stand in the file in the order in which they are read; each has one command.
+    keys = re.finditer(r'"command"\s*:', text)
+    lines = iter([text.count("\n", 0, key.start()) + 1 for key in keys])
     items: list[_Item] = []
     for index, row in enumerate(mission["items"], start=1):
-        items += _plan_items(path, index, row, items)
+        items += _plan_items(path, index, row, items, lines)
     return (place[0], place[1], place[2]), items
 
 
-def _plan_items(path: Path, index: int, row: Any, before: Sequence[_Item]) -> list[_Item]:
-    """Return the simple items of one item of a plan."""
+def _plan_items(
+    path: Path, index: int, row: Any, before: Sequence[_Item], lines: Iterator[int]
+) -> list[_Item]:
+    """Return the simple items of one item of a plan; ``lines`` are theirs in the file."""
     where = f"{path}: item {index}"
     if not isinstance(row, dict):
         raise BadInputError(f"{where}: received {str(row)[:30]}; an object is needed")
     if row.get("type") == "ComplexItem":
         parts = [row.get("TransectStyleComplexItem"), row]
         inner = next((p["Items"] for p in parts if isinstance(p, dict) and "Items" in p), None)
+        kind = row.get("complexItemType", "a complex item")
+        if kind == "fwLandingPattern":
+            return [_Item(len(before) + 1, where, 3, _LAND, (0.0, 0.0, 0.0, 0.0), 0.0, 0.0, 0.0)]
         if not isinstance(inner, list):
             raise BadInputError(
-                f"{where}: {row.get('complexItemType', 'a complex item')} without its own items"
+                f"{where}: {kind} without its own items"
                 " cannot be flown; save the plan as single waypoints"
             )
         out: list[_Item] = []
         for part in inner:
-            out += _plan_items(path, index, part, [*before, *out])
+            out += _plan_items(path, index, part, [*before, *out], lines)
         return out
+    if "command" in row:
+        where = f"{path}:{next(lines, 0)}: item {index}"
     parameters = row.get("params")
     if not isinstance(parameters, list) or len(parameters) != 7:
         raise BadInputError(f"{where}: params {str(parameters)[:40]}: seven numbers are needed")
@@ -280,25 +312,29 @@ def _plan_items(path: Path, index: int, row: Any, before: Sequence[_Item]) -> li
 
 def _unrolled(path: Path, items: Sequence[_Item], notes: list[str]) -> list[_Item]:
     """Return the items with DO_JUMP carried out; a jump for ever is one of many rounds."""
-    place = {item.number: k for k, item in enumerate(items)}
+    targets = {
+        _JUMP: {item.number: k for k, item in enumerate(items)},
+        _JUMP_TAG: {int(i.parameters[0]): k for k, i in enumerate(items) if i.command == _TAG},
+    }
     jumps_left: dict[int, int] = {}
     out: list[_Item] = []
     k = 0
     while k < len(items) and len(out) < _MOST_ITEMS:
         item = items[k]
         k += 1
-        if item.command != _JUMP:
+        if item.command not in targets:
             out.append(item)
             continue
         target, count = int(item.parameters[0]), int(item.parameters[1])
-        if target not in place:
-            raise BadInputError(f"{item.place}: DO_JUMP to item {target}, which does not exist")
-        if count < 0 and k < len(items):
+        if target not in targets[item.command]:
+            name = "DO_JUMP to item" if item.command == _JUMP else "DO_JUMP_TAG to tag"
+            raise BadInputError(f"{item.place}: {name} {target}, which does not exist")
+        if count < 0 and k < len(items) and item.number not in jumps_left:
             notes.append(f"items behind the endless jump of item {item.number} are never reached")
         remaining = jumps_left.setdefault(item.number, count)
         if remaining != 0:
             jumps_left[item.number] = remaining - 1
-            k = place[target]
+            k = targets[item.command][target]
     return out
 
 
@@ -341,16 +377,14 @@ def _waypoint(item: _Item, home: Home) -> Waypoint:
         )
     kind, radius, amount = kinds[item.command]
     # What an aeroplane or a flat earth cannot do is refused at its item.
-    if kind == "leg" and p1 > 0.0:
-        raise BadInputError(f"{item.place}: a hold of {p1:g} s at a waypoint: aeroplanes cannot")
     if kind in ("turns", "time") and not amount > 0.0:
         raise BadInputError(f"{item.place}: a loiter of {amount:g}; more than 0 is needed")
     if kind == "home":
         return Waypoint(item.number, kind, 0.0, 0.0, math.nan)
     if item.frame not in _FRAMES:
         raise BadInputError(
-            f"{item.place}: frame {item.frame}: heights above home (3) or sea level (0) can be"
-            " flown; the ground of a flight is flat"
+            f"{item.place}: frame {item.frame}: heights above home (3), sea level (0) or terrain"
+            " (10) can be flown"
         )
     # Positions become metres north and east of home; 0, 0 means "where the aircraft is".
     height = item.altitude - (home[2] if _FRAMES[item.frame] == "above sea level" else 0.0)

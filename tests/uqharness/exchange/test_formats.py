@@ -452,6 +452,33 @@ def test_a_loss_beyond_the_bounds_is_refused_until_it_is_accepted(
     assert (tmp_path / "out" / "espaaro.json").is_file()
 
 
+def test_nothing_that_is_not_its_own_is_overwritten(tmp_path: Path):
+    plane, out = tmp_path / "aircraft" / "vtail-jet", tmp_path / "out"
+    shutil.copytree(ROOT / "aircraft/espaaro", plane)
+    (plane / "espaaro.xml").rename(plane / "vtail-jet.xml")
+    card = (plane / "airframe.toml").read_text()
+    (plane / "airframe.toml").write_text(card.replace("espaaro.xml", "vtail-jet.xml"))
+
+    def export(to: str, place: Path) -> Any:
+        return uq.export(plane, to, out=place, speed_mps=22.2, states=20)
+
+    (tmp_path / "aircraft" / "v_tail_jet").mkdir()
+    for to, place, message in (
+        ("csv", plane / "table", "lies in the folder of the aircraft"),
+        ("ardupilot-jsbsim", tmp_path, "has aircraft/v_tail_jet, which no export"),
+    ):
+        with pytest.raises(BadInputError, match=message):
+            export(to, place)
+    # ArduPilot would fly a jet of another frame.
+    loss = export("ardupilot-json", out)
+    assert loss.files[0] == "v_tail_jet.json"
+    assert "is called v_tail_jet" in loss.notes[0]
+    export("ardupilot-json", out)
+    with pytest.raises(BadInputError, match="no export of vtail-jet to csv"):
+        export("csv", out)
+    assert not (plane / "table").exists()
+
+
 def test_a_table_holds_one_variable_at_a_time_exactly():
     def formula(of: FlightStates) -> Any:
         x = of.values

@@ -71,16 +71,39 @@ def test_jumps_are_carried_out(tmp_path: Path):
     leg = ROWS[1]
     (tmp_path / "a.waypoints").write_text(waypoints([leg, leg, (3, 177, 1, 2, 0, 0, 0, 0, 0)]))
     assert [item.number for item in read_mission(tmp_path / "a.waypoints").items] == [1, 2] * 3
+    endless = (3, 177, 1, -1, *[0] * 5)
+    (tmp_path / "a.waypoints").write_text(waypoints([leg, endless, leg]))
+    mission = read_mission(tmp_path / "a.waypoints")
+    assert (len(mission.items), len(mission.notes)) == (5000, 1)
+    tag, jump = ((3, command, 7, 1, *[0] * 5) for command in (600, 601))
+    (tmp_path / "a.waypoints").write_text(waypoints([leg, tag, leg, jump, leg]))
+    assert [item.number for item in read_mission(tmp_path / "a.waypoints").items] == [1, 3, 3, 5]
+
+
+def test_what_an_aeroplane_leaves_out_is_noted_with_its_line(tmp_path: Path):
+    """A hold, heights above terrain and the landing, as missions of ground stations have them."""
+    rows = [(10, 16, 5, *ROWS[1][3:]), (3, 189, *[0] * 7), (3, 85, 0, 0, 0, 0, 37.2, -80.5, 0)]
+    (tmp_path / "a.waypoints").write_text(waypoints(rows))
+    items = [simple(rows[0]), {"type": "ComplexItem", "complexItemType": "fwLandingPattern"}]
+    (tmp_path / "a.plan").write_text(json.dumps(json.loads(plan(items)), indent=1))
+    for name, landing, first in (("a.waypoints", "a.waypoints:5", 3), ("a.plan", "item 2", 12)):
+        mission = read_mission(tmp_path / name)
+        assert [(item.kind, item.height_m) for item in mission.items] == [("leg", 100)]
+        notes = [note.removeprefix(f"{tmp_path}/") for note in mission.notes]
+        assert landing in notes[0]
+        assert "the landing is left out" in notes[0]
+        assert notes[1].startswith(f"{name}:{first}: ")
+        assert "heights above terrain" in notes[1]
+        assert "holds are left out" in notes[2]
 
 
 @pytest.mark.parametrize(
     ("row", "message"),
     [
-        ((3, 21, 0, 0, 0, 0, 37.2, -80.5, 0), "m.waypoints:3: NAV_LAND cannot be flown"),
-        ((3, 85, 0, 0, 0, 0, 37.2, -80.5, 0), "NAV_VTOL_LAND cannot"),
+        ((3, 82, 0, 0, 0, 0, 37.2, -80.5, 0), "m.waypoints:3: NAV_SPLINE_WAYPOINT cannot"),
+        ((3, 85, 0, 0, 0, 0, 37.2, -80.5, 0), "no item that moves"),
         ((3, 9999, 0, 0, 0, 0, 37.2, -80.5, 9), "command 9999 cannot"),
-        ((10, 16, 0, 0, 0, 0, 37.2, -80.5, 50), "frame 10"),
-        ((3, 16, 5, 0, 0, 0, 37.2, -80.5, 50), "a hold of 5 s"),
+        ((4, 16, 0, 0, 0, 0, 37.2, -80.5, 50), "frame 4"),
         ((3, 16, 0, 0, 0, 0, 0, 0, 50), "without a position"),
         ((3, 16, 0, 0, 0, 0, 97.2, -80.5, 50), "97.2, -80.5 deg is none"),
         ((3, 16, 0, 0, 0, 0, 39.2, -80.5, 50), "km from home"),
@@ -88,6 +111,7 @@ def test_jumps_are_carried_out(tmp_path: Path):
         ((3, 18, 0, 0, 60, 0, 37.2, -80.5, 50), "a loiter of 0"),
         ((3, 178, 1, 24, 0, 0, 0, 0, 0), "of type 1"),
         ((3, 177, 7, 1, 0, 0, 0, 0, 0), "DO_JUMP to item 7"),
+        ((3, 601, 7, 1, 0, 0, 0, 0, 0), "DO_JUMP_TAG to tag 7"),
         ((3, 201, 0, 0, 0, 0, 0, 0, 0), "no item that moves"),
         ((3, 16, 0, 0), "received 7 fields"),
     ],
@@ -99,13 +123,22 @@ def test_what_cannot_be_flown_is_refused_with_its_line(row, message: str, tmp_pa
         read_mission(path)
 
 
+def test_a_landing_on_the_way_is_refused_with_its_line(tmp_path: Path):
+    rows = [ROWS[1], (3, 21, 0, 0, 0, 0, 37.2, -80.5, 0), ROWS[1]]
+    path = tmp_path / "m.plan"
+    path.write_text(json.dumps(json.loads(plan([simple(row) for row in rows])), indent=1))
+    line = 1 + path.read_text()[: path.read_text().index(": 21,")].count("\n")
+    with pytest.raises(BadInputError, match=f"m.plan:{line}: item 2: NAV_LAND cannot be flown"):
+        read_mission(path)
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
         ("{", "a plan of QGroundControl is JSON"),
         ("{}", "holds no mission with items"),
         ('{"mission": {"items": [], "plannedHomePosition": [1]}}', "plannedHomePosition"),
-        (plan([{"type": "ComplexItem", "complexItemType": "fwLandingPattern"}]), "without its own"),
+        (plan([{"type": "ComplexItem", "complexItemType": "StructureScan"}]), "without its own"),
         (plan([{"type": "SimpleItem", "params": [1]}]), "seven numbers"),
         ("GPX", "begins with QGC WPL 110"),
     ],
