@@ -110,6 +110,11 @@ def run_isolated(function: Callable[P, R], *args: P.args, **kwargs: P.kwargs) ->
     """
     if _in_worker or multiprocessing.current_process().daemon:
         return function(*args, **kwargs)
+    return run_in_worker(function, *args, **kwargs)
+
+
+def run_in_worker(function: Callable[P, R], *args: P.args, **kwargs: P.kwargs) -> R:
+    """Call a module's function as `run_isolated` does, in a worker's own worker if need be."""
     # One worker serves one call at a time; recursion from a callback is allowed.
     with _one_call:
         if not (_workers and _workers[0].is_usable):

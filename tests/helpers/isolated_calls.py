@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import logging
+import os
 import time
 from collections.abc import Callable
 from pathlib import Path
+
+from uqharness.isolation import ProcessEndedError, run_in_worker
 
 
 def call_twice(callback: Callable[[int], object]) -> int:
@@ -26,3 +29,12 @@ def sleeping(callback: Callable[[int], object], mark: Path) -> None:
     except KeyboardInterrupt:
         mark.write_text("tidied")
         raise
+
+
+def survived_crash() -> str:
+    """Return what this process learns of a function that ends the process of its own worker."""
+    try:
+        run_in_worker(os.abort)
+    except ProcessEndedError as error:
+        return error.reason
+    return ""

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import uqharness as uq
-from tests.helpers.isolated_calls import call_twice, chatter, sleeping
+from tests.helpers.isolated_calls import call_twice, chatter, sleeping, survived_crash
 from uqharness.child_process import child_environment
 from uqharness.cli.main import main
 from uqharness.errors import BadInputError
@@ -128,3 +128,7 @@ def test_ctrl_c_ends_the_function_and_keeps_the_worker(tmp_path: Path):
         run_isolated(sleeping, interrupt, mark)
     assert mark.read_text() == "tidied"
     assert run_isolated(os.getpid) == worker
+
+
+def test_a_worker_survives_the_end_of_its_own_worker():
+    assert "SIGABRT" in run_isolated(survived_crash)

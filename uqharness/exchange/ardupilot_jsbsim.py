@@ -23,6 +23,7 @@ from uqharness.exchange.frozen_copy import (
     write_aircraft,
 )
 from uqharness.exchange.states import Derivatives, SourceModel
+from uqharness.isolation import ProcessEndedError, run_in_worker
 from uqharness.simulator import (
     Aircraft,
     Staging,
@@ -323,8 +324,17 @@ def ground_start(aircraft: Aircraft, root: Path) -> GroundStart:
     """Start the aircraft as the backend does and let it stand for 10 s.
 
     The same initial state (1.3 m above the ground, 13 deg nose up, no speed), the same frame rate
-    and ground trim, and commands of 0.
+    and ground trim, and commands of 0. It runs in a process of its own, which JSBSim's ground trim
+    ends on the contact points of some aircraft.
     """
+    try:
+        return run_in_worker(_stand, aircraft, root)
+    except ProcessEndedError as error:
+        return GroundStart(failure=error.reason)
+
+
+def _stand(aircraft: Aircraft, root: Path) -> GroundStart:
+    """Start the aircraft on the ground in this process."""
     place = root / "aircraft" / aircraft.name
     fdm = engine.open_fdm(Staging(root, place.name), 1.0 / RATE_HZ)
     fdm["ic/h-agl-ft"] = 1.3 / FT_M
