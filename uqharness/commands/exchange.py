@@ -74,6 +74,8 @@ def export(request: ExportRequest, callback: Callback = silent) -> Outcome[Loss]
     members = _members(request)
     names = {member: _program_name(aircraft.name, member, request.to) for member in members}
     _check_output(request.out, request.to, aircraft, names)
+    if request.to == "fmu":
+        fmu.builder()
     form = None if request.bounds is None else load_form(request.bounds)
     # A format that holds one model is fitted once for each member of a family.
     exports, by_coefficient = [], dict[str, CoefficientLoss]()

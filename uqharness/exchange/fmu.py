@@ -76,17 +76,19 @@ def description(source: SourceModel, copy: Aircraft) -> dict[str, Any]:
     }
 
 
-def build(model: dict[str, Any], root: Path) -> bytes:
-    """Return the unit, packed from model.json and the aircraft's folder under ``root``.
-
-    Raises BadInputError without the package pythonfmu3.
-    """
+def builder() -> Any:
+    """Return pythonfmu3's builder. Raises BadInputError without the package."""
     try:
         from pythonfmu3.builder import FmuBuilder
     except ImportError:
         raise BadInputError(
             "--to fmu: needs the package pythonfmu3: pip install 'uqharness[fmi]'"
         ) from None
+    return FmuBuilder
+
+
+def build(model: dict[str, Any], root: Path) -> bytes:
+    """Return the unit, packed from model.json and the aircraft's folder under ``root``."""
     with scratch_folder("fmu-") as place:
         program = Path(place) / "fmu_slave.py"
         shutil.copy2(Path(__file__).with_name("fmu_slave.py"), program)
@@ -96,5 +98,5 @@ def build(model: dict[str, Any], root: Path) -> bytes:
         shutil.copytree(root, files)
         out = Path(place) / "out"
         resources = [description_file, files, Path(settling.__file__)]
-        unit = FmuBuilder.build_FMU(program, out, resources)
+        unit = builder().build_FMU(program, out, resources)
         return Path(unit).read_bytes()

@@ -45,6 +45,8 @@ _OUTPUTS = {"aileron": 1, "elevator": 2, "throttle": 3, "rudder": 4}
 _CLOSED_US, _NEUTRAL_US, _OPEN_US = 1100.0, 1500.0, 1900.0
 """ArduPlane's default SERVOn_MIN, _TRIM and _MAX."""
 _LONGEST_OUTPUT = 400
+_MOST_DAMAGED = 100
+"""Packets of another program in a row that end a flight."""
 _STATE = {
     "gyro": ("velocities/p-rad_sec", "velocities/q-rad_sec", "velocities/r-rad_sec"),
     "accel": tuple(f"accelerations/a-pilot-{axis}-ft_sec2" for axis in "xyz"),
@@ -65,7 +67,7 @@ _HIL_OUTPUTS = {"aileron": 1, "elevator": 2, "rudder": 3, "throttle": 4}
 _HIL_SIGNS = {"aileron": 1.0, "elevator": -1.0, "rudder": -1.0}
 """PX4's positive control over a record's deflection: right wing down, nose up, nose right."""
 _PX4, _LOCK_STEP_FLAG, _EVERY_FIELD, _FIX_3D = 12, 1, 0x1FFF, 3
-_BOOT_WAIT_S, _NO_MAVLINK_BYTES = 1.0, 4096
+_BOOT_WAIT_S, _SEND_WAIT_S, _NO_MAVLINK_BYTES = 1.0, 10.0, 4096
 _GPS_INTERVAL_S = 0.1
 _SEA_LEVEL_DENSITY = 1.225
 
@@ -185,16 +187,19 @@ class AutopilotProcess:
         def stepped(count: int) -> None:
             for _ in range(count):
                 try:
-                    commands = self._link.receive(check)
+                    exchange()
                 except _PeerError as error:
                     self._stop(str(error), fdm.get_sim_time())
-                if fdm.get_sim_time() >= self._settings.warmup_s:
-                    for name, value in self._open_loop.items():
-                        engine.set_property(fdm, name, value)
-                    for name, value in commands.items():
-                        set_command(fdm, name, value)
-                advance(1)
-                self._link.send(fdm.get_sim_time())
+
+        def exchange() -> None:
+            commands = self._link.receive(check)
+            if fdm.get_sim_time() >= self._settings.warmup_s:
+                for name, value in self._open_loop.items():
+                    engine.set_property(fdm, name, value)
+                for name, value in commands.items():
+                    set_command(fdm, name, value)
+            advance(1)
+            self._link.send(fdm.get_sim_time())
 
         return stepped
 
@@ -263,6 +268,10 @@ def _reader(fdm: Any, names: Mapping[str, Sequence[str]]) -> Callable[[], dict[s
     return read
 
 
+class _PeerError(Exception):
+    """The other side of the link is not the autopilot that the protocol needs."""
+
+
 class _JsonLink:
     """ArduPilot's JSON back-end: pulses come in, one line of JSON goes out."""
 
@@ -282,7 +291,7 @@ class _JsonLink:
 
     def receive(self, check: Callable[[float], None]) -> dict[str, float]:
         """Return the commands of the next frame; a frame that is sent again is answered again."""
-        silent_since = time.monotonic()
+        silent_since, damaged = time.monotonic(), 0
         while True:
             try:
                 packet, self._peer = self._socket.recvfrom(256)
@@ -291,6 +300,13 @@ class _JsonLink:
                 continue
             layout = _PACKETS.get(int.from_bytes(packet[:2], "little"))
             if layout is None or len(packet) != layout.size:
+                damaged += 1
+                if damaged > _MOST_DAMAGED:
+                    raise _PeerError(
+                        f"sent {damaged} packets that are no servo pulses (ArduPilot sends them"
+                        " with --model JSON:127.0.0.1)"
+                    )
+                check(time.monotonic() - silent_since)
                 continue
             _, _, frame, *pulses = layout.unpack(packet)
             if frame == self._last_frame:
@@ -323,10 +339,6 @@ class _JsonLink:
         self._reply = f"\n{text}\n".encode()
         with contextlib.suppress(ConnectionError):
             self._socket.sendto(self._reply, self._peer)
-
-
-class _PeerError(Exception):
-    """The other side of the link is not the autopilot that the protocol needs."""
 
 
 class _HilLink:
@@ -446,8 +458,11 @@ class _HilLink:
         self._sent_us = time_us
         # A peer that has gone is found by the next receive.
         with contextlib.suppress(ConnectionError):
-            self._connection.settimeout(None)
-            self._connection.sendall(b"".join(m.pack(self._mavlink) for m in messages))
+            self._connection.settimeout(_SEND_WAIT_S)
+            try:
+                self._connection.sendall(b"".join(m.pack(self._mavlink) for m in messages))
+            except TimeoutError:
+                raise _PeerError("does not read its sensors") from None
 
 
 def _integer(value: float, bits: int, signed: bool = True) -> int:

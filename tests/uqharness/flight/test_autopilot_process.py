@@ -51,6 +51,8 @@ while True:
     frame += 1
     if mode == "dies" and frame == 100:
         sys.exit("gains lost")
+    while mode == "garbage" and frame == 100:
+        link.sendto(b"no pulses", ("127.0.0.1", port))
 """
 
 HIL_PEER = """
@@ -131,10 +133,17 @@ def test_it_flies_in_lock_step_and_again_alike(peer: Path) -> None:
     assert table.equals(again)
 
 
-def test_a_peer_that_ends_keeps_the_flight_so_far(peer: Path) -> None:
-    table, recorded = flown(peer, "dies")
+@pytest.mark.parametrize(
+    ("mode", "reason"),
+    [
+        ("dies", r"ended with exit code 1 at 1\.0. s .*gains lost"),
+        ("garbage", r"sent 101 packets that are no servo pulses .* at 1\.0. s"),
+    ],
+)
+def test_a_peer_that_fails_keeps_the_flight_so_far(mode: str, reason: str, peer: Path) -> None:
+    table, recorded = flown(peer, mode)
     assert recorded.status == "crashed"
-    assert re.search(r"ended with exit code 1 at 1\.0. s .*gains lost", recorded.reason)
+    assert re.search(reason, recorded.reason), recorded.reason
     assert len(table) == 11
 
 
