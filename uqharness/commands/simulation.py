@@ -5,6 +5,7 @@ Each function takes a request, writes what the request names, and returns an `Ou
 
 from __future__ import annotations
 
+import itertools
 import logging
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -19,6 +20,7 @@ from sysid.model_form import ModelForm, read_model_form
 from sysid.record import FlightRecord, Metadata
 from sysid.vocabulary import SIGNALS
 from uqharness.arguments import path as argument_path
+from uqharness.campaign import read_bounds
 from uqharness.commands.exchange import diff_models, is_model_file
 from uqharness.commands.flights import Flight, aircraft_of, carded_aircraft, content_sha256
 from uqharness.differences import (
@@ -98,6 +100,7 @@ from uqharness.results.simulation import (
     Differences,
     DifferentElement,
     Eigenvalue,
+    EigenvalueInterval,
     FlownFlight,
     GainsTaken,
     Margins,
@@ -109,9 +112,11 @@ from uqharness.results.simulation import (
     UndoneFile,
 )
 from uqharness.simulator import (
+    MODE_MEMBERS,
     SECOND_ORDER,
     Aircraft,
     Mode,
+    ModeInterval,
     StagedMission,
     StartSection,
     SteadyCondition,
@@ -124,6 +129,7 @@ from uqharness.simulator import (
     find_script,
     find_trim,
     linearise,
+    mode_intervals,
     read_script,
     with_fine_step,
     write_own_mission,
@@ -346,7 +352,12 @@ def modes(request: ModesRequest, callback: Callback = silent) -> Outcome[Modes]:
     if not trim.converged:
         refused = Modes(trim=None, reason=trim.reason, modes=[])
         return Outcome(refused, refused, [f"no trim: {trim.reason}"], 1)
-    point = locus_point(linearise(aircraft, trim), request.category, request.aircraft_class)
+    linear = linearise(aircraft, trim)
+    point = locus_point(linear, request.category, request.aircraft_class)
+    form_path = request.model_form or aircraft.folder / "model-form.json"
+    intervals: list[ModeInterval] = []
+    if request.bounds and (request.model_form is not None or form_path.is_file()):
+        intervals = mode_intervals(aircraft, linear, read_bounds(form_path))
     if request.out is not None:
         locus = root_locus(
             aircraft,
@@ -372,12 +383,24 @@ def modes(request: ModesRequest, callback: Callback = silent) -> Outcome[Modes]:
     document = Modes(
         trim=_trim_numbers(aircraft, trim),
         modes=[
-            Eigenvalue(name=m.name, real=m.real, imag=m.imag, wn_radps=m.wn_radps, zeta=m.zeta)
-            for m in point.modes
+            Eigenvalue(
+                name=m.name,
+                real=m.real,
+                imag=m.imag,
+                wn_radps=m.wn_radps,
+                zeta=m.zeta,
+                interval=None
+                if interval is None
+                else EigenvalueInterval.model_validate(asdict(interval)),
+            )
+            for m, interval in itertools.zip_longest(point.modes, intervals)
         ],
         levels=[AssessedLevel(**asdict(level)) for level in point.levels],
+        bounds=str(form_path) if intervals else "",
     )
     lines = _modes_lines(aircraft.name, trim, point.modes, point.levels)
+    if intervals:
+        lines += ["", *_interval_lines(point.modes, intervals, form_path)]
     return Outcome(document, document, lines, report=request.out)
 
 
@@ -465,6 +488,28 @@ def _modes_lines(
         lines.append(
             f"  {mode.name:<14}{mode.real:>11.4f}{mode.imag:>11.4f}{mode.wn_radps:>11.4f}"
             f"{mode.zeta:>9.3f}   {'; '.join(remarks)}".rstrip()
+        )
+    return lines
+
+
+def _interval_lines(
+    all_modes: Sequence[Mode], intervals: Sequence[ModeInterval], path: Path
+) -> list[str]:
+    """Return the intervals of the modes as a table."""
+    lines = [
+        f"  over {MODE_MEMBERS} members of {path}:",
+        (
+            f"  {'mode':<14}{'real, 1/s':>20}{'wn, rad/s':>18}{'zeta':>18}"
+            f"{'like this':>11}{'unstable':>10}"
+        ),
+    ]
+    for mode, one in zip(all_modes, intervals, strict=True):
+        real, wn, zeta = (
+            f"{low:.3g} to {high:.3g}" if math.isfinite(low) else "-"
+            for low, high in (one.real, one.wn_radps, one.zeta)
+        )
+        lines.append(
+            f"  {mode.name:<14}{real:>20}{wn:>18}{zeta:>18}{one.share:>11.0%}{one.unstable:>10.0%}"
         )
     return lines
 

@@ -220,6 +220,15 @@ class ModesRequest(Request):
         metavar="LO:HI",
         write=lambda ends: f"{ends[0]:g}:{ends[1]:g}",
     )
+    model_form: fields.OptionalPath = option(
+        None,
+        "model form of the intervals (default: model-form.json of the aircraft's folder, if any)",
+        flag="--bounds",
+        metavar="MODEL-FORM.json",
+    )
+    bounds: Flag = option(
+        True, "whether intervals are computed", flag="--no-bounds", off=True, help="no intervals"
+    )
 
     @model_validator(mode="after")
     def _check_page(self) -> ModesRequest:

@@ -50,6 +50,21 @@ class FlownFlight(Part):
     )
 
 
+class EigenvalueInterval(Part):
+    """A mode over members of a model form."""
+
+    real: tuple[Number, Number] = Field(
+        description="interval of the real part, 1/s; null if no member has it"
+    )
+    wn_radps: tuple[Number, Number] = Field(description="interval of the natural frequency, rad/s")
+    zeta: tuple[Number, Number] = Field(description="interval of the damping ratio")
+    share: float = Field(
+        description="share of the members that have the mode as a pair or as real roots, as the"
+        " nominal model has it"
+    )
+    unstable: float = Field(description="share of the members in which a root of this name grows")
+
+
 class Eigenvalue(Part):
     """A mode of the linear model."""
 
@@ -61,6 +76,9 @@ class Eigenvalue(Part):
     imag: float = Field(description="imaginary part, 1/s")
     wn_radps: float = Field(description="natural frequency, rad/s")
     zeta: Number = Field(description="damping ratio")
+    interval: EigenvalueInterval | None = Field(
+        default=None, description="over members of the model form; absent without one"
+    )
 
 
 class AssessedLevel(Part):
@@ -89,6 +107,7 @@ class Modes(Part):
     levels: list[AssessedLevel] = Field(
         default=[], description="criteria; absent without a steady flight"
     )
+    bounds: str = Field(default="", description="model form of the intervals; absent without one")
 
 
 class MarginsOfLoop(Part):

@@ -49,10 +49,13 @@ from .host import HOST_SYSTEM as HOST_SYSTEM
 from .host import HostProperty as HostProperty
 from .host import host_system_xml as host_system_xml
 from .host import with_host_entries as with_host_entries
+from .linear import MODE_MEMBERS as MODE_MEMBERS
 from .linear import MODE_NAMES as MODE_NAMES
 from .linear import LinearModel as LinearModel
 from .linear import Mode as Mode
+from .linear import ModeInterval as ModeInterval
 from .linear import linearise as linearise
+from .linear import mode_intervals as mode_intervals
 from .linear import modes as modes
 from .mass import CHANGEABLE as CHANGEABLE
 from .mass import xml_numbers_for as xml_numbers_for

@@ -1,7 +1,8 @@
 """Linear model about a trim, and the names of its modes.
 
 `linearise` differentiates the accelerations of the JSBSim model by central differences. `modes`
-names the eigenvalues by the shapes of their eigenvectors.
+names the eigenvalues by the shapes of their eigenvectors. `mode_intervals` draws members of a model
+form and returns an interval for each mode.
 """
 
 from __future__ import annotations
@@ -13,9 +14,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from sysid.aerodynamics import COEFFICIENTS, regressors
+from sysid.arrays import FloatArray
+from sysid.distributions import student_quantile
+from sysid.model_form import ModelForm
+from sysid.units import FT_M, SLUG_FT2_KGM2, SLUG_FT3_KGPM3, SLUG_KG
 from uqharness.arguments import instance
 from uqharness.errors import BadInputError
-from uqharness.simulator.aircraft import Aircraft
+from uqharness.simulator import engine
+from uqharness.simulator.aircraft import Aircraft, open_aircraft
 from uqharness.simulator.forced_state import BodyState, force_state
 from uqharness.simulator.trim import Trim, force_near_trim
 
@@ -282,3 +289,139 @@ def _mode(name: str, value: complex) -> Mode:
     value = complex(value)
     wn = abs(value)
     return Mode(name, value.real, value.imag, wn, -value.real / wn if wn > 0 else float("nan"))
+
+
+# Intervals of the modes: the slopes of the coefficients' errors over the flight states.
+
+MODE_MEMBERS = 1000
+"""Members that `mode_intervals` draws."""
+
+
+@dataclass(frozen=True)
+class ModeInterval:
+    """A mode over the members of a model form.
+
+    Attributes
+    ----------
+    real, wn_radps, zeta : (float, float)
+        Interval over the members that have the mode in the same form; NaN if none has.
+    share : float
+        Share of the members that have it in this form: a pair, or so many real roots.
+    unstable : float
+        Share of all members with a root of this name and a positive real part.
+    """
+
+    real: tuple[float, float]
+    wn_radps: tuple[float, float]
+    zeta: tuple[float, float]
+    share: float
+    unstable: float
+
+
+def mode_intervals(
+    aircraft: Aircraft, model: LinearModel, form: ModelForm, seed: int = 0
+) -> list[ModeInterval]:
+    """Return an interval for each of `modes`, in their order, at the form's confidence.
+
+    Parameters
+    ----------
+    aircraft : Aircraft
+        With areas and lengths in its XML.
+    model : LinearModel
+        Nominal.
+    form : ModelForm
+        Intervals of the coefficients' errors: their polynomials have the covariance s2 f (X'X)^-1.
+    seed : int
+        Of the members.
+
+    Notes
+    -----
+    Members differ in the slopes of the errors at the trim. The errors themselves are taken as
+    trimmed, and the trim as that of the nominal model.
+    """
+    rng = np.random.default_rng(seed)
+    A = model.A + _error_slopes(aircraft, model, form, rng)
+    members = [modes(replace(model, A=matrix)) for matrix in A]
+    nominal = modes(model)
+    names = [mode.name for mode in nominal]
+    confidence = form.confidence
+    ends = [0.5 - 0.5 * confidence, 0.5 + 0.5 * confidence]
+    out = []
+    for index, mode in enumerate(nominal):
+        order = names[:index].count(mode.name)
+        alike = []
+        unstable = 0
+        for member in members:
+            same = [m for m in member if m.name == mode.name]
+            unstable += any(m.real > 0.0 for m in same)
+            if len(same) == names.count(mode.name) and (same[order].imag > 0) == (mode.imag > 0):
+                alike.append(same[order])
+        real, wn, zeta = (
+            tuple(float(q) for q in np.quantile([getattr(m, key) for m in alike], ends))
+            if alike
+            else (np.nan, np.nan)
+            for key in ("real", "wn_radps", "zeta")
+        )
+        out.append(ModeInterval(real, wn, zeta, len(alike) / len(members), unstable / len(members)))
+    return out
+
+
+def _error_slopes(
+    aircraft: Aircraft, model: LinearModel, form: ModelForm, rng: np.random.Generator
+) -> FloatArray:
+    """Return what the slopes of the coefficients' errors add to A, (MODE_MEMBERS, 8, 8)."""
+    trim = model.trim
+    centre = trim.state
+    fdm = open_aircraft(aircraft)
+    fdm["ic/h-sl-ft"] = trim.condition.altitude_m / FT_M
+    engine.run_ic(fdm)
+    rho = fdm["atmosphere/rho-slugs_ft3"] * SLUG_FT3_KGPM3
+    S, b, c = (fdm[f"metrics/{name}"] for name in ("Sw-sqft", "bw-ft", "cbarw-ft"))
+    S, b, c = S * FT_M**2, b * FT_M, c * FT_M
+    mass = fdm["inertia/mass-slugs"] * SLUG_KG
+    # JSBSim's ixz is the matrix's element.
+    inertia = np.array(
+        [
+            [fdm[f"inertia/{name}-slugs_ft2"] for name in row]
+            for row in (("ixx", "ixy", "ixz"), ("ixy", "iyy", "iyz"), ("ixz", "iyz", "izz"))
+        ]
+    )
+    inertia *= SLUG_FT2_KGM2
+    # Flight states at the trim, and a step to either side in each state of A.
+    steps = np.array([_STEP[name] for name in STATES])
+    points = np.vstack([np.diag(steps), -np.diag(steps)])
+    x = np.array([getattr(centre, name) for name in STATES]) + points
+    u, v, w = x[:, 0], x[:, 1], x[:, 2]
+    speed = np.sqrt(u**2 + v**2 + w**2)
+    flight_states = {
+        "V_mps": speed,
+        "alpha_rad": np.arctan2(w, u),
+        "beta_rad": np.arcsin(v / speed),
+        **{f"{name}_radps": x[:, 3 + i] for i, name in enumerate("pqr")},
+        "phi_rad": x[:, 6],
+        "theta_rad": x[:, 7],
+    }
+    positions = {
+        f"{name}_pos_deg": trim.positions_deg.get(name, 0.0)
+        for name in ("elevator", "aileron", "rudder")
+    } | {"throttle_pct": trim.controls.get("throttle", 0.0)}
+    flight_states |= {name: np.full(16, value) for name, value in positions.items()}
+    slopes = np.empty((MODE_MEMBERS, 6, 8))
+    for row, name in enumerate(COEFFICIENTS):
+        bounds = form.coefficients[name]
+        values = regressors(bounds.normalised(flight_states), bounds.terms)
+        gradient = (values[:8] - values[8:]) / (2.0 * steps[:, None])
+        z = float(student_quantile(0.5 + 0.5 * form.confidence, 1e6))
+        scale = bounds.t_at(form.confidence) / z
+        covariance = scale**2 * bounds.s2 * bounds.leverage_factor * bounds.XtX_inv
+        variance, axes = np.linalg.eigh(0.5 * (covariance + covariance.T))
+        draws = rng.standard_normal((MODE_MEMBERS, len(variance))) * np.sqrt(
+            np.maximum(variance, 0.0)
+        )
+        slopes[:, row] = (bounds.beta_hat + draws @ axes.T) @ gradient.T
+    pressure_area = 0.5 * rho * trim.condition.V_mps**2 * S
+    added = np.zeros((MODE_MEMBERS, 8, 8))
+    added[:, :3] = slopes[:, :3] * pressure_area / mass
+    moments = slopes[:, 3:] * (pressure_area * np.array([b, c, b]))[:, None]
+    added[:, 3:6] = np.linalg.inv(inertia) @ moments
+    return added

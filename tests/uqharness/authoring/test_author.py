@@ -6,6 +6,7 @@ import json
 import math
 import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +22,14 @@ from uqharness.commands.authoring import author
 from uqharness.errors import BadInputError
 from uqharness.exchange import box, source_model
 from uqharness.requests.authoring import AuthorRequest
-from uqharness.simulator import SteadyCondition, find_aircraft, find_trim
+from uqharness.simulator import (
+    SteadyCondition,
+    find_aircraft,
+    find_trim,
+    linearise,
+    mode_intervals,
+    modes,
+)
 
 DATA = Path(__file__).parent / "data"
 KITE = (DATA / "kite.st", DATA / "kite.mass")
@@ -165,6 +173,41 @@ def test_the_prior_takes_no_energy_from_the_air(kite):
         constant = 1.96 * document.terms["aero/CY_0"].std
         for end in form.bounds(states)["CY"]:
             assert (value["CY_beta"] * beta + float(end[0])) * np.sign(beta) < constant
+
+
+@pytest.mark.parametrize(
+    ("term", "mode"), [("Cl_p", "roll"), ("Cn_beta", "dutch_roll"), ("Cm_q", "short_period")]
+)
+def test_intervals_of_modes_are_those_of_the_model_itself(term, mode, kite):
+    """One uncertain slope: the interval's ends are the modes of JSBSim's model at +/- 1.96 std."""
+    document, aircraft = kite
+    form = read_model_form(aircraft.folder / "model-form.json")
+    coefficient, _, variable = term.partition("_")
+    certain = {
+        name: replace(bounds, XtX_inv=np.zeros_like(bounds.XtX_inv), beta_hat=0.0 * bounds.beta_hat)
+        for name, bounds in form.coefficients.items()
+    }
+    old = form.coefficients[coefficient]
+    index = 1 + [s.partition("_")[0] for s in old.states].index(variable)
+    XtX_inv = np.zeros_like(old.XtX_inv)
+    XtX_inv[index, index] = old.XtX_inv[index, index]
+    certain[coefficient] = replace(certain[coefficient], XtX_inv=XtX_inv)
+    condition = SteadyCondition(document.speed_mps, 200.0)
+    linear = linearise(aircraft, find_trim(aircraft, condition))
+    intervals = mode_intervals(aircraft, linear, replace(form, coefficients=certain))
+    names = [m.name for m in modes(linear)]
+    expected = []
+    entry = document.terms[f"aero/{term}"]
+    for sign in (-1.0, 1.0):
+        value = {f"aero/{term}": entry.value + sign * 1.96 * entry.std}
+        other = linearise(aircraft, find_trim(aircraft, replace(condition, properties=value)))
+        expected.append(next(m.wn_radps for m in modes(other) if m.name == mode))
+    interval = intervals[names.index(mode)]
+    assert interval.wn_radps == pytest.approx(sorted(expected), rel=0.08)
+    # The other group of modes does not move.
+    still = "short_period" if mode != "short_period" else "dutch_roll"
+    low, high = intervals[names.index(still)].wn_radps
+    assert high - low < 1e-3 * high
 
 
 def test_diff_names_what_an_identification_changed(kite, tmp_path, capsys):
