@@ -140,7 +140,7 @@ def air_pieces(
     Returns
     -------
     list of AirPiece
-        One a piece.
+        One per piece.
     """
     record = steady_airspeed(record, airspeed_hz)
     out = []

@@ -147,7 +147,7 @@ def coloured_information(
     Parameters
     ----------
     sensitivity : list of array (n, m, k), or Blocks
-        One a segment, divided by the square root of the noise; zero where a sample is missing.
+        One per segment, divided by the square root of the noise; zero where a sample is missing.
     residual : list of array (n, m)
         Divided likewise; NaN marks a missing sample.
 
@@ -373,7 +373,7 @@ def colour(residual: list[FloatArray], motion: list[FloatArray] | None = None) -
     Parameters
     ----------
     residual : list of array (n, m)
-        One a segment, NaN at dropouts.
+        One per segment, NaN at dropouts.
     motion : list of array (n, m), optional
         Simulated outputs.
 
@@ -410,8 +410,9 @@ def colour_warnings(
     """Write one sentence of at most 60 words on coloured residuals; [] if they do not matter.
 
     Whiteness must be rejected, and the colour must be large enough to move the standard errors:
-    long records reject whiteness for trifles. With ``calm_air`` another test has excluded process
-    noise. ``std`` and ``std_crb`` (k,) are standard errors with and without colour.
+    long records reject whiteness at negligible correlation. With ``calm_air`` another test has
+    excluded process noise. ``std`` and ``std_crb`` (k,) are standard errors with and without
+    colour.
     """
     # Outputs whose whiteness is rejected, Bonferroni over the outputs.
     m = residual_colour.p_value.size
@@ -422,7 +423,7 @@ def colour_warnings(
     median = float(np.median(ratio)) if ratio.size else float("nan")
     if rejected.size == 0 or ratio.size == 0:
         return []
-    # Colour that changes neither predictions nor standard errors is no news.
+    # Colour that changes neither predictions nor standard errors is not reported.
     strong = [c for c in rejected if residual_colour.predictable[c] > STRONG_SHARE]
     if not strong and median < STRONG_RATIO:
         return []

@@ -778,12 +778,12 @@ def filter_error(
         on x[i], u[i], theta[i] (no branching on values) they are evaluated for many parameter sets
         at once: faster.
     x0 : array_like
-        (nx,) initial state, or a list, one a segment.
+        (nx,) initial state, or a list, one per segment.
     theta0 : array_like
         (k,) start.
     u, z, t : array_like
-        (n, nu), (n, m), (n,) [s], or lists of them, one a segment; NaN in z is a dropout. u may be
-        None.
+        (n, nu), (n, m), (n,) [s], or lists of them, one per segment; NaN in z is a dropout. u may
+        be None.
     names, bounds, free
         Of theta, as in `output_error`.
     process_noise : sequence, optional

@@ -131,7 +131,7 @@ def quiet_share(
     Parameters
     ----------
     residual, motion : sequence of array (n, m)
-        Residuals and simulated outputs, one a segment.
+        Residuals and simulated outputs, one per segment.
     noise : array (m,)
         Standard deviations of the sensors.
 
@@ -168,7 +168,7 @@ def shows_process_noise(
     Parameters
     ----------
     residual, motion : sequence of array (n, m)
-        Residuals and simulated outputs, one a segment.
+        Residuals and simulated outputs, one per segment.
     noise : array (m,)
         Standard deviations of the sensors.
 

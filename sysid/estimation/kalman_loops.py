@@ -126,7 +126,7 @@ def _add_process_noise(  # type: ignore[no-untyped-def]  # pragma: no cover
 
 @compiled
 def _half_step_columns(phi, noisy, halves):  # type: ignore[no-untyped-def]  # pragma: no cover
-    """Compute columns ``noisy`` of the transition over half a step, one a row of ``halves``.
+    """Compute columns ``noisy`` of the transition over half a step, one per row of ``halves``.
 
     The square root of Phi to second order: 1 + A/2 - A^2/8 with A = Phi - 1.
     """

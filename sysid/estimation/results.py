@@ -94,7 +94,7 @@ class FilterErrorFit(OutputErrorFit):
     process_noise_std : array (x,)
         Standard error of diag Q; NaN where Q is zero.
     x0 : list of array (x,)
-        Initial states, one a segment.
+        Initial states, one per segment.
     """
 
     process_noise_cov: FloatArray

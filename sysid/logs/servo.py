@@ -455,7 +455,7 @@ def _table(card: AirframeCard, name: str, output: Output) -> tuple[Servo, str] |
         )
     else:
         table = tuple((pwm + shift, angle) for pwm, angle in card_servo.table)
-    return Servo(table, card_servo.limits, output.channel), "degrees a us by the card's servo_pwm"
+    return Servo(table, card_servo.limits, output.channel), "degrees per us by the card's servo_pwm"
 
 
 def _neutral(servo: Servo) -> float:
@@ -527,7 +527,7 @@ MIN_STEP_DEG = 1.0
 MAX_LATE_S = 0.05
 """Longest delay of the kinks after the steps, s: gyro filter and servo lag."""
 _AROUND_S = 0.08  # time on either side of the step to which the kink is fitted
-_MIN_ROWS = 4  # least rows on either side
+_MIN_ROWS = 4  # minimum number of rows on either side
 # Delays whose sums of squares differ by less than this many noise variances are equally good.
 _MISFIT_TOLERANCE = 4.0
 _FINE_S = 0.001

@@ -153,7 +153,7 @@ def _split_piece(piece: ResidualPiece, dt_s: float) -> Iterator[ResidualPiece]:
 def make_blocks(residuals: Residuals, coefficient: str, regressors: Sequence[FloatArray]) -> Blocks:
     """Transform the residuals of one coefficient into waves, one block a piece.
 
-    ``regressors`` are arrays (n, m), one a piece. Every piece needs its noise.
+    ``regressors`` are arrays (n, m), one per piece. Every piece needs its noise.
     """
     column = COEFFICIENTS.index(coefficient)
     y, X, noise, block, wave, relative_stds, weights = [], [], [], [], [], [], []

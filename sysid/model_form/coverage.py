@@ -199,7 +199,7 @@ def coverage(
     Returns
     -------
     dict of str to Coverage
-        One a coefficient.
+        One per coefficient.
 
     Raises
     ------

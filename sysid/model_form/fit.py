@@ -245,7 +245,7 @@ def fit_bounds(
     Returns
     -------
     dict of str to FittedBounds
-        One a coefficient.
+        One per coefficient.
 
     Raises
     ------

@@ -61,7 +61,7 @@ def read_flights(request: ReadFlightsRequest) -> list[Flight]:
     Returns
     -------
     list of Flight
-        One a file, in order.
+        One per file, in order.
 
     Raises
     ------

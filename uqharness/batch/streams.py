@@ -1,5 +1,5 @@
-"""Generate the numbers that flights are fed with: sensor noise, JSBSim's turbulence, host gusts,
-moving levels.
+"""Generate the random inputs of flights: sensor noise, JSBSim's turbulence, host gusts, moving
+levels.
 
 They are identical to those of the JSBSim engine in the same case: noise and turbulence come from
 JSBSim's generators, gusts and levels from ``flight.dryden`` and ``flight.levels``. Each series

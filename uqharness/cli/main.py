@@ -405,7 +405,7 @@ def _printable(text: str) -> str:
 
 
 class _Notes(logging.Handler):
-    """Prints notes of the program to standard error, one a line."""
+    """Prints notes of the program to standard error, one per line."""
 
     def emit(self, record: logging.LogRecord) -> None:
         """Print a note, overwriting a progress line."""

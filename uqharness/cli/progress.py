@@ -137,7 +137,7 @@ def _without_numbers(text: str) -> str:
 
 
 def print_warnings(warnings: Iterable[str]) -> None:
-    """Print warnings to standard error, one a line, overwriting a progress line."""
+    """Print warnings to standard error, one per line, overwriting a progress line."""
     for text in warnings:
         if sys.stderr.isatty():
             print("\r\x1b[K", end="", file=cursor_stream(sys.stderr))

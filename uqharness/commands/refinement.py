@@ -131,7 +131,7 @@ def _gap_line(gap: ResidualTables) -> str:
     }
     names = sorted(ratios, key=lambda name: -ratios[name][0])[:_MOST_QUANTITIES]
     parts = [f"{name} {ratios[name][0]:.2f} to {ratios[name][1]:.2f}" for name in names]
-    return f"Residual over noise on the test flights, before to after: {', '.join(parts)}."
+    return f"Residual over noise on the hold-out flights, before to after: {', '.join(parts)}."
 
 
 def _files(flights: Sequence[Any], aircraft: Aircraft, folder: Path) -> tuple[Path, ...]:

@@ -925,7 +925,7 @@ def _plugin_lines(done: Plugin) -> list[str]:
             ],
         ),
         (
-            "Scale factors that identify can estimate, one a function of the aircraft's XML.",
+            "Scale factors that identify can estimate, one per function of the aircraft's XML.",
             [
                 {"Property": s.scale, "Axis": s.axis, "Function at": f"{s.file}:{s.line}"}
                 for s in done.scaled

@@ -294,7 +294,7 @@ class Comparison(TabularResult):
     moments : tuple of Moment
         The largest residuals.
     segments, outputs, measured, modelled
-        Segments, channels and their (n, m) arrays, one a segment.
+        Segments, channels and their (n, m) arrays, one per segment.
     demanded, predicted : list of ndarray
         Coefficients (n, 6), one array a segment.
     nuisance : Mapping

@@ -64,7 +64,7 @@ class Observed:
     outputs : tuple of str
         Fitted channels.
     data : sequence of ndarray
-        (n, m) of the outputs, one a segment; NaN where nothing was logged.
+        (n, m) of the outputs, one per segment; NaN where nothing was logged.
     biases : sequence of str
         Channels with a constant bias in each flight.
     late : Mapping
@@ -552,8 +552,8 @@ class Identification(TabularResult):
     outputs : tuple of str
         Fitted channels.
     segments, measured, modelled, residual
-        One a segment, (n, m) arrays; modelled includes biases, residual is measured minus modelled,
-        the innovations for filter error.
+        One per segment, (n, m) arrays; modelled includes biases, residual is measured minus
+        modelled, the innovations for filter error.
     whiteness : ndarray
         (m,) p-values of the test for white residuals.
     noise : Mapping

@@ -70,9 +70,7 @@ from uqharness.results.refinement import Evidence as EvidenceDocument
 from uqharness.simulator import Actuator, Aircraft
 
 MOST_SAID = 3
-"""Candidates still asked for that are told in words; the others stand in `remaining.where`
-alone.
-"""
+"""Significant candidates that the text describes; the others are in `remaining.where` only."""
 _AXES = (("p_radps", "Cl", "roll"), ("q_radps", "Cm", "pitch"), ("r_radps", "Cn", "yaw"))
 
 
@@ -129,8 +127,8 @@ def _remaining(chosen: SearchResult, outcome: HoldOutResult, controls: Sequence[
     effects, refused = chosen.effects, result.selection.refused
     moments = unexplained_moments(chosen)
     strong = [refused] if refused is not None and refused.strong else []
-    # What the train flights ask for and the test flights contradict is a disagreement without a
-    # name, unless it was asked for by chance.
+    # An effect that the training flights support and the hold-out flights contradict is an unnamed
+    # disagreement, unless chance explains it.
     contradicted = [c for c in outcome.withdrawn if abs(c.t) > chosen.critical_t + DIFFERENT]
     reported = {c.key for c in (*contradicted, *chosen.unclear, *chosen.selection.chosen)}
     candidates = [(key, t) for key, t in chosen.remaining if key not in reported]
@@ -460,7 +458,7 @@ def refinement_view(title: str, document: Refinement) -> str:
         }
         for name, row in document.gap.test.channels.items()
     ]
-    residual = "<p>Residual on the test flights</p>"
+    residual = "<p>Residual on the hold-out flights</p>"
     return view(
         title,
         rows_table(effects),

@@ -98,9 +98,9 @@ from uqharness.replay import SENSOR_OF, Flight
 from uqharness.simulator import Aircraft
 
 MOST_MODELS = 6
-"""Proposals flown, at most."""
+"""Largest number of simulated proposals."""
 MOST_CORRECTIONS = 4
-"""Shifts of the controls, at most."""
+"""Largest number of shifts of the controls."""
 Callback = Callable[[str], object]
 CONTROLS_LATE = Effect(
     None,
@@ -628,21 +628,21 @@ class EffectSearch:
                 del trial
             if model is None:
                 trail.append(
-                    f"round {number}: flights with these effects can be neither replayed nor"
-                    " followed; what was flown before stands"
+                    f"round {number}: the flights can be neither replayed nor filtered with these"
+                    " effects; the last model stays"
                 )
                 break
             if model.keys != proposal.values.keys():
                 winner, loser = listed(model.keys), listed(proposal.values)
-                trail.append(f"round {number}: {winner} flies better than {loser}")
+                trail.append(f"round {number}: {winner} has a lower criterion than {loser}")
             # Keep the best of each set of samples, and the last.
             models = [*(m for m in models if m is best_model([*models, m])), model]
             reference_model = model
-            # Stop where the search would go round in circles.
+            # Stop where the search would cycle.
             visited.add(model.keys)
             following = frozenset(model.reselection.values)
             if following in visited and following != model.keys:
-                trail.append(f"round {number}: back to effects flown before; the best round stands")
+                trail.append(f"round {number}: the same effects again; the best model stays")
                 break
         best, lines = self._best_of(models, baseline, f"{label}-kept")
         return SearchOutcome(best, (*trail, *lines))
@@ -656,10 +656,10 @@ class EffectSearch:
         best, lines = self.drop_weak(best_model(models) or baseline, baseline, models, label)
         is_better = best.criterion < baseline.criterion
         if best.keys and not is_better and best.estimator.same_samples(best.keys, baseline.keys):
-            reason = "flown, the effects do not lower the error by what they must earn"
+            reason = "in simulation the effects reduce the cost by less than the required gain"
             return baseline, [*lines, reason]
         if best.keys and not best.is_stationary and not lines:
-            lines = ["the best of the rounds flown, not one that stands"]
+            lines = ["the best simulated model; the search did not converge"]
         return best, lines
 
     def drop_weak(
@@ -677,7 +677,9 @@ class EffectSearch:
         """
         critical_t, effects = self.context.critical_t, best.selection.chosen
         if not any(c.t**2 > EARNED * critical_t**2 for c in effects):
-            return baseline, [f"flown, {c.key} has |t| {abs(c.t):.1f}: no effect" for c in effects]
+            return baseline, [
+                f"in simulation {c.key} has |t| {abs(c.t):.1f}: no effect" for c in effects
+            ]
         weak = [c for c in effects if not abs(c.t) > critical_t] if not best.is_stationary else []
         if not weak or len(weak) == len(effects):
             return best, []
@@ -690,9 +692,7 @@ class EffectSearch:
         )
         if reduced is None:
             return best, []
-        return reduced, [
-            f"flown, {c.key} has |t| {abs(c.t):.1f}: the best round without it" for c in weak
-        ]
+        return reduced, [f"in simulation {c.key} has |t| {abs(c.t):.1f}: removed" for c in weak]
 
 
 def best_model(models: Sequence[CandidateModel]) -> CandidateModel | None:
@@ -853,7 +853,7 @@ def _unconfirmed(context: SearchContext, selection: Selection) -> RejectedCandid
         return None
     c = selection.chosen[0]
     reported, strong = context.estimator.refutes(c.t, context.critical_t)
-    reason = "flown in the simulation it does not lower the error by as much"
+    reason = "in simulation it reduces the cost by less"
     return RejectedCandidate(c.key, c.t, c.gain, reason, strong) if reported else None
 
 

@@ -298,7 +298,7 @@ class ReplayEstimator:
         return critical_t_of(information, free, candidates)
 
     def refutes(self, t: float, critical_t: float) -> tuple[bool, bool]:
-        """Return True, and whether |t| exceeds what linearisation errors cause."""
+        """Return True, and whether |t| exceeds the errors of linearisation."""
         return True, abs(t) > OVERWHELMING
 
     def information(

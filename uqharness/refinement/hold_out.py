@@ -123,7 +123,7 @@ class Verdict:
         """
         if self.residual_ratio > FAR:
             return "too far"
-        # Both sides' information together must still be what is required of an effect.
+        # Training and hold-out flights together must still reach critical_t.
         against = self.change < 0.0 and self.excess_t2 < 0.0
         if self.z > BEYOND_CHANCE:
             return "shrank"
@@ -261,7 +261,7 @@ class HoldOutTest:
         # Two effects may compensate each other: then neither alone does harm.
         joint = self._compare(self._test_before, evaluation) if len(keys) > 1 else None
         if any(v is not None and v.gap == "grew" for v in (*verdicts.values(), joint)):
-            # Where the test contradicts an effect, the train flights' errors count as well.
+            # Where the test contradicts an effect, the training flights' errors count as well.
             verdicts = {
                 k: self._with_parameter_uncertainty(v, rivals[k][1], evaluation, keys, k)
                 for k, v in verdicts.items()
@@ -416,9 +416,9 @@ def _mean_square(evaluation: Evaluation) -> float:
     return evaluation.cost / sum(int(np.isfinite(w).sum()) for w in evaluation.white)
 
 
-# A model that is right is as uncertain as the flights that estimated it, most of all where the
-# test flights go and the train flights did not: an effect and its coefficient's constant, estimated
-# between 19 and 29 m/s, predict 15 m/s no better than that.
+# A right model is as uncertain as the flights that estimated it, most of all where only the
+# hold-out flights go: an effect and its coefficient's constant, estimated between 19 and 29 m/s,
+# predict 15 m/s no better than that.
 
 
 @dataclass(frozen=True)

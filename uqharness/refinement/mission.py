@@ -277,7 +277,7 @@ def _document(
 
 
 # Model-form intervals around the model before and after a refinement: fitted on the train
-# flights, judged on the test flights.
+# flights, judged on the hold-out flights.
 
 INTERVALS_FOLDER = "intervals"
 LEVEL = 0.95

@@ -34,9 +34,10 @@ from uqharness.results.refinement import NearbyCandidate, Region, ResidualLocati
 
 NEAREST = 3
 LOOKED_AT = 12
-"""Candidates of largest gain that are asked what they leave of the channel."""
+"""Candidates of largest gain whose remaining residual is computed."""
 NO_RESIDUAL = (
-    "every channel of the train and hold-out flights is at its noise, and no candidate is asked for"
+    "every channel of the training and hold-out flights is at its noise, and no candidate is"
+    " significant"
 )
 _STATES = ("V_mps", "alpha_rad", "beta_rad", "p_radps", "q_radps", "r_radps")
 _CONTROLS = ("elevator_deg", "aileron_deg", "rudder_deg", "throttle_pct")
@@ -231,8 +232,8 @@ class Nearest:
             c.key for c in result.selection.chosen
         ]
         unselected = [e for e in result.effects.values() if e.key not in self.free]
-        # What flew and does not stand is among the columns of the fit, beside which nothing of it
-        # would be left.
+        # Effects that were simulated and dropped have columns in the fit: projecting these out
+        # would leave nothing.
         dropped = [e.key for e in unselected if e.key in result.flown_values]
         open_ = eligible(
             [e for e in unselected if e.key not in dropped],

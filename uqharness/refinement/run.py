@@ -143,7 +143,7 @@ STAGES = {
     "scoring": 0.004,
     "round": 0.03,
     "estimating everything": 0.012,
-    "flying the test flights": 0.012,
+    "flying the hold-out flights": 0.012,
     "writing the aircraft": 0.0,
     "intervals": 0.012,
     "looking for a smooth term": 0.02,
@@ -202,7 +202,7 @@ def _refine(request: Job, callback: Callback, forecast: Forecast) -> Refinement:
         write = _writer(request, scratch.path / "models")
         identity = _identity(request)
         stages = Stages(request.out / FOLDER, identity)
-        # Train flights: the search for effects.
+        # Training flights: the search for effects.
         data = _flight_data(aircraft, train)
         chosen = stages(
             "effects",
@@ -221,9 +221,8 @@ def _refine(request: Job, callback: Callback, forecast: Forecast) -> Refinement:
         if clear.selection.chosen != chosen.selection.chosen:
             complete = _with_all_effects(request, clear, scratch.path / "named")
         chosen = clear
-        # Test flights: the hold-out test. Its stages are kept where a mission follows, which takes
-        # minutes.
-        callback("flying the test flights with both models")
+        # The hold-out test. Its stages are kept if a mission follows, which takes minutes.
+        callback("flying the hold-out flights with both models")
         kept_stages = Stages(
             request.out / FOLDER if request.options.pbox else None, [*identity, *test.hashes]
         )

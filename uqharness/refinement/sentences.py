@@ -126,13 +126,12 @@ def withdrawal_reason(effect: Effect, choice: SelectedEffect, gap: str) -> str:
     The hold-out flights contradict it, or do not show it beside unexplained residuals (``gap``, see
     `hold_out.Verdict`).
     """
-    start = f"the train flights ask for {effect.name} (|t| {abs(choice.t):.1f}), and "
+    start = f"the training flights support {effect.name} (|t| {abs(choice.t):.1f}), but "
     if gap == "grew":
-        grew = "with it the gap on the test flights grew: it is withdrawn"
+        grew = "with it the residual on the hold-out flights grew: it is withdrawn"
         return f"{start}{grew}; something differs between the flights that has no name here"
     return (
-        f"{start}the test flights do not show it: beside something that nothing explains it is"
-        " withdrawn"
+        f"{start}the hold-out flights do not show it: beside unexplained residuals it is withdrawn"
     )
 
 
@@ -140,7 +139,7 @@ def too_weak_to_name(effect: Effect, choice: SelectedEffect) -> str:
     """Return why an effect is not named beside unexplained residuals."""
     return (
         f"{effect.name} would explain a part of it (|t| {abs(choice.t):.1f}), too little to be"
-        " named beside something that nothing explains"
+        " named beside unexplained residuals"
     )
 
 
@@ -149,5 +148,6 @@ def still_asked(effect: Effect, t: float) -> str:
     effects.
     """
     return (
-        f"{effect.name} is still asked for (|t| {abs(t):.1f}): it, or something like it, is missing"
+        f"{effect.name} is still significant (|t| {abs(t):.1f}): it, or a similar effect, is"
+        " missing"
     )

@@ -64,10 +64,10 @@ from uqharness.results.refinement import SmoothTerm as SmoothTermDocument
 from uqharness.simulator import Aircraft
 
 STATES = ("alpha", "beta", "p_hat", "q_hat", "r_hat", "de", "da", "dr", "CT", "V_rel")
-"""States of which curves are tried."""
+"""States of the curves."""
 FOLDER = "unnamed"
 """Folder of the aircraft with the term, beside the refined one."""
-EXPLAINED = "the catalogue leaves nothing that asks for one"
+EXPLAINED = "the catalogue leaves no residual that needs one"
 Z95 = 1.959963984540054
 Inputs = dict[str, tuple[int, FloatArray]]
 
@@ -320,7 +320,7 @@ def find_smooth_term(
     fits = [f for c in COEFFICIENTS for f in curves.fit_each(curves.terms(c))]
     best = max(fits, key=lambda f: f.merit, default=None)
     if best is None:
-        return "no state varies on the train flights"
+        return "no state varies on the training flights"
     flown_term = (
         _fly_twice(curves, best, train, write, pool) if best.stands_out(len(fits)) else None
     )
@@ -345,7 +345,7 @@ def find_smooth_term(
     fit, term = estimate.fit, estimate.fit.term
     if not on_train.neg2_log_likelihood < outcome.train[2].neg2_log_likelihood:
         return f"flown in the simulation, a {term.name} does not lower the error"
-    # The same on the test flights.
+    # The same on the hold-out flights.
     start = point_as_written(estimate.result, initial=outcome.test[2].trajectory.point)
     on_test = evaluate(aircraft, test, pool, start)
     verdict = compare(outcome.test[2], on_test, test.setup, on_train)

@@ -918,13 +918,13 @@ def read_flights(
     min_s, max_s, align
         As for `prepare`.
     flight_numbers : sequence of int
-        Which boot of each file, one number for all files or one a file; by default the longest
+        Which boot of each file, one number for all files or one per file; by default the longest
         flight.
 
     Returns
     -------
     flights : list of Flight
-        One a file.
+        One per file.
     measured : tuple of str
         Surfaces whose measured positions are used.
 
@@ -946,7 +946,7 @@ def read_flights(
 def numbers_of_files(flight_numbers: Sequence[int], files: int) -> list[int | None]:
     """Return ``--flight-number`` of each file.
 
-    Raises BadInputError unless there is one number, or one a file.
+    Raises BadInputError unless there is one number, or one per file.
 
     >>> numbers_of_files([2], 3)
     [2, 2, 2]
@@ -956,7 +956,7 @@ def numbers_of_files(flight_numbers: Sequence[int], files: int) -> list[int | No
     if len(flight_numbers) not in (1, files):
         raise BadInputError(
             f"--flight-number: received {len(flight_numbers)} numbers for {files} files; give one,"
-            " or one a file"
+            " or one per file"
         )
     return [*flight_numbers] * (files if len(flight_numbers) == 1 else 1)
 

@@ -502,7 +502,7 @@ def _chain_agrees(request: PositionRequest, chain: ControlChain, segment: Segmen
 
 
 def _beginning(segment: Segment) -> Segment:
-    """Return the first rows of a segment, one a command."""
+    """Return the first rows of a segment, one per command."""
     at_commands = segment.at_commands()
     rows = slice(0, _TRIAL_ROWS)
     return replace(

@@ -52,7 +52,7 @@ class Evidence(Part):
 
     t: Number = Field(default=None, description="estimate over its standard error")
     twice_log_likelihood: Number = Field(
-        default=None, description="gain in twice the log likelihood of the train flights"
+        default=None, description="gain in twice the log likelihood of the training flights"
     )
     confirmed_on_held_out_manoeuvres: Number = Field(
         default=None, description="the same gain on manoeuvres that were held out"
@@ -77,7 +77,7 @@ class HoldOutTest(Part):
     std: Number = Field(description="standard error of the change")
     gap: HoldOutVerdict = Field(description="whether the residual of the hold-out flights shrank")
     rms_over_that_of_train: Number = Field(
-        default=0.0, description="rms of the hold-out residual over that of the train flights"
+        default=0.0, description="rms of the hold-out residual over that of the training flights"
     )
     share_of_estimate: Number = Field(
         default=None, description="share of the estimate that fits the hold-out flights best"
@@ -104,7 +104,7 @@ class Effect(Part):
     std: Number = Field(description="standard error of the value")
     unit: str | None = Field(default=None, description="unit of the value")
     property: str | None = Field(default=None, description="property that switches the effect")
-    evidence: Evidence = Field(default=Evidence(), description="evidence of the train flights")
+    evidence: Evidence = Field(default=Evidence(), description="evidence of the training flights")
     withdrawn: bool = Field(default=False, description="whether the hold-out flights contradict it")
     test: HoldOutTest | None = Field(default=None, description="test on the hold-out flights")
     alternatives: list[Alternative] = Field(
@@ -205,7 +205,9 @@ class ResidualLocation(Part):
     share_of_excess: Number = Field(description="share of the channel's excess that lies there")
     p: Number = Field(default=None, description="chance that noise gives as much anywhere")
     state: StateDependence | None = Field(description="state with which the residual varies")
-    channel_on_train: Number = Field(description="rms over noise of the channel on train flights")
+    channel_on_train: Number = Field(
+        description="rms over noise of the channel on training flights"
+    )
     would_tell: str | None = Field(description="flight that would tell the cause")
     candidates: list[NearbyCandidate] = Field(description="nearest candidates")
     reason: str | None = Field(description="why there is no place")
@@ -401,7 +403,7 @@ class SmoothTerm(Part):
     shapes: list[FunctionalForm] = Field(description="functional forms like it")
     curve: Curve = Field(description="the term over the range of the data")
     test: HoldOutTest = Field(description="test on the hold-out flights")
-    gap: dict[str, ResidualTables] = Field(description="residuals of train and test flights")
+    gap: dict[str, ResidualTables] = Field(description="residuals of training and hold-out flights")
     model: str = Field(default="", description="XML of the aircraft with the term")
 
 
@@ -477,14 +479,14 @@ class Refinement(Part):
         description="answer"
     )
     disagreement: list[Region] = Field(
-        description="where the train flights disagree with the model before refinement"
+        description="where the training flights disagree with the model before refinement"
     )
     effects: list[Effect] = Field(description="effects of the refined model")
     withdrawn: list[Withdrawn] = Field(
         default=[], description="effects that the hold-out flights contradict"
     )
     chosen: list[Effect] = Field(
-        default=[], description="effects that the train flights chose, before the test"
+        default=[], description="effects that the training flights chose, before the test"
     )
     remaining: Remaining = Field(description="what no effect explains")
     gap: Gaps = Field(description="residuals before and after")
@@ -500,7 +502,7 @@ class Refinement(Part):
     trail: Texts = Field(default=[], description="steps of the search")
     notes: Texts = Field(default=[], description="sentences for the user")
     model: str | None = Field(default=None, description="XML of the refined aircraft")
-    train: Texts = Field(default=[], description="files of the train flights")
+    train: Texts = Field(default=[], description="files of the training flights")
     test: Texts = Field(default=[], description="files of the hold-out flights")
     command: str | None = Field(default=None, description="command that made the file")
     baked: Baked | None = Field(default=None, description="scales written into the XML's numbers")

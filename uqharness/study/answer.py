@@ -962,7 +962,8 @@ def _unexplained(document: Refinement) -> str:
     withdrawn = [e.name for e in document.effects if e.withdrawn]
     if withdrawn:
         return (
-            f"{', '.join(withdrawn)} did not shrink the gap on the test flights and was withdrawn"
+            f"{', '.join(withdrawn)} did not shrink the gap on the hold-out flights and"
+            " was withdrawn"
         )
     where = [w.words or w.coefficient for w in document.remaining.where if w.words or w.t is None]
     return (

@@ -798,7 +798,7 @@ def recheck(record: FlightRecord) -> list[Finding]:
     start, end = float(record["time_s"][0]), float(record["time_s"][-1])
     span = (max(start, free[0][0]), min(end, free[0][1])) if free else (start, end)
     span = span if span[1] > span[0] else (start, end)
-    with np.errstate(all="ignore"):  # a damaged record holds what no sum can
+    with np.errstate(all="ignore"):  # damaged values may overflow
         new = [*check_ranges(record), *_samples(record), *check_record(record, span)]
     return one_per_cause([*log_findings, *new])
 

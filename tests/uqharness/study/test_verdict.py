@@ -220,7 +220,7 @@ def test_refinement_that_helps_too_little_or_explains_nothing_is_said_to():
     (text, level), *_ = chain_verdict._refinement_sentences(
         refinement("unexplained", [EFFECT | {"withdrawn": True}])
     )
-    assert "did not shrink the gap on the test flights and was withdrawn" in text
+    assert "did not shrink the gap on the hold-out flights and was withdrawn" in text
     assert level == "bad"
     (text, level), *_ = chain_verdict._refinement_sentences(refinement("no-missing-effect", ()))
     assert (text, level) == ("Refinement found nothing missing from a.", "good")

@@ -174,7 +174,8 @@ def candidate_figure(done: Refinement, prefix: str = "") -> Figure | None:
     if limit is not None:
         chart.upright(limit, "limit", "reached by chance by the best of all")
     caption = (
-        "What explains the disagreement of the train flights, |t| [-]: bars alone, discs beside the"
+        "What explains the disagreement of the training flights, |t| [-]: bars alone, discs beside"
+        " the"
         " chosen effects (alternatives: in the effect's place). \N{BLACK CIRCLE} chosen,"
         " \N{ALMOST EQUAL TO} alternative, \N{MULTIPLICATION X} withdrawn, ? left."
     )
@@ -224,7 +225,7 @@ def place_words(place: ResidualLocation) -> list[str]:
     candidates = ", ".join(
         f"{c.name} {c.leaves:.2f} (|t| {abs(c.t):.1f})" for c in place.candidates
     )
-    current = f"rms over noise of {name} on the train flights {place.channel_on_train:.2f}"
+    current = f"rms over noise of {name} on the training flights {place.channel_on_train:.2f}"
     # What the nearest candidates would leave.
     second = f"{current}; with the nearest candidates it would be: {candidates}"
     return [first, second, f"the flight that would tell: {place.would_tell}"]
@@ -236,7 +237,7 @@ def smooth_words(smooth: SmoothTerm) -> str:
     replaced = f", in place of {' and '.join(smooth.in_place_of)}," if smooth.in_place_of else ""
     return (
         f"not named, no physics: a {smooth.name} ({smooth.property}){replaced} brings"
-        f" {channel} on the train flights from {smooth.channel_on_train:.2f} to"
+        f" {channel} on the training flights from {smooth.channel_on_train:.2f} to"
         f" {smooth.leaves:.2f} times its noise; {hold_out_words(smooth.test)}"
     )
 
@@ -300,18 +301,17 @@ def hold_out_words(test: HoldOutTest, withdrawn: bool = False) -> str:
     if share is not None and share_std is not None and share_std < 0.5:
         number += f", {share:.2f} ± {share_std:.2f} of the estimate fits them best"
     if test.gap == "shrank":
-        return f"on the test flights the gap shrank: {number}"
+        return f"on the hold-out flights the gap shrank: {number}"
     if test.gap == "grew":
-        return f"on the test flights the gap grew: {number}; withdrawn"
+        return f"on the hold-out flights the gap grew: {number}; withdrawn"
     if test.gap == "too far":
         distance = (
-            f"{test.rms_over_that_of_train:.0f} times as far from either model as the train flights"
+            f"{test.rms_over_that_of_train:.0f} times as far from either model as the training"
+            " flights"
         )
-        return (
-            f"the test flights do not tell: they lie {distance}; look for what is wrong with them"
-        )
+        return f"the hold-out flights decide nothing: they lie {distance}; look for their fault"
     withdrawal = "; withdrawn beside what nothing explains" if withdrawn else ""
-    return f"the test flights do not tell whether the gap shrank: {number}{withdrawal}"
+    return f"the hold-out flights do not decide whether the gap shrank: {number}{withdrawal}"
 
 
 def _with_error(value: float, std: float) -> str:
@@ -522,7 +522,7 @@ def interval_section(gap: ResidualTables, prefix: str = "") -> Section:
     prefix : str
         Prefix of figure names.
     """
-    title = "Model-form intervals on the test flights"
+    title = "Model-form intervals on the hold-out flights"
     intervals = gap.intervals or Intervals(
         reason="this folder was written before they were computed"
     )
@@ -549,7 +549,7 @@ def interval_section(gap: ResidualTables, prefix: str = "") -> Section:
         "After [%]",
     )
     caption = (
-        f"{100.0 * intervals.confidence:g} % intervals of each model, fitted on the train flights."
+        f"{100.0 * intervals.confidence:g} % intervals of each model, from the training flights."
     )
     text = (
         "As uqharness bounds fits them, one set for each model; ± is one standard error,"
@@ -740,7 +740,7 @@ def _curve_figure(smooth: SmoothTerm, prefix: str) -> Figure:
         np.full_like(at, y.low),
         foot,
         "fillrange",
-        "samples of the train flights",
+        "samples of the training flights",
         steps=True,
     )
     chart.level(0.0, "zero")
@@ -787,7 +787,7 @@ def _shape_table(smooth: SmoothTerm) -> Table:
         for s in smooth.shapes
     )
     caption = (
-        f"Forms that it resembles, and what each leaves of {name} on the train flights in its place"
+        f"Forms that it resembles, and what each leaves of {name} on the training flights instead"
         f" ({smooth.leaves:.3f})."
     )
     return Table(
@@ -834,8 +834,9 @@ def refine_page(folder: Path, prefix: str = "", only: Collection[str] | None = N
     figures = _coefficient_figures(histories, touched, gap, prefix)
     if figures:
         text = (
-            "What the test flights demand minus what the model gives, before and after, segments"
-            " end to end. The band is what the sensors' noise alone gives in 95 % of the samples."
+            "What the hold-out flights demand minus what the model gives, before and after,"
+            " segments end to end. The band is what the sensors' noise alone gives in 95 % of the"
+            " samples."
         )
         legend = (
             ("second thin", "before"),
@@ -849,7 +850,7 @@ def refine_page(folder: Path, prefix: str = "", only: Collection[str] | None = N
     # Hold-out flights beside the replays of both models.
     noise = {c: row.noise_rms for c, row in gap.channels.items()}
     models = [Model("_before", "second", "before"), Model("_after", "first", "after")]
-    if is_wanted(title := "Test flights against both models", only):
+    if is_wanted(title := "Hold-out flights against both models", only):
         sections += history_section(
             histories,
             noise,
@@ -899,7 +900,7 @@ _SHRANK: tuple[str, Level] = (
     "good",
 )
 _INCONCLUSIVE: tuple[str, Level] = (
-    "Effects were found; the hold-out flights do not tell whether the gap shrank",
+    "Effects were found; the hold-out flights do not decide whether the gap shrank",
     "warn",
 )
 _MOST_SYMPTOMS = 2
@@ -971,7 +972,7 @@ def _largest_fall(gap: ResidualTables) -> str:
     first, last = f"{before:.3g}", f"{after:.3g}"
     change = f"stays at {last}" if first == last else f"goes from {first} to {last}"
     return (
-        f"On the test flights the error of {quantity} {change} {unit} (rms), "
+        f"On the hold-out flights the error of {quantity} {change} {unit} (rms), "
         f"with noise of {noise:.3g} {unit}."
     )
 
@@ -998,7 +999,7 @@ def _place_sections(done: Refinement) -> list[Section]:
     )
     current = format_value(place.channel_on_train, ".3f")
     caption = (
-        f"Nearest candidates: what each leaves of {name} on the train flights, {current} without"
+        f"Nearest candidates: what each leaves of {name} on the training flights, {current} without"
         " any."
     )
     table = Table(caption, ("Candidate", "|t| [-]", "Rms over noise left [-]"), rows)
@@ -1017,7 +1018,7 @@ def _where_section(done: Refinement) -> Section:
         return Section("Where model and flights disagreed", (Words(f"{capital(text)}."),))
     head = ("Coefficient", "Manoeuvre", "Region", "Outside the 95 % band [%]", "Size [-]")
     table = Table(
-        "Disagreement of the train flights, the largest first.", head, tuple(rows), key=True
+        "Disagreement of the training flights, the largest first.", head, tuple(rows), key=True
     )
     return Section("Where model and flights disagreed", (table,))
 
@@ -1057,7 +1058,7 @@ def gap_section(gap: ResidualTables, prefix: str = "") -> Section:
             rows.append((label, format_value(before), answer, format_value(noise)))
         series = [("before", "second", "ring"), ("after", "first", "disc")]
         figure = ratio_figure(
-            f"{prefix}shrinkage-{kind}", ratios, series, f"{kind} on the test flights"
+            f"{prefix}shrinkage-{kind}", ratios, series, f"{kind} on the hold-out flights"
         )
         figures += [figure] if figure else []
     # Theil's coefficient summarises all channels.
@@ -1077,7 +1078,7 @@ def gap_section(gap: ResidualTables, prefix: str = "") -> Section:
         " by what three figures show."
     )
     table = Table(
-        "Gap on the test flights: rms of log minus model.",
+        "Gap on the hold-out flights: rms of log minus model.",
         ("Quantity", "Before", "After", "Noise"),
         tuple(rows),
         True,
@@ -1086,7 +1087,7 @@ def gap_section(gap: ResidualTables, prefix: str = "") -> Section:
     blocks: list[Block] = [Words(text, note=True), figure_block, table]
     if gap.predictions:
         blocks += [Words(_TURBULENT), _prediction_table(gap.predictions)]
-    return Section("Gap on the test flights, before and after", tuple(blocks))
+    return Section("Gap on the hold-out flights, before and after", tuple(blocks))
 
 
 _TURBULENT = (
@@ -1103,7 +1104,10 @@ def _prediction_table(predictions: Mapping[str, BeforeAfter]) -> Table:
         rows.append((label, *(format_value(v) for v in values)))
     head = ("Quantity", "Before", "After", "Expected")
     return Table(
-        "Errors of predictions one sample ahead on the test flights, rms.", head, tuple(rows), True
+        "Errors of predictions one sample ahead on the hold-out flights, rms.",
+        head,
+        tuple(rows),
+        True,
     )
 
 
@@ -1122,7 +1126,8 @@ def _coefficient_figures(
             half = [np.full(len(h.time_s), Z95 * noise) for h in histories]
             band = ([-h for h in half], half, "")
         label = (
-            f"{c} [-] demanded by the test flights minus the model's, before and after, segments"
+            f"{c} [-] demanded by the hold-out flights minus the model's, before and after,"
+            " segments"
             " end to end."
         )
         series = [(f"{c}_gap_before", "second thin", ""), (f"{c}_gap_after", "first thin", "")]

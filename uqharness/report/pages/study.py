@@ -329,7 +329,7 @@ _STAGE_SECTIONS: Mapping[str, tuple[str, ...]] = {
     "refine": (
         "Effects",
         "Where model and flights disagreed",
-        "Gap on the test flights, before and after",
+        "Gap on the hold-out flights, before and after",
         "Coefficients before and after",
         "What is left",
         "What changed in the XML",

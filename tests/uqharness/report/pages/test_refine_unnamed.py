@@ -60,7 +60,7 @@ def test_the_line_says_that_it_is_no_physics():
     assert (
         line.text == "Not named, no physics: a smooth term of angle of attack in pitching moment"
         " (uq/unnamed/Cm_of_alpha), in place of pitching moment due to angle of attack cubed,"
-        " brings q on the train flights from 1.70 to 1.02 times its noise; on the test flights"
+        " brings q on the training flights from 1.70 to 1.02 times its noise; on the hold-out flights"
         " the gap shrank: twice the log likelihood +300.0 ± 40.0 with it."
     )
 

@@ -29,7 +29,7 @@ def test_a_refinement(refined):
     assert "p 28.6 to 115 deg/s" in words
     assert "aero/Cm_p2 = 0 restores the model without it" in words
     assert (
-        "Withdrawn: Yawing moment due to elevator: 2.9963 ± 0.018; on the test flights the gap grew"
+        "Withdrawn: Yawing moment due to elevator: 2.9963 ± 0.018; on the hold-out flights the gap grew"
         in words
     )
     assert "97.0 ± 1.0" in words
@@ -80,7 +80,7 @@ def test_verdicts_of_a_refinement(tmp_path, verdict, level, text):
         (
             ("cannot tell",),
             ("warn", "warn"),
-            "Effects were found; the hold-out flights do not tell whether the gap shrank",
+            "Effects were found; the hold-out flights do not decide whether the gap shrank",
         ),
     ],
 )
@@ -114,6 +114,6 @@ def test_errors_of_predictions_stand_under_their_own_name(tmp_path):
     }
     words = words_of(page_of(written(tmp_path / "turbulent", "refinement.json", done)))
     assert "The flights were turbulent." in words
-    assert "Errors of predictions one sample ahead on the test flights, rms." in words
+    assert "Errors of predictions one sample ahead on the hold-out flights, rms." in words
     assert "0.235" in words
     assert "0.212" in words
