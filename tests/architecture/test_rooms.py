@@ -129,6 +129,8 @@ XML_TEXT = (
     # Run scripts, which are XML from their first line to their last.
     "uqharness/next_flight/points.py",
     "uqharness/simulator/own_mission.py",
+    # Aircraft are written from templates; without a trim the line hold is an empty system.
+    "uqharness/authoring/line_hold.py",
     # The system of an aircraft's host, part of what is staged, below uqharness.xml.
     "uqharness/simulator/host.py",
     # Copies for other programs.

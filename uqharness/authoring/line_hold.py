@@ -17,8 +17,7 @@ import scipy.linalg
 from sysid.arrays import FloatArray
 from sysid.units import FT_M
 from uqharness.errors import BadInputError
-from uqharness.simulator import Aircraft, LinearModel, Trim, linearise
-from uqharness.simulator.linear import STATES
+from uqharness.simulator import STATE_NAMES, Aircraft, LinearModel, Trim, linearise
 
 LINE_HOLD_SYSTEM = "line-hold"
 LONGITUDINAL = ("speed", "alpha", "q", "theta", "height", "speed-integral", "height-integral")
@@ -98,7 +97,7 @@ def regulator(model: LinearModel, states: tuple[str, ...]) -> tuple[FloatArray, 
     """
     trim = model.trim
     V, theta = trim.condition.V_mps, trim.theta_rad
-    index = {name: i for i, name in enumerate(STATES)}
+    index = {name: i for i, name in enumerate(STATE_NAMES)}
     names = ("u", "w", "q", "theta") if states is LONGITUDINAL else ("v", "p", "r", "phi")
     rows = [index[name] for name in names]
     columns = [

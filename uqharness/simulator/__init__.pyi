@@ -51,6 +51,7 @@ from .host import host_system_xml as host_system_xml
 from .host import with_host_entries as with_host_entries
 from .linear import MODE_MEMBERS as MODE_MEMBERS
 from .linear import MODE_NAMES as MODE_NAMES
+from .linear import STATE_NAMES as STATE_NAMES
 from .linear import LinearModel as LinearModel
 from .linear import Mode as Mode
 from .linear import ModeInterval as ModeInterval

@@ -26,7 +26,7 @@ from uqharness.simulator.aircraft import Aircraft, open_aircraft
 from uqharness.simulator.forced_state import BodyState, force_state
 from uqharness.simulator.trim import Trim, force_near_trim
 
-STATES = ("u", "v", "w", "p", "q", "r", "phi", "theta")
+STATE_NAMES = ("u", "v", "w", "p", "q", "r", "phi", "theta")
 LONGITUDINAL = (0, 2, 4, 7)
 LATERAL = (1, 3, 5, 6)
 MODE_NAMES = ("short_period", "phugoid", "third", "dutch_roll", "roll", "spiral", "other")
@@ -157,7 +157,7 @@ def linearise(aircraft: Aircraft, trim: Trim) -> LinearModel:
             " find its own"
         )
     A = np.empty((8, 8))
-    for column, name in enumerate(STATES):
+    for column, name in enumerate(STATE_NAMES):
         A[:, column] = _central(
             lambda h, name=name: derivative(
                 replace(centre, **{name: getattr(centre, name) + h}), base
@@ -388,9 +388,9 @@ def _error_slopes(
     )
     inertia *= SLUG_FT2_KGM2
     # Flight states at the trim, and a step to either side in each state of A.
-    steps = np.array([_STEP[name] for name in STATES])
+    steps = np.array([_STEP[name] for name in STATE_NAMES])
     points = np.vstack([np.diag(steps), -np.diag(steps)])
-    x = np.array([getattr(centre, name) for name in STATES]) + points
+    x = np.array([getattr(centre, name) for name in STATE_NAMES]) + points
     u, v, w = x[:, 0], x[:, 1], x[:, 2]
     speed = np.sqrt(u**2 + v**2 + w**2)
     flight_states = {
