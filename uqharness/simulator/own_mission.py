@@ -27,7 +27,7 @@ from uqharness.requests.simulation import MISSIONS
 from uqharness.simulator import engine
 from uqharness.simulator.aircraft import SECOND_ORDER, Aircraft, content_hash, open_aircraft
 from uqharness.simulator.forced_state import TRIM_LATITUDE_DEG, body_velocity
-from uqharness.simulator.linear import STATES, LinearModel, linearise, modes
+from uqharness.simulator.linear import STATE_NAMES, LinearModel, linearise, modes
 from uqharness.simulator.mission import MANOEUVRE_PROPERTY
 from uqharness.simulator.trim import SteadyCondition, Trim, find_trim
 from uqharness.toml import Number, Section
@@ -614,7 +614,7 @@ def _excursion_rad(
     model: LinearModel, control: str, unit_s: float, pattern: tuple[tuple[int, float], ...]
 ) -> float:
     """Return the largest angle [rad] per unit of the control, bank divided by three."""
-    n = len(STATES)
+    n = len(STATE_NAMES)
     control_column = model.B[:, [model.controls.index(control)]]
     augmented = np.zeros((n + 1, n + 1))
     augmented[:n, :n], augmented[:n, n:] = model.A, control_column
@@ -624,7 +624,7 @@ def _excursion_rad(
     V = model.trim.condition.V_mps
     # v/V and w/V are sideslip and incidence.
     weight = {"v": 1.0 / V, "w": 1.0 / V, "phi": 1.0 / _BANK_WEIGHT, "theta": 1.0}
-    weights = np.array([weight.get(name, 0.0) for name in STATES])
+    weights = np.array([weight.get(name, 0.0) for name in STATE_NAMES])
     for units, sign in pattern:
         for _ in range(round(units * unit_s / _DT_S)):
             x = step[:n, :n] @ x + step[:n, n] * sign

@@ -13,10 +13,10 @@ from tests.helpers.few import few
 from uqharness.cli.main import main
 from uqharness.flight.handling import assess
 from uqharness.simulator.aircraft import find_aircraft
-from uqharness.simulator.linear import STATES, linearise, modes
+from uqharness.simulator.linear import STATE_NAMES, linearise, modes
 from uqharness.simulator.trim import SteadyCondition, find_trim
 
-AT = {name: k for k, name in enumerate(STATES)}
+AT = {name: k for k, name in enumerate(STATE_NAMES)}
 V_MPS = 22.2
 # A light aircraft at 22.2 m/s: derivatives in m, s, rad; short period, phugoid, dutch roll, roll
 # and spiral are all conventional.
