@@ -150,7 +150,8 @@ def _references(source: Source, geometry: Geometry | None, masses: Masses | None
     mean = area / span
     effect = "Every moment and rate derivative is scaled by it"
     ratio = chord / mean
-    if not 0.93 <= ratio <= 1.45:
+    # Geometrically at least 1; some authors take the chord of the panels outside the body.
+    if not 0.85 <= ratio <= 1.45:
         # The value that fits none of the others is the wrong one.
         if aspect_ratio < 2.0 or aspect_ratio > 45.0:
             key = "b" if 0.93 <= (chord * 1.0) / math.sqrt(area / 7.0) <= 2.2 else "S"
@@ -313,7 +314,8 @@ def _alpha_slip(source: Source, point: Point) -> Iterator[Slip]:
         elif abs(facts["CX"].value - cx) > 0.02 * size:
             # CX = CL sin(alpha) - CD cos(alpha) shows a wrong alpha first.
             fitted = (facts["CX"].value + facts["CD"].value) / size
-            sign = abs(facts["CX"].value + cx) < 0.02 * size
+            # Reversed, the two agree to the digits printed; near zero they nearly do anyway.
+            sign = abs(facts["CX"].value + cx) < 0.05 * abs(facts["CX"].value - cx)
             culprit = facts["CX"] if sign else point.alpha
             yield _slip(
                 culprit,

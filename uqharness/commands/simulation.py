@@ -121,6 +121,7 @@ from uqharness.simulator import (
     StartSection,
     SteadyCondition,
     Trim,
+    content_hash,
     copy_folder,
     copy_shared_parts,
     engine,
@@ -356,8 +357,12 @@ def modes(request: ModesRequest, callback: Callback = silent) -> Outcome[Modes]:
     point = locus_point(linear, request.category, request.aircraft_class)
     form_path = request.model_form or aircraft.folder / "model-form.json"
     intervals: list[ModeInterval] = []
+    form_note = ""
     if request.bounds and (request.model_form is not None or form_path.is_file()):
-        intervals = mode_intervals(aircraft, linear, read_bounds(form_path))
+        form = read_bounds(form_path)
+        intervals = mode_intervals(aircraft, linear, form)
+        if form.aircraft.sha256 != content_hash(aircraft):
+            form_note = ", made for another state of this aircraft"
     if request.out is not None:
         locus = root_locus(
             aircraft,
@@ -400,7 +405,7 @@ def modes(request: ModesRequest, callback: Callback = silent) -> Outcome[Modes]:
     )
     lines = _modes_lines(aircraft.name, trim, point.modes, point.levels)
     if intervals:
-        lines += ["", *_interval_lines(point.modes, intervals, form_path)]
+        lines += ["", *_interval_lines(point.modes, intervals, f"{form_path}{form_note}")]
     return Outcome(document, document, lines, report=request.out)
 
 
@@ -493,11 +498,11 @@ def _modes_lines(
 
 
 def _interval_lines(
-    all_modes: Sequence[Mode], intervals: Sequence[ModeInterval], path: Path
+    all_modes: Sequence[Mode], intervals: Sequence[ModeInterval], form: str
 ) -> list[str]:
     """Return the intervals of the modes as a table."""
     lines = [
-        f"  over {MODE_MEMBERS} members of {path}:",
+        f"  over {MODE_MEMBERS} members of {form}:",
         (
             f"  {'mode':<14}{'real, 1/s':>20}{'wn, rad/s':>18}{'zeta':>18}"
             f"{'like this':>11}{'unstable':>10}"

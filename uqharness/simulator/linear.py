@@ -356,13 +356,13 @@ def mode_intervals(
             unstable += any(m.real > 0.0 for m in same)
             if len(same) == names.count(mode.name) and (same[order].imag > 0) == (mode.imag > 0):
                 alike.append(same[order])
-        real, wn, zeta = (
-            tuple(float(q) for q in np.quantile([getattr(m, key) for m in alike], ends))
-            if alike
-            else (np.nan, np.nan)
-            for key in ("real", "wn_radps", "zeta")
-        )
-        out.append(ModeInterval(real, wn, zeta, len(alike) / len(members), unstable / len(members)))
+        intervals = []
+        for key in ("real", "wn_radps", "zeta"):
+            values = [getattr(m, key) for m in alike] or [np.nan]
+            low, high = np.quantile(values, ends)
+            intervals.append((float(low), float(high)))
+        shares = len(alike) / len(members), unstable / len(members)
+        out.append(ModeInterval(*intervals, *shares))
     return out
 
 

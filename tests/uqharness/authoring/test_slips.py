@@ -327,3 +327,32 @@ def test_damaged_files_are_bad_input_or_slips(text, change, tmp_path):
     path.write_text(text.replace(*change))
     with suppress(BadInputError):
         assert find_slips(read_sources([path])) != []
+
+
+def test_an_alpha_that_fits_no_force_is_named_although_drag_is_small(tmp_path):
+    """CX changes its sign between the two angles by chance: the angle is wrong all the same."""
+    text = ST.replace("Alpha =   3.00000", "Alpha =   0.05236")
+    assert text != ST
+    lift = float(re.search(r"CLtot\s*=\s*([-\d.]+)", ST)[1])
+    # At this drag CX of 3 degrees is about the negative of CX at 0.05 degrees, to a third.
+    half = 1.15 * lift * (0.05234 + 0.00091) / 2.0
+    text, _ = number(text, "CDtot", lambda _: half)
+    text, _ = number(text, "CXtot", lambda _: lift * 0.05234 - half)
+    path = tmp_path / "x.st"
+    path.write_text(text)
+    line = text[: text.index("Alpha =")].count("\n") + 1
+    places = [slip.place for slip in find_slips(read_sources([path])) if slip.kind == "deg/rad"]
+    assert f"{path}:{line}" in [str(place) for place in places]
+
+
+def test_a_chord_of_the_panels_beside_the_body_is_no_slip(tmp_path):
+    """0.91 of the mean chord, as a published model of a VTOL has it."""
+    path = tmp_path / "x.st"
+    reference = {
+        name: float(re.search(rf"{name}\s*=\s*([-\d.]+)", ST)[1]) for name in ("Sref", "Bref")
+    }
+    chord = 0.91 * reference["Sref"] / reference["Bref"]
+    path.write_text(number(ST, "Cref", lambda _: chord)[0])
+    assert not [s for s in find_slips(read_sources([path])) if s.kind == "reference length"]
+    path.write_text(number(ST, "Cref", lambda _: 0.7 * chord)[0])
+    assert [s for s in find_slips(read_sources([path])) if s.kind == "reference length"]
