@@ -49,8 +49,8 @@ from uqharness.simulator import (
     describe_fuel,
     engine,
     find_aircraft,
+    fuel_edits,
     fuel_levels,
-    fuel_text,
     host_properties,
     model_files,
     open_mid_envelope,
@@ -75,7 +75,6 @@ from uqharness.xml import (
     parse_document,
     read_document,
     replace_attribute,
-    replace_text,
 )
 
 # Check of the plugin: an instrumented aircraft flown against the untouched one.
@@ -600,18 +599,6 @@ def mass_insertions(
     return tuple(_edit(document, path, text) for path, text in texts.items())
 
 
-def fuel_insertions(document: Document, levels: Mapping[int, float]) -> tuple[Insertion, ...]:
-    """Return the edits of the aircraft's XML that fill its tanks, by number [lb]."""
-    propulsion = document.root.find("propulsion")
-    tanks = list(propulsion.all("tank")) if propulsion is not None else []
-    nodes = {number: tanks[number].find("contents") for number in levels}
-    return tuple(
-        replace_text(document, node, f"{fuel_text(attribute(node, 'unit'), levels[number])}")
-        for number, node in nodes.items()
-        if node is not None
-    )
-
-
 def _edit(document: Document, path: str, text: str) -> Insertion:
     """Return the edit that writes a number into the element at ``path``, made if absent."""
     node = document.root
@@ -762,7 +749,7 @@ def instrument_aircraft(
     document = read_document(aircraft.xml)
     edits = mass_insertions(aircraft, document, mass or MassProperties())
     if levels := fuel_levels(aircraft):
-        edits += fuel_insertions(document, levels)
+        edits += tuple(Insertion(e.at, e.new, e.old) for e in fuel_edits(document.raw, levels))
         notes.append(describe_fuel(levels))
     # Measured facts know more: which systems must be on for a control to move.
     rows = facts.host if facts is not None and facts.host else host_properties(aircraft)

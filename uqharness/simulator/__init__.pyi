@@ -16,8 +16,8 @@ from .aircraft import describe_fuel as describe_fuel
 from .aircraft import find_aircraft as find_aircraft
 from .aircraft import find_folder as find_folder
 from .aircraft import folder_hash as folder_hash
+from .aircraft import fuel_edits as fuel_edits
 from .aircraft import fuel_levels as fuel_levels
-from .aircraft import fuel_text as fuel_text
 from .aircraft import host_properties as host_properties
 from .aircraft import model_files as model_files
 from .aircraft import open_aircraft as open_aircraft

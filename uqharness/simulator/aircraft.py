@@ -17,6 +17,7 @@ from io import BytesIO
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Literal
+from xml.parsers import expat
 
 import tomlkit
 from lxml import etree
@@ -736,7 +737,9 @@ def with_rotor_inertia(aircraft: HasFiles, files: ModelFiles) -> dict[str, tuple
 
 
 _LBS_GAL = 6.0  # of aviation gasoline
-_ASSUMED_FILL = 0.5
+_KEROSENE_LBS_GAL = 6.6  # JSBSim's default
+_ASSUMED_FILL = 0.5  # of the usable fuel
+_GALLONS = {"LTR": 0.2641720524, "FT3": 7.480519481, "M3": 264.1720524, "IN3": 1.0 / 231.0}
 
 
 def fuel_levels(aircraft: Aircraft) -> dict[int, float]:
@@ -751,7 +754,12 @@ def fuel_levels(aircraft: Aircraft) -> dict[int, float]:
     main = files.local[aircraft.xml.relative_to(aircraft.folder).as_posix()]
     root: Any = etree.fromstring(main.content, etree.XMLParser(resolve_entities=False))
     tanks = root.findall("propulsion/tank")
-    contents = [_number(tank, "contents") for tank in tanks]
+    # An engine cannot draw what a tank keeps.
+    unusable = [_unusable_lb(tank) for tank in tanks]
+    contents = [
+        present if (present := _number(tank, "contents")) > kept else 0.0
+        for tank, kept in zip(tanks, unusable, strict=True)
+    ]
     starved: set[int] = set()
     for node in root.iterfind("propulsion/engine"):
         feeds = [int(feed.text) for feed in node.iterfind("feed") if (feed.text or "").strip()]
@@ -763,19 +771,28 @@ def fuel_levels(aircraft: Aircraft) -> dict[int, float]:
         return {}
     values = _initial_values(aircraft)
     levels = {}
-    for number, (tank, present) in enumerate(zip(tanks, contents, strict=True)):
+    for number, (tank, present, kept) in enumerate(zip(tanks, contents, unusable, strict=True)):
         capacity = _number(tank, "capacity")
         is_reserve = any(contents) and number not in starved
         if present or is_reserve or not capacity or tank.find("contents") is None:
             continue
         name = "/consumables/fuel/tank" + (f"[{number}]" if number else "")
-        levels[number] = (
+        level = (
             values.get(f"{name}/level-lbs", 0.0)
             or values.get(f"{name}/level-gal_us", 0.0) * _LBS_GAL
-            or values.get(f"{name}/level-norm", _ASSUMED_FILL) * capacity
-            or _ASSUMED_FILL * capacity
+            or values.get(f"{name}/level-norm", 0.0) * capacity
         )
+        levels[number] = level if level > kept else kept + _ASSUMED_FILL * (capacity - kept)
     return levels
+
+
+def _unusable_lb(tank: Any) -> float:
+    """Return the fuel that stays in a tank [lb]."""
+    node = tank.find("unusable-volume")
+    if node is None:
+        return 0.0
+    gallons = _number(tank, "unusable-volume") * _GALLONS.get(node.get("unit", "GAL"), 1.0)
+    return gallons * (_number(tank, "density") or _KEROSENE_LBS_GAL)
 
 
 def describe_fuel(levels: Mapping[int, float]) -> str:
@@ -797,23 +814,51 @@ def _number(parent: Any, tag: str) -> float:
     return value / LB_KG if node.get("unit", "LBS") == "KG" else value
 
 
-def fuel_text(tank_unit: str, level_lb: float) -> str:
-    """Return the number of <contents> in its unit for a level [lb]."""
-    return f"{level_lb * LB_KG if tank_unit == 'KG' else level_lb:.6g}"
+@dataclass(frozen=True)
+class TankEdit:
+    """The new contents of a tank: the bytes of the XML that ``new`` replaces from byte ``at``."""
+
+    at: int
+    new: bytes
+    old: bytes
+
+
+def fuel_edits(content: bytes, levels: Mapping[int, float]) -> tuple[TankEdit, ...]:
+    """Return the edits of an aircraft's XML that fill its tanks, by number [lb]."""
+    parser = expat.ParserCreate()
+    path: list[str] = []
+    edits: list[TankEdit] = []
+    number, start, in_kg = -1, 0, False
+
+    def opened(tag: str, attributes: dict[str, str]) -> None:
+        nonlocal number, start, in_kg
+        path.append(tag)
+        number += path[1:] == ["propulsion", "tank"]
+        if path[1:] == ["propulsion", "tank", "contents"]:
+            start = content.index(b">", parser.CurrentByteIndex) + 1
+            in_kg = attributes.get("unit") == "KG"
+
+    def closed(_: str) -> None:
+        if path[1:] == ["propulsion", "tank", "contents"] and number in levels:
+            old = content[start : parser.CurrentByteIndex]
+            # Comments and white space around the number stay.
+            at = re.search(rb"(<!--.*?-->|\s)*(?P<text>[^<\s]*)", old, re.DOTALL)
+            assert at is not None
+            level = levels[number] * (LB_KG if in_kg else 1.0)
+            new = f"{level:.6g}".encode()
+            edits.append(TankEdit(start + at.start("text"), new, at["text"]))
+        path.pop()
+
+    parser.StartElementHandler, parser.EndElementHandler = opened, closed
+    parser.Parse(content, True)
+    return tuple(edits)
 
 
 def _with_fuel(content: bytes, levels: Mapping[int, float]) -> bytes:
     """Return an aircraft's XML with other contents of its tanks; lines keep their numbers."""
-    root: Any = etree.fromstring(content, etree.XMLParser(resolve_entities=False))
-    lines = content.split(b"\n")
-    for number, tank in enumerate(root.findall("propulsion/tank")):
-        node = tank.find("contents")
-        if number in levels:
-            text = fuel_text(node.get("unit", "LBS"), levels[number]).encode()
-            lines[node.sourceline - 1] = re.sub(
-                rb"(<contents[^>]*>)[^<]*", rb"\g<1>" + text, lines[node.sourceline - 1]
-            )
-    return b"\n".join(lines)
+    for edit in reversed(fuel_edits(content, levels)):
+        content = content[: edit.at] + edit.new + content[edit.at + len(edit.old) :]
+    return content
 
 
 def _provided(aircraft: Aircraft) -> tuple[HostProperty, ...]:

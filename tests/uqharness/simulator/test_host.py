@@ -10,7 +10,7 @@ import pytest
 from tests.helpers import foreign_aircraft
 from uqharness.errors import BadInputError
 from uqharness.simulator import engine, find_aircraft, host, open_aircraft, staged
-from uqharness.simulator.aircraft import content_hash, fuel_levels, host_properties
+from uqharness.simulator.aircraft import content_hash, fuel_edits, fuel_levels, host_properties
 
 
 def reads(names, computed=(), declared=None):
@@ -243,3 +243,26 @@ def test_tanks_that_flightgear_fills_are_filled(tmp_path, set_file, level):
     )
     fdm = open_aircraft(find_aircraft(folder))
     assert fdm["propulsion/tank/contents-lbs"] == pytest.approx(float(level))
+
+
+def test_tanks_alike_on_one_line_are_filled_one_by_one():
+    tank = "<tank><contents unit='KG'><!-- dry --> 0 </contents></tank>"
+    text = f"<fdm_config><propulsion>{tank}{tank}{tank}</propulsion></fdm_config>".encode()
+    edits = fuel_edits(text, {0: 4.0, 2: 8.0})
+    filled = bytearray(text)
+    for edit in reversed(edits):
+        assert filled[edit.at : edit.at + len(edit.old)] == edit.old == b"0"
+        filled[edit.at : edit.at + 1] = edit.new
+    assert re.findall(rb"--> (\S+) </c", filled) == [b"1.81437", b"0", b"3.62874"]
+
+
+def test_an_assumed_level_is_above_what_the_tank_keeps(tmp_path):
+    folder = foreign_aircraft.write("single", tmp_path)
+    xml = folder / "single.xml"
+    kept = '<unusable-volume unit="LTR">4</unusable-volume><density unit="LBS/GAL">6.5</density>'
+    text = re.sub(r"(<capacity[^>]*>)[^<]*", r"\g<1>10", xml.read_text())
+    xml.write_text(
+        re.sub(r"<contents[^>]*>[^<]*</contents>", f"<contents>5</contents>{kept}", text)
+    )
+    # 4 l keep 6.87 lb of 10 lb.
+    assert fuel_levels(find_aircraft(folder))[0] == pytest.approx(8.434, abs=1e-3)
