@@ -17,7 +17,7 @@ from uqharness.batch.maths import Vector, cross, dot, matvec, minus, plus, times
 from uqharness.batch.motion import BODY_ACCELERATION, MATRIX, PLACE, geodesic, matrix, slots, vector
 from uqharness.batch.translate.frame import TIME, Frame
 from uqharness.batch.winds import AXES
-from uqharness.flight import ContactPoint
+from uqharness.flight import DIVERGED_FPS, ContactPoint
 
 _DEG = 180.0 / math.pi
 LOAD_FACTOR = "forces/load-factor"
@@ -259,6 +259,8 @@ def trace_ground(frame: Frame, points: Sequence[ContactPoint]) -> None:
         if contact.retracts:
             low = b.op("and", low, frame.get("gear/gear-pos-norm").gt(_DOWN))
         number = low.choose(float(k), number)
-    first = b.op("and", number.ge(0.0), touched.lt(0.0))
+    # A flight that has diverged touches nothing.
+    flying = frame.get("velocities/vt-fps").lt(DIVERGED_FPS)
+    first = b.op("and", b.op("and", number.ge(0.0), touched.lt(0.0)), flying)
     frame.remember(TOUCHED[1:], first.choose(frame.get(TIME), touched), -1.0)
     frame.remember(POINT[1:], first.choose(number, point), -1.0)

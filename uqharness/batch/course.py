@@ -66,6 +66,7 @@ from uqharness.batch.translate.turbine import Turboprop
 from uqharness.batch.winds import COUNTER, NORMALS
 from uqharness.errors import BadInputError
 from uqharness.flight import (
+    DIVERGED_FPS,
     OPTIONAL_SIGNALS,
     TURBULENCE_W20_KT,
     ContactPoint,
@@ -980,8 +981,13 @@ def _is_over(
     below ground, or in contact.
     """
     height, speed = records[columns[HEIGHT]], records[columns[SPEED]]
-    over = np.asarray(~np.isfinite(height + speed) | (height <= 0.0))
+    over = np.asarray(_has_diverged(height, speed) | (height <= 0.0))
     return np.asarray(over | (records[columns[TOUCHED]] >= 0.0)) if points else over
+
+
+def _has_diverged(height: FloatArray, speed: FloatArray) -> NDArray[np.bool_]:
+    """Return elementwise whether a flight has diverged, as `flight.fly` decides it."""
+    return np.asarray(~(np.isfinite(height) & (speed < DIVERGED_FPS)))
 
 
 def _in_progress(records: FloatArray, columns: dict[str, int]) -> End:
@@ -994,14 +1000,14 @@ def _find_end(
 ) -> tuple[int | None, End]:
     """Return the row in which a flight ended (None while it goes on), and how."""
     height, speed, time = (records[columns[name]] for name in (HEIGHT, SPEED, TIME))
-    not_finite = ~np.isfinite(height + speed)
+    diverged = _has_diverged(height, speed)
     touched = records[columns[TOUCHED]] if points else np.full(height.size, -1.0)
     over = _is_over(records, columns, points)
     if not over.any():
         return None, _in_progress(records, columns)
     row = int(np.argmax(over))
     flown_s = float(time[row])
-    if not_finite[row] and not touched[row] >= 0.0:
+    if diverged[row] and not touched[row] >= 0.0:
         return row, End("diverged", f"the state was no longer finite at {flown_s:.1f} s", flown_s)
     # Contact points are reported with the time of first contact.
     part = "the centre of gravity"

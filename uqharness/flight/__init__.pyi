@@ -50,6 +50,7 @@ from .recorded import write_record as write_record
 from .spec import BELOW_CEILING as BELOW_CEILING
 from .spec import COEFFICIENTS as COEFFICIENTS
 from .spec import DEFAULT_TURBULENCE_SOURCE as DEFAULT_TURBULENCE_SOURCE
+from .spec import DIVERGED_FPS as DIVERGED_FPS
 from .spec import STATUSES as STATUSES
 from .spec import TURBULENCE_CEILING_M as TURBULENCE_CEILING_M
 from .spec import TURBULENCE_W20_KT as TURBULENCE_W20_KT

@@ -29,7 +29,13 @@ from uqharness.flight.autopilot_process import (
     AutopilotStoppedError,
 )
 from uqharness.flight.random_numbers import Split
-from uqharness.flight.spec import COEFFICIENTS, TURBULENCE_W20_KT, FlightResult, FlightSpec
+from uqharness.flight.spec import (
+    COEFFICIENTS,
+    DIVERGED_FPS,
+    TURBULENCE_W20_KT,
+    FlightResult,
+    FlightSpec,
+)
 from uqharness.flight.stepping import first_levels, has_air_system, stepper
 from uqharness.flight.waypoints import FlownItem, WaypointGuide, WaypointMission
 from uqharness.isolation import report_time
@@ -681,7 +687,7 @@ def record_mission(
         for block in range(burn_in_rows + recorded_rows):
             report_time(block * stride * dt_s)
             touched = watch.advance(advance, stride)
-            if not math.isfinite(speed() + height()):
+            if not (math.isfinite(height()) and speed() < DIVERGED_FPS):
                 status, reason = "diverged", f"the state was no longer finite at {_clock(fdm)}"
                 break
             if touched:

@@ -35,6 +35,9 @@ DEFAULT_TURBULENCE_SOURCE: Literal["jsbsim", "spec"] = "spec"
 COEFFICIENTS = ("CX", "CY", "CZ", "Cl", "Cm", "Cn")
 """Body-axis force and moment coefficients in their usual order."""
 
+DIVERGED_FPS = 3e5
+"""Speed [ft/s] from which a flight has diverged: an integration that explodes, finite or not."""
+
 STATUSES = ("ok", "diverged", "ground-contact", "crashed", "timeout")
 """How a flight ends. ``crashed``: an exception, the loss of its process, and in campaigns older
 than ``ground-contact`` also ground contact.

@@ -469,3 +469,19 @@ def test_turbines_are_cut_off_as_a_system_commands(fly_both):
     gaps, off = fly_both("jet", [cut])
     assert max(gaps.values()) < ALIKE, gaps
     assert off.signals["V_mps"][-1] < running.signals["V_mps"][-1] - 0.1
+
+
+def test_a_flight_that_explodes_has_diverged_at_the_same_time_in_both_engines(tmp_path):
+    folder = foreign_aircraft.write("single", tmp_path)
+    script = tmp_path / "steady.xml"
+    start = StartSection(V_mps=50.0, altitude_m=200.0)
+    write_steady_start(find_aircraft(folder), start, script, "")
+    wild = "<property>aero/qbar-psf</property><property>metrics/Sw-sqft</property>"
+    wild = f'<function name="wild"><product><value>-100</value>{wild}</product></function>'
+    xml = folder / "single.xml"
+    xml.write_text(xml.read_text().replace('<axis name="DRAG">', f'<axis name="DRAG">{wild}'))
+    flight = FlightSpec(folder, script, 1.0)
+    theirs, (ours,) = fly(flight), fly_many([flight])
+    assert (theirs.status, theirs.flown_s) == (ours.status, ours.flown_s)
+    assert theirs.status == "diverged"
+    assert theirs.flown_s == pytest.approx(0.1)
