@@ -944,6 +944,11 @@ def refuse_unknown_operations(aircraft: Aircraft) -> None:
     Only files that JSBSim reads are searched: folders also hold sounds, scenes and panels.
     """
     if errors := _findings(aircraft, refused=False):
+        # Errors that keep JSBSim from loading it are named with these.
+        try:
+            ensure_loadable(aircraft, content_hash(aircraft))
+        except BadInputError:
+            errors = _findings(aircraft, refused=True)
         raise BadInputError(_all_findings(errors))
 
 

@@ -85,6 +85,8 @@ def check_physical(aircraft: HasFiles) -> None:
             f"{rotor}; only aircraft with wings fly here" if rotor else str(error)
         ) from None
     _check_inertia(_section(aircraft, files, root, "mass_balance"))
+    for place, text in remarks(files, {name: str(aircraft.folder / name) for name in files.local}):
+        _note(place, text)
     # Rotors fly in JSBSim but are not trimmed here.
     if rotor:
         place, _, text = rotor.partition(": ")
@@ -494,6 +496,7 @@ _COEFFICIENTS = {
     "lead_lag_filter": 4,
     "second_order_filter": 6,
 }
+_CONTACTS = ("BOGEY", "STRUCTURE")
 _SECTIONS = ("metrics", "mass_balance", "ground_reactions", "aerodynamics")
 _BURNING = frozenset({"piston_engine", "turbine_engine", "turboprop_engine"})
 _UNITS_TEXT = """
@@ -548,6 +551,7 @@ def findings(
         if root.tag in ("initialize", "runscript"):
             continue
         rows = [*_operations(root, operations), *_components(root), *_feeds(root, files)]
+        rows += _missing_mass(root)
         if refused:
             rows += [*_files(root, files, stems), *_numbers(root), *_tables(root)]
             rows += [*_doubles(root), *_units(root), *_missing_parts(root)]
@@ -746,6 +750,14 @@ def _missing_parts(root: Any) -> Iterator[tuple[int, str]]:
         for tag in _SECTIONS:
             if root.find(tag) is None:
                 yield _line(root), f"<fdm_config> has no <{tag}>; add it"
+    for engine_node in root.iterfind("propulsion/engine"):
+        is_inline = any(str(child.tag).endswith("_engine") for child in engine_node)
+        if not (engine_node.get("file") or is_inline):
+            yield _line(engine_node), '<engine> names no file; write <engine file="NAME">'
+        if engine_node.find("thruster") is None:
+            yield _line(engine_node), "<engine> has no <thruster>; add one inside it"
+    for thruster in root.iterfind("propulsion/thruster"):
+        yield _line(thruster), "<thruster> is outside of an <engine>; move it into its engine"
     for axis in root.iterfind("aerodynamics/axis"):
         if (name := axis.get("name", "")) not in _AXES:
             matches = difflib.get_close_matches(name.upper(), _AXES, n=1)
@@ -779,6 +791,73 @@ def _components(root: Any) -> Iterator[tuple[int, str]]:
         if matches:
             text = f"<{element.tag}> is no component of JSBSim, which would ignore it"
             yield _line(element), f"{text}; did you mean <{matches[0]}>?"
+
+
+def _missing_mass(root: Any) -> Iterator[tuple[int, str]]:
+    """Yield an empty weight or moment of inertia that is absent, which JSBSim takes for 0."""
+    for mass in [root] if root.tag == "mass_balance" else root.findall("mass_balance"):
+        # Rockets consist of point masses with a shape.
+        if mass.get("file") or mass.find("pointmass/form") is not None:
+            continue
+        for tag in ("emptywt", *_MOMENTS):
+            if mass.find(tag) is not None:
+                continue
+            misplaced = next(mass.iter(tag), None)
+            parent = None if misplaced is None else misplaced.getparent().tag
+            if misplaced is not None and parent != "pointmass":
+                text = f"<{tag}> is inside <{parent}>, where JSBSim ignores it; move it into"
+                yield _line(misplaced), f"{text} <mass_balance>"
+            else:
+                text = f"<mass_balance> has no <{tag}>, which JSBSim takes for 0; add it"
+                yield _line(mass), text
+
+
+def remarks(files: ModelFiles, names: dict[str, str]) -> Iterator[tuple[str, str]]:
+    """Yield (place, text) of what JSBSim loads, but not as its author may expect.
+
+    A property that is declared with two values, two components of one name, and contacts of an
+    unknown type.
+    """
+    components: dict[str, str] = {}
+    for name, file in files.local.items():
+        root = etree.parse(BytesIO(file.content), etree.XMLParser(resolve_entities=False)).getroot()
+        if root.tag in ("initialize", "runscript"):
+            continue
+        values: dict[str, tuple[str, int]] = {}
+        for node in root.iter("property"):
+            declared, value = (node.text or "").strip(), node.get("value")
+            if value is None or not declared:
+                continue
+            first, line = values.setdefault(declared, (value, _line(node)))
+            if first != value:
+                yield (
+                    f"{names[name]}:{_line(node)}",
+                    (
+                        f"<property> {declared} is declared as {value}, in line {line} as {first},"
+                        " which JSBSim keeps; remove one of them"
+                    ),
+                )
+        for node in root.iterfind(".//channel/*[@name]"):
+            output = host.component_output(node.get("name", ""))
+            place = f"{names[name]}:{_line(node)}"
+            if output in components:
+                yield (
+                    place,
+                    (
+                        f"<{node.tag}> computes {output}, as another component does"
+                        f" ({components[output]}): the later one wins; rename one of them"
+                    ),
+                )
+            components.setdefault(output, place)
+        for node in root.iterfind(".//contact"):
+            if (kind := node.get("type", "")) not in _CONTACTS:
+                yield (
+                    f"{names[name]}:{_line(node)}",
+                    (
+                        f'<contact type="{kind}">: JSBSim takes it for STRUCTURE; allowed are'
+                        f" {' and '.join(_CONTACTS)}"
+                    ),
+                )
 
 
 def burning_engines(files: ModelFiles) -> set[str]:

@@ -281,6 +281,16 @@ CASES = {
     "coefficient": (component("lag_filter", INPUT), "<lag_filter> has no <c1>"),
     "input": (component("lag_filter", "<c1>1</c1>"), "<lag_filter> has no <input>"),
     "component": (component("lagg_filter", INPUT), "did you mean <lag_filter>"),
+    "weight": (("<emptywt.*?</emptywt>", ""), "has no <emptywt>, which JSBSim takes for 0; add"),
+    "inertia": (
+        ("(<ixx.*?</izz>)", r"<inertia>\1</inertia>"),
+        r"<ixx> is inside <inertia>, where JSBSim ignores it; move it into <mass_balance>",
+    ),
+    "no engine": (('<engine file="flat_four">', "<engine>"), "<engine> names no file; write"),
+    "thruster": (
+        ("(<thruster.*?</thruster>)(.*?</engine>)", r"\2\1"),
+        "<thruster> is outside of an <engine>; move it into its engine",
+    ),
     "feed": (("<feed>0</feed>", "<feed>4</feed>"), "<feed> is 4, of 1 tank, counted from 0"),
 }
 
@@ -290,8 +300,8 @@ def broken(tmp_path, *changes):
     xml = folder / "single.xml"
     text = xml.read_text()
     for old, new in changes:
-        assert old in text
-        text = text.replace(old, new, 1)
+        text, number = re.subn(old, new, text, count=1, flags=re.DOTALL)
+        assert number
     xml.write_text(text)
     return find_aircraft(folder)
 
@@ -309,6 +319,25 @@ def test_operations_that_jsbsim_would_ignore_are_refused_together(tmp_path):
     more = '<function name="a/c"><times><value>1</value></times></function>'
     with pytest.raises(BadInputError, match=r"^2 errors .*<plus> is no op.*<times> is no op"):
         open_aircraft(broken(tmp_path, ("<aerodynamics>", name + more)))
+
+
+def test_what_jsbsim_takes_otherwise_than_the_author_is_remarked(tmp_path, caplog):
+    twice = '<property value="1">t/p</property><property value="{}">t/p</property>'
+    gains = f'<pure_gain name="t/x">{INPUT}<gain>1</gain></pure_gain>' * 2
+    aircraft = broken(
+        tmp_path,
+        ('type="BOGEY"', 'type="WHEEL"'),
+        ("<flight_control[^>]*>", rf'\g<0>{twice.format(2)}<channel name="t">{gains}</channel>'),
+        ("<aerodynamics>", "<aerodynamics>" + twice.format(1).replace("t/p", "t/q")),
+    )
+    with caplog.at_level("INFO", logger="uqharness"):
+        open_aircraft(aircraft)
+    assert "single.xml:" in caplog.text
+    assert '<contact type="WHEEL">: JSBSim takes it for STRUCTURE' in caplog.text
+    assert re.search(r"t/p is declared as 2, in line \d+ as 1, which JSBSim keeps", caplog.text)
+    assert re.search(r"computes t/x, as another component does \(.*xml:\d+\)", caplog.text)
+    # The same value twice changes nothing.
+    assert "t/q" not in caplog.text
 
 
 def test_stock_aircraft_that_jsbsim_loads_have_no_findings():
