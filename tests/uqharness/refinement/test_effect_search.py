@@ -109,7 +109,7 @@ def test_where_no_estimator_follows_the_flights_candidates_that_explain_as_much_
     truth.unfollowed = frozenset(truth.context()[0].effects)
     blocked = search(truth)
     assert blocked.model.keys == set()
-    assert any("neither replayed nor followed" in line for line in blocked.trail)
+    assert any("neither replayed nor filtered" in line for line in blocked.trail)
 
 
 # Which other candidates compete, from normal equations with known columns.
