@@ -393,8 +393,8 @@ def read(path: Path) -> tuple[LiftDragModel, Reference]:
     centre = np.zeros(3) if place is None else _vector(path, place, 3)
     # Gazebo classic's point is <ref_pt>; its forces act there from the centre of gravity.
     classic = plugin.find("ref_pt") is not None
-    element = plugin.find("ref_pt" if classic else "cp")
-    point = np.zeros(3) if element is None else _vector(path, element, 3)
+    at = plugin.find("ref_pt" if classic else "cp")
+    point = np.zeros(3) if at is None else _vector(path, at, 3)
     arm = point if classic else point - centre
     span = math.sqrt(tags["area"] * tags["AR"])
     throws = dict.fromkeys(("elevator", "aileron", "rudder"), 20.0)

@@ -82,7 +82,7 @@ def air_velocity(states: FlightStates, place_m: ArrayLike) -> FloatArray:
     air = np.stack([np.cos(alpha) * np.cos(beta), np.sin(beta), np.sin(alpha) * np.cos(beta)])
     lengths = np.array([states.b_m, states.c_m, states.b_m])
     turn = 2.0 * np.column_stack([value[v] for v in "pqr"]) / lengths
-    return np.asarray(air + np.cross(turn, place_m).T)
+    return np.asarray(air + np.cross(turn, np.asarray(place_m)).T)
 
 
 @dataclass(frozen=True)
@@ -310,8 +310,8 @@ def _trim(aircraft: Aircraft, speed_mps: float | None, properties: Mapping[str, 
     loading = float(fdm["inertia/weight-lbs"]) / max(float(fdm["metrics/Sw-sqft"]), 1e-9)
     ordinary = math.sqrt(2.0 * loading * PSF_PA / _SEA_LEVEL_DENSITY / _ORDINARY_LIFT)
     order = np.argsort(np.abs(np.log(_SPEEDS_MPS / ordinary)))
-    start, trim = next(((k, t) for k in order.tolist() if (t := trim_at(k))), (0, None))
-    trims = [] if trim is None else [trim]
+    start, first = next(((k, t) for k in order.tolist() if (t := trim_at(k))), (0, None))
+    trims = [] if first is None else [first]
     for step in (1, -1):
         k = start + step
         while trims and (trim := trim_at(k)) is not None:

@@ -356,13 +356,14 @@ def mode_intervals(
             unstable += any(m.real > 0.0 for m in same)
             if len(same) == names.count(mode.name) and (same[order].imag > 0) == (mode.imag > 0):
                 alike.append(same[order])
-        intervals = []
+        intervals: list[tuple[float, float]] = []
         for key in ("real", "wn_radps", "zeta"):
             values = [getattr(m, key) for m in alike] or [np.nan]
             low, high = np.quantile(values, ends)
             intervals.append((float(low), float(high)))
+        real, frequency, damping = intervals
         shares = len(alike) / len(members), unstable / len(members)
-        out.append(ModeInterval(*intervals, *shares))
+        out.append(ModeInterval(real, frequency, damping, *shares))
     return out
 
 
