@@ -314,8 +314,8 @@ def _trim(aircraft: Aircraft, speed_mps: float | None, properties: Mapping[str, 
     trims = [] if first is None else [first]
     for step in (1, -1):
         k = start + step
-        while trims and (trim := trim_at(k)) is not None:
-            trims.append(trim)
+        while trims and (neighbour := trim_at(k)) is not None:
+            trims.append(neighbour)
             k += step
     trims.sort(key=lambda t: t.condition.V_mps)
     if not trims:
