@@ -463,11 +463,15 @@ def diff_models(
         if not is_model_file(name)
     }
     source = next(iter(sources.values()), None)
-    files = {name: _read(name, source) for name in (first, second) if name not in sources}
-    if source is None:
-        common, middle = files[first].reference, {"alpha": 0.05}
-    else:
-        common, middle = source.reference, source.middle
+    # SDF says the mass and the travel that ArduPilot's file leaves open.
+    names = [name for name in (first, second) if name not in sources]
+    names.sort(key=lambda name: _SUFFIXES[Path(str(name)).suffix] != "gazebo")
+    common, files = None if source is None else source.reference, dict[AnyAircraft, _ModelFile]()
+    for name in names:
+        files[name] = _read(name, common)
+        common = common or files[name].reference
+    assert common is not None
+    middle = {"alpha": 0.05} if source is None else source.middle
     states = box_around(common, middle, None if source is None else source.trim, _STATES)
     a, b = (
         _of_aircraft(sources[name], common) if name in sources else _of_file(files[name], common)
@@ -504,18 +508,20 @@ class _ModelFile:
     reference: Reference
 
 
-def _read(name: AnyAircraft, source: SourceModel | None) -> _ModelFile:
+def _read(name: AnyAircraft, other: Reference | None) -> _ModelFile:
     """Read a model file.
 
-    ArduPilot's area and inertia are those of its own mass; ``source`` says which mass they stand
+    ArduPilot's area and inertia are those of its own mass; ``other`` says which mass they stand
     for.
     """
     path = Path(str(name))
     if _SUFFIXES[path.suffix] == "gazebo":
         return _ModelFile(path.name, *gazebo.read(path))
     keys = ardupilot_json.read(path)
-    mass_kg = ardupilot_json.PROGRAM_MASS_KG if source is None else source.reference.mass_kg
-    throw = {} if source is None else source.reference.throw_deg
+    mass_kg = math.nan if other is None else other.mass_kg
+    if not math.isfinite(mass_kg):
+        mass_kg = ardupilot_json.PROGRAM_MASS_KG
+    throw = {} if other is None else other.throw_deg
     return _ModelFile(path.name, keys, ardupilot_json.reference(keys, mass_kg, throw))
 
 
@@ -545,4 +551,5 @@ def _of_file(file: _ModelFile, common: Reference) -> ComparedModel:
             ardupilot_json.coefficients(content, states, common.throw_deg), reference, common
         ),
         reference,
+        terms=ardupilot_json.TERMS,
     )

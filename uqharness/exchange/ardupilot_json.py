@@ -69,6 +69,17 @@ KEYS = (
     "c_n_deltaa",
     "c_n_deltar",
 )
+TERMS = frozenset(
+    (coefficient, variable)
+    for coefficients, variables in (
+        (("CX", "CZ", "Cm"), ("alpha", "q")),
+        (("CZ", "Cm"), ("de",)),
+        (("CY", "Cl", "Cn"), ("beta", "p", "r", "da", "dr")),
+    )
+    for coefficient in coefficients
+    for variable in variables
+)
+"""Coefficient and variable of the slopes that the format has; drag of the elevator is none."""
 LOST_TERMS = (
     "sideslip and lateral controls in lift, drag and pitching moment",
     "angle of attack, pitch rate and elevator in side force, rolling and yawing moment",

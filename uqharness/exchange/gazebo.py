@@ -397,7 +397,10 @@ def read(path: Path) -> tuple[LiftDragModel, Reference]:
     point = np.zeros(3) if at is None else _vector(path, at, 3)
     arm = point if classic else point - centre
     span = math.sqrt(tags["area"] * tags["AR"])
-    throws = dict.fromkeys(("elevator", "aileron", "rudder"), 20.0)
+    throws = {
+        name: _travel(path, [joints.get(s.name) for s in surfaces if variable in s.shares])
+        for variable, name in (("de", "elevator"), ("da", "aileron"), ("dr", "rudder"))
+    }
     chord = tags["mac"] or tags["area"] / span
     return (
         LiftDragModel(tags, surfaces, _down(arm), _down(point - centre), _axes(path, plugin)),
@@ -452,6 +455,18 @@ def _axis(path: Path, joint: etree._Element | None) -> FloatArray:
     """Return the axis of a joint in forward, left, up; left and up both where the file has none."""
     element = None if joint is None else joint.find("axis/xyz")
     return np.array([0.0, 1.0, 1.0]) if element is None else _vector(path, element, 3)
+
+
+def _travel(path: Path, joints: Sequence[etree._Element | None]) -> float:
+    """Return the largest deflection [deg] of joints; 20 where the file limits none."""
+    limits = [joint.find("axis/limit") for joint in joints if joint is not None]
+    ends = [
+        math.degrees(abs(_number(path, limit, tag, 0.0)))
+        for limit in limits
+        if limit is not None
+        for tag in ("lower", "upper")
+    ]
+    return max((end for end in ends if 1.0 < end < 90.0), default=20.0)
 
 
 def _shares(

@@ -71,6 +71,9 @@ class ComparedModel:
         Coefficient and variable to what each surface of a model with several adds.
     axes : ndarray, optional
         (3, 3) its axes in those of the body, where the format holds them.
+    terms : frozenset, optional
+        Coefficient and variable of the slopes that its format has; None for all. Others are a loss
+        of the format and no slip.
     """
 
     name: str
@@ -78,6 +81,7 @@ class ComparedModel:
     reference: Reference | None = None
     parts: Mapping[tuple[str, str], Sequence[float]] = field(default_factory=dict)
     axes: FloatArray | None = None
+    terms: frozenset[tuple[str, str]] | None = None
 
 
 @dataclass(frozen=True)
@@ -113,7 +117,8 @@ def slips(
     findings = _of_reference(a, b)
     exchanged, centre = _exchanged(slopes, effects), None
     if exchanged is None:
-        centre = _moment_centre(slopes, effects, states)
+        floor = max(least_change[moment] for moment in ("Cl", "Cm", "Cn"))
+        centre = _moment_centre(slopes, effects, floor, states)
     if exchanged is not None:
         findings.append(exchanged[0])
     elif centre is not None:
@@ -132,6 +137,8 @@ def slips(
         if key[0] in ("CL", "CD") or abs(first - second) <= _AGREE * size:
             continue
         if exchanged is not None and key in exchanged[1]:
+            continue
+        if any(model.terms is not None and key not in model.terms for model in (a, b)):
             continue
         cause = _cause(*key, first, second, states)
         share = size * effects[key]
@@ -297,13 +304,14 @@ def _twice(variable: str) -> str:
 def _moment_centre(
     slopes: Mapping[tuple[str, str], tuple[float, float]],
     effects: Mapping[tuple[str, str], float],
+    floor: float,
     states: FlightStates,
 ) -> tuple[Slip, FloatArray] | None:
     """Return the slip of a shifted moment centre, and the shift in chords.
 
     About a point that lies d away moments change by -d x F, for all variables alike: one d, by
-    least squares, must give each change that it makes visible. Rates are left out: they also move
-    the point through the air.
+    least squares, must give each change that it makes visible; ``floor`` is the share of the
+    variation that counts. Rates are left out: they also move the point through the air.
     """
     static = [v for v in VARIABLES if v not in ("p", "q", "r")]
     keys = [(moment, v) for moment in ("Cl", "Cm", "Cn") for v in static]
@@ -324,7 +332,7 @@ def _moment_centre(
     changed = np.abs(changes) > _RELEVANT
     if changed.sum() == 1:
         key = keys[int(np.argmax(changed))]
-        if _cause(*key, *slopes[key], states):
+        if _cause(*key, *slopes[key], states) not in ("", _ABSENCE):
             return None
     observed = np.zeros(3, dtype=bool)
     shift = np.zeros(3)
@@ -346,10 +354,10 @@ def _moment_centre(
         if after < 1e-3 * float(changes @ changes):
             break
     predicted = matrix @ shift
-    visible = np.abs(predicted) > 0.25 * _RELEVANT
-    tolerance = np.maximum(0.25 * np.abs(predicted), 0.5 * _RELEVANT)
+    visible = np.abs(predicted) > floor
+    tolerance = np.maximum(0.25 * np.abs(predicted), floor)
     agree = np.abs(changes - predicted) < tolerance
-    if not (np.abs(predicted) > _RELEVANT).any() or visible.sum() < 2 or not agree[visible].all():
+    if not (np.abs(predicted) > 4.0 * floor).any() or visible.sum() < 2 or not agree[visible].all():
         return None
     words = [
         f"{abs(distance) * states.c_m:.3g} m further {forward if distance > 0.0 else aft}"
@@ -375,16 +383,22 @@ def _of_reference(a: ComparedModel, b: ComparedModel) -> list[Slip]:
         x, y = first[name], second[name]
         if not (math.isfinite(x) and math.isfinite(y)) or abs(x - y) <= 0.01 * max(abs(x), abs(y)):
             continue
-        cause = "the sign is opposite" if abs(x + y) < 0.01 * abs(x) else _unit(name, x, y)
         others = [
             other
             for other in first
             if other != name
             and other.split("[")[1] == name.split("[")[1]
+            and y != 0.0
             and abs(first[other] - y) < 1e-3 * abs(y)
         ]
-        if not cause and others and y != 0.0:
-            cause = f"that is the first model's {others[0]}"
+        # Two that changed places are no matter of units.
+        exchanged = [other for other in others if abs(second[other] - x) < 1e-3 * abs(x)]
+        if abs(x + y) < 0.01 * abs(x):
+            cause = "the sign is opposite"
+        elif exchanged or (others and not _unit(name, x, y)):
+            cause = f"that is the first model's {(exchanged or others)[0]}"
+        else:
+            cause = _unit(name, x, y)
         findings.append(Slip(name, x, y, cause))
     return findings
 

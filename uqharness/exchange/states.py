@@ -10,13 +10,12 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from cachetools import LRUCache, cached
-from numpy.typing import ArrayLike
 
 from sysid.aerodynamics import COEFFICIENTS
 from sysid.arrays import FloatArray
@@ -72,7 +71,7 @@ class FlightStates:
         return FlightStates(self.V_mps, values, b_m, c_m)
 
 
-def air_velocity(states: FlightStates, place_m: ArrayLike) -> FloatArray:
+def air_velocity(states: FlightStates, place_m: Sequence[float] | FloatArray) -> FloatArray:
     """Return the velocity (3, n) of a point of the turning body through the air, over the speed.
 
     ``place_m`` counts from the centre of gravity; forward, right, down.

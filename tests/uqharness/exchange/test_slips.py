@@ -149,13 +149,24 @@ def test_what_the_program_takes_for_a_missing_key_is_compared(folder: Path, tmp_
 
 
 def test_sound_files_have_no_slip(folder: Path):
+    """Also of two formats: ArduPilot's file leaves mass and travel open, SDF states both."""
     sdf, classic = (folder / "gazebo" / name for name in ("model.sdf", "model-classic.sdf"))
-    assert found(sdf, classic) == []
-    outcome = uq.diff("espaaro", folder / "ardupilot-json" / "espaaro.json", speed_mps=SPEED)
-    # The axial force of the elevator is a loss of the format.
-    assert {f.where for f in outcome.findings} <= {"CX over elevator"}
+    keys = folder / "ardupilot-json" / "espaaro.json"
+    for pair in ((sdf, classic), (sdf, keys), (keys, sdf)):
+        assert found(*pair) == []
+    assert uq.diff("espaaro", keys, speed_mps=SPEED).findings == []
     outcome = uq.diff("espaaro", sdf, speed_mps=SPEED)
     assert {f.where for f in outcome.findings} <= {"CX over angle of attack"}
+
+
+def test_inertias_that_changed_places(folder: Path, tmp_path: Path):
+    """Ixx over Iyy is 1.36 here, as slug ft2 over kg m2."""
+    keys = json.loads((folder / "ardupilot-json" / "espaaro.json").read_text())
+    x, y, z = keys["aero_moment_inertia"]
+    spoilt = tmp_path / "spoilt.json"
+    spoilt.write_text(json.dumps(keys | {"aero_moment_inertia": [y, x, z]}))
+    causes = [c for _, c in found(folder / "ardupilot-json" / "espaaro.json", spoilt)]
+    assert causes == [f"that is the first model's I{axis} [kg m2]" for axis in ("yy", "xx")]
 
 
 @pytest.mark.parametrize(
@@ -163,7 +174,7 @@ def test_sound_files_have_no_slip(folder: Path):
     [
         # The forces act 5 cm right of and 10 cm above the centre of gravity.
         ("gazebo/model.sdf", "<cp>0 0 0<", "<cp>0 -0.05 0<", "centre is 0.05 m further left"),
-        ("gazebo/model.sdf", "<cp>0 0 0<", "<cp>0 0 0.1<", "centre is 0.1 m further down"),
+        ("gazebo/model.sdf", "<cp>0 0 0<", "<cp>0 0 0.02<", "centre is 0.02 m further down"),
         ("gazebo/model.sdf", "<cp>0 0 0<", "<cp>0.1 0 0.1<", "0.1 m further aft and 0.1 m"),
         ("gazebo/model.sdf", "<forward>1 0 0", "<forward>-1 0 0", "axes are turned"),
         ("gazebo/model.sdf", "<upward>0 0 1", "<upward>0 0 -1", "axes are turned"),
