@@ -419,8 +419,8 @@ class GustStates(NamedTuple):
         The gusts turn with their axes. Without it they are fixed to the earth.
     in_body : bool
         The gusts' axes are the body's, not those of the heading.
-    q_length, r_length : float
-        Lengths of q_h and r_h in units of the standard's, 4b/pi and 3b/pi [-].
+    p_length, q_length, r_length : float
+        Lengths of p_h, q_h and r_h in units of the standard's, 4b/pi, 4b/pi and 3b/pi [-].
     q_share, r_share : float
         1: q_h, r_h as in (2); -1: reversed; 0: not by gusts down and to the right.
     """
@@ -430,6 +430,7 @@ class GustStates(NamedTuple):
     rotating: bool = True
     turning_with: bool = True
     in_body: bool = False
+    p_length: float = 1.0
     q_length: float = 1.0
     r_length: float = 1.0
     q_share: float = 1.0

@@ -61,7 +61,7 @@ def gust_lags_s(gusts: Any, V: Any) -> tuple[Any, Any, Any]:
     """Return the time constants T_p, T_q, T_r [s] of `GustStates` at airspeed V [m/s]."""
     unit = gusts.b / (gusts.passing_mps or V)
     return (
-        LENGTHS[0] * unit,
+        LENGTHS[0] * gusts.p_length * unit,
         LENGTHS[1] * gusts.q_length * unit,
         LENGTHS[2] * gusts.r_length * unit,
     )

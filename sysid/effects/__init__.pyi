@@ -25,6 +25,7 @@ from .prediction import names_of as names_of
 from .prediction import whiten as whiten
 from .prediction import whiten_each as whiten_each
 from .prediction import whitened as whitened
+from .prediction import with_air as with_air
 from .selection import Alternative as Alternative
 from .selection import RejectedCandidate as RejectedCandidate
 from .selection import SelectedEffect as SelectedEffect

@@ -6,7 +6,10 @@ Automatica 16, 1980):
 
     s = H X + D u + e,   X+ = X - K s,   X' = Phi X+ + G0 u(k) + G1 u(k+1-)
 
-Each segment's start state is estimated: its columns are projected out of everything else.
+Each segment's start state is estimated: its columns are projected out of everything else. Those of
+the air (`with_air`) are projected out of the other columns: a damping derivative and the gusts that
+it damps are to each other as the autoregressive and moving-average parts of one process, and
+standard errors beside air that is taken to be certain are too small.
 """
 
 from __future__ import annotations
@@ -122,11 +125,15 @@ class White:
 
 @dataclass(frozen=True)
 class FilteredSegment:
-    """A filtered segment: the system, the filter's gains, and innovations without columns."""
+    """A filtered segment: the system, the filter's gains, and innovations without columns.
+
+    air (n, m, A): changes of these innovations in other airs
+    """
 
     system: MeasuredSystem
     gains: Gains
     innovations_only: Whitened
+    air: FloatArray | None = None
 
     def path_from(self, start: FloatArray) -> FloatArray:
         """Return predicted states (n, x) from the deviation ``start`` (8,) of the start state, both
@@ -169,6 +176,31 @@ def follow(
         yield FilteredSegment(
             measured_system, filter_gains, whiten_innovations(measured_system, filter_gains)
         )
+
+
+def with_air(
+    followed: Iterable[FilteredSegment],
+    measured: Sequence[FloatArray],
+    rows: Sequence[int],
+    noise: FloatArray,
+    airs: Sequence[tuple[Sequence[Steps], Process]],
+) -> Iterator[FilteredSegment]:
+    """Add how the innovations of each segment differ in other ``airs``, which are near."""
+    for k, one in enumerate(followed):
+        start, size = _Start.of(one, None).state, np.sqrt(one.gains.variance)
+
+        def left(filtered: Whitened, start: FloatArray = start) -> FloatArray:
+            return filtered.innovations - filtered.starts @ start
+
+        columns = []
+        for steps, process in airs:
+            system = MeasuredSystem.of(steps[k], measured[k], rows)
+            air = process.noise[k], process.begin[k]
+            other = gains(system, noise, air, with_prior_variance=False)
+            # In units of the same deviations: what these are says nothing of the states.
+            change = left(whiten_innovations(system, other)) * np.sqrt(other.variance) / size
+            columns.append(change - left(one.innovations_only))
+        yield replace(one, air=np.stack(columns, axis=2))
 
 
 def whiten(
@@ -262,12 +294,13 @@ def _without_colour(colour: InnovationColour | None, series: NDArray[Any]) -> ND
 
 @dataclass(frozen=True)
 class _Start:
-    """White innovations (n, m) of a segment before and after fitting its start state, and the QR
-    decomposition of the start's columns.
+    """White innovations (n, m) of a segment before and after fitting its start state, that state
+    (8,), and the QR decomposition of the columns of start and air.
     """
 
     innovations: FloatArray
     residual: FloatArray
+    state: FloatArray
     q: FloatArray
     r: FloatArray
 
@@ -275,9 +308,19 @@ class _Start:
     def of(one: FilteredSegment, colour: InnovationColour | None) -> _Start:
         plain = one.innovations_only
         innovations = _without_colour(colour, plain.innovations)
-        return _Start(
-            innovations, *start_fitted(innovations, _without_colour(colour, plain.starts))
-        )
+        residual, q, r = start_fitted(innovations, _without_colour(colour, plain.starts))
+        state = _solved(r, q.T @ innovations.ravel())
+        if one.air is not None:
+            both = np.concatenate([plain.starts, one.air], axis=2)
+            _, q, r = start_fitted(innovations, _without_colour(colour, both))
+        return _Start(innovations, residual, state, q, r)
+
+
+def _solved(r: FloatArray, right: FloatArray) -> FloatArray:
+    try:
+        return np.asarray(np.linalg.solve(r, right))
+    except np.linalg.LinAlgError:
+        return np.asarray(np.linalg.lstsq(r, right, rcond=None)[0])
 
 
 def _whitened(
@@ -291,12 +334,7 @@ def _whitened(
     )
     changes = _without_colour(colour, one.with_columns(segment_columns).columns)
     remainder, inside = _without_start(changes, start.q)
-    inside = np.column_stack([start.q.T @ start.innovations.ravel(), inside])
-    try:
-        fitted = np.linalg.solve(start.r, inside)
-    except np.linalg.LinAlgError:
-        fitted = np.linalg.lstsq(start.r, inside, rcond=None)[0]
-    fitted[:, 1:] *= -1.0
+    fitted = np.column_stack([start.state, -_solved(start.r, inside)[:START_COLUMNS]])
     return White(
         start.residual,
         remainder,
@@ -320,7 +358,7 @@ def start_fitted(
     ``starts`` (n, m, 8) are the innovations' sensitivities to the start state. Returns the
     remaining innovations (n, m), and q (n m, 8), r (8, 8) of the sensitivities.
     """
-    flat = starts.reshape(-1, START_COLUMNS)
+    flat = starts.reshape(-1, starts.shape[2])
     scale = np.sqrt(np.sum(flat**2, axis=0))
     scale[scale == 0.0] = 1.0
     q, r = np.linalg.qr(flat / scale)
@@ -336,7 +374,7 @@ def _without_start(
     Returns the remaining columns and the projections (8, K).
     """
     flat = columns.reshape(len(q), columns.shape[2])
-    inside, remainder = np.zeros((START_COLUMNS, flat.shape[1])), np.empty_like(flat)
+    inside, remainder = np.zeros((q.shape[1], flat.shape[1])), np.empty_like(flat)
     parts = [slice(first, first + _AT_ONCE) for first in range(0, len(q), _AT_ONCE)]
     for rows in parts:
         inside += q[rows].T @ flat[rows].astype(np.float64)

@@ -172,7 +172,7 @@ _MOST_OWN = 1.0
 or of the air's roll; an isotropic field has no more.
 """
 _LENGTHS = (1.0, 0.5, 0.25, 2.0, 0.7, 1.4)
-"""Trial lengths of the air's pitch and yaw, in units of the standard's."""
+"""Trial lengths of the air's roll, pitch and yaw, in units of the standard's."""
 _STRUCTURE_ROUNDS = 2
 _FINER = 1.2
 """Factor of the refinement about the likeliest length."""
@@ -304,14 +304,15 @@ class TurbulenceModel:
 
     @property
     def _lengths(self) -> str:
-        """Departures of the air's pitch and yaw from the standard, in words."""
+        """Departures of the air's rotation from the standard, in words."""
         first = self.states[0]
         parts = []
         for name, share, length in (
+            ("roll", 1.0, first.p_length),
             ("pitch", first.q_share, first.q_length),
             ("yaw", first.r_share, first.r_length),
         ):
-            if not first.rotating or (share, length) == (1.0, 1.0):
+            if (share, length) == (1.0, 1.0) or not (first.rotating or name == "roll"):
                 continue
             size = f"{length:.2g} times the standard's length"
             parts.append(
@@ -602,7 +603,8 @@ class _Search:
         )
 
     def structured(self, some: Sequence[int], point: _Point, kinds: Sequence[str]) -> _Point:
-        """Choose the structure of the gusts: rotation, axes, and the lengths of pitch and yaw.
+        """Choose the structure of the gusts: rotation, axes, and the lengths of roll, pitch and
+        yaw.
 
         Each choice is repeated after the others.
         """
@@ -615,9 +617,8 @@ class _Search:
                 if (r, t, body) != best.kind
             ]
             best = self.accept_trials(some, best, [self.unabsorbed(some, best, frames)], kinds)
-            if best.states[0].rotating:
-                for axis in ("q", "r"):
-                    best = self.accept_trials(some, best, [self.length(some, best, axis)], kinds)
+            for axis in ("p", "q", "r") if best.states[0].rotating else ("p",):
+                best = self.accept_trials(some, best, [self.length(some, best, axis)], kinds)
             if best.states == before.states:
                 break
         return best
@@ -646,20 +647,25 @@ class _Search:
         return best if chosen.states == best.states else replace(chosen, cost=np.inf)
 
     def length(self, some: Sequence[int], best: _Point, axis: str) -> _Point:
-        """Return the point with the likeliest sign and length of the air's pitch (q) or yaw (r)."""
+        """Return the point with the likeliest length of the air's roll (axis p), or the likeliest
+        sign and length of its pitch (q) or yaw (r).
+        """
+        # The air's roll does not follow from gusts at the wing and has no sign.
+        signs = [] if axis == "p" else [f"{axis}_share"]
 
-        def at(share: float, length: float) -> _Point:
-            """Return the point with a sign and length."""
-            return best.with_states(**{f"{axis}_share": share, f"{axis}_length": length})
+        def at(length: float, share: float = 1.0) -> _Point:
+            """Return the point with a length and sign."""
+            return best.with_states(**dict.fromkeys(signs, share), **{f"{axis}_length": length})
 
         some = _evenly_spaced(some, _FOR_SPEED)
-        shapes = [*((1.0, n) for n in _LENGTHS), (-1.0, 1.0), (-1.0, 0.5), (0.0, 1.0)]
-        chosen = self.unabsorbed(some, best, [at(*shape) for shape in shapes])
+        shapes = [at(n) for n in _LENGTHS]
+        shapes += [at(1.0, -1.0), at(0.5, -1.0), at(1.0, 0.0)] if signs else []
+        chosen = self.unabsorbed(some, best, shapes)
         first = chosen.states[0]
-        share, length = getattr(first, f"{axis}_share"), getattr(first, f"{axis}_length")
+        share, length = getattr(first, f"{axis}_share", 1.0), getattr(first, f"{axis}_length")
         if chosen.states == best.states and length == 1.0:
             return best
-        finer = [at(share, float(length * _FINER**k)) for k in (-1, 1)]
+        finer = [at(float(length * _FINER**k), share) for k in (-1, 1)]
         return self.unabsorbed(some, chosen, finer)
 
     def loss(self, some: Sequence[int], point: _Point, factors: FloatArray | float) -> float:

@@ -35,6 +35,7 @@ from sysid.effects import (
     sidak_critical_t,
     whiten,
     whiten_each,
+    with_air,
 )
 from sysid.parallel import Processes
 from uqharness.identification import equation_error_start, fit_replays, restrict_to_excited
@@ -56,6 +57,7 @@ from uqharness.identification.linearised import (
     in_step,
     merged,
     moved,
+    nearby_airs,
     observed,
     output_noise,
     point_of,
@@ -592,6 +594,9 @@ def _information(
     process = None if turbulence is None else turbulence.process
     colour = None if turbulence is None else turbulence.colour
     filtered = follow(fit.steps, measured, data.output_rows, data.noise, process)
+    if turbulence is not None:
+        airs = nearby_airs(data, fit, turbulence)
+        filtered = with_air(filtered, measured, data.output_rows, data.noise, airs)
     return normal_equations(
         whiten_each(filtered, columns, colour),
         columns.names,

@@ -19,12 +19,14 @@ from sysid.effects.information import (
 )
 from sysid.effects.prediction import (
     Columns,
+    FilteredSegment,
     MadeColumns,
     follow,
     names_of,
     whiten,
     whiten_each,
     whitened,
+    with_air,
 )
 from sysid.effects.selection import select, sidak_critical_t
 from sysid.estimation.kalman import Process
@@ -114,6 +116,42 @@ def test_a_filter_that_has_followed_a_flight_whitens_any_columns_of_it():
             np.testing.assert_array_equal(getattr(ours, name), getattr(alone, name))
     (calm,) = whiten([steps], [z], columns, range(M), np.ones(M))
     assert not np.array_equal(calm.residual, ours.residual)
+
+
+def test_columns_hold_nothing_that_another_strength_of_the_air_would_do():
+    n, steps, rng = 80, system(80, 7), np.random.default_rng(8)
+    z, names = rng.standard_normal((n, M)), ("c", "d")
+    inputs = {name: (-1, rng.standard_normal((n, 6))) for name in names}
+    Q = np.where(np.arange(NX) % 4 == 0, 2.0, 0.0)
+
+    def process(factors: np.ndarray) -> Process:
+        return Process((factors * Q)[None], np.zeros((1, NX)))
+
+    def followed(factors: np.ndarray) -> FilteredSegment:
+        return next(follow([steps], [z], range(M), np.ones(M), process(factors)))
+
+    columns = MadeColumns(names, lambda k, some: Columns(names, inputs, {}), 1)
+    here = followed(np.ones(NX))
+    airs = [([steps], process(np.where(np.arange(NX) == k, 1.01, 1.0))) for k in np.flatnonzero(Q)]
+    (plain,) = whiten_each([here], columns)
+    (ours,) = whiten_each(with_air([here], [z], range(M), np.ones(M), airs), columns)
+    np.testing.assert_array_equal(ours.residual, plain.residual)
+    np.testing.assert_allclose(ours.start[:, 0], plain.start[:, 0], rtol=1e-9)
+
+    def change(state: int, step: float) -> np.ndarray:
+        one = followed(np.where(np.arange(NX) == state, np.exp(step), 1.0))
+        left = one.innovations_only.innovations - one.innovations_only.starts @ plain.start[:, 0]
+        return left * np.sqrt(one.gains.variance / here.gains.variance)
+
+    for state in np.flatnonzero(Q):
+        slope = (change(state, 0.01) - change(state, -0.01)) / 0.02
+        size = np.linalg.norm(slope)
+        inside = np.abs(slope.ravel() @ ours.columns.reshape(-1, 2))
+        assert inside.max() < 0.01 * size * np.linalg.norm(ours.columns, axis=(0, 1)).min()
+        assert inside.max() < np.abs(slope.ravel() @ plain.columns.reshape(-1, 2)).max()
+    assert np.all(
+        np.linalg.norm(ours.columns, axis=(0, 1)) < np.linalg.norm(plain.columns, axis=(0, 1))
+    )
 
 
 def flights(effect: dict[str, float], seed: int, segments: int = 9, n: int = 60, group=range(9)):

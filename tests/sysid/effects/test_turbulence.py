@@ -131,14 +131,15 @@ def test_intensities_and_what_gusts_do_are_found(rotating, turning):
 
 
 def test_axes_and_lengths_of_gusts_are_the_likeliest():
-    """Gusts that turn with the body, and pitching air of half the length, are told from the
+    """Rolling air of twice the length, and pitching air of less than half of it, are told from the
     standard's, which stays where it is true.
     """
     standard = found_in(*drawn(GustStates(MASS.b), INTENSITIES)).states[0]
     assert (standard.in_body, standard.q_share) == (False, 1.0)
-    assert standard.q_length == pytest.approx(1.0, abs=0.31)
-    short = found_in(*drawn(GustStates(MASS.b, q_length=0.4), INTENSITIES)).states[0]
-    assert short.q_length == pytest.approx(0.4, abs=0.15)
+    assert (standard.p_length, standard.q_length) == pytest.approx((1.0, 1.0), abs=0.31)
+    short = GustStates(MASS.b, p_length=2.4, q_length=0.4)
+    other = found_in(*drawn(short, INTENSITIES)).states[0]
+    assert (other.p_length, other.q_length) == pytest.approx((2.4, 0.4), rel=0.35)
     reversed_ = found_in(*drawn(GustStates(MASS.b, q_share=-1.0), INTENSITIES))
     assert reversed_.states[0].q_share == -1.0
 

@@ -29,7 +29,8 @@ from sysid.effects import (
     whitened,
     with_colour,
 )
-from sysid.parallel import Processes
+from sysid.estimation import Process
+from sysid.parallel import SERIAL, Processes
 from uqharness.identification.linearised.flight_data import (
     FlightData,
     ModelState,
@@ -91,6 +92,8 @@ PLACES = 0.05
 """Grid of the controls' delay, in rows; positions are interpolated linearly between its points."""
 SHARE_WITHIN = 0.125, 4.0
 """Smallest and largest share of a step."""
+NEARBY = 0.01
+"""Relative change of a variance or a length to which the innovations' sensitivity is found."""
 TOLERANCE, ITERATIONS = 0.2, 10
 """Length of a step, in standard errors, that ends the iteration, and the most iterations."""
 
@@ -549,6 +552,24 @@ def between_rows(steps: Steps, rows: Sequence[int], late: Sequence[float]) -> Fl
                 power = np.einsum("nx,nxy->ny", power, step) * ((1.0 - part - j) / j)
                 H[:, k] += power
     return H
+
+
+def nearby_airs(
+    setup: FlightData, fit: Linearisation, gusts: TurbulenceModel
+) -> list[tuple[Sequence[Steps], Process]]:
+    """Systems and process noise in airs a little unlike that of a fit: stronger in one state each,
+    and of another length of its roll, pitch and yaw.
+    """
+    noise, states = gusts.process.noise, np.arange(gusts.process.noise.shape[1])
+    airs: list[tuple[Sequence[Steps], Process]] = [
+        (fit.steps, replace(gusts.process, noise=noise * np.where(states == k, 1.0 + NEARBY, 1.0)))
+        for k in np.flatnonzero(noise.any(axis=0))
+    ]
+    linear = _Linear(setup, fit.trajectory, fit.probes, SERIAL)
+    for name in ("p_length", "q_length", "r_length"):
+        longer = [s._replace(**{name: getattr(s, name) * (1.0 + NEARBY)}) for s in gusts.states]
+        airs.append((linear.all(longer), gusts.process))
+    return airs
 
 
 def _air(
