@@ -3,6 +3,7 @@ from .catalogue import Effect as Effect
 from .catalogue import Term as Term
 from .catalogue import read_effects as read_effects
 from .catalogue import subsystem_effects as subsystem_effects
+from .coloured_innovations import InnovationColour as InnovationColour
 from .information import Information as Information
 from .information import agreement as agreement
 from .information import column_correlations as column_correlations

@@ -31,7 +31,7 @@ from sysid.estimation import (
     Process,
     Whitened,
     gains,
-    predicted_path,
+    predict_from,
     whiten_innovations,
 )
 
@@ -139,7 +139,7 @@ class FilteredSegment:
         """Return predicted states (n, x) from the deviation ``start`` (8,) of the start state, both
         relative to the reference.
         """
-        return predicted_path(self.system, self.gains, self.system.start @ start)
+        return predict_from(self.system.start @ start, self.system, self.gains)[0]
 
     def with_columns(self, segment_columns: Columns) -> Whitened:
         """Return the whitened innovations with the columns of a segment."""
@@ -185,21 +185,21 @@ def with_air(
     noise: FloatArray,
     airs: Sequence[tuple[Sequence[Steps], Process]],
 ) -> Iterator[FilteredSegment]:
-    """Add how the innovations of each segment differ in other ``airs``, which are near."""
+    """Add the changes of each segment's innovations in other ``airs``, which are nearly the same.
+
+    airs : (systems, process noise) of all segments
+    """
     for k, one in enumerate(followed):
-        start, size = _Start.of(one, None).state, np.sqrt(one.gains.variance)
-
-        def left(filtered: Whitened, start: FloatArray = start) -> FloatArray:
-            return filtered.innovations - filtered.starts @ start
-
+        begin = one.system.start @ _Start.of(one, None).state
+        here = predict_from(begin, one.system, one.gains)[1]
         columns = []
         for steps, process in airs:
             system = MeasuredSystem.of(steps[k], measured[k], rows)
             air = process.noise[k], process.begin[k]
             other = gains(system, noise, air, with_prior_variance=False)
             # In units of the same deviations: what these are says nothing of the states.
-            change = left(whiten_innovations(system, other)) * np.sqrt(other.variance) / size
-            columns.append(change - left(one.innovations_only))
+            scale = np.sqrt(other.variance / one.gains.variance)
+            columns.append(scale * predict_from(begin, system, other)[1] - here)
         yield replace(one, air=np.stack(columns, axis=2))
 
 
@@ -317,6 +317,7 @@ class _Start:
 
 
 def _solved(r: FloatArray, right: FloatArray) -> FloatArray:
+    """Solve r x = right, by least squares if r is singular."""
     try:
         return np.asarray(np.linalg.solve(r, right))
     except np.linalg.LinAlgError:

@@ -402,8 +402,13 @@ def whiten_innovations(
     return replace(without_columns, columns=columns)
 
 
-def predicted_path(system: MeasuredSystem, filter_gains: Gains, begin: FloatArray) -> FloatArray:
-    """Predict the states less the reference (n, x) of a flight that begins at ``begin`` (x,)."""
+def predict_from(
+    begin: FloatArray, system: MeasuredSystem, filter_gains: Gains
+) -> tuple[FloatArray, FloatArray]:
+    """Predict the states less the reference (n, x) of a flight that begins at ``begin`` (x,).
+
+    Also returns the whitened innovations (n, m).
+    """
     n, m, size = system.H.shape
     path, innovations = np.zeros((n, size)), np.zeros((n, m, 1))
     # The loops propagate minus the state.
@@ -415,7 +420,7 @@ def predicted_path(system: MeasuredSystem, filter_gains: Gains, begin: FloatArra
         innovations,
         path,
     )
-    return path
+    return path, innovations[:, :, 0]
 
 
 def _run_columns(

@@ -34,15 +34,18 @@ from tests.hidden_effects.gusts import KNOT
 from tests.hidden_effects.manoeuvres import card
 from uqharness.cli.main import main as uqharness
 from uqharness.identification.linearised import (
-    ModelState,
     StagedModels,
     effect_columns,
-    gust_refit,
+    in_one_step,
     make_setup,
-    setup_in_gusts,
+    with_jumps,
 )
 from uqharness.refinement.candidates import candidate_effects
-from uqharness.refinement.estimators import PredictionErrorEstimator
+from uqharness.refinement.estimators import (
+    PredictionErrorEstimator,
+    fit_in_turbulence,
+    fit_without_effects,
+)
 from uqharness.replay.flights import read_flights
 from uqharness.simulator import find_aircraft
 
@@ -186,44 +189,36 @@ def run_refine(aircraft: str | Path, paths: list[Path], kind: str, out: Path) ->
 
 
 def measure(paths: list[Path]) -> Finding:
-    """Estimate the flights' air from the true parameters and score every candidate."""
+    """Estimate parameters and air from output error's answer, and score every candidate."""
     begun = time.perf_counter()
     aircraft = find_aircraft("espaaro")
     flights, measured = read_flights(paths, aircraft, align=False)
-    setup = setup_in_gusts(aircraft, make_setup(aircraft, flights, measured))
-    names = [n for n in aircraft.card.parameters if n.startswith("aero/")]
+    setup = make_setup(aircraft, flights, measured)
+    names = tuple(aircraft.card.parameters)
+    limits = {n: c.bounds or (-np.inf, np.inf) for n, c in aircraft.card.parameters.items()}
     with StagedModels(aircraft, setup) as bench:
         fdm = bench.model.open(aircraft.dt_s)
-        truth = {n: float(fdm[n]) for n in names}
-        start = ModelState(truth, {}, ())
-        air = gust_refit(
-            bench.model, bench.direct_model, setup, start, names, {}, SERIAL, tune=True
-        )
-        effects = candidate_effects(air.setup, names, ())
-        columns = effect_columns(air.setup, air.fit.probes, air.fit.trajectory, effects)
-        estimator = PredictionErrorEstimator(air.gusts)
-        evidence = estimator.information(air.setup, air.fit, columns)
+        truth = {n: float(fdm[n]) for n in names if n.startswith("aero/")}
+        setup = with_jumps(setup, bench.model)
+        replayed = fit_without_effects(aircraft, bench, setup, names, limits, SERIAL)
+        air = fit_in_turbulence(aircraft, bench, setup, replayed, limits, SERIAL)
+    effects = candidate_effects(air.data, names, ())
+    columns = effect_columns(air.data, air.fit.probes, air.fit.trajectory, effects)
+    estimator = PredictionErrorEstimator(air.turbulence)
+    evidence = estimator.information(air.data, air.fit, columns, effects)
     free = list(air.fit.columns[0].names)
     keys = [e.key for e in effects]
     t = dict(zip(keys, np.abs(scores(evidence, free, keys).t).tolist(), strict=True))
     largest = max((k for k in t if np.isfinite(t[k])), key=lambda k: t[k])
+    estimates = in_one_step(evidence, [n for n in truth if n in free], air.fit).items()
     return Finding(
-        air.gusts.words,
-        tuple(air.gusts.moments.tolist()),
+        air.turbulence.words,
+        tuple(air.turbulence.moments.tolist()),
         tuple(t.get(v, float("nan")) for v in VANES),
         (largest, t[largest]),
-        coverage(air.fit.evidence, air.fit.trajectory.point.values, truth),
+        float(np.mean([abs(value - truth[n]) <= COVERED * std for n, (value, std) in estimates])),
         time.perf_counter() - begun,
     )
-
-
-def coverage(evidence, estimates, truth):  # type: ignore[no-untyped-def]
-    """Share of parameters whose 95 % interval has the truth."""
-    information, _ = evidence.total
-    std = np.sqrt(np.diag(np.linalg.pinv(information)))
-    place = {n: k for k, n in enumerate(evidence.names)}
-    inside = [abs(estimates[n] - truth[n]) <= COVERED * std[place[n]] for n in truth if n in place]
-    return float(np.mean(inside))
 
 
 def main() -> None:

@@ -9,7 +9,7 @@ test call the protocol.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -26,7 +26,9 @@ from sysid.effects import (
     TURBULENCE_CRITICAL_T,
     Columns,
     Effect,
+    FilteredSegment,
     Information,
+    InnovationColour,
     TurbulenceModel,
     critical_t_of,
     follow,
@@ -35,7 +37,6 @@ from sysid.effects import (
     sidak_critical_t,
     whiten,
     whiten_each,
-    with_air,
 )
 from sysid.parallel import Processes
 from uqharness.identification import equation_error_start, fit_replays, restrict_to_excited
@@ -52,12 +53,11 @@ from uqharness.identification.linearised import (
     estimated_channels,
     fit_at,
     fly,
+    follow_in_free_air,
     gust_refit,
     in_dynamics,
-    in_step,
     merged,
     moved,
-    nearby_airs,
     observed,
     output_noise,
     point_of,
@@ -311,7 +311,8 @@ class ReplayEstimator:
         candidates: Sequence[Effect] = (),
     ) -> Information:
         """Return the normal equations of replays."""
-        return _information(data, fit, regressors, data.measured, None)
+        followed = follow(fit.steps, data.measured, data.output_rows, data.noise)
+        return _information(data, fit, regressors, followed)
 
     def fit(
         self,
@@ -451,19 +452,19 @@ class PredictionErrorEstimator:
         """Return the normal equations of innovations, with the colour of the likeliest model with
         at most one candidate.
         """
-        measured, turbulence = in_step(data, fit.trajectory.point), self.turbulence
-        if turbulence.colour is not None and candidates:
-            white_air = replace(turbulence, colour=None)
+        turbulence = self.turbulence
+        followed = follow_in_free_air(data, fit, turbulence)
+        colour = turbulence.colour
+        if colour is not None and candidates:
             colour = likeliest_colour(
-                [*follow(fit.steps, measured, data.output_rows, data.noise, turbulence.process)],
+                followed,
                 merged(fit.columns, regressors),
-                (turbulence.colour, fit.evidence),
-                _information(data, fit, regressors, measured, white_air),
+                (colour, fit.evidence),
+                _information(data, fit, regressors, followed),
                 {e.key: self.least_critical_t**2 + self.required_gain(e) for e in candidates},
                 PRIOR,
             )
-            turbulence = replace(turbulence, colour=colour)
-        return _information(data, fit, regressors, measured, turbulence)
+        return _information(data, fit, regressors, followed, colour)
 
     def fit(
         self,
@@ -586,19 +587,13 @@ def _information(
     data: FlightData,
     fit: Linearisation,
     regressors: Sequence[Columns],
-    measured: Sequence[FloatArray],
-    turbulence: TurbulenceModel | None,
+    followed: Iterable[FilteredSegment],
+    colour: InnovationColour | None = None,
 ) -> Information:
     """Return the normal equations of a fit's columns and further regressors."""
     columns = merged(fit.columns, regressors)
-    process = None if turbulence is None else turbulence.process
-    colour = None if turbulence is None else turbulence.colour
-    filtered = follow(fit.steps, measured, data.output_rows, data.noise, process)
-    if turbulence is not None:
-        airs = nearby_airs(data, fit, turbulence)
-        filtered = with_air(filtered, measured, data.output_rows, data.noise, airs)
     return normal_equations(
-        whiten_each(filtered, columns, colour),
+        whiten_each(followed, columns, colour),
         columns.names,
         confirming_segments(data),
         PRIOR,

@@ -499,7 +499,7 @@ def test_a_named_tuple_is_made_of_its_fields():
     assert type(found) is GustStates
     assert found == value
     assert "b of sysid.aerodynamics.air_motion:GustStates holds a str" in own.mismatch(
-        ["2.8", 0.0, True, True, False, 1.0, 1.0, 1.0, 1.0]
+        ["2.8", *value[1:]]
     )
     assert (
         storable_class(

@@ -29,10 +29,10 @@ from .linearise import servo_change as servo_change
 from .linearise import slopes_here as slopes_here
 from .linearise import surface_change as surface_change
 from .linearise import with_jumps as with_jumps
+from .prediction_error import follow_in_free_air as follow_in_free_air
 from .prediction_error import gust_refit as gust_refit
 from .prediction_error import in_step as in_step
 from .prediction_error import moved as moved
-from .prediction_error import nearby_airs as nearby_airs
 from .prediction_error import rows_late as rows_late
 from .prediction_error import unfiltered as unfiltered
 from .replay_fit import PRIOR as PRIOR

@@ -27,6 +27,7 @@ from sysid.effects import (
     gust_intensity,
     minus_twice_log,
     whitened,
+    with_air,
     with_colour,
 )
 from sysid.estimation import Process
@@ -306,10 +307,17 @@ def gust_refit(
             gusts, factors = _air(setup, steps, gusts, tune and not setup.late)
             setup = replace(setup, noise=factors * setup.noise)
         assert gusts is not None
-        linearised, measured = steps.all(gusts.states), steps.measured
+        linearised = steps.all(gusts.states)
+        # Near the estimate, the air moves along with the parameters.
+        followed = (
+            _with_free_air(steps, linearised, gusts, setup.noise)
+            if near_enough and path is not None and not fixed_air
+            else [
+                *follow(linearised, steps.measured, setup.output_rows, setup.noise, gusts.process)
+            ]
+        )
         # Free the systems of other airs before the columns, which take the most memory.
         del steps
-        followed = [*follow(linearised, measured, setup.output_rows, setup.noise, gusts.process)]
         trajectory, linear_probes = predicted(
             setup, trajectory, linear_probes, linearised, followed, gusts
         )
@@ -554,22 +562,31 @@ def between_rows(steps: Steps, rows: Sequence[int], late: Sequence[float]) -> Fl
     return H
 
 
-def nearby_airs(
+def follow_in_free_air(
     setup: FlightData, fit: Linearisation, gusts: TurbulenceModel
-) -> list[tuple[Sequence[Steps], Process]]:
-    """Systems and process noise in airs a little unlike that of a fit: stronger in one state each,
-    and of another length of its roll, pitch and yaw.
-    """
-    noise, states = gusts.process.noise, np.arange(gusts.process.noise.shape[1])
-    airs: list[tuple[Sequence[Steps], Process]] = [
-        (fit.steps, replace(gusts.process, noise=noise * np.where(states == k, 1.0 + NEARBY, 1.0)))
-        for k in np.flatnonzero(noise.any(axis=0))
-    ]
+) -> list[FilteredSegment]:
+    """Filter the segments of a fit, the air free in each beside the columns."""
     linear = _Linear(setup, fit.trajectory, fit.probes, SERIAL)
+    return _with_free_air(linear, fit.steps, gusts, setup.noise)
+
+
+def _with_free_air(
+    linear: _Linear, steps: Sequence[Steps], gusts: TurbulenceModel, noise: FloatArray
+) -> list[FilteredSegment]:
+    """Filter segments; columns are projected on what no other noise of a state and no other length
+    of the air's roll, pitch and yaw would do.
+    """
+    rows, process = linear.setup.output_rows, gusts.process
+    states = np.arange(process.noise.shape[1])
+    airs: list[tuple[Sequence[Steps], Process]] = [
+        (steps, replace(process, noise=process.noise * np.where(states == k, 1.0 + NEARBY, 1.0)))
+        for k in np.flatnonzero(process.noise.any(axis=0))
+    ]
     for name in ("p_length", "q_length", "r_length"):
         longer = [s._replace(**{name: getattr(s, name) * (1.0 + NEARBY)}) for s in gusts.states]
-        airs.append((linear.all(longer), gusts.process))
-    return airs
+        airs.append((linear.all(longer), process))
+    followed = follow(steps, linear.measured, rows, noise, process)
+    return [*with_air(followed, linear.measured, rows, noise, airs)]
 
 
 def _air(
