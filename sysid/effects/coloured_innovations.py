@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg.lapack import dpotrf, dpotrs
 
 from sysid.arrays import FloatArray
 
@@ -136,7 +137,7 @@ def _predictors(
                     for lag in range(0 if o < channel else 1, reach + 1)
                 ]
                 gram, moment = moments[np.ix_(places, places)], moments[places, channel]
-                solution = np.asarray(np.linalg.lstsq(gram, moment, rcond=1e-10)[0])
+                solution = _solved(gram, moment)
                 remainder = float(moments[channel, channel] - moment @ solution)
                 gain = rows * math.log(variance / remainder) if remainder > 0.0 else 0.0
                 gain -= _price(rows, m, len(places) - len(chosen))
@@ -145,3 +146,12 @@ def _predictors(
         if best is None:
             return chosen, weights, variance
         _, orders, chosen, weights, variance = best
+
+
+def _solved(gram: FloatArray, moment: FloatArray) -> FloatArray:
+    """Solve normal equations, by least squares where a channel repeats others."""
+    # Cholesky's factors take a third of the time; this runs a thousand times for each colour.
+    factor, info = dpotrf(gram)
+    if not info and np.diagonal(factor).min() > 1e-5 * np.diagonal(factor).max():
+        return np.asarray(dpotrs(factor, moment)[0])
+    return np.asarray(np.linalg.lstsq(gram, moment, rcond=1e-10)[0])

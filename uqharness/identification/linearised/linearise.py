@@ -437,17 +437,19 @@ def _settled_loads(fdm: Any, get: Sequence[Callable[[], float]]) -> FloatArray:
     """Run frames with integration suspended until the loads (6,) that ``get`` reads stand still;
     return them.
     """
+    # Plain numbers: this runs tens of thousands of times, and arrays of six cost more than a frame.
     fdm.run()
-    loads, moved = np.array([g() for g in get]), np.inf
+    loads, moved = [g() for g in get], float("inf")
     for _ in range(MAX_FRAMES):
         fdm.run()
         before, last = loads, moved
-        loads = np.array([g() for g in get])
-        moved = float(np.max(np.abs(loads - before)) / max(np.max(np.abs(loads)), 1e-9))
+        loads = [g() for g in get]
+        change = max(abs(now - then) for now, then in zip(loads, before, strict=True))
+        moved = change / max(*map(abs, loads), 1e-9)
         # Loads that outgrow the accelerations that they are part of settle nowhere.
         if moved < _STATIONARY_SHARE or not moved < last:
             break
-    return loads
+    return np.array(loads)
 
 
 def _between(coarse: NDArray[np.intp], n: int, values: FloatArray) -> FloatArray:
@@ -553,10 +555,11 @@ def named_terms(
     term_variables = {k: v[rows] for k, v in probe_.variables().items()}
     of_rows = (probe_.x[rows], probe_.controls[rows], probe_.height_m[rows])
     slopes = property_slopes((direct_model, segment, *of_rows, values, term_names))
+    scale = _scale_at_x(probe_)[rows]
     out = []
     for name in term_names:
         index, expected = term_column(name, term_variables)
-        measured_slope = slopes[name] / probe_.scale[rows]
+        measured_slope = slopes[name] / scale
         wanted = np.zeros_like(measured_slope)
         wanted[:, index] = expected
         size = max(float(np.abs(wanted).max()), 1e-9)

@@ -4,6 +4,7 @@ change has them.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -14,6 +15,9 @@ from uqharness.cli.main import main
 from uqharness.identification.linearised.linearise import (
     EVERY,
     Probe,
+    ProbeJob,
+    named_terms,
+    probe_all,
     property_slopes,
     with_properties,
 )
@@ -65,6 +69,23 @@ def test_a_slope_has_what_lift_does_to_the_rate_of_alpha_and_to_induced_drag(gli
             assert np.all(np.abs(slopes[name] - expected) < 0.01 * size), name
     # The moment of the change of lift by way of the rate of alpha: none without Cmadot.
     assert abs(slopes["uq/scale/CLalpha"][0, 4]) > 100.0
+
+
+def test_a_term_is_recognised_at_an_airspeed_that_is_not_the_reference_s():
+    """Predicted states jump in gusts; a term that is taken for none is asked of JSBSim each time."""
+    espaaro, n = find_aircraft("espaaro"), 40
+    x = np.tile([22.0, 0.05, 0.01, 0.1, 0.2, -0.1, 0.0, 0.05], (n, 1))
+    controls, height = np.full((n, len(CONTROLS)), 0.05), np.full(n, 200.0)
+    segment = Segment("test", "test", 0.02 * np.arange(n), controls, np.zeros(9), 200.0, 200.0)
+    names = [name for name in espaaro.card.parameters if name.startswith("aero/")]
+    with ReplayFolder(espaaro, ideal=CONTROLS) as straight:
+        fdm = straight.open(espaaro.dt_s)
+        values = {name: float(fdm[name]) for name in names}
+        (probe,) = probe_all([ProbeJob(straight, segment, x, controls, values, False, height)])
+        faster = replace(probe, x=x * [1.05, *[1.0] * 7])
+        assert named_terms(straight, segment, faster, names, values) == names
+        # A scale of lift is no such term.
+        assert not named_terms(straight, segment, faster, ["uq/scale/CZ"], values)
 
 
 def test_what_a_property_does_is_that_at_states_that_jump_from_row_to_row(glider):
