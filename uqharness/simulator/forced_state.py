@@ -72,6 +72,9 @@ class ControlEquilibrium:
         return RATES_FREE if self.free else RATES_HELD
 
 
+_POSITION = re.compile(r"fcs/(?:mag-)?([\w\-]+-pos)-(?:rad|deg)")
+
+
 def control_outputs(aircraft: HasFiles) -> tuple[str, ...]:
     """Return the properties that the control system writes and the rest of the model reads.
 
@@ -83,9 +86,11 @@ def control_outputs(aircraft: HasFiles) -> tuple[str, ...]:
         for name in outputs
         if any(name.startswith(f"fcs/{lever}-pos-norm") for lever in _LEVERS)
     }
-    return tuple(
-        sorted((outputs & read) | levers | {name for name in outputs if name.startswith(_DIRECT)})
-    )
+    direct = {name for name in outputs if name.startswith(_DIRECT)}
+    # JSBSim converts a surface's position: the aerodynamics may read degrees in radians.
+    positions = {match[1] for name in read if (match := _POSITION.fullmatch(name))}
+    converted = {n for n in outputs if (m := _POSITION.fullmatch(n)) and m[1] in positions}
+    return tuple(sorted((outputs & read) | converted | levers | direct))
 
 
 def _written_and_read(aircraft: HasFiles) -> tuple[set[str], set[str]]:
@@ -140,13 +145,16 @@ def control_equilibrium(aircraft: HasFiles, fdm: Any, free: bool = False) -> Con
     )
 
 
-def moving_property(fdm: Any, equilibrium: ControlEquilibrium) -> str:
+def moving_property(fdm: Any, equilibrium: ControlEquilibrium, frames: int = 0) -> str:
     """Return a watched property that changes in the next frame; empty if none does.
 
-    Time and motion are frozen in that frame.
+    Time and motion are frozen in that frame; with ``frames``, motion alone in that many.
     """
     old_values = [fdm[name] for name in equilibrium.watched]
-    engine.renew_forces(fdm)
+    if frames:
+        run_frozen(fdm, frames)
+    else:
+        engine.renew_forces(fdm)
     for name, old in zip(equilibrium.watched, old_values, strict=True):
         if abs(fdm[name] - old) > AT_REST * max(abs(old), 1.0):
             return name

@@ -208,6 +208,7 @@ _OPEN_THROTTLE = 0.9  # of the throttle's travel, from where a second search beg
 _MAX_BANK_RAD = math.radians(
     5.0
 )  # of straight flight whose surfaces alone do not balance it (MIL-F-8785C, 3.3.9)
+_WATCHED_FRAMES = 10
 _OFF_CENTRE = 0.6  # of a command's range: a filter of a command in the centre may rest at zero
 _RATE_TIME_S = 1.0  # weighs an angular acceleration against the rate that it leads to
 
@@ -396,6 +397,12 @@ def find_trim(aircraft: Aircraft, condition: SteadyCondition) -> Trim:
     # The control system was at rest at the start, but may move at the trim found.
     if equilibrium is None and (equilibrium := _moving_at_trim(aircraft, result.trim)) is not None:
         result = _search(aircraft, condition, equilibrium)
+    if equilibrium is None and not result.trim.converged:
+        # Filters that began before the air data were there move only as time passes.
+        equilibrium = _moving_from_the_start(aircraft, condition, frames=_WATCHED_FRAMES)
+        if equilibrium is not None:
+            resting = _search(aircraft, condition, equilibrium)
+            result = resting if resting.trim.converged else result
     if equilibrium is not None and not result.trim.converged and result.problem.unsettled:
         # A control law that integrates a rate error rests only at the commanded rate.
         free = _search(aircraft, condition, replace(equilibrium, free=True))
@@ -538,11 +545,12 @@ def _search(
 
 
 def _moving_from_the_start(
-    aircraft: Aircraft, condition: SteadyCondition
+    aircraft: Aircraft, condition: SteadyCondition, frames: int = 0
 ) -> ControlEquilibrium | None:
     """Return the equilibrium needed if the control system moves at this speed; else None.
 
-    Commands are off centre: a filter of a centred command may rest at zero.
+    Commands are off centre: a filter of a centred command may rest at zero. ``frames`` pass with
+    frozen motion.
     """
     u, v, w = body_velocity(condition.V_mps, 0.05, 0.0)
     cards = aircraft.card.inputs
@@ -556,9 +564,8 @@ def _moving_from_the_start(
         if name in cards and exists(cards[name].property)
     }
     controls = {name: low + _OFF_CENTRE * (high - low) for name, (low, high) in ends.items()}
-    return _moving_at(
-        aircraft, condition, BodyState(u, v, w, 0.0, 0.05, condition.heading_rad), controls
-    )
+    state = BodyState(u, v, w, 0.0, 0.05, condition.heading_rad)
+    return _moving_at(aircraft, condition, state, controls, frames)
 
 
 def _moving_at_trim(aircraft: Aircraft, trim: Trim) -> ControlEquilibrium | None:
@@ -571,12 +578,16 @@ def _moving_at_trim(aircraft: Aircraft, trim: Trim) -> ControlEquilibrium | None
 
 
 def _moving_at(
-    aircraft: Aircraft, condition: SteadyCondition, state: BodyState, controls: Mapping[str, float]
+    aircraft: Aircraft,
+    condition: SteadyCondition,
+    state: BodyState,
+    controls: Mapping[str, float],
+    frames: int = 0,
 ) -> ControlEquilibrium | None:
     """Return the equilibrium needed if the control system moves at a state; else None."""
     fdm, _ = open_forced(aircraft, state, controls, condition.altitude_m, condition.properties)
     equilibrium = forced_state.control_equilibrium(aircraft, fdm)
-    return equilibrium if forced_state.moving_property(fdm, equilibrium) else None
+    return equilibrium if forced_state.moving_property(fdm, equilibrium, frames) else None
 
 
 def _throttle_acts(

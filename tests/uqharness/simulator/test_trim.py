@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.helpers import sixdof
+from tests.helpers import foreign_aircraft, sixdof
 from tests.helpers.few import few
 from uqharness.cli.main import main
 from uqharness.simulator.aircraft import find_aircraft
@@ -367,3 +367,33 @@ def test_a_wing_that_does_not_carry_is_named():
     result = find_trim(find_aircraft("espaaro"), SteadyCondition(5.0))
     assert "alpha is at its upper limit of 28.6 deg" in result.reason
     assert "does not carry" in result.reason
+
+
+def test_filters_that_began_before_the_air_data_are_brought_to_rest(tmp_path):
+    # A boosted elevator: dynamic pressure, unknown in the first frame, is its authority; positions
+    # are written in degrees and read in radians.
+    folder = foreign_aircraft.write("single", tmp_path)
+    xml = folder / "single.xml"
+    boosted = """
+    <fcs_function name="boost/authority"><function><table>
+      <independentVar>aero/qbar-psf</independentVar>
+      <tableData>
+        7 0
+        20 1
+      </tableData></table></function></fcs_function>
+    <fcs_function name="boost/cmd-deg"><function><product>
+      <value>20</value><property>pitch/sum</property><property>boost/authority</property>
+    </product></function></fcs_function>
+    <lag_filter name="boost/lag"><input>boost/cmd-deg</input><c1>5</c1>
+      <output>fcs/elevator-pos-deg</output></lag_filter>
+"""
+    pattern = '<aerosurface_scale name="pitch/elevator">.*?</aerosurface_scale>'
+    text, number = re.subn(pattern, boosted, xml.read_text(), count=1, flags=re.DOTALL)
+    assert number
+    plain = find_trim(find_aircraft(folder), SteadyCondition(50.0, 200.0))
+    assert plain.converged
+    xml.write_text(text)
+    trim = find_trim(find_aircraft(folder), SteadyCondition(50.0, 200.0))
+    assert trim.converged, trim.reason
+    ratio = trim.controls["elevator"] / plain.controls["elevator"]
+    assert ratio == pytest.approx(math.degrees(0.35) / 20.0, rel=1e-4)
