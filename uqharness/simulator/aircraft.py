@@ -440,14 +440,17 @@ def _read_aircraft(source: Path) -> Aircraft:
         )
     # Engines and systems lie next to the folder "aircraft" in a JSBSim root.
     root = folder.parent.parent
-    own_engine, own_systems = root / "engine", root / "systems"
     stock = engine.default_root()
+    engine_path, systems_path = (
+        next((root / name for name in names if (root / name).is_dir()), stock / names[0])
+        for names in (("engine", "engines", "Engines"), ("systems", "Systems"))
+    )
     return Aircraft(
         name=xml_file.stem,
         folder=folder,
         card=card,
-        engine_path=own_engine if own_engine.is_dir() else stock / "engine",
-        systems_path=own_systems if own_systems.is_dir() else stock / "systems",
+        engine_path=engine_path,
+        systems_path=systems_path,
         source=source,
     )
 
@@ -956,8 +959,8 @@ def _findings(aircraft: Aircraft, refused: bool) -> list[str]:
     """Return what is wrong in the aircraft's XML: all that JSBSim refused, or what it ignores."""
     files = staging.model_files(aircraft)
     names = {name: str(aircraft.folder / name) for name in files.local}
-    stems = [Path(name).stem for name, _ in walk(aircraft.folder) if name.endswith(".xml")]
-    return aircraft_checks.findings(files, names, _OPERATIONS, stems=stems, refused=refused)
+    present = [name for name, _ in walk(aircraft.folder) if name.endswith(".xml")]
+    return aircraft_checks.findings(files, names, _OPERATIONS, present=present, refused=refused)
 
 
 def _all_findings(errors: list[str]) -> str:

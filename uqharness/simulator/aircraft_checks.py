@@ -520,7 +520,7 @@ def findings(
     names: dict[str, str],
     operations: frozenset[str],
     *,
-    stems: Collection[str] = (),
+    present: Collection[str] = (),
     refused: bool = True,
 ) -> list[str]:
     """Return what is wrong, as "file:line: what; what to do", in the order of the files.
@@ -533,8 +533,8 @@ def findings(
         Name of each local or shared file to the name that messages give.
     operations : frozenset of str
         Operations of a function that JSBSim knows.
-    stems : collection of str
-        Names of the XML files of the folder, without suffix, for hints.
+    present : collection of str
+        Places of the XML files in the aircraft's folder, for hints.
     refused : bool
         Whether JSBSim refused the model; else only what it ignores, or crashes on in flight, is
         judged.
@@ -553,7 +553,7 @@ def findings(
         rows = [*_operations(root, operations), *_components(root), *_feeds(root, files)]
         rows += _missing_mass(root)
         if refused:
-            rows += [*_files(root, files, stems), *_numbers(root), *_tables(root)]
+            rows += [*_files(root, files, present), *_numbers(root), *_tables(root)]
             rows += [*_doubles(root), *_units(root), *_missing_parts(root)]
         messages += [f"{where}:{line}: {text}" for line, text in sorted(set(rows))]
     return messages[:_MAX_FINDINGS]
@@ -567,21 +567,26 @@ def _functional_elements(root: Any) -> Iterator[Any]:
             yield from _functional_elements(element)
 
 
-def _files(root: Any, files: ModelFiles, stems: Collection[str]) -> Iterator[tuple[int, str]]:
-    """Yield references to files that are nowhere."""
+def _files(root: Any, files: ModelFiles, present: Collection[str]) -> Iterator[tuple[int, str]]:
+    """Yield references to files that are not where JSBSim looks for them."""
+    by_stem = {PurePosixPath(place).stem: place for place in present}
     for element in root.iter("*"):
         name = (element.get("file") or "").strip()
         if not name or element.tag in ("output", "input"):
             continue
         name = name if name.endswith(".xml") else f"{name}.xml"
+        is_part = element.tag in ("engine", "thruster")
         folders = dict.fromkeys(folder for group in INSIDE.values() for folder in group)
-        places = [f"{folder}/{name}".lstrip("/") for folder in folders]
+        # JSBSim does not look for an engine beside the aircraft's XML.
+        places = [f"{folder}/{name}".lstrip("/") for folder in folders if folder or not is_part]
         shared = [f"{kind}/{name}" for kind in INSIDE]
         if any(place in files.local for place in places) or any(s in files.shared for s in shared):
             continue
-        matches = difflib.get_close_matches(PurePosixPath(name).stem, stems, n=1)
+        stem = PurePosixPath(name).stem
+        matches = difflib.get_close_matches(stem, by_stem.keys() - {stem}, n=1)
         hint = f" or correct the name (did you mean {matches[0]}?)" if matches else ""
-        folder = "Engines" if element.tag in ("engine", "thruster") else "Systems"
+        hint = f", from {by_stem[stem]}" if stem in by_stem else hint
+        folder = "Engines" if is_part else "Systems"
         yield (
             _line(element),
             (

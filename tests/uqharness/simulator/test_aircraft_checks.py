@@ -448,3 +448,23 @@ def test_a_multirotor_is_named_whether_it_has_sizes_of_a_wing_or_not(tmp_path, p
         return
     with pytest.raises(BadInputError, match=r"plane.xml:17: 4 <force> lift .* a multirotor"):
         open_aircraft(find_aircraft(folder))
+
+
+@pytest.mark.parametrize(
+    ("place", "message"),
+    [
+        ("../../engines", ""),
+        ("Propellers", r"put flat_four\.xml into .* Engines, from Propellers/flat_four\.xml"),
+        (".", r"put flat_four\.xml into .* Engines, from flat_four\.xml"),
+    ],
+)
+def test_an_engine_in_another_folder_is_found_or_its_place_is_named(tmp_path, place, message):
+    folder = foreign_aircraft.write("single", tmp_path / "aircraft")
+    (folder / place).mkdir(exist_ok=True)
+    for file in (folder / "Engines").iterdir():
+        file.rename(folder / place / file.name)
+    if message:
+        with pytest.raises(BadInputError, match=message):
+            open_aircraft(find_aircraft(folder))
+    else:
+        assert open_aircraft(find_aircraft(folder)).get_propulsion().get_num_engines() == 1
