@@ -354,8 +354,8 @@ def _moment_centre(
         if after < 1e-3 * float(changes @ changes):
             break
     predicted = matrix @ shift
-    visible = np.abs(predicted) > floor
-    tolerance = np.maximum(0.25 * np.abs(predicted), floor)
+    visible = np.abs(predicted) > 0.5 * floor
+    tolerance = np.maximum(0.25 * np.abs(predicted), 0.5 * floor)
     agree = np.abs(changes - predicted) < tolerance
     if not (np.abs(predicted) > 4.0 * floor).any() or visible.sum() < 2 or not agree[visible].all():
         return None

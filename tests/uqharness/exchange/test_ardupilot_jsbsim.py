@@ -14,6 +14,7 @@ import pytest
 
 import uqharness as uq
 from tests.helpers.places import ROOT
+from uqharness.differences import MatchedRequest, fly_matched
 from uqharness.errors import BadInputError
 from uqharness.exchange import ardupilot_jsbsim, box, source_model
 from uqharness.flight import read_gains
@@ -97,6 +98,17 @@ def test_without_contact_points_the_start_fails(espaaro: Path, tmp_path: Path) -
     text = copy.xml.read_text()
     copy.xml.write_text(re.sub(r"<contact .*?</contact>", "", text, flags=re.DOTALL))
     assert "rim" in ardupilot_jsbsim.ground_start(copy, tmp_path).failure
+
+
+def test_diff_gives_the_copy_its_own_commands(tmp_path: Path) -> None:
+    """Else the backend's commands of zero would drive it, and every channel would differ."""
+    aircraft = find_aircraft("espaaro")
+    copy = ardupilot_jsbsim.write_folder(source_model(aircraft, 22.2), "plane", tmp_path)
+    request = MatchedRequest(speeds_mps=(22.2,), missions=("steady",))
+    _, (flight,) = fly_matched(aircraft, copy, request)
+    assert not flight.reason
+    for channel, values in flight.a.items():
+        np.testing.assert_allclose(flight.b[channel], values, rtol=1e-6, atol=1e-8)
 
 
 def test_a_member_is_frozen_in_the_files(tmp_path: Path) -> None:
