@@ -68,6 +68,8 @@ class Point:
     entries : mapping of (coefficient, variable) to Entry
         Totals under the variable `TOTAL`, derivatives under alpha, beta, p, q, r or the name of a
         surface.
+    steps : mapping of str to float
+        Step [rad, dimensionless rate] of derivatives that are differences to one side.
     """
 
     alpha: Entry
@@ -77,6 +79,7 @@ class Point:
     entries: Mapping[tuple[str, str], Entry]
     beta: float = 0.0
     taken_out: float = 0.0
+    steps: Mapping[str, float] = field(default_factory=dict)
 
     def value(self, coefficient: str, variable: str) -> float:
         """Return a number, 0 where the file has none."""

@@ -36,6 +36,7 @@ _FIXED_ROWS = {
     *_REFERENCE,
     *("Mach_", "AoA_", "Beta_", "Rho_", "Vinf_"),
 }
+_CASES = ("Base_Aero", "Alpha", "Beta", "Roll__Rate", "Pitch_Rate", "Yaw___Rate", "Mach", "U")
 
 
 @dataclass
@@ -152,6 +153,7 @@ def blocks(path: Path, text: str) -> list[Block]:
                 f"{path}:{number}: received {len(words)} columns, {len(columns) + 1} are needed"
             )
     for block in out:
+        _name_groups(block)
         missing = [n for n in (*_REFERENCE, "Mach_", "AoA_", "Beta_") if n not in block.values]
         missing += [
             name
@@ -167,6 +169,14 @@ def blocks(path: Path, text: str) -> list[Block]:
         if missing:
             raise BadInputError(f"{path}: a block lacks {', '.join(missing)}; run VSPAERO again")
     return out
+
+
+def _name_groups(block: Block) -> None:
+    """Name control groups that stand at zero, which have no row of their own, by their cases."""
+    columns = [name for name in block.derivatives.get("CFx", {}) if name.startswith("ConGrp_")]
+    if not block.groups and columns:
+        cases = [name for name in block.cases if name not in _CASES]
+        block.groups = cases if len(cases) == len(columns) else columns
 
 
 def _entry(word: str, path: Path, line: int) -> Entry:
@@ -201,13 +211,26 @@ def _point(block: Block) -> Point:
         rate_axes="body",
         entries=entries,
         beta=math.radians(block.values["Beta_"].value),
+        steps=_steps(block),
     )
+
+
+def _steps(block: Block) -> dict[str, float]:
+    """Return the steps of the block's differences in beta [rad] and in the dimensionless rates."""
+    speed = block.values["Vinf_"].value if "Vinf_" in block.values else 0.0
+    rate = block.values["Bref_"].value / (2.0 * speed) if speed > 0.0 else 0.0
+    factors = {"Beta": math.radians(1.0), "Roll__Rate": rate, "Yaw___Rate": rate}
+    return {
+        variable: block.cases[case][0] * factors[case]
+        for variable, case in (("beta", "Beta"), ("p", "Roll__Rate"), ("r", "Yaw___Rate"))
+        if case in block.cases
+    }
 
 
 def _amounts(block: Block) -> dict[str, float]:
     """Return the block's deflections [rad] and dimensionless rates, those that are not zero."""
     values = block.values
-    amounts = {name: math.radians(values[name].value) for name in block.groups}
+    amounts = {n: math.radians(values[n].value) for n in block.groups if n in values}
     speed = values["Vinf_"].value if "Vinf_" in values else 0.0
     if speed > 0.0:
         for rate, name, length in (

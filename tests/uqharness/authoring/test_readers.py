@@ -346,6 +346,14 @@ def test_stab_points_and_signs():
         Path("kite.stab"), re.sub(r"^Elev ", "Tail Group 1 ", stab_text(), flags=re.M)
     )
     assert spaced.surfaces == ("Tail_Group_1",)
+    # Groups at zero have no row: their cases name them, or else their columns.
+    unnamed = read_stab(Path("kite.stab"), re.sub(r"^Elev .*deg.*$", "", stab_text(), flags=re.M))
+    assert unnamed.surfaces == ("ConGrp_1",)
+    text = (DATA / "kite.stab").read_text()
+    rows = re.sub(r"^(?!AoA_|Beta_)\w+ +-?[\d.]+ deg *$", "", text, flags=re.M)
+    assert rows != text
+    named = [read_stab(Path("kite.stab"), t).surfaces for t in (text, rows)]
+    assert named[0] == named[1]
     values = body_coefficients(source.points[1], source.surfaces)
     assert values["CZ", "alpha"] == -5.1
     assert values["Cm", "Elev"] == -1.8

@@ -356,3 +356,21 @@ def test_a_chord_of_the_panels_beside_the_body_is_no_slip(tmp_path):
     assert not [s for s in find_slips(read_sources([path])) if s.kind == "reference length"]
     path.write_text(number(ST, "Cref", lambda _: 0.7 * chord)[0])
     assert [s for s in find_slips(read_sources([path])) if s.kind == "reference length"]
+
+
+def test_second_order_of_one_sided_steps_is_no_slip(tmp_path):
+    """A difference over one radian per second of roll has the drag of rolling, which is even."""
+    lines = STAB.splitlines()
+    head = next(i for i, line in enumerate(lines) if line.startswith("Coef"))
+    at = next(i for i in range(head, len(lines)) if lines[i].startswith("CD "))
+    words = lines[at].split()
+    words[4] = "-0.0342"
+    path = tmp_path / "x.stab"
+
+    def slips(step):
+        text = "\n".join([*lines[:at], "  ".join(words), *lines[at + 1 :]])
+        path.write_text(re.sub(r"(Roll__Rate +)\+[\d.]+( +rad/Tunit)", rf"\g<1>+{step}\g<2>", text))
+        return [s for s in find_slips(read_sources([path])) if s.kind == "axes"]
+
+    assert any("CD_p" in slip.message for slip in slips("0.010"))
+    assert not any("CD_p" in slip.message for slip in slips("1.000"))
