@@ -1,7 +1,8 @@
 """Autopilot of an authored aircraft: holds the straight line, height and speed of the start.
 
 Linear-quadratic regulators of the trimmed model give the gains, one for pitch and throttle, one for
-roll and yaw, with integrals of height, speed and cross-track error. Weights are Bryson's: one over
+roll and yaw, with integrals of height, speed and cross-track error. A glider holds its speed by the
+elevator. Weights are Bryson's: one over
 the square of the greatest deviation that counts as harmless.
 """
 
@@ -21,6 +22,7 @@ from uqharness.simulator import STATE_NAMES, Aircraft, LinearModel, Trim, linear
 
 LINE_HOLD_SYSTEM = "line-hold"
 LONGITUDINAL = ("speed", "alpha", "q", "theta", "height", "speed-integral", "height-integral")
+GLIDE = ("speed", "alpha", "q", "theta", "speed-integral")
 LATERAL = ("beta", "p", "r", "phi", "drift", "cross-track", "cross-track-integral")
 _UNITS = {
     "speed": "m/s",
@@ -40,6 +42,7 @@ _UNITS = {
 }
 _CONTROLS: dict[tuple[str, ...], tuple[str, ...]] = {
     LONGITUDINAL: ("elevator", "throttle"),
+    GLIDE: ("elevator",),
     LATERAL: ("aileron", "rudder"),
 }
 _HARMLESS_TRAVEL = 0.2
@@ -69,19 +72,19 @@ def _harmless(speed_mps: float) -> dict[str, float]:
 
 
 def regulator(model: LinearModel, states: tuple[str, ...]) -> tuple[FloatArray, tuple[str, ...]]:
-    """Return the gains of LONGITUDINAL or LATERAL states, and the controls in their rows.
+    """Return the gains of LONGITUDINAL, GLIDE or LATERAL states, and the controls in their rows.
 
     Parameters
     ----------
     model : LinearModel
-        Of level flight with wings level.
+        Of straight flight with wings level.
     states : tuple of str
-        LONGITUDINAL or LATERAL.
+        LONGITUDINAL, GLIDE or LATERAL.
 
     Returns
     -------
     gains : ndarray
-        (m, 7), units of the control per unit of the state; command = trim - gains @ states.
+        (m, n), units of the control per unit of the state; command = trim - gains @ states.
     controls : tuple of str
         The m controls that move the aircraft.
 
@@ -98,7 +101,7 @@ def regulator(model: LinearModel, states: tuple[str, ...]) -> tuple[FloatArray, 
     trim = model.trim
     V, theta = trim.condition.V_mps, trim.theta_rad
     index = {name: i for i, name in enumerate(STATE_NAMES)}
-    names = ("u", "w", "q", "theta") if states is LONGITUDINAL else ("v", "p", "r", "phi")
+    names = ("v", "p", "r", "phi") if states is LATERAL else ("u", "w", "q", "theta")
     rows = [index[name] for name in names]
     columns = [
         model.controls.index(control)
@@ -110,7 +113,7 @@ def regulator(model: LinearModel, states: tuple[str, ...]) -> tuple[FloatArray, 
     # body: rigid-body states; the other states are kinematic: x' = kinematic @ x.
     A, B = np.zeros((7, 7)), np.zeros((7, len(columns)))
     body_A, body_B = model.A[np.ix_(rows, rows)], model.B[np.ix_(rows, columns)]
-    if states is LONGITUDINAL:
+    if states is not LATERAL:
         # u, w from V, alpha.
         turn = np.array([[u / V, -w, 0, 0], [w / V, u, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
         turn_back = np.linalg.inv(turn)
@@ -125,11 +128,14 @@ def regulator(model: LinearModel, states: tuple[str, ...]) -> tuple[FloatArray, 
         A[4, 2] += V / math.cos(theta)
         B[4] = V * B[0]
         A[5, 4] = A[6, 5] = 1.0
+    if states is GLIDE:
+        kept = [LONGITUDINAL.index(name) for name in GLIDE]
+        A, B = A[np.ix_(kept, kept)], B[kept]
     # Actuators: position' = lag (command - position).
     lag = np.array([_LAG_RADPS[control] for control in controls])
-    m = len(controls)
-    full_A = np.block([[A, B], [np.zeros((m, 7)), -np.diag(lag)]])
-    full_B = np.vstack([np.zeros((7, m)), np.diag(lag)])
+    m, n = len(controls), len(states)
+    full_A = np.block([[A, B], [np.zeros((m, n)), -np.diag(lag)]])
+    full_B = np.vstack([np.zeros((n, m)), np.diag(lag)])
     harmless = _harmless(V)
     Q = np.diag([1.0 / harmless[name] ** 2 for name in states] + [0.0] * m)
     R = np.diag([1.0 / (_HARMLESS_TRAVEL * _RANGE[control]) ** 2 for control in controls])
@@ -139,7 +145,7 @@ def regulator(model: LinearModel, states: tuple[str, ...]) -> tuple[FloatArray, 
         riccati = scipy.linalg.solve_continuous_are(full_A, full_B, Q, R)
     except (ValueError, np.linalg.LinAlgError) as error:
         raise BadInputError(f"no regulator of {', '.join(states)}: {error}") from None
-    gains = np.linalg.solve(R, full_B.T @ riccati)[:, :7]
+    gains = np.linalg.solve(R, full_B.T @ riccati)[:, :n]
     closed = full_A - full_B @ np.hstack([gains, np.zeros((m, m))])
     if np.max(np.linalg.eigvals(closed).real) >= 0.0:
         raise BadInputError(f"no regulator of {', '.join(states)}: the loop with lags diverges")
@@ -160,11 +166,11 @@ def line_hold_xml(aircraft: Aircraft, trim: Trim) -> bytes:
 
     Raises BadInputError if the controls do not stabilise the aircraft.
     """
-    if trim.condition.climb_rad != 0.0:
-        raise BadInputError("no regulator: the throttle does not hold level flight")
+    # Without thrust the path is that of a glide.
+    longitudinal = LONGITUDINAL if trim.condition.climb_rad == 0.0 else GLIDE
     model = linearise(aircraft, trim)
     laws: dict[str, list[dict[str, str]]] = {control: [] for control in _RANGE}
-    for states in (LONGITUDINAL, LATERAL):
+    for states in (longitudinal, LATERAL):
         gains, controls = regulator(model, states)
         for control, row in zip(controls, gains, strict=True):
             unit = "pct" if control == "throttle" else "deg"
@@ -189,6 +195,10 @@ def line_hold_xml(aircraft: Aircraft, trim: Trim) -> bytes:
             for control in laws
         },
         foot=FT_M,
-        # Its end stops the integral.
-        steering="aileron" if laws["aileron"] else "rudder",
+        # The control whose end stops each integral.
+        integrals=[
+            ("speed", "elevator" if longitudinal is GLIDE else "throttle"),
+            *([] if longitudinal is GLIDE else [("height", "elevator")]),
+            ("cross-track", "aileron" if laws["aileron"] else "rudder"),
+        ],
     ).encode()

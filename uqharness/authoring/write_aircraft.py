@@ -121,14 +121,18 @@ class SteadyFlight:
         Why it is no trim; empty where it is one.
     no_hold : str
         Why the aircraft has no line hold; empty where it has one.
+    is_glide : bool
+        Whether it descends without thrust, so that it is to be short.
     """
 
     speed_mps: float
     altitude_m: float
     reason: str = ""
     no_hold: str = ""
+    is_glide: bool = False
 
 
+_TURBULENCE_TOP_M = 304.0
 _OTHER_LIFTS = (0.5, 0.3, 0.7, 0.2, 0.9)
 """Lift coefficients tried in turn where the source's has no trim."""
 
@@ -137,7 +141,7 @@ def steady_flight(aircraft: Aircraft, model: AeroModel) -> SteadyFlight:
     """Return a level flight of the written aircraft, near the speed of the source's lift.
 
     A tailless or overloaded aircraft may have no trim at that speed but at another. The height
-    leaves room below, within the 304.8 m (1000 ft) of the turbulence model.
+    leaves room below, within the 304.8 m (1000 ft) of the turbulence model, where glides begin.
     """
     first = design_speed(model)
     weight = model.mass.mass_kg * G0_MPS2
@@ -147,7 +151,10 @@ def steady_flight(aircraft: Aircraft, model: AeroModel) -> SteadyFlight:
         rounded = float(f"{speed:.3g}")
         altitude = 200.0 if rounded < 25.0 else 300.0
         trim = find_trim(aircraft, SteadyCondition(rounded, altitude))
-        flights.append(SteadyFlight(rounded, altitude, "" if trim.converged else trim.reason))
+        glide = trim.converged and trim.condition.climb_rad < 0.0
+        altitude = _TURBULENCE_TOP_M if glide else altitude
+        reason = "" if trim.converged else trim.reason
+        flights.append(SteadyFlight(rounded, altitude, reason, is_glide=glide))
         if trim.converged:
             return flights[-1]
     return flights[0]
@@ -238,8 +245,8 @@ def _campaign(flight: SteadyFlight) -> str:
         "",
         "[aleatory]",
         "flights = 4                  # per corner",
-        f"duration_s = {60 if held else 5}",
-        f"burn_in_s = {20 if held else 0}",
+        f"duration_s = {(20 if flight.is_glide else 60) if held else 5}",
+        f"burn_in_s = {(10 if flight.is_glide else 20) if held else 0}",
         'turbulence = "light"',
         "",
         "[epistemic]",

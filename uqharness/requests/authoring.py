@@ -111,8 +111,8 @@ DIR/airframe.toml, DIR/Systems and DIR/model-form.json of kind prior."""
     )
     thrust_n: Number | None = option(
         None,
-        "static thrust at full throttle, N (default: half the weight)",
-        gt=0,
+        "static thrust at full throttle, N; 0 for a glider (default: half the weight)",
+        ge=0,
         le=1e7,
         metavar="N",
     )

@@ -71,6 +71,7 @@ LEFT_OUT = {
         **dict.fromkeys(("speed_mps", "bank_deg", "climb_deg", "heading_deg"), IN_RADIANS),
         **dict.fromkeys(("aircraft_class", "category", "speeds"), ONLY_TEXT),
         **dict.fromkeys(("wind_mps", "wind_from_deg"), ONLY_TEXT),
+        **dict.fromkeys(("bounds", "model_form"), "mode_intervals takes a linear model"),
         "out": RETURNED,
     },
     "log import": {

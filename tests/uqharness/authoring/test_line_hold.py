@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from uqharness.authoring.line_hold import LATERAL, LONGITUDINAL, regulator
+from uqharness.authoring.line_hold import GLIDE, LATERAL, LONGITUDINAL, regulator
 from uqharness.commands.authoring import author
 from uqharness.commands.simulation import fly
 from uqharness.errors import BadInputError
@@ -82,3 +82,34 @@ def test_start_on_an_autopilot_needs_one(kite, tmp_path):
         write_steady_start(
             find_aircraft("espaaro"), start.model_copy(update={"V_mps": 22.2}), script, "x"
         )
+
+
+def test_a_glider_holds_its_speed_by_the_elevator(tmp_path):
+    sources = (DATA / "kite.st", DATA / "kite.mass")
+    folder = tmp_path / "glider"
+    author(AuthorRequest(sources=sources, thrust_n=0.0, out=folder))
+    campaign = (folder / "campaign.toml").read_text()
+    assert "autopilot = true" in campaign
+    assert "altitude_m = 304" in campaign
+    glider = find_aircraft(folder)
+    trim = find_trim(glider, SteadyCondition(13.6, 1000.0))
+    assert trim.condition.climb_rad < 0.0
+    gains, controls = regulator(linearise(glider, trim), GLIDE)
+    assert controls == ("elevator",)
+    # Slow: nose down, which is elevator up on the scale of this project.
+    assert gains[0, GLIDE.index("speed")] > 0.0
+    path = tmp_path / "glide.csv"
+    fly(
+        FlyRequest(
+            aircraft=str(folder),
+            mission="steady",
+            speed_mps=13.6,
+            altitude_m=1000,
+            duration_s=25,
+            properties={"ap/engaged": 1.0, "uq/active": 1.0, "uq/Cm/level": 0.2},
+            out=path,
+        )
+    )
+    record = pd.read_csv(path, comment="#")
+    assert abs(record.V_mps.iloc[-1] - 13.6) < 0.2
+    assert record.h_m.iloc[-1] < -10.0
