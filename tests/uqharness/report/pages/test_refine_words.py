@@ -25,7 +25,9 @@ def says(test: dict, withdrawn: bool = False) -> str:
 )
 def test_a_change_is_told_to_three_figures_of_its_standard_error(change, std, text):
     said = says({"gap": "shrank", "change_of_twice_log_likelihood": change, "std": std})
-    assert said == f"on the hold-out flights the gap shrank: twice the log likelihood {text} with it"
+    assert (
+        said == f"on the hold-out flights the gap shrank: twice the log likelihood {text} with it"
+    )
 
 
 def test_a_change_of_replays_that_diverge_is_told_without_its_digits():
