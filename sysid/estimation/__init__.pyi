@@ -6,6 +6,10 @@ from .coloured_residuals import coloured_information as coloured_information
 from .coloured_residuals import effective_samples as effective_samples
 from .coloured_residuals import integral_time as integral_time
 from .coloured_residuals import ljung_box as ljung_box
+from .command_steps import command_steps_of as command_steps_of
+from .command_steps import filtered_steps as filtered_steps
+from .command_steps import fuller as fuller
+from .command_steps import lagged as lagged
 from .forecasts import ForecastComparison as ForecastComparison
 from .forecasts import compare_forecasts as compare_forecasts
 from .goodness_of_fit import NOISE_FLOOR as NOISE_FLOOR

@@ -316,6 +316,7 @@ class FlightUsed:
     """A flight behind the bounds.
 
     ``estimates`` are channels from an estimator and not from a sensor (alpha without a vane).
+    ``parts_s`` are first and last time of the stretches that were used; empty for all.
     """
 
     name: str
@@ -323,6 +324,7 @@ class FlightUsed:
     seconds: float
     samples: int
     estimates: tuple[str, ...] = ()
+    parts_s: tuple[tuple[float, float], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -424,6 +426,9 @@ class ModelForm:
         document: dict[str, Any] = {"format": FORMAT if parted else WITHOUT_PARTS, **asdict(self)}
         if not np.isfinite(self.filtering.airspeed_cutoff_hz):
             document["filtering"]["airspeed_cutoff_hz"] = None
+        for row in document["flights"]:
+            if not row["parts_s"]:
+                del row["parts_s"]
         for name, bounds in self.coefficients.items():
             row = document["coefficients"][name]
             row["terms"] = [term_name(t, bounds.states) for t in bounds.terms]
@@ -539,6 +544,7 @@ def _flight(row: Mapping[str, Any]) -> FlightUsed:
         float(row["seconds"]),
         int(row["samples"]),
         estimates,
+        tuple((float(a), float(b)) for a, b in row.get("parts_s", [])),
     )
 
 

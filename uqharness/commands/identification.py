@@ -32,18 +32,27 @@ from uqharness.identification import (
     ForecastContest,
     Forecaster,
     Identification,
+    Intervals,
     MadeBounds,
+    Split,
     Validation,
     choose_servos,
     compare_models,
     failed,
+    is_ordinary,
     load_form,
     make_bounds,
     mean_left_out,
     parse_designs,
     read_prior,
+    rows_in,
+    seconds,
+    split_in_time,
+    used_for_bounds,
+    used_for_model,
     validate,
     verdicts,
+    without,
 )
 from uqharness.identification.compare import compare as measure_gap
 from uqharness.identification.identify import identify as estimate
@@ -57,6 +66,7 @@ from uqharness.replay import (
     read_histories,
     write_histories,
 )
+from uqharness.replay import flights as replayed
 from uqharness.report import (
     NOISE_FLOOR_RULE,
     first_lines,
@@ -104,6 +114,7 @@ from uqharness.results.identification import (
     ReplaySpeed,
     ScoreDifference,
     Share,
+    SplitInTime,
     StateBin,
 )
 from uqharness.simulator import Aircraft
@@ -134,6 +145,49 @@ def _with_servos(
     return servos.with_note(ready.flights), servos.ideal
 
 
+def _part_of_flight(
+    ready: ReplayFlights,
+    aircraft: Aircraft,
+    used: Intervals,
+    *,
+    halve: bool,
+    held_out_for: str = "",
+    align: bool = True,
+) -> tuple[ReplayFlights, Split | None]:
+    """Return one ordinary flight without the rows of earlier results, and which rows it has.
+
+    With ``halve`` every second block of the rest is held out. Several flights and flights with
+    manoeuvres stay as they are.
+    """
+    if len(ready.sources) != 1 or not is_ordinary(ready.flights[0]):
+        return ready, None
+    (source,) = ready.sources
+    remainder = without(source.record, used)
+    # Nothing is left: the result warns that it judges a model on its own data.
+    if remainder is None:
+        return ready, split_in_time(source.record, False)
+    split = split_in_time(remainder, halve)
+    chosen = rows_in(remainder, split.used_s)
+    if len(chosen) == len(source.record):
+        return ready, split
+    (flight,), measured = replayed.prepare_together([source.name], [chosen], aircraft, align=align)
+    note = f"{source.name}: {seconds(split.used_s):.0f} s that no earlier result was made from"
+    if split.held_out_s:
+        note = split.note(source.name, held_out_for)
+    flight = replace(flight, notes=(note, *flight.notes))
+    return replace(ready, flights=[flight], measured=measured), split
+
+
+def _split_document(split: Split | None) -> SplitInTime | None:
+    """Return the split as a part of a document."""
+    if split is None:
+        return None
+    used_s, held_out_s = (
+        [list(pair) for pair in part] for part in (split.used_s, split.held_out_s)
+    )
+    return SplitInTime(**asdict(split) | {"used_s": used_s, "held_out_s": held_out_s})
+
+
 # Parameters.
 
 
@@ -142,7 +196,13 @@ def identify(request: IdentifyRequest, callback: Callback = silent) -> Outcome[I
     # Records are cut and aligned once, whatever servos are chosen.
     aircraft = _aircraft(request)
     callback("reading the flights")
-    ready = replay_flights(request, aircraft)
+    ready, split = _part_of_flight(
+        replay_flights(request, aircraft),
+        aircraft,
+        (),
+        halve=request.split == "auto" and request.method == "auto",
+        held_out_for="bounds and compare",
+    )
     flights, ideal = _with_servos(request, aircraft, ready, callback, request.workers)
     biases = channel_names(request.biases)
     priors = {} if request.prior is None else read_prior(request.prior)
@@ -170,7 +230,9 @@ def identify(request: IdentifyRequest, callback: Callback = silent) -> Outcome[I
         message_callback=logging.getLogger("uqharness").info,
     )
     # The document is what the page, --json and the Python result show.
-    document = _fit(result, ready, command_line(request))
+    document = _fit(result, ready, command_line(request)).model_copy(
+        update={"split": _split_document(split)}
+    )
     code = 0 if result.converged and result.identified else 1
     details = [note for flight in flights for note in flight.notes]
     details += [] if result.speed is None else [result.speed.text()]
@@ -313,6 +375,8 @@ def compare(
     callback("reading the flight")
     # Late channels stay late: their delays are estimated and reported.
     ready = replay_flights(request, aircraft, align=False)
+    used = used_for_model(aircraft, ready.sha256[0])
+    ready, _ = _part_of_flight(ready, aircraft, used, halve=False, align=False)
     (flight,), ideal = _with_servos(request, aircraft, ready, callback, request.workers)
     biases = channel_names(request.biases)
     comparison = measure_gap(
@@ -345,6 +409,8 @@ def _better_model(
     for one in (aircraft, other):
         callback("reading the flight")
         ready = replay_flights(request, one)
+        used = tuple(i for m in (aircraft, other) for i in used_for_model(m, ready.sha256[0]))
+        ready, _ = _part_of_flight(ready, one, used, halve=False)
         (flight,), ideal = _with_servos(request, one, ready, callback, request.workers)
         forecasters.append(Forecaster(one, flight, ready.measured, ideal))
     contest = compare_models(forecasters[0], forecasters[1], callback=callback)
@@ -472,11 +538,23 @@ def bounds(request: BoundsRequest, callback: Callback = silent) -> Outcome[MadeB
     """Fit the bounds of a model's error and write the model form, its evidence and a page."""
     aircraft, options = _aircraft(request), _bounds_options(request)
     callback("reading the flights")
-    ready = _ready_for_residuals(request, aircraft)
+    ready = replay_flights(request, aircraft)
+    ready, split = _part_of_flight(
+        ready,
+        aircraft,
+        used_for_model(aircraft, ready.sha256[0]),
+        halve=request.split == "auto",
+        held_out_for="validate-bounds",
+    )
+    ready = _for_residuals(ready)
     flights, ideal = _with_servos(request, aircraft, ready, callback)
     options = replace(options, ideal_servos=ideal)
     made = make_bounds(aircraft, flights, ready.measured, ready.sha256, options, callback)
-    document = _bounds_document(made)
+    if split is not None:
+        (used,) = made.form.flights
+        form = replace(made.form, flights=(replace(used, parts_s=split.used_s),))
+        made = replace(made, form=form)
+    document = _bounds_document(made).model_copy(update={"split": _split_document(split)})
     if request.out is None:
         lines = [f"{c}: mean width {made.widths[c]:.3g}" for c in made.form.coefficients]
         return Outcome(made, document, lines, warnings=made.warnings)
@@ -591,11 +669,8 @@ def _write_bounds_figures(made: MadeBounds, out: Path) -> None:
     write_figures(out, sections, f"Model-form bounds of {made.form.aircraft.name}")
 
 
-def _ready_for_residuals(
-    request: BoundsRequest | ValidateBoundsRequest, aircraft: Aircraft
-) -> ReplayFlights:
-    """Return the flights of a request, cut where residual coefficients have their channels."""
-    ready = replay_flights(request, aircraft)
+def _for_residuals(ready: ReplayFlights) -> ReplayFlights:
+    """Return flights cut where residual coefficients have their channels."""
     return replace(ready, flights=[cut_for_residuals(f, ready.measured) for f in ready.flights])
 
 
@@ -608,7 +683,10 @@ def validate_bounds(
     """Count how much of a flight lies inside bounds from others; write the evidence and a page."""
     aircraft, form = _aircraft(request), _model_form(request.form)
     callback("reading the flights")
-    ready = _ready_for_residuals(request, aircraft)
+    ready = replay_flights(request, aircraft)
+    sha256 = ready.sha256[0]
+    used = (*used_for_model(aircraft, sha256), *used_for_bounds(form, sha256))
+    ready = _for_residuals(_part_of_flight(ready, aircraft, used, halve=False)[0])
     flights, ideal = _with_servos(request, aircraft, ready, callback)
     callback("residual coefficients")
     validation = validate(aircraft, form, flights, ready.measured, ready.sha256, ideal_servos=ideal)

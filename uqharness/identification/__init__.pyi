@@ -16,6 +16,7 @@ from .excitation import restrict_to_excited as restrict_to_excited
 from .forecasts import ForecastContest as ForecastContest
 from .forecasts import Forecaster as Forecaster
 from .forecasts import compare_models as compare_models
+from .ordinary import is_ordinary as is_ordinary
 from .prior import read_prior as read_prior
 from .replay_fit import BIASES as BIASES
 from .replay_fit import OUTPUTS as OUTPUTS
@@ -26,3 +27,11 @@ from .replay_fit import equation_error_start as equation_error_start
 from .replay_fit import fit_replays as fit_replays
 from .replay_fit import jumping_flights as jumping_flights
 from .servos import choose_servos as choose_servos
+from .split import Intervals as Intervals
+from .split import Split as Split
+from .split import rows_in as rows_in
+from .split import seconds as seconds
+from .split import split_in_time as split_in_time
+from .split import used_for_bounds as used_for_bounds
+from .split import used_for_model as used_for_model
+from .split import without as without

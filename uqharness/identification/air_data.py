@@ -129,7 +129,8 @@ def velocity_lateness(record: FlightRecord) -> float:
     """Return how late the ground velocity follows the accelerations, s; 0 without these.
 
     A satellite receiver holds and filters its velocity. The delay is the one at which the velocity
-    is nearest to the integral of the accelerations, apart from a drift in each block of time.
+    is nearest to the integral of the accelerations, apart from a drift and constant errors of the
+    accelerometers in each block of time.
     """
     names = ("ax_mps2", "ay_mps2", "az_mps2", "phi_rad", "theta_rad", "psi_rad")
     velocities = ("vn_mps", "ve_mps", "vd_mps")
@@ -141,9 +142,13 @@ def velocity_lateness(record: FlightRecord) -> float:
         usable &= np.isfinite(values)
     if usable.sum() < _MIN_SAMPLES * 5:
         return 0.0
-    earth = to_earth(columns, np.stack([columns[n] for n in names[:3]]))
+    # The integral of each body axis: constant errors of the accelerometers turn with the aircraft.
+    axes = np.stack([to_earth(columns, np.outer(row, np.ones(len(time_s)))) for row in np.eye(3)])
+    force = np.stack([columns[n] for n in names[:3]])
+    earth = np.einsum("ijk,ik->jk", axes, force)
     earth[2] += G0_MPS2
     integral = np.cumsum(np.nan_to_num(earth), axis=1) * record.dt_s
+    drifts = np.cumsum(np.nan_to_num(axes), axis=2) * record.dt_s
     block = _blocks(time_s)
     lags = np.arange(0.0, _MAX_LATE_S, 0.02)
     cost = np.zeros(len(lags))
@@ -152,11 +157,13 @@ def velocity_lateness(record: FlightRecord) -> float:
         if part.sum() < 0.5 * BLOCK_S / record.dt_s:
             continue
         t = time_s[part]
-        drift = np.column_stack([np.ones(len(t)), t - t.mean(), (t - t.mean()) ** 2])
-        q = np.linalg.qr(drift)[0]
+        t0 = t - t.mean()
         for axis, name in enumerate(velocities):
+            drift = np.column_stack([np.ones(len(t)), t0, t0**2, *drifts[:, axis, part]])
+            q = np.linalg.qr(drift)[0]
             for k, lag in enumerate(lags):
-                rest = np.interp(t + lag, time_s, columns[name]) - integral[axis][part]
+                rest = np.interp(t + lag, time_s[usable], columns[name][usable])
+                rest -= integral[axis][part]
                 rest -= q @ (q.T @ rest)
                 cost[k] += float(rest @ rest)
     return float(lags[int(np.argmin(cost))]) if cost.any() else 0.0
@@ -170,7 +177,11 @@ def _with_earlier_velocity(record: FlightRecord, late_s: float) -> FlightRecord:
     """Return the record with the ground velocity moved to earlier times."""
     time_s = record["time_s"]
     names = [n for n in ("vn_mps", "ve_mps", "vd_mps") if n in record and late_s]
-    return record.with_columns({n: np.interp(time_s + late_s, time_s, record[n]) for n in names})
+    columns = {}
+    for n in names:
+        rows = np.isfinite(record[n])
+        columns[n] = np.interp(time_s + late_s, time_s[rows], record[n][rows], right=np.nan)
+    return record.with_columns(columns)
 
 
 def _blocks(time_s: FloatArray) -> FloatArray:

@@ -59,6 +59,7 @@ from sysid.model_form import (
 )
 from sysid.model_form.coverage import coverage
 from uqharness.errors import BadInputError
+from uqharness.identification.split import inside, used_for_bounds, used_for_model
 from uqharness.replay import Flight, ReplayPair, flight_residuals, prediction_of
 from uqharness.simulator import Aircraft, content_hash
 from uqharness.text_tables import TabularResult
@@ -601,6 +602,10 @@ def _identified_from(
         return []
     out = []
     for flight, sha256 in zip(flights, hashes, strict=True):
+        used = used_for_model(aircraft, sha256)
+        # Rows that the estimation left out are as good as those of another flight.
+        if used and not inside(flight.record, used).any():
+            continue
         # Older files have names only.
         if sha256 in digests or (not digests and any(Path(n).stem == flight.name for n in names)):
             out.append(
@@ -793,7 +798,10 @@ def validate(
             " earlier model"
         )
     for flight, sha256 in zip(flights, hashes, strict=True):
-        if sha256 in {f.sha256 for f in form.flights}:
+        used = used_for_bounds(form, sha256)
+        if sha256 in {f.sha256 for f in form.flights} and (
+            not used or inside(flight.record, used).any()
+        ):
             warnings.append(
                 f"{flight.name}: the bounds were made from this flight; coverage on it validates"
                 " nothing"

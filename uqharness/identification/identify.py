@@ -497,6 +497,7 @@ def _identify_whole_flight(
             limits,
             measured,
             prior=prior,
+            ideal_servos=bool(ideal),
             callback=callback,
         )
     return result

@@ -22,7 +22,7 @@ import numpy as np
 
 from sysid.aerodynamics import Piece, demanded, half_width, kernel, regressor, smooth, split_name
 from sysid.arrays import FloatArray
-from sysid.estimation import channel_noise
+from sysid.estimation import channel_noise, command_steps_of, filtered_steps, fuller, lagged
 from sysid.logs import find_manoeuvres
 from sysid.record import FlightRecord
 from sysid.units import percent
@@ -52,7 +52,7 @@ from uqharness.simulator import Aircraft
 MIN_S = 30.0
 """Shortest ordinary flight, s."""
 MANOEUVRE_S = 40.0
-"""Longest test manoeuvre, s; a longer label names a phase of the flight, such as a loiter."""
+"""Longest test manoeuvre, s."""
 PIECE_S = 20.0
 MANOEUVRE_SHARE, _MARGIN_S = 0.1, 2.0
 """Share of the flight below which manoeuvres, with a margin [s] on both sides, are ignored."""
@@ -67,14 +67,17 @@ _AXES = (
 
 
 def is_ordinary(flight: Flight) -> bool:
-    """Return whether a flight is a log without test manoeuvres, labelled or found."""
+    """Return whether a flight has no test manoeuvres.
+
+    What the controls do decides, not labels, which also name modes, legs and events: a few pulses
+    that the search finds in an autopilot's commands do not make a test flight, and a label does
+    only where the controls move more than elsewhere.
+    """
     record = flight.record
-    seconds = float(record["time_s"][-1] - record["time_s"][0])
-    if not record.metadata.native_hz or seconds < MIN_S or _has_short_label(record):
-        return False
-    # Commands jump where rows are missing; that is no input. A few pulses that the search finds in
-    # an autopilot's commands do not make a test flight.
     time_s = record["time_s"]
+    if float(time_s[-1] - time_s[0]) < MIN_S:
+        return False
+    # Commands jump where rows are missing; that is no input.
     gaps = time_s[:-1][np.diff(time_s) > 1.5 * record.dt_s]
     pulses = [
         m
@@ -82,20 +85,37 @@ def is_ordinary(flight: Flight) -> bool:
         if not np.any((gaps > m.start_s - _MARGIN_S) & (gaps < m.end_s + _MARGIN_S))
     ]
     covered_s = sum(m.end_s - m.start_s + 2.0 * _MARGIN_S for m in pulses)
-    return covered_s < MANOEUVRE_SHARE * len(record) * record.dt_s
+    if covered_s > MANOEUVRE_SHARE * len(record) * record.dt_s:
+        return False
+    return not _moves_in_labels(record)
 
 
-def _has_short_label(record: FlightRecord) -> bool:
-    """Return whether a labelled stretch is short enough for a test manoeuvre."""
+def _moves_in_labels(record: FlightRecord) -> bool:
+    """Return whether a surface moves more in short labelled stretches than elsewhere.
+
+    A longer label names a phase of the flight. Labels of (nearly) all rows say nothing.
+    """
     if "manoeuvre" not in record:
         return False
     labels, time_s = record["manoeuvre"], record["time_s"]
-    edges = np.flatnonzero(np.append(labels[1:] != labels[:-1], True))
-    begins = np.append(0, edges[:-1] + 1)
-    return any(
-        labels[a] and time_s[b] - time_s[a] < MANOEUVRE_S
-        for a, b in zip(begins.tolist(), edges.tolist(), strict=True)
-    )
+    edges = np.flatnonzero(np.append(labels[1:] != labels[:-1], True)) + 1
+    in_label = np.zeros(len(labels), dtype=bool)
+    for a, b in zip([0, *edges[:-1].tolist()], edges.tolist(), strict=True):
+        in_label[a:b] = bool(labels[a]) and time_s[b - 1] - time_s[a] < MANOEUVRE_S
+    if not in_label.any() or np.mean(~in_label) < MANOEUVRE_SHARE:
+        return False
+    for column in ("elevator_deg", "aileron_deg", "rudder_deg"):
+        if column in record:
+            # A surface that follows turns and heights moves slowly; an input is quick.
+            values = np.nan_to_num(record[column])
+            quick = values - smooth(values[:, None], record.dt_s, _QUICK_HZ)[:, 0]
+            if quick[in_label].std() > _INPUT_RATIO * quick[~in_label].std():
+                return True
+    return False
+
+
+_QUICK_HZ, _INPUT_RATIO = 0.3, 2.0
+"""Frequency above which a surface's movement counts, and its size in units of that elsewhere."""
 
 
 def whole_flight(flight: Flight, measured: Sequence[str]) -> Flight:
@@ -227,6 +247,7 @@ _VIEWS = (
 )
 """The first gives the estimates, the others their sensitivity to choices that a flight does not
 decide: memory of gusts and noise, noise in the regressors, and the servos' dynamics."""
+_SMOOTHER = _VIEWS[3]
 _ANGLE_VIEWS = (_View(time_constant_s=1.5), _View(time_constant_s=6.0))
 ENDOGENEITY = 0.2
 """Correlation between what the model does not explain and a regressor, one standard deviation."""
@@ -259,6 +280,7 @@ def identify_ordinary(
     measured: Sequence[str],
     *,
     prior: Mapping[str, tuple[float, float]],
+    ideal_servos: bool = False,
     callback: Callable[[str], object] = lambda stage: None,
 ) -> Identification:
     """Estimate coefficient terms from ordinary flights by equation error, with intervals that allow
@@ -278,6 +300,9 @@ def identify_ordinary(
         Surfaces whose positions the record has.
     prior : Mapping
         Parameter to mean and standard deviation known beforehand.
+    ideal_servos : bool
+        Whether surfaces follow their commands at once; else a lag beyond the card's is estimated
+        where the commands move in steps.
     callback : callable
         Called with the name of each stage.
 
@@ -317,7 +342,7 @@ def identify_ordinary(
         else 0.0
         for c in ("alpha_rad", "beta_rad")
     }
-    estimates = []
+    estimates, of_filters = [], []
     for number, view in enumerate(views):
         callback(f"regression {number + 1} of {len(views)}")
         data = _regression_data(
@@ -326,9 +351,16 @@ def identify_ordinary(
         estimates.append(
             {c: _regress(data, c, members, begin, fixed_terms) for c, members in groups.items()}
         )
+        if view in (_VIEWS[0], _SMOOTHER):
+            of_filters.append(data)
+    callback("steps of the commands")
+    by_steps = _StepInstruments.of(flights, measured, of_filters, ideal_servos).estimates(
+        groups, names, begin, fixed_terms
+    )
     terms = {i: n.removeprefix("aero/").partition("_")[2] for i, n in enumerate(names)}
     theta, cov, reason = begin.copy(), np.zeros((len(names), len(names))), {}
     fit_share: dict[str, float] = {}
+    step_notes: list[str] = []
     std_crb, determined = np.full(len(names), np.nan), True
     for coefficient, members in groups.items():
         main = estimates[0][coefficient]
@@ -338,10 +370,21 @@ def identify_ordinary(
         covariance = (
             main.cov
             + np.diag(square)
+            # Motion that a regression does not explain may be gusts that its instruments remember:
+            # the values before the flight are then as likely, in the share that is unexplained.
+            + main.unexplained * np.diag((main.theta - begin[list(members)]) ** 2)
             + _from_air_data(main.theta, [terms[i] for i in members], errors, means)
         )
+        value = main.theta
+        steps = by_steps.get(coefficient)
+        if steps is not None and _is_better(steps, main.theta, covariance):
+            value = steps.theta
+            covariance = steps.cov + _from_air_data(
+                value, [terms[i] for i in members], errors, means
+            )
+            step_notes.append(steps.note)
         theta[list(members)], block = _with_prior(
-            main.theta,
+            value,
             covariance,
             [None if i in fixed_terms else prior.get(names[i]) for i in members],
         )
@@ -350,13 +393,14 @@ def identify_ordinary(
         std_crb[list(members)] = main.white_std
         determined = determined and main.determined
     std = np.sqrt(np.diagonal(cov))
+    theta = _within_bounds(theta, cov, limits)
     for i, (name, (low, high)) in enumerate(zip(names, limits, strict=True)):
         if i in fixed_terms and name not in prior:
             reason[name] = "no vane measures its angle; give --prior FILE"
         elif not np.isfinite(std[i]) or std[i] == 0.0:
             reason[name] = "no effect in these data"
-        elif not low < theta[i] < high:
-            reason[name] = f"at its bound [{low:g}, {high:g}]"
+        elif not low <= theta[i] <= high:
+            reason[name] = f"beyond its bound [{low:g}, {high:g}]"
         else:
             reason[name] = ""
     identified = [n for n in names if not reason[n]]
@@ -388,7 +432,7 @@ def identify_ordinary(
         status={n: "not-identified" if reason[n] else "identified" for n in names},
         reason=reason,
         cov=cov[np.ix_(places, places)],
-        nuisance={f"delay/{f.name}/controls": (delay_s, 0.015) for f in flights}
+        nuisance={f"delay/{f.name}/controls": (delay_s, DELAY_STD_S) for f in flights}
         | {f"sensor.{e.channel}/{e.kind}": (e.value, e.std) for e in errors},
         outputs=outputs,
         segments=flight_segments,
@@ -409,6 +453,7 @@ def identify_ordinary(
         " intervals allow for the unexplained share of each coefficient: "
         + ", ".join(f"{c} {percent(share)}" for c, share in fit_share.items()),
         f"controls act {1e3 * delay_s:.0f} ms after their rows",
+        *step_notes,
         *(f"air data: {e.text()}" for e in errors),
         *_combination_notes(result),
     ]
@@ -423,6 +468,245 @@ def identify_ordinary(
         labels=prior_labels(result, prior),
         seconds=time.perf_counter() - start_s,
     )
+
+
+_OWN_CONTROL = {"Cl": ("da", "aileron"), "Cm": ("de", "elevator"), "Cn": ("dr", "rudder")}
+_CONTROL_TERMS = {"da": "aileron", "de": "elevator", "dr": "rudder"}
+_SERVO_LAGS_S = (0.0, 0.03, 0.06, 0.1)
+_SERVO_DELAYS_ROWS, DELAY_STD_S = (-1, 0, 1), 0.015
+"""First-order lags of servos whose positions are not logged, their further delay in rows, and the
+standard error of the controls' delay, s."""
+DISAGREEMENT = 2.0
+"""Difference of two estimates of a control power, in standard errors, above which earlier motion is
+no valid instrument (Hausman, Econometrica 46, 1978)."""
+
+
+@dataclass(frozen=True)
+class _StepFit:
+    """Estimates (k,) and covariance (k, k) of a coefficient from steps of the commands; moment and
+    variance as `fuller` has them, the place of its own control's term, and a sentence.
+    """
+
+    theta: FloatArray
+    cov: FloatArray
+    moment: float
+    variance: float
+    own: int
+    note: str = ""
+
+
+def _is_better(fit: _StepFit, theta: FloatArray, cov: FloatArray) -> bool:
+    """Return whether steps tell the control power more exactly than earlier motion does, or
+    disagree with it.
+    """
+    k = fit.own
+    variance = float(cov[k, k]) if cov[k, k] > 0.0 else np.inf
+    apart = abs(float(fit.theta[k] - theta[k])) / np.sqrt(float(fit.cov[k, k]) + variance)
+    return bool(fit.cov[k, k] < variance) or apart > DISAGREEMENT
+
+
+@dataclass(frozen=True)
+class _StepInstruments:
+    """Filtered steps of the commands at the rows of each piece, of each control that has any, and
+    regressions with different filters; whether surfaces are known by their commands alone, and
+    whether they may lag.
+    """
+
+    steps: Mapping[str, list[FloatArray]]
+    data: Sequence[_RegressionData]
+    dt_s: float
+    commanded: bool
+    lagging: bool
+
+    @classmethod
+    def of(
+        cls,
+        flights: Sequence[Flight],
+        measured: Sequence[str],
+        data: Sequence[_RegressionData],
+        ideal_servos: bool,
+    ) -> _StepInstruments:
+        """Find the steps of the controls of all flights."""
+        columns = dict(zip(CONTROLS, control_columns(measured), strict=True))
+        surfaces = {c: columns[c] for c in _CONTROL_TERMS.values()}
+        found = [command_steps_of(f.record, surfaces) for f in flights]
+        common = [c for c in surfaces if all(c in steps for steps in found)]
+        pieces = {
+            c: [
+                filtered_steps([steps[c]], f.record.dt_s)[piece.rows]
+                for f, steps in zip(flights, found, strict=True)
+                for piece in f.pieces
+            ]
+            for c in common
+        }
+        commanded = not all(c in measured for c in common)
+        dt_s = float(flights[0].record.dt_s)
+        return cls(pieces, data, dt_s, commanded, commanded and not ideal_servos)
+
+    def estimates(
+        self,
+        groups: Mapping[str, Sequence[int]],
+        names: Sequence[str],
+        initial: FloatArray,
+        fixed_terms: Mapping[int, float],
+    ) -> dict[str, _StepFit]:
+        """Return the estimates of coefficients whose own control moves in steps."""
+        out: dict[str, _StepFit] = {}
+        for family in (("CY", "Cl", "Cn"), ("CZ", "Cm")):
+            stepped = [c for c in family if _OWN_CONTROL.get(c, ("", ""))[1] in self.steps]
+            present = [c for c in family if c in groups]
+            if not any(c in groups for c in stepped):
+                continue
+            # A servo is the same in all coefficients: their misfits add.
+            fits: dict[tuple[int, float], dict[str, _StepFit]] = {}
+            for setting in ((r, s) for r in self._delays for s in self._lags):
+                of_setting = {
+                    c: self._fit(0, c, setting, groups[c], names, initial, fixed_terms)
+                    for c in present
+                }
+                complete = {c: f for c, f in of_setting.items() if f is not None}
+                if len(complete) == len(present):
+                    fits[setting] = complete
+            if not fits:
+                continue
+            settings = list(fits)
+            # The smallest variance for all: a bad setting has large residuals.
+            scale = {c: min(f[c].variance for f in fits.values()) for c in present}
+            cost = np.array(
+                [sum(f[c].moment / scale[c] for c in present) for f in fits.values()]
+            ) + np.array([(rows * self.dt_s / DELAY_STD_S) ** 2 for rows, _ in settings])
+            weights = np.exp(-0.5 * (cost - cost.min()))
+            weights /= weights.sum()
+            best = settings[int(np.argmin(cost))]
+            lag_s = float(sum(w * s for w, (_, s) in zip(weights, settings, strict=True)))
+            for c in (c for c in stepped if c in groups):
+                of_settings = [f[c] for f in fits.values()]
+                # Delays and lags that the flight does not tell apart widen the interval.
+                theta = np.sum(
+                    [w * f.theta for w, f in zip(weights, of_settings, strict=True)], axis=0
+                )
+                apart = [f.theta - theta for f in of_settings]
+                parts = [
+                    w * (f.cov + np.outer(d, d))
+                    for w, f, d in zip(weights, of_settings, apart, strict=True)
+                ]
+                cov = np.sum(parts, axis=0)
+                other = self._fit(1, c, best, groups[c], names, initial, fixed_terms)
+                if other is not None:
+                    cov += np.diag((other.theta - fits[best][c].theta) ** 2)
+                term, control = _OWN_CONTROL[c]
+                own = [_term(names[i]) for i in groups[c]].index(term)
+                note = f"{c} is estimated from steps of the {control} command"
+                note += f"; surfaces lag by {1e3 * lag_s:.0f} ms more" if self.lagging else ""
+                out[c] = _StepFit(theta, cov, 0.0, scale[c], own, note)
+        return out
+
+    @property
+    def _delays(self) -> tuple[int, ...]:
+        """Return further delays of the surfaces, rows."""
+        return _SERVO_DELAYS_ROWS if self.commanded else (0,)
+
+    @property
+    def _lags(self) -> tuple[float, ...]:
+        """Return lags of the surfaces, s."""
+        return _SERVO_LAGS_S if self.lagging else (0.0,)
+
+    def _regressors(
+        self,
+        data: _RegressionData,
+        members: Sequence[int],
+        names: Sequence[str],
+        rows: int,
+        lag_s: float,
+    ) -> FloatArray:
+        """Return the regressors (n, k) with surfaces that move later and lag."""
+        columns = []
+        for i in members:
+            pieces = data.columns[i]
+            if _term(names[i]) in _CONTROL_TERMS:
+                pieces = [lagged(_later(v, rows), self.dt_s, lag_s) for v in pieces]
+            columns.append(np.concatenate(pieces))
+        return np.column_stack(columns)
+
+    def _fit(
+        self,
+        number: int,
+        coefficient: str,
+        setting: tuple[int, float],
+        members: Sequence[int],
+        names: Sequence[str],
+        initial: FloatArray,
+        fixed_terms: Mapping[int, float],
+    ) -> _StepFit | None:
+        """Estimate a coefficient with one delay and lag of the surfaces.
+
+        Constants follow from the means; fixed terms keep their values, and their errors add.
+        """
+        data, k = self.data[number], _ORDER.index(coefficient)
+        z = np.concatenate([np.column_stack(v) for v in zip(*self.steps.values(), strict=True)])
+        x = self._regressors(data, members, names, *setting)
+        block = np.concatenate(data.block)
+        # Demanded coefficients: the start values' part moves with the surfaces as well.
+        plain = self._regressors(data, members, names, 0, 0.0)
+        fixed = np.array([i in fixed_terms for i in members])
+        values = np.array([initial[i] for i in members])
+        theta = np.where(fixed, values, 0.0)
+        y = np.concatenate([e[:, k] for e in data.excess]) + plain @ values - x @ theta
+        moving = x.std(axis=0) > 1e-9 * np.maximum(np.abs(x).max(axis=0), 1e-300)
+        free = moving & ~fixed
+        term = _OWN_CONTROL.get(coefficient, ("", ""))[0]
+        own = [_term(names[i]) for i in members].index(term) if term else -1
+        fit = fuller(y, x[:, free], z, block)
+        if fit is None:
+            return None
+        theta[free] = fit.theta
+        # A model that the instruments refute is as uncertain as its misfit.
+        inflation = max(1.0, fit.moment / fit.variance / max(1, fit.excess))
+        cov = np.zeros((len(members), len(members)))
+        cov[np.ix_(free, free)] = inflation * fit.cov
+        change = np.zeros((len(members), int(fixed.sum())))
+        change[free] = -fit.solve @ (x[:, fixed] - x[:, fixed].mean(axis=0))
+        change[fixed] = np.eye(int(fixed.sum()))
+        variances = np.array([fixed_terms[i] ** 2 for i in members if i in fixed_terms])
+        cov += (change * variances) @ change.T
+        # The constant makes the residual zero on average.
+        sums = np.bincount(np.unique(block, return_inverse=True)[1], weights=fit.residual)
+        spread = float(np.sum(sums**2)) / len(y) ** 2
+        mean = x[:, free].mean(axis=0)
+        for j in np.flatnonzero(~moving & ~fixed & (np.abs(x).max(axis=0) > 0.0)):
+            level = float(x[:, j].mean())
+            theta[j] = (float(y.mean()) - float(mean @ fit.theta)) / level
+            cov[j, free] = cov[free, j] = -(mean @ cov[np.ix_(free, free)]) / level
+            cov[j, j] = (float(mean @ cov[np.ix_(free, free)] @ mean) + spread) / level**2
+        return _StepFit(theta, cov, fit.moment, fit.variance, own)
+
+
+def _term(name: str) -> str:
+    """Return the term of a parameter, such as "da" of "aero/Cl_da"."""
+    return name.removeprefix("aero/").partition("_")[2]
+
+
+def _later(values: FloatArray, rows: int) -> FloatArray:
+    """Return values (n,) moved to later rows; the first or last one is held."""
+    place = np.arange(len(values))
+    return values[np.clip(place - rows, 0, len(values) - 1)]
+
+
+def _within_bounds(
+    theta: FloatArray, cov: FloatArray, limits: Sequence[tuple[float, float]]
+) -> FloatArray:
+    """Return the likeliest parameters within their bounds, where the intervals reach these.
+
+    An estimate beyond a bound is moved onto it, and those that correlate with it along.
+    """
+    theta, variance = theta.copy(), np.diagonal(cov)
+    for i in np.argsort([-abs(t) / max(v, 1e-300) for t, v in zip(theta, variance, strict=True)]):
+        nearest = float(np.clip(theta[i], *limits[i]))
+        change = nearest - theta[i]
+        if change and np.isfinite(variance[i]) and abs(change) < 1.96 * np.sqrt(variance[i]):
+            theta += cov[i] / variance[i] * change
+            theta[i] = nearest
+    return theta
 
 
 def _groups(names: Sequence[str]) -> dict[str, tuple[int, ...]]:

@@ -44,6 +44,8 @@ FlightNumbers = Annotated[
     tuple[Annotated[WholeNumber, Field(ge=1)], ...], BeforeValidator(one_or_several)
 ]
 Workers = WholeNumber | None
+
+Split = Literal["auto", "none"]
 Servos = Literal["auto", "card", "ideal"]
 
 CHANNELS: Mapping[str, str] = {
@@ -272,6 +274,16 @@ def servos() -> Any:
         "auto",
         "card: commands pass the aircraft's actuators; ideal: surfaces and throttle follow them at"
         " once; auto: for a log, the likelier of the two",
+        toml=False,
+    )
+
+
+def split() -> Any:
+    """Return the field of how one ordinary flight is divided."""
+    return option(
+        "auto",
+        "auto: of one flight without manoeuvres use every second block of time and hold out the"
+        " others for the next command; none: use all",
         toml=False,
     )
 

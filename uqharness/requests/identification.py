@@ -76,6 +76,7 @@ AIRCRAFT with the estimates."""
         " model-form.json that `author` writes",
         metavar="FILE",
     )
+    split: fields.Split = fields.split()
     workers: fields.Workers = fields.workers()
     figures: Flag = fields.figures()
 
@@ -194,6 +195,7 @@ States: V alpha beta phi theta p q r, de da dr (surface positions), dt (throttle
     flight_number: fields.FlightNumbers = fields.flight_number()
     manoeuvres: fields.OptionalPath = fields.manoeuvres()
     servos: fields.Servos = fields.servos()
+    split: fields.Split = fields.split()
     confidence: Number = option(
         0.95, "confidence of the intervals, a probability", gt=0, lt=1, metavar="P"
     )

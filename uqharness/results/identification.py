@@ -90,6 +90,22 @@ class ReplaySpeed(Part):
     )
 
 
+class SplitInTime(Part):
+    """Parts of one ordinary flight, of which the result was made from one."""
+
+    used_s: list[list[float]] = Field(
+        description="first and last time of each stretch that was used, s"
+    )
+    held_out_s: list[list[float]] = Field(
+        default=[], description="stretches left for the next command, s"
+    )
+    block_s: float = Field(default=0.0, description="length of the blocks, s; 0: not split")
+    difference: float = Field(
+        default=0.0, description="largest Kolmogorov-Smirnov distance between the parts"
+    )
+    differs: str = Field(default="", description="channel in which they differ most")
+
+
 class Fit(Part):
     """fit.json of `uqharness identify`: parameters, their covariance, the fit to the flights."""
 
@@ -109,6 +125,9 @@ class Fit(Part):
     segments: list[FlightPiece] = Field(default=[], description="segments that were replayed")
     flights: Texts = Field(description="files of the flights")
     flights_sha256: Texts | None = Field(default=None, description="SHA-256 of the flights")
+    split: SplitInTime | None = Field(
+        default=None, description="which rows of one ordinary flight were used"
+    )
     notes: Texts = Field(default=[], description="what was done to the records")
     command: str | None = Field(default=None, description="command that made the file")
     simulations: int | None = Field(default=None, description="replays of all segments")
@@ -351,6 +370,9 @@ class Bounds(Part):
 
     aircraft: str = Field(default="", description="aircraft that the bounds belong to")
     flights: Texts = Field(default=[], description="flights that they were made from")
+    split: SplitInTime | None = Field(
+        default=None, description="which rows of one ordinary flight were used"
+    )
     confidence: Number = Field(default=None, description="confidence of the intervals")
     outside: Literal["grow", "clamp"] = Field(
         default="grow", description="what the bounds do outside the data"

@@ -28,6 +28,7 @@ from uqharness.identification.ordinary import (
     _RegressionData,
     _with_prior,
     control_delay_s,
+    is_ordinary,
 )
 from uqharness.identification.prior import read_prior
 
@@ -94,6 +95,37 @@ def test_terms_that_move_alike_are_not_determined() -> None:
     assert not _regress(twin, "Cl", (0, 1), np.zeros(2)).determined
 
 
+@pytest.mark.parametrize(
+    ("kind", "every_s", "ordinary"),
+    [
+        ("loiter", 0, True),
+        ("loiter", 1, True),  # events of 5 s name every row
+        ("loiter", 4, True),
+        ("sweep", 4, False),
+        ("doublets", 0, False),
+        ("doublets", 4, False),
+    ],
+)
+def test_what_controls_do_decides_and_not_labels(kind: str, every_s: int, ordinary: bool) -> None:
+    rng = np.random.default_rng(3)
+    t = DT_S * np.arange(6000)
+    noise = np.convolve(rng.normal(size=len(t)), np.ones(15) / 15.0, mode="same")
+    elevator = 0.5 * noise + 0.4 * np.sin(0.3 * t)
+    test = (t // 5).astype(int) % 4 == 0
+    if kind == "sweep":
+        elevator += test * np.sin(2.0 * np.pi * (0.5 + 0.2 * (t % 5.0)) * (t % 5.0))
+    if kind == "doublets":
+        elevator = (
+            test * 3.0 * (1.0 * ((t % 5.0) > 1.0) - 2.0 * ((t % 5.0) > 2.0)) * (t % 5.0 < 3.0)
+        )
+    named = np.zeros(len(t), dtype=bool) if not every_s else (t // 5).astype(int) % every_s == 0
+    label = np.where(named, np.char.add("event ", (t // 5).astype(int).astype(str)), "")
+    zero = np.zeros(len(t))
+    surfaces = {"elevator_deg": elevator, "aileron_deg": 0.5 * noise[::-1], "rudder_deg": zero}
+    record = FlightRecord({"time_s": t, "manoeuvre": label.astype(object), **surfaces})
+    assert is_ordinary(SimpleNamespace(record=record)) is ordinary
+
+
 @pytest.mark.parametrize("late_rows", [1, 4])
 def test_delay_of_controls_that_answer_the_motion_of_their_row(late_rows: int) -> None:
     rng = np.random.default_rng(late_rows)
@@ -123,6 +155,9 @@ def test_late_ground_velocity_is_moved_to_the_accelerations() -> None:
     force = to_body(record.columns, earth)
     held = {n: np.interp(t - 0.5, t, record[n])[np.arange(len(t)) // 25 * 25] for n in names}
     axes = {f"a{a}_mps2": force[k] for k, a in enumerate("xyz")}
+    # A constant error of the accelerometers turns with the aircraft; a row is missing.
+    axes["ax_mps2"] = axes["ax_mps2"] + 0.3
+    held["vn_mps"][700] = np.nan
     late = record.with_columns({**held, **axes})
     # Held for half a second, it is a quarter later still.
     assert velocity_lateness(late) == pytest.approx(0.74, abs=0.06)
