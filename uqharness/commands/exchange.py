@@ -40,6 +40,7 @@ from uqharness.exchange import (
     gazebo,
     in_reference,
     losses,
+    order_dependence,
     px4_sih,
     slips,
     source_model,
@@ -63,6 +64,7 @@ from uqharness.results.base import Outcome
 from uqharness.simulator import Aircraft, content_hash
 from uqharness.text_tables import csv_text, text_table
 
+_MEMORY = 0.01
 _SURFACES = "deflections are positive nose down, right wing down, nose left in the source"
 
 
@@ -128,6 +130,13 @@ def export(request: ExportRequest, callback: Callback = silent) -> Outcome[Loss]
         results_folder((out / name).parent)
         write_bytes(out / name, files[name])
     warnings = []
+    dependence = order_dependence(source, states)
+    if dependence > _MEMORY:
+        warnings.append(
+            f"{aircraft.name}: its control system has a memory (filters, integrators): coefficients"
+            f" of one state differ by {dependence:.0%} of their variation, by the states before;"
+            " model and loss are as uncertain"
+        )
     # Bounds of another model are a warning: half-widths still give a scale.
     if form is not None and form.aircraft.sha256 != content_hash(aircraft):
         warnings.append(
@@ -551,5 +560,6 @@ def _of_file(file: _ModelFile, common: Reference) -> ComparedModel:
             ardupilot_json.coefficients(content, states, common.throw_deg), reference, common
         ),
         reference,
-        terms=ardupilot_json.TERMS,
+        # Forces beside the centre of gravity give moments of every variable.
+        terms=None if any(ardupilot_json.cg_offset(content)) else ardupilot_json.TERMS,
     )

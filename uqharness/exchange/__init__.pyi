@@ -19,4 +19,5 @@ from .states import box as box
 from .states import box_around as box_around
 from .states import derivatives as derivatives
 from .states import lift_and_drag as lift_and_drag
+from .states import order_dependence as order_dependence
 from .states import source_model as source_model

@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -203,12 +203,18 @@ def coefficients(
         + keys["c_m_q"] * value["q"]
         + keys["c_m_deltae"] * elevator
     )
-    x, y, z = keys.get("CGOffset", DEFAULT_CG_OFFSET)
+    x, y, z = cg_offset(keys)
     cy, roll, yaw = lateral("y"), lateral("l"), lateral("n")
     roll = roll + (y * cz - z * cy) / keys["b"]
     pitch = pitch + (-x * cz + z * cx) / keys["c"]
     yaw = yaw + (-y * cx + x * cy) / keys["b"]
     return np.column_stack([cx, cy, cz, roll, pitch, yaw])
+
+
+def cg_offset(keys: Mapping[str, Any]) -> Sequence[float]:
+    """Return the point of the forces from the centre of gravity [m]."""
+    offset: Sequence[float] = keys.get("CGOffset", DEFAULT_CG_OFFSET)
+    return offset
 
 
 def reference(keys: Mapping[str, Any], mass_kg: float, throw_deg: Mapping[str, float]) -> Reference:

@@ -318,7 +318,7 @@ def _moment_centre(
     span, weights = states.b_m / states.c_m, np.array([effects[key] for key in keys])
     levers = []
     for moment, variable in keys:
-        x, y, z = (0.5 * sum(slopes[force, variable]) for force in ("CX", "CY", "CZ"))
+        x, y, z = (slopes[force, variable][1] for force in ("CX", "CY", "CZ"))
         levers.append(
             {
                 "Cl": (0.0, -z / span, y / span),

@@ -368,6 +368,26 @@ def box_around(
     return FlightStates(speed, values, reference.b_m, reference.c_m)
 
 
+def order_dependence(source: SourceModel, states: FlightStates, n: int = 12) -> float:
+    """Return how far coefficients depend on the states evaluated before, over their variation.
+
+    0 but for control systems with filters or integrators, whose surfaces keep a memory.
+    """
+    orders = np.arange(min(n, len(states))), np.arange(min(n, len(states)))[::-1]
+    forward, backward = (
+        source.coefficients(
+            replace(
+                states,
+                V_mps=states.V_mps[order],
+                values={name: value[order] for name, value in states.values.items()},
+            )
+        )
+        for order in orders
+    )
+    difference = np.abs(forward - backward[::-1]).max(axis=0)
+    return float((difference / np.maximum(forward.std(axis=0), 1e-9)).max())
+
+
 def derivatives(source: SourceModel, n: int = 600, seed: int = 1) -> dict[str, Derivatives]:
     """Return the quadratic polynomial of each body-axis coefficient around the trim's speed.
 

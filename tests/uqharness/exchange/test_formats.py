@@ -26,6 +26,7 @@ from uqharness.exchange import (
     ardupilot_json,
     derivatives,
     gazebo,
+    order_dependence,
     source_model,
     sweeps,
 )
@@ -496,6 +497,13 @@ def test_a_table_holds_one_variable_at_a_time_exactly():
     assert sweeps.coefficients(source, tables, bounded) == pytest.approx(
         formula(bounded), abs=1e-12
     )
+
+
+def test_controls_with_a_memory_are_noticed():
+    """A filter that runs on from state to state; a function of the state alone has none."""
+    for formula, share in ((lambda x: np.cumsum(x), 1.0), (lambda x: x**2, 0.0)):
+        source: Any = _Formula(lambda of, f=formula: np.tile(f(of.values["alpha"]), (6, 1)).T)
+        assert (order_dependence(source, states(20)) > 0.5) == bool(share)
 
 
 def test_the_cards_unit_of_the_commands_does_not_matter(tmp_path: Path):
