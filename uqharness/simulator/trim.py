@@ -471,8 +471,13 @@ class _SearchResult:
                 "height, so try a faster or lower flight"
             )
         if saturated:
+            speed = "another speed"
+            if saturated[0] == "elevator" and axis in {2, 4}:
+                # Sinking, or nose-down at the stop: the alpha that level flight needs is too large.
+                slow = (residual[2] > 0.0) if axis == 2 else (residual[4] < 0.0)
+                speed += f", rather a {'faster' if slow else 'slower'} one"
             return (
-                f"{where}: {remaining}; try another speed, or widen limits in"
+                f"{where}: {remaining}; try {speed}, or widen limits in"
                 f" [inputs.{saturated[0]}] of airframe.toml if the aircraft has more travel"
             )
         if axis == 2 and residual[2] > 0.0:

@@ -358,9 +358,14 @@ def test_a_glider_finds_its_own_path(name):
 
 
 def test_a_saturated_elevator_is_named_with_its_limit(tmp_path):
-    result = find_trim(small_plane(tmp_path, 1e-3, elevator=-0.02), SteadyCondition(11.0, 100.0))
-    assert not result.converged
-    assert "elevator is saturated at its lower limit of -1 norm" in result.reason
+    aircraft = small_plane(tmp_path, 1e-3, elevator=-0.02)
+    slow, fast = (find_trim(aircraft, SteadyCondition(V, 100.0)) for V in (11.0, 25.0))
+    assert not slow.converged
+    assert not fast.converged
+    assert "elevator is saturated at its lower limit of -1 norm" in slow.reason
+    assert "rather a faster one" in slow.reason
+    assert "rather a slower one" in fast.reason
+    assert find_trim(aircraft, SteadyCondition(16.0, 100.0)).converged
 
 
 def test_a_wing_that_does_not_carry_is_named():
