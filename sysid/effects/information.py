@@ -431,7 +431,9 @@ def least_cost(colour: InnovationColour | None, information: Information) -> flo
     """
     delta, score = information.step()[0], information.total[1]
     penalty = colour.penalty if colour else 0.0
-    return minus_twice_log(information.white) - float(delta @ score) + penalty
+    # Models are compared with the air of each free.
+    square = sum(w.air_square for w in information.white)
+    return minus_twice_log(information.white) - square - float(delta @ score) + penalty
 
 
 def likeliest_colour(

@@ -112,6 +112,8 @@ class White:
         Root mean square of the innovations' standard deviations, in the channels' units.
     more : callable or None
         Returns columns (n, m, C) by name, if they can be computed on demand.
+    air_square : float
+        What free air takes from the residual's sum of squares.
     """
 
     residual: FloatArray
@@ -121,6 +123,7 @@ class White:
     is_measured: NDArray[np.bool_]
     deviation: FloatArray
     more: Callable[[Sequence[str]], NDArray[np.float32]] | None = None
+    air_square: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -294,13 +297,14 @@ def _without_colour(colour: InnovationColour | None, series: NDArray[Any]) -> ND
 
 @dataclass(frozen=True)
 class _Start:
-    """White innovations (n, m) of a segment before and after fitting its start state, that state
-    (8,), and the QR decomposition of the columns of start and air.
+    """White innovations (n, m) of a segment before and after fitting its start state and air, that
+    state (8,), what the air takes of the sum of squares, and the QR decomposition of the columns.
     """
 
     innovations: FloatArray
     residual: FloatArray
     state: FloatArray
+    air_square: float
     q: FloatArray
     r: FloatArray
 
@@ -309,11 +313,11 @@ class _Start:
         plain = one.innovations_only
         innovations = _without_colour(colour, plain.innovations)
         residual, q, r = start_fitted(innovations, _without_colour(colour, plain.starts))
-        state = _solved(r, q.T @ innovations.ravel())
+        state, square = _solved(r, q.T @ innovations.ravel()), float(np.sum(residual**2))
         if one.air is not None:
             both = np.concatenate([plain.starts, one.air], axis=2)
-            _, q, r = start_fitted(innovations, _without_colour(colour, both))
-        return _Start(innovations, residual, state, q, r)
+            residual, q, r = start_fitted(innovations, _without_colour(colour, both))
+        return _Start(innovations, residual, state, square - float(np.sum(residual**2)), q, r)
 
 
 def _solved(r: FloatArray, right: FloatArray) -> FloatArray:
@@ -343,12 +347,13 @@ def _whitened(
         np.asarray(fitted, dtype=np.float64),
         is_measured,
         deviation,
+        air_square=start.air_square,
     )
 
 
 def minus_twice_log(white: Sequence[White]) -> float:
     """Return minus twice the log likelihood of filtered segments."""
-    return float(sum(np.sum(w.residual**2) + 2.0 * w.logdet for w in white))
+    return float(sum(np.sum(w.residual**2) + w.air_square + 2.0 * w.logdet for w in white))
 
 
 def start_fitted(

@@ -21,4 +21,4 @@ def test_flights_that_lack_nothing_show_nothing_in_any_air(family, tmp_path):
     row = examine.measure(examine.write_flights(family, 1, 45.0, 15.0, tmp_path))
     assert row.largest[1] < TURBULENCE_CRITICAL_T + 1.0
     assert max(row.vane_t) < 4.0
-    assert row.covered > 0.85
+    assert row.covered > 0.75
