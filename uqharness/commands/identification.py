@@ -174,6 +174,7 @@ def _part_of_flight(
     note = f"{source.name}: {seconds(split.used_s):.0f} s that no earlier result was made from"
     if split.held_out_s:
         note = split.note(source.name, held_out_for)
+    logging.getLogger("uqharness").info(note)
     flight = replace(flight, notes=(note, *flight.notes))
     return replace(ready, flights=[flight], measured=measured), split
 

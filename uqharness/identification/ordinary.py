@@ -448,11 +448,15 @@ def identify_ordinary(
         simulations=len(views),
         seconds=time.perf_counter() - start_s,
     )
+    servos = (
+        "servos without lag" if ideal_servos else "the lags and rate limits of the card's servos"
+    )
     notes = [
-        "estimated by equation error on the complete flight, because it has no test manoeuvres;"
+        "estimated by equation error on all rows, because the flight has no test manoeuvres;"
         " intervals allow for the unexplained share of each coefficient: "
         + ", ".join(f"{c} {percent(share)}" for c, share in fit_share.items()),
-        f"controls act {1e3 * delay_s:.0f} ms after their rows",
+        f"controls act {1e3 * delay_s:.0f} ms after their rows"
+        + ("" if len(measured) == len(_CONTROL_TERMS) else ", in addition to " + servos),
         *step_notes,
         *(f"air data: {e.text()}" for e in errors),
         *_combination_notes(result),
