@@ -554,7 +554,7 @@ def test_a_record_one_sample_late_is_a_matter_of_its_clock(tmp_path):
     found = document(tmp_path / "out")
     assert found["timing"]["controls_late_s"] == pytest.approx(0.02, abs=0.004)
     assert (found["verdict"], found["effects"]) == ("no-missing-effect", [])
-    assert "of the record's clock" in found["notes"][0]
+    assert "clock, not a servo" in found["notes"][0]
 
 
 @pytest.mark.slow
