@@ -128,6 +128,7 @@ XML_TEXT = (
     "uqharness/report/",
     # Run scripts, which are XML from their first line to their last.
     "uqharness/next_flight/points.py",
+    "uqharness/differences/ranking.py",
     "uqharness/simulator/own_mission.py",
     # Aircraft are written from templates; without a trim the line hold is an empty system.
     "uqharness/authoring/line_hold.py",

@@ -151,7 +151,7 @@ def _program_name(name: str, member: str, to: str) -> str:
     """Return what the aircraft is called in the other program.
 
     SDF, C and command lines take letters, digits and underscores. ArduPilot looks for words such
-    as ``-jet``, ``vtail`` and ``elevon`` in the name and flies another frame.
+    as "-jet", "vtail" and "elevon" in the name and flies another frame.
     """
     plain = re.sub(r"[^A-Za-z0-9_]", "_", name)
     if member:

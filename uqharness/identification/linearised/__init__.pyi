@@ -31,7 +31,6 @@ from .linearise import surface_change as surface_change
 from .linearise import with_jumps as with_jumps
 from .prediction_error import follow_in_free_air as follow_in_free_air
 from .prediction_error import gust_refit as gust_refit
-from .prediction_error import in_step as in_step
 from .prediction_error import moved as moved
 from .prediction_error import rows_late as rows_late
 from .prediction_error import unfiltered as unfiltered
