@@ -820,8 +820,8 @@ def _missing_mass(root: Any) -> Iterator[tuple[int, str]]:
 def remarks(files: ModelFiles, names: dict[str, str]) -> Iterator[tuple[str, str]]:
     """Yield (place, text) of what JSBSim loads, but not as its author may expect.
 
-    A property that is declared with two values, two components of one name, and contacts of an
-    unknown type.
+    A property that is declared with two values, two components of one name in channels that always
+    run, and contacts of an unknown type.
     """
     components: dict[str, str] = {}
     for name, file in files.local.items():
@@ -843,6 +843,9 @@ def remarks(files: ModelFiles, names: dict[str, str]) -> Iterator[tuple[str, str
                     ),
                 )
         for node in root.iterfind(".//channel/*[@name]"):
+            # Channels that run on a condition may share their outputs.
+            if node.getparent().get("execute"):
+                continue
             output = host.component_output(node.get("name", ""))
             place = f"{names[name]}:{_line(node)}"
             if output in components:
