@@ -33,8 +33,8 @@ from .judge import PUBLISHED, form_of
 WAYS = ("by parts", "as published")
 METRIC = "cross_track_median_m"
 CALM = {case.name: case for case in CASES if case.turbulence == "none"}
-LEAST_INSIDE = 36 / 40
-MOST_AREA = 0.2
+MIN_INSIDE = 36 / 40
+MAX_AREA = 0.2
 """Of the area as published, that of the model itself."""
 _CAMPAIGN = """
 [campaign]
@@ -123,7 +123,7 @@ def table(rows: Sequence[Mapping[str, Any]]) -> str:
 
 
 def verdict(rows: Sequence[Mapping[str, Any]]) -> list[str]:
-    """List failures: a p-box wider than MOST_AREA allows where the model itself flies; the
+    """List failures: a p-box wider than MAX_AREA allows where the model itself flies; the
     aircraft's flights outside theirs."""
     new, old = WAYS
     failures = []
@@ -133,10 +133,10 @@ def verdict(rows: Sequence[Mapping[str, Any]]) -> list[str]:
             continue
         areas = [np.mean([row[way]["area"] for row in seeds]) for way in (new, old)]
         share = 100.0 * float(areas[0] / areas[1])
-        if case.aircraft == MODEL and share > 100.0 * MOST_AREA:
+        if case.aircraft == MODEL and share > 100.0 * MAX_AREA:
             failures.append(f"{name}: the p-box has {share:.0f} % of the area as published")
         inside = float(np.mean([row[new]["flown"] != "outside" for row in seeds]))
-        if inside < LEAST_INSIDE:
+        if inside < MIN_INSIDE:
             words = f"in {100 * inside:.0f} % of the seeds"
             failures.append(f"{name}: the flown aircraft lies inside its p-box {words}")
     return failures

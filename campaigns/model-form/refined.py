@@ -21,7 +21,7 @@ from uqharness.text_tables import markdown_table
 from .flights import MODEL, TRUTH
 
 METRIC = "cross_track_median_m"
-LEAST_NARROWER = 36 / 40
+MIN_NARROWER = 36 / 40
 SCRIPTS = ("flight-ident", "flight-bounds", "flight-validation")
 
 
@@ -65,7 +65,7 @@ def table(rows: Sequence[Mapping[str, Any]]) -> tuple[str, bool]:
     before, after = (sum(pair[k] for pair in widths) / len(rows) for k in (0, 1))
     row = {"metric": METRIC, "seeds": str(len(rows)), "width before [m]": f"{before:.3g}"}
     row |= {"after [m]": f"{after:.3g}", "narrower in": f"{narrower} of {len(rows)}"}
-    failed = narrower / len(rows) < LEAST_NARROWER
+    failed = narrower / len(rows) < MIN_NARROWER
     words = "Too few are narrower after than before." if failed else "Refinement narrows it."
     return f"{markdown_table([row])}\n{words}\n", failed
 

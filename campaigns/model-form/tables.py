@@ -14,8 +14,8 @@ from .judge import CARDS, EXACT
 
 COVERAGE = ("case", "way", "coefficient", "speed_mps")
 PARTS = ("case", "way", "coefficient")
-LEAST_INSIDE = 0.93
-MOST_WIDTH = 1.5
+MIN_INSIDE = 0.93
+MAX_WIDTH = 1.5
 THIRD = (0.93, 0.99)
 VISIBLE = 36 / 40
 EFFECTS = {"CX_q": "CX", "Cm_p2": "Cm", "separation": "CZ", "Cl_de": "Cl"}
@@ -122,8 +122,8 @@ def _card_rows(rows: pd.DataFrame) -> list[dict[str, str]]:
 def verdict(rows: pd.DataFrame, fits: pd.DataFrame) -> list[str]:
     """List failures, none when all is well.
 
-    Mean shares of the true error below LEAST_INSIDE (bounds not stretched to hold zero, the card
-    right or wrong by two), widths above MOST_WIDTH times those of the noise known exactly, noisy
+    Mean shares of the true error below MIN_INSIDE (bounds not stretched to hold zero, the card
+    right or wrong by two), widths above MAX_WIDTH times those of the noise known exactly, noisy
     samples outside THIRD, effects not found.
     """
     failures = []
@@ -131,14 +131,14 @@ def verdict(rows: pd.DataFrame, fits: pd.DataFrame) -> list[str]:
     means = rows.groupby(keys, sort=False).mean(numeric_only=True)
     for (case, way, c, speed), row in means.iterrows():  # type: ignore[misc]
         where = f"{case}, {way}, {c} at {speed:g} m/s"
-        if row["inside"] < LEAST_INSIDE:
+        if row["inside"] < MIN_INSIDE:
             stretched = f"{100 * row['inside_stretched']:.1f} % with the bounds stretched to zero"
             inside = f"{100 * row['inside']:.1f} % of the true error inside"
             failures.append(f"{where}: {inside}, {stretched}")
         if way != "default":
             continue
         ratio = row["width"] / means.loc[(case, EXACT, c, speed), "width"]
-        if ratio > MOST_WIDTH:
+        if ratio > MAX_WIDTH:
             failures.append(f"{where}: {ratio:.2f} times as wide as with the noise known")
         if not THIRD[0] <= row["third"] <= THIRD[1]:
             failures.append(f"{where}: {100 * row['third']:.1f} % of the noisy samples inside")

@@ -15,7 +15,7 @@ import numpy as np
 
 from sysid.aerodynamics import COEFFICIENTS
 from sysid.arrays import FloatArray
-from sysid.effects.tuned import PENALTY
+from sysid.effects.tuned import SUBSYSTEM_PENALTY
 from sysid.errors import LogError
 from sysid.foreign.regular_files import ParseError, parse_toml, read_regular_text
 
@@ -479,7 +479,7 @@ def catalogue() -> list[Effect]:
 # # optional, as are name, regime, sign, reference
 
 _KEYS = {"coefficient", "term", "name", "physics", "regime", "sign", "reference"}
-_MOST_CHARACTERS = 2000
+_MAX_CHARACTERS = 2000
 """Longest text of an effect, some paragraphs."""
 
 
@@ -517,9 +517,9 @@ def read_effects(path: Path) -> list[Effect]:
         # The texts go into pages and into comments of the refined XML, which has no place for
         # control characters.
         for key, text in row.items():
-            if len(text) > _MOST_CHARACTERS:
+            if len(text) > _MAX_CHARACTERS:
                 raise LogError(
-                    f"{key} has {len(text)} characters; allowed are {_MOST_CHARACTERS}", path, where
+                    f"{key} has {len(text)} characters; allowed are {_MAX_CHARACTERS}", path, where
                 )
             if control := [c for c in text if ord(c) < 32 and c not in "\n\r\t"]:
                 raise LogError(
@@ -650,7 +650,7 @@ def _effect(
     physics: str,
     regime: str,
     unit: str,
-    penalty: float = PENALTY,
+    penalty: float = SUBSYSTEM_PENALTY,
 ) -> Effect:
     return Effect(
         None,
@@ -716,7 +716,7 @@ def subsystem_effects(
                 "s/deg",
             ),
         ]
-    any_, abrupt, double_penalty = "all manoeuvres", "abrupt manoeuvres", 2.0 * PENALTY
+    any_, abrupt, double_penalty = "all manoeuvres", "abrupt manoeuvres", 2.0 * SUBSYSTEM_PENALTY
     # Sensors: scale and zero. Biases of the gyros are always estimated.
     for c in channels:
         short, unit = c.split("_")

@@ -97,7 +97,7 @@ def innovation_colour(residuals: Sequence[FloatArray]) -> InnovationColour | Non
                 present[channel, other] = -weight
         # The variance is a parameter if it differs from the filter's.
         variance = remaining / rows
-        is_unit = not chosen and rows * (variance - 1.0 - math.log(variance)) < _price(rows, m, 1)
+        is_unit = not chosen and rows * (variance - 1.0 - math.log(variance)) < _penalty(rows, m, 1)
         deviation[channel] = 1.0 if is_unit else math.sqrt(variance)
         penalty += math.log(rows) * (len(chosen) + (not is_unit))
     if not penalty:
@@ -107,7 +107,7 @@ def innovation_colour(residuals: Sequence[FloatArray]) -> InnovationColour | Non
     return InnovationColour(unmixed @ matrices[:order], unmixed * deviation, penalty)
 
 
-def _price(rows: int, m: int, numbers: int) -> float:
+def _penalty(rows: int, m: int, numbers: int) -> float:
     """Return the penalty of ``numbers`` predictors by the extended Bayesian information
     criterion.
     """
@@ -140,7 +140,7 @@ def _predictors(
                 solution = _solved(gram, moment)
                 remainder = float(moments[channel, channel] - moment @ solution)
                 gain = rows * math.log(variance / remainder) if remainder > 0.0 else 0.0
-                gain -= _price(rows, m, len(places) - len(chosen))
+                gain -= _penalty(rows, m, len(places) - len(chosen))
                 if gain > 0.0 and (best is None or gain > best[0]):
                     best = gain, trial, places, solution, remainder
         if best is None:

@@ -27,10 +27,10 @@ from sysid.effects.coloured_innovations import InnovationColour, innovation_colo
 from sysid.effects.prediction import (
     Columns,
     FilteredSegment,
-    MadeColumns,
-    White,
-    minus_twice_log,
-    whitened,
+    LazyColumns,
+    WhitenedSegment,
+    neg2_log_likelihood,
+    whiten_filtered,
 )
 from sysid.estimation import coloured_information
 
@@ -70,7 +70,7 @@ class Information:
     score: FloatArray
     group: Index
     prior: FloatArray
-    white: Sequence[White]
+    white: Sequence[WhitenedSegment]
     stored: tuple[str, ...] | None = None
     cache: dict[frozenset[str], dict[str, Estimate]] = field(default_factory=dict, init=False)
 
@@ -110,7 +110,7 @@ class Information:
         part = self.group > 0
         return part if part.any() and not part.all() else None
 
-    def series(self, w: White, some: Index) -> FloatArray:
+    def series(self, w: WhitenedSegment, some: Index) -> FloatArray:
         """Return columns (n, m, C) of a segment.
 
         Raises KeyError for a column that is neither stored nor computed on demand.
@@ -168,7 +168,7 @@ class Information:
 
 
 def normal_equations(
-    white: Iterable[White],
+    white: Iterable[WhitenedSegment],
     names: Sequence[str],
     group: Sequence[int] | NDArray[np.bool_],
     prior: Mapping[str, float],
@@ -195,7 +195,7 @@ def normal_equations(
     """
     K, groups = len(names), np.asarray(group, dtype=np.intp)
     gram, score = np.zeros((groups.max() + 1, K, K)), np.zeros((groups.max() + 1, K))
-    segments: list[White] = []
+    segments: list[WhitenedSegment] = []
     at = None if stored is None else [list(names).index(n) for n in stored]
     for s, w in enumerate(white):
         flat = w.columns.reshape(-1, K)
@@ -232,7 +232,7 @@ def solve(G: FloatArray, right: FloatArray) -> FloatArray:
     )
 
 
-def projected(
+def project_out(
     G: FloatArray, u: FloatArray, free: Index, some: Index
 ) -> tuple[FloatArray, FloatArray]:
     """Return information (C, C) and score (C,) of columns ``some`` with the ``free`` ones projected
@@ -254,7 +254,7 @@ def marginal_information(
     """
     G, u = information.total
     nuisance = [n for n in information.names if n not in names and not n.startswith("effect/")]
-    marginal, score = projected(G, u, information.index(nuisance), information.index(names))
+    marginal, score = project_out(G, u, information.index(nuisance), information.index(names))
     return marginal, score + marginal @ np.array([values[n] for n in names])
 
 
@@ -279,7 +279,7 @@ class Scores:
     share: FloatArray
 
 
-def scores(
+def score_tests(
     information: Information,
     free: Sequence[str],
     candidates: Sequence[str],
@@ -360,7 +360,7 @@ def _compute_corrected(
     }
 
 
-def agreement(
+def compare_parts(
     information: Information, free: Sequence[str], candidate: str, part: NDArray[np.bool_]
 ) -> tuple[float, float]:
     """Compare a candidate between two parts of the flights.
@@ -368,7 +368,7 @@ def agreement(
     Returns the gain on the other segments of the value estimated on ``part``, and the difference
     of the two parts' estimates in standard errors. The free columns are estimated in each part.
     """
-    sides = [scores(information, free, [candidate], side) for side in (part, ~part)]
+    sides = [score_tests(information, free, [candidate], side) for side in (part, ~part)]
     (a, ga), (b, gb) = ((float(s.estimate[0]), float(s.information[0])) for s in sides)
     gain = gb * (2.0 * a * b - a * a)  # 2 u a - g a^2 with u = g b
     return gain, (a - b) / math.sqrt(1.0 / ga + 1.0 / gb)
@@ -378,7 +378,7 @@ def column_correlations(
     information: Information, free: Sequence[str], first: str, candidates: Sequence[str]
 ) -> FloatArray:
     """Return correlations (C,) of a column with others, the free columns projected out of all."""
-    projected_information, _ = projected(
+    projected_information, _ = project_out(
         *information.total, information.index(free), information.index([first, *candidates])
     )
     size = np.sqrt(np.maximum(np.diagonal(projected_information), 0.0))
@@ -388,13 +388,13 @@ def column_correlations(
 
 # The colour of innovations is estimated with the model.
 
-COLOUR_TURNS = 2
+COLOUR_ITERATIONS = 2
 """Iterations between parameters and the innovations' colour."""
-COLOURS_TRIED = 6
+COLOUR_CANDIDATES = 6
 """Candidates for which the innovations' colour is estimated again."""
 
 
-def with_colour(
+def fit_colour(
     followed: Sequence[FilteredSegment],
     columns: Sequence[Columns],
     prior: Mapping[str, float],
@@ -410,14 +410,14 @@ def with_colour(
 
     def information(colour: InnovationColour | None) -> Information:
         """Return the normal equations with a colour."""
-        white = whitened(followed, columns, colour)
+        white = whiten_filtered(followed, columns, colour)
         return normal_equations(white, columns[0].names, [0] * len(white), prior)
 
     current = information(colour)
     if fixed:
         return colour, current
     plain = information(None) if colour else current
-    for _ in range(COLOUR_TURNS):
+    for _ in range(COLOUR_ITERATIONS):
         colour = innovation_colour(plain.residual(current.step()[0]))
         if colour is None:
             return None, plain
@@ -433,12 +433,12 @@ def least_cost(colour: InnovationColour | None, information: Information) -> flo
     penalty = colour.penalty if colour else 0.0
     # Models are compared with the air of each free.
     square = sum(w.air_square for w in information.white)
-    return minus_twice_log(information.white) - square - float(delta @ score) + penalty
+    return neg2_log_likelihood(information.white) - square - float(delta @ score) + penalty
 
 
 def likeliest_colour(
     followed: Sequence[FilteredSegment],
-    columns: MadeColumns,
+    columns: LazyColumns,
     fitted: tuple[InnovationColour | None, Information],
     plain: Information,
     required_gains: Mapping[str, float],
@@ -465,12 +465,12 @@ def likeliest_colour(
     """
     colour, information = fitted
     free = list(information.names)
-    gains = np.nan_to_num(scores(plain, free, [*required_gains]).gain)
-    strongest = [[*required_gains][k] for k in np.argsort(-gains)[:COLOURS_TRIED]]
+    gains = np.nan_to_num(score_tests(plain, free, [*required_gains]).gain)
+    strongest = [[*required_gains][k] for k in np.argsort(-gains)[:COLOUR_CANDIDATES]]
     base_cost = least_cost(colour, information)
     for key in strongest:
         with_effect = [columns.some(k, [*free, key]) for k in range(len(columns))]
-        trial = with_colour(followed, with_effect, prior)
+        trial = fit_colour(followed, with_effect, prior)
         cost = least_cost(*trial) + required_gains[key]
         if cost < base_cost:
             base_cost, colour = cost, trial[0]

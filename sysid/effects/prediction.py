@@ -35,9 +35,9 @@ from sysid.estimation import (
     whiten_innovations,
 )
 
-_REMEMBERED = 24
+_CACHED_COLUMNS = 24
 """Columns of a segment that are cached after computation on demand."""
-_AT_ONCE = 256
+_ROWS_AT_ONCE = 256
 """Rows that are converted to double precision together."""
 
 
@@ -66,7 +66,7 @@ class Columns:
     seen: Mapping[str, FloatArray] = field(default_factory=dict)
 
 
-class MadeColumns(Sequence[Columns]):
+class LazyColumns(Sequence[Columns]):
     """Columns of segments that are computed on demand, to save memory.
 
     ``make`` returns the columns of a segment that are among given names.
@@ -90,13 +90,13 @@ class MadeColumns(Sequence[Columns]):
         return replace(self._make(k, frozenset(names)), names=tuple(names))
 
 
-def names_of(columns: Sequence[Columns]) -> tuple[str, ...]:
+def column_names(columns: Sequence[Columns]) -> tuple[str, ...]:
     """Return the names of the columns, which all segments share."""
-    return columns.names if isinstance(columns, MadeColumns) else columns[0].names
+    return columns.names if isinstance(columns, LazyColumns) else columns[0].names
 
 
 @dataclass(frozen=True)
-class White:
+class WhitenedSegment:
     """A segment's whitened innovations and columns, with the start state projected out.
 
     Attributes
@@ -158,7 +158,7 @@ class FilteredSegment:
         )
 
 
-def follow(
+def filter_segments(
     steps: Sequence[Steps],
     measured: Sequence[FloatArray],
     rows: Sequence[int],
@@ -213,7 +213,7 @@ def whiten(
     rows: Sequence[int],
     noise: FloatArray,
     process: Process | None = None,
-) -> list[White]:
+) -> list[WhitenedSegment]:
     """Filter every segment and whiten its innovations and columns.
 
     Parameters
@@ -236,19 +236,19 @@ def whiten(
     numpy.linalg.LinAlgError
         Where no filter exists.
     """
-    return whitened(follow(steps, measured, rows, noise, process), columns)
+    return whiten_filtered(filter_segments(steps, measured, rows, noise, process), columns)
 
 
-def whiten_each(
+def iterate_whitened(
     followed: Iterable[FilteredSegment],
-    columns: MadeColumns,
+    columns: LazyColumns,
     colour: InnovationColour | None = None,
-) -> Iterator[White]:
+) -> Iterator[WhitenedSegment]:
     """Yield `whitened` segments one by one, so that their columns need not be held together."""
     for k, one in enumerate(followed):
         start = _Start.of(one, colour)
         more = _WhitenedOnDemand(one, columns, k, colour, start.q)
-        yield replace(_whitened(one, columns[k], colour, start), more=more)
+        yield replace(_whiten_segment(one, columns[k], colour, start), more=more)
 
 
 class _WhitenedOnDemand:
@@ -257,7 +257,7 @@ class _WhitenedOnDemand:
     def __init__(
         self,
         one: FilteredSegment,
-        columns: MadeColumns,
+        columns: LazyColumns,
         k: int,
         colour: InnovationColour | None,
         q: FloatArray,
@@ -269,24 +269,25 @@ class _WhitenedOnDemand:
         """Return columns (n, m, C) with the start state projected out."""
         if missing := [n for n in names if n not in self.made]:
             made = self.one.with_columns(self.columns.some(self.k, missing)).columns
-            remainder, _ = _without_start(_without_colour(self.colour, made), self.q)
+            remainder, _ = _project_start(_without_colour(self.colour, made), self.q)
             self.made |= {
                 n: np.ascontiguousarray(remainder[:, :, c]) for c, n in enumerate(missing)
             }
         out = np.stack([self.made[n] for n in names], axis=2)
-        last = [*(n for n in self.made if n not in names), *names][-_REMEMBERED:]
+        last = [*(n for n in self.made if n not in names), *names][-_CACHED_COLUMNS:]
         self.made = {n: self.made[n] for n in last}
         return out
 
 
-def whitened(
+def whiten_filtered(
     followed: Iterable[FilteredSegment],
     columns: Sequence[Columns],
     colour: InnovationColour | None = None,
-) -> list[White]:
+) -> list[WhitenedSegment]:
     """Whiten filtered segments whose innovations have a ``colour``; otherwise as `whiten`."""
     return [
-        _whitened(one, columns[k], colour, _Start.of(one, colour)) for k, one in enumerate(followed)
+        _whiten_segment(one, columns[k], colour, _Start.of(one, colour))
+        for k, one in enumerate(followed)
     ]
 
 
@@ -312,11 +313,11 @@ class _Start:
     def of(one: FilteredSegment, colour: InnovationColour | None) -> _Start:
         plain = one.innovations_only
         innovations = _without_colour(colour, plain.innovations)
-        residual, q, r = start_fitted(innovations, _without_colour(colour, plain.starts))
+        residual, q, r = fit_start(innovations, _without_colour(colour, plain.starts))
         state, square = _solved(r, q.T @ innovations.ravel()), float(np.sum(residual**2))
         if one.air is not None:
             both = np.concatenate([plain.starts, one.air], axis=2)
-            residual, q, r = start_fitted(innovations, _without_colour(colour, both))
+            residual, q, r = fit_start(innovations, _without_colour(colour, both))
         return _Start(innovations, residual, state, square - float(np.sum(residual**2)), q, r)
 
 
@@ -328,9 +329,9 @@ def _solved(r: FloatArray, right: FloatArray) -> FloatArray:
         return np.asarray(np.linalg.lstsq(r, right, rcond=None)[0])
 
 
-def _whitened(
+def _whiten_segment(
     one: FilteredSegment, segment_columns: Columns, colour: InnovationColour | None, start: _Start
-) -> White:
+) -> WhitenedSegment:
     """Return a segment with its start state projected out."""
     is_measured = one.system.is_measured
     deviation = np.sqrt(
@@ -338,9 +339,9 @@ def _whitened(
         / np.maximum(is_measured.sum(axis=0), 1)
     )
     changes = _without_colour(colour, one.with_columns(segment_columns).columns)
-    remainder, inside = _without_start(changes, start.q)
+    remainder, inside = _project_start(changes, start.q)
     fitted = np.column_stack([start.state, -_solved(start.r, inside)[:START_COLUMNS]])
-    return White(
+    return WhitenedSegment(
         start.residual,
         remainder,
         one.gains.logdet + (0.0 if colour is None else len(remainder) * colour.logdet),
@@ -351,12 +352,12 @@ def _whitened(
     )
 
 
-def minus_twice_log(white: Sequence[White]) -> float:
+def neg2_log_likelihood(white: Sequence[WhitenedSegment]) -> float:
     """Return minus twice the log likelihood of filtered segments."""
     return float(sum(np.sum(w.residual**2) + w.air_square + 2.0 * w.logdet for w in white))
 
 
-def start_fitted(
+def fit_start(
     innovations: FloatArray, starts: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Fit a segment's start state to its innovations.
@@ -372,7 +373,7 @@ def start_fitted(
     return np.asarray((remainder - q @ (q.T @ remainder)).reshape(innovations.shape)), q, r * scale
 
 
-def _without_start(
+def _project_start(
     columns: NDArray[np.float32], q: FloatArray
 ) -> tuple[NDArray[np.float32], FloatArray]:
     """Project the start's columns q (n m, 8) out of columns (n, m, K).
@@ -381,7 +382,7 @@ def _without_start(
     """
     flat = columns.reshape(len(q), columns.shape[2])
     inside, remainder = np.zeros((q.shape[1], flat.shape[1])), np.empty_like(flat)
-    parts = [slice(first, first + _AT_ONCE) for first in range(0, len(q), _AT_ONCE)]
+    parts = [slice(first, first + _ROWS_AT_ONCE) for first in range(0, len(q), _ROWS_AT_ONCE)]
     for rows in parts:
         inside += q[rows].T @ flat[rows].astype(np.float64)
     for rows in parts:

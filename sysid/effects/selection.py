@@ -20,19 +20,25 @@ from sysid.effects.catalogue import TWINS
 from sysid.effects.information import (
     DEPENDENT,
     Information,
-    agreement,
     column_correlations,
+    compare_parts,
     corrected_estimate,
     corrected_estimates,
-    projected,
-    scores,
+    project_out,
+    score_tests,
 )
-from sysid.effects.tuned import COMPARABLE, DIFFERENT, FAMILY, INSEPARABLE_SHARE, UNLIKE
+from sysid.effects.tuned import (
+    COMPARABLE_SHARE,
+    FAMILY_ERROR_RATE,
+    INSEPARABLE_SHARE,
+    SIGNIFICANT_Z,
+    UNRELATED_CORRELATION,
+)
 
-DRAWS, DRAWN_IN = 40_000, 8
-LOOKED_AT = 12
-TURNS = 3
-MOST_ALTERNATIVES = 3
+DRAWS, DRAW_PARTS = 40_000, 8
+MAX_RUNNERS_UP = 12
+MAX_ENTRY_ATTEMPTS = 3
+MAX_ALTERNATIVES = 3
 
 
 @dataclass(frozen=True)
@@ -133,7 +139,7 @@ class Selection:
         return {c.key: c.value for c in self.chosen}
 
 
-def sidak_critical_t(candidates: int, family: float = FAMILY) -> float:
+def sidak_critical_t(candidates: int, family: float = FAMILY_ERROR_RATE) -> float:
     """Return the |t| that the largest of independent candidates exceeds with probability ``family``
     if the model lacks nothing (Sidak).
     """
@@ -141,7 +147,10 @@ def sidak_critical_t(candidates: int, family: float = FAMILY) -> float:
 
 
 def critical_t_of(
-    information: Information, free: Sequence[str], candidates: Sequence[str], family: float = FAMILY
+    information: Information,
+    free: Sequence[str],
+    candidates: Sequence[str],
+    family: float = FAMILY_ERROR_RATE,
 ) -> float:
     """Return the |t| that the largest of the candidates exceeds with probability ``family`` if the
     model lacks nothing.
@@ -151,12 +160,14 @@ def critical_t_of(
     """
     informative = [
         k
-        for k, share in zip(candidates, scores(information, free, candidates).share, strict=True)
+        for k, share in zip(
+            candidates, score_tests(information, free, candidates).share, strict=True
+        )
         if share > DEPENDENT
     ]
     if len(informative) < 2:
         return sidak_critical_t(len(informative), family)
-    projected_information, _ = projected(
+    projected_information, _ = project_out(
         *information.total, information.index(free), information.index(informative)
     )
     size = np.sqrt(np.diagonal(projected_information))
@@ -164,8 +175,8 @@ def critical_t_of(
     root = (vectors * np.sqrt(np.maximum(values, 0.0))).astype(np.float32)
     rng = np.random.default_rng(len(informative))
     parts = (
-        rng.standard_normal((DRAWS // DRAWN_IN, len(informative)), np.float32) @ root.T
-        for _ in range(DRAWN_IN)
+        rng.standard_normal((DRAWS // DRAW_PARTS, len(informative)), np.float32) @ root.T
+        for _ in range(DRAW_PARTS)
     )
     largest = np.concatenate([np.abs(part).max(axis=1) for part in parts])
     return min(
@@ -222,7 +233,7 @@ def select(
         refused = None
         if len(current) < max_effects:
             unselected = [c for c in required_gains if c not in current]
-            entering = _entering(
+            entering = _find_entering(
                 information, [*free, *current], unselected, required_gains, critical_t, empirical
             )
             if isinstance(entering, RejectedCandidate):
@@ -262,17 +273,17 @@ def estimate_selected(
 def _estimate_one(information: Information, free: Sequence[str], key: str) -> SelectedEffect:
     """Estimate an effect beside the free columns, without alternatives."""
     value, std, white_std = corrected_estimate(information, free, key)
-    gain = float(scores(information, free, [key]).gain[0])
+    gain = float(score_tests(information, free, [key]).gain[0])
     confirmed = difference = float("nan")
     if (confirming := information.confirming) is not None:
-        confirmed, difference = agreement(information, free, key, ~confirming)
-        confirmed = min(confirmed, agreement(information, free, key, confirming)[0])
+        confirmed, difference = compare_parts(information, free, key, ~confirming)
+        confirmed = min(confirmed, compare_parts(information, free, key, confirming)[0])
         # Colour increases the parts' standard errors like that of all flights.
         difference *= white_std / std
     return SelectedEffect(key, value, std, value / std, gain, confirmed, difference)
 
 
-def _entering(
+def _find_entering(
     information: Information,
     free: Sequence[str],
     unselected: Sequence[str],
@@ -287,8 +298,8 @@ def _entering(
     after one of them has entered.
     """
     first: RejectedCandidate | None = None
-    for _ in range(TURNS):
-        best = _best(information, free, unselected, required_gains, critical_t, empirical)
+    for _ in range(MAX_ENTRY_ATTEMPTS):
+        best = _best_candidate(information, free, unselected, required_gains, critical_t, empirical)
         if not (isinstance(best, RejectedCandidate) and best.unconfirmed):
             return best if isinstance(best, SelectedEffect) else first or best
         first = first or best
@@ -296,12 +307,12 @@ def _entering(
         unselected = [
             k
             for k, a in zip(unselected, alike, strict=True)
-            if k != best.key and abs(np.nan_to_num(a)) < UNLIKE
+            if k != best.key and abs(np.nan_to_num(a)) < UNRELATED_CORRELATION
         ]
     return first
 
 
-def _best(
+def _best_candidate(
     information: Information,
     free: Sequence[str],
     unselected: Sequence[str],
@@ -310,7 +321,7 @@ def _best(
     empirical: bool,
 ) -> SelectedEffect | RejectedCandidate | None:
     """Return the candidate of largest penalised gain, or its rejection."""
-    result = scores(information, free, unselected)
+    result = score_tests(information, free, unselected)
     penalised_gain = np.nan_to_num(
         result.gain - np.array([required_gains[k] for k in unselected]), nan=-np.inf
     )
@@ -322,7 +333,7 @@ def _best(
         if empirical
         else 1.0
     )
-    best, *runners_up = np.argsort(-penalised_gain)[:LOOKED_AT].tolist()
+    best, *runners_up = np.argsort(-penalised_gain)[:MAX_RUNNERS_UP].tolist()
     choice = _estimate_one(information, free, unselected[best])
     if not abs(choice.t) > critical_t:
         # Colour may increase the standard error of one candidate more than of the next.
@@ -345,7 +356,7 @@ def _best(
             " the spread of all candidates"
         )
         return RejectedCandidate(choice.key, choice.t, choice.gain, reason)
-    if choice.confirmed_gain <= 0.0 and abs(choice.difference) > DIFFERENT:
+    if choice.confirmed_gain <= 0.0 and abs(choice.difference) > SIGNIFICANT_Z:
         # If the parts agree, t contains all evidence. A candidate that is estimated alone may be
         # slightly biased in both parts.
         reason = (
@@ -356,7 +367,7 @@ def _best(
             choice.t,
             choice.gain,
             reason,
-            not empirical and abs(choice.t) > critical_t + DIFFERENT,
+            not empirical and abs(choice.t) > critical_t + SIGNIFICANT_Z,
             True,
         )
     return choice
@@ -374,14 +385,14 @@ def _exchange(
         free_beside = [*free, *current[:k], *current[k + 1 :]]
         unselected = [c for c in required_gains if c not in current or c == key]
         penalised_gain = np.nan_to_num(
-            scores(information, free_beside, unselected).gain
+            score_tests(information, free_beside, unselected).gain
             - np.array([required_gains[c] for c in unselected]),
             nan=-np.inf,
         )
         best = int(np.argmax(penalised_gain))
         if (
             unselected[best] != key
-            and penalised_gain[best] > penalised_gain[unselected.index(key)] + DIFFERENT**2
+            and penalised_gain[best] > penalised_gain[unselected.index(key)] + SIGNIFICANT_Z**2
         ):
             current[k] = unselected[best]
             trail.append(f"{key} -> {unselected[best]}")
@@ -436,10 +447,12 @@ def _with_alternatives(
     """
     if not unselected:
         return choice
-    gains = np.nan_to_num(scores(information, free, unselected).gain, nan=-np.inf)
-    effect_information = float(scores(information, free, [choice.key]).information[0])
-    least_gain = min(COMPARABLE * choice.gain, choice.gain - DIFFERENT**2)
-    nearest_rows = [i for i in np.argsort(-gains)[:LOOKED_AT].tolist() if gains[i] > least_gain]
+    gains = np.nan_to_num(score_tests(information, free, unselected).gain, nan=-np.inf)
+    effect_information = float(score_tests(information, free, [choice.key]).information[0])
+    least_gain = min(COMPARABLE_SHARE * choice.gain, choice.gain - SIGNIFICANT_Z**2)
+    nearest_rows = [
+        i for i in np.argsort(-gains)[:MAX_RUNNERS_UP].tolist() if gains[i] > least_gain
+    ]
     nearest_rows += [
         i
         for i, k in enumerate(unselected)
@@ -453,14 +466,16 @@ def _with_alternatives(
     ):
         key = unselected[i]
         companions = _companions(information, free, TWINS.get((choice.key, key), ()))
-        with_rival = scores(information, [*free, key, *companions], [choice.key])
+        with_rival = score_tests(information, [*free, key, *companions], [choice.key])
         # Correct the effect's t beside its rival for coloured residuals by the ratio for the effect
         # alone.
         t = float(np.nan_to_num(with_rival.t[0])) * (
             abs(choice.t) / np.sqrt(choice.gain) if choice.gain > 0 else 1.0
         )
         share_kept = float(np.nan_to_num(with_rival.information[0])) / effect_information
-        inseparable = abs(t) < DIFFERENT or (bool(companions) and share_kept < INSEPARABLE_SHARE)
+        inseparable = abs(t) < SIGNIFICANT_Z or (
+            bool(companions) and share_kept < INSEPARABLE_SHARE
+        )
         rows.append(
             Alternative(key, float(gains[i]), t, float(same), not inseparable, tuple(companions))
         )
@@ -484,7 +499,7 @@ def _with_alternatives(
     return replace(
         choice,
         alternatives=(
-            *inseparable_rows[: MOST_ALTERNATIVES - 1],
+            *inseparable_rows[: MAX_ALTERNATIVES - 1],
             *[r for r in rows if r.separable][:1],
         ),
     )

@@ -30,8 +30,8 @@ from scipy import special
 from sysid.aerodynamics import COEFFICIENTS
 from sysid.arrays import FloatArray
 from sysid.effects.catalogue import VARIABLES, coefficient_effect, words
-from sysid.effects.information import DEPENDENT, Information, projected, solve
-from sysid.effects.tuned import FAMILY
+from sysid.effects.information import DEPENDENT, Information, project_out, solve
+from sysid.effects.tuned import FAMILY_ERROR_RATE
 from sysid.estimation import coloured_information
 
 SPANS = 10
@@ -200,7 +200,7 @@ class SmoothFit:
 
     def stands_out(self, terms_tried: int) -> bool:
         """Return whether the term is significant as the best of so many, at level FAMILY."""
-        return self.p * terms_tried < FAMILY
+        return self.p * terms_tried < FAMILY_ERROR_RATE
 
 
 def fit_smooth(
@@ -214,17 +214,17 @@ def fit_smooth(
     c = information.index([n for t in terms for n in t.columns])
     g, score, diagonal = (
         part / dispersion
-        for part in (*projected(G, u, information.index(free), c), np.diagonal(G)[c])
+        for part in (*project_out(G, u, information.index(free), c), np.diagonal(G)[c])
     )
     edges = np.cumsum([0, *(len(t.columns) for t in terms)]).tolist()
     parts = (slice(*ends) for ends in pairwise(edges))
     return [
-        _fitted(t, g[k, k], score[k], diagonal[k], dispersion)
+        _fit_term(t, g[k, k], score[k], diagonal[k], dispersion)
         for t, k in zip(terms, parts, strict=True)
     ]
 
 
-def _fitted(
+def _fit_term(
     term: SmoothTerm, G: FloatArray, u: FloatArray, diagonal: FloatArray, dispersion: float
 ) -> SmoothFit:
     """Fit a term from its projected information, score, and the information's diagonal before
@@ -234,7 +234,7 @@ def _fitted(
     line, bends = np.flatnonzero(estimated[:_LINE]), _LINE + np.flatnonzero(estimated[_LINE:])
     ratio, precision = 0.0, np.zeros(len(u))
     gained = float(u[line] @ solve(G[np.ix_(line, line)], u[line, None])[:, 0])
-    g, score = projected(G, u, line, bends)
+    g, score = project_out(G, u, line, bends)
     d, V = np.linalg.eigh(g)
     w, d = V.T @ score, np.maximum(d, 0.0)
     if len(d) and d[-1] > 0.0:
@@ -291,7 +291,7 @@ def held_out_gain(
     """
     b, c = information.index(free), information.index(fit.estimated_columns)
     (G, u), (other, score) = (
-        projected(*information.of_segments(segments), b, c) for segments in (part, ~part)
+        project_out(*information.of_segments(segments), b, c) for segments in (part, ~part)
     )
     v = np.linalg.solve(G + fit.dispersion * np.diag(fit.precision[fit.estimated]), u)
     return float(2.0 * v @ score - v @ other @ v)
@@ -304,7 +304,7 @@ _POWERS: Mapping[str, Form] = {
     "magnitude": np.abs,
     "magnitude times itself": lambda x: np.abs(x) * x,
 }
-_PLACED: Mapping[str, Callable[[float, float, FloatArray], FloatArray]] = {
+_FORMS_AT_KNOTS: Mapping[str, Callable[[float, float, FloatArray], FloatArray]] = {
     "kink at": lambda a, wide, x: np.maximum(x - a, 0.0),
     "step at": lambda a, wide, x: np.tanh((x - a) / wide),
     "hump at": lambda a, wide, x: np.exp(-(((x - a) / wide) ** 2)),
@@ -312,20 +312,20 @@ _PLACED: Mapping[str, Callable[[float, float, FloatArray], FloatArray]] = {
 }
 
 
-def known_forms(knots: FloatArray) -> dict[str, Form]:
+def named_forms(knots: FloatArray) -> dict[str, Form]:
     """Return named forms as functions of the state: powers, and kinks, steps, humps and dead zones
     at each knot.
     """
     places, wide = knots[4:-4], float(knots[4] - knots[3])
     placed = {
         f"{n} {a if n.endswith('at') else abs(a):.3g}": partial(f, a, wide)
-        for n, f in _PLACED.items()
+        for n, f in _FORMS_AT_KNOTS.items()
         for a in places.tolist()
     }
     return {**_POWERS, **placed}
 
 
-def forms_like(fit: SmoothFit, x: FloatArray, weight: FloatArray) -> list[tuple[str, float]]:
+def similar_forms(fit: SmoothFit, x: FloatArray, weight: FloatArray) -> list[tuple[str, float]]:
     """Return the correlation of the curve with each kind of named form, the most similar first.
 
     Straight lines are removed from both; forms with a place are evaluated at the best knot. ``x``
@@ -345,10 +345,12 @@ def forms_like(fit: SmoothFit, x: FloatArray, weight: FloatArray) -> list[tuple[
 
     curve_shape = bending(fit.curve(x)[0])
     every = sorted(
-        ((n, float(curve_shape @ bending(f(x)))) for n, f in known_forms(fit.term.knots).items()),
+        ((n, float(curve_shape @ bending(f(x)))) for n, f in named_forms(fit.term.knots).items()),
         key=lambda r: -abs(r[1]),
     )
     best: dict[str, tuple[str, float]] = {}
     for name, correlation in every:
-        best.setdefault(next((k for k in _PLACED if name.startswith(k)), name), (name, correlation))
+        best.setdefault(
+            next((k for k in _FORMS_AT_KNOTS if name.startswith(k)), name), (name, correlation)
+        )
     return list(best.values())

@@ -30,8 +30,8 @@ from scipy.optimize import Bounds, minimize
 from sysid.aerodynamics import LENGTHS, NX, GustStates, Steps
 from sysid.arrays import FloatArray
 from sysid.effects.coloured_innovations import InnovationColour
-from sysid.effects.prediction import start_fitted
-from sysid.effects.tuned import CERTAIN_T, DIFFERENT
+from sysid.effects.prediction import fit_start
+from sysid.effects.tuned import CERTAIN_T, SIGNIFICANT_Z
 from sysid.estimation import MeasuredSystem, Process, gains, variance_gradient, whiten_innovations
 from sysid.parallel import SERIAL, Processes, Shared
 
@@ -89,14 +89,14 @@ class AirLikelihood:
         steps: Sequence[Steps],
         measured: Sequence[FloatArray],
         rows: Sequence[int],
-        by: Processes = SERIAL,
+        pool: Processes = SERIAL,
     ) -> None:
-        self._by = by
+        self._pool = pool
         order = sorted(range(len(measured)), key=lambda k: -len(measured[k]))
-        count = min(by.count, len(order))
+        count = min(pool.count, len(order))
         self._groups = [order[k::count] for k in range(count)]
         self._shared = [
-            by.share([MeasuredSystem.of(steps[k], measured[k], rows) for k in group])
+            pool.share([MeasuredSystem.of(steps[k], measured[k], rows) for k in group])
             for group in self._groups
         ]
 
@@ -106,7 +106,7 @@ class AirLikelihood:
             (shared, noise, process.of(group), slopes)
             for shared, group in zip(self._shared, self._groups, strict=True)
         ]
-        scores = [one for some in self._by(_scored, jobs) for one in some]
+        scores = [one for some in self._pool(_score_segments, jobs) for one in some]
         order = np.argsort(np.concatenate(self._groups))
         cost, by_noise, by_process, by_begin = (
             np.stack(part)[order] for part in zip(*scores, strict=True)
@@ -124,18 +124,18 @@ class AirLikelihood:
 _Slopes = tuple[float, FloatArray, FloatArray, FloatArray]
 
 
-def _scored(job: tuple[Shared, FloatArray, Process, bool]) -> list[_Slopes]:
+def _score_segments(job: tuple[Shared, FloatArray, Process, bool]) -> list[_Slopes]:
     """Return the cost of each segment and its derivatives, (2, m), (2, x) and (2, x): the parts of
     the determinant and of the squares.
     """
     shared, noise, process, sloping = job
     return [
-        _one(seen, noise, (q, p), sloping)
+        _score_segment(seen, noise, (q, p), sloping)
         for seen, q, p in zip(shared.value, process.noise, process.begin, strict=True)
     ]
 
 
-def _one(
+def _score_segment(
     system: MeasuredSystem, noise: FloatArray, air: tuple[FloatArray, FloatArray], sloping: bool
 ) -> _Slopes:
     """Return the cost of one segment and its derivatives, as `_scored`."""
@@ -147,7 +147,7 @@ def _one(
     through = whiten_innovations(system, filter_gains)
     if not np.isfinite(through.starts).all():
         return np.inf, *flat
-    white, _, _ = start_fitted(through.innovations, through.starts)
+    white, _, _ = fit_start(through.innovations, through.starts)
     cost = float(np.sum(white**2)) + 2.0 * filter_gains.logdet  # (1)
     if not sloping:
         return cost, *flat
@@ -166,8 +166,8 @@ axes, as angular accelerations [rad2/s3]; the air's pitch and yaw beyond those o
 wing, as rates of alpha and beta [rad2/s].
 """
 _MOMENTS = slice(4, 7)
-_OWN_ROTATION = slice(7, 9)
-_MOST_OWN = 1.0
+_INDEPENDENT_ROTATION = slice(7, 9)
+_MAX_INDEPENDENT = 1.0
 """Largest independent noise of the air's pitch and yaw, as a share of that of gusts across the path
 or of the air's roll; an isotropic field has no more.
 """
@@ -176,18 +176,18 @@ _LENGTHS = (1.0, 0.5, 0.25, 2.0, 0.7, 1.4)
 _STRUCTURE_ROUNDS = 2
 _FINER = 1.2
 """Factor of the refinement about the likeliest length."""
-_NONE = 1e-6
+_NEGLIGIBLE = 1e-6
 """Factor that makes an intensity negligible."""
 _MEMORY_S = 10.0
 """Time scale of gusts along and across the path: L/V of MIL-F-8785C at heights of small UAVs."""
-_WITHOUT_ACROSS = np.array([1.0, _NONE, _NONE, *[1.0] * 6])
+_WITHOUT_ACROSS = np.array([1.0, _NEGLIGIBLE, _NEGLIGIBLE, *[1.0] * 6])
 """Factors that remove gusts across the path. Those along it and the air's roll stay, because sensor
 errors and play resemble them.
 """
 _FACTORS = (1e-4, 1e-2, 0.1, 1.0, 5.0)
 """Factors on LIGHT_AIR; the search starts from the likeliest."""
-_MOST_SEGMENTS, _OF_A_FLIGHT, _FOR_SPEED = 10, 6, 4
-_FASTER, _MOST_FASTER, _AS_MEANT = 0.04, 3.0, 0.02
+_MAX_SEGMENTS, _SEGMENTS_PER_FLIGHT, _SEGMENTS_FOR_SPEED = 10, 6, 4
+_SPEED_LOG_STEP, _MAX_SPEED_STEPS, _SPEED_LOG_PRIOR_STD = 0.04, 3.0, 0.02
 """Step of the logarithm of the passing speed, the most such steps, and the prior standard deviation
 of the logarithm about a flight's mean airspeed.
 """
@@ -200,12 +200,12 @@ _STRUCTURES = tuple(
 """Structures: whether gusts rotate the air, whether their axes turn with the aircraft (otherwise
 they are fixed to the earth), and whether these are the body's axes.
 """
-_REACH, _ENOUGH, _FAILED, _LEAST_BENT = 14.0, 1.0, 1e12, 20.0
+_SEARCH_RANGE, _COST_TOLERANCE, _FAILED_COST, _MIN_CURVATURE = 14.0, 1.0, 1e12, 20.0
 """Settings of the search in logarithms: its range, the decrease of the cost that ends it, the cost
 of a filter that fails, and the least curvature.
 """
-_FEW, _MOST_DESCENTS = 4, 25
-REMEMBERED_AIRS = 2
+_FEW_DESCENTS, _MAX_DESCENTS = 4, 25
+CACHED_AIRS = 2
 """Structures of the air whose linear systems are cached: the current one and the trial. Each takes
 as much memory as a fit.
 """
@@ -260,7 +260,7 @@ class TurbulenceModel:
         """
         return self.across > CERTAIN_T**2
 
-    def in_other(self, V: Sequence[float], flights: Sequence[str]) -> TurbulenceModel:
+    def in_segments(self, V: Sequence[float], flights: Sequence[str]) -> TurbulenceModel:
         """Return the same air in other segments, with airspeeds ``V`` of the named ``flights``.
 
         New flights have the mean intensities. If gusts pass at one speed, it is the mean airspeed
@@ -269,7 +269,7 @@ class TurbulenceModel:
         first = self.states[0]
         passing = {
             f: bool(first.passing_mps) * float(np.mean([V[k] for k in part]))
-            for f, part in _members(flights).items()
+            for f, part in _segments_of(flights).items()
         }
         passing |= self.passing
         by_flight = {f: self.by_flight.get(f, self.values) for f in flights}
@@ -370,12 +370,12 @@ def process_of(values: FloatArray, V: float, states: GustStates) -> tuple[FloatA
         * (noise[[2, 1]] * V**2 if states.in_body else noise[[0, 2]] * [1.0, V**2])
     )
     # Independent noise of the air's pitch and yaw; h_q and h_r are velocities.
-    noise[9:11] = V**2 * faster * values[_OWN_ROTATION] * (V_REFERENCE / V) ** 2
+    noise[9:11] = V**2 * faster * values[_INDEPENDENT_ROTATION] * (V_REFERENCE / V) ** 2
     begin[9:11] += 0.5 * np.array(states.lags_s(V)[1:]) * noise[9:11]
     return noise, begin
 
 
-def gust_intensity(
+def estimate_air(
     linear: Linear,
     measured: Sequence[FloatArray],
     rows: Sequence[int],
@@ -384,7 +384,7 @@ def gust_intensity(
     flights: Sequence[str],
     states: GustStates,
     prior_model: TurbulenceModel | None = None,
-    by: Processes = SERIAL,
+    pool: Processes = SERIAL,
     kinds: Sequence[str] = (),
 ) -> tuple[TurbulenceModel, FloatArray]:
     """Estimate the air of segments.
@@ -408,7 +408,7 @@ def gust_intensity(
     prior_model : TurbulenceModel, optional
         Start of the search. Its structure is kept if new intensities and noise gain no more than
         chance.
-    by : Processes
+    pool : Processes
         Pool of processes.
     kinds : sequence of str
         Kind of sensor of each channel. The sensors of a kind have one estimated factor on their
@@ -422,47 +422,50 @@ def gust_intensity(
         Changes of the sensors' noise.
     """
     prior_factors = np.ones(len(noise)) if prior_model is None else prior_model.factors
-    search = _Search(linear, measured, rows, noise / prior_factors, V, by)
-    some = _evenly_spaced(range(len(measured)), _MOST_SEGMENTS)
-    of = _members(flights)
+    search = _Search(linear, measured, rows, noise / prior_factors, V, pool)
+    segments = _evenly_spaced(range(len(measured)), _MAX_SEGMENTS)
+    segments_of_flight = _segments_of(flights)
     if prior_model is None:
         starts = [_Point((states,) * len(measured), f * LIGHT_AIR, prior_factors) for f in _FACTORS]
-        last = search.best(some, starts)
+        last = search.best(segments, starts)
     else:
-        prior_model = prior_model.in_other(V, flights)
+        prior_model = prior_model.in_segments(V, flights)
         last = _Point(prior_model.states, prior_model.values, prior_factors).with_intensities(
             prior_model.by_flight, flights
         )
         # Far from the stated noise the search may not find its way back.
         is_far = len(kinds) and np.abs(np.log(prior_factors)).max() > NOISE_PRIOR
         last = search.best(
-            some, [last, *([replace(last, factors=np.ones(len(noise)))] if is_far else [])]
+            segments, [last, *([replace(last, factors=np.ones(len(noise)))] if is_far else [])]
         )
-    best = search.descend(some, last, kinds)
-    if prior_model is None or last.cost - best.cost > DIFFERENT**2:
+    best = search.descend(segments, last, kinds)
+    if prior_model is None or last.cost - best.cost > SIGNIFICANT_Z**2:
         # Missing effects or sensor errors may have determined the earlier structure.
-        best = search.structured(some, best, kinds)
+        best = search.choose_structure(segments, best, kinds)
         if prior_model is None:
             # Weaker air in one flight resembles gusts that pass more slowly, or moments.
-            best = search.by_flight(of, best, flights, _FEW)
+            best = search.by_flight(segments_of_flight, best, flights, _FEW_DESCENTS)
         if best.states[0].rotating:
             # The moments of their rotation determine how fast gusts pass, if the parameters are
             # close.
-            other = search.best(some, [best.with_states(passing_mps=0.0), search.passing(of, best)])
-            best = search.descend(some, other, kinds) if other.states != best.states else best
-        best = search.by_flight(of, best, flights)
+            other = search.best(
+                segments,
+                [best.with_states(passing_mps=0.0), search.passing(segments_of_flight, best)],
+            )
+            best = search.descend(segments, other, kinds) if other.states != best.states else best
+        best = search.by_flight(segments_of_flight, best, flights)
     # Losses count from this air, with intensities by flight.
-    best = search.best(some, [best])
+    best = search.best(segments, [best])
     gain, across = (
-        (search.loss(some, best, left) for left in (0.0, _WITHOUT_ACROSS))
+        (search.loss(segments, best, left) for left in (0.0, _WITHOUT_ACROSS))
         if prior_model is None
         else (prior_model.gain, prior_model.across)
     )
-    single_moments = np.where(np.eye(len(LIGHT_AIR)), _NONE, 1.0)[_MOMENTS]
-    losses = np.array([search.loss(some, best, left) for left in single_moments])
+    single_moments = np.where(np.eye(len(LIGHT_AIR)), _NEGLIGIBLE, 1.0)[_MOMENTS]
+    losses = np.array([search.loss(segments, best, left) for left in single_moments])
     moments = np.where(np.isfinite(losses), losses, np.nan)
-    by_flight = {f: best.of(members[0]) for f, members in of.items()}
-    passing = {f: best.states[members[0]].passing_mps for f, members in of.items()}
+    by_flight = {f: best.of(members[0]) for f, members in segments_of_flight.items()}
+    passing = {f: best.states[members[0]].passing_mps for f, members in segments_of_flight.items()}
     process = search.process(range(len(measured)), best)
     return TurbulenceModel(
         best.states,
@@ -488,7 +491,7 @@ class _Point:
     values: FloatArray
     factors: FloatArray
     cost: float = np.inf
-    stronger: FloatArray = field(default_factory=lambda: np.ones((1, len(LIGHT_AIR))))
+    segment_factors: FloatArray = field(default_factory=lambda: np.ones((1, len(LIGHT_AIR))))
 
     @property
     def kind(self) -> tuple[bool, bool, bool]:
@@ -498,7 +501,7 @@ class _Point:
 
     def of(self, k: int) -> FloatArray:
         """Return the intensities (9,) in a segment."""
-        return np.asarray(self.values * self.stronger[k % len(self.stronger)])
+        return np.asarray(self.values * self.segment_factors[k % len(self.segment_factors)])
 
     def with_intensities(
         self, by_flight: Mapping[str, FloatArray], flights: Sequence[str]
@@ -511,7 +514,7 @@ class _Point:
         values[_MOMENTS] = self.values[_MOMENTS]
         stronger = np.array([by_flight[f] / values for f in flights])
         stronger[:, _MOMENTS] = 1.0
-        return replace(self, values=values, stronger=stronger, cost=np.inf)
+        return replace(self, values=values, segment_factors=stronger, cost=np.inf)
 
     def with_states(self, **changes: Any) -> _Point:
         """Return the point with a changed structure in every segment."""
@@ -527,47 +530,55 @@ class _Search:
     which: Sequence[int]
     noise: FloatArray
     V: Sequence[float]
-    by: Processes
+    pool: Processes
     likelihoods: LRUCache[tuple[tuple[int, GustStates], ...], AirLikelihood] = field(
-        default_factory=lambda: LRUCache(REMEMBERED_AIRS)
+        default_factory=lambda: LRUCache(CACHED_AIRS)
     )
 
-    def score(self, some: Sequence[int], point: _Point, slopes: bool = True) -> Score:
-        """Return the score of the segments ``some``."""
-        states = [point.states[k] for k in some]
-        key = tuple(zip(some, states, strict=True))
+    def score(self, segments: Sequence[int], point: _Point, slopes: bool = True) -> Score:
+        """Return the score of the segments ``segments``."""
+        states = [point.states[k] for k in segments]
+        key = tuple(zip(segments, states, strict=True))
         if key not in self.likelihoods:
-            data = [self.measured[k] for k in some]
+            data = [self.measured[k] for k in segments]
             self.likelihoods[key] = AirLikelihood(
-                self.linear(some, states), data, self.which, self.by
+                self.linear(segments, states), data, self.which, self.pool
             )
-        return self.likelihoods[key](point.factors * self.noise, self.process(some, point), slopes)
+        return self.likelihoods[key](
+            point.factors * self.noise, self.process(segments, point), slopes
+        )
 
-    def process(self, some: Sequence[int], point: _Point) -> Process:
-        """Return the process noise in the segments ``some``."""
+    def process(self, segments: Sequence[int], point: _Point) -> Process:
+        """Return the process noise in the segments ``segments``."""
         return _process(
-            [point.of(k) for k in some], [self.V[k] for k in some], [point.states[k] for k in some]
+            [point.of(k) for k in segments],
+            [self.V[k] for k in segments],
+            [point.states[k] for k in segments],
         )
 
     def by_flight(
         self,
-        of: Mapping[str, Sequence[int]],
+        segments_of_flight: Mapping[str, Sequence[int]],
         point: _Point,
         flights: Sequence[str],
-        max_descents: int = _MOST_DESCENTS,
+        max_descents: int = _MAX_DESCENTS,
     ) -> _Point:
         """Return the point with estimated intensities of each flight.
 
-        ``of`` maps flights to their segments, ``flights`` names each segment's flight.
+        ``segments_of_flight`` maps flights to segments, ``flights`` names each segment's flight.
         """
-        if len(of) == 1:
+        if len(segments_of_flight) == 1:
             return point
         single = {
-            f: replace(point, values=point.of(part[0]), stronger=np.ones((1, len(LIGHT_AIR))))
-            for f, part in of.items()
+            f: replace(
+                point, values=point.of(part[0]), segment_factors=np.ones((1, len(LIGHT_AIR)))
+            )
+            for f, part in segments_of_flight.items()
         }
         by_flight = {
-            f: self.descend(_evenly_spaced(of[f], _OF_A_FLIGHT), one, (), max_descents).values
+            f: self.descend(
+                _evenly_spaced(segments_of_flight[f], _SEGMENTS_PER_FLIGHT), one, (), max_descents
+            ).values
             for f, one in single.items()
         }
         return point.with_intensities(by_flight, flights)
@@ -581,28 +592,40 @@ class _Search:
         states = list(point.states)
         for members in flights.values():
             speed = float(np.mean([self.V[k] for k in members]))
-            some = _evenly_spaced(members, _FOR_SPEED)
+            segments = _evenly_spaced(members, _SEGMENTS_FOR_SPEED)
             trials = [
-                point.with_states(passing_mps=speed * np.exp(_FASTER * k)) for k in (-1, 0, 1)
+                point.with_states(passing_mps=speed * np.exp(_SPEED_LOG_STEP * k))
+                for k in (-1, 0, 1)
             ]
-            slower, best_point, faster = (self.score(some, p, slopes=False).cost for p in trials)
-            bend = slower - 2.0 * best_point + faster + 2.0 * (_FASTER / _AS_MEANT) ** 2
+            slower, best_point, faster = (
+                self.score(segments, p, slopes=False).cost for p in trials
+            )
+            bend = (
+                slower
+                - 2.0 * best_point
+                + faster
+                + 2.0 * (_SPEED_LOG_STEP / _SPEED_LOG_PRIOR_STD) ** 2
+            )
             steps = 0.5 * (slower - faster) / bend if bend > 0.0 else np.sign(slower - faster)
             # Without a filter at all three speeds there is no parabola.
             steps = steps if np.isfinite([slower, best_point, faster]).all() else 0.0
-            likeliest = speed * float(np.exp(_FASTER * np.clip(steps, -_MOST_FASTER, _MOST_FASTER)))
+            likeliest = speed * float(
+                np.exp(_SPEED_LOG_STEP * np.clip(steps, -_MAX_SPEED_STEPS, _MAX_SPEED_STEPS))
+            )
             for k in members:
                 states[k] = states[k]._replace(passing_mps=likeliest)
         return replace(point, states=tuple(states))
 
-    def best(self, some: Sequence[int], points: Sequence[_Point]) -> _Point:
+    def best(self, segments: Sequence[int], points: Sequence[_Point]) -> _Point:
         """Return the likeliest of points."""
         return min(
-            (replace(p, cost=self.score(some, p, slopes=False).cost) for p in points),
+            (replace(p, cost=self.score(segments, p, slopes=False).cost) for p in points),
             key=lambda p: p.cost,
         )
 
-    def structured(self, some: Sequence[int], point: _Point, kinds: Sequence[str]) -> _Point:
+    def choose_structure(
+        self, segments: Sequence[int], point: _Point, kinds: Sequence[str]
+    ) -> _Point:
         """Choose the structure of the gusts: rotation, axes, and the lengths of roll, pitch and
         yaw.
 
@@ -616,25 +639,31 @@ class _Search:
                 for r, t, body in _STRUCTURES
                 if (r, t, body) != best.kind
             ]
-            best = self.accept_trials(some, best, [self.unabsorbed(some, best, frames)], kinds)
+            best = self.accept_trials(
+                segments, best, [self.likeliest_structure(segments, best, frames)], kinds
+            )
             for axis in ("p", "q", "r") if best.states[0].rotating else ("p",):
-                best = self.accept_trials(some, best, [self.length(some, best, axis)], kinds)
+                best = self.accept_trials(
+                    segments, best, [self.length(segments, best, axis)], kinds
+                )
             if best.states == before.states:
                 break
         return best
 
     def accept_trials(
-        self, some: Sequence[int], best: _Point, trials: Sequence[_Point], kinds: Sequence[str]
+        self, segments: Sequence[int], best: _Point, trials: Sequence[_Point], kinds: Sequence[str]
     ) -> _Point:
         """Return the best point, or the optimum from a trial that gains more than chance."""
         for trial in trials:
             if trial.states == best.states:
                 continue
-            other = self.descend(some, trial, kinds)
-            best = other if other.cost < best.cost - DIFFERENT**2 else best
+            other = self.descend(segments, trial, kinds)
+            best = other if other.cost < best.cost - SIGNIFICANT_Z**2 else best
         return best
 
-    def unabsorbed(self, some: Sequence[int], best: _Point, others: Sequence[_Point]) -> _Point:
+    def likeliest_structure(
+        self, segments: Sequence[int], best: _Point, others: Sequence[_Point]
+    ) -> _Point:
         """Return the likeliest of points, compared with light unexplained moments and light
         independent rotation.
 
@@ -642,11 +671,13 @@ class _Search:
         """
         clean = best.values.copy()
         clean[4:] = np.minimum(clean[4:], LIGHT_AIR[4:])
-        cleaned = [replace(p, values=clean, stronger=best.stronger) for p in (best, *others)]
-        chosen = self.best(some, cleaned)
+        cleaned = [
+            replace(p, values=clean, segment_factors=best.segment_factors) for p in (best, *others)
+        ]
+        chosen = self.best(segments, cleaned)
         return best if chosen.states == best.states else replace(chosen, cost=np.inf)
 
-    def length(self, some: Sequence[int], best: _Point, axis: str) -> _Point:
+    def length(self, segments: Sequence[int], best: _Point, axis: str) -> _Point:
         """Return the point with the likeliest length of the air's roll (axis p), or the likeliest
         sign and length of its pitch (q) or yaw (r).
         """
@@ -657,30 +688,30 @@ class _Search:
             """Return the point with a length and sign."""
             return best.with_states(**dict.fromkeys(signs, share), **{f"{axis}_length": length})
 
-        some = _evenly_spaced(some, _FOR_SPEED)
+        segments = _evenly_spaced(segments, _SEGMENTS_FOR_SPEED)
         shapes = [at(n) for n in _LENGTHS]
         shapes += [at(1.0, -1.0), at(0.5, -1.0), at(1.0, 0.0)] if signs else []
-        chosen = self.unabsorbed(some, best, shapes)
+        chosen = self.likeliest_structure(segments, best, shapes)
         first = chosen.states[0]
         share, length = getattr(first, f"{axis}_share", 1.0), getattr(first, f"{axis}_length")
         if chosen.states == best.states and length == 1.0:
             return best
         finer = [at(float(length * _FINER**k), share) for k in (-1, 1)]
-        return self.unabsorbed(some, chosen, finer)
+        return self.likeliest_structure(segments, chosen, finer)
 
-    def loss(self, some: Sequence[int], point: _Point, factors: FloatArray | float) -> float:
+    def loss(self, segments: Sequence[int], point: _Point, factors: FloatArray | float) -> float:
         """Return the loss in 2 ln L if the intensities of a point are multiplied by ``factors``."""
         return (
-            self.score(some, replace(point, values=factors * point.values), slopes=False).cost
+            self.score(segments, replace(point, values=factors * point.values), slopes=False).cost
             - point.cost
         )
 
     def descend(
         self,
-        some: Sequence[int],
+        segments: Sequence[int],
         point: _Point,
         kinds: Sequence[str],
-        max_descents: int = _MOST_DESCENTS,
+        max_descents: int = _MAX_DESCENTS,
     ) -> _Point:
         """Return the likeliest intensities near a point, and with ``kinds`` the sensors' noise.
 
@@ -692,7 +723,9 @@ class _Search:
             len(unlike), len(point.factors)
         )
         at, sizes = len(point.values), (len(point.values), len(unlike))
-        each = [self.process(some, replace(point, values=alone)) for alone in np.diag(point.values)]
+        each = [
+            self.process(segments, replace(point, values=alone)) for alone in np.diag(point.values)
+        ]
 
         def point_at(x: FloatArray) -> _Point:
             """Return the point at changes of the logarithms."""
@@ -716,40 +749,46 @@ class _Search:
         off = np.concatenate(
             [np.zeros(at), shared @ np.log(point.factors) / np.maximum(shared.sum(axis=1), 1.0)]
         )
-        first = self.score(some, point)
+        first = self.score(segments, point)
         # Scale by the curvature: with a variance's logarithm it equals the determinant's
         # derivative, with a standard deviation's twice that.
         scale = np.sqrt(
-            np.maximum(by_each(none, *first.curvature) * np.repeat([1.0, 2.0], sizes), _LEAST_BENT)
+            np.maximum(
+                by_each(none, *first.curvature) * np.repeat([1.0, 2.0], sizes), _MIN_CURVATURE
+            )
         )
 
         def cost(y: FloatArray) -> tuple[float, FloatArray]:
             """Return the penalised cost and its gradient in scaled logarithms."""
             x = y / scale
-            score = self.score(some, point_at(x)) if y.any() else first
+            score = self.score(segments, point_at(x)) if y.any() else first
             if not np.isfinite(score.cost):
                 # A filter that fails has the largest cost and no gradient.
-                return _FAILED, none
+                return _FAILED_COST, none
             slope = by_each(x, score.noise, score.process, score.begin) + 2.0 * prior * (x + off)
             return score.cost + float(prior @ (x + off) ** 2), slope / scale
 
         options = {
             "maxiter": max_descents,
-            "ftol": _ENOUGH / max(abs(first.cost), 1.0),
+            "ftol": _COST_TOLERANCE / max(abs(first.cost), 1.0),
             "gtol": 0.0,
         }
-        upper = np.full(len(scale), _REACH)
+        upper = np.full(len(scale), _SEARCH_RANGE)
         # Gusts across the path and the air's roll limit the independent pitch and yaw.
         roll = point.values[3] * (LENGTHS[1] * point.states[0].b / V_REFERENCE) ** 2
-        limit = _MOST_OWN * np.maximum(point.values[1:3], roll) / point.values[_OWN_ROTATION]
-        upper[_OWN_ROTATION] = np.clip(np.log(limit), 1.0 - _REACH, _REACH)
-        bounds = Bounds(-_REACH * scale, upper * scale)
+        limit = (
+            _MAX_INDEPENDENT
+            * np.maximum(point.values[1:3], roll)
+            / point.values[_INDEPENDENT_ROTATION]
+        )
+        upper[_INDEPENDENT_ROTATION] = np.clip(np.log(limit), 1.0 - _SEARCH_RANGE, _SEARCH_RANGE)
+        bounds = Bounds(-_SEARCH_RANGE * scale, upper * scale)
         optimum = minimize(cost, none, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
         x = optimum.x / scale
         return replace(point_at(x), cost=float(optimum.fun) - float(prior @ (x + off) ** 2))
 
 
-def _members(flights: Sequence[str]) -> dict[str, list[int]]:
+def _segments_of(flights: Sequence[str]) -> dict[str, list[int]]:
     """Return the segments of each flight."""
     return {f: [k for k, own in enumerate(flights) if own == f] for f in dict.fromkeys(flights)}
 

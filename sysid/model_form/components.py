@@ -202,7 +202,7 @@ Posterior means are then known to a tenth of the posterior's standard deviation.
 """
 MIN_ROUNDS, MAX_ROUNDS = 2, 30
 _DOF = 5
-_LEAST_POINTS = 25.0
+_MIN_POINTS = 25.0
 """Effective points to fit a distribution to; with fewer the likelihood is flattened first."""
 _EDGE = 1e-7
 
@@ -337,7 +337,7 @@ def _moments(z: FloatArray, log_weights: FloatArray) -> tuple[FloatArray, FloatA
         # Flatten until enough points have weight.
         weights = np.exp(power * (log_weights - log_weights.max()))
         weights /= weights.sum()
-        if 1.0 / np.sum(weights**2) >= _LEAST_POINTS or power < 1e-3:
+        if 1.0 / np.sum(weights**2) >= _MIN_POINTS or power < 1e-3:
             break
         power *= 0.7
     mean = weights @ z

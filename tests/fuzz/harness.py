@@ -25,7 +25,7 @@ LIMIT_S = 20.0
 LIMIT_MB = 2000.0
 _LOOK_S = 0.25
 _START_S = 120.0
-_MOST_INPUTS = 3000
+_MAX_INPUTS = 3000
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ class Worker:
 
     def attempt(self, name: str, seed: int) -> Outcome:
         """Try one input; a child that dies or does not answer in time is a finding too."""
-        if self._child is None or self._child.poll() is not None or self._served >= _MOST_INPUTS:
+        if self._child is None or self._child.poll() is not None or self._served >= _MAX_INPUTS:
             self._start()
         assert self._child is not None
         assert self._child.stdin is not None

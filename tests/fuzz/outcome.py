@@ -11,8 +11,8 @@ from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
 
-_MOST_CHARACTERS = 2500
-_MOST_LINES = 60
+_MAX_CHARACTERS = 2500
+_MAX_LINES = 60
 # Overrides of the writing direction: what is printed then reads as something else.
 _BIDI = frozenset("\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069")
 
@@ -95,7 +95,7 @@ def faults(text: str, places: tuple[str, ...]) -> str:
         return f"control characters {odd}"
     if "Traceback" in text:
         return "a traceback"
-    if len(lines) > _MOST_LINES or max(map(len, lines)) > _MOST_CHARACTERS:
+    if len(lines) > _MAX_LINES or max(map(len, lines)) > _MAX_CHARACTERS:
         return f"{len(lines)} lines of up to {max(map(len, lines))} characters"
     named = [any(place in line for place in places) for line in lines]
     if not any(named):

@@ -25,7 +25,7 @@ from tests.fuzz.outcome import Refused, faults, stop_colour
 INPUT = "a/b/in"
 """Where an input is put below BASE: deep enough that ``../..`` stays in it."""
 _OWN_FOLDER = re.compile(r"uqharness-\d+-[a-z0-9_]{8}")
-_MOST_KEPT = 40
+_MAX_KEPT = 40
 # A settings file may name any file; a refusal that tells of that one tells of the right one.
 _NAMED = tuple(text for text in STRINGS if text.startswith("/") and len(text) > 1)
 
@@ -109,7 +109,7 @@ class Bench:
         for name in now - own:
             shutil.rmtree(self._temporary / name, ignore_errors=True)
         kept = sum(len(os.listdir(self._temporary / name)) for name in own)
-        much = [f"keeps {kept} temporary folders"] if kept > _MOST_KEPT else []
+        much = [f"keeps {kept} temporary folders"] if kept > _MAX_KEPT else []
         return [
             *(f"leaves {name} among temporary files" for name in sorted(now - own - before)),
             *much,

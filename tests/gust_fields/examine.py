@@ -20,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sysid.effects import scores
+from sysid.effects import score_tests
 from sysid.parallel import SERIAL
 from sysid.record import FlightRecord
 from sysid.units import FT_M
@@ -36,9 +36,9 @@ from uqharness.cli.main import main as uqharness
 from uqharness.identification.linearised import (
     StagedModels,
     effect_columns,
-    in_one_step,
-    make_setup,
-    with_jumps,
+    make_flight_data,
+    one_step_estimates,
+    with_jumping_flights,
 )
 from uqharness.refinement.candidates import candidate_effects
 from uqharness.refinement.estimators import (
@@ -193,13 +193,13 @@ def measure(paths: list[Path]) -> Finding:
     begun = time.perf_counter()
     aircraft = find_aircraft("espaaro")
     flights, measured = read_flights(paths, aircraft, align=False)
-    setup = make_setup(aircraft, flights, measured)
+    setup = make_flight_data(aircraft, flights, measured)
     names = tuple(aircraft.card.parameters)
     limits = {n: c.bounds or (-np.inf, np.inf) for n, c in aircraft.card.parameters.items()}
     with StagedModels(aircraft, setup) as bench:
         fdm = bench.model.open(aircraft.dt_s)
         truth = {n: float(fdm[n]) for n in names if n.startswith("aero/")}
-        setup = with_jumps(setup, bench.model)
+        setup = with_jumping_flights(setup, bench.model)
         replayed = fit_without_effects(aircraft, bench, setup, names, limits, SERIAL)
         air = fit_in_turbulence(aircraft, bench, setup, replayed, limits, SERIAL)
     effects = candidate_effects(air.data, names, ())
@@ -208,9 +208,9 @@ def measure(paths: list[Path]) -> Finding:
     evidence = estimator.information(air.data, air.fit, columns, effects)
     free = list(air.fit.columns[0].names)
     keys = [e.key for e in effects]
-    t = dict(zip(keys, np.abs(scores(evidence, free, keys).t).tolist(), strict=True))
+    t = dict(zip(keys, np.abs(score_tests(evidence, free, keys).t).tolist(), strict=True))
     largest = max((k for k in t if np.isfinite(t[k])), key=lambda k: t[k])
-    estimates = in_one_step(evidence, [n for n in truth if n in free], air.fit).items()
+    estimates = one_step_estimates(evidence, [n for n in truth if n in free], air.fit).items()
     return Finding(
         air.turbulence.words,
         tuple(air.turbulence.moments.tolist()),

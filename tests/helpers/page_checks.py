@@ -11,7 +11,7 @@ from lxml import etree, html
 
 from uqharness.report.write import write_report
 
-MOST_BYTES = 3_000_000
+MAX_BYTES = 3_000_000
 _REFERENCES = ("src", "href", "srcset", "data", "action", "poster", "background")
 
 
@@ -25,7 +25,7 @@ def problems(page: str) -> list[str]:
         *_tables(tree),
         *_text(tree),
     ]
-    if len(page.encode()) > MOST_BYTES:
+    if len(page.encode()) > MAX_BYTES:
         found.append(f"{len(page.encode())} bytes")
     return found
 

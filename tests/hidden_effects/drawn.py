@@ -33,7 +33,7 @@ SEEDS: Mapping[int, int] = {1: 40418271}
 DEVELOPMENT, DEVELOPMENT_SEED = 0, 90210
 """The small draw, with the accent on wrong cards."""
 CLEAR_T, MARGINAL_T, WEAK_T, TURBULENT_T = (12.0, 100.0), (4.0, 10.0), (3.0, 4.0), (12.0, 35.0)
-LEAST_CARD_T = 12.0
+MIN_CARD_T = 12.0
 """|t| below which a wrong card is drawn again."""
 SECONDS = 90.0
 

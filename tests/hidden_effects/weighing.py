@@ -13,7 +13,7 @@ import numpy as np
 from tests.hidden_effects.catalogue import Entry
 from tests.hidden_effects.drawn import (
     CLEAR_T,
-    LEAST_CARD_T,
+    MIN_CARD_T,
     Question,
     drawn,
     linear,
@@ -97,14 +97,14 @@ def sized(asked: Question) -> Question | None:
         if found.wrong is not None:
             trace = found.wrong.trace
             beside = fly_and_tell(found.flights("train"), COARSE_S)
-            own = LEAST_CARD_T
+            own = MIN_CARD_T
             if trace is not None:
                 base = [
                     Flight(f.card, f.airframe, found.effects, f.drive)
                     for f in found.flights("train")
                 ]
                 own = strengths_alone(base, beside, [trace], corrected, COARSE_S)[0].t
-            if not own >= LEAST_CARD_T:
+            if not own >= MIN_CARD_T:
                 return None
             t = (*t, own)
     return replace(found, t=t) if _as_aimed(found, t) else None

@@ -216,7 +216,7 @@ def sum_digests(total: str, added: Iterable[str], removed: Iterable[str] = ()) -
 
 
 MANIFEST = "manifest.json"
-_MOST_BYTES = 16_000_000
+_MAX_BYTES = 16_000_000
 
 # Only these versions can change a flight; the others are recorded for information.
 _BINDING_VERSIONS = ("uqharness", "jsbsim", "numpy")
@@ -281,7 +281,7 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     """
     path = folder / MANIFEST
     try:
-        content = read_regular(path, _MOST_BYTES)
+        content = read_regular(path, _MAX_BYTES)
     except FileNotFoundError:
         raise BadInputError(
             f"{folder}: not a campaign folder (no {MANIFEST}); make one with: uqharness campaign"

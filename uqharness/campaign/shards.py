@@ -42,7 +42,7 @@ from uqharness.campaign.statements import STATEMENTS, joint_level, joint_words
 from uqharness.campaign.store import JOURNAL, Store, is_running, run_lock
 from uqharness.campaign.tables import (
     ENGINE_CHECK,
-    MOST_CHECK_BYTES,
+    MAX_CHECK_BYTES,
     TABLE_NAMES,
     is_sealed,
     make_tables,
@@ -143,7 +143,7 @@ def sealed(
     }
     check = store.folder / ENGINE_CHECK
     with contextlib.suppress(OSError):
-        digests[ENGINE_CHECK] = sha256_hex(read_regular(check, MOST_CHECK_BYTES))
+        digests[ENGINE_CHECK] = sha256_hex(read_regular(check, MAX_CHECK_BYTES))
     ending = {"state": COMPLETE, "tables": digests, "journal": store.summary()}
     return {**manifest, **ending, "sums": checksums.SUMS}
 

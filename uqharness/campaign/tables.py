@@ -348,7 +348,7 @@ ENGINE_CHECK = "engine-check.csv"
 START, FULL_FLIGHT = "start", "whole"
 STATUS = "status"
 """Entry of the column metric in the row that compares how a flight ended."""
-MOST_CHECK_BYTES = 64_000_000
+MAX_CHECK_BYTES = 64_000_000
 
 
 @dataclass(frozen=True)
@@ -410,7 +410,7 @@ def read_check(folder: Path) -> list[CheckRow]:
     """
     path = folder / ENGINE_CHECK
     try:
-        rows = csv_rows(read_regular(path, MOST_CHECK_BYTES), path, (), _COLUMNS)
+        rows = csv_rows(read_regular(path, MAX_CHECK_BYTES), path, (), _COLUMNS)
         checks = [CheckRow(*(row[name] for name in _COLUMNS)) for row in rows]
         for row in checks:
             _ = [as_number(text) for text in (row.batch, row.jsbsim) if row.metric != STATUS]
@@ -440,9 +440,9 @@ TABLE_NAMES = (
     ENGINE_CHECK,
 )
 """Names of the tables that a campaign folder may have."""
-MOST_BYTES = 1_000_000_000
+MAX_BYTES = 1_000_000_000
 """Maximum size of a table; one of a million flights has a third of it."""
-_MOST_TEXT_BYTES = 64_000_000
+_MAX_TEXT_BYTES = 64_000_000
 
 
 def is_sealed(manifest: Mapping[str, Any]) -> bool:
@@ -460,7 +460,7 @@ def table_digests(folder: Path, manifest: Mapping[str, Any]) -> dict[str, str | 
     digests: dict[str, str | None] = {}
     for name in manifest.get("tables", {}):
         try:
-            digests[name] = sha256_hex(read_regular(folder / name, MOST_BYTES))
+            digests[name] = sha256_hex(read_regular(folder / name, MAX_BYTES))
         except FileNotFoundError:
             digests[name] = None
         except OSError as error:
@@ -477,7 +477,7 @@ def read_checked(folder: Path, manifest: Mapping[str, Any], name: str) -> bytes:
     """
     path = folder / name
     try:
-        content = read_regular(path, MOST_BYTES if path.suffix == ".parquet" else _MOST_TEXT_BYTES)
+        content = read_regular(path, MAX_BYTES if path.suffix == ".parquet" else _MAX_TEXT_BYTES)
     except FileNotFoundError:
         raise BadInputError(
             f"{path}: not there; run the campaign first: uqharness campaign run"

@@ -86,7 +86,7 @@ def model_diff(done: Refinement) -> str:
     return "".join(out)
 
 
-_MOST_QUANTITIES = 8
+_MAX_QUANTITIES = 8
 
 
 def refine(request: RefineRequest, callback: Callback = silent) -> Outcome[Refinement]:
@@ -129,7 +129,7 @@ def _gap_line(gap: ResidualTables) -> str:
         for name, row in (gap.channels | gap.coefficients).items()
         if row.rms_before is not None and row.rms_after is not None and row.noise_rms
     }
-    names = sorted(ratios, key=lambda name: -ratios[name][0])[:_MOST_QUANTITIES]
+    names = sorted(ratios, key=lambda name: -ratios[name][0])[:_MAX_QUANTITIES]
     parts = [f"{name} {ratios[name][0]:.2f} to {ratios[name][1]:.2f}" for name in names]
     return f"Residual over noise on the hold-out flights, before to after: {', '.join(parts)}."
 

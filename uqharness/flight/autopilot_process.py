@@ -45,7 +45,7 @@ _OUTPUTS = {"aileron": 1, "elevator": 2, "throttle": 3, "rudder": 4}
 _CLOSED_US, _NEUTRAL_US, _OPEN_US = 1100.0, 1500.0, 1900.0
 """ArduPlane's default SERVOn_MIN, _TRIM and _MAX."""
 _LONGEST_OUTPUT = 400
-_MOST_DAMAGED = 100
+_MAX_DAMAGED = 100
 """Packets of another program in a row that end a flight."""
 _STATE = {
     "gyro": ("velocities/p-rad_sec", "velocities/q-rad_sec", "velocities/r-rad_sec"),
@@ -301,7 +301,7 @@ class _JsonLink:
             layout = _PACKETS.get(int.from_bytes(packet[:2], "little"))
             if layout is None or len(packet) != layout.size:
                 damaged += 1
-                if damaged > _MOST_DAMAGED:
+                if damaged > _MAX_DAMAGED:
                     raise _PeerError(
                         f"sent {damaged} packets that are no servo pulses (ArduPilot sends them"
                         " with --model JSON:127.0.0.1)"

@@ -30,7 +30,7 @@ _EARTH_M = 6378137.0
 _LEG_RADIUS_M = 5e4
 _ACCEPTANCE_M, _LOITER_M, _HEIGHT_M = 90.0, 60.0, 5.0
 """ArduPlane's WP_RADIUS and WP_LOITER_RAD, and its tolerance of LOITER_TO_ALT."""
-_MOST_ITEMS = 5000
+_MAX_ITEMS = 5000
 _WAYPOINT, _UNLIM, _TURNS, _TIME, _RTL, _LAND, _TO_ALT = 16, 17, 18, 19, 20, 21, 31
 _TAKEOFFS, _LANDINGS = (22, 84), (_LAND, 85)
 _JUMP, _SPEED, _TAG, _JUMP_TAG = 177, 178, 600, 601
@@ -152,8 +152,8 @@ def read_mission(path: Path) -> WaypointMission:
     notes: list[str] = []
     is_plan = text.lstrip().startswith("{")
     home, items = (_plan if is_plan else _waypoints)(path, text, notes)
-    if len(items) > _MOST_ITEMS:
-        raise BadInputError(f"{path}: {len(items)} items; at most {_MOST_ITEMS} are flown")
+    if len(items) > _MAX_ITEMS:
+        raise BadInputError(f"{path}: {len(items)} items; at most {_MAX_ITEMS} are flown")
     # A change of speed belongs to the next item; commands without motion are counted.
     flown: list[Waypoint] = []
     speed = math.nan
@@ -319,7 +319,7 @@ def _unrolled(path: Path, items: Sequence[_Item], notes: list[str]) -> list[_Ite
     jumps_left: dict[int, int] = {}
     out: list[_Item] = []
     k = 0
-    while k < len(items) and len(out) < _MOST_ITEMS:
+    while k < len(items) and len(out) < _MAX_ITEMS:
         item = items[k]
         k += 1
         if item.command not in targets:

@@ -23,10 +23,10 @@ from uqharness.identification.linearised import (
     ModelState,
     StagedModels,
     Trajectory,
-    best_flown,
-    make_setup,
+    best_replay,
+    make_flight_data,
     refit,
-    with_jumps,
+    with_jumping_flights,
 )
 from uqharness.identification.ordinary import is_ordinary
 from uqharness.identification.replay_fit import equation_error_start
@@ -188,9 +188,9 @@ def _fit(
         for n, c in aircraft.card.parameters.items()
     }
     # The same model flies with the card's servos or with ideal ones.
-    setup = make_setup(aircraft, flights, measured, ideal)
+    setup = make_flight_data(aircraft, flights, measured, ideal)
     with StagedModels(aircraft, setup) as bench:
-        setup = with_jumps(setup, bench.model)
+        setup = with_jumping_flights(setup, bench.model)
         lagging = tuple(c for c in bench.model.lagging if c in SURFACES)
         fdm = bench.model.open(aircraft.dt_s)
         engine.require(fdm, names)
@@ -216,7 +216,7 @@ def _fit(
             for values in (equation_error_theta, current)
         ]
         try:
-            best = best_flown(bench.model, setup, points, pool)
+            best = best_replay(bench.model, setup, points, pool)
             fit = refit(bench.model, bench.direct_model, setup, best.point, names, limits, pool)
         except np.linalg.LinAlgError:
             return None

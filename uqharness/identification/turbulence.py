@@ -18,7 +18,7 @@ from sysid.effects import (
     CERTAIN_T,
     TurbulenceModel,
     corrected_estimates,
-    follow,
+    filter_segments,
     gust_strength_mps2,
 )
 from sysid.estimation import assess, at_bound, colour, colour_warnings, idle_bound, rms
@@ -27,16 +27,16 @@ from uqharness.errors import BadInputError
 from uqharness.identification.linearised.flight_data import (
     FlightData,
     ModelState,
-    make_setup,
-    setup_in_gusts,
+    make_flight_data,
+    with_card_noise,
     with_estimator_noise,
 )
 from uqharness.identification.linearised.prediction_error import (
     TurbulentFit,
+    aligned_outputs,
+    delay_rows,
     gust_refit,
-    in_step,
-    moved,
-    rows_late,
+    shift_rows,
 )
 from uqharness.identification.linearised.replay_fit import point_of
 from uqharness.identification.replay_fit import Identification, ReplayFit, by_channel
@@ -87,7 +87,7 @@ def filter_setup(
     ``result`` is that of output error; its residuals bound the uncertainty of channels that an
     estimator computed.
     """
-    setup = make_setup(aircraft, flights, request.measured, request.ideal)
+    setup = make_flight_data(aircraft, flights, request.measured, request.ideal)
     # Keep the requested channels only.
     if request.outputs is not None:
         columns = [k for k, c in enumerate(setup.outputs) if c in request.outputs]
@@ -104,7 +104,7 @@ def filter_setup(
     timed = tuple(f for f, names in late.items() if CONTROL_DELAY in names)
     sensors = {f: [n for n in names if n != CONTROL_DELAY] for f, names in late.items()}
     setup = replace(setup, timed=timed, late={f: names for f, names in sensors.items() if names})
-    setup = setup_in_gusts(
+    setup = with_card_noise(
         aircraft, replace(setup, biased=tuple(b for b in request.biases if b in setup.outputs))
     )
     # Residuals of output error limit the noise of channels that were estimated on board.
@@ -338,8 +338,12 @@ def _one_ahead(fit: TurbulentFit) -> list[FloatArray]:
     """
     setup, point, gust_fit = fit.setup, fit.fit.trajectory.point, fit.fit
     # Run the filter with the estimated process noise.
-    followed = follow(
-        gust_fit.steps, in_step(setup, point), setup.output_rows, setup.noise, fit.gusts.process
+    followed = filter_segments(
+        gust_fit.steps,
+        aligned_outputs(setup, point),
+        setup.output_rows,
+        setup.noise,
+        fit.gusts.process,
     )
     delta = gust_fit.evidence.step()[0]
     out = []
@@ -351,8 +355,10 @@ def _one_ahead(fit: TurbulentFit) -> list[FloatArray]:
         predicted = steps.y_ref[:, setup.output_rows] + np.einsum(
             "nij,nj->ni", steps.H[:, setup.output_rows], path
         )
-        late = rows_late(setup, segment, point)
+        late = delay_rows(setup, segment, point)
         out.append(
-            np.column_stack([moved(predicted[:, k], late[c]) for k, c in enumerate(setup.outputs)])
+            np.column_stack(
+                [shift_rows(predicted[:, k], late[c]) for k, c in enumerate(setup.outputs)]
+            )
         )
     return out

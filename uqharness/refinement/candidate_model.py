@@ -15,10 +15,10 @@ from typing import Protocol
 import numpy as np
 
 from sysid.effects import (
-    DIFFERENT,
-    EARNED,
-    OVERWHELMING,
-    STANDS,
+    OVERWHELMING_T,
+    READ_ONCE_TOLERANCE_STD,
+    REQUIRED_GAIN_SHARE,
+    SIGNIFICANT_Z,
     Effect,
     Information,
     SelectedEffect,
@@ -35,11 +35,11 @@ from uqharness.identification.linearised import (
     Linearisation,
     ModelState,
     StagedModels,
+    apply_step,
     effect_columns,
     fit_at,
-    moved_starts,
-    slopes_here,
-    stepped,
+    local_rate_limits,
+    step_starts,
     with_sensors_of,
 )
 from uqharness.plugin import Estimate
@@ -60,7 +60,7 @@ from uqharness.refinement.estimators import (
 from uqharness.refinement.write_xml import EffectToWrite, carrier, control_slopes, write_effects
 from uqharness.simulator import Aircraft, find_aircraft
 
-MOST_SECANT_STEPS = 8
+MAX_SECANT_STEPS = 8
 """Flights in which a number that JSBSim reads once may come to its value."""
 
 
@@ -103,7 +103,9 @@ class SearchContext:
 
     def criterion(self, cost: float, keys: Sequence[str]) -> float:
         """Return the penalised likelihood: the cost plus the required gain of each effect."""
-        return cost + sum(self.effects[k].penalty + EARNED * self.critical_t**2 for k in keys)
+        return cost + sum(
+            self.effects[k].penalty + REQUIRED_GAIN_SHARE * self.critical_t**2 for k in keys
+        )
 
     def required_gains(
         self, free: Sequence[str], information: Information, keys: Sequence[str] = ()
@@ -128,8 +130,8 @@ class SearchContext:
             self.required_gains(free, information, keys),
             chosen=keys,
             critical_t=self.critical_t,
-            empirical=self.estimator.is_coloured(self.data),
-            decisive_t=OVERWHELMING,
+            empirical=self.estimator.uses_empirical_dispersion(self.data),
+            decisive_t=OVERWHELMING_T,
         )
 
 
@@ -185,12 +187,14 @@ class CandidateModel:
     @property
     def is_stationary(self) -> bool:
         """Whether the model selects itself, with settled numbers that JSBSim reads once."""
-        return self.reselection.values.keys() == self.keys and not self._differing(STANDS)
+        return self.reselection.values.keys() == self.keys and not self._differing(
+            READ_ONCE_TOLERANCE_STD
+        )
 
     @property
     def not_converged(self) -> dict[str, float]:
         """Values of numbers that JSBSim reads once and whose estimates differ from them, by key."""
-        return self._differing(DIFFERENT)
+        return self._differing(SIGNIFICANT_Z)
 
     def _differing(self, tolerance: float) -> dict[str, float]:
         """Return the ``read_once`` values that differ from their estimates by more than
@@ -242,7 +246,7 @@ class AircraftFitter:
         model = self._fit_once(context, proposal, about, label)
         previous: dict[str, tuple[float, float]] = {}
         criterion = float("inf")
-        for number in range(MOST_SECANT_STEPS):
+        for number in range(MAX_SECANT_STEPS):
             if model is None or not model.not_converged:
                 break
             effects: list[SelectedEffect] = []
@@ -253,7 +257,7 @@ class AircraftFitter:
                 current = (model.not_converged[c.key], c.value - model.not_converged[c.key])
                 last = previous.get(c.key)
                 approaches = last is None or current[1] * np.sign(last[1]) < abs(last[1])
-                if approaches or criterion - model.criterion > DIFFERENT**2:
+                if approaches or criterion - model.criterion > SIGNIFICANT_Z**2:
                     effects.append(replace(c, value=current[0] + secant_step(last, current)))
                 previous[c.key] = current
             criterion = model.criterion
@@ -306,7 +310,7 @@ class AircraftFitter:
             )
             # The concentrated likelihood and this cost, of fixed noise, differ a little at the
             # optimum.
-            if trajectory is None or trajectory.cost > model.fit.trajectory.cost + DIFFERENT**2:
+            if trajectory is None or trajectory.cost > model.fit.trajectory.cost + SIGNIFICANT_Z**2:
                 return model
             fit = fit_at(
                 bench.model,
@@ -352,9 +356,9 @@ def joint_point(context: SearchContext, about: CandidateModel, keys: Sequence[st
     step = dict(zip(context.free, changes, strict=True))
     values = {n: point.values.get(n, v) for n, v in baseline.values.items()}
     start = replace(baseline, values=values, nuisance=point.nuisance)
-    shifted = stepped(context.data, start, step, context.bounds)
+    shifted = apply_step(context.data, start, step, context.bounds)
     delta[information.index(list(about.values))] -= [*about.values.values()]
-    return replace(shifted, starts=moved_starts(point.starts, information.white, delta))
+    return replace(shifted, starts=step_starts(point.starts, information.white, delta))
 
 
 def assess(
@@ -365,7 +369,7 @@ def assess(
     values = {e.key: fit.trajectory.point.effects[e.key] for e in data.active}
     # Columns of all other candidates, and of slopes at the values flown.
     unselected = [e for e in context.effects.values() if e.key not in values_in_xml]
-    slopes = slopes_here(data.active, fit.trajectory.point)
+    slopes = local_rate_limits(data.active, fit.trajectory.point)
     columns = effect_columns(data, fit.probes, fit.trajectory, [*unselected, *slopes])
     estimator = estimator_for(model_fit.turbulence)
     information = estimator.information(data, fit, columns, unselected).without_values(values)

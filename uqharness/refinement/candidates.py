@@ -15,16 +15,16 @@ import numpy as np
 
 from sysid.arrays import FloatArray
 from sysid.effects import (
-    DIFFERENT,
     RESOLVED_ROWS,
-    UNKNOWN_ROWS,
+    SIGNIFICANT_Z,
+    UNRESOLVED_ROWS,
     Columns,
     Effect,
     Information,
     SelectedEffect,
     Selection,
     estimate_selected,
-    scores,
+    score_tests,
     subsystem_effects,
 )
 from sysid.effects.catalogue import catalogue
@@ -32,14 +32,14 @@ from uqharness.identification.linearised import (
     NEARBY_SHARE,
     FlightData,
     Linearisation,
-    in_dead_zone,
+    dead_zone_change,
     surface_change,
 )
 from uqharness.refinement.estimators import Estimator
 from uqharness.replay import CONTROLS, SENSOR_OF, runs_per_row
 from uqharness.simulator import Actuator
 
-SHORTEST_ROWS = DIFFERENT * RESOLVED_ROWS
+SHORTEST_ROWS = SIGNIFICANT_Z * RESOLVED_ROWS
 """Shortest time, in rows, that a replay resolves."""
 TIME_UNITS = ("s", "s/deg")
 """Units of delays and lags, and of rate limits."""
@@ -79,7 +79,7 @@ def eligible(
     cannot resolve are left out.
     """
     present = [e for e in effects if e.key in information.names]
-    result = scores(information, free, [e.key for e in present])
+    result = score_tests(information, free, [e.key for e in present])
     rows = zip(present, result.estimate.tolist(), result.share, strict=True)
     return {
         e.key: e.penalty
@@ -153,7 +153,7 @@ def _short_times(
         return []
     keys = [e.key for e in times]
     in_place = [
-        scores(information, [*free, *(o for o in selected if o != k)], keys).estimate
+        score_tests(information, [*free, *(o for o in selected if o != k)], keys).estimate
         for k in selected
     ]
     largest = np.max(np.nan_to_num(in_place, nan=-np.inf), axis=0)
@@ -180,7 +180,7 @@ def _is_resolved(effect: Effect, value: float, data: FlightData) -> bool:
         return True
     travel = largest_step(data, effect) if effect.unit == "s/deg" else 1.0
     # A log does not say when within a row a command changed.
-    shortest_rows = UNKNOWN_ROWS if data.late else SHORTEST_ROWS
+    shortest_rows = UNRESOLVED_ROWS if data.late else SHORTEST_ROWS
     return abs(value) * travel > shortest_rows * data.segments[0].dt_s
 
 
@@ -224,7 +224,7 @@ def with_servo_limits(data: FlightData, fit: Linearisation, estimator: Estimator
                 for x in rates[surface]
             }
             changes |= {
-                _zone_column(surface, width): in_dead_zone(p.controls[:, k], width)
+                _zone_column(surface, width): dead_zone_change(p.controls[:, k], width)
                 for width in WIDTHS_DEG
             }
             inputs |= {
@@ -236,11 +236,11 @@ def with_servo_limits(data: FlightData, fit: Linearisation, estimator: Estimator
     free = fit.columns[0].names
     widths, limits, zones = np.array(WIDTHS_DEG), {}, {}
     for surface, servo in data.servos.items():
-        result = scores(information, free, [_zone_column(surface, w) for w in WIDTHS_DEG])
+        result = score_tests(information, free, [_zone_column(surface, w) for w in WIDTHS_DEG])
         zone = limit_of_unit_gain(widths, result.estimate / widths, result.t)
         if zone is not None:
             zones[surface] = zone
-        result = scores(information, free, [_rate_column(surface, x) for x in rates[surface]])
+        result = score_tests(information, free, [_rate_column(surface, x) for x in rates[surface]])
         speeds = np.array(rates[surface])
         gain = result.estimate / (1.0 / speeds - 1.0 / servo.rate)
         strength = np.where(gain > 0.0, np.abs(result.t), 0.0)

@@ -16,7 +16,7 @@ from sysid.aerodynamics import COEFFICIENTS
 from sysid.display import rows_table, view
 from sysid.effects import (
     CERTAIN_T,
-    DIFFERENT,
+    SIGNIFICANT_Z,
     Alternative,
     Effect,
     RejectedCandidate,
@@ -40,7 +40,7 @@ from uqharness.refinement.residual_location import (
 from uqharness.refinement.sentences import (
     reason_for,
     separating_manoeuvre,
-    still_asked,
+    still_significant,
     too_weak_to_name,
     withdrawal_reason,
 )
@@ -69,7 +69,7 @@ from uqharness.results.refinement import Effect as EffectDocument
 from uqharness.results.refinement import Evidence as EvidenceDocument
 from uqharness.simulator import Actuator, Aircraft
 
-MOST_SAID = 3
+MAX_DESCRIBED = 3
 """Significant candidates that the text describes; the others are in `remaining.where` only."""
 _AXES = (("p_radps", "Cl", "roll"), ("q_radps", "Cm", "pitch"), ("r_radps", "Cn", "yaw"))
 
@@ -129,7 +129,7 @@ def _remaining(chosen: SearchResult, outcome: HoldOutResult, controls: Sequence[
     strong = [refused] if refused is not None and refused.strong else []
     # An effect that the training flights support and the hold-out flights contradict is an unnamed
     # disagreement, unless chance explains it.
-    contradicted = [c for c in outcome.withdrawn if abs(c.t) > chosen.critical_t + DIFFERENT]
+    contradicted = [c for c in outcome.withdrawn if abs(c.t) > chosen.critical_t + SIGNIFICANT_Z]
     reported = {c.key for c in (*contradicted, *chosen.unclear, *chosen.selection.chosen)}
     candidates = [(key, t) for key, t in chosen.remaining if key not in reported]
     mismatch = chosen.mismatch
@@ -172,7 +172,7 @@ def _remaining(chosen: SearchResult, outcome: HoldOutResult, controls: Sequence[
         place = place_of(outcome, channels, keys, controls)
     else:
         place = ResidualLocation(**no_place(NO_RESIDUAL))
-    nearby = strong_of(place.candidates, {*reported, *(key for key, _ in candidates)})
+    nearby = strong_unreported(place.candidates, {*reported, *(key for key, _ in candidates)})
     where += [
         _still_asked(effects[key], t, len(candidates) + k) for k, (key, t) in enumerate(nearby)
     ]
@@ -319,7 +319,7 @@ def _wrong_form(form: FormMismatch, effects: Sequence[Effect]) -> RemainingPart:
     )
 
 
-def strong_of(
+def strong_unreported(
     candidates: Sequence[NearbyCandidate], reported: Collection[str]
 ) -> list[tuple[str, float]]:
     """Return (key, t) of candidates with |t| above CERTAIN_T that are not reported yet, the
@@ -338,8 +338,8 @@ def strong_of(
 def _still_asked(effect: Effect, t: float, rank: int) -> RemainingPart:
     """Describe a candidate that the flights still support."""
     return (
-        _part(effect, t, still_asked(effect, t))
-        if rank < MOST_SAID
+        _part(effect, t, still_significant(effect, t))
+        if rank < MAX_DESCRIBED
         else RemainingPart(**label(effect), t=t)
     )
 

@@ -26,28 +26,28 @@ from pathlib import Path
 import numpy as np
 
 from sysid.effects import (
-    ALIKE,
+    ALIKE_CORRELATION,
     CERTAIN_T,
-    COMPARABLE,
-    DIFFERENT,
-    EARNED,
-    OVERWHELMING,
+    COMPARABLE_SHARE,
+    MAX_COMPETITORS,
+    OVERWHELMING_T,
+    REQUIRED_GAIN_SHARE,
     RESOLVED_ROWS,
-    SEVERAL,
-    UNKNOWN_ROWS,
+    SIGNIFICANT_Z,
+    UNRESOLVED_ROWS,
     Effect,
     Information,
     RejectedCandidate,
     SelectedEffect,
     Selection,
     TurbulenceModel,
-    agreement,
     column_correlations,
+    compare_parts,
     conditional_interval,
     corrected_estimate,
     estimate_selected,
-    projected,
-    scores,
+    project_out,
+    score_tests,
     sidak_critical_t,
     solve,
 )
@@ -58,11 +58,11 @@ from uqharness.identification.linearised import (
     FlightData,
     Linearisation,
     StagedModels,
+    control_delay_name,
     effect_columns,
-    in_one_step,
-    lateness,
-    make_setup,
-    with_jumps,
+    make_flight_data,
+    one_step_estimates,
+    with_jumping_flights,
 )
 from uqharness.plugin import Estimate
 from uqharness.refinement.candidate_model import (
@@ -97,9 +97,9 @@ from uqharness.refinement.write_xml import of_lift_slope
 from uqharness.replay import SENSOR_OF, Flight
 from uqharness.simulator import Aircraft
 
-MOST_MODELS = 6
+MAX_MODELS = 6
 """Largest number of simulated proposals."""
-MOST_CORRECTIONS = 4
+MAX_CORRECTIONS = 4
 """Largest number of shifts of the controls."""
 Callback = Callable[[str], object]
 CONTROLS_LATE = Effect(
@@ -332,7 +332,7 @@ class Baseline:
             return None
         # The information as it is with the controls at their rows.
         nuisance = self.fit.trajectory.point.nuisance
-        offsets = {lateness(f): nuisance[lateness(f)] for f in self.data.timed}
+        offsets = {control_delay_name(f): nuisance[control_delay_name(f)] for f in self.data.timed}
         information = self.information.without_values(offsets)
         free = [n for n in self.fit.columns[0].names if n not in offsets]
         required_gains = eligible(self.effects, self.data, free, information)
@@ -367,7 +367,7 @@ def fit_baseline(
     data = recorded
     if shifts:
         flights = shifted_flights(recorded.flights, sum(shifts))
-        data = make_setup(aircraft, flights, recorded.positions, recorded.ideal)
+        data = make_flight_data(aircraft, flights, recorded.positions, recorded.ideal)
     unlimited = (-np.inf, np.inf)
     limits = {
         n: unlimited if c.bounds is None else c.bounds for n, c in aircraft.card.parameters.items()
@@ -376,7 +376,7 @@ def fit_baseline(
     air: ModelFit | None = None
     with StagedModels(aircraft, data) as bench:
         callback("re-identifying the parameters")
-        data = with_jumps(data, bench.model)
+        data = with_jumping_flights(data, bench.model)
         replayed = stages(
             f"parameters{suffix}",
             OutputErrorFit,
@@ -409,7 +409,7 @@ def fit_baseline(
     parameters = replayed.names if air is None else replayed.excited
     data = with_servo_limits(model.data, model.fit, estimator)
     # A common delay of the controls competes, unless it was corrected before.
-    competes = len(shifts) < MOST_CORRECTIONS and not data.late
+    competes = len(shifts) < MAX_CORRECTIONS and not data.late
     scored = [*effects, CONTROLS_LATE] if competes else effects
     columns = effect_columns(data, model.fit.probes, model.fit.trajectory, scored)
     return Baseline(
@@ -480,18 +480,18 @@ def controls_offset(
     value, std, _ = corrected_estimate(information, free, key)
     if not abs(value / std) > critical_t or not (value > least_s or value < -earliest_s):
         return None
-    gain = float(scores(information, free, [key]).gain[0])
+    gain = float(score_tests(information, free, [key]).gain[0])
     rivals = list(required_gains)
-    rival_gain = scores(information, free, rivals).gain - np.array(
+    rival_gain = score_tests(information, free, rivals).gain - np.array(
         [required_gains[k] for k in rivals]
     )
     if np.nanmax(rival_gain, initial=0.0) > gain:
         return None
     lags = [k for k in rivals if k.startswith("effect/actuator.") and k.endswith("/lag")]
-    if lags and joint_gain(information, free, lags) > gain + DIFFERENT**2:
+    if lags and joint_gain(information, free, lags) > gain + SIGNIFICANT_Z**2:
         return None
     confirming = information.confirming
-    if confirming is not None and not agreement(information, free, key, ~confirming)[0] > 0.0:
+    if confirming is not None and not compare_parts(information, free, key, ~confirming)[0] > 0.0:
         return None
     return value, std
 
@@ -500,7 +500,7 @@ def joint_gain(information: Information, free: Sequence[str], keys: Sequence[str
     """Return the gain in 2 ln L of several candidates at once, u' g^-1 u, with the free columns
     projected out.
     """
-    g, u = projected(*information.total, information.index(free), information.index(keys))
+    g, u = project_out(*information.total, information.index(free), information.index(keys))
     return float(u @ solve(g, u[:, None])[:, 0])
 
 
@@ -512,7 +512,7 @@ def offset_tolerance_s(command_s: float, first: bool) -> tuple[float, float]:
     """
     resolution_s = SHORTEST_ROWS * command_s
     return (
-        (max(resolution_s, PRIOR["lateness"]), UNKNOWN_ROWS * command_s)
+        (max(resolution_s, PRIOR["lateness"]), UNRESOLVED_ROWS * command_s)
         if first
         else (resolution_s, resolution_s)
     )
@@ -602,8 +602,8 @@ class EffectSearch:
         reference_model, models = baseline, list[CandidateModel]()
         visited: set[frozenset[str]] = set()
         trail = [f"round 1: {line}" for line in first.trail]
-        competitors_left = SEVERAL
-        for number in range(2, MOST_MODELS + 2):
+        competitors_left = MAX_COMPETITORS
+        for number in range(2, MAX_MODELS + 2):
             # Propose: stop at a model that proposes itself.
             proposal = reference_model.reselection
             if reference_model.is_stationary or not proposal.chosen:
@@ -676,7 +676,7 @@ class EffectSearch:
         without the effect, and small about the model with it.
         """
         critical_t, effects = self.context.critical_t, best.selection.chosen
-        if not any(c.t**2 > EARNED * critical_t**2 for c in effects):
+        if not any(c.t**2 > REQUIRED_GAIN_SHARE * critical_t**2 for c in effects):
             return baseline, [
                 f"in simulation {c.key} has |t| {abs(c.t):.1f}: no effect" for c in effects
             ]
@@ -721,7 +721,7 @@ def competing_proposals(
         return []
     if model is not None:
         more = sum(c.key not in model.keys for c in model.reselection.chosen)
-        overwhelming = abs(new[0].t) > OVERWHELMING and more >= SEVERAL
+        overwhelming = abs(new[0].t) > OVERWHELMING_T and more >= MAX_COMPETITORS
         if not overwhelming and not model.estimator.unexplained_moments():
             return []
     unchanged_keys = [k for k in proposal.values if k != new[0].key]
@@ -746,15 +746,15 @@ def comparable_candidates(
     """
     alternatives = [k for k in candidates if k != key]
     gain, *other_gains = np.nan_to_num(
-        scores(information, free, [key, *alternatives]).gain, nan=-np.inf
+        score_tests(information, free, [key, *alternatives]).gain, nan=-np.inf
     )
     gains = np.array(other_gains)
     result: list[str] = []
     for k in np.argsort(-gains):
-        if len(result) == SEVERAL or not gains[k] >= COMPARABLE * gain:
+        if len(result) == MAX_COMPETITORS or not gains[k] >= COMPARABLE_SHARE * gain:
             break
         correlations = column_correlations(information, free, alternatives[k], [key, *result])
-        if np.abs(np.nan_to_num(correlations)).max() < ALIKE:
+        if np.abs(np.nan_to_num(correlations)).max() < ALIKE_CORRELATION:
             result.append(alternatives[k])
     return result
 
@@ -809,14 +809,14 @@ def _result_of(context: SearchContext, baseline: Baseline, outcome: SearchOutcom
         selection = replace(model.reselection, chosen=(), refused=refused)
     # A number that JSBSim reads once is within its error of the one flown, and what depends on it
     # moves by that, too.
-    parameters = in_one_step(
+    parameters = one_step_estimates(
         model.information,
         context.parameters,
         model.fit,
         [*selection.values],
         moved=is_linear or bool(model.read_once),
     )
-    plain = in_one_step(
+    plain = one_step_estimates(
         baseline.information, context.parameters, context.baseline, (), moved=is_linear
     )
     selection, slopes = of_lift_slope(selection, context.baseline, model.fit)
@@ -852,7 +852,7 @@ def _unconfirmed(context: SearchContext, selection: Selection) -> RejectedCandid
     if not selection.chosen:
         return None
     c = selection.chosen[0]
-    reported, strong = context.estimator.refutes(c.t, context.critical_t)
+    reported, strong = context.estimator.report_unconfirmed(c.t, context.critical_t)
     reason = "in simulation it reduces the cost by less"
     return RejectedCandidate(c.key, c.t, c.gain, reason, strong) if reported else None
 
@@ -894,7 +894,7 @@ def strong_candidates(
     """
     columns = [n for n in free if not n.startswith("effect/")]
     keys = [k for k in candidates if k not in chosen and k in information.names]
-    t = scores(information, [*columns, *chosen], keys).t if keys else np.zeros(0)
+    t = score_tests(information, [*columns, *chosen], keys).t if keys else np.zeros(0)
     t = np.nan_to_num(t)
     order = np.argsort(-np.abs(t))
     return tuple((keys[i], float(t[i])) for i in order if abs(t[i]) > CERTAIN_T)
@@ -906,7 +906,7 @@ def score_table(
     """Return (name, t) of the twelve candidates with the largest gain, each alone beside the
     parameters.
     """
-    result = scores(information, free, [e.key for e in effects])
+    result = score_tests(information, free, [e.key for e in effects])
     order = np.argsort(-np.nan_to_num(result.gain, nan=-1.0))[:12]
     return tuple(
         (f"{effects[i].coefficient or effects[i].subsystem} {effects[i].term}", float(result.t[i]))

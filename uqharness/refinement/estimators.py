@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 from sysid.arrays import FloatArray
 from sysid.effects import (
     CERTAIN_T,
-    DIFFERENT,
     GUST_PENALTY,
-    OVERWHELMING,
-    QUIETER,
+    MIN_NOISE_SHARE,
+    OVERWHELMING_T,
+    SIGNIFICANT_Z,
     TURBULENCE_CRITICAL_T,
     Columns,
     Effect,
@@ -31,12 +31,12 @@ from sysid.effects import (
     InnovationColour,
     TurbulenceModel,
     critical_t_of,
-    follow,
+    filter_segments,
+    iterate_whitened,
     likeliest_colour,
     normal_equations,
     sidak_critical_t,
     whiten,
-    whiten_each,
 )
 from sysid.parallel import Processes
 from uqharness.identification import equation_error_start, fit_replays, restrict_to_excited
@@ -47,25 +47,25 @@ from uqharness.identification.linearised import (
     ModelState,
     StagedModels,
     Trajectory,
-    begun_at,
-    best_flown,
+    acts_on_motion,
+    best_replay,
     cost_of,
+    delay_rows,
     estimated_channels,
     fit_at,
-    fly,
+    fit_start_values,
     follow_in_free_air,
     gust_refit,
-    in_dynamics,
-    merged,
-    moved,
-    observed,
+    is_turbulent,
+    join_columns,
+    observations_of,
     output_noise,
     point_of,
     refit,
-    rows_late,
-    setup_in_gusts,
-    turbulent,
-    unfiltered,
+    replay_at,
+    shift_rows,
+    unfiltered_residuals,
+    with_card_noise,
     with_estimator_noise,
     with_sensors_of,
 )
@@ -167,7 +167,7 @@ class Estimator(Protocol):
     ) -> TurbulenceModel | None:
         """Estimate the air of other flights with the model and sensors at a point."""
 
-    def is_coloured(self, data: FlightData) -> bool:
+    def uses_empirical_dispersion(self, data: FlightData) -> bool:
         """Return whether the spread of all candidates' t, instead of white noise, measures
         chance.
         """
@@ -180,7 +180,7 @@ class Estimator(Protocol):
     ) -> float:
         """Return the |t| that an effect must exceed beside the ``free`` columns."""
 
-    def refutes(self, t: float, critical_t: float) -> tuple[bool, bool]:
+    def report_unconfirmed(self, t: float, critical_t: float) -> tuple[bool, bool]:
         """Return whether a candidate that no simulation confirmed is reported at this |t|, and
         whether the model then certainly lacks something.
         """
@@ -285,7 +285,7 @@ class ReplayEstimator:
         """Return None: the air is calm."""
         return None
 
-    def is_coloured(self, data: FlightData) -> bool:
+    def uses_empirical_dispersion(self, data: FlightData) -> bool:
         """Return whether a channel is an autopilot's estimate: only these are coloured."""
         return bool(data.late)
 
@@ -299,9 +299,9 @@ class ReplayEstimator:
         """Return the |t| that the largest of the candidates reaches by chance."""
         return critical_t_of(information, free, candidates)
 
-    def refutes(self, t: float, critical_t: float) -> tuple[bool, bool]:
+    def report_unconfirmed(self, t: float, critical_t: float) -> tuple[bool, bool]:
         """Return True, and whether |t| exceeds the errors of linearisation."""
-        return True, abs(t) > OVERWHELMING
+        return True, abs(t) > OVERWHELMING_T
 
     def information(
         self,
@@ -311,7 +311,7 @@ class ReplayEstimator:
         candidates: Sequence[Effect] = (),
     ) -> Information:
         """Return the normal equations of replays."""
-        followed = follow(fit.steps, data.measured, data.output_rows, data.noise)
+        followed = filter_segments(fit.steps, data.measured, data.output_rows, data.noise)
         return _information(data, fit, regressors, followed)
 
     def fit(
@@ -324,7 +324,7 @@ class ReplayEstimator:
         pool: Processes,
     ) -> ModelFit:
         """Minimise output error from the start whose replay is closest to the flights."""
-        nearest = best_flown(bench.model, data, starts, pool)
+        nearest = best_replay(bench.model, data, starts, pool)
         fit = refit(bench.model, bench.direct_model, data, nearest.point, names, limits, pool)
         return ModelFit(data, fit, fit.trajectory.cost)
 
@@ -399,7 +399,7 @@ class PredictionErrorEstimator:
         """Return the data with the card's noise, because samples in gusts overstate an
         accelerometer's.
         """
-        return setup_in_gusts(aircraft, data)
+        return with_card_noise(aircraft, data)
 
     def air_of(
         self, aircraft: Aircraft, data: FlightData, point: ModelState, pool: Processes
@@ -417,9 +417,9 @@ class PredictionErrorEstimator:
                 ).gusts
             except np.linalg.LinAlgError:
                 speeds = [float(np.nanmean(c["V_mps"])) for c in data.channels]
-                return self.turbulence.in_other(speeds, [s.flight for s in data.segments])
+                return self.turbulence.in_segments(speeds, [s.flight for s in data.segments])
 
-    def is_coloured(self, data: FlightData) -> bool:
+    def uses_empirical_dispersion(self, data: FlightData) -> bool:
         """Return True: an imperfect gust model colours the predictions."""
         return True
 
@@ -437,9 +437,9 @@ class PredictionErrorEstimator:
         """Return the critical value for chance, at least that for errors of the gust model."""
         return max(sidak_critical_t(len(candidates)), self.least_critical_t)
 
-    def refutes(self, t: float, critical_t: float) -> tuple[bool, bool]:
+    def report_unconfirmed(self, t: float, critical_t: float) -> tuple[bool, bool]:
         """Return whether gusts that are estimated with the effect cannot explain it."""
-        strong = abs(t) > critical_t + DIFFERENT
+        strong = abs(t) > critical_t + SIGNIFICANT_Z
         return strong, strong
 
     def information(
@@ -458,7 +458,7 @@ class PredictionErrorEstimator:
         if colour is not None and candidates:
             colour = likeliest_colour(
                 followed,
-                merged(fit.columns, regressors),
+                join_columns(fit.columns, regressors),
                 (colour, fit.evidence),
                 _information(data, fit, regressors, followed),
                 {e.key: self.least_critical_t**2 + self.required_gain(e) for e in candidates},
@@ -539,7 +539,7 @@ class PredictionErrorEstimator:
             filtered = result.fit.evidence.white
             deviations, logdet = [w.deviation for w in filtered], [w.logdet for w in filtered]
         except np.linalg.LinAlgError:
-            trajectory, rows = unfiltered(*models, data, start, pool, self.turbulence)
+            trajectory, rows = unfiltered_residuals(*models, data, start, pool, self.turbulence)
             deviations = [data.noise] * len(rows)
             logdet = [float((np.isfinite(r) * np.log(data.noise)).sum()) for r in rows]
         white = _at_recorded_rows(data, trajectory.point, rows)
@@ -591,9 +591,9 @@ def _information(
     colour: InnovationColour | None = None,
 ) -> Information:
     """Return the normal equations of a fit's columns and further regressors."""
-    columns = merged(fit.columns, regressors)
+    columns = join_columns(fit.columns, regressors)
     return normal_equations(
-        whiten_each(followed, columns, colour),
+        iterate_whitened(followed, columns, colour),
         columns.names,
         confirming_segments(data),
         PRIOR,
@@ -612,18 +612,18 @@ def replay_from(
 
     The fit starts from those of ``estimate``, if given.
     """
-    trajectory = fly(model, data, start, pool)
+    trajectory = replay_at(model, data, start, pool)
     if not np.isfinite(trajectory.cost):
         return trajectory
-    problem = replace(observed(data, start.effects), properties=start.values)
+    problem = replace(observations_of(data, start.effects), properties=start.values)
     if estimate is not None and estimate.starts:
         pairs = zip(problem.segments, estimate.starts, strict=True)
         segments = [replace(s, start=state) for s, state in pairs]
-        problem = replace(problem, segments=segments, begin=begun_at(estimate))
+        problem = replace(problem, segments=segments, begin=fit_start_values(estimate))
     fit = fit_replays(model, problem, (), [np.zeros(0)], (), batched_pool(pool), errors=False)
     fit.replay.forget()
     best = replace(point_of(fit, data, (), start.effects), values=start.values)
-    return fly(model, data, best, pool)
+    return replay_at(model, data, best, pool)
 
 
 def replay_residuals(data: FlightData, trajectory: Trajectory) -> list[FloatArray]:
@@ -637,10 +637,10 @@ def _at_recorded_rows(
     """Return residuals of predictions at their samples' rows in the record, (n, m) per segment; 0
     where no sample was used.
     """
-    pairs = ((rows_late(data, s, point), r) for s, r in zip(data.segments, rows, strict=True))
+    pairs = ((delay_rows(data, s, point), r) for s, r in zip(data.segments, rows, strict=True))
     return [
         np.nan_to_num(
-            np.column_stack([moved(r[:, k], late[c]) for k, c in enumerate(data.outputs)])
+            np.column_stack([shift_rows(r[:, k], late[c]) for k, c in enumerate(data.outputs)])
         )
         for late, r in pairs
     ]
@@ -696,7 +696,7 @@ def fit_without_effects(
     noise = dict(zip(data.outputs, data.noise.tolist(), strict=True))
     problem, _ = restrict_to_excited(
         model,
-        observed(data),
+        observations_of(data),
         names,
         current,
         bounds,
@@ -709,7 +709,7 @@ def fit_without_effects(
         tuple(n for n in names if n not in fixed) for fixed in (result.undetermined, problem.fixed)
     )
     result.replay.forget()
-    trajectory = fly(model, data, point_of(result, data, names), pool)
+    trajectory = replay_at(model, data, point_of(result, data, names), pool)
     fit = fit_at(model, direct, data, excited, trajectory, pool)
     computed = estimated_channels(data)
     if not computed:
@@ -746,7 +746,7 @@ def fit_in_turbulence(
     result = gust_refit(
         bench.model,
         bench.direct_model,
-        setup_in_gusts(aircraft, data),
+        with_card_noise(aircraft, data),
         replayed.fit.trajectory.point,
         replayed.excited,
         limits,
@@ -758,7 +758,7 @@ def fit_in_turbulence(
 
 def looks_turbulent(data: FlightData, fit: Linearisation) -> bool:
     """Return whether the residuals of replays resemble process noise."""
-    return turbulent(data, fit.trajectory)
+    return is_turbulent(data, fit.trajectory)
 
 
 def with_residual_noise(data: FlightData, fit: Linearisation) -> ModelFit:
@@ -767,7 +767,7 @@ def with_residual_noise(data: FlightData, fit: Linearisation) -> ModelFit:
     Noise that is twice too large halves every t. The noise is at least `QUIETER` of the card's.
     Missing effects are part of the residuals, so it is rarely too small.
     """
-    noise = np.clip(_residual_rms(data, fit.trajectory), QUIETER * data.noise, data.noise)
+    noise = np.clip(_residual_rms(data, fit.trajectory), MIN_NOISE_SHARE * data.noise, data.noise)
     data = replace(data, noise=noise)
     white = whiten(fit.steps, data.measured, fit.columns, data.output_rows, noise)
     information = normal_equations(white, fit.columns[0].names, [0] * len(white), PRIOR)
@@ -843,13 +843,13 @@ def fit_output_error(
     of_sensors = {
         e.key: point.effects[e.key]
         for e in data.active
-        if not in_dynamics(e) and e.key not in absent
+        if not acts_on_motion(e) and e.key not in absent
     }
     properties = data.properties(point)
     free = [*names, *carried_properties.values()]
     problem = replace(
-        observed(data, of_sensors),
-        begin=begun_at(point),
+        observations_of(data, of_sensors),
+        begin=fit_start_values(point),
         properties={n: v for n, v in properties.items() if n not in free},
     )
     result = fit_replays(
@@ -875,4 +875,4 @@ def fit_output_error(
     }
     fitted = point_of(result, data, names, of_sensors)
     fitted = replace(fitted, values={**point.values, **fitted.values}, effects=effects)
-    return fly(model, data, fitted, pool)
+    return replay_at(model, data, fitted, pool)

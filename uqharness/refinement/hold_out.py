@@ -17,7 +17,7 @@ import numpy as np
 
 from sysid.arrays import FloatArray
 from sysid.effects import (
-    FAR,
+    MAX_RESIDUAL_RATIO,
     Columns,
     Information,
     SelectedEffect,
@@ -32,12 +32,12 @@ from uqharness.identification.linearised import (
     ModelState,
     StagedModels,
     Trajectory,
+    acts_on_motion,
     effect_columns,
-    fly,
-    in_dynamics,
-    in_one_step,
-    merged,
-    with_jumps,
+    join_columns,
+    one_step_estimates,
+    replay_at,
+    with_jumping_flights,
     with_sensors_of,
 )
 from uqharness.refinement.candidate_model import with_values
@@ -121,7 +121,7 @@ class Verdict:
 
         "cannot tell" if chance gives as much; "too far" if neither model describes the flights.
         """
-        if self.residual_ratio > FAR:
+        if self.residual_ratio > MAX_RESIDUAL_RATIO:
             return "too far"
         # Training and hold-out flights together must still reach critical_t.
         against = self.change < 0.0 and self.excess_t2 < 0.0
@@ -283,7 +283,7 @@ class HoldOutTest:
         if verdicts[worst].gap == "grew":
             return worst
         invisible = [k for k, v in verdicts.items() if v.gap == CANNOT_TELL and not v.is_visible]
-        if not invisible or not self._leaves_something(self._train_after):
+        if not invisible or not self._has_unexplained_residual(self._train_after):
             return None
         return min(invisible, key=lambda k: verdicts[k].z)
 
@@ -324,7 +324,7 @@ class HoldOutTest:
         first = completed(without_effects(self.chosen), before)
         return side.setup, first, first if after is before else completed(remaining, after)
 
-    def _leaves_something(self, fitted: Evaluation) -> bool:
+    def _has_unexplained_residual(self, fitted: Evaluation) -> bool:
         """Return whether the training flights, or a curve of another form, leave something
         unexplained.
         """
@@ -536,7 +536,7 @@ def linearise_as_written(
     values = {**trajectory.point.values, **stated}
     point = replace(trajectory.point, values=values, effects=result.selection.values)
     with StagedModels(aircraft, data) as bench:
-        data = with_jumps(with_sensors_of(data, aircraft), bench.model)
+        data = with_jumping_flights(with_sensors_of(data, aircraft), bench.model)
         return side.estimator.linearise(bench, data, trajectory, point, result.names, pool)
 
 
@@ -564,7 +564,7 @@ def property_values(model: SearchResult, chosen: SearchResult) -> dict[str, floa
     properties = {name: value for name, (value, _) in model.parameters.items()}
     values = model.selection.values
     for c in chosen.selection.chosen:
-        if not in_dynamics(chosen.effects[c.key]):
+        if not acts_on_motion(chosen.effects[c.key]):
             continue
         place = chosen.setup.carriers.get(c.key)
         if place is not None and (c.key in values or place.exact):
@@ -586,7 +586,9 @@ def point_as_written(
     """
     nuisance, starts = ({}, ()) if initial is None else (initial.nuisance, initial.starts)
     of_sensors = {
-        k: value for k, value in model.selection.values.items() if not in_dynamics(model.effects[k])
+        k: value
+        for k, value in model.selection.values.items()
+        if not acts_on_motion(model.effects[k])
     }
     return ModelState(values or {}, nuisance, starts, of_sensors)
 
@@ -609,7 +611,7 @@ def train_information(
     requested = dict.fromkeys([*result.selection.values, *keys])
     inactive = [result.effects[k] for k in requested if k not in active]
     columns = effect_columns(result.setup, result.after.probes, result.after.trajectory, inactive)
-    columns = merged(columns, regressors) if len(regressors) else columns
+    columns = join_columns(columns, regressors) if len(regressors) else columns
     information = result.estimator.information(result.setup, result.after, columns)
     return information.without_values(result.flown_values)
 
@@ -633,7 +635,7 @@ def leave_out(result: SearchResult, information: Information, keys: Sequence[str
         value, std = _moved((c.value, c.std), with_all[c.key], with_kept[c.key])
         moved_effects.append(replace(c, value=value, std=std, t=value / std))
     before, after = (
-        in_one_step(information, result.names, result.after, names)
+        one_step_estimates(information, result.names, result.after, names)
         for names in (all_keys, kept_keys)
     )
     parameters = {n: _moved(result.parameters[n], before[n], after[n]) for n in result.names}
@@ -682,7 +684,7 @@ def refit_remaining(
     bounds = {n: c.bounds for n, c in complete.card.parameters.items() if c.bounds is not None}
     withdrawn = effects.keys() - values.keys()
     with StagedModels(complete, chosen.setup) as bench:
-        linear = fly(bench.model, chosen.setup, point, pool)
+        linear = replay_at(bench.model, chosen.setup, point, pool)
         fit = fit_output_error(bench.model, chosen.setup, point, names, bounds, pool, withdrawn)
     if fit is None or fit.cost > linear.cost:
         return model

@@ -22,18 +22,18 @@ from numpy.typing import NDArray
 from sysid.aerodynamics import COEFFICIENTS
 from sysid.arrays import FloatArray
 from sysid.distributions import f_tail, gamma_tail
-from sysid.effects import DISAGREES, Effect, scores
+from sysid.effects import DISAGREEMENT_SHARE, Effect, score_tests
 from sysid.estimation import integral_time, rms
 from uqharness.identification.linearised import FlightData, Trajectory
 from uqharness.refinement.candidates import eligible
 from uqharness.refinement.effect_search import SearchResult
 from uqharness.refinement.evaluation import Evaluation
 from uqharness.refinement.hold_out import HoldOutResult, train_information
-from uqharness.refinement.sentences import would_tell
+from uqharness.refinement.sentences import discriminating_manoeuvre
 from uqharness.results.refinement import NearbyCandidate, Region, ResidualLocation
 
 NEAREST = 3
-LOOKED_AT = 12
+MAX_CANDIDATES = 12
 """Candidates of largest gain whose remaining residual is computed."""
 NO_RESIDUAL = (
     "every channel of the training and hold-out flights is at its noise, and no candidate is"
@@ -95,7 +95,7 @@ def place_of(
     )
     nearest = Nearest(outcome.result)
     if any(channels.values()):
-        place, correlate = where_loudest([s for s in series if s.channel in channels[s.flights]])
+        place, correlate = locate_burst([s for s in series if s.channel in channels[s.flights]])
     else:
         place, correlate = _place_of_candidate(
             nearest, [s for s in series if s.flights == "train"], keys[0]
@@ -108,7 +108,7 @@ def place_of(
             NearbyCandidate(**label(e), name=e.name, t=t, leaves=leaves)
             for e, (_, t, leaves) in zip(effects, candidates, strict=True)
         ],
-        "would_tell": would_tell(
+        "would_tell": discriminating_manoeuvre(
             None if correlate is None else correlate.state,
             effects,
             _loudest_manoeuvre(series, place),
@@ -162,14 +162,16 @@ def states_along(
     ]
 
 
-def where_loudest(series: Sequence[Series]) -> tuple[dict[str, Any], StateCorrelate | None]:
+def locate_burst(series: Sequence[Series]) -> tuple[dict[str, Any], StateCorrelate | None]:
     """Return the place of the largest gain over noise.
 
     If chance alone gives as much, it is the channel of largest residual, without an interval.
     """
     # The loudest stretch and band of every series; short series have none.
-    long = [s for s in series if len(s.present) >= LEAST_SAMPLES]
-    bursts = [(burst, s) for s in long if (burst := loudest(s.present, s.rate_hz)) is not None]
+    long = [s for s in series if len(s.present) >= MIN_SAMPLES]
+    bursts = [
+        (burst, s) for s in long if (burst := largest_burst(s.present, s.rate_hz)) is not None
+    ]
     burst, best = max(
         bursts, key=lambda f: f[0].gain, default=(None, max(series, key=lambda s: rms(s.white)))
     )
@@ -241,7 +243,7 @@ class Nearest:
             result.after.columns[0].names,
             self.information,
         )
-        self.scores = scores(self.information, self.free, [*open_, *dropped])
+        self.scores = score_tests(self.information, self.free, [*open_, *dropped])
 
     def residual(self, *keys: str, left_out: str = "") -> list[FloatArray]:
         """Return residuals over noise (n, m) of each segment with everything estimated beside these
@@ -271,7 +273,7 @@ class Nearest:
             i
             for i in order
             if self.scores.names[i] not in withdrawn and np.isfinite(self.scores.t[i])
-        ][:LOOKED_AT]
+        ][:MAX_CANDIDATES]
         rows = [
             (self.scores.names[i], float(self.scores.t[i]), self._rms(k, self.scores.names[i]))
             for i in strongest
@@ -296,7 +298,7 @@ def _place_of_candidate(
     s = int(np.argmax(power[:, k]))
     alike = [e for e in series if e.channel == setup.outputs[k]]
     best, d = alike[s], np.nan_to_num(trace[s][:, k])
-    start, stop = densest(d**2)
+    start, stop = shortest_interval(d**2)
     low, high = band_of(d, 1.0 / setup.segments[s].dt_s)
     correlate = state_correlate([e[:, k] for e in trace], [e.states for e in alike], certain=True)
     return {
@@ -364,11 +366,11 @@ def _loudest_manoeuvre(series: Sequence[Series], place: Mapping[str, Any]) -> tu
 
 BLOCKS_S = (0.5, 1.0, 2.0, 4.0)
 """Lengths of the blocks that are tried; a band is known to one over the length."""
-MOST_BLOCKS, MOST_BANDS = 64, 24
+MAX_BLOCKS, MAX_BANDS = 64, 24
 """Blocks and frequencies of one series: more are put together, so that a long log costs no more
 rectangles.
 """
-LEAST_SAMPLES = 16
+MIN_SAMPLES = 16
 WINDOW_LIKENESS = (4.0 / 9.0, 1.0 / 36.0)
 """Correlation of the periodogram's neighbours, one and two apart, that the Hann window makes of
 independent ones.
@@ -410,15 +412,15 @@ class StateCorrelate:
     p: float
 
 
-def loudest(white: FloatArray, rate_hz: float) -> Burst | None:
+def largest_burst(white: FloatArray, rate_hz: float) -> Burst | None:
     """Return the rectangle of largest gain in a residual over its noise (n,) at equal steps.
 
-    None if no rectangle exceeds the noise or the series is shorter than `LEAST_SAMPLES`.
+    None if no rectangle exceeds the noise or the series is shorter than `MIN_SAMPLES`.
     """
     bursts: list[tuple[Burst, int]] = []
     rectangles_tried = 0
     for length_s in BLOCKS_S:
-        n = max(LEAST_SAMPLES, round(length_s * rate_hz), -(-len(white) // MOST_BLOCKS))
+        n = max(MIN_SAMPLES, round(length_s * rate_hz), -(-len(white) // MAX_BLOCKS))
         if n > len(white):
             break
         burst, rectangles = _largest(white, n, rate_hz)
@@ -470,7 +472,7 @@ def _periodogram(
     )
     weight = np.ones(power.shape[1])
     weight[0] = 0.5  # The mean's ordinate is real: half as many numbers as the others have.
-    step = -(-len(weight) // MOST_BANDS)
+    step = -(-len(weight) // MAX_BANDS)
     starts = np.arange(0, len(weight), step)
     edges = np.maximum((np.append(starts, len(weight)) - 0.5) * rate_hz / n, 0.0)
     return np.add.reduceat(power * weight, starts, axis=1), np.add.reduceat(weight, starts), edges
@@ -514,7 +516,7 @@ def _variance_ratio(ordinates: FloatArray) -> FloatArray:
     return np.asarray(1.0 + 2.0 * (one + two))
 
 
-def densest(weights: FloatArray, share: float = 0.5) -> tuple[int, int]:
+def shortest_interval(weights: FloatArray, share: float = 0.5) -> tuple[int, int]:
     """Return the shortest stretch [start, stop) with ``share`` of the sum of non-negative
     weights (n,).
     """
@@ -531,7 +533,7 @@ def band_of(series: FloatArray, rate_hz: float) -> tuple[float, float]:
     """Return the narrowest band [Hz] that holds half of a series' power."""
     window = np.hanning(len(series) + 2)[1:-1]
     power = np.abs(np.fft.rfft(series * window)) ** 2
-    low, high = densest(power)
+    low, high = shortest_interval(power)
     step = rate_hz / len(series)
     return max((low - 0.5) * step, 0.0), (high - 0.5) * step
 
@@ -613,7 +615,7 @@ def _explained(
     share, free = float(part.sum()) / total, len(edges) - 2
     degrees = effective_samples - len(edges) + 1
     F = share / free / max((1.0 - share) / degrees, 1e-300)
-    low, high = densest(part)
+    low, high = shortest_interval(part)
     adjusted = 1.0 - (1.0 - share) * (effective_samples - 1.0) / degrees
     return adjusted, float(f_tail(F, free, degrees)), float(edges[low]), float(edges[high])
 
@@ -621,7 +623,7 @@ def _explained(
 # Where a model and flights disagree: coefficient by manoeuvre and region of the state, in
 # shares of samples and in words. Pure.
 
-_LEAST_S = 0.5
+_MIN_S = 0.5
 
 
 def disagreements(
@@ -660,11 +662,11 @@ def disagreements(
         for c, coefficient in enumerate(COEFFICIENTS):
             z = ratio[:, c]
             outside = np.abs(z) > 1.96
-            if not len(z) or outside.mean() < DISAGREES:
+            if not len(z) or outside.mean() < DISAGREEMENT_SHARE:
                 continue
             (state, low, high), mask = _densest_region(outside, states_of_kind)
             seconds, size = float(outside[mask].sum()) * dt_s, float(np.sqrt(np.mean(z[mask] ** 2)))
-            if seconds < _LEAST_S:
+            if seconds < _MIN_S:
                 continue
             share = float(outside[mask].mean())
             words = (

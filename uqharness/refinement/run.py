@@ -23,7 +23,12 @@ from uqharness.errors import BadInputError
 from uqharness.files import inner_folder, scratch_folder
 from uqharness.heartbeat import Forecast, forecast_shown
 from uqharness.identification import choose_servos
-from uqharness.identification.linearised import FlightData, StagedModels, make_setup, positions
+from uqharness.identification.linearised import (
+    FlightData,
+    StagedModels,
+    make_flight_data,
+    positions,
+)
 from uqharness.parallel import usable_cores, worker_map
 from uqharness.plugin import bake_scales
 from uqharness.refinement.candidate_model import write_copy, write_staged
@@ -347,7 +352,7 @@ def _ideal_controls(request: Job, measured: Sequence[str]) -> tuple[str, ...]:
 
 def _flight_data(aircraft: Aircraft, flights: FlightSet) -> FlightData:
     """Return the data of flights."""
-    return make_setup(aircraft, flights.flights, flights.measured, flights.ideal)
+    return make_flight_data(aircraft, flights.flights, flights.measured, flights.ideal)
 
 
 def _identity(request: Job) -> list[str]:

@@ -96,7 +96,9 @@ _OF_STATE = {
 }
 
 
-def would_tell(state: str | None, nearest: Sequence[Effect], loudest: tuple[str, float]) -> str:
+def discriminating_manoeuvre(
+    state: str | None, nearest: Sequence[Effect], loudest: tuple[str, float]
+) -> str:
     """Return the flight that would explain the remaining residual.
 
     ``state`` is the state with which the residual varies, ``nearest`` are candidates, the best
@@ -143,7 +145,7 @@ def too_weak_to_name(effect: Effect, choice: SelectedEffect) -> str:
     )
 
 
-def still_asked(effect: Effect, t: float) -> str:
+def still_significant(effect: Effect, t: float) -> str:
     """Return the sentence on a candidate that the flights still support beside the selected
     effects.
     """

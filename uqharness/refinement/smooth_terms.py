@@ -17,27 +17,32 @@ import numpy as np
 from sysid.aerodynamics import COEFFICIENTS
 from sysid.arrays import FloatArray
 from sysid.effects import (
-    COMPARABLE,
-    DIFFERENT,
-    OVERWHELMING,
+    COMPARABLE_SHARE,
+    OVERWHELMING_T,
+    SIGNIFICANT_Z,
     Columns,
     Effect,
     Information,
-    MadeColumns,
+    LazyColumns,
     SelectedEffect,
     SmoothFit,
     SmoothTerm,
     colour_dispersion,
     corrected_estimates,
     fit_smooth,
-    forms_like,
     held_out_gain,
-    known_forms,
+    named_forms,
+    similar_forms,
     smooth_term,
 )
 from sysid.estimation import rms
 from sysid.parallel import Processes
-from uqharness.identification.linearised import FlightData, Linearisation, effect_columns, merged
+from uqharness.identification.linearised import (
+    FlightData,
+    Linearisation,
+    effect_columns,
+    join_columns,
+)
 from uqharness.refinement.effect_search import FormMismatch, SearchResult
 from uqharness.refinement.estimators import Dataset
 from uqharness.refinement.evaluation import (
@@ -108,7 +113,7 @@ class CurveFits:
         segment's variables, and the names of the other free columns.
         """
         names = tuple(make(self.along[0]))
-        curves = MadeColumns(
+        curves = LazyColumns(
             names, lambda k, _: Columns(names, make(self.along[k]), {}), len(self.along)
         )
         values = self.result.selection.values
@@ -119,7 +124,7 @@ class CurveFits:
             columns = effect_columns(self.data, self.fit.probes, self.fit.trajectory, effects)
             term_values = {} if self.flown_term is None else self.flown_term.fit.column_values
             information = self.result.estimator.information(
-                self.data, self.fit, merged(columns, curves)
+                self.data, self.fit, join_columns(columns, curves)
             ).without_values({**values, **term_values})
         excluded = {*self.result.effects, *names}
         return information, [*(n for n in information.names if n not in excluded), *values]
@@ -161,7 +166,7 @@ class CurveFits:
         and are left out.
         """
         effects = self.result.selection.chosen
-        inside = [c.key for c in effects if is_in(self.result.effects[c.key], term)]
+        inside = [c.key for c in effects if can_represent(self.result.effects[c.key], term)]
         replaced = (*inside, *(self.flown_term.replaced if self.flown_term else ()))
         fit, information, free = self.fit_coloured(term, replaced)
         outside = [c for c in effects if c.key not in replaced]
@@ -180,7 +185,7 @@ class CurveFits:
         return CurveEstimate(result, fit, replaced)
 
 
-def is_in(effect: Effect, term: SmoothTerm) -> bool:
+def can_represent(effect: Effect, term: SmoothTerm) -> bool:
     """Return whether a curve of the term's states can represent the effect."""
     parsed = effect.parsed
     if parsed is None or effect.coefficient != term.coefficient:
@@ -243,7 +248,9 @@ def too_weak(effects: Sequence[SelectedEffect], critical_t: float) -> tuple[Sele
     |t| is by the stated standard error, which may be larger than that of the selection.
     """
     t = [abs(c.value / c.std) for c in effects]
-    required = max(min(COMPARABLE * max(t, default=0.0), OVERWHELMING), critical_t + DIFFERENT)
+    required = max(
+        min(COMPARABLE_SHARE * max(t, default=0.0), OVERWHELMING_T), critical_t + SIGNIFICANT_Z
+    )
     return tuple(c for c, size in zip(effects, t, strict=True) if not size >= required)
 
 
@@ -286,7 +293,7 @@ def _terms_of_effects(result: SearchResult, curves: CurveFits) -> list[SmoothTer
             other = next((s for s in states if s != state), None)
             keys[effect.coefficient, state, other] = None
     terms = [smooth_term(*key, curves.samples) for key in keys]
-    return [t for t in terms if t is not None and any(is_in(e, t) for e in effects)]
+    return [t for t in terms if t is not None and any(can_represent(e, t) for e in effects)]
 
 
 # The smooth term of refinement.json.
@@ -441,7 +448,7 @@ def _curve_document(flown_term: _FlownTerm, tables: ResidualTables) -> dict[str,
     # Forms that have a name and resemble the curve.
     x = curves.samples[term.state]
     second = curves.samples[term.times] if term.times else np.ones_like(x)
-    forms, shapes = forms_like(fit, x, second), known_forms(term.knots)
+    forms, shapes = similar_forms(fit, x, second), named_forms(term.knots)
 
     def columns(v: Mapping[str, FloatArray]) -> Inputs:
         """Return the term's columns."""

@@ -17,7 +17,7 @@ from uqharness.files import write_parts
 _LOG = logging.getLogger("uqharness")
 T = TypeVar("T")
 FOLDER = ".stages"
-MOST_BYTES = 2_000_000_000
+MAX_BYTES = 2_000_000_000
 """Largest file of a stage; an hour of flights at 50 Hz takes less."""
 _NAME = re.compile(r"[a-z]+[0-9]*-[0-9a-f]{16}\.data")
 
@@ -41,7 +41,7 @@ class Stages:
             return make()
         path = folder / f"{name}-{self.key}.data"
         try:
-            stored: T = load(read_regular(path, MOST_BYTES), kind)
+            stored: T = load(read_regular(path, MAX_BYTES), kind)
             return stored
         except FileNotFoundError:
             pass

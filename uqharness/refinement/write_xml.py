@@ -21,7 +21,13 @@ from sysid.aerodynamics import COEFFICIENTS
 from sysid.effects import SPANS, V_REFERENCE_MPS, Effect, Selection, SmoothFit, SmoothTerm, Term
 from sysid.units import FT_M, IN_M, LBF_N, SLUG_FT2_KGM2
 from uqharness.errors import BadInputError
-from uqharness.identification.linearised import STALL, Carrier, Linearisation, Probe, in_dynamics
+from uqharness.identification.linearised import (
+    STALL,
+    EffectProperty,
+    Linearisation,
+    Probe,
+    acts_on_motion,
+)
 from uqharness.plugin import Estimate, coefficient_reference, put_values, state_source
 from uqharness.simulator import (
     Actuator,
@@ -439,7 +445,7 @@ def property_of(effect: Effect) -> str | None:
     None for sensors and for numbers that JSBSim reads once.
     """
     if (
-        not in_dynamics(effect)
+        not acts_on_motion(effect)
         or effect.subsystem == "mass"
         or (effect.subsystem or "").startswith("actuator.")
     ):
@@ -447,17 +453,17 @@ def property_of(effect: Effect) -> str | None:
     return effect.property_name
 
 
-def carrier(effect: Effect, aircraft: Aircraft) -> Carrier | None:
+def carrier(effect: Effect, aircraft: Aircraft) -> EffectProperty | None:
     """Return the property that holds the effect in this aircraft; None if there is none."""
     if _is_scale(effect) and folder_declares(aircraft.folder, THRUST_SCALE):
-        return Carrier(THRUST_SCALE, 1.0)
+        return EffectProperty(THRUST_SCALE, 1.0)
     servo = servo_of(effect, aircraft)
     if servo is not None:
-        return Carrier(
+        return EffectProperty(
             effect.property_name, servo_number(servo, effect.term, 0.0), servo, effect.term
         )
     name = property_of(effect)
-    return None if name is None else Carrier(name, 0.0)
+    return None if name is None else EffectProperty(name, 0.0)
 
 
 def switch_of(effect: Effect, aircraft: Aircraft) -> tuple[str, float] | None:
@@ -481,7 +487,7 @@ def write_effects(
     Returns the names of estimates without a place. Raises BadInputError.
     """
     copy_folder(aircraft.folder, out)
-    mine = [_with_switch(w, aircraft) for w in effects if in_dynamics(w.effect)]
+    mine = [_with_switch(w, aircraft) for w in effects if acts_on_motion(w.effect)]
     # Numbers first: an insertion counts bytes of the file as it was read.
     for w in mine:
         if property_of(w.effect) is None:

@@ -888,7 +888,7 @@ def _words(metric: str) -> str:
 
 # Ground tracks of repeated flights.
 
-MOST_TRACKS = 4
+MAX_TRACKS = 4
 """Number of tracks in the page, those farthest from the path first."""
 _WORST = "cross_track_median_m"
 _COLUMNS = ("time_s", "north_m", "east_m", "error_cross_track")
@@ -929,7 +929,7 @@ def track_section(folder: Path, frame: pd.DataFrame, prefix: str = "") -> tuple[
     for case_id, epistemic_id, wind, air in rows[
         ["case_id", "epistemic_id", "wind_mps", "turbulence"]
     ].itertuples(index=False):
-        if len(figures) == MOST_TRACKS:
+        if len(figures) == MAX_TRACKS:
             break
         path = records[str(case_id)]
         try:

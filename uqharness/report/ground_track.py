@@ -26,8 +26,8 @@ _LONGEST_S = 120.0
 _NEAR_M = 0.05
 _APART_M = 0.1
 """Distance [m] below which two flights count as the same line."""
-_MOST_POINTS = 4000
-_LEAST_M = 1.0
+_MAX_POINTS = 4000
+_MIN_M = 1.0
 """Shortest track [m] that is drawn; a shorter one is a receiver at rest."""
 _WIDEST = 3.0
 """Largest radius of a circle that is drawn, in lengths of the track."""
@@ -386,7 +386,7 @@ def flight_track(
             "" if k else f"commanded circle, radius {commanded[0].radius_m:.4g} m",
         )
     # Thin long tracks.
-    few = max(1, math.ceil(len(east) / _MOST_POINTS))
+    few = max(1, math.ceil(len(east) / _MAX_POINTS))
     chart.path(east[::few], north[::few], "first thin", "flown")
     at = np.flatnonzero(is_known)
     for k, shape, label in ((at[0], "disc", "start"), (at[-1], "square", "end")):
@@ -417,7 +417,7 @@ def _places(columns: Mapping[str, FloatArray]) -> tuple[FloatArray, FloatArray] 
         return None
     is_known = np.isfinite(north) & np.isfinite(east)
     # A receiver at rest has no track.
-    moved = is_known.any() and max(float(np.ptp(v[is_known])) for v in (north, east)) >= _LEAST_M
+    moved = is_known.any() and max(float(np.ptp(v[is_known])) for v in (north, east)) >= _MIN_M
     return (north, east) if moved else None
 
 

@@ -20,9 +20,9 @@ from uqharness.report.svg import Chart, Scale, scale
 
 Z95 = 1.959963984540054
 """97.5 % quantile of the standard normal distribution."""
-MOST_SEGMENTS = 3
+MAX_SEGMENTS = 3
 """Segments displayed by default."""
-_LEAST_CONTROL = 2.0  # deg or %: a control that stands still shall look so
+_MIN_CONTROL = 2.0  # deg or %: a control that stands still shall look so
 _CONTROLS = ("elevator", "aileron", "rudder", "throttle")
 
 
@@ -46,7 +46,7 @@ def history_section(
     models: Sequence[Model],
     title: str,
     prefix: str = "",
-    max_segments: int | None = MOST_SEGMENTS,
+    max_segments: int | None = MAX_SEGMENTS,
     file: Callable[[int, History], str | None] = lambda rank, history: None,
 ) -> tuple[Section, ...]:
     """Return the segments in which the first model is farthest from the log.
@@ -246,9 +246,9 @@ def _control(history: History, name: str, prefix: str) -> Figure:
     label = f"{name} [{unit}] against time [s], {history.title}."
     # A control at rest must look at rest: widen its axis.
     axis = scale(axis_label(name), [y])
-    if axis.high - axis.low < _LEAST_CONTROL:
+    if axis.high - axis.low < _MIN_CONTROL:
         middle = 0.5 * (axis.low + axis.high)
-        axis = Scale(axis.label, middle - 0.5 * _LEAST_CONTROL, middle + 0.5 * _LEAST_CONTROL)
+        axis = Scale(axis.label, middle - 0.5 * _MIN_CONTROL, middle + 0.5 * _MIN_CONTROL)
     chart = Chart(
         f"{prefix}history-{history.number}-{name}", label, _time(history), axis, height=150
     )

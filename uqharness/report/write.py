@@ -13,7 +13,7 @@ from pathlib import Path
 from uqharness.checksums import FileFault, faults
 from uqharness.errors import BadInputError
 from uqharness.files import inner_folder, write_bytes
-from uqharness.report.history import MOST_SEGMENTS
+from uqharness.report.history import MAX_SEGMENTS
 from uqharness.report.parts import (
     Figures,
     Page,
@@ -105,11 +105,11 @@ def page_of(folder: Path, every_segment: bool = False) -> Page:
     if kind == "identify":
         from uqharness.report.pages.identify import identify_page
 
-        return identify_page(folder, segments=None if every_segment else MOST_SEGMENTS)
+        return identify_page(folder, segments=None if every_segment else MAX_SEGMENTS)
     if kind == "compare":
         from uqharness.report.pages.compare import compare_page
 
-        return compare_page(folder, segments=None if every_segment else MOST_SEGMENTS)
+        return compare_page(folder, segments=None if every_segment else MAX_SEGMENTS)
     if kind == "campaign run":
         from uqharness.report.campaign import read_campaign_report
         from uqharness.report.pages.campaign import campaign_page

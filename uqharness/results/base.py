@@ -24,7 +24,7 @@ from uqharness.toml import dotted
 
 _MAX_BYTES = 16_000_000
 """Largest document; as Python objects it takes up to thirty times as much memory."""
-MOST_LINES = 25
+MAX_LINES = 25
 """Lines that a command prints at most; the rest is in its report."""
 
 
@@ -115,7 +115,7 @@ class Outcome(Generic[T_co]):
     warnings : sequence of str
         Sentences for standard error.
     cut : bool
-        Whether `text` stops after `MOST_LINES` lines; False where the text is a file.
+        Whether `text` stops after `MAX_LINES` lines; False where the text is a file.
     """
 
     value: T_co
@@ -131,12 +131,12 @@ class Outcome(Generic[T_co]):
         return self.document.as_json() if isinstance(self.document, Part) else self.document
 
     def text(self) -> str:
-        """Return at most `MOST_LINES` lines for a terminal, the path of the report last."""
+        """Return at most `MAX_LINES` lines for a terminal, the path of the report last."""
         lines = [line for text in self.lines for line in text.split("\n")]
         end = [] if self.report is None else [f"Report: {self.report}"]
         # The path of the report is printed once, by the last line.
         lines = [line for line in lines if not (end and str(self.report) in line)]
-        room = MOST_LINES - len(end)
+        room = MAX_LINES - len(end)
         if self.cut and len(lines) > room:
             place = "in the report" if end else "with --json"
             more = len(lines) - room + 1

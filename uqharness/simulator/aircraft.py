@@ -692,7 +692,7 @@ def model_files(aircraft: HasFiles) -> ModelFiles:
     return ModelFiles(local, files.shared, files.shared_paths)
 
 
-_LEAST_INERTIA = 1e-6
+_MIN_INERTIA = 1e-6
 """Inertia [slug ft2] that JSBSim takes for any smaller one."""
 _INERTIA_KGM3 = 0.055
 """Moment of inertia over the fifth power of the diameter, of small wooden and plastic propellers.
@@ -722,7 +722,7 @@ def with_rotor_inertia(aircraft: HasFiles, files: ModelFiles) -> dict[str, tuple
             continue
         # Inertia grows with the fifth power of the diameter for one shape and material.
         inertia = f"{_INERTIA_KGM3 * diameter**5 / SLUG_FT2_KGM2:.3g}"
-        if not float(inertia) > _LEAST_INERTIA:
+        if not float(inertia) > _MIN_INERTIA:
             continue
         # Only this element changes; all other bytes are the author's.
         lines = file.content.split(b"\n")

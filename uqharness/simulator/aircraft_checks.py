@@ -842,10 +842,9 @@ def remarks(files: ModelFiles, names: dict[str, str]) -> Iterator[tuple[str, str
                         " which JSBSim keeps; remove one of them"
                     ),
                 )
-        for node in root.iterfind(".//channel/*[@name]"):
-            # Channels that run on a condition may share their outputs.
-            if node.getparent().get("execute"):
-                continue
+        # Channels that run on a condition may share their outputs.
+        channels = [one for one in root.iter("channel") if not one.get("execute")]
+        for node in (part for one in channels for part in one.iterfind("*[@name]")):
             output = host.component_output(node.get("name", ""))
             place = f"{names[name]}:{_line(node)}"
             if output in components:

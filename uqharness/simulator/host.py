@@ -694,7 +694,7 @@ def read_set_file(name: str, read: Callable[[str], bytes | None]) -> SetFile:
     return SetFile(aero, texts.get("/sim/flight-model", ""), values)
 
 
-_MOST_INCLUDES = 20
+_MAX_INCLUDES = 20
 
 
 def _read_list(
@@ -706,7 +706,7 @@ def _read_list(
     depth: int,
 ) -> None:
     """Add the properties of a file below ``path``; what is inside an element replaces includes."""
-    content = read(name) if depth < _MOST_INCLUDES else None
+    content = read(name) if depth < _MAX_INCLUDES else None
     if content is None:
         return
     parser = etree.XMLParser(remove_comments=True, resolve_entities=False)

@@ -7,8 +7,8 @@ import pytest
 
 from sysid.aerodynamics.rigid_body import NX, OUTPUTS
 from sysid.effects.coloured_innovations import innovation_colour
-from sysid.effects.information import likeliest_colour, normal_equations, scores, with_colour
-from sysid.effects.prediction import Columns, MadeColumns, follow, whiten_each
+from sysid.effects.information import fit_colour, likeliest_colour, normal_equations, score_tests
+from sysid.effects.prediction import Columns, LazyColumns, filter_segments, iterate_whitened
 from tests.helpers.linear_systems import system
 
 
@@ -73,19 +73,19 @@ def test_the_colour_does_not_absorb_an_effect(size):
     }
     z += size * outputs["effect"]
     names = tuple(outputs)
-    columns = MadeColumns(
+    columns = LazyColumns(
         names, lambda k, some: Columns(names, {}, {c: outputs[c] for c in names if c in some}), 1
     )
-    followed = [*follow([steps], [z], range(m), np.ones(m))]
+    followed = [*filter_segments([steps], [z], range(m), np.ones(m))]
 
     def information(colour):
-        return normal_equations(whiten_each(followed, columns, colour), names, [0], {})
+        return normal_equations(iterate_whitened(followed, columns, colour), names, [0], {})
 
-    fitted = with_colour(followed, [columns.some(0, ["own"])], {})
+    fitted = fit_colour(followed, [columns.some(0, ["own"])], {})
     assert fitted[0] is not None
     required = {"effect": 36.0, "other": 36.0}
     colour = likeliest_colour(followed, columns, fitted, information(None), required, {})
-    t_fitted, t = (scores(information(c), ["own"], [*required]).t for c in (fitted[0], colour))
+    t_fitted, t = (score_tests(information(c), ["own"], [*required]).t for c in (fitted[0], colour))
     if not size:
         assert colour is fitted[0]
         assert np.abs(t).max() < 3.5

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from sysid.aerodynamics.rigid_body import NX
-from sysid.effects.prediction import Columns, minus_twice_log, whiten
+from sysid.effects.prediction import Columns, neg2_log_likelihood, whiten
 from sysid.effects.turbulence import AirLikelihood
 from sysid.estimation.kalman import Process
 from sysid.parallel import LocalValue
@@ -42,7 +42,7 @@ def one_by_one(steps, data, noise, airs):
     nothing = [Columns((), {}, {})] * len(steps)
     return np.array(
         [
-            minus_twice_log(whiten(steps, data, nothing, ROWS, r, p))
+            neg2_log_likelihood(whiten(steps, data, nothing, ROWS, r, p))
             for r, p in zip(noise, airs, strict=True)
         ]
     )

@@ -15,18 +15,18 @@ from sysid.effects.information import (
     corrected_estimate,
     corrected_estimates,
     normal_equations,
-    scores,
+    score_tests,
 )
 from sysid.effects.prediction import (
     Columns,
     FilteredSegment,
-    MadeColumns,
-    follow,
-    minus_twice_log,
-    names_of,
+    LazyColumns,
+    column_names,
+    filter_segments,
+    iterate_whitened,
+    neg2_log_likelihood,
     whiten,
-    whiten_each,
-    whitened,
+    whiten_filtered,
     with_air,
 )
 from sysid.effects.selection import select, sidak_critical_t
@@ -104,13 +104,13 @@ def test_a_filter_that_has_followed_a_flight_whitens_any_columns_of_it():
     steps, rng = system(9, 3), np.random.default_rng(4)
     z, Q = rng.standard_normal((9, M)), rng.random(NX)
     process = Process(Q[None], np.zeros((1, NX)))
-    followed = [*follow([steps], [z], range(M), np.ones(M), process)]
+    followed = [*filter_segments([steps], [z], range(M), np.ones(M), process)]
     for seed in (5, 6):
         columns = [
             Columns(("c",), {"c": (-1, np.random.default_rng(seed).standard_normal((9, 6)))}, {})
         ]
         (ours,), (alone,) = (
-            whitened(followed, columns),
+            whiten_filtered(followed, columns),
             whiten([steps], [z], columns, range(M), np.ones(M), process),
         )
         for name in ("residual", "columns", "start", "deviation"):
@@ -129,15 +129,15 @@ def test_columns_hold_nothing_that_another_strength_of_the_air_would_do():
         return Process((factors * Q)[None], np.zeros((1, NX)))
 
     def followed(factors: np.ndarray) -> FilteredSegment:
-        return next(follow([steps], [z], range(M), np.ones(M), process(factors)))
+        return next(filter_segments([steps], [z], range(M), np.ones(M), process(factors)))
 
-    columns = MadeColumns(names, lambda k, some: Columns(names, inputs, {}), 1)
+    columns = LazyColumns(names, lambda k, some: Columns(names, inputs, {}), 1)
     here = followed(np.ones(NX))
     airs = [([steps], process(np.where(np.arange(NX) == k, 1.01, 1.0))) for k in np.flatnonzero(Q)]
-    (plain,) = whiten_each([here], columns)
-    (ours,) = whiten_each(with_air([here], [z], range(M), np.ones(M), airs), columns)
+    (plain,) = iterate_whitened([here], columns)
+    (ours,) = iterate_whitened(with_air([here], [z], range(M), np.ones(M), airs), columns)
     assert np.sum(ours.residual**2) < np.sum(plain.residual**2)
-    assert minus_twice_log([ours]) == pytest.approx(minus_twice_log([plain]), rel=1e-12)
+    assert neg2_log_likelihood([ours]) == pytest.approx(neg2_log_likelihood([plain]), rel=1e-12)
     np.testing.assert_allclose(ours.start[:, 0], plain.start[:, 0], rtol=1e-9)
 
     def change(state: int, step: float) -> np.ndarray:
@@ -223,12 +223,12 @@ def test_one_and_the_same_cause_stands_as_inseparable():
 
 def test_a_candidate_that_the_parameters_hold_already_has_no_score():
     evidence = flights({}, 6)
-    assert np.isnan(scores(evidence, ["a", "b", "c1"], ["c6"]).t[0])
+    assert np.isnan(score_tests(evidence, ["a", "b", "c1"], ["c6"]).t[0])
 
 
 def test_scores_of_nothing_are_standard_normal():
     t = np.concatenate(
-        [scores(flights({}, seed, 4, 40), ["a", "b"], list(ODDS)).t for seed in range(40, 60)]
+        [score_tests(flights({}, seed, 4, 40), ["a", "b"], list(ODDS)).t for seed in range(40, 60)]
     )
     assert abs(t.mean()) < 0.3
     assert 0.8 < t.std() < 1.2
@@ -263,10 +263,10 @@ def test_the_limit_grows_with_the_number_of_candidates():
 def test_an_effect_taken_out_is_found_again():
     evidence = flights({"c3": 0.2}, 3)
     away = evidence.without_values({"c3": -0.2})
-    assert abs(scores(away, ["a", "b"], ["c3"]).t[0]) < 4.0
+    assert abs(score_tests(away, ["a", "b"], ["c3"]).t[0]) < 4.0
     again = away.without_values({"c3": 0.2})
-    assert scores(again, ["a", "b"], ["c3"]).t[0] == pytest.approx(
-        scores(evidence, ["a", "b"], ["c3"]).t[0], rel=1e-6
+    assert score_tests(again, ["a", "b"], ["c3"]).t[0] == pytest.approx(
+        score_tests(evidence, ["a", "b"], ["c3"]).t[0], rel=1e-6
     )
 
 
@@ -302,14 +302,14 @@ def test_columns_made_when_they_are_asked_for_are_those_that_were_there():
         made.append((k, some))
         return columns[k]
 
-    later = MadeColumns(names, make, len(columns))
+    later = LazyColumns(names, make, len(columns))
     there, then = (whiten(steps, z, c, range(M), np.ones(M)) for c in (columns, later))
     for a, b in zip(there, then, strict=True):
         np.testing.assert_array_equal(a.columns, b.columns)
     assert made == [(k, frozenset(names)) for k in range(3)]
     assert later.some(1, ["effect"]).names == ("effect",)
     assert made[-1] == (1, {"effect"})
-    assert names_of(later) == names_of(columns) == names
+    assert column_names(later) == column_names(columns) == names
     with pytest.raises(IndexError):
         later[3]
 
@@ -343,8 +343,8 @@ def test_evidence_that_makes_columns_again_says_the_same_as_one_that_holds_them(
     whole = normal_equations(
         whiten(steps, z, columns, range(M), np.ones(M), process), names, group, {}
     )
-    white = whiten_each(
-        follow(steps, z, range(M), np.ones(M), process), MadeColumns(names, make, 3)
+    white = iterate_whitened(
+        filter_segments(steps, z, range(M), np.ones(M), process), LazyColumns(names, make, 3)
     )
     held = normal_equations(white, names, group, {}, ("off", "b", "a"))
     assert held.white[0].columns.shape == (n, M, 3)

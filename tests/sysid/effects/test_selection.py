@@ -7,8 +7,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sysid.effects.information import Information, normal_equations, scores
-from sysid.effects.prediction import White
+from sysid.effects.information import Information, normal_equations, score_tests
+from sysid.effects.prediction import WhitenedSegment
 from sysid.effects.selection import critical_t_of, estimate_selected, select, sidak_critical_t
 
 SEGMENTS, N, M = 6, 40, 3
@@ -19,7 +19,7 @@ def evidence(columns: dict[str, np.ndarray], residual: np.ndarray) -> Informatio
     """columns: name -> (S, n, m); residual (S, n, m) in units of the noise."""
     names = tuple(columns)
     white = [
-        White(
+        WhitenedSegment(
             residual[s],
             np.stack([columns[c][s] for c in names], axis=2).astype(np.float32),
             0.0,
@@ -61,7 +61,9 @@ def test_nothing_is_chosen_from_noise_more_often_than_the_limit_allows():
     candidates = {f"c{k}": 0.0 for k in range(20)}
     critical_t = critical_t_of(evidence(columns, shared), ["free"], list(candidates), 0.05)
     largest = [
-        float(np.abs(scores(evidence(columns, drawn(rng)), ["free"], list(candidates)).t).max())
+        float(
+            np.abs(score_tests(evidence(columns, drawn(rng)), ["free"], list(candidates)).t).max()
+        )
         for _ in range(300)
     ]
     assert 0.02 < np.mean(np.array(largest) > critical_t) < 0.085

@@ -12,15 +12,15 @@ from scipy.interpolate import BSpline, make_smoothing_spline
 from scipy.signal import lfilter
 from scipy.stats import binom
 
-from sysid.effects import White, normal_equations
+from sysid.effects import WhitenedSegment, normal_equations
 from sysid.effects.smooth import (
     colour_dispersion,
     fit_smooth,
-    forms_like,
     held_out_gain,
+    similar_forms,
     smooth_term,
 )
-from sysid.effects.tuned import FAMILY
+from sysid.effects.tuned import FAMILY_ERROR_RATE
 
 N = 600
 PARAMETERS = ("aero/Cm_0", "aero/Cm_alpha")
@@ -49,7 +49,9 @@ def evidence_of(found, left, terms, free=("1", "alpha"), parts=3):
         residual = left[part][:, None]
         there = np.ones(residual.shape, dtype=bool)
         white.append(
-            White(residual, columns[part][:, None, :], 0.0, np.zeros((8, 1)), there, np.ones(1))
+            WhitenedSegment(
+                residual, columns[part][:, None, :], 0.0, np.zeros((8, 1)), there, np.ones(1)
+            )
         )
     return normal_equations(white, names, range(parts), {}), [
         n for n in names if n.startswith("aero/")
@@ -156,7 +158,7 @@ def test_noise_is_offered_a_term_no_more_often_than_stated_and_a_bump_always():
     for _ in range(runs):
         noise = replace(evidence, score=(rng.normal(size=N) @ columns)[None, :])
         offers += any(f.stands_out(len(terms)) for f in fit_smooth(noise, free, terms))
-    assert offers <= binom.ppf(0.999, runs, FAMILY)
+    assert offers <= binom.ppf(0.999, runs, FAMILY_ERROR_RATE)
     found, y = made(5)
     assert fitted(found, y, smooth_term("Cm", "alpha", None, found)).p < 1e-10
 
@@ -258,6 +260,6 @@ def test_a_third_of_the_flight_confirms_what_is_there_and_not_what_is_noise():
 def test_the_nearest_form_is_told_with_its_place_among_the_knots(curve, form):
     found, y = made(14, curve)
     fit = fitted(found, y, smooth_term("Cm", "alpha", None, found))
-    nearest, correlation = forms_like(fit, found["alpha"], np.ones(N))[0]
+    nearest, correlation = similar_forms(fit, found["alpha"], np.ones(N))[0]
     assert nearest.startswith(form)
     assert abs(correlation) > 0.97

@@ -18,7 +18,7 @@ from sysid.effects.turbulence import (
     V_REFERENCE,
     Score,
     TurbulenceModel,
-    gust_intensity,
+    estimate_air,
     gust_strength_mps2,
     process_of,
 )
@@ -94,7 +94,7 @@ def drawn(
 def found_in(
     made: Made, data: list[np.ndarray], near: TurbulenceModel | None = None
 ) -> TurbulenceModel:
-    return gust_intensity(
+    return estimate_air(
         made,
         data,
         range(len(NOISE)),
@@ -195,7 +195,7 @@ def test_noise_that_is_half_of_what_is_stated_is_found_beside_the_gusts():
     stated = np.where(rate, 2.0, 1.0) * NOISE
 
     def searched(kinds, noise, near=None):
-        return gust_intensity(
+        return estimate_air(
             made,
             data,
             range(len(NOISE)),
@@ -296,7 +296,7 @@ def test_the_air_of_a_flight_alone_is_the_likeliest_from_wherever_it_is_sought()
     made, data = drawn(GustStates(MASS.b, 23.5), INTENSITIES, n=260)
 
     def found(near: turbulence.TurbulenceModel | None) -> turbulence.TurbulenceModel:
-        air, _ = turbulence.gust_intensity(
+        air, _ = turbulence.estimate_air(
             made,
             data,
             range(len(NOISE)),
@@ -352,7 +352,7 @@ def test_the_air_of_some_flights_in_others():
     kind = GustStates(MASS.b, rotating=True)
     made, data = drawn(kind, INTENSITIES)
     found = found_in(made, data)
-    other = found.in_other([19.0, 21.0, 30.0], ["c", "c", "a"])
+    other = found.in_segments([19.0, 21.0, 30.0], ["c", "c", "a"])
     assert [s.passing_mps for s in other.states] == [0.0] * 3
     np.testing.assert_array_equal(other.by_flight["a"], found.by_flight["a"])
     np.testing.assert_array_equal(other.by_flight["c"], found.values)
@@ -362,7 +362,9 @@ def test_the_air_of_some_flights_in_others():
         states=tuple(s._replace(passing_mps=25.0) for s in found.states),
         passing={"a": 25.0, "b": 25.0},
     )
-    assert [s.passing_mps for s in at_one.in_other([19.0, 21.0, 30.0], ["c", "c", "a"]).states] == [
+    assert [
+        s.passing_mps for s in at_one.in_segments([19.0, 21.0, 30.0], ["c", "c", "a"]).states
+    ] == [
         20.0,
         20.0,
         25.0,

@@ -71,7 +71,7 @@ def test_integral_time_of_a_first_order_process_is_known():
 
 # The warning on coloured residuals: when it is given, what it suspects, and that it is short.
 
-MOST_WORDS = 60
+MAX_WORDS = 60
 
 
 def found(predictable=0.4, explained=np.nan, p_value=1e-30, outputs=6):
@@ -94,7 +94,7 @@ def test_the_cause_first_and_few_words(method, explained, first):
     assert first in text
     assert "3.2 times the Cramer-Rao bounds" in text
     assert text.endswith("(docs/estimators.md, Coloured residuals).")
-    assert len(text.split()) <= MOST_WORDS
+    assert len(text.split()) <= MAX_WORDS
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,12 @@ from uqharness.errors import BadInputError
 from uqharness.identification import replay_fit
 from uqharness.identification.compare import compare
 from uqharness.identification.identify import identify
-from uqharness.identification.linearised import ModelState, StagedModels, make_setup, observed
+from uqharness.identification.linearised import (
+    ModelState,
+    StagedModels,
+    make_flight_data,
+    observations_of,
+)
 from uqharness.identification.replay_fit import Observed, fit_replays, jumping_flights
 from uqharness.refinement.estimators import Dataset, fit_without_effects, note_unestimated
 from uqharness.refinement.evaluation import evaluate
@@ -41,7 +46,7 @@ def flight():
 
 
 def refined(aircraft, flight):
-    setup = make_setup(aircraft, [flight], ())
+    setup = make_flight_data(aircraft, [flight], ())
     limits = {n: aircraft.card.parameters[n].bounds for n in NAMES}
     with StagedModels(aircraft, setup) as bench:
         result = fit_without_effects(aircraft, bench, setup, NAMES, limits, SERIAL)
@@ -71,7 +76,7 @@ def test_identify_and_refine_estimate_the_same(aircraft, flight):
 
 def test_compare_and_refine_show_the_same_gap(aircraft, flight):
     gap = compare(aircraft, flight, (), workers=1)
-    setup = make_setup(aircraft, [flight], ())
+    setup = make_flight_data(aircraft, [flight], ())
     shown = evaluate(aircraft, Dataset(setup), SERIAL, ModelState({}, {}, ()))
     ours = {c: shown.channel_rms(k) / shown.noise[k] for k, c in enumerate(setup.outputs)}
     assert ours == pytest.approx({c: gap.channels[c].ratio for c in setup.outputs}, rel=1e-3)
@@ -80,7 +85,7 @@ def test_compare_and_refine_show_the_same_gap(aircraft, flight):
     scaled = prepare(
         "f", flight.record.with_columns({"alpha_rad": 1.1 * flight.record["alpha_rad"]}), ()
     )
-    setup = make_setup(aircraft, [scaled], ())
+    setup = make_flight_data(aircraft, [scaled], ())
     side, scale = Dataset(setup), {"effect/sensor.alpha_rad/scale": 0.1}
     blind, told = (
         evaluate(aircraft, side, SERIAL, ModelState({}, {}, (), s)).cost for s in ({}, scale)
@@ -89,7 +94,7 @@ def test_compare_and_refine_show_the_same_gap(aircraft, flight):
 
 
 def test_what_the_flights_do_not_determine_stays(aircraft, flight):
-    setup = make_setup(aircraft, [flight], ())
+    setup = make_flight_data(aircraft, [flight], ())
     observed = Observed(setup.segments, setup.outputs, setup.measured, setup.biased, {})
     names, values = ("aero/Cm_q", "aero/CX_alpha2"), np.array([-13.8, 1.86])
     with ReplayFolder(aircraft) as model:
@@ -119,7 +124,7 @@ def test_what_the_flights_do_not_determine_stays(aircraft, flight):
 def test_beside_what_goes_back_the_estimate_begins_where_replays_are_nearest(
     aircraft, flight, monkeypatch, far
 ):
-    setup = make_setup(aircraft, [flight], ())
+    setup = make_flight_data(aircraft, [flight], ())
     observed = Observed(setup.segments, setup.outputs, setup.measured, setup.biased, {})
     names, near, card = (
         ("aero/Cm_q", "aero/CX_alpha2"),
@@ -149,7 +154,7 @@ def test_beside_what_goes_back_the_estimate_begins_where_replays_are_nearest(
 
 
 def test_what_replays_have_at_a_bound_is_free_beside_effects_and_told(aircraft, flight):
-    setup, names = make_setup(aircraft, [flight], ()), ("aero/Cm_q", "aero/CX_alpha2")
+    setup, names = make_flight_data(aircraft, [flight], ()), ("aero/Cm_q", "aero/CX_alpha2")
     limits = {"aero/Cm_q": (-60.0, 0.0), "aero/CX_alpha2": (1.86, 1.9)}
     with StagedModels(aircraft, setup) as bench:
         result = fit_without_effects(aircraft, bench, setup, names, limits, SERIAL)
@@ -177,15 +182,15 @@ def jumping(monkeypatch):
 def test_what_accelerometers_have_not_seen_of_a_jump_is_estimated(aircraft, jumping):
     names = ("aero/CZ_de", "aero/Cm_de", "aero/CY_dr", "aero/Cl_da")
     true = [Airframe().coefficients[n.removeprefix("aero/")] for n in names]
-    setup = make_setup(aircraft, [jumping], (), CONTROLS)
+    setup = make_flight_data(aircraft, [jumping], (), CONTROLS)
     bounds = [aircraft.card.parameters[n].bounds for n in names]
     with ReplayFolder(aircraft, ideal=CONTROLS) as model:
         fit = fit_replays(
-            model, observed(setup), names, (np.array(true),), bounds, batched_pool(map)
+            model, observations_of(setup), names, (np.array(true),), bounds, batched_pool(map)
         )
         blind = fit_replays(
             replace(model, lagging=("throttle_pct",)),
-            observed(setup),
+            observations_of(setup),
             names,
             (np.array(true),),
             bounds,
@@ -194,7 +199,7 @@ def test_what_accelerometers_have_not_seen_of_a_jump_is_estimated(aircraft, jump
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(replay_fit, "jumping_flights", lambda *_: [])
             without = fit_replays(
-                model, observed(setup), names, (np.array(true),), bounds, batched_pool(map)
+                model, observations_of(setup), names, (np.array(true),), bounds, batched_pool(map)
             )
     share, std = (
         fit.values()["unseen/f"],
@@ -215,7 +220,7 @@ def test_what_accelerometers_have_not_seen_of_a_jump_is_estimated(aircraft, jump
 
 
 def test_a_lag_in_every_servo_leaves_nothing_to_see(aircraft, flight):
-    setup = make_setup(aircraft, [flight], ())
+    setup = make_flight_data(aircraft, [flight], ())
     with ReplayFolder(aircraft) as model:
         assert model.jumping == ()
         assert jumping_flights(model, setup.segments, {}) == []

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from sysid.effects import Effect, White, normal_equations
+from sysid.effects import Effect, WhitenedSegment, normal_equations
 from sysid.effects.catalogue import coefficient_effect
 from sysid.effects.information import Information
 from sysid.effects.selection import Selection
@@ -102,7 +102,7 @@ class LinearFlights:
             is_measured = np.ones(z.shape, dtype=bool)
             start = np.zeros((8, 1 + len(names)))
             columns = columns.astype(np.float32)
-            white.append(White(residual, columns, 0.0, start, is_measured, np.ones(2)))
+            white.append(WhitenedSegment(residual, columns, 0.0, start, is_measured, np.ones(2)))
         return normal_equations(white, names, [0, 1, 0], {}, None)
 
     def estimate(self, keys: Sequence[str]) -> tuple[dict[str, float], float]:

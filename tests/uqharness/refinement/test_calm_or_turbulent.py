@@ -9,7 +9,7 @@ from tests.helpers.sixdof import Airframe
 from tests.hidden_effects.catalogue import ENTRIES
 from tests.hidden_effects.flights import Flight, fly
 from tests.hidden_effects.manoeuvres import card
-from uqharness.identification.linearised import make_setup
+from uqharness.identification.linearised import make_flight_data
 from uqharness.refinement import effect_search
 from uqharness.refinement.estimators import PredictionErrorEstimator, ReplayEstimator
 from uqharness.refinement.stages import Stages
@@ -34,7 +34,7 @@ def test_effects_in_calm_air_are_no_gusts(effects, w20_kt, estimator, tmp_path, 
         record.write(path)
     aircraft = find_aircraft("espaaro")
     flights, measured = read_flights(paths, aircraft, align=False)
-    data = make_setup(aircraft, flights, measured, ())
+    data = make_flight_data(aircraft, flights, measured, ())
     baseline = effect_search.fit_baseline(
         aircraft, data, (), [], SERIAL, lambda _: None, Stages(None, ())
     )

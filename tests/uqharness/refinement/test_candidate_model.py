@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sysid.effects.information import Information, normal_equations
-from sysid.effects.prediction import White
+from sysid.effects.prediction import WhitenedSegment
 from sysid.effects.selection import SelectedEffect, Selection
 from uqharness.identification.linearised import ModelState
 from uqharness.refinement.candidate_model import CandidateModel, joint_point, secant_step
@@ -27,7 +27,9 @@ def information(values: tuple[float, ...]) -> Information:
         is_measured = np.ones((400, 2), dtype=bool)
         residual = columns @ np.array(values)
         segments.append(
-            White(residual, columns.astype(np.float32), 0.0, start, is_measured, np.ones(2))
+            WhitenedSegment(
+                residual, columns.astype(np.float32), 0.0, start, is_measured, np.ones(2)
+            )
         )
     return normal_equations(segments, NAMES, [0, 1], {})
 

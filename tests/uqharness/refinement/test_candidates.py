@@ -11,7 +11,7 @@ import pytest
 
 from sysid.effects.catalogue import subsystem_effects
 from sysid.effects.information import normal_equations
-from sysid.effects.prediction import White
+from sysid.effects.prediction import WhitenedSegment
 from sysid.effects.selection import SelectedEffect, Selection
 from uqharness.refinement.candidates import eligible, largest_step, without_unresolved
 from uqharness.simulator.actuators import Actuator
@@ -26,7 +26,7 @@ def at(value: float, late: dict[str, list[str]], servos=None, held=EFFECTS) -> d
     rng = np.random.default_rng(1)
     columns = rng.standard_normal((50, 2, len(held)))
     residual = value * columns.sum(axis=2)
-    white = White(
+    white = WhitenedSegment(
         residual,
         columns.astype(np.float32),
         0.0,
@@ -92,7 +92,7 @@ def test_a_rate_limit_below_what_rows_resolve_is_no_effect_though_it_was_flown(
     (effect,) = (e for e in EFFECTS if e.term == "rate_limit")
     value = 1.0 / limit_dps - 1.0 / 240.0
     columns = rng.standard_normal((200, 2, 2))
-    white = White(
+    white = WhitenedSegment(
         columns @ np.array([1.0, value]),
         columns.astype(np.float32),
         0.0,
@@ -117,7 +117,7 @@ def test_a_time_below_what_rows_resolve_is_no_effect_though_it_was_flown():
     rng = np.random.default_rng(2)
     keys = ["effect/sensor.rates/delay", "effect/Cm/p_hat^2"]
     columns = rng.standard_normal((200, 2, 3))
-    white = White(
+    white = WhitenedSegment(
         columns @ np.array([0.4, 1.0, 1.0]),
         columns.astype(np.float32),
         0.0,
@@ -157,7 +157,7 @@ def test_a_time_too_short_to_be_named_stands_beside_the_effect_that_it_may_be(
     columns[:, :, 1] = -1000.0 * (
         columns[:, :, 0] + alike * columns[:, :, 1]
     )  # -1 ms of it does what 1 of the term does
-    white = White(
+    white = WhitenedSegment(
         columns[:, :, 0] + 0.1 * rng.standard_normal((200, 2)),
         columns.astype(np.float32),
         0.0,

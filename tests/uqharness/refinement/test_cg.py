@@ -23,12 +23,12 @@ from uqharness.identification.linearised import (
     StagedModels,
     Trajectory,
     effect_columns,
-    make_setup,
+    make_flight_data,
     positions,
     probes,
     with_sensors_of,
 )
-from uqharness.identification.linearised import fly as replayed
+from uqharness.identification.linearised import replay_at as replayed
 from uqharness.plugin import with_card
 from uqharness.refinement.write_xml import EffectToWrite, write_effects
 from uqharness.replay.flights import read_flights
@@ -48,7 +48,7 @@ def setup(aircraft: Aircraft, tmp_path_factory: pytest.TempPathFactory) -> Fligh
     path = tmp_path_factory.mktemp("cg") / "flight.parquet"
     fly((("pitch-3211", 22.0), ("roll-yaw", 22.0)), seed=1, seconds=6.0).write(path)
     flights, measured = read_flights([path], aircraft, None, None)
-    return make_setup(aircraft, flights, measured)
+    return make_flight_data(aircraft, flights, measured)
 
 
 @pytest.fixture(scope="module")

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sysid.effects import OVERWHELMING
+from sysid.effects import OVERWHELMING_T
 from sysid.effects.catalogue import coefficient_effect, subsystem_effects
 from sysid.effects.information import Information, normal_equations
-from sysid.effects.prediction import White
+from sysid.effects.prediction import WhitenedSegment
 from sysid.effects.selection import SelectedEffect
 from tests.uqharness.refinement.linear_aircraft import PARAMETERS, LinearFlights
 from uqharness.refinement.effect_search import (
@@ -65,7 +65,7 @@ def test_an_overwhelming_effect_flies_before_others_are_proposed():
     context, information = truth.context()
     first = context.select(information, context.free)
     assert len(first.chosen) == 1
-    assert abs(first.chosen[0].t) > OVERWHELMING
+    assert abs(first.chosen[0].t) > OVERWHELMING_T
     outcome = search(truth)
     assert len(truth.fitted[0]) == 1
     assert outcome.model.keys == {"effect/Cm/alpha^2", "effect/Cm/de^2"}
@@ -76,7 +76,7 @@ def test_an_effect_below_the_limit_stays_out_and_the_criterion_decides():
     truth = flights(**{"alpha^2": 20.0})
     named = search(truth, critical_t=3.5)
     t = abs(named.model.selection.chosen[0].t)
-    assert 3.5 < t < OVERWHELMING
+    assert 3.5 < t < OVERWHELMING_T
     assert search(truth, critical_t=1.05 * t).model.keys == set()
     context, _ = truth.context(3.5)
     assert named.model.criterion < context.cost
@@ -123,7 +123,9 @@ def information(share: float = 0.3) -> Information:
     columns = np.stack([free, thrust, speed, -2.0 * thrust, other], axis=2)
     residual = 2.0 * speed + rng.standard_normal((400, 2))
     there = np.ones((400, 2), dtype=bool)
-    white = White(residual, columns.astype(np.float32), 0.0, np.zeros((8, 6)), there, np.ones(2))
+    white = WhitenedSegment(
+        residual, columns.astype(np.float32), 0.0, np.zeros((8, 6)), there, np.ones(2)
+    )
     return normal_equations([white], KEYS, [0], {})
 
 

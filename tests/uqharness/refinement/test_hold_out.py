@@ -19,7 +19,7 @@ from tests.uqharness.refinement.linear_aircraft import (
     LinearFlights,
     simulate,
 )
-from uqharness.identification.linearised import Carrier
+from uqharness.identification.linearised import EffectProperty
 from uqharness.refinement.effect_search import SearchResult
 from uqharness.refinement.estimators import Dataset
 from uqharness.refinement.evaluation import Evaluation
@@ -198,7 +198,7 @@ def test_properties_fly_what_an_aircraft_of_its_own_would():
         SelectedEffect(e.key, value, 0.1, 10.0, 100.0, 1.0, 0.0)
         for e, value in ((term, 3.0), (lag, 0.01), (sensor, 0.1))
     )
-    setup = SimpleNamespace(carriers={term.key: Carrier("aero/Cm_p2", 0.0)})
+    setup = SimpleNamespace(carriers={term.key: EffectProperty("aero/Cm_p2", 0.0)})
     found = SearchResult(
         setup,
         ("aero/Cm_q",),

@@ -7,13 +7,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from sysid.effects import Effect, SelectedEffect, Selection, White, normal_equations
+from sysid.effects import Effect, SelectedEffect, Selection, WhitenedSegment, normal_equations
 from uqharness.identification.linearised import (
     LOCAL_SLOPE,
-    around,
-    in_dead_zone,
+    dead_zone_change,
+    local_rate_limits,
+    rate_limit_pair,
     servo_change,
-    slopes_here,
 )
 from uqharness.refinement.candidate_model import with_local_rate_limits
 from uqharness.refinement.candidates import (
@@ -94,7 +94,7 @@ def test_a_limit_above_the_servos_own_is_known_by_its_slope_where_it_flies():
 
     def found(here: np.ndarray) -> SimpleNamespace:
         columns = {"other": 10.0 * other, KEY: 1e5 * whole, KEY + LOCAL_SLOPE: here}
-        white = White(
+        white = WhitenedSegment(
             noise,
             np.stack(list(columns.values()), axis=2).astype(np.float32),
             0.0,
@@ -124,8 +124,8 @@ def test_only_limits_above_the_servos_own_have_a_slope_of_their_own():
     limit = Effect(None, "actuator.elevator", "rate_limit", "", "", unit="s/deg")
     lag = Effect(None, "actuator.elevator", "lag", "", "", unit="s")
     faster, slower = (SimpleNamespace(effects={limit.key: v, lag.key: -0.1}) for v in (-0.01, 0.01))
-    assert [e.key for e in slopes_here([limit, lag], faster)] == [KEY + LOCAL_SLOPE]
-    assert slopes_here([limit, lag], slower) == []
+    assert [e.key for e in local_rate_limits([limit, lag], faster)] == [KEY + LOCAL_SLOPE]
+    assert local_rate_limits([limit, lag], slower) == []
 
 
 @pytest.mark.parametrize("width", [0.06, 0.3, 1.2])
@@ -135,7 +135,7 @@ def test_a_dead_zone_is_read_by_one_as_wide_as_it_is(width):
     missing = stands - asked
     estimates = []
     for one in WIDTHS_DEG:
-        column = in_dead_zone(asked, one)
+        column = dead_zone_change(asked, one)
         estimates.append(column @ missing / (column @ column))
     widths = np.array(WIDTHS_DEG)
     assert limit_of_unit_gain(
@@ -146,7 +146,7 @@ def test_a_dead_zone_is_read_by_one_as_wide_as_it_is(width):
     # One that stands in it already is short by half of what it is wider.
     wider = np.sign(asked) * np.maximum(np.abs(asked) - 0.5 * (width + 1e-3), 0.0)
     outside = np.abs(asked) > 0.5 * (width + 1e-3)
-    assert (1e-3 * in_dead_zone(stands, 0.4, in_model=True))[outside] == pytest.approx(
+    assert (1e-3 * dead_zone_change(stands, 0.4, in_model=True))[outside] == pytest.approx(
         (wider - stands)[outside], abs=1e-12
     )
 
@@ -192,6 +192,6 @@ def test_the_limit_is_the_one_of_which_the_flights_want_just_what_it_does():
         limit_of_unit_gain(limits, np.full(len(limits), 0.1), np.arange(len(limits), 0.0, -1.0))
         == limits[0]
     )
-    assert around(servo, 1.0 / 80.0 - 1.0 / 240.0) == pytest.approx((80.0, 77.6))
+    assert rate_limit_pair(servo, 1.0 / 80.0 - 1.0 / 240.0) == pytest.approx((80.0, 77.6))
     # Faster than the servo's own, where it may hardly be reached: halfway back, in travel time.
-    assert around(servo, 1.0 / 480.0 - 1.0 / 240.0) == pytest.approx((480.0, 320.0))
+    assert rate_limit_pair(servo, 1.0 / 480.0 - 1.0 / 240.0) == pytest.approx((480.0, 320.0))

@@ -26,7 +26,7 @@ from uqharness.cli.main import main
 from uqharness.commands.refinement import write_results
 from uqharness.errors import BadInputError
 from uqharness.identification.compare import compare
-from uqharness.identification.linearised import ModelState, make_setup, setup_in_gusts
+from uqharness.identification.linearised import ModelState, make_flight_data, with_card_noise
 from uqharness.refinement import run as refine_run
 from uqharness.refinement.estimators import Dataset, ReplayEstimator
 from uqharness.refinement.evaluation import Evaluation, residual_tables, with_replays
@@ -477,7 +477,7 @@ def test_in_turbulence_the_table_is_that_of_compare(gusty):
     in each channel.
     """
     aircraft = find_aircraft("espaaro")
-    setup = setup_in_gusts(aircraft, make_setup(aircraft, [gusty], ()))
+    setup = with_card_noise(aircraft, make_flight_data(aircraft, [gusty], ()))
     zeros = [np.zeros_like(z) for z in setup.measured]
     predicted = Evaluation(
         None, zeros, setup.noise, [np.ones((9, 6))], np.ones(6), zeros, 0.0, (0.0,)

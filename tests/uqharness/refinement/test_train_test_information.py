@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from sysid.effects import Information, normal_equations
-from sysid.effects.prediction import White
+from sysid.effects.prediction import WhitenedSegment
 from sysid.effects.selection import SelectedEffect, Selection
 from uqharness.refinement.hold_out import (
     TrainTestInformation,
@@ -35,7 +35,7 @@ def side(
     measured = columns @ values + rng.standard_normal(n)
     residual = measured - columns[:, :3] @ np.array([at[k] for k in (*NAMES, KEY)])
     there = np.ones((n, 1), dtype=bool)
-    white = White(
+    white = WhitenedSegment(
         residual[:, None],
         columns[:, None, :].astype(np.float32),
         0.0,

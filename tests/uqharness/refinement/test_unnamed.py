@@ -23,7 +23,7 @@ from uqharness.batch.course import fly_many
 from uqharness.cli.main import main
 from uqharness.flight.spec import FlightSpec
 from uqharness.refinement import run
-from uqharness.refinement.smooth_terms import EXPLAINED, STATES, is_in
+from uqharness.refinement.smooth_terms import EXPLAINED, STATES, can_represent
 from uqharness.requests.refinement import RefineRequest
 from uqharness.results.refinement import Refinement
 from uqharness.simulator.aircraft import find_aircraft
@@ -223,6 +223,8 @@ def test_a_kink_is_drawn_where_powers_were_named_and_a_product_where_one_state_i
 def test_an_effect_is_part_of_the_curve_where_the_curve_can_be_it(coefficient, term, times, same):
     found = {s: np.linspace(0.0, 1.0, 50) for s in STATES}
     assert (
-        is_in(coefficient_effect(coefficient, term), smooth_term("Cm", "alpha", times, found))
+        can_represent(
+            coefficient_effect(coefficient, term), smooth_term("Cm", "alpha", times, found)
+        )
         is same
     )

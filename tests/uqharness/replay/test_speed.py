@@ -17,7 +17,7 @@ from tests.hidden_effects.effects import Effect
 from tests.hidden_effects.flights import NOISE, Flight, fly_and_tell
 from uqharness.cli.main import main
 from uqharness.commands.flights import carded_aircraft
-from uqharness.identification.linearised import moved_later
+from uqharness.identification.linearised import delay_by_rows
 from uqharness.refinement.write_xml import EffectToWrite, write_effects
 from uqharness.replay.flights import prepare, read_flights, segments
 from uqharness.replay.model import ReplayFolder
@@ -79,7 +79,7 @@ def test_a_late_gyro_is_a_late_gyro_at_the_kinks_of_a_rate(rolled):
     assert np.abs(late_rows(between, len(seen), late) - seen).max() < 2.0 * NOISE["p_radps"]
     # A smooth curve through the rows rings at the steps, and one that is not moved is further off
     # than that.
-    assert np.abs(moved_later(rows, late) - seen).max() > 8.0 * NOISE["p_radps"]
+    assert np.abs(delay_by_rows(rows, late) - seen).max() > 8.0 * NOISE["p_radps"]
     assert np.abs(rows - seen).max() > 16.0 * NOISE["p_radps"]
 
 

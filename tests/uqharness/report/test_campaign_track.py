@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from uqharness.report.campaign import MOST_TRACKS, track_cases, track_section
+from uqharness.report.campaign import MAX_TRACKS, track_cases, track_section
 from uqharness.report.parts import Figures, Words
 
 pytestmark = pytest.mark.usefixtures("flights_here")
@@ -77,7 +77,7 @@ def test_no_more_tracks_than_fit(tmp_path):
     for case in frame["case_id"]:
         record(tmp_path, case)
     assert (
-        len(next(b for b in blocks(tmp_path, frame) if isinstance(b, Figures)).items) == MOST_TRACKS
+        len(next(b for b in blocks(tmp_path, frame) if isinstance(b, Figures)).items) == MAX_TRACKS
     )
 
 

@@ -30,8 +30,8 @@ FUNCTIONS = (
 )
 """Names of functions that JSBSim makes properties of the engine."""
 _OFF, _RUN, _TRIM, _START = 0.0, 1.0, 2.0, 3.0
-_LEAST_QBAR_PSF = 30.0
-_LEAST_N2 = 15.0
+_MIN_QBAR_PSF = 30.0
+_MIN_N2 = 15.0
 _LIT_THROTTLE, _LIT_N2 = 0.99, 97.0
 
 
@@ -153,8 +153,8 @@ class Turbine:
         n1 = starts_running.choose(n.idle[0] + throttle * (n.full[0] - n.idle[0]), n1)
         n2 = starts_running.choose(n.idle[1] + throttle * (n.full[1] - n.idle[1]), n2)
         # An engine that is off restarts in the wind if fuel is not cut off.
-        windmills = b.op("and", qbar.gt(_LEAST_QBAR_PSF), b.op("not", b.op("or", running, cutoff)))
-        phase = b.op("and", windmills, n2.gt(_LEAST_N2)).choose(_START, phase)
+        windmills = b.op("and", qbar.gt(_MIN_QBAR_PSF), b.op("not", b.op("or", running, cutoff)))
+        phase = b.op("and", windmills, n2.gt(_MIN_N2)).choose(_START, phase)
         # No fuel: off, whatever the phase.
         phase = b.op("or", cutoff, starved).choose(_OFF, phase)
         runs, starts = phase.eq(_RUN), phase.eq(_START)
@@ -227,7 +227,7 @@ class Turbine:
         """
         b, n, step = frame.builder, self.numbers, frame.step
         pph, norm, augmented = self._memory(frame)
-        turns = n2.gt(_LEAST_N2)
+        turns = n2.gt(_MIN_N2)
         spins = b.op("and", turns, n2.lt(n.idle[1]))
         new2 = spins.choose(
             _approach(n2, b.constant(n.idle[1]), n.start_rates[1], n2 / 2.0, step), n2
@@ -236,7 +236,7 @@ class Turbine:
             _approach(n1, b.constant(n.idle[0]), n.start_rates[0], n1 / 2.0, step), n1
         )
         new_pph = spins.choose(self.numbers.idle_pph * new2 / n.idle[1], pph)
-        aborted = b.op("or", b.op("not", turns), b.op("and", spins, qbar.lt(_LEAST_QBAR_PSF)))
+        aborted = b.op("or", b.op("not", turns), b.op("and", spins, qbar.lt(_MIN_QBAR_PSF)))
         return (
             [new1, new2, new_pph, norm, augmented],
             b.op("and", turns, b.op("not", spins)),
@@ -407,7 +407,7 @@ POWER_FACTOR = "EnginePowerVC"
 """Function that JSBSim makes a property of the engine."""
 _OFF, _RUN, _TRIM, _START = 0.0, 1.0, 2.0, 3.0
 _HP_FTLBPS = 550.0
-_LEAST_N1 = 15.0
+_MIN_N1 = 15.0
 _FRICTION_HP, _FRICTION_RPM = -0.012, 5.0
 _EFFICIENCY = Grid(
     (60.0, 82.0, 96.0, 100.0, 104.0, 110.0),
@@ -486,7 +486,7 @@ class Turboprop:
             cold = b.op("and", begins, b.op("not", runs))
             itt, hot = cold.choose(outside, itt), cold.choose(outside, hot)
             cutoff = b.op("or", cold, b.op("and", cutoff, b.op("not", begins)))
-            turns = b.op("and", b.op("not", b.op("or", running, cutoff)), n1.gt(_LEAST_N1))
+            turns = b.op("and", b.op("not", b.op("or", running, cutoff)), n1.gt(_MIN_N1))
             phase = cutoff.choose(_OFF, turns.choose(_START, phase))
         phase = starved.choose(_OFF, phase)
         is_run, is_start = phase.eq(_RUN), phase.eq(_START)

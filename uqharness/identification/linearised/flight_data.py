@@ -35,7 +35,7 @@ from uqharness.simulator import Actuator, Aircraft, servo_number
 from uqharness.simulator.actuators import actuators
 
 
-def in_dynamics(effect: Effect) -> bool:
+def acts_on_motion(effect: Effect) -> bool:
     """Return whether an effect acts on the motion, and so belongs in the aircraft's XML.
 
     Effects of sensors and of the record's clock do not.
@@ -43,7 +43,7 @@ def in_dynamics(effect: Effect) -> bool:
     return not (effect.subsystem or "").startswith(("sensor.", "record"))
 
 
-def lateness(flight: str) -> str:
+def control_delay_name(flight: str) -> str:
     """Return the name of the delay [s] with which a flight's controls act after their rows.
 
     A simulation's half step and late logging cause one.
@@ -51,13 +51,13 @@ def lateness(flight: str) -> str:
     return f"lateness/{flight}/{CONTROL_DELAY}"
 
 
-def unseen(flight: str) -> str:
+def jump_share_name(flight: str) -> str:
     """Return the name of the share of a control's jump that its row's accelerometers miss."""
     return f"{UNSEEN}/{flight}"
 
 
 @dataclass(frozen=True)
-class Carrier:
+class EffectProperty:
     """Property of the simulation through which an effect acts.
 
     Attributes
@@ -150,7 +150,7 @@ class FlightData:
     positions: tuple[str, ...] = ()
     ideal: tuple[str, ...] = ()
     active: tuple[Effect, ...] = ()
-    carriers: Mapping[str, Carrier] = field(default_factory=dict)
+    carriers: Mapping[str, EffectProperty] = field(default_factory=dict)
     servos: Mapping[str, Actuator] = field(default_factory=dict)
     limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     zones: Mapping[str, float] = field(default_factory=dict)
@@ -175,13 +175,16 @@ class FlightData:
     @property
     def fixed_effects(self) -> list[str]:
         """Keys of active effects that no step changes: JSBSim reads mass and dead zones once."""
-        return [e.key for e in self.active if e.key not in self.carriers and in_dynamics(e)]
+        return [e.key for e in self.active if e.key not in self.carriers and acts_on_motion(e)]
 
     @property
     def nuisance(self) -> tuple[str, ...]:
         """Names of biases, delays and jump shares, estimated beside parameters and effects."""
         names = [f"bias/{f.name}/{c}" for f in self.flights for c in self.biased]
-        names += [*(lateness(f) for f in self.timed), *(unseen(f) for f in self.jumping)]
+        names += [
+            *(control_delay_name(f) for f in self.timed),
+            *(jump_share_name(f) for f in self.jumping),
+        ]
         return (*names, *(f"delay/{f}/{s}" for f, sensors in self.late.items() for s in sensors))
 
 
@@ -207,14 +210,14 @@ class ModelState:
     effects: Mapping[str, float] = field(default_factory=dict)
 
 
-def late_by(point: ModelState, flight: str) -> float:
+def control_delay_s(point: ModelState, flight: str) -> float:
     """Return the delay of a flight's controls [s]."""
-    return point.nuisance.get(lateness(flight), 0.0)
+    return point.nuisance.get(control_delay_name(flight), 0.0)
 
 
-def unseen_share(point: ModelState, flight: str) -> float:
+def jump_share(point: ModelState, flight: str) -> float:
     """Return the share of a flight's jumps that its rows' accelerometer readings lack."""
-    return point.nuisance.get(unseen(flight), 0.0)
+    return point.nuisance.get(jump_share_name(flight), 0.0)
 
 
 @dataclass(frozen=True)
@@ -244,7 +247,7 @@ class Trajectory:
 # Preparation: segments, measured outputs and their noise.
 
 
-def make_setup(
+def make_flight_data(
     aircraft: Aircraft,
     flights: Sequence[Flight],
     measured: Sequence[str],
@@ -326,7 +329,7 @@ class StagedModels(ExitStack):
         return self
 
 
-def turbulent(setup: FlightData, trajectory: Trajectory) -> bool:
+def is_turbulent(setup: FlightData, trajectory: Trajectory) -> bool:
     """Return whether a replay's residuals show turbulence.
 
     They do if they are coloured, no function of the motion, and present in quiet flight as well.
@@ -358,7 +361,7 @@ def with_estimator_noise(setup: FlightData, residual_rms: Mapping[str, float]) -
     return np.array([max(n, residual_rms.get(c, n)) if c in guessed else n for c, n in stated])
 
 
-def setup_in_gusts(aircraft: Aircraft, setup: FlightData) -> FlightData:
+def with_card_noise(aircraft: Aircraft, setup: FlightData) -> FlightData:
     """Return the data with the noise that the card states.
 
     In gusts the samples of an accelerometer overstate its noise. Channels of an estimator keep

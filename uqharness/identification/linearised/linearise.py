@@ -31,15 +31,15 @@ from sysid.aerodynamics.rigid_body import OUTPUTS as STEP_OUTPUTS
 from sysid.aerodynamics.rigid_body import STATES
 from sysid.aerodynamics.rigid_body import STATES as X_STATES
 from sysid.arrays import FloatArray
-from sysid.effects import V_REFERENCE_MPS, Columns, Effect, MadeColumns
+from sysid.effects import V_REFERENCE_MPS, Columns, Effect, LazyColumns
 from sysid.parallel import SERIAL, Processes
 from sysid.units import FT_M, LBF_FT_NM, LBF_N
 from uqharness.identification.linearised.flight_data import (
     FlightData,
     ModelState,
     Trajectory,
-    late_by,
-    unseen_share,
+    control_delay_s,
+    jump_share,
 )
 from uqharness.identification.replay_fit import jumping_flights
 from uqharness.replay import (
@@ -61,7 +61,7 @@ from uqharness.replay import (
 )
 from uqharness.simulator import MAX_FRAMES, TRIM_LATITUDE_DEG, Actuator, body_velocity, engine
 
-EVERY = 4
+SLOPE_ROWS = 4
 """Samples between two at which slopes are read: states change slowly against the sampling."""
 _STEPS = np.array([0.1, 1e-3, 1e-3, 0.01, 0.01, 0.01])
 """Steps of AIR by which slopes are read."""
@@ -147,7 +147,8 @@ class Probe:
         # other side of the jump.
         rows = np.arange(len(self.controls))
         early, late = (
-            self.by_control[np.clip(rows + away, 0, len(rows) - 1)] for away in (-EVERY, EVERY - 1)
+            self.by_control[np.clip(rows + away, 0, len(rows) - 1)]
+            for away in (-SLOPE_ROWS, SLOPE_ROWS - 1)
         )
         return np.asarray((before * early + (1.0 - before) * late) * self.jumped[:, None, :])
 
@@ -222,20 +223,20 @@ class ProbeJob:
     height_m: FloatArray
 
 
-def probe_all(jobs: Sequence[ProbeJob], map_: Processes = SERIAL) -> list[Probe]:
+def probe_all(jobs: Sequence[ProbeJob], pool: Processes = SERIAL) -> list[Probe]:
     """Probe the model along all references in one call; the jobs share model and properties."""
     forced_models = force_all(
-        jobs[0].direct_model, [_probe_states(job) for job in jobs], jobs[0].properties, map_
+        jobs[0].direct_model, [_probe_states(job) for job in jobs], jobs[0].properties, pool
     )
-    return [_probe_of(job, forced) for job, forced in zip(jobs, forced_models, strict=True)]
+    return [_make_probe(job, forced) for job, forced in zip(jobs, forced_models, strict=True)]
 
 
 def _coarse(n: int) -> NDArray[np.intp]:
     """Return the rows at which slopes are read."""
-    return np.unique(np.append(np.arange(0, n, EVERY), n - 1))
+    return np.unique(np.append(np.arange(0, n, SLOPE_ROWS), n - 1))
 
 
-def _moved(job: ProbeJob) -> tuple[NDArray[np.intp], NDArray[np.intp], FloatArray, FloatArray]:
+def _perturbed(job: ProbeJob) -> tuple[NDArray[np.intp], NDArray[np.intp], FloatArray, FloatArray]:
     """Return what is evaluated for a job's loads and slopes.
 
     Returns
@@ -267,7 +268,7 @@ def _moved(job: ProbeJob) -> tuple[NDArray[np.intp], NDArray[np.intp], FloatArra
 
 def _probe_states(job: ProbeJob) -> SegmentStates:
     """Return all states at which a probe evaluates the model, stacked."""
-    base, coarse, moved, turned = _moved(job)
+    base, coarse, moved, turned = _perturbed(job)
     x = np.concatenate([job.x[base], *moved])
     rows = np.concatenate([base, *[coarse] * len(moved)])
     motion = {name: x[:, k] for k, name in enumerate(STATES)}
@@ -275,11 +276,11 @@ def _probe_states(job: ProbeJob) -> SegmentStates:
     return SegmentStates(job.segment, motion, np.concatenate([job.controls[base], *turned]), height)
 
 
-def _probe_of(job: ProbeJob, forced: ForcedModel) -> Probe:
+def _make_probe(job: ProbeJob, forced: ForcedModel) -> Probe:
     """Return the probe of a job from the evaluated loads."""
-    base, coarse, x, u = _moved(job)
+    base, coarse, x, u = _perturbed(job)
     n, air, controls, mass = len(job.x), len(AIR), job.controls.shape[1], forced.mass
-    to_rows, all_rows = partial(_between, coarse, n), partial(_between, base, n)
+    to_rows, all_rows = partial(_interpolate, coarse, n), partial(_interpolate, base, n)
     load = np.hstack(
         [forced.aero_force + forced.other_force, forced.aero_moment + forced.other_moment]
     )
@@ -452,19 +453,19 @@ def _settled_loads(fdm: Any, get: Sequence[Callable[[], float]]) -> FloatArray:
     return np.array(loads)
 
 
-def _between(coarse: NDArray[np.intp], n: int, values: FloatArray) -> FloatArray:
+def _interpolate(coarse: NDArray[np.intp], n: int, values: FloatArray) -> FloatArray:
     """Interpolate values at ``coarse`` rows linearly to all ``n`` rows."""
     return np.asarray(np.apply_along_axis(lambda v: np.interp(np.arange(n), coarse, v), 0, values))
 
 
-def with_properties(
+def with_property_slopes(
     direct_model: ReplayModel,
     segments: Sequence[Segment],
     linear_probes: Sequence[Probe],
     names: Sequence[str],
     values: Mapping[str, float],
     analytic: tuple[str, ...] | None,
-    map_: Processes,
+    pool: Processes,
 ) -> tuple[list[Probe], tuple[str, ...]]:
     """Add the slopes of the properties ``names`` to probes.
 
@@ -485,7 +486,7 @@ def with_properties(
     analytic : tuple of str
     """
     if analytic is None:
-        analytic = tuple(named_terms(direct_model, segments[0], linear_probes[0], names, values))
+        analytic = tuple(analytic_terms(direct_model, segments[0], linear_probes[0], names, values))
     numeric = [n for n in names if n not in analytic]
     if not numeric:
         return list(linear_probes), analytic
@@ -496,7 +497,7 @@ def with_properties(
     ]
     coarse = [
         np.stack([by[n] for n in numeric], axis=1) / _scale_at_x(p)[k, None]
-        for p, k, by in zip(linear_probes, rows, map_(property_slopes, jobs), strict=True)
+        for p, k, by in zip(linear_probes, rows, pool(property_slopes, jobs), strict=True)
     ]
     features = _polynomials(linear_probes, rows)
     smooth, values_there = (
@@ -507,7 +508,7 @@ def with_properties(
     out = []
     for p, k, f, v in zip(linear_probes, rows, features, coarse, strict=True):
         remainder = v - (f[k] @ weights).reshape(v.shape)
-        every = (f @ weights).reshape(-1, *v.shape[1:]) + _between(k, len(p.x), remainder)
+        every = (f @ weights).reshape(-1, *v.shape[1:]) + _interpolate(k, len(p.x), remainder)
         out.append(replace(p, by_property={n: every[:, i] for i, n in enumerate(numeric)}))
     return out, analytic
 
@@ -537,7 +538,7 @@ def _polynomials(
     return out
 
 
-def named_terms(
+def analytic_terms(
     direct_model: ReplayModel,
     segment: Segment,
     probe_: Probe,
@@ -583,7 +584,7 @@ STALL = {"a1_per_deg": 0.5, "alpha1_deg": 11.0, "alpha2_deg": -20.0}
 """Steepness and angles of attack of the separation point in the effect of stall."""
 GROUND_SPANS = 3.0
 """Height in spans above which ground effect is zero (less than half a per cent is left there)."""
-LEAST_INFLOW = 1e-9
+MIN_INFLOW = 1e-9
 """Change of CX by inflow above which thrust depends on airspeed."""
 _VANES = (("alpha_rad", "q_radps", -1.0), ("beta_rad", "r_radps", 1.0))
 """Angles that vanes measure, the rate that changes each forward of the centre of gravity, and the
@@ -600,17 +601,19 @@ LOCAL_SLOPE = "@here"
 
 def effect_columns(
     setup: FlightData, probes: Sequence[Probe], trajectory: Trajectory, effects: Sequence[Effect]
-) -> MadeColumns:
+) -> LazyColumns:
     """Return the regressors of candidate effects by key, one set per segment, made on demand."""
 
     def make(k: int, names: Collection[str]) -> Columns:
         """Return the columns of some candidates in segment ``k``."""
-        return _of_segment(setup, k, probes[k], trajectory, [e for e in effects if e.key in names])
+        return _segment_columns(
+            setup, k, probes[k], trajectory, [e for e in effects if e.key in names]
+        )
 
-    return MadeColumns([e.key for e in effects], make, len(setup.segments))
+    return LazyColumns([e.key for e in effects], make, len(setup.segments))
 
 
-def _of_segment(
+def _segment_columns(
     setup: FlightData, k: int, p: Probe, trajectory: Trajectory, effects: Sequence[Effect]
 ) -> Columns:
     """Return the regressors of effects in segment ``k``."""
@@ -621,23 +624,23 @@ def _of_segment(
     seen_values: dict[str, FloatArray] = {}
     before, share, term_variables = (
         p.just_before(),
-        unseen_share(point, segment.flight),
+        jump_share(point, segment.flight),
         p.variables(),
     )
     variables_before = term_variables if before is p else before.variables()
     for e in effects:
         key, part = e.key, (e.subsystem or "").partition(".")[0]
         if part == "record":
-            inputs[key], ends[key], seen_values[key] = later_controls(
-                p, late_by(point, segment.flight)
+            inputs[key], ends[key], seen_values[key] = control_delay_regressor(
+                p, control_delay_s(point, segment.flight)
             )
             continue
         if part == "sensor":
-            outputs[key] = _of_sensor(e, setup, segment, p, y, point)
+            outputs[key] = _sensor_column(e, setup, segment, p, y, point)
             continue
         if e.key == "effect/mass/cg_x":
             # The accelerometers do not move with the centre of gravity.
-            outputs[key] = _felt_at(p, setup.outputs, np.array([-1.0, 0.0, 0.0]))
+            outputs[key] = _lever_arm_outputs(p, setup.outputs, np.array([-1.0, 0.0, 0.0]))
         inputs[key] = _input(e, setup, segment, p, term_variables, point)
         if before is not p and part != "actuator":
             (_, values), (_, other) = (
@@ -645,11 +648,11 @@ def _of_segment(
                 _input(e, setup, segment, before, variables_before, point),
             )
             if not np.array_equal(values, other):
-                ends[key], seen_values[key] = other, seen_of(values, other, share)
+                ends[key], seen_values[key] = other, through_jump(values, other, share)
     return Columns(tuple(e.key for e in effects), inputs, outputs, ends, seen_values)
 
 
-def slopes_here(active: Sequence[Effect], point: ModelState) -> list[Effect]:
+def local_rate_limits(active: Sequence[Effect], point: ModelState) -> list[Effect]:
     """Return the active rate limits above the servos' own, with the term of their local slope.
 
     The local slope gives their standard error. They are selected by the slope halfway back to the
@@ -659,7 +662,7 @@ def slopes_here(active: Sequence[Effect], point: ModelState) -> list[Effect]:
     return [replace(e, term=e.term + LOCAL_SLOPE) for e in faster]
 
 
-def seen_of(values: FloatArray, before_jump: FloatArray, share: float) -> FloatArray:
+def through_jump(values: FloatArray, before_jump: FloatArray, share: float) -> FloatArray:
     """Return values that jump at their rows as the accelerometers of these rows measure them.
 
     ``share`` of each jump is not measured yet in its row.
@@ -678,17 +681,19 @@ def sensor_offset(channel: str, segment: Segment, point: ModelState) -> float:
     return bias + point.effects.get(f"effect/sensor.{channel}/bias", 0.0)
 
 
-def unsensed(sensed: FloatArray, channel: str, segment: Segment, point: ModelState) -> FloatArray:
+def without_sensor_errors(
+    sensed: FloatArray, channel: str, segment: Segment, point: ModelState
+) -> FloatArray:
     """Return readings (n,) without the sensor's offset and factor."""
     return (sensed - sensor_offset(channel, segment, point)) / sensor_gain(channel, point)
 
 
-def vane_place_m(point: ModelState) -> float:
+def vane_offset_m(point: ModelState) -> float:
     """Return how far the wind vanes are forward of the card's position [m]."""
     return point.effects.get("effect/sensor.vane/place_x", 0.0)
 
 
-def at_vane(y: FloatArray, outputs: Sequence[str]) -> FloatArray:
+def vane_shift(y: FloatArray, outputs: Sequence[str]) -> FloatArray:
     """Return the change (n, m) of outputs (n, m) per metre that the vanes move forward.
 
     Alpha changes by -q/V, beta by r/V.
@@ -704,7 +709,7 @@ def at_vane(y: FloatArray, outputs: Sequence[str]) -> FloatArray:
     return out
 
 
-def vane_slopes(x: FloatArray, gusts: GustStates | None) -> FloatArray:
+def vane_shift_slopes(x: FloatArray, gusts: GustStates | None) -> FloatArray:
     """Return derivatives (n, outputs, states) of `at_vane` at the states ``x`` (n, 8).
 
     Rates are relative to the air, which rotates in turbulence.
@@ -751,7 +756,7 @@ def _input(
         C[:, 2] = (
             slope
             * term_variables["alpha"]
-            * (_attached(np.degrees(term_variables["alpha"] - lag)) - 1.0)
+            * (_lift_factor(np.degrees(term_variables["alpha"] - lag)) - 1.0)
         )
     elif part == "ground":
         h_over_b = term_variables["h_over_b"]
@@ -765,7 +770,7 @@ def _input(
         elif e.term == "airspeed":
             C = thrust * (term_variables["V_rel"] - 1.0)[:, None]
         elif e.term == "inflow":
-            C[:, 0] = p.by_inflow if np.any(np.abs(p.by_inflow) > LEAST_INFLOW) else 0.0
+            C[:, 0] = p.by_inflow if np.any(np.abs(p.by_inflow) > MIN_INFLOW) else 0.0
         elif e.term == "torque":
             C[:, 3] = CT
         elif e.term == "p_factor":
@@ -786,13 +791,13 @@ def _input(
     elif part == "actuator":
         k = CONTROLS.index(part_name)
         if e.term == "deadband":
-            moved = in_dead_zone(
+            moved = dead_zone_change(
                 p.controls[:, k],
                 setup.zones.get(part_name, _DEADBAND_DEG),
                 in_model=e.key in point.effects,
             )
         else:
-            servo, limits = _as_flown(setup, part_name, point)
+            servo, limits = _servo_at(setup, part_name, point)
             if e.term.endswith(LOCAL_SLOPE):
                 assert servo is not None
                 limits = servo.rate, NEARBY_SHARE * servo.rate
@@ -803,7 +808,7 @@ def _input(
     return -1, C
 
 
-def _of_sensor(
+def _sensor_column(
     e: Effect, setup: FlightData, segment: Segment, p: Probe, y: FloatArray, point: ModelState
 ) -> FloatArray:
     """Return the change (n, m) of outputs ``y`` (n, m) per unit of a sensor's effect."""
@@ -811,9 +816,9 @@ def _of_sensor(
     if e.term.startswith("place_"):
         axis = np.eye(3)["xyz".index(e.term[-1])]
         out = (
-            _felt_by_vanes(p, y, setup.outputs)
+            _vane_shift_in_air(p, y, setup.outputs)
             if sensor_name == "vane"
-            else _felt_at(p, setup.outputs, axis)
+            else _lever_arm_outputs(p, setup.outputs, axis)
         )
         return np.asarray(out * [sensor_gain(c, point) for c in setup.outputs])
     out = np.zeros_like(y)
@@ -821,21 +826,23 @@ def _of_sensor(
         if e.term == "delay" and sensor_name in (c, SENSOR_OF.get(c)):
             out[:, k] = -p.rate_of(c, y[:, k])
         elif e.term != "delay" and c == sensor_name:
-            out[:, k] = unsensed(y[:, k], c, segment, point) if e.term == "scale" else 1.0
+            out[:, k] = (
+                without_sensor_errors(y[:, k], c, segment, point) if e.term == "scale" else 1.0
+            )
     return out
 
 
-def _felt_by_vanes(p: Probe, y: FloatArray, outputs: Sequence[str]) -> FloatArray:
+def _vane_shift_in_air(p: Probe, y: FloatArray, outputs: Sequence[str]) -> FloatArray:
     """Return `at_vane` with rates relative to the air, which rotates in turbulence."""
     measured = [c for c in AIR_RATES if c in outputs]
     vane_states = y.copy()
     vane_states[:, [outputs.index(c) for c in measured]] = p.x[
         :, [X_STATES.index(c) for c in measured]
     ]
-    return at_vane(vane_states, outputs)
+    return vane_shift(vane_states, outputs)
 
 
-def _as_flown(
+def _servo_at(
     setup: FlightData, surface: str, point: ModelState
 ) -> tuple[Actuator | None, tuple[float, float] | None]:
     """Return a servo with its effects at a point, and the two rate limits whose difference gives
@@ -850,12 +857,12 @@ def _as_flown(
     if lag is not None:
         servo = replace(servo, lag=servo.lag_with(lag))
     if slowness is not None:
-        limits = around(servo, slowness)
+        limits = rate_limit_pair(servo, slowness)
         servo = replace(servo, rate=limits[0])
     return servo, limits
 
 
-def around(servo: Actuator, slowness: float) -> tuple[float, float]:
+def rate_limit_pair(servo: Actuator, slowness: float) -> tuple[float, float]:
     """Return the two rate limits [deg/s] that give the slope at an effect's value [s/deg]."""
     limit = servo.slowed_to(slowness)
     # A limit above the servo's own is hardly reached, and a small change does nothing. Halfway
@@ -865,7 +872,7 @@ def around(servo: Actuator, slowness: float) -> tuple[float, float]:
     )
 
 
-def in_dead_zone(u: FloatArray, width_deg: float, in_model: bool = False) -> FloatArray:
+def dead_zone_change(u: FloatArray, width_deg: float, in_model: bool = False) -> FloatArray:
     """Return a surface's change of position (n,) per degree of a dead zone at positions ``u`` (n,)
     [deg].
 
@@ -879,15 +886,17 @@ def in_dead_zone(u: FloatArray, width_deg: float, in_model: bool = False) -> Flo
     return np.asarray(-np.clip(u, -half, half) / width_deg)
 
 
-def _felt_at(p: Probe, outputs: Sequence[str], place_m: FloatArray) -> FloatArray:
+def _lever_arm_outputs(p: Probe, outputs: Sequence[str], place_m: FloatArray) -> FloatArray:
     """Return the change (n, m) of the outputs if accelerometers move by ``place_m`` (3,):
     w' x r + w x (w x r).
     """
     rates, dot = p.body[:, 3:6], p.rate[:, 3:6]
-    return as_felt(np.cross(dot, place_m) + np.cross(rates, np.cross(rates, place_m)), outputs)
+    return accelerometer_outputs(
+        np.cross(dot, place_m) + np.cross(rates, np.cross(rates, place_m)), outputs
+    )
 
 
-def as_felt(acceleration: FloatArray, outputs: Sequence[str]) -> FloatArray:
+def accelerometer_outputs(acceleration: FloatArray, outputs: Sequence[str]) -> FloatArray:
     """Return outputs (n, m) with ``acceleration`` (n, 3) in those of accelerometers, else 0."""
     out = np.zeros((len(acceleration), len(outputs)))
     for name, value in zip(JUMPING_CHANNELS, acceleration.T, strict=True):
@@ -896,7 +905,7 @@ def as_felt(acceleration: FloatArray, outputs: Sequence[str]) -> FloatArray:
     return out
 
 
-def later_controls(
+def control_delay_regressor(
     p: Probe, late_s: float
 ) -> tuple[tuple[int, FloatArray], FloatArray, FloatArray]:
     """Return the regressor of a delay of all controls, per second of delay.
@@ -934,7 +943,7 @@ def _slipstream_slopes(slopes: Mapping[str, float], control: str) -> FloatArray:
     return np.array([slopes.get(f"{c}_{control}", 0.0) if c in of else 0.0 for c in COEFFICIENTS])
 
 
-def _attached(alpha_deg: FloatArray) -> FloatArray:
+def _lift_factor(alpha_deg: FloatArray) -> FloatArray:
     """Return the lift factor [(1 + sqrt X)/2]^2 of a separation point X (Goman and Khrabrov)."""
     a1, up, down = STALL["a1_per_deg"], STALL["alpha1_deg"], STALL["alpha2_deg"]
     X = 0.25 * (1.0 - np.tanh(a1 * (alpha_deg - up))) * (1.0 - np.tanh(a1 * (down - alpha_deg)))
@@ -994,14 +1003,14 @@ def servo_change(
 # Controls between rows: curved paths, and jumps at rows.
 
 
-def with_jumps(setup: FlightData, model: ReplayModel) -> FlightData:
+def with_jumping_flights(setup: FlightData, model: ReplayModel) -> FlightData:
     """Return the setup with the flights in which a control jumps, whose share of the jump in
     accelerometer readings is estimated.
     """
     return replace(setup, jumping=tuple(jumping_flights(model, setup.segments, setup.late)))
 
 
-def middles(
+def path_deviations(
     model: ReplayModel, setup: FlightData, point: ModelState | None = None
 ) -> list[FloatArray]:
     """Return the controls' deviations from straight lines between rows, (2, n - 1, c) per segment.
@@ -1061,13 +1070,13 @@ def _middle(
     return np.stack([middle - 0.5 * (ends[:-1] + ends[1:]), last - ends[1:]])
 
 
-def bends_of(
+def load_deviations(
     direct_model: ReplayModel,
     setup: FlightData,
     trajectory: Trajectory,
     linear_probes: Sequence[Probe],
     offsets: Sequence[FloatArray],
-    map_: Processes,
+    pool: Processes,
 ) -> list[FloatArray]:
     """Return the loads' deviations from straight lines between rows, (2, n - 1, 6) per segment.
 
@@ -1095,7 +1104,7 @@ def bends_of(
     out = []
     for p, forced in zip(
         linear_probes,
-        force_all(direct_model, requests, setup.properties(trajectory.point), map_),
+        force_all(direct_model, requests, setup.properties(trajectory.point), pool),
         strict=True,
     ):
         load = np.hstack([p.reference.force, p.reference.moment])
@@ -1107,7 +1116,7 @@ def bends_of(
     return out
 
 
-def jumped(offsets: FloatArray) -> FloatArray | None:
+def control_jumps(offsets: FloatArray) -> FloatArray | None:
     """Return the controls' jump (n, c) at each row, from their `middles`; None where none jumps.
 
     The first row's jump is unknown and 0.
@@ -1118,7 +1127,7 @@ def jumped(offsets: FloatArray) -> FloatArray | None:
 # Errors of sensors: position, delay, factor, offset.
 
 
-def as_sensed(
+def with_sensor_errors(
     y: FloatArray,
     setup: FlightData,
     segment: Segment,
@@ -1138,12 +1147,14 @@ def as_sensed(
     behind : (n, m) array, optional
         Changes of the outputs by the delays, used instead of ``between``.
     """
-    forward = vane_place_m(point)
+    forward = vane_offset_m(point)
     if forward:
-        y += forward * at_vane(y, setup.outputs)
-        between = None if between is None else between + forward * at_vane(between, setup.outputs)
+        y += forward * vane_shift(y, setup.outputs)
+        between = (
+            None if between is None else between + forward * vane_shift(between, setup.outputs)
+        )
     for k, c in enumerate(setup.outputs):
-        late = sensor_late_s(c, segment, point) - (shifted_rows or {}).get(c, 0) * segment.dt_s
+        late = sensor_delay_s(c, segment, point) - (shifted_rows or {}).get(c, 0) * segment.dt_s
         if late and np.isfinite(y[:, k]).all():
             if behind is not None:
                 y[:, k] -= behind[:, k]
@@ -1154,7 +1165,7 @@ def as_sensed(
     return y
 
 
-def placed(segment: Segment, point: ModelState) -> Segment:
+def at_sensor_position(segment: Segment, point: ModelState) -> Segment:
     """Return the segment with the accelerometers at their position of a point."""
     x, y, z = (
         own + point.effects.get(f"effect/sensor.accelerometer/place_{axis}", 0.0)
@@ -1163,7 +1174,7 @@ def placed(segment: Segment, point: ModelState) -> Segment:
     return segment if (x, y, z) == tuple(segment.arm_m) else replace(segment, arm_m=(x, y, z))
 
 
-def sensor_late_s(channel: str, segment: Segment, point: ModelState) -> float:
+def sensor_delay_s(channel: str, segment: Segment, point: ModelState) -> float:
     """Return the delay of a channel's sensor [s]."""
     sensor = SENSOR_OF.get(channel, channel)
     names = {sensor, channel}
@@ -1172,7 +1183,7 @@ def sensor_late_s(channel: str, segment: Segment, point: ModelState) -> float:
     )
 
 
-def moved_later(values: FloatArray, rows: float) -> FloatArray:
+def delay_by_rows(values: FloatArray, rows: float) -> FloatArray:
     """Return values (n,) delayed by a number of rows, by cubic interpolation; held at the ends."""
     # Imported here: it takes a tenth of a second to load, and few flights have a late sensor.
     from scipy.interpolate import CubicSpline
@@ -1181,7 +1192,7 @@ def moved_later(values: FloatArray, rows: float) -> FloatArray:
     return np.asarray(CubicSpline(at, values)(np.clip(at - rows, 0.0, at[-1])))
 
 
-def late_rate(p: Probe, channel: str, values: FloatArray, late_s: float) -> FloatArray:
+def delayed_rate(p: Probe, channel: str, values: FloatArray, late_s: float) -> FloatArray:
     """Return the rate of change (n,) of a delayed output.
 
     In a replay it is the rate in the step before each row (after it, if the output is early): a

@@ -18,17 +18,17 @@ from sysid.aerodynamics import AIR, GustStates, Steps, rates, smooth, with_gust_
 from sysid.aerodynamics.rigid_body import STATES as X_STATES
 from sysid.arrays import FloatArray
 from sysid.effects import (
-    DIFFERENT,
-    REMEMBERED_AIRS,
+    CACHED_AIRS,
+    SIGNIFICANT_Z,
     Columns,
     FilteredSegment,
     TurbulenceModel,
-    follow,
-    gust_intensity,
-    minus_twice_log,
-    whitened,
+    estimate_air,
+    filter_segments,
+    fit_colour,
+    neg2_log_likelihood,
+    whiten_filtered,
     with_air,
-    with_colour,
 )
 from sysid.estimation import Process
 from sysid.parallel import SERIAL, Processes
@@ -36,34 +36,34 @@ from uqharness.identification.linearised.flight_data import (
     FlightData,
     ModelState,
     Trajectory,
-    late_by,
-    unseen_share,
+    control_delay_s,
+    jump_share,
 )
 from uqharness.identification.linearised.linearise import (
     Probe,
-    as_felt,
-    as_sensed,
-    at_vane,
-    bends_of,
-    jumped,
-    middles,
-    moved_later,
+    accelerometer_outputs,
+    control_jumps,
+    delay_by_rows,
+    load_deviations,
+    path_deviations,
+    sensor_delay_s,
     sensor_gain,
-    sensor_late_s,
     sensor_offset,
-    unsensed,
-    vane_place_m,
-    with_jumps,
-    with_properties,
+    vane_offset_m,
+    vane_shift,
+    with_jumping_flights,
+    with_property_slopes,
+    with_sensor_errors,
+    without_sensor_errors,
 )
 from uqharness.identification.linearised.replay_fit import (
     PRIOR,
     Linearisation,
+    apply_step,
     parameter_columns,
     positions,
     probes,
     step_from,
-    stepped,
     steps_of,
 )
 from uqharness.replay import ReplayModel, Segment
@@ -81,17 +81,17 @@ _KINDS = {
 }
 """Kind of sensor of each channel, by the channel's name without unit."""
 _SMOOTH_HZ = {"V_mps": 2.0}
-SEARCH_LENGTH, SEARCH_BY = 5.0, 5
+AIR_SEARCH_LENGTH, AIR_SEARCH_ITERATION = 5.0, 5
 """Length of a step, in standard errors, below which the air is estimated again, and the iteration
 in which it is in any case.
 """
-POWERS = 5
+SERIES_TERMS = 5
 """Terms of the binomial series for states between rows; the sixth is 2e-4 where a motion decays by
 a third per row.
 """
-PLACES = 0.05
+DELAY_GRID = 0.05
 """Grid of the controls' delay, in rows; positions are interpolated linearly between its points."""
-SHARE_WITHIN = 0.125, 4.0
+STEP_SHARE_RANGE = 0.125, 4.0
 """Smallest and largest share of a step."""
 NEARBY = 0.01
 """Relative change of a variance or a length to which the innovations' sensitivity is found."""
@@ -123,7 +123,7 @@ class TurbulentFit:
     def neg2_log_likelihood(self) -> float:
         """Minus twice the log likelihood of the flights."""
         colour = self.gusts.colour
-        return minus_twice_log(self.fit.evidence.white) + (colour.penalty if colour else 0.0)
+        return neg2_log_likelihood(self.fit.evidence.white) + (colour.penalty if colour else 0.0)
 
 
 def measured_states(setup: FlightData, point: ModelState) -> list[FloatArray]:
@@ -132,36 +132,39 @@ def measured_states(setup: FlightData, point: ModelState) -> list[FloatArray]:
     for segment, channels in zip(setup.segments, setup.channels, strict=True):
         columns = []
         for name in X_STATES:
-            value = unsensed(np.array(channels[name], dtype=float), name, segment, point)
+            value = without_sensor_errors(
+                np.array(channels[name], dtype=float), name, segment, point
+            )
             value = smooth(value, segment.dt_s, _SMOOTH_HZ.get(name, 6.0))
-            late = sensor_late_s(name, segment, point)
-            columns.append(moved_later(value, -late / segment.dt_s) if late else value)
+            late = sensor_delay_s(name, segment, point)
+            columns.append(delay_by_rows(value, -late / segment.dt_s) if late else value)
         seen_values = np.column_stack(columns)
-        x.append(seen_values - vane_place_m(point) * at_vane(seen_values, X_STATES))
+        x.append(seen_values - vane_offset_m(point) * vane_shift(seen_values, X_STATES))
     return x
 
 
-def rows_late(setup: FlightData, segment: Segment, point: ModelState) -> dict[str, int]:
+def delay_rows(setup: FlightData, segment: Segment, point: ModelState) -> dict[str, int]:
     """Return each channel's delay in whole rows."""
-    return {c: round(sensor_late_s(c, segment, point) / segment.dt_s) for c in setup.outputs}
+    return {c: round(sensor_delay_s(c, segment, point) / segment.dt_s) for c in setup.outputs}
 
 
-def in_step(setup: FlightData, point: ModelState) -> list[FloatArray]:
+def aligned_outputs(setup: FlightData, point: ModelState) -> list[FloatArray]:
     """Return the measured outputs (n, m) of each segment with whole rows of delay removed.
 
     A delayed sample beside current ones contradicts gusts that the filter has followed already,
     which would appear as noise.
     """
     delayed = [
-        (z, rows_late(setup, s, point)) for s, z in zip(setup.segments, setup.measured, strict=True)
+        (z, delay_rows(setup, s, point))
+        for s, z in zip(setup.segments, setup.measured, strict=True)
     ]
     return [
-        np.column_stack([moved(z[:, k], -late[c]) for k, c in enumerate(setup.outputs)])
+        np.column_stack([shift_rows(z[:, k], -late[c]) for k, c in enumerate(setup.outputs)])
         for z, late in delayed
     ]
 
 
-def moved(values: FloatArray, rows: int) -> FloatArray:
+def shift_rows(values: FloatArray, rows: int) -> FloatArray:
     """Return values (n,) delayed by whole rows (advanced if negative); NaN where there are none."""
     at, last = np.arange(len(values)) - rows, len(values) - 1
     return np.where((at >= 0) & (at <= last), values[np.clip(at, 0, last)], np.nan)
@@ -172,7 +175,7 @@ def predict(
     direct_model: ReplayModel,
     setup: FlightData,
     point: ModelState,
-    map_: Processes,
+    pool: Processes,
     path: Sequence[FloatArray] | None = None,
 ) -> tuple[Trajectory, list[Probe]]:
     """Probe the model along the measured flight, or along ``path`` ((n, 8) per segment)."""
@@ -187,16 +190,17 @@ def predict(
     )
     shifted, shares = setups_about_delay(model, setup, point)
     controls = _between([positions(model, acts, point) for acts in shifted], shares)
-    offsets = _between([middles(model, acts, point) for acts in shifted], shares)
-    linear_probes = probes(direct_model, setup, trajectory, controls, map_, consistent=False)
+    offsets = _between([path_deviations(model, acts, point) for acts in shifted], shares)
+    linear_probes = probes(direct_model, setup, trajectory, controls, pool, consistent=False)
     curved = zip(
         linear_probes,
-        bends_of(direct_model, setup, trajectory, linear_probes, offsets, map_),
+        load_deviations(direct_model, setup, trajectory, linear_probes, offsets, pool),
         offsets,
         strict=True,
     )
     return trajectory, [
-        replace(p, reference=replace(p.reference, bend=b), jumped=jumped(a)) for p, b, a in curved
+        replace(p, reference=replace(p.reference, bend=b), jumped=control_jumps(a))
+        for p, b, a in curved
     ]
 
 
@@ -209,24 +213,26 @@ def setups_about_delay(
     setup alone if all delays lie on the grid. With the nearest grid point alone, estimates half-way
     between two points would alternate without end.
     """
-    places = {s.flight: late_by(point, s.flight) / s.dt_s / PLACES for s in setup.segments}
+    places = {
+        s.flight: control_delay_s(point, s.flight) / s.dt_s / DELAY_GRID for s in setup.segments
+    }
     before = {flight: float(np.floor(place)) for flight, place in places.items()}
     shares = [places[s.flight] - before[s.flight] for s in setup.segments]
     return [
-        _at_places(model, setup, before, further)
+        _with_delays(model, setup, before, further)
         for further in (0.0, 1.0)
         if not further or any(shares)
     ], shares
 
 
-def _at_places(
+def _with_delays(
     model: ReplayModel, setup: FlightData, places: Mapping[str, float], offset: float
 ) -> FlightData:
     """Return the setup with each flight's commands delayed by multiples of PLACES rows."""
     if not offset and not any(places.values()):
         return setup
     delayed_flights = [
-        f.with_delayed_commands((places.get(f.name, 0.0) + offset) * PLACES * f.record.dt_s)
+        f.with_delayed_commands((places.get(f.name, 0.0) + offset) * DELAY_GRID * f.record.dt_s)
         for f in setup.flights
     ]
     pieces = [
@@ -250,7 +256,7 @@ def gust_refit(
     start: ModelState,
     names: Sequence[str],
     limits: Mapping[str, tuple[float, float]],
-    map_: Processes,
+    pool: Processes,
     prior_model: TurbulenceModel | None = None,
     iterations: int = ITERATIONS,
     tune: bool = False,
@@ -282,14 +288,14 @@ def gust_refit(
     numpy.linalg.LinAlgError
         If predictions are not finite.
     """
-    setup = with_jumps(setup, model)
+    setup = with_jumping_flights(setup, model)
     point = (
         start
         if prior_model is not None or not setup.late
-        else likelier_delays(model, direct_model, setup, start, map_)
+        else likelier_delays(model, direct_model, setup, start, pool)
     )
     gusts, analytic = prior_model, None
-    length, share, since = float("inf"), 1.0, float("inf")
+    length, share, distance_since_air = float("inf"), 1.0, float("inf")
     delta: FloatArray | None = None
     path: list[FloatArray] | None = None
     properties, flights = (
@@ -297,67 +303,73 @@ def gust_refit(
         {s.flight for s in setup.segments},
     )
     for number in range(1, iterations + 1):
-        trajectory, linear_probes = predict(model, direct_model, setup, point, map_, path)
-        steps = _Linear(setup, trajectory, linear_probes, map_)
+        trajectory, linear_probes = predict(model, direct_model, setup, point, pool, path)
+        steps = _LinearSystems(setup, trajectory, linear_probes, pool)
         # Far from the estimate, what parameters will explain would be taken for gusts.
-        near_enough = length < SEARCH_LENGTH or number == SEARCH_BY
-        other = gusts is None or not flights <= gusts.by_flight.keys()
-        sought = not fixed_air and (other or (since > DIFFERENT and near_enough))
-        if sought:
-            gusts, factors = _air(setup, steps, gusts, tune and not setup.late)
+        is_near = length < AIR_SEARCH_LENGTH or number == AIR_SEARCH_ITERATION
+        is_new_air = gusts is None or not flights <= gusts.by_flight.keys()
+        estimates_air = not fixed_air and (
+            is_new_air or (distance_since_air > SIGNIFICANT_Z and is_near)
+        )
+        if estimates_air:
+            gusts, factors = _estimate_air(setup, steps, gusts, tune and not setup.late)
             setup = replace(setup, noise=factors * setup.noise)
         assert gusts is not None
         linearised = steps.all(gusts.states)
         # Near the estimate, the air moves along with the parameters.
         followed = (
             _with_free_air(steps, linearised, gusts, setup.noise)
-            if near_enough and path is not None and not fixed_air
+            if is_near and path is not None and not fixed_air
             else [
-                *follow(linearised, steps.measured, setup.output_rows, setup.noise, gusts.process)
+                *filter_segments(
+                    linearised, steps.measured, setup.output_rows, setup.noise, gusts.process
+                )
             ]
         )
         # Free the systems of other airs before the columns, which take the most memory.
         del steps
-        trajectory, linear_probes = predicted(
+        trajectory, linear_probes = at_predictions(
             setup, trajectory, linear_probes, linearised, followed, gusts
         )
         # Smoothed measurements contain later samples: linearised about them, the airspeed sensor
         # appears half a percent high. From the second iteration on, the path is a prediction.
-        causal, path = path is not None, [p.body for p in linear_probes]
-        linear_probes, analytic = with_properties(
+        is_prediction, path = path is not None, [p.body for p in linear_probes]
+        linear_probes, analytic = with_property_slopes(
             direct_model,
             setup.segments,
             linear_probes,
             properties,
             setup.properties(point),
             analytic,
-            map_,
+            pool,
         )
         columns = parameter_columns(setup, linear_probes, trajectory, names, analytic)
         # Colour estimated without an effect has absorbed it, so the first iteration estimates anew.
         before_colour = None if number == 1 and not fixed_air else gusts.colour
-        colour, evidence = with_colour(followed, columns, PRIOR, before_colour, fixed=fixed_air)
+        colour, evidence = fit_colour(followed, columns, PRIOR, before_colour, fixed=fixed_air)
         gusts, white = replace(gusts, colour=colour), evidence.white
-        before = None if sought else delta
+        before = None if estimates_air else delta
         delta, length = step_from(setup, point, evidence)
         # Steps in different air are not comparable.
-        share = 1.0 if before is None else relaxed(share, before, delta, evidence.total[0])
+        share = 1.0 if before is None else step_share(share, before, delta, evidence.total[0])
         if not np.isfinite(delta).all():
             raise np.linalg.LinAlgError("predictions with this model are no numbers")
         if callback is not None:
             callback(number, length)
         # The air was estimated close enough to here.
-        since = 0.0 if fixed_air or (sought and causal) else since
+        distance_since_air = (
+            0.0 if fixed_air or (estimates_air and is_prediction) else distance_since_air
+        )
         if (
-            (causal and length < TOLERANCE and since <= DIFFERENT)
+            (is_prediction and length < TOLERANCE and distance_since_air <= SIGNIFICANT_Z)
             or number == iterations
             or not gusts.air
         ):
             break
         step = dict(zip(columns[0].names, (share * delta).tolist(), strict=True))
-        since += share * length
-        last_point, point = point, stepped(setup, point, step, limits)
-        path = as_measured(setup, path, last_point, point)
+        distance_since_air += share * length
+        last_point, point = point, apply_step(setup, point, step, limits)
+        path = with_equal_readings(setup, path, last_point, point)
     assert gusts is not None
     assert analytic is not None
     cost = float(sum(np.sum(w.residual**2) for w in white))
@@ -371,7 +383,9 @@ def gust_refit(
     )
 
 
-def relaxed(share: float, before: FloatArray, step: FloatArray, information: FloatArray) -> float:
+def step_share(
+    share: float, before: FloatArray, step: FloatArray, information: FloatArray
+) -> float:
     """Return the share of ``step`` (K,) to take, by Aitken's rule for vectors.
 
     ``share`` is what was taken of the step ``before``; the metric is ``information``. A force that
@@ -385,13 +399,13 @@ def relaxed(share: float, before: FloatArray, step: FloatArray, information: Flo
     change = step - before
     size = float(change @ information @ change)
     return (
-        float(np.clip(-share * (before @ information @ change) / size, *SHARE_WITHIN))
+        float(np.clip(-share * (before @ information @ change) / size, *STEP_SHARE_RANGE))
         if size > 0.0
         else 1.0
     )
 
 
-def as_measured(
+def with_equal_readings(
     setup: FlightData, path: Sequence[FloatArray], before: ModelState, after: ModelState
 ) -> list[FloatArray]:
     """Return states (n, 8) whose readings by the sensors ``after`` equal those of ``path`` by the
@@ -400,7 +414,7 @@ def as_measured(
     return [
         np.column_stack(
             [
-                unsensed(
+                without_sensor_errors(
                     x[:, k] * sensor_gain(c, before) + sensor_offset(c, segment, before),
                     c,
                     segment,
@@ -413,20 +427,20 @@ def as_measured(
     ]
 
 
-def unfiltered(
+def unfiltered_residuals(
     model: ReplayModel,
     direct_model: ReplayModel,
     setup: FlightData,
     point: ModelState,
-    map_: Processes,
+    pool: Processes,
     gusts: TurbulenceModel,
 ) -> tuple[Trajectory, list[FloatArray]]:
     """Return the measured flight and its residuals without a filter, in units of the noise.
 
     Residuals are measured outputs minus the model's at the measured states, (n, m) per segment.
     """
-    trajectory, linear_probes = predict(model, direct_model, setup, point, map_)
-    steps = _Linear(setup, trajectory, linear_probes, map_)
+    trajectory, linear_probes = predict(model, direct_model, setup, point, pool)
+    steps = _LinearSystems(setup, trajectory, linear_probes, pool)
     pairs = zip(steps.measured, steps.all(gusts.states), strict=True)
     return trajectory, [(z - s.y_ref[:, setup.output_rows]) / setup.noise for z, s in pairs]
 
@@ -436,7 +450,7 @@ def likelier_delays(
     direct_model: ReplayModel,
     setup: FlightData,
     start: ModelState,
-    map_: Processes,
+    pool: Processes,
 ) -> ModelState:
     """Return ``start``, or the same without delays of sensors, whichever is likelier in its air.
 
@@ -445,21 +459,23 @@ def likelier_delays(
     in_time = {n: 0.0 if n.startswith("delay/") else v for n, v in start.nuisance.items()}
     trials = []
     for point in (start, replace(start, nuisance=in_time)):
-        steps = _Linear(setup, *predict(model, direct_model, setup, point, map_), map_)
-        gusts, _ = _air(setup, steps, None, tune=False)
-        followed = follow(
+        steps = _LinearSystems(setup, *predict(model, direct_model, setup, point, pool), pool)
+        gusts, _ = _estimate_air(setup, steps, None, tune=False)
+        followed = filter_segments(
             steps.all(gusts.states), steps.measured, setup.output_rows, setup.noise, gusts.process
         )
         trials.append(
             (
-                minus_twice_log(whitened(followed, [Columns((), {}, {})] * len(setup.segments))),
+                neg2_log_likelihood(
+                    whiten_filtered(followed, [Columns((), {}, {})] * len(setup.segments))
+                ),
                 point,
             )
         )
     return min(trials, key=lambda one: one[0])[1]
 
 
-class _Linear:
+class _LinearSystems:
     """Linear systems of the segments for different airs; the last ones are cached.
 
     Attributes
@@ -469,43 +485,47 @@ class _Linear:
     """
 
     def __init__(
-        self, setup: FlightData, trajectory: Trajectory, probes: Sequence[Probe], by: Processes
+        self, setup: FlightData, trajectory: Trajectory, probes: Sequence[Probe], pool: Processes
     ) -> None:
-        self.setup, self.flown, self.found, self.by = setup, trajectory, probes, by
-        self.measured = in_step(setup, trajectory.point)
-        self.made: OrderedDict[tuple[int, GustStates], Steps] = OrderedDict()
+        self.setup, self.trajectory, self.probes, self.pool = setup, trajectory, probes, pool
+        self.measured = aligned_outputs(setup, trajectory.point)
+        self.systems: OrderedDict[tuple[int, GustStates], Steps] = OrderedDict()
 
     def __call__(self, some: Sequence[int], states: Sequence[GustStates]) -> list[Steps]:
         requests = list(zip(some, states, strict=True))
-        missing, point = [key for key in requests if key not in self.made], self.flown.point
+        missing, point = [key for key in requests if key not in self.systems], self.trajectory.point
         systems = steps_of(
-            [self.found[k] for k, _ in missing],
+            [self.probes[k] for k, _ in missing],
             [air for _, air in missing],
             self.setup,
             point,
-            self.by,
+            self.pool,
         )
         for (k, acting), s in zip(missing, systems, strict=True):
             which, segment = self.setup.output_rows, self.setup.segments[k]
-            share, rows = unseen_share(point, segment.flight), rows_late(self.setup, segment, point)
+            share, rows = jump_share(point, segment.flight), delay_rows(self.setup, segment, point)
             # Outputs are those at the reference, biases added.
-            y = s.y_ref[:, which] - share * as_felt(
-                self.found[k].felt_jump(0.5 * share), self.setup.outputs
+            y = s.y_ref[:, which] - share * accelerometer_outputs(
+                self.probes[k].felt_jump(0.5 * share), self.setup.outputs
             )
             part = [
-                sensor_late_s(c, segment, point) / segment.dt_s - rows[c]
+                sensor_delay_s(c, segment, point) / segment.dt_s - rows[c]
                 for c in self.setup.outputs
             ]
             behind = (
-                self._behind(self.found[k], s, y, acting, np.array(part)) if any(part) else None
+                self._behind(self.probes[k], s, y, acting, np.array(part)) if any(part) else None
             )
-            s.y_ref[:, which] = as_sensed(y, self.setup, segment, point, rows, behind=behind)
-            self.made[k, acting] = replace(s, H=between_rows(s, which, part)) if any(part) else s
+            s.y_ref[:, which] = with_sensor_errors(
+                y, self.setup, segment, point, rows, behind=behind
+            )
+            self.systems[k, acting] = (
+                replace(s, H=output_matrix_between_rows(s, which, part)) if any(part) else s
+            )
         for key in requests:
-            self.made.move_to_end(key)
-        out = [self.made[key] for key in requests]
-        while len(self.made) > REMEMBERED_AIRS * len(self.found):
-            self.made.popitem(last=False)
+            self.systems.move_to_end(key)
+        out = [self.systems[key] for key in requests]
+        while len(self.systems) > CACHED_AIRS * len(self.probes):
+            self.systems.popitem(last=False)
         return out
 
     def _behind(
@@ -518,7 +538,7 @@ class _Linear:
         innovation at each row: a parabola from the start of each step with its rate to the end.
         Controls add what the states do not explain.
         """
-        point = self.flown.point
+        point = self.trajectory.point
         gain = np.array([sensor_gain(c, point) for c in self.setup.outputs])
         H = steps.H[:, self.setup.output_rows] / gain[:, None]
         x = with_gust_states(p.reference.x, states)
@@ -531,7 +551,7 @@ class _Linear:
             np.concatenate([none, curvature]),
         )
         start_rate, bent_behind = first, np.concatenate([curvature, none])
-        sensed = y + vane_place_m(point) * at_vane(y, self.setup.outputs)
+        sensed = y + vane_offset_m(point) * vane_shift(y, self.setup.outputs)
         by_controls = np.diff(sensed, axis=0) - np.einsum("nij,nj->ni", H[1:], np.diff(x, axis=0))
         out = late * np.concatenate([by_controls[:1], by_controls])
         for k, part in enumerate(late):
@@ -541,10 +561,12 @@ class _Linear:
 
     def all(self, states: Sequence[GustStates]) -> list[Steps]:
         """Return the systems of all segments."""
-        return self(range(len(self.found)), states)
+        return self(range(len(self.probes)), states)
 
 
-def between_rows(steps: Steps, rows: Sequence[int], late: Sequence[float]) -> FloatArray:
+def output_matrix_between_rows(
+    steps: Steps, rows: Sequence[int], late: Sequence[float]
+) -> FloatArray:
     """Return H (n, m, x) for outputs ``rows`` that are delayed by fractions ``late`` of a row.
 
     States between rows follow (I + T)^a with a = -late and T = phi - I of the step, as a binomial
@@ -556,7 +578,7 @@ def between_rows(steps: Steps, rows: Sequence[int], late: Sequence[float]) -> Fl
         if part:
             step = np.concatenate([turn[:1], turn] if part > 0.0 else [turn, turn[-1:]])
             power = H[:, k]
-            for j in range(1, POWERS + 1):
+            for j in range(1, SERIES_TERMS + 1):
                 power = np.einsum("nx,nxy->ny", power, step) * ((1.0 - part - j) / j)
                 H[:, k] += power
     return H
@@ -566,12 +588,12 @@ def follow_in_free_air(
     setup: FlightData, fit: Linearisation, gusts: TurbulenceModel
 ) -> list[FilteredSegment]:
     """Filter the segments of a fit, the air free in each beside the columns."""
-    linear = _Linear(setup, fit.trajectory, fit.probes, SERIAL)
+    linear = _LinearSystems(setup, fit.trajectory, fit.probes, SERIAL)
     return _with_free_air(linear, fit.steps, gusts, setup.noise)
 
 
 def _with_free_air(
-    linear: _Linear, steps: Sequence[Steps], gusts: TurbulenceModel, noise: FloatArray
+    linear: _LinearSystems, steps: Sequence[Steps], gusts: TurbulenceModel, noise: FloatArray
 ) -> list[FilteredSegment]:
     """Filter segments; columns are projected on what no other noise of a state and no other length
     of the air's roll, pitch and yaw would do.
@@ -585,19 +607,19 @@ def _with_free_air(
     for name in ("p_length", "q_length", "r_length"):
         longer = [s._replace(**{name: getattr(s, name) * (1.0 + NEARBY)}) for s in gusts.states]
         airs.append((linear.all(longer), process))
-    followed = follow(steps, linear.measured, rows, noise, process)
+    followed = filter_segments(steps, linear.measured, rows, noise, process)
     return [*with_air(followed, linear.measured, rows, noise, airs)]
 
 
-def _air(
-    setup: FlightData, steps: _Linear, prior_model: TurbulenceModel | None, tune: bool
+def _estimate_air(
+    setup: FlightData, steps: _LinearSystems, prior_model: TurbulenceModel | None, tune: bool
 ) -> tuple[TurbulenceModel, FloatArray]:
     """Return the likeliest air, and factors (m,) on the sensors' noise (1 unless ``tune``)."""
-    speeds = [float(x[:, 0].mean()) for x in steps.flown.x]
+    speeds = [float(x[:, 0].mean()) for x in steps.trajectory.x]
     of = [s.flight for s in setup.segments]
-    states = GustStates(steps.found[0].mass.b)
+    states = GustStates(steps.probes[0].mass.b)
     kinds = [_KINDS.get(c.split("_")[0], c) for c in setup.outputs] if tune else ()
-    return gust_intensity(
+    return estimate_air(
         steps,
         steps.measured,
         setup.output_rows,
@@ -606,12 +628,12 @@ def _air(
         of,
         states,
         prior_model,
-        steps.by,
+        steps.pool,
         kinds,
     )
 
 
-def predicted(
+def at_predictions(
     setup: FlightData,
     trajectory: Trajectory,
     linear_probes: Sequence[Probe],
@@ -638,7 +660,9 @@ def predicted(
         full_rates = rates(p.reference, p.mass, x, gusts=states)
         flow = rates(p.reference, p.mass, x, gusts=states._replace(turning_with=False))
         relative = np.column_stack([x[:, :3], air, x[:, 6:8]])
-        coefficients = p.coefficients + _changed(p, (relative - p.reference.x)[:, : len(AIR)])
+        coefficients = p.coefficients + _coefficient_change(
+            p, (relative - p.reference.x)[:, : len(AIR)]
+        )
         out.append(
             replace(
                 p,
@@ -655,7 +679,7 @@ def predicted(
     return replace(trajectory, outputs=outputs), out
 
 
-def _changed(p: Probe, moved: FloatArray) -> FloatArray:
+def _coefficient_change(p: Probe, moved: FloatArray) -> FloatArray:
     """Return the change (n, 6) of CX to Cn for a change ``moved`` (n, 6) of the air quantities."""
     faster = moved[:, :1] / p.reference.x[:, :1]
     change = (

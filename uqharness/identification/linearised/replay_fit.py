@@ -21,10 +21,10 @@ from sysid.arrays import FloatArray
 from sysid.effects import (
     Columns,
     Information,
-    MadeColumns,
-    White,
+    LazyColumns,
+    WhitenedSegment,
+    column_names,
     corrected_estimates,
-    names_of,
     normal_equations,
     whiten,
 )
@@ -33,31 +33,31 @@ from uqharness.identification.linearised.flight_data import (
     FlightData,
     ModelState,
     Trajectory,
-    in_dynamics,
-    late_by,
-    unseen,
-    unseen_share,
+    acts_on_motion,
+    control_delay_s,
+    jump_share,
+    jump_share_name,
 )
 from uqharness.identification.linearised.linearise import (
     Probe,
     ProbeJob,
-    as_felt,
-    as_sensed,
+    accelerometer_outputs,
+    at_sensor_position,
+    control_delay_regressor,
+    control_jumps,
+    delayed_rate,
     effect_columns,
-    jumped,
-    late_rate,
-    later_controls,
-    middles,
-    placed,
+    path_deviations,
     probe_all,
-    seen_of,
+    sensor_delay_s,
     sensor_gain,
-    sensor_late_s,
     term_column,
-    unsensed,
-    vane_place_m,
-    vane_slopes,
-    with_properties,
+    through_jump,
+    vane_offset_m,
+    vane_shift_slopes,
+    with_property_slopes,
+    with_sensor_errors,
+    without_sensor_errors,
 )
 from uqharness.identification.replay_fit import Observed, ReplayFit
 from uqharness.replay import (
@@ -77,29 +77,33 @@ from uqharness.replay import (
 )
 
 
-def fly(model: ReplayModel, setup: FlightData, point: ModelState, map_: Processes) -> Trajectory:
+def replay_at(
+    model: ReplayModel, setup: FlightData, point: ModelState, pool: Processes
+) -> Trajectory:
     """Replay every segment at a point; the cost is infinite where a replay diverges."""
     pieces = []
     for s, start in zip(setup.segments, point.starts, strict=True):
-        on_time = [c for c in setup.outputs if not sensor_late_s(c, s, point)]
-        between, unseen_ = len(on_time) < len(setup.outputs), unseen_share(point, s.flight)
+        on_time = [c for c in setup.outputs if not sensor_delay_s(c, s, point)]
+        between, unseen_ = len(on_time) < len(setup.outputs), jump_share(point, s.flight)
         job = ReplayJob(
             model,
-            placed(s, point),
+            at_sensor_position(s, point),
             setup.properties(point),
             start,
-            late_by(point, s.flight),
+            control_delay_s(point, s.flight),
             between,
             unseen=unseen_,
         )
         pieces.append(split_job(job, on_time))
-    flights = iter(fly_all([piece for of in pieces for piece in of], map_))
+    flights = iter(fly_all([piece for of in pieces for piece in of], pool))
     columns = [CHANNELS.index(c) for c in setup.outputs]
     raw, outputs = [], []
     for of, s in zip(pieces, setup.segments, strict=True):
         fine, *rows = (next(flights) for _ in of)
         raw.append(rows[0] if rows else at_rows(fine, len(s.time_s)))
-        outputs.append(as_sensed(raw[-1][:, columns], setup, s, point, between=fine[:, columns]))
+        outputs.append(
+            with_sensor_errors(raw[-1][:, columns], setup, s, point, between=fine[:, columns])
+        )
     x = [r[:, [CHANNELS.index(c) for c in X_STATES]] for r in raw]
     return Trajectory(
         point, outputs, x, [r[:, CHANNELS.index("h_m")] for r in raw], cost_of(setup, outputs)
@@ -118,11 +122,11 @@ def cost_of(setup: FlightData, outputs: Sequence[FloatArray]) -> float:
     return cost
 
 
-def best_flown(
-    model: ReplayModel, setup: FlightData, points: Sequence[ModelState], map_: Processes
+def best_replay(
+    model: ReplayModel, setup: FlightData, points: Sequence[ModelState], pool: Processes
 ) -> Trajectory:
     """Return the replay of least cost among points."""
-    return min((fly(model, setup, p, map_) for p in points), key=lambda f: f.cost)
+    return min((replay_at(model, setup, p, pool) for p in points), key=lambda f: f.cost)
 
 
 def positions(
@@ -139,14 +143,14 @@ def probes(
     setup: FlightData,
     trajectory: Trajectory,
     controls: Sequence[FloatArray],
-    map_: Processes,
+    pool: Processes,
     consistent: bool = True,
 ) -> list[Probe]:
     """Probe the model along a trajectory."""
     jobs = [
         ProbeJob(
             direct_model,
-            placed(s, trajectory.point),
+            at_sensor_position(s, trajectory.point),
             x,
             u,
             setup.properties(trajectory.point),
@@ -157,10 +161,10 @@ def probes(
             setup.segments, trajectory.x, controls, trajectory.height, strict=True
         )
     ]
-    return probe_all(jobs, map_)
+    return probe_all(jobs, pool)
 
 
-def _linearised(job: tuple[Reference, MassProperties, GustStates | None]) -> Steps:
+def _linearise_segment(job: tuple[Reference, MassProperties, GustStates | None]) -> Steps:
     """Return the linear system of one segment."""
     reference, mass, gusts = job
     return linearise(reference, mass, gusts=gusts)
@@ -171,20 +175,21 @@ def steps_of(
     air: Sequence[GustStates | None],
     setup: FlightData,
     point: ModelState,
-    by: Processes = SERIAL,
+    pool: Processes = SERIAL,
 ) -> list[Steps]:
     """Return the linear systems of the segments, with the sensors' factors in the outputs.
 
     ``air`` states for each segment how gusts act; None in calm air.
     """
-    gain, forward = np.ones((len(STEP_OUTPUTS), 1)), vane_place_m(point)
+    gain, forward = np.ones((len(STEP_OUTPUTS), 1)), vane_offset_m(point)
     gain[setup.output_rows, 0] = [sensor_gain(c, point) for c in setup.outputs]
     out = []
-    systems = by(
-        _linearised, [(p.reference, p.mass, a) for p, a in zip(linear_probes, air, strict=True)]
+    systems = pool(
+        _linearise_segment,
+        [(p.reference, p.mass, a) for p, a in zip(linear_probes, air, strict=True)],
     )
     for p, a, steps in zip(linear_probes, air, systems, strict=True):
-        H = steps.H + forward * vane_slopes(p.reference.x, a) if forward else steps.H
+        H = steps.H + forward * vane_shift_slopes(p.reference.x, a) if forward else steps.H
         out.append(replace(steps, H=H * gain, D=steps.D * gain))
     return out
 
@@ -212,7 +217,7 @@ def parameter_columns(
         before, variables, share = (
             p.just_before(),
             p.variables(),
-            unseen_share(trajectory.point, segment.flight),
+            jump_share(trajectory.point, segment.flight),
         )
         variables_before = variables if before is p else before.variables()
         inputs, outputs = dict(effects.inputs), dict(effects.outputs)
@@ -225,39 +230,39 @@ def parameter_columns(
             )
             if before is not p and name in analytic:
                 ends[name] = term_column(name, variables_before)[1]
-                seen_values[name] = seen_of(inputs[name][1], ends[name], share)
+                seen_values[name] = through_jump(inputs[name][1], ends[name], share)
         # Nuisance of this flight: the controls' delay, jump shares, biases and delays of sensors.
         for name in setup.nuisance:
             kind, flight, *channels = name.split("/")
             if flight != segment.flight:
                 continue
             if kind == "lateness":
-                inputs[name], ends[name], seen_values[name] = later_controls(
-                    p, late_by(trajectory.point, flight)
+                inputs[name], ends[name], seen_values[name] = control_delay_regressor(
+                    p, control_delay_s(trajectory.point, flight)
                 )
                 continue
             outputs[name] = block = np.zeros_like(y)
             if kind == UNSEEN:
-                block -= as_felt(p.felt_jump(share), setup.outputs) * gain
+                block -= accelerometer_outputs(p.felt_jump(share), setup.outputs) * gain
             for k, c in enumerate(setup.outputs):
                 if kind == "bias" and [c] == channels:
                     block[:, k] = 1.0
                 elif kind == "delay" and [SENSOR_OF.get(c, c)] == channels:
-                    block[:, k] = -late_rate(
-                        p, c, y[:, k], sensor_late_s(c, segment, trajectory.point)
+                    block[:, k] = -delayed_rate(
+                        p, c, y[:, k], sensor_delay_s(c, segment, trajectory.point)
                     )
         out.append(Columns((*names, *setup.nuisance), inputs, outputs, ends, seen_values))
     return out
 
 
-def merged(first: Sequence[Columns], second: Sequence[Columns]) -> MadeColumns:
+def join_columns(first: Sequence[Columns], second: Sequence[Columns]) -> LazyColumns:
     """Return two sets of columns side by side."""
-    names = (*names_of(first), *names_of(second))
+    names = (*column_names(first), *column_names(second))
 
     def join_segment(k: int, some: Collection[str]) -> Columns:
         """Return some columns of both sets in segment ``k``."""
         a, b = (
-            c.some(k, [n for n in c.names if n in some]) if isinstance(c, MadeColumns) else c[k]
+            c.some(k, [n for n in c.names if n in some]) if isinstance(c, LazyColumns) else c[k]
             for c in (first, second)
         )
         return Columns(
@@ -268,7 +273,7 @@ def merged(first: Sequence[Columns], second: Sequence[Columns]) -> MadeColumns:
             {**a.seen, **b.seen},
         )
 
-    return MadeColumns(names, join_segment, len(first))
+    return LazyColumns(names, join_segment, len(first))
 
 
 @dataclass(frozen=True)
@@ -302,7 +307,7 @@ PRIOR = {"bias": 0.1, "delay": 0.1, "lateness": 0.005, UNSEEN: 1.0}
 
 Controls act at their rows, to half a step: 5 ms in a simulation of 10 ms a step.
 """
-_MOST_ITERATIONS, _TOLERANCE = 12, 0.05
+_MAX_ITERATIONS, _TOLERANCE = 12, 0.05
 _STEP_SHARES = tuple(0.35**k for k in range(5))
 """Shares of a step, tried in turn until one lowers the cost."""
 
@@ -314,29 +319,29 @@ def refit(
     start: ModelState,
     names: Sequence[str],
     limits: Mapping[str, tuple[float, float]],
-    map_: Processes,
+    pool: Processes,
 ) -> Linearisation:
     """Minimise the output error from ``start`` over parameters, nuisance and start states.
 
     Raises LinAlgError if the replays from ``start`` diverge.
     """
-    trajectory, analytic = fly(model, setup, start, map_), None
+    trajectory, analytic = replay_at(model, setup, start, pool), None
     if not math.isfinite(trajectory.cost):
         raise np.linalg.LinAlgError("replays with this model are no numbers")
-    for _ in range(_MOST_ITERATIONS):
-        fit = fit_at(model, direct_model, setup, names, trajectory, map_, analytic)
+    for _ in range(_MAX_ITERATIONS):
+        fit = fit_at(model, direct_model, setup, names, trajectory, pool, analytic)
         analytic, white = fit.analytic, fit.evidence.white
         delta, length = step_from(setup, trajectory.point, fit.evidence)
         if length < _TOLERANCE:
             break
         for share in _STEP_SHARES:
             step = dict(zip(fit.columns[0].names, (share * delta).tolist(), strict=True))
-            starts = moved_starts(trajectory.point.starts, white, delta, share)
-            trial = fly(
+            starts = step_starts(trajectory.point.starts, white, delta, share)
+            trial = replay_at(
                 model,
                 setup,
-                replace(stepped(setup, trajectory.point, step, limits), starts=starts),
-                map_,
+                replace(apply_step(setup, trajectory.point, step, limits), starts=starts),
+                pool,
             )
             if trial.cost < trajectory.cost:
                 break
@@ -355,7 +360,7 @@ def fit_at(
     setup: FlightData,
     names: Sequence[str],
     trajectory: Trajectory,
-    map_: Processes,
+    pool: Processes,
     analytic: tuple[str, ...] | None = None,
 ) -> Linearisation:
     """Linearise the flights at a trajectory.
@@ -367,22 +372,22 @@ def fit_at(
         trajectory.point,
         [n for n in names if n not in {e.key for e in setup.active}],
     )
-    linear_probes = probes(direct_model, setup, trajectory, positions(model, setup, point), map_)
-    linear_probes, analytic = with_properties(
+    linear_probes = probes(direct_model, setup, trajectory, positions(model, setup, point), pool)
+    linear_probes, analytic = with_property_slopes(
         direct_model,
         setup.segments,
         linear_probes,
         properties,
         setup.properties(point),
         analytic,
-        map_,
+        pool,
     )
     if setup.jumping:
         linear_probes = [
-            replace(p, jumped=jumped(a))
-            for p, a in zip(linear_probes, middles(model, setup, point), strict=True)
+            replace(p, jumped=control_jumps(a))
+            for p, a in zip(linear_probes, path_deviations(model, setup, point), strict=True)
         ]
-    steps = steps_of(linear_probes, [None] * len(linear_probes), setup, point, map_)
+    steps = steps_of(linear_probes, [None] * len(linear_probes), setup, point, pool)
     for s, y in zip(steps, trajectory.outputs, strict=True):
         s.y_ref[:, setup.output_rows] = y
     columns = parameter_columns(setup, linear_probes, trajectory, names, analytic)
@@ -391,8 +396,11 @@ def fit_at(
     return Linearisation(trajectory, linear_probes, steps, columns, evidence, analytic)
 
 
-def moved_starts(
-    starts: Sequence[FloatArray], white: Sequence[White], delta: FloatArray, share: float = 1.0
+def step_starts(
+    starts: Sequence[FloatArray],
+    white: Sequence[WhitenedSegment],
+    delta: FloatArray,
+    share: float = 1.0,
 ) -> tuple[FloatArray, ...]:
     """Return the start states that fit best beside a change ``delta`` (K,) of the estimates, or a
     share of the way to them.
@@ -414,7 +422,7 @@ def step_from(
     """
     delta, length = evidence.step(setup.fixed_effects)
     move = dict(zip(evidence.names, delta.tolist(), strict=True))
-    (low, high), shares = SHARES, {unseen(f): unseen_share(point, f) for f in setup.jumping}
+    (low, high), shares = SHARES, {jump_share_name(f): jump_share(point, f) for f in setup.jumping}
     stay = [
         n
         for n, share in shares.items()
@@ -428,7 +436,7 @@ def step_from(
     return evidence.step([*setup.fixed_effects, *stay]) if stay else (delta, length)
 
 
-def stepped(
+def apply_step(
     setup: FlightData,
     point: ModelState,
     step: Mapping[str, float],
@@ -444,17 +452,19 @@ def stepped(
     }
     effects = dict(point.effects)
     for e in setup.active:
-        if e.key in step and (e.key in setup.carriers or not in_dynamics(e)):
+        if e.key in step and (e.key in setup.carriers or not acts_on_motion(e)):
             effects[e.key] = max(
                 effects.get(e.key, 0.0) + step[e.key], setup.lower_bounds.get(e.key, -math.inf)
             )
     nuisance = {n: v for n, v in point.nuisance.items() if n.startswith(f"{UNSEEN}/")}
     nuisance |= {n: point.nuisance.get(n, 0.0) + step[n] for n in setup.nuisance}
-    nuisance |= {n: float(np.clip(nuisance[n], *SHARES)) for n in map(unseen, setup.jumping)}
+    nuisance |= {
+        n: float(np.clip(nuisance[n], *SHARES)) for n in map(jump_share_name, setup.jumping)
+    }
     return replace(point, values=values, nuisance=nuisance, effects=effects)
 
 
-def in_one_step(
+def one_step_estimates(
     evidence: Information,
     names: Sequence[str],
     fit: Linearisation,
@@ -477,15 +487,17 @@ def in_one_step(
 # Exchange with `identification.replay_fit`, which fits the model without effects.
 
 
-def observed(setup: FlightData, sensed: Mapping[str, float] | None = None) -> Observed:
+def observations_of(setup: FlightData, sensed: Mapping[str, float] | None = None) -> Observed:
     """Return the observations of a fit, without the sensors' effects ``sensed`` (values by key)."""
     late = {**setup.late, **dict.fromkeys(setup.timed, (CONTROL_DELAY,))}
     if not sensed:
         return Observed(setup.segments, setup.outputs, setup.measured, setup.biased, late)
     point = ModelState({}, {}, (), dict(sensed))
-    late_s = {c: sensor_late_s(c, setup.segments[0], point) for c in setup.outputs}
+    late_s = {c: sensor_delay_s(c, setup.segments[0], point) for c in setup.outputs}
     data = [
-        np.column_stack([unsensed(z[:, k], c, s, point) for k, c in enumerate(setup.outputs)])
+        np.column_stack(
+            [without_sensor_errors(z[:, k], c, s, point) for k, c in enumerate(setup.outputs)]
+        )
         for z, s in zip(setup.measured, setup.segments, strict=True)
     ]
     return Observed(setup.segments, setup.outputs, data, setup.biased, late, late_s)
@@ -511,7 +523,7 @@ def point_of(
     return replace(point, nuisance={n: value * _gain(n, point) for n, value in nuisance.items()})
 
 
-def begun_at(point: ModelState) -> dict[str, float]:
+def fit_start_values(point: ModelState) -> dict[str, float]:
     """Return start values for a fit's biases, delays and jump shares from a point."""
     return {
         n.replace("lateness/", "delay/"): value / _gain(n, point)

@@ -24,7 +24,7 @@ from uqharness.replay import (
     with_shown_names,
     write_histories,
 )
-from uqharness.report.history import MOST_SEGMENTS, Model, end_to_end, file_name, history_section
+from uqharness.report.history import MAX_SEGMENTS, Model, end_to_end, file_name, history_section
 from uqharness.report.parts import (
     Cell,
     Figure,
@@ -47,7 +47,7 @@ from uqharness.text_tables import csv_text
 COMPARE = "compare.json"
 
 
-def compare_page(folder: Path, prefix: str = "", segments: int | None = MOST_SEGMENTS) -> Page:
+def compare_page(folder: Path, prefix: str = "", segments: int | None = MAX_SEGMENTS) -> Page:
     """Return the page of a folder that ``uqharness compare`` wrote.
 
     Parameters
@@ -73,7 +73,7 @@ def compare_page_of(
     gap: Compare,
     histories: Sequence[History] = (),
     prefix: str = "",
-    segments: int | None = MOST_SEGMENTS,
+    segments: int | None = MAX_SEGMENTS,
 ) -> Page:
     """Return the page of a comparison from its document and the replayed segments.
 

@@ -68,8 +68,8 @@ from uqharness.simulator import folder_hash
 # Proof of match: tests, tolerances, segments, and the worst segment of each test.
 
 _LEVELS: dict[str, Level] = {PASS: "good", FAIL: "bad", INCONCLUSIVE: "warn", ABSENT: ""}
-_MOST_ROWS = 60
-_MOST_DOTS = 250
+_MAX_ROWS = 60
+_MAX_DOTS = 250
 
 
 @dataclass(frozen=True)
@@ -238,7 +238,7 @@ def _details(match: Match) -> list[Block]:
     if not segments:
         return []
     rows = []
-    for j in segments[:_MOST_ROWS]:
+    for j in segments[:_MAX_ROWS]:
         differences = "; ".join(_row_words(r) for r in j.rows)
         segment = f"{j.segment.flight}, {j.segment.manoeuvre}, {j.segment.time_s[0]:.1f} s"
         rows.append(
@@ -248,8 +248,8 @@ def _details(match: Match) -> list[Block]:
         "Segments by test, the largest difference over its tolerance first: greatest difference /"
         " tolerance at that time."
     )
-    if len(segments) > _MOST_ROWS:
-        caption += f" {_MOST_ROWS} of {len(segments)} segments; dossier --json has all."
+    if len(segments) > _MAX_ROWS:
+        caption += f" {_MAX_ROWS} of {len(segments)} segments; dossier --json has all."
     return [Table(caption, ("Test", "Segment", "Greatest difference", "Answer"), tuple(rows))]
 
 
@@ -397,7 +397,7 @@ def _chart(
     for kind, y in series:
         if kind == "dot":
             # A few hundred dots per chart.
-            few = np.unique(np.linspace(0, y.size - 1, min(y.size, _MOST_DOTS)).round().astype(int))
+            few = np.unique(np.linspace(0, y.size - 1, min(y.size, _MAX_DOTS)).round().astype(int))
             chart.dots(t[few], y[few], kind)
         else:
             chart.line(t, y, kind)
@@ -408,9 +408,9 @@ def _chart(
     return Figure(name, chart.svg(), caption)
 
 
-_MOST_SOURCES = 120
-_MOST_SENTENCES = 24
-_MOST_PARAMETERS = 60
+_MAX_SOURCES = 120
+_MAX_SENTENCES = 24
+_MAX_PARAMETERS = 60
 _STATES = (
     "V_mps",
     "alpha_rad",
@@ -593,7 +593,7 @@ def _parameters(evidence: Evidence) -> list[Block]:
     # Initial values are those of the first identification.
     initial = next((t for s, t in zip(fits, tables, strict=True) if s.kind == "identify"), {})
     rows: list[tuple[str | Cell, ...]] = []
-    for name in names[:_MOST_PARAMETERS]:
+    for name in names[:_MAX_PARAMETERS]:
         values = [_estimate(table.get(name)) for table in tables]
         rows.append(
             (
@@ -604,8 +604,8 @@ def _parameters(evidence: Evidence) -> list[Block]:
         )
     head = ("Parameter", "Initial", *(s.place if s.place != "." else s.kind for s in fits))
     caption = "Parameters from step to step: estimate and standard error."
-    if len(names) > _MOST_PARAMETERS:
-        caption += f" The first {_MOST_PARAMETERS} of {len(names)}."
+    if len(names) > _MAX_PARAMETERS:
+        caption += f" The first {_MAX_PARAMETERS} of {len(names)}."
     return [Table(caption, head, tuple(rows))]
 
 
@@ -784,11 +784,11 @@ def _statement_section(
             if where != "."
             else "The campaign:"
         )
-        blocks += [Words(head), Sentences(sentences[:_MOST_SENTENCES])]
-        if len(sentences) > _MOST_SENTENCES:
+        blocks += [Words(head), Sentences(sentences[:_MAX_SENTENCES])]
+        if len(sentences) > _MAX_SENTENCES:
             blocks.append(
                 Words(
-                    f"{len(sentences) - _MOST_SENTENCES} further sentences are in report.html.",
+                    f"{len(sentences) - _MAX_SENTENCES} further sentences are in report.html.",
                     note=True,
                 )
             )
@@ -969,13 +969,13 @@ def _sources(title: str, evidence: Evidence) -> Section:
             _step_of(evidence, s.file),
             s.version or "not recorded",
         )
-        for s in evidence.sources[:_MOST_SOURCES]
+        for s in evidence.sources[:_MAX_SOURCES]
     )
     caption = f"Files with their SHA-256. {len(evidence.sources)} files"
     caption += (
         "."
-        if len(evidence.sources) <= _MOST_SOURCES
-        else f", the first {_MOST_SOURCES} of which are listed; dossier --json has all."
+        if len(evidence.sources) <= _MAX_SOURCES
+        else f", the first {_MAX_SOURCES} of which are listed; dossier --json has all."
     )
     text = (
         f"Written by uqharness {__version__} from the files below and nothing else; nothing was"

@@ -80,7 +80,7 @@ _MIN_HEIGHT = 1e-3
 channel is not magnified.
 """
 _NUMBER_WIDTH = 6.5
-_MOST_DOTS = 1200
+_MAX_DOTS = 1200
 
 
 @dataclass(frozen=True)
@@ -242,7 +242,7 @@ def _channel(
     if name in SIGNALS and SIGNALS[name].kind == "heading":
         # Dots, because a line would cross the chart whenever the heading passes north.
         few = np.unique(
-            np.linspace(0, values.size - 1, min(values.size, _MOST_DOTS)).round().astype(int)
+            np.linspace(0, values.size - 1, min(values.size, _MAX_DOTS)).round().astype(int)
         )
         chart.dots(time_s[few], values[few], "dotfirst", radius=0.7)
     else:
@@ -291,7 +291,7 @@ def _shade(chart: Chart, shades: Sequence[Shade]) -> None:
 
 # Places of findings: channels and time intervals.
 
-MOST_SPANS = 60
+MAX_SPANS = 60
 """Maximum number of intervals of one finding that are drawn."""
 _GROUPS: Mapping[str, tuple[str, ...]] = {
     "ground velocity": ("vn_mps", "ve_mps", "vd_mps"),
@@ -381,12 +381,12 @@ def flags_of(record: FlightRecord) -> dict[str, list[Flag]]:
 
 
 def _runs(time_s: NDArray[np.float64], mask: NDArray[np.bool_]) -> tuple[tuple[float, float], ...]:
-    """Return start and end of each run of True, merged until there are at most `MOST_SPANS`."""
+    """Return start and end of each run of True, merged until there are at most `MAX_SPANS`."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
     runs = [(float(time_s[a]), float(time_s[b - 1])) for a, b in edges.reshape(-1, 2)]
     distance_s = 0.0
     # Double the distance over which neighbours are merged until few enough remain.
-    while len(runs) > MOST_SPANS:
+    while len(runs) > MAX_SPANS:
         distance_s = 2.0 * distance_s or 1e-3 * float(time_s[-1] - time_s[0])
         merged = [runs[0]]
         for start, end in runs[1:]:

@@ -16,7 +16,7 @@ from uqharness.replay import (
     shown_channel,
     with_shown_names,
 )
-from uqharness.report.history import MOST_SEGMENTS, Model, file_name, history_section
+from uqharness.report.history import MAX_SEGMENTS, Model, file_name, history_section
 from uqharness.report.parts import (
     Bullets,
     Cell,
@@ -47,7 +47,7 @@ _NOT_COVERED = (
 def identify_page(
     folder: Path,
     prefix: str = "",
-    segments: int | None = MOST_SEGMENTS,
+    segments: int | None = MAX_SEGMENTS,
     only: Collection[str] | None = None,
 ) -> Page:
     """Return the page of a folder that ``uqharness identify`` wrote.
@@ -77,7 +77,7 @@ def identify_page_of(
     fit: Fit,
     histories: Sequence[History] = (),
     prefix: str = "",
-    segments: int | None = MOST_SEGMENTS,
+    segments: int | None = MAX_SEGMENTS,
     only: Collection[str] | None = None,
 ) -> Page:
     """Return the page of an identification from its document and the replayed segments.

@@ -25,7 +25,7 @@ from uqharness.report.svg import Chart, Scale, log_scale, scale
 _TURN = 360.0
 _SPACED_DEG = (30.0, 45.0, 90.0, 180.0, 360.0)
 """Tick distances of a phase axis [deg]."""
-_MOST_TICKS = 8
+_MAX_TICKS = 8
 
 
 def margins_page(aircraft: str, flight: str, measured: Sequence[LoopMargins], command: str) -> Page:
@@ -205,7 +205,7 @@ def _phase_scale(values: Sequence[FloatArray]) -> Scale:
     """Return a phase axis with round ticks."""
     axis = scale("phase of L [deg]", [*values, np.array([-180.0])])
     # The finest tick distance that gives few enough ticks.
-    step = next((s for s in _SPACED_DEG if (axis.high - axis.low) / s <= _MOST_TICKS), 720.0)
+    step = next((s for s in _SPACED_DEG if (axis.high - axis.low) / s <= _MAX_TICKS), 720.0)
     ticks = [step * k for k in range(math.ceil(axis.low / step), math.floor(axis.high / step) + 1)]
     return Scale(
         axis.label, axis.low, axis.high, tuple((t, f"{t:g}".replace("-", "−")) for t in ticks)

@@ -70,7 +70,7 @@ drawn.
 """
 SLICE_MARGIN = 0.3
 """Share of the width of the data by which a slice extends beyond them."""
-_MOST_DOTS = 220
+_MAX_DOTS = 220
 
 
 def bounds_page(folder: Path, prefix: str = "", only: Collection[str] | None = None) -> Page:
@@ -326,7 +326,7 @@ def _slice(
     if values.size:
         # Thin the dots evenly.
         is_near = near_slice(b, state, states)
-        dot_rows = np.flatnonzero(is_near)[:: max(1, int(is_near.sum()) // _MOST_DOTS)]
+        dot_rows = np.flatnonzero(is_near)[:: max(1, int(is_near.sum()) // _MAX_DOTS)]
     label = (
         f"Bounds of {coefficient} [-] along {quantity} [{unit}] from {factor * at[0]:.3g} to"
         f" {factor * at[-1]:.3g}: {lower[40]:.2g} to {upper[40]:.2g} at the middle."

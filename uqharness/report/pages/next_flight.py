@@ -42,7 +42,7 @@ from uqharness.report.svg import Chart, Scale
 from uqharness.results import next_flight as results
 from uqharness.results.next_flight import NextFlightPlan
 
-_BINS, _CELLS, _MOST_DOTS = 16, 24, 1500
+_BINS, _CELLS, _MAX_DOTS = 16, 24, 1500
 
 
 def next_flight_page(
@@ -245,7 +245,7 @@ def _maps(
     factors = [shown_channel(s)[2] for s in pair]
     x, y = (f * mission[s] for f, s in zip(factors, pair, strict=True))
     dots = [
-        f * planned_flight[s][:: max(1, len(planned_flight[s]) // _MOST_DOTS)]
+        f * planned_flight[s][:: max(1, len(planned_flight[s]) // _MAX_DOTS)]
         for f, s in zip(factors, pair, strict=True)
     ]
     box = [np.quantile(v, [0.002, 0.998]) for v in (x, y)]

@@ -903,7 +903,7 @@ _INCONCLUSIVE: tuple[str, Level] = (
     "Effects were found; the hold-out flights do not decide whether the gap shrank",
     "warn",
 )
-_MOST_SYMPTOMS = 2
+_MAX_SYMPTOMS = 2
 _UNEXPLAINED_REMAINDER = (
     "Effects were found, and something beside them is left that no effect of the catalogue explains"
 )
@@ -951,9 +951,9 @@ def _remaining_line(done: Refinement) -> Sentence:
     words = remaining_words(done.remaining)
     if not words:
         return Sentence("Remaining: nothing beyond the sensors' noise.", "good")
-    tail = f"; and {len(words) - _MOST_SYMPTOMS} more below" if len(words) > _MOST_SYMPTOMS else ""
+    tail = f"; and {len(words) - _MAX_SYMPTOMS} more below" if len(words) > _MAX_SYMPTOMS else ""
     level: Level = "bad" if done.remaining.unexplained else "warn"
-    return Sentence(f"Remaining: {'; '.join(words[:_MOST_SYMPTOMS])}{tail}.", level)
+    return Sentence(f"Remaining: {'; '.join(words[:_MAX_SYMPTOMS])}{tail}.", level)
 
 
 def _largest_fall(gap: ResidualTables) -> str:

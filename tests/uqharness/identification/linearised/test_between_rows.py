@@ -14,8 +14,8 @@ from sysid.estimation import MeasuredSystem, gains, whiten_innovations
 from sysid.parallel import SERIAL
 from tests.uqharness.identification.linearised.test_gusts import DT, MASS, N, probe_of
 from uqharness.identification.linearised import linearise
-from uqharness.identification.linearised.flight_data import FlightData, ModelState, unseen
-from uqharness.identification.linearised.replay_fit import fit_at, fly
+from uqharness.identification.linearised.flight_data import FlightData, ModelState, jump_share_name
+from uqharness.identification.linearised.replay_fit import fit_at, replay_at
 from uqharness.replay import CONTROLS, JUMPING_CHANNELS
 from uqharness.replay.model import ReplayFolder
 from uqharness.replay.segments import Commands, Segment
@@ -39,7 +39,7 @@ def test_a_surface_without_a_lag_stands_where_it_stood_until_the_next_row():
         100.0,
     )
     with ReplayFolder(aircraft, ideal=("elevator",)) as model:
-        (away,) = linearise.middles(model, SimpleNamespace(segments=[segment]))
+        (away,) = linearise.path_deviations(model, SimpleNamespace(segments=[segment]))
     middle, end = away
     expected = np.zeros(11)
     expected[5] = -4.0
@@ -67,10 +67,10 @@ def test_commands_between_rows_leave_the_middle_the_area_of_their_path():
         100.0,
     )
     with ReplayFolder(aircraft, ideal=("elevator",)) as model:
-        (between,) = linearise.middles(
+        (between,) = linearise.path_deviations(
             model, SimpleNamespace(segments=[replace(segment, commands=Commands(3, fine))])
         )
-        (averaged,) = linearise.middles(model, SimpleNamespace(segments=[segment]))
+        (averaged,) = linearise.path_deviations(model, SimpleNamespace(segments=[segment]))
     rows = fine[::3, 0]
 
     def area(away):
@@ -127,14 +127,19 @@ def test_what_is_unseen_of_a_jump_is_what_a_replay_lacks_without_it(ideal):
         ReplayFolder(aircraft, ideal=CONTROLS) as straight,
     ):
         seen, lacking = (
-            fly(model, setup, ModelState({}, {unseen("f"): share}, (segment.start,)), SERIAL)
+            replay_at(
+                model,
+                setup,
+                ModelState({}, {jump_share_name("f"): share}, (segment.start,)),
+                SERIAL,
+            )
             for share in (0.0, 1.0)
         )
         fit = fit_at(model, straight, setup, ("aero/Cm_q",), seen, SERIAL)
         with ReplayFolder(aircraft) as servos:
-            assert not linearise.middles(servos, setup, seen.point)[0][1].any()
+            assert not linearise.path_deviations(servos, setup, seen.point)[0][1].any()
     expected = lacking.outputs[0] - seen.outputs[0]
-    found = fit.columns[0].outputs[unseen("f")]
+    found = fit.columns[0].outputs[jump_share_name("f")]
     assert np.abs(expected).max() > 0.5
     np.testing.assert_allclose(found, expected, atol=0.02 * np.abs(expected).max())
 
@@ -169,8 +174,8 @@ def test_columns_of_what_goes_with_a_surface_know_when_it_jumps(share):
     ):
         fdm = model.open(DT)
         values = {n: float(fdm[n]) for n in names}
-        point = ModelState(values, {unseen("f"): share}, (segment.start,))
-        fit = fit_at(model, straight, setup, names, fly(model, setup, point, SERIAL), SERIAL)
+        point = ModelState(values, {jump_share_name("f"): share}, (segment.start,))
+        fit = fit_at(model, straight, setup, names, replay_at(model, setup, point, SERIAL), SERIAL)
         (of,), (steps,) = fit.columns, fit.steps
         seen = MeasuredSystem.of(steps, setup.measured[0], setup.output_rows)
         by = gains(seen, noise, None)
@@ -179,7 +184,9 @@ def test_columns_of_what_goes_with_a_surface_know_when_it_jumps(share):
         for k, name in enumerate(names):
             step = 0.02 * values[name]
             sides = [
-                fly(model, setup, replace(point, values={**values, name: values[name] + s}), SERIAL)
+                replay_at(
+                    model, setup, replace(point, values={**values, name: values[name] + s}), SERIAL
+                )
                 for s in (step, -step)
             ]
             expected = (sides[0].outputs[0] - sides[1].outputs[0]) / (2.0 * step) / noise
@@ -208,10 +215,13 @@ def test_flights_jump_where_the_models_controls_do():
     )
     aircraft = find_aircraft("espaaro")
     with ReplayFolder(aircraft, ideal=("elevator",)) as at_once, ReplayFolder(aircraft) as servos:
-        assert linearise.with_jumps(setup, at_once).jumping == ("f",)
-        assert linearise.with_jumps(setup, servos).jumping == ()
+        assert linearise.with_jumping_flights(setup, at_once).jumping == ("f",)
+        assert linearise.with_jumping_flights(setup, servos).jumping == ()
         # A sensor that is late says nothing of what a row has seen.
-        assert linearise.with_jumps(replace(setup, late={"f": ["gyros"]}), at_once).jumping == ()
+        assert (
+            linearise.with_jumping_flights(replace(setup, late={"f": ["gyros"]}), at_once).jumping
+            == ()
+        )
 
 
 def test_forces_between_rows_are_the_models_own(monkeypatch):
@@ -243,7 +253,7 @@ def test_forces_between_rows_are_the_models_own(monkeypatch):
         reference=SimpleNamespace(x=x, force=none, moment=loads(x, u)), controls=u
     )
     setup = SimpleNamespace(segments=["one"], properties=lambda point: {})
-    (bend,) = linearise.bends_of(
+    (bend,) = linearise.load_deviations(
         None, setup, SimpleNamespace(height=[np.zeros(4)], point=None), [probe], [away], map
     )
     assert bend.shape == (2, 3, 6)

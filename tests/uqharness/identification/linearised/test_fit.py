@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from uqharness.identification.linearised import replay_fit as fits
-from uqharness.identification.linearised.replay_fit import in_one_step
+from uqharness.identification.linearised.replay_fit import one_step_estimates
 
 
 def test_the_last_step_is_taken_unless_what_was_flown_stands(monkeypatch):
@@ -25,8 +25,11 @@ def test_the_last_step_is_taken_unless_what_was_flown_stands(monkeypatch):
         return dict.fromkeys(wanted, (0.5, 0.2, 0.1))
 
     monkeypatch.setattr(fits, "corrected_estimates", corrected_each)
-    assert in_one_step(None, names[:2], fit) == {"aero/CZ_q": (1.5, 0.2), "aero/Cm_q": (-2.5, 0.2)}
-    assert in_one_step(None, names[:1], fit, ["effect/Cm/de"], moved=False) == {
+    assert one_step_estimates(None, names[:2], fit) == {
+        "aero/CZ_q": (1.5, 0.2),
+        "aero/Cm_q": (-2.5, 0.2),
+    }
+    assert one_step_estimates(None, names[:1], fit, ["effect/Cm/de"], moved=False) == {
         "aero/CZ_q": (1.0, 0.2)
     }
     assert asked == [names, (*names, "effect/Cm/de")]
@@ -34,6 +37,6 @@ def test_the_last_step_is_taken_unless_what_was_flown_stands(monkeypatch):
 
 @pytest.mark.parametrize("cost", [math.inf, math.nan])
 def test_where_the_first_replays_leave_the_finite_there_is_no_fit(monkeypatch, cost):
-    monkeypatch.setattr(fits, "fly", lambda *_: SimpleNamespace(cost=cost))
+    monkeypatch.setattr(fits, "replay_at", lambda *_: SimpleNamespace(cost=cost))
     with pytest.raises(np.linalg.LinAlgError, match="no numbers"):
         fits.refit(None, None, None, None, (), {}, None)  # type: ignore[arg-type]

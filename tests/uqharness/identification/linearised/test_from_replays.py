@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import pytest
 
 from uqharness.identification.linearised.flight_data import ModelState
-from uqharness.identification.linearised.replay_fit import begun_at, point_of
+from uqharness.identification.linearised.replay_fit import fit_start_values, point_of
 
 
 def test_a_fit_is_sought_from_where_a_point_stands():
@@ -17,7 +17,7 @@ def test_a_fit_is_sought_from_where_a_point_stands():
         "unseen/f": 0.25,
     }
     point = ModelState({}, nuisance, (), {"effect/sensor.p_radps/scale": 0.5})
-    begin = begun_at(point)
+    begin = fit_start_values(point)
     assert begin == {
         "bias/f/p_radps": pytest.approx(0.02),
         "delay/f/controls": 0.004,

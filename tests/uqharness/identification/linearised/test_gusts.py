@@ -22,20 +22,25 @@ from sysid.effects.turbulence import Score
 from sysid.parallel import SERIAL
 from tests.helpers.flown import fly as flown
 from uqharness.identification.linearised import prediction_error as refine_gusts
-from uqharness.identification.linearised.flight_data import ModelState, make_setup
+from uqharness.identification.linearised.flight_data import ModelState, make_flight_data
 from uqharness.identification.linearised.linearise import (
     Probe,
-    as_sensed,
+    control_delay_regressor,
     effect_columns,
-    later_controls,
+    with_sensor_errors,
 )
 from uqharness.identification.linearised.prediction_error import (
-    as_measured,
-    in_step,
-    moved,
-    rows_late,
+    aligned_outputs,
+    delay_rows,
+    shift_rows,
+    with_equal_readings,
 )
-from uqharness.identification.linearised.replay_fit import positions, step_from, stepped, steps_of
+from uqharness.identification.linearised.replay_fit import (
+    apply_step,
+    positions,
+    step_from,
+    steps_of,
+)
 from uqharness.replay.flights import prepare
 from uqharness.replay.model import ReplayFolder
 from uqharness.simulator.aircraft import find_aircraft
@@ -68,7 +73,7 @@ def setup_of(measured: np.ndarray) -> SimpleNamespace:
 @pytest.mark.parametrize("rows", [0, 3, -2, 50, -50])
 def test_rows_are_moved_whole_and_leave_nothing_behind(rows):
     values = np.arange(10.0)
-    found = moved(values, rows)
+    found = shift_rows(values, rows)
     known = np.isfinite(found)
     assert known.sum() == max(0, 10 - abs(rows))
     np.testing.assert_array_equal(found[known], (np.arange(10.0) - rows)[known])
@@ -86,7 +91,7 @@ def test_a_path_goes_with_the_sensors_that_measured_it():
     after = replace(
         point(V_mps__scale=0.25), nuisance={"bias/one/q_radps": -0.03, "bias/other/q_radps": 9.0}
     )
-    (found,) = as_measured(setup, [x], before, after)  # type: ignore[arg-type]
+    (found,) = with_equal_readings(setup, [x], before, after)  # type: ignore[arg-type]
     V, alpha, q = (STATES.index(c) for c in ("V_mps", "alpha_rad", "q_radps"))
     np.testing.assert_allclose(1.25 * found[:, V], 1.1 * x[:, V])
     np.testing.assert_allclose(found[:, alpha], x[:, alpha] + 0.02)
@@ -103,10 +108,10 @@ def test_a_late_sensor_is_compared_with_what_it_was_to_measure():
     record[:, 1] = np.sin(6.0 * (t - 0.095))
     setup, there = setup_of(record), point(alpha_rad__delay=0.095)
     (segment,) = setup.segments
-    late = rows_late(setup, segment, there)
+    late = delay_rows(setup, segment, there)
     assert late == {"V_mps": 0, "alpha_rad": 5, "ax_mps2": 0}
-    (z,) = in_step(setup, there)
-    model = as_sensed(
+    (z,) = aligned_outputs(setup, there)
+    model = with_sensor_errors(
         truth.copy(), setup, segment, there, late, behind=-0.25 * np.gradient(truth, axis=0)
     )
     inside = slice(8, N - 8)
@@ -135,7 +140,7 @@ def test_a_sensor_late_by_a_part_of_a_row_sees_the_states_of_then(late):
         H,
         np.zeros((N, 3)),
     )
-    found = refine_gusts.between_rows(steps, [0, 2], [late, 0.0])
+    found = refine_gusts.output_matrix_between_rows(steps, [0, 2], [late, 0.0])
     expected = H[:, 0] @ expm(-late * turn)
     assert np.abs(found[:, 0] - expected).max() < np.abs(H[:, 0] - expected).max() / 100.0
     np.testing.assert_array_equal(found[:, 1:], H[:, 1:])
@@ -163,7 +168,7 @@ def test_outputs_between_rows_go_as_the_model_moves_them_however_the_reference_j
     setup = SimpleNamespace(
         outputs=names, output_rows=which, segments=(segment,), measured=(np.zeros((N, 3)),)
     )
-    linear = refine_gusts._Linear(setup, SimpleNamespace(point=point()), [probe], SERIAL)  # type: ignore[arg-type]
+    linear = refine_gusts._LinearSystems(setup, SimpleNamespace(point=point()), [probe], SERIAL)  # type: ignore[arg-type]
     steps = linearise(rolled, probe.mass, gusts=acting)
     y = steps.y_ref[:, which]
     behind = linear._behind(probe, steps, y, acting, np.array([late, late, 0.0]))
@@ -302,7 +307,7 @@ def test_what_a_scale_does_is_the_slope_of_what_the_sensor_says():
     ]
 
     def read(size: float) -> np.ndarray:
-        return as_sensed(
+        return with_sensor_errors(
             truth.copy(), setup, segment, point(alpha_rad__scale=size, alpha_rad__bias=0.4)
         )  # type: ignore[arg-type]
 
@@ -372,7 +377,7 @@ def test_steps_too_long_are_shortened_and_those_too_short_lengthened(gain, share
     x, answer, share, before, taken = np.zeros(2), np.array([1.0, -3.0]), 1.0, None, []
     for _ in shares:
         step = gain * (answer - x)
-        share = 1.0 if before is None else refine_gusts.relaxed(share, before, step, information)
+        share = 1.0 if before is None else refine_gusts.step_share(share, before, step, information)
         x, before = x + share * step, step
         taken.append(share)
     assert taken == pytest.approx(shares)
@@ -399,7 +404,7 @@ def test_shares_of_jumps_stay_between_none_and_all():
     point = ModelState({}, {"unseen/f": 1.0, "unseen/g": 0.9}, ())
     step_from(setup, point, evidence)  # type: ignore[arg-type]
     assert asked == [[], ["unseen/f"]]
-    moved = stepped(setup, point, {"unseen/f": -0.2, "unseen/g": 0.3}, {})  # type: ignore[arg-type]
+    moved = apply_step(setup, point, {"unseen/f": -0.2, "unseen/g": 0.3}, {})  # type: ignore[arg-type]
     assert moved.nuisance == {"unseen/f": 0.8, "unseen/g": 1.0}
 
 
@@ -423,8 +428,8 @@ def test_a_rate_limit_stays_where_it_is_felt():
     step_from(setup, inside, evidence)  # type: ignore[arg-type]
     step_from(setup, at_end, evidence)  # type: ignore[arg-type]
     assert asked == [[], [], [key]]
-    assert stepped(setup, inside, {key: -0.03}, {}).effects == {key: -0.02}  # type: ignore[arg-type]
-    assert stepped(setup, inside, {key: 0.03}, {}).effects == {key: pytest.approx(0.02)}  # type: ignore[arg-type]
+    assert apply_step(setup, inside, {key: -0.03}, {}).effects == {key: -0.02}  # type: ignore[arg-type]
+    assert apply_step(setup, inside, {key: 0.03}, {}).effects == {key: pytest.approx(0.02)}  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("late_s", [0.011, -0.0263])
@@ -434,14 +439,14 @@ def test_surfaces_stand_where_commands_that_act_late_have_them(late_s):
     """
     aircraft = find_aircraft("espaaro")
     flight = prepare("f", flown((("pitch-doublet", 22.0),), seed=1, seconds=8.0), ())
-    setup = make_setup(aircraft, [flight], ())
+    setup = make_flight_data(aircraft, [flight], ())
     with ReplayFolder(aircraft) as model:
         both, shares = refine_gusts.setups_about_delay(
             model, setup, ModelState({}, {"lateness/f/controls": late_s}, ())
         )
         found = refine_gusts._between([positions(model, acts) for acts in both], shares)
         expected = positions(
-            model, make_setup(aircraft, [flight.with_delayed_commands(late_s)], ())
+            model, make_flight_data(aircraft, [flight.with_delayed_commands(late_s)], ())
         )
         rows = positions(model, setup)
         alone, nothing = refine_gusts.setups_about_delay(model, setup, ModelState({}, {}, ()))
@@ -459,7 +464,7 @@ def test_where_surfaces_stand_goes_with_how_late_commands_act_without_a_step():
     """
     aircraft = find_aircraft("espaaro")
     flight = prepare("f", flown((("pitch-doublet", 22.0),), seed=1, seconds=8.0), ())
-    setup, step = make_setup(aircraft, [flight], ()), refine_gusts.PLACES * DT
+    setup, step = make_flight_data(aircraft, [flight], ()), refine_gusts.DELAY_GRID * DT
     with ReplayFolder(aircraft) as model:
 
         def at(places):
@@ -495,7 +500,7 @@ def test_a_jump_that_comes_later_is_lacking_from_its_row_on():
     slopes = np.einsum("ncj,nj->nc", steady, change)
     impulse, rest = slopes[6] - slopes[5], np.tile(slopes[5], (N, 1))
     for late_s, share in ((1e-3, 1.0), (0.0, 0.5), (-1e-3, 0.0)):
-        (_, values), ends, felt = later_controls(jumping, late_s)
+        (_, values), ends, felt = control_delay_regressor(jumping, late_s)
         begin, end = (values - rest)[:-1], (ends - rest)[1:]
         # In the step after the row, or before it, its centre at the row itself; the row's
         # accelerometers see nothing of it.

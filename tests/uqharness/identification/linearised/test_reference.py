@@ -13,13 +13,13 @@ import pytest
 from sysid.parallel import SERIAL
 from uqharness.cli.main import main
 from uqharness.identification.linearised.linearise import (
-    EVERY,
+    SLOPE_ROWS,
     Probe,
     ProbeJob,
-    named_terms,
+    analytic_terms,
     probe_all,
     property_slopes,
-    with_properties,
+    with_property_slopes,
 )
 from uqharness.replay import CONTROLS, ReplayFolder, Segment, SegmentStates, force_all
 from uqharness.simulator import find_aircraft
@@ -83,9 +83,9 @@ def test_a_term_is_recognised_at_an_airspeed_that_is_not_the_reference_s():
         values = {name: float(fdm[name]) for name in names}
         (probe,) = probe_all([ProbeJob(straight, segment, x, controls, values, False, height)])
         faster = replace(probe, x=x * [1.05, *[1.0] * 7])
-        assert named_terms(straight, segment, faster, names, values) == names
+        assert analytic_terms(straight, segment, faster, names, values) == names
         # A scale of lift is no such term.
-        assert not named_terms(straight, segment, faster, ["uq/scale/CZ"], values)
+        assert not analytic_terms(straight, segment, faster, ["uq/scale/CZ"], values)
 
 
 def test_what_a_property_does_is_that_at_states_that_jump_from_row_to_row(glider):
@@ -102,8 +102,8 @@ def test_what_a_property_does_is_that_at_states_that_jump_from_row_to_row(glider
     one = none[:, 0]
     probe = Probe(reference, mass, none, none, none, none, controls, one, height, x, x, x, x[:, :2])  # type: ignore[arg-type]
     with ReplayFolder(glider, ideal=CONTROLS) as straight:
-        (probe,), _ = with_properties(straight, [segment], [probe], names, values, (), SERIAL)
-        rows = np.arange(2, n, 9 * EVERY)
+        (probe,), _ = with_property_slopes(straight, [segment], [probe], names, values, (), SERIAL)
+        rows = np.arange(2, n, 9 * SLOPE_ROWS)
         exact = property_slopes(
             (straight, segment, x[rows], controls[rows], height[rows], values, names)
         )

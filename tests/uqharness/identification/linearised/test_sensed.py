@@ -9,7 +9,11 @@ import pytest
 
 from sysid.effects.catalogue import subsystem_effects
 from uqharness.identification.linearised.flight_data import ModelState
-from uqharness.identification.linearised.linearise import at_vane, placed, sensor_late_s
+from uqharness.identification.linearised.linearise import (
+    at_sensor_position,
+    sensor_delay_s,
+    vane_shift,
+)
 from uqharness.refinement.candidates import candidate_effects
 from uqharness.replay import Segment
 
@@ -30,14 +34,14 @@ def test_a_channel_is_late_with_its_sensor_and_by_itself(late, expected):
         {}, {}, (), {f"effect/sensor.{name}/delay": value for name, value in late.items()}
     )
     segment = SimpleNamespace(flight="one", dt_s=0.02)
-    assert tuple(sensor_late_s(c, segment, point) for c in RATES) == pytest.approx(expected)
+    assert tuple(sensor_delay_s(c, segment, point) for c in RATES) == pytest.approx(expected)
 
 
 def test_one_sensor_alone_is_counted_once():
     point = ModelState(
         {}, {"delay/one/alpha_rad": 0.01}, (), {"effect/sensor.alpha_rad/delay": 0.03}
     )
-    assert sensor_late_s("alpha_rad", SimpleNamespace(flight="one"), point) == pytest.approx(0.04)
+    assert sensor_delay_s("alpha_rad", SimpleNamespace(flight="one"), point) == pytest.approx(0.04)
 
 
 def test_candidates_hold_each_channel_of_a_sensor_but_none_where_logs_estimate_delays():
@@ -71,22 +75,22 @@ def test_vanes_ahead_of_the_centre_of_gravity_see_its_velocity_and_the_rotation(
         np.arcsin(there[1] / np.linalg.norm(there)) - beta,
     )
     y = np.array([[V, alpha, beta, q, r, 9.0]])
-    change = x * at_vane(y, outputs)[0]
+    change = x * vane_shift(y, outputs)[0]
     assert change[[1, 2]] == pytest.approx(seen, rel=0.02)
     assert not change[[0, 3, 4, 5]].any()
-    assert at_vane(-y, outputs)[0, 1] * at_vane(y, outputs)[0, 1] < 0.0
-    assert not at_vane(y[:, 1:], outputs[1:]).any()  # without airspeed nothing is known of it
+    assert vane_shift(-y, outputs)[0, 1] * vane_shift(y, outputs)[0, 1] < 0.0
+    assert not vane_shift(y[:, 1:], outputs[1:]).any()  # without airspeed nothing is known of it
 
 
 def test_accelerometers_are_where_a_point_says():
     segment = Segment(
         "a", "one", np.arange(3.0), np.zeros((3, 4)), np.zeros(9), 0.0, 0.0, arm_m=(0.1, 0.0, 0.0)
     )
-    assert placed(segment, ModelState({}, {}, ())) is segment
+    assert at_sensor_position(segment, ModelState({}, {}, ())) is segment
     moved = ModelState(
         {},
         {},
         (),
         {"effect/sensor.accelerometer/place_x": 0.2, "effect/sensor.accelerometer/place_z": -0.05},
     )
-    assert placed(segment, moved).arm_m == pytest.approx((0.3, 0.0, -0.05))
+    assert at_sensor_position(segment, moved).arm_m == pytest.approx((0.3, 0.0, -0.05))

@@ -8,7 +8,7 @@ import pytest
 from uqharness.identification.linearised.flight_data import (
     estimated_channels,
     output_noise,
-    setup_in_gusts,
+    with_card_noise,
     with_estimator_noise,
 )
 
@@ -66,5 +66,5 @@ def test_in_gusts_the_card_speaks_of_sensors_alone(monkeypatch):
         sensors=SimpleNamespace(noise_std={"alpha_rad": 0.0017, "p_radps": 0.0035})
     )
     aircraft = SimpleNamespace(card=card)
-    assert setup_in_gusts(aircraft, setup_of(estimates=("alpha_rad",))).tolist() == [0.002, 0.0035]
-    assert setup_in_gusts(aircraft, setup_of()).tolist() == [0.0017, 0.0035]
+    assert with_card_noise(aircraft, setup_of(estimates=("alpha_rad",))).tolist() == [0.002, 0.0035]
+    assert with_card_noise(aircraft, setup_of()).tolist() == [0.0017, 0.0035]

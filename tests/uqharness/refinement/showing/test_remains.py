@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from sysid.effects.catalogue import catalogue
-from uqharness.refinement.residual_location import NO_RESIDUAL, Series, no_place, where_loudest
-from uqharness.refinement.sentences import would_tell
+from uqharness.refinement.residual_location import NO_RESIDUAL, Series, locate_burst, no_place
+from uqharness.refinement.sentences import discriminating_manoeuvre
 from uqharness.report.pages.refinement import place_words
 from uqharness.results.refinement import ResidualLocation
 
@@ -43,7 +43,7 @@ def series(burst: float = 0.0) -> list[Series]:
 
 
 def test_a_burst_is_placed_in_its_flight_channel_time_and_band():
-    place, goes = where_loudest(series(2.0))
+    place, goes = locate_burst(series(2.0))
     assert (place["flight"], place["channel"], place["manoeuvre"]) == ("b", "q_radps", "climb")
     assert place["from_s"] == pytest.approx(112.0, abs=1.0)
     assert place["to_s"] == pytest.approx(115.0, abs=1.0)
@@ -64,7 +64,7 @@ def test_the_state_that_makes_a_residual_is_told():
         else s
         for s in series()
     ]
-    place, goes = where_loudest(made)
+    place, goes = locate_burst(made)
     assert place["channel"] == "q_radps"
     assert place["state"]["state"] == "V_mps"
     assert place["state"]["of"] == "mean"
@@ -73,7 +73,7 @@ def test_the_state_that_makes_a_residual_is_told():
 
 
 def test_noise_has_no_interval_and_a_reason():
-    place, goes = where_loudest(series())
+    place, goes = locate_burst(series())
     assert all(
         place[k] is None
         for k in ("flight", "manoeuvre", "from_s", "to_s", "from_Hz", "to_Hz", "share_of_excess")
@@ -91,7 +91,7 @@ def test_rows_that_were_not_measured_move_no_time():
         e = np.full_like(s.white, np.nan)
         e[::3] = s.white[::3]
         thin.append(replace(s, white=e))
-    place, _ = where_loudest(thin)
+    place, _ = locate_burst(thin)
     assert place["from_s"] == pytest.approx(112.0, abs=1.1)
     assert place["to_s"] == pytest.approx(115.0, abs=1.1)
     assert place["from_Hz"] < 6.0 < place["to_Hz"] <= RATE / 6.0
@@ -99,7 +99,7 @@ def test_rows_that_were_not_measured_move_no_time():
 
 def whole(**changes):
     """A place with everything in it."""
-    place, _ = where_loudest(series(2.0))
+    place, _ = locate_burst(series(2.0))
     near = {
         "coefficient": "Cm",
         "term": "alpha^2",
@@ -143,9 +143,9 @@ def test_a_place_that_lacks_a_field_without_a_reason_is_refused(lost):
 def test_the_flight_that_would_tell_excites_the_state_and_tells_the_nearest_apart():
     by_term = {(e.coefficient, e.term): e for e in catalogue()}
     pair = [by_term["Cm", "p_hat^2"], by_term["Cm", "beta^2"]]
-    said = would_tell("elevator_deg", pair, ("roll doublet", 3.2))
+    said = discriminating_manoeuvre("elevator_deg", pair, ("roll doublet", 3.2))
     assert said.startswith("elevator steps at constant speed")
     assert "repeat roll doublet, where the channel is at 3.20 times its noise" in said
     assert "aileron doublets of two sizes" in said
     assert "steady sideslips" in said
-    assert "elevator" not in would_tell(None, pair, ("roll doublet", 3.2))
+    assert "elevator" not in discriminating_manoeuvre(None, pair, ("roll doublet", 3.2))

@@ -10,9 +10,9 @@ import pytest
 from uqharness.refinement.residual_location import (
     BY_CHANCE,
     band_of,
-    densest,
     dependence,
-    loudest,
+    largest_burst,
+    shortest_interval,
     state_correlate,
 )
 
@@ -35,7 +35,7 @@ def test_a_burst_is_found_at_its_time_and_in_its_band(size, seed):
         size * np.sqrt(2.0) * np.sin(2.0 * np.pi * (5.0 * t + t**2 / 4.0)),
         0.0,
     )
-    found = loudest(noise(seed) + chirp, RATE)
+    found = largest_burst(noise(seed) + chirp, RATE)
     assert found is not None
     assert found.p < 1e-6
     assert found.start / RATE == pytest.approx(30.0, abs=0.6)
@@ -45,7 +45,7 @@ def test_a_burst_is_found_at_its_time_and_in_its_band(size, seed):
 
 
 def test_a_slow_drift_is_found_below_the_blocks_frequency():
-    found = loudest(noise(4) + np.where(TIME > 60.0, 2.0, 0.0), RATE)
+    found = largest_burst(noise(4) + np.where(TIME > 60.0, 2.0, 0.0), RATE)
     assert found is not None
     assert found.low_hz == 0.0
     assert found.high_hz < 3.0
@@ -60,7 +60,7 @@ def test_colour_below_the_noise_has_a_band():
     spectrum = np.fft.rfft(noise(5))
     f = np.fft.rfftfreq(len(TIME), 1.0 / RATE)
     e = np.fft.irfft(np.where(f < 2.5, 2.2, 0.75) * spectrum, len(TIME))
-    found = loudest(e / np.std(e), RATE)
+    found = largest_burst(e / np.std(e), RATE)
     assert found is not None
     assert found.p < BY_CHANCE
     assert found.high_hz < 3.5
@@ -69,20 +69,22 @@ def test_colour_below_the_noise_has_a_band():
 @pytest.mark.parametrize("n", [500, pytest.param(4500, marks=pytest.mark.slow)])
 def test_noise_alone_has_no_place(n):
     """Of 150 draws chance may place two at one in a hundred (a binomial's 99 % is five)."""
-    ps = [found.p for seed in range(150) if (found := loudest(noise(seed, n), RATE)) is not None]
+    ps = [
+        found.p for seed in range(150) if (found := largest_burst(noise(seed, n), RATE)) is not None
+    ]
     assert sum(p < BY_CHANCE for p in ps) <= 5
     assert all(0.0 <= p <= 1.0 for p in ps)
 
 
 def test_what_is_too_short_has_no_place():
-    assert loudest(np.full(10, 9.0), RATE) is None
+    assert largest_burst(np.full(10, 9.0), RATE) is None
 
 
 def test_the_densest_stretch_holds_half():
     weights = np.array([1.0, 0.0, 5.0, 4.0, 0.0, 1.0])
-    assert densest(weights) == (2, 4)
-    assert densest(weights, 0.4) == (2, 3)
-    assert densest(np.zeros(3)) == (0, 1)
+    assert shortest_interval(weights) == (2, 4)
+    assert shortest_interval(weights, 0.4) == (2, 3)
+    assert shortest_interval(np.zeros(3)) == (0, 1)
 
 
 def test_the_band_of_a_sine_holds_its_frequency():

@@ -10,7 +10,7 @@ import pytest
 
 from sysid.effects import SelectedEffect
 from sysid.effects.catalogue import coefficient_effect
-from uqharness.refinement.document import strong_of, unexplained_moments
+from uqharness.refinement.document import strong_unreported, unexplained_moments
 from uqharness.refinement.estimators import PredictionErrorEstimator, ReplayEstimator
 from uqharness.refinement.sentences import reason_for
 from uqharness.results.refinement import NearbyCandidate
@@ -37,8 +37,11 @@ def test_of_the_nearest_candidates_those_are_told_that_are_strong_and_not_told_y
         NearbyCandidate(coefficient="Cl", term="alpha*CT", name="b", t=-31.2, leaves=1.0),
         NearbyCandidate(subsystem="propulsion", term="torque", name="c", t=9.0, leaves=1.0),
     ]
-    assert strong_of(near, {"effect/Cl/alpha*CT"}) == [("effect/Cl/alpha^3", 33.1)]
-    assert strong_of(near, set()) == [("effect/Cl/alpha^3", 33.1), ("effect/Cl/alpha*CT", -31.2)]
+    assert strong_unreported(near, {"effect/Cl/alpha*CT"}) == [("effect/Cl/alpha^3", 33.1)]
+    assert strong_unreported(near, set()) == [
+        ("effect/Cl/alpha^3", 33.1),
+        ("effect/Cl/alpha*CT", -31.2),
+    ]
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ import pytest
 
 from sysid.effects.catalogue import coefficient_effect, subsystem_effects
 from uqharness.errors import BadInputError
-from uqharness.identification.linearised import Carrier, servo_change
+from uqharness.identification.linearised import EffectProperty, servo_change
 from uqharness.plugin.apply import Estimate
 from uqharness.refinement.write_xml import EffectToWrite, carrier, switch_of, write_effects
 from uqharness.replay.replay import runs_per_row
@@ -96,7 +96,7 @@ def test_a_term_carried_at_zero_gets_its_number(tmp_path):
     )
     fdm = open_aircraft(find_aircraft(out))
     assert (fdm["aero/Cl_de"], fdm["aero/Cm_q"]) == (3e-4, -12.0)
-    assert carrier(effect, aircraft) == Carrier("aero/Cl_de", 0.0)
+    assert carrier(effect, aircraft) == EffectProperty("aero/Cl_de", 0.0)
 
 
 @pytest.mark.parametrize(
@@ -180,7 +180,7 @@ def test_subsystems_have_their_places(tmp_path):
     assert "<lag>effect/actuator/aileron-lag</lag>" in text
     changed = find_aircraft(out)
     assert np.isfinite(trajectory(changed)).all()
-    assert carrier(by_key["effect/propulsion/thrust_scale"], aircraft) == Carrier(
+    assert carrier(by_key["effect/propulsion/thrust_scale"], aircraft) == EffectProperty(
         "propulsion/thrust-scale", 1.0
     )
     assert carrier(by_key["effect/mass/Ixz"], aircraft) is None
