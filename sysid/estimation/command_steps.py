@@ -18,7 +18,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import eigh
-from scipy.signal import lfilter
 
 from sysid.arrays import FloatArray
 from sysid.record import FlightRecord
@@ -99,6 +98,9 @@ def filtered_steps(steps: Sequence[FloatArray], dt_s: float) -> FloatArray:
 
 def lagged(values: FloatArray, dt_s: float, time_constant_s: float) -> FloatArray:
     """Return values after a first-order lag that starts at rest at the first value."""
+    # Imported here: it takes half a second to load, and few flights are ordinary ones.
+    from scipy.signal import lfilter
+
     if time_constant_s <= 0.0 or not len(values):
         return values
     keep = float(np.exp(-dt_s / time_constant_s))
