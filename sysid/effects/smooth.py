@@ -287,7 +287,7 @@ def held_out_gain(
 ) -> float:
     """Return the gain in 2 ln L on the other segments of the curve estimated on ``part``.
 
-    `information.agreement` does the same for an effect.
+    `compare_parts` does the same for an effect.
     """
     b, c = information.index(free), information.index(fit.estimated_columns)
     (G, u), (other, score) = (

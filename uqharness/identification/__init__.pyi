@@ -21,11 +21,9 @@ from .prior import read_prior as read_prior
 from .replay_fit import BIASES as BIASES
 from .replay_fit import OUTPUTS as OUTPUTS
 from .replay_fit import Identification as Identification
-from .replay_fit import Observed as Observed
 from .replay_fit import coefficient_gaps as coefficient_gaps
 from .replay_fit import equation_error_start as equation_error_start
 from .replay_fit import fit_replays as fit_replays
-from .replay_fit import jumping_flights as jumping_flights
 from .servos import choose_servos as choose_servos
 from .split import Intervals as Intervals
 from .split import Split as Split

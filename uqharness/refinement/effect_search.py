@@ -12,7 +12,8 @@ stop.
    doubtful, simulate competing ones as well: an airspeed sensor that reads a quarter too much at
    first resembles a thrust error, |t| 36 and 37; with the sensor's error simulated, nothing
    remains.
-5. Compare (`best_model`) by the log likelihood less the gain required of each effect (`EARNED`).
+5. Compare (`best_model`) by the log likelihood less the gain required of each effect
+   (`REQUIRED_GAIN_SHARE`).
 6. Stop at a model that selects itself, and drop effects whose |t| in the simulation is too small
    (`drop_weak`).
 """

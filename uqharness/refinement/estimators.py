@@ -764,8 +764,8 @@ def looks_turbulent(data: FlightData, fit: Linearisation) -> bool:
 def with_residual_noise(data: FlightData, fit: Linearisation) -> ModelFit:
     """Return the fit with the noise of its residuals where that is less than the card's.
 
-    Noise that is twice too large halves every t. The noise is at least `QUIETER` of the card's.
-    Missing effects are part of the residuals, so it is rarely too small.
+    Noise that is twice too large halves every t. The noise is at least `MIN_NOISE_SHARE` of the
+    card's. Missing effects are part of the residuals, so it is rarely too small.
     """
     noise = np.clip(_residual_rms(data, fit.trajectory), MIN_NOISE_SHARE * data.noise, data.noise)
     data = replace(data, noise=noise)

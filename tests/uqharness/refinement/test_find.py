@@ -64,7 +64,9 @@ def test_what_only_resembles_the_chosen_is_not():
 
 def test_words_name_it_and_its_strength():
     effect = coefficient_effect("Cm", "p_hat^2")
-    assert still_significant(effect, -12.34).startswith(f"{effect.name} is still significant (|t| 12.3)")
+    assert still_significant(effect, -12.34).startswith(
+        f"{effect.name} is still significant (|t| 12.3)"
+    )
 
 
 def test_the_interval_knows_that_the_choice_was_made_by_a_narrower_error():

@@ -188,7 +188,10 @@ def test_modes_command_json(capsys):
         "roll",
         "spiral",
     ]
-    assert answer["modes"][0].keys() == {"name", "real", "imag", "wn_radps", "zeta"}
+    assert answer["modes"][0].keys() == {
+        *("name", "real", "imag", "wn_radps", "zeta"),
+        "interval",
+    }
 
 
 def test_an_aircraft_whose_rudder_follows_its_ailerons_flies_straight_with_a_little_bank():

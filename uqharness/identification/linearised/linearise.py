@@ -1,8 +1,8 @@
 """Linearise the model along recorded flights.
 
 `probe_all` reads forces, moments and their slopes from JSBSim at the states of each segment.
-`effect_columns` turns candidate effects into regressors there, `with_properties` parameters.
-`as_sensed` applies the sensors' errors to outputs.
+`effect_columns` turns candidate effects into regressors there, `with_property_slopes` parameters.
+`with_sensor_errors` applies the sensors' errors to outputs.
 """
 
 from __future__ import annotations

@@ -481,7 +481,7 @@ class _LinearSystems:
     Attributes
     ----------
     measured : list of (n, m) array
-        The outputs that the systems describe, from `in_step`.
+        The outputs that the systems describe, from `aligned_outputs`.
     """
 
     def __init__(
