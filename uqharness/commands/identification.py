@@ -445,13 +445,15 @@ def _better_model(
     )
     if request.out is not None:
         write_json(results_folder(request.out) / "compare.json", document.as_json())
-    return Outcome(contest, document, _contest_lines(contest))
+    # Models of one name, as before and after `identify`, are told apart by their places.
+    names = contest.models if len(set(contest.models)) == 2 else (request.aircraft, request.other)
+    return Outcome(contest, document, _contest_lines(contest, names))
 
 
-def _contest_lines(contest: ForecastContest) -> list[str]:
-    """Return the answer of a contest of two models, with a line for each horizon."""
+def _contest_lines(contest: ForecastContest, models: Sequence[object]) -> list[str]:
+    """Return the answer of a contest of two ``models``, with a line for each horizon."""
     result = contest.comparison
-    names = dict(zip("AB", contest.models, strict=True))
+    names = dict(zip("AB", map(str, models), strict=True))
     if result.better == "no difference":
         answer = f"no difference: {names['A']} (A) and {names['B']} (B) predict {contest.flight}"
         answer += " alike"
