@@ -45,6 +45,14 @@ def reference(monkeypatch: pytest.MonkeyPatch):
     return reference
 
 
+def test_a_page_is_listed_once_and_by_its_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(SITE))
+    import build
+
+    pages = re.findall(r"^docs/([\w*-]+)$", build.index(), re.M)
+    assert sorted(pages) == sorted(path.stem for path in (ROOT / "docs").glob("*.md"))
+
+
 class _Fetched(HTMLParser):
     """What a browser loads by itself: scripts, styles, images, fonts."""
 
