@@ -357,7 +357,7 @@ def identify_ordinary(
     by_steps = _StepInstruments.of(flights, measured, of_filters, ideal_servos).estimates(
         groups, names, begin, fixed_terms
     )
-    terms = {i: n.removeprefix("aero/").partition("_")[2] for i, n in enumerate(names)}
+    terms = {i: _term(n) for i, n in enumerate(names)}
     theta, cov, reason = begin.copy(), np.zeros((len(names), len(names))), {}
     fit_share: dict[str, float] = {}
     step_notes: list[str] = []

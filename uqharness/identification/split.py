@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import ks_2samp
 
 from sysid.foreign.regular_files import parse_json, read_regular
 from sysid.model_form import ModelForm
@@ -91,6 +90,9 @@ def split_in_time(record: FlightRecord, enabled: bool = True) -> Split:
 
 def _largest_difference(record: FlightRecord, used: BoolArray) -> tuple[float, str]:
     """Return the largest distance between two parts' distributions, and its channel."""
+    # Imported here: it takes half a second to load, and few flights are split.
+    from scipy.stats import ks_2samp
+
     step = max(1, round(0.2 / record.dt_s))
     out = []
     for channel in (*_STATES, *_CONTROLS):

@@ -506,7 +506,7 @@ def joint_gain(information: Information, free: Sequence[str], keys: Sequence[str
 
 
 def offset_tolerance_s(command_s: float, first: bool) -> tuple[float, float]:
-    """Return the latest and the earliest offset [s] that is no error of the record.
+    """Return the latest and the earliest offset [s] that counts as no error of the clock.
 
     Every fit estimates an offset of the integration, and a simulator's controls act up to half a
     step before their row. After the first shift the limit is the resolution.
