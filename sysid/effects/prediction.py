@@ -186,7 +186,7 @@ def with_air(
     measured: Sequence[FloatArray],
     rows: Sequence[int],
     noise: FloatArray,
-    airs: Sequence[tuple[Sequence[Steps], Process]],
+    airs: Sequence[tuple[Sequence[Steps] | None, Process]],
 ) -> Iterator[FilteredSegment]:
     """Add the changes of each segment's innovations in other ``airs``, which are nearly the same.
 
@@ -197,7 +197,7 @@ def with_air(
         here = predict_from(begin, one.system, one.gains)[1]
         columns = []
         for steps, process in airs:
-            system = MeasuredSystem.of(steps[k], measured[k], rows)
+            system = one.system if steps is None else MeasuredSystem.of(steps[k], measured[k], rows)
             air = process.noise[k], process.begin[k]
             other = gains(system, noise, air, with_prior_variance=False)
             # In units of the same deviations: what these are says nothing of the states.

@@ -600,8 +600,8 @@ def _with_free_air(
     """
     rows, process = linear.setup.output_rows, gusts.process
     states = np.arange(process.noise.shape[1])
-    airs: list[tuple[Sequence[Steps], Process]] = [
-        (steps, replace(process, noise=process.noise * np.where(states == k, 1.0 + NEARBY, 1.0)))
+    airs: list[tuple[Sequence[Steps] | None, Process]] = [
+        (None, replace(process, noise=process.noise * np.where(states == k, 1.0 + NEARBY, 1.0)))
         for k in np.flatnonzero(process.noise.any(axis=0))
     ]
     for name in ("p_length", "q_length", "r_length"):
