@@ -19,14 +19,21 @@ from cachetools import LRUCache, cached
 from sysid.aerodynamics.coefficients import MassProperties
 from sysid.arrays import FloatArray
 from sysid.parallel import SERIAL, Processes
-from sysid.units import FT_M, LBF_FT_NM, LBF_N, PSF_PA, SLUG_KG
+from sysid.units import FT_M, LBF_FT_NM, LBF_N, PSF_PA
 from uqharness import batch
 from uqharness.batch import StateProgram
 from uqharness.errors import BadInputError
 from uqharness.replay.in_lanes import level_of, sources_of
 from uqharness.replay.model import ReplayModel, control_setters, terrain_m
 from uqharness.replay.segments import Segment
-from uqharness.simulator import MAX_FRAMES, SETTLED_RADPS, TRIM_LATITUDE_DEG, body_velocity, engine
+from uqharness.simulator import (
+    MAX_FRAMES,
+    SETTLED_RADPS,
+    TRIM_LATITUDE_DEG,
+    body_velocity,
+    engine,
+    mass_properties,
+)
 
 # Forces at measured states by the batch engine, for many states of an aircraft that it understands.
 # Some states of each program are evaluated by JSBSim as well, and JSBSim evaluates all if the two
@@ -390,7 +397,7 @@ def _mass_of(model: ReplayModel, dt_s: float, properties: Mapping[str, float]) -
     """Return the mass properties of a model."""
     fdm = _open(model, dt_s, properties)
     engine.run_ic(fdm)
-    return mass_properties(fdm, model)
+    return mass_properties(fdm, model.card.reference)
 
 
 def _force_in_jsbsim(fdm: Any, model: ReplayModel, states: States) -> FloatArray:
@@ -467,23 +474,3 @@ def _settle_rates(fdm: Any, alphadot: Callable[[], float], betadot: Callable[[],
         if change < SETTLED_RADPS or not change < last_change:
             return
         previous = current
-
-
-def mass_properties(fdm: Any, model: ReplayModel) -> MassProperties:
-    """Read mass, inertia and reference lengths of an initialised instance; lengths of the card take
-    precedence.
-    """
-    get = fdm.__getitem__
-    unit = SLUG_KG * FT_M**2
-    # JSBSim publishes the elements of its inertia matrix: inertia/ixz is minus the product of
-    # inertia Ixz.
-    names = [["ixx", "ixy", "ixz"], ["ixy", "iyy", "iyz"], ["ixz", "iyz", "izz"]]
-    inertia = unit * np.array([[get(f"inertia/{n}-slugs_ft2") for n in row] for row in names])
-    reference = model.card.reference
-    return MassProperties(
-        float(get("inertia/mass-slugs")) * SLUG_KG,
-        inertia,
-        reference.S_m2 or get("metrics/Sw-sqft") * FT_M**2,
-        reference.b_m or get("metrics/bw-ft") * FT_M,
-        reference.c_m or get("metrics/cbarw-ft") * FT_M,
-    )

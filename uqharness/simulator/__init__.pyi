@@ -59,6 +59,7 @@ from .linear import linearise as linearise
 from .linear import mode_intervals as mode_intervals
 from .linear import modes as modes
 from .mass import CHANGEABLE as CHANGEABLE
+from .mass import mass_properties as mass_properties
 from .mass import xml_numbers_for as xml_numbers_for
 from .mission import MANOEUVRE_PROPERTY as MANOEUVRE_PROPERTY
 from .mission import Script as Script

@@ -18,12 +18,13 @@ from sysid.aerodynamics import COEFFICIENTS, regressors
 from sysid.arrays import FloatArray
 from sysid.distributions import student_quantile
 from sysid.model_form import ModelForm
-from sysid.units import FT_M, SLUG_FT2_KGM2, SLUG_FT3_KGPM3, SLUG_KG
+from sysid.units import FT_M, SLUG_FT3_KGPM3
 from uqharness.arguments import instance
 from uqharness.errors import BadInputError
 from uqharness.simulator import engine
 from uqharness.simulator.aircraft import Aircraft, open_aircraft
 from uqharness.simulator.forced_state import BodyState, force_state
+from uqharness.simulator.mass import mass_properties
 from uqharness.simulator.trim import Trim, force_near_trim
 
 STATE_NAMES = ("u", "v", "w", "p", "q", "r", "phi", "theta")
@@ -326,7 +327,7 @@ def mode_intervals(
     Parameters
     ----------
     aircraft : Aircraft
-        With areas and lengths in its XML.
+        Lengths of its card take precedence over those of its XML.
     model : LinearModel
         Nominal.
     form : ModelForm
@@ -377,17 +378,7 @@ def _error_slopes(
     fdm["ic/h-sl-ft"] = trim.condition.altitude_m / FT_M
     engine.run_ic(fdm)
     rho = fdm["atmosphere/rho-slugs_ft3"] * SLUG_FT3_KGPM3
-    S, b, c = (fdm[f"metrics/{name}"] for name in ("Sw-sqft", "bw-ft", "cbarw-ft"))
-    S, b, c = S * FT_M**2, b * FT_M, c * FT_M
-    mass = fdm["inertia/mass-slugs"] * SLUG_KG
-    # JSBSim's ixz is the matrix's element.
-    inertia = np.array(
-        [
-            [fdm[f"inertia/{name}-slugs_ft2"] for name in row]
-            for row in (("ixx", "ixy", "ixz"), ("ixy", "iyy", "iyz"), ("ixz", "iyz", "izz"))
-        ]
-    )
-    inertia *= SLUG_FT2_KGM2
+    body = mass_properties(fdm, aircraft.card.reference)
     # Flight states at the trim, and a step to either side in each state of A.
     steps = np.array([_STEP[name] for name in STATE_NAMES])
     points = np.vstack([np.diag(steps), -np.diag(steps)])
@@ -420,9 +411,9 @@ def _error_slopes(
             np.maximum(variance, 0.0)
         )
         slopes[:, row] = (bounds.beta_hat + draws @ axes.T) @ gradient.T
-    pressure_area = 0.5 * rho * trim.condition.V_mps**2 * S
+    pressure_area = 0.5 * rho * trim.condition.V_mps**2 * body.S
     added = np.zeros((MODE_MEMBERS, 8, 8))
-    added[:, :3] = slopes[:, :3] * pressure_area / mass
-    moments = slopes[:, 3:] * (pressure_area * np.array([b, c, b]))[:, None]
-    added[:, 3:6] = np.linalg.inv(inertia) @ moments
+    added[:, :3] = slopes[:, :3] * pressure_area / body.mass
+    moments = slopes[:, 3:] * (pressure_area * body.lengths)[:, None]
+    added[:, 3:6] = np.linalg.inv(body.inertia) @ moments
     return added

@@ -1,9 +1,9 @@
-"""Mass, inertia and reference lengths set through the XML numbers that JSBSim computes them from.
+"""Mass, inertia and reference lengths: read from JSBSim, and set through the numbers of the XML.
 
-In JSBSim 1.3.3, properties such as inertia/iyy-slugs_ft2 are read-only: they follow from
-<mass_balance>, point masses and fuel. `MassChange` adjusts the numbers in a copy of the XML until
-the properties reach their targets. inertia/ixz-slugs_ft2 is the entry of the inertia matrix, that
-is, minus the product of inertia.
+`mass_properties` reads them. In JSBSim 1.3.3, properties such as inertia/iyy-slugs_ft2 are
+read-only: they follow from <mass_balance>, point masses and fuel. `MassChange` adjusts the numbers
+in a copy of the XML until the properties reach their targets. inertia/ixz-slugs_ft2 is the entry of
+the inertia matrix, that is, minus the product of inertia.
 """
 
 from __future__ import annotations
@@ -14,14 +14,38 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from lxml import etree
 
-from sysid.units import FT_M, IN_M, LB_KG, SLUG_FT2_KGM2, SLUG_LB
+from sysid.aerodynamics.coefficients import MassProperties
+from sysid.logs import Reference
+from sysid.units import FT_M, IN_M, LB_KG, SLUG_FT2_KGM2, SLUG_KG, SLUG_LB
 from uqharness.errors import BadInputError
 from uqharness.files import scratch_folder
 from uqharness.simulator import engine
 from uqharness.simulator.aircraft import Aircraft, parse_xml, stage
 from uqharness.simulator.staging import Staging, copy_staging
+
+
+def mass_properties(fdm: Any, reference: Reference) -> MassProperties:
+    """Read mass, inertia and reference lengths of an initialised instance.
+
+    Lengths of the card, ``reference``, take precedence.
+    """
+    get = fdm.__getitem__
+    unit = SLUG_KG * FT_M**2
+    # JSBSim publishes the elements of its inertia matrix: inertia/ixz is minus the product of
+    # inertia Ixz.
+    names = [["ixx", "ixy", "ixz"], ["ixy", "iyy", "iyz"], ["ixz", "iyz", "izz"]]
+    inertia = unit * np.array([[get(f"inertia/{n}-slugs_ft2") for n in row] for row in names])
+    return MassProperties(
+        float(get("inertia/mass-slugs")) * SLUG_KG,
+        inertia,
+        reference.S_m2 or get("metrics/Sw-sqft") * FT_M**2,
+        reference.b_m or get("metrics/bw-ft") * FT_M,
+        reference.c_m or get("metrics/cbarw-ft") * FT_M,
+    )
+
 
 _WEIGHT = {"LBS": 1.0, "KG": LB_KG}
 _INERTIA = {"SLUG*FT2": 1.0, "KG*M2": SLUG_FT2_KGM2}
