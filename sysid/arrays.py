@@ -44,6 +44,19 @@ def as_array(value: ArrayLike, argument: str) -> FloatArray:
         raise ValueError(f"{argument} must be numeric and rectangular: {error}") from None
 
 
+def runs(labels: NDArray[Any]) -> list[slice]:
+    """Return the slices of equal consecutive entries, in order; none for an empty array.
+
+    Examples
+    --------
+    >>> runs(np.array(["", "climb", "climb", ""]))
+    [slice(0, 1, None), slice(1, 3, None), slice(3, 4, None)]
+    """
+    labels = np.asarray(labels)
+    starts = np.flatnonzero(np.append(True, labels[1:] != labels[:-1])[: len(labels)]).tolist()
+    return [slice(a, b) for a, b in zip(starts, [*starts[1:], len(labels)], strict=True)]
+
+
 def is_segment_list(value: Any) -> bool:
     """Return whether `value` is a list of segments rather than one array written as nested lists.
 

@@ -12,6 +12,9 @@ from typing import Any
 import numpy as np
 from scipy import special
 
+Z95 = 1.959963984540054
+"""Half-width of the two-sided 95 % interval of the standard normal distribution."""
+
 
 def normal_quantile(p: Any) -> Any:
     """Return x with P(X <= x) = p for the standard normal distribution.

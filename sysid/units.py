@@ -27,6 +27,8 @@ DEG_RAD = math.radians(1.0)
 SHORT_DEG_RAD = 0.017453293  # JSBSim's own, where a component takes an angle in degrees
 G0_MPS2 = 9.80665
 """Standard gravity, m/s2. The gravity of JSBSim depends on the place."""
+SEA_LEVEL_KGPM3 = 1.225
+"""Density of the standard atmosphere at sea level, kg/m3."""
 
 
 UNITS: Mapping[str, Mapping[str, float]] = {

@@ -26,7 +26,7 @@ from sysid.aerodynamics.coefficients import (
     half_width,
     smooth,
 )
-from sysid.arrays import FloatArray
+from sysid.arrays import FloatArray, runs
 from sysid.record import FlightRecord
 from sysid.vocabulary import SURFACES
 
@@ -102,12 +102,8 @@ def cut_pieces(
     # Split each gap-free segment where the label changes, and long parts equally.
     for segment in record.segments(tuple(needed), min_s):
         segment_labels = labels[segment]
-        edges = [
-            0,
-            *(np.flatnonzero(segment_labels[1:] != segment_labels[:-1]) + 1).tolist(),
-            len(segment_labels),
-        ]
-        for a, b in itertools.pairwise(edges):
+        for run in runs(segment_labels):
+            a, b = run.start, run.stop
             if (
                 not segment_labels[a]
                 or time[segment.start + b - 1] - time[segment.start + a] < min_s

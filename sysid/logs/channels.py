@@ -22,7 +22,7 @@ from sysid.logs.servo import extrapolating_table
 from sysid.logs.signal_map import Derived, Entry, RowSelection, SignalMap
 from sysid.logs.time_base import CleanTime, clean
 from sysid.record import FlightRecord
-from sysid.units import G0_MPS2
+from sysid.units import G0_MPS2, SEA_LEVEL_KGPM3
 
 # Air data from velocity components in body axes.
 
@@ -228,7 +228,7 @@ def _apply(entry: Entry, fields: list[FloatArray], time_s: FloatArray) -> FloatA
             case "polar_sin":
                 return offset + scale * x * np.sin(np.radians(fields[1]))
             case "density_of_eas2tas":
-                return np.where(x > 0.5, 1.225 / x**2, np.nan)
+                return np.where(x > 0.5, SEA_LEVEL_KGPM3 / x**2, np.nan)
             case "air_speed":
                 return offset + scale * speed_of(*fields)
             case "air_alpha":
@@ -344,7 +344,7 @@ def _euler(q: list[FloatArray]) -> tuple[FloatArray, FloatArray, FloatArray]:
 # True airspeed from indicated airspeed and density, density from height, thrust from the speed
 # of a propeller. What is assumed becomes a finding of the record.
 
-_RHO0, _T0_K, _LAPSE, _GAS = 1.225, 288.15, 0.0065, 287.053
+_T0_K, _LAPSE, _GAS = 288.15, 0.0065, 287.053
 _P0 = 101325.0
 
 
@@ -392,15 +392,15 @@ def derived_signal(derived: Derived, columns: Mapping[str, FloatArray]) -> tuple
                 if "rho_kgpm3" in columns:
                     density, basis = columns["rho_kgpm3"], "rho_kgpm3"
                 else:
-                    density, basis = np.full_like(indicated, _RHO0), "1.225 kg/m3"
-                return indicated * np.sqrt(_RHO0 / density), (
+                    density, basis = np.full_like(indicated, SEA_LEVEL_KGPM3), "1.225 kg/m3"
+                return indicated * np.sqrt(SEA_LEVEL_KGPM3 / density), (
                     f"V_mps was indicated airspeed, density from {basis}"
                 )
             # T = CT rho n^2 D^4 with CT at the advance ratio J = V / (n D).
             case "propeller_thrust":
                 n = column("rpm") * p["rpm_scale"] / 60.0
                 speed = column("V_mps")
-                rho = columns.get("rho_kgpm3", np.full_like(n, _RHO0))
+                rho = columns.get("rho_kgpm3", np.full_like(n, SEA_LEVEL_KGPM3))
                 advance = np.where(n > 0.0, speed / (n * p["diameter_m"]), 0.0)
                 ct = p["ct"]
                 if isinstance(ct[0], tuple):

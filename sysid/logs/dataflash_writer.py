@@ -16,12 +16,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.arrays import FloatArray
+from sysid.arrays import FloatArray, runs
 from sysid.errors import LogError
 from sysid.logs.card import AirframeCard, Mix, Servo
 from sysid.logs.dataflash import CHARACTERS, FMT_LENGTH, FMT_TYPE, MAGIC, Format
 from sysid.logs.servo import FUNCTIONS, PANEL_FUNCTIONS, USUAL_CHANNELS
 from sysid.record import FlightRecord
+from sysid.units import SEA_LEVEL_KGPM3
 from sysid.vocabulary import MANOEUVRE_TEXT, MODE_NUMBERS
 
 _FUNCTION = {name: number for number, name in FUNCTIONS.items()}
@@ -186,7 +187,9 @@ def _sensors(record: FlightRecord, time_us: NDArray[np.int64], stored: set[str])
     # Airspeed sensors show equivalent airspeed: true airspeed over EAS2TAS.
     ratio: FloatArray = np.ones(n)
     if "rho_kgpm3" in record:
-        ratio = np.sqrt(1.225 / np.where(record["rho_kgpm3"] > 0, record["rho_kgpm3"], np.nan))
+        ratio = np.sqrt(
+            SEA_LEVEL_KGPM3 / np.where(record["rho_kgpm3"] > 0, record["rho_kgpm3"], np.nan)
+        )
         stored.add("rho_kgpm3")
         out.append(_Message("CTUN", time_us, {"E2T": ratio, "As": column("V_mps") / ratio}))
     # Inertial sensors; health flags of 1, which readers look at.
@@ -379,7 +382,7 @@ def _manoeuvre_texts(
         return []
     stored.add("manoeuvre")
     labels = record["manoeuvre"]
-    changes = np.flatnonzero(np.concatenate([[True], labels[1:] != labels[:-1]]))
+    changes = [run.start for run in runs(labels)]
     # The autopilot's message holds 64 characters.
     return [
         (int(time_us[k]), f"{MANOEUVRE_TEXT}{labels[k] or 'end'}"[:64])
@@ -392,7 +395,7 @@ def _modes(record: FlightRecord, time_us: NDArray[np.int64], stored: set[str]) -
     """Return the messages of changes of the flight mode."""
     stored.add("mode")
     modes = record["mode"]
-    changes = np.flatnonzero(np.concatenate([[True], modes[1:] != modes[:-1]]))
+    changes = [run.start for run in runs(modes)]
     numbers = np.array([MODE_NUMBERS.get(str(modes[k]), 0) for k in changes])
     return _Message("MODE", time_us[changes], {"Mode": numbers, "ModeNum": numbers})
 

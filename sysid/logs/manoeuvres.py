@@ -8,7 +8,6 @@ table all functions are pure.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.arrays import FloatArray
+from sysid.arrays import FloatArray, runs
 from sysid.errors import LogError
 from sysid.foreign.limited import read_table
 from sysid.foreign.raw import MessageTable, RawLog
@@ -455,13 +454,13 @@ def find_loiters(
     if commands is None or "mode" not in columns:
         return ()
     time, modes = columns["time_s"], columns["mode"]
-    edges = [0, *(np.flatnonzero(modes[1:] != modes[:-1]) + 1).tolist(), len(modes)]
     out: list[Loiter] = []
-    for first, stop in itertools.pairwise(edges):
+    for run in runs(modes):
+        first, stop = run.start, run.stop
         span = float(time[first]), float(time[stop - 1])
         if modes[first] == "LOITER":
             out += _about_targets(commands, span) or _about_distances(
-                columns, slice(first, stop), commands.radius_m
+                columns, run, commands.radius_m
             )
         elif modes[first] == "AUTO":
             out += _about_commands(commands, span)

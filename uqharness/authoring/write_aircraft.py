@@ -18,7 +18,7 @@ from typing import Any
 import jinja2
 
 from sysid.aerodynamics import COEFFICIENTS
-from sysid.units import G0_MPS2
+from sysid.units import G0_MPS2, SEA_LEVEL_KGPM3
 from uqharness.authoring.line_hold import IDLE_XML, LINE_HOLD_SYSTEM, line_hold_xml
 from uqharness.authoring.model import TERMS, AeroModel
 from uqharness.authoring.prior import Prior, prior_document, prior_form, priors
@@ -36,7 +36,6 @@ from uqharness.simulator import (
 from uqharness.toml import as_toml
 from uqharness.xml import in_comment
 
-_SEA_LEVEL_KGPM3 = 1.225
 _TITLES = {
     "CX": "Axial force",
     "CY": "Side force",
@@ -106,7 +105,7 @@ def design_speed(model: AeroModel) -> float:
     if not 0.25 <= lift <= 0.8:
         lift = 0.4
     weight = model.mass.mass_kg * G0_MPS2
-    return math.sqrt(2.0 * weight / (_SEA_LEVEL_KGPM3 * model.S * lift))
+    return math.sqrt(2.0 * weight / (SEA_LEVEL_KGPM3 * model.S * lift))
 
 
 @dataclass(frozen=True)
@@ -145,7 +144,7 @@ def steady_flight(aircraft: Aircraft, model: AeroModel) -> SteadyFlight:
     """
     first = design_speed(model)
     weight = model.mass.mass_kg * G0_MPS2
-    speeds = [math.sqrt(2.0 * weight / (_SEA_LEVEL_KGPM3 * model.S * k)) for k in _OTHER_LIFTS]
+    speeds = [math.sqrt(2.0 * weight / (SEA_LEVEL_KGPM3 * model.S * k)) for k in _OTHER_LIFTS]
     flights = []
     for speed in (first, *speeds):
         rounded = float(f"{speed:.3g}")

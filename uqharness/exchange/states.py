@@ -19,7 +19,7 @@ from cachetools import LRUCache, cached
 
 from sysid.aerodynamics import COEFFICIENTS
 from sysid.arrays import FloatArray
-from sysid.units import PSF_PA
+from sysid.units import PSF_PA, SEA_LEVEL_KGPM3
 from uqharness.errors import BadInputError
 from uqharness.replay import ForcedModel, ReplayFolder, Segment, force_states
 from uqharness.simulator import (
@@ -39,7 +39,7 @@ _HALF_WIDTH = {"alpha": 0.1, "beta": 0.1, "p": 0.05, "q": 0.005, "r": 0.03}
 """Half-widths of the box [rad, -]: gusts and manoeuvres of ordinary flight."""
 _SPEED_SHARE, _TRAVEL_SHARE = 0.2, 0.4
 _SPEEDS_MPS = np.geomspace(8.0, 260.0, 16)
-_SEA_LEVEL_DENSITY, _ORDINARY_LIFT = 1.225, 0.5
+_ORDINARY_LIFT = 0.5
 
 
 @dataclass(frozen=True)
@@ -307,7 +307,7 @@ def _trim(aircraft: Aircraft, speed_mps: float | None, properties: Mapping[str, 
     fdm = open_aircraft(aircraft)
     engine.run_ic(fdm)
     loading = float(fdm["inertia/weight-lbs"]) / max(float(fdm["metrics/Sw-sqft"]), 1e-9)
-    ordinary = math.sqrt(2.0 * loading * PSF_PA / _SEA_LEVEL_DENSITY / _ORDINARY_LIFT)
+    ordinary = math.sqrt(2.0 * loading * PSF_PA / SEA_LEVEL_KGPM3 / _ORDINARY_LIFT)
     order = np.argsort(np.abs(np.log(_SPEEDS_MPS / ordinary)))
     start, first = next(((k, t) for k in order.tolist() if (t := trim_at(k))), (0, None))
     trims = [] if first is None else [first]

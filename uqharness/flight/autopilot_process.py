@@ -29,7 +29,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from pymavlink.mavextra import get_mag_field_ef
 
 from sysid.logs import Servo, read_card
-from sysid.units import FT_M, G0_MPS2, PSF_PA
+from sysid.units import FT_M, G0_MPS2, PSF_PA, SEA_LEVEL_KGPM3
 from uqharness.errors import BadInputError
 from uqharness.simulator import Aircraft, InputCard, engine, set_command
 
@@ -69,7 +69,6 @@ _HIL_SIGNS = {"aileron": 1.0, "elevator": -1.0, "rudder": -1.0}
 _PX4, _LOCK_STEP_FLAG, _EVERY_FIELD, _FIX_3D = 12, 1, 0x1FFF, 3
 _BOOT_WAIT_S, _SEND_WAIT_S, _NO_MAVLINK_BYTES = 1.0, 10.0, 4096
 _GPS_INTERVAL_S = 0.1
-_SEA_LEVEL_DENSITY = 1.225
 
 
 @dataclass(frozen=True)
@@ -490,7 +489,7 @@ def _truth(time_us: int, values: Mapping[str, Sequence[float]]) -> Any:
     x, y, z, w = _rotation(values["attitude"]).as_quat().tolist()
     speed = _integer(100.0 * values["airspeed"][0], 16, signed=False)
     _, pressure, _ = values["air"]
-    indicated = math.sqrt(2.0 * max(pressure, 0.0) * PSF_PA / _SEA_LEVEL_DENSITY)
+    indicated = math.sqrt(2.0 * max(pressure, 0.0) * PSF_PA / SEA_LEVEL_KGPM3)
     return mavlink.MAVLink_hil_state_quaternion_message(
         time_us,
         [w, x, y, z],

@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sysid.aerodynamics import Piece, demanded, half_width, kernel, regressor, smooth, split_name
-from sysid.arrays import FloatArray
+from sysid.arrays import FloatArray, runs
 from sysid.estimation import channel_noise, command_steps_of, filtered_steps, fuller, lagged
 from sysid.logs import find_manoeuvres
 from sysid.record import FlightRecord
@@ -98,10 +98,10 @@ def _moves_in_labels(record: FlightRecord) -> bool:
     if "manoeuvre" not in record:
         return False
     labels, time_s = record["manoeuvre"], record["time_s"]
-    edges = np.flatnonzero(np.append(labels[1:] != labels[:-1], True)) + 1
     in_label = np.zeros(len(labels), dtype=bool)
-    for a, b in zip([0, *edges[:-1].tolist()], edges.tolist(), strict=True):
-        in_label[a:b] = bool(labels[a]) and time_s[b - 1] - time_s[a] < MANOEUVRE_S
+    for run in runs(labels):
+        last_s = time_s[run.stop - 1]
+        in_label[run] = bool(labels[run.start]) and last_s - time_s[run.start] < MANOEUVRE_S
     if not in_label.any() or np.mean(~in_label) < MANOEUVRE_SHARE:
         return False
     for column in ("elevator_deg", "aileron_deg", "rudder_deg"):

@@ -16,6 +16,7 @@ import numpy as np
 
 from sysid.aerodynamics import COEFFICIENTS
 from sysid.arrays import FloatArray
+from sysid.distributions import Z95
 from sysid.effects import (
     COMPARABLE_SHARE,
     OVERWHELMING_T,
@@ -73,7 +74,6 @@ STATES = ("alpha", "beta", "p_hat", "q_hat", "r_hat", "de", "da", "dr", "CT", "V
 FOLDER = "unnamed"
 """Folder of the aircraft with the term, beside the refined one."""
 EXPLAINED = "the catalogue leaves no residual that needs one"
-Z95 = 1.959963984540054
 Inputs = dict[str, tuple[int, FloatArray]]
 
 

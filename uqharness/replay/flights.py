@@ -34,7 +34,7 @@ from sysid.logs import (
     with_manoeuvres,
 )
 from sysid.record import FlightRecord
-from sysid.units import FT_M, LBF_N
+from sysid.units import FT_M, LBF_N, SEA_LEVEL_KGPM3
 from uqharness.errors import BadInputError
 from uqharness.replay.model import (
     CONTROLS,
@@ -817,7 +817,7 @@ def _altitude(record: FlightRecord, rows: slice, h: float) -> float:
     if "rho_kgpm3" in record and np.isfinite(record["rho_kgpm3"][rows]).any():
         rho = float(np.nanmedian(record["rho_kgpm3"][rows]))
         # ISA below 11 km: rho = 1.225 (1 - 2.25577e-5 h)^4.25588.
-        return float((1.0 - (rho / 1.225) ** (1.0 / 4.25588)) / 2.25577e-5)
+        return float((1.0 - (rho / SEA_LEVEL_KGPM3) ** (1.0 / 4.25588)) / 2.25577e-5)
     return float(record.metadata.start.get("alt_m", 0.0)) + h
 
 

@@ -14,12 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from sysid.arrays import FloatArray
+from sysid.distributions import Z95
 from uqharness.replay import History, axis_label, shown_channel
 from uqharness.report.parts import Block, Figure, Figures, Section, Words
 from uqharness.report.svg import Chart, Scale, scale
 
-Z95 = 1.959963984540054
-"""97.5 % quantile of the standard normal distribution."""
 MAX_SEGMENTS = 3
 """Segments displayed by default."""
 _MIN_CONTROL = 2.0  # deg or %: a control that stands still shall look so

@@ -16,10 +16,10 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from sysid.display import frame_table, view
+from sysid.distributions import Z95
 from uqharness.arguments import instance
 from uqharness.campaign import CONFIDENCE, band_confidence, in_condition, pboxes, samples
 from uqharness.replay import axis_label, shown_channel
-from uqharness.report.history import Z95
 from uqharness.report.pages.model_form import SLICE_MARGIN, near_slice, slice_states
 from uqharness.report.pbox import PROBABILITY, LabelledBox, metric_label, pbox_figure
 from uqharness.report.svg import standalone

@@ -16,9 +16,7 @@ from pathlib import Path
 
 from uqharness.batch.ir import Value
 from uqharness.batch.program import When
-from uqharness.batch.translate import components as filters
-from uqharness.batch.translate import components as gains
-from uqharness.batch.translate import components as waypoints
+from uqharness.batch.translate import components
 from uqharness.batch.translate.components import Component, written_properties
 from uqharness.batch.translate.frame import (
     CHANNEL_STEP,
@@ -50,29 +48,29 @@ class Kind:
 
 
 KINDS: Mapping[str, Kind] = {
-    "pure_gain": Kind(gains.pure_gain),
-    "scheduled_gain": Kind(gains.scheduled_gain),
-    "aerosurface_scale": Kind(gains.aerosurface_scale),
-    "summer": Kind(gains.summer),
-    "deadband": Kind(gains.deadband),
-    "fcs_function": Kind(gains.fcs_function),
-    "angle": Kind(gains.angle, ("unit",)),
-    "lag_filter": Kind(filters.lag_filter),
-    "lead_lag_filter": Kind(filters.lead_lag_filter),
-    "second_order_filter": Kind(filters.second_order_filter),
-    "washout_filter": Kind(filters.washout_filter),
-    "pid": Kind(filters.pid, ("type",)),
-    "integrator": Kind(filters.integrator),
-    "kinematic": Kind(gains.kinematic),
-    "switch": Kind(gains.switch),
-    "distributor": Kind(gains.distributor, ("type",)),
-    "actuator": Kind(filters.actuator),
-    "linear_actuator": Kind(filters.linear_actuator),
-    "sensor": Kind(filters.sensor),
-    "gyro": Kind(filters.gyro),
-    "accelerometer": Kind(filters.accelerometer),
-    "waypoint_heading": Kind(waypoints.waypoint_heading, ("unit",)),
-    "waypoint_distance": Kind(waypoints.waypoint_distance, ("unit",)),
+    "pure_gain": Kind(components.pure_gain),
+    "scheduled_gain": Kind(components.scheduled_gain),
+    "aerosurface_scale": Kind(components.aerosurface_scale),
+    "summer": Kind(components.summer),
+    "deadband": Kind(components.deadband),
+    "fcs_function": Kind(components.fcs_function),
+    "angle": Kind(components.angle, ("unit",)),
+    "lag_filter": Kind(components.lag_filter),
+    "lead_lag_filter": Kind(components.lead_lag_filter),
+    "second_order_filter": Kind(components.second_order_filter),
+    "washout_filter": Kind(components.washout_filter),
+    "pid": Kind(components.pid, ("type",)),
+    "integrator": Kind(components.integrator),
+    "kinematic": Kind(components.kinematic),
+    "switch": Kind(components.switch),
+    "distributor": Kind(components.distributor, ("type",)),
+    "actuator": Kind(components.actuator),
+    "linear_actuator": Kind(components.linear_actuator),
+    "sensor": Kind(components.sensor),
+    "gyro": Kind(components.gyro),
+    "accelerometer": Kind(components.accelerometer),
+    "waypoint_heading": Kind(components.waypoint_heading, ("unit",)),
+    "waypoint_distance": Kind(components.waypoint_distance, ("unit",)),
 }
 """Supported components by tag."""
 
@@ -356,15 +354,15 @@ class _Channel:
                 uses_history.append(True)
                 return frame.memory(f"{self.key}/started").ne(0.0)
 
-            components = [
+            nodes = [
                 node for node in self.node.children if node.tag in KINDS or node.tag in REFUSED
             ]
-            for number, node in enumerate(components, start=1):
+            for number, node in enumerate(nodes, start=1):
                 if frame.is_left_out(node):
                     # It draws from the common stream all the same.
                     noise = node.find("noise")
                     if noise is not None and scope.number(noise) != 0.0:
-                        filters.draw_noise(frame, noise)
+                        components.draw_noise(frame, noise)
                     continue
                 key = f"{self.key}/{number}"
                 with frame.leaving_out(node, written_properties(scope, node)):

@@ -10,13 +10,12 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.arrays import FloatArray
+from sysid.arrays import FloatArray, runs
 from sysid.errors import Finding
 from sysid.logs import LogInfo
 from sysid.record import FlightRecord
@@ -123,10 +122,9 @@ def named_stretches(time_s: FloatArray, labels: NDArray[Any]) -> list[tuple[floa
     """
     if not len(time_s):
         return []
-    # Places where the label changes.
-    edges = [0, *(np.flatnonzero(labels[1:] != labels[:-1]) + 1).tolist(), len(labels)]
     out = []
-    for first, last in pairwise(edges):
+    for run in runs(labels):
+        first, last = run.start, run.stop
         if isinstance(labels[first], str) and labels[first]:
             out.append(
                 (

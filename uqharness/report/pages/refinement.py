@@ -14,9 +14,10 @@ from pathlib import Path
 import numpy as np
 
 from sysid.aerodynamics import COEFFICIENTS
+from sysid.distributions import Z95
 from uqharness.errors import BadInputError
 from uqharness.replay import HISTORIES, History, have_columns, read_histories, shown_channel
-from uqharness.report.history import Z95, Model, end_to_end, history_section
+from uqharness.report.history import Model, end_to_end, history_section
 from uqharness.report.pages.compare import in_shown_unit, ratio_figure
 from uqharness.report.parts import (
     Block,
