@@ -1,7 +1,7 @@
 """SHA256SUMS: digests of all files in a folder of results, which make damage visible.
 
 The file has the format of ``sha256sum``, so that ``sha256sum -c SHA256SUMS`` checks it too. Comment
-lines name inner folders with such a file of their own, and the last line holds the digest of all
+lines name inner folders that have such a file, and the last line holds the digest of all
 lines above it. A campaign, a study and a refinement write it on completion; files written later are
 entered as they are written. Files that are not entered belong to the user and are not checked.
 """
@@ -48,7 +48,7 @@ class Sums:
     files : dict
         Path below the folder, with "/" between parts, to its digest.
     folders : tuple of str
-        Inner folders with a SHA256SUMS of their own.
+        Inner folders that have SHA256SUMS.
     """
 
     files: dict[str, str] = field(default_factory=dict)
@@ -165,7 +165,7 @@ def faults(folder: Path, include_inner: bool = True) -> list[FileFault]:
     folder : Path
         Folder of results.
     include_inner : bool
-        Whether to check files of inner folders that have sums of their own.
+        Whether to check files of inner folders that have sums.
     """
     try:
         sums = read_sums(folder)
@@ -242,7 +242,7 @@ def update_sums(path: Path) -> None:
 def _files(folder: Path, folders: list[str]) -> Iterator[Path]:
     """Yield the regular files below a folder.
 
-    Inner folders with sums of their own are skipped and appended to ``folders``.
+    Inner folders with sums are skipped and appended to ``folders``.
     """
     for place, inner, names in os.walk(folder):
         for name in sorted(inner):

@@ -108,7 +108,7 @@ def dotted(parts: tuple[Any, ...]) -> str:
     return ".".join(tomlkit.key(str(part)).as_string() for part in parts)
 
 
-# Tables written as sections of their own: number of parts in their headers.
+# Tables written as separate sections: number of parts in their headers.
 _SUBSECTIONS = {("epistemic", "parameters"): 2, ("aleatory", "variables"): 3}
 # Sections that may be repeated: [[fly]].
 _TABLES = {("fly",), ("logs",)}

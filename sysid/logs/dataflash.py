@@ -208,7 +208,7 @@ def assemble(
         if stamp is None or stamp[0] not in columns[name]:
             continue
         table = columns[name]
-        # Instances (two IMUs, three compasses) become messages of their own.
+        # Instances (two IMUs, three compasses) become separate messages.
         time_s = table[stamp[0]] / np.float64(round(1.0 / stamp[1]))
         for instance, rows in _instances(table, fmt.instance_column):
             fields = {

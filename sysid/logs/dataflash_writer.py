@@ -291,7 +291,7 @@ def _servo_outputs(
                 mix, record[commands.pop(first)], record[commands.pop(second)], parameters
             )
             stored |= {f"{first}_deg", f"{second}_deg"}
-    # What no mix took has a servo of its own.
+    # A surface without a mix has a servo.
     for name, column in commands.items():
         servo = card.servos.get(name)
         if servo is None:

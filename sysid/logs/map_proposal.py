@@ -263,7 +263,7 @@ def _by_dialect(raw: RawLog, base: SignalMap) -> dict[str, Proposal]:
 def _by_name(raw: RawLog, present: Mapping[str, Proposal]) -> dict[str, Proposal]:
     """Return proposals for fields whose name is that of a signal.
 
-    In logs that have messages of their own, short names are ambiguous and are left out.
+    In logs that have separate messages, short names are ambiguous and are left out.
     """
     table = raw.dialect == "mat" or any(message == "csv" for message, _ in raw.messages)
     used_fields = {(p.entry.message, f) for p in present.values() for f in p.entry.fields}

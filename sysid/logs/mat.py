@@ -2,7 +2,7 @@
 
 A file becomes nested dictionaries of arrays (`_read_v5`, `_read_hdf5`). Every numeric vector, and
 every column of a matrix, is a field that is named by its path. Fields of equal length that share a
-time column are one message; a struct may hold several loggers with times of their own.
+time column are one message; a struct may hold several loggers with separate times.
 """
 
 from __future__ import annotations

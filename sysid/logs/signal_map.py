@@ -216,7 +216,7 @@ class Clock:
     Attributes
     ----------
     message : str
-        Message with a clock of its own.
+        Message with a separate clock.
     offset_s : float or None
         Seconds that are added to its times; None to find them.
     align : tuple of str or None
@@ -294,7 +294,7 @@ class SignalMap:
     sensors : tuple of SensorRule
         Choice among sensor instances.
     clocks : tuple of Clock
-        Messages with a clock of their own.
+        Messages with a separate clock.
     derived : tuple of Derived
         Signals that are computed from others.
     rows : RowSelection

@@ -523,7 +523,7 @@ class _Problem:
 
     @property
     def has_several_flights(self) -> bool:
-        """Whether flights have constants of their own."""
+        """Whether flights have separate constants."""
         return self.X.shape[1] > self.terms
 
     @property

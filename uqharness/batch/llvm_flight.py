@@ -286,7 +286,7 @@ done:
         # Only in frames in which the stream has a row.
         out = self._branch_if_due(When(every=stream.every), prefix)
         if stream.counter:
-            # Each lane has a row of its own,
+            # Each lane has a separate row,
             out += self._counted_rows(stream, prefix, me)
         else:
             # or all lanes have that of the frame.

@@ -294,7 +294,7 @@ class Engines:
             return fly
         if fly is not None:
             return Engines(
-                fly, OneByOne(fly), None, "the flights are flown by a function of their own"
+                fly, OneByOne(fly), None, "the flights are flown by a function of the caller"
             )
         from uqharness.flight.fly import fly as own
 
@@ -1024,7 +1024,7 @@ def one_ulp_off(engines: Engines, case: Case, process: ProcessExecutor) -> CaseO
 
 
 def one_ulp_off_alone(engines: Engines, case: Case) -> CaseOutcome:
-    """Fly as `one_ulp_off` does, in a process of its own."""
+    """Fly as `one_ulp_off` does, in a separate process."""
     with contextlib.closing(throwaway_process()) as process:
         return one_ulp_off(engines, case, process)
 

@@ -1,7 +1,7 @@
 """Fly one case of a campaign again with all signals recorded, and compare it with the stored
 outcome.
 
-The flight runs in a process of its own. Record and result go to ``rerun/<case id>`` in the
+The flight runs in a separate process. Record and result go to ``rerun/<case id>`` in the
 campaign's folder.
 """
 

@@ -73,7 +73,7 @@ from uqharness.parallel import usable_cores
 from uqharness.simulator import read_xml
 
 VALIDATION_S = 5.0
-"""Simulated time [s] of the check that the model flies at all. It runs in a process of its own
+"""Simulated time [s] of the check that the model flies at all. It runs in a separate process
 before any case.
 """
 
@@ -434,7 +434,7 @@ def _check_complete(
 
 
 def validate_model(fly: FlightFunction, case: Case) -> Pace | None:
-    """Fly the first seconds of a case in a process of its own.
+    """Fly the first seconds of a case in a separate process.
 
     A model that ends the interpreter then ends only that process.
 

@@ -1,7 +1,7 @@
 """Report, seal and merge campaign folders: answers, status, digests, shards.
 
 A campaign can be flown in shards by a scheduler without a process pool across machines: n jobs with
---shard 1/n ... n/n, each into a folder of its own. A case belongs to a shard by its place in the
+--shard 1/n ... n/n, each into a separate folder. A case belongs to a shard by its place in the
 campaign, so the tables after `merge` are those of a single run.
 """
 

@@ -61,7 +61,7 @@ DEFAULT_METRICS = tuple(
 
 @dataclass(frozen=True)
 class RealAutopilot:
-    """Fly and score a case with the real autopilot; runs in a process of its own."""
+    """Fly and score a case with the real autopilot; runs in a separate process."""
 
     settings: AutopilotSettings
 

@@ -269,7 +269,7 @@ def _table_items(folder: Path, manifest: Mapping[str, Any]) -> Iterator[Item]:
 
 
 # Salvage. At every moment the folder is one that `salvage` can be called on again: the new journal
-# is made in a folder of its own and moved into place at once, after the old one has got another
+# is made in a separate folder and moved into place at once, after the old one has got another
 # name and the manifest says that the campaign is not complete.
 
 _WORK = ".salvage"

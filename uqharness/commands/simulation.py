@@ -546,7 +546,7 @@ def margins(request: MarginsRequest, callback: Callback = silent) -> Outcome[Mar
     update = counting("loops measured", callback)
     measured: list[LoopMargins] = []
     with StagedMission(aircraft, script) as mission:
-        # Each measurement needs instances of its own, at the same condition.
+        # Each measurement needs separate instances, at the same condition.
         def make_fdm() -> Any:
             fdm = mission.open()
             needed = [name for loop in LOOPS.values() for name in loop.properties]

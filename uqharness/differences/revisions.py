@@ -144,7 +144,7 @@ class _Reader:
             (place / name).mkdir()
         (place / "config").write_text(_config(repository.common), encoding="utf-8")
         remaining = _REFERENCE_BYTES
-        # Worktrees have references of their own.
+        # Worktrees have separate references.
         for source in (repository.common, repository.folder):
             for name in ("packed-refs", "HEAD", "refs", "logs"):
                 remaining = _copy_references(source / name, place / name, remaining)

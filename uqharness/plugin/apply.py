@@ -249,7 +249,7 @@ def _frame(
             engine.set_property(fdm, f"uq/{name}/active", float(name == coefficient))
         engine.set_property(fdm, f"uq/{coefficient}/level", 1.0)
         if not fdm[f"uq/{coefficient}/upper"]:
-            # Without bounds, a delta of its own.
+            # Without bounds, a separate delta.
             engine.set_property(fdm, f"uq/{coefficient}/upper", DELTA)
         engine.set_property(fdm, "uq/active", 1.0)
     step(SWITCHED_AFTER)

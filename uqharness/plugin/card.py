@@ -103,7 +103,7 @@ def add_scales(edit: SectionEdit, reference: Reference) -> tuple[SectionEdit, li
     short = _short_names(section, names)
     all_rows = []
     for _, axis in sorted(section.axes.items()):
-        # Forces that act at the CG and at the aerodynamic centre need functions of their own.
+        # Forces that act at the CG and at the aerodynamic centre need separate functions.
         for at_cg in (False, True):
             nodes = [
                 node

@@ -356,7 +356,7 @@ def _force_step(
         return _by_jsbsim((model, dt_s, properties, subset))
 
     raw = by_batch(model, States.of(state_sets), dt_s, properties, _RECORDS, by_jsbsim)
-    # Each set has an instance of its own, so sets can be evaluated in parallel.
+    # Each set has a separate instance, so sets can be evaluated in parallel.
     if raw is None:
         raw = np.concatenate(
             list(pool(_by_jsbsim, [(model, dt_s, properties, states) for states in state_sets]))

@@ -48,7 +48,7 @@ def plot_pbox(
     box : PBox
         What :func:`uqharness.statistics.pbox.pbox` gives, of (m,) values.
     ax : matplotlib.axes.Axes, optional
-        Axes to draw into; None makes a figure of its own.
+        Axes to draw into; None makes a separate figure.
     label : str
         Quantity and unit of the values, such as ``"median cross-track error [m]"``.
     name : str
@@ -114,7 +114,7 @@ def plot_history(record: FlightRecord, channel: str, ax: Axes | None = None) -> 
     channel
         Name of a column, such as ``"q_radps"``.
     ax
-        Axes to draw into; None makes a figure of its own.
+        Axes to draw into; None makes a separate figure.
 
     Returns
     -------
@@ -148,7 +148,7 @@ def plot_overlay(
     channel
         Name of the channel as measured, such as ``"q_radps"``.
     ax
-        Axes to draw into; None makes a figure of its own.
+        Axes to draw into; None makes a separate figure.
     noise
         Standard deviation of the channel's noise, in the channel's own unit; the band about the
         last model that holds 95 % of the samples of a right model. None draws no band.
@@ -203,7 +203,7 @@ def plot_sensitivity(found: MetricSensitivity, ax: Axes | None = None) -> Axes:
     found
         One metric in one condition, of :func:`uqharness.campaign.sensitivity.analyse_campaign`.
     ax
-        Axes to draw into; None makes a figure of its own.
+        Axes to draw into; None makes a separate figure.
 
     Returns
     -------
@@ -270,7 +270,7 @@ def plot_model_form(
     state
         One of ``bounds.states``, such as ``"alpha_rad"``.
     ax
-        Axes to draw into; None makes a figure of its own.
+        Axes to draw into; None makes a separate figure.
     coefficient
         Name of the coefficient, such as ``"Cm"``; with ``residuals`` one of theirs.
     residuals

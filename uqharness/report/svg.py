@@ -1,6 +1,6 @@
 """Draw the charts of report pages as SVG text: axes, lines, bands, dots, legends.
 
-The functions are pure: the same arrays give the same bytes. No mark has a colour of its own; each
+The functions are pure: the same arrays give the same bytes. No mark sets a colour; each
 has a class of templates/figure.css, whose variables follow the reader's light or dark scheme, and a
 dash or a shape in addition to its colour. A chart is 360 units wide, so that its text stays legible
 on a phone; wide screens show several side by side.

@@ -117,7 +117,7 @@ class ImportedLog(Part):
 
     out: str = Field(description="file of the record")
     rows: int = Field(description="rows written")
-    grid_hz: Number = Field(description="rate, Hz; null for a record without a grid of its own")
+    grid_hz: Number = Field(description="rate, Hz; null for a record without a grid")
     kept_s: Ends = Field(description=f"beginning and end of the record {_S}")
     log_s: Ends = Field(description=f"beginning and end of the log {_S}")
     columns: Texts = Field(description="columns written")

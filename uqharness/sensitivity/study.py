@@ -100,7 +100,7 @@ def make_problem(
             "epistemic is empty; name at least one parameter with its interval: {'k': (0.9, 1.1)}"
         )
     names = tuple(epistemic)
-    # Epistemic parameters: intervals, each of a name of its own.
+    # Epistemic parameters: intervals with unique names.
     for name, interval in epistemic.items():
         _check_interval(name, interval)
         if name in aleatory:

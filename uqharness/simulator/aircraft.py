@@ -892,7 +892,7 @@ def staged(aircraft: Aircraft) -> Staging:
         )
     if not aircraft.card.host and not _provided(aircraft) and not _mended[author.root]:
         return author
-    # A card that was changed in this process has entries of its own.
+    # A card that was changed in this process has other entries.
     place = author.root / f"hosted-{sha256_hex(_entries(aircraft).encode())[:12]}"
     if not place.is_dir():
         stage(aircraft, place)

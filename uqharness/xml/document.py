@@ -240,7 +240,7 @@ def append_child(document: Document, parent: Node, lines: list[str]) -> Insertio
             opening,
             closing,
         )
-    # The closing tag is on a line of its own, or shares one with content.
+    # The closing tag is on a separate line, or shares one with content.
     begin = document.raw.rfind(b"\n", 0, parent.close_start) + 1
     if document.raw[begin : parent.close_start].strip(b" \t"):
         return Insertion(parent.close_start, document.encoded(f"{newline}{block}{newline}{outer}"))

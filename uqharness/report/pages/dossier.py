@@ -303,7 +303,7 @@ def _figures(source: LogComparison) -> tuple[Figure, ...]:
 def _test_figures(
     result: SegmentResult, channel: str, band: Tolerance | None, suffix: str, segment_count: int
 ) -> list[Figure]:
-    """Draw measurement and model with the tolerance, and their difference on a scale of its own.
+    """Draw measurement and model with the tolerance, and their difference on a separate scale.
 
     Parameters
     ----------
