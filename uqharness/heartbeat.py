@@ -153,8 +153,8 @@ STATE = _State()
 
 
 @contextmanager
-def forecast_shown(forecast: Forecast) -> Iterator[None]:
-    """Show the remaining time of a forecast while the work that it is about goes on."""
+def forecast_shown(forecast: Forecast | None) -> Iterator[None]:
+    """Show the remaining time of a forecast, if any, while the work that it is about goes on."""
     earlier, STATE.forecast = STATE.forecast, forecast
     try:
         yield

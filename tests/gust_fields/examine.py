@@ -55,9 +55,14 @@ KINDS: dict[str, tuple[Effect, ...]] = {
     "effect": (Effect("CX", "q_hat", 13.8),),
     "vane": (Effect("sensor.beta_rad", "scale", 0.3),),
     "outside": (Effect("Cn", "step(beta)", 0.005, "tanh(beta/0.05)"),),
+    "flap": (Effect("Cm", "flap", 0.04, "where(sin(0.9*t_s) > 0.0, 1.0, 0.0)"),),
+    "triple": (Effect("Cl", "alpha*beta*r_hat", 60.0),),
 }
 """What the model lacks: nothing, an effect of |t| 60 in three flights of 90 s, a vane that reads too
-much, a form that is not in the catalogue."""
+much, forms that are not in the catalogue: a step in sideslip, a flap that no log has, a product of
+three states."""
+OUTSIDE = {"outside": "Cn:", "flap": "Cm:", "triple": "Cl:"}
+"""Coefficients of the forms that are not in the catalogue."""
 SPEEDS_OF = {"sgs126": (30, 36, 33), "sgs233": (28, 33, 30), "c172x": (50, 55, 52)}
 """Stock aircraft of JSBSim, and the speeds of three flights [m/s]."""
 _FORCE = """<function name="aero/missing"> <product>
@@ -157,18 +162,19 @@ def run_refine(aircraft: str | Path, paths: list[Path], kind: str, out: Path) ->
     sets = [stands_for(e) for e in document["effects"]]
     is_stock = str(aircraft) != "espaaro"
     key = "Cm:beta^2" if kind == "effect" and is_stock else OF_KIND.get(kind)
-    coefficient = "Cm:" if is_stock else "Cn:"
+    coefficient = "Cm:" if is_stock else OUTSIDE.get(kind, "")
     is_named = any(key in names for names in sets)
     false = sum(
-        not any(k.startswith(coefficient) for k in names) if kind == "outside" else key not in names
+        not any(k.startswith(coefficient) for k in names) if kind in OUTSIDE else key not in names
         for names in sets
     )
     verdict = document["verdict"]
-    right = {
-        "null": verdict == "no-missing-effect",
-        "outside": verdict == "unexplained"
-        or any(coefficient in k for names in sets for k in names),
-    }.get(kind, is_named)
+    if kind == "null":
+        right = verdict == "no-missing-effect"
+    elif kind in OUTSIDE:
+        right = verdict == "unexplained" or any(coefficient in k for n in sets for k in n)
+    else:
+        right = is_named
     truth, z = Airframe().coefficients, []
     for name, row in document["parameters"].items():
         if row["std"]:

@@ -1,4 +1,4 @@
-"""Air of ten kinds: Dryden gusts turned, cut, delayed or reversed, and a frozen isotropic von Karman
+"""Air of many kinds: Dryden gusts turned, cut, delayed, reversed or passing at one speed, and a frozen isotropic von Karman
 field that is fixed to the earth and met by a wing of strips, a tail and vanes."""
 
 from __future__ import annotations
@@ -22,6 +22,8 @@ FAMILIES = (
     "lags-0.25",
     "lags-0.5",
     "lags-2",
+    "passage-15",
+    "passage-35",
     "tail-delay",
     "field-wing",
     "field-boom",
@@ -70,7 +72,10 @@ def dryden(family: str, at: Setting) -> FloatArray:
     """(n, 6) Dryden gusts every NODE_S, changed as the family says."""
     rng = np.random.default_rng([at.seed, 5])
     _, _, factor = family.partition("lags-")
-    nodes = turbulence(at.V, at.h, at.w20_kt, at.b * float(factor or 1.0), at.seconds + 1.0, rng)
+    _, _, passage = family.partition("passage-")
+    nodes = turbulence(
+        float(passage or at.V), at.h, at.w20_kt, at.b * float(factor or 1.0), at.seconds + 1.0, rng
+    )
     if family == "no-rates":
         nodes[:, 3:] = 0.0
     elif family == "no-velocities":

@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 from typing import Any, TypeVar
 
-from uqharness.heartbeat import QUIET_VARIABLE
+from uqharness.heartbeat import QUIET_VARIABLE, Forecast, forecast_shown
 from uqharness.requests.base import (
     Option,
     Place,
@@ -172,7 +172,10 @@ def add_request_command(parser: argparse.ArgumentParser, request: str, function:
         if args.quiet:
             os.environ[QUIET_VARIABLE] = "1"
         values = request_of(model, args)
-        run_request = _part("uqharness.commands", function)
+        # Loading takes seconds: a forecast made here is shown in the first line of progress.
+        durations = values.expected_s()
+        with forecast_shown(Forecast(durations) if durations else None):
+            run_request = _part("uqharness.commands", function)
         if model.flies:
             with ProgressView() as view:
                 outcome = run_request(values, view.update)

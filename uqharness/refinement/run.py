@@ -29,7 +29,7 @@ from uqharness.identification.linearised import (
     make_flight_data,
     positions,
 )
-from uqharness.parallel import usable_cores, worker_map
+from uqharness.parallel import worker_map
 from uqharness.plugin import bake_scales
 from uqharness.refinement.candidate_model import write_copy, write_staged
 from uqharness.refinement.document import document_of, refinement_view
@@ -70,7 +70,7 @@ from uqharness.refinement.smooth_terms import FOLDER as UNNAMED
 from uqharness.refinement.stages import FOLDER, Stages
 from uqharness.refinement.write_xml import EffectToWrite
 from uqharness.replay import CONTROLS, numbers_of_files, read_flights, unique_names
-from uqharness.requests.refinement import RefineRequest
+from uqharness.requests.refinement import STAGES, RefineRequest
 from uqharness.results.refinement import Baked, Gaps, Mission, SmoothTerm
 from uqharness.results.refinement import Refinement as RefinementDocument
 from uqharness.simulator import (
@@ -140,34 +140,6 @@ class Refinement:
         return refinement_view(repr(self), self.document)
 
 
-STAGES = {
-    "reading the flights": 0.004,
-    "servos": 0.006,
-    "re-identifying": 0.03,
-    "the air was turbulent": 0.06,
-    "scoring": 0.004,
-    "round": 0.03,
-    "estimating everything": 0.012,
-    "flying the hold-out flights": 0.012,
-    "writing the aircraft": 0.0,
-    "intervals": 0.012,
-    "looking for a smooth term": 0.02,
-    "flying the mission": 0.0,
-    "report": 0.003,
-}
-"""Beginning of a stage's text -> expected duration [s per s of flight]."""
-_ASSUMED_FLIGHT_S, _MISSION_S = 90.0, 60.0
-"""Duration of a flight before it is read; processor time of a mission with both models."""
-
-
-def _durations(request: Job, flight_s: float) -> dict[str, float]:
-    """Return the expected duration [s] of each stage for so many seconds of flight."""
-    durations = {stage: share * flight_s for stage, share in STAGES.items()}
-    if request.options.pbox:
-        durations["flying the mission"] = _MISSION_S / (request.options.workers or usable_cores())
-    return durations
-
-
 def _with_forecast(callback: Callback, forecast: Forecast) -> Callback:
     """Return the callback, extended to update the forecast of the remaining time at each stage."""
 
@@ -184,8 +156,7 @@ def refine(request: Job, callback: Callback = lambda _: None) -> Refinement:
 
     Raises BadInputError.
     """
-    flights = len(request.train) + len(request.test)
-    forecast = Forecast(_durations(request, _ASSUMED_FLIGHT_S * flights))
+    forecast = Forecast(request.options.expected_s())
     with forecast_shown(forecast):
         return _refine(request, _with_forecast(callback, forecast), forecast)
 
@@ -202,7 +173,7 @@ def _refine(request: Job, callback: Callback, forecast: Forecast) -> Refinement:
     callback("reading the flights")
     request, train, test = _read_both(request, callback)
     times = [f.record["time_s"] for f in (*train.flights, *test.flights)]
-    forecast.expect(_durations(request, float(sum(t[-1] - t[0] for t in times))))
+    forecast.expect(request.options.expected_s(float(sum(t[-1] - t[0] for t in times))))
     with worker_map(request.options.workers) as pool, scratch_folder() as scratch:
         write = _writer(request, scratch.path / "models")
         identity = _identity(request)

@@ -204,6 +204,12 @@ class Request(BaseModel):
     keeps_stages: ClassVar[bool] = False
     flies: ClassVar[bool] = False
 
+    def expected_s(self) -> Mapping[str, float]:
+        """Return the expected duration [s] of each stage, before anything is loaded; empty where
+        nobody can say.
+        """
+        return {}
+
     @classmethod
     def of(cls, **values: Any) -> Self:
         """Return the request with these values. Raises BadInputError, naming the keyword."""

@@ -7,8 +7,28 @@ from typing import ClassVar
 
 from pydantic import model_validator
 
+from uqharness.parallel import process_count
 from uqharness.requests import fields
 from uqharness.requests.base import FilePath, Flag, Request, option
+
+STAGES = {
+    "reading the flights": 0.004,
+    "servos": 0.006,
+    "re-identifying": 0.03,
+    "the air was turbulent": 0.06,
+    "scoring": 0.004,
+    "round": 0.03,
+    "estimating everything": 0.012,
+    "flying the hold-out flights": 0.012,
+    "writing the aircraft": 0.0,
+    "intervals": 0.012,
+    "looking for a smooth term": 0.02,
+    "flying the mission": 0.0,
+    "report": 0.003,
+}
+"""Beginning of a stage's text -> expected duration [s per s of flight]."""
+_ASSUMED_FLIGHT_S, _MISSION_S = 90.0, 60.0
+"""Duration of a flight before it is read; processor time of a mission with both models."""
 
 
 class RefineRequest(Request):
@@ -83,3 +103,14 @@ effect's property to 0 restores the model without it, bit for bit."""
                 "{campaign} and {pbox}: a campaign is flown for its p-boxes; leave out one of them"
             )
         return self
+
+    def expected_s(self, flight_s: float | None = None) -> dict[str, float]:
+        """Return the expected duration [s] of each stage for so many seconds of flight, by default
+        those of usual flights.
+        """
+        if flight_s is None:
+            flight_s = _ASSUMED_FLIGHT_S * (len(self.train) + len(self.test))
+        durations = {stage: share * flight_s for stage, share in STAGES.items()}
+        if self.pbox:
+            durations["flying the mission"] = _MISSION_S / process_count(self.workers)
+        return durations

@@ -13,6 +13,7 @@ from rich.console import Console
 from uqharness.campaign.run import Progress
 from uqharness.cli.progress import ProgressView, clock, describe, working
 from uqharness.heartbeat import STATE, Forecast, Rate, heartbeat
+from uqharness.requests.refinement import RefineRequest
 
 
 def test_progress_on_a_terminal_and_silence_elsewhere():
@@ -131,3 +132,13 @@ def test_the_time_to_go_is_part_of_the_line_and_ends_with_the_command(monkeypatc
         assert shown.wait(30.0)
     assert any("about 1:30 to go" in line for line in lines)
     assert STATE.forecast is None
+
+
+def test_refine_has_a_forecast_before_its_flights_are_read(tmp_path):
+    flights = {"train": ["a.csv", "b.csv"], "test": ["c.csv"], "out": tmp_path, "workers": 1}
+    request = RefineRequest.of(aircraft="espaaro", **flights)
+    plain = RefineRequest.of(aircraft="espaaro", **flights, pbox=False)
+    assert sum(plain.expected_s(180.0).values()) == pytest.approx(
+        2.0 / 3.0 * sum(plain.expected_s().values())
+    )
+    assert Forecast(request.expected_s()).seconds_left() > 60.0
