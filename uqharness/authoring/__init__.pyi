@@ -3,6 +3,7 @@ from .model import build as build
 from .model import gyration as gyration
 from .prior import class_errors as class_errors
 from .prior import priors as priors
+from .prior import static_margin as static_margin
 from .read import Sources as Sources
 from .read import read_sources as read_sources
 from .slips import centre_slips as centre_slips

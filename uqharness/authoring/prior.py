@@ -1,12 +1,15 @@
 """The prior: how far vortex-lattice derivatives are from wind tunnel and flight, by class.
 
-`evidence.csv` lists errors of published models against measurements. The standard deviation of a
-class combines them, one vote per aircraft, with a first guess that counts as `GUESS_DOF` aircraft
-(an inverse-gamma prior of the variance); predictions then follow Student's t with the sum of both.
-Classes with little evidence keep the guess and few degrees of freedom, and so are wide.
+`evidence.csv` lists errors of published models against measurements. Mean and variance of a class
+combine them, one vote per aircraft, with a first guess of no bias that counts as `GUESS_DOF`
+aircraft (a normal-inverse-gamma prior); predictions then follow Student's t about that mean.
+Classes with little evidence keep the guess and few degrees of freedom, and so are wide. The mean
+moves the prior's centre; the written aircraft keeps the source's values.
 
 The static margin is the parameter of pitch stability: Cm_alpha = static margin times CZ_alpha, so
 that the error of the neutral point does not scale with a small Cm_alpha.
+
+References: A. Gelman and others, Bayesian Data Analysis, 3rd ed., section 3.3.
 """
 
 from __future__ import annotations
@@ -60,6 +63,11 @@ class ErrorClass:
     terms: tuple[str, ...]
     scale: Mapping[str, float]
 
+    @property
+    def has_mean(self) -> bool:
+        """Return whether errors of all members have one sense: not where their signs differ."""
+        return self.relative or len(self.terms) == 1
+
 
 def _class(guess: float, relative: bool, *terms: str, **scale: float) -> ErrorClass:
     """Return a class."""
@@ -99,8 +107,19 @@ _CLASS_OF = {term: name for name, row in CLASSES.items() for term in row.terms}
 
 @dataclass(frozen=True)
 class ClassError:
-    """Statistics of a class: standard deviation, degrees of freedom, and aircraft behind it."""
+    """Predictive error of a class: Student's t, and the aircraft behind it.
 
+    Attributes
+    ----------
+    mean : float
+        Expected error: measured less predicted, over the predicted size in relative classes.
+    std, dof : float
+        Scale and degrees of freedom.
+    aircraft : tuple of str
+        Each counts once.
+    """
+
+    mean: float
     std: float
     dof: float
     aircraft: tuple[str, ...]
@@ -117,7 +136,10 @@ class ClassError:
 
 @dataclass(frozen=True)
 class Prior:
-    """Prior of one term: mean and standard deviation in the units of the model, and its class."""
+    """Prior of one term: mean and standard deviation in the units of the model, and its class.
+
+    The mean is the source's value moved by the class's mean error.
+    """
 
     mean: float
     std: float
@@ -146,17 +168,25 @@ def class_errors(without: Iterable[str] = ()) -> dict[str, ClassError]:
     True
     """
     excluded = set(without)
-    squares: dict[str, dict[str, list[float]]] = {}
+    errors: dict[str, dict[str, list[float]]] = {}
     for row in read_evidence():
         if row["aircraft"] not in excluded:
-            by_aircraft = squares.setdefault(row["class"], {})
-            by_aircraft.setdefault(row["aircraft"], []).append(float(row["error"]) ** 2)
+            by_aircraft = errors.setdefault(row["class"], {})
+            by_aircraft.setdefault(row["aircraft"], []).append(float(row["error"]))
     out = {}
     for name, error_class in CLASSES.items():
-        votes = {key: float(np.mean(values)) for key, values in squares.get(name, {}).items()}
-        dof = GUESS_DOF + len(votes)
-        variance = (GUESS_DOF * error_class.guess**2 + sum(votes.values())) / dof
-        out[name] = ClassError(math.sqrt(variance), dof, tuple(votes))
+        votes = errors.get(name, {})
+        weight = GUESS_DOF + len(votes)
+        squares = sum(float(np.mean(np.square(values))) for values in votes.values())
+        guess = GUESS_DOF * error_class.guess**2
+        if error_class.has_mean:
+            mean = sum(float(np.mean(values)) for values in votes.values()) / weight
+            # The mean is uncertain by the scatter over the root of its weight; a guess is of both.
+            guess /= 1.0 + 1.0 / GUESS_DOF
+            scale = ((guess + squares) / weight - mean**2) * (1.0 + 1.0 / weight)
+        else:
+            mean, scale = 0.0, (guess + squares) / weight
+        out[name] = ClassError(mean, math.sqrt(scale), weight, tuple(votes))
     return out
 
 
@@ -176,20 +206,31 @@ def priors(model: AeroModel, without: Iterable[str] = ()) -> dict[str, Prior]:
         name = _CLASS_OF[term]
         row = CLASSES[name]
         per_unit = math.radians(1.0) if value.unit == "1/deg" else 1.0
-        std = errors[name].gaussian_std * row.scale.get(term, 1.0)
-        std *= abs(value.value) if row.relative else per_unit
-        out[term] = Prior(value.value, std, name)
+        size = abs(value.value) if row.relative else per_unit * row.scale.get(term, 1.0)
+        sense = math.copysign(1.0, value.value) if row.relative else 1.0
+        mean = value.value + sense * errors[name].mean * size
+        std = errors[name].gaussian_std * size
+        if term == "CX_0":  # errors of drag are factors
+            factor = math.exp(errors[name].mean)
+            mean, std = value.value * factor, std * factor
+        out[term] = Prior(mean, std, name)
     lift = out["CZ_alpha"]
-    margin_std = errors["static margin"].gaussian_std
+    margin = static_margin(model, errors)
     out["Cm_alpha"] = Prior(
-        model.terms["Cm_alpha"].value,
-        math.hypot(lift.mean * margin_std, model.static_margin * lift.std),
+        lift.mean * margin.mean,
+        math.hypot(lift.mean * margin.std, margin.mean * lift.std),
         "static margin",
     )
     out["CX_alpha"] = Prior(
         out["CX_alpha"].mean, math.hypot(out["CX_alpha"].std, 0.05), "drag due to lift"
     )
     return out
+
+
+def static_margin(model: AeroModel, errors: Mapping[str, ClassError] | None = None) -> Prior:
+    """Return the prior of the static margin [chords]; ``errors`` are those of `class_errors`."""
+    error = (errors or class_errors())["static margin"]
+    return Prior(model.static_margin + error.mean, error.gaussian_std, "static margin")
 
 
 _STATE_OF = {
@@ -216,7 +257,7 @@ def prior_form(
     s2 (1 + x' (X'X)^-1 x) with the constant's variance as s2. Alpha counts from the trim's, where
     lift and pitching moment are balanced: an error of the zero-lift angle is in the constant.
     CX counts drag by factors, so that its interval leaves drag above zero; intervals of damping end
-    at zero.
+    at zero. Means of the priors that differ from the model's values shift the intervals.
 
     Parameters
     ----------
@@ -243,24 +284,24 @@ def prior_form(
         for variable in variables:
             per_state = lengths[variable] / (2.0 * speed_mps) if variable in lengths else 1.0
             prior = by_term[f"{name}_{variable}"]
-            low, high = -z * prior.std, z * prior.std
+            nominal = model.terms[f"{name}_{variable}"].value
+            low, high = (prior.mean - nominal + s * z * prior.std for s in (-1.0, 1.0))
             if f"{name}_{variable}" in _NEGATIVE:
-                high = max(min(high, -prior.mean), low)
+                high = max(min(high, -nominal), low)
             stds.append(0.5 * (high - low) / z * per_state)
             slopes.append(0.5 * (high + low) * per_state)
         centre = np.array([model.alpha if v == "alpha" else 0.0 for v in variables])
         scale = np.array(ranges)
-        constant = by_term[f"{name}_0"].std
-        shift = 0.0
+        prior, nominal = by_term[f"{name}_0"], model.terms[f"{name}_0"].value
+        constant, shift = prior.std, prior.mean - nominal
         if name == "CX":
-            # Drag between D/f and D f: an interval whose middle has more drag than D.
-            drag = abs(by_term["CX_0"].mean)
-            width = z * constant / max(drag, 1e-9)
-            shift = -drag * (math.cosh(width) - 1.0)
+            # Drag between D k/f and D k f: an interval whose middle has more drag than D k.
+            drag, factor = abs(nominal), prior.mean / nominal if nominal else 1.0
+            spread = math.exp(z * constant / max(abs(prior.mean), 1e-9))
             turned = _turned_drag(model, z * by_term["CZ_0"].std)
-            upper, lower = drag * (1.0 - math.exp(-width)), drag * (math.exp(width) - 1.0)
-            half = 0.5 * (upper + lower) - min(turned, 0.7 * upper)
-            constant = half / z
+            upper, lower = drag * (1.0 - factor / spread), drag * (factor * spread - 1.0)
+            shift = 0.5 * (upper - lower)
+            constant = (0.5 * (upper + lower) - min(turned, 0.7 * upper)) / z
         # Independent terms make X'X diagonal, in units of the constant's variance.
         quadratic = (np.array(stds) * scale / constant) ** 2
         count = len(variables)
@@ -329,17 +370,17 @@ def prior_document(form: ModelForm, model: AeroModel, by_term: Mapping[str, Prio
             "unit": model.terms[term].unit,
             "source": f"{model.terms[term].source}; class {prior.class_name}",
         }
-    errors = class_errors()
+    margin = static_margin(model)
     lift, pitch = by_term["CZ_alpha"], by_term["Cm_alpha"]
-    shared = model.static_margin * lift.std**2
+    shared = margin.mean * lift.std**2
     document |= {
         "kind": "prior",
         "parameters": parameters,
         "names": ["aero/CZ_alpha", "aero/Cm_alpha"],
         "cov": [[lift.std**2, shared], [shared, pitch.std**2]],
         "static_margin": {
-            "mean": model.static_margin,
-            "std": errors["static margin"].gaussian_std,
+            "mean": margin.mean,
+            "std": margin.std,
             "unit": "chords",
         },
     }

@@ -1,7 +1,7 @@
 """Write an authored model as an aircraft folder: XML, card, systems, prior.
 
 The XML is a template (`templates/aircraft.xml.j2`) that looks as a person would write it: unit,
-source and prior standard deviation beside each number. The card has the same numbers as parameters
+source and prior beside each number. The card has the same numbers as parameters
 that `identify` can free.
 """
 
@@ -292,7 +292,8 @@ def _xml(
         for term in TERMS[name]:
             key = f"{name}_{term}"
             value = model.terms[key]
-            remark = f"{value.unit:7s} {value.source}; prior std {by_term[key].std:.3g}"
+            prior = by_term[key]
+            remark = f"{value.unit:7s} {value.source}; prior {prior.mean:.4g}, std {prior.std:.3g}"
             terms.append(
                 {
                     "name": key,

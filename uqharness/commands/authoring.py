@@ -15,7 +15,6 @@ from uqharness.authoring import (
     SteadyFlight,
     build,
     centre_slips,
-    class_errors,
     design_speed,
     find_slips,
     gyration,
@@ -23,6 +22,7 @@ from uqharness.authoring import (
     priors,
     read_contacts,
     read_sources,
+    static_margin,
     write_aircraft,
 )
 from uqharness.authoring.performance import performance as compute_performance
@@ -90,7 +90,7 @@ def author(request: AuthorRequest, callback: Callback = silent) -> Outcome[Autho
             results_folder(request.out), model, sources.derivatives.path, equipment
         )
     # The document lists each term with its prior, written or not.
-    margin_std = class_errors()["static margin"].gaussian_std
+    margin = static_margin(model)
     document = Authored(
         aircraft=None if refused else str(request.out),
         tool=model.tool,
@@ -101,11 +101,13 @@ def author(request: AuthorRequest, callback: Callback = silent) -> Outcome[Autho
             "mass_kg": model.mass.mass_kg,
         },
         static_margin=model.static_margin,
-        static_margin_std=margin_std,
+        static_margin_mean=margin.mean,
+        static_margin_std=margin.std,
         speed_mps=flight.speed_mps,
         terms={
             f"aero/{key}": AuthoredTerm(
                 value=value.value,
+                mean=by_term[key].mean,
                 std=by_term[key].std,
                 unit=value.unit,
                 class_name=by_term[key].class_name,
@@ -252,7 +254,8 @@ def _lines(document: Authored, refused: bool) -> list[str]:
                 f" {reference['mass_kg']:.4g} kg"
             ),
             (
-                f"static margin {100 * (document.static_margin or 0):.3g} % of the chord, prior std"
+                f"static margin {100 * (document.static_margin or 0):.3g} % of the chord, prior"
+                f" {100 * (document.static_margin_mean or 0):.3g} %, std"
                 f" {100 * (document.static_margin_std or 0):.3g} %"
                 + (
                     ": unstable in pitch, the centre of gravity is behind the neutral point"

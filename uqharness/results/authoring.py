@@ -13,6 +13,7 @@ class AuthoredTerm(Part):
     """A term of an authored model."""
 
     value: Number = Field(description="value in body axes about the centre of gravity")
+    mean: Number = Field(description="mean of the prior: the value, moved by the bias of its class")
     std: Number = Field(description="standard deviation of the prior")
     unit: str = Field(description="1, 1/rad, 1/rad^2 or 1/deg")
     class_name: str = Field(description="class of the prior")
@@ -34,6 +35,7 @@ class Authored(Part):
     tool: str = Field(description="program of the source")
     reference: Numbers = Field(description="S_m2, b_m, c_m, mass_kg")
     static_margin: Number = Field(description="neutral point behind the CG over the chord")
+    static_margin_mean: Number = Field(description="mean of its prior")
     static_margin_std: Number = Field(description="standard deviation of its prior")
     speed_mps: Number = Field(
         description="true airspeed of the steady flight in campaign.toml, m/s"

@@ -14,7 +14,7 @@ import pandas as pd
 import pytest
 
 from sysid.model_form import read_model_form
-from uqharness.authoring import build, design_speed, priors, read_sources
+from uqharness.authoring import build, class_errors, design_speed, priors, read_sources
 from uqharness.authoring.model import MassProperties
 from uqharness.authoring.source import TOTAL, body_coefficients
 from uqharness.cli.main import main
@@ -30,6 +30,7 @@ from uqharness.simulator import (
     mode_intervals,
     modes,
 )
+from uqharness.simulator.aircraft import read_card
 
 DATA = Path(__file__).parent / "data"
 KITE = (DATA / "kite.st", DATA / "kite.mass")
@@ -125,22 +126,28 @@ def test_prior_form_is_read_and_has_the_stated_width(kite):
     form = read_model_form(path)
     stored = json.loads(path.read_text())
     assert stored["kind"] == "prior"
-    assert stored["parameters"]["aero/Cm_q"]["mean"] == pytest.approx(
-        document.terms["aero/Cm_q"].value
-    )
+    # The centre is moved by the bias of the class; the aircraft keeps the source's value.
+    roll = document.terms["aero/Cl_da"]
+    assert stored["parameters"]["aero/Cl_da"]["mean"] == pytest.approx(roll.mean)
+    assert roll.mean == pytest.approx(roll.value * (1.0 + class_errors()["aileron"].mean))
+    assert roll.mean < 0.9 * roll.value
+    card = read_card(aircraft.folder / "airframe.toml")
+    assert card.parameters["aero/Cl_da"].initial == pytest.approx(roll.value)
     # At the trim alpha and no other deviation the half-width is the constant's, 1.96 std.
     zero = {name: np.zeros(1) for name in form.states} | {
         "alpha_rad": form.coefficients["CZ"].centre[:1]
     }
     lower, upper = form.bounds(zero)["Cm"]
-    std = document.terms["aero/Cm_0"].std
-    assert upper[0] == pytest.approx(1.96 * std, rel=1e-3)
-    assert lower[0] == -upper[0]
-    # A deviation adds its own variance: beta of 0.1 rad in Cn.
-    at_beta = form.bounds(zero | {"beta_rad": np.array([0.1])})["Cn"][1][0]
     terms = document.terms
-    expected = 1.96 * math.hypot(terms["aero/Cn_0"].std, 0.1 * terms["aero/Cn_beta"].std)
-    assert at_beta == pytest.approx(expected, rel=1e-3)
+    constant = terms["aero/Cm_0"]
+    assert upper[0] - lower[0] == pytest.approx(2.0 * 1.96 * constant.std, rel=1e-3)
+    assert upper[0] + lower[0] == pytest.approx(2.0 * (constant.mean - constant.value), abs=1e-6)
+    # A deviation adds its own variance and bias: beta of 0.1 rad in Cn.
+    low, high = (ends[0] for ends in form.bounds(zero | {"beta_rad": np.array([0.1])})["Cn"])
+    fin = terms["aero/Cn_beta"]
+    expected = 1.96 * math.hypot(terms["aero/Cn_0"].std, 0.1 * fin.std)
+    assert 0.5 * (high - low) == pytest.approx(expected, rel=1e-3)
+    assert 0.5 * (high + low) == pytest.approx(0.1 * (fin.mean - fin.value), rel=1e-3)
 
 
 def test_the_prior_takes_no_energy_from_the_air(kite):
@@ -199,7 +206,7 @@ def test_intervals_of_modes_are_those_of_the_model_itself(term, mode, kite):
     expected = []
     entry = document.terms[f"aero/{term}"]
     for sign in (-1.0, 1.0):
-        value = {f"aero/{term}": entry.value + sign * 1.96 * entry.std}
+        value = {f"aero/{term}": entry.mean + sign * 1.96 * entry.std}
         other = linearise(aircraft, find_trim(aircraft, replace(condition, properties=value)))
         expected.append(next(m.wn_radps for m in modes(other) if m.name == mode))
     interval = intervals[names.index(mode)]
