@@ -42,7 +42,7 @@ def test_every_numbered_item_has_one_row(title: str):
 
 
 def test_every_row_says_where_or_why_not():
-    for title in (*LAST, "Beside the numbered items"):
+    for title in (*LAST, "Other items"):
         for row in section(title):
             assert len(row) == 3
             done = row[2]
