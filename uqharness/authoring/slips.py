@@ -70,7 +70,9 @@ def find_slips(
     parts = sources.parts or (source,)
     out: list[Slip] = []
     for part in parts:
-        out += _references(part, sources.geometry, sources.masses)
+        text = sources.texts.get(part.path, "")
+        certain = _certain_lengths(part.path, text) if vspaero.is_stab(text) else set()
+        out += _references(part, sources.geometry, sources.masses, certain)
         for point in part.points:
             if len(part.points) == 1 or abs(point.alpha.value) < math.radians(8.0):
                 out += _point(part, _stability(point))
@@ -140,8 +142,13 @@ def _unit_remark(ratio: float) -> str:
     return ""
 
 
-def _references(source: Source, geometry: Geometry | None, masses: Masses | None) -> Iterator[Slip]:
-    """Check reference lengths and area among each other, with the geometry and the CG."""
+def _references(
+    source: Source, geometry: Geometry | None, masses: Masses | None, certain: set[str]
+) -> Iterator[Slip]:
+    """Check reference lengths and area among each other, with the geometry and the CG.
+
+    ``certain`` are lengths that other numbers of the file confirm.
+    """
     reference = source.reference
     if not all(key in reference and reference[key].value > 1e-6 for key in "Sbc"):
         return
@@ -152,39 +159,17 @@ def _references(source: Source, geometry: Geometry | None, masses: Masses | None
     ratio = chord / mean
     # Geometrically at least 1; some authors take the chord of the panels outside the body.
     if not 0.85 <= ratio <= 1.45:
-        # The value that fits none of the others is the wrong one.
-        if aspect_ratio < 2.0 or aspect_ratio > 45.0:
-            key = "b" if 0.93 <= (chord * 1.0) / math.sqrt(area / 7.0) <= 2.2 else "S"
-            guess = area / (chord / 1.05) if key == "b" else span * chord / 1.05
-            yield _slip(
-                reference[key],
-                "reference length" if key == "b" else "reference area",
-                f"{'span' if key == 'b' else 'area'} {reference[key].value:.4g} with area"
-                f" {area:.4g}, span {span:.4g}, chord {chord:.4g} gives aspect ratio"
-                f" {aspect_ratio:.3g}; about {guess:.4g} is expected",
-                effect,
-            )
-        else:
-            slope = _helmbold(aspect_ratio)
-            key = "c"
-            if math.isclose(2.0 * ratio, 1.05, rel_tol=0.25) or math.isclose(
-                0.5 * ratio, 1.05, rel_tol=0.25
-            ):
-                # Half a span or twice the area change the mean chord by two; so may the chord.
-                lift = source.points[0].entries.get(("CL", "alpha")) if source.points else None
-                if lift is not None and not 0.75 < lift.value / slope < 1.25:
-                    key = "S"
-                elif aspect_ratio < 4.0:
-                    key = "b"
-            names = {"c": "chord", "S": "area", "b": "span"}
-            yield _slip(
-                reference[key],
-                "reference area" if key == "S" else "reference length",
-                f"{names[key]} {reference[key].value:.4g}: the mean chord S/b is {mean:.4g}, so"
-                f" that a chord of {mean:.4g} to {1.34 * mean:.4g} is expected; received"
-                f" {chord:.4g}",
-                effect,
-            )
+        key = _wrong_reference(source, ratio / 1.05, certain)
+        expected = {"S": area * ratio, "b": span / ratio, "c": mean}[key]
+        names = {"c": "chord", "S": "area", "b": "span"}
+        yield _slip(
+            reference[key],
+            "reference area" if key == "S" else "reference length",
+            f"{names[key]} {reference[key].value:.4g}: the mean chord S/b is {mean:.4g} with a"
+            f" chord of {chord:.4g} and an aspect ratio of {aspect_ratio:.3g}; {names[key]} of"
+            f" about {expected:.4g} is expected",
+            effect,
+        )
     elif not 2.0 <= aspect_ratio <= 45.0:
         yield _slip(
             reference["b"],
@@ -244,6 +229,42 @@ def _references(source: Source, geometry: Geometry | None, masses: Masses | None
                 )
     if geometry is not None:
         yield from _reference_of_geometry(source, geometry)
+
+
+def _wrong_reference(source: Source, factor: float, certain: set[str]) -> str:
+    """Return which of S, b and c is wrong where c is ``factor`` times what S and b give.
+
+    A correction of one changes the aspect ratio: that of the induced drag where the file has it,
+    else of the lift slope, to which a tail adds some 5 %, is the true one.
+    """
+    aspect_ratio = source.length("b") ** 2 / source.length("S")
+    corrected = {
+        "c": aspect_ratio,
+        "S": aspect_ratio / factor,
+        "b": aspect_ratio / factor**2,
+    }
+    uncertain = {key: value for key, value in corrected.items() if key not in certain} or corrected
+    plausible = {k: value for k, value in uncertain.items() if 1.5 <= value <= 50.0} or uncertain
+    true = _induced_aspect_ratio(source)
+    if true is not None:
+        return min(plausible, key=lambda key: abs(math.log(plausible[key] / true)))
+    point = source.points[0] if source.points else None
+    slope = 0.0 if point is None else point.value("CL", "alpha") - point.value("CZ", "alpha")
+    if slope <= 0.0:
+        return next(iter(plausible))
+    return min(plausible, key=lambda key: abs(math.log(slope / (1.05 * _helmbold(plausible[key])))))
+
+
+def _induced_aspect_ratio(source: Source) -> float | None:
+    """Return the aspect ratio of the induced drag and the span efficiency beside it."""
+    facts = source.facts
+    drag, lift = facts.get("CDff"), facts.get("CLff") or facts.get("CL")
+    efficiency = facts.get("e")
+    if drag is None or lift is None or efficiency is None or abs(lift.value) < 0.05:
+        return None
+    if not (drag.value > 1e-5 and efficiency.value > 0.0):
+        return None
+    return lift.value**2 / (math.pi * efficiency.value * drag.value)
 
 
 def _reference_of_geometry(source: Source, geometry: Geometry) -> Iterator[Slip]:
@@ -311,7 +332,7 @@ def _alpha_slip(source: Source, point: Point) -> Iterator[Slip]:
                 f" {cz:.4g} in body axes (z down)",
                 "Lift acts downwards or along other axes",
             )
-        elif abs(facts["CX"].value - cx) > 0.02 * size:
+        elif abs(facts["CX"].value - cx) > (0.004 if point.beta == 0.0 else 0.02) * size:
             # CX = CL sin(alpha) - CD cos(alpha) shows a wrong alpha first.
             fitted = (facts["CX"].value + facts["CD"].value) / size
             # Reversed, the two agree to the digits printed; near zero they nearly do anyway.
@@ -427,7 +448,14 @@ def _longitudinal(
             f"CL_q {lift_q.value:.4g} per qc/2V; 2 to 20 is expected",
             "Lift follows the pitch rate wrongly",
         )
-    elif lift_q is not None and damping is not None and lift_q.value < 0.0 < -damping.value - 4.0:
+    elif (
+        # Quasi-steady lift acts at the three-quarter chord, the tail's behind it: CL_q is near
+        # CL_alpha (1 + 2 static margin).
+        lift_q is not None
+        and lift_q.value < 0.0
+        and damping is not None
+        and (damping.value < -4.0 or lift_q.value < -2.0 * point.value("Cm", "alpha") - lift.value)
+    ):
         yield _slip(
             lift_q,
             "sign",
@@ -470,6 +498,17 @@ def _lateral(point: Point, span: float, aspect_ratio: float) -> Iterator[Slip]:
     slope = max(point.value("CL", "alpha"), 1.0)
     wing_yaw = min(point.value("Cl", "beta"), 0.0) * lift / slope
     side, yaw, roll = entry("CY", "beta"), entry("Cn", "beta"), entry("Cl", "beta")
+    outlier = _fin_outlier(point, wing_yaw)
+    if outlier is not None:
+        name, ratio = outlier
+        yield _slip(
+            point.entries[name],
+            "deg/rad" if _unit_remark(ratio) else "reference length",
+            f"{'_'.join(name)} {point.entries[name].value:.4g} per rad is {ratio:.3g} times what"
+            " the fin's side force and arm give, which the others of CY_beta, Cn_beta, CY_r and"
+            " Cn_r share" + _unit_remark(ratio),
+            "The dutch roll is wrong by that factor or its root",
+        )
     if side is not None and side.value > 0.0:
         yield _slip(
             side,
@@ -501,7 +540,7 @@ def _lateral(point: Point, span: float, aspect_ratio: float) -> Iterator[Slip]:
             + _unit_remark(yaw.value / 0.08),
             "The dutch roll is too fast or too slow by the root of that factor",
         )
-    elif yaw is not None and side is not None and side.value < 0.0:
+    elif outlier is None and yaw is not None and side is not None and side.value < 0.0:
         arm = -(yaw.value - wing_yaw) / side.value
         if not 0.02 <= arm <= 1.3:
             yield _slip(
@@ -562,7 +601,11 @@ def _lateral(point: Point, span: float, aspect_ratio: float) -> Iterator[Slip]:
                 f"Cn_r {yaw_damping.value:.4g}; below 0 is expected",
                 "The dutch roll grows",
             )
-        elif yaw_damping.value < 0.0 and not 0.15 <= -yaw_damping.value / expected <= 8.0:
+        elif (
+            outlier is None
+            and yaw_damping.value < 0.0
+            and not 0.15 <= -yaw_damping.value / expected <= 8.0
+        ):
             yield _slip(
                 yaw_damping,
                 "deg/rad" if _unit_remark(-yaw_damping.value / expected) else "reference length",
@@ -571,7 +614,7 @@ def _lateral(point: Point, span: float, aspect_ratio: float) -> Iterator[Slip]:
                 "Dutch roll damping is off by the same factor",
             )
     side_r = entry("CY", "r")
-    if side_r is not None and yaw is not None and yaw.value > 0.01:
+    if outlier is None and side_r is not None and yaw is not None and yaw.value > 0.01:
         ratio = side_r.value / (2.0 * yaw.value)
         if not -0.3 <= ratio <= 5.0:
             yield _slip(
@@ -597,6 +640,43 @@ def _lateral(point: Point, span: float, aspect_ratio: float) -> Iterator[Slip]:
             f"Cn_p {yaw_p.value:.4g} per pb/2V; about -CL/8 = {-lift / 8.0:.2g} is expected",
             "Rolling yaws the wrong way",
         )
+
+
+def _fin_outlier(point: Point, wing_yaw: float) -> tuple[tuple[str, str], float] | None:
+    """Return the derivative that the others of the fin contradict, and its ratio to theirs.
+
+    A fin of side force k at an arm of a spans makes CY_beta = -k, Cn_beta = k a, CY_r = 2 k a and
+    Cn_r = -2 k a^2. Those that agree, at an arm near 0.4, show the one that is off by ten.
+    """
+    rows = {
+        ("CY", "beta"): (-1.0, 0.0),
+        ("Cn", "beta"): (1.0, 1.0),
+        ("CY", "r"): (0.5, 1.0),
+        ("Cn", "r"): (-0.5, 2.0),
+    }
+    keys = [key for key in rows if key in point.entries]
+    values = np.array([rows[key][0] * point.value(*key) for key in keys])
+    if ("Cn", "beta") in keys:
+        values[keys.index(("Cn", "beta"))] -= wing_yaw
+    if len(keys) < 3 or not np.all(values > 1e-9):
+        return None
+    powers = np.array([[1.0, rows[key][1]] for key in keys])
+    logs = np.log(values)
+    candidates = []
+    for i in range(len(keys)):
+        rest = [j for j in range(len(keys)) if j != i]
+        fin = np.linalg.lstsq(powers[rest], logs[rest], rcond=None)[0]
+        spread = float(np.max(np.abs(logs[rest] - powers[rest] @ fin)))
+        arm = math.exp(fin[1])
+        if 0.05 < arm < 1.3 and spread < 0.5 * math.log(3.0):
+            badness = spread + 0.25 * abs(math.log(arm / 0.4))
+            candidates.append((badness, i, float(logs[i] - powers[i] @ fin)))
+    _, i, deviation = min(candidates, default=(0.0, 0, 0.0))
+    # Bodies add side force, so that less than the fin's is less likely than more.
+    least = math.log(5.0 if candidates and keys[i] == ("CY", "beta") else 10.0)
+    if -least < deviation < math.log(10.0):
+        return None
+    return keys[i], math.exp(deviation)
 
 
 _EVEN = ("CL", "CD", "Cm")
@@ -649,28 +729,46 @@ def _surfaces(
             yield from _one_sided(point, control, next(iter(row)), weights)
     names = {name for row in weights.values() for name in row}
     for surface in source.surfaces:
-        lift, roll = (point.entries.get((name, surface)) for name in ("CL", "Cl"))
-        if controls_of(surface) == ("aileron",) and surface not in names and lift is not None:
-            rolling = 0.0 if roll is None else roll.value
-            if abs(lift.value) > 0.02 and abs(rolling) < 0.02 * abs(lift.value):
-                yield _slip(
-                    roll or lift,
-                    "control sign",
-                    f"{surface}: Cl {rolling:.4g} beside CL {lift.value:.4g} per rad: both sides"
-                    " move the same way (AVL's SgnDup 1); ailerons need -1",
-                    "Ailerons work as flaps: no roll control",
-                )
-        values = [abs(point.value(name, surface)) for name in STABILITY]
-        if max(values) < 1e-9 and surface not in names:
-            entry = point.entries.get(("CL", surface)) or point.entries.get(("Cm", surface))
-            if entry is not None:
-                yield _slip(
-                    entry,
-                    "control",
-                    f"{surface} moves nothing; AVL needs its CONTROL in both sections at the ends"
-                    " of the surface",
-                    "The aeroplane cannot be steered with it",
-                )
+        meanings = controls_of(surface)
+        if surface not in names and len(meanings) == 1:
+            yield from _powerless(point, meanings[0], surface)
+
+
+def _powerless(point: Point, control: str, surface: str) -> Iterator[Slip]:
+    """Name a surface that makes no moment of the control that its name states."""
+    coefficient, _, _, expected = _SIZES[control]
+    moment = point.entries.get((coefficient, surface))
+    forces = {name: point.entries.get((name, surface)) for name in ("CL", "CY")}
+    largest = max(forces.values(), key=lambda entry: 0.0 if entry is None else abs(entry.value))
+    if largest is None and moment is None:
+        return
+    amount = 0.0 if moment is None else moment.value
+    force = 0.0 if largest is None else abs(largest.value)
+    text = f"{surface}: {coefficient} {amount:.4g} per rad; {expected} is expected"
+    if largest is not None and force > 1.3 * max(point.value("CL", "alpha"), 0.5):
+        yield _slip(
+            largest,
+            "deg/rad",
+            f"{surface}: a force of {largest.value:.4g} per rad with CL_alpha"
+            f" {point.value('CL', 'alpha'):.4g}; less than that is expected"
+            + _unit_remark(force / (0.1 * max(point.value("CL", "alpha"), 0.5))),
+            "The surface lifts too much by that factor",
+        )
+    elif control == "aileron" and force > 0.02:
+        yield _slip(
+            moment or largest or Entry(0.0),
+            "control sign",
+            f"{text}: beside a force of {force:.4g} both sides move the same way (AVL's SgnDup 1,"
+            " or two surfaces of one sense; ailerons need -1)",
+            "Ailerons work as flaps: no roll control",
+        )
+    else:
+        yield _slip(
+            moment or largest or Entry(0.0),
+            "control",
+            f"{text}; AVL needs its CONTROL in both sections at the ends of the surface",
+            "The aeroplane cannot be steered with it",
+        )
 
 
 _SIZES = {
@@ -723,6 +821,15 @@ def _surface(
             f"{name} of {surface} {entry.value:.4g} per rad ({math.radians(entry.value):.3g} per"
             f" deg); {expected} is expected" + _unit_remark(size / math.sqrt(low * high)),
             "The surface is too strong or too weak by that factor",
+        )
+    yaw = point.entries.get(("Cn", surface))
+    if control == "aileron" and not shared and yaw is not None and abs(yaw.value) > max(size, 0.02):
+        yield _slip(
+            yaw,
+            "deg/rad",
+            f"{surface}: Cn {yaw.value:.4g} per rad beside Cl {entry.value:.4g}; ailerons roll more"
+            " than they yaw" + _unit_remark(abs(yaw.value) / max(0.1 * size, 1e-9)),
+            "Ailerons steer as rudders",
         )
     if control == "elevator":
         # The ratio of moment to lift is the tail's arm in chords.
@@ -849,6 +956,42 @@ _CASE_OF = {
 }
 
 
+def _implied_lengths(block: vspaero.Block) -> dict[str, float]:
+    """Return the lengths that a block's rate derivatives were made with, over those it states.
+
+    A derivative is the case's difference over rate times length over 2V.
+    """
+    speed = block.values["Vinf_"].value if "Vinf_" in block.values else 0.0
+    base = block.cases.get("Base_Aero")
+    ratios: dict[str, list[float]] = {"b": [], "c": []}
+    for key, name, columns in (("b", "Bref_", "pr"), ("c", "Cref_", "q")):
+        for column in columns:
+            delta, row = block.cases.get(_CASE_OF[column], (0.0, {}))
+            for coefficient, values in block.derivatives.items():
+                if base is None or delta == 0.0 or not {column} <= values.keys():
+                    continue
+                if coefficient not in row or coefficient not in base[1]:
+                    continue
+                difference = row[coefficient].value - base[1][coefficient].value
+                received = values[column].value * delta * block.values[name].value
+                # Differences of seven decimals tell a ratio to a percent from here.
+                if abs(difference) > 5e-5 and abs(received) > 0.0:
+                    ratios[key].append(2.0 * speed * difference / received)
+    out = {}
+    for key, found in ratios.items():
+        middle = float(np.median(found)) if len(found) > 2 else math.nan
+        if middle > 0.0 and np.mean(np.abs(np.divide(found, middle) - 1.0) < 0.02) > 0.7:
+            out[key] = middle
+    return out
+
+
+def _certain_lengths(path: Path, text: str) -> set[str]:
+    """Return those of b and c that the differences of a ``.stab`` confirm."""
+    blocks = vspaero.blocks(path, text)
+    implied = _implied_lengths(blocks[0]) if blocks else {}
+    return {key for key, ratio in implied.items() if abs(ratio - 1.0) < 0.02}
+
+
 def _stab_cases(path: Path, text: str) -> Iterator[Slip]:
     """Check the derivatives of a ``.stab`` against its own finite differences, line by line."""
     blocks = vspaero.blocks(path, text)
@@ -872,6 +1015,20 @@ def _stab_cases(path: Path, text: str) -> Iterator[Slip]:
             continue
         speed = block.values["Vinf_"].value if "Vinf_" in block.values else math.nan
         span, chord = block.values["Bref_"].value, block.values["Cref_"].value
+        # One wrong length shows in a column of every coefficient: it is named once.
+        implied = _implied_lengths(block)
+        for key, name in (("b", "Bref_"), ("c", "Cref_")):
+            ratio = implied.get(key, 1.0)
+            if abs(ratio - 1.0) > 0.02:
+                entry = block.values[name]
+                yield _slip(
+                    entry,
+                    "reference length",
+                    f"{name} {entry.value:.4g}; the derivatives with respect to rates and their"
+                    f" cases were made with {entry.value * ratio:.4g}",
+                    "Every moment and rate derivative is scaled by it",
+                )
+        span, chord = span * implied.get("b", 1.0), chord * implied.get("c", 1.0)
         factors = {
             "Alpha": _DEGREES,
             "Beta": _DEGREES,
@@ -916,20 +1073,32 @@ def _stab_cases(path: Path, text: str) -> Iterator[Slip]:
         yield from _lift_of_stab(block, base[1])
         pairs = (("CMl", "CMx", -1.0), ("CMm", "CMy", 1.0), ("CMn", "CMz", -1.0))
         for first, second, sign_factor in pairs:
-            row = base[1]
-            if (
-                first in row
-                and second in row
-                and abs(row[first].value - sign_factor * row[second].value) > 2e-7
-            ):
-                yield _slip(
-                    row[first],
-                    "axes",
-                    f"{first} {row[first].value:.4g} with {second} {row[second].value:.4g};"
-                    f" {sign_factor:+g} times {second} is expected",
-                    "Roll or yaw is reversed",
-                )
+            for _, row in block.cases.values():
+                if (
+                    first in row
+                    and second in row
+                    and abs(row[first].value - sign_factor * row[second].value) > 2e-7
+                ):
+                    yield _slip(
+                        row[first],
+                        "axes",
+                        f"{first} {row[first].value:.4g} with {second} {row[second].value:.4g};"
+                        f" {sign_factor:+g} times {second} is expected",
+                        "Roll or yaw is reversed",
+                    )
         margin, neutral = block.values.get("SM"), block.values.get("X_np")
+        lift, pitch = (block.derivatives.get(name, {}).get("Alpha") for name in ("CL", "CMm"))
+        if margin is not None and lift is not None and pitch is not None and lift.value > 0.5:
+            stability = -pitch.value / lift.value
+            if abs(margin.value - stability) > 0.02 * abs(stability) + 2e-3:
+                yield _slip(
+                    margin,
+                    "moment centre",
+                    f"static margin {margin.value:.4g}; CMm and CL with respect to Alpha give"
+                    f" {stability:.4g}",
+                    "The static margin is wrong: the aeroplane may diverge in pitch",
+                )
+                margin = None
         if margin is not None and neutral is not None:
             expected = block.values["Xcg_"].value + margin.value * chord
             centre = block.values["Xcg_"]

@@ -78,6 +78,10 @@ SLIPS = {
         "alpha in rad": ("Alpha", lambda _: 0.05236),
         "columns of alpha and beta": ("CLb", lambda _: 5.1),
         "columns of q and r": ("Cnq", lambda _: -0.08),
+        "CY_beta per degree": ("CYb", times(1 / D)),
+        "area of half a wing": ("Sref", times(0.5)),
+        "half a chord": ("Cref", times(0.5)),
+        "aileron without effect": ("Cld1", lambda _: 0.0),
     },
     "csv": {
         "Cm_alpha sign": ("Cm_alpha", reverse),
@@ -106,6 +110,10 @@ SLIPS = {
         "rudder of a v-tail": ("Cm_rudder", lambda _: 0.02),
         "aileron of one side": ("CL_aileron", lambda _: 0.01),
         "ventral rudder": ("Cl_rudder", lambda _: 0.0006),
+        "area of half a wing": ("S", times(0.5)),
+        "span doubled": ("b", times(2.0)),
+        "CY_beta per degree": ("CY_beta", times(1 / D)),
+        "yaw of the aileron per radian": ("Cn_aileron", lambda _: 0.4),
     },
     "stab": {
         "lift slope": ("CFz", None),
@@ -144,6 +152,28 @@ def test_seeded_slip_is_found_with_its_line(kind, name, tmp_path):
     path.write_text(text)
     places = [slip.place for slip in find_slips(read_sources([path]))]
     assert f"{path}:{line}" in places, places
+
+
+# A twin of 5.7 t: at its lift the wing's part of Cn_beta hides a slip of the fin's.
+TWIN = (
+    "Sref 39.02 Cref 1.98 Bref 19.81 Alpha 0 CLtot 0.53447 CDtot 0.0101 CXtot -0.0101 CZtot"
+    " -0.53447 CLff 0.53447 CDff 0.0092 CDind 0.0101 e 0.98 Xref 5.875 Xnp 6.7158 CLa 5.4408 Cma"
+    " -2.3099 CYb -0.5022 Clb -0.0773 Cnb 0.1903 CYr 0.4681 Cnr -0.1811 Clp -0.5836 Cmq -28.41 CLq"
+    " 11.729"
+)
+
+
+@pytest.mark.parametrize("name", ["CYb", "Cnb", "Cnr", "CYr"])
+def test_the_fins_derivatives_show_the_one_that_is_off(name, tmp_path):
+    text = ST
+    for key, value in re.findall(r"(\S+) (\S+)", TWIN):
+        text, _ = number(text, key, lambda _, value=value: float(value) + 1e-9)
+    path = tmp_path / "twin.st"
+    path.write_text(text)
+    assert find_slips(read_sources([path])) == []
+    text, line = number(text, name, times(1 / D))
+    path.write_text(text)
+    assert [slip.place for slip in find_slips(read_sources([path]))] == [f"{path}:{line}"]
 
 
 @pytest.mark.parametrize("kind", TEXTS)
@@ -294,6 +324,32 @@ def test_steps_of_later_vspaero_are_no_slip(tmp_path):
     path.write_text("\n".join(lines) + "\n")
     assert "+0.010" in path.read_text()
     assert find_slips(read_sources([path])) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "change"),
+    [("Bref_", 0.5), ("Bref_", 2.0), ("Cref_", 2.0), ("Sref_", 0.5), ("SM", -1.0), ("CMl", -1.0)],
+)
+def test_one_block_of_a_stab_shows_which_number_is_wrong(name, change, tmp_path):
+    """Its cases and derivatives are made with the true span and chord."""
+    block = STAB.split("# Name")[1]
+    text, path = "# Name" + block, tmp_path / "kite.stab"
+    path.write_text(text)
+    assert find_slips(read_sources([path])) == []
+    if name == "CMl":  # of one case, the last with differences
+        lines = text.splitlines()
+        index = next(
+            i for i, line in enumerate(lines) if line.startswith("Yaw___Rate  ") and "+" in line
+        )
+        words = lines[index].split()
+        words[-3] = f"{-float(words[-3]):.7f}"
+        lines[index], line = "  ".join(words), index + 1
+        text = "\n".join(lines) + "\n"
+    else:
+        text, line = number(text, name, times(change))
+    path.write_text(text)
+    places = [slip.place for slip in find_slips(read_sources([path]))]
+    assert places[0] == f"{path}:{line}", places
 
 
 def test_an_airfoil_that_avl_would_not_find(tmp_path):
