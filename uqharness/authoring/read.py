@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -23,6 +24,26 @@ from uqharness.authoring.vspaero import is_stab, read_polar, read_stab
 from uqharness.authoring.xflr5 import is_xflr5, read_xflr5
 from uqharness.errors import BadInputError
 
+_STAB = "run VSPAERO's stability analysis and give its .stab or its results CSV"
+_LOG = "save the log of a stability analysis, which ends with derivatives at a trim"
+_WITHOUT_DERIVATIVES = {
+    r"DEGEN GEOM|STICK_NODE": f"OpenVSP's DegenGeom is a geometry; {_STAB}",
+    r"^\s*Results_Name,": f"OpenVSP's results hold no VSPAERO_Stab; {_STAB}",
+    r"^\s*Beta\s+Mach\s+AoA\s": f"VSPAERO's polar has no derivatives by itself; {_STAB}",
+    r"Parasite Drag|PARASITE DRAG": f"OpenVSP's drag build-up has no derivatives; {_STAB}",
+    r"(?i)\A.{0,80}(xflr5|flow5)[^\n]*\n(.*\n){0,12}.*(polar|alpha\s+.*CL\s)": (
+        f"a polar of XFLR5 or flow5 has no derivatives; {_LOG}"
+    ),
+    r"Surface and Strip Forces|Strip Forces referred|Element Strengths": (
+        "AVL's strip or element forces have no derivatives; write ST from the OPER menu"
+    ),
+    r"(?m)^\s*Run case\s+\d+:": "AVL's run cases hold no results; write ST from the OPER menu",
+    r"DIGITAL DATCOM": (
+        "Digital DATCOM's output is not read; copy its derivatives with their unit, mostly 1/deg,"
+        " into a .csv with the columns name, value, unit"
+    ),
+}
+"""Files that users give for derivatives, and what to give instead."""
 RUN_ALPHAS_DEG = (0.0, 3.0, 6.0, 9.0)
 """Angles of attack at which an AVL geometry is run."""
 
@@ -142,10 +163,13 @@ def read_sources(
 
 def _reader(path: Path, text: str) -> Callable[[Path, str], list[Source]]:
     """Return the reader of a file, known by its content."""
-    if path.suffix.lower() in (".toml", ".csv", ".tsv"):
-        return lambda path, text: [read_table_file(path, text)]
     if is_stab(text):
         return lambda path, text: [read_stab(path, text)]
+    for pattern, content in _WITHOUT_DERIVATIVES.items():
+        if re.search(pattern, text):
+            raise BadInputError(f"{path}: {content}")
+    if path.suffix.lower() in (".toml", ".csv", ".tsv"):
+        return lambda path, text: [read_table_file(path, text)]
     if is_avl_output(text):
         return read_avl_text
     if is_xflr5(text):

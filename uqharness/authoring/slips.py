@@ -32,6 +32,7 @@ from uqharness.authoring.source import (
     Source,
     rotate_forces,
 )
+from uqharness.authoring.xflr5 import inconsistent_pairs, is_xflr5
 
 _DEGREES = math.degrees(1.0)
 
@@ -81,6 +82,17 @@ def find_slips(
     for path, text in sources.texts.items():
         if vspaero.is_stab(text):
             out += _stab_cases(path, text)
+        elif is_xflr5(text):
+            out += [
+                _slip(
+                    entry,
+                    "reference length",
+                    f"{entry.value:.4g}: the dimensional derivative is {ratio:.4g} times it, but"
+                    f" {expected:.4g} times by the reference lengths of the others",
+                    "One of the two numbers, or its sign, is not the program's",
+                )
+                for entry, ratio, expected in inconsistent_pairs(path, text)
+            ]
     if sources.geometry is not None:
         out += _geometry(sources.geometry)
         if source.path == sources.geometry.path:

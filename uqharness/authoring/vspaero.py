@@ -1,5 +1,8 @@
 """VSPAERO 3.x: ``.stab`` (derivatives at several alphas, betas and Mach numbers) and ``.polar``.
 
+OpenVSP exports the same as results CSV: a name and a value a line, ``FC_Sref_`` for the head,
+``Base_Aero_CL`` for the cases and ``CL_Alpha`` for the derivatives, groups by their names.
+
 A block begins with "# Name Value Units", then the cases ("Base_Aero", one degree of alpha, ...) and
 the derivatives per radian. CMl, CMm, CMn are right wing down, nose up, nose right, and rates are
 about body axes. Forces are taken from CL and CD where the file has them: CFx (aft) is integrated
@@ -55,11 +58,16 @@ def is_stab(text: str) -> bool:
     >>> is_stab("# Name Value Units\\nSref_ 1.0 Lunit^2")
     True
     """
-    return re.search(r"^\s*Sref_\s", text, re.MULTILINE) is not None
+    return _is_results(text) or re.search(r"^\s*Sref_\s", text, re.MULTILINE) is not None
+
+
+def _is_results(text: str) -> bool:
+    """Return whether a text is OpenVSP's results CSV."""
+    return re.search(r'^"?FC_Sref_"?\s*,', text, re.MULTILINE) is not None
 
 
 def read_stab(path: Path, text: str) -> Source:
-    """Read a ``.stab`` file of VSPAERO 3.x.
+    """Read a ``.stab`` file of VSPAERO or its results CSV.
 
     Returns
     -------
@@ -109,7 +117,9 @@ def read_stab(path: Path, text: str) -> Source:
 
 
 def blocks(path: Path, text: str) -> list[Block]:
-    """Return the blocks of a ``.stab`` file with the line of each number."""
+    """Return the blocks of a ``.stab`` file or results CSV with the line of each number."""
+    if _is_results(text):
+        return [_checked(path, block) for block in _results_blocks(path, text)]
     out: list[Block] = []
     columns: list[str] = []
     part = ""
@@ -152,23 +162,60 @@ def blocks(path: Path, text: str) -> list[Block]:
             raise BadInputError(
                 f"{path}:{number}: received {len(words)} columns, {len(columns) + 1} are needed"
             )
-    for block in out:
-        _name_groups(block)
-        missing = [n for n in (*_REFERENCE, "Mach_", "AoA_", "Beta_") if n not in block.values]
-        missing += [
-            name
-            for name in ((*_FORCES, *_MOMENTS) if block.derivatives else ())
-            if name not in block.derivatives
-        ]
-        missing += [
-            f"{column} of {row}"
-            for row, columns in block.derivatives.items()
-            for column in ("Total", "Alpha")
-            if column not in columns
-        ]
-        if missing:
-            raise BadInputError(f"{path}: a block lacks {', '.join(missing)}; run VSPAERO again")
+    return [_checked(path, block) for block in out]
+
+
+def _results_blocks(path: Path, text: str) -> list[Block]:
+    """Return the stability results of a results CSV; other results are left out."""
+    out: list[Block] = []
+    block = None if "Results_Name" in text else Block()
+    rows = "|".join((*_FORCES, *_MOMENTS, "CMx", "CMy", "CMz", "CL", "CD", "CS"))
+    cases: dict[str, dict[str, Entry]] = {}
+    steps: dict[str, float] = {}
+    for number, line in enumerate([*text.splitlines(), "Results_Name,"], start=1):
+        words = [word.strip().strip('"') for word in line.split(",")]
+        if words[0] == "Results_Name":
+            if block is not None:
+                block.cases = {name: (steps.get(name, 0.0), row) for name, row in cases.items()}
+                out.append(block)
+            block = Block() if words[1] == "VSPAERO_Stab" else None
+            cases, steps = {}, {}
+        elif block is None or len(words) < 2 or words[0].endswith("_Units"):
+            continue
+        elif words[0].startswith("FC_") or words[0] in ("SM", "X_np"):
+            block.values[words[0].removeprefix("FC_")] = _entry(words[1], path, number)
+        elif match := re.fullmatch(rf"({rows})_(\w.*)", words[0]):
+            column = match[2]
+            if column not in (*_COLUMNS, "Total", "Mach", "U", "h"):
+                if column not in block.groups:
+                    block.groups.append(column)
+                column = f"ConGrp_{block.groups.index(column) + 1}"
+            block.derivatives.setdefault(match[1], {})[column] = _entry(words[1], path, number)
+        elif match := re.fullmatch(rf"(.+)_({rows})", words[0]):
+            cases.setdefault(match[1], {})[match[2]] = _entry(words[1], path, number)
+        elif words[0].endswith("_Delta"):
+            steps[words[0].removesuffix("_Delta")] = _entry(words[1], path, number).value
     return out
+
+
+def _checked(path: Path, block: Block) -> Block:
+    """Return a block with its groups named; BadInputError where something is missing."""
+    _name_groups(block)
+    missing = [n for n in (*_REFERENCE, "Mach_", "AoA_", "Beta_") if n not in block.values]
+    missing += [
+        name
+        for name in ((*_FORCES, *_MOMENTS) if block.derivatives else ())
+        if name not in block.derivatives
+    ]
+    missing += [
+        f"{column} of {row}"
+        for row, columns in block.derivatives.items()
+        for column in ("Total", "Alpha")
+        if column not in columns
+    ]
+    if missing:
+        raise BadInputError(f"{path}: a block lacks {', '.join(missing)}; run VSPAERO again")
+    return block
 
 
 def _name_groups(block: Block) -> None:

@@ -17,6 +17,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from statistics import median
 
+import numpy as np
+
 from uqharness.authoring.source import TOTAL, Entry, Point, Source
 from uqharness.errors import BadInputError
 
@@ -57,6 +59,7 @@ class _Condition:
     values: dict[str, Entry] = field(default_factory=dict)
     entries: dict[tuple[str, str], Entry] = field(default_factory=dict)
     pressures: dict[str, list[float]] = field(default_factory=dict)
+    pairs: list[tuple[str, str, Entry, float]] = field(default_factory=list)
     controls: list[dict[str, Entry]] = field(default_factory=list)
     deflections_deg: list[float] = field(default_factory=list)
 
@@ -112,6 +115,46 @@ def read_xflr5(path: Path, text: str) -> Source:
         facts=facts,
         notes=tuple(notes),
     )
+
+
+def inconsistent_pairs(path: Path, text: str) -> list[tuple[Entry, float, float]]:
+    """Return derivatives whose dimensional one beside them does not fit the others' reference.
+
+    All pairs of a trim share rho V S/2 and powers of b and c, with a half of the length for rates.
+
+    Returns
+    -------
+    list of (Entry, float, float)
+        The derivative, its ratio to the dimensional one, and the ratio that the others have.
+    """
+    out = []
+    for condition in _conditions(path, text):
+        pairs = condition.pairs
+        if len(pairs) < 8:
+            continue
+        rows = []
+        for letter, variable, _, ratio in pairs:
+            lengths = [{"L": "b", "N": "b", "M": "c"}.get(letter, "")]
+            lengths.append({"p": "b", "r": "b", "q": "c"}.get(variable, ""))
+            halves = math.log(2.0) if lengths[1] else 0.0
+            rows.append(
+                [1.0, lengths.count("b"), lengths.count("c"), math.log(abs(ratio)) + halves]
+            )
+        table = np.array(rows)
+        weights = np.ones(len(pairs))
+        for _ in range(30):  # least absolute deviations
+            scaled = table * np.sqrt(weights)[:, None]
+            solution = np.linalg.lstsq(scaled[:, :3], scaled[:, 3], rcond=None)[0]
+            residuals = table[:, 3] - table[:, :3] @ solution
+            weights = 1.0 / np.maximum(np.abs(residuals), 1e-4)
+        for (letter, variable, entry, ratio), residual in zip(pairs, residuals, strict=True):
+            # XFLR5 counts lift up beside Z down.
+            is_lift = letter == "Z" and variable in "wq"
+            reversed_sign = (ratio < 0.0) != is_lift
+            if abs(residual) > 0.15 or reversed_sign:
+                expected = abs(ratio) / math.exp(residual) * (-1.0 if is_lift else 1.0)
+                out.append((entry, ratio, expected))
+    return out
 
 
 def _conditions(path: Path, text: str) -> list[_Condition]:
@@ -173,9 +216,11 @@ def _add(
         return
     if variable in _VARIABLE:
         condition.entries[coefficient, _VARIABLE[variable]] = entry
-    if variable in "vw" and value and dimensional:
+    if variable in "vwpqr" and value and dimensional:
         kind = {"X": "S", "Y": "S", "Z": "S", "L": "Sb", "N": "Sb", "M": "Sc"}[letter]
-        condition.pressures.setdefault(kind, []).append(abs(dimensional / value))
+        condition.pairs.append((letter, variable, Entry(value, path, line), dimensional / value))
+        if variable in "vw":
+            condition.pressures.setdefault(kind, []).append(abs(dimensional / value))
     if (letter, variable) == ("X", "u"):
         condition.values["CXu"] = entry
 

@@ -509,3 +509,68 @@ def test_unknown_file_is_refused(tmp_path):
         read_sources([path])
     with pytest.raises(BadInputError, match="no source of derivatives"):
         read_sources([DATA / "kite.mass"])
+
+
+def results_csv(stab: str) -> str:
+    """Return the results CSV that OpenVSP exports beside a ``.stab``."""
+    lines, columns = ["Results_Name,VSPAERO_History", "CL,0.1,0.2"], []
+    groups = {f"ConGrp_{i}": n for i, n in enumerate(("AilR", "AilL", "Rud", "Elev"), 1)}
+    for line in stab.splitlines():
+        words = line.split()
+        if words[:3] == ["#", "Name", "Value"]:
+            lines += ["Results_Name,VSPAERO_Stab", "Results_Timestamp,1", "StabilityType,1"]
+            columns = ["FC"]
+        elif words[:3] == ["#", "Result", "Value"]:
+            columns = ["result"]
+        elif not words or words[0].startswith(("#", "*")):
+            continue
+        elif columns == ["FC"] and words[0] != "Case":
+            lines.append(f"FC_{words[0]},{words[-2]}")
+        elif columns == ["result"]:
+            lines.append(f"{words[0]},{words[1]}")
+        elif words[0] in ("Case", "Coef"):
+            columns = [groups.get(word, word) for word in words[1:]]
+        else:
+            lines += [f"{words[0]}_{c},{w}" for c, w in zip(columns, words[1:], strict=True)]
+    return "\n".join(lines) + "\n"
+
+
+def test_results_csv_of_openvsp_is_its_stab():
+    stab = (DATA / "kite.stab").read_text()
+    text = results_csv(stab)
+    expected, source = (read_stab(Path("kite"), t) for t in (stab, text))
+    assert {k: e.value for k, e in source.reference.items()} == {
+        k: e.value for k, e in expected.reference.items()
+    }
+    assert source.facts["x_np"].value == expected.facts["x_np"].value
+    assert len(source.points) == len(expected.points) > 1
+    for point, other in zip(source.points, expected.points, strict=True):
+        assert {k: e.value for k, e in point.entries.items()} == {
+            k: e.value for k, e in other.entries.items()
+        }
+        assert point.steps == other.steps
+    line = source.points[0].entries["Cm", "alpha"].line
+    assert text.splitlines()[line - 1].startswith("CMm_Alpha,")
+
+
+@pytest.mark.parametrize(
+    ("text", "advice"),
+    [
+        ("# DEGEN GEOM CSV FILE\n# NUMBER OF COMPONENTS\n3\n", "DegenGeom is a geometry"),
+        ("Results_Name,VSPAERO_Polar\nFC_Sref_,1\nCL,0.1,0.2\n", "stability option"),
+        ("Results_Name,Mass_Properties\nTotal_Mass,1\n", "no VSPAERO_Stab"),
+        ("  Beta  Mach  AoA  Re/1e6  CLo\n 0 0.1 1 1 0.3\n", "polar has no derivatives"),
+        ("xflr5 v6.47\n\n Plane name : a\n Polar name : b\n alpha  beta  CL\n", "save the log"),
+        ("flow5 v7.23\n\n Plane name : a\n Polar name : b\n alpha  beta  CL\n", "save the log"),
+        (" Surface and Strip Forces by surface\n", "write ST"),
+        ("\n Run case  1:  cruise\n alpha -> alpha = 0\n", "write ST"),
+        ("1 THE USAF AUTOMATED DATCOM / DIGITAL DATCOM\n CASEID\n", "copy its derivatives"),
+    ],
+)
+@pytest.mark.parametrize("suffix", ["csv", "txt"])
+def test_files_without_derivatives_are_refused_by_name(text, advice, suffix, tmp_path):
+    path = tmp_path / f"x.{suffix}"
+    path.write_text(text)
+    with pytest.raises(BadInputError, match=advice) as error:
+        read_sources([path])
+    assert str(path) in str(error.value)

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.uqharness.authoring.test_readers import XFLR5
 from uqharness.authoring import Entry, find_slips, mass_slips, read_sources
 from uqharness.errors import BadInputError
 
@@ -350,6 +351,27 @@ def test_one_block_of_a_stab_shows_which_number_is_wrong(name, change, tmp_path)
     path.write_text(text)
     places = [slip.place for slip in find_slips(read_sources([path]))]
     assert places[0] == f"{path}:{line}", places
+
+
+@pytest.mark.parametrize(
+    ("row", "seeded"),
+    [
+        ("Zw=    -3.9506", "Zw=    -7.9012"),
+        ("CLa=         4.3", "CLa=         2.1"),
+        ("Mw=   -0.10005", "Mw=   -0.20010"),
+        ("Lv=  -0.055860", "Lv=  -0.0032"),
+        ("Cnb=        0.36", "Cnb=        -0.36"),
+    ],
+)
+def test_pairs_of_a_stability_log_share_their_lengths(row, seeded, tmp_path):
+    path = tmp_path / "glider.txt"
+    path.write_text(XFLR5)
+    assert find_slips(read_sources([path])) == []
+    text = XFLR5.replace(row, seeded)
+    path.write_text(text)
+    line = text[: text.index(seeded)].count("\n") + 1
+    places = [slip.place for slip in find_slips(read_sources([path]))]
+    assert f"{path}:{line}" in places, places
 
 
 def test_an_airfoil_that_avl_would_not_find(tmp_path):
