@@ -153,15 +153,15 @@ _CAMPAIGN_VERBS = {
         text,
     )
     for verb, text in {
-        "check": "cost of a campaign before it is flown",
-        "run": "fly a campaign, or resume it",
+        "check": "cost of a campaign, without running it",
+        "run": "run a campaign, or resume it",
         "status": "progress of a campaign",
         "report": "write report.html and the figures",
         "merge": "merge shards and write the tables",
-        "rerun": "fly one case again with full output and a plot",
-        "surrogate-check": "fly cases with a real autopilot, and correct the p-boxes",
+        "rerun": "repeat one case with full output and a plot",
+        "surrogate-check": "repeat cases with a real autopilot, and correct the p-boxes",
         "verify": "check a folder against its digests",
-        "salvage": "repair a damaged campaign: keep sound flights, fly the rest again",
+        "salvage": "repair a damaged campaign: keep undamaged flights, repeat the others",
         "convergence": "convergence over flights and epistemic samples",
         "area": "area metric of real flights against the p-boxes",
     }.items()
@@ -198,16 +198,16 @@ GROUPS: Mapping[str, Mapping[str, RequestCommand | Verbs]] = {
         "diff": RequestCommand(
             "simulation:DiffRequest",
             "simulation:diff",
-            "fly two models side by side and list their differences",
+            "compare two models in the same manoeuvres",
         ),
         "export": RequestCommand(
             "authoring:ExportRequest",
             "exchange:export",
-            "write the model for ArduPilot, Gazebo or a table, with the loss",
+            "write the model for ArduPilot, PX4, Gazebo, as an FMU or a table, with the loss",
         ),
     },
     "flights and logs": {
-        "fly": RequestCommand("simulation:FlyRequest", "simulation:fly", "one flight, recorded"),
+        "fly": RequestCommand("simulation:FlyRequest", "simulation:fly", "simulate a flight"),
         "log": Verbs(
             _LOG_VERBS,
             "flight logs: contents and checks, conversion to records",
@@ -242,7 +242,7 @@ GROUPS: Mapping[str, Mapping[str, RequestCommand | Verbs]] = {
         "campaign": Verbs(
             _CAMPAIGN_VERBS,
             "nested Monte Carlo campaigns: check, run, status, report and more",
-            "Fly a campaign over corners of model-form uncertainty, watch it, and report it.",
+            "Run a campaign over corners of model-form uncertainty, and report it.",
             _CAMPAIGN_EXAMPLE,
         ),
         "sensitivity": RequestCommand(

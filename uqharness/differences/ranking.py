@@ -225,7 +225,7 @@ def fly_matched(
         If nothing is requested, or A cannot be flown.
     """
     if not request.speeds_mps and not request.scripts:
-        raise BadInputError("nothing to fly: give a speed at which the aircraft trims, or a script")
+        raise BadInputError("no manoeuvre: give a speed at which the aircraft trims, or a script")
     channels = channels_of(a, open_aircraft(a), request.properties)
     flights: list[MatchedFlight] = []
     n_flights = len(request.speeds_mps) * len(request.missions) + len(request.scripts)

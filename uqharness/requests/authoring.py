@@ -125,15 +125,14 @@ DIR/airframe.toml, DIR/Systems and DIR/model-form.json of kind prior."""
     )
     controls: Names = option(
         (),
-        "surfaces of a control, with sign: elevator=LEFT+RIGHT; repeatable (default: by their"
-        " names)",
+        "surfaces of a control, with sign: elevator=LEFT+RIGHT (default: by their names)",
         flag="--control",
         metavar="C=SURFACES",
         repeat=True,
     )
     contacts: Names = option(
         (),
-        "ground contact NAME=X:Y:Z in the source's frame, m; repeatable",
+        "ground contact NAME=X:Y:Z in the source's frame, m",
         flag="--contact",
         metavar="NAME=X:Y:Z",
         repeat=True,

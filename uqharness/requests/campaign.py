@@ -64,7 +64,7 @@ def _samples() -> Any:
 def _yes(python: bool) -> Any:
     """Return the field of the consent to long campaigns."""
     return option(
-        False, "fly even if it takes more than a day on this machine", toml=False, python=python
+        False, "run even if it takes more than a day on this machine", toml=False, python=python
     )
 
 
@@ -83,7 +83,7 @@ class CampaignRequest(Request):
     samples: WholeNumber | None = _samples()
     engine: Literal["auto", "batch", "jsbsim"] | None = option(
         None,
-        "engine, in place of [campaign] engine; auto: batch where it understands aircraft and"
+        "engine, in place of [campaign] engine; auto: batch if it supports aircraft and"
         " mission, else jsbsim",
         toml=False,
     )
@@ -91,21 +91,21 @@ class CampaignRequest(Request):
 
 
 class CheckRequest(CampaignRequest):
-    """Print the cost of a campaign before it is flown."""
+    """Print the cost of a campaign, without running it."""
 
     command: ClassVar[str] = "campaign check"
-    done: ClassVar[str] = "done (a model that cannot be flown is bad input)"
+    done: ClassVar[str] = "done (a model that cannot be simulated is bad input)"
     no: ClassVar[str] = "the batch engine differs from JSBSim"
     examples: ClassVar[str] = """
   uqharness campaign check campaigns/demo/campaign.toml
 
 Prints flights, flight hours, expected time and disk space, the engine (batch, or jsbsim with the
 reason, file and line), and the joint confidence of the intervals of a model-form.json. Only check
-flights are flown; no result is stored."""
+flights are simulated; no result is stored."""
 
 
 class RunRequest(CampaignRequest):
-    """Fly a campaign, or resume it."""
+    """Run a campaign, or resume it."""
 
     command: ClassVar[str] = "campaign run"
     done: ClassVar[str] = "all flights done (failed ones are counted and reported)"
@@ -118,14 +118,14 @@ class RunRequest(CampaignRequest):
   uqharness campaign run demo --out anywhere
   uqharness campaign run campaigns/demo/campaign.toml --out big --shard 3/16
 
-The fourth example runs a campaign of the package by its name, the fifth one of 16 jobs, to be put
-together by campaign merge. The same command resumes an interrupted run: only missing flights are
-flown.
+The fourth example runs a campaign of the package by its name, the fifth one of 16 shards, which
+campaign merge combines. The same command resumes an interrupted run: only missing flights are
+simulated.
 
-With method = "corners" the nominal model ([epistemic] nominal = false leaves it out) and points
-between the corners are flown as well: 16 with bounds = "model-form.json", else as many as corners,
-at most 16 (interior = N). Transient model error is included if the file has such a part
-(transient = false leaves it out); set = "ellipsoid" flies the joint confidence set."""
+With method = "corners" the nominal model ([epistemic] nominal = false omits it) and points between
+the corners are simulated too: 16 with bounds = "model-form.json", else as many as corners, at most
+16 (interior = N). Transient model error is included if the file has this part (transient = false
+omits it); set = "ellipsoid" uses the joint confidence set."""
 
     out: FilePath = fields.out(positional=True)
     start_method: Literal["spawn", "forkserver", "fork"] = option(
@@ -133,14 +133,14 @@ at most 16 (interior = N). Transient model error is included if the file has suc
     )
     dask: str | None = option(
         None,
-        "fly on the Dask cluster of this scheduler (address or scheduler file)",
+        "use the Dask cluster of this scheduler (address or scheduler file)",
         metavar="ADDRESS",
         toml=False,
     )
-    serial: Flag = option(False, "fly in this process, for debugging", toml=False)
+    serial: Flag = option(False, "run in this process, for debugging", toml=False)
     shard: str | None = option(
         None,
-        "fly the i-th of n shares only, to be merged later",
+        "run the i-th of n shares only, for campaign merge",
         metavar="i/n",
         toml=False,
         python=False,
@@ -161,8 +161,8 @@ at most 16 (interior = N). Transient model error is included if the file has suc
         """Refuse processes of this machine on a cluster."""
         if self.dask is not None and (self.serial or self.workers is not None):
             raise ValueError(
-                "{dask}: the cluster's workers fly; leave out {workers} and {serial}, and give the"
-                " number to: dask worker --nworkers"
+                "{dask}: the flights run on the cluster's workers; omit {workers} and {serial}, and"
+                " give the number to: dask worker --nworkers"
             )
         return self
 
@@ -191,21 +191,21 @@ class ReportRequest(FolderRequest):
     """Write report.html and the figures."""
 
     command: ClassVar[str] = "campaign report"
-    no: ClassVar[str] = "files of the folder are not as they were written"
+    no: ClassVar[str] = "files of the folder were changed after they were written"
     examples: ClassVar[str] = """
   uqharness campaign report campaigns/demo/results
 
 Writes DIR/report.html (one file, no network needed) and DIR/figures/*.svg. For a complete campaign
-of short flights the worst and the median flight are flown again into DIR/rerun/ID for the ground
+of short flights the worst and the median flight are repeated into DIR/rerun/ID for the ground
 track, unless flight records exist."""
 
     tracks: Flag = option(
         True,
-        "whether the worst and the median flight of a short campaign are flown again for the"
-        " ground track",
+        "whether the worst and the median flight of a short campaign are repeated for the ground"
+        " track",
         flag="--no-tracks",
         off=True,
-        help="do not fly two flights again for the ground track",
+        help="no ground tracks: do not repeat two flights",
         toml=False,
     )
 
@@ -223,7 +223,7 @@ Merges the shards in DIR/shards and writes DIR's tables, bit-identical to those 
 
 
 class RerunRequest(FolderRequest):
-    """Fly one case again with full output and a plot."""
+    """Repeat one case with full output and a plot."""
 
     command: ClassVar[str] = "campaign rerun"
     done: ClassVar[str] = "the result is as stored (or was not stored yet)"
@@ -245,7 +245,7 @@ DIR/rerun/ID."""
 
 
 class SurrogateCheckRequest(FolderRequest):
-    """Fly some cases again with a real autopilot in the same air, and correct the p-boxes."""
+    """Repeat cases with a real autopilot in the same air, and correct the p-boxes."""
 
     command: ClassVar[str] = "campaign surrogate-check"
     done: ClassVar[str] = "no metric differs beyond chance, and every flight ended well"
@@ -254,8 +254,8 @@ class SurrogateCheckRequest(FolderRequest):
   uqharness campaign surrogate-check results --flights 12 --autopilot-warmup-s 40 \\
     --autopilot-process "arduplane --model JSON:127.0.0.1 --defaults plane.parm --home 45,0,0,0"
 
-Flies cases of the hardest condition, each with the air, noise and epistemic member of the stored
-flight. Prints the difference of each metric with its interval, and the p-box with the stored
+Repeats cases of the hardest condition with the air, noise and epistemic member of the stored
+flights. Prints the difference of each metric with its interval, and the p-box with the stored
 flights as control variate (docs/autopilot.md)."""
 
     autopilot_process: str = option(
@@ -267,8 +267,7 @@ flights as control variate (docs/autopilot.md)."""
     flights: WholeNumber = option(8, "flights with the real autopilot", ge=4, le=1000, metavar="K")
     autopilot_warmup_s: Number = option(
         0.0,
-        "time in which the real autopilot receives the state and the run script commands, s; at"
-        " most the burn-in",
+        "time before the real autopilot takes over from the run script, s; at most the burn-in",
         ge=0,
         le=1e5,
         metavar="T",
@@ -288,7 +287,7 @@ class VerifyRequest(FolderRequest):
     """Check a folder against its digests."""
 
     command: ClassVar[str] = "campaign verify"
-    done: ClassVar[str] = "all whole"
+    done: ClassVar[str] = "nothing is damaged"
     no: ClassVar[str] = "something is damaged or has no digests (made by uqharness 0.1)"
     examples: ClassVar[str] = """
   uqharness campaign verify campaigns/demo/results
@@ -297,21 +296,21 @@ Compares manifest, journal and tables, also those of shards, with their digests.
 
 
 class SalvageRequest(FolderRequest):
-    """Repair a damaged campaign: keep sound flights, fly the rest again."""
+    """Repair a damaged campaign: keep undamaged flights, repeat the others."""
 
     command: ClassVar[str] = "campaign salvage"
-    no: ClassVar[str] = "flights of shards that were never flown are missing"
+    no: ClassVar[str] = "flights of missing shards are missing"
     flies: ClassVar[bool] = True
     examples: ClassVar[str] = """
   uqharness campaign salvage campaigns/demo/results
   uqharness campaign salvage results --campaign campaigns/demo/campaign.toml
 
-Keeps every flight that matches its digest, renames damaged files (journal.damaged-1.sqlite), flies
-the other flights again and writes the tables, bit-identical to those of an undamaged run. Nothing
-is deleted; the same command resumes after an interruption. Give --campaign where manifest.json is
-damaged too, with --hours and --samples if the campaign was flown with them."""
+Keeps every flight that matches its digest, renames damaged files (journal.damaged-1.sqlite),
+repeats the other flights and writes the tables, bit-identical to those of an undamaged run. Nothing
+is deleted; the same command resumes after an interruption. Give --campaign if manifest.json is
+damaged too, with the --hours and --samples of the run."""
 
-    campaign: Any = _campaign(None, "the campaign file, where manifest.json is damaged or missing")
+    campaign: Any = _campaign(None, "the campaign file, if manifest.json is damaged or missing")
     hours: Number | None = _hours()
     samples: WholeNumber | None = _samples()
     workers: fields.Workers = _workers()
@@ -321,14 +320,12 @@ damaged too, with --hours and --samples if the campaign was flown with them."""
     def _check_size(self) -> SalvageRequest:
         """Refuse a size without the campaign it belongs to."""
         if self.campaign is None and (self.hours is not None or self.samples is not None):
-            raise ValueError(
-                "{hours} and {samples} belong to {campaign}, the file they were given with"
-            )
+            raise ValueError("{hours} and {samples} need {campaign}, the campaign file of the run")
         return self
 
 
 class ConvergenceRequest(FolderRequest):
-    """Convergence over flights and epistemic samples."""
+    """Measure convergence over flights and epistemic samples."""
 
     command: ClassVar[str] = "campaign convergence"
     done: ClassVar[str] = "done (too few flights or samples are bad input)"
@@ -336,8 +333,7 @@ class ConvergenceRequest(FolderRequest):
   uqharness campaign convergence campaigns/demo/results --repeats 4
   uqharness campaign convergence fig35 --metric cross_track_median_m
 
-Writes DIR/convergence.csv and DIR/figures/convergence-*.svg from the stored flights; nothing is
-flown."""
+Writes DIR/convergence.csv and DIR/figures/convergence-*.svg from the stored flights."""
 
     repeats: WholeNumber = option(
         10, "number of parts into which the flights are divided", ge=2, metavar="N", toml=False
@@ -346,7 +342,7 @@ flown."""
 
 
 class AreaRequest(FolderRequest):
-    """Area metric of real flights against the p-boxes."""
+    """Compute the area metric of real flights against the p-boxes."""
 
     command: ClassVar[str] = "campaign area"
     done: ClassVar[str] = "no contradiction"
@@ -411,7 +407,7 @@ class SensitivityRequest(Request):
   uqharness sensitivity campaigns/demo/results --interior campaigns/demo/middle --json
   uqharness sensitivity --modal as_published
 
-For a campaign, writes DIR/sensitivity.csv and DIR/figures/sensitivity-*.svg; nothing is flown.
+For a campaign, writes DIR/sensitivity.csv and DIR/figures/sensitivity-*.svg.
 --interior names a second campaign, method = "levels" and the same seed, whose flights check that
 levels between the bounds stay inside the corners' p-box."""
 
@@ -431,7 +427,7 @@ levels between the bounds stay inside the corners' p-box."""
     )
     repeats: WholeNumber = option(
         10,
-        "with modal: independent repeats, whose spread is shown",
+        "with modal: number of independent repeats, for the standard deviation",
         ge=2,
         le=1000,
         metavar="R",

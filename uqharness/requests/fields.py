@@ -126,7 +126,7 @@ def flights(
 
 def out(required: bool = True, positional: bool = False) -> Any:
     """Return the field of the folder of the results."""
-    text = "folder for the results, made if need be" + (
+    text = "folder for the results, created if missing" + (
         "" if required else " (default: nothing is written)"
     )
     return option(
@@ -244,7 +244,7 @@ def from_s() -> Any:
     """Return the field of the first time of a log that is used."""
     return option(
         None,
-        "first time that is used, s of the log (default: its begin)",
+        "first time that is used, s of the log (default: its beginning)",
         metavar="T",
         toml=False,
     )
@@ -261,8 +261,8 @@ def manoeuvres() -> Any:
     """Return the field of the table of manoeuvres."""
     return option(
         None,
-        "table of manoeuvres: columns manoeuvre, start_s, end_s (and flight); or the word found,"
-        " for those that `log info` finds in the commands",
+        "table of manoeuvres: columns manoeuvre, start_s, end_s (and flight); or the word found:"
+        " the manoeuvres that `log info` lists",
         metavar="FILE.csv",
         toml=False,
     )
@@ -272,8 +272,8 @@ def servos() -> Any:
     """Return the field of how commands reach the surfaces."""
     return option(
         "auto",
-        "card: commands pass the aircraft's actuators; ideal: surfaces and throttle follow them at"
-        " once; auto: for a log, the likelier of the two",
+        "card: actuators of the aircraft; ideal: surfaces and throttle follow commands without lag;"
+        " auto: for a log, the likelier of the two",
         toml=False,
     )
 
@@ -282,8 +282,8 @@ def split() -> Any:
     """Return the field of how one ordinary flight is divided."""
     return option(
         "auto",
-        "auto: of one flight without manoeuvres use every second block of time and hold out the"
-        " others for the next command; none: use all",
+        "auto: of one flight without manoeuvres use every second block of time and leave the others"
+        " to the next command; none: use all",
         toml=False,
     )
 
@@ -333,7 +333,7 @@ def autopilot() -> Any:
     return option(
         None,
         "ArduPlane parameter file (.parm, .param): gains of the autopilot (default: the"
-        " aircraft's own)",
+        " aircraft's)",
         metavar="FILE",
     )
 

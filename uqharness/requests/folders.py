@@ -31,7 +31,7 @@ def _folder() -> Any:
 
 
 class ReportRequest(Request):
-    """Write the page of a folder of results from its files; nothing is flown or fitted again (see
+    """Write the page of a folder of results from its files; nothing is simulated or fitted (see
     docs/report.md).
     """
 
@@ -42,14 +42,14 @@ class ReportRequest(Request):
 
 DIR is the --out of study, campaign run, identify, compare, bounds, validate-bounds or refine.
 Writes DIR/report.html, one file that needs no network, for a screen, a phone or a printer."""
-    no: ClassVar[str] = "files of the folder are not as they were written"
+    no: ClassVar[str] = "files of the folder were changed after they were written"
 
     folder: FilePath = _folder()
 
 
 class DossierRequest(Request):
     """Write the evidence for a model as one document: provenance, proof of match, credibility,
-    claims, validity envelope, sources (see docs/dossier.md). Nothing is flown or fitted.
+    claims, validity envelope, sources (see docs/dossier.md). Nothing is simulated or fitted.
     """
 
     command: ClassVar[str] = "dossier"
@@ -60,7 +60,7 @@ class DossierRequest(Request):
 DIR is the --out of study, refine, campaign run, identify or compare, or a folder that holds several
 of them. Writes DIR/dossier.html, one file that can be printed. It presents evidence and claims no
 compliance with any regulation or standard."""
-    no: ClassVar[str] = "the folder is incomplete or damaged; the dossier says what is missing"
+    no: ClassVar[str] = "the folder is incomplete or damaged; the dossier lists the missing items"
 
     folder: FilePath = _folder()
     out: Annotated[FilePath | None, AfterValidator(_html)] = option(

@@ -95,10 +95,10 @@ class CompareRequest(Request):
   uqharness compare identified/aircraft --flight flight3.bin --servos ideal --out gap
   uqharness compare espaaro identified/aircraft --flight flight3.bin
 
-With two aircraft A and B: both predict the flight open loop from every second on over .2 to 10 s.
-The errors are scored (CRPS) with the intervals that the model's errors in the rest of the flight
-give. The answer is A, B or no difference, by a block bootstrap (95 %), with the shortest horizon at
-which they differ; DIR has compare.json.
+With two aircraft A and B: both predict the flight open loop over .2 to 10 s, from every second on.
+The score is the CRPS, with predictive distributions from the errors in the other blocks of time.
+The answer is A, B or no difference, by a block bootstrap (95 %), with the shortest horizon at which
+they differ; DIR has compare.json.
 
 Writes DIR/compare.json, channels.csv, coefficients.csv, manoeuvres.csv, moments.csv,
 histories.parquet, report.html and figures/*.svg. The model reaches the noise floor if the rms of
@@ -146,9 +146,7 @@ class ValidateBoundsRequest(Request):
 
     command: ClassVar[str] = "validate-bounds"
     done: ClassVar[str] = "the bounds hold"
-    no: ClassVar[str] = (
-        "some coefficient's 95 % bounds do not hold, or the flight is too short to tell"
-    )
+    no: ClassVar[str] = "some coefficient's 95 % bounds do not hold, or the flight is too short"
     examples: ClassVar[str] = """
   uqharness validate-bounds espaaro bounds/model-form.json --flight flight3.parquet
   uqharness validate-bounds espaaro bounds/model-form.json --flight flight3.bin --out check"""

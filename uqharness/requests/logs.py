@@ -111,7 +111,7 @@ class LogImportRequest(_Reading):
     out: fields.TableFile = option(
         ..., "FILE.parquet or FILE.csv", metavar="FILE", provenance=False
     )
-    whole: Flag = option(False, "keep ground and tow too (default: free flight alone)")
+    whole: Flag = option(False, "keep ground and tow (default: free flight only)")
     manoeuvres: fields.OptionalPath = fields.manoeuvres()
 
 

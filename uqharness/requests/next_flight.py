@@ -50,7 +50,7 @@ class NextFlightRequest(Request):
     command: ClassVar[str] = "next-flight"
     no: ClassVar[str] = (
         "no flight of that length narrows the interval by 5 % in the mission's flight states; the"
-        " text says what would"
+        " text names alternatives"
     )
     examples: ClassVar[str] = """
   uqharness next-flight results --bounds bounds/model-form.json --out next

@@ -68,16 +68,16 @@ effect's property to 0 restores the model without it, bit for bit."""
     )
     campaign: fields.OptionalPath = option(
         None,
-        "mission to fly with both models (default: the aircraft's loiter, if it has one)",
+        "mission for both models (default: the aircraft's loiter, if it has one)",
         metavar="FILE.toml",
         toml=False,
     )
     pbox: Flag = option(
         True,
-        "whether the mission is flown with both models, for p-boxes",
+        "whether the mission is simulated with both models, for p-boxes",
         flag="--no-pbox",
         off=True,
-        help="no p-boxes: do not fly the mission",
+        help="no p-boxes: do not simulate the mission",
         toml=False,
     )
     bake: Flag = option(
@@ -97,10 +97,10 @@ effect's property to 0 restores the model without it, bit for bit."""
 
     @model_validator(mode="after")
     def _check_campaign(self) -> RefineRequest:
-        """Refuse a campaign that would not be flown."""
+        """Refuse a campaign that would not be used."""
         if self.campaign is not None and not self.pbox:
             raise ValueError(
-                "{campaign} and {pbox}: a campaign is flown for its p-boxes; leave out one of them"
+                "{campaign} and {pbox}: the campaign is only for the p-boxes; omit one of them"
             )
         return self
 

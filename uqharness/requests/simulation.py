@@ -58,7 +58,7 @@ def _properties() -> Any:
 
 
 class FlyRequest(Request):
-    """Fly a run script once and write the flight record (SI, body axes; see docs/commands.md)."""
+    """Simulate a flight and write its record (SI, body axes; see docs/commands.md)."""
 
     command: ClassVar[str] = "fly"
     examples: ClassVar[str] = """
@@ -67,15 +67,15 @@ class FlyRequest(Request):
   uqharness fly c172p --mission doublets --speed-mps 50 --noise --seed 1 --out doublets.parquet
   uqharness fly espaaro --autopilot my-plane.param --duration-s 300 --wind-mps 3 --out mine.csv
   uqharness fly espaaro --set aero/Cm_q=-10 --set uq/active=1 --set uq/CX/level=1 --out new.csv"""
-    no: ClassVar[str] = "the flight ended early; the record holds what was flown"
+    no: ClassVar[str] = "the flight ended early; the record ends there"
 
     aircraft: fields.AircraftSource = fields.aircraft()
     script: FilePath = fields.script()
     mission: fields.OptionalPath = option(
         None,
-        "steady, doublets or 3-2-1-1: manoeuvres from trim at the speed, for any aircraft, in place"
-        " of a script; a mission of QGroundControl (.plan) or ArduPilot (.waypoints), flown by the"
-        " built-in autopilot; else a run script, by the name that campaigns have for it",
+        "steady, doublets or 3-2-1-1: manoeuvres from trim, for any aircraft, instead of a script;"
+        " or a mission of QGroundControl (.plan) or ArduPilot (.waypoints) for the built-in"
+        " autopilot; or a run script",
         metavar="M",
         kind="str or Path, optional",
     )
@@ -98,18 +98,18 @@ class FlyRequest(Request):
     autopilot: fields.OptionalPath = fields.autopilot()
     autopilot_process: str | None = option(
         None,
-        "command that starts a real autopilot, such as 'arduplane --model JSON:127.0.0.1'; it flies"
-        " the aircraft in lock step (docs/autopilot.md)",
+        "command that starts a real autopilot, such as 'arduplane --model JSON:127.0.0.1', which"
+        " controls the aircraft in lock step (docs/autopilot.md)",
         metavar="COMMAND",
     )
     autopilot_protocol: Literal["ardupilot-json", "px4-hil"] = option(
         "ardupilot-json",
-        "how the real autopilot is connected: ArduPilot's JSON back-end (UDP port 9002), or PX4's"
+        "connection of the real autopilot: ArduPilot's JSON back-end (UDP port 9002), or PX4's"
         " simulation link (MAVLink, TCP port 4560)",
     )
     autopilot_warmup_s: Number = option(
         0.0,
-        "time in which the real autopilot receives the state and the run script commands, s",
+        "time before the real autopilot takes over from the run script, s",
         ge=0,
         le=1e5,
         metavar="T",
@@ -140,8 +140,8 @@ class FlyRequest(Request):
         """Require the airspeed of generated manoeuvres, and refuse it otherwise."""
         if self.waypoints is not None and self.autopilot_process is not None:
             raise ValueError(
-                f"{{mission}} {self.mission}: the built-in autopilot flies it, a real one has its"
-                " own; leave out {autopilot_process} or {mission}"
+                f"{{mission}} {self.mission}: only the built-in autopilot takes it; load the"
+                " mission into the real autopilot, or omit {autopilot_process}"
             )
         if self.autopilot_process is None and self.autopilot_protocol != "ardupilot-json":
             raise ValueError(
@@ -275,9 +275,9 @@ MODEL_FILES = (".json", ".sdf")
 
 
 class DiffRequest(Request):
-    """Fly the same manoeuvres with two models (same start, controls and air) and list the outputs
-    that differ by more than rounding, the likeliest cause first, with the XML that differs. Of a
-    model file of ArduPilot or Gazebo the coefficients are compared, and usual slips are named.
+    """Simulate the same manoeuvres with two models (same start, controls and air) and list the
+    outputs that differ by more than rounding, the likeliest cause first, with the XML that differs.
+    Model files of ArduPilot and Gazebo are compared by coefficients, and usual slips are named.
     """
 
     command: ClassVar[str] = "diff"
@@ -293,7 +293,7 @@ class DiffRequest(Request):
     b: Any = _model("B")
     speed_mps: Speeds = option(
         (),
-        "true airspeed at which A is trimmed and its manoeuvres are flown, m/s",
+        "true airspeed of A's trim and manoeuvres, m/s",
         metavar="V",
         repeat=True,
         kind="float or sequence of float",
@@ -302,7 +302,7 @@ class DiffRequest(Request):
     altitude_m: Number = fields.altitude("the manoeuvres above sea level")
     script: Scripts = option(
         (),
-        "run script that both models fly too, 60 s at most",
+        "run script for both models, 60 s at most",
         metavar="S",
         repeat=True,
         kind="str, Path or sequence of them",
@@ -312,7 +312,7 @@ class DiffRequest(Request):
     seed: WholeNumber = fields.seed("turbulence")
     properties: Names = option(
         (),
-        "compare this JSBSim property too",
+        "JSBSim property to compare in addition",
         flag="--property",
         metavar="PROP",
         repeat=True,
@@ -327,7 +327,7 @@ class DiffRequest(Request):
     )
     repeats: WholeNumber = option(
         0,
-        "fly A N more times in other turbulence; differences of that size count as equal",
+        "repeat A N times in other turbulence; differences of that size count as equal",
         ge=0,
         le=1000,
         metavar="N",
@@ -335,18 +335,18 @@ class DiffRequest(Request):
     bounds: Flag = option(False, "differences within A's model-form bounds count as equal")
     python_b: fields.OptionalPath = option(
         None,
-        "interpreter that flies B, of an environment with another JSBSim (default: this one)",
+        "interpreter for B, of an environment with another JSBSim (default: this one)",
         metavar="PYTHON",
     )
     out: fields.Page = fields.page("the histories that differ")
 
     @model_validator(mode="after")
     def _check_flights(self) -> DiffRequest:
-        """Require something to fly; files of other programs have coefficients alone."""
+        """Require manoeuvres; files of other programs have coefficients alone."""
         files = any(str(model).endswith(MODEL_FILES) for model in (self.a, self.b))
         if not (self.speed_mps or self.script or files):
             raise ValueError(
-                "nothing to fly: give {speed_mps}, an airspeed at which A trims (uqharness modes A"
+                "no manoeuvre: give {speed_mps}, an airspeed at which A trims (uqharness modes A"
                 " --speed-mps V shows the trim), or {script}"
             )
         return self
@@ -407,9 +407,7 @@ def _mass(text: str, unit: str, gt: float | None = None) -> Any:
 
 
 class InstrumentRequest(Request):
-    """Add bounded increments (uq/...) of the six coefficients to an aircraft of any axes; see
-    docs/instrument.md.
-    """
+    """Add bounded delta coefficients (uq/...) to any aircraft; see docs/instrument.md."""
 
     command: ClassVar[str] = "instrument"
     examples: ClassVar[str] = """
@@ -422,8 +420,8 @@ class InstrumentRequest(Request):
 DIR becomes a copy of the aircraft's folder with the plugin (DIR may be that folder itself), and a
 record that --undo reads."""
     no: ClassVar[str] = (
-        "the check failed: with uq/active 0 the result does not fly bit for bit like the original,"
-        " or its increments are wrong; or a control could not be measured, so that its part of"
+        "the check failed: with uq/active 0 the copy is not bit-identical to the original in"
+        " simulation, or a delta is wrong; or a control could not be measured, and its part of"
         " airframe.toml is assumed"
     )
 
@@ -451,10 +449,8 @@ record that --undo reads."""
     undo: Flag = option(
         False, "remove the plugin; the files are restored byte for byte", python=False
     )
-    air: Flag = option(False, "add this project's wind and turbulence (docs/air.md) too")
-    mass_kg: Number | None = _mass(
-        "mass of the aircraft as it flew, fuel and loads included, kg", "KG", 0.0
-    )
+    air: Flag = option(False, "also add this project's wind and turbulence (docs/air.md)")
+    mass_kg: Number | None = _mass("mass of the aircraft, fuel and loads included, kg", "KG", 0.0)
     ixx_kgm2: Number | None = _mass(
         "moment of inertia about x, body axes at the centre of gravity, kg m2", "KGM2", 0.0
     )
@@ -476,7 +472,7 @@ record that --undo reads."""
         cli=False,
         toml=False,
     )
-    dry_run: Flag = option(False, "print what would be done, write nothing")
+    dry_run: Flag = option(False, "print the changes, write nothing")
     page: fields.Page = fields.page("the bounds over the envelope", "--page")
     check: Flag = fields.checks("the check flights of the result and the original")
 
@@ -491,11 +487,11 @@ record that --undo reads."""
             raise ValueError("{form} and {constant} are two sources of bounds; give one of them")
         if not self.undo:
             if self.page is not None and self.dry_run:
-                raise ValueError("{page}: a page is of bounds that are written; omit {dry_run}")
+                raise ValueError("{page}: {dry_run} writes no bounds to show; omit one of them")
             return self
         excluded = {"form", "constant", "page", "dry_run", "mass", *MASS_PROPERTIES}
         for name in sorted(excluded & self.model_fields_set):
-            raise ValueError(f"{{undo}}: takes everything back; omit {{{name}}}")
+            raise ValueError(f"{{undo}}: removes the complete plugin; omit {{{name}}}")
         return self
 
     def mass_properties(self) -> dict[str, float]:

@@ -84,7 +84,7 @@ def test_scripts_are_flown_too(given):
 
 
 def test_nothing_to_fly_is_refused(given):
-    with pytest.raises(BadInputError, match="nothing to fly"):
+    with pytest.raises(BadInputError, match="no manoeuvre"):
         fly_matched(given, given, MatchedRequest())
 
 

@@ -54,5 +54,5 @@ def test_salvage_writes_again_what_was_damaged(flown, capsys):
 
 
 def test_a_size_without_its_campaign_is_refused(flown):
-    with pytest.raises(BadInputError, match="--hours and --samples belong to --campaign"):
+    with pytest.raises(BadInputError, match="--hours and --samples need --campaign"):
         call("salvage", flown / "out", "--hours", "1")
