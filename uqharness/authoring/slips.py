@@ -1171,6 +1171,7 @@ def _airfoils(geometry: Geometry) -> Iterator[Slip]:
 
 def _geometry(geometry: Geometry) -> Iterator[Slip]:
     """Check controls and sections of an AVL geometry."""
+    yield from _flaps_for_ailerons(geometry)
     for surface in geometry.surfaces:
         every = [(name, len(rows), *row) for name, rows in surface.controls.items() for row in rows]
         for name, count, gain, sign, line in every:
@@ -1217,6 +1218,27 @@ def _geometry(geometry: Geometry) -> Iterator[Slip]:
                 "geometry",
                 f"{surface.name}: dihedral {math.degrees(surface.dihedral()):.3g} deg",
                 "The dihedral effect is far too strong",
+            )
+
+
+def _flaps_for_ailerons(geometry: Geometry) -> Iterator[Slip]:
+    """Check that ailerons on two separate wings have gains of opposite sign: SgnDup is no such."""
+    sides: dict[str, dict[bool, tuple[float, int]]] = {}
+    for surface in geometry.surfaces:
+        middle = float(np.mean(surface.points()[:, 1]))
+        for name, rows in surface.controls.items():
+            if controls_of(name) == ("aileron",) and not surface.duplicated and middle:
+                gain, _, line = rows[0]
+                sides.setdefault(name, {})[middle > 0.0] = (gain, line)
+    for name, gains in sides.items():
+        if len(gains) == 2 and gains[True][0] * gains[False][0] > 0.0:
+            gain, line = max(gains.values(), key=lambda row: row[1])
+            yield _slip(
+                Entry(gain, geometry.path, line),
+                "control sign",
+                f"{name}: gain {gain:g} on the left and the right wing; opposite gains are expected"
+                " (SgnDup acts on the copy that YDUPLICATE makes only)",
+                "Ailerons work as flaps: no roll control",
             )
 
 

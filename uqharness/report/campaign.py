@@ -629,7 +629,11 @@ def _verdict(
     sentences.append(Sentence(f"Of {len(frame)} flights, {counted}.", "warn" if failed else ""))
     # Loss of control in flights that ended on time counts as well.
     losses = int(frame["loss_of_control"].fillna(0).sum())
-    loss_text = f"{losses} of them lost control." if losses else "No scored flight lost control."
+    loss_text = (
+        f"{losses} of the {len(frame)} flights lost control."
+        if losses
+        else "No scored flight lost control."
+    )
     sentences.append(
         Sentence(loss_text, "bad" if losses else "" if failed < len(frame) else "warn")
     )

@@ -249,6 +249,22 @@ def test_slips_of_a_geometry(old, new, line, kind, tmp_path):
     assert (f"{path}:{line}", kind) in {(slip.place, slip.kind) for slip in found}, found
 
 
+@pytest.mark.parametrize(("gain", "kinds"), [(1.0, ["control sign"]), (-1.0, [])])
+def test_ailerons_on_two_wings_need_opposite_gains(gain, kinds, tmp_path):
+    def wing(side, gain):
+        rows = "\n".join(
+            f"SECTION\n0 {side * y} 0 0.25 0\nCONTROL\naileron {gain} 0.75 0 0 0 {side}"
+            for y in (0.2, 0.8)
+        )
+        return f"SURFACE\nwing {side}\n8 1 12 1\nSECTION\n0 0 0 0.25 0\n{rows}\n"
+
+    path = tmp_path / "glider.avl"
+    path.write_text("glider\n0\n0 0 0\n0.4 0.25 1.6\n0 0 0\n" + wing(-1, gain) + wing(1, 1.0))
+    (tmp_path / "kite.st").write_text(ST.replace("0.3438", "0.4   ").replace("0.2163", "0.25  "))
+    slips = find_slips(read_sources([path, tmp_path / "kite.st"]))
+    assert [slip.kind for slip in slips if slip.place.startswith(str(path))] == kinds
+
+
 def test_a_reversed_convention_is_no_slip(tmp_path):
     """Lift and moment of an elevator that are both reversed are a convention of its sign."""
     text, _ = number(ST, "CLd2", reverse)
