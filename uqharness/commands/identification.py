@@ -26,14 +26,18 @@ from uqharness.errors import BadInputError
 from uqharness.files import check_output_folder, results_folder, write_bytes, write_json, write_text
 from uqharness.identification import (
     BIASES,
+    MIN_LEFT_S,
+    MIN_SPLIT_S,
     BoundsOptions,
     Comparison,
     CutoffRow,
     ForecastContest,
     Forecaster,
     Identification,
+    Instruments,
     Intervals,
     MadeBounds,
+    ServoChoice,
     Split,
     Validation,
     choose_servos,
@@ -52,6 +56,7 @@ from uqharness.identification import (
     used_for_model,
     validate,
     verdicts,
+    whole_flight,
     without,
 )
 from uqharness.identification.compare import compare as measure_gap
@@ -60,6 +65,7 @@ from uqharness.plugin import Estimate, write_estimates
 from uqharness.plugin.model_form_xml import model_form_xml
 from uqharness.replay import (
     CONTROLS,
+    NEEDED,
     Flight,
     columns_of,
     cut_for_residuals,
@@ -137,9 +143,21 @@ def _with_servos(
     ready: ReplayFlights,
     callback: Callback,
     workers: int | None = None,
+    models: Sequence[Aircraft] = (),
 ) -> tuple[list[Flight], bool]:
-    """Return the flights with a note of the chosen servos, and whether these are ideal."""
+    """Return the flights with a note of the chosen servos, and whether these are ideal.
+
+    The first of ``models`` that was identified from an ordinary flight says how late controls act
+    and how wrong the air data are.
+    """
     if request.servos == "auto":
+        logged = all(f.record.metadata.native_hz for f in ready.flights)
+        for model in models if logged else ():
+            instruments = Instruments.of_model(model, ready.sha256[0])
+            if instruments is not None:
+                flights = [instruments.correct(f) for f in ready.flights]
+                choice = ServoChoice(instruments.ideal, note=instruments.text)
+                return choice.with_note(flights), instruments.ideal
         callback("comparing the card's servos with ideal ones")
     servos = choose_servos(aircraft, ready.flights, ready.measured, request.servos, workers)
     return servos.with_note(ready.flights), servos.ideal
@@ -152,12 +170,13 @@ def _part_of_flight(
     *,
     halve: bool,
     held_out_for: str = "",
+    min_s: float = 0.0,
     align: bool = True,
 ) -> tuple[ReplayFlights, Split | None]:
     """Return one ordinary flight without the rows of earlier results, and which rows it has.
 
-    With ``halve`` every second block of the rest is held out. Several flights and flights with
-    manoeuvres stay as they are.
+    With ``halve`` every second block of the rest is held out, if it lasts ``min_s``. Several
+    flights and flights with manoeuvres stay as they are.
     """
     if len(ready.sources) != 1 or not is_ordinary(ready.flights[0]):
         return ready, None
@@ -166,14 +185,20 @@ def _part_of_flight(
     # Nothing is left: the result warns that it judges a model on its own data.
     if remainder is None:
         return ready, split_in_time(source.record, False)
-    split = split_in_time(remainder, halve)
+    split = split_in_time(remainder, halve, min_s)
     chosen = rows_in(remainder, split.used_s)
+    too_short = halve and seconds(split.used_s) < min_s and not split.held_out_s
+    if split.held_out_s or too_short:
+        note = split.note(source.name, held_out_for, min_s)
+    else:
+        note = f"{source.name}: {seconds(split.used_s):.0f} s that no earlier result was made from"
     if len(chosen) == len(source.record):
+        # The complete flight needs no note, unless something should have been held out.
+        if too_short:
+            flight = ready.flights[0]
+            ready = replace(ready, flights=[replace(flight, notes=(note, *flight.notes))])
         return ready, split
     (flight,), measured = replayed.prepare_together([source.name], [chosen], aircraft, align=align)
-    note = f"{source.name}: {seconds(split.used_s):.0f} s that no earlier result was made from"
-    if split.held_out_s:
-        note = split.note(source.name, held_out_for)
     logging.getLogger("uqharness").info(note)
     flight = replace(flight, notes=(note, *flight.notes))
     return replace(ready, flights=[flight], measured=measured), split
@@ -203,6 +228,7 @@ def identify(request: IdentifyRequest, callback: Callback = silent) -> Outcome[I
         (),
         halve=request.split == "auto" and request.method == "auto",
         held_out_for="bounds and compare",
+        min_s=MIN_SPLIT_S,
     )
     flights, ideal = _with_servos(request, aircraft, ready, callback, request.workers)
     biases = channel_names(request.biases)
@@ -232,7 +258,7 @@ def identify(request: IdentifyRequest, callback: Callback = silent) -> Outcome[I
     )
     # The document is what the page, --json and the Python result show.
     document = _fit(result, ready, command_line(request)).model_copy(
-        update={"split": _split_document(split)}
+        update={"split": _split_document(split), "servos": "ideal" if ideal else "card"}
     )
     code = 0 if result.converged and result.identified else 1
     details = [note for flight in flights for note in flight.notes]
@@ -378,7 +404,9 @@ def compare(
     ready = replay_flights(request, aircraft, align=False)
     used = used_for_model(aircraft, ready.sha256[0])
     ready, _ = _part_of_flight(ready, aircraft, used, halve=False, align=False)
-    (flight,), ideal = _with_servos(request, aircraft, ready, callback, request.workers)
+    (flight,), ideal = _with_servos(
+        request, aircraft, ready, callback, request.workers, models=[aircraft]
+    )
     biases = channel_names(request.biases)
     comparison = measure_gap(
         aircraft,
@@ -412,7 +440,9 @@ def _better_model(
         ready = replay_flights(request, one)
         used = tuple(i for m in (aircraft, other) for i in used_for_model(m, ready.sha256[0]))
         ready, _ = _part_of_flight(ready, one, used, halve=False)
-        (flight,), ideal = _with_servos(request, one, ready, callback, request.workers)
+        (flight,), ideal = _with_servos(
+            request, one, ready, callback, request.workers, models=[aircraft, other]
+        )
         forecasters.append(Forecaster(one, flight, ready.measured, ideal))
     contest = compare_models(forecasters[0], forecasters[1], callback=callback)
     result = contest.comparison
@@ -548,9 +578,10 @@ def bounds(request: BoundsRequest, callback: Callback = silent) -> Outcome[MadeB
         used_for_model(aircraft, ready.sha256[0]),
         halve=request.split == "auto",
         held_out_for="validate-bounds",
+        min_s=2.0 * MIN_LEFT_S,
     )
     ready = _for_residuals(ready)
-    flights, ideal = _with_servos(request, aircraft, ready, callback)
+    flights, ideal = _with_servos(request, aircraft, ready, callback, models=[aircraft])
     options = replace(options, ideal_servos=ideal)
     made = make_bounds(aircraft, flights, ready.measured, ready.sha256, options, callback)
     if split is not None:
@@ -673,8 +704,17 @@ def _write_bounds_figures(made: MadeBounds, out: Path) -> None:
 
 
 def _for_residuals(ready: ReplayFlights) -> ReplayFlights:
-    """Return flights cut where residual coefficients have their channels."""
-    return replace(ready, flights=[cut_for_residuals(f, ready.measured) for f in ready.flights])
+    """Return flights cut where residual coefficients have their channels: ordinary flights
+    completely, others in their manoeuvres.
+    """
+    flights = [cut_for_residuals(f, ready.measured) for f in ready.flights]
+    return replace(
+        ready,
+        flights=[
+            whole_flight(f, ready.measured, NEEDED) if is_ordinary(source) else f
+            for f, source in zip(flights, ready.sources, strict=True)
+        ],
+    )
 
 
 # Coverage of bounds on a new flight.
@@ -690,7 +730,7 @@ def validate_bounds(
     sha256 = ready.sha256[0]
     used = (*used_for_model(aircraft, sha256), *used_for_bounds(form, sha256))
     ready = _for_residuals(_part_of_flight(ready, aircraft, used, halve=False)[0])
-    flights, ideal = _with_servos(request, aircraft, ready, callback)
+    flights, ideal = _with_servos(request, aircraft, ready, callback, models=[aircraft])
     callback("residual coefficients")
     validation = validate(aircraft, form, flights, ready.measured, ready.sha256, ideal_servos=ideal)
     document = _coverage(validation)

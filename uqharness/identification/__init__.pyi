@@ -16,7 +16,9 @@ from .excitation import restrict_to_excited as restrict_to_excited
 from .forecasts import ForecastContest as ForecastContest
 from .forecasts import Forecaster as Forecaster
 from .forecasts import compare_models as compare_models
+from .ordinary import Instruments as Instruments
 from .ordinary import is_ordinary as is_ordinary
+from .ordinary import whole_flight as whole_flight
 from .prior import read_prior as read_prior
 from .replay_fit import BIASES as BIASES
 from .replay_fit import OUTPUTS as OUTPUTS
@@ -24,7 +26,10 @@ from .replay_fit import Identification as Identification
 from .replay_fit import coefficient_gaps as coefficient_gaps
 from .replay_fit import equation_error_start as equation_error_start
 from .replay_fit import fit_replays as fit_replays
+from .servos import ServoChoice as ServoChoice
 from .servos import choose_servos as choose_servos
+from .split import MIN_LEFT_S as MIN_LEFT_S
+from .split import MIN_SPLIT_S as MIN_SPLIT_S
 from .split import Intervals as Intervals
 from .split import Split as Split
 from .split import rows_in as rows_in

@@ -57,7 +57,7 @@ from sysid.model_form import (
     with_distinct_labels,
     with_walk_rates,
 )
-from sysid.model_form.coverage import coverage
+from sysid.model_form.coverage import MAX_SHARE_ERROR, coverage
 from uqharness.errors import BadInputError
 from uqharness.identification.split import inside, used_for_bounds, used_for_model
 from uqharness.replay import Flight, ReplayPair, flight_residuals, prediction_of
@@ -810,12 +810,28 @@ def validate(
         c: b.parts.flight if b.parts is not None else float("nan")
         for c, b in form.coefficients.items()
     }
+    shares = coverage(form, residuals)
     return Validation(
-        coverage(form, residuals),
+        shares,
         residuals,
-        tuple(n for f in flights for n in f.notes),
+        (*(n for f in flights for n in f.notes), *_needed_notes(shares, residuals)),
         tuple(warnings),
         std,
+    )
+
+
+def _needed_notes(shares: Mapping[str, Coverage], residuals: Residuals) -> list[str]:
+    """Return how many seconds would decide about the bounds that a flight is too short for."""
+    seconds = sum(float(p.time_s[-1] - p.time_s[0]) for p in residuals.pieces)
+    # The standard error of a share falls with the square root of the time.
+    needed = {
+        c: seconds * (row.error[0.95] / MAX_SHARE_ERROR) ** 2
+        for c, row in shares.items()
+        if verdict(row.share[0.95], row.error[0.95], 0.95) == "inconclusive"
+    }
+    text = ", ".join(f"{c} {s:.0f} s" for c, s in needed.items() if np.isfinite(s))
+    return (
+        [f"{seconds:.0f} s are judged; about as much is needed to decide: {text}"] if text else []
     )
 
 

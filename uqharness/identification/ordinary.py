@@ -23,10 +23,12 @@ import numpy as np
 from sysid.aerodynamics import Piece, demanded, half_width, kernel, regressor, smooth, split_name
 from sysid.arrays import FloatArray, runs
 from sysid.estimation import channel_noise, command_steps_of, filtered_steps, fuller, lagged
+from sysid.foreign.regular_files import parse_json, read_regular
 from sysid.logs import find_manoeuvres
 from sysid.record import FlightRecord
 from sysid.units import percent
 from uqharness.identification.air_data import (
+    PRIOR,
     AirDataError,
     air_data_errors,
     basis_of,
@@ -118,12 +120,16 @@ _QUICK_HZ, _INPUT_RATIO = 0.3, 2.0
 """Frequency above which a surface's movement counts, and its size in units of that elsewhere."""
 
 
-def whole_flight(flight: Flight, measured: Sequence[str]) -> Flight:
-    """Return the flight cut into pieces of at most PIECE_S that cover all of it, without the angles
-    that no sensor measured.
+_MOTION = ("V_mps", "phi_rad", "theta_rad", "p_radps", "q_radps", "r_radps")
+
+
+def whole_flight(
+    flight: Flight, measured: Sequence[str], needed: Sequence[str] = _MOTION
+) -> Flight:
+    """Return the flight cut into pieces of at most PIECE_S that cover all rows with the needed
+    channels and the controls.
     """
     record = flight.record
-    needed = ("V_mps", "phi_rad", "theta_rad", "p_radps", "q_radps", "r_radps")
     pieces = []
     for stretch in record.segments((*needed, *control_columns(measured)), 2.0):
         rows = np.arange(stretch.start, stretch.stop)
@@ -138,7 +144,9 @@ def whole_flight(flight: Flight, measured: Sequence[str]) -> Flight:
                     float(record["time_s"][b]),
                 )
             )
-    return replace(flight, pieces=tuple(pieces))
+    seconds = sum(p.end_s - p.start_s for p in pieces)
+    note = f"{flight.name}: {len(pieces)} pieces, {seconds:.0f} s; no test manoeuvre, all is used"
+    return replace(flight, pieces=tuple(pieces), notes=(*flight.notes[:-1], note))
 
 
 def unmeasured_angles(flight: Flight) -> tuple[str, ...]:
@@ -151,36 +159,217 @@ def unmeasured_angles(flight: Flight) -> tuple[str, ...]:
     )
 
 
-def _with_angles(flight: Flight, absent: Sequence[str], time_constant_s: float = 3.0) -> Flight:
-    """Return the flight with the absent angles reconstructed.
+SLOW_S = 3.0
+"""Time constant above which the accelerations do not tell an angle's changes from a bias, s."""
+_FORCES = {"alpha_rad": ("CZ", "alpha"), "beta_rad": ("CY", "beta")}
+_START_SHARE = 0.5
+"""Standard deviation of a start value without a prior, as a share of it."""
+
+
+def _with_motion_angles(flight: Flight, absent: Sequence[str]) -> Flight:
+    """Return the flight with the absent angles of its motion, without the gusts.
 
     The fast part is that of `air_data.motion_angle`. The slow part of the angle of attack is the
-    pitch angle minus the climb angle, that of sideslip zero. Gusts are missing in both.
+    pitch angle minus the climb angle, that of sideslip zero.
     """
     record = flight.record
-    keep = 1.0 - np.exp(-record.dt_s / time_constant_s)
     columns: dict[str, FloatArray] = {}
     if "alpha_rad" in absent:
-        speed = np.maximum(record["V_mps"], 1.0)
-        if "vd_mps" in record and np.isfinite(record["vd_mps"]).any():
-            climb = -record["vd_mps"]
-        elif "h_m" in record:
-            climb = smooth(record["h_m"][:, None], record.dt_s, 0.5, derivative=1)[:, 0]
-        else:
-            climb = np.zeros(len(record))
-        gamma = np.arcsin(np.clip(np.nan_to_num(climb) / np.nan_to_num(speed, nan=1.0), -0.9, 0.9))
-        # In a bank the vertical plane is not the plane of symmetry.
-        slow = (record["theta_rad"] - gamma) / np.maximum(np.cos(record["phi_rad"]), 0.5)
-        slow = np.nan_to_num(slow)
-        level = slow.copy()
-        for k in range(1, len(slow)):
-            level[k] = level[k - 1] + keep * (slow[k] - level[k - 1])
-        columns["alpha_rad"] = level + motion_angle(record, "alpha_rad", time_constant_s)
+        columns["alpha_rad"] = lagged(_level_angle(record), record.dt_s, SLOW_S) + motion_angle(
+            record, "alpha_rad", SLOW_S
+        )
     if "beta_rad" in absent:
         part = record.with_columns(columns)
-        columns["beta_rad"] = motion_angle(part, "beta_rad", time_constant_s)
+        columns["beta_rad"] = motion_angle(part, "beta_rad", SLOW_S)
     meta = replace(record.metadata, estimates=tuple({*record.metadata.estimates, *absent}))
     return replace(flight, record=record.with_columns(columns, meta))
+
+
+def _level_angle(record: FlightRecord) -> FloatArray:
+    """Return the angle of attack of flight through air that does not move vertically (n,), rad."""
+    speed = np.maximum(record["V_mps"], 1.0)
+    if "vd_mps" in record and np.isfinite(record["vd_mps"]).any():
+        climb = -record["vd_mps"]
+    elif "h_m" in record:
+        climb = smooth(record["h_m"][:, None], record.dt_s, 0.5, derivative=1)[:, 0]
+    else:
+        climb = np.zeros(len(record))
+    gamma = np.arcsin(np.clip(np.nan_to_num(climb) / np.nan_to_num(speed, nan=1.0), -0.9, 0.9))
+    # In a bank the vertical plane is not the plane of symmetry.
+    return np.nan_to_num((record["theta_rad"] - gamma) / np.maximum(np.cos(record["phi_rad"]), 0.5))
+
+
+@dataclass(frozen=True)
+class _AngleSlope:
+    """Slope of the force that stands for the vane of an angle.
+
+    Attributes
+    ----------
+    angle, coefficient : str
+        "alpha" or "beta", and the force: "CZ" or "CY".
+    place : int
+        Of the slope among the parameters.
+    value, std : float
+        Slope and its standard error.
+    basis : str
+        Where it comes from; empty if it is a start value.
+    terms : Mapping
+        Other terms of the force to their standard deviations.
+    motion : _Regression
+        Estimate of the force from the motion without gusts.
+    steps : _StepFit, optional
+        The better one, from steps of the commands.
+    """
+
+    angle: str
+    coefficient: str
+    place: int
+    value: float
+    std: float
+    basis: str
+    terms: Mapping[str, float]
+    motion: _Regression
+    steps: _StepFit | None = None
+
+    def scales(self, name: str) -> bool:
+        """Return whether a parameter is inversely proportional to the angle's scale."""
+        return _term(name).rstrip("2") == self.angle and not name.startswith(
+            f"aero/{self.coefficient}_"
+        )
+
+    def undetermined(self, name: str) -> bool:
+        """Return whether a parameter needs a slope that neither flight nor prior has."""
+        return not self.basis and _term(name).rstrip("2") == self.angle
+
+    def errors_in(
+        self, theta: FloatArray, terms: Sequence[str], means: Mapping[str, float]
+    ) -> FloatArray:
+        """Return the covariance (k, k) that errors of the angle add to another coefficient.
+
+        An error of the slope scales the angle; an error of another term of the force moves the
+        same term of the coefficient.
+        """
+        channel = f"{self.angle}_rad"
+        scale = AirDataError(channel, "scale", 1.0, self.std / abs(self.value), self.basis)
+        offset = AirDataError(channel, "offset", 0.0, PRIOR[channel, "offset"][1], self.basis)
+        out = _from_air_data(theta, terms, [scale, offset], means)
+        if self.angle in terms:
+            ratio = float(theta[terms.index(self.angle)]) / self.value
+            std = np.array([self.terms.get(t, 0.0) for t in terms])
+            out += np.diag((ratio * std) ** 2)
+        return out
+
+    @property
+    def note(self) -> str:
+        """Describe how the angle is measured."""
+        name = f"{self.coefficient}_{self.angle}"
+        if not self.basis:
+            return (
+                f"no vane measures {self.angle}_rad: the accelerometer does, by the start value of"
+                f" {name}; slopes over {self.angle} need a prior of it (--prior FILE)"
+            )
+        return (
+            f"no vane measures {self.angle}_rad: the accelerometer does, by {name} ="
+            f" {self.value:.3g} ± {1.96 * self.std:.2g} ({self.basis})"
+        )
+
+
+def _with_measured_forces(
+    aircraft: Aircraft,
+    flights: Sequence[Flight],
+    models: tuple[ReplayModel, ReplayModel],
+    names: Sequence[str],
+    initial: FloatArray,
+    measured: Sequence[str],
+    *,
+    delay_s: float,
+    unmeasured: Sequence[str],
+    prior: Mapping[str, tuple[float, float]],
+    ideal_servos: bool,
+) -> tuple[list[Flight], FloatArray, list[_AngleSlope]]:
+    """Return flights with the angles that no vane measures, start values, and slopes.
+
+    Lift and side force are the vanes: an angle is the one at which the model has the measured
+    force, gusts included. Its scale is the slope's, which a prior gives, or the motion after steps
+    of the commands: accelerations and rates tell how the angle changed then, apart from gusts that
+    the steps do not know.
+    """
+    moving = [_with_motion_angles(f, unmeasured) for f in flights]
+    begin = np.array(
+        [prior[n][0] if n in prior else v for n, v in zip(names, initial, strict=True)]
+    )
+    data = _regression_data(
+        aircraft, moving, models, names, begin, measured, delay_s, _VIEWS[0], ideal_servos
+    )
+    groups, angles = _groups(names), tuple(c.removesuffix("_rad") for c in unmeasured)
+    fits = _StepInstruments.of(moving, measured, [data], ideal_servos, angles).estimates(
+        groups, names, begin, {}
+    )
+    columns = [{c: f.record[c].copy() for c in unmeasured} for f in moving]
+    slopes = []
+    for channel in unmeasured:
+        coefficient, angle = _FORCES[channel]
+        name, members = f"aero/{coefficient}_{angle}", groups.get(coefficient, ())
+        if name not in names or begin[names.index(name)] == 0.0:
+            continue
+        place, steps = names.index(name), fits.get(coefficient)
+        # What is assumed of the other terms: their priors, or the start values. A constant is an
+        # offset of the angle, which counts apart.
+        assumed = [
+            prior.get(
+                names[i],
+                None
+                if i == place or _term(names[i]) == "0"
+                else (begin[i], max(_START_SHARE * abs(begin[i]), 1e-9)),
+            )
+            for i in members
+        ]
+        own, values = list(members).index(place), begin[list(members)]
+        std = np.array([np.inf if a is None else a[1] for a in assumed])
+        if steps is not None:
+            posterior, cov = _with_prior(steps.theta, steps.cov, assumed)
+            # A slope of the wrong sign tells nothing.
+            if posterior[own] * values[own] > 0.0:
+                values, std = posterior, np.sqrt(np.diagonal(cov))
+            else:
+                steps = None
+        value = float(values[own])
+        basis = "data" if steps is not None else ""
+        if name in prior:
+            basis = basis_of(float(std[own]), prior[name][1])
+        fixed = {place: float(std[own]) if basis else 0.0}
+        motion = _regress(data, coefficient, members, begin, fixed)
+        shift = begin[list(members)] - values
+        row = 0
+        for f, of_flight in zip(moving, columns, strict=True):
+            for piece in f.pieces:
+                terms = np.column_stack([data.columns[i][row] for i in members])
+                force = data.excess[row][:, _ORDER.index(coefficient)] + terms @ shift
+                of_flight[channel][piece.rows] += force / value
+                row += 1
+        begin[list(members)] = values
+        slopes.append(
+            _AngleSlope(
+                angle,
+                coefficient,
+                place,
+                value,
+                float(std[own]) if np.isfinite(std[own]) else _START_SHARE * abs(value),
+                basis,
+                {
+                    _term(names[i]): float(s)
+                    for i, s in zip(members, std, strict=True)
+                    if i != place and np.isfinite(s)
+                },
+                motion,
+                steps,
+            )
+        )
+    return (
+        [replace(f, record=f.record.with_columns(c)) for f, c in zip(moving, columns, strict=True)],
+        begin,
+        slopes,
+    )
 
 
 def control_delay_s(flights: Sequence[Flight], measured: Sequence[str]) -> float:
@@ -227,13 +416,11 @@ def control_delay_s(flights: Sequence[Flight], measured: Sequence[str]) -> float
 @dataclass(frozen=True)
 class _View:
     """One way to regress: half-power frequency of the filters [Hz], further delay of the controls
-    [s], time constant of reconstructed angles [s], and lags of the instruments in the time in which
-    the aircraft flies its span.
+    [s], and lags of the instruments in the time in which the aircraft flies its span.
     """
 
     cutoff_hz: float = 6.0
     late_s: float = 0.0
-    time_constant_s: float = 3.0
     lags: tuple[float, float] = (1.4, 2.2)
 
 
@@ -248,9 +435,9 @@ _VIEWS = (
 """The first gives the estimates, the others their sensitivity to choices that a flight does not
 decide: memory of gusts and noise, noise in the regressors, and the servos' dynamics."""
 _SMOOTHER = _VIEWS[3]
-_ANGLE_VIEWS = (_View(time_constant_s=1.5), _View(time_constant_s=6.0))
-ENDOGENEITY = 0.2
-"""Correlation between what the model does not explain and a regressor, one standard deviation."""
+ENDOGENEITY = {"positions": 0.1, "commands": 0.2}
+"""Correlation between what the model does not explain and a regressor, one standard deviation:
+where the surfaces are known, and where an unknown servo moves them after their commands."""
 BLOCK_S = 10.0
 """Length of a block of time, s: several short periods, Dutch rolls and gusts."""
 _ORDER = ("CX", "CY", "CZ", "Cl", "Cm", "Cn")
@@ -321,21 +508,23 @@ def identify_ordinary(
     callback("delay of the controls")
     delay_s = control_delay_s(flights, measured)
     unmeasured = sorted({c for f in flights for c in unmeasured_angles(f)})
-    # Without a vane the gusts are missing from the angle, and slopes would come out far too small.
-    angles = tuple(c.removesuffix("_rad") for c in unmeasured)
-    fixed_terms = {
-        i: prior[n][1] if n in prior else 0.0
-        for i, n in enumerate(names)
-        if (parsed := split_name(n)) is not None and parsed[1].rstrip("2") in angles
-    }
-    begin = np.array(
-        [
-            prior[n][0] if i in fixed_terms and n in prior else initial[i]
-            for i, n in enumerate(names)
-        ]
-    )
-    views = [*_VIEWS, *(_ANGLE_VIEWS if unmeasured else ())]
-    groups = _groups(names)
+    groups, begin = _groups(names), initial.copy()
+    slopes: list[_AngleSlope] = []
+    if unmeasured:
+        callback("angles without a vane")
+        flights, begin, slopes = _with_measured_forces(
+            aircraft,
+            flights,
+            models,
+            names,
+            initial,
+            measured,
+            delay_s=delay_s,
+            unmeasured=unmeasured,
+            prior=prior,
+            ideal_servos=ideal_servos,
+        )
+    fixed_terms = {s.place: s.std if s.basis else 0.0 for s in slopes}
     means = {
         c.removesuffix("_rad"): float(np.nanmean(np.concatenate([f.record[c] for f in flights])))
         if all(c in f.record for f in flights)
@@ -343,10 +532,10 @@ def identify_ordinary(
         for c in ("alpha_rad", "beta_rad")
     }
     estimates, of_filters = [], []
-    for number, view in enumerate(views):
-        callback(f"regression {number + 1} of {len(views)}")
+    for number, view in enumerate(_VIEWS):
+        callback(f"regression {number + 1} of {len(_VIEWS)}")
         data = _regression_data(
-            aircraft, flights, models, names, begin, measured, delay_s, view, unmeasured
+            aircraft, flights, models, names, begin, measured, delay_s, view, ideal_servos
         )
         estimates.append(
             {c: _regress(data, c, members, begin, fixed_terms) for c, members in groups.items()}
@@ -354,14 +543,23 @@ def identify_ordinary(
         if view in (_VIEWS[0], _SMOOTHER):
             of_filters.append(data)
     callback("steps of the commands")
-    by_steps = _StepInstruments.of(flights, measured, of_filters, ideal_servos).estimates(
-        groups, names, begin, fixed_terms
-    )
+    instruments = _StepInstruments.of(flights, measured, of_filters, ideal_servos)
+    by_steps = instruments.estimates(groups, names, begin, fixed_terms)
+    # Servos are known by the steps alone; other controls keep the common delay.
+    servos = {
+        f.control: (delay_s + f.late_s, f.lag_s)
+        for f in by_steps.values()
+        if instruments.commanded and f.control not in measured
+    }
     terms = {i: _term(n) for i, n in enumerate(names)}
     theta, cov, reason = begin.copy(), np.zeros((len(names), len(names))), {}
     fit_share: dict[str, float] = {}
     step_notes: list[str] = []
     std_crb, determined = np.full(len(names), np.nan), True
+    for slope in slopes:
+        # The force is no regressor of itself.
+        for views in estimates:
+            views[slope.coefficient] = slope.motion
     for coefficient, members in groups.items():
         main = estimates[0][coefficient]
         # What the estimates change with choices that the flight does not decide.
@@ -373,20 +571,31 @@ def identify_ordinary(
             # Motion that a regression does not explain may be gusts that its instruments remember:
             # the values before the flight are then as likely, in the share that is unexplained.
             + main.unexplained * np.diag((main.theta - begin[list(members)]) ** 2)
-            + _from_air_data(main.theta, [terms[i] for i in members], errors, means)
         )
         value = main.theta
         steps = by_steps.get(coefficient)
-        if steps is not None and _is_better(steps, main.theta, covariance):
-            value = steps.theta
-            covariance = steps.cov + _from_air_data(
-                value, [terms[i] for i in members], errors, means
-            )
+        inverted = [s for s in slopes if s.coefficient == coefficient]
+        if inverted and inverted[0].steps is not None:
+            steps = inverted[0].steps
+            value, covariance = steps.theta, steps.cov
             step_notes.append(steps.note)
+        elif steps is not None and _is_better(steps, main.theta, covariance):
+            value, covariance = steps.theta, steps.cov
+            step_notes.append(steps.note)
+        of_terms = [terms[i] for i in members]
+        covariance = covariance + _from_air_data(value, of_terms, errors, means)
+        for slope in slopes:
+            if slope.coefficient != coefficient:
+                covariance += slope.errors_in(value, of_terms, means)
         theta[list(members)], block = _with_prior(
             value,
             covariance,
-            [None if i in fixed_terms else prior.get(names[i]) for i in members],
+            [
+                None
+                if i in fixed_terms and not (inverted and inverted[0].steps)
+                else prior.get(names[i])
+                for i in members
+            ],
         )
         cov[np.ix_(list(members), list(members))] = block
         fit_share[coefficient] = main.unexplained
@@ -395,7 +604,7 @@ def identify_ordinary(
     std = np.sqrt(np.diagonal(cov))
     theta = _within_bounds(theta, cov, limits)
     for i, (name, (low, high)) in enumerate(zip(names, limits, strict=True)):
-        if i in fixed_terms and name not in prior:
+        if name not in prior and any(s.undetermined(name) for s in slopes):
             reason[name] = "no vane measures its angle; give --prior FILE"
         elif not np.isfinite(std[i]) or std[i] == 0.0:
             reason[name] = "no effect in these data"
@@ -406,7 +615,8 @@ def identify_ordinary(
     identified = [n for n in names if not reason[n]]
     places = [names.index(n) for n in identified]
     ok = np.array([not reason[n] for n in names])
-    late = [f.with_delayed_commands(delay_s) for f in flights]
+    # The air data are calibrated already.
+    late = [Instruments(delay_s, servos).correct(f) for f in flights]
     flight_segments = tuple(
         s for f in late for s in segments(f, measured, aircraft.accelerometer_m)
     )
@@ -433,6 +643,12 @@ def identify_ordinary(
         reason=reason,
         cov=cov[np.ix_(places, places)],
         nuisance={f"delay/{f.name}/controls": (delay_s, DELAY_STD_S) for f in flights}
+        | {
+            f"{kind}/{f.name}/{control}": (value, DELAY_STD_S)
+            for f in flights
+            for control, pair in servos.items()
+            for kind, value in zip(("delay", "lag"), pair, strict=True)
+        }
         | {f"sensor.{e.channel}/{e.kind}": (e.value, e.std) for e in errors},
         outputs=outputs,
         segments=flight_segments,
@@ -441,14 +657,14 @@ def identify_ordinary(
         residual=[z - y for z, y in zip(observed, modelled, strict=True)],
         whiteness=np.full(len(outputs), np.nan),
         noise=channel_noise(observed, outputs, aircraft.card.sensors.noise_std),
-        method="equation error",
+        method=METHOD,
         converged=determined,
         warnings=(),
         notes=(),
-        simulations=len(views),
+        simulations=len(_VIEWS),
         seconds=time.perf_counter() - start_s,
     )
-    servos = (
+    assumed = (
         "servos without lag" if ideal_servos else "the lags and rate limits of the card's servos"
     )
     notes = [
@@ -456,20 +672,23 @@ def identify_ordinary(
         " intervals allow for the unexplained share of each coefficient: "
         + ", ".join(f"{c} {percent(share)}" for c, share in fit_share.items()),
         f"controls act {1e3 * delay_s:.0f} ms after their rows"
-        + ("" if len(measured) == len(_CONTROL_TERMS) else ", in addition to " + servos),
+        + ("" if len(measured) == len(_CONTROL_TERMS) else ", in addition to " + assumed),
         *step_notes,
         *(f"air data: {e.text()}" for e in errors),
         *_combination_notes(result),
     ]
-    if unmeasured:
-        notes.append(
-            f"no vane measures {', '.join(unmeasured)}: reconstructed from accelerometers, gyros"
-            " and attitude"
+    notes += [s.note for s in slopes]
+    labels = prior_labels(result, prior)
+    for slope in slopes:
+        labels |= (
+            {n: "prior and data" for n in identified if n not in prior and slope.scales(n)}
+            if slope.basis not in ("", "data")
+            else {}
         )
     return replace(
         result,
         notes=tuple(notes),
-        labels=prior_labels(result, prior),
+        labels=labels,
         seconds=time.perf_counter() - start_s,
     )
 
@@ -488,15 +707,109 @@ no valid instrument (Hausman, Econometrica 46, 1978)."""
 @dataclass(frozen=True)
 class _StepFit:
     """Estimates (k,) and covariance (k, k) of a coefficient from steps of the commands; moment and
-    variance as `fuller` has them, the place of its own control's term, and a sentence.
+    variance as `fuller` has them, the place of its own control's term, and that control with its
+    further delay and lag, s.
     """
 
+    coefficient: str
     theta: FloatArray
     cov: FloatArray
     moment: float
     variance: float
     own: int
-    note: str = ""
+    control: str = ""
+    late_s: float = 0.0
+    lag_s: float = 0.0
+
+    @property
+    def note(self) -> str:
+        """Describe the estimate and its servo."""
+        out = f"{self.coefficient} is estimated from steps of the {self.control} command"
+        return out + (f"; surfaces lag by {1e3 * self.lag_s:.0f} ms more" if self.lag_s else "")
+
+
+@dataclass(frozen=True)
+class Instruments:
+    """How a log differs from the flight, as an identification has it.
+
+    Attributes
+    ----------
+    delay_s : float
+        Delay of the controls, s.
+    servos : Mapping
+        Control to delay and lag, s, where steps of its commands show them.
+    errors : sequence of AirDataError
+        Scales and offsets of the air data.
+    ideal : bool
+        Whether surfaces follow their commands at once.
+    """
+
+    delay_s: float
+    servos: Mapping[str, tuple[float, float]]
+    errors: Sequence[AirDataError] = ()
+    ideal: bool = False
+
+    def correct(self, flight: Flight) -> Flight:
+        """Return the flight with true air data, and controls as late as they act."""
+        late = dict.fromkeys(CONTROLS, self.delay_s)
+        late |= {c: delay for c, (delay, _) in self.servos.items()}
+        calibrated = _calibrated(flight, self.errors)
+        return calibrated.with_delayed_commands(late, {c: s for c, (_, s) in self.servos.items()})
+
+    @property
+    def text(self) -> str:
+        """Describe what is corrected."""
+        servos = "".join(
+            f", {control} {1e3 * late_s:.0f} ms with a lag of {1e3 * lag_s:.0f} ms"
+            for control, (late_s, lag_s) in self.servos.items()
+        )
+        air = ", air data by the errors" if self.errors else ""
+        return (
+            f"as in the identification, controls act {1e3 * self.delay_s:.0f} ms late{servos};"
+            f" the log is corrected{air}; --servos card uses it as it is"
+        )
+
+    @classmethod
+    def of_model(cls, aircraft: Aircraft, sha256: str) -> Instruments | None:
+        """Read them from the fit.json beside an aircraft that was identified from an ordinary
+        flight; None without one.
+
+        Those of the flight with the digest are preferred to another flight's.
+        """
+        # The file is optional and may be of any origin: unreadable content is ignored.
+        try:
+            document = parse_json(read_regular(aircraft.folder.parent / "fit.json"))
+            if document["method"] != METHOD:
+                return None
+            rows = {
+                n: (float(v["value"]), float(v["std"])) for n, v in document["nuisance"].items()
+            }
+            delays = [n for n in rows if n.startswith("delay/") and n.endswith("/controls")]
+            digests = document["flights_sha256"]
+            common = delays[digests.index(sha256) if sha256 in digests else 0]
+            flight = common.removeprefix("delay/").removesuffix("controls")
+            lags = {
+                n.removeprefix(f"lag/{flight}"): value
+                for n, (value, _) in rows.items()
+                if n.startswith(f"lag/{flight}")
+            }
+            errors = [
+                AirDataError(*n.removeprefix("sensor.").split("/"), value, std, "")
+                for n, (value, std) in rows.items()
+                if n.startswith("sensor.")
+            ]
+            return cls(
+                rows[common][0],
+                {c: (rows[f"delay/{flight}{c}"][0], lag) for c, lag in lags.items()},
+                errors,
+                document.get("servos") == "ideal",
+            )
+        except (OSError, ValueError, AttributeError, TypeError, KeyError, IndexError):
+            return None
+
+
+METHOD = "equation error"
+"""Name of this estimator in fit.json."""
 
 
 def _is_better(fit: _StepFit, theta: FloatArray, cov: FloatArray) -> bool:
@@ -513,7 +826,7 @@ def _is_better(fit: _StepFit, theta: FloatArray, cov: FloatArray) -> bool:
 class _StepInstruments:
     """Filtered steps of the commands at the rows of each piece, of each control that has any, and
     regressions with different filters; whether surfaces are known by their commands alone, and
-    whether they may lag.
+    whether they may lag; angles of which only the fast part is reconstructed.
     """
 
     steps: Mapping[str, list[FloatArray]]
@@ -521,6 +834,7 @@ class _StepInstruments:
     dt_s: float
     commanded: bool
     lagging: bool
+    reconstructed: tuple[str, ...] = ()
 
     @classmethod
     def of(
@@ -529,6 +843,7 @@ class _StepInstruments:
         measured: Sequence[str],
         data: Sequence[_RegressionData],
         ideal_servos: bool,
+        reconstructed: Sequence[str] = (),
     ) -> _StepInstruments:
         """Find the steps of the controls of all flights."""
         columns = dict(zip(CONTROLS, control_columns(measured), strict=True))
@@ -545,7 +860,8 @@ class _StepInstruments:
         }
         commanded = not all(c in measured for c in common)
         dt_s = float(flights[0].record.dt_s)
-        return cls(pieces, data, dt_s, commanded, commanded and not ideal_servos)
+        lagging = commanded and not ideal_servos
+        return cls(pieces, data, dt_s, commanded, lagging, tuple(reconstructed))
 
     def estimates(
         self,
@@ -558,6 +874,10 @@ class _StepInstruments:
         out: dict[str, _StepFit] = {}
         for family in (("CY", "Cl", "Cn"), ("CZ", "Cm")):
             stepped = [c for c in family if _OWN_CONTROL.get(c, ("", ""))[1] in self.steps]
+            # The force of an angle that only motion tells.
+            angle, force = ("beta", "CY") if family[0] == "CY" else ("alpha", "CZ")
+            if angle in self.reconstructed:
+                stepped = [force] if stepped else []
             present = [c for c in family if c in groups]
             if not any(c in groups for c in stepped):
                 continue
@@ -582,7 +902,7 @@ class _StepInstruments:
             weights = np.exp(-0.5 * (cost - cost.min()))
             weights /= weights.sum()
             best = settings[int(np.argmin(cost))]
-            lag_s = float(sum(w * s for w, (_, s) in zip(weights, settings, strict=True)))
+            rows, lag_s = (np.asarray(weights) @ np.array(settings, dtype=float)).tolist()
             for c in (c for c in stepped if c in groups):
                 of_settings = [f[c] for f in fits.values()]
                 # Delays and lags that the flight does not tell apart widen the interval.
@@ -595,14 +915,18 @@ class _StepInstruments:
                     for w, f, d in zip(weights, of_settings, apart, strict=True)
                 ]
                 cov = np.sum(parts, axis=0)
-                other = self._fit(1, c, best, groups[c], names, initial, fixed_terms)
+                other = (
+                    self._fit(1, c, best, groups[c], names, initial, fixed_terms)
+                    if len(self.data) > 1
+                    else None
+                )
                 if other is not None:
                     cov += np.diag((other.theta - fits[best][c].theta) ** 2)
-                term, control = _OWN_CONTROL[c]
+                term, control = _OWN_CONTROL.get(c, (angle, next(iter(self.steps))))
                 own = [_term(names[i]) for i in groups[c]].index(term)
-                note = f"{c} is estimated from steps of the {control} command"
-                note += f"; surfaces lag by {1e3 * lag_s:.0f} ms more" if self.lagging else ""
-                out[c] = _StepFit(theta, cov, 0.0, scale[c], own, note)
+                out[c] = _StepFit(
+                    c, theta, cov, 0.0, scale[c], own, control, rows * self.dt_s, lag_s
+                )
         return out
 
     @property
@@ -660,7 +984,20 @@ class _StepInstruments:
         free = moving & ~fixed
         term = _OWN_CONTROL.get(coefficient, ("", ""))[0]
         own = [_term(names[i]) for i in members].index(term) if term else -1
-        fit = fuller(y, x[:, free], z, block)
+        target, design = y, x[:, free]
+        if any(_term(names[i]).rstrip("2") in self.reconstructed for i in members):
+            # Only the fast part of the angle is available: all others are reduced to theirs.
+            target = y - lagged(y, self.dt_s, SLOW_S)
+            places = np.array(members)[free]
+            design = np.column_stack(
+                [
+                    v
+                    if _term(names[i]).rstrip("2") in self.reconstructed
+                    else v - lagged(v, self.dt_s, SLOW_S)
+                    for i, v in zip(places, design.T, strict=True)
+                ]
+            )
+        fit = fuller(target, design, z, block)
         if fit is None:
             return None
         theta[free] = fit.theta
@@ -682,7 +1019,7 @@ class _StepInstruments:
             theta[j] = (float(y.mean()) - float(mean @ fit.theta)) / level
             cov[j, free] = cov[free, j] = -(mean @ cov[np.ix_(free, free)]) / level
             cov[j, j] = (float(mean @ cov[np.ix_(free, free)] @ mean) + spread) / level**2
-        return _StepFit(theta, cov, fit.moment, fit.variance, own)
+        return _StepFit(coefficient, theta, cov, fit.moment, fit.variance, own)
 
 
 def _term(name: str) -> str:
@@ -726,7 +1063,7 @@ def _groups(names: Sequence[str]) -> dict[str, tuple[int, ...]]:
 class _RegressionData:
     """A flight in one view: of each piece, demanded minus predicted coefficients (n, 6), regressors
     by parameter (n,) and block of time (n,); variance of the demanded coefficients (6,) and of the
-    noise in them (6,); lags of the instruments in rows.
+    noise in them (6,); lags of the instruments in rows, and ENDOGENEITY.
     """
 
     excess: list[FloatArray]
@@ -735,6 +1072,7 @@ class _RegressionData:
     variance: FloatArray
     noise: FloatArray
     lags: tuple[int, ...]
+    endogeneity: float = ENDOGENEITY["commands"]
 
 
 def _regression_data(
@@ -746,14 +1084,11 @@ def _regression_data(
     measured: Sequence[str],
     delay_s: float,
     view: _View,
-    unmeasured: Sequence[str],
+    ideal_servos: bool,
 ) -> _RegressionData:
     """Evaluate the model along the flights, in one view."""
     model, direct_model = models
     late = [f.with_delayed_commands(delay_s + view.late_s) for f in flights]
-    # Angles that no vane measures are reconstructed from accelerations and the path.
-    if unmeasured:
-        late = [_with_angles(f, unmeasured, view.time_constant_s) for f in late]
     flight_segments = [s for f in late for s in segments(f, measured, aircraft.accelerometer_m)]
     channels_of = [states(f, piece) for f in late for piece in f.pieces]
     # Forces of the start values at the measured states: what the aircraft would have, and the
@@ -811,7 +1146,16 @@ def _regression_data(
         max(shortest + k, round(lag * span_s / flight_segments[0].dt_s))
         for k, lag in enumerate(view.lags)
     )
-    return _RegressionData(excess, columns, blocks, demands.var(axis=0), noise / len(demands), lags)
+    surfaces_known = ideal_servos or all(c in measured for c in _CONTROL_TERMS.values())
+    return _RegressionData(
+        excess,
+        columns,
+        blocks,
+        demands.var(axis=0),
+        noise / len(demands),
+        lags,
+        ENDOGENEITY["positions" if surfaces_known else "commands"],
+    )
 
 
 _INERTIAL = ("p_radps", "q_radps", "r_radps", "ax_mps2", "ay_mps2", "az_mps2")
@@ -901,7 +1245,7 @@ def _regress(
     # Bias by what the model does not explain beyond sensor noise.
     variance = max(float(data.variance[k]), 1e-300)
     unexplained = max(float(np.mean(residual**2)) - float(data.noise[k]), 0.0)
-    bias = ENDOGENEITY**2 * unexplained * len(target) * inverse
+    bias = data.endogeneity**2 * unexplained * len(target) * inverse
     rho = min(unexplained / variance, 1.0)
     # Back to the units of the parameters; a column of zeros determines nothing.
     cov = (sandwich + bias) / np.outer(scale, scale)

@@ -18,10 +18,14 @@ from sysid.model_form import ModelForm
 from sysid.record import FlightRecord
 from uqharness.simulator import Aircraft
 
-MIN_S = 90.0
-"""Shortest flight that is split, s: half of it determines few of the parameters."""
+MIN_SPLIT_S = 90.0
+"""Shortest flight that is split for an identification, s: half of it determines few of the
+parameters."""
+MIN_LEFT_S = 20.0
+"""Least that bounds, and a judgement, need of a flight, s."""
 BLOCKS_S = (15.0, 20.0, 25.0, 30.0)
 """Lengths of blocks that are tried, s: longer than the longest prediction of `compare`."""
+_MIN_BLOCKS = 4  # of which every second one is used
 _STATES = ("V_mps", "alpha_rad", "beta_rad", "phi_rad", "theta_rad", "h_m")
 _CONTROLS = ("elevator_deg", "aileron_deg", "rudder_deg", "throttle_pct")
 
@@ -50,8 +54,13 @@ class Split:
     difference: float = 0.0
     differs: str = ""
 
-    def note(self, name: str, held_out_for: str) -> str:
-        """Describe the split."""
+    def note(self, name: str, held_out_for: str, min_s: float = MIN_SPLIT_S) -> str:
+        """Describe the split, or why there is none."""
+        if not self.held_out_s:
+            return (
+                f"{name}: all {seconds(self.used_s):.0f} s are used, {min_s:.0f} s are needed to"
+                f" hold rows out; {held_out_for} needs another flight"
+            )
         return (
             f"{name}: {seconds(self.used_s):.0f} s in every second block of {self.block_s:g} s are"
             f" used, {seconds(self.held_out_s):.0f} s are held out for {held_out_for} (the parts"
@@ -65,23 +74,25 @@ def seconds(intervals: Intervals) -> float:
     return sum(b - a for a, b in intervals)
 
 
-def split_in_time(record: FlightRecord, enabled: bool = True) -> Split:
+def split_in_time(record: FlightRecord, enabled: bool = True, min_s: float = MIN_SPLIT_S) -> Split:
     """Return the parts of a flight: every second block is used.
 
-    A flight shorter than MIN_S, or one whose rows a map has selected block by block, is used
+    A flight shorter than ``min_s``, or one whose rows a map has selected block by block, is used
     completely.
     """
     chosen_by_map = any(
         f.code == "selected-rows" and "blocks of" in f.message for f in record.metadata.findings
     )
     complete = _intervals(record, np.ones(len(record), dtype=bool))
-    if not enabled or chosen_by_map or seconds(complete) < MIN_S:
+    length_s = len(record) * record.dt_s
+    if not enabled or chosen_by_map or length_s < min_s - record.dt_s:
         return Split(complete)
     # Blocks count flown rows, so that gaps do not put all of one condition into one part.
     flown_s = np.arange(len(record)) * record.dt_s
-    parts = {s: np.floor(flown_s / s).astype(int) % 2 == 0 for s in BLOCKS_S}
+    lengths_s = [s for s in BLOCKS_S if _MIN_BLOCKS * s <= length_s] or [length_s / _MIN_BLOCKS]
+    parts = {s: np.floor(flown_s / s).astype(int) % 2 == 0 for s in lengths_s}
     differences = {s: _largest_difference(record, used) for s, used in parts.items()}
-    block_s = min(BLOCKS_S, key=lambda s: differences[s][0])
+    block_s = min(lengths_s, key=lambda s: differences[s][0])
     used = parts[block_s]
     return Split(
         _intervals(record, used), _intervals(record, ~used), block_s, *differences[block_s]
@@ -154,8 +165,5 @@ def used_for_bounds(form: ModelForm, sha256: str) -> Intervals:
 def without(record: FlightRecord, used: Intervals) -> FlightRecord | None:
     """Return the rows that no earlier result was made from; None where too little is left."""
     mask = ~inside(record, used)
-    return record.rows(mask) if float(mask.sum()) * record.dt_s >= MIN_LEFT_S else None
-
-
-MIN_LEFT_S = 20.0
-"""Least that a judgement needs of a flight, s."""
+    # The last block may lack rows at its ends.
+    return record.rows(mask) if mask.sum() * record.dt_s >= MIN_LEFT_S - 1.0 else None

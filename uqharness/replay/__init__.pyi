@@ -47,6 +47,7 @@ from .replay import bare_rate as bare_rate
 from .replay import by_run as by_run
 from .replay import late_rows as late_rows
 from .replay import runs_per_row as runs_per_row
+from .residuals import NEEDED as NEEDED
 from .residuals import MeasuredSegment as MeasuredSegment
 from .residuals import ReplayPair as ReplayPair
 from .residuals import cut_for_residuals as cut_for_residuals

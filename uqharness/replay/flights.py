@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from sysid.aerodynamics import MAX_S, MIN_S, Piece, as_logged, cut_pieces
 from sysid.arrays import FloatArray
 from sysid.errors import LogError
-from sysid.estimation import white_noise
+from sysid.estimation import lagged, white_noise
 from sysid.foreign.regular_files import file_sha256
 from sysid.logs import (
     bridge,
@@ -347,33 +347,45 @@ class Flight:
         record = record.with_columns(moved)
         return replace(self, record=record, commands={}, per_row=1, half_way=True)
 
-    def with_delayed_commands(self, late_s: float) -> Flight:
-        """Return the flight with every command and position delayed by ``late_s``; the first value
-        is held.
+    def with_delayed_commands(
+        self, late_s: float | Mapping[str, float], lag_s: Mapping[str, float] | None = None
+    ) -> Flight:
+        """Return the flight with every command and position delayed by ``late_s``, and commands
+        after first-order lags; the first value is held.
 
-        A command is held until the next one. If the delayed commands fall between two rows,
-        ``commands`` gets a finer grid that holds them there; linear interpolation from row to row
-        would act like a servo that is slower at first and faster later.
+        Both are in seconds, ``lag_s`` and a Mapping ``late_s`` by control. A command is held until
+        the next one. If the delayed commands fall between two rows, ``commands`` gets a finer grid
+        that holds them there; linear interpolation from row to row would act like a servo that is
+        slower at first and faster later.
         """
+        lag_s = lag_s or {}
+        late = late_s if isinstance(late_s, Mapping) else dict.fromkeys(_COLUMN, late_s)
         spacing_s = float(self.record.dt_s) / self.per_row
-        on_grid = math.isclose(late_s / spacing_s, round(late_s / spacing_s), abs_tol=1e-6)
-        # Refine the grid unless the delay is a multiple of its spacing.
+        on_grid = not any(lag_s.values()) and all(
+            math.isclose(s / spacing_s, round(s / spacing_s), abs_tol=1e-6) for s in late.values()
+        )
+        # Refine the grid unless the delays are multiples of its spacing.
         finer = 1 if on_grid else max(1, int(spacing_s / MIN_COMMAND_S + 1e-6))
         per_row, step_s = self.per_row * finer, spacing_s / finer
         between, moved = {}, {}
-        for c in (*_COLUMN.values(), *_POSITION.values()):
-            if c not in self.record:
-                continue
-            is_command = c in _COLUMN.values()
-            values = self.commands[c] if self.per_row > 1 else _forward_filled(self.record[c])
-            # Commands are held on the finer grid, positions interpolated.
-            fine = np.repeat(values, finer)[: (len(values) - 1) * finer + 1]
-            if not is_command:
-                fine = np.interp(np.arange(len(fine)), finer * np.arange(len(values)), values)
-            between[c] = delayed_command(fine, np.arange(0.0, len(fine)) * step_s, late_s)
-            # The record itself holds means from row to row, for what compares row by row.
-            rows = mean_ahead(between[c], per_row) if is_command else between[c]
-            moved[c] = rows[::per_row][: len(self.record)]
+        for control in _COLUMN:
+            for c in (_COLUMN[control], _POSITION.get(control)):
+                if c is None or c not in self.record:
+                    continue
+                is_command = c == _COLUMN[control]
+                values = self.commands[c] if self.per_row > 1 else _forward_filled(self.record[c])
+                # Commands are held on the finer grid, positions interpolated.
+                fine = np.repeat(values, finer)[: (len(values) - 1) * finer + 1]
+                if not is_command:
+                    fine = np.interp(np.arange(len(fine)), finer * np.arange(len(values)), values)
+                time_s = np.arange(0.0, len(fine)) * step_s
+                fine = delayed_command(fine, time_s, late.get(control, 0.0))
+                if is_command:
+                    fine = lagged(fine, step_s, lag_s.get(control, 0.0))
+                between[c] = fine
+                # The record itself holds means from row to row, for what compares row by row.
+                rows = mean_ahead(fine, per_row) if is_command else fine
+                moved[c] = rows[::per_row][: len(self.record)]
         return replace(
             self,
             record=self.record.with_columns(moved),

@@ -128,6 +128,9 @@ class Fit(Part):
     split: SplitInTime | None = Field(
         default=None, description="which rows of one ordinary flight were used"
     )
+    servos: Literal["card", "ideal"] | None = Field(
+        default=None, description="how commands reach the surfaces"
+    )
     notes: Texts = Field(default=[], description="what was done to the records")
     command: str | None = Field(default=None, description="command that made the file")
     simulations: int | None = Field(default=None, description="replays of all segments")

@@ -12,7 +12,9 @@ import pytest
 import uqharness as uq
 from sysid.record import FlightRecord
 from uqharness.cli.main import main
+from uqharness.identification.ordinary import Instruments
 from uqharness.identification.split import (
+    MIN_LEFT_S,
     inside,
     rows_in,
     seconds,
@@ -20,6 +22,7 @@ from uqharness.identification.split import (
     used_for_model,
     without,
 )
+from uqharness.replay import Flight
 
 DT_S = 0.02
 
@@ -54,8 +57,22 @@ def test_both_parts_see_all_conditions_and_share_no_row(gap: bool) -> None:
 
 
 def test_short_or_requested_flights_stay_complete() -> None:
-    assert not split_in_time(_record(60.0)).held_out_s
+    short = split_in_time(_record(60.0))
+    assert not short.held_out_s
+    assert "90 s are needed" in short.note("f", "bounds")
     assert not split_in_time(_record(300.0), enabled=False).held_out_s
+
+
+@pytest.mark.parametrize("length_s", [90.0, 180.0])
+def test_three_commands_have_rows_of_their_own(length_s: float) -> None:
+    record = _record(length_s)
+    first = split_in_time(record)
+    remainder = without(record, first.used_s)
+    assert remainder is not None
+    second = split_in_time(remainder, min_s=2.0 * MIN_LEFT_S)
+    assert min(seconds(second.used_s), seconds(second.held_out_s)) > 0.18 * length_s
+    assert without(remainder, second.used_s) is not None
+    assert not split_in_time(remainder, min_s=length_s).held_out_s
 
 
 def test_unreadable_evidence_beside_an_aircraft_lists_no_rows(tmp_path: Path) -> None:
@@ -66,6 +83,45 @@ def test_unreadable_evidence_beside_an_aircraft_lists_no_rows(tmp_path: Path) ->
         expected = ((0.0, 5.0),) if "5.0" in split else ()
         assert used_for_model(aircraft, "a") == expected
         assert used_for_model(aircraft, "b") == ()
+        assert Instruments.of_model(aircraft, "a") is None
+
+
+def test_instruments_are_those_of_the_flight_or_of_another_one(tmp_path: Path) -> None:
+    numbers = {
+        "delay/f/controls": 0.05,
+        "delay/f/aileron": 0.06,
+        "lag/f/aileron": 0.04,
+        "delay/g/controls": 0.07,
+        "sensor.alpha_rad/scale": 1.5,
+    }
+    document = {
+        "method": "equation error",
+        "flights_sha256": ["a", "b"],
+        "nuisance": {n: {"value": v, "std": 0.01} for n, v in numbers.items()},
+        "servos": "ideal",
+    }
+    (tmp_path / "fit.json").write_text(json.dumps(document))
+    aircraft = SimpleNamespace(folder=tmp_path / "aircraft")
+    first, second, other = (Instruments.of_model(aircraft, digest) for digest in "abc")
+    assert first is not None
+    assert second is not None
+    assert first == other
+    assert (first.delay_s, first.servos, first.ideal) == (0.05, {"aileron": (0.06, 0.04)}, True)
+    assert (second.delay_s, second.servos) == (0.07, {})
+    t = DT_S * np.arange(200)
+    step = np.where(t >= 1.0, 1.0, 0.0)
+    columns = {"time_s": t, "alpha_rad": 0.3 + 0.0 * t, "aileron_deg": step, "elevator_deg": step}
+    flight = Flight("f", FlightRecord(columns), (), ())
+    corrected = first.correct(flight)
+    assert corrected.record["alpha_rad"] == pytest.approx(0.2)
+    fine_s = DT_S / corrected.per_row
+    aileron, elevator = (
+        np.interp(1.1, fine_s * np.arange(len(v)), v)
+        for v in (corrected.commands["aileron_deg"], corrected.commands["elevator_deg"])
+    )
+    # A lag of 40 ms, 40 ms after the step arrives.
+    assert aileron == pytest.approx(1.0 - np.exp(-1.0), abs=0.06)
+    assert elevator == 1.0
 
 
 @pytest.mark.slow
