@@ -2,6 +2,7 @@ from .components import STEP_S as STEP_S
 from .components import WALK_CUTOFF_HZ as WALK_CUTOFF_HZ
 from .components import Variation as Variation
 from .components import variation as variation
+from .coverage import MAX_SHARE_ERROR as MAX_SHARE_ERROR
 from .coverage import MIN_SHARE_INSIDE as MIN_SHARE_INSIDE
 from .coverage import Bin as Bin
 from .coverage import Coverage as Coverage

@@ -34,6 +34,7 @@ from sysid.errors import LogError
 from sysid.estimation import NoiseSize, noise_size
 from sysid.foreign.regular_files import parse_json, read_regular
 from sysid.model_form import (
+    MAX_SHARE_ERROR,
     SENSOR_CHANNELS,
     WALK_CUTOFF_HZ,
     AircraftReference,
@@ -57,7 +58,7 @@ from sysid.model_form import (
     with_distinct_labels,
     with_walk_rates,
 )
-from sysid.model_form.coverage import MAX_SHARE_ERROR, coverage
+from sysid.model_form.coverage import coverage
 from uqharness.errors import BadInputError
 from uqharness.identification.split import inside, used_for_bounds, used_for_model
 from uqharness.replay import Flight, ReplayPair, flight_residuals, prediction_of
