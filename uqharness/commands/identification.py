@@ -711,7 +711,9 @@ def _for_residuals(ready: ReplayFlights) -> ReplayFlights:
     return replace(
         ready,
         flights=[
-            whole_flight(f, ready.measured, NEEDED) if is_ordinary(source) else f
+            whole_flight(f, ready.measured, NEEDED)
+            if is_ordinary(replace(f, record=source.record))
+            else f
             for f, source in zip(flights, ready.sources, strict=True)
         ],
     )

@@ -793,10 +793,12 @@ class Instruments:
                 for n, (value, _) in rows.items()
                 if n.startswith(f"lag/{flight}")
             }
+            sensors = {
+                n.removeprefix("sensor."): row for n, row in rows.items() if n.startswith("sensor.")
+            }
             errors = [
-                AirDataError(*n.removeprefix("sensor.").split("/"), value, std, "")
-                for n, (value, std) in rows.items()
-                if n.startswith("sensor.")
+                AirDataError(n.partition("/")[0], n.partition("/")[2], value, std, "")
+                for n, (value, std) in sensors.items()
             ]
             return cls(
                 rows[common][0],
