@@ -235,8 +235,9 @@ def _references(
                     masses.mass_kg,
                     "moment centre",
                     f"the centre of gravity at x = {masses.centre_m[0]:.4g} m is"
-                    f" {stability:.3g} chords ahead of the neutral point at {margin.value:.4g} m; 0"
-                    " to 0.4 is expected: check Lunit, the items' x and the file's origin",
+                    f" {abs(stability):.3g} chords {_side(stability)} the neutral point at"
+                    f" {margin.value:.4g} m; 0 to 0.4 ahead is expected: check Lunit, the items' x"
+                    " and the file's origin",
                     "The aeroplane diverges in pitch, or the elevator cannot trim it",
                 )
     if geometry is not None:
@@ -1253,6 +1254,11 @@ def _masses(masses: Masses, source: Source) -> Iterator[Slip]:
     yield from mass_slips(source, mass, inertia)
 
 
+def _side(margin: float) -> str:
+    """Return on which side of the neutral point a centre of gravity of a static margin is."""
+    return "ahead of" if margin >= 0.0 else "behind"
+
+
 def centre_slips(x: Entry, model: AeroModel) -> Iterator[Slip]:
     """Check a stated centre of gravity [m] against the model's neutral point."""
     margin = model.static_margin
@@ -1261,7 +1267,8 @@ def centre_slips(x: Entry, model: AeroModel) -> Iterator[Slip]:
         yield _slip(
             x,
             "moment centre",
-            f"{x.value:.4g} m is {margin:.3g} chords ahead of the neutral point at {neutral:.4g} m;"
+            f"{x.value:.4g} m is {abs(margin):.3g} chords {_side(margin)} the neutral point at"
+            f" {neutral:.4g} m;"
             " 0 to 0.4 is expected: check unit and origin, aft is positive",
             "The aeroplane diverges in pitch, or the elevator cannot trim it",
         )

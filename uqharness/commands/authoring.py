@@ -241,7 +241,7 @@ def _lines(document: Authored, refused: bool) -> list[str]:
     lines = []
     if document.slips:
         lines.append(
-            f"{len(document.slips)} usual slips in the files"
+            f"usual slips in the files: {len(document.slips)}"
             + ("; nothing is written (--accept-slips writes it all the same):" if refused else ":")
         )
         lines += [f"  {s.place}: {s.kind}: {s.message}. {s.effect}." for s in document.slips]

@@ -206,7 +206,7 @@ def test_intervals_of_modes_are_those_of_the_model_itself(term, mode, kite):
     expected = []
     entry = document.terms[f"aero/{term}"]
     for sign in (-1.0, 1.0):
-        value = {f"aero/{term}": entry.mean + sign * 1.96 * entry.std}
+        value = {f"aero/{term}": entry.value + sign * 1.96 * entry.std}
         other = linearise(aircraft, find_trim(aircraft, replace(condition, properties=value)))
         expected.append(next(m.wn_radps for m in modes(other) if m.name == mode))
     interval = intervals[names.index(mode)]
