@@ -84,7 +84,6 @@ LONGEST_FILES = (
     "tests/sysid/estimation/test_filter_error.py",
     "tests/stories/test_autopilot.py",
     "tests/stories/test_any_aircraft.py",
-    "tests/stories/test_bit_flips.py",
     "tests/stories/test_fuzz.py",
     "tests/uqharness/campaign/test_dask.py",
     "tests/hidden_effects/test_drawn.py",

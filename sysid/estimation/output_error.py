@@ -187,6 +187,7 @@ class SafeSimulation:
     outputs: int
 
     def __call__(self, theta: FloatArray) -> FloatArray | str:
+        """Simulate at ``theta`` (p,)."""
         with np.errstate(all="ignore"):
             try:
                 value = self.simulate(theta.copy())

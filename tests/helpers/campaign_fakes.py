@@ -108,12 +108,6 @@ def by_corner(spec: FlightSpec) -> FlightResult:
     )
 
 
-def by_corner_slowly(spec: FlightSpec) -> FlightResult:
-    """The same with time to be killed in."""
-    time.sleep(0.03)
-    return by_corner(spec)
-
-
 _TRIVIAL = dict.fromkeys(
     [*ERROR_METRICS, *EXCURSIONS, "loss_of_control", "extrapolated_share"], 0.0
 )

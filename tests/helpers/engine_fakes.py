@@ -97,7 +97,3 @@ class Raising(Flown):
 
 def engines(flown: Flown, understanding: Understanding = Understanding()) -> Engines:
     return Engines(fakes.steady, flown, understanding)
-
-
-batch_alike = engines(Flown())
-batch_slowly = engines(Flown(sleep_s=0.01))

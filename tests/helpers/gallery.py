@@ -18,12 +18,10 @@ from pathlib import Path
 
 import pandas as pd
 
-from tests.helpers import foreign_aircraft, foreign_styles
+from tests.helpers.foreign_aircraft import SPEEDS_MPS, write
 from uqharness.simulator import SteadyCondition, find_aircraft, find_trim
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "gallery.md"
-STYLES = {**foreign_aircraft.STYLES, **foreign_styles.STYLES}
-SPEEDS_MPS = {**foreign_aircraft.SPEEDS_MPS, **foreign_styles.SPEEDS_MPS}
 ALTITUDE_M = 200.0
 DESCRIPTIONS = {
     "single": "piston single; electrics, magnetos, starter and mixture in a system",
@@ -94,10 +92,7 @@ def uqharness(folder: Path, *words: str) -> str:
 
 def take(style: str, folder: Path, duration_s: float = 4.0) -> Row:
     """Take an aircraft from its files to a p-box by three commands."""
-    path = folder / style
-    for name, content in STYLES[style]().items():
-        (path / name).parent.mkdir(parents=True, exist_ok=True)
-        (path / name).write_text(content, encoding="utf-8")
+    write(style, folder)
     V = SPEEDS_MPS[style]
     text = CAMPAIGN.format(V=V, h=ALTITUDE_M, duration=duration_s)
     (folder / "campaign.toml").write_text(text)
@@ -134,8 +129,8 @@ def row_of(style: str, folder: Path) -> Row:
 def main() -> None:
     """Take the aircraft and write their rows into the page."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("style", nargs="*", choices=[*STYLES, []])
-    styles = parser.parse_args().style or list(STYLES)
+    parser.add_argument("style", nargs="*", choices=[*SPEEDS_MPS, []])
+    styles = parser.parse_args().style or list(SPEEDS_MPS)
     for style in styles:
         with tempfile.TemporaryDirectory() as name:
             try:

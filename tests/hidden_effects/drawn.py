@@ -35,7 +35,6 @@ DEVELOPMENT, DEVELOPMENT_SEED = 0, 90210
 CLEAR_T, MARGINAL_T, WEAK_T, TURBULENT_T = (12.0, 100.0), (4.0, 10.0), (3.0, 4.0), (12.0, 35.0)
 MIN_CARD_T = 12.0
 """|t| below which a wrong card is drawn again."""
-SECONDS = 90.0
 
 # Lighter, of less span and inertia than the others: it answers a control some 1.5 times as fast as
 # the first.

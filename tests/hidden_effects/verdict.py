@@ -23,7 +23,6 @@ from tests.hidden_effects.catalogue import ENTRIES
 from tests.hidden_effects.drawn import Question
 from tests.hidden_effects.wrongs import SAME_NUMBER
 
-NORMAL_95 = 1.959964
 STRONG_T = 10.0
 """|t| above which nothing may be left out of `remaining.where`."""
 

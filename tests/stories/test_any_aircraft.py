@@ -5,7 +5,6 @@ name of what the model lacks.
 from __future__ import annotations
 
 import json
-import shlex
 from pathlib import Path
 
 import numpy as np
@@ -152,52 +151,6 @@ def test_a_stock_aircraft_and_its_logs_come_to_the_name_of_the_hidden_effect(
     found = json.loads((tmp_path / "refined" / "refinement.json").read_text())
     assert [(e["coefficient"], e["term"]) for e in found["effects"]] == [("Cm", "p_hat^2")]
     assert found["effects"][0]["value"] == pytest.approx(hidden, rel=0.1)
-
-
-@pytest.mark.slow
-def test_three_commands_lead_from_nothing_to_the_gap(tmp_path, capsys):
-    """A log of an aircraft that has no card, and not a file written by hand."""
-    log = tmp_path / "flight.bin"
-    assert (
-        ran(
-            *shlex.split("fly c172p --mission doublets --speed-mps"),
-            50,
-            "--noise",
-            "--seed",
-            4,
-            "--out",
-            log,
-        )
-        == 0
-    )
-    assert ran("instrument", "c172p", "--out", tmp_path / "mine", "--no-check") == 0
-    assert (
-        ran(
-            "log",
-            "import",
-            log,
-            "--aircraft",
-            tmp_path / "mine",
-            "--out",
-            tmp_path / "flight.parquet",
-            "--no-cache",
-        )
-        == 0
-    )
-    capsys.readouterr()
-    common = ("--workers", 1, "--no-figures", "--json")
-    ran(
-        "compare",
-        tmp_path / "mine",
-        "--flight",
-        tmp_path / "flight.parquet",
-        "--out",
-        tmp_path / "gap",
-        *common,
-    )
-    gap = json.loads(capsys.readouterr().out)
-    assert all(row["ratio"] < 1.5 for row in gap["channels"].values() if row["judged"])
-    assert not any(row["slip"] for row in gap["channels"].values())
 
 
 @pytest.mark.parametrize("sign", [-1.0, pytest.param(1.0, marks=pytest.mark.slow)])

@@ -26,7 +26,7 @@ from uqharness.campaign.processes import SerialExecutor
 from uqharness.campaign.read_spec import read_campaign
 from uqharness.campaign.run import run_campaign
 from uqharness.campaign.shards import Shard, merge
-from uqharness.campaign.store import JOURNAL, Store
+from uqharness.campaign.store import JOURNAL
 from uqharness.campaign.verify import RunOptions, salvage, verify
 from uqharness.cli.main import main
 from uqharness.errors import BadInputError
@@ -420,40 +420,37 @@ def test_a_killed_salvage_goes_on(copy, made):
         shutil.rmtree(folder)
 
 
-def test_a_pipe_in_place_of_a_file_is_refused_at_once(copy, capsys):
-    for name in ("manifest.json", JOURNAL, "statements.csv", "cases.parquet"):
-        folder = copy("plain")
-        (folder / name).unlink()
-        os.mkfifo(folder / name)
-        for verb in ("status", "report"):
-            code, said = says(capsys, verb, folder)
-            assert code == 2 or (verb, name) in (
-                ("status", "cases.parquet"),
-                ("report", JOURNAL),
-                ("report", "statements.csv"),
-            )
-            assert code == 0 or "is a pipe, not a regular file" in said.err
-        shutil.rmtree(folder)
-
-
-def test_random_bytes_over_any_file_are_found_or_do_nothing(made, tmp_path, capsys):
+@pytest.mark.parametrize("damages", [4, pytest.param(300, marks=pytest.mark.slow)])
+def test_random_damage_has_no_effect_or_is_reported(made, tmp_path, capsys, monkeypatch, damages):
+    """One flipped bit or some random bytes anywhere in a file of the folder."""
+    monkeypatch.setattr("uqharness.flight.fly.fly", fakes.steady)
+    folder = tmp_path / "copy"
+    shutil.copytree(made / "plain", folder)
+    sound = says(capsys, "status", folder, "--json")[1].out
     chance = random.Random(7)
-    for number in range(6):
-        folder = tmp_path / str(number)
+    reported = 0
+    for _ in range(damages):
+        shutil.rmtree(folder)
         shutil.copytree(made / "plain", folder)
-        path = folder / chance.choice(["manifest.json", JOURNAL, *TABLES])
+        path = folder / chance.choice(["manifest.json", JOURNAL, JOURNAL, *TABLES])
         content = bytearray(path.read_bytes())
         place = chance.randrange(len(content))
-        content[place : place + 30] = chance.randbytes(30)
+        if chance.random() < 0.5:
+            content[place : place + 30] = chance.randbytes(30)
+        else:
+            content[place] ^= 1 << chance.randrange(8)
         path.write_bytes(content)
-        assert says(capsys, "status", folder)[0] in (0, 2)
-        with Store(made / "plain", read_only=True) as store:
-            expected = store.summary()
-        try:
-            with Store(folder, read_only=True) as store:
-                store.finished()
-                assert store.summary() == expected
-        except BadInputError:
-            assert path.name == JOURNAL
+        damaged = not verify(folder).whole
+        reported += damaged
+        code, said = says(capsys, "status", folder, "--json")
+        assert (code, said.out) == (0, sound) or (code == 2 and damaged), path
+        before = {name: (folder / name).read_bytes() for name in ("manifest.json", JOURNAL)}
+        code, _ = says(capsys, "run", made / "campaign.toml", "--out", folder, "--serial")
+        if code == 0:
+            assert tables(folder) == tables(made / "plain"), path
+        else:
+            assert damaged, path
+            assert {name: (folder / name).read_bytes() for name in before} == before
         salvage(folder, FLYING, read_campaign(made / "campaign.toml"))
-        assert tables(folder) == tables(made / "plain")
+        assert tables(folder) == tables(made / "plain"), path
+    assert reported > 0.4 * damages

@@ -17,7 +17,7 @@ from uqharness.simulator.forced_state import apply_controls, body_velocity
 from uqharness.simulator.trim import SteadyCondition, find_trim
 
 FT = 0.3048
-V, HEIGHT, DURATION, DT = 22.2, 100.0, 10.0, 0.001
+V, HEIGHT, DURATION, DT = 22.2, 100.0, 6.0, 0.001
 DOUBLETS = {"elevator": 5.0, "aileron": 8.0, "rudder": 8.0}
 STATES = ("u", "v", "w", "p", "q", "r", "phi", "theta", "psi", "h")
 # What the two may differ by where a state hardly moves: JSBSim's earth is round and turns (5e-5
@@ -116,7 +116,7 @@ def disagrees(changes: dict[str, float]) -> bool:
     )
 
 
-@pytest.mark.parametrize("name", few([key for key, value in TABLE_2_6.items() if value != 0.0], 9))
+@pytest.mark.parametrize("name", few([key for key, value in TABLE_2_6.items() if value != 0.0], 3))
 def test_a_flipped_coefficient_is_seen(name):
     assert disagrees({f"aero/{name}": -TABLE_2_6[name]})
 

@@ -210,12 +210,10 @@ def test_a_script_that_names_manoeuvres_and_does_not_count_them(dart):
     assert set(pd.read_csv(out, comment="#")["manoeuvre"]) == {"script"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "command",
-    [
-        ["modes", "--speed-mps", "22", "--altitude-m", "100"],
-        pytest.param(["instrument", "--out", "out"], marks=pytest.mark.slow),
-    ],
+    [["modes", "--speed-mps", "22", "--altitude-m", "100"], ["instrument", "--out", "out"]],
 )
 def test_a_propeller_that_spoils_jsbsims_memory(command, dart):
     """Once JSBSim has refused it, anything may happen in that process: it is a child, and the

@@ -4,7 +4,6 @@ docstrings, licence and citation.
 
 from __future__ import annotations
 
-import ast
 import json
 import os
 import shlex
@@ -84,6 +83,7 @@ def sdist(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return unpacked
 
 
+@pytest.mark.slow
 def test_the_sdist_gives_the_same_wheel(sdist: Path, wheel: Path, tmp_path: Path):
     command = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(tmp_path)]
     subprocess.run(command, cwd=sdist, check=True, capture_output=True)
@@ -183,47 +183,6 @@ def test_the_installed_wheel_works_in_a_folder_of_its_own(installed: Path, tmp_p
     assert "2 flights done" in run(installed, tmp_path, *part)
 
 
-def undocumented(source: str) -> list[str]:
-    """Public classes, functions and methods of a module without a docstring, and the module itself
-    as ``<module>``.
-    """
-    tree = ast.parse(source)
-    found = [] if ast.get_docstring(tree) or not tree.body else ["<module>"]
-
-    def walk(node: ast.Module | ast.ClassDef, prefix: str) -> None:
-        for child in node.body:
-            if (
-                isinstance(child, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef))
-                and child.name[0] != "_"
-            ):
-                if ast.get_docstring(child) is None:
-                    found.append(prefix + child.name)
-                if isinstance(child, ast.ClassDef):
-                    walk(child, f"{prefix}{child.name}.")
-
-    walk(tree, "")
-    return found
-
-
-@pytest.mark.parametrize("package", ["sysid", "uqharness"])
-def test_every_public_name_says_what_it_is(package: str):
-    lacking = {
-        f"{path.relative_to(ROOT)}: {name}"
-        for path in sorted((ROOT / package).rglob("*.py"))
-        for name in undocumented(path.read_text(encoding="utf-8"))
-    }
-    assert lacking == set()
-
-
-def test_a_missing_docstring_is_seen():
-    source = (
-        '"""M."""\ndef _private(): ...\ndef f(): ...\nclass C:\n    """C."""\n    def m(self):'
-        " ...\n"
-    )
-    assert undocumented(source) == ["f", "C.m"]
-    assert undocumented("x = 1") == ["<module>"]
-
-
 def test_citation_and_licence():
     citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
     assert {"cff-version", "message", "title", "authors"} <= set(citation)
@@ -259,5 +218,4 @@ def test_what_every_spawned_process_reads_again_loads_nothing():
 
     assert 'uqharness = "uqharness.__main__:main"' in (ROOT / "pyproject.toml").read_text()
     assert loaded("uqharness.__main__") == []
-    assert loaded("uqharness.cli.main") == ["uqharness.cli.main"]
-    assert "scipy" in loaded("uqharness.commands.simulation")
+    assert loaded("uqharness.cli.main, numpy") == ["uqharness.cli.main", "numpy"]

@@ -135,12 +135,3 @@ def test_the_contributors_page_names_what_there_is():
     targets = set(re.findall(r"^([a-z-]+):", MAKEFILE, re.M))
     assert len(named) >= 8
     assert named <= targets
-
-
-def test_the_readmes_picture_has_a_dark_colour_for_each_of_its_own():
-    picture = (ROOT / "docs" / "figures" / "readme.svg").read_text(encoding="utf-8")
-    drawing, style = picture.split("</style>", 1)[1], picture.split("</style>", 1)[0]
-    used = set(re.findall(r"(?:fill|stroke): #[0-9a-f]{6}", drawing))
-    assert len(used) >= 5
-    assert {colour for colour in used if f'[style*="{colour}"]' not in style} == set()
-    assert "docs/figures/readme.svg" in (ROOT / "README.md").read_text(encoding="utf-8")

@@ -281,15 +281,6 @@ def test_a_study_shows_question_answer_and_figures_on_the_first_screen(opened):
         assert page.locator(f"#{name} svg").bounding_box()["height"] <= 350
 
 
-def test_on_a_phone_the_first_screen_of_a_study_reaches_its_first_figure(opened):
-    page = opened("study", 420, height=900, unfold=False)
-    parts = {part["name"]: part for part in page.evaluate(FIRST)}
-    assert parts["ground-track"]["top"] < 900
-    # More than its edge: half of the drawing.
-    box = page.locator("#ground-track svg").bounding_box()
-    assert box["y"] + 0.5 * box["height"] < 900
-
-
 @pytest.mark.parametrize("width", [1280, 420])
 def test_the_reader_of_a_studys_p_box_tells_shares_and_no_empty_band(opened, width):
     page = opened("study", width, unfold=False)

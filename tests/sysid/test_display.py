@@ -11,7 +11,6 @@ from xml.etree import ElementTree
 import pytest
 
 from sysid.display import (
-    cell_text,
     clean_streams,
     clean_terminal,
     cursor_stream,
@@ -19,21 +18,6 @@ from sysid.display import (
     view,
     visible,
 )
-
-
-@pytest.mark.parametrize(
-    ("value", "text"),
-    [
-        (1.23456789, "1.235"),
-        (math.nan, ""),
-        (True, "True"),
-        (3, "3"),
-        (math.inf, "inf"),
-        ("a", "a"),
-    ],
-)
-def test_numbers_in_cells(value: object, text: str):
-    assert cell_text(value) == text
 
 
 def test_a_view_is_well_formed_and_escapes_what_logs_say():

@@ -10,15 +10,12 @@ from sysid.aerodynamics.air_motion import (
     ROLLING,
     AirPiece,
     GustStates,
-    air_pieces,
-    with_channels_of,
     without_air_rotation,
 )
 from sysid.aerodynamics.coefficients import half_width, smooth
 from sysid.aerodynamics.flight_equations import flow_rates, sines
-from sysid.aerodynamics.residuals import Cutoffs, Piece, PieceNoise, ResidualPiece, Residuals
+from sysid.aerodynamics.residuals import Cutoffs, PieceNoise, ResidualPiece, Residuals
 from sysid.aerodynamics.sensor_noise import autocorrelation
-from sysid.record import FlightRecord
 
 DT, N, V, B, G = 0.02, 6000, 21.0, 3.66, 9.80665
 Cm_q, Cn_r, Cl_p = -0.35, -0.02, -0.045  # [s/rad], as slopes with the rates themselves
@@ -142,20 +139,6 @@ def test_the_level_is_that_of_the_gradient_and_rolling_has_the_size_that_follows
     variance = float(np.mean(rolling.gain[:, 3] ** 2)) * autocorrelation(rolling.weights)[0]
     assert variance == pytest.approx(Cl_p**2 * np.var(drawn), rel=0.2)
     assert variance != pytest.approx(Cl_p**2 * np.var(drawn) * 2.0, rel=0.2)
-
-
-def test_slopes_are_asked_of_the_model_and_channels_can_be_replaced():
-    from tests.sysid.aerodynamics.test_sensor_noise import flight, predict
-
-    record, pieces = flight(300)
-    (air,) = air_pieces(record, pieces, predict, float("inf"))
-    assert air.slopes[:, 1, 4] == pytest.approx(-10 * 0.53 / (2 * record["V_mps"]))
-    assert air.slopes[:, 0, 3] == pytest.approx(-0.2 * 3.66 / (2 * record["V_mps"]))
-    assert not air.slopes[:, 0, 4].any()
-    moved = FlightRecord({c: record[c] + (c == "alpha_rad") for c in record.columns})
-    (other,) = with_channels_of([air], moved, [Piece("m", slice(0, 300), 0.0, 6.0)], float("inf"))
-    assert other.channels["alpha_rad"] == pytest.approx(air.channels["alpha_rad"] + 1.0)
-    assert other.slopes is air.slopes
 
 
 # The filter's gust states against the gusts themselves, carried through an aircraft's motion.

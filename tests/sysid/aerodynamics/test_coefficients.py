@@ -12,7 +12,6 @@ from sysid.aerodynamics.coefficients import (
     full_polynomial,
     parse_term,
     regressors,
-    split_name,
     term_name,
 )
 from sysid.aerodynamics.residuals import as_logged, cut_pieces
@@ -103,15 +102,6 @@ def test_rates_and_specific_force_are_those_of_the_independent_equations():
         )
         outputs = dict(zip(OUTPUTS, np.array(equations.g(x, u, theta), dtype=float), strict=True))
         assert outputs["p_radps"] == pytest.approx(p + 0.01)
-
-
-def test_names_of_terms():
-    assert split_name("aero/CX_alpha2") == ("CX", "alpha2")
-    assert split_name("Cm_0") == ("Cm", "0")
-    assert split_name("aero/Cm_p2") is None
-    assert split_name("fcs/throw-deg") is None
-    with pytest.raises(ValueError, match="Cm_p2"):
-        OpenEquations(("aero/Cm_p2",), (), OUTPUTS, MASS)
 
 
 def record(**columns):

@@ -11,7 +11,7 @@ from scipy.linalg import expm
 from sysid.aerodynamics import flight_equations as equations
 from sysid.aerodynamics.air_motion import GustStates
 from sysid.aerodynamics.coefficients import MassProperties
-from sysid.aerodynamics.flight_equations import Body, ReferenceFlight, loops, motion, sines
+from sysid.aerodynamics.flight_equations import loops
 from sysid.aerodynamics.rigid_body import (
     AIR,
     NX,
@@ -172,60 +172,6 @@ def test_still_air_stays_still_wherever_the_flight_begins():
 
 # The compiled loops against the equations as Python, differences of them, and the matrix
 # exponential.
-
-INERTIA = np.array([[2.0, 0.0, -0.2], [0.0, 3.0, 0.0], [-0.2, 0.0, 4.0]])
-SIZES = {True: 13, False: 8}
-
-
-def system(
-    gusty: bool, by_flow: bool, passing_mps: float = 0.0, n: int = 3
-) -> tuple[np.ndarray, Body, ReferenceFlight]:
-    rng = np.random.default_rng(3)
-    x = np.array([20.0, 0.06, 0.02, 0.3, 0.2, 0.1, 0.4, 0.1, 0.05, 0.01, -0.02, 20.5, 0.03])[
-        : SIZES[gusty]
-    ]
-    x = x + 0.01 * rng.standard_normal((n, len(x)))
-    along = ReferenceFlight(
-        x[:, :8] + 0.01 * rng.standard_normal((n, 8)),
-        rng.normal(0.0, 10.0, (n, 6)),
-        rng.normal(0.0, 5.0, (n, 6, 6)),
-        rng.standard_normal((n, 6, 2)),
-    )
-    gusts = GustStates(3.0, passing_mps)
-    return (
-        x,
-        Body(
-            18.0,
-            INERTIA,
-            np.linalg.inv(INERTIA),
-            np.array([0.1, -0.05, 0.02]),
-            9.81,
-            gusty,
-            gusts,
-            by_flow,
-        ),
-        along,
-    )
-
-
-def at(along: ReferenceFlight, k: int) -> ReferenceFlight:
-    return ReferenceFlight(*(v[k] for v in along))
-
-
-@pytest.mark.parametrize(
-    ("gusty", "by_flow", "passing"), [(True, True, 0.0), (True, False, 15.0), (False, True, 0.0)]
-)
-def test_compiled_rates_are_those_of_the_equations(
-    gusty: bool, by_flow: bool, passing: float
-) -> None:
-    x, body, along = system(gusty, by_flow, passing)
-    rate, seen = np.empty(x.shape), np.empty((len(x), 11))
-    loops().rates(x, body, along, along.load, rate, seen)
-    for k in range(len(x)):
-        own, out = np.empty(x.shape[1]), np.empty(11)
-        motion(x[k], sines(x[k]), body, at(along, k), along.load[k], np.empty(12), own, out)
-        np.testing.assert_allclose(rate[k], own, rtol=1e-12, atol=1e-13)
-        np.testing.assert_allclose(seen[k], out, rtol=1e-12, atol=1e-13)
 
 
 def test_a_step_is_the_exponential_and_inputs_are_linear_in_between() -> None:

@@ -71,30 +71,10 @@ def test_integral_time_of_a_first_order_process_is_known():
 
 # The warning on coloured residuals: when it is given, what it suspects, and that it is short.
 
-MAX_WORDS = 60
-
 
 def found(predictable=0.4, explained=np.nan, p_value=1e-30, outputs=6):
     """A colour alike in all outputs."""
     return Colour(*(np.full(outputs, value) for value in (p_value, predictable, 0.9, explained)))
-
-
-@pytest.mark.parametrize("method", ["output error", "filter error"])
-@pytest.mark.parametrize(
-    ("explained", "first"),
-    [
-        (0.9, "suspect the model's form before"),
-        (0.1, "suspect process noise (turbulence) before"),
-        (np.nan, "turbulence) or the model"),
-    ],
-)
-def test_the_cause_first_and_few_words(method, explained, first):
-    (text,) = colour_warnings(found(explained=explained), np.full(3, 3.2), np.ones(3), method)
-    assert text.startswith("coloured residuals: ")
-    assert first in text
-    assert "3.2 times the Cramer-Rao bounds" in text
-    assert text.endswith("(docs/estimators.md, Coloured residuals).")
-    assert len(text.split()) <= MAX_WORDS
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sysid.arrays import FloatArray
-from sysid.estimation import command_steps_of, filtered_steps, fuller, lagged
+from sysid.estimation import command_steps_of, filtered_steps, fuller
 from sysid.record import FlightRecord
 
 DT_S, L_P, L_DA = 0.02, -8.0, 30.0
@@ -65,10 +65,3 @@ def test_too_few_or_collinear_columns_have_no_estimate() -> None:
     x = z + rng.normal(size=(500, 1))
     assert fuller(x[:, 0], np.column_stack([x, rng.normal(size=500)]), z, block) is None
     assert fuller(x[:, 0], np.zeros((500, 1)), z, block) is None
-
-
-def test_lag_starts_at_rest() -> None:
-    out = lagged(np.r_[np.full(5, 2.0), np.full(200, 3.0)], DT_S, 0.1)
-    assert out[:5] == pytest.approx(2.0)
-    assert out[9] == pytest.approx(3.0 - np.exp(-1.0), abs=0.01)
-    assert out[-1] == pytest.approx(3.0)

@@ -261,25 +261,3 @@ def test_inputs_between_samples_are_used():
     assert missed(np.array([[0.25]])) == pytest.approx(1 / 3)
     with pytest.raises(ValueError, match="u_middle"):
         missed(np.array([[0.25], [0.5]]))
-
-
-# The innovations' likelihood: cost against a Kalman filter written out, gradient against
-# differences, updates carried on.
-
-INNOVATIONS_DT, N = 0.05, 120
-T = INNOVATIONS_DT * np.arange(N)
-INNOVATIONS_U = np.sign(np.sin(2.0 * T))[:, None]
-
-
-def series(seed: int = 0, q: float = 0.2, holes: bool = True) -> np.ndarray:
-    rng = np.random.default_rng(seed)
-    x, z = 0.0, np.empty((N, 1))
-    for k in range(N):
-        z[k] = x + 0.05 * rng.standard_normal()
-        x += (
-            INNOVATIONS_DT * (-x + 2.0 * INNOVATIONS_U[k, 0])
-            + q * np.sqrt(INNOVATIONS_DT) * rng.standard_normal()
-        )
-    if holes:
-        z[[10, 50, 51]] = np.nan
-    return z

@@ -118,10 +118,3 @@ def test_a_step_over_a_bound_is_put_on_it_and_the_rest_solved_again():
     assert damped_step(g, M, 0.7, wide, wide, all_) == pytest.approx(
         np.linalg.solve(M + 0.7 * np.diag(np.diagonal(M)), g)
     )
-
-
-def test_each_iteration_is_told_with_the_length_of_its_step():
-    said = []
-    found = run(rosenbrock(), [-1.2, 1.0], callback=lambda *step: said.append(step))
-    assert [iteration for iteration, _ in said] == list(range(1, found.iterations + 1))
-    assert said[-1][1] == found.decrement < 1e-6

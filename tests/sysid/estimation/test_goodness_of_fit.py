@@ -9,7 +9,6 @@ from scipy.signal import lfilter
 from sysid.estimation.goodness_of_fit import (
     channel_noise,
     largest_residuals,
-    rms,
     shows_process_noise,
     theil,
     time_shift,
@@ -57,11 +56,6 @@ def test_the_cards_noise_counts_where_a_channel_looks_cleaner():
     assert found["b"] == pytest.approx(0.5, rel=0.06)
     nothing = channel_noise([np.full((10, 1), np.nan)], ("a",), {})
     assert np.isnan(nothing["a"])
-
-
-def test_rms_is_over_what_was_measured():
-    assert rms(np.array([3.0, np.nan, 4.0])) == pytest.approx(np.sqrt(12.5))
-    assert np.isnan(rms(np.array([np.nan])))
 
 
 def test_theils_shares_of_scale_and_of_a_shift_in_phase():

@@ -188,14 +188,6 @@ def test_sensitivities_carried_on_give_the_same_answer_with_fewer_simulations():
     assert fits["secant"].n_simulations < 0.7 * fits["auto"].n_simulations
 
 
-def test_no_convergence_is_said():
-    fit = output_error(
-        lambda theta: decay(theta, T), [0.1, 5.0, 0.0, 0.0], noisy(6), max_iterations=1
-    )
-    assert not fit.converged
-    assert "not converged" in fit.warnings[0]
-
-
 def test_wrong_model_form_is_reported_and_the_right_one_is_not():
     rng = np.random.default_rng(7)
     u = signal.square(T * 3.0)
@@ -281,36 +273,6 @@ def test_estimates_alone_are_the_same_and_say_nothing_of_errors():
 
 # Sensitivities by differences against derivatives written out; simulations that fail, are rough
 # or do not care.
-
-SENSITIVITIES_T = np.linspace(0.0, 3.0, 60)
-FREE = (np.full(2, -np.inf), np.full(2, np.inf))
-
-
-def decay_sensitivities(theta):
-    """Two outputs of an amplitude and a rate."""
-    y = theta[0] * np.exp(-theta[1] * SENSITIVITIES_T)
-    return np.column_stack([y, 1e4 * y**2])
-
-
-def differences(
-    theta, model=decay_sensitivities, limits=FREE, central=True, columns=(0, 1), map_=None
-):
-    theta = np.asarray(theta, dtype=float)
-    simulation = SafeSimulation(model, (SENSITIVITIES_T.size,), 2)
-    base = simulation(theta)
-    assert not isinstance(base, str)
-    step = first_steps(theta, *limits)
-    return sensitivities(
-        simulation,
-        theta,
-        base,
-        step,
-        columns,
-        limits,
-        np.abs(base).max(axis=0),
-        central=central,
-        map_fn=map_,
-    )
 
 
 @pytest.mark.parametrize(
@@ -417,14 +379,3 @@ def test_an_output_met_exactly_by_its_only_parameter_gives_no_bound():
         output_error(two_outputs, np.zeros(3), measured, names=["a", "b", "c"]).status["c"]
         == "identified"
     )
-
-
-def test_bounds_of_a_name_that_is_none_are_a_value_error():
-    with pytest.raises(ValueError, match="bounds names 1; the parameters are a, b, c"):
-        output_error(
-            two_outputs,
-            np.zeros(3),
-            two_outputs([1, 2, 3]),
-            names=["a", "b", "c"],
-            bounds={1: (0, 2)},
-        )

@@ -17,7 +17,6 @@ from sysid.errors import LogError
 from sysid.foreign import limited
 from sysid.foreign.limited import LIMITS, Limit
 from sysid.foreign.raw import RawLog
-from sysid.foreign.typed_files import load
 from sysid.logs import tables, tlog, ulog
 from sysid.logs.load import import_log
 from sysid.logs.signal_map import shipped_map
@@ -247,19 +246,3 @@ def test_progress_comes_through(
     )
     assert shares
     assert all(0.0 <= share <= 1.0 for share in shares)
-
-
-def test_a_reader_that_fails_in_an_unknown_way_keeps_its_traceback(tmp_path: Path) -> None:
-    (tmp_path / "a.csv").write_text("time_s,q_radps\n0,1\n1,2\n")
-    with pytest.raises(RuntimeError, match="Traceback"):
-        limited._request(tmp_path / "a.csv", "csv", {"selection": 5})
-
-
-def test_a_chunk_that_is_no_data_ends_the_child(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "a.csv").write_text("time_s,q_radps\n0,1\n1,2\n")
-    monkeypatch.setattr(limited, "load", lambda content: load(b"no data"))
-    with pytest.raises(LogError, match="ended without an answer"):
-        FlightRecord.read(tmp_path / "a.csv")
-    assert os.getpid() not in limited._children

@@ -19,12 +19,10 @@ import pytest
 
 from sysid.aerodynamics import GustStates
 from sysid.errors import Finding
-from sysid.foreign import typed_files
 from sysid.foreign.raw import MessageTable, RawLog
 from sysid.foreign.typed_files import (
     MAGIC,
     DataFileError,
-    Reader,
     dump,
     find_class,
     load,
@@ -250,27 +248,6 @@ def test_what_is_no_data_is_refused_by_name(value, said):
     with pytest.raises(DataFileError) as error:
         dump(value)
     assert said in str(error.value)
-
-
-def test_a_header_is_bounded(monkeypatch):
-    monkeypatch.setattr(typed_files, "MAX_HEADER_BYTES", 1000)
-    assert len(load(dump(np.zeros(10_000)))) == 10_000
-    with pytest.raises(DataFileError, match="allows 1000"):
-        dump(list(range(1000)))
-    monkeypatch.undo()
-    written = dump(list(range(1000)))
-    monkeypatch.setattr(typed_files, "MAX_HEADER_BYTES", 1000)
-    with pytest.raises(DataFileError, match="longer than allowed"):
-        load(written)
-
-
-def test_a_list_that_many_hold_is_not_looked_through_for_ever(monkeypatch):
-    numbers = {str(k): 1.0 for k in range(100)}
-    written = dump([Finding("a", "", "info", str(k), numbers) for k in range(100)])
-    assert len(load(written)) == 100
-    monkeypatch.setattr(typed_files, "_MAX_VISITS", 10_000)
-    with pytest.raises(DataFileError, match="takes more than 10000 steps"):
-        load(written)
 
 
 def sealed(header: Any, buffers: bytes = b"", length: int | None = None) -> bytes:
@@ -511,30 +488,3 @@ def test_a_named_tuple_is_made_of_its_fields():
 
 # Nodes of a data file made into values: shared ones shared, each buffer once, and nothing that
 # is not there yet.
-
-
-def read(*nodes, classes=(), buffers=()):
-    return Reader(classes, [memoryview(b) for b in buffers]).values([list(n) for n in nodes])
-
-
-@pytest.mark.parametrize(
-    ("nodes", "said"),
-    [
-        ([("none",), ("list", [1])], "value 1: it refers to values that do not come before it"),
-        ([("int", 1), ("float", 1.0), ("set", [0, 1])], "two of its keys are equal"),
-        ([("bytes", 0), ("bytes", 0)], "value 1: it has no buffer, or that of another value"),
-        ([("array", [3], "C", True, "<f8", 0)], "bytes are not those of its shape and type"),
-        ([("array", [1], "X", True, "<f8", 0)], "no order"),
-        ([("array", [-1], "C", True, "<f8", 0)], "no shape"),
-        (
-            [("str", "c"), ("object", 0, [0, 0, 0, 0, 0, 0, 0])],
-            "numbers of sysid.errors:Finding holds a str",
-        ),
-        ([("eval", "1")], "value 0"),
-        ([("list", []), ("set", [0])], "unhashable"),
-        ([("none",), *(("list", [k]) for k in range(150))], "nested more than 100 deep"),
-    ],
-)
-def test_nodes_that_are_none_are_refused_with_their_number(nodes, said):
-    with pytest.raises(DataFileError, match=said):
-        read(*nodes, classes=[FINDING], buffers=[bytes(8)])

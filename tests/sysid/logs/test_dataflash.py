@@ -238,17 +238,6 @@ def assembled(columns, formats):
     return assemble("dataflash", columns, made, {}, [], Path("a.bin"))
 
 
-def test_instances_are_split_and_times_are_seconds() -> None:
-    us = np.array([1_000_000, 1_000_500, 2_000_000], dtype=np.uint64)
-    columns = {"IMU": {"TimeUS": us, "I": np.array([0, 1, 0]), "GyrX": np.array([1.0, 2.0, 3.0])}}
-    raw = assembled(columns, {"IMU": (16, "QBf", "TimeUS,I,GyrX")})
-    assert raw.messages[("IMU", 0)].time_s.tolist() == [1.0, 2.0]
-    assert raw.messages[("IMU", 0)].fields["GyrX"].tolist() == [1.0, 3.0]
-    assert raw.messages[("IMU", 1)].fields["GyrX"].tolist() == [2.0]
-    assert set(raw.messages[("IMU", 1)].fields) == {"GyrX"}
-    assert columns == {}
-
-
 def test_parameters_texts_and_vehicle() -> None:
     columns = {
         "PARM": {"TimeUS": np.array([1, 2]), "Name": text("A", "A"), "Value": np.array([1.0, 2.0])},

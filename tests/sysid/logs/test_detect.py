@@ -59,10 +59,3 @@ def test_what_is_no_log_is_refused_by_name(tmp_path: Path, content: bytes, said:
     (tmp_path / "a.bin").write_bytes(content)
     with pytest.raises(LogError, match=said):
         detect(tmp_path / "a.bin")
-
-
-def test_a_folder_and_a_missing_file_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(LogError, match="folder"):
-        detect(tmp_path)
-    with pytest.raises(LogError, match="no such file"):
-        detect(tmp_path / "a.bin")

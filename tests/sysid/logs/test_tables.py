@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import cast
 
 import numpy as np
 import pyarrow as pa
@@ -12,7 +11,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from sysid.errors import LogError
-from sysid.logs.csv_dialects import CSV_DIALECTS, CsvDialect, csv_dialect_of, si_factor
+from sysid.logs.csv_dialects import si_factor
 from sysid.logs.load import import_log
 from sysid.logs.tables import read_csv, read_parquet, read_record
 from sysid.record import FlightRecord
@@ -116,24 +115,6 @@ def test_tables_that_are_made_to_harm_are_refused(tmp_path: Path, text: str, sai
 )
 def test_suffixes_are_units(name: str, factor: float) -> None:
     assert si_factor(name) == pytest.approx(factor, rel=1e-6)
-
-
-def test_a_csv_dialect_is_one_entry(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    names = ["t", "xp/airspeed_kmh"]
-    assert csv_dialect_of(names) == "csv"
-    dialect = CsvDialect(
-        "xp",
-        "XP",
-        "xp/",
-        lambda n: n[1].startswith("xp/"),
-        lambda n: 1.0 / 3.6 if "kmh" in n else 1.0,
-    )
-    monkeypatch.setitem(cast("dict[str, CsvDialect]", CSV_DIALECTS), "xp", dialect)
-    assert csv_dialect_of(names) == "xp"
-    (tmp_path / "a.csv").write_text("t,xp/airspeed_kmh\n0,36\n1,72\n")
-    raw = read_csv(tmp_path / "a.csv", dialect=dialect)
-    assert (raw.dialect, raw.vehicle) == ("xp", "XP")
-    assert raw.messages[("csv", 0)].fields["airspeed_kmh"] == pytest.approx([10.0, 20.0])
 
 
 def test_cells_that_are_no_numbers_are_dropouts_and_columns_of_words_stay_words(

@@ -39,24 +39,6 @@ def test_ulog_quaternions_become_angles(tmp_path: Path) -> None:
         np.testing.assert_allclose(back[name], record[name], atol=1e-5, rtol=1e-5, err_msg=name)
 
 
-def test_only_wanted_topics_are_kept_and_times_are_seconds(tmp_path: Path) -> None:
-    us = np.arange(0, 1_000_000, 20_000)
-    topics = {
-        "airspeed": (us, {"v": np.linspace(0.0, 1.0, len(us))}),
-        "sensor_combined": (us, {"g": np.ones(len(us))}),
-    }
-    write_ulog(tmp_path / "a.ulg", topics, mav_type=2)
-    raw = ulog.read(tmp_path / "a.ulg", {"airspeed": frozenset({"v"})})
-    assert list(raw.messages) == [("airspeed", 0)]
-    assert raw.messages[("airspeed", 0)].time_s == pytest.approx(us * 1e-6)
-    assert raw.messages[("airspeed", 0)].fields["v"] == pytest.approx(
-        np.linspace(0.0, 1.0, len(us))
-    )
-    assert raw.vehicle == "PX4 quadrotor"
-    assert raw.parameters == {"MAV_TYPE": 2.0}
-    assert set(ulog.read(tmp_path / "a.ulg").messages) == {("airspeed", 0), ("sensor_combined", 0)}
-
-
 def test_a_log_of_nothing_wanted_and_no_log_are_refused(tmp_path: Path) -> None:
     us = np.arange(0, 1_000_000, 20_000)
     write_ulog(tmp_path / "a.ulg", {"airspeed": (us, {"v": np.ones(len(us))})})

@@ -13,9 +13,6 @@ from sysid.model_form.fit import (
     denoised_states,
     fit_bounds,
     missing_terms,
-    noise_floor,
-    remove_state_noise,
-    with_noise,
 )
 from tests.helpers.residual_pieces import DT, filtered, noise_of, residuals_of
 
@@ -164,31 +161,4 @@ def test_most_of_the_noise_goes_and_the_motion_stays(size):
     )
 
 
-def test_pieces_that_do_not_know_their_noise_stay_as_they_are():
-    made = residuals_of([np.zeros(50)] * 2)
-    bare = type(made)(
-        tuple(type(p)(p.label, p.time_s, p.delta, p.states) for p in made.pieces), DT, made.cutoffs
-    )
-    assert remove_state_noise(bare) is bare
-    assert remove_state_noise(made).pieces[0].noise is made.pieces[0].noise
-
-
 # Noise added once more.
-
-
-def test_noise_is_added_where_there_is_a_figure_for_it():
-    channels = {c: np.full(20_000, 5.0) for c in ("a", "b", "c")}
-    noisy = with_noise(channels, {"a": 0.5, "b": float("nan")}, np.random.default_rng(3))
-    assert np.std(noisy["a"]) == pytest.approx(0.5, rel=0.02)
-    assert np.mean(noisy["a"]) == pytest.approx(5.0, abs=0.02)
-    assert noisy["b"] is channels["b"]
-    assert noisy["c"] is channels["c"]
-    assert np.all(channels["a"] == 5.0)
-    again = with_noise(channels, {"a": 0.5}, np.random.default_rng(3))
-    np.testing.assert_array_equal(again["a"], noisy["a"])
-
-
-def test_a_floor_is_the_rms_over_experiments():
-    first, second = np.array([[3.0, 0.0], [-3.0, 0.0]]), np.array([[1.0, 2.0], [1.0, 2.0]])
-    np.testing.assert_allclose(noise_floor([first]), [3.0, 0.0])
-    np.testing.assert_allclose(noise_floor([first, second]), [np.sqrt(5.0), np.sqrt(2.0)])

@@ -20,7 +20,6 @@ from sysid.model_form.information_gain import (
     mean_power,
     parameter_variance,
     speed_power,
-    weighted_quartiles,
     width,
     with_more_data,
 )
@@ -103,15 +102,6 @@ def test_scatter_falls_with_speed_as_it_was_made_to():
     even = rng.uniform(18.0, 25.0, 200_000)
     middle = np.quantile(even, [0.25, 0.5, 0.75])
     assert mean_power(middle, 18.0, 25.0, -4.0) == pytest.approx(np.mean(even**-4.0), rel=2e-3)
-
-
-def test_weighted_quartiles():
-    values = np.arange(1.0, 101.0)
-    assert weighted_quartiles(values, np.ones(100)) == pytest.approx([25.0, 50.0, 75.0])
-    assert weighted_quartiles(values, (values == 7.0).astype(float)) == pytest.approx(
-        [7.0, 7.0, 7.0]
-    )
-    assert np.isnan(weighted_quartiles(values, np.zeros(100))).all()
 
 
 # Which manoeuvres to fly: against every set that could be flown, and a budget of seconds.

@@ -155,7 +155,7 @@ def test_a_light_propeller_gets_a_step_at_which_it_is_stable(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("style", list(gallery.STYLES))
+@pytest.mark.parametrize("style", list(gallery.SPEEDS_MPS))
 def test_three_commands_lead_to_a_p_box(style, tmp_path):
     row = gallery.take(style, tmp_path, duration_s=2.0)
     assert (tmp_path / "results" / "pbox.parquet").is_file()
@@ -169,7 +169,7 @@ def test_three_commands_lead_to_a_p_box(style, tmp_path):
 
 def test_the_gallery_has_a_row_for_each_aircraft():
     rows = [line.split("|") for line in gallery.PAGE.read_text().splitlines() if "m/s |" in line]
-    assert [row[1].strip() for row in rows] == list(gallery.STYLES)
+    assert [row[1].strip() for row in rows] == list(gallery.SPEEDS_MPS)
     for row in rows:
         style = row[1].strip()
         assert row[2].strip() == gallery.DESCRIPTIONS[style]
@@ -245,18 +245,13 @@ HEADER_TANK = """
 """
 
 
-def with_feedback(files):
-    xml = files["single.xml"].replace("</propulsion>", f"{HEADER_TANK}</propulsion>{FEEDBACK}")
-    return files | {"single.xml": xml}
-
-
 @pytest.mark.parametrize("style", ["contra", "turboprop", "single"])
 def test_engines_that_long_steps_stop_start_settled_in_the_batch_engine(style, tmp_path):
-    folder = tmp_path / "aircraft" / style
-    files = gallery.STYLES[style]()
-    for name, content in (with_feedback(files) if style == "single" else files).items():
-        (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        (folder / name).write_text(content)
+    folder = foreign_aircraft.write(style, tmp_path)
+    if style == "single":
+        xml = folder / "single.xml"
+        system = f"{HEADER_TANK}</propulsion>{FEEDBACK}"
+        xml.write_text(xml.read_text().replace("</propulsion>", system))
     start = StartSection(V_mps=gallery.SPEEDS_MPS[style], altitude_m=200.0)
     script = tmp_path / "steady.xml"
     write_steady_start(find_aircraft(folder), start, script, "test")

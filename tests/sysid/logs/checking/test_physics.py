@@ -18,7 +18,7 @@ from sysid.logs.checking.kinematics import (
     to_body,
     to_earth,
 )
-from sysid.logs.checking.physics import check_physics, map_correction
+from sysid.logs.checking.physics import check_physics
 from sysid.logs.checking.signals import (
     detect_wraps,
     interpolation_interval,
@@ -190,14 +190,6 @@ def test_every_law_holds_in_an_exact_flight() -> None:
     vector = np.random.default_rng(0).standard_normal((3, len(record)))
     np.testing.assert_allclose(
         to_body(record.columns, to_earth(record.columns, vector)), vector, atol=1e-12
-    )
-
-
-def test_the_line_that_mends_it() -> None:
-    meta = Metadata(dialect="dataflash", channels={"q_radps": "IMU.GyrY"})
-    assert (
-        map_correction("q_radps", -1.0, meta)
-        == '[signals.q_radps]\nmessage = "IMU"\nfield = "GyrY"\nscale = -1'
     )
 
 
