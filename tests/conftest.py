@@ -86,7 +86,6 @@ LONGEST_FILES = (
     "tests/stories/test_any_aircraft.py",
     "tests/stories/test_fuzz.py",
     "tests/uqharness/campaign/test_dask.py",
-    "tests/hidden_effects/test_drawn.py",
 )
 """Files that take longest, which start first: a worker would otherwise end with one of them while
 the others idle. The order changes no result.

@@ -5,15 +5,11 @@ from __future__ import annotations
 import ast
 import builtins
 import re
-from collections.abc import Iterator
-from pathlib import Path
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 
-ROOT = Path(__file__).parents[2]
-MODULES = {
-    path.relative_to(ROOT): ast.parse(path.read_text())
-    for package in ("sysid", "uqharness")
-    for path in sorted((ROOT / package).rglob("*.py"))
-}
+from tests.architecture.rooms import modules
+from tests.helpers.places import ROOT
 
 NAMES_OF_OTHERS = {
     *("FGFDMExec", "__pycache__", "execrate", "filename", "model_json_schema", "servo_pwm"),
@@ -36,10 +32,41 @@ ROW = re.compile(r"^(\w+(?:, \w+)*)(?:  +| : )\S", re.MULTILINE)
 REFERENCE = re.compile(r"(?<!`)`([A-Za-z_][\w.]*)(?:\(\))?`(?!`)|``([A-Za-z_]\w*)``")
 
 
-def bound(tree: ast.AST) -> set[str]:
+@dataclass
+class Names:
+    """What a source defines, names in any way, and documents: for each docstring its place, its
+    text, the names inside and whether a base class may have more.
+    """
+
+    defined: set[str]
+    bound: set[str]
+    documented: list[tuple[str, str, set[str], bool]]
+
+
+def names_of(source: str) -> Names:
+    """Parse a source; its tree is not kept, which would slow every collection of garbage."""
+    nodes = list(ast.walk(ast.parse(source)))
+    found = Names(set(), bound(nodes), [])
+    for node in nodes:
+        if isinstance(node, ast.FunctionDef | ast.ClassDef | ast.Module):
+            text = ast.get_docstring(node) or ""
+            if isinstance(node, ast.Module):
+                found.documented.append(("1 module", text, set(), False))
+                continue
+            found.defined.add(node.name)
+            inside = bound(ast.walk(node)) if documented_names(text) else set()
+            inherits = isinstance(node, ast.ClassDef) and bool(node.bases)
+            found.documented.append((f"{node.lineno} {node.name}", text, inside, inherits))
+        elif isinstance(node, ast.Assign | ast.AnnAssign):
+            targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+            found.defined.update(t.id for t in targets if isinstance(t, ast.Name))
+    return found
+
+
+def bound(inside: Iterable[ast.AST]) -> set[str]:
     """Names that code defines, uses or spells in short strings."""
     names: set[str] = set()
-    for node in ast.walk(tree):
+    for node in inside:
         match node:
             case ast.Name(id=name) | ast.Attribute(attr=name) | ast.arg(arg=name):
                 names.add(name)
@@ -54,46 +81,37 @@ def bound(tree: ast.AST) -> set[str]:
     return names
 
 
-def unknown_names(tree: ast.Module, project: set[str]) -> Iterator[str]:
+def documented_names(docstring: str) -> list[str]:
+    """Arguments and fields in a docstring's sections and rows."""
+    entries = [entry for part in SECTION.findall(docstring) for entry in ENTRY.findall(part)]
+    rows = ROW.findall(OUTCOME.sub("", docstring).partition("\n")[2])
+    listed = ", ".join(dict.fromkeys(entries + rows)).replace("*", "")
+    return listed.split(", ") if listed else []
+
+
+def unknown_names(source: Names, project: set[str]) -> Iterator[str]:
     """Documented arguments that a function does not have, and references to nothing."""
-    known_here = bound(tree) | project | NAMES_OF_OTHERS | set(dir(builtins))
-    for node in ast.walk(tree):
-        if not isinstance(node, ast.FunctionDef | ast.ClassDef | ast.Module):
-            continue
-        docstring = ast.get_docstring(node) or ""
-        label = f"{getattr(node, 'lineno', 1)} {getattr(node, 'name', 'module')}"
+    known = source.bound | project | NAMES_OF_OTHERS | set(dir(builtins))
+    for label, docstring, inside, inherits in source.documented:
         for match in REFERENCE.finditer(docstring):
             name = (match[1] or match[2]).split(".")[-1]
-            if name not in known_here and not DATA.fullmatch(name):
+            if name not in known and not DATA.fullmatch(name):
                 yield f"{label}: `{name}`"
-        if isinstance(node, ast.Module):
+        if label == "1 module":
             continue
-        has = bound(node)
-        entries = [e for s in SECTION.findall(docstring) for e in ENTRY.findall(s)]
-        rows = ROW.findall(OUTCOME.sub("", docstring).partition("\n")[2])
-        for names in dict.fromkeys(entries + rows):
-            for name in names.replace("*", "").split(", "):
-                # A class may document a field that it inherits.
-                inherited = isinstance(node, ast.ClassDef) and node.bases and name in project
-                if name not in has and not inherited:
-                    yield f"{label}: argument {name}"
+        for name in documented_names(docstring):
+            if name not in inside and not (inherits and name in project):
+                yield f"{label}: argument {name}"
 
 
 def test_docstrings_name_what_exists() -> None:
-    project = {name for path in MODULES for name in (path.stem, *path.parts)}
-    for tree in MODULES.values():
-        project |= {
-            n.name for n in ast.walk(tree) if isinstance(n, ast.FunctionDef | ast.ClassDef)
-        } | {
-            t.id
-            for n in ast.walk(tree)
-            if isinstance(n, ast.Assign | ast.AnnAssign)
-            for t in (n.targets if isinstance(n, ast.Assign) else [n.target])
-            if isinstance(t, ast.Name)
-        }
-    wrong = [
-        f"{path}:{text}" for path, tree in MODULES.items() for text in unknown_names(tree, project)
-    ]
+    sources = {
+        path.relative_to(ROOT): names_of(path.read_text(encoding="utf-8"))
+        for path in modules().values()
+    }
+    project = {name for path in sources for name in (path.stem, *path.parts)}
+    project = project.union(*(source.defined for source in sources.values()))
+    wrong = [f"{path}:{text}" for path, s in sources.items() for text in unknown_names(s, project)]
     assert not wrong, "\n".join(wrong)
 
 
@@ -108,7 +126,7 @@ def lift(alpha, area):
     """
     return alpha * area
 '''
-    assert list(unknown_names(ast.parse(text), set())) == [
+    assert list(unknown_names(names_of(text), set())) == [
         "2 lift: `wing_of`",
         "2 lift: argument surface",
     ]

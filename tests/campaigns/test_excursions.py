@@ -115,8 +115,6 @@ def test_what_is_not_in_print_is_refused(tmp_path, capsys):
 
 
 HOME = PROJECT_ROOT / "campaigns" / "excursions-from-flights"
-
-
 MODELS = ("identified", "refined")
 
 

@@ -19,7 +19,6 @@ from campaigns.identification.air_equations import (
 from campaigns.identification.reproduce import (
     CASES,
     covered,
-    fly_flights,
     published,
     read_data,
     side_by_side,
@@ -42,10 +41,7 @@ STATE = {
     "theta": 0.1,
 }
 
-
 U = np.array([1.5, -2.0, 3.0, 62.0])
-
-
 HEIGHT = 120.0
 
 
@@ -184,14 +180,6 @@ def test_table_and_its_figures():
     assert numbers["covered_95"] == pytest.approx(2 / 3)
     assert numbers["covered_95_crb"] == pytest.approx(1 / 3)
     assert numbers["median_error_pct"] == pytest.approx(0.526, abs=0.001)
-
-
-@pytest.fixture(scope="module")
-def gusty(tmp_path_factory):
-    return read_data(
-        fly_flights("synthetic_stall", tmp_path_factory.mktemp("gusty"), 1, fine=True)[0],
-        "synthetic_stall",
-    )
 
 
 def test_coverage_through_jsbsim_counts_what_has_no_estimate():

@@ -19,8 +19,6 @@ from uqharness.flight import COEFFICIENTS, FlightResult
 # Effects of a level [the metric's unit]: shares are each over their sum where all have one sign,
 # whatever the others are.
 PRINTED = {"CX": 0.02, "CY": 3.95, "CZ": 0.32, "Cl": 0.33, "Cm": 0.4, "Cn": 4.98}
-
-
 OTHERWISE = {"CX": 9.0, "CY": 0.2, "CZ": 0.2, "Cl": 0.2, "Cm": 0.2, "Cn": 0.2}
 
 

@@ -4,7 +4,6 @@ say of made-up answers.
 
 from __future__ import annotations
 
-import json
 from functools import cache
 from types import ModuleType
 from typing import Any
@@ -16,23 +15,9 @@ from sysid.aerodynamics import noise_variance
 from tests.helpers.campaign_scripts import campaign_script
 
 FLIGHTS: ModuleType = campaign_script("model-form", "flights")
-
-
 JUDGE: ModuleType = campaign_script("model-form", "judge")
-
-
 STUDY: ModuleType = campaign_script("model-form")
-
-
-PBOX: ModuleType = campaign_script("model-form", "pbox")
-
-
-REFINED: ModuleType = campaign_script("model-form", "refined")
-
-
 TABLES: ModuleType = campaign_script("model-form", "tables")
-
-
 CASES = {c.name: c for c in FLIGHTS.CASES}
 
 
@@ -105,48 +90,3 @@ def test_tables_and_verdicts(answers):
         fits.assign(found=fits["case"] == "truth-calm"),
     )
     assert good == []
-
-
-def test_the_p_box_by_parts_is_held_against_the_published_one(tmp_path, monkeypatch, capsys):
-    levels = {"truth": [2.0], "by-parts": [1.9, 2.1], "as-published": [0.5, 4.5]}
-
-    def flown(folder, aircraft, epistemic, settings):
-        assert (folder / "model-form.json").exists() == (
-            aircraft == "espaaro" and "corners" in epistemic
-        )
-        return [
-            PBOX.Sample(str(k), centre + np.linspace(-0.01, 0.01, 8))
-            for k, centre in enumerate(levels[folder.name])
-        ]
-
-    monkeypatch.setattr(PBOX, "fly_samples", flown)
-    command = ["--out", str(tmp_path), "--seeds", "1", "--cases", "nominal-calm"]
-    assert PBOX.main(command) == 0
-    said = capsys.readouterr().out
-    assert "| nominal-calm | by parts | 1 | 0.2 | 1.90 to 2.10 | 2.00 | 1 of 1 |" in said
-    monkeypatch.setattr(PBOX, "run_seed", None)  # what is there is not flown again
-    assert PBOX.main(command) == 0
-    (row,) = [json.loads(p.read_text()) for p in (tmp_path / "pbox").glob("*.json")]
-    wide = {**row, "by parts": {**row["by parts"], "area": 3.0, "flown": "outside"}}
-    assert [line.partition(":")[0] for line in PBOX.verdict([wide])] == ["nominal-calm"] * 2
-
-
-def test_refinements_that_narrow_are_counted_and_too_few_fail(tmp_path, monkeypatch):
-    def ran(seed):
-        return {
-            "seed": seed,
-            "verdict": "effects-found",
-            "effects": [],
-            "widths": {"cross_track_median_m": [0.5, after[seed]]},
-        }
-
-    monkeypatch.setattr(REFINED, "run_seed", ran)
-    after = {1: 0.2, 2: 0.3}
-    assert REFINED.main(["--out", str(tmp_path), "--seeds", "2"]) == 0
-    # Seeds that are there are not flown again.
-    after[1], after[3] = 9.0, 0.6
-    assert REFINED.main(["--out", str(tmp_path), "--seeds", "3"]) == 1
-    text = (tmp_path / "refined.md").read_text()
-    assert "2 of 3" in text
-    assert "0.367" in text
-    assert "Too few" in text

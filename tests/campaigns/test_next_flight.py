@@ -11,23 +11,11 @@ from tests.helpers.campaign_scripts import campaign_script
 from uqharness.next_flight.plan import Options
 
 _SCRIPT = campaign_script("next-flight")
-
-
 CASES = _SCRIPT.CASES
-
-
 Study = _SCRIPT.Study
-
-
 mission_of = _SCRIPT.mission_of
-
-
 narrowings = _SCRIPT.narrowings
-
-
 tables = _SCRIPT.tables
-
-
 verdict = _SCRIPT.verdict
 
 

@@ -22,7 +22,6 @@ from campaigns.rare_events.reproduce import (
     LEVELS,
     PLAIN,
     REPLICATES,
-    add_row,
     read_hits,
     read_rows,
     read_tuning,
@@ -58,18 +57,12 @@ excursion_radius_m = [8, 10]
 rearm_m = 1
 """
 
-
 SIZE = Size(roots=3, plain=4, noted=2)
-
-
 NOW = tuple(float(name == "distance") for name in NAMES)
-
 
 TUNING = Tuning(
     Levels((-4.0, -2.0), 2), DistancePredictor(10.0, (1.0,), (NOW,), (0.0,), (1.0,)), 0.5, 1.0
 )
-
-
 """Levels 4 and 2 m inside 10 m."""
 
 
@@ -214,13 +207,6 @@ def test_rates_agree_with_plain_flights_or_do_not():
     nothing = rate_of([counted(0.0, 0.0)] * 4, [])
     assert math.isnan(nothing["largest_share"])
     assert "1 of 4 replicates have no event" in none["reason"]
-
-
-def test_a_pilot_that_has_replicates_and_no_levels_is_refused(done, tmp_path):
-    study, _ = done
-    add_row(tmp_path / REPLICATES, {"number": 0})
-    with pytest.raises(BadInputError, match="has replicates and no levels"):
-        reproduce.fly(study, tmp_path, 1)
 
 
 def test_the_pilot_fits_predictions_and_finds_levels(done, tmp_path):

@@ -25,8 +25,6 @@ pytestmark = pytest.mark.filterwarnings(
 )
 
 _SCRIPT = campaign_script("time-varying")
-
-
 main, HOME = _SCRIPT.main, _SCRIPT.HOME
 
 

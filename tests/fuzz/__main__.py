@@ -11,7 +11,7 @@ import sys
 from dataclasses import asdict
 from pathlib import Path
 
-from tests.fuzz.formats import SOUND, all_formats
+from tests.fuzz.formats import SOUND, Files, Format, all_formats
 from tests.fuzz.harness import Counts, Outcome, Worker, by_number, by_time, run
 
 _EXAMPLE = """examples:
@@ -20,9 +20,13 @@ _EXAMPLE = """examples:
   python -m tests.fuzz --reproduce log-ulg 5017"""
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Run the fuzzer or reproduce one input; the exit code."""
-    formats = all_formats()
+def main(
+    argv: list[str] | None = None,
+    formats: dict[str, Format] | None = None,
+    module: str = "tests.fuzz.worker",
+) -> int:
+    """Run the fuzzer or reproduce one input; the exit code. ``module`` serves ``formats``."""
+    formats = formats or all_formats()
     parser = argparse.ArgumentParser(
         prog="python -m tests.fuzz",
         description="Mutated inputs of every format, each with a judged outcome.",
@@ -63,7 +67,7 @@ def main(argv: list[str] | None = None) -> int:
                 f"--reproduce {name} {seed}: a format (see --list) and a seed from {SOUND} are"
                 " needed"
             )
-        return _reproduce(name, int(seed))
+        return _reproduce(name, formats[name].make(int(seed)), int(seed), module)
     if args.seed < 0:
         parser.error(f"--seed {args.seed}: must not be negative")
     names = args.format or list(formats)
@@ -80,7 +84,7 @@ def main(argv: list[str] | None = None) -> int:
         findings.append(found)
         print(f"({found.name}, {found.seed}): {found.what}", file=sys.stderr, flush=True)
 
-    run(wanted, counts, tell)
+    run(wanted, counts, tell, module)
     if args.json:
         print(
             json.dumps(
@@ -97,38 +101,30 @@ def main(argv: list[str] | None = None) -> int:
 
 def table(counts: dict[str, Counts]) -> str:
     """Counts per format as text."""
-    head = (
-        f"{'format':<22}{'inputs':>8}{'results':>9}{'refusals':>9}{'findings':>9}{'slowest s':>11}{'largest MB':>12}"
-        "  seeds"
+    columns = ("inputs", "results", "refusals", "findings", "slowest_s", "largest_MB", "seeds")
+    rows = [(name, *(getattr(c, column) for column in columns)) for name, c in counts.items()]
+    sums = [sum(getattr(c, column) for c in counts.values()) for column in columns[:4]]
+    most = [max(getattr(c, column) for c in counts.values()) for column in columns[4:6]]
+    rows.append(("all", *sums, *most, ""))
+    lines = [("format", *columns), *rows]
+    return "\n".join(
+        "".join(f"{_cell(v):<{22 if k == 0 else 12}}" for k, v in enumerate(line)) for line in lines
     )
-    rows = [head]
-    for name, c in counts.items():
-        seeds = f"{c.seeds[0]}-{c.seeds[1]}" if c.seeds else "none"
-        rows.append(
-            f"{name:<22}{c.inputs:>8}{c.results:>9}{c.refusals:>9}{c.findings:>9}{c.slowest_s:>11.2f}{c.largest_MB:>12.0f}"
-            f"  {seeds}"
-        )
-    sums = [
-        sum(getattr(c, key) for c in counts.values())
-        for key in ("inputs", "results", "refusals", "findings")
-    ]
-    most = [
-        max((getattr(c, key) for c in counts.values()), default=0.0)
-        for key in ("slowest_s", "largest_MB")
-    ]
-    rows.append(
-        f"{'all':<22}{sums[0]:>8}{sums[1]:>9}{sums[2]:>9}{sums[3]:>9}{most[0]:>11.2f}{most[1]:>12.0f}"
-    )
-    return "\n".join(rows)
 
 
-def _reproduce(name: str, seed: int) -> int:
+def _cell(value: object) -> str:
+    if isinstance(value, list):
+        return "-".join(map(str, value))
+    return f"{value:.2f}" if isinstance(value, float) else str(value)
+
+
+def _reproduce(name: str, files: Files, seed: int, module: str) -> int:
     folder = Path(f"fuzz-{name}-{seed}")
-    for file, content in all_formats()[name].make(seed).items():
+    for file, content in files.items():
         path = folder / file
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(content)
-    with Worker() as worker:
+    with Worker(module) as worker:
         found = worker.attempt(name, seed)
     print(f"{folder}: written")
     print(f"{found.outcome} in {found.seconds:.2f} s, {found.megabytes:.0f} MB: {found.what}")

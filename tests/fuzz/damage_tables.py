@@ -10,11 +10,15 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from tests.fuzz import damage_bytes, hostile
+from tests.fuzz import hostile
+from tests.fuzz.damage_bytes import damaged
 from tests.fuzz.damage_tree import damaged_tree, value
 from tests.fuzz.hostile import pick
+
+_PARQUET = "lost lost doubled renamed names type type type fill fill nulls rows metadata"
 
 
 def parquet_damage(data: bytes, rng: np.random.Generator) -> bytes:
@@ -25,58 +29,51 @@ def parquet_damage(data: bytes, rng: np.random.Generator) -> bytes:
     if bomb and rng.random() < 0.5:
         return data
     if bomb or rng.random() < 0.35:
-        return damage_bytes.damaged(data, rng)
-    table = pq.read_table(io.BytesIO(data))
-    for _ in range(int(rng.integers(1, 4))):
-        if not table.num_columns:
-            break
-        table = pick(_PARQUET, rng)(table, rng)
-    out = io.BytesIO()
+        return damaged(data, rng)
+    table, out = pq.read_table(io.BytesIO(data)), io.BytesIO()
     compression = str(rng.choice(["zstd", "snappy", "gzip", "none", "brotli"]))
+    size = int(rng.choice([3, 100, 10**6]))
     try:
-        pq.write_table(
-            table, out, compression=compression, row_group_size=int(rng.choice([3, 100, 10**6]))
-        )
+        for _ in range(int(rng.integers(1, 4))):
+            table = _injured(table, rng) if table.num_columns else table
+        pq.write_table(table, out, compression=compression, row_group_size=size)
     except (pa.ArrowException, ValueError, TypeError):  # what Parquet cannot hold is no input
-        return damage_bytes.damaged(data, rng)
+        return damaged(data, rng)
     return out.getvalue()
 
 
-def _pick(table: pa.Table, rng: np.random.Generator) -> int:
-    return int(rng.integers(0, table.num_columns))
+def _injured(table: pa.Table, rng: np.random.Generator) -> pa.Table:
+    j, k = (int(rng.integers(0, table.num_columns)) for _ in "jk")
+    names, column = list(table.column_names), table.column(k)
+    match pick(_PARQUET.split(), rng):
+        case "lost":
+            return table.remove_column(k)
+        case "doubled":
+            return table.append_column(names[k], column)
+        case "renamed":
+            names[k] = hostile.string(rng)
+            return table.rename_columns(names)
+        case "names":
+            names[j], names[k] = names[k], names[j]
+            return table.rename_columns(names)
+        case "type":
+            return table.set_column(k, names[k], _of_another_type(column, rng))
+        case "fill":
+            return table.set_column(k, names[k], _filled(column, rng))
+        case "nulls":
+            some = pa.array(rng.random(len(column)) < 3.0 / max(len(column), 3))
+            empty = pc.if_else(some, pa.scalar(None, column.type), column)
+            return table.set_column(k, names[k], empty)
+        case "rows":
+            return _other_rows(table, rng)
+    return _other_metadata(table, rng)
 
 
-def _with(table: pa.Table, k: int, values: pa.Array, name: str | None = None) -> pa.Table:
-    return table.set_column(k, name or table.column_names[k], values)
-
-
-def _lose(table: pa.Table, rng: np.random.Generator) -> pa.Table:
-    return table.remove_column(_pick(table, rng))
-
-
-def _double(table: pa.Table, rng: np.random.Generator) -> pa.Table:
-    k = _pick(table, rng)
-    return table.append_column(table.column_names[k], table.column(k))
-
-
-def _rename(table: pa.Table, rng: np.random.Generator) -> pa.Table:
-    names = list(table.column_names)
-    names[_pick(table, rng)] = hostile.string(rng)
-    return table.rename_columns(names)
-
-
-def _swap(table: pa.Table, rng: np.random.Generator) -> pa.Table:
-    names = list(table.column_names)
-    j, k = _pick(table, rng), _pick(table, rng)
-    names[j], names[k] = names[k], names[j]
-    return table.rename_columns(names)
-
-
-def _retype(table: pa.Table, rng: np.random.Generator) -> pa.Table:
-    """A column of another type, nested ones among them."""
-    k, n = _pick(table, rng), table.num_rows
+def _of_another_type(column: pa.ChunkedArray, rng: np.random.Generator) -> pa.Array:
+    """Nested ones among them."""
+    n = len(column)
     kinds: list[Any] = [
-        lambda: pa.array([str(v) for v in table.column(k).to_pylist()]),
+        lambda: pa.array([str(v) for v in column.to_pylist()]),
         lambda: pa.array([rng.bytes(5) for _ in range(n)], pa.binary()),
         lambda: pa.array([b"\xff\xfe\xfd%d" % j for j in range(n)], pa.binary()),
         lambda: pa.array([bool(j % 2) for j in range(n)]),
@@ -95,73 +92,53 @@ def _retype(table: pa.Table, rng: np.random.Generator) -> pa.Table:
         lambda: pa.array(np.zeros(n, np.float16)),
         lambda: pa.array(["a" * 2000] * n),
     ]
-    return _with(table, k, pick(kinds, rng)())
+    return pick(kinds, rng)()
 
 
-def _fill(table: pa.Table, rng: np.random.Generator) -> pa.Table:
+def _filled(column: pa.ChunkedArray, rng: np.random.Generator) -> pa.Array:
     """Values of the column's own type that nobody expects."""
-    k, n = _pick(table, rng), table.num_rows
-    column = table.column(k)
-    if pa.types.is_floating(column.type):
+    n, kind = len(column), column.type
+    if pa.types.is_floating(kind):
         values = np.array(column.to_numpy(), dtype=float)
         where = slice(None) if rng.random() < 0.5 else slice(n // 3, n // 3 + 2)
-        values[where] = float(
-            rng.choice([np.nan, np.inf, -np.inf, 0.0, 1e300, -1e300, 5e-324, 7.0, -1.0])
-        )
-        return _with(table, k, pa.array(values, column.type))
-    if pa.types.is_integer(column.type):
-        limits = np.iinfo(column.type.to_pandas_dtype())
+        numbers = [np.nan, np.inf, -np.inf, 0.0, 1e300, -1e300, 5e-324, 7.0, -1.0]
+        values[where] = pick(numbers, rng)
+        return pa.array(values, kind)
+    if pa.types.is_integer(kind):
+        limits = np.iinfo(kind.to_pandas_dtype())
         # The same draw for every type, brought into its range: an unsigned column holds no -1.
-        drawn = int(rng.choice([0, -1, 1, 2**31, -(2**62)]))
-        return _with(table, k, pa.array([min(max(drawn, limits.min), limits.max)] * n, column.type))
-    if pa.types.is_string(column.type):
-        text = hostile.string(rng).encode("utf-8", "replace").decode()
-        return _with(table, k, pa.array([text] * n))
-    return _retype(table, rng)
+        drawn = pick([0, -1, 1, 2**31, -(2**62)], rng)
+        return pa.array([min(max(drawn, limits.min), limits.max)] * n, kind)
+    if pa.types.is_string(kind):
+        return pa.array([hostile.string(rng).encode("utf-8", "replace").decode()] * n)
+    return _of_another_type(column, rng)
 
 
-def _nulls(table: pa.Table, rng: np.random.Generator) -> pa.Table:
-    k = _pick(table, rng)
-    values = table.column(k).to_pylist()
-    for j in rng.integers(0, max(1, len(values)), 3):
-        if values:
-            values[int(j)] = None
-    return _with(table, k, pa.array(values, table.column(k).type))
-
-
-def _rows(table: pa.Table, rng: np.random.Generator) -> pa.Table:
+def _other_rows(table: pa.Table, rng: np.random.Generator) -> pa.Table:
     n = table.num_rows
-    kind = int(rng.integers(0, 6))
-    if kind == 0:
-        return table.slice(0, 0)
-    if kind == 1:
-        return table.slice(0, 1)
-    if kind == 2:
-        return table.take(pa.array(np.arange(n)[::-1]))
-    if kind == 3:
-        return table.take(pa.array(rng.integers(0, max(1, n), n)))
-    if kind == 4:
-        return pa.concat_tables([table, table])
-    return table.slice(int(rng.integers(0, max(1, n))))
+    match int(rng.integers(0, 5)):
+        case 0 | 1 as few:
+            return table.slice(0, few)
+        case 2:
+            return table.take(pa.array(np.arange(n)[::-1]))
+        case 3:
+            return table.take(pa.array(rng.integers(0, max(1, n), n)))
+    return pa.concat_tables([table, table])
 
 
-def _metadata(table: pa.Table, rng: np.random.Generator) -> pa.Table:
+def _other_metadata(table: pa.Table, rng: np.random.Generator) -> pa.Table:
     kept = dict(table.schema.metadata or {b"pandas": b'{"index_columns": [], "columns": []}'})
     key = pick(list(kept), rng)
-    if rng.random() < 0.3:
-        kept[key] = rng.bytes(50)
-    else:
-        try:
-            kept[key] = json.dumps(damaged_tree(json.loads(kept[key]), rng)).encode()
-        except ValueError:
-            kept[key] = hostile.string(rng).encode("utf-8", "replace")
+    kept[key] = rng.bytes(50) if rng.random() < 0.3 else _json(kept[key], rng).encode()
     return table.replace_schema_metadata(kept)
 
 
-_PARQUET = (
-    *(_lose, _lose, _double, _rename, _swap, _retype, _retype, _retype, _fill, _fill),
-    *(_nulls, _rows, _metadata),
-)
+def _json(text: Any, rng: np.random.Generator) -> str:
+    """Text that holds JSON, injured as JSON."""
+    try:
+        return json.dumps(damaged_tree(json.loads(text), rng))
+    except (TypeError, ValueError):
+        return "{" + str(text)
 
 
 def sqlite_damage(data: bytes, rng: np.random.Generator) -> bytes:
@@ -169,81 +146,62 @@ def sqlite_damage(data: bytes, rng: np.random.Generator) -> bytes:
     instead.
     """
     if rng.random() < 0.35:
-        return damage_bytes.damaged(data, rng)
+        return damaged(data, rng)
     base = sqlite3.connect(":memory:")
     try:
         base.deserialize(data)
         for _ in range(int(rng.integers(1, 3))):
-            _statement(base, rng)
+            _injure_database(base, rng)
         base.commit()
         return base.serialize()
     except sqlite3.Error:  # refused by SQLite itself
-        return damage_bytes.damaged(data, rng)
+        return damaged(data, rng)
     finally:
         base.close()
 
 
-def _statement(base: sqlite3.Connection, rng: np.random.Generator) -> None:
-    tables = [row[0] for row in base.execute("select name from sqlite_master where type = 'table'")]
-    if not tables:
+def _injure_database(base: sqlite3.Connection, rng: np.random.Generator) -> None:
+    made = dict(base.execute("select name, sql from sqlite_master where type = 'table'"))
+    if not made:
         return
-    table = pick(tables, rng)
+    table = pick(list(made), rng)
     columns = [row[1] for row in base.execute(f'pragma table_info("{table}")')]
     column = pick(columns, rng)
-    kind = int(rng.integers(0, 12))
-    some = " where rowid % 2" if rng.random() < 0.3 else ""
-    if (
-        "without rowid"
-        in (
-            base.execute("select sql from sqlite_master where name = ?", (table,)).fetchone()[0]
-            or ""
-        ).lower()
-    ):
-        some = ""
-    if kind == 0:
-        base.execute(f'drop table "{table}"')
-    elif kind == 1:
-        base.execute(f'alter table "{table}" rename to other')
-    elif kind == 2:
-        base.execute(f'alter table "{table}" rename column "{column}" to other')
-    elif kind == 3:
-        base.execute(f'delete from "{table}"{some}')
-    elif kind == 4:
-        base.execute(f'alter table "{table}" add column more text default "x"')
-    elif kind == 5:
-        base.execute(f'drop table "{table}"')
-        base.execute(f'create view "{table}" as select {", ".join(f"1 as {c}" for c in columns)}')
-    elif kind == 6:
-        base.execute("pragma user_version = 77")
-    elif kind == 7:
-        # The same table without its constraints, so that NULL and other types get in.
-        base.execute(f'create table copy as select * from "{table}"')
-        base.execute(f'drop table "{table}"')
-        base.execute(f'alter table copy rename to "{table}"')
-        base.execute(f'update "{table}" set "{column}" = null{some}')
-    elif kind == 8:
-        _rewrite_json(base, table, column, rng)
-    else:
-        new: Any = value(rng)
-        if (isinstance(new, int) and not -(2**63) <= new < 2**63) or not isinstance(
-            new, (int, float, str, type(None))
-        ):
-            new = rng.bytes(9)
-        base.execute(f'update or ignore "{table}" set "{column}" = ?{some}', (new,))
-
-
-def _rewrite_json(
-    base: sqlite3.Connection, table: str, column: str, rng: np.random.Generator
-) -> None:
-    """Cells that hold JSON, injured as JSON."""
-    for (text,) in base.execute(f'select distinct "{column}" from "{table}" limit 3').fetchall():
-        try:
-            new = json.dumps(damaged_tree(json.loads(text), rng))
-        except (TypeError, ValueError):
-            new = "{" + str(text)
-        base.execute(
-            f'update or ignore "{table}" set "{column}" = ? where "{column}" = ?', (new, text)
-        )
+    has_rows = "without rowid" not in (made[table] or "").lower()
+    some = " where rowid % 2" if has_rows and rng.random() < 0.3 else ""
+    match int(rng.integers(0, 12)):
+        case 0:
+            base.execute(f'drop table "{table}"')
+        case 1:
+            base.execute(f'alter table "{table}" rename to other')
+        case 2:
+            base.execute(f'alter table "{table}" rename column "{column}" to other')
+        case 3:
+            base.execute(f'delete from "{table}"{some}')
+        case 4:
+            base.execute(f'alter table "{table}" add column more text default "x"')
+        case 5:
+            ones = ", ".join(f"1 as {name}" for name in columns)
+            base.execute(f'drop table "{table}"')
+            base.execute(f'create view "{table}" as select {ones}')
+        case 6:
+            base.execute("pragma user_version = 77")
+        case 7:
+            # The same table without its constraints, so that NULL and other types get in.
+            base.execute(f'create table copy as select * from "{table}"')
+            base.execute(f'drop table "{table}"')
+            base.execute(f'alter table copy rename to "{table}"')
+            base.execute(f'update "{table}" set "{column}" = null{some}')
+        case 8:
+            cells = base.execute(f'select distinct "{column}" from "{table}" limit 3').fetchall()
+            change = f'update or ignore "{table}" set "{column}" = ? where "{column}" = ?'
+            for (text,) in cells:
+                base.execute(change, (_json(text, rng), text))
+        case _:
+            new = value(rng)
+            if isinstance(new, list | dict) or (isinstance(new, int) and abs(new) >= 2**63):
+                new = rng.bytes(9)
+            base.execute(f'update or ignore "{table}" set "{column}" = ?{some}', (new,))
 
 
 class _Runs:
@@ -256,37 +214,31 @@ class _Runs:
 def npz_damage(data: bytes, rng: np.random.Generator) -> bytes:
     """A .npz with injured arrays, members and headers; one in three is injured as bytes instead."""
     if rng.random() < 0.3:
-        return damage_bytes.damaged(data, rng)
+        return damaged(data, rng)
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         members = {name: archive.read(name) for name in archive.namelist()}
     name = pick(list(members), rng)
-    kind = int(rng.integers(0, 9))
-    if kind == 0:
-        del members[name]
-    elif kind == 1:
-        members[name] = damage_bytes.damaged(members[name], rng)
-    elif kind == 2:
-        members[f"../{name}"] = members.pop(name)
-    elif kind in (3, 4) and "header.npy" in members:
-        header = json.loads(np.load(io.BytesIO(members["header.npy"])).tobytes())
-        members["header.npy"] = _array(
-            np.frombuffer(json.dumps(damaged_tree(header, rng)).encode(), np.uint8)
-        )
-    elif kind == 5:
-        members[name] = _array(np.array([_Runs()], dtype=object))
-    elif kind == 6:
-        members[name] = _claims(
-            tuple(int(rng.choice([0, 3, 10**6, 10**10])) for _ in range(int(rng.integers(1, 4)))),
-            rng,
-        )
-    elif kind == 7:
-        members[name] = _array(
-            np.zeros(tuple(int(rng.choice([0, 1, 3, 7])) for _ in range(int(rng.integers(0, 4)))))
-        )
-    else:
-        old = np.load(io.BytesIO(members[name]))
-        types = ["f2", "i8", "U5", "S3", "c16", "M8[s]", "?"]
-        members[name] = _array(np.zeros(old.shape, dtype=pick(types, rng)))
+    shape = [pick([0, 1, 3, 7], rng) for _ in range(int(rng.integers(0, 4)))]
+    match int(rng.integers(0, 9)):
+        case 0:
+            del members[name]
+        case 1:
+            members[name] = damaged(members[name], rng)
+        case 2:
+            members[f"../{name}"] = members.pop(name)
+        case 3 | 4 if "header.npy" in members:
+            header = np.load(io.BytesIO(members["header.npy"])).tobytes()
+            members["header.npy"] = _array(np.frombuffer(_json(header, rng).encode(), np.uint8))
+        case 5:
+            members[name] = _array(np.array([_Runs()], dtype=object))
+        case 6:
+            members[name] = _promising(rng)
+        case 7:
+            members[name] = _array(np.zeros(shape))
+        case _:
+            old = np.load(io.BytesIO(members[name]))
+            types = ["f2", "i8", "U5", "S3", "c16", "M8[s]", "?"]
+            members[name] = _array(np.zeros(old.shape, dtype=pick(types, rng)))
     out = io.BytesIO()
     with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
         for key, content in members.items():
@@ -301,11 +253,11 @@ def _array(values: np.ndarray) -> bytes:
     return out.getvalue()
 
 
-def _claims(shape: tuple[int, ...], rng: np.random.Generator) -> bytes:
+def _promising(rng: np.random.Generator) -> bytes:
     """An array whose header promises more than follows."""
     out = io.BytesIO()
-    descr = str(rng.choice(["<f8", "|O", "<U1000000", "|V9999999"]))
-    np.lib.format.write_array_header_1_0(
-        out, {"descr": descr, "fortran_order": False, "shape": shape}
-    )
+    sizes = tuple(pick([0, 3, 10**6, 10**10], rng) for _ in range(int(rng.integers(1, 4))))
+    kind = pick(["<f8", "|O", "<U1000000", "|V9999999"], rng)
+    header = {"descr": kind, "fortran_order": False, "shape": sizes}
+    np.lib.format.write_array_header_1_0(out, header)
     return out.getvalue() + bytes(800)

@@ -1,5 +1,5 @@
-"""Damage to what JSON and TOML hold: nodes lost, doubled, renamed, of another type, absurd in size
-or depth.
+"""Damage to what JSON, TOML and XML hold: nodes lost, doubled, renamed, of another type, absurd in
+size or depth; in XML also what an attacker would put in.
 """
 
 from __future__ import annotations
@@ -8,32 +8,33 @@ import copy
 import json
 import math
 import tomllib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
+from lxml import etree
 
 from tests.fuzz import hostile
-from tests.fuzz.damage_text import damaged_text
-from tests.fuzz.hostile import pick
+from tests.fuzz.damage_bytes import damaged, damaged_text
+from tests.fuzz.hostile import WORDS, pick
 
-_DEEP = "\x02deep\x02"
-_LONG = "\x02long\x02"
-_PLACES = (30, 400, 5000, 100_000)
+_DEEP, _MANY = "\x02deep\x02", "\x02long\x02"
+"""Markers for depth and for long integers, which are put in once the text is written."""
+_SIZES = (30, 400, 5000, 100_000)
+_NODES = "lost lost other other same same same renamed added moved wrapped emptied"
+_ELEMENTS = (
+    "lost lost doubled renamed moved attribute attribute bare text number number planted planted"
+    " lent"
+)
 
 
 def damaged_tree(tree: Any, rng: np.random.Generator) -> Any:
-    """A copy of ``tree`` (dicts, lists, plain values) with one to four injuries.
-
-    Text markers stand for depth and long integers.
-    """
+    """A copy of ``tree`` (dicts, lists, plain values) with one to four injuries."""
     box = {"root": copy.deepcopy(tree)}
-    for _ in range(int(rng.choice([1, 1, 1, 2, 2, 3, 4]))):
+    for _ in range(pick([1, 1, 1, 2, 2, 3, 4], rng)):
         places = list(_places(box))
-        if not places:  # nothing is left
-            break
-        holder, key = pick(places, rng)
-        pick(_KINDS, rng)(holder, key, rng, places)
+        if places:
+            _injure_node(*pick(places, rng), rng, places)
     return box.get("root")
 
 
@@ -44,93 +45,68 @@ def _places(tree: Any) -> Iterator[tuple[Any, Any]]:
         holder = stack.pop()
         for key in list(holder) if isinstance(holder, dict) else range(len(holder)):
             yield holder, key
-            if isinstance(holder[key], (dict, list)):
+            if isinstance(holder[key], dict | list):
                 stack.append(holder[key])
 
 
 def value(rng: np.random.Generator) -> Any:
     """A value of a random type."""
     kind = int(rng.integers(0, 10))
-    if kind < 3:
-        return hostile.string(rng)
     if kind < 6:
-        return hostile.number(rng)
+        return hostile.string(rng) if kind < 3 else hostile.number(rng)
     plain = [None, True, False, [], {}, [None], [[]], {"": 0}, [1, 2, 3], [1, "a"], ["CX"]]
-    return pick([*plain, {"a": {"b": []}}, _DEEP, _LONG], rng)
+    return pick([*plain, {"a": {"b": []}}, _DEEP, _MANY], rng)
 
 
-def _delete(holder: Any, key: Any, rng: np.random.Generator, _: Any) -> None:
-    del holder[key]
+def _injure_node(holder: Any, key: Any, rng: np.random.Generator, places: list) -> None:
+    old, named = holder[key], isinstance(holder, dict)
+    match pick(_NODES.split(), rng):
+        case "lost":
+            del holder[key]
+        case "other":
+            holder[key] = value(rng)
+        case "same":
+            holder[key] = _same_type(old, rng)
+        case "renamed" if named:
+            new = hostile.string(rng) if rng.random() < 0.5 else f"{key}_"
+            holder[new] = holder.pop(key)
+        case "renamed":
+            holder.append(copy.deepcopy(old))
+        case "added" if named:
+            holder[hostile.string(rng)] = value(rng)
+        case "added":
+            holder.insert(key, value(rng))
+        case "moved":
+            other, name = pick(places, rng)
+            holder[key] = copy.deepcopy(other[name])
+        case "wrapped":
+            holder[key] = [old] if rng.random() < 0.5 else {"a": old}
+        case "emptied":
+            holder[key] = {dict: {}, list: [], str: ""}.get(type(old))
 
 
-def _replace(holder: Any, key: Any, rng: np.random.Generator, _: Any) -> None:
-    holder[key] = value(rng)
-
-
-def _same_type(holder: Any, key: Any, rng: np.random.Generator, _: Any) -> None:
+def _same_type(old: Any, rng: np.random.Generator) -> Any:
     """A value of the same type: it passes the first check and meets the second."""
-    old = holder[key]
-    if isinstance(old, bool):
-        holder[key] = not old
-    elif isinstance(old, int):
-        holder[key] = int(rng.choice([0, 1, -1, 2, 1000, 10**6, 2**31, old + 1, -old]))
-    elif isinstance(old, float):
-        holder[key] = float(rng.choice([0.0, -old, 1e-9, 1e12, 1e300, 1.0, old * 1000, math.nan]))
-    elif isinstance(old, str):
-        holder[key] = hostile.string(rng)
-    elif isinstance(old, list):
-        holder[key] = pick([old * 2, old[:-1], old[::-1], old[:1] * 50], rng)
-    elif isinstance(old, dict):
-        holder[key] = {hostile.string(rng): v for v in old.values()}
-
-
-def _rename(holder: Any, key: Any, rng: np.random.Generator, _: Any) -> None:
-    if isinstance(holder, dict):
-        new = hostile.string(rng) if rng.random() < 0.5 else f"{key}_"
-        holder[new] = holder.pop(key)
-    else:
-        holder.append(copy.deepcopy(holder[key]))
-
-
-def _add(holder: Any, key: Any, rng: np.random.Generator, _: Any) -> None:
-    if isinstance(holder, dict):
-        holder[hostile.string(rng)] = value(rng)
-    else:
-        holder.insert(int(key), value(rng))
-
-
-def _move(holder: Any, key: Any, rng: np.random.Generator, places: list[tuple[Any, Any]]) -> None:
-    """A node from elsewhere in its place."""
-    other, name = pick(places, rng)
-    try:
-        holder[key] = copy.deepcopy(other[name])
-    except (KeyError, IndexError):  # an earlier injury took it away
-        return
-
-
-def _wrap(holder: Any, key: Any, rng: np.random.Generator, _: Any) -> None:
-    holder[key] = [holder[key]] if rng.random() < 0.5 else {"a": holder[key]}
-
-
-def _empty(holder: Any, key: Any, rng: np.random.Generator, _: Any) -> None:
-    holder[key] = {dict: {}, list: [], str: ""}.get(type(holder[key]))
-
-
-_KINDS: tuple[Callable[[Any, Any, np.random.Generator, Any], None], ...] = (
-    *(_delete, _delete, _replace, _replace, _same_type, _same_type, _same_type, _rename),
-    *(_add, _move, _wrap, _empty),
-)
+    match old:
+        case bool():
+            return not old
+        case int():
+            return pick([0, 1, -1, 2, 1000, 10**6, 2**31, old + 1, -old], rng)
+        case float():
+            return pick([0.0, -old, 1e-9, 1e12, 1e300, 1.0, old * 1000, math.nan], rng)
+        case str():
+            return hostile.string(rng)
+        case list():
+            return pick([old * 2, old[:-1], old[::-1], old[:1] * 50], rng)
+        case dict():
+            return {hostile.string(rng): item for item in old.values()}
+    return old
 
 
 def json_damage(data: bytes, rng: np.random.Generator) -> bytes:
     """A JSON document with injured content; one in ten is injured as text besides."""
-    text = json.dumps(damaged_tree(json.loads(data), rng), indent=None if rng.random() < 0.5 else 1)
-    text = _written_out(text, rng)
-    return (
-        damaged_text(text.encode(), rng)
-        if rng.random() < 0.1
-        else text.encode("utf-8", "surrogatepass")
-    )
+    tree = damaged_tree(json.loads(data), rng)
+    return _written(json.dumps(tree, indent=None if rng.random() < 0.5 else 1), rng)
 
 
 def toml_damage(data: bytes, rng: np.random.Generator) -> bytes:
@@ -138,71 +114,133 @@ def toml_damage(data: bytes, rng: np.random.Generator) -> bytes:
     if rng.random() < 0.3:
         return damaged_text(data, rng)
     tree = damaged_tree(tomllib.loads(data.decode()), rng)
-    text = _written_out(toml_text(tree if isinstance(tree, dict) else {"root": tree}), rng)
-    return (
-        damaged_text(text.encode("utf-8", "surrogatepass"), rng)
-        if rng.random() < 0.1
-        else text.encode("utf-8", "surrogatepass")
-    )
+    return _written(toml_text(tree if isinstance(tree, dict) else {"root": tree}), rng)
 
 
-def _written_out(text: str, rng: np.random.Generator) -> str:
-    """The markers for depth and for long integers as what they stand for."""
-    depth = int(rng.choice(_PLACES))
-    return text.replace(json.dumps(_DEEP), "[" * depth + "]" * depth).replace(
-        json.dumps(_LONG), "9" * int(rng.choice(_PLACES))
-    )
+def _written(text: str, rng: np.random.Generator) -> bytes:
+    """The text with depth and long integers for their markers."""
+    depth = pick(_SIZES, rng)
+    text = text.replace(json.dumps(_DEEP), "[" * depth + "]" * depth)
+    text = text.replace(json.dumps(_MANY), "9" * pick(_SIZES, rng))
+    out = text.encode("utf-8", "surrogatepass")
+    return damaged_text(out, rng) if rng.random() < 0.1 else out
 
 
-def toml_text(tree: dict[str, Any]) -> str:
+def toml_text(tree: dict[str, Any], name: str = "") -> str:
     """TOML of a tree, hostile values and all; what TOML has no words for (null) is left as a word
     that is none.
     """
-    head = [f"{json.dumps(k)} = {_toml(v)}" for k, v in tree.items() if not _is_section(v)]
+    lines, sections = [], []
     for key, item in tree.items():
-        if isinstance(item, dict):
-            head += _section(json.dumps(key), item)
-        elif _is_section(item):
-            for row in item:
-                head += [
-                    f"[[{json.dumps(key)}]]",
-                    *(f"{json.dumps(k)} = {_toml(v)}" for k, v in row.items()),
-                ]
-    return "\n".join(head) + "\n"
-
-
-def _section(name: str, rows: dict[str, Any]) -> list[str]:
-    out = [
-        f"[{name}]",
-        *(f"{json.dumps(k)} = {_toml(v)}" for k, v in rows.items() if not _has_tables(v)),
-    ]
-    for key, item in rows.items():
-        if _has_tables(item):
-            out += _section(f"{name}.{json.dumps(key)}", item)
-    return out
-
-
-def _has_tables(item: Any) -> bool:
-    return isinstance(item, dict) and any(isinstance(v, dict) for v in item.values())
-
-
-def _is_section(item: Any) -> bool:
-    return isinstance(item, dict) or (
-        isinstance(item, list) and bool(item) and all(isinstance(row, dict) for row in item)
-    )
+        full = f"{name}.{json.dumps(key)}" if name else json.dumps(key)
+        if isinstance(item, dict) and (not name or any(isinstance(v, dict) for v in item.values())):
+            sections.append(f"[{full}]\n{toml_text(item, full)}")
+        elif (
+            not name and isinstance(item, list) and item and all(isinstance(r, dict) for r in item)
+        ):
+            sections += [f"[[{full}]]\n{toml_text(row, full)}" for row in item]
+        else:
+            lines.append(f"{json.dumps(key)} = {_toml(item)}\n")
+    return "".join(lines + sections)
 
 
 def _toml(item: Any) -> str:
-    if isinstance(item, bool):
-        return "true" if item else "false"
-    if isinstance(item, float) and not math.isfinite(item):
-        return "nan" if math.isnan(item) else "inf" if item > 0 else "-inf"
-    if isinstance(item, (int, float)):
-        return repr(item)
-    if isinstance(item, str):
-        return json.dumps(item)
-    if isinstance(item, list):
-        return "[" + ", ".join(map(_toml, item)) + "]"
-    if isinstance(item, dict):
-        return "{ " + ", ".join(f"{json.dumps(k)} = {_toml(v)}" for k, v in item.items()) + " }"
-    return "null"
+    match item:
+        case bool() | None | str():
+            return json.dumps(item)
+        case list():
+            return "[" + ", ".join(map(_toml, item)) + "]"
+        case dict():
+            pairs = ", ".join(f"{json.dumps(k)} = {_toml(v)}" for k, v in item.items())
+            return "{ " + pairs + " }"
+    return repr(item)
+
+
+def xml_damage(data: bytes, rng: np.random.Generator, others: Sequence[bytes] = ()) -> bytes:
+    """An XML document with injured content; ``others`` lend it elements.
+
+    One in five is injured as text or bytes instead.
+    """
+    kind = rng.random()
+    if kind < 0.33:
+        ways = ((0.12, damaged_text), (0.2, damaged), (0.3, _with_entities), (0.33, _deep))
+        return next(way for limit, way in ways if kind < limit)(data, rng)
+    root = etree.fromstring(data)
+    for _ in range(pick([1, 1, 1, 2, 2, 3, 5], rng)):
+        _injure_element(root, rng, others)
+    coding = pick(["UTF-8"] * 8 + ["UTF-16", "ISO-8859-1"], rng)
+    return etree.tostring(root, xml_declaration=True, encoding=coding)
+
+
+def _elements(root: Any) -> list[Any]:
+    return [node for node in root.iter() if isinstance(node.tag, str)]
+
+
+def _injure_element(root: Any, rng: np.random.Generator, others: Sequence[bytes]) -> None:
+    nodes = _elements(root)
+    node = pick(nodes, rng)
+    parent = node.getparent()
+    match pick(_ELEMENTS.split(), rng):
+        case "lost" if parent is not None:
+            parent.remove(node)
+        case "doubled" if parent is not None:
+            for _ in range(pick([1, 1, 30], rng)):
+                node.addnext(copy.deepcopy(node))
+        case "renamed":
+            node.tag = pick(WORDS["xml_tags"], rng)
+        case "moved":
+            pick(nodes, rng).append(copy.deepcopy(node))
+        case "attribute":
+            usual = ["file", "name", "unit", "type", "value"]
+            names = list(node.attrib) if node.attrib and rng.random() < 0.8 else usual
+            node.set(pick(names, rng), _word(rng, 0.6))
+        case "bare":
+            node.attrib.clear()
+        case "text":
+            node.text = _word(rng, 0.4)
+        case "number":
+            digits = [n for n in nodes if (n.text or "").strip(" \n.-").replace(".", "").isdigit()]
+            if digits:
+                pick(digits, rng).text = pick(WORDS["xml_numbers"], rng)
+        case "planted":
+            where = nodes[0] if rng.random() < 0.5 else node
+            planted = etree.fromstring(f"<r>{pick(hostile.ELEMENTS, rng)}</r>")[0]
+            where.insert(int(rng.integers(0, len(where) + 1)), planted)
+        case "lent" if others:
+            donor = etree.fromstring(pick(others, rng))
+            node.append(copy.deepcopy(pick(_elements(donor), rng)))
+
+
+def _word(rng: np.random.Generator, share: float) -> str:
+    """Text as far as XML may hold it at all, or a number."""
+    if rng.random() >= share:
+        return pick(WORDS["xml_numbers"], rng)
+    return "".join(
+        c
+        for c in hostile.string(rng)
+        if c in "\t\n\r" or (c >= " " and not "\ud800" <= c <= "\udfff" and c not in "\ufffe\uffff")
+    )
+
+
+def _with_entities(data: bytes, rng: np.random.Generator) -> bytes:
+    """A document type with entities, and a use of one."""
+    head, _, rest = data.partition(b"?>")
+    places = [k for k in range(len(rest)) if rest[k : k + 2] == b"</"]
+    a = pick(places, rng) if places else 0
+    doctype, entity = (pick(WORDS[k], rng).encode() for k in ("xml_doctypes", "xml_entities"))
+    return head + b"?>" + doctype + rest[:a] + entity + rest[a:]
+
+
+def _deep(data: bytes, rng: np.random.Generator) -> bytes:
+    """Elements within elements, or very many, or a very long one."""
+    a = data.rfind(b"</")
+    depth = pick([60, 300, 3000, 30_000], rng)
+    tag = pick([b"a", b"sum", b"function", b"system"], rng)
+    sums = b"<sum>" * depth + b"<value>1</value>" + b"</sum>" * depth
+    more = (
+        b"<%s>" % tag * depth + b"</%s>" % tag * depth,
+        b'<function name="deep">' + sums + b"</function>",
+        b'<property value="1">a/b</property>' * depth,
+        b'<property value="' + b"9" * depth + b'">' + b"x" * depth + b"</property>",
+    )
+    return data[:a] + pick(more, rng) + data[a:]

@@ -12,11 +12,9 @@ from pathlib import Path
 import numpy as np
 
 from sysid.foreign.typed_files import MAGIC
-from tests.fuzz.damage_bytes import damaged
+from tests.fuzz.damage_bytes import damaged, damaged_table, damaged_text
 from tests.fuzz.damage_tables import npz_damage, parquet_damage, sqlite_damage
-from tests.fuzz.damage_text import damaged_table, damaged_text
-from tests.fuzz.damage_tree import json_damage, toml_damage
-from tests.fuzz.damage_xml import xml_damage
+from tests.fuzz.damage_tree import json_damage, toml_damage, xml_damage
 from tests.fuzz.formats import CORPUS, Files, Format, Mutator, folder
 from tests.fuzz.outcome import Refused, call, command, known_verbs
 

@@ -27,7 +27,6 @@ _MODEL = """<?xml version="1.0"?>
 </fdm_config>
 """
 
-
 ENGINE_FILES = {
     "Engines/motor.xml": (
         '<?xml version="1.0"?><electric_engine name="motor"><power'

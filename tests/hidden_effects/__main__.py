@@ -1,8 +1,8 @@
 """Runs `uqharness refine` on 40 cases and judges the answers: a regression test of some hours.
 
-    python -m tests.hidden_effects --out DIR [--numbers N ...] [--seconds S]
+    python -m tests.hidden_effects --out DIR [--numbers N ...]
 
-Cases 0 to 15 are the development draw, 16 to 39 come from draw 1. DIR/answers.csv has a line per
+DIR/answers.csv has a line per
 case; cases that are in it are not run again. Exit code 0: at most `ALLOWED` answers are wrong."""
 
 from __future__ import annotations
@@ -16,23 +16,13 @@ from pathlib import Path
 from typing import Any
 
 from tests.hidden_effects.cases import write
-from tests.hidden_effects.drawn import DEVELOPMENT, Question, slots
 from tests.hidden_effects.folders import folder_of
+from tests.hidden_effects.questions import ROWS, Question, question
 from tests.hidden_effects.verdict import Verdict, judge
-from tests.hidden_effects.weighing import question
 from uqharness.cli.main import main as uqharness
 
-COUNT, ALLOWED = 40, 3
+ALLOWED = 3
 COLUMNS = ("number", "case", "kind", "air", "truth", "t", "right", "verdict", "answer", "cpu_s")
-
-
-def case(number: int, folder: Path, seconds: float | None = None) -> Question:
-    """Return a case with its effects sized; sizes are kept in ``folder``."""
-    development = len(slots(DEVELOPMENT))
-    if number < development:
-        return question(DEVELOPMENT, number, folder, seconds)
-    draw = len(slots(1))
-    return question(1, (number - development) * draw // (COUNT - development), folder, seconds)
 
 
 def ask(asked: Question, folder: Path) -> tuple[dict[str, Any], int]:
@@ -60,8 +50,7 @@ def main() -> int:
     """Run the cases and print a line of each."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--numbers", type=int, nargs="+", default=list(range(COUNT)))
-    parser.add_argument("--seconds", type=float)
+    parser.add_argument("--numbers", type=int, nargs="+", default=list(range(len(ROWS))))
     request = parser.parse_args()
     request.out.mkdir(parents=True, exist_ok=True)
     path = request.out / "answers.csv"
@@ -71,7 +60,7 @@ def main() -> int:
         with path.open(encoding="utf-8") as handle:
             if str(number) in {row["number"] for row in csv.DictReader(handle)}:
                 continue
-        asked = case(number, request.out / "questions", request.seconds)
+        asked = question(number)
         start = time.process_time()
         found, code = ask(asked, request.out)
         verdict = judge(asked, found, code)

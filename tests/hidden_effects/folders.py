@@ -9,8 +9,7 @@ import shutil
 from pathlib import Path
 
 from tests.hidden_effects.airframes import write_aircraft
-from tests.hidden_effects.drawn import AIRFRAMES, Question
-from tests.hidden_effects.wrongs import Stated
+from tests.hidden_effects.questions import AIRFRAMES, Question, Stated
 
 
 def folder_of(asked: Question, folder: Path) -> Path:

@@ -9,17 +9,16 @@ import pytest
 
 from tests.hidden_effects.__main__ import right
 from tests.hidden_effects.answers import property_name
-from tests.hidden_effects.drawn import DEVELOPMENT, drawn
 from tests.hidden_effects.effects import Effect
+from tests.hidden_effects.questions import Wrong, question
 from tests.hidden_effects.verdict import judge
-from tests.hidden_effects.wrongs import Wrong
 
-NULL = drawn(DEVELOPMENT, 8)
+NULL = question(8)
 HIDDEN = (Effect("CX", "q_hat", 0.4),)
 CLEAR = replace(NULL, kind="clear", entries=("CX:q_hat",), effects=HIDDEN, t=(20.0,))
 CARD = replace(NULL, kind="card", wrong=Wrong("propulsion:thrust_scale", 0.10), t=(40.0,))
 LATE = replace(NULL, kind="card", wrong=Wrong("record:delay", -0.02), t=(12.0,))
-OFF = replace(drawn(DEVELOPMENT, 14), t=(40.0,))
+OFF = replace(question(14), t=(40.0,))
 
 
 def effect(key: str, value: float = 0.4, std: float = 0.02) -> dict[str, Any]:
@@ -56,8 +55,8 @@ def document(*effects: dict[str, Any], after: float = 1.0, **changes: Any) -> di
         (NULL, document(), 0, True),
         (NULL, document(verdict="unexplained"), 1, False),
         (OFF, document(verdict="unexplained"), 1, True),
-        (OFF, document(effect(f"{OFF.hidden[0].subject}:beta^2")), 0, True),
-        (OFF, document(effect(f"{OFF.hidden[0].subject}:beta^2"), after=1.3), 0, False),
+        (OFF, document(effect(f"{OFF.effects[0].subject}:beta^2")), 0, True),
+        (OFF, document(effect(f"{OFF.effects[0].subject}:beta^2"), after=1.3), 0, False),
     ],
 )
 def test_an_answer_is_right_if_it_names_what_is_hidden_alone(asked, answer, code, expected):

@@ -5,7 +5,6 @@ called.
 from __future__ import annotations
 
 import json
-import tomllib
 from dataclasses import replace
 
 import numpy as np
@@ -14,15 +13,14 @@ from scipy.integrate import quad
 
 from tests.helpers import sixdof
 from tests.helpers.sixdof import Airframe
-from tests.hidden_effects.airframes import ROOT, write_aircraft
+from tests.hidden_effects.airframes import write_aircraft
 from tests.hidden_effects.cases import SECOND, perturbed
 from tests.hidden_effects.catalogue import IN_FORM, OFF_FORM
 from tests.hidden_effects.effects import Effect
-from tests.hidden_effects.flights import NOISE, Flight, fly, fly_and_tell
+from tests.hidden_effects.flights import NOISE, Flight, fly
 from tests.hidden_effects.gusts import NODE_S, turbulence
 from tests.hidden_effects.manoeuvres import Manoeuvre, Pulse, card
 from tests.hidden_effects.motion import Model, Servos, evaluate, trim
-from tests.hidden_effects.strength import strengths
 from uqharness.cli.main import main
 
 
@@ -261,82 +259,3 @@ def test_every_effect_of_the_catalogue_changes_what_is_measured():
     for bare, hidden, flight in zip(records[::2], records[1::2], flights[1::2], strict=True):
         most = max(np.abs(hidden[c] - bare[c]).max() / std for c, std in NOISE.items())
         assert most > 0.02, flight.effects
-
-
-@pytest.fixture(scope="module")
-def weighed():
-    """Strengths of some effects in two short flights."""
-    flown = [
-        card(21, 21.0, seconds=11.0, kinds=("roll and pitch",)),
-        card(22, 25.0, seconds=11.0, kinds=("roll and yaw",)),
-    ]
-    pitch, inertia = Effect("Cm", "p_hat^2", 2.0), Effect("mass", "Ixz", 0.5)
-    variants = {
-        "one": ((Effect("Cl", "de", 1e-5),), 1.0),
-        "twice": ((Effect("Cl", "de", 2e-5),), 1.0),
-        "noisy": ((Effect("Cl", "de", 1e-5),), 2.0),
-        "parameter": ((Effect("Cm", "alpha", -0.05),), 1.0),
-        "cg": ((Effect("mass", "cg_x", 0.005),), 1.0),
-        "Ixz": ((inertia,), 1.0),
-        "both": ((pitch, inertia), 1.0),
-    }
-    flights = {
-        name: [Flight(replace(c, noise=noise), Airframe(), hidden) for c in flown]
-        for name, (hidden, noise) in variants.items()
-    }
-    told = iter(fly_and_tell([f for two in flights.values() for f in two], 0.01))
-    return {
-        name: strengths(two, [next(told) for _ in two], step_s=0.02)
-        for name, two in flights.items()
-    }
-
-
-def test_strength_goes_with_size_and_against_noise(weighed):
-    one = weighed["one"][0].t
-    assert one > 2.0
-    assert weighed["twice"][0].t == pytest.approx(2.0 * one, rel=0.02)
-    assert weighed["noisy"][0].t == pytest.approx(0.5 * one, rel=0.02)
-
-
-def test_what_the_parameters_can_take_up_has_no_strength(weighed):
-    assert weighed["parameter"][0].share < 0.05
-    # A centre of gravity elsewhere is Cm_0, Cm_alpha, Cm_de and Cn's linear terms by other names.
-    assert weighed["cg"][0].gap > 0.2
-    assert weighed["cg"][0].share < 0.05
-    # Ixz and p_hat^2 in pitch, each beside the other, are as good as nothing; alone they are
-    # something.
-    assert weighed["Ixz"][0].t > 5.0
-    assert weighed["both"][1].t < 0.5 * weighed["Ixz"][0].t
-
-
-@pytest.mark.slow
-def test_strength_is_output_errors_own(tmp_path):
-    """|t| from these equations' sensitivities against the standard error of identify, which flies
-    JSBSim.
-    """
-    hidden = Effect("CZ", "q_hat", -2.0)
-    flights = [
-        Flight(card(50 + i, V, seconds=33.0, first=3 * i), Airframe(), (hidden,))
-        for i, V in enumerate((21.0, 25.0))
-    ]
-    flown = fly_and_tell(flights)
-    paths = [tmp_path / f"{i}.parquet" for i in range(len(flown))]
-    for path, one in zip(paths, flown, strict=True):
-        one.record.write(path)
-    with (ROOT / "aircraft" / "espaaro" / "airframe.toml").open("rb") as handle:
-        names = [*tomllib.load(handle)["parameters"], "aero/CZ_q"]
-    given = [
-        "identify",
-        "espaaro",
-        "--flight",
-        *map(str, paths),
-        "--params",
-        ",".join(names),
-        "--out",
-        str(tmp_path / "fit"),
-    ]
-    assert main([*given, "--no-figures", "--workers", "1", "--method", "output-error"]) == 0
-    found = json.loads((tmp_path / "fit" / "fit.json").read_text())["parameters"]["aero/CZ_q"]
-    std = abs(hidden.size) / strengths(flights, flown)[0].t
-    assert found["std_crb"] == pytest.approx(std, rel=0.05)
-    assert found["value"] == pytest.approx(hidden.size, abs=3.5 * std)

@@ -20,8 +20,7 @@ from tests.hidden_effects.answers import (
     test_gap,
 )
 from tests.hidden_effects.catalogue import ENTRIES
-from tests.hidden_effects.drawn import Question
-from tests.hidden_effects.wrongs import SAME_NUMBER
+from tests.hidden_effects.questions import SAME, Question
 
 STRONG_T = 10.0
 """|t| above which nothing may be left out of `remaining.where`."""
@@ -67,11 +66,11 @@ def judge(asked: Question, found: Mapping[str, Any], exit_code: int) -> Verdict:
     verdict = str(found.get("verdict"))
     off = asked.kind == "off-form"
     ways = [_ways(key) for key in asked.entries] if not off else []
-    card = set(asked.wrong.accepted) if asked.wrong else set()
+    card = asked.wrong.accepted if asked.wrong else set()
     allowed = set().union(card, *ways)
     if off:
         spurious = sum(
-            not any(k.startswith(f"{asked.hidden[0].subject}:") for k in s) for s in sets
+            not any(k.startswith(f"{asked.effects[0].subject}:") for k in s) for s in sets
         )
     else:
         spurious = sum(not s & allowed for s in sets)
@@ -122,9 +121,7 @@ def _estimates(
     truths = {e.key: e.size for e in asked.effects if not e.form}
     if asked.wrong is not None and asked.wrong.value is not None:
         truths[asked.wrong.key] = asked.wrong.value
-    truths |= {
-        SAME_NUMBER[k][0]: SAME_NUMBER[k][1] * v for k, v in truths.items() if k in SAME_NUMBER
-    }
+    truths |= {SAME[k][0]: SAME[k][1] * v for k, v in truths.items() if k in SAME}
     out: list[tuple[float, bool | None]] = []
     for e in effects:
         truth = truths.get(canonical(e))
@@ -164,9 +161,10 @@ def left_out(
     listed |= {
         canonical(a) for e in found.get("effects") or [] for a in e.get("alternatives") or []
     }
-    t = asked.t or asked.aimed
     missed = [not n for n in named] + ([not card] if card is not None else [])
-    hidden = sum(m and s > STRONG_T for m, s in zip(missed, t, strict=False)) if not where else 0
+    hidden = (
+        sum(m and s > STRONG_T for m, s in zip(missed, asked.t, strict=False)) if not where else 0
+    )
     shown = [
         (canonical(c), c.get("t")) for c in (remaining.get("place") or {}).get("candidates") or []
     ]

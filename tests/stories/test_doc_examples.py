@@ -14,7 +14,6 @@ from tests.helpers.flying_here import flying_here
 
 PAGES = {page.name: page for page in de.pages()}
 
-
 LONG_PAGES = (
     "bring-your-own-aircraft.md",
     "campaigns.md",

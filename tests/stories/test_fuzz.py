@@ -9,7 +9,7 @@ import json
 import pytest
 
 from tests.fuzz.__main__ import main
-from tests.fuzz.bad_targets import BAD, GOOD
+from tests.fuzz.bad_targets import BAD, GOOD, formats
 from tests.fuzz.formats import SOUND, all_formats
 from tests.fuzz.harness import Counts, Worker, by_number, run
 
@@ -106,15 +106,21 @@ def test_fixed_seeds_give_no_findings(name, worker):
 
 
 def test_the_command_line(tmp_path, monkeypatch, capsys):
+    def call(*words: str) -> int:
+        return main([*words], formats(), "tests.fuzz.bad_targets")
+
     monkeypatch.chdir(tmp_path)
-    assert main(["--inputs", "2", "--seed", "5", "--format", "effects", "--json"]) == 0
-    counts = json.loads(capsys.readouterr().out)["formats"]["effects"]
+    assert call("--inputs", "2", "--seed", "5", "--format", "fine", "--json") == 0
+    counts = json.loads(capsys.readouterr().out)["formats"]["fine"]
     assert (counts["inputs"], counts["seeds"]) == (2, [5, 6])
-    assert main(["--reproduce", "effects", "5"]) == 0
-    assert (tmp_path / "fuzz-effects-5" / "effects.toml").read_bytes() == FORMATS["effects"].make(
-        5
-    )["effects.toml"]
-    assert capsys.readouterr().out.splitlines()[1].startswith(("result in", "refusal in"))
+    assert call("--inputs", "1", "--format", "fine", "--format", "raises") == 1
+    captured = capsys.readouterr()
+    assert captured.err.startswith("(raises, 0): ")
+    assert captured.out.splitlines()[-1].split()[:5] == ["all", "2", "1", "0", "1"]
+    assert call("--reproduce", "raises", "5") == 1
+    made = tmp_path / "fuzz-raises-5" / "input.bin"
+    assert made.read_bytes() == formats()["raises"].make(5)["input.bin"]
+    assert capsys.readouterr().out.splitlines()[1].startswith("finding in")
     with pytest.raises(SystemExit) as left:
-        main(["--reproduce", "nothing", "5"])
+        call("--reproduce", "nothing", "5")
     assert left.value.code == 2

@@ -22,7 +22,6 @@ jsonschema = pytest.importorskip("jsonschema")
 
 FOLDER = ROOT / "docs" / "schemas"
 
-
 SCHEMAS = {
     path.stem: json.loads(path.read_text(encoding="utf-8"))
     for path in sorted(FOLDER.glob("*.json"))
@@ -132,6 +131,11 @@ SEARCHING = (
     "compare-models",
     "performance",
     "diff",
+    "author",
+    "bounds",
+    "validate-bounds",
+    "margins",
+    "sensitivity-modal",
     "campaign-merge",
     "campaign-salvage",
     "campaign-convergence",

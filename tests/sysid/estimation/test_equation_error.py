@@ -18,26 +18,26 @@ def coloured(rng, n, a, sigma=1.0):
 
 
 def test_longley_certified():
-    reg = equation_error(np.column_stack([np.ones(16), nist.LONGLEY_X]), nist.LONGLEY_Y)
-    np.testing.assert_allclose(reg.theta, nist.LONGLEY, rtol=1e-9)
-    np.testing.assert_allclose(reg.std_white, nist.LONGLEY_SD, rtol=1e-9)
+    reg = equation_error(np.column_stack([np.ones(16), nist.LONGLEY.x]), nist.LONGLEY.y)
+    np.testing.assert_allclose(reg.theta, nist.LONGLEY.values, rtol=1e-9)
+    np.testing.assert_allclose(reg.std_white, nist.LONGLEY.std, rtol=1e-9)
     np.testing.assert_allclose(
-        reg.std, nist.LONGLEY_SD, rtol=1e-9
+        reg.std, nist.LONGLEY.std, rtol=1e-9
     )  # 16 samples: no colour is claimed
-    assert np.sqrt(reg.s2) == pytest.approx(nist.LONGLEY_RESIDUAL_SD, rel=1e-9)
-    assert reg.r2 == pytest.approx(nist.LONGLEY_R2, rel=1e-10)
+    assert np.sqrt(reg.s2) == pytest.approx(nist.LONGLEY.residual_std, rel=1e-9)
+    assert reg.r2 == pytest.approx(nist.LONGLEY.r2, rel=1e-10)
     assert set(reg.status.values()) == {"identified"}
     assert any("near-collinear" in text for text in reg.warnings)
 
 
 def test_filip_certified_where_normal_equations_fail():
-    X = np.vander(nist.FILIP_X, 11, increasing=True)
-    reg = equation_error(X, nist.FILIP_Y)
-    np.testing.assert_allclose(reg.theta, nist.FILIP, rtol=1e-6)
-    np.testing.assert_allclose(reg.std_white, nist.FILIP_SD, rtol=1e-6)
-    assert reg.r2 == pytest.approx(nist.FILIP_R2, rel=1e-8)
-    normal = np.linalg.lstsq(X.T @ X, X.T @ nist.FILIP_Y, rcond=None)[0]
-    assert not np.allclose(normal, nist.FILIP, rtol=1e-2)
+    X = np.vander(nist.FILIP.x, 11, increasing=True)
+    reg = equation_error(X, nist.FILIP.y)
+    np.testing.assert_allclose(reg.theta, nist.FILIP.values, rtol=1e-6)
+    np.testing.assert_allclose(reg.std_white, nist.FILIP.std, rtol=1e-6)
+    assert reg.r2 == pytest.approx(nist.FILIP.r2, rel=1e-8)
+    normal = np.linalg.lstsq(X.T @ X, X.T @ nist.FILIP.y, rcond=None)[0]
+    assert not np.allclose(normal, nist.FILIP.values, rtol=1e-2)
 
 
 def test_mean_of_a_first_order_series_in_closed_form():

@@ -21,32 +21,32 @@ from tests.reference import nist
 
 
 def misra(theta):
-    return theta[0] * (1.0 - np.exp(-theta[1] * nist.MISRA1A_X))
+    return theta[0] * (1.0 - np.exp(-theta[1] * nist.MISRA1A.x))
 
 
 def thurber(theta):
-    x = nist.THURBER_X
+    x = nist.THURBER.x
     return np.polyval(theta[3::-1], x) / (1.0 + x * (theta[4] + x * (theta[5] + x * theta[6])))
 
 
 @pytest.mark.parametrize(
     ("model", "y", "start", "value", "sd"),
     [
-        (misra, nist.MISRA1A_Y, [500.0, 1e-4], nist.MISRA1A, nist.MISRA1A_SD),
-        (misra, nist.MISRA1A_Y, [250.0, 5e-4], nist.MISRA1A, nist.MISRA1A_SD),
+        (misra, nist.MISRA1A.y, [500.0, 1e-4], nist.MISRA1A.values, nist.MISRA1A.std),
+        (misra, nist.MISRA1A.y, [250.0, 5e-4], nist.MISRA1A.values, nist.MISRA1A.std),
         (
             thurber,
-            nist.THURBER_Y,
+            nist.THURBER.y,
             [1000, 1000, 400, 40, 0.7, 0.3, 0.03],
-            nist.THURBER,
-            nist.THURBER_SD,
+            nist.THURBER.values,
+            nist.THURBER.std,
         ),
         (
             thurber,
-            nist.THURBER_Y,
+            nist.THURBER.y,
             [1300, 1500, 500, 75, 1.0, 0.4, 0.05],
-            nist.THURBER,
-            nist.THURBER_SD,
+            nist.THURBER.values,
+            nist.THURBER.std,
         ),
     ],
 )
@@ -57,15 +57,15 @@ def test_nist_certified_values_and_standard_deviations(model, y, start, value, s
     np.testing.assert_allclose(fit.std_crb, sd, rtol=1e-5)
     assert (np.diff(fit.cost_history) <= 0.0).all()
     if model is misra:
-        assert np.sqrt(fit.noise_cov[0, 0]) == pytest.approx(nist.MISRA1A_RESIDUAL_SD, rel=1e-8)
+        assert np.sqrt(fit.noise_cov[0, 0]) == pytest.approx(nist.MISRA1A.residual_std, rel=1e-8)
 
 
 def test_a_wrong_model_does_not_meet_the_certified_values():
-    x = nist.MISRA1A_X
+    x = nist.MISRA1A.x
     fit = output_error(
-        lambda theta: theta[0] * theta[1] * x / (1.0 + theta[1] * x), [500, 1e-4], nist.MISRA1A_Y
+        lambda theta: theta[0] * theta[1] * x / (1.0 + theta[1] * x), [500, 1e-4], nist.MISRA1A.y
     )
-    assert not np.allclose(fit.theta, nist.MISRA1A, rtol=1e-2)
+    assert not np.allclose(fit.theta, nist.MISRA1A.values, rtol=1e-2)
 
 
 def decay(theta, t):

@@ -124,6 +124,7 @@ def test_a_log_that_would_take_minutes_is_refused_in_time_and_the_next_is_read(
     assert len(import_log(tmp_path / "a.ulg")) == 100
 
 
+@pytest.mark.slow
 @has_address_limit
 def test_a_log_that_would_fill_the_memory_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -269,7 +269,6 @@ FINDING = [
 ]
 LAUGHS = [["tuple", []], *(["tuple", [k, k]] for k in range(60))]
 
-
 HOSTILE = {
     "no JSON": sealed(b"{"),
     "deep JSON": sealed(b"[" * 100_000),

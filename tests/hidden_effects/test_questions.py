@@ -1,6 +1,4 @@
-"""The second examination's questions: what a draw holds, wrong cards either way, flights and
-folders that are as said.
-"""
+"""The questions of the regression test: what they hide, flights and folders that are as said."""
 
 from __future__ import annotations
 
@@ -10,58 +8,35 @@ import numpy as np
 import pytest
 
 from tests.helpers.sixdof import Airframe
-from tests.hidden_effects.drawn import (
-    DEVELOPMENT,
-    THIRD,
-    drawn,
-    shortened,
-)
+from tests.hidden_effects.cases import THIRD
+from tests.hidden_effects.catalogue import ENTRIES
 from tests.hidden_effects.effects import SURFACES, Effect
 from tests.hidden_effects.flights import Flight, earlier, fly, fly_and_tell
 from tests.hidden_effects.folders import folder_of, state
 from tests.hidden_effects.manoeuvres import card
-from tests.hidden_effects.motion import IDEAL, LAG, Model, evaluate, trim
-from tests.hidden_effects.strength import strengths_alone
-from tests.hidden_effects.weighing import question, sized
-from tests.hidden_effects.wrongs import KINDS, Stated, wrong
+from tests.hidden_effects.motion import IDEAL, Model, evaluate, trim
+from tests.hidden_effects.questions import ROWS, Stated, question
 from uqharness.simulator.actuators import actuators
 from uqharness.simulator.aircraft import find_aircraft
 
 
-def test_chance_spreads_over_aeroplanes_rates_air_and_servos():
-    some = [drawn(DEVELOPMENT, n, attempt) for n in range(16) for attempt in range(6)]
-    assert {q.aircraft for q in some} == {"espaaro", "second", "third"}
-    assert {q.train[0].rate_hz for q in some} == {25.0, 50.0, 100.0}
-    winds = [q.train[0].w20_kt for q in some if q.air == "light"]
-    assert min(winds) < 9.0 < 17.0 < max(winds)
-    assert any(q.drive is IDEAL for q in some if q.kind == "null")
-    assert not any(q.drive is IDEAL for q in some if q.wrong and q.wrong.key.startswith("actuator"))
-    assert {f.drive for q in some for f in q.flights("train")} >= {None, IDEAL}
-    aims = [t for q in some if q.kind == "marginal" for t in q.aimed]
-    assert all(4.0 <= t <= 10.0 for t in aims)
-    assert drawn(DEVELOPMENT, 3, 1) == drawn(DEVELOPMENT, 3, 1) != drawn(DEVELOPMENT, 3, 2)
-
-
-def test_cards_are_wrong_either_way():
-    rng = np.random.default_rng(1)
-    found = {kind: [wrong(kind, 50.0, rng) for _ in range(24)] for kind in set(KINDS)}
-    for kind in ("scale", "bias", "accelerometer", "vane", "thrust"):
-        assert {np.sign(w.value) for w in found[kind]} == {-1.0, 1.0}, kind
-    assert all(w.value > 0.0 for w in found["controls late"])
-    assert all(w.value < 0.0 for w in found["controls early"])
-    slower = found["lag slower"]
-    assert {bool(w.stated.lag) for w in slower} == {True, False}
-    assert all(w.value < LAG[0] for w in slower if not w.stated.lag)
-    assert all(v > LAG[0] for w in slower for v in w.stated.lag.values())
-    assert all(v < LAG[0] for w in found["lag faster"] for v in w.stated.lag.values())
-    assert {w.key.split(".")[1].split(":")[0] for w in slower} == set(SURFACES)
-    with pytest.raises(ValueError, match="known are"):
-        wrong("paint", 50.0, rng)
+def test_the_forty_questions_hide_what_their_kinds_say():
+    asked = [question(number) for number in range(40)]
+    assert [row["number"] for row in ROWS] == list(range(40))
+    assert len({q.id for q in asked}) == 40
+    limits = {"clear": (10.0, np.inf), "marginal": (4.0, 10.0), "weak": (3.0, 4.0)}
+    for q in asked:
+        hidden = {"null": 0, "pair": 2, "card": len(q.entries)}.get(q.kind, 1)
+        assert len(q.entries) == len(q.effects) == hidden
+        assert (q.wrong is not None) == (q.kind == "card")
+        assert set(q.entries) <= ENTRIES.keys() or q.kind == "off-form"
+        low, high = limits.get(q.kind, (10.0, np.inf))
+        assert all(low <= t <= high for t in q.t)
 
 
 def test_the_folder_says_what_is_stated(tmp_path):
     asked = replace(
-        drawn(DEVELOPMENT, 8),
+        question(8),
         stated=Stated({"rudder": 60.0, "elevator": None}, {"aileron": 40.0}, 0.9, (0.1, 0.0, -0.2)),
     )
     folder = folder_of(asked, tmp_path)
@@ -145,24 +120,3 @@ def test_the_third_aeroplane_flies():
     record = fly([Flight(card(4, 23.0, seconds=30.0), THIRD)])[0]
     assert np.abs(record["phi_rad"]).max() < 1.2
     assert np.abs(record["alpha_rad"]).max() < 0.3
-
-
-@pytest.mark.slow
-def test_sizes_are_those_that_the_marks_ask_for(tmp_path):
-    asked = question(DEVELOPMENT, 9, tmp_path, 24.0)
-    assert len(asked.effects) == 1
-    plain = [Flight(f.card, f.airframe, (), f.drive) for f in asked.flights("train")]
-    t = strengths_alone(plain, fly_and_tell(plain), list(asked.effects))[0].t
-    assert t == pytest.approx(asked.t[0], rel=0.05)
-    kept = question(DEVELOPMENT, 9, tmp_path, 24.0)
-    assert (kept.effects, kept.t, kept.train) == (asked.effects, asked.t, asked.train)
-
-
-@pytest.mark.slow
-def test_a_wrong_card_that_nobody_could_see_is_drawn_again():
-    asked = shortened(drawn(DEVELOPMENT, 4), 24.0)
-    tiny = Effect("sensor.accelerometer", "place_y", 1e-4)
-    assert sized(replace(asked, wrong=replace(asked.wrong, trace=tiny))) is None
-    strong = Effect("sensor.accelerometer", "place_y", 0.6)
-    found = sized(replace(asked, wrong=replace(asked.wrong, trace=strong)))
-    assert found.t[0] > 12.0
