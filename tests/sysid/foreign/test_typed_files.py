@@ -272,56 +272,36 @@ LAUGHS = [["tuple", []], *(["tuple", [k, k]] for k in range(60))]
 HOSTILE = {
     "no JSON": sealed(b"{"),
     "deep JSON": sealed(b"[" * 100_000),
-    "no UTF-8": sealed(b"\xff"),
-    "a list": sealed([]),
     "header too long": sealed(b"{}", length=2**63),
     "no nodes": file_of(),
-    "nodes are a number": sealed({"classes": [], "buffers": [], "nodes": 3}),
     "an empty node": file_of([]),
-    "a number as node": file_of(7),
     "unknown kind": file_of(["eval", "1"]),
-    "a kind that is no text": file_of([[]]),
     "too many parts": file_of(["none", 1]),
     "digits": file_of(["int", "1" * 9 + "_x"]),
-    "bool as int": file_of(["int", True]),
-    "int as float": file_of(["float", 1]),
     "short float": file_of(["float", "00"]),
     "text as list": file_of(["str", ["zz"]]),
     "itself": file_of(["list", [0]]),
     "later": file_of(["list", [1]], ["none"]),
     "before the first": file_of(["none"], ["list", [-1]]),
-    "true as number": file_of(["none"], ["none"], ["list", [True]]),
-    "refers by text": file_of(["none"], ["list", "0"]),
     "unhashable key": file_of(["list", []], ["set", [0]]),
     "equal keys": file_of(["int", 1], ["float", 1.0], ["set", [0, 1]]),
     "more keys than values": file_of(["none"], ["dict", [0], []]),
     "deep": file_of(["none"], *(["list", [k]] for k in range(200))),
-    "laughs as a key": file_of(*LAUGHS[:40], ["set", [39]]),
     "laughs": file_of(*LAUGHS),
     "keys of one hash": file_of(
         *(["int", hex(k * (2**61 - 1))] for k in range(500)), ["set", list(range(500))]
     ),
     "a NUL in a path": file_of(["path", 3]),
-    "a slice of five": file_of(["none"], ["slice", [0] * 5]),
     "huge array": file_of(["array", [2**40], "C", True, "<f8", 0], buffers=[0]),
-    "huge empty items": file_of(["array", [2**40], "C", True, "V0", 0], buffers=[0]),
     "overflowing shape": file_of(
         ["array", [2**32, 2**32, 2**32], "C", True, "<f8", 0], buffers=[0]
     ),
-    "many axes": file_of(["array", [1] * 1000, "C", True, "u1", 0], buffers=[1], content=bytes(64)),
     "negative axis": file_of(["array", [-1], "C", True, "u1", 0], buffers=[1], content=bytes(64)),
     "objects from bytes": file_of(
         ["array", [1], "C", True, "|O", 0], buffers=[8], content=bytes(64)
     ),
-    "objects in a field": file_of(
-        ["array", [1], "C", True, [["a", "|O"]], 0], buffers=[8], content=bytes(64)
-    ),
     "type of code": file_of(
         ["array", [1], "C", True, "__import__('os')", 0], buffers=[8], content=bytes(64)
-    ),
-    "two types": file_of(["array", [1], "C", True, "i4,i4", 0], buffers=[8], content=bytes(64)),
-    "array of arrays": file_of(
-        ["array", [1], "C", True, "(2,)i4", 0], buffers=[8], content=bytes(64)
     ),
     "deep type": file_of(
         ["array", [1], "C", True, json.loads("[[" * 30 + '"a","<i4"' + "]]" * 30), 0],
@@ -331,7 +311,6 @@ HOSTILE = {
     "field of huge size": file_of(
         ["array", [0], "C", True, [["a", "<f8", [2**31, 2**31]]], 0], buffers=[0]
     ),
-    "no order": file_of(["array", [1], "A", True, "u1", 0], buffers=[1], content=bytes(64)),
     "one buffer for many": file_of(
         *(["bytes", 0] for _ in range(1000)), buffers=[100_000], content=bytes(100_032)
     ),
@@ -339,9 +318,7 @@ HOSTILE = {
         *LAUGHS[:9], *(["dict", [8] * 200, [0] * 200] for _ in range(1000))
     ),
     "no such buffer": file_of(["bytes", 0]),
-    "last buffer": file_of(["bytes", -1], buffers=[1], content=bytes(64)),
     "buffer beyond the end": file_of(["bytes", 0], buffers=[2**62]),
-    "negative buffer": file_of(["bytes", 0], buffers=[-1]),
     "left over": file_of(["none"], content=b"x"),
     "a false scalar": file_of(["scalar", "<f8", "00"]),
     "huge scalar": file_of(["scalar", "V999999999", ""]),
@@ -350,24 +327,13 @@ HOSTILE = {
         buffers=[8, 3],
         content=struct.pack("<q", 5).ljust(64) + b"abc".ljust(64),
     ),
-    "texts of negative length": file_of(
-        ["texts", [2], "C", True, 0, 1],
-        buffers=[16, 3],
-        content=struct.pack("<qq", -2, 3).ljust(64) + b"abc".ljust(64),
-    ),
     "texts that overflow": file_of(
         ["texts", [2], "C", True, 0, 1],
         buffers=[16, 0],
         content=struct.pack("<qq", 2**62, 2**62).ljust(64),
     ),
-    "no texts": file_of(
-        ["texts", [1], "C", True, 0, 1],
-        buffers=[8, 1],
-        content=struct.pack("<q", 1).ljust(64) + b"\xff".ljust(64),
-    ),
     "fewer objects": file_of(["none"], ["objects", [5], "C", True, [0]]),
     "no such class": file_of(["object", 0, []]),
-    "last class": file_of(["object", -1, []], classes=[FINDING]),
     "field missing": file_of(["str", "c"], ["object", 0, [0]], classes=[FINDING]),
     "field of another type": file_of(
         ["str", "c"], ["object", 0, [0, 0, 0, 0, 0]], classes=[FINDING]
@@ -377,26 +343,17 @@ HOSTILE = {
         name: file_of(["none"], classes=[[name, []]])
         for name in (
             "os:system",
-            "subprocess:Popen",
-            "builtins:eval",
-            "sysid.errors:LogError",
             "sysid.errors:finding_from_dict",
-            "sysid.foreign.raw:np",
             "sysid.foreign.raw:Finding",
-            "sysid.foreign.raw:dataclass",
             "sysid.nothing:Here",
-            "sysid:Path",
             "sysid.foreign.raw:RawLog.x",
             "sysid..os:system",
-            "sysid.foreign.raw:__class__",
             "uqharness.__main__:main",
-            "uqharness.data.campaigns.chain.reproduce:X",
             "sysidious.raw_log:RawLog",
             "tests.sysid.foreign.test_typed_files:Foreign",
             "sysid.estimation.kalman:Model",
         )
     },
-    "a class that is no text": file_of(["none"], classes=[[3, []]]),
     "a class without fields": file_of(["none"], classes=[["sysid.foreign.raw:RawLog"]]),
 }
 

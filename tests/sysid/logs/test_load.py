@@ -24,31 +24,6 @@ from tests.helpers.synthetic import flight
 LIMIT_S = 20.0  # a clean import of these logs takes well under a second
 
 
-def damaged(data: bytes, rng: np.random.Generator) -> bytes:
-    """One of: cut, flipped bits, a zeroed or random stretch, a stretch twice, a stretch missing."""
-    n = len(data)
-    a = int(rng.integers(0, n))
-    b = min(n, a + int(rng.integers(1, max(2, n // 10))))
-    kind = int(rng.integers(0, 7))
-    if kind == 0:
-        return data[:a]
-    if kind in (1, 2):
-        out = bytearray(data)
-        # Headers steer a reader more than payload does: half of the damage goes into the first 2
-        # kB.
-        span = min(n, 2048) if kind == 1 else n
-        for k in rng.integers(0, span, int(rng.integers(1, 60))):
-            out[int(k)] ^= 1 << int(rng.integers(0, 8))
-        return bytes(out)
-    if kind == 3:
-        return data[:a] + bytes(b - a) + data[b:]
-    if kind == 4:
-        return data[:a] + rng.bytes(b - a) + data[b:]
-    if kind == 5:
-        return data[:b] + data[a:b] + data[b:]
-    return data[:a] + data[b:]
-
-
 def attempt(path: Path) -> str:
     """ "record", or the error's text; anything but LogError escapes."""
     started = time.monotonic()
