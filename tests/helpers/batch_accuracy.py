@@ -1,11 +1,7 @@
-"""Points, and errors in units of the last place against mpmath.
-
-``python -m tests.helpers.batch_accuracy [COUNT]`` prints them.
-"""
+"""Points, and errors in units of the last place against mpmath."""
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from functools import cache
 
@@ -141,24 +137,3 @@ def errors(operation: str, points: Points, result: np.ndarray) -> np.ndarray:
             else:
                 out[k] = abs(float((mp.mpf(got) - true) / float(np.spacing(abs(nearest)))))
     return out
-
-
-def main() -> None:
-    """A line an operation: the largest error, its place, the share that is not correctly
-    rounded.
-    """
-    count = int(sys.argv[1]) if len(sys.argv) > 1 else 100_000
-    for operation, make in POINTS.items():
-        points = make(np.random.default_rng(list(operation.encode())), count)
-        found = errors(operation, points, values(operation, points))
-        worst = int(np.argmax(found))
-        at = ", ".join(repr(float(p[worst])) for p in points)
-        print(
-            f"{operation:6s} {found[worst]:.4f} ulp at {at}; {np.mean(found > 0.5) * 100:.2f} % not"
-            f" nearest; {len(found)} points",
-            flush=True,
-        )
-
-
-if __name__ == "__main__":
-    main()

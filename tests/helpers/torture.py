@@ -3,8 +3,7 @@
 python -m tests.helpers.torture FOLDER OUT FLIGHTS FAKE HOW [MOMENT]: HOW is fork, spawn or the
 address of a Dask scheduler; MOMENT is journal:N (killed with the N-th batch half in the journal),
 table:N (killed with the N-th file written and not yet in place) or step:N (killed before the N-th
-change of a folder). FLIGHTS "as-is" flies FOLDER/campaign.toml as it stands. FAKE is of
-campaign_fakes or engine_fakes."""
+change of a folder). FAKE is of campaign_fakes."""
 
 from __future__ import annotations
 
@@ -77,9 +76,7 @@ def tear(moment: str) -> None:
 
 def main() -> None:
     from tests.helpers import campaign_fakes as fakes
-    from tests.helpers import engine_fakes
     from uqharness.campaign.processes import Executor, ProcessExecutor
-    from uqharness.campaign.read_spec import read_campaign
     from uqharness.campaign.run import run_campaign
 
     folder, out, flights, fake, how = sys.argv[1:6]
@@ -92,18 +89,8 @@ def main() -> None:
         from uqharness.campaign.dask import DaskExecutor
 
         executor = DaskExecutor(how)
-    as_is = flights == "as-is"
-    spec = (
-        read_campaign(Path(folder) / "campaign.toml")
-        if as_is
-        else fakes.small_spec(Path(folder), int(flights))
-    )
-    run_campaign(
-        spec,
-        out,
-        executor=executor,
-        fly=getattr(fakes if hasattr(fakes, fake) else engine_fakes, fake),
-    )
+    spec = fakes.small_spec(Path(folder), int(flights))
+    run_campaign(spec, out, executor=executor, fly=getattr(fakes, fake))
 
 
 if __name__ == "__main__":

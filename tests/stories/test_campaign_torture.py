@@ -48,9 +48,8 @@ class Victim:
     killed.
     """
 
-    def __init__(self, folder, cluster, flights, fake="slow"):
+    def __init__(self, folder, cluster, flights):
         self.folder, self.out, self.cluster, self.flights = folder, folder / "out", cluster, flights
-        self.fake = fake
         self.process, self.on_dask = None, False
 
     def start(self, on_dask, moment=None):
@@ -62,7 +61,7 @@ class Victim:
             str(self.folder),
             str(self.out),
             str(self.flights),
-            self.fake,
+            "slow",
             how,
         ]
         self.process = subprocess.Popen(
@@ -133,10 +132,10 @@ def children(pid):
         return []
 
 
-def torture(folder, cluster, flights, kills, seed, fake="slow"):
+def torture(folder, cluster, flights, kills, seed):
     """Names of the kills that hit."""
     chance = random.Random(seed)
-    victim = Victim(folder, cluster, flights, fake)
+    victim = Victim(folder, cluster, flights)
     hit = []
     try:
         for what in kills:

@@ -15,11 +15,15 @@ from tests.helpers.flying_here import flying_here
 PAGES = {page.name: page for page in de.pages()}
 
 LONG_PAGES = (
+    "autopilot.md",
     "bring-your-own-aircraft.md",
     "campaigns.md",
     "diff.md",
     "dossier.md",
+    "estimators.md",
     "instrument.md",
+    "json.md",
+    "logs.md",
     "python.md",
     "report.md",
     "statements.md",
