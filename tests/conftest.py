@@ -22,7 +22,7 @@ from uqharness.simulator.aircraft import PROJECT_ROOT, find_aircraft
 from uqharness.simulator.staging import staged
 
 
-def pytest_configure(config: pytest.Config) -> None:
+def restore_signals() -> None:
     """Give signals that the shell ignored their default handlers again.
 
     `nohup`, background jobs of a shell and some CI runners start a process with SIGINT or SIGHUP
@@ -33,6 +33,11 @@ def pytest_configure(config: pytest.Config) -> None:
         if number is not None and signal.getsignal(number) is signal.SIG_IGN:
             default = signal.default_int_handler if name == "SIGINT" else signal.SIG_DFL
             signal.signal(number, default)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Prepare signals, workers and the collection."""
+    restore_signals()
     # The suite is its own supervisor: functions that run in a worker elsewhere run in the test's
     # process, where stand-ins reach them. tests/uqharness/test_isolation.py uses the worker.
     os.environ[SUPERVISED] = str(os.getpid())

@@ -15,7 +15,7 @@ def test_a_suite_started_with_ignored_interrupts_restores_them() -> None:
     ask = "import signal; print(signal.getsignal(signal.SIGINT) is signal.default_int_handler)"
     for first, restored in (
         ("", "False"),
-        ("from tests.conftest import pytest_configure as configure; configure(None); ", "True"),
+        ("from tests.conftest import restore_signals; restore_signals(); ", "True"),
     ):
         words = ["/bin/sh", "-c", 'trap "" INT; exec "$@"', "sh", sys.executable, "-c", first + ask]
         done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True)

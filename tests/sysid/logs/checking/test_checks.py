@@ -22,13 +22,13 @@ from sysid.logs.checking.kinematics import (
     to_body,
 )
 from sysid.logs.checking.physics import degrees_by_size
-from sysid.logs.checking.signals import check_estimates
+from sysid.logs.checking.signals import check_estimates, stuck_span
 from sysid.logs.dataflash_writer import write_dataflash
 from sysid.logs.info import log_info
 from sysid.logs.load import import_log
 from sysid.logs.manoeuvres import find_free_flight, moving_mean
 from sysid.logs.signal_map import Entry, SignalMap
-from sysid.logs.time_base import clean
+from sysid.logs.time_base import clean, hold, interpolate
 from sysid.record import FlightRecord, Metadata
 from tests.helpers.synthetic import flight
 from tests.sysid.logs.checking.test_physics import noisy
@@ -56,6 +56,19 @@ def test_a_clean_log_raises_no_warning(tmp_path: Path, card: AirframeCard) -> No
 
 
 # Time.
+
+
+def test_nothing_is_interpolated_across_a_gap_and_commands_are_held() -> None:
+    t = np.concatenate([np.arange(10) * 0.1, 3.0 + np.arange(10) * 0.1])
+    grid = np.arange(0.0, 3.9, 0.05)
+    gaps = clean(t).gaps
+    line = interpolate(t, t, gaps, grid)
+    inside = (grid > 0.9 + 1e-6) & (grid < 3.0 - 1e-6)
+    assert np.isnan(line[inside]).all()
+    np.testing.assert_allclose(line[~inside], grid[~inside], atol=1e-9)
+    held = hold(t, t, gaps, grid, 0.1)
+    assert np.isnan(held[(grid > 1.02) & inside]).all()
+    assert held[np.searchsorted(grid, 0.149)] == pytest.approx(0.1)
 
 
 # Values.
@@ -169,6 +182,23 @@ def test_ground_tow_and_free_flight_are_told_apart() -> None:
     assert no_tow.tow_s is None
     assert no_tow.free_s is not None
     assert no_tow.free_s[0] == pytest.approx(26.0, abs=1.5)
+
+
+def test_what_never_flew_says_so() -> None:
+    t = np.arange(0, 60, 0.1)
+    assert (
+        "never flew"
+        in find_free_flight(t, np.full(600, 3.0), None, None, None, np.array([])).reason
+    )
+    taxi = np.concatenate([np.zeros(50), np.full(550, 12.0)])
+    assert (
+        "never left the ground"
+        in find_free_flight(t, taxi, np.zeros(600), None, None, np.array([])).reason
+    )
+    assert (
+        "cannot be said"
+        in find_free_flight(t, np.full(600, np.nan), None, None, None, np.array([])).reason
+    )
 
 
 def test_a_noisy_attitude_is_no_wrong_unit() -> None:
@@ -301,6 +331,14 @@ def test_rates_a_third_of_a_row_early_are_no_lever_arm() -> None:
     far = flight(90.0, seed=6, arm_m=(1.2, 0.0, 0.0))
     (finding,) = lever_arm_finding(far)
     assert finding.numbers["x_m"] == pytest.approx(1.2, abs=0.1)
+
+
+def test_a_simulation_without_noise_may_stand_at_its_ends() -> None:
+    """A steady flight before the first manoeuvre and after the last is no fault of a sensor."""
+    values = np.sin(0.02 * np.arange(1000))
+    values[:300] = values[300]
+    assert stuck_span(values, 0.02, noisy=False) is None
+    assert stuck_span(values[::-1].copy(), 0.02, noisy=False) is None
 
 
 def test_rates_of_the_attitude_and_a_speed_without_noise_are_estimates() -> None:
