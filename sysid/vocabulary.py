@@ -109,7 +109,7 @@ _SIGNALS = (
     ),
     # Beyond the contract: what loiter metrics need, and the flight mode.
     Signal(
-        "mode", "-", "flight mode, the autopilot's own name or number", "label", -_INF, _INF, False
+        "mode", "-", "flight mode, name or number of the autopilot", "label", -_INF, _INF, False
     ),
     Signal(
         "cross_track_m",
