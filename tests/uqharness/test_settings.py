@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
-import sys
 
 import pytest
 from pydantic import ValidationError
 
-from uqharness.toml import Number, Section, as_tuple, is_number, list_as_tuple
+from uqharness.toml import Number, Section
 
 
 class Wing(Section):
@@ -26,22 +25,3 @@ def test_types_are_not_bent_and_unknown_keys_are_refused():
             Wing.model_validate(bad)
     with pytest.raises(ValidationError, match="frozen"):
         Wing(span_m=1.0).span_m = 2.0
-
-
-def test_lists_become_tuples():
-    assert as_tuple([1, 2]) == list_as_tuple([1, 2]) == (1, 2)
-    assert as_tuple(3) == (3,)
-    assert list_as_tuple(3) == 3
-    assert as_tuple("ab") == ("ab",)
-
-
-@pytest.mark.parametrize("value", [0, -1.5, sys.float_info.max, 10**300])
-def test_numbers(value):
-    assert is_number(value)
-
-
-@pytest.mark.parametrize(
-    "value", [True, False, math.nan, math.inf, -math.inf, 10**400, "1", None, [1]]
-)
-def test_what_is_no_number(value):
-    assert not is_number(value)

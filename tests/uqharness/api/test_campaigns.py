@@ -45,18 +45,6 @@ def test_a_campaign_leaves_the_bytes_of_the_command(
     assert capsys.readouterr() == ("", "")
 
 
-def test_both_engines_fly_the_same_campaign(result: CampaignResult, tmp_path: Path):
-    other = uq.run_campaign(CAMPAIGN, tmp_path / "batch", engine="batch", workers=2).cases
-    assert set(result.cases["engine"]) == {"jsbsim"}
-    assert set(other["engine"]) == {"batch"}
-    for name in ("cross_track_median_m", "altitude_max_m", "speed_mean_mps_measured"):
-        np.testing.assert_allclose(
-            result.cases[name], other[name], rtol=0.0, atol=1e-7, err_msg=name
-        )
-        assert not np.array_equal(result.cases[name], other[name])
-    assert not set(result.cases["case_id"]) & set(other["case_id"])
-
-
 def test_its_tables_are_those_of_the_folder(result: CampaignResult):
     assert len(result.cases) == 32
     stored = pd.read_parquet(result.folder / "pbox.parquet")

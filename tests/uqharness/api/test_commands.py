@@ -13,7 +13,6 @@ import uqharness as uq
 from tests.helpers.campaign_fakes import small_spec, steady
 from uqharness.campaign.processes import SerialExecutor
 from uqharness.campaign.run import run_campaign
-from uqharness.campaign.shards import parse_shard
 from uqharness.cli.main import commands_of, complete_parser, main
 
 FUNCTIONS = {
@@ -179,18 +178,3 @@ def test_a_campaign_s_folder_is_read_without_a_command(tmp_path, capfd):
         uq.campaign_convergence(folder, repeats=1)
     with pytest.raises(uq.BadInputError, match=r"value = \{'x': 'a'\}: a metric with its number"):
         uq.campaign_area(folder, value={"x": "a"})
-
-
-def test_shards_are_merged(tmp_path):
-    folder = tmp_path / "big"
-    for part in ("1/2", "2/2"):
-        run_campaign(
-            small_spec(tmp_path, 2),
-            folder,
-            executor=SerialExecutor(),
-            fly=steady,
-            shard=parse_shard(part),
-        )
-        merged = uq.merge_campaign(folder)
-        assert (merged["missing"] > 0) == (part == "1/2")
-    assert merged["done"] == merged["cases"] == len(uq.read_campaign(folder).cases)

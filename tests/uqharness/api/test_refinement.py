@@ -92,46 +92,6 @@ def test_bad_input_is_said(asked: list, tmp_path: Path, wrong: dict, error: str,
     assert list(tmp_path.iterdir()) == []
 
 
-def test_every_option_is_in_the_command(asked: list, tmp_path: Path):
-    files = [tmp_path / f"{name}.parquet" for name in "ab"]
-    for seed, path in enumerate(files):
-        uq.fly("espaaro", "trim", duration_s=3, noise=True, seed=seed).write(path)
-    effects, campaign, out = tmp_path / "own.toml", tmp_path / "mission.toml", tmp_path / "out"
-    effects.write_text('[[effect]]\nname = "own"\ncoefficient = "Cm"\nterm = "alpha^3"\n')
-    words = [
-        "--train",
-        str(files[0]),
-        "--test",
-        str(files[1]),
-        "--servos",
-        "ideal",
-        "--effects",
-        str(effects),
-    ]
-    assert (
-        main(
-            [
-                "refine",
-                "espaaro",
-                *words,
-                "--campaign",
-                str(campaign),
-                "--no-figures",
-                "--out",
-                str(out),
-            ]
-        )
-        == 0
-    )
-    options = {"servos": "ideal", "effects": effects, "campaign": campaign, "figures": False}
-    uq.refine("espaaro", train=files[0], test=files[1], out=out, **options)
-    command, python = (job for job, _ in asked)
-    assert command == python
-    assert {"--effects", "own.toml", "--campaign", "mission.toml", "--no-figures", "ideal"} <= set(
-        python.command
-    )
-
-
 @pytest.mark.parametrize("way", ["python", "command"])
 def test_flights_that_cannot_be_used_leave_no_folder(way: str, tmp_path: Path):
     file, out = tmp_path / "a.parquet", tmp_path / "out"

@@ -11,8 +11,6 @@ from tests.helpers.batch_flights import (
     METRICS,
     START,
     aircraft,
-    by_batch,
-    by_jsbsim,
     compared,
     craft,
     flown,
@@ -91,21 +89,6 @@ def test_as_in_jsbsim(start):
     }
     assert worst(found) < 1e-10
     assert worst(places) < 3e-8
-
-
-def test_incidence_at_rest_is_zero():
-    start = {**START, "ic/u-fps": 0.0, "ic/v-fps": 0.0, "ic/w-fps": 0.0}
-    names = (
-        "aero/alpha-rad",
-        "aero/beta-rad",
-        "aero/alphadot-rad_sec",
-        "aero/betadot-rad_sec",
-        "velocities/vt-fps",
-    )
-    with craft(aircraft("<aerodynamics/>"), start) as made:
-        theirs, ours = by_jsbsim(made.open(), {}, names, 3), by_batch(made, {}, names, 3)
-    assert all(ours[name][0] == theirs[name][0] == 0.0 for name in names[:4])
-    assert all(ours[name] == pytest.approx(theirs[name], abs=1e-9) for name in names)
 
 
 def test_the_span_and_the_limit_of_speed_are_noticed(monkeypatch):
@@ -197,18 +180,6 @@ def test_the_aerodynamic_centre_shifts_as_in_jsbsim() -> None:
     assert flights.worst(flights.compared(text, records, frames=60)) < 1e-9
     changed = text.replace("<v>.1</v>", "<v>.1001</v>")
     assert flights.worst(flights.compared(text, records, frames=60, changed=changed)) > 1e-7
-
-
-@pytest.mark.parametrize("unit", few(["M", "IN", "FT"], 1))
-def test_a_sensor_has_its_place_in_any_unit(unit: str) -> None:
-    system = f"""<system name='s'><channel><accelerometer name='i/a'><axis>Z</axis>
-<location unit="{unit}"><x>1.5</x><y>.2</y><z>.1</z></location></accelerometer></channel></system>"""
-    records = ["i/a", "velocities/w-fps"]
-    assert flights.worst(flights.compared(ground_aircraft(system), records, frames=40)) < 1e-9
-    other = ground_aircraft(system.replace("<x>1.5", "<x>1.501"))
-    assert (
-        flights.compared(ground_aircraft(system), records, frames=40, changed=other)["i/a"] > 1e-7
-    )
 
 
 def test_a_changed_integrator_ends_the_flight() -> None:

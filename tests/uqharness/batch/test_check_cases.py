@@ -12,7 +12,6 @@ import pytest
 from tests.helpers import batch_flights
 from tests.helpers.batch_flights import aircraft, craft, started, translated
 from tests.helpers.batch_whole import SECOND_ORDER
-from uqharness.batch import motion
 from uqharness.batch.llvm import choose_target
 from uqharness.batch.llvm_flight import compile_program
 from uqharness.batch.motion import CONDITIONS
@@ -193,13 +192,3 @@ def misses(found, case):
 @pytest.mark.parametrize("case", TUMBLE)
 def test_published_figures(monkeypatch, case):
     assert misses(flown(monkeypatch, case), case) < 1.0
-
-
-def test_gravity_without_the_earths_flattening_misses_them(monkeypatch):
-    monkeypatch.setattr(motion, "J2", 0.0)
-    assert misses(flown(monkeypatch, "sphere"), "sphere") > 10.0
-
-
-def test_an_earth_that_stands_still_misses_them(monkeypatch):
-    monkeypatch.setattr(motion, "RATE_RADPS", 7.28e-5)
-    assert misses(flown(monkeypatch, "brick"), "brick") > 10.0

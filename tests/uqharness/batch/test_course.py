@@ -18,7 +18,6 @@ from uqharness.batch.course import (
     initialise_lanes,
 )
 from uqharness.batch.program import initial_state
-from uqharness.batch.streams import GUSTS
 from uqharness.batch.winds import COUNTER, NORMALS
 
 ACTIVE = {"uq/active": 1.0}
@@ -119,21 +118,6 @@ def test_a_number_that_is_not_restored_is_noticed(moving):
         course = Course(made, [replace(held, state=state)])
         course.fly()
         assert not same(course.recorded()[0], whole[0]), name
-
-
-def test_streams_at_another_place_are_noticed(moving):
-    made, specs, whole = moving
-    held = begun(made, specs[:1], 800).snapshots()[0]
-    for other in (
-        replace(held, spec=replace(held.spec, seed_noise=99)),
-        replace(held, spec=replace(held.spec, seed_turbulence=99)),
-        replace(held, spec=replace(held.spec, levels=replace(WALK, epistemic_id="e9"))),
-        replace(held, spec=replace(held.spec, transient=replace(TRANSIENT, aleatory_id=9))),
-        replace(held, air=(held.air[0] + 1.0, *held.air[1:])),
-    ):
-        course = Course(made, [other])
-        course.fly()
-        assert not same(course.recorded()[0], whole[0])
 
 
 @pytest.mark.parametrize("which", few(["moving", "own_turbulence"], 1))
@@ -246,18 +230,6 @@ def test_branches_that_are_followed_have_the_bytes_of_branches_that_are_held(
     assert rows[2].tobytes() != rows[0].tobytes()
 
 
-def test_lanes_that_cannot_be_followed():
-    one = spec(duration_s=60.0, properties={"ap/altitude-cmd-m": -50.0})
-    made, specs, _ = flown([one, replace(one, properties={"ap/altitude-cmd-m": 100.0})])
-    course = begun(made, specs, 5900)
-    with pytest.raises(ValueError, match="lane 0 has ended"):
-        course.follow([0, 1], [None, None])
-    with pytest.raises(ValueError, match="one lane at least"):
-        course.follow([], [])
-    course.follow([1], [None])
-    assert [end.status for end in course.ends] == ["ok"]
-
-
 def made(specs, frames=400):
     lanes = compiled_mission(specs[0]).lanes
     started = initialise_lanes(lanes, specs)
@@ -291,18 +263,6 @@ def rows(feed, lane, count):
     return feed.array[feed.offsets[lane] : feed.offsets[lane] + count]
 
 
-def test_lanes_of_one_air_share_its_numbers():
-    _, feeder, state = made(specs())
-    feeds = feeder.feeds(np.arange(3), 100, state)
-    gusts = feeds[GUSTS.name]
-    assert len(gusts.array) == 200
-    assert gusts.offsets[0] == gusts.offsets[2] != gusts.offsets[1]
-    assert np.abs(rows(gusts, 0, 100) - rows(gusts, 1, 100)).max() > 0.01
-    noise = [feed for name, feed in feeds.items() if name.startswith("noise/")]
-    assert noise
-    assert all(feed.offsets[0] == feed.offsets[2] != feed.offsets[1] for feed in noise)
-
-
 def test_jsbsims_turbulence_keeps_rows_that_a_lane_still_needs():
     """Lanes of one air stand at different rows where its filters did not run in all of them."""
     lanes, feeder, state = made(specs(turbulence_source="jsbsim"))
@@ -314,23 +274,3 @@ def test_jsbsims_turbulence_keeps_rows_that_a_lane_still_needs():
     assert later.first_row == 10
     assert rows(later, 0, 15).tobytes() == rows(first, 0, 50)[10:25].tobytes()
     assert rows(later, 1, 15).tobytes() == rows(first, 1, 50)[10:25].tobytes()
-
-
-def test_a_state_that_is_copied_goes_on_alike():
-    """Nothing of a flight lies outside its state and its streams; the first frame of a call may be
-    any.
-    """
-    lanes, feeder, state = made(specs(turbulence_source="jsbsim", properties={"uq/active": 1.0}))
-    everyone = np.arange(3)
-    lanes.flyer.fly(state, 1, 130, feeder.feeds(everyone, 130, state), 10)
-    copy = state.copy()
-    feeds = feeder.feeds(everyone, 70, state)
-    records = lanes.flyer.fly(state, 131, 70, feeds, 10)
-    assert lanes.flyer.fly(copy, 131, 70, feeds, 10).tobytes() == records.tobytes()
-    assert copy.tobytes() == state.tobytes()
-    _, other, whole = made(specs(turbulence_source="jsbsim", properties={"uq/active": 1.0}))
-    at_once = lanes.flyer.fly(whole, 1, 200, other.feeds(everyone, 200, whole), 10)
-    assert (
-        np.ascontiguousarray(at_once[:, :3, 13:]).tobytes()
-        == np.ascontiguousarray(records[:, :3]).tobytes()
-    )

@@ -56,16 +56,6 @@ def test_state_is_read_at_the_begin_and_written_at_the_end() -> None:
     assert outputs["new"].tolist() == after["s"].tolist() == [11, 22]
 
 
-def test_wrong_kinds_and_strangers_are_refused() -> None:
-    b, other = Builder(), Builder()
-    with pytest.raises(ValueError, match="add takes f64, f64; received f64, i1"):
-        b.op("add", b.input("x"), b.truth(True))
-    with pytest.raises(ValueError, match="another builder"):
-        b.op("neg", other.input("x"))
-    with pytest.raises(ValueError, match="only after"):
-        evaluate(b.finish({"r": b.op("sin", b.input("x"))}), {"x": np.zeros(1)})
-
-
 def test_tables_are_told_apart_and_folded() -> None:
     b = Builder()
     assert b.table([0.0, 1.0]).index == b.table([0, 1]).index

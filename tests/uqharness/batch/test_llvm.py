@@ -13,10 +13,9 @@ import pytest
 from tests.helpers.batch_against import same_bits
 from uqharness.batch import llvm
 from uqharness.batch.ir import TRANSCENDENTAL, Builder, Function, evaluate
-from uqharness.batch.llvm import Target, compile_function, print_function, targets
-from uqharness.batch.llvm_flight import compile_program
+from uqharness.batch.llvm import compile_function, targets
 from uqharness.batch.maths import lower
-from uqharness.batch.program import BLOCK, Program, Section, When
+from uqharness.batch.program import BLOCK
 
 
 def _function() -> Function:
@@ -50,14 +49,6 @@ def test_products_and_sums_are_not_fused() -> None:
         e = 2.0**-30
         made, _ = kernel({"x": np.array([1 + e]), "y": np.array([1 - e]), "z": np.array([-1.0])})
         assert made["r"][0] == 0.0, name
-
-
-def test_what_cannot_be_compiled_is_refused() -> None:
-    b = Builder()
-    with pytest.raises(ValueError, match="only after"):
-        print_function(b.finish({"r": b.op("sin", b.input("x"))}), Target("x86-64", "", 4))
-    with pytest.raises(ValueError, match="divides 8"):
-        print_function(b.finish({"r": b.input("x")}), Target("x86-64", "", 3))
 
 
 def test_nothing_outside_is_called() -> None:
@@ -201,18 +192,3 @@ def test_the_code_that_was_used_last_is_kept(folder, monkeypatch):
     llvm.remember(llvm.object_key("new"), b"x" * 1000)
     kept = [key for key in (*keys, llvm.object_key("new")) if llvm.recall(key)]
     assert kept == [keys[1], llvm.object_key("new")]
-
-
-def test_a_kept_flight_gives_the_same_bits(folder):
-    b = Builder()
-    b.store("x", b.op("sqrt", b.load("x") * 1.1 + 0.3))
-    program = Program((Section("one", b.finish({}), When()),), {"x": 1.0}, (), ("x",))
-    rows = []
-    for _ in range(2):
-        llvm.build_code.cache_clear()
-        flyer = compile_program(program, llvm.choose_target())
-        state = np.ones((1, len(flyer.program.slots), 8))
-        rows.append(flyer.fly(state, 1, 50))
-        assert len(list(folder.iterdir())) == 1
-    assert np.array_equal(rows[0], rows[1])
-    assert np.ptp(rows[0]) > 0.0

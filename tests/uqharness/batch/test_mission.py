@@ -45,15 +45,6 @@ def test_what_the_model_computes_cannot_be_set():
         fly_many([spec(properties={"uq/CZ/delta": 1.0}, duration_s=2.0)])
 
 
-def test_a_mission_is_translated_once_for_flights_that_are_alike():
-    one, other = spec(seed_noise=1, duration_s=5.0), spec(seed_noise=2, duration_s=9.0)
-    assert compiled_mission(one) is compiled_mission(other)
-    assert compiled_mission(one) is not compiled_mission(spec(sensor_noise=True, duration_s=5.0))
-    assert compiled_mission(one) is not compiled_mission(
-        spec(properties={"uq/active": 1.0}, duration_s=5.0)
-    )
-
-
 def test_an_aircraft_that_was_edited_is_translated_anew(tmp_path):
     plane = copied(tmp_path)
     given = spec(plane, duration_s=5.0)

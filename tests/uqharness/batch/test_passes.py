@@ -14,7 +14,6 @@ from uqharness.batch.interpret import Interpreter
 from uqharness.batch.ir import Builder
 from uqharness.batch.maths import COSINE, SINE, reuse_sines
 from uqharness.batch.passes import (
-    PASSED,
     eliminate_dead_stores,
     fuse_sections,
     hoist_invariants,
@@ -84,65 +83,6 @@ def test_a_wrong_pass_is_noticed() -> None:
     assert not same_bits(_flown(wrong), _flown(program)).all()
 
 
-def _section(stores: dict[str, tuple[str, ...]], when: When | None = None) -> Section:
-    """Each slot becomes the sum of others."""
-    b = Builder()
-    values = {
-        goal: sum((b.load(name) for name in names[1:]), b.load(names[0]))
-        for goal, names in stores.items()
-    }
-    return Section("s", b.finish({}, values), when or When())
-
-
-def _stored(program: Program) -> list[list[str]]:
-    return [sorted(section.function.stores) for section in program.sections]
-
-
-def test_dead_stores_are_eliminated() -> None:
-    sections = (
-        _section({"a": ("x", "y"), "unused": ("x", "y")}),
-        _section({"own": ("own", "x"), "b": ("a", "x"), "over": ("x", "y")}),
-        _section({"over": ("y", "y"), "record": ("b", "over")}),
-    )
-    names = ("a", "b", "x", "y", "own", "over", "unused", "record")
-    program = Program(sections, dict.fromkeys(names, 1.0), (), ("record",))
-    # The last store of "over" is written over before anybody reads it.
-    assert _stored(eliminate_dead_stores(program)) == [["a"], ["b", "over"], ["record"]]
-    assert _stored(eliminate_dead_stores(program, ["own", "over"])) == [
-        ["a"],
-        ["b", "over", "own"],
-        ["over", "record"],
-    ]
-    assert set(prune_slots(eliminate_dead_stores(program)).slots) == {
-        "a",
-        "b",
-        "x",
-        "y",
-        "over",
-        "record",
-    }
-
-
-def test_invariants_are_hoisted() -> None:
-    b = Builder()
-    fixed, x = b.load("fixed"), b.load("x")
-    expensive = b.op("exp", b.op("sin", fixed)) / (fixed * fixed + 1.0)
-    chosen = b.op("and", fixed.lt(2.0), fixed.gt(-2.0)).choose(expensive, -expensive)
-    b.store("x", x * chosen + fixed + (fixed * 2.0))
-    program = Program((Section("s", b.finish({})),), {"fixed": 0.3, "x": 1.0}, (), ("x",))
-    changed = optimise(program)
-    assert changed.prelude is not None
-    assert changed.sections[0].function.counts() == {"load": 3, "mul": 2, "add": 2, "const": 1}
-    assert changed.prelude.counts()["div"] >= 1
-    a, b_ = (
-        initial_state(program, 3, {"fixed": np.array([0.1, 5.0, -1.0])}),
-        initial_state(changed, 3, {"fixed": np.array([0.1, 5.0, -1.0])}),
-    )
-    assert same_bits(run_program(program, a, 1, 5), run_program(changed, b_, 1, 5)).all()
-    with pytest.raises(ValueError, match="has a prelude"):
-        hoist_invariants(changed)
-
-
 def _flown_sinking(
     program: Program, stride: int, pieces: tuple[int, ...] = (FRAMES,)
 ) -> np.ndarray:
@@ -180,51 +120,6 @@ def test_records_keep_their_bits(seed: int, stride: int) -> None:
     for changed in (sink(program, (), stride), optimise(program, (), stride)):
         assert same_bits(_flown_sinking(changed, stride), wanted).all()
         assert same_bits(_flown_sinking(changed, stride, (1, 6, 3, 30)), wanted).all()
-
-
-def _two(readers: tuple[int, ...] = (2,), kept: bool = False) -> Program:
-    """A walk, and of it and its old value a long sum, which sections of every n-th frame load."""
-    b = Builder()
-    old = b.load("x")
-    new = old * 0.9 + 0.1
-    total = b.constant(0.0)
-    for k in range(30):
-        total = total * old + new * float(k)
-    b.store("x", new)
-    b.store("sum", total)
-    sections = [Section("walk", b.finish({}))]
-    for every in readers:
-        b = Builder()
-        b.store(f"read {every}", b.load(f"read {every}") + b.load("sum"))
-        sections.append(Section(f"reader {every}", b.finish({}), When(every=every)))
-    slots = {"x": 0.3, "sum": 0.0} | {f"read {every}": 0.0 for every in readers}
-    return Program(
-        tuple(sections),
-        slots,
-        (),
-        tuple(f"read {every}" for every in readers) + (("sum",) if kept else ()),
-    )
-
-
-def test_computations_sink_to_their_readers() -> None:
-    changed = sink(_two((4, 6)))
-    assert [s.when.every for s in changed.sections] == [1, 2, 4, 6]
-    assert len(changed.sections[0].function.nodes) < 10
-    assert any(name.startswith(PASSED) for name in changed.slots)
-    assert (_flown_sinking(changed, 1) == _flown_sinking(_two((4, 6)), 1)).all()
-
-
-def test_records_off_the_stride_differ() -> None:
-    """The negative control: a record in a frame that the stride does not divide shows what has
-    moved.
-    """
-    program = _two((), True)
-    state = initial_state(program, 1)
-    changed = sink(program, (), 10)
-    there = initial_state(changed, 1)
-    run_program(program, state, 1, 15)
-    run_program(changed, there, 1, 15)
-    assert slot(program, state, "sum", 1) != slot(changed, there, "sum", 1)
 
 
 def section(name: str, when: When, **stores: object) -> Section:

@@ -72,11 +72,6 @@ def test_rows_do_not_depend_on_how_many_frames_lie_between_them(stride):
     assert some.tobytes() == every[::stride].tobytes()
 
 
-def test_a_row_of_another_frame_is_another():
-    (every,), (some,) = flown(1, lane()), flown(8, lane())
-    assert some[1:].tobytes() != every[7:-1:8].tobytes()
-
-
 def test_lanes_flown_in_many_calls_are_those_of_one(monkeypatch):
     lanes = [lane(FRAMES if k % 3 else 24, -13.8 - 0.1 * k) for k in range(20)]
     together = flown(8, *lanes)
@@ -164,9 +159,3 @@ def both(speed_fps: tuple[float, ...], Cm_q: float) -> tuple[np.ndarray, np.ndar
 def test_states_are_the_first_rows_of_replays_from_there():
     said, begun = both((60.0, 72.0, 85.0), -13.8)
     np.testing.assert_allclose(said, begun, rtol=1e-12)
-
-
-def test_another_property_is_another_moment_alone():
-    said, other = both((72.0,), -13.8)[0], both((72.0,), -20.0)[0]
-    assert abs(other[0, 1] - said[0, 1]) > 1e-3
-    np.testing.assert_array_equal(other[0, [0, 2]], said[0, [0, 2]])

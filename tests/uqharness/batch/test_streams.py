@@ -24,7 +24,6 @@ from uqharness.batch.streams import (
     numpy_tries,
     polar_normals,
 )
-from uqharness.flight import Split
 from uqharness.flight.dryden import COMPONENTS, dryden_gusts, dryden_parameters, numpy_recursion
 from uqharness.flight.random_numbers import numpy_pairs
 from uqharness.flight.spec import COEFFICIENTS, LevelDriver, TransientDriver
@@ -73,22 +72,6 @@ def test_noise_is_drawn_in_jsbsims_order_with_mixed_rates(draws) -> None:
         )
 
 
-@pytest.mark.parametrize("draws", [DRAWS, (("a", 2), ("b", 2)), (("a", 1),), ()])
-def test_frames_cut_the_noise_anywhere_and_copies_go_on(draws: tuple[tuple[str, int], ...]) -> None:
-    whole = Noise(5, draws).frames(500)
-    cut = Noise(5, draws)
-    parts = [cut.frames(n) for n in (1, 0, 2, 97, 150)]
-    other = copy.deepcopy(cut)
-    parts.append(cut.frames(250))
-    again = other.frames(250)
-    for stream in noise_streams(draws):
-        joined = np.concatenate([part[stream.name].array for part in parts])
-        assert joined.tobytes() == whole[stream.name].array.tobytes()
-        assert len(joined) == 500 // stream.every
-        assert parts[-1][stream.name].first_row == 250 // stream.every
-        assert again[stream.name].array.tobytes() == parts[-1][stream.name].array.tobytes()
-
-
 def test_host_gusts_are_those_of_jsbsims_engine() -> None:
     theirs = dryden_gusts(20_000, 0.01, *AIR, seed=3)
     gusts = HostGusts(dryden_parameters(*AIR), 0.01, 3)
@@ -132,37 +115,6 @@ def test_streams_of_one_seed_are_independent() -> None:
     }
     correlation = np.corrcoef(list(series.values())) - np.eye(len(series))
     assert np.abs(correlation).max() < 4.5 / np.sqrt(n)
-
-
-def test_gusts_that_branch_where_they_stand_are_those_with_the_split_from_the_start() -> None:
-    """Within a page, at its end, and twice; without memory of the page there is none."""
-    parameters = dryden_parameters(*AIR)
-    for frame in (300, 8192, 9000):
-        own = HostGusts(parameters, 0.01, 5)
-        own.keep_branching_state()
-        own.rows(frame)
-        first = Split(frame, 1, 2, 3, 4)
-        branch = own.branched(first)
-        assert branch is not None
-        np.testing.assert_array_equal(
-            branch.rows(700).array, gusts_with((first,), frame + 700)[frame:]
-        )
-        second = Split(frame + 700, 1, 2, 3, 5)
-        again = branch.branched(second)
-        assert again is not None
-        np.testing.assert_array_equal(
-            again.rows(9000).array, gusts_with((first, second), frame + 9700)[frame + 700 :]
-        )
-        np.testing.assert_array_equal(own.rows(500).array, gusts_with((), frame + 500)[frame:])
-    with pytest.raises(ValueError, match="are at row"):
-        own.branched(Split(3, 1, 2, 3, 4))
-    forgetful = HostGusts(parameters, 0.01, 5)
-    forgetful.rows(300)
-    assert forgetful.branched(Split(300, 1, 2, 3, 4)) is None
-
-
-def gusts_with(splits: tuple[Split, ...], rows: int) -> np.ndarray:
-    return HostGusts(dryden_parameters(*AIR), 0.01, 5, splits=splits).rows(rows).array
 
 
 PER_FRAME = 100
@@ -260,16 +212,6 @@ def test_the_generator_is_minstd_rand0() -> None:
     for _ in range(2500):
         state = numpy_tries(state, 1)[1]
     assert state == 1043618065
-
-
-def test_calls_cut_the_stream_anywhere_and_copies_go_on() -> None:
-    whole = JsbsimNormals(3).take(1000)
-    cut = JsbsimNormals(3)
-    parts = [cut.take(n) for n in (1, 0, 7, 300)]
-    other = cut.copy()
-    parts.append(cut.take(692))
-    assert np.concatenate(parts).tobytes() == whole.tobytes()
-    assert other.take(692).tobytes() == parts[-1].tobytes()
 
 
 @pytest.mark.parametrize("name", list(targets()))

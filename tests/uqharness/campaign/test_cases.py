@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -11,9 +10,6 @@ import pytest
 from tests.helpers import campaign_fakes as fakes
 from tests.helpers.campaign_fakes import CAMPAIGN, campaign_file
 from uqharness.campaign.cases import (
-    FLIGHT_S_PER_CORE_S,
-    GROUP_S,
-    MAX_LANES,
     Mission,
     build_cases,
     epistemic_samples,
@@ -161,22 +157,3 @@ def test_every_case_is_in_one_group_of_one_condition(tmp_path):
         assert airs == sorted(airs)
     assert groups[0].cases[0][0] == every[0].case_id
     assert len(groups) >= 4, "two workers have something to do"
-
-
-@pytest.mark.parametrize(
-    ("duration_s", "most"), [(150.0, MAX_LANES), (3600.0, 491), (86_000.0, 20)]
-)
-def test_groups_are_limited_in_flight_time(tmp_path, duration_s, most):
-    groups = group_cases(cases(tmp_path, 40, duration_s=duration_s), 1)
-    lanes = max(len(group.cases) for group in groups)
-    assert lanes <= most
-    assert lanes * (duration_s + 60.0) / FLIGHT_S_PER_CORE_S <= GROUP_S
-    assert group_cases([], 1) == []
-
-
-def test_groups_of_an_incomplete_round(tmp_path):
-    every = cases(tmp_path, 4)[5:200]
-    flown = [case_id for group in group_cases(every, 3) for case_id, _ in group.cases]
-    assert sorted(flown) == sorted(case.case_id for case in every)
-    assert group_cases(every[:1], 8)[0].cases == ((every[0].case_id, every[0].flight),)
-    assert group_cases([replace(every[0])], 1)[0].engine == "batch"

@@ -78,12 +78,6 @@ def test_rates_are_counts_over_hours():
     assert rates[0].hours == pytest.approx(2.0)
 
 
-def test_a_count_that_no_flight_has_makes_no_cell():
-    assert {c.distance for c in excursion_cells(frame(), [15.0])} == {"horizontal"}
-    counted = frame(excursions_15m_3d=1.0)
-    assert {c.distance for c in excursion_cells(counted, [15.0])} == {"horizontal", "3d"}
-
-
 def test_a_requested_metric_is_one_that_the_table_has():
     table = pd.DataFrame({"case_id": ["a"], "speed_max_mps": [1.0], "altitude_max_m": [np.nan]})
     some = ("speed_max_mps", "altitude_max_m")

@@ -8,13 +8,10 @@ import tracemalloc
 import pytest
 
 from tests.helpers import campaign_fakes as fakes
-from tests.helpers.engine_fakes import Flown, engines
-from tests.uqharness.campaign.test_rounds import TOML as DECIDE
 from uqharness.campaign import cost
 from uqharness.campaign.cases import build_cases
-from uqharness.campaign.processes import ProcessExecutor
 from uqharness.campaign.read_spec import read_campaign
-from uqharness.campaign.run import find_mission, run_campaign
+from uqharness.campaign.run import find_mission
 from uqharness.campaign.sampling import epistemic_samples
 from uqharness.cli.main import main
 
@@ -66,12 +63,6 @@ def test_flights_are_counted_as_they_are_built(tmp_path, method, mean):
     )
 
 
-def test_a_campaign_that_may_end_sooner_says_at_most(tmp_path):
-    spec = read_campaign(fakes.campaign_file(tmp_path, DECIDE))
-    words = cost.Cost(cost.size_of(spec), 0, None, 1).words
-    assert words.startswith("at most 320 flights (4 epistemic samples, 2 conditions, 40 each)")
-
-
 def test_time_is_that_of_what_is_missing():
     size = cost.Size(10, 1, 64, 640, 3600.0, False)
     found = cost.Cost(size, 40, cost.Pace(1.0, 0.001), 2)
@@ -84,14 +75,6 @@ def test_time_is_that_of_what_is_missing():
     assert cost.Cost(size, 0, cost.Pace(600.0, 0.0), 2).is_long
     assert cost.Cost(size, 0, None, 2).seconds is None
     assert "about" not in cost.Cost(size, 0, None, 2).words
-
-
-@pytest.mark.parametrize(
-    ("seconds", "words"),
-    [(0.2, "1 s"), (90, "1.5 min"), (3600 * 30, "30 h"), (86400 * 3, "3 days"), (4e9, "127 years")],
-)
-def test_times_in_words(seconds, words):
-    assert cost.time_in_words(seconds) == words
 
 
 def test_a_campaign_of_years_is_refused_at_once_in_little_memory(tmp_path, capsys):
@@ -146,32 +129,3 @@ def test_check_flies_nothing_that_counts(tmp_path, capsys):
     assert main([*check, "--hours", "1000000"]) == 0
     assert "needs --yes or --hours" in capsys.readouterr().out
     assert main([*check, "--workers", "0"]) == 2
-
-
-class Enough(Exception):
-    """Ends a campaign before it flies."""
-
-
-@pytest.mark.parametrize("engine", ["batch", "jsbsim"])
-def test_the_pace_of_very_many_flights_is_known_before_their_cases_are_made(
-    tmp_path, monkeypatch, engine
-):
-    def stop(told):
-        costs.append((told.engine, told.missing, told.pace is None))
-        raise Enough
-
-    costs: list[tuple[str, int, bool]] = []
-    spec, out = fakes.small_spec(tmp_path, 3).with_engine(engine), tmp_path / "out"
-    keys = {"executor": ProcessExecutor(2, "fork"), "fly": engines(Flown()), "before_flying": stop}
-    monkeypatch.setattr("uqharness.campaign.run.MANY_FLIGHTS", 191)
-    with monkeypatch.context() as patch:
-        patch.setattr("uqharness.campaign.run.build_cases", None)
-        with pytest.raises(Enough):
-            run_campaign(spec, out, **keys)
-    assert not out.exists()
-    # With one flight fewer than that the cases are made first, and the folder with them.
-    monkeypatch.setattr("uqharness.campaign.run.MANY_FLIGHTS", 192)
-    with pytest.raises(Enough):
-        run_campaign(spec, out, **keys)
-    assert out.exists()
-    assert costs == [(engine, 192, False)] * 2

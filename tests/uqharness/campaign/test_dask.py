@@ -17,7 +17,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.helpers import campaign_fakes as fakes
-from tests.helpers import torture
 from uqharness.campaign import dask as dask_executor
 from uqharness.campaign.dask import (
     MODULES_VARIABLE,
@@ -38,13 +37,12 @@ from uqharness.campaign.processes import (
     OneByOne,
     ProcessExecutor,
     SerialExecutor,
-    attempt,
 )
 from uqharness.campaign.run import run_campaign
 from uqharness.campaign.tables import CASES
 from uqharness.cli.main import run_words
 from uqharness.errors import BadInputError
-from uqharness.flight.spec import FlightResult, FlightSpec, LevelDriver, TransientDriver
+from uqharness.flight.spec import FlightSpec, LevelDriver, TransientDriver
 
 pytestmark = pytest.mark.filterwarnings(
     "ignore:This process .* is multi-threaded:DeprecationWarning"
@@ -173,14 +171,6 @@ def test_a_worker_with_other_files_or_versions_is_refused_by_name(tmp_path):
     assert "jsbsim 0.9 there, 1.3.3 here" in answer((("jsbsim", "0.9"),))
 
 
-def test_a_worker_refuses_functions_outside_its_list(tmp_path, dask):
-    alone = "Dask worker on .*flies with uqharness.flight.fly:fly alone"
-    with pytest.raises(BadInputError, match=rf"{alone}.*MODULES=tests.helpers.torture"):
-        fly(dask, torture.tear, flights(tmp_path, [4]))
-    with pytest.raises(BadInputError, match="flies with a function that its module holds by name"):
-        fly(dask, fakes.NotThere(), flights(tmp_path, [4]))
-
-
 @pytest.mark.slow
 def test_groups_fly_together_and_a_guilty_case_is_left_alone(tmp_path, dask):
     cases = flights(tmp_path, list(range(4, 24)))
@@ -275,14 +265,6 @@ def test_every_number_comes_back_bit_for_bit(value):
     answer = answer_text(Answer((replace(OUTCOME, metrics={"x": value}),)))
     (outcome,) = answer_from(answer, ("0001",))
     assert bits(outcome.metrics["x"]) == bits(value)
-
-
-def test_nan_is_the_same_wherever_a_case_was_flown():
-    negative = struct.unpack("<d", b"\x01\x00\x00\x00\x00\x00\xf8\xff")[0]
-    result = FlightResult("ok", "", 1.0, {"x": negative}, {"x": "why"}, {})
-    found = attempt(lambda _: result, "0001", FLIGHT)
-    (back,) = answer_from(answer_text(Answer((found,))), ("0001",))
-    assert bits(found.metrics["x"]) == bits(back.metrics["x"]) != bits(negative)
 
 
 TEXT = order_text(ORDER)

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import math
 import shutil
 from dataclasses import dataclass, replace
-from itertools import product
 
 import numpy as np
 import pytest
@@ -15,23 +13,19 @@ import pytest
 from tests.helpers import campaign_fakes as fakes
 from tests.helpers.engine_fakes import Deadly, Flown, Raising, Understanding, engines
 from tests.helpers.few import few
-from uqharness.campaign.cases import Mission, Part, build_cases
-from uqharness.campaign.cost import TRIAL_CONDITIONS, size_of, trial_conditions
+from uqharness.campaign.cases import Mission, build_cases
 from uqharness.campaign.engines import (
     CASES_EACH,
     MIN_SCALE,
-    EngineComparison,
     Engines,
     PreviousEngine,
-    batch_pace,
     choose_engine,
     compare_outcomes,
     compare_start,
     difference_scale,
-    is_rounding,
     previous_engine,
 )
-from uqharness.campaign.manifest import read_manifest, write_manifest
+from uqharness.campaign.manifest import read_manifest
 from uqharness.campaign.processes import NEAREST, CaseOutcome, ProcessExecutor, SerialExecutor
 from uqharness.campaign.run import find_mission, run_campaign
 from uqharness.campaign.shards import merge, parse_shard, read_status
@@ -100,24 +94,6 @@ def test_auto_keeps_the_engine_of_earlier_flights(spec):
         settled(spec, WITHOUT, batch)
 
 
-def test_elements_are_named_by_the_authors_file(spec):
-    class Reader(Understanding):
-        def left_out(self, spec, varying):
-            return (f"{spec.aircraft / 'plane.xml'}:5: <magnetometer> is not understood",)
-
-        def refusals(self, spec, varying):
-            return self.refused and (f"{spec.aircraft / 'plane.xml'}:3: no",)
-
-    place = spec.path.parent / "plane" / "plane.xml"
-    choice = settled(spec, replace(ALIKE, batch=Reader()))
-    assert choice.engine == "batch"
-    assert choice.words.endswith(
-        f"left out, since nothing reads it: {place}:5: <magnetometer> is not understood"
-    )
-    refused = settled(spec, replace(ALIKE, batch=Reader(refused=("x",))))
-    assert refused.reasons == (f"{place}:3: no",)
-
-
 def test_a_defect_of_the_batch_engine_leaves_the_campaign_to_jsbsim(spec):
     class Broken(Understanding):
         def refusals(self, spec, varying):
@@ -155,19 +131,6 @@ def test_another_engine_is_refused_in_the_same_folder_and_auto_is_not(spec, tmp_
     with pytest.raises(BadInputError, match=f'engine was "{first}", is "{other}"'):
         run(spec.with_engine(other), out)
     assert run(spec, out).done_before == 64
-
-
-def test_a_folder_from_before_the_batch_engine_is_jsbsims(spec, tmp_path):
-    out = tmp_path / "out"
-    run(spec.with_engine("jsbsim"), out)
-    manifest = dict(read_manifest(out))
-    manifest["campaign"]["campaign"].pop("engine")
-    manifest.pop("engine")
-    write_manifest(out, manifest)
-    assert "engine" not in json.loads((out / "manifest.json").read_text())["campaign"]["campaign"]
-    assert previous_engine(out) == PreviousEngine("jsbsim")
-    assert run(spec, out).done_before == 64
-    assert read_status(out).engine == "jsbsim"
 
 
 def test_shards_fly_in_one_engine(spec, tmp_path):
@@ -426,84 +389,3 @@ def test_rounding_in_an_unstable_model_is_told_from_a_wrong_translation(cases, r
     assert verdicts(1e-13) == {"alike", "excused"}
     for wrong in (1e-3, 1e-6, 1e-9):
         assert "differs" in verdicts(wrong)
-
-
-def test_a_difference_that_does_not_grow_is_not_rounding(cases):
-    given = engines(Flown(offset=1e-2))
-    case = cases[0]
-    assert not is_rounding(given, case, SerialExecutor())
-    assert is_rounding(engines(Flown()), case, SerialExecutor())
-
-
-def test_bad_input_and_failures_in_the_first_seconds(cases):
-    def flying(function):
-        flies = replace(
-            engines(Flown()), fly_group=lambda engine, flights: list(map(function, flights))
-        )
-        return flies, cases, SerialExecutor()
-
-    with pytest.raises(BadInputError, match="uq/active"):
-        compare_start(*flying(fakes.refuses))
-    assert batch_pace(*flying(fakes.diverges)) is None
-
-
-@pytest.mark.slow
-def test_the_work_before_a_campaign_does_not_grow_with_its_grid_of_conditions(tmp_path):
-    winds = tuple(float(wind) for wind in np.random.default_rng(1).permutation(2000) * 0.002)
-    air = {"wind_mps": winds, "turbulence": ("light", "moderate")}
-    spec = fakes.small_spec(tmp_path, 1, **air).with_engine("batch")
-    flown, read = [], []
-
-    @dataclass(frozen=True)
-    class Reading(Understanding):
-        def refusals(self, spec, varying):
-            read.append(spec.wind_mps)
-            return ()
-
-    def group(engine, flights):
-        flown.extend((flight.wind_mps, flight.turbulence) for flight in flights)
-        return Flown()(engine, flights)
-
-    counted = replace(engines(Flown(), Reading()), fly_group=group)
-    mission = find_mission(spec)
-    assert settled(spec, counted).engine == "batch"
-    assert len(read) == TRIAL_CONDITIONS
-    cases = build_cases(spec, mission, Part(range(1), tuple(product(*air.values()))))
-    compare_start(
-        counted,
-        [case for case in cases if case.epistemic_id == cases[0].epistemic_id],
-        SerialExecutor(),
-    )
-    assert len(flown) == 2 * TRIAL_CONDITIONS
-    assert {air for _, air in flown} == {"light", "moderate"}
-    tried = {wind for wind, _ in flown}
-    # The extremes are among them, and no wind of the grid is far from one that was flown.
-    assert (min(tried), max(tried)) == (0.0, max(winds))
-    assert np.max(np.diff(sorted(tried))) <= 2 * max(winds) / TRIAL_CONDITIONS * 1.1
-    assert size_of(spec).trial_conditions == TRIAL_CONDITIONS < size_of(spec).conditions
-
-
-def test_every_condition_of_a_small_grid_is_tried_out():
-    assert len(trial_conditions((3.0, 0.0, 6.0), ("none", "severe"))) == 6
-    # A grid of one wind in each turbulence, and of two winds, keeps both.
-    assert trial_conditions((5.0,), ("light",)) == ((5.0, "light"),)
-
-
-def test_rows_stand_in_the_campaigns_order_whichever_flight_ended_first(tmp_path):
-    spec = fakes.small_spec(tmp_path, 1)
-    case = build_cases(spec, find_mission(spec))[0]
-    cases = [replace(case, case_id=f"{k:016x}", wind_mps=float(k)) for k in (3, 1, 2)]
-    written = set()
-    for order in (cases, cases[::-1]):
-        comparison = EngineComparison(tmp_path, cases, lambda case: outcome())
-        for case in order:
-            judged = comparison.groups([case])[0].cases[0][0]
-            pair = [
-                replace(outcome(**{METRIC: 1.0}), case_id=name) for name in (case.case_id, judged)
-            ]
-            comparison.take(pair)
-            comparison.compare(final=False)
-        comparison.compare(final=True)
-        written.add((tmp_path / ENGINE_CHECK).read_bytes())
-        (tmp_path / ENGINE_CHECK).unlink()
-    assert len(written) == 1

@@ -17,7 +17,6 @@ from uqharness.campaign.rare_events import (
     LoiterPaths,
     fit_predictors,
 )
-from uqharness.errors import BadInputError
 from uqharness.flight import OPTIONAL_SIGNALS, record_mission, scored_signals, staged_mission
 from uqharness.statistics import Levels, run
 
@@ -113,12 +112,6 @@ def test_a_branched_path_is_the_one_that_jsbsim_flies(split):
         )
 
 
-def test_steps_and_aircraft_that_cannot_be_split():
-    for step_s in (0.1, 0.25):
-        with pytest.raises(BadInputError, match="a multiple of the recorded"):
-            LoiterPaths(FLIGHTS[:1], [0], ROOT, CheckpointPlan(step_s, Lookahead(1.0)))
-
-
 KEEP = 0.8
 
 
@@ -158,10 +151,3 @@ def test_a_score_is_the_nearest_prediction_in_standard_deviations():
         one.score(regressors[k : k + 1], regressors[k : k + 1, 0])[0] for k in range(7)
     ] == whole.tolist()
     assert np.isnan(one.score(np.array([[np.nan]]), np.array([np.nan])))[0]
-
-
-def test_flights_too_short_are_refused(process):
-    x, regressors = process
-    for row_s, horizons in ((1.0, (500.0,)), (1.0, (0.5,))):
-        with pytest.raises(ValueError, match="of rows are needed"):
-            fit_predictors(regressors, x, row_s, 9.0, horizons)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -12,17 +11,15 @@ import pytest
 
 from tests.helpers import campaign_fakes as fakes
 from tests.helpers.page_checks import problems
-from uqharness.campaign import CaseOutcome
 from uqharness.campaign.manifest import read_manifest
 from uqharness.campaign.processes import ProcessExecutor, SerialExecutor
 from uqharness.campaign.read_spec import read_campaign
-from uqharness.campaign.rounds import KINDS, aborted_flight, count_aborted
+from uqharness.campaign.rounds import KINDS, count_aborted
 from uqharness.campaign.run import run_campaign
 from uqharness.campaign.shards import Shard
 from uqharness.campaign.tables import CASES
 from uqharness.cli.main import main
 from uqharness.errors import BadInputError
-from uqharness.flight.spec import FlightSpec
 from uqharness.parquet_files import read_table
 from uqharness.report.write import write_report
 
@@ -262,18 +259,3 @@ def test_limits_are_per_hour_flown():
     assert ended > 0.5 / 0.75
     assert 0.5 < flew_on < ended
     assert unflown == np.inf
-
-
-@pytest.mark.parametrize(
-    ("status", "flown_s", "lost", "expected"),
-    [
-        ("ok", 210.0, 0.0, (0.0, 0.0)),
-        ("ok", 210.0, 1.0, (1.0, 0.0)),
-        ("diverged", 135.0, 1.0, (1.0, 0.5)),
-        ("crashed", 0.0, 0.0, (1.0, 1.0)),
-    ],
-)
-def test_a_flight_by_itself(status, flown_s, lost, expected):
-    flight = FlightSpec(Path("plane"), Path("loiter.xml"), burn_in_s=60.0, duration_s=150.0)
-    outcome = CaseOutcome("0", status, "", flown_s, {"loss_of_control": lost})
-    assert aborted_flight(outcome, flight) == pytest.approx(expected)

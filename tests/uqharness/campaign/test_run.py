@@ -20,7 +20,7 @@ from tests.helpers.places import ROOT
 from uqharness.campaign.conditions import ERROR_METRICS, excursion_columns
 from uqharness.campaign.manifest import read_manifest
 from uqharness.campaign.processes import ProcessExecutor, SerialExecutor
-from uqharness.campaign.run import Progress, find_mission, run_campaign
+from uqharness.campaign.run import Progress, run_campaign
 from uqharness.campaign.store import Store, run_lock
 from uqharness.campaign.tables import CASES
 from uqharness.errors import BadInputError
@@ -270,18 +270,3 @@ def test_a_model_that_ends_the_interpreter_is_an_error_before_any_case(tmp_path)
     # Nothing was recorded, so that the mended model flies.
     with Store(tmp_path / "out", read_only=True) as store:
         assert store.finished() == set()
-
-
-def test_progress_figures():
-    progress = Progress(
-        cases=100, done=60, done_before=50, failed=1, flown_s=7200.0, elapsed_s=10.0, workers=2
-    )
-    assert progress.eta_s == pytest.approx(40.0)
-    assert progress.hours_per_core_hour == pytest.approx(360.0)
-    assert replace(progress, done=50).eta_s is None
-
-
-def test_the_mission_is_found_beside_the_campaign(tmp_path):
-    mission = find_mission(fakes.small_spec(tmp_path))
-    assert mission.aircraft == tmp_path / "plane"
-    assert mission.script == tmp_path / "loiter.xml"

@@ -161,19 +161,6 @@ def test_transient_error_of_the_form_flies_at_every_corner(tmp_path):
     assert spec_of(description).inputs == spec.inputs
 
 
-def test_a_form_without_such_a_part_flies_none(tmp_path):
-    model_form(tmp_path / "model-form.json", transient=0.0)
-    spec = campaign(tmp_path, CORNERS + "transient = true\n")
-    assert spec.inputs.has_parts
-    assert not spec.inputs.transient_rates
-    assert spec.as_dict()["epistemic"]["transient"] is False
-    # From before there were parts: its campaigns are the flights they were.
-    model_form(tmp_path / "model-form.json")
-    old = campaign(tmp_path, CORNERS + "interior = 0\n")
-    assert "transient" not in old.as_dict()["epistemic"]
-    assert all(case.flight.transient is None for case in build_cases(old, mission(tmp_path)))
-
-
 REFUSED = r"""
 bounds = "model-form.json"\ntransient = true |  | campaign.toml:\d+: .epistemic. transient = true: .*has no transient part
 bounds = CONSTANT\ntransient = true |  | campaign.toml:\d+: .epistemic. transient = true: bounds are no model-form.json
@@ -507,20 +494,6 @@ def test_the_joint_radius_is_that_of_chi_square(dof, confidence):
     assert sampling.joint_radius(dof + 1, confidence) > 1.02 * exact
     with pytest.raises(ValueError, match="at least 1"):
         sampling.joint_radius(0, confidence)
-
-
-def test_six_intervals_of_95_percent():
-    assert sampling.joint_radius(6, 0.95) == pytest.approx(3.5485, abs=5e-5)
-    assert sampling.marginal_radius(0.95) == pytest.approx(1.95996, abs=5e-6)
-    assert sampling.joint_reach(6, 0.95) == pytest.approx(3.5485 / 1.95996, abs=1e-4)
-    assert sampling.joint_reach(1, 0.95) == 1.0
-    # What it claims: as many of six normals lie within. A corner's own radius, z sqrt(6), holds
-    # more.
-    drawn = np.linalg.norm(np.random.default_rng(3).standard_normal((200_000, 6)), axis=1)
-    assert np.mean(drawn < sampling.joint_radius(6, 0.95)) == pytest.approx(
-        0.95, abs=4.0 * math.sqrt(0.95 * 0.05 / 200_000)
-    )
-    assert np.mean(drawn < math.sqrt(6.0) * sampling.marginal_radius(0.95)) > 0.99
 
 
 def test_the_box_becomes_the_ball():

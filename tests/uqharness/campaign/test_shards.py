@@ -17,9 +17,7 @@ from uqharness.campaign.read_spec import read_campaign
 from uqharness.campaign.rerun import rerun_case
 from uqharness.campaign.run import run_campaign
 from uqharness.campaign.shards import (
-    Answer,
     Shard,
-    lines,
     merge,
     parse_shard,
     read_answers,
@@ -235,27 +233,6 @@ COMPLETE = {"format": 1, "state": "complete"}
 HEAD = "condition,epistemic_id,radius_m,acceptable_per_h,answer,reason,hours,distance\n"
 
 
-ANSWERS = [
-    Answer(radius_m=15.0, acceptable_per_h=2.0, **row)
-    for row in (
-        {"condition": "3 m/s none", "answer": "yes", "reason": "", "hours": 12.3456},
-        {"condition": "5 m/s none", "answer": "open", "reason": "too few flights", "hours": 4.0},
-        {"condition": "7 m/s none", "answer": "yes", "reason": "", "hours": 1.0},
-    )
-]
-
-
-def test_a_summary_and_a_line_a_condition():
-    assert lines(ANSWERS) == [
-        "at most 2 excursions per hour beyond 15 m? 2 yes, 1 inconclusive",
-        "  3 m/s none: yes, 12.35 flight h",
-        "  5 m/s none: inconclusive (too few flights), 4 flight h",
-        "  7 m/s none: yes, 1 flight h",
-    ]
-    assert lines([]) == []
-    assert ANSWERS[1].as_json()["reason"] == "too few flights"
-
-
 def test_answers_are_of_whole_cells_at_the_smallest_radius(tmp_path: Path):
     assert read_answers(tmp_path, COMPLETE) == []
     rows = "a,,25,2,yes,,1,horizontal\na,,15,2,no,,1,horizontal\na,,15,2,open,,1,3d\n"
@@ -268,18 +245,6 @@ def test_answers_are_of_whole_cells_at_the_smallest_radius(tmp_path: Path):
     (tmp_path / "decisions.csv").write_text(HEAD + rows)
     (answer,) = read_answers(tmp_path, COMPLETE)
     assert (answer.condition, answer.answer, answer.hours) == ("3 m/s none", "yes", 12.5)
-
-
-def test_answers_give_the_share_of_flights_with_an_excursion(tmp_path: Path):
-    rows = "a,,15,2,yes,,1,horizontal,0.00746\n"
-    rows += "b,,15,2,open,clusters beyond the carried limit,1,horizontal,\n"
-    head = HEAD.replace("distance\n", "distance,flight_share_upper\n")
-    (tmp_path / "statements.csv").write_text(head + rows)
-    share = "at most 0.75 % of flights with an excursion at the worst corner (95 % limit)"
-    assert lines(read_answers(tmp_path, COMPLETE))[1:] == [
-        f"  a: yes, 1 flight h, {share}",
-        "  b: inconclusive (clusters beyond the carried limit), 1 flight h",
-    ]
 
 
 def test_a_journal_with_missing_flights_is_damaged_and_that_of_an_old_folder_must_be_there(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import tomllib
-from typing import get_args
 
 import pytest
 from pydantic import ValidationError
@@ -12,10 +11,7 @@ from tests.helpers.campaign_fakes import CAMPAIGN
 from tests.helpers.few import rows
 from uqharness.campaign.read_spec import campaign_from, read_campaign, with_samples
 from uqharness.campaign.spec import (
-    Coefficient,
     EpistemicSection,
-    ParametersSection,
-    Turbulence,
     VariableSection,
 )
 from uqharness.errors import BadInputError
@@ -42,16 +38,6 @@ def test_reads_a_campaign_and_fills_in_defaults(tmp_path):
     assert spec.epistemic.bounds["CZ"] == (-0.05, 0.05)
     assert spec.metrics.excursion_radius_m == (15.0, 25.0)
     assert spec.stop.rule == "flights"
-
-
-def test_lists_and_asymmetric_bounds(tmp_path):
-    text = CAMPAIGN.replace("wind_mps = 3", "wind_mps = [0, 1.5]").replace(
-        '"moderate"', '["light", "severe"]'
-    )
-    spec = read(tmp_path, text.replace("CX = 0.008", "CX = [-0.001, 0.008]"))
-    assert spec.aleatory.wind_mps == (0.0, 1.5)
-    assert spec.aleatory.turbulence == ("light", "severe")
-    assert spec.epistemic.bounds["CX"] == (-0.001, 0.008)
 
 
 MISTAKES = """
@@ -245,43 +231,6 @@ method = "none"; transient = true | method = "none" flies no model error
 def test_sections_that_contradict_themselves(settings, said):
     with pytest.raises(ValidationError, match=said):
         made(settings)
-
-
-def test_a_confidence_belongs_to_a_box():
-    box = ParametersSection.model_validate(
-        {"fit": "fit.json", "distribution": "box", "confidence": 0.9}
-    )
-    assert box.box_confidence == 0.9
-    assert ParametersSection.model_validate({"fit": "fit.json"}).box_confidence == 0.95
-    for section, said in (
-        ({"confidence": 0.9}, "a normal distribution has no edge"),
-        ({"parameters": []}, "at least one"),
-    ):
-        with pytest.raises(ValidationError, match=said):
-            ParametersSection.model_validate({"fit": "fit.json", **section})
-
-
-@pytest.mark.parametrize(
-    ("settings", "points", "nominal"),
-    [
-        ('method = "corners"; bounds = "model-form.json"', (16, 16, 16), True),
-        ('method = "corners"; bounds = "model-form.json"; interior = 0', (0, 0, 0), True),
-        ('method = "lhs"; samples = 5; bounds = "model-form.json"', (0, 0, 0), False),
-        ('method = "corners"; bounds = BOUNDS', (2, 8, 16), True),
-        ('method = "corners"; bounds = BOUNDS; interior = 3', (3, 3, 3), True),
-        ('method = "corners"; bounds = BOUNDS; nominal = false', (2, 8, 16), False),
-        ('method = "none"', (0, 0, 0), False),
-    ],
-)
-def test_interior_points_and_the_nominal_model_fly_beside_corners(settings, points, nominal):
-    section = made(settings)
-    assert tuple(section.interior_samples(n) for n in (2, 8, 64)) == points
-    assert section.flies_nominal == nominal
-
-
-def test_literals_match_the_flight_spec():
-    assert get_args(Coefficient) == COEFFICIENTS
-    assert "none" in get_args(Turbulence)
 
 
 def made_variables(**section) -> VariableSection:

@@ -11,11 +11,8 @@ import pytest
 
 from uqharness.campaign.statements import (
     bound_dispersion,
-    corners_only_words,
-    format_number,
     joint_level,
     joint_words,
-    points_flown,
     statements,
     statements_csv,
 )
@@ -89,21 +86,6 @@ def test_a_flight_that_failed_may_have_had_one_more():
     assert broken.answer != "yes"
 
 
-def test_more_flights_narrow_the_limits():
-    few, many = (statements(flown(flights=n), campaign())[0].worst for n in (50, 800))
-    assert many.upper - many.lower < 0.5 * (few.upper - few.lower)
-
-
-def test_the_table_has_a_row_a_statement_and_nothing_where_nothing_is_known():
-    table = statements_csv(statements(flown((0.001, 0.001), 30), campaign())).decode()
-    (row,) = csv.DictReader(io.StringIO(table))
-    assert (row["condition"], row["radius_m"], row["flights"]) == ("3 m/s none", "15", "60")
-    assert row["dispersion_observed"] == ""
-    assert float(row["hours"]) == pytest.approx(60 * HOURS)
-    assert format_number(float("nan")) == ""
-    assert format_number(1.23456789) == "1.23457"
-
-
 def ended(frame: pd.DataFrame, share: float, flown: float = 0.1) -> pd.DataFrame:
     """The same where that share of each corner's flights diverged after so much of their time."""
     for _, group in frame.groupby("epistemic_id"):
@@ -120,16 +102,6 @@ def test_flights_that_all_end_early_are_not_acceptable(share, answer):
     (found,) = statements(ended(flown((0.0, 0.0)), share), campaign(0.5))
     assert found.answer == answer
     assert found.aborted["diverged"] == 2 * 400 * share
-
-
-def test_two_excursions_an_hour_allowed_and_every_flight_diverging():
-    """One excursion a flight of an hour or more is below 2 per hour scheduled; per hour flown it is
-    not.
-    """
-    made, calm = campaign(2.0), flown((0.0, 0.0)).assign(duration_s=3600.0)
-    made["aleatory"]["duration_s"] = 3600.0
-    assert statements(calm, made)[0].answer == "yes"
-    assert statements(ended(calm, 1.0, flown=0.2), made)[0].answer != "yes"
 
 
 def test_aborted_flights_have_an_acceptable_rate_of_their_own():
@@ -259,13 +231,6 @@ def test_clusters_at_smaller_radii_bound_the_dispersion(
         assert np.isnan(found.nearest_m)
 
 
-def test_a_corner_that_assumes_hears_of_the_others():
-    nearer, asked = np.vstack([few(4.0, 5), SILENT]), np.zeros((2, FLIGHTS))
-    hours = np.repeat(HOURS_CARRIED, 2)
-    found = bound_dispersion({10.0: nearer, 15.0: asked}, 15.0, hours, ASSUMED, ERROR)
-    assert found.is_contradicted
-
-
 def false_yes(
     cluster: int, nearer_per_h: float | None, repeats: int = 1500, hours: int = 80
 ) -> float:
@@ -307,36 +272,11 @@ def test_a_yes_is_rarely_false_where_a_smaller_radius_shows_the_clusters(
     assert false_yes(cluster, nearer_per_h, repeats) <= 0.05
 
 
-@pytest.mark.parametrize("repeats", [60, pytest.param(300, marks=pytest.mark.slow)])
-def test_an_assumed_dispersion_alone_misses_the_level(repeats):
-    assert false_yes(4, None, repeats) > 0.1
-    assert false_yes(8, None, repeats) > 0.3
-
-
 def manifest(confidence=0.95, transient=(), **epistemic):
     section = {"method": "corners", "set": "box", "coefficients": list(COEFFICIENTS)}
     section |= {"interior": 16, "nominal": True, **epistemic}
     bounds = {"confidence": confidence, "transient": list(transient)}
     return {"campaign": {"epistemic": section}} | ({"bounds": bounds} if confidence else {})
-
-
-@pytest.mark.parametrize(
-    ("interior", "nominal", "points", "remark"),
-    [
-        (16, True, "corners, 16 interior points and nominal model", ""),
-        (16, False, "corners and 16 interior points", ""),
-        (0, False, "corners", "bounds hold at the corners only: neither the nominal model"),
-        (0, True, "corners and nominal model", "at the corners and nominal model only"),
-    ],
-)
-def test_bounds_without_points_between_the_corners_are_remarked_on(
-    interior, nominal, points, remark
-):
-    document = manifest(None, interior=interior, nominal=nominal)
-    epistemic = document["campaign"]["epistemic"]
-    assert points_flown(epistemic) == points
-    remarks = corners_only_words(epistemic)
-    assert (remark in remarks[0]) if remark else remarks == []
 
 
 def test_joint_levels_and_their_words():

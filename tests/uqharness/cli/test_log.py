@@ -195,20 +195,6 @@ def test_info_writes_a_page_when_asked_and_says_the_same(
     assert "push-over" in words_of(page)
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (["--out", "page.pdf"], "a page, FILE.html, is written"),
-        (["--manoeuvres", "m.csv"], "--manoeuvres: belongs to the page"),
-    ],
-)
-def test_info_refuses_what_is_no_page(
-    log: Path, words: list[str], said: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["log", "info", str(log), *words]) == 2
-    assert said in capsys.readouterr().err
-
-
 def test_a_proposed_map_is_read_by_info_and_never_overwrites(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -5,7 +5,6 @@ answer.
 from __future__ import annotations
 
 import json
-import math
 import shlex
 
 import pytest
@@ -13,7 +12,6 @@ import pytest
 from tests.helpers.page_checks import problems, words_of
 from uqharness.cli.main import main
 from uqharness.commands import simulation
-from uqharness.flight import Assessment
 
 
 def test_wind_moves_the_path_and_not_the_modes(capsys):
@@ -32,21 +30,6 @@ def test_the_table_names_every_mode(capsys):
     assert main(["modes", "espaaro", "--speed-mps", "22.2"]) == 0
     said = capsys.readouterr().out
     assert all(name in said for name in ("short_period", "phugoid", "dutch_roll", "MIL-F-8785C"))
-
-
-@pytest.mark.parametrize(
-    ("criterion", "value", "unit", "text"),
-    [
-        ("time to double", math.inf, "s", "stable"),
-        ("time to double", 12.34, "s", "time to double 12.3 s"),
-        ("time constant", math.nan, "s", "time constant undefined"),
-        ("damping", 0.456, "1", "damping 0.456"),
-    ],
-)
-def test_a_criterion_is_told_in_words(criterion, value, unit, text):
-    assert (
-        simulation.measured_text(Assessment("spiral", criterion, value, unit, 1, "3.3.1.3")) == text
-    )
 
 
 def test_no_trim_is_an_answer_and_not_an_error(capsys, monkeypatch):

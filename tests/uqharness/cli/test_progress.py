@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import re
 import sys
 import threading
 
@@ -12,7 +11,7 @@ from rich.console import Console
 
 from uqharness.campaign.run import Progress
 from uqharness.cli.progress import ProgressView, clock, describe, working
-from uqharness.heartbeat import STATE, Forecast, Rate, heartbeat
+from uqharness.heartbeat import Forecast, Rate, heartbeat
 from uqharness.requests.refinement import RefineRequest
 
 
@@ -85,16 +84,6 @@ def test_a_working_command_shows_stage_time_and_count_on_a_terminal_alone(termin
         assert "1,234 segments flown" in said
 
 
-def test_finished_stages_stay_where_that_is_asked_for():
-    drawn = io.StringIO()
-    console = Console(file=drawn, force_terminal=True, width=100, legacy_windows=False)
-    with working("refine", keep=True, console=console) as stage:
-        for text in ("reading", "mission: 1 of 2 flights", "mission: 2 of 2 flights", "report"):
-            stage(text)
-    lines = re.findall(r"refine: ([^\n\r\x1b]*) \(0:00\)", drawn.getvalue())
-    assert lines == ["reading", "mission: 2 of 2 flights", "report"]
-
-
 def test_a_forecast_is_corrected_by_the_stages_that_have_ended():
     clock_s = [0.0]
     forecast = Forecast({"read": 5.0, "servos": 7.0, "fit": 40.0, "write": 5.0}, lambda: clock_s[0])
@@ -115,23 +104,6 @@ def test_a_forecast_is_corrected_by_the_stages_that_have_ended():
     forecast.expect({"read": 1.0, "servos": 1.0, "fit": 1.0, "write": 50.0})
     assert forecast.seconds_left() > 1.5 * 50.0
     assert forecast.expected_s["fit"] == 40.0
-
-
-def test_the_time_to_go_is_part_of_the_line_and_ends_with_the_command(monkeypatch):
-    monkeypatch.delenv("UQHARNESS_QUIET", raising=False)
-    lines: list[str] = []
-    shown = threading.Event()
-
-    def show(line: str) -> None:
-        lines.append(line)
-        if "to go" in line:
-            shown.set()
-
-    with heartbeat("refine", first_s=0.05, every_s=0.05, show=show):
-        STATE.forecast = Forecast({"fit": 90.0}, lambda: 0.0)
-        assert shown.wait(30.0)
-    assert any("about 1:30 to go" in line for line in lines)
-    assert STATE.forecast is None
 
 
 def test_refine_has_a_forecast_before_its_flights_are_read(tmp_path):

@@ -15,8 +15,6 @@ from pathlib import Path
 import pytest
 
 from tests.helpers.places import ROOT
-from uqharness.errors import BadInputError
-from uqharness.plugin.apply import undo
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals as POSIX has them")
 
@@ -275,55 +273,3 @@ def test_a_campaign_that_is_killed_leaves_no_process_and_after_the_next_command_
         stdout=subprocess.DEVNULL,
     )
     assert list(place.glob("uqharness-*")) == []
-
-
-@pytest.mark.parametrize(
-    "name",
-    [
-        "../precious.xml",
-        "/etc/passwd",
-        "a/../../b",
-        "C:\\x",
-        "a\\..\\b",
-        ".git/hooks/x",
-        "",
-        "a//b",
-    ],
-)
-@pytest.mark.parametrize(
-    "row", ['{"before": "", "after": ""}', '{"before": "", "after": "", "content": "aGk="}']
-)
-def test_undo_neither_writes_nor_removes_outside_its_folder(
-    tmp_path: Path, name: str, row: str
-) -> None:
-    folder = tmp_path / "aircraft"
-    folder.mkdir()
-    (tmp_path / "precious.xml").write_text("mine")
-    escaped = name.replace("\\", "\\\\")
-    (folder / "uq-instrument.json").write_text(
-        f'{{"format": "instrument 1", "files": {{"{escaped}": {row}}}}}'
-    )
-    with pytest.raises(BadInputError, match="no file that an instrumentation makes"):
-        undo(folder, folder)
-    assert (tmp_path / "precious.xml").read_text() == "mine"
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["aircraft", "precious.xml"]
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "[]",
-        "5",
-        "[" * 100_000,
-        '{"format": "instrument 1", "files": 3}',
-        '{"format": "instrument 1", "files": {"a.xml": {"before": 1, "after": ""}}}',
-        (
-            '{"format": "instrument 1", "files": {"a.xml": {"before": "", "after": "",'
-            ' "insertions": [[1e999, "", ""]]}}}'
-        ),
-    ],
-)
-def test_a_damaged_record_of_an_instrumentation_is_one_sentence(tmp_path: Path, text: str) -> None:
-    (tmp_path / "uq-instrument.json").write_text(text)
-    with pytest.raises(BadInputError, match="is no record of an instrumentation"):
-        undo(tmp_path, tmp_path)

@@ -45,17 +45,6 @@ def test_an_identification(tmp_path):
     )
 
 
-def test_a_campaign(tmp_path):
-    folder = folders.campaigns(tmp_path) / "before"
-    found = evidence_of(folder)
-    assert any("SHA-256 recorded of" in line for line in found["Input pedigree"])
-    assert any("epistemic samples by corners" in line for line in found["Results robustness"])
-    (folder / "engine-check.csv").write_text("no table\n")
-    read = read_evidence(folder)
-    factors(read, Match((), {}))
-    assert any("engine-check.csv" in line for line in read.missing)
-
-
 def test_flights_of_a_simulation_are_called_that(tmp_path):
     fly = folders.stage("fly", "fly", None, command="uqharness fly plane_truth --script s.xml")
     real = folders.stage("import", "import", None)

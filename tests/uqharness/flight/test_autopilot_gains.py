@@ -168,8 +168,3 @@ def test_errors_name_file_and_line(tmp_path: Path, content: bytes, words: str):
     path.write_bytes(content)
     with pytest.raises(BadInputError, match=re.escape(f"{path}: {words}")):
         read_gains(path, PROPERTIES)
-
-
-def test_a_missing_file_is_named(tmp_path: Path):
-    with pytest.raises(BadInputError, match=r"none\.param: No such file.*give an ArduPilot"):
-        read_gains(tmp_path / "none.param", PROPERTIES)

@@ -210,9 +210,3 @@ def test_px4s_controls_follow_the_signs_of_flight_records(tmp_path: Path) -> Non
     assert scales["aileron"].values == (-25.0, 0.0, 25.0)
     assert scales["throttle"].values == (0.0, 100.0)
     assert [scales[name].output for name in ("aileron", "elevator", "rudder")] == [1, 2, 3]
-
-
-@pytest.mark.parametrize(("command", "message"), [("", "is empty"), ("px4 'x", "quotation")])
-def test_a_command_line_that_is_none(command: str, message: str) -> None:
-    with pytest.raises(BadInputError, match=message):
-        AutopilotProcess(AutopilotSettings(command, port=0), find_aircraft("espaaro"))

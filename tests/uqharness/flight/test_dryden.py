@@ -21,7 +21,6 @@ from uqharness.flight.dryden import (
     dryden_psd,
     first_order,
 )
-from uqharness.flight.random_numbers import Split
 
 AIR = (22.2, 100.0, 30.0, 3.66)  # V m/s, h m, W20 kt, span m
 
@@ -116,30 +115,6 @@ def test_pages_cross_their_seams_unchanged_and_copies_go_on() -> None:
 def test_bad_input_is_refused(n: int, dt: float, air: tuple[float, float, float, float]) -> None:
     with pytest.raises(BadInputError):
         dryden_gusts(n, dt, *air, seed=1)
-
-
-def test_gusts_that_branch_within_a_page_need_its_noise() -> None:
-    """The page anew and what follows are those of a split from the start; without the noise, and
-    elsewhere, there is none.
-    """
-    parameters, split = dryden_parameters(*AIR), Split(9000, 1, 2, 3, 4)
-    gusts = DrydenGusts(parameters, 0.01, 7)
-    gusts.page()
-    assert gusts.branched(Split(0, 1, 2, 3, 4)) is None
-    gusts.keep_noise()
-    own = gusts.page()
-    found = gusts.branched(split)
-    assert found is not None
-    branch, page = found
-    reference = DrydenGusts(parameters, 0.01, 7, splits=(split,))
-    reference.page()
-    assert np.array_equal(page, reference.page())
-    assert np.array_equal(branch.page(), reference.page())
-    within = 9000 - page.shape[1]
-    assert np.array_equal(page[:, :within], own[:, :within])
-    assert not np.array_equal(page[:, within:], own[:, within:])
-    with pytest.raises(ValueError, match="last page ends at step 16384"):
-        gusts.branched(Split(100, 1, 2, 3, 4))
 
 
 # The filters of the gusts against matrix functions of scipy and against the plain recursion.

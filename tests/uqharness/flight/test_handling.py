@@ -17,7 +17,6 @@ from uqharness.flight.handling import (
     OSCILLATORY,
     assess,
     cap_limits,
-    default_speeds,
     level_edges,
     locus_point,
     root_limits,
@@ -193,13 +192,6 @@ def test_edges_as_the_specification_prints_them():
     assert cap_limits("B") == ((0.085, 3.6), (0.038, 10.0))
 
 
-def test_a_mode_that_has_no_such_edge_is_refused():
-    with pytest.raises(ValueError, match="allowed"):
-        level_edges("roll", "B", "I", IMAG)
-    with pytest.raises(ValueError, match="allowed"):
-        root_limits("phugoid", "B", "I")
-
-
 # Modes over airspeed: each point is what the modes at that speed are alone, and a speed without
 # a trim has its reason.
 
@@ -239,9 +231,3 @@ def test_points_are_the_modes_at_their_speeds(espaaro, first):
     assert found.points[2].n_alpha / found.points[0].n_alpha == pytest.approx(
         (26.0 / 18.0) ** 2, rel=0.02
     )
-
-
-def test_usual_speeds():
-    assert default_speeds(20.0)[0] == pytest.approx(14.0)
-    assert default_speeds(20.0)[-1] == pytest.approx(32.0)
-    assert default_speeds(20.0, 16.0, 28.0)[1] == pytest.approx(17.0)

@@ -193,8 +193,3 @@ def test_twice_the_gain_of_a_mixed_loop_halves_its_gain_margin():
         for k in (4.0, 8.0)
     ]
     assert abs(one[0] - one[1] - 20 * math.log10(2)) > 0.5
-
-
-def test_no_period_is_refused():
-    with pytest.raises(ValueError, match="periods 0: at least 1"):
-        measure_loop(lambda: ToyLoop(8.0), LOOP, condition={}, periods=0)

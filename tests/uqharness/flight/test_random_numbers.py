@@ -14,7 +14,6 @@ from uqharness.flight import random_numbers
 from uqharness.flight.random_numbers import (
     NUMPY,
     Normals,
-    flight_seed,
     logarithm,
     named_stream,
     numbered_stream,
@@ -152,13 +151,3 @@ def test_streams_of_other_names_kinds_numbers_and_roots_differ():
     ]
     first = [tuple(stream.generate_state(4)) for stream in streams]
     assert len(set(first)) == len(first)
-
-
-def test_a_flight_has_a_seed_that_jsbsim_takes():
-    found = {
-        flight_seed(7, number, kind) for number in range(50) for kind in ("turbulence", "noise")
-    }
-    assert len(found) == 100
-    assert all(1 <= seed <= 2**31 - 2 for seed in found)
-    with pytest.raises(ValueError, match="must be turbulence or noise"):
-        flight_seed(7, 0, "walk")

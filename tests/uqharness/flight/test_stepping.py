@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -73,15 +72,6 @@ def test_memory_is_that_of_brownian_motion_between_mirrors(rate_hz):
             clipped + rate / np.sqrt(rate_hz) * rng.standard_normal(clipped.size), 0.0, 1.0
         )
     assert np.mean((clipped == 0.0) | (clipped == 1.0)) > 0.02
-
-
-def test_impossible_drivers_are_refused():
-    with pytest.raises(ValueError, match="white or walk"):
-        levels(replace(WALK, kind="sine"), 1, 0.01)
-    with pytest.raises(ValueError, match="walk rate -1"):
-        levels(replace(WALK, rates_per_sqrt_s=(-1.0,) * 6), 1, 0.01)
-    with pytest.raises(ValueError, match="positive"):
-        levels(WALK, 1, 0.0)
 
 
 PARTS = Parts(0.003, 0.001, float("nan"), 0.5, 0.01, 1.0, 40.0, 2.02, 0.02, True)
@@ -214,23 +204,3 @@ def test_gusts_keep_their_filters_and_get_other_noise():
         steps = np.abs(np.diff(own[k]))
         assert abs(other[k, step] - other[k, step - 1]) < 1.5 * steps.max()
         assert abs(other[k, step] - own[k, step]) < 3.0 * steps.max()
-
-
-def test_each_part_of_the_key_makes_another_stream():
-    keys = [
-        (700, 3, 4, 1, 2),
-        (700, 9, 4, 1, 2),
-        (700, 3, 9, 1, 2),
-        (700, 3, 4, 9, 2),
-        (700, 3, 4, 1, 9),
-    ]
-    streams = [
-        Split(*key).stream(kind, number)
-        for key in keys
-        for kind, number in (("turbulence", 0), ("turbulence", 1), ("transient", 0))
-    ]
-    first = {int(np.random.PCG64(s).random_raw()) for s in streams}
-    assert len(first) == len(streams)
-    seeds = {Split(*key).seed(kind) for key in keys for kind in ("noise", "turbulence")}
-    assert len(seeds) == 2 * len(keys)
-    assert Split(700, 3, 4, 1, 2).seed("noise") == Split(900, 3, 4, 1, 2).seed("noise")

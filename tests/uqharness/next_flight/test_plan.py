@@ -14,7 +14,6 @@ import pandas as pd
 import pytest
 
 from sysid.aerodynamics.residuals import Cutoffs, ResidualPiece, Residuals
-from sysid.foreign.regular_files import file_sha256
 from sysid.model_form.model_form import read_model_form
 from tests.helpers import campaign_fakes as fakes
 from tests.helpers.jsbsim_schema import schema_errors
@@ -24,15 +23,11 @@ from uqharness.campaign.processes import SerialExecutor
 from uqharness.campaign.read_spec import read_campaign
 from uqharness.campaign.run import run_campaign
 from uqharness.cli.main import main
-from uqharness.errors import BadInputError
 from uqharness.flight.spec import FlightResult
 from uqharness.next_flight.plan import (
     achieved,
-    as_text,
-    bounds_of,
     prospects,
     scatter_ratios,
-    warnings_of,
     widths_over,
 )
 from uqharness.next_flight.points import (
@@ -49,7 +44,7 @@ from uqharness.next_flight.points import (
     try_points,
     unit_times,
 )
-from uqharness.simulator.aircraft import PROJECT_ROOT, content_hash, find_aircraft
+from uqharness.simulator.aircraft import PROJECT_ROOT, find_aircraft
 from uqharness.simulator.mission import find_script
 
 pytestmark = pytest.mark.usefixtures("flights_here")
@@ -521,57 +516,3 @@ def test_half_the_scatter_is_half_the_width(tmp_path):
         assert row["predicted"] is None
     same = achieved(FORM, FORM, MISSION, tmp_path / "none.json")
     assert same["CZ"]["narrowing"] == 0.0
-
-
-def test_what_was_predicted_stands_beside_it(tmp_path):
-    plan = tmp_path / "next-flight.json"
-    plan.write_text(
-        json.dumps({"prospects": {"Cm": {"narrowing_redone": 0.4, "parameter_narrowing": 0.6}}})
-    )
-    found = achieved(FORM, narrowed(0.5), MISSION, plan)
-    assert (found["Cm"]["predicted"], found["Cm"]["predicted_parameter"]) == (0.4, 0.6)
-    assert found["CZ"]["predicted"] is None
-    header, first, second = as_text(found).splitlines()
-    assert header.split()[:3] == ["coefficient", "width", "width_after"]
-    assert "40 %" in second
-    assert "–" in first
-    plan.write_text("[]")
-    assert achieved(FORM, FORM, MISSION, plan)["Cm"]["predicted"] is None
-
-
-def set_up(form: Path | None, bounds: object = None, failed: int = 0, same: bool = True):
-    """What a plan reads of a campaign."""
-    inputs, section = SimpleNamespace(model_form=form), SimpleNamespace(bounds=bounds)
-    spec = SimpleNamespace(inputs=inputs, epistemic=section, start=None)
-    return SimpleNamespace(spec=spec, failed=failed, same_aircraft=same)
-
-
-def test_bounds_are_the_campaigns_and_each_weakness_of_a_plan_has_its_warning(tmp_path):
-    form, other, record = (tmp_path / name for name in ("form.json", "other.json", "flight.csv"))
-    for path in (form, other, record):
-        path.write_text(path.name)
-    assert bounds_of(set_up(form), tmp_path, "CY") == form
-    for bounds, message in (
-        ({"CY": 0.01}, r"flew constant bounds of CY.*uqharness bounds AIRCRAFT"),
-        ("model-form.json", "flew the bounds that the aircraft carries"),
-    ):
-        with pytest.raises(BadInputError, match=message):
-            bounds_of(set_up(None, bounds), tmp_path, "CY")
-    aircraft = find_aircraft("espaaro")
-    sound = SimpleNamespace(aircraft=aircraft, noise=True, has_autopilot=True)
-    bare = SimpleNamespace(aircraft=aircraft, noise=False, has_autopilot=False)
-    made_of = [SimpleNamespace(sha256=file_sha256(record))]
-    fitting = SimpleNamespace(
-        aircraft=SimpleNamespace(sha256=content_hash(aircraft)), flights=made_of
-    )
-    changed = SimpleNamespace(aircraft=SimpleNamespace(sha256="0" * 64), flights=[])
-    assert warnings_of(fitting, set_up(form, failed=3), sound, None, [record], False) == []
-    assert warnings_of(fitting, set_up(form), sound, form, [], True) == []
-    weak = set_up(form, failed=3, same=False)
-    said = warnings_of(changed, weak, bare, other, [record], True)
-    parts = "has changed;uqharness 0.1;other bounds;flight.csv: not among;3 flights;no sensors"
-    for part in f"{parts};autopilot".split(";"):
-        assert any(part in text for text in said), part
-    assert len(said) == 7
-    (constant,) = warnings_of(fitting, set_up(None, {"CY": 0.01}), sound, form, [], True)
-    assert "(constant ones)" in constant

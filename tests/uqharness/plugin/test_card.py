@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from sysid.foreign.regular_files import parse_toml
-from uqharness.plugin.card import ERRORS_XML, ScaledFunction, card_text
+from uqharness.plugin.card import card_text
 from uqharness.simulator.facts import AircraftFacts, ControlFacts
 
 CONTROLS = {
@@ -13,9 +13,6 @@ CONTROLS = {
     "throttle": ControlFacts(1),
 }
 FACTS = AircraftFacts(1.97, 3.66, 0.53, 1, CONTROLS)
-SCALED = ScaledFunction(
-    "LIFT", "aero/coefficient/CLalpha", "a.xml", 12, "uq/scale/CLalpha", "uq/bias/CLalpha"
-)
 
 
 def test_what_the_flights_told_stands_in_the_card():
@@ -32,17 +29,3 @@ def test_what_the_flights_told_stands_in_the_card():
     assert "throw_deg" not in card["inputs"]["throttle"]
     assert card["inputs"]["throttle"]["limits"] == [0, 1]
     assert not {"metrics", "parameters"} & card.keys()
-
-
-def test_scales_and_path_errors_are_added_where_there_are_some():
-    card = parse_toml(card_text("plane", "plane.xml", FACTS, [SCALED], errors=True))
-    assert card["parameters"] == {
-        "uq/scale/CLalpha": {
-            "initial": 1.0,
-            "bounds": [-1, 4],
-            "unit": "1",
-            "source": "factor on aero/coefficient/CLalpha",
-        }
-    }
-    for entry in card["metrics"].values():
-        assert f'name="{entry["true"]}"'.encode() in ERRORS_XML

@@ -97,24 +97,6 @@ def test_components_alone_put_the_surfaces_where_jsbsim_s_aircraft_does(
     assert apart(stood, piece.controls) > 0.01
 
 
-def test_a_copy_with_another_aerodynamics_another_start_and_another_height_share(
-    model: ReplayModel, flights: dict[str, int], tmp_path: Path
-) -> None:
-    piece = segment(seed=5)
-    (before,) = surface_positions(model, [piece], CONTROLS)
-    with ReplayFolder(
-        changed(
-            tmp_path, "</aerodynamics>", '<property value="1">effect/x</property></aerodynamics>'
-        )
-    ) as copy:
-        assert copy.identity != model.identity
-        moved = replace(piece, start=piece.start * 1.1, altitude_m=700.0)
-        (after,) = surface_positions(copy, [moved], CONTROLS)
-        assert flights == {"chain": 1, "whole": 0}
-        np.testing.assert_array_equal(after, before)
-        np.testing.assert_allclose(after, in_jsbsim(copy, moved), rtol=0.0, atol=1e-12)
-
-
 def test_a_servo_that_reads_the_airspeed_is_flown_with_its_aircraft(
     flights: dict[str, int], tmp_path: Path
 ) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import json
 import re
-from dataclasses import replace
 
 import pyarrow.parquet as pq
 import pytest
@@ -155,18 +154,6 @@ def test_the_grid_says_what_the_statements_say(folder, page):
         assert cell.get("class") == level
         assert cell.text_content().split()[1] == answer
         assert "per h [" in cell.text_content()
-
-
-def test_many_conditions_are_tabled_and_the_first_drawn(tmp_path):
-    spec = fakes.small_spec(tmp_path, 1, wind_mps=(0.0, 1.0, 2.0, 3.0, 4.0))
-    spec = replace(
-        spec, epistemic=spec.epistemic.model_copy(update={"method": "none", "bounds": None})
-    )
-    run_campaign(spec, tmp_path / "out", executor=SerialExecutor(), fly=fakes.steady)
-    report = write_report(tmp_path / "out")
-    assert problems(report.path.read_text(encoding="utf-8")) == []
-    assert len(report.figures) == 4 * FIGURES
-    assert "Further conditions, not drawn: 1;" in report.path.read_text()
 
 
 def test_walks_are_not_called_corners(tmp_path, page):

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from uqharness.report.campaign import MAX_TRACKS, track_cases, track_section
+from uqharness.report.campaign import track_cases, track_section
 from uqharness.report.parts import Figures, Words
 
 pytestmark = pytest.mark.usefixtures("flights_here")
@@ -70,26 +70,8 @@ def test_records_are_drawn_the_farthest_first(tmp_path):
     assert "commanded circle, radius 100 m" in str(figures[0].svg)
 
 
-def test_no_more_tracks_than_fit(tmp_path):
-    frame = pd.concat(
-        [FRAME.assign(case_id=[f"{c}{k}" for c in FRAME["case_id"]]) for k in range(3)]
-    )
-    for case in frame["case_id"]:
-        record(tmp_path, case)
-    assert (
-        len(next(b for b in blocks(tmp_path, frame) if isinstance(b, Figures)).items) == MAX_TRACKS
-    )
-
-
 def test_a_damaged_record_is_told_and_no_error(tmp_path):
     record(tmp_path, "a")
     path = tmp_path / "rerun" / "a" / "record.parquet"
     path.write_bytes(path.read_bytes()[:100])
     assert any(isinstance(b, Words) and "record.parquet" in b.text for b in blocks(tmp_path))
-
-
-@pytest.mark.parametrize(
-    "frame", [FRAME.drop(columns="cross_track_median_m"), FRAME.assign(cross_track_median_m=np.nan)]
-)
-def test_a_mission_without_a_path_has_no_track(tmp_path, frame):
-    assert track_section(tmp_path, frame) == ()

@@ -14,7 +14,6 @@ from uqharness.report.pages.flight import (
     Flag,
     Shade,
     channel_sections,
-    named_stretches,
     shown_signal,
 )
 
@@ -36,23 +35,6 @@ def areas(figure, kind):
         u = [float(p.split(" ")[0]) for p in d.strip("MZ").split("L")]
         ends.append(((min(u) - left) / width, (max(u) - left) / width))
     return ends
-
-
-def test_every_channel_has_a_chart_in_its_group():
-    found = drawn(
-        {
-            "V_mps": TIME,
-            "elevator_deg": TIME,
-            "elevator_pos_deg": TIME,
-            "gear_norm": TIME,
-            "mode": np.full(1001, "A", object),
-        }
-    )
-    assert {title: list(figures) for title, figures in found.items()} == {
-        "Air data": ["channel-V_mps"],
-        "Controls and engine": ["channel-elevator_deg"],
-        "Other channels": ["channel-gear_norm"],
-    }
 
 
 @pytest.mark.parametrize(
@@ -102,9 +84,3 @@ def test_what_stands_still_looks_so_and_what_is_nowhere_says_so():
     heights = {p.split(" ")[1] for p in path.lstrip("M").split("L")}
     assert len(heights) == 1
     assert "No finite value." in found["channel-alpha_rad"].caption
-
-
-def test_names_of_stretches():
-    labels = np.array(["", "", "a", "a", "b", ""], dtype=object)
-    assert named_stretches(np.arange(6.0), labels) == [(2.0, 4.0, "a"), (4.0, 5.0, "b")]
-    assert named_stretches(np.empty(0), np.empty(0, dtype=object)) == []

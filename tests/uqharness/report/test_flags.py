@@ -9,7 +9,7 @@ import pytest
 
 from sysid.errors import Finding
 from sysid.record import FlightRecord, Metadata
-from uqharness.report.pages.flight import MAX_SPANS, channels_of, flags_of, spans_of
+from uqharness.report.pages.flight import channels_of, spans_of
 
 TIME = np.arange(0.0, 100.0, 0.1)
 SOURCES = {"V_mps": "ARSP.Airspeed x CTUN.E2T", "alpha_rad": "AOA.AOA", "beta_rad": "AOA.SSA"}
@@ -57,25 +57,3 @@ def test_stretches_that_the_record_shows():
     )
     assert spans_of(finding("negative-airspeed", "V_mps"), "V_mps", found) == ()
     assert spans_of(finding("delay", "V_mps"), "V_mps", found) == ()
-
-
-def test_many_stretches_are_joined_and_none_is_lost():
-    mask = np.arange(TIME.size) % 5 == 0
-    speed = np.where(mask, np.nan, 20.0)
-    found = spans_of(finding("gap", "V_mps"), "V_mps", record(V_mps=speed))
-    assert 0 < len(found) <= MAX_SPANS
-    assert all(any(a <= t <= b for a, b in found) for t in TIME[mask])
-
-
-def test_flags_name_severity_and_code_once():
-    stuck = finding("stuck", "V_mps", "error", start_s=1.0, end_s=2.0)
-    found = flags_of(
-        record(
-            stuck, stuck, finding("estimate", "AOA"), finding("slower-than-grid", "V_mps", "info")
-        )
-    )
-    assert {name: [f.words for f in flags] for name, flags in found.items()} == {
-        "V_mps": ["error stuck"],
-        "alpha_rad": ["warning estimate"],
-        "beta_rad": ["warning estimate"],
-    }

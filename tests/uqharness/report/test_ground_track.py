@@ -64,14 +64,6 @@ def test_the_circle_is_found_from_where_the_distances_are_zero():
     )
 
 
-def test_distances_from_something_else_are_no_circle():
-    flown = lap(AWAY)
-    assert circle_of(flown["north_m"], flown["east_m"], np.abs(flown["distance_m"])) is None
-    assert circle_of(flown["north_m"], flown["east_m"], flown["north_m"] - 4.0) is None
-    # Without a change of distance nothing tells the radius.
-    assert circle_of(flown["north_m"][:5], flown["east_m"][:5], flown["distance_m"][:5]) is None
-
-
 LINES = {"nominal, before", "worst corner, before", "nominal, after", "worst corner, after"}
 
 
@@ -128,20 +120,6 @@ def test_the_lap_is_the_one_in_which_the_flights_are_farthest_apart():
     )
 
 
-def test_a_flight_that_ended_early_is_compared_while_it_flew():
-    short = {name: values[TIME < 100.0] for name, values in lap(AWAY + 5.0 * (TIME > 80.0)).items()}
-    found = lap_of(table(**{"before_nominal": short, "before_worst-corner": lap(AWAY)}))
-    assert 80.0 <= found.at_s < 100.0
-    assert found.apart_m == pytest.approx(5.0)
-
-
-def test_flights_without_a_distance_have_no_lap():
-    assert (
-        lap_of(table(**{"before_worst-corner": lap(AWAY) | {"distance_m": np.nan * TIME}})) is None
-    )
-    assert lap_of(table(before_nominal=lap(AWAY))) is None
-
-
 def columns_of(flown, sign=1.0):
     return {
         "time_s": TIME,
@@ -158,13 +136,6 @@ def test_a_recorded_flight_has_its_track_and_the_commanded_circle(sign):
     assert {"flown", "start", "end", "commanded circle, radius 120 m"} <= words
 
 
-def test_a_circle_that_the_errors_do_not_tell_is_not_drawn():
-    flown = columns_of(lap(AWAY)) | {"cross_track_m": np.abs(AWAY) + 1.0}
-    assert "commanded circle" not in str(flight_track("track", flown).svg)
-    wide = columns_of(lap(0.001 * AWAY, period_s=4e4, radius=2e4))
-    assert "commanded circle" not in str(flight_track("track", wide).svg)
-
-
 def test_circles_that_a_log_names_are_drawn_without_errors():
     flown = {
         name: values for name, values in columns_of(lap(AWAY)).items() if name != "cross_track_m"
@@ -179,17 +150,4 @@ def test_circles_that_a_log_names_are_drawn_without_errors():
     assert (
         len(rings)
         == len([e for e in etree.fromstring(one).iter() if "third" in (e.get("class") or "")]) + 1
-    )
-
-
-def test_positions_are_integrated_where_there_are_velocities_alone():
-    flown = {"time_s": TIME, "vn_mps": np.full(TIME.size, 20.0), "ve_mps": np.zeros(TIME.size)}
-    svg = etree.fromstring(str(flight_track("track", flown).svg))
-    ends = {
-        e.get("class"): e for e in svg.iter("circle", "rect") if e.get("class") == "mark second"
-    }
-    assert ends
-    assert flight_track("track", {"time_s": TIME}) is None
-    assert (
-        flight_track("track", {"time_s": TIME, "north_m": 0.0 * TIME, "east_m": 0.0 * TIME}) is None
     )

@@ -5,11 +5,9 @@ pieces join.
 from __future__ import annotations
 
 import numpy as np
-import pytest
-from lxml import etree
 
 from uqharness.replay.histories import History
-from uqharness.report.history import Model, end_to_end, history_section
+from uqharness.report.history import Model, history_section
 
 TIME = np.arange(0.0, 2.0, 0.02)
 MODEL = Model("_model", "first", "model")
@@ -41,22 +39,3 @@ def test_the_worst_segments_come_first_and_all_when_asked():
     assert names == {2: ["0-1", "1-2"], None: ["0-1", "1-2", "2-0"]}
     assert "5.00 times the noise" in section.parts[0].blocks[0].text
     assert history_section([], {}, [MODEL], "T") == ()
-
-
-def test_pieces_stand_end_to_end_with_a_gap_and_what_is_outside_is_marked():
-    found = [
-        History(k, "f", "m", TIME + 50.0 * k, {"Cm": np.where(TIME < 0.1, 9.0, 0.0)})
-        for k in range(2)
-    ]
-    band = ([np.full(TIME.size, -1.0)] * 2, [np.full(TIME.size, 1.0)] * 2, "")
-    figure = end_to_end(
-        found, "n", [("Cm", "plain", "")], band, "label", "Cm [-]", "caption", outside=True
-    )
-    root = etree.fromstring(str(figure.svg))
-    assert [float(v) for v in root.get("data-x").split(",")] == pytest.approx(
-        [0.0, 2 * TIME[-1] + 0.5]
-    )
-    (line,) = (e.get("d") for e in root.iter("path") if e.get("class") == "line plain")
-    assert line.count("M") == 2
-    dots = [e.get("d") for e in root.iter("path") if e.get("class") == "dots dotout"]
-    assert sum(d.count("M") for d in dots) == 2 * np.count_nonzero(TIME < 0.1)

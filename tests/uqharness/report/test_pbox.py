@@ -10,10 +10,8 @@ from lxml import etree
 
 from uqharness.report.pbox import (
     LabelledBox,
-    metric_label,
     pbox_figure,
     smooth_pbox,
-    smooth_share,
     smoothing_error,
 )
 from uqharness.statistics.pbox import Sample, pbox
@@ -40,23 +38,6 @@ def drawn(flights, factor=1.0, unknown=0):
         Sample(f"s{k}", factor * (1.0 + k / 40.0) * draw.gamma(9.0, 0.3, size=flights), unknown)
         for k in range(20)
     ]
-
-
-def test_a_smooth_share_rises_without_steps_from_0_to_1():
-    values = np.random.default_rng(3).gamma(9.0, 0.3, size=40)
-    at = np.linspace(0.0, 8.0, 400)
-    share = smooth_share(values, at)
-    assert np.all(np.diff(share) >= 0.0)
-    assert np.diff(share).max() < 0.5 / 40
-    assert (share[0], share[-1]) == (pytest.approx(0.0, abs=1e-9), pytest.approx(1.0, abs=1e-9))
-    # Near the true function as the steps are, which 40 flights leave off by 0.1 or so.
-    many = smooth_share(np.random.default_rng(4).gamma(9.0, 0.3, size=20000), at)
-    assert np.abs(share - many).max() < 0.2
-
-
-@pytest.mark.parametrize("values", [[2.0], [2.0, 2.0, 2.0]])
-def test_values_without_a_spread_stay_a_step(values):
-    assert smooth_share(np.array(values), np.array([1.9, 2.0, 2.1])).tolist() == [0.0, 1.0, 1.0]
 
 
 def test_the_smooth_box_keeps_failed_flights_and_a_band_that_holds_the_steps():
@@ -89,17 +70,3 @@ def test_smooth_curves_are_drawn_without_steps_and_say_how_far_they_are_from_the
     assert ('data-corner="0.0"' in figure.svg) == (len(names) == 1)
     low, high = boxes[0].box.quantile(0.5)
     assert f"{low:.3g} to {high:.3g} m" in figure.svg
-
-
-@pytest.mark.parametrize(
-    ("metric", "label"),
-    [
-        ("cross_track_median_m", "cross track median [m]"),
-        ("speed_median_mps_measured", "speed median, measured [m/s]"),
-        ("heading_median_deg", "heading median [deg]"),
-        ("excursions_15m", "excursions_15m [-]"),
-        ("oddity", "oddity [-]"),
-    ],
-)
-def test_a_metric_names_its_unit(metric, label):
-    assert metric_label(metric) == label

@@ -86,12 +86,6 @@ def test_a_p_box_is_drawn_where_it_lies():
         assert [at[v] for v in BOX.value] == pytest.approx(side)
 
 
-def test_the_largest_share_is_on_top_and_an_open_interval_ends_at_the_share():
-    ax = plot_sensitivity(sensitivity(), Figure().subplots())
-    assert [text.get_text() for text in ax.get_yticklabels()] == ["CX", "CY"]
-    assert ax.lines[0].get_xdata() == pytest.approx([0.1, 0.3])
-
-
 def test_bounds_are_those_of_the_slice_and_samples_those_near_it():
     bounds = FORM.coefficients["Cm"]
     k = bounds.states.index("alpha_rad")
@@ -106,14 +100,6 @@ def test_bounds_are_those_of_the_slice_and_samples_those_near_it():
     along = {s: np.full(len(lower.get_xdata()), middle[j]) for j, s in enumerate(bounds.states)}
     along["alpha_rad"] = np.radians(lower.get_xdata())
     assert lower.get_ydata() == pytest.approx(bounds.bounds(along)[0])
-
-
-def test_what_is_not_there_is_refused():
-    ax = Figure().subplots()
-    with pytest.raises(ValueError, match="not on p_radps; choose one"):
-        plot_model_form(FORM.coefficients["Cm"], "p_radps", ax)
-    with pytest.raises(KeyError, match="r_radps"):
-        plot_overlay(HISTORY, "r_radps", ax)
 
 
 def loaded(modules):

@@ -68,12 +68,3 @@ def test_a_chart_for_what_there_is():
         RECORD.drop(columns=["throttle_pct", "error_cross_track", "level_CX", "level_Cm"])
     )
     assert set(found) - set(fewer) == {"flight-throttle", "flight-errors", "flight-levels"}
-
-
-def test_what_is_not_scored_is_shaded_and_near_radii_are_drawn():
-    found = drawn(RECORD)["flight-errors"]
-    assert {"not scored", "excursion radius"} <= words(found)
-    assert (
-        len([e for e in found.iter("path") if e.get("class") == "line limit"]) == 3
-    )  # both sides, and the legend's
-    assert "not scored" not in words(drawn(RECORD, burn_in_s=0.0)["flight-errors"])

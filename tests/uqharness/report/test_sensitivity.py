@@ -6,12 +6,11 @@ import csv
 import shutil
 
 import pytest
-from lxml import etree, html
+from lxml import html
 
 from tests.helpers import report_folders as folders
 from tests.helpers.page_checks import page_of
 from uqharness.cli.main import main
-from uqharness.report.campaign import condition_sections
 
 pytestmark = pytest.mark.usefixtures("flights_here")
 
@@ -37,23 +36,3 @@ def test_sensitivity_joins_the_page_once_it_was_computed(tmp_path, campaigns):
         )
         assert [cell.text for cell in cells] == [ends]
     assert tree.get_element_by_id("sensitivity-cross-track-median-m") is not None
-
-
-def test_each_condition_has_a_file_of_what_can_be_compared(tmp_path):
-    head = (
-        "wind_mps,turbulence,metric,coefficient,share_min,share_max,share_low,share_high,reason\n"
-    )
-    rows = (
-        "0,none,cross_track_median_m,CX,0.1,0.2,0.0,0.3,\n0,none,cross_track_median_m,CY,0.7,0.8,,,\n0,none,speed_median_mps,CX,,,,,no"
-        " width\n3,light,speed_median_mps,CX,,,,,no width\n"
-    )
-    (section,) = condition_sections((head + rows).encode())
-    (figures,) = section.blocks
-    assert figures.file == "sensitivity-0mps-none"
-    assert [figure.name for figure in figures.items] == ["sensitivity-cross-track-median-m"]
-    names = [
-        e.text
-        for e in etree.fromstring(str(figures.items[0].svg)).iter("text")
-        if e.text in ("CX", "CY")
-    ]
-    assert names == ["CY", "CX"]

@@ -10,7 +10,6 @@ from importlib import resources
 import numpy as np
 import pytest
 from lxml import etree
-from markupsafe import Markup
 
 from uqharness.report.svg import Chart, Scale, log_scale, standalone, style, thin_line
 
@@ -142,19 +141,3 @@ def test_a_control_character_in_a_name_is_made_visible():
     etree.fromstring(text.encode())
     assert "\x1b" not in text
     assert "\u202e" not in text
-
-
-def test_a_map_is_drawn_where_it_has_a_share():
-    drawn = Chart("a", "label", Scale("x [m]", 0.0, 2.0), Scale("y [m]", 0.0, 2.0))
-    drawn.cells(np.arange(3.0), np.arange(3.0), np.array([[0.0, 1.0], [0.25, 0.0]]), "")
-    left, top, width, height = drawn.plot
-    found = etree.fromstring(f"<g>{Markup().join(Markup(m) for m in drawn.marks)}</g>")
-    cells = {
-        e.get("fill-opacity"): [float(e.get(key)) for key in ("x", "y", "width", "height")]
-        for e in found
-    }
-    assert cells["1.000"] == pytest.approx([left, top, width / 2, height / 2], abs=0.06)
-    assert cells["0.250"] == pytest.approx(
-        [left + width / 2, top + height / 2, width / 2, height / 2], abs=0.06
-    )
-    assert len(cells) == 2

@@ -2,50 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
-
 import numpy as np
 import pytest
 import statsmodels.api as sm
 from scipy import stats
 
-from uqharness.sensitivity import measures as resampling
 from uqharness.sensitivity.measures import (
-    PairBand,
     Z,
-    anova,
     box_area,
-    corner_pairs,
     envelope_areas,
-    is_flat,
-    local,
     log_area,
     pair_areas,
     pair_band,
-    pinching,
     reach_of_box,
     scatter,
-    std_by_draws,
 )
 from uqharness.sensitivity.study import run_study
-
-
-def total(model, samples=2048, draws=4, **more):
-    box = {"a": (0.0, 1.0), "b": (0.0, 1.0), "c": (0.0, 1.0)}
-    made = run_study(
-        model, box, {"w": stats.norm(0.0, 1.0)}, samples=samples, draws=draws, methods=("anova",)
-    )
-    found = anova(made, made.outputs["output"], **more)
-    return [found.indices[n].value for n in "abc"], found
-
-
-def test_a_mean_without_variance_is_undefined_and_no_zero():
-    values, found = total(lambda a, b, c, w: w, samples=64)
-    assert np.isnan(values).all()
-    assert "no variance" in found.statement
-    made = run_study(lambda a: a, {"a": (0.0, 1.0)}, samples=16, methods=("local",))
-    assert "no pair of sampled matrices" in anova(made, made.outputs["output"]).statement
-
 
 Y = np.random.default_rng(0).gamma(2.0, 1.0, (8, 40)) + np.arange(8)[:, None]
 
@@ -85,46 +57,7 @@ def test_envelopes_with_a_parameter_fixed():
     assert found[2] == pytest.approx([envelope(Y[::2]), envelope(Y[1::2])])
 
 
-def test_many_sets_of_draws_at_once_are_each_by_itself():
-    many = np.sort(np.random.default_rng(1).gamma(2.0, 1.0, (8, 2, 5, 11)), axis=-1)
-    whole, fixed = envelope_areas(many, 3)
-    pairs = pair_areas(many, 3)
-    assert (whole.shape, fixed.shape, pairs.shape) == ((2, 5), (2, 5, 3, 2), (2, 5, 3, 4))
-    for k in np.ndindex(2, 5):
-        alone = envelope_areas(many[:, *k], 3)
-        assert whole[k] == alone[0]
-        np.testing.assert_array_equal(fixed[k], alone[1])
-        np.testing.assert_array_equal(pairs[k], pair_areas(many[:, *k], 3))
-    assert whole[0, 0] != whole[1, 0]
-
-
-def test_rounding_is_no_width():
-    large = np.full(5, 1e9)
-    assert is_flat(1e-5, large)
-    assert not is_flat(1e-5, np.ones(5))
-    assert is_flat(0.0, np.ones(5))
-    assert is_flat(float("nan"), np.ones(5))
-
-
 BOX = {"a": (0.0, 2.0), "b": (-1.0, 1.0)}
-
-
-def paired(model, draws=16, aleatory=True, **more):
-    air = {"w": stats.norm(0.0, 1.0)} if aleatory else None
-    made = run_study(model, BOX, air, samples=16, draws=draws, methods=("proposed",))
-    return corner_pairs(made, made.outputs["output"], **more)
-
-
-def test_an_interaction_makes_a_range():
-    """y = a (b + 2): corners 0, 0, 2, 6."""
-    found = paired(lambda a, b: a * (b + 2.0), draws=1, aleatory=False)
-    assert sorted(found.indices["a"].pairs) == pytest.approx([2.0 / 6.0, 1.0])
-    assert sorted(found.indices["b"].pairs) == pytest.approx([0.0, 4.0 / 6.0])
-    assert (found.details["shrink_min"][0], found.details["shrink_max"][0]) == pytest.approx(
-        (2.0 / 6.0, 1.0)
-    )
-    # One column without chance is exact.
-    assert found.indices["a"].minimum.low == pytest.approx(2.0 / 6.0)
 
 
 AIR = {"w": stats.norm(0.0, 1.0)}
@@ -132,81 +65,6 @@ AIR = {"w": stats.norm(0.0, 1.0)}
 
 def study(model, methods=("local", "proposed"), **more):
     return run_study(model, BOX, AIR, samples=64, draws=16, methods=methods, **more)
-
-
-def test_what_is_not_linear_is_said():
-    made = study(lambda a, b, w: 3.0 * a + 5.0 * b**3 + w)
-    found = local(made, made.outputs["output"])
-    assert found.details["slope"] == pytest.approx([3.0, 5.0 * 0.02**2], rel=1e-6)
-    assert found.holds is False
-    assert "not linear" in found.statement
-
-
-def test_without_width_or_runs_there_is_no_share():
-    made = study(lambda a, b, w: w)
-    assert np.isnan(local(made, made.outputs["output"]).indices["a"].value)
-    assert "no width" in local(made, made.outputs["output"]).indices["a"].reason
-    runs = replace(made.outputs["output"], nominal=None)
-    assert "no runs about a nominal model" in local(made, runs).statement
-    broken = study(lambda a, b, w: np.where(a > 1.5, np.nan, a + b + w))
-    assert "gave no finite value" in local(broken, broken.outputs["output"]).statement
-
-
-UNIT = {"a": (0.0, 1.0), "b": (0.0, 1.0)}
-
-
-def test_a_campaigns_interior_samples_check_too():
-    made = run_study(
-        lambda a, b: 4.0 * a * (1.0 - a) + b / 2.0,
-        UNIT,
-        samples=64,
-        draws=1,
-        methods=("local", "proposed"),
-    )
-    runs = made.outputs["output"]
-    inside = replace(runs, sampled=None, interior=np.array([[1.0], [0.9]]))
-    assert local(made, inside).holds is False
-    assert local(made, replace(runs, sampled=None, interior=None)).holds is True
-
-
-def pinched(model, samples=512, methods=("pbox", "proposed"), **more):
-    made = run_study(model, BOX, samples=samples, draws=1, methods=methods)
-    return pinching(made, made.outputs["output"], **more), made
-
-
-def test_few_samples_do_not_fill_the_corners_and_it_is_said():
-    found, _ = pinched(lambda a, b: 3.0 * a + b, samples=16)
-    assert found.holds is (found.details["area"] >= 0.9 * 8.0)
-    thin, _ = pinched(lambda a, b: (a * (b + 1.0) / 4.0) ** 8, samples=16)
-    assert thin.holds is False
-    assert "samples seldom meet corners" in thin.statement
-    unchecked, _ = pinched(lambda a, b: 3.0 * a + b, methods=("pbox",))
-    assert unchecked.holds is None
-
-
-def test_a_parameter_without_effect_frees_nothing():
-    found, _ = pinched(lambda a, b: a, intervals=False)
-    assert found.indices["b"].value == 0.0
-    assert found.indices["a"].value == 1.0
-    flat, _ = pinched(lambda a, b: 0.0 * a)
-    assert np.isnan(flat.indices["a"].value)
-
-
-def test_samples_that_leave_the_corners_are_said():
-    """4 a (1 - a) + b / 2 is widest between the corners, where the sampled p-box fills theirs three
-    times over.
-    """
-    unit = {"a": (0.0, 1.0), "b": (0.0, 1.0)}
-    found = {}
-    for name, model in (
-        ("curved", lambda a, b: 4.0 * a * (1.0 - a) + b / 2.0),
-        ("straight", lambda a, b: a + b / 2.0),
-    ):
-        made = run_study(model, unit, samples=512, draws=1, methods=("pbox", "proposed"))
-        found[name] = pinching(made, made.outputs["output"])
-    assert found["straight"].holds is True
-    assert found["curved"].holds is False
-    assert "extremum inside" in found["curved"].statement
 
 
 def scattered(model, **more):
@@ -236,21 +94,6 @@ def test_lines_that_explain_and_lines_that_do_not():
     assert "do not explain" in curved.statement
     # No slope is seen where chance makes as large a one.
     assert curved.indices["a"].low == 0.0
-
-
-def test_without_width_there_is_no_share():
-    assert np.isnan(scattered(lambda a, b, w: 1.0 + 0.0 * a)[0].indices["a"].value)
-
-
-def test_the_spread_of_a_mean_over_draws():
-    rng = np.random.default_rng(0)
-    found = [
-        std_by_draws(lambda a, y=y: float(y[a].mean()), 200, 0)
-        for y in rng.normal(0.0, 2.0, (30, 200))
-    ]
-    assert np.mean(found) == pytest.approx(2.0 / np.sqrt(200), rel=0.1)
-    y = rng.normal(size=(3, 1))
-    assert std_by_draws(lambda a: y[:, a].mean(axis=1), 1, 0).tolist() == [0.0] * 3
 
 
 def test_the_reach_of_a_box_is_not_too_short():
@@ -303,23 +146,3 @@ def test_ties_in_skewed_air_are_seldom_called_certain():
         lead = pair_band(y, 2, seed, resamples=60).lead
         certain += bool(lead[0, 1] > 0.0 or lead[1, 0] > 0.0)
     assert certain <= 2
-
-
-def test_resamples_are_drawn_one_after_the_other_however_many_are_computed_together(monkeypatch):
-    """The spread of the envelope's area, resample by resample; and the whole band, one resample at
-    a time.
-    """
-    y = corners(np.random.default_rng(5))
-    band = pair_band(y, 2, 11, resamples=30)
-    rng = np.random.default_rng(11)
-    areas = [box_area(y[:, rng.integers(24, size=24)]) for _ in range(30)]
-    small = np.sqrt(24 / 23) * stats.t.ppf(0.975, 23)
-    assert band.area_high - band.area == pytest.approx(small * np.std(areas, ddof=1))
-    monkeypatch.setattr(resampling, "BLOCK_VALUES", 1)
-    for item in fields(PairBand):
-        one_by_one, together = (
-            getattr(pair_band(y, 2, 11, resamples=30), item.name),
-            getattr(band, item.name),
-        )
-        np.testing.assert_array_equal(one_by_one, together)
-    assert not np.array_equal(pair_band(y, 2, 12, resamples=30).low, band.low)

@@ -207,20 +207,6 @@ def test_outputs_that_are_not_finite_make_the_index_undefined_and_are_counted():
     assert all(math.isnan(index.value) for index in found["anova"].indices.values())
 
 
-def test_total_effects_above_one_are_left_and_named():
-    # Two samples' variance can be less than the pairs' differences: 16 rows of a noisy interaction
-    # show it at some seed.
-    for seed in range(40):
-        found = run(lambda a, b: a, {"a": (0.0, 1.0), "b": (0.0, 1.0)}, samples=16, seed=seed)[
-            "anova"
-        ]
-        if found.indices["a"].value > 1.0:
-            assert "above 1 by sampling error, left as estimated" in found.statement
-            assert found.holds is False
-            return
-    pytest.fail("no total effect above 1 among 40 small samples")
-
-
 def test_anova_agrees_with_scipys_own_estimator():
     study = sensitivity.run_study(
         ishigami, dict.fromkeys(("x1", "x2", "x3"), (-PI, PI)), samples=1024
@@ -463,12 +449,6 @@ HOSTILE = {
     "no array": {"theta.npy": b"\x93NUMPY\x01\x00\xff\xff{"},
     "odd header": {"theta.npy": b"\x93NUMPY\x01\x00\x08\x00{'descr'"},
 }
-
-
-def test_a_sound_file_is_read(study, tmp_path):
-    found = sensitivity.read_study(packed(study, tmp_path / "study.npz"))
-    assert found.names == ("a", "b")
-    assert found.outputs["output"].corners.shape == (4, 8)
 
 
 @pytest.mark.parametrize("name", HOSTILE)

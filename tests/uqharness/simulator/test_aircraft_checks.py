@@ -371,18 +371,6 @@ def test_a_folder_named_otherwise_than_its_xml_has_only_one_or_a_card(tmp_path):
         find_aircraft(empty)
 
 
-def test_a_model_that_loads_is_loaded_once_and_remembered_by_content(cache, monkeypatch):
-    aircraft = find_aircraft("espaaro")
-    aircraft_checks.ensure_loadable(aircraft, "content")
-    assert [path.name.partition("-")[0] for path in cache.iterdir()] == ["content"]
-    monkeypatch.setattr(aircraft_checks, "_checked", {})  # another process
-    with monkeypatch.context() as patch:
-        patch.setattr(aircraft_checks, "run_module", lambda *a, **k: pytest.fail("loaded again"))
-        aircraft_checks.ensure_loadable(aircraft, "content")
-    aircraft_checks.ensure_loadable(aircraft, "other")
-    assert len(list(cache.iterdir())) == 2
-
-
 @pytest.mark.parametrize(
     ("result", "words"),
     [

@@ -13,10 +13,7 @@ from uqharness.simulator import engine, find_aircraft
 from uqharness.simulator import facts as aircraft_facts
 from uqharness.simulator.facts import (
     ALTITUDE_M,
-    ControlFacts,
-    _control_facts,
     _HeldState,
-    _throttle_facts,
 )
 from uqharness.simulator.staging import staged
 
@@ -145,20 +142,6 @@ def held(
         )
         for k, q in [*enumerate(answers), (0, answers[0] if again is None else again)]
     ]
-
-
-def test_what_is_not_finite_is_not_written_as_a_fact():
-    facts = _control_facts("elevator", held([math.nan, 0.0, 0.0, 0.0, 0.0]), list)
-    assert "not finite" in facts.unmeasured
-    closed, opened = (_HeldState({"thrust-lbs": x}, engines=1) for x in (0.0, math.inf))
-    assert "not finite" in _throttle_facts(closed, opened).unmeasured
-    hunting = _HeldState({"thrust-lbs": 9.0}, engines=1, unsettled="engine 1 does not settle")
-    facts = _throttle_facts(closed, hunting)
-    assert (facts.thrust_N, facts.unmeasured) == (
-        None,
-        "with the throttle open, engine 1 does not settle",
-    )
-    assert _throttle_facts(closed, closed) == ControlFacts(0)
 
 
 # J246 and the like are launchers, ball and the like have no controls; what reads a host's

@@ -96,13 +96,3 @@ def test_a_reset_instance_gives_the_bits_of_a_new_one(name, most_loads):
     assert loads <= most_loads
     for shared, fresh in pairs:
         assert shared.tobytes() == fresh.tobytes()
-
-
-def test_an_instance_whose_reset_is_not_exact_is_not_used_again(monkeypatch):
-    def without_initial_conditions(instance):
-        instance.fdm.reset_to_initial_conditions(2)
-
-    monkeypatch.setattr(forced_state._SharedInstance, "reset", without_initial_conditions)
-    pairs, loads = _evaluations("c172p", 2)
-    assert loads > 12
-    assert all(shared.tobytes() == fresh.tobytes() for shared, fresh in pairs)

@@ -10,7 +10,7 @@ import pytest
 from tests.helpers import foreign_aircraft
 from uqharness.errors import BadInputError
 from uqharness.simulator import engine, find_aircraft, host, open_aircraft, staged
-from uqharness.simulator.aircraft import content_hash, fuel_edits, fuel_levels, host_properties
+from uqharness.simulator.aircraft import content_hash, fuel_levels, host_properties
 
 
 def reads(names, computed=(), declared=None):
@@ -34,13 +34,6 @@ def with_readings(folder, names):
     text = xml.read_text().replace("<aerodynamics>", f"<aerodynamics>{function}")
     xml.write_text(text)
     return find_aircraft(folder)
-
-
-def test_every_source_is_an_expression_of_legal_names():
-    for patterns in (host._STATES.values(), ((source,) for source, _ in host._CONTROLS.values())):
-        for source in (source for row in patterns for source in row):
-            for _, name in host.parse_source(source.replace("{n}", "[1]")).terms:
-                assert engine.is_legal_name(name), source
 
 
 @pytest.mark.parametrize(
@@ -82,19 +75,6 @@ def test_a_brake_that_the_author_set_for_the_start_is_released():
     brake, switch = "/controls/engines/engine/propeller-brake", "/controls/electric/master-switch"
     declared = {brake: 1.0, switch: 1.0, "/controls/engines/engine/friction": 0.0}
     assert sources_of(reads(declared, declared=declared)) == {brake: ("0", "unknown")}
-
-
-@pytest.mark.parametrize(
-    ("name", "similar", "kind"),
-    [
-        ("systems/propulsion/plugs/affected", "systems/propulsion/plugs/affected-switch", False),
-        ("systems/propulsion/left/fouling", "systems/propulsion/right/fouling", False),
-        ("systems/propulsion/plugs/foulng-norm", "systems/propulsion/plugs/fouling-norm", True),
-    ],
-)
-def test_a_long_common_path_makes_no_misspelling(name, similar, kind):
-    (row,) = host.resolve(reads([name]), {name: similar}, lambda _: True)
-    assert row.misspelt is kind
 
 
 def test_a_misspelt_name_of_jsbsim_is_told_from_a_name_of_the_host(tmp_path):
@@ -243,17 +223,6 @@ def test_tanks_that_flightgear_fills_are_filled(tmp_path, set_file, level):
     )
     fdm = open_aircraft(find_aircraft(folder))
     assert fdm["propulsion/tank/contents-lbs"] == pytest.approx(float(level))
-
-
-def test_tanks_alike_on_one_line_are_filled_one_by_one():
-    tank = "<tank><contents unit='KG'><!-- dry --> 0 </contents></tank>"
-    text = f"<fdm_config><propulsion>{tank}{tank}{tank}</propulsion></fdm_config>".encode()
-    edits = fuel_edits(text, {0: 4.0, 2: 8.0})
-    filled = bytearray(text)
-    for edit in reversed(edits):
-        assert filled[edit.at : edit.at + len(edit.old)] == edit.old == b"0"
-        filled[edit.at : edit.at + 1] = edit.new
-    assert re.findall(rb"--> (\S+) </c", filled) == [b"1.81437", b"0", b"3.62874"]
 
 
 def test_an_assumed_level_is_above_what_the_tank_keeps(tmp_path):

@@ -25,7 +25,6 @@ from uqharness.flight.fly import fly
 from uqharness.parquet_files import read_table
 from uqharness.report.write import write_report
 from uqharness.simulator.aircraft import PROJECT_ROOT
-from uqharness.simulator.mission import read_script
 from uqharness.simulator.own_mission import EXCURSION_DEG, PLANS, StartSection, script
 
 
@@ -75,16 +74,6 @@ def test_scripts_are_as_the_plans_say(plan):
     assert (PROJECT_ROOT / "scripts" / f"{plan.name}.xml").read_text(encoding="utf-8") == script(
         plan
     )
-
-
-def test_a_manoeuvre_number_that_is_none_is_refused(tmp_path):
-    text = script(PLANS[0]).replace(
-        'name="flight/manoeuvre" value="2"', 'name="flight/manoeuvre" value="x"'
-    )
-    path = tmp_path / "bad.xml"
-    path.write_text(text)
-    with pytest.raises(BadInputError, match="flight/manoeuvre is set to 'x'"):
-        read_script(path)
 
 
 # Steady flight as a mission of an aircraft that has neither autopilot nor card: it begins in

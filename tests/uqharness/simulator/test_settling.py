@@ -145,24 +145,6 @@ def placed(name, V_mps, alpha_rad, **controls):
     return aircraft, fdm
 
 
-def test_what_forces_feel_of_the_control_system():
-    assert set(forced_state.control_outputs(find_aircraft("c172p"))) >= {
-        "fcs/elevator-pos-rad",
-        "fcs/rudder-pos-rad",
-        "fcs/flap-pos-deg",
-    }
-    f22 = set(forced_state.control_outputs(find_aircraft("f22")))
-    assert {
-        "fcs/throttle-pos-norm",
-        "fcs/throttle-pos-norm[1]",
-        "fcs/tvc-pos-rad",
-        "fcs/elevator-pos-rad",
-    } <= f22
-    # What only another component reads is no force.
-    assert "fcs/stick-filter" not in f22
-    assert "fcs/pitch-rate-integrator" not in f22
-
-
 def test_filters_come_to_rest_where_jsbsim_in_flight_brings_them():
     aircraft, fdm = placed("f22", 129.2, F22_ALPHA, elevator=0.0, throttle=0.5)
     rest = forced_state.control_equilibrium(aircraft, fdm, free=True)

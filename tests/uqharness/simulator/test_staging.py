@@ -87,28 +87,6 @@ def test_the_identity_of_a_self_contained_aircraft_is_that_of_its_folder() -> No
     assert identity(find_aircraft("espaaro")) == digest.hexdigest()
 
 
-@pytest.fixture
-def folder_aircraft_files(tmp_path: Path) -> Path:
-    """A copy of the project's own aircraft."""
-    copy_folder(find_aircraft("espaaro").folder, tmp_path / "plane")
-    return tmp_path / "plane"
-
-
-def test_what_jsbsim_may_open_is_what_the_xml_refers_to(folder_aircraft_files: Path) -> None:
-    before = set(model_files(find_aircraft(folder_aircraft_files)).local)
-    assert "espaaro.xml" in before
-    (folder_aircraft_files / "unused.xml").write_text("<system name='x'/>")
-    text = (folder_aircraft_files / "espaaro.xml").read_text()
-    (folder_aircraft_files / "espaaro.xml").write_text(
-        text.replace("</fdm_config>", '<system file="used"/></fdm_config>')
-    )
-    (folder_aircraft_files / "Systems").mkdir(exist_ok=True)
-    (folder_aircraft_files / "Systems" / "used.xml").write_text("<system name='x'/>")
-    assert set(model_files(find_aircraft(folder_aircraft_files)).local) - before == {
-        "Systems/used.xml"
-    }
-
-
 # What a foreign XML may ask for: elements blanked byte by byte, names that lead out, entities.
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import re
 from dataclasses import replace
@@ -11,8 +10,6 @@ import numpy as np
 import pytest
 
 from tests.helpers import foreign_aircraft, sixdof
-from tests.helpers.few import few
-from uqharness.cli.main import main
 from uqharness.simulator.aircraft import find_aircraft
 from uqharness.simulator.forced_state import force_state, open_forced
 from uqharness.simulator.linear import linearise, modes
@@ -157,41 +154,6 @@ def test_trim_for_any_bank_climb_height_and_wind(bank_deg, climb_deg, height, wi
         assert trim.turn_rate_radps == pytest.approx(
             9.806 * math.tan(condition.bank_rad) / 22.2, rel=0.03
         )
-
-
-@pytest.mark.parametrize("bank_deg", few([0, 30, 60, -60, 75], 2))
-def test_the_named_modes_are_the_eigenvalues_each_once(bank_deg):
-    aircraft = find_aircraft("espaaro")
-    model = linearise(
-        aircraft, find_trim(aircraft, SteadyCondition(22.2, bank_rad=math.radians(bank_deg)))
-    )
-    named = [
-        value
-        for m in modes(model)
-        for value in ([complex(m.real, m.imag)] + [complex(m.real, -m.imag)] * (m.imag != 0))
-    ]
-    assert np.sort_complex(np.array(named)) == pytest.approx(
-        np.sort_complex(np.linalg.eigvals(model.A)), abs=1e-9
-    )
-
-
-def test_modes_command_json(capsys):
-    assert main(["modes", "espaaro", "--speed-mps", "22.2", "--json"]) == 0
-    answer = json.loads(capsys.readouterr().out)
-    assert {"V_mps", "alpha_deg", "elevator_deg", "throttle_pct", "thrust_N", "rpm"} <= answer[
-        "trim"
-    ].keys()
-    assert [mode["name"] for mode in answer["modes"]] == [
-        "short_period",
-        "phugoid",
-        "dutch_roll",
-        "roll",
-        "spiral",
-    ]
-    assert answer["modes"][0].keys() == {
-        *("name", "real", "imag", "wn_radps", "zeta"),
-        "interval",
-    }
 
 
 def test_an_aircraft_whose_rudder_follows_its_ailerons_flies_straight_with_a_little_bank():

@@ -14,7 +14,6 @@ from uqharness.campaign.cases import Mission
 from uqharness.campaign.processes import SerialExecutor
 from uqharness.campaign.read_spec import read_campaign
 from uqharness.campaign.run import run_campaign
-from uqharness.campaign.statements import DISPERSION_EXCEEDED
 from uqharness.results.refinement import Refinement
 from uqharness.study.answer import answer_of, read_campaigns
 
@@ -68,14 +67,6 @@ def everywhere(spec):
 
 def windy(spec):
     return everywhere(spec) if spec.wind_mps > 5.0 else quiet(spec)
-
-
-def some(spec):
-    """About the acceptable rate."""
-    result = quiet(spec)
-    return replace(
-        result, metrics=result.metrics | {"excursions_15m": float(spec.seed_turbulence % 2)}
-    )
 
 
 def ends_early(spec):
@@ -146,12 +137,6 @@ def test_too_few_hours_are_inconclusive_and_say_how_many_would_do(tmp_path):
     assert answered(tmp_path / "less", quiet, flights=16).level == "warn"
 
 
-def test_a_rate_near_the_acceptable_one_asks_for_hours_without_promising_a_number(tmp_path):
-    found = answered(tmp_path, some)
-    assert found.level == "warn"
-    assert found.next.startswith("Next: more flight hours in 3 m/s moderate")
-
-
 def test_aborted_flights_are_no_yes(tmp_path):
     found = answered(tmp_path, ends_early)
     assert found.level == "bad"
@@ -178,34 +163,6 @@ def test_what_the_model_lacked_and_what_adding_it_bought(tmp_path):
         == "The model lacked rolling moment due to elevator. With it: held-out residual of p from 4"
         " to 1 sigma, cross-track p-box as wide, same answers."
     )
-
-
-def test_conditions_of_several_turbulences_are_named_by_it(tmp_path):
-    found = answered(tmp_path, windy, winds="[3, 7]", air='["light", "moderate"]')
-    assert found.answer.startswith(
-        "Yes in 3 m/s wind with light turbulence, 3 m/s wind with moderate turbulence; "
-        "no in 7 m/s wind with light turbulence, 7 m/s wind with moderate turbulence ("
-    )
-    assert " in 3 m/s moderate, " in found.why
-
-
-def test_hours_and_clusters_are_each_named_with_their_conditions(tmp_path):
-    answered(tmp_path, quiet, flights=4, winds="[1, 3]")
-    flown = read_campaigns(tmp_path, refined=False)
-    first, *rest = flown["before"].statements
-    other = replace(
-        first,
-        reason=DISPERSION_EXCEEDED,
-        dispersion=replace(first.dispersion, is_contradicted=True),
-    )
-    other = replace(flown["before"], statements=[other, *rest])
-    found = answer_of({"before": other}, None, [])
-    assert found.answer.startswith(
-        "Inconclusive (clusters beyond the carried limit) in 1 m/s, inconclusive (too few flight"
-        " hours) in 3 m/s"
-    )
-    assert "4.25 h per corner in 3 m/s moderate" in found.next
-    assert "raise [metrics] dispersion for 1 m/s moderate" in found.next
 
 
 def test_a_refinement_without_effect_and_stages_that_answered_no(tmp_path):

@@ -315,13 +315,6 @@ def test_what_a_half_done_stage_left_is_taken_away(study, tmp_path):
     assert not (tmp_path / "out" / "bounds-before" / "half.svg").exists()
 
 
-def test_a_stage_that_leaves_nothing_is_no_success(study, monkeypatch):
-    run, _, _ = study
-    monkeypatch.setattr(chain_run, "_run_request", lambda *_: 0)
-    with pytest.raises(BadInputError, match=r"left no flights/one\.parquet"):
-        run()
-
-
 def test_a_folder_of_something_else_is_refused(done, tmp_path):
     run, ran, _ = done
     other = STUDY.replace("flights = 3", "flights = 5")
@@ -446,19 +439,6 @@ def test_ctrl_c_ends_with_130_and_says_how_to_go_on(study, tmp_path, capsys):
     fail.clear()
     assert cli.main(command(tmp_path)) == 0
     assert "It holds." in capsys.readouterr().out
-
-
-def test_a_terminal_sees_each_stage_and_a_pipe_only_the_end(study, tmp_path, capsys, monkeypatch):
-    assert cli.main(command(tmp_path)) == 0
-    said = capsys.readouterr()
-    assert said.err == ""
-    first, *_, last = said.out.splitlines()
-    assert first == "Does it hold? No excursion rate: no campaign was flown."
-    assert last == f"Report: {tmp_path / 'out' / 'report.html'}"
-    assert len(said.out.splitlines()) <= 5
-    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
-    assert cli.main(command(tmp_path)) == 0
-    assert "[1/13] import-one: unchanged" in capsys.readouterr().err
 
 
 def test_bad_input_is_told_without_a_traceback(study, tmp_path, capsys):

@@ -146,31 +146,6 @@ def test_an_aircraft_without_the_plugin_gets_it_first(tmp_path):
     assert stages[1].writes[1]["campaign"]["aircraft"] == "instrument/c172x"
 
 
-def test_options_reach_the_commands(tmp_path):
-    text = (
-        STUDY.replace('aircraft = "espaaro"\n', 'aircraft = "espaaro"\nservos = "ideal"\n', 1)
-        .replace(
-            'flights = "one"', 'flights = "one"\nparams = ["aero/Cm_q", "aero/Cm_de"]\nbiases = []'
-        )
-        .replace(
-            "validate_on",
-            'roll_terms = true\nchecks = false\nstates = { CX = ["V", "alpha"] }\nvalidate_on',
-        )
-        .replace(
-            "seed = 2", 'seed = 2\nturbulence = "light"\nnoise = false\nset = { "aero/Cm_q" = -10 }'
-        )
-    )
-    stages = {stage.name: stage.command for stage in plan(read(tmp_path, text), tmp_path / "out")}
-    for part in ("--params aero/Cm_q,aero/Cm_de", "--biases none", "--servos ideal"):
-        assert part in stages["identify"]
-    for part in ("--roll-terms", "--no-check", "--states CX=V,alpha", "--servos ideal"):
-        assert part in stages["bounds-after"]
-    assert "--turbulence light" in stages["fly-two"]
-    assert "--set aero/Cm_q=-10" in stages["fly-two"]
-    assert "--noise" not in stages["fly-two"]
-    assert "--noise" in stages["fly-one"]
-
-
 def test_every_option_of_a_command_is_a_key_of_its_section(tmp_path):
     """An option needs no line of the study: `sample_size` and `bake` are fields of requests."""
     text = STUDY.replace(

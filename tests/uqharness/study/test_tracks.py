@@ -88,20 +88,3 @@ def test_the_worst_corner_is_flown_as_in_the_campaign_and_the_nominal_model_with
     (other,) = set(scored.index) - {worst}
     assert abs(largest["worst corner"] - scored[other]) > 0.05 * scored[worst]
     assert abs(largest["nominal"] - largest["worst corner"]) > 0.05 * scored[worst]
-
-
-def test_flights_that_cannot_be_drawn_are_told_with_their_reason(tmp_path, asked):
-    nothing = TrackRequest(
-        asked.folder, asked.frame.drop(columns="cross_track_max_m"), asked.statement
-    )
-    assert (
-        "has a distance from its path"
-        in fly_tracks(tmp_path, {"before": nothing}, workers=1)["reason"]
-    )
-    assert (
-        "has a distance"
-        in fly_tracks(
-            tmp_path, {"before": TrackRequest(asked.folder, asked.frame, None)}, workers=1
-        )["reason"]
-    )
-    assert not (tmp_path / TRACKS).exists()

@@ -5,17 +5,14 @@ known, both ways.
 from __future__ import annotations
 
 import json
-import math
 from dataclasses import replace
 
 import numpy as np
-import pandas as pd
 import pytest
 
 from tests.helpers import campaign_fakes as fakes
 from tests.helpers import report_folders
 from uqharness.campaign.cases import Mission
-from uqharness.campaign.conditions import Condition
 from uqharness.campaign.processes import SerialExecutor
 from uqharness.campaign.read_spec import read_campaign
 from uqharness.campaign.run import run_campaign
@@ -60,13 +57,6 @@ def failing(spec):
             "diverged", "the state was no longer finite at 61.0 s", 61.0, {}, {}, {}
         )
     return wide(spec)
-
-
-def often(spec):
-    result = wide(spec)
-    return replace(
-        result, metrics=result.metrics | {"excursions_15m": 9.0, "extrapolated_share": 0.3}
-    )
 
 
 def flown(tmp_path, before, after=None, winds="3"):
@@ -128,36 +118,6 @@ def test_failed_flights_leave_the_p_box_open(tmp_path):
     text, level = about(flown(tmp_path / "worse", wide, failing), "Median cross-track error")
     assert level == "warn"
     assert "after refinement has no finite width: 8 of 32 flights" in text
-
-
-def test_time_outside_the_data_is_told_of_bounds_that_have_an_outside(tmp_path):
-    assert not [text for text, _ in flown(tmp_path, often) if "outside the states" in text]
-    rows = pd.DataFrame({"extrapolated_share": [0.2, 0.4]})
-    ((text, level),) = chain_performance._extrapolation(rows, Condition(3.0, "light"))
-    assert (level, text[:4], "extrapolated" in text) == ("warn", "30 %", True)
-    ((text, level),) = chain_performance._extrapolation(rows * 0.0, Condition(3.0, "light"))
-    assert (level, "extrapolated" in text) == ("", False)
-    assert list(chain_performance._extrapolation(rows * math.nan, Condition(3.0, "light"))) == []
-
-
-def test_of_many_conditions_the_hardest_is_told(tmp_path):
-    found = flown(tmp_path, wide, None, winds="[1, 2, 6, 4, 5]")
-    assert "inconclusive in 5" in about(found, "Of 5 conditions")[0]
-    assert (
-        "6 m/s wind" in about(found, "beyond 15 m per flight hour at every corner? Inconclusive")[0]
-    )
-
-
-def test_the_widest_part_is_named_from_the_table():
-    common = {"condition": "3 m/s light", "metric": "cross_track_median_m"}
-    rows = (("CX", ".1", ".2"), ("CY", ".4", ".75"), ("Cl", "", ""))
-    table = [
-        common | {"coefficient": c, "share_min": low, "share_max": high} for c, low, high in rows
-    ]
-    ((text, _),) = chain_performance._widest(table, Condition(3.0, "light"))
-    assert "the bounds of CY (cross-track error, 40 to 75 % of the width)" in text
-    assert list(chain_performance._widest(table, Condition(3.0, "severe"))) == []
-    assert list(chain_performance._widest([], Condition(3.0, "light"))) == []
 
 
 def test_area_between_two_corners_is_the_distance_of_their_means():
@@ -249,17 +209,6 @@ def test_coverage_and_widths(tmp_path):
     write_coverage(tmp_path / "x", "after", 0.95, 0.02)
     *_, (widths, level) = chain_verdict._coverage(tmp_path / "x", ("c",), True)
     assert (level, "none is narrower" in widths) == ("warn", True)
-
-
-def test_widths_that_are_not_known_stay_undefined(tmp_path):
-    write_coverage(tmp_path, "before", 0.95, 0.0)
-    write_coverage(tmp_path, "after", 0.95, None)
-    *_, (widths, level) = chain_verdict._coverage(tmp_path, ("c",), True)
-    assert (level, "CX, Cl undefined" in widths, "none is narrower" in widths) == (
-        "warn",
-        True,
-        True,
-    )
 
 
 def test_identification_that_did_not_converge_is_bad_news():

@@ -22,7 +22,7 @@ from tests.helpers.batch_systems import (
 )
 from uqharness.batch.translate.channels import System, read_sources
 from uqharness.errors import BadInputError
-from uqharness.simulator import engine, find_aircraft, find_script, staged
+from uqharness.simulator import find_aircraft, find_script
 
 GAIN = '<pure_gain name="g"><input>i/a</input><gain>@2</gain></pure_gain>'
 
@@ -137,23 +137,6 @@ def test_refusals(body: str, message: str) -> None:
     assert message in refusal(body)
 
 
-@pytest.mark.parametrize("name", ["espaaro", "espaaro_truth", "synthetic_stall"])
-def test_the_systems_of_the_projects_aircraft_are_understood(name: str) -> None:
-    aircraft = find_aircraft(name)
-    parts = read_sources(aircraft, find_script("loiter")).systems
-    fdm = engine.open_fdm(staged(aircraft), 0.01)
-    channels = [node for part in parts for node in part.node.all("channel")]
-    # The log channel, which draws too, is not there where it is switched off and nothing switches
-    # it.
-    for log, draws in ((1.0, 18), (0.0, 13)):
-        fdm["sensor/log"] = log
-        frames = traced(parts, values_of(fdm), [])
-        assert len(frames[2].sections) >= len(channels) - 1 > 5
-        # Each initialising frame draws at every place, whatever its rate.
-        assert [len(frame.draws) for frame in frames] == [draws] * 3
-        assert {every for _, every in frames[2].draws} == {2}
-
-
 TIMED = (
     '<lag_filter name="l"><input>i/a</input><c1>7</c1></lag_filter><washout_filter'
     ' name="w"><input>i/a</input><c1>2</c1></washout_filter><lead_lag_filter'
@@ -261,15 +244,6 @@ def test_a_system_in_a_file(place):
         systems = made.sources().systems
     assert systems[0].document.path.name == "x.xml"
     assert systems[0].outer is not None
-
-
-@pytest.mark.parametrize(
-    ("body", "said"), [("<planet/><aerodynamics/>", "<planet> is not understood")]
-)
-def test_refused_with_line(body, said):
-    found = flights.refused(flights.aircraft(body))
-    assert said in found
-    assert "point.xml:7: " in found
 
 
 def test_a_file_that_is_not_there_is_refused():

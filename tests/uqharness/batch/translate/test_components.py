@@ -17,7 +17,7 @@ from tests.helpers.batch_systems import (
     traced,
     values_of,
 )
-from uqharness.batch.translate.channels import KINDS, REFUSED, System
+from uqharness.batch.translate.channels import System
 from uqharness.batch.translate.components import own_name
 
 A = "<input>i/a</input>"
@@ -425,21 +425,6 @@ def test_refusals_have_file_and_line(message: str) -> None:
     said = refusal(f"<channel>{REFUSALS[message]}</channel>")
     assert message in said
     assert said.startswith("system.xml:")
-
-
-JSBSIMS = """lag_filter lead_lag_filter washout_filter second_order_filter pure_gain scheduled_gain
-aerosurface_scale summer deadband switch kinematic fcs_function pid integrator actuator sensor
-accelerometer magnetometer gyro waypoint_heading waypoint_distance angle distributor linear_actuator"""
-
-
-def test_all_of_them_are_listed() -> None:
-    assert set(KINDS) | set(REFUSED) == set(JSBSIMS.split())
-
-
-@pytest.mark.parametrize("tag", REFUSED)
-def test_what_is_refused_says_why(tag: str) -> None:
-    said = refusal(f'<channel>\n<{tag} name="x"/></channel>')
-    assert said == f'system.xml:2: <{tag}> {REFUSED[tag]}; fly this aircraft with engine = "jsbsim"'
 
 
 @pytest.mark.parametrize("name", ["Gain", "A Gain", "o/A-Gain", "x.y", "two  blanks", "Trailing_"])

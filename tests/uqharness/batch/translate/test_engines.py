@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,11 +11,7 @@ from tests.helpers import batch_engines as engines
 from tests.helpers import batch_flights as flights
 from tests.helpers.batch_flights import apart, worst
 from tests.helpers.few import few
-from uqharness.batch.ir import Builder
-from uqharness.batch.translate.engine_files import UNITS, grid, number, required_number
-from uqharness.batch.translate.frame import Scope
-from uqharness.errors import BadInputError
-from uqharness.xml.document import Node, parse_document
+from uqharness.batch.translate.engine_files import UNITS
 
 FUNCTIONS = """<?xml version="1.0"?><electric_engine name="m"><power unit="WATTS">600</power>
 <function name="propulsion/engine[#]/before"><product><v>3</v><p>propulsion/engine[#]/thrust-lbs</p></product></function>
@@ -355,33 +350,3 @@ def test_as_jsbsim_converts(wanted: str, unit: str) -> None:
         )
     with flights.craft(engines.aircraft(propulsion)) as made:
         assert made.open()[name] == pytest.approx(UNITS[wanted][unit], rel=1e-15)
-
-
-def parsed(text: str) -> tuple[Scope, Node]:
-    document = parse_document(Path("e.xml"), text.encode())
-    return Scope(Builder(), document, lambda _: None), document.root
-
-
-def test_numbers_bear_units_or_have_defaults() -> None:
-    scope, node = parsed('<e><a unit="FT">2</a><a>3</a></e>')
-    assert number(scope, node, "a", 1.0, "IN") == 24.0
-    assert number(scope, node, "b", 1.5, "IN") == 1.5
-    for text, said in (
-        ('<e><a unit="FT">2</a></e>', "unit FT of <a>"),
-        ('<e><a unit="IN" dispersion="1">2</a></e>', "'dispersion'"),
-    ):
-        scope, node = parsed(text)
-        with pytest.raises(BadInputError, match=said):
-            number(scope, node, "a", 1.0, "LBS" if "FT" in text else "IN")
-    with pytest.raises(BadInputError, match=r"e\.xml:1: <e> has no <c>"):
-        required_number(scope, node, "c")
-
-
-@pytest.mark.parametrize(
-    ("lines", "shape"),
-    [("0 1\n1 2", (2, 0)), ("5 6\n0 1 2\n1 2 3", (2, 2)), ("5\n0 1\n1 2", (2, 1)), ("0 1", (1, 0))],
-)
-def test_the_second_line_tells_the_dimension(lines: str, shape: tuple[int, int]) -> None:
-    scope, node = parsed(f'<table type="internal"><tableData>{lines}</tableData></table>')
-    found = grid(scope, node)
-    assert (len(found.rows), len(found.columns)) == shape

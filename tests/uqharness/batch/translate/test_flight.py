@@ -79,26 +79,6 @@ def test_what_is_not_computed_cannot_be_recorded():
         translated(made, ["position/vrp-radius-ft"])
 
 
-@pytest.mark.parametrize(
-    ("start", "said"),
-    [
-        ({"simulation/gravity-model": 0.0}, "simulation/gravity-model = 0"),
-        (
-            {"simulation/integrator/rate/rotational": 8.0},
-            "simulation/integrator/rate/rotational = 8",
-        ),
-        ({"simulation/gravitational-torque": 1.0}, "simulation/gravitational-torque = 1"),
-        ({"forces/hold-down": 1.0}, "forces/hold-down = 1"),
-    ],
-)
-def test_settings_that_are_refused(start, said):
-    with (
-        craft(aircraft(BODY), {**START, **start}) as made,
-        pytest.raises(BadInputError, match=said),
-    ):
-        translated(made, RECORDS)
-
-
 RECORDS_EXTERNAL = (
     *(f"forces/fb{a}-{k}-lbs" for k in ("external", "total") for a in "xyz"),
     *(f"moments/{a}-{k}-lbsft" for k in ("external", "total") for a in "lmn"),

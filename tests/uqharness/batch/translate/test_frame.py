@@ -2,26 +2,20 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 
 from tests.helpers import batch_oracle as oracle
 from tests.helpers.batch_systems import judged, random_inputs
-from uqharness.batch.ir import Builder
 from uqharness.batch.translate.frame import (
     HOOKS,
     REQUIRED,
-    Scope,
     keeps_value,
     made_by_jsbsim,
     read_only,
     settable,
     writable,
 )
-from uqharness.errors import BadInputError
 from uqharness.simulator import engine
-from uqharness.xml.document import parse_document
 
 # Levers and surfaces, which any aircraft's XML moves.
 FREE = ("fcs/", "gear/gear-", "gear/tailhook")
@@ -131,33 +125,6 @@ def test_levers_are_copied_before_the_channels() -> None:
     apart, control = judged(body, {"fcs/throttle-cmd-norm": random_inputs(300)["i/a"]}, engines=1)
     assert apart == {}
     assert set(control) == {"fcs/g"}
-
-
-DOCUMENT = parse_document(Path("a.xml"), b"<a>\n<gain>x</gain></a>")
-
-
-NODE = DOCUMENT.root.children[0]
-
-
-def _scope() -> Scope:
-    builder = Builder()
-    return Scope(builder, DOCUMENT, lambda name: builder.load(name) if name == "x/y" else None)
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("1.5x", "must be the name of a property; received '1.5x'"),
-        ("--x/y", "must be the name of a property"),
-        ("x y", "must be the name of a property"),
-        ("1e999", "finite decimal number"),
-        ("x/z", "property x/z is not computed"),
-    ],
-)
-def test_refusals(text: str, message: str) -> None:
-    with pytest.raises(BadInputError, match=message) as error:
-        _scope().parameter(NODE, text)
-    assert str(error.value).startswith("a.xml:2: ")
 
 
 def test_feathering_is_a_truth_value() -> None:

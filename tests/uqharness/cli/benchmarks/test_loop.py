@@ -6,11 +6,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from uqharness.cli.benchmark_loop import bare_flight, without_plugin
-from uqharness.flight.spec import FlightSpec
+from uqharness.cli.benchmark_loop import without_plugin
 from uqharness.simulator.aircraft import find_aircraft, open_aircraft
-
-SPEC = FlightSpec(Path("espaaro"), Path("loiter"), 1.0)
 
 
 def test_the_copy_has_no_trace_of_the_plugin_and_flies(tmp_path: Path) -> None:
@@ -20,10 +17,3 @@ def test_the_copy_has_no_trace_of_the_plugin_and_flies(tmp_path: Path) -> None:
     assert not any(mark in bare.xml.read_bytes() for mark in (b'file="model-form"', b'name="uq/'))
     assert open_aircraft(bare).get_property_manager().hasNode("uq/CX/level") is False
     assert open_aircraft(aircraft).get_property_manager().hasNode("uq/CX/level") is True
-
-
-def test_a_worker_tells_its_seconds() -> None:
-    found = bare_flight(SPEC)
-    assert (found.status, found.flown_s) == ("ok", 1.0)
-    assert found.metrics["loop_s"] > 0.0
-    assert set(found.metrics) == {"loop_s"}

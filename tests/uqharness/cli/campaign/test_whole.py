@@ -7,7 +7,6 @@ import json
 import pytest
 
 from uqharness.cli.main import run_words
-from uqharness.errors import BadInputError
 
 pytestmark = pytest.mark.usefixtures("flights_here")
 
@@ -51,8 +50,3 @@ def test_salvage_writes_again_what_was_damaged(flown, capsys):
     }
     assert (found["kept"], found["flown"]) == (192, 0)
     assert table.read_bytes() == before
-
-
-def test_a_size_without_its_campaign_is_refused(flown):
-    with pytest.raises(BadInputError, match="--hours and --samples need --campaign"):
-        call("salvage", flown / "out", "--hours", "1")

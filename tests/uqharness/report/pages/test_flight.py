@@ -42,16 +42,3 @@ def test_a_flight_that_ended_early_says_so_first():
     words = words_of(page(status="ground-contact", reason="the left wheel"))
     assert "The flight ended early, ground-contact: the left wheel" in words
     assert "as planned" not in words
-
-
-def test_a_record_without_path_and_manoeuvres():
-    text = page(
-        {
-            "time_s": TIME,
-            "V_mps": COLUMNS["V_mps"],
-            "manoeuvre": np.full(TIME.size, "loiter", dtype=object),
-        }
-    )
-    assert problems(text) == []
-    assert "Ground track" not in words_of(text)
-    assert "Manoeuvres" not in words_of(text)

@@ -9,7 +9,6 @@ from lxml import html
 
 from tests.helpers import report_folders as folders
 from tests.helpers.page_checks import page_of, words_of
-from uqharness.report.write import write_report
 
 
 @pytest.fixture
@@ -76,17 +75,3 @@ def test_standard_errors_are_not_vouched_for_where_the_model_does_not_explain_th
     found = said(identified, fit=tinted, method="filter error")
     assert doubt in found
     assert "q 40 %" in found
-
-
-def test_a_reason_that_parameters_share_stands_once(identified):
-    fit = json.loads((identified / "fit.json").read_text())
-    reason = "not converged; values unchanged"
-    rows = {
-        name: {**row, "status": "not-identified", "reason": reason, "std": None, "std_crb": None}
-        for name, row in fit["parameters"].items()
-    }
-    words = said(identified, parameters=rows)
-    assert words.count(reason) == 1
-    assert words.count("not-identified (1)") == len(rows) == 3
-    # The terminal shows the table, so it shows what (1) stands for.
-    assert write_report(identified).text.count(f"(1) {reason}") == 1

@@ -4,13 +4,11 @@ given.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from tests.helpers.model_forms import made_up_form
 from tests.helpers.page_checks import problems, words_of
-from uqharness.report.pages.instrument import Instrumentation, instrument_page, main_state
+from uqharness.report.pages.instrument import Instrumentation, instrument_page
 from uqharness.report.parts import render
 
 DONE = Instrumentation(
@@ -42,15 +40,6 @@ def test_bounds_of_a_model_form_are_drawn_along_every_state():
     assert f"Cm [-]{low[0]:.3g}{high[0]:.3g}" in words.replace(" ", "").replace("Cm[-]", "Cm [-]")
 
 
-def test_the_main_state_is_the_one_along_which_the_bounds_move_most():
-    form = made_up_form({"CX": ("V_mps", "alpha_rad")}, orders={"CX": 1})
-    b = form.coefficients["CX"]
-    for k, state in enumerate(b.states):
-        beta = np.zeros(len(b.terms))
-        beta[[t[k] == 1 and sum(t) == 1 for t in b.terms].index(True)] = 0.5
-        assert main_state(replace(b, beta_hat=beta), form) == state
-
-
 def test_constant_bounds():
     text = page(constant={"CX": (-0.01, 0.02), "Cm": (0.0, 0.0)})
     assert problems(text) == []
@@ -58,11 +47,3 @@ def test_constant_bounds():
     assert "Constant bounds of 2 coefficients." in words
     assert "CX -0.01 to 0.02" in text
     assert "Slices" not in words
-
-
-def test_no_bounds_are_all_zero_and_said():
-    text = page(done=replace(DONE, rows=(), notes=(), check=None))
-    assert problems(text) == []
-    words = words_of(text)
-    assert "No bounds were given: every delta is 0." in words
-    assert "The aircraft carried the plugin already." in words

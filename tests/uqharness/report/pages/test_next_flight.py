@@ -5,19 +5,13 @@ helps.
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from lxml import etree
 
-from sysid.model_form.information_gain import parameter_variance
 from tests.helpers.model_forms import made_up_form
-from tests.helpers.page_checks import problems, words_of
-from uqharness.next_flight.points import Condition, Steps, TestPoint
-from uqharness.report.pages.next_flight import next_flight_page, uncertainty_figures
-from uqharness.report.parts import first_lines, render
-from uqharness.results.next_flight import NextFlightPlan, PlannedAircraft
+from uqharness.report.pages.next_flight import uncertainty_figures
 
 NOW = made_up_form().coefficients["CY"]
 THEN = replace(NOW, XtX_inv=0.25 * NOW.XtX_inv)
@@ -73,46 +67,3 @@ def test_half_widths_halve_where_the_flight_divides_the_variance_by_four():
         dense[1].get(place, 0.0) == pytest.approx(0.25 * share, abs=2e-3)
         for place, share in dense[0].items()
     )
-
-
-def test_bounds_of_one_state_have_no_map():
-    one = made_up_form({"CY": ("V_mps",)}).coefficients["CY"]
-    figures = uncertainty_figures(one, one, MISSION, FLOWN, "grow", "CY")
-    assert [figure.name for figure in figures] == ["half-width-V_mps"]
-    assert np.all(parameter_variance(one, MISSION, "grow") > 0.0)
-
-
-def test_the_page_says_what_the_plan_says():
-    point = TestPoint("doublet <1>", (Steps("elevator", 2.0, 0.8),), Condition(22.0, 0.0))
-    where = SimpleNamespace(
-        state="beta_rad",
-        data=np.radians([1.0, 2.0, 3.0]),
-        mission=np.zeros(3),
-        variance=np.full(3, np.nan),
-    )
-    plan = [SimpleNamespace(start_s=18.0, point=point, gain=0.026)]
-    found = SimpleNamespace(coefficient="CY", refused=[1, 2], n_points=9, where=[where], plan=plan)
-    document = NextFlightPlan.model_construct(
-        aircraft=PlannedAircraft(name="plane", sha256=""),
-        words=["Fly it.", "It helps."],
-        warnings=["old bounds"],
-    )
-    figures = uncertainty_figures(NOW, THEN, MISSION, FLOWN, "grow", "CY")
-    page = next_flight_page(found, document, figures, "uqharness next-flight results")
-    text = render(page)
-    assert problems(text) == []
-    words = words_of(text)
-    for said in (
-        "Fly it. It helps.",
-        "2 of 9 test points were refused",
-        "old bounds",
-        "doublet <1>",
-        "2.6 %",
-        "1 / 2 / 3",
-    ):
-        assert said in words
-    assert "undefined / undefined / undefined" in words
-    shown = first_lines(page)
-    assert shown[:2] == ["Fly it.", "It helps."]
-    assert "old bounds" not in shown
-    assert "<figure" not in render(next_flight_page(found, document, (), "x"))

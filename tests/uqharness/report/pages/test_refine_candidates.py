@@ -7,9 +7,7 @@ import pytest
 from tests.helpers.report_folders import refinement
 from uqharness.report.pages.refinement import (
     MAX_UNLISTED,
-    ListedCandidate,
     candidate_figure,
-    listed_candidates,
 )
 from uqharness.results.refinement import Refinement
 
@@ -43,16 +41,6 @@ def done():
         best_refused={"effect": "Cn/beta^2", "t": 3.9, "why": "|t| 3.9 is not above 4.0"},
         candidates={"limit": 4.0, "scores": scores},
     )
-
-
-def test_every_candidate_that_is_named_has_its_part(done):
-    assert listed_candidates(Refinement.model_validate(done)) == {
-        "Cm p_hat^2": ListedCandidate("chosen", 48.0),
-        "CY da": ListedCandidate("withdrawn", 4.5),
-        "mass Ixz": ListedCandidate("alternative", 30.0),
-        "Cl de": ListedCandidate("left", 12.0),
-        "Cn beta^2": ListedCandidate("left", 3.9),
-    }
 
 
 def test_all_of_them_are_in_the_chart_and_few_of_the_others(done):

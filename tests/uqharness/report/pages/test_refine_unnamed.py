@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from tests.helpers.report_folders import refinement
-from uqharness.report.pages.refinement import smooth_lines, smooth_sections
+from uqharness.report.pages.refinement import smooth_sections
 from uqharness.report.parts import Figures, Table, Words
-from uqharness.results.refinement import Refinement, SmoothTerm
+from uqharness.results.refinement import Refinement
 
 AT = np.linspace(-0.05, 0.1, 41)
 
@@ -55,16 +54,6 @@ def done(**changes):
     return remaining(smooth | changes)
 
 
-def test_the_line_says_that_it_is_no_physics():
-    (line,) = smooth_lines(done(in_place_of=["pitching moment due to angle of attack cubed"]))
-    assert (
-        line.text == "Not named, no physics: a smooth term of angle of attack in pitching moment"
-        " (uq/unnamed/Cm_of_alpha), in place of pitching moment due to angle of attack cubed,"
-        " brings q on the training flights from 1.70 to 1.02 times its noise; on the hold-out flights"
-        " the gap shrank: twice the log likelihood +300.0 ± 40.0 with it."
-    )
-
-
 def test_the_section_has_the_curve_its_gap_and_the_forms():
     (section,) = smooth_sections(done())
     words, figures, gap, shapes = section.blocks
@@ -83,9 +72,3 @@ def test_the_section_has_the_curve_its_gap_and_the_forms():
     ]
     assert isinstance(shapes, Table)
     assert shapes.rows == (("Step at 0.03", "0.980", "1.030"),)
-
-
-def test_a_curve_of_uneven_columns_is_refused():
-    smooth = done()["remaining"]["smooth"]
-    with pytest.raises(ValueError, match="of one length"):
-        SmoothTerm.model_validate({**smooth, "curve": {**smooth["curve"], "low": [0.0]}})

@@ -126,24 +126,6 @@ def test_inconclusive_cells_have_no_tick(tmp_path, campaigns):
     ]
 
 
-def cells_of(tree):
-    (table,) = [
-        t
-        for t in tree.iter("table")
-        if t.findtext("caption") == "Answer by wind, turbulence and radius."
-    ]
-    return [e.text_content() for e in table.findall("thead//th")], [
-        [e.text_content() for e in row] for row in table.findall("tbody/tr")
-    ]
-
-
-def test_aborted_flights_have_columns_only_where_there_are_some(tmp_path, campaigns):
-    tree = page(tmp_path, campaigns)
-    head, _ = cells_of(tree)
-    assert head == ["Wind, turbulence", "Radius", "Answer before", "Answer after", "Flight hours"]
-    assert "No flight was aborted." in tree.text_content()
-
-
 def test_aborted_flights_are_shown_by_kind_with_the_limit_of_their_rate(campaigns):
     sides = {when: read_campaign_report(campaigns / when) for when in ("before", "after")}
     item = sides["after"].signed[0]
