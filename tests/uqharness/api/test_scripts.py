@@ -36,6 +36,13 @@ open("begun", "a").write("x")
 flight = uq.fly("espaaro", "doublet-elevator", duration_s=8, noise=True, seed=1)
 print(uq.identify("espaaro", flight, parameters=["aero/Cm_q"], workers=2).converged)
 """
+POOL = """
+from uqharness.parallel import worker_map
+
+open("begun", "a").write("x")
+with worker_map(2) as pool:
+    print([*pool(abs, [-1, 2])])
+"""
 # A notebook's main module is no file.
 NOTEBOOK = """
 import sys, types
@@ -69,7 +76,8 @@ def run(how: str, code: str, folder: Path) -> subprocess.CompletedProcess:
         pytest.param("notebook", CAMPAIGN, "2 ['ok']", marks=pytest.mark.slow),
         pytest.param("script", IDENTIFY, "True", marks=pytest.mark.slow),
         pytest.param("pipe", IDENTIFY, "True", marks=pytest.mark.slow),
-        ("notebook", IDENTIFY, "True"),
+        pytest.param("notebook", IDENTIFY, "True", marks=pytest.mark.slow),
+        ("notebook", POOL, "[1, 2]"),
     ],
     ids=[
         "campaign-script",
@@ -78,9 +86,12 @@ def run(how: str, code: str, folder: Path) -> subprocess.CompletedProcess:
         "identify-script",
         "identify-pipe",
         "identify-notebook",
+        "pool-notebook",
     ],
 )
-def test_it_ends_well_and_runs_once(how: str, code: str, said: str, tmp_path: Path):
+def test_workers_of_an_unguarded_script_do_not_run_it_again(
+    how: str, code: str, said: str, tmp_path: Path
+):
     done = run(how, code, tmp_path)
     assert (done.returncode, done.stdout, done.stderr) == (0, said + "\n", "")
     assert (tmp_path / "begun").read_text() == "x"

@@ -20,7 +20,6 @@ from tests.helpers.batch_whole import (
     WALK,
     WHITE,
     beyond,
-    copied,
     same_end,
     spec,
     with_bounds,
@@ -30,7 +29,6 @@ from tests.helpers.few import few
 from uqharness.batch import course
 from uqharness.batch import course as lanes
 from uqharness.batch.course import fly_many
-from uqharness.batch.llvm import VECTORS, target_names
 from uqharness.flight.fly import fly
 from uqharness.flight.spec import FlightResult, FlightSpec
 from uqharness.plugin.apply import instrument_aircraft
@@ -168,13 +166,8 @@ def test_a_flight_that_diverges_ends_at_the_same_time(tmp_path):
 
 def test_a_flight_into_the_ground():
     given = spec(properties={"ap/altitude-cmd-m": -20.0, "ic/h-agl-ft": 60.0}, wind_mps=3.0)
-    theirs, (ours,) = fly(given), fly_many([given])
-    assert theirs.status == "ground-contact"
-    assert same_end(theirs, ours)
-    found = beyond(given)
-    assert max(found.values()) < 1.0, found
-    above = dataclasses.replace(given, properties={**given.properties, "ap/altitude-cmd-m": 20.0})
-    assert fly_many([above])[0].status == "ok"
+    assert fly_many([given])[0].status == "ground-contact"
+    assert max(beyond(given).values()) < 1.0
 
 
 def _as_bytes(result):
@@ -242,8 +235,6 @@ def test_one_program_flies_all_conditions(tmp_path, air, source):
     lanes.forget()
     together = fly_many(flights)
     assert len(lanes._cache) == 1
-    lanes.forget()
-    assert _as_bytes(fly_many(flights[1:])[0]) == _as_bytes(together[1])
     assert _as_bytes(together[0]) != _as_bytes(together[1])
     name = "cross_track" if air else "altitude"
     for ours, theirs in zip(together, map(fly, flights), strict=True):
@@ -259,44 +250,11 @@ def test_flights_in_pieces_and_groups_that_fit_into_memory(monkeypatch):
             assert [_as_bytes(each) for each in fly_many(flights)] == whole
 
 
-def _by_target(monkeypatch, names, source):
-    """What each of the targets makes of some flights."""
-    given = [dataclasses.replace(one, turbulence_source=source, duration_s=6.0) for one in _mixed()]
-    found = []
-    for name in names:
-        monkeypatch.setenv(VECTORS, name)
-        lanes._cache.clear()
-        found.append([_as_bytes(each) for each in fly_many(given)])
-    lanes._cache.clear()
-    return found
-
-
-@pytest.mark.slow
-def test_the_narrowest_and_the_widest_vectors_give_the_same_bytes(monkeypatch):
-    names = target_names()
-    assert names[0] == "scalar" != names[-1]
-    scalar, widest = _by_target(monkeypatch, (names[0], names[-1]), "spec")
-    assert scalar == widest
-
-
 def test_metrics_are_those_of_jsbsim():
     flight = spec(duration_s=20.0, **EXPENSIVE)
     theirs, (ours,) = fly(flight), fly_many([flight])
     assert theirs.undefined == ours.undefined
     assert ours.metrics == pytest.approx(theirs.metrics, rel=1e-7, abs=1e-7, nan_ok=True)
-
-
-@pytest.mark.slow
-def test_a_coefficient_without_a_switch_is_taken_out_by_bounds_of_zero(tmp_path):
-    text = (find_aircraft("espaaro").folder / "Systems" / "model-form.xml").read_text()
-    # Plugins of other versions have no uq/<C>/active: a campaign that leaves a coefficient out
-    # flies them all the same.
-    edits = {line: "" for line in text.splitlines() if ">uq/CZ/active<" in line}
-    made = copied(tmp_path, edits={"Systems/model-form.xml": edits})
-    given = spec(made, duration_s=10.0, properties={**CORNER, "uq/CZ/active": 0.0})
-    assert max(beyond(given).values()) <= 1.0
-    left_in = spec(made, duration_s=10.0, properties=CORNER)
-    assert max(beyond(given, changed=left_in).values()) > 1.0
 
 
 START = """<?xml version="1.0"?><initialize name="start"><latitude unit="DEG" type="geodetic">50</latitude>
@@ -430,14 +388,11 @@ def test_magnetos_are_what_a_system_commands(fly_both):
     on = '<test value="/controls/engines/engine[0]/magnetos"> electrics/live == 1 </test>'
     one = (SWITCHBOARD, on, LATE.format(1) + "<test value='3'> electrics/live == 1 </test>")
     spark = ("Engines/flat_four.xml", "<maxhp>", "<sparkfaildrop>0.2</sparkfaildrop><maxhp>")
-    both_on, _ = fly_both("single", [spark])
+    gaps, both_on = fly_both("single", [spark])
+    assert max(gaps.values()) < ALIKE
     gaps, one_on = fly_both("single", [one, spark])
     assert max(gaps.values()) < ALIKE, gaps
-    gaps, off = fly_both("single", [(SWITCHBOARD, on, on + LATE.format(0).replace("gt", "ge"))])
-    # A switch takes the first test that holds, so that the second one does nothing.
-    assert max(both_on.values()) < ALIKE
-    assert max(gaps.values()) < ALIKE
-    assert one_on.signals["V_mps"][-1] < off.signals["V_mps"][-1] - 1e-3
+    assert one_on.signals["V_mps"][-1] < both_on.signals["V_mps"][-1] - 1e-3
 
 
 def test_a_starter_acts_on_an_engine_that_does_not_run(fly_both):
@@ -447,7 +402,6 @@ def test_a_starter_acts_on_an_engine_that_does_not_run(fly_both):
     on = '<test value="/controls/engines/engine[0]/magnetos"> electrics/live == 1 </test>'
     stopped = (SWITCHBOARD, on, LATE.format(0) + "<test value='3'> electrics/live == 1 </test>")
     assert fly_both("single", [starter, stopped])[0]["status"] == np.inf
-    assert max(fly_both("single", [stopped])[0].values()) < ALIKE
 
 
 @pytest.mark.slow

@@ -13,16 +13,6 @@ from tests.helpers.batch_against import same_bits
 from uqharness.batch.ir import Builder, evaluate, rewrite
 
 
-def test_constants_are_folded_and_the_unused_left_out() -> None:
-    b = Builder()
-    x = b.input("x")
-    _ = x * 7.0
-    three = b.op("sqrt", b.constant(4.0)) + 1.0
-    function = b.finish({"r": x * three})
-    assert three.constant == 3.0
-    assert function.counts() == {"input": 1, "const": 1, "mul": 1}
-
-
 def test_simplifications_keep_every_bit() -> None:
     x = np.array([0.0, -0.0, 1.5, -2.5, math.inf, -math.inf, math.nan, 5e-324, 1e308])
     b = Builder()
@@ -44,16 +34,6 @@ def test_simplifications_keep_every_bit() -> None:
     assert "div" not in b.finish(made).counts()
     kept = b.finish({"a": v + 0.0, "b": v * 0.0})
     assert {"add", "mul"} <= set(kept.counts())
-
-
-def test_state_is_read_at_the_begin_and_written_at_the_end() -> None:
-    b = Builder()
-    old = b.load("s")
-    b.store("s", old + b.input("x"))
-    function = b.finish({"old": old, "new": b.load("s")})
-    outputs, after = evaluate(function, {"x": np.array([1.0, 2.0])}, {"s": np.array([10.0, 20.0])})
-    assert outputs["old"].tolist() == [10, 20]
-    assert outputs["new"].tolist() == after["s"].tolist() == [11, 22]
 
 
 def test_tables_are_told_apart_and_folded() -> None:

@@ -26,7 +26,7 @@ def _function() -> Function:
     return lower(b.finish({"r": b.op("exp", s) + x * x - x, "k": b.constant(2.0)}))
 
 
-@pytest.mark.parametrize("lanes", [1, 3, BLOCK, BLOCK + 1, 50])
+@pytest.mark.parametrize("lanes", [1, BLOCK + 1])
 @pytest.mark.parametrize("name", targets())
 def test_any_number_of_lanes(lanes: int, name: str) -> None:
     rng = np.random.default_rng(1)

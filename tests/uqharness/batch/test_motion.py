@@ -11,7 +11,7 @@ import pytest
 from tests.helpers.batch_flights import MASS, METRICS, START, aircraft, compared, worst
 from tests.helpers.batch_states import BODY, RECORDS, STATES, integrators, one_frame
 from tests.helpers.few import few
-from uqharness.batch import atmosphere, auxiliary, motion
+from uqharness.batch import auxiliary, motion
 from uqharness.batch.ir import Builder, evaluate
 from uqharness.batch.motion import round_44_bits
 
@@ -49,12 +49,9 @@ def test_integrators_of_the_four_parts_differ(numbers):
 @pytest.mark.parametrize(
     ("module", "name", "factor"),
     [
-        (motion, "J2", 0.0),
         (motion, "J2", 1.0 + 1e-6),
         (motion, "RATE_RADPS", 1.0 + 1e-6),
-        (motion, "GM_FT3_S2", 1.0 + 1e-9),
         (motion, "A_FT", 1.0 + 1e-11),
-        (atmosphere, "_R_DRY", 1.0 + 1e-9),
         (auxiliary, "G_FPS2", 1.0 + 1e-9),
     ],
 )
@@ -140,7 +137,7 @@ def by_airspeed(seed):
     }
 
 
-@pytest.mark.parametrize("seed", few(range(6), 2))
+@pytest.mark.parametrize("seed", few(range(6), 1))
 @pytest.mark.parametrize("made", [random_start, by_airspeed])
 def test_jsbsims_state_behind_its_initialisation(made, seed):
     """Conditions are taken to 44 bits, which is 3e-14 of each."""
@@ -169,9 +166,6 @@ def test_rounding_to_44_bits():
 
 # NIMA TR8350.2, table 3.1: half axes of WGS-84 [m], and the foot.
 A_M, B_M, FOOT = 6378137.0, 6356752.3142, 0.3048
-
-
-LATITUDES = [-1.5706, -1.2, -0.7, -1e-9, 0.0, 1e-9, 0.3, np.pi / 4, 1.05, 1.5, 1.5707]
 
 
 def placed(x, y, z):
@@ -213,8 +207,8 @@ def cartesian(latitude, longitude, height_ft):
         )
 
 
-@pytest.mark.parametrize("height_ft", [-1000.0, 0.0, 300.0, 30000.0, 300000.0])
-@pytest.mark.parametrize("latitude", LATITUDES)
+@pytest.mark.parametrize("height_ft", [-1000.0, 300.0, 300000.0])
+@pytest.mark.parametrize("latitude", [-1.5706, -1e-9, 0.0, 0.3, 1.05, 1.5707])
 def test_latitude_and_height_come_back(latitude, height_ft):
     longitude = 2.0 - latitude
     found = placed(*[float(c) for c in cartesian(latitude, longitude, height_ft)])

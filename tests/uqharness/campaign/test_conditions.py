@@ -12,7 +12,6 @@ from uqharness.campaign.conditions import (
     ERROR_METRICS,
     Condition,
     excursion_cells,
-    hardest_condition,
     in_condition,
     requested_metrics,
     samples,
@@ -42,17 +41,6 @@ def frame(**columns) -> pd.DataFrame:
             **columns,
         }
     )
-
-
-def test_the_hardest_is_the_strongest_turbulence_before_the_strongest_wind():
-    found = [
-        Condition(9.0, "light"),
-        Condition(3.0, "severe"),
-        Condition(5.0, "severe"),
-        Condition(12.0, "none"),
-    ]
-    assert hardest_condition(found) == Condition(5.0, "severe")
-    assert hardest_condition(found[::3]) == Condition(9.0, "light")
 
 
 def test_what_is_not_known_of_a_flight_is_counted():

@@ -30,11 +30,9 @@ LEVELS = 'method = "levels"\nlevels = [0, 0.5, 1]'
 
 
 METHODS = [
-    CORNERS,
     f"{CORNERS}\ninterior = 5\nnominal = true",
     f"{CORNERS}\nset_default",
     LEVELS,
-    'method = "lhs"\nsamples = 7',
     'method = "white"\nsamples = 3',
     "none",
 ]

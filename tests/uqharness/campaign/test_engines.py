@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from tests.helpers import campaign_fakes as fakes
-from tests.helpers.engine_fakes import Deadly, Flown, Raising, Understanding, engines
+from tests.helpers.engine_fakes import Deadly, Flown, Understanding, engines
 from tests.helpers.few import few
 from uqharness.campaign.cases import Mission, build_cases
 from uqharness.campaign.engines import (
@@ -124,12 +124,11 @@ def test_manifest_table_and_status_give_the_engine_and_its_reason(spec, tmp_path
     assert (status.engine, status.engine_why) == ("batch", reasons)
 
 
-@pytest.mark.parametrize(("first", "other"), [("batch", "jsbsim"), ("jsbsim", "batch")])
-def test_another_engine_is_refused_in_the_same_folder_and_auto_is_not(spec, tmp_path, first, other):
+def test_another_engine_is_refused_in_the_same_folder_and_auto_is_not(spec, tmp_path):
     out = tmp_path / "out"
-    run(spec.with_engine(first), out)
-    with pytest.raises(BadInputError, match=f'engine was "{first}", is "{other}"'):
-        run(spec.with_engine(other), out)
+    run(spec.with_engine("jsbsim"), out)
+    with pytest.raises(BadInputError, match='engine was "jsbsim", is "batch"'):
+        run(spec.with_engine("batch"), out)
     assert run(spec, out).done_before == 64
 
 
@@ -151,16 +150,15 @@ def test_shards_fly_in_one_engine(spec, tmp_path):
     assert (good / "engine-check.csv").exists()
 
 
-@pytest.mark.parametrize("engine", ["batch", "jsbsim"])
-def test_a_lost_manifest_is_rebuilt_in_the_engine_whose_flights_are_there(spec, tmp_path, engine):
+def test_a_lost_manifest_is_rebuilt_in_the_engine_whose_flights_are_there(spec, tmp_path):
     out = tmp_path / "out"
-    run(spec.with_engine(engine), out)
+    run(spec.with_engine("batch"), out)
     before = (out / "cases.parquet").read_bytes()
     (out / "manifest.json").unlink()
     found = salvage(out, RunOptions(SerialExecutor(), fly=ALIKE), spec, "command")
     assert (found.kept, found.flown) == (64, 0)
     assert (out / "cases.parquet").read_bytes() == before
-    assert read_status(out).engine == engine
+    assert read_status(out).engine == "batch"
 
 
 METRIC = "cross_track_median_m"
@@ -178,7 +176,7 @@ def _start_quickly(monkeypatch):
 
 @pytest.fixture
 def spec_engine_check(tmp_path):
-    return fakes.small_spec(tmp_path, 3, wind_mps=(0.0, 3.0))
+    return fakes.small_spec(tmp_path, 1, wind_mps=(0.0, 3.0))
 
 
 def run_engine_check(spec_engine_check, out, flown=None, executor=None):
@@ -240,22 +238,17 @@ def test_the_first_case_of_each_condition_is_checked_once(spec_engine_check, tmp
     assert (tmp_path / "out" / ENGINE_CHECK).read_bytes() == content
 
 
-@pytest.mark.parametrize("kind", [Deadly, Raising])
-def test_only_the_guilty_case_of_a_group_is_crashed(tmp_path, kind):
-    spec_engine_check = fakes.small_spec(tmp_path, 4)
-    flown = kind(seed=flight_seed(spec_engine_check.campaign.seed, 2, "turbulence"))
+def test_only_the_guilty_case_of_a_group_is_crashed(tmp_path):
+    spec_engine_check = fakes.small_spec(tmp_path, 2)
+    flown = Deadly(seed=flight_seed(spec_engine_check.campaign.seed, 1, "turbulence"))
     summary = run_engine_check(
         spec_engine_check, tmp_path / "out", flown, ProcessExecutor(2, "fork")
     )
-    assert summary.statuses == {"crashed": 1, "ok": 255}
+    assert summary.statuses == {"crashed": 1, "ok": 127}
     frame = read_table(tmp_path / "out" / "cases.parquet").to_pandas()
     (guilty,) = frame[frame["status"] == "crashed"].to_dict("records")
-    assert (guilty["epistemic_id"], guilty["aleatory_id"]) == ("111111", 2)
-    expected = {
-        Deadly: "signal 11 (SIGSEGV) (tried 2 times)",
-        Raising: "RuntimeError: a flight that raises",
-    }[kind]
-    assert expected in guilty["reason"]
+    assert (guilty["epistemic_id"], guilty["aleatory_id"]) == ("111111", 1)
+    assert "signal 11 (SIGSEGV) (tried 2 times)" in guilty["reason"]
 
 
 def test_workers_and_groups_move_no_byte(spec, tmp_path, monkeypatch):

@@ -91,8 +91,8 @@ EXECUTORS = {
 @pytest.mark.parametrize(
     "names",
     [
-        ("fork3", "spawn2", "reversed"),
-        pytest.param(("fork1", "forkserver2"), marks=pytest.mark.slow),
+        ("fork3", "reversed"),
+        pytest.param(("fork1", "spawn2", "forkserver2"), marks=pytest.mark.slow),
     ],
 )
 def test_workers_order_and_start_method_move_no_byte(tmp_path, names):

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -133,21 +130,6 @@ def with_nearer(frame: pd.DataFrame, cluster: int) -> tuple[pd.DataFrame, dict]:
     made = campaign(0.02)
     made["metrics"] |= {"dispersion": 2.0, "dispersion_radius_m": [10.0]}
     return frame.assign(excursions_10m=nearer.astype(float), excursions_10m_3d=np.nan), made
-
-
-def test_clusters_are_measured_at_a_smaller_radius_and_shown():
-    found = statements(*with_nearer(flown((0.0, 0.0)), 1))
-    (item,) = found
-    assert [statement.cell.radius_m for statement in found] == [15.0]
-    assert item.dispersion.measured == 2
-    (row,) = csv.DictReader(io.StringIO(statements_csv(found).decode()))
-    assert (row["dispersion_measured_at"], row["dispersion_radius_m"]) == ("2", "10")
-    assert 1.0 <= float(row["dispersion_allowed"]) < 2.0
-    without = campaign(0.02)
-    without["metrics"]["dispersion"] = 2.0
-    (assumed,) = statements(flown((0.0, 0.0)), without)
-    assert item.quiet_hours_needed < assumed.quiet_hours_needed
-    assert item.worst.upper < assumed.worst.upper
 
 
 def test_clusters_that_a_smaller_radius_shows_forbid_a_yes():

@@ -84,14 +84,14 @@ def test_six_components_are_as_specified_at_every_heading(
     assert seen.r_slope_correlation() > 0.12
 
 
-@pytest.mark.parametrize("source", ["jsbsim", "host"])
+@pytest.mark.parametrize("source", few(["jsbsim", "host"], 1))
 def test_as_specified_in_a_climbing_turn_attitude(source: Source) -> None:
     seen = measure(source, replace(SHORT, heading_deg=45.0, phi_deg=35.0, theta_deg=12.0, seed=7))
     assert [row for row in compare(seen) if not row.within(0.03)] == []
     assert seen.q_slope_correlation() < -0.12
 
 
-@pytest.mark.parametrize("heading_deg", few([0.0, 90.0, 180.0], 2))
+@pytest.mark.parametrize("heading_deg", few([0.0, 90.0, 180.0], 1))
 def test_plain_jsbsim_is_not(heading_deg: float) -> None:
     # Counter-case: wind from the south; the gust axes of plain JSBSim stay on the wind, x downwind.
     seen = measure(

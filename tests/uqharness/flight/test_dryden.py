@@ -76,7 +76,7 @@ def test_spectra_of_the_samples() -> None:
 def test_a_wrong_span_is_noticed() -> None:
     # Counter-case of the test above: 10 % on the span changes the density of p, q, r by far more
     # than its tolerance.
-    dt, n = 0.02, 1_800_000
+    dt, n = 0.02, 500_000
     V, h, W20, b = AIR
     gusts = dryden_gusts(n, dt, V, h, W20, 1.1 * b, seed=11)
     frequency, density = welch(gusts.q_radps, fs=1 / dt, nperseg=32768, detrend=False)
@@ -136,7 +136,7 @@ def test_discretisation_has_the_exact_noise_covariance(dt: float) -> None:
     assert not np.allclose(factor.T @ factor, stationary, rtol=1e-3) or dt > 1.0
 
 
-@pytest.mark.parametrize("x", [1e-7, 1e-3, 0.1, 2.0, 9.0, 12.0, 30.0, 650.0, 800.0])
+@pytest.mark.parametrize("x", [1e-7, 0.1, 9.0, 30.0, 800.0])
 def test_a_running_sum_is_the_recursion(x: float) -> None:
     keep = first_order(x, 1.0).keep
     drive = np.random.default_rng(1).standard_normal(2 * PAGE_STEPS)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shlex
 import shutil
 import subprocess
 import sys
@@ -67,19 +68,9 @@ RECORD = {
 
 
 def command(out: Path, *extra: str) -> list[str]:
-    base = [
-        "fly",
-        "espaaro",
-        "--duration-s",
-        "15",
-        "--wind-mps",
-        "3",
-        "--turbulence",
-        "severe",
-        "--noise",
-        "--seed",
-        "7",
-    ]
+    base = shlex.split(
+        "fly espaaro --duration-s 4 --wind-mps 3 --turbulence severe --noise --seed 7"
+    )
     return [*base, *extra, "--out", str(out)]
 
 
@@ -108,15 +99,9 @@ def test_record_is_a_flight_record(tmp_path):
     assert (
         main(
             [
-                "fly",
-                "espaaro",
-                "--script",
-                "doublet-elevator",
-                "--duration-s",
-                "5",
-                "--rate-hz",
-                "100",
-                "--out",
+                *shlex.split(
+                    "fly espaaro --script doublet-elevator --duration-s 5 --rate-hz 100 --out"
+                ),
                 str(out),
             ]
         )
@@ -142,15 +127,7 @@ def test_specific_force_follows_the_rates_of_change(tmp_path):
     # central differences.
     out = tmp_path / "flight.csv"
     arguments = [
-        "fly",
-        "espaaro",
-        "--script",
-        "doublet-elevator",
-        "--duration-s",
-        "8",
-        "--rate-hz",
-        "100",
-        "--out",
+        *shlex.split("fly espaaro --script doublet-elevator --duration-s 8 --rate-hz 100 --out"),
         str(out),
     ]
     assert main(arguments) == 0

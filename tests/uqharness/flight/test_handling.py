@@ -12,9 +12,6 @@ import numpy as np
 import pytest
 
 from uqharness.flight.handling import (
-    CATEGORIES,
-    CLASSES,
-    OSCILLATORY,
     assess,
     cap_limits,
     level_edges,
@@ -138,45 +135,10 @@ def test_a_coupled_roll_spiral_oscillation(product, level):
 # The Levels' edges in the complex plane, against the Levels that `assess` gives to poles on
 # either side of them.
 
-IMAG = np.array([0.05, 0.3, 0.9, 2.0, 7.0])
-STEP = 1e-6
-
 
 def mode(name, real, imag=0.0):
     wn = math.hypot(real, imag)
     return Mode(name, real, imag, wn, -real / wn)
-
-
-def level_of(name, found, category, aircraft_class):
-    """Level of one mode's first criterion, all others well inside Level 1."""
-    A = np.zeros((8, 8))
-    A[2, 2] = -5.0
-    model = SimpleNamespace(A=A, trim=SimpleNamespace(condition=SimpleNamespace(V_mps=20.0)))
-    usual = {
-        "short_period": mode("short_period", -2.0, 1.0),
-        "phugoid": mode("phugoid", -0.1, 0.3),
-        "dutch_roll": mode("dutch_roll", -1.0, 3.0),
-        "roll": mode("roll", -5.0),
-        "spiral": mode("spiral", -0.1),
-    } | {name: found}
-    return next(
-        a.level
-        for a in assess(model, list(usual.values()), category, aircraft_class)
-        if a.mode == name
-    )
-
-
-@pytest.mark.parametrize("name", OSCILLATORY)
-@pytest.mark.parametrize("category", CATEGORIES)
-@pytest.mark.parametrize("aircraft_class", CLASSES)
-def test_a_pole_left_of_an_edge_has_the_level_and_one_right_of_it_has_not(
-    name, category, aircraft_class
-):
-    edges = level_edges(name, category, aircraft_class, IMAG)
-    for number, edge in enumerate(edges, start=1):
-        for real, imag in zip(edge, IMAG, strict=True):
-            assert level_of(name, mode(name, real - STEP, imag), category, aircraft_class) <= number
-            assert level_of(name, mode(name, real + STEP, imag), category, aircraft_class) > number
 
 
 def test_edges_as_the_specification_prints_them():

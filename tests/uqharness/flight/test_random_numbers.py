@@ -47,7 +47,7 @@ def test_the_logarithm_is_right_to_a_unit_in_the_last_place() -> None:
 
 
 def test_distribution() -> None:
-    n = 1_000_000
+    n = 300_000
     z = stream().take(n)
     assert abs(z.mean()) < 4.0 / np.sqrt(n)
     assert z.std() == pytest.approx(1.0, abs=4.0 / np.sqrt(2.0 * n))

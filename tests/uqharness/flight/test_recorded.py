@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shlex
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -22,17 +24,9 @@ from uqharness.simulator.mission import find_script, read_script
 # `fly --out x.bin` and back: what the importer reads is what was flown, and others can read the
 # file too.
 
-CONDITIONS = [
-    "--script",
-    "flight-ident",
-    "--duration-s",
-    "14",
-    "--noise",
-    "--turbulence",
-    "light",
-    "--seed",
-    "5",
-]
+CONDITIONS = shlex.split(
+    "--script flight-ident --duration-s 14 --noise --turbulence light --seed 5"
+)
 # What a column may lose: whole servo microseconds (0.05 deg, 0.1 %), 32-bit floats, positions of
 # 1e-7 degrees, GPS's centimetres.
 EXACT = {
@@ -109,13 +103,7 @@ def test_what_dataflash_cannot_hold_is_said(tmp_path, capsys):
     assert (
         main(
             [
-                "fly",
-                "espaaro",
-                "--script",
-                "trim",
-                "--duration-s",
-                "1",
-                "--out",
+                *shlex.split("fly espaaro --script trim --duration-s 1 --out"),
                 str(tmp_path / "b.bin"),
             ]
         )

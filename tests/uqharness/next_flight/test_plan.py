@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import shlex
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -116,17 +117,9 @@ def first(tmp_path_factory) -> Path:
     learn.
     """
     path = tmp_path_factory.mktemp("first") / "first.parquet"
-    arguments = [
-        "fly",
-        "espaaro_truth",
-        "--script",
-        "flight-bounds",
-        "--duration-s",
-        "24",
-        "--noise",
-        "--turbulence",
-        "light",
-    ]
+    arguments = shlex.split(
+        """fly espaaro_truth --script flight-bounds --duration-s 24 --noise --turbulence light"""
+    )
     assert main([*arguments, "--seed", "5", "--out", str(path)]) == 0
     return path
 
@@ -157,12 +150,7 @@ def planned(campaign, bounds, tmp_path_factory) -> tuple[int, Path]:
         str(campaign),
         "--bounds",
         str(bounds),
-        "--minutes",
-        "1.5",
-        "--speeds",
-        "22",
-        "--cases",
-        "2",
+        *shlex.split("--minutes 1.5 --speeds 22 --cases 2"),
     ]
     return main([*arguments, "--turbulence", "light", "--out", str(out)]), out
 

@@ -3,12 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
-import pytest
 
 from sysid.vocabulary import SIGNALS
-from uqharness.errors import BadInputError
 from uqharness.replay.histories import (
     HISTORIES,
     columns_of,
@@ -49,35 +45,6 @@ def test_what_is_written_comes_back(tmp_path):
     before = (tmp_path / HISTORIES).read_bytes()
     write_pieces(tmp_path / HISTORIES, pieces(), columns)
     assert (tmp_path / HISTORIES).read_bytes() == before
-
-
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        (
-            {"time_s": pa.array(["a", "b"])},
-            "column time_s is string, it must be there once, of type double",
-        ),
-        ({"q_radps": pa.array([1, 2])}, "column q_radps is int64"),
-        ({"flight": pa.array(["f", None])}, "column flight has gaps"),
-        ({"segment": None}, "column segment is there 0 times"),
-    ],
-)
-def test_columns_of_another_kind_are_refused(tmp_path, change, said):
-    table = {
-        "segment": pa.array([0, 0]),
-        "flight": pa.array(["f", "f"]),
-        "manoeuvre": pa.array(["m", "m"]),
-        "time_s": pa.array([0.0, 1.0]),
-        "q_radps": pa.array([1.0, None]),
-    }
-    path = tmp_path / HISTORIES
-    pq.write_table(pa.table(table), path)
-    assert np.isnan(read_histories(path)[0].columns["q_radps"][1])
-    table = {name: values for name, values in (table | change).items() if values is not None}
-    pq.write_table(pa.table(table), path)
-    with pytest.raises(BadInputError, match=said):
-        read_histories(path)
 
 
 # Channels as they are shown: quantity, unit, factor.

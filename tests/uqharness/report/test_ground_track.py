@@ -10,7 +10,6 @@ import pytest
 from lxml import etree
 
 from uqharness.report.ground_track import (
-    Circle,
     circle_of,
     flight_track,
     ground_track,
@@ -134,20 +133,3 @@ def test_a_recorded_flight_has_its_track_and_the_commanded_circle(sign):
     figure = flight_track("track", columns_of(lap(AWAY), sign))
     words = {e.text for e in etree.fromstring(str(figure.svg)).iter("text")}
     assert {"flown", "start", "end", "commanded circle, radius 120 m"} <= words
-
-
-def test_circles_that_a_log_names_are_drawn_without_errors():
-    flown = {
-        name: values for name, values in columns_of(lap(AWAY)).items() if name != "cross_track_m"
-    }
-    assert "commanded circle" not in str(flight_track("track", flown).svg)
-    svg = str(
-        flight_track("track", flown, circles=[Circle(0.0, 0.0, 80.0), Circle(500.0, 0.0, 60.0)]).svg
-    )
-    assert "commanded circle, radius 80 m" in svg
-    one = str(flight_track("track", flown, circles=[Circle(0.0, 0.0, 80.0)]).svg)
-    rings = [e for e in etree.fromstring(svg).iter() if "third" in (e.get("class") or "")]
-    assert (
-        len(rings)
-        == len([e for e in etree.fromstring(one).iter() if "third" in (e.get("class") or "")]) + 1
-    )

@@ -42,8 +42,8 @@ def outputs(properties=None, names=FORCES + MOMENTS + METRICS):
     return out
 
 
-@pytest.mark.parametrize("throttle", [0.0, 13.0, 40.0, 60.2, 85.0, 100.0])
-@pytest.mark.parametrize("V", [15.0, 22.2, 30.0])
+@pytest.mark.parametrize("throttle", [0.0, 13.0, 60.2, 100.0])
+@pytest.mark.parametrize("V", [15.0, 30.0])
 def test_thrust_map(throttle, V):
     controls = CONTROLS | {"throttle": throttle}
     state = BodyState(V, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -79,7 +79,7 @@ def test_totals_are_the_independent_coefficients():
     assert [out[name] for name in names] == pytest.approx(list(expected), rel=1e-6, abs=1e-9)
 
 
-@pytest.mark.parametrize("level", [0.0, 1.0, 0.3])
+@pytest.mark.parametrize("level", [0.0, 0.3])
 @pytest.mark.parametrize("index", range(6))
 def test_a_delta_is_its_bound_times_qS_and_lengths_at_the_cg_and_moves_nothing_else(index, level):
     name = COEFFICIENTS[index]

@@ -146,9 +146,9 @@ def held(
 
 # J246 and the like are launchers, ball and the like have no controls; what reads a host's
 # properties does not fly by itself.
-DEFAULT = ("c172p", "pa28", "sgs126", "F450")
+DEFAULT = ("c172p", "F450")
 FLYING = """
-737 787-8 A320 A4 B17 B747 Boeing314 C130 Camel Concorde DHC6 F4N F80C J3Cub MD11 OV10 SGS T37 T38 X15 XB-70 c172r c172x
+pa28 sgs126 737 787-8 A320 A4 B17 B747 Boeing314 C130 Camel Concorde DHC6 F4N F80C J3Cub MD11 OV10 SGS T37 T38 X15 XB-70 c172r c172x
 c182 c310 f15 f16 f22 global5000 minisgs p51d paraglider pc7 pogo-jsbsim sgs233 t6texan2 L410
 """
 STOCK = [*DEFAULT, *(pytest.param(name, marks=pytest.mark.slow) for name in FLYING.split())]

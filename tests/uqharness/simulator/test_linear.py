@@ -87,8 +87,7 @@ def test_every_arrangement_of_roots_has_its_names_and_each_root_once(changes, ex
 
 
 @pytest.mark.parametrize(
-    ("cm_alpha", "cm_q", "expected"),
-    [(0.2, -13.8, "phugoid"), (0.3, -9.7, "phugoid"), (1.0, -20.0, "phugoid")],
+    ("cm_alpha", "cm_q", "expected"), [(0.2, -13.8, "phugoid"), (1.0, -20.0, "phugoid")]
 )
 def test_the_divergence_of_an_unstable_aircraft_is_told(cm_alpha, cm_q, expected):
     properties = {"aero/Cm_alpha": cm_alpha, "aero/Cm_q": cm_q}
@@ -106,7 +105,7 @@ def test_the_divergence_of_an_unstable_aircraft_is_told(cm_alpha, cm_q, expected
 STOCK = [("c172x", 55.0), ("SGS", 25.0), ("T38", 150.0), ("J3Cub", 30.0), ("x24b", 196.1)]
 
 
-@pytest.mark.parametrize(("name", "speed"), few(STOCK, 2))
+@pytest.mark.parametrize(("name", "speed"), few(STOCK, 1))
 def test_the_command_prints_the_eigenvalues_of_stock_aircraft_each_once(name, speed, capsys):
     words = ["modes", name, "--speed-mps", str(speed), "--altitude-m", "1000", "--json"]
     assert main(words) == 0

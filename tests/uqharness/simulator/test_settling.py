@@ -33,7 +33,7 @@ def opened(name, throttle=1.0):
     return fdm
 
 
-@pytest.mark.parametrize("name", ["c310", "c182", "Boeing314"])
+@pytest.mark.parametrize("name", ["c310", "Boeing314"])
 def test_a_piston_engine_that_jsbsim_stops_is_started_and_stays_steady_in_flight(name):
     fdm = opened(name)
     fdm.get_propulsion().get_steady_state()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from tests.helpers.few import few
 from uqharness.statistics.pbox import poisson_limits
 from uqharness.statistics.rates import (
     bet_logs,
@@ -82,7 +83,7 @@ def test_evidence_has_a_mean_of_one_at_most_under_its_null():
 
 @pytest.mark.parametrize(
     ("mean", "flights", "dispersion"),
-    [(0.1, 60, 1.0), (0.1, 60, 2.0), (0.5, 40, 3.0), (3.0, 20, 5.0)],
+    few([(0.1, 60, 2.0), (0.1, 60, 1.0), (0.5, 40, 3.0), (3.0, 20, 5.0)], 2),
 )
 def test_limits_cover_the_truth_also_when_excursions_cluster(mean, flights, dispersion):
     generator = np.random.default_rng(5)
@@ -142,7 +143,7 @@ def limits_of(counts, missing, dispersion, assumed=None):
 
 @pytest.mark.parametrize(
     ("rate", "abort", "cluster"),
-    [(0.0, 0.05, 1), (0.3, 0.1, 1), (0.0, 0.6, 1), (0.4, 0.3, 4), (5.0, 0.5, 2)],
+    few([(0.0, 0.05, 1), (0.3, 0.1, 1), (0.0, 0.6, 1), (5.0, 0.5, 2), (0.4, 0.3, 4)], 3),
 )
 def test_limits_per_time_flown_cover_the_truth_and_are_finite(rate, abort, cluster):
     counts, missing, truth = ended_early(np.random.default_rng(8), 1500, 80, rate, abort, cluster)
@@ -180,7 +181,9 @@ def counts(kind: str, size: float, flights: int, events: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("kind", ["clusters", "geometric clusters", "uneven flights"])
-@pytest.mark.parametrize(("flights", "events"), [(100, 50), (500, 40), (500, 100), (500, 400)])
+@pytest.mark.parametrize(
+    ("flights", "events"), few([(100, 50), (500, 40), (500, 100), (500, 400)], 2)
+)
 @pytest.mark.parametrize("size", [2.0, 4.0])
 def test_the_upper_limit_keeps_its_level(kind, flights, events, size):
     made = counts(kind, size, flights, events)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.helpers import batch_engines as engines
 from tests.helpers import batch_flights as flights
 from tests.helpers import batch_oracle as oracle
 from tests.helpers.batch_stock import flown_by_both
@@ -287,34 +286,6 @@ def test_named_tables_and_operations_are_properties() -> None:
     differences, control = judged(body, random_inputs(300))
     assert differences == {}
     assert control != {}
-
-
-def test_elements_of_engines_aerodynamics_and_the_aircraft_are_ignored() -> None:
-    """JSBSim takes the first of two <aerodynamics>."""
-    mounted = engines.mounted("motor", "fixed").replace(
-        "</engine>", "<colour>1</colour></engine><wings/>"
-    )
-    fixed = engines.FIXED_PITCH.replace(
-        "<numblades>2</numblades>",
-        "<numblades>2</numblades><blades>7</blades><table name='C_NOISE' type='internal'>"
-        "<tableData>0 1</tableData></table>",
-    )
-    text = (
-        engines.aircraft(mounted)
-        .replace('<axis name="DRAG">', "<gradient/><axis name=\"DRAG\" colour='red'><note/>")
-        .replace("</fdm_config>", "<wings/><aerodynamics/></fdm_config>")
-    )
-    case = engines.Case(
-        text,
-        [*engines.TOTALS, *engines.MOTION],
-        engines.levers(30),
-        {**engines.FILES, "Engines/fixed.xml": fixed},
-        "",
-    )
-    theirs = case.theirs()
-    assert flights.worst(flights.apart(theirs, case.ours())) < 1e-9
-    other = case.ours(text.replace("<v>.3</v>", "<v>.30001</v>"))
-    assert flights.worst(flights.apart(theirs, other)) > 1e-7
 
 
 MAGNETOMETER = """<magnetometer name="i/compass"><axis>X</axis><location unit="M"><x>0</x><y>0</y>

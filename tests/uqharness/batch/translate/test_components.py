@@ -325,8 +325,6 @@ REFUSALS = table("""
 <pure_gain name="g"><input>i/a</input></pure_gain>
 # has 1 <input>; received 0
 <pure_gain name="g"><gain>1</gain></pure_gain>
-# has 1 <input>; received 2
-<pure_gain name="g"><input>i/a</input><input>i/a</input><gain>1</gain></pure_gain>
 # attribute 'type'
 <pure_gain name="g" type="x"><input>i/a</input><gain>1</gain></pure_gain>
 # one <min> and one <max>
@@ -334,8 +332,6 @@ REFUSALS = table("""
 # allowed is cyclic
 <pure_gain name="g"><input>i/a</input><gain>1</gain><clipto type="x"><min>1</min><max>2</max>
 </clipto></pure_gain>
-# attribute 'unit' of <gain>
-<pure_gain name="g"><input>i/a</input><gain unit="x">1</gain></pure_gain>
 # property nothing is not computed
 <pure_gain name="g"><input>i/a</input><gain>nothing</gain></pure_gain>
 # cannot be written
@@ -343,47 +339,25 @@ REFUSALS = table("""
 </pure_gain>
 # must be the name of a property; received 'fcs/a+b'
 <pure_gain name="a+b"><input>i/a</input><gain>1</gain></pure_gain>
-# has <range>
-<aerosurface_scale name="g"><input>i/a</input></aerosurface_scale>
 # unit='X'
 <angle name="f" unit="X"><source_angle>i/a</source_angle><target_angle>i/a</target_angle></angle>
 # allowed are ideal, parallel and standard
 <pid name="l" type="x"><input>i/a</input><kp>1</kp></pid>
 # allowed are rect, trap, ab2, ab3
 <pid name="l"><input>i/a</input><ki type="x">1</ki></pid>
-# a <integrator> has <c1>
-<integrator name="l"><input>i/a</input></integrator>
 # cannot be written by <pid>
 <pid name="l"><input>i/a</input><kp>1</kp><output>fcs/l/initial-integrator-value</output></pid>
-# <default> has attribute value
-<switch name="s"><default/></switch>
 # allowed are inclusive and exclusive
 <distributor name="d"><case/></distributor>
-# has one <test>
-<distributor type="exclusive"><case><test>i/a gt 1</test><test>i/a gt 1</test></case>
-</distributor>
 # o/none does not exist
 <distributor type="exclusive"><case><property value="1">o/none</property></case></distributor>
-# <foo> in <case>
-<distributor type="exclusive"><case><foo/></case></distributor>
 # allowed are time and frames
 <switch name="s"><default value="1"/><delay type="x">1</delay></switch>
-# finite decimal number
-<switch name="s"><default value="1"/><delay>i/a</delay></switch>
 # 0 to 1000 frames
 <switch name="s"><default value="1"/><delay>99</delay></switch>
 # positions of a <traverse> do not decrease, two or more
 <kinematic name="k"><input>i/a</input><traverse><setting><position>0</position><time>0</time>
 </setting></traverse></kinematic>
-# do not decrease
-<kinematic name="k"><input>i/a</input><traverse><setting><position>0</position><time>0</time>
-</setting><setting><position>-1</position><time>1</time></setting></traverse></kinematic>
-# <setting>s with <position> and <time>
-<kinematic name="k"><input>i/a</input><traverse><position>0</position></traverse></kinematic>
-# a <kinematic> has <traverse>
-<kinematic name="k"><input>i/a</input></kinematic>
-# allowed are incr and decr
-<actuator name="a"><input>i/a</input><rate_limit sense="up">1</rate_limit></actuator>
 # cannot be written by <pure_gain>
 <pure_gain name="fcs/a/saturated"><input>i/a</input><gain>1</gain></pure_gain>
 # cannot be written
@@ -391,29 +365,14 @@ REFUSALS = table("""
 # 1 to 30 bits
 <sensor name="s"><input>i/a</input><quantization><bits>40</bits><min>0</min><max>1</max>
 </quantization></sensor>
-# min below max
-<sensor name="s"><input>i/a</input><quantization><bits>4</bits><min>1</min><max>1</max>
-</quantization></sensor>
-# <steps> in <quantization>
-<sensor name="s"><input>i/a</input><quantization><steps>4</steps></quantization></sensor>
 # allowed are AND and OR
 <switch name="s"><test value="1" logic="and">i/a gt 1</test></switch>
-# <test> has no comparison
-<switch name="s"><test value="1"/></switch>
-# received 'i/a gt'
-<switch name="s"><test value="1">i/a gt</test></switch>
-# received 'i/a\\tgt\\t1'
-<switch name="s"><test value="1">i/a\tgt\t1</test></switch>
 # a comparison is 'property sign value'
 <switch name="s"><test value="1">i/a =&gt; 1</test></switch>
 # must be the name of a property; received '1'
 <switch name="s"><test value="1">1 gt i/a</test></switch>
 # must be a finite decimal number; received '1e400'
 <switch name="s"><test value="1">i/a gt 1e400</test></switch>
-# <value> in <test>
-<switch name="s"><test value="1">i/a gt 1 <value/></test></switch>
-# attribute 'value' of <test>
-<switch name="s"><test value="1">i/a gt 1 <test value="2">i/a lt 1</test></test></switch>
 # a <lead_lag_filter> has <c4>; it has none
 <lead_lag_filter name="l"><input>i/a</input><c1>7</c1><c2>3</c2><c3>2</c3></lead_lag_filter>
 """)
