@@ -99,21 +99,6 @@ def test_without_the_setting_they_would(place):
     assert run_script(place, "spawn", "careless")[1] != ""
 
 
-@pytest.mark.slow
-def test_the_command_flies_a_campaign_in_such_a_folder(place):
-    command = Path(sys.executable).with_name("uqharness")
-    (place / "campaign.toml").write_text(
-        '[campaign]\naircraft = "espaaro"\nmission = "loiter"\nseed = 7\nengine = "jsbsim"\n'
-        "[aleatory]\nflights = 2\nduration_s = 2\n"
-        '[epistemic]\nmethod = "none"\n'
-    )
-    done, marks = run(
-        place, str(command), "campaign", "run", "campaign.toml", "--out", "out", "--workers", "1"
-    )
-    assert (done.returncode, marks) == (0, ""), done.stderr
-    assert "2 flights done" in done.stdout
-
-
 def test_this_process_keeps_its_own_settings(monkeypatch):
     monkeypatch.setenv("OMP_NUM_THREADS", "8")
     monkeypatch.delenv("PYTHONSAFEPATH", raising=False)

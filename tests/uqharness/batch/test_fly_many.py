@@ -29,6 +29,7 @@ from tests.helpers.few import few
 from uqharness.batch import course
 from uqharness.batch import course as lanes
 from uqharness.batch.course import fly_many
+from uqharness.batch.llvm import VECTORS, target_names
 from uqharness.flight.fly import fly
 from uqharness.flight.spec import FlightResult, FlightSpec
 from uqharness.plugin.apply import instrument_aircraft
@@ -248,6 +249,18 @@ def test_flights_in_pieces_and_groups_that_fit_into_memory(monkeypatch):
         with monkeypatch.context() as patch:
             patch.setattr(course, name, size)
             assert [_as_bytes(each) for each in fly_many(flights)] == whole
+
+
+@pytest.mark.slow
+def test_the_narrowest_and_the_widest_vectors_give_the_same_bytes(monkeypatch):
+    found = []
+    for name in (target_names()[0], target_names()[-1]):
+        monkeypatch.setenv(VECTORS, name)
+        lanes._cache.clear()
+        found.append([_as_bytes(each) for each in fly_many(_mixed())])
+    lanes._cache.clear()
+    assert target_names()[0] == "scalar" != target_names()[-1]
+    assert found[0] == found[1]
 
 
 def test_metrics_are_those_of_jsbsim():

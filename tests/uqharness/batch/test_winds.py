@@ -120,15 +120,6 @@ def test_terms_a_little_off_are_noticed(monkeypatch):
     assert worst(differences(5000.0)) > 1e-9
 
 
-def _without_gusts(total):
-    def made(frame):
-        for axis in winds.AXES:
-            frame.store(f"atmosphere/gust-{axis}-fps", 0.0)
-        total(frame)
-
-    return made
-
-
 def test_unknown_types_of_turbulence():
     """They are refused where they stand from the start; set in flight they are not a number, which
     ends the flight.

@@ -34,7 +34,6 @@ from uqharness.campaign.dask import (
 from uqharness.campaign.processes import (
     CaseOutcome,
     Group,
-    OneByOne,
     ProcessExecutor,
     SerialExecutor,
 )
@@ -167,19 +166,6 @@ def test_a_worker_with_other_files_or_versions_is_refused_by_name(tmp_path):
     (tmp_path / "loiter.xml").unlink()
     assert "loiter.xml is not here" in answer()
     assert "jsbsim 0.9 there, 1.3.3 here" in answer((("jsbsim", "0.9"),))
-
-
-@pytest.mark.slow
-def test_groups_fly_together_and_a_guilty_case_is_left_alone(tmp_path, dask):
-    cases = flights(tmp_path, list(range(4, 24)))
-    alone = fly(dask, fakes.hazardous, cases)
-    together = [Group("jsbsim", tuple(cases[first : first + 10])) for first in (0, 10)]
-    found = {
-        o.case_id: o
-        for batch in dask.run_groups(OneByOne(fakes.hazardous), together)
-        for o in batch
-    }
-    assert found == alone
 
 
 def test_missing_dask_or_scheduler_is_refused(tmp_path, monkeypatch):

@@ -4,19 +4,12 @@ counted.
 
 from __future__ import annotations
 
-import os
-import random
-import signal
-import subprocess
-import sys
-import time
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from tests.helpers import campaign_fakes as fakes
-from tests.helpers.places import ROOT
 from uqharness.campaign.conditions import ERROR_METRICS, excursion_columns
 from uqharness.campaign.manifest import read_manifest
 from uqharness.campaign.processes import ProcessExecutor, SerialExecutor
@@ -169,55 +162,11 @@ def test_an_interrupted_run_keeps_what_was_finished_and_resumes(tmp_path):
     assert tables(tmp_path / "out") == tables(tmp_path / "undisturbed")
 
 
-@pytest.mark.slow
-def test_kill_9_at_random_moments_and_resume_gives_the_same_bytes(tmp_path):
-    fakes.campaign_file(tmp_path)
-    out = tmp_path / "out"
-    words = [
-        "-m",
-        "tests.helpers.campaign_fakes",
-        str(tmp_path),
-        str(out),
-        *["3", "slow", "2", "fork"],
-    ]
-    chance = random.Random(20161201)
-    kept = [0]
-    for _ in range(3):
-        process = subprocess.Popen([sys.executable, *words], cwd=ROOT, start_new_session=True)
-        deadline = time.monotonic() + 60
-        while time.monotonic() < deadline and finished(out) <= kept[-1] and process.poll() is None:
-            time.sleep(0.02)
-        time.sleep(chance.uniform(0.0, 0.3))
-        process.kill()
-        process.wait()
-        wait_for_the_end_of(process.pid)
-        kept.append(finished(out))
-    assert kept == sorted(kept)
-    assert 0 < kept[1] < kept[-1] < 192, kept
-    summary = run(tmp_path, "out", ProcessExecutor(2, "fork"), flights=3)
-    assert summary.done_before == kept[-1]
-    run(tmp_path, "undisturbed", flights=3)
-    assert tables(out) == tables(tmp_path / "undisturbed")
-
-
 def finished(out):
     if not (out / "journal.sqlite").exists():
         return 0
     with Store(out, read_only=True) as store:
         return len(store.finished())
-
-
-def wait_for_the_end_of(session):
-    """Workers end by themselves once their parent is gone."""
-    deadline = time.monotonic() + 20
-    while time.monotonic() < deadline:
-        try:
-            os.killpg(session, 0)
-        except ProcessLookupError:
-            return
-        time.sleep(0.05)
-    os.killpg(session, signal.SIGKILL)
-    pytest.fail("workers outlived their parent")
 
 
 def test_folders_in_use_or_of_something_else_are_refused(tmp_path):

@@ -37,19 +37,6 @@ def test_outcomes_survive_a_round_trip(tmp_path):
         assert store.statuses() == {"ok": 2, "diverged": 1}
 
 
-def test_a_full_disk_loses_nothing(tmp_path):
-    with Store(tmp_path) as store:
-        store.add([outcome(number, x=1.0) for number in range(100)])
-        pages = store._database.execute("pragma page_count").fetchone()[0]
-        store._database.execute(f"pragma max_page_count = {pages + 2}")
-        with pytest.raises(BadInputError, match=r"disk is full.*run the same command again"):
-            store.add([outcome(number, x=1.0) for number in range(1000, 9000)])
-        assert len(store.finished()) == 100
-        store._database.execute("pragma max_page_count = 1000000")
-        store.add([outcome(1000)])
-        assert len(store.finished()) == 101
-
-
 def test_a_damaged_journal_is_a_sentence(tmp_path):
     (tmp_path / JOURNAL).write_bytes(b"this is no database" * 100)
     with pytest.raises(

@@ -136,11 +136,6 @@ def test_a_coupled_roll_spiral_oscillation(product, level):
 # either side of them.
 
 
-def mode(name, real, imag=0.0):
-    wn = math.hypot(real, imag)
-    return Mode(name, real, imag, wn, -real / wn)
-
-
 def test_edges_as_the_specification_prints_them():
     """Category B, class I at 1 rad/s: damping 0.3, 0.2, 0.15; T2 of 55 s; a spiral that doubles in
     20 s; CAP 0.085 to 3.6.

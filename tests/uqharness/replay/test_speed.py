@@ -16,9 +16,10 @@ from tests.hidden_effects.cases import cards
 from tests.hidden_effects.effects import Effect
 from tests.hidden_effects.flights import NOISE, Flight, fly_and_tell
 from uqharness.cli.main import main
+from uqharness.commands.flights import carded_aircraft
 from uqharness.identification.linearised import delay_by_rows
 from uqharness.refinement.write_xml import EffectToWrite, write_effects
-from uqharness.replay.flights import prepare, segments
+from uqharness.replay.flights import prepare, read_flights, segments
 from uqharness.replay.model import ReplayFolder
 from uqharness.replay.replay import CHANNELS, STATES, at_rows, fly_segment, late_rows
 from uqharness.simulator.aircraft import find_aircraft
@@ -85,7 +86,9 @@ def test_a_late_gyro_is_a_late_gyro_at_the_kinks_of_a_rate(rolled):
 # A glider whose roll settles within a row: it meets its own flight, from start states that are
 # within their noise.
 
+FAST_ROLL_NOISE = np.radians(0.2)
 ROLL_PER_S = 45.0
+P = CHANNELS.index("p_radps")
 
 
 def coefficient(name: str, axis: str, length: str, terms: str) -> str:
@@ -169,3 +172,17 @@ def lively(tmp_path_factory) -> Path:
     assert main([*words, "--out", str(folder.parent / "clean.csv")]) == 0
     assert main([*words, "--noise", "--out", str(folder.parent / "noisy.csv")]) == 0
     return folder
+
+
+def test_a_step_is_flown_as_one_that_is_held_from_its_row_on(lively):
+    """Replays give a step its own time; half a frame of it would be 20 sigma of p."""
+    aircraft = carded_aircraft(str(lively))
+    (flight,), measured = read_flights([lively.parent / "clean.csv"], aircraft)
+    cut = segments(flight, measured)
+    number = next(k for k, s in enumerate(cut) if s.kind == "roll doublet")
+    seen = flight.record["p_radps"][flight.pieces[number].rows]
+    with ReplayFolder(aircraft, measured=measured) as model:
+        flown = fly_segment(model, cut[number], {})[:, P]
+    assert seen[0] == pytest.approx(0.0, abs=1e-3)
+    assert seen[1] > 0.5
+    assert np.abs(flown - seen)[:40].max() < FAST_ROLL_NOISE

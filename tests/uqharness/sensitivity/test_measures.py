@@ -60,13 +60,6 @@ def test_envelopes_with_a_parameter_fixed():
 BOX = {"a": (0.0, 2.0), "b": (-1.0, 1.0)}
 
 
-AIR = {"w": stats.norm(0.0, 1.0)}
-
-
-def study(model, methods=("local", "proposed"), **more):
-    return run_study(model, BOX, AIR, samples=64, draws=16, methods=methods, **more)
-
-
 def scattered(model, **more):
     made = run_study(
         model, BOX, {"w": stats.norm(0.0, 1.0)}, samples=128, draws=8, methods=("scatter",)

@@ -13,7 +13,6 @@ from uqharness.simulator import engine, find_aircraft
 from uqharness.simulator import facts as aircraft_facts
 from uqharness.simulator.facts import (
     ALTITUDE_M,
-    _HeldState,
 )
 from uqharness.simulator.staging import staged
 
@@ -130,18 +129,6 @@ def test_an_electric_aircraft_is_measured_with_its_engine_settled(electric: Path
     assert done.verdict is not None
     assert (done.verdict.status, dict(done.unmeasured)) == ("works", {})
     assert "moves nothing" not in (tmp_path / "out" / "airframe.toml").read_text()
-
-
-def held(
-    answers: list[float], positions: list[float] | None = None, again: float | None = None
-) -> list[_HeldState]:
-    return [
-        _HeldState(
-            {"accelerations/qdot-rad_sec2": q},
-            {} if positions is None else {"fcs/elevator-pos-deg": positions[k]},
-        )
-        for k, q in [*enumerate(answers), (0, answers[0] if again is None else again)]
-    ]
 
 
 # J246 and the like are launchers, ball and the like have no controls; what reads a host's
