@@ -81,19 +81,5 @@ class Deadly(Flown):
         return super().flight(engine, flight)
 
 
-@dataclass(frozen=True)
-class Raising(Flown):
-    """The same case raises."""
-
-    seed: int = 0
-
-    def __call__(self, engine: str, flights: Sequence[FlightSpec]) -> list[FlightResult]:
-        if engine == BATCH and any(
-            fakes.level_sum(item) == 6.0 and item.seed_turbulence == self.seed for item in flights
-        ):
-            raise RuntimeError("a flight that raises")
-        return super().__call__(engine, flights)
-
-
 def engines(flown: Flown, understanding: Understanding = Understanding()) -> Engines:
     return Engines(fakes.steady, flown, understanding)

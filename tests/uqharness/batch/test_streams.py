@@ -26,8 +26,7 @@ from uqharness.batch.streams import (
 )
 from uqharness.flight.dryden import COMPONENTS, dryden_gusts, dryden_parameters, numpy_recursion
 from uqharness.flight.random_numbers import numpy_pairs
-from uqharness.flight.spec import COEFFICIENTS, LevelDriver, TransientDriver
-from uqharness.flight.stepping import level_blocks
+from uqharness.flight.spec import COEFFICIENTS, LevelDriver
 
 AIR = (22.2, 100.0, 30.0, 3.66)
 
@@ -84,25 +83,6 @@ def test_host_gusts_are_those_of_jsbsims_engine() -> None:
     for column, name in enumerate(COMPONENTS):
         assert ours[:, column].tobytes() == theirs.component(name).tobytes()
     assert not np.any(HostGusts(dryden_parameters(*AIR), 0.01, 4).rows(100).array == ours[:100])
-
-
-@pytest.mark.parametrize(
-    "driver",
-    [
-        WALK,
-        LevelDriver("white", 7, "white-000000", COEFFICIENTS),
-        TransientDriver(7, 3, ("CX", "Cn"), (0.9, 1.4)),
-    ],
-)
-def test_levels_are_those_of_jsbsims_engine(driver: LevelDriver | TransientDriver) -> None:
-    theirs = np.concatenate(list(level_blocks(driver, 3000, 0.01)))
-    levels = MovingLevels(driver, 0.01)
-    first = levels.rows(1234).array
-    other = copy.deepcopy(levels)
-    last = levels.rows(1766)
-    assert np.concatenate([first, last.array]).tobytes() == theirs.tobytes()
-    assert last.first_row == 1234
-    assert other.rows(1766).array.tobytes() == last.array.tobytes()
 
 
 def test_streams_of_one_seed_are_independent() -> None:

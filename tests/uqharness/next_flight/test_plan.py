@@ -26,7 +26,6 @@ from uqharness.campaign.run import run_campaign
 from uqharness.cli.main import main
 from uqharness.flight.spec import FlightResult
 from uqharness.next_flight.plan import (
-    achieved,
     prospects,
     scatter_ratios,
     widths_over,
@@ -481,26 +480,3 @@ def test_scatter_follows_the_speed_as_the_trials_do():
         },
     )
     assert scatter_ratios(blind, flown(speed=18.0), trials)["CZ"] == 1.0
-
-
-def narrowed(factor: float):
-    """The same bounds with their scatter and their terms' error so much smaller, and no part that
-    holds zero.
-    """
-    rows = {
-        n: replace(b, s2=b.s2 * factor**2, beta_hat=b.beta_hat * factor)
-        for n, b in FORM.coefficients.items()
-    }
-    return replace(FORM, coefficients=rows)
-
-
-def test_half_the_scatter_is_half_the_width(tmp_path):
-    found = achieved(FORM, narrowed(0.5), MISSION, tmp_path / "none.json")
-    assert set(found) == {"CZ", "Cm"}
-    for row in found.values():
-        assert row["narrowing"] == pytest.approx(0.5)
-        assert row["width_after"] == pytest.approx(0.5 * row["width"])
-        assert row["parameter_narrowing"] == pytest.approx(0.5)
-        assert row["predicted"] is None
-    same = achieved(FORM, FORM, MISSION, tmp_path / "none.json")
-    assert same["CZ"]["narrowing"] == 0.0

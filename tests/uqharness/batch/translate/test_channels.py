@@ -122,13 +122,11 @@ EARLY = """<property>i/x</property><function name="o/f"><p>o/g</p></function>
         ('<function type="template"><v>1</v></function>', "type='template' of <function>"),
         ('<channel rate="2"/>', "attribute 'rate' of <channel>"),
         ('<channel execrate="1.5"/>', "whole number"),
-        ('<channel execrate="-2"/>', "whole number"),
         ('<channel execute="none"/>', "property none is not computed"),
         (
             '<function name="o/f" copyto="o/none"><v>1</v></function>',
             "o/none cannot be written by copyto",
         ),
-        ('<function name="o/f"><p>o/f</p></function>', "reads itself"),
         (EARLY, "this function is read before it is run, and copies"),
     ],
 )

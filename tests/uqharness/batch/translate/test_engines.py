@@ -49,11 +49,6 @@ def test_functions_of_an_engine_bear_its_number() -> None:
             '<engine file="brushless"><thruster file="direct"/></engine>',
             "a brushless motor turns a propeller",
         ),
-        (
-            '<engine file="nothing"><thruster file="direct"/></engine>',
-            "file 'nothing.xml' was not found",
-        ),
-        ("<engine/>", "<engine> names a file or has one of electric_engine"),
     ],
 )
 def test_what_is_not_understood_is_refused(propulsion: str, said: str) -> None:
@@ -308,7 +303,6 @@ def test_thrust_acts_as_in_jsbsim(made: engines.Case, before: str, after: str) -
             ),
         ),
         ("", "an engine has a <thruster>"),
-        ("<thruster/>", "<thruster> names a file or has one of propeller, direct, nozzle"),
     ],
 )
 def test_what_is_not_understood_is_refused_of_thruster(thruster: str, said: str) -> None:

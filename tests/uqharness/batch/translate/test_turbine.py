@@ -107,7 +107,6 @@ def test_each_number_matters(motor: str, tag: str, factor: float) -> None:
     ("thruster", "before", "after", "said"),
     [
         ("direct", "MilThrust", "LowThrust", "a turbine has a function MilThrust"),
-        ("direct", "IdleThrust", "LowThrust", "a turbine has a function IdleThrust"),
     ],
 )
 def test_what_is_not_understood_is_refused(
@@ -243,7 +242,6 @@ def test_each_number_matters_of_turboprop(old: str, new: str) -> None:
     ("old", "new", "said"),
     [
         ('name="ITT_N1"', 'name="ITT"', "a turboprop has a table ITT_N1"),
-        ('<function name="EnginePowerVC"', '<function name="Power"', "a function EnginePowerVC"),
         ('<maxpower unit="HP">60</maxpower>', "", "has no <maxpower>"),
     ],
 )
