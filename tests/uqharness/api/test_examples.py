@@ -52,7 +52,7 @@ def run(name: str, text: str) -> list[str]:
         for face, name in public_functions()
     ],
 )
-def test_the_example_gives_what_it_says(
+def test_docstring_example_gives_its_output(
     face: str,
     name: str,
     tmp_path: Path,

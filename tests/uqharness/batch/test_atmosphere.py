@@ -46,7 +46,7 @@ def at(height_ft, bias_R=0.0, sea_level_psf=2116.228):
         ),
     ],
 )
-def test_as_in_jsbsim(height_ft, bias_R, sea_level_psf):
+def test_atmosphere_is_jsbsims(height_ft, bias_R, sea_level_psf):
     assert (
         worst(
             compared(aircraft(BODY), RECORDS, frames=2, start=at(height_ft, bias_R, sea_level_psf))
@@ -68,7 +68,7 @@ def test_a_change_in_flight_is_there_in_the_next_frame(bias_R):
     ("height_km", "pressure_Pa"),
     [(11.0, 22632.06), (20.0, 5474.889), (32.0, 868.0187), (47.0, 110.9063)],
 )
-def test_the_table_of_1976(height_km, pressure_Pa):
+def test_pressure_is_that_of_the_1976_tables(height_km, pressure_Pa):
     """U.S. Standard Atmosphere 1976, table 4 and table I: pressures at the geopotential heights
     where layers meet.
     """
@@ -92,7 +92,7 @@ FAST = {**START, "ic/h-sl-ft": 35000.0, "ic/u-fps": 1800.0}
 
 @pytest.mark.parametrize("speed_fps", few([5.0, 70.0, 0.0, 900.0, 1100.0, 1200.0, 3000.0], 3))
 @pytest.mark.parametrize("height_ft", few([35000.0, 0.0], 1))
-def test_as_in_jsbsim_of_air_data(speed_fps, height_ft):
+def test_air_data_are_jsbsims(speed_fps, height_ft):
     start = {
         **START,
         "ic/h-sl-ft": height_ft,
@@ -105,7 +105,7 @@ def test_as_in_jsbsim_of_air_data(speed_fps, height_ft):
     ) < 1e-11 * max(1.0, 70.0 / max(speed_fps, 1.0))  # impact pressure is a small difference
 
 
-def test_on_another_day():
+def test_air_data_on_hot_and_cold_days_are_jsbsims():
     names = [
         *RECORDS_AIR_DATA,
         "velocities/ve-fps",

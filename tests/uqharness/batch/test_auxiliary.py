@@ -77,7 +77,7 @@ DRIVEN = {
         {"ic/lat-geod-rad": -1.2, "ic/theta-rad": -1.4},
     ],
 )
-def test_as_in_jsbsim(start):
+def test_auxiliary_properties_are_jsbsims(start):
     found = compared(
         aircraft(BODY), (*RECORDS, "s/north", "s/alpha"), DRIVEN, 30, {**START, **start}, floor=0.1
     )
@@ -260,7 +260,7 @@ def contact(start, steps=120, system=""):
         2,
     ),
 )
-def test_the_first_point_and_its_step(start, name):
+def test_first_ground_contact_has_its_point_and_step(start, name):
     first, records = contact(start)
     assert first is not None
     step, number = first
@@ -270,7 +270,7 @@ def test_the_first_point_and_its_step(start, name):
     assert (records[1, step - 1 :] == number).all()
 
 
-def test_a_point_that_a_system_moves_touches_where_it_is():
+def test_contact_point_moved_by_a_system():
     start = {"ic/theta-rad": 0.5, "ic/phi-rad": 0.0}
     system = """<system name="s"><channel><summer name="i/z"><bias>60</bias>
 <output>contact/unit/z-position</output></summer></channel></system>"""
@@ -282,7 +282,7 @@ def test_a_point_that_a_system_moves_touches_where_it_is():
     assert (records[1, step - 1 :] == number).all()
 
 
-def test_gear_that_is_up_does_not_count():
+def test_raised_gear_makes_no_contact():
     start = {"ic/theta-rad": 0.0, "ic/phi-rad": -0.5}
     down, _ = contact(start)
     up, records = contact({**start, "gear/gear-cmd-norm": 0.0, "gear/gear-pos-norm": 0.0})

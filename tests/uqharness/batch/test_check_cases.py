@@ -144,5 +144,5 @@ def misses(found, case):
 
 
 @pytest.mark.parametrize("case", TUMBLE)
-def test_published_figures(monkeypatch, case):
+def test_nasa_check_cases_have_the_published_figures(monkeypatch, case):
     assert misses(flown(monkeypatch, case), case) < 1.0

@@ -78,12 +78,12 @@ QUICK = ("walking levels", "mass and inertia", "stall")
     "name",
     [name if name in QUICK else pytest.param(name, marks=pytest.mark.slow) for name in FLIGHTS],
 )
-def test_whole_flights(name):
+def test_fly_many_agrees_with_jsbsim(name):
     found = beyond(FLIGHTS[name])
     assert max(found.values()) < 1.0, found
 
 
-def test_bounds_that_depend_on_the_state(tmp_path):
+def test_state_dependent_bounds_agree_with_jsbsim(tmp_path):
     plane = with_bounds(tmp_path, 0.001)
     levels = {**ACTIVE, "uq/CZ/level": 0.9, "uq/Cm/level": 0.3, "uq/Cl/level": 0.6}
     found = beyond(spec(plane, properties=levels, **EXPENSIVE))
@@ -121,7 +121,7 @@ def test_a_transient_part_that_walks(tmp_path, outside):
         1,
     ),
 )
-def test_another_flight_is_noticed(change):
+def test_fly_many_differs_for_other_conditions(change):
     flight = spec(properties=CORNER, duration_s=20.0, **EXPENSIVE)
     assert max(beyond(flight, changed=dataclasses.replace(flight, **change)).values()) > 1.0
 
@@ -145,7 +145,7 @@ def test_an_aircraft_without_the_air_system(tmp_path, conditions):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("aircraft", ["espaaro", "bounds"])
-def test_fifteen_minutes(tmp_path, aircraft):
+def test_fly_many_agrees_over_fifteen_minutes(tmp_path, aircraft):
     plane = with_bounds(tmp_path, 0.001) if aircraft == "bounds" else aircraft
     found = beyond(
         spec(plane, duration_s=900.0, properties={**ACTIVE, "uq/CZ/level": 0.9}, **EXPENSIVE)

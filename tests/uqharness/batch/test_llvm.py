@@ -28,7 +28,7 @@ def _function() -> Function:
 
 @pytest.mark.parametrize("lanes", [1, BLOCK + 1])
 @pytest.mark.parametrize("name", targets())
-def test_any_number_of_lanes(lanes: int, name: str) -> None:
+def test_compile_function_with_any_number_of_lanes(lanes: int, name: str) -> None:
     rng = np.random.default_rng(1)
     inputs = {"x": rng.normal(size=lanes)}
     state = {s: rng.normal(size=lanes) for s in ("s", "untouched")}
@@ -51,7 +51,7 @@ def test_products_and_sums_are_not_fused() -> None:
         assert made["r"][0] == 0.0, name
 
 
-def test_nothing_outside_is_called() -> None:
+def test_machine_code_calls_no_library() -> None:
     """Machine code reaches 2 GB: a function of the C library would lie beyond, and its bits would
     be that machine's.
     """

@@ -212,7 +212,7 @@ def test_stored_sines_are_reused() -> None:
 
 
 @pytest.mark.parametrize("kind", ["nothing beside", "another writer", "fed"])
-def test_an_angle_without_them_stays(kind: str) -> None:
+def test_reuse_sines_leaves_other_angles(kind: str) -> None:
     b = Builder()
     b.store("angle", b.load("s"))
     sections = {

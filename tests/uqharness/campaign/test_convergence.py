@@ -75,6 +75,6 @@ def test_the_area_command(folder, tmp_path, capsys):
         (["area", "--flight", "nowhere.csv"], "cannot be read"),
     ],
 )
-def test_bad_arguments(folder, words, fragment, capsys):
+def test_convergence_and_area_refuse_bad_arguments(folder, words, fragment, capsys):
     assert main(["campaign", words[0], str(folder), *words[1:]]) == 2
     assert fragment in capsys.readouterr().err

@@ -148,7 +148,7 @@ def test_a_group_function_that_loses_a_flight_is_no_result():
     assert {outcome.status for outcome in found.values()} == {"crashed"}
 
 
-def test_bad_input_is_marked():
+def test_executor_marks_bad_input():
     found = fly_all(ProcessExecutor(1, "fork"), fakes.refuses, flights(1))["0000"]
     assert found.bad_input
     assert "uq/active" in found.reason
@@ -176,7 +176,7 @@ def test_workers_that_cannot_start_are_an_error():
         fly_all(ProcessExecutor(1, "spawn"), fakes.NotThere(), flights(1))
 
 
-def test_impossible_settings():
+def test_executor_refuses_impossible_settings():
     with pytest.raises(BadInputError, match="workers = 0"):
         ProcessExecutor(0)
     with pytest.raises(BadInputError, match="start method 'thread'"):

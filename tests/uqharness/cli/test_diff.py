@@ -57,7 +57,7 @@ def test_a_tolerance_is_ones_own_choice(other, capsys):
         (["HEAD:no/such", "espaaro", "--speed-mps", "22"], "HEAD:no/such"),
     ],
 )
-def test_what_cannot_be_asked(words, said, capsys):
+def test_diff_refuses_bad_input(words, said, capsys):
     assert main(["diff", *words]) == 2
     assert said in capsys.readouterr().err
 

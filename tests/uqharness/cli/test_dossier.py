@@ -35,7 +35,7 @@ def test_an_incomplete_folder_gives_a_dossier_and_1(refined, capsys):
     assert (refined / "dossier.html").is_file()
 
 
-def test_bad_input(refined, tmp_path, capsys):
+def test_dossier_refuses_bad_input(refined, tmp_path, capsys):
     assert main(["dossier", str(tmp_path / "nothing")]) == 2
     (tmp_path / "other").mkdir()
     assert main(["dossier", str(tmp_path / "other")]) == 2

@@ -20,14 +20,14 @@ def found(**asked):
     return {d.channel: d for d in by_channel(differences(channels, flights, []))}, flights[0]
 
 
-def test_bounds():
+def test_variation_within_bounds_counts_as_equal():
     plain, _ = found()
     widened, flight = found(bounds=True)
     assert flight.varied["Cm"] > 1e-3
     assert set(widened) < set(plain)
 
 
-def test_nothing_to_vary():
+def test_nothing_to_vary_is_refused():
     aircraft = find_aircraft("c172p")
     for asked, said in (
         ({"repeats": 2}, "still air has no other seed"),

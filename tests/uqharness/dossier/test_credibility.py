@@ -35,7 +35,7 @@ def test_all_eight_and_none_made_up(tmp_path):
     assert "level" not in str(found).lower()
 
 
-def test_an_identification(tmp_path):
+def test_credibility_of_an_identification(tmp_path):
     found = evidence_of(folders.identified(tmp_path / "i"))
     assert "identified from a<b>.parquet, recorded with SHA-256" in found["Data pedigree"][0]
     assert "estimated for 1 of 2 channels" in found["Data pedigree"][1]

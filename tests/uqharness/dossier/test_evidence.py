@@ -91,7 +91,7 @@ def damage(root: Path, what: str) -> str:
     "what",
     ["another log", "no log", "no folder", "no mark", "torn mark", "no histories", "failed stage"],
 )
-def test_damage_is_said(chain, what):
+def test_damaged_evidence_is_named(chain, what):
     words = damage(chain, what)
     found = read_evidence(chain)
     assert any(words in line for line in found.missing), found.missing

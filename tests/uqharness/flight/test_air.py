@@ -92,7 +92,7 @@ def test_as_specified_in_a_climbing_turn_attitude(source: Source) -> None:
 
 
 @pytest.mark.parametrize("heading_deg", few([0.0, 90.0, 180.0], 1))
-def test_plain_jsbsim_is_not(heading_deg: float) -> None:
+def test_plain_jsbsim_turbulence_is_not_as_specified(heading_deg: float) -> None:
     # Counter-case: wind from the south; the gust axes of plain JSBSim stay on the wind, x downwind.
     seen = measure(
         "plain-tustin", replace(SHORT, heading_deg=heading_deg, wind_from_deg=180.0, seed=100)

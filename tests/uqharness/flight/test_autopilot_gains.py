@@ -123,7 +123,7 @@ def test_what_is_ignored_is_named_with_the_reason():
         ),
     ],
 )
-def test_what_is_refused(parameters, properties, words):
+def test_autopilot_gains_refusals(parameters, properties, words):
     with pytest.raises(ValueError, match=re.escape(words)):
         autopilot_gains(parameters, properties)
 

@@ -90,7 +90,7 @@ def levels(category="B", aircraft_class="I", **changes):
         ("C", 0.24, 3),
     ],
 )
-def test_short_period_damping(category, zeta, level):
+def test_short_period_damping_levels(category, zeta, level):
     assert (
         levels(category, short_period=[pair("short_period", zeta, 2.0)])["short_period", "damping"]
         == level
@@ -108,7 +108,7 @@ def test_short_period_damping(category, zeta, level):
         ("B", "I", 10.1, 4),
     ],
 )
-def test_roll(category, kind, constant, level):
+def test_roll_levels(category, kind, constant, level):
     assert (
         levels(category, kind, roll=[real("roll", -1.0 / constant)])["roll", "time constant"]
         == level

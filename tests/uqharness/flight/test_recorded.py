@@ -63,7 +63,7 @@ def flown(tmp_path_factory):
     return folder
 
 
-def test_round_trip(flown):
+def test_dataflash_round_trip(flown):
     expected = pd.read_parquet(flown / "a.parquet")
     record = import_log(flown / "a.bin", card_path=find_aircraft("synthetic_stall").folder)
     assert len(record) == len(expected)

@@ -48,7 +48,7 @@ def areas(figure, kind):
         ("gear_norm", "gear_norm", "-", 1.0),
     ],
 )
-def test_units(name, quantity, unit, factor):
+def test_shown_signal_units(name, quantity, unit, factor):
     assert shown_signal(name) == (quantity, unit, pytest.approx(factor))
 
 

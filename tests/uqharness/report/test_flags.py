@@ -41,7 +41,7 @@ def finding(code, channel, severity="warning", **numbers):
         ("GPS", ()),
     ],
 )
-def test_channels(channel, names):
+def test_flagged_channels(channel, names):
     assert channels_of(finding("gap", channel), record()) == names
 
 

@@ -47,7 +47,7 @@ def test_a_command_is_held_until_its_own_row():
     assert odd.tolist() == [0.0, 2.5]
 
 
-def test_an_aircrafts_own():
+def test_actuators_of_an_aircraft():
     aircraft = find_aircraft("espaaro")
     found = actuators(aircraft, ("elevator", "aileron"))
     assert set(found) == {"elevator", "aileron"}

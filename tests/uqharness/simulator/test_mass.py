@@ -84,6 +84,6 @@ def test_properties_stand_at_what_was_asked_and_the_rest_stays(missions, which, 
         ({"inertia/weight-lbs": 50.0, "aero/CX": 1.0}, "the model computes it"),
     ],
 )
-def test_what_cannot_be_is_refused(wanted, message):
+def test_impossible_masses_are_refused(wanted, message):
     with pytest.raises(BadInputError, match=message):
         fly(replace(SPEC, properties=wanted))

@@ -207,7 +207,7 @@ def test_the_mission_is_two_files_that_fly_without_the_harness(flown, tmp_path, 
         ('method = "none"', 'method = "corners"', "add the plugin first: uqharness instrument"),
     ],
 )
-def test_what_cannot_be_is_refused_in_words(tmp_path, old, new, message):
+def test_campaign_of_a_steady_mission_refuses_bad_settings(tmp_path, old, new, message):
     assert CAMPAIGN.count(old) == 1
     with pytest.raises(BadInputError, match=message):
         run_campaign(
@@ -250,6 +250,6 @@ def test_a_start_above_the_turbulence_model_names_its_key_before_anything_flies(
     ],
     ids=str,
 )
-def test_what_is_no_start_is_refused(section):
+def test_start_section_refuses_bad_values(section):
     with pytest.raises(ValidationError):
         StartSection.model_validate(section)

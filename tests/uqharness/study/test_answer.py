@@ -114,7 +114,7 @@ def test_quiet_flights_are_a_yes_with_the_limit_that_says_so(tmp_path):
     assert (found.lacked, found.next) == ("", "Next: nothing for this question.")
 
 
-def test_a_worse_model_is_a_no(tmp_path):
+def test_answer_is_no_for_a_worse_model(tmp_path):
     found = answered(tmp_path, bad_corner)
     assert (found.level, found.answer[:9]) == ("bad", "No in 3 m")
     assert "worst corner: 36/h (" in found.why

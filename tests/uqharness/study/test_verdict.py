@@ -195,7 +195,7 @@ def write_coverage(folder, when, share, width):
     (folder / f"validate-{when}" / "coverage.json").write_text(json.dumps({"coverage": rows}))
 
 
-def test_coverage_and_widths(tmp_path):
+def test_verdict_on_coverage_and_widths(tmp_path):
     write_coverage(tmp_path, "before", 0.95, 0.02)
     write_coverage(tmp_path, "after", 0.80, 0.01)
     (before, good), (after, bad), (widths, narrower) = chain_verdict._coverage(

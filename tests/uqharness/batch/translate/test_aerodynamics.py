@@ -96,7 +96,7 @@ SYSTEMS = {
 
 
 @pytest.mark.parametrize("name", few(SYSTEMS, 3))
-def test_systems_of_axes(name):
+def test_aerodynamic_axes_are_jsbsims(name):
     found = differences(SYSTEMS[name])
     if name == "side alone":
         del found["forces/lod-norm"]  # a ratio of two roundings
@@ -118,7 +118,7 @@ def test_systems_of_axes(name):
         2,
     ),
 )
-def test_another_system_is_noticed(text, changed):
+def test_other_aerodynamic_axes_differ(text, changed):
     assert worst(differences(text, changed)) > 1e-10
 
 
@@ -211,7 +211,7 @@ def test_the_reference_point_may_be_written():
         ),
     ],
 )
-def test_refused_with_line(text, said):
+def test_aerodynamics_refusals_name_the_line(text, said):
     found = refused(body(text))
     assert said in found
     assert "point.xml:7: " in found

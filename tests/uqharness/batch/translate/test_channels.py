@@ -130,7 +130,7 @@ EARLY = """<property>i/x</property><function name="o/f"><p>o/g</p></function>
         (EARLY, "this function is read before it is run, and copies"),
     ],
 )
-def test_refusals(body: str, message: str) -> None:
+def test_channel_refusals(body: str, message: str) -> None:
     assert message in refusal(body)
 
 

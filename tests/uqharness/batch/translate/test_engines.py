@@ -51,7 +51,7 @@ def test_functions_of_an_engine_bear_its_number() -> None:
         ),
     ],
 )
-def test_what_is_not_understood_is_refused(propulsion: str, said: str) -> None:
+def test_propulsion_refusals(propulsion: str, said: str) -> None:
     assert said in engines.refusal(engines.aircraft(propulsion), engines.FILES)
 
 
@@ -181,7 +181,7 @@ def test_thrust_propellant_and_inertia_are_jsbsims(motor: str, tanks: str, feeds
         1,
     ),
 )
-def test_each_number_matters(motor: str, old: str, new: str) -> None:
+def test_each_rocket_number_matters(motor: str, old: str, new: str) -> None:
     tanks, feeds = (GRAIN, "0") if motor == "solid" else (OXIDIZER + engines.tank(6.0), "01")
     made = case(motor, tanks, feeds, 200)
     name = f"Engines/{motor}.xml"
@@ -198,7 +198,7 @@ def test_each_number_matters(motor: str, old: str, new: str) -> None:
         ('file="nozzle"', 'file="fixed"', "a rocket has a <nozzle> or <direct> thruster"),
     ],
 )
-def test_what_is_not_understood_is_refused_of_rocket(old: str, new: str, said: str) -> None:
+def test_rocket_refusals(old: str, new: str, said: str) -> None:
     made = case("liquid", OXIDIZER + engines.tank(6.0), "01", 1)
     files = {name: text.replace(old, new) for name, text in made.files.items()}
     assert said in engines.refusal(made.text.replace(old, new), files)
@@ -305,7 +305,7 @@ def test_thrust_acts_as_in_jsbsim(made: engines.Case, before: str, after: str) -
         ("", "an engine has a <thruster>"),
     ],
 )
-def test_what_is_not_understood_is_refused_of_thruster(thruster: str, said: str) -> None:
+def test_thruster_refusals(thruster: str, said: str) -> None:
     message = engines.refusal(
         engines.aircraft(f'<engine file="motor">{thruster}</engine>'), engines.FILES
     )
@@ -332,7 +332,7 @@ SHOWN = {
 @pytest.mark.parametrize(
     ("wanted", "unit"), [(wanted, unit) for wanted in SHOWN for unit in UNITS[wanted]]
 )
-def test_as_jsbsim_converts(wanted: str, unit: str) -> None:
+def test_units_are_converted_as_by_jsbsim(wanted: str, unit: str) -> None:
     name, text = SHOWN[wanted]
     inside = text.format(unit=unit)
     if "thruster" in inside:

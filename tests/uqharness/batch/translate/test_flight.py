@@ -210,7 +210,7 @@ def test_several_and_functions_before_them():
         ),
     ],
 )
-def test_refused_with_line(text, said):
+def test_external_reaction_refusals_name_the_line(text, said):
     found = refused(body(text))
     assert said in found
     assert "point.xml:7: " in found

@@ -106,7 +106,7 @@ def test_a_surface_moves_in_all_units(name: str) -> None:
 @pytest.mark.parametrize(
     "name", ["fcs/mag-elevator-pos-rad", "simulation/channel-dt", "fcs/a/saturated"]
 )
-def test_what_takes_no_value(name: str) -> None:
+def test_read_only_properties_take_no_value(name: str) -> None:
     fdm = oracle.load(
         '<channel><actuator name="a"><input>fcs/elevator-cmd-norm</input></actuator></channel>'
     )

@@ -104,7 +104,7 @@ ram-air-factor static-friction cooling-factor dynamic-fmep static-fmep cylinder-
     "tag",
     [tag if tag in QUICK else pytest.param(tag, marks=pytest.mark.slow) for tag in TAGS.split()],
 )
-def test_each_number_matters(tag: str) -> None:
+def test_each_piston_engine_number_matters(tag: str) -> None:
     made = case("own", frames=300)
     head, _, tail = OWN.partition(f"</{tag}>")
     start, _, number = head.rpartition(">")

@@ -58,7 +58,7 @@ def test_two_propellers_fly_as_in_jsbsim(theirs: dict) -> None:
         2,
     ),
 )
-def test_each_number_matters(theirs: dict, file: str, before: str, after: str) -> None:
+def test_each_propeller_number_matters(theirs: dict, file: str, before: str, after: str) -> None:
     name = f"Engines/{file}.xml"
     assert before in engines.FILES[name]
     changed = {**engines.FILES, name: engines.FILES[name].replace(before, after)}
@@ -72,7 +72,7 @@ def test_each_number_matters(theirs: dict, file: str, before: str, after: str) -
         ('<ixx unit="SLUG*FT2">0.4</ixx>', "", "<propeller> has no <ixx>"),
     ],
 )
-def test_what_is_not_understood_is_refused(before: str, after: str, said: str) -> None:
+def test_propeller_refusals(before: str, after: str, said: str) -> None:
     assert before in engines.FIXED_PITCH
     files = {**engines.FILES, "Engines/fixed.xml": engines.FIXED_PITCH.replace(before, after)}
     assert said in engines.refusal(engines.aircraft(engines.mounted("motor", "fixed")), files)

@@ -234,7 +234,7 @@ def test_another_event_is_noticed(name, old, new):
         (event("<set name='i/a'><function><random/></function></set>"), "random"),
     ],
 )
-def test_refused_with_line(text, said):
+def test_event_refusals_name_the_line(text, said):
     found = refused(aircraft(BODY), text)
     assert said in found
     assert "script.xml:3: " in found

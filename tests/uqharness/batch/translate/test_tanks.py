@@ -96,7 +96,7 @@ def test_tanks_empty_in_their_order_and_the_engine_stops() -> None:
         2,
     ),
 )
-def test_each_number_matters(before: str, after: str) -> None:
+def test_each_tank_number_matters(before: str, after: str) -> None:
     made = case()
     theirs = made.theirs()
     assert before in made.text
@@ -114,7 +114,7 @@ def test_each_number_matters(before: str, after: str) -> None:
         ),
     ],
 )
-def test_what_is_not_understood_is_refused(text: str, said: str) -> None:
+def test_tank_refusals(text: str, said: str) -> None:
     message = engines.refusal(engines.aircraft(text), engines.FILES)
     assert said in message
     assert "point.xml:" in message

@@ -93,7 +93,7 @@ def test_an_engine_without_fuel_or_that_nobody_started(speed: float, events: str
         2,
     ),
 )
-def test_each_number_matters(motor: str, tag: str, factor: float) -> None:
+def test_each_turbine_number_matters(motor: str, tag: str, factor: float) -> None:
     made = case(motor, 300)
     made.inputs["fcs/throttle-cmd-norm"][:] += 0.4 if motor == "F100-PW-229" else 0.0
     name = f"Engines/{motor}.xml"
@@ -109,9 +109,7 @@ def test_each_number_matters(motor: str, tag: str, factor: float) -> None:
         ("direct", "MilThrust", "LowThrust", "a turbine has a function MilThrust"),
     ],
 )
-def test_what_is_not_understood_is_refused(
-    thruster: str, before: str, after: str, said: str
-) -> None:
+def test_turbine_refusals(thruster: str, before: str, after: str, said: str) -> None:
     text = engines.stock("CFM56")["Engines/CFM56.xml"]
     assert before in text
     files = {**engines.FILES, "Engines/CFM56.xml": text.replace(before, after) if before else text}
@@ -230,7 +228,7 @@ def test_an_engine_without_fuel_or_that_nobody_started_of_turboprop(
         1,
     ),
 )
-def test_each_number_matters_of_turboprop(old: str, new: str) -> None:
+def test_each_turboprop_number_matters(old: str, new: str) -> None:
     made = case_turboprop(300)
     files = dict(made.files)
     assert old in files["Engines/turboprop.xml"]
@@ -245,7 +243,7 @@ def test_each_number_matters_of_turboprop(old: str, new: str) -> None:
         ('<maxpower unit="HP">60</maxpower>', "", "has no <maxpower>"),
     ],
 )
-def test_what_is_not_understood_is_refused_of_turboprop(old: str, new: str, said: str) -> None:
+def test_turboprop_refusals(old: str, new: str, said: str) -> None:
     made = case_turboprop(1)
     text = made.files["Engines/turboprop.xml"]
     assert old in text

@@ -30,7 +30,7 @@ def refined(tmp_path):
     return complete(folders.refined(tmp_path / "refined"))
 
 
-def test_sections(refined):
+def test_dossier_page_sections(refined):
     dossier = page_of(refined)
     assert [s.title for s in dossier.page.sections] == [
         "Contents",
@@ -68,7 +68,7 @@ def test_what_is_missing_comes_first(refined):
     assert "Not in the data: the folder has no time histories" in render(dossier.page)
 
 
-def test_a_campaign(tmp_path):
+def test_dossier_page_of_a_campaign(tmp_path):
     folder = folders.campaigns(tmp_path) / "before"
     dossier = page_of(folder)
     assert dossier.source is None

@@ -40,7 +40,7 @@ def test_the_refined_model_on_hold_out_flights_is_preferred(tmp_path):
     assert "hold-out" in source.model
 
 
-def test_pass_and_fail(tmp_path):
+def test_proof_of_match_passes_and_fails(tmp_path):
     good = section_of(with_rudder(folders.refined(tmp_path / "good"), 0.01))
     bad = section_of(with_rudder(folders.refined(tmp_path / "bad"), 0.05))
     for section, word in ((good, "pass"), (bad, "fail")):

@@ -16,7 +16,7 @@ def identified(tmp_path):
     return folders.identified(tmp_path / "identified")
 
 
-def test_an_identification(identified):
+def test_identify_page(identified):
     page = page_of(identified)
     words = words_of(page)
     assert "2 of 3 parameters are identified; not identified: aero/Cn_p." in words

@@ -18,7 +18,7 @@ def identified(tmp_path):
     return folders.identified(tmp_path / "identified")
 
 
-def test_the_command(identified, capsys):
+def test_report_command(identified, capsys):
     assert main(["report", str(identified), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["kind"] == "identify"
@@ -52,7 +52,7 @@ def test_a_spoilt_document_is_refused_by_name(tmp_path, text):
         write_report(tmp_path)
 
 
-def test_the_checks_say_no(identified):
+def test_page_checks_find_faults(identified):
     page = write_report(identified).path.read_text(encoding="utf-8")
     for old, new, said in (
         ("<figcaption>", "<figcaption><img src='http://example.org/a.png'/>", "fetches"),

@@ -27,7 +27,7 @@ def test_bounds_from_the_form_alone(bounded):
     assert form.aircraft.sha256 in page
 
 
-def test_a_validation(tmp_path):
+def test_coverage_page(tmp_path):
     page = page_of(folders.covered(tmp_path / "check"))
     words = words_of(page)
     assert "The 95 % bounds do not hold: they contain only Cm 40.0 % of the samples." in words
