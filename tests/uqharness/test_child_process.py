@@ -88,7 +88,11 @@ def run_script(place: Path, *how: str) -> tuple[subprocess.CompletedProcess, str
 
 @pytest.mark.parametrize(
     ("how", "said"),
-    [("spawn", "['ok']"), ("forkserver", "['ok']"), ("fork", "['ok']"), ("pool", "[1, 2]")],
+    [
+        ("spawn", "['ok']"),
+        ("pool", "[1, 2]"),
+        *(pytest.param(how, "['ok']", marks=pytest.mark.slow) for how in ("forkserver", "fork")),
+    ],
 )
 def test_no_worker_imports_what_lies_in_the_working_folder(place, how, said):
     done, marks = run_script(place, how)

@@ -16,6 +16,7 @@ SLOW = {
     "campaign_area",
     "campaign_convergence",
     "campaign_report",
+    "campaign_status",
     "check_campaign",
     "diff",
     "dossier",

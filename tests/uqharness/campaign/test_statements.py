@@ -241,7 +241,7 @@ def false_yes(
 @pytest.mark.parametrize(
     ("cluster", "nearer_per_h", "repeats"),
     [
-        (4, 0.8, 100),
+        (4, 0.8, 60),
         *(
             pytest.param(*case, 500, marks=pytest.mark.slow)
             for case in ((2, 0.5), (2, 0.8), (4, 0.5), (4, 0.8), (8, 0.5), (8, 0.8))

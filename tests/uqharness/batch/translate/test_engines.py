@@ -69,7 +69,7 @@ def test_what_acts_otherwise_than_as_a_value_is_not_set(name: str) -> None:
     assert "point.xml:" in said
 
 
-@pytest.mark.parametrize("motor", ["motor", "brushless"])
+@pytest.mark.parametrize("motor", few(["brushless", "motor"], 1))
 @pytest.mark.parametrize("events", few(["", engines.RUNNING], 1))
 def test_a_motor_starts_and_brakes(motor: str, events: str) -> None:
     throttle = np.concatenate(

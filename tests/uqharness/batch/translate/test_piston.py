@@ -93,7 +93,7 @@ def test_the_engine_runs_as_in_jsbsim(motor: str, events: str) -> None:
     assert 0.1 < runs < 0.9 if events else runs == 0.0
 
 
-QUICK = ("minmp", "bsfc", "oil-viscosity-index")
+QUICK = ("minmp", "oil-viscosity-index")
 
 
 TAGS = """minmp maxmp displacement maxrpm idlerpm stroke bsfc cylinders compression-ratio volumetric-efficiency man-press-lag
