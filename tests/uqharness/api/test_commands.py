@@ -4,16 +4,11 @@ from __future__ import annotations
 
 import argparse
 import inspect
-import json
-from pathlib import Path
 
 import pytest
 
 import uqharness as uq
-from tests.helpers.campaign_fakes import small_spec, steady
-from uqharness.campaign.processes import SerialExecutor
-from uqharness.campaign.run import run_campaign
-from uqharness.cli.main import commands_of, complete_parser, main
+from uqharness.cli.main import commands_of, complete_parser
 
 FUNCTIONS = {
     "fly": "fly",
@@ -112,12 +107,6 @@ def commands() -> dict[str, argparse.ArgumentParser]:
     return every
 
 
-def flown_campaign(folder: Path) -> Path:
-    """A small campaign that a stand-in has flown."""
-    run_campaign(small_spec(folder, 4), folder / "flown", executor=SerialExecutor(), fly=steady)
-    return folder / "flown"
-
-
 def test_every_command_is_a_function():
     # A script for a shell is nothing to Python.
     assert commands().keys() - {"completion"} == FUNCTIONS.keys()
@@ -148,33 +137,3 @@ def test_functions_that_packages_are_named_after_can_be_called():
         with pytest.raises(uq.BadInputError):
             getattr(uq, name)(5, out="out") if name != "report" else uq.report(5)
     assert uqharness.report.write_report is not None
-
-
-def test_a_campaign_s_folder_is_read_without_a_command(tmp_path, capfd):
-    folder = flown_campaign(tmp_path)
-    status = uq.campaign_status(folder)
-    assert (status["state"], status["done"]) == ("complete", status["cases"])
-    assert main(["campaign", "status", str(folder), "--json"]) == 0
-    assert json.loads(capfd.readouterr().out) == status.as_json()
-    name, values = "cross_track_median_m", uq.read_campaign(folder).cases["cross_track_median_m"]
-    inside = uq.campaign_area(folder, value={name: float(values.median())})
-    assert {row["verdict"] for row in inside["rows"]} == {"no contradiction"}
-    table = tmp_path / "flights.csv"
-    table.write_text(f"{name}\n" + f"{10 * values.max()}\n" * 50)
-    outside = uq.campaign_area(folder, flight=table)
-    assert min(row["area"] for row in outside["rows"]) > values.max()
-    main(["campaign", "area", str(folder), "--flight", str(table), "--json"])
-    assert json.loads(capfd.readouterr().out) == outside.as_json()
-    found = uq.campaign_convergence(folder, repeats=2, metric=name)
-    assert {row["metric"] for row in found["rows"]} == {name}
-    assert (folder / "area.csv").is_file()
-    assert Path(found["table"]).is_file()
-    # Like all functions, these print nothing.
-    assert capfd.readouterr() == ("", "")
-    for call in (uq.campaign_status, uq.merge_campaign, uq.campaign_area):
-        with pytest.raises(uq.BadInputError, match="nowhere"):
-            call(tmp_path / "nowhere", **({"value": {name: 1}} if call is uq.campaign_area else {}))
-    with pytest.raises(uq.BadInputError, match="at least 2"):
-        uq.campaign_convergence(folder, repeats=1)
-    with pytest.raises(uq.BadInputError, match=r"value = \{'x': 'a'\}: a metric with its number"):
-        uq.campaign_area(folder, value={"x": "a"})

@@ -18,7 +18,6 @@ from uqharness.replay import (
     ReplayJob,
     ReplayModel,
     Segment,
-    positions,
     surface_positions,
 )
 from uqharness.replay import positions as module
@@ -26,7 +25,6 @@ from uqharness.replay.in_lanes import by_jsbsim
 from uqharness.simulator import Aircraft, copy_folder, find_aircraft
 
 RATE = "fcs/servo-rate-deg_sec"
-LAG = "<lag>25</lag>"
 
 
 @pytest.fixture(autouse=True)
@@ -35,27 +33,6 @@ def nothing_remembered(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("_position_cache", "_chains"):
         monkeypatch.setattr(module, name, OrderedDict())
     module._chain_agrees.cache.clear()
-
-
-@pytest.fixture
-def flights(monkeypatch: pytest.MonkeyPatch) -> dict[str, int]:
-    """How many stretches were flown by components alone, and by whole aircraft."""
-    count = {"chain": 0, "whole": 0}
-
-    def counted(kind: str, real):
-        def call(*args: object):
-            count[kind] += (
-                len(args[1])
-                if kind == "whole"
-                else sum(len(s.time_s) > module._TRIAL_ROWS for s in args[2])
-            )
-            return real(*args)
-
-        return call
-
-    monkeypatch.setattr(module, "fly_chain", counted("chain", module.fly_chain))
-    monkeypatch.setattr(module, "_fly_aircraft", counted("whole", module._fly_aircraft))
-    return count
 
 
 def changed(tmp_path: Path, old: str, new: str) -> Aircraft:
@@ -88,18 +65,15 @@ def in_jsbsim(
 
 @pytest.mark.parametrize("dt_s", [DT_S, 0.01, 0.0213])
 def test_components_alone_put_the_surfaces_where_jsbsim_s_aircraft_does(
-    model: ReplayModel, flights: dict[str, int], dt_s: float
+    model: ReplayModel, dt_s: float
 ) -> None:
     piece = segment(dt_s=dt_s, seed=3)
     (stood,) = surface_positions(model, [piece], CONTROLS)
-    assert flights == {"chain": 1, "whole": 0}
     np.testing.assert_allclose(stood, in_jsbsim(model, piece), rtol=0.0, atol=1e-12)
     assert apart(stood, piece.controls) > 0.01
 
 
-def test_a_servo_that_reads_the_airspeed_is_flown_with_its_aircraft(
-    flights: dict[str, int], tmp_path: Path
-) -> None:
+def test_a_servo_that_reads_the_airspeed_is_flown_with_its_aircraft(tmp_path: Path) -> None:
     with ReplayFolder(
         changed(
             tmp_path,
@@ -111,60 +85,6 @@ def test_a_servo_that_reads_the_airspeed_is_flown_with_its_aircraft(
         (stood,) = surface_positions(copy, [piece], CONTROLS)
         np.testing.assert_allclose(stood, in_jsbsim(copy, piece), rtol=0.0, atol=1e-9)
         faster = replace(piece, start=piece.start * np.array([1.5, *[1.0] * 8]))
-        surface_positions(copy, [faster], CONTROLS)
-        assert flights == {"chain": 0, "whole": 2}
-
-
-def test_a_chain_that_comes_to_other_positions_is_not_used(
-    model: ReplayModel, flights: dict[str, int], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    real = module.control_chain
-
-    def wrong(*args):
-        found = real(*args)
-        return replace(found, xml=found.xml.replace(LAG, "<lag>25.0001</lag>"))
-
-    monkeypatch.setattr(module, "control_chain", wrong)
-    piece = segment(seed=8)
-    (stood,) = surface_positions(model, [piece], CONTROLS)
-    assert flights == {"chain": 0, "whole": 1}
-    np.testing.assert_allclose(stood, in_jsbsim(model, piece), rtol=0.0, atol=1e-9)
-
-
-def in_both(
-    model: ReplayModel,
-    cut: list[Segment],
-    servos: dict[str, float],
-    monkeypatch: pytest.MonkeyPatch,
-) -> list[list[np.ndarray]]:
-    """Positions by the components alone: by JSBSim, and by the batch engine, which must
-    have flown.
-    """
-    flown = []
-    monkeypatch.setattr(positions, "_programs", {})
-    real = positions._fly_batch
-    monkeypatch.setattr(
-        positions,
-        "_fly_batch",
-        lambda program, asked, some: flown.append(len(some)) or real(program, asked, some),
-    )
-    out = []
-    for worth_s in (1e9, 0.0):
-        monkeypatch.setattr(module, "_position_cache", OrderedDict())
-        monkeypatch.setattr(positions, "MIN_CHAIN_BATCH_S", worth_s)
-        assert not flown
-        out.append(surface_positions(model, cut, CONTROLS, servos))
-    # One to be compared with, then all.
-    assert flown == [1, len(cut)]
-    return out
-
-
-def test_the_batch_engine_moves_the_components_as_jsbsim_does(
-    model: ReplayModel, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    cut = [segment(seed=21), segment(seed=22, rows=130)]
-    for servos in ({}, {RATE: 60.0}):
-        theirs, ours = in_both(model, cut, servos, monkeypatch)
-        for a, b, piece in zip(theirs, ours, cut, strict=True):
-            np.testing.assert_allclose(b, a, rtol=0.0, atol=1e-11)
-            assert apart(a, piece.controls) > 0.01
+        (other,) = surface_positions(copy, [faster], CONTROLS)
+        np.testing.assert_allclose(other, in_jsbsim(copy, faster), rtol=0.0, atol=1e-9)
+        assert apart(other, stood) > 1e-3

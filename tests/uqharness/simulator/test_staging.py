@@ -20,7 +20,6 @@ from uqharness.simulator.staging import (
     screen_file,
     stage,
     staged,
-    walk,
 )
 
 
@@ -158,11 +157,3 @@ def test_every_stock_file_passes() -> None:
 )
 def test_names_that_lead_out_on_some_system(name):
     assert leads_out(name)
-
-
-def test_a_linked_folder_is_refused(folder: Path, tmp_path: Path) -> None:
-    (folder / "loop").symlink_to(folder, target_is_directory=True)
-    with pytest.raises(BadInputError, match="link to a folder"):
-        list(walk(folder))
-    with pytest.raises(BadInputError, match="cannot be read"):
-        list(walk(tmp_path / "nowhere"))
