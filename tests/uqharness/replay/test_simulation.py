@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
@@ -88,9 +86,3 @@ def test_one_late_sensor_leaves_what_the_others_have_seen_of_a_jump():
 
 # What a replay's theta holds beside the parameters, and records whose commands stand in the
 # wrong row.
-
-
-def flight(native_hz):
-    return SimpleNamespace(
-        name="f", record=SimpleNamespace(metadata=SimpleNamespace(native_hz=native_hz))
-    )
