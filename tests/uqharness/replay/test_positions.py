@@ -78,7 +78,7 @@ def test_a_servo_that_reads_the_airspeed_is_flown_with_its_aircraft(tmp_path: Pa
         changed(
             tmp_path,
             f"<rate_limit>{RATE}</rate_limit>",
-            "<rate_limit>velocities/vt-fps</rate_limit>",
+            "<rate_limit>aero/qbar-psf</rate_limit>",
         )
     ) as copy:
         piece = segment(seed=7)
