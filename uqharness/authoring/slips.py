@@ -330,10 +330,9 @@ def _alpha_slip(source: Source, point: Point) -> Iterator[Slip]:
         cx, cz = rotate_forces(facts["CL"].value, facts["CD"].value, point.alpha.value)
         size = max(abs(facts["CL"].value), 0.1)
         if abs(facts["CZ"].value - cz) > 0.02 * size:
-            sign = facts["CZ"].value * cz < 0.0
             culprit = facts["CZ"]
             expected_lift = -facts["CZ"].value * math.cos(point.alpha.value)
-            if abs(expected_lift - facts["CL"].value) > 0.02 * size and not sign:
+            if abs(expected_lift - facts["CL"].value) > 0.02 * size:
                 ff = facts.get("CLff")
                 if ff is not None and abs(ff.value - facts["CL"].value) > 0.1 * size:
                     culprit = facts["CL"]

@@ -64,13 +64,18 @@ def author(request: AuthorRequest, callback: Callback = silent) -> Outcome[Autho
     if request.mass_kg is not None:
         stated = Entry(request.mass_kg, Path("--mass-kg"))
         slips += mass_slips(sources.derivatives, stated, _stated_inertia(request))
-    model = build(
-        sources.derivatives,
-        mass,
-        name=request.name or "",
-        profile_drag=request.cd0,
-        controls=controls,
-    )
+    try:
+        model = build(
+            sources.derivatives,
+            mass,
+            name=request.name or "",
+            profile_drag=request.cd0,
+            controls=controls,
+        )
+    except BadInputError as error:
+        # A geometry that nothing here can run may have slips too.
+        found = "; usual slips in the files: " if slips else ""
+        raise BadInputError(f"{error}{found}{'; '.join(map(str, slips))}") from None
     if request.cg_x_m is not None:
         slips += centre_slips(Entry(request.cg_x_m, Path("--cg-x-m")), model)
     model = replace(model, notes=(*model.notes, *notes))

@@ -232,6 +232,15 @@ def test_diff_names_what_an_identification_changed(kite, tmp_path, capsys):
     assert any("Cm" in row["channel"] for row in document["differences"])
 
 
+def test_slips_of_a_geometry_that_cannot_be_run_are_named(tmp_path, monkeypatch):
+    monkeypatch.setattr("uqharness.authoring.read.can_run_avl", lambda: False)
+    text = (DATA / "kite.avl").read_text()
+    path = tmp_path / "kite.avl"
+    path.write_text(text.replace("aileron 1.0 0.75 0 0 0 -1.0", "aileron 1.0 0.75 0 0 0 1.0", 1))
+    with pytest.raises(BadInputError, match=r"optvl.*kite\.avl:21: control sign"):
+        authored(tmp_path / "kite", path, DATA / "kite.mass")
+
+
 def test_static_margin_is_the_parameter():
     """The std of Cm_alpha does not vanish with Cm_alpha."""
     sources = read_sources(KITE)

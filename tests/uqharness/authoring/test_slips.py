@@ -76,6 +76,7 @@ SLIPS = {
         "rudder of a v-tail": ("Cmd3", lambda _: 0.015),
         "ventral rudder": ("Cld3", lambda _: 0.0006),
         "z up": ("CZtot", reverse),
+        "lift downwards": ("CLtot", reverse),
         "alpha in rad": ("Alpha", lambda _: 0.05236),
         "columns of alpha and beta": ("CLb", lambda _: 5.1),
         "columns of q and r": ("Cnq", lambda _: -0.08),
