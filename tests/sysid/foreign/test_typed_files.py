@@ -333,6 +333,20 @@ HOSTILE = {
         content=struct.pack("<qq", 2**62, 2**62).ljust(64),
     ),
     "fewer objects": file_of(["none"], ["objects", [5], "C", True, [0]]),
+    "bool as int": file_of(["int", True]),
+    "laughs as a key": file_of(*LAUGHS[:40], ["set", [39]]),
+    "huge empty items": file_of(["array", [2**40], "C", True, "V0", 0], buffers=[0]),
+    "array of arrays": file_of(
+        ["array", [1], "C", True, "(2,)i4", 0], buffers=[8], content=bytes(64)
+    ),
+    "last buffer": file_of(["bytes", -1], buffers=[1], content=bytes(64)),
+    "negative buffer": file_of(["bytes", 0], buffers=[-1]),
+    "texts of negative length": file_of(
+        ["texts", [2], "C", True, 0, 1],
+        buffers=[16, 3],
+        content=struct.pack("<qq", -2, 3).ljust(64) + b"abc".ljust(64),
+    ),
+    "last class": file_of(["object", -1, []], classes=[FINDING]),
     "no such class": file_of(["object", 0, []]),
     "field missing": file_of(["str", "c"], ["object", 0, [0]], classes=[FINDING]),
     "field of another type": file_of(
