@@ -33,7 +33,7 @@ def answers() -> list[dict[str, Any]]:
     return [JUDGE.run_seed(CASES[name], 3) for name in ("nominal-calm", "truth-calm")]
 
 
-def test_noise_is_added_where_it_should_be():
+def test_noisy_twin_adds_the_stated_noise():
     quiet = quiet_bounds_flight("nominal-calm")
     with FLIGHTS.model_pair(quiet.measured) as pair:
         one, same, other = (

@@ -87,7 +87,7 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Study, Path]:
     return study, kept
 
 
-def test_a_kill_costs_the_piece_in_the_air(done, tmp_path, monkeypatch):
+def test_fly_resumes_after_a_kill(done, tmp_path, monkeypatch):
     study, kept = done
     other = tmp_path / "other"
     write_tuning(other, TUNING)
@@ -127,7 +127,7 @@ def test_jsbsim_flies_the_paths_and_sees_another(done, monkeypatch):
     assert abs(distance - hit.distance_m) > 1e-3
 
 
-def test_pieces_of_other_flights_are_kept_apart(done, tmp_path, capsys):
+def test_tables_and_fly_tell_other_flights_apart(done, tmp_path, capsys):
     study, kept = done
     assert reproduce.tables(study, kept) == 0
     output = capsys.readouterr().out
@@ -149,7 +149,7 @@ def test_pieces_of_other_flights_are_kept_apart(done, tmp_path, capsys):
     levels.write_bytes(before)
 
 
-def test_bad_input_is_told(tmp_path, capsys):
+def test_rare_events_refuse_bad_input(tmp_path, capsys):
     with pytest.raises(BadInputError, match="--corner 1: not one of 000000 to 111111"):
         replace(study_of(tmp_path), corner="1")
     assert reproduce.main(["tables", "--cell", "calm-3"]) == 2

@@ -37,7 +37,7 @@ def of_lanes(form, seen):
 @pytest.mark.parametrize(
     "form", [*COEFFICIENT_TERMS, *UNNAMED, "-alpha/(1-beta)+sqrt(V_rel)", "where(beta<0,-de,+da)"]
 )
-def test_terms_are_what_python_makes_of_them(form):
+def test_compiled_terms_are_pythons(form):
     rng = np.random.default_rng(4)
     seen = rng.normal(size=(len(VARIABLES), 40)) * 0.2
     seen[[VARIABLES.index(v) for v in ("de", "da", "dr")]] *= 30.0
@@ -58,12 +58,12 @@ def test_tables_hold_their_ends():
 @pytest.mark.parametrize(
     "form", ["alpha if beta else 1", "alpha//2", "tanh(alpha)(2)", "alpha == beta"]
 )
-def test_what_no_term_may_contain_is_refused(form):
+def test_programme_refuses_what_no_term_may_contain(form):
     with pytest.raises(ValueError, match="nothing that a term may contain"):
         programme(form)
 
 
-def test_terms_too_deep_are_refused():
+def test_programme_refuses_deep_terms():
     deep = "alpha"
     for _ in range(STACK):
         deep = f"beta+({deep})"

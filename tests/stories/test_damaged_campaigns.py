@@ -135,7 +135,7 @@ def says(capsys, *words):
     return code, capsys.readouterr()
 
 
-def test_a_folder_as_it_was_written_is_whole(copy, capsys):
+def test_verify_finds_a_written_folder_whole(copy, capsys):
     for name in ("plain", "decide", "parts"):
         folder = copy(name)
         before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
@@ -152,7 +152,7 @@ def test_a_folder_as_it_was_written_is_whole(copy, capsys):
         assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == before
 
 
-def test_a_flipped_row_is_found_by_every_reader_and_salvaged(copy, made, capsys):
+def test_salvage_of_a_flipped_row(copy, made, capsys):
     folder = copy("plain")
     flip_text(folder / JOURNAL, b'"cross_track_max_m": ')
     before = (folder / JOURNAL).read_bytes()
@@ -254,7 +254,7 @@ def test_a_run_that_was_not_complete_is_held_against_its_rows(copy, made, tmp_pa
 
 
 @pytest.mark.parametrize("offset", [0, 100, 8192])
-def test_what_can_be_read_of_a_torn_file_is_kept(copy, made, offset):
+def test_salvage_of_a_torn_journal(copy, made, offset):
     folder = copy("plain")
     content = bytearray((folder / JOURNAL).read_bytes())
     content[offset : offset + 40] = bytes(40)
@@ -269,7 +269,7 @@ def test_what_can_be_read_of_a_torn_file_is_kept(copy, made, offset):
 
 
 @pytest.mark.parametrize("gone", ["text", "cut", "deleted"])
-def test_a_journal_that_is_none_is_flown_again(copy, made, gone):
+def test_salvage_of_a_journal_that_is_none(copy, made, gone):
     folder = copy("plain")
     path = folder / JOURNAL
     if gone == "deleted":
@@ -346,7 +346,7 @@ def test_shards_are_salvaged_each_and_merged_again(copy, made, capsys):
     assert verify(folder).whole
 
 
-def test_a_writer_killed_in_a_batch_is_no_damage(copy, made):
+def test_verify_after_a_writer_was_killed(copy, made):
     folder = copy("plain")
     unseal(folder, "running")
     script = (

@@ -56,14 +56,14 @@ SAID = {
 
 
 @pytest.mark.parametrize("name", BAD)
-def test_what_is_bad_is_found(name, bad_worker):
+def test_bad_targets_are_findings(name, bad_worker):
     found = bad_worker.attempt(name, 1)
     assert found.outcome == "finding"
     assert SAID[name] in found.what
 
 
 @pytest.mark.parametrize("name", GOOD)
-def test_what_is_good_is_not(name, bad_worker):
+def test_good_targets_are_no_findings(name, bad_worker):
     found = bad_worker.attempt(name, 1)
     assert found.outcome == ("result" if name == "fine" else "refusal"), found.what
 
@@ -74,7 +74,7 @@ def test_the_worker_serves_on_after_each_death(bad_worker):
         assert (found.outcome == "result") == (name == "fine")
 
 
-def test_findings_are_counted_and_told():
+def test_run_counts_findings():
     counts, told = {"raises": Counts(), "fine": Counts()}, []
     run(by_number(counts, 7, 3), counts, told.append, "tests.fuzz.bad_targets")
     assert (counts["raises"].findings, counts["fine"].results) == (3, 3)

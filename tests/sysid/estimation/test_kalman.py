@@ -142,7 +142,7 @@ def test_columns_are_what_a_change_of_coefficients_and_of_the_channels_does(gust
     assert np.abs(expected["c149"]).max() > 0.1
 
 
-def test_in_calm_air_the_state_is_not_corrected() -> None:
+def test_whiten_innovations_in_calm_air() -> None:
     steps = system(15, 8)
     z = measured(steps, 1)
     seen = MeasuredSystem.of(steps, z, ROWS)
@@ -157,7 +157,7 @@ def test_in_calm_air_the_state_is_not_corrected() -> None:
             state = steps.phi[k] @ state + steps.defect[k]
 
 
-def test_what_is_no_air_is_refused() -> None:
+def test_gains_refuse_variances_that_are_none() -> None:
     steps, (noise, begin) = system(20, 2), air(3)
     seen = MeasuredSystem.of(steps, measured(steps, 2), ROWS)
     with pytest.raises(np.linalg.LinAlgError, match="below zero"):

@@ -79,14 +79,14 @@ def channel(seed, std, gusts=0.0, n=300, pieces=9):
 
 
 @pytest.mark.parametrize("card", [0.05, 0.1, 0.025, None])
-def test_the_samples_decide_whatever_the_card_says(card):
+def test_noise_size_follows_the_samples_not_the_card(card):
     found = [noise_size(channel(seed, 0.05), DT, FROM, card) for seed in range(8)]
     assert np.mean([f.std for f in found]) == pytest.approx(0.05, rel=0.03)
     assert np.std([f.std for f in found]) < 2.0 * 0.05 * np.mean([f.relative_std for f in found])
     assert all(f.relative_std < 0.06 for f in found)
 
 
-def test_the_spread_is_as_large_as_the_error():
+def test_noise_size_spread_is_its_error():
     """Where gusts hide the noise the spread says so, within a factor of three: the gusts' spectrum
     is a model too.
     """
@@ -103,7 +103,7 @@ def test_gusts_far_above_the_noise_leave_the_cards_figure():
     assert found.relative_std > 0.3
 
 
-def test_what_tells_nothing():
+def test_noise_size_of_samples_that_tell_nothing():
     short = [np.random.default_rng(1).standard_normal(20)]
     assert noise_size(short, DT, FROM) is None
     assert noise_size(short, DT, FROM, 0.3) is not None

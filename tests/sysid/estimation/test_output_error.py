@@ -287,7 +287,7 @@ def test_estimates_alone_are_the_same_and_say_nothing_of_errors():
         ("words", "not numeric"),
     ],
 )
-def test_wrong_outputs_are_a_sentence(answer, said):
+def test_safe_simulation_reports_wrong_outputs(answer, said):
     found = SafeSimulation(lambda theta: answer, (4,), 2)(np.zeros(1))
     assert isinstance(found, str)
     assert re.search(said, found)
@@ -330,7 +330,7 @@ def differences_together(model, central):
     )
 
 
-def test_one_that_fails_does_not_take_its_group_along():
+def test_sensitivities_of_a_failing_parameter_leave_its_group():
     found = differences_together(Decays(fails=lambda theta: theta[2] != THETA[2]), False)
     assert found.effect.tolist() == [True, True, False, True, True]
     right = differences_together(Decays(), False).sensitivity.dense()

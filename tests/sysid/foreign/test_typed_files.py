@@ -244,7 +244,7 @@ def deep(levels: int) -> Any:
         ({tuple(range(2000)): 1}, "a key has more than 1000 parts"),
     ],
 )
-def test_what_is_no_data_is_refused_by_name(value, said):
+def test_dump_refuses_what_is_no_data(value, said):
     with pytest.raises(DataFileError) as error:
         dump(value)
     assert said in str(error.value)
@@ -389,7 +389,7 @@ def test_a_forged_file_is_refused_and_takes_no_memory(content):
     }
 
 
-def test_another_version_is_refused_as_that():
+def test_load_refuses_another_version():
     written = bytearray(dump(1))
     written[len(MAGIC) - 1] += 1
     with pytest.raises(DataFileError, match="of this version"):
@@ -438,7 +438,7 @@ def test_mutated_headers_give_a_value_or_a_sentence():
 # no code of them.
 
 
-def test_a_named_tuple_is_made_of_its_fields():
+def test_named_tuple_round_trip():
     value = GustStates(2.8, turning_with=False)
     own = storable_class(GustStates)
     assert own is find_class("sysid.aerodynamics.air_motion:GustStates", list(GustStates._fields))

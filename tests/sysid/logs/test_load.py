@@ -53,7 +53,7 @@ def test_empty_missing_folder_and_zip(tmp_path: Path) -> None:
 # Where imported logs are kept.
 
 
-def test_a_record_is_kept_whole_and_what_cannot_be_written_is_let_go(tmp_path: Path) -> None:
+def test_store_writes_whole_records_or_none(tmp_path: Path) -> None:
     record = flight(1.0)
     store(record, tmp_path / "new" / "a.parquet")
     assert [p.name for p in (tmp_path / "new").iterdir()] == ["a.parquet"]
@@ -80,12 +80,12 @@ def begins(time_s: np.ndarray, headers: tuple[int, ...] = ()) -> list[int]:
     return boundaries(np.arange(len(time_s)), time_s, headers)
 
 
-def test_a_clock_that_begins_again_is_a_boundary_to_the_record() -> None:
+def test_boundaries_where_a_clock_begins_again() -> None:
     assert begins(stamps((3.0, 20.0), (0.5, 60.0))) == [1700]
     assert begins(stamps((0.0, 20.0), (0.0, 20.0), (5.0, 9.0))) == [2000, 4000]
 
 
-def test_lines_out_of_order_late_blocks_and_wrong_stamps_are_no_boots() -> None:
+def test_boundaries_ignore_disorder_and_wrong_stamps() -> None:
     time_s = stamps((0.0, 60.0))
     rng = np.random.default_rng(1)
     shuffled = time_s.copy()
@@ -100,7 +100,7 @@ def test_lines_out_of_order_late_blocks_and_wrong_stamps_are_no_boots() -> None:
         assert begins(damaged) == []
 
 
-def test_a_repeated_header_parts_boots_whose_clock_runs_forward_but_no_boot() -> None:
+def test_boundaries_at_repeated_headers() -> None:
     assert begins(stamps((0.0, 20.0), (45.0, 60.0)), (2000,)) == [2000]
     assert begins(stamps((0.0, 20.0), (45.0, 60.0))) == []
     assert begins(stamps((0.0, 20.0), (20.0, 60.0)), (2000,)) == []

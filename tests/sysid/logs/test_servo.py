@@ -42,7 +42,7 @@ def angles(
     return deflection(np.array(pwm), servo).tolist(), control.description, control.conflicts
 
 
-def test_neutral_and_sense_are_the_logs_and_the_conflict_is_told() -> None:
+def test_controls_take_neutral_and_sense_of_the_log() -> None:
     values, _, against = angles(
         TABLE, {**LOG, "SERVO2_TRIM": 1540.0, "SERVO2_REVERSED": 0.0}, [1140.0, 1540.0, 1940.0]
     )
@@ -51,7 +51,7 @@ def test_neutral_and_sense_are_the_logs_and_the_conflict_is_told() -> None:
     assert "1540 us in the log, 1500 us in the card" in against
 
 
-def test_without_a_table_the_ends_of_travel_are_the_cards_limits_and_it_says_so() -> None:
+def test_controls_without_a_table_use_the_cards_limits() -> None:
     for key in ("unit = 'deg'\nlimits = [-25, 15]", "throw_deg = 20"):
         text = f"[inputs.elevator]\nproperty = 'fcs/elevator'\n{key}\n"
         values, told, _ = angles(text, LOG, [1000.0, 1500.0, 1750.0, 2000.0])
@@ -188,7 +188,7 @@ def flown(seed, size=6.0, late_s=0.0, dt=DT, stride=STRIDE):
     ("late_s", "dt", "stride"),
     few([(0.006, 0.02, 2), (0.0, 0.02, 2), (0.011, 0.02, 2), (0.005, 0.005, 8)], 1),
 )
-def test_steps_are_found_where_they_happened(late_s, dt, stride):
+def test_place_steps_finds_logged_steps(late_s, dt, stride):
     before = after = 0.0
     for seed in range(6):
         acted, logged, rate = flown(seed, late_s=late_s, dt=dt, stride=stride)

@@ -112,7 +112,7 @@ def test_new_blocks_lie_within_as_often_as_stated(parts):
     assert over_draws(range(6), widen=0.6, **parts) < 0.9
 
 
-def test_the_parts_are_those_that_were_put_in():
+def test_separate_finds_the_parts_that_were_put_in():
     found = [fitted(draw(seed, 0.01, 0.012, 0.02, 0.02)[0]).bounds.parts for seed in range(8)]
     assert np.mean([p.transient for p in found]) == pytest.approx(0.02, rel=0.1)
     assert np.mean([p.persistent for p in found]) == pytest.approx(0.012, rel=0.5)
@@ -122,7 +122,7 @@ def test_the_parts_are_those_that_were_put_in():
     assert all(np.isnan(p.flight) for p in found)  # one flight
 
 
-def test_without_model_error_little_is_left_and_none_is_found():
+def test_components_without_model_error():
     noise = 0.02
     for seed in range(6):
         bounds = fitted(draw(seed, 0.0, 0.0, 0.0, noise)[0]).bounds
@@ -158,7 +158,7 @@ def test_what_differs_from_flight_to_flight_widens_the_persistent_part():
     assert all(p.persistent > p.flight for p in apart)
 
 
-def test_points_together_are_the_dense_formulas_one_by_one(monkeypatch):
+def test_solve_is_the_dense_formulas(monkeypatch):
     """Log likelihood of y ~ N(0, D + X S X'), estimate and covariance of its coefficients, by the n
     x n covariance.
     """
@@ -210,7 +210,7 @@ def test_points_together_are_the_dense_formulas_one_by_one(monkeypatch):
         )
 
 
-def test_leaving_blocks_out_is_fitting_the_others():
+def test_excluding_blocks_is_fitting_the_others():
     residuals, _ = draw(3, 0.005, 0.01, 0.01, 0.02)
     whole = fitted(residuals)
     rest = type(residuals)(residuals.pieces[2:], 0.02, residuals.cutoffs)

@@ -58,7 +58,7 @@ def test_a_clean_log_raises_no_warning(tmp_path: Path, card: AirframeCard) -> No
 # Time.
 
 
-def test_nothing_is_interpolated_across_a_gap_and_commands_are_held() -> None:
+def test_interpolate_and_hold_leave_gaps() -> None:
     t = np.concatenate([np.arange(10) * 0.1, 3.0 + np.arange(10) * 0.1])
     grid = np.arange(0.0, 3.9, 0.05)
     gaps = clean(t).gaps
@@ -184,7 +184,7 @@ def test_ground_tow_and_free_flight_are_told_apart() -> None:
     assert no_tow.free_s[0] == pytest.approx(26.0, abs=1.5)
 
 
-def test_what_never_flew_says_so() -> None:
+def test_free_flight_of_what_never_flew() -> None:
     t = np.arange(0, 60, 0.1)
     assert (
         "never flew"
@@ -333,7 +333,7 @@ def test_rates_a_third_of_a_row_early_are_no_lever_arm() -> None:
     assert finding.numbers["x_m"] == pytest.approx(1.2, abs=0.1)
 
 
-def test_a_simulation_without_noise_may_stand_at_its_ends() -> None:
+def test_stuck_span_of_a_simulation_at_rest_at_its_ends() -> None:
     """A steady flight before the first manoeuvre and after the last is no fault of a sensor."""
     values = np.sin(0.02 * np.arange(1000))
     values[:300] = values[300]
