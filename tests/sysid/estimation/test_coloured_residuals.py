@@ -78,6 +78,22 @@ def found(predictable=0.4, explained=np.nan, p_value=1e-30, outputs=6):
 
 
 @pytest.mark.parametrize(
+    ("explained", "first"),
+    [
+        (0.9, "the model's form before"),
+        (0.1, "process noise (turbulence) before"),
+        (np.nan, "turbulence) or the model"),
+    ],
+)
+def test_colour_warnings_name_the_likelier_cause_first(explained, first):
+    (text,) = colour_warnings(
+        found(explained=explained), np.full(3, 3.2), np.ones(3), "output error"
+    )
+    assert first in text
+    assert "3.2 times" in text
+
+
+@pytest.mark.parametrize(
     ("colour", "std"),
     [
         (found(p_value=0.5), 3.2),  # white
