@@ -1064,7 +1064,7 @@ def _stab_cases(path: Path, text: str) -> Iterator[Slip]:
                 if column not in columns or case not in block.cases:
                     continue
                 delta, row = block.cases[case]
-                if delta == 0.0 or not math.isfinite(factors[column]):
+                if coefficient not in row or delta == 0.0 or not math.isfinite(factors[column]):
                     continue
                 expected = (row[coefficient].value - base[1][coefficient].value) / delta
                 expected *= factors[column]

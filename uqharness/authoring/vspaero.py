@@ -173,14 +173,14 @@ def _results_blocks(path: Path, text: str) -> list[Block]:
     cases: dict[str, dict[str, Entry]] = {}
     steps: dict[str, float] = {}
     for number, line in enumerate([*text.splitlines(), "Results_Name,"], start=1):
-        words = [word.strip().strip('"') for word in line.split(",")]
+        words = [word.strip().strip('"') for word in f"{line},".split(",")]
         if words[0] == "Results_Name":
             if block is not None:
                 block.cases = {name: (steps.get(name, 0.0), row) for name, row in cases.items()}
                 out.append(block)
             block = Block() if words[1] == "VSPAERO_Stab" else None
             cases, steps = {}, {}
-        elif block is None or len(words) < 2 or words[0].endswith("_Units"):
+        elif block is None or words[0].endswith("_Units"):
             continue
         elif words[0].startswith("FC_") or words[0] in ("SM", "X_np"):
             block.values[words[0].removeprefix("FC_")] = _entry(words[1], path, number)

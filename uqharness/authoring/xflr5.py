@@ -19,7 +19,7 @@ from statistics import median
 
 import numpy as np
 
-from uqharness.authoring.source import TOTAL, Entry, Point, Source
+from uqharness.authoring.source import LARGEST, TOTAL, Entry, Point, Source
 from uqharness.errors import BadInputError
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
@@ -216,7 +216,7 @@ def _add(
         return
     if variable in _VARIABLE:
         condition.entries[coefficient, _VARIABLE[variable]] = entry
-    if variable in "vwpqr" and value and dimensional:
+    if variable in "vwpqr" and all(1e-12 < abs(v) < LARGEST for v in (value, dimensional)):
         kind = {"X": "S", "Y": "S", "Z": "S", "L": "Sb", "N": "Sb", "M": "Sc"}[letter]
         condition.pairs.append((letter, variable, Entry(value, path, line), dimensional / value))
         if variable in "vw":
