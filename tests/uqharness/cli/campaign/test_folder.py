@@ -11,6 +11,7 @@ from uqharness.campaign.manifest import read_manifest, write_manifest
 from uqharness.campaign.store import run_lock
 from uqharness.campaign.tables import read_cases
 from uqharness.cli.main import run_words
+from uqharness.errors import BadInputError
 from uqharness.simulator.aircraft import find_aircraft
 
 pytestmark = pytest.mark.usefixtures("flights_here")
@@ -89,3 +90,8 @@ def test_a_report_flies_the_worst_and_the_median_flight_again_once(tmp_path, cap
         assert call("report", out, "--json") == 0
         assert json.loads(capsys.readouterr().out)["flown_again"] == expected
     assert len(list((out / "rerun").glob("*/record.parquet"))) == 2
+
+
+def test_salvage_refuses_a_size_without_its_campaign(tmp_path):
+    with pytest.raises(BadInputError, match="--hours and --samples need --campaign"):
+        call("salvage", tmp_path, "--hours", "1")
