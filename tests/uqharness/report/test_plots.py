@@ -4,8 +4,6 @@ alone.
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from types import SimpleNamespace
 
 import matplotlib
@@ -100,26 +98,3 @@ def test_bounds_are_those_of_the_slice_and_samples_those_near_it():
     along = {s: np.full(len(lower.get_xdata()), middle[j]) for j, s in enumerate(bounds.states)}
     along["alpha_rad"] = np.radians(lower.get_xdata())
     assert lower.get_ydata() == pytest.approx(bounds.bounds(along)[0])
-
-
-def loaded(modules):
-    """What of matplotlib is there once the modules are imported in a fresh process."""
-    code = (
-        f"import sys, {modules}; print(*[n for n in ('matplotlib', 'matplotlib.pyplot') if n in"
-        " sys.modules])"
-    )
-    return subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True
-    ).stdout.split()
-
-
-@pytest.mark.slow
-def test_reports_load_no_matplotlib():
-    assert (
-        loaded(
-            "uqharness.report.write, uqharness.report.pages.study, uqharness.report.history,"
-            " uqharness.cli.main"
-        )
-        == []
-    )
-    assert loaded("uqharness.report.plots") == ["matplotlib"]

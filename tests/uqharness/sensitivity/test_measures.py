@@ -14,6 +14,7 @@ from uqharness.sensitivity.measures import (
     log_area,
     pair_areas,
     pair_band,
+    pinching,
     reach_of_box,
     scatter,
 )
@@ -139,3 +140,20 @@ def test_ties_in_skewed_air_are_seldom_called_certain():
         lead = pair_band(y, 2, seed, resamples=60).lead
         certain += bool(lead[0, 1] > 0.0 or lead[1, 0] > 0.0)
     assert certain <= 2
+
+
+@pytest.mark.parametrize(
+    ("model", "samples", "words"),
+    [
+        (lambda a, b: a + b / 2.0, 512, None),
+        # Widest between the corners, where the samples fill three times their p-box.
+        (lambda a, b: 4.0 * a * (1.0 - a) + b / 2.0, 512, "extremum inside"),
+        (lambda a, b: (a * b) ** 8, 16, "samples seldom meet corners"),
+    ],
+)
+def test_pinching_holds_where_samples_fill_the_corners_p_box_and_stay_within(model, samples, words):
+    unit = {"a": (0.0, 1.0), "b": (0.0, 1.0)}
+    made = run_study(model, unit, samples=samples, draws=1, methods=("pbox", "proposed"))
+    found = pinching(made, made.outputs["output"])
+    assert found.holds is (words is None)
+    assert words is None or words in found.statement
