@@ -52,6 +52,19 @@ def test_margins_are_said_as_the_formula_has_them():
     assert f"phase margin {phase:.1f} deg; delay margin {delay:.0f} ms" in words
 
 
+def test_the_delayed_curve_of_nichols_runs_through_the_critical_point():
+    svg = figure(page(loop(integrator())), "nichols-elevator")
+    crosses = svg.xpath(".//g[contains(@clip-path, 'clip')]/path[contains(@d, 'l8 8')]/@d")
+    critical = [
+        np.array(re.match(r"M([-\d.]+) ([-\d.]+)", cross).groups(), dtype=float) + 4.0
+        for cross in crosses
+    ]
+    near = {
+        k: min(math.dist(c, p) for c in critical for p in at(svg, k)) for k in ("first", "third")
+    }
+    assert near["third"] < 3.0 < near["first"]
+
+
 def test_a_conditionally_stable_loop_shows_its_margin_downwards():
     s = 1j * W
     text = page(loop(20.0 * (s + 1.0) ** 2 / s**3))
