@@ -17,6 +17,7 @@ from uqharness.authoring.avl_input import read_geometry, read_masses, run_avl
 from uqharness.authoring.avl_text import read_avl_text
 from uqharness.authoring.derivative_table import read_table_file
 from uqharness.authoring.read import read_sources
+from uqharness.authoring.slips import find_slips
 from uqharness.authoring.source import (
     BODY,
     TOTAL,
@@ -535,7 +536,7 @@ def results_csv(stab: str) -> str:
     return "\n".join(lines) + "\n"
 
 
-def test_results_csv_of_openvsp_is_its_stab():
+def test_results_csv_of_openvsp_is_its_stab(tmp_path):
     stab = (DATA / "kite.stab").read_text()
     text = results_csv(stab)
     expected, source = (read_stab(Path("kite"), t) for t in (stab, text))
@@ -551,6 +552,13 @@ def test_results_csv_of_openvsp_is_its_stab():
         assert point.steps == other.steps
     line = source.points[0].entries["Cm", "alpha"].line
     assert text.splitlines()[line - 1].startswith("CMm_Alpha,")
+    # A missing case row, or a section without a name, leaves the derivatives as they are.
+    damaged = re.sub(r"Beta_CL,.*\n", "", text).replace(
+        "Results_Name,VSPAERO_History", "Results_Name"
+    )
+    path = tmp_path / "results.csv"
+    path.write_text(damaged)
+    assert find_slips(read_sources([path])) == []
 
 
 @pytest.mark.parametrize(
