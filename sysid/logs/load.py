@@ -244,7 +244,7 @@ def _require_flight(record: FlightRecord, flight_number: int | None, path: Path)
     if flight_number not in (None, record.metadata.flight_number):
         raise LogError(
             f"--flight-number {flight_number}: the file holds one flight, number"
-            f" {record.metadata.flight_number}; leave the option out",
+            f" {record.metadata.flight_number}; omit the option",
             path,
         )
     return record

@@ -81,7 +81,7 @@ def read(
         callback(1.0)
     if not raw.messages:
         raise LogError(
-            "no topic with flight data could be read; the log holds nothing this importer knows",
+            "no topic with flight data could be read: the importer supports none of the log's",
             path,
         )
     return raw

@@ -138,7 +138,7 @@ XML_TEXT = (
     "uqharness/exchange/",
     # Effects are written as an author would; refinement's inside is to be rewritten.
     "uqharness/refinement/write_xml.py",
-    # Messages say what is not understood.
+    # Messages say what is not supported.
     "uqharness/batch/translate/",
     "uqharness/commands/",
     # HTML, whose tables have the name of JSBSim's.

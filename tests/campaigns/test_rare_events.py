@@ -223,7 +223,7 @@ def test_the_pilot_fits_predictions_and_finds_levels(done, tmp_path):
     assert tuned.levels.scores[-1] <= TOP
     write_tuning(tmp_path, tuned)
     assert read_tuning(tmp_path) == tuned
-    with pytest.raises(BadInputError, match="fly more or longer paths than 1 in the pilot"):
+    with pytest.raises(BadInputError, match="use more or longer paths than 1 in the pilot"):
         replace(short, size=replace(short.size, pilot_roots=1, pilot_s=12.0, aim_m=math.inf)).tune()
 
 

@@ -128,7 +128,7 @@ def translated(
 
 
 def refused(text: str, events: str = "", files: Mapping[str, str] | None = None) -> str:
-    """What is said of an aircraft that is not understood."""
+    """What is said of an aircraft that is not supported."""
     with craft(text, events=events, files=files) as made, pytest.raises(BadInputError) as error:
         translated(made, [])
     return str(error.value)

@@ -185,7 +185,7 @@ def judged(body: str, inputs: Series, engines: int = 0) -> tuple[dict[str, int],
 
 
 def refusal(body: str, inputs: Sequence[str] = ("i/a", "i/b")) -> str:
-    """What is said of a system that is not understood; the system begins in line 1."""
+    """What is said of a system that is not supported; the system begins in line 1."""
     document = document_of(body)
     values = Values(lambda name: 0.0 if name in inputs or name.startswith("fcs/") else None)
     with pytest.raises(BadInputError) as error:

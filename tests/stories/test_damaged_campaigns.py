@@ -303,9 +303,9 @@ def test_a_damaged_manifest_is_rebuilt_from_the_campaign_file(copy, made, capsys
         with pytest.raises(BadInputError, match=r"--campaign CAMPAIGN\.toml"):
             salvage(folder, FLYING)
         other = read_campaign(made / "decide.toml")
-        with pytest.raises(BadInputError, match="32 of its 32 sound flights are no part of"):
+        with pytest.raises(BadInputError, match="32 of its 32 undamaged flights do not belong to"):
             salvage(folder, FLYING, other)
-        with pytest.raises(BadInputError, match="4 of its 32 sound flights are no part of"):
+        with pytest.raises(BadInputError, match="4 of its 32 undamaged flights do not belong to"):
             salvage(folder, FLYING, spec.with_flights(7))
         found = salvage(folder, FLYING, spec, "uqharness campaign run x")
         assert (found.kept, found.flown) == (32, 0)

@@ -75,7 +75,7 @@ def test_diff_names_the_model_whose_flight_ends_its_process(
     (flight,) = json.loads(capsys.readouterr().out)["flights"]
     assert "signal 8 (SIGFPE) after 2.5" in flight["reason"]
     assert main(["diff", str(folder), "espaaro", "--script", "doublet-elevator"]) == 2
-    assert "A cannot be flown: JSBSim's process ended with signal 8" in capsys.readouterr().err
+    assert "A cannot be simulated: JSBSim's process ended with signal 8" in capsys.readouterr().err
 
 
 def test_a_trim_that_ends_its_process_is_an_error_of_python_and_of_the_command(tmp_path: Path):

@@ -129,7 +129,7 @@ class Source:
         entry = self.reference.get(key)
         if entry is None or not (key in "xyz" or entry.value > 1e-6):
             raise BadInputError(
-                f"{self.path}: holds no reference {key} above 0 (1e-6 m); give it with"
+                f"{self.path}: no reference {key} above 0 (1e-6 m); give it with"
                 f" --{_OPTION.get(key, key)}"
             )
         return entry.value

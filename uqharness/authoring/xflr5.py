@@ -87,8 +87,8 @@ def read_xflr5(path: Path, text: str) -> Source:
     conditions = [c for c in _conditions(path, text) if ("CZ", "alpha") in c.entries]
     if not conditions:
         raise BadInputError(
-            f"{path}: the stability log holds no Zw with CLa; save the log of a stability analysis"
-            " that found a trim"
+            f"{path}: no Zw with CLa in the stability log; save the log of a stability analysis"
+            " with a trim"
         )
     chosen = min(conditions, key=lambda c: max((abs(d) for d in c.deflections_deg), default=0.0))
     values, notes = chosen.values, []

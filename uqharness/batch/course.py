@@ -195,8 +195,8 @@ def initialise_lanes(lanes: LaneMission, specs: Sequence[FlightSpec]) -> Initial
         )
     if lanes.points and (values[TOUCHED] >= 0.0).any():
         raise BadInputError(
-            "the flight starts on the ground, where the batch engine computes no forces; fly it"
-            ' with engine = "jsbsim"'
+            "the flight starts on the ground, where the batch engine computes no forces; use"
+            ' engine = "jsbsim"'
         )
     _check_retained(specs, assigned, values)
     return InitialLanes(values, noise)
@@ -664,7 +664,7 @@ _BEYOND_REASON = (
     "a function of the aircraft had an argument that JSBSim ends for (mod by 0, a condition that is"
     " neither 0 nor 1, a switch without such a case) or that is beyond the batch engine (sin, cos"
     " and tan beyond 1,600,000, fmod with a quotient beyond 2^50, mod beyond 32 bits); or an"
-    " engine stopped and needs its starter, or a torque limiter acted at the start; fly the"
+    " engine stopped and needs its starter, or a torque limiter acted at the start; run the"
     ' campaign with engine = "jsbsim"'
 )
 

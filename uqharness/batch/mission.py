@@ -208,7 +208,7 @@ def _refuse_running(mission: StagedMission) -> None:
     for node in document.root.walk():
         if node.tag == "running":
             raise BadInputError(
-                f"{document.where(node)}: <running> in initial conditions is not understood by the"
+                f"{document.where(node)}: <running> in initial conditions is not supported by the"
                 " batch engine"
             )
 
@@ -313,7 +313,7 @@ def _refuse_settling(mission: StagedMission) -> None:
     if any(mark in mission.script.run_properties for mark in (RATES_HELD, RATES_FREE)):
         raise BadInputError(
             f"{mission.script.path}: frames of JSBSim bring the control system to rest before the"
-            ' flight begins; fly it with engine = "jsbsim"'
+            ' flight begins; use engine = "jsbsim"'
         )
 
 

@@ -284,9 +284,8 @@ def _refuse_conflicting_properties(
     conflicting = [name for name in variables if name in properties]
     if conflicting:
         raise BadInputError(
-            f'[aleatory.variables."{conflicting[0]}"]: the property is set by [epistemic] as well;'
-            " it can be either random from flight to flight or unknown, not both: give one of them"
-            " (an unknown mean is an interval)"
+            f'[aleatory.variables."{conflicting[0]}"]: the property is set by [epistemic] too; make'
+            " it either aleatory or epistemic (an unknown mean is an interval)"
         )
 
 

@@ -130,7 +130,7 @@ def study_convergence(
         raise BadInputError(
             f"{folder}: nothing to compare: {number} repeats need at least {2 * number} flights of"
             " an epistemic sample, and epistemic convergence needs at least 4 samples drawn at"
-            " random (white, walk, parameters); fly more, or give fewer --repeats"
+            " random (white, walk, parameters); run more flights, or give fewer --repeats"
         )
     return results
 
@@ -342,7 +342,7 @@ def read_flights(path: Path | None, values: Mapping[str, float]) -> pd.DataFrame
     if path is not None:
         frames.append(_read_table(path))
         if frames[-1].empty:
-            raise BadInputError(f"{path}: holds no flight; give a table with a row per flight")
+            raise BadInputError(f"{path}: no flights; give a table with a row per flight")
     if not frames or all(frame.empty for frame in frames):
         raise BadInputError(
             "no flight to compare: give --flight FILE.csv|.parquet, or --value METRIC=NUMBER"

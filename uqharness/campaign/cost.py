@@ -334,8 +334,8 @@ def refuse_if_long(cost: Cost, confirmed: bool, path: object) -> None:
     """Raise BadInputError if a campaign takes more than a day and was not confirmed."""
     if cost.is_long and not confirmed:
         raise BadInputError(
-            f"{path}: {cost.words}: that is more than a day of this machine; give --yes to fly it"
-            " all the same, or --hours H for fewer flights per corner and condition"
+            f"{path}: {cost.words}: more than a day on this machine; give --yes to run it, or"
+            " --hours H for fewer flights per corner and condition"
         )
 
 

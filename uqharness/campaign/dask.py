@@ -113,7 +113,7 @@ def order_text(order: Order) -> str:
         case_id, flight = order.group.cases[0]
         raise BadInputError(
             f"case {case_id}: a name with bytes that are no UTF-8 cannot be sent to a Dask cluster:"
-            f" aircraft {str(flight.aircraft)!r}, script {str(flight.script)!r}; rename it, or fly"
+            f" aircraft {str(flight.aircraft)!r}, script {str(flight.script)!r}; rename it, or run"
             " without --dask"
         ) from None
     return text
@@ -145,14 +145,13 @@ def answer_from(text: Any, case_ids: tuple[str, ...]) -> list[CaseOutcome]:
         )
     if len(answer.outcomes) != len(case_ids):
         raise BadInputError(
-            f"a Dask worker answered with {len(answer.outcomes)} flights; asked for were"
-            f" {len(case_ids)}"
+            f"a Dask worker returned {len(answer.outcomes)} flights; requested were {len(case_ids)}"
         )
     for outcome, case_id in zip(answer.outcomes, case_ids, strict=True):
         if outcome.case_id != case_id or outcome.status not in STATUSES:
             raise BadInputError(
-                f"a Dask worker answered for case {outcome.case_id!r} with the status"
-                f" {outcome.status!r}; asked for was case {case_id!r} with one of"
+                f"a Dask worker returned case {outcome.case_id!r} with the status"
+                f" {outcome.status!r}; requested was case {case_id!r} with one of"
                 f" {', '.join(STATUSES)}: every machine needs the same version of uqharness"
             )
     return list(answer.outcomes)
@@ -170,8 +169,8 @@ def flight_name(fly: FlightFunction | GroupFunction) -> str:
         function = None
     if function is not fly:
         raise BadInputError(
-            "a Dask cluster flies with a function that its module holds by name, and not with"
-            f" {fly!r}; fly this campaign without --dask"
+            f"{fly!r}: a Dask cluster needs a flight function that can be imported by name; run"
+            " this campaign without --dask"
         )
     return name
 
@@ -193,8 +192,8 @@ def flight_function(name: str) -> Any:
     allowed = {module.strip() for module in os.environ.get(MODULES_VARIABLE, "").split(",")}
     if name not in (OWN_FLIGHT, OWN_GROUP) and name.partition(":")[0] not in allowed - {""}:
         raise BadInputError(
-            f"this worker flies with {OWN_FLIGHT} alone, and not with {name!r}; whoever trusts that"
-            " module starts the worker with the environment variable"
+            f"this worker accepts {OWN_FLIGHT} only, not {name!r}; if you trust that module, start"
+            " the worker with the environment variable"
             f" {MODULES_VARIABLE}={name.partition(':')[0]}"
         )
     return _function(name)
@@ -328,7 +327,7 @@ def _refuse_without_engine(name: str) -> None:
     """Raise BadInputError if this machine cannot fly in that engine."""
     reason = unavailable_reason(name)
     if reason is not None:
-        raise BadInputError(f"the campaign flies in the batch engine, and {reason}")
+        raise BadInputError(f"the campaign uses the batch engine, and {reason}")
 
 
 # One process per thread of this worker; list operations are atomic, so that threads need no lock.
@@ -556,9 +555,9 @@ class DaskExecutor:
             raise self._lost_error() from error
         except Exception as error:
             raise BadInputError(
-                f"the Dask cluster at {self.address} cannot fly this campaign:"
-                f" {type(error).__name__}: {error}; uqharness and what it needs must be installed"
-                " for every worker, in the versions of this machine"
+                f"the Dask cluster at {self.address} cannot run this campaign:"
+                f" {type(error).__name__}: {error}; install uqharness and its dependencies for"
+                " every worker, in the versions of this machine"
             ) from error
 
     def _lost_error(self) -> BadInputError:

@@ -255,12 +255,12 @@ def system_file(aircraft: Aircraft) -> Path:
                 if path.is_file():
                     return path
     raise BadInputError(
-        f'{aircraft.xml}: carries no <system file="{SYSTEM}"/>, so no bounds can act on it; '
+        f'{aircraft.xml}: no <system file="{SYSTEM}"/>, so bounds have no effect; '
         f"add the plugin first: uqharness instrument {aircraft.name} --out DIR"
     )
 
 
-_REQUESTED = "it was asked for"
+_REQUESTED = "it was requested"
 _MAX_REASONS = 8
 
 
@@ -391,8 +391,8 @@ def choose_engine(
         reason = engines.unavailable()
         if reason is not None:
             raise BadInputError(
-                f"{spec.path}: this campaign flies in the batch engine, and {reason}; fly it where"
-                " it began"
+                f"{spec.path}: this campaign uses the batch engine, and {reason}; resume it on the"
+                " machine where it began"
             )
         return EngineChoice(spec.with_engine(BATCH), requested, given_reasons)
     # Ask the batch engine whether it understands aircraft and mission.
@@ -400,7 +400,7 @@ def choose_engine(
     if engine_name == BATCH:
         if reasons:
             raise BadInputError(
-                f"{spec.path}: the batch engine was asked for and cannot fly this campaign:",
+                f"{spec.path}: the batch engine was requested and does not support this campaign:",
                 *reasons,
             )
         return EngineChoice(spec.with_engine(BATCH), requested, (_REQUESTED,))
@@ -408,13 +408,13 @@ def choose_engine(
         return EngineChoice(spec.with_engine(JSBSIM), requested, reasons)
     if not left_out:
         return EngineChoice(
-            spec.with_engine(BATCH), requested, ("it understands the whole aircraft and mission",)
+            spec.with_engine(BATCH), requested, ("it supports the complete aircraft and mission",)
         )
     return EngineChoice(
         spec.with_engine(BATCH),
         requested,
         (
-            "it understands all that the flight reads",
+            "it supports all that the flight reads",
             *(f"left out, since nothing reads it: {text}" for text in left_out),
         ),
     )
@@ -847,7 +847,7 @@ def refuse_difference(folder: Path, rows: Sequence[CheckRow]) -> None:
         f"{folder}: the batch engine differs from JSBSim: case {worst.case_id}"
         f" ({worst.condition}){when} has {worst.metric} {worst.batch or 'undefined'} in the batch"
         f" engine and {worst.jsbsim or 'undefined'} in JSBSim{distance}; {len(differing)} such rows"
-        f" in {folder / ENGINE_CHECK}. The results in this folder are not valid: fly the campaign"
+        f" in {folder / ENGINE_CHECK}. The results in this folder are not valid: run the campaign"
         " with --engine jsbsim into another --out, and report the aircraft"
     )
 

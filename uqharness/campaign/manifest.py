@@ -327,8 +327,8 @@ def refuse_without_digests(folder: Path, manifest: Mapping[str, Any]) -> None:
     """Raise BadInputError for a folder of uqharness 0.1, which can be read but not continued."""
     if not has_digests(manifest):
         raise BadInputError(
-            f"{folder}: made by uqharness 0.1, whose flights carry no digests: finish it there, or"
-            " fly it anew with another --out"
+            f"{folder}: made by uqharness 0.1, whose flights have no digests: finish it with that"
+            " version, or run it with another --out"
         )
 
 

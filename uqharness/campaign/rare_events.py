@@ -133,8 +133,8 @@ class LoiterPaths:
         prepared = compiled_mission(first)
         if DISTANCE not in prepared.table:
             raise BadInputError(
-                f"the card of {first.aircraft.name} names no {DISTANCE} under [metrics]: nothing to"
-                " leave"
+                f"the card of {first.aircraft.name} names no {DISTANCE} under [metrics], so"
+                " excursions are undefined"
             )
         # Checkpoints are at whole recorded rows.
         source, dt_s = prepared.table[DISTANCE], prepared.lanes.dt_s

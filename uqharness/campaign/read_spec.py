@@ -94,8 +94,8 @@ def with_planned_flights(spec: CampaignSpec, has_flights: bool) -> CampaignSpec:
     if has_flights and planned_spec.aleatory.flights != spec.aleatory.flights:
         raise BadInputError(
             f"{spec.path}:{line_of(spec.source, ('aleatory', 'flights'))}: [aleatory] flights ="
-            f" {spec.aleatory.flights}, but [stop] {reason} asks for"
-            f" {planned_spec.aleatory.flights}; leave [aleatory] flights out"
+            f" {spec.aleatory.flights}, but [stop] {reason} needs"
+            f" {planned_spec.aleatory.flights}; omit [aleatory] flights"
         )
     return planned_spec
 
@@ -161,14 +161,13 @@ def _check_model_form(spec: CampaignSpec) -> None:
         lacks = "bounds are no model-form.json" if form is None else f"{form} has no transient part"
         raise BadInputError(
             f"{spec.path}:{line_of(spec.source, ('epistemic', 'transient'))}: [epistemic] transient"
-            f" = true: {lacks}; make a model-form.json with `uqharness bounds`, or leave"
-            " transient out"
+            f" = true: {lacks}; make a model-form.json with `uqharness bounds`, or omit transient"
         )
     if section.set == "ellipsoid" and form is None:
         raise BadInputError(
             f"{spec.path}:{line_of(spec.source, ('epistemic', 'set'))}: [epistemic] set ="
-            ' "ellipsoid": it needs intervals whose confidence is known, bounds ='
-            ' "model-form.json"; bounds given as numbers, or an aircraft\'s own, are a box'
+            ' "ellipsoid": this needs intervals of known confidence, bounds = "model-form.json";'
+            " bounds that are numbers, or in the aircraft, are a box"
         )
 
 

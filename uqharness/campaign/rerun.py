@@ -143,8 +143,8 @@ def rerun_case(folder: Path, case_id: str) -> RerunResult:
     reason = unavailable_reason(case.engine)
     if reason is not None:
         raise BadInputError(
-            f"{folder}: this campaign flies in the batch engine, and {reason}; fly the case where"
-            " it was flown"
+            f"{folder}: this campaign uses the batch engine, and {reason}; repeat the case on the"
+            " machine of the campaign"
         )
     if needs_copy(spec):
         make_copy(spec, mission, folder)

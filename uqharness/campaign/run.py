@@ -280,8 +280,8 @@ def run_campaign(
     if shard is not None:
         if rounds.decides:
             raise BadInputError(
-                f'--shard {shard}: [stop] rule = "decide" looks at all corners together and cannot'
-                ' be flown in shares; leave out --shard, or use rule = "hours"'
+                f'--shard {shard}: [stop] rule = "decide" needs all corners together; omit'
+                ' --shard, or use rule = "hours"'
             )
         # Every n-th case: shards of equal length with all conditions.
         cases = cases[shard.number - 1 :: shard.count]

@@ -171,18 +171,18 @@ def read_corner_campaign(folder: Path) -> CornerCampaign:
             f" with levels {levels}" if method == "levels" else ""
         )
         raise BadInputError(
-            f"{folder}: not a corner campaign ({description}); sensitivity compares corners: fly"
+            f"{folder}: not a corner campaign ({description}); sensitivity compares corners: run"
             ' one with method = "corners", or "levels" that include 0 and 1'
         )
     if epistemic["set"] != "box":
         raise BadInputError(
-            f'{folder}: set = "{epistemic["set"]}" flies points of an ellipsoid, and sensitivity'
-            ' compares the corners of a box; fly one with set = "box"'
+            f'{folder}: set = "{epistemic["set"]}" has points of an ellipsoid, but sensitivity'
+            ' compares the corners of a box; run one with set = "box"'
         )
     if "parameters" in epistemic:
         raise BadInputError(
-            f"{folder}: each of its corners was flown with several draws of [epistemic.parameters],"
-            " which are no corners; fly one without that section"
+            f"{folder}: its corners are combined with draws of [epistemic.parameters], which are no"
+            " corners; run one without this section"
         )
     return campaign
 
@@ -196,7 +196,7 @@ def read_interior_campaign(folder: Path, corners: CornerCampaign) -> CornerCampa
     interior = _read_campaign(folder)
     if interior.manifest["campaign"]["epistemic"]["method"] != "levels":
         raise BadInputError(
-            f'{folder}: not a campaign of levels; fly one with method = "levels", levels = [0.5]'
+            f'{folder}: not a campaign of levels; run one with method = "levels", levels = [0.5]'
         )
     mine, theirs = interior.manifest["campaign"], corners.manifest["campaign"]
     # Both campaigns must share random streams, air, bounds and files.
@@ -309,7 +309,7 @@ def _analyse(
         y = np.array([values.pop(tuple(corner)) for corner in ends])
     except KeyError as missing:
         raise BadInputError(
-            f"{campaign.folder}: the corner {missing} was not flown in {condition.words}"
+            f"{campaign.folder}: no flights of corner {missing} in {condition.words}"
         ) from None
     # What remains are levels between the bounds.
     inside = np.array(list(values.values())) if values else None
@@ -599,8 +599,8 @@ def find_winner(
     ]
     if not results:
         raise BadInputError(
-            f"{folder}: no sensitivity of {chosen} (uqharness sensitivity {folder} says why); fly"
-            " more of the campaign, choose another --metric, or name a --coefficient"
+            f"{folder}: no sensitivity of {chosen} (uqharness sensitivity {folder} gives the"
+            " reason); run more flights, choose another --metric, or name a --coefficient"
         )
     parts: dict[str, float] = {}
     for item in results:

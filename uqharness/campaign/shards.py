@@ -252,7 +252,7 @@ def merge(folder: Path) -> Merged:
     folders = shard_folders(folder)
     if not folders:
         raise BadInputError(
-            f"{folder}: has no shards (no {SHARDS}/*/manifest.json); fly them with: uqharness"
+            f"{folder}: has no shards (no {SHARDS}/*/manifest.json); run them with: uqharness"
             f" campaign run CAMPAIGN.toml --out {folder} --shard 1/2 and so on"
         )
     first = read_manifest(folders[0])
@@ -277,8 +277,8 @@ def merge(folder: Path) -> Merged:
             refuse_if_different(part, part_manifest, manifest)
             if part_manifest["state"] == MIXED:
                 raise BadInputError(
-                    f"{part}: aircraft or script was edited while it flew; remove it and fly that"
-                    " shard again"
+                    f"{part}: aircraft or script was edited during the run; remove the folder and"
+                    " run this shard again"
                 )
         if old is not None and old["state"] == COMPLETE:
             with Store(folder) as store:
@@ -404,9 +404,7 @@ def _count_statuses(folder: Path, manifest: Mapping[str, Any]) -> Mapping[str, i
 def _count_statuses_without_digests(path: Path) -> Mapping[str, int]:
     """Return the number of flights by status in a journal of uqharness 0.1."""
     if not path.is_file():
-        raise BadInputError(
-            f"{path}: not there; the folder was made by uqharness 0.1 and is no longer whole"
-        )
+        raise BadInputError(f"{path}: missing; the folder was made by uqharness 0.1 and is damaged")
     try:
         with closing(
             sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True, timeout=30.0)

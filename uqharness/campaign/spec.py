@@ -625,8 +625,7 @@ def _estimates(path: Path, requested: tuple[str, ...] | None) -> Estimates:
         ) from None
     if not names:
         raise BadInputError(
-            f"{path}: nothing was identified in this fit, so there is no parameter uncertainty to"
-            " draw from"
+            f"{path}: no parameter was identified in this fit, so there is no parameter uncertainty"
         )
     if covariance.shape != (len(names), len(names)) or not (
         np.isfinite(covariance).all() and np.isfinite(values).all()
@@ -845,8 +844,8 @@ class CampaignSpec:
         """
         if self.stop.rule == "band-width":
             raise BadInputError(
-                f'--hours {hours:g}: [stop] rule = "band-width" says how much is flown; leave out'
-                " one of them"
+                f'--hours {hours:g}: [stop] rule = "band-width" determines the number of flights;'
+                " omit one of them"
             )
         flights = math.ceil(hours * 3600.0 / self.aleatory.duration_s - 1e-9)
         stop = (

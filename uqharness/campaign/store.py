@@ -302,7 +302,7 @@ def refuse_traps(folder: Path) -> None:
     except OSError as error:
         trap = f"{error.filename}: cannot be read: {error.strerror or error}"
     if trap:
-        raise BadInputError(f"{trap}; remove that file, or fly into another --out")
+        raise BadInputError(f"{trap}; remove that file, or use another --out")
 
 
 def create_tables(database: sqlite3.Connection) -> None:

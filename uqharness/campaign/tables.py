@@ -489,7 +489,7 @@ def read_checked(folder: Path, manifest: Mapping[str, Any], name: str) -> bytes:
         if expected is None:
             raise DamageError(
                 path,
-                "the manifest knows of no such table; the command that wrote it writes it again",
+                "the manifest lists no such table; repeat the command that wrote it",
                 folder,
             )
         if sha256_hex(content) != expected:

@@ -456,7 +456,7 @@ def _identify_campaign(
     except BadInputError as error:
         if campaign is None:
             raise BadInputError(
-                f"{error}. Without a manifest, say what was flown: uqharness campaign salvage"
+                f"{error}. Give the campaign file of the run: uqharness campaign salvage"
                 f" {folder} --campaign CAMPAIGN.toml"
             ) from None
         _refuse_other_versions(folder)
@@ -504,9 +504,9 @@ def _refuse_foreign_flights(
     foreign = len(sound_ids - case_ids)
     if foreign:
         raise BadInputError(
-            f"{folder}: {foreign} of its {len(sound_ids)} sound flights are no part of"
+            f"{folder}: {foreign} of its {len(sound_ids)} undamaged flights do not belong to"
             f" {campaign.path}; give the campaign file, the aircraft and the --hours or --samples"
-            " that it was flown with"
+            " of the run"
         )
 
 

@@ -293,7 +293,7 @@ def _ardupilot_jsbsim(source: SourceModel, states: FlightStates, name: str) -> F
         start = ardupilot_jsbsim.ground_start(copy, scratch.path)
     if start.failure:
         raise BadInputError(
-            f"{source.aircraft.name}: does not stand on the ground as ArduPilot starts it, 1.3 m"
+            f"{source.aircraft.name}: has no trim on the ground from ArduPilot's start, 1.3 m"
             f" high and 13 deg nose up: {start.failure}"
         )
     target = replace(source, aircraft=copy, properties={}).coefficients(states)

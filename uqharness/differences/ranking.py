@@ -325,7 +325,7 @@ def _fly_both(
             for nudged in (False, True)
         )
     except ProcessEndedError as error:
-        raise BadInputError(f"{name}: A cannot be flown: {error}") from None
+        raise BadInputError(f"{name}: A cannot be simulated: {error}") from None
     try:
         flight_b, version = _fly_b(copy_b, script_b, channels, settings, request.python_b)
     except RefusedError as error:

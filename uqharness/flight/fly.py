@@ -802,7 +802,7 @@ def set_conditions(fdm: Any, mission: StagedMission, spec: FlightSpec) -> None:
             )
     for name in spec.properties:
         if name in _RESERVED:
-            raise BadInputError(f"property {name} is not for setting by name: {_RESERVED[name]}")
+            raise BadInputError(f"property {name} cannot be set by name: {_RESERVED[name]}")
     # A script may change the integrators for some frames, to restart a multistep rule at a jump.
     chosen = [name for name, value in spec.properties.items() if SECOND_ORDER.get(name) != value]
     refuse_conflicts(mission.script, [*_CONDITION_PROPERTIES, *chosen])
@@ -812,7 +812,7 @@ def set_conditions(fdm: Any, mission: StagedMission, spec: FlightSpec) -> None:
     if not with_air and spec.turbulence != "none" and spec.turbulence_source == "jsbsim":
         raise BadInputError(
             f"aircraft '{mission.aircraft.name}' has no air system (property air/wind-north-fps),"
-            " and JSBSim's own turbulence by itself is wrong in a wind and above sea level"
+            " and JSBSim's turbulence alone is wrong in a wind and above sea level"
             ' (docs/jsbsim-traps.md): use turbulence_source = "spec" (--turbulence-source spec),'
             ' or add <system file="air"/> to its XML'
         )
@@ -827,8 +827,8 @@ def set_conditions(fdm: Any, mission: StagedMission, spec: FlightSpec) -> None:
         fdm["sensor/noise"] = float(spec.sensor_noise)
     elif spec.sensor_noise:
         raise BadInputError(
-            f"aircraft '{mission.aircraft.name}' has no sensors system (property sensor/V-mps): fly"
-            " it with sensor_noise = false (without --noise)"
+            f"aircraft '{mission.aircraft.name}' has no sensors system (property sensor/V-mps): use"
+            " sensor_noise = false (omit --noise)"
         )
     for name, value in without_missing_switches(fdm, spec.properties).items():
         if name not in CHANGEABLE:
@@ -858,8 +858,8 @@ def _require_transient(fdm: Any, mission: StagedMission, spec: FlightSpec) -> No
     if missing:
         raise BadInputError(
             f"aircraft '{mission.aircraft.name}' has no property {missing[0]}, so no transient"
-            " model error can act on it: make its model-form.xml anew (uqharness instrument), or"
-            " fly it with [epistemic] transient = false"
+            " model error can act on it: renew its model-form.xml (uqharness instrument), or use"
+            " [epistemic] transient = false"
         )
 
 
@@ -905,6 +905,6 @@ def _require_settings_hold(fdm: Any, properties: Mapping[str, float]) -> None:
             and abs(actual - value) > 1e-9 * max(abs(value), 1.0)
         ):
             raise BadInputError(
-                f"property {name} was set to {value:g} and stands at {actual:g} after initialising:"
-                " the model computes it, so it cannot be set"
+                f"property {name} was set to {value:g} and is {actual:g} after initialising: the"
+                " model computes it, so it cannot be set"
             )

@@ -421,7 +421,7 @@ class WaypointGuide:
         absent = [name for name in needed if not manager.hasNode(name)]
         if absent:
             raise BadInputError(
-                f"{mission.path}: the aircraft has no autopilot that flies waypoints (no"
+                f"{mission.path}: the aircraft has no autopilot for waypoints (no"
                 f" {absent[0]}); espaaro has one (docs/autopilot.md)"
             )
         self._fdm, self._items = fdm, mission.items

@@ -633,11 +633,11 @@ def _fit_starts(
     flyable = [bool(np.isfinite(y).all()) for y in plain(np.zeros(0))]
     if not any(flyable):
         raise BadInputError(
-            "the model leaves the flight in every segment (its state is no longer finite); check"
-            " its XML and the controls' signs"
+            "the model diverges in every segment (its state is no longer finite); check its XML and"
+            " the controls' signs"
         )
     notes = [
-        f"{s.label} at {s.time_s[0]:.1f} s is left out: the model's state diverges there"
+        f"{s.label} at {s.time_s[0]:.1f} s is omitted: the model's state diverges there"
         for s, ok in zip(segments, flyable, strict=True)
         if not ok
     ]

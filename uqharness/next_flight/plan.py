@@ -523,9 +523,9 @@ def try_library(
     if not trials:
         first = refused[0]
         raise BadInputError(
-            f"'{flight.aircraft.name}' can fly none of the {len(points)} test points; the first,"
-            f" {first.point.name}: {first.reason}. Give other --speeds, or bounds from a flight"
-            " with larger motions"
+            f"'{flight.aircraft.name}': none of the {len(points)} test points is feasible; the"
+            f" first, {first.point.name}: {first.reason}. Give other --speeds, or bounds from a"
+            " flight with larger motions"
         )
     return trials, refused
 

@@ -590,8 +590,8 @@ class Occupancy:
         missing = [n for n in names if n not in self.states]
         if missing:
             raise BadInputError(
-                f"the bounds depend on {', '.join(missing)}, which {self.source} does not tell;"
-                f" known are {', '.join(self.states)}"
+                f"the bounds depend on {', '.join(missing)}, which {self.source} lacks; it has"
+                f" {', '.join(self.states)}"
             )
         return {n: self.states[n] for n in names}
 

@@ -715,11 +715,11 @@ def instrument_aircraft(
         except BadInputError as error:
             if check:
                 raise BadInputError(
-                    f"{error}; --no-check instruments it unflown, for a host that knows better"
+                    f"{error}; --no-check instruments it without a simulation, for another host"
                 ) from None
             facts = aircraft_facts.assumed_facts(*metrics_of(aircraft))
             facts = replace(facts, host=host_properties(aircraft))
-            notes.append(f"unflown, so the card is a guess: {error}")
+            notes.append(f"not simulated, so the card is a guess: {error}")
     unmeasured = {
         name: control.unmeasured
         for name, control in (facts.controls if facts is not None else {}).items()

@@ -479,7 +479,7 @@ def _has_plugin(section: AeroSection) -> bool:
         name, where = next(iter(delta_places.items()))
         raise BadInputError(
             f"{where}: the aerodynamics read uq/{name}/delta but not uq/{missing[0]}/delta;"
-            " complete the plugin or take it out"
+            " complete the plugin or remove it"
         )
     return True
 
@@ -492,8 +492,7 @@ def _refuse_taken(aircraft: Aircraft) -> None:
                 if _PLUGIN_NAME.fullmatch(text):
                     raise BadInputError(
                         f"{document.where(node)}: '{text}' is a name of the plugin, which this"
-                        " aircraft does not carry; rename it, or undo what was left of an earlier"
-                        " instrumentation"
+                        " aircraft lacks; rename it, or undo an earlier instrumentation"
                     )
 
 
@@ -577,8 +576,8 @@ def _system_file(aircraft: Aircraft, name: str, may_exist: bool = False) -> str:
             return path.relative_to(aircraft.folder).as_posix()
         if path.is_file() and declaration(read_document(path), "uq/active") is None:
             raise BadInputError(
-                f"{path}:1: the aircraft has a system of this name; rename it, because the plugin"
-                " brings its own"
+                f"{path}:1: the aircraft has a system of this name, which the plugin needs; rename"
+                " it"
             )
     return f"Systems/{name}.xml"
 

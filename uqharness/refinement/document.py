@@ -212,9 +212,9 @@ def _unconfirmed(effect: Effect, refused: RejectedCandidate) -> RemainingPart:
     term = effect.parsed
     depends = [] if term is None else [State(state=v) for v in term.variables]
     words = (
-        f"something is missing in {effect.coefficient or effect.subsystem} that depends on "
-        f"{', '.join(d.state for d in depends) or effect.term}: {effect.name} comes "
-        f"nearest (|t| {abs(refused.t):.1f}), but {refused.reason}"
+        f"an effect is missing in {effect.coefficient or effect.subsystem} that depends on "
+        f"{', '.join(d.state for d in depends) or effect.term}; the nearest candidate is "
+        f"{effect.name} (|t| {abs(refused.t):.1f}), but {refused.reason}"
     )
     return RemainingPart(**label(effect), depends_on=depends, t=refused.t, words=words)
 
@@ -296,8 +296,8 @@ def unexplained_moments(chosen: SearchResult) -> dict[str, RemainingPart]:
         if rate in gains and rate in chosen.setup.outputs:
             gain = gains[rate]
             words = (
-                f"air that the gust model does not describe moves the aircraft about the {axis}"
-                f" axis: allowing for it gains {gain:.0f} in twice the log likelihood"
+                f"moments about the {axis} axis that the gust model does not describe: including"
+                f" them gains {gain:.0f} in twice the log likelihood"
             )
             parts[rate] = RemainingPart(coefficient=c, twice_log_likelihood=gain, words=words)
     return parts
@@ -306,8 +306,8 @@ def unexplained_moments(chosen: SearchResult) -> dict[str, RemainingPart]:
 def _wrong_form(form: FormMismatch, effects: Sequence[Effect]) -> RemainingPart:
     """Describe a curve in the states of effects whose form is not that of the missing one."""
     words = (
-        f"what is missing in {form.coefficient} does not have the form of"
-        f" {' and '.join(e.name for e in effects)}: beside {'them' if len(effects) > 1 else 'it'} a"
+        f"the residual in {form.coefficient} does not have the form of"
+        f" {' and '.join(e.name for e in effects)}: an additional"
         f" {form.name} gains {form.gain:.0f} in twice the log likelihood"
     )
     return RemainingPart(

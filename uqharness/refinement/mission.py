@@ -136,8 +136,8 @@ def campaign_for(aircraft: Aircraft, campaign: Path | None) -> dict[str, Any]:
             )
         if data["epistemic"]["method"] == "none":
             raise BadInputError(
-                f'{campaign}: [epistemic] method = "none" flies no intervals; "corners" flies every'
-                " combination of their ends"
+                f'{campaign}: [epistemic] method = "none" ignores the intervals; use "corners",'
+                " all combinations of their ends"
             )
         if isinstance(fit := data["epistemic"].get("parameters", {}).get("fit"), str):
             data["epistemic"]["parameters"]["fit"] = str(
@@ -148,9 +148,9 @@ def campaign_for(aircraft: Aircraft, campaign: Path | None) -> dict[str, Any]:
     start = aircraft.folder / f"{script.initialize}.xml"
     if "cross_track" not in aircraft.card.metrics or not start.is_file():
         raise BadInputError(
-            f"aircraft '{aircraft.name}' has no loiter of its own: {LOITER} needs the initial"
-            f" conditions {script.initialize}.xml, an autopilot and a card whose [metrics] name"
-            " cross_track; give a mission by --campaign"
+            f"aircraft '{aircraft.name}' has no loiter: {LOITER} needs the initial conditions"
+            f" {script.initialize}.xml, an autopilot and a card whose [metrics] name cross_track;"
+            " give a mission by --campaign"
         )
     fdm = open_aircraft(aircraft)
     engine.require(fdm, [n for n in script.run_properties if n.startswith("ap/")])

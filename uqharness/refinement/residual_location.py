@@ -192,7 +192,7 @@ def locate_burst(series: Sequence[Series]) -> tuple[dict[str, Any], StateCorrela
             place
             | {
                 "reason": (
-                    "no stretch and no band stands above the noise by more than chance gives (p"
+                    "no time span and no frequency band exceeds the noise significantly (p"
                     f" {p:.2g})"
                 )
             },
@@ -323,7 +323,7 @@ def _state(correlate: StateCorrelate | None) -> dict[str, Any]:
     if correlate is None:
         return {
             "state": None,
-            "state_reason": "no state and no control explains more of it than chance does",
+            "state_reason": "no state and no control correlates with it significantly",
         }
     return {"state": asdict(correlate), "state_reason": None}
 
@@ -672,7 +672,7 @@ def disagreements(
             words = (
                 f"{coefficient}, {kind}, {state} {low:.3g} to {high:.3g}: {100 * share:.0f} % of"
                 f" samples outside the 95 % interval, {seconds:.1f} s of {len(z) * dt_s:.1f} s; rms"
-                f" {size:.1f} times what noise and parameters allow"
+                f" {size:.1f} times the value expected from noise and parameters"
             )
             row = Region(
                 coefficient=coefficient,

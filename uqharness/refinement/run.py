@@ -271,8 +271,8 @@ def refuse_shared_flights(train: Sequence[Path], test: Sequence[Path]) -> None:
         other = hashes.get(file_hash(path))
         if other is not None:
             raise BadInputError(
-                f"--test {path}: the same flight as --train {other}; a flight that helped to choose"
-                " proves nothing: give another one"
+                f"--test {path}: the same flight as --train {other}; hold-out flights must not be"
+                " training flights: give another one"
             )
 
 
@@ -466,12 +466,10 @@ def _mission(
 ) -> Mission:
     """Return the mission's p-boxes, or the reason why there are none."""
     if not request.options.pbox:
-        return no_pbox("left out (--no-pbox)")
+        return no_pbox("omitted (--no-pbox)")
     lacking = [name for name in models if name not in forms]
     if lacking:
-        return no_pbox(
-            f"no intervals {' and '.join(lacking)} to fly within: see gap.test.intervals"
-        )
+        return no_pbox(f"no intervals {' and '.join(lacking)}: see gap.test.intervals")
     # Campaigns are much to load, and not every refinement flies one.
     from uqharness.refinement.mission import fly_missions
 

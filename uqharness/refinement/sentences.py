@@ -17,10 +17,10 @@ _EXCITES = {
     "q_hat": "elevator doublets of two lengths",
     "r_hat": "rudder doublets of two lengths",
     "alphadot_hat": (
-        "elevator doublets beside turns at constant angle of attack: alphadot without q and q"
-        " without alphadot"
+        "elevator doublets and turns at constant angle of attack: alphadot without q and q without"
+        " alphadot"
     ),
-    "betadot_hat": "flat turns beside rudder doublets: r without betadot",
+    "betadot_hat": "flat turns and rudder doublets: r without betadot",
     "de": "elevator steps at constant speed, by throttle",
     "da": "short aileron pulses: deflection before there is a roll rate",
     "dr": "short rudder pulses: deflection before there is a yaw rate",
@@ -45,8 +45,8 @@ _SUBSYSTEM = {
 def reason_for(effect: Effect, choice: SelectedEffect) -> str:
     """Return a sentence with an effect's physics, regime and evidence."""
     sign = "positive" if choice.value > 0 else "negative"
-    usual = f", where {effect.sign} is usual" if effect.sign else ""
-    where = f"; it shows in {effect.regime}" if effect.regime else ""
+    usual = f"; usual: {effect.sign}" if effect.sign else ""
+    where = f"; visible in {effect.regime}" if effect.regime else ""
     source = f" ({effect.reference})" if effect.reference else ""
     return (
         f"{effect.physics}{where}{source}. Estimate {choice.value:.4g} ± {choice.std:.2g}"
@@ -61,10 +61,10 @@ def separating_manoeuvre(one: Effect, other: Effect) -> str:
         part = (effect.subsystem or "").partition(".")[0]
         if part == "mass" and effect.term == "Ixz":
             return (
-                "measure Ixz on the ground (swing test); in the air a wrong Ixz is pitching moment"
-                " from roll rate squared and, with the other sign, from yaw rate squared: rudder"
-                " doublets separate them only as long as the aircraft has no moment from yaw rate"
-                " squared of its own"
+                "measure Ixz on the ground (swing test); in flight a wrong Ixz acts like a pitching"
+                " moment due to roll rate squared and, with opposite sign, to yaw rate squared:"
+                " rudder doublets separate them only if the aircraft has no moment due to yaw rate"
+                " squared"
             )
         if part in _SUBSYSTEM:
             return _SUBSYSTEM[part]
@@ -76,8 +76,8 @@ def separating_manoeuvre(one: Effect, other: Effect) -> str:
     ]
     if not different:
         return (
-            f"the same manoeuvres at several amplitudes: {a.text} and {b.text} differ in how they"
-            " grow"
+            f"the same manoeuvres at several amplitudes, on which {a.text} and {b.text} depend"
+            " differently"
         )
     return "; ".join(dict.fromkeys(_EXCITES[v] for v in different[:2]))
 
@@ -130,10 +130,10 @@ def withdrawal_reason(effect: Effect, choice: SelectedEffect, gap: str) -> str:
     """
     start = f"the training flights support {effect.name} (|t| {abs(choice.t):.1f}), but "
     if gap == "grew":
-        grew = "with it the residual on the hold-out flights grew: it is withdrawn"
-        return f"{start}{grew}; something differs between the flights that has no name here"
+        grew = "the hold-out residuals grow with it: withdrawn"
+        return f"{start}{grew}; an unknown difference between the flights is likely"
     return (
-        f"{start}the hold-out flights do not show it: beside unexplained residuals it is withdrawn"
+        f"{start}the hold-out flights do not confirm it, and residuals are unexplained: withdrawn"
     )
 
 
@@ -141,7 +141,7 @@ def too_weak_to_name(effect: Effect, choice: SelectedEffect) -> str:
     """Return why an effect is not named beside unexplained residuals."""
     return (
         f"{effect.name} would explain a part of it (|t| {abs(choice.t):.1f}), too little to be"
-        " named beside unexplained residuals"
+        " named while residuals are unexplained"
     )
 
 
@@ -150,6 +150,6 @@ def still_significant(effect: Effect, t: float) -> str:
     effects.
     """
     return (
-        f"{effect.name} is still significant (|t| {abs(t):.1f}): it, or a similar effect, is"
+        f"{effect.name} is still significant (|t| {abs(t):.1f}); this or a similar effect is"
         " missing"
     )

@@ -357,7 +357,7 @@ def find_smooth_term(
     on_test = evaluate(aircraft, test, pool, start)
     verdict = compare(outcome.test[2], on_test, test.setup, on_train)
     if verdict.gap == "grew":
-        return f"with a {term.name} the gap on the hold-out flights grew"
+        return f"the hold-out residuals grew with a {term.name}"
     tables = {}
     for key, (data, _, before), side, after in (
         ("train", outcome.train, train, on_train),

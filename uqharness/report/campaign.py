@@ -106,11 +106,11 @@ def sentence(item: Statement) -> str:
     # Rates at the best and worst corner with limits, then the answer.
     text = f"Excursions beyond {cell.radius_m:g} m per flight hour: "
     if all(math.isnan(rate.rate) for rate in cell.rates):
-        return text + "undefined, for no flight was scored."
+        return text + "undefined, because no flight was scored."
     text += f"{item.best.rate:.3g} at the best corner, {item.worst.rate:.3g} at the worst"
     text += (
-        f" ({CONFIDENCE:.0%} limits {_limits(item.best)} and {_limits(item.worst)}, flights as the"
-        " unit, "
+        f" ({CONFIDENCE:.0%} limits {_limits(item.best)} and {_limits(item.worst)}, each flight one"
+        " sample, "
     )
     hours = max(rate.hours for rate in cell.rates)
     text = (
@@ -234,25 +234,25 @@ def assumptions(claims: Sequence[Statement], settings: Document) -> list[str]:
     allowed = settings.metrics.dispersion
     allowance = (
         f"Upper limits allow for a variance of the excursions per flight of {allowed:g} times their"
-        " mean ([metrics] dispersion) and for more where the flights of a corner show more. Lower"
-        " limits need no such assumption."
+        " mean ([metrics] dispersion), or the observed ratio of a corner if larger. Lower limits"
+        " need no such assumption."
     )
     if settings.stop.rule != "decide":
         allowance += (
-            f" Where the same air shows {ENOUGH_EXCURSIONS} excursions or more at less than one per"
-            f" hour at a smaller radius, the upper limit of the ratio there ({100 * CONFIDENCE:g}"
-            " %) replaces the assumed one."
+            f" With {ENOUGH_EXCURSIONS} excursions or more at less than one per hour at a smaller"
+            f" radius in the same air, the upper limit of the ratio there ({100 * CONFIDENCE:g} %)"
+            " replaces the assumed one."
         )
     lines = [
         "Flights are independent of each other; within a flight excursions may come in clusters.",
         allowance,
         (
-            "An aborted flight counts as one excursion on the upper side. Rates are per hour flown,"
-            " and yes needs an acceptable rate of aborted flights as well ([metrics]"
+            "An aborted flight counts as one excursion in the upper limit. Rates are per flight"
+            " hour, and yes also needs an acceptable rate of aborted flights ([metrics]"
             " acceptable_loss_per_h)."
         ),
         (
-            "Corners are the epistemic samples flown. Statements do not cover models between or"
+            "Corners are the simulated epistemic samples. Statements do not cover models between or"
             " outside them."
         ),
     ]
@@ -267,8 +267,9 @@ def assumptions(claims: Sequence[Statement], settings: Document) -> list[str]:
         quickest = min(measured, key=lambda item: item.quiet_hours_needed)
         lines.append(
             f"Clusters were measured for {len(measured)} of {len(horizontal)} conditions and radii."
-            f" With them a corner without an excursion needs {quickest.quiet_hours_needed:.3g} h to"
-            f" be a yes in {quickest.cell.condition.words} beyond {quickest.cell.radius_m:g} m."
+            " A yes at a corner without an excursion then needs"
+            f" {quickest.quiet_hours_needed:.3g} h in {quickest.cell.condition.words} beyond"
+            f" {quickest.cell.radius_m:g} m."
         )
     # Tell the user if flights cluster more than the limits allow for.
     contradicted = [item for item in claims if item.dispersion_observed > item.dispersion_allowed]
@@ -277,7 +278,7 @@ def assumptions(claims: Sequence[Statement], settings: Document) -> list[str]:
         lines.append(
             f"More clustered than assumed: {worst.dispersion_observed:.2g} times the mean beyond"
             f" {worst.cell.radius_m:g} m in {worst.cell.condition.words}. Raise [metrics]"
-            " dispersion for conditions that have not shown an excursion yet."
+            " dispersion for conditions without an excursion so far."
         )
     return lines
 
@@ -600,7 +601,7 @@ def _verdict(
     # The verdict is about the hardest condition.
     hardest = hardest_condition(conditions(frame))
     duration = settings.aleatory.duration_s
-    sentences = [Sentence(f"Hardest condition flown: {hardest.words}.")]
+    sentences = [Sentence(f"Hardest condition: {hardest.words}.")]
     for statement in signed:
         if statement.cell.condition == hardest and statement.cell.distance == "horizontal":
             sentences.append(
@@ -609,8 +610,8 @@ def _verdict(
     if PATHLESS_METRICS[0] in frame:
         sentences.append(
             Sentence(
-                "No path was commanded: errors are deviations from the state in which scoring"
-                " began."
+                "No path was commanded: errors are deviations from the state at the start of"
+                " scoring."
             )
         )
     for quantity, _, _ in _QUANTITIES:
@@ -622,9 +623,7 @@ def _verdict(
     # Failed flights are counted as the worst outcome.
     failed = int((frame["status"] != "ok").sum())
     counted = (
-        f"{failed} failed; they are bounded at the worst, not dropped"
-        if failed
-        else "all ended as planned"
+        f"{failed} failed; these count as the worst outcome" if failed else "all ended as planned"
     )
     sentences.append(Sentence(f"Of {len(frame)} flights, {counted}.", "warn" if failed else ""))
     # Loss of control in flights that ended on time counts as well.
@@ -743,15 +742,15 @@ def sensitivity_section(
         if (metric_rows := [r for r in rows if r["metric"] == m])
     }
     text = (
-        "How much of the p-box's width each coefficient's interval makes: the thick bar runs from"
-        " the smallest to the largest share over the values of the others, the wide pale one is"
-        " its 95 % sampling interval. Ranges that overlap do not rank."
+        "Share of the p-box's width due to each coefficient's interval: the thick bar is the range"
+        " over the values of the other coefficients, the wide pale one its 95 % sampling interval."
+        " Coefficients whose ranges overlap are not ranked."
         f" {hardest.words[0].upper()}{hardest.words[1:]}; all conditions and metrics are in"
         " sensitivity.csv."
     )
     table = Table(
-        "Share of the p-box's width by coefficient, and by how much it would shrink were the"
-        " coefficient known.",
+        "Share of the p-box's width by coefficient, and the reduction of the width if the"
+        " coefficient were known.",
         ("Metric", "Coefficient", "Share", "Its 95 % interval", "Shrinks by"),
         tuple(_table_row(r) for metric_rows in by_metric.values() for r in _ordered(metric_rows)),
     )
@@ -760,7 +759,7 @@ def sensitivity_section(
         range_figures(rows, tuple(by_metric), hardest, "", prefix),
         table,
     )
-    return (Section("Which uncertainty makes the width", blocks),)
+    return (Section("Sensitivity", blocks),)
 
 
 def condition_sections(content: bytes) -> list[Section]:
@@ -948,10 +947,7 @@ def track_section(folder: Path, frame: pd.DataFrame, prefix: str = "") -> tuple[
         if figure is not None:
             figures.append(figure)
     if figures:
-        text = (
-            "Flights of the campaign that were flown again, the largest median cross-track error"
-            " first."
-        )
+        text = "Repeated flights of the campaign, the largest median cross-track error first."
         return (
             Section(
                 "Ground track", (Words(text, note=True), *notes, Figures(tuple(figures), file=""))
@@ -959,8 +955,8 @@ def track_section(folder: Path, frame: pd.DataFrame, prefix: str = "") -> tuple[
         )
     worst = worst_case(frame)
     text = (
-        "This folder holds no record of a flight. The worst flight of the hardest condition is"
-        " flown again, and drawn here, by:"
+        "This folder has no record of a flight. These commands repeat the worst flight of the"
+        " hardest condition and draw it here:"
     )
     commands = (
         ("Fly", f"uqharness campaign rerun DIR --case {worst}"),
@@ -1019,13 +1015,13 @@ def engine_section(engine: str, reasons: Sequence[str], rows: Sequence[CheckRow]
         Comparison of the engines.
     """
     engine_text = engine_words(_NAMES[engine], tuple(reasons))
-    blocks: list[Block] = [Words(f"Flown in {engine_text}.")]
+    blocks: list[Block] = [Words(f"Simulated in {engine_text}.")]
     full_flights = [row for row in rows if row.part == FULL_FLIGHT]
     if engine == "batch":
         flights = len({row.case_id for row in full_flights})
         text = (
-            f"{flights} whole flights, and the first seconds of some of each condition, were flown"
-            " in JSBSim as well. A difference is measured by the metric's spread over the"
+            f"{flights} complete flights, and the first seconds of some of each condition, were"
+            " repeated in JSBSim. Differences are relative to the metric's spread over the"
             f" condition's flights; at {TOLERANCE:g} of it the campaign would have stopped."
             " engine-check.csv has every row."
         )
@@ -1146,22 +1142,19 @@ def overlay_section(
             title, (Words("The two campaigns share no quantity in the same condition."),)
         )
     text = (
-        f"Two p-boxes over each other: the dashed one before ({names['before']}), the solid one"
-        f" after ({names['after']}). A narrower box means that less is unknown; a box that moved"
-        " means that the model was wrong. The cursor names the epistemic sample behind each side."
+        f"P-boxes before (dashed: {names['before']}) and after (solid: {names['after']}). A"
+        " narrower box has less epistemic uncertainty; a shifted box shows an error of the first"
+        " model. The cursor shows the epistemic sample that sets each side."
     )
     notes: list[Block] = [Words(text, note=True)]
     # A change of settings makes the comparison ambiguous.
     unlike = _differences(before, after)
     if unlike:
         notes.append(
-            Words(
-                f"Not the same flights otherwise: {unlike} differ, so part of the change may be"
-                " theirs."
-            )
+            Words(f"The campaigns differ in {unlike} too, which may explain part of the change.")
         )
     head = ("Error", "Condition", "Middle before", "Middle after", "Width after over before [-]")
-    table = Table("Where half of the flights stay below, before and after.", head, tuple(rows))
+    table = Table("Medians of the flights, before and after.", head, tuple(rows))
     return Section(title, (*notes, Figures(tuple(figures)), table))
 
 

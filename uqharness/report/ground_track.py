@@ -298,7 +298,7 @@ def track_distance(name: str, lap: Lap, radius_m: float) -> Figure:
             lap.called(key),
         )
     caption = (
-        f"The same lap. {_sentence(_largest(lap))}; in the whole flight {lap.largest_m:.3g} m"
+        f"The same lap. {_sentence(_largest(lap))}; in the complete flight {lap.largest_m:.3g} m"
         f" ({lap.called(lap.worst_flight)})."
     )
     return Figure(name, chart.svg(), caption)

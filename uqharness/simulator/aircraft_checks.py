@@ -82,7 +82,7 @@ def check_physical(aircraft: HasFiles) -> None:
     except BadInputError as error:
         # A multirotor has no wing to measure.
         raise BadInputError(
-            f"{rotor}; only aircraft with wings fly here" if rotor else str(error)
+            f"{rotor}; only aircraft with wings are supported" if rotor else str(error)
         ) from None
     _check_inertia(_section(aircraft, files, root, "mass_balance"))
     for place, text in remarks(files, {name: str(aircraft.folder / name) for name in files.local}):
@@ -342,7 +342,7 @@ def _try_in_child(aircraft: NamedFiles) -> tuple[HostProperty, ...]:
     if child.code < 0:
         raise BadInputError(
             f"aircraft {folder}: loading it ends JSBSim's process ({describe_exit(child.code)});"
-            f" its last words: {child.output or 'no message'}; look there for an unknown element or"
+            f" last output: {child.output or 'no message'}; look there for an unknown element or"
             " function operation, or a property name with illegal characters"
         )
     return tuple(HostProperty(*row) for row in child.answer.get("host", ()))

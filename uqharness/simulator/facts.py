@@ -647,12 +647,10 @@ def measure_facts_in_child(folder: Path, timeout_s: float = 300.0) -> AircraftFa
     if child.code or not child.answer:
         words = child.errors or "no message"
         raise BadInputError(
-            f"aircraft {folder}: does not fly in JSBSim as it is ({words}); mend that first"
+            f"aircraft {folder}: does not run in JSBSim ({words}); correct this first"
         )
     if "error" in child.answer:
-        raise BadInputError(
-            f"aircraft {folder}: does not fly in JSBSim as it is: {child.answer['error']}"
-        )
+        raise BadInputError(f"aircraft {folder}: does not run in JSBSim: {child.answer['error']}")
     controls = {
         name: ControlFacts(**{**facts, "thrust_N": facts["thrust_N"] and tuple(facts["thrust_N"])})
         for name, facts in child.answer["controls"].items()

@@ -154,8 +154,8 @@ def linearise(aircraft: Aircraft, trim: Trim) -> LinearModel:
     has_controls = aircraft.card.inputs.keys() >= base.keys()
     if not (has_controls and np.max(np.abs(derivative(centre, base)[:6])) <= _TRIM_TOLERANCE):
         raise BadInputError(
-            f"this trim is not of aircraft '{aircraft.name}', which is not in steady flight there;"
-            " find its own"
+            f"this trim belongs to another aircraft: '{aircraft.name}' is not in steady flight"
+            " there; trim it first"
         )
     A = np.empty((8, 8))
     for column, name in enumerate(STATE_NAMES):

@@ -541,15 +541,15 @@ def write_own_mission(
     trim = write_steady_start(aircraft, start, path, f"mission {kind}")
     if kind != "steady" and trim.equilibrium is not None and trim.equilibrium.free:
         raise BadInputError(
-            f"aircraft '{aircraft.name}': its control laws answer a command with a body rate, so"
-            " steps cannot be sized by a surface's moment; fly mission steady, or --script with"
-            " your own commands"
+            f"aircraft '{aircraft.name}': its control laws turn commands into body rates, so steps"
+            " cannot be sized by a surface's moment; use mission steady, or --script with other"
+            " commands"
         )
     steps = [] if kind == "steady" else manoeuvres(aircraft, linearise(aircraft, trim), kind)
     if kind != "steady" and not steps:
         raise BadInputError(
-            f"aircraft '{aircraft.name}': no surface turns it at {start.V_mps:g} m/s, so there is"
-            " nothing to fly"
+            f"aircraft '{aircraft.name}': no surface has a moment at {start.V_mps:g} m/s, so there"
+            " is no manoeuvre"
         )
     text = path.read_text(encoding="utf-8")
     end = STEADY_S if kind == "steady" else SETTLE_S + sum(step.length_s + REST_S for step in steps)

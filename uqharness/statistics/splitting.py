@@ -329,11 +329,11 @@ def pilot(
         elif len(occupancies) == _PATIENCE:
             raise ValueError(
                 f"{_PATIENCE} rounds of the pilot found no level above"
-                f" {levels.scores[-1] if levels.scores else 0:g}, {top:g} is asked for: fly more or"
+                f" {levels.scores[-1] if levels.scores else 0:g}, {top:g} is needed: use more or"
                 f" longer paths than {roots} in the pilot"
             )
     raise ValueError(
-        f"the pilot has not reached the score {top:g} in {_ROUNDS} rounds: fly more paths than"
+        f"the pilot has not reached the score {top:g} in {_ROUNDS} rounds: use more paths than"
         f" {roots} in it"
     )
 
@@ -420,7 +420,7 @@ def interval(values: Sequence[float] | FloatArray, confidence: float = 0.95) -> 
     mean = float(values.mean())
     if n_without_event:
         reason = (
-            f"{n_without_event} of {values.size} replicates have no event: fly more paths in each"
+            f"{n_without_event} of {values.size} replicates have no event: use more paths in each"
         )
         return Interval(
             mean if n_without_event < values.size else nan, nan, nan, values.size, reason

@@ -460,8 +460,8 @@ def _extrapolation(rows: pd.DataFrame, condition: Condition) -> Iterator[Sentenc
     share = rows["extrapolated_share"].mean()
     if not math.isnan(share):
         text = (
-            f"{percent(share)} of the scored time in {condition.words} was flown outside the states"
-            " that the bounds come from"
+            f"{percent(share)} of the scored time in {condition.words} was outside the flight"
+            " states of the bounds' data"
         )
         yield (
             (text + (", where they are extrapolated." if share > 0 else ".")),
@@ -533,7 +533,7 @@ def answer_of(
             verdict[0] if verdict else ("", ""),
         )
         reason = (
-            "no campaign was flown"
+            "no campaign was run"
             if last is None
             else "the aircraft publishes no distance from a path"
         )
@@ -687,8 +687,8 @@ def _missing_effects_line(
     effects = [e for e in refinement.effects if not e.withdrawn]
     if not effects:
         if refinement.verdict == "no-missing-effect":
-            return "The model lacked nothing that these flights show."
-        return "Something is missing in the model that no effect of the catalogue explains."
+            return "These flights show no effect that the model lacks."
+        return "A residual remains that no effect of the catalogue explains."
     names = [e.name for e in effects]
     remainder = f" and {len(names) - _MAX_NAMES} more" if len(names) > _MAX_NAMES else ""
     improvements = [
@@ -765,7 +765,7 @@ def _next_step(last: FlownCampaign, answered: Sequence[Statement]) -> str:
             f" corner has {item.best.rate:.2g}/h. {_propose_flight(last, item.cell.condition)}"
         ).rstrip()
     proposal = _propose_flight(last, _hardest_condition(last))
-    return f"Next: nothing for this question. {proposal}".rstrip()
+    return f"Next: the question is answered. {proposal}".rstrip()
 
 
 def _decide_inconclusive(last: FlownCampaign, inconclusive: Sequence[Statement]) -> Iterator[str]:
@@ -914,9 +914,9 @@ def _refinement_sentences(document: Refinement) -> Iterator[Sentence]:
             LEVEL_GOOD if document.verdict == "effects-found" else LEVEL_WARN,
         )
     elif document.verdict == "no-missing-effect":
-        yield f"Refinement found nothing missing {flights}.", LEVEL_GOOD
+        yield f"Refinement found no missing effect {flights}.", LEVEL_GOOD
     if document.verdict == "unexplained":
-        yield "Refinement leaves something unexplained: " + _unexplained(document) + ".", LEVEL_BAD
+        yield "Refinement leaves a residual unexplained: " + _unexplained(document) + ".", LEVEL_BAD
     test = document.gap.test
     # In turbulence the residuals of replays include the gust response, so one-step predictions
     # are compared.
@@ -961,14 +961,9 @@ def _unexplained(document: Refinement) -> str:
     """State which effects were withdrawn, or where residuals remain."""
     withdrawn = [e.name for e in document.effects if e.withdrawn]
     if withdrawn:
-        return (
-            f"{', '.join(withdrawn)} did not shrink the gap on the hold-out flights and"
-            " was withdrawn"
-        )
+        return f"{', '.join(withdrawn)} did not reduce the hold-out residuals and was withdrawn"
     where = [w.words or w.coefficient for w in document.remaining.where if w.words or w.t is None]
-    return (
-        "; ".join(w for w in where if w) or "the residuals are not white, and no place stands out"
-    )
+    return "; ".join(w for w in where if w) or "the residuals are coloured, at no particular place"
 
 
 def _coverage(out: Path, flights: Sequence[str], refined: bool) -> Iterator[Sentence]:
@@ -1056,7 +1051,7 @@ def _identification(document: Fit, code: int) -> Sentence:
     if worst:
         text += f"; the largest residual is {ratios[worst]:.2f} times the noise ({worst})"
     if code:
-        return f"{text}. The estimation did NOT converge, or nothing was identified.", LEVEL_BAD
+        return f"{text}. Not converged, or no parameter identified.", LEVEL_BAD
     tested = LEVEL_GOOD if worst else LEVEL_PLAIN
     return f"{text}.", tested if not worst or ratios[worst] <= _ABOVE_NOISE else LEVEL_WARN
 
@@ -1211,8 +1206,8 @@ class _Recorder:
         metric = mission.aircraft.card.metrics.get(_DISTANCE)
         if metric is None:
             raise BadInputError(
-                f"{mission.aircraft.name}: its card has no metric {_DISTANCE}, so no track can be"
-                " drawn beside a path"
+                f"{mission.aircraft.name}: its card has no metric {_DISTANCE}, so there is no path"
+                " to draw"
             )
         table = {
             "north_m": Source(_NORTH),
@@ -1250,8 +1245,7 @@ def _fly_frames(
         ):
             if not (folder / _record_name(numbered[outcome.case_id])).is_file():
                 raise BadInputError(
-                    "the flights of the ground track were not flown:"
-                    f" {outcome.reason or outcome.status}"
+                    f"the flights of the ground track failed: {outcome.reason or outcome.status}"
                 )
         for (when, model, name), spec in flights.items():
             frame = pd.read_parquet(folder / _record_name(spec))

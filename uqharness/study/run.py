@@ -160,8 +160,7 @@ def refuse_foreign(folder: Path, old: Study | None, new: Study) -> None:
     if old.study != new.study or elsewhere:
         raise BadInputError(
             f'--out {folder}: this folder holds the study "{old.study}" of {old.path}, not'
-            f' "{new.study}" of {new.path}; choose another --out, or remove the folder if its'
-            " results are not wanted"
+            f' "{new.study}" of {new.path}; choose another --out, or remove the folder'
         )
 
 
@@ -410,7 +409,7 @@ def _run_stage(
     # Inputs are files of earlier stages or of the user.
     missing = [label for label, digest in inputs.items() if not digest]
     if missing:
-        raise BadInputError(f"{', '.join(missing)}: needed, and no stage before has left it")
+        raise BadInputError(f"{', '.join(missing)}: needed, but no earlier stage has written it")
     key = stage_key(stage, inputs)
     same_key = row.key == key
     # Up to date: same inputs, options and outputs.
@@ -444,8 +443,8 @@ def _run_stage(
     # A command that wrote nothing has not succeeded, whatever its exit code.
     if missing_outputs:
         raise BadInputError(
-            f"ended with {code} and left no {', '.join(missing_outputs)}, which the study goes on"
-            f" from; its output is in {out / LOGS / stage.name}.txt"
+            f"ended with {code} without {', '.join(missing_outputs)}, which later stages need; its"
+            f" output is in {out / LOGS / stage.name}.txt"
         )
     record.save()
     show(f"{seconds:.0f} s" + ("" if code == 0 else f", exit {code}: the answer is no"))

@@ -347,9 +347,8 @@ def _require_same(kinds: list[tuple[str, Axis]], kind_of_axes: str) -> str | Non
             raise BadInputError(
                 f"{other.document.where(other.node)}: {kind_of_axes} axes are mixed: <axis"
                 f' name="{other.name}"> is in {kind} axes, <axis name="{axis.name}"> (line'
-                f" {axis.node.line}) in {first} axes. JSBSim loads that and takes all of them for"
-                f" {first} axes, so the aircraft does not fly what is written; write all in one"
-                " system first"
+                f" {axis.node.line}) in {first} axes. JSBSim loads this and treats all as {first}"
+                " axes, so the forces are wrong; use one system for all"
             )
     return first
 

@@ -82,7 +82,7 @@ def test_what_is_refused_is_named_and_leaves_nothing(
 @pytest.mark.parametrize("other", ["espaaro_truth", "c172x"])
 def test_a_trim_belongs_to_its_aircraft(other: str):
     steady = uq.find_trim("espaaro", 22.2, bank_rad=0.2)
-    with pytest.raises(uq.BadInputError, match=f"not of aircraft '{other}'"):
+    with pytest.raises(uq.BadInputError, match=f"'{other}' is not in steady flight"):
         uq.linearise(other, steady)
     assert uq.linearise("espaaro", steady).A.shape == (8, 8)
 

@@ -91,7 +91,7 @@ def test_a_campaign_of_years_is_refused_at_once_in_little_memory(tmp_path, capsy
         in said.err
     )
     assert "128 GB of disk" in said.err
-    assert "give --yes to fly it all the same, or --hours H" in said.err
+    assert "give --yes to run it, or --hours H" in said.err
     assert most < 200e6
     assert not (tmp_path / "out").exists()
 

@@ -186,7 +186,7 @@ def test_the_command_flies_on_the_cluster(tmp_path, cluster, monkeypatch, capsys
     words = ["campaign", "run", str(fakes.campaign_file(tmp_path)), "--out", str(tmp_path / "out")]
     assert run_words([*words, "--dask", cluster.scheduler_address]) == 0
     assert "192 flights done, none failed" in capsys.readouterr().out
-    with pytest.raises(BadInputError, match="leave out --workers"):
+    with pytest.raises(BadInputError, match="omit --workers"):
         run_words([*words, "--dask", cluster.scheduler_address, "--workers", "3"])
 
 
@@ -282,8 +282,8 @@ ANSWER = answer_text(Answer((OUTCOME,)))
 @pytest.mark.parametrize(
     ("text", "cases", "message"),
     [
-        (ANSWER, ("0002",), "answered for case '0001'"),
-        (ANSWER, ("0001", "0002"), "answered with 1 flights; asked for were 2"),
+        (ANSWER, ("0002",), "returned case '0001'"),
+        (ANSWER, ("0001", "0002"), "returned 1 flights; requested were 2"),
         (ANSWER[:-1], ("0001",), "malformed answer"),
         (ANSWER.replace('"ok"', "3"), ("0001",), "malformed answer"),
         ('{"outcomes": [[]]}', ("0001",), "malformed answer"),
@@ -307,10 +307,10 @@ def test_a_worker_imports_listed_modules_only(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(tmp_path)
     fakes_steady, here = "tests.helpers.campaign_fakes:steady", "uqharness.flight.fly:Path"
     for name in ("harm:fly", "os:system", fakes_steady, ":", "", here):
-        with pytest.raises(BadInputError, match=r"flies with uqharness\.flight\.fly:fly alone"):
+        with pytest.raises(BadInputError, match=r"accepts uqharness\.flight\.fly:fly only"):
             flight_function(name)
         answer = fly_order(order_text(replace(ORDER, fly=name)))
-        assert "flies with uqharness.flight.fly:fly alone" in json.loads(answer)["refused"]
+        assert "accepts uqharness.flight.fly:fly only" in json.loads(answer)["refused"]
     assert not (tmp_path / "ran").exists()
     monkeypatch.setenv(MODULES_VARIABLE, "tests.helpers.campaign_fakes, harm,broken,absent")
     assert flight_function(fakes_steady) is fakes.steady

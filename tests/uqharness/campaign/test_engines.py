@@ -45,7 +45,7 @@ ALIKE = engines(Flown())
 WITHOUT = engines(Flown(), Understanding("llvmlite is not installed"))
 
 
-PUZZLED = engines(Flown(), Understanding(None, ("plane.xml:7: <rocket_engine> is not understood",)))
+PUZZLED = engines(Flown(), Understanding(None, ("plane.xml:7: <rocket_engine> is not supported",)))
 
 
 @pytest.fixture
@@ -64,11 +64,11 @@ def run(spec, out, given=ALIKE, **keys):
 @pytest.mark.parametrize(
     ("requested", "flies", "words"),
     [
-        ("auto", ALIKE, "batch, because it understands the whole aircraft and mission"),
-        ("auto", PUZZLED, "jsbsim, because plane.xml:7: <rocket_engine> is not understood"),
+        ("auto", ALIKE, "batch, because it supports the complete aircraft and mission"),
+        ("auto", PUZZLED, "jsbsim, because plane.xml:7: <rocket_engine> is not supported"),
         ("auto", WITHOUT, "jsbsim, because llvmlite is not installed"),
         ("auto", Engines.of(fakes.steady), "jsbsim, because the flights are flown by a function"),
-        ("jsbsim", ALIKE, "jsbsim, because it was asked for"),
+        ("jsbsim", ALIKE, "jsbsim, because it was requested"),
     ],
 )
 def test_auto_prefers_the_batch_engine(spec, requested, flies, words):
@@ -79,7 +79,9 @@ def test_auto_prefers_the_batch_engine(spec, requested, flies, words):
     ("given", "said"), [(PUZZLED, "plane.xml:7: <rocket"), (WITHOUT, "llvmlite is not installed")]
 )
 def test_a_requested_engine_that_cannot_fly_is_refused(spec, given, said):
-    with pytest.raises(BadInputError, match="was asked for and cannot fly this campaign") as error:
+    with pytest.raises(
+        BadInputError, match="was requested and does not support this campaign"
+    ) as error:
         settled(spec.with_engine("batch"), given)
     assert said in str(error.value)
 
@@ -89,8 +91,8 @@ def test_auto_keeps_the_engine_of_earlier_flights(spec):
     assert settled(spec, ALIKE, jsbsim).words == "jsbsim, because plane.xml:7: no"
     assert settled(spec, PUZZLED, batch).words == "batch"
     requested = settled(spec.with_engine("jsbsim"), ALIKE, batch)
-    assert requested.words == "jsbsim, because it was asked for"
-    with pytest.raises(BadInputError, match="in the batch engine, and llvmlite is not installed"):
+    assert requested.words == "jsbsim, because it was requested"
+    with pytest.raises(BadInputError, match="uses the batch engine, and llvmlite is not installed"):
         settled(spec, WITHOUT, batch)
 
 

@@ -237,7 +237,7 @@ def test_results_of_0_1_are_not_flown_on_but_their_mission_is(tmp_path, capsys):
     for line in f"{words}\nmerge {merged}\nsalvage {merged}".splitlines():
         capsys.readouterr()
         assert main(["campaign", *line.split()]) == 2
-        said = "made by uqharness 0.1, whose flights carry no digests: finish it there"
+        said = "made by uqharness 0.1, whose flights have no digests: finish it"
         assert said in capsys.readouterr().err
     code, said = call(capsys, ["campaign", "verify"], folder)
     assert (code, said.out.count("no digests")) == (1, 6)

@@ -190,7 +190,7 @@ def test_the_band_pays_for_having_looked(tmp_path, decided):
 
 
 def test_undecidable_campaigns_are_refused(tmp_path):
-    with pytest.raises(BadInputError, match="looks at all corners together"):
+    with pytest.raises(BadInputError, match="needs all corners together"):
         run(tmp_path, "shard", shard=Shard(1, 2))
 
     with pytest.raises(BadInputError, match="has no excursions_15m"):

@@ -164,7 +164,7 @@ def test_transient_error_of_the_form_flies_at_every_corner(tmp_path):
 REFUSED = r"""
 bounds = "model-form.json"\ntransient = true |  | campaign.toml:\d+: .epistemic. transient = true: .*has no transient part
 bounds = CONSTANT\ntransient = true |  | campaign.toml:\d+: .epistemic. transient = true: bounds are no model-form.json
-bounds = CONSTANT\nset = "ellipsoid" |  | campaign.toml:\d+: .epistemic. set = .ellipsoid.: it needs intervals
+bounds = CONSTANT\nset = "ellipsoid" |  | campaign.toml:\d+: .epistemic. set = .ellipsoid.: this needs intervals
 bounds = "absent.json" |  | named as bounds and not there
 bounds = "bad.json" | { | bad.json.*uqharness bounds AIRCRAFT
 bounds = "bad.json" | {"coefficients": {"CL": {}}} | bad.json.*uqharness bounds AIRCRAFT
@@ -233,7 +233,7 @@ def test_parameters_multiply_corners_and_join_walks(tmp_path):
 @pytest.mark.parametrize(
     ("change", "line", "message"),
     [
-        ({"names": []}, "", "nothing was identified"),
+        ({"names": []}, "", "no parameter was identified"),
         ({"cov": [[1.0]]}, "", "2 x 2"),
         ({"cov": [[1.0, 2.0], [2.0, 1.0]]}, "", "not positive definite"),
         ({"cov": [[1.0, 0.1], [0.2, 1.0]]}, "", "not symmetric"),
@@ -322,7 +322,7 @@ def test_an_unknown_mean_takes_its_place_among_the_sensitivities(tmp_path, monke
 def test_one_property_cannot_be_random_and_unknown_at_once(tmp_path):
     write(tmp_path / "fit.json", FIT)
     head = variables("20").replace("load/kg", "aero/Cm_q")
-    with pytest.raises(BadInputError, match="either random from flight to flight or unknown"):
+    with pytest.raises(BadInputError, match="either aleatory or epistemic"):
         build_cases(
             campaign(tmp_path, f'method = "none"\nsamples = 2\n{PARAMETERS}', head),
             mission(tmp_path),

@@ -116,7 +116,7 @@ def test_shards_of_different_campaigns_or_in_use_or_spoilt_are_not_merged(tmp_pa
     with pytest.raises(BadInputError, match=r"\[aleatory\] flights was 2, is 1"):
         merge(tmp_path / "out")
     write_manifest(part, read_manifest(part) | {"state": "spoilt"})
-    with pytest.raises(BadInputError, match="fly that shard again"):
+    with pytest.raises(BadInputError, match="run this shard again"):
         merge(tmp_path / "out")
     with pytest.raises(BadInputError, match="has no shards"):
         merge(tmp_path)

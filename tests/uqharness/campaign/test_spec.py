@@ -100,7 +100,7 @@ stop | rule = "decide"\nindifference_per_h = [0.3, 0.05] | must be [lower, upper
 stop | rule = "decide"\nerror_rate = 0.5 | [stop] error_rate = 0.5: a number above 0 and below 0.5 is needed
 stop | rule = "decide"\nhours = 500 | hours belongs to rule = "hours", not to "decide"
 stop | rule = "band-width" | "band-width" needs band_width
-stop | rule = "hours"\nhours = 500 | flights = 3, but [stop] hours = 500 of flights of 150 s asks for 12000
+stop | rule = "hours"\nhours = 500 | flights = 3, but [stop] hours = 500 of flights of 150 s needs 12000
 stop | rule = "sprt" | [stop] rule = "sprt": allowed are flights, hours, band-width, decide
 metrics | dispersion = 0.5 | [metrics] dispersion = 0.5: a number of at least 1
 epistemic.parameters | fit = "fit.json" | [epistemic.parameters] needs samples
@@ -186,7 +186,7 @@ def test_rules_that_say_how_many_flights_there_are(tmp_path):
     walks = text.replace('"corners"', '"walk"\nsamples = 8\nwalk_rate_per_sqrt_s = 0.01')
     few = read(tmp_path, walks + '\n[stop]\nrule = "band-width"\nband_width = 0.1\n')
     assert few.aleatory.flights < with_samples(few, 64).aleatory.flights == flights
-    with pytest.raises(BadInputError, match="says how much is flown"):
+    with pytest.raises(BadInputError, match="determines the number of flights"):
         band.with_hours(3.0)
     # As a manifest holds them they mean the same.
     for spec in (hours, hours.with_hours(1.0), band):

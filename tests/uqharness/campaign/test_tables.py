@@ -30,7 +30,7 @@ def test_a_changed_byte_and_an_unknown_table_are_damage(tmp_path: Path):
     # Before the end of a campaign there is no digest to hold it against.
     assert read_checked(tmp_path, SEALED | {"state": "running"}, "area.csv") != TEXT
     (tmp_path / "pbox.parquet").write_bytes(b"x")
-    with pytest.raises(DamageError, match="knows of no such table"):
+    with pytest.raises(DamageError, match="lists no such table"):
         read_checked(tmp_path, SEALED, "pbox.parquet")
 
 

@@ -59,7 +59,7 @@ def test_an_aircraft_that_does_not_fly_is_refused_or_noted(
         instrument_aircraft(find_aircraft("c172x"), BOUNDS, tmp_path / "c172x")
     assert not (tmp_path / "c172x").exists()
     done = instrument_aircraft(find_aircraft("c172x"), BOUNDS, tmp_path / "c172x", check=False)
-    assert done.notes[-1] == "unflown, so the card is a guess: it dives"
+    assert done.notes[-1] == "not simulated, so the card is a guess: it dives"
 
 
 def test_a_control_that_cannot_be_measured_is_noted_and_the_command_answers_no(

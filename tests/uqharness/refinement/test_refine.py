@@ -198,7 +198,7 @@ def test_bad_input_ends_with_a_reason(flights, tmp_path, capsys, campaign):
     own.write_text('[[effect]]\ncoefficient = "Cm"\nterm = "x"\n', encoding="utf-8")
     bad.write_text(CAMPAIGN.replace("flights = 2", "flights = 0"), encoding="utf-8")
     for test, more, words in (
-        (copy, (), "proves nothing"),
+        (copy, (), "must not be"),
         (flights["test"], ("--effects", str(own)), "is no factor"),
         (flights["test"], ("--campaign", str(bad)), "flights"),
         (flights["test"], ("--campaign", str(campaign), "--no-pbox"), "--no-pbox"),
@@ -311,7 +311,7 @@ def test_a_mission_is_flown_by_aircraft_that_have_one(tmp_path, campaign):
     assert campaign_for(find_aircraft("espaaro"), None)["campaign"]["mission"].endswith(
         "loiter.xml"
     )
-    with pytest.raises(BadInputError, match=r"no loiter of its own.*--campaign"):
+    with pytest.raises(BadInputError, match=r"has no loiter.*--campaign"):
         campaign_for(find_aircraft("c172x"), None)
     given = campaign_for(find_aircraft("c172x"), campaign)
     assert Path(given["campaign"]["mission"]).is_file()
@@ -320,7 +320,7 @@ def test_a_mission_is_flown_by_aircraft_that_have_one(tmp_path, campaign):
         CAMPAIGN.replace('"corners"', '"none"').replace('coefficients = ["CX", "Cl"]', ""),
         encoding="utf-8",
     )
-    with pytest.raises(BadInputError, match="flies no intervals"):
+    with pytest.raises(BadInputError, match="ignores the intervals"):
         campaign_for(find_aircraft("espaaro"), nothing)
 
 
@@ -336,7 +336,7 @@ def test_intervals_shrink_where_the_effect_was_and_still_cover(judged_flights):
         json.loads((refined / "intervals" / "after.json").read_text())["format"] == "model-form 2"
     )
     assert document(refined)["gap"]["test"]["pbox"] == {
-        "reason": "left out (--no-pbox)",
+        "reason": "omitted (--no-pbox)",
         "metrics": [],
     }
 
@@ -409,7 +409,7 @@ def test_words_agree_with_the_verdict():
     remaining = refinement()["remaining"]
     effects = {"effects": [], "withdrawn": []}
     nothing = Refined.model_validate(refinement(**effects))
-    assert no_region_words(nothing) == "nowhere beyond what noise allows"
+    assert no_region_words(nothing) == "no residual beyond the noise"
     assert remaining_words(nothing.remaining) == []
     strong = refinement()["effects"][0] | {"evidence": {"t": -64.2}}
     left = remaining | {"unexplained": True, "where": [{"t": 64.2, "words": "x"}]}
@@ -417,7 +417,7 @@ def test_words_agree_with_the_verdict():
         assert "|t| up to 64" in no_region_words(Refined.model_validate(refinement(**one)))
     unexplained = remaining | {"unexplained": True, "channels_above_noise": {"q_radps": 2.0}}
     whole = Refined.model_validate(refinement(**effects, remaining=unexplained))
-    assert "see what is left" in no_region_words(whole)
+    assert "see the remaining residuals" in no_region_words(whole)
     assert remaining_words(whole.remaining) == ["above their noise: q_radps (2.00 times)"]
 
 

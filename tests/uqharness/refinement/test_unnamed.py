@@ -93,10 +93,9 @@ def test_the_effect_named_is_told_not_to_have_the_form(bumped):
     assert form["p"] < 1e-6
     assert form["twice_log_likelihood"] > 30.0
     assert form["words"].startswith(
-        "what is missing in Cm does not have the form of pitching moment due to angle of attack"
-        " cubed"
+        "the residual in Cm does not have the form of pitching moment due to angle of attack cubed"
     )
-    assert f"a {smooth['name']} gains" in form["words"]
+    assert f"an additional {smooth['name']} gains" in form["words"]
 
 
 def test_its_band_holds_the_hidden_form(bumped):
@@ -163,7 +162,9 @@ def test_the_page_draws_it_and_calls_it_no_physics(bumped):
     page = (bumped / "report.html").read_text(encoding="utf-8")
     assert problems(page) == []
     assert "A smooth term, not an effect" in page
-    assert "Not named, no physics: a smooth term of angle of attack in pitching moment" in page
+    assert (
+        "Smooth term without physics: a smooth term of angle of attack in pitching moment" in page
+    )
     assert (bumped / "figures" / "unnamed.svg").stat().st_size > 1000
 
 

@@ -55,7 +55,7 @@ def test_it_has_every_section_and_nothing_wrong(page):
     assert problems(page) == []
     tree = html.document_fromstring(page)
     assert [item.text for item in tree.iter("h2")] == [
-        "What was asked",
+        "Question",
         "Where the answer is yes, no or inconclusive",
         "P-boxes of the median errors",
         "Ground track",

@@ -22,8 +22,8 @@ def test_the_largest_difference_of_each_metric_and_what_was_excused():
         row("altitude_max_m", "1.0", "alike", part="start"),
     ]
     said, note, table = engine_section("batch", [], rows).blocks
-    assert said.text == "Flown in the batch engine."
-    assert note.text.startswith("2 whole flights, ")
+    assert said.text == "Simulated in the batch engine."
+    assert note.text.startswith("2 complete flights, ")
     assert isinstance(table, Table)
     assert table.rows == (
         ("status", "1", "", "0"),

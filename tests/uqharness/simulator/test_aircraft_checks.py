@@ -377,9 +377,9 @@ def test_a_folder_named_otherwise_than_its_xml_has_only_one_or_a_card(tmp_path):
         (ProcessResult(None, {}, "", ""), "JSBSim did not finish loading it within 20 s"),
         (
             ProcessResult(-11, {}, "Unknown function", ""),
-            r"ends JSBSim's process \(signal 11 \(SIGSEGV\)\); its last words: Unknown function;",
+            r"ends JSBSim's process \(signal 11 \(SIGSEGV\)\); last output: Unknown function;",
         ),
-        (ProcessResult(-6, {}, "", ""), "its last words: no message;"),
+        (ProcessResult(-6, {}, "", ""), "last output: no message;"),
         (ProcessResult(0, {"refused": "no <mass_balance>"}, "", ""), "espaaro: no <mass_balance>"),
     ],
 )

@@ -139,7 +139,7 @@ def test_a_stock_aircraft_goes_through_a_campaign_to_a_pbox(flown):
     report = write_report(folder / "out")
     assert problems(report.path.read_text(encoding="utf-8")) == []
     assert (
-        "No path was commanded: errors are deviations from the state in which scoring began."
+        "No path was commanded: errors are deviations from the state at the start of scoring."
         in report.verdict
     )
     assert any("heading" in path.name for path in report.figures)

@@ -125,7 +125,7 @@ def test_the_pilot_finds_levels_a_factor_apart_and_says_when_it_cannot():
     shares = [0.5 * math.erfc(score / math.sqrt(2.0)) for score in levels]
     assert all(2.0 < one / other < 4.5 for one, other in itertools.pairwise(shares))
     assert 0.5 * math.erfc(THRESHOLD / math.sqrt(2.0)) > shares[-1] / 4.5
-    with pytest.raises(ValueError, match=r"found no level above .*, 4 is asked for"):
+    with pytest.raises(ValueError, match=r"found no level above .*, 4 is needed"):
         pilot(lambda number: paths(number, 2), 2, 2, grid, THRESHOLD)
 
 

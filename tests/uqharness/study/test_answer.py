@@ -111,7 +111,7 @@ def test_quiet_flights_are_a_yes_with_the_limit_that_says_so(tmp_path):
         == "Why: excursions beyond 15 m, worst corner: at most 0.773/h in 3 m/s; acceptable 2/h; 20"
         " h a condition, no flights aborted."
     )
-    assert (found.lacked, found.next) == ("", "Next: nothing for this question.")
+    assert (found.lacked, found.next) == ("", "Next: the question is answered.")
 
 
 def test_answer_is_no_for_a_worse_model(tmp_path):
@@ -167,7 +167,7 @@ def test_what_the_model_lacked_and_what_adding_it_bought(tmp_path):
 
 def test_a_refinement_without_effect_and_stages_that_answered_no(tmp_path):
     nothing = found("no-missing-effect").model_copy(update={"effects": []})
-    assert answer_of({}, nothing, []).lacked == "The model lacked nothing that these flights show."
+    assert answer_of({}, nothing, []).lacked == "These flights show no effect that the model lacks."
     withdrawn = found("unexplained", withdrawn=True)
     assert "no effect of the catalogue explains" in answer_of({}, withdrawn, []).lacked
     assert (
@@ -180,6 +180,6 @@ def test_without_a_campaign_there_is_no_rate_and_the_worst_finding_is_why():
     found = answer_of({}, None, [("Fits.", "good"), ("Does not hold.", "bad"), ("Beware.", "warn")])
     assert (found.level, found.answer, found.why) == (
         "warn",
-        "No excursion rate: no campaign was flown.",
+        "No excursion rate: no campaign was run.",
         "Does not hold.",
     )

@@ -176,14 +176,14 @@ def test_refinement_that_helps_too_little_or_explains_nothing_is_said_to():
     (text, level), *_ = chain_verdict._refinement_sentences(
         refinement("unexplained", (), where=[{"words": "something in Cl"}])
     )
-    assert (text, level) == ("Refinement leaves something unexplained: something in Cl.", "bad")
+    assert (text, level) == ("Refinement leaves a residual unexplained: something in Cl.", "bad")
     (text, level), *_ = chain_verdict._refinement_sentences(
         refinement("unexplained", [EFFECT | {"withdrawn": True}])
     )
-    assert "did not shrink the gap on the hold-out flights and was withdrawn" in text
+    assert "did not reduce the hold-out residuals and was withdrawn" in text
     assert level == "bad"
     (text, level), *_ = chain_verdict._refinement_sentences(refinement("no-missing-effect", ()))
-    assert (text, level) == ("Refinement found nothing missing from a.", "good")
+    assert (text, level) == ("Refinement found no missing effect from a.", "good")
 
 
 def write_coverage(folder, when, share, width):

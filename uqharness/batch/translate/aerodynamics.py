@@ -215,7 +215,7 @@ def _axes(
         if name in by_name:
             scope.refuse(axis, f"axis {name} occurs twice")
         if name not in _MOMENTS and not any(name in names for names in _FORCES.values()):
-            scope.refuse(axis, f"axis '{name}' is not understood")
+            scope.refuse(axis, f"axis '{name}' is not supported")
         if axis.attributes.get("frame", "") not in _FRAMES:
             scope.refuse(
                 axis,
@@ -381,7 +381,7 @@ def _vector(
     if kind not in _KINDS:
         scope.refuse(
             node,
-            f"frame '{kind}' of a <{node.tag}> is not understood; BODY, LOCAL, WIND and"
+            f"frame '{kind}' of a <{node.tag}> is not supported; BODY, LOCAL, WIND and"
             " INERTIAL are",
         )
     # At most one of each element.

@@ -87,7 +87,7 @@ def trace(c: Component) -> None:
     """
     tag = c.node.tag
     if tag in REFUSED:
-        c.scope.refuse(c.node, f'<{tag}> {REFUSED[tag]}; fly this aircraft with engine = "jsbsim"')
+        c.scope.refuse(c.node, f'<{tag}> {REFUSED[tag]}; use engine = "jsbsim"')
     kind = KINDS[tag]
     c.scope.only(c.node, ("name", *kind.attributes))
     kind.trace(c)
@@ -261,7 +261,7 @@ def _check(part: System) -> None:
         if node.tag in ("channel", "function"):
             error_scope(document).refuse(
                 node,
-                f"<{node.tag}> beside a file is not understood by the batch engine; allowed is"
+                f"<{node.tag}> beside a file is not supported by the batch engine; allowed is"
                 " <property>",
             )
 
@@ -503,7 +503,7 @@ def read_sources(aircraft: Aircraft | Files, script: Path | None) -> Sources:
     for tag in ("planet", "buoyant_forces"):
         if tag in parts:
             raise BadInputError(
-                f"{parts[tag][0].where(parts[tag][1])}: <{tag}> is not understood by the batch"
+                f"{parts[tag][0].where(parts[tag][1])}: <{tag}> is not supported by the batch"
                 " engine"
             )
     propulsion = parts.get("propulsion")

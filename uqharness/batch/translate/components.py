@@ -204,7 +204,7 @@ class Component:
             result = span.ne(0.0).choose(wrapped, result)
         elif kind:
             self.scope.refuse(
-                node, f"type='{kind}' of <clipto> is not understood; allowed is cyclic"
+                node, f"type='{kind}' of <clipto> is not supported; allowed is cyclic"
             )
         return span.lt(0.0).choose(value, result)
 
@@ -524,7 +524,7 @@ def distributor(c: Component) -> None:
             if child.tag not in ("test", "property", "description"):
                 c.scope.refuse(
                     child,
-                    f"<{child.tag}> in <case> is not understood; allowed are test and property",
+                    f"<{child.tag}> in <case> is not supported; allowed are test and property",
                 )
         tests = case.all("test")
         if len(tests) > 1:
@@ -1038,7 +1038,7 @@ def _quantized(c: Component, value: Value, stuck: Value) -> Value:
         if child.tag not in numbers:
             c.scope.refuse(
                 child,
-                f"<{child.tag}> in <quantization> is not understood; allowed are bits, min and max",
+                f"<{child.tag}> in <quantization> is not supported; allowed are bits, min and max",
             )
         c.scope.only(child)
         numbers[child.tag] = c.scope.number(child)

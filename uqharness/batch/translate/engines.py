@@ -306,7 +306,7 @@ class Engine:
                 write_function(frame, scope, function, ("name", "type"))
         is_off = self._is_off(frame)
         loads = self.thruster.trace(frame, self.motor.trace(frame, self.thruster))
-        # A starter acts on engines that do not run; it is not understood.
+        # A starter acts on engines that do not run; it is not supported.
         if is_off is not None and not frame.initialising:
             b = frame.builder
             turns = b.op("or", is_off, frame.get(f"{self.name}set-running").eq(0.0))
@@ -536,9 +536,7 @@ def read_propulsion(sources: Sources, values: Values, engines_running: bool = Fa
         return _with_dry_aircraft(Propulsion(None, (), (), masses), values)
     document, node = sources.propulsion
     scope = error_scope(document)
-    refuse_tags(
-        scope, node, {"function": "is not understood by the batch engine"}, ("name", "file")
-    )
+    refuse_tags(scope, node, {"function": "is not supported by the batch engine"}, ("name", "file"))
     _check_start(values)
     tanks = tuple(read_tank(scope, (document, tank), k) for k, tank in enumerate(node.all("tank")))
     magnetos = BOTH_MAGNETOS if engines_running else _magnetos(sources.script)
@@ -647,7 +645,7 @@ def _content(scope: Scope, part: Part, included: Mapping[Node, Part], kinds: Seq
             kind = inside[0].tag if inside else content[1].tag
             error_scope(content[0]).refuse(
                 content[1],
-                f"<{kind}> is not understood by the batch engine; {', '.join(kinds)} are",
+                f"<{kind}> is not supported by the batch engine; {', '.join(kinds)} are",
             )
         return content
     if len(inside) != 1:
@@ -673,7 +671,7 @@ def _check_start(values: Values) -> None:
     for name in ("refuel", "fuel_dump", "starter_cmd"):
         if values.get(f"propulsion/{name}", 0.0) not in (0.0, -1.0):
             raise BadInputError(
-                f"propulsion/{name} is on at the start, which the batch engine does not understand"
+                f"propulsion/{name} is on at the start, which the batch engine does not support"
             )
 
 

@@ -250,7 +250,7 @@ def _leave_functions_out(left_out: LeftOut, part: tuple[Document, Node] | None) 
             left_out.add(
                 node,
                 [canonical(function_name(name))],
-                f"{document.where(node)}: <{node.tag}> of <{root.tag}> is not understood by the"
+                f"{document.where(node)}: <{node.tag}> of <{root.tag}> is not supported by the"
                 " batch engine",
             )
 

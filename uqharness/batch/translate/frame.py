@@ -119,8 +119,8 @@ class Scope:
             if name not in attributes and name in JSBSIM_ATTRIBUTES:
                 self.refuse(
                     node,
-                    f"attribute '{name}' of <{node.tag}> is not understood by the batch engine; fly"
-                    ' it with engine = "jsbsim"',
+                    f"attribute '{name}' of <{node.tag}> is not supported by the batch engine; use"
+                    ' engine = "jsbsim"',
                 )
 
     def number(self, node: Node, text: str | None = None) -> float:
@@ -151,8 +151,7 @@ class Scope:
         if value is None:
             self.refuse(
                 node,
-                f"property {name} is not computed by the batch engine; fly this aircraft with"
-                ' engine = "jsbsim"',
+                f'property {name} is not computed by the batch engine; use engine = "jsbsim"',
             )
         return -value if negative else value
 
@@ -440,7 +439,7 @@ class Frame:
             if count > maximum:
                 raise BadInputError(
                     f"too large for the batch engine: more than {maximum} {words}; "
-                    'fly this aircraft with engine = "jsbsim"'
+                    'use engine = "jsbsim"'
                 )
 
     def read(self, name: str) -> Value | None:

@@ -254,7 +254,7 @@ def read_grid(scope: Scope, node: Node, columns: bool) -> Grid:
     if node.children:
         scope.refuse(
             node.children[0],
-            f"<{node.children[0].tag}> in <tableData> is not understood; nested tables have"
+            f"<{node.children[0].tag}> in <tableData> is not supported; nested tables have"
             " attribute breakPoint",
         )
     lines = [

@@ -48,7 +48,7 @@ def condition(scope: Scope, node: Node) -> Value:
         if child.tag != node.tag:
             scope.refuse(
                 child,
-                f"<{child.tag}> in <{node.tag}> is not understood; allowed are lines and"
+                f"<{child.tag}> in <{node.tag}> is not supported; allowed are lines and"
                 f" <{node.tag}>",
             )
         scope.only(child, ("logic",))
@@ -134,7 +134,7 @@ class _Event:
             if child.tag not in _PARTS:
                 scope.refuse(
                     child,
-                    f"<{child.tag}> of an event is not understood; condition, set, delay and"
+                    f"<{child.tag}> of an event is not supported; condition, set, delay and"
                     " notify are",
                 )
         for word in ("persistent", "continuous"):

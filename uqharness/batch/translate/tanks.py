@@ -222,7 +222,7 @@ def _read_grain(scope: Scope, node: Node, radius: float, capacity: float) -> Gra
     if kind not in ("CYLINDRICAL", "ENDBURNING"):
         scope.refuse(
             grain,
-            f"type='{kind}' of <grain_config> is not understood by the batch engine; CYLINDRICAL"
+            f"type='{kind}' of <grain_config> is not supported by the batch engine; CYLINDRICAL"
             " and ENDBURNING are",
         )
     length = number(scope, grain, "length", 0.0, "IN")

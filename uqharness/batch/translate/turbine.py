@@ -373,7 +373,7 @@ def read_turbine(scope: Scope, part: Part, name: str, index: str) -> Turbine:
         if function_name not in names:
             scope.refuse(node, f"a turbine has a function {function_name}")
     if method not in (0, 1, 2):
-        scope.refuse(node, f"augmethod {method} is not understood by the batch engine")
+        scope.refuse(node, f"augmethod {method} is not supported by the batch engine")
     # Numbers with JSBSim's defaults.
     windmill = node.find("disable-windmill")
     numbers = TurbineData(

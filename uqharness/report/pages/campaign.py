@@ -123,15 +123,15 @@ def pbox_section(report: CampaignReport, prefix: str = "") -> Section:
         "Each thin curve is one epistemic sample: the cumulative probability of its flights'"
         " median error. The bold pair is their envelope, the p-box; its width is epistemic"
         " uncertainty, its slope aleatory. The dashed band adds the sampling error of a finite"
-        f" number of flights: it holds for all corners and all values together at {_SURE}. At the"
-        " cursor the figure names the sample behind either side: − for a coefficient at its lower"
-        " bound, + for one at its upper."
+        f" number of flights: it holds for all corners and all values together at {_SURE}. The"
+        " cursor shows the sample that sets either side: − for a coefficient at its lower bound, +"
+        " for one at its upper."
     )
     published = any(item.published is not None for item in report.findings)
     if published:
         intro += (
-            " The published flight was measured by its own sensors, so it is marked only where the"
-            " curves are measured too."
+            " The published flight was measured by its sensors, so it is marked only in charts of"
+            " measured errors."
         )
     blocks: list[Block] = [Words(intro, note=True), Figures(figures, file="")]
     # Say how many conditions are not drawn.
@@ -156,13 +156,9 @@ def pbox_section(report: CampaignReport, prefix: str = "") -> Section:
         *(["Published flight"] if published else []),
     ]
     caption = (
-        "Where half of the flights stay below: the p-box's middle, the same with the band, and the"
-        " samples that set its two ends"
-        + (
-            ", and by which share of its area the interior points widen the whole."
-            if between
-            else "."
-        )
+        "Medians of the flights: the range of the p-box at probability 0.5, the same with the"
+        " band, and the samples that set its two ends"
+        + (", and the share of the p-box's area that interior points add." if between else ".")
     )
     blocks.append(
         Table(
@@ -232,10 +228,9 @@ def grid_section(
     acceptable = f"{signed[0].acceptable_per_h:g}" if signed else ""
     text = (
         f"The question of each cell: at most {acceptable} excursions per flight hour at every"
-        " corner? ✓ yes: every corner lies at or below; ✕ no: some corner lies above; ?"
-        " inconclusive: too few flight hours, or for the reason in the cell. Below the answer"
-        f" is the rate at the worst corner with its {_SURE} limits, in excursions per flight"
-        " hour."
+        " corner? ✓ yes; ✕ no: some corner has more; ? inconclusive: too few flight hours, or the"
+        " reason in the cell. Below the answer is the rate at the worst corner with its"
+        f" {_SURE} limits, in excursions per flight hour."
     )
     if not signed:
         return Section(title, (Words("This campaign counts no excursions.", note=True),))
@@ -288,13 +283,11 @@ def rate_sections(report: CampaignReport) -> list[Section]:
     signed = report.signed
     acceptable = f"{report.settings.metrics.acceptable_per_h:g}"
     text = (
-        f"Excursions per flight hour of the best and the worst corner with limits ({_SURE} each)"
-        " that take the flight as the unit, "
-        "so they hold also where excursions come in clusters, and that hold for having picked the"
-        ' corner. The answer "yes" '
-        f'says that every corner lies at or below {acceptable} per hour, "no" that some corner lies'
-        " above; each is wrong with "
-        "a probability of at most the error rate of its condition."
+        f"Excursions per flight hour of the best and the worst corner with limits ({_SURE} each)."
+        " Each flight counts as one sample, so the limits allow for clusters of excursions, and"
+        ' they hold for all corners at once. "Yes": every corner has at most'
+        f' {acceptable} per hour; "no": some corner has more; each is wrong with a probability of'
+        " at most the error rate of its condition."
     )
     # Columns of aborted flights only if there are some.
     kinds = report_statements.aborted_kinds(signed)
@@ -327,10 +320,9 @@ def rate_sections(report: CampaignReport) -> list[Section]:
     )
     text = (
         f"In brackets: exact Poisson limits ({_SURE}) of that corner alone; after 0 the one-sided"
-        " limit. The last limits hold for all corners at once, so for having picked the best and"
-        " the worst. Poisson limits take excursions as independent and the hours as chosen"
-        " beforehand; where that is not so, the table above holds. A failed flight counts as one"
-        " more excursion on the upper side."
+        " limit. The last limits hold for all corners at once. Poisson limits assume independent"
+        " excursions and hours that were fixed beforehand; otherwise use the table above. A failed"
+        " flight counts as one more excursion in the upper limit."
     )
     # Counts: limits of each corner alone, under the usual assumptions.
     counted = (

@@ -106,9 +106,7 @@ def compare_page_of(
         ("Files", files),
     )
     sections.append(provenance(*facts))
-    question = (
-        f"Does {gap.aircraft} fly {gap.flight} as it was flown, to within the sensors' noise?"
-    )
+    question = f"Does {gap.aircraft} reproduce {gap.flight} within the sensors' noise?"
     return Page(
         f"{gap.aircraft} compared with {gap.flight}",
         question,
@@ -149,8 +147,8 @@ def _verdict(gap: Compare) -> tuple[Sentence, ...]:
         worst = max(ratios, key=lambda c: ratios[c])
         sentences.append(
             Sentence(
-                f"Largest gap of a coefficient: {worst}, {ratios[worst]:.2f} times the rms that"
-                " noise alone gives."
+                f"Largest residual of a coefficient: {worst}, {ratios[worst]:.2f} times its noise"
+                " rms."
             )
         )
     return tuple(sentences)
@@ -215,15 +213,15 @@ def _channel_section(channels: Mapping[str, Channel], prefix: str) -> Section:
         f"{prefix}gap-ratios", ratios, [("model", "first", "disc")], "judged channels"
     )
     blocks = (Figures((figure,), file="gaps"),) if figure else ()
-    table = Table("Gap between log and model, by channel.", head, tuple(rows), key=True)
-    return Section("Gap by channel", (*blocks, table))
+    table = Table("Log minus model, by channel.", head, tuple(rows), key=True)
+    return Section("Residuals by channel", (*blocks, table))
 
 
 def _why_not_judged(channel: str) -> str:
     """Return why a channel is not compared with its noise."""
     if channel in OUTPUTS:
-        return "not judged: the log's own estimate"
-    return "not judged: integral of other channels, drifts"
+        return "not tested: computed by the log's autopilot"
+    return "not tested: integral of other channels, drifts"
 
 
 def _milli(value: float | None) -> str:
@@ -260,7 +258,7 @@ def ratio_figure(
         for row, values in ratios.items()
     )
     x = Scale("rms of log minus model over noise [-]", 0.0, 1.08 * max(largest, 1.3))
-    label = f"Gap over noise [-] of the {subject}. {label}."
+    label = f"Residual over noise [-] of the {subject}. {label}."
     chart = rows_chart(name, label, x, tuple(ratios))
     chart.upright(1.0, "zero", "the noise itself")
     chart.upright(LIMIT, "limit", f"limit {LIMIT:g}")
@@ -276,7 +274,7 @@ def ratio_figure(
     return Figure(
         name,
         chart.svg(),
-        f"Gap over noise [-] of the {subject}; {shapes}. 1 is what noise alone gives.",
+        f"Residual over noise [-] of the {subject}; {shapes}. 1: noise alone.",
     )
 
 
@@ -298,7 +296,7 @@ def _coefficient_section(
         )
     head = ("Coefficient", "rms of flight minus model", "rms of noise alone", "Ratio", "Mean")
     table = Table(
-        "Gap between demanded and modelled coefficients (dimensionless, body axes).",
+        "Measured minus modelled coefficients (dimensionless, body axes).",
         head,
         tuple(cells),
         key=True,
@@ -308,9 +306,7 @@ def _coefficient_section(
     for c in COEFFICIENTS:
         if have_columns(histories, (f"{c}_flight", f"{c}_model")):
             coefficient_series = [(key.format(c), kind, words) for key, kind, words in series]
-            label = (
-                f"{c} [-] that the flight demanded and that the model gives, segments end to end."
-            )
+            label = f"{c} [-], measured and modelled, segments end to end."
             figures.append(
                 end_to_end(
                     histories,
@@ -354,7 +350,7 @@ def _manoeuvre_section(gap: Compare) -> Section:
     if moments:
         head = ("Time [s]", "Channel", "Manoeuvre", "Gap in sigma [-]")
         blocks.append(Table("The largest deviations.", head, tuple(moments), key=True))
-    return Section("Where the gap is", tuple(blocks) or (Words("Not recorded."),))
+    return Section("Place of the residuals", tuple(blocks) or (Words("Not recorded."),))
 
 
 # Tables of a comparison, and the sentence that says what it shows.
@@ -461,7 +457,7 @@ def gap_verdict(comparison: Comparison) -> str:
     # Wrong signs or scales come first: delays and residuals mean nothing before they are corrected.
     if not comparison.reached and comparison.slips:
         return (
-            "Signs or scales differ between record and model, which comes before any delay:"
+            "Signs or scales differ between record and model; correct them before delays:"
             f" {'; '.join(comparison.slips)}. Correct the channel's map or the servo table (see"
             " uqharness log info), or the model."
         )
@@ -471,9 +467,9 @@ def gap_verdict(comparison: Comparison) -> str:
         return (
             "The record is not aligned: its controls act"
             f" {1e3 * abs(comparison.controls_late_s):.1f} ms {when}, and"
-            f" {1e3 * comparison.late_limit_s:.1f} ms are allowed. A command belongs to the row"
-            " whose acceleration has seen it first: shift the command columns, otherwise a model"
-            " identified from this flight gets this lag in addition."
+            f" {1e3 * comparison.late_limit_s:.1f} ms are allowed. A command belongs to the first"
+            " row whose acceleration it affects: shift the command columns, otherwise a model"
+            " identified from this flight has this lag in addition."
         )
     return noise_floor(
         comparison.reached,

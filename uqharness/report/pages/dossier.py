@@ -483,8 +483,8 @@ def dossier_of(evidence: Evidence) -> Dossier:
         front.append(Section("Missing or damaged", (Bullets(missing, key=True),)))
     title = f"Dossier: {_name(evidence)}"
     question = (
-        "What was flown, what does the model rest on, how near is it to the measured flight, and"
-        " what is not known?"
+        "Which flights are the evidence for the model, how well does it match them, and what is"
+        " unknown?"
     )
     return Dossier(
         Page(title, question, _verdict(match, missing, evidence), (*front, *sections)),
@@ -521,7 +521,7 @@ def _verdict(match: Match, missing: Sequence[str], evidence: Evidence) -> tuple[
     for aircraft in simulating_models(evidence):
         sentences.append(
             Sentence(
-                f"The flights are simulated, by the model {aircraft}. No real aircraft was flown.",
+                f"The flights are simulated with the model {aircraft}, not real.",
                 "warn",
             )
         )
@@ -896,7 +896,7 @@ def _extrapolated(campaigns: Sequence[tuple[Step, CampaignReport]]) -> list[Bloc
     if not rows:
         return []
     head = ("Campaign", "Condition", "Outside [%]")
-    caption = "Share of the flown time outside the flight states that the bounds come from."
+    caption = "Share of the simulated time outside the flight states of the bounds' data."
     return [Table(caption, head, tuple((*key, value) for key, value in rows.items()))]
 
 
@@ -944,7 +944,7 @@ def _not_done(title: str, evidence: Evidence, source: LogComparison | None) -> S
         )
     for step, refinement in evidence.results(Refinement):
         if refinement.remaining.unexplained:
-            lines.append(f"{step.place}: something is left that no effect explains.")
+            lines.append(f"{step.place}: a residual remains that no effect explains.")
     lines += [
         f"{f.name}: {NOT_ASSESSED}."
         for f in factors(evidence, Match((), {}) if source is None else source.match)
@@ -978,8 +978,8 @@ def _sources(title: str, evidence: Evidence) -> Section:
         else f", the first {_MAX_SOURCES} of which are listed; dossier --json has all."
     )
     text = (
-        f"Written by uqharness {__version__} from the files below and nothing else; nothing was"
-        " flown or fitted for it."
+        f"Written by uqharness {__version__} from the files below only; nothing was simulated or"
+        " fitted for it."
     )
     blocks = (
         Words(text, note=True),

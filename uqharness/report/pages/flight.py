@@ -609,7 +609,7 @@ def log_page(info: LogInfo, record: FlightRecord, command: str) -> Page:
         ("Command", command),
         ("Log (SHA-256)", f"{record.metadata.sha256 or 'not computed'} {info.source}"),
     ]
-    question = f"What does {info.source} hold, what is wrong with it, and what does it serve?"
+    question = f"What does {info.source} contain, which faults has it, and what can it be used for?"
     return Page(f"Log {info.source}", question, _log_verdict(info), (*sections, provenance(*facts)))
 
 
@@ -700,8 +700,8 @@ def _findings(record: FlightRecord) -> Section:
     head = ("Finding", "Severity", "Where", "What", "Spoils")
     table = Table("Findings by severity, one row a kind.", head, tuple(rows))
     text = (
-        "In the charts below a finding is in the caption of its channel; where the log tells"
-        " when, the time is shaded."
+        "In the charts below a finding is in the caption of its channel; its time is shaded if"
+        " known."
     )
     return Section("Findings", (Words(text, note=True), table))
 
@@ -731,8 +731,8 @@ def _mends(info: LogInfo) -> tuple[Section, ...]:
     if not mends:
         return ()
     text = "\n".join(f"# {f.code}, {f.channel or 'whole log'}\n{f.mend}" for f in mends)
-    words = Words("Lines of a signal map (--map MAP.toml) that mend the findings:")
-    return (Section("Lines that mend", (words, Code("Lines of a signal map", text))),)
+    words = Words("Lines of a signal map (--map MAP.toml) that correct the findings:")
+    return (Section("Corrections", (words, Code("Lines of a signal map", text))),)
 
 
 def _modes(modes: Sequence[tuple[float, float, str]]) -> tuple[Section, ...]:

@@ -39,8 +39,7 @@ from uqharness.results.identification import Fit, FitChannel, Parameter
 FIT = "fit.json"
 FILTER = "filter error"
 _NOT_COVERED = (
-    ", and standard errors, which take the model for right, do not say how far off the estimates"
-    " are. Next: compare, bounds or refine."
+    ". Standard errors assume that the model form is correct. Next: compare, bounds or refine."
 )
 
 
@@ -202,8 +201,7 @@ def _filter_residual_sentences(
         return [Sentence("Filter error's innovations are white.")]
     return [
         Sentence(
-            "Filter error's innovations are white: the model and the process noise found explain"
-            " the flights.",
+            "Filter error's innovations are white: model and process noise explain the flights.",
             "good",
         )
     ]
@@ -238,8 +236,8 @@ def _parameter_section(parameters: Mapping[str, Parameter], prefix: str) -> Sect
     )
     table = Table("Parameters in the unit that the XML declares.", head, tuple(rows), key=True)
     words = Words(
-        "The standard error allows for coloured residuals, the Cramér-Rao bound does not. What is"
-        " not identified keeps its initial value.",
+        "The standard error allows for coloured residuals, the Cramér-Rao bound does not."
+        " Parameters that are not identified keep their initial values.",
         note=True,
     )
     figure = _change(parameters, prefix)
@@ -313,7 +311,7 @@ def _fit_section(fit: Mapping[str, FitChannel]) -> Section:
     )
     return Section(
         "Fit by channel",
-        (Table("What is left between log and model, by channel.", head, tuple(rows)),),
+        (Table("Residuals by channel.", head, tuple(rows)),),
     )
 
 

@@ -49,13 +49,12 @@ def margins_page(aircraft: str, flight: str, measured: Sequence[LoopMargins], co
     sections = [_table(measured), *(_loop(item) for item in measured)]
     text = (
         "The response is L = -output/applied at the frequencies of an injected multisine, with"
-        " servo, airframe, sensors, control law, computing delay and hold in it. Where the"
-        " autopilot mixes the output into a second actuator, the injection is mixed in too. The"
-        " multisine is flown with both signs, and the difference is read. The flight was stable, so"
-        " the nearest crossings of the negative real axis on either side of -1 are the gain"
-        " margins. Between the frequencies gain and phase are interpolated over the logarithm of"
-        " frequency. Grey dots are frequencies at which the responses of the two signs differ by 10"
-        " % or more; no margin is read there."
+        " servo, airframe, sensors, control law, computing delay and hold in it. If the autopilot"
+        " mixes the output into a second actuator, so is the injection. The multisine is injected"
+        " with both signs, and the difference is used. The flight was stable, so the nearest"
+        " crossings of the negative real axis on either side of -1 are the gain margins. Gain and"
+        " phase are interpolated over the logarithm of frequency. Grey dots are frequencies at"
+        " which the responses of the two signs differ by 10 % or more; they are not used."
     )
     sections.append(Section("How it was measured", (Words(text),)))
     return Page(

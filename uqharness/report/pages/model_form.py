@@ -115,8 +115,8 @@ def bounds_page(folder: Path, prefix: str = "", only: Collection[str] | None = N
     sections += [*remarks(remark_texts, key=("notes",)), _provenance(form, details)]
     flights = ", ".join(f.name for f in form.flights)
     question = (
-        f"By how much may the coefficients of {form.aircraft.name} be wrong, as functions of the"
-        f" flight state, judged by {flights}? {100 * form.confidence:g} % intervals of the model's"
+        f"How large may the errors of the coefficients of {form.aircraft.name} be, as functions of"
+        f" the flight state, from {flights}? {100 * form.confidence:g} % intervals of the model"
         " error, dimensionless, body axes."
     )
     return Page(
@@ -141,9 +141,7 @@ def _verdict(details: Bounds, form: ModelForm) -> tuple[Sentence, ...]:
         if none:
             sentences.append(Sentence(f"No model error found above {', '.join(none)}.", "good"))
     else:
-        sentences.append(
-            Sentence("These intervals hold the sensors' noise besides the model's error.", "warn")
-        )
+        sentences.append(Sentence("These intervals include sensor noise.", "warn"))
     coverage = {
         c: r.left_out_share for c, r in details.coefficients.items() if r.left_out_share is not None
     }
@@ -151,10 +149,8 @@ def _verdict(details: Bounds, form: ModelForm) -> tuple[Sentence, ...]:
         # Lowest leave-one-manoeuvre-out coverage.
         worst = min(coverage, key=lambda c: coverage[c])
         level: Any = "good" if coverage[worst] >= MIN_SHARE_INSIDE else "warn"
-        text = (
-            f"Bounds made without a manoeuvre hold {100 * coverage[worst]:.0f} % of its samples or"
-            f" more ({worst} least)."
-        )
+        share = f"{100 * coverage[worst]:.0f} %"
+        text = f"Leave-one-manoeuvre-out coverage: {share} ({worst}, the lowest)."
         sentences.append(Sentence(text, level))
     max_states, name = max((len(b.states), c) for c, b in form.coefficients.items())
     outside_text = "grow" if form.outside == "grow" else "keep their values at the edge"
@@ -221,12 +217,12 @@ def _width_section(form: ModelForm, rows: Mapping[str, BoundsOfCoefficient]) -> 
         "Rate of variation [%/√s]",
     )
     text = (
-        "Mean width: of the bounds that a campaign holds through a flight; they know the polynomial"
-        " and what persists through a manoeuvre. Persistent, transient, sensor noise: standard"
-        " deviations; the transient part changes within seconds, noise is in no bounds. Model error"
-        " at most: 1.96 times the upper 95 % limit of its rms. Model error found: yes where a model"
-        " error is more likely than noise alone by 20 to 1 or more. Rate of variation: of the error"
-        " within a flight, in percent of its interval."
+        "Mean width: of the bounds of polynomial and persistent error, constant through a flight in"
+        " campaigns. Persistent, transient, sensor noise: standard deviations; the transient part"
+        " changes within seconds, sensor noise is not in the bounds. Model error at most: 1.96"
+        " times the upper 95 % limit of its rms. Model error found: yes if the odds against noise"
+        " alone are at least 20 to 1. Rate of variation: of the error within a flight, in percent"
+        " of its interval."
     )
     wide = Table("Bounds by coefficient.", head, tuple(table), key=True)
     flights = [
@@ -237,9 +233,9 @@ def _width_section(form: ModelForm, rows: Mapping[str, BoundsOfCoefficient]) -> 
     words = [Words(text, note=True)]
     if flights:
         words.append(
-            Words("One flight: what changes from flight to flight is not estimable.", note=True)
+            Words("One flight: variation from flight to flight is not estimable.", note=True)
         )
-    return Section("How wide the bounds are", (*words, wide))
+    return Section("Width of the bounds", (*words, wide))
 
 
 def slice_section(
@@ -539,9 +535,9 @@ def _hull_section(form: ModelForm) -> Section:
                 *(format_value(factor * float(v), ".4g") for v in values),
             )
     text = (
-        "A state is extrapolated (uq/extrapolated is 1) when one of its values lies beyond these,"
-        " or its leverage is above the data's largest: in a corner of the box where no combination"
-        " of states was flown."
+        "A state is extrapolated (uq/extrapolated is 1) if one of its values is outside these"
+        " ranges, or its leverage exceeds the largest in the data: a combination of states that the"
+        " flights did not reach."
     )
     head = ("State", "Smallest", "25 %", "50 %", "75 %", "Largest")
     table = Table(
@@ -720,11 +716,10 @@ def coverage_page_of(
         )
     else:
         verdict = Sentence(
-            "The bounds hold: every coefficient's share of this flight agrees with the 95 % that"
-            " its bounds state.",
+            "The bounds hold: the coverage of every coefficient agrees with 95 %.",
             "good",
         )
-    question = "Do the bounds hold on a flight that they were not made from?"
+    question = "Do the bounds hold on a new flight?"
     return Page("Validation of model-form bounds", question, (verdict,), tuple(sections))
 
 
@@ -766,8 +761,8 @@ def _coverage_section(document: Coverage) -> Section:
         "Outside the data [%]",
     )
     text = (
-        "Samples are measured: the noise of this flight's sensors is added to the bounds. Mean"
-        " width is without it. The standard error counts autocorrelation."
+        "Samples are measured, so the sensor noise of this flight is added to the bounds, but not"
+        " to the mean width. The standard error allows for autocorrelation."
     )
     table = Table(
         "Share of a new flight's samples inside the bounds, ± standard error.",
@@ -829,8 +824,8 @@ def _conformal_section(document: Coverage) -> tuple[Section, ...]:
     if not rows:
         return ()
     text = (
-        "Bounds this many times as wide hold 95 % of the samples of a further manoeuvre, at the"
-        " level given, whatever the distributions are, if manoeuvres are alike."
+        "Factor by which bounds must be widened to contain 95 % of the samples of a further"
+        " manoeuvre, at the given level, for any distribution, if manoeuvres are exchangeable."
     )
     words = [Words(text, note=True)]
     # With one flight the variation between flights cannot be estimated.
@@ -838,7 +833,7 @@ def _conformal_section(document: Coverage) -> tuple[Section, ...]:
     if unknown:
         words.append(
             Words(
-                "How model error varies from flight to flight is not estimable for"
+                "Variation of the model error from flight to flight is not estimable for"
                 f" {', '.join(unknown)}: one flight.",
                 note=True,
             )

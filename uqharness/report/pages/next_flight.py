@@ -78,10 +78,9 @@ def next_flight_page(
     figure_block = (Figures(tuple(figures), legend, True, "next-flight"),) if figures else ()
     # What to do with the files, and how many test points were refused.
     fly = (
-        f"uqharness fly {name} --script next-flight.xml --out FILE flies it in simulation;"
-        " test-points.csv is the same for an operator. Gain: share of the mean width that a point"
-        f" takes, given those chosen before it. {len(plan.refused)} of {plan.n_points} test points"
-        " were refused."
+        f"uqharness fly {name} --script next-flight.xml --out FILE simulates it; test-points.csv is"
+        " the flight card. Gain: share of the mean width that a point removes, after the points"
+        f" before it. {len(plan.refused)} of {plan.n_points} test points were refused."
     )
     sections = (
         Section(
@@ -327,8 +326,8 @@ def words(
     ]
     out.append(
         f"In the mission's flight states its interval is {p.current.total:.3g} wide on average."
-        f" {_percent(plan.extrapolated)} of the mission lies outside the data. The polynomial's"
-        f" uncertainty alone gives {p.current.parameter:.3g}, the scatter about it the rest."
+        f" {_percent(plan.extrapolated)} of the mission is outside the data. The polynomial's"
+        f" uncertainty alone gives {p.current.parameter:.3g}; the remainder is scatter."
     )
     # What the planned flight brings, against repetition and unlimited data.
     flight = (
@@ -336,7 +335,7 @@ def words(
         f" {_percent(p.narrowing)} (its parameter part by "
     )
     flight += (
-        f"{_percent(p.parameter_narrowing)}); as long a repetition of what was flown before, by"
+        f"{_percent(p.parameter_narrowing)}); the same time with the former manoeuvres, by"
         f" {_percent(1.0 - p.repeated.total / p.current.total)}"
         " ("
         f"{_percent(1.0 - p.repeated.parameter / p.current.parameter)}); unlimited data of the same"
@@ -346,9 +345,9 @@ def words(
     # New bounds also reflect a different scatter; say so if it matters.
     if abs(redone_narrowing - p.narrowing) > 0.01:
         flight += (
-            f" Bounds made again will come out {_percent(abs(redone_narrowing))}"
+            f" New bounds will be {_percent(abs(redone_narrowing))}"
             f" {'narrower' if redone_narrowing >= 0.0 else 'wider'}, because residuals scatter"
-            " differently at the speeds of these points; that difference is no information."
+            " differently at the speeds of these points; this difference adds no information."
         )
     out.append(flight)
     out += _first_points(plan)
@@ -384,8 +383,8 @@ def _first_points(plan: NextFlight) -> list[str]:
     subject = f"point {numbers} brings" if len(few) == 1 else f"points {numbers} bring"
     return [
         (
-            f"Of what the flight takes off the mean width {subject} {_percent(gained / total)}; a"
-            " short flight would be those."
+            f"Of the reduction of the mean width {subject} {_percent(gained / total)}: enough for a"
+            " short flight."
         )
     ]
 
@@ -394,12 +393,12 @@ def _reason_not_to_fly(plan: NextFlight, p: Prospect) -> str:
     """Return why the flight is not worth flying."""
     if p.at_most >= MIN_NARROWING:
         return (
-            f"Not worth flying for {plan.coefficient} alone ({_percent(MIN_NARROWING)} is asked"
-            f" for): more minutes would bring up to {_percent(p.at_most)}."
+            f"Not worth flying for {plan.coefficient} alone: {_percent(MIN_NARROWING)} is required;"
+            f" more minutes would bring up to {_percent(p.at_most)}."
         )
     text = (
         f"More data cannot narrow this interval: {_percent(1.0 - p.at_most)} of its width is"
-        " scatter about the polynomial, which stays. "
+        " scatter about the polynomial. "
     )
     # Scatter relative to what sensors and air alone give.
     ratio = plan.scatter / plan.simulated_scatter
@@ -407,14 +406,14 @@ def _reason_not_to_fly(plan: NextFlight, p: Prospect) -> str:
         return text + "A longer flight (--minutes) would show whether that is noise or model form."
     if ratio > MAX_SENSOR_SCATTER_RATIO:
         return (
-            text + f"It is {ratio:.1f} times what the model's own sensors and air give"
+            text + f"It is {ratio:.1f} times the scatter from simulated sensors and air"
             f" ({plan.simulated_scatter:.2g}): a term is missing, or the air was rougher than"
             " simulated (--turbulence)."
         )
     return (
-        text + f"It is {ratio:.1f} times what the model's own sensors and air give"
-        f" ({plan.simulated_scatter:.2g}): calmer air, better sensors or a lower --cutoff-hz of"
-        " the bounds narrow it, no manoeuvre does."
+        text + f"It is {ratio:.1f} times the scatter from simulated sensors and air"
+        f" ({plan.simulated_scatter:.2g}): only calmer air, better sensors or a lower --cutoff-hz"
+        " of the bounds narrow it."
     )
 
 
@@ -425,29 +424,23 @@ def _form_sentences(plan: NextFlight, missing: Sequence[MissingTerm] | None) -> 
         if plan.worth_flying and not plan.form_is_short:
             return []
         return [
-            (
-                "Give the flights behind the bounds (--flight FILE...) to learn whether a term is"
-                " missing."
-            )
+            ("Give the flights of the bounds (--flight FILE...) to test whether a term is missing.")
         ]
     if not missing:
         return [
             (
-                f"In the flights given no term of second order is missing from the bounds of {c}:"
-                " what scatters is noise and air."
+                f"In these flights no term of second order is missing from the bounds of {c}: the"
+                " scatter is noise and air."
             )
         ]
     listed = ", ".join(f"{m.name} ({_percent(m.share)})" for m in missing)
     states = ",".join(dict.fromkeys(s for m in missing for s in m.states))
     text = (
-        f"Of what scatters in the flights given, this is explained by terms that the bounds of {c}"
-        f" lack: {listed}. More flying "
+        f"Shares of the scatter in these flights that terms explain which the bounds of {c} lack:"
+        f" {listed}. More flights do not reduce it: put the terms into the model (uqharness refine)"
+        f" or their states ({states}) into the bounds (uqharness bounds "
     )
-    text += (
-        f"leaves it: put them into the model (uqharness refine) or their states ({states}) into the"
-        " bounds (uqharness bounds "
-    )
-    return [text + f"--states {c}=...). In turbulence gusts can pass for such terms."]
+    return [text + f"--states {c}=...). In turbulence gusts can resemble such terms."]
 
 
 def _percent(value: float) -> str:

@@ -62,7 +62,7 @@ from uqharness.results.refinement import (
 
 MAX_UNLISTED = 8
 """Candidates in the chart that the page does not list elsewhere."""
-LEGEND = (("wide", "alone, with the parameters"), ("thick", "the same of a chosen effect"))
+LEGEND = (("wide", "candidate alone"), ("thick", "chosen effect alone"))
 _MARKS = {
     "chosen": "\N{BLACK CIRCLE}",
     "withdrawn": "\N{MULTIPLICATION X}",
@@ -173,12 +173,11 @@ def candidate_figure(done: Refinement, prefix: str = "") -> Figure | None:
         if n in listed and listed[n].t is not None:
             chart.marker(listed[n].t or 0.0, float(k), "first", "disc")
     if limit is not None:
-        chart.upright(limit, "limit", "reached by chance by the best of all")
+        chart.upright(limit, "limit", "critical value of the largest |t|")
     caption = (
-        "What explains the disagreement of the training flights, |t| [-]: bars alone, discs beside"
-        " the"
-        " chosen effects (alternatives: in the effect's place). \N{BLACK CIRCLE} chosen,"
-        " \N{ALMOST EQUAL TO} alternative, \N{MULTIPLICATION X} withdrawn, ? left."
+        "Candidate effects on the training flights, |t| [-]: bars alone, discs with the other"
+        " chosen effects (alternatives: in place of the effect). \N{BLACK CIRCLE} chosen,"
+        " \N{ALMOST EQUAL TO} alternative, \N{MULTIPLICATION X} withdrawn, ? unexplained."
     )
     return Figure(chart.name, chart.svg(), caption)
 
@@ -197,7 +196,7 @@ def place_words(place: ResidualLocation) -> list[str]:
     if place.channel is None:
         return []
     name, _, _ = shown_channel(place.channel)
-    side = "hold-out" if place.flights == "test" else "train"
+    side = "hold-out" if place.flights == "test" else "training"
     # Without an interval the record gives the reason.
     if place.from_s is None:
         first = (
@@ -207,7 +206,7 @@ def place_words(place: ResidualLocation) -> list[str]:
     else:
         share = place.share_of_excess
         share_text = (
-            "" if share is None else f", {100.0 * share:.0f} % of what is left of the channel"
+            "" if share is None else f", {100.0 * share:.0f} % of the channel's excess over noise"
         )
         when = f"{place.flight}, {place.from_s:.1f} to {place.to_s:.1f} s ({place.manoeuvre})"
         band = f"{place.from_Hz:.2g} to {place.to_Hz:.2g} Hz"
@@ -219,7 +218,7 @@ def place_words(place: ResidualLocation) -> list[str]:
     if dependence is not None:
         state, unit, factor = shown_channel(dependence.state)
         first += (
-            f"; its {dependence.of} goes with {state}, most at {factor * dependence.low:.3g}"
+            f"; its {dependence.of} correlates with {state}, most at {factor * dependence.low:.3g}"
             f" to {factor * dependence.high:.3g} {unit} ({100.0 * dependence.share:.0f} % of"
             " its variance)"
         )
@@ -228,8 +227,8 @@ def place_words(place: ResidualLocation) -> list[str]:
     )
     current = f"rms over noise of {name} on the training flights {place.channel_on_train:.2f}"
     # What the nearest candidates would leave.
-    second = f"{current}; with the nearest candidates it would be: {candidates}"
-    return [first, second, f"the flight that would tell: {place.would_tell}"]
+    second = f"{current}; with the nearest candidates: {candidates}"
+    return [first, second, f"manoeuvres to fly next: {place.would_tell}"]
 
 
 def smooth_words(smooth: SmoothTerm) -> str:
@@ -237,8 +236,8 @@ def smooth_words(smooth: SmoothTerm) -> str:
     channel, _, _ = shown_channel(smooth.channel)
     replaced = f", in place of {' and '.join(smooth.in_place_of)}," if smooth.in_place_of else ""
     return (
-        f"not named, no physics: a {smooth.name} ({smooth.property}){replaced} brings"
-        f" {channel} on the training flights from {smooth.channel_on_train:.2f} to"
+        f"smooth term without physics: a {smooth.name} ({smooth.property}){replaced} reduces the"
+        f" residual of {channel} on the training flights from {smooth.channel_on_train:.2f} to"
         f" {smooth.leaves:.2f} times its noise; {hold_out_words(smooth.test)}"
     )
 
@@ -251,15 +250,15 @@ def no_region_words(done: Refinement) -> str:
     sizes = [abs(t) for t in t_values if t is not None]
     if sizes:
         return (
-            "in no single region beyond what noise allows a sample; over all samples together the"
-            f" flights disagree with the model all the same (|t| up to {max(sizes):.0f})"
+            "no region has more samples outside the noise band than expected; over all samples the"
+            f" disagreement is significant (|t| up to {max(sizes):.0f})"
         )
     if done.remaining.unexplained:
         return (
-            "in no single region beyond what noise allows a sample, but the flights as a whole: see"
-            " what is left"
+            "no region has more samples outside the noise band than expected, but the residuals"
+            " exceed their noise: see the remaining residuals"
         )
-    return "nowhere beyond what noise allows"
+    return "no residual beyond the noise"
 
 
 def remaining_words(remaining: Remaining) -> list[str]:
@@ -279,7 +278,7 @@ def remaining_words(remaining: Remaining) -> list[str]:
         if w.words:
             out.append(w.words)
         elif w.rms_over_noise is not None:
-            depends = w.depends_on[0].state if w.depends_on else "none of the states looked at"
+            depends = w.depends_on[0].state if w.depends_on else "none of the tested states"
             out.append(f"{w.coefficient}: {w.rms_over_noise:.2f} times noise, depends on {depends}")
     return out
 
@@ -289,30 +288,27 @@ def hold_out_words(test: HoldOutTest, withdrawn: bool = False) -> str:
     change, std = (
         math.nan if v is None else v for v in (test.change_of_twice_log_likelihood, test.std)
     )
-    number = f"twice the log likelihood {_with_error(change, std)} with it"
+    number = f"twice the log likelihood changes by {_with_error(change, std)}"
     # The number itself is meaningless if one model diverges.
     if abs(change) >= _DIVERGED:
-        more, leaves = ("more", "without") if change > 0.0 else ("less", "with")
-        number = (
-            f"twice the log likelihood over a billion {more} with it, for {leaves} it the model"
-            " leaves the flights altogether"
-        )
+        diverging = "without" if change > 0.0 else "with"
+        number = f"the model diverges {diverging} it"
     share, share_std = test.share_of_estimate, test.share_std
     # With a standard error above 0.5 the share distinguishes neither none nor all of the estimate.
     if share is not None and share_std is not None and share_std < 0.5:
-        number += f", {share:.2f} ± {share_std:.2f} of the estimate fits them best"
+        number += f", best value {share:.2f} ± {share_std:.2f} times the estimate"
     if test.gap == "shrank":
-        return f"on the hold-out flights the gap shrank: {number}"
+        return f"confirmed, the hold-out residuals shrank: {number}"
     if test.gap == "grew":
-        return f"on the hold-out flights the gap grew: {number}; withdrawn"
+        return f"contradicted, the hold-out residuals grew: {number}"
     if test.gap == "too far":
-        distance = (
-            f"{test.rms_over_that_of_train:.0f} times as far from either model as the training"
-            " flights"
+        return (
+            "inconclusive, the hold-out residuals of both models are"
+            f" {test.rms_over_that_of_train:.0f} times those of the training flights: check these"
+            " logs"
         )
-        return f"the hold-out flights decide nothing: they lie {distance}; look for their fault"
-    withdrawal = "; withdrawn beside what nothing explains" if withdrawn else ""
-    return f"the hold-out flights do not decide whether the gap shrank: {number}{withdrawal}"
+    withdrawal = "; withdrawn, because residuals are unexplained" if withdrawn else ""
+    return f"inconclusive on the hold-out flights: {number}{withdrawal}"
 
 
 def _with_error(value: float, std: float) -> str:
@@ -382,9 +378,7 @@ def effect_section(done: Refinement, diff: str = "", prefix: str = "") -> Sectio
     refused = done.best_refused
     if refused:
         t = format_value(_abs(refused.t), ".1f")
-        first.append(
-            Words(f"Best candidate that was refused: {refused.effect} (|t| {t}): {refused.why}.")
-        )
+        first.append(Words(f"Best rejected candidate: {refused.effect} (|t| {t}): {refused.why}."))
     figure = candidate_figure(done, prefix)
     if figure:
         first.append(Figures((figure,), LEGEND, file="candidates"))
@@ -420,7 +414,7 @@ def _value(e: Effect, off: Mapping[str, float], name: str) -> list[Block]:
                 Figure(
                     chart.name,
                     chart.svg(),
-                    "Value with its 95 % interval; the line is the model without it.",
+                    "Value with its 95 % interval; the line is the model without the effect.",
                 ),
             )
         ),
@@ -471,7 +465,7 @@ def _alternatives(e: Effect) -> list[Block]:
         (
             f"Distinguished from {a.name}."
             if a.separable
-            else f"Confounded with {a.name}. Would separate them: {a.would_separate}."
+            else f"Confounded with {a.name}. To separate them: {a.would_separate}."
         )
         for a in e.alternatives
     ]
@@ -546,15 +540,15 @@ def interval_section(gap: ResidualTables, prefix: str = "") -> Section:
         "Coefficient [-]",
         "Mean width before",
         "After",
-        "Test samples inside before [%]",
+        "Hold-out samples inside before [%]",
         "After [%]",
     )
     caption = (
         f"{100.0 * intervals.confidence:g} % intervals of each model, from the training flights."
     )
     text = (
-        "As uqharness bounds fits them, one set for each model; ± is one standard error,"
-        " neighbouring samples being alike."
+        "Intervals as of uqharness bounds, one set for each model; ± is one standard error that"
+        " allows for correlated samples."
     )
     figures = Figures(
         _interval_figures(intervals, prefix),
@@ -607,11 +601,11 @@ def _interval_figures(intervals: Intervals, prefix: str) -> tuple[Figure, ...]:
     ]
     if rows_with_coverage:
         label = (
-            "Test samples inside the intervals [%],"
-            f" {min(row[3] for row in rows_with_coverage):.1f} at the least."
+            "Hold-out samples inside the intervals [%],"
+            f" at least {min(row[3] for row in rows_with_coverage):.1f}."
         )
         lowest = min(share - half for *_, share, half in rows_with_coverage)
-        x = Scale("test samples inside [%], with 95 % limits", max(0.0, lowest - 2.0), 101.0)
+        x = Scale("hold-out samples inside [%], with 95 % limits", max(0.0, lowest - 2.0), 101.0)
         chart = rows_chart(f"{prefix}interval-coverage", label, x, tuple(rows), 24)
         chart.upright(100.0 * intervals.confidence, "limit")
         for at, kind, shape, share, half in rows_with_coverage:
@@ -621,7 +615,7 @@ def _interval_figures(intervals: Intervals, prefix: str) -> tuple[Figure, ...]:
             Figure(
                 chart.name,
                 chart.svg(),
-                "Share of the test samples inside; the dashed line is the stated confidence.",
+                "Share of the hold-out samples inside; the dashed line is the stated confidence.",
             )
         )
     return tuple(out)
@@ -646,7 +640,7 @@ def mission_section(folder: Path, gap: ResidualTables, prefix: str = "") -> Sect
         Prefix of figure names.
     """
     title = "The mission before and after"
-    mission = gap.pbox or Mission(reason="this folder was written before it was flown")
+    mission = gap.pbox or Mission(reason="this folder was written before its simulation")
     if mission.reason is not None:
         return Section(title, (Words(f"Not shown: {mission.reason}."),))
     # Imported here because it loads pandas, and not every refinement flies a mission.
@@ -661,7 +655,7 @@ def mission_section(folder: Path, gap: ResidualTables, prefix: str = "") -> Sect
     if len(folders) < 2:
         return Section(
             title,
-            (Words(f"{flown_text} Without an effect there is one model, and nothing to compare."),),
+            (Words(f"{flown_text} Without an effect there is only one model."),),
         )
     try:
         pair = [read_campaign_report(folder / name) for name in folders]
@@ -702,11 +696,12 @@ def smooth_sections(done: Refinement, prefix: str = "") -> list[Section]:
     if not smooth:
         return []
     text = (
-        f"Nothing of the catalogue explains what is left. {capital(smooth_words(smooth))}. The term"
-        f" has {smooth.effective_degrees_of_freedom:.1f} effective degrees of freedom. It is a"
-        " description and no effect: find the physics that would make this shape, or fly what"
-        " tells more. Nothing is known outside the range drawn; the table holds its ends there."
-        f" The model with it: {smooth.model}."
+        "No effect of the catalogue explains the remaining residual."
+        f" {capital(smooth_words(smooth))}. The term has"
+        f" {smooth.effective_degrees_of_freedom:.1f} effective degrees of freedom. It describes the"
+        " residual and has no physical interpretation: look for physics of this shape, or fly the"
+        " manoeuvres above. It is not valid outside the range of the chart, where its table is"
+        f" constant. The model with it: {smooth.model}."
     )
     figures = Figures((_curve_figure(smooth, prefix),), file="unnamed")
     return [
@@ -748,8 +743,8 @@ def _curve_figure(smooth: SmoothTerm, prefix: str) -> Figure:
     chart.band(at, low, high, "fill1", "95 % band")
     chart.line(at, value, "first", "smooth term")
     caption = (
-        "A smooth term, not an effect: which physics would make this shape? It is less the best"
-        " straight line where the model has one. Grey: where the data lie."
+        "A smooth term, not an effect. The best straight line is subtracted if the model has this"
+        " linear term. Grey: density of the data."
     )
     return Figure(chart.name, chart.svg(), caption)
 
@@ -758,7 +753,7 @@ def _gap_table(smooth: SmoothTerm) -> Table:
     """Return residuals with and without the term."""
     rows = []
     # Training flights, then hold-out flights.
-    for side, flights in (("train", "Train"), ("test", "Test")):
+    for side, flights in (("train", "Training"), ("test", "Hold-out")):
         gap = smooth.gap[side]
         channels = gap.predictions or gap.channels
         for name, gap_rows in (
@@ -769,7 +764,7 @@ def _gap_table(smooth: SmoothTerm) -> Table:
             rows.append((f"{flights}: {label}", *(format_value(v) for v in values)))
     head = ("Flights and quantity", "Without the term", "With it", "Noise")
     return Table(
-        "Rms of log minus model without and with the term, beside the effects that stand.",
+        "Rms of log minus model without and with the term, in addition to the effects.",
         head,
         tuple(rows),
         True,
@@ -788,11 +783,11 @@ def _shape_table(smooth: SmoothTerm) -> Table:
         for s in smooth.shapes
     )
     caption = (
-        f"Forms that it resembles, and what each leaves of {name} on the training flights instead"
-        f" ({smooth.leaves:.3f})."
+        f"Similar forms, and the residual of {name} on the training flights with each"
+        f" ({smooth.leaves:.3f} with the term)."
     )
     return Table(
-        caption, (f"Form in {smooth.state}", "Correlation [-]", "Rms over noise left [-]"), rows
+        caption, (f"Form in {smooth.state}", "Correlation [-]", "Rms over noise [-]"), rows
     )
 
 
@@ -835,9 +830,9 @@ def refine_page(folder: Path, prefix: str = "", only: Collection[str] | None = N
     figures = _coefficient_figures(histories, touched, gap, prefix)
     if figures:
         text = (
-            "What the hold-out flights demand minus what the model gives, before and after,"
-            " segments end to end. The band is what the sensors' noise alone gives in 95 % of the"
-            " samples."
+            "Coefficients measured on the hold-out flights minus the model's, before and after,"
+            " segments end to end. The band contains 95 % of the samples if sensor noise is the"
+            " only difference."
         )
         legend = (
             ("second thin", "before"),
@@ -886,27 +881,27 @@ def refine_page(folder: Path, prefix: str = "", only: Collection[str] | None = N
     )
     sections.append(provenance(*facts))
     question = (
-        f"What does the model lack? Effects were chosen on {train} and shown on the hold-out"
+        f"What does the model lack? Effects were chosen on {train} and tested on the hold-out"
         f" flights {test}."
     )
     return Page("Refinement", question, _verdict(done), tuple(sections))
 
 
 _VERDICTS: Mapping[str, tuple[str, Level]] = {
-    "no-missing-effect": ("Nothing is missing beyond what the sensors' noise hides", "good"),
-    "unexplained": ("Something is missing that no effect of the catalogue explains", "bad"),
+    "no-missing-effect": ("The residuals show no missing effect", "good"),
+    "unexplained": ("A residual remains that no effect of the catalogue explains", "bad"),
 }
 _SHRANK: tuple[str, Level] = (
-    "Effects were found, and the gap on the hold-out flights shrank",
+    "Effects were found and confirmed on the hold-out flights",
     "good",
 )
 _INCONCLUSIVE: tuple[str, Level] = (
-    "Effects were found; the hold-out flights do not decide whether the gap shrank",
+    "Effects were found; the hold-out flights are inconclusive",
     "warn",
 )
 _MAX_SYMPTOMS = 2
 _UNEXPLAINED_REMAINDER = (
-    "Effects were found, and something beside them is left that no effect of the catalogue explains"
+    "Effects were found, but a residual remains that no effect of the catalogue explains"
 )
 
 
@@ -971,10 +966,10 @@ def _largest_fall(gap: ResidualTables) -> str:
     quantity, unit, factor = shown_channel(name)
     before, after, noise = (factor * v for v in rows[name])
     first, last = f"{before:.3g}", f"{after:.3g}"
-    change = f"stays at {last}" if first == last else f"goes from {first} to {last}"
+    change = f"stays at {last}" if first == last else f"changes from {first} to {last}"
     return (
-        f"On the hold-out flights the error of {quantity} {change} {unit} (rms), "
-        f"with noise of {noise:.3g} {unit}."
+        f"On the hold-out flights the residual of {quantity} {change} {unit} (rms); "
+        f"its noise is {noise:.3g} {unit}."
     )
 
 
@@ -1000,11 +995,11 @@ def _place_sections(done: Refinement) -> list[Section]:
     )
     current = format_value(place.channel_on_train, ".3f")
     caption = (
-        f"Nearest candidates: what each leaves of {name} on the training flights, {current} without"
-        " any."
+        f"Nearest candidates, and the residual of {name} on the training flights with each"
+        f" ({current} without)."
     )
-    table = Table(caption, ("Candidate", "|t| [-]", "Rms over noise left [-]"), rows)
-    return [Section("Where something is left", (Bullets(lines, key=True), table))]
+    table = Table(caption, ("Candidate", "|t| [-]", "Rms over noise [-]"), rows)
+    return [Section("Place of the remaining residual", (Bullets(lines, key=True), table))]
 
 
 def _where_section(done: Refinement) -> Section:
@@ -1074,12 +1069,12 @@ def gap_section(gap: ResidualTables, prefix: str = "") -> Section:
             )
         )
     text = (
-        "Before: the model with its parameters identified again, without the effects. After: with"
-        " them. Start states and biases are each flight's own. ✓: smaller than before, ✕: larger,"
-        " by what three figures show."
+        "Before: the model with parameters identified again, without the effects. After: with the"
+        " effects. Start states and biases are estimated per flight. ✓: smaller than before, ✕:"
+        " larger, to three digits."
     )
     table = Table(
-        "Gap on the hold-out flights: rms of log minus model.",
+        "Residuals on the hold-out flights: rms of log minus model.",
         ("Quantity", "Before", "After", "Noise"),
         tuple(rows),
         True,
@@ -1088,12 +1083,12 @@ def gap_section(gap: ResidualTables, prefix: str = "") -> Section:
     blocks: list[Block] = [Words(text, note=True), figure_block, table]
     if gap.predictions:
         blocks += [Words(_TURBULENT), _prediction_table(gap.predictions)]
-    return Section("Gap on the hold-out flights, before and after", tuple(blocks))
+    return Section("Residuals on the hold-out flights, before and after", tuple(blocks))
 
 
 _TURBULENT = (
-    "The flights were turbulent. The gap above is of replays, as compare has it, and holds what the"
-    " gusts did; effects are judged by the errors of predictions one sample ahead."
+    "The flights were turbulent. The residuals above are those of open-loop replays, so they"
+    " include the gust response; effects are tested by errors of predictions one sample ahead."
 )
 
 
@@ -1127,9 +1122,8 @@ def _coefficient_figures(
             half = [np.full(len(h.time_s), Z95 * noise) for h in histories]
             band = ([-h for h in half], half, "")
         label = (
-            f"{c} [-] demanded by the hold-out flights minus the model's, before and after,"
-            " segments"
-            " end to end."
+            f"{c} [-] measured on the hold-out flights minus the model's, before and after,"
+            " segments end to end."
         )
         series = [(f"{c}_gap_before", "second thin", ""), (f"{c}_gap_after", "first thin", "")]
         out.append(
@@ -1153,7 +1147,7 @@ def _remaining_section(done: Refinement) -> Section:
         return Section("What is left", (Bullets(lines, key=True),))
     unplaced = done.remaining.unexplained
     return Section(
-        "What is left",
+        "Remaining residuals",
         (
             Words(
                 "More than noise, at no identifiable place."
@@ -1190,5 +1184,5 @@ def _model_section(done: Refinement, diff: str) -> Section:
             if len(lines) > _DIFF_LINES
             else []
         )
-        blocks.append(Code("What changed in the XML", "\n".join([*lines[:_DIFF_LINES], *more])))
-    return Section("What changed in the XML", tuple(blocks))
+        blocks.append(Code("Changes of the XML", "\n".join([*lines[:_DIFF_LINES], *more])))
+    return Section("Changes of the XML", tuple(blocks))

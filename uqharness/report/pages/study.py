@@ -393,7 +393,7 @@ def study_page(folder: Path) -> Page:
             Section("What could not be read", (Bullets(tuple(dict.fromkeys(missing))),))
         )
     folded_sections.append(_provenance(study))
-    question = study.question or "The study's file asks no question in words."
+    question = study.question or "The study's file has no question."
     sections += folded(folded_sections)
     if first:
         return Page(question, "", _verdict(study), tuple(sections), first)

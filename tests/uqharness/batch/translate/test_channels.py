@@ -338,7 +338,7 @@ def test_ground_functions_are_not_taken_for_constants() -> None:
         FORCE.replace("{reads}", "gear/load").replace("i/lamp", "aero/qbar-psf")
     )
     said = flights.refused(text.replace("<ground_reactions/>", ground))
-    assert "<function> of <ground_reactions> is not understood" in said
+    assert "<function> of <ground_reactions> is not supported" in said
 
 
 def test_a_flight_with_instruments_is_jsbsims() -> None:

@@ -39,11 +39,11 @@ def test_functions_of_an_engine_bear_its_number() -> None:
     [
         (
             "<function name='f'><v>1</v></function>",
-            "point.xml:7: <function> of <propulsion> is not understood",
+            "point.xml:7: <function> of <propulsion> is not supported",
         ),
         (
             '<engine file="fixed"><thruster file="direct"/></engine>',
-            "<propeller> is not understood by the batch engine; electric_engine",
+            "<propeller> is not supported by the batch engine; electric_engine",
         ),
         (
             '<engine file="brushless"><thruster file="direct"/></engine>',
@@ -298,7 +298,7 @@ def test_thrust_acts_as_in_jsbsim(made: engines.Case, before: str, after: str) -
         (
             '<thruster file="motor"/>',
             (
-                "<electric_engine> is not understood by the batch engine; propeller, direct,"
+                "<electric_engine> is not supported by the batch engine; propeller, direct,"
                 " nozzle are"
             ),
         ),

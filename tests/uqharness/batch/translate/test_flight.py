@@ -218,4 +218,4 @@ def test_external_reaction_refusals_name_the_line(text, said):
 
 def test_buoyancy_is_refused():
     found = refused(aircraft("<buoyant_forces/><aerodynamics/>"))
-    assert "<buoyant_forces> is not understood" in found
+    assert "<buoyant_forces> is not supported" in found

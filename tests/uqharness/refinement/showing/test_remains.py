@@ -78,7 +78,7 @@ def test_noise_has_no_interval_and_a_reason():
         place[k] is None
         for k in ("flight", "manoeuvre", "from_s", "to_s", "from_Hz", "to_Hz", "share_of_excess")
     )
-    assert "more than chance" in place["reason"]
+    assert "exceeds the noise significantly" in place["reason"]
     assert place["state"] is None
     assert place["state_reason"]
     assert goes is None
@@ -119,10 +119,10 @@ def whole(**changes):
 
 def test_a_place_is_told_in_three_lines():
     first, second, third = place_words(ResidualLocation(**whole()))
-    assert "residual of q, train flight b, 11" in first
+    assert "residual of q, training flight b, 11" in first
     assert "4.9 to 7.4 Hz: 1.99 times its noise" in first
     assert first.endswith(
-        "its size goes with alpha, most at 5.73 to 11.5 deg (40 % of its variance)"
+        "its size correlates with alpha, most at 5.73 to 11.5 deg (40 % of its variance)"
     )
     assert "pitching moment due to alpha squared 1.05 (|t| 12.0)" in second
     assert third.endswith("repeat climb")

@@ -45,7 +45,7 @@ def test_of_the_nearest_candidates_those_are_told_that_are_strong_and_not_told_y
 
 
 @pytest.mark.parametrize(
-    ("usual", "told"), [("", "(negative)"), ("positive", "(negative, where positive is usual)")]
+    ("usual", "told"), [("", "(negative)"), ("positive", "(negative; usual: positive)")]
 )
 def test_a_sign_that_is_usual_is_told(usual, told):
     effect = replace(coefficient_effect("Cm", "p_hat^2"), sign=usual)

@@ -21,7 +21,7 @@ def test_a_comparison_ranks_by_judged_channels_only(compared):
     assert "The model does not reach the noise floor: rms over noise is q 5.00." in words
     said = write_report(compared).text
     assert re.search(
-        r"psi \[deg\] +1.15 +- +- +not judged: integral of other channels, drifts", said
+        r"psi \[deg\] +1.15 +- +- +not tested: integral of other channels, drifts", said
     )
     assert "q_radps" not in said
     assert "Farthest in q" in words

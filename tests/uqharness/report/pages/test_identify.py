@@ -56,9 +56,7 @@ def test_standard_errors_are_not_vouched_for_where_the_model_does_not_explain_th
     identified,
 ):
     fit = json.loads((identified / "fit.json").read_text())
-    doubt = (
-        "standard errors, which take the model for right, do not say how far off the estimates are"
-    )
+    doubt = "Standard errors assume that the model form is correct"
     assert doubt in words_of(page_of(identified))
     within = {c: {**row, "rms": row["noise"]} for c, row in fit["fit"].items()}
     assert doubt not in said(identified, fit=within)

@@ -58,7 +58,7 @@ def test_what_bounds_json_has_stands_on_the_page(bounded):
 
 def test_bounds_say_where_there_is_model_error_and_where_none_was_found(bounded):
     words = words_of(page_of(bounded))
-    assert "These intervals hold the sensors' noise besides the model's error." in words
+    assert "These intervals include sensor noise." in words
     form = with_parts(made_up_form(), missing={"Cm"})
     form.write(bounded / "model-form.json")
     words = words_of(page_of(bounded))
@@ -68,4 +68,4 @@ def test_bounds_say_where_there_is_model_error_and_where_none_was_found(bounded)
     assert sizes is not None
     assert float(sizes[1]) > 0.0
     assert "No model error found above CX ±" in words
-    assert "One flight: what changes from flight to flight is not estimable." in words
+    assert "One flight: variation from flight to flight is not estimable." in words

@@ -25,9 +25,8 @@ def says(test: dict, withdrawn: bool = False) -> str:
 )
 def test_a_change_is_told_to_three_figures_of_its_standard_error(change, std, text):
     said = says({"gap": "shrank", "change_of_twice_log_likelihood": change, "std": std})
-    assert (
-        said == f"on the hold-out flights the gap shrank: twice the log likelihood {text} with it"
-    )
+    assert said.startswith("confirmed")
+    assert said.endswith(f"twice the log likelihood changes by {text}")
 
 
 def test_a_change_of_replays_that_diverge_is_told_without_its_digits():
@@ -38,13 +37,9 @@ def test_a_change_of_replays_that_diverge_is_told_without_its_digits():
         "share_of_estimate": 1.0,
         "share_std": 1e-12,
     }
-    more = (
-        "over a billion more with it, for without it the model leaves the flights altogether, 1.00"
-        " ± 0.00 of the estimate"
-    )
-    assert more in says(test)
-    less = "over a billion less with it, for with it the model leaves the flights altogether"
-    assert less in says({**test, "gap": "grew", "change_of_twice_log_likelihood": -4.6e24})
-    assert "+999000000 ± 20000000 with it" in says(
+    assert "diverges without it, best value 1.00 ± 0.00" in says(test)
+    grew = says({**test, "gap": "grew", "change_of_twice_log_likelihood": -4.6e24})
+    assert "diverges with it" in grew
+    assert "+999000000 ± 20000000" in says(
         {**test, "change_of_twice_log_likelihood": 9.99e8, "std": 2e7}
     )

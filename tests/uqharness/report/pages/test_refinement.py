@@ -22,14 +22,14 @@ def test_a_refinement(refined):
         "Pitching moment due to roll rate squared: 2.9963 ± 0.018 (aero/Cm_p2), |t| 164.7." in words
     )
     assert "Pitching moment due to roll rate squared is confounded with: aileron squared." in words
-    assert "Would separate them: a roll at rest." in words
-    assert "goes from 0.407 to 0.195 deg/s (rms), with noise of 0.201 deg/s" in words
+    assert "To separate them: a roll at rest." in words
+    assert "changes from 0.407 to 0.195 deg/s (rms); its noise is 0.201 deg/s" in words
     assert "stays at" not in words
     assert "+ <property>aero/Cm_p2</property>" in words
     assert "p 28.6 to 115 deg/s" in words
     assert "aero/Cm_p2 = 0 restores the model without it" in words
     assert (
-        "Withdrawn: Yawing moment due to elevator: 2.9963 ± 0.018; on the hold-out flights the gap grew"
+        "Withdrawn: Yawing moment due to elevator: 2.9963 ± 0.018; contradicted, the hold-out residuals grew"
         in words
     )
     assert "97.0 ± 1.0" in words
@@ -40,8 +40,8 @@ def test_a_refinement(refined):
 @pytest.mark.parametrize(
     ("verdict", "level", "text"),
     [
-        ("no-missing-effect", "good", "Nothing is missing"),
-        ("unexplained", "bad", "Something is missing that no effect of the catalogue explains"),
+        ("no-missing-effect", "good", "no missing effect"),
+        ("unexplained", "bad", "A residual remains that no effect of the catalogue explains"),
     ],
 )
 def test_verdicts_of_a_refinement(tmp_path, verdict, level, text):
@@ -70,17 +70,17 @@ def test_verdicts_of_a_refinement(tmp_path, verdict, level, text):
         (
             ("shrank",),
             ("good", "good"),
-            "Effects were found, and the gap on the hold-out flights shrank",
+            "Effects were found and confirmed on the hold-out flights",
         ),
         (
             ("shrank", "cannot tell"),
             ("good", "good", "warn"),
-            "Effects were found, and the gap on the hold-out flights shrank",
+            "Effects were found and confirmed on the hold-out flights",
         ),
         (
             ("cannot tell",),
             ("warn", "warn"),
-            "Effects were found; the hold-out flights do not decide whether the gap shrank",
+            "Effects were found; the hold-out flights are inconclusive",
         ),
     ],
 )

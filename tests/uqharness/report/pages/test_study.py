@@ -39,14 +39,14 @@ def test_a_study_with_two_campaigns_over_each_other(tmp_path, campaigns, refined
     assert (
         words.index("It holds.")
         < words.index("Is it good enough?")
-        < words.index("Two p-boxes over each other")
+        < words.index("P-boxes before (dashed")
     )
     tree = html.document_fromstring(page)
     overlays = [e for e in tree.iter("figure") if e.get("id").startswith("before-after-")]
     assert len(overlays) == 6
     for figure in overlays:
         assert len(json.loads(figure.findtext("script"))["boxes"]) == 2
-    assert "Not the same flights otherwise: flights differ" in words
+    assert "The campaigns differ in flights" in words
     assert "ran, the answer is no" in words
     # That a stage ran proves nothing.
     (stages,) = [
