@@ -642,7 +642,9 @@ class _Search:
             best = self.accept_trials(
                 segments, best, [self.likeliest_structure(segments, best, frames)], kinds
             )
-            for axis in ("p", "q", "r") if best.states[0].rotating else ("p",):
+            # Air that does not rotate is asked as well: a reversed pitch alone can make rotation
+            # by the standard less likely than none.
+            for axis in ("p", "q", "r"):
                 best = self.accept_trials(
                     segments, best, [self.length(segments, best, axis)], kinds
                 )
@@ -683,10 +685,14 @@ class _Search:
         """
         # The air's roll does not follow from gusts at the wing and has no sign.
         signs = [] if axis == "p" else [f"{axis}_share"]
+        base = best
+        if signs and not best.states[0].rotating:
+            # Air whose pitch and yaw follow from no gusts, of which one may.
+            base = best.with_states(rotating=True, q_share=0.0, r_share=0.0)
 
         def at(length: float, share: float = 1.0) -> _Point:
             """Return the point with a length and sign."""
-            return best.with_states(**dict.fromkeys(signs, share), **{f"{axis}_length": length})
+            return base.with_states(**dict.fromkeys(signs, share), **{f"{axis}_length": length})
 
         segments = _evenly_spaced(segments, _SEGMENTS_FOR_SPEED)
         shapes = [at(n) for n in _LENGTHS]
@@ -694,7 +700,7 @@ class _Search:
         chosen = self.likeliest_structure(segments, best, shapes)
         first = chosen.states[0]
         share, length = getattr(first, f"{axis}_share", 1.0), getattr(first, f"{axis}_length")
-        if chosen.states == best.states and length == 1.0:
+        if chosen.states == best.states and (length == 1.0 or base is not best):
             return best
         finer = [at(float(length * _FINER**k), share) for k in (-1, 1)]
         return self.likeliest_structure(segments, chosen, finer)

@@ -22,6 +22,7 @@ from sysid.effects.turbulence import (
     gust_strength_mps2,
     process_of,
 )
+from sysid.estimation import Process
 from sysid.parallel import SERIAL
 from tests.helpers.open_equations import OpenEquations
 from tests.sysid.aerodynamics.test_rigid_body import DT, MASS, TERMS, flight, reference
@@ -153,6 +154,22 @@ def test_what_gusts_were_first_taken_to_do_is_asked_again(rotating, turning):
     again = found_in(made, data, replace(first, states=wrong))
     assert again.kind[:2] == (rotating, turning)
     np.testing.assert_allclose(np.log(again.values[:4] / first.values[:4]), 0.0, atol=np.log(1.4))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "truth", [GustStates(MASS.b, q_share=-1.0, r_share=-1.0), GustStates(MASS.b, rotating=False)]
+)
+def test_reversed_rotation_of_air_that_was_taken_not_to_rotate(truth):
+    """Rotation by the standard is less likely than none where the air's is reversed."""
+    values, still = 5.0 * INTENSITIES, (GustStates(MASS.b, rotating=False),) * 4
+    of_flight, speed = dict.fromkeys("ab", values), dict.fromkeys("ab", 0.0)
+    factors, process = np.ones(len(NOISE)), Process(*np.zeros((2, 4, NX)))
+    first = TurbulenceModel(
+        still, values, of_flight, speed, process, 1.0, 1.0, np.zeros(3), factors
+    )
+    last = found_in(*drawn(truth, INTENSITIES), first).states[0]
+    assert last._replace(passing_mps=0.0) == truth
 
 
 def test_air_that_gains_nothing_stands(monkeypatch):

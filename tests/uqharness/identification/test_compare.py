@@ -8,6 +8,7 @@ import json
 import numpy as np
 import pytest
 
+from sysid.record import FlightRecord
 from tests.helpers.flown import fly
 from tests.helpers.page_checks import problems
 from tests.helpers.sixdof import Airframe
@@ -66,6 +67,16 @@ def test_the_true_model_is_at_the_noise_floor_in_everything(record, tmp_path):
     first = (out / "figures" / "gaps.svg").read_bytes()
     run(record, tmp_path)
     assert (out / "figures" / "gaps.svg").read_bytes() == first
+
+
+def test_without_vanes_a_replay_begins_at_angles_that_its_motion_shows(tmp_path):
+    """Slow flight, whose angle of attack is far from 0."""
+    flown = fly((("pitch-3211", 17.0), ("roll-yaw", 17.0)), seed=5, seconds=8.0)
+    columns = {n: v for n, v in flown.columns.items() if n not in ("alpha_rad", "beta_rad")}
+    code, found, _ = run(FlightRecord(columns, flown.metadata), tmp_path, "--no-figures")
+    assert flown["alpha_rad"][0] > 0.05
+    assert max(row["ratio"] for row in found["channels"].values() if row["judged"]) < 1.1
+    assert (code, found["above"]) == (0, [])
 
 
 def test_a_late_channel_is_found_late(record, tmp_path):

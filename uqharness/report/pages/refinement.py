@@ -943,8 +943,19 @@ def _verdict(done: Refinement) -> tuple[Sentence, ...]:
 
 
 def _remaining_line(done: Refinement) -> Sentence:
-    """Return what remains in one line: the first two of its symptoms."""
-    words = remaining_words(done.remaining)
+    """Return what remains in one line: the first two of its symptoms, or that the hold-out flights
+    alone differ.
+    """
+    words, place = remaining_words(done.remaining), done.remaining.place
+    if not words and place and place.channel and place.flights == "test" and not place.reason:
+        ratio = format_value(place.rms_over_noise, ".1f")
+        return Sentence(
+            "Remaining: nothing on the training flights, but the hold-out flights differ:"
+            f" {shown_channel(place.channel)[0]} is at {ratio} times its noise in"
+            f" {place.flight} ({place.manoeuvre}); compare mass, centre of gravity, flaps, sensors"
+            " and wind of both.",
+            "warn",
+        )
     if not words:
         return Sentence("Remaining: nothing beyond the sensors' noise.", "good")
     tail = f"; and {len(words) - _MAX_SYMPTOMS} more below" if len(words) > _MAX_SYMPTOMS else ""

@@ -45,11 +45,45 @@ def test_a_refinement(refined):
     ],
 )
 def test_verdicts_of_a_refinement(tmp_path, verdict, level, text):
+    page = page_without_effects(tmp_path, verdict, None)
+    first = html.document_fromstring(page).find(".//section[@class='verdict']//li")
+    assert first.get("class") == level
+    assert text in first.text_content()
+
+
+@pytest.mark.parametrize(("flights", "differ"), [("test", True), ("train", False)])
+def test_hold_out_flights_of_another_configuration(tmp_path, flights, differ):
+    place = {
+        "flights": flights,
+        "flight": "flown-heavy",
+        "manoeuvre": "loiter",
+        "channel": "theta_rad",
+        "from_s": 2.0,
+        "to_s": 9.0,
+        "from_Hz": 0.0,
+        "to_Hz": 1.5,
+        "rms_over_noise": 11.8,
+        "share_of_excess": 0.3,
+        "p": 0.0,
+        "state": None,
+        "channel_on_train": 1.0,
+        "would_tell": "a climb",
+        "candidates": [],
+        "reason": None,
+    }
+    words = words_of(page_without_effects(tmp_path, "no-missing-effect", place))
+    assert ("the hold-out flights differ: theta is at 11.8 times its noise" in words) is differ
+    assert ("Remaining: nothing beyond the sensors' noise" in words) is not differ
+
+
+def page_without_effects(tmp_path, verdict, place):
+    """Return the page of a refinement without effects."""
     left = {
         "unexplained": verdict == "unexplained",
         "where": [],
         "channels_above_noise": {},
         "coloured_channels": [],
+        "place": place,
     }
     changes = {
         "verdict": verdict,
@@ -58,10 +92,7 @@ def test_verdicts_of_a_refinement(tmp_path, verdict, level, text):
         "disagreement": [],
         "remaining": left,
     }
-    page = page_of(written(tmp_path / "refined", "refinement.json", refinement(**changes)))
-    first = html.document_fromstring(page).find(".//section[@class='verdict']//li")
-    assert first.get("class") == level
-    assert text in first.text_content()
+    return page_of(written(tmp_path / "refined", "refinement.json", refinement(**changes)))
 
 
 @pytest.mark.parametrize(
