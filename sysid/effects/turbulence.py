@@ -173,6 +173,8 @@ or of the air's roll; an isotropic field has no more.
 """
 _LENGTHS = (1.0, 0.5, 0.25, 2.0, 0.7, 1.4)
 """Trial lengths of the air's roll, pitch and yaw, in units of the standard's."""
+_COMMON_SPEEDS = (0.5, 0.7, 1.4, 2.0)
+"""Trial speeds at which the gusts of all flights pass, over their mean airspeed."""
 _STRUCTURE_ROUNDS = 2
 _FINER = 1.2
 """Factor of the refinement about the likeliest length."""
@@ -264,11 +266,11 @@ class TurbulenceModel:
         """Return the same air in other segments, with airspeeds ``V`` of the named ``flights``.
 
         New flights have the mean intensities. If gusts pass at one speed, it is the mean airspeed
-        in a new flight.
+        in a new flight, unless all flights have a common one.
         """
         first = self.states[0]
         passing = {
-            f: bool(first.passing_mps) * float(np.mean([V[k] for k in part]))
+            f: bool(first.passing_mps) * self._passing_of_new(float(np.mean([V[k] for k in part])))
             for f, part in _segments_of(flights).items()
         }
         passing |= self.passing
@@ -281,6 +283,15 @@ class TurbulenceModel:
             passing=passing,
             process=_process([by_flight[f] for f in flights], V, states),
         )
+
+    def _passing_of_new(self, V: float) -> float:
+        """Return the speed at which gusts pass in a new flight at airspeed ``V``."""
+        speeds = {*self.passing.values()}
+        if len(speeds) != 1:
+            return V
+        (speed,) = speeds
+        is_far = speed > 0.0 and abs(np.log(speed / V)) > _SPEED_LOG_STEP * _MAX_SPEED_STEPS
+        return speed if is_far or (speed and len(self.passing) > 1) else V
 
     @property
     def kind(self) -> tuple[bool, bool, bool]:
@@ -453,6 +464,9 @@ def estimate_air(
                 [best.with_states(passing_mps=0.0), search.passing(segments_of_flight, best)],
             )
             best = search.descend(segments, other, kinds) if other.states != best.states else best
+            # Some simulators generate gusts for one speed, whichever the aircraft's is.
+            common = search.common_speed(segments, best)
+            best = search.accept_trials(segments, best, [common], kinds)
         best = search.by_flight(segments_of_flight, best, flights)
     # Losses count from this air, with intensities by flight.
     best = search.best(segments, [best])
@@ -671,11 +685,11 @@ class _Search:
 
         At their estimated size these would absorb the differences between structures.
         """
-        clean = best.values.copy()
-        clean[4:] = np.minimum(clean[4:], LIGHT_AIR[4:])
-        cleaned = [
-            replace(p, values=clean, segment_factors=best.segment_factors) for p in (best, *others)
-        ]
+        cleaned = []
+        for point in (best, *others):
+            clean = point.values.copy()
+            clean[4:] = np.minimum(clean[4:], LIGHT_AIR[4:])
+            cleaned.append(replace(point, values=clean, segment_factors=best.segment_factors))
         chosen = self.best(segments, cleaned)
         return best if chosen.states == best.states else replace(chosen, cost=np.inf)
 
@@ -704,6 +718,35 @@ class _Search:
             return best
         finer = [at(float(length * _FINER**k), share) for k in (-1, 1)]
         return self.likeliest_structure(segments, chosen, finer)
+
+    def common_speed(self, segments: Sequence[int], best: _Point) -> _Point:
+        """Return the point with the likeliest speed at which the gusts of all flights pass.
+
+        The air's rotation at such a speed has its present lengths or the standard's.
+        """
+        mean = float(np.mean(self.V))
+        faster = np.array([s.passing_mps or v for s, v in zip(best.states, self.V, strict=True)])
+        standard = {"p_length": 1.0, "q_length": 1.0, "r_length": 1.0}
+
+        def at(ratio: float, lengths: Mapping[str, float]) -> _Point:
+            """Return the point with a speed; its gusts keep their process noise."""
+            values = best.values * float(np.mean(faster)) / (ratio * mean)
+            values[_MOMENTS] = best.values[_MOMENTS]
+            changed = best.with_states(passing_mps=ratio * mean, **lengths)
+            return replace(changed, values=values)
+
+        segments = _evenly_spaced(segments, _SEGMENTS_FOR_SPEED)
+        trials = [
+            (ratio, lengths, at(ratio, lengths))
+            for ratio in _COMMON_SPEEDS
+            for lengths in ({}, standard)
+        ]
+        chosen = self.likeliest_structure(segments, best, [point for *_, point in trials])
+        for ratio, lengths, point in trials:
+            if point.states == chosen.states != best.states:
+                finer = [at(ratio * _FINER**k, lengths) for k in (-1, 1)]
+                return self.likeliest_structure(segments, chosen, finer)
+        return best
 
     def loss(self, segments: Sequence[int], point: _Point, factors: FloatArray | float) -> float:
         """Return the loss in 2 ln L if the intensities of a point are multiplied by ``factors``."""

@@ -308,6 +308,17 @@ def test_gusts_pass_at_the_airspeed_or_at_one_speed(passing):
         assert speed == pytest.approx(passing, rel=0.05)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("passing", [35.0, 12.0, 0.0])
+def test_gusts_of_all_flights_pass_far_from_the_airspeed(passing):
+    """A simulator that makes gusts for one speed, and one that makes them for the airspeed."""
+    found = found_in(*drawn(GustStates(MASS.b, passing), INTENSITIES, n=160))
+    assert found.states[0].passing_mps == pytest.approx(passing, rel=0.15)
+    np.testing.assert_allclose(np.log(found.values[:4] / INTENSITIES[:4]), 0.0, atol=np.log(1.4))
+    later = found.in_segments([25.0], ["c"]).passing["c"]
+    assert later == pytest.approx(passing, rel=0.15)
+
+
 def test_the_air_of_a_flight_alone_is_the_likeliest_from_wherever_it_is_sought():
     """Sought from four times the air, which passes at the airspeed: found again."""
     made, data = drawn(GustStates(MASS.b, 23.5), INTENSITIES, n=260)
@@ -364,7 +375,7 @@ def test_flights_in_air_of_unlike_strength_tell_how_fast_their_gusts_pass():
 
 def test_the_air_of_some_flights_in_others():
     """What is known of a flight stays; others have what all have, and gusts that pass at one speed
-    pass at their mean airspeed.
+    in each flight pass at their mean airspeed.
     """
     kind = GustStates(MASS.b, rotating=True)
     made, data = drawn(kind, INTENSITIES)
@@ -374,18 +385,12 @@ def test_the_air_of_some_flights_in_others():
     np.testing.assert_array_equal(other.by_flight["a"], found.by_flight["a"])
     np.testing.assert_array_equal(other.by_flight["c"], found.values)
     assert len(other.process.noise) == 3
-    at_one = replace(
-        found,
-        states=tuple(s._replace(passing_mps=25.0) for s in found.states),
-        passing={"a": 25.0, "b": 25.0},
-    )
-    assert [
-        s.passing_mps for s in at_one.in_segments([19.0, 21.0, 30.0], ["c", "c", "a"]).states
-    ] == [
-        20.0,
-        20.0,
-        25.0,
-    ]
+    one_speed = tuple(s._replace(passing_mps=25.0) for s in found.states)
+    # A speed of each flight, and one that all have.
+    for of_b, expected in ((24.0, [20.0, 20.0, 25.0]), (25.0, [25.0] * 3)):
+        at_one = replace(found, states=one_speed, passing={"a": 25.0, "b": of_b})
+        later = at_one.in_segments([19.0, 21.0, 30.0], ["c", "c", "a"])
+        assert [s.passing_mps for s in later.states] == expected
     assert "one speed" in at_one.words
     assert "one speed" not in found.words
 
