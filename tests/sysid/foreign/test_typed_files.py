@@ -19,6 +19,7 @@ import pytest
 
 from sysid.aerodynamics import GustStates
 from sysid.errors import Finding
+from sysid.foreign import typed_files
 from sysid.foreign.raw import MessageTable, RawLog
 from sysid.foreign.typed_files import (
     MAGIC,
@@ -248,6 +249,27 @@ def test_dump_refuses_what_is_no_data(value, said):
     with pytest.raises(DataFileError) as error:
         dump(value)
     assert said in str(error.value)
+
+
+def test_dump_bounds_the_header(monkeypatch):
+    monkeypatch.setattr(typed_files, "MAX_HEADER_BYTES", 1000)
+    assert len(load(dump(np.zeros(10_000)))) == 10_000
+    with pytest.raises(DataFileError, match="allows 1000"):
+        dump(list(range(1000)))
+    monkeypatch.undo()
+    written = dump(list(range(1000)))
+    monkeypatch.setattr(typed_files, "MAX_HEADER_BYTES", 1000)
+    with pytest.raises(DataFileError, match="longer than allowed"):
+        load(written)
+
+
+def test_dump_and_load_bound_the_visits_of_shared_values(monkeypatch):
+    numbers = {str(k): 1.0 for k in range(100)}
+    written = dump([Finding("a", "", "info", str(k), numbers) for k in range(100)])
+    assert len(load(written)) == 100
+    monkeypatch.setattr(typed_files, "_MAX_VISITS", 10_000)
+    with pytest.raises(DataFileError, match="takes more than 10000 steps"):
+        load(written)
 
 
 def sealed(header: Any, buffers: bytes = b"", length: int | None = None) -> bytes:
