@@ -1,7 +1,7 @@
 """VSPAERO 3.x: ``.stab`` (derivatives at several alphas, betas and Mach numbers) and ``.polar``.
 
 OpenVSP exports the same as results CSV: a name and a value a line, ``FC_Sref_`` for the head,
-``Base_Aero_CL`` for the cases and ``CL_Alpha`` for the derivatives, groups by their names.
+"Base_Aero_CL" for the cases and "CL_Alpha" for the derivatives, groups by their names.
 
 A block begins with "# Name Value Units", then the cases ("Base_Aero", one degree of alpha, ...) and
 the derivatives per radian. CMl, CMm, CMn are right wing down, nose up, nose right, and rates are
