@@ -1,7 +1,7 @@
 """Measures the intervals of `identify` on ordinary flights of JSBSim's stock aircraft.
 
     python -m tests.ordinary_flights.examine [AIRCRAFT...] [--seeds N] [--seconds S]
-        [--gusts tustin milspec culp] [--vanes true wrong none] [--w20-mps W]
+        [--gusts tustin milspec culp] [--vanes true wrong none] [--w20-mps W] [--straight]
 
 Per aircraft, gusts and vanes: how many of the derivatives that it identified have the truth in
 their 95 % interval, how many intervals have a half-width below the value and below twice the value,
@@ -137,6 +137,7 @@ def main() -> None:
     parser.add_argument("--gusts", nargs="+", choices=list(GUSTS), default=list(GUSTS))
     parser.add_argument("--vanes", nargs="+", choices=VANES, default=list(VANES))
     parser.add_argument("--w20-mps", type=float, default=7.0)
+    parser.add_argument("--straight", action="store_true", help="no turns, so no steps of commands")
     request = parser.parse_args()
     total: dict[str, list[Derivative]] = {v: [] for v in request.vanes}
     for name in request.aircraft:
@@ -145,7 +146,7 @@ def main() -> None:
             air: dict[str, list[bool]] = {v: [] for v in request.vanes}
             seconds = 0.0
             for seed in range(request.first_seed, request.first_seed + request.seeds):
-                weather = Weather(gusts, request.w20_mps)
+                weather = Weather(gusts, request.w20_mps, turns=not request.straight)
                 record = fly(name, seed, request.seconds, weather)
                 with tempfile.TemporaryDirectory() as text:
                     folder = Path(text)

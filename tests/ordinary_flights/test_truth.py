@@ -43,3 +43,13 @@ def test_accelerometers_replace_the_vanes(tmp_path: Path) -> None:
 
 
 _MATTERS = ("Cl_beta", "Cl_p", "Cl_da", "Cm_q", "Cm_de", "Cn_beta", "Cn_r", "Cn_dr")
+
+
+@pytest.mark.slow
+def test_flight_without_steps_says_where_the_start_value_counts(tmp_path: Path) -> None:
+    record = fly("minisgs", 31, 90.0, Weather("milspec", turns=False))
+    result, _ = estimate("minisgs", record, write_model("minisgs", tmp_path, 31), tmp_path)
+    rows = {r.name: r for r in derivatives("minisgs", result)}
+    assert {rows[n].basis for n in ("Cm_q", "Cn_r")} == {"start value and data"}
+    assert rows["CY_beta"].basis == "data"
+    assert np.mean([r.inside for r in rows.values() if r.basis == "data"]) >= 0.9

@@ -240,11 +240,14 @@ _TOTAL = tuple(f"forces/fb{a}-total-lbs" for a in "xyz")
 
 @dataclass(frozen=True)
 class Weather:
-    """Kind of JSBSim's turbulence, wind at 20 ft [m/s] that sets its size, and mean wind [m/s]."""
+    """Kind of JSBSim's turbulence, wind at 20 ft [m/s] that sets its size, mean wind [m/s], and
+    whether the autopilot flies turns in it.
+    """
 
     gusts: str = "tustin"
     w20_mps: float = 7.0
     wind_mps: float = 4.0
+    turns: bool = True
 
 
 def fly(name: str, seed: int, seconds: float, weather: Weather) -> FlightRecord:
@@ -267,6 +270,7 @@ def fly(name: str, seed: int, seconds: float, weather: Weather) -> FlightRecord:
     fdm["atmosphere/turb-rhythmicity"] = 0.2
     fdm["atmosphere/turb-type"] = GUSTS[weather.gusts]
     pilot = _Autopilot(stock, at, fdm, rng)
+    pilot.turns = weather.turns
     manager = fdm.get_property_manager()
     nodes = {c: (manager.get_node(n), f) for c, (n, f) in _READ.items()}
     forces = [manager.get_node(n) for n in _TOTAL]
@@ -331,10 +335,11 @@ class _Autopilot:
         self.h = stock.h_m
         self.theta = at.alpha + at.gamma
         self.climb = at.gamma * stock.V_mps
+        self.turns = True
 
     def command(self, time_s: float, row: Mapping[str, float]) -> None:
         """Set the commands of a row's measurements."""
-        if time_s >= self.next_s:
+        if self.turns and time_s >= self.next_s:
             self.bank = float(self.rng.choice([-0.5, -0.3, 0.0, 0.0, 0.3, 0.5]))
             self.next_s = time_s + self.rng.uniform(12.0, 25.0)
         dt = DT_S * LOG_EVERY

@@ -166,21 +166,21 @@ _START_SHARE = 0.5
 """Standard deviation of a start value without a prior, as a share of it."""
 
 
-def _with_motion_angles(flight: Flight, absent: Sequence[str]) -> Flight:
+def _with_motion_angles(flight: Flight, absent: Sequence[str], slow_s: float = SLOW_S) -> Flight:
     """Return the flight with the absent angles of its motion, without the gusts.
 
-    The fast part is that of `air_data.motion_angle`. The slow part of the angle of attack is the
-    pitch angle minus the climb angle, that of sideslip zero.
+    The part faster than ``slow_s`` is that of `air_data.motion_angle`. The slow part of the angle
+    of attack is the pitch angle minus the climb angle, that of sideslip zero.
     """
     record = flight.record
     columns: dict[str, FloatArray] = {}
     if "alpha_rad" in absent:
-        columns["alpha_rad"] = lagged(_level_angle(record), record.dt_s, SLOW_S) + motion_angle(
-            record, "alpha_rad", SLOW_S
+        columns["alpha_rad"] = lagged(_level_angle(record), record.dt_s, slow_s) + motion_angle(
+            record, "alpha_rad", slow_s
         )
     if "beta_rad" in absent:
         part = record.with_columns(columns)
-        columns["beta_rad"] = motion_angle(part, "beta_rad", SLOW_S)
+        columns["beta_rad"] = motion_angle(part, "beta_rad", slow_s)
     meta = replace(record.metadata, estimates=tuple({*record.metadata.estimates, *absent}))
     return replace(flight, record=record.with_columns(columns, meta))
 
@@ -298,11 +298,14 @@ def _with_measured_forces(
     begin = np.array(
         [prior[n][0] if n in prior else v for n, v in zip(names, initial, strict=True)]
     )
-    data = _regression_data(
-        aircraft, moving, models, names, begin, measured, delay_s, _VIEWS[0], ideal_servos
+    # Filters and the limit of the fast part are choices, whose effect on the estimate counts.
+    slower = [_with_motion_angles(f, unmeasured, 2.0 * SLOW_S) for f in flights]
+    data, other = (
+        _regression_data(aircraft, some, models, names, begin, measured, delay_s, v, ideal_servos)
+        for some, v in ((moving, _VIEWS[0]), (slower, _SMOOTHER))
     )
     groups, angles = _groups(names), tuple(c.removesuffix("_rad") for c in unmeasured)
-    fits = _StepInstruments.of(moving, measured, [data], ideal_servos, angles).estimates(
+    fits = _StepInstruments.of(moving, measured, [data, other], ideal_servos, angles).estimates(
         groups, names, begin, {}
     )
     columns = [{c: f.record[c].copy() for c in unmeasured} for f in moving]
@@ -435,7 +438,11 @@ _VIEWS = (
 """The first gives the estimates, the others their sensitivity to choices that a flight does not
 decide: memory of gusts and noise, noise in the regressors, and the servos' dynamics."""
 _SMOOTHER = _VIEWS[3]
-ENDOGENEITY = {"positions": 0.1, "commands": 0.2}
+_MIN_HZ = 20.0
+"""Sample rate below which short period and roll are not resolved, Hz."""
+_GUESSED = 0.5
+"""Unexplained share of a coefficient above which its intervals depend on the start values."""
+ENDOGENEITY = {"positions": 0.05, "commands": 0.2}
 """Correlation between what the model does not explain and a regressor, one standard deviation:
 where the surfaces are known, and where an unknown servo moves them after their commands."""
 BLOCK_S = 10.0
@@ -555,7 +562,7 @@ def identify_ordinary(
     theta, cov, reason = begin.copy(), np.zeros((len(names), len(names))), {}
     fit_share: dict[str, float] = {}
     step_notes: list[str] = []
-    std_crb, determined = np.full(len(names), np.nan), True
+    std_crb, determined, of_start = np.full(len(names), np.nan), True, set[str]()
     for slope in slopes:
         # The force is no regressor of itself.
         for views in estimates:
@@ -565,13 +572,11 @@ def identify_ordinary(
         # What the estimates change with choices that the flight does not decide.
         deviations = np.array([e[coefficient].theta - main.theta for e in estimates[1:]])
         square = np.max(deviations**2, axis=0)
-        covariance = (
-            main.cov
-            + np.diag(square)
-            # Motion that a regression does not explain may be gusts that its instruments remember:
-            # the values before the flight are then as likely, in the share that is unexplained.
-            + main.unexplained * np.diag((main.theta - begin[list(members)]) ** 2)
-        )
+        # Motion that a regression does not explain may be gusts that its instruments remember: the
+        # values before the flight are then as likely, in the share that is unexplained.
+        start = begin[list(members)]
+        guess = np.maximum((main.theta - start) ** 2, (_START_SHARE * start) ** 2)
+        covariance = main.cov + np.diag(square + main.unexplained * guess)
         value = main.theta
         steps = by_steps.get(coefficient)
         inverted = [s for s in slopes if s.coefficient == coefficient]
@@ -587,6 +592,8 @@ def identify_ordinary(
         for slope in slopes:
             if slope.coefficient != coefficient:
                 covariance += slope.errors_in(value, of_terms, means)
+        if value is main.theta and main.unexplained > _GUESSED:
+            of_start |= {names[i] for i in members}
         theta[list(members)], block = _with_prior(
             value,
             covariance,
@@ -659,7 +666,12 @@ def identify_ordinary(
         noise=channel_noise(observed, outputs, aircraft.card.sensors.noise_std),
         method=METHOD,
         converged=determined,
-        warnings=(),
+        warnings=tuple(
+            f"{f.name}: rows come at {1.0 / f.record.dt_s:.0f} Hz; below {_MIN_HZ:.0f} Hz faster"
+            " motion is lost, and dampings and control powers may be beyond their intervals"
+            for f in flights
+            if f.record.dt_s > 1.01 / _MIN_HZ
+        ),
         notes=(),
         simulations=len(_VIEWS),
         seconds=time.perf_counter() - start_s,
@@ -679,6 +691,7 @@ def identify_ordinary(
     ]
     notes += [s.note for s in slopes]
     labels = prior_labels(result, prior)
+    labels |= {n: "start value and data" for n in identified if n in of_start and n not in prior}
     for slope in slopes:
         labels |= (
             {n: "prior and data" for n in identified if n not in prior and slope.scales(n)}
@@ -763,10 +776,10 @@ class Instruments:
             f", {control} {1e3 * late_s:.0f} ms with a lag of {1e3 * lag_s:.0f} ms"
             for control, (late_s, lag_s) in self.servos.items()
         )
-        air = ", air data by the errors" if self.errors else ""
+        air = " and the errors of the air data" if self.errors else ""
         return (
-            f"as in the identification, controls act {1e3 * self.delay_s:.0f} ms late{servos};"
-            f" the log is corrected{air}; --servos card uses it as it is"
+            f"controls act {1e3 * self.delay_s:.0f} ms late{servos}, as identified; the log is"
+            f" corrected for that{air}; --servos card uses it as it is"
         )
 
     @classmethod
@@ -917,11 +930,7 @@ class _StepInstruments:
                     for w, f, d in zip(weights, of_settings, apart, strict=True)
                 ]
                 cov = np.sum(parts, axis=0)
-                other = (
-                    self._fit(1, c, best, groups[c], names, initial, fixed_terms)
-                    if len(self.data) > 1
-                    else None
-                )
+                other = self._fit(1, c, best, groups[c], names, initial, fixed_terms)
                 if other is not None:
                     cov += np.diag((other.theta - fits[best][c].theta) ** 2)
                 term, control = _OWN_CONTROL.get(c, (angle, next(iter(self.steps))))
@@ -989,13 +998,14 @@ class _StepInstruments:
         target, design = y, x[:, free]
         if any(_term(names[i]).rstrip("2") in self.reconstructed for i in members):
             # Only the fast part of the angle is available: all others are reduced to theirs.
-            target = y - lagged(y, self.dt_s, SLOW_S)
+            slow_s = (1 + number) * SLOW_S
+            target = y - lagged(y, self.dt_s, slow_s)
             places = np.array(members)[free]
             design = np.column_stack(
                 [
                     v
                     if _term(names[i]).rstrip("2") in self.reconstructed
-                    else v - lagged(v, self.dt_s, SLOW_S)
+                    else v - lagged(v, self.dt_s, slow_s)
                     for i, v in zip(places, design.T, strict=True)
                 ]
             )

@@ -36,7 +36,9 @@ class Parameter(Part):
     reason: str | None = Field(default=None, description="why it is not identified")
     initial: Number = Field(default=None, description="start value")
     basis: str = Field(
-        default="", description="data, prior and data, prior only or start value; ordinary flights"
+        default="",
+        description="data, prior and data, prior only, start value and data, or start value;"
+        " ordinary flights and priors",
     )
 
     @property
