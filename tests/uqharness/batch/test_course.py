@@ -10,6 +10,7 @@ import pytest
 from tests.helpers.batch_whole import EXPENSIVE, TRANSIENT, WALK, spec, with_bounds
 from tests.helpers.few import few
 from uqharness.batch.course import (
+    Branch,
     Course,
     Feeder,
     airs_of,
@@ -159,6 +160,64 @@ def test_flights_that_have_ended_stay_as_they_are():
     assert all(same(*pair) for pair in zip(course.recorded(), whole[::-1], strict=True))
     with pytest.raises(ValueError, match="has ended"):
         down.branched(made, 1, 1, 1, 1)
+
+
+@pytest.fixture(scope="module")
+def gusty():
+    """An aircraft in host gusts, long enough for several pages of them."""
+    one = spec(duration_s=200.0, burn_in_s=8.0, **EXPENSIVE)
+    return flown([one, replace(one, seed_noise=8, seed_turbulence=9)])
+
+
+def followed(made, specs, steps):
+    """Lanes that branch at steps, each time the last from the first; how they branched, and their
+    last rows.
+    """
+    course = begun(made, specs, 800)
+    course.follow([0, 1], [None, None])
+    for number, frame in enumerate(steps):
+        course.fly(frame)
+        count = len(course.ends)
+        course.follow(
+            [*range(count), 0, count - 1],
+            [*[None] * count, Branch(7, 3, 1, number), Branch(7, 4, 2, number)],
+        )
+    course.take_rows()
+    course.fly(course.last)
+    return course.splits, course.take_rows()
+
+
+def restored(made, spec, splits):
+    """The same path, held and made anew at each of its splits."""
+    course = begun(made, [spec], splits[0].frame)
+    for k, split in enumerate(splits):
+        course.fly(split.frame)
+        course = Course(
+            made,
+            [
+                course.snapshots()[0].branched(
+                    made, split.root, split.aleatory_id, split.level, split.branch
+                )
+            ],
+        )
+        assert course.splits == [splits[: k + 1]]
+    course.fly()
+    return course
+
+
+@pytest.mark.parametrize("which", few(["moving", "gusty", "own_turbulence"], 1))
+def test_follow_has_the_bytes_of_branches_that_are_held(which, request):
+    """The gusty flights branch within pages of gusts and shortly before and behind their ends."""
+    made, specs, _ = request.getfixturevalue(which)
+    steps = (1000, 8200, 8400, 16380, 17000) if which == "gusty" else (1000, 1600, 2000)
+    splits, rows = followed(made, specs, steps)
+    assert len(rows) == 2 + 2 * len(steps)
+    assert max(map(len, splits)) == len(steps)
+    for lane in (2, 3, len(rows) - 2, len(rows) - 1):
+        origin = specs[1 if splits[lane][0].aleatory_id == 4 else 0]
+        known = restored(made, origin, splits[lane]).snapshots()[0].records
+        assert known[:, -rows[lane].shape[1] :].tobytes() == rows[lane].tobytes(), (which, lane)
+    assert rows[2].tobytes() != rows[0].tobytes()
 
 
 def made(specs, frames=400):
