@@ -12,11 +12,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import OptimizeResult, least_squares
 
 from sysid.units import G0_MPS2, LBF_N, SLUG_KG
 from uqharness.errors import BadInputError
@@ -36,6 +35,9 @@ from uqharness.simulator.forced_state import (
     set_control,
     set_initial_state,
 )
+
+if TYPE_CHECKING:
+    from scipy.optimize import OptimizeResult
 
 # Explanations of trims without enough, or with too much, thrust.
 
@@ -537,10 +539,14 @@ def _search(
         and not problem.turning
         and np.max(lateral) > _LATERAL_SHARE * np.max(np.abs(trim.residual))
     ):
-        # Lateral accelerations remain: let straight flight bank.
-        banked = problem.banked()
-        other = _result(banked, other_x := banked.solve())
-        problem, x, trim = (banked, other_x, other) if other.converged else (problem, x, trim)
+        # Lateral accelerations remain: let straight flight bank. Without ailerons the rudder rolls
+        # the aircraft by sideslip.
+        for neutral in ("rudder", "aileron"):
+            banked = problem.banked(neutral)
+            other = _result(banked, other_x := banked.solve())
+            if other.converged:
+                problem, x, trim = banked, other_x, other
+                break
     if trim.converged or not failure:
         failure = _unsettled_at(problem, x) if trim.converged else ""
     failure = dead or failure
@@ -835,12 +841,12 @@ class _Problem:
         """Return whether engines or control system settled in under a tenth of the evaluations."""
         return len(self.unsettled) > 0.9 * self.evaluations
 
-    def banked(self) -> _Problem:
-        """Return the same problem with unknown bank and neutral rudder."""
+    def banked(self, control: str) -> _Problem:
+        """Return the same problem with unknown bank and a neutral control."""
         neutral = {
             name: 0.5 * sum(self.aircraft.card.inputs[name].limits)
             for name in self.names
-            if name == "rudder"
+            if name == control
         }
         names = tuple(name for name in self.names if name not in neutral)
         return _Problem(
@@ -890,6 +896,9 @@ class _Problem:
         tolerance : float
             Accelerations [m/s2, rad/s2] at which to stop; three steps without progress stop it too.
         """
+        # Processes that only fly need no solver.
+        from scipy.optimize import least_squares
+
         if start is None:
             start = self.guess / self.scale
             if "throttle" in self.names:

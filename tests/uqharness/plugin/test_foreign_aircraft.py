@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 import subprocess
 import sys
@@ -97,6 +98,20 @@ def test_a_throttle_of_another_name_is_found_by_its_effect(copies):
     text = (done.folder / "airframe.toml").read_text()
     dead = [line for line in text.splitlines() if "moves nothing" in line]
     assert [line.split("]")[0] for line in dead] == ["[inputs.rudder"]
+
+
+def test_without_ailerons_the_rudder_holds_the_wings(tmp_path):
+    folder = foreign_aircraft.write("wing", tmp_path)
+    xml = folder / "wing.xml"
+    rudder = foreign_aircraft.surface("yaw", "fcs/rudder-cmd-norm", "uav/fin-angle")
+    text = xml.read_text().replace("uav/motor-command", "fcs/throttle-cmd-norm")
+    # The torque of the propeller rolls, and nothing but the rudder acts sideways.
+    text = text.replace('<channel name="Motor">', f'<channel name="Motor">{rudder}')
+    xml.write_text(text.replace("<property>elevon/roll</property>", "<value>0</value>"))
+    trim = find_trim(find_aircraft(folder), SteadyCondition(15.0, 200.0))
+    assert trim.converged, trim.reason
+    assert abs(trim.controls["rudder"]) > 0.01
+    assert 0.0 < abs(trim.condition.bank_rad) < math.radians(5.0)
 
 
 def test_an_edited_host_is_flown_and_written_again(copies, tmp_path, capsys):
