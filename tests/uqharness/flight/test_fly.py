@@ -284,6 +284,12 @@ def test_excursions_by_hand():
 def test_statistics_and_loss_of_control_by_hand():
     assert absolute_statistics(np.array([-3.0, 1.0, 2.0])) == (2.0, 2.0, 3.0)
     assert all(math.isnan(value) for value in absolute_statistics(np.zeros(0)))
+    values = np.random.default_rng(1).standard_normal(1001)
+    for n in (1, 2, 3, 1000, 1001):
+        assert absolute_statistics(values[:n])[0] == np.median(np.abs(values[:n]))
+    for odd in ([np.nan, 1.0, 2.0], [np.inf, np.inf, 1.0, 2.0]):
+        medians = absolute_statistics(np.array(odd))[0], np.median(odd)
+        np.testing.assert_equal(*medians)
     still = np.zeros(3)
     assert not lost_control(still, still, still)
     assert lost_control(np.array([0, 1.41, 0]), still, still)
