@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import faulthandler
 import itertools
+import logging
 import math
 import multiprocessing
 import signal
@@ -151,6 +152,8 @@ def work(pipe: Connection, fly: GroupFunction) -> None:
     # Ctrl-C reaches the whole group; the parent decides what it means.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     end_with_parent()
+    # The parent has read the same aircraft and reported what is remarkable about it.
+    logging.getLogger("uqharness").addHandler(logging.NullHandler())
     # Python's own crash report would be noise: the parent records the signal.
     if faulthandler.is_enabled():
         faulthandler.disable()

@@ -539,14 +539,33 @@ def _has_model(folder: Path) -> bool:
     return (folder / f"{folder.name}.xml").is_file() or bool(_jsbsim_sets(folder))
 
 
+_MAX_SET_FILES = 16
+_set_files: dict[tuple[str, bytes | None], tuple[dict[str, bytes | None], host.SetFile]] = {}
+
+
 def _set_file(folder: Path, name: str) -> host.SetFile:
     """Return FlightGear's description of an aircraft, includes within its folder followed."""
+    contents: dict[str, bytes | None] = {}
 
     def read(place: str) -> bytes | None:
-        path = folder / place
-        return read_xml(path) if not staging.leads_out(place) and path.is_file() else None
+        """Return the content of a file of the folder; None without that file."""
+        if place not in contents:
+            path = folder / place
+            inside = not staging.leads_out(place) and path.is_file()
+            contents[place] = read_xml(path) if inside else None
+        return contents[place]
 
-    return host.read_set_file(name, read)
+    # Cached by content: an aircraft is copied several times, and has a file for each variant.
+    key = name, read(name)
+    if key in _set_files:
+        parts, result = _set_files[key]
+        if all(read(place) == content for place, content in parts.items()):
+            return result
+    result = host.read_set_file(name, read)
+    _set_files[key] = contents, result
+    while len(_set_files) > _MAX_SET_FILES:
+        del _set_files[next(iter(_set_files))]
+    return result
 
 
 def _jsbsim_sets(folder: Path) -> dict[Path, str]:

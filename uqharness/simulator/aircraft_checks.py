@@ -271,7 +271,7 @@ def _note(place: str, text: str) -> None:
 # aborts when a model that reads an undefined property is destroyed. The check takes 0.5 s for a
 # changed aircraft.
 
-TIMEOUT_S = 20.0
+TIMEOUT_S = 60.0
 MAX_BYTES = 1_500_000_000
 """Memory limit of the trial load; JSBSim's largest aircraft takes about 20 MB."""
 _VERDICT_FORMAT = 3
@@ -846,16 +846,16 @@ def remarks(files: ModelFiles, names: dict[str, str]) -> Iterator[tuple[str, str
         channels = [one for one in root.iter("channel") if not one.get("execute")]
         for node in (part for one in channels for part in one.iterfind("*[@name]")):
             output = host.component_output(node.get("name", ""))
-            place = f"{names[name]}:{_line(node)}"
             if output in components:
                 yield (
-                    place,
+                    f"{names[name]}:{_line(node)}",
                     (
                         f"<{node.tag}> computes {output}, as another component does"
                         f" ({components[output]}): the later one wins; rename one of them"
                     ),
                 )
-            components.setdefault(output, place)
+            # Without the folder: copies of an aircraft get the same sentence, which is told once.
+            components.setdefault(output, f"{name}:{_line(node)}")
         for node in root.iterfind(".//contact"):
             if (kind := node.get("type", "")) not in _CONTACTS:
                 yield (

@@ -124,6 +124,12 @@ class Document:
         return min((s for s in steps if s), key=len, default="  ")
 
 
+# Root element <PropertyList> behind declaration, comments and document type; atomic, since a failed
+# match would otherwise try every pair of comment marks.
+_PROPERTY_LIST = re.compile(
+    rb"(?:\xef\xbb\xbf)?(?>\s+|<\?.*?\?>|<!--.*?-->|<!DOCTYPE[^>\[]*>)*+<PropertyList[\s>/]",
+    re.DOTALL,
+)
 _BEHIND_NAME = frozenset(bytes([byte]) for byte in b" \t\n\r\f\v/>")
 
 
@@ -446,12 +452,15 @@ def folder_names(folder: Path, prefix: str) -> bool:
 def folder_documents(folder: Path) -> Iterator[Document]:
     """Yield the XML files of an aircraft's folder in the order of their paths.
 
-    Malformed files and files that cannot be edited are skipped.
+    Malformed files, files that cannot be edited, and FlightGear's property lists (models, panels,
+    sounds), which JSBSim does not read, are skipped.
     """
     for path in sorted(folder.rglob("*.xml")):
         try:
-            yield read_document(path)
-        except BadInputError:
+            raw = read_regular(path)
+            if not _PROPERTY_LIST.match(raw):
+                yield parse_document(path, raw)
+        except (BadInputError, OSError):
             continue
 
 

@@ -225,6 +225,19 @@ def test_tanks_that_flightgear_fills_are_filled(tmp_path, set_file, level):
     assert fdm["propulsion/tank/contents-lbs"] == pytest.approx(float(level))
 
 
+def test_an_edited_include_of_the_set_file_is_read_again(tmp_path):
+    folder = foreign_aircraft.write("single", tmp_path)
+    xml = folder / "single.xml"
+    xml.write_text(re.sub(r"(<contents[^>]*>)[^<]*(</contents>)", r"\g<1>0\g<2>", xml.read_text()))
+    (folder / "single-set.xml").write_text('<PropertyList include="fuel.xml"/>')
+    for level in (33.0, 44.0):
+        tank = (
+            f"<consumables><fuel><tank><level-lbs>{level}</level-lbs></tank></fuel></consumables>"
+        )
+        (folder / "fuel.xml").write_text(f"<PropertyList>{tank}</PropertyList>")
+        assert fuel_levels(find_aircraft(folder)) == {0: level}
+
+
 def test_an_assumed_level_is_above_what_the_tank_keeps(tmp_path):
     folder = foreign_aircraft.write("single", tmp_path)
     xml = folder / "single.xml"

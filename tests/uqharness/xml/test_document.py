@@ -10,6 +10,7 @@ from uqharness.xml.document import (
     declaration,
     declarations,
     declared_properties,
+    folder_documents,
     parse_document,
     protocol_xml,
 )
@@ -55,6 +56,13 @@ def test_what_is_computed_is_no_declared_coefficient(tmp_path: Path):
     assert declared_properties(tmp_path / "copy", "aero/") == ("aero/d",)
     # Computed in one file, declared in the other.
     assert declared_properties(tmp_path, "aero/") == ("aero/a", "aero/b", "aero/d")
+
+
+def test_lists_of_properties_are_no_files_of_jsbsim(tmp_path: Path):
+    comments = b"<?xml version='1.0'?>\n" + b"<!-- a -- > b -->\n".replace(b"-- >", b"- >") * 200
+    (tmp_path / "list.xml").write_bytes(comments + b"<PropertyList><property/></PropertyList>")
+    (tmp_path / "model.xml").write_bytes(comments + b"<system><!-- <PropertyList> --></system>")
+    assert [document.root.tag for document in folder_documents(tmp_path)] == ["system"]
 
 
 # The protocol file of a FlightGear playback is what FlightGear's README.protocol describes.
