@@ -25,8 +25,6 @@ from typing import TYPE_CHECKING, Any, Literal, NoReturn
 from typing import Protocol as Interface
 
 import numpy as np
-from pymavlink.dialects.v20 import common as mavlink
-from pymavlink.mavextra import get_mag_field_ef
 
 from sysid.logs import Servo, read_card
 from sysid.units import FT_M, G0_MPS2, PSF_PA, SEA_LEVEL_KGPM3
@@ -355,7 +353,7 @@ class _HilLink:
         self._server.listen(1)
         self.port: int = self._server.getsockname()[1]
         self._connection: socket.socket | None = None
-        self._mavlink = mavlink.MAVLink(None, srcSystem=1, srcComponent=200)
+        self._mavlink = _dialect().MAVLink(None, srcSystem=1, srcComponent=200)
         self._mavlink.robust_parsing = True
         self._sent_us = self._start_us = self._damaged = 0
         self._is_locked, self._next_gps_us = False, 0
@@ -470,6 +468,13 @@ def _integer(value: float, bits: int, signed: bool = True) -> int:
     return min(max(round(value), low), high)
 
 
+def _dialect() -> Any:
+    """Return the messages of MAVLink, which few flights need."""
+    from pymavlink.dialects.v20 import common
+
+    return common
+
+
 def _rotation(attitude: Sequence[float]) -> Rotation:
     """Return the rotation from body to north, east, down."""
     # Most flights have a built-in autopilot and need no more of scipy.
@@ -490,7 +495,7 @@ def _truth(time_us: int, values: Mapping[str, Sequence[float]]) -> Any:
     speed = _integer(100.0 * values["airspeed"][0], 16, signed=False)
     _, pressure, _ = values["air"]
     indicated = math.sqrt(2.0 * max(pressure, 0.0) * PSF_PA / SEA_LEVEL_KGPM3)
-    return mavlink.MAVLink_hil_state_quaternion_message(
+    return _dialect().MAVLink_hil_state_quaternion_message(
         time_us,
         [w, x, y, z],
         *values["gyro"],
@@ -506,7 +511,7 @@ def _gps(time_us: int, values: Mapping[str, Sequence[float]]) -> Any:
     """Return HIL_GPS, without errors."""
     north, east, down = values["velocity"]
     course = math.degrees(math.atan2(east, north)) % 360.0
-    return mavlink.MAVLink_hil_gps_message(
+    return _dialect().MAVLink_hil_gps_message(
         time_us,
         _FIX_3D,
         *_place(values),
@@ -522,12 +527,14 @@ def _gps(time_us: int, values: Mapping[str, Sequence[float]]) -> Any:
 def _sensors(time_us: int, values: Mapping[str, Sequence[float]]) -> Any:
     """Return HIL_SENSOR, without errors."""
     static, dynamic, temperature = values["air"]
+    from pymavlink.mavextra import get_mag_field_ef
+
     declination, inclination, strength = get_mag_field_ef(*values["place"])
     down, flat = math.radians(inclination), math.radians(declination)
     field = strength * np.array(
         [math.cos(down) * math.cos(flat), math.cos(down) * math.sin(flat), math.sin(down)]
     )
-    return mavlink.MAVLink_hil_sensor_message(
+    return _dialect().MAVLink_hil_sensor_message(
         time_us,
         *values["accel"],
         *values["gyro"],

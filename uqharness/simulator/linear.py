@@ -10,14 +10,13 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sysid.aerodynamics import COEFFICIENTS, regressors
 from sysid.arrays import FloatArray
-from sysid.distributions import student_quantile
-from sysid.model_form import ModelForm
 from sysid.units import FT_M, SLUG_FT3_KGPM3
 from uqharness.arguments import instance
 from uqharness.errors import BadInputError
@@ -26,6 +25,9 @@ from uqharness.simulator.aircraft import Aircraft, open_aircraft
 from uqharness.simulator.forced_state import BodyState, force_state
 from uqharness.simulator.mass import mass_properties
 from uqharness.simulator.trim import Trim, force_near_trim
+
+if TYPE_CHECKING:
+    from sysid.model_form import ModelForm
 
 STATE_NAMES = ("u", "v", "w", "p", "q", "r", "phi", "theta")
 LONGITUDINAL = (0, 2, 4, 7)
@@ -403,6 +405,8 @@ def _error_slopes(
         bounds = form.coefficients[name]
         values = regressors(bounds.normalised(flight_states), bounds.terms)
         gradient = (values[:8] - values[8:]) / (2.0 * steps[:, None])
+        from sysid.distributions import student_quantile
+
         z = float(student_quantile(0.5 + 0.5 * form.confidence, 1e6))
         scale = bounds.t_at(form.confidence) / z
         covariance = scale**2 * bounds.s2 * bounds.leverage_factor * bounds.XtX_inv
