@@ -1051,6 +1051,7 @@ _CACHE_SIZE = 24
 
 
 _cache: dict[Hashable, CompiledMission] = {}
+_translations: dict[Hashable, LaneMission] = {}
 
 
 def fly_many(specs: Sequence[FlightSpec]) -> list[FlightResult]:
@@ -1100,16 +1101,16 @@ def record_many(specs: Sequence[FlightSpec]) -> list[RecordedFlight]:
     return [results[k] for k in range(len(specs))]
 
 
-def _program_key(spec: FlightSpec) -> Hashable:
-    """Return what decides which program a flight needs."""
+def _program_key(spec: FlightSpec) -> tuple[Hashable, ...]:
+    """Return what decides which program a flight needs, beginning with its files."""
     fixed = tuple(sorted((n, float(v)) for n, v in spec.properties.items() if n.startswith(_FIXED)))
     air = (spec.turbulence != "none", spec.turbulence_source, spec.sensor_noise)
     moving = (
         spec.levels is not None,
         None if spec.transient is None else spec.transient.coefficients,
     )
-    flight = (str(spec.aircraft), str(spec.script), air, moving, spec.record_rate_hz)
-    return (flight, fixed, tuple(sorted(spec.properties)))
+    files = (str(spec.aircraft), str(spec.script))
+    return (*files, air, moving, spec.record_rate_hz, fixed, tuple(sorted(spec.properties)))
 
 
 def _parts(specs: Sequence[FlightSpec], places: Sequence[int]) -> Iterator[Sequence[int]]:
@@ -1141,9 +1142,17 @@ def compiled_mission(spec: FlightSpec) -> CompiledMission:
             s.over for s in signals.values() if s.over is not None
         ]
         records = list(dict.fromkeys([TIME, *needed, HEIGHT, SPEED, OUT_OF_RANGE]))
-        lanes = make_mission(
-            staged, spec, inputs, records, [s.property for s in OPTIONAL_SIGNALS.values()]
-        )
+        # A campaign flies copies of one aircraft, which each process translates once.
+        content = (staged.content, _program_key(spec)[2:], tuple(records))
+        lanes = _translations.get(content)
+        if lanes is None:
+            lanes = _translations[content] = make_mission(
+                staged, spec, inputs, records, [s.property for s in OPTIONAL_SIGNALS.values()]
+            )
+            while len(_translations) > _CACHE_SIZE:
+                del _translations[next(iter(_translations))]
+        else:
+            lanes = lanes.of_copy(staged)
         optional = {
             name: s
             for name, s in OPTIONAL_SIGNALS.items()
@@ -1167,6 +1176,7 @@ def _fly_alike(specs: Sequence[FlightSpec]) -> list[RecordedFlight]:
 def forget() -> None:
     """Clear the cache of compiled missions."""
     _cache.clear()
+    _translations.clear()
 
 
 # Support of a mission by the batch engine.

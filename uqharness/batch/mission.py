@@ -119,6 +119,21 @@ class LaneMission:
     points: tuple[ContactPoint, ...]
     steady: bool = False
 
+    def of_copy(self, mission: StagedMission) -> LaneMission:
+        """Return the translation for a copy of the same files, with what was compiled already."""
+        old, new = (str(one.aircraft.folder) for one in (self.mission, mission))
+        left_out = tuple(text.replace(old, new) for text in self.flight.left_out)
+        copy = replace(self, mission=mission, flight=replace(self.flight, left_out=left_out))
+        # Cached properties are entries of the instance; none depends on the places of files.
+        copy.__dict__.update(
+            {
+                name: value
+                for name, value in self.__dict__.items()
+                if isinstance(getattr(LaneMission, name, None), cached_property)
+            }
+        )
+        return copy
+
     @cached_property
     def program(self) -> Program:
         """The optimised frame; computed when it is flown, because `refusals` does not need it."""

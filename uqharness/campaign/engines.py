@@ -969,10 +969,14 @@ def is_rounding(engines: Engines, case: Case, process: ProcessExecutor) -> bool:
 
 
 def choose_engine_by_flight(
-    spec: CampaignSpec, mission: Mission, engines: Engines, previous: PreviousEngine | None
+    spec: CampaignSpec,
+    mission: Mission,
+    engines: Engines,
+    previous: PreviousEngine | None,
+    process: ProcessExecutor,
 ) -> EngineChoice:
     """Choose the engine as `choose_engine` does, and verify an automatic choice of batch by a
-    flight.
+    flight in ``process``, a `throwaway_process`.
 
     If the first seconds differ between the engines, JSBSim is taken and the difference is the
     reason.
@@ -981,10 +985,7 @@ def choose_engine_by_flight(
     # Only an automatic choice is verified by a flight.
     if choice.requested != "auto" or choice.engine != BATCH or previous is not None:
         return choice
-    with (
-        staged_mission_of(spec, mission) as staged,
-        contextlib.closing(throwaway_process()) as process,
-    ):
+    with staged_mission_of(spec, mission) as staged:
         case = _brief(one_case_each(choice.spec, staged)[-1])
         # The last condition is the most severe of those tried out.
         ours, theirs = (

@@ -243,112 +243,128 @@ def run_campaign(
     KeyboardInterrupt
         Passed on; everything finished so far is kept.
     """
-    # Resolve files and engine first: they decide what is flown and how fast.
-    engines = Engines.of(fly)
-    has_mission = mission is not None
-    folder = Path(out_dir) if shard is None else Path(out_dir) / SHARDS / shard.folder
-    # An executor that flies case by case cannot use the batch engine.
-    if executor is not None and not hasattr(executor, "run_groups"):
-        engines = dataclasses.replace(
-            engines, batch=None, no_batch="the executor flies case by case (it has no run_groups)"
-        )
-    executor = executor or ProcessExecutor(usable_cores() if workers is None else workers)
-    mission = mission or find_mission(spec, folder)
-    from uqharness.campaign.engines import with_default_noise
-
-    # From here on the specification is complete: sensor noise, engine, number of flights.
-    spec = with_default_noise(spec, mission)
-    engine_choice = choose_engine_by_flight(spec, mission, engines, previous_engine(folder))
-    spec = engine_choice.spec
-    size, processes = size_of(spec, 1 if shard is None else shard.count), executor.workers
-
-    def report_cost(pace: Pace | None, done: int) -> None:
-        """Call ``before_flying`` with the cost at the measured pace."""
-        before_flying(Cost(size, done, pace, processes, engine_choice.engine))
-
-    # Report the cost before building cases if the campaign is certainly long or very large.
-    if not (folder / JOURNAL).exists():
-        if Cost(size, 0, None, processes, engine_choice.engine).is_long:
-            report_cost(None, 0)
-        elif size.flights > MANY_FLIGHTS:
-            with naming_keys(spec):
-                pace = _trial_pace(engine_choice, mission, engines)
-            report_cost(pace, 0)
-    # All cases, then those of the shard.
-    cases = build_cases(spec, mission)
-    rounds = Rounds(spec, cases, folder)
-    if shard is not None:
-        if rounds.decides:
-            raise BadInputError(
-                f'--shard {shard}: [stop] rule = "decide" needs all corners together; omit'
-                ' --shard, or use rule = "hours"'
+    # One worker checks the engine and then the first seconds, and translates the mission once.
+    with contextlib.closing(throwaway_process()) as checker:
+        # Resolve files and engine first: they decide what is flown and how fast.
+        engines = Engines.of(fly)
+        has_mission = mission is not None
+        folder = Path(out_dir) if shard is None else Path(out_dir) / SHARDS / shard.folder
+        # An executor that flies case by case cannot use the batch engine.
+        if executor is not None and not hasattr(executor, "run_groups"):
+            engines = dataclasses.replace(
+                engines,
+                batch=None,
+                no_batch="the executor flies case by case (it has no run_groups)",
             )
-        # Every n-th case: shards of equal length with all conditions.
-        cases = cases[shard.number - 1 :: shard.count]
-        rounds = Rounds(spec, cases, folder)
-    # Unreadable folders are reported when the folder is created or locked.
-    with contextlib.suppress(OSError):
-        if not (folder / LOCK).exists():
-            _refuse_foreign(folder)
-    # From here on no other run may change the folder.
-    with run_lock(_make_folder(folder)):
-        # Compare with what the folder holds, before anything is written.
-        manifest = describe(spec, mission, len(cases), command) | (
-            {} if shard is None else {"shard": str(shard)}
-        )
-        old, finished = _previous_run(folder, manifest)
-        # The copy of the aircraft is made only now that the folder is accepted.
-        if not has_mission:
-            from uqharness.campaign.engines import make_copy, needs_copy
+        executor = executor or ProcessExecutor(usable_cores() if workers is None else workers)
+        mission = mission or find_mission(spec, folder)
+        from uqharness.campaign.engines import with_default_noise
 
-            if needs_copy(spec):
-                make_copy(spec, mission, folder)
-        if old is not None and old["state"] == COMPLETE:
-            done_before = _check_complete(folder, old, spec, cases, shard is None, executor.workers)
-            return dataclasses.replace(done_before, engine=engine_choice.engine)
-        # Tables of other commands belong to these flights and stay valid.
-        manifest |= {"tables": old["tables"]} if old is not None and "tables" in old else {}
-        manifest |= {
-            "engine": (
-                engine_choice.as_dict() if old is None or "engine" not in old else old["engine"]
-            )
-        }
-        previous_sums = checksums.remove_sums(folder)
-        write_manifest(folder, manifest)
-        # Fly what is missing into the journal.
-        with Store(folder) as store:
-            try:
-                judge = None
-                if engine_choice.engine == BATCH:
-                    judge = EngineComparison(
-                        folder,
-                        cases,
-                        lambda case: one_ulp_off_alone(engines, case),
-                        store.outcomes(),
-                    )
+        # From here on the specification is complete: sensor noise, engine, number of flights.
+        spec = with_default_noise(spec, mission)
+        engine_choice = choose_engine_by_flight(
+            spec, mission, engines, previous_engine(folder), checker
+        )
+        spec = engine_choice.spec
+        size, processes = size_of(spec, 1 if shard is None else shard.count), executor.workers
+
+        def report_cost(pace: Pace | None, done: int) -> None:
+            """Call ``before_flying`` with the cost at the measured pace."""
+            before_flying(Cost(size, done, pace, processes, engine_choice.engine))
+
+        # Report the cost before building cases if the campaign is certainly long or very large.
+        if not (folder / JOURNAL).exists():
+            if Cost(size, 0, None, processes, engine_choice.engine).is_long:
+                report_cost(None, 0)
+            elif size.flights > MANY_FLIGHTS:
                 with naming_keys(spec):
-                    summary = _fly_missing(
-                        store, finished, rounds, executor, engines, judge, on_progress, report_cost
-                    )
-            except BaseException:
-                # On a full disk this fails as well; the first error is the one to report.
-                with contextlib.suppress(BadInputError):
-                    write_manifest(folder, manifest | {"state": INTERRUPTED})
-                raise
-            # Hash the files again: an edit during the run invalidates the folder.
-            _refuse_if_edited(
-                folder, manifest, mission if has_mission else find_mission(spec, folder)
+                    pace = _trial_pace(engine_choice, mission, engines)
+                report_cost(pace, 0)
+        # All cases, then those of the shard.
+        cases = build_cases(spec, mission)
+        rounds = Rounds(spec, cases, folder)
+        if shard is not None:
+            if rounds.decides:
+                raise BadInputError(
+                    f'--shard {shard}: [stop] rule = "decide" needs all corners together; omit'
+                    ' --shard, or use rule = "hours"'
+                )
+            # Every n-th case: shards of equal length with all conditions.
+            cases = cases[shard.number - 1 :: shard.count]
+            rounds = Rounds(spec, cases, folder)
+        # Unreadable folders are reported when the folder is created or locked.
+        with contextlib.suppress(OSError):
+            if not (folder / LOCK).exists():
+                _refuse_foreign(folder)
+        # From here on no other run may change the folder.
+        with run_lock(_make_folder(folder)):
+            # Compare with what the folder holds, before anything is written.
+            manifest = describe(spec, mission, len(cases), command) | (
+                {} if shard is None else {"shard": str(shard)}
             )
-            tables = (
-                {}
-                if shard is not None
-                else make_tables(spec, cases, store.outcomes(), rounds.decisions)
-            )
-            # Tables first, then the manifest with their digests, then the checksums of all files.
-            write_tables(folder, tables)
-            write_manifest(folder, sealed(manifest | {"cases": summary.cases}, store, tables))
-        seal_files(folder, previous_sums)
-    return dataclasses.replace(summary, engine=engine_choice.engine)
+            old, finished = _previous_run(folder, manifest)
+            # The copy of the aircraft is made only now that the folder is accepted.
+            if not has_mission:
+                from uqharness.campaign.engines import make_copy, needs_copy
+
+                if needs_copy(spec):
+                    make_copy(spec, mission, folder)
+            if old is not None and old["state"] == COMPLETE:
+                done_before = _check_complete(
+                    folder, old, spec, cases, shard is None, executor.workers
+                )
+                return dataclasses.replace(done_before, engine=engine_choice.engine)
+            # Tables of other commands belong to these flights and stay valid.
+            manifest |= {"tables": old["tables"]} if old is not None and "tables" in old else {}
+            manifest |= {
+                "engine": (
+                    engine_choice.as_dict() if old is None or "engine" not in old else old["engine"]
+                )
+            }
+            previous_sums = checksums.remove_sums(folder)
+            write_manifest(folder, manifest)
+            # Fly what is missing into the journal.
+            with Store(folder) as store:
+                try:
+                    judge = None
+                    if engine_choice.engine == BATCH:
+                        judge = EngineComparison(
+                            folder,
+                            cases,
+                            lambda case: one_ulp_off_alone(engines, case),
+                            store.outcomes(),
+                        )
+                    with naming_keys(spec):
+                        summary = _fly_missing(
+                            store,
+                            finished,
+                            rounds,
+                            executor,
+                            engines,
+                            judge,
+                            checker,
+                            on_progress,
+                            report_cost,
+                        )
+                except BaseException:
+                    # On a full disk this fails as well; the first error is the one to report.
+                    with contextlib.suppress(BadInputError):
+                        write_manifest(folder, manifest | {"state": INTERRUPTED})
+                    raise
+                # Hash the files again: an edit during the run invalidates the folder.
+                _refuse_if_edited(
+                    folder, manifest, mission if has_mission else find_mission(spec, folder)
+                )
+                tables = (
+                    {}
+                    if shard is not None
+                    else make_tables(spec, cases, store.outcomes(), rounds.decisions)
+                )
+                # Tables first, then the manifest with their digests, then all checksums.
+                write_tables(folder, tables)
+                write_manifest(folder, sealed(manifest | {"cases": summary.cases}, store, tables))
+            seal_files(folder, previous_sums)
+        return dataclasses.replace(summary, engine=engine_choice.engine)
 
 
 def check_campaign(
@@ -364,13 +380,13 @@ def check_campaign(
     from uqharness.campaign.engines import with_default_noise
 
     spec = with_default_noise(spec, mission)
-    engine_choice = choose_engine_by_flight(spec, mission, engines, None)
-    with naming_keys(spec):
+    with contextlib.closing(throwaway_process()) as checker, naming_keys(spec):
+        engine_choice = choose_engine_by_flight(spec, mission, engines, None, checker)
         if engine_choice.engine != BATCH:
             return engine_choice, validate_model(engines.fly, one_case(engine_choice.spec, mission))
         cases = one_case_each(engine_choice.spec, mission)
         judge = EngineComparison(scratch, cases, lambda case: one_ulp_off_alone(engines, case))
-        return engine_choice, _check_start(judge, engines, cases)
+        return engine_choice, _check_start(judge, engines, cases, checker)
 
 
 def _trial_pace(engine_choice: EngineChoice, mission: Mission, engines: Engines) -> Pace | None:
@@ -473,13 +489,15 @@ def _most_turbulent(cases: Sequence[Case]) -> Case:
     return max(cases, key=lambda case: TURBULENCE_W20_KT[case.turbulence])
 
 
-def _check_start(judge: EngineComparison, engines: Engines, cases: Sequence[Case]) -> Pace | None:
+def _check_start(
+    judge: EngineComparison, engines: Engines, cases: Sequence[Case], process: ProcessExecutor
+) -> Pace | None:
     """Compare the first seconds of each condition in both engines and return the pace.
 
-    Raises EnginesDifferError and BadInputError.
+    ``process`` is a `throwaway_process`, which ends. Raises EnginesDifferError and BadInputError.
     """
     start_s = time.monotonic()
-    with contextlib.closing(throwaway_process()) as process:
+    with contextlib.closing(process):
         judge.begin(compare_start(engines, cases, process))
         # The run pays for processes and compilation once more.
         startup_s = time.monotonic() - start_s
@@ -565,6 +583,7 @@ def _fly_missing(
     executor: Executor,
     engines: Engines,
     judge: EngineComparison | None,
+    checker: ProcessExecutor,
     on_progress: Callable[[Progress], object] | None,
     before_flying: Callable[[Pace | None, int], None],
 ) -> CampaignSummary:
@@ -599,7 +618,7 @@ def _fly_missing(
             pace = (
                 validate_model(engines.fly, _most_turbulent(missing))
                 if judge is None
-                else _check_start(judge, engines, missing or round_cases)
+                else _check_start(judge, engines, missing or round_cases, checker)
             )
             before_flying(pace, done_before)
             start_checked, start_s = True, time.monotonic()

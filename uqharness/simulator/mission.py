@@ -8,17 +8,19 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from lxml import etree
 
+from sysid.foreign.regular_files import sha256_hex
 from uqharness.errors import BadInputError
 from uqharness.files import scratch_folder
 from uqharness.simulator import engine
 from uqharness.simulator.aircraft import PROJECT_ROOT, Aircraft, check_loadable, parse_xml, stage
 from uqharness.simulator.mass import MassChange
-from uqharness.simulator.staging import Staging, leads_out, read_xml, screen_file
+from uqharness.simulator.staging import Staging, leads_out, read_xml, screen_file, walk
 
 ENDLESS_S = 1e9
 """End time of a staged script [s]; the host counts steps."""
@@ -268,6 +270,12 @@ class StagedMission:
             raise BadInputError(
                 str(error).replace(str(self._staged), str(self.script.path))
             ) from None
+
+    @cached_property
+    def content(self) -> str:
+        """Digest of all that decides how the mission flies, equal for copies of its files."""
+        files = [(name, sha256_hex(path.read_bytes())) for name, path in walk(self._staging.root)]
+        return sha256_hex(repr((self.aircraft.name, self.aircraft.card, files)).encode())
 
     def close(self) -> None:
         """Remove the staged copy."""

@@ -18,7 +18,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
-from scipy.linalg import expm
 
 from sysid.units import FT_M
 from uqharness.errors import BadInputError
@@ -70,8 +69,10 @@ class StartSection(Section):
 SCRIPT = "steady-mission.xml"
 INITIALIZE = "steady-start"
 
-# Trims by content and start: a campaign stages its aircraft several times.
+# Trims by content and start, and the scripts that begin in them: a campaign stages its aircraft
+# several times.
 _trims: dict[tuple[str, StartSection], Trim] = {}
+_scripts: dict[tuple[str, StartSection, str], str] = {}
 
 
 def write_steady_start(aircraft: Aircraft, start: StartSection, script: Path, source: str) -> Trim:
@@ -125,7 +126,10 @@ def write_steady_start(aircraft: Aircraft, start: StartSection, script: Path, so
             ' autopilot = { "PROPERTY" = VALUE } in [modes] that engages one'
         )
     write_bytes(aircraft.folder / f"{INITIALIZE}.xml", _initialize(trim).encode())
-    write_bytes(script, _script(aircraft, trim, mode).encode())
+    script_key = (*key, aircraft.name)
+    if script_key not in _scripts:
+        _scripts[script_key] = _script(aircraft, trim, mode)
+    write_bytes(script, _scripts[script_key].encode())
     return trim
 
 
@@ -614,6 +618,9 @@ def _excursion_rad(
     model: LinearModel, control: str, unit_s: float, pattern: tuple[tuple[int, float], ...]
 ) -> float:
     """Return the largest angle [rad] per unit of the control, bank divided by three."""
+    # Processes that only fly missions need no more of scipy.
+    from scipy.linalg import expm
+
     n = len(STATE_NAMES)
     control_column = model.B[:, [model.controls.index(control)]]
     augmented = np.zeros((n + 1, n + 1))

@@ -263,6 +263,23 @@ def test_the_narrowest_and_the_widest_vectors_give_the_same_bytes(monkeypatch):
     assert found[0] == found[1]
 
 
+def test_copies_of_an_aircraft_are_translated_once(tmp_path):
+    first = spec("synthetic_stall", "doublet-rudder", 1.0)
+    folder = shutil.copytree(first.aircraft, tmp_path / "synthetic_stall")
+    copy = dataclasses.replace(first, aircraft=folder)
+    mine, other = (course.compiled_mission(one) for one in (first, copy))
+    assert other.lanes.flight.frame is mine.lanes.flight.frame
+    assert other.staged is not mine.staged
+    assert _as_bytes(fly_many([first])[0]) == _as_bytes(fly_many([copy])[0])
+    # An edit is another aircraft.
+    xml = folder / "synthetic_stall.xml"
+    text = xml.read_text()
+    edited = text.replace("<emptywt", "<!-- heavier --><emptywt")
+    assert edited != text
+    xml.write_text(edited)
+    assert course.compiled_mission(copy).lanes.flight.frame is not mine.lanes.flight.frame
+
+
 def test_metrics_are_those_of_jsbsim():
     flight = spec(duration_s=20.0, **EXPENSIVE)
     theirs, (ours,) = fly(flight), fly_many([flight])
