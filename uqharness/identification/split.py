@@ -62,8 +62,9 @@ class Split:
                 f" hold rows out; {held_out_for} needs another flight"
             )
         return (
-            f"{name}: {seconds(self.used_s):.0f} s in every second block of {self.block_s:g} s are"
-            f" used, {seconds(self.held_out_s):.0f} s are held out for {held_out_for} (the parts"
+            f"{name}: {seconds(self.used_s):.0f} s in every second block of {self.block_s:.3g} s"
+            f" are used,"
+            f" {seconds(self.held_out_s):.0f} s are held out for {held_out_for} (the parts"
             f" differ most in {self.differs}, by {self.difference:.2f} of their distribution);"
             " --split none uses all"
         )
