@@ -21,7 +21,7 @@ import pytest
 from tests.helpers import campaign_fakes as fakes
 from tests.helpers.torture import tear
 from tests.uqharness.campaign.test_rounds import TOML as DECIDE
-from uqharness.campaign.manifest import DamageError, read_manifest, write_manifest
+from uqharness.campaign.manifest import DamageError, read_manifest, row_digest, write_manifest
 from uqharness.campaign.processes import SerialExecutor
 from uqharness.campaign.read_spec import read_campaign
 from uqharness.campaign.run import run_campaign
@@ -219,6 +219,17 @@ def test_the_tables_of_a_decided_campaign_are_written_again(copy, made):
     flip_text(folder / JOURNAL, b'"excursions_15m": ')
     assert salvage(folder, RunOptions(SerialExecutor(), fly=fakes.by_corner)).flown == 1
     assert tables(folder, names) == tables(made / "decide", names)
+
+
+def test_verify_tells_a_row_with_a_digest_of_its_own(copy):
+    folder = copy("plain")
+    with closing(sqlite3.connect(folder / JOURNAL)) as database, database:
+        rows = database.execute("select * from outcome limit 1")
+        (case, status, reason, _, *rest, _), column = rows.fetchone(), rows.description[-1][0]
+        digest = row_digest([case, status, reason, 1.0, *rest])
+        change = f"update outcome set flown_s = 1.0, {column} = ? where case_id = ?"
+        database.execute(change, (digest, case))
+    assert states(verify(folder))[JOURNAL] == "damaged"
 
 
 def test_a_run_that_was_not_complete_is_held_against_its_rows(copy, made, tmp_path):
