@@ -37,9 +37,11 @@ from .residuals import steady_airspeed as steady_airspeed
 from .rigid_body import AIR as AIR
 from .rigid_body import NX as NX
 from .rigid_body import Reference as Reference
+from .rigid_body import RigidSlopes as RigidSlopes
 from .rigid_body import Steps as Steps
 from .rigid_body import linearise as linearise
 from .rigid_body import rates as rates
+from .rigid_body import rigid_slopes as rigid_slopes
 from .rigid_body import unforced as unforced
 from .rigid_body import with_gust_states as with_gust_states
 from .sensor_noise import autocorrelation as autocorrelation

@@ -20,8 +20,6 @@ LENGTHS = (4.0 / np.pi, 4.0 / np.pi, 3.0 / np.pi)
 """T_p V, T_q V, T_r V in spans [-], MIL-F-8785C 3.7.5."""
 _IMAGINARY = 1e-20
 """Complex step."""
-_ORDERS = 5
-"""Terms of the Taylor series of exp(A h)."""
 
 
 def sines(x: Any) -> Trig:
@@ -248,30 +246,38 @@ class ReferenceFlight(NamedTuple):
 
 
 def motion(
-    x: Any, trig: Trig, body: Any, reference: Any, load: Any, work: Any, rate: Any, outputs: Any
+    x: Any,
+    trig: Trig,
+    body: Any,
+    reference: Any,
+    load: Any,
+    air: tuple[Any, Any, Any],
+    turn: tuple[Any, Any, Any],
+    work: Any,
+    rate: Any,
+    outputs: Any,
 ) -> None:
-    """Compute dx/dt of one state and the outputs there, with forces linear about ``reference``.
+    """Compute the rates of the first eight states and the outputs, with forces linear about
+    ``reference``.
 
-    Writes dx/dt into ``rate`` (8 or 13,) and the outputs into ``outputs`` (11,). ``load`` (6,) is
-    the load at the reference, which may differ from ``reference.load`` by a force that is unknown
-    to the model. ``trig`` are the `sines` of x; ``work`` (12,) is overwritten.
+    Writes the rates into ``rate`` (8 or more,) and the outputs into ``outputs`` (11,). ``load``
+    (6,) is the load at the reference, which may differ from ``reference.load`` by a force that is
+    unknown to the model. ``air`` is the `rotation` of the air and ``turn`` the acceleration of
+    `turning`, zero in still air. ``trig`` are the `sines` of x; ``work`` (12,) is overwritten.
     """
+    # Aerodynamic forces depend on the angular rates relative to the air.
     for i in range(6):
         work[i] = x[i] - reference.x[i]
-    if body.gusty:
-        # Aerodynamic forces depend on the angular rates relative to the air.
-        air = rotation(body.gusts, level(body.gusts, x, trig), trig)
-        work[3] -= air[0]
-        work[4] -= air[1]
-        work[5] -= air[2]
+    for i in range(3):
+        work[3 + i] -= air[i]
     for i in range(6):
         work[6 + i] = load[i]
         for k in range(6):
             work[6 + i] += reference.slopes[i, k] * work[k]
-    if body.gusty and body.by_flow:
+    if body.by_flow:
         # Kinematic rates of alpha and beta, by weight and an unmodelled force alone: rotating air
         # and attitudes do not act through the slopes.
-        zero = 0.0 * x[0]
+        zero = 0.0 * (x[0] + air[0])
         # A force unknown to the model changes them as well.
         extra_force = (
             (load[0] - reference.load[0]) / body.mass,
@@ -314,56 +320,21 @@ def motion(
         work[11] - (p * h1 - q * h0),
     )
     sf, cf, st, ct = trig[:4]
-    # Attitude kinematics.
-    phid, thetad = p + st / ct * (q * sf + r * cf), q * cf - r * sf
-    if body.gusty:
-        turn_acceleration = turning(body.gusts, x, trig)
-        Vd, alphad, betad = flow_rates(
-            x,
-            (
-                specific_force[0] + turn_acceleration[0],
-                specific_force[1] + turn_acceleration[1],
-                specific_force[2] + turn_acceleration[2],
-            ),
-            trig,
-            body.gravity,
-        )
-        air_rates = gust_rates(body.gusts, x, (Vd, alphad, betad, phid, thetad), trig)
-        rate[8], rate[9], rate[10], rate[11], rate[12] = (
-            air_rates[0],
-            air_rates[1],
-            air_rates[2],
-            air_rates[3],
-            air_rates[4],
-        )
-    else:
-        Vd, alphad, betad = flow_rates(x, specific_force, trig, body.gravity)
-    rate[0], rate[1], rate[2] = Vd, alphad, betad
+    rate[0], rate[1], rate[2] = flow_rates(
+        x,
+        (specific_force[0] + turn[0], specific_force[1] + turn[1], specific_force[2] + turn[2]),
+        trig,
+        body.gravity,
+    )
     for i in range(3):
         rate[3 + i] = K[i, 0] * m0 + K[i, 1] * m1 + K[i, 2] * m2
-    rate[6], rate[7] = phid, thetad
+    # Attitude kinematics.
+    rate[6], rate[7] = p + st / ct * (q * sf + r * cf), q * cf - r * sf
+    outputs[0], outputs[1], outputs[2], outputs[3], outputs[4] = x[0], x[1], x[2], x[6], x[7]
+    outputs[5], outputs[6], outputs[7] = p, q, r
+    # Accelerometers at the arm measure the angular acceleration and the centripetal term as well.
     a, b, c = body.arm[0], body.arm[1], body.arm[2]
     pd, qd, rd = rate[3], rate[4], rate[5]
-    # Accelerometers at the arm measure the angular acceleration and the centripetal term as well.
-    (
-        outputs[0],
-        outputs[1],
-        outputs[2],
-        outputs[3],
-        outputs[4],
-        outputs[5],
-        outputs[6],
-        outputs[7],
-    ) = (
-        x[0],
-        x[1],
-        x[2],
-        x[6],
-        x[7],
-        p,
-        q,
-        r,
-    )
     e0, e1, e2 = q * c - r * b, r * a - p * c, p * b - q * a
     outputs[8] = specific_force[0] + qd * c - rd * b + q * e2 - r * e1
     outputs[9] = specific_force[1] + rd * a - pd * c + r * e0 - p * e2
@@ -371,106 +342,182 @@ def motion(
 
 
 def _rates(x, body, reference, load, rate, outputs):  # type: ignore[no-untyped-def]
-    """Compute `motion` at each of n states x (n, 8 or 13)."""
+    """Compute rates and outputs at each of n states x (n, 8 or 13)."""
     work = np.empty(12)
     for k in range(len(x)):
         at = ReferenceFlight(
             reference.x[k], reference.load[k], reference.slopes[k], reference.by_flow[k]
         )
-        motion(x[k], sines(x[k]), body, at, load[k], work, rate[k], outputs[k])
+        trig = sines(x[k])
+        air, turn = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+        if body.gusty:
+            air = rotation(body.gusts, level(body.gusts, x[k], trig), trig)
+            turn = turning(body.gusts, x[k], trig)
+        motion(x[k], trig, body, at, load[k], air, turn, work, rate[k], outputs[k])
+        if body.gusty:
+            state_rates = (rate[k, 0], rate[k, 1], rate[k, 2], rate[k, 6], rate[k, 7])
+            gust = gust_rates(body.gusts, x[k], state_rates, trig)
+            rate[k, 8], rate[k, 9], rate[k, 10], rate[k, 11], rate[k, 12] = gust
 
 
-def _slopes(x, body, reference, by_state, by_load):  # type: ignore[no-untyped-def]
-    """Differentiate rates and outputs by complex steps, exact to rounding.
+def _rigid_slopes(body, reference, slopes):  # type: ignore[no-untyped-def]
+    """Differentiate `motion` at the reference by complex steps, exact to rounding.
 
-    Writes the derivatives with the states into ``by_state`` (n, x + 11, x) and those with force and
-    moment into ``by_load`` (n, x + 11, 6).
+    Writes into ``slopes`` (n, 11, 20) the derivatives of the eight rates and the three
+    accelerometers' outputs with the eight states, the air's rotation (3), the acceleration by
+    turning gusts (3), and the load (6).
     """
-    size = x.shape[1]
-    work, state, load = (
+    work, inputs, rate, outputs = (
         np.empty(12, dtype=np.complex128),
-        np.empty(size, dtype=np.complex128),
-        np.empty(6, dtype=np.complex128),
+        np.empty(20, dtype=np.complex128),
+        np.empty(8, dtype=np.complex128),
+        np.empty(11, dtype=np.complex128),
     )
-    rate, outputs = np.empty(size, dtype=np.complex128), np.empty(11, dtype=np.complex128)
-    for k in range(len(x)):
+    for k in range(len(reference.x)):
         at = ReferenceFlight(
             reference.x[k], reference.load[k], reference.slopes[k], reference.by_flow[k]
         )
-        real_trig = sines(x[k])
-        for j in range(size + 6):
-            state[:] = x[k]
-            load[:] = reference.load[k]
-            if j < size:
-                state[j] += complex(0.0, _IMAGINARY)
-            else:
-                load[j - size] += complex(0.0, _IMAGINARY)
-            motion(state, complex_step_sines(real_trig, state), body, at, load, work, rate, outputs)
-            for i in range(size + 11):
-                slope = (rate[i].imag if i < size else outputs[i - size].imag) / _IMAGINARY
-                if j < size:
-                    by_state[k, i, j] = slope
-                else:
-                    by_load[k, i, j - size] = slope
+        real_trig = sines(reference.x[k])
+        for j in range(20):
+            inputs[:8], inputs[8:14], inputs[14:] = reference.x[k], 0.0, reference.load[k]
+            inputs[j] += complex(0.0, _IMAGINARY)
+            state = inputs[:8]
+            motion(
+                state,
+                complex_step_sines(real_trig, state),
+                body,
+                at,
+                inputs[14:],
+                (inputs[8], inputs[9], inputs[10]),
+                (inputs[11], inputs[12], inputs[13]),
+                work,
+                rate,
+                outputs,
+            )
+            for i in range(8):
+                slopes[k, i, j] = rate[i].imag / _IMAGINARY
+            for i in range(3):
+                slopes[k, 8 + i, j] = outputs[8 + i].imag / _IMAGINARY
 
 
-def _series(A, h, phi, to0, to1):  # type: ignore[no-untyped-def]
-    """Compute exp(A h) and the weights of an input that is linear over the step, by Taylor series.
+def _gust_slopes(x, gusts, rate, slopes, A, B, H, D):  # type: ignore[no-untyped-def]
+    """Add gusts to the slopes of the rigid body, by the chain rule.
 
-    Writes exp(A h) into ``phi`` (x, x) and the weights of the input at the step's start and end
-    into ``to0`` and ``to1`` (x, x).
+    ``x`` (n, 13) are states in still air, ``rate`` (n, 8) the rates there, ``slopes`` those of
+    `_rigid_slopes`. Writes the derivatives of the rates with states and load into ``A`` (n, 13, 13)
+    and ``B`` (n, 13, 6), those of the accelerometers' outputs into the last rows of ``H`` (n, 11,
+    13) and ``D`` (n, 11, 6).
     """
-    size = len(A)
-    power, next_ = np.eye(size), np.empty((size, size))
-    phi[:], to0[:], to1[:] = power, 0.5 * h * power, 0.5 * h * power
-    factorial = 1.0
-    for j in range(1, _ORDERS + 1):
-        next_[:] = 0.0
-        for i in range(size):
-            for k in range(size):
-                a = power[i, k] * h
-                # Most elements are zero, and the zeroth power is a unit matrix.
-                if a != 0.0:
-                    for c in range(size):
-                        next_[i, c] += a * A[k, c]
-        factorial *= j
-        phi_weight, start_weight, end_weight = (
-            1.0 / factorial,
-            h / (factorial * (j + 2)),
-            h / (factorial * (j + 1) * (j + 2)),
-        )
-        for i in range(size):
-            for c in range(size):
-                power[i, c] = next_[i, c]
-                phi[i, c] += phi_weight * power[i, c]  # 1/j!
-                to0[i, c] += start_weight * power[i, c]  # (j+1)/(j+2)! = 1/(j! (j+2))
-                to1[i, c] += end_weight * power[i, c]  # 1/(j+2)!
+    state = np.empty(13, dtype=np.complex128)
+    column, step = np.empty(11), 1.0 / _IMAGINARY
+    for k in range(len(x)):
+        real_trig, rigid, at = sines(x[k]), slopes[k], rate[k]
+        for j in range(13):
+            for i in range(13):
+                state[i] = x[k, i]
+            state[j] += complex(0.0, _IMAGINARY)
+            trig = complex_step_sines(real_trig, state)
+            air = rotation(gusts, level(gusts, state, trig), trig)
+            turn = turning(gusts, state, trig)
+            for i in range(11):
+                column[i] = rigid[i, j] if j < 8 else 0.0
+                for c in range(3):
+                    column[i] += rigid[i, 8 + c] * (step * air[c].imag)
+                    column[i] += rigid[i, 11 + c] * (step * turn[c].imag)
+            for i in range(8):
+                A[k, i, j] = column[i]
+            for i in range(3):
+                H[k, 8 + i, j] = column[8 + i]
+            state_rates = (
+                complex(at[0], _IMAGINARY * column[0]),
+                complex(at[1], _IMAGINARY * column[1]),
+                complex(at[2], _IMAGINARY * column[2]),
+                complex(at[6], _IMAGINARY * column[6]),
+                complex(at[7], _IMAGINARY * column[7]),
+            )
+            gust = gust_rates(gusts, state, state_rates, trig)
+            for i in range(5):
+                A[k, 8 + i, j] = step * gust[i].imag
+        for i in range(13):
+            state[i] = x[k, i]
+        trig = complex_step_sines(real_trig, state)
+        for j in range(6):
+            for i in range(8):
+                B[k, i, j] = rigid[i, 14 + j]
+            for i in range(3):
+                D[k, 8 + i, j] = rigid[8 + i, 14 + j]
+            # The air states' rates are linear in those of the rigid body.
+            state_rates = (
+                complex(at[0], _IMAGINARY * B[k, 0, j]),
+                complex(at[1], _IMAGINARY * B[k, 1, j]),
+                complex(at[2], _IMAGINARY * B[k, 2, j]),
+                complex(at[6], 0.0),
+                complex(at[7], 0.0),
+            )
+            gust = gust_rates(gusts, state, state_rates, trig)
+            for i in range(5):
+                B[k, 8 + i, j] = step * gust[i].imag
 
 
-def _discretise(by_state, by_load, h, phi, g0, g1):  # type: ignore[no-untyped-def]
+def _product(X, Y, Z):  # type: ignore[no-untyped-def]
+    """Write X Y into Z, all (x, x)."""
+    size = len(X)
+    for i in range(size):
+        for c in range(size):
+            Z[i, c] = 0.0
+        for k in range(size):
+            a = X[i, k]
+            # A third of the elements of the equations of motion is zero.
+            if a != 0.0:
+                for c in range(size):
+                    Z[i, c] += a * Y[k, c]
+
+
+def _discretise(A, B, h, phi, g0, g1):  # type: ignore[no-untyped-def]
     """Compute transitions (n - 1, x, x) and input matrices at both ends of a step (n - 1, x, 6).
 
-    A of a step is the mean of its ends.
+    X = A h, with A the mean of a step's ends. With phi_2 = 1/2! + X/3! + X^2/4! + ...,
+
+        phi_1 = 1 + X phi_2,   exp X = 1 + X phi_1,   G1 = h phi_2 B,   G0 = h (phi_1 - phi_2) B
+
+    for inputs that are linear over the step. phi_2 is a series by Horner's rule.
     """
     size = phi.shape[1]
-    A, to0, to1 = np.empty((size, size)), np.empty((size, size)), np.empty((size, size))
+    X, P, Q = np.empty((size, size)), np.empty((size, size)), np.empty((size, size))
     for k in range(len(phi)):
         for i in range(size):
             for j in range(size):
-                A[i, j] = 0.5 * (by_state[k, i, j] + by_state[k + 1, i, j])
-        _series(A, h, phi[k], to0, to1)
+                X[i, j] = 0.5 * h * (A[k, i, j] + A[k + 1, i, j])
+                P[i, j] = X[i, j] / 120.0
+            P[i, i] += 1.0 / 24.0
+        _product(X, P, Q)
         for i in range(size):
+            Q[i, i] += 1.0 / 6.0
+        _product(X, Q, P)
+        for i in range(size):
+            P[i, i] += 0.5
+        _product(X, P, Q)
+        for i in range(size):
+            Q[i, i] += 1.0
+        _product(X, Q, phi[k])
+        for i in range(size):
+            phi[k, i, i] += 1.0
+            for c in range(6):
+                g0[k, i, c] = g1[k, i, c] = 0.0
             for j in range(size):
+                end = h * P[i, j]
+                first = h * Q[i, j] - end
                 for c in range(6):
-                    g0[k, i, c] += to0[i, j] * by_load[k, j, c]
-                    g1[k, i, c] += to1[i, j] * by_load[k + 1, j, c]
+                    g0[k, i, c] += first * B[k, j, c]
+                    g1[k, i, c] += end * B[k + 1, j, c]
 
 
 class Loops(NamedTuple):
-    """The compiled loops: `_rates`, `_slopes`, `_discretise`."""
+    """The compiled loops: `_rates`, `_rigid_slopes`, `_gust_slopes`, `_discretise`."""
 
     rates: Any
-    slopes: Any
+    rigid_slopes: Any
+    gust_slopes: Any
     discretise: Any
 
 
@@ -490,6 +537,8 @@ def loops() -> Loops:
         turning,
         gust_rates,
     )
-    for part in (sines, complex_step_sines, *air, flow_rates, motion, _series):
+    for part in (sines, complex_step_sines, *air, flow_rates, motion, _product):
         jitable(part)
-    return Loops(compiled(_rates), compiled(_slopes), compiled(_discretise))
+    return Loops(
+        compiled(_rates), compiled(_rigid_slopes), compiled(_gust_slopes), compiled(_discretise)
+    )

@@ -124,6 +124,96 @@ class Steps:
     start: FloatArray | None = None
 
 
+@dataclass(frozen=True)
+class RigidSlopes:
+    """The equations of motion linearised along a reference in still air.
+
+    They do not depend on how gusts act, and serve every structure of the gusts.
+
+    Attributes
+    ----------
+    dt_s : float
+        Step [s].
+    x, rate : array (n, 8)
+        STATES of the reference, and their rates by the model.
+    y_ref : array (n, m)
+        OUTPUTS along the reference.
+    end : array (n - 1, 8), optional
+        States one step of the model after each sample; None if they are those of the next sample.
+    slopes : array (n, 11, 20)
+        Derivatives of the eight rates and the accelerometers' outputs with the states, the air's
+        rotation (3), the acceleration by turning gusts (3) and the coefficients CX to Cn (6).
+    """
+
+    dt_s: float
+    x: FloatArray
+    rate: FloatArray
+    y_ref: FloatArray
+    end: FloatArray | None
+    slopes: FloatArray
+
+    def with_gusts(self, gusts: GustStates | None) -> Steps:
+        """Return the linear system in air with such gusts; None for still air."""
+        states = with_gust_states(self.x, gusts)
+        n, size = states.shape
+        A, B = np.empty((n, size, size)), np.empty((n, size, 6))
+        H, D = np.zeros((n, len(OUTPUTS), size)), np.zeros((n, len(OUTPUTS), 6))
+        for i, name in enumerate(OUTPUTS[:8]):
+            H[:, i, STATES.index(name)] = 1.0
+        if gusts is None:
+            A[:], B[:] = self.slopes[:, :8, :8], self.slopes[:, :8, 14:]
+            H[:, 8:], D[:, 8:] = self.slopes[:, 8:, :8], self.slopes[:, 8:, 14:]
+        else:
+            loops().gust_slopes(states, gusts, self.rate, self.slopes, A, B, H, D)
+        phi, (g0, g1) = np.empty((n - 1, size, size)), np.zeros((2, n - 1, size, 6))
+        loops().discretise(A, B, self.dt_s, phi, g0, g1)
+        # Still air stays still over a step of the model.
+        defect = np.zeros((n - 1, size))
+        if self.end is not None:
+            defect = with_gust_states(self.end, gusts) - states[1:]
+        # The air states in still air depend on the first eight: differentiate by complex steps.
+        start = np.empty((size, 8))
+        for j in range(8):
+            first = self.x[:1].astype(complex)
+            first[:, j] += 1e-20j
+            start[:, j] = with_gust_states(first, gusts)[0].imag / 1e-20
+        return Steps(self.dt_s, phi, g0, g1, defect, H, D, self.y_ref.copy(), start)
+
+
+def rigid_slopes(
+    reference: Reference, mass: MassProperties, gravity: float = G0_MPS2
+) -> RigidSlopes:
+    """Linearise the equations of motion along a reference in still air.
+
+    Parameters
+    ----------
+    reference : Reference
+        States, loads and slopes of n samples.
+    mass : MassProperties
+        Mass, inertia and reference lengths.
+    gravity : float
+        [m/s2].
+
+    Returns
+    -------
+    RigidSlopes
+    """
+    model = _RigidBody(reference, mass, gravity, None)
+    x = model.along.x
+    rate, y_ref = model(x, 0.0)
+    slopes = np.empty((len(x), 11, 20))
+    loops().rigid_slopes(model.body, model.along, slopes)
+    # Extra coefficients become forces and moments by qbar S (1, b, c, b).
+    lengths = np.array([1.0, 1.0, 1.0, mass.b, mass.c, mass.b])
+    slopes[:, :, 14:] *= (reference.qbar[:, None] * mass.S * lengths)[:, None, :]
+    # A measured reference does not satisfy the equations: its defect is one integration step.
+    end = None
+    if not reference.consistent:
+        bend = np.zeros((2, len(x) - 1, 6)) if reference.bend is None else reference.bend
+        end = _runge_kutta_step(model, x, rate, bend, reference.dt_s)
+    return RigidSlopes(reference.dt_s, x, rate, y_ref, end, slopes)
+
+
 def linearise(
     reference: Reference,
     mass: MassProperties,
@@ -134,12 +224,8 @@ def linearise(
 
     Parameters
     ----------
-    reference : Reference
-        States, loads and slopes of n samples.
-    mass : MassProperties
-        Mass, inertia and reference lengths.
-    gravity : float
-        [m/s2].
+    reference, mass, gravity
+        As in `rigid_slopes`.
     gusts : GustStates, optional
         Adds the five air states, about air at rest.
 
@@ -148,31 +234,7 @@ def linearise(
     Steps
         The discrete linear system with outputs OUTPUTS.
     """
-    n, h = len(reference.x), reference.dt_s
-    states = with_gust_states(reference.x, gusts)
-    size = states.shape[1]
-    model = _RigidBody(reference, mass, gravity, gusts)
-    by_state, by_load = model.slopes(states)
-    # Extra coefficients become forces and moments by qbar S (1, b, c, b).
-    by_load *= (
-        reference.qbar[:, None] * mass.S * np.array([1.0, 1.0, 1.0, mass.b, mass.c, mass.b])
-    )[:, None, :]
-    phi, (g0, g1) = np.empty((n - 1, size, size)), np.zeros((2, n - 1, size, 6))
-    loops().discretise(by_state, by_load, h, phi, g0, g1)
-    H, D = np.ascontiguousarray(by_state[:, size:]), np.ascontiguousarray(by_load[:, size:])
-    rate, y_ref = model(states, 0.0)
-    # A measured reference does not satisfy the equations: its defect is one integration step.
-    defect = np.zeros((n - 1, size))
-    if not reference.consistent:
-        bend = np.zeros((2, n - 1, 6)) if reference.bend is None else reference.bend
-        defect = _runge_kutta_step(model, states, rate, bend, h) - states[1:]
-    # The air states in still air depend on the first eight: differentiate by complex steps.
-    start = np.empty((size, 8))
-    for j in range(8):
-        first = reference.x[:1].astype(complex)
-        first[:, j] += 1e-20j
-        start[:, j] = with_gust_states(first, gusts)[0].imag / 1e-20
-    return Steps(h, phi, g0, g1, defect, H, D, y_ref, start)
+    return rigid_slopes(reference, mass, gravity).with_gusts(gusts)
 
 
 def with_gust_states(x: NDArray[Any], gusts: GustStates | None) -> NDArray[Any]:
@@ -269,26 +331,11 @@ class _RigidBody:
         loops().rates(np.ascontiguousarray(x), self.body, reference, reference.load, rate, outputs)
         return rate, outputs
 
-    def slopes(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Differentiate rates and outputs, rates first.
-
-        Returns the derivatives with the states (n, x + 11, x) and with force and moment (n, x + 11,
-        6).
-        """
-        n, size = x.shape
-        by_state, by_load = (
-            np.empty((n, size + len(OUTPUTS), size)),
-            np.empty((n, size + len(OUTPUTS), 6)),
-        )
-        # Complex-step derivatives of rates and outputs.
-        loops().slopes(np.ascontiguousarray(x), self.body, self.along, by_state, by_load)
-        return by_state, by_load
-
 
 def _runge_kutta_step(
     model: _RigidBody, x: FloatArray, rate: FloatArray, bend: FloatArray, h: float
 ) -> FloatArray:
-    """Take one Runge-Kutta step from every sample but the last, (n - 1, 8 or 13).
+    """Take one Runge-Kutta step from every sample but the last, (n - 1, 8).
 
     ``rate`` are the rates at the samples; ``bend`` as in `Reference`.
     """

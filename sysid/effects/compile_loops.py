@@ -10,7 +10,7 @@ import numpy as np
 
 from sysid.aerodynamics import GustStates, Reference, linearise
 from sysid.aerodynamics.rigid_body import OUTPUTS, MassProperties
-from sysid.effects.prediction import Columns, whiten
+from sysid.effects.prediction import Columns, filter_segments, whiten, whiten_filtered, with_air
 from sysid.effects.turbulence import LIGHT_AIR, AirLikelihood, process_of
 from sysid.estimation import Process
 
@@ -33,7 +33,8 @@ def compile_loops() -> None:
     variances, begin = process_of(LIGHT_AIR, _SPEED_MPS, gusts)
     process = Process(variances[None], begin[None])
     whiten([calm], [measured], columns, which, noise)
-    whiten([gusty], [measured], columns, which, noise, process)
+    followed = filter_segments([gusty], [measured], which, noise, process)
+    whiten_filtered(with_air(followed, process, noise), columns)
     AirLikelihood([gusty], [measured], which)(noise, process)
 
 

@@ -31,6 +31,7 @@ from sysid.estimation import (
     Process,
     Whitened,
     gains,
+    noise_columns,
     predict_from,
     whiten_innovations,
 )
@@ -183,27 +184,27 @@ def filter_segments(
 
 def with_air(
     followed: Iterable[FilteredSegment],
-    measured: Sequence[FloatArray],
-    rows: Sequence[int],
+    process: Process,
     noise: FloatArray,
-    airs: Sequence[tuple[Sequence[Steps] | None, Process]],
+    airs: Sequence[Sequence[MeasuredSystem]] = (),
 ) -> Iterator[FilteredSegment]:
-    """Add the changes of each segment's innovations in other ``airs``, which are nearly the same.
+    """Add the changes of each segment's innovations with the air.
 
-    airs : (systems, process noise) of all segments
+    These are the changes with the logarithm of each state's noise, and those to other ``airs``
+    that are nearly the same, given as the systems of all segments.
     """
     for k, one in enumerate(followed):
         begin = one.system.start @ _Start.of(one, None).state
+        columns = [noise_columns(begin, one.system, one.gains, process.noise[k])]
         here = predict_from(begin, one.system, one.gains)[1]
-        columns = []
-        for steps, process in airs:
-            system = one.system if steps is None else MeasuredSystem.of(steps[k], measured[k], rows)
+        for systems in airs:
             air = process.noise[k], process.begin[k]
-            other = gains(system, noise, air, with_prior_variance=False)
+            other = gains(systems[k], noise, air, with_prior_variance=False)
             # In units of the same deviations: what these are says nothing of the states.
             scale = np.sqrt(other.variance / one.gains.variance)
-            columns.append(scale * predict_from(begin, system, other)[1] - here)
-        yield replace(one, air=np.stack(columns, axis=2))
+            change = scale * predict_from(begin, systems[k], other)[1] - here
+            columns.append(change[:, :, None])
+        yield replace(one, air=np.concatenate(columns, axis=2))
 
 
 def whiten(

@@ -28,6 +28,7 @@ from .kalman import MeasuredSystem as MeasuredSystem
 from .kalman import Process as Process
 from .kalman import Whitened as Whitened
 from .kalman import gains as gains
+from .kalman import noise_columns as noise_columns
 from .kalman import predict_from as predict_from
 from .kalman import variance_gradient as variance_gradient
 from .kalman import whiten_innovations as whiten_innovations

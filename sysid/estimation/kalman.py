@@ -423,6 +423,32 @@ def predict_from(
     return path, innovations[:, :, 0]
 
 
+def noise_columns(
+    begin: FloatArray, system: MeasuredSystem, filter_gains: Gains, variances: FloatArray
+) -> FloatArray:
+    """Differentiate whitened innovations with the logarithms of the states' noise variances.
+
+    Parameters
+    ----------
+    begin : array (13,)
+        State less the reference at the start.
+    system : MeasuredSystem
+    filter_gains : Gains
+        From `gains`, with ``variances``.
+    variances : array (13,)
+        Variances of the states' noise per second.
+
+    Returns
+    -------
+    array (n, m, A)
+        For the A states with noise, over the innovations' standard deviations, which stay.
+    """
+    noisy = np.flatnonzero(variances)
+    out = np.zeros((*system.z.shape, len(noisy)))
+    _loops().noise_columns(system, filter_gains, np.asarray(begin), variances, noisy, out)
+    return out
+
+
 def _run_columns(
     system: MeasuredSystem,
     filter_gains: Gains,

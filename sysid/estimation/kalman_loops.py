@@ -3,8 +3,8 @@
 `sysid.estimation.kalman` calls them. The channels of a sample are processed one after the other:
 with independent noise that equals the joint update, and the whitened innovations are those of a
 Cholesky root (Bierman, Factorization Methods for Discrete Sequential Estimation, 1977, section
-V.3). Process noise enters by weighted Gram-Schmidt (Thornton's form, section VI.4 there). No
-rounding makes a variance negative.
+V.3). Between samples P is multiplied out, process noise is added, and P is factored again (section
+III.4 there). A variance that rounding makes negative is zero.
 
 Inner loops run over all states, whose number is a compile-time constant, or along rows of memory:
 both become vector instructions without changing the order of a sum.
@@ -32,7 +32,7 @@ def filter_gains(  # type: ignore[no-untyped-def]  # pragma: no cover
     noisy = np.flatnonzero(q)
     # Rows of V are columns of U.
     V, D, f = np.eye(NX), begin.copy(), np.empty(NX)
-    W, weight = np.empty((NX + 3 * len(noisy), NX)), np.empty(NX + 3 * len(noisy))
+    W, P, halves = np.empty((NX, NX)), np.empty((NX, NX)), np.empty((len(noisy), NX))
     for k in range(n):
         if with_prior_variance:
             for j in range(m):
@@ -47,9 +47,14 @@ def filter_gains(  # type: ignore[no-untyped-def]  # pragma: no cover
                 variance[k, j] = _measurement_update(V, D, f, r[j], gain[k, j])
         if k < n - 1:
             _propagate_factor(system.phi[k], V, W)
-            _add_process_noise(system.phi[k], system.dt_s, q, noisy, W, weight)
-            weight[:NX] = D
-            _weighted_gram_schmidt(W, weight, V, D)
+            P[:] = 0.0
+            for c in range(NX):
+                _add_outer(D[c], W[c], P)
+            _half_step_columns(system.phi[k], noisy, halves)
+            for c in range(len(noisy)):
+                at = noisy[c]
+                _add_process_noise(system.phi[k], system.dt_s * q[at], at, halves[c], f, P)
+            _factor(P, V, D)
     return gain, variance, prior_variance
 
 
@@ -103,25 +108,29 @@ def _propagate_factor(phi, V, W):  # type: ignore[no-untyped-def]  # pragma: no 
 
 
 @compiled
+def _add_outer(weight, w, P):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """Add weight w w' to P."""
+    for i in range(NX):
+        u = weight * w[i]
+        if u != 0.0:
+            for e in range(NX):
+                P[i, e] += u * w[e]
+
+
+@compiled
 def _add_process_noise(  # type: ignore[no-untyped-def]  # pragma: no cover
-    phi, dt_s, q, noisy, W, weight
+    phi, variance, at, half, column, P
 ):
-    """Write the noise of a step into the other rows of ``W`` and their weights.
+    """Add the noise of state ``at`` in one step, of a ``variance``, to P. Overwrites ``column``.
 
     The noise acts throughout the step: the integral of exp(A s) Q exp(A's) by Simpson's rule. If it
     were added at the step's end alone, it would come half a step late and sensors would look early.
     """
-    w = len(noisy)
-    halves = W[NX : NX + w]
-    _half_step_columns(phi, noisy, halves)
-    for c in range(w):
-        at = noisy[c]
-        for i in range(NX):
-            W[NX + w + c, i] = phi[i, at]
-        W[NX + 2 * w + c] = 0.0
-        W[NX + 2 * w + c, at] = 1.0
-        sixth = dt_s / 6.0 * q[at]
-        weight[NX + c], weight[NX + w + c], weight[NX + 2 * w + c] = 4.0 * sixth, sixth, sixth
+    for i in range(NX):
+        column[i] = phi[i, at]
+    _add_outer(variance * 4.0 / 6.0, half, P)
+    _add_outer(variance / 6.0, column, P)
+    P[at, at] += variance / 6.0
 
 
 @compiled
@@ -146,24 +155,93 @@ def _half_step_columns(phi, noisy, halves):  # type: ignore[no-untyped-def]  # p
 
 
 @compiled
-def _weighted_gram_schmidt(W, weight, V, D):  # type: ignore[no-untyped-def]  # pragma: no cover
-    """Compute U and D of W' weight W, the last state first. Overwrites W."""
-    share = np.empty(NX)
+def _factor(P, V, D):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """Factor P into U and D, the last state first. Overwrites P."""
     for i in range(NX - 1, -1, -1):
-        share[:] = 0.0
-        for c in range(len(weight)):
-            u = weight[c] * W[c, i]
-            for e in range(NX):
-                share[e] += u * W[c, e]
-        D[i] = share[i]
-        for e in range(NX):
-            share[e] = share[e] / D[i] if e < i and D[i] > 0.0 else 0.0
-        for c in range(len(weight)):
-            u = W[c, i]
-            for e in range(NX):
-                W[c, e] -= share[e] * u
+        D[i] = max(P[i, i], 0.0)
         for e in range(i):
-            V[i, e] = share[e]
+            V[i, e] = P[i, e] / D[i] if D[i] > 0.0 else 0.0
+        for e in range(i):
+            u = P[i, e]
+            for o in range(i):
+                P[e, o] -= u * V[i, o]
+
+
+@compiled
+def noise_columns(  # type: ignore[no-untyped-def]  # pragma: no cover
+    system, gains, start, q, noisy, out
+):
+    """Differentiate whitened innovations with the logarithms of the states' noise.
+
+    The tangent of the filter: with the derivatives F of P and d of the state, for each channel
+
+        dK = (F h' - K h F h')/s,   d+ = d + dK e - K h d,   F+ = (1 - K h) F (1 - K h)'
+
+    ``start`` (13,) is the state less the reference at the start, ``noisy`` are the A states whose
+    noise ``q`` (13,) is not zero. Writes the changes of the innovations over their deviations into
+    ``out`` (n, m, A).
+    """
+    n, m = system.is_measured.shape
+    A = len(noisy)
+    x, moved, f, column = start.copy(), np.empty(NX), np.empty(NX), np.empty(NX)
+    d, F = np.zeros((A, NX)), np.zeros((A, NX, NX))
+    T, turned, halves = np.empty((NX, NX)), np.empty((NX, NX)), np.empty((A, NX))
+    for k in range(n):
+        for j in range(m):
+            if not system.is_measured[k, j]:
+                continue
+            h, gain, s = system.H[k, j], gains.gain[k, j], gains.variance[k, j]
+            innovation = system.z[k, j]
+            for i in range(NX):
+                innovation -= h[i] * x[i]
+            for c in range(A):
+                f[:] = 0.0
+                change = 0.0
+                for i in range(NX):
+                    if h[i] != 0.0:
+                        change -= h[i] * d[c, i]
+                        for e in range(NX):
+                            f[e] += h[i] * F[c, i, e]
+                by_variance = 0.0
+                for i in range(NX):
+                    by_variance += h[i] * f[i]
+                for i in range(NX):
+                    d[c, i] += (f[i] - gain[i] * by_variance) / s * innovation + gain[i] * change
+                    # F - K f' - f K' + K K' h f, symmetric.
+                    u = gain[i] * by_variance - f[i]
+                    for e in range(NX):
+                        F[c, i, e] += u * gain[e] - gain[i] * f[e]
+                out[k, j, c] = change / np.sqrt(s)
+            for i in range(NX):
+                x[i] += gain[i] * innovation
+        if k < n - 1:
+            phi = system.phi[k]
+            _half_step_columns(phi, noisy, halves)
+            for i in range(NX):
+                moved[i] = system.defect[k, i]
+                for e in range(NX):
+                    moved[i] += phi[i, e] * x[e]
+                    turned[e, i] = phi[i, e]
+            x[:] = moved
+            for c in range(A):
+                T[:] = 0.0
+                for i in range(NX):
+                    moved[i] = 0.0
+                    for e in range(NX):
+                        p = phi[i, e]
+                        if p != 0.0:
+                            moved[i] += p * d[c, e]
+                            for o in range(NX):
+                                T[i, o] += p * F[c, e, o]
+                d[c] = moved
+                F[c] = 0.0
+                for i in range(NX):
+                    for e in range(NX):
+                        t = T[i, e]
+                        for o in range(NX):
+                            F[c, i, o] += t * turned[e, o]
+                at = noisy[c]
+                _add_process_noise(phi, system.dt_s * q[at], at, halves[c], column, F[c])
 
 
 @compiled

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from sysid.aerodynamics.rigid_body import (
     Reference,
     linearise,
     rates,
+    rigid_slopes,
     unforced,
     with_gust_states,
 )
@@ -174,6 +176,34 @@ def test_still_air_stays_still_wherever_the_flight_begins():
 # exponential.
 
 
+@pytest.mark.parametrize("in_body", [False, True])
+@pytest.mark.parametrize("by_flow", [False, True])
+def test_one_set_of_rigid_slopes_serves_every_air(in_body: bool, by_flow: bool) -> None:
+    """Against differences of the whole equations in still air, as the reference states are."""
+    equations = OpenEquations(TERMS, (), ("V_mps",), MASS)
+    along = reference(flight(4), equations)
+    if by_flow:
+        slopes = np.random.default_rng(1).normal(0.0, 3.0, (4, 6, 2))
+        along = replace(along, by_flow=slopes)
+    rigid = rigid_slopes(along, MASS)
+    for changes in ({}, {"rotating": False}, {"q_length": 0.5, "r_share": -1.0}):
+        gusts = GustStates(MASS.b, in_body=in_body, **changes)
+        states = with_gust_states(along.x, gusts)
+        A = np.stack(
+            [
+                (
+                    rates(along, MASS, states + h, gusts=gusts)
+                    - rates(along, MASS, states - h, gusts=gusts)
+                )
+                / 2e-6
+                for h in 1e-6 * np.eye(NX)
+            ],
+            axis=2,
+        )
+        expected = np.stack([expm(0.5 * DT * (a + b)) for a, b in pairwise(A)])
+        np.testing.assert_allclose(rigid.with_gusts(gusts).phi, expected, atol=2e-6)
+
+
 def test_a_step_is_the_exponential_and_inputs_are_linear_in_between() -> None:
     rng = np.random.default_rng(5)
     A, B, h = rng.standard_normal((4, 4)), rng.standard_normal((4, 6)), 0.05
@@ -207,6 +237,6 @@ def test_what_python_calls_is_what_is_compiled() -> None:
         "gust_rates",
         "flow_rates",
         "motion",
-        "_series",
+        "_product",
     ):
         assert getattr(equations, name).__module__ == equations.__name__

@@ -9,7 +9,7 @@ from sysid.aerodynamics.air_motion import GustStates
 from sysid.aerodynamics.flight_equations import loops
 from sysid.aerodynamics.rigid_body import OUTPUTS, MassProperties, Reference, linearise
 from sysid.effects.compile_loops import compile_loops
-from sysid.effects.prediction import Columns, whiten
+from sysid.effects.prediction import Columns, filter_segments, whiten, whiten_filtered, with_air
 from sysid.effects.turbulence import AirLikelihood
 from sysid.estimation import kalman_loops
 from sysid.estimation.kalman import Process
@@ -21,7 +21,8 @@ MASS = MassProperties(18.0, np.diag([2.0, 3.0, 4.0]), 1.9, 3.7, 0.5)
 def compiled() -> dict[str, int]:
     """How many kinds of arguments each loop is compiled for."""
     found = {
-        name: getattr(kalman_loops, name) for name in ("filter_gains", "whiten_columns", "backward")
+        name: getattr(kalman_loops, name)
+        for name in ("filter_gains", "whiten_columns", "noise_columns", "backward")
     } | loops()._asdict()
     return {name: len(loop.signatures) for name, loop in found.items()}
 
@@ -56,6 +57,8 @@ def test_a_flight_compiles_nothing_that_was_not_compiled_ahead() -> None:
     for air in (None, GustStates(3.7, rotating=False)):
         steps = linearise(reference, MASS, gusts=air)
         whiten([steps], [measured], columns, range(M), np.ones(M), None if air is None else process)
+    followed = filter_segments([steps], [measured], range(M), np.ones(M), process)
+    whiten_filtered(with_air(followed, process, np.ones(M)), columns)
     AirLikelihood([steps], [measured], range(M))(np.ones(M), process)
     assert compiled() == before
 

@@ -30,7 +30,7 @@ from sysid.effects import (
     whiten_filtered,
     with_air,
 )
-from sysid.estimation import Process
+from sysid.estimation import MeasuredSystem
 from sysid.parallel import SERIAL, Processes
 from uqharness.identification.linearised.flight_data import (
     FlightData,
@@ -63,6 +63,7 @@ from uqharness.identification.linearised.replay_fit import (
     parameter_columns,
     positions,
     probes,
+    slopes_of,
     step_from,
     steps_of,
 )
@@ -94,7 +95,7 @@ DELAY_GRID = 0.05
 STEP_SHARE_RANGE = 0.125, 4.0
 """Smallest and largest share of a step."""
 NEARBY = 0.01
-"""Relative change of a variance or a length to which the innovations' sensitivity is found."""
+"""Relative change of a length to which the innovations' sensitivity is found."""
 TOLERANCE, ITERATIONS = 0.2, 10
 """Length of a step, in standard errors, that ends the iteration, and the most iterations."""
 
@@ -317,9 +318,10 @@ def gust_refit(
         assert gusts is not None
         linearised = steps.all(gusts.states)
         # Near the estimate, the air moves along with the parameters.
+        is_free = is_near and path is not None and not fixed_air
         followed = (
             _with_free_air(steps, linearised, gusts, setup.noise)
-            if is_near and path is not None and not fixed_air
+            if is_free
             else [
                 *filter_segments(
                     linearised, steps.measured, setup.output_rows, setup.noise, gusts.process
@@ -375,7 +377,13 @@ def gust_refit(
     cost = float(sum(np.sum(w.residual**2) for w in white))
     return TurbulentFit(
         Linearisation(
-            replace(trajectory, cost=cost), linear_probes, linearised, columns, evidence, analytic
+            replace(trajectory, cost=cost),
+            linear_probes,
+            linearised,
+            columns,
+            evidence,
+            analytic,
+            followed if is_free else None,
         ),
         gusts,
         setup,
@@ -489,13 +497,14 @@ class _LinearSystems:
     ) -> None:
         self.setup, self.trajectory, self.probes, self.pool = setup, trajectory, probes, pool
         self.measured = aligned_outputs(setup, trajectory.point)
+        self.slopes = slopes_of(probes, pool)
         self.systems: OrderedDict[tuple[int, GustStates], Steps] = OrderedDict()
 
     def __call__(self, some: Sequence[int], states: Sequence[GustStates]) -> list[Steps]:
         requests = list(zip(some, states, strict=True))
         missing, point = [key for key in requests if key not in self.systems], self.trajectory.point
         systems = steps_of(
-            [self.probes[k] for k, _ in missing],
+            [self.slopes[k] for k, _ in missing],
             [air for _, air in missing],
             self.setup,
             point,
@@ -588,6 +597,8 @@ def follow_in_free_air(
     setup: FlightData, fit: Linearisation, gusts: TurbulenceModel
 ) -> list[FilteredSegment]:
     """Filter the segments of a fit, the air free in each beside the columns."""
+    if fit.followed is not None:
+        return fit.followed
     linear = _LinearSystems(setup, fit.trajectory, fit.probes, SERIAL)
     return _with_free_air(linear, fit.steps, gusts, setup.noise)
 
@@ -599,16 +610,13 @@ def _with_free_air(
     of the air's roll, pitch and yaw would do.
     """
     rows, process = linear.setup.output_rows, gusts.process
-    states = np.arange(process.noise.shape[1])
-    airs: list[tuple[Sequence[Steps] | None, Process]] = [
-        (None, replace(process, noise=process.noise * np.where(states == k, 1.0 + NEARBY, 1.0)))
-        for k in np.flatnonzero(process.noise.any(axis=0))
-    ]
+    airs = []
     for name in ("p_length", "q_length", "r_length"):
         longer = [s._replace(**{name: getattr(s, name) * (1.0 + NEARBY)}) for s in gusts.states]
-        airs.append((linear.all(longer), process))
+        pairs = zip(linear.all(longer), linear.measured, strict=True)
+        airs.append([MeasuredSystem.of(s, z, rows) for s, z in pairs])
     followed = filter_segments(steps, linear.measured, rows, noise, process)
-    return [*with_air(followed, linear.measured, rows, noise, airs)]
+    return [*with_air(followed, process, noise, airs)]
 
 
 def _estimate_air(

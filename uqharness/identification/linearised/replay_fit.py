@@ -13,13 +13,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sysid.aerodynamics import GustStates, Reference, Steps, linearise
+from sysid.aerodynamics import GustStates, Reference, RigidSlopes, Steps, rigid_slopes
 from sysid.aerodynamics.rigid_body import OUTPUTS as STEP_OUTPUTS
 from sysid.aerodynamics.rigid_body import STATES as X_STATES
 from sysid.aerodynamics.rigid_body import MassProperties
 from sysid.arrays import FloatArray
 from sysid.effects import (
     Columns,
+    FilteredSegment,
     Information,
     LazyColumns,
     WhitenedSegment,
@@ -164,14 +165,18 @@ def probes(
     return probe_all(jobs, pool)
 
 
-def _linearise_segment(job: tuple[Reference, MassProperties, GustStates | None]) -> Steps:
-    """Return the linear system of one segment."""
-    reference, mass, gusts = job
-    return linearise(reference, mass, gusts=gusts)
+def slopes_of(linear_probes: Sequence[Probe], pool: Processes = SERIAL) -> list[RigidSlopes]:
+    """Return the rigid body's equations linearised along the segments, for air of any kind."""
+    return list(pool(_rigid_slopes, [(p.reference, p.mass) for p in linear_probes]))
+
+
+def _rigid_slopes(job: tuple[Reference, MassProperties]) -> RigidSlopes:
+    """Linearise the rigid body along one segment."""
+    return rigid_slopes(*job)
 
 
 def steps_of(
-    linear_probes: Sequence[Probe],
+    slopes: Sequence[RigidSlopes],
     air: Sequence[GustStates | None],
     setup: FlightData,
     point: ModelState,
@@ -183,15 +188,21 @@ def steps_of(
     """
     gain, forward = np.ones((len(STEP_OUTPUTS), 1)), vane_offset_m(point)
     gain[setup.output_rows, 0] = [sensor_gain(c, point) for c in setup.outputs]
-    out = []
-    systems = pool(
-        _linearise_segment,
-        [(p.reference, p.mass, a) for p, a in zip(linear_probes, air, strict=True)],
-    )
-    for p, a, steps in zip(linear_probes, air, systems, strict=True):
-        H = steps.H + forward * vane_shift_slopes(p.reference.x, a) if forward else steps.H
-        out.append(replace(steps, H=H * gain, D=steps.D * gain))
-    return out
+    systems = list(pool(_with_gusts, [*zip(slopes, air, strict=True)]))
+    if forward:
+        systems = [
+            replace(steps, H=steps.H + forward * vane_shift_slopes(rigid.x, gusts))
+            for rigid, gusts, steps in zip(slopes, air, systems, strict=True)
+        ]
+    if (gain == 1.0).all():
+        return systems
+    return [replace(steps, H=steps.H * gain, D=steps.D * gain) for steps in systems]
+
+
+def _with_gusts(job: tuple[RigidSlopes, GustStates | None]) -> Steps:
+    """Return the linear system of one segment."""
+    rigid, gusts = job
+    return rigid.with_gusts(gusts)
 
 
 def parameter_columns(
@@ -292,6 +303,8 @@ class Linearisation:
         Normal equations of the columns.
     analytic : tuple of str
         Parameters whose regressor is the coefficient term of their name.
+    followed : list of FilteredSegment or None
+        The segments filtered in turbulence with the air free, of which ``evidence`` was made.
     """
 
     trajectory: Trajectory
@@ -300,6 +313,7 @@ class Linearisation:
     columns: list[Columns]
     evidence: Information
     analytic: tuple[str, ...]
+    followed: list[FilteredSegment] | None = None
 
 
 PRIOR = {"bias": 0.1, "delay": 0.1, "lateness": 0.005, UNSEEN: 1.0}
@@ -387,7 +401,9 @@ def fit_at(
             replace(p, jumped=control_jumps(a))
             for p, a in zip(linear_probes, path_deviations(model, setup, point), strict=True)
         ]
-    steps = steps_of(linear_probes, [None] * len(linear_probes), setup, point, pool)
+    steps = steps_of(
+        slopes_of(linear_probes, pool), [None] * len(linear_probes), setup, point, pool
+    )
     for s, y in zip(steps, trajectory.outputs, strict=True):
         s.y_ref[:, setup.output_rows] = y
     columns = parameter_columns(setup, linear_probes, trajectory, names, analytic)

@@ -38,6 +38,7 @@ from uqharness.identification.linearised.prediction_error import (
 from uqharness.identification.linearised.replay_fit import (
     apply_step,
     positions,
+    slopes_of,
     step_from,
     steps_of,
 )
@@ -323,7 +324,8 @@ def test_a_sensor_that_reads_more_reads_more_of_everything():
     rng = np.random.default_rng(5)
     probe, setup = probe_of(rng), setup_of(np.zeros((N, 3)))
     plain, scaled = (
-        steps_of([probe], [None], setup, at)[0] for at in (point(), point(alpha_rad__scale=0.8))
+        steps_of(slopes_of([probe]), [None], setup, at)[0]
+        for at in (point(), point(alpha_rad__scale=0.8))
     )  # type: ignore[arg-type]
     np.testing.assert_allclose(scaled.H[:, 1], 1.8 * plain.H[:, 1])
     np.testing.assert_array_equal(np.delete(scaled.H, 1, axis=1), np.delete(plain.H, 1, axis=1))
