@@ -32,7 +32,7 @@ from sysid.effects.prediction import (
     neg2_log_likelihood,
     whiten_filtered,
 )
-from sysid.estimation import coloured_information
+from sysid.estimation import sandwich_covariance
 
 Index = NDArray[np.intp]
 Estimate = tuple[float, float, float]
@@ -348,12 +348,13 @@ def _compute_corrected(
         columns = information.series(w, some)
         projected_columns.append(columns @ combination)
         residuals.append(np.where(w.is_measured, w.residual - columns @ delta, np.nan))
-    bracket = np.diagonal(coloured_information(projected_columns, residuals))
-    # A column without information, such as a rate limit that is never reached, has no standard
-    # error.
+    # Projected on the others, a column has the information g alone. One without information, such
+    # as a rate limit that is never reached, has no standard error.
     with np.errstate(invalid="ignore", divide="ignore"):
-        plain = 1.0 / np.sqrt(np.where(g > 0.0, g, np.nan))
-        std = np.maximum(np.sqrt(np.maximum(bracket, 0.0)) * plain**2, plain)
+        variance = np.where(g > 0.0, 1.0 / g, np.nan)
+    covariance = sandwich_covariance(projected_columns, residuals, np.diag(np.nan_to_num(variance)))
+    plain = np.sqrt(variance)
+    std = np.maximum(np.sqrt(np.maximum(np.diagonal(covariance), 0.0)), plain)
     return {
         n: (float(delta[c]), float(std[k]), float(plain[k]))
         for k, (n, c) in enumerate(zip(requested, places, strict=True))

@@ -32,7 +32,7 @@ from sysid.arrays import FloatArray
 from sysid.effects.catalogue import VARIABLES, coefficient_effect, words
 from sysid.effects.information import DEPENDENT, Information, project_out, solve
 from sysid.effects.tuned import FAMILY_ERROR_RATE
-from sysid.estimation import coloured_information
+from sysid.estimation import sandwich_covariance
 
 SPANS = 10
 """Spans between knots over the range of the data.
@@ -262,8 +262,8 @@ def colour_dispersion(
 ) -> float:
     """Return the dispersion c of a term, at least 1.
 
-    It is the trace of the information for coloured residuals, (n, m) per segment, over that for
-    white ones, weighted by the covariance of the smoothed term.
+    It is the trace of the sandwich covariance of the smoothed term over that for white residuals
+    ((n, m) per segment), in units of the term's covariance.
     """
     G, _ = information.total
     b, c = information.index(free), information.index(fit.estimated_columns)
@@ -273,13 +273,10 @@ def colour_dispersion(
     ]
     weight = fit.cov[np.ix_(fit.estimated, fit.estimated)]
     white = sum(np.einsum("nmk,nml->kl", a, a) for a in projected_columns)
-    return max(
-        1.0,
-        float(
-            np.sum(weight * coloured_information(projected_columns, list(residual)))
-            / np.sum(weight * white)
-        ),
-    )
+    values, vectors = np.linalg.eigh(weight)
+    root = np.sqrt(np.maximum(values, 0.0)) * vectors
+    coloured = sandwich_covariance(projected_columns, list(residual), root.T)
+    return max(1.0, float(np.trace(coloured) / np.sum(weight * white)))
 
 
 def held_out_gain(

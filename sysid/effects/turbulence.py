@@ -30,7 +30,6 @@ from scipy.optimize import Bounds, minimize
 from sysid.aerodynamics import LENGTHS, NX, GustStates, Steps
 from sysid.arrays import FloatArray
 from sysid.effects.coloured_innovations import InnovationColour
-from sysid.effects.prediction import fit_start
 from sysid.effects.tuned import CERTAIN_T, SIGNIFICANT_Z
 from sysid.estimation import MeasuredSystem, Process, gains, variance_gradient, whiten_innovations
 from sysid.parallel import SERIAL, Processes, Shared
@@ -147,12 +146,26 @@ def _score_segment(
     through = whiten_innovations(system, filter_gains)
     if not np.isfinite(through.starts).all():
         return np.inf, *flat
-    white, _, _ = fit_start(through.innovations, through.starts)
+    white = _without_start(through.innovations, through.starts)
     cost = float(np.sum(white**2)) + 2.0 * filter_gains.logdet  # (1)
     if not sloping:
         return cost, *flat
     noise_slopes, process, begin = variance_gradient(system, filter_gains, white, air[0])
     return cost, 2.0 * noise**2 * noise_slopes, process, begin
+
+
+def _without_start(innovations: FloatArray, starts: FloatArray) -> FloatArray:
+    """Return innovations (n, m) with the start state fitted, whose sensitivities are ``starts``.
+
+    By normal equations: errors of the state enter the sum of squares squared, and a search needs
+    this a thousand times.
+    """
+    flat, left = starts.reshape(-1, starts.shape[2]), innovations.ravel()
+    gram = flat.T @ flat
+    scale = np.sqrt(np.diagonal(gram))
+    scale[scale == 0.0] = 1.0
+    state = np.linalg.lstsq(gram / np.outer(scale, scale), flat.T @ left / scale, rcond=1e-13)[0]
+    return np.asarray((left - flat @ (state / scale)).reshape(innovations.shape))
 
 
 Linear = Callable[[Sequence[int], Sequence[GustStates]], Sequence[Steps]]
@@ -436,40 +449,25 @@ def estimate_air(
     search = _Search(linear, measured, rows, noise / prior_factors, V, pool)
     segments = _evenly_spaced(range(len(measured)), _MAX_SEGMENTS)
     segments_of_flight = _segments_of(flights)
+    # 1. Start: light air of several strengths, or the air before.
     if prior_model is None:
         starts = [_Point((states,) * len(measured), f * LIGHT_AIR, prior_factors) for f in _FACTORS]
-        last = search.best(segments, starts)
     else:
-        prior_model = prior_model.in_segments(V, flights)
-        last = _Point(prior_model.states, prior_model.values, prior_factors).with_intensities(
-            prior_model.by_flight, flights
+        starts = _points_of(prior_model.in_segments(V, flights), flights, has_noise=bool(kinds))
+    start = search.best(segments, starts)
+    # 2. Intensities, and the sensors' noise.
+    optimum = search.descend(segments, start, kinds)
+    # 3. Structure, passing speed and intensities of each flight, if the start was far.
+    is_far = prior_model is None or start.cost - optimum.cost > SIGNIFICANT_Z**2
+    chosen = (
+        search.choose_air(
+            segments, segments_of_flight, optimum, flights, kinds, is_first=prior_model is None
         )
-        # Far from the stated noise the search may not find its way back.
-        is_far = len(kinds) and np.abs(np.log(prior_factors)).max() > NOISE_PRIOR
-        last = search.best(
-            segments, [last, *([replace(last, factors=np.ones(len(noise)))] if is_far else [])]
-        )
-    best = search.descend(segments, last, kinds)
-    if prior_model is None or last.cost - best.cost > SIGNIFICANT_Z**2:
-        # Missing effects or sensor errors may have determined the earlier structure.
-        best = search.choose_structure(segments, best, kinds)
-        if prior_model is None:
-            # Weaker air in one flight resembles gusts that pass more slowly, or moments.
-            best = search.by_flight(segments_of_flight, best, flights, _FEW_DESCENTS)
-        if best.states[0].rotating:
-            # The moments of their rotation determine how fast gusts pass, if the parameters are
-            # close.
-            other = search.best(
-                segments,
-                [best.with_states(passing_mps=0.0), search.passing(segments_of_flight, best)],
-            )
-            best = search.descend(segments, other, kinds) if other.states != best.states else best
-            # Some simulators generate gusts for one speed, whichever the aircraft's is.
-            common = search.common_speed(segments, best)
-            best = search.accept_trials(segments, best, [common], kinds)
-        best = search.by_flight(segments_of_flight, best, flights)
-    # Losses count from this air, with intensities by flight.
-    best = search.best(segments, [best])
+        if is_far
+        else optimum
+    )
+    # 4. What is lost without parts of this air, with intensities by flight.
+    best = search.best(segments, [chosen])
     gain, across = (
         (search.loss(segments, best, left) for left in (0.0, _WITHOUT_ACROSS))
         if prior_model is None
@@ -477,22 +475,31 @@ def estimate_air(
     )
     single_moments = np.where(np.eye(len(LIGHT_AIR)), _NEGLIGIBLE, 1.0)[_MOMENTS]
     losses = np.array([search.loss(segments, best, left) for left in single_moments])
-    moments = np.where(np.isfinite(losses), losses, np.nan)
-    by_flight = {f: best.of(members[0]) for f, members in segments_of_flight.items()}
-    passing = {f: best.states[members[0]].passing_mps for f, members in segments_of_flight.items()}
-    process = search.process(range(len(measured)), best)
     return TurbulenceModel(
         best.states,
         best.values,
-        by_flight,
-        passing,
-        process,
+        {f: best.of(members[0]) for f, members in segments_of_flight.items()},
+        {f: best.states[members[0]].passing_mps for f, members in segments_of_flight.items()},
+        search.process(range(len(measured)), best),
         gain,
         across,
-        moments,
+        np.where(np.isfinite(losses), losses, np.nan),
         best.factors,
         None if prior_model is None else prior_model.colour,
     ), best.factors / prior_factors
+
+
+def _points_of(model: TurbulenceModel, flights: Sequence[str], *, has_noise: bool) -> list[_Point]:
+    """Return the starts of a search from an earlier air.
+
+    With estimated noise that is far from the stated one, the stated one is a start as well: the
+    search may not find its way back to it.
+    """
+    point = _Point(model.states, model.values, model.factors).with_intensities(
+        model.by_flight, flights
+    )
+    is_far = has_noise and np.abs(np.log(model.factors)).max() > NOISE_PRIOR
+    return [point, replace(point, factors=np.ones(len(model.factors)))] if is_far else [point]
 
 
 @dataclass(frozen=True)
@@ -529,6 +536,16 @@ class _Point:
         stronger = np.array([by_flight[f] / values for f in flights])
         stronger[:, _MOMENTS] = 1.0
         return replace(self, values=values, segment_factors=stronger, cost=np.inf)
+
+    def length(self, axis: str) -> tuple[float, float]:
+        """Return length and share of the air's roll (axis p, of share 1), pitch (q) or yaw (r)."""
+        first = self.states[0]
+        return getattr(first, f"{axis}_length"), getattr(first, f"{axis}_share", 1.0)
+
+    def with_length(self, axis: str, length: float, share: float) -> _Point:
+        """Return the point with another `length` of an axis."""
+        changes = {f"{axis}_length": length} | ({} if axis == "p" else {f"{axis}_share": share})
+        return self.with_states(**changes)
 
     def with_states(self, **changes: Any) -> _Point:
         """Return the point with a changed structure in every segment."""
@@ -569,6 +586,37 @@ class _Search:
             [self.V[k] for k in segments],
             [point.states[k] for k in segments],
         )
+
+    def choose_air(
+        self,
+        segments: Sequence[int],
+        segments_of_flight: Mapping[str, Sequence[int]],
+        point: _Point,
+        flights: Sequence[str],
+        kinds: Sequence[str],
+        *,
+        is_first: bool,
+    ) -> _Point:
+        """Choose structure, passing speed and the intensities of each flight.
+
+        Missing effects or sensor errors may have determined those of ``point``, unless this
+        ``is_first``.
+        """
+        best = self.choose_structure(segments, point, kinds)
+        if is_first:
+            # Weaker air in one flight resembles gusts that pass more slowly, or moments.
+            best = self.by_flight(segments_of_flight, best, flights, _FEW_DESCENTS)
+        if best.states[0].rotating:
+            # The moments of their rotation determine how fast gusts pass, if the parameters are
+            # close.
+            at_airspeed = best.with_states(passing_mps=0.0)
+            likelier = self.best(segments, [at_airspeed, self.passing(segments_of_flight, best)])
+            if likelier.states != best.states:
+                best = self.descend(segments, likelier, kinds)
+            # Some simulators generate gusts for one speed, whichever the aircraft's is.
+            common = self.common_speed(segments, best)
+            best = self.accept(segments, best, common, kinds)
+        return self.by_flight(segments_of_flight, best, flights)
 
     def by_flight(
         self,
@@ -653,29 +701,25 @@ class _Search:
                 for r, t, body in _STRUCTURES
                 if (r, t, body) != best.kind
             ]
-            best = self.accept_trials(
-                segments, best, [self.likeliest_structure(segments, best, frames)], kinds
-            )
+            frame = self.likeliest_structure(segments, best, frames)
+            best = self.accept(segments, best, frame, kinds)
             # Air that does not rotate is asked as well: a reversed pitch alone can make rotation
             # by the standard less likely than none.
             for axis in ("p", "q", "r"):
-                best = self.accept_trials(
-                    segments, best, [self.length(segments, best, axis)], kinds
-                )
+                shape = self.length(segments, best, axis)
+                best = self.accept(segments, best, shape, kinds)
             if best.states == before.states:
                 break
         return best
 
-    def accept_trials(
-        self, segments: Sequence[int], best: _Point, trials: Sequence[_Point], kinds: Sequence[str]
+    def accept(
+        self, segments: Sequence[int], best: _Point, trial: _Point, kinds: Sequence[str]
     ) -> _Point:
-        """Return the best point, or the optimum from a trial that gains more than chance."""
-        for trial in trials:
-            if trial.states == best.states:
-                continue
-            other = self.descend(segments, trial, kinds)
-            best = other if other.cost < best.cost - SIGNIFICANT_Z**2 else best
-        return best
+        """Return the optimum from a trial of another structure if it gains more than chance."""
+        if trial.states == best.states:
+            return best
+        other = self.descend(segments, trial, kinds)
+        return other if other.cost < best.cost - SIGNIFICANT_Z**2 else best
 
     def likeliest_structure(
         self, segments: Sequence[int], best: _Point, others: Sequence[_Point]
@@ -696,27 +740,22 @@ class _Search:
         """Return the point with the likeliest length of the air's roll (axis p), or the likeliest
         sign and length of its pitch (q) or yaw (r).
         """
+        few = _evenly_spaced(segments, _SEGMENTS_FOR_SPEED)
         # The air's roll does not follow from gusts at the wing and has no sign.
-        signs = [] if axis == "p" else [f"{axis}_share"]
-        base = best
-        if signs and not best.states[0].rotating:
-            # Air whose pitch and yaw follow from no gusts, of which one may.
-            base = best.with_states(rotating=True, q_share=0.0, r_share=0.0)
-
-        def at(length: float, share: float = 1.0) -> _Point:
-            """Return the point with a length and sign."""
-            return base.with_states(**dict.fromkeys(signs, share), **{f"{axis}_length": length})
-
-        segments = _evenly_spaced(segments, _SEGMENTS_FOR_SPEED)
-        shapes = [at(n) for n in _LENGTHS]
-        shapes += [at(1.0, -1.0), at(0.5, -1.0), at(1.0, 0.0)] if signs else []
-        chosen = self.likeliest_structure(segments, best, shapes)
-        first = chosen.states[0]
-        share, length = getattr(first, f"{axis}_share", 1.0), getattr(first, f"{axis}_length")
-        if chosen.states == best.states and (length == 1.0 or base is not best):
+        has_share = axis != "p"
+        reversed_or_none = [(1.0, -1.0), (0.5, -1.0), (1.0, 0.0)] if has_share else []
+        shapes = [*((n, 1.0) for n in _LENGTHS), *reversed_or_none]
+        # In air that does not rotate, pitch and yaw follow from no gusts, and one of them may.
+        starts_rotating = has_share and not best.states[0].rotating
+        base = (
+            best.with_states(rotating=True, q_share=0.0, r_share=0.0) if starts_rotating else best
+        )
+        chosen = self.likeliest_structure(few, best, [base.with_length(axis, *s) for s in shapes])
+        length, share = chosen.length(axis)
+        if chosen.states == best.states and (length == 1.0 or starts_rotating):
             return best
-        finer = [at(float(length * _FINER**k), share) for k in (-1, 1)]
-        return self.likeliest_structure(segments, chosen, finer)
+        finer = [base.with_length(axis, length * _FINER**k, share) for k in (-1, 1)]
+        return self.likeliest_structure(few, chosen, finer)
 
     def common_speed(self, segments: Sequence[int], best: _Point) -> _Point:
         """Return the point with the likeliest speed at which the gusts of all flights pass.
@@ -777,74 +816,128 @@ class _Search:
         A quasi-Newton search in the logarithms (L-BFGS-B; Byrd, Lu, Nocedal and Zhu, SIAM J. Sci.
         Comput. 16, 1995).
         """
+        objective = _Objective.of(self, segments, point, kinds)
+        options = {
+            "maxiter": max_descents,
+            "ftol": _COST_TOLERANCE / max(abs(objective.first.cost), 1.0),
+            "gtol": 0.0,
+        }
+        optimum = minimize(
+            objective,
+            np.zeros(len(objective.scale)),
+            jac=True,
+            method="L-BFGS-B",
+            bounds=objective.bounds,
+            options=options,
+        )
+        x = optimum.x / objective.scale
+        return replace(objective.at(x), cost=float(optimum.fun) - objective.penalty(x)[0])
+
+
+@dataclass(frozen=True)
+class _Objective:
+    """Penalised cost of segments as a function of changes of logarithms about a point.
+
+    The x are the logarithms of the nine intensities, then those of the noise of each kind of
+    sensor. The search has them multiplied by ``scale``.
+
+    Attributes
+    ----------
+    search, segments, point
+        The likelihood and where the search starts.
+    shared : (k, m) array
+        1 where a channel is of a kind of sensor.
+    each : list of Process
+        Process noise by each intensity alone: process noise and initial variances are linear in
+        it.
+    precision, prior : (9 + k,) array
+        Inverse prior variance of each logarithm, and its value at the point less the prior mean.
+    first : Score
+        The score at the point.
+    scale : (9 + k,) array
+        Root of the curvature.
+    """
+
+    search: _Search
+    segments: Sequence[int]
+    point: _Point
+    shared: FloatArray
+    each: Sequence[Process]
+    precision: FloatArray
+    prior: FloatArray
+    first: Score
+    scale: FloatArray
+
+    @staticmethod
+    def of(
+        search: _Search, segments: Sequence[int], point: _Point, kinds: Sequence[str]
+    ) -> _Objective:
+        """Return the objective about a point, with the sensors' ``kinds`` (none: noise fixed)."""
         unlike = list(dict.fromkeys(kinds))
         shared = np.array([[kind == one for kind in kinds] for one in unlike], dtype=float).reshape(
             len(unlike), len(point.factors)
         )
-        at, sizes = len(point.values), (len(point.values), len(unlike))
         each = [
-            self.process(segments, replace(point, values=alone)) for alone in np.diag(point.values)
+            search.process(segments, replace(point, values=alone))
+            for alone in np.diag(point.values)
         ]
-
-        def point_at(x: FloatArray) -> _Point:
-            """Return the point at changes of the logarithms."""
-            return replace(
-                point,
-                values=point.values * np.exp(x[:at]),
-                factors=point.factors * np.exp(x[at:] @ shared),
-            )
-
-        def by_each(
-            x: FloatArray, noise: FloatArray, process: FloatArray, begin: FloatArray
-        ) -> FloatArray:
-            """Return derivatives with the logarithms from those with the variances."""
-            # Process noise and initial variances are linear in each intensity.
-            air = [np.sum(process * p.noise) + np.sum(begin * p.begin) for p in each]
-            return np.concatenate([np.exp(x[:at]) * air, shared @ noise])
-
-        prior = np.repeat([0.0, NOISE_PRIOR**-2], sizes)
-        none = np.zeros(len(prior))
-        # Logarithms of the noise factors at the start of the search, relative to the prior.
-        off = np.concatenate(
-            [np.zeros(at), shared @ np.log(point.factors) / np.maximum(shared.sum(axis=1), 1.0)]
+        sizes = (len(point.values), len(unlike))
+        precision = np.repeat([0.0, NOISE_PRIOR**-2], sizes)
+        of_noise = shared @ np.log(point.factors) / np.maximum(shared.sum(axis=1), 1.0)
+        prior = np.concatenate([np.zeros(sizes[0]), of_noise])
+        first = search.score(segments, point)
+        unscaled = _Objective(
+            search, segments, point, shared, each, precision, prior, first, np.ones(len(prior))
         )
-        first = self.score(segments, point)
-        # Scale by the curvature: with a variance's logarithm it equals the determinant's
-        # derivative, with a standard deviation's twice that.
-        scale = np.sqrt(
-            np.maximum(
-                by_each(none, *first.curvature) * np.repeat([1.0, 2.0], sizes), _MIN_CURVATURE
-            )
+        # With a variance's logarithm the curvature equals the determinant's derivative, with a
+        # standard deviation's twice that.
+        curvature = unscaled.by_logarithms(0.0 * prior, *first.curvature)
+        curvature *= np.repeat([1.0, 2.0], sizes)
+        return replace(unscaled, scale=np.sqrt(np.maximum(curvature, _MIN_CURVATURE)))
+
+    def at(self, x: FloatArray) -> _Point:
+        """Return the point at changes of the logarithms."""
+        count = len(self.each)
+        return replace(
+            self.point,
+            values=self.point.values * np.exp(x[:count]),
+            factors=self.point.factors * np.exp(x[count:] @ self.shared),
         )
 
-        def cost(y: FloatArray) -> tuple[float, FloatArray]:
-            """Return the penalised cost and its gradient in scaled logarithms."""
-            x = y / scale
-            score = self.score(segments, point_at(x)) if y.any() else first
-            if not np.isfinite(score.cost):
-                # A filter that fails has the largest cost and no gradient.
-                return _FAILED_COST, none
-            slope = by_each(x, score.noise, score.process, score.begin) + 2.0 * prior * (x + off)
-            return score.cost + float(prior @ (x + off) ** 2), slope / scale
+    def by_logarithms(
+        self, x: FloatArray, noise: FloatArray, process: FloatArray, begin: FloatArray
+    ) -> FloatArray:
+        """Return derivatives with the logarithms from those with the variances."""
+        air = [np.sum(process * p.noise) + np.sum(begin * p.begin) for p in self.each]
+        return np.concatenate([np.exp(x[: len(air)]) * air, self.shared @ noise])
 
-        options = {
-            "maxiter": max_descents,
-            "ftol": _COST_TOLERANCE / max(abs(first.cost), 1.0),
-            "gtol": 0.0,
-        }
-        upper = np.full(len(scale), _SEARCH_RANGE)
-        # Gusts across the path and the air's roll limit the independent pitch and yaw.
-        roll = point.values[3] * (LENGTHS[1] * point.states[0].b / V_REFERENCE) ** 2
-        limit = (
-            _MAX_INDEPENDENT
-            * np.maximum(point.values[1:3], roll)
-            / point.values[_INDEPENDENT_ROTATION]
-        )
+    def penalty(self, x: FloatArray) -> tuple[float, FloatArray]:
+        """Return minus twice the logarithm of the prior, and its gradient."""
+        distance = x + self.prior
+        return float(self.precision @ distance**2), 2.0 * self.precision * distance
+
+    def __call__(self, y: FloatArray) -> tuple[float, FloatArray]:
+        """Return the penalised cost and its gradient in scaled logarithms."""
+        x = y / self.scale
+        score = self.search.score(self.segments, self.at(x)) if y.any() else self.first
+        if not np.isfinite(score.cost):
+            # A filter that fails has the largest cost and no gradient.
+            return _FAILED_COST, np.zeros(len(x))
+        penalty, slope = self.penalty(x)
+        gradient = self.by_logarithms(x, score.noise, score.process, score.begin) + slope
+        return score.cost + penalty, gradient / self.scale
+
+    @property
+    def bounds(self) -> Bounds:
+        """Bounds of the scaled logarithms.
+
+        Gusts across the path and the air's roll limit the independent pitch and yaw.
+        """
+        values, upper = self.point.values, np.full(len(self.scale), _SEARCH_RANGE)
+        roll = values[3] * (LENGTHS[1] * self.point.states[0].b / V_REFERENCE) ** 2
+        limit = _MAX_INDEPENDENT * np.maximum(values[1:3], roll) / values[_INDEPENDENT_ROTATION]
         upper[_INDEPENDENT_ROTATION] = np.clip(np.log(limit), 1.0 - _SEARCH_RANGE, _SEARCH_RANGE)
-        bounds = Bounds(-_SEARCH_RANGE * scale, upper * scale)
-        optimum = minimize(cost, none, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
-        x = optimum.x / scale
-        return replace(point_at(x), cost=float(optimum.fun) - float(prior @ (x + off) ** 2))
+        return Bounds(-_SEARCH_RANGE * self.scale, upper * self.scale)
 
 
 def _without_absorbers(point: _Point) -> _Point:

@@ -2,10 +2,10 @@ from .coloured_residuals import STRONG_SHARE as STRONG_SHARE
 from .coloured_residuals import WHITENESS_LEVEL as WHITENESS_LEVEL
 from .coloured_residuals import colour as colour
 from .coloured_residuals import colour_warnings as colour_warnings
-from .coloured_residuals import coloured_information as coloured_information
 from .coloured_residuals import effective_samples as effective_samples
 from .coloured_residuals import integral_time as integral_time
 from .coloured_residuals import ljung_box as ljung_box
+from .coloured_residuals import sandwich_covariance as sandwich_covariance
 from .command_steps import command_steps_of as command_steps_of
 from .command_steps import filtered_steps as filtered_steps
 from .command_steps import fuller as fuller

@@ -13,8 +13,8 @@ residual's periodogram, which the fit has reduced exactly where sensitivities ha
 constant sensitivity the sum is identically zero), so the bound would be too small. Here the biased
 autocovariance is kept up to a lag p chosen by the Schwarz criterion and continued by its
 maximum-entropy (autoregressive) extension; correlation between the whitened outputs is kept over a
-few tapered lags. The double sum is evaluated as an integral over frequency. All estimators use
-`coloured_information`.
+few tapered lags. The double sum is evaluated as an integral over frequency. (MK) is a sandwich
+covariance (Huber, 5th Berkeley Symposium 1, 1967); all estimators use `sandwich_covariance`.
 """
 
 from __future__ import annotations
@@ -137,6 +137,35 @@ def residual_models(residual: list[FloatArray]) -> tuple[list[FloatArray], Float
         models.append(model)
         variances.append(variance)
     return models, np.array(variances)
+
+
+def sandwich_covariance(
+    sensitivity: list[FloatArray] | Blocks,
+    residual: list[FloatArray],
+    inverse: FloatArray,
+    other_information: FloatArray | None = None,
+) -> FloatArray:
+    """Compute the covariance of estimates under coloured residuals, equation (MK).
+
+    Parameters
+    ----------
+    sensitivity, residual
+        As in `coloured_information`.
+    inverse : array (a, k)
+        D, the inverse of the information; or a combinations of its rows, for the covariance of as
+        many combinations of the estimates.
+    other_information : array (k, k), optional
+        Information that does not come from the residuals, such as a prior's.
+
+    Returns
+    -------
+    array (a, a)
+        D [..] D'; for white residuals of unit variance the inverse itself.
+    """
+    bracket = coloured_information(sensitivity, residual)
+    if other_information is not None:
+        bracket = bracket + other_information
+    return np.asarray(inverse @ bracket @ inverse.T)
 
 
 def coloured_information(

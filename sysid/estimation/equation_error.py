@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sysid.arrays import FloatArray, as_array, as_names
-from sysid.estimation.coloured_residuals import WHITENESS_LEVEL, coloured_information, ljung_box
+from sysid.estimation.coloured_residuals import WHITENESS_LEVEL, ljung_box, sandwich_covariance
 from sysid.estimation.results import INFLATION_WARNING, PARTICIPATION, Regression, masked_covariance
 
 RANK = 1e-12
@@ -201,10 +201,9 @@ def _coloured_covariance(
         (left_vectors[a:b, None, :], residual[a:b, None]) for a, b in itertools.pairwise(edges)
     ]
     deviation = float(np.sqrt(residual @ residual / residual.size))
-    bracket = coloured_information(
-        [piece[0] for piece in pieces], [piece[1] / deviation for piece in pieces]
+    return s2 * sandwich_covariance(
+        [columns for columns, _ in pieces], [left / deviation for _, left in pieces], weights
     )
-    return np.asarray(s2 * weights @ bracket @ weights.T)
 
 
 def _r_squared(

@@ -33,7 +33,7 @@ from sysid.arrays import (
     as_segments,
     is_segment_list,
 )
-from sysid.estimation.coloured_residuals import colour, colour_warnings, coloured_information
+from sysid.estimation.coloured_residuals import colour, colour_warnings, sandwich_covariance
 from sysid.estimation.gauss_newton import IterationCallback, Linearisation, Minimum, minimise
 from sysid.estimation.kalman import (
     Innovations,
@@ -648,10 +648,11 @@ def assemble(
     for piece in sensitivities:
         flat = np.nan_to_num(piece).reshape(-1, inside.size)
         white_information += flat.T @ flat
-    bracket = (
-        coloured_information(sensitivities, whites)
-        + linearisation.information[np.ix_(inside, inside)]
-        - white_information
+    coloured = sandwich_covariance(
+        sensitivities,
+        whites,
+        identifiability.inverse,
+        linearisation.information[np.ix_(inside, inside)] - white_information,
     )
     total, k_free = best.theta.size, layout.columns.size
     cov, crb, vif = (
@@ -660,9 +661,7 @@ def assemble(
         np.full(total, np.inf),
     )
     at = np.ix_(inside, inside)
-    cov[at] = masked_covariance(
-        identifiability.inverse @ bracket @ identifiability.inverse, identifiability.identified
-    )
+    cov[at] = masked_covariance(coloured, identifiability.identified)
     crb[at] = masked_covariance(identifiability.inverse, identifiability.identified)
     vif[inside] = identifiability.vif
     # Reasons why an unknown is not identified: collinear, at a bound, or no better than its bounds.

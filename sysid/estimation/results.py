@@ -18,7 +18,7 @@ from sysid.estimation.coloured_residuals import (
     Colour,
     colour,
     colour_warnings,
-    coloured_information,
+    sandwich_covariance,
 )
 from sysid.estimation.noise import Noise, residual_noise
 from sysid.linalg import Blocks, Index, information, leverage
@@ -543,12 +543,8 @@ def assess_fit(
     counts = finite.sum(axis=0)
     # The autocovariance divides by N, R by N less the degrees of freedom.
     inflate = np.sqrt(counts / np.maximum(counts - dof_used, 1.0))
-    bracket = coloured_information(scaled, split(white_or_nan * inflate, edges))
-    # (MK) of `coloured_residuals`.
-    crb, coloured = (
-        identifiability.inverse,
-        identifiability.inverse @ bracket @ identifiability.inverse,
-    )
+    crb = identifiability.inverse
+    coloured = sandwich_covariance(scaled, split(white_or_nan * inflate, edges), crb)
 
     # Collect reasons: collinear, at a bound, no better than the bounds, unresolved, noise unknown.
     k = theta.size

@@ -391,7 +391,7 @@ def test_groups_of_segments_say_the_same_as_their_segments_and_are_not_split():
 def test_what_is_asked_again_is_remembered_by_its_columns_alone(monkeypatch):
     evidence = flights({"c3": 0.2}, 3)
     first = corrected_estimates(evidence, ["a", "b", "c3"], ["a"])
-    monkeypatch.setattr("sysid.effects.information.coloured_information", None)
+    monkeypatch.setattr("sysid.effects.information.sandwich_covariance", None)
     assert corrected_estimates(evidence, ["c3", "b", "a"], ["a"]) == first
     with pytest.raises(TypeError):
         corrected_estimates(evidence, ["a", "c3"], ["a"])

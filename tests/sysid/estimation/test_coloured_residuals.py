@@ -14,6 +14,7 @@ from sysid.estimation.coloured_residuals import (
     coloured_information,
     integral_time,
     ljung_box,
+    sandwich_covariance,
 )
 
 
@@ -27,7 +28,12 @@ def test_double_sum_over_two_segments_by_brute_force():
     impulse = signal.lfilter([1.0], np.concatenate(([1.0], -model)), np.eye(1, 2000)[0])
     lags = np.array([impulse[: 2000 - lag] @ impulse[lag:] for lag in range(500)]) * variance
     expected = sum(part[:, 0].T @ linalg.toeplitz(lags[: len(part)]) @ part[:, 0] for part in S)
-    np.testing.assert_allclose(coloured_information(S, series), expected, rtol=1e-8)
+    inverse, other = np.array([[2.0, 0.3], [0.3, 1.0], [2.3, 1.3]]), np.diag([0.0, 5.0])
+    np.testing.assert_allclose(
+        sandwich_covariance(S, series, inverse, other),
+        inverse @ (expected + other) @ inverse.T,
+        rtol=1e-8,
+    )
 
 
 def test_cross_coloured_outputs_by_monte_carlo():

@@ -266,6 +266,9 @@ def gust_refit(
 ) -> TurbulentFit:
     """Estimate parameters, nuisance and the air from a flight in turbulence.
 
+    Each iteration estimates the air where it is due, evaluates the innovations and their
+    sensitivities at the current model (`_evaluate`), and takes a Gauss-Newton step.
+
     Parameters
     ----------
     start : ModelState
@@ -289,105 +292,189 @@ def gust_refit(
     numpy.linalg.LinAlgError
         If predictions are not finite.
     """
-    setup = with_jumping_flights(setup, model)
-    point = (
-        start
-        if prior_model is not None or not setup.late
-        else likelier_delays(model, direct_model, setup, start, pool)
-    )
-    gusts, analytic = prior_model, None
-    length, share, distance_since_air = float("inf"), 1.0, float("inf")
-    delta: FloatArray | None = None
-    path: list[FloatArray] | None = None
-    properties, flights = (
-        [n for n in names if n not in {e.key for e in setup.active}],
-        {s.flight for s in setup.segments},
-    )
+    data = with_jumping_flights(setup, model)
+    has_unsure_delays = prior_model is None and bool(data.late)
+    point = likelier_delays(model, direct_model, data, start, pool) if has_unsure_delays else start
+    at = _Iterate(data, point, prior_model)
     for number in range(1, iterations + 1):
-        trajectory, linear_probes = predict(model, direct_model, setup, point, pool, path)
-        steps = _LinearSystems(setup, trajectory, linear_probes, pool)
         # Far from the estimate, what parameters will explain would be taken for gusts.
-        is_near = length < AIR_SEARCH_LENGTH or number == AIR_SEARCH_ITERATION
-        is_new_air = gusts is None or not flights <= gusts.by_flight.keys()
-        estimates_air = not fixed_air and (
-            is_new_air or (distance_since_air > SIGNIFICANT_Z and is_near)
+        is_near = at.length < AIR_SEARCH_LENGTH or number == AIR_SEARCH_ITERATION
+        is_prediction = at.path is not None
+        has_new_air = not fixed_air and (
+            at.lacks_air or (is_near and at.distance_since_air > SIGNIFICANT_Z)
         )
-        if estimates_air:
-            gusts, factors = _estimate_air(setup, steps, gusts, tune and not setup.late)
-            setup = replace(setup, noise=factors * setup.noise)
-        assert gusts is not None
-        linearised = steps.all(gusts.states)
-        # Near the estimate, the air moves along with the parameters.
-        is_free = is_near and path is not None and not fixed_air
-        followed = (
-            _with_free_air(steps, linearised, gusts, setup.noise)
-            if is_free
-            else [
-                *filter_segments(
-                    linearised, steps.measured, setup.output_rows, setup.noise, gusts.process
-                )
-            ]
-        )
-        # Free the systems of other airs before the columns, which take the most memory.
-        del steps
-        trajectory, linear_probes = at_predictions(
-            setup, trajectory, linear_probes, linearised, followed, gusts
-        )
-        # Smoothed measurements contain later samples: linearised about them, the airspeed sensor
-        # appears half a percent high. From the second iteration on, the path is a prediction.
-        is_prediction, path = path is not None, [p.body for p in linear_probes]
-        linear_probes, analytic = with_property_slopes(
+        result, step = _evaluate(
+            model,
             direct_model,
-            setup.segments,
-            linear_probes,
-            properties,
-            setup.properties(point),
-            analytic,
+            at,
+            names,
             pool,
+            estimates_air=has_new_air,
+            tune=tune and not data.late,
+            # Near the estimate, the air moves along with the parameters.
+            free_air=is_near and is_prediction and not fixed_air,
+            # Colour estimated without an effect has absorbed it: the first iteration estimates
+            # it anew.
+            keeps_colour=number > 1 or fixed_air,
+            fixed_colour=fixed_air,
         )
-        columns = parameter_columns(setup, linear_probes, trajectory, names, analytic)
-        # Colour estimated without an effect has absorbed it, so the first iteration estimates anew.
-        before_colour = None if number == 1 and not fixed_air else gusts.colour
-        colour, evidence = fit_colour(followed, columns, PRIOR, before_colour, fixed=fixed_air)
-        gusts, white = replace(gusts, colour=colour), evidence.white
-        before = None if estimates_air else delta
-        delta, length = step_from(setup, point, evidence)
-        # Steps in different air are not comparable.
-        share = 1.0 if before is None else step_share(share, before, delta, evidence.total[0])
-        if not np.isfinite(delta).all():
+        if not np.isfinite(step).all():
             raise np.linalg.LinAlgError("predictions with this model are no numbers")
         if callback is not None:
-            callback(number, length)
-        # The air was estimated close enough to here.
-        distance_since_air = (
-            0.0 if fixed_air or (estimates_air and is_prediction) else distance_since_air
-        )
-        if (
-            (is_prediction and length < TOLERANCE and distance_since_air <= SIGNIFICANT_Z)
-            or number == iterations
-            or not gusts.air
-        ):
+            callback(number, result.length)
+        # The air is up to date if it was estimated about predictions, this close to here.
+        is_air_settled = fixed_air or (has_new_air and is_prediction)
+        distance = 0.0 if is_air_settled else at.distance_since_air
+        is_converged = is_prediction and result.length < TOLERANCE and distance <= SIGNIFICANT_Z
+        if is_converged or not result.gusts.air:
             break
-        step = dict(zip(columns[0].names, (share * delta).tolist(), strict=True))
-        distance_since_air += share * length
-        last_point, point = point, apply_step(setup, point, step, limits)
-        path = with_equal_readings(setup, path, last_point, point)
+        # Steps in different air are not comparable.
+        share = (
+            1.0
+            if has_new_air or at.step is None
+            else step_share(at.share, at.step, step, result.fit.evidence.total[0])
+        )
+        at = _advance(at, result, step, share, distance, limits)
+    return result
+
+
+@dataclass(frozen=True)
+class _Iterate:
+    """State of `gust_refit` between two iterations.
+
+    Attributes
+    ----------
+    data : FlightData
+        With the sensor noise that was estimated.
+    point : ModelState
+    gusts : TurbulenceModel or None
+        The air; None before it is first estimated.
+    path : list of (n, 8) array or None
+        Predicted states about which the model is linearised; None for the measured ones.
+    analytic : tuple of str or None
+        As in `with_property_slopes`.
+    step : (K,) array or None
+        The last step, of which ``share`` was taken.
+    length : float
+        Length of the last step in standard errors.
+    distance_since_air : float
+        Distance from where the air was estimated, in standard errors.
+    """
+
+    data: FlightData
+    point: ModelState
+    gusts: TurbulenceModel | None
+    path: list[FloatArray] | None = None
+    analytic: tuple[str, ...] | None = None
+    step: FloatArray | None = None
+    share: float = 1.0
+    length: float = float("inf")
+    distance_since_air: float = float("inf")
+
+    @property
+    def lacks_air(self) -> bool:
+        """Whether the air of some flight has not been estimated."""
+        flights = {s.flight for s in self.data.segments}
+        return self.gusts is None or not flights <= self.gusts.by_flight.keys()
+
+
+def _evaluate(
+    model: ReplayModel,
+    direct_model: ReplayModel,
+    at: _Iterate,
+    names: Sequence[str],
+    pool: Processes,
+    *,
+    estimates_air: bool,
+    tune: bool,
+    free_air: bool,
+    keeps_colour: bool,
+    fixed_colour: bool,
+) -> tuple[TurbulentFit, FloatArray]:
+    """Return the flights' innovations and sensitivities at an iterate, and the step (K,) from it.
+
+    ``free_air`` projects the sensitivities on changes of the air; ``keeps_colour`` starts from the
+    colour of the innovations that the air has.
+    """
+    # 1. Linear systems along the path.
+    trajectory, reference_probes = predict(model, direct_model, at.data, at.point, pool, at.path)
+    systems = _LinearSystems(at.data, trajectory, reference_probes, pool)
+    # 2. Air and sensor noise.
+    gusts, data = at.gusts, at.data
+    if estimates_air:
+        gusts, factors = _estimate_air(at.data, systems, at.gusts, tune)
+        data = replace(at.data, noise=factors * at.data.noise)
     assert gusts is not None
-    assert analytic is not None
-    cost = float(sum(np.sum(w.residual**2) for w in white))
-    return TurbulentFit(
-        Linearisation(
-            replace(trajectory, cost=cost),
-            linear_probes,
-            linearised,
-            columns,
-            evidence,
-            analytic,
-            followed if is_free else None,
-        ),
-        gusts,
-        setup,
-        length,
+    # 3. Innovations.
+    steps = systems.all(gusts.states)
+    followed = (
+        _with_free_air(systems, steps, gusts, data.noise)
+        if free_air
+        else [
+            *filter_segments(steps, systems.measured, data.output_rows, data.noise, gusts.process)
+        ]
+    )
+    # Free the systems of other airs before the columns, which take the most memory.
+    del systems
+    # 4. Columns at the predicted states. Smoothed measurements contain later samples: linearised
+    # about them, the airspeed sensor appears half a percent high.
+    prediction, predicted_probes = at_predictions(
+        data, trajectory, reference_probes, steps, followed, gusts
+    )
+    active = {e.key for e in data.active}
+    sloped_probes, analytic = with_property_slopes(
+        direct_model,
+        data.segments,
+        predicted_probes,
+        [n for n in names if n not in active],
+        data.properties(at.point),
+        at.analytic,
+        pool,
+    )
+    columns = parameter_columns(data, sloped_probes, prediction, names, analytic)
+    # 5. Colour of the innovations, normal equations and step.
+    colour, evidence = fit_colour(
+        followed, columns, PRIOR, gusts.colour if keeps_colour else None, fixed=fixed_colour
+    )
+    step, length = step_from(data, at.point, evidence)
+    cost = float(sum(np.sum(w.residual**2) for w in evidence.white))
+    fit = Linearisation(
+        replace(prediction, cost=cost),
+        sloped_probes,
+        steps,
+        columns,
+        evidence,
+        analytic,
+        followed if free_air else None,
+    )
+    return TurbulentFit(fit, replace(gusts, colour=colour), data, length), step
+
+
+def _advance(
+    at: _Iterate,
+    result: TurbulentFit,
+    step: FloatArray,
+    share: float,
+    distance: float,
+    limits: Mapping[str, tuple[float, float]],
+) -> _Iterate:
+    """Return the iterate after a ``share`` of a step, ``distance`` from where the air was
+    estimated.
+    """
+    names = result.fit.columns[0].names
+    moves = dict(zip(names, (share * step).tolist(), strict=True))
+    point = apply_step(result.setup, at.point, moves, limits)
+    path = [p.body for p in result.fit.probes]
+    return _Iterate(
+        result.setup,
+        point,
+        result.gusts,
+        with_equal_readings(result.setup, path, at.point, point),
+        result.fit.analytic,
+        step,
+        share,
+        result.length,
+        distance + share * result.length,
     )
 
 
