@@ -304,24 +304,7 @@ def identify(
             "--prior needs parameters that are coefficient terms such as aero/Cm_q, and --method"
             " auto"
         )
-    without_manoeuvres = terms_only and all(map(is_ordinary, flights))
-    if prior and not without_manoeuvres:
-        result = identify(
-            aircraft,
-            flights,
-            measured,
-            parameters,
-            start=start,
-            biases=biases,
-            delays=delays,
-            outputs=outputs,
-            ideal_servos=ideal_servos,
-            workers=workers,
-            callback=callback,
-            message_callback=message_callback,
-        )
-        return with_prior(result, prior)
-    if method == "auto" and without_manoeuvres:
+    if method == "auto" and terms_only and all(map(is_ordinary, flights)):
         return _identify_whole_flight(
             aircraft,
             flights,
@@ -333,134 +316,189 @@ def identify(
             callback,
             message_callback,
         )
+    request = _FitRequest(
+        names, parameters is None, start, biases, delays, outputs, measured, ideal, method, workers
+    )
     with ReplayFolder(aircraft, measured=measured, ideal=ideal) as model:
-        arm = aircraft.accelerometer_m
-        cut_segments = [s for f in flights for s in segments(f, measured, arm)]
-        initial = _initial(aircraft, model, names, start)
-        limits = _limits(aircraft, names, initial)
-        # Stage 1: equation error, linear and fast, gives start values.
-        start_s = time.perf_counter()
-        callback("equation error")
-        with ReplayFolder(aircraft, measured=measured, ideal=CONTROLS) as direct_model:
-            equation_error_theta, notes = equation_error_start(
-                model, direct_model, flights, cut_segments, names, initial, limits=limits
-            )
-        # Observations: fitted channels of every segment, with biases and delays to estimate.
-        channels = _outputs(flights, outputs)
-        data = [block for f in flights for block in measured_outputs(f, channels)]
-        observed = Observed(
-            cut_segments,
-            channels,
-            data,
-            [b for b in biases if b in channels],
-            delayed(flights, channels, delays),
-        )
-        # The noise scales residuals until output error estimates its own.
-        noise = channel_noise(data, channels, aircraft.card.sensors.noise_std)
-        # Speed of the bare loop and number of simulated rows, for the report on speed.
-        bare_flight_s_per_s, rows_before, fit_start_s = (
-            bare_rate(model, cut_segments[0]),
-            counter["rows"],
-            time.perf_counter(),
-        )
-        with replay_pool(workers) as pool:
-            # Stage 2: by default fix what the manoeuvres do not excite.
-            if parameters is None:
-                callback("parameters that the flights excite")
-                observed, channel_notes = restrict_to_excited(
-                    model,
-                    observed,
-                    names,
-                    initial,
-                    limits,
-                    noise,
-                    pool=pool,
-                    choose=outputs is None,
-                )
-                notes = [*notes, *channel_notes]
-            # Stage 3: output error.
-            callback("output error")
-            if message_callback is not None:
-                message_callback(_output_error_message(observed, names, method))
-            descent = DescentProgress("output error", callback, OUTPUT_TOLERANCE, OUTPUT_ITERATIONS)
-            # Start from equation error, and from the initial values if the model cannot fly with
-            # those.
-            fitted = fit_replays(
-                model,
-                observed,
-                names,
-                (equation_error_theta, initial),
-                limits,
-                pool,
-                callback=descent,
-            )
-        fit = fitted.fit
-        fit_s = time.perf_counter() - fit_start_s
-        seconds = time.perf_counter() - start_s
-        flown_s = (counter["rows"] - rows_before) * cut_segments[0].dt_s
-        speed = Speed(
-            fit.n_simulations / fit_s, flown_s / fit_s, process_count(workers), bare_flight_s_per_s
-        )
-        # Assemble the result of output error, then choose the method by its residuals.
-        result = _assemble(
-            aircraft,
-            names,
-            initial,
-            fitted,
-            observed,
-            noise,
-            notes=notes,
-            seconds=seconds,
-            speed=speed,
-        )
-        result = replace(
-            result,
-            warnings=(
-                *shifted_command_warnings(flights, cut_segments, result.nuisance),
-                *result.warnings,
-            ),
-        )
-        gusty = shows_process_noise(*_inertial_channels(result))
+        calm = _fit_output_error(aircraft, flights, model, request, callback, message_callback)
+        # The residuals choose the method.
+        gusty = shows_process_noise(*_inertial_channels(calm.result))
         if method == "output-error" or (method == "auto" and not gusty):
             if message_callback is not None:
                 message_callback(_no_filter_message(method, gusty))
-            return withdraw_invalid(result if gusty else _in_calm_air(result))
-        if message_callback is not None:
-            message_callback(_filter_error_message(result, method))
-        # Imported here: most flights need no filter.
-        from uqharness.identification.linearised.prediction_error import (
-            TOLERANCE as FILTER_TOLERANCE,
-        )
-        from uqharness.identification.turbulence import ITERATIONS as FILTER_ITERATIONS
-        from uqharness.identification.turbulence import (
-            FilterRequest,
-            filter_setup,
-            identify_in_turbulence,
-        )
+            result = calm.result if gusty else _in_calm_air(calm.result)
+        else:
+            if message_callback is not None:
+                message_callback(_filter_error_message(calm.result, method))
+            result = _fit_filter_error(aircraft, flights, model, request, calm, callback)
+    estimates = withdraw_invalid(result)
+    return with_prior(estimates, prior) if prior else estimates
 
-        callback("filter error")
-        # Stage 4: filter error. The simulations of output error are no longer needed.
-        fitted.replay.forget()
-        setup = filter_setup(
-            aircraft, flights, FilterRequest(outputs, biases, delays, measured, ideal), result
+
+@dataclass(frozen=True)
+class _FitRequest:
+    """Parameters to estimate and options of the fits, as in `identify`.
+
+    ``excited_only`` leaves out what the manoeuvres do not excite.
+    """
+
+    names: tuple[str, ...]
+    excited_only: bool
+    start: str
+    biases: Sequence[str]
+    delays: Sequence[str] | None
+    outputs: Sequence[str] | None
+    measured: Sequence[str]
+    ideal: tuple[str, ...]
+    method: str
+    workers: int | None
+
+
+@dataclass(frozen=True)
+class _OutputErrorFit:
+    """Result of output error, its fit, the fixed parameters and the limits of all."""
+
+    result: Identification
+    fitted: ReplayFit
+    fixed: Mapping[str, str]
+    limits: Sequence[tuple[float, float]]
+
+
+def _fit_output_error(
+    aircraft: Aircraft,
+    flights: Sequence[Flight],
+    model: ReplayModel,
+    request: _FitRequest,
+    callback: Callable[[str], object],
+    message_callback: Callable[[str], None] | None,
+) -> _OutputErrorFit:
+    """Estimate by output error on replays of the manoeuvres."""
+    names = request.names
+    cut_segments = [
+        s for f in flights for s in segments(f, request.measured, aircraft.accelerometer_m)
+    ]
+    initial = _initial(aircraft, model, names, request.start)
+    limits = _limits(aircraft, names, initial)
+    # Stage 1: equation error, linear and fast, gives start values.
+    start_s = time.perf_counter()
+    callback("equation error")
+    with ReplayFolder(aircraft, measured=request.measured, ideal=CONTROLS) as direct_model:
+        equation_error_theta, start_notes = equation_error_start(
+            model, direct_model, flights, cut_segments, names, initial, limits=limits
         )
-        with (
-            ReplayFolder(aircraft, measured=measured, ideal=CONTROLS) as direct_model,
-            worker_map(workers) as worker_pool,
-        ):
-            descent = DescentProgress("filter error", callback, FILTER_TOLERANCE, FILTER_ITERATIONS)
-            return withdraw_invalid(
-                identify_in_turbulence(
-                    result,
-                    fitted,
-                    (model, direct_model),
-                    setup,
-                    limits,
-                    observed.fixed,
-                    pool=worker_pool,
-                    callback=descent,
-                )
+    # Observations: fitted channels of every segment, with biases and delays to estimate.
+    channels = _outputs(flights, request.outputs)
+    data = [block for f in flights for block in measured_outputs(f, channels)]
+    all_observed = Observed(
+        cut_segments,
+        channels,
+        data,
+        [b for b in request.biases if b in channels],
+        delayed(flights, channels, request.delays),
+    )
+    # The noise scales residuals until output error estimates its own.
+    noise = channel_noise(data, channels, aircraft.card.sensors.noise_std)
+    # Speed of the bare loop and number of simulated rows, for the report on speed.
+    bare_flight_s_per_s, rows_before, fit_start_s = (
+        bare_rate(model, cut_segments[0]),
+        counter["rows"],
+        time.perf_counter(),
+    )
+    with replay_pool(request.workers) as pool:
+        # Stage 2: by default fix what the manoeuvres do not excite.
+        observed, excitation_notes = all_observed, list[str]()
+        if request.excited_only:
+            callback("parameters that the flights excite")
+            observed, excitation_notes = restrict_to_excited(
+                model,
+                all_observed,
+                names,
+                initial,
+                limits,
+                noise,
+                pool=pool,
+                choose=request.outputs is None,
             )
+        # Stage 3: output error.
+        callback("output error")
+        if message_callback is not None:
+            message_callback(_output_error_message(observed, names, request.method))
+        # Start from equation error, and from the initial values if the model cannot fly with
+        # those.
+        fitted = fit_replays(
+            model,
+            observed,
+            names,
+            (equation_error_theta, initial),
+            limits,
+            pool,
+            callback=DescentProgress("output error", callback, OUTPUT_TOLERANCE, OUTPUT_ITERATIONS),
+        )
+    fit_s = time.perf_counter() - fit_start_s
+    flown_s = (counter["rows"] - rows_before) * cut_segments[0].dt_s
+    result = _assemble(
+        aircraft,
+        names,
+        initial,
+        fitted,
+        observed,
+        noise,
+        notes=[*start_notes, *excitation_notes],
+        seconds=time.perf_counter() - start_s,
+        speed=Speed(
+            fitted.fit.n_simulations / fit_s,
+            flown_s / fit_s,
+            process_count(request.workers),
+            bare_flight_s_per_s,
+        ),
+    )
+    shifted = shifted_command_warnings(flights, cut_segments, result.nuisance)
+    return _OutputErrorFit(
+        replace(result, warnings=(*shifted, *result.warnings)), fitted, observed.fixed, limits
+    )
+
+
+def _fit_filter_error(
+    aircraft: Aircraft,
+    flights: Sequence[Flight],
+    model: ReplayModel,
+    request: _FitRequest,
+    start: _OutputErrorFit,
+    callback: Callable[[str], object],
+) -> Identification:
+    """Estimate by filter error in turbulence, from the result of output error."""
+    # Imported here: most flights need no filter.
+    from uqharness.identification.linearised.prediction_error import (
+        TOLERANCE as FILTER_TOLERANCE,
+    )
+    from uqharness.identification.turbulence import ITERATIONS as FILTER_ITERATIONS
+    from uqharness.identification.turbulence import (
+        FilterRequest,
+        filter_setup,
+        identify_in_turbulence,
+    )
+
+    callback("filter error")
+    # The simulations of output error are no longer needed.
+    start.fitted.replay.forget()
+    filter_request = FilterRequest(
+        request.outputs, request.biases, request.delays, request.measured, request.ideal
+    )
+    setup = filter_setup(aircraft, flights, filter_request, start.result)
+    with (
+        ReplayFolder(aircraft, measured=request.measured, ideal=CONTROLS) as direct_model,
+        worker_map(request.workers) as pool,
+    ):
+        return identify_in_turbulence(
+            start.result,
+            start.fitted,
+            (model, direct_model),
+            setup,
+            start.limits,
+            start.fixed,
+            pool=pool,
+            callback=DescentProgress("filter error", callback, FILTER_TOLERANCE, FILTER_ITERATIONS),
+        )
 
 
 def _identify_whole_flight(

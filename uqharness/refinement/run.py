@@ -161,90 +161,93 @@ def refine(request: Job, callback: Callback = lambda _: None) -> Refinement:
         return _refine(request, _with_forecast(callback, forecast), forecast)
 
 
-def _refine(request: Job, callback: Callback, forecast: Forecast) -> Refinement:
+def _refine(job: Job, callback: Callback, forecast: Forecast) -> Refinement:
     """Run the steps of `refine`."""
     start_s = time.perf_counter()
-    aircraft = request.aircraft
-    refuse_shared_flights(request.train, request.test)
-    if request.options.campaign is not None:
+    # 1. Check and read the flights.
+    refuse_shared_flights(job.train, job.test)
+    if job.options.campaign is not None:
         from uqharness.refinement.mission import campaign_for
 
-        campaign_for(aircraft, request.options.campaign)
+        campaign_for(job.aircraft, job.options.campaign)
     callback("reading the flights")
-    request, train, test = _read_both(request, callback)
-    times = [f.record["time_s"] for f in (*train.flights, *test.flights)]
+    request, train_read, test_read = _read_both(job, callback)
+    times = [f.record["time_s"] for f in (*train_read.flights, *test_read.flights)]
     forecast.expect(request.options.expected_s(float(sum(t[-1] - t[0] for t in times))))
+    identity = _identity(request)
+    stages = Stages(request.out / FOLDER, identity)
+    # The stages of the test are kept if a mission follows, which takes minutes.
+    kept_stages = Stages(
+        request.out / FOLDER if request.options.pbox else None, [*identity, *test_read.hashes]
+    )
     with worker_map(request.options.workers) as pool, scratch_folder() as scratch:
         write = _writer(request, scratch.path / "models")
-        identity = _identity(request)
-        stages = Stages(request.out / FOLDER, identity)
-        # Training flights: the search for effects.
-        data = _flight_data(aircraft, train)
-        chosen = stages(
+        # 2. Search for effects on the training flights, and correct the controls' time in all.
+        data = _flight_data(request.aircraft, train_read)
+        selected = stages(
             "effects",
             SearchResult,
             lambda: find_effects(
-                aircraft, data, request.extra, scratch.path / "effects", pool, callback, stages
+                request.aircraft,
+                data,
+                request.extra,
+                scratch.path / "effects",
+                pool,
+                callback,
+                stages,
             ),
         )
         train, test = (
-            replace(side, flights=tuple(shifted_flights(side.flights, chosen.late_s)))
-            for side in (train, test)
+            replace(s, flights=tuple(shifted_flights(s.flights, selected.late_s)))
+            for s in (train_read, test_read)
         )
-        complete = _with_all_effects(request, chosen, scratch.path / "chosen")
-        train_side = _dataset(request, chosen, train)
-        clear = drop_unclear_effects(chosen, train_side, complete, pool)
-        if clear.selection.chosen != chosen.selection.chosen:
-            complete = _with_all_effects(request, clear, scratch.path / "named")
-        chosen = clear
-        # The hold-out test. Its stages are kept if a mission follows, which takes minutes.
+        # 3. Name those that are clear beside what stays unexplained.
+        train_side = _dataset(request, selected, train)
+        with_all = _with_all_effects(request, selected, scratch.path / "chosen")
+        chosen = drop_unclear_effects(selected, train_side, with_all, pool)
+        complete = (
+            with_all
+            if chosen.selection.chosen == selected.selection.chosen
+            else _with_all_effects(request, chosen, scratch.path / "named")
+        )
+        # 4. Test them on the hold-out flights.
         callback("flying the hold-out flights with both models")
-        kept_stages = Stages(
-            request.out / FOLDER if request.options.pbox else None, [*identity, *test.hashes]
+        outcome = kept_stages(
+            "judged",
+            HoldOutResult,
+            lambda: _hold_out_test(request, chosen, complete, write, train_side, test, pool),
         )
-
-        def run_hold_out_test() -> HoldOutResult:
-            test_side = _dataset(request, chosen, test)
-            if not chosen.estimator.uses_replays:
-                point = point_as_written(chosen)
-                air = chosen.estimator.air_of(write(chosen), test_side.setup, point, pool)
-                test_side = replace(test_side, turbulence=air)
-            return HoldOutTest(chosen, complete, write, train_side, test_side, pool).run()
-
-        outcome = kept_stages("judged", HoldOutResult, run_hold_out_test)
-        # The refined aircraft.
+        # 5. Write the aircraft, and the one without effects beside it.
         callback("writing the aircraft")
         earlier_damage = checksums.remove_sums(request.out)
-        target = _place(write(outcome.result), aircraft, request.out)
-        baked = bake_scales(target.folder) if request.options.bake else None
-        if baked is not None:
-            target = find_aircraft(target.folder)
-
-        def interval_job(model: SearchResult, aircraft_written: Aircraft) -> IntervalJob:
-            aircraft_and_values = flown_as(model, chosen, complete, lambda _: aircraft_written)
-            return IntervalJob(
-                aircraft_written, *aircraft_and_values, train, test, bool(request.ideal_servos)
-            )
-
+        placed = _place(write(outcome.result), request.aircraft, request.out)
+        baked = bake_scales(placed.folder) if request.options.bake else None
+        target = placed if baked is None else find_aircraft(placed.folder)
+        searches = {"before": without_effects(chosen), "after": outcome.result}
         if outcome.result.selection.chosen:
-            plain = without_effects(chosen)
-            before = _place(write(plain), aircraft, request.out / "before")
+            before = _place(write(searches["before"]), request.aircraft, request.out / "before")
             models = {"before": before, "after": target}
-            jobs = [interval_job(plain, before), interval_job(outcome.result, target)]
         else:
             # One model is both.
-            models, jobs = {"before": target}, [interval_job(outcome.result, target)]
-            _remove_stale(request.out, aircraft)
+            models, searches = {"before": target}, {"before": outcome.result}
+            _remove_stale(request.out, request.aircraft)
+        # 6. Intervals of the coefficients' errors, of both models.
         callback("intervals of both models")
+        jobs = [
+            _interval_job(request, searches[name], written, chosen, complete, train, test)
+            for name, written in models.items()
+        ]
         intervals = kept_stages(
             "intervals", list[Intervals], lambda: list(pool(fit_intervals, jobs))
         )
-        with StagedModels(aircraft, train_side.setup) as bench:
+        # 7. What remains.
+        with StagedModels(request.aircraft, train_side.setup) as bench:
             controls = positions(bench.model, train_side.setup)
-        document = document_of(chosen, outcome, aircraft, controls)
+        named = document_of(chosen, outcome, request.aircraft, controls)
         document = _with_smooth(
-            document, *_smooth_term(request, document, outcome, write, pool, callback)
+            named, *_smooth_term(request, named, outcome, write, pool, callback)
         )
+    # 8. Fly the mission with both models.
     forms = write_forms(dict(zip(models, intervals, strict=True)), request.out)
     mission = _mission(request, models, forms, callback)
     stages.remove()
@@ -252,8 +255,40 @@ def _refine(request: Job, callback: Callback, forecast: Forecast) -> Refinement:
     if baked is not None:
         changed: dict[str, list[float | None]] = {n: [*v] for n, v in baked.changed.items()}
         last["baked"] = Baked(changed=changed, kept=list(baked.remaining))
-    document = _complete(request, document, intervals, mission, last)
-    return Refinement(document, chosen, outcome, target, aircraft, earlier_damage)
+    final = _complete(request, document, intervals, mission, last)
+    return Refinement(final, chosen, outcome, target, request.aircraft, earlier_damage)
+
+
+def _hold_out_test(
+    request: Job,
+    chosen: SearchResult,
+    complete: Aircraft,
+    write: Write,
+    train_side: Dataset,
+    test: FlightSet,
+    pool: Processes,
+) -> HoldOutResult:
+    """Test the selected effects on the hold-out flights, whose air is their own."""
+    test_side = _dataset(request, chosen, test)
+    if not chosen.estimator.uses_replays:
+        point = point_as_written(chosen)
+        air = chosen.estimator.air_of(write(chosen), test_side.setup, point, pool)
+        test_side = replace(test_side, turbulence=air)
+    return HoldOutTest(chosen, complete, write, train_side, test_side, pool).run()
+
+
+def _interval_job(
+    request: Job,
+    model: SearchResult,
+    written: Aircraft,
+    chosen: SearchResult,
+    complete: Aircraft,
+    train: FlightSet,
+    test: FlightSet,
+) -> IntervalJob:
+    """Return the job that makes the intervals of a model in the aircraft as ``written``."""
+    aircraft_and_values = flown_as(model, chosen, complete, lambda _: written)
+    return IntervalJob(written, *aircraft_and_values, train, test, bool(request.ideal_servos))
 
 
 def file_hash(path: Path) -> str:

@@ -13,6 +13,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -710,27 +711,44 @@ def segments(
         # The start state is estimated, because a single noisy row would be a poor start.
         begins = [_estimate_start(record, name, rows) for name in STATES]
         h = float(states(flight, piece)["h_m"][0])
-        between = flight.commands_in(rows, control_columns(measured))
-        target_commands = flight.commands_in(rows, [_COLUMN[c] for c in CONTROLS])
-        commands = None if between is None else Commands(flight.per_row, between, target_commands)
         out.append(
             Segment(
-                piece.label,
-                flight.name,
-                grid,
-                np.column_stack([record[c][rows] for c in control_columns(measured)]),
-                np.array([b.value for b in begins]),
-                _altitude(record, rows, h),
-                h,
-                arm_m,
-                np.column_stack([_command_column(record, c, rows) for c in CONTROLS]),
-                has_ground_heights(record),
-                commands,
-                _commands_before(flight, rows.start, control_columns(measured)),
-                np.array([b.reach for b in begins]),
+                label=piece.label,
+                flight=flight.name,
+                time_s=grid,
+                start=np.array([b.value for b in begins]),
+                altitude_m=_altitude(record, rows, h),
+                h_m=h,
+                arm_m=arm_m,
+                above_ground=has_ground_heights(record),
+                reach=np.array([b.reach for b in begins]),
+                **_controls_in(flight, rows, measured),
             )
         )
     return out
+
+
+def with_controls_of(
+    pieces: Sequence[Segment], flight: Flight, measured: Sequence[str]
+) -> list[Segment]:
+    """Return the segments of a flight with the controls of the same flight, delayed."""
+    return [
+        replace(segment, **_controls_in(flight, piece.rows, measured))
+        for segment, piece in zip(pieces, flight.pieces, strict=True)
+    ]
+
+
+def _controls_in(flight: Flight, rows: slice, measured: Sequence[str]) -> dict[str, Any]:
+    """Return the fields of a `Segment` that hold controls."""
+    columns = control_columns(measured)
+    between = flight.commands_in(rows, columns)
+    targets = flight.commands_in(rows, [_COLUMN[c] for c in CONTROLS])
+    return {
+        "controls": np.column_stack([flight.record[c][rows] for c in columns]),
+        "targets": np.column_stack([_command_column(flight.record, c, rows) for c in CONTROLS]),
+        "commands": None if between is None else Commands(flight.per_row, between, targets),
+        "before": _commands_before(flight, rows.start, columns),
+    }
 
 
 def _commands_before(flight: Flight, first: int, columns: Sequence[str]) -> FloatArray | None:

@@ -68,7 +68,7 @@ from uqharness.identification.linearised.replay_fit import (
     steps_of,
 )
 from uqharness.replay import ReplayModel, Segment
-from uqharness.replay.flights import segments
+from uqharness.replay.flights import with_controls_of
 
 _KINDS = {
     c: kind
@@ -232,15 +232,13 @@ def _with_delays(
     """Return the setup with each flight's commands delayed by multiples of PLACES rows."""
     if not offset and not any(places.values()):
         return setup
-    delayed_flights = [
-        f.with_delayed_commands((places.get(f.name, 0.0) + offset) * DELAY_GRID * f.record.dt_s)
-        for f in setup.flights
-    ]
-    pieces = [
-        s
-        for f in delayed_flights
-        for s in segments(f, tuple(model.measured), setup.segments[0].arm_m)
-    ]
+    pieces: list[Segment] = []
+    for f in setup.flights:
+        delay_s = (places.get(f.name, 0.0) + offset) * DELAY_GRID * f.record.dt_s
+        recorded = setup.segments[len(pieces) : len(pieces) + len(f.pieces)]
+        pieces += with_controls_of(
+            recorded, f.with_delayed_commands(delay_s), tuple(model.measured)
+        )
     return replace(setup, segments=tuple(pieces))
 
 
