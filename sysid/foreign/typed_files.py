@@ -212,7 +212,12 @@ def storable_class(kind: type) -> StorableClass | None:
         # Annotated with what is imported for type checkers alone.
         return None
     cls: Any = kind
-    fields = tuple(field.name for field in dataclasses.fields(cls)) if plain else tuple(cls._fields)
+    # A field with a default may say that it is computed again instead of stored.
+    fields = (
+        tuple(f.name for f in dataclasses.fields(cls) if f.metadata.get("stored", True))
+        if plain
+        else tuple(cls._fields)
+    )
     return StorableClass(kind, name, fields, tuple(hints[field] for field in fields))
 
 

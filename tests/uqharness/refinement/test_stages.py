@@ -9,8 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from sysid.effects import Information
 from sysid.errors import Finding
 from sysid.foreign.typed_files import dump
+from uqharness.identification.linearised import Linearisation, ModelState, Trajectory
 from uqharness.refinement.stages import FOLDER, Stages
 
 
@@ -146,3 +148,16 @@ def test_a_link_planted_where_the_file_is_being_written_is_not_followed(folder, 
     assert stages("effects", list[Finding], found) == found()
     assert victim.read_text() == "x"
     assert stages("effects", list[Finding], fail) == found()
+
+
+def test_filtered_segments_are_filtered_again_instead_of_stored(folder: Path):
+    evidence = Information(
+        ("a",), np.ones((1, 1, 1)), np.ones((1, 1)), np.zeros(1, dtype=int), np.zeros(1), ()
+    )
+    trajectory = Trajectory(ModelState({}, {}, ()), [], [], [], 1.0)
+    fit = Linearisation(trajectory, [], [], [], evidence, (), [])
+    stages = Stages(folder, ["key"])
+    assert stages("fit", Linearisation, lambda: fit).followed == []
+    stored = stages("fit", Linearisation, fail)
+    assert stored.followed is None
+    assert stored.trajectory == trajectory

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -304,7 +304,8 @@ class Linearisation:
     analytic : tuple of str
         Parameters whose regressor is the coefficient term of their name.
     followed : list of FilteredSegment or None
-        The segments filtered in turbulence with the air free, of which ``evidence`` was made.
+        The segments filtered in turbulence with the air free, of which ``evidence`` was made;
+        None if they are to be filtered again.
     """
 
     trajectory: Trajectory
@@ -313,7 +314,7 @@ class Linearisation:
     columns: list[Columns]
     evidence: Information
     analytic: tuple[str, ...]
-    followed: list[FilteredSegment] | None = None
+    followed: list[FilteredSegment] | None = field(default=None, metadata={"stored": False})
 
 
 PRIOR = {"bias": 0.1, "delay": 0.1, "lateness": 0.005, UNSEEN: 1.0}
