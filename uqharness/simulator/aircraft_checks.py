@@ -705,7 +705,10 @@ def _block(block: Any, axes: int) -> Iterator[tuple[int, str]]:
         first = 0 if axes == 1 else 1
         for line, row in lines[first:]:
             if len(row) != width:
-                yield line, f"this row of <tableData> has {len(row)} numbers; {width} are needed"
+                text = f"this row of <tableData> has {len(row)} numbers; {width} are needed"
+                # Programs that reformat XML join lines.
+                joined = len(lines) == 1 and len(row) % width == 0
+                yield line, text + f"; begin a line after every {width}" * joined
     # Keys must increase from row to row.
     first = 1 if (two and not one) or (axes == 2 and not one) else 0
     keys = [(line, float(row[0])) for line, row in lines[first:]]
@@ -817,11 +820,15 @@ def _missing_mass(root: Any) -> Iterator[tuple[int, str]]:
                 yield _line(mass), text
 
 
+_MAX_THRUST_RAD = math.radians(60.0)
+"""Inclination of a thrust that still propels."""
+
+
 def remarks(files: ModelFiles, names: dict[str, str]) -> Iterator[tuple[str, str]]:
     """Yield (place, text) of what JSBSim loads, but not as its author may expect.
 
     A property that is declared with two values, two components of one name in channels that always
-    run, and contacts of an unknown type.
+    run, engines that lift, and contacts of an unknown type.
     """
     components: dict[str, str] = {}
     for name, file in files.local.items():
@@ -856,6 +863,16 @@ def remarks(files: ModelFiles, names: dict[str, str]) -> Iterator[tuple[str, str
                 )
             # Without the folder: copies of an aircraft get the same sentence, which is told once.
             components.setdefault(output, f"{name}:{_line(node)}")
+        for node in root.iterfind(".//thruster/orient/pitch"):
+            unit = math.pi / 180.0 if node.getparent().get("unit", "RAD") == "DEG" else 1.0
+            if _MAX_THRUST_RAD < abs(_number(node) * unit) < math.pi - _MAX_THRUST_RAD:
+                yield (
+                    f"{names[name]}:{_line(node)}",
+                    (
+                        f"<thruster> with a pitch of {(node.text or '').strip()} lifts: its"
+                        " throttle follows the other engines'; remove it to study cruise"
+                    ),
+                )
         for node in root.iterfind(".//contact"):
             if (kind := node.get("type", "")) not in _CONTACTS:
                 yield (

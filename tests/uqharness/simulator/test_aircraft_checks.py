@@ -260,6 +260,7 @@ CASES = {
     "axes": (table(COLUMN, "0 1\n0.1 2\n0.2 3"), r'remove the axis with lookup="column"'),
     "third axis": (table(COLUMN + THIRD, "0 1\n0.1 2 3\n0.2 4 5"), "no breakPoint"),
     "row": (table("", "0 1\n0.1 2 7\n0.2 3"), r"has 3 numbers; 2 are needed"),
+    "joined": (table("", "0 1 0.1 2 0.2 3"), r"has 6 numbers; 2 are needed; begin a line after"),
     "order": (table("", "0 1\n0.3 2\n0.2 3"), r"the row of 0\.2 follows that of 0\.3"),
     "entry": (table("", "0 1\n0.3 2.0.1"), r"'2\.0\.1' in <tableData> is no number"),
     "double": (
@@ -329,6 +330,7 @@ def test_what_jsbsim_takes_otherwise_than_the_author_is_remarked(tmp_path, caplo
         ('type="BOGEY"', 'type="WHEEL"'),
         ("<flight_control[^>]*>", rf'\g<0>{twice.format(2)}<channel name="t">{gains}</channel>'),
         ("<aerodynamics>", "<aerodynamics>" + twice.format(1).replace("t/p", "t/q")),
+        ("<sense>1", '<orient unit="DEG"><pitch>90</pitch></orient><sense>1'),
     )
     with caplog.at_level("INFO", logger="uqharness"):
         open_aircraft(aircraft)
@@ -336,6 +338,7 @@ def test_what_jsbsim_takes_otherwise_than_the_author_is_remarked(tmp_path, caplo
     assert '<contact type="WHEEL">: JSBSim takes it for STRUCTURE' in caplog.text
     assert re.search(r"t/p is declared as 2, in line \d+ as 1, which JSBSim keeps", caplog.text)
     assert re.search(r"computes t/x, as another component does \(single.xml:\d+\)", caplog.text)
+    assert "<thruster> with a pitch of 90 lifts" in caplog.text
     # The same value twice changes nothing.
     assert "t/q" not in caplog.text
 
