@@ -863,13 +863,14 @@ def remarks(files: ModelFiles, names: dict[str, str]) -> Iterator[tuple[str, str
                 )
             # Without the folder: copies of an aircraft get the same sentence, which is told once.
             components.setdefault(output, f"{name}:{_line(node)}")
-        for node in root.iterfind(".//thruster/orient/pitch"):
-            unit = math.pi / 180.0 if node.getparent().get("unit", "RAD") == "DEG" else 1.0
-            if _MAX_THRUST_RAD < abs(_number(node) * unit) < math.pi - _MAX_THRUST_RAD:
+        for orient in root.iterfind(".//thruster/orient[pitch]"):
+            pitch: Any = orient.find("pitch")
+            unit = math.pi / 180.0 if orient.get("unit", "RAD") == "DEG" else 1.0
+            if _MAX_THRUST_RAD < abs(_number(pitch) * unit) < math.pi - _MAX_THRUST_RAD:
                 yield (
-                    f"{names[name]}:{_line(node)}",
+                    f"{names[name]}:{_line(pitch)}",
                     (
-                        f"<thruster> with a pitch of {(node.text or '').strip()} lifts: its"
+                        f"<thruster> with a pitch of {(pitch.text or '').strip()} lifts: its"
                         " throttle follows the other engines'; remove it to study cruise"
                     ),
                 )
