@@ -9,6 +9,7 @@ from .flights import read_flights as read_flights
 from .flights import refuse_duplicates as refuse_duplicates
 from .flights import states as states
 from .flights import unique_names as unique_names
+from .flights import with_controls_of as with_controls_of
 from .force import ForcedModel as ForcedModel
 from .force import SegmentStates as SegmentStates
 from .force import force_all as force_all

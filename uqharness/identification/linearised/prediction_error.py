@@ -67,8 +67,7 @@ from uqharness.identification.linearised.replay_fit import (
     step_from,
     steps_of,
 )
-from uqharness.replay import ReplayModel, Segment
-from uqharness.replay.flights import with_controls_of
+from uqharness.replay import ReplayModel, Segment, with_controls_of
 
 _KINDS = {
     c: kind
