@@ -158,6 +158,8 @@ def identify_in_turbulence(
     free = [n for n in result.names if n not in fixed]
     bounds = dict(zip(result.names, limits, strict=True))
 
+    initial = dict(zip(result.names, result.initial.tolist(), strict=True))
+
     def fit_from(
         setup: FlightData, point: ModelState, gusts: TurbulenceModel | None = None
     ) -> TurbulentFit:
@@ -172,6 +174,7 @@ def identify_in_turbulence(
                 gusts,
                 ITERATIONS,
                 tune=True,
+                initial={n: initial[n] for n in free},
                 callback=callback,
             )
         except np.linalg.LinAlgError as error:
@@ -180,17 +183,14 @@ def identify_in_turbulence(
                 " output-error"
             ) from None
 
-    # Start at the estimates of output error.
+    # Start at the estimates of output error, or at the model's values.
     fit = fit_from(setup, point_of(fitted, setup, result.names))
     if not fit.gusts.air:
         return replace(result, notes=(*result.notes, NO_TURBULENCE))
     values, cov, crb, reason = _estimates(fit, free, bounds)
     if undetermined := {n: text for n, text in reason.items() if text}:
         # Undetermined parameters return to their start values, and the others are estimated again.
-        free, initial = (
-            [n for n in free if n not in undetermined],
-            dict(zip(result.names, result.initial.tolist(), strict=True)),
-        )
+        free = [n for n in free if n not in undetermined]
         point = replace(
             fit.fit.trajectory.point,
             values={**fit.fit.trajectory.point.values, **{n: initial[n] for n in undetermined}},

@@ -684,10 +684,7 @@ def fit_without_effects(
     effects; in an autopilot's log they stay fixed.
     """
     model, direct = bench.model, bench.direct_model
-    fdm = model.open(aircraft.dt_s)
-    engine.require(fdm, names)
-    current = np.array([fdm[n] for n in names])
-    del fdm
+    current = _current_values(aircraft, model, names)
     bounds = [limits[n] for n in names]
     # Equation error gives a first guess without a replay.
     guess, notes = equation_error_start(
@@ -734,6 +731,13 @@ def fit_without_effects(
     return OutputErrorFit(fit, determined, excited, [*notes, note], data.noise)
 
 
+def _current_values(aircraft: Aircraft, model: ReplayModel, names: Sequence[str]) -> FloatArray:
+    """Return the values (k,) of properties in the aircraft's XML, as JSBSim reads them."""
+    fdm = model.open(aircraft.dt_s)
+    engine.require(fdm, names)
+    return np.array([fdm[n] for n in names])
+
+
 def fit_in_turbulence(
     aircraft: Aircraft,
     bench: StagedModels,
@@ -742,16 +746,22 @@ def fit_in_turbulence(
     limits: Limits,
     pool: Processes,
 ) -> ModelFit:
-    """Fit the model without effects and the air by prediction error, starting from output error."""
+    """Fit the model without effects and the air by prediction error.
+
+    It starts from output error or from the model as it is, whichever is likelier.
+    """
+    names = replayed.excited
+    current = _current_values(aircraft, bench.model, names).tolist()
     result = gust_refit(
         bench.model,
         bench.direct_model,
         with_card_noise(aircraft, data),
         replayed.fit.trajectory.point,
-        replayed.excited,
+        names,
         limits,
         pool,
         tune=True,
+        initial=dict(zip(names, current, strict=True)),
     )
     return ModelFit(result.setup, result.fit, result.neg2_log_likelihood, result.gusts)
 

@@ -722,6 +722,9 @@ def segments(
                 arm_m=arm_m,
                 above_ground=has_ground_heights(record),
                 reach=np.array([b.reach for b in begins]),
+                unmeasured=tuple(
+                    n for n in STATES if n not in record or not np.isfinite(record[n][rows]).any()
+                ),
                 **_controls_in(flight, rows, measured),
             )
         )

@@ -62,6 +62,8 @@ class Segment:
     reach : ndarray, optional
         (9,) distance of the measured states from ``start`` within the first rows, by which an
         estimate of the start may move.
+    unmeasured : tuple of str
+        States that the record lacks; their start of 0 is no measurement.
     """
 
     label: str
@@ -77,6 +79,7 @@ class Segment:
     commands: Commands | None = None
     before: FloatArray | None = None
     reach: FloatArray | None = None
+    unmeasured: tuple[str, ...] = ()
 
     @property
     def kind(self) -> str:

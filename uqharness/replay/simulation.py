@@ -371,7 +371,6 @@ _FREE_STARTS = (
     "q_radps",
     "r_radps",
 )
-_VANE_ANGLES = ("alpha_rad", "beta_rad")
 _START_WIDTH = {"V_mps": 6.0, "alpha_rad": 0.2, "beta_rad": 0.2, "phi_rad": 0.3, "theta_rad": 0.2}
 _BIAS_WIDTH = {"V_mps": 5.0, "ax_mps2": 2.0, "ay_mps2": 2.0, "az_mps2": 2.0}
 _DEFAULT_WIDTH = 0.5
@@ -410,7 +409,8 @@ def nuisance_layout(
     biases : sequence of str
         Channels with one constant bias a flight.
     outputs : sequence of str
-        Fitted channels; start states are free for those among them, and for alpha and beta.
+        Fitted channels; start states are free for those among them and for those
+        that the record lacks.
     late : Mapping
         Flight to the sensors, or CONTROL_DELAY, whose delay is estimated.
     jumping : sequence of str
@@ -435,8 +435,8 @@ def nuisance_layout(
     # The initial heading is not free: the heading is no fitted output.
     for number, segment in enumerate(segments):
         for state in _FREE_STARTS:
-            # No record says where an angle without a vane begins; the motion does.
-            if state not in outputs and state not in _VANE_ANGLES:
+            # The motion shows where an angle without a vane begins.
+            if state not in outputs and state not in segment.unmeasured:
                 continue
             extra.append(f"start/{number}/{state}")
             width = _START_WIDTH.get(state, _DEFAULT_WIDTH)

@@ -103,7 +103,11 @@ def test_a_throttle_of_another_name_is_found_by_its_effect(copies):
 def test_without_ailerons_the_rudder_holds_the_wings(tmp_path):
     folder = foreign_aircraft.write("wing", tmp_path)
     xml = folder / "wing.xml"
-    rudder = foreign_aircraft.surface("yaw", "fcs/rudder-cmd-norm", "uav/fin-angle")
+    rudder = (
+        '<aerosurface_scale name="yaw"><input>fcs/rudder-cmd-norm</input>'
+        "<range><min>-0.35</min><max>0.35</max></range><output>uav/fin-angle</output>"
+        "</aerosurface_scale>"
+    )
     text = xml.read_text().replace("uav/motor-command", "fcs/throttle-cmd-norm")
     # The torque of the propeller rolls, and nothing but the rudder acts sideways.
     text = text.replace('<channel name="Motor">', f'<channel name="Motor">{rudder}')

@@ -259,6 +259,7 @@ def gust_refit(
     iterations: int = ITERATIONS,
     tune: bool = False,
     fixed_air: bool = False,
+    initial: Mapping[str, float] | None = None,
     callback: Callable[[int, float], None] | None = None,
 ) -> TurbulentFit:
     """Estimate parameters, nuisance and the air from a flight in turbulence.
@@ -281,6 +282,8 @@ def gust_refit(
         attitudes are filtered.
     fixed_air : bool
         Keep ``prior_model``.
+    initial : mapping, optional
+        Values of the model before any fit: a second start where the air is unknown.
     callback : callable, optional
         Receives each iteration's number and the length of its step in standard errors.
 
@@ -290,9 +293,12 @@ def gust_refit(
         If predictions are not finite.
     """
     data = with_jumping_flights(setup, model)
-    has_unsure_delays = prior_model is None and bool(data.late)
-    point = likelier_delays(model, direct_model, data, start, pool) if has_unsure_delays else start
-    at = _Iterate(data, point, prior_model)
+    tune = tune and not data.late
+    at = _Iterate(data, start, prior_model)
+    if prior_model is None:
+        starts = _starts(data, start, initial)
+        if len(starts) > 1:
+            at = likeliest_start(model, direct_model, data, starts, pool, tune=tune)
     for number in range(1, iterations + 1):
         # Far from the estimate, what parameters will explain would be taken for gusts.
         is_near = at.length < AIR_SEARCH_LENGTH or number == AIR_SEARCH_ITERATION
@@ -307,7 +313,7 @@ def gust_refit(
             names,
             pool,
             estimates_air=has_new_air,
-            tune=tune and not data.late,
+            tune=tune,
             # Near the estimate, the air moves along with the parameters.
             free_air=is_near and is_prediction and not fixed_air,
             # Colour estimated without an effect has absorbed it: the first iteration estimates
@@ -537,34 +543,65 @@ def unfiltered_residuals(
     return trajectory, [(z - s.y_ref[:, setup.output_rows]) / setup.noise for z, s in pairs]
 
 
-def likelier_delays(
+def likeliest_start(
     model: ReplayModel,
     direct_model: ReplayModel,
-    setup: FlightData,
-    start: ModelState,
+    data: FlightData,
+    starts: Sequence[ModelState],
     pool: Processes,
-) -> ModelState:
-    """Return ``start``, or the same without delays of sensors, whichever is likelier in its air.
+    *,
+    tune: bool,
+) -> _Iterate:
+    """Return the start of the largest likelihood in its air, with that air and sensor noise.
 
-    Delays estimated by replays in turbulence may be far off, and the filter stays near its start.
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If no filter follows the flights from any start.
     """
-    in_time = {n: 0.0 if n.startswith("delay/") else v for n, v in start.nuisance.items()}
-    trials = []
-    for point in (start, replace(start, nuisance=in_time)):
-        steps = _LinearSystems(setup, *predict(model, direct_model, setup, point, pool), pool)
-        gusts, _ = _estimate_air(setup, steps, None, tune=False)
-        followed = filter_segments(
-            steps.all(gusts.states), steps.measured, setup.output_rows, setup.noise, gusts.process
-        )
-        trials.append(
-            (
-                neg2_log_likelihood(
-                    whiten_filtered(followed, [Columns((), {}, {})] * len(setup.segments))
-                ),
-                point,
+    trials: list[tuple[float, _Iterate]] = []
+    for point in starts:
+        systems = _LinearSystems(data, *predict(model, direct_model, data, point, pool), pool)
+        try:
+            gusts, factors = _estimate_air(data, systems, None, tune)
+            tuned = replace(data, noise=factors * data.noise)
+            followed = filter_segments(
+                systems.all(gusts.states),
+                systems.measured,
+                tuned.output_rows,
+                tuned.noise,
+                gusts.process,
             )
+        except np.linalg.LinAlgError:
+            continue
+        cost = neg2_log_likelihood(
+            whiten_filtered(followed, [Columns((), {}, {})] * len(data.segments))
         )
-    return min(trials, key=lambda one: one[0])[1]
+        if np.isfinite(cost):
+            trials.append((cost, _Iterate(tuned, point, gusts)))
+    if not trials:
+        raise np.linalg.LinAlgError("predictions from every start are no numbers")
+    return min(trials, key=lambda trial: trial[0])[1]
+
+
+def _starts(
+    data: FlightData, start: ModelState, initial: Mapping[str, float] | None
+) -> list[ModelState]:
+    """Return the starts of a fit whose air is unknown.
+
+    Output error takes gusts for aerodynamics. From its derivatives the search for the air can end
+    in another structure, such as air whose pitch has the wrong sign, which the fit then keeps; the
+    model before any fit may be closer. Delays estimated by replays in turbulence may be far off,
+    too, and the filter stays near its start.
+    """
+    starts = [start]
+    if data.late:
+        in_time = {n: 0.0 if n.startswith("delay/") else v for n, v in start.nuisance.items()}
+        starts.append(replace(start, nuisance=in_time))
+    values = {n: (initial or {}).get(n, v) for n, v in start.values.items()}
+    if values != start.values:
+        starts.append(replace(starts[-1], values=values))
+    return starts
 
 
 class _LinearSystems:
