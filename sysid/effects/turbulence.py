@@ -613,9 +613,10 @@ class _Search:
             likelier = self.best(segments, [at_airspeed, self.passing(segments_of_flight, best)])
             if likelier.states != best.states:
                 best = self.descend(segments, likelier, kinds)
-            # Some simulators generate gusts for one speed, whichever the aircraft's is.
+            # Some simulators generate gusts for one speed, whichever the aircraft's is. Real gusts
+            # pass at the airspeed, so that what parameters have yet to explain is no evidence.
             common = self.common_speed(segments, best)
-            best = self.accept(segments, best, common, kinds)
+            best = self.accept(segments, best, common, kinds, CERTAIN_T**2)
         return self.by_flight(segments_of_flight, best, flights)
 
     def by_flight(
@@ -713,13 +714,18 @@ class _Search:
         return best
 
     def accept(
-        self, segments: Sequence[int], best: _Point, trial: _Point, kinds: Sequence[str]
+        self,
+        segments: Sequence[int],
+        best: _Point,
+        trial: _Point,
+        kinds: Sequence[str],
+        required_gain: float = SIGNIFICANT_Z**2,
     ) -> _Point:
-        """Return the optimum from a trial of another structure if it gains more than chance."""
+        """Return the optimum from a trial of another structure if it gains more than required."""
         if trial.states == best.states:
             return best
         other = self.descend(segments, trial, kinds)
-        return other if other.cost < best.cost - SIGNIFICANT_Z**2 else best
+        return other if other.cost < best.cost - required_gain else best
 
     def likeliest_structure(
         self, segments: Sequence[int], best: _Point, others: Sequence[_Point]
