@@ -160,12 +160,12 @@ def _without_start(innovations: FloatArray, starts: FloatArray) -> FloatArray:
     By normal equations: errors of the state enter the sum of squares squared, and a search needs
     this a thousand times.
     """
-    flat, left = starts.reshape(-1, starts.shape[2]), innovations.ravel()
+    flat, stacked = starts.reshape(-1, starts.shape[2]), innovations.ravel()
     gram = flat.T @ flat
     scale = np.sqrt(np.diagonal(gram))
     scale[scale == 0.0] = 1.0
-    state = np.linalg.lstsq(gram / np.outer(scale, scale), flat.T @ left / scale, rcond=1e-13)[0]
-    return np.asarray((left - flat @ (state / scale)).reshape(innovations.shape))
+    state = np.linalg.lstsq(gram / np.outer(scale, scale), flat.T @ stacked / scale, rcond=1e-13)[0]
+    return np.asarray((stacked - flat @ (state / scale)).reshape(innovations.shape))
 
 
 Linear = Callable[[Sequence[int], Sequence[GustStates]], Sequence[Steps]]

@@ -990,9 +990,9 @@ def _implied_lengths(block: vspaero.Block) -> dict[str, float]:
                 if abs(difference) > 5e-5 and abs(received) > 0.0:
                     ratios[key].append(2.0 * speed * difference / received)
     out = {}
-    for key, found in ratios.items():
-        middle = float(np.median(found)) if len(found) > 2 else math.nan
-        if middle > 0.0 and np.mean(np.abs(np.divide(found, middle) - 1.0) < 0.02) > 0.7:
+    for key, quotients in ratios.items():
+        middle = float(np.median(quotients)) if len(quotients) > 2 else math.nan
+        if middle > 0.0 and np.mean(np.abs(np.divide(quotients, middle) - 1.0) < 0.02) > 0.7:
             out[key] = middle
     return out
 

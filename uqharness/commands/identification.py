@@ -475,7 +475,7 @@ def _better_model(
     )
     if request.out is not None:
         write_json(results_folder(request.out) / "compare.json", document.as_json())
-    # Models of one name, as before and after `identify`, are told apart by their places.
+    # Models of one name, as before and after `identify`, differ by their places.
     names = contest.models if len(set(contest.models)) == 2 else (request.aircraft, request.other)
     return Outcome(contest, document, _contest_lines(contest, names))
 

@@ -655,12 +655,7 @@ def _initial(
     aircraft: Aircraft, model: ReplayModel, names: Sequence[str], start: str
 ) -> FloatArray:
     """Return the start values (k,), from the XML or from the card's guesses where it has any."""
-    from uqharness.simulator import engine
-
-    # Values of the XML are read from JSBSim, which also checks that the properties exist.
-    fdm = model.open(aircraft.dt_s)
-    engine.require(fdm, names)
-    current = np.array([fdm[name] for name in names])
+    current = model.current_values(aircraft.dt_s, names)
     if start == "current":
         return current
     card = aircraft.card.parameters

@@ -327,20 +327,20 @@ def _with_measured_forces(
             )
             for i in members
         ]
-        own, values = list(members).index(place), begin[list(members)]
+        index, values = list(members).index(place), begin[list(members)]
         std = np.array([np.inf if a is None else a[1] for a in assumed])
         if steps is not None:
             posterior, cov = _with_prior(steps.theta, steps.cov, assumed)
             # A slope of the wrong sign tells nothing.
-            if posterior[own] * values[own] > 0.0:
+            if posterior[index] * values[index] > 0.0:
                 values, std = posterior, np.sqrt(np.diagonal(cov))
             else:
                 steps = None
-        value = float(values[own])
+        value = float(values[index])
         basis = "data" if steps is not None else ""
         if name in prior:
-            basis = basis_of(float(std[own]), prior[name][1])
-        fixed = {place: float(std[own]) if basis else 0.0}
+            basis = basis_of(float(std[index]), prior[name][1])
+        fixed = {place: float(std[index]) if basis else 0.0}
         motion = _regress(data, coefficient, members, begin, fixed)
         shift = begin[list(members)] - values
         row = 0
@@ -357,7 +357,7 @@ def _with_measured_forces(
                 coefficient,
                 place,
                 value,
-                float(std[own]) if np.isfinite(std[own]) else _START_SHARE * abs(value),
+                float(std[index]) if np.isfinite(std[index]) else _START_SHARE * abs(value),
                 basis,
                 {
                     _term(names[i]): float(s)
@@ -564,7 +564,7 @@ def identify_ordinary(
     step_notes: list[str] = []
     std_crb, determined, of_start = np.full(len(names), np.nan), True, set[str]()
     for slope in slopes:
-        # The force is no regressor of itself.
+        # The force does not explain itself.
         for views in estimates:
             views[slope.coefficient] = slope.motion
     for coefficient, members in groups.items():
@@ -729,7 +729,7 @@ class _StepFit:
     cov: FloatArray
     moment: float
     variance: float
-    own: int
+    control_term: int
     control: str = ""
     late_s: float = 0.0
     lag_s: float = 0.0
@@ -831,7 +831,7 @@ def _is_better(fit: _StepFit, theta: FloatArray, cov: FloatArray) -> bool:
     """Return whether steps tell the control power more exactly than earlier motion does, or
     disagree with it.
     """
-    k = fit.own
+    k = fit.control_term
     variance = float(cov[k, k]) if cov[k, k] > 0.0 else np.inf
     apart = abs(float(fit.theta[k] - theta[k])) / np.sqrt(float(fit.cov[k, k]) + variance)
     return bool(fit.cov[k, k] < variance) or apart > DISAGREEMENT
@@ -934,9 +934,9 @@ class _StepInstruments:
                 if other is not None:
                     cov += np.diag((other.theta - fits[best][c].theta) ** 2)
                 term, control = _OWN_CONTROL.get(c, (angle, next(iter(self.steps))))
-                own = [_term(names[i]) for i in groups[c]].index(term)
+                control_term = [_term(names[i]) for i in groups[c]].index(term)
                 out[c] = _StepFit(
-                    c, theta, cov, 0.0, scale[c], own, control, rows * self.dt_s, lag_s
+                    c, theta, cov, 0.0, scale[c], control_term, control, rows * self.dt_s, lag_s
                 )
         return out
 
@@ -994,7 +994,7 @@ class _StepInstruments:
         moving = x.std(axis=0) > 1e-9 * np.maximum(np.abs(x).max(axis=0), 1e-300)
         free = moving & ~fixed
         term = _OWN_CONTROL.get(coefficient, ("", ""))[0]
-        own = [_term(names[i]) for i in members].index(term) if term else -1
+        control_term = [_term(names[i]) for i in members].index(term) if term else -1
         target, design = y, x[:, free]
         if any(_term(names[i]).rstrip("2") in self.reconstructed for i in members):
             # Only the fast part of the angle is available: all others are reduced to theirs.
@@ -1031,7 +1031,7 @@ class _StepInstruments:
             theta[j] = (float(y.mean()) - float(mean @ fit.theta)) / level
             cov[j, free] = cov[free, j] = -(mean @ cov[np.ix_(free, free)]) / level
             cov[j, j] = (float(mean @ cov[np.ix_(free, free)] @ mean) + spread) / level**2
-        return _StepFit(coefficient, theta, cov, fit.moment, fit.variance, own)
+        return _StepFit(coefficient, theta, cov, fit.moment, fit.variance, control_term)
 
 
 def _term(name: str) -> str:

@@ -32,7 +32,7 @@ from uqharness.identification.ordinary import is_ordinary
 from uqharness.identification.replay_fit import equation_error_start
 from uqharness.parallel import worker_map
 from uqharness.replay import CONTROLS, LATE_ROWS, Flight, control_columns
-from uqharness.simulator import Aircraft, engine
+from uqharness.simulator import Aircraft
 
 SURFACES = CONTROLS[:3]
 WINDOWS_PER_SURFACE = 2
@@ -192,10 +192,7 @@ def _fit(
     with StagedModels(aircraft, setup) as bench:
         setup = with_jumping_flights(setup, bench.model)
         lagging = tuple(c for c in bench.model.lagging if c in SURFACES)
-        fdm = bench.model.open(aircraft.dt_s)
-        engine.require(fdm, names)
-        current = np.array([fdm[n] for n in names])
-        del fdm
+        current = bench.model.current_values(aircraft.dt_s, names)
         equation_error_theta, _ = equation_error_start(
             bench.model,
             bench.direct_model,

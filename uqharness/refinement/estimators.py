@@ -70,7 +70,7 @@ from uqharness.identification.linearised import (
     with_sensors_of,
 )
 from uqharness.replay import ReplayModel, batched_pool
-from uqharness.simulator import Aircraft, engine
+from uqharness.simulator import Aircraft
 
 Limits = Mapping[str, tuple[float, float]]
 """Lower and upper bound of each parameter."""
@@ -684,7 +684,7 @@ def fit_without_effects(
     effects; in an autopilot's log they stay fixed.
     """
     model, direct = bench.model, bench.direct_model
-    current = _current_values(aircraft, model, names)
+    current = model.current_values(aircraft.dt_s, names)
     bounds = [limits[n] for n in names]
     # Equation error gives a first guess without a replay.
     guess, notes = equation_error_start(
@@ -731,13 +731,6 @@ def fit_without_effects(
     return OutputErrorFit(fit, determined, excited, [*notes, note], data.noise)
 
 
-def _current_values(aircraft: Aircraft, model: ReplayModel, names: Sequence[str]) -> FloatArray:
-    """Return the values (k,) of properties in the aircraft's XML, as JSBSim reads them."""
-    fdm = model.open(aircraft.dt_s)
-    engine.require(fdm, names)
-    return np.array([fdm[n] for n in names])
-
-
 def fit_in_turbulence(
     aircraft: Aircraft,
     bench: StagedModels,
@@ -751,7 +744,7 @@ def fit_in_turbulence(
     It starts from output error or from the model as it is, whichever is likelier.
     """
     names = replayed.excited
-    current = _current_values(aircraft, bench.model, names).tolist()
+    current = bench.model.current_values(aircraft.dt_s, names).tolist()
     result = gust_refit(
         bench.model,
         bench.direct_model,

@@ -112,6 +112,15 @@ class ReplayModel:
     engines: int = 0
     servos: tuple[str, ...] = ()
 
+    def current_values(self, dt_s: float, names: Sequence[str]) -> FloatArray:
+        """Return the values (k,) of properties in the aircraft's XML, as JSBSim reads them.
+
+        Raises BadInputError for a property that the aircraft lacks.
+        """
+        fdm = self.open(dt_s)
+        engine.require(fdm, names)
+        return np.array([fdm[n] for n in names])
+
     @property
     def jumping(self) -> tuple[str, ...]:
         """Return the controls whose surfaces follow a command step at once."""

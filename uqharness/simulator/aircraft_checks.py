@@ -861,7 +861,7 @@ def remarks(files: ModelFiles, names: dict[str, str]) -> Iterator[tuple[str, str
                         f" ({components[output]}): the later one wins; rename one of them"
                     ),
                 )
-            # Without the folder: copies of an aircraft get the same sentence, which is told once.
+            # Without the folder: copies of an aircraft get the same sentence, given once.
             components.setdefault(output, f"{name}:{_line(node)}")
         for orient in root.iterfind(".//thruster/orient[pitch]"):
             pitch: Any = orient.find("pitch")

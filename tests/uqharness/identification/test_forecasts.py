@@ -42,7 +42,7 @@ def test_a_copy_is_no_different(folder: Path, capsys: pytest.CaptureFixture[str]
     copy = shutil.copytree(Path(__file__).parents[3] / "aircraft" / "espaaro", folder / "copy")
     flight = str(folder / "flight.parquet")
     assert main(["compare", "espaaro", str(copy), "--flight", flight]) == 0
-    # Models of one name are told apart by their places.
+    # Models of one name differ by their places.
     first, score, *_ = capsys.readouterr().out.splitlines()
     assert first.startswith("no difference: espaaro (A) and ")
     assert f"{copy} (B)" in first
