@@ -362,6 +362,8 @@ class _Iterate:
         Length of the last step in standard errors.
     distance_since_air : float
         Distance from where the air was estimated, in standard errors.
+    predicted : (Trajectory, list of Probe) or None
+        Result of `predict` here, where the choice of the start has it already.
     """
 
     data: FlightData
@@ -373,6 +375,7 @@ class _Iterate:
     share: float = 1.0
     length: float = float("inf")
     distance_since_air: float = float("inf")
+    predicted: tuple[Trajectory, list[Probe]] | None = None
 
     @property
     def lacks_air(self) -> bool:
@@ -400,7 +403,9 @@ def _evaluate(
     colour of the innovations that the air has.
     """
     # 1. Linear systems along the path.
-    trajectory, reference_probes = predict(model, direct_model, at.data, at.point, pool, at.path)
+    trajectory, reference_probes = at.predicted or predict(
+        model, direct_model, at.data, at.point, pool, at.path
+    )
     systems = _LinearSystems(at.data, trajectory, reference_probes, pool)
     # 2. Air and sensor noise.
     gusts, data = at.gusts, at.data
@@ -561,7 +566,8 @@ def likeliest_start(
     """
     trials: list[tuple[float, _Iterate]] = []
     for point in starts:
-        systems = _LinearSystems(data, *predict(model, direct_model, data, point, pool), pool)
+        predicted = predict(model, direct_model, data, point, pool)
+        systems = _LinearSystems(data, *predicted, pool)
         try:
             gusts, factors = _estimate_air(data, systems, None, tune)
             tuned = replace(data, noise=factors * data.noise)
@@ -578,7 +584,7 @@ def likeliest_start(
             whiten_filtered(followed, [Columns((), {}, {})] * len(data.segments))
         )
         if np.isfinite(cost):
-            trials.append((cost, _Iterate(tuned, point, gusts)))
+            trials.append((cost, _Iterate(tuned, point, gusts, predicted=predicted)))
     if not trials:
         raise np.linalg.LinAlgError("predictions from every start are no numbers")
     return min(trials, key=lambda trial: trial[0])[1]
