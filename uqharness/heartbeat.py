@@ -155,11 +155,11 @@ STATE = _State()
 @contextmanager
 def forecast_shown(forecast: Forecast | None) -> Iterator[None]:
     """Show the remaining time of a forecast, if any, while the work that it is about goes on."""
-    earlier, STATE.forecast = STATE.forecast, forecast
+    previous, STATE.forecast = STATE.forecast, forecast
     try:
         yield
     finally:
-        STATE.forecast = earlier
+        STATE.forecast = previous
 
 
 @contextmanager

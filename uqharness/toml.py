@@ -129,13 +129,13 @@ def _types_of(info: FieldInfo) -> list[FieldInfo]:
     """Return the types that a value may have, with their bounds."""
     if typing.get_origin(info.annotation) not in (typing.Union, types.UnionType):
         return [info]
-    found = []
+    members = []
     for annotation in typing.get_args(info.annotation):
         if annotation is not type(None):
             inner = FieldInfo.from_annotation(annotation)
             inner.metadata = [*inner.metadata, *info.metadata]
-            found += _types_of(inner)
-    return found
+            members += _types_of(inner)
+    return members
 
 
 def _inner(info: FieldInfo, part: Any, key: bool = False) -> FieldInfo | None:

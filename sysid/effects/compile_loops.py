@@ -21,21 +21,19 @@ def compile_loops() -> None:
     """Linearise and filter an artificial flight of a few samples, in calm air and in gusts."""
     x = np.zeros((_ROWS, 8))
     x[:, 0] = _SPEED_MPS
-    nothing, slopes = np.zeros((_ROWS, 3)), np.zeros((_ROWS, 6, 6))
-    reference = Reference(
-        _DT_S, x, nothing, nothing, slopes, np.full(_ROWS, 200.0), np.zeros(3), False
-    )
+    zeros, slopes = np.zeros((_ROWS, 3)), np.zeros((_ROWS, 6, 6))
+    reference = Reference(_DT_S, x, zeros, zeros, slopes, np.full(_ROWS, 200.0), np.zeros(3), False)
     mass, gusts = MassProperties(1.0, np.eye(3), 1.0, 1.0, 1.0), GustStates(1.0)
-    which, noise = range(len(OUTPUTS)), np.ones(len(OUTPUTS))
+    outputs, noise = range(len(OUTPUTS)), np.ones(len(OUTPUTS))
     measured = np.zeros((_ROWS, len(OUTPUTS)))
     columns = [Columns(("c",), {"c": (0, np.zeros(_ROWS))}, {})]
     calm, gusty = (linearise(reference, mass, gusts=air) for air in (None, gusts))
     variances, begin = process_of(LIGHT_AIR, _SPEED_MPS, gusts)
     process = Process(variances[None], begin[None])
-    whiten([calm], [measured], columns, which, noise)
-    followed = filter_segments([gusty], [measured], which, noise, process)
+    whiten([calm], [measured], columns, outputs, noise)
+    followed = filter_segments([gusty], [measured], outputs, noise, process)
     whiten_filtered(with_air(followed, process, noise), columns)
-    AirLikelihood([gusty], [measured], which)(noise, process)
+    AirLikelihood([gusty], [measured], outputs)(noise, process)
 
 
 if __name__ == "__main__":

@@ -196,13 +196,13 @@ def with_air(
     for k, one in enumerate(followed):
         begin = one.system.start @ _Start.of(one, None).state
         columns = [noise_columns(begin, one.system, one.gains, process.noise[k])]
-        here = predict_from(begin, one.system, one.gains)[1]
+        begin_columns = predict_from(begin, one.system, one.gains)[1]
         for systems in airs:
             air = process.noise[k], process.begin[k]
             other = gains(systems[k], noise, air, with_prior_variance=False)
             # In units of the same deviations: what these are says nothing of the states.
             scale = np.sqrt(other.variance / one.gains.variance)
-            change = scale * predict_from(begin, systems[k], other)[1] - here
+            change = scale * predict_from(begin, systems[k], other)[1] - begin_columns
             columns.append(change[:, :, None])
         yield replace(one, air=np.concatenate(columns, axis=2))
 
@@ -317,8 +317,8 @@ class _Start:
         residual, q, r = fit_start(innovations, _without_colour(colour, plain.starts))
         state, square = _solved(r, q.T @ innovations.ravel()), float(np.sum(residual**2))
         if one.air is not None:
-            both = np.concatenate([plain.starts, one.air], axis=2)
-            residual, q, r = fit_start(innovations, _without_colour(colour, both))
+            starts = np.concatenate([plain.starts, one.air], axis=2)
+            residual, q, r = fit_start(innovations, _without_colour(colour, starts))
         return _Start(innovations, residual, state, square - float(np.sum(residual**2)), q, r)
 
 

@@ -129,8 +129,8 @@ def _score_segments(job: tuple[Shared, FloatArray, Process, bool]) -> list[_Slop
     """
     shared, noise, process, sloping = job
     return [
-        _score_segment(seen, noise, (q, p), sloping)
-        for seen, q, p in zip(shared.value, process.noise, process.begin, strict=True)
+        _score_segment(system, noise, (q, p), sloping)
+        for system, q, p in zip(shared.value, process.noise, process.begin, strict=True)
     ]
 
 
@@ -317,7 +317,7 @@ class TurbulenceModel:
         """Description of the gusts."""
         rotating, turning_with, at_one_speed = self.kind
         passing = ", and pass at one speed in each flight" if at_one_speed else ""
-        rotate, turn = ("" if so else "do not " for so in (rotating, turning_with))
+        rotate, turn = ("" if does else "do not " for does in (rotating, turning_with))
         axes = " of the body's axes" if self.states[0].in_body else ""
         order = 0 if self.colour is None else len(self.colour.coefficients)
         colour_words = f", and whose innovations depend on {order} rows before" if order else ""
@@ -469,12 +469,12 @@ def estimate_air(
     # 4. What is lost without parts of this air, with intensities by flight.
     best = search.best(segments, [chosen])
     gain, across = (
-        (search.loss(segments, best, left) for left in (0.0, _WITHOUT_ACROSS))
+        (search.loss(segments, best, factors) for factors in (0.0, _WITHOUT_ACROSS))
         if prior_model is None
         else (prior_model.gain, prior_model.across)
     )
     single_moments = np.where(np.eye(len(LIGHT_AIR)), _NEGLIGIBLE, 1.0)[_MOMENTS]
-    losses = np.array([search.loss(segments, best, left) for left in single_moments])
+    losses = np.array([search.loss(segments, best, factors) for factors in single_moments])
     return TurbulenceModel(
         best.states,
         best.values,
@@ -884,8 +884,8 @@ class _Objective:
             len(unlike), len(point.factors)
         )
         each = [
-            search.process(segments, replace(point, values=alone))
-            for alone in np.diag(point.values)
+            search.process(segments, replace(point, values=single))
+            for single in np.diag(point.values)
         ]
         sizes = (len(point.values), len(unlike))
         precision = np.repeat([0.0, NOISE_PRIOR**-2], sizes)

@@ -202,7 +202,7 @@ def _coloured_covariance(
     ]
     deviation = float(np.sqrt(residual @ residual / residual.size))
     return s2 * sandwich_covariance(
-        [columns for columns, _ in pieces], [left / deviation for _, left in pieces], weights
+        [columns for columns, _ in pieces], [moments / deviation for _, moments in pieces], weights
     )
 
 

@@ -129,8 +129,8 @@ def regulator(model: LinearModel, states: tuple[str, ...]) -> tuple[FloatArray, 
         B[4] = V * B[0]
         A[5, 4] = A[6, 5] = 1.0
     if states is GLIDE:
-        kept = [LONGITUDINAL.index(name) for name in GLIDE]
-        A, B = A[np.ix_(kept, kept)], B[kept]
+        states_of_glide = [LONGITUDINAL.index(name) for name in GLIDE]
+        A, B = A[np.ix_(states_of_glide, states_of_glide)], B[states_of_glide]
     # Actuators: position' = lag (command - position).
     lag = np.array([_LAG_RADPS[control] for control in controls])
     m, n = len(controls), len(states)

@@ -394,11 +394,11 @@ def _added_drag(source: Source, profile_drag: float | None, notes: list[str]) ->
     drag = -values["CX", TOTAL] * cosine - values["CZ", TOTAL] * sine
     lift = -values["CZ", TOTAL] * cosine + values["CX", TOTAL] * sine
     aspect_ratio = source.length("b") ** 2 / source.length("S")
-    rest = drag - lift**2 / (math.pi * aspect_ratio)
-    if rest < 0.015:
+    parasite_drag = drag - lift**2 / (math.pi * aspect_ratio)
+    if parasite_drag < 0.015:
         notes.append(
-            f"drag at zero lift is {rest:.2g} in the source: 0.03 is added for skin friction"
-            " and fuselage (assumed; --cd0 sets it)"
+            f"drag at zero lift is {parasite_drag:.2g} in the source: 0.03 is added for skin"
+            " friction and fuselage (assumed; --cd0 sets it)"
         )
         return 0.03
     return 0.0

@@ -297,9 +297,12 @@ def prior_form(
         if name == "CX":
             # Drag between D k/f and D k f: an interval whose middle has more drag than D k.
             drag, factor = abs(nominal), prior.mean / nominal if nominal else 1.0
-            spread = math.exp(z * constant / max(abs(prior.mean), 1e-9))
+            spread_factor = math.exp(z * constant / max(abs(prior.mean), 1e-9))
             turned = _turned_drag(model, z * by_term["CZ_0"].std)
-            upper, lower = drag * (1.0 - factor / spread), drag * (factor * spread - 1.0)
+            upper, lower = (
+                drag * (1.0 - factor / spread_factor),
+                drag * (factor * spread_factor - 1.0),
+            )
             shift = 0.5 * (upper - lower)
             constant = (0.5 * (upper + lower) - min(turned, 0.7 * upper)) / z
         # Independent terms make X'X diagonal, in units of the constant's variance.

@@ -501,8 +501,8 @@ def _lateral(point: Point, span: float, aspect_ratio: float) -> Iterator[Slip]:
     """Check signs and sizes of the lateral derivatives."""
 
     def entry(name: str, variable: str) -> Entry | None:
-        found = point.entries.get((name, variable))
-        return found if found is not None and abs(found.value) > 1e-12 else None
+        result = point.entries.get((name, variable))
+        return result if result is not None and abs(result.value) > 1e-12 else None
 
     lift = max(point.value("CL", TOTAL), 0.0)
     # Dihedral tilts the lift of the wing that meets the wind: its part of Cn_beta is Cl_beta CL
@@ -676,12 +676,12 @@ def _fin_outlier(point: Point, wing_yaw: float) -> tuple[tuple[str, str], float]
     logs = np.log(values)
     candidates = []
     for i in range(len(keys)):
-        rest = [j for j in range(len(keys)) if j != i]
-        fin = np.linalg.lstsq(powers[rest], logs[rest], rcond=None)[0]
-        spread = float(np.max(np.abs(logs[rest] - powers[rest] @ fin)))
+        remaining = [j for j in range(len(keys)) if j != i]
+        fin = np.linalg.lstsq(powers[remaining], logs[remaining], rcond=None)[0]
+        scatter = float(np.max(np.abs(logs[remaining] - powers[remaining] @ fin)))
         arm = math.exp(fin[1])
-        if 0.05 < arm < 1.3 and spread < 0.5 * math.log(3.0):
-            badness = spread + 0.25 * abs(math.log(arm / 0.4))
+        if 0.05 < arm < 1.3 and scatter < 0.5 * math.log(3.0):
+            badness = scatter + 0.25 * abs(math.log(arm / 0.4))
             candidates.append((badness, i, float(logs[i] - powers[i] @ fin)))
     _, i, deviation = min(candidates, default=(0.0, 0, 0.0))
     # Bodies add side force, so that less than the fin's is less likely than more.

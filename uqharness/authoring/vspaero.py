@@ -240,17 +240,17 @@ def _entry(word: str, path: Path, line: int) -> Entry:
 def _point(block: Block) -> Point:
     """Return the derivatives of a block in body axes."""
     entries: dict[tuple[str, str], Entry] = {}
-    named = {"Total": TOTAL} | _COLUMNS
-    named |= {f"ConGrp_{i}": group for i, group in enumerate(block.groups, start=1)}
+    variables = {"Total": TOTAL} | _COLUMNS
+    variables |= {f"ConGrp_{i}": group for i, group in enumerate(block.groups, start=1)}
     for row, (name, sign) in (_FORCES | _MOMENTS).items():
         columns = block.derivatives[row]
-        for column, variable in named.items():
+        for column, variable in variables.items():
             if column in columns:
                 entry = columns[column]
                 entries[name, variable] = Entry(sign * entry.value, entry.path, entry.line)
     alpha = block.values["AoA_"]
     if "CL" in block.derivatives and "CD" in block.derivatives:
-        _set_forces(entries, block, named)
+        _set_forces(entries, block, variables)
     return Point(
         alpha=Entry(math.radians(alpha.value), alpha.path, alpha.line),
         mach=block.values["Mach_"],

@@ -227,8 +227,8 @@ def write_aircraft(
 
 def _campaign(flight: SteadyFlight) -> str:
     """Return a campaign of steady flight over the corners of the prior."""
-    held = not (flight.reason or flight.no_hold)
-    way = "on the line hold" if held else "with fixed controls"
+    is_held = not (flight.reason or flight.no_hold)
+    way = "on the line hold" if is_held else "with fixed controls"
     lines = [
         f"# Steady flight {way} over the bounds of the prior, before any flight.",
         "",
@@ -240,12 +240,12 @@ def _campaign(flight: SteadyFlight) -> str:
         "[start]",
         f"V_mps = {flight.speed_mps:.3g}",
         f"altitude_m = {flight.altitude_m:g}",
-        *(["autopilot = true             # false: the trimmed controls stay fixed"] * held),
+        *(["autopilot = true             # false: the trimmed controls stay fixed"] * is_held),
         "",
         "[aleatory]",
         "flights = 4                  # per corner",
-        f"duration_s = {(20 if flight.is_glide else 60) if held else 5}",
-        f"burn_in_s = {(10 if flight.is_glide else 20) if held else 0}",
+        f"duration_s = {(20 if flight.is_glide else 60) if is_held else 5}",
+        f"burn_in_s = {(10 if flight.is_glide else 20) if is_held else 0}",
         'turbulence = "light"',
         "",
         "[epistemic]",

@@ -231,7 +231,7 @@ def _reference(path: Path, condition: _Condition, notes: list[str]) -> dict[str,
     reference = {key: values[key] for key in "Sbcxz" if key in values}
     for key in "xyz":
         reference.setdefault(key, Entry(0.0, path))
-    ratios = {kind: median(found) for kind, found in condition.pressures.items()}
+    ratios = {kind: median(pressures) for kind, pressures in condition.pressures.items()}
     if "S" in ratios:
         for key, kind in (("b", "Sb"), ("c", "Sc")):
             if key not in reference and kind in ratios:

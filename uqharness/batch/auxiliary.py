@@ -203,20 +203,20 @@ def _trace_geodesic_distance(frame: Frame) -> None:
     """Publish position/distance-from-start-... where something reads it: geodesics to the place of
     the initial conditions, its meridian and its parallel [m].
     """
-    here = (frame.get("position/lat-geod-rad"), frame.get("position/long-gc-rad"))
+    place = (frame.get("position/lat-geod-rad"), frame.get("position/long-gc-rad"))
     start = (frame.memory("start/latitude"), frame.memory("start/longitude"))
     if frame.initialising:
-        for name, value in zip(("start/latitude", "start/longitude"), here, strict=True):
+        for name, value in zip(("start/latitude", "start/longitude"), place, strict=True):
             frame.remember(name, value)
-        start = here
+        start = place
     for name, target in (
-        ("lon", (here[0], start[1])),
-        ("lat", (start[0], here[1])),
+        ("lon", (place[0], start[1])),
+        ("lat", (start[0], place[1])),
         ("mag", start),
     ):
         title = f"position/distance-from-start-{name}-mt"
         if frame.requests(title):
-            frame.write(title, geodesic(frame.builder, here, target)[1] * FT_M)
+            frame.write(title, geodesic(frame.builder, place, target)[1] * FT_M)
 
 
 # Ground contact ends a flight, so contact forces are not computed. A point touches if it is below

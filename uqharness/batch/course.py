@@ -184,14 +184,14 @@ def initialise_lanes(lanes: LaneMission, specs: Sequence[FlightSpec]) -> Initial
 
     run_ic(lanes.initialisers)
     # Engines reach their steady state between the initialising frames and the renewal frame.
-    renewer, again = lanes.renewer, lanes.initialisers[1]
+    renewer, initialiser = lanes.renewer, lanes.initialisers[1]
     if renewer is not None:
         settle(
             lanes.settlers,
             values,
             count,
             renew=lambda: initialise(renewer, 2),
-            run_ic=lambda: run_ic((again, again)),
+            run_ic=lambda: run_ic((initialiser, initialiser)),
         )
     if lanes.points and (values[TOUCHED] >= 0.0).any():
         raise BadInputError(

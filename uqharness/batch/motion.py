@@ -748,9 +748,9 @@ class _Arc:
         size = b.op("sqrt", self.east * self.east + self.north * self.north)
         self.cosine = s1 * s2 + c1 * c2 * cosine
         self.length = b.op("atan2", size, self.cosine)
-        apart = size.gt(0.0)
-        sin_alpha1 = apart.choose(self.east / size, 0.0)
-        cos_alpha1 = apart.choose(self.north / size, 1.0)
+        is_apart = size.gt(0.0)
+        sin_alpha1 = is_apart.choose(self.east / size, 0.0)
+        cos_alpha1 = is_apart.choose(self.north / size, 1.0)
         self.sin_alpha0 = sin_alpha1 * c1
         k2 = _EP2 * ((1.0 - self.sin_alpha0) * (1.0 + self.sin_alpha0))
         root = b.op("sqrt", 1.0 + k2)

@@ -311,7 +311,7 @@ def _initial_slots(replay: ReplayProgram, jobs: Sequence[ReplayLane]) -> dict[st
     # Two initialising frames, as JSBSim runs them.
     for flyer in replay.initialisers:
         values |= step_once(flyer, values, count)
-    renewer, again = replay.renewer, replay.initialisers[1]
+    renewer, initialiser = replay.renewer, replay.initialisers[1]
 
     def step(*frames: Interpreter) -> None:
         """Compute frames in which time stands still."""
@@ -324,7 +324,7 @@ def _initial_slots(replay: ReplayProgram, jobs: Sequence[ReplayLane]) -> dict[st
             values,
             count,
             renew=lambda: step(renewer),
-            run_ic=lambda: step(again, again),
+            run_ic=lambda: step(initialiser, initialiser),
         )
     return {
         name: values.get(name, np.full(count, first))

@@ -219,12 +219,12 @@ def corrections(pairs: Pairs, confidence: float = 0.95) -> dict[str, Correction]
         stored = dict(
             zip(pairs.rows["case_id"], pairs.rows[metric].to_numpy(dtype=float), strict=True)
         )
-        both = [
+        metric_pairs = [
             (float(stored[case.case_id]), outcome.metrics.get(metric, math.nan))
             for case, outcome in zip(pairs.cases, pairs.outcomes, strict=True)
             if outcome.status == "ok"
         ]
-        x, y = np.array(both, dtype=float).reshape(-1, 2).T
+        x, y = np.array(metric_pairs, dtype=float).reshape(-1, 2).T
         is_defined = np.isfinite(x) & np.isfinite(y)
         if is_defined.sum() < FEWEST_PAIRS:
             continue
@@ -276,10 +276,10 @@ def control_variate(
     half = t * float(difference.std(ddof=1)) / math.sqrt(k)
     # The line from the surrogate's metric to the real one's.
     centre = float(surrogate.mean())
-    spread = float(np.sum((surrogate - centre) ** 2))
+    sum_of_squares = float(np.sum((surrogate - centre) ** 2))
     # Without a spread of the surrogate the pairs cannot tell a slope.
-    has_slope = spread > 1e-12 * k * max(centre**2, 1e-300)
-    slope = float((surrogate - centre) @ real) / spread if has_slope else 1.0
+    has_slope = sum_of_squares > 1e-12 * k * max(centre**2, 1e-300)
+    slope = float((surrogate - centre) @ real) / sum_of_squares if has_slope else 1.0
     freedom = k - 2 if has_slope else k - 1
     residuals = real - real.mean() - slope * (surrogate - centre)
     sigma = math.sqrt(float(residuals @ residuals) / freedom)
@@ -291,7 +291,7 @@ def control_variate(
         return np.asarray(real.mean() + slope * (x - centre))
 
     def limit(x: float) -> float:
-        lever = (x - centre) ** 2 / spread if has_slope else 0.0
+        lever = (x - centre) ** 2 / sum_of_squares if has_slope else 0.0
         return t_line * sigma * math.sqrt(1.0 / k + lever)
 
     # The mean of all flights of the campaign, carried by the line.

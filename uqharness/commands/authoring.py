@@ -74,8 +74,8 @@ def author(request: AuthorRequest, callback: Callback = silent) -> Outcome[Autho
         )
     except BadInputError as error:
         # A geometry that nothing here can run may have slips too.
-        found = "; usual slips in the files: " if slips else ""
-        raise BadInputError(f"{error}{found}{'; '.join(map(str, slips))}") from None
+        slip_heading = "; usual slips in the files: " if slips else ""
+        raise BadInputError(f"{error}{slip_heading}{'; '.join(map(str, slips))}") from None
     if request.cg_x_m is not None:
         slips += centre_slips(Entry(request.cg_x_m, Path("--cg-x-m")), model)
     model = replace(model, notes=(*model.notes, *notes))

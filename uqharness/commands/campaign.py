@@ -474,17 +474,17 @@ def report(request: ReportRequest, callback: Callback = silent) -> Outcome[Campa
     callback("flying two flights again")
     cases = _fly_displayed(request.folder) if request.tracks else []
     callback("report")
-    written = write_campaign_report(request.folder)
+    pages = write_campaign_report(request.folder)
     document = CampaignPage(
-        report=str(written.path),
-        figures=[str(path) for path in written.figures],
-        verdict=written.verdict,
+        report=str(pages.path),
+        figures=[str(path) for path in pages.figures],
+        verdict=pages.verdict,
         flown_again=cases,
     )
-    lines = [*written.verdict, f"{len(written.figures)} figures in {request.folder / 'figures'}"]
+    lines = [*pages.verdict, f"{len(pages.figures)} figures in {request.folder / 'figures'}"]
     lines += [f"Flown again for the ground track: {', '.join(cases)}."] if cases else []
-    code = 1 if written.damaged else 0
-    return Outcome(document, document, lines, code, written.path, written.warnings)
+    code = 1 if pages.damaged else 0
+    return Outcome(document, document, lines, code, pages.path, pages.warnings)
 
 
 def _fly_displayed(folder: Path) -> list[str]:

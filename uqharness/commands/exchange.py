@@ -92,13 +92,13 @@ def export(request: ExportRequest, callback: Callback = silent) -> Outcome[Loss]
         callback(f"{place}loss")
         # The loss of a family is that of its worst member.
         by_coefficient = worst(by_coefficient, losses(source, fitted[1], states, form))
-    files, lost, notes = _together(exports, names)
-    beyond = any(loss.is_beyond for loss in by_coefficient.values())
+    files, losses_in_words, notes = _together(exports, names)
+    is_beyond = any(loss.is_beyond for loss in by_coefficient.values())
     verdict: Literal["within", "beyond", "no bounds"]
-    verdict = "no bounds" if form is None else "beyond" if beyond else "within"
+    verdict = "no bounds" if form is None else "beyond" if is_beyond else "within"
     # A loss beyond the bounds is written only if the user accepts it.
-    refused = beyond and not request.accept_loss
-    written = [] if refused else sorted(files)
+    refused = is_beyond and not request.accept_loss
+    file_names = [] if refused else sorted(files)
     if names.get("", aircraft.name) != aircraft.name:
         notes = (
             f"{aircraft.name} is called {names['']}: the program may not take its name",
@@ -113,9 +113,9 @@ def export(request: ExportRequest, callback: Callback = silent) -> Outcome[Loss]
         states=len(states),
         verdict=verdict,
         coefficients={name: _loss(loss) for name, loss in by_coefficient.items()},
-        lost=list(lost),
+        lost=list(losses_in_words),
         notes=list(notes),
-        files=[*written, "loss.csv", "loss.json"],
+        files=[*file_names, "loss.csv", "loss.json"],
         command=command_line(request),
     )
     # The loss is written in every case; it says why the model is not. A model of an earlier export
@@ -124,7 +124,7 @@ def export(request: ExportRequest, callback: Callback = silent) -> Outcome[Loss]
     write_json(out / "loss.json", document.as_json())
     write_text(out / "loss.csv", csv_text(_rows(document.coefficients, ".17g")))
     for name in files:
-        if name not in written:
+        if name not in file_names:
             (out / name).unlink(missing_ok=True)
             continue
         results_folder((out / name).parent)
@@ -144,7 +144,7 @@ def export(request: ExportRequest, callback: Callback = silent) -> Outcome[Loss]
             " its half-widths are compared all the same"
         )
     lines = _lines(document, out, refused)
-    return Outcome(document, document, lines, code=int(beyond), warnings=warnings)
+    return Outcome(document, document, lines, code=int(is_beyond), warnings=warnings)
 
 
 def _program_name(name: str, member: str, to: str) -> str:
@@ -184,8 +184,8 @@ def _check_output(out: Path, to: str, aircraft: Aircraft, names: Mapping[str, st
             f"--out {out}: lies in the folder of the aircraft, {aircraft.folder}; choose another"
         )
     with contextlib.suppress(OSError, ParseError, AttributeError):
-        earlier = parse_json(read_regular(out / "loss.json", 10_000_000))
-        if (earlier.get("aircraft"), earlier.get("format")) == (aircraft.name, to):
+        previous_loss = parse_json(read_regular(out / "loss.json", 10_000_000))
+        if (previous_loss.get("aircraft"), previous_loss.get("format")) == (aircraft.name, to):
             return
     places = [pattern.format(name) for name in names.values() for pattern in _OUTPUTS[to]]
     places += [f"{member}/{place}" for member in names if member for place in places]
@@ -261,8 +261,8 @@ def _together(
     for member, (contents, _, _, _) in exports:
         separate = len(exports) > 1 and not all(names[member] in name for name in contents)
         files |= {f"{member}/{name}" if separate else name: c for name, c in contents.items()}
-    _, (_, _, lost, notes) = exports[0]
-    return files, lost, notes
+    _, (_, _, losses_in_words, notes) = exports[0]
+    return files, losses_in_words, notes
 
 
 def _loss(loss: CoefficientLoss) -> LossOfCoefficient:
@@ -386,12 +386,12 @@ def _csv(source: SourceModel, states: FlightStates, _: str) -> Fitted:
     """Tabulate the source over one variable at a time."""
     tables = sweeps.sweeps(source)
     files = {"coefficients.csv": sweeps.text(tables).encode()}
-    lost = ("products of two variables", "the dependence on speed")
+    loss = ("products of two variables", "the dependence on speed")
     notes = (
         "angles in rad, deflections in deg, rates as pb/2V, qc/2V, rb/2V",
         _SURFACES,
     )
-    return files, sweeps.coefficients(source, tables, states), lost, notes
+    return files, sweeps.coefficients(source, tables, states), loss, notes
 
 
 _FORMATS = {

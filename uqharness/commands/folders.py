@@ -25,20 +25,20 @@ def report(request: ReportRequest, callback: Callback = silent) -> Outcome[Path]
     """Write the page of a folder; the answer is no where files of the folder are damaged."""
     kind = kind_of(request.folder)
     callback("reading and writing")
-    written = write_report(request.folder)
+    pages = write_report(request.folder)
     document = ReportFile(
-        report=str(written.path),
+        report=str(pages.path),
         kind=kind,
-        bytes=written.path.stat().st_size,
-        damaged=[fault.name for fault in written.damaged],
+        bytes=pages.path.stat().st_size,
+        damaged=[fault.name for fault in pages.damaged],
     )
     return Outcome(
-        written.path,
+        pages.path,
         document,
-        [*written.verdict, f"{document.bytes / 1e6:.2f} MB written"],
-        code=1 if written.damaged else 0,
-        report=written.path,
-        warnings=written.warnings,
+        [*pages.verdict, f"{document.bytes / 1e6:.2f} MB written"],
+        code=1 if pages.damaged else 0,
+        report=pages.path,
+        warnings=pages.warnings,
     )
 
 
@@ -48,12 +48,12 @@ def dossier(request: DossierRequest, callback: Callback = silent) -> Outcome[Dos
     callback("reading results")
     evidence = read_evidence(request.folder)
     callback("judging and writing")
-    made = dossier_of(evidence)
-    write_html(path, made.page)
-    tests, not_in_the_data = _match(made)
+    result = dossier_of(evidence)
+    write_html(path, result.page)
+    tests, not_in_the_data = _match(result)
     document = DossierFile(
         dossier=str(path),
-        missing=list(made.missing),
+        missing=list(result.missing),
         tests=tests,
         not_in_the_data=not_in_the_data,
         sources=[
@@ -62,7 +62,7 @@ def dossier(request: DossierRequest, callback: Callback = silent) -> Outcome[Dos
         ],
     )
     return Outcome(
-        document, document, first_lines(made.page), code=1 if made.missing else 0, report=path
+        document, document, first_lines(result.page), code=1 if result.missing else 0, report=path
     )
 
 

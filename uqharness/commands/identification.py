@@ -583,29 +583,29 @@ def bounds(request: BoundsRequest, callback: Callback = silent) -> Outcome[MadeB
     ready = _for_residuals(ready)
     flights, ideal = _with_servos(request, aircraft, ready, callback, models=[aircraft])
     options = replace(options, ideal_servos=ideal)
-    made = make_bounds(aircraft, flights, ready.measured, ready.sha256, options, callback)
+    result = make_bounds(aircraft, flights, ready.measured, ready.sha256, options, callback)
     if split is not None:
-        (used,) = made.form.flights
-        form = replace(made.form, flights=(replace(used, parts_s=split.used_s),))
-        made = replace(made, form=form)
-    document = _bounds_document(made).model_copy(update={"split": _split_document(split)})
+        (used,) = result.form.flights
+        form = replace(result.form, flights=(replace(used, parts_s=split.used_s),))
+        result = replace(result, form=form)
+    document = _bounds_document(result).model_copy(update={"split": _split_document(split)})
     if request.out is None:
-        lines = [f"{c}: mean width {made.widths[c]:.3g}" for c in made.form.coefficients]
-        return Outcome(made, document, lines, warnings=made.warnings)
+        lines = [f"{c}: mean width {result.widths[c]:.3g}" for c in result.form.coefficients]
+        return Outcome(result, document, lines, warnings=result.warnings)
     # Render the XML before anything is written: it may refuse the aircraft.
-    system = model_form_xml(made.form, aircraft)
+    system = model_form_xml(result.form, aircraft)
     out = results_folder(request.out)
     write_bytes(out / "model-form.xml", system)
     # The provenance is stored in the folder; ``--json`` does not print it.
     stored = document.model_copy(update={"command": command_line(request), "version": __version__})
     write_json(out / "bounds.json", stored.as_json())
-    write_residuals(made.form, made.residuals, ", ".join(f.name for f in flights), out)
-    write_text(out / "model-form.json", made.form.to_json())
+    write_residuals(result.form, result.residuals, ", ".join(f.name for f in flights), out)
+    write_text(out / "model-form.json", result.form.to_json())
     callback("report")
     report = write_report(out, request.figures)
     if request.figures:
-        _write_bounds_figures(made, out)
-    return Outcome(made, document, [report.text], report=report.path, warnings=made.warnings)
+        _write_bounds_figures(result, out)
+    return Outcome(result, document, [report.text], report=report.path, warnings=result.warnings)
 
 
 def _bounds_options(request: BoundsRequest) -> BoundsOptions:

@@ -242,13 +242,13 @@ def _card_of(aircraft: AircraftSource) -> Path | None:
 
 def _percentage(log: Path, callback: Callback) -> Callable[[float], None]:
     """Return a callback of the share read, which names a stage at each new percentage."""
-    shown = -1
+    percentage = -1
 
     def show(share: float) -> None:
-        nonlocal shown
-        if int(100 * share) != shown:
-            shown = int(100 * share)
-            callback(f"reading {log.name}: {shown} %")
+        nonlocal percentage
+        if int(100 * share) != percentage:
+            percentage = int(100 * share)
+            callback(f"reading {log.name}: {percentage} %")
 
     return show
 
@@ -328,7 +328,7 @@ def _condensed(findings: Sequence[Finding]) -> list[str]:
         more = f" (also: {', '.join(other_channels)})" if other_channels else ""
         lines.append(f"{severity:8} {code}: {members[0].message}{more}")
         if severity == "error":
-            spoilt = dict.fromkeys(f.spoils for f in members if f.spoils)
-            lines += [f"{'':11}spoils {text}" for text in spoilt]
+            damages = dict.fromkeys(f.spoils for f in members if f.spoils)
+            lines += [f"{'':11}spoils {text}" for text in damages]
             lines += [f"{'':11}mend: {'; '.join(f.mend.splitlines())}" for f in members if f.mend]
     return lines

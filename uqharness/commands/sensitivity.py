@@ -60,7 +60,7 @@ def sensitivity(
 
 def _campaign_lines(results: Sequence[MetricSensitivity], files: Sequence[Path]) -> Iterator[str]:
     """Yield what to reduce first in each condition, the files, and then the tables."""
-    shown = {
+    modes = {
         condition: [
             item
             for metric in _TEXT_METRICS
@@ -69,13 +69,13 @@ def _campaign_lines(results: Sequence[MetricSensitivity], files: Sequence[Path])
         ]
         for condition in dict.fromkeys(item.condition for item in results)
     }
-    for condition, items in shown.items():
+    for condition, items in modes.items():
         yield f"{condition.words}:"
         yield from (f"  {item.words}" for item in items)
         first = (item.result.statement for item in items if item.ranking.first)
         yield from (f"  {statement}" for statement in dict.fromkeys(first))
     yield f"written: {', '.join(map(str, files))}"
-    for condition, items in shown.items():
+    for condition, items in modes.items():
         yield (
             f"{condition.words}: share of the p-box's width, smallest..largest over the pairs [95 %"
             " interval of both]"

@@ -242,8 +242,8 @@ def _flown_script(request: FlyRequest, aircraft: Aircraft) -> Iterator[tuple[Air
     Initial conditions must lie in the aircraft's folder, so generated manoeuvres fly a copy.
     """
     if request.mission is None or request.speed_mps is None:
-        named = request.mission if request.waypoints is None else None
-        yield aircraft, find_script(named or request.script)
+        mission_file = request.mission if request.waypoints is None else None
+        yield aircraft, find_script(mission_file or request.script)
         return
     with scratch_folder("fly") as scratch:
         folder = scratch.path / "aircraft" / aircraft.copy_name
@@ -829,8 +829,8 @@ def instrument(
     constant = {str(name): ends for name, ends in (request.constant or {}).items()}
     bounds = PluginBounds(form, constant)
     # A dry run writes nothing that could be flown.
-    flown = request.check and not request.dry_run
-    callback("comparing short flights with the original" if flown else "writing")
+    flies_check = request.check and not request.dry_run
+    callback("comparing short flights with the original" if flies_check else "writing")
     done = instrument_aircraft(
         aircraft,
         bounds,

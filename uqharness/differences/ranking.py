@@ -289,11 +289,11 @@ def fly_matched(
 
 def _with_open_loop(script: bytes, a: Aircraft, b: Aircraft) -> bytes:
     """Return a script of A that also sets what only B's card needs for commands to pass."""
-    own, other = (aircraft.card.modes.get("open_loop", {}) for aircraft in (a, b))
+    first, other = (aircraft.card.modes.get("open_loop", {}) for aircraft in (a, b))
     lines = "".join(
         f'\n    <property value="{value:.9g}">{name}</property>'
         for name, value in other.items()
-        if name not in own
+        if name not in first
     )
     return re.sub(rb"<run [^>]*>", lambda run: run[0] + lines.encode(), script, count=1)
 

@@ -209,10 +209,10 @@ def coefficients(model: LiftDragModel, states: FlightStates) -> FloatArray:
     lift, drag = plane**2 * lift + rates("CL"), plane**2 * drag + rates("CD")
     pitch = linear("Cem")
     # Behind the stall the slope is another.
-    beyond = np.abs(alpha) > stall
+    is_stalled = np.abs(alpha) > stall
     steep = tag["Cema"] * np.sign(alpha) * stall
     steep = steep + tag["Cema_stall"] * (alpha - np.sign(alpha) * stall)
-    pitch = np.where(beyond, pitch - tag["Cema"] * alpha + steep, pitch)
+    pitch = np.where(is_stalled, pitch - tag["Cema"] * alpha + steep, pitch)
     cx = -drag * np.cos(alpha) + lift * np.sin(alpha)
     cz = -drag * np.sin(alpha) - lift * np.cos(alpha)
     lateral = [plane**2 * linear(p) + rates(p) for p in ("CY", "Cell", "Cen")]
@@ -309,8 +309,8 @@ def _inertial(path: Path, root: etree._Element, plugin: etree._Element) -> etree
     """Return the inertial element of the link that the plugin moves."""
     link_name = (plugin.findtext("link_name") or "").strip().split("::")[-1]
     links = list(root.iter("link"))
-    named = [link for link in links if link.get("name") == link_name] or links[:1]
-    return named[0].find("inertial") if named else None
+    selected = [link for link in links if link.get("name") == link_name] or links[:1]
+    return selected[0].find("inertial") if selected else None
 
 
 def _mass(path: Path, inertial: etree._Element | None) -> tuple[float, FloatArray]:

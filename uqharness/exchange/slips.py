@@ -175,16 +175,16 @@ def _slopes(
     for k, coefficient in enumerate((*COEFFICIENTS, "CL", "CD")):
         fits = [polynomial(states, row[:, k]) for row in rows]
         of_first, of_second = (fit.tangent(middle) for fit in fits)
-        spread = max(float(row[:, k].std()) for row in rows)
+        scatter = max(float(row[:, k].std()) for row in rows)
         for variable in VARIABLES:
             slopes[coefficient, variable] = of_first[variable], of_second[variable]
             reach = float(states.values[variable].std())
-            effects[coefficient, variable] = reach / spread if spread > 0.0 else 0.0
+            effects[coefficient, variable] = reach / scatter if scatter > 0.0 else 0.0
         # A slope's standard error, as a share of the variation, is what the fits leave over sqrt n.
         misfit = max(
             float((r[:, k] - f.over(states)).std()) for r, f in zip(rows, fits, strict=True)
         )
-        error = misfit / max(spread, 1e-30) / math.sqrt(len(states))
+        error = misfit / max(scatter, 1e-30) / math.sqrt(len(states))
         least_change[coefficient] = min(max(_RELEVANT_EXACT, 10.0 * error), _RELEVANT)
     return slopes, effects, least_change
 
@@ -383,7 +383,7 @@ def _of_reference(a: ComparedModel, b: ComparedModel) -> list[Slip]:
         x, y = first[name], second[name]
         if not (math.isfinite(x) and math.isfinite(y)) or abs(x - y) <= 0.01 * max(abs(x), abs(y)):
             continue
-        others = [
+        same_variable = [
             other
             for other in first
             if other != name
@@ -392,11 +392,11 @@ def _of_reference(a: ComparedModel, b: ComparedModel) -> list[Slip]:
             and abs(first[other] - y) < 1e-3 * abs(y)
         ]
         # Two that changed places are no matter of units.
-        exchanged = [other for other in others if abs(second[other] - x) < 1e-3 * abs(x)]
+        exchanged = [other for other in same_variable if abs(second[other] - x) < 1e-3 * abs(x)]
         if abs(x + y) < 0.01 * abs(x):
             cause = "the sign is opposite"
-        elif exchanged or (others and not _unit(name, x, y)):
-            cause = f"that is the first model's {(exchanged or others)[0]}"
+        elif exchanged or (same_variable and not _unit(name, x, y)):
+            cause = f"that is the first model's {(exchanged or same_variable)[0]}"
         else:
             cause = _unit(name, x, y)
         findings.append(Slip(name, x, y, cause))
@@ -429,8 +429,10 @@ def _quantities(reference: Reference) -> dict[str, float]:
     }
 
 
-def in_reference(coefficients: FloatArray, own: Reference, common: Reference) -> FloatArray:
+def in_reference(coefficients: FloatArray, reference: Reference, common: Reference) -> FloatArray:
     """Return coefficients of a model's own area and lengths in a common reference."""
-    area = own.S_m2 / common.S_m2
-    lengths = np.array([own.b_m / common.b_m, own.c_m / common.c_m, own.b_m / common.b_m])
+    area = reference.S_m2 / common.S_m2
+    lengths = np.array(
+        [reference.b_m / common.b_m, reference.c_m / common.c_m, reference.b_m / common.b_m]
+    )
     return np.hstack([coefficients[:, :3] * area, coefficients[:, 3:] * (area * lengths)])

@@ -155,7 +155,7 @@ def read_mission(path: Path) -> WaypointMission:
     if len(items) > _MAX_ITEMS:
         raise BadInputError(f"{path}: {len(items)} items; at most {_MAX_ITEMS} are flown")
     # A change of speed belongs to the next item; commands without motion are counted.
-    flown: list[Waypoint] = []
+    passed: list[Waypoint] = []
     speed = math.nan
     motionless: dict[int, int] = {}
     landing: _Item | None = None
@@ -168,9 +168,9 @@ def read_mission(path: Path) -> WaypointMission:
             landing = item
         else:
             # A landing on the way is refused as any other command that is not flown.
-            flown.append(replace(_waypoint(landing or item, home), speed_mps=speed))
+            passed.append(replace(_waypoint(landing or item, home), speed_mps=speed))
             speed = math.nan
-    if not flown:
+    if not passed:
         raise BadInputError(f"{path}: holds no item that moves the aircraft")
     if landing is not None:
         notes.append(f"{landing.place}: the landing is left out: the aircraft returns home")
@@ -185,7 +185,7 @@ def read_mission(path: Path) -> WaypointMission:
     others = sum(count for command, count in motionless.items() if command not in _TAKEOFFS)
     if others:
         notes.append(f"{others} items that do not move the aircraft are left out")
-    return WaypointMission(path, tuple(flown), tuple(notes))
+    return WaypointMission(path, tuple(passed), tuple(notes))
 
 
 def _has_hold(item: _Item) -> bool:
@@ -528,22 +528,25 @@ class WaypointGuide:
         if length < 1.0:
             self._next(place)
             return
-        along = leg / length
-        right = np.array([-along[1], along[0]])
-        done, error = float((place - self._origin) @ along), float((place - self._origin) @ right)
+        direction = leg / length
+        right = np.array([-direction[1], direction[0]])
+        done, error = (
+            float((place - self._origin) @ direction),
+            float((place - self._origin) @ right),
+        )
         ground_speed = float(np.linalg.norm(velocity))
-        if done >= length - self._turn_distance(along, ground_speed):
+        if done >= length - self._turn_distance(direction, ground_speed):
             self._next(place)
             return
         self._distances.append(error)
-        if self._turn is not None or float(velocity @ along) < 0.0:
-            self._turn_back(place, velocity, along, right)
+        if self._turn is not None or float(velocity @ direction) < 0.0:
+            self._turn_back(place, velocity, direction, right)
             if self._turn is not None:
                 return
         if not self._side:
             # Outside the circle the law captures it from any distance, inside it does not.
             self._side = -1.0 if error > 0.0 else 1.0
-        foot = self._origin + done * along
+        foot = self._origin + done * direction
         radius = _LEG_RADIUS_M * self._get["stretch"]() ** 2
         centre = foot + self._side * radius * right
         self._set(

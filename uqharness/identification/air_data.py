@@ -102,14 +102,14 @@ def air_data_errors(record: FlightRecord) -> list[AirDataError]:
         Flight; without ground velocity and heading the priors remain.
     """
     late_s = velocity_lateness(record)
-    record, later = (_with_earlier_velocity(record, s) for s in (late_s, late_s + _LATE_STD_S))
+    record, shifted = (_with_earlier_velocity(record, s) for s in (late_s, late_s + _LATE_STD_S))
     speed = _speed_scale(record)
     estimates = {("V_mps", "scale"): (speed[0], speed[1])}
     if np.isfinite(speed[1]) and "psi_rad" in record:
-        angles, others = (_angle_errors(r, speed[2]) for r in (record, later))
+        angles, shifted_angles = (_angle_errors(r, speed[2]) for r in (record, shifted))
         # A turn begins within a second: what a later velocity changes is an error too.
         for key, (value, std) in angles.items():
-            change = others[key][0] - value if key in others and late_s else 0.0
+            change = shifted_angles[key][0] - value if key in shifted_angles and late_s else 0.0
             estimates[key] = value, float(np.hypot(std, change))
     if (position := _position_error(record)) is not None:
         estimates["h_m", "position"] = position
@@ -162,10 +162,10 @@ def velocity_lateness(record: FlightRecord) -> float:
             drift = np.column_stack([np.ones(len(t)), t0, t0**2, *drifts[:, axis, part]])
             q = np.linalg.qr(drift)[0]
             for k, lag in enumerate(lags):
-                rest = np.interp(t + lag, time_s[usable], columns[name][usable])
-                rest -= integral[axis][part]
-                rest -= q @ (q.T @ rest)
-                cost[k] += float(rest @ rest)
+                residual = np.interp(t + lag, time_s[usable], columns[name][usable])
+                residual -= integral[axis][part]
+                residual -= q @ (q.T @ residual)
+                cost[k] += float(residual @ residual)
     return float(lags[int(np.argmin(cost))]) if cost.any() else 0.0
 
 

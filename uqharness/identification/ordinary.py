@@ -833,8 +833,8 @@ def _is_better(fit: _StepFit, theta: FloatArray, cov: FloatArray) -> bool:
     """
     k = fit.control_term
     variance = float(cov[k, k]) if cov[k, k] > 0.0 else np.inf
-    apart = abs(float(fit.theta[k] - theta[k])) / np.sqrt(float(fit.cov[k, k]) + variance)
-    return bool(fit.cov[k, k] < variance) or apart > DISAGREEMENT
+    deviation = abs(float(fit.theta[k] - theta[k])) / np.sqrt(float(fit.cov[k, k]) + variance)
+    return bool(fit.cov[k, k] < variance) or deviation > DISAGREEMENT
 
 
 @dataclass(frozen=True)
@@ -863,12 +863,12 @@ class _StepInstruments:
         """Find the steps of the controls of all flights."""
         columns = dict(zip(CONTROLS, control_columns(measured), strict=True))
         surfaces = {c: columns[c] for c in _CONTROL_TERMS.values()}
-        found = [command_steps_of(f.record, surfaces) for f in flights]
-        common = [c for c in surfaces if all(c in steps for steps in found)]
+        steps_of_flights = [command_steps_of(f.record, surfaces) for f in flights]
+        common = [c for c in surfaces if all(c in steps for steps in steps_of_flights)]
         pieces = {
             c: [
                 filtered_steps([steps[c]], f.record.dt_s)[piece.rows]
-                for f, steps in zip(flights, found, strict=True)
+                for f, steps in zip(flights, steps_of_flights, strict=True)
                 for piece in f.pieces
             ]
             for c in common
@@ -924,10 +924,10 @@ class _StepInstruments:
                 theta = np.sum(
                     [w * f.theta for w, f in zip(weights, of_settings, strict=True)], axis=0
                 )
-                apart = [f.theta - theta for f in of_settings]
+                differences = [f.theta - theta for f in of_settings]
                 parts = [
                     w * (f.cov + np.outer(d, d))
-                    for w, f, d in zip(weights, of_settings, apart, strict=True)
+                    for w, f, d in zip(weights, of_settings, differences, strict=True)
                 ]
                 cov = np.sum(parts, axis=0)
                 other = self._fit(1, c, best, groups[c], names, initial, fixed_terms)
@@ -1024,13 +1024,13 @@ class _StepInstruments:
         cov += (change * variances) @ change.T
         # The constant makes the residual zero on average.
         sums = np.bincount(np.unique(block, return_inverse=True)[1], weights=fit.residual)
-        spread = float(np.sum(sums**2)) / len(y) ** 2
+        mean_variance = float(np.sum(sums**2)) / len(y) ** 2
         mean = x[:, free].mean(axis=0)
         for j in np.flatnonzero(~moving & ~fixed & (np.abs(x).max(axis=0) > 0.0)):
             level = float(x[:, j].mean())
             theta[j] = (float(y.mean()) - float(mean @ fit.theta)) / level
             cov[j, free] = cov[free, j] = -(mean @ cov[np.ix_(free, free)]) / level
-            cov[j, j] = (float(mean @ cov[np.ix_(free, free)] @ mean) + spread) / level**2
+            cov[j, j] = (float(mean @ cov[np.ix_(free, free)] @ mean) + mean_variance) / level**2
         return _StepFit(coefficient, theta, cov, fit.moment, fit.variance, control_term)
 
 
@@ -1333,10 +1333,10 @@ def _with_prior(
         return theta, cov
     scale = np.sqrt(np.maximum(np.diagonal(cov), 1e-300))
     information = np.linalg.pinv(cov / np.outer(scale, scale), rcond=1e-10) / np.outer(scale, scale)
-    known = np.diag([0.0 if p is None else 1.0 / p[1] ** 2 for p in priors])
+    prior_information = np.diag([0.0 if p is None else 1.0 / p[1] ** 2 for p in priors])
     mean = np.array([0.0 if p is None else p[0] for p in priors])
-    posterior = np.linalg.inv(information + known)
-    return posterior @ (information @ theta + known @ mean), posterior
+    posterior = np.linalg.inv(information + prior_information)
+    return posterior @ (information @ theta + prior_information @ mean), posterior
 
 
 def with_prior(result: Identification, prior: Mapping[str, tuple[float, float]]) -> Identification:

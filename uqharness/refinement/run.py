@@ -234,8 +234,8 @@ def _refine(job: Job, callback: Callback, forecast: Forecast) -> Refinement:
         # 6. Intervals of the coefficients' errors, of both models.
         callback("intervals of both models")
         jobs = [
-            _interval_job(request, searches[name], written, chosen, complete, train, test)
-            for name, written in models.items()
+            _interval_job(request, searches[name], model_aircraft, chosen, complete, train, test)
+            for name, model_aircraft in models.items()
         ]
         intervals = kept_stages(
             "intervals", list[Intervals], lambda: list(pool(fit_intervals, jobs))
@@ -243,9 +243,9 @@ def _refine(job: Job, callback: Callback, forecast: Forecast) -> Refinement:
         # 7. What remains.
         with StagedModels(request.aircraft, train_side.setup) as bench:
             controls = positions(bench.model, train_side.setup)
-        named = document_of(chosen, outcome, request.aircraft, controls)
+        chosen_document = document_of(chosen, outcome, request.aircraft, controls)
         document = _with_smooth(
-            named, *_smooth_term(request, named, outcome, write, pool, callback)
+            chosen_document, *_smooth_term(request, chosen_document, outcome, write, pool, callback)
         )
     # 8. Fly the mission with both models.
     forms = write_forms(dict(zip(models, intervals, strict=True)), request.out)

@@ -539,7 +539,7 @@ def _plain_style() -> str:
     # Take the colours of the light scheme and put them in place of the variables.
     colours = dict(re.findall(r"--([\w-]+): (#\w+)", style()))
     rules = style().partition("}\n")[2]
-    return re.sub(r"var\(--([\w-]+)\)", lambda found: colours[found[1]], rules)
+    return re.sub(r"var\(--([\w-]+)\)", lambda variable: colours[variable[1]], rules)
 
 
 def thin_line(

@@ -661,12 +661,12 @@ def host_properties(aircraft: Aircraft) -> tuple[HostProperty, ...]:
         files = staging.model_files(aircraft)
         if host_system := _carried_system(files):
             names = host.scan([(host_system, files.local[host_system].content)])
-            taken = {
+            defined = {
                 *names.computed,
                 *names.declared,
                 *map(host.canonical, aircraft.card.host),
             }
-            rows = tuple(row for row in rows if host.canonical(row.name) not in taken)
+            rows = tuple(row for row in rows if host.canonical(row.name) not in defined)
         else:
             rows = host.with_host_entries(rows, aircraft.card.host)
         _host[stamp] = rows
@@ -779,8 +779,8 @@ def fuel_levels(aircraft: Aircraft) -> dict[int, float]:
     # An engine cannot draw what a tank keeps.
     unusable = [_unusable_lb(tank) for tank in tanks]
     contents = [
-        present if (present := _number(tank, "contents")) > kept else 0.0
-        for tank, kept in zip(tanks, unusable, strict=True)
+        present if (present := _number(tank, "contents")) > unusable_lb else 0.0
+        for tank, unusable_lb in zip(tanks, unusable, strict=True)
     ]
     starved: set[int] = set()
     for node in root.iterfind("propulsion/engine"):
@@ -793,7 +793,9 @@ def fuel_levels(aircraft: Aircraft) -> dict[int, float]:
         return {}
     values = _initial_values(aircraft)
     levels = {}
-    for number, (tank, present, kept) in enumerate(zip(tanks, contents, unusable, strict=True)):
+    for number, (tank, present, unusable_lb) in enumerate(
+        zip(tanks, contents, unusable, strict=True)
+    ):
         capacity = _number(tank, "capacity")
         is_reserve = any(contents) and number not in starved
         if present or is_reserve or not capacity or tank.find("contents") is None:
@@ -804,7 +806,9 @@ def fuel_levels(aircraft: Aircraft) -> dict[int, float]:
             or values.get(f"{name}/level-gal_us", 0.0) * _LBS_GAL
             or values.get(f"{name}/level-norm", 0.0) * capacity
         )
-        levels[number] = level if level > kept else kept + _ASSUMED_FILL * (capacity - kept)
+        levels[number] = (
+            level if level > unusable_lb else unusable_lb + _ASSUMED_FILL * (capacity - unusable_lb)
+        )
     return levels
 
 

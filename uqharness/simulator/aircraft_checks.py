@@ -707,8 +707,8 @@ def _block(block: Any, axes: int) -> Iterator[tuple[int, str]]:
             if len(row) != width:
                 text = f"this row of <tableData> has {len(row)} numbers; {width} are needed"
                 # Programs that reformat XML join lines.
-                joined = len(lines) == 1 and len(row) % width == 0
-                yield line, text + f"; begin a line after every {width}" * joined
+                is_joined = len(lines) == 1 and len(row) % width == 0
+                yield line, text + f"; begin a line after every {width}" * is_joined
     # Keys must increase from row to row.
     first = 1 if (two and not one) or (axes == 2 and not one) else 0
     keys = [(line, float(row[0])) for line, row in lines[first:]]

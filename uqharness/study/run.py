@@ -357,8 +357,8 @@ def _conclude(
     if old is not None and old.key == key and content(out / TRACKS) == old.sha256:
         record.update(tracks=old)
     elif track_requests:
-        flown = fly_tracks(out, track_requests, workers)
-        record.update(tracks=Tracks(**flown, key=key, sha256=content(out / TRACKS)))
+        tracks = fly_tracks(out, track_requests, workers)
+        record.update(tracks=Tracks(**tracks, key=key, sha256=content(out / TRACKS)))
 
 
 def _row(stage: Stage, old: StageResult | None) -> StageResult:

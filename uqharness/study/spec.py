@@ -281,15 +281,15 @@ def _options(
     for name, number, content in _tables(data):
         section, request, also = STAGE_SECTIONS[name]
         place: tuple[str, ...] = (name,) if number is None else (name, str(number))
-        own = [key for key in section.model_fields if key != "options"]
+        option_keys = [key for key in section.model_fields if key != "options"]
         try:
             options[name, number] = read_section(
                 request,
-                {key: value for key, value in content.items() if key not in own},
+                {key: value for key, value in content.items() if key not in option_keys},
                 heading=f"[{name}]" if number is None else f"[[{name}]] number {number + 1}",
                 line=partial(_place_of, path, text, place),
                 also=also,
-                own=own,
+                own=option_keys,
             )
         except BadInputError as error:
             lines += error.args

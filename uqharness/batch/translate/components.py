@@ -244,8 +244,8 @@ def written_properties(scope: Scope, node: Node) -> list[str]:
     """List all properties that a component may write, for one that is left out."""
     names = [child.text for child in node.all("output")]
     names += [child.text for case in node.all("case") for child in case.all("property")]
-    if own := node.attributes.get("name", ""):
-        names += [own_name(own), f"{own_name(own)}/saturated"]
+    if component_name := node.attributes.get("name", ""):
+        names += [own_name(component_name), f"{own_name(component_name)}/saturated"]
     quantity = node.find("quantization")
     if quantity is not None and quantity.attributes.get("name", ""):
         names.append(own_name(quantity.attributes["name"]))

@@ -275,12 +275,12 @@ class Propeller:
     def _reversed(self, frame: Frame, before: Value, rpm: Value, governed: Value) -> Value:
         """Return the governor's blade angle or, in reverse, the one that the lever demands."""
         key = f"engine{self.mount.name.removeprefix('propulsion/engine').removesuffix('/')}"
-        (low, high), least = self.pitch, self.reverse_pitch
-        demanded = low - (low - least) * frame.memory(f"{key}/reverse")
+        (low, high), min_pitch = self.pitch, self.reverse_pitch
+        demanded = low - (low - min_pitch) * frame.memory(f"{key}/reverse")
         angle = rpm.gt(_PITCH_FROM_RPM).choose(before + (demanded - before) / 200.0, before)
         # Overspeed turns the blades further.
         slowed = angle + (self.rpm[1] - rpm) / 50.0
-        slowed = slowed.lt(least).choose(least, slowed.gt(high).choose(high, slowed))
+        slowed = slowed.lt(min_pitch).choose(min_pitch, slowed.gt(high).choose(high, slowed))
         angle = rpm.gt(self.rpm[1]).choose(slowed, angle)
         return frame.memory(f"{key}/reverses").ne(0.0).choose(angle, governed)
 

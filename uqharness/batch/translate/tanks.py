@@ -185,9 +185,9 @@ def _shape_inertia(scope: Scope, form: Node | None) -> tuple[float, float, float
     r, length = (number(scope, form, tag, 0.0, "FT") for tag in ("radius", "length"))
     shape = form.attributes.get("shape", "")
     if shape in ("tube", "cylinder"):
-        along, across = (1.0, 6.0) if shape == "tube" else (0.5, 3.0)
+        axial, across = (1.0, 6.0) if shape == "tube" else (0.5, 3.0)
         side = (across * r * r + length * length) / 12.0
-        return along * r * r, side, side
+        return axial * r * r, side, side
     round_inertia = {"sphere": 2.0 / 3.0, "ball": 2.0 / 5.0}.get(shape, 0.0) * r * r
     return round_inertia, round_inertia, round_inertia
 
@@ -417,8 +417,8 @@ def trace_mass(
         offset = (centre[0] - spot[0], centre[1] - spot[1], centre[2] - spot[2])
         shape = (*item.inertia_ft2, 0.0, 0.0, 0.0)
         inertia = [
-            i + a + mass * own
-            for i, a, own in zip(inertia, _steiner(mass, offset), shape, strict=True)
+            i + a + mass * inertia_of_shape
+            for i, a, inertia_of_shape in zip(inertia, _steiner(mass, offset), shape, strict=True)
         ]
     # Parallel-axis term of the rest of the aircraft.
     shift = _steiner(dry_mass, (centre[0] - at[0], centre[1] - at[1], centre[2] - at[2]))

@@ -532,8 +532,8 @@ class Turboprop:
         frame.store(f"{name}itt-c", moves.choose(new_itt, itt))
         frame.remember(f"{key}/phase", ready.choose(_RUN, phase), _RUN if was_running else _OFF)
         frame.remember(f"{key}/cutoff", cutoff.choose(1.0, 0.0), 0.0 if was_running else 1.0)
-        still = b.op("and", running, b.op("not", is_off))
-        on = b.op("or", b.op("or", is_run, ready), still)
+        is_running_down = b.op("and", running, b.op("not", is_off))
+        on = b.op("or", b.op("or", is_run, ready), is_running_down)
         frame.store(f"{name}set-running", on.choose(1.0, 0.0))
         friction = is_off.choose(rpm.gt(_FRICTION_RPM).choose(_FRICTION_HP, 0.0), 0.0)
         hp = works.choose(hp, friction)
@@ -559,9 +559,9 @@ class Turboprop:
             return throttle
         # A script started the engine at full throttle. JSBSim does not report the throttle to which
         # the limiter has lowered it.
-        started = frame.values.get(f"{name}set-running")
-        is_unknown = started and frame.values.get(f"{name}ielu_intervent")
-        first = math.nan if is_unknown else 1.0 if started else 0.0
+        is_set_running = frame.values.get(f"{name}set-running")
+        is_unknown = is_set_running and frame.values.get(f"{name}ielu_intervent")
+        first = math.nan if is_unknown else 1.0 if is_set_running else 0.0
         before = frame.memory(self.limited_throttle, first)
         is_lost = before.ne(before)
         if not frame.initialising:
@@ -575,8 +575,8 @@ class Turboprop:
         )
         frame.store(f"{name}ielu_intervent", b.op("or", lowers, raises).choose(1.0, 0.0))
         # Engines that are settled next forget it; a flight that begins without that is refused.
-        kept = is_lost.choose(before, limited) if frame.initialising else limited
-        frame.remember(self.limited_throttle, kept, first)
+        throttle_memory = is_lost.choose(before, limited) if frame.initialising else limited
+        frame.remember(self.limited_throttle, throttle_memory, first)
         return limited
 
     def _factor(self, frame: Frame) -> Value:

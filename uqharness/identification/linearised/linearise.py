@@ -147,8 +147,8 @@ class Probe:
         # other side of the jump.
         rows = np.arange(len(self.controls))
         early, late = (
-            self.by_control[np.clip(rows + away, 0, len(rows) - 1)]
-            for away in (-SLOPE_ROWS, SLOPE_ROWS - 1)
+            self.by_control[np.clip(rows + shift, 0, len(rows) - 1)]
+            for shift in (-SLOPE_ROWS, SLOPE_ROWS - 1)
         )
         return np.asarray((before * early + (1.0 - before) * late) * self.jumped[:, None, :])
 
@@ -445,7 +445,9 @@ def _settled_loads(fdm: Any, get: Sequence[Callable[[], float]]) -> FloatArray:
         fdm.run()
         before, last = loads, moved
         loads = [g() for g in get]
-        change = max(abs(now - then) for now, then in zip(loads, before, strict=True))
+        change = max(
+            abs(load - load_before) for load, load_before in zip(loads, before, strict=True)
+        )
         moved = change / max(*map(abs, loads), 1e-9)
         # Loads that outgrow the accelerations that they are part of settle nowhere.
         if moved < _STATIONARY_SHARE or not moved < last:
@@ -561,10 +563,10 @@ def analytic_terms(
     for name in term_names:
         index, expected = term_column(name, term_variables)
         measured_slope = slopes[name] / scale
-        wanted = np.zeros_like(measured_slope)
-        wanted[:, index] = expected
-        size = max(float(np.abs(wanted).max()), 1e-9)
-        if np.allclose(measured_slope, wanted, rtol=0.02, atol=0.02 * size):
+        target = np.zeros_like(measured_slope)
+        target[:, index] = expected
+        size = max(float(np.abs(target).max()), 1e-9)
+        if np.allclose(measured_slope, target, rtol=0.02, atol=0.02 * size):
             out.append(name)
     return out
 
@@ -1031,8 +1033,8 @@ def path_deviations(
     jumps = np.array([c in model.jumping for c in model.controls])
     paths = zip(pieces, ends, halves, setup.segments, strict=True)
     return [
-        _middle(own, at, half, is_command, jumps, segment.per_row)
-        for own, at, half, segment in paths
+        _middle(matrices, at, half, is_command, jumps, segment.per_row)
+        for matrices, at, half, segment in paths
     ]
 
 

@@ -219,9 +219,9 @@ def setups_about_delay(
     before = {flight: float(np.floor(place)) for flight, place in places.items()}
     shares = [places[s.flight] - before[s.flight] for s in setup.segments]
     return [
-        _with_delays(model, setup, before, further)
-        for further in (0.0, 1.0)
-        if not further or any(shares)
+        _with_delays(model, setup, before, extra)
+        for extra in (0.0, 1.0)
+        if not extra or any(shares)
     ], shares
 
 
@@ -637,7 +637,7 @@ class _LinearSystems:
             point,
             self.pool,
         )
-        for (k, acting), s in zip(missing, systems, strict=True):
+        for (k, active), s in zip(missing, systems, strict=True):
             which, segment = self.setup.output_rows, self.setup.segments[k]
             share, rows = jump_share(point, segment.flight), delay_rows(self.setup, segment, point)
             # Outputs are those at the reference, biases added.
@@ -649,12 +649,12 @@ class _LinearSystems:
                 for c in self.setup.outputs
             ]
             behind = (
-                self._behind(self.probes[k], s, y, acting, np.array(part)) if any(part) else None
+                self._behind(self.probes[k], s, y, active, np.array(part)) if any(part) else None
             )
             s.y_ref[:, which] = with_sensor_errors(
                 y, self.setup, segment, point, rows, behind=behind
             )
-            self.systems[k, acting] = (
+            self.systems[k, active] = (
                 replace(s, H=output_matrix_between_rows(s, which, part)) if any(part) else s
             )
         for key in requests:

@@ -447,8 +447,8 @@ def step_from(
     ]
     stay += [
         key
-        for key, least in setup.lower_bounds.items()
-        if point.effects.get(key, 0.0) <= least and move[key] < 0.0
+        for key, lower_bound in setup.lower_bounds.items()
+        if point.effects.get(key, 0.0) <= lower_bound and move[key] < 0.0
     ]
     return evidence.step([*setup.fixed_effects, *stay]) if stay else (delta, length)
 
