@@ -676,7 +676,7 @@ def load(data: bytes, kind: Any = Any) -> Any:
     # The digest covers everything behind it, so that a damaged file is recognised before it is
     # parsed.
     if bytes.fromhex(sha256_of_parts([content])) != data[len(MAGIC) : begin]:
-        raise DataFileError("damaged: its content is not what its digest says")
+        raise DataFileError("damaged: its content does not match its digest")
     length = int.from_bytes(content[:8], "little")
     if length > min(MAX_HEADER_BYTES, len(content) - 8):
         raise DataFileError("malformed: its header is longer than allowed")

@@ -144,8 +144,8 @@ def noise_notes(spec: CampaignSpec) -> list[str]:
         return []
     return [
         (
-            f"aircraft '{aircraft.name}' has no sensors system: it is flown without sensor noise"
-            " ([aleatory] sensor_noise = false)"
+            f"aircraft '{aircraft.name}' has no sensors system: it is simulated without sensor"
+            " noise ([aleatory] sensor_noise = false)"
         )
     ]
 
@@ -294,7 +294,7 @@ class Engines:
             return fly
         if fly is not None:
             return Engines(
-                fly, OneByOne(fly), None, "the flights are flown by a function of the caller"
+                fly, OneByOne(fly), None, "a function of the caller simulates the flights"
             )
         from uqharness.flight.fly import fly as own
 

@@ -169,8 +169,8 @@ class DamageError(BadInputError):
         place = shlex.quote(str(folder))
         super().__init__(
             f"{path}: damaged: {problem}; nothing was changed. `uqharness campaign verify {place}`"
-            f" says what is whole, `uqharness campaign salvage {place}` keeps it and makes the rest"
-            " again"
+            f" lists what is whole, `uqharness campaign salvage {place}` keeps it and makes the"
+            " rest again"
         )
 
 

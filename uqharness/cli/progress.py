@@ -60,7 +60,7 @@ class _TimeToGo(ProgressColumn):
 def working(
     command: str,
     count: Callable[[], int] | None = None,
-    unit: str = "segments flown",
+    unit: str = "segments simulated",
     *,
     keep: bool = False,
     console: Console | None = None,

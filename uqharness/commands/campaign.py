@@ -471,7 +471,7 @@ def status(request: StatusRequest, callback: Callback = silent) -> Outcome[Campa
 
 def report(request: ReportRequest, callback: Callback = silent) -> Outcome[CampaignPage]:
     """Write the page and the figures; a short campaign's two main flights are flown again."""
-    callback("flying two flights again")
+    callback("simulating two flights again")
     cases = _fly_displayed(request.folder) if request.tracks else []
     callback("report")
     pages = write_campaign_report(request.folder)
@@ -529,7 +529,7 @@ def merge(request: MergeRequest, callback: Callback = silent) -> Outcome[Merged]
 
 def rerun(request: RerunRequest, callback: Callback = silent) -> Outcome[Rerun]:
     """Fly one case again and compare it with the stored result."""
-    callback("flying the case")
+    callback("simulating the case")
     repeated = rerun_case(request.folder, request.case)
     files = [*repeated.files, *draw_rerun(repeated)]
     outcome, same = repeated.outcome, repeated.same

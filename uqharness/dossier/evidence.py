@@ -267,7 +267,7 @@ def _read_folder(evidence: Evidence, place: Path) -> None:
         if kind not in marked_kinds and (place / leftover).is_file():
             marked_kinds.add(kind)
             evidence.add_missing(
-                f"{_join(relative, mark)} is not there, beside {leftover}: the results"
+                f"{_join(relative, mark)} is missing, but {leftover} is there: the results"
                 f" of {kind} are unknown"
             )
             evidence.steps.append(Step(kind, relative, place, None))

@@ -698,8 +698,8 @@ def bounds_of(campaign: CampaignMission, folder: Path, coefficient: str) -> Path
             " lacking)"
         )
     raise BadInputError(
-        f"{folder}: flew constant bounds of {coefficient}, which depend on no flight state: nothing"
-        " says where data are lacking. Make bounds from flights (uqharness bounds AIRCRAFT"
+        f"{folder}: flew constant bounds of {coefficient}, which depend on no flight state, so that"
+        " no state lacks data. Make bounds from flights (uqharness bounds AIRCRAFT"
         " --flight FILE --out DIR) and give them with --bounds DIR/model-form.json"
     )
 

@@ -108,7 +108,7 @@ CONTROLS_LATE = Effect(
     "record",
     "delay",
     "controls recorded early or late",
-    "all commands act one time later than the record says",
+    "all commands act later than recorded, by one common time",
     unit="s",
 )
 """The time offset of all controls, which competes with the candidates as one column."""
@@ -269,7 +269,7 @@ def find_effects(
     outcome = EffectSearch(context, fitter, callback).run(baseline.information)
     model = outcome.model
     if model.keys:
-        callback("estimating everything by output error")
+        callback("estimating all parameters by output error")
         model = fitter.polish(context, model, "settled")
     result = _result_of(context, baseline, replace(outcome, model=model))
     result = replace(result, late_s=sum(shifts))
@@ -359,8 +359,8 @@ def fit_baseline(
     requested = tuple(aircraft.card.parameters)
     if not requested:
         raise BadInputError(
-            f"aircraft '{aircraft.name}': its airframe.toml lists no [parameters], so nothing says"
-            " what may be re-identified first"
+            f"aircraft '{aircraft.name}': its airframe.toml lists no [parameters], which"
+            " must name the parameters to identify first"
         )
     # Flights with their controls shifted are other data: made from the records, not from
     # shifted ones.
@@ -388,7 +388,7 @@ def fit_baseline(
         effects = candidate_effects(fitted, requested, extra)
         if looks_turbulent(fitted, replayed.fit):
             callback(
-                "the air was turbulent: predicting one sample ahead, scoring"
+                "turbulent air: predicting one sample ahead, scoring"
                 f" {len(effects)} candidate effects"
             )
             air = stages(
@@ -581,8 +581,8 @@ class EffectSearch:
                 return outcome
         names = ", ".join(f"{e.subsystem} {e.term}" for e in doubtful)
         note = (
-            "one channel of a sensor late by itself was not believed beside other delays and servos"
-            f" ({names}): the effects were sought without such delays"
+            "the delay of a single sensor channel was not accepted together with other delays and"
+            f" servos ({names}): the effects were sought without such delays"
         )
         return replace(other, notes=(note,))
 
@@ -610,7 +610,7 @@ class EffectSearch:
             if reference_model.is_stationary or not proposal.chosen:
                 break
             # Fit the proposal, and competing ones where its newest effect is doubtful.
-            self.callback(f"round {number}: flying with {listed(proposal.values)}")
+            self.callback(f"round {number}: fitting {listed(proposal.values)}")
             name = f"{label}{number}"
             model = self.fitter.fit(context, proposal, reference_model, name)
             if model is not None:
@@ -621,7 +621,7 @@ class EffectSearch:
             competitors_left -= len(competitors)
             if competitors:
                 texts = "; ".join(listed(o.values) for o in competitors)
-                self.callback(f"flying {texts} instead")
+                self.callback(f"fitting competing effects: {texts}")
             # Compare: one at a time, because a model takes a tenth of a gigabyte and more.
             for k, other in enumerate(competitors):
                 trial = self.fitter.fit(context, other, reference_model, f"{name}-instead{k}")

@@ -713,7 +713,7 @@ def fit_without_effects(
         at_bound = [n for n in excited if n not in determined]
         if at_bound:
             note = (
-                "the model as it is drives these to a bound; estimated beside effects alone:"
+                "the baseline fit drives these to a bound; they are estimated only with effects:"
                 f" {', '.join(at_bound)}"
             )
             notes = [*notes, note]

@@ -211,7 +211,7 @@ def _refine(job: Job, callback: Callback, forecast: Forecast) -> Refinement:
             else _with_all_effects(request, chosen, scratch.path / "named")
         )
         # 4. Test them on the hold-out flights.
-        callback("flying the hold-out flights with both models")
+        callback("simulating the hold-out flights with both models")
         outcome = kept_stages(
             "judged",
             HoldOutResult,
@@ -421,7 +421,7 @@ def _smooth_term(
         shutil.rmtree(stale)
     if document.verdict != "unexplained":
         return None, EXPLAINED
-    callback("looking for a smooth term in what is left")
+    callback("searching the residuals for a smooth term")
     result = find_smooth_term(outcome, write, pool)
     if isinstance(result, str):
         return None, result
@@ -508,7 +508,7 @@ def _mission(
     # Campaigns are much to load, and not every refinement flies one.
     from uqharness.refinement.mission import fly_missions
 
-    callback("flying the mission with both models")
+    callback("simulating the mission with both models")
     return fly_missions(
         models, forms, request.options.campaign, request.out, request.options.workers, callback
     )

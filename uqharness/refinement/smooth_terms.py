@@ -238,7 +238,7 @@ def drop_unclear_effects(
     if not weak:
         return result
     strong = leave_out(result, train_information(result), [c.key for c in weak])
-    lines = [f"too weak beside what is unexplained: - {c.key} t {c.t:.1f}" for c in weak]
+    lines = [f"too weak against the unexplained residual: - {c.key} t {c.t:.1f}" for c in weak]
     return replace(strong, unclear=weak, trail=(*result.trail, *lines))
 
 
@@ -351,7 +351,7 @@ def find_smooth_term(
     estimate, aircraft, on_train = flown_term.estimate, flown_term.aircraft, flown_term.evaluation
     fit, term = estimate.fit, estimate.fit.term
     if not on_train.neg2_log_likelihood < outcome.train[2].neg2_log_likelihood:
-        return f"flown in the simulation, a {term.name} does not lower the error"
+        return f"a {term.name} does not lower the error of the simulation"
     # The same on the hold-out flights.
     start = point_as_written(estimate.result, initial=outcome.test[2].trajectory.point)
     on_test = evaluate(aircraft, test, pool, start)

@@ -175,7 +175,7 @@ def _compile(job: ReplayJob, names: frozenset[str]) -> _Program | None:
             shape.stride,
         )
     except BadInputError as error:
-        _LOG.info("replays are flown by JSBSim: %s", error)
+        _LOG.info("JSBSim simulates the replays: %s", error)
         return None
     return _Program(replay, names, extra)
 
@@ -220,14 +220,14 @@ def _verified(job: ReplayJob, program: _Program | None) -> _Program | None:
         return program
     if not comparable[0]:
         _LOG.warning(
-            "replays are flown by JSBSim, which is slower: the flight diverges from its first row,"
+            "JSBSim simulates the replays, which is slower: the flight diverges from its first row,"
             " so the batch engine cannot be compared with JSBSim"
         )
         return None
     worst = np.nanmax(np.where(np.isfinite(difference), difference, np.inf), axis=0, initial=0.0)
     channel = (*RAW, *program.extra)[int(np.argmax(worst))]
     _LOG.warning(
-        "replays are flown by JSBSim, which is slower: the batch engine's %s differs by %s of its"
+        "JSBSim simulates the replays, which is slower: the batch engine's %s differs by %s of its"
         " size",
         channel,
         percent(float(np.max(worst))) if np.isfinite(worst).all() else "more than 100 %",

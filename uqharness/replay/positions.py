@@ -163,7 +163,7 @@ def _compile(
             sources, lambda: _open_chain(staging, model, dt_s), dt_s, names, servos, records, stride
         )
     except BadInputError as error:
-        _LOG.info("positions are flown by JSBSim: %s", error)
+        _LOG.info("JSBSim simulates the positions: %s", error)
         return None
     return _Program(
         replay,
@@ -189,7 +189,7 @@ def _verified(
     if bool((difference <= _TOLERANCE).all()):
         return program
     _LOG.info(
-        "positions are flown by JSBSim: the batch engine differs by %.1g of the largest",
+        "JSBSim simulates the positions: the batch engine differs by %.1g of the largest",
         float(np.max(difference)),
     )
     return None
@@ -493,7 +493,7 @@ def _chain_agrees(request: PositionRequest, chain: ControlChain, segment: Segmen
     try:
         difference = (np.abs(fly_chain(request, chain, [beginning])[0] - from_jsbsim) / size)[valid]
     except BadInputError as error:
-        _LOG.info("positions are flown by whole aircraft: %s", error)
+        _LOG.info("whole aircraft simulate the positions: %s", error)
         difference = np.full((1, 1), np.nan)
     # An aircraft that diverges at once leaves too few rows to compare.
     return bool(

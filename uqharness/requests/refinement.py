@@ -15,15 +15,15 @@ STAGES = {
     "reading the flights": 0.004,
     "servos": 0.006,
     "re-identifying": 0.03,
-    "the air was turbulent": 0.06,
+    "turbulent air": 0.06,
     "scoring": 0.004,
     "round": 0.03,
-    "estimating everything": 0.012,
-    "flying the hold-out flights": 0.012,
+    "estimating all parameters": 0.012,
+    "simulating the hold-out flights": 0.012,
     "writing the aircraft": 0.0,
     "intervals": 0.012,
-    "looking for a smooth term": 0.02,
-    "flying the mission": 0.0,
+    "searching the residuals for a smooth term": 0.02,
+    "simulating the mission": 0.0,
     "report": 0.003,
 }
 """Beginning of a stage's text -> expected duration [s per s of flight]."""
@@ -112,5 +112,5 @@ effect's property to 0 restores the model without it, bit for bit."""
             flight_s = _ASSUMED_FLIGHT_S * (len(self.train) + len(self.test))
         durations = {stage: share * flight_s for stage, share in STAGES.items()}
         if self.pbox:
-            durations["flying the mission"] = _MISSION_S / process_count(self.workers)
+            durations["simulating the mission"] = _MISSION_S / process_count(self.workers)
         return durations

@@ -722,8 +722,8 @@ def _frozen(flight: FlightRecord) -> list[Finding]:
         # Constant density is an assumption of many logs, not a fault.
         elif name != "rho_kgpm3":
             text = (
-                f"{name} stands at {value:g} throughout; nothing in the flight says that it should"
-                " have moved"
+                f"{name} is {value:g} throughout; no other channel shows that it should have"
+                " changed"
             )
             out.append(Finding("frozen", name, "info", text, {"value": value}))
     return out

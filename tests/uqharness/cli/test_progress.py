@@ -81,7 +81,7 @@ def test_a_working_command_shows_stage_time_and_count_on_a_terminal_alone(termin
         # A log's own words neither steer the terminal nor become markup.
         assert "identify: output [bold]error\\x1b[2J" in said
         assert "0:00:00" in said
-        assert "1,234 segments flown" in said
+        assert "1,234 segments simulated" in said
 
 
 def test_a_forecast_is_corrected_by_the_stages_that_have_ended():
