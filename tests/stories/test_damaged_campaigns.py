@@ -5,6 +5,7 @@ salvage.
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import json
 import os
 import random
@@ -14,6 +15,7 @@ import sqlite3
 import subprocess
 import sys
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -26,7 +28,7 @@ from uqharness.campaign.processes import SerialExecutor
 from uqharness.campaign.read_spec import read_campaign
 from uqharness.campaign.run import run_campaign
 from uqharness.campaign.shards import Shard, merge
-from uqharness.campaign.store import JOURNAL
+from uqharness.campaign.store import JOURNAL, Store
 from uqharness.campaign.verify import RunOptions, salvage, verify
 from uqharness.cli.main import main
 from uqharness.errors import BadInputError
@@ -219,6 +221,35 @@ def test_the_tables_of_a_decided_campaign_are_written_again(copy, made):
     flip_text(folder / JOURNAL, b'"excursions_15m": ')
     assert salvage(folder, RunOptions(SerialExecutor(), fly=fakes.by_corner)).flown == 1
     assert tables(folder, names) == tables(made / "decide", names)
+
+
+def test_verify_holds_a_consistent_journal_against_the_manifest(copy):
+    # The row, its digest and the tally fit each other: only the manifest knows another flight.
+    folder = copy("plain")
+    with Store(folder) as store:
+        first = next(iter(store.outcomes()))
+        store.add([replace(first, flown_s=first.flown_s + 1.0)])
+    found = verify(folder)
+    journal = next(item for item in found.files if item.name == JOURNAL)
+    assert (journal.state, found.whole) == ("damaged", False)
+    assert "manifest" in journal.remark
+
+
+def test_verify_holds_a_consistent_table_against_the_manifest(copy):
+    # SHA256SUMS are made anew after the change: only the manifest knows another table.
+    folder = copy("plain")
+    table = folder / "excursions.csv"
+    table.write_bytes(table.read_bytes() + b"\n")
+    sums = folder / "SHA256SUMS"
+    lines = [line for line in sums.read_text().splitlines() if "excursions.csv" not in line]
+    sums.write_text(
+        "\n".join([*lines, f"{hashlib.sha256(table.read_bytes()).hexdigest()}  excursions.csv"])
+        + "\n"
+    )
+    found = verify(folder)
+    item = next(item for item in found.files if item.name == "excursions.csv")
+    assert (item.state, found.whole) == ("damaged", False)
+    assert "manifest" in item.remark
 
 
 def test_verify_tells_a_row_with_a_digest_of_its_own(copy):
