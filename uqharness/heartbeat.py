@@ -29,6 +29,14 @@ _RECENT_S = 60.0
 """Time [s] of recent work that determines the time left."""
 
 
+Callback = Callable[[str], object]
+"""Receiver of the names of stages."""
+
+
+def silent(stage: str) -> None:
+    """Take the name of a stage and do nothing: the default of all callbacks."""
+
+
 class Rate:
     """Rate of work over the last minute.
 
@@ -64,7 +72,7 @@ class Rate:
         return max(per_unit * (total - last_done) - (time_s - last_s), 0.0)
 
 
-def counting(title: str, callback: Callable[[str], object]) -> Callable[[float, int], None]:
+def counting(title: str, callback: Callback) -> Callable[[float, int], None]:
     """Return a function of the amount done and the total, which reports them with the time left."""
     rate = Rate()
 

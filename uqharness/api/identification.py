@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from uqharness.commands import identification as commands
 from uqharness.commands import refinement as refinement_commands
-from uqharness.heartbeat import notebook_line
+from uqharness.heartbeat import Callback, notebook_line, silent
 from uqharness.identification import (
     Comparison,
     ForecastContest,
@@ -18,7 +18,7 @@ from uqharness.identification import (
 )
 from uqharness.isolation import isolated
 from uqharness.refinement import Refinement
-from uqharness.requests.base import Callback, accepts, silent
+from uqharness.requests.base import accepts
 from uqharness.requests.identification import (
     BoundsRequest,
     CompareRequest,

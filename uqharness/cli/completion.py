@@ -15,7 +15,7 @@ import shtab
 
 from uqharness.cli.main import commands_of, complete_parser
 from uqharness.files import PROJECT_ROOT
-from uqharness.requests.base import Callback, silent
+from uqharness.heartbeat import Callback, silent
 from uqharness.requests.folders import CompletionRequest
 from uqharness.results.base import Outcome
 from uqharness.results.folders import CompletionScript

@@ -29,8 +29,8 @@ from uqharness.authoring.performance import performance as compute_performance
 from uqharness.commands.flights import carded_aircraft
 from uqharness.errors import BadInputError
 from uqharness.files import check_output_folder, results_folder
+from uqharness.heartbeat import Callback, silent
 from uqharness.requests.authoring import AuthorRequest, PerformanceRequest
-from uqharness.requests.base import Callback, silent
 from uqharness.results.authoring import (
     Authored,
     AuthoredTerm,

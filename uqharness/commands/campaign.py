@@ -74,7 +74,7 @@ from uqharness.campaign.verify import verify as verify_folder
 from uqharness.errors import BadInputError
 from uqharness.files import find_campaign, scratch_folder
 from uqharness.flight import AutopilotSettings
-from uqharness.heartbeat import clock
+from uqharness.heartbeat import Callback, clock, silent
 from uqharness.parallel import usable_cores
 from uqharness.report import (
     convergence_section,
@@ -83,7 +83,6 @@ from uqharness.report import (
     write_campaign_report,
     write_figures,
 )
-from uqharness.requests.base import Callback, silent
 from uqharness.requests.campaign import (
     AreaRequest,
     CampaignRequest,

@@ -55,9 +55,10 @@ from uqharness.files import (
     write_json,
     write_text,
 )
+from uqharness.heartbeat import Callback, silent
 from uqharness.identification import load_form
 from uqharness.requests.authoring import ExportRequest
-from uqharness.requests.base import Callback, command_line, silent
+from uqharness.requests.base import command_line
 from uqharness.requests.simulation import MODEL_FILES
 from uqharness.results.authoring import Loss, LossOfCoefficient, ModelDifference, ModelSlip
 from uqharness.results.base import Outcome

@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from uqharness.dossier import SegmentResult, read_evidence
+from uqharness.heartbeat import Callback, silent
 from uqharness.report import first_lines, kind_of, write_html, write_report
 from uqharness.report.pages import Dossier, dossier_of
-from uqharness.requests.base import Callback, silent
 from uqharness.requests.folders import DossierRequest, ReportRequest
 from uqharness.results.base import Outcome
 from uqharness.results.folders import (

@@ -24,6 +24,7 @@ from uqharness.arguments import path as argument_path
 from uqharness.commands.flights import ReplayFlights, carded_aircraft, replay_flights
 from uqharness.errors import BadInputError
 from uqharness.files import check_output_folder, results_folder, write_bytes, write_json, write_text
+from uqharness.heartbeat import Callback, silent
 from uqharness.identification import (
     BIASES,
     MIN_LEFT_S,
@@ -90,7 +91,7 @@ from uqharness.report.pages import (
     slice_section,
     variation_section,
 )
-from uqharness.requests.base import Callback, command_line, silent
+from uqharness.requests.base import command_line
 from uqharness.requests.fields import channel_names
 from uqharness.requests.identification import (
     BoundsRequest,

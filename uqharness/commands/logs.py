@@ -31,11 +31,12 @@ from uqharness.files import (
     write_text,
 )
 from uqharness.flight import playback_rows
+from uqharness.heartbeat import Callback, silent
 from uqharness.identification import air_data_errors
 from uqharness.replay import read_flight
 from uqharness.report import write_html
 from uqharness.report.pages import log_page
-from uqharness.requests.base import Callback, command_line, silent
+from uqharness.requests.base import command_line
 from uqharness.requests.fields import AircraftSource
 from uqharness.requests.logs import (
     PLAYBACK,

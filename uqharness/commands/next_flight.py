@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from uqharness.campaign import find_winner
 from uqharness.files import check_output_folder, results_folder, write_bytes, write_json
+from uqharness.heartbeat import Callback, silent
 from uqharness.identification import load_form
 from uqharness.next_flight import (
     MIN_NARROWING,
@@ -28,7 +29,7 @@ from uqharness.next_flight import (
 )
 from uqharness.report import document, points_csv, write_page
 from uqharness.report.pages import next_flight_page, uncertainty_figures
-from uqharness.requests.base import Callback, command_line, silent
+from uqharness.requests.base import command_line
 from uqharness.requests.next_flight import NextFlightRequest
 from uqharness.results.base import Outcome
 from uqharness.results.next_flight import (

@@ -13,11 +13,12 @@ from sysid.effects import read_effects
 from uqharness.checksums import write_sums
 from uqharness.commands.flights import carded_aircraft, flights_of
 from uqharness.files import check_output_folder, remove, scratch_folder, write_bytes, write_json
+from uqharness.heartbeat import Callback, silent
 from uqharness.refinement import Job, Refinement
 from uqharness.refinement.run import refine as run_refinement
 from uqharness.replay import CONTROLS, columns_of, shown_channel, unique_names, write_histories
 from uqharness.report import write_report
-from uqharness.requests.base import Callback, command_words, silent
+from uqharness.requests.base import command_words
 from uqharness.requests.refinement import RefineRequest
 from uqharness.results.base import Outcome
 from uqharness.results.refinement import ResidualTables

@@ -16,9 +16,8 @@ from uqharness.campaign import (
     record_table,
     shares_by_condition,
 )
-from uqharness.heartbeat import counting
+from uqharness.heartbeat import Callback, counting, silent
 from uqharness.report import condition_sections, write_figures
-from uqharness.requests.base import Callback, silent
 from uqharness.requests.campaign import SensitivityRequest
 from uqharness.results.base import Outcome
 from uqharness.results.campaign import CampaignSensitivity, ModalIndices, ModalSensitivity

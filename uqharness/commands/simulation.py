@@ -61,7 +61,7 @@ from uqharness.flight import (
     start_position,
     write_record,
 )
-from uqharness.heartbeat import counting
+from uqharness.heartbeat import Callback, counting, silent
 from uqharness.identification import MadeBounds
 from uqharness.isolation import run_unsupervised
 from uqharness.plugin import (
@@ -83,7 +83,7 @@ from uqharness.report.pages import (
     margins_page,
     modes_page,
 )
-from uqharness.requests.base import Callback, command_line, silent
+from uqharness.requests.base import command_line
 from uqharness.requests.simulation import (
     DiffRequest,
     FlyRequest,

@@ -8,8 +8,9 @@ from typing import Any
 
 from uqharness.campaign import Progress
 from uqharness.files import find_campaign
+from uqharness.heartbeat import Callback, silent
 from uqharness.report import write_report
-from uqharness.requests.base import Callback, Request, command_line, silent
+from uqharness.requests.base import Request, command_line
 from uqharness.requests.folders import StudyRequest
 from uqharness.results.base import Outcome
 from uqharness.results.study import Study

@@ -9,7 +9,7 @@ the bounds with their evidence, `validate` counts how much of a new flight lies 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -60,6 +60,7 @@ from sysid.model_form import (
 )
 from sysid.model_form.coverage import coverage
 from uqharness.errors import BadInputError
+from uqharness.heartbeat import Callback, silent
 from uqharness.identification.split import inside, used_for_bounds, used_for_model
 from uqharness.replay import Flight, ReplayPair, flight_residuals, prediction_of
 from uqharness.simulator import Aircraft, content_hash
@@ -307,7 +308,7 @@ def make_bounds(
     measured: Sequence[str],
     hashes: Sequence[str],
     options: BoundsOptions,
-    callback: Callable[[str], object] = lambda stage: None,
+    callback: Callback = silent,
 ) -> MadeBounds:
     """Fit model-form bounds to flights.
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import uuid
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -31,6 +31,7 @@ from sysid.estimation import (
 from sysid.logs import Relation, relate
 from sysid.model_form import noise_floor
 from uqharness.errors import BadInputError
+from uqharness.heartbeat import Callback, silent
 from uqharness.identification.replay_fit import (
     BIASES,
     OUTPUTS,
@@ -430,7 +431,7 @@ def compare(
     delays: Sequence[str] | None = None,
     ideal_servos: bool = False,
     workers: int | None = None,
-    callback: Callable[[str], object] = lambda stage: None,
+    callback: Callback = silent,
 ) -> Comparison:
     """Replay a flight and measure its gap to the model.
 

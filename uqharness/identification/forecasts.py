@@ -7,7 +7,7 @@ property of the log and not of a model: for each model, the one with the best sc
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -17,6 +17,7 @@ from sysid.aerodynamics import Piece
 from sysid.arrays import FloatArray
 from sysid.estimation import ForecastComparison, compare_forecasts
 from uqharness.errors import BadInputError
+from uqharness.heartbeat import Callback, silent
 from uqharness.identification.replay_fit import OUTPUTS
 from uqharness.replay import (
     CHANNELS,
@@ -106,7 +107,7 @@ def compare_models(
     first: Forecaster,
     second: Forecaster,
     *,
-    callback: Callable[[str], object] = lambda stage: None,
+    callback: Callback = silent,
 ) -> ForecastContest:
     """Compare how well two models predict the same flight.
 

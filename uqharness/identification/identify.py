@@ -26,6 +26,7 @@ from sysid.estimation import (
     shows_process_noise,
 )
 from uqharness.errors import BadInputError
+from uqharness.heartbeat import Callback, silent
 from uqharness.identification.excitation import restrict_to_excited
 from uqharness.identification.ordinary import (
     identify_ordinary,
@@ -193,7 +194,7 @@ class DescentProgress:
     """
 
     method: str
-    callback: Callable[[str], object]
+    callback: Callback
     tolerance: float
     max_iterations: int
     clock: Callable[[], float] = time.monotonic
@@ -246,7 +247,7 @@ def identify(
     method: str = "auto",
     prior: Mapping[str, tuple[float, float]] | None = None,
     workers: int | None = None,
-    callback: Callable[[str], object] = lambda stage: None,
+    callback: Callback = silent,
     message_callback: Callable[[str], None] | None = None,
 ) -> Identification:
     """Estimate JSBSim properties from flights.
@@ -369,7 +370,7 @@ def _fit_output_error(
     flights: Sequence[Flight],
     model: ReplayModel,
     request: _FitRequest,
-    callback: Callable[[str], object],
+    callback: Callback,
     message_callback: Callable[[str], None] | None,
 ) -> _OutputErrorFit:
     """Estimate by output error on replays of the manoeuvres."""
@@ -464,7 +465,7 @@ def _fit_filter_error(
     model: ReplayModel,
     request: _FitRequest,
     start: _OutputErrorFit,
-    callback: Callable[[str], object],
+    callback: Callback,
 ) -> Identification:
     """Estimate by filter error in turbulence, from the result of output error."""
     # Imported here: most flights need no filter.
@@ -509,7 +510,7 @@ def _identify_whole_flight(
     ideal: Sequence[str],
     prior: Mapping[str, tuple[float, float]],
     start: str,
-    callback: Callable[[str], object],
+    callback: Callback,
     message_callback: Callable[[str], None] | None,
 ) -> Identification:
     """Estimate by equation error from the complete flights, which have no manoeuvres."""

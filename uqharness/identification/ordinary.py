@@ -15,7 +15,7 @@ controls and time constants that the flight does not decide; and errors of the a
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,6 +27,7 @@ from sysid.foreign.regular_files import parse_json, read_regular
 from sysid.logs import find_manoeuvres
 from sysid.record import FlightRecord
 from sysid.units import percent
+from uqharness.heartbeat import Callback, silent
 from uqharness.identification.air_data import (
     PRIOR,
     AirDataError,
@@ -475,7 +476,7 @@ def identify_ordinary(
     *,
     prior: Mapping[str, tuple[float, float]],
     ideal_servos: bool = False,
-    callback: Callable[[str], object] = lambda stage: None,
+    callback: Callback = silent,
 ) -> Identification:
     """Estimate coefficient terms from ordinary flights by equation error, with intervals that allow
     for what the model does not explain.

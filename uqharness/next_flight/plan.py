@@ -11,7 +11,7 @@ normal equations with the simulated states). Nothing is written outside a tempor
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -45,6 +45,7 @@ from sysid.model_form import (
 from sysid.units import percent
 from uqharness.errors import BadInputError
 from uqharness.files import scratch_folder
+from uqharness.heartbeat import Callback, silent
 from uqharness.next_flight.points import (
     MAX_BANK_RAD,
     QUIET_S,
@@ -456,7 +457,7 @@ def plan_flight(
     mission: Occupancy,
     flight: TestFlight,
     options: Options,
-    callback: Callable[[str], object] = lambda stage: None,
+    callback: Callback = silent,
 ) -> NextFlight:
     """Choose test points, simulate their flight and predict the narrowing.
 
@@ -538,7 +539,7 @@ def plan_from(
     options: Options,
     trials: Sequence[Trial],
     refused: Sequence[RefusedPoint],
-    callback: Callable[[str], object] = lambda stage: None,
+    callback: Callback = silent,
 ) -> NextFlight:
     """Plan a flight from test points that have been simulated already; see `plan_flight`."""
     bounds = form.coefficients[coefficient]

@@ -20,7 +20,7 @@ stop.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -54,6 +54,7 @@ from sysid.effects import (
 )
 from sysid.parallel import Processes
 from uqharness.errors import BadInputError
+from uqharness.heartbeat import Callback
 from uqharness.identification.linearised import (
     PRIOR,
     FlightData,
@@ -102,7 +103,6 @@ MAX_MODELS = 6
 """Largest number of simulated proposals."""
 MAX_CORRECTIONS = 4
 """Largest number of shifts of the controls."""
-Callback = Callable[[str], object]
 CONTROLS_LATE = Effect(
     None,
     "record",

@@ -40,6 +40,7 @@ from uqharness.campaign import (
 from uqharness.campaign.conditions import conditions
 from uqharness.errors import BadInputError
 from uqharness.files import inner_folder, write_bytes
+from uqharness.heartbeat import Callback, silent
 from uqharness.identification import BoundsOptions, make_bounds, validate
 from uqharness.parallel import usable_cores
 from uqharness.replay import Flight, cut_for_residuals
@@ -119,7 +120,6 @@ _DEFAULT: dict[str, Any] = {
 """A lap of the loiter to settle and one that is scored, three times at each of the 64 corners: half
 a minute of one core.
 """
-Callback = Callable[[str], object]
 
 
 def campaign_for(aircraft: Aircraft, campaign: Path | None) -> dict[str, Any]:
@@ -177,7 +177,7 @@ def fly_missions(
     campaign: Path | None,
     out: Path,
     workers: int | None,
-    callback: Callback = lambda _: None,
+    callback: Callback = silent,
 ) -> Mission:
     """Fly the campaign with each model within its intervals, and return gap.test.pbox.
 

@@ -21,7 +21,7 @@ from sysid.parallel import Processes
 from uqharness import __version__, checksums
 from uqharness.errors import BadInputError
 from uqharness.files import inner_folder, scratch_folder
-from uqharness.heartbeat import Forecast, forecast_shown
+from uqharness.heartbeat import Callback, Forecast, forecast_shown, silent
 from uqharness.identification import choose_servos
 from uqharness.identification.linearised import (
     FlightData,
@@ -34,7 +34,6 @@ from uqharness.plugin import bake_scales
 from uqharness.refinement.candidate_model import write_copy, write_staged
 from uqharness.refinement.document import document_of, refinement_view
 from uqharness.refinement.effect_search import (
-    Callback,
     SearchResult,
     find_effects,
     parameter_estimates,
@@ -151,7 +150,7 @@ def _with_forecast(callback: Callback, forecast: Forecast) -> Callback:
     return stage
 
 
-def refine(request: Job, callback: Callback = lambda _: None) -> Refinement:
+def refine(request: Job, callback: Callback = silent) -> Refinement:
     """Find missing effects, write them into the aircraft and test them.
 
     Raises BadInputError.

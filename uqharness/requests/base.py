@@ -655,10 +655,3 @@ def _words(value: Any, full: bool) -> list[str]:
         return [str(value)]
     # Objects of Python have no other words.
     return [str(getattr(value, "name", type(value).__name__))]
-
-
-Callback = Callable[[str], object]
-
-
-def silent(stage: str) -> None:
-    """Take the name of a stage and do nothing: the default of all callbacks."""

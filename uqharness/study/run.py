@@ -32,7 +32,8 @@ from uqharness import checksums
 from uqharness.campaign import LOCK, binding_versions, read_bounds, run_lock
 from uqharness.errors import BadInputError
 from uqharness.files import PART, check_output_folder, write_bytes, write_json, write_text
-from uqharness.requests.base import Callback, Request, options_of, silent
+from uqharness.heartbeat import Callback, silent
+from uqharness.requests.base import Request, options_of
 from uqharness.results.base import Outcome, read_result
 from uqharness.results.refinement import Refinement
 from uqharness.results.study import FORMAT, Pair, Sentence, Study, Tracks
