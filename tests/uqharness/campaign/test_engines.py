@@ -67,7 +67,7 @@ def run(spec, out, given=ALIKE, **keys):
         ("auto", ALIKE, "batch, because it supports the complete aircraft and mission"),
         ("auto", PUZZLED, "jsbsim, because plane.xml:7: <rocket_engine> is not supported"),
         ("auto", WITHOUT, "jsbsim, because llvmlite is not installed"),
-        ("auto", Engines.of(fakes.steady), "jsbsim, because the flights are flown by a function"),
+        ("auto", Engines.of(fakes.steady), "jsbsim, because a function"),
         ("jsbsim", ALIKE, "jsbsim, because it was requested"),
     ],
 )

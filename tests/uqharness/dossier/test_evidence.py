@@ -73,7 +73,7 @@ def damage(root: Path, what: str) -> str:
         return "stage refine: its folder zz-refine is not there"
     if what == "no mark":
         (root / "zz-refine" / "refinement.json").unlink()
-        return "zz-refine/refinement.json is not there, beside model.diff"
+        return "zz-refine/refinement.json is missing, but model.diff"
     if what == "torn mark":
         path = root / "identify" / "fit.json"
         path.write_text(path.read_text()[:200])

@@ -25,7 +25,7 @@ def test_run_says_one_line_and_nothing_else_in_a_pipe(tmp_path, monkeypatch, cap
     assert call("run", path, "--out", tmp_path / "out", "--serial") == 0
     captured = capsys.readouterr()
     note, cost = caplog.messages
-    assert "no sensors system: it is flown without sensor noise" in note
+    assert "no sensors system: it is simulated without sensor noise" in note
     assert "192 flights (64 epistemic samples, 1 condition, 3 each), 11.2 flight h" in cost
     line, remark = captured.out.splitlines()
     assert "bounds hold at the corners only" in remark
