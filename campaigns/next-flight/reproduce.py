@@ -150,7 +150,7 @@ class Study:
             self.trials[case.seconds] = library
         trials, refused = self.trials[case.seconds]
         setting = (self.mission, model_flight, self.options)
-        plan = plan_from(form, case.coefficient, *setting, trials, refused)
+        plan = plan_from(form, case.coefficient, *setting, trials, refused=refused)
         path = self.folder / f"next-{case.coefficient}-{stem}.parquet"
         ok, _, reason = fly_points(truth, [p.point for p in plan.plan], base + 2, path)
         if not ok:

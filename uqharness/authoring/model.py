@@ -291,7 +291,17 @@ def build(
     tables: dict[str, tuple[FloatArray, FloatArray]] = {}
     point = source.points[middle]
     where = f"{source.tool}, alpha {math.degrees(alphas[middle]):.3g} deg"
-    _longitudinal(terms, tables, source, rows, alphas, middle, offset, added_drag, where)
+    _longitudinal(
+        terms,
+        tables,
+        source,
+        rows,
+        alphas,
+        middle,
+        offset=offset,
+        added_drag=added_drag,
+        where=where,
+    )
     for coefficient in BODY:
         for variable in STATES:
             # Derivatives by states, other than those of the longitudinal polar.
@@ -411,6 +421,7 @@ def _longitudinal(
     rows: Sequence[Mapping[tuple[str, str], float]],
     alphas: FloatArray,
     middle: int,
+    *,
     offset: tuple[float, float, float],
     added_drag: float,
     where: str,

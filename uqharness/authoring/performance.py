@@ -142,7 +142,7 @@ def sheet(
         level = np.flatnonzero(excess >= 0.0)
         if level.size:
             figures["greatest_speed"] = float(fast[level[-1]])
-            _turn(figures, fast, cl, cd, weight_N, S_m2, rho, speeds, thrust_N)
+            _turn(figures, fast, cl, cd, weight_N, S_m2, rho=rho, speeds=speeds, thrust_N=thrust_N)
         else:
             for name in ("greatest_speed", "turn_rate", "turn_radius"):
                 reasons[name] = "full throttle does not hold level flight"
@@ -170,6 +170,7 @@ def _turn(
     cd: FloatArray,
     weight_N: float,
     S_m2: float,
+    *,
     rho: float,
     speeds: FloatArray,
     thrust_N: FloatArray,
@@ -269,7 +270,9 @@ def performance(
             case, weight, source.reference.S_m2, densities[altitude_m], speeds, thrusts[altitude_m]
         )
         figures, reasons = dict(one.figures), dict(one.reasons)
-        _ceiling(figures, reasons, case, source, weight, speeds, thrusts, densities)
+        _ceiling(
+            figures, reasons, case, source, weight, speeds, thrusts=thrusts, densities=densities
+        )
         sheets.append(Sheet(figures, reasons, one.rows))
     intervals = {}
     for name in _UNITS:
@@ -373,6 +376,7 @@ def _ceiling(
     source: SourceModel,
     weight: float,
     speeds: FloatArray,
+    *,
     thrusts: Mapping[float, FloatArray],
     densities: Mapping[float, float],
 ) -> None:

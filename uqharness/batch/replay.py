@@ -152,6 +152,7 @@ def make_replay(
     controls: Sequence[str],
     inputs: Collection[str],
     records: Sequence[str],
+    *,
     stride: int,
 ) -> ReplayProgram:
     """Translate an aircraft for replays.
@@ -385,6 +386,7 @@ def make_states(
     controls: Sequence[str],
     inputs: Collection[str],
     records: Sequence[str],
+    *,
     uses_rates: bool = False,
 ) -> StateProgram:
     """Translate and compile an aircraft for evaluation at states; parameters as `make_replay`.

@@ -189,6 +189,7 @@ def run_campaign(
     executor: Executor | None = None,
     on_progress: Callable[[Progress], object] | None = None,
     fly: FlightFunction | Engines | None = None,
+    *,
     mission: Mission | None = None,
     command: str = "",
     shard: Shard | None = None,
@@ -342,9 +343,9 @@ def run_campaign(
                             executor,
                             engines,
                             judge,
-                            checker,
-                            on_progress,
-                            report_cost,
+                            checker=checker,
+                            on_progress=on_progress,
+                            before_flying=report_cost,
                         )
                 except BaseException:
                     # On a full disk this fails as well; the first error is the one to report.
@@ -583,6 +584,7 @@ def _fly_missing(
     executor: Executor,
     engines: Engines,
     judge: EngineComparison | None,
+    *,
     checker: ProcessExecutor,
     on_progress: Callable[[Progress], object] | None,
     before_flying: Callable[[Pace | None, int], None],

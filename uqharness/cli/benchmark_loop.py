@@ -182,6 +182,7 @@ def measure(
     source: str,
     levels: str,
     model_form: Path | None = None,
+    *,
     in_parallel: bool = False,
 ) -> dict[str, float]:
     """Measure microseconds per step of a, b and c, their ratios, and flight hours per core hour of
@@ -293,7 +294,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         args.turbulence_source,
         args.levels,
         args.model_form,
-        args.side_by_side,
+        in_parallel=args.side_by_side,
     )
     if args.json:
         print(json.dumps(figures))

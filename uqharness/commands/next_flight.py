@@ -99,7 +99,7 @@ def next_flight(
         request.flights,
         from_campaign=not request.occupancy,
     )
-    doc = document(plan, winner, mission, missing, origin, units, warnings)
+    doc = document(plan, winner, mission, missing, origin, units, warnings=warnings)
     out = results_folder(request.out)
     # The run script repeats the plan in simulation, as a rehearsal.
     script = script_text(
@@ -109,7 +109,7 @@ def next_flight(
         flight.begin_s,
         flight.has_autopilot,
         "next-flight",
-        f"Flight for {plan.coefficient}",
+        purpose=f"Flight for {plan.coefficient}",
     )
     write_bytes(out / SCRIPT, script)
     write_bytes(out / TABLE, points_csv(plan, units))

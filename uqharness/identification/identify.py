@@ -313,9 +313,9 @@ def identify(
             measured,
             ideal,
             prior or {},
-            start,
-            callback,
-            message_callback,
+            start=start,
+            callback=callback,
+            message_callback=message_callback,
         )
     request = _FitRequest(
         names, parameters is None, start, biases, delays, outputs, measured, ideal, method, workers
@@ -509,6 +509,7 @@ def _identify_whole_flight(
     measured: Sequence[str],
     ideal: Sequence[str],
     prior: Mapping[str, tuple[float, float]],
+    *,
     start: str,
     callback: Callback,
     message_callback: Callable[[str], None] | None,

@@ -490,7 +490,9 @@ def plan_flight(
     callback("trying test points")
     trials, refused = try_library(form, mission, flight, options, cutoffs)
     callback("choosing")
-    return plan_from(form, coefficient, mission, flight, options, trials, refused, callback)
+    return plan_from(
+        form, coefficient, mission, flight, options, trials, refused=refused, callback=callback
+    )
 
 
 def _check_minutes(flight: TestFlight, options: Options) -> None:
@@ -538,6 +540,7 @@ def plan_from(
     flight: TestFlight,
     options: Options,
     trials: Sequence[Trial],
+    *,
     refused: Sequence[RefusedPoint],
     callback: Callback = silent,
 ) -> NextFlight:

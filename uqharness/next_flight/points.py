@@ -326,6 +326,7 @@ def script_text(
     begin_s: float,
     has_autopilot: bool,
     name: str,
+    *,
     purpose: str,
 ) -> bytes:
     """Write the run script of a flight of test points.
@@ -923,7 +924,7 @@ def fly_points(
         flight.begin_s,
         flight.has_autopilot,
         path.stem,
-        "Test points",
+        purpose="Test points",
     )
     script.write_bytes(text)
     return fly_script(flight, script, seed, path)

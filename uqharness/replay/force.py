@@ -150,7 +150,7 @@ def _compile(
             controls,
             inputs,
             records,
-            model.by_rates,
+            uses_rates=model.by_rates,
         )
     except BadInputError as error:
         _LOG.info("forces are evaluated by JSBSim, which is slower: %s", error)

@@ -172,7 +172,7 @@ def _compile(job: ReplayJob, names: frozenset[str]) -> _Program | None:
             properties,
             sorted(names),
             records,
-            shape.stride,
+            stride=shape.stride,
         )
     except BadInputError as error:
         _LOG.info("JSBSim simulates the replays: %s", error)

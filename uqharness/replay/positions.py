@@ -160,7 +160,13 @@ def _compile(
         )
         names = [name for name, _ in inputs]
         replay = batch.make_replay(
-            sources, lambda: _open_chain(staging, model, dt_s), dt_s, names, servos, records, stride
+            sources,
+            lambda: _open_chain(staging, model, dt_s),
+            dt_s,
+            names,
+            servos,
+            records,
+            stride=stride,
         )
     except BadInputError as error:
         _LOG.info("JSBSim simulates the positions: %s", error)

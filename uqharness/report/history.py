@@ -46,6 +46,7 @@ def history_section(
     title: str,
     prefix: str = "",
     max_segments: int | None = MAX_SEGMENTS,
+    *,
     file: Callable[[int, History], str | None] = lambda rank, history: None,
 ) -> tuple[Section, ...]:
     """Return the segments in which the first model is farthest from the log.
@@ -289,6 +290,7 @@ def end_to_end(
     band: tuple[Sequence[FloatArray], Sequence[FloatArray], str] | None,
     label: str,
     axis: str,
+    *,
     caption: str,
     outside: bool = False,
 ) -> Figure:

@@ -34,7 +34,7 @@ def program(stride: int) -> batch.ReplayProgram:
             controls,
             [INPUT],
             [*RAW],
-            stride,
+            stride=stride,
         )
 
 

@@ -89,7 +89,7 @@ def compare_page_of(
         "Log against model",
         f"{prefix}gap-",
         segments,
-        lambda _, h: file_name(f"{h.number:02d}-{h.manoeuvre}"),
+        file=lambda _, h: file_name(f"{h.number:02d}-{h.manoeuvre}"),
     )
     sections += [
         _coefficient_section(gap.coefficients, histories, prefix),
@@ -315,7 +315,7 @@ def _coefficient_section(
                     None,
                     label,
                     f"{c} [-]",
-                    f"{c} [-], segments end to end",
+                    caption=f"{c} [-], segments end to end",
                 )
             )
     legend = (("second thin", "flight"), ("first thin", "model"))

@@ -340,7 +340,7 @@ def _test_figures(
                 [("dot", measured), ("first", model)],
                 None,
                 axis_label(channel),
-                caption,
+                caption=caption,
             )
         ]
     # The tolerance around the measurement, possibly relative to its size.
@@ -359,7 +359,7 @@ def _test_figures(
             series,
             (measured - half, measured + half),
             axis_label(channel),
-            caption,
+            caption=caption,
         ),
         _chart(
             f"{name}-gap",
@@ -368,7 +368,7 @@ def _test_figures(
             [("dot", measured - model)],
             (-half, half),
             gap,
-            f"The same, measured minus model{share}",
+            caption=f"The same, measured minus model{share}",
         ),
     ]
 
@@ -380,6 +380,7 @@ def _chart(
     series: Sequence[tuple[str, FloatArray]],
     band: tuple[FloatArray, FloatArray] | None,
     axis: str,
+    *,
     caption: str,
 ) -> Figure:
     """Draw series of a segment with an optional band."""

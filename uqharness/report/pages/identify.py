@@ -95,7 +95,7 @@ def identify_page_of(
             title,
             f"{prefix}fit-",
             segments,
-            lambda _, h: file_name(f"{h.flight}-{h.number:02d}-{h.manoeuvre}"),
+            file=lambda _, h: file_name(f"{h.flight}-{h.number:02d}-{h.manoeuvre}"),
         )
     remark_texts = {
         key: [with_shown_names(text, CHANNELS) for text in texts]

@@ -286,7 +286,8 @@ def slice_section(
         values = np.concatenate([h.columns[c] for h in pieces]) if pieces else np.empty(0)
         other = (baseline or {}).get(c)
         figures = tuple(
-            _slice(form, c, b, k, states, values, prefix, other) for k in range(len(b.states))
+            _slice(form, c, b, k, states, values, prefix=prefix, baseline=other)
+            for k in range(len(b.states))
         )
         entries = (*legend, *([("third", "bounds of the usual states")] if other else []))
         parts.append(Section(f"Slices of {c}", (Figures(figures, entries, True, f"slices-{c}"),)))
@@ -300,6 +301,7 @@ def _slice(
     k: int,
     states: Mapping[str, FloatArray],
     values: FloatArray,
+    *,
     prefix: str,
     baseline: CoefficientBounds | None,
 ) -> Figure:
@@ -490,7 +492,7 @@ def within_section(
                 band,
                 label,
                 f"flight minus model, {c} [-]",
-                f"{c} [-]: {share:.1f} % of the samples inside",
+                caption=f"{c} [-]: {share:.1f} % of the samples inside",
                 outside=True,
             )
         )

@@ -473,6 +473,7 @@ def document(
     missing: Sequence[MissingTerm] | None,
     origin: Mapping[str, Any],
     units: Mapping[str, str],
+    *,
     warnings: Sequence[str],
 ) -> NextFlightPlan:
     """Return the content of next-flight.json.

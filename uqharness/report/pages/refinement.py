@@ -854,7 +854,7 @@ def refine_page(folder: Path, prefix: str = "", only: Collection[str] | None = N
             title,
             f"{prefix}refine-",
             2,
-            lambda rank, _: "history" if rank == 0 and done.effects else None,
+            file=lambda rank, _: "history" if rank == 0 and done.effects else None,
         )
     # Consequences for intervals and mission, then everything for reference.
     sections += [interval_section(gap, prefix), mission_section(folder, gap, prefix)]
@@ -1145,7 +1145,7 @@ def _coefficient_figures(
                 band,
                 label,
                 f"flight minus model, {c} [-]",
-                f"{c} [-]",
+                caption=f"{c} [-]",
             )
         )
     return tuple(out)
