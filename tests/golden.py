@@ -71,7 +71,7 @@ FLIGHTS = {
 
 def commands(out: Path) -> list[list[str]]:
     """What is run, in order."""
-    flown = {name: str(out / f"{name}.parquet") for name in FLIGHTS}
+    flight = {name: str(out / f"{name}.parquet") for name in FLIGHTS}
     fly = [
         [
             "fly",
@@ -84,7 +84,7 @@ def commands(out: Path) -> list[list[str]]:
             "--seed",
             str(seed),
             "--out",
-            flown[name],
+            flight[name],
         ]
         for name, (script, seed) in FLIGHTS.items()
     ]
@@ -92,7 +92,7 @@ def commands(out: Path) -> list[list[str]]:
         [*words[:4], *words[6:-1], words[-1].replace(".parquet", "-calm.parquet")] for words in fly
     ]
     ident, bounds, validation = (
-        path.replace(".parquet", "-calm.parquet") for path in flown.values()
+        path.replace(".parquet", "-calm.parquet") for path in flight.values()
     )
     study = str(ROOT / "tests" / "golden_study.toml")
     return [
@@ -105,7 +105,7 @@ def commands(out: Path) -> list[list[str]]:
             "bounds",
             "espaaro",
             "--flight",
-            flown["bounds"],
+            flight["bounds"],
             "--no-figures",
             "--out",
             str(out / "bounds"),
@@ -158,7 +158,7 @@ def content(path: Path, root: Path) -> Any:
         .replace(str(root), "DIR")
     )
     if path.suffix == ".json":
-        return without(json.loads(text))
+        return leave_out(json.loads(text))
     # Remarks in an XML name the command and the flights.
     return (
         re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL)
@@ -167,19 +167,19 @@ def content(path: Path, root: Path) -> Any:
     )
 
 
-def without(value: Any) -> Any:
+def leave_out(value: Any) -> Any:
     """A document without what belongs to the place and time of its making."""
     if isinstance(value, dict):
-        return {key: without(item) for key, item in value.items() if key not in ASIDE}
-    return [without(item) for item in value] if isinstance(value, list) else value
+        return {key: leave_out(item) for key, item in value.items() if key not in ASIDE}
+    return [leave_out(item) for item in value] if isinstance(value, list) else value
 
 
 def compared(folder: Path) -> list[str]:
     """Names of the files below a folder that are looked at."""
-    found = (
+    result = (
         path for path in folder.rglob("*") if path.suffix in KINDS and path.name not in LEFT_OUT
     )
-    return [path.relative_to(folder).as_posix() for path in found]
+    return [path.relative_to(folder).as_posix() for path in result]
 
 
 def compare(first: Path, second: Path) -> list[str]:
@@ -199,9 +199,9 @@ def main(argv: list[str] | None = None) -> int:
     )
     verbs = parser.add_subparsers(dest="verb", required=True)
     verbs.add_parser("make").add_argument("out", type=Path)
-    both = verbs.add_parser("compare")
-    both.add_argument("first", type=Path)
-    both.add_argument("second", type=Path)
+    pair = verbs.add_parser("compare")
+    pair.add_argument("first", type=Path)
+    pair.add_argument("second", type=Path)
     chosen = parser.parse_args(argv)
     if chosen.verb == "make":
         return make(chosen.out)

@@ -175,8 +175,8 @@ def _record(fdm: Any, source: Source, condition: Condition) -> Gusts:
         inputs = np.column_stack([gusts.component(name) for name in COMPONENTS])
     rows = np.empty((n, len(getters)))
     for k, values in enumerate(inputs.tolist()):
-        for put, value in zip(setters, values, strict=True):
-            put(value)
+        for write, value in zip(setters, values, strict=True):
+            write(value)
         fdm.run()
         rows[k] = [get() for get in getters]
     if not np.all(np.isfinite(rows[-1])):

@@ -63,8 +63,8 @@ class Row:
         """Return whether all ratios are 1, to ``tolerance`` (of amplitude; twice that of density)
         on top of counting statistics."""
         sigmas = float(stats.norm.isf((1.0 - confidence) / 2.0))
-        good = abs(self.sd_ratio - 1.0) <= tolerance + sigmas * self.sd_ratio_error
-        return good and all(
+        valid = abs(self.sd_ratio - 1.0) <= tolerance + sigmas * self.sd_ratio_error
+        return valid and all(
             abs(ratio - 1.0) <= 2.0 * tolerance + sigmas * error
             for ratio, error in zip(self.band_ratios, self.band_errors, strict=True)
         )
@@ -163,10 +163,10 @@ def _run(args: argparse.Namespace) -> int:
     write_csv(args.out / "air.csv", table)
     plot_air(flights, args.out / "air.svg")
     print("\n".join(text_table(table)))
-    good = all(row.within(0.03) for row in rows if row.source in ("jsbsim", "host"))
-    bad = "NOT as specified (3 % of amplitude beyond counting errors)"
-    print("both sources are as specified" if good else bad)
-    return 0 if good else 1
+    valid = all(row.within(0.03) for row in rows if row.source in ("jsbsim", "host"))
+    invalid = "NOT as specified (3 % of amplitude beyond counting errors)"
+    print("both sources are as specified" if valid else invalid)
+    return 0 if valid else 1
 
 
 def plot_air(flights: Sequence[Gusts], path: Path) -> None:

@@ -116,7 +116,7 @@ def faults(root: Any, terms: dict[str, str], surface: str) -> Iterator[Fault]:
     yield Fault("one frame late", "elevator's position", ("elevator position",), _late(surface))
 
 
-def _named(root: Any, name: str) -> Any:
+def _names_of(root: Any, name: str) -> Any:
     function = root.find(f".//function[@name='{name}']")
     if function is not None:
         return function
@@ -125,7 +125,7 @@ def _named(root: Any, name: str) -> Any:
 
 def _times(name: str, factor: float) -> Edit:
     def edit(root: Any) -> None:
-        node = _named(root, name)
+        node = _names_of(root, name)
         if node.tag == "property":
             node.set("value", repr(float(node.get("value")) * factor))
             return
@@ -138,7 +138,7 @@ def _times(name: str, factor: float) -> Edit:
 
 def _to_axis(name: str, axis: str) -> Edit:
     def edit(root: Any) -> None:
-        root.find(f".//axis[@name='{axis}']").append(_named(root, name))
+        root.find(f".//axis[@name='{axis}']").append(_names_of(root, name))
 
     return edit
 

@@ -63,7 +63,7 @@ def run_seed(case: Case, seed: int, lengths: list[int]) -> tuple[FloatArray, Out
     rng = np.random.default_rng([seed, plane.inputs, int(case.wind_kt)])
     truth, start = plane.draw(rng)
     inputs, measured = aircraft.fly(plane, truth, lengths, case.wind_kt, rng)
-    started = time.perf_counter()
+    initial = time.perf_counter()
     fit: OutputErrorFit
     if case.method == "output_error":
         simulate = lambda theta: aircraft.simulate(plane, theta, inputs)  # noqa: E731
@@ -72,7 +72,7 @@ def run_seed(case: Case, seed: int, lengths: list[int]) -> tuple[FloatArray, Out
         times = [np.arange(n) * aircraft.DT for n in lengths]
         data = (np.zeros(4), start, inputs, measured, times)
         fit = filter_error(plane.rate, plane.output, *data, names=plane.names, hold="zoh")
-    return truth, fit, time.perf_counter() - started
+    return truth, fit, time.perf_counter() - initial
 
 
 def run_case(case: Case, seeds: int, lengths: list[int]) -> pd.DataFrame:

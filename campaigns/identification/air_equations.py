@@ -48,10 +48,10 @@ class Body:
     g: float = 9.8062  # latitude 45 deg, as JSBSim has it
 
 
-def start_state(V: float, alpha: float, beta: float, *others: float) -> np.ndarray:
+def start_state(V: float, alpha: float, beta: float, *remaining: float) -> np.ndarray:
     """Return x at the beginning of a segment from the eight measured states; the air does not
     rotate."""
-    measured = np.array([V, alpha, beta, *others])
+    measured = np.array([V, alpha, beta, *remaining])
     return np.array([*measured, *GustStates(ESPAARO.b).start(measured)])
 
 

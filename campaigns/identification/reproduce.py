@@ -220,11 +220,11 @@ def run_seed(
     }
     results = {}
     for case in cases:
-        started = time.perf_counter()
+        start = time.perf_counter()
         fit = identify(case, read_data(logs[case.aircraft][0], case.model))
         results[case.name] = side_by_side(case, fit), fit
         state = "converged" if fit.converged else "NOT converged"
-        seconds = time.perf_counter() - started
+        seconds = time.perf_counter() - start
         log_progress(f"{case.name}: {state}, {fit.iterations} iterations, {seconds:.0f} s")
         for warning in fit.warnings:
             log_progress(f"  {warning}")

@@ -89,19 +89,19 @@ TRUTHS = (
 def simulated(truth: Truth, generator: np.random.Generator) -> pd.DataFrame:
     """Simulate the case table of one campaign."""
     n, corners = truth.flights, len(REACH)
-    lost = generator.random(n) < truth.abort
-    hours = np.where(lost, generator.random(n), 1.0)
+    is_lost = generator.random(n) < truth.abort
+    hours = np.where(is_lost, generator.random(n), 1.0)
     clusters_near = generator.poisson(truth.near_per_h / truth.cluster * hours)
-    further = truth.rate / truth.near_per_h if truth.near_per_h else 0.0
+    additional = truth.rate / truth.near_per_h if truth.near_per_h else 0.0
     # A cluster that a corner has, every harder corner has.
-    reach = [*np.diff([0.0, *REACH]) * further, 1.0 - further]
+    reach = [*np.diff([0.0, *REACH]) * additional, 1.0 - additional]
     clusters = generator.multinomial(clusters_near, reach)[:, :-1].cumsum(axis=1).T
     return pd.DataFrame(
         {
             "wind_mps": 3.0,
             "turbulence": "severe",
             "epistemic_id": np.repeat([f"{k}" for k in range(corners)], n),
-            "status": np.tile(np.where(lost, "diverged", "ok"), corners),
+            "status": np.tile(np.where(is_lost, "diverged", "ok"), corners),
             "duration_s": np.tile(3600.0 * hours, corners),
             f"excursions_{NEAR_M:g}m": np.tile(1.0 * truth.cluster * clusters_near, corners),
             f"excursions_{ASKED_M:g}m": 1.0 * truth.cluster * clusters.ravel(),
@@ -160,8 +160,8 @@ def measured(truth: Truth, repeats: int, seed: int = SEED) -> dict[str, float]:
 def keeps_level(level: Mapping[str, float], repeats: int) -> bool:
     """Return whether no answer was wrong more often than allowed, and limits are mostly finite: an
     infinite one is never wrong."""
-    wrong = max(level[n] for n in ("wrong_yes", "wrong_yes_losses", "wrong_no", "missed_share"))
-    return wrong <= allowed(ERROR, repeats) and level["infinite_limits"] <= 0.5
+    invalid = max(level[n] for n in ("wrong_yes", "wrong_yes_losses", "wrong_no", "missed_share"))
+    return invalid <= allowed(ERROR, repeats) and level["infinite_limits"] <= 0.5
 
 
 def passes(results: Results, repeats: int) -> bool:

@@ -67,11 +67,11 @@ def measured(truth: Truth, repeats: int) -> dict[str, float]:
     bonferroni, kolmogorov = (
         band_half_width(truth.airs, corners, CONFIDENCE) for corners in (truth.corners, 1)
     )
-    drawn, first = (
+    drawing, first = (
         np.array([common_air_half_width(campaign, CONFIDENCE) for campaign in part])
         for part in (values, values[:, :1])
     )
-    band = np.minimum(drawn, bonferroni)
+    band = np.minimum(drawing, bonferroni)
     limits = {"missed": band, "missed_bonferroni": bonferroni}
     limits |= {"missed_one_corner": kolmogorov, "missed_first_drawn": first}
     level = {name: float(np.mean(worst > limit)) for name, limit in limits.items()}
@@ -88,8 +88,8 @@ def passes(results: Results, repeats: int) -> bool:
     """Return whether every band keeps its level, and neither control does in the worst campaign."""
     worst = {n: max(level[n] for _, level in results) for n in results[0][1]}
     controls = ("missed_one_corner", "missed_first_drawn")
-    held = keeps_level(worst["missed"], repeats)
-    return held and not any(keeps_level(worst[name], repeats) for name in controls)
+    constant = keeps_level(worst["missed"], repeats)
+    return constant and not any(keeps_level(worst[name], repeats) for name in controls)
 
 
 STUDY = LevelStudy(

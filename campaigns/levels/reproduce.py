@@ -83,18 +83,20 @@ def measured(truth: Truth, repeats: int, seed: int = SEED) -> dict[str, float]:
     key = [truth.flights, truth.cluster, round(1e6 * truth.rate), round(1e6 * truth.abort)]
     generator = np.random.default_rng([seed, *key])
     shape = (repeats, truth.flights)
-    lost = (generator.random(shape) < truth.abort).astype(float)
-    missing = lost * generator.random(shape)
-    counts = truth.cluster * generator.poisson(truth.rate / truth.cluster * (1.0 - missing)) + lost
+    is_lost = (generator.random(shape) < truth.abort).astype(float)
+    missing = is_lost * generator.random(shape)
+    counts = (
+        truth.cluster * generator.poisson(truth.rate / truth.cluster * (1.0 - missing)) + is_lost
+    )
     flights = np.full(repeats, float(truth.flights))
     total, absent = counts.sum(axis=1), missing.sum(axis=1)
     ended = np.where(missing > 0.0, counts, 0.0).max(axis=1)
     dispersion = np.maximum(np.maximum(observed_dispersion(counts), truth.dispersion), ended)
     single = np.ones(repeats)
     limits = upper_limits(flights, total, dispersion, ERROR, None, absent)
-    losses = upper_limits(flights, lost.sum(axis=1), single, ERROR, None, absent)
+    losses = upper_limits(flights, is_lost.sum(axis=1), single, ERROR, None, absent)
     # Per scheduled hour, as if the remainder of an aborted flight had been flown without an event.
-    scheduled = upper_limits(flights, lost.sum(axis=1), single, ERROR)
+    scheduled = upper_limits(flights, is_lost.sum(axis=1), single, ERROR)
     shares = share_upper((counts > 0).sum(axis=1), flights, ERROR)
     hours = np.maximum(flights - absent, 1e-9)
     poisson = stats.chi2.isf(ERROR, 2.0 * total + 2.0) / (2.0 * hours)
@@ -121,8 +123,8 @@ def passes(results: Results, repeats: int) -> bool:
     """Return whether every level is kept, and is not by the two limits beside them."""
     levels = [level for _, level in results]
     controls = ("losses_as_scheduled", "excursions_if_poisson")
-    least = min(max(level[name] for level in levels) for name in controls)
-    return least > 2.0 * ERROR and all(keeps_level(level, repeats) for level in levels)
+    minimum = min(max(level[name] for level in levels) for name in controls)
+    return minimum > 2.0 * ERROR and all(keeps_level(level, repeats) for level in levels)
 
 
 STUDY = LevelStudy(

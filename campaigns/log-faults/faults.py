@@ -220,7 +220,7 @@ def _altered(
     raise ValueError(f"unknown kind of fault: {fault.kind}")
 
 
-def cut(raw: RawLog, start_s: float, end_s: float) -> RawLog:
+def part_of(raw: RawLog, start_s: float, end_s: float) -> RawLog:
     """Return the part of a log between two times."""
     out = {}
     for key, table in raw.messages.items():

@@ -27,7 +27,7 @@ from sysid.record import FlightRecord
 from tests.helpers.log_writers import px4_topics, write_ulog
 from uqharness.simulator import find_aircraft
 
-from .faults import FAULTS, Fault, cut, seeded
+from .faults import FAULTS, Fault, part_of, seeded
 
 HOME = Path(__file__).parent
 WITHIN = 0.1
@@ -71,8 +71,8 @@ class Sample:
 def flight_log(folder: Path, arguments: str, suffix: str) -> Path:
     """Return the log of a flight, flown unless it exists."""
     path = folder / (arguments.replace("--", "").replace(" ", "-") + suffix)
-    name, *others = shlex.split(arguments)
-    _run("fly", str(aircraft_of(folder, name)), *others, "--out", str(path), makes=path)
+    name, *remaining = shlex.split(arguments)
+    _run("fly", str(aircraft_of(folder, name)), *remaining, "--out", str(path), makes=path)
     return path
 
 
@@ -115,7 +115,7 @@ def findings(sample: Sample, fault: Fault | None) -> list[Finding] | None:
     signals = shipped_map(sample.dialect)
     raw = read_raw(sample.path, sample.dialect, signals)
     if sample.span_s is not None:
-        raw = cut(raw, *sample.span_s)
+        raw = part_of(raw, *sample.span_s)
     card: AirframeCard | None = sample.card
     if fault is not None:
         changed = seeded(raw, signals, card, fault)
@@ -142,7 +142,7 @@ def size_of(finding: Finding) -> float:
 def score(fault: Fault, after: Sequence[Finding], before: Sequence[Finding]) -> dict[str, Any]:
     """Return a row: whether the fault is named with channel and size, and findings of other
     channels that were not there before."""
-    earlier = {(f.code, f.channel) for f in before}
+    previous = {(f.code, f.channel) for f in before}
     right = {f.channel: f for f in after if f.code in fault.codes and f.channel in fault.named}
     sizes = {channel: size_of(finding) for channel, finding in right.items()}
     late = fault.kind == "late"
@@ -154,14 +154,16 @@ def score(fault: Fault, after: Sequence[Finding], before: Sequence[Finding]) -> 
     slack = WITHIN * abs(fault.size) + (0.03 if late else 0.0)
     sized = all(math.isnan(size) or abs(size - due[c]) <= slack for c, size in sizes.items())
     expected = {*fault.channels, *fault.named}
-    beside = [f for f in after if (f.code, f.channel) not in earlier and f.channel not in expected]
+    reference = [
+        f for f in after if (f.code, f.channel) not in previous and f.channel not in expected
+    ]
     return {
         "channels": " ".join(fault.named),
         "size": round(fault.size, 6),
         "named": int(set(right) == set(fault.named)),
         "sized": int(bool(right) and sized),
         "stated": " ".join(f"{size:.4g}" for size in sizes.values()),
-        "beside": " ".join(f"{f.code}:{f.channel}" for f in beside),
+        "beside": " ".join(f"{f.code}:{f.channel}" for f in reference),
     }
 
 
@@ -220,8 +222,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     if args.part in ("faults", "all"):
         rows = list(faulty(args.flights, args.genuine[0] if args.genuine else None))
         _write(args.out / "faults.csv", rows)
-        named = sum(row["named"] and row["sized"] for row in rows)
-        print(f"{named} of {len(rows)} faults named with channel and size")
+        listed = sum(row["named"] and row["sized"] for row in rows)
+        print(f"{listed} of {len(rows)} faults named with channel and size")
     for part, flights, genuine in (("healthy", HEALTHY, args.genuine), ("held-out", HELD_OUT, [])):
         if args.part in (part, "all"):
             rows = list(healthy(args.flights, flights, genuine))

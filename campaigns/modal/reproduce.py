@@ -63,8 +63,8 @@ class Cell:
     @property
     def text(self) -> str:
         """The cell as Markdown."""
-        spread = f" ± {self.std:.4f}" if self.column in ("scatter", "anova", "pbox") else ""
-        text = f"{self.ours:.4f}{spread} ({self.printed})"
+        scatter = f" ± {self.std:.4f}" if self.column in ("scatter", "anova", "pbox") else ""
+        text = f"{self.ours:.4f}{scatter} ({self.printed})"
         return text if self.agrees else f"**{text}**"
 
 

@@ -223,20 +223,20 @@ class Noisy:
 
 
 def noisy_twin(
-    quiet: Quiet, pair: ReplayPair, stream: tuple[int, ...], card_factors: tuple[float, ...]
+    calm: Quiet, pair: ReplayPair, stream: tuple[int, ...], card_factors: tuple[float, ...]
 ) -> Noisy:
     """Add noise of Table 2.1 from the stream to a flight, and force the measured states upon the
     model."""
     std = table_noise()
-    channels = {c: quiet.record[c] for c in std if c in quiet.record}
-    record = quiet.record.with_columns(with_noise(channels, std, np.random.default_rng(stream)))
-    flight = _flight("noisy", record, quiet.measured)
+    channels = {c: calm.record[c] for c in std if c in calm.record}
+    record = calm.record.with_columns(with_noise(channels, std, np.random.default_rng(stream)))
+    flight = _flight("noisy", record, calm.measured)
     residuals = flight_residuals(pair, flight, find_aircraft(MODEL).accelerometer_m, CUTOFFS)
-    air = tuple(with_channels_of(quiet.air, flight.record, flight.pieces, CUTOFFS.airspeed_hz))
+    air = tuple(with_channels_of(calm.air, flight.record, flight.pieces, CUTOFFS.airspeed_hz))
     sizes = {
         f: noise_sizes(flight, {c: f * s for c, s in std.items()}, CUTOFFS) for f in card_factors
     }
-    return Noisy(residuals, quiet.unit, air, sizes)
+    return Noisy(residuals, calm.unit, air, sizes)
 
 
 def _resized(noise: PieceNoise, sizes: Mapping[str, NoiseSize]) -> PieceNoise:

@@ -46,19 +46,19 @@ PUBLISHED = FitOptions(samples="all", noise="inside")
 
 def run_seed(case: Case, seed: int) -> dict[str, Any]:
     """Return everything that the tables need of one seed. Raises BadInputError."""
-    quiet = [quiet_flight(case, plan, 10 * seed + k) for k, plan in enumerate(PLANS_FLOWN)]
+    calm = [quiet_flight(case, plan, 10 * seed + k) for k, plan in enumerate(PLANS_FLOWN)]
     number, factors = CASES.index(case), tuple(CARDS.values())
-    with model_pair(quiet[0].measured) as pair:
+    with model_pair(calm[0].measured) as pair:
         noisy = [
             noisy_twin(q, pair, (seed, number, k), (1.0,) if k else factors)
-            for k, q in enumerate(quiet)
+            for k, q in enumerate(calm)
         ]
     forms = fitted_ways(noisy[0])
     published = fit_bounds(noisy[0].residuals, options=PUBLISHED)
     rows, fits = [], []
     for way, fitted in forms.items():
-        rows += _rows(way, fitted, quiet[1:], noisy[1:])
-        fits += [_fit_row(way, c, fitted[c], quiet[0].true, published[c]) for c in COEFFICIENTS]
+        rows += _rows(way, fitted, calm[1:], noisy[1:])
+        fits += [_fit_row(way, c, fitted[c], calm[0].true, published[c]) for c in COEFFICIENTS]
     return {"case": case.name, "seed": seed, "rows": rows, "fits": fits}
 
 
@@ -90,13 +90,13 @@ def error_interval(
 
 
 def _rows(
-    way: str, fitted: Mapping[str, FittedBounds], quiet: list[Quiet], noisy: list[Noisy]
+    way: str, fitted: Mapping[str, FittedBounds], calm: list[Quiet], noisy: list[Noisy]
 ) -> list[dict[str, Any]]:
     form = form_of(fitted, 1.0 / noisy[0].residuals.dt_s)
     measured = [n.knowing(n.sizes[1.0]) for n in noisy]
     pooled = coverage(form, combine_flights(measured)) if way == "default" else {}
     rows = []
-    for speed, q, m in zip(SPEEDS, quiet, measured, strict=True):
+    for speed, q, m in zip(SPEEDS, calm, measured, strict=True):
         single, states = coverage(form, m) if way == "default" else {}, q.true.states
         for k, c in enumerate(COEFFICIENTS):
             bounds, true = fitted[c].bounds, q.true.delta[:, k]

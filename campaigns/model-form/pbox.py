@@ -82,9 +82,9 @@ def run_seed(case: Case, seed: int, flights: int, duration_s: float) -> dict[str
 
 
 def _fits(case: Case, seed: int) -> dict[str, dict[str, FittedBounds]]:
-    quiet = quiet_flight(case, BOUNDS, 10 * seed)
-    with model_pair(quiet.measured) as pair:
-        noisy = noisy_twin(quiet, pair, (seed, CASES.index(case), 0), (1.0,))
+    calm = quiet_flight(case, BOUNDS, 10 * seed)
+    with model_pair(calm.measured) as pair:
+        noisy = noisy_twin(calm, pair, (seed, CASES.index(case), 0), (1.0,))
     residuals = noisy.knowing(noisy.sizes[1.0])
     published = {}
     for c, fitted in fit_bounds(residuals, options=PUBLISHED).items():

@@ -30,11 +30,11 @@ NAMES = {case.name: case for case in CASES}
 
 def frames(answers: Sequence[dict[str, Any]]) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Return rows of coverage and rows of parts, each with its case and seed."""
-    named = [
+    listed = [
         [{"case": a["case"], "seed": a["seed"], **row} for a in answers for row in a.get(key, ())]
         for key in ("rows", "fits")
     ]
-    return pd.DataFrame(named[0]), pd.DataFrame(named[1])
+    return pd.DataFrame(listed[0]), pd.DataFrame(listed[1])
 
 
 def _answer(name: str) -> dict[str, Any]:

@@ -112,9 +112,9 @@ def _card_rows(rows: pd.DataFrame) -> list[dict[str, str]]:
         for way in CARDS:
             part = of_case.get_group(way)
             inside = part.groupby(["coefficient", "speed_mps"])["inside"].mean()
-            least = inside.groupby("coefficient").min()
+            minimum = inside.groupby("coefficient").min()
             width = part.groupby("coefficient")["width"].mean() / exact
-            figures = {c: f"{100 * least[c]:.1f} ({width[c]:.2f})" for c in COEFFICIENTS}
+            figures = {c: f"{100 * minimum[c]:.1f} ({width[c]:.2f})" for c in COEFFICIENTS}
             table.append({"case": case, "card": way, **figures})
     return table
 

@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from campaigns.library.study import exit_code, study_parser, write_csv
-from campaigns.rare_events.rates import shown
+from campaigns.rare_events.rates import digits
 from uqharness.errors import BadInputError
 from uqharness.statistics import Checkpoint, interval, pilot, run
 from uqharness.statistics.splitting import Interval
@@ -66,9 +66,9 @@ class Crossings:
         for _ in range(self._each):
             self._x = KEEP * self._x + NOISE * self._rng.standard_normal(self._x.size)
             x = self._x[:, None]
-            beyond = x > self._thresholds
-            events += beyond & ~self._outside
-            self._outside = beyond | (self._outside & (x >= self._thresholds - self._rearm))
+            outside = x > self._thresholds
+            events += outside & ~self._outside
+            self._outside = outside | (self._outside & (x >= self._thresholds - self._rearm))
         return Checkpoint(self._x, events, np.zeros(self._x.size, bool))
 
     def follow(self, parents: Sequence[int], levels: Sequence[int]) -> None:
@@ -101,15 +101,15 @@ def exact(steps: int, threshold: float, rearm: float, nodes: int = 80) -> tuple[
     move = density / (NOISE * np.sqrt(2.0 * np.pi)) * dx
     start = np.exp(-0.5 * x**2) / np.sqrt(2.0 * np.pi) * dx
     never, armed, outside = start.copy(), start.copy(), np.zeros_like(start)
-    beyond, inside = x > threshold, x < threshold - rearm
+    excess, inside = x > threshold, x < threshold - rearm
     first = events = 0.0
     for _ in range(steps):
         never, armed, outside = never @ move, armed @ move, outside @ move
-        first += never[beyond].sum()
-        never[beyond] = 0.0
-        events += armed[beyond].sum()
-        outside[beyond] += armed[beyond]
-        armed[beyond] = 0.0
+        first += never[excess].sum()
+        never[excess] = 0.0
+        events += armed[excess].sum()
+        outside[excess] += armed[excess]
+        armed[excess] = 0.0
         armed[inside] += outside[inside]
         outside[inside] = 0.0
     return float(first), float(events)
@@ -146,8 +146,14 @@ class Coverage:
         for number, one in enumerate(self.studies):
             row = {"paths": paths, "repeat": str(number)}
             for name, limits, true in zip(("probability", "events"), one, self.truth, strict=True):
-                row |= {name: shown(limits.estimate, 9), f"{name}_lower": shown(limits.lower, 9)}
-                row |= {f"{name}_upper": shown(limits.upper, 9), f"{name}_true": shown(true, 9)}
+                row |= {
+                    name: digits(limits.estimate, 9),
+                    f"{name}_lower": digits(limits.lower, 9),
+                }
+                row |= {
+                    f"{name}_upper": digits(limits.upper, 9),
+                    f"{name}_true": digits(true, 9),
+                }
                 row[f"{name}_held"] = "yes" if holds(limits, true) else "no"
             table.append(row)
         return table
@@ -186,14 +192,14 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _run(repeats: int, out: Path) -> int:
     if repeats < 20:
         raise BadInputError(f"--repeats {repeats}: 20 at least tell nine of ten from less")
-    good, bad = coverage(repeats), coverage(repeats, Careless)
-    print("by quadrature: probability {:.6g}, {:.6g} events a path".format(*good.truth))
-    kinds = {"splitting": good, "copies that begin elsewhere": bad}
+    valid, invalid = coverage(repeats), coverage(repeats, Careless)
+    print("by quadrature: probability {:.6g}, {:.6g} events a path".format(*valid.truth))
+    kinds = {"splitting": valid, "copies that begin elsewhere": invalid}
     write_csv(out / TABLE, [row for name, each in kinds.items() for row in each.rows(name)])
     for name, each in kinds.items():
         counts = "{} hold the probability, {} the events".format(*each.counts)
         print(f"{name}: of {repeats} intervals {counts}; mean over truth {each.ratio:.3f}")
-    return 0 if min(good.counts) >= 0.9 * repeats > bad.counts[0] else 1
+    return 0 if min(valid.counts) >= 0.9 * repeats > invalid.counts[0] else 1
 
 
 if __name__ == "__main__":

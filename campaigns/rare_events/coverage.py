@@ -22,7 +22,7 @@ import numpy as np
 from scipy import stats
 
 from campaigns.library.study import exit_code, study_parser, write_csv
-from campaigns.rare_events.rates import shown
+from campaigns.rare_events.rates import digits
 from campaigns.rare_events.reproduce import AIM_M, CELL, CORNER, HOME, read_tuning
 from campaigns.rare_events.study import GRID, TOP, LoiterScore, Size, Study
 from sysid.arrays import FloatArray
@@ -88,10 +88,10 @@ def rows(values: FloatArray, hit: int, flights: int) -> list[dict[str, str]]:
     for number, means in enumerate(values):
         one = interval(means)
         row = {"repeat": str(number)}
-        row |= {n: shown(getattr(one, n), 9) for n in ("estimate", "lower", "upper")}
+        row |= {n: digits(getattr(one, n), 9) for n in ("estimate", "lower", "upper")}
         row["held"] = "yes" if one.lower <= hit / flights <= one.upper else "no"
         row |= {"plain_hit": str(hit), "plain_flights": str(flights)}
-        row |= {f"mean_{place}": shown(float(mean), 9) for place, mean in enumerate(means)}
+        row |= {f"mean_{place}": digits(float(mean), 9) for place, mean in enumerate(means)}
         table.append(row)
     return table
 
@@ -117,7 +117,7 @@ def _run(repeats: int, roots: int, plain: int, out: Path) -> int:
             f"--repeats {repeats} --roots {roots} --plain {plain}: 20 repeats, a root and a plain "
             "flight at least"
         )
-    started = time.process_time()
+    initial = time.process_time()
     study = Study(HOME / "campaign.toml", CELL, CORNER, Size(aim_m=AIM_M))
     tuning = read_tuning(HOME / study.name)
     if tuning is None:
@@ -131,7 +131,7 @@ def _run(repeats: int, roots: int, plain: int, out: Path) -> int:
         return LoiterPaths(specs, ids, SEED, watch)
 
     def report(text: str) -> None:
-        print(f"{text}; {time.process_time() - started:.0f} s of a core", flush=True)
+        print(f"{text}; {time.process_time() - initial:.0f} s of a core", flush=True)
 
     levels = pilot(start, PILOT_ROOTS, 1, GRID, TOP, share=SHARE)
     report(f"levels at {', '.join(f'{score:.3g}' for score in levels.scores)}")

@@ -42,8 +42,8 @@ def rates(
     rows = list(_rates(radii_m, hours, split, plain))
     compared = sum(not math.isnan(row["p_value"]) for row in rows)
     for row in rows:
-        known = not math.isnan(row["p_value"])
-        row["agree"] = row["p_value"] >= FAMILY / compared if known else None
+        reference = not math.isnan(row["p_value"])
+        row["agree"] = row["p_value"] >= FAMILY / compared if reference else None
     return rows
 
 
@@ -79,8 +79,8 @@ def pooled(replicates: pd.Series) -> FloatArray:
     """Average equally many replicates, in their order; those that remain at the end are left
     out."""
     size = max(1, len(replicates) // OBSERVATIONS)
-    whole = replicates.to_numpy(dtype=float)[: len(replicates) // size * size]
-    return np.asarray(whole.reshape(-1, size).mean(axis=1))
+    complete = replicates.to_numpy(dtype=float)[: len(replicates) // size * size]
+    return np.asarray(complete.reshape(-1, size).mean(axis=1))
 
 
 def _limits(name: str, values: tuple[float, float, float]) -> dict[str, float]:
@@ -109,14 +109,14 @@ def _p_value(split: Interval, observations: int, hit: int, flights: int) -> floa
     if not flights or not split.lower > 0.0:
         return math.nan
     t = stats.t(observations - 1)
-    spread = math.log(split.upper / split.estimate) / float(t.ppf(0.5 + 0.5 * CONFIDENCE))
+    scatter = math.log(split.upper / split.estimate) / float(t.ppf(0.5 + 0.5 * CONFIDENCE))
     nodes = (np.arange(_NODES) + 0.5) / _NODES
-    shares = np.minimum(split.estimate * np.exp(spread * t.ppf(nodes)), 1.0)
+    shares = np.minimum(split.estimate * np.exp(scatter * t.ppf(nodes)), 1.0)
     few = float(stats.binom.cdf(hit, flights, shares).mean())
     many = float(stats.binom.sf(hit - 1, flights, shares).mean())
     return min(1.0, 2.0 * few, 2.0 * many)
 
 
-def shown(value: float, figures: int = 3) -> str:
+def digits(value: float, figures: int = 3) -> str:
     """Format a number of a table to so many significant figures; empty where undefined."""
     return "" if math.isnan(value) else f"{value:.{figures}g}"

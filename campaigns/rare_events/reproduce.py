@@ -26,7 +26,7 @@ import pyarrow as pa
 
 import uqharness
 from campaigns.library.study import exit_code, log_progress, study_parser, write_csv
-from campaigns.rare_events.rates import rates, shown
+from campaigns.rare_events.rates import digits, rates
 from campaigns.rare_events.study import NAMES, Size, Study, Tuning, chosen_hits
 from uqharness.campaign.rare_events import DistancePredictor, FirstExcursion
 from uqharness.errors import BadInputError
@@ -165,7 +165,7 @@ def fly(study: Study, folder: Path, replicates: int) -> None:
             )
         tuning = study.tune()
         write_tuning(folder, tuning)
-        scores = ", ".join(shown(score) for score in tuning.levels.scores)
+        scores = ", ".join(digits(score) for score in tuning.levels.scores)
         log_progress(f"pilot: levels at {scores}; {tuning.core_s:.0f} s of a core")
 
     def replicate(number: int) -> dict[str, Any]:
@@ -232,9 +232,9 @@ def jsbsim(study: Study, folder: Path, paths: int) -> int:
         rows = pd.read_csv(table, dtype=str).to_dict("records") if table.exists() else []
         if any(row.items() <= other.items() for other in rows):
             continue
-        distance, beyond = study.reflown(hit)
+        distance, outside = study.reflown(hit)
         row["difference_m"] = f"{abs(distance - hit.distance_m):.2g}"
-        row["first_row_beyond"] = "same" if beyond == 1 else "other"
+        row["first_row_beyond"] = "same" if outside == 1 else "other"
         add_row(table, row)
         log_progress(f"{hit.distance_m:.3f} m at {row['time_s']} s: {row['difference_m']} m apart")
     frame = pd.read_csv(table)
@@ -252,7 +252,7 @@ def tables(study: Study, folder: Path) -> int:
     write_csv(
         folder / RATES,
         (
-            {n: shown(v) if isinstance(v, float) else str(v) for n, v in row.items()}
+            {n: digits(v) if isinstance(v, float) else str(v) for n, v in row.items()}
             | {"agree": agree[row["agree"]]}
             for row in results
         ),
@@ -261,14 +261,14 @@ def tables(study: Study, folder: Path) -> int:
         text = f"{row['radius_m']:g} m: {_words(row, 'split_per_h')} per hour"
         if row["plain_flights"]:
             text += f"; flights with one: {_words(row, 'split')}, not split {_words(row, 'plain')}"
-        print(f"{text} {row['reason'] or '(p = ' + shown(row['p_value']) + ')'}")
+        print(f"{text} {row['reason'] or '(p = ' + digits(row['p_value']) + ')'}")
     if has_other_flights(study, folder):
         print("note: aircraft, script or campaign file have changed since these pieces were flown")
     return 1 if any(row["agree"] is False for row in results) else 0
 
 
 def _words(row: dict[str, Any], name: str) -> str:
-    estimate, *limits = (shown(row[f"{name}{end}"]) for end in ("", "_lower", "_upper"))
+    estimate, *limits = (digits(row[f"{name}{end}"]) for end in ("", "_lower", "_upper"))
     return f"{estimate} ({' to '.join(limits)})"
 
 

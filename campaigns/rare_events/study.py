@@ -92,8 +92,8 @@ def regressors(values: Mapping[str, FloatArray], distance_m: FloatArray) -> Floa
     """Return (..., len(NAMES)) of PROPERTIES (...) and the distance from the circle (...) [m]; SI
     units and radians."""
     north, east = values[_PLACE[0]], values[_PLACE[1]] - CENTRE_EAST_M
-    away = np.maximum(np.sqrt(north * north + east * east), 1e-6)
-    sine, cosine = east / away, north / away
+    offset = np.maximum(np.sqrt(north * north + east * east), 1e-6)
+    sine, cosine = east / offset, north / offset
     states = [np.ones_like(distance_m), distance_m]
     states += [values[n] * (FT_M if n.endswith("-fps") else 1.0) for n in _PLAIN.values()]
     for to_north, to_east in _VECTORS.values():
@@ -257,7 +257,7 @@ class Study:
 
         Raises BadInputError where the rounds find no level up to TOP.
         """
-        started, size, kinds = time.process_time(), self.size, len(self.radii_m)
+        initial, size, kinds = time.process_time(), self.size, len(self.radii_m)
 
         def start(number: int, score: LoiterScore | Recorder) -> LoiterPaths:
             cases = self.cases(FIRST_PILOT + number * size.pilot_roots, size.pilot_roots)
@@ -281,12 +281,12 @@ class Study:
         except ValueError as error:
             raise BadInputError(f"{self.name}: {error}") from error
         plain_h = unsplit.steps * size.step_s / 3600.0
-        return Tuning(levels, predicted, time.process_time() - started, plain_h)
+        return Tuning(levels, predicted, time.process_time() - initial, plain_h)
 
     def replicate(self, number: int, tuning: Tuning) -> tuple[dict[str, Any], list[FirstExcursion]]:
         """Fly one replicate and return its row of replicates.csv, and the excursions that are kept
         with their path."""
-        started, cases, size = time.process_time(), self.replicate_cases(number), self.size
+        start, cases, size = time.process_time(), self.replicate_cases(number), self.size
         watch = CheckpointPlan(size.step_s, LoiterScore(tuning.predicted), size.noted)
         paths = self.paths(cases, watch)
         result = run(paths, size.roots, tuning.levels, len(self.radii_m))
@@ -295,13 +295,13 @@ class Study:
         row |= self._by_radius("events", result.events)
         row |= self._by_radius("squares", [math.nan] * len(self.radii_m))
         row |= {"ended": result.ended, "path_s": result.steps * size.step_s}
-        row |= {"most": result.max_paths, "core_s": time.process_time() - started}
+        row |= {"most": result.max_paths, "core_s": time.process_time() - start}
         return row | {"flights_id": self.identity(cases, tuning)}, paths.hits
 
     def plain(self, number: int) -> dict[str, Any]:
         """Fly one piece of flights that are not split and return its row of plain.csv. One that
         ends early counts one excursion at least, as in ``run``."""
-        started, cases = time.process_time(), self.plain_cases(number)
+        start, cases = time.process_time(), self.plain_cases(number)
         results = fly_group(BATCH, [case.flight for case in cases])
         names = [f"excursions_{radius:g}m" for radius in self.radii_m]
         counts = np.array([[one.metrics[name] for name in names] for one in results])
@@ -315,7 +315,7 @@ class Study:
         ):
             row |= self._by_radius(name, np.mean(values, axis=0))
         row |= {"ended": float(failed.mean()), "path_s": 3600.0 * self.hours * len(cases)}
-        row |= {"most": len(cases), "core_s": time.process_time() - started}
+        row |= {"most": len(cases), "core_s": time.process_time() - start}
         return row | {"flights_id": self.identity(cases)}
 
     def _by_radius(self, name: str, values: Any) -> dict[str, float]:

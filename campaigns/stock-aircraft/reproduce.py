@@ -163,12 +163,12 @@ def study(name: str, V_mps: float) -> Row:
 def _trims(row: Row, V_mps: float, command: Callable[..., tuple[int, str]]) -> bool:
     """Return whether `modes` trims, at the speed and on the path then stored in ``row``."""
     pending = [(round(share * V_mps, 1), 0.0) for share in SPEEDS]
-    tried = set()
+    trial = set()
     while pending:
         row.V_mps, row.climb_deg = pending.pop(0)
-        if (row.V_mps, row.climb_deg) in tried:
+        if (row.V_mps, row.climb_deg) in trial:
             continue
-        tried.add((row.V_mps, row.climb_deg))
+        trial.add((row.V_mps, row.climb_deg))
         place = (f"--climb-deg={row.climb_deg:g}", "--altitude-m", f"{ALTITUDE_M:g}")
         code, output = command("modes", "mine", "--speed-mps", f"{row.V_mps:.1f}", *place)
         if code == 0:

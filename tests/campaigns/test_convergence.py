@@ -10,7 +10,7 @@ import pytest
 
 from campaigns.convergence.reproduce import HOME, enough, main
 from campaigns.library.flights import FLIGHTS, cases_of, records
-from tests.helpers.study_flights import flown, with_medians
+from tests.helpers.study_flights import fly_study, with_medians
 from uqharness.errors import BadInputError
 
 CAMPAIGN, CELL = HOME / "campaign.toml", "light-0"
@@ -29,13 +29,13 @@ def shifted_once(flight) -> float:
 def test_repeats_that_are_alike_and_one_that_is_not(tmp_path):
     for name, change in (("like", normal), ("unlike", shifted_once)):
         path = tmp_path / name / FLIGHTS
-        flown(CAMPAIGN, CELL, path, with_medians(change), 400, resolution=0.0005)
+        fly_study(CAMPAIGN, CELL, path, with_medians(change), 400, resolution=0.0005)
         assert main([str(path), "--repeats", "4", "--out", str(path.parent)]) == 0
         frame = pd.read_csv(tmp_path / name / "convergence.csv")
         assert frame["repeats"].tolist() == [4, 4, 4]
         assert frame["flights"].tolist() == [100, 100, 100]
-        apart = frame["distance"] > frame["expected_distance"]
-        assert apart.tolist() == [name == "unlike"] * 3
+        difference = frame["distance"] > frame["expected_distance"]
+        assert difference.tolist() == [name == "unlike"] * 3
         assert (tmp_path / name / "curves.svg").read_text().startswith("<svg")
         assert "all,1,400,400," in (tmp_path / name / "cost.csv").read_text()
 
@@ -44,13 +44,13 @@ def test_parts_come_closer_with_their_number_as_chance_says():
     frame = pd.DataFrame(
         {"aleatory_id": range(5000), "m": np.random.default_rng(4).normal(size=5000)}
     )
-    found = enough(frame, "m")
-    assert [row["flights"] for row in found] == [10, 20, 50, 100, 200, 500]
-    assert [row["parts"] for row in found] == [500, 250, 100, 50, 25, 10]
-    assert all(row["distance"] < row["bound"] for row in found)
+    result = enough(frame, "m")
+    assert [row["flights"] for row in result] == [10, 20, 50, 100, 200, 500]
+    assert [row["parts"] for row in result] == [500, 250, 100, 50, 25, 10]
+    assert all(row["distance"] < row["bound"] for row in result)
     # A standard error of a median is 1.2533 / sqrt(n); of m parts the farthest lies about its
     # sqrt(2 ln m) away.
-    for row in found[:4]:
+    for row in result[:4]:
         assert row["median_off"] == pytest.approx(
             1.2533 / row["flights"] ** 0.5 * (2.0 * np.log(row["parts"])) ** 0.5, rel=0.35
         )

@@ -60,7 +60,7 @@ def counting(within_15m, within_25m):
     return fly
 
 
-def flown(tmp_path, name, fly, wind=7, turbulence="severe"):
+def simulate(tmp_path, name, fly, wind=7, turbulence="severe"):
     text = SEVERE.replace("wind_mps = 3", f"wind_mps = {wind}").replace(
         '"moderate"', f'"{turbulence}"'
     )
@@ -74,15 +74,15 @@ def flown(tmp_path, name, fly, wind=7, turbulence="severe"):
 
 
 def test_the_published_tables_are_as_printed():
-    near, far = (published_table(PUBLISHED[r]).set_index("wind_mps") for r in (15.0, 25.0))
-    assert (near.shape, far.shape) == ((8, 6), (8, 6))
-    assert near["severe_worst"].tolist() == [0.068, 0.092, 0.136, 0.31, 0.868, 2.44, 7.762, 25.342]
-    assert near["moderate_worst"].sum() == pytest.approx(4.248)
-    assert far.to_numpy().sum() == pytest.approx(0.002)
+    close, distant = (published_table(PUBLISHED[r]).set_index("wind_mps") for r in (15.0, 25.0))
+    assert (close.shape, distant.shape) == ((8, 6), (8, 6))
+    assert close["severe_worst"].tolist() == [0.068, 0.092, 0.136, 0.31, 0.868, 2.44, 7.762, 25.342]
+    assert close["moderate_worst"].sum() == pytest.approx(4.248)
+    assert distant.to_numpy().sum() == pytest.approx(0.002)
 
 
 def test_a_campaign_beside_the_print(tmp_path, capsys):
-    like = flown(tmp_path, "like", counting(25.0, 0.0))
+    like = simulate(tmp_path, "like", counting(25.0, 0.0))
     assert (
         main([like, "--out", str(tmp_path / "out")]) == 1
     )  # the best corner of the print has 0.002, not 25
@@ -96,19 +96,19 @@ def test_a_campaign_beside_the_print(tmp_path, capsys):
     assert (
         frame["published_worst_lower_per_h"][0] < 25.342 < frame["published_worst_upper_per_h"][0]
     )
-    many = flown(tmp_path, "many", counting(60.0, 2.0))
+    many = simulate(tmp_path, "many", counting(60.0, 2.0))
     assert main([many, "--out", str(tmp_path / "out")]) == 1
     assert "worst: 2 cells more" in capsys.readouterr().out
 
 
 def test_quiet_air_agrees(tmp_path, capsys):
-    quiet = flown(tmp_path, "quiet", counting(0.0, 0.0), wind=1, turbulence="light")
-    assert main([quiet, "--out", str(tmp_path / "out")]) == 0
+    calm = simulate(tmp_path, "quiet", counting(0.0, 0.0), wind=1, turbulence="light")
+    assert main([calm, "--out", str(tmp_path / "out")]) == 0
     assert "published [0, 0]: as published" in capsys.readouterr().out
 
 
 def test_what_is_not_in_print_is_refused(tmp_path, capsys):
-    gale = flown(tmp_path, "gale", counting(0.0, 0.0), wind=12)
+    gale = simulate(tmp_path, "gale", counting(0.0, 0.0), wind=12)
     assert main([gale, "--out", str(tmp_path / "out")]) == 2
     assert "no wind" in capsys.readouterr().err
     assert main([str(tmp_path / "nowhere"), "--out", str(tmp_path / "out")]) == 2

@@ -56,12 +56,12 @@ def test_the_grid_keeps_order_zero_and_undefined_values():
 @pytest.mark.parametrize("resolution", [RESOLUTION, FINE])
 def test_curves_drawn_from_the_grid_are_exact_at_its_edges(resolution):
     values = np.random.default_rng(8).normal(3.0, 0.03, 400)
-    kept = decoded(coded(values, resolution).astype(float).filled(np.nan), resolution)
-    drawn = smoothed(kept, resolution)
-    assert np.all(np.diff(drawn) > 0)
-    np.testing.assert_allclose(np.sort(drawn), np.sort(values), rtol=2.0 * resolution)
-    for edge in np.unique(kept) / (1.0 - resolution):
-        assert np.mean(drawn <= edge) == np.mean(values <= edge)
+    retained = decoded(coded(values, resolution).astype(float).filled(np.nan), resolution)
+    drawing = smoothed(retained, resolution)
+    assert np.all(np.diff(drawing) > 0)
+    np.testing.assert_allclose(np.sort(drawing), np.sort(values), rtol=2.0 * resolution)
+    for edge in np.unique(retained) / (1.0 - resolution):
+        assert np.mean(drawing <= edge) == np.mean(values <= edge)
 
 
 def test_the_file_has_the_flights_of_the_campaign_folder(study):

@@ -116,7 +116,7 @@ def test_air_that_rotates_counts_as_the_body_rotating_the_other_way():
 
 
 @pytest.fixture(scope="module")
-def flown(tmp_path_factory):
+def flight(tmp_path_factory):
     folder = tmp_path_factory.mktemp("flown")
     for suffix in ("parquet", "bin"):
         arguments = [
@@ -133,10 +133,10 @@ def flown(tmp_path_factory):
     return folder
 
 
-def test_positions_from_the_log_are_the_aircrafts(flown):
+def test_positions_from_the_log_are_the_aircrafts(flight):
     # Half a servo microsecond is 0.025 deg; five milliseconds of lag would be 0.5 deg and more.
-    table = pd.read_parquet(flown / "a.parquet")
-    data = read_data(flown / "a.bin", "synthetic_stall", 0.01)
+    table = pd.read_parquet(flight / "a.parquet")
+    data = read_data(flight / "a.bin", "synthetic_stall", 0.01)
     pieces = [
         g
         for _, g in table.groupby((table.manoeuvre != table.manoeuvre.shift()).cumsum())

@@ -58,8 +58,8 @@ def test_the_band_keeps_its_level_and_bands_of_one_corner_do_not():
 
 def test_the_committed_tables_are_of_these_campaigns_and_keep_their_levels():
     rows = committed("answers.csv")
-    kept = [(row["campaign"], row["kept"] == "yes") for row in rows]
-    assert kept == [(truth.campaign, truth.counts_near) for truth in answers.TRUTHS]
+    retained = [(row["campaign"], row["kept"] == "yes") for row in rows]
+    assert retained == [(truth.campaign, truth.counts_near) for truth in answers.TRUTHS]
     rows = committed("bands.csv")
     sizes = [(int(row["corners"]), int(row["airs"])) for row in rows]
     assert sizes == [(truth.corners, truth.airs) for truth in bands.TRUTHS]
@@ -68,8 +68,8 @@ def test_the_committed_tables_are_of_these_campaigns_and_keep_their_levels():
 
 
 @pytest.mark.parametrize(
-    ("study", "least"), [(reproduce, "1000"), (answers, "100"), (bands, "100")]
+    ("study", "minimum"), [(reproduce, "1000"), (answers, "100"), (bands, "100")]
 )
-def test_too_few_repeats_are_refused(study, least, tmp_path, capsys):
+def test_too_few_repeats_are_refused(study, minimum, tmp_path, capsys):
     assert study.main(["--out", str(tmp_path), "--repeats", "10"]) == 2
-    assert f"{least} at least" in capsys.readouterr().err
+    assert f"{minimum} at least" in capsys.readouterr().err

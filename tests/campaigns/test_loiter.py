@@ -12,7 +12,7 @@ from campaigns.excursions.reproduce import HOME as EXCURSIONS
 from campaigns.library.flights import FLIGHTS
 from campaigns.loiter.one_flight import SIGNALS, errors, flights, run
 from campaigns.loiter.reproduce import CELL, METRICS, main
-from tests.helpers.study_flights import flown, with_medians
+from tests.helpers.study_flights import fly_study, with_medians
 from uqharness.errors import BadInputError
 from uqharness.flight import COEFFICIENTS, FlightResult
 
@@ -36,14 +36,14 @@ def linear(effects):
 
 @pytest.fixture(scope="module")
 def folders(tmp_path_factory):
-    found = {}
+    result = {}
     for name, effects in (("printed", PRINTED), ("otherwise", OTHERWISE)):
         folder = tmp_path_factory.mktemp(name)
         fly = with_medians(linear(effects))
-        source = flown(EXCURSIONS / "campaign.toml", CELL, folder / FLIGHTS, fly)
+        source = fly_study(EXCURSIONS / "campaign.toml", CELL, folder / FLIGHTS, fly)
         assert main([str(source), "--out", str(folder)]) == 0
-        found[name] = folder
-    return found
+        result[name] = folder
+    return result
 
 
 @pytest.mark.parametrize(("name", "effects"), [("printed", PRINTED), ("otherwise", OTHERWISE)])
@@ -91,13 +91,13 @@ def test_a_source_without_flights_is_bad_input(tmp_path, capsys):
     assert str(tmp_path) in capsys.readouterr().err
 
 
-def flight_with(spread):
+def flight_with(scatter):
     """Errors normal with the standard deviation ``spread``, those that sensors saw twice as
     large.
     """
 
     def fly(spec):
-        true = np.random.default_rng(3).normal(0.0, spread, 40_000)
+        true = np.random.default_rng(3).normal(0.0, scatter, 40_000)
         signals = {
             f"{name}{suffix}": factor * true
             for name in SIGNALS
@@ -109,9 +109,9 @@ def flight_with(spread):
 
 
 def test_quantiles_are_those_of_the_folded_normal_distribution(tmp_path):
-    told = run(tmp_path, flight_with(1.5))
+    reports = run(tmp_path, flight_with(1.5))
     frame = pd.read_csv(tmp_path / "one-flight.csv")
-    assert len(frame) == len(told) * 2 * len(SIGNALS)
+    assert len(frame) == len(reports) * 2 * len(SIGNALS)
     for measured, rows in frame.groupby(frame["error"].str.endswith("_measured")):
         # Half of |x| lies below 0.6745 sigma, 95 % below 1.96 sigma.
         sigma = 3.0 if measured else 1.5
@@ -128,9 +128,9 @@ def test_a_flight_that_ended_early_has_no_distribution_of_an_hour():
 
 
 def test_four_flights_differ_by_air_or_model_alone():
-    found = list(flights().values())
-    assert len(found) == 4
-    assert len({spec.seed_turbulence for spec in found}) == 1
-    assert [spec.turbulence for spec in found] == ["moderate", "severe", "severe", "severe"]
-    assert [bool(spec.properties) for spec in found] == [False, False, True, True]
-    assert found[2].properties != found[3].properties
+    result = list(flights().values())
+    assert len(result) == 4
+    assert len({spec.seed_turbulence for spec in result}) == 1
+    assert [spec.turbulence for spec in result] == ["moderate", "severe", "severe", "severe"]
+    assert [bool(spec.properties) for spec in result] == [False, False, True, True]
+    assert result[2].properties != result[3].properties

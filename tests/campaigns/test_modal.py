@@ -63,8 +63,8 @@ def test_every_printed_cell_agrees_but_one_or_two(as_published):
     cells, factors = compare(as_published)
     assert len(cells) == 180
     missed = {(cell.output, cell.parameter, cell.column) for cell in cells if not cell.agrees}
-    known = {("short_period_frequency", name, "proposed_max") for name in ("CZ_alpha", "Cm_q")}
-    assert missed <= known
+    reference = {("short_period_frequency", name, "proposed_max") for name in ("CZ_alpha", "Cm_q")}
+    assert missed <= reference
     assert ("short_period_frequency", "CZ_alpha", "proposed_max") in missed
     assert all(abs(factor - 1.0) < 0.08 for factor in factors.values())
 
@@ -106,10 +106,10 @@ def call(*words):
 def test_the_command_gives_the_contracted_json_and_a_text(capsys):
     assert call("--modal", "as_published", "--repeats", "2", "--json") == 0
     captured = capsys.readouterr()
-    found = json.loads(captured.out)
+    result = json.loads(captured.out)
     assert captured.err == ""
-    assert tuple(found) == OUTPUTS
-    for parameters in found.values():
+    assert tuple(result) == OUTPUTS
+    for parameters in result.values():
         assert tuple(parameters) == tuple(NOMINAL)
         for cell in parameters.values():
             low, high = cell["proposed"]
@@ -117,7 +117,7 @@ def test_the_command_gives_the_contracted_json_and_a_text(capsys):
             for method in ("local", "scatter", "anova", "pbox"):
                 at, (lo, hi) = cell[method], cell["interval"][method]
                 assert lo <= at <= hi
-    assert found["phugoid_damping"]["CZ_0"]["proposed"] == pytest.approx([0.316, 0.361], abs=0.002)
+    assert result["phugoid_damping"]["CZ_0"]["proposed"] == pytest.approx([0.316, 0.361], abs=0.002)
     assert call("--modal", "as_corrected", "--repeats", "2") == 0
     text = capsys.readouterr().out
     assert "R^2 adds up to" in text
@@ -133,13 +133,13 @@ def test_jsbsim_modes_agree_with_the_full_linearisation(espaaro):
     properties = {"aero/Cm_q": -13.0, "aero/CX_0": -0.04}
     full = find_trim(espaaro, SteadyCondition(20.0, properties=properties))
     by_name = {mode.name: mode for mode in modes(linearise(espaaro, full))}
-    found = outputs_of(nominal_trim(espaaro), {"Cm_q": -13.0, "CX_0": -0.04})
+    result = outputs_of(nominal_trim(espaaro), {"Cm_q": -13.0, "CX_0": -0.04})
     expected = [
         by_name["phugoid"].zeta,
         by_name["short_period"].zeta,
         by_name["short_period"].wn_radps,
     ]
-    assert found == pytest.approx(expected, rel=2e-4)
+    assert result == pytest.approx(expected, rel=2e-4)
 
 
 def test_a_model_without_level_flight_is_refused(espaaro):

@@ -34,10 +34,10 @@ def answers() -> list[dict[str, Any]]:
 
 
 def test_noisy_twin_adds_the_stated_noise():
-    quiet = quiet_bounds_flight("nominal-calm")
-    with FLIGHTS.model_pair(quiet.measured) as pair:
+    calm = quiet_bounds_flight("nominal-calm")
+    with FLIGHTS.model_pair(calm.measured) as pair:
         one, same, other = (
-            FLIGHTS.noisy_twin(quiet, pair, (k, 0, 0), (1.0, 2.0)) for k in (1, 1, 2)
+            FLIGHTS.noisy_twin(calm, pair, (k, 0, 0), (1.0, 2.0)) for k in (1, 1, 2)
         )
     assert np.array_equal(one.residuals.delta, same.residuals.delta)
     assert not np.array_equal(one.residuals.delta, other.residuals.delta)
@@ -48,17 +48,17 @@ def test_noisy_twin_adds_the_stated_noise():
             np.mean(np.concatenate([noise_variance(p.noise)[:, k] for p in one.exactly().pieces]))
         )
         assert measured == pytest.approx(stated, rel=0.2)  # one draw, behind a slow filter
-    found = one.sizes[1.0]
-    assert found["p_radps"].std == pytest.approx(0.00349, rel=0.1)
+    result = one.sizes[1.0]
+    assert result["p_radps"].std == pytest.approx(0.00349, rel=0.1)
 
 
 @pytest.mark.slow
 def test_the_true_error_is_inside_and_the_widths_are_the_noise_knowns(answers):
     rows, fits = STUDY.frames(answers)
     usual = rows[rows["way"] == "default"].set_index(["case", "coefficient", "speed_mps"])
-    known = rows[rows["way"] == "noise known"].set_index(["case", "coefficient", "speed_mps"])
+    reference = rows[rows["way"] == "noise known"].set_index(["case", "coefficient", "speed_mps"])
     assert usual["inside_stretched"].min() > 0.9
-    assert (usual["width"] / known["width"]).max() < 1.5
+    assert (usual["width"] / reference["width"]).max() < 1.5
     parts = fits[fits["way"] == "default"].set_index(["case", "coefficient"])
     assert not parts.loc["nominal-calm"]["found"].any()
     assert parts.loc["truth-calm"].loc[["CX", "CZ", "Cl", "Cm"], "found"].all()
@@ -75,8 +75,8 @@ def test_tables_and_verdicts(answers):
     text = TABLES.tables(rows, fits)
     assert "| CX |" in text
     assert "truth-calm" in text
-    bad = TABLES.verdict(rows.assign(inside=0.9), fits)
-    assert any("CY at 27 m/s: 90.0 %" in line for line in bad)
+    invalid = TABLES.verdict(rows.assign(inside=0.9), fits)
+    assert any("CY at 27 m/s: 90.0 %" in line for line in invalid)
     wide = rows.assign(width=np.where(rows["way"] == "default", 2.0, 1.0))
     assert any("2.00 times as wide" in line for line in TABLES.verdict(wide, fits))
     assert any(
@@ -85,8 +85,8 @@ def test_tables_and_verdicts(answers):
     assert any(
         "that is not there" in line for line in TABLES.verdict(rows, fits.assign(found=True))
     )
-    good = TABLES.verdict(
+    valid = TABLES.verdict(
         rows.assign(inside=0.95, width=1.0, third=0.95),
         fits.assign(found=fits["case"] == "truth-calm"),
     )
-    assert good == []
+    assert valid == []

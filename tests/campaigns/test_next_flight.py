@@ -33,11 +33,11 @@ def rows(tmp_path_factory: pytest.TempPathFactory) -> pd.DataFrame:
 
 @pytest.mark.slow
 def test_one_seed_comes_out_as_predicted(rows):
-    own = narrowings(rows).query("coefficient == `for`").iloc[0]
-    assert own["achieved_parameter"] > 80.0
-    assert own["ratio_parameter"] == pytest.approx(1.0, abs=0.1)
-    assert own["achieved"] > 30.0
-    assert own["ratio"] == pytest.approx(1.0, abs=0.35)
+    specific = narrowings(rows).query("coefficient == `for`").iloc[0]
+    assert specific["achieved_parameter"] > 80.0
+    assert specific["ratio_parameter"] == pytest.approx(1.0, abs=0.1)
+    assert specific["achieved"] > 30.0
+    assert specific["ratio"] == pytest.approx(1.0, abs=0.35)
     assert set(rows["coefficient"]) == {"CX", "CY", "CZ", "Cl", "Cm", "Cn"}
 
 
@@ -53,8 +53,8 @@ def made_up() -> pd.DataFrame:
         "at_most": 0.4,
     }
     parts = {
-        f"{what}_parameter": 0.4 * widths[what]
-        for what in ("now", "predicted", "achieved", "old_predicted", "old_achieved")
+        f"{kind}_parameter": 0.4 * widths[kind]
+        for kind in ("now", "predicted", "achieved", "old_predicted", "old_achieved")
     }
     coefficients = ["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
     return pd.DataFrame(

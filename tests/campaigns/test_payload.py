@@ -14,7 +14,7 @@ from campaigns.excursions.reproduce import HOME as EXCURSIONS
 from campaigns.library.flights import FLIGHTS, cases_of
 from campaigns.payload.reproduce import CELL, HOME, MASS, effect, main
 from sysid.units import SLUG_KG
-from tests.helpers.study_flights import flown, with_medians
+from tests.helpers.study_flights import fly_study, with_medians
 from uqharness.errors import BadInputError
 from uqharness.flight import COEFFICIENTS
 
@@ -40,13 +40,13 @@ def by_mass(slope_per_kg):
 @pytest.fixture(scope="module")
 def constant(tmp_path_factory):
     path = tmp_path_factory.mktemp("constant") / FLIGHTS
-    return flown(EXCURSIONS / "campaign.toml", CELL, path, with_medians(by_mass(0.0)))
+    return fly_study(EXCURSIONS / "campaign.toml", CELL, path, with_medians(by_mass(0.0)))
 
 
 @pytest.mark.parametrize("slope", [0.12, pytest.param(0.0, marks=pytest.mark.slow)])
 def test_the_slope_is_found_where_there_is_one(constant, tmp_path, slope):
     fly = with_medians(by_mass(slope))
-    source = flown(HOME / "campaign.toml", CELL, tmp_path / FLIGHTS, fly)
+    source = fly_study(HOME / "campaign.toml", CELL, tmp_path / FLIGHTS, fly)
     assert main([str(source), "--constant", str(constant), "--out", str(tmp_path)]) == 0
     frame = pd.read_csv(tmp_path / "effects.csv").set_index("metric")
     assert len(frame) == 3

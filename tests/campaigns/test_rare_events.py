@@ -72,7 +72,7 @@ def study_of(folder: Path, text: str = SHORT) -> Study:
     return Study(path, "moderate-4", "100100", SIZE)
 
 
-def flown(study: Study, folder: Path) -> None:
+def simulate(study: Study, folder: Path) -> None:
     write_tuning(folder, TUNING)
     reproduce.fly(study, folder, 2)
     reproduce.fly_missing(folder / PLAIN, study, 1, study.plain)
@@ -82,70 +82,70 @@ def flown(study: Study, folder: Path) -> None:
 def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Study, Path]:
     folder = tmp_path_factory.mktemp("rare")
     study = study_of(folder)
-    kept = folder / study.name
-    flown(study, kept)
-    return study, kept
+    retained = folder / study.name
+    simulate(study, retained)
+    return study, retained
 
 
 def test_fly_resumes_after_a_kill(done, tmp_path, monkeypatch):
-    study, kept = done
+    study, retained = done
     other = tmp_path / "other"
     write_tuning(other, TUNING)
-    whole, begun = Study.replicate, []
+    complete, start = Study.replicate, []
 
     def killed(self, number, tuned):
-        begun.append(number)
-        if begun == [0, 1]:
+        start.append(number)
+        if start == [0, 1]:
             raise KeyboardInterrupt
-        return whole(self, number, tuned)
+        return complete(self, number, tuned)
 
     monkeypatch.setattr(Study, "replicate", killed)
     with pytest.raises(KeyboardInterrupt):
         reproduce.fly(study, other, 2)
     assert read_rows(other / REPLICATES, study)["number"].tolist() == [0]
     reproduce.fly(study, other, 2)
-    assert begun == [0, 1, 1]
+    assert start == [0, 1, 1]
     pd.testing.assert_frame_equal(
-        *(read_rows(each / REPLICATES, study) for each in (kept, other)), check_exact=True
+        *(read_rows(each / REPLICATES, study) for each in (retained, other)), check_exact=True
     )
-    assert read_hits(kept, study) == read_hits(other, study) != []
+    assert read_hits(retained, study) == read_hits(other, study) != []
 
 
 def test_jsbsim_flies_the_paths_and_sees_another(done, monkeypatch):
-    study, kept = done
-    assert reproduce.jsbsim(study, kept, 2) == 0
-    rows = (kept / JSBSIM).read_text().splitlines()
+    study, retained = done
+    assert reproduce.jsbsim(study, retained, 2) == 0
+    rows = (retained / JSBSIM).read_text().splitlines()
     assert len(rows) == 3
     assert all(row.endswith(",same") for row in rows[1:])
     monkeypatch.setattr(Study, "reflown", None)
-    assert reproduce.jsbsim(study, kept, 2) == 0, "paths that are there are not flown again"
-    (kept / JSBSIM).write_text("\n".join(rows).replace(",same", ",other", 1) + "\n")
-    assert reproduce.jsbsim(study, kept, 2) == 1
+    assert reproduce.jsbsim(study, retained, 2) == 0, "paths that are there are not flown again"
+    (retained / JSBSIM).write_text("\n".join(rows).replace(",same", ",other", 1) + "\n")
+    assert reproduce.jsbsim(study, retained, 2) == 1
     monkeypatch.undo()
-    (hit,) = chosen_hits(read_hits(kept, study), 1)
+    (hit,) = chosen_hits(read_hits(retained, study), 1)
     distance, _ = study.reflown(replace(hit, splits=()))
     assert abs(distance - hit.distance_m) > 1e-3
 
 
 def test_tables_and_fly_tell_other_flights_apart(done, tmp_path, capsys):
-    study, kept = done
-    assert reproduce.tables(study, kept) == 0
+    study, retained = done
+    assert reproduce.tables(study, retained) == 0
     output = capsys.readouterr().out
     assert "8 m: " in output
     assert "note" not in output
     other = study_of(tmp_path, SHORT.replace("seed = 3", "seed = 4"))
-    assert reproduce.tables(other, kept) == 0
+    assert reproduce.tables(other, retained) == 0
     assert "note: aircraft, script or campaign file have changed" in capsys.readouterr().out
     with pytest.raises(BadInputError, match="flown with another aircraft"):
-        reproduce.fly(other, kept, 3)
-    levels = kept / LEVELS
+        reproduce.fly(other, retained, 3)
+    levels = retained / LEVELS
     before = levels.read_bytes()
     levels.write_text(json.dumps({**json.loads(before), "scores": [-4.0, -1.5]}))
     with pytest.raises(BadInputError, match="other levels"):
-        reproduce.jsbsim(study, kept, 2)
+        reproduce.jsbsim(study, retained, 2)
     levels.write_text("{}")
     with pytest.raises(BadInputError, match="no levels of a pilot"):
-        read_tuning(kept)
+        read_tuning(retained)
     levels.write_bytes(before)
 
 
@@ -182,8 +182,8 @@ def test_rates_agree_with_plain_flights_or_do_not():
         math.exp(1.96 * math.sqrt((0.18 - 0.13**2) / 1000) / 0.13), rel=1e-4
     )
     assert alike["observations"] == 8
-    known = [one["probability_15m"] for one in split]
-    assert alike["largest_share"] == pytest.approx(max(known) / sum(known))
+    reference = [one["probability_15m"] for one in split]
+    assert alike["largest_share"] == pytest.approx(max(reference) / sum(reference))
     assert 0.05 < alike["p_value"] <= 1.0
     assert alike["split"] == pytest.approx(np.mean([one["probability_15m"] for one in split]))
     other = rate_of(split, [counted(0.3, 0.33, 1000, 0.4)])
@@ -195,17 +195,17 @@ def test_rates_agree_with_plain_flights_or_do_not():
         [counted(0.003, 0.003, 1000, 0.003)],
     )
     assert rare["agree"] is False, "three where a fifth of one is due"
-    alone = rate_of(
+    single = rate_of(
         [counted(1e-4 * k, 1e-4 * k) for k in (1, 2, 3, 2, 1, 3, 2, 2)],
         [counted(0.001, 0.001, 1000, 0.001)],
     )
-    assert alone["agree"] is True
-    without = rate_of(split, [])
-    assert without["agree"] is None
+    assert single["agree"] is True
+    reduced = rate_of(split, [])
+    assert reduced["agree"] is None
     none = rate_of([counted(0.0, 0.0), *split[:3]], [])
     assert math.isnan(none["split_lower"])
-    nothing = rate_of([counted(0.0, 0.0)] * 4, [])
-    assert math.isnan(nothing["largest_share"])
+    empty = rate_of([counted(0.0, 0.0)] * 4, [])
+    assert math.isnan(empty["largest_share"])
     assert "1 of 4 replicates have no event" in none["reason"]
 
 
@@ -239,39 +239,41 @@ def number(text: str) -> float:
 def wrong_in(row: Mapping[str, str]) -> list[str]:
     """Columns of a row of coverage.csv that are not what its means, and the plain flights, say."""
     one = interval([number(row[f"mean_{place}"]) for place in range(coverage.OBSERVATIONS)])
-    kept = {name: number(row[name]) for name in ("estimate", "lower", "upper")}
-    found = [
+    retained = {name: number(row[name]) for name in ("estimate", "lower", "upper")}
+    result = [
         name
-        for name, value in kept.items()
+        for name, value in retained.items()
         if value != pytest.approx(getattr(one, name), rel=1e-6, nan_ok=True)
     ]
-    held = kept["lower"] <= int(row["plain_hit"]) / int(row["plain_flights"]) <= kept["upper"]
-    return found + (["held"] if row["held"] != ("yes" if held else "no") else [])
+    constant = (
+        retained["lower"] <= int(row["plain_hit"]) / int(row["plain_flights"]) <= retained["upper"]
+    )
+    return result + (["held"] if row["held"] != ("yes" if constant else "no") else [])
 
 
 def test_the_committed_intervals_hold_the_rate_of_plain_flights_nine_times_in_ten():
-    found = rows_of(reproduce.HOME / coverage.TABLE)
-    assert [row["repeat"] for row in found] == [str(number) for number in range(100)]
-    assert [name for row in found for name in wrong_in(row)] == []
-    assert len({(row["plain_hit"], row["plain_flights"]) for row in found}) == 1
-    assert int(found[0]["plain_flights"]) >= 4000
-    assert sum(row["held"] == "yes" for row in found) >= 90
+    result = rows_of(reproduce.HOME / coverage.TABLE)
+    assert [row["repeat"] for row in result] == [str(number) for number in range(100)]
+    assert [name for row in result for name in wrong_in(row)] == []
+    assert len({(row["plain_hit"], row["plain_flights"]) for row in result}) == 1
+    assert int(result[0]["plain_flights"]) >= 4000
+    assert sum(row["held"] == "yes" for row in result) >= 90
 
 
 def test_the_committed_intervals_hold_what_quadrature_gives():
     truth = closed_form.exact(closed_form.STEPS, closed_form.THRESHOLD, closed_form.REARM)
-    found = rows_of(reproduce.HOME / closed_form.TABLE)
-    held = {
+    result = rows_of(reproduce.HOME / closed_form.TABLE)
+    constant = {
         (paths, name): 0
-        for paths in {row["paths"] for row in found}
+        for paths in {row["paths"] for row in result}
         for name in ("probability", "events")
     }
-    for row in found:
+    for row in result:
         for name, true in zip(("probability", "events"), truth, strict=True):
             assert number(row[f"{name}_true"]) == pytest.approx(true, rel=1e-6)
             holds = number(row[f"{name}_lower"]) <= true <= number(row[f"{name}_upper"])
             assert row[f"{name}_held"] == ("yes" if holds else "no")
-            held[row["paths"], name] += holds
-    assert len(found) == 200
-    assert min(held["splitting", "probability"], held["splitting", "events"]) >= 90
-    assert held["copies that begin elsewhere", "probability"] <= 5
+            constant[row["paths"], name] += holds
+    assert len(result) == 200
+    assert min(constant["splitting", "probability"], constant["splitting", "events"]) >= 90
+    assert constant["copies that begin elsewhere", "probability"] <= 5

@@ -11,7 +11,7 @@ from campaigns.library.flights import FLIGHTS, records
 from campaigns.library.tables import common_airs
 from tests.helpers import campaign_fakes as fakes
 from tests.helpers.campaign_scripts import campaign_script
-from tests.helpers.study_flights import flown, with_medians
+from tests.helpers.study_flights import fly_study, with_medians
 from uqharness.campaign.processes import SerialExecutor
 from uqharness.campaign.read_spec import read_campaign
 from uqharness.campaign.run import run_campaign
@@ -46,12 +46,12 @@ def test_a_pbox_inside_beside_and_across_another():
     assert (inside.excess_lower, inside.excess_upper) == (0.0, 0.0)
     # Areas between uniform distributions are distances of their means: 0.6 within 1.0.
     assert inside.area_ratio == pytest.approx(0.6, abs=0.01)
-    beyond = containment([uniform("a", 0.5, 1.5), uniform("b", 1.5, 2.5)], corners)
-    assert beyond.verdict == "outside"
-    assert beyond.excess_lower == pytest.approx(0.5, abs=0.01)
-    assert 1.49 <= beyond.at_lower <= 2.0
-    assert beyond.excess_upper == 0.0
-    assert np.isnan(beyond.at_upper)
+    outside = containment([uniform("a", 0.5, 1.5), uniform("b", 1.5, 2.5)], corners)
+    assert outside.verdict == "outside"
+    assert outside.excess_lower == pytest.approx(0.5, abs=0.01)
+    assert 1.49 <= outside.at_lower <= 2.0
+    assert outside.excess_upper == 0.0
+    assert np.isnan(outside.at_upper)
     slightly = containment([uniform("a", 0.05, 1.05), uniform("b", 1.05, 2.05)], corners)
     assert slightly.verdict == "outside-by-chance"
     assert 0.0 < slightly.excess_lower < slightly.chance
@@ -59,9 +59,9 @@ def test_a_pbox_inside_beside_and_across_another():
 
 def test_the_envelope_is_the_pbox_and_counts_failures_on_both_sides():
     rng = np.random.default_rng(3)
-    found = [Sample("0", rng.normal(size=40), 2), Sample("1", rng.normal(0.5, 1.0, 30), 0)]
-    box = pbox(found)
-    lower, upper = envelope(found, box.value)
+    result = [Sample("0", rng.normal(size=40), 2), Sample("1", rng.normal(0.5, 1.0, 30), 0)]
+    box = pbox(result)
+    lower, upper = envelope(result, box.value)
     assert np.array_equal(lower, box.lower)
     assert np.array_equal(upper, box.upper)
     with pytest.raises(ValueError, match="at least one flight"):
@@ -72,12 +72,12 @@ def test_the_envelope_is_the_pbox_and_counts_failures_on_both_sides():
 
 def test_twins_are_called_outside_by_chance_no_more_often_than_stated():
     rng = np.random.default_rng(11)
-    wrong = 0
+    invalid = 0
     for _ in range(60):
         inner = [Sample(str(k), rng.normal(size=25)) for k in range(8)]
         outer = [Sample(str(k), rng.normal(size=25)) for k in range(8)]
-        wrong += containment(inner, outer).verdict == "outside"
-    assert wrong <= 0.05 * 60
+        invalid += containment(inner, outer).verdict == "outside"
+    assert invalid <= 0.05 * 60
 
 
 def gentle(spec):
@@ -136,7 +136,7 @@ def test_the_committed_campaigns_fly_the_same_air():
     assert (len(grid.wind_mps), grid.turbulence) == (8, ("light", "moderate", "severe"))
 
 
-def between(spread):
+def between(scatter):
     """Corners lie from 10 to 16; walks about the middle, ``spread`` times as far from it as
     corners.
     """
@@ -145,7 +145,7 @@ def between(spread):
         air = 0.1 * float(np.random.default_rng(flight.seed_turbulence).normal())
         if flight.levels is None:
             return 10.0 + air + sum(flight.properties[f"uq/{name}/level"] for name in COEFFICIENTS)
-        return 13.0 + air + spread * 3.0 * (int(flight.levels.epistemic_id[-1]) / 3.5 - 1.0)
+        return 13.0 + air + scatter * 3.0 * (int(flight.levels.epistemic_id[-1]) / 3.5 - 1.0)
 
     return change
 
@@ -153,15 +153,15 @@ def between(spread):
 @pytest.fixture(scope="module")
 def corners(tmp_path_factory):
     path = tmp_path_factory.mktemp("corners") / FLIGHTS
-    return flown(EXCURSIONS / "campaign.toml", "severe-3", path, with_medians(between(1.0)))
+    return fly_study(EXCURSIONS / "campaign.toml", "severe-3", path, with_medians(between(1.0)))
 
 
 @pytest.mark.parametrize(
-    ("spread", "verdict", "area"), [(0.5, "inside", 0.5), (1.5, "outside", 1.5)]
+    ("scatter", "verdict", "area"), [(0.5, "inside", 0.5), (1.5, "outside", 1.5)]
 )
-def test_walks_within_the_corners_and_beyond(corners, tmp_path, capsys, spread, verdict, area):
-    fly, path = with_medians(between(spread)), tmp_path / FLIGHTS
-    walks = flown(HOME / "walks.toml", "severe-3", path, fly, samples=range(8))
+def test_walks_within_the_corners_and_beyond(corners, tmp_path, capsys, scatter, verdict, area):
+    fly, path = with_medians(between(scatter)), tmp_path / FLIGHTS
+    walks = fly_study(HOME / "walks.toml", "severe-3", path, fly, samples=range(8))
     code = main([str(corners), str(walks), "--out", str(tmp_path)])
     assert code == (verdict == "outside")
     frame = pd.read_csv(tmp_path / "containment.csv").set_index("metric")

@@ -73,18 +73,18 @@ def main(
     names = args.format or list(formats)
     counts = {name: Counts() for name in names}
     if args.inputs is not None:
-        wanted = by_number(names, args.seed, args.inputs)
+        expected = by_number(names, args.seed, args.inputs)
     else:
-        wanted = by_time(
+        expected = by_time(
             {n: formats[n].share for n in names}, counts, args.seed, args.seconds or 60.0
         )
     findings: list[Outcome] = []
 
-    def tell(found: Outcome) -> None:
-        findings.append(found)
-        print(f"({found.name}, {found.seed}): {found.what}", file=sys.stderr, flush=True)
+    def tell(result: Outcome) -> None:
+        findings.append(result)
+        print(f"({result.name}, {result.seed}): {result.what}", file=sys.stderr, flush=True)
 
-    run(wanted, counts, tell, module)
+    run(expected, counts, tell, module)
     if args.json:
         print(
             json.dumps(
@@ -104,8 +104,8 @@ def table(counts: dict[str, Counts]) -> str:
     columns = ("inputs", "results", "refusals", "findings", "slowest_s", "largest_MB", "seeds")
     rows = [(name, *(getattr(c, column) for column in columns)) for name, c in counts.items()]
     sums = [sum(getattr(c, column) for c in counts.values()) for column in columns[:4]]
-    most = [max(getattr(c, column) for c in counts.values()) for column in columns[4:6]]
-    rows.append(("all", *sums, *most, ""))
+    maximum = [max(getattr(c, column) for c in counts.values()) for column in columns[4:6]]
+    rows.append(("all", *sums, *maximum, ""))
     lines = [("format", *columns), *rows]
     return "\n".join(
         "".join(f"{_cell(v):<{22 if k == 0 else 12}}" for k, v in enumerate(line)) for line in lines
@@ -125,10 +125,10 @@ def _reproduce(name: str, files: Files, seed: int, module: str) -> int:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(content)
     with Worker(module) as worker:
-        found = worker.attempt(name, seed)
+        result = worker.attempt(name, seed)
     print(f"{folder}: written")
-    print(f"{found.outcome} in {found.seconds:.2f} s, {found.megabytes:.0f} MB: {found.what}")
-    return 1 if found.outcome == "finding" else 0
+    print(f"{result.outcome} in {result.seconds:.2f} s, {result.megabytes:.0f} MB: {result.what}")
+    return 1 if result.outcome == "finding" else 0
 
 
 if __name__ == "__main__":

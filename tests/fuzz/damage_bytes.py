@@ -100,8 +100,8 @@ def _injure_lines(lines: list[bytes], rng: np.random.Generator) -> None:
         case "joined":
             lines[a : a + 2] = [b" ".join(lines[a : a + 2])]
         case "broken":
-            cut = int(rng.integers(0, len(line) + 1))
-            lines[a : a + 1] = [line[:cut], line[cut:]]
+            section = int(rng.integers(0, len(line) + 1))
+            lines[a : a + 1] = [line[:section], line[section:]]
         case "word":
             separator = b"," if b"," in line else b" "
             cells = line.split(separator)

@@ -107,8 +107,8 @@ def _filled(column: pa.ChunkedArray, rng: np.random.Generator) -> pa.Array:
     if pa.types.is_integer(kind):
         limits = np.iinfo(kind.to_pandas_dtype())
         # The same draw for every type, brought into its range: an unsigned column holds no -1.
-        drawn = pick([0, -1, 1, 2**31, -(2**62)], rng)
-        return pa.array([min(max(drawn, limits.min), limits.max)] * n, kind)
+        drawing = pick([0, -1, 1, 2**31, -(2**62)], rng)
+        return pa.array([min(max(drawing, limits.min), limits.max)] * n, kind)
     if pa.types.is_string(kind):
         return pa.array([hostile.string(rng).encode("utf-8", "replace").decode()] * n)
     return _of_another_type(column, rng)
@@ -127,10 +127,10 @@ def _other_rows(table: pa.Table, rng: np.random.Generator) -> pa.Table:
 
 
 def _other_metadata(table: pa.Table, rng: np.random.Generator) -> pa.Table:
-    kept = dict(table.schema.metadata or {b"pandas": b'{"index_columns": [], "columns": []}'})
-    key = pick(list(kept), rng)
-    kept[key] = rng.bytes(50) if rng.random() < 0.3 else _json(kept[key], rng).encode()
-    return table.replace_schema_metadata(kept)
+    retained = dict(table.schema.metadata or {b"pandas": b'{"index_columns": [], "columns": []}'})
+    key = pick(list(retained), rng)
+    retained[key] = rng.bytes(50) if rng.random() < 0.3 else _json(retained[key], rng).encode()
+    return table.replace_schema_metadata(retained)
 
 
 def _json(text: Any, rng: np.random.Generator) -> str:
@@ -161,13 +161,13 @@ def sqlite_damage(data: bytes, rng: np.random.Generator) -> bytes:
 
 
 def _injure_database(base: sqlite3.Connection, rng: np.random.Generator) -> None:
-    made = dict(base.execute("select name, sql from sqlite_master where type = 'table'"))
-    if not made:
+    result = dict(base.execute("select name, sql from sqlite_master where type = 'table'"))
+    if not result:
         return
-    table = pick(list(made), rng)
+    table = pick(list(result), rng)
     columns = [row[1] for row in base.execute(f'pragma table_info("{table}")')]
     column = pick(columns, rng)
-    has_rows = "without rowid" not in (made[table] or "").lower()
+    has_rows = "without rowid" not in (result[table] or "").lower()
     some = " where rowid % 2" if has_rows and rng.random() < 0.3 else ""
     match int(rng.integers(0, 12)):
         case 0:

@@ -59,7 +59,7 @@ def value(rng: np.random.Generator) -> Any:
 
 
 def _injure_node(holder: Any, key: Any, rng: np.random.Generator, places: list) -> None:
-    old, named = holder[key], isinstance(holder, dict)
+    old, listed = holder[key], isinstance(holder, dict)
     match pick(_NODES.split(), rng):
         case "lost":
             del holder[key]
@@ -67,12 +67,12 @@ def _injure_node(holder: Any, key: Any, rng: np.random.Generator, places: list) 
             holder[key] = value(rng)
         case "same":
             holder[key] = _same_type(old, rng)
-        case "renamed" if named:
+        case "renamed" if listed:
             new = hostile.string(rng) if rng.random() < 0.5 else f"{key}_"
             holder[new] = holder.pop(key)
         case "renamed":
             holder.append(copy.deepcopy(old))
-        case "added" if named:
+        case "added" if listed:
             holder[hostile.string(rng)] = value(rng)
         case "added":
             holder.insert(key, value(rng))
@@ -106,7 +106,7 @@ def _same_type(old: Any, rng: np.random.Generator) -> Any:
 def json_damage(data: bytes, rng: np.random.Generator) -> bytes:
     """A JSON document with injured content; one in ten is injured as text besides."""
     tree = damaged_tree(json.loads(data), rng)
-    return _written(json.dumps(tree, indent=None if rng.random() < 0.5 else 1), rng)
+    return _write_files(json.dumps(tree, indent=None if rng.random() < 0.5 else 1), rng)
 
 
 def toml_damage(data: bytes, rng: np.random.Generator) -> bytes:
@@ -114,10 +114,10 @@ def toml_damage(data: bytes, rng: np.random.Generator) -> bytes:
     if rng.random() < 0.3:
         return damaged_text(data, rng)
     tree = damaged_tree(tomllib.loads(data.decode()), rng)
-    return _written(toml_text(tree if isinstance(tree, dict) else {"root": tree}), rng)
+    return _write_files(toml_text(tree if isinstance(tree, dict) else {"root": tree}), rng)
 
 
-def _written(text: str, rng: np.random.Generator) -> bytes:
+def _write_files(text: str, rng: np.random.Generator) -> bytes:
     """The text with depth and long integers for their markers."""
     depth = pick(_SIZES, rng)
     text = text.replace(json.dumps(_DEEP), "[" * depth + "]" * depth)
@@ -156,7 +156,7 @@ def _toml(item: Any) -> str:
     return repr(item)
 
 
-def xml_damage(data: bytes, rng: np.random.Generator, others: Sequence[bytes] = ()) -> bytes:
+def xml_damage(data: bytes, rng: np.random.Generator, remaining: Sequence[bytes] = ()) -> bytes:
     """An XML document with injured content; ``others`` lend it elements.
 
     One in five is injured as text or bytes instead.
@@ -167,7 +167,7 @@ def xml_damage(data: bytes, rng: np.random.Generator, others: Sequence[bytes] = 
         return next(way for limit, way in ways if kind < limit)(data, rng)
     root = etree.fromstring(data)
     for _ in range(pick([1, 1, 1, 2, 2, 3, 5], rng)):
-        _injure_element(root, rng, others)
+        _injure_element(root, rng, remaining)
     coding = pick(["UTF-8"] * 8 + ["UTF-16", "ISO-8859-1"], rng)
     return etree.tostring(root, xml_declaration=True, encoding=coding)
 
@@ -176,7 +176,7 @@ def _elements(root: Any) -> list[Any]:
     return [node for node in root.iter() if isinstance(node.tag, str)]
 
 
-def _injure_element(root: Any, rng: np.random.Generator, others: Sequence[bytes]) -> None:
+def _injure_element(root: Any, rng: np.random.Generator, remaining: Sequence[bytes]) -> None:
     nodes = _elements(root)
     node = pick(nodes, rng)
     parent = node.getparent()
@@ -206,8 +206,8 @@ def _injure_element(root: Any, rng: np.random.Generator, others: Sequence[bytes]
             where = nodes[0] if rng.random() < 0.5 else node
             planted = etree.fromstring(f"<r>{pick(hostile.ELEMENTS, rng)}</r>")[0]
             where.insert(int(rng.integers(0, len(where) + 1)), planted)
-        case "lent" if others:
-            donor = etree.fromstring(pick(others, rng))
+        case "lent" if remaining:
+            donor = etree.fromstring(pick(remaining, rng))
             node.append(copy.deepcopy(pick(_elements(donor), rng)))
 
 
@@ -224,11 +224,11 @@ def _word(rng: np.random.Generator, share: float) -> str:
 
 def _with_entities(data: bytes, rng: np.random.Generator) -> bytes:
     """A document type with entities, and a use of one."""
-    head, _, rest = data.partition(b"?>")
-    places = [k for k in range(len(rest)) if rest[k : k + 2] == b"</"]
+    head, _, remainder = data.partition(b"?>")
+    places = [k for k in range(len(remainder)) if remainder[k : k + 2] == b"</"]
     a = pick(places, rng) if places else 0
     doctype, entity = (pick(WORDS[k], rng).encode() for k in ("xml_doctypes", "xml_entities"))
-    return head + b"?>" + doctype + rest[:a] + entity + rest[a:]
+    return head + b"?>" + doctype + remainder[:a] + entity + remainder[a:]
 
 
 def _deep(data: bytes, rng: np.random.Generator) -> bytes:

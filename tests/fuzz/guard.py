@@ -126,16 +126,16 @@ def tree(*folders: Path) -> dict[str, tuple[int, int]]:
     """Every file below ``folders`` with its size and time: what a program leaves behind that Python
     does not see.
     """
-    found = {}
+    result = {}
     for folder in folders:
         for root, _, names in os.walk(folder):
-            found[root] = (0, 0)
+            result[root] = (0, 0)
             for name in names:
                 path = os.path.join(root, name)
                 with contextlib.suppress(OSError):
                     status = os.lstat(path)
-                    found[path] = (status.st_size, status.st_mtime_ns)
-    return found
+                    result[path] = (status.st_size, status.st_mtime_ns)
+    return result
 
 
 def internet_sockets(pids: list[int]) -> list[str]:
@@ -150,23 +150,23 @@ def internet_sockets(pids: list[int]) -> list[str]:
                         mine.add(target[8:-1])
     if not mine:
         return []
-    found = []
+    result = []
     for kind in ("tcp", "tcp6", "udp", "udp6"):
         with contextlib.suppress(OSError):
             rows = Path(f"/proc/{pids[0]}/net/{kind}").read_text().splitlines()[1:]
-            found += [
+            result += [
                 f"{kind} {row.split()[1]} -> {row.split()[2]}"
                 for row in rows
                 if row.split()[9] in mine
             ]
-    return found
+    return result
 
 
 def session_of(pid: int) -> list[int]:
     """Processes of the session that ``pid`` leads, itself included (Linux; itself alone
     elsewhere).
     """
-    found = [pid]
+    result = [pid]
     with contextlib.suppress(OSError):
         for name in os.listdir("/proc"):
             if name.isdigit() and int(name) != pid:
@@ -174,8 +174,8 @@ def session_of(pid: int) -> list[int]:
                     # The name in brackets may hold anything; what follows it is numbers.
                     fields = Path(f"/proc/{name}/stat").read_text().rpartition(")")[2].split()
                     if int(fields[3]) == pid:
-                        found.append(int(name))
-    return found
+                        result.append(int(name))
+    return result
 
 
 def peak_mb(pid: int | str = "self") -> float:

@@ -53,17 +53,17 @@ class Counts:
     spent_s: float = 0.0
     seeds: list[int] = field(default_factory=list)
 
-    def add(self, found: Outcome) -> None:
+    def add(self, result: Outcome) -> None:
         """Count one."""
         self.inputs += 1
-        self.results += found.outcome == "result"
-        self.refusals += found.outcome == "refusal"
-        self.findings += found.outcome == "finding"
-        self.slowest_s = max(self.slowest_s, found.seconds)
-        self.largest_MB = max(self.largest_MB, found.megabytes)
+        self.results += result.outcome == "result"
+        self.refusals += result.outcome == "refusal"
+        self.findings += result.outcome == "finding"
+        self.slowest_s = max(self.slowest_s, result.seconds)
+        self.largest_MB = max(self.largest_MB, result.megabytes)
         # The first input of a format pays for loading what the format needs.
-        self.spent_s += found.seconds if self.inputs > 1 else 0.0
-        self.seeds = [min([*self.seeds, found.seed]), max([*self.seeds, found.seed])]
+        self.spent_s += result.seconds if self.inputs > 1 else 0.0
+        self.seeds = [min([*self.seeds, result.seed]), max([*self.seeds, result.seed])]
 
 
 class Worker:
@@ -90,7 +90,7 @@ class Worker:
             self._start()
         assert self._child is not None
         assert self._child.stdin is not None
-        started, first = time.monotonic(), self._served == 0
+        start, first = time.monotonic(), self._served == 0
         self._served += 1
         self._child.stdin.write(f"{name} {seed}\n".encode())
         self._child.stdin.flush()
@@ -105,17 +105,17 @@ class Worker:
             pids = session_of(self._child.pid)
             sockets += internet_sockets(pids)
             largest = max([largest, *(resident_mb(pid) for pid in pids)])
-            waited = time.monotonic() - started
+            waited = time.monotonic() - start
             if waited > limit_s or largest > 2 * self._limit_mb:
-                what = (
+                kind = (
                     f"no answer after {waited:.0f} s"
                     if waited > limit_s
                     else f"{largest:.0f} MB and growing"
                 )
                 self.close()
-                return Outcome(name, seed, "finding", what, waited, largest)
+                return Outcome(name, seed, "finding", kind, waited, largest)
         line = self._answers.readline()
-        seconds = time.monotonic() - started
+        seconds = time.monotonic() - start
         if not line:
             code = self._child.wait()
             words = self._last_words()
@@ -123,18 +123,18 @@ class Worker:
             died = f"the process ends ({_ending(code)}): {words}"
             return Outcome(name, seed, "finding", died, seconds, largest)
         row = json.loads(line)
-        found = Outcome(name, seed, row["outcome"], row["what"], row["s"], max(row["MB"], largest))
-        if row["resident"] > self._limit_mb / 2 or found.megabytes > self._limit_mb:
+        result = Outcome(name, seed, row["outcome"], row["what"], row["s"], max(row["MB"], largest))
+        if row["resident"] > self._limit_mb / 2 or result.megabytes > self._limit_mb:
             self.close()
         complaints = [f"opens the network: {text}" for text in dict.fromkeys(sockets)]
-        if found.megabytes > self._limit_mb:
-            complaints.append(f"takes {found.megabytes:.0f} MB ({found.outcome})")
-        if found.seconds > self._limit_s:
-            complaints.append(f"takes {found.seconds:.1f} s ({found.outcome})")
+        if result.megabytes > self._limit_mb:
+            complaints.append(f"takes {result.megabytes:.0f} MB ({result.outcome})")
+        if result.seconds > self._limit_s:
+            complaints.append(f"takes {result.seconds:.1f} s ({result.outcome})")
         if complaints:
-            what = "; ".join([*complaints, *([found.what] if found.outcome == "finding" else [])])
-            return Outcome(name, seed, "finding", what, found.seconds, found.megabytes)
-        return found
+            kind = "; ".join([*complaints, *([result.what] if result.outcome == "finding" else [])])
+            return Outcome(name, seed, "finding", kind, result.seconds, result.megabytes)
+        return result
 
     def _start(self) -> None:
         self.close()
@@ -234,7 +234,7 @@ def run(
     """Try ``inputs`` one after another in one worker, and count them."""
     with Worker(module, limit_s, limit_mb) as worker:
         for name, seed in inputs:
-            found = worker.attempt(name, seed)
-            counts[name].add(found)
-            if found.outcome == "finding":
-                on_finding(found)
+            result = worker.attempt(name, seed)
+            counts[name].add(result)
+            if result.outcome == "finding":
+                on_finding(result)

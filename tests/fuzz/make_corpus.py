@@ -44,30 +44,42 @@ def logs() -> None:
 
     out = CORPUS / "logs"
     out.mkdir(exist_ok=True)
-    flown = flight(duration_s=_ROWS / 50.0, start_s=5.0)
-    flown = replace(flown, columns={n: np.round(v, 6) for n, v in flown.columns.items()})
+    trajectory = flight(duration_s=_ROWS / 50.0, start_s=5.0)
+    trajectory = replace(
+        trajectory, columns={n: np.round(v, 6) for n, v in trajectory.columns.items()}
+    )
     card = read_card(CORPUS.parents[1] / "sysid" / "data" / "airframe.toml")
-    write_dataflash(flown, out / "flight.bin", card, vehicle="ArduPlane V4.6.0")
-    write_text_log(out / "flight.log", flown)
-    write_tlog(out / "flight.tlog", flown, every=2)
-    us = np.rint(flown["time_s"] * 1e6).astype(np.int64)
+    write_dataflash(trajectory, out / "flight.bin", card, vehicle="ArduPlane V4.6.0")
+    write_text_log(out / "flight.log", trajectory)
+    write_tlog(out / "flight.tlog", trajectory, every=2)
+    us = np.rint(trajectory["time_s"] * 1e6).astype(np.int64)
     names = {
         "gyro_rad": ("p_radps", "q_radps", "r_radps"),
         "accelerometer_m_s2": ("ax_mps2", "ay_mps2", "az_mps2"),
     }
-    imu = {f"{g}[{i}]": flown[n] for g, members in names.items() for i, n in enumerate(members)}
+    imu = {
+        f"{g}[{i}]": trajectory[n] for g, members in names.items() for i, n in enumerate(members)
+    }
     write_ulog(
         out / "flight.ulg",
-        {"sensor_combined": (us, imu), "airspeed": (us, {"true_airspeed_m_s": flown["V_mps"]})},
+        {
+            "sensor_combined": (us, imu),
+            "airspeed": (us, {"true_airspeed_m_s": trajectory["V_mps"]}),
+        },
     )
-    flown.write(out / "flight.csv")
-    flown.write(out / "flight.parquet")
+    trajectory.write(out / "flight.csv")
+    trajectory.write(out / "flight.parquet")
     settings = CORPUS / "settings"
     pd.read_csv(settings / "flights.csv").to_parquet(settings / "flights.parquet", index=False)
     _bomb(out / "bomb.parquet", "time_s", "V_mps", "q_radps")
     _bomb(out / "bomb-of-table.parquet", "time", "speed_kts", "q_degps")
     header = "Time,/fdm/jsbsim/velocities/vtrue-fps,/fdm/jsbsim/velocities/q-rad_sec,/fdm/jsbsim/fcs/elevator-cmd-deg"
-    columns = [flown["time_s"], flown["V_mps"] / 0.3048, flown["q_radps"], flown["elevator_deg"]]
+    columns = [
+        trajectory["time_s"],
+        trajectory["V_mps"] / 0.3048,
+        trajectory["q_radps"],
+        trajectory["elevator_deg"],
+    ]
     np.savetxt(
         out / "flight.jsbsim",
         np.column_stack(columns),
@@ -76,21 +88,21 @@ def logs() -> None:
         comments="",
         fmt="%.7g",
     )
-    own = pd.DataFrame(
+    specific = pd.DataFrame(
         {
-            "time": flown["time_s"],
-            "speed_kts": flown["V_mps"] / 0.514444,
-            "q_degps": np.degrees(flown["q_radps"]),
-            "pitch_deg": np.degrees(flown["theta_rad"]),
-            "C2": 1500 + 20 * flown["elevator_deg"],
-            "lat": 45.0 + 1e-5 * flown["time_s"],
+            "time": trajectory["time_s"],
+            "speed_kts": trajectory["V_mps"] / 0.514444,
+            "q_degps": np.degrees(trajectory["q_radps"]),
+            "pitch_deg": np.degrees(trajectory["theta_rad"]),
+            "C2": 1500 + 20 * trajectory["elevator_deg"],
+            "lat": 45.0 + 1e-5 * trajectory["time_s"],
             "lon": 0.0,
-            "alt_m": flown["h_m"],
+            "alt_m": trajectory["h_m"],
             "one": 1.0,
         }
     ).round(5)
-    own.to_csv(out / "table.csv", index=False)
-    own.assign(note="fine").to_parquet(out / "table.parquet", index=False)
+    specific.to_csv(out / "table.csv", index=False)
+    specific.assign(note="fine").to_parquet(out / "table.parquet", index=False)
 
 
 def _bomb(path: Path, *names: str) -> None:
@@ -130,14 +142,14 @@ def results() -> None:
     _campaign(root / "campaign")
     _study(root)
     _instrumented(root)
-    found = run_study(
+    result = run_study(
         lambda a, b, w: {"y": a * b + w, "z": a - b},
         {"a": (0.0, 1.0), "b": (-1.0, 2.0)},
         {"w": _normal()},
         samples=16,
         draws=4,
     )
-    write_study(found, root / "study.npz")
+    write_study(result, root / "study.npz")
     (root / "stage.data").write_bytes(dump(_stage()))
     _wire(root)
     shutil.rmtree(CORPUS / "results", ignore_errors=True)
@@ -172,8 +184,8 @@ def _campaign(folder: Path) -> None:
     from uqharness.campaign.read_spec import read_campaign
     from uqharness.campaign.run import run_campaign
 
-    beside = folder.parent / "input"
-    beside.mkdir()
+    reference = folder.parent / "input"
+    reference.mkdir()
     text = fakes.CAMPAIGN.replace("wind_mps = 3", "wind_mps = [3, 6]")
     text = text.replace(
         "bounds = { CX = 0.008, CY = 0.010, CZ = 0.05, Cl = 0.0015, Cm = 0.012, Cn = 0.0015 }",
@@ -182,7 +194,7 @@ def _campaign(folder: Path) -> None:
     text = (
         text.replace("flights = 3", "flights = 2") + '\n[stop]\nrule = "decide"\nlook_every = 1\n'
     )
-    spec = read_campaign(fakes.campaign_file(beside, text))
+    spec = read_campaign(fakes.campaign_file(reference, text))
     run_campaign(spec, folder, executor=SerialExecutor(), fly=fakes.by_corner)
 
 

@@ -28,8 +28,8 @@ def command(words: str, *arguments: str) -> None:
     """
     from uqharness.cli import main as cli
 
-    made = _parser()
-    cli.build_parser = lambda: made  # made once: a parser costs more than most inputs
+    result = _parser()
+    cli.build_parser = lambda: result  # made once: a parser costs more than most inputs
     out, err = (
         io.TextIOWrapper(io.BytesIO(), encoding="utf-8", write_through=True) for _ in range(2)
     )
@@ -38,11 +38,11 @@ def command(words: str, *arguments: str) -> None:
             code: Any = cli.main([*words.split(), *arguments])
         except SystemExit as left:  # argparse; a fixed command line cannot be at fault
             code = left.code
-    told, said = (stream.buffer.getvalue().decode("utf-8", "replace") for stream in (out, err))
-    if odd := control_characters(told + said):
+    reports, output = (stream.buffer.getvalue().decode("utf-8", "replace") for stream in (out, err))
+    if odd := control_characters(reports + output):
         raise AssertionError(f"prints control characters {odd}")
     if code == 2:
-        raise Refused(said)
+        raise Refused(output)
     if code not in (0, 1):
         raise AssertionError(f"exit code {code}")
 
@@ -55,7 +55,7 @@ def _parser() -> Any:
 
 
 def call(
-    function: Callable[..., Any], *arguments: Any, own: tuple[type[Exception], ...] = ()
+    function: Callable[..., Any], *arguments: Any, specific: tuple[type[Exception], ...] = ()
 ) -> Any:
     """The function's answer. Raises Refused for the errors that its layer promises (``own`` adds
     some).
@@ -65,7 +65,7 @@ def call(
 
     try:
         return function(*arguments)
-    except (LogError, BadInputError, *own) as error:
+    except (LogError, BadInputError, *specific) as error:
         raise Refused(_printed(str(error))) from None
 
 
@@ -97,11 +97,11 @@ def faults(text: str, places: tuple[str, ...]) -> str:
         return "a traceback"
     if len(lines) > _MAX_LINES or max(map(len, lines)) > _MAX_CHARACTERS:
         return f"{len(lines)} lines of up to {max(map(len, lines))} characters"
-    named = [any(place in line for place in places) for line in lines]
-    if not any(named):
+    listed = [any(place in line for place in places) for line in lines]
+    if not any(listed):
         return f"names no file: {lines[0][:200]}"
     if len(lines) > 1 and not all(
-        named[:-1] if re.fullmatch(r"and \d+ more", lines[-1]) else named
+        listed[:-1] if re.fullmatch(r"and \d+ more", lines[-1]) else listed
     ):
         return f"is more than a sentence: {' | '.join(lines)[:300]}"
     return ""

@@ -53,11 +53,11 @@ def survey(aircraft: list[str]) -> dict[str, str]:
     for name in aircraft:
         folder = Path(name) if "/" in name else engine.default_root() / "aircraft" / name
         code = "import sys, tests.fuzz.stock as s, pathlib\nprint(s.translate(pathlib.Path(sys.argv[1])))"
-        made = subprocess.run(
+        result = subprocess.run(
             [sys.executable, "-c", code, str(folder)], capture_output=True, text=True, check=False
         )
-        lines = made.stdout.strip().splitlines()
-        out[name] = lines[-1] if lines else f"ended with {made.returncode}"
+        lines = result.stdout.strip().splitlines()
+        out[name] = lines[-1] if lines else f"ended with {result.returncode}"
     return out
 
 

@@ -157,7 +157,7 @@ class _Maker:
         return series
 
 
-def made(seed: int) -> tuple[str, dict[str, np.ndarray]]:
+def build(seed: int) -> tuple[str, dict[str, np.ndarray]]:
     """The body of a system and its inputs."""
     maker = _Maker(seed)
     return maker.system(), maker.inputs()
@@ -165,17 +165,17 @@ def made(seed: int) -> tuple[str, dict[str, np.ndarray]]:
 
 def attempt(seed: int) -> tuple[str, str]:
     """Outcome and reason of one system."""
-    body, inputs = made(seed)
-    return judged(body, inputs)
+    body, inputs = build(seed)
+    return judge(body, inputs)
 
 
-def judged(body: str, inputs: dict[str, np.ndarray]) -> tuple[str, str]:
+def judge(body: str, inputs: dict[str, np.ndarray]) -> tuple[str, str]:
     """Outcome and reason of a system's two flights."""
     text = systems.declared(list(inputs)) + body
     theirs = by_jsbsim(text, inputs)
     if isinstance(theirs, str):
         return DEAD, theirs
-    first, records, flown, moved = theirs
+    first, records, flight, moved = theirs
     document = systems.document_of(text)
     values = systems.Values(first.get)
     try:
@@ -189,31 +189,33 @@ def judged(body: str, inputs: dict[str, np.ndarray]) -> tuple[str, str]:
         return REFUSED, "an argument beyond the engine's range, in flight"
     outcome, reason = AGREED, ""
     for name in records:
-        a, b, c = ours[name], flown[name], moved[name]
+        a, b, c = ours[name], flight[name], moved[name]
         same = (a == b) | (np.isnan(a) & np.isnan(b))
         with np.errstate(all="ignore"):
-            near = np.abs(a - b) <= _LEAST * np.maximum(np.abs(b), 1e-300)
+            close = np.abs(a - b) <= _LEAST * np.maximum(np.abs(b), 1e-300)
             drift = np.maximum.accumulate(np.nan_to_num(np.abs(c - b), nan=np.inf))
             excused = np.abs(a - b) <= _TIMES_ROUNDING * drift
             excused |= drift == np.inf
-        if np.all(same | near):
+        if np.all(same | close):
             continue
-        if np.all(same | near | excused):
+        if np.all(same | close | excused):
             outcome = ROUNDING
             continue
-        row = int(np.argmin(same | near | excused))
+        row = int(np.argmin(same | close | excused))
         return DIFFERS, f"{name} frame {row}: {a[row]!r}, in JSBSim {b[row]!r} (moved {c[row]!r})"
     return outcome, reason
 
 
 def by_jsbsim(text: str, inputs: dict[str, np.ndarray]):
     """First values, records and two flights of JSBSim in a child; why there are none, as text."""
-    here, there = multiprocessing.Pipe(duplex=False)
-    process = multiprocessing.get_context("fork").Process(target=_child, args=(there, text, inputs))
+    local, present = multiprocessing.Pipe(duplex=False)
+    process = multiprocessing.get_context("fork").Process(
+        target=_child, args=(present, text, inputs)
+    )
     process.start()
-    there.close()
+    present.close()
     try:
-        answer = here.recv() if here.poll(60.0) else "no answer in 60 s"
+        answer = local.recv() if local.poll(60.0) else "no answer in 60 s"
     except EOFError:
         answer = None
     process.join(1.0)
@@ -232,18 +234,18 @@ def _child(out: Connection, text: str, inputs: dict[str, np.ndarray]) -> None:
         for name, series in inputs.items():
             fdm[name] = float(series[0])
         document = systems.document_of(text)
-        known = systems.values_of(fdm)
-        frames = systems.traced([System(document, document.root)], known, list(inputs))
+        reference = systems.values_of(fdm)
+        frames = systems.traced([System(document, document.root)], reference, list(inputs))
         records = sorted(set(frames[2].writes) - set(inputs))
         for name in records:
-            known.setdefault(name)
-        first = dict(known)
-        flown = systems.by_jsbsim(fdm, inputs, records)
+            reference.setdefault(name)
+        first = dict(reference)
+        flight = systems.by_jsbsim(fdm, inputs, records)
         moved = {name: np.nextafter(series, np.inf) for name, series in inputs.items()}
-        again = oracle.loaded(oracle.model(text), systems.DT_S)
+        repeat = oracle.loaded(oracle.model(text), systems.DT_S)
         for name, series in moved.items():
-            again[name] = float(series[0])
-        out.send((first, records, flown, systems.by_jsbsim(again, moved, records)))
+            repeat[name] = float(series[0])
+        out.send((first, records, flight, systems.by_jsbsim(repeat, moved, records)))
     except BadInputError as error:
         out.send(f"refused: {error}")
     except Exception as error:  # whatever JSBSim raises
@@ -257,9 +259,9 @@ def main(argv: list[str] | None = None) -> int:
     )
     parser.add_argument("--systems", type=int, default=100, metavar="N")
     parser.add_argument("--seed", type=int, default=0, metavar="S")
-    given = parser.parse_args(argv)
+    inputs = parser.parse_args(argv)
     counts: Counter[str] = Counter()
-    for seed in range(given.seed, given.seed + given.systems):
+    for seed in range(inputs.seed, inputs.seed + inputs.systems):
         outcome, reason = attempt(seed)
         # What the translation refuses is refused in the child already.
         if outcome == DEAD and reason.startswith("refused: "):

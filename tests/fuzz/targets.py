@@ -182,19 +182,21 @@ _QUESTIONS = (
 )
 
 
-def _ask(place: Path, seed: int) -> None:
+def _query(place: Path, seed: int) -> None:
     """One of the commands that read a campaign's folder; the cheap ones more often."""
-    asked = _QUESTIONS[seed % 4] if seed % 3 else _QUESTIONS[4 + seed // 3 % (len(_QUESTIONS) - 4)]
-    words = asked.split()
+    request = (
+        _QUESTIONS[seed % 4] if seed % 3 else _QUESTIONS[4 + seed // 3 % (len(_QUESTIONS) - 4)]
+    )
+    words = request.split()
     if words[0] == "campaign" and words[1] not in known_verbs():
-        asked = "campaign status"
-    command(asked, str(place))
+        request = "campaign status"
+    command(request, str(place))
 
 
 def _journal(place: Path, seed: int) -> None:
     """What reads the journal row by row, besides the commands."""
     if seed % 4 > 1:
-        _ask(place, seed)
+        _query(place, seed)
         return
 
     def outcomes() -> None:
@@ -270,7 +272,7 @@ def _signed_again(files: Files, name: str, rng: np.random.Generator) -> None:
     files["manifest.json"] = json.dumps(manifest).encode("utf-8", "surrogatepass")
 
 
-def _campaign_file(name: str, mutate: Mutator, run: Target = _ask, share: float = 1.0) -> Format:
+def _campaign_file(name: str, mutate: Mutator, run: Target = _query, share: float = 1.0) -> Format:
     sources = tuple(source for source in _CAMPAIGNS if name in source)
     title = f"campaign-{name.split('.')[0]}"
     return Format(title, sources, (name,), mutate, run, share, _signed_again)
@@ -303,15 +305,15 @@ def _stage_damage(data: bytes, rng: np.random.Generator) -> bytes:
     """
     begin = len(MAGIC) + 32
     length = int.from_bytes(data[begin : begin + 8], "little")
-    header, rest = data[begin + 8 : begin + 8 + length], data[begin + 8 + length :]
+    header, remainder = data[begin + 8 : begin + 8 + length], data[begin + 8 + length :]
     kind = rng.random()
     if kind < 0.2:
         return damaged(data, rng)
     if kind < 0.8:
         header = json_damage(header, rng)
     else:
-        rest = damaged(rest, rng)
-    content = len(header).to_bytes(8, "little") + header + rest
+        remainder = damaged(remainder, rng)
+    content = len(header).to_bytes(8, "little") + header + remainder
     return data[: len(MAGIC)] + hashlib.sha256(content).digest() + content
 
 
@@ -370,8 +372,8 @@ _BARE = {name: place for name, place in _SOURCE.items() if not name.endswith(".t
 
 
 def _mutate(data: bytes, rng: np.random.Generator) -> bytes:
-    others = [path.read_bytes() for path in sorted((CORPUS / "aircraft").rglob("*.xml"))]
-    return xml_damage(data, rng, others)
+    remaining = [path.read_bytes() for path in sorted((CORPUS / "aircraft").rglob("*.xml"))]
+    return xml_damage(data, rng, remaining)
 
 
 def _before_jsbsim(place: Path, seed: int) -> None:

@@ -44,25 +44,25 @@ class Bench:
         """
         self._put(item.make(seed))
         before, temporary = self._seen(), set(os.listdir(self._temporary))
-        outcome, what = "result", ""
+        outcome, kind = "result", ""
         forget_peak()
-        started = time.monotonic()
+        start = time.monotonic()
         with self._guard.watching() as deeds:
             try:
                 item.run(self.place, seed)
             except Refused as refused:
-                outcome, what = "refusal", str(refused)
+                outcome, kind = "refusal", str(refused)
             except BaseException as error:  # whatever an input makes the program raise
-                outcome, what = "finding", _last_words(error)
-        seconds, megabytes = time.monotonic() - started, self._megabytes()
-        if outcome == "refusal" and (fault := faults(what, (str(self.place), *_NAMED))):
-            outcome, what = "finding", f"refusal {fault}"
+                outcome, kind = "finding", _last_words(error)
+        seconds, megabytes = time.monotonic() - start, self._megabytes()
+        if outcome == "refusal" and (fault := faults(kind, (str(self.place), *_NAMED))):
+            outcome, kind = "finding", f"refusal {fault}"
         deeds = [*deeds, *self._changes(before), *self._left_behind(temporary)]
         if deeds:
-            outcome, what = "finding", "; ".join(dict.fromkeys(deeds))[:600]
+            outcome, kind = "finding", "; ".join(dict.fromkeys(deeds))[:600]
         return {
             "outcome": outcome,
-            "what": what,
+            "what": kind,
             "s": seconds,
             "MB": megabytes,
             "resident": resident_mb(),
@@ -82,36 +82,39 @@ class Bench:
         return max(peak_mb(), children)
 
     def _seen(self) -> dict[str, tuple[int, int]]:
-        found = tree(self.base / "cwd", self.base / "home", self.base / "a", Path(OUTSIDE))
-        spared = (str(self.place), str(self._cache))
-        return {path: state for path, state in found.items() if not path.startswith(spared)}
+        result = tree(self.base / "cwd", self.base / "home", self.base / "a", Path(OUTSIDE))
+        saved = (str(self.place), str(self._cache))
+        return {path: state for path, state in result.items() if not path.startswith(saved)}
 
     def _changes(self, before: dict[str, tuple[int, int]]) -> list[str]:
         after = self._seen()
         new = [
             f"leaves {path}" for path in after if path not in before or after[path] != before[path]
         ]
-        gone = [f"removes {path}" for path in before if path not in after]
+        absent = [f"removes {path}" for path in before if path not in after]
         for path in after:
             if path not in before and os.path.isfile(path):
                 os.unlink(path)
         return [
             *new,
-            *gone,
+            *absent,
             *(f"opens the network: {row}" for row in internet_sockets([os.getpid()])),
         ]
 
     def _left_behind(self, before: set[str]) -> list[str]:
-        now = set(os.listdir(self._temporary))
+        current = set(os.listdir(self._temporary))
         # A process' own folder goes when the process does, one of a process that was killed with
         # the next that needs one.
-        own = {name for name in now if _OWN_FOLDER.fullmatch(name)}
-        for name in now - own:
+        specific = {name for name in current if _OWN_FOLDER.fullmatch(name)}
+        for name in current - specific:
             shutil.rmtree(self._temporary / name, ignore_errors=True)
-        kept = sum(len(os.listdir(self._temporary / name)) for name in own)
-        much = [f"keeps {kept} temporary folders"] if kept > _MAX_KEPT else []
+        retained = sum(len(os.listdir(self._temporary / name)) for name in specific)
+        much = [f"keeps {retained} temporary folders"] if retained > _MAX_KEPT else []
         return [
-            *(f"leaves {name} among temporary files" for name in sorted(now - own - before)),
+            *(
+                f"leaves {name} among temporary files"
+                for name in sorted(current - specific - before)
+            ),
             *much,
         ]
 
@@ -132,8 +135,8 @@ def main(base: Path, answers: int, formats: Mapping[str, Format]) -> None:
     """Serve until the parent closes our input."""
     questions = os.fdopen(os.dup(0), "r")
     printed = os.open(base / "printed.txt", os.O_WRONLY | os.O_CREAT | os.O_APPEND)
-    nothing = os.open(os.devnull, os.O_RDONLY)
-    for target, source in ((0, nothing), (1, printed), (2, printed)):
+    empty = os.open(os.devnull, os.O_RDONLY)
+    for target, source in ((0, empty), (1, printed), (2, printed)):
         os.dup2(source, target)
     stop_colour()
     # What Python compiles of this project is no input's doing, and in a fresh checkout nothing is

@@ -222,8 +222,8 @@ def dask_cluster(workers: int = 2, processes: bool = True) -> Iterator[Any]:
         patch.setenv(MODULES_VARIABLE, "tests.helpers.campaign_fakes")
         with LocalCluster(
             n_workers=workers, threads_per_worker=1, processes=processes, dashboard_address=":0"
-        ) as found:
-            yield found
+        ) as result:
+            yield result
 
 
 def undefined_speed(spec: FlightSpec) -> FlightResult:
@@ -251,9 +251,9 @@ def main() -> None:
 
     folder, out, flights, fake, workers, method = sys.argv[1:7]
     executor = ProcessExecutor(int(workers), method)
-    here = sys.modules["tests.helpers.campaign_fakes"]
+    local = sys.modules["tests.helpers.campaign_fakes"]
     run_campaign(
-        small_spec(Path(folder), int(flights)), out, executor=executor, fly=getattr(here, fake)
+        small_spec(Path(folder), int(flights)), out, executor=executor, fly=getattr(local, fake)
     )
 
 

@@ -118,10 +118,10 @@ class Example:
         marks = self.all("leave out") + ([] if slow else self.all("slow line"))
         left_out = [value.split(" -- ")[0].strip() for value in marks]
         lines = [line.strip() for line in re.sub(r"\\\n\s*", " ", self.text).splitlines()]
-        kept = [line for line in lines if line and not line.startswith("#")]
-        kept = [line for line in kept if not any(line.startswith(out) for out in left_out)]
-        kept = [line for line in kept if make_runs(line, slow)]
-        return kept if slow else [self.reduced(line) for line in kept]
+        retained = [line for line in lines if line and not line.startswith("#")]
+        retained = [line for line in retained if not any(line.startswith(out) for out in left_out)]
+        retained = [line for line in retained if make_runs(line, slow)]
+        return retained if slow else [self.reduced(line) for line in retained]
 
     def reduced(self, text: str) -> str:
         """The text at the fast set's size."""
@@ -161,7 +161,7 @@ def examples(page: Path) -> list[Example]:
 
 
 def examples_of(text: str, name: str) -> list[Example]:
-    found = []
+    result = []
     marker: tuple[tuple[str, str], ...] = ()
     for token in MarkdownIt("commonmark").enable("table").parse(text):
         line = token.map[0] + 1 if token.map else 0
@@ -171,18 +171,18 @@ def examples_of(text: str, name: str) -> list[Example]:
             info = token.info.strip()
             if not NO_EXAMPLE.match(info):
                 kind = kind_of(token.content, info, marker)
-                found.append(Example(name, line, token.content, kind, marker))
+                result.append(Example(name, line, token.content, kind, marker))
             marker = ()
         elif marker and token.type.endswith("_open"):
             raise ValueError(
                 f"{name}:{line}: a marker of examples must stand right before its block"
             )
-    return found
+    return result
 
 
 def directives(comment: str, where: str) -> tuple[tuple[str, str], ...]:
     body = comment.strip().removeprefix("<!-- example:").removesuffix("-->")
-    found = []
+    result = []
     for line in filter(None, map(str.strip, body.splitlines())):
         key, colon, value = line.partition(":")
         if key not in DIRECTIVES or not colon or not value.strip():
@@ -194,8 +194,8 @@ def directives(comment: str, where: str) -> tuple[tuple[str, str], ...]:
             raise ValueError(f"{where}: '{line}': fast: OLD => NEW")
         if key in {"leave out", "slow line"} and " -- " not in value:
             raise ValueError(f"{where}: '{line}': {key}: LINE -- REASON")
-        found.append((key, value.strip()))
-    return tuple(found)
+        result.append((key, value.strip()))
+    return tuple(result)
 
 
 def kind_of(text: str, info: str, marker: tuple[tuple[str, str], ...]) -> str:
@@ -214,8 +214,8 @@ def kind_of(text: str, info: str, marker: tuple[tuple[str, str], ...]) -> str:
     lines = [line for line in lines if not any(line.strip().startswith(word) for word in out)]
     first = [program(line) for line in lines if line[0] != " "]
     if info in {"bash", "sh", "shell"} or (first and all(word in PROGRAMS for word in first)):
-        whole = "\n".join(re.sub(r"\s#.*", "", line) for line in lines)
-        placeholder = re.search(r"\[-|\.\.\.|\b(AIRCRAFT|DIR|FILE|LOG)\b", whole)
+        complete = "\n".join(re.sub(r"\s#.*", "", line) for line in lines)
+        placeholder = re.search(r"\[-|\.\.\.|\b(AIRCRAFT|DIR|FILE|LOG)\b", complete)
         return "synopsis" if placeholder else "shell"
     if any(paragraphs_are(tomllib.loads, text, tomllib.TOMLDecodeError)):
         return "toml"
@@ -311,9 +311,9 @@ class Scratch:
         if words[0].removeprefix(".venv/bin/") == "uqharness" and not re.search(
             r"[|<>;&$`]", command
         ):
-            code, said = in_process(words[1:])
+            code, output = in_process(words[1:])
         elif not self.slow and re.fullmatch(r"python \w+\.py", command):
-            code, said = script_in_process(words[1])
+            code, output = script_in_process(words[1])
         else:
             path = os.pathsep.join([str(self.folder / ".venv" / "bin"), os.environ.get("PATH", "")])
             environment = os.environ | {"PATH": path, "PYTHONPATH": str(ROOT)}
@@ -325,9 +325,9 @@ class Scratch:
                 check=False,
                 timeout=3600,
             )
-            code, said = done.returncode, done.stdout + done.stderr
+            code, output = done.returncode, done.stdout + done.stderr
         assert code == expected, (
-            f"{example.where}: {command}\nexit code {code}, expected {expected}\n{said[-2000:]}"
+            f"{example.where}: {command}\nexit code {code}, expected {expected}\n{output[-2000:]}"
         )
 
 
@@ -335,21 +335,21 @@ def in_process(words: list[str]) -> tuple[int, str]:
     """Exit code and output of one ``uqharness`` command, without the two seconds that starting
     Python takes.
     """
-    said = io.StringIO()
-    with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
+    output = io.StringIO()
+    with contextlib.redirect_stdout(output), contextlib.redirect_stderr(output):
         try:
             code = cli.main(words)
         except SystemExit as end:
             code = end.code if isinstance(end.code, int) else 2
-    return code, said.getvalue()
+    return code, output.getvalue()
 
 
 def script_in_process(file: str) -> tuple[int, str]:
     """The same of a script of a page; the slow set runs it in a process of its own."""
-    said = io.StringIO()
-    with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
+    output = io.StringIO()
+    with contextlib.redirect_stdout(output), contextlib.redirect_stderr(output):
         runpy.run_path(file, run_name="__main__")
-    return 0, said.getvalue()
+    return 0, output.getvalue()
 
 
 def check_toml(example: Example) -> None:
@@ -368,10 +368,12 @@ def check_toml(example: Example) -> None:
             try:
                 CAMPAIGN_SECTIONS[name].model_validate(section)
             except ValidationError as error:
-                wrong = [
-                    found for found in error.errors() if found["type"] != "missing" and found["loc"]
+                invalid = [
+                    result
+                    for result in error.errors()
+                    if result["type"] != "missing" and result["loc"]
                 ]
-                assert not wrong, f"{example.where}: {wrong}"
+                assert not invalid, f"{example.where}: {invalid}"
 
 
 def check_synopsis(example: Example) -> None:
@@ -388,8 +390,10 @@ def check_options(command: str, text: str, where: str) -> None:
     words = command.replace(".venv/bin/", "").split()
     if words[:2] == ["python", "-m"]:
         verb = words[3] if words[3:4] and re.match("[a-z]", words[3]) else None
-        told = help_of(words[2], verb)
-        lacking = {option for option in OPTION.findall(text.split(" #")[0]) if option not in told}
+        reports = help_of(words[2], verb)
+        lacking = {
+            option for option in OPTION.findall(text.split(" #")[0]) if option not in reports
+        }
         assert not lacking, f"{where}: {sorted(lacking)} is no option of '{words[2]}'"
         return
     if words[:1] != ["uqharness"]:
@@ -402,9 +406,11 @@ def check_options(command: str, text: str, where: str) -> None:
             break
         assert word in verbs.choices, f"{where}: there is no command 'uqharness {word}'"
         parser = verbs.choices[word]
-    known = {option for action in parser._actions for option in action.option_strings}
-    named = set(OPTION.findall(text.split(" #")[0]))
-    assert named <= known, f"{where}: {sorted(named - known)} is no option of '{parser.prog}'"
+    reference = {option for action in parser._actions for option in action.option_strings}
+    listed = set(OPTION.findall(text.split(" #")[0]))
+    assert listed <= reference, (
+        f"{where}: {sorted(listed - reference)} is no option of '{parser.prog}'"
+    )
 
 
 def differs(page: Path) -> bool:
@@ -430,12 +436,12 @@ def help_of(module: str, verb: str | None) -> str:
         )
         assert done.returncode == 0, f"{shlex.join(words)}: {done.stderr}"
         return done.stdout
-    said, before = io.StringIO(), sys.argv
+    output, before = io.StringIO(), sys.argv
     sys.argv = list(words)
     # What runs here is imported already, of which runpy warns; starting Python takes two seconds.
     with (
-        contextlib.redirect_stdout(said),
-        contextlib.redirect_stderr(said),
+        contextlib.redirect_stdout(output),
+        contextlib.redirect_stderr(output),
         warnings.catch_warnings(),
     ):
         warnings.simplefilter("ignore")
@@ -448,8 +454,8 @@ def help_of(module: str, verb: str | None) -> str:
             code = error
         finally:
             sys.argv = before
-    assert code == 0, f"{shlex.join(words)}: {code} {said.getvalue()}"
-    return said.getvalue()
+    assert code == 0, f"{shlex.join(words)}: {code} {output.getvalue()}"
+    return output.getvalue()
 
 
 def run_page(page: Path, folder: Path, slow: bool) -> list[tuple[Example, float]]:

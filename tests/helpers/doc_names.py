@@ -37,32 +37,32 @@ def defined(path: Path) -> frozenset[str]:
 
 def wrong_places(text: str) -> list[str]:
     """`file` and `file:function` marks of a text that lead nowhere."""
-    wrong = []
+    invalid = []
     for name, function in PLACE.findall(text):
         path = ROOT / name
         if not path.is_file():
-            wrong.append(name)
+            invalid.append(name)
         elif function and function not in defined(path):
-            wrong.append(f"{name}:{function}")
-    return wrong
+            invalid.append(f"{name}:{function}")
+    return invalid
 
 
 def check_commands(text: str, where: str) -> int:
     """Every `command` of a text has the subcommands and options that it names; how many
     there are.
     """
-    found = COMMAND.findall(text)
-    for command in found:
+    result = COMMAND.findall(text)
+    for command in result:
         check_options(command, command, where)
-    return len(found)
+    return len(result)
 
 
 def rows(text: str) -> list[list[str]]:
     """Cells of every row of a page's tables, heads left out."""
     lines = [line for line in text.splitlines() if line.startswith("|")]
     heads = {index - 1 for index, line in enumerate(lines) if set(line) <= set("|-: ")}
-    kept = [line for i, line in enumerate(lines) if i not in heads and i - 1 not in heads]
-    return [[cell.strip() for cell in line.strip("|").split("|")] for line in kept]
+    retained = [line for i, line in enumerate(lines) if i not in heads and i - 1 not in heads]
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in retained]
 
 
 def wrong_names(text: str) -> list[str]:
@@ -76,15 +76,15 @@ def leads_somewhere(name: str) -> bool:
     """
     parts = name.split(".")
     for k in range(len(parts), 0, -1):
-        module, rest = ROOT.joinpath(*parts[:k]), ".".join(parts[k:])
+        module, remainder = ROOT.joinpath(*parts[:k]), ".".join(parts[k:])
         file = module / "__init__.py" if module.is_dir() else module.with_suffix(".py")
         if file.is_file():
             return (
-                not rest
-                or rest in defined(file)
-                or hasattr(importlib.import_module(".".join(parts[:k])), rest)
+                not remainder
+                or remainder in defined(file)
+                or hasattr(importlib.import_module(".".join(parts[:k])), remainder)
             )
-        if module.is_dir() and not rest:
+        if module.is_dir() and not remainder:
             return True
     return False
 

@@ -24,18 +24,18 @@ def check_outputs(folder: Path) -> int:
         sys.path.remove(str(SITE))
     tables = {"pbox.parquet": words.PBOX, "sensitivity.csv": words.SENSITIVITY}
     tables |= dict.fromkeys(("excursions.csv", "statements.csv", "decisions.csv"), words.RATES)
-    seen = 0
-    for name, told in {"cases.parquet": words.CASES, **tables}.items():
+    observed = 0
+    for name, reports in {"cases.parquet": words.CASES, **tables}.items():
         for path in folder.rglob(name):
             frame = pd.read_parquet(path) if path.suffix == ".parquet" else pd.read_csv(path)
             for column in frame.columns:
-                words.meaning(re.sub(r"^(level|variable)_.*/.*", r"\1_<property>", column), told)
-            seen += 1
-    documents = {name: told for name, _, told in reference.DOCUMENTS} | {
+                words.meaning(re.sub(r"^(level|variable)_.*/.*", r"\1_<property>", column), reports)
+            observed += 1
+    documents = {name: reports for name, _, reports in reference.DOCUMENTS} | {
         "model-form.json": words.MODEL_FORM
     }
-    for name, told in documents.items():
+    for name, reports in documents.items():
         for path in folder.rglob(name):
-            assert set(json.loads(path.read_text(encoding="utf-8"))) == set(told), path
-            seen += 1
-    return seen
+            assert set(json.loads(path.read_text(encoding="utf-8"))) == set(reports), path
+            observed += 1
+    return observed

@@ -81,5 +81,5 @@ class Deadly(Flown):
         return super().flight(engine, flight)
 
 
-def engines(flown: Flown, understanding: Understanding = Understanding()) -> Engines:
-    return Engines(fakes.steady, flown, understanding)
+def engines(flight: Flown, understanding: Understanding = Understanding()) -> Engines:
+    return Engines(fakes.steady, flight, understanding)

@@ -11,9 +11,9 @@ import pytest
 def few(cases: Iterable[Any], number: int) -> list[Any]:
     """The cases for ``pytest.mark.parametrize``: ``number`` of them, spread evenly from the first
     to the last, as they are, the others marked slow. A tuple is a case of several names."""
-    given = list(cases)
-    kept = {round(k * (len(given) - 1) / max(number - 1, 1)) for k in range(number)}
-    return [case if k in kept else _slow(case) for k, case in enumerate(given)]
+    inputs = list(cases)
+    retained = {round(k * (len(inputs) - 1) / max(number - 1, 1)) for k in range(number)}
+    return [case if k in retained else _slow(case) for k, case in enumerate(inputs)]
 
 
 def _slow(case: Any) -> Any:

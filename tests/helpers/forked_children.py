@@ -54,8 +54,8 @@ def run_forked(
         mark = child_process._ANSWER
         answers = [line.removeprefix(mark) for line in lines if line.startswith(mark)]
         words = " ".join(" ".join(line for line in lines if not line.startswith(mark)).split())
-        said = " ".join(errors.read().decode(errors="replace").split())
-        return ProcessResult(child.exitcode, child_process._answer(answers[-1:]), words, said)
+        output = " ".join(errors.read().decode(errors="replace").split())
+        return ProcessResult(child.exitcode, child_process._answer(answers[-1:]), words, output)
 
 
 def _run_main(module: str, arguments: list[str], out: BufferedRandom, err: BufferedRandom) -> None:

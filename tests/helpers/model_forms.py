@@ -122,10 +122,10 @@ def with_parts(
 
     missing: coefficients whose model error counts as found; by default all.
     """
-    found = {}
+    result = {}
     for name, bounds in form.coefficients.items():
         size = transient.get(name, 0.0) if isinstance(transient, Mapping) else transient
-        found[name] = replace(
+        result[name] = replace(
             bounds,
             parts=Parts(
                 persistent=persistent,
@@ -140,7 +140,7 @@ def with_parts(
                 found=missing is None or name in missing,
             ),
         )
-    return replace(form, coefficients=found)
+    return replace(form, coefficients=result)
 
 
 def bounds_from(

@@ -82,16 +82,16 @@ class OpenEquations:
         trig = sines(x)
         sf, cf, st, ct = trig[:4]
         ax, ay, az, pd, qd, rd = self._accelerations(x, u, theta, trig)
-        seen = zip((ax, ay, az), self.gusts.turning(x, trig), strict=True)
-        flow = flow_rates(x, tuple(a + b for a, b in seen), trig, self.gravity)
+        observed = zip((ax, ay, az), self.gusts.turning(x, trig), strict=True)
+        flow = flow_rates(x, tuple(a + b for a, b in observed), trig, self.gravity)
         attitude = p + st / ct * (q * sf + r * cf), q * cf - r * sf
         return [*flow, pd, qd, rd, *attitude, *self.gusts.rates(x, (*flow, *attitude), trig)]
 
     def g(self, x: Any, u: Any, theta: Any) -> Any:
         """The outputs."""
         V, alpha, beta, p, q, r, phi, theta_ = (x[i] for i in range(8))
-        felt = self._accelerations(x, u, theta)
-        every = dict(zip(OUTPUTS, (V, alpha, beta, phi, theta_, p, q, r, *felt[:3]), strict=True))
+        sensed = self._accelerations(x, u, theta)
+        every = dict(zip(OUTPUTS, (V, alpha, beta, phi, theta_, p, q, r, *sensed[:3]), strict=True))
         offset = len(self.terms)
         for k, channel in enumerate(self.biases):
             every[channel] = every[channel] + theta[offset + k]
@@ -114,19 +114,19 @@ class OpenEquations:
     def _coefficients(
         self, V: Any, alpha: Any, beta: Any, p: Any, q: Any, r: Any, u: Any, theta: Any
     ) -> list[Any]:
-        found = variables(V, alpha, beta, p, q, r, u[0], u[1], u[2], b=self.mass.b, c=self.mass.c)
+        result = variables(V, alpha, beta, p, q, r, u[0], u[1], u[2], b=self.mass.b, c=self.mass.c)
         C = [u[10 + k] for k in range(6)]
         for k, name in enumerate(self.terms):
             parsed = split_name(name)
             assert parsed is not None
             column = COEFFICIENTS.index(parsed[0])
             C[column] = C[column] + theta[k] * (
-                1.0 if parsed[1] == "0" else regressor(parsed[1], found)
+                1.0 if parsed[1] == "0" else regressor(parsed[1], result)
             )
         return C
 
     def rest(
-        self, coefficients: FloatArray, found: dict[str, FloatArray], values: Sequence[float]
+        self, coefficients: FloatArray, result: dict[str, FloatArray], values: Sequence[float]
     ) -> FloatArray:
         """(n, 6) what is left of a model's coefficients (n, 6) when the terms at ``values`` are
         taken out.
@@ -135,5 +135,5 @@ class OpenEquations:
         for name, value in zip(self.terms, values, strict=True):
             parsed = split_name(name)
             assert parsed is not None
-            out[:, COEFFICIENTS.index(parsed[0])] -= value * regressor(parsed[1], found)
+            out[:, COEFFICIENTS.index(parsed[0])] -= value * regressor(parsed[1], result)
         return out

@@ -18,7 +18,7 @@ _REFERENCES = ("src", "href", "srcset", "data", "action", "poster", "background"
 def problems(page: str) -> list[str]:
     """Everything that is wrong with a page; empty for a good one."""
     tree = html.document_fromstring(page)
-    found = [
+    result = [
         *_form(page, tree),
         *_fetched(page, tree),
         *_figures(tree),
@@ -26,8 +26,8 @@ def problems(page: str) -> list[str]:
         *_text(tree),
     ]
     if len(page.encode()) > MAX_BYTES:
-        found.append(f"{len(page.encode())} bytes")
-    return found
+        result.append(f"{len(page.encode())} bytes")
+    return result
 
 
 def page_of(folder: Path) -> str:
@@ -43,7 +43,7 @@ def words_of(page: str) -> str:
 
 
 def _form(page: str, tree: html.HtmlElement) -> list[str]:
-    found = []
+    result = []
     # Tags that were opened are closed: an XML parser agrees once the few void elements are made so,
     # and scripts are left out.
     strict = re.sub(r"<(meta[^>]*)>", r"<\1/>", page.replace("<!DOCTYPE html>", ""))
@@ -51,92 +51,92 @@ def _form(page: str, tree: html.HtmlElement) -> list[str]:
     try:
         etree.fromstring(strict.encode())
     except etree.XMLSyntaxError as error:
-        found.append(f"not well formed: {error}")
+        result.append(f"not well formed: {error}")
     if tree.get("lang") != "en" or not tree.findtext(".//title"):
-        found.append("no language or no title")
-    twice = [name for name, count in Counter(tree.xpath("//@id")).items() if count > 1]
-    found += [f"id {name} is there twice" for name in twice]
+        result.append("no language or no title")
+    double = [name for name, count in Counter(tree.xpath("//@id")).items() if count > 1]
+    result += [f"id {name} is there twice" for name in double]
     levels = [int(e.tag[1]) for e in tree.iter("h1", "h2", "h3", "h4", "h5", "h6")]
     if levels[:1] != [1] or levels.count(1) != 1:
-        found.append("not one h1 at the top")
-    found += [f"h{a} is followed by h{b}" for a, b in pairwise(levels) if b > a + 1]
-    found += [
+        result.append("not one h1 at the top")
+    result += [f"h{a} is followed by h{b}" for a, b in pairwise(levels) if b > a + 1]
+    result += [
         "an empty heading"
         for e in tree.iter("h1", "h2", "h3", "h4")
         if not e.text_content().strip()
     ]
     first = [e for e in tree.find(".//main") if isinstance(e.tag, str)][1]
     if first.get("class") != "verdict" or not first.findall(".//li"):
-        found.append("the verdict does not come first")
-    return found
+        result.append("the verdict does not come first")
+    return result
 
 
 def _fetched(page: str, tree: html.HtmlElement) -> list[str]:
-    found = []
+    result = []
     for element in tree.iter(etree.Element):
         for name, value in element.attrib.items():
             if name.rpartition("}")[2].rpartition(":")[2] in _REFERENCES and not value.startswith(
                 "#"
             ):
-                found.append(f"{element.tag} fetches {value}")
+                result.append(f"{element.tag} fetches {value}")
             if re.search(r"https?://|url\((?!#)", value):
-                found.append(f"{element.tag} names {value}")
+                result.append(f"{element.tag} names {value}")
     for element in tree.iter("link", "iframe", "img", "object", "embed", "base"):
-        found.append(f"<{element.tag}>")
+        result.append(f"<{element.tag}>")
     for code in tree.iter("style", "script"):
         if re.search(r"https?://|@import|url\(|fetch\(|XMLHttp|import\(", code.text or ""):
-            found.append(f"{code.tag} reaches out")
-    return found
+            result.append(f"{code.tag} reaches out")
+    return result
 
 
 def _figures(tree: html.HtmlElement) -> list[str]:
-    found = []
+    result = []
     for figure in tree.iter("figure"):
         svg, caption = figure.find("svg"), figure.find("figcaption")
         name = figure.get("id")
         if svg is None or svg.get("role") != "img" or not svg.get("aria-label"):
-            found.append(f"figure {name} has no label")
+            result.append(f"figure {name} has no label")
             continue
         if caption is None or not caption.text_content().strip():
-            found.append(f"figure {name} has no caption")
+            result.append(f"figure {name} has no caption")
         axes = [e.text or "" for e in svg.iter("text") if e.get("class") == "label"]
-        named = [text for text in axes if text and not text.startswith("probability")]
-        if not named or not all(re.search(r"\[[^\]]+\]", text) for text in named):
-            found.append(f"figure {name} has an axis without a unit: {axes}")
-        drawn = [e.get("d") for e in svg.iter("path")] + list(svg.iter("circle"))
-        if not any(drawn):
-            found.append(f"figure {name} is empty")
+        listed = [text for text in axes if text and not text.startswith("probability")]
+        if not listed or not all(re.search(r"\[[^\]]+\]", text) for text in listed):
+            result.append(f"figure {name} has an axis without a unit: {axes}")
+        drawing = [e.get("d") for e in svg.iter("path")] + list(svg.iter("circle"))
+        if not any(drawing):
+            result.append(f"figure {name} is empty")
         if any("nan" in (d or "") or "inf" in (d or "") for d in svg.xpath(".//@d")):
-            found.append(f"figure {name} draws what is not finite")
+            result.append(f"figure {name} draws what is not finite")
     for svg in tree.iter("svg"):
         if not svg.get("aria-label") and svg.get("aria-hidden") != "true":
-            found.append("a drawing without a label")
-    return found
+            result.append("a drawing without a label")
+    return result
 
 
 def _tables(tree: html.HtmlElement) -> list[str]:
-    found = []
+    result = []
     for table in tree.iter("table"):
         caption = table.findtext("caption")
         if not caption:
-            found.append("a table without a caption")
+            result.append("a table without a caption")
         heads = table.findall("thead/tr/th")
         if not heads or any(e.get("scope") != "col" or not e.text_content().strip() for e in heads):
-            found.append(f"table {caption}: a column without a head")
+            result.append(f"table {caption}: a column without a head")
         for row in table.findall("tbody/tr"):
             if len(row) != len(heads) or row[0].tag != "th" or row[0].get("scope") != "row":
-                found.append(f"table {caption}: a row that does not fit its head")
+                result.append(f"table {caption}: a row that does not fit its head")
             for cell in row:
                 if cell.get("class") and not cell.find(".//span[@class='sign']") is not None:
-                    found.append(
+                    result.append(
                         f"table {caption}: '{cell.text_content()}' is told by colour alone"
                     )
-    return found
+    return result
 
 
 def _text(tree: html.HtmlElement) -> list[str]:
-    shown = [e for e in tree.find("body").iter(etree.Element) if e.tag != "script"]
-    text = " ".join(part for e in shown for part in (e.text, e.tail) if part)
+    visible = [e for e in tree.find("body").iter(etree.Element) if e.tag != "script"]
+    text = " ".join(part for e in visible for part in (e.text, e.tail) if part)
     return [
         f"'{word}' in the text"
         for word in re.findall(r"(?<![\w-])(?:nan|NaN|inf|Infinity)(?![\w-])|None(?!\.)", text)

@@ -22,7 +22,7 @@ from uqharness.replay.histories import write_pieces
 TIME = np.arange(0.0, 4.0, 0.02)
 
 
-def written(folder, name, document):
+def write_document(folder, name, document):
     folder.mkdir(parents=True, exist_ok=True)
     (folder / name).write_text(json.dumps(document))
     return folder
@@ -65,10 +65,10 @@ def identified(folder):
         "fit": channels,
         "command": "uqharness identify plane --flight 'a<b>.parquet' --out out",
     }
-    out = written(folder, "fit.json", fit)
-    nothing = [np.full(TIME.size, np.nan)] * 2
+    out = write_document(folder, "fit.json", fit)
+    empty = [np.full(TIME.size, np.nan)] * 2
     columns = {"q_radps": wave(0.3), "q_radps_model": wave(0.29), "elevator": wave(5.0)}
-    columns |= {"V_mps": nothing, "V_mps_model": wave()}
+    columns |= {"V_mps": empty, "V_mps_model": wave()}
     pieces(out, "histories.parquet", columns)
     return out
 
@@ -94,7 +94,7 @@ def compared(folder):
         "moments": [moment | {"noises": 9.0}],
         "notes": [],
     }
-    out = written(folder, "compare.json", document)
+    out = write_document(folder, "compare.json", document)
     columns = {"q_radps": wave(0.3), "q_radps_model": wave(0.2)}
     columns |= {"psi_rad": wave(), "psi_rad_model": wave()}
     pieces(out, "histories.parquet", columns | {"Cm_flight": wave(0.01), "Cm_model": wave(0.02)})
@@ -162,7 +162,7 @@ def refinement(**changes):
 
 def refined(folder):
     """A refinement with one effect, a rival it is not told from and one it is."""
-    out = written(folder, "refinement.json", refinement())
+    out = write_document(folder, "refinement.json", refinement())
     (out / "model.diff").write_text(
         "--- a/plane.xml\n+++ b/plane.xml\n+  <property>aero/Cm_p2</property>\n"
     )
@@ -184,7 +184,7 @@ def covered(folder):
     coverage = {"CX": row, "Cm": row | {"0.95": 0.4, "n_effective": None}}
     document = {"coverage": coverage, "errors": {"CX": {"0.95": 0.01, "0.68": None}}}
     document |= {"failed": ["Cm"], "warnings": [], "notes": []}
-    out = written(folder, "coverage.json", document)
+    out = write_document(folder, "coverage.json", document)
     edge = [np.full(TIME.size, 0.8)] * 2
     columns = {c: wave() for c in ("CX", "Cm")}
     for c in ("CX", "Cm"):
@@ -238,14 +238,14 @@ def tracks(folder):
     own amount.
     """
     time_s = np.arange(0.0, 60.0, 0.2)
-    away = {
+    offset = {
         ("before", "nominal"): 8.0,
         ("before", "worst corner"): 18.0,
         ("after", "nominal"): 10.0,
         ("after", "worst corner"): 14.0,
     }
     rows = []
-    for (when, model), largest in away.items():
+    for (when, model), largest in offset.items():
         distance = largest * np.sin(0.3 * time_s) ** 2
         north, east = ((120.0 + distance) * f(0.2 * time_s) for f in (np.cos, np.sin))
         columns = {"when": when, "model": model, "epistemic_id": "1", "time_s": time_s}

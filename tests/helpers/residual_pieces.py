@@ -30,7 +30,7 @@ def first_order(n: int, time_s: float, rng: np.random.Generator) -> np.ndarray:
 
 
 def noise_of(
-    n: int, std: float, spread: float = 0.03, states: Mapping[str, float] | None = None
+    n: int, std: float, scatter: float = 0.03, states: Mapping[str, float] | None = None
 ) -> PieceNoise:
     """White noise of the accelerometers, ``std`` in CX behind the smoother's weights; states: name
     -> their noise.
@@ -39,7 +39,7 @@ def noise_of(
     gain[:, 0] = std
     weights = tuple(kernel(HALF, DT).tolist())
     return PieceNoise(
-        (Passage("ax_mps2", "smoothed", gain, weights, spread),),
+        (Passage("ax_mps2", "smoothed", gain, weights, scatter),),
         {s: (v, weights) for s, v in (states or {}).items()},
         n,
     )
@@ -50,7 +50,7 @@ def residuals_of(
     std: float = 0.01,
     states: Sequence[Mapping[str, np.ndarray]] | None = None,
     flights: Sequence[int] | None = None,
-    spread: float = 0.03,
+    scatter: float = 0.03,
 ) -> Residuals:
     """CX residuals, one piece a series, called m0, m1, ..., with sensor noise of ``std``
     presumed.
@@ -68,7 +68,7 @@ def residuals_of(
                 delta,
                 of_piece,
                 number,
-                noise_of(len(y), std, spread),
+                noise_of(len(y), std, scatter),
             )
         )
     return Residuals(tuple(pieces), DT, Cutoffs())

@@ -106,11 +106,11 @@ def body_coefficients(
     de, da, dr = u
     share = a.separation.lift_share(math.degrees(alpha), lag_deg)
     if not a.wind_axes:
-        found = sixdof.coefficients(k, alpha, beta, p, q, r, u).tolist()
-        found[0] += k["CX_q"] * q
-        found[2] += k["CZ_alpha"] * alpha * (share - 1.0)
-        found[4] += k["Cm_p2"] * p**2
-        return found
+        result = sixdof.coefficients(k, alpha, beta, p, q, r, u).tolist()
+        result[0] += k["CX_q"] * q
+        result[2] += k["CZ_alpha"] * alpha * (share - 1.0)
+        result[4] += k["Cm_p2"] * p**2
+        return result
     lift = k["CL_0"] + k["CL_alpha"] * alpha * share + k["CL_de"] * de
     drag = k["CD_0"] + lift**2 / (math.pi * a.oswald * a.b**2 / a.S)
     s, c = math.sin(alpha), math.cos(alpha)
@@ -129,16 +129,16 @@ def body_coefficients(
 
 def _root(f: Callable[[float], float]) -> float:
     """Where f is 0, by secants from 0. Raises ArithmeticError where they do not close in."""
-    before, here = 0.0, 1e-4
-    f_before, f_here = f(before), f(here)
+    before, local = 0.0, 1e-4
+    f_before, f_here = f(before), f(local)
     for _ in range(50):
         if f_here == f_before:
-            return here
-        before, here = here, here - f_here * (here - before) / (f_here - f_before)
-        if abs(here - before) < 1e-12:
-            return here
-        f_before, f_here = f_here, f(here)
-    raise ArithmeticError(f"no alphadot after 50 secants; the last was {here}")
+            return local
+        before, local = local, local - f_here * (local - before) / (f_here - f_before)
+        if abs(local - before) < 1e-12:
+            return local
+        f_before, f_here = f_here, f(local)
+    raise ArithmeticError(f"no alphadot after 50 secants; the last was {local}")
 
 
 def derivative(a: StallingAirframe, x: FloatArray, u: FloatArray) -> FloatArray:
@@ -159,7 +159,7 @@ def derivative(a: StallingAirframe, x: FloatArray, u: FloatArray) -> FloatArray:
     )
     in_plane = ub**2 + wb**2
     # Weight and turning, which do not depend on alphadot.
-    along = -a.g * math.sin(theta) - (q * wb - r * vb)
+    axial = -a.g * math.sin(theta) - (q * wb - r * vb)
     below = a.g * math.cos(phi) * math.cos(theta) - (p * vb - q * ub)
 
     def at(alphadot: float) -> Sequence[float]:
@@ -168,7 +168,7 @@ def derivative(a: StallingAirframe, x: FloatArray, u: FloatArray) -> FloatArray:
 
     def surplus(alphadot: float) -> float:
         C = at(alphadot)
-        u_dot, w_dot = (qS * C[0] + pull) / a.m + along, qS * C[2] / a.m + below
+        u_dot, w_dot = (qS * C[0] + pull) / a.m + axial, qS * C[2] / a.m + below
         return (ub * w_dot - wb * u_dot) / in_plane - alphadot
 
     C = at(_root(surplus))

@@ -1,4 +1,4 @@
-"""Flights of a study flown by a function instead of an engine."""
+"""Flights of a study simulated by a function instead of an engine."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def with_medians(change: Callable[[FlightSpec], float]) -> Callable[[FlightSpec]
     return fly
 
 
-def flown(
+def fly_study(
     campaign: Path,
     cell: str,
     path: Path,

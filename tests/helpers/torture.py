@@ -20,17 +20,17 @@ def _die() -> None:
 
 def tear(moment: str) -> None:
     """Arrange for this process to be killed at that moment."""
-    what, _, number = moment.partition(":")
-    left = [int(number)]
-    if what == "journal":
+    kind, _, number = moment.partition(":")
+    remaining = [int(number)]
+    if kind == "journal":
         from uqharness.campaign.store import Store
 
         add = Store.add
 
         def torn(self: Any, outcomes: Any) -> None:
             batch = list(outcomes)
-            left[0] -= bool(batch)
-            if left[0] == 0:
+            remaining[0] -= bool(batch)
+            if remaining[0] == 0:
                 # A small cache spills, so that half a transaction is in the file when its writer
                 # dies.
                 self._database.execute("pragma cache_size = 1")
@@ -49,14 +49,14 @@ def tear(moment: str) -> None:
             add(self, batch)
 
         Store.add = torn  # type: ignore[method-assign]
-    elif what == "step":
+    elif kind == "step":
 
         def counted(function: Any) -> Any:
-            def call(*given: Any, **named: Any) -> Any:
-                left[0] -= 1
-                if left[0] == 0:
+            def call(*inputs: Any, **listed: Any) -> Any:
+                remaining[0] -= 1
+                if remaining[0] == 0:
                     _die()
-                return function(*given, **named)
+                return function(*inputs, **listed)
 
             return call
 
@@ -66,8 +66,8 @@ def tear(moment: str) -> None:
         replace = os.replace
 
         def stopped(source: Any, target: Any) -> None:
-            left[0] -= 1
-            if left[0] == 0:
+            remaining[0] -= 1
+            if remaining[0] == 0:
                 _die()
             replace(source, target)
 
@@ -79,16 +79,16 @@ def main() -> None:
     from uqharness.campaign.processes import Executor, ProcessExecutor
     from uqharness.campaign.run import run_campaign
 
-    folder, out, flights, fake, how = sys.argv[1:6]
+    folder, out, flights, fake, options = sys.argv[1:6]
     if len(sys.argv) > 6:
         tear(sys.argv[6])
     executor: Executor
-    if how in ("fork", "spawn"):
-        executor = ProcessExecutor(2, how)
+    if options in ("fork", "spawn"):
+        executor = ProcessExecutor(2, options)
     else:
         from uqharness.campaign.dask import DaskExecutor
 
-        executor = DaskExecutor(how)
+        executor = DaskExecutor(options)
     spec = fakes.small_spec(Path(folder), int(flights))
     run_campaign(spec, out, executor=executor, fly=getattr(fakes, fake))
 

@@ -68,12 +68,12 @@ def test_a_second_load_on_one_instance_ends_the_interpreter(tmp_path):
         tmp_path,
         fcs=channel("<pure_gain name='g'><input>test/in</input><gain>2</gain></pure_gain>"),
     )
-    again = (
+    repeat = (
         LOADING + "node = fdm.get_property_manager().get_node('fcs/g')\nfdm.load_model('small')\n"
     )
     assert (
         dies(
-            again
+            repeat
             + "fdm.run_ic()\n[fdm.run() for _ in range(50)]\nnode.get_double_value()\ndel fdm\n",
             tmp_path,
         )
@@ -99,12 +99,12 @@ def test_setting_a_read_only_property_is_ignored_in_silence(tmp_path):
 
 
 def test_not_a_number_runs_on(tmp_path):
-    bad = "<property value='0'>test/in</property>"
+    invalid = "<property value='0'>test/in</property>"
     root = (
         "<axis name='PITCH'><function"
         " name='aero/m'><sqrt><property>test/in</property></sqrt></function></axis>"
     )
-    fdm = small(tmp_path, fcs=bad, aero=root)
+    fdm = small(tmp_path, fcs=invalid, aero=root)
     fdm.run_ic()
     fdm["test/in"] = -1.0
     assert all(fdm.run() for _ in range(5))
@@ -121,14 +121,14 @@ def test_the_ground_stops_nobody(tmp_path):
 
 def test_ixz_is_read_with_its_sign_reversed(tmp_path):
     plain = small(tmp_path / "a", ixz='<ixz unit="KG*M2">0.25</ixz>')
-    said = small(
+    output = small(
         tmp_path / "b",
         ixz='<ixz unit="KG*M2">0.25</ixz>',
         mass_attributes='negated_crossproduct_inertia="false"',
     )
-    for fdm in (plain, said):
+    for fdm in (plain, output):
         fdm.run_ic()
-    assert plain["inertia/ixz-slugs_ft2"] == pytest.approx(-said["inertia/ixz-slugs_ft2"])
+    assert plain["inertia/ixz-slugs_ft2"] == pytest.approx(-output["inertia/ixz-slugs_ft2"])
     assert plain["inertia/ixz-slugs_ft2"] != 0.0
 
 

@@ -50,8 +50,8 @@ def test_an_input_listens_on_all_addresses(tmp_path: Path) -> None:
         pass
     # Without the element nobody answers.
     del fdm
-    quiet = load(with_elements(tmp_path / "quiet", ""))
-    quiet.run_ic()
+    calm = load(with_elements(tmp_path / "quiet", ""))
+    calm.run_ic()
     with pytest.raises(OSError):
         socket.create_connection((LOCAL, free_port()), timeout=5)
 
@@ -80,9 +80,9 @@ def test_a_component_writes_a_state_file_in_every_frame(tmp_path: Path) -> None:
         fdm.run_ic()
         for _ in range(9):
             fdm.run()
-        found = list(tmp_path.rglob("initfile*"))
-        assert len(found) == files
-        for path in found:
+        result = list(tmp_path.rglob("initfile*"))
+        assert len(result) == files
+        for path in result:
             path.unlink()
 
 

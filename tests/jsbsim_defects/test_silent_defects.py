@@ -15,12 +15,12 @@ STILL = "<axis name='X'><function name='aero/f'>{}</function></axis>"
 
 
 def test_an_unknown_operation_inside_a_sum_is_dropped_and_the_rest_flies_on(tmp_path):
-    wrong = (
+    invalid = (
         "<sum> <value>1</value> <prodct> <value>2</value> <value>3</value> </prodct>"
         " <value>10</value> </sum>"
     )
-    right = wrong.replace("prodct", "product")
-    for text, value in ((wrong, 11.0), (right, 17.0)):
+    right = invalid.replace("prodct", "product")
+    for text, value in ((invalid, 11.0), (right, 17.0)):
         fdm = small(tmp_path, aero=STILL.format(text))
         fdm.run_ic()
         fdm.run()
@@ -42,13 +42,13 @@ def running(throttle: float) -> jsbsim.FGFDMExec:
 
 def test_the_first_frames_of_an_engine_do_not_know_the_throttle():
     thrust = {}
-    for settled in (False, True):
+    for steady in (False, True):
         for throttle in (0.2, 0.9):
             fdm = running(throttle)
-            if settled:
+            if steady:
                 fdm.get_propulsion().get_steady_state()
             fdm.run()
-            thrust[settled, throttle] = fdm["propulsion/engine/thrust-lbs"]
+            thrust[steady, throttle] = fdm["propulsion/engine/thrust-lbs"]
     assert abs(thrust[False, 0.9] - thrust[False, 0.2]) < 1.0
     assert thrust[True, 0.9] > thrust[True, 0.2] + 400.0
 
@@ -154,8 +154,8 @@ def test_an_actuator_with_a_lag_of_zero_stands_still(tmp_path):
 
 
 def test_a_filter_begins_at_zero_and_not_at_its_input(tmp_path):
-    first, later = flown_through(
+    first, delayed = flown_through(
         tmp_path, "<lag_filter name='fcs/out'><input>s/in</input><c1>10</c1></lag_filter>"
     )
     assert first < 0.1
-    assert later == pytest.approx(1.0, abs=1e-6)
+    assert delayed == pytest.approx(1.0, abs=1e-6)

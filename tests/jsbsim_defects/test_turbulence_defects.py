@@ -67,8 +67,10 @@ def test_a_height_is_taken_above_sea_level(folder: Path, severity: float, sd_fps
 
 def test_b_gust_axes_stay_on_the_wind() -> None:
     # Across the wind p and q trade places: sd of q is 1.8 times the specified one.
-    seen = measure("plain-tustin", replace(CALM, heading_deg=90.0, wind_mps=3.0, duration_s=600.0))
-    ratio = {row.component: row.sd_ratio for row in compare(seen)}
+    observed = measure(
+        "plain-tustin", replace(CALM, heading_deg=90.0, wind_mps=3.0, duration_s=600.0)
+    )
+    ratio = {row.component: row.sd_ratio for row in compare(observed)}
     assert ratio["p"] == pytest.approx(0.63, abs=0.06)
     assert ratio["q"] == pytest.approx(1.79, abs=0.12)
 
@@ -90,11 +92,11 @@ def test_d_rotation_to_north_and_east_has_the_wrong_sign(folder: Path) -> None:
     eastward = turbulent(folder, {})
     northward["atmosphere/wind-north-fps"] = 1e-9
     eastward["atmosphere/wind-north-fps"], eastward["atmosphere/wind-east-fps"] = 1e-20, 1e-9
-    along, across = record(northward, names, 200)[5:].T  # x to the north: u, v
+    axial, across = record(northward, names, 200)[5:].T  # x to the north: u, v
     north, east = record(eastward, names, 200)[5:].T  # x to the east: should be -v, u
-    scale = np.abs(along).max()
+    scale = np.abs(axial).max()
     np.testing.assert_allclose(north, across, atol=1e-5 * scale)
-    np.testing.assert_allclose(east, -along, atol=1e-5 * scale)
+    np.testing.assert_allclose(east, -axial, atol=1e-5 * scale)
 
 
 def test_e_pitch_gust_has_the_wrong_sign() -> None:
@@ -103,9 +105,9 @@ def test_e_pitch_gust_has_the_wrong_sign() -> None:
     tail_wind = replace(
         CALM, heading_deg=180.0, wind_from_deg=180.0, wind_mps=3.0, duration_s=300.0
     )
-    seen = measure("plain-tustin", tail_wind)
-    assert seen.q_slope_correlation() == pytest.approx(0.22, abs=0.06)
-    assert seen.r_slope_correlation() == pytest.approx(0.24, abs=0.06)  # r is right
+    observed = measure("plain-tustin", tail_wind)
+    assert observed.q_slope_correlation() == pytest.approx(0.22, abs=0.06)
+    assert observed.r_slope_correlation() == pytest.approx(0.24, abs=0.06)  # r is right
 
 
 def test_f_tustin_filters_turn_to_nan_while_initialising(folder: Path) -> None:

@@ -99,15 +99,15 @@ def test_a_stock_aircraft_and_its_logs_come_to_the_name_of_the_hidden_effect(
     name, speeds, hidden, tmp_path
 ):
     (tmp_path / "flown").mkdir()
-    own = tmp_path / name
-    assert ran("instrument", name, "--out", own, "--no-check") == 0
-    truth = hide_the_effect(own, tmp_path / "flown" / name, hidden)
+    specific = tmp_path / name
+    assert ran("instrument", name, "--out", specific, "--no-check") == 0
+    truth = hide_the_effect(specific, tmp_path / "flown" / name, hidden)
     logs = []
     for k, (mission, speed) in enumerate(
         (("doublets", speeds[0]), ("3-2-1-1", speeds[1]), ("doublets", speeds[1]))
     ):
-        flown = tmp_path / f"flown-{k}.parquet"
-        asked = (
+        flight = tmp_path / f"flown-{k}.parquet"
+        request = (
             "--mission",
             mission,
             "--speed-mps",
@@ -118,26 +118,33 @@ def test_a_stock_aircraft_and_its_logs_come_to_the_name_of_the_hidden_effect(
             "--seed",
             k,
         )
-        assert ran("fly", truth, *asked, "--out", flown) == 0
-        log = foreign_log(FlightRecord.read(flown), tmp_path / f"log-{k}.csv")
+        assert ran("fly", truth, *request, "--out", flight) == 0
+        log = foreign_log(FlightRecord.read(flight), tmp_path / f"log-{k}.csv")
         mapped = foreign_map(tmp_path / "map.toml")
         logs.append(tmp_path / f"flight-{k}.parquet")
-        read = ("--map", mapped, "--aircraft", own, "--manoeuvres", "found", "--no-cache")
+        read = ("--map", mapped, "--aircraft", specific, "--manoeuvres", "found", "--no-cache")
         assert ran("log", "import", log, *read, "--out", logs[-1]) == 0
     common = ("--workers", 1, "--no-figures")
     # A model that lacks a term may stop short of the last standard error; it says so.
     code = ran(
-        "identify", own, "--flight", logs[0], logs[1], "--out", tmp_path / "identified", *common
+        "identify",
+        specific,
+        "--flight",
+        logs[0],
+        logs[1],
+        "--out",
+        tmp_path / "identified",
+        *common,
     )
     fit = json.loads((tmp_path / "identified" / "fit.json").read_text())
     assert (code == 0) == (fit["converged"] and bool(fit["names"]))
-    assert ran("compare", own, "--flight", logs[2], "--out", tmp_path / "gap", *common) == 1
+    assert ran("compare", specific, "--flight", logs[2], "--out", tmp_path / "gap", *common) == 1
     gap = json.loads((tmp_path / "gap" / "compare.json").read_text())
     assert "q_radps" in gap["above"]
     assert not any(row["slip"] for row in gap["channels"].values())
     ran(
         "refine",
-        own,
+        specific,
         "--train",
         logs[0],
         logs[1],
@@ -148,9 +155,9 @@ def test_a_stock_aircraft_and_its_logs_come_to_the_name_of_the_hidden_effect(
         "--no-pbox",
         *common,
     )
-    found = json.loads((tmp_path / "refined" / "refinement.json").read_text())
-    assert [(e["coefficient"], e["term"]) for e in found["effects"]] == [("Cm", "p_hat^2")]
-    assert found["effects"][0]["value"] == pytest.approx(hidden, rel=0.1)
+    result = json.loads((tmp_path / "refined" / "refinement.json").read_text())
+    assert [(e["coefficient"], e["term"]) for e in result["effects"]] == [("Cm", "p_hat^2")]
+    assert result["effects"][0]["value"] == pytest.approx(hidden, rel=0.1)
 
 
 @pytest.mark.parametrize("sign", [-1.0, pytest.param(1.0, marks=pytest.mark.slow)])
@@ -158,10 +165,10 @@ def test_measured_thrust_in_a_foreign_log_drives_the_replay(sign, tmp_path, caps
     """Knots, feet, degrees and g, no throttle; the elevator reversed as the case in which compare
     says no.
     """
-    flown, imported = tmp_path / "flown.parquet", tmp_path / "imported.parquet"
+    flight, imported = tmp_path / "flown.parquet", tmp_path / "imported.parquet"
     words = "fly espaaro --script doublet-elevator --duration-s 8 --rate-hz 100 --noise --seed 3"
-    ran(*words.split(), "--out", flown)
-    record = FlightRecord.read(flown)
+    ran(*words.split(), "--out", flight)
+    record = FlightRecord.read(flight)
     turned = record.with_columns({"elevator_deg": sign * record["elevator_deg"]})
     log = foreign_log(turned, tmp_path / "log.csv", "thrust_N")
     mapped = foreign_map(tmp_path / "map.toml", "thrust_N")

@@ -81,9 +81,9 @@ def sensor_record(fdm, seconds):
 
 
 def test_without_noise_the_sensors_are_the_truth_held_for_two_frames(mission):
-    measured, truth, held = sensor_record(mission({"sensor/noise": 0, "sensor/log": 1}), 20.0)
+    measured, truth, constant = sensor_record(mission({"sensor/noise": 0, "sensor/log": 1}), 20.0)
     assert np.array_equal(measured, truth)
-    assert np.array_equal(held[1:], measured[:-1][: len(held) - 1])
+    assert np.array_equal(constant[1:], measured[:-1][: len(constant) - 1])
 
 
 def test_noise_has_the_size_of_table_2_1_and_is_white(mission):
@@ -146,7 +146,7 @@ def test_position_agrees_with_geodesy_to_a_centimetre_at_one_kilometre(load_miss
 # --- steady loiter
 
 
-def settled(fdm):
+def settle(fdm):
     fly(fdm, 90.0, TRACK)
     return fly(fdm, 60.0, (*TRACK, "attitude/phi-deg"))
 
@@ -155,7 +155,7 @@ def test_steady_offset_of_the_loiter_law(mission):
     """No integrator: it settles outside, by the widened radius (EAS2TAS) and the side force of the
     turn.
     """
-    track = settled(mission(CALM))
+    track = settle(mission(CALM))
     assert 1.7 < track[:, 0].mean() < 2.4
     assert np.ptp(track[:, 0]) < 0.2
     assert np.abs(track[:, 1]).max() < 0.1
@@ -166,7 +166,7 @@ def test_offset_grows_with_the_square_of_the_period(mission):
     widened = 120 * (mission(CALM)["ap/EAS2TAS"] ** 2 - 1)
     assert widened == pytest.approx(1.17, abs=0.02)
     of_the_law = [
-        settled(mission({**CALM, "ap/NAVL1_PERIOD": period}))[:, 0].mean() - widened
+        settle(mission({**CALM, "ap/NAVL1_PERIOD": period}))[:, 0].mean() - widened
         for period in (17.0, 30.0)
     ]
     assert of_the_law[1] / of_the_law[0] == pytest.approx((30 / 17) ** 2, rel=0.05)

@@ -31,8 +31,8 @@ WRITES = ("journal", "table")
 
 @pytest.fixture
 def cluster():
-    with fakes.dask_cluster() as found:
-        yield found
+    with fakes.dask_cluster() as result:
+        yield result
 
 
 def finished(out):
@@ -53,7 +53,7 @@ class Victim:
         self.process, self.on_dask = None, False
 
     def start(self, on_dask, moment=None):
-        how = self.cluster.scheduler_address if on_dask else "fork"
+        options = self.cluster.scheduler_address if on_dask else "fork"
         words = [
             sys.executable,
             "-m",
@@ -62,7 +62,7 @@ class Victim:
             str(self.out),
             str(self.flights),
             "slow",
-            how,
+            options,
         ]
         self.process = subprocess.Popen(
             [*words, *([moment] if moment else [])], cwd=ROOT, stderr=subprocess.DEVNULL
@@ -89,24 +89,24 @@ class Victim:
             self.process.kill()
             self.process.wait()
 
-    def kill(self, what, chance):
+    def kill(self, kind, chance):
         """True if something was there to be killed."""
-        self.flying(what in DASK)
+        self.flying(kind in DASK)
         self.await_progress()
         time.sleep(chance.uniform(0.0, 0.2))
         if self.process.poll() is not None:
             return False
-        if what.startswith("parent"):
+        if kind.startswith("parent"):
             self.process.kill()
             self.process.wait()
             return True
-        if what == "worker":
+        if kind == "worker":
             targets = children(self.process.pid)
         else:
             nannies = [nanny.pid for nanny in self.cluster.workers.values() if nanny.pid]
             targets = (
                 nannies
-                if what == "dask worker"
+                if kind == "dask worker"
                 else [child for pid in nannies for child in children(pid)]
             )
         if not targets:
@@ -114,20 +114,22 @@ class Victim:
         os.kill(chance.choice(targets), signal.SIGKILL)
         return True
 
-    def tear(self, what, chance, number):
+    def tear(self, kind, chance, number):
         """Let it run into its own end in the middle of a write; for a table that is its
         last act.
         """
         self.end()
-        self.start(False, f"{what}:{number}")
+        self.start(False, f"{kind}:{number}")
         self.process.wait(120)
         return self.process.returncode == -signal.SIGKILL
 
 
 def children(pid):
     try:
-        found = psutil.Process(pid).children()
-        return [child.pid for child in found if "resource_tracker" not in " ".join(child.cmdline())]
+        result = psutil.Process(pid).children()
+        return [
+            child.pid for child in result if "resource_tracker" not in " ".join(child.cmdline())
+        ]
     except psutil.Error:
         return []
 
@@ -138,13 +140,13 @@ def torture(folder, cluster, flights, kills, seed):
     victim = Victim(folder, cluster, flights)
     hit = []
     try:
-        for what in kills:
-            found = (
-                victim.tear(what, chance, chance.randint(1, 2))
-                if what in WRITES
-                else victim.kill(what, chance)
+        for kind in kills:
+            result = (
+                victim.tear(kind, chance, chance.randint(1, 2))
+                if kind in WRITES
+                else victim.kill(kind, chance)
             )
-            hit += [what] if found else []
+            hit += [kind] if result else []
         victim.end()
         # Killed among the tables, of which the last run writes a manifest and three, or at the
         # manifest that says complete.
@@ -156,10 +158,10 @@ def torture(folder, cluster, flights, kills, seed):
     return hit
 
 
-def check(tmp_path, flights, at_least, hit, how="spawn"):
+def check(tmp_path, flights, at_least, hit, options="spawn"):
     spec = fakes.small_spec(tmp_path, flights)
     summary = run_campaign(
-        spec, tmp_path / "out", executor=ProcessExecutor(2, how), fly=fakes.steady
+        spec, tmp_path / "out", executor=ProcessExecutor(2, options), fly=fakes.steady
     )
     assert summary.statuses == {"ok": 64 * flights}
     run_campaign(spec, tmp_path / "undisturbed", executor=SerialExecutor(), fly=fakes.steady)
@@ -167,10 +169,10 @@ def check(tmp_path, flights, at_least, hit, how="spawn"):
         assert (tmp_path / "out" / name).read_bytes() == (
             tmp_path / "undisturbed" / name
         ).read_bytes(), name
-    left = {path.name for path in (tmp_path / "out").iterdir()} - {
+    remaining = {path.name for path in (tmp_path / "out").iterdir()} - {
         path.name for path in (tmp_path / "undisturbed").iterdir()
     }
-    assert all(name.endswith(".part") for name in left), left
+    assert all(name.endswith(".part") for name in remaining), remaining
     assert len(hit) >= at_least, hit
 
 
@@ -178,11 +180,11 @@ def check(tmp_path, flights, at_least, hit, how="spawn"):
 def test_a_disk_that_fills_up_is_a_sentence_and_the_same_command_goes_on(tmp_path):
     spec, out = fakes.small_spec(tmp_path, 2), tmp_path / "out"
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    kept = []
+    retained = []
 
     def fill(progress):
         # No file may grow any more: what a full disk does, without filling one.
-        kept.append(progress.done)
+        retained.append(progress.done)
         resource.setrlimit(
             resource.RLIMIT_FSIZE, ((out / "journal.sqlite").stat().st_size, before[1])
         )
@@ -197,7 +199,7 @@ def test_a_disk_that_fills_up_is_a_sentence_and_the_same_command_goes_on(tmp_pat
             )
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
-    assert finished(out) == kept[-1] < 128
+    assert finished(out) == retained[-1] < 128
     check(tmp_path, 2, 0, [], "fork")
 
 

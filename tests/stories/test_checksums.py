@@ -22,7 +22,7 @@ from uqharness.report import write_report
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory) -> Path:
+def results(tmp_path_factory) -> Path:
     """A campaign that is complete, and a study and a refinement with a campaign inside, all
     sealed.
     """
@@ -70,19 +70,19 @@ def damage(root: Path, flips: int, cuts: int, seed: int):
 @pytest.mark.parametrize(
     ("flips", "cuts"), [(60, 15), pytest.param(1000, 100, marks=pytest.mark.slow)]
 )
-def test_every_flip_and_every_cut_is_seen(made, flips, cuts):
-    assert all(verify(made / kind).whole for kind in ("campaign", "study", "refined"))
+def test_every_flip_and_every_cut_is_seen(results, flips, cuts):
+    assert all(verify(results / kind).whole for kind in ("campaign", "study", "refined"))
     unseen = []
-    for folder, path in damage(made, flips, cuts, 20161201):
+    for folder, path in damage(results, flips, cuts, 20161201):
         # What a report looks at, and what verify does.
         if verify(folder).whole or not faults(folder):
             unseen.append(path)
     assert unseen == []
-    assert all(verify(made / kind).whole for kind in ("campaign", "study", "refined"))
+    assert all(verify(results / kind).whole for kind in ("campaign", "study", "refined"))
 
 
-def test_a_report_says_so(made, tmp_path):
-    folder = shutil.copytree(made / "refined", tmp_path / "refined")
+def test_a_report_says_so(results, tmp_path):
+    folder = shutil.copytree(results / "refined", tmp_path / "refined")
     clean = write_report(folder)
     assert clean.damaged == ()
     page = clean.path.read_bytes()
@@ -92,14 +92,14 @@ def test_a_report_says_so(made, tmp_path):
     assert b"engine-check.csv" in report.path.read_bytes()
     flip(folder / "pbox" / "before" / "engine-check.csv", 300)
     flip(folder / "report.html", 300)
-    again = write_report(folder)
-    assert (again.damaged, again.rewritten) == ((), ("report.html",))
-    assert again.path.read_bytes() == page
+    repeat = write_report(folder)
+    assert (repeat.damaged, repeat.rewritten) == ((), ("report.html",))
+    assert repeat.path.read_bytes() == page
     assert verify(folder).whole
 
 
-def test_what_is_written_later_is_entered_and_what_users_add_is_not(made, tmp_path):
-    folder = shutil.copytree(made / "study", tmp_path / "study")
+def test_what_is_written_later_is_entered_and_what_users_add_is_not(results, tmp_path):
+    folder = shutil.copytree(results / "study", tmp_path / "study")
     write_bytes(folder / "fit" / "new.csv", b"1\n")
     (folder / "notes.txt").write_text("mine")
     sums = read_sums(folder)
@@ -139,8 +139,8 @@ def test_links_are_neither_followed_nor_entered(tmp_path):
     assert [fault.name for fault in faults(folder)] == ["a"]
 
 
-def test_a_full_or_broken_disk_ends_in_a_sentence(made, tmp_path, monkeypatch):
-    folder = shutil.copytree(made / "refined", tmp_path / "refined")
+def test_a_full_or_broken_disk_ends_in_a_sentence(results, tmp_path, monkeypatch):
+    folder = shutil.copytree(results / "refined", tmp_path / "refined")
 
     def broken(*_: object) -> None:
         raise OSError(errno.EIO, "Input/output error")

@@ -125,9 +125,9 @@ def test_the_containers_of_kubernetes_make_the_tables_of_one_run(tmp_path, singl
         return [port if word == "8786" else word for word in changed] + list(more)
 
     environment, host = path_with_commands(), ("--host", "127.0.0.1")
-    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "cwd": ROOT}
+    calm = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "cwd": ROOT}
     processes = [
-        subprocess.Popen(local(commands[name], *host), env=environment, **quiet)
+        subprocess.Popen(local(commands[name], *host), env=environment, **calm)
         for name in ("scheduler", "worker", "worker")
     ]
     try:

@@ -57,7 +57,7 @@ def cluster(certificate: dict[str, str]) -> Iterator[tuple[str, list[int]]]:
     with socket.socket() as probe:
         probe.bind((HERE, 0))
         port = probe.getsockname()[1]
-    address, quiet = (
+    address, calm = (
         f"tls://{HERE}:{port}",
         {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL},
     )
@@ -67,8 +67,8 @@ def cluster(certificate: dict[str, str]) -> Iterator[tuple[str, list[int]]]:
         ["worker", address, *local, "--nthreads", "1", "--no-nanny"],
     ]
     processes = [
-        subprocess.Popen([BIN / "dask", *given], env=certificate, cwd=ROOT, **quiet)
-        for given in words
+        subprocess.Popen([BIN / "dask", *inputs], env=certificate, cwd=ROOT, **calm)
+        for inputs in words
     ]
     try:
         yield address, [process.pid for process in processes]
@@ -97,13 +97,13 @@ def listens(pids: list[int]) -> set[str]:
             except OSError:
                 continue
             inodes |= {target[8:-1]} if target.startswith("socket:[") else set()
-    found = set()
+    result = set()
     for table in ("tcp", "tcp6"):
         for line in Path(f"/proc/net/{table}").read_text().splitlines()[1:]:
             fields = line.split()
             if fields[3] == "0A" and fields[9] in inodes:
-                found.add(fields[1].partition(":")[0])
-    return found
+                result.add(fields[1].partition(":")[0])
+    return result
 
 
 def test_a_campaign_flies_over_tls_on_one_address(cluster, certificate, tmp_path) -> None:

@@ -20,13 +20,13 @@ LAST = {
 
 def numbers(cell: str) -> list[tuple[int, int]]:
     """Numbers that a cell names: `2.1, 2.7 to 2.13`."""
-    found = []
+    result = []
     for part in cell.split(","):
         ends = [tuple(map(int, end.split("."))) for end in re.findall(r"\d+\.\d+", part)]
         first, last = ends[0], ends[-1]
         assert first[0] == last[0]
-        found += [(first[0], k) for k in range(first[1], last[1] + 1)]
-    return found
+        result += [(first[0], k) for k in range(first[1], last[1] + 1)]
+    return result
 
 
 def section(title: str) -> list[list[str]]:
@@ -35,10 +35,10 @@ def section(title: str) -> list[list[str]]:
 
 @pytest.mark.parametrize("title", LAST)
 def test_every_numbered_item_has_one_row(title: str):
-    named = [number for row in section(title) for number in numbers(row[0])]
+    listed = [number for row in section(title) for number in numbers(row[0])]
     printed = {(chapter, k) for chapter, last in LAST[title].items() for k in range(1, last + 1)}
-    assert set(named) == printed
-    assert len(named) == len(printed)
+    assert set(listed) == printed
+    assert len(listed) == len(printed)
 
 
 def test_every_row_says_where_or_why_not():

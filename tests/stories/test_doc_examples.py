@@ -51,33 +51,33 @@ def test_examples_run_at_full_size(name: str, tmp_path: Path):
 
 
 def test_no_example_is_passed_over(capsys: pytest.CaptureFixture[str]):
-    found = [example for page in PAGES.values() for example in de.examples(page)]
-    kinds = Counter(example.kind for example in found)
-    unknown = [example.where for example in found if example.kind == "unknown"]
+    result = [example for page in PAGES.values() for example in de.examples(page)]
+    kinds = Counter(example.kind for example in result)
+    unknown = [example.where for example in result if example.kind == "unknown"]
     assert unknown == [], "say in a marker what these are: see tests/helpers/doc_examples.py"
     assert kinds["shell"] + kinds["python"] + kinds["file"] >= 25
     with capsys.disabled():
         print(
             "\nexamples:", ", ".join(f"{number} {kind}" for kind, number in sorted(kinds.items()))
         )
-        for where, reason in excluded(found):
+        for where, reason in excluded(result):
             print(f"  {where}: {reason}")
-    for where, reason in excluded(found):
+    for where, reason in excluded(result):
         assert len(reason.split()) >= 3, f"{where}: that is no reason: {reason!r}"
     # A page with more exclusions than examples would be a page without tests.
     assert kinds["excluded"] < 0.5 * sum(kinds.values())
 
 
-def excluded(found: list[de.Example]) -> list[tuple[str, str]]:
+def excluded(result: list[de.Example]) -> list[tuple[str, str]]:
     """Place and reason of everything that no set runs, and of what the slow set alone runs."""
     listed = []
-    for example in found:
+    for example in result:
         for value in example.all("not run"):
             listed.append((example.where, f"not run: {value}"))
-        for key, how in (("leave out", "is left out"), ("slow line", "in the slow set")):
+        for key, options in (("leave out", "is left out"), ("slow line", "in the slow set")):
             for value in example.all(key):
                 line, reason = value.split(" -- ")
-                listed.append((example.where, f"'{line}' {how}: {reason}"))
+                listed.append((example.where, f"'{line}' {options}: {reason}"))
         for value in example.all("slow"):
             listed.append((example.where, f"slow set: {value}"))
         if example.kind == "shell":
@@ -96,8 +96,8 @@ def test_commands_in_the_text_have_the_options_they_name(name: str):
 
 
 def one(text: str) -> de.Example:
-    (found,) = de.examples_of(text, "page.md")
-    return found
+    (result,) = de.examples_of(text, "page.md")
+    return result
 
 
 @pytest.mark.parametrize(

@@ -61,17 +61,17 @@ class _Fetched(HTMLParser):
         self.addresses: list[str] = []
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        given = dict(attrs)
+        inputs = dict(attrs)
         if tag in {"script", "img", "iframe", "source"}:
-            self.addresses.append(given.get("src") or "")
-        if tag == "link" and given.get("rel") not in {
+            self.addresses.append(inputs.get("src") or "")
+        if tag == "link" and inputs.get("rel") not in {
             "next",
             "prev",
             "search",
             "index",
             "canonical",
         }:
-            self.addresses.append(given.get("href") or "")
+            self.addresses.append(inputs.get("href") or "")
 
 
 def test_every_public_name_has_a_chapter(monkeypatch: pytest.MonkeyPatch):

@@ -62,8 +62,8 @@ def test_a_flipped_coefficient_is_seen(name):
 
 def test_a_flipped_product_of_inertia_is_seen():
     states, positions = fly_doublet("aileron")
-    wrong = integrate(Airframe(Ixz=-0.25), states, positions, DT)
-    assert max(excess(states, wrong).values()) > 1.0
+    invalid = integrate(Airframe(Ixz=-0.25), states, positions, DT)
+    assert max(excess(states, invalid).values()) > 1.0
 
 
 def test_every_term_counts_the_same_on_both_sides():

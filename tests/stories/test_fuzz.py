@@ -24,8 +24,8 @@ def bad_worker():
 
 @pytest.fixture(scope="module")
 def worker():
-    with Worker() as found:
-        yield found
+    with Worker() as result:
+        yield result
 
 
 SAID = {
@@ -57,35 +57,35 @@ SAID = {
 
 @pytest.mark.parametrize("name", BAD)
 def test_bad_targets_are_findings(name, bad_worker):
-    found = bad_worker.attempt(name, 1)
-    assert found.outcome == "finding"
-    assert SAID[name] in found.what
+    result = bad_worker.attempt(name, 1)
+    assert result.outcome == "finding"
+    assert SAID[name] in result.what
 
 
 @pytest.mark.parametrize("name", GOOD)
 def test_good_targets_are_no_findings(name, bad_worker):
-    found = bad_worker.attempt(name, 1)
-    assert found.outcome == ("result" if name == "fine" else "refusal"), found.what
+    result = bad_worker.attempt(name, 1)
+    assert result.outcome == ("result" if name == "fine" else "refusal"), result.what
 
 
 def test_the_worker_serves_on_after_each_death(bad_worker):
     for name in ("aborts", "fine", "hangs", "fine"):
-        found = bad_worker.attempt(name, 1)
-        assert (found.outcome == "result") == (name == "fine")
+        result = bad_worker.attempt(name, 1)
+        assert (result.outcome == "result") == (name == "fine")
 
 
 def test_run_counts_findings():
-    counts, told = {"raises": Counts(), "fine": Counts()}, []
-    run(by_number(counts, 7, 3), counts, told.append, "tests.fuzz.bad_targets")
+    counts, reports = {"raises": Counts(), "fine": Counts()}, []
+    run(by_number(counts, 7, 3), counts, reports.append, "tests.fuzz.bad_targets")
     assert (counts["raises"].findings, counts["fine"].results) == (3, 3)
-    assert [(t.name, t.seed) for t in told] == [("raises", 7), ("raises", 8), ("raises", 9)]
+    assert [(t.name, t.seed) for t in reports] == [("raises", 7), ("raises", 8), ("raises", 9)]
 
 
 @pytest.mark.parametrize("name", FORMATS)
 def test_a_sound_input_is_read(name, worker):
     """Otherwise nothing behind the first refusal is ever tried."""
-    found = worker.attempt(name, SOUND)
-    assert found.outcome == "result", found.what
+    result = worker.attempt(name, SOUND)
+    assert result.outcome == "result", result.what
 
 
 @pytest.mark.parametrize("name", FORMATS)
@@ -101,8 +101,8 @@ def test_an_input_follows_from_its_seed(name):
 @pytest.mark.parametrize("name", FORMATS)
 def test_fixed_seeds_give_no_findings(name, worker):
     # JSBSim's own process is started for each of the flown ones.
-    found = [worker.attempt(name, seed) for seed in range(1 if name.endswith("-flown") else 3)]
-    assert [f for f in found if f.outcome == "finding"] == []
+    result = [worker.attempt(name, seed) for seed in range(1 if name.endswith("-flown") else 3)]
+    assert [f for f in result if f.outcome == "finding"] == []
 
 
 def test_the_command_line(tmp_path, monkeypatch, capsys):
@@ -118,9 +118,9 @@ def test_the_command_line(tmp_path, monkeypatch, capsys):
     assert captured.err.startswith("(raises, 0): ")
     assert captured.out.splitlines()[-1].split()[:5] == ["all", "2", "1", "0", "1"]
     assert call("--reproduce", "raises", "5") == 1
-    made = tmp_path / "fuzz-raises-5" / "input.bin"
-    assert made.read_bytes() == formats()["raises"].make(5)["input.bin"]
+    result = tmp_path / "fuzz-raises-5" / "input.bin"
+    assert result.read_bytes() == formats()["raises"].make(5)["input.bin"]
     assert capsys.readouterr().out.splitlines()[1].startswith("finding in")
-    with pytest.raises(SystemExit) as left:
+    with pytest.raises(SystemExit) as remaining:
         call("--reproduce", "nothing", "5")
-    assert left.value.code == 2
+    assert remaining.value.code == 2

@@ -50,10 +50,10 @@ def dart(tmp_path):
 
 
 def refusal(kind, function, *arguments):
-    with pytest.raises(kind) as found:
+    with pytest.raises(kind) as result:
         function(*arguments)
-    assert "\n" not in str(found.value)
-    return str(found.value)
+    assert "\n" not in str(result.value)
+    return str(result.value)
 
 
 @pytest.mark.parametrize("encoding", ["UTV-8", "base64", "idna"])
@@ -114,7 +114,7 @@ def test_a_sentence_stays_one_whatever_a_file_puts_into_it(dart):
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "output"),
     [
         (
             lambda t: t.append_column("more", pa.array([{"a": 1}] * len(t))),
@@ -124,13 +124,13 @@ def test_a_sentence_stays_one_whatever_a_file_puts_into_it(dart):
         (lambda t: t.slice(0, 0), "no flights"),
     ],
 )
-def test_tables_of_flights(change, said, tmp_path):
+def test_tables_of_flights(change, output, tmp_path):
     table = pq.read_table(CORPUS / "settings" / "flights.parquet")
     noted = table.replace_schema_metadata({b"pandas": b'\xff{"index_columns": {}}'})
     pq.write_table(noted, tmp_path / "sound.parquet")
     assert len(read_flights(tmp_path / "sound.parquet", {})) == len(table)
     pq.write_table(change(table), tmp_path / "flights.parquet")
-    assert said in refusal(BadInputError, read_flights, tmp_path / "flights.parquet", {})
+    assert output in refusal(BadInputError, read_flights, tmp_path / "flights.parquet", {})
 
 
 def test_rows_longer_than_the_header(tmp_path):
@@ -249,9 +249,9 @@ def test_delays_that_would_keep_the_compiler_busy():
         f'<actuator name="fcs/d{k}"><input>i/a</input><delay type="frames">1000</delay></actuator>'
         for k in range(20)
     )
-    said = batch_systems.refusal(f'<channel name="c">{delays}</channel>')
-    assert said.startswith("too large for the batch engine: more than 2500 numbers of state")
-    assert 'engine = "jsbsim"' in said
+    output = batch_systems.refusal(f'<channel name="c">{delays}</channel>')
+    assert output.startswith("too large for the batch engine: more than 2500 numbers of state")
+    assert 'engine = "jsbsim"' in output
     with pytest.raises(pytest.fail.Exception):
         batch_systems.refusal(f'<channel name="c">{delays.replace("1000", "20")}</channel>')
 

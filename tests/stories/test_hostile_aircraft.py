@@ -45,7 +45,7 @@ def plane(tmp_path: Path) -> Path:
     return folder
 
 
-def put(folder: Path, elements: str, name: str = "plane.xml") -> None:
+def write_value(folder: Path, elements: str, name: str = "plane.xml") -> None:
     """Elements as the last children of a file's root."""
     path = folder / name
     text = path.read_text(errors="surrogateescape")
@@ -73,7 +73,7 @@ def test_outputs_write_nothing_wherever_they_point(
         'type="CSV" rate="10"><property caption="&#10;touch'
         ' X&#10;#">position/h-sl-ft</property></output>'
     )
-    put(
+    write_value(
         plane,
         f'<output name="{tmp_path}/x.sh" {text}<output name="../../y.csv" {text}<output'
         f' file="{tmp_path}/z"/>',
@@ -83,14 +83,14 @@ def test_outputs_write_nothing_wherever_they_point(
         fly(plane)
         fly(plane)
     assert files_below(tmp_path) == before
-    (said,) = [record.message for record in caplog.records if str(plane) in record.message]
-    assert "4 <output>" in said
-    assert "left out" in said
+    (output,) = [record.message for record in caplog.records if str(plane) in record.message]
+    assert "4 <output>" in output
+    assert "left out" in output
 
 
 def test_without_the_gate_the_same_file_writes(plane: Path, tmp_path: Path) -> None:
     """The attack is real: JSBSim alone does what the author asks."""
-    put(
+    write_value(
         plane,
         f'<output name="{tmp_path}/x.csv" type="CSV"'
         ' rate="10"><property>position/h-sl-ft</property></output>',
@@ -117,7 +117,7 @@ def test_no_socket_is_opened(plane: Path) -> None:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
         free.close()
-        put(
+        write_value(
             plane,
             f'<input type="SOCKET" port="{port}"/><input type="QTJSBSIM" port="{port}"/><output'
             f' type="SOCKET" name="localhost" protocol="TCP" port="{listener.getsockname()[1]}"'
@@ -134,7 +134,7 @@ def test_a_state_asked_for_in_every_frame_is_not_written(
     plane: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    put(
+    write_value(
         plane,
         '<system name="w"><channel name="c"><fcs_function'
         ' name="a/one"><function><value>1</value></function>'
@@ -178,7 +178,7 @@ def test_a_script_neither_writes_nor_listens(plane: Path, tmp_path: Path) -> Non
     ],
 )
 def test_a_file_outside_is_refused_with_its_line(plane: Path, element: str) -> None:
-    put(plane, element)
+    write_value(plane, element)
     line = (plane / "plane.xml").read_text(errors="replace").count("\n")
     with pytest.raises(
         BadInputError, match=rf"plane\.xml:({line}|{line + 1}): .*leads out of the aircraft"
@@ -187,7 +187,7 @@ def test_a_file_outside_is_refused_with_its_line(plane: Path, element: str) -> N
 
 
 def test_a_second_aircraft_and_deep_nesting_are_refused(plane: Path) -> None:
-    put(plane, '<child name="../../other"><location unit="IN"><x>0</x></location></child>')
+    write_value(plane, '<child name="../../other"><location unit="IN"><x>0</x></location></child>')
     with pytest.raises(BadInputError, match="second aircraft"):
         fly(plane)
     deep = b"<a>" * (MAX_DEPTH + 1) + b"</a>" * (MAX_DEPTH + 1)

@@ -120,9 +120,9 @@ def printed(capsys: pytest.CaptureFixture[str], line: str, folder: Path) -> Any:
     words = line.replace("{case}", case).replace("{}", str(folder))
     words = words.replace("KITE", str(ROOT / "tests/uqharness/authoring/data")).split()
     code = cli.main([*words, "--json"])
-    said = capsys.readouterr()
-    assert code in (0, 1), said.err
-    return json.loads(said.out, parse_constant=lambda text: f"{text} is no JSON")
+    output = capsys.readouterr()
+    assert code in (0, 1), output.err
+    return json.loads(output.out, parse_constant=lambda text: f"{text} is no JSON")
 
 
 SEARCHING = (
@@ -152,7 +152,7 @@ def test_commands_print_what_their_schemas_say(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], left_out: tuple[str, ...]
 ):
     (tmp_path / "campaign.toml").write_text(CAMPAIGN)
-    wrong = []
+    invalid = []
     for name, line in COMMANDS.items():
         if name in left_out:
             continue
@@ -168,17 +168,17 @@ def test_commands_print_what_their_schemas_say(
                 ]
                 assert cli.main([*words, "--shard", part]) == 0
             capsys.readouterr()
-        found, check = printed(capsys, line, tmp_path), validator(name)
-        wrong += [
-            f"{name} {error.json_path}: {error.message}" for error in check.iter_errors(found)
+        result, check = printed(capsys, line, tmp_path), validator(name)
+        invalid += [
+            f"{name} {error.json_path}: {error.message}" for error in check.iter_errors(result)
         ]
-        wrong += [f"{name} prints NaN or Infinity"] if "is no JSON" in json.dumps(found) else []
+        invalid += [f"{name} prints NaN or Infinity"] if "is no JSON" in json.dumps(result) else []
         # The type of each value that the schema promises counts.
-        for key in promised(name) & set(found):
-            spoilt = copy.deepcopy(found)
-            spoilt[key] = object()
-            wrong += [f"{name} {key}: anything passes"] if check.is_valid(spoilt) else []
-    assert wrong == []
+        for key in promised(name) & set(result):
+            damaged = copy.deepcopy(result)
+            damaged[key] = object()
+            invalid += [f"{name} {key}: anything passes"] if check.is_valid(damaged) else []
+    assert invalid == []
 
 
 def promised(name: str) -> set[str]:
@@ -227,9 +227,9 @@ def test_a_dear_command_prints_what_its_schema_says(
             == 0
         )
     capsys.readouterr()
-    found = printed(capsys, DEAR[name], tmp_path)
+    result = printed(capsys, DEAR[name], tmp_path)
     assert [
-        f"{error.json_path}: {error.message}" for error in validator(name).iter_errors(found)
+        f"{error.json_path}: {error.message}" for error in validator(name).iter_errors(result)
     ] == []
 
 
@@ -242,8 +242,8 @@ def leaves(parser: argparse.ArgumentParser, path: tuple[str, ...] = ()) -> Itera
 
 
 def test_every_command_has_a_schema():
-    known = set(leaves(cli.complete_parser()))
-    assert known | {"compare-models", "next-flight-redone", "sensitivity-modal"} == set(SCHEMAS)
+    reference = set(leaves(cli.complete_parser()))
+    assert reference | {"compare-models", "next-flight-redone", "sensitivity-modal"} == set(SCHEMAS)
     assert {name.split(",")[0] for name in (*COMMANDS, *DEAR)} == set(SCHEMAS)
 
 

@@ -72,10 +72,10 @@ def test_a_notebook_is_valid_and_has_no_outputs(path: Path):
 def test_a_notebook_runs_and_shows_tables_and_figures(
     path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    shown = run(nbformat.read(path, as_version=4), tmp_path, monkeypatch)
-    tables = "".join(data["text/html"] for data in shown if "text/html" in data)
+    visible = run(nbformat.read(path, as_version=4), tmp_path, monkeypatch)
+    tables = "".join(data["text/html"] for data in visible if "text/html" in data)
     assert [word for word in WORDS[path.stem] if word not in tables] == []
-    assert sum("image/png" in data for data in shown) == FIGURES[path.stem]
+    assert sum("image/png" in data for data in visible) == FIGURES[path.stem]
 
 
 @pytest.mark.filterwarnings("ignore")

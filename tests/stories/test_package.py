@@ -25,15 +25,15 @@ yaml = pytest.importorskip("yaml")
 
 def tracked(*folders: str) -> set[str]:
     """Files of a clean checkout under these folders: what lies there, less caches and results."""
-    found = set()
+    result = set()
     for folder in folders:
         for path in (ROOT / folder).rglob("*"):
             parts = path.relative_to(ROOT).parts
             # The package uqharness.results is none of the folders that runs leave.
             ran = parts[0] == "campaigns" and any(p.startswith("results") for p in parts)
             if path.is_file() and "__pycache__" not in parts and not ran:
-                found.add("/".join(parts))
-    return found
+                result.add("/".join(parts))
+    return result
 
 
 @pytest.fixture(scope="module")
@@ -49,10 +49,10 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_the_wheel_holds_every_file_that_commands_look_for(wheel: Path):
     names = set(zipfile.ZipFile(wheel).namelist())
-    given = {
+    inputs = {
         name for name in tracked("aircraft", "scripts", "campaigns") if not name.endswith(".py")
     }
-    data = {f"uqharness/data/{name}" for name in given if not name.endswith(".parquet")}
+    data = {f"uqharness/data/{name}" for name in inputs if not name.endswith(".parquet")}
     assert len(data) > 40
     assert data - names == set()
     assert tracked("sysid", "uqharness") - names == set()
@@ -87,10 +87,10 @@ def sdist(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_sdist_gives_the_same_wheel(sdist: Path, wheel: Path, tmp_path: Path):
     command = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(tmp_path)]
     subprocess.run(command, cwd=sdist, check=True, capture_output=True)
-    (again,) = tmp_path.glob("*.whl")
+    (repeat,) = tmp_path.glob("*.whl")
     first, second = (
         {info.filename: info.CRC for info in zipfile.ZipFile(path).infolist()}
-        for path in (wheel, again)
+        for path in (wheel, repeat)
     )
     assert second == first
     # What a packager needs to test it.
@@ -105,18 +105,18 @@ def test_the_metadata_are_valid_and_name_the_versions_that_are_tested(wheel: Pat
     with zipfile.ZipFile(wheel) as archive:
         (name,) = (name for name in archive.namelist() if name.endswith(".dist-info/METADATA"))
         text = archive.read(name)
-    found = metadata.Metadata.from_email(text, validate=True)
-    assert found.description_content_type == "text/markdown"
-    assert found.license_expression == "MIT"
+    result = metadata.Metadata.from_email(text, validate=True)
+    assert result.description_content_type == "text/markdown"
+    assert result.license_expression == "MIT"
     # Linux with Python 3.11 alone is tested; a classifier is a claim.
     versions = {
-        c for c in found.classifiers if c.startswith("Programming Language :: Python :: 3.")
+        c for c in result.classifiers if c.startswith("Programming Language :: Python :: 3.")
     }
-    systems = {c for c in found.classifiers if c.startswith("Operating System")}
+    systems = {c for c in result.classifiers if c.startswith("Operating System")}
     assert versions == {"Programming Language :: Python :: 3.11"}
     assert systems == {"Operating System :: POSIX :: Linux"}
-    known = pytest.importorskip("trove_classifiers").classifiers
-    assert set(found.classifiers) <= known
+    reference = pytest.importorskip("trove_classifiers").classifiers
+    assert set(result.classifiers) <= reference
     with pytest.raises(metadata.ExceptionGroup):
         metadata.Metadata.from_email(text.replace(b"Version: ", b"Version: not a "), validate=True)
 

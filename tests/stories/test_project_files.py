@@ -80,10 +80,10 @@ def test_release_notes_are_the_changelogs_section(capsys: pytest.CaptureFixture[
         "version"
     ]
     assert notes["main"]([version]) == 0
-    said = capsys.readouterr().out
-    assert said.startswith("### ")
-    assert "\n## " not in said
-    assert said.strip() in CHANGELOG
+    output = capsys.readouterr().out
+    assert output.startswith("### ")
+    assert "\n## " not in output
+    assert output.strip() in CHANGELOG
     assert notes["main"](["0.0.1"]) == 1
     assert "pyproject.toml has" in capsys.readouterr().err
     assert (
@@ -96,8 +96,8 @@ def test_release_notes_are_the_changelogs_section(capsys: pytest.CaptureFixture[
 def test_the_conda_recipe_asks_for_what_the_wheel_asks_for():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     recipe = loaded("recipe/recipe.yaml")
-    asked = {re.sub(r"\s|-base", "", line) for line in recipe["requirements"]["run"]}
-    assert asked == {f"python{project['requires-python']}", *project["dependencies"]}
+    request = {re.sub(r"\s|-base", "", line) for line in recipe["requirements"]["run"]}
+    assert request == {f"python{project['requires-python']}", *project["dependencies"]}
     assert recipe["context"]["version"] == project["version"]
     (entry,) = recipe["build"]["python"]["entry_points"]
     assert entry == f"uqharness = {project['scripts']['uqharness']}"
@@ -131,7 +131,7 @@ def test_the_contributors_page_names_what_there_is():
     assert wrong_places(CONTRIBUTING) == []
     assert wrong_folders(CONTRIBUTING) == []
     check_commands(CONTRIBUTING, "CONTRIBUTING.md")
-    named = set(re.findall(r"`make ([a-z-]+)`", CONTRIBUTING))
+    listed = set(re.findall(r"`make ([a-z-]+)`", CONTRIBUTING))
     targets = set(re.findall(r"^([a-z-]+):", MAKEFILE, re.M))
-    assert len(named) >= 8
-    assert named <= targets
+    assert len(listed) >= 8
+    assert listed <= targets

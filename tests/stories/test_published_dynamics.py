@@ -30,27 +30,27 @@ def rate(x, u, theta):
     )
 
 
-def seen(x, u, theta):
+def observe(x, u, theta):
     return np.array([theta[0] * x[0] + theta[1] * x[1] + theta[2] * u[0], x[0], x[1]])
 
 
-def simulate(theta, elevator, held=False):
+def simulate(theta, elevator, constant=False):
     x, out = np.zeros(2), []
-    for k, now in enumerate(elevator):
-        out.append(seen(x, [now], theta))
-        then = now if held or k + 1 == len(elevator) else elevator[k + 1]
-        middle = 0.5 * (now + then)
-        k1 = rate(x, [now], theta)
+    for k, current in enumerate(elevator):
+        out.append(observe(x, [current], theta))
+        previous = current if constant or k + 1 == len(elevator) else elevator[k + 1]
+        middle = 0.5 * (current + previous)
+        k1 = rate(x, [current], theta)
         k2 = rate(x + 0.5 * DT * k1, [middle], theta)
         k3 = rate(x + 0.5 * DT * k2, [middle], theta)
-        x = x + DT / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + rate(x + DT * k3, [then], theta))
+        x = x + DT / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + rate(x + DT * k3, [previous], theta))
     return np.array(out)
 
 
 def test_equation_error_gives_the_published_constants_to_their_last_digit():
-    found = equation_error(DATA[:, :3], AZ, names=NAMES[:3])
-    np.testing.assert_allclose(found.theta, PUBLISHED[:3], atol=5e-5)
-    assert (found.std < 1e-5).all()
+    result = equation_error(DATA[:, :3], AZ, names=NAMES[:3])
+    np.testing.assert_allclose(result.theta, PUBLISHED[:3], atol=5e-5)
+    assert (result.std < 1e-5).all()
 
 
 def test_stepwise_takes_what_the_published_equation_has_and_nothing_else():
@@ -62,7 +62,14 @@ def test_stepwise_takes_what_the_published_equation_has_and_nothing_else():
 @pytest.mark.slow
 def test_filter_error_agrees_within_its_bounds_from_the_authors_start():
     fit = filter_error(
-        rate, seen, np.zeros(2), START, DE[:, None], MEASURED, np.arange(W.size) * DT, names=NAMES
+        rate,
+        observe,
+        np.zeros(2),
+        START,
+        DE[:, None],
+        MEASURED,
+        np.arange(W.size) * DT,
+        names=NAMES,
     )
     assert fit.converged
     assert (np.abs(fit.theta - PUBLISHED) < 2.0 * fit.std).all()
@@ -84,11 +91,14 @@ def test_output_error_of_an_unstable_aircraft_comes_home_from_far_off(start):
 
 
 def test_output_error_is_as_near_as_its_input_between_samples_allows():
-    held, straight = (
+    constant, level = (
         output_error(
-            lambda theta, held=held: simulate(theta, DE, held), START, MEASURED, names=NAMES
+            lambda theta, constant=constant: simulate(theta, DE, constant),
+            START,
+            MEASURED,
+            names=NAMES,
         )
-        for held in (True, False)
+        for constant in (True, False)
     )
-    np.testing.assert_allclose(straight.theta, PUBLISHED, rtol=0.03)
-    assert not np.allclose(held.theta, PUBLISHED, rtol=0.15)
+    np.testing.assert_allclose(level.theta, PUBLISHED, rtol=0.03)
+    assert not np.allclose(constant.theta, PUBLISHED, rtol=0.15)

@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.fuzz.systems import AGREED, DEAD, DIFFERS, FRAMES, REFUSED, attempt, judged
+from tests.fuzz.systems import AGREED, DEAD, DIFFERS, FRAMES, REFUSED, attempt, judge
 
 SERIES = {
     "i/a": np.tile([0.3, -5.0, 5.0, 1.0], FRAMES // 4),
@@ -31,10 +31,10 @@ def function(body: str) -> str:
 )
 def test_no_random_system_differs(seeds):
     outcomes = {seed: attempt(seed) for seed in seeds}
-    assert [(seed, *found) for seed, found in outcomes.items() if found[0] == DIFFERS] == []
-    agreed = [seed for seed, found in outcomes.items() if found[0] == AGREED]
+    assert [(seed, *result) for seed, result in outcomes.items() if result[0] == DIFFERS] == []
+    agreed = [seed for seed, result in outcomes.items() if result[0] == AGREED]
     assert len(agreed) > 0.5 * len(outcomes)
-    assert all(found[1] for found in outcomes.values() if found[0] in (REFUSED, DEAD))
+    assert all(result[1] for result in outcomes.values() if result[0] in (REFUSED, DEAD))
 
 
 @pytest.mark.parametrize(
@@ -64,7 +64,7 @@ def test_no_random_system_differs(seeds):
 )
 def test_what_was_met(body, outcome):
     nan = '<function name="f/nan"><asin><v>2</v></asin></function>'
-    assert judged(nan + function(body), SERIES)[0] == outcome
+    assert judge(nan + function(body), SERIES)[0] == outcome
 
 
 def test_another_system_is_seen_to_differ(monkeypatch):
@@ -75,4 +75,4 @@ def test_another_system_is_seen_to_differ(monkeypatch):
     monkeypatch.setattr(
         batch_systems, "document_of", lambda text: before(text.replace("<v>7</v>", "<v>7.001</v>"))
     )
-    assert judged(function("<product><p>i/a</p><v>7</v></product>"), SERIES)[0] == DIFFERS
+    assert judge(function("<product><p>i/a</p><v>7</v></product>"), SERIES)[0] == DIFFERS

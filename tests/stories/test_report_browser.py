@@ -87,7 +87,7 @@ def pages(tmp_path_factory):
     root = tmp_path_factory.mktemp("pages")
     campaigns = folders.campaigns(root)
     assert main(["sensitivity", str(campaigns / "before"), "--json"]) == 0
-    made = {
+    result = {
         "identify": folders.identified(root / "identified"),
         "compare": folders.compared(root / "compared"),
         "refine": folders.refined(root / "refined"),
@@ -95,29 +95,29 @@ def pages(tmp_path_factory):
         "validate-bounds": folders.covered(root / "check"),
         "campaign": campaigns / "before",
     }
-    for kind, folder in made.items():
+    for kind, folder in result.items():
         write_report(folder)
         shutil.copytree(folder, root / "study" / kind)
     shutil.copytree(campaigns / "after", root / "study" / "after")
-    stages = [folders.stage(kind, kind, kind) for kind in made]
+    stages = [folders.stage(kind, kind, kind) for kind in result]
     stages.append(folders.stage("after", "campaign", "after"))
-    both = {"before": "campaign", "after": "after"}
+    pair = {"before": "campaign", "after": "after"}
     question = "Can the E-SPAARO hold 15 m of the circle in moderate turbulence?"
     document = folders.study(
-        stages, before_after=both, answer=folders.ANSWER, tracks=folders.TRACKS, question=question
+        stages, before_after=pair, answer=folders.ANSWER, tracks=folders.TRACKS, question=question
     )
-    made["study"] = folders.written(root / "study", "study.json", document)
-    folders.tracks(made["study"])
-    write_report(made["study"])
+    result["study"] = folders.written(root / "study", "study.json", document)
+    folders.tracks(result["study"])
+    write_report(result["study"])
     for kind, line in ASKED.items():
         folder = root / kind
         folder.mkdir()
-        made[kind] = folder
+        result[kind] = folder
         words = [
-            word.format(folder / "report.html", folder=folder, **made) for word in line.split()
+            word.format(folder / "report.html", folder=folder, **result) for word in line.split()
         ]
         assert main(words) in (0, 1), kind
-    return made
+    return result
 
 
 @pytest.fixture(scope="module")
@@ -129,20 +129,20 @@ def browser():
         "playwright.sync_api",
         reason="no browser test: playwright is not installed (pip install -e '.[browser]')",
     )
-    tried = []
+    trial = []
     with playwright.sync_playwright() as play:
         for path in dict.fromkeys((os.environ.get("UQ_BROWSER"), None, *map(shutil.which, _NAMES))):
             try:
-                found = play.chromium.launch(
+                result = play.chromium.launch(
                     executable_path=path, args=["--no-sandbox", "--disable-dev-shm-usage"]
                 )
             except playwright.Error as error:
-                tried.append(f"{path or 'its own'}: {str(error).splitlines()[0]}")
+                trial.append(f"{path or 'its own'}: {str(error).splitlines()[0]}")
                 continue
-            yield found
-            found.close()
+            yield result
+            result.close()
             return
-    pytest.skip(f"no browser test: no Chromium starts ({'; '.join(tried)})")
+    pytest.skip(f"no browser test: no Chromium starts ({'; '.join(trial)})")
 
 
 @pytest.fixture
@@ -196,9 +196,9 @@ def test_the_accessibility_tree_has_a_name_for_everything(opened, kind):
     """What a screen reader gets, from the browser's own tree."""
     page = opened(kind)
     nodes = page.context.new_cdp_session(page).send("Accessibility.getFullAXTree")["nodes"]
-    shown = [n for n in nodes if not n.get("ignored")]
-    roles = [n["role"]["value"] for n in shown]
-    for node in shown:
+    visible = [n for n in nodes if not n.get("ignored")]
+    roles = [n["role"]["value"] for n in visible]
+    for node in visible:
         if node["role"]["value"] in (
             "image",
             "img",
@@ -212,7 +212,7 @@ def test_the_accessibility_tree_has_a_name_for_everything(opened, kind):
             assert node.get("name", {}).get("value", "").strip(), node["role"]
     levels = [
         p["value"]["value"]
-        for n in shown
+        for n in visible
         if n["role"]["value"] == "heading"
         for p in n["properties"]
         if p["name"] == "level"
@@ -287,19 +287,19 @@ def test_the_reader_of_a_studys_p_box_tells_shares_and_no_empty_band(opened, wid
     figure = page.locator("#answer-pbox")
     slider, output = figure.locator("input"), figure.locator("output")
     low, high = (float(slider.get_attribute(end)) for end in ("min", "max"))
-    seen, tops = set(), set()
+    observed, tops = set(), set()
     for share in (0.2, 0.5, 0.8):
         slider.evaluate(
             "(slider, at) => { slider.value = at; slider.dispatchEvent(new Event('input')); }",
             low + share * (high - low),
         )
-        said = output.inner_text()
-        assert "after: " in said
-        assert "before: " in said
-        assert "0 % to 100 %." not in said
-        seen.add(said)
+        message = output.inner_text()
+        assert "after: " in message
+        assert "before: " in message
+        assert "0 % to 100 %." not in message
+        observed.add(message)
         tops.add(figure.locator("figcaption").bounding_box()["y"])
-    assert len(seen) == 3
+    assert len(observed) == 3
     # The text has its room: the page does not move under the pointer.
     assert len(tops) == 1
 
@@ -319,11 +319,11 @@ def test_on_paper_it_is_dark_on_white_and_fits(opened, kind):
     assert page.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)"
     assert page.evaluate(CONTRAST) == []
     assert page.locator(".reader").first.is_hidden() if page.locator(".reader").count() else True
-    cut = (
+    section = (
         "[...document.querySelectorAll('figure svg')].filter((s) => s.getBoundingClientRect().right"
         " > innerWidth + 1).length"
     )
-    assert page.evaluate(cut) == 0
+    assert page.evaluate(section) == 0
 
 
 def test_the_checks_say_no(opened):

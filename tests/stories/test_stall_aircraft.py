@@ -141,25 +141,25 @@ def test_the_print_differs_from_our_reading_at_the_negative_stall_alone():
 
 def test_simplified_models_by_property():
     # SL and the fully attached true model are the same thing.
-    flown = fly("synthetic_stall", "doublet", (("aero/stall", 0.0),))
+    flight = fly("synthetic_stall", "doublet", (("aero/stall", 0.0),))
     model = StallingAirframe(coefficients=stall_model.TABLE_2_4, separation=Separation(on=False))
-    alone = against.integrate(model, *flown, DT, stall_model.derivative)
-    assert excess(flown[0], alone) < 1.0
+    single = against.integrate(model, *flight, DT, stall_model.derivative)
+    assert excess(flight[0], single) < 1.0
 
 
 def test_the_truth_is_the_espaaro_and_four_effects():
     folder = PROJECT_ROOT / "aircraft"
     ours = (folder / "espaaro/espaaro.xml").read_text().splitlines()
     truth = (folder / "espaaro_truth/espaaro_truth.xml").read_text().splitlines()
-    gone = [line[2:].strip() for line in difflib.ndiff(ours, truth) if line.startswith("- ")]
+    absent = [line[2:].strip() for line in difflib.ndiff(ours, truth) if line.startswith("- ")]
     names = (
         "espaaro",
         "E-SPAARO",
         "CZ_alpha</property> <property>aero/alpha-rad",
         "aero/Cl_de</property>",
     )
-    assert len(gone) == 5
-    assert all(any(name in line for name in names) for line in gone), gone
+    assert len(absent) == 5
+    assert all(any(name in line for name in names) for line in absent), absent
 
 
 @pytest.mark.parametrize("name", STEADY)

@@ -76,16 +76,16 @@ def test_a_small_study_from_logs_to_p_boxes(tmp_path, capsys):
         "1",
     ]
     assert cli.main(words) == 0
-    said = capsys.readouterr()
-    assert said.err == ""
+    output = capsys.readouterr()
+    assert output.err == ""
     # 40 s a corner cannot decide: the answer says so, and how many hours would.
-    assert said.out.startswith(
+    assert output.out.startswith(
         "Does it hold 15 m of the circle? Inconclusive (too few flight hours) in 3 m/s wind with"
         " light turbulence"
     )
-    assert "h per corner in 3 m/s light" in said.out
-    assert said.out.endswith(f"Report: {tmp_path / 'out' / 'report.html'}\n")
-    assert len(said.out.splitlines()) <= 5
+    assert "h per corner in 3 m/s light" in output.out
+    assert output.out.endswith(f"Report: {tmp_path / 'out' / 'report.html'}\n")
+    assert len(output.out.splitlines()) <= 5
     page = (tmp_path / "out" / "report.html").read_text()
     assert "Does it hold 15 m of the circle?" in page
     assert "commanded path" in page
@@ -100,11 +100,11 @@ def test_a_small_study_from_logs_to_p_boxes(tmp_path, capsys):
     # The campaign flew the identified aircraft within that very aircraft's bounds.
     form = read_model_form(out / "bounds-before" / "model-form.json")
     assert form.aircraft.sha256 == content_hash(find_aircraft(out / "identify" / "aircraft"))
-    flown = find_aircraft(out / "campaign-before" / "aircraft" / "aircraft")
-    assert (flown.folder / "Systems" / "model-form.xml").read_bytes() == (
+    flight = find_aircraft(out / "campaign-before" / "aircraft" / "aircraft")
+    assert (flight.folder / "Systems" / "model-form.xml").read_bytes() == (
         out / "bounds-before" / "model-form.xml"
     ).read_bytes()
-    assert (flown.folder / "espaaro.xml").read_bytes() == (
+    assert (flight.folder / "espaaro.xml").read_bytes() == (
         out / "identify" / "aircraft" / "espaaro.xml"
     ).read_bytes()
     manifest = json.loads((out / "campaign-before" / "manifest.json").read_text())
@@ -127,11 +127,11 @@ def test_the_whole_chain_names_what_is_missing_and_the_refined_model_knows_more(
     (tmp_path / "study.toml").write_text(text)
     document = run_chain(run_request, read_chain(tmp_path / "study.toml"), tmp_path / "out")
     assert {row.exit for row in document.stages} == {0}
-    said = {sentence.text: sentence.level for sentence in document.verdict}
-    named = next(words for words in said if words.startswith("Refinement named"))
-    assert "(aero/Cm_p2)" in named
-    assert "(aero/Cl_de)" in named
-    widths = next(words for words in said if words.startswith("Mean width of the bounds"))
+    output = {sentence.text: sentence.level for sentence in document.verdict}
+    listed = next(words for words in output if words.startswith("Refinement named"))
+    assert "(aero/Cm_p2)" in listed
+    assert "(aero/Cl_de)" in listed
+    widths = next(words for words in output if words.startswith("Mean width of the bounds"))
     assert all(f"{c} -" in widths for c in ("Cl", "Cm"))
     refined = find_aircraft(tmp_path / "out" / "refine" / "aircraft" / "aircraft")
     form = read_model_form(tmp_path / "out" / "bounds-after" / "model-form.json")

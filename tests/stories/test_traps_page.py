@@ -19,23 +19,23 @@ def reproductions(*names: str) -> set[str]:
 
 
 def test_each_trap_names_its_test():
-    there = reproductions(*TRAPS)
-    there |= reproductions("../uqharness/replay/test_speed.py")
+    present = reproductions(*TRAPS)
+    present |= reproductions("../uqharness/replay/test_speed.py")
     untested = 0
     for row in rows(PAGE):
         assert len(row) == 4, row
-        named = re.findall(r"`(test_\w+)`", row[3])
+        listed = re.findall(r"`(test_\w+)`", row[3])
         if row[3].startswith("none: "):
             untested += 1
         else:
-            assert len(named) == 1, row
-            assert named[0] in there, row
+            assert len(listed) == 1, row
+            assert listed[0] in present, row
     assert untested <= 1
 
 
 def test_each_test_is_named_by_a_page():
-    named = set(re.findall(r"`(test_\w+)`", PAGE))
-    lacking = reproductions(*TRAPS) - named
+    listed = set(re.findall(r"`(test_\w+)`", PAGE))
+    lacking = reproductions(*TRAPS) - listed
     assert lacking == {"test_the_version_these_findings_belong_to"}
     letters = {
         re.match(r"test_([a-z])_", test)[1]

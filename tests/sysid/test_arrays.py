@@ -11,7 +11,7 @@ NAMES = ("a", "b", "c")
 
 
 @pytest.mark.parametrize(
-    ("value", "said"),
+    ("value", "output"),
     [
         ([np.ones((3, 2)), np.ones((3, 1))], "z, segment 1 has 1 columns, segment 0 has 2"),
         (np.ones((0, 2)), r"z has shape \(0, 2\)"),
@@ -21,8 +21,8 @@ NAMES = ("a", "b", "c")
         ([[1.0, 2.0], [3.0, np.inf]], "1 value.s. that are not finite, first at row 1, column 1"),
     ],
 )
-def test_segments_that_are_none(value, said):
-    with pytest.raises(ValueError, match=said):
+def test_segments_that_are_none(value, output):
+    with pytest.raises(ValueError, match=output):
         as_segments(value, "z", dropouts=True)
 
 
@@ -43,7 +43,7 @@ def test_every_form_of_bounds_says_the_same():
 
 
 @pytest.mark.parametrize(
-    ("bounds", "said"),
+    ("bounds", "output"),
     [
         ({"d": (0, 1)}, "bounds names d; the parameters are a, b, c"),
         ([(0, 1)], "1 entries for 3"),
@@ -53,8 +53,8 @@ def test_every_form_of_bounds_says_the_same():
         ({"c": (float("nan"), 3.0)}, "bounds of c"),
     ],
 )
-def test_bounds_that_are_none(bounds, said):
-    with pytest.raises(ValueError, match=said):
+def test_bounds_that_are_none(bounds, output):
+    with pytest.raises(ValueError, match=output):
         as_bounds(bounds, np.array([0.0, 1.0, 2.0]), NAMES)
 
 
@@ -62,12 +62,12 @@ def test_free_parameters_by_name_number_or_mask():
     assert as_free(None, NAMES).all()
     for form in (["c", "a"], [0, 2], [True, False, True], np.array([True, False, True])):
         assert as_free(form, NAMES).tolist() == [True, False, True]
-    for bad, said in (
+    for invalid, output in (
         (["d"], "free names d"),
         ([3], "0 to 2"),
         ([-1], "0 to 2"),
         ([True], "1 entries for 3"),
         ([], "no parameter"),
     ):
-        with pytest.raises(ValueError, match=said):
-            as_free(bad, NAMES)
+        with pytest.raises(ValueError, match=output):
+            as_free(invalid, NAMES)

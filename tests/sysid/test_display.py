@@ -23,9 +23,9 @@ from sysid.display import (
 def test_a_view_is_well_formed_and_escapes_what_logs_say():
     evil = "<script>alert(1)</script>"
     table = rows_table([{evil: evil, "estimate": 0.5}, {evil: "b", "estimate": math.nan}])
-    shown = view(evil, table, facts={evil: evil}, warnings=[evil])
-    assert "<script" not in shown
-    tree = ElementTree.fromstring(shown)
+    displayed = view(evil, table, facts={evil: evil}, warnings=[evil])
+    assert "<script" not in displayed
+    tree = ElementTree.fromstring(displayed)
     assert [cell.text for cell in tree.iter("td")] == [evil, "0.5", "b", None]
     assert [item.text for item in tree.iter("li")] == [evil]
     # The same check sees a text that is not escaped.

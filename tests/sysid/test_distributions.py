@@ -16,7 +16,7 @@ X = np.array([1e-3, 0.2, 1.0, 4.0, 30.0])
 
 
 @pytest.mark.parametrize(
-    ("found", "expected"),
+    ("result", "expected"),
     [
         (own.normal_quantile(P), stats.norm.ppf(P)),
         (own.normal_tail(X), stats.norm.sf(X)),
@@ -32,14 +32,14 @@ X = np.array([1e-3, 0.2, 1.0, 4.0, 30.0])
         *((own.gamma_tail(X, shape), stats.gamma.sf(X, shape)) for shape in (0.4, 7.0)),
     ],
 )
-def test_they_are_those_of_scipy_stats(found: np.ndarray, expected: np.ndarray) -> None:
-    np.testing.assert_allclose(found, expected, rtol=1e-9)
-    assert not np.allclose(found, 1.001 * expected, rtol=1e-5)
+def test_they_are_those_of_scipy_stats(result: np.ndarray, expected: np.ndarray) -> None:
+    np.testing.assert_allclose(result, expected, rtol=1e-9)
+    assert not np.allclose(result, 1.001 * expected, rtol=1e-5)
 
 
 @pytest.mark.parametrize(
     "module", ["sysid.distributions", "uqharness.statistics.pbox", "sysid.model_form.model_form"]
 )
 def test_scipy_stats_is_not_loaded(module: str) -> None:
-    asked = f"import sys, {module}; sys.exit('scipy.stats' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", asked], check=False).returncode == 0
+    request = f"import sys, {module}; sys.exit('scipy.stats' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", request], check=False).returncode == 0

@@ -31,15 +31,17 @@ def blocks(dense: np.ndarray) -> Blocks:
 
 def test_of_each_segment_the_columns_that_move_it_are_kept():
     s = sensitivity()
-    cut = blocks(s)
-    assert [c.tolist() for c in cut.columns] == [[0, 1, 2, 3], [0, 1, 4, 5], [0, 1, 6, 7]]
-    np.testing.assert_array_equal(cut.dense(), s)
+    section = blocks(s)
+    assert [c.tolist() for c in section.columns] == [[0, 1, 2, 3], [0, 1, 4, 5], [0, 1, 6, 7]]
+    np.testing.assert_array_equal(section.dense(), s)
     vector = np.arange(8.0)
-    np.testing.assert_allclose(cut.matvec(vector), s @ vector, atol=1e-12)
-    np.testing.assert_array_equal(cut.largest(), np.abs(s).max(axis=0))
+    np.testing.assert_allclose(section.matvec(vector), s @ vector, atol=1e-12)
+    np.testing.assert_array_equal(section.largest(), np.abs(s).max(axis=0))
     some = np.array([1, 4, 7])
-    np.testing.assert_array_equal(cut.select_columns(some).dense(), s[:, :, some])
-    doubled = cut.map_parts(lambda part, columns, rows: part * np.arange(15.0)[rows, None, None])
+    np.testing.assert_array_equal(section.select_columns(some).dense(), s[:, :, some])
+    doubled = section.map_parts(
+        lambda part, columns, rows: part * np.arange(15.0)[rows, None, None]
+    )
     np.testing.assert_array_equal(doubled.dense(), s * np.arange(15.0)[:, None, None])
     assert not np.array_equal(doubled.dense(), s)
 
@@ -49,10 +51,10 @@ def test_of_each_segment_the_columns_that_move_it_are_kept():
 
 
 def total(values):
-    found = 0.0
+    result = 0.0
     for k in range(len(values)):
-        found += values[k] ** 2
-    return found
+        result += values[k] ** 2
+    return result
 
 
 @pytest.mark.parametrize("writable", [True, False])
@@ -95,7 +97,7 @@ def test_a_cache_of_moved_modules_is_discarded(tmp_path):
 @pytest.mark.parametrize("keep", [0.0, 0.3, 0.999, -0.5])
 def test_noise_as_another_implementation_has_it(keep: float) -> None:
     x = np.random.default_rng(1).standard_normal(3000)
-    given = x.copy()
+    inputs = x.copy()
     expected = lfilter([1.0], [1.0, -keep], x, zi=[keep * 2.0])[0]
     np.testing.assert_allclose(first_order(x, keep, 2.0), expected, rtol=1e-10, atol=1e-10)
-    np.testing.assert_array_equal(x, given)
+    np.testing.assert_array_equal(x, inputs)

@@ -79,24 +79,27 @@ def run(place: Path, *command: str) -> tuple[subprocess.CompletedProcess, str]:
     return done, marks.read_text() if marks.exists() else ""
 
 
-def run_script(place: Path, *how: str) -> tuple[subprocess.CompletedProcess, str]:
+def run_script(place: Path, *options: str) -> tuple[subprocess.CompletedProcess, str]:
     script = place.parent / "elsewhere" / "script.py"
     script.parent.mkdir(exist_ok=True)
     script.write_text(f"import sys\nsys.path.insert(1, {str(ROOT)!r})\n{SCRIPT}")
-    return run(place, sys.executable, str(script), *how)
+    return run(place, sys.executable, str(script), *options)
 
 
 @pytest.mark.parametrize(
-    ("how", "said"),
+    ("options", "output"),
     [
         ("spawn", "['ok']"),
         ("pool", "[1, 2]"),
-        *(pytest.param(how, "['ok']", marks=pytest.mark.slow) for how in ("forkserver", "fork")),
+        *(
+            pytest.param(options, "['ok']", marks=pytest.mark.slow)
+            for options in ("forkserver", "fork")
+        ),
     ],
 )
-def test_no_worker_imports_what_lies_in_the_working_folder(place, how, said):
-    done, marks = run_script(place, how)
-    assert (done.returncode, done.stdout.strip(), marks) == (0, said, ""), done.stderr
+def test_no_worker_imports_what_lies_in_the_working_folder(place, options, output):
+    done, marks = run_script(place, options)
+    assert (done.returncode, done.stdout.strip(), marks) == (0, output, ""), done.stderr
 
 
 def test_without_the_setting_they_would(place):
@@ -165,12 +168,12 @@ def test_what_looks_like_an_answer_and_is_none_counts_as_none(tmp_path, monkeypa
 
 
 def test_another_environment_gets_none_of_our_libraries(tmp_path, monkeypatch):
-    shown = tmp_path / "python"
-    shown.write_text('#!/bin/sh\necho "path=$PYTHONPATH venv=$VIRTUAL_ENV"\n')
-    shown.chmod(0o755)
+    visible = tmp_path / "python"
+    visible.write_text('#!/bin/sh\necho "path=$PYTHONPATH venv=$VIRTUAL_ENV"\n')
+    visible.chmod(0o755)
     monkeypatch.setenv("PYTHONPATH", "/somewhere/of/ours")
     monkeypatch.setenv("VIRTUAL_ENV", "/ours")
-    ended = run_module("module", timeout_s=10, python=shown)
+    ended = run_module("module", timeout_s=10, python=visible)
     assert ended.output == f"path={Path(child_process.__file__).parents[1]} venv="
     with pytest.raises(BadInputError, match="cannot be started"):
         run_module("module", timeout_s=10, python=tmp_path / "none")

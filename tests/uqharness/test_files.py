@@ -47,12 +47,12 @@ def test_a_link_with_the_name_of_a_file_is_replaced(tmp_path: Path) -> None:
 def test_a_lock_is_taken_once_and_given_back_at_the_end_of_its_process(tmp_path: Path) -> None:
     path = tmp_path / "lock"
     path.touch()
-    held = (
+    constant = (
         "import os, sys\nfrom uqharness.files import try_lock\n"
         "print(try_lock(os.open(sys.argv[1], os.O_RDWR)), flush=True)\nsys.stdin.read()"
     )
     with subprocess.Popen(
-        [sys.executable, "-c", held, str(path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+        [sys.executable, "-c", constant, str(path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE
     ) as other:
         assert other.stdout is not None
         assert other.stdout.readline() == b"True\n"

@@ -42,9 +42,9 @@ def test_one_worker_is_this_process():
 def test_two_workers_answer_in_order_and_read_what_is_shared_once():
     with worker_map(2) as by:
         assert by.count == 2
-        found = list(by(_squared, range(20)))
-        assert [x for x, _ in found] == [k * k for k in range(20)]
-        assert os.getpid() not in {pid for _, pid in found}
+        result = list(by(_squared, range(20)))
+        assert [x for x, _ in result] == [k * k for k in range(20)]
+        assert os.getpid() not in {pid for _, pid in result}
         shared = by.share(np.arange(5.0))
         read = list(by(_read_twice, [(shared, k) for k in range(5)]))
         assert [value for _, value, _ in read] == [0.0, 1.0, 2.0, 3.0, 4.0]

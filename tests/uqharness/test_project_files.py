@@ -13,12 +13,12 @@ from uqharness.files import PROJECT_ROOT, find_campaign
 def test_campaigns_are_found_by_name_and_by_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.chdir(tmp_path)
     demo = PROJECT_ROOT / "campaigns" / "demo" / "campaign.toml"
-    for given in ("demo", "campaigns/demo", "campaigns/demo/campaign.toml", demo):
-        assert find_campaign(given) == demo
-    own = tmp_path / "demo" / "campaign.toml"
-    own.parent.mkdir()
-    own.write_text("")
-    assert find_campaign("demo").resolve() == own
+    for inputs in ("demo", "campaigns/demo", "campaigns/demo/campaign.toml", demo):
+        assert find_campaign(inputs) == demo
+    specific = tmp_path / "demo" / "campaign.toml"
+    specific.parent.mkdir()
+    specific.write_text("")
+    assert find_campaign("demo").resolve() == specific
     with pytest.raises(BadInputError, match=r"campaign 'demonstration' not found.*there: .*demo"):
         find_campaign("demonstration")
 

@@ -116,7 +116,7 @@ def changed(folder, change):
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "output"),
     [
         (lambda t: t.drop_columns(["time_s"]), "time_s is there 0 times"),
         (
@@ -131,10 +131,10 @@ def changed(folder, change):
         (lambda t: t.append_column("nested", pa.array([[1.0]] * len(t))), "nested is list"),
     ],
 )
-def test_histories_that_no_command_writes(change, said, tmp_path):
+def test_histories_that_no_command_writes(change, output, tmp_path):
     folder = folders.identified(tmp_path / "results")
     changed(folder, change)
-    with pytest.raises(BadInputError, match=said):
+    with pytest.raises(BadInputError, match=output):
         write_report(folder)
 
 

@@ -58,14 +58,14 @@ def _use() -> None:
 
 
 def test_a_folder_lives_for_its_block_and_is_private(place: Path) -> None:
-    with scratch_folder("mission") as held:
-        assert held.path.is_dir()
-        assert held.path.name.startswith("mission-")
-        assert Path(held) == held.path
-        assert held.path.stat().st_mode & 0o777 == 0o700
-        assert held.path.parent.parent == place
-    assert not held.path.exists()
-    held.close()
+    with scratch_folder("mission") as constant:
+        assert constant.path.is_dir()
+        assert constant.path.name.startswith("mission-")
+        assert Path(constant) == constant.path
+        assert constant.path.stat().st_mode & 0o777 == 0o700
+        assert constant.path.parent.parent == place
+    assert not constant.path.exists()
+    constant.close()
 
 
 def test_a_process_that_ends_by_itself_leaves_nothing(place: Path) -> None:
@@ -146,43 +146,43 @@ def test_folders_made_while_others_sweep_all_stand(place: Path) -> None:
 def test_a_folder_swept_while_it_was_being_made_is_made_again(
     place: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    real, taken = files.try_lock, []
+    real, selected = files.try_lock, []
 
     def too_late(handle: int) -> bool:
         # Another process has taken the folder for an orphan's, and removed it, before this one held
         # the lock.
-        if not taken:
+        if not selected:
             (folder,) = place.iterdir()
-            taken.append(folder)
+            selected.append(folder)
             (folder / files.LOCK).unlink()
             folder.rmdir()
         return real(handle)
 
     monkeypatch.setattr(files, "try_lock", too_late)
-    with scratch_folder() as held:
-        assert held.path.is_dir()
-        assert taken
-        assert held.path.parent != taken[0]
+    with scratch_folder() as constant:
+        assert constant.path.is_dir()
+        assert selected
+        assert constant.path.parent != selected[0]
 
 
 def test_a_forked_child_has_folders_of_its_own_and_leaves_its_parents_alone(place: Path) -> None:
-    with scratch_folder() as held:
+    with scratch_folder() as constant:
         read, write = os.pipe()
         child = os.fork()
         if child == 0:
-            own = scratch_folder()
-            held.close()
-            os.write(write, str(own.path).encode())
+            specific = scratch_folder()
+            constant.close()
+            os.write(write, str(specific.path).encode())
             os._exit(0)
         os.waitpid(child, 0)
         theirs = Path(os.read(read, 4096).decode())
         os.close(read)
         os.close(write)
-        assert held.path.is_dir()
-        assert theirs.parent != held.path.parent
+        assert constant.path.is_dir()
+        assert theirs.parent != constant.path.parent
         files.remove_abandoned_folders()
         assert not theirs.exists()
-        assert held.path.is_dir()
+        assert constant.path.is_dir()
 
 
 def test_an_emptied_folder_of_temporary_files_is_no_end(place: Path) -> None:
@@ -209,5 +209,5 @@ def test_a_message_about_a_copy_names_the_aircraft_and_not_the_copy_s_place(tmp_
         copy = folder.path / "aircraft" / "c310" / "c310.xml"
         text = f"mission: {copy}:68: no thrust; see '{folder.path / 'c310'}'"
         assert hide_scratch_paths(text) == "mission: c310/c310.xml:68: no thrust; see 'c310'"
-    others = f"{tmp_path / 'aircraft' / 'c310.xml'}:3: /tmp/uqharness-plane/c310.xml"
-    assert hide_scratch_paths(others) == others
+    remaining = f"{tmp_path / 'aircraft' / 'c310.xml'}:3: /tmp/uqharness-plane/c310.xml"
+    assert hide_scratch_paths(remaining) == remaining

@@ -25,7 +25,7 @@ def test_rows_of_a_csv_are_read_back_as_they_were():
 
 
 @pytest.mark.parametrize(
-    ("content", "said"),
+    ("content", "output"),
     [
         (b"name\na\n", "t.csv: has no column value"),
         (b"name,value\na,x\n", "t.csv:2: value is 'x'"),
@@ -36,6 +36,6 @@ def test_rows_of_a_csv_are_read_back_as_they_were():
         (b'name,value\n"' + b"a" * 200_000 + b'",1\n', "t.csv: not a readable CSV table"),
     ],
 )
-def test_rows_that_cannot_be_are_named(content, said):
-    with pytest.raises(BadInputError, match=said):
+def test_rows_that_cannot_be_are_named(content, output):
+    with pytest.raises(BadInputError, match=output):
         csv_rows(content, Path("t.csv"), ("value",), ("name",))

@@ -54,17 +54,17 @@ def test_the_line_of_a_key_or_of_its_section(location, line):
 
 
 @pytest.mark.parametrize(
-    ("content", "said"),
+    ("content", "output"),
     [
         (b"a = \xff", "not a text file in UTF-8"),
         (b"a = 1\nb = ", ":2: not valid TOML"),
         (None, "cannot be read"),
     ],
 )
-def test_a_file_that_cannot_be_read_is_named(content, said, tmp_path: Path):
+def test_a_file_that_cannot_be_read_is_named(content, output, tmp_path: Path):
     path = tmp_path / "file.toml"
     if content is not None:
         path.write_bytes(content)
-    with pytest.raises(BadInputError, match=said) as error:
+    with pytest.raises(BadInputError, match=output) as error:
         read_toml(path)
     assert str(error.value).startswith(str(path))

@@ -43,7 +43,7 @@ def lagged(x, time_s):
     return y
 
 
-def flown(seed, gusts_std=0.002, rotating=1.0, noise=True, bank=0.0):
+def fly(seed, gusts_std=0.002, rotating=1.0, noise=True, bank=0.0):
     """Residuals and air of a level weave in gusts; what the air's rotation added to Cm; rate of the
     gust's gradient.
     """
@@ -63,7 +63,7 @@ def flown(seed, gusts_std=0.002, rotating=1.0, noise=True, bank=0.0):
         [-sa * cb * da_i - ca * sb * db_i, cb * db_i, ca * cb * da_i - sa * sb * db_i]
     )
     weight = G * np.array([0.0, np.sin(bank), np.cos(bank)])
-    felt = change - weight + np.cross(rates, np.column_stack([u, v, w]))
+    sensed = change - weight + np.cross(rates, np.column_stack([u, v, w]))
     x, y = np.cos(bank) * da + np.sin(bank) * db, np.sin(bank) * da - np.cos(bank) * db
     qh, rh = lagged(x, 4 * B / np.pi / V), lagged(y, 3 * B / np.pi / V)
     q_air, r_air = np.cos(bank) * qh + np.sin(bank) * rh, -np.sin(bank) * qh + np.cos(bank) * rh
@@ -74,7 +74,9 @@ def flown(seed, gusts_std=0.002, rotating=1.0, noise=True, bank=0.0):
     )
     zero = np.zeros(N)
     columns = dict(
-        zip(CHANNELS, (zero + V, alpha, beta, zero, q, r, zero + bank, zero, *felt.T), strict=True)
+        zip(
+            CHANNELS, (zero + V, alpha, beta, zero, q, r, zero + bank, zero, *sensed.T), strict=True
+        )
     )
     if noise:
         columns |= {c: columns[c] + s * rng.standard_normal(N) for c, s in STD.items()}
@@ -96,49 +98,49 @@ def rms(residuals, j):
 
 @pytest.mark.parametrize("bank", [0.0, 0.5])
 def test_rotation_that_is_there_is_found_and_taken_out(bank):
-    residuals, air, _ = flown(1, bank=bank)
-    still, found = without_air_rotation(residuals, air, (0.0, 0.0, 0.0), STD)
-    assert found.share == pytest.approx(1.0, abs=0.06)
+    residuals, air, _ = fly(1, bank=bank)
+    steady, result = without_air_rotation(residuals, air, (0.0, 0.0, 0.0), STD)
+    assert result.share == pytest.approx(1.0, abs=0.06)
     for j in (4, 5):
-        assert rms(still, j) < 0.35 * rms(residuals, j)
+        assert rms(steady, j) < 0.35 * rms(residuals, j)
     # Told the opposite bank, a good part of it would be left: the axes count.
     if bank:
         turned = [
             AirPiece({**a.channels, "phi_rad": -a.channels["phi_rad"]}, a.slopes, B) for a in air
         ]
         other, _ = without_air_rotation(residuals, turned, (0.0, 0.0, 0.0), STD)
-        assert rms(other, 5) > 2.0 * rms(still, 5)
+        assert rms(other, 5) > 2.0 * rms(steady, 5)
 
 
 def test_calm_air_has_no_gusts_whatever_the_vanes_noise():
-    residuals, air, _ = flown(4, gusts_std=0.0)
-    still, found = without_air_rotation(residuals, air, (0.0, 0.0, 0.0), STD)
-    assert found.level == 0.0
-    assert np.array_equal(still.delta, residuals.delta)
-    assert all(p.noise is not None and not p.noise.passages for p in still.pieces)
+    residuals, air, _ = fly(4, gusts_std=0.0)
+    steady, result = without_air_rotation(residuals, air, (0.0, 0.0, 0.0), STD)
+    assert result.level == 0.0
+    assert np.array_equal(steady.delta, residuals.delta)
+    assert all(p.noise is not None and not p.noise.passages for p in steady.pieces)
     # With a figure three times too small the vanes' noise passes for gusts.
-    _, found = without_air_rotation(
+    _, result = without_air_rotation(
         residuals, air, (0.0, 0.0, 0.0), {c: s / 3.0 for c, s in STD.items()}
     )
-    assert found.level > 0.0
+    assert result.level > 0.0
 
 
 def test_the_level_is_that_of_the_gradient_and_rolling_has_the_size_that_follows_from_it():
-    residuals, air, _x = flown(5, gusts_std=0.004)
-    still, found = without_air_rotation(residuals, air, (0.0, 0.0, 0.0), STD)
+    residuals, air, _x = fly(5, gusts_std=0.004)
+    steady, result = without_air_rotation(residuals, air, (0.0, 0.0, 0.0), STD)
     white = (0.004 / DT) ** 2  # of the change from sample to sample
-    assert found.level == pytest.approx(white, rel=0.15)
-    (rolling,) = still.pieces[0].noise.passages
+    assert result.level == pytest.approx(white, rel=0.15)
+    (rolling,) = steady.pieces[0].noise.passages
     assert rolling.channel == ROLLING
     assert not rolling.gain[:, [0, 1, 2, 4, 5]].any()
     # White noise of that level through a lag of 4b/(pi V), drawn.
     time_s = 4 * B / np.pi / V
     size = np.sqrt(0.8 * np.pi / 3 * (np.pi * 100 / (4 * B)) ** (1 / 3) * white)
     rng = np.random.default_rng(6)
-    drawn = smooth(lagged(size * rng.standard_normal(40 * N), time_s), DT, CUT.all_hz)[1000:-1000]
+    drawing = smooth(lagged(size * rng.standard_normal(40 * N), time_s), DT, CUT.all_hz)[1000:-1000]
     variance = float(np.mean(rolling.gain[:, 3] ** 2)) * autocorrelation(rolling.weights)[0]
-    assert variance == pytest.approx(Cl_p**2 * np.var(drawn), rel=0.2)
-    assert variance != pytest.approx(Cl_p**2 * np.var(drawn) * 2.0, rel=0.2)
+    assert variance == pytest.approx(Cl_p**2 * np.var(drawing), rel=0.2)
+    assert variance != pytest.approx(Cl_p**2 * np.var(drawing) * 2.0, rel=0.2)
 
 
 # The filter's gust states against the gusts themselves, carried through an aircraft's motion.
@@ -170,7 +172,7 @@ def body_axes(phi, theta):
     return np.array([[ct, 0.0, -st], [sf * st, cf, sf * ct], [cf * st, -sf, cf * ct]])
 
 
-def seen(k, u, v, w, path):
+def observe(k, u, v, w, path):
     """V, alpha, beta in gusts of heading axes."""
     phi, _, theta, _, _ = path
     x, y, z = body_axes(phi[k], theta[k]) @ [V0 - u[k], -v[k], -w[k]]
@@ -178,28 +180,28 @@ def seen(k, u, v, w, path):
     return V, np.arctan2(z, x), np.arcsin(y / V)
 
 
-def carried(u, v, w, passing=0.0):
+def transport(u, v, w, passing=0.0):
     """q_h, r_h of the states and of their definition, for V, alpha and beta that come from gusts
     (u, v, w) alone.
     """
     path = phi, dphi, theta, dtheta, dpsi = motion()
     states = GustStates(GUST_STATES_B, passing)
-    x = np.array([*seen(0, u, v, w, path), 0, 0, 0, phi[0], theta[0]])
-    still = np.array([*seen(0, 0 * u, 0 * v, 0 * w, path), 0, 0, 0, phi[0], theta[0]])
-    x = np.array([*x, *states.start(still)])
-    q, r, found, defined = 0.0, 0.0, [], []
+    x = np.array([*observe(0, u, v, w, path), 0, 0, 0, phi[0], theta[0]])
+    steady = np.array([*observe(0, 0 * u, 0 * v, 0 * w, path), 0, 0, 0, phi[0], theta[0]])
+    x = np.array([*x, *states.start(steady)])
+    q, r, result, defined = 0.0, 0.0, [], []
     for k in range(GUST_STATES_N - 1):
-        x[:3], x[6], x[7] = seen(k, u, v, w, path), phi[k], theta[k]
+        x[:3], x[6], x[7] = observe(k, u, v, w, path), phi[k], theta[k]
         # Level turns: body rates of a heading that turns, and of what changes the attitude.
         x[3:6] = body_axes(phi[k], theta[k]) @ [0.0, 0.0, dpsi[k]]
         x[3:6] += [dphi[k], dtheta[k] * np.cos(phi[k]), -dtheta[k] * np.sin(phi[k])]
-        found.append(states.level(x)[1:])
+        result.append(states.level(x)[1:])
         defined.append((q, r))
         # The ground velocity turns with the heading; weight and lift are in what turns it.
         level_turn = body_axes(phi[k], theta[k]) @ [0.0, V0 * dpsi[k], 0.0]
-        felt = tuple(a + b for a, b in zip(level_turn, states.turning(x), strict=True))
+        sensed = tuple(a + b for a, b in zip(level_turn, states.turning(x), strict=True))
         trig = sines(x)
-        rated = (*flow_rates(x, felt, trig, 0.0), dphi[k], dtheta[k])
+        rated = (*flow_rates(x, sensed, trig, 0.0), dphi[k], dtheta[k])
         x[8:] = x[8:] + GUST_STATES_DT * np.array(states.rates(x, rated))
         speed = passing or x[0]
         q += (-q * GUST_STATES_DT * speed - (w[k + 1] - w[k])) / (
@@ -208,24 +210,24 @@ def carried(u, v, w, passing=0.0):
         r += (-r * GUST_STATES_DT * speed + (v[k + 1] - v[k])) / (
             3.0 * GUST_STATES_B / np.pi
         )  # 3.7.5: r = +dv/dx
-    return np.array(found), np.array(defined)
+    return np.array(result), np.array(defined)
 
 
 @pytest.mark.parametrize("strength", [0.5, 3.0])
 def test_rotation_follows_from_what_changes_alpha_and_beta(strength):
     u, v, w = gusts(np.random.default_rng(0), strength)
-    found, defined = carried(u, v, w)
+    result, defined = transport(u, v, w)
     assert defined.std(axis=0).min() > 0.04 * strength
-    np.testing.assert_allclose(found, defined, atol=0.01 * defined.std())
-    wrong, _ = carried(u, -v, w)
-    assert np.abs(wrong[:, 1] - defined[:, 1]).max() > defined.std()
+    np.testing.assert_allclose(result, defined, atol=0.01 * defined.std())
+    invalid, _ = transport(u, -v, w)
+    assert np.abs(invalid[:, 1] - defined[:, 1]).max() > defined.std()
 
 
 def test_gusts_that_pass_at_a_speed_of_their_own():
     u, v, w = gusts(np.random.default_rng(1))
-    found, defined = carried(u, v, w, passing=15.0)
-    np.testing.assert_allclose(found, defined, atol=0.01 * defined.std())
-    at_airspeed, _ = carried(u, v, w)
+    result, defined = transport(u, v, w, passing=15.0)
+    np.testing.assert_allclose(result, defined, atol=0.01 * defined.std())
+    at_airspeed, _ = transport(u, v, w)
     assert np.abs(at_airspeed - defined).max() > 0.2 * defined.std()
 
 
@@ -233,9 +235,9 @@ def test_gusts_turn_with_the_heading():
     # Air at (u, v) along and across a heading that turns at dpsi: its velocity over the ground
     # changes by dpsi x (u, v).
     states, dpsi, u, v, phi, theta = GustStates(GUST_STATES_B), 0.3, 1.5, -0.8, 0.5, 0.2
-    own = np.array([V0, 0.04, -0.03, 0.0, 0.0, 0.0, phi, theta])
-    own[3:6] = body_axes(phi, theta) @ [0.0, 0.0, dpsi]
-    x = np.array([*own, *states.start(own)])
+    specific = np.array([V0, 0.04, -0.03, 0.0, 0.0, 0.0, phi, theta])
+    specific[3:6] = body_axes(phi, theta) @ [0.0, 0.0, dpsi]
+    x = np.array([*specific, *states.start(specific)])
     np.testing.assert_allclose(states.turning(x), 0.0, atol=1e-14)
     x[11:] += u, v
     # d/dt of (u cos psi - v sin psi, u sin psi + v cos psi) along the axes, and less of it relative

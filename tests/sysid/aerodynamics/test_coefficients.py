@@ -27,9 +27,9 @@ def test_terms_by_name():
     assert len(terms) == 15
     assert [parse_term(term_name(t, STATES), STATES) for t in terms] == list(terms)
     assert parse_term("alpha_rad*alpha_rad", STATES) == parse_term("alpha_rad^2", STATES)
-    for bad in ("beta_rad", "alpha_rad^9", "alpha_rad**2", "alpha_rad^0", ""):
+    for invalid in ("beta_rad", "alpha_rad^9", "alpha_rad**2", "alpha_rad^0", ""):
         with pytest.raises(ValueError, match="term"):
-            parse_term(bad, STATES)
+            parse_term(invalid, STATES)
 
 
 @pytest.mark.parametrize(("count", "order"), [(1, 3), (2, 2), (3, 3), (4, 2)])
@@ -42,18 +42,18 @@ def test_a_full_polynomial_has_every_term_once(count, order):
 
 def test_values_are_products_of_powers():
     z = np.random.default_rng(0).standard_normal((20, 2))
-    found = regressors(z, ((0, 0), (2, 1), (0, 3)))
+    result = regressors(z, ((0, 0), (2, 1), (0, 3)))
     np.testing.assert_allclose(
-        found, np.column_stack([np.ones(20), z[:, 0] ** 2 * z[:, 1], z[:, 1] ** 3])
+        result, np.column_stack([np.ones(20), z[:, 0] ** 2 * z[:, 1], z[:, 1] ** 3])
     )
     # A polynomial's values come back by least squares on its terms, and not on fewer.
     terms = full_polynomial(2)
     y = 1.0 - z[:, 0] * z[:, 1] + 2.0 * z[:, 1] ** 2
-    rest = [
+    remainder = [
         float(np.linalg.lstsq(regressors(z, t), y, rcond=None)[1][0]) for t in (terms, terms[:-1])
     ]
-    assert rest[0] < 1e-20
-    assert rest[1] > 1.0
+    assert remainder[0] < 1e-20
+    assert remainder[1] > 1.0
 
 
 # The equations in the open against an independent set, and records cut into segments.
@@ -85,13 +85,13 @@ def test_rates_and_specific_force_are_those_of_the_independent_equations():
         rho = isa_density(100.0)
         u = np.array([de, da, dr, thrust(throttle, V, rho), 0, 0, 0, 0, 0, rho, *np.zeros(6)])
         x = equations.start([V, alpha, beta, p, q, r, phi, pitch])
-        found = np.array(equations.f(x, u, theta), dtype=float)
-        np.testing.assert_allclose(found[3:8], [*rate[3:6], *rate[6:8]], rtol=1e-9, atol=1e-12)
+        result = np.array(equations.f(x, u, theta), dtype=float)
+        np.testing.assert_allclose(result[3:8], [*rate[3:6], *rate[6:8]], rtol=1e-9, atol=1e-12)
         step = 1e-6
         after = velocity + step * rate[:3]
         V2 = np.linalg.norm(after)
         np.testing.assert_allclose(
-            found[:3],
+            result[:3],
             [
                 (V2 - V) / step,
                 (np.arctan2(after[2], after[0]) - alpha) / step,
@@ -113,17 +113,17 @@ def record(**columns):
 def test_segments_are_manoeuvres_else_excitation_else_everything():
     time = np.arange(0.0, 60.0, 0.02)
     labels = np.where((time >= 10) & (time < 15), "doublet", "").astype(object)
-    pieces, how = cut_pieces(record(manoeuvre=labels), ("q_radps",))
+    pieces, options = cut_pieces(record(manoeuvre=labels), ("q_radps",))
     assert [(p.label, round(p.start_s, 2), round(p.end_s, 2)) for p in pieces] == [
         ("doublet", 10.0, 14.98)
     ]
-    assert "labelled" in how
+    assert "labelled" in options
     moved = np.where((time >= 20) & (time < 21), 5.0, 0.0)
-    pieces, how = cut_pieces(record(elevator_deg=moved), ("q_radps",))
+    pieces, options = cut_pieces(record(elevator_deg=moved), ("q_radps",))
     assert len(pieces) == 1
     assert pieces[0].start_s == pytest.approx(19.0, abs=0.05)
     assert pieces[0].end_s == pytest.approx(24.0, abs=0.05)
-    pieces, how = cut_pieces(record(), ("q_radps",), max_s=20.0)
+    pieces, options = cut_pieces(record(), ("q_radps",), max_s=20.0)
     assert [p.rows.stop - p.rows.start for p in pieces] == [1000, 1000, 1000]
     gap = np.zeros(time.size)
     gap[1500] = np.nan

@@ -92,7 +92,7 @@ def test_the_system_is_that_of_the_open_equations(rotating, turning, monkeypatch
     gusts = GustStates(MASS.b, rotating=rotating, turning_with=turning)
     monkeypatch.setattr(OpenEquations, "gusts", gusts)
     x = flight(4)
-    found = linearise(reference(x, equations), MASS, gusts=gusts)
+    result = linearise(reference(x, equations), MASS, gusts=gusts)
     wide = with_gust_states(x, gusts)
     middle = 0.5 * (wide[1] + wide[2])
 
@@ -101,16 +101,16 @@ def test_the_system_is_that_of_the_open_equations(rotating, turning, monkeypatch
 
     A = np.column_stack([(f(middle + h) - f(middle - h)) / 2e-6 for h in 1e-6 * np.eye(NX)])
     expected = np.eye(NX) + A * DT + A @ A * DT**2 / 2.0 + A @ A @ A * DT**3 / 6.0
-    np.testing.assert_allclose(found.phi[1], expected, atol=2e-4)
-    assert np.abs(found.phi[1][:, 8:] - np.eye(NX)[:, 8:]).max() > 0.01
+    np.testing.assert_allclose(result.phi[1], expected, atol=2e-4)
+    assert np.abs(result.phi[1][:, 8:] - np.eye(NX)[:, 8:]).max() > 0.01
     state = wide[1]
     for _ in range(4):
         k1 = f(state)
         k2 = f(state + DT / 8.0 * k1)
         k3 = f(state + DT / 8.0 * k2)
         state = state + DT / 24.0 * (k1 + 2.0 * k2 + 2.0 * k3 + f(state + DT / 4.0 * k3))
-    np.testing.assert_allclose(wide[2] + found.defect[1], state, atol=1e-4)
-    assert np.abs(found.defect[1]).max() > 0.01
+    np.testing.assert_allclose(wide[2] + result.defect[1], state, atol=1e-4)
+    assert np.abs(result.defect[1]).max() > 0.01
 
 
 def test_a_moment_by_alphadot_follows_the_motion_and_not_the_air_that_rotates():
@@ -140,8 +140,8 @@ def test_a_moment_by_alphadot_follows_the_motion_and_not_the_air_that_rotates():
         False,
     )
     mine = replace(free, moment=moment, slopes=slopes)
-    without = rates(free, MASS, state, gusts=gusts)[:, 4]
-    expected = without + L * unforced(state)[:, 0] / MASS.inertia[1, 1]
+    reduced = rates(free, MASS, state, gusts=gusts)[:, 4]
+    expected = reduced + L * unforced(state)[:, 0] / MASS.inertia[1, 1]
     np.testing.assert_allclose(
         rates(replace(mine, by_flow=by_flow), MASS, state, gusts=gusts)[:, 4], expected, atol=0.01
     )
@@ -166,10 +166,10 @@ def test_still_air_stays_still_wherever_the_flight_begins():
         small, large = plain.phi[k] @ small, gusty.phi[k] @ large
     scale = np.abs(small).max(axis=1, keepdims=True)
     np.testing.assert_allclose(large[:8] / scale, small / scale, atol=5e-3)
-    wrong = np.eye(NX, 8)
+    invalid = np.eye(NX, 8)
     for k in range(len(x) - 1):
-        wrong = gusty.phi[k] @ wrong
-    assert np.abs(wrong[:8] - small).max() > 10.0 * np.abs(large[:8] - small).max()
+        invalid = gusty.phi[k] @ invalid
+    assert np.abs(invalid[:8] - small).max() > 10.0 * np.abs(large[:8] - small).max()
 
 
 # The compiled loops against the equations as Python, differences of them, and the matrix
@@ -181,19 +181,19 @@ def test_still_air_stays_still_wherever_the_flight_begins():
 def test_one_set_of_rigid_slopes_serves_every_air(in_body: bool, by_flow: bool) -> None:
     """Against differences of the whole equations in still air, as the reference states are."""
     equations = OpenEquations(TERMS, (), ("V_mps",), MASS)
-    along = reference(flight(4), equations)
+    axial = reference(flight(4), equations)
     if by_flow:
         slopes = np.random.default_rng(1).normal(0.0, 3.0, (4, 6, 2))
-        along = replace(along, by_flow=slopes)
-    rigid = rigid_slopes(along, MASS)
+        axial = replace(axial, by_flow=slopes)
+    rigid = rigid_slopes(axial, MASS)
     for changes in ({}, {"rotating": False}, {"q_length": 0.5, "r_share": -1.0}):
         gusts = GustStates(MASS.b, in_body=in_body, **changes)
-        states = with_gust_states(along.x, gusts)
+        states = with_gust_states(axial.x, gusts)
         A = np.stack(
             [
                 (
-                    rates(along, MASS, states + h, gusts=gusts)
-                    - rates(along, MASS, states - h, gusts=gusts)
+                    rates(axial, MASS, states + h, gusts=gusts)
+                    - rates(axial, MASS, states - h, gusts=gusts)
                 )
                 / 2e-6
                 for h in 1e-6 * np.eye(NX)

@@ -85,14 +85,14 @@ def predict(record: FlightRecord, piece: Piece) -> Prediction:
     return Prediction(np.column_stack(columns), zero, zero, 0.6 * V**2, MASS, {})
 
 
-def made(record, pieces, cutoffs=AS_USUAL, std=STD, arm=ARM):
+def build(record, pieces, cutoffs=AS_USUAL, std=STD, arm=ARM):
     plain = residual_coefficients(record, pieces, predict, arm, cutoffs)
     return with_sensor_noise(
         plain, record, pieces, predict, arm, std, relative_std=dict.fromkeys(std, 0.1)
     )
 
 
-def drawn(record, pieces, repeats, cutoffs=AS_USUAL, std=STD):
+def draw(record, pieces, repeats, cutoffs=AS_USUAL, std=STD):
     """Changes (repeats, n, 6) of the residuals under drawn noise."""
     plain = residual_coefficients(record, pieces, predict, ARM, cutoffs).delta
     out = []
@@ -107,44 +107,48 @@ def drawn(record, pieces, repeats, cutoffs=AS_USUAL, std=STD):
 
 def test_the_variance_is_that_of_drawn_noise_at_every_speed():
     record, pieces = flight()
-    (piece,) = made(record, pieces).pieces
-    found = noise_variance(piece.noise)
-    measured = np.mean(drawn(record, pieces, 60) ** 2, axis=0)
-    for part in np.array_split(np.arange(len(found)), 4):
-        np.testing.assert_allclose(found[part].mean(axis=0), measured[part].mean(axis=0), rtol=0.12)
+    (piece,) = build(record, pieces).pieces
+    result = noise_variance(piece.noise)
+    measured = np.mean(draw(record, pieces, 60) ** 2, axis=0)
+    for part in np.array_split(np.arange(len(result)), 4):
+        np.testing.assert_allclose(
+            result[part].mean(axis=0), measured[part].mean(axis=0), rtol=0.12
+        )
     # Accelerometers' noise goes as 1/qbar: at 18 m/s it is twice that at 26 m/s; one variance for
     # all would be seen.
-    assert found[:100, 1].mean() > 3.0 * found[-100:, 1].mean()
-    assert abs(found.mean(axis=0)[1] / measured[-200:].mean(axis=0)[1] - 1.0) > 0.3
+    assert result[:100, 1].mean() > 3.0 * result[-100:, 1].mean()
+    assert abs(result.mean(axis=0)[1] / measured[-200:].mean(axis=0)[1] - 1.0) > 0.3
 
 
 @pytest.mark.parametrize("channel", NOISY_CHANNELS)
 def test_each_channel_comes_through_by_itself(channel):
     record, pieces = flight()
     std = {channel: STD[channel]}
-    (piece,) = made(record, pieces, std=std).pieces
-    found, measured = (
+    (piece,) = build(record, pieces, std=std).pieces
+    result, measured = (
         noise_variance(piece.noise).mean(axis=0),
-        np.mean(drawn(record, pieces, 25, std=std) ** 2, axis=(0, 1)),
+        np.mean(draw(record, pieces, 25, std=std) ** 2, axis=(0, 1)),
     )
     # What comes by way of the square of the rates times the arm is left to its first order.
-    np.testing.assert_allclose(found, measured, rtol=0.15, atol=1e-4 * measured.max())
-    assert (found > 0.0).any()
+    np.testing.assert_allclose(result, measured, rtol=0.15, atol=1e-4 * measured.max())
+    assert (result > 0.0).any()
     assert {p.channel for p in piece.noise.passages} == {channel}
 
 
 def test_the_cosine_transforms_variances_are_those_of_drawn_noise():
     record, pieces = flight(300)
-    (piece,) = made(record, pieces).pieces
-    found, spread = noise_cosines(piece.noise)
-    waves = fft.dct(drawn(record, pieces, 150), axis=1, norm="ortho")
+    (piece,) = build(record, pieces).pieces
+    result, scatter = noise_cosines(piece.noise)
+    waves = fft.dct(draw(record, pieces, 150), axis=1, norm="ortho")
     measured = np.mean(waves**2, axis=0)
     for part in (slice(1, 20), slice(20, 40), slice(40, 70)):
-        np.testing.assert_allclose(found[part].mean(axis=0), measured[part].mean(axis=0), rtol=0.15)
-    assert found.sum(axis=0) == pytest.approx(noise_variance(piece.noise).sum(axis=0))
+        np.testing.assert_allclose(
+            result[part].mean(axis=0), measured[part].mean(axis=0), rtol=0.15
+        )
+    assert result.sum(axis=0) == pytest.approx(noise_variance(piece.noise).sum(axis=0))
     # All channels a tenth off, each in its own way: a variance is off by a fifth at most, and by
     # less where many share it.
-    assert np.all((spread > 0.08) & (spread <= 0.2 + 1e-12))
+    assert np.all((scatter > 0.08) & (scatter <= 0.2 + 1e-12))
 
 
 @pytest.mark.parametrize("n", [1, 2, 3, 8, 61])
@@ -156,32 +160,34 @@ def test_variances_of_waves_are_those_of_the_dense_transform(n):
     for correlation in (autocorrelation(tuple(kernel(4, DT))), tuple(0.9 ** np.arange(100))):
         lags = np.r_[correlation[:n], np.zeros(max(0, n - len(correlation)))]
         dense = np.diag(basis @ linalg.toeplitz(lags) @ basis.T)
-        found = cosine_variance(n, correlation)
-        np.testing.assert_allclose(found, dense, rtol=1e-10, atol=1e-13 * dense.max())
+        result = cosine_variance(n, correlation)
+        np.testing.assert_allclose(result, dense, rtol=1e-10, atol=1e-13 * dense.max())
         assert n == 1 or not np.allclose(
-            found, np.diag(basis @ linalg.toeplitz(0.9 * lags + 0.1 * lags[0]) @ basis.T)
+            result, np.diag(basis @ linalg.toeplitz(0.9 * lags + 0.1 * lags[0]) @ basis.T)
         )
 
 
 def test_another_filter_takes_the_gains_along():
     record, pieces = flight()
-    used = made(record, pieces)
+    used = build(record, pieces)
     for cutoffs in (Cutoffs(3.0), Cutoffs(12.0), Cutoffs(airspeed_hz=float("inf"))):
         plain = residual_coefficients(record, pieces, predict, ARM, cutoffs)
-        taken = noise_variance(with_noise_of(plain, used).pieces[0].noise).mean(axis=0)
-        asked = noise_variance(made(record, pieces, cutoffs).pieces[0].noise).mean(axis=0)
-        np.testing.assert_allclose(taken, asked, rtol=0.02)
-        assert np.abs(taken / noise_variance(used.pieces[0].noise).mean(axis=0) - 1.0).max() > 0.1
+        selected = noise_variance(with_noise_of(plain, used).pieces[0].noise).mean(axis=0)
+        request = noise_variance(build(record, pieces, cutoffs).pieces[0].noise).mean(axis=0)
+        np.testing.assert_allclose(selected, request, rtol=0.02)
+        assert (
+            np.abs(selected / noise_variance(used.pieces[0].noise).mean(axis=0) - 1.0).max() > 0.1
+        )
 
 
 def test_channels_without_a_figure_are_free_of_noise():
     record, pieces = flight(200)
     for std in ({}, {"ax_mps2": float("nan"), "ay_mps2": 0.0}):
-        noise = made(record, pieces, std=std).pieces[0].noise
+        noise = build(record, pieces, std=std).pieces[0].noise
         assert noise.passages == ()
         assert not noise_variance(noise).any()
     short = replace(pieces[0], rows=slice(0, 4))
-    both = with_sensor_noise(
+    pair = with_sensor_noise(
         residual_coefficients(record, [short, *pieces], predict, ARM),
         record,
         [short, *pieces],
@@ -189,7 +195,7 @@ def test_channels_without_a_figure_are_free_of_noise():
         ARM,
         STD,
     )
-    assert len(both.pieces) == 1
+    assert len(pair.pieces) == 1
 
 
 def test_a_flight_at_rest_by_hand():
@@ -213,10 +219,10 @@ def test_a_flight_at_rest_by_hand():
     made_of = with_sensor_noise(
         plain, record, pieces, at_rest, (0.0, 0.0, 0.0), {"ay_mps2": 0.16, "p_radps": 0.0035}
     )
-    found = np.sqrt(noise_variance(made_of.pieces[0].noise))
+    result = np.sqrt(noise_variance(made_of.pieces[0].noise))
     pressure = 0.6 * V**2 * 1.97
     side = 20.0 * 0.16 * np.sqrt(0.3**2 + 2 * 0.25**2 + 2 * 0.1**2) / pressure
     roll = 5.0 * 0.0035 * np.sqrt(2 * (1 + 4)) / (10 * DT) / (pressure * 3.66)
-    np.testing.assert_allclose(found[:, 1], side, rtol=1e-6)
-    np.testing.assert_allclose(found[:, 3], roll, rtol=1e-6)
-    assert not found[:, [0, 2]].any()
+    np.testing.assert_allclose(result[:, 1], side, rtol=1e-6)
+    np.testing.assert_allclose(result[:, 3], roll, rtol=1e-6)
+    assert not result[:, [0, 2]].any()

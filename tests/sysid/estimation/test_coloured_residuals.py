@@ -78,7 +78,7 @@ def test_integral_time_of_a_first_order_process_is_known():
 # The warning on coloured residuals: when it is given, what it suspects, and that it is short.
 
 
-def found(predictable=0.4, explained=np.nan, p_value=1e-30, outputs=6):
+def find(predictable=0.4, explained=np.nan, p_value=1e-30, outputs=6):
     """A colour alike in all outputs."""
     return Colour(*(np.full(outputs, value) for value in (p_value, predictable, 0.9, explained)))
 
@@ -93,7 +93,7 @@ def found(predictable=0.4, explained=np.nan, p_value=1e-30, outputs=6):
 )
 def test_colour_warnings_name_the_likelier_cause_first(explained, first):
     (text,) = colour_warnings(
-        found(explained=explained), np.full(3, 3.2), np.ones(3), "output error"
+        find(explained=explained), np.full(3, 3.2), np.ones(3), "output error"
     )
     assert first in text
     assert "3.2 times" in text
@@ -102,9 +102,9 @@ def test_colour_warnings_name_the_likelier_cause_first(explained, first):
 @pytest.mark.parametrize(
     ("colour", "std"),
     [
-        (found(p_value=0.5), 3.2),  # white
-        (found(predictable=0.05), 1.1),  # too little colour to matter
-        (found(), np.nan),  # no parameter identified
+        (find(p_value=0.5), 3.2),  # white
+        (find(predictable=0.05), 1.1),  # too little colour to matter
+        (find(), np.nan),  # no parameter identified
     ],
 )
 def test_no_warning(colour, std):
@@ -114,7 +114,7 @@ def test_no_warning(colour, std):
 def test_turbulence_that_another_test_ruled_out_is_not_suspected():
     for explained in (0.9, 0.1, np.nan):
         (text,) = colour_warnings(
-            found(explained=explained), np.full(3, 3.2), np.ones(3), "output error", calm_air=True
+            find(explained=explained), np.full(3, 3.2), np.ones(3), "output error", calm_air=True
         )
         assert "turbulence" not in text
         assert "filter error" not in text

@@ -86,7 +86,7 @@ def test_collinear_columns_are_named_and_the_rest_estimated():
 
 
 @pytest.mark.parametrize(
-    ("X", "y", "names", "said"),
+    ("X", "y", "names", "output"),
     [
         (np.ones((5, 2)), np.ones(4), None, "rows"),
         (np.ones((2, 2)), np.ones(2), None, "more samples"),
@@ -97,8 +97,8 @@ def test_collinear_columns_are_named_and_the_rest_estimated():
         ([["x"], ["y"]], [1.0, 2.0], None, "numeric"),
     ],
 )
-def test_bad_input_is_refused(X, y, names, said):
-    with pytest.raises(ValueError, match=said):
+def test_bad_input_is_refused(X, y, names, output):
+    with pytest.raises(ValueError, match=output):
         equation_error(X, y, names=names)
 
 
@@ -114,15 +114,15 @@ def test_finds_the_terms_that_made_the_data():
     rng = np.random.default_rng(0)
     X = candidates(rng)
     y = X[:, [1, 3, 5]] @ [1.0, -0.5, 0.2] + 0.1 * rng.normal(size=len(X))
-    found = stepwise(X, y, names=["1", "a", "q", "d", "a2", "aq", "q2", "a3"])
-    assert found.selected == [1, 3, 5]
-    assert found.names == ("a", "d", "aq")
-    np.testing.assert_allclose(found.theta, [1.0, -0.5, 0.2], atol=5 * found.std.max())
-    assert [step.action for step in found.history] == ["enter"] * 3 + ["stop"]
-    assert all(step.effective_f > step.threshold for step in found.history[:-1])
-    assert found.history[-1].effective_f < found.history[-1].threshold
-    assert found.history[2].press < found.history[0].press
-    assert found.history[2].pse < found.history[0].pse
+    result = stepwise(X, y, names=["1", "a", "q", "d", "a2", "aq", "q2", "a3"])
+    assert result.selected == [1, 3, 5]
+    assert result.names == ("a", "d", "aq")
+    np.testing.assert_allclose(result.theta, [1.0, -0.5, 0.2], atol=5 * result.std.max())
+    assert [step.action for step in result.history] == ["enter"] * 3 + ["stop"]
+    assert all(step.effective_f > step.threshold for step in result.history[:-1])
+    assert result.history[-1].effective_f < result.history[-1].threshold
+    assert result.history[2].press < result.history[0].press
+    assert result.history[2].pse < result.history[0].pse
 
 
 def test_partial_f_is_that_of_statsmodels():
@@ -139,9 +139,9 @@ def test_a_superseded_term_is_removed():
     rng = np.random.default_rng(2)
     a, b = rng.normal(size=(2, 500))
     X = np.column_stack([a + b + 0.3 * rng.normal(size=500), a, b])
-    found = stepwise(X, a + b + 0.05 * rng.normal(size=500))
-    assert found.selected == [1, 2]
-    assert any(step.action == "remove" and step.index == 0 for step in found.history)
+    result = stepwise(X, a + b + 0.05 * rng.normal(size=500))
+    assert result.selected == [1, 2]
+    assert any(step.action == "remove" and step.index == 0 for step in result.history)
 
 
 def test_pure_noise_selects_nothing_most_of_the_time():
@@ -157,8 +157,8 @@ def test_collinear_candidates_and_repeated_runs():
     X = candidates(rng)
     X = np.column_stack([X, X[:, 1]])
     y = 2.0 * X[:, 1] + 0.1 * rng.normal(size=len(X))
-    found = stepwise(X, y)
-    assert found.selected == [1]
-    again = stepwise(X, y)
-    assert found.history == again.history
+    result = stepwise(X, y)
+    assert result.selected == [1]
+    repeat = stepwise(X, y)
+    assert result.history == repeat.history
     assert stepwise(X, y, keep=[8]).selected == [8]

@@ -139,11 +139,11 @@ def test_estimates_are_the_textbook_filters_maximum_and_its_curvature(fitted):
         return textbook(estimate + step, z) + textbook(estimate - step, z)
 
     steps = 1e-3 * np.eye(6)
-    alone, centre = [both_ways(step) for step in steps], textbook(estimate, z)
+    single, centre = [both_ways(step) for step in steps], textbook(estimate, z)
     hessian = np.zeros((6, 6))
     for i in range(6):
         for j in range(i + 1):
-            mixed = both_ways(steps[i] + steps[j]) - alone[i] - alone[j] + 2.0 * centre
+            mixed = both_ways(steps[i] + steps[j]) - single[i] - single[j] + 2.0 * centre
             hessian[i, j] = hessian[j, i] = mixed / 2e-6
     # Newton's step from the estimate leads to the maximum of the textbook's likelihood.
     slope = [(textbook(estimate + s, z) - textbook(estimate - s, z)) / 2e-3 for s in steps]
@@ -160,8 +160,10 @@ def test_estimates_are_the_textbook_filters_maximum_and_its_curvature(fitted):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("seeds", "least"), [(4, 9), pytest.param(12, 29, marks=pytest.mark.slow)])
-def test_coverage_in_process_noise_where_output_error_fails(seeds, least):
+@pytest.mark.parametrize(
+    ("seeds", "minimum"), [(4, 9), pytest.param(12, 29, marks=pytest.mark.slow)]
+)
+def test_coverage_in_process_noise_where_output_error_fails(seeds, minimum):
     hits, total = 0, 0
     t = [np.arange(130) * DT] * 3
     inputs = [U[a : a + 130] for a in (0, 130, 260)]
@@ -174,7 +176,7 @@ def test_coverage_in_process_noise_where_output_error_fails(seeds, least):
         hits += int(np.sum(np.abs(fit.theta - TRUE) < 1.96 * fit.std))
         total += 3
     assert (
-        hits >= least
+        hits >= minimum
     )  # of 12 or 36; at a level of 95 % fewer than this have a probability of 2e-3 or 1e-3
 
 
@@ -203,7 +205,7 @@ def test_segments_dropouts_and_unequal_lengths():
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "output"),
     [
         ({"t": np.zeros(50)}, "increase"),
         ({"t": np.arange(49.0)}, "same samples"),
@@ -220,12 +222,12 @@ def test_segments_dropouts_and_unequal_lengths():
         ({"jacobian_every": 0}, "jacobian_every"),
     ],
 )
-def test_bad_input_is_refused(change, said):
-    given = {"f": rate, "g": measure, "x0": [0.0, 0.0], "theta0": TRUE, "u": U[:50]}
-    given |= {"z": np.zeros((50, 2)), "t": np.arange(50.0)}
-    given |= change
-    with pytest.raises(ValueError, match=said):
-        filter_error(**given)
+def test_bad_input_is_refused(change, output):
+    inputs = {"f": rate, "g": measure, "x0": [0.0, 0.0], "theta0": TRUE, "u": U[:50]}
+    inputs |= {"z": np.zeros((50, 2)), "t": np.arange(50.0)}
+    inputs |= change
+    with pytest.raises(ValueError, match=output):
+        filter_error(**inputs)
 
 
 def test_inputs_between_samples_are_used():
@@ -244,7 +246,7 @@ def test_inputs_between_samples_are_used():
             1,
         )
         one = np.ones((1, 1))
-        found = run_filter(
+        result = run_filter(
             model,
             record,
             0 * one,
@@ -255,7 +257,7 @@ def test_inputs_between_samples_are_used():
             difference=np.array([1e-5]),
             every=1,
         )
-        return -found.raw[1, 0, 0]
+        return -result.raw[1, 0, 0]
 
     assert missed() == pytest.approx(1 / 2)
     assert missed(np.array([[0.25]])) == pytest.approx(1 / 3)

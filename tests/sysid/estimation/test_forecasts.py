@@ -37,13 +37,13 @@ def test_smaller_errors_win_from_the_horizon_where_they_are_smaller() -> None:
     rng = np.random.default_rng(1)
     size = np.ones((3, 4))
     common = _errors(rng, size)
-    worse = common.copy()
-    worse[:, 1:] *= 1.5
+    poorer = common.copy()
+    poorer[:, 1:] *= 1.5
     t = np.arange(150.0)
-    result = compare_forecasts(common, worse, t, HORIZONS, block_s=15.0)
+    result = compare_forecasts(common, poorer, t, HORIZONS, block_s=15.0)
     assert result.better == "A"
     assert result.horizon_s == 2.0
-    swapped = compare_forecasts(worse, common, t, HORIZONS, block_s=15.0)
+    swapped = compare_forecasts(poorer, common, t, HORIZONS, block_s=15.0)
     assert swapped.better == "B"
     assert swapped.difference == pytest.approx(-result.difference)
 
@@ -60,12 +60,12 @@ def test_equally_good_models_are_told_apart_in_five_percent() -> None:
 
 def test_divergence_counts_as_a_large_error_and_dropouts_do_not() -> None:
     errors = _errors(np.random.default_rng(3), np.ones((3, 2)))
-    diverged, lost = errors.copy(), errors.copy()
+    diverged, is_lost = errors.copy(), errors.copy()
     diverged[::5, 2] = np.inf
-    lost[::5, 2] = np.nan
+    is_lost[::5, 2] = np.nan
     t = np.arange(150.0)
     assert compare_forecasts(errors, diverged, t, HORIZONS, block_s=15.0).better == "A"
-    assert compare_forecasts(errors, lost, t, HORIZONS, block_s=15.0).better == "no difference"
+    assert compare_forecasts(errors, is_lost, t, HORIZONS, block_s=15.0).better == "no difference"
 
 
 def test_a_short_flight_gives_no_difference() -> None:

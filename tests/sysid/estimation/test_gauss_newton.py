@@ -61,17 +61,17 @@ def test_a_straight_line_takes_one_step():
     x = np.linspace(0.0, 1.0, 20)
     A = np.column_stack([np.ones(20), x])
     y = 1.0 + 2.0 * x + 0.1 * np.random.default_rng(0).standard_normal(20)
-    found = run(Curve(lambda p: A @ p - y, lambda p: A), [50.0, -50.0])
-    assert found.theta == pytest.approx(np.linalg.lstsq(A, y, rcond=None)[0], rel=1e-6)
-    assert found.converged
-    assert found.iterations <= 4
+    result = run(Curve(lambda p: A @ p - y, lambda p: A), [50.0, -50.0])
+    assert result.theta == pytest.approx(np.linalg.lstsq(A, y, rcond=None)[0], rel=1e-6)
+    assert result.converged
+    assert result.iterations <= 4
 
 
 def test_a_curved_valley_is_followed_downwards_only():
-    found = run(rosenbrock(), [-1.2, 1.0])
-    assert found.theta == pytest.approx([1.0, 1.0], abs=1e-6)
-    assert (np.diff(found.cost_history) <= 0.0).all()
-    assert found.rejected > 0
+    result = run(rosenbrock(), [-1.2, 1.0])
+    assert result.theta == pytest.approx([1.0, 1.0], abs=1e-6)
+    assert (np.diff(result.cost_history) <= 0.0).all()
+    assert result.rejected > 0
 
 
 @pytest.mark.parametrize(
@@ -86,18 +86,18 @@ def test_bounds_hold_as_scipys_do(limits):
         bounds=(low, high),
         xtol=1e-14,
     )
-    found = run(rosenbrock(), start, (low, high))
-    assert found.cost == pytest.approx(theirs.cost, abs=1e-6)
-    assert found.theta == pytest.approx(theirs.x, abs=1e-3)
-    assert found.converged
-    assert ((low <= found.theta) & (found.theta <= high)).all()
+    result = run(rosenbrock(), start, (low, high))
+    assert result.cost == pytest.approx(theirs.cost, abs=1e-6)
+    assert result.theta == pytest.approx(theirs.x, abs=1e-3)
+    assert result.converged
+    assert ((low <= result.theta) & (result.theta <= high)).all()
 
 
 def test_a_gradient_of_the_wrong_sign_does_not_converge():
-    found = run(rosenbrock(sign=-1.0), [-1.2, 1.0])
-    assert not found.converged
-    assert found.cost == rosenbrock().evaluate(np.array([-1.2, 1.0]))[0]
-    assert "no step lowers the cost" in found.message
+    result = run(rosenbrock(sign=-1.0), [-1.2, 1.0])
+    assert not result.converged
+    assert result.cost == rosenbrock().evaluate(np.array([-1.2, 1.0]))[0]
+    assert "no step lowers the cost" in result.message
     short = run(rosenbrock(), [-1.2, 1.0], iterations=2)
     assert not short.converged
     assert "not converged after 2 iterations" in short.message
@@ -109,11 +109,11 @@ def test_a_step_over_a_bound_is_put_on_it_and_the_rest_solved_again():
     wide, all_ = np.full(3, 1e3), np.ones(3, dtype=bool)
     assert damped_step(g, M, 0.0, wide, wide, all_) == pytest.approx(np.linalg.solve(M, g))
     up = np.array([0.5, 1e3, 1e3])
-    found = damped_step(g, M, 0.0, wide, up, all_)
-    assert found[0] == 0.5
-    assert found[1:] == pytest.approx(np.linalg.solve(M[1:, 1:], g[1:] - M[1:, 0] * 0.5))
-    held = damped_step(g, M, 0.0, wide, wide, np.array([True, False, True]))
-    assert held[1] == 0.0
+    result = damped_step(g, M, 0.0, wide, up, all_)
+    assert result[0] == 0.5
+    assert result[1:] == pytest.approx(np.linalg.solve(M[1:, 1:], g[1:] - M[1:, 0] * 0.5))
+    constant = damped_step(g, M, 0.0, wide, wide, np.array([True, False, True]))
+    assert constant[1] == 0.0
     # Damping as Marquardt's: added to the diagonal in proportion to it.
     assert damped_step(g, M, 0.7, wide, wide, all_) == pytest.approx(
         np.linalg.solve(M + 0.7 * np.diag(np.diagonal(M)), g)

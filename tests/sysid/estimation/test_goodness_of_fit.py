@@ -26,11 +26,11 @@ def test_gap_figures_of_known_series():
     assert 1e-4 < shift.std < 2e-3
     assert white_noise([z]) == pytest.approx(0.02, rel=0.1)
     # Theil's U of a constant offset is all bias: U = d / (rms z + rms y).
-    found = theil(y + 0.5, y)
-    assert found.u == pytest.approx(
+    result = theil(y + 0.5, y)
+    assert result.u == pytest.approx(
         0.5 / (np.sqrt(np.mean((y + 0.5) ** 2)) + np.sqrt(np.mean(y**2)))
     )
-    assert (found.bias, found.variance, found.covariance) == pytest.approx((1.0, 0.0, 0.0))
+    assert (result.bias, result.variance, result.covariance) == pytest.approx((1.0, 0.0, 0.0))
     gap = np.zeros(1000)
     gap[[100, 102, 500]] = [3.0, 2.9, -5.0]
     assert largest_residuals(gap, t, 1.0, 2, 0.5) == [(t[500], -5.0), (t[100], 3.0)]
@@ -51,11 +51,11 @@ def test_noise_shows_in_third_differences_and_motion_does_not():
 def test_the_cards_noise_counts_where_a_channel_looks_cleaner():
     rng = np.random.default_rng(5)
     block = np.column_stack([0.1 * rng.standard_normal(3000), 0.5 * rng.standard_normal(3000)])
-    found = channel_noise([block], ("a", "b"), {"a": 0.3, "b": 0.2})
-    assert found["a"] == 0.3
-    assert found["b"] == pytest.approx(0.5, rel=0.06)
-    nothing = channel_noise([np.full((10, 1), np.nan)], ("a",), {})
-    assert np.isnan(nothing["a"])
+    result = channel_noise([block], ("a", "b"), {"a": 0.3, "b": 0.2})
+    assert result["a"] == 0.3
+    assert result["b"] == pytest.approx(0.5, rel=0.06)
+    empty = channel_noise([np.full((10, 1), np.nan)], ("a",), {})
+    assert np.isnan(empty["a"])
 
 
 def test_theils_shares_of_scale_and_of_a_shift_in_phase():

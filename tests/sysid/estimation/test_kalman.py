@@ -35,18 +35,21 @@ def textbook(
     """State before each sample (n, x), e'S^-1 e + ln det S of each (n,), and the channels' own
     variances (n, m), NaN where nothing is seen."""
     d, Q, P = np.zeros(NX), np.diag(Q), np.diag(P)
-    states, costs, own = [], [], np.full(z.shape, np.nan)
+    states, costs, specific = [], [], np.full(z.shape, np.nan)
     for k, row in enumerate(z):
         states.append(d)
-        there = np.isfinite(row)
-        H = steps.H[k][list(ROWS)][there]
-        e = row[there] - steps.y_ref[k][list(ROWS)][there] - H @ d
-        S = H @ P @ H.T + np.diag(NOISE[there] ** 2)
-        own[k, there] = np.diag(S)
+        present = np.isfinite(row)
+        H = steps.H[k][list(ROWS)][present]
+        e = row[present] - steps.y_ref[k][list(ROWS)][present] - H @ d
+        S = H @ P @ H.T + np.diag(NOISE[present] ** 2)
+        specific[k, present] = np.diag(S)
         costs.append(e @ np.linalg.solve(S, e) + np.linalg.slogdet(S)[1])
         gain = P @ H.T @ np.linalg.inv(S)
-        left = np.eye(NX) - gain @ H
-        d, P = d + gain @ e, left @ P @ left.T + gain @ np.diag(NOISE[there] ** 2) @ gain.T
+        remaining = np.eye(NX) - gain @ H
+        d, P = (
+            d + gain @ e,
+            remaining @ P @ remaining.T + gain @ np.diag(NOISE[present] ** 2) @ gain.T,
+        )
         if k < len(z) - 1:
             phi = steps.phi[k]
             half = (
@@ -56,7 +59,7 @@ def textbook(
             )
             added = steps.dt_s / 6.0 * (Q + 4.0 * half @ Q @ half.T + phi @ Q @ phi.T)
             d, P = phi @ d + steps.defect[k], phi @ P @ phi.T + added
-    return np.array(states), np.array(costs), own
+    return np.array(states), np.array(costs), specific
 
 
 @pytest.mark.parametrize("step", [1.0, 300.0])
@@ -67,21 +70,21 @@ def test_state_likelihood_and_variances_are_the_textbooks(step: float) -> None:
     steps, (noise, begin) = system(30, 1), air(5)
     steps.phi[11] *= step
     z = measured(steps, 2)
-    states, costs, own = textbook(steps, z, noise, begin)
-    seen = MeasuredSystem.of(steps, z, ROWS)
-    by = gains(seen, NOISE, (noise, begin))
-    found = whiten_innovations(seen, by)
-    np.testing.assert_allclose(found.path, states, rtol=1e-6, atol=1e-8 * step)
+    states, costs, specific = textbook(steps, z, noise, begin)
+    observed = MeasuredSystem.of(steps, z, ROWS)
+    by = gains(observed, NOISE, (noise, begin))
+    result = whiten_innovations(observed, by)
+    np.testing.assert_allclose(result.path, states, rtol=1e-6, atol=1e-8 * step)
     np.testing.assert_allclose(
-        np.sum(found.innovations**2 + np.log(by.variance), axis=1), costs, rtol=1e-7, atol=1e-7
+        np.sum(result.innovations**2 + np.log(by.variance), axis=1), costs, rtol=1e-7, atol=1e-7
     )
     np.testing.assert_allclose(
-        by.prior_variance[np.isfinite(own)], own[np.isfinite(own)], rtol=1e-7
+        by.prior_variance[np.isfinite(specific)], specific[np.isfinite(specific)], rtol=1e-7
     )
     assert by.logdet == pytest.approx(0.5 * np.log(by.variance).sum())
-    assert not found.innovations[~np.isfinite(z)].any()
-    wrong = textbook(steps, z, 1.1 * noise, begin)[1]
-    assert not np.allclose(wrong, costs, rtol=1e-3)
+    assert not result.innovations[~np.isfinite(z)].any()
+    invalid = textbook(steps, z, 1.1 * noise, begin)[1]
+    assert not np.allclose(invalid, costs, rtol=1e-3)
 
 
 @pytest.mark.parametrize("gusty", [True, False])
@@ -93,13 +96,13 @@ def test_columns_are_what_a_change_of_coefficients_and_of_the_channels_does(gust
     z = measured(steps, 4)
     rng = np.random.default_rng(7)
     u, offset = rng.standard_normal((12, 6)), rng.standard_normal(z.shape)
-    seen = MeasuredSystem.of(steps, z, ROWS)
-    by = gains(seen, NOISE, air(6) if gusty else None)
+    observed = MeasuredSystem.of(steps, z, ROWS)
+    by = gains(observed, NOISE, air(6) if gusty else None)
     names = [f"c{k}" for k in range(150)]
     inputs = {"c3": (-1, u), "c120": (2, u[:, 2]), "c140": (4, u[:, 4]), "c149": (5, u[:, 5])}
     jump, unseen = np.where(np.arange(12) % 5 == 3, 0.7, 0.0), 0.3
-    found = whiten_innovations(
-        seen,
+    result = whiten_innovations(
+        observed,
         by,
         names,
         inputs,
@@ -121,23 +124,25 @@ def test_columns_are_what_a_change_of_coefficients_and_of_the_channels_does(gust
                     + steps.g0[k] @ u[k]
                     + steps.g1[k] @ (u[k + 1] - jump[k + 1])
                 )
-        changed = seen._replace(
-            z=np.where(seen.is_measured, seen.z - np.array(moved)[:, list(ROWS)] - offset, 0.0)
+        changed = observed._replace(
+            z=np.where(
+                observed.is_measured, observed.z - np.array(moved)[:, list(ROWS)] - offset, 0.0
+            )
         )
-        return found.innovations - whiten_innovations(changed, by).innovations
+        return result.innovations - whiten_innovations(changed, by).innovations
 
-    alone = [np.where(np.arange(6) == c, u, 0.0) for c in (2, 4, 5)]
+    single = [np.where(np.arange(6) == c, u, 0.0) for c in (2, 4, 5)]
     expected = {
         "c3": less(u),
-        "c120": less(alone[0]),
-        "c149": less(alone[2], offset),
+        "c120": less(single[0]),
+        "c149": less(single[2], offset),
         "c7": less(0.0 * u, offset),
     }
-    expected["c140"] = less(alone[1], 0.0, np.where(np.arange(6) == 4, jump[:, None], 0.0))
-    assert np.abs(expected["c140"] - less(alone[1])).max() > 0.1
+    expected["c140"] = less(single[1], 0.0, np.where(np.arange(6) == 4, jump[:, None], 0.0))
+    assert np.abs(expected["c140"] - less(single[1])).max() > 0.1
     for k, name in enumerate(names):
         np.testing.assert_allclose(
-            found.columns[:, :, k], expected.get(name, 0.0 * offset), atol=2e-5
+            result.columns[:, :, k], expected.get(name, 0.0 * offset), atol=2e-5
         )
     assert np.abs(expected["c149"]).max() > 0.1
 
@@ -145,26 +150,26 @@ def test_columns_are_what_a_change_of_coefficients_and_of_the_channels_does(gust
 def test_whiten_innovations_in_calm_air() -> None:
     steps = system(15, 8)
     z = measured(steps, 1)
-    seen = MeasuredSystem.of(steps, z, ROWS)
-    found = whiten_innovations(seen, gains(seen, NOISE, None))
+    observed = MeasuredSystem.of(steps, z, ROWS)
+    result = whiten_innovations(observed, gains(observed, NOISE, None))
     state = np.zeros(NX)
     for k in range(15):
-        np.testing.assert_allclose(found.path[k], state, rtol=1e-12, atol=1e-14)
-        there = np.isfinite(z[k])
-        e = np.where(there, z[k] - (steps.y_ref[k] + steps.H[k] @ state)[list(ROWS)], 0.0)
-        np.testing.assert_allclose(found.innovations[k], e / NOISE, rtol=1e-10, atol=1e-12)
+        np.testing.assert_allclose(result.path[k], state, rtol=1e-12, atol=1e-14)
+        present = np.isfinite(z[k])
+        e = np.where(present, z[k] - (steps.y_ref[k] + steps.H[k] @ state)[list(ROWS)], 0.0)
+        np.testing.assert_allclose(result.innovations[k], e / NOISE, rtol=1e-10, atol=1e-12)
         if k < 14:
             state = steps.phi[k] @ state + steps.defect[k]
 
 
 def test_gains_refuse_variances_that_are_none() -> None:
     steps, (noise, begin) = system(20, 2), air(3)
-    seen = MeasuredSystem.of(steps, measured(steps, 2), ROWS)
+    observed = MeasuredSystem.of(steps, measured(steps, 2), ROWS)
     with pytest.raises(np.linalg.LinAlgError, match="below zero"):
-        gains(seen, NOISE, (noise, begin - 1.0))
+        gains(observed, NOISE, (noise, begin - 1.0))
     steps.phi[3:] *= 1e200
     with pytest.raises(np.linalg.LinAlgError, match="no number"):
-        gains(seen, NOISE, (noise, begin))
+        gains(observed, NOISE, (noise, begin))
 
 
 # The loops compiled give what they give as Python, which the filter's own tests compare with

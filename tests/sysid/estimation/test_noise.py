@@ -25,11 +25,11 @@ def log_likelihood(v: np.ndarray, cov: np.ndarray) -> float:
     """Sample by sample over what is there, with the constant."""
     total = 0.0
     for row in v:
-        seen = np.flatnonzero(np.isfinite(row))
-        if seen.size:
-            total += stats.multivariate_normal(np.zeros(seen.size), cov[np.ix_(seen, seen)]).logpdf(
-                row[seen]
-            )
+        observed = np.flatnonzero(np.isfinite(row))
+        if observed.size:
+            total += stats.multivariate_normal(
+                np.zeros(observed.size), cov[np.ix_(observed, observed)]
+            ).logpdf(row[observed])
     return total
 
 
@@ -37,8 +37,8 @@ def log_likelihood(v: np.ndarray, cov: np.ndarray) -> float:
 def test_the_cost_is_the_normal_likelihood(full):
     v = residuals()
     noise = residual_noise(v, np.full(3, 1e-9), full)
-    there = np.isfinite(v).sum()
-    expected = -log_likelihood(v, noise.cov) - 0.5 * there * (1.0 + np.log(2.0 * np.pi))
+    present = np.isfinite(v).sum()
+    expected = -log_likelihood(v, noise.cov) - 0.5 * present * (1.0 + np.log(2.0 * np.pi))
     assert concentrated_cost(v, noise) == pytest.approx(expected, rel=1e-9)
 
 
@@ -80,27 +80,27 @@ def channel(seed, std, gusts=0.0, n=300, pieces=9):
 
 @pytest.mark.parametrize("card", [0.05, 0.1, 0.025, None])
 def test_noise_size_follows_the_samples_not_the_card(card):
-    found = [noise_size(channel(seed, 0.05), DT, FROM, card) for seed in range(8)]
-    assert np.mean([f.std for f in found]) == pytest.approx(0.05, rel=0.03)
-    assert np.std([f.std for f in found]) < 2.0 * 0.05 * np.mean([f.relative_std for f in found])
-    assert all(f.relative_std < 0.06 for f in found)
+    result = [noise_size(channel(seed, 0.05), DT, FROM, card) for seed in range(8)]
+    assert np.mean([f.std for f in result]) == pytest.approx(0.05, rel=0.03)
+    assert np.std([f.std for f in result]) < 2.0 * 0.05 * np.mean([f.relative_std for f in result])
+    assert all(f.relative_std < 0.06 for f in result)
 
 
 def test_noise_size_spread_is_its_error():
     """Where gusts hide the noise the spread says so, within a factor of three: the gusts' spectrum
     is a model too.
     """
-    found = [noise_size(channel(seed, 0.02, gusts=0.3), DT, FROM, 0.02) for seed in range(12)]
-    off = np.array([np.log(f.std / 0.02) / f.relative_std for f in found])
+    result = [noise_size(channel(seed, 0.02, gusts=0.3), DT, FROM, 0.02) for seed in range(12)]
+    off = np.array([np.log(f.std / 0.02) / f.relative_std for f in result])
     assert np.sqrt(np.mean(off**2)) < 3.0
-    still = noise_size(channel(1, 0.02), DT, FROM, 0.02)
-    assert np.mean([f.relative_std for f in found]) > 2.0 * still.relative_std
+    steady = noise_size(channel(1, 0.02), DT, FROM, 0.02)
+    assert np.mean([f.relative_std for f in result]) > 2.0 * steady.relative_std
 
 
 def test_gusts_far_above_the_noise_leave_the_cards_figure():
-    found = noise_size(channel(3, 0.0005, gusts=0.5), DT, FROM, 0.0005)
-    assert found.std == pytest.approx(0.0005, rel=1.5)
-    assert found.relative_std > 0.3
+    result = noise_size(channel(3, 0.0005, gusts=0.5), DT, FROM, 0.0005)
+    assert result.std == pytest.approx(0.0005, rel=1.5)
+    assert result.relative_std > 0.3
 
 
 def test_noise_size_of_samples_that_tell_nothing():

@@ -148,10 +148,10 @@ def test_collinear_and_uninformed_parameters_are_named_and_the_rest_estimated():
     assert np.isnan(fit.std[[0, 4, 5]]).all()
     assert np.isnan(fit.cov[0]).all()
     assert fit.theta[4] == 5.0
-    alone = output_error(lambda theta: decay(theta, T), [1.0, 1.0, 10.0, 400.0], measured)
-    np.testing.assert_allclose(fit.theta[1:4], alone.theta[1:], rtol=1e-4)
-    np.testing.assert_allclose(fit.std[1:4], alone.std[1:], rtol=1e-3)
-    assert set(alone.status.values()) == {"identified"}
+    single = output_error(lambda theta: decay(theta, T), [1.0, 1.0, 10.0, 400.0], measured)
+    np.testing.assert_allclose(fit.theta[1:4], single.theta[1:], rtol=1e-4)
+    np.testing.assert_allclose(fit.std[1:4], single.std[1:], rtol=1e-3)
+    assert set(single.status.values()) == {"identified"}
 
 
 def test_a_simulation_that_fails_or_diverges_at_trial_points_is_stepped_around():
@@ -193,11 +193,11 @@ def test_wrong_model_form_is_reported_and_the_right_one_is_not():
     u = signal.square(T * 3.0)
     y = signal.lfilter([0.05], [1.0, -0.95], u + 0.8 * u**2 * np.sin(T))
     measured = y + 0.01 * rng.normal(size=T.size)
-    wrong = output_error(
+    invalid = output_error(
         lambda theta: signal.lfilter([theta[0]], [1.0, -theta[1]], u), [0.1, 0.9], measured
     )
-    assert any("the model's form" in text for text in wrong.warnings)
-    assert (wrong.std > 1.5 * wrong.std_crb).all()
+    assert any("the model's form" in text for text in invalid.warnings)
+    assert (invalid.std > 1.5 * invalid.std_crb).all()
 
     def complete(theta):
         return signal.lfilter([theta[0]], [1.0, -theta[1]], u + theta[2] * u**2 * np.sin(T))
@@ -227,7 +227,7 @@ def test_turbulence_is_reported_and_calm_air_is_not(plane):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "output"),
     [
         ({"theta0": [1.0, np.nan]}, "not finite"),
         ({"theta0": []}, "at least one"),
@@ -247,11 +247,15 @@ def test_turbulence_is_reported_and_calm_air_is_not(plane):
         ({"differences": "guess"}, "central"),
     ],
 )
-def test_bad_input_is_refused(arguments, said):
+def test_bad_input_is_refused(arguments, output):
     x = np.arange(5.0)
-    given = {"simulate": lambda theta: theta[0] + theta[1] * x, "theta0": [1.0, 1.0], "measured": x}
-    with pytest.raises(ValueError, match=said):
-        output_error(**{**given, **arguments})
+    inputs = {
+        "simulate": lambda theta: theta[0] + theta[1] * x,
+        "theta0": [1.0, 1.0],
+        "measured": x,
+    }
+    with pytest.raises(ValueError, match=output):
+        output_error(**{**inputs, **arguments})
 
 
 def test_estimates_alone_are_the_same_and_say_nothing_of_errors():
@@ -263,12 +267,12 @@ def test_estimates_alone_are_the_same_and_say_nothing_of_errors():
             lambda theta: theta[0] * np.exp(-theta[1] * t), [1.0, 1.0], measured, **options
         )
 
-    whole, alone = fitted(), fitted(errors=False)
-    assert np.allclose(alone.theta, whole.theta, rtol=1e-12)
-    assert alone.converged
-    assert np.isnan(alone.std).all()
-    assert np.isnan(alone.cov).all()
-    assert np.isfinite(whole.std).all()
+    complete, single = fitted(), fitted(errors=False)
+    assert np.allclose(single.theta, complete.theta, rtol=1e-12)
+    assert single.converged
+    assert np.isnan(single.std).all()
+    assert np.isnan(single.cov).all()
+    assert np.isfinite(complete.std).all()
 
 
 # Sensitivities by differences against derivatives written out; simulations that fail, are rough
@@ -276,7 +280,7 @@ def test_estimates_alone_are_the_same_and_say_nothing_of_errors():
 
 
 @pytest.mark.parametrize(
-    ("answer", "said"),
+    ("answer", "output"),
     [
         (np.ones((3, 2)), r"returned shapes \[\(3, 2\)\], measured has \[\(4, 2\)\]"),
         (
@@ -287,10 +291,10 @@ def test_estimates_alone_are_the_same_and_say_nothing_of_errors():
         ("words", "not numeric"),
     ],
 )
-def test_safe_simulation_reports_wrong_outputs(answer, said):
-    found = SafeSimulation(lambda theta: answer, (4,), 2)(np.zeros(1))
-    assert isinstance(found, str)
-    assert re.search(said, found)
+def test_safe_simulation_reports_wrong_outputs(answer, output):
+    result = SafeSimulation(lambda theta: answer, (4,), 2)(np.zeros(1))
+    assert isinstance(result, str)
+    assert re.search(output, result)
 
 
 # Parameters that move different segments share a run, and give what each alone would.
@@ -324,18 +328,18 @@ def differences_together(model, central):
     simulation = SafeSimulation(model, LENGTHS, 2)
     base = simulation(THETA)
     limits = (np.full(5, -np.inf), np.full(5, np.inf))
-    step, spread = first_steps(THETA, *limits), np.ones(2)
+    step, scatter = first_steps(THETA, *limits), np.ones(2)
     return sensitivities(
-        simulation, THETA, base, step, range(5), limits, spread, central=central, map_fn=None
+        simulation, THETA, base, step, range(5), limits, scatter, central=central, map_fn=None
     )
 
 
 def test_sensitivities_of_a_failing_parameter_leave_its_group():
-    found = differences_together(Decays(fails=lambda theta: theta[2] != THETA[2]), False)
-    assert found.effect.tolist() == [True, True, False, True, True]
+    result = differences_together(Decays(fails=lambda theta: theta[2] != THETA[2]), False)
+    assert result.effect.tolist() == [True, True, False, True, True]
     right = differences_together(Decays(), False).sensitivity.dense()
     np.testing.assert_allclose(
-        np.delete(found.sensitivity.dense(), 2, axis=2),
+        np.delete(result.sensitivity.dense(), 2, axis=2),
         np.delete(right, 2, axis=2),
         rtol=1e-9,
         atol=1e-12,
@@ -343,12 +347,12 @@ def test_sensitivities_of_a_failing_parameter_leave_its_group():
 
 
 def test_forward_differences_at_steps_given():
-    found = forward_differences(Decays(), THETA, np.full(5, 1e-6), (LENGTHS, 2))
-    assert found is not None
+    result = forward_differences(Decays(), THETA, np.full(5, 1e-6), (LENGTHS, 2))
+    assert result is not None
     np.testing.assert_allclose(
-        found.dense(), differences_together(Decays(), True).sensitivity.dense(), atol=1e-4
+        result.dense(), differences_together(Decays(), True).sensitivity.dense(), atol=1e-4
     )
-    assert [columns.tolist() for columns in found.columns] == [[0, 1], [0, 2, 4], [0, 3, 4]]
+    assert [columns.tolist() for columns in result.columns] == [[0, 1], [0, 2, 4], [0, 3, 4]]
     assert (
         forward_differences(
             Decays(fails=lambda theta: theta[4] != THETA[4]), THETA, np.full(5, 1e-6), (LENGTHS, 2)

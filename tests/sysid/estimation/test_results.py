@@ -20,49 +20,49 @@ def regressors(seed: int = 0) -> np.ndarray:
 
 def test_independent_parameters_are_all_identified():
     X = regressors()
-    found = assess(X.T @ X, NAMES)
-    assert found.identified.all()
-    assert found.reason == ("",) * 4
-    np.testing.assert_allclose(found.inverse, np.linalg.inv(X.T @ X), rtol=1e-8)
+    result = assess(X.T @ X, NAMES)
+    assert result.identified.all()
+    assert result.reason == ("",) * 4
+    np.testing.assert_allclose(result.inverse, np.linalg.inv(X.T @ X), rtol=1e-8)
     # Of each regressor on the others, about zero, as no constant is among them.
     shares = [sm.OLS(X[:, k], np.delete(X, k, axis=1)).fit().rsquared for k in range(4)]
-    assert found.vif == pytest.approx([1.0 / (1.0 - r) for r in shares], rel=1e-8)
-    assert found.notes == ()
+    assert result.vif == pytest.approx([1.0 / (1.0 - r) for r in shares], rel=1e-8)
+    assert result.notes == ()
 
 
 def test_collinear_parameters_name_each_other_and_the_rest_keep_theirs():
     X = regressors()
     X[:, 3] = 30.0 * X[:, 0]
-    found = assess(X.T @ X, NAMES)
-    assert found.identified.tolist() == [False, True, True, False]
-    assert found.reason[0].startswith("collinear with d")
-    assert found.reason[3].startswith("collinear with a")
-    assert np.isinf(found.vif[[0, 3]]).all()
-    rest = X[:, [0, 1, 2]]
-    expected = np.linalg.inv(rest.T @ rest)
-    np.testing.assert_allclose(found.inverse[1:3, 1:3], expected[1:3, 1:3], rtol=1e-6)
+    result = assess(X.T @ X, NAMES)
+    assert result.identified.tolist() == [False, True, True, False]
+    assert result.reason[0].startswith("collinear with d")
+    assert result.reason[3].startswith("collinear with a")
+    assert np.isinf(result.vif[[0, 3]]).all()
+    remainder = X[:, [0, 1, 2]]
+    expected = np.linalg.inv(remainder.T @ remainder)
+    np.testing.assert_allclose(result.inverse[1:3, 1:3], expected[1:3, 1:3], rtol=1e-6)
 
 
 def test_a_parameter_without_effect_says_so():
     X = regressors()
     X[:, 2] = 0.0
-    found = assess(X.T @ X, NAMES)
-    assert found.identified.tolist() == [True, True, False, True]
-    assert found.reason[2] == "no effect on any output in these data"
+    result = assess(X.T @ X, NAMES)
+    assert result.identified.tolist() == [True, True, False, True]
+    assert result.reason[2] == "no effect on any output in these data"
     assert not assess(np.zeros((4, 4)), NAMES).identified.any()
 
 
-@pytest.mark.parametrize(("apart", "noted"), [(1e-3, True), (0.3, False)])
-def test_near_collinearity_is_a_note_and_no_refusal(apart, noted):
+@pytest.mark.parametrize(("difference", "noted"), [(1e-3, True), (0.3, False)])
+def test_near_collinearity_is_a_note_and_no_refusal(difference, noted):
     X = regressors()
-    X[:, 3] = 30.0 * (X[:, 0] + apart * X[:, 3] / 30.0)
-    found = assess(X.T @ X, NAMES)
-    assert found.identified.all()
-    assert bool(found.notes) is noted
+    X[:, 3] = 30.0 * (X[:, 0] + difference * X[:, 3] / 30.0)
+    result = assess(X.T @ X, NAMES)
+    assert result.identified.all()
+    assert bool(result.notes) is noted
     if noted:
-        assert "near-collinear: " in found.notes[0]
+        assert "near-collinear: " in result.notes[0]
         assert {"a", "d"} == set(
-            found.notes[0].removeprefix("near-collinear: ").split(" (")[0].split(", ")
+            result.notes[0].removeprefix("near-collinear: ").split(" (")[0].split(", ")
         )
 
 
@@ -76,6 +76,6 @@ def test_correlations_of_samples_and_of_what_is_not_known():
     cov = np.cov(data.T)
     assert correlation(cov) == pytest.approx(np.corrcoef(data.T))
     cov[1] = cov[:, 1] = np.nan
-    found = correlation(cov)
-    assert np.isnan(found[1]).all()
-    assert found[0, 2] == pytest.approx(np.corrcoef(data.T)[0, 2])
+    result = correlation(cov)
+    assert np.isnan(result[1]).all()
+    assert result[0, 2] == pytest.approx(np.corrcoef(data.T)[0, 2])

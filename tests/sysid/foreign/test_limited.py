@@ -59,7 +59,7 @@ def _same(a: RawLog, b: RawLog) -> None:
         for name, values in table.fields.items():
             assert values.dtype == b.messages[key].fields[name].dtype
             np.testing.assert_array_equal(values, b.messages[key].fields[name])
-    rest = [
+    remainder = [
         (
             r.dialect,
             dict(r.counts),
@@ -71,17 +71,17 @@ def _same(a: RawLog, b: RawLog) -> None:
         )
         for r in (a, b)
     ]
-    assert rest[0] == rest[1]
+    assert remainder[0] == remainder[1]
 
 
 def test_what_comes_through_the_child_is_what_the_reader_gives(
     tmp_path: Path, flown: FlightRecord
 ) -> None:
     write_tlog(tmp_path / "a.tlog", flown)
-    wanted = shipped_map("tlog").field_selection()
+    expected = shipped_map("tlog").field_selection()
     _same(
-        limited.read_raw(tmp_path / "a.tlog", "tlog", wanted),
-        tlog.read(tmp_path / "a.tlog", wanted),
+        limited.read_raw(tmp_path / "a.tlog", "tlog", expected),
+        tlog.read(tmp_path / "a.tlog", expected),
     )
     time_us = flown["time_s"] * 1e6
     write_ulog(tmp_path / "a.ulg", {"airspeed": (time_us, {"true_airspeed_m_s": flown["V_mps"]})})
@@ -113,10 +113,10 @@ def test_one_child_serves_several_files_and_a_refusal_does_not_end_it(
 def test_a_log_that_would_take_minutes_is_refused_in_time_and_the_next_is_read(
     tmp_path: Path,
 ) -> None:
-    begun = time.monotonic()
+    start = time.monotonic()
     with pytest.raises(LogError, match=r"longer than the 1 s that a file of .* may take"):
         import_log(_slow_ulog(tmp_path / "slow.ulg"))
-    assert time.monotonic() - begun < 60.0
+    assert time.monotonic() - start < 60.0
     time_us = np.arange(100) * 1e4
     write_ulog(
         tmp_path / "a.ulg", {"airspeed": (time_us, {"true_airspeed_m_s": np.full(100, 20.0)})}

@@ -107,9 +107,9 @@ def test_what_is_sound_is_read() -> None:
     ],
 )
 def test_toml_that_is_none(text: str, line: int | None, word: str) -> None:
-    with pytest.raises(ParseError, match=word) as found:
+    with pytest.raises(ParseError, match=word) as result:
         parse_toml(text)
-    assert found.value.line == line
+    assert result.value.line == line
 
 
 @pytest.mark.parametrize(
@@ -123,9 +123,9 @@ def test_toml_that_is_none(text: str, line: int | None, word: str) -> None:
     ],
 )
 def test_json_that_is_none(text: str | bytes, line: int | None, word: str) -> None:
-    with pytest.raises(ParseError, match=word) as found:
+    with pytest.raises(ParseError, match=word) as result:
         parse_json(text)
-    assert found.value.line == line
+    assert result.value.line == line
 
 
 # Digests of files and bytes.

@@ -132,16 +132,16 @@ def test_arrays_come_back_bit_for_bit(dtype, shape):
         if "U" not in dtype
         else np.full(shape, "aé", dtype).tobytes()
     )
-    made = (
+    result = (
         np.frombuffer(content, np.uint8).view(dtype).reshape(shape)
         if count
         else np.empty(shape, dtype)
     )
     for value in (
-        made,
-        made.copy(),
-        np.asfortranarray(made),
-        made[..., ::2] if made.ndim else made,
+        result,
+        result.copy(),
+        np.asfortranarray(result),
+        result[..., ::2] if result.ndim else result,
     ):
         back = load(dump(value))
         expected = (
@@ -155,9 +155,9 @@ def test_arrays_come_back_bit_for_bit(dtype, shape):
 
 def test_structured_and_object_arrays_come_back():
     kind = np.dtype([("a", "<i4"), ("b", ">f8", (2, 2)), ("c", [("d", "S3")])])
-    made = np.zeros(3, kind)
-    made["b"] = 1 / 3
-    assert same(load(dump(made)), made)
+    result = np.zeros(3, kind)
+    result["b"] = 1 / 3
+    assert same(load(dump(result)), result)
     texts = np.array([["a", None, "é"], ["", "a", "\udc80"]], dtype=object)
     assert same(load(dump(texts)), texts)
     assert same(load(dump(np.asfortranarray(texts))), np.asfortranarray(texts))
@@ -222,7 +222,7 @@ def deep(levels: int) -> Any:
 
 
 @pytest.mark.parametrize(
-    ("value", "said"),
+    ("value", "output"),
     [
         (print, "builtins.builtin_function_or_method"),
         (Foreign(), "test_typed_files.Foreign"),
@@ -245,10 +245,10 @@ def deep(levels: int) -> Any:
         ({tuple(range(2000)): 1}, "a key has more than 1000 parts"),
     ],
 )
-def test_dump_refuses_what_is_no_data(value, said):
+def test_dump_refuses_what_is_no_data(value, output):
     with pytest.raises(DataFileError) as error:
         dump(value)
-    assert said in str(error.value)
+    assert output in str(error.value)
 
 
 def test_dump_bounds_the_header(monkeypatch):
@@ -257,19 +257,19 @@ def test_dump_bounds_the_header(monkeypatch):
     with pytest.raises(DataFileError, match="allows 1000"):
         dump(list(range(1000)))
     monkeypatch.undo()
-    written = dump(list(range(1000)))
+    text = dump(list(range(1000)))
     monkeypatch.setattr(typed_files, "MAX_HEADER_BYTES", 1000)
     with pytest.raises(DataFileError, match="longer than allowed"):
-        load(written)
+        load(text)
 
 
 def test_dump_and_load_bound_the_visits_of_shared_values(monkeypatch):
     numbers = {str(k): 1.0 for k in range(100)}
-    written = dump([Finding("a", "", "info", str(k), numbers) for k in range(100)])
-    assert len(load(written)) == 100
+    text = dump([Finding("a", "", "info", str(k), numbers) for k in range(100)])
+    assert len(load(text)) == 100
     monkeypatch.setattr(typed_files, "_MAX_VISITS", 10_000)
     with pytest.raises(DataFileError, match="takes more than 10000 steps"):
-        load(written)
+        load(text)
 
 
 def sealed(header: Any, buffers: bytes = b"", length: int | None = None) -> bytes:
@@ -412,10 +412,10 @@ def test_a_forged_file_is_refused_and_takes_no_memory(content):
 
 
 def test_load_refuses_another_version():
-    written = bytearray(dump(1))
-    written[len(MAGIC) - 1] += 1
+    text = bytearray(dump(1))
+    text[len(MAGIC) - 1] += 1
     with pytest.raises(DataFileError, match="of this version"):
-        load(bytes(written))
+        load(bytes(text))
 
 
 def test_mutated_headers_give_a_value_or_a_sentence():
@@ -462,12 +462,14 @@ def test_mutated_headers_give_a_value_or_a_sentence():
 
 def test_named_tuple_round_trip():
     value = GustStates(2.8, turning_with=False)
-    own = storable_class(GustStates)
-    assert own is find_class("sysid.aerodynamics.air_motion:GustStates", list(GustStates._fields))
-    found = load(dump({"states": value}))["states"]
-    assert type(found) is GustStates
-    assert found == value
-    assert "b of sysid.aerodynamics.air_motion:GustStates holds a str" in own.mismatch(
+    specific = storable_class(GustStates)
+    assert specific is find_class(
+        "sysid.aerodynamics.air_motion:GustStates", list(GustStates._fields)
+    )
+    result = load(dump({"states": value}))["states"]
+    assert type(result) is GustStates
+    assert result == value
+    assert "b of sysid.aerodynamics.air_motion:GustStates holds a str" in specific.mismatch(
         ["2.8", *value[1:]]
     )
     assert (

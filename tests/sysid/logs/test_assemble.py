@@ -37,12 +37,12 @@ def raw_log(dialect: str = "dataflash", **more) -> RawLog:
     return RawLog(dialect, messages, **more)
 
 
-def made(raw: RawLog):
+def build(raw: RawLog):
     return assemble(raw, SignalMap("test", ENTRIES), None)
 
 
 def test_the_fastest_rate_is_the_grid_and_the_rest_lies_on_it() -> None:
-    record = made(raw_log())
+    record = build(raw_log())
     inside = slice(5, 240)
     assert record["time_s"] == pytest.approx(FAST)
     np.testing.assert_array_equal(record["q_radps"], np.sin(FAST))
@@ -61,13 +61,13 @@ def test_where_the_flight_began() -> None:
         {"Lat": np.r_[0.0, np.full(49, 37.5)], "Lng": np.full(50, -76.0), "Alt": np.full(50, 12.0)},
     )
     log = RawLog("dataflash", {**raw.messages, ("GPS", 0): fix})
-    assert made(log).metadata.start == {"lat_deg": 37.5, "lon_deg": -76.0, "alt_m": 12.0}
-    assert made(raw).metadata.start == {}
+    assert build(log).metadata.start == {"lat_deg": 37.5, "lon_deg": -76.0, "alt_m": 12.0}
+    assert build(raw).metadata.start == {}
     scaled = MessageTable(
         SLOW, {"lat": np.full(50, 375e6), "lon": np.full(50, -760e6), "alt": np.full(50, 12_000.0)}
     )
     log = RawLog("tlog", {**raw.messages, ("GLOBAL_POSITION_INT", 0): scaled})
-    assert made(log).metadata.start == pytest.approx(
+    assert build(log).metadata.start == pytest.approx(
         {"lat_deg": 37.5, "lon_deg": -76.0, "alt_m": 12.0}
     )
 
@@ -97,40 +97,40 @@ def record(**columns):
 
 
 def test_lost_rows_come_back_with_straight_lines_and_held_commands():
-    whole = record(manoeuvre=np.array(["pitch"] * N, dtype=object))
-    kept = np.ones(N, dtype=bool)
-    kept[[20, 21, 50, 70, 71, 72]] = False
-    found, notes = bridge(whole.rows(kept), ("q_radps", "elevator_deg"), ("elevator_deg",))
-    assert len(found) == N
-    assert np.allclose(found["time_s"], whole["time_s"], atol=1e-9, rtol=0)
-    assert np.allclose(found["q_radps"], whole["q_radps"], atol=0.02)
-    assert found["q_radps"][50] == np.mean(whole["q_radps"][[49, 51]])
-    assert (found["elevator_deg"][70:73] == whole["elevator_deg"][69]).all()
-    assert set(found["manoeuvre"]) == {"pitch"}
+    complete = record(manoeuvre=np.array(["pitch"] * N, dtype=object))
+    retained = np.ones(N, dtype=bool)
+    retained[[20, 21, 50, 70, 71, 72]] = False
+    result, notes = bridge(complete.rows(retained), ("q_radps", "elevator_deg"), ("elevator_deg",))
+    assert len(result) == N
+    assert np.allclose(result["time_s"], complete["time_s"], atol=1e-9, rtol=0)
+    assert np.allclose(result["q_radps"], complete["q_radps"], atol=0.02)
+    assert result["q_radps"][50] == np.mean(complete["q_radps"][[49, 51]])
+    assert (result["elevator_deg"][70:73] == complete["elevator_deg"][69]).all()
+    assert set(result["manoeuvre"]) == {"pitch"}
     assert notes == ["6 lost row(s) were put back, each gap at most 0.1 s long"]
-    assert len(found.segments(("q_radps", "elevator_deg"))) == 1
+    assert len(result.segments(("q_radps", "elevator_deg"))) == 1
 
 
 def test_nothing_is_bridged_across_a_long_gap_nor_in_a_channel_that_is_mostly_holes():
-    whole = record()
-    kept = np.ones(N, dtype=bool)
-    kept[80:90] = False
-    found, notes = bridge(whole.rows(kept), ("q_radps",))
-    assert len(found) == N - 10
+    complete = record()
+    retained = np.ones(N, dtype=bool)
+    retained[80:90] = False
+    result, notes = bridge(complete.rows(retained), ("q_radps",))
+    assert len(result) == N - 10
     assert not notes
-    assert len(found.segments(("q_radps",))) == 2
-    holes = np.array(whole["q_radps"])
+    assert len(result.segments(("q_radps",))) == 2
+    holes = np.array(complete["q_radps"])
     holes[::3] = np.nan
-    found, notes = bridge(record(q_radps=holes), ("q_radps",))
-    assert np.isnan(found["q_radps"]).sum() == np.isnan(holes).sum()
+    result, notes = bridge(record(q_radps=holes), ("q_radps",))
+    assert np.isnan(result["q_radps"]).sum() == np.isnan(holes).sum()
     assert not notes
 
 
 def test_missing_samples_are_counted_and_the_ends_stay_missing():
     holes = np.array(record()["q_radps"])
     holes[[0, 1, 40, 41, 100, -1]] = np.nan
-    found, notes = bridge(record(q_radps=holes), ("q_radps", "alpha_rad"))
-    assert np.flatnonzero(np.isnan(found["q_radps"])).tolist() == [0, 1, N - 1]
+    result, notes = bridge(record(q_radps=holes), ("q_radps", "alpha_rad"))
+    assert np.flatnonzero(np.isnan(result["q_radps"])).tolist() == [0, 1, N - 1]
     assert notes == ["3 of 197 samples of q_radps are missing and were bridged in straight lines"]
 
 
@@ -139,11 +139,11 @@ def test_a_table_of_pandas_is_read_with_its_row_numbers_and_checked_for_degrees(
     from sysid.logs.load import import_log
     from tests.helpers.synthetic import flight
 
-    good = flight(40.0)
-    table = pd.DataFrame(dict(good.columns))
+    valid = flight(40.0)
+    table = pd.DataFrame(dict(valid.columns))
     table.to_csv(tmp_path / "good.csv")
     read = import_log(tmp_path / "good.csv")
-    assert set(read.columns) == set(good.columns)
+    assert set(read.columns) == set(valid.columns)
     assert not [f for f in read.metadata.findings if in_degrees(f)]
     for name in ("phi_rad", "theta_rad", "q_radps"):
         table.assign(**{name: np.degrees(table[name])}).to_csv(tmp_path / "bad.csv", index=False)

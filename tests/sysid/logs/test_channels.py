@@ -24,10 +24,10 @@ def test_a_tables_own_columns_win() -> None:
         **dict.fromkeys(COMPONENTS, np.full(2, 10.0)),
         "V_mps": np.full(2, 17.0),
     }
-    made = with_air_data(columns)
-    assert made["V_mps"].tolist() == [17.0, 17.0]
-    assert made["alpha_rad"] == pytest.approx(np.pi / 4)
-    assert not set(COMPONENTS) & set(made)
+    result = with_air_data(columns)
+    assert result["V_mps"].tolist() == [17.0, 17.0]
+    assert result["alpha_rad"] == pytest.approx(np.pi / 4)
+    assert not set(COMPONENTS) & set(result)
 
 
 def table(path: Path, every: int, names: dict[str, str] | None = None) -> None:
@@ -58,12 +58,12 @@ def test_u_v_w_of_a_csv_are_read_and_said_to_be_interpolated(tmp_path: Path) -> 
     truth = flight(60.0, seed=3)
     assert np.nanmax(np.abs(fast["V_mps"] - truth["V_mps"])) < 1.5
     assert np.nanmedian(np.abs(fast["alpha_rad"] - truth["alpha_rad"])) < 0.02
-    told = [
+    reports = [
         {f.channel: f.numbers["native_hz"] for f in r.metadata.findings if f.code == "interpolated"}
         for r in (fast, slow)
     ]
-    assert told[0] == {}
-    assert told[1] == pytest.approx(dict.fromkeys(AIR, 10.0), rel=0.02)
+    assert reports[0] == {}
+    assert reports[1] == pytest.approx(dict.fromkeys(AIR, 10.0), rel=0.02)
 
 
 def test_a_map_reads_them_under_any_name_and_unit(tmp_path: Path) -> None:

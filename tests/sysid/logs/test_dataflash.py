@@ -179,10 +179,12 @@ def test_negative_times_are_refused(tmp_path: Path, card: AirframeCard) -> None:
 
 
 def test_a_payload_is_read_as_struct_wrote_it() -> None:
-    made = make_format(130, 3 + 8 + 1 + 4 + 2 + 4, "GPS", "QBLCe", "TimeUS,I,Lat,Spd,Alt")
-    assert made is not None
-    row = np.frombuffer(struct.pack("<QBiHi", 5_000_000, 1, -370000000, 2345, 12345), made.dtype)
-    values = {c: scaled(row[c], k)[0] for c, k in zip(made.columns, made.characters, strict=True)}
+    result = make_format(130, 3 + 8 + 1 + 4 + 2 + 4, "GPS", "QBLCe", "TimeUS,I,Lat,Spd,Alt")
+    assert result is not None
+    row = np.frombuffer(struct.pack("<QBiHi", 5_000_000, 1, -370000000, 2345, 12345), result.dtype)
+    values = {
+        c: scaled(row[c], k)[0] for c, k in zip(result.columns, result.characters, strict=True)
+    }
     assert values == {
         "TimeUS": 5_000_000,
         "I": 1,
@@ -190,8 +192,8 @@ def test_a_payload_is_read_as_struct_wrote_it() -> None:
         "Spd": pytest.approx(23.45),
         "Alt": 123.45,
     }
-    assert made.time_column == ("TimeUS", 1e-6)
-    assert made.instance_column == "I"
+    assert result.time_column == ("TimeUS", 1e-6)
+    assert result.instance_column == "I"
 
 
 @pytest.mark.parametrize(
@@ -230,12 +232,12 @@ def text(*values: str) -> np.ndarray:
 
 
 def assembled(columns, formats):
-    made = {
+    result = {
         name: make_format(130 + k, length, name, chars, names)
         for k, (name, (length, chars, names)) in enumerate(formats.items())
     }
-    assert None not in made.values()
-    return assemble("dataflash", columns, made, {}, [], Path("a.bin"))
+    assert None not in result.values()
+    return assemble("dataflash", columns, result, {}, [], Path("a.bin"))
 
 
 def test_parameters_texts_and_vehicle() -> None:

@@ -38,16 +38,16 @@ def test_every_kind_is_told_under_a_strangers_name(
 def test_a_binary_log_whose_beginning_is_lost_is_told_by_its_first_format(
     tmp_path: Path, bin_log: Path
 ) -> None:
-    whole = bin_log.read_bytes()
-    (tmp_path / "a").write_bytes(b"\0" * 50 + whole)
+    complete = bin_log.read_bytes()
+    (tmp_path / "a").write_bytes(b"\0" * 50 + complete)
     assert detect(tmp_path / "a") == "dataflash"
-    (tmp_path / "a").write_bytes(b"\0" * 50 + whole.replace(b"\xa3\x95\x80", b"\xa3\x95\x81"))
+    (tmp_path / "a").write_bytes(b"\0" * 50 + complete.replace(b"\xa3\x95\x80", b"\xa3\x95\x81"))
     with pytest.raises(LogError, match="not recognised"):
         detect(tmp_path / "a")
 
 
 @pytest.mark.parametrize(
-    ("content", "said"),
+    ("content", "output"),
     [
         (b"", "the file is empty"),
         (b"PK\x03\x04rest", "a ZIP archive .unpack it first."),
@@ -55,7 +55,7 @@ def test_a_binary_log_whose_beginning_is_lost_is_told_by_its_first_format(
         (b"name,colour\nrobin,red\n", "not recognised .* first line is 'name,colour'"),
     ],
 )
-def test_what_is_no_log_is_refused_by_name(tmp_path: Path, content: bytes, said: str) -> None:
+def test_what_is_no_log_is_refused_by_name(tmp_path: Path, content: bytes, output: str) -> None:
     (tmp_path / "a.bin").write_bytes(content)
-    with pytest.raises(LogError, match=said):
+    with pytest.raises(LogError, match=output):
         detect(tmp_path / "a.bin")

@@ -30,9 +30,9 @@ def test_four_hertz_telemetry_is_refused_for_identification_and_replay(
 ) -> None:
     path = tmp_path / "slow.tlog"
     write_tlog(path, flight(60.0, 40.0), every=10, with_imu=True)
-    found = purposes(import_log(path, card_path=card_path))
-    assert not found["identification"][0]
-    assert not found["replay"][0]
+    result = purposes(import_log(path, card_path=card_path))
+    assert not result["identification"][0]
+    assert not result["replay"][0]
 
 
 def test_a_users_map_takes_the_place_of_the_dialects_entry(
@@ -94,14 +94,14 @@ def test_what_never_flew_or_has_negative_airspeed_serves_nothing(
     tmp_path: Path, card: AirframeCard
 ) -> None:
     record = flight(20.0)
-    still = record.with_columns(
+    steady = record.with_columns(
         {
             "V_mps": np.full(len(record), 0.4),
             "vn_mps": np.zeros(len(record)),
             "ve_mps": np.zeros(len(record)),
         }
     )
-    write_dataflash(still, tmp_path / "s.bin", card)
+    write_dataflash(steady, tmp_path / "s.bin", card)
     assert "never flew" in purposes(import_log(tmp_path / "s.bin"))["identification"][1]
     write_dataflash(record.with_columns({"V_mps": -record["V_mps"]}), tmp_path / "n.bin", card)
     assert "negative" in purposes(import_log(tmp_path / "n.bin"))["identification"][1]

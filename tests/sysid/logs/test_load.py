@@ -26,7 +26,7 @@ LIMIT_S = 20.0  # a clean import of these logs takes well under a second
 
 def attempt(path: Path) -> str:
     """ "record", or the error's text; anything but LogError escapes."""
-    started = time.monotonic()
+    start = time.monotonic()
     try:
         record = import_log(path)
         log_info(record)
@@ -36,7 +36,7 @@ def attempt(path: Path) -> str:
         assert str(path) in outcome
         assert "\n" not in outcome.strip()
         assert len(outcome) > len(str(path)) + 10
-    assert time.monotonic() - started < LIMIT_S
+    assert time.monotonic() - start < LIMIT_S
     return outcome
 
 
@@ -185,11 +185,11 @@ def test_parameters_are_those_of_the_boot(
     paths = [tmp_path / "a.bin", tmp_path / "b.bin"]
     write_dataflash(brief, paths[0], card)
     write_dataflash(early(brief), paths[1], other, parameters={"SERVO2_REVERSED": 1.0})
-    both = tmp_path / "both.bin"
-    both.write_bytes(b"".join(p.read_bytes() for p in paths))
-    alone = import_log(paths[0], None, card_path)
+    pair = tmp_path / "both.bin"
+    pair.write_bytes(b"".join(p.read_bytes() for p in paths))
+    single = import_log(paths[0], None, card_path)
     assert np.array_equal(
-        import_log(both, None, card_path)["elevator_deg"], alone["elevator_deg"], equal_nan=True
+        import_log(pair, None, card_path)["elevator_deg"], single["elevator_deg"], equal_nan=True
     )
 
 
@@ -203,9 +203,9 @@ def test_the_boots_stay_with_a_record_and_its_cache(
         assert record.metadata.flight_number == (number or 2)
     record = import_log(path, None, card_path, flight_number=1, cache=cache)
     record.write(tmp_path / "one.parquet")
-    again = FlightRecord.read(tmp_path / "one.parquet")
-    assert again.metadata.flights == record.metadata.flights
-    assert again.metadata.flight_number == 1
+    repeat = FlightRecord.read(tmp_path / "one.parquet")
+    assert repeat.metadata.flights == record.metadata.flights
+    assert repeat.metadata.flight_number == 1
 
 
 def test_one_boot_lists_nothing_and_holds_no_second(bin_log: Path, card_path: Path) -> None:

@@ -38,7 +38,7 @@ def test_manoeuvres_from_a_table(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "output"),
     [
         ("manoeuvre,start_s,end_s\na,soon,4\n", "start_s holds a time that is no number"),
         (
@@ -48,9 +48,9 @@ def test_manoeuvres_from_a_table(tmp_path: Path) -> None:
         ("manoeuvre,start_s,end_s\n" + "a,1,2\n" * 10_001, "10001 manoeuvres; at most 10000"),
     ],
 )
-def test_tables_that_name_nothing_are_refused(tmp_path: Path, text: str, said: str) -> None:
+def test_tables_that_name_nothing_are_refused(tmp_path: Path, text: str, output: str) -> None:
     (tmp_path / "m.csv").write_text(text)
-    with pytest.raises(LogError, match=said):
+    with pytest.raises(LogError, match=output):
         label_manoeuvres(flight(10.0), tmp_path / "m.csv", "one")
 
 
@@ -93,10 +93,10 @@ def pulses(
 )
 @pytest.mark.parametrize("size", [-4.0, 2.0])
 def test_kind_axis_size_and_times(lengths_s: tuple[float, ...], kind: str, size: float) -> None:
-    (found,) = find_manoeuvres(
+    (result,) = find_manoeuvres(
         record(elevator_deg=pulses(20.0, size, *lengths_s), aileron_deg=pulses(70.0, 1.0))
     )
-    assert found == Manoeuvre(
+    assert result == Manoeuvre(
         kind,
         "pitch",
         pytest.approx(20.0),
@@ -104,7 +104,7 @@ def test_kind_axis_size_and_times(lengths_s: tuple[float, ...], kind: str, size:
         pytest.approx(size),
         "deg",
     )
-    assert found.name == f"pitch {kind}"
+    assert result.name == f"pitch {kind}"
 
 
 def test_what_an_autopilot_does_is_no_manoeuvre() -> None:
@@ -120,8 +120,8 @@ def test_what_an_autopilot_does_is_no_manoeuvre() -> None:
 
 
 def test_labels_reach_from_before_the_input_into_the_answer() -> None:
-    both = record(elevator_deg=pulses(20.0, 3.0, 0.5, 0.5), aileron_deg=pulses(23.0, 3.0, 0.5, 0.5))
-    labels, time = label_from_commands(both)["manoeuvre"], both["time_s"]
+    pair = record(elevator_deg=pulses(20.0, 3.0, 0.5, 0.5), aileron_deg=pulses(23.0, 3.0, 0.5, 0.5))
+    labels, time = label_from_commands(pair)["manoeuvre"], pair["time_s"]
     pitch, roll = (time[labels == name] for name in ("pitch doublet", "roll doublet"))
     assert (pitch[0], pitch[-1]) == (pytest.approx(19.0), pytest.approx(22.0, abs=DT))
     assert (roll[0], roll[-1]) == (pytest.approx(22.0), pytest.approx(27.0))
@@ -130,11 +130,14 @@ def test_labels_reach_from_before_the_input_into_the_answer() -> None:
 
 
 def test_a_table_or_the_word_found_labels_a_record(tmp_path: Path) -> None:
-    flown = record(elevator_deg=pulses(20.0, 3.0, 0.5, 0.5))
+    trajectory = record(elevator_deg=pulses(20.0, 3.0, 0.5, 0.5))
     table = tmp_path / "found.csv"
     table.write_text("manoeuvre,start_s,end_s\nmine,30,40\n", encoding="utf-8")
-    assert set(with_manoeuvres(flown, Path("found"), "one")["manoeuvre"]) == {"", "pitch doublet"}
-    assert set(with_manoeuvres(flown, table, "one")["manoeuvre"]) == {"", "mine"}
+    assert set(with_manoeuvres(trajectory, Path("found"), "one")["manoeuvre"]) == {
+        "",
+        "pitch doublet",
+    }
+    assert set(with_manoeuvres(trajectory, table, "one")["manoeuvre"]) == {"", "mine"}
 
 
 # Circles that an autopilot was told to fly.
@@ -192,17 +195,17 @@ def targets(*places: tuple[float, float, float]) -> MessageTable:
 
 @pytest.mark.parametrize("radius", [100.0, -60.0])
 def test_the_navigations_target_is_the_centre(radius: float) -> None:
-    (found,) = loiters(logged(radius, NTUN=targets((0.0, 900.0, 900.0), (50.05, *CENTRE))))
-    assert (found.north_m, found.east_m) == pytest.approx(CENTRE, abs=0.3)
-    assert (found.start_s, found.end_s) == (pytest.approx(50.1), pytest.approx(199.9))
-    assert (found.radius_m, found.clockwise) == (abs(radius), radius > 0)
+    (result,) = loiters(logged(radius, NTUN=targets((0.0, 900.0, 900.0), (50.05, *CENTRE))))
+    assert (result.north_m, result.east_m) == pytest.approx(CENTRE, abs=0.3)
+    assert (result.start_s, result.end_s) == (pytest.approx(50.1), pytest.approx(199.9))
+    assert (result.radius_m, result.clockwise) == (abs(radius), radius > 0)
 
 
 @pytest.mark.parametrize("radius", [100.0, -60.0])
 def test_without_a_target_positions_and_distances_give_the_centre(radius: float) -> None:
-    (found,) = loiters(logged(radius))
-    assert (found.north_m, found.east_m) == pytest.approx(CENTRE, abs=0.5)
-    assert "cross-track" in found.source
+    (result,) = loiters(logged(radius))
+    assert (result.north_m, result.east_m) == pytest.approx(CENTRE, abs=0.5)
+    assert "cross-track" in result.source
     # Distances from another circle tell of none.
     assert loiters(logged(radius, NTUN=MessageTable(TIME, {"XT": np.full(TIME.size, -20.0)}))) == ()
 
@@ -218,13 +221,13 @@ def test_loiter_commands_of_a_mission() -> None:
             "Lng": lng,
         },
     )
-    found = loiters(logged(100.0, mode=10.0, CMD=table))
+    result = loiters(logged(100.0, mode=10.0, CMD=table))
     # The first stands in the log because it begins; the second is a waypoint.
-    assert [(x.start_s, x.end_s, x.radius_m, x.clockwise) for x in found] == [
+    assert [(x.start_s, x.end_s, x.radius_m, x.clockwise) for x in result] == [
         (80.0, 150.0, 75.0, False),
         (150.0, pytest.approx(199.9), 100.0, True),
     ]
-    assert [(x.north_m, x.east_m) for x in found] == [
+    assert [(x.north_m, x.east_m) for x in result] == [
         pytest.approx((300.0, -80.0), abs=0.3),
         pytest.approx((700.0, 50.0), abs=0.7),
     ]
@@ -235,10 +238,10 @@ def test_genuine_targets_are_where_positions_and_distances_put_them(
     flight_data: Path, card_path: Path, flight: str
 ) -> None:
     record = import_log(flight_data / "espaaro-ardupilot" / f"{flight}.BIN", None, card_path)
-    (found,) = record.metadata.loiters
-    part = record.between(found.start_s + 60.0, found.end_s)
+    (result,) = record.metadata.loiters
+    part = record.between(result.start_s + 60.0, result.end_s)
     n, e, d = (part[c] for c in ("north_m", "east_m", "cross_track_m"))
-    miss = np.hypot(n - found.north_m, e - found.east_m) - found.radius_m - d
-    assert found.clockwise
+    miss = np.hypot(n - result.north_m, e - result.east_m) - result.radius_m - d
+    assert result.clockwise
     assert abs(float(np.nanmedian(miss))) < 3.0
     assert float(np.nanstd(miss)) < 0.5

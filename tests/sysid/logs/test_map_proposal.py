@@ -47,7 +47,7 @@ def test_units_and_signs_of_a_strange_table_are_found(tmp_path: Path) -> None:
     frame.to_csv(tmp_path / "strange.csv", sep=";", decimal=",", index=False)
     proposal = propose_map(tmp_path / "strange.csv")
     (tmp_path / "m.toml").write_text(proposal.to_toml())
-    again = import_log(tmp_path / "strange.csv", tmp_path / "m.toml")
+    repeat = import_log(tmp_path / "strange.csv", tmp_path / "m.toml")
     for name, (signal, factor) in STRANGE.items():
         column = "elevator_pos_deg" if signal == "elevator_deg" else signal
         p = next(p for p in proposal.signals if p.signal == column)
@@ -56,8 +56,8 @@ def test_units_and_signs_of_a_strange_table_are_found(tmp_path: Path) -> None:
         assert p.evidence
     assert proposal.time is not None
     assert (proposal.time.field, proposal.time.unit) == ("TIME_MS", "ms")
-    np.testing.assert_allclose(again["q_radps"], record["q_radps"], atol=1e-9)
-    assert not [f for f in again.metadata.findings if f.code in ("unit", "sign", "out-of-range")]
+    np.testing.assert_allclose(repeat["q_radps"], record["q_radps"], atol=1e-9)
+    assert not [f for f in repeat.metadata.findings if f.code in ("unit", "sign", "out-of-range")]
     assert "Note" in proposal.unused
     assert "# unsure: " in proposal.to_toml()
 

@@ -194,8 +194,8 @@ def test_files_without_a_flight_say_so(
 def test_damaged_files_end_in_a_message(files: tuple[Path, Path], tmp_path: Path) -> None:
     data = files[0].read_bytes()
     rng = np.random.default_rng(0)
-    for cut in (200, len(data) // 2, len(data) - 300):
-        (tmp_path / "cut.mat").write_bytes(data[:cut])
+    for section in (200, len(data) // 2, len(data) - 300):
+        (tmp_path / "cut.mat").write_bytes(data[:section])
         with pytest.raises(LogError, match=r"cut\.mat"):
             import_log(tmp_path / "cut.mat", files[1])
     for _ in range(12):

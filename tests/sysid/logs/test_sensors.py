@@ -97,12 +97,12 @@ GPS_SIGNALS = ("north_m", "east_m", "vn_mps", "ve_mps", "vd_mps")
 
 @pytest.mark.parametrize("status", [0, 1, 2])
 def test_rows_without_a_fix_are_missing_in_position_and_velocity(status: int) -> None:
-    lost = (T < 2.0) | ((T > 9.0) & (T < 12.0))
-    record = read({("GPS", 0): gps(np.where(lost, status, 3))})
+    is_lost = (T < 2.0) | ((T > 9.0) & (T < 12.0))
+    record = read({("GPS", 0): gps(np.where(is_lost, status, 3))})
     for name in GPS_SIGNALS:
-        assert np.isnan(record[name][lost]).all(), name
-        assert np.isfinite(record[name][~lost]).all(), name
-    assert record["ve_mps"][~lost] == pytest.approx(20.0)
+        assert np.isnan(record[name][is_lost]).all(), name
+        assert np.isfinite(record[name][~is_lost]).all(), name
+    assert record["ve_mps"][~is_lost] == pytest.approx(20.0)
     assert record.metadata.start["alt_m"] == 300.0
 
 
@@ -160,14 +160,14 @@ def test_px4_positions_and_velocities_count_where_they_are_valid() -> None:
 
 def status(**healthy: np.ndarray | int) -> MessageTable:
     bits = {"gyro": 0, "accel": 1, "pitot": 4, "gyro2": 17, "accel2": 18}
-    everything = sum(1 << b for b in bits.values())
+    all_items = sum(1 << b for b in bits.values())
     health = sum(
         (np.asarray(healthy.get(n, 1)) << b for n, b in bits.items()), np.zeros(len(T), dtype=int)
     )
     names = ("present", "enabled")
     return table(
         onboard_control_sensors_health=health,
-        **{f"onboard_control_sensors_{n}": everything for n in names},
+        **{f"onboard_control_sensors_{n}": all_items for n in names},
     )
 
 
@@ -185,6 +185,6 @@ def test_telemetry_without_a_fix_or_a_healthy_pitot_is_no_data() -> None:
         assert np.isnan(record[name][~HALF]).all(), name
         assert np.isfinite(record[name][HALF]).all(), name
     second = {**messages, ("GPS2_RAW", 0): table(fix_type=4.0), ("SYS_STATUS", 0): status()}
-    both = read(second, "tlog")
-    assert np.isfinite(both["vn_mps"]).all()
-    assert np.isfinite(both["V_mps"]).all()
+    pair = read(second, "tlog")
+    assert np.isfinite(pair["vn_mps"]).all()
+    assert np.isfinite(pair["V_mps"]).all()

@@ -36,8 +36,8 @@ LOG = {
 def angles(
     text: str, parameters: dict[str, float], pwm: list[float]
 ) -> tuple[list[float], str, str]:
-    found, _ = controls(parse_card(text, Path("airframe.toml")), parameters)
-    control = found["elevator_deg"]
+    result, _ = controls(parse_card(text, Path("airframe.toml")), parameters)
+    control = result["elevator_deg"]
     ((_, servo, _),) = control.parts
     return deflection(np.array(pwm), servo).tolist(), control.description, control.conflicts
 
@@ -54,16 +54,16 @@ def test_controls_take_neutral_and_sense_of_the_log() -> None:
 def test_controls_without_a_table_use_the_cards_limits() -> None:
     for key in ("unit = 'deg'\nlimits = [-25, 15]", "throw_deg = 20"):
         text = f"[inputs.elevator]\nproperty = 'fcs/elevator'\n{key}\n"
-        values, told, _ = angles(text, LOG, [1000.0, 1500.0, 1750.0, 2000.0])
+        values, reports, _ = angles(text, LOG, [1000.0, 1500.0, 1750.0, 2000.0])
         assert values == pytest.approx(
             [-25.0, 0.0, 7.5, 15.0] if "limits" in key else [-20.0, 0.0, 10.0, 20.0]
         )
-        assert "degrees assumed" in told
+        assert "degrees assumed" in reports
     # Neither table nor throw: no angle is made up.
-    nothing, _ = controls(
+    empty, _ = controls(
         parse_card("[inputs.elevator]\nproperty = 'fcs/elevator'\n", Path("airframe.toml")), LOG
     )
-    assert "elevator_deg" not in nothing
+    assert "elevator_deg" not in empty
 
 
 # Servo outputs by an autopilot's own parameters.
@@ -84,9 +84,9 @@ ARDUPLANE = {
 
 
 def test_arduplane() -> None:
-    found = outputs(ARDUPLANE)
-    assert set(found) == {"aileron", "elevator"}
-    (elevator,) = found["elevator"]
+    result = outputs(ARDUPLANE)
+    assert set(result) == {"aileron", "elevator"}
+    (elevator,) = result["elevator"]
     # Reversed, so that more PWM is nose down, which a flight record counts as +.
     assert (elevator.channel, elevator.low, elevator.neutral, elevator.high, elevator.sense) == (
         5,
@@ -95,7 +95,7 @@ def test_arduplane() -> None:
         1900.0,
         1.0,
     )
-    assert found["aileron"][0].sense == 1.0
+    assert result["aileron"][0].sense == 1.0
     assert outputs({**ARDUPLANE, "SERVO5_REVERSED": 0.0})["elevator"][0].sense == -1.0
     unsaid = outputs({"SERVO2_FUNCTION": 19.0})["elevator"][0]
     assert unsaid.sense == 0.0
@@ -112,9 +112,9 @@ def test_arduplane_before_servo_parameters() -> None:
         "RC2_REV": -1.0,
         "RC1_TRIM": 1500.0,
     }
-    found = outputs(old)
-    assert set(found) == {"elevator"}  # a trim alone says nothing of the sense
-    assert (found["elevator"][0].channel, found["elevator"][0].sense) == (2, 1.0)
+    result = outputs(old)
+    assert set(result) == {"elevator"}  # a trim alone says nothing of the sense
+    assert (result["elevator"][0].channel, result["elevator"][0].sense) == (2, 1.0)
     # PX4 calibrates its receiver's inputs by parameters of the same names.
     assert outputs({**old, "RC_MAP_PITCH": 2.0}) == {}
     assert outputs({**old, "SYS_AUTOSTART": 2100.0}) == {}
@@ -137,10 +137,10 @@ def test_px4() -> None:
         "PWM_MAIN_MIN3": 1100.0,
         "PWM_MAIN_MAX3": 1900.0,
     }
-    found = outputs(parameters)
-    assert [(o.channel, o.sense) for o in found["aileron"]] == [(1, -1.0), (2, -1.0)]
-    assert (found["elevator"][0].neutral, found["elevator"][0].sense) == (1540.0, -1.0)
-    assert found["throttle"][0].channel == 4
+    result = outputs(parameters)
+    assert [(o.channel, o.sense) for o in result["aileron"]] == [(1, -1.0), (2, -1.0)]
+    assert (result["elevator"][0].neutral, result["elevator"][0].sense) == (1540.0, -1.0)
+    assert result["throttle"][0].channel == 4
     assert outputs({"PWM_MAIN_FUNC1": 201.0}) == {}
 
 
@@ -152,9 +152,9 @@ def test_parameter_files() -> None:
         "RLL2SRV_TCONST": 0.5,
         "TRIM_ARSPD_CM": 2200.0,
     }
-    for bad in ("SERVO2_TRIM\n", "SERVO2_TRIM fifteen\n", "a-b 1\n", "A nan\n"):
+    for invalid in ("SERVO2_TRIM\n", "SERVO2_TRIM fifteen\n", "a-b 1\n", "A nan\n"):
         with pytest.raises(ValueError, match=r"line 1: .* is no parameter"):
-            parse_parameters(bad)
+            parse_parameters(invalid)
     with pytest.raises(ValueError, match="holds no parameter"):
         parse_parameters("# nothing\n")
 
@@ -165,7 +165,7 @@ def test_parameter_files() -> None:
 DT, STRIDE, NOISE = 0.02, 2, 0.0036
 
 
-def flown(seed, size=6.0, late_s=0.0, dt=DT, stride=STRIDE):
+def fly(seed, size=6.0, late_s=0.0, dt=DT, stride=STRIDE):
     """Command as carried out, as logged, and the noisy roll rate of p' = -4 p + 0.25 u seen by a
     gyro that is late.
     """
@@ -180,8 +180,8 @@ def flown(seed, size=6.0, late_s=0.0, dt=DT, stride=STRIDE):
     rate = np.zeros(n * fine + 1)
     for k, u in enumerate(np.repeat(acted, fine)):
         rate[k + 1] = rate[k] + h * (-4.0 * rate[k] + 0.25 * u)
-    seen = np.interp(np.arange(n) * dt - late_s, np.arange(n * fine + 1) * h, rate)
-    return acted, logged, seen + NOISE * rng.standard_normal(n)
+    observed = np.interp(np.arange(n) * dt - late_s, np.arange(n * fine + 1) * h, rate)
+    return acted, logged, observed + NOISE * rng.standard_normal(n)
 
 
 @pytest.mark.parametrize(
@@ -191,9 +191,9 @@ def flown(seed, size=6.0, late_s=0.0, dt=DT, stride=STRIDE):
 def test_place_steps_finds_logged_steps(late_s, dt, stride):
     before = after = 0.0
     for seed in range(6):
-        acted, logged, rate = flown(seed, late_s=late_s, dt=dt, stride=stride)
-        found = place_steps(logged, logged_rows(logged, stride), rate, NOISE, dt)
-        placed, moved = found.command, found.steps
+        acted, logged, rate = fly(seed, late_s=late_s, dt=dt, stride=stride)
+        result = place_steps(logged, logged_rows(logged, stride), rate, NOISE, dt)
+        placed, moved = result.command, result.steps
         assert moved > 0
         before += np.abs(logged - acted).sum()
         after += np.abs(placed - acted).sum()

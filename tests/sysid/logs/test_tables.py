@@ -66,7 +66,7 @@ def test_a_users_map_for_any_csv(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "output"),
     [
         (
             "time_s,q_radps," + ",".join(f"c{i}" for i in range(6000)) + "\n0,1\n",
@@ -94,9 +94,9 @@ def test_a_users_map_for_any_csv(tmp_path: Path) -> None:
         ('time_s,q_radps\n0,1\n"1,2\n', "not a readable flight record"),
     ],
 )
-def test_tables_that_are_made_to_harm_are_refused(tmp_path: Path, text: str, said: str) -> None:
+def test_tables_that_are_made_to_harm_are_refused(tmp_path: Path, text: str, output: str) -> None:
     (tmp_path / "a.csv").write_text(text)
-    with pytest.raises(LogError, match=said):
+    with pytest.raises(LogError, match=output):
         import_log(tmp_path / "a.csv")
 
 
@@ -150,7 +150,7 @@ def test_rows_without_a_time_are_left_out(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "output"),
     [
         ("x,y\n1,2\n3,4\n", "no time column; name it in a map .* its columns are x, y;"),
         ("t,x\n0,1\n", "only 1 rows"),
@@ -159,9 +159,9 @@ def test_rows_without_a_time_are_left_out(tmp_path: Path) -> None:
         ("t,x\n0,1,2\n1,1,2\n", "line 2: has 3 cells, the header 2"),
     ],
 )
-def test_tables_that_are_no_flight(tmp_path: Path, text: str, said: str) -> None:
+def test_tables_that_are_no_flight(tmp_path: Path, text: str, output: str) -> None:
     (tmp_path / "a.csv").write_text(text)
-    with pytest.raises(LogError, match=said):
+    with pytest.raises(LogError, match=output):
         read_csv(tmp_path / "a.csv")
 
 
@@ -173,12 +173,12 @@ def test_a_record_is_told_by_content_and_its_cells_are_numbers(tmp_path: Path) -
     assert metadata == '{"a": 1}'
     assert columns["manoeuvre"].tolist() == ["", "pull"]
     assert np.isnan(columns["q_radps"][1])
-    for text, said in (
+    for text, output in (
         ("time_s,q_radps\n0,x\n", "row 1: column q_radps holds 'x'"),
         ("time_s,q\n0,1\n", "unknown column 'q'"),
     ):
         (tmp_path / "b.csv").write_text(text)
-        with pytest.raises(LogError, match=said):
+        with pytest.raises(LogError, match=output):
             read_record(tmp_path / "b.csv")
 
 

@@ -70,9 +70,9 @@ def test_damage_costs_the_packets_it_hits_and_is_told(tmp_path: Path) -> None:
     assert np.setdiff1d(
         np.arange(1, 30), np.rint(10.0 * raw.messages[("ATTITUDE", 0)].time_s)
     ).tolist() == [5, 11]
-    found = {f.code: f.numbers for f in raw.findings}
-    assert found["damaged-packets"] == {"packets": 1.0}
-    assert found["damaged-bytes"]["bytes"] >= 33.0
+    result = {f.code: f.numbers for f in raw.findings}
+    assert result["damaged-packets"] == {"packets": 1.0}
+    assert result["damaged-bytes"]["bytes"] >= 33.0
     (tmp_path / "b.tlog").write_bytes(b"".join(parts))
     assert tlog.read(tmp_path / "b.tlog").findings == ()
 

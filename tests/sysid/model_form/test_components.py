@@ -83,10 +83,10 @@ def over_draws(seeds, widen=1.0, **parts):
     shares = []
     for seed in seeds:
         residuals, errors = draw(seed, blocks=24, **parts)
-        made, new = (
+        result, new = (
             type(residuals)(residuals.pieces[k::2], 0.02, residuals.cutoffs) for k in (0, 1)
         )
-        shares.append(share_inside(fitted(made).bounds, new, errors[1::2], widen))
+        shares.append(share_inside(fitted(result).bounds, new, errors[1::2], widen))
     return float(np.mean(shares))
 
 
@@ -113,13 +113,13 @@ def test_new_blocks_lie_within_as_often_as_stated(parts):
 
 
 def test_separate_finds_the_parts_that_were_put_in():
-    found = [fitted(draw(seed, 0.01, 0.012, 0.02, 0.02)[0]).bounds.parts for seed in range(8)]
-    assert np.mean([p.transient for p in found]) == pytest.approx(0.02, rel=0.1)
-    assert np.mean([p.persistent for p in found]) == pytest.approx(0.012, rel=0.5)
-    assert np.mean([p.transient_time_s for p in found]) == pytest.approx(0.4, rel=0.35)
-    assert np.mean([p.noise_scale for p in found]) == pytest.approx(1.0, abs=0.1)
-    assert all(p.found for p in found)
-    assert all(np.isnan(p.flight) for p in found)  # one flight
+    result = [fitted(draw(seed, 0.01, 0.012, 0.02, 0.02)[0]).bounds.parts for seed in range(8)]
+    assert np.mean([p.transient for p in result]) == pytest.approx(0.02, rel=0.1)
+    assert np.mean([p.persistent for p in result]) == pytest.approx(0.012, rel=0.5)
+    assert np.mean([p.transient_time_s for p in result]) == pytest.approx(0.4, rel=0.35)
+    assert np.mean([p.noise_scale for p in result]) == pytest.approx(1.0, abs=0.1)
+    assert all(p.found for p in result)
+    assert all(np.isnan(p.flight) for p in result)  # one flight
 
 
 def test_components_without_model_error():
@@ -139,39 +139,39 @@ def test_components_without_model_error():
 def test_a_noise_presumed_wrong_costs_no_coverage(presumed):
     parts = {"polynomial": 0.005, "persistent": 0.01, "transient": 0.01, "noise": 0.02}
     assert over_draws(range(8), presumed=presumed * 0.02, **parts) >= 0.93
-    told = [
+    reports = [
         fitted(draw(seed, 0.0, 0.0, 0.0, 0.02, presumed=0.04)[0]).bounds.parts for seed in range(4)
     ]
     # Overstated, it shows in the data, which scatter less than it says.
-    assert np.mean([p.noise_scale for p in told]) < 0.75
+    assert np.mean([p.noise_scale for p in reports]) < 0.75
 
 
 def test_what_differs_from_flight_to_flight_widens_the_persistent_part():
-    made = {"polynomial": 0.005, "persistent": 0.004, "transient": 0.005, "noise": 0.01}
-    apart = [
-        fitted(draw(seed, blocks=6, flights=5, of_flight=0.02, **made)[0]).bounds.parts
+    result = {"polynomial": 0.005, "persistent": 0.004, "transient": 0.005, "noise": 0.01}
+    difference = [
+        fitted(draw(seed, blocks=6, flights=5, of_flight=0.02, **result)[0]).bounds.parts
         for seed in range(6)
     ]
-    alike = [fitted(draw(seed, blocks=6, flights=5, **made)[0]).bounds.parts for seed in range(6)]
-    assert np.mean([p.flight for p in apart]) > 3.0 * np.mean([p.flight for p in alike])
-    assert np.mean([p.flight for p in apart]) == pytest.approx(0.02, rel=0.6)
-    assert all(p.persistent > p.flight for p in apart)
+    alike = [fitted(draw(seed, blocks=6, flights=5, **result)[0]).bounds.parts for seed in range(6)]
+    assert np.mean([p.flight for p in difference]) > 3.0 * np.mean([p.flight for p in alike])
+    assert np.mean([p.flight for p in difference]) == pytest.approx(0.02, rel=0.6)
+    assert all(p.persistent > p.flight for p in difference)
 
 
 def test_solve_is_the_dense_formulas(monkeypatch):
     """Log likelihood of y ~ N(0, D + X S X'), estimate and covariance of its coefficients, by the n
     x n covariance.
     """
-    found = fitted(
+    result = fitted(
         draw(2, 0.005, 0.01, 0.01, 0.02, blocks=4, flights=2, of_flight=0.01)[0]
     ).separation
     monkeypatch.setattr(components, "_BLOCK_SIZE", 500)  # a few points and rows at a time
     problem, blocks, some = (
-        found.problem,
-        found.problem.blocks,
-        np.argsort(-found.posterior.weights)[:7],
+        result.problem,
+        result.problem.blocks,
+        np.argsort(-result.posterior.weights)[:7],
     )
-    points = found.points.subset(some)
+    points = result.points.subset(some)
     solved = problem.solve(points)
     for k in range(len(some)):
         low = min(int(points.colour[k]), len(TIMES_S) - 2)
@@ -192,38 +192,40 @@ def test_solve_is_the_dense_formulas(monkeypatch):
             stats.multivariate_normal(np.zeros(len(C)), factor * C).logpdf(blocks.y)
             for factor in (1.0, 1.1)
         ]
-        right, wrong = np.array(dense) + 0.5 * len(C) * np.log(2.0 * np.pi)
+        right, invalid = np.array(dense) + 0.5 * len(C) * np.log(2.0 * np.pi)
         assert solved.log_likelihood[k] == pytest.approx(right, abs=1e-6)
-        assert abs(solved.log_likelihood[k] - wrong) > 0.1
-        spread = np.sqrt(np.diag(solved.covariance[k]))
+        assert abs(solved.log_likelihood[k] - invalid) > 0.1
+        scatter = np.sqrt(np.diag(solved.covariance[k]))
         np.testing.assert_allclose(
-            solved.beta[k], gain @ np.linalg.solve(C, blocks.y), atol=1e-6 * spread.min()
+            solved.beta[k], gain @ np.linalg.solve(C, blocks.y), atol=1e-6 * scatter.min()
         )
         covariance = S - gain @ np.linalg.solve(C, gain.T)
         np.testing.assert_allclose(
-            solved.covariance[k] / np.outer(spread, spread),
-            covariance / np.outer(spread, spread),
+            solved.covariance[k] / np.outer(scatter, scatter),
+            covariance / np.outer(scatter, scatter),
             atol=1e-6,
         )
         np.testing.assert_allclose(
-            found.rows.beta[some[k]], solved.beta[k], atol=1e-9 * spread.min()
+            result.rows.beta[some[k]], solved.beta[k], atol=1e-9 * scatter.min()
         )
 
 
 def test_excluding_blocks_is_fitting_the_others():
     residuals, _ = draw(3, 0.005, 0.01, 0.01, 0.02)
-    whole = fitted(residuals)
-    rest = type(residuals)(residuals.pieces[2:], 0.02, residuals.cutoffs)
-    terms, b = whole.bounds.terms, whole.bounds
-    again = separate(
-        make_blocks(rest, "CX", [regressors(b.normalised(p.states), terms) for p in rest.pieces])
+    complete = fitted(residuals)
+    remainder = type(residuals)(residuals.pieces[2:], 0.02, residuals.cutoffs)
+    terms, b = complete.bounds.terms, complete.bounds
+    repeat = separate(
+        make_blocks(
+            remainder, "CX", [regressors(b.normalised(p.states), terms) for p in remainder.pieces]
+        )
     ).components()
-    quick, all_blocks = whole.separation.excluding([0, 1]), whole.separation.components()
-    assert quick.total_variance.mean == pytest.approx(again.total_variance.mean, rel=0.15)
-    assert quick.transient == pytest.approx(again.transient, rel=0.15)
-    spread = np.sqrt(np.diag(again.covariance))
-    assert np.all(np.abs(quick.beta - again.beta) < 0.5 * spread)
-    assert np.any(np.abs(all_blocks.beta - again.beta) > 0.2 * spread)
+    quick, all_blocks = complete.separation.excluding([0, 1]), complete.separation.components()
+    assert quick.total_variance.mean == pytest.approx(repeat.total_variance.mean, rel=0.15)
+    assert quick.transient == pytest.approx(repeat.transient, rel=0.15)
+    scatter = np.sqrt(np.diag(repeat.covariance))
+    assert np.all(np.abs(quick.beta - repeat.beta) < 0.5 * scatter)
+    assert np.any(np.abs(all_blocks.beta - repeat.beta) > 0.2 * scatter)
 
 
 def test_tails_that_reach_further_than_a_normal_distributions_widen_the_interval():
@@ -235,13 +237,13 @@ def test_tails_that_reach_further_than_a_normal_distributions_widen_the_interval
         + (0.05 * filtered(first_order(LENGTH + 2 * HALF, 0.4, rng)) if k < 2 else 0.0)
         for k, p in enumerate(residuals.pieces)
     ]
-    made = residuals_of(series, 0.005, [p.states for p in residuals.pieces])
+    output = residuals_of(series, 0.005, [p.states for p in residuals.pieces])
     errors = [
         e + s - p.delta[:, 0] for e, s, p in zip(errors, series, residuals.pieces, strict=True)
     ]
-    found = fitted(made)
-    assert found.separation.components().tail > 1.1
-    assert share_inside(found.bounds, made, errors) > 0.93
+    result = fitted(output)
+    assert result.separation.components().tail > 1.1
+    assert share_inside(result.bounds, output, errors) > 0.93
 
 
 # Blocks: what is constant, what is coloured, and the noise, by frequency.
@@ -254,9 +256,9 @@ def test_coloured_variances_are_those_of_the_process():
         [fft.dct(first_order(n, time, rng), norm="ortho") ** 2 for _ in range(3000)]
     ).mean(axis=0)
     blocks = make_blocks(residuals_of([np.zeros(n)]), "CX", [np.ones((n, 1))])
-    found = blocks.coloured(time)
-    np.testing.assert_allclose(found, waves[: len(found)], rtol=0.2)
-    assert np.abs(blocks.coloured(3 * time) / waves[: len(found)] - 1.0).max() > 0.5
+    result = blocks.coloured(time)
+    np.testing.assert_allclose(result, waves[: len(result)], rtol=0.2)
+    assert np.abs(blocks.coloured(3 * time) / waves[: len(result)] - 1.0).max() > 0.5
 
 
 # Importance sampling against integrals in closed form.
@@ -268,14 +270,14 @@ def test_means_spreads_and_evidence_of_a_normal_likelihood(width):
     middle = np.array([0.4, 0.6, 0.55])
     cov = width**2 * np.array([[0.04, 0.02, 0.0], [0.02, 0.04, 0.0], [0.0, 0.0, 0.01]])
     normal = stats.multivariate_normal(middle, cov)
-    found = sample(normal.logpdf, 3)
-    assert found.weights.sum() == pytest.approx(1.0)
-    assert found.effective > 100.0
+    result = sample(normal.logpdf, 3)
+    assert result.weights.sum() == pytest.approx(1.0)
+    assert result.effective > 100.0
     if width < 1.0:  # the whole of it lies inside the cube
-        mean = found.weights @ found.points
-        spread = (found.points - mean).T @ ((found.points - mean) * found.weights[:, None])
+        mean = result.weights @ result.points
+        scatter = (result.points - mean).T @ ((result.points - mean) * result.weights[:, None])
         np.testing.assert_allclose(mean, middle, atol=0.15 * 0.2 * width)
-        np.testing.assert_allclose(spread, cov, atol=0.2 * 0.04 * width**2)
-        assert found.log_evidence == pytest.approx(0.0, abs=0.1)
+        np.testing.assert_allclose(scatter, cov, atol=0.2 * 0.04 * width**2)
+        assert result.log_evidence == pytest.approx(0.0, abs=0.1)
         other = sample(lambda x: normal.logpdf(x) + 3.0, 3)
         assert other.log_evidence == pytest.approx(3.0, abs=0.1)

@@ -10,7 +10,7 @@ from tests.helpers.residual_pieces import residuals_of
 
 
 @pytest.mark.parametrize(
-    ("share", "error", "said"),
+    ("share", "error", "output"),
     [
         (0.898, 0.010, "fails"),  # its upper limit is 91.4 %
         (0.935, 0.010, "holds"),
@@ -24,27 +24,27 @@ from tests.helpers.residual_pieces import residuals_of
         (0.95, float("nan"), "inconclusive"),
     ],
 )
-def test_verdicts(share, error, said):
-    assert verdict(share, error, 0.95) == said
+def test_verdicts(share, error, output):
+    assert verdict(share, error, 0.95) == output
 
 
 def test_thirds_of_a_state():
     speeds = np.linspace(18.0, 27.0, 300)
-    made = residuals_of([np.zeros(100)] * 3, states=[{"V_mps": v} for v in np.split(speeds, 3)])
+    output = residuals_of([np.zeros(100)] * 3, states=[{"V_mps": v} for v in np.split(speeds, 3)])
     inside = [np.ones(100), np.ones(100), np.zeros(100)]
-    found = bins(made, "V_mps", inside)
-    assert [b.share for b in found] == [1.0, 1.0, 0.0]
-    assert [b.n for b in found] == [100, 100, 100]
-    assert (found[0].low, found[-1].high) == (18.0, 27.0)
-    assert bins(made, "alpha_rad", inside) == ()
+    result = bins(output, "V_mps", inside)
+    assert [b.share for b in result] == [1.0, 1.0, 0.0]
+    assert [b.n for b in result] == [100, 100, 100]
+    assert (result[0].low, result[-1].high) == (18.0, 27.0)
+    assert bins(output, "alpha_rad", inside) == ()
 
 
 def test_a_further_manoeuvre_is_held_as_often_as_said():
     rng = np.random.default_rng(1)
-    held = []
+    constant = []
     for _ in range(400):
         stretch = [np.abs(rng.standard_t(3)) * np.ones(5) for _ in range(20)]
-        found = conformal(residuals_of([np.zeros(5)] * 19).pieces, stretch[:19])
-        held.append(stretch[19][0] <= found.factor)
-    assert found.level == pytest.approx(0.95)
-    assert np.mean(held) == pytest.approx(0.95, abs=0.035)
+        result = conformal(residuals_of([np.zeros(5)] * 19).pieces, stretch[:19])
+        constant.append(stretch[19][0] <= result.factor)
+    assert result.level == pytest.approx(0.95)
+    assert np.mean(constant) == pytest.approx(0.95, abs=0.035)

@@ -47,19 +47,19 @@ def residuals(more=lambda states: 0.0, seed: int = 1, without: str = "") -> Resi
 
 
 def test_a_square_and_a_surface_are_named_with_their_shares():
-    made = residuals(lambda s: 0.06 * s["p_radps"] ** 2 + 0.004 * s["elevator_pos_deg"])
-    bounds = fit_bounds(made)["Cm"].bounds
-    found = missing_terms(made, "Cm", bounds)
-    assert [m.name for m in found] == ["p_radps^2", "elevator_pos_deg"]
-    assert found[0].states == ("p_radps",)
+    output = residuals(lambda s: 0.06 * s["p_radps"] ** 2 + 0.004 * s["elevator_pos_deg"])
+    bounds = fit_bounds(output)["Cm"].bounds
+    result = missing_terms(output, "Cm", bounds)
+    assert [m.name for m in result] == ["p_radps^2", "elevator_pos_deg"]
+    assert result[0].states == ("p_radps",)
     # With both gone noise is left: the shares add up to one less its variance over the scatter's.
-    assert sum(m.share for m in found) == pytest.approx(1.0 - NOISE**2 / bounds.s2, abs=0.06)
-    assert found[0].share > found[1].share
+    assert sum(m.share for m in result) == pytest.approx(1.0 - NOISE**2 / bounds.s2, abs=0.06)
+    assert result[0].share > result[1].share
 
 
 def test_noise_lacks_nothing():
-    made = residuals()
-    assert all(missing_terms(made, c, f.bounds) == [] for c, f in fit_bounds(made).items())
+    result = residuals()
+    assert all(missing_terms(result, c, f.bounds) == [] for c, f in fit_bounds(result).items())
 
 
 def test_flights_without_a_state_of_the_bounds_are_refused():
@@ -88,21 +88,21 @@ def test_the_rate_of_variation_does_not_depend_on_the_recorders_rate(rate_hz):
     residuals, slope = wandering(rate_hz)
     bounds = fit_bounds(residuals, {"CZ": Design(("V_mps",), ((0,),))})["CZ"].bounds
     low, high = bounds.bounds(residuals.states)
-    found = variation(residuals, "CZ", bounds, cutoff_hz=2.0)
+    result = variation(residuals, "CZ", bounds, cutoff_hz=2.0)
     expected = slope * STEP_S / (high - low)[0]
-    assert found.sigma == pytest.approx(expected, rel=0.03)
-    assert found.rate == pytest.approx(expected / np.sqrt(0.02), rel=0.03)
+    assert result.sigma == pytest.approx(expected, rel=0.03)
+    assert result.rate == pytest.approx(expected / np.sqrt(0.02), rel=0.03)
     # A smooth signal is no random walk: over a tenfold step the rate comes out about root ten times
     # as large.
-    assert found.lagged[0.1] / found.lagged[0.02] == pytest.approx(np.sqrt(5.0), rel=0.03)
+    assert result.lagged[0.1] / result.lagged[0.02] == pytest.approx(np.sqrt(5.0), rel=0.03)
 
 
 def test_too_short_for_the_low_pass_is_no_rate_and_not_zero():
     residuals, _ = wandering(50.0, seconds=2.0)
     bounds = fit_bounds(residuals, {"CZ": Design(("V_mps",), ((0,),))})["CZ"].bounds
-    found = variation(residuals, "CZ", bounds, cutoff_hz=0.1)
-    assert np.isnan(found.rate)
-    assert len(found.increments) == 0
+    result = variation(residuals, "CZ", bounds, cutoff_hz=0.1)
+    assert np.isnan(result.rate)
+    assert len(result.increments) == 0
 
 
 # States freed of noise: what moves is kept, what is noise goes.
@@ -127,7 +127,7 @@ def measured(seed, size, n=300, pieces=9):
 
 
 def cleaned(noisy, std=STD):
-    made = residuals_of(
+    result = residuals_of(
         [np.zeros(len(x)) for x in noisy],
         states=[{"V_mps": x, "theta_rad": x / 100.0} for x in noisy],
     )
@@ -135,7 +135,7 @@ def cleaned(noisy, std=STD):
         type(p)(
             p.label, p.time_s, p.delta, p.states, 0, noise_of(len(p), 0.01, states={"V_mps": std})
         )
-        for p in made.pieces
+        for p in result.pieces
     ]
     return denoised_states(pieces, DT)
 
@@ -147,16 +147,18 @@ def rms(parts):
 @pytest.mark.parametrize("size", [0.0, 1.5])
 def test_most_of_the_noise_goes_and_the_motion_stays(size):
     true, noisy = measured(1, size)
-    found = cleaned(noisy)
+    result = cleaned(noisy)
     before = rms([a - b for a, b in zip(noisy, true, strict=True)])
-    after = rms([f["V_mps"] - b for f, b in zip(found, true, strict=True)])
+    after = rms([f["V_mps"] - b for f, b in zip(result, true, strict=True)])
     assert after < 0.4 * before
     # Piece by piece the mean is as it was measured, and states without noise are as they were.
-    assert [f["V_mps"].mean() for f in found] == pytest.approx([x.mean() for x in noisy])
-    assert all(np.array_equal(f["theta_rad"], x / 100.0) for f, x in zip(found, noisy, strict=True))
+    assert [f["V_mps"].mean() for f in result] == pytest.approx([x.mean() for x in noisy])
+    assert all(
+        np.array_equal(f["theta_rad"], x / 100.0) for f, x in zip(result, noisy, strict=True)
+    )
     # A state presumed free of noise keeps all of it.
-    kept = cleaned(noisy, 1e-6)
-    assert rms([f["V_mps"] - b for f, b in zip(kept, true, strict=True)]) == pytest.approx(
+    retained = cleaned(noisy, 1e-6)
+    assert rms([f["V_mps"] - b for f, b in zip(retained, true, strict=True)]) == pytest.approx(
         before, rel=0.05
     )
 

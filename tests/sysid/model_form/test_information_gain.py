@@ -34,26 +34,26 @@ def test_a_straight_line_follows_the_textbook():
     """
     rng = np.random.default_rng(1)
     x = np.linspace(-1.0, 1.0, 40)
-    now = bounds_from(x, 0.3 * x + 0.1 * rng.standard_normal(40), f=2.0)
+    current = bounds_from(x, 0.3 * x + 0.1 * rng.standard_normal(40), f=2.0)
     more = np.repeat([-3.0, 3.0], 10)
-    then = with_more_data(now, [information(now, {STATE: more})])
+    previous = with_more_data(current, [information(current, {STATE: more})])
     at = np.array([-2.0, 0.0, 0.7, 5.0])
-    both = np.concatenate([x, more])
-    for bounds, data in ((now, x), (then, both)):
+    pair = np.concatenate([x, more])
+    for bounds, data in ((current, x), (previous, pair)):
         expected = (
             2.0
-            * now.s2
+            * current.s2
             * (1.0 / len(data) + (at - data.mean()) ** 2 / np.sum((data - data.mean()) ** 2))
         )
         assert parameter_variance(bounds, {STATE: at}) == pytest.approx(expected, rel=1e-12)
-    assert (then.n, then.n_effective, then.dof) == (60, 30.0, 28.0)
-    assert then.t == pytest.approx(stats.t.ppf(0.975, 28.0))
-    assert then.hull.low[0] == -3.0
+    assert (previous.n, previous.n_effective, previous.dof) == (60, 30.0, 28.0)
+    assert previous.t == pytest.approx(stats.t.ppf(0.975, 28.0))
+    assert previous.hull.low[0] == -3.0
     # No more data, no change; endless data, no parameter part and the normal's quantile.
-    assert with_more_data(now, []) is now
-    ever = width(asymptotic(now), {STATE: at})
+    assert with_more_data(current, []) is current
+    ever = width(asymptotic(current), {STATE: at})
     assert ever.parameter == 0.0
-    assert asymptotic(now).t == pytest.approx(1.959964, rel=1e-6)
+    assert asymptotic(current).t == pytest.approx(1.959964, rel=1e-6)
 
 
 @pytest.mark.parametrize("offset", [0.0, 0.8])
@@ -66,25 +66,25 @@ def test_the_expected_width_is_that_of_futures_played_out(offset):
     rng = np.random.default_rng(3)
     sigma = 0.4
     x, z = rng.uniform(-1.0, 1.0, 60), rng.uniform(1.0, 3.0, 200)
-    now = bounds_from(x, offset + 0.2 * x + sigma * rng.standard_normal(60))
+    current = bounds_from(x, offset + 0.2 * x + sigma * rng.standard_normal(60))
     at = {STATE: np.linspace(0.0, 3.0, 15)}
-    then = with_more_data(now, [information(now, {STATE: z})])
-    predicted = expected_width(now, then, at, draws=2000)
+    previous = with_more_data(current, [information(current, {STATE: z})])
+    predicted = expected_width(current, previous, at, draws=2000)
     X, Z, A = (np.column_stack([np.ones(len(v)), v]) for v in (x, z, at[STATE]))
-    mean, covariance = belief(now)
+    mean, covariance = belief(current)
     root = np.linalg.cholesky(covariance)
     C = np.linalg.inv(X.T @ X + Z.T @ Z)
-    half = stats.t.ppf(0.975, 258) * np.sqrt(now.s2 * (1.0 + np.einsum("ni,ij,nj->n", A, C, A)))
-    found = []
+    half = stats.t.ppf(0.975, 258) * np.sqrt(current.s2 * (1.0 + np.einsum("ni,ij,nj->n", A, C, A)))
+    result = []
     for _ in range(3000):
         truth = mean + root @ rng.standard_normal(2)
-        second = Z @ truth + np.sqrt(now.s2) * rng.standard_normal(200)
-        beta = C @ (X.T @ X @ now.beta_hat + Z.T @ second)
+        second = Z @ truth + np.sqrt(current.s2) * rng.standard_normal(200)
+        beta = C @ (X.T @ X @ current.beta_hat + Z.T @ second)
         y = A @ beta
-        found.append(np.mean(np.maximum(y + half, 0.0) - np.minimum(y - half, 0.0)))
-    error = np.std(found) / np.sqrt(len(found))
+        result.append(np.mean(np.maximum(y + half, 0.0) - np.minimum(y - half, 0.0)))
+    error = np.std(result) / np.sqrt(len(result))
     assert predicted.total == pytest.approx(
-        np.mean(found), abs=max(4.0 * error, 0.002 * predicted.total)
+        np.mean(result), abs=max(4.0 * error, 0.002 * predicted.total)
     )
     if offset:
         # The stretched part is there: half-widths alone would be less.
@@ -99,9 +99,9 @@ def test_scatter_falls_with_speed_as_it_was_made_to():
     # Speeds that do not differ, or variances that follow nothing, tell no power.
     assert speed_power(np.full(60, 22.0), variances, np.full(60, 200.0)) == 0.0
     assert speed_power(speeds, np.exp(3.0 * rng.standard_normal(60)), np.full(60, 200.0)) == 0.0
-    even = rng.uniform(18.0, 25.0, 200_000)
-    middle = np.quantile(even, [0.25, 0.5, 0.75])
-    assert mean_power(middle, 18.0, 25.0, -4.0) == pytest.approx(np.mean(even**-4.0), rel=2e-3)
+    symmetric = rng.uniform(18.0, 25.0, 200_000)
+    middle = np.quantile(symmetric, [0.25, 0.5, 0.75])
+    assert mean_power(middle, 18.0, 25.0, -4.0) == pytest.approx(np.mean(symmetric**-4.0), rel=2e-3)
 
 
 # Which manoeuvres to fly: against every set that could be flown, and a budget of seconds.
@@ -112,22 +112,24 @@ FLIGHT_CHOICE_STATE = "alpha_rad"
 def test_the_choice_is_the_best_set_where_all_sets_can_be_tried():
     rng = np.random.default_rng(5)
     x = rng.normal(0.0, 0.5, 80)
-    now = bounds_from(x, rng.standard_normal(80), order=2)
+    current = bounds_from(x, rng.standard_normal(80), order=2)
     mission = {FLIGHT_CHOICE_STATE: rng.normal(2.0, 0.2, 300)}
     places = (-2.0, 0.0, 1.0, 2.0, 3.0)
     offers = [
         Offer(
-            str(p), 10.0, information(now, {FLIGHT_CHOICE_STATE: p + 0.1 * rng.standard_normal(50)})
+            str(p),
+            10.0,
+            information(current, {FLIGHT_CHOICE_STATE: p + 0.1 * rng.standard_normal(50)}),
         )
         for p in places
     ]
-    chosen = choose(now, offers, mission, 30.0, 0.0)
+    chosen = choose(current, offers, mission, 30.0, 0.0)
     assert [c.seconds for c in chosen] == [10.0, 10.0, 10.0]
     halves = {
         s: float(
             np.mean(
-                with_more_data(now, [offers[k].information for k in s]).interval(mission)[1]
-                - with_more_data(now, [offers[k].information for k in s]).interval(mission)[0]
+                with_more_data(current, [offers[k].information for k in s]).interval(mission)[1]
+                - with_more_data(current, [offers[k].information for k in s]).interval(mission)[0]
             )
         )
         / 2.0

@@ -136,11 +136,11 @@ def test_autocorrelation_breaks_the_published_interval_and_effective_samples_men
     """
     published, ours, effective = [], [], []
     for seed in range(25):
-        made, new = made_up(seed, memory=0.9), made_up(1000 + seed, memory=0.9)
+        result, new = made_up(seed, memory=0.9), made_up(1000 + seed, memory=0.9)
         published.append(
-            coverage(form_of(made, FitOptions(samples="all"), ("CX",)), new)["CX"].share[0.95]
+            coverage(form_of(result, FitOptions(samples="all"), ("CX",)), new)["CX"].share[0.95]
         )
-        form = form_of(made, coefficients=("CX",))
+        form = form_of(result, coefficients=("CX",))
         ours.append(coverage(form, new)["CX"].share[0.95])
         effective.append(form.coefficients["CX"].n_effective)
     assert np.mean(published) < 0.925
@@ -161,20 +161,20 @@ def test_the_file_keeps_every_bit(tmp_path):
     )
     path = tmp_path / "model-form.json"
     form.write(path)
-    again = read_model_form(path)
-    assert again.to_json() == form.to_json()
-    assert again.flights == form.flights
-    assert np.isnan(again.coefficients["CX"].walk_rate)
-    assert again.filtering.airspeed_cutoff_hz == float("inf")
+    repeat = read_model_form(path)
+    assert repeat.to_json() == form.to_json()
+    assert repeat.flights == form.flights
+    assert np.isnan(repeat.coefficients["CX"].walk_rate)
+    assert repeat.filtering.airspeed_cutoff_hz == float("inf")
     states = dict(zip(STATES, (MEAN + 3 * SPREAD)[:, None], strict=True))
     for c, (low, high) in form.bounds(states).items():
-        assert np.array_equal([low, high], again.bounds(states)[c])
+        assert np.array_equal([low, high], repeat.bounds(states)[c])
     assert "NaN" not in path.read_text()
     assert "Infinity" not in path.read_text()
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "output"),
     [
         (lambda d: d.pop("format"), "is no model form"),
         (lambda d: d["coefficients"]["CX"].pop("s2"), "lacks the key 's2'"),
@@ -198,14 +198,14 @@ def test_the_file_keeps_every_bit(tmp_path):
         (lambda d: d["coefficients"].clear(), "holds no coefficient"),
     ],
 )
-def test_a_damaged_file_is_refused_in_words(tmp_path, change, said):
+def test_a_damaged_file_is_refused_in_words(tmp_path, change, output):
     document = json.loads(form_of(made_up(6)).to_json())
     change(document)
     path = tmp_path / "form.json"
     path.write_text(json.dumps(document))
     with pytest.raises(LogError) as refused:
         read_model_form(path)
-    assert said in str(refused.value)
+    assert output in str(refused.value)
     assert "form.json" in str(refused.value)
 
 
@@ -255,9 +255,9 @@ def test_a_manoeuvre_of_its_own_kind_is_found_by_leaving_it_out():
     residuals = made_up(13)
     odd = dataclasses.replace(residuals.pieces[2], delta=residuals.pieces[2].delta + 0.02)
     changed = Residuals((*residuals.pieces[:2], odd, residuals.pieces[3]), 0.02, Cutoffs())
-    found = leave_one_out(changed, {"CX": Design(STATES)}, FitOptions())
-    assert found["m2"]["CX"] < 0.2
-    assert found["m0"]["CX"] > 0.9
+    result = leave_one_out(changed, {"CX": Design(STATES)}, FitOptions())
+    assert result["m2"]["CX"] < 0.2
+    assert result["m0"]["CX"] > 0.9
     assert leave_one_out(residuals.only(["m0"]), {"CX": Design(STATES)}, FitOptions()) == {}
 
 
@@ -267,10 +267,10 @@ def test_pieces_of_one_name_are_left_out_by_stretch():
         dataclasses.replace(p, label="excited", time_s=p.time_s + 10.0 * k)
         for k, p in enumerate(residuals.pieces)
     )
-    found = leave_one_out(Residuals(same, 0.02, Cutoffs()), {"CX": Design(STATES)}, FitOptions())
-    assert len(found) == 10
-    assert "excited, 0 to 23 s" in found
-    assert np.mean([row["CX"] for row in found.values()]) == pytest.approx(0.95, abs=0.02)
+    result = leave_one_out(Residuals(same, 0.02, Cutoffs()), {"CX": Design(STATES)}, FitOptions())
+    assert len(result) == 10
+    assert "excited, 0 to 23 s" in result
+    assert np.mean([row["CX"] for row in result.values()]) == pytest.approx(0.95, abs=0.02)
 
 
 def test_flights_of_other_filters_are_not_mixed():

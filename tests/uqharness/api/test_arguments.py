@@ -67,13 +67,13 @@ CALLS: list[tuple[Callable[..., Any], dict[str, Any], str]] = [
 ]
 
 
-@pytest.mark.parametrize(("call", "given", "message"), CALLS)
+@pytest.mark.parametrize(("call", "inputs", "message"), CALLS)
 def test_what_is_refused_is_named_and_leaves_nothing(
-    call, given, message, tmp_path, monkeypatch, capfd
+    call, inputs, message, tmp_path, monkeypatch, capfd
 ):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(uq.BadInputError, match=message) as caught:
-        call(**given)
+        call(**inputs)
     assert "\n" not in str(caught.value)
     assert list(tmp_path.iterdir()) == []
     assert capfd.readouterr() == ("", "")
@@ -95,7 +95,7 @@ def test_results_are_shown_in_a_line_and_as_a_table(flight: Flight):
         "espaaro", uq.fly("espaaro", "doublet-elevator", noise=True, seed=1), workers=1
     )
     study = uq.sensitivity.run_study(lambda a: a, {"a": (0, 1)}, samples=16)
-    shown = [
+    visible = [
         flight.record,
         steady,
         replace(steady, converged=False, reason="no steady flight at 5 m/s"),
@@ -104,7 +104,7 @@ def test_results_are_shown_in_a_line_and_as_a_table(flight: Flight):
         gap,
         study,
     ]
-    for result in (*shown, uq.sensitivity.analyse(study)):
+    for result in (*visible, uq.sensitivity.analyse(study)):
         assert repr(result).startswith(f"{type(result).__name__}(")
         assert len(repr(result)) < 250
         assert "\n" not in repr(result)

@@ -40,8 +40,8 @@ def test_a_campaign_leaves_the_bytes_of_the_command(
     # Either goes on with what the other has begun.
     assert main(["campaign", "run", str(CAMPAIGN), "--out", str(result.folder)]) == 0
     assert "32 of them before" in capsys.readouterr().out
-    again = uq.run_campaign(CAMPAIGN, tmp_path / "out")
-    assert again.cases.equals(result.cases)
+    repeat = uq.run_campaign(CAMPAIGN, tmp_path / "out")
+    assert repeat.cases.equals(result.cases)
     assert capsys.readouterr() == ("", "")
 
 
@@ -69,20 +69,20 @@ def test_its_tables_are_those_of_the_folder(result: CampaignResult):
 
 def test_a_dictionary_and_a_file_mean_the_same(result: CampaignResult, tmp_path: Path):
     sections = tomllib.loads(CAMPAIGN.read_text())
-    told: list[Progress] = []
-    found = uq.run_campaign(
-        sections, tmp_path / "out", workers=1, hours=20 / 3600, on_progress=told.append
+    reports: list[Progress] = []
+    outcome = uq.run_campaign(
+        sections, tmp_path / "out", workers=1, hours=20 / 3600, on_progress=reports.append
     )
-    assert told[-1].done == len(found.cases) == 4
-    assert found.manifest["campaign"]["aleatory"]["flights"] == 1
-    assert found.manifest["command"] == ""
+    assert reports[-1].done == len(outcome.cases) == 4
+    assert outcome.manifest["campaign"]["aleatory"]["flights"] == 1
+    assert outcome.manifest["command"] == ""
     assert result.manifest["command"] == f"uqharness campaign run {CAMPAIGN} --out {result.folder}"
-    flown = result.cases[result.cases["aleatory_id"] == 0].reset_index(drop=True)
-    pd.testing.assert_frame_equal(found.cases, flown)
+    flight = result.cases[result.cases["aleatory_id"] == 0].reset_index(drop=True)
+    pd.testing.assert_frame_equal(outcome.cases, flight)
     spec = read_file(CAMPAIGN)
     assert all(
-        campaign_of(given).as_dict() == spec.as_dict()
-        for given in (sections, spec, CAMPAIGN, str(CAMPAIGN))
+        campaign_of(inputs).as_dict() == spec.as_dict()
+        for inputs in (sections, spec, CAMPAIGN, str(CAMPAIGN))
     )
 
 
@@ -117,8 +117,8 @@ def test_a_pbox_counts_what_is_not_known():
         np.testing.assert_array_equal(getattr(box, name), getattr(same, name))
     assert box.lower[-1] == 2 / 3
     assert set(uq.pbox(list(values.values())).corner_lower) <= {"0", "1"}
-    for wrong in ([], [[]], [[float("nan")]], [["x"]]):
+    for invalid in ([], [[]], [[float("nan")]], [["x"]]):
         with pytest.raises(uq.BadInputError, match="samples: "):
-            uq.pbox(wrong)
+            uq.pbox(invalid)
     with pytest.raises(uq.BadInputError, match="confidence = 0"):
         uq.pbox(values, confidence=0.0)

@@ -41,9 +41,9 @@ def run(name: str, text: str) -> list[str]:
     """What an example gave other than it says, none if it is right."""
     test = doctest.DocTestParser().get_doctest(text, {}, name, None, 0)
     assert test.examples, f"{name} has no example"
-    said: list[str] = []
-    doctest.DocTestRunner(verbose=False, optionflags=FLAGS).run(test, out=said.append)
-    return said
+    output: list[str] = []
+    doctest.DocTestRunner(verbose=False, optionflags=FLAGS).run(test, out=output.append)
+    return output
 
 
 @pytest.mark.parametrize(

@@ -21,7 +21,7 @@ WORDS = shlex.split(
 )
 
 
-def flown() -> Flight:
+def simulate() -> Flight:
     return uq.fly(
         "espaaro",
         "doublet-elevator",
@@ -39,8 +39,8 @@ def test_a_flight_is_that_of_the_command(
 ):
     command, python = tmp_path / f"command.{ending}", tmp_path / f"python.{ending}"
     assert main(["fly", "espaaro", *WORDS, "--json", "--out", str(command)]) == 0
-    lost = json.loads(capsys.readouterr().out)["left_out"]
-    assert set(flown().write(python)) == set(lost)
+    is_lost = json.loads(capsys.readouterr().out)["left_out"]
+    assert set(simulate().write(python)) == set(is_lost)
     if ending == "bin":
         assert python.read_bytes() == command.read_bytes()
     else:
@@ -53,29 +53,31 @@ def test_a_flight_is_that_of_the_command(
 
 
 def test_what_is_read_is_what_was_flown(tmp_path: Path):
-    flown().write(tmp_path / "a.parquet")
-    flown().write(tmp_path / "b.bin")
+    simulate().write(tmp_path / "a.parquet")
+    simulate().write(tmp_path / "b.bin")
     first, second = uq.read_flights(
         [tmp_path / "a.parquet", str(tmp_path / "b.bin")], find_aircraft("espaaro")
     )
-    pd.testing.assert_frame_equal(first.to_dataframe(), flown().to_dataframe(), check_dtype=False)
+    pd.testing.assert_frame_equal(
+        first.to_dataframe(), simulate().to_dataframe(), check_dtype=False
+    )
     assert (first.name, second.name) == ("a", "b")
     assert second.record.metadata.dialect == "dataflash"
     assert len(first.sha256) == 64
 
 
 def test_flights_are_taken_as_they_are_given(tmp_path: Path):
-    aircraft, flight = find_aircraft("espaaro"), flown()
+    aircraft, flight = find_aircraft("espaaro"), simulate()
     flight.write(tmp_path / "a.parquet")
-    for given in (
+    for inputs in (
         flight,
         flight.record,
         tmp_path / "a.parquet",
         str(tmp_path / "a.parquet"),
         [flight],
     ):
-        (found,) = flights_of(given, aircraft)
-        np.testing.assert_array_equal(found["q_radps"], flight["q_radps"])
+        (result,) = flights_of(inputs, aircraft)
+        np.testing.assert_array_equal(result["q_radps"], flight["q_radps"])
     with pytest.raises(uq.BadInputError, match="given more than once"):
         flights_of([flight, flight.record], aircraft)
     with pytest.raises(uq.BadInputError, match="no flight was given"):
@@ -85,12 +87,12 @@ def test_flights_are_taken_as_they_are_given(tmp_path: Path):
 
 
 def test_a_record_in_degrees_or_of_another_aircraft_is_refused(tmp_path: Path):
-    record = flown().record
+    record = simulate().record
     other = FlightRecord(record.columns, type(record.metadata)(aircraft="c172x"))
     with pytest.raises(uq.BadInputError, match="card of aircraft 'c172x'"):
         flights_of(other, find_aircraft("espaaro"))
-    wrong = flown().to_dataframe().assign(phi_rad=lambda t: np.degrees(t["phi_rad"]))
-    wrong.to_parquet(tmp_path / "degrees.parquet")
+    invalid = simulate().to_dataframe().assign(phi_rad=lambda t: np.degrees(t["phi_rad"]))
+    invalid.to_parquet(tmp_path / "degrees.parquet")
     with pytest.raises(uq.BadInputError, match="rad and rad/s"):
         uq.read_flights(tmp_path / "degrees.parquet", "espaaro")
 

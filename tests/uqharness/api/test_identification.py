@@ -18,11 +18,11 @@ PARAMETERS = ["aero/Cm_q", "aero/Cm_de"]
 @pytest.fixture(scope="module")
 def flight(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("flights") / "flight-ident.parquet"
-    flown(1).write(path)
+    simulate(1).write(path)
     return path
 
 
-def flown(seed: int) -> Flight:
+def simulate(seed: int) -> Flight:
     return uq.fly("espaaro", "flight-ident", duration_s=30, noise=True, seed=seed)
 
 
@@ -41,14 +41,14 @@ def test_identify_gives_what_the_command_gives(
         ",".join(PARAMETERS),
         *shlex.split("--workers 1 --no-figures"),
     ]
-    wanted = command([*words, "--out", str(tmp_path / "out")], capsys)
-    for given in (flight, flown(1)):
-        found = uq.identify("espaaro", given, parameters=PARAMETERS, workers=1)
-        assert found.cov.tolist() == wanted["cov"]
+    expected = command([*words, "--out", str(tmp_path / "out")], capsys)
+    for inputs in (flight, simulate(1)):
+        result = uq.identify("espaaro", inputs, parameters=PARAMETERS, workers=1)
+        assert result.cov.tolist() == expected["cov"]
         for key in ("method", "converged", "simulations"):
-            assert getattr(found, key) == wanted[key], key
-        assert list(found.to_dataframe()["estimate"]) == [
-            wanted["parameters"][n]["value"] for n in PARAMETERS
+            assert getattr(result, key) == expected[key], key
+        assert list(result.to_dataframe()["estimate"]) == [
+            expected["parameters"][n]["value"] for n in PARAMETERS
         ]
     assert capsys.readouterr() == ("", "")
 
@@ -62,15 +62,15 @@ def test_compare_gives_what_the_command_gives(
         *shlex.split("--workers 1 --no-figures --out"),
         str(tmp_path / "out"),
     ]
-    wanted = command(words, capsys)
-    found = uq.compare("espaaro", flight, workers=1)
-    assert list(found.above) == wanted["above"]
-    assert {c: g.rms for c, g in found.coefficients.items()} == {
-        c: row["rms"] for c, row in wanted["coefficients"].items()
+    expected = command(words, capsys)
+    result = uq.compare("espaaro", flight, workers=1)
+    assert list(result.above) == expected["above"]
+    assert {c: g.rms for c, g in result.coefficients.items()} == {
+        c: row["rms"] for c, row in expected["coefficients"].items()
     }
-    table = found.to_dataframe()
-    assert table["ratio"].to_dict() == {c: row["ratio"] for c, row in wanted["channels"].items()}
-    assert table.loc["q_radps", "rms"] == wanted["channels"]["q_radps"]["rms"]
+    table = result.to_dataframe()
+    assert table["ratio"].to_dict() == {c: row["ratio"] for c, row in expected["channels"].items()}
+    assert table.loc["q_radps", "rms"] == expected["channels"]["q_radps"]["rms"]
     assert not table.loc["h_m", "judged"]
     assert capsys.readouterr() == ("", "")
 
@@ -116,10 +116,10 @@ def test_fit_model_form_gives_the_file_of_the_command(
             == 0
         )
         capsys.readouterr()
-        made = uq.fit_model_form("espaaro", path, checks=False, **options)
-        assert made.form.to_json() == (out / "model-form.json").read_text()
-    table = made.to_dataframe()
-    assert table.loc["CX", "n"] == made.form.coefficients["CX"].n
+        result = uq.fit_model_form("espaaro", path, checks=False, **options)
+        assert result.form.to_json() == (out / "model-form.json").read_text()
+    table = result.to_dataframe()
+    assert table.loc["CX", "n"] == result.form.coefficients["CX"].n
     assert (table["noise"] > 0.0).all()
     assert (table["persistent"] > 0.0).all()
     assert table["found"].isin([True, False]).all()

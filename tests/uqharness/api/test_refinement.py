@@ -17,24 +17,24 @@ from uqharness.results.refinement import Refinement
 
 
 @pytest.fixture
-def asked(monkeypatch: pytest.MonkeyPatch) -> list:
+def requests(monkeypatch: pytest.MonkeyPatch) -> list:
     """What refinements were asked for, their flights read; none is made."""
     # The stand-ins are this process's own: nothing may run in a worker.
     monkeypatch.setenv("UQHARNESS_SUPERVISED", str(os.getpid()))
-    found = []
+    result = []
 
     def refine(job, callback):
-        found.append((job, [FlightRecord.read(p) for p in (*job.train, *job.test)]))
+        result.append((job, [FlightRecord.read(p) for p in (*job.train, *job.test)]))
         return SimpleNamespace(document=Refinement(**refinement()))
 
     page = SimpleNamespace(verdict=["found"], path=Path("report.html"))
     monkeypatch.setattr(commands, "run_refinement", refine)
     monkeypatch.setattr(commands, "write_results", lambda *a: None)
     monkeypatch.setattr(commands, "write_report", lambda *a: page)
-    return found
+    return result
 
 
-def test_flights_in_memory_are_handed_on(asked: list, tmp_path: Path):
+def test_flights_in_memory_are_handed_on(requests: list, tmp_path: Path):
     flights = [uq.fly("espaaro", "trim", duration_s=3, noise=True, seed=seed) for seed in range(3)]
     flights[2].write(tmp_path / "file.parquet")
     uq.refine(
@@ -44,7 +44,7 @@ def test_flights_in_memory_are_handed_on(asked: list, tmp_path: Path):
         out=tmp_path / "deep" / "out",
         servos="ideal",
     )
-    job, records = asked[0]
+    job, records = requests[0]
     assert [path.name for path in job.train] == ["trim.parquet", "trim-2.parquet"]
     assert job.ideal_servos
     for record, flight in zip(records, flights, strict=True):
@@ -56,7 +56,7 @@ def test_flights_in_memory_are_handed_on(asked: list, tmp_path: Path):
 
 
 @pytest.mark.parametrize(
-    ("wrong", "error", "message"),
+    ("invalid", "error", "message"),
     [
         ({"train": []}, "BadInputError", "at least one flight"),
         ({"effects": "nowhere.toml"}, "LogError", r"nowhere\.toml"),
@@ -71,16 +71,16 @@ def test_flights_in_memory_are_handed_on(asked: list, tmp_path: Path):
         ({"effects": 3}, "BadInputError", "effects = 3"),
     ],
 )
-def test_bad_input_is_said(asked: list, tmp_path: Path, wrong: dict, error: str, message: str):
-    given = {
+def test_bad_input_is_said(requests: list, tmp_path: Path, invalid: dict, error: str, message: str):
+    inputs = {
         "aircraft": "espaaro",
         "train": tmp_path / "a.parquet",
         "test": tmp_path / "b.parquet",
         "out": tmp_path / "out",
     }
     with pytest.raises(getattr(uq, error), match=message):
-        uq.refine(**(given | wrong))
-    assert asked == []
+        uq.refine(**(inputs | invalid))
+    assert requests == []
     assert list(tmp_path.iterdir()) == []
 
 

@@ -52,8 +52,8 @@ exec(compile(cell, "<cell>", "exec"), vars(main))
 """
 
 
-def run(how: str, code: str, folder: Path) -> subprocess.CompletedProcess:
-    words = {"script": ["script.py"], "pipe": ["-"], "notebook": ["-c", NOTEBOOK]}[how]
+def run(options: str, code: str, folder: Path) -> subprocess.CompletedProcess:
+    words = {"script": ["script.py"], "pipe": ["-"], "notebook": ["-c", NOTEBOOK]}[options]
     (folder / "script.py").write_text(code)
     environment = os.environ | {"PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"}
     return subprocess.run(
@@ -69,7 +69,7 @@ def run(how: str, code: str, folder: Path) -> subprocess.CompletedProcess:
 
 
 @pytest.mark.parametrize(
-    ("how", "code", "said"),
+    ("options", "code", "output"),
     [
         pytest.param("script", CAMPAIGN, "2 ['ok']", marks=pytest.mark.slow),
         pytest.param("pipe", CAMPAIGN, "2 ['ok']", marks=pytest.mark.slow),
@@ -90,10 +90,10 @@ def run(how: str, code: str, folder: Path) -> subprocess.CompletedProcess:
     ],
 )
 def test_workers_of_an_unguarded_script_do_not_run_it_again(
-    how: str, code: str, said: str, tmp_path: Path
+    options: str, code: str, output: str, tmp_path: Path
 ):
-    done = run(how, code, tmp_path)
-    assert (done.returncode, done.stdout, done.stderr) == (0, said + "\n", "")
+    done = run(options, code, tmp_path)
+    assert (done.returncode, done.stdout, done.stderr) == (0, output + "\n", "")
     assert (tmp_path / "begun").read_text() == "x"
 
 

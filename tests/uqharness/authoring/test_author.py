@@ -170,10 +170,10 @@ def test_the_prior_takes_no_energy_from_the_air(kite):
 
     profile = -value["CX_0"]
     factor = math.exp(1.96 * document.terms["aero/CX_0"].std / profile)
-    least = drag(alpha) - profile * (1.0 - 1.0 / factor)
+    minimum = drag(alpha) - profile * (1.0 - 1.0 / factor)
     shift = 1.96 * document.terms["aero/CZ_0"].std / value["CZ_alpha"]
     corners = [drag(alpha - shift, CX=1, CZ=1), drag(alpha + shift, CX=1, CZ=0)]
-    assert min(corners) == pytest.approx(least, abs=0.1 * profile)
+    assert min(corners) == pytest.approx(minimum, abs=0.1 * profile)
     for beta in (-0.15, 0.15):
         states = zero | {"beta_rad": np.array([beta]), "alpha_rad": np.array([alpha])}
         # Apart from the constant's error, which has no sign.
@@ -212,8 +212,8 @@ def test_intervals_of_modes_are_those_of_the_model_itself(term, mode, kite):
     interval = intervals[names.index(mode)]
     assert interval.wn_radps == pytest.approx(sorted(expected), rel=0.08)
     # The other group of modes does not move.
-    still = "short_period" if mode != "short_period" else "dutch_roll"
-    low, high = intervals[names.index(still)].wn_radps
+    steady = "short_period" if mode != "short_period" else "dutch_roll"
+    low, high = intervals[names.index(steady)].wn_radps
     assert high - low < 1e-3 * high
 
 

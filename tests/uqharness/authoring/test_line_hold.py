@@ -48,8 +48,8 @@ def test_no_regulator_without_controls(kite):
         regulator(idle, LATERAL)
 
 
-@pytest.mark.parametrize(("engaged", "held"), [(1, True), (0, False)])
-def test_hold_flies_a_corner_that_fixed_controls_lose(engaged, held, kite, tmp_path):
+@pytest.mark.parametrize(("engaged", "constant"), [(1, True), (0, False)])
+def test_hold_flies_a_corner_that_fixed_controls_lose(engaged, constant, kite, tmp_path):
     """The corner of a nose-heavy, rolling aeroplane, in light turbulence."""
     corner = {f"uq/{c}/level": level for c, level in (("Cl", 1.0), ("Cm", 0.2), ("Cn", 0.0))}
     path = tmp_path / "record.csv"
@@ -69,8 +69,10 @@ def test_hold_flies_a_corner_that_fixed_controls_lose(engaged, held, kite, tmp_p
     first, late = record.iloc[0], record[record.time_s > 12.0]
     # The servos begin at the trim, not at what the law computes before the flight.
     assert abs(first.aileron_pos_deg) < 1.0
-    far = max(late.h_m.abs().max(), late.cross_track_m.abs().max(), (late.V_mps - 13.6).abs().max())
-    assert (far < 8.0) == held
+    distant = max(
+        late.h_m.abs().max(), late.cross_track_m.abs().max(), (late.V_mps - 13.6).abs().max()
+    )
+    assert (distant < 8.0) == constant
 
 
 def test_start_on_an_autopilot_needs_one(kite, tmp_path):

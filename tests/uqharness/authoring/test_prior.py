@@ -67,12 +67,12 @@ def test_a_mean_predicts_aircraft_left_out_better_than_width_alone():
 
 
 def test_an_aircraft_counts_once_and_can_be_left_out():
-    everything, without = class_errors(), class_errors(["UltraStick120"])
-    assert everything["static margin"].aircraft == ("UltraStick120", "Babyshark VTOL", "Navion")
+    all_items, reduced = class_errors(), class_errors(["UltraStick120"])
+    assert all_items["static margin"].aircraft == ("UltraStick120", "Babyshark VTOL", "Navion")
     # Two tools of one aircraft are one vote.
-    assert everything["static margin"].dof == GUESS_DOF + 3
-    assert without["moment at zero alpha"].dof == GUESS_DOF
-    assert without["moment at zero alpha"].std == pytest.approx(
+    assert all_items["static margin"].dof == GUESS_DOF + 3
+    assert reduced["moment at zero alpha"].dof == GUESS_DOF
+    assert reduced["moment at zero alpha"].std == pytest.approx(
         CLASSES["moment at zero alpha"].guess
     )
 

@@ -44,11 +44,11 @@ def body(source):
 
 
 def test_stability_output_turned_equals_body_output():
-    stability, own = body(read("kite.st")), body(read("kite.sb"))
+    stability, specific = body(read("kite.st")), body(read("kite.sb"))
     # AVL prints no drag derivatives with ST: they are estimated from the span efficiency.
-    for key in own:
+    for key in specific:
         tolerance = 0.01 if key in (("CX", "q"), ("CX", "elevator")) else 2e-4
-        assert own[key] == pytest.approx(stability[key], abs=tolerance, rel=2e-3), key
+        assert specific[key] == pytest.approx(stability[key], abs=tolerance, rel=2e-3), key
 
 
 def test_a_turn_the_other_way_is_noticed():
@@ -56,9 +56,9 @@ def test_a_turn_the_other_way_is_noticed():
     source = read("kite.st")
     point = source.points[0]
     turned = Point(Entry(-point.alpha.value), point.mach, "stability", "stability", point.entries)
-    wrong, own = body_coefficients(turned, source.surfaces), body(read("kite.sb"))
-    assert abs(wrong["Cn", "p"] - own["Cn", "p"]) > 0.02
-    assert abs(wrong["CX", "alpha"] - own["CX", "alpha"]) > 0.2
+    invalid, specific = body_coefficients(turned, source.surfaces), body(read("kite.sb"))
+    assert abs(invalid["Cn", "p"] - specific["Cn", "p"]) > 0.02
+    assert abs(invalid["CX", "alpha"] - specific["CX", "alpha"]) > 0.2
 
 
 def test_turn_agrees_with_numerical_rotation():
@@ -166,13 +166,13 @@ def test_totals_of_a_trimmed_run_are_moved_to_zero_deflection():
     ):
         assert old in text
         text = text.replace(old, new)
-    (trimmed,) = read_avl_text(Path("t.st"), text)
+    (trim,) = read_avl_text(Path("t.st"), text)
     plain = read("kite.st").points[0]
     for name in ("CL", "Cm"):
-        assert trimmed.points[0].value(name, TOTAL) == pytest.approx(
+        assert trim.points[0].value(name, TOTAL) == pytest.approx(
             plain.value(name, TOTAL), abs=2e-5
         )
-    assert "aileron 100 deg, elevator -4 deg" in trimmed.notes[0]
+    assert "aileron 100 deg, elevator -4 deg" in trim.notes[0]
 
 
 @pytest.mark.parametrize(
@@ -182,8 +182,8 @@ def test_totals_of_a_trimmed_run_are_moved_to_zero_deflection():
 def test_encodings_and_decimal_commas(name, encoding, tmp_path):
     text = (DATA / name).read_text() if name else XFLR5
     path = tmp_path / "source.txt"
-    written = text if name else re.sub(r"(\d)\.(?=\d)", r"\1,", text)
-    path.write_bytes(written.replace("\n", "\r\n").encode(encoding))
+    content = text if name else re.sub(r"(\d)\.(?=\d)", r"\1,", text)
+    path.write_bytes(content.replace("\n", "\r\n").encode(encoding))
     plain = tmp_path / "plain.txt"
     plain.write_text(text)
     source, expected = (read_sources([p]).derivatives for p in (path, plain))
@@ -348,13 +348,13 @@ def test_stab_points_and_signs():
     )
     assert spaced.surfaces == ("Tail_Group_1",)
     # Groups at zero have no row: their cases name them, or else their columns.
-    unnamed = read_stab(Path("kite.stab"), re.sub(r"^Elev .*deg.*$", "", stab_text(), flags=re.M))
-    assert unnamed.surfaces == ("ConGrp_1",)
+    anonymous = read_stab(Path("kite.stab"), re.sub(r"^Elev .*deg.*$", "", stab_text(), flags=re.M))
+    assert anonymous.surfaces == ("ConGrp_1",)
     text = (DATA / "kite.stab").read_text()
     rows = re.sub(r"^(?!AoA_|Beta_)\w+ +-?[\d.]+ deg *$", "", text, flags=re.M)
     assert rows != text
-    named = [read_stab(Path("kite.stab"), t).surfaces for t in (text, rows)]
-    assert named[0] == named[1]
+    listed = [read_stab(Path("kite.stab"), t).surfaces for t in (text, rows)]
+    assert listed[0] == listed[1]
     values = body_coefficients(source.points[1], source.surfaces)
     assert values["CZ", "alpha"] == -5.1
     assert values["Cm", "Elev"] == -1.8

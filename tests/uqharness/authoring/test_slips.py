@@ -208,8 +208,8 @@ def test_masses(change, kind, tmp_path):
     (tmp_path / "kite.st").write_text(ST)
     assert change[0] in MASS
     (tmp_path / "kite.mass").write_text(MASS.replace(*change))
-    found = find_slips(read_sources([tmp_path / "kite.st", tmp_path / "kite.mass"]))
-    assert kind in {slip.kind for slip in found}
+    result = find_slips(read_sources([tmp_path / "kite.st", tmp_path / "kite.mass"]))
+    assert kind in {slip.kind for slip in result}
 
 
 def test_mass_in_grams(tmp_path):
@@ -246,8 +246,8 @@ def test_slips_of_a_geometry(old, new, line, kind, tmp_path):
     files = [path, tmp_path / "kite.mass", tmp_path / "kite.st"]
     assert find_slips(read_sources(files)) == []
     path.write_text(AVL.replace(old, new, 1))
-    found = find_slips(read_sources(files))
-    assert (f"{path}:{line}", kind) in {(slip.place, slip.kind) for slip in found}, found
+    result = find_slips(read_sources(files))
+    assert (f"{path}:{line}", kind) in {(slip.place, slip.kind) for slip in result}, result
 
 
 @pytest.mark.parametrize(("gain", "kinds"), [(1.0, ["control sign"]), (-1.0, [])])

@@ -84,8 +84,8 @@ def test_certain_coefficients_have_no_delta(tmp_path):
         "uq/Cn/active": 0.0,
     }
     assert not [name for name in properties if name.endswith(("/lower", "/upper"))]
-    given = 'coefficients = ["Cm", "CX"]\nbounds = { CX = 0.008, Cm = 0.012 }\n'
-    constant = read_campaign(campaign_file(tmp_path, CAMPAIGN.partition("bounds =")[0] + given))
+    inputs = 'coefficients = ["Cm", "CX"]\nbounds = { CX = 0.008, Cm = 0.012 }\n'
+    constant = read_campaign(campaign_file(tmp_path, CAMPAIGN.partition("bounds =")[0] + inputs))
     properties = uq_properties(constant, epistemic_samples(constant)[0])
     assert (properties["uq/CY/lower"], properties["uq/CY/upper"]) == (0.0, 0.0)
 
@@ -147,8 +147,8 @@ def test_every_case_is_in_one_group_of_one_condition(tmp_path):
     every = cases(tmp_path, wind_mps=(0.0, 3.0))
     by_id = {case.case_id: case for case in every}
     groups = group_cases(every, 2)
-    flown = [case_id for group in groups for case_id, _ in group.cases]
-    assert sorted(flown) == sorted(by_id)
+    flight = [case_id for group in groups for case_id, _ in group.cases]
+    assert sorted(flight) == sorted(by_id)
     for group in groups:
         assert len({by_id[case_id].wind_mps for case_id, _ in group.cases}) == 1
         # Whole airs side by side.

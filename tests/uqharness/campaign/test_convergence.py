@@ -33,15 +33,15 @@ def folder(tmp_path_factory):
 
 def test_the_convergence_command(folder, capsys):
     assert main(["campaign", "convergence", str(folder), "--repeats", "5", "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
+    result = json.loads(capsys.readouterr().out)
     rows = list(csv.DictReader((folder / "convergence.csv").read_text().splitlines()))
-    assert len(rows) == len(found["rows"]) == 3 * (1 + 3)
+    assert len(rows) == len(result["rows"]) == 3 * (1 + 3)
     assert {row["kind"] for row in rows} == {"aleatory", "epistemic"}
     first = next(row for row in rows if row["kind"] == "aleatory")
     assert (first["repeats"], first["flights"], first["samples"]) == ("5", "4", "")
     assert 0.0 < float(first["distance"]) <= float(first["expected_distance"])
     assert [row["samples"] for row in rows if row["kind"] == "epistemic"][:3] == ["2", "4", "6"]
-    for name in found["figures"]:
+    for name in result["figures"]:
         assert etree.parse(name).getroot().tag == "{http://www.w3.org/2000/svg}svg"
     before = (folder / "convergence.csv").read_bytes()
     assert main(["campaign", "convergence", str(folder), "--repeats", "5"]) == 0

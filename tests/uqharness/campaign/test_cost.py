@@ -42,10 +42,10 @@ METHODS = [
 @pytest.mark.parametrize("mean", ["", MEAN])
 def test_flights_are_counted_as_they_are_built(tmp_path, method, mean):
     text = fakes.CAMPAIGN.replace("wind_mps = 3", "wind_mps = [1, 3]")
-    bare = text.partition("[epistemic]")[0] + '[epistemic]\nmethod = "none"\n'
+    plain = text.partition("[epistemic]")[0] + '[epistemic]\nmethod = "none"\n'
     if "\n" in method:
         text = text.replace("interior = 0\nnominal = false\n", "")
-    text = bare if method == "none" else text.replace(CORNERS, method.replace("\nset_default", ""))
+    text = plain if method == "none" else text.replace(CORNERS, method.replace("\nset_default", ""))
     spec = read_campaign(fakes.campaign_file(tmp_path, text + mean))
     mission = find_mission(spec)
     size = cost.size_of(spec)
@@ -63,13 +63,13 @@ def test_flights_are_counted_as_they_are_built(tmp_path, method, mean):
 
 def test_time_is_that_of_what_is_missing():
     size = cost.Size(10, 1, 64, 640, 3600.0, False)
-    found = cost.Cost(size, 40, cost.Pace(1.0, 0.001), 2)
-    assert (found.missing, found.seconds, found.is_long) == (
+    result = cost.Cost(size, 40, cost.Pace(1.0, 0.001), 2)
+    assert (result.missing, result.seconds, result.is_long) == (
         600,
         pytest.approx(600 * 4.6 / 2),
         False,
     )
-    assert "40 flights done before; about 23 min on 2 processes of this machine" in found.words
+    assert "40 flights done before; about 23 min on 2 processes of this machine" in result.words
     assert cost.Cost(size, 0, cost.Pace(600.0, 0.0), 2).is_long
     assert cost.Cost(size, 0, None, 2).seconds is None
     assert "about" not in cost.Cost(size, 0, None, 2).words
@@ -80,19 +80,19 @@ def test_a_campaign_of_years_is_refused_at_once_in_little_memory(tmp_path, capsy
     tracemalloc.start()
     try:
         code = main(["campaign", "run", str(path), "--out", str(tmp_path / "out")])
-        most = tracemalloc.get_traced_memory()[1]
+        maximum = tracemalloc.get_traced_memory()[1]
     finally:
         # Left running, it would slow down every test that follows.
         tracemalloc.stop()
-    said = capsys.readouterr()
-    assert (code, said.out) == (2, "")
+    output = capsys.readouterr()
+    assert (code, output.out) == (2, "")
     assert (
         "64000000 flights (64 epistemic samples, 1 condition, 1000000 each), 3733333 flight h"
-        in said.err
+        in output.err
     )
-    assert "128 GB of disk" in said.err
-    assert "give --yes to run it, or --hours H" in said.err
-    assert most < 200e6
+    assert "128 GB of disk" in output.err
+    assert "give --yes to run it, or --hours H" in output.err
+    assert maximum < 200e6
     assert not (tmp_path / "out").exists()
 
 

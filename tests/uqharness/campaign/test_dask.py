@@ -52,8 +52,8 @@ TABLES = (CASES, "pbox.parquet", "excursions.csv")
 
 @pytest.fixture(scope="module")
 def cluster():
-    with fakes.dask_cluster(processes=False) as found:
-        yield found
+    with fakes.dask_cluster(processes=False) as result:
+        yield result
 
 
 @pytest.fixture
@@ -105,15 +105,15 @@ def test_tables_equal_those_of_a_local_run(tmp_path, dask):
 
 def test_a_case_that_ends_its_interpreter_is_counted(tmp_path, dask):
     cases = flights(tmp_path, [9, 1, 2, 4])
-    found = fly(dask, fakes.hazardous, cases)
-    assert found["0009"].reason == "the worker process ended: signal 6 (SIGABRT) (tried 2 times)"
-    assert [found[f"{index:04d}"].status for index in (9, 1, 2, 4)] == [
+    result = fly(dask, fakes.hazardous, cases)
+    assert result["0009"].reason == "the worker process ended: signal 6 (SIGABRT) (tried 2 times)"
+    assert [result[f"{index:04d}"].status for index in (9, 1, 2, 4)] == [
         "crashed",
         "diverged",
         "crashed",
         "ok",
     ]
-    assert found == fly(ProcessExecutor(1, "fork"), fakes.hazardous, cases)
+    assert result == fly(ProcessExecutor(1, "fork"), fakes.hazardous, cases)
 
 
 @pytest.mark.slow
@@ -127,10 +127,10 @@ def test_a_case_that_takes_dask_workers_with_it_is_counted_and_no_other(tmp_path
         fakes.dask_cluster(1) as cluster,
         DaskExecutor(cluster.scheduler_address) as executor,
     ):
-        found = fly(executor, fakes.kills_its_parent, cases)
-    guilty = found.pop("0009")
+        result = fly(executor, fakes.kills_its_parent, cases)
+    guilty = result.pop("0009")
     assert (guilty.status, guilty.reason) == ("crashed", "every Dask worker that flew it was lost")
-    assert found == fly(
+    assert result == fly(
         SerialExecutor(), fakes.steady, [case for case in cases if case[0] != "0009"]
     )
 
@@ -154,9 +154,9 @@ def test_a_lost_scheduler_keeps_the_finished_flights(tmp_path, monkeypatch):
 def test_a_worker_with_other_files_or_versions_is_refused_by_name(tmp_path):
     (case,) = flights(tmp_path, [4])
     content = dask_executor.content_of(case[1].aircraft, case[1].script)
-    known = dask_executor.binding_versions()
+    reference = dask_executor.binding_versions()
 
-    def answer(versions=known):
+    def answer(versions=reference):
         order = Order(OWN_FLIGHT, False, Group("jsbsim", (case,)), content, versions)
         return fly_order(order_text(order))
 
@@ -228,10 +228,10 @@ def test_orders_survive_a_round_trip():
     cases = (("0001", FLIGHT), ("0002", replace(FLIGHT, seed_noise=5)))
     several = replace(ORDER, group=Group("batch", cases), together=True)
     assert order_from(order_text(several)) == several != ORDER
-    still = replace(FLIGHT, levels=None)
+    steady = replace(FLIGHT, levels=None)
     numpy_values = MappingProxyType({"x": np.float64(1 / 3)})
-    odd = order_of(replace(still, properties=numpy_values, seed_noise=np.int64(3)))
-    plain = order_of(replace(still, properties={"x": 1 / 3}, seed_noise=3))
+    odd = order_of(replace(steady, properties=numpy_values, seed_noise=np.int64(3)))
+    plain = order_of(replace(steady, properties={"x": 1 / 3}, seed_noise=3))
     assert order_from(order_text(odd)) == plain
     with pytest.raises(BadInputError, match="no UTF-8 cannot be sent"):
         order_text(order_of(replace(FLIGHT, aircraft=Path("/a\udc80"))))
@@ -305,8 +305,8 @@ def test_a_worker_imports_listed_modules_only(tmp_path, monkeypatch):
     monkeypatch.delenv(MODULES_VARIABLE, raising=False)  # the cluster of other tests sets it
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
-    fakes_steady, here = "tests.helpers.campaign_fakes:steady", "uqharness.flight.fly:Path"
-    for name in ("harm:fly", "os:system", fakes_steady, ":", "", here):
+    fakes_steady, local = "tests.helpers.campaign_fakes:steady", "uqharness.flight.fly:Path"
+    for name in ("harm:fly", "os:system", fakes_steady, ":", "", local):
         with pytest.raises(BadInputError, match=r"accepts uqharness\.flight\.fly:fly only"):
             flight_function(name)
         answer = fly_order(order_text(replace(ORDER, fly=name)))

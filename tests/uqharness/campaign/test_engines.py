@@ -53,12 +53,12 @@ def spec(tmp_path):
     return fakes.small_spec(tmp_path, 1)
 
 
-def settled(spec, given, earlier=None):
-    return choose_engine(spec, find_mission(spec), given, earlier)
+def settle(spec, inputs, previous=None):
+    return choose_engine(spec, find_mission(spec), inputs, previous)
 
 
-def run(spec, out, given=ALIKE, **keys):
-    return run_campaign(spec, out, executor=SerialExecutor(), fly=given, **keys)
+def run(spec, out, inputs=ALIKE, **keys):
+    return run_campaign(spec, out, executor=SerialExecutor(), fly=inputs, **keys)
 
 
 @pytest.mark.parametrize(
@@ -72,28 +72,29 @@ def run(spec, out, given=ALIKE, **keys):
     ],
 )
 def test_auto_prefers_the_batch_engine(spec, requested, flies, words):
-    assert settled(spec.with_engine(requested), flies).words.startswith(words)
+    assert settle(spec.with_engine(requested), flies).words.startswith(words)
 
 
 @pytest.mark.parametrize(
-    ("given", "said"), [(PUZZLED, "plane.xml:7: <rocket"), (WITHOUT, "llvmlite is not installed")]
+    ("inputs", "output"),
+    [(PUZZLED, "plane.xml:7: <rocket"), (WITHOUT, "llvmlite is not installed")],
 )
-def test_a_requested_engine_that_cannot_fly_is_refused(spec, given, said):
+def test_a_requested_engine_that_cannot_fly_is_refused(spec, inputs, output):
     with pytest.raises(
         BadInputError, match="was requested and does not support this campaign"
     ) as error:
-        settled(spec.with_engine("batch"), given)
-    assert said in str(error.value)
+        settle(spec.with_engine("batch"), inputs)
+    assert output in str(error.value)
 
 
 def test_auto_keeps_the_engine_of_earlier_flights(spec):
     jsbsim, batch = PreviousEngine("jsbsim", ("plane.xml:7: no",)), PreviousEngine("batch")
-    assert settled(spec, ALIKE, jsbsim).words == "jsbsim, because plane.xml:7: no"
-    assert settled(spec, PUZZLED, batch).words == "batch"
-    requested = settled(spec.with_engine("jsbsim"), ALIKE, batch)
+    assert settle(spec, ALIKE, jsbsim).words == "jsbsim, because plane.xml:7: no"
+    assert settle(spec, PUZZLED, batch).words == "batch"
+    requested = settle(spec.with_engine("jsbsim"), ALIKE, batch)
     assert requested.words == "jsbsim, because it was requested"
     with pytest.raises(BadInputError, match="uses the batch engine, and llvmlite is not installed"):
-        settled(spec, WITHOUT, batch)
+        settle(spec, WITHOUT, batch)
 
 
 def test_a_defect_of_the_batch_engine_leaves_the_campaign_to_jsbsim(spec):
@@ -101,16 +102,16 @@ def test_a_defect_of_the_batch_engine_leaves_the_campaign_to_jsbsim(spec):
         def refusals(self, spec, varying):
             raise KeyError("slot")
 
-    words = settled(spec, replace(ALIKE, batch=Broken())).words
+    words = settle(spec, replace(ALIKE, batch=Broken())).words
     assert words == "jsbsim, because the batch engine failed at reading plane: KeyError: 'slot'"
 
 
 def test_the_engine_is_part_of_every_case_id_and_old_ids_stay(spec):
     mission = Mission(spec.path, "a" * 64, spec.path, "b" * 64)
-    old, named, batch = (
+    old, listed, batch = (
         build_cases(spec.with_engine(name), mission) for name in ("auto", "jsbsim", "batch")
     )
-    assert [case.case_id for case in old] == [case.case_id for case in named]
+    assert [case.case_id for case in old] == [case.case_id for case in listed]
     assert not {case.case_id for case in old} & {case.case_id for case in batch}
     assert {case.engine for case in batch} == {"batch"}
 
@@ -118,7 +119,7 @@ def test_the_engine_is_part_of_every_case_id_and_old_ids_stay(spec):
 def test_manifest_table_and_status_give_the_engine_and_its_reason(spec, tmp_path):
     summary = run(spec, tmp_path / "out")
     assert (summary.engine, summary.statuses) == ("batch", {"ok": 64})
-    manifest, reasons = read_manifest(tmp_path / "out"), list(settled(spec, ALIKE).reasons)
+    manifest, reasons = read_manifest(tmp_path / "out"), list(settle(spec, ALIKE).reasons)
     assert manifest["campaign"]["campaign"]["engine"] == "batch"
     assert manifest["engine"] == {"asked": "auto", "why": reasons}
     assert set(read_table(tmp_path / "out" / "cases.parquet")["engine"].to_pylist()) == {"batch"}
@@ -135,21 +136,21 @@ def test_another_engine_is_refused_in_the_same_folder_and_auto_is_not(spec, tmp_
 
 
 def test_shards_fly_in_one_engine(spec, tmp_path):
-    out, good = tmp_path / "out", tmp_path / "good"
+    out, valid = tmp_path / "out", tmp_path / "good"
     run(spec, out, shard=parse_shard("1/2"))
     assert previous_engine(out / "shards" / "2-of-2").engine == "batch"
     with pytest.raises(BadInputError, match="llvmlite is not installed"):
         run(spec, out, WITHOUT, shard=parse_shard("2/2"))
-    shutil.copytree(out, good)
+    shutil.copytree(out, valid)
     run(spec.with_engine("jsbsim"), out, shard=parse_shard("2/2"))
     with pytest.raises(BadInputError, match="engine was"):
         merge(out)
-    run(spec, good, shard=parse_shard("2/2"))
-    assert merge(good).missing == 0
+    run(spec, valid, shard=parse_shard("2/2"))
+    assert merge(valid).missing == 0
     run(spec, tmp_path / "whole")
     name = "cases.parquet"
-    assert (good / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
-    assert (good / "engine-check.csv").exists()
+    assert (valid / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
+    assert (valid / "engine-check.csv").exists()
 
 
 def test_a_lost_manifest_is_rebuilt_in_the_engine_whose_flights_are_there(spec, tmp_path):
@@ -157,8 +158,8 @@ def test_a_lost_manifest_is_rebuilt_in_the_engine_whose_flights_are_there(spec, 
     run(spec.with_engine("batch"), out)
     before = (out / "cases.parquet").read_bytes()
     (out / "manifest.json").unlink()
-    found = salvage(out, RunOptions(SerialExecutor(), fly=ALIKE), spec, "command")
-    assert (found.kept, found.flown) == (64, 0)
+    result = salvage(out, RunOptions(SerialExecutor(), fly=ALIKE), spec, "command")
+    assert (result.kept, result.flown) == (64, 0)
     assert (out / "cases.parquet").read_bytes() == before
     assert read_status(out).engine == "batch"
 
@@ -181,9 +182,12 @@ def spec_engine_check(tmp_path):
     return fakes.small_spec(tmp_path, 1, wind_mps=(0.0, 3.0))
 
 
-def run_engine_check(spec_engine_check, out, flown=None, executor=None):
+def run_engine_check(spec_engine_check, out, flight=None, executor=None):
     return run_campaign(
-        spec_engine_check, out, executor=executor or SerialExecutor(), fly=engines(flown or Flown())
+        spec_engine_check,
+        out,
+        executor=executor or SerialExecutor(),
+        fly=engines(flight or Flown()),
     )
 
 
@@ -222,19 +226,19 @@ def test_a_difference_of_1e_5_of_the_spread_stops_the_campaign(spec_engine_check
 
 def test_a_stopped_campaign_stops_again(spec_engine_check, tmp_path):
     # The wrong flights are counted already.
-    for flown in (Flown(offset=1.0, late=True), Flown(offset=1.0, late=True), Flown()):
+    for flight in (Flown(offset=1.0, late=True), Flown(offset=1.0, late=True), Flown()):
         with pytest.raises(EnginesDifferError):
-            run_engine_check(spec_engine_check, tmp_path / "out", flown)
+            run_engine_check(spec_engine_check, tmp_path / "out", flight)
 
 
 def test_the_first_case_of_each_condition_is_checked_once(spec_engine_check, tmp_path):
     run_engine_check(spec_engine_check, tmp_path / "out")
     rows = [row for row in read_check(tmp_path / "out") if row.part == FULL_FLIGHT]
-    found = {row.case_id for row in rows}
+    result = {row.case_id for row in rows}
     every = build_cases(spec_engine_check.with_engine("batch"), find_mission(spec_engine_check))
     first = {next(case.case_id for case in every if case.wind_mps == wind) for wind in (0.0, 3.0)}
     by_hash = {case.case_id for case in every if int(case.case_id, 16) % 1000 == 0}
-    assert found == first | by_hash
+    assert result == first | by_hash
     content = (tmp_path / "out" / ENGINE_CHECK).read_bytes()
     run_engine_check(spec_engine_check, tmp_path / "out")
     assert (tmp_path / "out" / ENGINE_CHECK).read_bytes() == content
@@ -242,9 +246,9 @@ def test_the_first_case_of_each_condition_is_checked_once(spec_engine_check, tmp
 
 def test_only_the_guilty_case_of_a_group_is_crashed(tmp_path):
     spec_engine_check = fakes.small_spec(tmp_path, 2)
-    flown = Deadly(seed=flight_seed(spec_engine_check.campaign.seed, 1, "turbulence"))
+    flight = Deadly(seed=flight_seed(spec_engine_check.campaign.seed, 1, "turbulence"))
     summary = run_engine_check(
-        spec_engine_check, tmp_path / "out", flown, ProcessExecutor(2, "fork")
+        spec_engine_check, tmp_path / "out", flight, ProcessExecutor(2, "fork")
     )
     assert summary.statuses == {"crashed": 1, "ok": 127}
     frame = read_table(tmp_path / "out" / "cases.parquet").to_pandas()
@@ -310,24 +314,26 @@ def test_a_flight_without_a_result_in_time_is_compared_with_nothing(tmp_path):
     asked for.
     """
     late = CaseOutcome("a", "timeout", "no result after 420 s", 0.0)
-    found = verdicts(tmp_path, outcome(**{METRIC: 2.0}), late, None)
-    assert {verdict for verdict, _ in found.values()} == {"excused"}
-    assert "time limit" in found["status"][1]
+    result = verdicts(tmp_path, outcome(**{METRIC: 2.0}), late, None)
+    assert {verdict for verdict, _ in result.values()} == {"excused"}
+    assert "time limit" in result["status"][1]
     crashed = CaseOutcome("a", "crashed", "the worker process ended", 0.0)
     assert verdicts(tmp_path, outcome(**{METRIC: 2.0}), crashed, crashed)["status"][0] == "differs"
 
 
 def test_metrics_beyond_lost_control_are_judged_by_jsbsims_own_rounding(tmp_path):
-    def value(number, lost):
-        return outcome(**{METRIC: number, "loss_of_control": lost})
+    def value(number, is_lost):
+        return outcome(**{METRIC: number, "loss_of_control": is_lost})
 
-    for lost, moved, expected in (
+    for is_lost, moved, expected in (
         (1.0, 5.0001, "excused"),
         (1.0, 5.0 + 1e-9, "differs"),
         (0.0, 6.0, "differs"),
     ):
-        found = verdicts(tmp_path, value(5.0005, lost), value(5.0, lost), value(moved, lost))
-        assert found[METRIC][0] == expected
+        result = verdicts(
+            tmp_path, value(5.0005, is_lost), value(5.0, is_lost), value(moved, is_lost)
+        )
+        assert result[METRIC][0] == expected
     assert verdicts(tmp_path, value(math.nan, 0.0), value(math.nan, 0.0))[METRIC][0] == "alike"
     assert verdicts(tmp_path, value(math.nan, 0.0), value(5.0, 0.0))[METRIC][0] == "differs"
 
@@ -339,10 +345,10 @@ def cases(tmp_path):
 
 
 def test_the_first_ten_seconds_of_each_condition_are_compared(cases):
-    flown = []
+    trajectory = []
 
     def group(engine, flights):
-        flown.extend((engine, flight.duration_s, flight.burn_in_s) for flight in flights)
+        trajectory.extend((engine, flight.duration_s, flight.burn_in_s) for flight in flights)
         return Flown()(engine, flights)
 
     rows = compare_start(replace(engines(Flown()), fly_group=group), cases, SerialExecutor())
@@ -350,7 +356,7 @@ def test_the_first_ten_seconds_of_each_condition_are_compared(cases):
         (f"{wind} m/s moderate", "start", "alike") for wind in (0, 3)
     }
     assert len({row.case_id for row in rows}) == 2 * CASES_EACH
-    assert set(flown) == {("batch", 10.0, 0.0), ("jsbsim as judge", 10.0, 0.0)}
+    assert set(trajectory) == {("batch", 10.0, 0.0), ("jsbsim as judge", 10.0, 0.0)}
     moved = compare_start(engines(Flown(offset=0.1)), cases, SerialExecutor())
     assert {row.metric for row in moved if row.verdict == "differs"} == {"cross_track_median_m"}
 
@@ -382,5 +388,5 @@ def test_rounding_in_an_unstable_model_is_told_from_a_wrong_translation(cases, r
         return {row.verdict for row in compare_start(flies, cases[:1], SerialExecutor())}
 
     assert verdicts(1e-13) == {"alike", "excused"}
-    for wrong in (1e-3, 1e-6, 1e-9):
-        assert "differs" in verdicts(wrong)
+    for invalid in (1e-3, 1e-6, 1e-9):
+        assert "differs" in verdicts(invalid)

@@ -52,7 +52,7 @@ def _no_check_flight(monkeypatch):
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory):
+def results(tmp_path_factory):
     root = tmp_path_factory.mktemp("manifest")
     text = fakes.CAMPAIGN.replace("flights = 3", "flights = 4").partition("[epistemic]")[0]
     text += '[epistemic]\nmethod = "corners"\ncoefficients = ["CX", "CY"]\n'
@@ -86,33 +86,33 @@ def places(tree, prefix=()):
 
 
 @pytest.mark.parametrize("every", [12, pytest.param(1, marks=pytest.mark.slow)])
-def test_a_missing_or_retyped_part_is_one_sentence(made, tmp_path, capsys, every):
+def test_a_missing_or_retyped_part_is_one_sentence(results, tmp_path, capsys, every):
     """Also with a digest that fits, in every command."""
     folder = tmp_path / "out"
-    shutil.copytree(made, folder)
-    document = json.loads((made / "manifest.json").read_text())
+    shutil.copytree(results, folder)
+    document = json.loads((results / "manifest.json").read_text())
     chance = random.Random(1)
     strange = [None, True, -1, 1.5, "x", [], {}, [1], {"a": 1}, "\x00", 1e400, 2**70]
     refused = 0
     for place in list(places(document))[::every]:
-        for what in ("gone", "retyped"):
+        for kind in ("gone", "retyped"):
             changed = copy.deepcopy(document)
             node = changed
             for key in place[:-1]:
                 node = node[key]
-            if what == "gone":
+            if kind == "gone":
                 del node[place[-1]]
             else:
                 node[place[-1]] = chance.choice(strange)
             sealed(folder, changed)
             for words in chance.sample([*READING[:3], *FLYING, ["campaign", "verify"]], 2):
-                code, said = call(capsys, words, folder)
-                assert code in (0, 1, 2), (place, what, words)
+                code, output = call(capsys, words, folder)
+                assert code in (0, 1, 2), (place, kind, words)
                 if code == 2:
                     refused += 1
-                    assert said.err.startswith("uqharness: error: ")
-                    assert "Traceback" not in said.err
-                assert "\x00" not in said.err
+                    assert output.err.startswith("uqharness: error: ")
+                    assert "Traceback" not in output.err
+                assert "\x00" not in output.err
     assert refused > 30 / every
 
 
@@ -122,55 +122,55 @@ def test_a_missing_or_retyped_part_is_one_sentence(made, tmp_path, capsys, every
         "",
         "[" * 99_999,
         "1" * 5000,
-        *(f'{{"format": {what}}}' for what in ("2", "true")),
+        *(f'{{"format": {kind}}}' for kind in ("2", "true")),
     ],
     ids=range(5),
 )
 def test_files_that_are_no_manifest(tmp_path, capsys, text):
     (tmp_path / "manifest.json").write_text(text)
     for words in (*READING, *FLYING[:1], FLYING[2]):
-        code, said = call(capsys, words, tmp_path)
+        code, output = call(capsys, words, tmp_path)
         assert code == 2
-        assert "manifest.json" in said.err
+        assert "manifest.json" in output.err
     assert call(capsys, ["campaign", "verify"], tmp_path)[0] == 1
 
 
-def test_a_changed_manifest_is_refused(made, tmp_path, capsys):
-    document = json.loads((made / "manifest.json").read_text())
+def test_a_changed_manifest_is_refused(results, tmp_path, capsys):
+    document = json.loads((results / "manifest.json").read_text())
     (tmp_path / "manifest.json").write_text(json.dumps(document))
-    assert read_manifest(tmp_path) == read_manifest(made)
+    assert read_manifest(tmp_path) == read_manifest(results)
     for changed in (document | {"cases": 17}, document | {"note": "x"}, document | {"format": 1}):
         (tmp_path / "manifest.json").write_text(json.dumps(changed))
-        code, said = call(capsys, ["campaign", "status"], tmp_path)
-        assert (code, "does not fit its digest" in said.err) == (2, True)
+        code, output = call(capsys, ["campaign", "status"], tmp_path)
+        assert (code, "does not fit its digest" in output.err) == (2, True)
 
 
-def put(folder, name, content):
+def write_value(folder, name, content):
     """A table with a digest that fits, as damage cannot make it and another program could."""
     (folder / name).write_bytes(content)
     manifest = read_manifest(folder)
     write_manifest(folder, manifest | {"tables": manifest["tables"] | {name: sha256_hex(content)}})
 
 
-def test_tables_with_a_column_less_or_of_another_type_are_one_sentence(made, tmp_path, capsys):
-    frame = pd.read_parquet(made / "cases.parquet")
-    gone = ("extrapolated_share", "level_CX", "status", "excursions_15m_3d")
-    wrong = {name: frame.drop(columns=name) for name in gone}
-    wrong |= {
+def test_tables_with_a_column_less_or_of_another_type_are_one_sentence(results, tmp_path, capsys):
+    frame = pd.read_parquet(results / "cases.parquet")
+    absent = ("extrapolated_share", "level_CX", "status", "excursions_15m_3d")
+    invalid = {name: frame.drop(columns=name) for name in absent}
+    invalid |= {
         f"{name} retyped": frame.assign(**{name: "x"}) for name in ("wind_mps", "aleatory_id")
     }
     for column, value in (("status", "fine"), ("turbulence", "wild"), ("case_id", None)):
-        wrong[f"{column} strange"] = frame.assign(**{column: value})
-    wrong |= {"flights": frame.iloc[:3], "none": frame.iloc[:0]}
-    for name, changed in wrong.items():
+        invalid[f"{column} strange"] = frame.assign(**{column: value})
+    invalid |= {"flights": frame.iloc[:3], "none": frame.iloc[:0]}
+    for name, changed in invalid.items():
         folder = tmp_path / name.replace(" ", "-")
-        shutil.copytree(made, folder)
+        shutil.copytree(results, folder)
         changed.to_parquet(folder / "new.parquet")
-        put(folder, "cases.parquet", (folder / "new.parquet").read_bytes())
+        write_value(folder, "cases.parquet", (folder / "new.parquet").read_bytes())
         for words in READING[1:]:
-            code, said = call(capsys, words, folder)
-            assert (code, "cases.parquet: " in said.err) == (2, True), name
-            assert name.split()[0] in said.err or name == "none"
+            code, output = call(capsys, words, folder)
+            assert (code, "cases.parquet: " in output.err) == (2, True), name
+            assert name.split()[0] in output.err or name == "none"
 
 
 @pytest.mark.parametrize(
@@ -181,10 +181,10 @@ def test_tables_with_a_column_less_or_of_another_type_are_one_sentence(made, tmp
     ],
 )
 def test_csv_tables_with_a_column_less_or_no_number_are_one_sentence(
-    made, tmp_path, capsys, name, number, words
+    results, tmp_path, capsys, name, number, words
 ):
     folder = tmp_path / "out"
-    shutil.copytree(made, folder)
+    shutil.copytree(results, folder)
     assert main(["sensitivity", str(folder)]) in (0, 1)
     text = (folder / name).read_text()
     frame = pd.read_csv(io.StringIO(text), dtype=str, keep_default_na=False)
@@ -194,34 +194,34 @@ def test_csv_tables_with_a_column_less_or_no_number_are_one_sentence(
         text[:-last].encode(),
         b"\xff\xfe",
     ):
-        put(folder, name, changed)
-        code, said = call(capsys, words, folder)
-        assert (code, name in said.err) == (2, True)
-    assert "not a text file in UTF-8" in said.err
+        write_value(folder, name, changed)
+        code, output = call(capsys, words, folder)
+        assert (code, name in output.err) == (2, True)
+    assert "not a text file in UTF-8" in output.err
 
 
 def test_results_of_0_1_can_be_read(tmp_path, capsys):
-    folder, again = tmp_path / "results", tmp_path / "again" / "out"
+    folder, repeat = tmp_path / "results", tmp_path / "again" / "out"
     shutil.copytree(OLD / "results", folder)
     before = {path.name: path.read_bytes() for path in folder.iterdir()}
-    said = {}
+    output = {}
     for words in READING:
-        code, said[words[-1]] = call(capsys, words, folder)
+        code, output[words[-1]] = call(capsys, words, folder)
         assert code in (0, 1), words
-    assert "complete, 16 of 16 flights done, none failed" in said["status"].out
+    assert "complete, 16 of 16 flights done, none failed" in output["status"].out
     assert {name: (folder / name).read_bytes() for name in before} == before
     # The same flights by this version: the tables are the same bytes, but for bands, which are
     # rounded up to 1e-9 since 0.3.
-    spec = read_campaign(fakes.campaign_file(again.parent, (OLD / "campaign.toml").read_text()))
-    run_campaign(spec, again, executor=SerialExecutor(), fly=fakes.steady)
-    assert (again / "excursions.csv").read_bytes() == before["excursions.csv"]
+    spec = read_campaign(fakes.campaign_file(repeat.parent, (OLD / "campaign.toml").read_text()))
+    run_campaign(spec, repeat, executor=SerialExecutor(), fly=fakes.steady)
+    assert (repeat / "excursions.csv").read_bytes() == before["excursions.csv"]
     # Statements have more columns since 0.6 (aborted flights, measured clusters).
-    statements, told = (pd.read_csv(place / "statements.csv") for place in (again, folder))
-    pd.testing.assert_frame_equal(statements[list(told)], told, check_exact=True)
-    now, then = (pd.read_parquet(place / "pbox.parquet") for place in (again, folder))
-    pd.testing.assert_frame_equal(now, then, check_exact=False, rtol=0.0, atol=2e-9)
-    same = [name for name in now if not name.startswith("band_")]
-    pd.testing.assert_frame_equal(now[same], then[same], check_exact=True)
+    statements, reports = (pd.read_csv(place / "statements.csv") for place in (repeat, folder))
+    pd.testing.assert_frame_equal(statements[list(reports)], reports, check_exact=True)
+    current, previous = (pd.read_parquet(place / "pbox.parquet") for place in (repeat, folder))
+    pd.testing.assert_frame_equal(current, previous, check_exact=False, rtol=0.0, atol=2e-9)
+    same = [name for name in current if not name.startswith("band_")]
+    pd.testing.assert_frame_equal(current[same], previous[same], check_exact=True)
 
 
 def test_results_of_0_1_are_not_flown_on_but_their_mission_is(tmp_path, capsys):
@@ -237,16 +237,16 @@ def test_results_of_0_1_are_not_flown_on_but_their_mission_is(tmp_path, capsys):
     for line in f"{words}\nmerge {merged}\nsalvage {merged}".splitlines():
         capsys.readouterr()
         assert main(["campaign", *line.split()]) == 2
-        said = "made by uqharness 0.1, whose flights have no digests: finish it"
-        assert said in capsys.readouterr().err
-    code, said = call(capsys, ["campaign", "verify"], folder)
-    assert (code, said.out.count("no digests")) == (1, 6)
+        output = "made by uqharness 0.1, whose flights have no digests: finish it"
+        assert output in capsys.readouterr().err
+    code, output = call(capsys, ["campaign", "verify"], folder)
+    assert (code, output.out.count("no digests")) == (1, 6)
     assert all((folder / name).read_bytes() == content for name, content in before.items())
     manifest = json.loads((folder / "manifest.json").read_text())
     manifest["campaign_file"] = str(tmp_path / "campaign.toml")
     (folder / "manifest.json").write_text(json.dumps(manifest))
-    found = open_campaign(folder)
-    assert (len(found.cases), found.failed, found.same_aircraft) == (16, 0, False)
+    result = open_campaign(folder)
+    assert (len(result.cases), result.failed, result.same_aircraft) == (16, 0, False)
 
 
 GOOD = {
@@ -265,7 +265,7 @@ STRANGE_SEED = {**GOOD["campaign"], "campaign": {**GOOD["campaign"]["campaign"],
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "output"),
     [
         ({"format": 3}, "format: must be 1 or 2"),
         ({"state": "asleep"}, "state: must be"),
@@ -282,14 +282,14 @@ STRANGE_SEED = {**GOOD["campaign"], "campaign": {**GOOD["campaign"]["campaign"],
         ({"bounds": {"confidence": 1.5, "transient": []}}, r"bounds\.confidence"),
     ],
 )
-def test_bad_content_is_named(change, said):
-    with pytest.raises(ValueError, match=said):
+def test_bad_content_is_named(change, output):
+    with pytest.raises(ValueError, match=output):
         checked_content(GOOD | change)
 
 
 def test_defaults_are_filled_in_and_old_campaigns_of_corners_have_no_interior_points():
-    found = checked_content(GOOD | {"of_a_later_version": 1})
-    assert (found["of_a_later_version"], found["campaign"]["stop"]["rule"]) == (1, "flights")
+    result = checked_content(GOOD | {"of_a_later_version": 1})
+    assert (result["of_a_later_version"], result["campaign"]["stop"]["rule"]) == (1, "flights")
     assert "stop" not in GOOD["campaign"]
 
     def epistemic(**more):

@@ -48,18 +48,18 @@ def fly_all(executor, function, cases):
 
 def test_serial_and_processes_agree():
     cases = flights(30)
-    others = set(multiprocessing.active_children())
+    remaining = set(multiprocessing.active_children())
     serial = fly_all(SerialExecutor(), fakes.steady, cases)
     assert fly_all(ProcessExecutor(1, "fork"), fakes.steady, cases) == serial
     assert fly_all(ProcessExecutor(3, "fork"), fakes.steady, cases) == serial
     assert fly_all(ProcessExecutor(2, "spawn"), fakes.steady, cases) == serial
-    assert not set(multiprocessing.active_children()) - others
+    assert not set(multiprocessing.active_children()) - remaining
 
 
 def test_crashes_are_counted_with_their_reason():
-    found = fly_all(ProcessExecutor(2, "fork"), fakes.hazardous, flights(10))
+    result = fly_all(ProcessExecutor(2, "fork"), fakes.hazardous, flights(10))
     kinds = {
-        index: (found[f"{index:04d}"].status, found[f"{index:04d}"].reason) for index in range(10)
+        index: (result[f"{index:04d}"].status, result[f"{index:04d}"].reason) for index in range(10)
     }
     # level_sum is 3 for a flight without levels, and 3 * 7 + seed decides: see campaign_fakes.
     assert kinds[9] == ("crashed", "the worker process ended: signal 6 (SIGABRT) (tried 2 times)")
@@ -89,12 +89,12 @@ def test_workers_killed_from_outside_cost_no_case():
     thread = threading.Thread(target=murder)
     thread.start()
     try:
-        found = fly_all(ProcessExecutor(2, "fork"), fakes.slow, cases)
+        result = fly_all(ProcessExecutor(2, "fork"), fakes.slow, cases)
     finally:
         done.set()
         thread.join()
     assert kills
-    assert found == reference
+    assert result == reference
 
 
 def groups(cases, size):
@@ -127,16 +127,16 @@ def test_groups_give_what_single_flights_give():
 def test_a_group_that_crashes_is_split_down_to_the_case():
     # Of ten flights, five do something dreadful; all the others come back.
     cases = flights(10)
-    alone = fly_all(ProcessExecutor(2, "fork"), fakes.hazardous, cases)
-    assert fly_groups(ProcessExecutor(2, "fork"), OneByOne(fakes.hazardous), cases, 5) == alone
-    assert {outcome.status for outcome in alone.values()} == {"ok", "crashed", "diverged"}
+    single = fly_all(ProcessExecutor(2, "fork"), fakes.hazardous, cases)
+    assert fly_groups(ProcessExecutor(2, "fork"), OneByOne(fakes.hazardous), cases, 5) == single
+    assert {outcome.status for outcome in single.values()} == {"ok", "crashed", "diverged"}
 
 
 def test_a_group_that_hangs_is_split_down_to_the_case():
     executor = ProcessExecutor(2, "fork", timeout_s=lambda flight: 0.5)
-    found = fly_groups(executor, OneByOne(fakes.hangs_sometimes), flights(12), 12)
-    assert {case_id for case_id, outcome in found.items() if outcome.status != "ok"} == {"0009"}
-    assert found["0009"].reason == "no result after 0.5 s (tried 2 times)"
+    result = fly_groups(executor, OneByOne(fakes.hangs_sometimes), flights(12), 12)
+    assert {case_id for case_id, outcome in result.items() if outcome.status != "ok"} == {"0009"}
+    assert result["0009"].reason == "no result after 0.5 s (tried 2 times)"
 
 
 def too_few(engine, flights):
@@ -144,30 +144,30 @@ def too_few(engine, flights):
 
 
 def test_a_group_function_that_loses_a_flight_is_no_result():
-    found = fly_groups(SerialExecutor(), too_few, flights(3), 3)
-    assert {outcome.status for outcome in found.values()} == {"crashed"}
+    result = fly_groups(SerialExecutor(), too_few, flights(3), 3)
+    assert {outcome.status for outcome in result.values()} == {"crashed"}
 
 
 def test_executor_marks_bad_input():
-    found = fly_all(ProcessExecutor(1, "fork"), fakes.refuses, flights(1))["0000"]
-    assert found.bad_input
-    assert "uq/active" in found.reason
+    result = fly_all(ProcessExecutor(1, "fork"), fakes.refuses, flights(1))["0000"]
+    assert result.bad_input
+    assert "uq/active" in result.reason
 
 
 def test_stopping_leaves_no_process():
     # Another test's processes may still be ending.
-    others = set(multiprocessing.active_children())
+    remaining = set(multiprocessing.active_children())
     batches = ProcessExecutor(2, "fork").run(fakes.slow, flights(2000))
     for _ in range(4):
         next(batches)
     batches.close()
-    assert not set(multiprocessing.active_children()) - others
+    assert not set(multiprocessing.active_children()) - remaining
 
 
 def test_children_have_one_numerical_thread_each(monkeypatch):
     monkeypatch.setenv("OMP_NUM_THREADS", "8")
-    found = fly_all(ProcessExecutor(1, "spawn"), fakes.reports_threads, flights(1))["0000"]
-    assert found.metrics == {"omp": 1.0, "openblas": 1.0}
+    result = fly_all(ProcessExecutor(1, "spawn"), fakes.reports_threads, flights(1))["0000"]
+    assert result.metrics == {"omp": 1.0, "openblas": 1.0}
     assert os.environ["OMP_NUM_THREADS"] == "8"
 
 
@@ -192,24 +192,24 @@ def signals(result: FlightResult) -> bytes:
 
 
 def test_engines_by_name():
-    alone, moved = fly(SPEC), fly_one_ulp_off(SPEC)
-    assert signals(alone) != signals(moved)
+    single, moved = fly(SPEC), fly_one_ulp_off(SPEC)
+    assert signals(single) != signals(moved)
     for name, expected in (
-        (processes.JSBSIM, alone),
-        (processes.JUDGE, alone),
+        (processes.JSBSIM, single),
+        (processes.JUDGE, single),
         (processes.ONE_ULP_OFF, moved),
     ):
-        (found,) = processes.fly_group(name, [SPEC])
-        assert signals(found) == signals(expected)
-        assert expected.metrics.items() <= found.metrics.items()
+        (result,) = processes.fly_group(name, [SPEC])
+        assert signals(result) == signals(expected)
+        assert expected.metrics.items() <= result.metrics.items()
 
 
 def test_the_judge_reports_the_distance_to_each_radius():
-    (found,) = processes.fly_group(
+    (result,) = processes.fly_group(
         processes.JUDGE, [replace(SPEC, excursion_radius_m=(1.0,), rearm_m=0.25)]
     )
-    distance = np.abs(found.signals["cross_track"])
+    distance = np.abs(result.signals["cross_track"])
     expected = min(np.abs(distance - 1.0).min(), np.abs(distance - 0.75).min())
-    assert found.metrics["nearest_excursions_1m"] == expected
-    without = replace(fakes.steady(SPEC), signals={})
-    assert np.isnan(processes.with_distances(without, SPEC).metrics["nearest_excursions_15m"])
+    assert result.metrics["nearest_excursions_1m"] == expected
+    reduced = replace(fakes.steady(SPEC), signals={})
+    assert np.isnan(processes.with_distances(reduced, SPEC).metrics["nearest_excursions_15m"])

@@ -55,29 +55,29 @@ def split():
 
 def test_unsplit_paths_equal_plain_flights():
     paths = LoiterPaths(FLIGHTS, [0, 1, 2], ROOT, WATCH)
-    found = run(paths, 3, Levels(()), 2)
-    flown = fly_many(FLIGHTS)
+    result = run(paths, 3, Levels(()), 2)
+    flight = fly_many(FLIGHTS)
     counts = np.array(
-        [[one.metrics[f"excursions_{radius:g}m"] for radius in RADII] for one in flown]
+        [[one.metrics[f"excursions_{radius:g}m"] for radius in RADII] for one in flight]
     )
     assert counts.sum() > 2
-    np.testing.assert_array_equal(found.events, counts.mean(axis=0))
-    np.testing.assert_array_equal(found.probability, (counts > 0).mean(axis=0))
-    assert (found.steps, found.max_paths, found.ended) == (90, 3, 0.0)
+    np.testing.assert_array_equal(result.events, counts.mean(axis=0))
+    np.testing.assert_array_equal(result.probability, (counts > 0).mean(axis=0))
+    assert (result.steps, result.max_paths, result.ended) == (90, 3, 0.0)
     for hit in paths.hits:
-        signal = np.abs(flown[hit.aleatory_id].signals["cross_track"])
+        signal = np.abs(flight[hit.aleatory_id].signals["cross_track"])
         assert hit.splits == ()
         assert hit.distance_m == signal[np.argmax(signal > RADII[hit.kind])]
 
 
 def test_the_same_paths_again_and_branches_that_part(split):
-    paths, found = split
-    again = LoiterPaths(FLIGHTS, [0, 1, 2], ROOT, WATCH)
-    other = run(again, 3, Levels((3.0, 6.0), 2), 2)
-    assert other.events.tobytes() == found.events.tobytes()
-    assert again.hits == paths.hits
-    assert found.max_paths > 3
-    assert found.steps > 90
+    paths, result = split
+    repeat = LoiterPaths(FLIGHTS, [0, 1, 2], ROOT, WATCH)
+    other = run(repeat, 3, Levels((3.0, 6.0), 2), 2)
+    assert other.events.tobytes() == result.events.tobytes()
+    assert repeat.hits == paths.hits
+    assert result.max_paths > 3
+    assert result.steps > 90
     keys = [(s.aleatory_id, s.level, s.branch) for hit in paths.hits for s in hit.splits]
     assert keys
     assert {level for _, level, _ in keys} <= {1, 2}
@@ -96,10 +96,10 @@ def test_a_branched_path_is_the_one_that_jsbsim_flies(split):
     mission = staged_mission(flight)
 
     def last(splits):
-        flown = record_mission(
+        trajectory = record_mission(
             mission, flight, scored_signals(mission), OPTIONAL_SIGNALS, splits=splits
         )
-        return abs(float(flown.signals["cross_track"][-1]))
+        return abs(float(trajectory.signals["cross_track"][-1]))
 
     assert abs(last(hit.splits) - hit.distance_m) < 1e-6
     assert abs(last(()) - hit.distance_m) > 1e-3
@@ -128,10 +128,10 @@ def process():
 
 def test_predictions_of_a_first_order_process(process):
     x, regressors = process
-    found = fit_predictors(regressors, 5.0 + x, 1.0, 9.0, (0.25, 1.0, 3.0))
-    assert found.horizons_s == (1.0, 3.0), "a quarter is no whole number of rows"
+    result = fit_predictors(regressors, 5.0 + x, 1.0, 9.0, (0.25, 1.0, 3.0))
+    assert result.horizons_s == (1.0, 3.0), "a quarter is no whole number of rows"
     for steps, slopes, constant, sigma in zip(
-        (1, 3), found.coefficients, found.constants, found.sigmas, strict=True
+        (1, 3), result.coefficients, result.constants, result.sigmas, strict=True
     ):
         assert slopes[0] == pytest.approx(KEEP**steps, abs=0.02)
         assert slopes[1] == pytest.approx(0.0, abs=0.03)
@@ -146,8 +146,8 @@ def test_a_score_is_the_nearest_prediction_in_standard_deviations():
     scores = one.score(np.array([[9.5], [4.0], [11.0]]), np.array([9.5, 4.0, 11.0]))
     assert scores == pytest.approx([-1.0, -1.0, 1.0 / CURRENT_SIGMA_M])
     regressors = np.random.default_rng(1).standard_normal((7, 1))
-    whole = one.score(regressors, regressors[:, 0])
+    complete = one.score(regressors, regressors[:, 0])
     assert [
         one.score(regressors[k : k + 1], regressors[k : k + 1, 0])[0] for k in range(7)
-    ] == whole.tolist()
+    ] == complete.tolist()
     assert np.isnan(one.score(np.array([[np.nan]]), np.array([np.nan])))[0]

@@ -84,8 +84,8 @@ def tables(folder):
 
 def rows(folder, name, **where):
     with (folder / name).open(newline="") as handle:
-        found = list(csv.DictReader(handle))
-    return [row for row in found if where.items() <= row.items()]
+        result = list(csv.DictReader(handle))
+    return [row for row in result if where.items() <= row.items()]
 
 
 SIGNED = {"radius_m": "15", "distance": "horizontal"}
@@ -143,8 +143,8 @@ def test_workers_and_interruptions_move_no_byte(tmp_path, answer_for):
         run(tmp_path, "killed", InPieces(), text=text, on_progress=stop_at(36))
     run(tmp_path, "killed", InPieces(), text=text)
     assert tables(tmp_path / "killed") == reference
-    again = run(tmp_path, "killed", text=text, fly=fakes.aborts_always)
-    assert (again.done_before, again.progress.flown_s) == (again.cases, 0.0)
+    repeat = run(tmp_path, "killed", text=text, fly=fakes.aborts_always)
+    assert (repeat.done_before, repeat.progress.flown_s) == (repeat.cases, 0.0)
     assert tables(tmp_path / "killed") == reference
     corners = rows(tmp_path / "whole", "decisions.csv", condition="7 m/s severe")
     answers = {row["epistemic_id"]: row["answer"] for row in corners}
@@ -159,8 +159,8 @@ def test_status_while_it_flies_and_after(tmp_path, capsys, decided):
     assert main(["campaign", "status", str(tmp_path / "out"), "--json"]) == 1
     capsys.readouterr()
     assert main(["campaign", "status", str(decided[1]), "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)["answers"]
-    answers = {item["condition"]: item["answer"] for item in found}
+    result = json.loads(capsys.readouterr().out)["answers"]
+    answers = {item["condition"]: item["answer"] for item in result}
     assert answers == {"3 m/s severe": "yes", "7 m/s severe": "no"}
     assert main(["campaign", "status", str(decided[1])]) == 0
     assert "at most 1 excursion per hour beyond 15 m? 1 yes, 1 no" in capsys.readouterr().out
@@ -179,11 +179,11 @@ def test_the_band_pays_for_having_looked(tmp_path, decided):
     """Same flights, decided or planned: the band of a campaign that could have stopped anywhere is
     wider.
     """
-    flown = read_table(decided[1] / "pbox.parquet").to_pandas()
+    flight = read_table(decided[1] / "pbox.parquet").to_pandas()
     planned = TOML.partition("[stop]")[0].replace("flights = 40", "flights = 4")
     run(tmp_path, "planned", text=planned.replace("[3, 7]", "7"))
     fixed = read_table(tmp_path / "planned" / "pbox.parquet").to_pandas()
-    same = flown[flown["condition"] == "7 m/s severe"].reset_index(drop=True)
+    same = flight[flight["condition"] == "7 m/s severe"].reset_index(drop=True)
     pd.testing.assert_series_equal(same["lower"], fixed["lower"])
     assert (same["band_lower"] <= fixed["band_lower"]).all()
     assert same["band_lower"].sum() < fixed["band_lower"].sum()
@@ -236,11 +236,11 @@ def corner(*flights):
 def test_each_aborted_flight_is_of_one_kind():
     first = corner(("ok", 1.0, 0), ("ok", 1.0, 1), ("diverged", 0.25, 1))
     second = corner(("ground-contact", 0.5, None), ("timeout", 0.0, None))
-    found = count_aborted([first, second], 3600.0)
-    assert found.kinds == dict.fromkeys(KINDS, 1)
-    assert found.total == 4
-    np.testing.assert_array_equal(found.is_aborted, [[0.0, 1.0, 1.0], [1.0, 1.0, np.nan]])
-    np.testing.assert_allclose(found.missing_shares, [0.75, 1.5])
+    result = count_aborted([first, second], 3600.0)
+    assert result.kinds == dict.fromkeys(KINDS, 1)
+    assert result.total == 4
+    np.testing.assert_array_equal(result.is_aborted, [[0.0, 1.0, 1.0], [1.0, 1.0, np.nan]])
+    np.testing.assert_allclose(result.missing_shares, [0.75, 1.5])
 
 
 def test_limits_are_per_hour_flown():

@@ -118,8 +118,8 @@ def test_failures_are_rows_with_reasons(tmp_path):
     assert np.isnan(diverged["cross_track_median_m"])
     # Once recorded, a failure is done: the same command flies nothing more and changes nothing.
     before = tables(tmp_path / "out")
-    again = run(tmp_path, "out", fly=fakes.aborts_always, flights=1)
-    assert (again.done_before, again.progress.flown_s) == (64, 0.0)
+    repeat = run(tmp_path, "out", fly=fakes.aborts_always, flights=1)
+    assert (repeat.done_before, repeat.progress.flown_s) == (64, 0.0)
     assert tables(tmp_path / "out") == before
 
 
@@ -135,11 +135,11 @@ def test_an_undefined_metric_has_its_reason(tmp_path):
 
 def test_an_interrupted_run_keeps_what_was_finished_and_resumes(tmp_path):
     """Progress counts only what is on the disk."""
-    seen: list[Progress] = []
+    observed: list[Progress] = []
 
     def stop_after_some(progress):
         assert finished(tmp_path / "out") == progress.done
-        seen.append(progress)
+        observed.append(progress)
         if progress.done >= 20:
             raise KeyboardInterrupt
 
@@ -153,11 +153,11 @@ def test_an_interrupted_run_keeps_what_was_finished_and_resumes(tmp_path):
             on_progress=stop_after_some,
         )
     assert read_manifest(tmp_path / "out")["state"] == "interrupted"
-    kept = finished(tmp_path / "out")
-    assert kept == seen[-1].done >= 20
+    retained = finished(tmp_path / "out")
+    assert retained == observed[-1].done >= 20
     assert not (tmp_path / "out" / CASES).exists()
     summary = run(tmp_path, "out", ProcessExecutor(1, "fork"), flights=1)
-    assert summary.done_before == kept
+    assert summary.done_before == retained
     run(tmp_path, "undisturbed", flights=1)
     assert tables(tmp_path / "out") == tables(tmp_path / "undisturbed")
 

@@ -128,8 +128,8 @@ def test_rates_and_coefficients_come_from_the_model_form(tmp_path):
         campaign(tmp_path, 'method = "corners"\nbounds = "model-form.json"\n')
     )
     assert [item.epistemic_id for item in corners][:2] == ["0-0-0-", "0-0-1-"]
-    given = text.replace("samples", "walk_rate_per_sqrt_s = { CX = 0.5 }\nsamples")
-    assert epistemic_samples(campaign(tmp_path, given))[0].driver.rates_per_sqrt_s == (0.5, 0.012)
+    inputs = text.replace("samples", "walk_rate_per_sqrt_s = { CX = 0.5 }\nsamples")
+    assert epistemic_samples(campaign(tmp_path, inputs))[0].driver.rates_per_sqrt_s == (0.5, 0.012)
     with pytest.raises(BadInputError, match="no walk_rate for Cm"):
         campaign(tmp_path, 'method = "walk"\nsamples = 2\nbounds = "model-form.json"\n')
     with pytest.raises(BadInputError, match="has no bounds for Cn"):
@@ -152,10 +152,10 @@ def test_transient_error_of_the_form_flies_at_every_corner(tmp_path):
         # CZ has such a part, and is certain in this campaign; the nominal model has no error.
         driver = TransientDriver(7, case.aleatory_id, ("Cm",), (rate,))
         assert case.flight.transient == (None if case.epistemic_id == "nominal" else driver)
-    still = build_cases(campaign(tmp_path, CORNERS + "transient = false\n"), mission(tmp_path))
-    assert all(case.flight.transient is None for case in still)
+    steady = build_cases(campaign(tmp_path, CORNERS + "transient = false\n"), mission(tmp_path))
+    assert all(case.flight.transient is None for case in steady)
     nominal = {case.case_id for case in cases if case.epistemic_id == "nominal"}
-    assert {case.case_id for case in still} & {case.case_id for case in cases} == nominal
+    assert {case.case_id for case in steady} & {case.case_id for case in cases} == nominal
     description = describe(spec, mission(tmp_path), 60, "")
     description["campaign_file"] = str(tmp_path / "campaign.toml")
     assert spec_of(description).inputs == spec.inputs
@@ -194,12 +194,12 @@ def test_parameters_are_drawn_from_the_covariance(tmp_path):
 
     many = samples(4000)
     assert many[3].epistemic_id == "nominal+p000003"
-    drawn = np.array([[sample.parameters[name] for name in FIT["names"]] for sample in many])
-    for column, name in zip(drawn.T, FIT["names"], strict=True):
+    drawing = np.array([[sample.parameters[name] for name in FIT["names"]] for sample in many])
+    for column, name in zip(drawing.T, FIT["names"], strict=True):
         value, std = (FIT["parameters"][name][key] for key in ("value", "std"))
         assert stats.kstest(column, "norm", args=(value, std)).pvalue > 1e-3
         assert stats.kstest(column, "norm", args=(value, 1.2 * std)).pvalue < 1e-3
-    assert np.corrcoef(drawn.T)[0, 1] == pytest.approx(0.7, abs=4 * (1 - 0.49) / np.sqrt(4000))
+    assert np.corrcoef(drawing.T)[0, 1] == pytest.approx(0.7, abs=4 * (1 - 0.49) / np.sqrt(4000))
     assert [item.parameters for item in samples(5)] == [item.parameters for item in many[:5]]
 
 
@@ -207,11 +207,11 @@ def test_a_box_is_filled_to_its_edges_and_no_further(tmp_path):
     write(tmp_path / "fit.json", FIT)
     box = PARAMETERS + 'distribution = "box"\nconfidence = 0.9\nparameters = ["aero/Cm_alpha"]\n'
     samples = epistemic_samples(campaign(tmp_path, f'method = "none"\nsamples = 1000\n{box}'))
-    drawn = np.array([sample.parameters["aero/Cm_alpha"] for sample in samples])
+    drawing = np.array([sample.parameters["aero/Cm_alpha"] for sample in samples])
     reach = stats.norm.ppf(0.95) * 0.02
-    assert np.abs(drawn + 0.487).max() <= reach
-    assert np.abs(drawn + 0.487).max() > 0.998 * reach
-    assert stats.kstest(drawn, "uniform", args=(-0.487 - reach, 2 * reach)).pvalue > 1e-3
+    assert np.abs(drawing + 0.487).max() <= reach
+    assert np.abs(drawing + 0.487).max() > 0.998 * reach
+    assert stats.kstest(drawing, "uniform", args=(-0.487 - reach, 2 * reach)).pvalue > 1e-3
 
 
 def test_parameters_multiply_corners_and_join_walks(tmp_path):
@@ -257,38 +257,38 @@ def variables(mean):
 
 
 def test_a_variable_is_drawn_per_flight_and_common_to_corners(tmp_path):
-    def made(text, head):
+    def result(text, head):
         return build_cases(campaign(tmp_path, text, head), mission(tmp_path))
 
     corners = f'method = "corners"\n{BOUNDS}'
-    cases = made(corners, variables("20"))
-    drawn = {case.aleatory_id: case.flight.properties["load/kg"] for case in cases}
-    assert len(set(drawn.values())) == 3
-    assert all(case.flight.properties["load/kg"] == drawn[case.aleatory_id] for case in cases)
-    assert cases[0].inputs == {"variable_load/kg": drawn[0]}
+    cases = result(corners, variables("20"))
+    drawing = {case.aleatory_id: case.flight.properties["load/kg"] for case in cases}
+    assert len(set(drawing.values())) == 3
+    assert all(case.flight.properties["load/kg"] == drawing[case.aleatory_id] for case in cases)
+    assert cases[0].inputs == {"variable_load/kg": drawing[0]}
     many = variables("20").replace("flights = 3", "flights = 3000")
-    values = [case.flight.properties["load/kg"] for case in made('method = "none"\n', many)]
+    values = [case.flight.properties["load/kg"] for case in result('method = "none"\n', many)]
     assert stats.kstest(values, "norm", args=(20.0, 0.5)).pvalue > 1e-3
     # A variable's stream bears its name: another variable beside it moves nothing.
     other = '[aleatory.variables."a/b"]\ndistribution = "uniform"\nlow = 0\nhigh = 1\n'
-    for case in made(corners, variables("20") + other):
-        assert case.flight.properties["load/kg"] == drawn[case.aleatory_id]
+    for case in result(corners, variables("20") + other):
+        assert case.flight.properties["load/kg"] == drawing[case.aleatory_id]
 
 
 def test_an_unknown_mean_is_an_epistemic_input_with_corners(tmp_path):
-    def made(text):
+    def result(text):
         return campaign(tmp_path, text, variables("[19, 22]"))
 
-    cases = build_cases(made(f'method = "corners"\n{BOUNDS}'), mission(tmp_path))
+    cases = build_cases(result(f'method = "corners"\n{BOUNDS}'), mission(tmp_path))
     assert len(cases) == 3 * (128 + 16 + 1)
     low, high = cases[0], cases[1]
     assert (low.epistemic_id, high.epistemic_id) == ("000000+0", "000000+1")
     moved = high.flight.properties["load/kg"] - low.flight.properties["load/kg"]
     assert moved == pytest.approx(3.0)
     assert (low.inputs["level_load/kg"], high.inputs["level_load/kg"]) == (0.0, 1.0)
-    nominal = build_cases(made('method = "none"\n'), mission(tmp_path))
+    nominal = build_cases(result('method = "none"\n'), mission(tmp_path))
     assert [case.epistemic_id for case in nominal[:2]] == ["nominal+0", "nominal+1"]
-    lhs = epistemic_samples(made(f'method = "lhs"\nsamples = 8\n{BOUNDS}'))
+    lhs = epistemic_samples(result(f'method = "lhs"\nsamples = 8\n{BOUNDS}'))
     assert sorted(np.floor([8 * item.means["load/kg"] for item in lhs])) == list(range(8))
 
 
@@ -310,8 +310,8 @@ def test_an_unknown_mean_takes_its_place_among_the_sensitivities(tmp_path, monke
         spec, tmp_path / "out", executor=SerialExecutor(), fly=heavy, mission=mission(tmp_path)
     )
     assert main(["sensitivity", str(tmp_path / "out"), "--json"]) == 0
-    (found,) = json.loads(capsys.readouterr().out)["sensitivity"].values()
-    indices = found["altitude_median_m"]["indices"]
+    (result,) = json.loads(capsys.readouterr().out)["sensitivity"].values()
+    indices = result["altitude_median_m"]["indices"]
     assert set(indices) == {"CX", "load/kg"}
     # The error is proportional to load + 0.1 level, and the load's mean moves by 3: shares of the
     # p-box's width 3/3.1 and 0.1/3.1.
@@ -378,28 +378,28 @@ def test_bounds_of_other_files_are_noted(tmp_path, bounded):
 def test_the_bounds_of_a_file_fly_in_a_copy_of_the_aircraft(tmp_path, bounded, monkeypatch):
     # A process of its own could not import the function below.
     monkeypatch.setattr("uqharness.campaign.run.validate_model", lambda fly, case: None)
-    out, flown = tmp_path / "out", []
+    out, trajectory = tmp_path / "out", []
 
     def run(spec):
         def record(flight):
-            flown.append(flight)
+            trajectory.append(flight)
             return fly(flight)
 
         return run_campaign(spec, out, executor=SerialExecutor(), fly=record)
 
     run(bounded)
     copy = out / "aircraft" / "plane"
-    assert {spec.aircraft for spec in flown} == {copy}
-    written = (copy / "Systems" / "model-form.xml").read_bytes()
+    assert {spec.aircraft for spec in trajectory} == {copy}
+    text = (copy / "Systems" / "model-form.xml").read_bytes()
     form = read_model_form(tmp_path / "model-form.json")
-    assert written == model_form_xml(form, find_aircraft(tmp_path / "plane"))
+    assert text == model_form_xml(form, find_aircraft(tmp_path / "plane"))
     frame = read_table(out / CASES).to_pandas().set_index("epistemic_id")
     assert list(frame.index) == ["0-----", "1-----", "nominal"]
     assert frame["extrapolated_share"].between(0.0, 1.0).all()
     # The bounds act, CX alone moves, and the source was not touched.
     signals = {name: Source(f"uq/{name}/delta") for name in COEFFICIENTS}
     with StagedMission(find_aircraft(copy), tmp_path / "loiter.xml") as staged:
-        low, high, _ = (record_mission(staged, spec, signals).signals for spec in flown)
+        low, high, _ = (record_mission(staged, spec, signals).signals for spec in trajectory)
     assert low["CX"][1:].max() < 0.0 < high["CX"][1:].min()
     assert not any(np.any(high[name]) for name in COEFFICIENTS[1:])
     source = PROJECT_ROOT / "aircraft" / "espaaro" / "Systems" / "model-form.xml"
@@ -407,7 +407,7 @@ def test_the_bounds_of_a_file_fly_in_a_copy_of_the_aircraft(tmp_path, bounded, m
     # Half a copy is mended; a changed model form is another campaign.
     (copy / "Systems" / "model-form.xml").unlink()
     assert run(bounded).done_before == 3
-    assert (copy / "Systems" / "model-form.xml").read_bytes() == written
+    assert (copy / "Systems" / "model-form.xml").read_bytes() == text
     model_form(tmp_path / "model-form.json", confidence=0.68)
     with pytest.raises(BadInputError, match="content of the file named as bounds"):
         run(read_campaign(tmp_path / "campaign.toml"))
@@ -443,22 +443,22 @@ def test_bounds_need_the_plugin(tmp_path, bounded):
 
 
 def test_noise_defaults_to_what_the_aircraft_has(tmp_path):
-    bare = tmp_path / "bare" / "bare.xml"
-    bare.parent.mkdir()
-    bare.write_text("<fdm_config><flight_control/></fdm_config>")
+    plain = tmp_path / "bare" / "bare.xml"
+    plain.parent.mkdir()
+    plain.write_text("<fdm_config><flight_control/></fdm_config>")
     spec = read_campaign(campaign_file(tmp_path))
     assert spec.aleatory.sensor_noise is None
     assert with_noise_of(spec, find_aircraft("espaaro")).aleatory.sensor_noise is True
-    assert with_noise_of(spec, find_aircraft(bare.parent)).aleatory.sensor_noise is False
+    assert with_noise_of(spec, find_aircraft(plain.parent)).aleatory.sensor_noise is False
     # What the file says stays, right or wrong for the aircraft.
     stated = spec.with_sensor_noise(True)
-    assert with_noise_of(stated, find_aircraft(bare.parent)).aleatory.sensor_noise is True
+    assert with_noise_of(stated, find_aircraft(plain.parent)).aleatory.sensor_noise is True
 
 
-def radii(found, names):
+def radii(result, names):
     """Distance from the intervals' middles in standard deviations."""
     sigma = stats.norm.ppf(0.975)
-    return [sigma * np.linalg.norm([2.0 * s.levels[name] - 1.0 for name in names]) for s in found]
+    return [sigma * np.linalg.norm([2.0 * s.levels[name] - 1.0 for name in names]) for s in result]
 
 
 def test_points_of_an_ellipsoid(tmp_path):

@@ -100,7 +100,7 @@ def fly(folder, function, name="out", text=fakes.CAMPAIGN, flights=FLIGHTS):
 
 
 @pytest.fixture(scope="module")
-def flown(tmp_path_factory):
+def simulated(tmp_path_factory):
     return fly(tmp_path_factory.mktemp("campaign"), known_effects)
 
 
@@ -109,69 +109,69 @@ def found_in(folder, metric, **options):
     return only
 
 
-def test_additive_shares_are_exact_and_the_order_certain(flown):
-    found = found_in(flown, "cross_track_median_m")
+def test_additive_shares_are_exact_and_the_order_certain(simulated):
+    result = found_in(simulated, "cross_track_median_m")
     for name, share in SHARES.items():
-        index = found.result.indices[name]
+        index = result.result.indices[name]
         assert (index.minimum.value, index.maximum.value) == pytest.approx((share, share))
         assert index.minimum.low - 1e-9 <= share <= index.maximum.high + 1e-9
-    assert found.ranking.first == "CX"
-    assert found.ranking.certain
+    assert result.ranking.first == "CX"
+    assert result.ranking.certain
     # Known at a bound, the envelope loses just that share: 7.75 m wide, 52 %.
     assert (
         "The p-box is 7.75 m wide; with CX known to lie at one of its bounds it would shrink by"
-        " 52 %" in found.words
+        " 52 %" in result.words
     )
-    assert "Certain:" in found.words
+    assert "Certain:" in result.words
 
 
-def test_an_interaction_makes_a_range_and_the_order_uncertain(flown):
-    found = found_in(flown, "altitude_median_m")
+def test_an_interaction_makes_a_range_and_the_order_uncertain(simulated):
+    result = found_in(simulated, "altitude_median_m")
     for name in ("CX", "CY"):
-        index = found.result.indices[name]
+        index = result.result.indices[name]
         assert (index.minimum.value, index.maximum.value) == pytest.approx((0.0, 0.75))
-    assert found.result.indices["CZ"].maximum.value == pytest.approx(0.25)
-    assert not found.ranking.certain
-    assert {"CZ", "CY" if found.ranking.first == "CX" else "CX"} <= set(found.ranking.by_ranges)
-    assert "Not certain: at some values of the other coefficients" in found.words
+    assert result.result.indices["CZ"].maximum.value == pytest.approx(0.25)
+    assert not result.ranking.certain
+    assert {"CZ", "CY" if result.ranking.first == "CX" else "CX"} <= set(result.ranking.by_ranges)
+    assert "Not certain: at some values of the other coefficients" in result.words
 
 
-def test_a_metric_that_no_corner_moves_is_undefined_with_a_reason(flown):
-    found = found_in(flown, "speed_median_mps")
+def test_a_metric_that_no_corner_moves_is_undefined_with_a_reason(simulated):
+    result = found_in(simulated, "speed_median_mps")
     assert all(
-        math.isnan(index.maximum.value) and index.reason for index in found.result.indices.values()
+        math.isnan(index.maximum.value) and index.reason for index in result.result.indices.values()
     )
-    assert found.ranking.first == ""
-    assert "no width" in found.words
+    assert result.ranking.first == ""
+    assert "no width" in result.words
 
 
 def test_failed_flights_leave_their_air_out_everywhere_and_end_certainty(tmp_path):
     folder = fly(tmp_path, one_fails, flights=30)
-    lost = sum(
+    is_lost = sum(
         row["status"] != "ok"
         for row in read_corner_campaign(folder).frame[["status"]].to_dict(orient="records")
     )
-    assert 0 < lost <= 3 * 10
-    found = found_in(folder, "cross_track_median_m")
-    if lost <= 3:
-        assert found.left_out == lost
-        assert found.flights == 30 - lost
-        assert found.result.indices["CX"].maximum.value == pytest.approx(SHARES["CX"])
-        assert "left out, because a flight of theirs failed" in found.words
+    assert 0 < is_lost <= 3 * 10
+    result = found_in(folder, "cross_track_median_m")
+    if is_lost <= 3:
+        assert result.left_out == is_lost
+        assert result.flights == 30 - is_lost
+        assert result.result.indices["CX"].maximum.value == pytest.approx(SHARES["CX"])
+        assert "left out, because a flight of theirs failed" in result.words
     else:
-        assert "gave no finite value" in found.words
-    assert not found.ranking.certain
+        assert "gave no finite value" in result.words
+    assert not result.ranking.certain
 
 
 def test_one_flight_per_corner_has_shares_but_no_certainty(tmp_path):
-    found = found_in(fly(tmp_path, known_effects, flights=1), "cross_track_median_m")
-    assert found.result.indices["CX"].maximum.value == pytest.approx(SHARES["CX"])
-    assert math.isnan(found.result.indices["CX"].maximum.high)
-    assert "no interval from 1 aleatory draws" in found.result.statement
-    assert not found.ranking.certain
+    result = found_in(fly(tmp_path, known_effects, flights=1), "cross_track_median_m")
+    assert result.result.indices["CX"].maximum.value == pytest.approx(SHARES["CX"])
+    assert math.isnan(result.result.indices["CX"].maximum.high)
+    assert "no interval from 1 aleatory draws" in result.result.statement
+    assert not result.ranking.certain
 
 
-def test_campaigns_that_are_no_corners_or_not_complete_are_refused(tmp_path, flown):
+def test_campaigns_that_are_no_corners_or_not_complete_are_refused(tmp_path, simulated):
     def refused(folder, message):
         with pytest.raises(BadInputError, match=message):
             read_corner_campaign(folder)
@@ -183,43 +183,45 @@ def test_campaigns_that_are_no_corners_or_not_complete_are_refused(tmp_path, flo
     text = fakes.CAMPAIGN.replace('method = "corners"', 'method = "levels"\nlevels = [0.5]')
     middle = fly(tmp_path, fakes.steady, "middle", text)
     refused(middle, r"levels \[0.5\]")
-    corners = read_corner_campaign(flown)
+    corners = read_corner_campaign(simulated)
     assert len(read_interior_campaign(middle, corners).frame) == FLIGHTS
     with pytest.raises(BadInputError, match="not a campaign of levels"):
-        read_interior_campaign(flown, corners)
+        read_interior_campaign(simulated, corners)
     manifest = read_manifest(none)
     write_manifest(none, manifest | {"state": "interrupted", "command": "uqharness campaign run x"})
     refused(none, "not complete; finish it first with: uqharness campaign run x")
     write_manifest(none, manifest | {"cases": 5})
     refused(none, "the manifest lists 5")
     with pytest.raises(BadInputError, match="metric cross_tracks: not in"):
-        found_in(flown, "cross_tracks")
+        found_in(simulated, "cross_tracks")
 
 
 def call(*words):
     return run_words(["sensitivity", *map(str, words)])
 
 
-def test_the_command_writes_table_figure_and_words_the_same_each_time(flown, capsys):
-    assert call(flown) == 0
+def test_the_command_writes_table_figure_and_words_the_same_each_time(simulated, capsys):
+    assert call(simulated) == 0
     captured = capsys.readouterr()
     assert captured.err == ""
     assert "cross_track_median_m: reduce CX first." in captured.out
-    figure = flown / "figures" / "sensitivity-3mps-moderate.svg"
-    first = (flown / "sensitivity.csv").read_bytes(), figure.read_bytes()
-    assert call(flown, "--json") == 0
-    found = json.loads(capsys.readouterr().out)
-    assert ((flown / "sensitivity.csv").read_bytes(), figure.read_bytes()) == first
-    assert found["figures"] == [str(figure)]
-    cell = found["sensitivity"]["3 m/s moderate"]["cross_track_median_m"]
+    figure = simulated / "figures" / "sensitivity-3mps-moderate.svg"
+    first = (simulated / "sensitivity.csv").read_bytes(), figure.read_bytes()
+    assert call(simulated, "--json") == 0
+    result = json.loads(capsys.readouterr().out)
+    assert ((simulated / "sensitivity.csv").read_bytes(), figure.read_bytes()) == first
+    assert result["figures"] == [str(figure)]
+    cell = result["sensitivity"]["3 m/s moderate"]["cross_track_median_m"]
     assert cell["first"] == "CX"
     assert cell["certain"] is True
     assert cell["indices"]["CX"]["value"] == pytest.approx([SHARES["CX"]] * 2)
-    assert found["sensitivity"]["3 m/s moderate"]["speed_median_mps"]["indices"]["CX"]["value"] == [
+    assert result["sensitivity"]["3 m/s moderate"]["speed_median_mps"]["indices"]["CX"][
+        "value"
+    ] == [
         None,
         None,
     ]
-    with (flown / "sensitivity.csv").open() as handle:
+    with (simulated / "sensitivity.csv").open() as handle:
         rows = list(csv.DictReader(handle))
     by_key = {(row["metric"], row["coefficient"]): row for row in rows}
     assert float(by_key["cross_track_median_m", "CY"]["share_max"]) == pytest.approx(
@@ -238,16 +240,16 @@ def test_nothing_to_compare_exits_with_one(tmp_path, capsys):
     assert "no width" in capsys.readouterr().out
 
 
-def test_interior_points_check_the_corners_and_move_no_share(tmp_path, flown):
+def test_interior_points_check_the_corners_and_move_no_share(tmp_path, simulated):
     text = fakes.CAMPAIGN.replace("interior = 0\nnominal = false", "interior = 9")
-    beside = analyse_campaign(
+    reference = analyse_campaign(
         read_corner_campaign(fly(tmp_path / "i", known_effects, text=text)),
         metrics=["cross_track_median_m"],
     )
-    alone = analyse_campaign(read_corner_campaign(flown), metrics=["cross_track_median_m"])
-    assert beside[0].result.indices == alone[0].result.indices
-    assert beside[0].flights == alone[0].flights
-    assert beside[0].result.details["interior_outside"] == 0.0
+    single = analyse_campaign(read_corner_campaign(simulated), metrics=["cross_track_median_m"])
+    assert reference[0].result.indices == single[0].result.indices
+    assert reference[0].flights == single[0].flights
+    assert reference[0].result.details["interior_outside"] == 0.0
     bumped = analyse_campaign(
         read_corner_campaign(fly(tmp_path / "b", large, text=text)),
         metrics=["cross_track_median_m"],
@@ -295,7 +297,7 @@ def test_an_ellipsoid_has_no_corners_to_compare(tmp_path):
 RANGES = {"CX": (0.2, 0.3), "Cm": (0.7, 0.8)}
 
 
-def found() -> list[MetricSensitivity]:
+def find() -> list[MetricSensitivity]:
     indices = {
         n: PairRange(Index(a, a - 0.1, a), Index(b, b, math.nan)) for n, (a, b) in RANGES.items()
     }
@@ -311,11 +313,11 @@ def found() -> list[MetricSensitivity]:
         Ranking("Cm", ("CX",)),
         "reduce Cm first",
     )
-    nothing = all_undefined("proposed", RANGES, "no width")
+    empty = all_undefined("proposed", RANGES, "no width")
     return [
         one,
         MetricSensitivity(
-            Condition(5.0, "none"), "altitude_max_m", nothing, 20, 0, Ranking(""), "undefined"
+            Condition(5.0, "none"), "altitude_max_m", empty, 20, 0, Ranking(""), "undefined"
         ),
     ]
 

@@ -71,7 +71,7 @@ def test_merged_shards_are_the_bytes_of_one_run(tmp_path, count):
 
 
 @pytest.fixture
-def asked(tmp_path, capsys):
+def requests(tmp_path, capsys):
     """Exit code and document of a command about the folder "out"."""
 
     def call(verb):
@@ -81,28 +81,28 @@ def asked(tmp_path, capsys):
     return call
 
 
-def test_status_adds_the_shards_up(tmp_path, asked):
+def test_status_adds_the_shards_up(tmp_path, requests):
     run(tmp_path, "out", Shard(1, 2), fakes.steady, 1)
-    assert asked("status")[1]["done"] == 32
+    assert requests("status")[1]["done"] == 32
     run(tmp_path, "out", Shard(2, 2), fakes.steady, 1)
     part = shard_folders(tmp_path / "out")[0]
     write_manifest(part, read_manifest(part) | {"state": "running"})
-    code, found = asked("status")
-    assert (code, found["state"], found["cases"], found["done"]) == (1, "interrupted", 64, 64)
+    code, result = requests("status")
+    assert (code, result["state"], result["cases"], result["done"]) == (1, "interrupted", 64, 64)
 
 
-def test_a_missing_shard_is_missing_flights_until_it_is_there(tmp_path, asked):
+def test_a_missing_shard_is_missing_flights_until_it_is_there(tmp_path, requests):
     fakes.campaign_file(tmp_path)
     run(tmp_path, "out", Shard(1, 3), fakes.steady, 1)
     run(tmp_path, "out", Shard(3, 3), fakes.steady, 1)
-    code, found = asked("merge")
-    assert (code, found["cases"], found["missing"]) == (1, 64, 21)
-    assert found["shards"] == ["1-of-3", "3-of-3"]
+    code, result = requests("merge")
+    assert (code, result["cases"], result["missing"]) == (1, 64, 21)
+    assert result["shards"] == ["1-of-3", "3-of-3"]
     assert not (tmp_path / "out" / CASES).exists()
     with pytest.raises(BadInputError, match="not complete"):
         write_report(tmp_path / "out")
     run(tmp_path, "out", Shard(2, 3), fakes.steady, 1)
-    assert asked("merge")[0] == 0
+    assert requests("merge")[0] == 0
     run(tmp_path, "whole", fly=fakes.steady, flights=1)
     assert tables(tmp_path / "out") == tables(tmp_path / "whole")
 
@@ -155,21 +155,21 @@ std = 0.02
 
 
 @pytest.fixture(scope="module")
-def flown(tmp_path_factory):
+def flight(tmp_path_factory):
     folder = tmp_path_factory.mktemp("rerun")
     (folder / "campaign.toml").write_text(CAMPAIGN)
     run_campaign(read_campaign(folder / "campaign.toml"), folder / "out", executor=SerialExecutor())
     return folder / "out"
 
 
-def test_a_case_comes_out_as_stored_with_full_output_and_a_plot(flown, capsys):
-    row = read_table(flown / CASES).to_pandas().iloc[1]
-    before = tables(flown)
-    assert main(["campaign", "rerun", str(flown), "--case", row["case_id"][:10], "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
-    assert found["case_id"] == row["case_id"]
-    assert (found["status"], found["same_as_stored"]) == ("ok", True)
-    target = flown / "rerun" / row["case_id"]
+def test_a_case_comes_out_as_stored_with_full_output_and_a_plot(flight, capsys):
+    row = read_table(flight / CASES).to_pandas().iloc[1]
+    before = tables(flight)
+    assert main(["campaign", "rerun", str(flight), "--case", row["case_id"][:10], "--json"]) == 0
+    outcome = json.loads(capsys.readouterr().out)
+    assert outcome["case_id"] == row["case_id"]
+    assert (outcome["status"], outcome["same_as_stored"]) == ("ok", True)
+    target = flight / "rerun" / row["case_id"]
     record = pd.read_parquet(target / "record.parquet")
     # Burn-in included, 50 Hz, everything that moves: the scored part gives the stored score.
     assert len(record) == 8 * 50 + 1
@@ -184,36 +184,36 @@ def test_a_case_comes_out_as_stored_with_full_output_and_a_plot(flown, capsys):
     assert result["levels"]["epistemic_id"] == row["epistemic_id"]
     assert result["properties"]["inertia/mass-slugs"] == row["variable_inertia/mass-slugs"]
     assert etree.parse(str(target / "flight.svg")).getroot().tag.endswith("}svg")
-    assert tables(flown) == before
+    assert tables(flight) == before
 
 
-def test_a_rerun_that_differs_is_reported(flown, capsys):
-    row = read_table(flown / CASES).to_pandas().iloc[0]
-    with Store(flown) as store:
+def test_a_rerun_that_differs_is_reported(flight, capsys):
+    row = read_table(flight / CASES).to_pandas().iloc[0]
+    with Store(flight) as store:
         stored = store.outcome(row["case_id"])
         store.add([replace(stored, metrics=dict(stored.metrics) | {"altitude_max_m": 0.125})])
-    assert main(["campaign", "rerun", str(flown), "--case", row["case_id"]]) == 1
+    assert main(["campaign", "rerun", str(flight), "--case", row["case_id"]]) == 1
     assert "NOT as stored" in (text := capsys.readouterr().out)
     assert "altitude_max_m 0.125 then" in text
-    with Store(flown) as store:
+    with Store(flight) as store:
         store.add([stored])
 
 
-def test_unknown_and_foreign_cases_are_refused(flown, tmp_path):
+def test_unknown_and_foreign_cases_are_refused(flight, tmp_path):
     for folder, case, message in (
-        (flown, "ffffffffffffffff", "no such case"),
-        (flown, "", "no such case"),
+        (flight, "ffffffffffffffff", "no such case"),
+        (flight, "", "no such case"),
         (tmp_path, "00", "not a campaign folder"),
     ):
         with pytest.raises(BadInputError, match=message):
             rerun_case(folder, case)
-    manifest = read_manifest(flown)
-    write_manifest(flown, manifest | {"hashes": manifest["hashes"] | {"aircraft": "0" * 64}})
+    manifest = read_manifest(flight)
+    write_manifest(flight, manifest | {"hashes": manifest["hashes"] | {"aircraft": "0" * 64}})
     try:
         with pytest.raises(BadInputError, match="content of the aircraft"):
-            rerun_case(flown, "00")
+            rerun_case(flight, "00")
     finally:
-        write_manifest(flown, manifest)
+        write_manifest(flight, manifest)
 
 
 def test_the_committed_campaigns_are_valid_and_explained():

@@ -199,7 +199,7 @@ REST = "CY = 0.01, CZ = 0.01, Cl = 0.01, Cm = 0.01, Cn = 0.01"
 BOUNDS = f"{{ CX = 0.01, {REST} }}"
 
 
-def made(settings: str) -> EpistemicSection:
+def build(settings: str) -> EpistemicSection:
     text = settings.replace("BOUNDS", BOUNDS).replace("REST", REST).replace("; ", "\n")
     return EpistemicSection.model_validate(tomllib.loads(text))
 
@@ -227,10 +227,10 @@ method = "none"; transient = true | method = "none" flies no model error
 """
 
 
-@pytest.mark.parametrize(("settings", "said"), rows(CONTRADICTIONS))
-def test_sections_that_contradict_themselves(settings, said):
-    with pytest.raises(ValidationError, match=said):
-        made(settings)
+@pytest.mark.parametrize(("settings", "output"), rows(CONTRADICTIONS))
+def test_sections_that_contradict_themselves(settings, output):
+    with pytest.raises(ValidationError, match=output):
+        build(settings)
 
 
 def made_variables(**section) -> VariableSection:
@@ -249,6 +249,6 @@ def made_variables(**section) -> VariableSection:
     ],
 )
 def test_values_of_draws(section, draw, level, value):
-    found = made_variables(**section)
-    assert found.value(draw, level) == pytest.approx(value)
-    assert (found.mean_interval is None) is not isinstance(section.get("mean"), list)
+    result = made_variables(**section)
+    assert result.value(draw, level) == pytest.approx(value)
+    assert (result.mean_interval is None) is not isinstance(section.get("mean"), list)

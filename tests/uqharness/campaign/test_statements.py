@@ -33,7 +33,7 @@ def campaign(acceptable=4.0, rule="flights") -> dict:
     }
 
 
-def flown(means=(0.5, 1.5), flights=400, failed=0, seed=0) -> pd.DataFrame:
+def fly(means=(0.5, 1.5), flights=400, failed=0, seed=0) -> pd.DataFrame:
     """Poisson counts per flight, of corners with these means."""
     rng = np.random.default_rng(seed)
     frame = pd.DataFrame(
@@ -52,34 +52,34 @@ def flown(means=(0.5, 1.5), flights=400, failed=0, seed=0) -> pd.DataFrame:
 
 
 def test_the_best_and_the_worst_corner_and_their_limits():
-    frame = flown()
-    (found,) = statements(frame, campaign())
+    frame = fly()
+    (result,) = statements(frame, campaign())
     rates = frame.groupby("epistemic_id")["excursions_15m"].mean() / HOURS
-    assert (found.best.epistemic_id, found.worst.epistemic_id) == ("00", "01")
-    assert (found.best.rate, found.worst.rate) == pytest.approx((rates["00"], rates["01"]))
-    for item, truth in ((found.best, 1.0), (found.worst, 3.0)):
+    assert (result.best.epistemic_id, result.worst.epistemic_id) == ("00", "01")
+    assert (result.best.rate, result.worst.rate) == pytest.approx((rates["00"], rates["01"]))
+    for item, truth in ((result.best, 1.0), (result.worst, 3.0)):
         assert item.lower < truth < item.upper
-    assert found.answer == "yes"
-    assert found.extrapolated_share == 0.25
-    assert found.corner_limits.shape == (2, 2)
-    assert found.dispersion_observed == pytest.approx(1.0, abs=0.25)
+    assert result.answer == "yes"
+    assert result.extrapolated_share == 0.25
+    assert result.corner_limits.shape == (2, 2)
+    assert result.dispersion_observed == pytest.approx(1.0, abs=0.25)
 
 
 @pytest.mark.parametrize(("acceptable", "answer"), [(4.0, "yes"), (3.0, "open"), (2.0, "no")])
 def test_the_answer_is_about_the_worst_corner_and_a_decision_that_was_taken_stands(
     acceptable, answer
 ):
-    assert statements(flown(), campaign(acceptable))[0].answer == answer
+    assert statements(fly(), campaign(acceptable))[0].answer == answer
     row = {"condition": "3 m/s none", "radius_m": "15", "epistemic_id": "all", "answer": "flying"}
-    assert statements(flown(), campaign(acceptable), [row])[0].answer == "flying"
+    assert statements(fly(), campaign(acceptable), [row])[0].answer == "flying"
     other = [{**row, "radius_m": "25"}]
-    assert statements(flown(), campaign(acceptable), other)[0].answer == answer
+    assert statements(fly(), campaign(acceptable), other)[0].answer == answer
 
 
 def test_a_flight_that_failed_may_have_had_one_more():
-    whole, broken = (statements(flown(failed=k), campaign())[0] for k in (0, 160))
-    assert broken.worst.rate == pytest.approx(whole.worst.rate + 0.4 / HOURS)
-    assert broken.best.rate == whole.best.rate
+    complete, broken = (statements(fly(failed=k), campaign())[0] for k in (0, 160))
+    assert broken.worst.rate == pytest.approx(complete.worst.rate + 0.4 / HOURS)
+    assert broken.best.rate == complete.best.rate
     assert broken.answer != "yes"
 
 
@@ -96,27 +96,27 @@ def test_flights_that_all_end_early_are_not_acceptable(share, answer):
     """400 flights of half an hour without another excursion: as many as 0.6 are aborted per
     scheduled hour, and "at most 0.5?".
     """
-    (found,) = statements(ended(flown((0.0, 0.0)), share), campaign(0.5))
-    assert found.answer == answer
-    assert found.aborted["diverged"] == 2 * 400 * share
+    (result,) = statements(ended(fly((0.0, 0.0)), share), campaign(0.5))
+    assert result.answer == answer
+    assert result.aborted["diverged"] == 2 * 400 * share
 
 
 def test_aborted_flights_have_an_acceptable_rate_of_their_own():
-    frame = ended(flown((0.0, 0.0)), 0.02, flown=0.5)
+    frame = ended(fly((0.0, 0.0)), 0.02, flown=0.5)
     strict, lax = campaign(0.5), campaign(0.5)
     strict["metrics"]["acceptable_loss_per_h"] = 0.01
     assert statements(frame, lax)[0].answer == "yes"
-    found = statements(frame, strict)[0]
-    assert found.answer != "yes"
-    assert found.acceptable_loss_per_h == 0.01
-    assert 0.04 < found.loss_upper_per_h < 0.5
+    result = statements(frame, strict)[0]
+    assert result.answer != "yes"
+    assert result.acceptable_loss_per_h == 0.01
+    assert 0.04 < result.loss_upper_per_h < 0.5
 
 
 def test_control_lost_counts_as_one_excursion_and_a_silent_cell_bounds_the_share_of_flights():
-    silent = flown((0.0, 0.0))
-    (found,) = statements(silent.assign(loss_of_control=1), campaign(0.5))
-    assert (found.worst.rate, found.best.rate) == pytest.approx((1.0 / HOURS, 0.0))
-    assert found.aborted["loss_of_control"] == 800
+    silent = fly((0.0, 0.0))
+    (result,) = statements(silent.assign(loss_of_control=1), campaign(0.5))
+    assert (result.worst.rate, result.best.rate) == pytest.approx((1.0 / HOURS, 0.0))
+    assert result.aborted["loss_of_control"] == 800
     # Clopper and Pearson: nothing in 400 flights leaves 1 - 0.05^(1/400).
     share = statements(silent, campaign())[0].flight_share_upper
     assert share == pytest.approx(1.0 - 0.05 ** (1.0 / 400.0))
@@ -126,10 +126,10 @@ def with_nearer(frame: pd.DataFrame, cluster: int) -> tuple[pd.DataFrame, dict]:
     """The same with excursions beyond 10 m, .4 per hour in clusters, counted for their dispersion
     alone.
     """
-    nearer = cluster * np.random.default_rng(3).poisson(0.4 * HOURS / cluster, len(frame))
-    made = campaign(0.02)
-    made["metrics"] |= {"dispersion": 2.0, "dispersion_radius_m": [10.0]}
-    return frame.assign(excursions_10m=nearer.astype(float), excursions_10m_3d=np.nan), made
+    closer = cluster * np.random.default_rng(3).poisson(0.4 * HOURS / cluster, len(frame))
+    result = campaign(0.02)
+    result["metrics"] |= {"dispersion": 2.0, "dispersion_radius_m": [10.0]}
+    return frame.assign(excursions_10m=closer.astype(float), excursions_10m_3d=np.nan), result
 
 
 def test_clusters_that_a_smaller_radius_shows_forbid_a_yes():
@@ -138,22 +138,22 @@ def test_clusters_that_a_smaller_radius_shows_forbid_a_yes():
     """
     answers = {}
     for cluster in (1, 8):
-        frame, made = with_nearer(flown((0.0, 0.0)), cluster)
-        made["metrics"]["acceptable_per_h"] = 0.04
-        answers[cluster] = statements(frame, made)[0].answer
+        frame, result = with_nearer(fly((0.0, 0.0)), cluster)
+        result["metrics"]["acceptable_per_h"] = 0.04
+        answers[cluster] = statements(frame, result)[0].answer
     assert answers == {1: "yes", 8: "open"}
 
 
 def test_clusters_beyond_the_carried_limit_are_no_yes_and_say_so():
-    frame, made = with_nearer(flown((0.0, 0.0)), 1)
-    made["metrics"]["acceptable_per_h"] = 0.2
-    assert statements(frame, made)[0].answer == "yes"
+    frame, output = with_nearer(fly((0.0, 0.0)), 1)
+    output["metrics"]["acceptable_per_h"] = 0.2
+    assert statements(frame, output)[0].answer == "yes"
     frame["excursions_10m"] = 0.0
     for _, group in frame.groupby("epistemic_id"):
         frame.loc[group.index[:5], "excursions_10m"] = 5.0
-    (found,) = statements(frame, made)
-    assert (found.answer, found.reason) == ("open", "clusters beyond the carried limit")
-    assert "clusters beyond the carried limit" in statements_csv([found]).decode()
+    (result,) = statements(frame, output)
+    assert (result.answer, result.reason) == ("open", "clusters beyond the carried limit")
+    assert "clusters beyond the carried limit" in statements_csv([result]).decode()
 
 
 FLIGHTS, ASSUMED, ERROR = 500, 2.0, 0.05
@@ -174,13 +174,13 @@ SILENT = np.zeros((1, FLIGHTS))
 
 def few(cluster: float, number: int) -> np.ndarray:
     """So many clusters in the first flights."""
-    found = np.zeros((1, FLIGHTS))
-    found[0, :number] = cluster
-    return found
+    result = np.zeros((1, FLIGHTS))
+    result[0, :number] = cluster
+    return result
 
 
 @pytest.mark.parametrize(
-    ("nearer", "asked", "measured", "limits", "contradicted"),
+    ("closer", "demanded", "measured", "limits", "contradicted"),
     [
         # Without a smaller radius it is assumed; a larger one tells nothing.
         ({}, SILENT, 0, (ASSUMED, ASSUMED), False),
@@ -201,16 +201,16 @@ def few(cluster: float, number: int) -> np.ndarray:
     ],
 )
 def test_clusters_at_smaller_radii_bound_the_dispersion(
-    nearer, asked, measured, limits, contradicted
+    closer, demanded, measured, limits, contradicted
 ):
-    found = bound_dispersion({**nearer, 15.0: asked}, 15.0, HOURS_CARRIED, ASSUMED, ERROR)
-    assert limits[0] <= found.dispersion[0] <= limits[1]
-    assert (found.measured, found.is_contradicted) == (measured, contradicted)
-    nearest = max((radius for radius in nearer if radius < 15.0), default=0.0)
+    result = bound_dispersion({**closer, 15.0: demanded}, 15.0, HOURS_CARRIED, ASSUMED, ERROR)
+    assert limits[0] <= result.dispersion[0] <= limits[1]
+    assert (result.measured, result.is_contradicted) == (measured, contradicted)
+    nearest = max((radius for radius in closer if radius < 15.0), default=0.0)
     if measured:
-        assert found.radius_m == pytest.approx([nearest])
-    if not nearer:
-        assert np.isnan(found.nearest_m)
+        assert result.radius_m == pytest.approx([nearest])
+    if not closer:
+        assert np.isnan(result.nearest_m)
 
 
 def false_yes(
@@ -222,20 +222,22 @@ def false_yes(
     Enough hours for a yes at a dispersion of 2 where nothing is seen.
     """
     rng = np.random.default_rng([cluster, repeats])
-    flown, shape = np.array([float(hours)]), (repeats, 1, hours)
-    asked, nearer = (
+    flight, shape = np.array([float(hours)]), (repeats, 1, hours)
+    request, closer = (
         (cluster * rng.poisson(rate / cluster, shape)).astype(float)
         for rate in (0.1001, nearer_per_h or 1.0)
     )
-    found = []
-    for row, near in zip(asked, nearer, strict=True):
-        radii = {15.0: row} if nearer_per_h is None else {10.0: near, 15.0: row}
-        found.append(bound_dispersion(radii, 15.0, flown, ASSUMED, ERROR))
-    allowed = np.maximum(observed_dispersion(asked[:, 0]), [item.dispersion[0] for item in found])
-    limits = upper_limits(
-        np.full(repeats, float(hours)), asked.sum(axis=(1, 2)), allowed, ERROR / 2
+    result = []
+    for row, close in zip(request, closer, strict=True):
+        radii = {15.0: row} if nearer_per_h is None else {10.0: close, 15.0: row}
+        result.append(bound_dispersion(radii, 15.0, flight, ASSUMED, ERROR))
+    allowed = np.maximum(
+        observed_dispersion(request[:, 0]), [item.dispersion[0] for item in result]
     )
-    return float(np.mean((limits <= 0.1) & ~np.array([item.is_contradicted for item in found])))
+    limits = upper_limits(
+        np.full(repeats, float(hours)), request.sum(axis=(1, 2)), allowed, ERROR / 2
+    )
+    return float(np.mean((limits <= 0.1) & ~np.array([item.is_contradicted for item in result])))
 
 
 @pytest.mark.parametrize(
@@ -266,12 +268,12 @@ def test_joint_levels_and_their_words():
     assert joint_level(manifest()) == pytest.approx(0.95**6)
     assert joint_level(manifest(coefficients=["CX"])) == 0.95
     assert joint_level(manifest(set="ellipsoid")) == 0.95
-    (said,) = joint_words(manifest())
+    (output,) = joint_words(manifest())
     begin = "box of 6 intervals of 95 % each: together they hold at 73.5 % if independent"
-    assert said.startswith(begin)
-    assert "4.80 standard deviations" in said
-    (said,) = joint_words(manifest(set="ellipsoid"))
-    assert said.startswith("joint 95 % ellipsoid of 6 intervals, 3.55 standard deviations")
+    assert output.startswith(begin)
+    assert "4.80 standard deviations" in output
+    (output,) = joint_words(manifest(set="ellipsoid"))
+    assert output.startswith("joint 95 % ellipsoid of 6 intervals, 3.55 standard deviations")
     walks = "transient model error of CX, Cm walks in every flight"
     assert joint_words(manifest(transient=["CX", "Cm"]))[1] == walks
     left_out = manifest()

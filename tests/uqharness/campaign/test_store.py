@@ -125,7 +125,7 @@ def manifest(**changes):
 
 
 @pytest.mark.parametrize(
-    ("change", "named"),
+    ("change", "listed"),
     [
         (
             {"versions": manifest()["versions"] | {"jsbsim": "1.4.0"}},
@@ -145,8 +145,8 @@ def manifest(**changes):
         ),
     ],
 )
-def test_each_difference_is_named(tmp_path, change, named):
-    with pytest.raises(BadInputError, match=named):
+def test_each_difference_is_named(tmp_path, change, listed):
+    with pytest.raises(BadInputError, match=listed):
         refuse_if_different(tmp_path, manifest(), manifest(**change))
 
 

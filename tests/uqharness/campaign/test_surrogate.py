@@ -65,7 +65,7 @@ def test_flights_of_a_stand_in_are_compared(tmp_path: Path, capsys: pytest.Captu
         "epistemic": {"method": "none"},
     }
     out = tmp_path / "results"
-    flown = uq.run_campaign(campaign, out, workers=1)
+    flight = uq.run_campaign(campaign, out, workers=1)
     peer = tmp_path / "peer.py"
     peer.write_text(PEER)
     words = ["campaign", "surrogate-check", str(out), "--autopilot-port", "0", "--flights", "4"]
@@ -77,7 +77,7 @@ def test_flights_of_a_stand_in_are_compared(tmp_path: Path, capsys: pytest.Captu
         return code, json.loads(capsys.readouterr().out)
 
     code, first = check("hold")
-    rows = flown.cases.set_index("case_id")
+    rows = flight.cases.set_index("case_id")
     assert code == 1  # the stand-in flies straight on
     row = first["metrics"]["cross_track_median_m"]
     assert row["differs"]

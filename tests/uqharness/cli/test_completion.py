@@ -60,17 +60,17 @@ def offered(script: Path, folder: Path, *words: str) -> set[str]:
 def test_bash_completes(script: Path, tmp_path: Path, words: tuple[str, ...], some: set[str]):
     (tmp_path / "results").mkdir()
     (tmp_path / "flight.bin").touch()
-    found = offered(script, tmp_path, *words)
-    assert some <= found
-    assert "nonsense" not in found
-    assert all(name.startswith(words[-1]) for name in found)
+    result = offered(script, tmp_path, *words)
+    assert some <= result
+    assert "nonsense" not in result
+    assert all(name.startswith(words[-1]) for name in result)
 
 
 def test_zsh_has_every_command_and_the_aircraft(capsys: pytest.CaptureFixture[str]):
     assert cli.main(["completion", "zsh", "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
-    assert found["shell"] == "zsh"
-    assert found["script"].startswith("#compdef uqharness")
+    result = json.loads(capsys.readouterr().out)
+    assert result["shell"] == "zsh"
+    assert result["script"].startswith("#compdef uqharness")
     for name in (*cli.COMMANDS, *completion.known_aircraft(), "_uqharness_aircraft", "--speed-mps"):
-        assert name in found["script"]
+        assert name in result["script"]
     assert "espaaro" in completion.known_aircraft()

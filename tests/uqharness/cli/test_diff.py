@@ -20,8 +20,10 @@ def other(tmp_path):
     path = out / "espaaro.xml"
     text = path.read_text(encoding="utf-8")
     start, end = text.index("<iyy"), text.index("</iyy>")
-    own = text[text.index(">", start) + 1 : end]
-    path.write_text(text[: end - len(own)] + repr(1.03 * float(own)) + text[end:], encoding="utf-8")
+    specific = text[text.index(">", start) + 1 : end]
+    path.write_text(
+        text[: end - len(specific)] + repr(1.03 * float(specific)) + text[end:], encoding="utf-8"
+    )
     return out
 
 
@@ -46,7 +48,7 @@ def test_a_tolerance_is_ones_own_choice(other, capsys):
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "output"),
     [
         (["espaaro", "espaaro"], "give --speed-mps"),
         (["espaaro", "nowhere", "--speed-mps", "22"], "nowhere"),
@@ -57,9 +59,9 @@ def test_a_tolerance_is_ones_own_choice(other, capsys):
         (["HEAD:no/such", "espaaro", "--speed-mps", "22"], "HEAD:no/such"),
     ],
 )
-def test_diff_refuses_bad_input(words, said, capsys):
+def test_diff_refuses_bad_input(words, output, capsys):
     assert main(["diff", *words]) == 2
-    assert said in capsys.readouterr().err
+    assert output in capsys.readouterr().err
 
 
 def test_an_environment_that_cannot_fly_is_bad_input(tmp_path, capsys):

@@ -19,11 +19,11 @@ def refined(tmp_path):
 def test_json_and_another_place(refined, tmp_path, capsys):
     out = tmp_path / "evidence.html"
     assert main(["dossier", str(refined), "--out", str(out), "--json"]) == 0
-    said = json.loads(capsys.readouterr().out)
-    assert said["dossier"] == str(out)
-    assert said["missing"] == []
-    assert said["not_in_the_data"]["2.c.9"]
-    assert {"file", "sha256", "command", "version"} == set(said["sources"][0])
+    output = json.loads(capsys.readouterr().out)
+    assert output["dossier"] == str(out)
+    assert output["missing"] == []
+    assert output["not_in_the_data"]["2.c.9"]
+    assert {"file", "sha256", "command", "version"} == set(output["sources"][0])
     assert out.is_file()
     assert not (refined / "dossier.html").exists()
 

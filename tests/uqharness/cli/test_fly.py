@@ -22,10 +22,10 @@ def test_the_summary_is_one_line_or_json(tmp_path, capsys):
     assert main(words) == 0
     assert "11 rows, 1.0 s" in capsys.readouterr().out
     assert main([*words, "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
-    assert set(found) >= {"status", "reason", "flown_s", "rows", "out", "left_out", "autopilot"}
-    assert found["autopilot"] is None
-    assert (found["status"], found["rows"]) == ("ok", 11)
+    result = json.loads(capsys.readouterr().out)
+    assert set(result) >= {"status", "reason", "flown_s", "rows", "out", "left_out", "autopilot"}
+    assert result["autopilot"] is None
+    assert (result["status"], result["rows"]) == ("ok", 11)
 
 
 def request(*words: str) -> FlyRequest:
@@ -51,7 +51,7 @@ def test_a_page_is_written_beside_the_record_when_asked(tmp_path, capsys):
     assert json.loads(capsys.readouterr().out)["status"] == "ok"
     text = page.read_text(encoding="utf-8")
     assert problems(text) == []
-    said = words_of(text)
-    assert "Wind 3 m/s from 270 deg, no turbulence, without sensor noise, seed 0." in said
-    assert "commanded circle, radius 120 m" in said
-    assert "--page" not in said
+    output = words_of(text)
+    assert "Wind 3 m/s from 270 deg, no turbulence, without sensor noise, seed 0." in output
+    assert "commanded circle, radius 120 m" in output
+    assert "--page" not in output

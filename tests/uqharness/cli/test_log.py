@@ -90,7 +90,7 @@ def test_import_labels_manoeuvres_from_a_table(log: Path, tmp_path: Path) -> Non
 
 
 @pytest.fixture(scope="module")
-def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def flights(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A log with a pitch doublet at 20 s and a roll doublet at 30 s."""
     record = flight(duration_s=40.0, amplitude=0.2)
     time = record["time_s"]
@@ -112,16 +112,16 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_info_lists_the_manoeuvres_that_it_finds(
-    flown: Path, capsys: pytest.CaptureFixture[str]
+    flights: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    words = ["log", "info", str(flown), "--aircraft", str(CARD), "--no-cache"]
+    words = ["log", "info", str(flights), "--aircraft", str(CARD), "--no-cache"]
     main([*words, "--json"])
-    found = json.loads(capsys.readouterr().out)["manoeuvres"]
-    assert [(m["axis"], m["kind"], m["unit"]) for m in found] == [
+    result = json.loads(capsys.readouterr().out)["manoeuvres"]
+    assert [(m["axis"], m["kind"], m["unit"]) for m in result] == [
         ("pitch", "doublet", "deg"),
         ("roll", "doublet", "deg"),
     ]
-    assert [m["start_s"] for m in found] == pytest.approx([20.0, 30.0], abs=0.03)
+    assert [m["start_s"] for m in result] == pytest.approx([20.0, 30.0], abs=0.03)
     main(words)
     assert (
         "  pitch doublet          20.00 to 21.00 s, +4 deg" in capsys.readouterr().out.splitlines()
@@ -129,7 +129,7 @@ def test_info_lists_the_manoeuvres_that_it_finds(
 
 
 def test_import_labels_what_is_found(
-    flown: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    flights: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     words = [
         "--aircraft",
@@ -137,11 +137,11 @@ def test_import_labels_what_is_found(
         *shlex.split("--no-cache --manoeuvres found --out"),
         str(tmp_path / "a.parquet"),
     ]
-    assert main(["log", "import", str(flown), *words]) == 0
+    assert main(["log", "import", str(flights), *words]) == 0
     record = FlightRecord.read(tmp_path / "a.parquet")
     assert set(record["manoeuvre"]) == {"", "pitch doublet", "roll doublet"}
-    still = flight(duration_s=20.0, amplitude=0.0)
-    write_dataflash(still, tmp_path / "still.bin", read_card(CARD))
+    steady = flight(duration_s=20.0, amplitude=0.0)
+    write_dataflash(steady, tmp_path / "still.bin", read_card(CARD))
     assert main(["log", "import", str(tmp_path / "still.bin"), *words]) == 2
     assert "no manoeuvre was found in the commands" in capsys.readouterr().err
 
@@ -151,7 +151,7 @@ def test_bad_arguments_exit_2(
 ) -> None:
     (tmp_path / "file").write_text("")
     (tmp_path / "text.bin").write_text("This is a text about flying.\n" * 50)
-    for words, said in (
+    for words, output in (
         (["import", log, "--out", tmp_path / "a.xls"], "must end with .parquet or .csv"),
         (["import", log, "--out", tmp_path / "file" / "a.csv"], "cannot be written"),
         (["info", log, "--aircraft", "nosuch"], "aircraft 'nosuch' not found"),
@@ -162,7 +162,7 @@ def test_bad_arguments_exit_2(
         assert main(["log", *map(str, words), "--no-cache"]) == 2
         printed = capsys.readouterr().err
         assert printed.startswith("uqharness: error: ")
-        assert said in printed
+        assert output in printed
         assert printed.count("\n") == 1
 
 
@@ -173,10 +173,10 @@ def test_a_logs_vehicle_and_a_files_name_cannot_steer_the_terminal(
     write_text_log(log, flight(duration_s=40.0, start_s=5.0), "ArduPlane \x1b]0;owned\x07")
     main(["log", "info", str(log), "--no-cache"])
     main(["log", "info", str(tmp_path / "none\x1b[2J"), "--no-cache"])
-    seen = capsys.readouterr()
-    assert r"\x1b]0;owned\x07" in seen.out
-    assert r"none\x1b[2J: " in seen.err
-    assert "\x1b" not in seen.out + seen.err
+    observed = capsys.readouterr()
+    assert r"\x1b]0;owned\x07" in observed.out
+    assert r"none\x1b[2J: " in observed.err
+    assert "\x1b" not in observed.out + observed.err
 
 
 def test_info_writes_a_page_when_asked_and_says_the_same(

@@ -12,7 +12,7 @@ from uqharness.cli import main as cli
 
 
 @pytest.fixture(scope="module")
-def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def flight(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("flown")
     words = ["fly", "espaaro", "--script", "doublet-elevator", "--duration-s", "4", "--out"]
     assert cli.main([*words, str(folder / "a.csv")]) == 0
@@ -21,12 +21,12 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_log_with_a_position_needs_no_more(
-    flown: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    flight: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
     words = [
         "log",
         "export",
-        str(flown / "a.bin"),
+        str(flight / "a.bin"),
         "--aircraft",
         "espaaro",
         "--out",
@@ -34,18 +34,18 @@ def test_a_log_with_a_position_needs_no_more(
         "--json",
     ]
     assert cli.main(words) == 0
-    found = json.loads(capsys.readouterr().out)
-    rows = np.loadtxt(found["files"][0], delimiter=",")
-    assert rows.shape == (found["rows"], len(found["columns"]))
+    result = json.loads(capsys.readouterr().out)
+    rows = np.loadtxt(result["files"][0], delimiter=",")
+    assert rows.shape == (result["rows"], len(result["columns"]))
     assert np.isfinite(rows).all()
-    assert Path(found["files"][1]).read_text().startswith('<?xml version="1.0"?>')
+    assert Path(result["files"][1]).read_text().startswith('<?xml version="1.0"?>')
 
 
-def test_a_record_needs_a_start(flown: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_a_record_needs_a_start(flight: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     words = [
         "log",
         "export",
-        str(flown / "a.csv"),
+        str(flight / "a.csv"),
         "--aircraft",
         "espaaro",
         "--out",
@@ -59,7 +59,7 @@ def test_a_record_needs_a_start(flown: Path, tmp_path: Path, capsys: pytest.Capt
         "--lat-deg 91: a number of at least -90 and up to 90 is needed" in capsys.readouterr().err
     )
     assert cli.main([*words, "--lat-deg", "37.2", "--lon-deg", "-80.4", "--alt-m", "630"]) == 0
-    said = capsys.readouterr().out
-    assert "--generic=file,in,30," in said
+    output = capsys.readouterr().out
+    assert "--generic=file,in,30," in output
     first = np.loadtxt(tmp_path / "shown" / "playback.csv", delimiter=",")[0]
     assert first[:2] == pytest.approx([37.2, -80.4], abs=1e-6)

@@ -14,12 +14,12 @@ from uqharness.cli.main import main
 def test_gains_of_a_file_twice_as_large_move_both_gain_margins_by_6_dB(tmp_path, capsys):
     # The rate controller is linear in its three gains together, so L doubles at every frequency: 20
     # log10(2) dB.
-    own = {"RLL_RATE_P": 0.22, "RLL_RATE_I": 0.20, "RLL_RATE_FF": 0.40}
-    found = []
+    specific = {"RLL_RATE_P": 0.22, "RLL_RATE_I": 0.20, "RLL_RATE_FF": 0.40}
+    result = []
     for factor in (1.0, 2.0):
         path = tmp_path / f"{factor:g}.param"
         path.write_text(
-            "".join(f"{name} {factor * value}\n" for name, value in own.items())
+            "".join(f"{name} {factor * value}\n" for name, value in specific.items())
             + "RLL_RATE_SMAX 150\n"
         )
         assert (
@@ -27,13 +27,13 @@ def test_gains_of_a_file_twice_as_large_move_both_gain_margins_by_6_dB(tmp_path,
             == 0
         )
         document = json.loads(capsys.readouterr().out)
-        found.append(document["loops"]["aileron"])
+        result.append(document["loops"]["aileron"])
         assert document["autopilot"]["taken"]["ap/RLL_RATE_P"] == factor * 0.22
         assert document["autopilot"]["ignored"] == {
             "RLL_RATE_SMAX": "the autopilot has no such term"
         }
-    assert found[0]["gain_up_dB"] - found[1]["gain_up_dB"] == pytest.approx(6.0206, abs=0.01)
-    assert found[1]["gain_down_dB"] - found[0]["gain_down_dB"] == pytest.approx(6.0206, abs=0.01)
+    assert result[0]["gain_up_dB"] - result[1]["gain_up_dB"] == pytest.approx(6.0206, abs=0.01)
+    assert result[1]["gain_down_dB"] - result[0]["gain_down_dB"] == pytest.approx(6.0206, abs=0.01)
 
 
 def test_a_page_is_written_when_asked(tmp_path, capsys: pytest.CaptureFixture[str]):
@@ -45,5 +45,8 @@ def test_a_page_is_written_when_asked(tmp_path, capsys: pytest.CaptureFixture[st
     assert "uqharness margins espaaro --loop aileron" in words
     lines = capsys.readouterr().out.splitlines()
     assert lines[3].startswith("  aileron: 3 of 55 frequencies, 0.19 to 0.31 rad/s, are not used")
-    told = lines[2].split()
-    assert f"gain margin up {told[1]} dB, down {told[2]} dB; phase margin {told[3]} deg" in words
+    reports = lines[2].split()
+    assert (
+        f"gain margin up {reports[1]} dB, down {reports[2]} dB; phase margin {reports[3]} deg"
+        in words
+    )

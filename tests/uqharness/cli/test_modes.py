@@ -15,11 +15,11 @@ from uqharness.commands import simulation
 
 
 def test_wind_moves_the_path_and_not_the_modes(capsys):
-    seen = []
+    observed = []
     for wind in ([], ["--wind-mps", "5", "--wind-from-deg", "180"]):
         assert main(["modes", "espaaro", "--speed-mps", "22.2", *wind, "--json"]) == 0
-        seen.append(json.loads(capsys.readouterr().out))
-    calm, windy = seen
+        observed.append(json.loads(capsys.readouterr().out))
+    calm, windy = observed
     assert windy["trim"]["v_north_mps"] - calm["trim"]["v_north_mps"] > 4.9
     assert [round(m["real"], 4) for m in windy["modes"]] == [
         round(m["real"], 4) for m in calm["modes"]
@@ -28,17 +28,17 @@ def test_wind_moves_the_path_and_not_the_modes(capsys):
 
 def test_the_table_names_every_mode(capsys):
     assert main(["modes", "espaaro", "--speed-mps", "22.2"]) == 0
-    said = capsys.readouterr().out
-    assert all(name in said for name in ("short_period", "phugoid", "dutch_roll", "MIL-F-8785C"))
+    output = capsys.readouterr().out
+    assert all(name in output for name in ("short_period", "phugoid", "dutch_roll", "MIL-F-8785C"))
 
 
 def test_no_trim_is_an_answer_and_not_an_error(capsys, monkeypatch):
     # The search for a trim that is none takes seconds: once for both ways of telling it.
-    search, found = simulation.find_trim, []
+    search, result = simulation.find_trim, []
     monkeypatch.setattr(
         simulation,
         "find_trim",
-        lambda *asked: found[0] if found else found.append(search(*asked)) or found[0],
+        lambda *request: result[0] if result else result.append(search(*request)) or result[0],
     )
     assert main(["modes", "espaaro", "--speed-mps", "5"]) == 1
     captured = capsys.readouterr()
@@ -72,7 +72,7 @@ def test_a_page_is_written_when_asked_and_json_stays_as_it_is(tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "output"),
     [
         (["--out", "modes.txt"], "--out modes.txt: a page, FILE.html, is written"),
         (["--speeds", "20:30"], "--speeds: belongs to the page; add --out FILE.html"),
@@ -87,8 +87,8 @@ def test_a_page_is_written_when_asked_and_json_stays_as_it_is(tmp_path, capsys):
         ),
     ],
 )
-def test_a_page_that_cannot_be_is_refused(tmp_path, monkeypatch, capsys, words, said):
+def test_a_page_that_cannot_be_is_refused(tmp_path, monkeypatch, capsys, words, output):
     monkeypatch.chdir(tmp_path)
     assert main(["modes", "espaaro", "--speed-mps", "22.2", *words]) == 2
-    assert said in capsys.readouterr().err
+    assert output in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []

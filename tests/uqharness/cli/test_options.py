@@ -31,18 +31,21 @@ def commands() -> list[argparse.ArgumentParser]:
     return leaves(complete_parser())
 
 
-def made(*words: str) -> BoundsRequest:
+def build(*words: str) -> BoundsRequest:
     return request_of(BoundsRequest, build_parser().parse_args(words))
 
 
 def test_a_repeated_option_is_repeated_and_the_words_are_those_of_the_same_command() -> None:
-    given = (
+    inputs = (
         *shlex.split("bounds espaaro --flight x.bin --states CX=V --states Cm=alpha,q --out o"),
     )
-    words = command_words(made(*given))
+    words = command_words(build(*inputs))
     assert words.count("--states") == 2
-    again = made(*words[1:], "--out", "o")
-    assert (again.states, again.flights) == ({"CX": ("V",), "Cm": ("alpha", "q")}, (Path("x.bin"),))
+    repeat = build(*words[1:], "--out", "o")
+    assert (repeat.states, repeat.flights) == (
+        {"CX": ("V",), "Cm": ("alpha", "q")},
+        (Path("x.bin"),),
+    )
 
 
 def test_every_command_has_examples_json_and_exit_codes(
@@ -64,14 +67,14 @@ def test_an_option_means_the_same_in_every_command(commands: list[argparse.Argum
             "--json --no-figures --map --manoeuvres --servos --biases --delays --hours --samples --yes"
         ),
     )
-    told: dict[str, set[str]] = {}
+    reports: dict[str, set[str]] = {}
     for parser in commands:
         for action in parser._actions:
             for name in action.option_strings:
                 text = str(action.help).replace("%(default)s", str(action.default))
-                told.setdefault(name, set()).add(text)
+                reports.setdefault(name, set()).add(text)
     for name in shared:
-        assert len(told[name]) == 1, (name, told[name])
-    assert "--no-check" in told
-    assert "--no-checks" not in told
-    assert len(told["--seed"]) > 1  # says what it seeds: the comparison sees a difference
+        assert len(reports[name]) == 1, (name, reports[name])
+    assert "--no-check" in reports
+    assert "--no-checks" not in reports
+    assert len(reports["--seed"]) > 1  # says what it seeds: the comparison sees a difference

@@ -22,12 +22,12 @@ def test_progress_on_a_terminal_and_silence_elsewhere():
     assert describe(state) == "0:20 to go, 600 flight h per core h, 2 failed"
     assert clock(3725.4) == "1:02:05"
     for terminal in (True, False):
-        drawn = io.StringIO()
-        console = Console(file=drawn, force_terminal=terminal, width=100, legacy_windows=False)
+        drawing = io.StringIO()
+        console = Console(file=drawing, force_terminal=terminal, width=100, legacy_windows=False)
         with ProgressView(console) as view:
             view.update(state)
-        assert ("60/100" in drawn.getvalue()) is terminal
-        assert bool(drawn.getvalue()) is terminal
+        assert ("60/100" in drawing.getvalue()) is terminal
+        assert bool(drawing.getvalue()) is terminal
 
 
 def test_the_time_to_go_follows_recent_work_and_counts_down():
@@ -39,49 +39,49 @@ def test_the_time_to_go_follows_recent_work_and_counts_down():
     assert rate.seconds_left(0, 21) is None
     for done in range(1, 12):
         clock_s[0] = 100.0 + done
-        left = rate.seconds_left(done, 21)
-    assert left == pytest.approx(10.0)
+        remaining = rate.seconds_left(done, 21)
+    assert remaining == pytest.approx(10.0)
     clock_s[0] += 3.0
     assert rate.seconds_left(11, 21) == pytest.approx(7.0)
     assert rate.seconds_left(21, 21) is None
 
 
-@pytest.mark.parametrize("quiet", [False, True])
-def test_a_command_in_a_pipe_says_that_it_is_at_work(monkeypatch, quiet):
-    monkeypatch.setenv("UQHARNESS_QUIET", "1" if quiet else "")
-    written = threading.Event()
+@pytest.mark.parametrize("calm", [False, True])
+def test_a_command_in_a_pipe_says_that_it_is_at_work(monkeypatch, calm):
+    monkeypatch.setenv("UQHARNESS_QUIET", "1" if calm else "")
+    content = threading.Event()
 
     class Pipe(io.StringIO):
         def write(self, text):
-            written.set()
+            content.set()
             return super().write(text)
 
     pipe = Pipe()
     monkeypatch.setattr(sys, "stderr", pipe)
     with heartbeat("uqharness refine", first_s=0.01, every_s=0.01), working("refine") as stage:
         stage("round 1")
-        if not quiet:
-            written.clear()
-            assert written.wait(60.0)
-    assert ("uqharness refine: 0:0" in pipe.getvalue()) is not quiet
-    assert ("round 1" in pipe.getvalue()) is not quiet
+        if not calm:
+            content.clear()
+            assert content.wait(60.0)
+    assert ("uqharness refine: 0:0" in pipe.getvalue()) is not calm
+    assert ("round 1" in pipe.getvalue()) is not calm
 
 
 @pytest.mark.parametrize("terminal", [True, False])
 def test_a_working_command_shows_stage_time_and_count_on_a_terminal_alone(terminal):
-    drawn, flown = io.StringIO(), [100]
-    console = Console(file=drawn, force_terminal=terminal, width=100, legacy_windows=False)
-    with working("identify", lambda: flown[0], console=console) as stage:
+    drawing, flight = io.StringIO(), [100]
+    console = Console(file=drawing, force_terminal=terminal, width=100, legacy_windows=False)
+    with working("identify", lambda: flight[0], console=console) as stage:
         stage("output [bold]error\x1b[2J")
-        flown[0] += 1234
+        flight[0] += 1234
         stage("output [bold]error\x1b[2J")
-    said = drawn.getvalue()
-    assert bool(said) is terminal
+    output = drawing.getvalue()
+    assert bool(output) is terminal
     if terminal:
         # A log's own words neither steer the terminal nor become markup.
-        assert "identify: output [bold]error\\x1b[2J" in said
-        assert "0:00:00" in said
-        assert "1,234 segments simulated" in said
+        assert "identify: output [bold]error\\x1b[2J" in output
+        assert "0:00:00" in output
+        assert "1,234 segments simulated" in output
 
 
 def test_a_forecast_is_corrected_by_the_stages_that_have_ended():

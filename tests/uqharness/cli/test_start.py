@@ -25,8 +25,8 @@ _RUN = (
 
 
 def _environment(**more: str) -> dict[str, str]:
-    kept = {k: v for k, v in os.environ.items() if k != "PYTHONSAFEPATH"}
-    return {**kept, "PYTHONPATH": str(ROOT), **more}
+    retained = {k: v for k, v in os.environ.items() if k != "PYTHONSAFEPATH"}
+    return {**retained, "PYTHONPATH": str(ROOT), **more}
 
 
 def _command(*arguments: str, module: bool) -> list[str]:
@@ -54,12 +54,12 @@ def _interrupted(command: list[str], number: int, folder: Path) -> tuple[int, st
 
 
 @pytest.mark.parametrize(
-    ("number", "code", "said"),
+    ("number", "code", "output"),
     [(signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 143, "terminated")],
 )
 @pytest.mark.parametrize("swallowed", [False, True])
 def test_a_signal_while_modules_load_is_one_line(
-    tmp_path: Path, number: int, code: int, said: str, swallowed: bool
+    tmp_path: Path, number: int, code: int, output: str, swallowed: bool
 ) -> None:
     # Stands for any module that takes long to load; some turn an interruption into an error of
     # their own.
@@ -79,7 +79,7 @@ def test_a_signal_while_modules_load_is_one_line(
         "from uqharness.__main__ import main\nsys.exit(main(['fly', '--help']))"
     )
     ended, words = _interrupted([sys.executable, "-c", code_run], number, tmp_path)
-    assert (ended, words) == (code, f"uqharness: {said}\n")
+    assert (ended, words) == (code, f"uqharness: {output}\n")
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="no limit of address space here")
@@ -142,29 +142,29 @@ def _descendants(parent: int) -> list[int]:
     """Processes that a process started, and theirs, those that have ended but were not asked about
     left out.
     """
-    found = []
+    result = []
     for place in Path("/proc").glob("[0-9]*"):
         try:
             state, ppid = (place / "stat").read_text().rpartition(")")[2].split()[:2]
         except OSError:
             continue
         if int(ppid) == parent and state not in "ZX":
-            found += [int(place.name), *_descendants(int(place.name))]
-    return found
+            result += [int(place.name), *_descendants(int(place.name))]
+    return result
 
 
 @pytest.mark.skipif(
     not sys.platform.startswith("linux"), reason="processes are looked for in /proc"
 )
 @pytest.mark.parametrize(
-    ("number", "code", "said"),
+    ("number", "code", "output"),
     [
         pytest.param(signal.SIGINT, 130, "interrupted", marks=pytest.mark.slow),
         (signal.SIGTERM, 143, "terminated"),
     ],
 )
 def test_workers_that_are_busy_for_minutes_end_with_the_command(
-    tmp_path: Path, number: int, code: int, said: str
+    tmp_path: Path, number: int, code: int, output: str
 ) -> None:
     source = (
         f"import sys, time; sys.path.append({str(ROOT)!r})\nimport uqharness.cli.main as commands\n"
@@ -190,19 +190,19 @@ def test_workers_that_are_busy_for_minutes_end_with_the_command(
         assert process.poll() is None
         assert time.monotonic() < deadline
         time.sleep(0.02)
-    started = _descendants(process.pid)
+    start = _descendants(process.pid)
     process.send_signal(number)
     words = process.communicate(timeout=60.0)[1]
-    assert (process.returncode, words.splitlines()[0]) == (code, f"uqharness: {said}")
+    assert (process.returncode, words.splitlines()[0]) == (code, f"uqharness: {output}")
     assert "uqharness fly --help" in words
-    while any(Path(f"/proc/{pid}").exists() for pid in started):
+    while any(Path(f"/proc/{pid}").exists() for pid in start):
         assert time.monotonic() < deadline
         time.sleep(0.02)
 
 
-@pytest.mark.parametrize("told", [(), ("-W", "error")])
+@pytest.mark.parametrize("reports", [(), ("-W", "error")])
 def test_warnings_of_libraries_are_printed_for_those_who_ask_alone(
-    tmp_path: Path, told: tuple[str, ...]
+    tmp_path: Path, reports: tuple[str, ...]
 ) -> None:
     source = f"import sys; sys.path.append({str(ROOT)!r})\nimport uqharness.cli.main as commands\n"
     source += "from uqharness.child_process import run_module\nimport numpy as np\n"
@@ -217,13 +217,13 @@ def test_warnings_of_libraries_are_printed_for_those_who_ask_alone(
         "import warnings\nwarnings.warn('divide by zero', RuntimeWarning)\n"
     )
     done = subprocess.run(
-        [sys.executable, *told, "-c", source],
+        [sys.executable, *reports, "-c", source],
         capture_output=True,
         text=True,
         cwd=ROOT,
         env={**_environment(), "PYTHONPATH": f"{ROOT}{os.pathsep}{tmp_path}"},
     )
-    if told:
+    if reports:
         assert done.returncode == 1
         assert "RuntimeWarning: divide by zero" in done.stderr
     else:

@@ -12,7 +12,7 @@ from uqharness.simulator import find_aircraft, open_aircraft
 @pytest.mark.parametrize("name", ["espaaro", "c172p"])
 def test_every_aircraft_has_forces_moments_motion_and_surfaces(name):
     aircraft = find_aircraft(name)
-    found = {c.name: c for c in channels_of(aircraft, open_aircraft(aircraft))}
+    result = {c.name: c for c in channels_of(aircraft, open_aircraft(aircraft))}
     assert {
         "mass",
         "Ixz",
@@ -28,13 +28,13 @@ def test_every_aircraft_has_forces_moments_motion_and_surfaces(name):
         "V",
         "alpha",
         "height",
-    } <= set(found)
-    assert {"elevator position", "rudder position"} <= set(found)
+    } <= set(result)
+    assert {"elevator position", "rudder position"} <= set(result)
     assert (
-        found["CZ"].rank
-        < found["Cm"].rank
-        < found["q_dot"].rank
-        < found["alpha"].rank
+        result["CZ"].rank
+        < result["Cm"].rank
+        < result["q_dot"].rank
+        < result["alpha"].rank
         < len(GROUPS)
     )
 

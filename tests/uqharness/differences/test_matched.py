@@ -25,7 +25,7 @@ ASKED = MatchedRequest((22.0,), missions=("doublets",))
 
 
 @pytest.fixture(scope="module")
-def given():
+def inputs():
     return find_aircraft("espaaro")
 
 
@@ -38,57 +38,57 @@ def changed(folder, old: str, new: str):
     return find_aircraft(out)
 
 
-def test_a_model_is_itself(given):
-    told = []
+def test_a_model_is_itself(inputs):
+    reports = []
     channels, flights = fly_matched(
-        given, given, ASKED, lambda done, total: told.append((done, total))
+        inputs, inputs, ASKED, lambda done, total: reports.append((done, total))
     )
-    assert told == [(k + 1, len(flights)) for k in range(len(flights))]
+    assert reports == [(k + 1, len(flights)) for k in range(len(flights))]
     assert [f.name for f in flights] == ["doublets at 22 m/s"]
     assert {"CX", "Cm", "q_dot", "Ixz", "elevator position"} <= {c.name for c in channels}
     assert differences(channels, flights, ()) == []
     # The start one unit in the last place away is another flight, and hardly.
-    apart = max(
+    difference = max(
         float(np.max(np.abs(flights[0].nudged[c] - flights[0].a[c]))) for c in ("q", "alpha")
     )
-    assert 0.0 < apart < 1e-10
+    assert 0.0 < difference < 1e-10
 
 
-def test_a_wrong_sign_shows_in_its_coefficient_first(given, tmp_path):
+def test_a_wrong_sign_shows_in_its_coefficient_first(inputs, tmp_path):
     other = _negated(tmp_path)
-    channels, flights = fly_matched(given, other, ASKED)
-    terms = differing_terms(given.folder, other.folder)
-    found = by_channel(differences(channels, flights, terms))
-    assert found[0].channel == "Cn"
-    assert found[0].terms[0].path.endswith("property aero/Cn_p")
-    assert found[0].from_s > 1.0  # the roll doublet, not before
+    channels, flights = fly_matched(inputs, other, ASKED)
+    terms = differing_terms(inputs.folder, other.folder)
+    result = by_channel(differences(channels, flights, terms))
+    assert result[0].channel == "Cn"
+    assert result[0].terms[0].path.endswith("property aero/Cn_p")
+    assert result[0].from_s > 1.0  # the roll doublet, not before
 
 
 def _negated(folder):
     text = (ROOT / "aircraft" / "espaaro" / "espaaro.xml").read_text(encoding="utf-8")
-    (own,) = re.findall(r'<property value="(-?[\d.e-]+)">aero/Cn_p</property>', text)
+    (specific,) = re.findall(r'<property value="(-?[\d.e-]+)">aero/Cn_p</property>', text)
     return changed(
         folder,
-        f'<property value="{own}">aero/Cn_p</property>',
-        f'<property value="{-float(own)}">aero/Cn_p</property>',
+        f'<property value="{specific}">aero/Cn_p</property>',
+        f'<property value="{-float(specific)}">aero/Cn_p</property>',
     )
 
 
-def test_scripts_are_flown_too(given):
+def test_scripts_are_flown_too(inputs):
     script = ROOT / "scripts" / "doublet-elevator.xml"
     _, (flight,) = fly_matched(
-        given, given, MatchedRequest(scripts=(script,), properties=("aero/qbar-psf",))
+        inputs, inputs, MatchedRequest(scripts=(script,), properties=("aero/qbar-psf",))
     )
     assert flight.name == "doublet-elevator"
     assert "aero/qbar-psf" in flight.a
 
 
-def test_nothing_to_fly_is_refused(given):
+def test_nothing_to_fly_is_refused(inputs):
     with pytest.raises(BadInputError, match="no manoeuvre"):
-        fly_matched(given, given, MatchedRequest())
+        fly_matched(inputs, inputs, MatchedRequest())
 
 
 @pytest.mark.slow
-def test_no_trim_is_refused(given):
+def test_no_trim_is_refused(inputs):
     with pytest.raises(BadInputError, match="no steady flight"):
-        fly_matched(given, given, MatchedRequest((300.0,)))
+        fly_matched(inputs, inputs, MatchedRequest((300.0,)))

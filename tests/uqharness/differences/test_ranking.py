@@ -51,9 +51,9 @@ def test_what_a_nudged_start_does_is_benign():
 
 def test_the_earliest_comes_first_and_cause_before_effect():
     late, early = np.where(TIME >= 1.0, 0.1, 0.0), np.where(TIME >= 0.5, 0.01, 0.0)
-    found = differences(CHANNELS, [flight(q=early, Cm=early, CZ=late)], ())
-    assert [d.channel for d in found] == ["Cm", "q", "CZ"]
-    assert [d.from_s for d in found] == pytest.approx([0.5, 0.5, 1.0])
+    result = differences(CHANNELS, [flight(q=early, Cm=early, CZ=late)], ())
+    assert [d.channel for d in result] == ["Cm", "q", "CZ"]
+    assert [d.from_s for d in result] == pytest.approx([0.5, 0.5, 1.0])
     # A force off the centre of gravity makes a moment as well.
     assert [d.channel for d in differences(CHANNELS, [flight(Cm=early, CZ=early)], ())] == [
         "CZ",

@@ -21,8 +21,15 @@ def repository(tmp_path, monkeypatch):
     card = tmp_path / "models" / "espaaro" / "airframe.toml"
 
     def git(*words):
-        own = ["-c", "user.name=x", "-c", "user.email=x@example.org", "-c", "commit.gpgsign=false"]
-        subprocess.run(["git", *own, *words], cwd=tmp_path, check=True, capture_output=True)
+        specific = [
+            "-c",
+            "user.name=x",
+            "-c",
+            "user.email=x@example.org",
+            "-c",
+            "commit.gpgsign=false",
+        ]
+        subprocess.run(["git", *specific, *words], cwd=tmp_path, check=True, capture_output=True)
 
     git("init", "-q")
     for number in (1, 2, 3):
@@ -55,9 +62,9 @@ def test_what_is_not_there_is_told(repository, tmp_path):
 
 
 def run_git(folder, *words, **options):
-    own = ["-c", "user.name=x", "-c", "user.email=x@example.org", "-c", "commit.gpgsign=false"]
+    specific = ["-c", "user.name=x", "-c", "user.email=x@example.org", "-c", "commit.gpgsign=false"]
     return subprocess.run(
-        ["git", *own, *words], cwd=folder, check=True, capture_output=True, **options
+        ["git", *specific, *words], cwd=folder, check=True, capture_output=True, **options
     ).stdout
 
 
@@ -141,10 +148,10 @@ ODD = {
 
 def test_odd_revisions_and_paths(repository, tmp_path):
     for text, words in ODD.items():
-        with pytest.raises(BadInputError, match=words) as told:
+        with pytest.raises(BadInputError, match=words) as reports:
             aircraft_at(text, tmp_path / "x")
-        assert "\n" not in str(told.value)
-        assert len(str(told.value)) < 700
+        assert "\n" not in str(reports.value)
+        assert len(str(reports.value)) < 700
         assert not (repository / "FILE").exists()
 
 
@@ -156,7 +163,7 @@ def test_what_is_too_large_is_not_read(repository, tmp_path, monkeypatch):
     read = []
     before = revisions._Reader._run
     monkeypatch.setattr(
-        revisions._Reader, "_run", lambda *given: read.append(given[1][0]) or before(*given)
+        revisions._Reader, "_run", lambda *inputs: read.append(inputs[1][0]) or before(*inputs)
     )
     with pytest.raises(BadInputError, match=r"70\.\d MB"):
         aircraft_at("HEAD:models/espaaro", tmp_path / "x")

@@ -29,15 +29,15 @@ XML = """<?xml version="1.0"?>
 """
 
 
-def made(folder: Path, text: str) -> Path:
+def build(folder: Path, text: str) -> Path:
     folder.mkdir()
     (folder / f"{folder.name}.xml").write_text(text)
     return folder
 
 
 @pytest.fixture
-def given(tmp_path):
-    return made(tmp_path / "a", XML)
+def inputs(tmp_path):
+    return build(tmp_path / "a", XML)
 
 
 @pytest.mark.parametrize(
@@ -49,13 +49,13 @@ def given(tmp_path):
         ("<author>A<", "<author>B<"),
     ],
 )
-def test_how_it_is_written_does_not_count(given, tmp_path, old, new):
+def test_how_it_is_written_does_not_count(inputs, tmp_path, old, new):
     assert old in XML
-    assert differing_terms(given, made(tmp_path / "b", XML.replace(old, new))) == []
+    assert differing_terms(inputs, build(tmp_path / "b", XML.replace(old, new))) == []
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "path", "said", "group", "channel"),
+    ("old", "new", "path", "output", "group", "channel"),
     [
         ("-12.4", "12.4", "value", ("-12.4", "12.4"), "force coefficients", "Cm"),
         (
@@ -77,39 +77,39 @@ def test_how_it_is_written_does_not_count(given, tmp_path, old, new):
     ],
 )
 def test_a_number_that_differs_is_told_with_its_lines(
-    given, tmp_path, old, new, path, said, group, channel
+    inputs, tmp_path, old, new, path, output, group, channel
 ):
-    (term,) = differing_terms(given, made(tmp_path / "b", XML.replace(old, new)))
+    (term,) = differing_terms(inputs, build(tmp_path / "b", XML.replace(old, new)))
     assert term.path.endswith(path)
     assert (
-        all(word in text for word, text in zip(said, (term.a, term.b), strict=True))
-        or (term.a, term.b) == said
+        all(word in text for word, text in zip(output, (term.a, term.b), strict=True))
+        or (term.a, term.b) == output
     )
     line = 1 + XML[: XML.index(old)].count("\n")
     assert (term.a_where, term.b_where) == (f"a.xml:{line}", f"b.xml:{line}")
     assert (term.group, term.channel) == (group, channel)
 
 
-def test_what_is_added_or_gone_stands_alone(given, tmp_path):
-    less = made(tmp_path / "b", XML.replace("<value>-12.4</value>", ""))
-    (gone,) = differing_terms(given, less)
-    assert (gone.a, gone.b, gone.b_where) == ("-12.4", "", "")
-    (added,) = differing_terms(less, given)
+def test_what_is_added_or_gone_stands_alone(inputs, tmp_path):
+    less = build(tmp_path / "b", XML.replace("<value>-12.4</value>", ""))
+    (absent,) = differing_terms(inputs, less)
+    assert (absent.a, absent.b, absent.b_where) == ("-12.4", "", "")
+    (added,) = differing_terms(less, inputs)
     assert (added.a, added.b, added.a_where) == ("", "-12.4", "")
 
 
-def test_a_function_that_is_added_is_one_line(given, tmp_path):
+def test_a_function_that_is_added_is_one_line(inputs, tmp_path):
     more = (
         "<function"
         ' name="aero/Cmadot"><product><value>1</value><value>2</value></product></function>'
     )
     (added,) = differing_terms(
-        given, made(tmp_path / "b", XML.replace("    </axis>", f"{more}</axis>"))
+        inputs, build(tmp_path / "b", XML.replace("    </axis>", f"{more}</axis>"))
     )
     assert added.path.endswith("function aero/Cmadot")
 
 
-def test_a_folder_without_xml_is_refused(given, tmp_path):
+def test_a_folder_without_xml_is_refused(inputs, tmp_path):
     (tmp_path / "b").mkdir()
     with pytest.raises(BadInputError, match="no XML"):
-        differing_terms(given, tmp_path / "b")
+        differing_terms(inputs, tmp_path / "b")

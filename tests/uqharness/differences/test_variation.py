@@ -12,30 +12,30 @@ from uqharness.errors import BadInputError
 from uqharness.simulator import find_aircraft
 
 
-def found(**asked):
+def find(**request):
     one, two = find_aircraft("espaaro"), find_aircraft("espaaro_truth")
     channels, flights = fly_matched(
-        one, two, MatchedRequest(speeds_mps=(22.0,), missions=("doublets",), **asked)
+        one, two, MatchedRequest(speeds_mps=(22.0,), missions=("doublets",), **request)
     )
     return {d.channel: d for d in by_channel(differences(channels, flights, []))}, flights[0]
 
 
 def test_variation_within_bounds_counts_as_equal():
-    plain, _ = found()
-    widened, flight = found(bounds=True)
+    plain, _ = find()
+    widened, flight = find(bounds=True)
     assert flight.varied["Cm"] > 1e-3
     assert set(widened) < set(plain)
 
 
 def test_nothing_to_vary_is_refused():
     aircraft = find_aircraft("c172p")
-    for asked, said in (
+    for request, output in (
         ({"repeats": 2}, "still air has no other seed"),
         ({"bounds": True}, "has none"),
     ):
-        with pytest.raises(BadInputError, match=said):
+        with pytest.raises(BadInputError, match=output):
             fly_matched(
                 aircraft,
                 aircraft,
-                MatchedRequest(speeds_mps=(50.0,), missions=("steady",), **asked),
+                MatchedRequest(speeds_mps=(50.0,), missions=("steady",), **request),
             )

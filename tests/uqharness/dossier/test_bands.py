@@ -32,8 +32,8 @@ def as_printed(entry: str, band: Band) -> bool:
 
 
 def test_time_histories():
-    found = {(t.entry, b.channel): as_printed(t.entry, b) for t in TESTS for b in t.bands}
-    assert found == dict.fromkeys(PRINTED, True)
+    result = {(t.entry, b.channel): as_printed(t.entry, b) for t in TESTS for b in t.bands}
+    assert result == dict.fromkeys(PRINTED, True)
 
 
 def test_another_number_is_seen():
@@ -43,17 +43,17 @@ def test_another_number_is_seen():
 
 
 def test_oscillations():
-    found = {t.entry: t.oscillation for t in TESTS if t.oscillation is not None}
-    assert set(found) == {"2.c.9", "2.d.7"}
+    result = {t.entry: t.oscillation for t in TESTS if t.oscillation is not None}
+    assert set(result) == {"2.c.9", "2.d.7"}
     for entry, period_s, cycles in (("2.c.9", 0.0, 3.0), ("2.d.7", 0.5, 6.0)):
-        asked = found[entry]
-        assert (asked.period_s, asked.period_share, asked.half_share, asked.damping) == (
+        request = result[entry]
+        assert (request.period_s, request.period_share, request.half_share, request.damping) == (
             period_s,
             0.10,
             0.10,
             0.02,
         )
-        assert asked.cycles == cycles
+        assert request.cycles == cycles
 
 
 def test_what_a_record_needs():

@@ -21,26 +21,26 @@ NAMES = [
 
 
 def evidence_of(folder, match=None):
-    found = read_evidence(folder)
-    return {f.name: f.evidence for f in factors(found, match or Match((), {}))}
+    result = read_evidence(folder)
+    return {f.name: f.evidence for f in factors(result, match or Match((), {}))}
 
 
 def test_all_eight_and_none_made_up(tmp_path):
-    found = evidence_of(folders.refined(tmp_path / "r"))
-    assert list(found) == NAMES
-    assert found["Use history"] == found["People"] == found["Input pedigree"] == ()
-    assert found["Validation"] == (
+    result = evidence_of(folders.refined(tmp_path / "r"))
+    assert list(result) == NAMES
+    assert result["Use history"] == result["People"] == result["Input pedigree"] == ()
+    assert result["Validation"] == (
         "refine: on the hold-out flights rms over noise is at most 0.97 (q_radps)",
     )
-    assert "level" not in str(found).lower()
+    assert "level" not in str(result).lower()
 
 
 def test_credibility_of_an_identification(tmp_path):
-    found = evidence_of(folders.identified(tmp_path / "i"))
-    assert "identified from a<b>.parquet, recorded with SHA-256" in found["Data pedigree"][0]
-    assert "estimated for 1 of 2 channels" in found["Data pedigree"][1]
-    assert found["Verification"] == ("identify: the estimation converged",)
-    assert found["Uncertainty characterisation"] == (
+    result = evidence_of(folders.identified(tmp_path / "i"))
+    assert "identified from a<b>.parquet, recorded with SHA-256" in result["Data pedigree"][0]
+    assert "estimated for 1 of 2 channels" in result["Data pedigree"][1]
+    assert result["Verification"] == ("identify: the estimation converged",)
+    assert result["Uncertainty characterisation"] == (
         "identify: standard errors of 2 of 3 parameters; 1 are not identified",
     )
 

@@ -42,8 +42,8 @@ def pulse(size):
 
 
 def test_a_model_that_is_right_passes_its_own_test_alone():
-    found, match = answers(segment(q_radps=pulse(0.3), q_radps_model=pulse(0.3)))
-    assert found == {"2.c.10": PASS}
+    result, match = answers(segment(q_radps=pulse(0.3), q_radps_model=pulse(0.3)))
+    assert result == {"2.c.10": PASS}
     assert set(match.missing) == {
         "2.b.4",
         "2.b.5",
@@ -70,8 +70,8 @@ def test_a_model_that_is_right_passes_its_own_test_alone():
     ],
 )
 def test_short_period(columns, expected):
-    found, _ = answers(segment(**columns))
-    assert found["2.c.10"] == expected
+    result, _ = answers(segment(**columns))
+    assert result["2.c.10"] == expected
 
 
 def test_a_single_sample_outside_fails():
@@ -104,8 +104,8 @@ def test_noise_that_is_as_large_as_the_tolerance_decides_nothing():
 
 
 def test_a_second_control_is_another_manoeuvre():
-    found, match = answers(segment(also=("rudder",)))
-    assert found == {}
+    result, match = answers(segment(also=("rudder",)))
+    assert result == {}
     assert match.missing["2.c.10"] == "rudder moved with the elevator"
 
 
@@ -144,12 +144,12 @@ def oscillation(period_s, damping, from_s, size=1.0):
 def test_phugoid(period_s, damping, expected):
     noise = 0.01 * np.random.default_rng(1).standard_normal(3500)
     log = lambda t: oscillation(20.0, 0.05, 3.0, 2.0)(t) + noise  # noqa: E731
-    flown = segment(seconds=70.0, V_mps=log, V_mps_model=oscillation(period_s, damping, 3.0, 2.0))
-    assert answers(flown)[0]["2.c.9"] == expected
+    flight = segment(seconds=70.0, V_mps=log, V_mps_model=oscillation(period_s, damping, 3.0, 2.0))
+    assert answers(flight)[0]["2.c.9"] == expected
 
 
 def test_dutch_roll():
-    def flown(period_s, seconds):
+    def flight(period_s, seconds):
         return segment(
             "rudder",
             seconds=seconds,
@@ -157,13 +157,13 @@ def test_dutch_roll():
             r_radps_model=oscillation(period_s, 0.1, 3.0),
         )
 
-    assert answers(flown(1.6, 14.0))[0]["2.d.7"] == PASS
-    assert answers(flown(2.1, 14.0))[0]["2.d.7"] == FAIL
-    few = next(j for j in answers(flown(1.6, 7.0))[1].results if j.test.entry == "2.d.7")
+    assert answers(flight(1.6, 14.0))[0]["2.d.7"] == PASS
+    assert answers(flight(2.1, 14.0))[0]["2.d.7"] == FAIL
+    few = next(j for j in answers(flight(1.6, 7.0))[1].results if j.test.entry == "2.d.7")
     assert (few.answer, few.reason) == (INCONCLUSIVE, "2.6 of the 6 cycles that the test needs")
     assert few.rows[0].measured == pytest.approx(1.5, rel=1e-3)
-    still = segment("rudder", seconds=14.0, r_radps=oscillation(1.5, 0.1, 3.0))
-    assert next(j for j in answers(still)[1].results if j.test.entry == "2.d.7").answer == FAIL
+    steady = segment("rudder", seconds=14.0, r_radps=oscillation(1.5, 0.1, 3.0))
+    assert next(j for j in answers(steady)[1].results if j.test.entry == "2.d.7").answer == FAIL
 
 
 def test_spiral_is_judged_after_the_input():

@@ -30,16 +30,16 @@ def wave(period_s, damping, t=T, phase=0.4):
 
 def test_standard_errors_are_the_scatter_over_seeds():
     clean = wave(2.0, 0.05)
-    found = [
+    result = [
         fit_mode(T, clean + 0.05 * np.random.default_rng(k).standard_normal(T.size), 0.3, 20.0)
         for k in range(60)
     ]
     for value, std in (("period_s", "period_std_s"), ("damping", "damping_std")):
-        scatter = np.std([getattr(f, value) for f in found])
-        assert np.mean([getattr(f, std) for f in found]) == pytest.approx(scatter, rel=0.35)
-    assert abs(np.mean([f.period_s for f in found]) - 2.0) < 4.0 * found[0].period_std_s / np.sqrt(
-        60.0
-    )
+        scatter = np.std([getattr(f, value) for f in result])
+        assert np.mean([getattr(f, std) for f in result]) == pytest.approx(scatter, rel=0.35)
+    assert abs(np.mean([f.period_s for f in result]) - 2.0) < 4.0 * result[
+        0
+    ].period_std_s / np.sqrt(60.0)
 
 
 def test_too_little_to_tell():
@@ -73,7 +73,7 @@ def test_dutch_roll_of_an_aircraft_is_that_of_its_eigenvalues():
     for _ in range(800):
         fdm.run()
         yaw.append(fdm["velocities/r-rad_sec"])
-    found = fit_mode(np.arange(800) * fdm.get_delta_t(), np.array(yaw), 0.3, 20.0)
-    assert found.period_s == pytest.approx(2.0 * np.pi / abs(mode.imag), rel=0.03)
-    assert found.damping == pytest.approx(mode.zeta, abs=0.015)
-    assert found.period_s != pytest.approx(2.0 * np.pi / mode.wn_radps, rel=0.005)
+    result = fit_mode(np.arange(800) * fdm.get_delta_t(), np.array(yaw), 0.3, 20.0)
+    assert result.period_s == pytest.approx(2.0 * np.pi / abs(mode.imag), rel=0.03)
+    assert result.damping == pytest.approx(mode.zeta, abs=0.015)
+    assert result.period_s != pytest.approx(2.0 * np.pi / mode.wn_radps, rel=0.005)

@@ -50,7 +50,7 @@ RESET = """<?xml version="1.0"?>
 """
 
 
-def started(root: Path, name: str, duration_s: float = 3.0) -> Any:
+def start_flight(root: Path, name: str, duration_s: float = 3.0) -> Any:
     """Return JSBSim after the backend's start and some time with neutral commands."""
     (root / "start.xml").write_text(START.format(name=name))
     (root / "aircraft" / name / "reset.xml").write_text(RESET)
@@ -74,7 +74,7 @@ def espaaro(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_it_stands_and_moves_by_normalised_commands(espaaro: Path) -> None:
-    fdm = started(espaaro, "espaaro_--1--0")
+    fdm = start_flight(espaaro, "espaaro_--1--0")
     assert 0.1 < fdm["position/h-agl-ft"] * 0.3048 < 0.5
     assert abs(fdm["attitude/theta-deg"]) < 5.0
     # At rest the accelerometers read one g upwards, whatever the eye point's name in the XML.
@@ -117,10 +117,10 @@ def test_a_member_is_frozen_in_the_files(tmp_path: Path) -> None:
     member = source_model(aircraft, 22.2, MEMBER)
     copy = ardupilot_jsbsim.write_folder(member, "frozen", tmp_path)
     states = box(member, 30)
-    flown = source_model(copy, 22.2).coefficients(states)
-    np.testing.assert_allclose(flown, member.coefficients(states), rtol=0, atol=1e-12)
+    flight = source_model(copy, 22.2).coefficients(states)
+    np.testing.assert_allclose(flight, member.coefficients(states), rtol=0, atol=1e-12)
     # The bounds of CZ reach .05, those of Cl .0015; Cn is switched off, CX is in its middle.
-    difference = flown - nominal.coefficients(states)
+    difference = flight - nominal.coefficients(states)
     np.testing.assert_allclose(difference, [[0, 0, 0.05, -0.0015, 0, 0]] * 30, atol=1e-12)
 
 

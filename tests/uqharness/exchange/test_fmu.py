@@ -29,7 +29,7 @@ def unit(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out / "espaaro.fmu"
 
 
-def flown(unit: Path, start: dict[str, float] | None = None, step_deg: float = 0.0) -> Any:
+def fly(unit: Path, start: dict[str, float] | None = None, step_deg: float = 0.0) -> Any:
     """Return 3 s of flight with a step of the elevator at 1 s."""
     description = fmpy.read_model_description(str(unit))
     inputs = {v.name: float(v.start) for v in description.modelVariables if v.causality == "input"}
@@ -52,14 +52,14 @@ def test_it_is_valid_and_starts_in_its_trim(unit: Path) -> None:
     from fmpy.validation import validate_fmu
 
     assert validate_fmu(str(unit)) == []
-    result = flown(unit)
+    result = fly(unit)
     assert np.ptp(result["V_mps"]) < 1e-3
     assert abs(result["V_mps"] - SPEED_MPS).max() < 1e-3
     assert np.abs(result["q_radps"]).max() < 1e-5
 
 
 def test_an_elevator_step_answers_as_the_linear_model(unit: Path) -> None:
-    result = flown(unit, step_deg=0.2)
+    result = fly(unit, step_deg=0.2)
     aircraft = find_aircraft("espaaro")
     model = linearise(aircraft, find_trim(aircraft, SteadyCondition(SPEED_MPS, 200.0)))
     B = model.B[:, [model.controls.index("elevator")]]
@@ -75,11 +75,11 @@ def test_an_elevator_step_answers_as_the_linear_model(unit: Path) -> None:
 
 
 def test_levels_of_the_model_form_are_parameters(unit: Path) -> None:
-    nominal = flown(unit)
-    lower = flown(unit, {"uq_active": 1.0, "uq_CZ_level": 0.0})
+    nominal = fly(unit)
+    lower = fly(unit, {"uq_active": 1.0, "uq_CZ_level": 0.0})
     # CZ less by .05: more lift, the aircraft climbs.
     assert lower["h_m"][-1] - nominal["h_m"][-1] > 0.5
-    assert np.array_equal(flown(unit)["h_m"], nominal["h_m"])
+    assert np.array_equal(fly(unit)["h_m"], nominal["h_m"])
 
 
 @pytest.mark.parametrize(("name", "speed_mps"), [("c310", 60.0), ("c172p", 45.0)])

@@ -241,11 +241,11 @@ def by_gazebo(model: gazebo.LiftDragModel, V: float, x: dict[str, float], turn: 
     moment = moment + (roll * pressure + damped("Cell")) * t["area"] * span * ex
     moment = moment + (yaw * pressure + damped("Cen")) * t["area"] * span * ez
     moment = moment + np.cross(turn.apply(flu * model.arm_m), force)
-    whole = 0.5 * t["air_density"] * V**2 * t["area"]
+    complete = 0.5 * t["air_density"] * V**2 * t["area"]
     lengths = (span, t["mac"], span)
     return np.array(
-        [force @ axis / whole for axis in link]
-        + [moment @ axis / whole / length for axis, length in zip(link, lengths, strict=True)]
+        [force @ axis / complete for axis in link]
+        + [moment @ axis / complete / length for axis, length in zip(link, lengths, strict=True)]
     )
 
 
@@ -299,17 +299,17 @@ def in_symmetry(of: FlightStates) -> FlightStates:
 def test_a_source_of_gazebos_form_is_held_exactly():
     model = gazebo_model()
     tags = dict(model.tags) | {"alpha_stall": 5.0, "CLb": 0.0}
-    whole = gazebo.LiftDragModel(tags, model.surfaces)
+    complete = gazebo.LiftDragModel(tags, model.surfaces)
     # Without sideslip, where the program's own angle and pressure are no polynomials.
-    source: Any = _Formula(lambda of: gazebo.coefficients(whole, in_symmetry(of)))
+    source: Any = _Formula(lambda of: gazebo.coefficients(complete, in_symmetry(of)))
     fitted = gazebo.parameters(source, derivatives(source))
-    held = gazebo.LiftDragModel({**fitted.tags, "alpha_stall": 5.0}, fitted.surfaces)
+    constant = gazebo.LiftDragModel({**fitted.tags, "alpha_stall": 5.0}, fitted.surfaces)
     of = in_symmetry(states(500, 4))
-    difference = gazebo.coefficients(held, of) - gazebo.coefficients(whole, of)
+    difference = gazebo.coefficients(constant, of) - gazebo.coefficients(complete, of)
     # Rolling, pitching and yawing moment and side force are linear; the polar is quadratic.
     assert np.abs(difference[:, [1, 3, 4, 5]]).max() < 1e-9
-    assert held.tags["CL0"] == pytest.approx(tags["CL0"], abs=1e-8)
-    assert held.tags["CLa"] == pytest.approx(tags["CLa"], abs=1e-8)
+    assert constant.tags["CL0"] == pytest.approx(tags["CL0"], abs=1e-8)
+    assert constant.tags["CLa"] == pytest.approx(tags["CLa"], abs=1e-8)
 
 
 def test_the_model_of_an_aircraft_holds_its_pitching_moment(tmp_path: Path):
@@ -340,19 +340,19 @@ def test_files_are_read_as_they_were_written(tmp_path: Path):
     # Forward, left, up: the product of inertia keeps JSBSim's sign.
     assert "<ixz>0.249" in text
     of = states(100, 5)
-    whole = gazebo.coefficients(models[0], of)
+    complete = gazebo.coefficients(models[0], of)
     for old, new in (
         (f"<Cema>{models[0].tags['Cema']!r}", f"<Cema>{-models[0].tags['Cema']!r}"),
         (f"<Cenb>{models[0].tags['Cenb']!r}", f"<Cenb>{models[0].tags['Cenb'] / 57.3!r}"),
         (f"<mac>{models[0].tags['mac']!r}", "<mac>1.0"),
         ("<direction>1.0", "<direction>-1.0"),
     ):
-        spoilt = tmp_path / "spoilt.sdf"
+        damaged = tmp_path / "spoilt.sdf"
         assert old in text
-        spoilt.write_text(text.replace(old, new, 1))
-        assert gazebo.read(spoilt)[0] != models[0]
+        damaged.write_text(text.replace(old, new, 1))
+        assert gazebo.read(damaged)[0] != models[0]
         if "direction" not in old and "mac" not in old:
-            assert np.abs(gazebo.coefficients(gazebo.read(spoilt)[0], of) - whole).max() > 1e-4
+            assert np.abs(gazebo.coefficients(gazebo.read(damaged)[0], of) - complete).max() > 1e-4
 
 
 FOREIGN = """<sdf version="1.5"><model name="plane">

@@ -45,8 +45,8 @@ def plate(of: tuple[Any, ...], v: Any, w: Any, rho: float, flap: float, thrust: 
     span, mac, zero, place, dihedral, ar, cf, radius = of
     zero, angle = math.radians(zero), math.radians(dihedral)
     down = np.array([0.0, -math.sin(angle), math.cos(angle)])
-    here = v + np.cross(w, place)
-    vx, vz = here[0], here @ down
+    local = v + np.cross(w, place)
+    vx, vz = local[0], local @ down
     if radius > 1e-4:
         vx += math.sqrt(2 * thrust / (rho * math.pi * radius**2))
     alpha = math.atan2(vz, vx) - zero
@@ -64,19 +64,22 @@ def plate(of: tuple[Any, ...], v: Any, w: Any, rho: float, flap: float, thrust: 
     stall = math.radians(20)
     base = newton(kp, dcl, zero)
     a = alpha - base
-    most = base - newton(kp, lift(stall - zero) + (1 - cf / mac) * dcl, stall - zero)
-    least = base - newton(kp, lift(-stall - zero) + (1 - cf / mac) * dcl, -stall - zero)
+    maximum = base - newton(kp, lift(stall - zero) + (1 - cf / mac) * dcl, stall - zero)
+    minimum = base - newton(kp, lift(-stall - zero) + (1 - cf / mac) * dcl, -stall - zero)
     chord = math.sqrt((mac - cf) ** 2 + cf**2 + 2 * (mac - cf) * cf * math.cos(abs(flap)))
-    bent = a + math.asin(cf / chord * math.sin(flap))
-    cn = (1.98 + 0.21 * flap - 0.0426 * flap**2) * math.sin(bent)
-    cn *= 1 / (0.56 + 0.44 * math.sin(abs(bent))) - kn
-    ct = 0.5 * 0.04 * math.cos(bent)
-    cl, cd = cn * math.cos(bent) - ct * math.sin(bent), cn * math.sin(bent) + ct * math.cos(bent)
-    cm = -cn * (0.25 - 7 / 40 * (1 - 2 / math.pi * abs(bent)))
+    curved = a + math.asin(cf / chord * math.sin(flap))
+    cn = (1.98 + 0.21 * flap - 0.0426 * flap**2) * math.sin(curved)
+    cn *= 1 / (0.56 + 0.44 * math.sin(abs(curved))) - kn
+    ct = 0.5 * 0.04 * math.cos(curved)
+    cl, cd = (
+        cn * math.cos(curved) - ct * math.sin(curved),
+        cn * math.sin(curved) + ct * math.cos(curved),
+    )
+    cm = -cn * (0.25 - 7 / 40 * (1 - 2 / math.pi * abs(curved)))
     if a > 0:
-        f = 0.5 * (1 - math.tanh(4 * (a - most) / math.radians(10)))
+        f = 0.5 * (1 - math.tanh(4 * (a - maximum) / math.radians(10)))
     else:
-        f = 0.5 * (1 - math.tanh(-4 * (a - least) / math.radians(10)))
+        f = 0.5 * (1 - math.tanh(-4 * (a - minimum) / math.radians(10)))
     cd = (0.04 + abs(cl * math.tan(a))) * f + cd * (1 - f)
     cl = lift(a) * f + cl * (1 - f)
     cm = -0.17 * math.pi * abs(math.sin(a)) * math.sin(a) * f + cm * (1 - f)

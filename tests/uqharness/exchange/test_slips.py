@@ -22,7 +22,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-def found(first: Path, second: Path) -> list[tuple[str, str]]:
+def find(first: Path, second: Path) -> list[tuple[str, str]]:
     document = diff_models(first, second).document
     return [(f.where, f.cause) for f in document.findings]
 
@@ -97,21 +97,23 @@ def check(findings: list[tuple[str, str]], where: str, cause: str) -> None:
 def test_a_slip_in_the_sdf(tag: str, factor: float, where: str, cause: str, folder: Path, tmp_path):
     sound = folder / "gazebo" / "model.sdf"
     text = sound.read_text()
-    spoilt = tmp_path / "spoilt.sdf"
-    spoilt.write_text(
+    damaged = tmp_path / "spoilt.sdf"
+    damaged.write_text(
         re.sub(f"<{tag}>(.*?)<", lambda m: f"<{tag}>{factor * float(m[1])!r}<", text, count=1)
     )
-    check(found(sound, spoilt), where, cause)
+    check(find(sound, damaged), where, cause)
 
 
 @pytest.mark.parametrize(("joint", "tag", "factor", "where", "cause"), SURFACES)
 def test_a_slip_of_a_surface(joint, tag, factor, where, cause, folder: Path, tmp_path: Path):
     sound = folder / "gazebo" / "model.sdf"
-    head, part, rest = sound.read_text().partition(f"<name>{joint}_joint</name>")
-    rest = re.sub(f"<{tag}>(.*?)<", lambda m: f"<{tag}>{factor * float(m[1])!r}<", rest, count=1)
-    spoilt = tmp_path / "spoilt.sdf"
-    spoilt.write_text(head + part + rest)
-    check(found(sound, spoilt), where, cause)
+    head, part, remainder = sound.read_text().partition(f"<name>{joint}_joint</name>")
+    remainder = re.sub(
+        f"<{tag}>(.*?)<", lambda m: f"<{tag}>{factor * float(m[1])!r}<", remainder, count=1
+    )
+    damaged = tmp_path / "spoilt.sdf"
+    damaged.write_text(head + part + remainder)
+    check(find(sound, damaged), where, cause)
 
 
 @pytest.mark.parametrize(("key", "factor", "where", "cause"), JSON)
@@ -120,31 +122,31 @@ def test_a_slip_in_the_json(
 ):
     sound = folder / "ardupilot-json" / "espaaro.json"
     keys = json.loads(sound.read_text())
-    spoilt = tmp_path / "spoilt.json"
-    spoilt.write_text(json.dumps(keys | {key: factor * keys[key]}))
-    check(found(sound, spoilt), where, cause)
+    damaged = tmp_path / "spoilt.json"
+    damaged.write_text(json.dumps(keys | {key: factor * keys[key]}))
+    check(find(sound, damaged), where, cause)
 
 
 @pytest.mark.parametrize("name", ["ardupilot-json/espaaro.json", "gazebo/model.sdf"])
 def test_a_shifted_moment_centre_is_named_with_its_length(name: str, folder: Path, tmp_path: Path):
     sound = folder / name
-    spoilt = tmp_path / f"spoilt{sound.suffix}"
+    damaged = tmp_path / f"spoilt{sound.suffix}"
     # Forces act 0.08 m ahead of the CG: as moments about a point 0.08 m behind it.
     text = sound.read_text().replace("<cp>0 0 0<", "<cp>0.08 0 0<")
     if sound.suffix == ".json":
         text = json.dumps(json.loads(text) | {"CGOffset": [0.08, 0.0, 0.0]})
-    spoilt.write_text(text)
-    (cause,) = [c for w, c in found(sound, spoilt) if w == "Cm over angle of attack"]
+    damaged.write_text(text)
+    (cause,) = [c for w, c in find(sound, damaged) if w == "Cm over angle of attack"]
     assert cause == "the moment centre is 0.08 m further aft in the second"
 
 
 def test_what_the_program_takes_for_a_missing_key_is_compared(folder: Path, tmp_path: Path):
     sound = folder / "ardupilot-json" / "espaaro.json"
     keys = json.loads(sound.read_text())
-    spoilt = tmp_path / "spoilt.json"
-    kept = {k: v for k, v in keys.items() if k not in ("CGOffset", "aero_moment_inertia")}
-    spoilt.write_text("# without two keys\n" + json.dumps(kept))
-    where = {w for w, _ in found(sound, spoilt)}
+    damaged = tmp_path / "spoilt.json"
+    retained = {k: v for k, v in keys.items() if k not in ("CGOffset", "aero_moment_inertia")}
+    damaged.write_text("# without two keys\n" + json.dumps(retained))
+    where = {w for w, _ in find(sound, damaged)}
     assert {"Ixx [kg m2]", "Cm over angle of attack"} <= where
 
 
@@ -153,7 +155,7 @@ def test_sound_files_have_no_slip(folder: Path):
     sdf, classic = (folder / "gazebo" / name for name in ("model.sdf", "model-classic.sdf"))
     keys = folder / "ardupilot-json" / "espaaro.json"
     for pair in ((sdf, classic), (sdf, keys), (keys, sdf)):
-        assert found(*pair) == []
+        assert find(*pair) == []
     assert uq.diff("espaaro", keys, speed_mps=SPEED).findings == []
     outcome = uq.diff("espaaro", sdf, speed_mps=SPEED)
     assert {f.where for f in outcome.findings} <= {"CX over angle of attack"}
@@ -163,9 +165,9 @@ def test_inertias_that_changed_places(folder: Path, tmp_path: Path):
     """Ixx over Iyy is 1.36 here, as slug ft2 over kg m2."""
     keys = json.loads((folder / "ardupilot-json" / "espaaro.json").read_text())
     x, y, z = keys["aero_moment_inertia"]
-    spoilt = tmp_path / "spoilt.json"
-    spoilt.write_text(json.dumps(keys | {"aero_moment_inertia": [y, x, z]}))
-    causes = [c for _, c in found(folder / "ardupilot-json" / "espaaro.json", spoilt)]
+    damaged = tmp_path / "spoilt.json"
+    damaged.write_text(json.dumps(keys | {"aero_moment_inertia": [y, x, z]}))
+    causes = [c for _, c in find(folder / "ardupilot-json" / "espaaro.json", damaged)]
     assert causes == [f"that is the first model's I{axis} [kg m2]" for axis in ("yy", "xx")]
 
 
@@ -201,8 +203,8 @@ def test_a_slip_of_many_terms_is_one_finding(name, old, new, cause, folder: Path
         )
     else:
         text = text.replace(old, new)
-    spoilt = tmp_path / f"spoilt{sound.suffix}"
-    spoilt.write_text(text)
+    damaged = tmp_path / f"spoilt{sound.suffix}"
+    damaged.write_text(text)
     assert text != sound.read_text()
-    causes = [c for _, c in found(sound, spoilt)]
+    causes = [c for _, c in find(sound, damaged)]
     assert any(cause in c for c in causes), causes

@@ -78,35 +78,37 @@ def isa(height_m: float) -> tuple[float, float, float]:
 def test_six_components_are_as_specified_at_every_heading(
     source: Source, heading_deg: float
 ) -> None:
-    seen = measure(source, replace(SHORT, heading_deg=heading_deg, seed=100 + int(heading_deg)))
-    assert [row for row in compare(seen) if not row.within(0.03)] == []
-    assert seen.q_slope_correlation() < -0.12
-    assert seen.r_slope_correlation() > 0.12
+    observed = measure(source, replace(SHORT, heading_deg=heading_deg, seed=100 + int(heading_deg)))
+    assert [row for row in compare(observed) if not row.within(0.03)] == []
+    assert observed.q_slope_correlation() < -0.12
+    assert observed.r_slope_correlation() > 0.12
 
 
 @pytest.mark.parametrize("source", few(["jsbsim", "host"], 1))
 def test_as_specified_in_a_climbing_turn_attitude(source: Source) -> None:
-    seen = measure(source, replace(SHORT, heading_deg=45.0, phi_deg=35.0, theta_deg=12.0, seed=7))
-    assert [row for row in compare(seen) if not row.within(0.03)] == []
-    assert seen.q_slope_correlation() < -0.12
+    observed = measure(
+        source, replace(SHORT, heading_deg=45.0, phi_deg=35.0, theta_deg=12.0, seed=7)
+    )
+    assert [row for row in compare(observed) if not row.within(0.03)] == []
+    assert observed.q_slope_correlation() < -0.12
 
 
 @pytest.mark.parametrize("heading_deg", few([0.0, 90.0, 180.0], 1))
 def test_plain_jsbsim_turbulence_is_not_as_specified(heading_deg: float) -> None:
     # Counter-case: wind from the south; the gust axes of plain JSBSim stay on the wind, x downwind.
-    seen = measure(
+    observed = measure(
         "plain-tustin", replace(SHORT, heading_deg=heading_deg, wind_from_deg=180.0, seed=100)
     )
-    failed = {row.component: row.sd_ratio for row in compare(seen) if not row.within(0.03)}
+    failed = {row.component: row.sd_ratio for row in compare(observed) if not row.within(0.03)}
     if heading_deg == 90.0:  # across: p and q have changed places
         assert failed["p"] < 0.75
         assert failed["q"] > 1.6
     else:
         assert failed["p"] > 1.08
     if heading_deg == 0.0:  # against the wind: u, v, p and q are turned about, r is not
-        assert seen.r_slope_correlation() < -0.12
+        assert observed.r_slope_correlation() < -0.12
     if heading_deg == 180.0:  # with the wind: q itself has the wrong sign
-        assert seen.q_slope_correlation() > 0.12
+        assert observed.q_slope_correlation() > 0.12
 
 
 # Steady wind.

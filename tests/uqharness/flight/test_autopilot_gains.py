@@ -34,18 +34,18 @@ FLOWN = {
 
 
 def test_a_parameter_sets_the_property_of_its_name_in_its_unit():
-    found = autopilot_gains(FLOWN, DECLARED)
-    assert found.properties == {f"ap/{name}": value for name, value in FLOWN.items()}
+    result = autopilot_gains(FLOWN, DECLARED)
+    assert result.properties == {f"ap/{name}": value for name, value in FLOWN.items()}
     # The aircraft's own file was written by hand from the same source: an independent copy of names
     # and units.
-    assert {prop: DECLARED[prop] for prop in found.properties} == found.properties
-    assert (found.ignored, found.n_others) == ({}, 0)
+    assert {prop: DECLARED[prop] for prop in result.properties} == result.properties
+    assert (result.ignored, result.n_others) == ({}, 0)
 
 
 def test_older_names_have_other_units_and_give_way_to_newer_ones():
     old = {"LIM_ROLL_CD": 5000, "TRIM_PITCH_CD": 100, "ARSPD_FBW_MIN": 16, "ARSPD_FBW_MAX": 30}
-    found = autopilot_gains(old, DECLARED).properties
-    assert found == pytest.approx(
+    result = autopilot_gains(old, DECLARED).properties
+    assert result == pytest.approx(
         {
             "ap/ROLL_LIMIT_DEG": 50,
             "ap/PTCH_TRIM_DEG": 1,
@@ -53,17 +53,17 @@ def test_older_names_have_other_units_and_give_way_to_newer_ones():
             "ap/AIRSPEED_MAX": 30,
         }
     )
-    both = autopilot_gains({"LIM_ROLL_CD": 4500, "ROLL_LIMIT_DEG": 50}, DECLARED)
-    assert both.properties == {"ap/ROLL_LIMIT_DEG": 50}
-    assert both.ignored == {"LIM_ROLL_CD": "the file has the newer name too"}
+    pair = autopilot_gains({"LIM_ROLL_CD": 4500, "ROLL_LIMIT_DEG": 50}, DECLARED)
+    assert pair.properties == {"ap/ROLL_LIMIT_DEG": 50}
+    assert pair.ignored == {"LIM_ROLL_CD": "the file has the newer name too"}
 
 
 def test_limits_that_zero_switches_off():
-    found = autopilot_gains(
+    result = autopilot_gains(
         {"RLL2SRV_RMAX": 0, "RLL_RATE_FLTT": 0, "TECS_PITCH_MAX": 0, "PTCH_LIM_MAX_DEG": 22},
         DECLARED,
     )
-    assert found.properties == {
+    assert result.properties == {
         "ap/RLL2SRV_RMAX": NO_LIMIT,
         "ap/RLL_RATE_FLTT": NO_LIMIT,
         "ap/TECS_PITCH_MAX": 22,
@@ -74,17 +74,19 @@ def test_limits_that_zero_switches_off():
 
 
 def test_derivative_gains_switch_their_terms_on_and_share_a_filter():
-    found = autopilot_gains(
+    result = autopilot_gains(
         {"RLL_RATE_D": 0.02, "RLL_RATE_FLTD": 10, "PTCH_RATE_FLTD": 10}, DECLARED
     ).properties
-    assert found == {"ap/RLL_RATE_D": 0.02, "ap/RATE_FLTD": 10, "ap/RATE_D_ON": 1.0}
-    apart = autopilot_gains({"RLL_RATE_D": 0, "RLL_RATE_FLTD": 10, "PTCH_RATE_FLTD": 12}, DECLARED)
-    assert apart.properties == {"ap/RLL_RATE_D": 0}
-    assert set(apart.ignored) == {"RLL_RATE_FLTD", "PTCH_RATE_FLTD"}
+    assert result == {"ap/RLL_RATE_D": 0.02, "ap/RATE_FLTD": 10, "ap/RATE_D_ON": 1.0}
+    difference = autopilot_gains(
+        {"RLL_RATE_D": 0, "RLL_RATE_FLTD": 10, "PTCH_RATE_FLTD": 12}, DECLARED
+    )
+    assert difference.properties == {"ap/RLL_RATE_D": 0}
+    assert set(difference.ignored) == {"RLL_RATE_FLTD", "PTCH_RATE_FLTD"}
 
 
 def test_what_is_ignored_is_named_with_the_reason():
-    found = autopilot_gains(
+    result = autopilot_gains(
         {
             "RLL_RATE_P": 0.2,
             "RLL_RATE_SMAX": 150,
@@ -95,11 +97,11 @@ def test_what_is_ignored_is_named_with_the_reason():
         },
         DECLARED,
     )
-    assert found.ignored["RLL_RATE_SMAX"] == "the autopilot has no such term"
-    assert found.ignored["YAW2SRV_INT"] == "0: off, as in the autopilot"
-    assert "mission" in found.ignored["WP_LOITER_RAD"]
-    assert found.n_others == 2
-    words = "\n".join(found.lines())
+    assert result.ignored["RLL_RATE_SMAX"] == "the autopilot has no such term"
+    assert result.ignored["YAW2SRV_INT"] == "0: off, as in the autopilot"
+    assert "mission" in result.ignored["WP_LOITER_RAD"]
+    assert result.n_others == 2
+    words = "\n".join(result.lines())
     assert "1 gains taken: RLL_RATE_P 0.2" in words
     assert "2 parameters of other functions" in words
 

@@ -101,7 +101,7 @@ def peer(tmp_path: Path) -> Path:
     return path
 
 
-def flown(
+def fly(
     peer: Path,
     *words: str,
     duration_s: float = 12.0,
@@ -123,14 +123,14 @@ def flown(
 
 
 def test_it_flies_in_lock_step_and_again_alike(peer: Path) -> None:
-    table, recorded = flown(peer, "hold")
+    table, recorded = fly(peer, "hold")
     assert recorded.status == "ok"
     # The peer flies wings level, where the script's own autopilot would turn.
     assert np.abs(table["phi_rad"]).max() < 0.25
     assert np.ptp(table["psi_rad"]) < 0.3
     assert np.ptp(table["h_m"]) < 15.0
-    again, _ = flown(peer, "repeat", "wide")
-    assert table.equals(again)
+    repeat, _ = fly(peer, "repeat", "wide")
+    assert table.equals(repeat)
 
 
 @pytest.mark.parametrize(
@@ -141,7 +141,7 @@ def test_it_flies_in_lock_step_and_again_alike(peer: Path) -> None:
     ],
 )
 def test_a_peer_that_fails_keeps_the_flight_so_far(mode: str, reason: str, peer: Path) -> None:
-    table, recorded = flown(peer, mode)
+    table, recorded = fly(peer, mode)
     assert recorded.status == "crashed"
     assert re.search(reason, recorded.reason), recorded.reason
     assert len(table) == 11
@@ -176,14 +176,14 @@ def px4(tmp_path: Path) -> Path:
 
 
 def test_px4s_messages_fly_in_lock_step_and_again_alike(px4: Path) -> None:
-    table, recorded = flown(px4, "hold", protocol="px4-hil", duration_s=8.0)
+    table, recorded = fly(px4, "hold", protocol="px4-hil", duration_s=8.0)
     assert recorded.status == "ok", recorded.reason
     # The peer flies wings level, where the script's own autopilot would turn.
     assert np.abs(table["phi_rad"]).max() < 0.25
     assert np.ptp(table["psi_rad"]) < 0.3
     assert np.ptp(table["h_m"]) < 15.0
-    again, _ = flown(px4, "hold", protocol="px4-hil", duration_s=8.0)
-    assert table.equals(again)
+    repeat, _ = fly(px4, "hold", protocol="px4-hil", duration_s=8.0)
+    assert table.equals(repeat)
 
 
 @pytest.mark.parametrize(
@@ -198,7 +198,7 @@ def test_px4s_messages_fly_in_lock_step_and_again_alike(px4: Path) -> None:
 )
 def test_a_peer_that_is_no_px4_is_told_by_its_fault(mode: str, reason: str, px4: Path) -> None:
     timeout_s = 1.0 if mode == "silent" else 20.0
-    _, recorded = flown(px4, mode, protocol="px4-hil", duration_s=2.0, timeout_s=timeout_s)
+    _, recorded = fly(px4, mode, protocol="px4-hil", duration_s=2.0, timeout_s=timeout_s)
     assert recorded.status == "crashed"
     assert re.search(reason, recorded.reason), recorded.reason
 

@@ -88,14 +88,14 @@ def test_a_wrong_span_is_noticed() -> None:
 
 
 def test_pages_cross_their_seams_unchanged_and_copies_go_on() -> None:
-    whole = dryden_gusts(20_000, 0.01, *AIR, seed=8)
+    complete = dryden_gusts(20_000, 0.01, *AIR, seed=8)
     gusts = DrydenGusts(dryden_parameters(*AIR), 0.01, 8)
     pages = [gusts.page()]
     copied = copy.deepcopy(gusts)
     pages += [gusts.page(), gusts.page()]
     for row, name in enumerate(COMPONENTS):
         np.testing.assert_array_equal(
-            np.concatenate([page[row] for page in pages])[:20_000], whole.component(name)
+            np.concatenate([page[row] for page in pages])[:20_000], complete.component(name)
         )
     assert copied.page().tobytes() == pages[1].tobytes()
 
@@ -125,7 +125,7 @@ B = (0.2, 0.0, 0.0)
 
 @pytest.mark.parametrize("dt", [0.0005, 0.01, 0.3, 3.0])
 def test_discretisation_has_the_exact_noise_covariance(dt: float) -> None:
-    step, factor = (np.array(found) for found in discretise(A, B, dt))
+    step, factor = (np.array(result) for result in discretise(A, B, dt))
     a, b = np.array(A), np.array(B)
     stationary = solve_continuous_lyapunov(a, -np.outer(b, b))
     np.testing.assert_allclose(step, expm(a * dt), rtol=1e-12)
@@ -145,7 +145,7 @@ def test_a_running_sum_is_the_recursion(x: float) -> None:
     assert pages[0][0] == 0.0
     assert pages[1][0] == pages[0][-1]
     expected = lfilter([1.0], [1.0, -keep], drive)
-    found = np.concatenate([page[1:] for page in pages])
-    np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-12 * np.abs(expected).max())
-    wrong = lfilter([1.0], [1.0, -keep * (1.0 + 1e-9)], drive)
-    assert x > 3.0 or np.abs(found - wrong).max() > 1e-12 * np.abs(expected).max()
+    result = np.concatenate([page[1:] for page in pages])
+    np.testing.assert_allclose(result, expected, rtol=0.0, atol=1e-12 * np.abs(expected).max())
+    invalid = lfilter([1.0], [1.0, -keep * (1.0 + 1e-9)], drive)
+    assert x > 3.0 or np.abs(result - invalid).max() > 1e-12 * np.abs(expected).max()

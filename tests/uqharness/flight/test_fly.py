@@ -77,21 +77,21 @@ def command(out: Path, *extra: str) -> list[str]:
 @pytest.mark.parametrize("ending", few(["csv", "parquet"], 1))
 @pytest.mark.parametrize("source", few(["spec", "jsbsim"], 1))
 def test_the_same_seed_gives_the_same_bytes_in_a_fresh_process(tmp_path, ending, source):
-    here, there, other = (tmp_path / f"{name}.{ending}" for name in ("here", "there", "other"))
-    assert main(command(here, "--turbulence-source", source)) == 0
+    local, present, other = (tmp_path / f"{name}.{ending}" for name in ("here", "there", "other"))
+    assert main(command(local, "--turbulence-source", source)) == 0
     subprocess.run(
         [
             sys.executable,
             "-m",
             "uqharness.cli.main",
-            *command(there, "--turbulence-source", source),
+            *command(present, "--turbulence-source", source),
         ],
         check=True,
         cwd=PROJECT_ROOT,
     )
     assert main([*command(other, "--turbulence-source", source), "--seed", "8"]) == 0
-    assert here.read_bytes() == there.read_bytes()
-    assert here.read_bytes() != other.read_bytes()
+    assert local.read_bytes() == present.read_bytes()
+    assert local.read_bytes() != other.read_bytes()
 
 
 def test_record_is_a_flight_record(tmp_path):
@@ -290,12 +290,12 @@ def test_statistics_and_loss_of_control_by_hand():
     for odd in ([np.nan, 1.0, 2.0], [np.inf, np.inf, 1.0, 2.0]):
         medians = absolute_statistics(np.array(odd))[0], np.median(odd)
         np.testing.assert_equal(*medians)
-    still = np.zeros(3)
-    assert not lost_control(still, still, still)
-    assert lost_control(np.array([0, 1.41, 0]), still, still)
-    assert lost_control(still, np.array([0, -0.45, 0]), still)
-    assert lost_control(still, still, np.array([0, 61.0, 0]))
-    assert lost_control(still, np.array([0, np.nan, 0]), still)
+    steady = np.zeros(3)
+    assert not lost_control(steady, steady, steady)
+    assert lost_control(np.array([0, 1.41, 0]), steady, steady)
+    assert lost_control(steady, np.array([0, -0.45, 0]), steady)
+    assert lost_control(steady, steady, np.array([0, 61.0, 0]))
+    assert lost_control(steady, np.array([0, np.nan, 0]), steady)
 
 
 # Scores of signals made by hand.
@@ -327,12 +327,12 @@ def test_deviations_by_hand():
     # Nothing says that this flight is to go straight on.
     assert result.undefined["cross_track"] == "no path is commanded"
     assert "excursions_15m" not in result.metrics
-    straight = np.column_stack(
+    level = np.column_stack(
         [rows, [0.0, 10.0, 20.0], [0.0, 10.0, 52.0], [5.0, 0.0, 0.0], [5.0, 9.0, 9.0]]
     )
     onwards = score_from_start(
         SCORING_SPEC,
-        RecordedFlight([*names, "north_m", "east_m", "vn_mps", "ve_mps"], straight, "ok", "", 3.0),
+        RecordedFlight([*names, "north_m", "east_m", "vn_mps", "ve_mps"], level, "ok", "", 3.0),
     )
     # Began towards the north-east; 52 m east and 20 m north lies 32/sqrt(2) m to the right of that
     # line.

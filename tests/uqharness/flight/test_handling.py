@@ -27,8 +27,8 @@ from uqharness.simulator.trim import SteadyCondition, find_trim
 def test_levels_follow_the_specification():
     aircraft = find_aircraft("espaaro")
     model = linearise(aircraft, find_trim(aircraft, SteadyCondition(22.2)))
-    found = modes(model)
-    levels = {(a.mode, a.criterion): a.level for a in assess(model, found)}
+    result = modes(model)
+    levels = {(a.mode, a.criterion): a.level for a in assess(model, result)}
     # Hand-checked against MIL-F-8785C, category B, class I: CAP 4.7 lies between 3.6 and 10, so
     # Level 2.
     assert levels == {
@@ -40,13 +40,13 @@ def test_levels_follow_the_specification():
         ("spiral", "time to double"): 1,
     }
     unstable = [
-        dataclasses.replace(m, real=0.05, zeta=-1.0) if m.name == "spiral" else m for m in found
+        dataclasses.replace(m, real=0.05, zeta=-1.0) if m.name == "spiral" else m for m in result
     ]
     # Doubles in 13.9 s: Level 1 in category C (12 s), Level 2 in category B (20 s).
     assert {a.level for a in assess(model, unstable, "C") if a.mode == "spiral"} == {1}
     assert {a.level for a in assess(model, unstable, "B") if a.mode == "spiral"} == {2}
     with pytest.raises(ValueError, match="allowed"):
-        assess(model, found, "D")
+        assess(model, result, "D")
 
 
 def model(z_w=-4.903325, speed=20.0):
@@ -65,7 +65,7 @@ def real(name, value):
 
 
 def levels(category="B", aircraft_class="I", **changes):
-    found = {
+    result = {
         "short_period": [pair("short_period", 0.7, 2.0)],
         "phugoid": [pair("phugoid", 0.1, 0.5)],
         "dutch_roll": [pair("dutch_roll", 0.2, 3.0)],
@@ -74,7 +74,7 @@ def levels(category="B", aircraft_class="I", **changes):
     } | changes
     return {
         (a.mode, a.criterion): a.level
-        for a in assess(model(), list(chain(*found.values())), category, aircraft_class)
+        for a in assess(model(), list(chain(*result.values())), category, aircraft_class)
     }
 
 
@@ -120,16 +120,16 @@ def test_roll_levels(category, kind, constant, level):
 def test_a_longitudinal_divergence(double, level):
     """MIL-F-8785C 3.2.1.1: none at Levels 1 and 2, not below 6 s at Level 3."""
     roots = [real("phugoid", -0.5), real("phugoid", math.log(2.0) / double)]
-    found = {key: value for key, value in levels(phugoid=roots).items() if key[0] == "phugoid"}
-    assert found == {("phugoid", "divergence, time to double"): level}
+    result = {key: value for key, value in levels(phugoid=roots).items() if key[0] == "phugoid"}
+    assert result == {("phugoid", "divergence, time to double"): level}
 
 
 @pytest.mark.parametrize(("product", "level"), [(0.51, 1), (0.31, 2), (0.16, 3), (0.14, 4)])
 def test_a_coupled_roll_spiral_oscillation(product, level):
-    joined = {"roll": [], "spiral": [], "other": [pair("other", product, 1.0)]}
+    union = {"roll": [], "spiral": [], "other": [pair("other", product, 1.0)]}
     key = ("other", "coupled roll-spiral, zeta wn")
-    assert levels(**joined)[key] == level
-    assert levels("A", **joined)[key] == 4
+    assert levels(**union)[key] == level
+    assert levels("A", **union)[key] == 4
 
 
 # The Levels' edges in the complex plane, against the Levels that `assess` gives to poles on
@@ -166,25 +166,25 @@ def first(espaaro):
 
 
 def test_points_are_the_modes_at_their_speeds(espaaro, first):
-    seen = []
-    found = root_locus(
+    observed = []
+    result = root_locus(
         espaaro,
         CONDITION,
         (18.0, 26.0),
         "B",
         "I",
         first=first,
-        callback=lambda done, total: seen.append((done, total)),
+        callback=lambda done, total: observed.append((done, total)),
     )
-    assert [p.V_mps for p in found.points] == [18.0, 22.0, 26.0]
-    assert found.refused == ()
-    assert seen == [(1, 2), (2, 2)]
-    alone = modes(linearise(espaaro, find_trim(espaaro, replace(CONDITION, V_mps=18.0))))
-    assert [(m.name, m.real, m.imag) for m in found.points[0].modes] == [
-        (m.name, m.real, m.imag) for m in alone
+    assert [p.V_mps for p in result.points] == [18.0, 22.0, 26.0]
+    assert result.refused == ()
+    assert observed == [(1, 2), (2, 2)]
+    single = modes(linearise(espaaro, find_trim(espaaro, replace(CONDITION, V_mps=18.0))))
+    assert [(m.name, m.real, m.imag) for m in result.points[0].modes] == [
+        (m.name, m.real, m.imag) for m in single
     ]
-    assert found.points[1] is first
+    assert result.points[1] is first
     # n/alpha = q S CLalpha / (m g) grows with the square of the airspeed.
-    assert found.points[2].n_alpha / found.points[0].n_alpha == pytest.approx(
+    assert result.points[2].n_alpha / result.points[0].n_alpha == pytest.approx(
         (26.0 / 18.0) ** 2, rel=0.02
     )

@@ -176,14 +176,14 @@ def test_twice_the_gain_of_a_mixed_loop_halves_its_gain_margin():
     """L(z) = k (1 + mix) GAIN z^-DELAY / (z - POLE): the gain margin is that of a plain loop with k
     (1 + mix).
     """
-    found = [
+    result = [
         measure_loop(
             lambda k=k: MixedToy(k, 0.5), MIXED, condition={}, settle_s=5.0
         ).margins.gain_up_dB
         for k in (4.0, 8.0)
     ]
-    assert found[0] - found[1] == pytest.approx(20 * math.log10(2), abs=1e-3)
-    assert found[1] == pytest.approx(exact_margins(12.0)[0], abs=0.1)
+    assert result[0] - result[1] == pytest.approx(20 * math.log10(2), abs=1e-3)
+    assert result[1] == pytest.approx(exact_margins(12.0)[0], abs=0.1)
     # Open on one path alone, the second keeps its own feedback, which grows with k too: the
     # difference is another.
     one = [

@@ -34,12 +34,12 @@ def test_the_logarithm_is_right_to_a_unit_in_the_last_place() -> None:
             1.0 + rng.random(1000),
         ]
     )
-    found = logarithm(x, NUMPY)
+    result = logarithm(x, NUMPY)
     with mpmath.workprec(120):
         true = [mpmath.log(mpmath.mpf(float(value))) for value in x]
         ulp = [
             abs(mpmath.mpf(float(a)) - b) / np.spacing(abs(float(b)))
-            for a, b in zip(found, true, strict=True)
+            for a, b in zip(result, true, strict=True)
             if b
         ]
     assert max(ulp) < 1.0
@@ -72,7 +72,7 @@ def worst(function, reference, arguments) -> float:
 def test_elementary_function_errors() -> None:
     rng = np.random.default_rng(3)
     wide = [(float(x),) for x in rng.uniform(-690.0, 690.0, 2000)]
-    near = [
+    close = [
         (float(x),) for x in rng.uniform(-1.0, 1.0, 2000) * 10.0 ** rng.uniform(-12.0, 0.0, 2000)
     ]
     sizes = [
@@ -87,12 +87,12 @@ def test_elementary_function_errors() -> None:
             rng.uniform(0.05, 40.0, 2000), rng.choice([1.2, 0.4, 1 / 3], 2000), strict=True
         )
     ]
-    assert worst(random_numbers.exp, mpmath.exp, wide + near) < 4e-16
-    assert worst(random_numbers.expm1, mpmath.expm1, wide + near) < 4e-16
+    assert worst(random_numbers.exp, mpmath.exp, wide + close) < 4e-16
+    assert worst(random_numbers.expm1, mpmath.expm1, wide + close) < 4e-16
     assert worst(random_numbers.log, mpmath.log, sizes) < 5e-16
     assert worst(random_numbers.power, mpmath.power, powers) < 2e-15
     # Single precision would be seen.
-    assert worst(lambda x: float(np.exp(np.float32(x))), mpmath.exp, near) > 4e-16
+    assert worst(lambda x: float(np.exp(np.float32(x))), mpmath.exp, close) > 4e-16
 
 
 def test_elementary_functions_at_their_ends() -> None:
@@ -100,21 +100,21 @@ def test_elementary_functions_at_their_ends() -> None:
     assert random_numbers.log(1.0) == random_numbers.expm1(0.0) == 0.0
     assert random_numbers.exp(-701.0) == 0.0
     assert random_numbers.expm1(-701.0) == -1.0
-    for wrong in (0.0, -1.0, math.inf, math.nan):
+    for invalid in (0.0, -1.0, math.inf, math.nan):
         with pytest.raises(ValueError, match="positive, finite"):
-            random_numbers.log(wrong)
-    for wrong in (701.0, math.nan):
+            random_numbers.log(invalid)
+    for invalid in (701.0, math.nan):
         with pytest.raises(ValueError, match="up to 700"):
-            random_numbers.exp(wrong)
+            random_numbers.exp(invalid)
 
 
 def test_normal_quantiles() -> None:
     for p in (1e-4, 0.025, 0.3, 0.5, 0.975, 0.9999, 1.0 - 1e-6):
         assert random_numbers.normal_quantile(p) == pytest.approx(ndtri(p), rel=1e-11, abs=1e-15)
     assert random_numbers.normal_quantile(0.976) != pytest.approx(ndtri(0.975), rel=1e-4)
-    for wrong in (0.0, 1.0, math.nan):
+    for invalid in (0.0, 1.0, math.nan):
         with pytest.raises(ValueError, match="probability"):
-            random_numbers.normal_quantile(wrong)
+            random_numbers.normal_quantile(invalid)
 
 
 def test_factor_of_a_matrix() -> None:
@@ -123,9 +123,9 @@ def test_factor_of_a_matrix() -> None:
         matrix = np.cov(rng.standard_normal((n, 3 * n + 2))).reshape(n, n)
         low = np.array(random_numbers.cholesky(matrix.tolist()))
         np.testing.assert_allclose(low, np.linalg.cholesky(matrix), rtol=1e-11, atol=1e-14)
-    for wrong in ([[1.0, 2.0], [2.0, 1.0]], [[math.nan]], [[0.0]]):
+    for invalid in ([[1.0, 2.0], [2.0, 1.0]], [[math.nan]], [[0.0]]):
         with pytest.raises(ValueError, match="not positive definite"):
-            random_numbers.cholesky(wrong)
+            random_numbers.cholesky(invalid)
 
 
 # Random streams by name: the same for ever, and none another's.

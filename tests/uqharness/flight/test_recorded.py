@@ -54,7 +54,7 @@ EXACT = {
 
 
 @pytest.fixture(scope="module")
-def flown(tmp_path_factory):
+def flights(tmp_path_factory):
     folder = tmp_path_factory.mktemp("flown")
     for suffix in ("parquet", "bin"):
         assert (
@@ -63,9 +63,9 @@ def flown(tmp_path_factory):
     return folder
 
 
-def test_dataflash_round_trip(flown):
-    expected = pd.read_parquet(flown / "a.parquet")
-    record = import_log(flown / "a.bin", card_path=find_aircraft("synthetic_stall").folder)
+def test_dataflash_round_trip(flights):
+    expected = pd.read_parquet(flights / "a.parquet")
+    record = import_log(flights / "a.bin", card_path=find_aircraft("synthetic_stall").folder)
     assert len(record) == len(expected)
     np.testing.assert_allclose(record["time_s"], expected["time_s"], atol=1e-6)
     for name, tolerance in EXACT.items():
@@ -78,18 +78,18 @@ def test_dataflash_round_trip(flown):
     assert not [f for f in record.metadata.findings if f.severity == "error"]
 
 
-def test_manoeuvres_are_named_after_their_events(flown):
-    labels = pd.read_parquet(flown / "a.parquet")["manoeuvre"]
+def test_manoeuvres_are_named_after_their_events(flights):
+    labels = pd.read_parquet(flights / "a.parquet")["manoeuvre"]
     assert set(labels) == {"", "pitch doublet, 22 m/s"}
     script = read_script(find_script("flight-ident"))
     assert len(script.manoeuvres) == 9
     assert script.manoeuvres[1] == "pitch doublet, 22 m/s"
 
 
-def test_pymavlink_reads_it(flown):
+def test_pymavlink_reads_it(flights):
     from pymavlink import DFReader
 
-    log = DFReader.DFReader_binary(str(flown / "a.bin"))
+    log = DFReader.DFReader_binary(str(flights / "a.bin"))
     try:
         kinds = {message.get_type() for message in iter(log.recv_msg, None)}
     finally:
@@ -141,15 +141,15 @@ def record(**changed: np.ndarray) -> FlightRecord:
 
 
 def test_positions_are_those_that_a_reader_of_logs_finds():
-    given = record()
-    rows = playback_rows(given, START, 50.0)
+    inputs = record()
+    rows = playback_rows(inputs, START, 50.0)
     north, east = channels.local_position_m(rows[:, 0], rows[:, 1])
-    assert np.abs(north - given["north_m"]).max() < 1e-3
-    assert np.abs(east - given["east_m"]).max() < 1e-3
+    assert np.abs(north - inputs["north_m"]).max() < 1e-3
+    assert np.abs(east - inputs["east_m"]).max() < 1e-3
     # The check is not blind: a tenth of a metre is seen.
     assert (
         np.abs(
-            channels.local_position_m(rows[:, 0] + 1e-6, rows[:, 1])[0] - given["north_m"] - 0.1
+            channels.local_position_m(rows[:, 0] + 1e-6, rows[:, 1])[0] - inputs["north_m"] - 0.1
         )[1:].max()
         > 0.05
     )

@@ -92,8 +92,8 @@ def test_a_transient_part_is_uniform_with_its_own_standard_deviation_and_correla
     assert (np.abs(path) <= 1.0).all()
     for column in (0, rate_hz, 3 * rate_hz - 1):
         assert stats.kstest(path[:, column], "uniform", args=(-1.0, 2.0)).pvalue > 1e-3, column
-    flown = PARTS.transient_half_width * path[:, ::rate_hz]
-    assert flown.std() == pytest.approx(PARTS.transient, rel=4.0 * np.sqrt(0.2 / flown.size))
+    flight = PARTS.transient_half_width * path[:, ::rate_hz]
+    assert flight.std() == pytest.approx(PARTS.transient, rel=4.0 * np.sqrt(0.2 / flight.size))
 
     def memory(path, lag_s):
         """Correlation of the slowest mode, sin(pi level/2), after that time, with its standard
@@ -104,12 +104,12 @@ def test_a_transient_part_is_uniform_with_its_own_standard_deviation_and_correla
         return product.mean(), product.std() / np.sqrt(product.size)
 
     for lag_s in (0.5 * tau, tau, 2.0 * tau):
-        found, error = memory(path, lag_s)
-        assert found == pytest.approx(np.exp(-lag_s / tau), abs=4.0 * error)
+        result, error = memory(path, lag_s)
+        assert result == pytest.approx(np.exp(-lag_s / tau), abs=4.0 * error)
     # A walk of half the rate remembers four times as long, and that is seen.
-    found, error = memory(transient(200, 0.5 * PARTS.transient_rate_per_sqrt_s, 3, rate_hz), tau)
-    assert abs(found - np.exp(-1.0)) > 8.0 * error
-    assert found == pytest.approx(np.exp(-0.25), abs=4.0 * error)
+    result, error = memory(transient(200, 0.5 * PARTS.transient_rate_per_sqrt_s, 3, rate_hz), tau)
+    assert abs(result - np.exp(-1.0)) > 8.0 * error
+    assert result == pytest.approx(np.exp(-0.25), abs=4.0 * error)
 
 
 TRANSIENT = TransientDriver(7, 3, ("CX", "Cm"), (0.9, 0.9))
@@ -146,16 +146,16 @@ def test_a_flight_flies_the_transient_part_beside_everything_else(
     )
     with StagedMission(find_aircraft(transient_aircraft), find_script("loiter")) as mission:
         signals = record_mission(mission, spec, TRANSIENT_SIGNALS).signals
-    wanted = levels(TRANSIENT, 200, 0.01)
-    still = levels(moved, 200, 0.01) if moved is not None else np.full((200, 6), 0.5)
+    expected = levels(TRANSIENT, 200, 0.01)
+    steady = levels(moved, 200, 0.01) if moved is not None else np.full((200, 6), 0.5)
     for column, name in enumerate(COEFFICIENTS):
-        assert np.array_equal(signals[f"{name}_transient-level"][1:], wanted[:, column])
-        assert signals[f"{name}_transient-level"][0] == wanted[0, column]
-        assert np.array_equal(signals[f"{name}_level"][1:], still[:, column])
+        assert np.array_equal(signals[f"{name}_transient-level"][1:], expected[:, column])
+        assert signals[f"{name}_transient-level"][0] == expected[0, column]
+        assert np.array_equal(signals[f"{name}_level"][1:], steady[:, column])
     assert signals["CX_delta"][1:] == pytest.approx(
-        (still[:, 0] - 0.5) * 0.016 + 0.003 * wanted[:, 0], abs=1e-15
+        (steady[:, 0] - 0.5) * 0.016 + 0.003 * expected[:, 0], abs=1e-15
     )
-    assert signals["Cm_delta"][1:] == pytest.approx((still[:, 4] - 0.5) * 0.024, abs=1e-15)
+    assert signals["Cm_delta"][1:] == pytest.approx((steady[:, 4] - 0.5) * 0.024, abs=1e-15)
 
 
 @pytest.fixture(scope="module")
@@ -197,11 +197,11 @@ def test_gusts_keep_their_filters_and_get_other_noise():
     """
     parameters = dryden_parameters(22.0, 100.0, 15.4, 3.66)
     step = min(SPLIT.frame, PAGE_STEPS - 100)
-    own = DrydenGusts(parameters, 0.01, 5).page()
+    specific = DrydenGusts(parameters, 0.01, 5).page()
     other = DrydenGusts(parameters, 0.01, 5, splits=[Split(step, 3, 4, 1, 2)]).page()
-    np.testing.assert_array_equal(other[:, :step], own[:, :step])
-    assert (other[:, step + 1 :] != own[:, step + 1 :]).all()
+    np.testing.assert_array_equal(other[:, :step], specific[:, :step])
+    assert (other[:, step + 1 :] != specific[:, step + 1 :]).all()
     for k in range(4):
-        steps = np.abs(np.diff(own[k]))
+        steps = np.abs(np.diff(specific[k]))
         assert abs(other[k, step] - other[k, step - 1]) < 1.5 * steps.max()
-        assert abs(other[k, step] - own[k, step]) < 3.0 * steps.max()
+        assert abs(other[k, step] - specific[k, step]) < 3.0 * steps.max()

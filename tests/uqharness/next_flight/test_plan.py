@@ -200,7 +200,7 @@ def test_the_script_flies_and_the_redone_bounds_are_as_predicted(
     document = json.loads((out / "next-flight.json").read_text())
     labels = [n for n in pd.read_parquet(record)["manoeuvre"].unique() if n]
     assert set(labels) == {p["name"] for p in document["points"]}
-    both = tmp_path / "both"
+    pair = tmp_path / "both"
     arguments = [
         "bounds",
         "espaaro",
@@ -208,7 +208,7 @@ def test_the_script_flies_and_the_redone_bounds_are_as_predicted(
         str(first),
         str(record),
         "--out",
-        str(both),
+        str(pair),
         "--no-check",
         "--no-figures",
     ]
@@ -225,7 +225,7 @@ def test_the_script_flies_and_the_redone_bounds_are_as_predicted(
         str(out),
         "--json",
     ]
-    main([*arguments, "--redone", str(both / "model-form.json")])
+    main([*arguments, "--redone", str(pair / "model-form.json")])
     achieved = json.loads(capsys.readouterr().out)["achieved"]
     for c in ("CY", "Cn"):
         # At the sizes of today's parts; more manoeuvres make those surer as well, so that more goes
@@ -264,11 +264,11 @@ def test_the_table_holds_every_step(planned):
 
 
 @pytest.fixture(scope="module")
-def held() -> TestFlight:
+def fixed_plan() -> TestFlight:
     return TestFlight(find_aircraft("espaaro"), find_script("loiter"), True, 4.0, noise=False)
 
 
-def test_points_are_flown_as_they_are_written(held, tmp_path):
+def test_points_are_flown_as_they_are_written(fixed_plan, tmp_path):
     """Speed and bank at the start, the steps in the commands, and a safety pilot where a point goes
     wrong.
     """
@@ -282,10 +282,10 @@ def test_points_are_flown_as_they_are_written(held, tmp_path):
         ),
     ]
     path = tmp_path / "flight.parquet"
-    ok, _, _ = fly_points(held, points, 1, path)
+    ok, _, _ = fly_points(fixed_plan, points, 1, path)
     assert ok
     frame = pd.read_parquet(path)
-    timed, end_s = schedule(points, held.begin_s)
+    timed, end_s = schedule(points, fixed_plan.begin_s)
     assert frame["time_s"].iloc[-1] == pytest.approx(end_s, abs=0.05)
     parts = {p.kind: frame[frame["manoeuvre"] == p.name] for p in points}
     assert parts["doublet"]["time_s"].iloc[0] == pytest.approx(timed[1].start_s, abs=0.03)
@@ -305,16 +305,16 @@ def test_points_are_flown_as_they_are_written(held, tmp_path):
         assert {round(float(v), 4) for v in command - command[0]} == steps
 
 
-def test_a_point_that_leaves_what_may_be_flown_is_refused_and_the_rest_are_tried(held):
+def test_a_point_that_leaves_what_may_be_flown_is_refused_and_the_rest_are_tried(fixed_plan):
     wild = TestPoint("wild", (Steps("aileron", 24.0, 1.5),), Condition(22.0))
     calm = TestPoint("calm", (Steps("aileron", 3.0, 0.5),), Condition(22.0))
-    trials, refused = try_points(held, [wild, calm], {"phi_rad": (-0.9, 0.9)}, Cutoffs(), 1)
+    trials, refused = try_points(fixed_plan, [wild, calm], {"phi_rad": (-0.9, 0.9)}, Cutoffs(), 1)
     assert [t.point.kind for t in trials] == ["calm"]
     assert trials[0].states["p_radps"].max() > 0.1
     assert len(trials[0].states["p_radps"]) == len(trials[0].delta)
-    (bad,) = refused
-    assert bad.point.kind == "wild"
-    assert "phi_rad reaches" in bad.reason
+    (invalid,) = refused
+    assert invalid.point.kind == "wild"
+    assert "phi_rad reaches" in invalid.reason
 
 
 def test_an_aircraft_without_the_autopilot_gets_steps_on_top_of_its_mission(tmp_path):
@@ -366,17 +366,17 @@ def refused(capsys, *arguments: str) -> str:
 
 def test_what_cannot_be_answered_is_refused_with_what_to_do(campaign, bounds, tmp_path, capsys):
     out = ["--out", str(tmp_path / "next")]
-    good = [str(campaign), "--bounds", str(bounds), *out]
+    valid = [str(campaign), "--bounds", str(bounds), *out]
     assert "constant bounds of CY" in refused(capsys, str(campaign), *out)
     assert "not a campaign folder" in refused(capsys, str(tmp_path), *out)
-    assert "--metric nonsense" in refused(capsys, *good, "--metric", "nonsense")
-    assert "--minutes 0" in refused(capsys, *good, "--minutes", "0")
-    assert "--speeds fast" in refused(capsys, *good, "--speeds", "fast")
+    assert "--metric nonsense" in refused(capsys, *valid, "--metric", "nonsense")
+    assert "--minutes 0" in refused(capsys, *valid, "--minutes", "0")
+    assert "--speeds fast" in refused(capsys, *valid, "--speeds", "fast")
     assert "is no model form" in refused(
         capsys, str(campaign), "--bounds", str(campaign / "manifest.json"), *out
     )
     assert "no test point fits" in refused(
-        capsys, *good, "--minutes", "0.1", "--speeds", "22", "--cases", "1"
+        capsys, *valid, "--minutes", "0.1", "--speeds", "22", "--cases", "1"
     )
     form = json.loads(bounds.read_text())
     other = tmp_path / "other.json"
@@ -387,9 +387,9 @@ def test_what_cannot_be_answered_is_refused_with_what_to_do(campaign, bounds, tm
     row = form["coefficients"]["CY"]
     row |= {"terms": ["1"], "beta_hat": [0.0], "XtX_inv": [[1.0 / row["n"]]]}
     other.write_text(json.dumps(form))
-    said = refused(capsys, str(campaign), "--bounds", str(other), *out)
-    assert "the bounds of CY are constant" in said
-    assert "--order 2" in said
+    output = refused(capsys, str(campaign), "--bounds", str(other), *out)
+    assert "the bounds of CY are constant" in output
+    assert "--order 2" in output
     del form["coefficients"]["CY"]
     other.write_text(json.dumps(form))
     assert "has no bounds for CY" in refused(capsys, str(campaign), "--bounds", str(other), *out)
@@ -415,10 +415,10 @@ def test_the_campaigns_own_form_is_taken_where_it_flew_one(tmp_path, bounds, cap
         str(tmp_path / "next"),
     ]
     assert main([*arguments, "--json"]) == 1
-    found = json.loads(capsys.readouterr().out)
-    assert set(found["achieved"]) == set(read_model_form(bounds).coefficients)
-    assert found["achieved"]["CY"]["narrowing"] == 0.0
-    assert found["achieved"]["CY"]["predicted"] is None
+    result = json.loads(capsys.readouterr().out)
+    assert set(result["achieved"]) == set(read_model_form(bounds).coefficients)
+    assert result["achieved"]["CY"]["narrowing"] == 0.0
+    assert result["achieved"]["CY"]["predicted"] is None
     assert not (tmp_path / "next").exists()
     assert main(arguments) == 1
     assert "narrowing" in capsys.readouterr().out
@@ -438,7 +438,7 @@ def states(rng, n, speed=22.0):
     }
 
 
-def flown(n=2000, **more) -> Residuals:
+def simulate(n=2000, **more) -> Residuals:
     rng = np.random.default_rng(0)
     return Residuals(
         (ResidualPiece("m", 0.02 * np.arange(n), np.zeros((n, 6)), states(rng, n, **more)),),
@@ -457,21 +457,21 @@ STEADY = [trial(22.0)] * 4
 
 
 def test_more_data_narrow_and_endless_data_narrow_most():
-    few, many = (prospects(FORM, MISSION, flown(n), 0.2, STEADY) for n in (500, 20_000))
+    few, many = (prospects(FORM, MISSION, simulate(n), 0.2, STEADY) for n in (500, 20_000))
     for name in ("CZ", "Cm"):
         assert few[name].narrowing < many[name].narrowing <= many[name].at_most < 1.0
         assert few[name].parameter_narrowing < many[name].parameter_narrowing < 1.0
         assert many[name].current == widths_over(FORM, MISSION)[name]
         assert many[name].asymptotic.parameter == 0.0
-    nothing = prospects(FORM, MISSION, flown(500), 0.0, STEADY)
-    assert nothing["CZ"].parameter_narrowing == pytest.approx(0.0, abs=0.01)
+    empty = prospects(FORM, MISSION, simulate(500), 0.0, STEADY)
+    assert empty["CZ"].parameter_narrowing == pytest.approx(0.0, abs=0.01)
 
 
 def test_scatter_follows_the_speed_as_the_trials_do():
     trials = [trial(v) for v in np.linspace(16.0, 28.0, 40)]
-    slow, fast = (scatter_ratios(FORM, flown(speed=v), trials)["CZ"] for v in (18.0, 26.0))
+    slow, fast = (scatter_ratios(FORM, simulate(speed=v), trials)["CZ"] for v in (18.0, 26.0))
     assert slow / fast == pytest.approx((26.0 / 18.0) ** 4, rel=0.3)
-    assert scatter_ratios(FORM, flown(speed=18.0), STEADY) == {"CZ": 1.0, "Cm": 1.0}
+    assert scatter_ratios(FORM, simulate(speed=18.0), STEADY) == {"CZ": 1.0, "Cm": 1.0}
     # Bounds that do not know the speed cannot tell.
     blind = replace(
         FORM,
@@ -479,4 +479,4 @@ def test_scatter_follows_the_speed_as_the_trials_do():
             n: replace(b, states=("x", *b.states[1:])) for n, b in FORM.coefficients.items()
         },
     )
-    assert scatter_ratios(blind, flown(speed=18.0), trials)["CZ"] == 1.0
+    assert scatter_ratios(blind, simulate(speed=18.0), trials)["CZ"] == 1.0

@@ -135,8 +135,8 @@ def test_the_cursor_names_the_corner_behind_each_side(folder, page):
                 f"{c}{'+' if v else '−'}" for c, v in levels.items()
             )
     # Every corner that may be named is drawn under that name, unless none of its flights is known.
-    drawn = {e.get("data-corner") for e in figure.iter("path")} - {None}
-    assert {f"0.{k}" for k in (*box["at_least"], *box["at_most"])} & drawn
+    drawing = {e.get("data-corner") for e in figure.iter("path")} - {None}
+    assert {f"0.{k}" for k in (*box["at_least"], *box["at_most"])} & drawing
 
 
 def test_the_grid_says_what_the_statements_say(folder, page):

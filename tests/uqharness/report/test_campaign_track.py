@@ -29,13 +29,13 @@ FRAME = pd.DataFrame(
 def record(folder, case, radius=100.0):
     path = folder / "rerun" / case / "record.parquet"
     path.parent.mkdir(parents=True)
-    away = np.sin(TIME)
+    offset = np.sin(TIME)
     columns = {
         "time_s": TIME,
-        "north_m": (radius + away) * np.cos(ANGLE),
-        "east_m": (radius + away) * np.sin(ANGLE),
+        "north_m": (radius + offset) * np.cos(ANGLE),
+        "east_m": (radius + offset) * np.sin(ANGLE),
     }
-    pd.DataFrame(columns | {"error_cross_track": away}).to_parquet(path)
+    pd.DataFrame(columns | {"error_cross_track": offset}).to_parquet(path)
 
 
 def blocks(folder, frame=FRAME):

@@ -20,7 +20,7 @@ from uqharness.report.pages.flight import (
 TIME = np.linspace(0.0, 100.0, 1001)
 
 
-def drawn(columns, shades=(), flags=None):
+def draw(columns, shades=(), flags=None):
     sections = channel_sections({"time_s": TIME, **columns}, shades, flags or {}, ())
     return {s.title: {f.name: f for f in s.blocks[0].items} for s in sections}
 
@@ -28,12 +28,12 @@ def drawn(columns, shades=(), flags=None):
 def areas(figure, kind):
     """Left and right end of each area of that class, as shares of the axis."""
     svg = etree.fromstring(str(figure.svg))
-    left, _, width, _ = map(float, svg.get("data-plot").split(","))
-    found = [e.get("d") for e in svg.iter("path") if e.get("class") == f"band {kind}"]
+    remaining, _, width, _ = map(float, svg.get("data-plot").split(","))
+    result = [e.get("d") for e in svg.iter("path") if e.get("class") == f"band {kind}"]
     ends = []
-    for d in found:
+    for d in result:
         u = [float(p.split(" ")[0]) for p in d.strip("MZ").split("L")]
-        ends.append(((min(u) - left) / width, (max(u) - left) / width))
+        ends.append(((min(u) - remaining) / width, (max(u) - remaining) / width))
     return ends
 
 
@@ -53,7 +53,7 @@ def test_shown_signal_units(name, quantity, unit, factor):
 
 
 def test_shading_stands_at_its_time_with_its_number_where_there_is_room():
-    figure = drawn(
+    figure = draw(
         {"V_mps": TIME}, [Shade(20.0, 40.0, "fill1", "7"), Shade(50.0, 50.4, "fill1", "8")]
     )["Air data"]["channel-V_mps"]
     assert areas(figure, "fill1")[0] == pytest.approx((0.2, 0.4), abs=0.002)
@@ -63,24 +63,24 @@ def test_shading_stands_at_its_time_with_its_number_where_there_is_room():
 
 
 def test_a_flag_is_in_its_own_channel_and_said_in_the_caption():
-    found = drawn(
+    result = draw(
         {"V_mps": TIME, "alpha_rad": TIME},
         flags={"V_mps": [Flag("error stuck", ((30.0, 60.0),)), Flag("estimate")]},
     )
-    assert areas(found["Air data"]["channel-V_mps"], "fillbad") == [
+    assert areas(result["Air data"]["channel-V_mps"], "fillbad") == [
         pytest.approx((0.3, 0.6), abs=0.002)
     ]
-    assert "Findings: error stuck, estimate." in found["Air data"]["channel-V_mps"].caption
-    assert areas(found["Air data"]["channel-alpha_rad"], "fillbad") == []
-    assert "Findings" not in found["Air data"]["channel-alpha_rad"].caption
+    assert "Findings: error stuck, estimate." in result["Air data"]["channel-V_mps"].caption
+    assert areas(result["Air data"]["channel-alpha_rad"], "fillbad") == []
+    assert "Findings" not in result["Air data"]["channel-alpha_rad"].caption
 
 
 def test_what_stands_still_looks_so_and_what_is_nowhere_says_so():
-    found = drawn({"V_mps": 20.0 + 1e-9 * np.sin(TIME), "alpha_rad": np.full(1001, np.nan)})[
+    result = draw({"V_mps": 20.0 + 1e-9 * np.sin(TIME), "alpha_rad": np.full(1001, np.nan)})[
         "Air data"
     ]
-    svg = etree.fromstring(str(found["channel-V_mps"].svg))
+    svg = etree.fromstring(str(result["channel-V_mps"].svg))
     path = next(e.get("d") for e in svg.iter("path") if e.get("class") == "line first thin")
     heights = {p.split(" ")[1] for p in path.lstrip("M").split("L")}
     assert len(heights) == 1
-    assert "No finite value." in found["channel-alpha_rad"].caption
+    assert "No finite value." in result["channel-alpha_rad"].caption

@@ -21,8 +21,8 @@ def test_the_largest_difference_of_each_metric_and_what_was_excused():
         row("nearest_excursions_15m", ""),
         row("altitude_max_m", "1.0", "alike", part="start"),
     ]
-    said, note, table = engine_section("batch", [], rows).blocks
-    assert said.text == "Simulated in the batch engine."
+    output, note, table = engine_section("batch", [], rows).blocks
+    assert output.text == "Simulated in the batch engine."
     assert note.text.startswith("2 complete flights, ")
     assert isinstance(table, Table)
     assert table.rows == (

@@ -48,12 +48,12 @@ def test_flagged_channels(channel, names):
 def test_stretches_that_the_record_shows():
     speed = np.full(TIME.size, 20.0)
     speed[100:111], speed[500] = np.nan, 2000.0
-    found = record(V_mps=speed)
-    assert spans_of(finding("dropouts", "V_mps"), "V_mps", found) == (
+    result = record(V_mps=speed)
+    assert spans_of(finding("dropouts", "V_mps"), "V_mps", result) == (
         (pytest.approx(10.0), pytest.approx(11.0)),
     )
-    assert spans_of(finding("out-of-range", "V_mps"), "V_mps", found) == (
+    assert spans_of(finding("out-of-range", "V_mps"), "V_mps", result) == (
         (pytest.approx(50.0), pytest.approx(50.0)),
     )
-    assert spans_of(finding("negative-airspeed", "V_mps"), "V_mps", found) == ()
-    assert spans_of(finding("delay", "V_mps"), "V_mps", found) == ()
+    assert spans_of(finding("negative-airspeed", "V_mps"), "V_mps", result) == ()
+    assert spans_of(finding("delay", "V_mps"), "V_mps", result) == ()

@@ -19,15 +19,15 @@ from uqharness.report.ground_track import (
 TIME = np.arange(0.0, 200.0, 0.2)
 
 
-def lap(away, period_s=40.0, radius=120.0):
+def lap(offset, period_s=40.0, radius=120.0):
     """A flight around (10, 130) that is ``away`` from the circle."""
     angle = 2.0 * np.pi * TIME / period_s
-    r = radius + away
+    r = radius + offset
     return {
         "time_s": TIME,
         "north_m": 10.0 + r * np.cos(angle),
         "east_m": 130.0 + r * np.sin(angle),
-        "distance_m": away,
+        "distance_m": offset,
     }
 
 
@@ -56,9 +56,9 @@ def pair():
 
 
 def test_the_circle_is_found_from_where_the_distances_are_zero():
-    flown = lap(AWAY)
-    found = circle_of(flown["north_m"], flown["east_m"], flown["distance_m"])
-    assert (found.north_m, found.east_m, found.radius_m) == pytest.approx(
+    flight = lap(AWAY)
+    result = circle_of(flight["north_m"], flight["east_m"], flight["distance_m"])
+    assert (result.north_m, result.east_m, result.radius_m) == pytest.approx(
         (10.0, 130.0, 120.0), abs=1e-6
     )
 
@@ -101,16 +101,16 @@ def test_the_track_has_a_line_and_a_legend_for_every_flight():
 def test_the_lap_is_the_one_in_which_the_flights_are_farthest_apart():
     """Both flights go out by 20 m at 120 s, and differ by 3 m at 60 s."""
     other = AWAY + 3.0 * np.exp(-(((TIME - 60.0) / 4.0) ** 2))
-    found = lap_of(table(**{"before_nominal": lap(AWAY), "before_worst-corner": lap(other)}))
-    assert (found.at_s, found.apart_m) == (
+    result = lap_of(table(**{"before_nominal": lap(AWAY), "before_worst-corner": lap(other)}))
+    assert (result.at_s, result.apart_m) == (
         pytest.approx(60.0, abs=0.2),
         pytest.approx(3.0, abs=0.01),
     )
     # The course turns a little faster or slower than the circle where the distance changes.
-    assert found.end_s - found.begin_s == pytest.approx(40.0, abs=2.0)
-    assert found.begin_s < 60.0 < found.end_s
-    assert found.largest_m == pytest.approx(np.abs(other).max())
-    assert "in which the lines are 3 m apart" in ground_track("track", found, 15.0, "calm").caption
+    assert result.end_s - result.begin_s == pytest.approx(40.0, abs=2.0)
+    assert result.begin_s < 60.0 < result.end_s
+    assert result.largest_m == pytest.approx(np.abs(other).max())
+    assert "in which the lines are 3 m apart" in ground_track("track", result, 15.0, "calm").caption
     same = lap_of(table(**{"before_nominal": lap(AWAY), "before_worst-corner": lap(AWAY)}))
     assert same.at_s == pytest.approx(TIME[np.abs(AWAY).argmax()])
     assert (
@@ -119,12 +119,12 @@ def test_the_lap_is_the_one_in_which_the_flights_are_farthest_apart():
     )
 
 
-def columns_of(flown, sign=1.0):
+def columns_of(flight, sign=1.0):
     return {
         "time_s": TIME,
-        "north_m": flown["north_m"],
-        "east_m": flown["east_m"],
-        "cross_track_m": sign * flown["distance_m"],
+        "north_m": flight["north_m"],
+        "east_m": flight["east_m"],
+        "cross_track_m": sign * flight["distance_m"],
     }
 
 

@@ -32,7 +32,7 @@ def test_many_samples_make_no_large_page():
     assert f'data-corner="0.{cursor["at_least"][0]}"' in figure.svg
 
 
-def drawn(flights, factor=1.0, unknown=0):
+def draw_sample(flights, factor=1.0, unknown=0):
     draw = np.random.default_rng(2)
     return [
         Sample(f"s{k}", factor * (1.0 + k / 40.0) * draw.gamma(9.0, 0.3, size=flights), unknown)
@@ -41,23 +41,23 @@ def drawn(flights, factor=1.0, unknown=0):
 
 
 def test_the_smooth_box_keeps_failed_flights_and_a_band_that_holds_the_steps():
-    samples = drawn(40, unknown=10)
+    samples = draw_sample(40, unknown=10)
     box = pbox(samples)
     curve = smooth_pbox(samples, box, np.linspace(0.0, 30.0, 160))
     assert curve.lower[-1] == pytest.approx(0.8)
     assert curve.upper[0] == pytest.approx(0.2)
     assert 0.0 < smoothing_error(samples, curve) < 0.1
     places = np.searchsorted(box.value, curve.value, side="right") - 1
-    known = places >= 0
-    assert np.all(curve.band_lower[known] <= box.band_lower[places[known]] + 1e-12)
-    assert np.all(curve.band_upper[known] >= box.band_upper[places[known]] - 1e-12)
+    reference = places >= 0
+    assert np.all(curve.band_lower[reference] <= box.band_lower[places[reference]] + 1e-12)
+    assert np.all(curve.band_upper[reference] >= box.band_upper[places[reference]] - 1e-12)
 
 
 @pytest.mark.parametrize("names", [("",), ("after", "before")])
 def test_smooth_curves_are_drawn_without_steps_and_say_how_far_they_are_from_them(names):
     boxes = []
     for name in names:
-        samples = drawn(40, 1.5 if name == "before" else 1.0)
+        samples = draw_sample(40, 1.5 if name == "before" else 1.0)
         boxes.append(LabelledBox(name, pbox(samples), samples, {}, smooth=True))
     figure = pbox_figure("smooth", "error", "m", boxes, "Caption.")
     (inside,) = [e for e in etree.fromstring(str(figure.svg)).iter("g") if e.get("clip-path")]

@@ -68,11 +68,11 @@ LABELS = {
 @pytest.mark.parametrize("kind", DRAW)
 def test_it_draws_into_the_axes_given_and_names_its_units(kind):
     before = dict(matplotlib.rcParams)
-    ax, beside = Figure().subplots(1, 2)
+    ax, reference = Figure().subplots(1, 2)
     assert DRAW[kind](ax) is ax
     assert (ax.get_xlabel(), ax.get_ylabel()) == LABELS[kind]
     assert ax.has_data()
-    assert not beside.has_data()
+    assert not reference.has_data()
     assert dict(matplotlib.rcParams) == before
 
 
@@ -88,13 +88,13 @@ def test_bounds_are_those_of_the_slice_and_samples_those_near_it():
     bounds = FORM.coefficients["Cm"]
     k = bounds.states.index("alpha_rad")
     middle = bounds.hull.middle[:, 1]
-    near, far = middle.copy(), middle + 3.0 * bounds.scale
-    far[k] = middle[k]
-    states = {s: np.array([near[j], far[j]]) for j, s in enumerate(bounds.states)}
+    close, distant = middle.copy(), middle + 3.0 * bounds.scale
+    distant[k] = middle[k]
+    states = {s: np.array([close[j], distant[j]]) for j, s in enumerate(bounds.states)}
     residuals = SimpleNamespace(states=states, columns=lambda coefficient: [np.array([0.5, 0.5])])
     ax = plot_model_form(bounds, "alpha_rad", Figure().subplots(), "Cm", residuals)
     dots, lower = ax.lines[:2]
     assert dots.get_xdata() == pytest.approx([np.degrees(middle[k])])
-    along = {s: np.full(len(lower.get_xdata()), middle[j]) for j, s in enumerate(bounds.states)}
-    along["alpha_rad"] = np.radians(lower.get_xdata())
-    assert lower.get_ydata() == pytest.approx(bounds.bounds(along)[0])
+    axial = {s: np.full(len(lower.get_xdata()), middle[j]) for j, s in enumerate(bounds.states)}
+    axial["alpha_rad"] = np.radians(lower.get_xdata())
+    assert lower.get_ydata() == pytest.approx(bounds.bounds(axial)[0])

@@ -61,9 +61,9 @@ def test_lines_are_told_apart_without_colour():
 
 def test_a_point_lands_where_its_axes_put_it():
     chart = Chart("a", "label", Scale("x [m]", 0.0, 10.0), Scale("y [m]", -1.0, 1.0))
-    left, top, width, height = chart.plot
+    remaining, top, width, height = chart.plot
     u, v = chart.at(5.0, 0.5)
-    assert (float(u), float(v)) == pytest.approx((left + width / 2, top + height / 4))
+    assert (float(u), float(v)) == pytest.approx((remaining + width / 2, top + height / 4))
 
 
 def test_a_gap_in_the_data_is_a_gap_in_the_line():
@@ -79,17 +79,17 @@ def test_thinning_keeps_the_first_extremes_and_the_first_gap_of_each_bucket():
     y = rng.normal(size=5000).round(1)  # many equal values
     y[rng.integers(0, 5000, 300)] = math.nan
     y[1000:1100], y[3000] = math.nan, math.inf
-    x, kept = np.arange(5000.0), []
+    x, retained = np.arange(5000.0), []
     edges = np.linspace(0, 5000, 201).astype(int)
     for low, high in itertools.pairwise(edges):
         part = y[low:high].tolist()
-        known = [v for v in part if not math.isnan(v)]
-        wanted = [part.index(min(known)), part.index(max(known))] if known else []
+        reference = [v for v in part if not math.isnan(v)]
+        expected = [part.index(min(reference)), part.index(max(reference))] if reference else []
         gaps = [k for k, v in enumerate(part) if math.isnan(v)]
-        kept += [low + k for k in {*wanted, *gaps[:1]}]
+        retained += [low + k for k in {*expected, *gaps[:1]}]
     few, values = thin_line(x, y)
-    np.testing.assert_array_equal(few, sorted(kept))
-    np.testing.assert_array_equal(values, y[sorted(kept)])
+    np.testing.assert_array_equal(few, sorted(retained))
+    np.testing.assert_array_equal(values, y[sorted(retained)])
     assert few.size < np.unique(np.concatenate([few, x[::40]])).size  # not every 40th
 
 
@@ -120,9 +120,9 @@ def test_a_logarithmic_axis_has_decades_of_equal_length():
 
 
 def chart(name="a"):
-    drawn = Chart(name, "label", Scale("x [m]", 0.0, 1.0), Scale("y [m]", 0.0, 1.0))
-    drawn.line(np.array([0.0, 1.0]), np.array([0.0, 1.0]), "first", "words")
-    return drawn.svg()
+    drawing = Chart(name, "label", Scale("x [m]", 0.0, 1.0), Scale("y [m]", 0.0, 1.0))
+    drawing.line(np.array([0.0, 1.0]), np.array([0.0, 1.0]), "first", "words")
+    return drawing.svg()
 
 
 def test_a_file_stands_alone_in_light_colours_without_variables():

@@ -43,8 +43,8 @@ def test_a_file_holds_the_charts_of_the_page(tmp_path, kind):
     first = {path: path.read_bytes() for path in report.figures}
     for path in report.figures:
         assert labels(path)
-    drawn = {chart for path in report.figures for chart in labels(path)}
-    assert drawn <= {svg.get("aria-label") for svg in html.document_fromstring(page).iter("svg")}
+    drawing = {chart for path in report.figures for chart in labels(path)}
+    assert drawing <= {svg.get("aria-label") for svg in html.document_fromstring(page).iter("svg")}
     write_report(folder, figures=True)
     assert {path: path.read_bytes() for path in report.figures} == first
 

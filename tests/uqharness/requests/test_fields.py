@@ -97,7 +97,7 @@ def _values(model: type[Request], file: str) -> dict[str, Any]:
     return values | SOUND.get(model.command, {})
 
 
-def _wrong(info: Any) -> list[Any]:
+def _message_of(info: Any) -> list[Any]:
     """Return values that a field must refuse."""
     base = base_type(info.annotation)
     if "Path" in str(info.annotation) and base is not Path:
@@ -108,13 +108,13 @@ def _wrong(info: Any) -> list[Any]:
     if base in (float, int):
         low, above = _bound(info, "ge"), _bound(info, "gt")
         high, below = _bound(info, "le"), _bound(info, "lt")
-        beyond = [
+        outside = [
             *([low - 1] if low is not None else []),
             *([above] if above is not None else []),
             *([high + 1] if high is not None else []),
             *([below] if below is not None else []),
         ]
-        return ["abc", math.nan, *(int(x) if base is int else x for x in beyond)]
+        return ["abc", math.nan, *(int(x) if base is int else x for x in outside)]
     if base is bool:
         return ["yes", 2]
     if base is Path:
@@ -167,7 +167,7 @@ def test_documented_types_and_sentences():
 def test_a_wrong_value_gets_one_sentence_from_everywhere(words: str, name: str):
     model = MODELS[words]
     info, option = options_of(model)[name]
-    for value in _wrong(info):
+    for value in _message_of(info):
         message = _python(model, name, value)
         label, _, allowed = message.partition(": ")
         assert label.startswith(f"{name} = ")

@@ -38,44 +38,44 @@ def test_the_area_of_a_box_is_its_envelopes():
 
 
 def test_pairs_differ_in_one_parameter_alone():
-    found = pair_areas(np.sort(Y, axis=-1), 3)
+    result = pair_areas(np.sort(Y, axis=-1), 3)
     corners = np.array(np.unravel_index(np.arange(8), (2, 2, 2))).T
     for i in range(3):
         low = [k for k in range(8) if corners[k, i] == 0]
         for column, k in enumerate(low):
             other = k + 2 ** (2 - i)
             assert corners[other].sum() == corners[k].sum() + 1
-            assert found[i, column] == pytest.approx(stats.wasserstein_distance(Y[k], Y[other]))
+            assert result[i, column] == pytest.approx(stats.wasserstein_distance(Y[k], Y[other]))
     # In another order of the corners the pairs are others.
-    assert not np.allclose(found, pair_areas(np.sort(Y[[1, 0, 3, 2, 5, 4, 6, 7]], axis=-1), 3))
+    assert not np.allclose(result, pair_areas(np.sort(Y[[1, 0, 3, 2, 5, 4, 6, 7]], axis=-1), 3))
 
 
 def test_envelopes_with_a_parameter_fixed():
-    whole, found = envelope_areas(np.sort(Y, axis=-1), 3)
-    assert whole == pytest.approx(envelope(Y))
-    assert found[0] == pytest.approx([envelope(Y[:4]), envelope(Y[4:])])
-    assert found[1] == pytest.approx([envelope(Y[[0, 1, 4, 5]]), envelope(Y[[2, 3, 6, 7]])])
-    assert found[2] == pytest.approx([envelope(Y[::2]), envelope(Y[1::2])])
+    complete, result = envelope_areas(np.sort(Y, axis=-1), 3)
+    assert complete == pytest.approx(envelope(Y))
+    assert result[0] == pytest.approx([envelope(Y[:4]), envelope(Y[4:])])
+    assert result[1] == pytest.approx([envelope(Y[[0, 1, 4, 5]]), envelope(Y[[2, 3, 6, 7]])])
+    assert result[2] == pytest.approx([envelope(Y[::2]), envelope(Y[1::2])])
 
 
 BOX = {"a": (0.0, 2.0), "b": (-1.0, 1.0)}
 
 
 def scattered(model, **more):
-    made = run_study(
+    result = run_study(
         model, BOX, {"w": stats.norm(0.0, 1.0)}, samples=128, draws=8, methods=("scatter",)
     )
-    return scatter(made, made.outputs["output"], **more), made
+    return scatter(result, result.outputs["output"], **more), result
 
 
 def test_the_interval_joins_the_robust_error_and_the_widths():
-    found, made = scattered(lambda a, b, w: 3.0 * a + b**3 + 0.3 * w)
-    y = made.outputs["output"].sampled
+    result, output = scattered(lambda a, b, w: 3.0 * a + b**3 + 0.3 * w)
+    y = output.outputs["output"].sampled
     area = box_area(y)
-    fit = sm.OLS(y.mean(axis=1), sm.add_constant(made.theta[:, 0])).fit(cov_type="HC1")
+    fit = sm.OLS(y.mean(axis=1), sm.add_constant(output.theta[:, 0])).fit(cov_type="HC1")
     width = reach_of_box(lambda e, a: np.log(box_area(y[np.ix_(e, a)])), y.shape, 0)
-    half = np.hypot(Z * fit.bse[1] * 2.0 / area, found.indices["a"].value * width)
-    assert found.indices["a"].high - found.indices["a"].value == pytest.approx(half, rel=1e-6)
+    half = np.hypot(Z * fit.bse[1] * 2.0 / area, result.indices["a"].value * width)
+    assert result.indices["a"].high - result.indices["a"].value == pytest.approx(half, rel=1e-6)
 
 
 def test_lines_that_explain_and_lines_that_do_not():
@@ -110,13 +110,13 @@ def corners(rng, draws=24, share=0.3):
 def test_the_band_holds_for_all_pairs_at_once():
     rng = np.random.default_rng(2)
     truth = np.array([[2.0, 2.0], [1.0, 1.0]]) / 3.0
-    held = 0
+    constant = 0
     for seed in range(40):
         band = pair_band(corners(rng), 2, seed, resamples=60)
-        held += bool(((band.low[:, :2] <= truth) & (truth <= band.high[:, :2])).all())
+        constant += bool(((band.low[:, :2] <= truth) & (truth <= band.high[:, :2])).all())
         assert (band.low <= band.index + 1e-12).all()
         assert (band.index <= band.high + 1e-12).all()
-    assert held >= 36
+    assert constant >= 36
 
 
 def test_corners_that_do_not_differ_are_not_said_to():
@@ -153,7 +153,7 @@ def test_ties_in_skewed_air_are_seldom_called_certain():
 )
 def test_pinching_holds_where_samples_fill_the_corners_p_box_and_stay_within(model, samples, words):
     unit = {"a": (0.0, 1.0), "b": (0.0, 1.0)}
-    made = run_study(model, unit, samples=samples, draws=1, methods=("pbox", "proposed"))
-    found = pinching(made, made.outputs["output"])
-    assert found.holds is (words is None)
-    assert words is None or words in found.statement
+    output = run_study(model, unit, samples=samples, draws=1, methods=("pbox", "proposed"))
+    result = pinching(output, output.outputs["output"])
+    assert result.holds is (words is None)
+    assert words is None or words in result.statement

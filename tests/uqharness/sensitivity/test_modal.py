@@ -34,8 +34,8 @@ def test_modes_of_a_matrix_made_from_them(slow, fast):
     companion = np.diag(np.ones(3), -1)
     companion[0] = -coefficients[1:]
     turn = np.random.default_rng(0).standard_normal((4, 4))
-    found = longitudinal_modes(turn @ companion @ np.linalg.inv(turn))
-    assert found == pytest.approx((*slow, *fast), rel=1e-6)
+    result = longitudinal_modes(turn @ companion @ np.linalg.inv(turn))
+    assert result == pytest.approx((*slow, *fast), rel=1e-6)
 
 
 def test_a_pair_with_one_unstable_root_has_no_frequency():

@@ -57,23 +57,28 @@ def test_a_clear_lead_is_certain():
     ],
 )
 def test_rivals_by_ranges_and_by_sampling(ranges, lead, by_ranges, by_sampling):
-    made = result(ranges, lead)
-    found = rank(made)
-    assert (found.first, found.by_ranges, found.by_sampling, found.certain) == (
+    output = result(ranges, lead)
+    outcome = rank(output)
+    assert (outcome.first, outcome.by_ranges, outcome.by_sampling, outcome.certain) == (
         "b",
         by_ranges,
         by_sampling,
         False,
     )
-    assert "Not certain: " in words(made, "m", found, 0, 20)
+    assert "Not certain: " in words(output, "m", outcome, 0, 20)
 
 
 @pytest.mark.parametrize("low", [0.0, math.nan])
 def test_a_shrinkage_that_may_be_nothing_is_never_certain(low):
-    made = result({"a": (0.1, 0.2), "b": (0.6, 0.7)}, [[0.0, -0.5], [0.3, 0.0]], shrink_low=low)
-    found = rank(made)
-    assert (found.first, found.by_ranges, found.by_sampling, found.certain) == ("b", (), (), False)
-    text = words(made, "m", found, 0, 8)
+    output = result({"a": (0.1, 0.2), "b": (0.6, 0.7)}, [[0.0, -0.5], [0.3, 0.0]], shrink_low=low)
+    outcome = rank(output)
+    assert (outcome.first, outcome.by_ranges, outcome.by_sampling, outcome.certain) == (
+        "b",
+        (),
+        (),
+        False,
+    )
+    text = words(output, "m", outcome, 0, 8)
     assert "Not certain: by the sampling error of 8 flights b may have no effect." in text
     assert "Certain" not in text
 
@@ -81,7 +86,7 @@ def test_a_shrinkage_that_may_be_nothing_is_never_certain(low):
 VALUES = np.array([0.2, 0.35, 0.3, 0.27])
 
 
-def once(value, other=None) -> Sensitivity:
+def run_once(value, other=None) -> Sensitivity:
     index = Index(value, 0.0, 1.0)
     pairs = PairRange(index, Index(2.0 * value, 0.0, 1.0))
     single = {"a": index, "b": other or index}
@@ -96,21 +101,21 @@ def once(value, other=None) -> Sensitivity:
 
 
 def test_the_interval_is_that_of_the_mean():
-    found = average([once(v) for v in VALUES])["y"]["anova"]
+    outcome = average([run_once(v) for v in VALUES])["y"]["anova"]
     low, high = stats.t.interval(0.95, 3, VALUES.mean(), stats.sem(VALUES))
-    index = found.indices["a"]
+    index = outcome.indices["a"]
     assert (index.value, index.low, index.high) == pytest.approx((VALUES.mean(), low, high))
-    assert found.details["std_of_one_run"] == pytest.approx([VALUES.std(ddof=1)] * 2)
-    assert (found.runs, found.details["repeats"]) == (40, 4)
+    assert outcome.details["std_of_one_run"] == pytest.approx([VALUES.std(ddof=1)] * 2)
+    assert (outcome.runs, outcome.details["repeats"]) == (40, 4)
     # One more repeat far away widens it.
-    wider = average([once(v) for v in [*VALUES, 0.9]])["y"]["anova"].indices["a"]
+    wider = average([run_once(v) for v in [*VALUES, 0.9]])["y"]["anova"].indices["a"]
     assert wider.high - wider.low > high - low
 
 
 def test_undefined_once_is_undefined_and_one_run_is_no_repeat():
-    found = average([once(0.2), once(0.3, undefined("no width"))])["y"]["anova"]
-    assert found.indices["b"].reason == "no width"
-    assert np.isnan(found.indices["b"].value)
-    assert found.indices["a"].value == pytest.approx(0.25)
+    outcome = average([run_once(0.2), run_once(0.3, undefined("no width"))])["y"]["anova"]
+    assert outcome.indices["b"].reason == "no width"
+    assert np.isnan(outcome.indices["b"].value)
+    assert outcome.indices["a"].value == pytest.approx(0.25)
     with pytest.raises(BadInputError, match="at least two"):
-        average([once(0.2)])
+        average([run_once(0.2)])

@@ -112,9 +112,9 @@ def of_ishigami():
 def test_ishigami_total_effects(of_ishigami):
     by_x1 = 0.5 * (1 + B * PI**4 / 5) ** 2
     by_x2 = A**2 / 8
-    together = B**2 * PI**8 * (1 / 18 - 1 / 50)
-    variance = by_x1 + by_x2 + together
-    exact = {"x1": (by_x1 + together) / variance, "x2": by_x2 / variance, "x3": together / variance}
+    joint = B**2 * PI**8 * (1 / 18 - 1 / 50)
+    variance = by_x1 + by_x2 + joint
+    exact = {"x1": (by_x1 + joint) / variance, "x2": by_x2 / variance, "x3": joint / variance}
     assert values(of_ishigami["anova"]) == pytest.approx(exact, abs=0.03)
     assert of_ishigami["anova"].details["first_order"][2] == pytest.approx(0.0, abs=0.04)
 
@@ -138,8 +138,8 @@ def test_ishigami_scatter_says_its_lines_explain_little(of_ishigami):
 def test_ishigami_pinching(of_ishigami):
     # Range: sin x1 (1 + B x3^4) + 7 sin^2 x2 lies in [-(1+B pi^4), 1+B pi^4+7]; x1 = 0 leaves 7, x2
     # = 0 takes 7, x3 = 0 leaves 9.
-    whole = 2 * (1 + B * PI**4) + A
-    exact = {"x1": 1 - A / whole, "x2": A / whole, "x3": 1 - 9 / whole}
+    complete = 2 * (1 + B * PI**4) + A
+    exact = {"x1": 1 - A / complete, "x2": A / complete, "x3": 1 - 9 / complete}
     assert values(of_ishigami["pbox"]) == pytest.approx(exact, abs=0.05)
 
 
@@ -151,26 +151,26 @@ def test_ishigami_corners_are_all_equal_so_their_shares_are_undefined_with_a_rea
 
 
 def test_product_pairs_depend_on_the_other_factor():
-    found = run(lambda a, b: a * b, {"a": (1.0, 3.0), "b": (2.0, 3.0)})
+    result = run(lambda a, b: a * b, {"a": (1.0, 3.0), "b": (2.0, 3.0)})
     # Corners 2, 3, 6, 9: widths of a at b = 2, 3: 4, 6; of b at a = 1, 3: 1, 3; envelope 7.
-    a, b = (found["proposed"].indices[name] for name in "ab")
+    a, b = (result["proposed"].indices[name] for name in "ab")
     assert sorted(a.pairs) == pytest.approx([4 / 7, 6 / 7])
     assert (b.minimum.value, b.maximum.value) == pytest.approx((1 / 7, 3 / 7))
     # Fixed at its bounds: a leaves 1 or 3 of 7, b leaves 4 or 6.
-    assert found["proposed"].details["shrink_min"] == pytest.approx([4 / 7, 1 / 7])
-    assert found["proposed"].details["shrink_max"] == pytest.approx([6 / 7, 3 / 7])
+    assert result["proposed"].details["shrink_min"] == pytest.approx([4 / 7, 1 / 7])
+    assert result["proposed"].details["shrink_max"] == pytest.approx([6 / 7, 3 / 7])
     # Var ab = Va Vb + Va mb^2 + Vb ma^2 with Va = 1/3, Vb = 1/12, ma = 2, mb = 2.5
     va, vb = 1 / 3, 1 / 12
     variance = va * vb + va * 2.5**2 + vb * 4
     exact = {"a": (va * 2.5**2 + va * vb) / variance, "b": (vb * 4 + va * vb) / variance}
-    assert values(found["anova"]) == pytest.approx(exact, abs=0.05)
-    assert found["anova"].details["total_sum"] > 1.0
-    area = found["local"].details["area"]
-    assert values(found["local"]) == pytest.approx({"a": 2 * 2.5 / area, "b": 2.0 / area})
-    assert values(found["scatter"]) == pytest.approx(
+    assert values(result["anova"]) == pytest.approx(exact, abs=0.05)
+    assert result["anova"].details["total_sum"] > 1.0
+    area = result["local"].details["area"]
+    assert values(result["local"]) == pytest.approx({"a": 2 * 2.5 / area, "b": 2.0 / area})
+    assert values(result["scatter"]) == pytest.approx(
         {"a": 2 * 2.5 / area, "b": 2.0 / area}, abs=0.05
     )
-    assert found["pbox"].indices["a"].value == pytest.approx(1 - 2 / 7, abs=0.07)
+    assert result["pbox"].indices["a"].value == pytest.approx(1 - 2 / 7, abs=0.07)
 
 
 def test_a_monotone_curve_satisfies_the_corners_and_a_bump_does_not():
@@ -186,10 +186,10 @@ def test_a_monotone_curve_satisfies_the_corners_and_a_bump_does_not():
 
 
 def test_a_model_without_any_effect_is_undefined_in_all_five():
-    found = run(
+    outcome = run(
         lambda a, b, m: 0.0 * a + m, {"a": (0.0, 1.0), "b": (0.0, 1.0)}, {"m": stats.norm(3.0, 0.2)}
     )
-    for result in found.values():
+    for result in outcome.values():
         for index in result.indices.values():
             assert index.reason
             assert index.as_dict()["value"] in (None, [None, None])
@@ -201,10 +201,10 @@ def test_outputs_that_are_not_finite_make_the_index_undefined_and_are_counted():
     def fails_high(a, b):
         return np.where(a > 0.95, np.nan, a + b)
 
-    found = run(fails_high, {"a": (0.0, 1.0), "b": (0.0, 1.0)})
-    assert "4 of 4" not in found["proposed"].statement
-    assert "2 of 4 corners runs gave no finite value" in found["proposed"].statement
-    assert all(math.isnan(index.value) for index in found["anova"].indices.values())
+    result = run(fails_high, {"a": (0.0, 1.0), "b": (0.0, 1.0)})
+    assert "4 of 4" not in result["proposed"].statement
+    assert "2 of 4 corners runs gave no finite value" in result["proposed"].statement
+    assert all(math.isnan(index.value) for index in result["anova"].indices.values())
 
 
 def test_anova_agrees_with_scipys_own_estimator():
@@ -214,8 +214,8 @@ def test_anova_agrees_with_scipys_own_estimator():
     runs = study.outputs["output"]
     f_A, f_B, f_AB = runs.sampled[:, 0], runs.second[:, 0], runs.mixed[:, :, 0]
     by_hand = [np.mean((f_A - f) ** 2) / 2.0 / np.var(np.concatenate([f_A, f_B])) for f in f_AB]
-    found = sensitivity.analyse(study, ("anova",))["output"]["anova"]
-    assert list(values(found).values()) == pytest.approx(by_hand)
+    result = sensitivity.analyse(study, ("anova",))["output"]["anova"]
+    assert list(values(result).values()) == pytest.approx(by_hand)
 
 
 def test_a_models_named_outputs_and_scalar_models():
@@ -225,10 +225,10 @@ def test_a_models_named_outputs_and_scalar_models():
     study = sensitivity.run_study(
         scalar, {"a": (0.0, 1.0)}, NOISE, samples=32, draws=8, vectorised=False
     )
-    found = sensitivity.analyse(study)
-    assert set(found.results) == {"double", "sum"}
-    assert found["double"]["proposed"].indices["a"].maximum.value == pytest.approx(1.0)
-    assert "double" in found.text()
+    result = sensitivity.analyse(study)
+    assert set(result.results) == {"double", "sum"}
+    assert result["double"]["proposed"].indices["a"].maximum.value == pytest.approx(1.0)
+    assert "double" in result.text()
     with pytest.raises(BadInputError, match="different outputs"):
         sensitivity.run_study(
             lambda a: {"x": a} if a < 0.5 else {"z": a}, {"a": (0, 1)}, samples=32, vectorised=False
@@ -284,14 +284,14 @@ def test_scatter_intervals_cover_the_mean_over_repeats():
         for seed in range(REPEATS)
     ]
     for name in "ab":
-        mean = np.mean([found.indices[name].value for found in study])
+        mean = np.mean([result.indices[name].value for result in study])
         inside = np.mean(
-            [found.indices[name].low <= mean <= found.indices[name].high for found in study]
+            [result.indices[name].low <= mean <= result.indices[name].high for result in study]
         )
         assert inside >= 0.88
         # An interval that covers because it says nothing would pass too.
         assert (
-            np.mean([found.indices[name].high - found.indices[name].low for found in study])
+            np.mean([result.indices[name].high - result.indices[name].low for result in study])
             < 0.5 * mean + 0.3
         )
 
@@ -302,14 +302,14 @@ def test_pinching_intervals_cover_the_mean_over_repeats():
         for s in range(REPEATS)
     ]
     for name in "abc":
-        mean = np.mean([found.indices[name].value for found in study])
+        mean = np.mean([result.indices[name].value for result in study])
         inside = np.mean(
-            [found.indices[name].low <= mean <= found.indices[name].high for found in study]
+            [result.indices[name].low <= mean <= result.indices[name].high for result in study]
         )
         assert inside >= 0.9
 
 
-def corner_flights(draws, rng, own):
+def corner_flights(draws, rng, specific):
     """Eight corners with a share that interacts, a weak one, a shared spread, and noise of each
     corner's own.
     """
@@ -318,20 +318,20 @@ def corner_flights(draws, rng, own):
     return (
         base[:, None]
         + rng.gamma(2.0, 0.3, draws) * (1 + 0.3 * b[:, None])
-        + own * rng.normal(size=(8, draws))
+        + specific * rng.normal(size=(8, draws))
     )
 
 
-@pytest.mark.parametrize(("own", "draws"), few([(0.0, 8), (0.1, 8), (0.4, 32)], 1))
-def test_pair_intervals_cover_both_ends_from_few_draws(own, draws):
+@pytest.mark.parametrize(("specific", "draws"), few([(0.0, 8), (0.1, 8), (0.4, 32)], 1))
+def test_pair_intervals_cover_both_ends_from_few_draws(specific, draws):
     truth = pair_band(
-        corner_flights(100_000, np.random.default_rng(1), own), 3, seed=0, resamples=0
+        corner_flights(100_000, np.random.default_rng(1), specific), 3, seed=0, resamples=0
     ).index[:, :-2]
     ends = truth.min(axis=1), truth.max(axis=1)
     inside = 0
     for seed in range(REPEATS):
         band = pair_band(
-            corner_flights(draws, np.random.default_rng(100 + seed), own), 3, seed=seed
+            corner_flights(draws, np.random.default_rng(100 + seed), specific), 3, seed=seed
         )
         low, high = band.low[:, :-2], band.high[:, :-2]
         inside += np.all(
@@ -392,14 +392,14 @@ UNIT_ARRAY_ARCHIVE = {"a": (0.0, 1.0), "b": (0.0, 1.0)}
 @pytest.fixture
 def study(tmp_path):
     """Arrays of a sound study's file by member."""
-    made = sensitivity.run_study(
+    result = sensitivity.run_study(
         lambda a, b, w: a + b * w,
         UNIT_ARRAY_ARCHIVE,
         {"w": stats.norm(0.0, 1.0)},
         samples=16,
         draws=8,
     )
-    sensitivity.write_study(made, tmp_path / "sound.npz")
+    sensitivity.write_study(result, tmp_path / "sound.npz")
     with zipfile.ZipFile(tmp_path / "sound.npz") as archive:
         return {name: archive.read(name) for name in archive.namelist()}
 
@@ -469,12 +469,12 @@ def test_a_damaged_archive_is_refused_or_gives_the_same_arrays(study, tmp_path):
         damaged[place] ^= 0x41
         (tmp_path / "damaged.npz").write_bytes(damaged)
         try:
-            found = problem.read_arrays(tmp_path / "damaged.npz")
+            result = problem.read_arrays(tmp_path / "damaged.npz")
         except BadInputError:
             refused += 1
             continue
         # A name may be the damaged part; what an array holds may not.
-        assert sorted(v.tobytes() for v in found.values()) == sorted(
+        assert sorted(v.tobytes() for v in result.values()) == sorted(
             v.tobytes() for v in sound.values()
         )
     assert refused > 50

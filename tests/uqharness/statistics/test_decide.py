@@ -39,24 +39,24 @@ def draw(generator, rates, flights, dispersion):
     return (dispersion * clusters).astype(float)
 
 
-def decide(counts, asked, look_every=LOOK):
+def decide(counts, request, look_every=LOOK):
     evidence = begin(counts.shape[0])
     for first in range(0, counts.shape[1], look_every):
         block = np.where(evidence.open[:, None], counts[:, first : first + look_every], np.nan)
-        evidence = decide_cell(add(evidence, asked, block, block), asked)
+        evidence = decide_cell(add(evidence, request, block, block), request)
         if not evidence.open.any():
             break
     return close(evidence)
 
 
-def errors(truth, dispersion, asked, campaigns=1500, flights=400, seed=11):
+def errors(truth, dispersion, request, campaigns=1500, flights=400, seed=11):
     """Shares of campaigns that said yes and no; each corner of one cell is a campaign of
     its own.
     """
     generator = np.random.default_rng(seed)
-    found = decide(draw(generator, np.full(campaigns, truth), flights, dispersion), asked)
-    return np.mean([answer == YES for answer in found.answers]), np.mean(
-        [answer == NO for answer in found.answers]
+    result = decide(draw(generator, np.full(campaigns, truth), flights, dispersion), request)
+    return np.mean([answer == YES for answer in result.answers]), np.mean(
+        [answer == NO for answer in result.answers]
     )
 
 
@@ -66,22 +66,22 @@ def test_it_errs_no_more_often_than_stated_right_at_the_threshold(dispersion):
 
     Looked at 40 times.
     """
-    asked = question(dispersion=dispersion, every_corner=True)
+    request = question(dispersion=dispersion, every_corner=True)
     chance = 2.0 * np.sqrt(0.05 * 0.95 / 1500)
-    assert errors(0.1001, dispersion, asked)[0] <= 0.05 + chance
-    assert errors(0.0999, dispersion, asked)[1] <= 0.05 + chance
+    assert errors(0.1001, dispersion, request)[0] <= 0.05 + chance
+    assert errors(0.0999, dispersion, request)[1] <= 0.05 + chance
     # Far from it the answer comes, and is right.
-    assert errors(0.5 if dispersion < 8 else 2.0, dispersion, asked)[1] > 0.95
+    assert errors(0.5 if dispersion < 8 else 2.0, dispersion, request)[1] > 0.95
 
 
 def test_many_corners_a_little_below_do_not_add_up_to_a_no():
     """What the mean of the evidence is for: 16 corners at once, wrong no more often than one."""
     generator = np.random.default_rng(11)
-    asked = question(dispersion=2.0)
-    found = [
-        decide(draw(generator, np.full(16, 0.0999), 150, 2.0), asked, 30).cell for _ in range(120)
+    request = question(dispersion=2.0)
+    result = [
+        decide(draw(generator, np.full(16, 0.0999), 150, 2.0), request, 30).cell for _ in range(120)
     ]
-    assert found.count(NO) / 120 <= 0.05 + 2.0 * np.sqrt(0.05 * 0.95 / 120)
+    assert result.count(NO) / 120 <= 0.05 + 2.0 * np.sqrt(0.05 * 0.95 / 120)
 
 
 def test_allowing_for_less_dispersion_than_there_is_errs():
@@ -97,27 +97,27 @@ def test_allowing_for_less_dispersion_than_there_is_errs():
 def test_it_needs_a_fifth_of_the_published_hours_at_most(dispersion, cells, saving):
     """All 24 cells of the published table against 500 h each; ``cells`` share the error rate."""
     generator = np.random.default_rng(14)
-    asked = question(error=0.05 / cells, dispersion=dispersion)
-    flown, wrong = 0.0, []
+    request = question(error=0.05 / cells, dispersion=dispersion)
+    flight, invalid = 0.0, []
     for row in PUBLISHED:
         for worst in row:
-            found = decide(draw(generator, corner_rates(worst), MOST, dispersion), asked)
-            flown += found.flights.sum()
-            if found.cell != OPEN and (found.cell == YES) != (worst <= 0.1):
-                wrong.append(worst)
+            result = decide(draw(generator, corner_rates(worst), MOST, dispersion), request)
+            flight += result.flights.sum()
+            if result.cell != OPEN and (result.cell == YES) != (worst <= 0.1):
+                invalid.append(worst)
             if worst == 0.0:
-                assert found.cell == YES
+                assert result.cell == YES
             if worst > 0.8:
-                assert found.cell == NO
-    assert not wrong
-    assert 24 * CORNERS * MOST / flown >= saving >= 5.0
+                assert result.cell == NO
+    assert not invalid
+    assert 24 * CORNERS * MOST / flight >= saving >= 5.0
 
 
 def test_a_single_bad_corner_answers_for_its_cell_and_good_ones_land_early():
     counts = np.zeros((4, 200))
     counts[2] = 1.0
-    found = decide(counts, question())
-    assert (found.cell, found.flights.max()) == (NO, LOOK)
+    result = decide(counts, question())
+    assert (result.cell, result.flights.max()) == (NO, LOOK)
     each = decide(counts, question(every_corner=True))
     assert (each.cell, each.answers) == (NO, (YES, YES, NO, YES))
     assert each.flights[0] > each.flights[2]
@@ -126,21 +126,21 @@ def test_a_single_bad_corner_answers_for_its_cell_and_good_ones_land_early():
 def test_what_lies_within_the_zone_is_left_open_before_the_flights_are_used_up():
     generator = np.random.default_rng(15)
     wide = Question(0.1, (0.04, 0.25), 1.0, 0.05)
-    found = [decide(draw(generator, np.full(2, 0.1), 2000, 1.0), wide, 20) for _ in range(20)]
-    within = [item for item in found if item.reason == "within the indifference zone"]
-    assert len(within) >= 12
-    assert all(item.cell == OPEN and item.flights.max() < 2000 for item in within)
+    result = [decide(draw(generator, np.full(2, 0.1), 2000, 1.0), wide, 20) for _ in range(20)]
+    inside = [item for item in result if item.reason == "within the indifference zone"]
+    assert len(inside) >= 12
+    assert all(item.cell == OPEN and item.flights.max() < 2000 for item in inside)
     tired = decide(draw(generator, np.full(2, 0.1), 40, 1.0), question())
     assert (tired.cell, tired.reason, tired.flights.max()) == (OPEN, "all flights flown", 40)
 
 
 def test_failed_flights_count_against_yes_and_not_for_no():
-    asked = question()
+    request = question()
     zero, failed = np.zeros((1, 80)), np.zeros((1, 80))
-    assert decide_cell(add(begin(1), asked, zero, zero), asked).cell == YES
+    assert decide_cell(add(begin(1), request, zero, zero), request).cell == YES
     failed[0, :20] = 1.0
-    assert decide_cell(add(begin(1), asked, zero, failed), asked).cell == ""
-    assert decide_cell(add(begin(1), asked, failed, failed), asked).cell == NO
+    assert decide_cell(add(begin(1), request, zero, failed), request).cell == ""
+    assert decide_cell(add(begin(1), request, failed, failed), request).cell == NO
 
 
 def test_observed_dispersion_takes_over_where_it_is_larger():

@@ -42,7 +42,7 @@ def test_envelope_of_two_known_steps():
 
 
 def test_failures_widen_and_are_never_dropped():
-    whole = pbox([sample("a", [1, 2, 3, 4])])
+    complete = pbox([sample("a", [1, 2, 3, 4])])
     failed = pbox([sample("a", [1, 2, 3], unknown=1)])
     assert failed.lower.tolist() == [0.25, 0.5, 0.75]
     assert failed.upper.tolist() == [0.5, 0.75, 1.0]
@@ -55,7 +55,7 @@ def test_failures_widen_and_are_never_dropped():
     # Counter-case: dropping it would claim what nobody saw.
     dropped = pbox([sample("a", [1, 2, 3])])
     assert dropped.lower[-1] == 1.0 > failed.lower[-1]
-    assert whole.lower[-1] == 1.0
+    assert complete.lower[-1] == 1.0
 
 
 def test_thinning_keeps_rows_exact_and_both_ends():
@@ -114,15 +114,15 @@ def test_the_band_covers_the_true_envelope_also_when_the_worst_flights_fail(camp
     flights, covered, dropped = 40, 0, 0
     for _ in range(campaigns):
         common = generator.random(flights)
-        known = [common[common < 0.5] + shift for shift in shifts]
+        reference = [common[common < 0.5] + shift for shift in shifts]
         boxes = [
             pbox(
                 [
                     sample(str(s), values, unknown)
-                    for s, values, unknown in zip(shifts, known, lost, strict=True)
+                    for s, values, unknown in zip(shifts, reference, is_lost, strict=True)
                 ]
             )
-            for lost in ([flights - values.size for values in known], [0] * 4)
+            for is_lost in ([flights - values.size for values in reference], [0] * 4)
         ]
         inside = []
         for box in boxes:
@@ -145,12 +145,12 @@ def test_every_corner_is_within_the_band_at_once_which_needs_bonferroni():
     """
     generator = np.random.default_rng(7)
     corners, flights, campaigns = 64, 20, 300
-    together, alone = band_half_width(flights, corners, 0.95), band_half_width(flights, 1, 0.95)
+    joint, single = band_half_width(flights, corners, 0.95), band_half_width(flights, 1, 0.95)
     values = np.sort(generator.random((campaigns, corners, flights)), axis=2)
     steps = np.arange(1, flights + 1) / flights
     distance = np.maximum(steps - values, values - steps + 1 / flights).max(axis=(1, 2))
-    assert np.mean(distance <= together) >= 0.95 - 0.025
-    assert np.mean(distance <= alone) < 0.2
+    assert np.mean(distance <= joint) >= 0.95 - 0.025
+    assert np.mean(distance <= single) < 0.2
 
 
 def test_exact_poisson_limits_of_the_published_count():
@@ -171,11 +171,11 @@ def test_rates_bound_failed_flights_from_above():
     assert rate.limits == (poisson_limits(3, 0.5)[0], poisson_limits(5, 0.5)[1])
     assert rate.simultaneous[0] < rate.limits[0]
     assert rate.simultaneous[1] > rate.limits[1]
-    nothing = excursion_rate("c", [None], failed=1, hours=0.0, corners=1)
-    assert nothing.rate_upper == math.inf
+    empty = excursion_rate("c", [None], failed=1, hours=0.0, corners=1)
+    assert empty.rate_upper == math.inf
     # No hours, no rate: undefined is not zero, and it is never the best.
-    assert math.isnan(nothing.rate)
-    assert best_and_worst([nothing, rate])[0] is rate
+    assert math.isnan(empty.rate)
+    assert best_and_worst([empty, rate])[0] is rate
 
 
 def test_the_worst_of_many_needs_the_simultaneous_limit():
@@ -184,14 +184,14 @@ def test_the_worst_of_many_needs_the_simultaneous_limit():
     """
     generator = np.random.default_rng(11)
     campaigns, corners, hours, rate = 200, 64, 10.0, 1.0
-    alone = together = 0
+    single = joint = 0
     for _ in range(campaigns):
         counts = generator.poisson(rate * hours, size=corners)
         worst = excursion_rate("w", [int(counts.max())], 0, hours, corners)
-        alone += worst.limits[0] <= rate
-        together += worst.simultaneous[0] <= rate
-    assert alone / campaigns < 0.8
-    assert together / campaigns >= 0.95
+        single += worst.limits[0] <= rate
+        joint += worst.simultaneous[0] <= rate
+    assert single / campaigns < 0.8
+    assert joint / campaigns >= 0.95
 
 
 def test_the_samples_behind_a_quantile_are_named():
@@ -211,11 +211,11 @@ def test_samples_that_join_widen_by_a_share_of_the_area():
     assert np.isnan(widened(corners[:1], [Sample("a2", np.array([3.0]))]))
 
 
-def flown(corners: int, airs: int, seed: int = 0, own: float = 0.1) -> np.ndarray:
+def fly(corners: int, airs: int, seed: int = 0, specific: float = 0.1) -> np.ndarray:
     """(corners, airs) with a part of their own beside the air's."""
     rng = np.random.default_rng(seed)
-    found: np.ndarray = rng.normal(size=airs) + own * rng.normal(size=(corners, airs))
-    return found
+    result: np.ndarray = rng.normal(size=airs) + specific * rng.normal(size=(corners, airs))
+    return result
 
 
 def samples(values: np.ndarray, airs: bool = True) -> list[Sample]:
@@ -228,22 +228,22 @@ def half_width(box) -> float:
 
 
 def test_one_corner_has_about_kolmogorovs_band():
-    found = common_air_half_width(flown(1, 200), 0.95)
-    assert found == pytest.approx(band_half_width(200, 1, 0.95), rel=0.1)
+    result = common_air_half_width(fly(1, 200), 0.95)
+    assert result == pytest.approx(band_half_width(200, 1, 0.95), rel=0.1)
 
 
 def test_corners_that_err_together_have_a_narrower_band():
-    values = flown(16, 100)
-    together, alone = common_air_half_width(values, 0.95), common_air_half_width(values[:1], 0.95)
-    assert alone < together < 0.9 * band_half_width(100, 16, 0.95)
-    assert half_width(pbox(samples(values))) == pytest.approx(together)
+    values = fly(16, 100)
+    joint, single = common_air_half_width(values, 0.95), common_air_half_width(values[:1], 0.95)
+    assert single < joint < 0.9 * band_half_width(100, 16, 0.95)
+    assert half_width(pbox(samples(values))) == pytest.approx(joint)
     assert half_width(pbox(samples(values, airs=False))) == pytest.approx(
         band_half_width(100, 16, 0.95), abs=1e-9
     )
 
 
 def test_the_same_corner_twice_costs_nothing():
-    values = flown(1, 100)
+    values = fly(1, 100)
     assert common_air_half_width(np.repeat(values, 5, axis=0), 0.95) == common_air_half_width(
         values, 0.95
     )
@@ -251,20 +251,20 @@ def test_the_same_corner_twice_costs_nothing():
 
 @pytest.mark.parametrize("airs", [MIN_AIRS - 1, MIN_AIRS])
 def test_with_too_few_airs_bonferroni_stays(airs):
-    narrower = half_width(pbox(samples(flown(16, airs)))) < 0.95 * band_half_width(airs, 16, 0.95)
+    narrower = half_width(pbox(samples(fly(16, airs)))) < 0.95 * band_half_width(airs, 16, 0.95)
     assert narrower == (airs >= MIN_AIRS)
-    other = samples(flown(4, 60))
+    other = samples(fly(4, 60))
     other[2] = Sample("2", other[2].values, 0, np.arange(1, 61))
     assert half_width(pbox(other)) == pytest.approx(band_half_width(60, 4, 0.95), abs=1e-9)
 
 
 def test_repeats_of_one_law_lie_within_what_chance_explains_and_others_do_not():
     generator = np.random.default_rng(3)
-    apart = [repeats(generator.gamma(4.0, 1.0, 400), 10) for _ in range(200)]
-    assert np.mean([item.distance <= item.expected for item in apart]) >= 0.95
-    assert apart[0].curves.shape == (10, 40)
+    difference = [repeats(generator.gamma(4.0, 1.0, 400), 10) for _ in range(200)]
+    assert np.mean([item.distance <= item.expected for item in difference]) >= 0.95
+    assert difference[0].curves.shape == (10, 40)
     drifting = generator.normal(size=400) + np.repeat(np.arange(10), 40)
-    assert repeats(drifting, 10).distance > apart[0].expected
+    assert repeats(drifting, 10).distance > difference[0].expected
     with pytest.raises(ValueError, match="do not make 10 repeats"):
         repeats(np.arange(19.0), 10)
 
@@ -279,23 +279,23 @@ def test_the_chance_that_one_more_sample_leaves_the_envelope():
         curves[:, 16] < curves[:, :16].min(axis=1)
     )
     samples = [generator.normal(generator.normal(), 1.0, 50) for _ in range(16)]
-    found = growth(samples, seed=1)
-    assert [item.samples for item in found] == [2, 4, 8, 16]
-    assert np.mean(outside) == pytest.approx(found[-1].chance_of_more, abs=0.02)
-    areas = [item.area for item in found]
+    result = growth(samples, seed=1)
+    assert [item.samples for item in result] == [2, 4, 8, 16]
+    assert np.mean(outside) == pytest.approx(result[-1].chance_of_more, abs=0.02)
+    areas = [item.area for item in result]
     assert areas == sorted(areas)
-    assert found[-1].area_low == found[-1].area == found[-1].area_high
+    assert result[-1].area_low == result[-1].area == result[-1].area_high
     same = growth([np.array([1.0, 2.0, np.inf])] * 4, seed=1)
     assert [item.area for item in same] == [0.0, 0.0]
 
 
 def test_the_distance_is_the_largest_of_two_sample_statistics():
     values = np.random.default_rng(5).normal(size=103)
-    found = repeats(values, 4)
+    result = repeats(values, 4)
     parts = values[:100].reshape(4, 25)
     expected = max(stats.ks_2samp(a, b).statistic for a, b in itertools.combinations(parts, 2))
-    assert found.distance == pytest.approx(expected)
-    assert found.medians == pytest.approx(np.median(parts, axis=1))
+    assert result.distance == pytest.approx(expected)
+    assert result.medians == pytest.approx(np.median(parts, axis=1))
     # Failed flights are the largest of all.
     failed = values.copy()
     failed[:20] = np.inf
@@ -317,17 +317,17 @@ def test_the_area_of_a_single_flight_is_its_mean_distance():
     """
     values = [1.0, 2.0, 4.0]
     for flight in (0.0, 2.0, 7.0):
-        found = area_metric(box(values), np.array([flight]))
-        assert found.area == pytest.approx(np.mean(np.abs(np.array(values) - flight)))
+        result = area_metric(box(values), np.array([flight]))
+        assert result.area == pytest.approx(np.mean(np.abs(np.array(values) - flight)))
     assert area_metric(box([0.0, 1.0], [5.0, 6.0]), np.array([3.0])).area == 0.0
 
 
 def test_the_area_is_the_shift_where_one_distribution_is_moved():
     values = np.random.default_rng(1).normal(size=200)
     for shift in (0.5, -0.5):
-        found = area_metric(box(values), values + shift)
-        assert found.area == pytest.approx(abs(shift), rel=0.05)
-        assert (found.above if shift > 0 else found.below) == pytest.approx(found.area)
+        result = area_metric(box(values), values + shift)
+        assert result.area == pytest.approx(abs(shift), rel=0.05)
+        assert (result.above if shift > 0 else result.below) == pytest.approx(result.area)
     # Between two corners nothing is left of it.
     assert area_metric(box(values, values + 1.0), values + 0.5).area == pytest.approx(0.0, abs=1e-9)
 

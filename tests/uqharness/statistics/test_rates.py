@@ -41,8 +41,8 @@ def test_without_an_excursion_the_upper_limit_is_its_closed_form():
     """
     for flights, dispersion in ((500, 1.0), (60, 2.0), (10, 5.0)):
         q = 1.0 - 0.05 ** (1.0 / flights)
-        (found,) = upper_limits(np.array([flights]), np.zeros(1), np.array([dispersion]), 0.05)
-        assert found == pytest.approx(dispersion * q / (1.0 - q), rel=1e-6)
+        (result,) = upper_limits(np.array([flights]), np.zeros(1), np.array([dispersion]), 0.05)
+        assert result == pytest.approx(dispersion * q / (1.0 - q), rel=1e-6)
     # For independent excursions that is what Poisson's exact limit says, but for what flights of
     # one hour add.
     assert upper_limits(np.array([500]), np.zeros(1), np.ones(1), 0.05)[0] * 500 == pytest.approx(
@@ -128,9 +128,9 @@ def ended_early(generator, campaigns, flights, rate, abort, cluster=1):
     """Counts, shares of time not flown, and the true count per flight's length flown: an aborted
     flight adds one excursion.
     """
-    lost = generator.random((campaigns, flights)) < abort
-    missing = np.where(lost, generator.random((campaigns, flights)), 0.0)
-    counts = cluster * generator.poisson(rate / cluster * (1.0 - missing)) + 1.0 * lost
+    is_lost = generator.random((campaigns, flights)) < abort
+    missing = np.where(is_lost, generator.random((campaigns, flights)), 0.0)
+    counts = cluster * generator.poisson(rate / cluster * (1.0 - missing)) + 1.0 * is_lost
     return counts, missing, rate + abort / (1.0 - abort / 2.0)
 
 
@@ -148,10 +148,10 @@ def limits_of(counts, missing, dispersion, assumed=None):
 def test_limits_per_time_flown_cover_the_truth_and_are_finite(rate, abort, cluster):
     counts, missing, truth = ended_early(np.random.default_rng(8), 1500, 80, rate, abort, cluster)
     for assumed in (None, float(cluster)):
-        found = limits_of(counts, missing, float(cluster), assumed)
-        assert np.mean(found >= truth) >= 0.95
-        assert np.isfinite(found).all()
-        assert np.median(found) < (5.0 if assumed is None else 8.0) * truth
+        result = limits_of(counts, missing, float(cluster), assumed)
+        assert np.mean(result >= truth) >= 0.95
+        assert np.isfinite(result).all()
+        assert np.median(result) < (5.0 if assumed is None else 8.0) * truth
 
 
 def test_limits_that_charge_nothing_for_time_not_flown_do_not_cover():
@@ -167,17 +167,17 @@ def counts(kind: str, size: float, flights: int, events: int) -> np.ndarray:
     rng = np.random.default_rng([flights, events, round(10 * size)])
     mean, shape = events / flights, (REPEATS, flights)
     if kind == "clusters":
-        found = size * rng.poisson(mean / size, shape)
+        result = size * rng.poisson(mean / size, shape)
     elif kind == "geometric clusters":
         share = 2.0 / (size + 1.0)
         number = rng.poisson(mean * share, shape)
-        found = number + np.where(
+        result = number + np.where(
             number > 0, rng.negative_binomial(np.maximum(number, 1), share), 0
         )
     else:
-        found = rng.poisson(rng.gamma(mean / (size - 1.0), size - 1.0, shape))
-    found = found.astype(float)
-    return found[found.sum(axis=1) >= 30]
+        result = rng.poisson(rng.gamma(mean / (size - 1.0), size - 1.0, shape))
+    result = result.astype(float)
+    return result[result.sum(axis=1) >= 30]
 
 
 @pytest.mark.parametrize("kind", ["clusters", "geometric clusters", "uneven flights"])
@@ -186,8 +186,8 @@ def counts(kind: str, size: float, flights: int, events: int) -> np.ndarray:
 )
 @pytest.mark.parametrize("size", [2.0, 4.0])
 def test_the_upper_limit_keeps_its_level(kind, flights, events, size):
-    made = counts(kind, size, flights, events)
-    missed = np.mean(dispersion_limits(made, ERROR)[1] < size - 1e-9)
+    result = counts(kind, size, flights, events)
+    missed = np.mean(dispersion_limits(result, ERROR)[1] < size - 1e-9)
     assert missed <= ERROR
 
 
@@ -202,8 +202,8 @@ def test_the_observed_ratio_is_no_limit():
     """The check says no to the point estimate, and to a limit that takes the counts for independent
     ones.
     """
-    made = counts("uneven flights", 4.0, 500, 40)
-    assert np.mean(observed_dispersion(made) < 4.0) > 0.5
+    result = counts("uneven flights", 4.0, 500, 40)
+    assert np.mean(observed_dispersion(result) < 4.0) > 0.5
 
 
 def test_without_a_count_nothing_is_known():

@@ -33,8 +33,8 @@ from uqharness.statistics.splitting import (
 REPEATS = 20
 
 
-def paths(seed, roots=50, thresholds=(2.5, THRESHOLD), made=Crossings):
-    return made(np.random.default_rng([3, seed]), roots, STEPS, thresholds, REARM)
+def paths(seed, roots=50, thresholds=(2.5, THRESHOLD), result=Crossings):
+    return result(np.random.default_rng([3, seed]), roots, STEPS, thresholds, REARM)
 
 
 class Scripted:
@@ -66,9 +66,9 @@ class Scripted:
 def test_intervals_hold_what_quadrature_gives(repeats):
     """95 % intervals of the probability and of the events, each in nine of ten repeats at least;
     not so with copies that begin elsewhere."""
-    found = coverage(repeats)
-    assert min(found.counts) >= 0.87 * repeats
-    assert abs(found.ratio - 1.0) < 0.06 * np.sqrt(REPEATS / repeats)
+    result = coverage(repeats)
+    assert min(result.counts) >= 0.87 * repeats
+    assert abs(result.ratio - 1.0) < 0.06 * np.sqrt(REPEATS / repeats)
     assert coverage(min(repeats, 8), Careless).counts[0] < 4
 
 
@@ -93,19 +93,19 @@ def test_weights_of_paths_that_rise_fall_and_end():
     """
     scores = [[0.0], [7.0], [7.0], [3.0], [0.0]]
     one = Scripted(scores)
-    found = run(one, 1, Levels((2.0, 6.0)), 1)
+    result = run(one, 1, Levels((2.0, 6.0)), 1)
     assert [len(parents) for parents, _ in one.followed] == [9, 3], (
         "where nothing changes nobody is followed"
     )
     assert sorted(one.followed[0][1]) == [0, 1, 1, 2, 2, 2, 2, 2, 2]
-    assert found.max_paths == 9
+    assert result.max_paths == 9
     # Everything ends in an event at the last checkpoint: nine paths of a ninth.
     hit = run(Scripted([[0.0], [7.0], [9.5]]), 1, Levels((2.0, 6.0)), 1)
     np.testing.assert_allclose([hit.probability[0], hit.events[0]], 1.0)
     # A path that ends early counts once, and is followed no more.
     early = Scripted([[0.0, 0.0], [7.0, 0.0], [7.0, 0.0]], ended={(1, 0)})
-    lost = run(early, 2, Levels((2.0, 6.0)), 1)
-    assert (lost.probability[0], lost.events[0], lost.ended) == (0.5, 0.5, 0.5)
+    is_lost = run(early, 2, Levels((2.0, 6.0)), 1)
+    assert (is_lost.probability[0], is_lost.events[0], is_lost.ended) == (0.5, 0.5, 0.5)
     assert early.followed[-1][0] == [1]
     assert run(Scripted([[0.0], [0.0]], ended={(0, 0)}), 1, Levels(()), 1).steps == 1
 
@@ -132,28 +132,30 @@ def test_the_pilot_finds_levels_a_factor_apart_and_says_when_it_cannot():
 def test_levels_from_shares_that_fall_by_a_factor_a_unit():
     grid = np.arange(0.0, 8.0)
     share = 0.3 * 3.0**-grid
-    found, whole = more_levels(Occupancy(grid, share, np.full(8, 1000.0)), Levels(()), 4.5)
-    np.testing.assert_allclose(found.scores, [1.0, 2.0, 3.0, 4.0])
-    assert whole
-    seen = np.where(grid > 3.5, 10.0, 1000.0)
-    found, whole = more_levels(Occupancy(grid, share, seen), Levels(()), 7.0)
-    np.testing.assert_allclose(found.scores, [1.0, 2.0, 3.0])
-    assert not whole
+    result, complete = more_levels(Occupancy(grid, share, np.full(8, 1000.0)), Levels(()), 4.5)
+    np.testing.assert_allclose(result.scores, [1.0, 2.0, 3.0, 4.0])
+    assert complete
+    observed = np.where(grid > 3.5, 10.0, 1000.0)
+    result, complete = more_levels(Occupancy(grid, share, observed), Levels(()), 7.0)
+    np.testing.assert_allclose(result.scores, [1.0, 2.0, 3.0])
+    assert not complete
 
 
 def test_levels_that_lie_too_close_are_refused():
     with pytest.raises(ValueError, match="paths would go on side by side"):
         run(Scripted([[20.0]]), 1, Levels(tuple(0.1 * k for k in range(1, 12))), 1)
-    for bad in (((1.0, 1.0), 3), ((2.0, 1.0), 3), ((1.0,), 1)):
+    for invalid in (((1.0, 1.0), 3), ((2.0, 1.0), 3), ((1.0,), 1)):
         with pytest.raises(ValueError, match="levels rise"):
-            Levels(*bad)
+            Levels(*invalid)
 
 
 def test_intervals_and_what_they_say_where_there_is_none():
-    found = interval([1.0, 2.0, 3.0, 2.0])
-    assert (found.estimate, found.replicates, found.reason) == (2.0, 4, "")
+    result = interval([1.0, 2.0, 3.0, 2.0])
+    assert (result.estimate, result.replicates, result.reason) == (2.0, 4, "")
     # t of 3 degrees of freedom, 3.182; standard deviation 0.8165.
-    np.testing.assert_allclose([found.lower, found.upper], [2.0 / 1.9148, 2.0 * 1.9148], rtol=1e-3)
+    np.testing.assert_allclose(
+        [result.lower, result.upper], [2.0 / 1.9148, 2.0 * 1.9148], rtol=1e-3
+    )
     some = interval([0.0, 2.0])
     assert some.estimate == 1.0
     assert math.isnan(some.lower)

@@ -37,23 +37,23 @@ GAP = {
 }
 
 
-def found(verdict="effects-found", **changes) -> Refinement:
+def find(verdict="effects-found", **changes) -> Refinement:
     gap = {"test": {"channels": GAP, "coefficients": {}}}
-    made = refinement(verdict=verdict, effects=[EFFECT | changes], gap=gap)
-    return Refinement(**made)
+    result = refinement(verdict=verdict, effects=[EFFECT | changes], gap=gap)
+    return Refinement(**result)
 
 
-FOUND = found()
+FOUND = find()
 
 
-def quiet(spec):
+def run_quietly(spec):
     result = fakes.steady(spec)
     return replace(result, metrics=result.metrics | {"excursions_15m": 0.0})
 
 
 def bad_corner(spec):
     """Many excursions at the upper corner, none at the lower."""
-    result = quiet(spec)
+    result = run_quietly(spec)
     return replace(
         result,
         metrics=result.metrics | {"excursions_15m": 9.0 if fakes.level_sum(spec) > 2.9 else 0.0},
@@ -61,17 +61,17 @@ def bad_corner(spec):
 
 
 def everywhere(spec):
-    result = quiet(spec)
+    result = run_quietly(spec)
     return replace(result, metrics=result.metrics | {"excursions_15m": 9.0})
 
 
 def windy(spec):
-    return everywhere(spec) if spec.wind_mps > 5.0 else quiet(spec)
+    return everywhere(spec) if spec.wind_mps > 5.0 else run_quietly(spec)
 
 
 def ends_early(spec):
     """Flies half of its time and loses control, without an excursion."""
-    result = quiet(spec)
+    result = run_quietly(spec)
     return replace(
         result,
         status="diverged",
@@ -102,83 +102,89 @@ def answered(tmp_path, before, after=None, flights=40, winds="3", no=(), air='"m
 
 
 def test_quiet_flights_are_a_yes_with_the_limit_that_says_so(tmp_path):
-    found = answered(tmp_path, quiet)
-    assert found.level == "good"
-    assert found.answer == "Yes in 3 m/s wind with moderate turbulence (95 % confidence)."
+    result = answered(tmp_path, run_quietly)
+    assert result.level == "good"
+    assert result.answer == "Yes in 3 m/s wind with moderate turbulence (95 % confidence)."
     # (1 - m/(D + m))^40 = 0.025 with 40 flights of 0.25 h and D = 2: m = 0.193 a flight.
     assert (
-        found.why
+        result.why
         == "Why: excursions beyond 15 m, worst corner: at most 0.773/h in 3 m/s; acceptable 2/h; 20"
         " h a condition, no flights aborted."
     )
-    assert (found.lacked, found.next) == ("", "Next: the question is answered.")
+    assert (result.lacked, result.next) == ("", "Next: the question is answered.")
 
 
 def test_answer_is_no_for_a_worse_model(tmp_path):
-    found = answered(tmp_path, bad_corner)
-    assert (found.level, found.answer[:9]) == ("bad", "No in 3 m")
-    assert "worst corner: 36/h (" in found.why
+    result = answered(tmp_path, bad_corner)
+    assert (result.level, result.answer[:9]) == ("bad", "No in 3 m")
+    assert "worst corner: 36/h (" in result.why
     # The lower corner has none, so a better model may change it.
     assert (
-        "a better model may change the no in 3 m/s moderate: the best corner has 0/h." in found.next
+        "a better model may change the no in 3 m/s moderate: the best corner has 0/h."
+        in result.next
     )
 
 
 def test_too_few_hours_are_inconclusive_and_say_how_many_would_do(tmp_path):
-    found = answered(tmp_path, quiet, flights=4)
-    assert (found.level, found.answer[:40]) == ("warn", "Inconclusive (too few flight hours) in 3")
+    result = answered(tmp_path, run_quietly, flights=4)
+    assert (result.level, result.answer[:40]) == (
+        "warn",
+        "Inconclusive (too few flight hours) in 3",
+    )
     assert (
-        found.next
+        result.next
         == "Next: fly 4.25 h per corner in 3 m/s moderate ([aleatory] flights); that much without"
         " an excursion is a yes."
     )
     # That many hours are a yes indeed, and a flight less is not.
-    assert answered(tmp_path / "enough", quiet, flights=17).level == "good"
-    assert answered(tmp_path / "less", quiet, flights=16).level == "warn"
+    assert answered(tmp_path / "enough", run_quietly, flights=17).level == "good"
+    assert answered(tmp_path / "less", run_quietly, flights=16).level == "warn"
 
 
 def test_aborted_flights_are_no_yes(tmp_path):
-    found = answered(tmp_path, ends_early)
-    assert found.level == "bad"
-    assert "80 flights aborted (diverged 80)" in found.why
+    result = answered(tmp_path, ends_early)
+    assert result.level == "bad"
+    assert "80 flights aborted (diverged 80)" in result.why
 
 
 def test_conditions_are_grouped_by_answer_and_compared_with_those_before(tmp_path):
-    found = answered(tmp_path, everywhere, windy, winds="[1, 3, 7]")
-    assert found.answer.startswith(
+    result = answered(tmp_path, everywhere, windy, winds="[1, 3, 7]")
+    assert result.answer.startswith(
         "Yes in 1 and 3 m/s, no in 7 m/s wind with moderate turbulence (95 % confidence)."
     )
-    assert found.level == "warn"
-    assert found.answer.endswith(
+    assert result.level == "warn"
+    assert result.answer.endswith(
         " Before refinement: no in 1 and 3 m/s wind with moderate turbulence."
     )
-    assert "same answers" not in found.lacked
+    assert "same answers" not in result.lacked
 
 
 def test_what_the_model_lacked_and_what_adding_it_bought(tmp_path):
-    found = answered(tmp_path, quiet, quiet)
-    assert "Before refinement" not in found.answer
+    result = answered(tmp_path, run_quietly, run_quietly)
+    assert "Before refinement" not in result.answer
     assert (
-        found.lacked
+        result.lacked
         == "The model lacked rolling moment due to elevator. With it: held-out residual of p from 4"
         " to 1 sigma, cross-track p-box as wide, same answers."
     )
 
 
 def test_a_refinement_without_effect_and_stages_that_answered_no(tmp_path):
-    nothing = found("no-missing-effect").model_copy(update={"effects": []})
-    assert answer_of({}, nothing, []).lacked == "These flights show no effect that the model lacks."
-    withdrawn = found("unexplained", withdrawn=True)
+    empty = find("no-missing-effect").model_copy(update={"effects": []})
+    assert answer_of({}, empty, []).lacked == "These flights show no effect that the model lacks."
+    withdrawn = find("unexplained", withdrawn=True)
     assert "no effect of the catalogue explains" in answer_of({}, withdrawn, []).lacked
     assert (
         "These stages answered no: validate-before"
-        in answered(tmp_path, quiet, no=["validate-before"]).next
+        in answered(tmp_path, run_quietly, no=["validate-before"]).next
     )
 
 
 def test_without_a_campaign_there_is_no_rate_and_the_worst_finding_is_why():
-    found = answer_of({}, None, [("Fits.", "good"), ("Does not hold.", "bad"), ("Beware.", "warn")])
-    assert (found.level, found.answer, found.why) == (
+    result = answer_of(
+        {}, None, [("Fits.", "good"), ("Does not hold.", "bad"), ("Beware.", "warn")]
+    )
+    assert (result.level, result.answer, result.why) == (
         "warn",
         "No excursion rate: no campaign was run.",
         "Does not hold.",

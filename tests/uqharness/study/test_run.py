@@ -107,19 +107,19 @@ def study(tmp_path, monkeypatch):
 
     def call(run, stage, out, workers, callback):
         ran.append(stage.name)
-        what = fail.get(stage.name, 0)
-        if isinstance(what, BaseException):
-            raise what
-        told = "".join(path.read_text() for path in stage.inputs.values() if path.is_file())
+        kind = fail.get(stage.name, 0)
+        if isinstance(kind, BaseException):
+            raise kind
+        reports = "".join(path.read_text() for path in stage.inputs.values() if path.is_file())
         for path in stage.outputs:
             if path.suffix:
                 path.parent.mkdir(parents=True, exist_ok=True)
                 words = stage.command.replace(str(tmp_path), "")
-                path.write_text(told + words + json.dumps(stage.settings))
+                path.write_text(reports + words + json.dumps(stage.settings))
             else:
                 shutil.copytree(tmp_path / "plane", path)
-                (path / "more.xml").write_text(f"<a>{told}{stage.name}</a>")
-        return what
+                (path / "more.xml").write_text(f"<a>{reports}{stage.name}</a>")
+        return kind
 
     monkeypatch.setattr(chain_run, "_run_request", call)
     monkeypatch.setattr(chain_run, "_refuse_other_model", lambda form, folder: None)
@@ -130,12 +130,12 @@ def study(tmp_path, monkeypatch):
     # The stages are made up, so that there is nothing to conclude from.
     monkeypatch.setattr(chain_run, "judge", lambda *_: [("It holds.", "good")])
     monkeypatch.setattr(chain_run, "read_campaigns", lambda out, refined: {})
-    nothing = refinement(effects=[], verdict="no-missing-effect")
+    empty = refinement(effects=[], verdict="no-missing-effect")
     read = chain_run.read_result
     monkeypatch.setattr(
         chain_run,
         "read_result",
-        lambda path, shape: shape(**nothing) if shape is Refinement else read(path, shape),
+        lambda path, shape: shape(**empty) if shape is Refinement else read(path, shape),
     )
 
     def run(text=None, file="study.toml", out="out"):
@@ -160,9 +160,9 @@ def done(study, tmp_path, tmp_path_factory):
         document.write_text(document.read_text().replace(FINISHED["root"], str(tmp_path)))
     else:
         run()
-        kept = tmp_path_factory.mktemp("finished") / "out"
-        shutil.copytree(tmp_path / "out", kept)
-        FINISHED.update(root=str(tmp_path), kept=str(kept))
+        retained = tmp_path_factory.mktemp("finished") / "out"
+        shutil.copytree(tmp_path / "out", retained)
+        FINISHED.update(root=str(tmp_path), kept=str(retained))
     ran.clear()
     return study
 
@@ -189,7 +189,7 @@ def test_all_stages_run_once_and_study_json_tells(study, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("change", "again"),
+    ("change", "repeat"),
     [
         (lambda folder: (folder / "two.bin").write_text("other"), TWO_ON),
         (lambda folder: (folder / "three.bin").write_text("other"), THREE_ON),
@@ -199,15 +199,15 @@ def test_all_stages_run_once_and_study_json_tells(study, tmp_path):
         ),
     ],
 )
-def test_what_depends_on_a_change_is_done_again_and_nothing_else(done, tmp_path, change, again):
+def test_what_depends_on_a_change_is_done_again_and_nothing_else(done, tmp_path, change, repeat):
     run, ran, _ = done
     change(tmp_path)
     run()
-    assert ran == again.split()
+    assert ran == repeat.split()
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "again"),
+    ("old", "new", "repeat"),
     [
         (
             "flights = 3",
@@ -218,10 +218,10 @@ def test_what_depends_on_a_change_is_done_again_and_nothing_else(done, tmp_path,
         ('question = "Does it hold?"', 'question = "Will it?"', ""),
     ],
 )
-def test_an_edited_file_runs_what_its_settings_bear_on(done, old, new, again):
+def test_an_edited_file_runs_what_its_settings_bear_on(done, old, new, repeat):
     run, ran, _ = done
     document = run(STUDY.replace(old, new))
-    assert ran == again.split()
+    assert ran == repeat.split()
     assert document.question == ("Will it?" if "Will" in new else "Does it hold?")
 
 
@@ -229,8 +229,8 @@ def test_flights_of_a_superseded_campaign_are_put_aside_not_lost(done, tmp_path)
     run, _, _ = done
     (tmp_path / "out" / "campaign-before" / "journal.sqlite").write_text("hours of flying")
     run(STUDY.replace("flights = 3", "flights = 4"))
-    (kept,) = (tmp_path / "out" / "superseded").glob("campaign-before-*")
-    assert (kept / "journal.sqlite").read_text() == "hours of flying"
+    (retained,) = (tmp_path / "out" / "superseded").glob("campaign-before-*")
+    assert (retained / "journal.sqlite").read_text() == "hours of flying"
     assert not (tmp_path / "out" / "campaign-before" / "journal.sqlite").exists()
 
 
@@ -416,13 +416,13 @@ def test_a_study_killed_in_mid_campaign_goes_on_and_ends_as_if_undisturbed(tmp_p
     document = json.loads(capsys.readouterr().out)
     assert document["state"] == "done"
     assert {row["state"] for row in document["stages"]} == {"done"}
-    said = (tmp_path / "out" / "log" / "campaign-before.txt").read_text()
-    assert f"64 flights done, {killed_at} of them before this run" in said
-    alone = tmp_path / "alone"
+    output = (tmp_path / "out" / "log" / "campaign-before.txt").read_text()
+    assert f"64 flights done, {killed_at} of them before this run" in output
+    single = tmp_path / "alone"
     file = tmp_path / "out" / "campaign-before.toml"
-    assert cli.main(["campaign", "run", str(file), "--out", str(alone), "--serial"]) == 0
+    assert cli.main(["campaign", "run", str(file), "--out", str(single), "--serial"]) == 0
     for name in ("cases.parquet", "pbox.parquet", "excursions.csv", "statements.csv"):
-        assert (alone / name).read_bytes() == (
+        assert (single / name).read_bytes() == (
             tmp_path / "out" / "campaign-before" / name
         ).read_bytes()
     text = " ".join(sentence["text"] for sentence in document["verdict"])
@@ -444,11 +444,11 @@ def test_ctrl_c_ends_with_130_and_says_how_to_go_on(study, tmp_path, capsys):
 def test_bad_input_is_told_without_a_traceback(study, tmp_path, capsys):
     (tmp_path / "study.toml").write_text(STUDY.replace("[bounds]", "[bonds]"))
     assert cli.main(command(tmp_path)) == 2
-    said = capsys.readouterr().err
-    assert "study.toml:" in said
-    assert "did you mean bounds?" in said
+    output = capsys.readouterr().err
+    assert "study.toml:" in output
+    assert "did you mean bounds?" in output
     assert cli.main([*command(tmp_path)[:-1], "0"]) == 2
-    with pytest.raises(SystemExit) as left:
+    with pytest.raises(SystemExit) as remaining:
         cli.main(["study", "--help"])
-    assert left.value.code == 0
+    assert remaining.value.code == 0
     assert "uqharness study campaigns/chain/chain.toml" in capsys.readouterr().out

@@ -117,9 +117,9 @@ def test_a_study_of_parts(tmp_path):
     def stages(text):
         return [stage.name for stage in plan(read(tmp_path, text), tmp_path / "out")]
 
-    whole = tomllib.loads(STUDY)
+    complete = tomllib.loads(STUDY)
     sections = ("campaign", "aleatory", "epistemic")
-    only = {key: whole[key] for key in ("study", *sections)}
+    only = {key: complete[key] for key in ("study", *sections)}
     assert stages(tomlkit.dumps(only)) == ["campaign-before", "sensitivity-before"]
     walks = only | {"epistemic": {"method": "walk", "samples": 3}}
     assert stages(tomlkit.dumps(walks)) == ["campaign-before"]
@@ -155,11 +155,11 @@ def test_every_option_of_a_command_is_a_key_of_its_section(tmp_path):
     assert "--as-published --sample-size effective" in stages["bounds-before"].command
     assert "--bake" in stages["refine"].command
     # Options that the study sets itself are no keys, and rules of several options hold.
-    for wrong, fragment in (
+    for invalid, fragment in (
         ('out = "x"', "[bounds] out: unknown"),
         ('sample_size = "all"', "sample_size requires"),
     ):
-        message = refusal(tmp_path, STUDY.replace("validate_on", f"{wrong}\nvalidate_on"))
+        message = refusal(tmp_path, STUDY.replace("validate_on", f"{invalid}\nvalidate_on"))
         assert fragment in message
 
 
@@ -218,8 +218,8 @@ def test_the_line_is_that_of_the_right_table(tmp_path):
 
 
 def test_a_file_that_asks_for_nothing_or_is_not_there(tmp_path):
-    nothing = STUDY[: STUDY.index("[[fly]]")]
-    assert "give at least one of" in refusal(tmp_path, nothing)
+    empty = STUDY[: STUDY.index("[[fly]]")]
+    assert "give at least one of" in refusal(tmp_path, empty)
     with pytest.raises(BadInputError, match="cannot be read"):
         read_chain(tmp_path / "no.toml")
     headless = STUDY.replace('[campaign]\nmission = "loiter"\nseed = 7\n', "")

@@ -50,23 +50,23 @@ def campaign(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def asked(campaign):
+def requests(campaign):
     manifest = read_complete(campaign)
     frame = read_cases(campaign, manifest)
     return TrackRequest(campaign, frame, hardest(statements(frame, manifest["campaign"])))
 
 
-def test_the_hardest_condition_and_the_smallest_radius_are_drawn(asked):
-    cell = asked.statement.cell
+def test_the_hardest_condition_and_the_smallest_radius_are_drawn(requests):
+    cell = requests.statement.cell
     assert (cell.condition.wind_mps, cell.radius_m, cell.distance) == (9.0, 4.0, "horizontal")
     assert hardest([]) is None
 
 
 def test_the_worst_corner_is_flown_as_in_the_campaign_and_the_nominal_model_without_deltas(
-    tmp_path, asked
+    tmp_path, requests
 ):
-    found = fly_tracks(tmp_path, {"before": asked}, workers=1)
-    assert (found["wind_mps"], found["turbulence"], found["radius_m"]) == (9.0, "light", 4.0)
+    result = fly_tracks(tmp_path, {"before": requests}, workers=1)
+    assert (result["wind_mps"], result["turbulence"], result["radius_m"]) == (9.0, "light", 4.0)
     table = pd.read_parquet(tmp_path / TRACKS)
     assert list(table) == [
         "when",
@@ -78,11 +78,12 @@ def test_the_worst_corner_is_flown_as_in_the_campaign_and_the_nominal_model_with
         "distance_m",
     ]
     largest = {model: rows["distance_m"].abs().max() for model, rows in table.groupby("model")}
-    rows = asked.frame[
-        (asked.frame["wind_mps"] == 9.0) & (asked.frame["aleatory_id"] == found["aleatory_id"])
+    rows = requests.frame[
+        (requests.frame["wind_mps"] == 9.0)
+        & (requests.frame["aleatory_id"] == result["aleatory_id"])
     ]
     scored = rows.set_index("epistemic_id")["cross_track_max_m"]
-    worst = asked.statement.worst.epistemic_id
+    worst = requests.statement.worst.epistemic_id
     # The campaign scored the same flight at 10 Hz, the track has every other row.
     assert largest["worst corner"] == pytest.approx(scored[worst], rel=0.01)
     (other,) = set(scored.index) - {worst}

@@ -59,7 +59,7 @@ def failing(spec):
     return wide(spec)
 
 
-def flown(tmp_path, before, after=None, winds="3"):
+def simulate(tmp_path, before, after=None, winds="3"):
     """The two campaigns of a study, flown by made-up flight functions, judged."""
     text = FOUR_CORNERS.replace("flights = 3", "flights = 8").replace(
         "wind_mps = 3", f"wind_mps = {winds}"
@@ -81,12 +81,12 @@ def _no_check_flight(monkeypatch):
 
 
 def about(sentences, words):
-    (found,) = [(text, level) for text, level in sentences if words in text]
-    return found
+    (result,) = [(text, level) for text, level in sentences if words in text]
+    return result
 
 
 def test_a_narrower_p_box_is_called_narrower_and_by_how_much(tmp_path):
-    text, level = about(flown(tmp_path, wide, narrow), "Median cross-track error")
+    text, level = about(simulate(tmp_path, wide, narrow), "Median cross-track error")
     # A width that was compared is a plain fact: nothing was claimed beforehand and tested.
     assert level == ""
     assert "became narrower by " in text
@@ -94,9 +94,9 @@ def test_a_narrower_p_box_is_called_narrower_and_by_how_much(tmp_path):
 
 
 def test_the_same_p_box_and_a_wider_one_are_not(tmp_path):
-    text, level = about(flown(tmp_path / "same", wide, wide), "Median cross-track error")
+    text, level = about(simulate(tmp_path / "same", wide, wide), "Median cross-track error")
     assert (level, "did NOT become narrower (" in text) == ("warn", True)
-    text, level = about(flown(tmp_path / "wide", narrow, wide), "Median cross-track error")
+    text, level = about(simulate(tmp_path / "wide", narrow, wide), "Median cross-track error")
     assert (level, "did NOT become narrower, it is " in text, "% wider" in text) == (
         "warn",
         True,
@@ -105,17 +105,17 @@ def test_the_same_p_box_and_a_wider_one_are_not(tmp_path):
 
 
 def test_failed_flights_leave_the_p_box_open(tmp_path):
-    found = flown(tmp_path / "mended", failing, wide)
-    text, level = about(found, "Median cross-track error")
+    result = simulate(tmp_path / "mended", failing, wide)
+    text, level = about(result, "Median cross-track error")
     assert level == ""
     assert (
         "became narrower: before, 8 of 32 flights have no such error, which leaves its sides open;"
         " after, none" in text
     )
-    text, level = about(found, "Flights: ")
+    text, level = about(result, "Flights: ")
     assert level == "warn"
     assert "32 before (8 failed, control lost in 0), 32 after (0 failed, control lost in 0)" in text
-    text, level = about(flown(tmp_path / "worse", wide, failing), "Median cross-track error")
+    text, level = about(simulate(tmp_path / "worse", wide, failing), "Median cross-track error")
     assert level == "warn"
     assert "after refinement has no finite width: 8 of 32 flights" in text
 
@@ -144,22 +144,22 @@ def refinement(verdict="effects-found", effects=(EFFECT,), after=1.0, where=()):
         "p_radps": {"rms_before": 4.0, "rms_after": 4.0 * after, "noise_rms": 1.0},
         "V_mps": {"rms_before": 1.0, "rms_after": 1.0, "noise_rms": 1.0},
     }
-    left = report_folders.refinement()["remaining"] | {"where": list(where)}
-    made = report_folders.refinement(
+    remainder = report_folders.refinement()["remaining"] | {"where": list(where)}
+    result = report_folders.refinement(
         verdict=verdict,
         effects=list(effects),
-        remaining=left,
+        remaining=remainder,
         gap={"test": {"channels": channels, "coefficients": {}}},
         train=["a.parquet"],
         test=["c.parquet"],
     )
-    return Refinement(**made)
+    return Refinement(**result)
 
 
 def test_what_refinement_named_and_what_it_did_on_the_test_flight():
-    (named, first), (gap, second) = chain_verdict._refinement_sentences(refinement(after=0.25))
+    (listed, first), (gap, second) = chain_verdict._refinement_sentences(refinement(after=0.25))
     assert (
-        named == "Refinement named, from a: pitching moment due to roll rate squared, 2.98 ± 0.03"
+        listed == "Refinement named, from a: pitching moment due to roll rate squared, 2.98 ± 0.03"
         " (aero/Cm_p2)."
     )
     assert gap.startswith(
@@ -198,10 +198,10 @@ def write_coverage(folder, when, share, width):
 def test_verdict_on_coverage_and_widths(tmp_path):
     write_coverage(tmp_path, "before", 0.95, 0.02)
     write_coverage(tmp_path, "after", 0.80, 0.01)
-    (before, good), (after, bad), (widths, narrower) = chain_verdict._coverage(
+    (before, valid), (after, invalid), (widths, narrower) = chain_verdict._coverage(
         tmp_path, ("c",), True
     )
-    assert (good, bad, narrower) == ("good", "bad", "")
+    assert (valid, invalid, narrower) == ("good", "bad", "")
     assert "those of CX, Cl do not hold" in after
     assert "do not hold" not in before
     assert "CX -50 %, Cl -50 %" in widths

@@ -123,9 +123,9 @@ def steps(folder: Path, deltas: dict[str, float], count: int = 20):
 def test_a_delta_is_qS_and_lengths_in_body_axes_whatever_the_authors_axes(
     tmp_path, forces, moments
 ):
-    own = [function(name, value) for name, value in (("a", 0.3), ("b", -0.2), ("c", 1.1))]
+    specific = [function(name, value) for name, value in (("a", 0.3), ("b", -0.2), ("c", 1.1))]
     turned = [function(name, value) for name, value in (("l", 0.05), ("m", -0.07))]
-    folder = write(tmp_path, AXES[forces].format(*own) + MOMENT_AXES[moments].format(*turned))
+    folder = write(tmp_path, AXES[forces].format(*specific) + MOMENT_AXES[moments].format(*turned))
     untouched, _ = steps(folder, {})
     added(folder)
     idle, (S, b, c) = steps(folder, {})

@@ -32,7 +32,7 @@ def chain(
     gate: str = "",
     engines: bool = False,
     wanted: str = "fcs/elevator-pos-deg",
-    given: tuple[str, ...] = GIVEN,
+    inputs: tuple[str, ...] = GIVEN,
 ) -> ControlChain | None:
     """The chain of an aircraft whose elevator goes through a selector and a servo."""
     xml = f"""<fdm_config><flight_control name="fc">
@@ -42,13 +42,13 @@ def chain(
 <aerodynamics><function name="aero/lift"><property>aero/alpha-rad</property></function>{aero}</aerodynamics></fdm_config>"""
     document = parse_document(Path("a.xml"), xml.encode())
     systems = [node for node in document.root.children if node.tag == "flight_control"]
-    return control_chain(ControlFiles(systems, [document], engines), [wanted], given)
+    return control_chain(ControlFiles(systems, [document], engines), [wanted], inputs)
 
 
 def test_it_has_the_components_and_constants_that_make_a_position_and_no_others() -> None:
-    found = chain()
-    assert found is not None
-    assert found.reads == {"fcs/elevator-cmd-deg", "fcs/other", "fcs/rate", "ap/on", "ap/held"}
+    result = chain()
+    assert result is not None
+    assert result.reads == {"fcs/elevator-cmd-deg", "fcs/other", "fcs/rate", "ap/on", "ap/held"}
     for part in (
         "<actuator",
         "<switch",
@@ -56,11 +56,11 @@ def test_it_has_the_components_and_constants_that_make_a_position_and_no_others(
         '<property value="240">fcs/rate</property>',
         "ap/on == 1\nap/held gt 0",
     ):
-        assert part in found.xml
+        assert part in result.xml
     # What nothing declares is there all the same.
-    assert '<property value="0">ap/held</property>' in found.xml
+    assert '<property value="0">ap/held</property>' in result.xml
     for part in ("Gear Horn", "aero/Cm_q", "lift", "deg/s"):
-        assert part not in found.xml
+        assert part not in result.xml
 
 
 @pytest.mark.parametrize(
@@ -115,12 +115,12 @@ def test_what_reads_or_may_read_the_motion_is_refused(changes: dict[str, str]) -
 
 
 def test_an_engine_s_lever_goes_with_its_command() -> None:
-    lever = {"wanted": "fcs/throttle-pos-norm", "given": ("fcs/throttle-cmd-norm",)}
-    found = chain(engines=True, **lever)
-    assert found is not None
+    lever = {"wanted": "fcs/throttle-pos-norm", "inputs": ("fcs/throttle-cmd-norm",)}
+    result = chain(engines=True, **lever)
+    assert result is not None
     assert (
         '<pure_gain name="fcs/throttle-pos-norm"><input>fcs/throttle-cmd-norm</input></pure_gain>'
-        in found.xml
+        in result.xml
     )
     assert chain(engines=True, wanted="fcs/throttle-pos-norm") is None
     assert chain(engines=True, wanted="fcs/mixture-pos-norm") is None

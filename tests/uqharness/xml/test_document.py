@@ -29,9 +29,9 @@ DOCUMENT = parse_document(Path("a.xml"), XML)
 
 def test_what_is_declared_has_a_value_and_is_no_remark():
     assert [name for name, _ in declarations(DOCUMENT)] == ["aero/first", "aero/second"]
-    found = declaration(DOCUMENT, "aero/second")
-    assert found is not None
-    assert found.attributes["value"] == "2"
+    result = declaration(DOCUMENT, "aero/second")
+    assert result is not None
+    assert result.attributes["value"] == "2"
     assert declaration(DOCUMENT, "aero/read") is None
     assert declaration(DOCUMENT, "aero/commented") is None
 
@@ -71,11 +71,12 @@ def test_lists_of_properties_are_no_files_of_jsbsim(tmp_path: Path):
 def test_the_protocol_is_an_input_of_comma_separated_lines():
     root = ElementTree.fromstring(protocol_xml())
     assert root.tag == "PropertyList"
-    given = root.find("generic/input")
-    assert given is not None
-    assert (given.findtext("line_separator"), given.findtext("var_separator")) == ("newline", ",")
+    inputs = root.find("generic/input")
+    assert inputs is not None
+    assert (inputs.findtext("line_separator"), inputs.findtext("var_separator")) == ("newline", ",")
     chunks = [
-        (c.findtext("name"), c.findtext("type"), c.findtext("node")) for c in given.findall("chunk")
+        (c.findtext("name"), c.findtext("type"), c.findtext("node"))
+        for c in inputs.findall("chunk")
     ]
     assert chunks == list(FIELDS)
     assert len({node for _, _, node in chunks}) == len(chunks) == 7

@@ -66,18 +66,18 @@ def test_interpolate_and_hold_leave_gaps() -> None:
     inside = (grid > 0.9 + 1e-6) & (grid < 3.0 - 1e-6)
     assert np.isnan(line[inside]).all()
     np.testing.assert_allclose(line[~inside], grid[~inside], atol=1e-9)
-    held = hold(t, t, gaps, grid, 0.1)
-    assert np.isnan(held[(grid > 1.02) & inside]).all()
-    assert held[np.searchsorted(grid, 0.149)] == pytest.approx(0.1)
+    constant = hold(t, t, gaps, grid, 0.1)
+    assert np.isnan(constant[(grid > 1.02) & inside]).all()
+    assert constant[np.searchsorted(grid, 0.149)] == pytest.approx(0.1)
 
 
 # Values.
 
 
 def test_gap_and_dropouts_carry_their_figures(tmp_path: Path, card: AirframeCard) -> None:
-    whole = flight(40.0, start_s=1.0)
-    t = whole["time_s"]
-    record = imported(whole.rows((t < 20.0) | (t > 22.5)), tmp_path, card)
+    complete = flight(40.0, start_s=1.0)
+    t = complete["time_s"]
+    record = imported(complete.rows((t < 20.0) | (t > 22.5)), tmp_path, card)
     gap = findings(record, "gap")["IMU"]
     assert gap.numbers["gaps"] == 1
     assert gap.numbers["longest_s"] == pytest.approx(2.52, abs=0.03)
@@ -91,12 +91,12 @@ def test_gap_and_dropouts_carry_their_figures(tmp_path: Path, card: AirframeCard
 
 def test_sample_and_hold_on_a_faster_grid(tmp_path: Path, card: AirframeCard) -> None:
     record = flight(40.0)
-    held = np.repeat(record["V_mps"][::5], 5)
-    found = findings(
-        imported(record.with_columns({"V_mps": held}), tmp_path, card), "sample-and-hold"
+    constant = np.repeat(record["V_mps"][::5], 5)
+    result = findings(
+        imported(record.with_columns({"V_mps": constant}), tmp_path, card), "sample-and-hold"
     )
-    assert found["V_mps"].numbers["native_hz"] == pytest.approx(10.0, rel=0.05)
-    assert set(found) == {"V_mps"}
+    assert result["V_mps"].numbers["native_hz"] == pytest.approx(10.0, rel=0.05)
+    assert set(result) == {"V_mps"}
 
 
 def test_degrees_where_radians_are_due(tmp_path: Path, card: AirframeCard) -> None:
@@ -119,8 +119,8 @@ def test_wrapped_integers() -> None:
     counter = np.cumsum(np.full(500, 300.0))
     wrapped = np.mod(counter, 65536.0) - 32768.0
     channel = Channel("h_m", "X.Alt", t, wrapped * 0.01, clean(t), False, wrapped)
-    found = [f for f in check_channel(channel, 0.1, set()) if f.code == "wraps"]
-    assert found[0].numbers == {"jumps": 2.0, "span": 65536.0, "values": 65536.0}
+    result = [f for f in check_channel(channel, 0.1, set()) if f.code == "wraps"]
+    assert result[0].numbers == {"jumps": 2.0, "span": 65536.0, "values": 65536.0}
 
 
 # Channels against each other.
@@ -132,10 +132,10 @@ def test_delays_of_gps_and_vane_are_found(tmp_path: Path, card: AirframeCard) ->
     late = {
         c: np.interp(t - 0.1, t, record[c]) for c in ("vn_mps", "ve_mps", "vd_mps", "alpha_rad")
     }
-    found = findings(imported(record.with_columns(late), tmp_path, card), "delay")
-    assert found["ground velocity"].numbers["delay_s"] == pytest.approx(0.1, abs=0.01)
-    assert found["alpha_rad"].numbers["delay_s"] == pytest.approx(0.1, abs=0.015)
-    assert set(found) == {"ground velocity", "alpha_rad"}
+    result = findings(imported(record.with_columns(late), tmp_path, card), "delay")
+    assert result["ground velocity"].numbers["delay_s"] == pytest.approx(0.1, abs=0.01)
+    assert result["alpha_rad"].numbers["delay_s"] == pytest.approx(0.1, abs=0.015)
+    assert set(result) == {"ground velocity", "alpha_rad"}
 
 
 def test_lever_arm_is_estimated_with_its_error() -> None:
@@ -153,10 +153,10 @@ def test_lever_arm_is_estimated_with_its_error() -> None:
     noisy = record.with_columns(
         {c: record[c] + s * rng.standard_normal(len(record)) for c, s in noise.items()}
     )
-    found = lever_arm(noisy)
-    assert found is not None
-    assert np.all(np.abs(found.position_m - arm) < np.maximum(4 * found.std_m, 0.03))
-    assert np.all(found.std_m < 0.1)
+    result = lever_arm(noisy)
+    assert result is not None
+    assert np.all(np.abs(result.position_m - arm) < np.maximum(4 * result.std_m, 0.03))
+    assert np.all(result.std_m < 0.1)
     estimated = FlightRecord(noisy.columns, Metadata(estimates=("alpha_rad",)))
     assert lever_arm(estimated) is None
 
@@ -171,11 +171,11 @@ def test_ground_tow_and_free_flight_are_told_apart() -> None:
     height = np.clip((t - 25) * 4.5, 0, 130)
     elevator = np.where((t > 24) & (t < 58), 400.0, 10 * np.sin(t))
     q = np.where(t < 60, 0.001 * np.sin(7 * t), 0.2 * np.sin(2 * t))
-    found = find_free_flight(t, speed, height, q, elevator, np.array([61.9]))
-    assert found.tow_s is not None
-    assert found.free_s is not None
-    assert found.tow_s[1] == pytest.approx(58.0, abs=0.5)
-    assert found.free_s[0] == pytest.approx(61.9)
+    result = find_free_flight(t, speed, height, q, elevator, np.array([61.9]))
+    assert result.tow_s is not None
+    assert result.free_s is not None
+    assert result.tow_s[1] == pytest.approx(58.0, abs=0.5)
+    assert result.free_s[0] == pytest.approx(61.9)
     no_tow = find_free_flight(
         t, speed, height, np.where(t > 26, 0.2 * np.sin(2 * t), 0.0), 10 * np.sin(t), np.array([])
     )
@@ -203,15 +203,15 @@ def test_free_flight_of_what_never_flew() -> None:
 
 def test_a_noisy_attitude_is_no_wrong_unit() -> None:
     rng = np.random.default_rng(4)
-    quiet = flight(90.0)
+    calm = flight(90.0)
     noise = {
-        name: quiet[name] + 0.02 * rng.standard_normal(len(quiet))
+        name: calm[name] + 0.02 * rng.standard_normal(len(calm))
         for name in ("phi_rad", "theta_rad", "psi_rad")
     }
-    noisy = quiet.with_columns(noise)
+    noisy = calm.with_columns(noise)
     assert not [f for f in check_record(noisy, (0.0, 90.0)) if f.code == "unit"]
-    wrong = noisy.with_columns({"p_radps": noisy["p_radps"] / 3.0})
-    assert [f for f in check_record(wrong, (0.0, 90.0)) if f.code == "unit"]
+    invalid = noisy.with_columns({"p_radps": noisy["p_radps"] / 3.0})
+    assert [f for f in check_record(invalid, (0.0, 90.0)) if f.code == "unit"]
 
 
 def test_an_airspeed_stuck_beneath_a_density_ratio_that_moves() -> None:
@@ -219,25 +219,25 @@ def test_an_airspeed_stuck_beneath_a_density_ratio_that_moves() -> None:
     time = record["time_s"]
     speed = record["V_mps"] + 0.3 * rng.standard_normal(time.size)
     ratio = 1.01 + 1e-4 * rng.standard_normal(time.size)
-    stood = np.where((time >= 20.0) & (time < 25.0), speed[1000], speed)
+    initial = np.where((time >= 20.0) & (time < 25.0), speed[1000], speed)
     entry = Entry("ARSP", 0, ("Airspeed",), times=("CTUN", "E2T"))
 
-    def told(values: np.ndarray) -> list[tuple[float, float]]:
+    def messages_of(values: np.ndarray) -> list[tuple[float, float]]:
         messages = {
             ("ARSP", 0): MessageTable(time, {"Airspeed": values}),
             ("CTUN", 0): MessageTable(time, {"E2T": ratio}),
             ("IMU", 0): MessageTable(time, {"GyrY": record["q_radps"]}),
         }
         signals = SignalMap("test", {"V_mps": (entry,), "q_radps": (Entry("IMU", 0, ("GyrY",)),)})
-        found = assemble(RawLog("dataflash", messages, {}), signals, None)
-        again = recheck(found)
-        assert [f for f in again if f.code == "stuck"] == [
-            f for f in found.metadata.findings if f.code == "stuck"
+        result = assemble(RawLog("dataflash", messages, {}), signals, None)
+        repeat = recheck(result)
+        assert [f for f in repeat if f.code == "stuck"] == [
+            f for f in result.metadata.findings if f.code == "stuck"
         ]
-        return [(f.numbers["start_s"], f.numbers["end_s"]) for f in again if f.code == "stuck"]
+        return [(f.numbers["start_s"], f.numbers["end_s"]) for f in repeat if f.code == "stuck"]
 
-    assert told(stood) == [(pytest.approx(20.0, abs=0.05), pytest.approx(24.98, abs=0.05))]
-    assert told(speed) == []
+    assert messages_of(initial) == [(pytest.approx(20.0, abs=0.05), pytest.approx(24.98, abs=0.05))]
+    assert messages_of(speed) == []
 
 
 # Estimates that pass for sensors are told from sensors.
@@ -245,7 +245,7 @@ def test_an_airspeed_stuck_beneath_a_density_ratio_that_moves() -> None:
 EXACT = flight(90.0, seed=1, wind=(3.0, -2.0))
 
 
-def told(record: FlightRecord) -> list[str]:
+def messages_of(record: FlightRecord) -> list[str]:
     return [f.channel for f in check_estimates(record) if f.code == "estimate"]
 
 
@@ -262,8 +262,10 @@ def test_angles_at_another_rate_than_the_grid() -> None:
     meta = replace(record.metadata, native_hz={"alpha_rad": 20.0, "beta_rad": 20.0})
     sensed = {n: EXACT[n] + 0.003 * rng.standard_normal(time.size) for n in computed}
     for source, expected in ((computed, ["alpha_rad", "beta_rad"]), (sensed, [])):
-        held = {n: np.interp(time, at, np.interp(at, time, values)) for n, values in source.items()}
-        assert told(FlightRecord({**record.columns, **held}, meta)) == expected
+        constant = {
+            n: np.interp(time, at, np.interp(at, time, values)) for n, values in source.items()
+        }
+        assert messages_of(FlightRecord({**record.columns, **constant}, meta)) == expected
 
 
 # Findings are true, one a cause, and purposes follow them.
@@ -285,16 +287,16 @@ def test_one_finding_with_its_mend_and_no_purpose_beside_it(
 ) -> None:
     record = flight(60.0, seed=5)
     ((channel, factor),) = fault.items()
-    spoilt = FlightRecord({**record.columns, channel: factor * record[channel]})
-    spoilt.write(tmp_path / "spoilt.csv")
-    again = import_log(tmp_path / "spoilt.csv")
-    found = [f for f in again.metadata.findings if f.severity != "info"]
-    assert [f.channel for f in found] == [channel]
-    assert {f.code for f in found} == codes
-    assert float(found[0].mend.split("scale = ")[1]) == pytest.approx(1.0 / factor, rel=1e-4)
-    info = log_info(again)
+    damaged = FlightRecord({**record.columns, channel: factor * record[channel]})
+    damaged.write(tmp_path / "spoilt.csv")
+    repeat = import_log(tmp_path / "spoilt.csv")
+    result = [f for f in repeat.metadata.findings if f.severity != "info"]
+    assert [f.channel for f in result] == [channel]
+    assert {f.code for f in result} == codes
+    assert float(result[0].mend.split("scale = ")[1]) == pytest.approx(1.0 / factor, rel=1e-4)
+    info = log_info(repeat)
     assert {p.name for p in info.purposes if p.serves} == set()
-    assert info.flight_s == (again["time_s"][0], again["time_s"][-1])
+    assert info.flight_s == (repeat["time_s"][0], repeat["time_s"][-1])
     # The line mends it: negative control.
     FlightRecord(record.columns).write(tmp_path / "right.csv")
     right = import_log(tmp_path / "right.csv")
@@ -309,11 +311,11 @@ def test_damaged_angles_are_not_taken_for_degrees() -> None:
     phi[::20] = 500.0
     assert not degrees_by_size("phi_rad", phi)
     assert degrees_by_size("phi_rad", DEG * record["phi_rad"])
-    found = recheck(FlightRecord({**record.columns, "phi_rad": phi}))
-    assert [f.code for f in found if f.channel == "phi_rad" and f.severity == "error"] == [
+    result = recheck(FlightRecord({**record.columns, "phi_rad": phi}))
+    assert [f.code for f in result if f.channel == "phi_rad" and f.severity == "error"] == [
         "out-of-range"
     ]
-    assert not [f for f in found if "degrees" in f.message]
+    assert not [f for f in result if "degrees" in f.message]
 
 
 def test_rates_a_third_of_a_row_early_are_no_lever_arm() -> None:
@@ -328,8 +330,8 @@ def test_rates_a_third_of_a_row_early_are_no_lever_arm() -> None:
     }
     assert lever_arm_finding(record.with_columns(early)) == []
     # An accelerometer well off the CG is still found.
-    far = flight(90.0, seed=6, arm_m=(1.2, 0.0, 0.0))
-    (finding,) = lever_arm_finding(far)
+    distant = flight(90.0, seed=6, arm_m=(1.2, 0.0, 0.0))
+    (finding,) = lever_arm_finding(distant)
     assert finding.numbers["x_m"] == pytest.approx(1.2, abs=0.1)
 
 
@@ -345,5 +347,5 @@ def test_rates_of_the_attitude_and_a_speed_without_noise_are_estimates() -> None
     record = noisy(1)
     rates = ("p_radps", "q_radps", "r_radps")
     exact = body_rates_of_attitude(*(record[n] for n in ATTITUDE), record.dt_s)
-    assert told(record.with_columns(dict(zip(rates, exact, strict=True)))) == list(rates)
-    assert told(record.with_columns({"V_mps": EXACT["V_mps"]})) == ["V_mps"]
+    assert messages_of(record.with_columns(dict(zip(rates, exact, strict=True)))) == list(rates)
+    assert messages_of(record.with_columns({"V_mps": EXACT["V_mps"]})) == ["V_mps"]

@@ -76,8 +76,8 @@ def noisy(seed: int, amplitude: float = 1.0) -> FlightRecord:
     )
 
 
-def slips(found: list[Finding]) -> dict[str, float]:
-    return {f.channel: f.numbers["slope"] for f in found if f.code in ("unit", "sign")}
+def slips(result: list[Finding]) -> dict[str, float]:
+    return {f.channel: f.numbers["slope"] for f in result if f.code in ("unit", "sign")}
 
 
 @pytest.mark.parametrize(
@@ -85,9 +85,9 @@ def slips(found: list[Finding]) -> dict[str, float]:
     [name if name in QUICK else pytest.param(name, marks=pytest.mark.slow) for name in FAULTS],
 )
 def test_a_slip_is_named_with_its_channel_and_size(name: str) -> None:
-    found = check_physics(seeded(noisy(1), FAULTS[name]))
-    assert slips(found) == pytest.approx(FAULTS[name], rel=0.02)
-    assert all(f.spoils and f.mend for f in found if f.code in ("unit", "sign"))
+    result = check_physics(seeded(noisy(1), FAULTS[name]))
+    assert slips(result) == pytest.approx(FAULTS[name], rel=0.02)
+    assert all(f.spoils and f.mend for f in result if f.code in ("unit", "sign"))
 
 
 @pytest.mark.parametrize("amplitude", few([0.0, 0.1, 1.0], 2))
@@ -101,8 +101,8 @@ def test_a_genuine_flight(fault: str, flight_data: Path, card_path: Path) -> Non
     record = import_log(flight_data / "espaaro-ardupilot" / "flight1_ident.BIN", None, card_path)
     start, _ = record.metadata.free_flight_s[0]
     part = record.between(start, start + 120.0)
-    wrong = {**FAULTS, **SURFACE_FAULTS}.get(fault, {})
-    assert slips(check_motion(seeded(part, wrong))) == pytest.approx(dict(wrong), rel=0.02)
+    invalid = {**FAULTS, **SURFACE_FAULTS}.get(fault, {})
+    assert slips(check_motion(seeded(part, invalid))) == pytest.approx(dict(invalid), rel=0.02)
 
 
 # The surfaces.
@@ -125,13 +125,13 @@ def driven(sense: float) -> FlightRecord:
 
 
 def test_a_reversed_surface_is_told_from_a_right_one() -> None:
-    right, wrong = (effect(driven(s), AXES[0]) for s in (-1.0, 1.0))
+    right, invalid = (effect(driven(s), AXES[0]) for s in (-1.0, 1.0))
     assert right is not None
     assert right.certain
     assert right.slope == pytest.approx(-0.3, rel=0.15)
-    assert wrong is not None
-    assert wrong.certain
-    assert wrong.slope == pytest.approx(0.3, rel=0.15)
+    assert invalid is not None
+    assert invalid.certain
+    assert invalid.slope == pytest.approx(0.3, rel=0.15)
     assert slips(check_motion(driven(-1.0))) == {}
     assert slips(check_motion(driven(1.0))) == {"elevator_deg": -1.0}
 
@@ -146,10 +146,10 @@ def test_coarse_held_interpolated_stuck_and_wrapped() -> None:
     assert coarse is not None
     assert not coarse.is_held
     assert coarse.quantum == pytest.approx(2.0)
-    kept = sample_hold(np.repeat(smooth[::5], 5))
-    assert kept is not None
-    assert kept.is_held
-    assert kept.run == pytest.approx(5.0, rel=0.02)
+    retained = sample_hold(np.repeat(smooth[::5], 5))
+    assert retained is not None
+    assert retained.is_held
+    assert retained.run == pytest.approx(5.0, rel=0.02)
     assert sample_hold(smooth) is None
     at = np.arange(len(smooth))
     assert interpolation_interval(np.interp(at, at[::5], smooth[::5])) == pytest.approx(
@@ -159,10 +159,10 @@ def test_coarse_held_interpolated_stuck_and_wrapped() -> None:
     assert (
         interpolation_interval(np.round(at * 0.0909) * 0.011 + 0.002 * at) is None
     )  # a steady motion in steps of 11 mm
-    still = smooth + rng.standard_normal(4000)
-    assert stuck_span(still, 0.02) is None
-    still[1000:1200] = still[1000]
-    assert stuck_span(still, 0.02) == (1000, 1199)
+    steady = smooth + rng.standard_normal(4000)
+    assert stuck_span(steady, 0.02) is None
+    steady[1000:1200] = steady[1000]
+    assert stuck_span(steady, 0.02) == (1000, 1199)
     assert detect_wraps(np.mod(np.cumsum(np.full(500, 3.0)), 256.0)) == (5, 256.0, "8-bit")
     assert detect_wraps(np.where(at > 2000, 256.0, 0.0) + rng.standard_normal(4000)) is None
 
@@ -172,15 +172,15 @@ def test_coarse_held_interpolated_stuck_and_wrapped() -> None:
 
 def test_every_law_holds_in_an_exact_flight() -> None:
     record = flight(120.0, seed=2)
-    found = {
+    result = {
         law: estimate_relation(law, part)
         for law in LAWS
         if (part := stretches(record, law)) is not None
     }
-    assert len(found) == len(LAWS)
+    assert len(result) == len(LAWS)
     off = {
         f"{law.subject}: {law.statement}"
-        for law, relation in found.items()
+        for law, relation in result.items()
         if relation.evident and not relation.allows(1.0, 0.05)
     }
     assert off <= {
@@ -208,8 +208,8 @@ def test_coarse_barometer_that_reads_the_flow_is_in_no_other_unit() -> None:
     record = noisy(1)
     time_s, h = record["time_s"], record["h_m"]
     fast = h - np.convolve(np.pad(h, 75, mode="edge"), np.ones(151) / 151, mode="valid")
-    held = (np.arange(len(time_s)) // round(0.55 / record.dt_s)) * round(0.55 / record.dt_s)
-    columns = {n: record[n][held] for n in ("vn_mps", "ve_mps", "vd_mps")}
+    constant = (np.arange(len(time_s)) // round(0.55 / record.dt_s)) * round(0.55 / record.dt_s)
+    columns = {n: record[n][constant] for n in ("vn_mps", "ve_mps", "vd_mps")}
     port = 1.76 * np.round((h + 2.0 * fast) / 1.76)
     findings = check_physics(record.with_columns({**columns, "h_m": port}))
     assert not [f.message for f in findings if f.severity == "error"]

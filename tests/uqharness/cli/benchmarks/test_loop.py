@@ -13,7 +13,7 @@ from uqharness.simulator.aircraft import find_aircraft, open_aircraft
 def test_the_copy_has_no_trace_of_the_plugin_and_flies(tmp_path: Path) -> None:
     aircraft = find_aircraft("espaaro")
     assert b"model-form" in aircraft.xml.read_bytes()
-    bare = without_plugin(aircraft, tmp_path)
-    assert not any(mark in bare.xml.read_bytes() for mark in (b'file="model-form"', b'name="uq/'))
-    assert open_aircraft(bare).get_property_manager().hasNode("uq/CX/level") is False
+    plain = without_plugin(aircraft, tmp_path)
+    assert not any(mark in plain.xml.read_bytes() for mark in (b'file="model-form"', b'name="uq/'))
+    assert open_aircraft(plain).get_property_manager().hasNode("uq/CX/level") is False
     assert open_aircraft(aircraft).get_property_manager().hasNode("uq/CX/level") is True

@@ -25,22 +25,22 @@ def test_status_of_complete_running_and_interrupted(flown, capsys):
     capsys.readouterr()
     out = flown / "out"
     assert call("status", out) == 0
-    said = capsys.readouterr().out
-    assert "complete, 192 of 192 flights done" in said
-    assert "engine jsbsim, because " in said
+    output = capsys.readouterr().out
+    assert "complete, 192 of 192 flights done" in output
+    assert "engine jsbsim, because " in output
     write_manifest(out, read_manifest(out) | {"state": "running", "cases": 200})
     assert call("status", out, "--json") == 1
-    found = json.loads(capsys.readouterr().out)
-    (answer,) = found.pop("answers")
+    result = json.loads(capsys.readouterr().out)
+    (answer,) = result.pop("answers")
     assert (answer["condition"], answer["answer"], answer["hours"]) == (
         "3 m/s moderate",
         "open",
         8.0,
     )
-    assert (found.pop("engine"), bool(found.pop("engine_why"))) == ("jsbsim", True)
+    assert (result.pop("engine"), bool(result.pop("engine_why"))) == ("jsbsim", True)
     # Bounds given as numbers have no confidence to join.
-    assert (found.pop("joint"), found.pop("joint_level")) == ([], None)
-    assert found == {
+    assert (result.pop("joint"), result.pop("joint_level")) == ([], None)
+    assert result == {
         "state": "interrupted",
         "cases": 200,
         "done": 192,

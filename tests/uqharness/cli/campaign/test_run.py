@@ -39,8 +39,8 @@ def test_run_says_one_line_and_nothing_else_in_a_pipe(tmp_path, monkeypatch, cap
 def test_run_again_resumes_and_speaks_json(flown, capsys):
     capsys.readouterr()
     assert call("run", flown / "campaign.toml", "--out", flown / "out", "--serial", "--json") == 0
-    found = json.loads(capsys.readouterr().out)
-    assert (found["cases"], found["done_before"], found["failed"], found["statuses"]) == (
+    result = json.loads(capsys.readouterr().out)
+    assert (result["cases"], result["done_before"], result["failed"], result["statuses"]) == (
         192,
         192,
         0,

@@ -19,10 +19,10 @@ def compared(tmp_path):
 def test_a_comparison_ranks_by_judged_channels_only(compared):
     words = words_of(page_of(compared))
     assert "The model does not reach the noise floor: rms over noise is q 5.00." in words
-    said = write_report(compared).text
+    output = write_report(compared).text
     assert re.search(
-        r"psi \[deg\] +1.15 +- +- +not tested: integral of other channels, drifts", said
+        r"psi \[deg\] +1.15 +- +- +not tested: integral of other channels, drifts", output
     )
-    assert "q_radps" not in said
+    assert "q_radps" not in output
     assert "Farthest in q" in words
     assert "Farthest in psi" not in words

@@ -26,9 +26,9 @@ TERM = Term(
 
 
 def page_of(flight: MatchedFlight, terms=(TERM,)) -> str:
-    found = by_channel(differences(CHANNELS, [flight], terms))
+    result = by_channel(differences(CHANNELS, [flight], terms))
     return render(
-        difference_page(("old", "new"), CHANNELS, [flight], found, terms, "uqharness diff old new")
+        difference_page(("old", "new"), CHANNELS, [flight], result, terms, "uqharness diff old new")
     )
 
 

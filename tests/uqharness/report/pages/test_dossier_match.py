@@ -15,9 +15,9 @@ T = np.arange(0.0, 6.0, 0.02)
 def with_rudder(folder, gap_radps, suffixes=("_after",)):
     """Histories of a rudder doublet whose yaw rate differs by a constant."""
     rudder = 4.0 * ((T >= 1.0) & (T < 1.5)) - 4.0 * ((T >= 1.5) & (T < 2.0))
-    still = np.zeros(T.size)
-    columns = {"rudder": [rudder], "elevator": [still], "r_radps": [still + gap_radps]} | {
-        f"r_radps{s}": [still] for s in suffixes
+    steady = np.zeros(T.size)
+    columns = {"rudder": [rudder], "elevator": [steady], "r_radps": [steady + gap_radps]} | {
+        f"r_radps{s}": [steady] for s in suffixes
     }
     write_pieces(folder / "histories.parquet", [("b", "yaw <doublet>", T)], columns)
     return folder
@@ -41,11 +41,11 @@ def test_the_refined_model_on_hold_out_flights_is_preferred(tmp_path):
 
 
 def test_proof_of_match_passes_and_fails(tmp_path):
-    good = section_of(with_rudder(folders.refined(tmp_path / "good"), 0.01))
-    bad = section_of(with_rudder(folders.refined(tmp_path / "bad"), 0.05))
-    for section, word in ((good, "pass"), (bad, "fail")):
+    valid = section_of(with_rudder(folders.refined(tmp_path / "good"), 0.01))
+    invalid = section_of(with_rudder(folders.refined(tmp_path / "bad"), 0.05))
+    for section, word in ((valid, "pass"), (invalid, "fail")):
         table = next(b for b in section.blocks if isinstance(b, Table))
         answers = {row[0].split()[0]: row[3].text for row in table.rows}
         assert answers["2.d.6"] == word
         assert answers["2.c.10"] == "not in the data"
-    assert "yaw &lt;doublet&gt;" in texts(bad)
+    assert "yaw &lt;doublet&gt;" in texts(invalid)

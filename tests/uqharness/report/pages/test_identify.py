@@ -37,16 +37,18 @@ def test_identify_page(identified):
 
 def test_a_tick_stands_only_where_residuals_were_compared_with_the_noise(identified):
     fit = json.loads((identified / "fit.json").read_text())
-    known = {name: row for name, row in fit["parameters"].items() if row["status"] == "identified"}
-    within = {c: {**row, "rms": row["noise"]} for c, row in fit["fit"].items()}
-    said(identified, parameters=known, fit=within)
+    reference = {
+        name: row for name, row in fit["parameters"].items() if row["status"] == "identified"
+    }
+    inside = {c: {**row, "rms": row["noise"]} for c, row in fit["fit"].items()}
+    output_of(identified, parameters=reference, fit=inside)
     tree = html.document_fromstring(page_of(identified))
     ticked = [e.text_content().split()[1] for e in tree.xpath("//*[@class='good']")]
     # The sentence about the channels, and the channel.
     assert ticked == ["Every", "1.00"]
 
 
-def said(folder, **changed):
+def output_of(folder, **changed):
     fit = json.loads((folder / "fit.json").read_text())
     (folder / "fit.json").write_text(json.dumps({**fit, **changed}))
     return words_of(page_of(folder))
@@ -58,18 +60,18 @@ def test_standard_errors_are_not_vouched_for_where_the_model_does_not_explain_th
     fit = json.loads((identified / "fit.json").read_text())
     doubt = "Standard errors assume that the model form is correct"
     assert doubt in words_of(page_of(identified))
-    within = {c: {**row, "rms": row["noise"]} for c, row in fit["fit"].items()}
-    assert doubt not in said(identified, fit=within)
+    inside = {c: {**row, "rms": row["noise"]} for c, row in fit["fit"].items()}
+    assert doubt not in output_of(identified, fit=inside)
     # Gusts of a sample are in filter error's innovations: their size is no reproach, their colour
     # is.
     large = {
         c: {**row, "rms": 2.0, "noise": 1.0, "whiteness_p": 0.3, "predictable_share": 0.0}
         for c, row in fit["fit"].items()
     }
-    found = said(identified, fit=large, method="filter error")
-    assert doubt not in found
-    assert "innovations are white" in found
+    result = output_of(identified, fit=large, method="filter error")
+    assert doubt not in result
+    assert "innovations are white" in result
     tinted = {c: {**row, "whiteness_p": 1e-9, "predictable_share": 0.4} for c, row in large.items()}
-    found = said(identified, fit=tinted, method="filter error")
-    assert doubt in found
-    assert "q 40 %" in found
+    result = output_of(identified, fit=tinted, method="filter error")
+    assert doubt in result
+    assert "q 40 %" in result

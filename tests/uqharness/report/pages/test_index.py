@@ -20,9 +20,9 @@ def identified(tmp_path):
 
 def test_report_command(identified, capsys):
     assert main(["report", str(identified), "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
-    assert found["kind"] == "identify"
-    assert found["report"] == str(identified / "report.html")
+    result = json.loads(capsys.readouterr().out)
+    assert result["kind"] == "identify"
+    assert result["report"] == str(identified / "report.html")
     first = (identified / "report.html").read_bytes()
     assert main(["report", str(identified)]) == 0
     assert (identified / "report.html").read_bytes() == first
@@ -31,8 +31,8 @@ def test_report_command(identified, capsys):
 
 def test_a_folder_of_nothing_is_refused_with_what_was_looked_for(tmp_path, capsys):
     assert main(["report", str(tmp_path)]) == 2
-    said = capsys.readouterr().err
-    assert all(name in said for name, _ in KINDS)
+    output = capsys.readouterr().err
+    assert all(name in output for name, _ in KINDS)
     assert main(["report", str(tmp_path / "gone")]) == 2
     assert "is no folder" in capsys.readouterr().err
 
@@ -40,9 +40,9 @@ def test_a_folder_of_nothing_is_refused_with_what_was_looked_for(tmp_path, capsy
 def test_a_folder_of_next_flight_is_told_apart_from_a_folder_of_nothing(tmp_path, capsys):
     (tmp_path / "next-flight.json").write_text("{}")
     assert main(["report", str(tmp_path)]) == 2
-    said = capsys.readouterr().err
-    assert "run uqharness next-flight again" in said
-    assert "no results to report on" not in said
+    output = capsys.readouterr().err
+    assert "run uqharness next-flight again" in output
+    assert "no results to report on" not in output
 
 
 @pytest.mark.parametrize("text", ["", "[]", '{"effects": []}', "{"])
@@ -54,7 +54,7 @@ def test_a_spoilt_document_is_refused_by_name(tmp_path, text):
 
 def test_page_checks_find_faults(identified):
     page = write_report(identified).path.read_text(encoding="utf-8")
-    for old, new, said in (
+    for old, new, output in (
         ("<figcaption>", "<figcaption><img src='http://example.org/a.png'/>", "fetches"),
         ('role="img" ', "", "no label"),
         ("<caption>", "<caption/><b>", "not well formed"),
@@ -66,4 +66,4 @@ def test_page_checks_find_faults(identified):
         ('id="parameters"', 'id="fit-history-0-V_mps"', "twice"),
     ):
         assert old in page
-        assert any(said in text for text in problems(page.replace(old, new))), said
+        assert any(output in text for text in problems(page.replace(old, new))), output

@@ -17,8 +17,10 @@ W = np.geomspace(0.05, 100.0, 300)
 
 
 def loop(response, scatter=None, name="elevator"):
-    bad = np.zeros(W.size) if scatter is None else scatter
-    return LoopMargins(name, margins_of(W[bad < 0.1], response[bad < 0.1]), W, response, bad)
+    invalid = np.zeros(W.size) if scatter is None else scatter
+    return LoopMargins(
+        name, margins_of(W[invalid < 0.1], response[invalid < 0.1]), W, response, invalid
+    )
 
 
 def integrator(k=4.0, delay=0.1):
@@ -59,10 +61,10 @@ def test_the_delayed_curve_of_nichols_runs_through_the_critical_point():
         np.array(re.match(r"M([-\d.]+) ([-\d.]+)", cross).groups(), dtype=float) + 4.0
         for cross in crosses
     ]
-    near = {
+    close = {
         k: min(math.dist(c, p) for c in critical for p in at(svg, k)) for k in ("first", "third")
     }
-    assert near["third"] < 3.0 < near["first"]
+    assert close["third"] < 3.0 < close["first"]
 
 
 def test_a_conditionally_stable_loop_shows_its_margin_downwards():

@@ -42,9 +42,9 @@ def test_coverage_page(tmp_path):
 def test_what_bounds_json_has_stands_on_the_page(bounded):
     row = {"mean_width": 0.02, "noise_width": 0.01, "left_out_share": 0.9}
     names = list(made_up_form().coefficients)
-    tried = {"cutoff_hz": 3.0, "airspeed_cutoff_hz": None, "mean_width": dict.fromkeys(names, 0.03)}
-    details = {"coefficients": dict.fromkeys(names, row), "cutoffs": [tried]}
-    folders.written(bounded, "bounds.json", details)
+    trial = {"cutoff_hz": 3.0, "airspeed_cutoff_hz": None, "mean_width": dict.fromkeys(names, 0.03)}
+    details = {"coefficients": dict.fromkeys(names, row), "cutoffs": [trial]}
+    folders.write_document(bounded, "bounds.json", details)
     tree = html.document_fromstring(page_of(bounded))
     first, second = tree.xpath("//table[starts-with(caption, 'Mean width')]/tbody/tr")
     assert [e.text_content().strip() for e in first][:3] == ["6", "2", "0.02"]

@@ -32,7 +32,7 @@ def point(V, short=(-4.0, 3.0), roll=-8.0, spiral=-0.01, level=1):
         pair("roll", roll, 0.0),
         pair("spiral", spiral, 0.0),
     ]
-    both = (
+    combined = (
         [pair("short_period", *short)]
         if short[1]
         else [pair("short_period", short[0], 0.0), pair("short_period", -1.0, 0.0)]
@@ -52,13 +52,13 @@ def point(V, short=(-4.0, 3.0), roll=-8.0, spiral=-0.01, level=1):
             "3.3.1.3",
         ),
     )
-    return LocusPoint(V, (*both, *modes), levels, 0.02 * V * V)
+    return LocusPoint(V, (*combined, *modes), levels, 0.02 * V * V)
 
 
-def page(asked=20.0, points=(), refused=()):
-    found = Locus(tuple(points) or tuple(point(V) for V in (16.0, 20.0, 24.0)), tuple(refused))
-    here = next(p for p in found.points if p.V_mps == asked)
-    return render(modes_page(ASKED, here, found))
+def page(request=20.0, points=(), refused=()):
+    result = Locus(tuple(points) or tuple(point(V) for V in (16.0, 20.0, 24.0)), tuple(refused))
+    local = next(p for p in result.points if p.V_mps == request)
+    return render(modes_page(ASKED, local, result))
 
 
 def test_the_page_is_sound_and_says_levels_and_speeds():

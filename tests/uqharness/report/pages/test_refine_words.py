@@ -8,7 +8,7 @@ from uqharness.report.pages.refinement import hold_out_words
 from uqharness.results.refinement import HoldOutTest
 
 
-def says(test: dict, withdrawn: bool = False) -> str:
+def run_command(test: dict, withdrawn: bool = False) -> str:
     return hold_out_words(HoldOutTest(**test), withdrawn)
 
 
@@ -24,9 +24,9 @@ def says(test: dict, withdrawn: bool = False) -> str:
     ],
 )
 def test_a_change_is_told_to_three_figures_of_its_standard_error(change, std, text):
-    said = says({"gap": "shrank", "change_of_twice_log_likelihood": change, "std": std})
-    assert said.startswith("confirmed")
-    assert said.endswith(f"twice the log likelihood changes by {text}")
+    output = run_command({"gap": "shrank", "change_of_twice_log_likelihood": change, "std": std})
+    assert output.startswith("confirmed")
+    assert output.endswith(f"twice the log likelihood changes by {text}")
 
 
 def test_a_change_of_replays_that_diverge_is_told_without_its_digits():
@@ -37,9 +37,9 @@ def test_a_change_of_replays_that_diverge_is_told_without_its_digits():
         "share_of_estimate": 1.0,
         "share_std": 1e-12,
     }
-    assert "diverges without it, best value 1.00 ± 0.00" in says(test)
-    grew = says({**test, "gap": "grew", "change_of_twice_log_likelihood": -4.6e24})
+    assert "diverges without it, best value 1.00 ± 0.00" in run_command(test)
+    grew = run_command({**test, "gap": "grew", "change_of_twice_log_likelihood": -4.6e24})
     assert "diverges with it" in grew
-    assert "+999000000 ± 20000000" in says(
+    assert "+999000000 ± 20000000" in run_command(
         {**test, "change_of_twice_log_likelihood": 9.99e8, "std": 2e7}
     )

@@ -7,7 +7,7 @@ from lxml import html
 
 from tests.helpers import report_folders as folders
 from tests.helpers.page_checks import page_of, words_of
-from tests.helpers.report_folders import refinement, written
+from tests.helpers.report_folders import refinement, write_document
 
 
 @pytest.fixture
@@ -78,7 +78,7 @@ def test_hold_out_flights_of_another_configuration(tmp_path, flights, differ):
 
 def page_without_effects(tmp_path, verdict, place):
     """Return the page of a refinement without effects."""
-    left = {
+    remaining = {
         "unexplained": verdict == "unexplained",
         "where": [],
         "channels_above_noise": {},
@@ -90,9 +90,9 @@ def page_without_effects(tmp_path, verdict, place):
         "effects": [],
         "withdrawn": [],
         "disagreement": [],
-        "remaining": left,
+        "remaining": remaining,
     }
-    return page_of(written(tmp_path / "refined", "refinement.json", refinement(**changes)))
+    return page_of(write_document(tmp_path / "refined", "refinement.json", refinement(**changes)))
 
 
 @pytest.mark.parametrize(
@@ -124,26 +124,26 @@ def test_what_is_said_of_the_gap_is_what_the_hold_out_flights_said_of_the_effect
         for gap in gaps
     ]
     page = page_of(
-        written(
+        write_document(
             tmp_path / "refined",
             "refinement.json",
             refinement(verdict="effects-found", effects=effects),
         )
     )
-    said = html.document_fromstring(page).findall(".//section[@class='verdict']//li")
-    assert text in said[0].text_content()
-    assert tuple(line.get("class") for line in said[: len(levels)]) == levels
+    output = html.document_fromstring(page).findall(".//section[@class='verdict']//li")
+    assert text in output[0].text_content()
+    assert tuple(line.get("class") for line in output[: len(levels)]) == levels
 
 
 def test_errors_of_predictions_stand_under_their_own_name(tmp_path):
     done = refinement()
     assert "one sample ahead" not in words_of(
-        page_of(written(tmp_path / "calm", "refinement.json", done))
+        page_of(write_document(tmp_path / "calm", "refinement.json", done))
     )
     done["gap"]["test"]["predictions"] = {
         "q_radps": {"rms_before": 0.0041, "rms_after": 0.0037, "noise_rms": 0.0036}
     }
-    words = words_of(page_of(written(tmp_path / "turbulent", "refinement.json", done)))
+    words = words_of(page_of(write_document(tmp_path / "turbulent", "refinement.json", done)))
     assert "The flights were turbulent." in words
     assert "Errors of predictions one sample ahead on the hold-out flights, rms." in words
     assert "0.235" in words

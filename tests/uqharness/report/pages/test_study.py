@@ -10,7 +10,7 @@ from lxml import html
 
 from tests.helpers import report_folders as folders
 from tests.helpers.page_checks import page_of, words_of
-from tests.helpers.report_folders import stage, study, written
+from tests.helpers.report_folders import stage, study, write_document
 
 pytestmark = pytest.mark.usefixtures("flights_here")
 
@@ -32,8 +32,8 @@ def test_a_study_with_two_campaigns_over_each_other(tmp_path, campaigns, refined
     stages.append(stage("refine", "refine", refined.name, exit=1))
     stages.append(stage("bounds", "bounds", "gone"))
     stages.append(stage("later", "sensitivity", "later", state="waiting"))
-    both = {"before": "before", "after": "after"}
-    folder = written(tmp_path / "study", "study.json", study(stages, before_after=both))
+    pair = {"before": "before", "after": "after"}
+    folder = write_document(tmp_path / "study", "study.json", study(stages, before_after=pair))
     page = page_of(folder)
     words = words_of(page)
     assert (
@@ -63,15 +63,15 @@ def test_a_study_with_two_campaigns_over_each_other(tmp_path, campaigns, refined
 
 
 @pytest.mark.parametrize(
-    ("state", "stage_state", "said"),
+    ("state", "stage_state", "output"),
     [("running", "running", "is not finished: 0 of 1"), ("failed", "failed", "fly failed")],
 )
-def test_a_study_that_is_not_done_says_so_first(tmp_path, state, stage_state, said):
-    folder = written(
+def test_a_study_that_is_not_done_says_so_first(tmp_path, state, stage_state, output):
+    folder = write_document(
         tmp_path,
         "study.json",
         study([stage("fly", "fly", "fly", state=stage_state, error="no wind")], state=state),
     )
     first = html.document_fromstring(page_of(folder)).find(".//section[@class='verdict']//li")
-    assert said in first.text_content()
+    assert output in first.text_content()
     assert first.get("class") in ("warn", "bad")

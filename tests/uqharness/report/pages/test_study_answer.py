@@ -14,7 +14,7 @@ from lxml import html
 
 from tests.helpers import report_folders as folders
 from tests.helpers.page_checks import page_of
-from tests.helpers.report_folders import stage, study, written
+from tests.helpers.report_folders import stage, study, write_document
 from uqharness.campaign.rounds import KINDS
 from uqharness.report.campaign import read_campaign_report
 from uqharness.report.pages.study import cells_section
@@ -44,11 +44,11 @@ def page(tmp_path, campaigns, effect_test=None, **changes):
     """
     key = json.dumps([effect_test, changes])
     if key not in MADE:
-        MADE[key] = made(tmp_path, campaigns, effect_test, **changes)
+        MADE[key] = build(tmp_path, campaigns, effect_test, **changes)
     return MADE[key]
 
 
-def made(tmp_path, campaigns, effect_test=None, **changes):
+def build(tmp_path, campaigns, effect_test=None, **changes):
     folder = tmp_path / "study"
     for name in ("before", "after"):
         shutil.copytree(campaigns / name, folder / name)
@@ -69,7 +69,7 @@ def made(tmp_path, campaigns, effect_test=None, **changes):
         )
         | changes
     )
-    return html.document_fromstring(page_of(written(folder, "study.json", document)))
+    return html.document_fromstring(page_of(write_document(folder, "study.json", document)))
 
 
 def shrank():
@@ -79,8 +79,8 @@ def shrank():
 def test_the_question_the_answer_and_three_figures_stand_first(tmp_path, campaigns):
     tree = page(tmp_path, campaigns, shrank())
     assert tree.findtext(".//h1") == "Is it good enough?"
-    said = [e.text_content().strip() for e in tree.findall(".//section[@class='verdict']//li")]
-    assert said == ["! Yes in calm air.", "Why: 0.1/h.", "Next: nothing."]
+    output = [e.text_content().strip() for e in tree.findall(".//section[@class='verdict']//li")]
+    assert output == ["! Yes in calm air.", "Why: 0.1/h.", "Next: nothing."]
     main = [e for e in tree.find(".//main") if isinstance(e.tag, str)]
     assert [e.get("id") for e in main[2].iter("figure")] == [
         "ground-track",
@@ -129,10 +129,10 @@ def test_inconclusive_cells_have_no_tick(tmp_path, campaigns):
 def test_aborted_flights_are_shown_by_kind_with_the_limit_of_their_rate(campaigns):
     sides = {when: read_campaign_report(campaigns / when) for when in ("before", "after")}
     item = sides["after"].signed[0]
-    lost = {"loss_of_control": 3, "ground_contact": 0, "diverged": 1, "other": 0}
+    is_lost = {"loss_of_control": 3, "ground_contact": 0, "diverged": 1, "other": 0}
     after = replace(
         sides["after"],
-        signed=(replace(item, aborted=lost, loss_upper_per_h=4.5), *sides["after"].signed[1:]),
+        signed=(replace(item, aborted=is_lost, loss_upper_per_h=4.5), *sides["after"].signed[1:]),
     )
     table = cells_section(sides | {"after": after}).blocks[-1]
     assert table.head[5:] == (
@@ -143,10 +143,10 @@ def test_aborted_flights_are_shown_by_kind_with_the_limit_of_their_rate(campaign
     )
     assert table.rows[0][5:8] == ("0 / 3", "0 / 0", "0 / 1")
     assert table.rows[0][8].endswith(" / 4.5")
-    alone = cells_section({"": after}).blocks[-1]
-    assert alone.rows[0][4:] == ("3", "0", "1", "4.5")
-    assert tuple(item.aborted) == KINDS == tuple(lost)
-    other = replace(after, signed=(replace(item, aborted=lost | {"other": 2}),))
+    single = cells_section({"": after}).blocks[-1]
+    assert single.rows[0][4:] == ("3", "0", "1", "4.5")
+    assert tuple(item.aborted) == KINDS == tuple(is_lost)
+    other = replace(after, signed=(replace(item, aborted=is_lost | {"other": 2}),))
     assert cells_section({"": other}).blocks[-1].head[-2] == "Ended otherwise"
 
 
@@ -158,7 +158,7 @@ def test_damaged_tracks_are_told_and_leave_the_p_box(tmp_path, campaigns, conten
             (folder / "tracks.parquet").write_bytes(content)
 
     monkeypatch.setattr(folders, "tracks", damaged)
-    tree = made(tmp_path, campaigns)
+    tree = build(tmp_path, campaigns)
     assert not tree.xpath("//figure[@id='ground-track']")
     assert tree.xpath("//figure[@id='answer-pbox']")
     (heading,) = [e for e in tree.iter("h2") if e.text == "What could not be read"]
