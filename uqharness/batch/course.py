@@ -29,6 +29,7 @@ from uqharness.batch.mission import (
     WIND,
     LaneMission,
     LoadedStart,
+    Rester,
     Settler,
     load_start,
     make_mission,
@@ -86,7 +87,14 @@ from uqharness.flight import (
     staged_mission,
     to_signals,
 )
-from uqharness.simulator import CHANGEABLE, FTLBF_PER_S_HP, Source, StagedMission, power_is_balanced
+from uqharness.simulator import (
+    CHANGEABLE,
+    FTLBF_PER_S_HP,
+    Source,
+    StagedMission,
+    forced_state,
+    power_is_balanced,
+)
 
 # From flight specifications to the state before the first frame: JSBSim's start, then two
 # initialising frames.
@@ -193,6 +201,8 @@ def initialise_lanes(lanes: LaneMission, specs: Sequence[FlightSpec]) -> Initial
             renew=lambda: initialise(renewer, 2),
             run_ic=lambda: run_ic((initialiser, initialiser)),
         )
+    if lanes.rester is not None:
+        bring_to_rest(lanes.rester, values, count, lambda: run_ic((initialiser, initialiser)))
     if lanes.points and (values[TOUCHED] >= 0.0).any():
         raise BadInputError(
             "the flight starts on the ground, where the batch engine computes no forces; use"
@@ -309,6 +319,44 @@ def settle(
         name: np.where(off_balance, values[name], value)
         for name, value in unbalanced_values.items()
     }
+
+
+def bring_to_rest(
+    rester: Rester, values: dict[str, FloatArray], count: int, run_ic: Callable[[], None]
+) -> None:
+    """Bring every lane's control system to rest; ``values`` is updated.
+
+    Blocks of frames with frozen motion, each followed by the initialising frames (``run_ic``), as
+    `simulator.forced_state.bring_to_rest`. Actuators and flaps move at their own rates, which ends
+    at the same place.
+    """
+    held = [f"#{name}" for part in WEIGHTS_PARTS for name in state_slots(part)]
+    held += ["#earth/angle", *rester.fuel]
+    program = rester.flyer.program
+    is_moving = np.ones(count, dtype=bool)
+    smallest, blocks_without_gain = np.full(count, np.inf), np.zeros(count, dtype=int)
+    for _ in range(forced_state.MAX_BLOCKS):
+        before = dict(values)
+        state = initial_state(
+            program, count, {name: v for name, v in values.items() if name in program.slots}
+        )
+        rester.flyer.fly(state, 1, forced_state.BLOCK_FRAMES)
+        values |= {name: slot(program, state, name, count) for name in program.slots}
+        values |= {name: before[name] for name in held if name in before}
+        run_ic()
+        change = np.zeros(count)
+        for name in rester.watched:
+            step = np.abs(values[name] - before[name]) / np.maximum(np.abs(values[name]), 1.0)
+            change = np.maximum(change, step)
+        # A lane does not depend on the others.
+        values |= {name: np.where(is_moving, values[name], value) for name, value in before.items()}
+        has_gained = change < 0.5 * smallest
+        smallest = np.where(has_gained, change, smallest)
+        blocks_without_gain = np.where(has_gained, 0, blocks_without_gain + 1)
+        is_moving &= change > forced_state.CONVERGED
+        is_moving &= blocks_without_gain < forced_state.PATIENCE
+        if not is_moving.any():
+            return
 
 
 def _settle_engine(flyer: Flyer, going: str, values: dict[str, FloatArray], count: int) -> None:

@@ -43,7 +43,15 @@ from uqharness.flight import (
     set_wind_without_air,
     without_missing_switches,
 )
-from uqharness.simulator import CHANGEABLE, MARK, RATES_FREE, RATES_HELD, StagedMission, engine
+from uqharness.simulator import (
+    CHANGEABLE,
+    MARK,
+    RATES_FREE,
+    RATES_HELD,
+    StagedMission,
+    engine,
+    forced_state,
+)
 from uqharness.xml import read_document
 
 _START = re.compile(r"(?<![\w/])(?:/?fdm/jsbsim/)?ic/[\w.\-]+(?:\[\d+\])?")
@@ -134,11 +142,18 @@ class LaneMission:
         )
         return copy
 
+    @property
+    def between(self) -> tuple[Program, ...]:
+        """The programs that run between the initialising frames and the flight."""
+        if self.steady:
+            return self.flight.settling
+        return () if self.flight.resting is None else (self.flight.resting,)
+
     @cached_property
     def program(self) -> Program:
         """The optimised frame; computed when it is flown, because `refusals` does not need it."""
         flight = self.flight
-        between = flight.settling if self.steady and flight.renewed is not None else ()
+        between = self.between
         # Fold what never changes after the initialising frames, then add the noise streams.
         program = propagate_constants(
             (flight.first, flight.second), flight.frame, self.varying, between
@@ -160,12 +175,30 @@ class LaneMission:
         """The two initialising frames."""
         # Without an air system, airspeed for the host's gusts comes from the ground speed.
         retained = [*self.inputs, *(() if self.air else GROUND_SPEED)]
-        if self.steady:
-            retained += [name for one in self.flight.settling for name in one.slots]
+        retained += [name for one in self.between for name in one.slots]
         first, second = specialise_startup(
             self.flight.first, self.flight.second, self.program, retained
         )
         return Interpreter(first), Interpreter(second)
+
+    @cached_property
+    def rester(self) -> Rester | None:
+        """What brings the control system to rest; None if the mission does not start so."""
+        resting = self.flight.resting
+        if resting is None:
+            return None
+        propulsion = self.flight.propulsion
+        readings = tuple(
+            f"{engine.name}{reading}"
+            for engine in propulsion.engines
+            for reading in ("thrust-lbs", "propeller-rpm")
+        )
+        outputs = map(canonical, forced_state.control_outputs(self.mission.aircraft))
+        watched = [name for name in (*outputs, *readings) if name in resting.slots]
+        contents = [f"{tank.name}contents-lbs" for tank in propulsion.tanks]
+        used = [f"{engine.name}fuel-used-lbs" for engine in propulsion.engines]
+        fuel = [name for name in (*contents, *used) if name in resting.slots]
+        return Rester(compile_program(resting, choose_target()), tuple(watched), tuple(fuel))
 
     @cached_property
     def settlers(self) -> tuple[Settler, ...]:
@@ -180,6 +213,25 @@ class LaneMission:
             if self.steady and self.flight.renewed is not None
             else None
         )
+
+
+@dataclass(frozen=True)
+class Rester:
+    """How the control system is brought to rest, as by `simulator.forced_state.bring_to_rest`.
+
+    Attributes
+    ----------
+    flyer : Flyer
+        Frames with frozen motion.
+    watched : tuple of str
+        Slots that must come to rest.
+    fuel : tuple of str
+        Slots of the tanks' contents and of the fuel used, which stay.
+    """
+
+    flyer: Flyer
+    watched: tuple[str, ...]
+    fuel: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -260,7 +312,7 @@ def make_mission(
     # Refuse early what cannot be flown at all.
     sources = read_sources(mission.aircraft, mission.script.path)
     _refuse_running(mission)
-    _refuse_settling(mission)
+    rest = _rests(mission)
     # Mass properties that a lane changes are set per lane later.
     unchanged = replace(
         spec, properties={n: v for n, v in spec.properties.items() if n not in CHANGEABLE}
@@ -299,6 +351,7 @@ def make_mission(
         points,
         gusts_by_heading=gusty and not air,
         changes_dry_mass=True,
+        rest=rest,
     )
     flight = trace_flight(sources, mission.aircraft.dt_s, values, request)
     # Everything that differs between lanes must not be folded as a constant.
@@ -323,13 +376,17 @@ def make_mission(
     )
 
 
-def _refuse_settling(mission: StagedMission) -> None:
-    """Raise BadInputError if the script lets JSBSim bring the control system to rest first."""
-    if any(mark in mission.script.run_properties for mark in (RATES_HELD, RATES_FREE)):
+def _rests(mission: StagedMission) -> bool:
+    """Return whether frames of JSBSim bring the control system to rest before the flight.
+
+    Raises BadInputError where they are not translated.
+    """
+    if RATES_FREE in mission.script.run_properties:
         raise BadInputError(
             f"{mission.script.path}: frames of JSBSim bring the control system to rest before the"
-            ' flight begins; use engine = "jsbsim"'
+            ' flight begins, with its body rates free; use engine = "jsbsim"'
         )
+    return RATES_HELD in mission.script.run_properties
 
 
 def initial_values(open_fdm: Callable[[], Any], fdm: Any = None) -> Callable[[str], float | None]:

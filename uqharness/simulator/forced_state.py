@@ -39,7 +39,7 @@ RATES_HELD, RATES_FREE = "flight/steady-controls", "flight/steady-rates"
 AT_REST = 1e-9
 """Relative (or absolute below 1) change per frame that counts as rest."""
 BLOCK_FRAMES, MAX_BLOCKS, PATIENCE = 50, 400, 20
-_CONVERGED = 1e-11  # change over a block
+CONVERGED = 1e-11  # change over a block
 _MOVED_POSITION = 1e-6  # deg or rad
 _ROTATION = "simulation/integrator/rate/rotational"
 _RATES = ("p", "q", "r")
@@ -212,7 +212,7 @@ def _run_to_rest(fdm: Any, equilibrium: ControlEquilibrium) -> str:
         largest = max(changes, default=0.0)
         worst = names[changes.index(largest)] if changes else ""
         previous = current
-        if not largest > _CONVERGED:
+        if not largest > CONVERGED:
             return ""
         # Give up once PATIENCE blocks have not halved the smallest change.
         smallest, blocks_without_gain = (

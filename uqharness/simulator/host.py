@@ -478,6 +478,9 @@ def resolve(
                 else None
             )
         )
+        # Gliders read switches of engines that they lack: a parachute on the magnetos, for example.
+        if row is not None and row.kind == "system" and _lacks_engine(absolute, exists):
+            row = replace(row, source="0", kind="unknown")
         # A constant that the model declares itself stays the author's.
         is_constant = name not in unset and names.declared.get(name) is not None
         if row is not None and not (is_constant and not parse_source(row.source).terms):
@@ -534,6 +537,15 @@ def _with_index(table: Mapping[str, Any], name: str) -> tuple[Any, str]:
         if pattern in table:
             return table[pattern], index
     return None, index
+
+
+_OF_ENGINE = re.compile(r"/engine(\[\d+\])?/")
+
+
+def _lacks_engine(name: str, exists: Callable[[str], bool]) -> bool:
+    """Return whether a property belongs to an engine that the aircraft does not have."""
+    match = _OF_ENGINE.search(name)
+    return match is not None and not exists(f"propulsion/engine{match[1] or ''}/set-running")
 
 
 def _exist(source: str, exists: Callable[[str], bool]) -> bool:

@@ -77,6 +77,13 @@ def test_a_brake_that_the_author_set_for_the_start_is_released():
     assert sources_of(reads(declared, declared=declared)) == {brake: ("0", "unknown")}
 
 
+def test_switches_of_an_engine_that_the_aircraft_lacks_stay_off():
+    names = ["/controls/engines/engine/magnetos", "/controls/engines/engine[1]/magnetos"]
+    one_engine = re.compile(r"(?!propulsion/engine\[1\])")
+    rows = host.resolve(reads(names), dict.fromkeys(names, ""), lambda name: one_engine.match(name))
+    assert [row.source for row in rows] == ["3", "0"]
+
+
 def test_a_misspelt_name_of_jsbsim_is_told_from_a_name_of_the_host(tmp_path):
     folder = foreign_aircraft.write("glider", tmp_path)
     aircraft = with_readings(folder, ["velocities/vc-knts"])

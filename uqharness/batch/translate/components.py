@@ -181,12 +181,13 @@ class Component:
         if node is None:
             return None
         self.scope.only(node, ("type",))
-        if sorted(child.tag for child in inner(node)) != ["max", "min"]:
-            self.scope.refuse(node, "a <clipto> has one <min> and one <max>")
-        ends = [child for tag in ("min", "max") for child in node.all(tag)]
-        for end in ends:
+        low, high = node.find("min"), node.find("max")
+        # JSBSim ignores a <clipto> that lacks one of its ends.
+        if low is None or high is None:
+            return None
+        for end in (low, high):
             self.scope.only(end)
-        return self.scope.parameter(ends[0]), self.scope.parameter(ends[1])
+        return self.scope.parameter(low), self.scope.parameter(high)
 
     def clipped(self, value: Value) -> Value:
         """Clip a value to ``<clipto>``, or wrap it into a cyclic one."""

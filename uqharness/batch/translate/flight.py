@@ -8,7 +8,7 @@ stands still (JSBSim's initialisation), then frames of one step.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from uqharness.batch import winds
 from uqharness.batch.atmosphere import trace_air_data, trace_atmosphere, trace_ratios
@@ -54,7 +54,7 @@ from uqharness.flight import ContactPoint
 from uqharness.xml import Document, Node
 
 _HOOKS = {**winds.WRITES, **HOOKS}
-_RENEWAL = 3
+_RENEWAL, _REST = 3, 4
 
 
 @dataclass(frozen=True)
@@ -81,6 +81,8 @@ class Flight:
     balancing : tuple of Program
         One per engine: steps of the flight until its propeller is in balance, flown where JSBSim's
         steps leave it out of balance.
+    resting : Program or None
+        A frame with frozen motion, which brings the control system to rest; None unless requested.
     left_out : tuple of str
         Reasons for which elements were left out, because nothing in the flight reads them.
     """
@@ -94,13 +96,14 @@ class Flight:
     steady: tuple[Program, ...] = ()
     renewed: Program | None = None
     balancing: tuple[Program, ...] = ()
+    resting: Program | None = None
     left_out: tuple[str, ...] = ()
 
     @property
     def settling(self) -> tuple[Program, ...]:
         """All programs between the initialising frames and the flight."""
-        renewed = () if self.renewed is None else (self.renewed,)
-        return (*self.steady, *self.balancing, *renewed)
+        frames = [program for program in (self.renewed, self.resting) if program is not None]
+        return (*self.steady, *self.balancing, *frames)
 
 
 @dataclass(frozen=True)
@@ -140,6 +143,8 @@ class TraceRequest:
     renewal : bool
         A frame after the initialising ones in which time stands still is needed, with or without
         engines.
+    rest : bool
+        The flight starts with the control system at rest.
     """
 
     inputs: Collection[str]
@@ -151,6 +156,7 @@ class TraceRequest:
     changes_dry_mass: bool = False
     engines_running: bool = False
     renewal: bool = False
+    rest: bool = False
 
 
 def trace_flight(sources: Sources, dt_s: float, values: Values, request: TraceRequest) -> Flight:
@@ -235,6 +241,7 @@ def trace_flight(sources: Sources, dt_s: float, values: Values, request: TraceRe
         len(first.draws),
         propulsion,
         *_trace_settling(models, frames[2], inputs),
+        _trace_rest(models, frames[2], inputs) if request.rest else None,
         tuple(left_out.nodes.values()),
     )
 
@@ -274,6 +281,18 @@ def _trace_settling(
     renewed = _similar(flight, 0.0, inputs, models.request.any_step)
     _trace(renewed, models, _RENEWAL)
     return tuple(settling), renewed.program(()), tuple(balancing)
+
+
+def _trace_rest(models: FrameModels, flight: Frame, inputs: Collection[str]) -> Program:
+    """Trace the frame of `simulator.forced_state.run_frozen`, whose motion no integrator moves."""
+    if flight.draws or any(section.when.mask == winds.MASK for section in flight.sections):
+        raise BadInputError(
+            "frames of JSBSim bring the control system to rest before the flight begins, and draw"
+            ' random numbers; use engine = "jsbsim"'
+        )
+    resting = _similar(flight, flight.dt_s, inputs)
+    _trace(resting, replace(models, methods=dict.fromkeys(models.methods, 0)), _REST)
+    return resting.program(())
 
 
 def _similar(flight: Frame, step: float, inputs: Collection[str], any_step: bool = False) -> Frame:
@@ -329,8 +348,8 @@ def _integrator_hook(name: str, number: float) -> Callable[[Frame, Value], None]
 
 
 def _trace(frame: Frame, models: FrameModels, phase: int) -> None:
-    """Trace one frame; ``phase`` is 1 or 2 in the initialising frames, _RENEWAL in one after them,
-    0 in flight.
+    """Trace one frame; ``phase`` is 1 or 2 in the initialising frames, _RENEWAL or _REST in one
+    after them, 0 in flight.
     """
     sources, propulsion, request = models.sources, models.propulsion, models.request
     frame.hooks.update(_HOOKS)
@@ -347,8 +366,10 @@ def _trace(frame: Frame, models: FrameModels, phase: int) -> None:
                 compute_where_read(frame, part[0], function)
     propulsion.prepare(frame, phase == 1)
     # From here on in JSBSim's order of execution.
-    with frame.section("time"):
-        trace_time(frame)
+    # Events of a script must not see time advance while the control system comes to rest.
+    if phase != _REST:
+        with frame.section("time"):
+            trace_time(frame)
     if request.gusts_by_heading and phase == 0:
         with frame.section("gusts of the host"):
             winds.turn_gusts(frame)

@@ -38,6 +38,10 @@ CASES = table("""
 # gain by a property, cyclic
 <pure_gain name="G x"><input>-i/a</input><gain>-i/b</gain><clipto type="cyclic"><min>@-1.1</min>
 <max>1.3</max></clipto><output>o/x</output></pure_gain>
+# clipped at one end, which JSBSim ignores
+<summer name="g"><input>i/a</input><bias>@.2</bias><clipto><max>.1</max></clipto></summer>
+# clipped twice at one end, of which JSBSim takes the first
+<summer name="g"><input>i/a</input><clipto><min>-1</min><max>@.1</max><max>.3</max></clipto></summer>
 # cyclic between equals
 <pure_gain name="g"><input>i/a</input><gain>1</gain><clipto type="cyclic"><min>@0.4</min><max>@0.4</max>
 </clipto></pure_gain>
@@ -327,8 +331,6 @@ REFUSALS = table("""
 <pure_gain name="g"><gain>1</gain></pure_gain>
 # attribute 'type'
 <pure_gain name="g" type="x"><input>i/a</input><gain>1</gain></pure_gain>
-# one <min> and one <max>
-<pure_gain name="g"><input>i/a</input><gain>1</gain><clipto><min>1</min></clipto></pure_gain>
 # allowed is cyclic
 <pure_gain name="g"><input>i/a</input><gain>1</gain><clipto type="x"><min>1</min><max>2</max>
 </clipto></pure_gain>
