@@ -45,7 +45,9 @@ from uqharness.batch.program import (
     BLOCK,
     Flyer,
     Program,
+    Section,
     Stream,
+    from_blocks,
     initial_state,
     remap_state,
     share_feed,
@@ -183,9 +185,7 @@ def make_replay(
     BadInputError
         With file and line, for what the batch engine does not support.
     """
-    flight, fed, names = trace_replay(
-        sources, open_fdm, dt_s, controls, inputs, records, engines_running=True
-    )
+    flight, fed, names = trace_replay(sources, open_fdm, dt_s, controls, inputs, records)
     # Everything that differs between lanes must not be folded as a constant.
     varying = (
         STEP,
@@ -216,14 +216,13 @@ def trace_replay(
     inputs: Collection[str],
     records: Sequence[str],
     *,
-    engines_running: bool = False,
     renewal: bool = False,
 ) -> tuple[Flight, Stream, tuple[str, ...]]:
     """Trace the frames of an aircraft with a step that lanes set; parameters as `make_replay`.
 
-    ``engines_running``: engines run when ``open_fdm`` returns; ``renewal``: also trace a frame in
-    which time stands still. Returns the flight, the stream of the controls and the names of what
-    may differ between lanes. Raises BadInputError for what cannot be replayed.
+    Engines run when ``open_fdm`` returns; ``renewal``: also trace a frame in which time stands
+    still. Returns the flight, the stream of the controls and the names of what may differ between
+    lanes. Raises BadInputError for what cannot be replayed.
     """
     values = Values(initial_values(open_fdm), is_constant)
     fed = Stream("controls", tuple(canonical(name) for name in controls))
@@ -232,16 +231,8 @@ def trace_replay(
         sources,
         dt_s,
         values,
-        TraceRequest(
-            names, [fed], records, any_step=True, engines_running=engines_running, renewal=renewal
-        ),
+        TraceRequest(names, [fed], records, any_step=True, engines_running=True, renewal=renewal),
     )
-    # A replay starts from the steady state only if the engines already run.
-    if flight.propulsion.engines and not engines_running:
-        raise BadInputError(
-            "the aircraft has engines in <propulsion>, whose steady state takes more than two"
-            " frames"
-        )
     if flight.draws:
         raise BadInputError("the aircraft draws random numbers, which a replay does without")
     return flight, fed, names
@@ -369,7 +360,9 @@ class StateProgram:
     """A translated aircraft for evaluation at states.
 
     ``controls`` are fed in this order, ``properties`` may differ between calls, ``records`` are
-    returned. ``renewer`` is a frame in which time stands still, for models that read RATES.
+    returned. ``renewer`` is a frame in which time stands still, for models with engines or that
+    read RATES (``uses_rates``). ``settlers`` settle engines, ``initialiser`` is the second
+    initialising frame, which runs again afterwards.
     """
 
     flyer: Flyer
@@ -377,6 +370,9 @@ class StateProgram:
     properties: frozenset[str]
     records: tuple[str, ...]
     renewer: Flyer | None = None
+    uses_rates: bool = False
+    settlers: tuple[Settler, ...] = ()
+    initialiser: Flyer | None = None
 
 
 def make_states(
@@ -399,8 +395,8 @@ def make_states(
     )
     # Start state and both initialising frames become a single program of one frame.
     start, record_names = start_section(), tuple(records)
-    sections = (start, *flight.first.sections, *flight.second.sections)
     slots = {
+        **{name: value for one in flight.settling for name, value in one.slots.items()},
         **dict.fromkeys((*CONDITIONS, *start.function.stores), 0.0),
         **flight.first.slots,
         **flight.second.slots,
@@ -410,27 +406,38 @@ def make_states(
         raise BadInputError(
             f"property {missing[0]} is not computed while initialising by the batch engine"
         )
-    read, renewer = record_names, None
-    # The iteration over RATES continues from all slots of this program.
+
+    def part(sections: tuple[Section, ...], retained: Collection[str]) -> Program:
+        """Return sections expanded, without what no retained slot needs."""
+        return prune_slots(
+            eliminate_dead_stores(fuse_sections(lower_program(Program(sections, slots))), retained),
+            retained,
+        )
+
+    # Engines settle, and RATES are iterated, from slots of the programs that follow.
+    settlers, renewer, initialiser = settlers_of(flight), None, None
+    read = [name for one in flight.settling for name in one.slots] if settlers else []
     if flight.renewed is not None:
-        retained = (*record_names, *RATES)
-        renewed = prune_slots(
-            eliminate_dead_stores(fuse_sections(lower_program(flight.renewed)), retained), retained
-        )
-        read, slots, renewer = (
-            tuple(renewed.slots),
-            {**renewed.slots, **slots},
-            compile_program(renewed, choose_target()),
-        )
-    program = prune_slots(
-        eliminate_dead_stores(fuse_sections(lower_program(Program(sections, slots))), read), read
-    )
+        read += [*record_names, *(RATES if uses_rates else ())]
+        renewer = part(flight.renewed.sections, read)
+        read = list(renewer.slots)
+    if settlers:
+        initialiser = part(flight.second.sections, read)
+        read = list(dict.fromkeys([*read, *initialiser.slots]))
+    program = part((start, *flight.first.sections, *flight.second.sections), read or record_names)
+
+    def compiled(one: Program | None) -> Flyer | None:
+        return None if one is None else compile_program(one, choose_target())
+
     return StateProgram(
         compile_program(program, choose_target()),
         fed.columns,
         frozenset(inputs),
         record_names,
-        renewer,
+        compiled(renewer),
+        uses_rates,
+        settlers,
+        compiled(initialiser),
     )
 
 
@@ -479,10 +486,40 @@ def at_states(
             {name: value for name, value in values.items() if name in slots},
         )
         program.flyer.fly(state, 1, 1)
-        out[part] = _read(program.flyer, state, program.records, count)
+        flyer = program.flyer
         if program.renewer is not None:
-            _settle(program, program.renewer, state, out[part])
+            state = _settled(program, program.renewer, state, count)
+            flyer = program.renewer
+        out[part] = _read(flyer, state, program.records, count)
+        if program.renewer is not None and program.uses_rates:
+            _settle_rates(program, program.renewer, state, out[part])
     return out
+
+
+def _settled(program: StateProgram, renewer: Flyer, state: FloatArray, count: int) -> FloatArray:
+    """Return a state in the layout of ``renewer``, with the engines in their steady state."""
+    if program.initialiser is None:
+        return remap_state(state, program.flyer.program, renewer.program)
+    initialiser = program.initialiser
+    names = program.flyer.program.slots
+    values = dict(zip(names, from_blocks(state, count), strict=True))
+
+    def step(*flyers: Flyer) -> None:
+        """Compute frames in which time stands still."""
+        for flyer in flyers:
+            values.update(step_once(flyer, values, count))
+
+    settle(
+        program.settlers,
+        values,
+        count,
+        renew=lambda: step(renewer),
+        run_ic=lambda: step(initialiser, initialiser),
+    )
+    slots = renewer.program.slots
+    return initial_state(
+        renewer.program, count, {name: v for name, v in values.items() if name in slots}
+    )
 
 
 def _read(flyer: Flyer, state: FloatArray, names: Sequence[str], count: int) -> FloatArray:
@@ -490,7 +527,9 @@ def _read(flyer: Flyer, state: FloatArray, names: Sequence[str], count: int) -> 
     return np.column_stack([slot(flyer.program, state, name, count) for name in names])
 
 
-def _settle(program: StateProgram, renewer: Flyer, state: FloatArray, out: FloatArray) -> None:
+def _settle_rates(
+    program: StateProgram, renewer: Flyer, state: FloatArray, out: FloatArray
+) -> None:
     """Repeat frames in which time stands still until RATES converge; ``out`` (n, records) is
     updated.
 
@@ -498,11 +537,8 @@ def _settle(program: StateProgram, renewer: Flyer, state: FloatArray, out: Float
     of that state stops when its change stops shrinking.
     """
     count = len(out)
-    previous, moved = _read(program.flyer, state, RATES, count), np.full(count, np.inf)
-    state, moving = (
-        remap_state(state, program.flyer.program, renewer.program),
-        np.ones(count, dtype=bool),
-    )
+    previous, moved = _read(renewer, state, RATES, count), np.full(count, np.inf)
+    moving = np.ones(count, dtype=bool)
     for _ in range(MAX_FRAMES):
         renewer.fly(state, 1, 1)
         rates, last = _read(renewer, state, RATES, count), moved

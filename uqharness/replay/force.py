@@ -23,7 +23,7 @@ from sysid.units import FT_M, LBF_FT_NM, LBF_N, PSF_PA
 from uqharness import batch
 from uqharness.batch import StateProgram
 from uqharness.errors import BadInputError
-from uqharness.replay.in_lanes import level_of, sources_of
+from uqharness.replay.in_lanes import level_of, open_with_engines, sources_of
 from uqharness.replay.model import ReplayModel, control_setters, terrain_m
 from uqharness.replay.segments import Segment
 from uqharness.simulator import (
@@ -44,6 +44,8 @@ MIN_BATCH_STATES = 2_000
 """Number of states from which the aircraft is compiled. Compiling takes as long as 12,000 states by
 JSBSim, but callers that evaluate a whole flight do so several times; trims and start states are
 fewer."""
+MIN_BATCH_STATES_ENGINES = 250
+"""The same with engines in <propulsion>, which JSBSim settles in up to 10 ms a state."""
 TOLERANCE = 1e-6
 """Largest difference of a force or moment between the engines, relative to its largest size among
 the states compared."""
@@ -119,7 +121,8 @@ def by_batch(
     """
     entry = _cached_programs.setdefault(model.identity, _CachedProgram())
     # A refusal is final for this model.
-    if entry.refused or len(states.controls) < MIN_BATCH_STATES:
+    minimum = MIN_BATCH_STATES_ENGINES if model.engines else MIN_BATCH_STATES
+    if entry.refused or len(states.controls) < minimum:
         return None
     # Recompile with the union of the properties, so that alternating sets do not recompile each
     # time.
@@ -140,12 +143,12 @@ def _compile(
     """Translate and compile the aircraft; None where the engine cannot."""
     if batch.available() is not None:
         return None
-    controls = [model.card.inputs[name].property for name in model.controls]
+    controls, _ = model.control_properties()
     inputs = sorted(names | set(model.varied))
     try:
         return batch.make_states(
             sources_of(model),
-            lambda: model.open(dt_s),
+            lambda: open_with_engines(model, dt_s),
             dt_s,
             controls,
             inputs,
@@ -215,8 +218,10 @@ def _evaluate(
         "ic/q-rad_sec": states.motion["q_radps"],
         "ic/r-rad_sec": states.motion["r_radps"],
     }
+    # One column a property: the throttle of several engines is repeated.
+    _, places = model.control_properties()
     return batch.at_states(
-        program, conditions, states.terrain_m / FT_M, dt_s, states.controls, properties
+        program, conditions, states.terrain_m / FT_M, dt_s, states.controls[:, places], properties
     )
 
 

@@ -167,7 +167,7 @@ def _compile(job: ReplayJob, names: frozenset[str]) -> _Program | None:
         records = [*RAW, *extra]
         replay = batch.make_replay(
             sources,
-            lambda: _open_with_engines(model, shape.dt_s),
+            lambda: open_with_engines(model, shape.dt_s),
             shape.dt_s,
             properties,
             sorted(names),
@@ -180,7 +180,7 @@ def _compile(job: ReplayJob, names: frozenset[str]) -> _Program | None:
     return _Program(replay, names, extra)
 
 
-def _open_with_engines(model: ReplayModel, dt_s: float) -> Any:
+def open_with_engines(model: ReplayModel, dt_s: float) -> Any:
     """Open JSBSim with the model loaded and its engines running, before the first step."""
     fdm = model.open(dt_s)
     if model.engines:

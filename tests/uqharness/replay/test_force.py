@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from uqharness import batch
+from uqharness.plugin import with_card
 from uqharness.replay import CONTROLS, ReplayFolder, force
 from uqharness.replay.force import ForcedModel, force_states
 from uqharness.replay.segments import Segment
@@ -86,3 +87,32 @@ def test_jsbsim_answers_where_the_engines_differ(straight, monkeypatch, caplog):
         ours = said(straight, monkeypatch, 1)
     assert "the batch engine differs" in caplog.text
     assert apart(ours, theirs) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("name", "speed_mps"),
+    [
+        ("c310", 65.0),
+        pytest.param("c172p", 50.0, marks=pytest.mark.slow),
+        pytest.param("T37", 90.0, marks=pytest.mark.slow),
+    ],
+)
+def test_engines_settle_as_in_jsbsim(name, speed_mps):
+    """Propellers that JSBSim's own iteration leaves out of balance; two engines of one lever."""
+    controls = ("elevator", "aileron", "rudder", "throttle")
+    with ReplayFolder(with_card(find_aircraft(name)), controls, ideal=controls) as model:
+        states = force.States(
+            {**MOTION, "V_mps": MOTION["V_mps"] * speed_mps / 22.0},
+            model.to_property(np.abs(U) * [0.3, 0.3, 0.3, 0.3] + [0.0, 0.0, 0.0, 65.0]),
+            HEIGHT_M,
+            np.full(N, -200.0),
+        )
+        program = force._compile(model, 0.01, set(), force._RECORDS)
+        batch_forces = force._evaluate(program, model, states, 0.01, {})
+        theirs = force._by_jsbsim((model, 0.01, {}, states))
+        size = np.maximum(np.abs(theirs).max(axis=0), 1e-3)
+        assert np.max(np.abs(batch_forces - theirs) / size) < 1e-7
+        # A throttle that differs by a ten thousandth of its travel shows.
+        states.controls[:, -1] *= 1.0 + 1e-4
+        other = force._evaluate(program, model, states, 0.01, {})
+        assert np.max(np.abs(other - theirs) / size) > 1e-6
