@@ -150,6 +150,11 @@ def _split_piece(piece: ResidualPiece, dt_s: float) -> Iterator[ResidualPiece]:
         )
 
 
+def motion_waves(n: int, residuals: Residuals) -> int:
+    """Return how many waves of a piece of n samples are as slow as an aircraft's motion."""
+    return min(n, int(2.0 * n * residuals.dt_s * MOTION * residuals.cutoffs.all_hz) + 1)
+
+
 def make_blocks(residuals: Residuals, coefficient: str, regressors: Sequence[FloatArray]) -> Blocks:
     """Transform the residuals of one coefficient into waves, one block a piece.
 
@@ -160,8 +165,7 @@ def make_blocks(residuals: Residuals, coefficient: str, regressors: Sequence[Flo
     for number, (piece, x) in enumerate(zip(residuals.pieces, regressors, strict=True)):
         assert piece.noise is not None
         n = len(piece)
-        # Waves below the frequency at which an aircraft moves.
-        n_waves = min(n, int(2.0 * n * residuals.dt_s * MOTION * residuals.cutoffs.all_hz) + 1)
+        n_waves = motion_waves(n, residuals)
         size, relative_std = noise_cosines(piece.noise)
         y.append(fft.dct(piece.delta[:, column], norm="ortho")[:n_waves])
         X.append(fft.dct(x, axis=0, norm="ortho")[:n_waves])

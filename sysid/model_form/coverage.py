@@ -12,11 +12,18 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+from scipy import fft
 
-from sysid.aerodynamics import COEFFICIENTS, ResidualPiece, Residuals, noise_variance
+from sysid.aerodynamics import (
+    COEFFICIENTS,
+    ResidualPiece,
+    Residuals,
+    noise_cosines,
+    noise_variance,
+)
 from sysid.arrays import FloatArray
 from sysid.estimation import effective_samples, integral_time
-from sysid.model_form.components import split_long_pieces
+from sysid.model_form.components import motion_waves, split_long_pieces
 from sysid.model_form.fit import (
     Design,
     FitOptions,
@@ -184,8 +191,8 @@ def coverage(
 ) -> dict[str, Coverage]:
     """Compute the coverage of a form on a flight's residuals.
 
-    The samples are measured, so where the form separates noise, that of the flight's own sensors is
-    added to the interval.
+    Where the form separates noise, samples are those of `in_motion_band`, and the noise that the
+    flight's own sensors have there is added to the interval.
 
     Parameters
     ----------
@@ -207,10 +214,38 @@ def coverage(
         For a missing state.
     """
     if any(b.parts is not None for b in form.coefficients.values()):
-        residuals = remove_state_noise(residuals)
+        residuals = in_motion_band(remove_state_noise(residuals))
     return {
         c: _coverage(c, b, form.outside, residuals, levels) for c, b in form.coefficients.items()
     }
+
+
+def in_motion_band(residuals: Residuals) -> Residuals:
+    """Return the part of the residuals that is as slow as an aircraft's motion, with its noise.
+
+    Components are estimated from these frequencies alone, so that they predict no others: what is
+    faster, such as the vibration of an engine and the air's own rotation, is no model error.
+    Residuals without noise are returned as they are.
+    """
+    if any(p.noise is None for p in residuals.pieces):
+        return residuals
+    pieces = []
+    for piece in residuals.pieces:
+        assert piece.noise is not None
+        count = motion_waves(len(piece), residuals)
+        waves = fft.dct(piece.delta, axis=0, norm="ortho")
+        waves[count:] = 0.0
+        size = noise_cosines(piece.noise)[0]
+        share = size[:count].sum(axis=0) / np.maximum(size.sum(axis=0), np.finfo(float).tiny)
+        passages = tuple(replace(p, gain=p.gain * np.sqrt(share)) for p in piece.noise.passages)
+        pieces.append(
+            replace(
+                piece,
+                delta=fft.idct(waves, axis=0, norm="ortho"),
+                noise=replace(piece.noise, passages=passages),
+            )
+        )
+    return replace(residuals, pieces=tuple(pieces))
 
 
 def _coverage(
@@ -377,8 +412,10 @@ def leave_one_out(
         return out
     fits = dict(fitted) if fitted is not None else fit_bounds(residuals, designs, options)
     blocks = [p.label for p in split_long_pieces(residuals).pieces]
+    separated = any(f.bounds.parts is not None for f in fits.values())
+    slow = in_motion_band(residuals) if separated else residuals
     for label in residuals.labels:
-        left_out = residuals.only([label])
+        left_out = slow.only([label])
         try:
             other_bounds = {
                 c: _bounds_without(f, [k for k, name in enumerate(blocks) if name == label])

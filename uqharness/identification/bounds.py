@@ -552,6 +552,17 @@ def _warnings(
     return out
 
 
+_RATE_OVER_CUTOFF = 2.5
+"""Least sample rate of a channel in units of the filter's cut-off: Nyquist with a margin."""
+_INERTIAL = ("p_radps", "q_radps", "r_radps", "ax_mps2", "ay_mps2", "az_mps2")
+
+
+def _slow_channels(flight: Flight, cutoffs: Cutoffs, channels: Sequence[str]) -> list[str]:
+    """Return the channels that were logged too slowly for the filter."""
+    rates = flight.record.metadata.native_hz
+    return [c for c in channels if rates.get(c, np.inf) < _RATE_OVER_CUTOFF * cutoffs.all_hz]
+
+
 def flight_warnings(flights: Sequence[Flight], form: ModelForm, cutoffs: Cutoffs) -> list[str]:
     """Return what weakens the residuals of flights: estimated angles, slow channels, another sample
     rate.
@@ -565,12 +576,8 @@ def flight_warnings(flights: Sequence[Flight], form: ModelForm, cutoffs: Cutoffs
                 f"{flight.name}: {', '.join(estimated)} come from an estimator, not a sensor; the"
                 " intervals include its errors"
             )
-        # Nyquist with a margin; the airspeed has its own, lower cut-off.
-        slow = [
-            c
-            for c, hz in record.metadata.native_hz.items()
-            if c in SENSOR_CHANNELS and hz < 2.5 * cutoffs.all_hz and c != "V_mps"
-        ]
+        # The airspeed has its own, lower cut-off.
+        slow = _slow_channels(flight, cutoffs, [c for c in SENSOR_CHANNELS if c != "V_mps"])
         if slow:
             out.append(
                 f"{flight.name}: {', '.join(slow)} were logged too slowly for a filter at"
@@ -780,6 +787,17 @@ def validate(
         )
     # Coverage is meaningful only with the filters of the form.
     cutoffs = Cutoffs(form.filtering.cutoff_hz, form.filtering.airspeed_cutoff_hz)
+    for flight in flights:
+        slow = _slow_channels(flight, cutoffs, _INERTIAL)
+        if slow:
+            rates = flight.record.metadata.native_hz
+            raise BadInputError(
+                f"{flight.name}: {', '.join(slow)} were logged at"
+                f" {min(rates[c] for c in slow):.0f} Hz; bounds with a filter at"
+                f" {cutoffs.all_hz:g} Hz need {_RATE_OVER_CUTOFF * cutoffs.all_hz:.0f} Hz, or the"
+                " logger's rate is judged in place of the model. Make bounds with a lower"
+                " --cutoff-hz, or use a log with faster rates and accelerations"
+            )
     arm = aircraft.accelerometer_m
     flights = [f.with_smoothing_delay() for f in flights] if ideal_servos else flights
     with prediction_of(aircraft, measured, ideal_servos, values) as pair:

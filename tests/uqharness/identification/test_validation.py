@@ -38,6 +38,16 @@ def test_bounds_of_another_aircraft_are_refused():
         validate(SimpleNamespace(name="other"), made_up_form(), [], (), [])
 
 
+def test_a_log_slower_than_the_filter_is_refused_not_judged():
+    form = made_up_form()
+    rates = {"q_radps": 10.0, "V_mps": 5.0, "az_mps2": 50.0}
+    record = SimpleNamespace(metadata=SimpleNamespace(native_hz=rates))
+    flight, aircraft = SimpleNamespace(name="loiter", record=record), form.aircraft
+    model = SimpleNamespace(name=aircraft.name, accelerometer_m=(0.0, 0.0, 0.0))
+    with pytest.raises(BadInputError, match=r"loiter: q_radps were logged at 10 Hz.* need 15 Hz"):
+        validate(model, form, [flight], (), [""])
+
+
 def test_a_form_is_read_and_a_bad_one_refused_by_name(tmp_path):
     form = made_up_form()
     form.write(tmp_path / "model-form.json")
