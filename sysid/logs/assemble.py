@@ -302,7 +302,8 @@ def assemble(
         if name == "mode":
             columns[name] = _mode_names(columns[name], raw)
             mode_changes = channel.time_s[1:][np.diff(channel.values) != 0]
-    labels_of_derived, notes = with_derived(columns, signal_map.derived)
+    fields = {n: " or ".join(c.label for c in some) for n, some in signal_map.entries.items()}
+    labels_of_derived, notes = with_derived(columns, signal_map.derived, fields)
     for name, label in labels_of_derived.items():
         _, rate, estimate = origin.get(name, ("", math.nan, False))
         origin[name] = (label, rate, estimate)

@@ -348,7 +348,9 @@ _T0_K, _LAPSE, _GAS = 288.15, 0.0065, 287.053
 _P0 = 101325.0
 
 
-def derived_signal(derived: Derived, columns: Mapping[str, FloatArray]) -> tuple[FloatArray, str]:
+def derived_signal(
+    derived: Derived, columns: Mapping[str, FloatArray], fields: Mapping[str, str] | None = None
+) -> tuple[FloatArray, str]:
     """Return the values of a derived signal and a sentence on how it was computed.
 
     Parameters
@@ -357,6 +359,8 @@ def derived_signal(derived: Derived, columns: Mapping[str, FloatArray]) -> tuple
         Signal, function and parameters.
     columns : mapping
         Columns of the record, each of shape (n,).
+    fields : mapping, optional
+        Signal to the fields that the map reads it from, for the error.
 
     Raises
     ------
@@ -368,10 +372,14 @@ def derived_signal(derived: Derived, columns: Mapping[str, FloatArray]) -> tuple
     def column(name: str) -> FloatArray:
         """Return a column of the record."""
         if name not in columns:
-            raise LogError(
-                f"[derived.{derived.signal}]: {derived.function} needs {name}, which neither the"
-                " log nor the map supplies"
+            absent = (fields or {}).get(name)
+            cause = (
+                f"which the map reads from {absent}: this log does not have it (uqharness log map"
+                " lists the fields)"
+                if absent
+                else "which neither the log nor the map supplies"
             )
+            raise LogError(f"[derived.{derived.signal}]: {derived.function} needs {name}, {cause}")
         return columns[name]
 
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -543,19 +551,23 @@ def select_rows(
     free = tuple(
         (max(a, start), min(b, end)) for a, b in meta.free_flight_s if max(a, start) < min(b, end)
     )
+    findings = meta.findings
     if not free:
         text += "; they count as free flight"
         free = ((start, end),)
+        findings = tuple(f for f in findings if f.code != "flight-phase")
     finding = Finding("selected-rows", "", "info", text, {"start_s": start, "end_s": end})
     # Findings about single rows outside the selection no longer apply; checks are run again.
-    meta = replace(meta, free_flight_s=free, findings=(finding, *meta.findings))
+    meta = replace(meta, free_flight_s=free, findings=(finding, *findings))
     return FlightRecord(subset.columns, meta)
 
 
 def with_derived(
-    columns: dict[str, Any], derived: Sequence[Derived]
+    columns: dict[str, Any],
+    derived: Sequence[Derived],
+    fields: Mapping[str, str] | None = None,
 ) -> tuple[dict[str, str], list[Finding]]:
-    """Add derived signals to the columns, in the order of the map.
+    """Add derived signals to the columns, in the order of the map; ``fields`` as `derived_signal`.
 
     Returns
     -------
@@ -566,7 +578,7 @@ def with_derived(
     """
     labels, findings = {}, []
     for item in derived:
-        values, text = derived_signal(item, columns)
+        values, text = derived_signal(item, columns, fields)
         columns[item.signal] = values
         labels[item.signal] = item.function
         message = f"{item.signal} by {item.function}: {text}"

@@ -159,6 +159,28 @@ def test_mode_and_times_select_rows(files: tuple[Path, Path]) -> None:
         )
 
 
+def test_derived_signal_names_the_field_that_the_log_lacks(files: tuple[Path, Path]) -> None:
+    text = files[1].read_text(encoding="utf-8").replace('"log/motor_time"\nfield', '"log"\nfield')
+    files[1].write_text(text, encoding="utf-8")
+    with pytest.raises(LogError, match=r"needs rpm, which the map reads from log\.motor_rpm: this"):
+        import_log(*files)
+
+
+def test_selected_rows_are_flight_whatever_the_height_says(tmp_path: Path) -> None:
+    # The barometer settles after the first second, so that the log seems to stay on the ground.
+    flight = _flight()
+    flight["ias"] = np.where(np.arange(N) < 100, 0.0, np.asarray(flight["ias"]))
+    flight["h"] = np.where(np.arange(N) < 100, 240.0, 20.0)
+    savemat(tmp_path / "flight.mat", {"log": flight})
+    text = MAP.replace('field = "h"', 'field = "h"\nfunction = "above_start"')
+    text += '[rows]\nmessage = "log"\nfield = "mode"\nvalues = [2]\n'
+    (tmp_path / "map.toml").write_text(text, encoding="utf-8")
+    record = import_log(tmp_path / "flight.mat", tmp_path / "map.toml")
+    texts = [f.message for f in record.metadata.findings]
+    assert any("they count as free flight" in t for t in texts)
+    assert not any("never left the ground" in t for t in texts)
+
+
 def test_odd_and_even_blocks_share_a_flight(files: tuple[Path, Path]) -> None:
     rows = '[rows]\nfrom_s = 101.0\nblock_s = 5.0\npart = "{}"\n'
     parts = [
