@@ -37,7 +37,7 @@ from uqharness.results.base import read_result
 from uqharness.results.identification import Fit, FitChannel, Parameter
 
 FIT = "fit.json"
-FILTER = "filter error"
+FILTER, EQUATION = "filter error", "equation error"
 _NOT_COVERED = (
     ". Standard errors assume that the model form is correct. Next: compare, bounds or refine."
 )
@@ -130,11 +130,11 @@ def _verdict(fit: Fit) -> tuple[Sentence, ...]:
         sentences.append(Sentence(text, "warn" if identified else "bad"))
     else:
         sentences.append(Sentence(f"All {len(parameters)} parameters are identified."))
-    sentences += (
-        _filter_residual_sentences(fit.fit, bool(identified))
-        if fit.method == FILTER
-        else _output_residual_sentences(fit.fit)
-    )
+    if fit.method == FILTER:
+        sentences += _filter_residual_sentences(fit.fit, bool(identified))
+    # Equation error is not a fit of replays, which lack the gusts: their residuals are no test.
+    elif fit.method != EQUATION:
+        sentences += _output_residual_sentences(fit.fit)
     return tuple(sentences)
 
 

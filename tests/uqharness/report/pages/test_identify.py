@@ -54,6 +54,11 @@ def output_of(folder, **changed):
     return words_of(page_of(folder))
 
 
+def test_replays_without_the_gusts_do_not_judge_an_ordinary_flight(identified):
+    assert "A model term is missing" in output_of(identified)
+    assert "A model term is missing" not in output_of(identified, method="equation error")
+
+
 def test_standard_errors_are_not_vouched_for_where_the_model_does_not_explain_the_flights(
     identified,
 ):
