@@ -15,6 +15,9 @@ from tests.hidden_effects.manoeuvres import Pilot
 from tests.hidden_effects.motion import Air as AirData
 from tests.hidden_effects.motion import Model, integrate, trim
 
+INSTRUMENTS = "V_mps", "phi_rad", "theta_rad", "h_m", "p_radps", "q_radps", "r_radps"
+"""What a pilot reads with the noise of the record; without a damper not the rates."""
+
 
 @dataclass
 class Breath:
@@ -44,8 +47,16 @@ class Breath:
             self.nodes[node, :, 0] = gust
 
 
-def fly_in(flight: Flight, family: str, setting: Setting) -> FlightRecord:
-    """Fly one flight in the air of a family and return its record."""
+def fly_in(
+    flight: Flight,
+    family: str,
+    setting: Setting,
+    ground_std_mps: float | None = None,
+    pilots: type[Pilot] = Pilot,
+) -> FlightRecord:
+    """Fly one flight in the air of a family and return its record, with ground velocities of that
+    noise if it is given.
+    """
     card = flight.card
     dt = 1.0 / card.rate_hz
     n = round(card.seconds * card.rate_hz)
@@ -53,9 +64,9 @@ def fly_in(flight: Flight, family: str, setting: Setting) -> FlightRecord:
     x0, s0 = trim(model, np.array([card.V_mps]), np.array([card.h_m]))
     rng = np.random.default_rng([card.seed, 1])
     noise = {name: card.noise * std * rng.standard_normal(n) for name, std in NOISE.items()}
-    read = np.column_stack([noise[c] for c in ("V_mps", "phi_rad", "theta_rad", "h_m")])
+    read = np.column_stack([noise[c] for c in INSTRUMENTS])
     held = s0 + np.sign(s0) * 0.5 * model.deadband
-    pilot = Pilot([card], x0, held, read[:, :, None])
+    pilot = pilots([card], x0, held, read[:, :, None])
     nodes = np.zeros((round(card.seconds / NODE_S) + 5, 6, 1))
     breath = Breath(pilot, air_of(family, setting), family in BODY, nodes, np.zeros((n, 3)), dt)
     breath.write(0.0, x0[:, 0], np.zeros(12))
@@ -64,4 +75,10 @@ def fly_in(flight: Flight, family: str, setting: Setting) -> FlightRecord:
     V, away = history.V[:, 0], breath.away
     history.alpha[:, 0] -= away[:, 2] / V
     history.beta[:, 0] -= away[:, 1] / V
-    return _record(replace(flight, card=replace(card, w20_kt=0.0)), history, 0, noise, dt)
+    record = _record(replace(flight, card=replace(card, w20_kt=0.0)), history, 0, noise, dt)
+    if ground_std_mps is None:
+        return record
+    velocity = np.gradient(history.x[:, 9:12, 0], dt, axis=0)
+    velocity += ground_std_mps * rng.standard_normal(velocity.shape)
+    names = ("vn_mps", "ve_mps", "vd_mps")
+    return record.with_columns(dict(zip(names, velocity.T, strict=True)))
