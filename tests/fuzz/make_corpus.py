@@ -209,7 +209,7 @@ def _study(root: Path) -> None:
         folders.stage("identify", "identify", "fit"),
         folders.stage("validate", "validate-bounds", "coverage"),
     ]
-    folders.written(inside, "study.json", {"format": "study 1", **folders.study(stages)})
+    folders.write_document(inside, "study.json", {"format": "study 1", **folders.study(stages)})
 
 
 def _instrumented(root: Path) -> None:

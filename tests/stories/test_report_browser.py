@@ -106,7 +106,7 @@ def pages(tmp_path_factory):
     document = folders.study(
         stages, before_after=pair, answer=folders.ANSWER, tracks=folders.TRACKS, question=question
     )
-    result["study"] = folders.written(root / "study", "study.json", document)
+    result["study"] = folders.write_document(root / "study", "study.json", document)
     folders.tracks(result["study"])
     write_report(result["study"])
     for kind, line in ASKED.items():

@@ -99,13 +99,13 @@ def test_what_is_no_json_object(text, tmp_path):
 
 @pytest.mark.parametrize("place", ["../../etc", "/etc", "a/../../b", "C:\\Windows"])
 def test_a_study_shows_nothing_from_outside_its_folder(place, tmp_path):
-    folder = folders.written(
+    folder = folders.write_document(
         tmp_path, "study.json", STUDY | {"before_after": {"before": place, "after": "after"}}
     )
     with pytest.raises(BadInputError, match="within the folder"):
         write_report(folder)
     stages = [folders.stage("bounds", "bounds", place)]
-    folders.written(tmp_path, "study.json", STUDY | {"stages": stages})
+    folders.write_document(tmp_path, "study.json", STUDY | {"stages": stages})
     with pytest.raises(BadInputError, match="within the folder"):
         write_report(folder)
 
