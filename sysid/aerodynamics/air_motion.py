@@ -383,6 +383,11 @@ def _rolling_weights(time_s: float, dt_s: float, cutoff_hz: float) -> tuple[floa
 # * The axes turn with the aircraft at dpsi/dt, and the gusts u, v with them: the air appears to
 #   accelerate by dpsi/dt times the gusts. In a bank of 30 deg that is 0.01 rad/s of beta.
 #
+# Some simulators, such as JSBSim, give gusts and rotation in axes that are fixed to the earth, at
+# the azimuth of the mean wind. U, S, p_h and q_h are then turned into these axes by the heading,
+# which is a state instead of c_u, and (1) to (3) hold in them: flown across the azimuth, q_h rolls
+# the aircraft, and S contains the airspeed.
+#
 # The velocity relative to the air is (U, S, W) in these axes, that over the ground is U + u, S + v,
 # W + w, and no gust changes the latter. So these states need no noise of their own: c_u = U + u,
 # c_v = S + v, h_q = k_q b q_h - W and h_r = k_r b r_h + S change by the deterministic part of the
@@ -403,8 +408,8 @@ class GustStates(NamedTuple):
     """The five air states of the Kalman filter: p_h [rad/s], h_q, h_r, c_u, c_v [m/s].
 
     They follow V, alpha, beta, p, q, r, phi, theta in x. Some simulators' gusts do not rotate the
-    air, or have body axes (the last two states are then c_v, c_w), and no real gust turns with an
-    aircraft; the fields say which effects the air has.
+    air, or have axes of the body (the last two states are then c_v, c_w) or of the mean wind, and
+    no real gust turns with an aircraft; the fields say which effects the air has.
 
     Attributes
     ----------
@@ -419,6 +424,11 @@ class GustStates(NamedTuple):
         The gusts turn with their axes. Without it they are fixed to the earth.
     in_body : bool
         The gusts' axes are the body's, not those of the heading.
+    in_earth : bool
+        The axes of the gusts and of their rotation have one azimuth over the earth; the last two
+        states are then the heading from it [rad] and 0. Needs ``turning_with`` False.
+    azimuth_rad, psi_rad : float
+        That azimuth, and the mean heading of the segment.
     p_length, q_length, r_length : float
         Lengths of p_h, q_h and r_h in units of the standard's, 4b/pi, 4b/pi and 3b/pi [-].
     q_share, r_share : float
@@ -430,6 +440,9 @@ class GustStates(NamedTuple):
     rotating: bool = True
     turning_with: bool = True
     in_body: bool = False
+    in_earth: bool = False
+    azimuth_rad: float = 0.0
+    psi_rad: float = 0.0
     p_length: float = 1.0
     q_length: float = 1.0
     r_length: float = 1.0
@@ -440,10 +453,13 @@ class GustStates(NamedTuple):
         """Return T_p, T_q, T_r [s] at airspeed V [m/s]."""
         return gust_lags_s(self, V)
 
-    def start(self, x: Any) -> tuple[Any, ...]:
-        """Return the five states in air at rest, from the eight others."""
-        U, S, W = gust_axes(self, x, sines(x))
-        last = (S, W) if self.in_body else (U, S)
+    def start(self, x: Any, turn: Any = 0.0) -> tuple[Any, ...]:
+        """Return the five states in air at rest, from the eight others and the heading less its
+        mean, ``turn`` [rad].
+        """
+        psi = self.psi_rad - self.azimuth_rad + turn + 0.0 * x[0]
+        U, S, W = gust_axes(self, (*x[:8], 0.0, 0.0, 0.0, psi), sines(x))
+        last = (S, W) if self.in_body else (psi, 0.0 * U) if self.in_earth else (U, S)
         q_share, r_share = self.rotating * self.q_share, self.rotating * self.r_share
         return 0.0 * U, -q_share * W, r_share * S, *last
 
@@ -458,7 +474,7 @@ class GustStates(NamedTuple):
         optional.
         """
         trig = trig or sines(x)
-        return rotation(self, level(self, x, trig), trig)
+        return rotation(self, x, level(self, x, trig), trig)
 
     def turning(self, x: Any, trig: Trig | None = None) -> tuple[Any, Any, Any]:
         """Return the apparent acceleration by u, v that turn with the heading, body axes [m/s2]."""

@@ -76,12 +76,27 @@ def heading(x: Any, trig: Trig) -> tuple[Any, Any, Any]:
     return ct * ahead + st * upright, cf * right - sf * below, ct * upright - st * ahead
 
 
+def heading_rate(x: Any, trig: Trig) -> Any:
+    """Return the rate of the heading psi [rad/s]."""
+    sf, cf, _, ct = trig[:4]
+    return (x[4] * sf + x[5] * cf) / ct
+
+
+def from_heading(x: Any, ahead: Any, right: Any) -> tuple[Any, Any]:
+    """Turn a level vector from heading axes into axes of one azimuth; x[11] is the heading."""
+    c, s = np.cos(x[11]), np.sin(x[11])
+    return c * ahead - s * right, s * ahead + c * right
+
+
 def gust_axes(gusts: Any, x: Any, trig: Trig) -> tuple[Any, Any, Any]:
-    """Return the velocity relative to the air [m/s] in the axes of the gusts, heading or body."""
+    """Return the velocity relative to the air [m/s] in the axes of the gusts."""
     if gusts.in_body:
         _, _, _, _, sa, ca, sb, cb = trig
         return x[0] * ca * cb, x[0] * sb, x[0] * sa * cb
-    return heading(x, trig)
+    U, S, W = heading(x, trig)
+    if gusts.in_earth:
+        U, S = from_heading(x, U, S)
+    return U, S, W
 
 
 def heading_rates(
@@ -113,7 +128,11 @@ def gust_axes_rates(
             dV * sb + x[0] * cb * dbeta,
             dV * sa * cb + x[0] * (ca * cb * dalpha - sa * sb * dbeta),
         )
-    return heading_rates(x, state_rates, trig)
+    dU, dS, dW = heading_rates(x, state_rates, trig)
+    if gusts.in_earth:
+        dpsi, (U, S, _) = heading_rate(x, trig), heading(x, trig)
+        dU, dS = from_heading(x, dU - dpsi * S, dS + dpsi * U)
+    return dU, dS, dW
 
 
 def level(gusts: Any, x: Any, trig: Trig) -> tuple[Any, Any, Any]:
@@ -128,11 +147,16 @@ def level(gusts: Any, x: Any, trig: Trig) -> tuple[Any, Any, Any]:
     )
 
 
-def rotation(gusts: Any, rotation_h: tuple[Any, Any, Any], trig: Trig) -> tuple[Any, Any, Any]:
+def rotation(
+    gusts: Any, x: Any, rotation_h: tuple[Any, Any, Any], trig: Trig
+) -> tuple[Any, Any, Any]:
     """Turn the air's rotation [rad/s] from the gusts' axes into body axes."""
     p_h, q_h, r_h = rotation_h
     if gusts.in_body:
         return p_h, q_h, r_h
+    if gusts.in_earth:
+        c, s = np.cos(x[11]), np.sin(x[11])
+        p_h, q_h = c * p_h + s * q_h, c * q_h - s * p_h
     sf, cf, st, ct = trig[:4]
     upright = st * p_h + ct * r_h
     return ct * p_h - st * r_h, cf * q_h + sf * upright, cf * upright - sf * q_h
@@ -149,7 +173,7 @@ def turning(gusts: Any, x: Any, trig: Trig) -> tuple[Any, Any, Any]:
         return x[5] * right - x[4] * below, x[3] * below, -x[3] * right
     sf, cf, st, ct = trig[:4]
     U, S, _ = heading(x, trig)
-    dpsi = gusts.turning_with * (x[4] * sf + x[5] * cf) / ct
+    dpsi = gusts.turning_with * heading_rate(x, trig)
     ahead, right = dpsi * (x[12] - S), -dpsi * (x[11] - U)
     return ct * ahead, sf * st * ahead + cf * right, cf * st * ahead - sf * right
 
@@ -167,6 +191,8 @@ def gust_rates(
     T_p, _, _ = gust_lags_s(gusts, x[0])
     passing = gusts.passing_mps or x[0]
     first, second = (dS, dW) if gusts.in_body else (dU, dS)
+    if gusts.in_earth:
+        first, second = heading_rate(x, trig), 0.0 * dS
     return (
         -p_h / T_p,
         -passing * q_h - gusts.rotating * gusts.q_share * dW,
@@ -351,7 +377,7 @@ def _rates(x, body, reference, load, rate, outputs):  # type: ignore[no-untyped-
         trig = sines(x[k])
         air, turn = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
         if body.gusty:
-            air = rotation(body.gusts, level(body.gusts, x[k], trig), trig)
+            air = rotation(body.gusts, x[k], level(body.gusts, x[k], trig), trig)
             turn = turning(body.gusts, x[k], trig)
         motion(x[k], trig, body, at, load[k], air, turn, work, rate[k], outputs[k])
         if body.gusty:
@@ -417,7 +443,7 @@ def _gust_slopes(x, gusts, rate, slopes, A, B, H, D):  # type: ignore[no-untyped
                 state[i] = x[k, i]
             state[j] += complex(0.0, _IMAGINARY)
             trig = complex_step_sines(real_trig, state)
-            air = rotation(gusts, level(gusts, state, trig), trig)
+            air = rotation(gusts, state, level(gusts, state, trig), trig)
             turn = turning(gusts, state, trig)
             for i in range(11):
                 column[i] = rigid[i, j] if j < 8 else 0.0
@@ -529,6 +555,8 @@ def loops() -> Loops:
     air = (
         gust_lags_s,
         heading,
+        heading_rate,
+        from_heading,
         gust_axes,
         heading_rates,
         gust_axes_rates,

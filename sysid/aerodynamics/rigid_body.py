@@ -23,7 +23,14 @@ from numpy.typing import NDArray
 
 from sysid.aerodynamics.air_motion import GustStates
 from sysid.aerodynamics.coefficients import MassProperties
-from sysid.aerodynamics.flight_equations import Body, ReferenceFlight, flow_rates, loops, sines
+from sysid.aerodynamics.flight_equations import (
+    Body,
+    ReferenceFlight,
+    flow_rates,
+    heading_rate,
+    loops,
+    sines,
+)
 from sysid.arrays import FloatArray
 from sysid.units import G0_MPS2
 
@@ -87,6 +94,13 @@ class Reference:
     bend: FloatArray | None = None
     by_flow: FloatArray | None = None
 
+    @property
+    def turn(self) -> FloatArray:
+        """Heading along the reference less its mean (n,) [rad]."""
+        rate = psi_rates(self.x)
+        psi = np.cumsum(np.append(0.0, 0.5 * self.dt_s * (rate[1:] + rate[:-1])))
+        return np.asarray(psi - psi.mean())
+
 
 @dataclass(frozen=True)
 class Steps:
@@ -143,6 +157,8 @@ class RigidSlopes:
     slopes : array (n, 11, 20)
         Derivatives of the eight rates and the accelerometers' outputs with the states, the air's
         rotation (3), the acceleration by turning gusts (3) and the coefficients CX to Cn (6).
+    turn : array (n,)
+        Heading along the reference less its mean [rad].
     """
 
     dt_s: float
@@ -151,10 +167,11 @@ class RigidSlopes:
     y_ref: FloatArray
     end: FloatArray | None
     slopes: FloatArray
+    turn: FloatArray
 
     def with_gusts(self, gusts: GustStates | None) -> Steps:
         """Return the linear system in air with such gusts; None for still air."""
-        states = with_gust_states(self.x, gusts)
+        states = with_gust_states(self.x, gusts, self.turn)
         n, size = states.shape
         A, B = np.empty((n, size, size)), np.empty((n, size, 6))
         H, D = np.zeros((n, len(OUTPUTS), size)), np.zeros((n, len(OUTPUTS), 6))
@@ -170,13 +187,15 @@ class RigidSlopes:
         # Still air stays still over a step of the model.
         defect = np.zeros((n - 1, size))
         if self.end is not None:
-            defect = with_gust_states(self.end, gusts) - states[1:]
+            mean_rate = 0.5 * (psi_rates(self.x[:-1]) + psi_rates(self.end))
+            end_turn = self.turn[:-1] + self.dt_s * mean_rate
+            defect = with_gust_states(self.end, gusts, end_turn) - states[1:]
         # The air states in still air depend on the first eight: differentiate by complex steps.
         start = np.empty((size, 8))
         for j in range(8):
             first = self.x[:1].astype(complex)
             first[:, j] += 1e-20j
-            start[:, j] = with_gust_states(first, gusts)[0].imag / 1e-20
+            start[:, j] = with_gust_states(first, gusts, self.turn[:1])[0].imag / 1e-20
         return Steps(self.dt_s, phi, g0, g1, defect, H, D, self.y_ref.copy(), start)
 
 
@@ -211,7 +230,12 @@ def rigid_slopes(
     if not reference.consistent:
         bend = np.zeros((2, len(x) - 1, 6)) if reference.bend is None else reference.bend
         end = _runge_kutta_step(model, x, rate, bend, reference.dt_s)
-    return RigidSlopes(reference.dt_s, x, rate, y_ref, end, slopes)
+    return RigidSlopes(reference.dt_s, x, rate, y_ref, end, slopes, reference.turn)
+
+
+def psi_rates(x: FloatArray) -> FloatArray:
+    """Return the rate (n,) of the heading [rad/s] at STATES (n, 8)."""
+    return np.asarray(heading_rate(x.T, sines(x.T)))
 
 
 def linearise(
@@ -237,11 +261,15 @@ def linearise(
     return rigid_slopes(reference, mass, gravity).with_gusts(gusts)
 
 
-def with_gust_states(x: NDArray[Any], gusts: GustStates | None) -> NDArray[Any]:
-    """Append the air states of still air to STATES (n, 8); without gusts return x."""
+def with_gust_states(
+    x: NDArray[Any], gusts: GustStates | None, turn: FloatArray | float = 0.0
+) -> NDArray[Any]:
+    """Append the air states of still air to STATES (n, 8), at the heading less its mean ``turn``
+    (n,); without gusts return x.
+    """
     if gusts is None:
         return x
-    return np.column_stack([x, *gusts.start(x.T)])
+    return np.column_stack([x, *gusts.start(x.T, turn)])
 
 
 def rates(

@@ -186,6 +186,8 @@ or of the air's roll; an isotropic field has no more.
 """
 _LENGTHS = (1.0, 0.5, 0.25, 2.0, 0.7, 1.4)
 """Trial lengths of the air's roll, pitch and yaw, in units of the standard's."""
+_LONGEST_ROLL = 4.0
+"""The same of roll alone: MIL-STD-1797's, sqrt(L b)/2.6, far above a small aircraft."""
 _COMMON_SPEEDS = (0.5, 0.7, 1.4, 2.0)
 """Trial speeds at which the gusts of all flights pass, over their mean airspeed."""
 _STRUCTURE_ROUNDS = 2
@@ -207,14 +209,21 @@ _SPEED_LOG_STEP, _MAX_SPEED_STEPS, _SPEED_LOG_PRIOR_STD = 0.04, 3.0, 0.02
 of the logarithm about a flight's mean airspeed.
 """
 _STRUCTURES = tuple(
-    (rotating, turning_with, in_body)
+    {"rotating": rotating, "turning_with": turning_with, "in_body": in_body}
+    | {"in_earth": False, "azimuth_rad": 0.0}
     for in_body in (False, True)
     for rotating, turning_with in ((True, True), (True, False), (False, False), (False, True))
     if turning_with or not in_body
 )
-"""Structures: whether gusts rotate the air, whether their axes turn with the aircraft (otherwise
-they are fixed to the earth), and whether these are the body's axes.
+"""Structures: whether gusts rotate the air, whether they turn with the aircraft, and whether their
+axes are the body's or the heading's.
 """
+_AZIMUTHS, _FINEST_AZIMUTH = 8, 0.02
+"""Number of trial azimuths of axes that are fixed to the earth, and the step [rad] that ends their
+refinement.
+"""
+_STANDARD_ROTATION = {f"{axis}_length": 1.0 for axis in "pqr"} | {"r_share": 1.0}
+"""Rotation with which these axes are tried."""
 _SEARCH_RANGE, _COST_TOLERANCE, _FAILED_COST, _MIN_CURVATURE = 14.0, 1.0, 1e12, 20.0
 """Settings of the search in logarithms: its range, the decrease of the cost that ends it, the cost
 of a filter that fails, and the least curvature.
@@ -254,6 +263,8 @@ class TurbulenceModel:
         Factors on the sensors' stated noise.
     colour : InnovationColour or None
         Colour of the innovations in this air: the departure from the gust model.
+    azimuth_rad : mapping
+        Flight to the azimuth of axes that are fixed to the earth.
     """
 
     states: tuple[GustStates, ...]
@@ -266,6 +277,7 @@ class TurbulenceModel:
     moments: FloatArray
     factors: FloatArray
     colour: InnovationColour | None = None
+    azimuth_rad: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def air(self) -> bool:
@@ -275,8 +287,11 @@ class TurbulenceModel:
         """
         return self.across > CERTAIN_T**2
 
-    def in_segments(self, V: Sequence[float], flights: Sequence[str]) -> TurbulenceModel:
-        """Return the same air in other segments, with airspeeds ``V`` of the named ``flights``.
+    def in_segments(
+        self, V: Sequence[float], flights: Sequence[str], psi_rad: Sequence[float]
+    ) -> TurbulenceModel:
+        """Return the same air in other segments, with airspeeds ``V`` and mean headings ``psi_rad``
+        of the named ``flights``.
 
         New flights have the mean intensities. If gusts pass at one speed, it is the mean airspeed
         in a new flight, unless all flights have a common one.
@@ -288,7 +303,14 @@ class TurbulenceModel:
         }
         passing |= self.passing
         by_flight = {f: self.by_flight.get(f, self.values) for f in flights}
-        states = tuple(first._replace(passing_mps=passing[f]) for f in flights)
+        states = tuple(
+            first._replace(
+                passing_mps=passing[f],
+                azimuth_rad=self.azimuth_rad.get(f, first.azimuth_rad),
+                psi_rad=psi,
+            )
+            for f, psi in zip(flights, psi_rad, strict=True)
+        )
         return replace(
             self,
             states=states,
@@ -318,7 +340,16 @@ class TurbulenceModel:
         rotating, turning_with, at_one_speed = self.kind
         passing = ", and pass at one speed in each flight" if at_one_speed else ""
         rotate, turn = ("" if does else "do not " for does in (rotating, turning_with))
-        axes = " of the body's axes" if self.states[0].in_body else ""
+        first = self.states[0]
+        azimuths = sorted({round(np.degrees(s.azimuth_rad)) for s in self.states})
+        azimuth_words = " and ".join(f"{azimuth} deg" for azimuth in azimuths)
+        axes = (
+            " of the body's axes"
+            if first.in_body
+            else f" of axes at an azimuth of {azimuth_words}"
+            if first.in_earth
+            else ""
+        )
         order = 0 if self.colour is None else len(self.colour.coefficients)
         colour_words = f", and whose innovations depend on {order} rows before" if order else ""
         return (
@@ -373,6 +404,14 @@ def process_of(values: FloatArray, V: float, states: GustStates) -> tuple[FloatA
         values[0] * faster,
         *(faster * values[1:3] * (V_REFERENCE / V) ** 2),
     )
+    across_noise = noise[2]
+    if states.in_earth:
+        # Gusts along and across the azimuth, by the mean heading.
+        c2 = float(np.cos(states.psi_rad - states.azimuth_rad)) ** 2
+        noise[0], noise[2] = (
+            c2 * noise[0] + (1.0 - c2) * V**2 * across_noise,
+            (1.0 - c2) * noise[0] / V**2 + c2 * across_noise,
+        )
     # Moments are coefficients times dynamic pressure.
     noise[3:6] = values[_MOMENTS] * (V / V_REFERENCE) ** 4
     noise[8] = values[3] * faster
@@ -384,7 +423,7 @@ def process_of(values: FloatArray, V: float, states: GustStates) -> tuple[FloatA
         * [
             noise[8],
             states.rotating * states.q_share**2 * V**2 * noise[1],
-            states.rotating * states.r_share**2 * V**2 * noise[2],
+            states.rotating * states.r_share**2 * V**2 * across_noise,
         ]
     )
     begin[11:] = (
@@ -410,6 +449,7 @@ def estimate_air(
     prior_model: TurbulenceModel | None = None,
     pool: Processes = SERIAL,
     kinds: Sequence[str] = (),
+    psi_rad: Sequence[float] | None = None,
 ) -> tuple[TurbulenceModel, FloatArray]:
     """Estimate the air of segments.
 
@@ -438,6 +478,8 @@ def estimate_air(
         Kind of sensor of each channel. The sensors of a kind have one estimated factor on their
         noise, with the prior NOISE_PRIOR; empty if the noise is known. In gusts samples do not
         determine the noise, and a filter with twice the true noise lags, like a servo.
+    psi_rad : sequence of float, optional
+        Mean heading of each segment.
 
     Returns
     -------
@@ -445,15 +487,19 @@ def estimate_air(
     factors : (m,) array
         Changes of the sensors' noise.
     """
+    psi_rad = [0.0] * len(measured) if psi_rad is None else psi_rad
     prior_factors = np.ones(len(noise)) if prior_model is None else prior_model.factors
     search = _Search(linear, measured, rows, noise / prior_factors, V, pool)
     segments = _evenly_spaced(range(len(measured)), _MAX_SEGMENTS)
     segments_of_flight = _segments_of(flights)
     # 1. Start: light air of several strengths, or the air before.
     if prior_model is None:
-        starts = [_Point((states,) * len(measured), f * LIGHT_AIR, prior_factors) for f in _FACTORS]
+        each = tuple(states._replace(psi_rad=psi) for psi in psi_rad)
+        starts = [_Point(each, f * LIGHT_AIR, prior_factors) for f in _FACTORS]
     else:
-        starts = _points_of(prior_model.in_segments(V, flights), flights, has_noise=bool(kinds))
+        starts = _points_of(
+            prior_model.in_segments(V, flights, psi_rad), flights, has_noise=bool(kinds)
+        )
     start = search.best(segments, starts)
     # 2. Intensities, and the sensors' noise.
     optimum = search.descend(segments, start, kinds)
@@ -486,6 +532,7 @@ def estimate_air(
         np.where(np.isfinite(losses), losses, np.nan),
         best.factors,
         None if prior_model is None else prior_model.colour,
+        {f: best.states[members[0]].azimuth_rad for f, members in segments_of_flight.items()},
     ), best.factors / prior_factors
 
 
@@ -514,12 +561,6 @@ class _Point:
     cost: float = np.inf
     segment_factors: FloatArray = field(default_factory=lambda: np.ones((1, len(LIGHT_AIR))))
 
-    @property
-    def kind(self) -> tuple[bool, bool, bool]:
-        """Whether the gusts rotate the air, turn with their axes, and have the body's axes."""
-        first = self.states[0]
-        return first.rotating, first.turning_with, first.in_body
-
     def of(self, k: int) -> FloatArray:
         """Return the intensities (9,) in a segment."""
         return np.asarray(self.values * self.segment_factors[k % len(self.segment_factors)])
@@ -546,6 +587,13 @@ class _Point:
         """Return the point with another `length` of an axis."""
         changes = {f"{axis}_length": length} | ({} if axis == "p" else {f"{axis}_share": share})
         return self.with_states(**changes)
+
+    def with_azimuth(self, members: Sequence[int], azimuth_rad: float) -> _Point:
+        """Return the point with another azimuth of the axes in some segments."""
+        states = list(self.states)
+        for k in members:
+            states[k] = states[k]._replace(azimuth_rad=azimuth_rad)
+        return replace(self, states=tuple(states))
 
     def with_states(self, **changes: Any) -> _Point:
         """Return the point with a changed structure in every segment."""
@@ -602,7 +650,7 @@ class _Search:
         Missing effects or sensor errors may have determined those of ``point``, unless this
         ``is_first``.
         """
-        best = self.choose_structure(segments, point, kinds)
+        best = self.choose_structure(segments, segments_of_flight, point, kinds)
         if is_first:
             # Weaker air in one flight resembles gusts that pass more slowly, or moments.
             best = self.by_flight(segments_of_flight, best, flights, _FEW_DESCENTS)
@@ -687,7 +735,11 @@ class _Search:
         )
 
     def choose_structure(
-        self, segments: Sequence[int], point: _Point, kinds: Sequence[str]
+        self,
+        segments: Sequence[int],
+        flights: Mapping[str, Sequence[int]],
+        point: _Point,
+        kinds: Sequence[str],
     ) -> _Point:
         """Choose the structure of the gusts: rotation, axes, and the lengths of roll, pitch and
         yaw.
@@ -697,11 +749,7 @@ class _Search:
         best = point
         for _ in range(_STRUCTURE_ROUNDS):
             before = best
-            frames = [
-                best.with_states(rotating=r, turning_with=t, in_body=body)
-                for r, t, body in _STRUCTURES
-                if (r, t, body) != best.kind
-            ]
+            frames = [best.with_states(**changes) for changes in _STRUCTURES]
             frame = self.likeliest_structure(segments, best, frames)
             best = self.accept(segments, best, frame, kinds)
             # Air that does not rotate is asked as well: a reversed pitch alone can make rotation
@@ -709,6 +757,10 @@ class _Search:
             for axis in ("p", "q", "r"):
                 shape = self.length(segments, best, axis)
                 best = self.accept(segments, best, shape, kinds)
+            # Last, because reversed pitch and yaw resemble the opposite azimuth.
+            earth = self.earth_axes(segments, flights, best)
+            required_gain = (SIGNIFICANT_Z if best.states[0].in_earth else CERTAIN_T) ** 2
+            best = self.accept(segments, best, earth, kinds, required_gain)
             if best.states == before.states:
                 break
         return best
@@ -742,6 +794,40 @@ class _Search:
         chosen = self.best(segments, cleaned)
         return best if chosen.states == best.states else replace(chosen, cost=np.inf)
 
+    def earth_axes(
+        self, segments: Sequence[int], flights: Mapping[str, Sequence[int]], best: _Point
+    ) -> _Point:
+        """Return the point with axes at the likeliest azimuth over the earth, in each flight.
+
+        Gusts and rotation of some simulators have the axes of the mean wind. The opposite azimuth
+        reverses pitch and yaw.
+        """
+        frame = {"rotating": True, "turning_with": False, "in_body": False, "in_earth": True}
+        is_new = not best.states[0].in_earth
+        standard = _without_absorbers(best.with_states(**frame, **_STANDARD_ROTATION))
+        trials = [standard.with_states(q_share=q) for q in (1.0, -1.0)] if is_new else [best]
+        step = 2.0 * np.pi / _AZIMUTHS
+        # 1. A full circle for each sign of pitch.
+        circle = [step * k for k in range(_AZIMUTHS)]
+        turned = [self.with_azimuths(flights, trial, circle) for trial in trials]
+        chosen = self.best(segments, turned)
+        # 2. Finer steps about the likeliest azimuth of each flight.
+        while step > _FINEST_AZIMUTH:
+            step *= 0.5
+            chosen = self.with_azimuths(flights, chosen, (0.0, -step, step))
+        return self.likeliest_structure(segments, best, [chosen])
+
+    def with_azimuths(
+        self, flights: Mapping[str, Sequence[int]], point: _Point, offsets: Sequence[float]
+    ) -> _Point:
+        """Return the point with the likeliest of azimuths about the present one in each flight."""
+        for members in flights.values():
+            few = _evenly_spaced(members, _SEGMENTS_FOR_SPEED)
+            middle = point.states[members[0]].azimuth_rad
+            azimuths = [(middle + offset) % (2.0 * np.pi) for offset in offsets]
+            point = self.best(few, [point.with_azimuth(members, a) for a in azimuths])
+        return replace(point, cost=np.inf)
+
     def length(self, segments: Sequence[int], best: _Point, axis: str) -> _Point:
         """Return the point with the likeliest length of the air's roll (axis p), or the likeliest
         sign and length of its pitch (q) or yaw (r).
@@ -750,7 +836,8 @@ class _Search:
         # The air's roll does not follow from gusts at the wing and has no sign.
         has_share = axis != "p"
         reversed_or_none = [(1.0, -1.0), (0.5, -1.0), (1.0, 0.0)] if has_share else []
-        shapes = [*((n, 1.0) for n in _LENGTHS), *reversed_or_none]
+        lengths = _LENGTHS if has_share else (*_LENGTHS, _LONGEST_ROLL)
+        shapes = [*((n, 1.0) for n in lengths), *reversed_or_none]
         # In air that does not rotate, pitch and yaw follow from no gusts, and one of them may.
         starts_rotating = has_share and not best.states[0].rotating
         base = (

@@ -58,6 +58,7 @@ from uqharness.identification.linearised import (
     gust_refit,
     is_turbulent,
     join_columns,
+    mean_heading,
     observations_of,
     output_noise,
     point_of,
@@ -417,7 +418,9 @@ class PredictionErrorEstimator:
                 ).gusts
             except np.linalg.LinAlgError:
                 speeds = [float(np.nanmean(c["V_mps"])) for c in data.channels]
-                return self.turbulence.in_segments(speeds, [s.flight for s in data.segments])
+                headings = [mean_heading(c) for c in data.channels]
+                of = [s.flight for s in data.segments]
+                return self.turbulence.in_segments(speeds, of, headings)
 
     def uses_empirical_dispersion(self, data: FlightData) -> bool:
         """Return True: an imperfect gust model colours the predictions."""

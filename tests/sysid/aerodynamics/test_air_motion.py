@@ -180,12 +180,17 @@ def observe(k, u, v, w, path):
     return V, np.arctan2(z, x), np.arcsin(y / V)
 
 
-def transport(u, v, w, passing=0.0):
+def transport(u, v, w, passing=0.0, psi=None):
     """q_h, r_h of the states and of their definition, for V, alpha and beta that come from gusts
-    (u, v, w) alone.
+    (u, v, w) alone: in heading axes, or in those of an azimuth, from which the first heading is
+    psi.
     """
     path = phi, dphi, theta, dtheta, dpsi = motion()
-    states = GustStates(GUST_STATES_B, passing)
+    states, across = GustStates(GUST_STATES_B, passing), v
+    if psi is not None:
+        states = states._replace(turning_with=False, in_earth=True, psi_rad=psi)
+        at = psi + GUST_STATES_DT * np.append(0.0, np.cumsum(dpsi))[: len(u)]
+        u, v = np.cos(at) * u + np.sin(at) * v, np.cos(at) * v - np.sin(at) * u
     x = np.array([*observe(0, u, v, w, path), 0, 0, 0, phi[0], theta[0]])
     steady = np.array([*observe(0, 0 * u, 0 * v, 0 * w, path), 0, 0, 0, phi[0], theta[0]])
     x = np.array([*x, *states.start(steady)])
@@ -207,7 +212,7 @@ def transport(u, v, w, passing=0.0):
         q += (-q * GUST_STATES_DT * speed - (w[k + 1] - w[k])) / (
             4.0 * GUST_STATES_B / np.pi
         )  # 3.7.5: q = -dw/dx behind a lag
-        r += (-r * GUST_STATES_DT * speed + (v[k + 1] - v[k])) / (
+        r += (-r * GUST_STATES_DT * speed + (across[k + 1] - across[k])) / (
             3.0 * GUST_STATES_B / np.pi
         )  # 3.7.5: r = +dv/dx
     return np.array(result), np.array(defined)
@@ -229,6 +234,19 @@ def test_gusts_that_pass_at_a_speed_of_their_own():
     np.testing.assert_allclose(result, defined, atol=0.01 * defined.std())
     at_airspeed, _ = transport(u, v, w)
     assert np.abs(at_airspeed - defined).max() > 0.2 * defined.std()
+
+
+def test_gusts_and_rotation_in_axes_of_one_azimuth():
+    u, v, w = gusts(np.random.default_rng(2))
+    result, defined = transport(u, v, w, psi=2.0)
+    np.testing.assert_allclose(result, defined, atol=0.02 * defined.std())
+    # A quarter of a turn from the axes, their pitch rolls the aircraft.
+    across = GustStates(GUST_STATES_B, turning_with=False, in_earth=True, psi_rad=0.5 * np.pi)
+    level_flight = np.array([V0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    x = np.array([*level_flight, *across.start(level_flight)])
+    np.testing.assert_allclose(across.rotation(x), 0.0, atol=1e-14)
+    x[9] += 0.1 * 4.0 * GUST_STATES_B / np.pi
+    np.testing.assert_allclose(across.rotation(x), [0.1, 0.0, 0.0], atol=1e-14)
 
 
 def test_gusts_turn_with_the_heading():

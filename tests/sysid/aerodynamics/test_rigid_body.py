@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -176,9 +177,9 @@ def test_still_air_stays_still_wherever_the_flight_begins():
 # exponential.
 
 
-@pytest.mark.parametrize("in_body", [False, True])
+@pytest.mark.parametrize("axes", [{}, {"in_body": True}, {"in_earth": True, "psi_rad": 2.0}])
 @pytest.mark.parametrize("by_flow", [False, True])
-def test_one_set_of_rigid_slopes_serves_every_air(in_body: bool, by_flow: bool) -> None:
+def test_one_set_of_rigid_slopes_serves_every_air(axes: dict[str, Any], by_flow: bool) -> None:
     """Against differences of the whole equations in still air, as the reference states are."""
     equations = OpenEquations(TERMS, (), ("V_mps",), MASS)
     axial = reference(flight(4), equations)
@@ -187,8 +188,10 @@ def test_one_set_of_rigid_slopes_serves_every_air(in_body: bool, by_flow: bool) 
         axial = replace(axial, by_flow=slopes)
     rigid = rigid_slopes(axial, MASS)
     for changes in ({}, {"rotating": False}, {"q_length": 0.5, "r_share": -1.0}):
-        gusts = GustStates(MASS.b, in_body=in_body, **changes)
-        states = with_gust_states(axial.x, gusts)
+        gusts = GustStates(MASS.b, **axes, **changes)
+        if gusts.in_earth:
+            gusts = gusts._replace(turning_with=False)
+        states = with_gust_states(axial.x, gusts, axial.turn)
         A = np.stack(
             [
                 (

@@ -54,10 +54,11 @@ def drawn(
     n: int = 110,
     axis: int = 3,
     stronger: Sequence[float] = (1.0,) * 4,
+    headings: Sequence[float] = (0.0,) * 4,
 ) -> tuple[Made, list[np.ndarray]]:
     """Four flights of n samples drawn from the linear system itself, by what gusts may do; moment:
     a wave of that size besides, in Cl or that of CX..Cn which axis says; faster: of each flight
-    [m/s]; stronger: factor on its intensities."""
+    [m/s]; stronger: factor on its intensities; headings: mean heading [rad]."""
     rng = np.random.default_rng(4)
     equations = OpenEquations(TERMS, (), ("V_mps",), MASS)
     ref = []
@@ -68,8 +69,10 @@ def drawn(
         ref.append(reference(x, equations))
     made = Made(ref)
     data = []
-    for steps, factor in zip(made[truth], stronger, strict=True):
-        Q, begin = process_of(factor * values, 22.0, truth)
+    of_segment = [truth._replace(psi_rad=psi) for psi in headings]
+    for k, (states, factor) in enumerate(zip(of_segment, stronger, strict=True)):
+        steps = made[states][k]
+        Q, begin = process_of(factor * values, 22.0, states)
         d = np.sqrt(begin) * rng.standard_normal(NX)
         z = np.empty((n, len(NOISE)))
         wave = moment * np.sin(9.0 * DT * np.arange(n) + rng.uniform(0.0, 6.0))
@@ -93,7 +96,10 @@ def drawn(
 
 
 def found_in(
-    made: Made, data: list[np.ndarray], near: TurbulenceModel | None = None
+    made: Made,
+    data: list[np.ndarray],
+    near: TurbulenceModel | None = None,
+    headings: Sequence[float] = (0.0,) * 4,
 ) -> TurbulenceModel:
     return estimate_air(
         made,
@@ -104,6 +110,7 @@ def found_in(
         ["a"] * 2 + ["b"] * 2,
         GustStates(MASS.b),
         near,
+        psi_rad=headings,
     )[0]
 
 
@@ -143,6 +150,23 @@ def test_axes_and_lengths_of_gusts_are_the_likeliest():
     assert (other.p_length, other.q_length) == pytest.approx((2.4, 0.4), rel=0.35)
     reversed_ = found_in(*drawn(GustStates(MASS.b, q_share=-1.0), INTENSITIES))
     assert reversed_.states[0].q_share == -1.0
+
+
+def test_axes_of_the_mean_wind_are_the_likeliest():
+    """Gusts and rotation in axes of one azimuth over the earth, as JSBSim's, whose pitch is
+    reversed, against those that follow the heading. The second flight meets another wind.
+    """
+    headings, measured = (0.0, 1.3, 2.6, 4.4), (0.0, 1.3, 3.6, 5.4)
+    wind = GustStates(MASS.b, turning_with=False, in_earth=True, azimuth_rad=0.9, q_share=-1.0)
+    air = found_in(*drawn(wind, INTENSITIES, headings=headings), headings=measured)
+    first = air.states[0]
+    assert (first.in_earth, first.q_share, first.r_share) == (True, -1.0, 1.0)
+    assert air.azimuth_rad == pytest.approx({"a": 0.9, "b": 1.9}, abs=0.1)
+    again = air.in_segments([22.0, 22.0], ["b", "c"], [1.0, 2.0]).states
+    assert [s.psi_rad for s in again] == [1.0, 2.0]
+    assert again[0].azimuth_rad == air.azimuth_rad["b"]
+    standard = drawn(GustStates(MASS.b), INTENSITIES, headings=headings)
+    assert not found_in(*standard, headings=headings).states[0].in_earth
 
 
 @pytest.mark.parametrize(("rotating", "turning"), [(True, True), (False, True)])
@@ -315,7 +339,7 @@ def test_gusts_of_all_flights_pass_far_from_the_airspeed(passing):
     found = found_in(*drawn(GustStates(MASS.b, passing), INTENSITIES, n=160))
     assert found.states[0].passing_mps == pytest.approx(passing, rel=0.15)
     np.testing.assert_allclose(np.log(found.values[:4] / INTENSITIES[:4]), 0.0, atol=np.log(1.4))
-    later = found.in_segments([25.0], ["c"]).passing["c"]
+    later = found.in_segments([25.0], ["c"], [0.0]).passing["c"]
     assert later == pytest.approx(passing, rel=0.15)
 
 
@@ -380,7 +404,7 @@ def test_the_air_of_some_flights_in_others():
     kind = GustStates(MASS.b, rotating=True)
     made, data = drawn(kind, INTENSITIES)
     found = found_in(made, data)
-    other = found.in_segments([19.0, 21.0, 30.0], ["c", "c", "a"])
+    other = found.in_segments([19.0, 21.0, 30.0], ["c", "c", "a"], [0.0] * 3)
     assert [s.passing_mps for s in other.states] == [0.0] * 3
     np.testing.assert_array_equal(other.by_flight["a"], found.by_flight["a"])
     np.testing.assert_array_equal(other.by_flight["c"], found.values)
@@ -389,7 +413,7 @@ def test_the_air_of_some_flights_in_others():
     # A speed of each flight, and one that all have.
     for of_b, expected in ((24.0, [20.0, 20.0, 25.0]), (25.0, [25.0] * 3)):
         at_one = replace(found, states=one_speed, passing={"a": 25.0, "b": of_b})
-        later = at_one.in_segments([19.0, 21.0, 30.0], ["c", "c", "a"])
+        later = at_one.in_segments([19.0, 21.0, 30.0], ["c", "c", "a"], [0.0] * 3)
         assert [s.passing_mps for s in later.states] == expected
     assert "one speed" in at_one.words
     assert "one speed" not in found.words

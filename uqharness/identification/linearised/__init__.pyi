@@ -32,6 +32,7 @@ from .linearise import with_sensor_errors as with_sensor_errors
 from .prediction_error import delay_rows as delay_rows
 from .prediction_error import follow_in_free_air as follow_in_free_air
 from .prediction_error import gust_refit as gust_refit
+from .prediction_error import mean_heading as mean_heading
 from .prediction_error import shift_rows as shift_rows
 from .prediction_error import unfiltered_residuals as unfiltered_residuals
 from .replay_fit import PRIOR as PRIOR

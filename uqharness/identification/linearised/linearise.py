@@ -711,12 +711,13 @@ def vane_shift(y: FloatArray, outputs: Sequence[str]) -> FloatArray:
     return out
 
 
-def vane_shift_slopes(x: FloatArray, gusts: GustStates | None) -> FloatArray:
-    """Return derivatives (n, outputs, states) of `at_vane` at the states ``x`` (n, 8).
+def vane_shift_slopes(x: FloatArray, gusts: GustStates | None, turn: FloatArray) -> FloatArray:
+    """Return derivatives (n, outputs, states) of `at_vane` at the states ``x`` (n, 8), with the
+    heading less its mean ``turn`` (n,).
 
     Rates are relative to the air, which rotates in turbulence.
     """
-    at = (x if gusts is None else with_gust_states(x, gusts)).T
+    at = with_gust_states(x, gusts, turn).T
     out = np.zeros((at.shape[1], len(STEP_OUTPUTS), len(at)))
 
     def vane_angles(z: FloatArray) -> FloatArray:

@@ -677,7 +677,7 @@ class _LinearSystems:
         point = self.trajectory.point
         gain = np.array([sensor_gain(c, point) for c in self.setup.outputs])
         H = steps.H[:, self.setup.output_rows] / gain[:, None]
-        x = with_gust_states(p.reference.x, states)
+        x = with_gust_states(p.reference.x, states, p.reference.turn)
         first = rates(p.reference, p.mass, x, gusts=states) * steps.dt_s
         curvature = steps.defect + np.diff(x, axis=0) - first[:-1]
         # A delayed sensor measures the step before a row, an early one the step after it.
@@ -746,6 +746,11 @@ def _with_free_air(
     return [*with_air(followed, process, noise, airs)]
 
 
+def mean_heading(channels: Mapping[str, FloatArray]) -> float:
+    """Return a segment's mean heading [rad]; 0 where none was measured."""
+    return float(np.unwrap(channels["psi_rad"]).mean())
+
+
 def _estimate_air(
     setup: FlightData, steps: _LinearSystems, prior_model: TurbulenceModel | None, tune: bool
 ) -> tuple[TurbulenceModel, FloatArray]:
@@ -765,6 +770,7 @@ def _estimate_air(
         prior_model,
         steps.pool,
         kinds,
+        [mean_heading(c) for c in setup.channels],
     )
 
 
@@ -790,7 +796,7 @@ def at_predictions(
         gusts.states,
         strict=True,
     ):
-        x = with_gust_states(p.reference.x, states) + d
+        x = with_gust_states(p.reference.x, states, p.reference.turn) + d
         air = x[:, 3:6] - np.column_stack(states.rotation(x.T))
         full_rates = rates(p.reference, p.mass, x, gusts=states)
         flow = rates(p.reference, p.mass, x, gusts=states._replace(turning_with=False))

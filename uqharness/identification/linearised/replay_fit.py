@@ -191,7 +191,7 @@ def steps_of(
     systems = list(pool(_with_gusts, [*zip(slopes, air, strict=True)]))
     if forward:
         systems = [
-            replace(steps, H=steps.H + forward * vane_shift_slopes(rigid.x, gusts))
+            replace(steps, H=steps.H + forward * vane_shift_slopes(rigid.x, gusts, rigid.turn))
             for rigid, gusts, steps in zip(slopes, air, systems, strict=True)
         ]
     if (gain == 1.0).all():
