@@ -78,6 +78,7 @@ def test_a_flight_starts_with_the_control_system_at_rest(tmp_path):
         turbulence="none",
         sensor_noise=False,
     )
+
     def recorded():
         """Return the signals of both engines, JSBSim's first."""
         staged = staged_mission(given)
