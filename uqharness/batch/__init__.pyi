@@ -17,6 +17,7 @@ from .replay import at_states as at_states
 from .replay import fly_replays as fly_replays
 from .replay import make_replay as make_replay
 from .replay import make_states as make_states
+from .replay import slopes_at_states as slopes_at_states
 from .translate.channels import Files as Files
 from .translate.channels import Sources as Sources
 from .translate.channels import read_sources as read_sources

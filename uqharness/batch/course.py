@@ -239,14 +239,28 @@ def settle(
     run_ic : callable
         Computes the initialising frames once more.
     """
-    turboprops = [s.engine.motor for s in settlers if isinstance(s.engine.motor, Turboprop)]
-    for turboprop in turboprops:
+    off_balance = reach_steady_state(settlers, values, count, renew)
+    if off_balance.any():
+        balance_propellers(settlers, values, off_balance, renew=renew, run_ic=run_ic)
+
+
+def reach_steady_state(
+    settlers: Sequence[Settler],
+    values: dict[str, FloatArray],
+    count: int,
+    renew: Callable[[], None],
+) -> NDArray[np.bool_]:
+    """Bring engines to JSBSim's steady state; parameters as `settle`.
+
+    Returns the lanes (count,) in which a propeller is out of balance then.
+    """
+    for turboprop in _turboprops(settlers):
         if (limited_throttle := values.get(f"#{turboprop.limited_throttle}")) is not None:
             values[f"#{turboprop.limited_throttle}"] = np.nan_to_num(limited_throttle, nan=1.0)
     for settler in settlers:
         _settle_engine(settler.steady, settling_slot(settler.engine), values, count)
     renew()
-    off_balance, is_beyond = np.zeros((2, count), dtype=bool)
+    off_balance = np.zeros(count, dtype=bool)
     for settler in settlers:
         if not has_power_balance(settler.engine):
             continue
@@ -270,8 +284,20 @@ def settle(
             # Electric motors never report that they run, and turboprops no power in a frame without
             # time, so that JSBSim's frames settle them.
             off_balance[:] = True
-    if not off_balance.any():
-        return
+    return off_balance
+
+
+def balance_propellers(
+    settlers: Sequence[Settler],
+    values: dict[str, FloatArray],
+    off_balance: NDArray[np.bool_],
+    *,
+    renew: Callable[[], None],
+    run_ic: Callable[[], None],
+) -> None:
+    """Bring the propellers of the lanes ``off_balance`` into balance; parameters as `settle`."""
+    count, turboprops = len(off_balance), _turboprops(settlers)
+    is_beyond = np.zeros(count, dtype=bool)
     unbalanced_values = dict(values)
     powers = [
         f"{settler.engine.name}power-hp"
@@ -357,6 +383,11 @@ def bring_to_rest(
         is_moving &= blocks_without_gain < forced_state.PATIENCE
         if not is_moving.any():
             return
+
+
+def _turboprops(settlers: Sequence[Settler]) -> list[Turboprop]:
+    """Return the turboprops among engines."""
+    return [s.engine.motor for s in settlers if isinstance(s.engine.motor, Turboprop)]
 
 
 def _settle_engine(flyer: Flyer, going: str, values: dict[str, FloatArray], count: int) -> None:

@@ -349,19 +349,6 @@ def slot(program: Program, state: np.ndarray, name: str, lanes: int) -> np.ndarr
     return np.ascontiguousarray(state[:, row, :]).reshape(-1)[:lanes]
 
 
-def remap_state(state: np.ndarray, program: Program, other: Program) -> np.ndarray:
-    """Return the state in the layout of another program, by names of slots.
-
-    Slots that ``program`` does not have get the other program's initial values.
-    """
-    # Copied row by row, by name.
-    rows = {name: row for row, name in enumerate(program.slots)}
-    out = np.empty((len(state), len(other.slots), BLOCK))
-    for row, (name, first) in enumerate(other.slots.items()):
-        out[:, row] = state[:, rows[name]] if name in rows else first
-    return out
-
-
 def select_lanes(state: np.ndarray, lanes: Sequence[int] | np.ndarray) -> np.ndarray:
     """Return the state of some lanes in the given order, padded to whole blocks."""
     picked = np.asarray(lanes, dtype=np.int64)

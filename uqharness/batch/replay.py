@@ -6,7 +6,8 @@ frames between two rows is fixed in the program, because values that only rows n
 their frames only.
 
 `make_states` and `at_states` compute forces and accelerations at given states with JSBSim's two
-initialising frames.
+initialising frames and, where there are engines, their steady state. `slopes_at_states` computes
+their derivatives with respect to properties.
 """
 
 from __future__ import annotations
@@ -17,9 +18,10 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sysid.arrays import FloatArray
-from uqharness.batch.course import settle
+from uqharness.batch.course import balance_propellers, reach_steady_state, settle
 from uqharness.batch.interpret import Interpreter
 from uqharness.batch.llvm import choose_target
 from uqharness.batch.llvm_flight import compile_program
@@ -45,18 +47,15 @@ from uqharness.batch.program import (
     BLOCK,
     Flyer,
     Program,
-    Section,
     Stream,
-    from_blocks,
     initial_state,
-    remap_state,
     share_feed,
     slot,
     step_once,
 )
 from uqharness.batch.translate.channels import Sources
 from uqharness.batch.translate.flight import Flight, TraceRequest, trace_flight
-from uqharness.batch.translate.frame import STEP, Values, canonical, is_constant
+from uqharness.batch.translate.frame import OUT_OF_RANGE, STEP, Values, canonical, is_constant
 from uqharness.errors import BadInputError
 from uqharness.simulator import MAX_FRAMES, SETTLED_RADPS
 
@@ -154,7 +153,6 @@ def make_replay(
     controls: Sequence[str],
     inputs: Collection[str],
     records: Sequence[str],
-    *,
     stride: int,
 ) -> ReplayProgram:
     """Translate an aircraft for replays.
@@ -215,12 +213,11 @@ def trace_replay(
     controls: Sequence[str],
     inputs: Collection[str],
     records: Sequence[str],
-    *,
     renewal: bool = False,
 ) -> tuple[Flight, Stream, tuple[str, ...]]:
     """Trace the frames of an aircraft with a step that lanes set; parameters as `make_replay`.
 
-    Engines run when ``open_fdm`` returns; ``renewal``: also trace a frame in which time stands
+    Engines run when ``open_fdm`` returns. ``renewal``: also trace a frame in which time stands
     still. Returns the flight, the stream of the controls and the names of what may differ between
     lanes. Raises BadInputError for what cannot be replayed.
     """
@@ -353,6 +350,9 @@ _CHUNK = 4096
 """States that are computed together."""
 RATES = ("aero/alphadot-rad_sec", "aero/betadot-rad_sec")
 """Properties that JSBSim computes from the accelerations of the frame before."""
+_STATIONARY_SHARE = 1e-9
+"""Relative change of the records per frame at which those of two values of a property are
+compared."""
 
 
 @dataclass(frozen=True)
@@ -361,18 +361,23 @@ class StateProgram:
 
     ``controls`` are fed in this order, ``properties`` may differ between calls, ``records`` are
     returned. ``renewer`` is a frame in which time stands still, for models with engines or that
-    read RATES (``uses_rates``). ``settlers`` settle engines, ``initialiser`` is the second
-    initialising frame, which runs again afterwards.
+    read RATES (``uses_rates``). ``settlers`` bring engines to their steady state; they repeat the
+    initialising frame ``second``.
     """
 
     flyer: Flyer
     controls: tuple[str, ...]
     properties: frozenset[str]
     records: tuple[str, ...]
-    renewer: Flyer | None = None
-    uses_rates: bool = False
-    settlers: tuple[Settler, ...] = ()
-    initialiser: Flyer | None = None
+    uses_rates: bool
+    renewer: Flyer | None
+    settlers: tuple[Settler, ...]
+    second: Program
+
+    @cached_property
+    def initialiser(self) -> Interpreter:
+        """The second initialising frame."""
+        return Interpreter(self.second)
 
 
 def make_states(
@@ -382,7 +387,6 @@ def make_states(
     controls: Sequence[str],
     inputs: Collection[str],
     records: Sequence[str],
-    *,
     uses_rates: bool = False,
 ) -> StateProgram:
     """Translate and compile an aircraft for evaluation at states; parameters as `make_replay`.
@@ -395,8 +399,8 @@ def make_states(
     )
     # Start state and both initialising frames become a single program of one frame.
     start, record_names = start_section(), tuple(records)
+    sections = (start, *flight.first.sections, *flight.second.sections)
     slots = {
-        **{name: value for one in flight.settling for name, value in one.slots.items()},
         **dict.fromkeys((*CONDITIONS, *start.function.stores), 0.0),
         **flight.first.slots,
         **flight.second.slots,
@@ -406,38 +410,36 @@ def make_states(
         raise BadInputError(
             f"property {missing[0]} is not computed while initialising by the batch engine"
         )
-
-    def part(sections: tuple[Section, ...], retained: Collection[str]) -> Program:
-        """Return sections expanded, without what no retained slot needs."""
-        return prune_slots(
-            eliminate_dead_stores(fuse_sections(lower_program(Program(sections, slots))), retained),
-            retained,
-        )
-
-    # Engines settle, and RATES are iterated, from slots of the programs that follow.
-    settlers, renewer, initialiser = settlers_of(flight), None, None
-    read = [name for one in flight.settling for name in one.slots] if settlers else []
+    read, renewer, settlers = {*record_names}, None, settlers_of(flight)
+    second = flight.second
     if flight.renewed is not None:
-        read += [*record_names, *(RATES if uses_rates else ())]
-        renewer = part(flight.renewed.sections, read)
-        read = list(renewer.slots)
-    if settlers:
-        initialiser = part(flight.second.sections, read)
-        read = list(dict.fromkeys([*read, *initialiser.slots]))
-    program = part((start, *flight.first.sections, *flight.second.sections), read or record_names)
-
-    def compiled(one: Program | None) -> Flyer | None:
-        return None if one is None else compile_program(one, choose_target())
-
+        # Later frames continue from all slots of earlier ones.
+        read |= {*RATES} & {*slots}
+        if settlers:
+            second = lower_program(fuse_sections(flight.second))
+            read |= {OUT_OF_RANGE, *second.slots}
+            read |= {n for s in settlers for p in (s.steps, s.balancing_steps) for n in p.slots}
+        stored = flight.renewed.slots
+        renewed = lower_program(flight.renewed)
+        retained = [name for name in stored if name in read]
+        renewed = prune_slots(eliminate_dead_stores(fuse_sections(renewed), retained), retained)
+        renewer = compile_program(renewed, choose_target())
+        read |= {*renewed.slots}
+        slots = {**renewed.slots, **slots}
+    ordered = [name for name in slots if name in read]
+    program = prune_slots(
+        eliminate_dead_stores(fuse_sections(lower_program(Program(sections, slots))), ordered),
+        ordered,
+    )
     return StateProgram(
         compile_program(program, choose_target()),
         fed.columns,
         frozenset(inputs),
         record_names,
-        compiled(renewer),
         uses_rates,
+        renewer,
         settlers,
-        compiled(initialiser),
+        second,
     )
 
 
@@ -469,57 +471,159 @@ def at_states(
     Returns
     -------
     array (n, records)
+        NaN where an engine does not keep running.
     """
     out = np.empty((len(controls), len(program.records)))
-    slots = program.flyer.program.slots
-    shared = {**{canonical(name): value for name, value in properties.items()}, STEP: dt_s}
-    # States are processed in chunks that reuse memory.
-    for begin in range(0, len(out), _CHUNK):
-        part = slice(begin, begin + _CHUNK)
-        start = start_conditions({name: conditions[name][part] for name in CONDITIONS})
-        values: dict[str, FloatArray | float] = {**shared, TERRAIN: terrain_ft[part], **start}
-        values |= dict(zip(program.controls, controls[part].T, strict=True))
-        count = len(controls[part])
-        state = initial_state(
-            program.flyer.program,
-            count,
-            {name: value for name, value in values.items() if name in slots},
-        )
-        program.flyer.fly(state, 1, 1)
-        flyer = program.flyer
-        if program.renewer is not None:
-            state = _settled(program, program.renewer, state, count)
-            flyer = program.renewer
-        out[part] = _read(flyer, state, program.records, count)
-        if program.renewer is not None and program.uses_rates:
-            _settle_rates(program, program.renewer, state, out[part])
+    for part, values in _settled_values(
+        program, conditions, terrain_ft, dt_s, controls, properties
+    ):
+        out[part] = np.column_stack([values[name] for name in program.records])
+        if program.uses_rates and program.renewer is not None:
+            _iterate_rates(program, program.renewer, values, out[part])
+        if OUT_OF_RANGE in values:
+            out[part][values[OUT_OF_RANGE] != 0.0] = np.nan
     return out
 
 
-def _settled(program: StateProgram, renewer: Flyer, state: FloatArray, count: int) -> FloatArray:
-    """Return a state in the layout of ``renewer``, with the engines in their steady state."""
-    if program.initialiser is None:
-        return remap_state(state, program.flyer.program, renewer.program)
-    initialiser = program.initialiser
-    names = program.flyer.program.slots
-    values = dict(zip(names, from_blocks(state, count), strict=True))
+def slopes_at_states(
+    program: StateProgram,
+    conditions: Mapping[str, FloatArray],
+    terrain_ft: FloatArray,
+    dt_s: float,
+    controls: FloatArray,
+    properties: Mapping[str, float],
+    steps: Mapping[str, float],
+) -> FloatArray:
+    """Return derivatives with respect to properties at n states, engines at constant speed.
 
-    def step(*flyers: Flyer) -> None:
+    Parameters as `at_states`; ``steps`` has the step of each property, which is taken both ways.
+
+    Returns
+    -------
+    array (n, properties, records)
+    """
+    out = np.empty((len(controls), len(steps), len(program.records)))
+    if program.renewer is None:
+        for k, (name, step) in enumerate(steps.items()):
+            above, below = (
+                at_states(
+                    program,
+                    conditions,
+                    terrain_ft,
+                    dt_s,
+                    controls,
+                    {**properties, name: properties[name] + shift},
+                )
+                for shift in (step, -step)
+            )
+            out[:, k] = (above - below) / (2.0 * step)
+        return out
+    for part, values in _settled_values(
+        program, conditions, terrain_ft, dt_s, controls, properties
+    ):
+        for k, (name, step) in enumerate(steps.items()):
+            sides = np.empty((2, len(out[part]), len(program.records)))
+            for side, shift in zip(sides, (step, -step), strict=True):
+                moved = {canonical(name): np.full(len(side), properties[name] + shift)}
+                _iterate_loads(program, program.renewer, values | moved, side)
+            out[part, k] = (sides[0] - sides[1]) / (2.0 * step)
+    return out
+
+
+def _settled_values(
+    program: StateProgram,
+    conditions: Mapping[str, FloatArray],
+    terrain_ft: FloatArray,
+    dt_s: float,
+    controls: FloatArray,
+    properties: Mapping[str, float],
+) -> Iterator[tuple[slice, dict[str, FloatArray]]]:
+    """Yield chunks of states and their slots after initialisation, with engines in their steady
+    state; parameters as `at_states`.
+    """
+    # States are processed in chunks that reuse memory.
+    for begin in range(0, len(controls), _CHUNK):
+        part = slice(begin, begin + _CHUNK)
+        count = len(controls[part])
+        values = {canonical(name): np.full(count, value) for name, value in properties.items()}
+        values |= {STEP: np.full(count, dt_s), TERRAIN: terrain_ft[part]}
+        values |= start_conditions({name: conditions[name][part] for name in CONDITIONS})
+        values |= dict(zip(program.controls, controls[part].T, strict=True))
+        values |= step_once(program.flyer, values, count)
+        if program.settlers and program.renewer is not None:
+            _settle_engines(program, program.renewer, values, count)
+        yield part, values
+
+
+def _settle_engines(
+    program: StateProgram, renewer: Flyer, values: dict[str, FloatArray], count: int
+) -> None:
+    """Bring the engines of all states to their steady state; ``values`` is updated."""
+
+    def step(into: dict[str, FloatArray], *frames: Flyer) -> None:
         """Compute frames in which time stands still."""
-        for flyer in flyers:
-            values.update(step_once(flyer, values, count))
+        for flyer in frames:
+            into.update(step_once(flyer, into, len(into[STEP])))
 
-    settle(
+    off_balance = reach_steady_state(program.settlers, values, count, lambda: step(values, renewer))
+    if not off_balance.any():
+        return
+    # Few states are out of balance, and their frames are many.
+    subset = {name: value[off_balance] for name, value in values.items()}
+    balance_propellers(
         program.settlers,
-        values,
-        count,
-        renew=lambda: step(renewer),
-        run_ic=lambda: step(initialiser, initialiser),
+        subset,
+        np.ones(off_balance.sum(), dtype=bool),
+        renew=lambda: step(subset, renewer),
+        run_ic=lambda: step(subset, program.initialiser, program.initialiser),
     )
-    slots = renewer.program.slots
-    return initial_state(
-        renewer.program, count, {name: v for name, v in values.items() if name in slots}
-    )
+    for name, value in subset.items():
+        values[name] = values.get(name, np.zeros(count)).copy()
+        values[name][off_balance] = value
+
+
+def _iterate_rates(
+    program: StateProgram, renewer: Flyer, values: Mapping[str, FloatArray], out: FloatArray
+) -> None:
+    """Repeat frames in which time stands still until RATES converge; ``out`` (n, records) is
+    updated.
+    """
+    count, slots = len(out), renewer.program.slots
+    state = initial_state(renewer.program, count, {n: v for n, v in values.items() if n in slots})
+    rates = _read(renewer, state, RATES, count)
+
+    def change() -> FloatArray:
+        """Compute a frame; return by how much the rates changed (n,)."""
+        nonlocal rates
+        renewer.fly(state, 1, 1)
+        previous, rates = rates, _read(renewer, state, RATES, count)
+        return np.asarray(np.abs(rates - previous).sum(axis=1))
+
+    for moving in _until_still(change, SETTLED_RADPS, count):
+        out[moving] = _read(renewer, state, program.records, count)[moving]
+
+
+def _iterate_loads(
+    program: StateProgram, renewer: Flyer, values: Mapping[str, FloatArray], out: FloatArray
+) -> None:
+    """Repeat frames in which time stands still until the records converge; ``out`` (n, records) is
+    updated.
+    """
+    count, slots = len(out), renewer.program.slots
+    state = initial_state(renewer.program, count, {n: v for n, v in values.items() if n in slots})
+    renewer.fly(state, 1, 1)
+    loads = _read(renewer, state, program.records, count)
+
+    def change() -> FloatArray:
+        """Compute a frame; return by how much the records changed, relative to the largest (n,)."""
+        nonlocal loads
+        renewer.fly(state, 1, 1)
+        previous, loads = loads, _read(renewer, state, program.records, count)
+        size = np.maximum(np.abs(loads).max(axis=1), 1e-9)
+        return np.asarray(np.abs(loads - previous).max(axis=1) / size)
+
+    for moving in _until_still(change, _STATIONARY_SHARE, count):
+        out[moving] = loads[moving]
 
 
 def _read(flyer: Flyer, state: FloatArray, names: Sequence[str], count: int) -> FloatArray:
@@ -527,25 +631,19 @@ def _read(flyer: Flyer, state: FloatArray, names: Sequence[str], count: int) -> 
     return np.column_stack([slot(flyer.program, state, name, count) for name in names])
 
 
-def _settle_rates(
-    program: StateProgram, renewer: Flyer, state: FloatArray, out: FloatArray
-) -> None:
-    """Repeat frames in which time stands still until RATES converge; ``out`` (n, records) is
-    updated.
+def _until_still(
+    change: Callable[[], FloatArray], tolerance: float, count: int
+) -> Iterator[NDArray[np.bool_]]:
+    """Call ``change`` until its result is below ``tolerance``; yield each time the states (count,)
+    that had not stopped before.
 
-    A force that grows faster than the acceleration it depends on does not converge; the iteration
-    of that state stops when its change stops shrinking.
+    A force that grows faster than the acceleration it depends on does not converge; a state
+    therefore stops as well when its change stops shrinking.
     """
-    count = len(out)
-    previous, moved = _read(renewer, state, RATES, count), np.full(count, np.inf)
-    moving = np.ones(count, dtype=bool)
+    moved, moving = np.full(count, np.inf), np.ones(count, dtype=bool)
     for _ in range(MAX_FRAMES):
-        renewer.fly(state, 1, 1)
-        rates, last = _read(renewer, state, RATES, count), moved
-        moved = np.abs(rates - previous).sum(axis=1)
-        out[moving] = _read(renewer, state, program.records, count)[moving]
-        # A state stops when its rates have settled or their change no longer shrinks.
-        moving &= (moved >= SETTLED_RADPS) & (moved < last)
+        last, moved = moved, change()
+        yield moving
+        moving = moving & (moved >= tolerance) & (moved < last)
         if not moving.any():
             return
-        previous = rates

@@ -14,6 +14,7 @@ from .force import ForcedModel as ForcedModel
 from .force import SegmentStates as SegmentStates
 from .force import force_all as force_all
 from .force import force_states as force_states
+from .force import property_slopes as property_slopes
 from .histories import HISTORIES as HISTORIES
 from .histories import History as History
 from .histories import axis_label as axis_label
@@ -33,8 +34,6 @@ from .model import CONTROLS as CONTROLS
 from .model import ReplayFolder as ReplayFolder
 from .model import ReplayModel as ReplayModel
 from .model import altitudes as altitudes
-from .model import control_setters as control_setters
-from .model import terrain_m as terrain_m
 from .positions import surface_positions as surface_positions
 from .replay import CHANNELS as CHANNELS
 from .replay import CONTROL_DELAY as CONTROL_DELAY

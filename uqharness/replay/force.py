@@ -8,13 +8,14 @@ values are made from them.
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from cachetools import LRUCache, cached
+from numpy.typing import NDArray
 
 from sysid.aerodynamics.coefficients import MassProperties
 from sysid.arrays import FloatArray
@@ -40,6 +41,7 @@ from uqharness.simulator import (
 # differ. Earlier requests do not decide which engine is used, so a resumed run is bit-identical.
 
 _LOG = logging.getLogger("uqharness")
+_T = TypeVar("_T")
 MIN_BATCH_STATES = 2_000
 """Number of states from which the aircraft is compiled. Compiling takes as long as 12,000 states by
 JSBSim, but callers that evaluate a whole flight do so several times; trims and start states are
@@ -49,7 +51,11 @@ MIN_BATCH_STATES_ENGINES = 250
 TOLERANCE = 1e-6
 """Largest difference of a force or moment between the engines, relative to its largest size among
 the states compared."""
+SLOPE_TOLERANCE = 1e-3
+"""Largest difference of a load's slope with a property, relative to its largest size."""
 _COMPARED_STATES, _MAX_PROGRAMS, _LEVEL_M = 9, 8, 1000.0
+_STATIONARY_SHARE = 1e-9
+"""Relative change of the loads between two frames below which they are stationary."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +77,7 @@ class States:
     altitude_m: FloatArray
     terrain_m: FloatArray
 
-    def subset(self, rows: FloatArray) -> States:
+    def subset(self, rows: NDArray[Any]) -> States:
         """Select rows."""
         motion = {name: np.asarray(value)[rows] for name, value in self.motion.items()}
         return States(motion, self.controls[rows], self.altitude_m[rows], self.terrain_m[rows])
@@ -96,11 +102,12 @@ class States:
 @dataclass
 class _CachedProgram:
     """A compiled program: None before the first large request, and ``refused`` where JSBSim has to
-    answer.
+    answer. ``slopes`` has for each property whether its slopes agree with JSBSim's.
     """
 
     program: StateProgram | None = None
     refused: bool = False
+    slopes: dict[str, bool] = field(default_factory=dict)
 
 
 _cached_programs: LRUCache[str, _CachedProgram] = LRUCache(_MAX_PROGRAMS)
@@ -132,9 +139,14 @@ def by_batch(
             model, states, dt_s, properties, by_jsbsim, _compile(model, dt_s, names, records)
         )
         entry.refused = entry.program is None
-    return (
-        None if entry.program is None else _evaluate(entry.program, model, states, dt_s, properties)
-    )
+    if entry.program is None:
+        return None
+    out = _evaluate(entry.program, model, states, dt_s, properties)
+    # JSBSim evaluates states in which an engine stops.
+    stopped = np.asarray(np.isnan(out).any(axis=1))
+    if stopped.any():
+        out[stopped] = by_jsbsim(states.subset(stopped))
+    return out
 
 
 def _compile(
@@ -153,7 +165,7 @@ def _compile(
             controls,
             inputs,
             records,
-            uses_rates=model.by_rates,
+            model.by_rates,
         )
     except BadInputError as error:
         _LOG.info("forces are evaluated by JSBSim, which is slower: %s", error)
@@ -177,7 +189,10 @@ def _verified(
     )
     from_batch, from_jsbsim = _evaluate(program, model, subset, dt_s, properties), by_jsbsim(subset)
     difference = float(
-        np.max(np.abs(from_batch - from_jsbsim) / np.maximum(np.abs(from_jsbsim).max(axis=0), 1e-3))
+        np.nanmax(
+            np.abs(from_batch - from_jsbsim) / np.maximum(np.abs(from_jsbsim).max(axis=0), 1e-3),
+            initial=0.0,
+        )
     )
     if difference <= TOLERANCE:
         return program
@@ -195,8 +210,9 @@ def _evaluate(
     states: States,
     dt_s: float,
     properties: Mapping[str, float],
+    steps: Mapping[str, float] | None = None,
 ) -> FloatArray:
-    """Evaluate a compiled program at the states."""
+    """Evaluate a compiled program at the states; with ``steps``, its slopes with properties."""
     V, alpha, beta = (
         np.asarray(states.motion[name], dtype=float) for name in ("V_mps", "alpha_rad", "beta_rad")
     )
@@ -220,8 +236,11 @@ def _evaluate(
     }
     # One column a property: the throttle of several engines is repeated.
     _, places = model.control_properties()
-    return batch.at_states(
-        program, conditions, states.terrain_m / FT_M, dt_s, states.controls[:, places], properties
+    controls, terrain_ft = states.controls[:, places], states.terrain_m / FT_M
+    if steps is None:
+        return batch.at_states(program, conditions, terrain_ft, dt_s, controls, properties)
+    return batch.slopes_at_states(
+        program, conditions, terrain_ft, dt_s, controls, properties, steps
     )
 
 
@@ -335,16 +354,23 @@ def force_all(
     BadInputError
         For a property that the model does not have.
     """
-    out: dict[int, ForcedModel] = {}
+    return _by_step(
+        model, parts, lambda sets, dt_s: _force_step(model, sets, dt_s, properties, pool)
+    )
+
+
+def _by_step(
+    model: ReplayModel,
+    parts: Sequence[SegmentStates],
+    evaluate: Callable[[list[States], float], list[_T]],
+) -> list[_T]:
+    """Evaluate the sets of each time step together; return the result of each set."""
+    out: dict[int, _T] = {}
     # Time steps of segments of one record differ by rounding only.
     steps = [round(part.segment.dt_s, 9) for part in parts]
     for dt_s in dict.fromkeys(steps):
         places = [k for k, step in enumerate(steps) if step == dt_s]
-        out |= zip(
-            places,
-            _force_step(model, [parts[k].to_states(model) for k in places], dt_s, properties, pool),
-            strict=True,
-        )
+        out |= zip(places, evaluate([parts[k].to_states(model) for k in places], dt_s), strict=True)
     return [out[k] for k in range(len(parts))]
 
 
@@ -407,6 +433,20 @@ def _mass_of(model: ReplayModel, dt_s: float, properties: Mapping[str, float]) -
 
 def _force_in_jsbsim(fdm: Any, model: ReplayModel, states: States) -> FloatArray:
     """Impose n states one after the other; return the recorded properties (n, len(_RECORDS))."""
+    get = [engine.handle(fdm, name).get_double_value for name in _RECORDS]
+    rates = [
+        engine.handle(fdm, f"aero/{name}dot-rad_sec").get_double_value for name in ("alpha", "beta")
+    ]
+    raw = np.empty((len(states.controls), len(get)))
+    for k in _imposed(fdm, model, states):
+        if model.by_rates:
+            _settle_rates(fdm, *rates)
+        raw[k] = [g() for g in get]
+    return raw
+
+
+def _imposed(fdm: Any, model: ReplayModel, states: States) -> Iterator[int]:
+    """Impose n states one after the other, engines settled; yield the number of each."""
     engines = fdm.get_propulsion().get_num_engines()
     if engines:
         engine.start_engines(fdm)
@@ -427,12 +467,8 @@ def _force_in_jsbsim(fdm: Any, model: ReplayModel, states: States) -> FloatArray
         "r-rad_sec",
     )
     state_setters = [engine.handle(fdm, f"ic/{name}").set_double_value for name in names]
-    get = [engine.handle(fdm, name).get_double_value for name in _RECORDS]
-    rates = [
-        engine.handle(fdm, f"aero/{name}dot-rad_sec").get_double_value for name in ("alpha", "beta")
-    ]
-    raw, motion = np.empty((len(states.controls), len(get))), states.motion
-    for k in range(len(raw)):
+    motion = states.motion
+    for k in range(len(states.controls)):
         for handles, value in zip(setters, states.controls[k], strict=True):
             for setter in handles:
                 setter(float(value))
@@ -459,10 +495,7 @@ def _force_in_jsbsim(fdm: Any, model: ReplayModel, states: States) -> FloatArray
             raise engine.RuntimeFailure(f"JSBSim could not take the state of sample {k}")
         if engines:
             engine.settle_engines(fdm)
-        if model.by_rates:
-            _settle_rates(fdm, *rates)
-        raw[k] = [g() for g in get]
-    return raw
+        yield k
 
 
 def _settle_rates(fdm: Any, alphadot: Callable[[], float], betadot: Callable[[], float]) -> None:
@@ -479,3 +512,121 @@ def _settle_rates(fdm: Any, alphadot: Callable[[], float], betadot: Callable[[],
         if change < SETTLED_RADPS or not change < last_change:
             return
         previous = current
+
+
+def property_slopes(
+    model: ReplayModel,
+    parts: Sequence[SegmentStates],
+    properties: Mapping[str, float],
+    names: Sequence[str],
+    pool: Processes = SERIAL,
+) -> list[FloatArray]:
+    """Return the change of force [N] and moment [N m] per unit of properties, (n, k, 6) a set.
+
+    Central differences with engines at constant speed. The motion is frozen until the loads are
+    stationary: lift changes the rate of alpha and with it the induced drag. Parameters as
+    `force_all`; ``names`` has the k properties.
+    """
+
+    def of_step(state_sets: list[States], dt_s: float) -> list[FloatArray]:
+        """Evaluate sets of states of one time step."""
+        missing = [name for name in names if name not in properties]
+        current = dict(zip(missing, model.current_values(dt_s, missing), strict=True))
+        values = {**properties, **current}
+        jobs = [(model, dt_s, values, names, states) for states in state_sets]
+        by_batch = _slopes_by_batch(model, dt_s, values, names, States.of(state_sets))
+        if by_batch is None:
+            return list(pool(_slopes_by_jsbsim, jobs))
+        return np.split(by_batch, np.cumsum([len(states.controls) for states in state_sets])[:-1])
+
+    return _by_step(model, parts, of_step)
+
+
+_SlopesJob = tuple[ReplayModel, float, Mapping[str, float], Sequence[str], States]
+
+
+def _slopes_by_batch(
+    model: ReplayModel,
+    dt_s: float,
+    values: Mapping[str, float],
+    names: Sequence[str],
+    states: States,
+) -> FloatArray | None:
+    """Return slopes (n, k, 6) by the program that evaluated the model's loads; None without one, or
+    where it differs from JSBSim.
+    """
+    entry = _cached_programs.get(model.identity)
+    if entry is None or entry.program is None or not {*names} <= entry.program.properties:
+        return None
+    program = entry.program
+
+    def evaluate(requested: States, of_names: Sequence[str]) -> FloatArray:
+        """Evaluate the program; loads in SI units."""
+        steps = {name: _slope_step(values[name]) for name in of_names}
+        return _loads(_evaluate(program, model, requested, dt_s, values, steps))
+
+    if new := [name for name in names if name not in entry.slopes]:
+        rows = np.unique(np.linspace(0, len(states.controls) - 1, _COMPARED_STATES).astype(int))
+        subset = states.subset(rows)
+        expected = _slopes_by_jsbsim((model, dt_s, values, new, subset))
+        size = np.abs(expected).max(axis=(0, 2), keepdims=True)
+        # A property without effect has a slope of rounding.
+        size = np.maximum(size, 1e-3 * size.max())
+        agree = np.abs(evaluate(subset, new) - expected) <= SLOPE_TOLERANCE * size
+        entry.slopes |= dict(zip(new, agree.all(axis=(0, 2)).tolist(), strict=True))
+    if not all(entry.slopes[name] for name in names):
+        return None
+    out = evaluate(states, names)
+    return None if np.isnan(out).any() else out
+
+
+def _slope_step(value: float) -> float:
+    """Return the step of a property: a thousandth."""
+    return 1e-3 * max(abs(value), 1e-2)
+
+
+def _loads(raw: FloatArray) -> FloatArray:
+    """Return total force [N] and moment [N m] (..., 6) of recorded properties."""
+    return np.concatenate([raw[..., 0:3] * LBF_N, raw[..., 6:9] * LBF_FT_NM], axis=-1)
+
+
+def _slopes_by_jsbsim(job: _SlopesJob) -> FloatArray:
+    """Return slopes (n, k, 6) by JSBSim; a function of one argument, for pools."""
+    model, dt_s, values, names, states = job
+    fdm = _open(model, dt_s, values)
+    get = [engine.handle(fdm, name).get_double_value for name in (*_RECORDS[:3], *_RECORDS[6:9])]
+    handles = [engine.handle(fdm, name).set_double_value for name in names]
+    out = np.empty((len(states.controls), len(names), 6))
+    for k in _imposed(fdm, model, states):
+        # With the motion frozen, move one property at a time, both ways.
+        fdm.suspend_integration()
+        for j, (name, move) in enumerate(zip(names, handles, strict=True)):
+            sides, step = [], _slope_step(values[name])
+            for shift in (step, -step):
+                move(values[name] + shift)
+                sides.append(_settled_loads(fdm, get))
+            move(values[name])
+            out[k, j] = (sides[0] - sides[1]) / (2.0 * step)
+        fdm.resume_integration()
+    return out * np.array([LBF_N] * 3 + [LBF_FT_NM] * 3)
+
+
+def _settled_loads(fdm: Any, get: Sequence[Callable[[], float]]) -> FloatArray:
+    """Run frames with integration suspended until the loads (6,) that ``get`` reads stand still;
+    return them.
+    """
+    # Plain numbers: this runs tens of thousands of times, and arrays of six cost more than a frame.
+    fdm.run()
+    loads, moved = [g() for g in get], float("inf")
+    for _ in range(MAX_FRAMES):
+        fdm.run()
+        before, last = loads, moved
+        loads = [g() for g in get]
+        change = max(
+            abs(load - load_before) for load, load_before in zip(loads, before, strict=True)
+        )
+        moved = change / max(*map(abs, loads), 1e-9)
+        # Loads that outgrow the accelerations that they are part of settle nowhere.
+        if moved < _STATIONARY_SHARE or not moved < last:
+            break
+    return np.array(loads)

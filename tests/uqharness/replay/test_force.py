@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from uqharness import batch
+from uqharness.cli.main import main
 from uqharness.plugin import with_card
 from uqharness.replay import CONTROLS, ReplayFolder, force
-from uqharness.replay.force import ForcedModel, force_states
+from uqharness.replay.force import ForcedModel, SegmentStates, force_states, property_slopes
 from uqharness.replay.segments import Segment
 from uqharness.simulator import find_aircraft
 
@@ -116,3 +117,27 @@ def test_engines_settle_as_in_jsbsim(name, speed_mps):
         states.controls[:, -1] *= 1.0 + 1e-4
         other = force._evaluate(program, model, states, 0.01, {})
         assert np.max(np.abs(other - theirs) / size) > 1e-6
+
+
+def test_both_engines_settle_a_propeller_and_agree_on_slopes(tmp_path, monkeypatch):
+    """Throttles from idle, where JSBSim's own iteration leaves the propeller out of balance."""
+    names = ("uq/scale/CLDe", "uq/scale/CLadot", "uq/scale/CDwbh", "uq/scale/Cmq")
+    values = dict.fromkeys(names, 1.0)
+    motion = MOTION | {"V_mps": 2.2 * MOTION["V_mps"]}
+    assert main(["instrument", "c172p", "--out", str(tmp_path / "c172p"), "--no-check"]) == 0
+    with ReplayFolder(find_aircraft(tmp_path / "c172p"), ideal=CONTROLS) as model:
+        parts = [SegmentStates(of_step(0.02), motion, U, HEIGHT_M)]
+        loads, slopes = [], []
+        for worth in (10**9, 1):
+            monkeypatch.setattr(force, "MIN_BATCH_STATES_ENGINES", worth)
+            loads.append(force_states(model, of_step(0.02), motion, U, values, HEIGHT_M))
+            slopes += property_slopes(model, parts, values, names)
+        entry = force._cached_programs[model.identity]
+    assert entry.program is not None
+    assert all(entry.slopes[name] for name in names)
+    assert np.ptp(loads[0].other_force[:, 0]) > 1000.0
+    assert 0.0 < np.abs(loads[1].other_force - loads[0].other_force).max() < 1e-4
+    assert np.abs(loads[1].coefficients - loads[0].coefficients).max() < 1e-7
+    size = np.abs(slopes[0]).max(axis=(0, 2), keepdims=True)
+    assert np.all(size > 1.0)
+    assert np.abs((slopes[1] - slopes[0]) / size).max() < 2e-3

@@ -7,10 +7,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,7 +32,6 @@ from sysid.aerodynamics.rigid_body import STATES as X_STATES
 from sysid.arrays import FloatArray
 from sysid.effects import V_REFERENCE_MPS, Columns, Effect, LazyColumns
 from sysid.parallel import SERIAL, Processes
-from sysid.units import FT_M, LBF_FT_NM, LBF_N
 from uqharness.identification.linearised.flight_data import (
     FlightData,
     ModelState,
@@ -52,22 +50,19 @@ from uqharness.replay import (
     SegmentStates,
     altitudes,
     by_run,
-    control_setters,
     force_all,
     late_rows,
+    property_slopes,
     runs_per_row,
     surface_positions,
-    terrain_m,
 )
-from uqharness.simulator import MAX_FRAMES, TRIM_LATITUDE_DEG, Actuator, body_velocity, engine
+from uqharness.simulator import Actuator
 
 SLOPE_ROWS = 4
 """Samples between two at which slopes are read: states change slowly against the sampling."""
 _STEPS = np.array([0.1, 1e-3, 1e-3, 0.01, 0.01, 0.01])
 """Steps of AIR by which slopes are read."""
 _CONTROL_STEP = 0.1
-_STATIONARY_SHARE = 1e-9
-"""Relative change of the loads between two frames below which they are stationary."""
 _BANKED = (0.5 * np.pi, np.pi)
 """Added bank angles [rad] from which the loads' slopes with the rates of alpha and beta are
 read.
@@ -350,111 +345,6 @@ def _make_probe(job: ProbeJob, forced: ForcedModel) -> Probe:
     )
 
 
-def property_slopes(
-    job: tuple[
-        ReplayModel, Segment, FloatArray, FloatArray, FloatArray, Mapping[str, float], Sequence[str]
-    ],
-) -> dict[str, FloatArray]:
-    """Return each property's change (n, 6) of force [N] and moment [N m] per unit.
-
-    Each state is set once. Then one property after the other is moved both ways, with the motion
-    frozen, until the loads are stationary: lift changes the rate of alpha and the induced drag,
-    which JSBSim reads from the previous frame.
-
-    Parameters
-    ----------
-    job : tuple
-        Model, segment, states (n, 8), controls (n, c) and heights (n,) [m] of n samples, the
-        properties that are set, and the names of those to move.
-    """
-    direct_model, segment, x, controls, height_m, properties, names = job
-    # One instance for all samples, with the properties in force.
-    fdm = direct_model.open(segment.dt_s)
-    for name, value in properties.items():
-        engine.set_property(fdm, name, value)
-    if fdm.get_propulsion().get_num_engines():
-        engine.start_engines(fdm)
-    setters = control_setters(fdm, direct_model)
-    fdm["ic/lat-geod-deg"] = TRIM_LATITUDE_DEG
-    fdm["ic/terrain-elevation-ft"] = terrain_m(direct_model, segment) / FT_M
-    # Handles are looked up once: a name costs more than a frame.
-    places = (
-        "phi-rad",
-        "theta-rad",
-        "u-fps",
-        "v-fps",
-        "w-fps",
-        "p-rad_sec",
-        "q-rad_sec",
-        "r-rad_sec",
-        "h-sl-ft",
-    )
-    state_setters = [engine.handle(fdm, f"ic/{name}").set_double_value for name in places]
-    loads = [f"forces/fb{a}-total-lbs" for a in "xyz"] + [f"moments/{a}-total-lbsft" for a in "lmn"]
-    get = [engine.handle(fdm, name).get_double_value for name in loads]
-    moved = [engine.handle(fdm, name).set_double_value for name in names]
-    # Central differences with steps of a thousandth.
-    values = [properties[n] if n in properties else fdm[n] for n in names]
-    steps = [1e-3 * max(abs(v), 1e-2) for v in values]
-    unit = np.array([LBF_N] * 3 + [LBF_FT_NM] * 3)
-    out = {name: np.empty((len(x), 6)) for name in names}
-    samples = zip(
-        x.tolist(),
-        direct_model.to_property(controls).tolist(),
-        altitudes(direct_model, segment, height_m).tolist(),
-        strict=True,
-    )
-    for k, ((V, alpha, beta, p, q, r, phi, theta), positions, altitude) in enumerate(samples):
-        # Force the sample's controls, then its state.
-        for handles, value in zip(setters, positions, strict=True):
-            for setter in handles:
-                setter(value)
-        state = (
-            phi,
-            theta,
-            *(w / FT_M for w in body_velocity(V, alpha, beta)),
-            p,
-            q,
-            r,
-            altitude / FT_M,
-        )
-        for setter, value in zip(state_setters, state, strict=True):
-            setter(value)
-        # With the motion frozen, move one property at a time, both ways.
-        engine.run_ic(fdm)
-        fdm.suspend_integration()
-        for name, move, value, step in zip(names, moved, values, steps, strict=True):
-            sides = []
-            for shift in (step, -step):
-                move(value + shift)
-                sides.append(_settled_loads(fdm, get))
-            move(value)
-            out[name][k] = unit * (sides[0] - sides[1]) / (2.0 * step)
-        fdm.resume_integration()
-    return out
-
-
-def _settled_loads(fdm: Any, get: Sequence[Callable[[], float]]) -> FloatArray:
-    """Run frames with integration suspended until the loads (6,) that ``get`` reads stand still;
-    return them.
-    """
-    # Plain numbers: this runs tens of thousands of times, and arrays of six cost more than a frame.
-    fdm.run()
-    loads, moved = [g() for g in get], float("inf")
-    for _ in range(MAX_FRAMES):
-        fdm.run()
-        before, last = loads, moved
-        loads = [g() for g in get]
-        change = max(
-            abs(load - load_before) for load, load_before in zip(loads, before, strict=True)
-        )
-        moved = change / max(*map(abs, loads), 1e-9)
-        # Loads that outgrow the accelerations that they are part of settle nowhere.
-        if moved < _STATIONARY_SHARE or not moved < last:
-            break
-    return np.array(loads)
-
-
 def _interpolate(coarse: NDArray[np.intp], n: int, values: FloatArray) -> FloatArray:
     """Interpolate values at ``coarse`` rows linearly to all ``n`` rows."""
     return np.asarray(np.apply_along_axis(lambda v: np.interp(np.arange(n), coarse, v), 0, values))
@@ -471,7 +361,7 @@ def with_property_slopes(
 ) -> tuple[list[Probe], tuple[str, ...]]:
     """Add the slopes of the properties ``names`` to probes.
 
-    JSBSim is evaluated at every fourth sample. Predicted states of a filter jump at every sample,
+    They are evaluated at every fourth sample. Predicted states of a filter jump at every sample,
     and so do slopes: a polynomial of the states describes them, its residual is interpolated.
 
     Parameters
@@ -493,13 +383,14 @@ def with_property_slopes(
     if not numeric:
         return list(linear_probes), analytic
     rows = [_coarse(len(p.x)) for p in linear_probes]
-    jobs = [
-        (direct_model, s, p.x[k], p.controls[k], p.height_m[k], values, numeric)
+    parts = [
+        _states_of(direct_model, s, p, k)
         for s, p, k in zip(segments, linear_probes, rows, strict=True)
     ]
+    slopes = property_slopes(direct_model, parts, values, numeric, pool)
     coarse = [
-        np.stack([by[n] for n in numeric], axis=1) / _scale_at_x(p)[k, None]
-        for p, k, by in zip(linear_probes, rows, pool(property_slopes, jobs), strict=True)
+        of_part / _scale_at_x(p)[k, None]
+        for p, k, of_part in zip(linear_probes, rows, slopes, strict=True)
     ]
     features = _polynomials(linear_probes, rows)
     smooth, values_there = (
@@ -513,6 +404,15 @@ def with_property_slopes(
         every = (f @ weights).reshape(-1, *v.shape[1:]) + _interpolate(k, len(p.x), remainder)
         out.append(replace(p, by_property={n: every[:, i] for i, n in enumerate(numeric)}))
     return out, analytic
+
+
+def _states_of(
+    direct_model: ReplayModel, segment: Segment, p: Probe, rows: NDArray[np.intp]
+) -> SegmentStates:
+    """Return the states of some rows of a probe."""
+    motion = {name: p.x[rows, k] for k, name in enumerate(STATES)}
+    height = altitudes(direct_model, segment, p.height_m[rows])
+    return SegmentStates(segment, motion, p.controls[rows], height)
 
 
 def _scale_at_x(p: Probe) -> FloatArray:
@@ -556,13 +456,13 @@ def analytic_terms(
         return []
     rows = np.unique(np.linspace(0, len(probe_.x) - 1, 9).astype(int))
     term_variables = {k: v[rows] for k, v in probe_.variables().items()}
-    of_rows = (probe_.x[rows], probe_.controls[rows], probe_.height_m[rows])
-    slopes = property_slopes((direct_model, segment, *of_rows, values, term_names))
+    parts = [_states_of(direct_model, segment, probe_, rows)]
+    slopes = property_slopes(direct_model, parts, values, term_names)[0]
     scale = _scale_at_x(probe_)[rows]
     out = []
-    for name in term_names:
+    for k, name in enumerate(term_names):
         index, expected = term_column(name, term_variables)
-        measured_slope = slopes[name] / scale
+        measured_slope = slopes[:, k] / scale
         target = np.zeros_like(measured_slope)
         target[:, index] = expected
         size = max(float(np.abs(target).max()), 1e-9)

@@ -10,6 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from sysid.aerodynamics.rigid_body import STATES
 from sysid.parallel import SERIAL
 from uqharness.cli.main import main
 from uqharness.identification.linearised.linearise import (
@@ -18,10 +19,16 @@ from uqharness.identification.linearised.linearise import (
     ProbeJob,
     analytic_terms,
     probe_all,
-    property_slopes,
     with_property_slopes,
 )
-from uqharness.replay import CONTROLS, ReplayFolder, Segment, SegmentStates, force_all
+from uqharness.replay import (
+    CONTROLS,
+    ReplayFolder,
+    Segment,
+    SegmentStates,
+    force_all,
+    property_slopes,
+)
 from uqharness.simulator import find_aircraft
 
 NAMES = ("uq/scale/CLalpha", "uq/scale/CDi", "uq/scale/Cmadot", "uq/scale/Cmq")
@@ -42,20 +49,12 @@ def test_a_slope_has_what_lift_does_to_the_rate_of_alpha_and_to_induced_drag(gli
     controls, height = np.zeros((2, len(CONTROLS))), np.full(2, 200.0)
     segment = Segment("test", "test", np.array([0.0, 0.02]), controls, np.zeros(9), 200.0, 200.0)
     values = dict.fromkeys(NAMES, 1.0)
-    names = (
-        "V_mps",
-        "alpha_rad",
-        "beta_rad",
-        "p_radps",
-        "q_radps",
-        "r_radps",
-        "phi_rad",
-        "theta_rad",
-    )
-    motion = dict(zip(names, x.T, strict=True))
+    motion = dict(zip(STATES, x.T, strict=True))
     with ReplayFolder(glider, ideal=CONTROLS) as straight:
         assert straight.by_rates
-        slopes = property_slopes((straight, segment, x, controls, height, values, NAMES))
+        parts = [SegmentStates(segment, motion, controls, height)]
+        (of_part,) = property_slopes(straight, parts, values, NAMES)
+        slopes = {name: of_part[:, k] for k, name in enumerate(NAMES)}
 
         def load(name: str, value: float) -> np.ndarray:
             # Forces at a state are read after rates of alpha and beta have settled there.
@@ -104,9 +103,10 @@ def test_what_a_property_does_is_that_at_states_that_jump_from_row_to_row(glider
     with ReplayFolder(glider, ideal=CONTROLS) as straight:
         (probe,), _ = with_property_slopes(straight, [segment], [probe], names, values, (), SERIAL)
         rows = np.arange(2, n, 9 * SLOPE_ROWS)
-        exact = property_slopes(
-            (straight, segment, x[rows], controls[rows], height[rows], values, names)
-        )
+        motion = {name: x[rows, k] for k, name in enumerate(STATES)}
+        parts = [SegmentStates(segment, motion, controls[rows], height[rows])]
+        (slopes,) = property_slopes(straight, parts, values, names)
+        exact = {name: slopes[:, k] for k, name in enumerate(names)}
     faster = (x[rows, :1] / 27.0) ** 2
     for name in names:
         expected = exact[name] / probe.scale[rows] / faster
