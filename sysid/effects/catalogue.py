@@ -1,14 +1,18 @@
 """Catalogue of candidate effects: what a model may lack, with physics, regime and reference.
 
 A coefficient effect is a `Term` in one of CX, CY, CZ, Cl, Cm, Cn; other effects belong to a
-subsystem such as a servo or a sensor. How a simulator represents them is defined elsewhere.
+subsystem such as a servo or a sensor. catalogue.csv lists them. How a simulator represents them is
+defined elsewhere.
 """
 
 from __future__ import annotations
 
+import csv
+import importlib.resources
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -170,10 +174,15 @@ _WORDS = {
     "h_over_b": "height in spans",
 }
 _POWERS = {1: "", 2: " squared", 3: " cubed"}
-JATEGAONKAR = "Jategaonkar, Flight Vehicle System Identification (2015)"
-KLEIN = "Klein and Morelli, Aircraft System Identification (2006)"
-ETKIN = "Etkin and Reid, Dynamics of Flight (1996)"
-HALE = "Hale (2016), section 2.7.2"
+_REFERENCES = {
+    "Etkin": "Etkin and Reid, Dynamics of Flight (1996)",
+    "Hale": "Hale (2016), section 2.7.2",
+    "Jategaonkar": "Jategaonkar, Flight Vehicle System Identification (2015)",
+    "Klein": "Klein and Morelli, Aircraft System Identification (2006)",
+}
+"""Books by the word that catalogue.csv has for them."""
+_POSITIVE = ("delay", "lag", "deadband", "rate_limit", "separation", "dynamic")
+_WIND = ("V_mps", "alpha_rad", "beta_rad")
 
 
 @dataclass(frozen=True)
@@ -230,185 +239,18 @@ class Effect:
         return parse(self.term) if self.coefficient is not None else None
 
 
-# term -> physics, regime, reference
-_TERMS: dict[str, tuple[str, str, str]] = {
-    "alpha": ("force or moment proportional to angle of attack", "pitch manoeuvres", ETKIN),
-    "alpha^2": (
-        "curvature with angle of attack: drag polar, lift slope falling off",
-        "large changes of angle of attack",
-        KLEIN,
-    ),
-    "alpha^3": ("onset of separation before the stall", "high and low angles of attack", KLEIN),
-    "beta": ("asymmetry between left and right sideslip", "yaw manoeuvres", ETKIN),
-    "beta^2": (
-        "symmetric change with sideslip: drag, fuselage upwash, dihedral of the tail",
-        "large sideslip",
-        KLEIN,
-    ),
-    "beta^3": ("side force or moment not linear in sideslip", "large sideslip", KLEIN),
-    "abs(beta)": (
-        "symmetric change with sideslip: one side of the tail in the fuselage's wake",
-        "large sideslip",
-        KLEIN,
-    ),
-    "abs(beta)*beta": (
-        "crossflow on fuselage and fin grows faster than linearly with sideslip",
-        "large sideslip",
-        KLEIN,
-    ),
-    "alpha*beta": (
-        "dihedral effect or directional stability changes with angle of attack",
-        "sideslip at several angles of attack",
-        KLEIN,
-    ),
-    "p_hat": ("spanwise change of angle of attack in a roll", "aileron doublets", ETKIN),
-    "q_hat": (
-        "change of angle of attack at the tail in pitching",
-        "elevator doublets, 3-2-1-1",
-        ETKIN,
-    ),
-    "r_hat": ("change of speed and sideslip along the span in yawing", "rudder doublets", ETKIN),
-    "p_hat^2": (
-        "both tail panels and wings gain angle of attack in a roll either way",
-        "aileron doublets, large roll rate",
-        HALE,
-    ),
-    "q_hat^2": ("pitch damping that is not linear in the rate", "abrupt pitch manoeuvres", KLEIN),
-    "r_hat^2": ("both wings in yawing, whichever its direction", "rudder doublets", KLEIN),
-    "p_hat*r_hat": ("roll and yaw together", "coordinated rolls", KLEIN),
-    "p_hat*q_hat": (
-        "roll and pitch together: moments of inertia taken wrong",
-        "pulling in a roll",
-        KLEIN,
-    ),
-    "q_hat*r_hat": ("pitch and yaw together: moments of inertia taken wrong", "steep turns", KLEIN),
-    "abs(p_hat)*p_hat": ("roll damping that is not linear in the rate", "large roll rate", KLEIN),
-    "abs(r_hat)*r_hat": ("yaw damping that is not linear in the rate", "large yaw rate", KLEIN),
-    "abs(q_hat)*q_hat": ("pitch damping that is not linear in the rate", "large pitch rate", KLEIN),
-    "alpha*p_hat": (
-        "rolling: cross derivative that changes with angle of attack",
-        "rolls at varying angle of attack",
-        KLEIN,
-    ),
-    "alpha*q_hat": (
-        "pitch damping that changes with angle of attack",
-        "pitch manoeuvres at varying angle of attack",
-        KLEIN,
-    ),
-    "alpha*r_hat": (
-        "cross derivative of yawing that changes with angle of attack",
-        "yaw at varying angle of attack",
-        KLEIN,
-    ),
-    "beta*p_hat": (
-        "rolling in sideslip: wing and tail see unequal angles",
-        "rolls in sideslip",
-        KLEIN,
-    ),
-    "beta*q_hat": ("pitching in sideslip", "combined manoeuvres", KLEIN),
-    "beta*r_hat": ("yawing in sideslip", "yaw manoeuvres", KLEIN),
-    "alpha*de": (
-        "elevator power that changes with angle of attack (downwash, wing wake)",
-        "pitch manoeuvres",
-        KLEIN,
-    ),
-    "alpha*da": (
-        "adverse yaw and aileron power that change with angle of attack",
-        "rolls at varying angle of attack",
-        KLEIN,
-    ),
-    "alpha*dr": (
-        "rudder power that changes with angle of attack",
-        "yaw at varying angle of attack",
-        KLEIN,
-    ),
-    "beta*de": (
-        "v-tail: elevator makes a lateral moment in sideslip",
-        "sideslip with elevator",
-        KLEIN,
-    ),
-    "beta*da": ("aileron in sideslip", "combined manoeuvres", KLEIN),
-    "beta*dr": ("v-tail: rudder and sideslip load the panels unequally", "rudder doublets", KLEIN),
-    "de": (
-        "elevator; on a v-tail unequal panels",
-        "elevator doublets, 3-2-1-1",
-        "eqs 3.25-3.30 of Hale (2016)",
-    ),
-    "da": ("aileron: differential drag and lift", "aileron doublets", ETKIN),
-    "dr": ("rudder; on a v-tail unequal panels", "rudder doublets", "eqs 3.25-3.30 of Hale (2016)"),
-    "de^2": ("drag or unequal power up and down of the elevator", "large elevator", KLEIN),
-    "da^2": ("drag of the ailerons, whichever the direction", "large aileron", KLEIN),
-    "dr^2": ("drag of the rudder, whichever the direction", "large rudder", KLEIN),
-    "de^3": ("elevator power lost at large deflections", "large elevator", KLEIN),
-    "da^3": ("aileron power lost at large deflections", "large aileron", KLEIN),
-    "dr^3": ("rudder power lost at large deflections", "large rudder", KLEIN),
-    "abs(da)": ("drag of the ailerons, whichever the direction", "large aileron", KLEIN),
-    "abs(dr)": ("drag of the rudder, whichever the direction", "large rudder", KLEIN),
-    "alphadot_hat": (
-        "downwash reaches the tail late; lift builds up late",
-        "elevator doublets, gusts",
-        ETKIN,
-    ),
-    "betadot_hat": ("sidewash reaches the fin late", "rudder doublets", ETKIN),
-    "CT": ("slipstream and thrust line: what power does at once", "throttle doublets", JATEGAONKAR),
-    "alpha*CT": (
-        "propeller's normal force, slipstream over the wing",
-        "throttle changes at several angles of attack",
-        JATEGAONKAR,
-    ),
-    "beta*CT": (
-        "propeller's side force; slipstream over the fin",
-        "throttle changes in sideslip",
-        JATEGAONKAR,
-    ),
-    "q_hat*CT": (
-        "pitch damping by the tail in the slipstream",
-        "pitch manoeuvres at different power",
-        JATEGAONKAR,
-    ),
-    "r_hat*CT": (
-        "yaw damping by the fin in the slipstream",
-        "yaw manoeuvres at different power",
-        JATEGAONKAR,
-    ),
-    "de*CT": (
-        "slipstream over the elevator: its power grows with thrust",
-        "elevator at different power",
-        JATEGAONKAR,
-    ),
-    "da*CT": ("slipstream over the ailerons", "aileron at different power", JATEGAONKAR),
-    "dr*CT": (
-        "slipstream over the rudder: its power grows with thrust",
-        "rudder at different power",
-        JATEGAONKAR,
-    ),
-    "V_rel": (
-        "coefficient that changes with airspeed: Reynolds number, elastic deformation",
-        "different airspeeds",
-        KLEIN,
-    ),
-    "alpha*V_rel": (
-        "lift slope that changes with airspeed: elastic deformation",
-        "different airspeeds",
-        KLEIN,
-    ),
-    "de*V_rel": (
-        "elevator power that changes with airspeed: elastic tail",
-        "different airspeeds",
-        KLEIN,
-    ),
-    "da*V_rel": (
-        "aileron power that changes with airspeed: elastic wing",
-        "different airspeeds",
-        KLEIN,
-    ),
-    "dr*V_rel": (
-        "rudder power that changes with airspeed: elastic fin",
-        "different airspeeds",
-        KLEIN,
-    ),
-    "1/h_over_b": ("ground effect", "low height", ETKIN),
-}
+@cache
+def _table() -> dict[str, list[dict[str, str]]]:
+    """Return the rows of catalogue.csv by what they are effects of, in the order of the file.
+
+    A brace stands for the servo or sensor; the penalty is in units of `SUBSYSTEM_PENALTY`.
+    """
+    text = (importlib.resources.files("sysid.effects") / "catalogue.csv").read_text("utf-8")
+    table: dict[str, list[dict[str, str]]] = {}
+    for row in csv.DictReader(text.splitlines()):
+        row["reference"] = _REFERENCES.get(row["reference"], row["reference"])
+        table.setdefault(row["of"], []).append(row)
+    return table
 
 
 _P2, _R2, _IXZ = "effect/Cm/p_hat^2", "effect/Cm/r_hat^2", "effect/mass/Ixz"
@@ -442,7 +284,10 @@ def coefficient_effect(coefficient: str, term: str) -> Effect:
     if coefficient not in COEFFICIENTS:
         raise ValueError(f"coefficient '{coefficient}': allowed are {', '.join(COEFFICIENTS)}")
     parsed = parse(term)
-    physics, regime, reference = _TERMS.get(parsed.text, ("a term of your own", "", ""))
+    row = next(
+        (r for r in _table()["coefficient"] if r["term"] == parsed.text),
+        {"physics": "a term of your own", "regime": "", "reference": ""},
+    )
     mirrored = parsed.odd_lateral != (coefficient in _LATERAL)
     surfaces = ("de", "da", "dr")
     degree, deflections = (
@@ -454,10 +299,10 @@ def coefficient_effect(coefficient: str, term: str) -> Effect:
         None,
         parsed.text,
         f"{_NAMES[COEFFICIENTS.index(coefficient)]} due to {words(parsed.text)}",
-        physics,
-        regime,
+        row["physics"],
+        row["regime"],
         "",
-        reference,
+        row["reference"],
         "1" if not deflections else "1/deg" if deflections == 1 else f"1/deg^{deflections}",
         0.5 * (degree - 1) + (2.0 if mirrored and parsed.text not in surfaces else 0.0),
     )
@@ -466,10 +311,10 @@ def coefficient_effect(coefficient: str, term: str) -> Effect:
 def catalogue() -> list[Effect]:
     """Return every coefficient effect of the catalogue."""
     return [
-        coefficient_effect(c, term)
+        coefficient_effect(c, row["term"])
         for c in COEFFICIENTS
-        for term in _TERMS
-        if term != "1/h_over_b" or c in ("CX", "Cm")
+        for row in _table()["coefficient"]
+        if row["term"] != "1/h_over_b" or c in ("CX", "Cm")
     ]
 
 
@@ -545,127 +390,6 @@ def read_effects(path: Path) -> list[Effect]:
 # Candidate effects that are no coefficient term: stall, ground, propulsion, mass, actuators,
 # sensors.
 
-_POSITIVE = ("delay", "lag", "deadband", "rate_limit", "separation", "dynamic")
-_WIND = ("V_mps", "alpha_rad", "beta_rad")
-# subsystem, term, name, physics, regime, unit
-_AIRCRAFT = (
-    (
-        "stall",
-        "separation",
-        "lift lost by separation",
-        "flow separates from the trailing edge at high angle of attack",
-        "high angle of attack",
-        "1",
-    ),
-    (
-        "stall",
-        "dynamic",
-        "lift lost by separation that lags",
-        "separation follows angle of attack late (eq 2.40)",
-        "fast changes at high angle of attack",
-        "1",
-    ),
-    (
-        "ground",
-        "lift",
-        "lift gained near the ground",
-        (
-            "the ground holds up the wing's downwash: normal force grows by a share that falls off"
-            " as exp(-2 h/b)"
-        ),
-        "low height",
-        "1",
-    ),
-    (
-        "propulsion",
-        "thrust_scale",
-        "thrust off by a factor",
-        "propeller or battery give more or less than the map",
-        "throttle changes",
-        "1",
-    ),
-    (
-        "propulsion",
-        "inflow",
-        "inflow at the propeller off by a factor",
-        "the propeller meets the air faster or slower than the map has it",
-        "throttle and speed changes",
-        "1",
-    ),
-    (
-        "propulsion",
-        "airspeed",
-        "thrust off by a factor that goes with airspeed",
-        "propeller and motor are matched at another speed",
-        "throttle and speed changes",
-        "1",
-    ),
-    (
-        "propulsion",
-        "torque",
-        "propeller torque",
-        "the motor's reaction rolls the aircraft against the propeller",
-        "throttle changes",
-        "1",
-    ),
-    (
-        "propulsion",
-        "p_factor",
-        "p-factor",
-        "the descending blade sees more angle of attack: yaw with alpha, pitch with beta",
-        "throttle at angle of attack",
-        "1",
-    ),
-    (
-        "propulsion",
-        "slipstream",
-        "slipstream over the tail",
-        "tail surfaces act in more dynamic pressure as thrust grows",
-        "elevator and rudder at different power",
-        "1",
-    ),
-    (
-        "mass",
-        "cg_x",
-        "centre of gravity further forward",
-        "the moments are about another point",
-        "all manoeuvres",
-        "m",
-    ),
-    (
-        "mass",
-        "Ixz",
-        "product of inertia Ixz off",
-        "roll and yaw accelerations are coupled, and pitch with roll rate squared",
-        "aileron and rudder doublets",
-        "kg m^2",
-    ),
-)
-
-
-def _effect(
-    subsystem: str,
-    term: str,
-    name: str,
-    physics: str,
-    regime: str,
-    unit: str,
-    penalty: float = SUBSYSTEM_PENALTY,
-) -> Effect:
-    return Effect(
-        None,
-        subsystem,
-        term,
-        name,
-        physics,
-        regime,
-        "",
-        JATEGAONKAR,
-        unit,
-        penalty,
-        term in _POSITIVE,
-    )
-
 
 def subsystem_effects(
     surfaces: Sequence[str],
@@ -686,117 +410,37 @@ def subsystem_effects(
     parts : sequence of str
         Channels of a sensor with several, each of which may be filtered differently.
     """
-    effects = [_effect(*row) for row in _AIRCRAFT]
-    # Servos.
-    for s in surfaces:
-        servo = f"actuator.{s}"
-        effects += [
-            _effect(
-                servo,
-                "lag",
-                f"{s} servo's lag other than modelled",
-                "first-order lag of the servo",
-                f"{s} steps",
-                "s",
-            ),
-            _effect(
-                servo,
-                "deadband",
-                f"{s} servo with a deadband",
-                "small commands do not move the surface",
-                f"small {s} commands",
-                "deg",
-            ),
-            _effect(
-                servo,
-                "rate_limit",
-                f"{s} servo's rate limit other than modelled",
-                "the servo's speed is limited",
-                f"large {s} steps",
-                "s/deg",
-            ),
-        ]
-    any_, abrupt, double_penalty = "all manoeuvres", "abrupt manoeuvres", 2.0 * SUBSYSTEM_PENALTY
-    # Sensors: scale and zero. Biases of the gyros are always estimated.
-    for c in channels:
-        short, unit = c.split("_")
-        physics = "position error or upwash at the sensor" if c in _WIND else "calibration"
-        effects.append(
-            _effect(
-                f"sensor.{c}",
-                "scale",
-                f"{short} sensor's scale off",
-                physics,
-                any_,
-                "1",
-                double_penalty,
-            )
-        )
-        if short not in ("p", "q", "r"):
-            physics = "calibration or misalignment"
-            effects.append(
-                _effect(
-                    f"sensor.{c}",
-                    "bias",
-                    f"{short} sensor's zero off",
-                    physics,
-                    any_,
-                    unit,
-                    double_penalty,
-                )
-            )
-    # Sensor positions, which appear in fast rotation only.
-    if {"ax_mps2", "ay_mps2", "az_mps2"} & set(channels):
-        physics = "they feel the rotation about the CG"
-        effects += [
-            _effect(
-                "sensor.accelerometer",
-                f"place_{axis}",
-                f"accelerometers further {way}",
-                physics,
-                abrupt,
-                "m",
-                double_penalty,
-            )
-            for axis, way in (("x", "forward"), ("y", "right"), ("z", "down"))
-        ]
-    if {"V_mps", "q_radps", "r_radps"} <= set(channels) and {"alpha_rad", "beta_rad"} & set(
-        channels
-    ):
-        physics = "they move with pitch and yaw rate"
-        effects.append(
-            _effect(
-                "sensor.vane",
-                "place_x",
-                "wind vanes further forward",
-                physics,
-                abrupt,
-                "m",
-                double_penalty,
-            )
-        )
-    # Delays of a sensor, and of single channels of one, which are rarer.
-    late = [
-        (c, "sensor late", "filtering and transport of the signal", double_penalty) for c in delays
+    places = [("aircraft", "")]
+    places += [("servo", s) for s in surfaces]
+    # Biases of the gyros are always estimated.
+    places += [
+        ("wind sensor" if c in _WIND else "gyro" if c[:2] in ("p_", "q_", "r_") else "sensor", c)
+        for c in channels
     ]
-    late += [
-        (
-            c,
-            "alone late",
-            "filtered otherwise than the other channels of its sensor",
-            2.0 * double_penalty,
-        )
-        for c in parts
-    ]
-    return effects + [
-        _effect(
-            f"sensor.{c}",
-            "delay",
-            f"{c.split('_')[0]} {name}",
-            physics,
-            "fast manoeuvres",
-            "s",
-            penalty,
-        )
-        for c, name, physics, penalty in late
-    ]
+    # Sensor positions appear in fast rotation only.
+    if {"ax_mps2", "ay_mps2", "az_mps2"} & {*channels}:
+        places.append(("accelerometers", ""))
+    if {"V_mps", "q_radps", "r_radps"} <= {*channels} and {"alpha_rad", "beta_rad"} & {*channels}:
+        places.append(("vanes", ""))
+    # Delays of single channels are rarer than those of a sensor.
+    places += [("late sensor", c) for c in delays]
+    places += [("late channel", c) for c in parts]
+    return [_subsystem_effect(row, name) for kind, name in places for row in _table()[kind]]
+
+
+def _subsystem_effect(row: Mapping[str, str], name: str) -> Effect:
+    """Return the effect of a row of the table, of the servo or sensor ``name``."""
+    short, _, unit = name.partition("_")
+    return Effect(
+        None,
+        row["subsystem"].format(name),
+        row["term"],
+        row["name"].format(short),
+        row["physics"],
+        row["regime"].format(short),
+        "",
+        row["reference"],
+        row["unit"] or unit,
+        float(row["penalty"]) * SUBSYSTEM_PENALTY,
+        row["term"] in _POSITIVE,
+    )
