@@ -75,18 +75,18 @@ _AXES = (("p_radps", "Cl", "roll"), ("q_radps", "Cm", "pitch"), ("r_radps", "Cn"
 
 
 def find_disagreements(
-    setup: FlightData, evaluation: Evaluation, reference: Evaluation, controls: Sequence[Any]
+    data: FlightData, evaluation: Evaluation, reference: Evaluation, controls: Sequence[Any]
 ) -> list[Region]:
     """Return regions in which an evaluation exceeds what noise explains.
 
     Held commands and gusts leave more than noise in coefficients. If the ``reference`` evaluation
     is at the noise in the channels, its residuals in coefficients are allowed as well.
     """
-    kinds = [s.kind for s in setup.segments]
+    kinds = [s.kind for s in data.segments]
     allowed = [reference.floor] * len(kinds)
     if all(
         reference.channel_rms(k) <= NOISE_FLOOR * float(reference.noise[k])
-        for k in range(len(setup.outputs))
+        for k in range(len(data.outputs))
     ):
         pairs = list(zip(kinds, reference.coefficients, strict=True))
         by_kind = {kind: np.concatenate([g for k, g in pairs if k == kind]) for kind in kinds}
@@ -102,7 +102,7 @@ def find_disagreements(
         each_row,
         _ranges(evaluation, controls),
         kinds,
-        setup.segments[0].dt_s,
+        data.segments[0].dt_s,
     )
 
 
@@ -186,12 +186,12 @@ def _remaining(chosen: SearchResult, outcome: HoldOutResult, controls: Sequence[
 
 
 def _disagreeing(
-    setup: FlightData, evaluation: Evaluation, controls: Sequence[Any]
+    data: FlightData, evaluation: Evaluation, controls: Sequence[Any]
 ) -> list[RemainingPart]:
     """Return regions in which coefficients disagree, then coefficients above their noise with the
     states on which they depend.
     """
-    regions = find_disagreements(setup, evaluation, evaluation, controls)
+    regions = find_disagreements(data, evaluation, evaluation, controls)
     out = [RemainingPart(**region.as_json()) for region in regions]
     states = _ranges(evaluation, controls)
     for k, c in enumerate(COEFFICIENTS):
@@ -293,7 +293,7 @@ def unexplained_moments(chosen: SearchResult) -> dict[str, RemainingPart]:
     parts = {}
     gains = chosen.estimator.unexplained_moments()
     for rate, c, axis in _AXES:
-        if rate in gains and rate in chosen.setup.outputs:
+        if rate in gains and rate in chosen.data.outputs:
             gain = gains[rate]
             words = (
                 f"moments about the {axis} axis that the gust model does not describe: including"
@@ -397,7 +397,7 @@ def _interval(result: SearchResult, e: Effect, c: SelectedEffect) -> list[float 
     """
     low, high = chosen_interval(c, result.critical_t)
     ends = sorted(_as_written(result, e, replace(c, value=v))[0] for v in (low, high))
-    return [ends[0], None if e.term == "rate_limit" and is_fastest(c, result.setup) else ends[1]]
+    return [ends[0], None if e.term == "rate_limit" and is_fastest(c, result.data) else ends[1]]
 
 
 def _as_written(result: SearchResult, e: Effect, c: SelectedEffect) -> tuple[float, float, str]:
@@ -405,7 +405,7 @@ def _as_written(result: SearchResult, e: Effect, c: SelectedEffect) -> tuple[flo
     in deg/s.
     """
     surface = (e.subsystem or "").partition(".")[2]
-    servo = result.setup.servos.get(surface)
+    servo = result.data.servos.get(surface)
     if e.term == "lag" and servo is not None:
         rate = servo.lag_with(c.value)
         return rate, rate**2 * c.std, "1/s"

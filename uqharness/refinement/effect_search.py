@@ -148,7 +148,7 @@ class SearchResult:
 
     Attributes
     ----------
-    setup : FlightData
+    data : FlightData
     names : tuple of str
         Estimated parameters.
     before, after : Linearisation
@@ -180,7 +180,7 @@ class SearchResult:
         (key, t) of other candidates with |t| above CERTAIN_T, the strongest first.
     """
 
-    setup: FlightData
+    data: FlightData
     names: tuple[str, ...]
     before: Linearisation
     after: Linearisation

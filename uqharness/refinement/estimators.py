@@ -4,14 +4,14 @@
 residuals are sensor noise. `PredictionErrorEstimator` is for turbulence: a Kalman filter predicts
 each sample from earlier ones, with the process noise of a gust model (`sysid.effects.turbulence`).
 All differences between calm and turbulent air are here; the search for effects and the hold-out
-test call the protocol.
+test call the interface.
 """
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -110,93 +110,56 @@ class Residuals:
     Attributes
     ----------
     trajectory : Trajectory
-        Outputs of the model, with the estimated start states, biases and delays.
-    white : list of (n, m) array
-        Residuals over their standard deviation.
-    physical : list of (n, m) array
-        Residuals in the channels' units.
+        Replays or predictions, with the estimated start states, biases and delays.
+    residual : list of (n, m) array
+        In the channels' units.
     noise : (m,) array
         Standard deviations of the channels.
+    white : list of (n, m) array
+        Residuals over their standard deviation.
     cost : float
         Sum of squares of ``white``.
-    logdet : (S,) array
+    logdet : (S,) tuple
         Sum of the logarithms of the standard deviations in each segment; 0 for replays.
     """
 
     trajectory: Trajectory
-    white: list[FloatArray]
-    physical: list[FloatArray]
+    residual: list[FloatArray]
     noise: FloatArray
+    white: list[FloatArray]
     cost: float
     logdet: tuple[float, ...]
 
 
-class Estimator(Protocol):
-    """Protocol of an estimator: how a model is fitted to flights and judged by them."""
+class Estimator(ABC):
+    """How a model is fitted to flights and judged by them; what has a default has it for calm air.
 
-    @property
-    def turbulence(self) -> TurbulenceModel | None:
-        """The air that the estimator assumes; None for calm air."""
+    Attributes
+    ----------
+    turbulence : TurbulenceModel or None
+        The air that the estimator assumes; None for calm air.
+    least_critical_t : float
+        |t| below which no effect is named, however few candidates there are.
+    uses_replays : bool
+        Whether models are fitted by replays, like those of `identify`, and not by linear steps.
+        Only colour of their residuals shows that the model lacks something.
+    trail_prefix : str
+        Prefix of each line of the search's record.
+    """
 
-    @property
-    def least_critical_t(self) -> float:
-        """|t| below which no effect is named, however few candidates there are."""
-
-    @property
-    def uses_replays(self) -> bool:
-        """Whether models are fitted by replays, like those of `identify`, and not by linear
-        steps.
-        """
-
-    @property
-    def detects_colour(self) -> bool:
-        """Whether coloured residuals show that the model lacks something."""
+    turbulence: TurbulenceModel | None = None
+    least_critical_t: float = 0.0
+    uses_replays: bool = True
+    trail_prefix: str = ""
 
     @property
     def description(self) -> tuple[str, ...]:
         """Notes about the air for the result."""
+        return ()
 
-    @property
-    def trail_prefix(self) -> str:
-        """Prefix of each line of the search's record."""
+    # Fit a model.
 
-    def prepare(self, aircraft: Aircraft, data: FlightData) -> FlightData:
-        """Return the data with the sensor noise from which the estimator starts."""
-
-    def air_of(
-        self, aircraft: Aircraft, data: FlightData, point: ModelState, pool: Processes
-    ) -> TurbulenceModel | None:
-        """Estimate the air of other flights with the model and sensors at a point."""
-
-    def uses_empirical_dispersion(self, data: FlightData) -> bool:
-        """Return whether the spread of all candidates' t, instead of white noise, measures
-        chance.
-        """
-
-    def required_gain(self, effect: Effect) -> float:
-        """Return the gain in 2 ln L required of a candidate besides its |t|."""
-
-    def critical_t(
-        self, information: Information, free: Sequence[str], candidates: Sequence[str]
-    ) -> float:
-        """Return the |t| that an effect must exceed beside the ``free`` columns."""
-
-    def report_unconfirmed(self, t: float, critical_t: float) -> tuple[bool, bool]:
-        """Return whether a candidate that no simulation confirmed is reported at this |t|, and
-        whether the model then certainly lacks something.
-        """
-
-    def information(
-        self,
-        data: FlightData,
-        fit: Linearisation,
-        regressors: Sequence[Columns],
-        candidates: Sequence[Effect] = (),
-    ) -> Information:
-        """Return the normal equations of the fit's columns and of ``regressors``, which include
-        those of ``candidates``.
-        """
-
+    @abstractmethod
     def fit(
         self,
         bench: StagedModels,
@@ -212,23 +175,86 @@ class Estimator(Protocol):
         Raises LinAlgError where the model cannot follow the flights.
         """
 
+    @abstractmethod
     def linearise(
         self,
         bench: StagedModels,
         data: FlightData,
         trajectory: Trajectory,
-        point: ModelState,
         names: Sequence[str],
         pool: Processes,
     ) -> tuple[FlightData, Linearisation]:
-        """Linearise the flights about a ``trajectory`` with the parameters of ``point``."""
+        """Linearise the flights about a ``trajectory`` with the parameters of its point."""
 
+    @abstractmethod
+    def information(
+        self,
+        data: FlightData,
+        fit: Linearisation,
+        regressors: Sequence[Columns],
+        candidates: Sequence[Effect] = (),
+    ) -> Information:
+        """Return the normal equations of the fit's columns and of ``regressors``, which include
+        those of ``candidates``.
+        """
+
+    # Judge candidates.
+
+    @abstractmethod
+    def critical_t(
+        self, information: Information, free: Sequence[str], candidates: Sequence[str]
+    ) -> float:
+        """Return the |t| that an effect must exceed beside the ``free`` columns."""
+
+    def required_gain(self, effect: Effect) -> float:
+        """Return the gain in 2 ln L required of a candidate besides its |t|."""
+        return effect.penalty
+
+    def uses_empirical_dispersion(self, data: FlightData) -> bool:
+        """Return whether the spread of all candidates' t, instead of white noise, measures chance.
+
+        In calm air only an autopilot's estimates are coloured.
+        """
+        return bool(data.late)
+
+    def report_unconfirmed(self, t: float, critical_t: float) -> tuple[bool, bool]:
+        """Return whether a candidate that no simulation confirmed is reported at this |t|, and
+        whether the model then certainly lacks something: |t| exceeds errors of linearisation.
+        """
+        return True, abs(t) > OVERWHELMING_T
+
+    def same_samples(self, keys: Collection[str], other_keys: Collection[str]) -> bool:
+        """Return whether models with these effects are judged by the same samples; replays use
+        every sample.
+        """
+        return True
+
+    def unexplained_moments(self) -> dict[str, float]:
+        """Return, by angular rate, the gain of moments about its axis that no effect explains."""
+        return {}
+
+    # Evaluate a model on flights.
+
+    def prepare(self, aircraft: Aircraft, data: FlightData) -> FlightData:
+        """Return the data with the sensor noise from which the estimator starts."""
+        return data
+
+    def air_of(
+        self, aircraft: Aircraft, data: FlightData, point: ModelState, pool: Processes
+    ) -> TurbulenceModel | None:
+        """Estimate the air of other flights with the model and sensors at a point."""
+        return None
+
+    @abstractmethod
+    def evaluation_noise(self, aircraft: Aircraft, data: FlightData) -> FloatArray:
+        """Return the noise (m,) to which residual tables refer."""
+
+    @abstractmethod
     def residuals(
         self,
         bench: StagedModels,
         data: FlightData,
-        start: ModelState,
-        estimate: ModelState,
+        point: ModelState,
         noise: FloatArray,
         pool: Processes,
     ) -> Residuals:
@@ -236,15 +262,6 @@ class Estimator(Protocol):
 
         ``noise`` (m,) is that of `evaluation_noise`; a filter has its own.
         """
-
-    def evaluation_noise(self, aircraft: Aircraft, data: FlightData) -> FloatArray:
-        """Return the noise (m,) to which residual tables refer."""
-
-    def same_samples(self, keys: Collection[str], other_keys: Collection[str]) -> bool:
-        """Return whether models with these effects are judged by the same samples."""
-
-    def unexplained_moments(self) -> dict[str, float]:
-        """Return, by angular rate, the gain of moments about its axis that no effect explains."""
 
 
 def estimator_for(turbulence: TurbulenceModel | None) -> Estimator:
@@ -256,7 +273,7 @@ def estimator_for(turbulence: TurbulenceModel | None) -> Estimator:
 class Dataset:
     """Training or hold-out flights, and their air (None if calm)."""
 
-    setup: FlightData
+    data: FlightData
     turbulence: TurbulenceModel | None = None
 
     @property
@@ -265,55 +282,13 @@ class Dataset:
         return estimator_for(self.turbulence)
 
 
-@dataclass(frozen=True)
-class ReplayEstimator:
+def with_measured_starts(point: ModelState, data: FlightData) -> ModelState:
+    """Return a point with the measured start state of each segment."""
+    return replace(point, starts=tuple(s.start for s in data.segments))
+
+
+class ReplayEstimator(Estimator):
     """Output error in calm air: replays with sensor noise alone."""
-
-    turbulence: None = None
-    least_critical_t: float = 0.0
-    uses_replays: bool = True
-    detects_colour: bool = True
-    description: tuple[str, ...] = ()
-    trail_prefix: str = ""
-
-    def prepare(self, aircraft: Aircraft, data: FlightData) -> FlightData:
-        """Return the data unchanged."""
-        return data
-
-    def air_of(
-        self, aircraft: Aircraft, data: FlightData, point: ModelState, pool: Processes
-    ) -> TurbulenceModel | None:
-        """Return None: the air is calm."""
-        return None
-
-    def uses_empirical_dispersion(self, data: FlightData) -> bool:
-        """Return whether a channel is an autopilot's estimate: only these are coloured."""
-        return bool(data.late)
-
-    def required_gain(self, effect: Effect) -> float:
-        """Return the penalty of the effect."""
-        return effect.penalty
-
-    def critical_t(
-        self, information: Information, free: Sequence[str], candidates: Sequence[str]
-    ) -> float:
-        """Return the |t| that the largest of the candidates reaches by chance."""
-        return critical_t_of(information, free, candidates)
-
-    def report_unconfirmed(self, t: float, critical_t: float) -> tuple[bool, bool]:
-        """Return True, and whether |t| exceeds the errors of linearisation."""
-        return True, abs(t) > OVERWHELMING_T
-
-    def information(
-        self,
-        data: FlightData,
-        fit: Linearisation,
-        regressors: Sequence[Columns],
-        candidates: Sequence[Effect] = (),
-    ) -> Information:
-        """Return the normal equations of replays."""
-        followed = filter_segments(fit.steps, data.measured, data.output_rows, data.noise)
-        return _information(data, fit, regressors, followed)
 
     def fit(
         self,
@@ -334,54 +309,75 @@ class ReplayEstimator:
         bench: StagedModels,
         data: FlightData,
         trajectory: Trajectory,
-        point: ModelState,
         names: Sequence[str],
         pool: Processes,
     ) -> tuple[FlightData, Linearisation]:
         """Linearise the flights about their replays."""
-        shifted = replace(trajectory, point=point)
-        return data, fit_at(bench.model, bench.direct_model, data, names, shifted, pool)
+        return data, fit_at(bench.model, bench.direct_model, data, names, trajectory, pool)
 
-    def residuals(
+    def information(
         self,
-        bench: StagedModels,
         data: FlightData,
-        start: ModelState,
-        estimate: ModelState,
-        noise: FloatArray,
-        pool: Processes,
-    ) -> Residuals:
-        """Return measurement minus replay; start states are estimated from those of
-        ``estimate``.
-        """
-        trajectory = replay_from(bench.model, data, replace(start, nuisance={}), pool, estimate)
-        physical = replay_residuals(data, trajectory)
-        white = [r / data.noise for r in physical]
-        return Residuals(trajectory, white, physical, noise, trajectory.cost, (0.0,) * len(white))
+        fit: Linearisation,
+        regressors: Sequence[Columns],
+        candidates: Sequence[Effect] = (),
+    ) -> Information:
+        """Return the normal equations of replays."""
+        followed = filter_segments(fit.steps, data.measured, data.output_rows, data.noise)
+        return _information(data, fit, regressors, followed)
+
+    def critical_t(
+        self, information: Information, free: Sequence[str], candidates: Sequence[str]
+    ) -> float:
+        """Return the |t| that the largest of the candidates reaches by chance."""
+        return critical_t_of(information, free, candidates)
 
     def evaluation_noise(self, aircraft: Aircraft, data: FlightData) -> FloatArray:
         """Return the noise that `compare` uses, except for channels of an estimator."""
         computed = np.isin(data.outputs, estimated_channels(data))
         return np.where(computed, data.noise, output_noise(aircraft, data.measured, data.outputs))
 
-    def same_samples(self, keys: Collection[str], other_keys: Collection[str]) -> bool:
-        """Return True: replays use every sample."""
-        return True
+    def residuals(
+        self,
+        bench: StagedModels,
+        data: FlightData,
+        point: ModelState,
+        noise: FloatArray,
+        pool: Processes,
+    ) -> Residuals:
+        """Return measurement minus replay, from the start states, biases and delays that fit best.
 
-    def unexplained_moments(self) -> dict[str, float]:
-        """Return nothing: calm air exerts no moments."""
-        return {}
+        The fit starts from those of the point, or from measured start states, as `compare` does.
+        """
+        model, start = bench.model, replace(with_measured_starts(point, data), nuisance={})
+        trajectory = replay_at(model, data, start, pool)
+        if np.isfinite(trajectory.cost):
+            problem = replace(observations_of(data, start.effects), properties=start.values)
+            if point.starts:
+                pairs = zip(problem.segments, point.starts, strict=True)
+                segments = [replace(s, start=state) for s, state in pairs]
+                problem = replace(problem, segments=segments, begin=fit_start_values(point))
+            fit = fit_replays(
+                model, problem, (), [np.zeros(0)], (), batched_pool(pool), errors=False
+            )
+            fit.replay.forget()
+            best = replace(point_of(fit, data, (), start.effects), values=start.values)
+            trajectory = replay_at(model, data, best, pool)
+        residual = _replay_residuals(data, trajectory)
+        white = [r / data.noise for r in residual]
+        return Residuals(trajectory, residual, noise, white, trajectory.cost, (0.0,) * len(white))
 
 
 @dataclass(frozen=True)
-class PredictionErrorEstimator:
-    """Prediction error in turbulence: one-step predictions of a Kalman filter with gust states."""
+class PredictionErrorEstimator(Estimator):
+    """Prediction error in turbulence: one-step predictions of a Kalman filter with gust states.
+
+    A gust spectrum is a model: the colour of predictions says nothing of the aircraft.
+    """
 
     turbulence: TurbulenceModel
     least_critical_t: float = TURBULENCE_CRITICAL_T
     uses_replays: bool = False
-    detects_colour: bool = False
-    """A gust spectrum is a model: the colour of predictions says nothing of the aircraft."""
     trail_prefix: str = "one-step predictions: "
 
     @property
@@ -395,79 +391,6 @@ class PredictionErrorEstimator:
             f" twice the log likelihood than calm air; {self.turbulence.words})"
         )
         return (note,)
-
-    def prepare(self, aircraft: Aircraft, data: FlightData) -> FlightData:
-        """Return the data with the card's noise, because samples in gusts overstate an
-        accelerometer's.
-        """
-        return with_card_noise(aircraft, data)
-
-    def air_of(
-        self, aircraft: Aircraft, data: FlightData, point: ModelState, pool: Processes
-    ) -> TurbulenceModel | None:
-        """Estimate the air from this one; keep it where no filter follows the flights with such a
-        model.
-        """
-        with StagedModels(aircraft, data) as bench:
-            data = with_sensors_of(data, aircraft)
-            start = replace(point, starts=tuple(s.start for s in data.segments))
-            models = bench.model, bench.direct_model
-            try:
-                return gust_refit(
-                    *models, data, start, (), {}, pool, self.turbulence, iterations=2
-                ).gusts
-            except np.linalg.LinAlgError:
-                speeds = [float(np.nanmean(c["V_mps"])) for c in data.channels]
-                headings = [mean_heading(c) for c in data.channels]
-                of = [s.flight for s in data.segments]
-                return self.turbulence.in_segments(speeds, of, headings)
-
-    def uses_empirical_dispersion(self, data: FlightData) -> bool:
-        """Return True: an imperfect gust model colours the predictions."""
-        return True
-
-    def required_gain(self, effect: Effect) -> float:
-        """Return the effect's penalty, larger for effects that resemble an imperfect gust model."""
-        subsystem = effect.subsystem or ""
-        like_gusts = depends_on_wind_rates(effect) or subsystem.startswith(
-            ("sensor.", "actuator.", "mass")
-        )
-        return effect.penalty + GUST_PENALTY * like_gusts
-
-    def critical_t(
-        self, information: Information, free: Sequence[str], candidates: Sequence[str]
-    ) -> float:
-        """Return the critical value for chance, at least that for errors of the gust model."""
-        return max(sidak_critical_t(len(candidates)), self.least_critical_t)
-
-    def report_unconfirmed(self, t: float, critical_t: float) -> tuple[bool, bool]:
-        """Return whether gusts that are estimated with the effect cannot explain it."""
-        strong = abs(t) > critical_t + SIGNIFICANT_Z
-        return strong, strong
-
-    def information(
-        self,
-        data: FlightData,
-        fit: Linearisation,
-        regressors: Sequence[Columns],
-        candidates: Sequence[Effect] = (),
-    ) -> Information:
-        """Return the normal equations of innovations, with the colour of the likeliest model with
-        at most one candidate.
-        """
-        turbulence = self.turbulence
-        followed = follow_in_free_air(data, fit, turbulence)
-        colour = turbulence.colour
-        if colour is not None and candidates:
-            colour = likeliest_colour(
-                followed,
-                join_columns(fit.columns, regressors),
-                (colour, fit.evidence),
-                _information(data, fit, regressors, followed),
-                {e.key: self.least_critical_t**2 + self.required_gain(e) for e in candidates},
-                PRIOR,
-            )
-        return _information(data, fit, regressors, followed, colour)
 
     def fit(
         self,
@@ -501,31 +424,107 @@ class PredictionErrorEstimator:
         bench: StagedModels,
         data: FlightData,
         trajectory: Trajectory,
-        point: ModelState,
         names: Sequence[str],
         pool: Processes,
     ) -> tuple[FlightData, Linearisation]:
         """Linearise the flights about one-step predictions in the same air."""
+        models, point = (bench.model, bench.direct_model), trajectory.point
         result = gust_refit(
-            bench.model,
-            bench.direct_model,
-            data,
-            point,
-            names,
-            {},
-            pool,
-            self.turbulence,
-            1,
-            fixed_air=True,
+            *models, data, point, names, {}, pool, self.turbulence, 1, fixed_air=True
         )
         return result.setup, result.fit
+
+    def information(
+        self,
+        data: FlightData,
+        fit: Linearisation,
+        regressors: Sequence[Columns],
+        candidates: Sequence[Effect] = (),
+    ) -> Information:
+        """Return the normal equations of innovations, with the colour of the likeliest model with
+        at most one candidate.
+        """
+        turbulence = self.turbulence
+        followed = follow_in_free_air(data, fit, turbulence)
+        colour = turbulence.colour
+        if colour is not None and candidates:
+            colour = likeliest_colour(
+                followed,
+                join_columns(fit.columns, regressors),
+                (colour, fit.evidence),
+                _information(data, fit, regressors, followed),
+                {e.key: self.least_critical_t**2 + self.required_gain(e) for e in candidates},
+                PRIOR,
+            )
+        return _information(data, fit, regressors, followed, colour)
+
+    def critical_t(
+        self, information: Information, free: Sequence[str], candidates: Sequence[str]
+    ) -> float:
+        """Return the critical value for chance, at least that for errors of the gust model."""
+        return max(sidak_critical_t(len(candidates)), self.least_critical_t)
+
+    def required_gain(self, effect: Effect) -> float:
+        """Return the effect's penalty, larger for effects that resemble an imperfect gust model."""
+        subsystem = effect.subsystem or ""
+        like_gusts = depends_on_wind_rates(effect) or subsystem.startswith(
+            ("sensor.", "actuator.", "mass")
+        )
+        return effect.penalty + GUST_PENALTY * like_gusts
+
+    def uses_empirical_dispersion(self, data: FlightData) -> bool:
+        """Return True: an imperfect gust model colours the predictions."""
+        return True
+
+    def report_unconfirmed(self, t: float, critical_t: float) -> tuple[bool, bool]:
+        """Return whether gusts that are estimated with the effect cannot explain it."""
+        strong = abs(t) > critical_t + SIGNIFICANT_Z
+        return strong, strong
+
+    def same_samples(self, keys: Collection[str], other_keys: Collection[str]) -> bool:
+        """Return whether both models have the same delays of sensors, which remove samples."""
+        differing = {*keys} ^ {*other_keys}
+        return not any(k.startswith("effect/sensor.") and k.endswith("/delay") for k in differing)
+
+    def unexplained_moments(self) -> dict[str, float]:
+        """Return the gains above that of a certain effect."""
+        gains = zip(_AXES, self.turbulence.moments.tolist(), strict=False)
+        return {rate: gain for rate, gain in gains if gain > CERTAIN_T**2}
+
+    def prepare(self, aircraft: Aircraft, data: FlightData) -> FlightData:
+        """Return the data with the card's noise, because samples in gusts overstate an
+        accelerometer's.
+        """
+        return with_card_noise(aircraft, data)
+
+    def air_of(
+        self, aircraft: Aircraft, data: FlightData, point: ModelState, pool: Processes
+    ) -> TurbulenceModel | None:
+        """Estimate the air from this one; keep it where no filter follows the flights with such a
+        model.
+        """
+        with StagedModels(aircraft, data) as bench:
+            data = with_sensors_of(data, aircraft)
+            models, start = (bench.model, bench.direct_model), with_measured_starts(point, data)
+            try:
+                return gust_refit(
+                    *models, data, start, (), {}, pool, self.turbulence, iterations=2
+                ).gusts
+            except np.linalg.LinAlgError:
+                speeds = [float(np.nanmean(c["V_mps"])) for c in data.channels]
+                headings = [mean_heading(c) for c in data.channels]
+                of = [s.flight for s in data.segments]
+                return self.turbulence.in_segments(speeds, of, headings)
+
+    def evaluation_noise(self, aircraft: Aircraft, data: FlightData) -> FloatArray:
+        """Return the noise of the fit."""
+        return data.noise
 
     def residuals(
         self,
         bench: StagedModels,
         data: FlightData,
-        start: ModelState,
-        estimate: ModelState,
+        point: ModelState,
         noise: FloatArray,
         pool: Processes,
     ) -> Residuals:
@@ -534,7 +533,7 @@ class PredictionErrorEstimator:
         Where no filter follows the flights with a model, its outputs at the measured states are
         used.
         """
-        models = bench.model, bench.direct_model
+        models, start = (bench.model, bench.direct_model), with_measured_starts(point, data)
         try:
             result = gust_refit(*models, data, start, (), {}, pool, self.turbulence, fixed_air=True)
             step, _ = result.fit.evidence.step()
@@ -546,26 +545,12 @@ class PredictionErrorEstimator:
             deviations = [data.noise] * len(rows)
             logdet = [float((np.isfinite(r) * np.log(data.noise)).sum()) for r in rows]
         white = _at_recorded_rows(data, trajectory.point, rows)
-        physical = [r * deviation for r, deviation in zip(white, deviations, strict=True)]
+        residual = [r * deviation for r, deviation in zip(white, deviations, strict=True)]
         filter_noise = np.sqrt(np.mean([deviation**2 for deviation in deviations], axis=0))
         cost = float(sum(np.nansum(r**2) for r in white))
-        outputs = [z - r for z, r in zip(data.measured, physical, strict=True)]
+        outputs = [z - r for z, r in zip(data.measured, residual, strict=True)]
         trajectory = replace(trajectory, outputs=outputs, cost=cost)
-        return Residuals(trajectory, white, physical, filter_noise, cost, tuple(logdet))
-
-    def evaluation_noise(self, aircraft: Aircraft, data: FlightData) -> FloatArray:
-        """Return the noise of the fit."""
-        return data.noise
-
-    def same_samples(self, keys: Collection[str], other_keys: Collection[str]) -> bool:
-        """Return whether both models have the same delays of sensors, which remove samples."""
-        differing = {*keys} ^ {*other_keys}
-        return not any(k.startswith("effect/sensor.") and k.endswith("/delay") for k in differing)
-
-    def unexplained_moments(self) -> dict[str, float]:
-        """Return the gains above that of a certain effect."""
-        gains = zip(_AXES, self.turbulence.moments.tolist(), strict=False)
-        return {rate: gain for rate, gain in gains if gain > CERTAIN_T**2}
+        return Residuals(trajectory, residual, filter_noise, white, cost, tuple(logdet))
 
 
 def depends_on_wind_rates(effect: Effect) -> bool:
@@ -604,32 +589,7 @@ def _information(
     )
 
 
-def replay_from(
-    model: ReplayModel,
-    data: FlightData,
-    start: ModelState,
-    pool: Processes,
-    estimate: ModelState | None = None,
-) -> Trajectory:
-    """Return replays from the start states, biases and delays that fit best, as `compare` does.
-
-    The fit starts from those of ``estimate``, if given.
-    """
-    trajectory = replay_at(model, data, start, pool)
-    if not np.isfinite(trajectory.cost):
-        return trajectory
-    problem = replace(observations_of(data, start.effects), properties=start.values)
-    if estimate is not None and estimate.starts:
-        pairs = zip(problem.segments, estimate.starts, strict=True)
-        segments = [replace(s, start=state) for s, state in pairs]
-        problem = replace(problem, segments=segments, begin=fit_start_values(estimate))
-    fit = fit_replays(model, problem, (), [np.zeros(0)], (), batched_pool(pool), errors=False)
-    fit.replay.forget()
-    best = replace(point_of(fit, data, (), start.effects), values=start.values)
-    return replay_at(model, data, best, pool)
-
-
-def replay_residuals(data: FlightData, trajectory: Trajectory) -> list[FloatArray]:
+def _replay_residuals(data: FlightData, trajectory: Trajectory) -> list[FloatArray]:
     """Return measurement minus replay, (n, m) per segment."""
     return [z - y for z, y in zip(data.measured, trajectory.outputs, strict=True)]
 
@@ -785,7 +745,7 @@ def with_residual_noise(data: FlightData, fit: Linearisation) -> ModelFit:
 
 def _residual_rms(data: FlightData, trajectory: Trajectory) -> FloatArray:
     """Return the rms (m,) of the residuals of replays."""
-    residual = np.concatenate(replay_residuals(data, trajectory))
+    residual = np.concatenate(_replay_residuals(data, trajectory))
     return np.asarray(np.sqrt(np.nanmean(residual**2, axis=0)))
 
 

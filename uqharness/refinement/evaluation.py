@@ -25,59 +25,29 @@ from uqharness.identification.linearised import (
     output_noise,
     with_sensors_of,
 )
-from uqharness.refinement.estimators import Dataset, Estimator, replay_from, replay_residuals
+from uqharness.refinement.estimators import Dataset, Estimator, ReplayEstimator, Residuals
 from uqharness.replay import CONTROLS, Flight, Segment, delayed_command
 from uqharness.results.refinement import BeforeAfter, Cost, ResidualTables
 from uqharness.simulator import Aircraft
 
 
 @dataclass(frozen=True)
-class Replays:
-    """Replays of flights that were judged by predictions, as `compare` makes them.
-
-    ``residual`` (n, m) per segment is in the channels' units, ``noise`` (m,) is theirs.
-    """
-
-    trajectory: Trajectory
-    residual: list[FloatArray]
-    noise: FloatArray
-
-
-@dataclass(frozen=True)
-class Evaluation:
-    """One model on some flights.
+class Evaluation(Residuals):
+    """One model on some flights: residuals of channels and of coefficients.
 
     Attributes
     ----------
-    trajectory : Trajectory
-        Replays or predictions.
-    residual : list of (n, m) array
-        Residuals of replays or of one-step predictions.
-    noise : (m,) array
-        Noise of the channels.
     coefficients : list of (n, 6) array
         Coefficients that the flight demands minus the model's.
     floor : (6,) array
         Noise of ``coefficients``.
-    white : list of (n, m) array
-        Residuals over their standard deviation.
-    cost : float
-        Sum of squares of ``white``.
-    logdet : tuple of float
-        Sum of the logarithms of the standard deviations in each segment; 0 for replays.
-    replays : Replays or None
-        The model's replays of flights judged by predictions.
+    replays : Residuals or None
+        Replays of flights that were judged by predictions, as `compare` makes them.
     """
 
-    trajectory: Trajectory
-    residual: list[FloatArray]
-    noise: FloatArray
     coefficients: list[FloatArray]
     floor: FloatArray
-    white: list[FloatArray]
-    cost: float
-    logdet: tuple[float, ...]
-    replays: Replays | None = None
+    replays: Residuals | None = None
 
     @property
     def neg2_log_likelihood(self) -> float:
@@ -102,10 +72,9 @@ def evaluate(
     Biases and delays start from the point's; start states from its own or from measurements, in
     turbulence always from measurements.
     """
-    data, estimator = dataset.setup, dataset.estimator
+    data, estimator = dataset.data, dataset.estimator
     with StagedModels(aircraft, data) as bench:
         data = with_sensors_of(data, aircraft)
-        start = replace(point, starts=tuple(s.start for s in data.segments))
         noise = estimator.evaluation_noise(aircraft, data)
         # Coefficients at the measured states.
         flights = {f.name: f for f in data.flights}
@@ -119,20 +88,15 @@ def evaluate(
             data.channels,
             dict(zip(data.outputs, noise.tolist(), strict=True)),
             np.random.default_rng(1),
-            properties=start.values,
+            properties=point.values,
             half_way=bool(data.ideal),
         )
         # Channels by replays or predictions.
-        result = estimator.residuals(bench, data, start, point, noise, pool)
+        result = estimator.residuals(bench, data, point, noise, pool)
     return Evaluation(
-        result.trajectory,
-        result.physical,
-        result.noise,
-        [demanded - modelled for demanded, modelled, _ in gaps],
-        noise_floor([np.concatenate([change for *_, change in gaps])]),
-        result.white,
-        result.cost,
-        result.logdet,
+        **vars(result),
+        coefficients=[demanded - modelled for demanded, modelled, _ in gaps],
+        floor=noise_floor([np.concatenate([change for *_, change in gaps])]),
     )
 
 
@@ -143,16 +107,13 @@ def with_replays(
 
     Their noise and delays are those of `compare`.
     """
-    data = dataset.setup
+    data = dataset.data
     with StagedModels(aircraft, data) as bench:
         noise = output_noise(aircraft, data.measured, data.outputs)
         timed = tuple(f.name for f in data.flights if f.name not in data.late)
         data = replace(with_sensors_of(data, aircraft), jumping=(), timed=timed, noise=noise)
-        start = replace(point, nuisance={}, starts=tuple(s.start for s in data.segments))
-        trajectory = replay_from(bench.model, data, start, pool)
-    return replace(
-        evaluation, replays=Replays(trajectory, replay_residuals(data, trajectory), noise)
-    )
+        replays = ReplayEstimator().residuals(bench, data, point, noise, pool)
+    return replace(evaluation, replays=replays)
 
 
 def _with_smoothed_commands(segment: Segment, flight: Flight, ideal: Sequence[str]) -> Segment:
@@ -235,7 +196,7 @@ def excess_residuals(data: FlightData, evaluation: Evaluation, estimator: Estima
         for k, c in enumerate(data.outputs)
     }
     p = {}
-    if estimator.detects_colour:
+    if estimator.uses_replays:
         p = {
             c: ljung_box([r[:, k] for r in evaluation.residual], 20)
             for k, c in enumerate(data.outputs)

@@ -10,7 +10,7 @@ evaluated on the hold-out flights.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -159,7 +159,8 @@ class HoldOutTest:
     """Test that evaluates models on both sides and withdraws effects one by one, the worst first.
 
     ``chosen`` is the model that the training flights selected, ``complete`` the aircraft with all
-    its effects.
+    its effects. `run` sets the evaluations: of the chosen model on the training and hold-out
+    flights, and of the one without effects on the hold-out flights.
     """
 
     chosen: SearchResult
@@ -168,10 +169,22 @@ class HoldOutTest:
     train: Dataset
     test: Dataset
     pool: Processes
+    train_after: Evaluation = field(init=False)
+    test_after: Evaluation = field(init=False)
+    test_before: Evaluation = field(init=False)
 
     def run(self) -> HoldOutResult:
         """Judge every effect, and withdraw until all remaining ones stay."""
-        remaining, evaluation = self.chosen, self._test_after
+        chosen, point = self.chosen, self.chosen.after.trajectory.point
+        # The chosen model and the one without effects on both sides.
+        plain = without_effects(chosen)
+        train_before = self.evaluate(plain, self.train, chosen.before.trajectory.point)
+        test_before = self.evaluate(plain, self.test, None)
+        train_after, remaining, evaluation = train_before, chosen, test_before
+        if chosen.selection.chosen:
+            train_after = self.evaluate(chosen, self.train, point)
+            evaluation = self.evaluate(chosen, self.test, None)
+        self.train_after, self.test_before, self.test_after = train_after, test_before, evaluation
         verdicts: dict[str, Verdict] = {}
         withdrawn: list[SelectedEffect] = []
         while remaining.selection.chosen:
@@ -184,49 +197,55 @@ class HoldOutTest:
             withdrawn += [c for c in remaining.selection.chosen if c.key == key]
             remaining, evaluation = rivals[key]
         # The others are estimated again without what was withdrawn.
-        train_final = self._train_after if remaining.selection.chosen else self._train_before
+        train_final = train_after if remaining.selection.chosen else train_before
         if withdrawn and remaining.selection.chosen:
-            refitted = self._refit(remaining)
+            refitted = self.refit(remaining)
             if refitted is not remaining:
                 remaining = refitted
-                evaluation = self._evaluate(refitted, self.test, evaluation.trajectory.point)
-            point = self.chosen.after.trajectory.point
-            train_final = self._evaluate(remaining, self.train, point)
+                evaluation = self.evaluate(refitted, self.test, evaluation.trajectory.point)
+            train_final = self.evaluate(remaining, self.train, point)
         return HoldOutResult(
             remaining,
             tuple(withdrawn),
             verdicts,
-            self._before_and_after(remaining, self.train, self._train_before, train_final),
-            self._before_and_after(remaining, self.test, self._test_before, evaluation),
+            self._before_and_after(remaining, self.train, train_before, train_final),
+            self._before_and_after(remaining, self.test, test_before, evaluation),
             (self.train, self.test),
         )
 
-    # The chosen model and the one without effects on both sides.
+    # Models of the aircraft; a test on other equations replaces these four.
+
+    def evaluate(
+        self, model: SearchResult, side: Dataset, initial: ModelState | None
+    ) -> Evaluation:
+        """Evaluate a model on one side, from the nuisance and start states of ``initial``."""
+        aircraft, values = flown_as(model, self.chosen, self.complete, self.write)
+        return evaluate(aircraft, side, self.pool, point_as_written(model, values, initial))
+
+    def leave_out(self, keys: Sequence[str]) -> SearchResult:
+        """Return the chosen model, estimated on the training flights without some effects."""
+        return leave_out(self.chosen, self._train_information, keys)
+
+    def refit(self, remaining: SearchResult) -> SearchResult:
+        """Estimate the remaining model again by output error."""
+        return refit_remaining(remaining, self.chosen, self.complete, self.pool)
 
     @cached_property
-    def _train_before(self) -> Evaluation:
-        """Evaluation of the training flights without effects."""
-        point = self.chosen.before.trajectory.point
-        return self._evaluate(without_effects(self.chosen), self.train, point)
+    def both_sides(self) -> TrainTestInformation:
+        """Information of training and hold-out flights."""
+        return train_test_information(
+            self.chosen,
+            self._train_information,
+            self.complete,
+            self.test,
+            self.test_after,
+            self.pool,
+        )
 
     @cached_property
-    def _train_after(self) -> Evaluation:
-        """Evaluation of the training flights with all effects."""
-        if not self.chosen.selection.chosen:
-            return self._train_before
-        return self._evaluate(self.chosen, self.train, self.chosen.after.trajectory.point)
-
-    @cached_property
-    def _test_before(self) -> Evaluation:
-        """Evaluation of the hold-out flights without effects."""
-        return self._evaluate(without_effects(self.chosen), self.test, None)
-
-    @cached_property
-    def _test_after(self) -> Evaluation:
-        """Evaluation of the hold-out flights with all effects."""
-        if not self.chosen.selection.chosen:
-            return self._test_before
-        return self._evaluate(self.chosen, self.test, None)
+    def _train_information(self) -> Information:
+        """Information of the training flights without effects."""
+        return train_information(self.chosen)
 
     # One round: leave out each remaining effect alone, judge, name the one to withdraw.
 
@@ -240,10 +259,10 @@ class HoldOutTest:
         """
         keys = [*remaining.selection.values]
         if len(keys) == 1:
-            return {keys[0]: (without_effects(remaining), self._test_before)}
-        models = {key: self._leave_out([*withdrawn, key]) for key in keys}
+            return {keys[0]: (without_effects(remaining), self.test_before)}
+        models = {key: self.leave_out([*withdrawn, key]) for key in keys}
         point = evaluation.trajectory.point
-        return {k: (m, self._evaluate(m, self.test, point)) for k, m in models.items()}
+        return {k: (m, self.evaluate(m, self.test, point)) for k, m in models.items()}
 
     def _verdicts(
         self,
@@ -252,22 +271,24 @@ class HoldOutTest:
         rivals: Mapping[str, tuple[SearchResult, Evaluation]],
     ) -> dict[str, Verdict]:
         """Return the verdict on each remaining effect."""
-        keys = list(rivals)
-        verdicts = {}
-        for c in remaining.selection.chosen:
-            _, rival = rivals[c.key]
-            excess_t2 = c.t**2 - self.chosen.critical_t**2
-            verdicts[c.key] = self._compare(rival, evaluation, excess_t2)
+        keys, test, train_after = list(rivals), self.test.data, self.train_after
+        critical_t = self.chosen.critical_t
+        verdicts = {
+            c.key: compare(rivals[c.key][1], evaluation, test, train_after, c.t**2 - critical_t**2)
+            for c in remaining.selection.chosen
+        }
         # Two effects may compensate each other: then neither alone does harm.
-        joint = self._compare(self._test_before, evaluation) if len(keys) > 1 else None
+        joint = None
+        if len(keys) > 1:
+            joint = compare(self.test_before, evaluation, test, train_after)
         if any(v is not None and v.gap == "grew" for v in (*verdicts.values(), joint)):
             # Where the test contradicts an effect, the training flights' errors count as well.
             verdicts = {
-                k: self._with_parameter_uncertainty(v, rivals[k][1], evaluation, keys, k)
+                k: with_parameter_uncertainty(v, self.both_sides, rivals[k][1], evaluation, keys, k)
                 for k, v in verdicts.items()
             }
-            joint = joint and self._with_parameter_uncertainty(
-                joint, self._test_before, evaluation, keys
+            joint = joint and with_parameter_uncertainty(
+                joint, self.both_sides, self.test_before, evaluation, keys
             )
         worst = min(verdicts, key=lambda k: verdicts[k].z)
         if verdicts[worst].gap != "grew" and joint is not None and joint.gap == "grew":
@@ -277,36 +298,19 @@ class HoldOutTest:
     def _effect_to_withdraw(self, verdicts: Mapping[str, Verdict]) -> str | None:
         """Return the effect that the hold-out flights contradict most.
 
-        Beside unexplained residuals also one that they do not show; None if all stay.
+        Beside unexplained residuals, or a curve of another form, also one that they do not show;
+        None if all stay.
         """
         worst = min(verdicts, key=lambda k: verdicts[k].z)
         if verdicts[worst].gap == "grew":
             return worst
         invisible = [k for k, v in verdicts.items() if v.gap == CANNOT_TELL and not v.is_visible]
-        if not invisible or not self._has_unexplained_residual(self._train_after):
+        is_explained = self.chosen.mismatch is None and not excess_residuals(
+            self.train.data, self.train_after, self.chosen.estimator
+        )
+        if not invisible or is_explained:
             return None
         return min(invisible, key=lambda k: verdicts[k].z)
-
-    def _compare(
-        self, rival: Evaluation, evaluation: Evaluation, excess_t2: float = np.inf
-    ) -> Verdict:
-        """Compare a model without an effect to one with it."""
-        return compare(rival, evaluation, self.test.setup, self._train_after, excess_t2)
-
-    def _evaluate(
-        self, model: SearchResult, side: Dataset, initial: ModelState | None
-    ) -> Evaluation:
-        """Evaluate a model on one side."""
-        aircraft, values = flown_as(model, self.chosen, self.complete, self.write)
-        return evaluate(aircraft, side, self.pool, point_as_written(model, values, initial))
-
-    def _leave_out(self, keys: Sequence[str]) -> SearchResult:
-        """Return the selected model estimated without some effects."""
-        return leave_out(self.chosen, self._information, keys)
-
-    def _refit(self, remaining: SearchResult) -> SearchResult:
-        """Estimate the remaining model again by output error."""
-        return refit_remaining(remaining, self.chosen, self.complete, self.pool)
 
     def _before_and_after(
         self, remaining: SearchResult, side: Dataset, before: Evaluation, after: Evaluation
@@ -322,43 +326,7 @@ class HoldOutTest:
             return with_replays(evaluation, aircraft, side, self.pool, point)
 
         first = completed(without_effects(self.chosen), before)
-        return side.setup, first, first if after is before else completed(remaining, after)
-
-    def _has_unexplained_residual(self, fitted: Evaluation) -> bool:
-        """Return whether the training flights, or a curve of another form, leave something
-        unexplained.
-        """
-        if self.chosen.mismatch is not None:
-            return True
-        return bool(excess_residuals(self.train.setup, fitted, self.chosen.estimator))
-
-    @cached_property
-    def _information(self) -> Information:
-        """Information of the training flights without effects."""
-        return train_information(self.chosen)
-
-    @cached_property
-    def _both_sides(self) -> TrainTestInformation:
-        """Information of training and hold-out flights."""
-        return train_test_information(
-            self.chosen,
-            self._information,
-            self.complete,
-            self.test,
-            self._test_after,
-            self.pool,
-        )
-
-    def _with_parameter_uncertainty(
-        self,
-        verdict: Verdict,
-        rival: Evaluation,
-        after: Evaluation,
-        keys: Sequence[str],
-        key: str | None = None,
-    ) -> Verdict:
-        """Return a verdict with the errors of the parameters in its standard error."""
-        return with_parameter_uncertainty(verdict, self._both_sides, rival, after, keys, key)
+        return side.data, first, first if after is before else completed(remaining, after)
 
 
 # Two models on the same flights.
@@ -484,9 +452,7 @@ def train_test_information(
     """
     values = result.selection.values
     effects = [result.effects[key] for key in values]
-    data, fit = linearise_as_written(
-        result, aircraft, test, test.setup, evaluation.trajectory, pool
-    )
+    data, fit = linearise_as_written(result, aircraft, test, test.data, evaluation.trajectory, pool)
     columns = effect_columns(data, fit.probes, fit.trajectory, effects)
     information = test.estimator.information(data, fit, columns)
     no_effect = dict.fromkeys(values, 0.0)
@@ -537,7 +503,8 @@ def linearise_as_written(
     point = replace(trajectory.point, values=values, effects=result.selection.values)
     with StagedModels(aircraft, data) as bench:
         data = with_jumping_flights(with_sensors_of(data, aircraft), bench.model)
-        return side.estimator.linearise(bench, data, trajectory, point, result.names, pool)
+        about = replace(trajectory, point=point)
+        return side.estimator.linearise(bench, data, about, result.names, pool)
 
 
 # Models with some of the chosen effects.
@@ -566,7 +533,7 @@ def property_values(model: SearchResult, chosen: SearchResult) -> dict[str, floa
     for c in chosen.selection.chosen:
         if not acts_on_motion(chosen.effects[c.key]):
             continue
-        place = chosen.setup.carriers.get(c.key)
+        place = chosen.data.carriers.get(c.key)
         if place is not None and (c.key in values or place.exact):
             properties[place.name] = place.at(values.get(c.key, 0.0))
         elif values.get(c.key) != c.value:
@@ -607,12 +574,12 @@ def train_information(
     It has columns of parameters, nuisance, selected effects, the candidates ``keys``, and
     ``regressors``, one set per segment.
     """
-    active = {e.key for e in result.setup.active}
+    active = {e.key for e in result.data.active}
     requested = dict.fromkeys([*result.selection.values, *keys])
     inactive = [result.effects[k] for k in requested if k not in active]
-    columns = effect_columns(result.setup, result.after.probes, result.after.trajectory, inactive)
+    columns = effect_columns(result.data, result.after.probes, result.after.trajectory, inactive)
     columns = join_columns(columns, regressors) if len(regressors) else columns
-    information = result.estimator.information(result.setup, result.after, columns)
+    information = result.estimator.information(result.data, result.after, columns)
     return information.without_values(result.flown_values)
 
 
@@ -625,7 +592,7 @@ def leave_out(result: SearchResult, information: Information, keys: Sequence[str
     remaining = [c for c in result.selection.chosen if c.key not in keys]
     if not remaining:
         return without_effects(result)
-    effects = {e.key for e in result.setup.active} | result.selection.values.keys()
+    effects = {e.key for e in result.data.active} | result.selection.values.keys()
     free = [n for n in information.names if n not in effects]
     all_keys, kept_keys = [c.key for c in result.selection.chosen], [c.key for c in remaining]
     with_all = corrected_estimates(information, [*free, *all_keys], all_keys)
@@ -674,21 +641,21 @@ def refit_remaining(
     if not chosen.estimator.uses_replays or property_values(model, chosen) is None:
         return model
     values = model.selection.values
-    effects = {e.key: values.get(e.key, 0.0) for e in chosen.setup.active}
+    effects = {e.key: values.get(e.key, 0.0) for e in chosen.data.active}
     estimates = {n: value for n, (value, _) in model.parameters.items()}
     point = chosen.after.trajectory.point
     point = replace(point, values={**point.values, **estimates}, effects=effects)
-    if moves_sensors(chosen.setup, point):
+    if moves_sensors(chosen.data, point):
         return model
     names = [n for n in chosen.names if n in point.values]
     bounds = {n: c.bounds for n, c in complete.card.parameters.items() if c.bounds is not None}
     withdrawn = effects.keys() - values.keys()
-    with StagedModels(complete, chosen.setup) as bench:
-        linear = replay_at(bench.model, chosen.setup, point, pool)
-        fit = fit_output_error(bench.model, chosen.setup, point, names, bounds, pool, withdrawn)
+    with StagedModels(complete, chosen.data) as bench:
+        linear = replay_at(bench.model, chosen.data, point, pool)
+        fit = fit_output_error(bench.model, chosen.data, point, names, bounds, pool, withdrawn)
     if fit is None or fit.cost > linear.cost:
         return model
-    remaining = carried_effects(chosen.setup).keys() & values.keys()
+    remaining = carried_effects(chosen.data).keys() & values.keys()
     selection = with_values(model.selection, {key: fit.point.effects[key] for key in remaining})
     parameters = {
         n: (fit.point.values[n] if n in names else value, std)

@@ -88,10 +88,10 @@ def place_of(
     controls : sequence of array
         Control positions in every training segment.
     """
-    setup, _, evaluation = outcome.train
-    test_setup, _, test_evaluation = outcome.test
-    series = series_of("train", setup, evaluation, controls) + series_of(
-        "test", test_setup, test_evaluation, [s.controls for s in test_setup.segments]
+    data, _, evaluation = outcome.train
+    test_data, _, test_evaluation = outcome.test
+    series = series_of("train", data, evaluation, controls) + series_of(
+        "test", test_data, test_evaluation, [s.controls for s in test_data.segments]
     )
     nearest = Nearest(outcome.result)
     if any(channels.values()):
@@ -136,18 +136,18 @@ def no_place(reason: str) -> dict[str, Any]:
 
 
 def series_of(
-    flights: str, setup: FlightData, evaluation: Evaluation, controls: Sequence[FloatArray]
+    flights: str, data: FlightData, evaluation: Evaluation, controls: Sequence[FloatArray]
 ) -> list[Series]:
     """Return every channel of every segment of one side's flights."""
     return [
         Series(flights, s.flight, s.kind, c, w[:, k], s.time_s, states)
         for s, w, states in zip(
-            setup.segments,
+            data.segments,
             evaluation.white,
             states_along(evaluation.trajectory, controls),
             strict=True,
         )
-        for k, c in enumerate(setup.outputs)
+        for k, c in enumerate(data.outputs)
     ]
 
 
@@ -239,7 +239,7 @@ class Nearest:
         dropped = [e.key for e in unselected if e.key in result.flown_values]
         open_ = eligible(
             [e for e in unselected if e.key not in dropped],
-            result.setup,
+            result.data,
             result.after.columns[0].names,
             self.information,
         )
@@ -267,7 +267,7 @@ class Nearest:
 
         ``withdrawn`` are keys that the hold-out flights contradicted.
         """
-        k = self.result.setup.outputs.index(channel)
+        k = self.result.data.outputs.index(channel)
         order = np.argsort(-np.nan_to_num(self.scores.gain, nan=-1.0))
         strongest = [
             i
@@ -292,14 +292,14 @@ def _place_of_candidate(
 
     It is the shortest time, and the narrowest band, that hold half of it.
     """
-    setup, trace = nearest.result.setup, nearest.trace(key)
+    data, trace = nearest.result.data, nearest.trace(key)
     power = np.array([np.nansum(d**2, axis=0) for d in trace])
     k = int(np.argmax(power.sum(axis=0)))
     s = int(np.argmax(power[:, k]))
-    alike = [e for e in series if e.channel == setup.outputs[k]]
+    alike = [e for e in series if e.channel == data.outputs[k]]
     best, d = alike[s], np.nan_to_num(trace[s][:, k])
     start, stop = shortest_interval(d**2)
-    low, high = band_of(d, 1.0 / setup.segments[s].dt_s)
+    low, high = band_of(d, 1.0 / data.segments[s].dt_s)
     correlate = state_correlate([e[:, k] for e in trace], [e.states for e in alike], certain=True)
     return {
         "flights": "train",

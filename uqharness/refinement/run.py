@@ -240,8 +240,8 @@ def _refine(job: Job, callback: Callback, forecast: Forecast) -> Refinement:
             "intervals", list[Intervals], lambda: list(pool(fit_intervals, jobs))
         )
         # 7. What remains.
-        with StagedModels(request.aircraft, train_side.setup) as bench:
-            controls = positions(bench.model, train_side.setup)
+        with StagedModels(request.aircraft, train_side.data) as bench:
+            controls = positions(bench.model, train_side.data)
         chosen_document = document_of(chosen, outcome, request.aircraft, controls)
         document = _with_smooth(
             chosen_document, *_smooth_term(request, chosen_document, outcome, write, pool, callback)
@@ -271,7 +271,7 @@ def _hold_out_test(
     test_side = _dataset(request, chosen, test)
     if not chosen.estimator.uses_replays:
         point = point_as_written(chosen)
-        air = chosen.estimator.air_of(write(chosen), test_side.setup, point, pool)
+        air = chosen.estimator.air_of(write(chosen), test_side.data, point, pool)
         test_side = replace(test_side, turbulence=air)
     return HoldOutTest(chosen, complete, write, train_side, test_side, pool).run()
 
@@ -389,8 +389,8 @@ def _dataset(request: Job, chosen: SearchResult, flights: FlightSet) -> Dataset:
     """
     data = _flight_data(request.aircraft, flights)
     setup = chosen.estimator.prepare(request.aircraft, data)
-    if setup.outputs == chosen.setup.outputs:
-        setup = replace(setup, noise=chosen.setup.noise)
+    if setup.outputs == chosen.data.outputs:
+        setup = replace(setup, noise=chosen.data.noise)
     return Dataset(setup, chosen.turbulence)
 
 

@@ -227,7 +227,7 @@ def drop_unclear_effects(
         point = point_as_written(result, values, result.after.trajectory.point)
         if weak:
             evaluation = evaluate(complete, train, pool, point)
-            if not excess_residuals(train.setup, evaluation, result.estimator):
+            if not excess_residuals(train.data, evaluation, result.estimator):
                 return result
     else:
         mismatch, outside = curve
@@ -331,7 +331,7 @@ def find_smooth_term(
     flown_term = (
         _fly_twice(curves, best, train, write, pool) if best.stands_out(len(fits)) else None
     )
-    if flown_term is None or excess_residuals(train.setup, flown_term.evaluation, result.estimator):
+    if flown_term is None or excess_residuals(train.data, flown_term.evaluation, result.estimator):
         # One state is not enough: every state times every other, in the coefficient of the best.
         coefficient = best.term.coefficient
         products = [
@@ -355,7 +355,7 @@ def find_smooth_term(
     # The same on the hold-out flights.
     start = point_as_written(estimate.result, initial=outcome.test[2].trajectory.point)
     on_test = evaluate(aircraft, test, pool, start)
-    verdict = compare(outcome.test[2], on_test, test.setup, on_train)
+    verdict = compare(outcome.test[2], on_test, test.data, on_train)
     if verdict.gap == "grew":
         return f"the hold-out residuals grew with a {term.name}"
     tables = {}
@@ -406,7 +406,7 @@ def _fly_twice(
         return first
     result, trajectory = first.estimate.result, first.evaluation.trajectory
     data, linear = linearise_as_written(
-        result, first.aircraft, train, result.setup, trajectory, pool
+        result, first.aircraft, train, result.data, trajectory, pool
     )
     about_curve = CurveFits(result, linear, data, first.estimate)
     second = _fly(about_curve, fit, train, write, pool)

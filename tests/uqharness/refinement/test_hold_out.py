@@ -26,6 +26,7 @@ from uqharness.refinement.evaluation import Evaluation
 from uqharness.refinement.hold_out import (
     BEYOND_CHANCE,
     HoldOutTest,
+    TrainTestInformation,
     Verdict,
     compare,
     property_values,
@@ -230,20 +231,26 @@ class LinearHoldOut(HoldOutTest):
     flights: LinearFlights
     test_flights: LinearFlights
 
-    def _evaluate(self, model, side, initial):
+    def evaluate(self, model, side, initial):
         flights = self.flights if side is self.train else self.test_flights
         return evaluation(flights, estimates(model))
 
-    def _leave_out(self, keys):
+    def leave_out(self, keys):
         kept = [k for k in self.chosen.selection.values if k not in keys]
         return result_of(self.flights, kept)
 
-    def _refit(self, remaining):
+    def refit(self, remaining):
         return remaining
 
-    def _with_parameter_uncertainty(self, verdict, without, after, keys, key=None):
-        # Train flights as long as the test flights: their errors count as much.
-        return replace(verdict, std=np.sqrt(2.0) * verdict.std)
+    @property
+    def both_sides(self):
+        values, effects = estimates(self.chosen), self.chosen.selection.values
+        sides = [
+            flights.linearise(values, [*values]).without_values(effects)
+            for flights in (self.flights, self.test_flights)
+        ]
+        about = {**values, **dict.fromkeys(effects, 0.0)}
+        return TrainTestInformation(self.chosen, *sides, (about, about))
 
 
 def estimates(model: SearchResult) -> dict[str, float]:
@@ -251,13 +258,13 @@ def estimates(model: SearchResult) -> dict[str, float]:
 
 
 def evaluation(flights: LinearFlights, values: Mapping[str, float]) -> Evaluation:
-    physical = [
+    residual = [
         z - simulate(values, de) for de, z in zip(flights.commands, flights.measured, strict=True)
     ]
-    white = [r / NOISE for r in physical]
+    white = [r / NOISE for r in residual]
     cost = float(sum(np.sum(w**2) for w in white))
-    trajectory = SimpleNamespace(point=None)
-    return Evaluation(trajectory, physical, NOISE, [], np.ones(6), white, cost, (0.0,) * len(white))  # type: ignore[arg-type]
+    point = SimpleNamespace(point=None)
+    return Evaluation(point, residual, NOISE, white, cost, (0.0,) * len(white), [], np.ones(6))  # type: ignore[arg-type]
 
 
 def result_of(flights: LinearFlights, keys: Sequence[str]) -> SearchResult:
@@ -301,7 +308,7 @@ def hold_out(train: Mapping[str, float], test: Mapping[str, float], keys: Sequen
     flights = LinearFlights({**PARAMETERS, **train})
     others = LinearFlights({**PARAMETERS, **test}, seeds=(4, 5, 6))
     chosen = result_of(flights, keys)
-    sides = [Dataset(chosen.setup), Dataset(chosen.setup)]
+    sides = [Dataset(chosen.data), Dataset(chosen.data)]
     outcome = LinearHoldOut(chosen, None, None, *sides, None, flights, others).run()  # type: ignore[arg-type]
     return (
         [c.key for c in outcome.withdrawn],
@@ -352,6 +359,6 @@ def test_a_weak_effect_remains_unless_something_is_unexplained():
         strong = tuple(replace(c, t=5.0) for c in chosen.selection.chosen)
         selection = replace(chosen.selection, chosen=strong)
         model = replace(chosen, mismatch=mismatch, selection=selection)
-        sides = [Dataset(chosen.setup), Dataset(chosen.setup)]
+        sides = [Dataset(chosen.data), Dataset(chosen.data)]
         outcome = LinearHoldOut(model, None, None, *sides, None, flights, others).run()  # type: ignore[arg-type]
         assert bool(outcome.withdrawn) is (mismatch is not None)

@@ -480,7 +480,7 @@ def test_in_turbulence_the_table_is_that_of_compare(gusty):
     setup = with_card_noise(aircraft, make_flight_data(aircraft, [gusty], ()))
     zeros = [np.zeros_like(z) for z in setup.measured]
     predicted = Evaluation(
-        None, zeros, setup.noise, [np.ones((9, 6))], np.ones(6), zeros, 0.0, (0.0,)
+        None, zeros, setup.noise, zeros, 0.0, (0.0,), [np.ones((9, 6))], np.ones(6)
     )  # type: ignore[arg-type]
     shown = with_replays(predicted, aircraft, Dataset(setup), SERIAL, ModelState({}, {}, ()))
     found = residual_tables(setup, shown, shown)

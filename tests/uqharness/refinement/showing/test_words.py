@@ -23,12 +23,12 @@ def test_moments_that_nothing_explains_are_told_by_their_axes(gains, told):
     air = SimpleNamespace(moments=np.array(gains))
     found = SimpleNamespace(
         estimator=PredictionErrorEstimator(air),
-        setup=SimpleNamespace(outputs=("p_radps", "q_radps", "r_radps")),
+        data=SimpleNamespace(outputs=("p_radps", "q_radps", "r_radps")),
     )
     said = unexplained_moments(found)
     assert [row["coefficient"] for row in said.values()] == told
     assert all(f"{row['twice_log_likelihood']:.0f}" in row["words"] for row in said.values())
-    assert not unexplained_moments(SimpleNamespace(estimator=ReplayEstimator(), setup=found.setup))
+    assert not unexplained_moments(SimpleNamespace(estimator=ReplayEstimator(), data=found.data))
 
 
 def test_of_the_nearest_candidates_those_are_told_that_are_strong_and_not_told_yet():
