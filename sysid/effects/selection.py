@@ -9,12 +9,13 @@ effects may be exchanged or removed. Candidates that explain nearly as much are 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import optimize, special
 
+from sysid.arrays import FloatArray
 from sysid.distributions import normal_quantile
 from sysid.effects.catalogue import TWINS
 from sysid.effects.information import (
@@ -138,6 +139,10 @@ class Selection:
         """Values of the effects by key."""
         return {c.key: c.value for c in self.chosen}
 
+    def with_each(self, change: Callable[[SelectedEffect], SelectedEffect]) -> Selection:
+        """Return the selection with each effect changed."""
+        return replace(self, chosen=tuple(map(change, self.chosen)))
+
 
 def sidak_critical_t(candidates: int, family: float = FAMILY_ERROR_RATE) -> float:
     """Return the |t| that the largest of independent candidates exceeds with probability ``family``
@@ -220,34 +225,137 @@ def select(
     -------
     Selection
     """
-    critical_t = (
-        critical_t_of(information, free, list(required_gains)) if critical_t is None else critical_t
-    )
-    current: list[str] = list(chosen)
-    trail: list[str] = []
+    if critical_t is None:
+        critical_t = critical_t_of(information, free, list(required_gains))
+    search = _Stepwise(information, free, required_gains, critical_t, empirical)
+    current, trail = list(chosen), list[str]()
     refused: RejectedCandidate | None = None
     for _ in range(3 * max_effects):
-        before = list(current)
-        _exchange(information, free, required_gains, current, trail)
-        _prune(information, free, current, trail, critical_t)
-        refused = None
-        if len(current) < max_effects:
-            unselected = [c for c in required_gains if c not in current]
-            entering = _find_entering(
-                information, [*free, *current], unselected, required_gains, critical_t, empirical
-            )
-            if isinstance(entering, RejectedCandidate):
-                refused = entering
-            elif entering is not None:
-                current.append(entering.key)
-                trail.append(f"+ {entering.key} t {entering.t:.1f} gain {entering.gain:.0f}")
-                if abs(entering.t) > decisive_t:
-                    break
+        before, refused = list(current), None
+        search.exchange(current, trail)
+        search.prune(current, trail)
+        entering = search.entering(current) if len(current) < max_effects else None
+        if isinstance(entering, RejectedCandidate):
+            refused = entering
+        elif entering is not None:
+            current.append(entering.key)
+            trail.append(f"+ {entering.key} t {entering.t:.1f} gain {entering.gain:.0f}")
+            if abs(entering.t) > decisive_t:
+                break
         if current == before:
             break
     return Selection(
         estimate_selected(information, free, current, list(required_gains)), refused, tuple(trail)
     )
+
+
+@dataclass(frozen=True)
+class _Stepwise:
+    """Steps of `select`; they change the keys ``current`` and append a line to ``trail``."""
+
+    information: Information
+    free: Sequence[str]
+    required_gains: Mapping[str, float]
+    critical_t: float
+    empirical: bool
+
+    def penalised_gains(self, beside: Sequence[str], keys: Sequence[str]) -> FloatArray:
+        """Return the gain of each candidate beside other effects, less the one required of it."""
+        gain = score_tests(self.information, [*self.free, *beside], keys).gain
+        required = np.array([self.required_gains[k] for k in keys])
+        return np.nan_to_num(gain - required, nan=-np.inf)
+
+    def exchange(self, current: list[str], trail: list[str]) -> None:
+        """Replace each selected effect by a candidate that explains more in its place."""
+        for k, key in enumerate(current):
+            keys = [c for c in self.required_gains if c not in current or c == key]
+            gain = self.penalised_gains([*current[:k], *current[k + 1 :]], keys)
+            best = int(np.argmax(gain))
+            if keys[best] != key and gain[best] > gain[keys.index(key)] + SIGNIFICANT_Z**2:
+                current[k] = keys[best]
+                trail.append(f"{key} -> {keys[best]}")
+
+    def prune(self, current: list[str], trail: list[str]) -> None:
+        """Remove the weakest effect until all |t| reach critical_t; a single effect stays."""
+        while len(current) > 1:
+            estimates = corrected_estimates(self.information, [*self.free, *current], current)
+            t = [abs(value / std) for value, std, _ in estimates.values()]
+            worst = int(np.argmin(t))
+            if t[worst] >= self.critical_t:
+                break
+            trail.append(f"- {current.pop(worst)} t {t[worst]:.1f}")
+
+    def entering(self, current: Sequence[str]) -> SelectedEffect | RejectedCandidate | None:
+        """Return the candidate that enters, or the best one that is rejected.
+
+        If the flights contradict each other about the best candidate, another missing effect may
+        bias it: candidates with little correlation to it (`UNRELATED_CORRELATION`) are tried next.
+        It is tried again after one of them has entered.
+        """
+        keys = [c for c in self.required_gains if c not in current]
+        first: RejectedCandidate | None = None
+        for _ in range(MAX_ENTRY_ATTEMPTS):
+            best = self.best_candidate(current, keys)
+            if not (isinstance(best, RejectedCandidate) and best.unconfirmed):
+                return best if isinstance(best, SelectedEffect) else first or best
+            first = first or best
+            alike = column_correlations(self.information, [*self.free, *current], best.key, keys)
+            keys = [
+                k
+                for k, a in zip(keys, alike, strict=True)
+                if k != best.key and abs(np.nan_to_num(a)) < UNRELATED_CORRELATION
+            ]
+        return first
+
+    def best_candidate(
+        self, current: Sequence[str], keys: Sequence[str]
+    ) -> SelectedEffect | RejectedCandidate | None:
+        """Return the candidate of largest penalised gain, or its rejection."""
+        gain, critical_t = self.penalised_gains(current, keys), self.critical_t
+        if not np.isfinite(gain).any():
+            return None
+        free = [*self.free, *current]
+        best, *runners_up = np.argsort(-gain)[:MAX_RUNNERS_UP].tolist()
+        choice = _estimate_one(self.information, free, keys[best])
+        if not abs(choice.t) > critical_t:
+            # Colour may increase the standard error of one candidate more than of the next.
+            next_best = (
+                _estimate_one(self.information, free, keys[k])
+                for k in runners_up
+                if gain[k] >= critical_t**2
+            )
+            choice = next((c for c in next_best if abs(c.t) > critical_t), choice)
+        t, z = abs(choice.t), float(np.sqrt(choice.gain))
+        refused = RejectedCandidate(choice.key, choice.t, choice.gain, "")
+        if not t > critical_t:
+            return replace(refused, reason=f"|t| {t:.1f} is not above {critical_t:.1f}")
+        dispersion = self.dispersion(free, keys)
+        if not z > critical_t * dispersion:
+            reason = (
+                f"|t| {z:.1f} is not above {critical_t:.1f} times {dispersion:.2f},"
+                " the spread of all candidates"
+            )
+            return replace(refused, reason=reason)
+        if choice.confirmed_gain <= 0.0 and abs(choice.difference) > SIGNIFICANT_Z:
+            # If the parts agree, t contains all evidence. A candidate that is estimated alone may
+            # be slightly biased in both parts.
+            reason = (
+                "two parts of the flights differ in it by"
+                f" {abs(choice.difference):.1f} standard errors"
+            )
+            strong = not self.empirical and t > critical_t + SIGNIFICANT_Z
+            return replace(refused, reason=reason, strong=strong, unconfirmed=True)
+        return choice
+
+    def dispersion(self, free: Sequence[str], keys: Sequence[str]) -> float:
+        """Return the spread of all candidates' t, at least 1; 1 where only noise is counted.
+
+        A true effect changes few of the others' t, so their median is robust against it.
+        """
+        if not self.empirical:
+            return 1.0
+        t = score_tests(self.information, free, keys).t
+        return max(1.0, float(np.nanmedian(np.abs(t))) / normal_quantile(0.75))
 
 
 def estimate_selected(
@@ -281,142 +389,6 @@ def _estimate_one(information: Information, free: Sequence[str], key: str) -> Se
         # Colour increases the parts' standard errors like that of all flights.
         difference *= white_std / std
     return SelectedEffect(key, value, std, value / std, gain, confirmed, difference)
-
-
-def _find_entering(
-    information: Information,
-    free: Sequence[str],
-    unselected: Sequence[str],
-    required_gains: Mapping[str, float],
-    critical_t: float,
-    empirical: bool,
-) -> SelectedEffect | RejectedCandidate | None:
-    """Return the candidate that enters, or the best one that is rejected.
-
-    If the flights contradict each other about the best candidate, another missing effect may bias
-    it: candidates whose correlation with it is below UNLIKE are tried next. It is tried again
-    after one of them has entered.
-    """
-    first: RejectedCandidate | None = None
-    for _ in range(MAX_ENTRY_ATTEMPTS):
-        best = _best_candidate(information, free, unselected, required_gains, critical_t, empirical)
-        if not (isinstance(best, RejectedCandidate) and best.unconfirmed):
-            return best if isinstance(best, SelectedEffect) else first or best
-        first = first or best
-        alike = column_correlations(information, free, best.key, unselected)
-        unselected = [
-            k
-            for k, a in zip(unselected, alike, strict=True)
-            if k != best.key and abs(np.nan_to_num(a)) < UNRELATED_CORRELATION
-        ]
-    return first
-
-
-def _best_candidate(
-    information: Information,
-    free: Sequence[str],
-    unselected: Sequence[str],
-    required_gains: Mapping[str, float],
-    critical_t: float,
-    empirical: bool,
-) -> SelectedEffect | RejectedCandidate | None:
-    """Return the candidate of largest penalised gain, or its rejection."""
-    result = score_tests(information, free, unselected)
-    penalised_gain = np.nan_to_num(
-        result.gain - np.array([required_gains[k] for k in unselected]), nan=-np.inf
-    )
-    if not np.isfinite(penalised_gain).any():
-        return None
-    # A true effect changes few of the others' t, so their median is robust against it.
-    dispersion = (
-        max(1.0, float(np.nanmedian(np.abs(result.t))) / normal_quantile(0.75))
-        if empirical
-        else 1.0
-    )
-    best, *runners_up = np.argsort(-penalised_gain)[:MAX_RUNNERS_UP].tolist()
-    choice = _estimate_one(information, free, unselected[best])
-    if not abs(choice.t) > critical_t:
-        # Colour may increase the standard error of one candidate more than of the next.
-        next_best = (
-            _estimate_one(information, free, unselected[k])
-            for k in runners_up
-            if penalised_gain[k] >= critical_t**2
-        )
-        choice = next((c for c in next_best if abs(c.t) > critical_t), choice)
-        if not abs(choice.t) > critical_t:
-            return RejectedCandidate(
-                choice.key,
-                choice.t,
-                choice.gain,
-                f"|t| {abs(choice.t):.1f} is not above {critical_t:.1f}",
-            )
-    if not np.sqrt(choice.gain) > critical_t * dispersion:
-        reason = (
-            f"|t| {np.sqrt(choice.gain):.1f} is not above {critical_t:.1f} times {dispersion:.2f},"
-            " the spread of all candidates"
-        )
-        return RejectedCandidate(choice.key, choice.t, choice.gain, reason)
-    if choice.confirmed_gain <= 0.0 and abs(choice.difference) > SIGNIFICANT_Z:
-        # If the parts agree, t contains all evidence. A candidate that is estimated alone may be
-        # slightly biased in both parts.
-        reason = (
-            f"two parts of the flights differ in it by {abs(choice.difference):.1f} standard errors"
-        )
-        return RejectedCandidate(
-            choice.key,
-            choice.t,
-            choice.gain,
-            reason,
-            not empirical and abs(choice.t) > critical_t + SIGNIFICANT_Z,
-            True,
-        )
-    return choice
-
-
-def _exchange(
-    information: Information,
-    free: Sequence[str],
-    required_gains: Mapping[str, float],
-    current: list[str],
-    trail: list[str],
-) -> None:
-    """Replace a selected effect by a candidate that explains more in its place."""
-    for k, key in enumerate(current):
-        free_beside = [*free, *current[:k], *current[k + 1 :]]
-        unselected = [c for c in required_gains if c not in current or c == key]
-        penalised_gain = np.nan_to_num(
-            score_tests(information, free_beside, unselected).gain
-            - np.array([required_gains[c] for c in unselected]),
-            nan=-np.inf,
-        )
-        best = int(np.argmax(penalised_gain))
-        if (
-            unselected[best] != key
-            and penalised_gain[best] > penalised_gain[unselected.index(key)] + SIGNIFICANT_Z**2
-        ):
-            current[k] = unselected[best]
-            trail.append(f"{key} -> {unselected[best]}")
-
-
-def _prune(
-    information: Information,
-    free: Sequence[str],
-    current: list[str],
-    trail: list[str],
-    critical_t: float,
-) -> None:
-    """Remove the weakest effect until all |t| reach critical_t; a single effect stays."""
-    while len(current) > 1:
-        t = [
-            abs(value / std)
-            for value, std, _ in corrected_estimates(
-                information, [*free, *current], current
-            ).values()
-        ]
-        worst = int(np.argmin(t))
-        if t[worst] >= critical_t:
-            break
-        trail.append(f"- {current.pop(worst)} t {t[worst]:.1f}")
 
 
 def _companions(

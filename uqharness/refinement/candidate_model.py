@@ -78,8 +78,8 @@ class SearchContext:
         Estimated properties.
     effects : mapping
         Candidates by key.
-    bounds : mapping
-        Limits of each parameter.
+    limits : mapping
+        Bounds of each parameter.
     critical_t : float
         |t| required of an effect.
     cost : float
@@ -91,7 +91,7 @@ class SearchContext:
     baseline: Linearisation
     parameters: tuple[str, ...]
     effects: Mapping[str, Effect]
-    bounds: Limits
+    limits: Limits
     critical_t: float
     cost: float
     estimator: Estimator
@@ -284,7 +284,7 @@ class AircraftFitter:
                 replace(context.baseline.trajectory.point, effects=values),
             )
             with StagedModels(staged, data) as bench:
-                fit = context.estimator.fit(bench, data, starts, names, context.bounds, self.pool)
+                fit = context.estimator.fit(bench, data, starts, names, context.limits, self.pool)
             return assess(context, fit, values)
         except np.linalg.LinAlgError:
             return None
@@ -306,7 +306,7 @@ class AircraftFitter:
         names = [n for n in context.parameters if n in point.values]
         with StagedModels(staged, data) as bench:
             trajectory = fit_output_error(
-                bench.model, data, point, names, context.bounds, self.pool
+                bench.model, data, point, names, context.limits, self.pool
             )
             # The concentrated likelihood and this cost, of fixed noise, differ a little at the
             # optimum.
@@ -356,7 +356,7 @@ def joint_point(context: SearchContext, about: CandidateModel, keys: Sequence[st
     step = dict(zip(context.free, changes, strict=True))
     values = {n: point.values.get(n, v) for n, v in baseline.values.items()}
     start = replace(baseline, values=values, nuisance=point.nuisance)
-    shifted = apply_step(context.data, start, step, context.bounds)
+    shifted = apply_step(context.data, start, step, context.limits)
     delta[information.index(list(about.values))] -= [*about.values.values()]
     return replace(shifted, starts=step_starts(point.starts, information.white, delta))
 
@@ -414,11 +414,9 @@ def with_selection(
 
 def with_values(selection: Selection, values: Mapping[str, float]) -> Selection:
     """Return the selection with other values of some effects by key; standard errors stay."""
-    effects = tuple(
-        replace(c, value=values[c.key], t=values[c.key] / c.std) if c.key in values else c
-        for c in selection.chosen
+    return selection.with_each(
+        lambda c: replace(c, value=values[c.key], t=values[c.key] / c.std) if c.key in values else c
     )
-    return replace(selection, chosen=effects)
 
 
 def with_local_rate_limits(selection: Selection, model: CandidateModel) -> Selection:
@@ -442,7 +440,7 @@ def with_local_rate_limits(selection: Selection, model: CandidateModel) -> Selec
             return replace(c, std=max(c.std, value - lower_bound))
         return replace(c, value=float(np.clip(value + step, lower_bound, 0.0)), std=std)
 
-    return replace(selection, chosen=tuple(map(local, selection.chosen)))
+    return selection.with_each(local)
 
 
 # Copies of the aircraft.

@@ -72,8 +72,8 @@ def candidate_effects(
 
 def eligible(
     effects: Sequence[Effect], data: FlightData, free: Sequence[str], information: Information
-) -> dict[str, float]:
-    """Return the candidates to score beside the columns ``free``, with their penalties.
+) -> list[str]:
+    """Return the keys of the candidates to score beside the columns ``free``.
 
     Candidates without information of their own, of an impossible sign, and times that a replay
     cannot resolve are left out.
@@ -81,11 +81,11 @@ def eligible(
     present = [e for e in effects if e.key in information.names]
     result = score_tests(information, free, [e.key for e in present])
     rows = zip(present, result.estimate.tolist(), result.share, strict=True)
-    return {
-        e.key: e.penalty
+    return [
+        e.key
         for e, estimate, share in rows
         if share > 0.0 and _has_possible_sign(e, estimate, data) and _is_resolved(e, estimate, data)
-    }
+    ]
 
 
 def without_unresolved(
@@ -117,7 +117,7 @@ def without_unresolved(
     resolved = [k for k, value in values.items() if _is_resolved(by_key[k], value, data)]
     others_free = [n for n in free if n not in values]
     unselected = [e for e in effects if e.key in information.names and e.key not in resolved]
-    open_keys = list(eligible(unselected, data, free, information))
+    open_keys = eligible(unselected, data, free, information)
     closed = [e for e in unselected if e.key not in open_keys]
     short = _short_times(closed, others_free, resolved, information, data)
     if len(resolved) == len(values) and not short:
@@ -125,15 +125,10 @@ def without_unresolved(
     estimated = estimate_selected(information, others_free, resolved, [*open_keys, *short])
     if len(resolved) == len(values):
         # The same effects with more alternatives: their estimates are those of the flight.
-        by_key_flown = {c.key: c for c in selection.chosen}
+        simulated = {c.key: c for c in selection.chosen}
         estimated = tuple(
-            replace(
-                c,
-                value=by_key_flown[c.key].value,
-                std=by_key_flown[c.key].std,
-                t=by_key_flown[c.key].t,
-            )
-            for c in estimated
+            replace(c, value=s.value, std=s.std, t=s.t)
+            for c, s in ((c, simulated[c.key]) for c in estimated)
         )
     return replace(selection, chosen=estimated)
 
@@ -338,7 +333,7 @@ def clip_to_active_range(selection: Selection, data: FlightData) -> Selection:
         lower_bound = least_active_value(data, c.key)
         return c if c.value >= lower_bound else replace(c, value=lower_bound, t=lower_bound / c.std)
 
-    return replace(selection, chosen=tuple(clipped(c) for c in selection.chosen))
+    return selection.with_each(clipped)
 
 
 def least_active_value(data: FlightData, key: str) -> float:

@@ -83,7 +83,6 @@ from uqharness.refinement.candidates import (
 )
 from uqharness.refinement.estimators import (
     Estimator,
-    Limits,
     ModelFit,
     OutputErrorFit,
     ReplayEstimator,
@@ -253,29 +252,25 @@ def find_effects(
         If the aircraft lists no parameters.
     """
     # Baseline and timing: shift the controls until they are on time.
-    shifts: list[float] = []
-    std_s = 0.0
+    command_s, shifts, std_s = data.segments[0].command_s, list[float](), 0.0
     while True:
         baseline = fit_baseline(aircraft, data, extra, shifts, pool, callback, stages)
-        offset = baseline.controls_offset(data.segments[0].command_s, first=not shifts)
+        offset = controls_offset(baseline, command_s, first=not shifts)
         if offset is None:
             break
         callback(f"all controls act {1e3 * offset[0]:.1f} ms after their rows; shifting them")
         std_s = std_s if shifts else offset[1]
         shifts.append(offset[0])
     # Propose, fit, compare, stop.
-    context = baseline.context()
+    context = baseline.context
     fitter = AircraftFitter(aircraft, folder, pool)
     outcome = EffectSearch(context, fitter, callback).run(baseline.information)
-    model = outcome.model
-    if model.keys:
+    if outcome.model.keys:
         callback("estimating all parameters by output error")
-        model = fitter.polish(context, model, "settled")
-    result = _result_of(context, baseline, replace(outcome, model=model))
-    result = replace(result, late_s=sum(shifts))
+        outcome = replace(outcome, model=fitter.polish(context, outcome.model, "settled"))
+    result = replace(_result_of(context, baseline, outcome), late_s=sum(shifts))
     notes = [*baseline.notes, *note_unestimated([*aircraft.card.parameters], context.parameters)]
     if shifts:
-        command_s = data.segments[0].command_s
         notes.insert(0, offset_words(result.controls_late_s, std_s, command_s))
     return replace(result, notes=(*notes, *result.notes))
 
@@ -289,58 +284,19 @@ class Baseline:
 
     Attributes
     ----------
-    effects : list of Effect
-        The candidates.
+    context : SearchContext
+        What candidate models share, the fit among it.
     information : Information
         Columns of the fit and of all candidates.
     competes : bool
         Whether the time offset of all controls is among the columns.
+    notes : list of str
     """
 
-    estimator: Estimator
-    data: FlightData
-    fit: Linearisation
-    parameters: tuple[str, ...]
-    limits: Limits
-    cost: float
-    effects: list[Effect]
+    context: SearchContext
     information: Information
     competes: bool
     notes: list[str]
-
-    def context(self) -> SearchContext:
-        """Return the data that candidate models share."""
-        free = self.fit.columns[0].names
-        candidates = list(eligible(self.effects, self.data, free, self.information))
-        return SearchContext(
-            self.data,
-            self.fit,
-            self.parameters,
-            {e.key: e for e in self.effects},
-            self.limits,
-            self.estimator.critical_t(self.information, free, candidates),
-            self.cost,
-            self.estimator,
-        )
-
-    def controls_offset(self, command_s: float, *, first: bool) -> tuple[float, float] | None:
-        """Return the time offset of all controls and its standard error [s]; None without one.
-
-        ``command_s`` is the time between commands. ``first`` says whether the controls are as
-        recorded.
-        """
-        if not self.competes:
-            return None
-        # The information as it is with the controls at their rows.
-        nuisance = self.fit.trajectory.point.nuisance
-        offsets = {control_delay_name(f): nuisance[control_delay_name(f)] for f in self.data.timed}
-        information = self.information.without_values(offsets)
-        free = [n for n in self.fit.columns[0].names if n not in offsets]
-        required_gains = eligible(self.effects, self.data, free, information)
-        critical_t = max(sidak_critical_t(len(required_gains) + 1), self.estimator.least_critical_t)
-        return controls_offset(
-            information, free, required_gains, critical_t, *offset_tolerance_s(command_s, first)
-        )
 
 
 def fit_baseline(
@@ -406,25 +362,25 @@ def fit_baseline(
         callback(f"scoring {len(effects)} candidate effects")
     # Linearise about the model of the chosen estimator, with every candidate as a column.
     model = air or with_residual_noise(fitted, replayed.fit)
-    estimator = estimator_for(model.turbulence)
-    parameters = replayed.names if air is None else replayed.excited
-    data = with_servo_limits(model.data, model.fit, estimator)
+    estimator, fit = estimator_for(model.turbulence), model.fit
+    data = with_servo_limits(model.data, fit, estimator)
     # A common delay of the controls competes, unless it was corrected before.
     competes = len(shifts) < MAX_CORRECTIONS and not data.late
     scored = [*effects, CONTROLS_LATE] if competes else effects
-    columns = effect_columns(data, model.fit.probes, model.fit.trajectory, scored)
-    return Baseline(
-        estimator,
+    columns = effect_columns(data, fit.probes, fit.trajectory, scored)
+    information = estimator.information(data, fit, columns, effects)
+    free = fit.columns[0].names
+    context = SearchContext(
         data,
-        model.fit,
-        parameters,
+        fit,
+        replayed.names if air is None else replayed.excited,
+        {e.key: e for e in effects},
         limits,
+        estimator.critical_t(information, free, eligible(effects, data, free, information)),
         model.neg2_log_likelihood,
-        effects,
-        estimator.information(data, model.fit, columns, effects),
-        competes,
-        notes,
+        estimator,
     )
+    return Baseline(context, information, competes, notes)
 
 
 def least_cost_in_calm_air(
@@ -452,12 +408,7 @@ def least_cost_in_calm_air(
 
 
 def controls_offset(
-    information: Information,
-    free: Sequence[str],
-    required_gains: Mapping[str, float],
-    critical_t: float,
-    least_s: float,
-    earliest_s: float,
+    baseline: Baseline, command_s: float, *, first: bool
 ) -> tuple[float, float] | None:
     """Return the time by which all controls act after their rows, and its standard error [s].
 
@@ -466,26 +417,29 @@ def controls_offset(
 
     Parameters
     ----------
-    information : Information
-        With the column of CONTROLS_LATE.
-    free : sequence of str
-        Columns that are always estimated.
-    required_gains : mapping
-        Candidate to the gain required of it.
-    critical_t : float
-        |t| required.
-    least_s, earliest_s : float
-        Offsets between -earliest_s and least_s are no error of the record.
+    baseline : Baseline
+    command_s : float
+        Time between commands [s].
+    first : bool
+        Whether the controls are as recorded.
     """
-    key = CONTROLS_LATE.key
+    if not baseline.competes:
+        return None
+    # The information as it is with the controls at their rows.
+    key, context = CONTROLS_LATE.key, baseline.context
+    nuisance = context.baseline.trajectory.point.nuisance
+    offsets = {n: nuisance[n] for n in map(control_delay_name, context.data.timed)}
+    information = baseline.information.without_values(offsets)
+    free = [n for n in context.free if n not in offsets]
     value, std, _ = corrected_estimate(information, free, key)
-    if not abs(value / std) > critical_t or not (value > least_s or value < -earliest_s):
+    rivals = eligible([*context.effects.values()], context.data, free, information)
+    critical_t = max(sidak_critical_t(len(rivals) + 1), context.estimator.least_critical_t)
+    latest_s, earliest_s = offset_tolerance_s(command_s, first)
+    if not abs(value / std) > critical_t or -earliest_s <= value <= latest_s:
         return None
     gain = float(score_tests(information, free, [key]).gain[0])
-    rivals = list(required_gains)
-    rival_gain = score_tests(information, free, rivals).gain - np.array(
-        [required_gains[k] for k in rivals]
-    )
+    penalties = np.array([context.effects[k].penalty for k in rivals])
+    rival_gain = score_tests(information, free, rivals).gain - penalties
     if np.nanmax(rival_gain, initial=0.0) > gain:
         return None
     lags = [k for k in rivals if k.startswith("effect/actuator.") and k.endswith("/lag")]
@@ -789,13 +743,13 @@ def listed(keys: Iterable[str]) -> str:
 
 def _result_of(context: SearchContext, baseline: Baseline, outcome: SearchOutcome) -> SearchResult:
     """Return the result of a search whose best model is final."""
-    model, estimator = outcome.model, context.estimator
+    model, estimator, all_effects = outcome.model, context.estimator, [*context.effects.values()]
     # Estimates by replays are at their optimum; linear ones include the last step.
     is_linear = not estimator.uses_replays
     if model.keys:
         resolved = without_unresolved(
             model.selection,
-            [*context.effects.values()],
+            all_effects,
             context.data,
             model.free,
             model.information,
@@ -821,7 +775,6 @@ def _result_of(context: SearchContext, baseline: Baseline, outcome: SearchOutcom
         baseline.information, context.parameters, context.baseline, (), moved=is_linear
     )
     selection, slopes = of_lift_slope(selection, context.baseline, model.fit)
-    all_effects = [*context.effects.values()]
     candidates = eligible(all_effects, context.data, model.free, model.information)
     scored = eligible(all_effects, context.data, context.free, baseline.information)
     return SearchResult(
@@ -873,7 +826,7 @@ def with_time_resolution(
         std = float(np.hypot(c.std, RESOLVED_ROWS * dt_s))
         return replace(c, std=std, t=c.value / std)
 
-    return replace(selection, chosen=tuple(widened(c) for c in selection.chosen))
+    return selection.with_each(widened)
 
 
 def chosen_interval(effect: SelectedEffect, critical_t: float) -> tuple[float, float]:

@@ -119,19 +119,7 @@ def place_of(
 
 def no_place(reason: str) -> dict[str, Any]:
     """Return the document without a place, and the reason."""
-    names = (
-        "flights",
-        "flight",
-        "manoeuvre",
-        "channel",
-        "from_s",
-        "to_s",
-        "from_Hz",
-        "to_Hz",
-        "rms_over_noise",
-        "share_of_excess",
-    )
-    empty: dict[str, Any] = dict.fromkeys((*names, "p", "state", "channel_on_train", "would_tell"))
+    empty: dict[str, Any] = dict.fromkeys(ResidualLocation.model_fields)
     return empty | {"candidates": [], "reason": reason, "state_reason": reason}
 
 

@@ -683,15 +683,14 @@ def of_lift_slope(
     if not estimate * slopes["CZ_alpha"] > 0.0:
         return selection, slopes
     ratio = slopes["CZ_alpha"] / estimate
-    chosen = tuple(
-        (
+    of_slope = selection.with_each(
+        lambda c: (
             replace(c, value=ratio * c.value, std=ratio * c.std)
             if c.key.startswith("effect/stall/")
             else c
         )
-        for c in selection.chosen
     )
-    return replace(selection, chosen=chosen), {**slopes, "CZ_alpha": estimate}
+    return of_slope, {**slopes, "CZ_alpha": estimate}
 
 
 # A smooth term written as a JSBSim table, under a name that nobody takes for physics.

@@ -48,7 +48,7 @@ def test_parameters_and_start_states_move_with_the_effects():
         data=SimpleNamespace(active=(), carriers={}, nuisance=(), jumping=()),
         baseline=SimpleNamespace(trajectory=SimpleNamespace(point=plain)),
         free=["aero/a"],
-        bounds={},
+        limits={},
     )
     result = joint_point(context, about, ["effect/one"])  # type: ignore[arg-type]
     assert result.values == pytest.approx({"aero/a": 12.0, "aero/b": 7.0}, abs=1e-5)
@@ -57,7 +57,7 @@ def test_parameters_and_start_states_move_with_the_effects():
         # Two of a and three of one more than was flown, and a half of the other less.
         expected = w.start[0] @ [1.0, 2.0, 3.0, -0.5]
         assert moved[V] - start[V] == pytest.approx(expected, abs=1e-4)
-    context.bounds["aero/a"] = (0.0, 11.0)
+    context.limits["aero/a"] = (0.0, 11.0)
     clipped = joint_point(context, about, ["effect/one"])  # type: ignore[arg-type]
     assert clipped.values["aero/a"] == 11.0
 

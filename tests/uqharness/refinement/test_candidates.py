@@ -74,8 +74,8 @@ def test_what_the_search_did_without_is_no_candidate():
 
 def test_a_servo_may_be_faster_than_its_xml_has_it_if_that_has_a_lag():
     assert {k.rpartition("/")[2] for k in at(-2e-2, {}, {"aileron": Actuator(25.0)})} == {"lag"}
-    assert at(-2e-2, {}, {"aileron": Actuator(None)}) == {}
-    assert at(-2e-2, {}, {"rudder": Actuator(25.0)}) == {}
+    assert at(-2e-2, {}, {"aileron": Actuator(None)}) == []
+    assert at(-2e-2, {}, {"rudder": Actuator(25.0)}) == []
 
 
 @pytest.mark.parametrize(
