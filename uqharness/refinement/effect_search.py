@@ -62,6 +62,7 @@ from uqharness.identification.linearised import (
     StagedModels,
     control_delay_name,
     effect_columns,
+    is_turbulent,
     make_flight_data,
     one_step_estimates,
     with_jumping_flights,
@@ -89,7 +90,6 @@ from uqharness.refinement.estimators import (
     estimator_for,
     fit_in_turbulence,
     fit_without_effects,
-    looks_turbulent,
     note_unestimated,
     with_residual_noise,
 )
@@ -330,7 +330,7 @@ def fit_baseline(
         n: unlimited if c.bounds is None else c.bounds for n, c in aircraft.card.parameters.items()
     }
     # One staged copy of the aircraft serves both estimators.
-    air: ModelFit | None = None
+    turbulent_fit: ModelFit | None = None
     with StagedModels(aircraft, data) as bench:
         callback("re-identifying the parameters")
         data = with_jumping_flights(data, bench.model)
@@ -342,12 +342,12 @@ def fit_baseline(
         # The noise of the fit weighs the residuals from here on.
         notes, fitted = replayed.notes, replace(data, noise=replayed.noise)
         effects = candidate_effects(fitted, requested, extra)
-        if looks_turbulent(fitted, replayed.fit):
+        if is_turbulent(fitted, replayed.fit.trajectory):
             callback(
                 "turbulent air: predicting one sample ahead, scoring"
                 f" {len(effects)} candidate effects"
             )
-            air = stages(
+            turbulent_fit = stages(
                 f"air{suffix}",
                 ModelFit,
                 lambda: fit_in_turbulence(aircraft, bench, fitted, replayed, limits, pool),
@@ -355,13 +355,14 @@ def fit_baseline(
             # Missing effects, too, leave what looks like turbulence: the likelihood decides,
             # with all candidates in calm air against none in turbulence.
             calm_cost = least_cost_in_calm_air(fitted, replayed.fit, effects)
-            is_air = air.turbulence is not None and air.turbulence.air
-            if not is_air or calm_cost < air.neg2_log_likelihood:
-                air, notes = None, [*notes, CALM_AFTER_ALL]
-    if air is None:
+            air = turbulent_fit.turbulence
+            is_air = air is not None and air.air
+            if not is_air or calm_cost < turbulent_fit.neg2_log_likelihood:
+                turbulent_fit, notes = None, [*notes, CALM_AFTER_ALL]
+    if turbulent_fit is None:
         callback(f"scoring {len(effects)} candidate effects")
     # Linearise about the model of the chosen estimator, with every candidate as a column.
-    model = air or with_residual_noise(fitted, replayed.fit)
+    model = turbulent_fit or with_residual_noise(fitted, replayed.fit)
     estimator, fit = estimator_for(model.turbulence), model.fit
     data = with_servo_limits(model.data, fit, estimator)
     # A common delay of the controls competes, unless it was corrected before.
@@ -373,7 +374,7 @@ def fit_baseline(
     context = SearchContext(
         data,
         fit,
-        replayed.names if air is None else replayed.excited,
+        replayed.names if turbulent_fit is None else replayed.excited,
         {e.key: e for e in effects},
         limits,
         estimator.critical_t(information, free, eligible(effects, data, free, information)),

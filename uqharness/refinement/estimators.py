@@ -56,7 +56,6 @@ from uqharness.identification.linearised import (
     fit_start_values,
     follow_in_free_air,
     gust_refit,
-    is_turbulent,
     join_columns,
     mean_heading,
     observations_of,
@@ -720,11 +719,6 @@ def fit_in_turbulence(
         initial=dict(zip(names, current, strict=True)),
     )
     return ModelFit(result.setup, result.fit, result.neg2_log_likelihood, result.gusts)
-
-
-def looks_turbulent(data: FlightData, fit: Linearisation) -> bool:
-    """Return whether the residuals of replays resemble process noise."""
-    return is_turbulent(data, fit.trajectory)
 
 
 def with_residual_noise(data: FlightData, fit: Linearisation) -> ModelFit:

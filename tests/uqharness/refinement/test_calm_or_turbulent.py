@@ -25,7 +25,7 @@ PAIR = tuple(ENTRIES[k].effect(100.0) for k in ("CX:q_hat", "Cn:alpha*p_hat"))
     [(PAIR, 0.0, ReplayEstimator), ((), 6.0, PredictionErrorEstimator)],
 )
 def test_effects_in_calm_air_are_no_gusts(effects, w20_kt, estimator, tmp_path, monkeypatch):
-    monkeypatch.setattr(effect_search, "looks_turbulent", lambda *_: True)
+    monkeypatch.setattr(effect_search, "is_turbulent", lambda *_: True)
     cards = [card(60 + k, 20.5 + 3.0 * k, seconds=40.0, first=4 * k, w20_kt=w20_kt) for k in (0, 1)]
     paths = [tmp_path / f"{k}.parquet" for k in (0, 1)]
     for record, path in zip(
@@ -38,4 +38,4 @@ def test_effects_in_calm_air_are_no_gusts(effects, w20_kt, estimator, tmp_path, 
     baseline = effect_search.fit_baseline(
         aircraft, data, (), [], SERIAL, lambda _: None, Stages(None, ())
     )
-    assert isinstance(baseline.estimator, estimator)
+    assert isinstance(baseline.context.estimator, estimator)
