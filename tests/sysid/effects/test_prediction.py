@@ -21,7 +21,6 @@ from sysid.effects.prediction import (
     Columns,
     FilteredSegment,
     LazyColumns,
-    column_names,
     filter_segments,
     iterate_whitened,
     neg2_log_likelihood,
@@ -29,7 +28,7 @@ from sysid.effects.prediction import (
     whiten_filtered,
     with_air,
 )
-from sysid.effects.selection import select, sidak_critical_t
+from sysid.effects.selection import sidak_critical_t
 from sysid.estimation.kalman import Process
 from tests.helpers.linear_systems import system
 
@@ -192,34 +191,6 @@ CONFIRMING = np.arange(9) % 3 == 1
 ODDS = dict.fromkeys(("c1", "c2", "c3", "c4", "c5"), 0.0)
 
 
-def test_the_hidden_effect_is_chosen_and_estimated():
-    evidence = flights({"c3": 0.2}, 3, group=CONFIRMING)
-    (choice,) = select(evidence, ["a", "b"], ODDS).chosen
-    assert choice.key == "c3"
-    assert abs(choice.value - 0.2) < 3.0 * choice.std
-    assert choice.confirmed_gain > 0.0
-
-
-def test_two_hidden_effects_are_both_chosen():
-    evidence = flights({"c3": 0.2, "c5": -0.15}, 4, group=CONFIRMING)
-    assert {c.key for c in select(evidence, ["a", "b"], ODDS).chosen} == {"c3", "c5"}
-
-
-def test_without_an_effect_nothing_is_chosen():
-    chosen = [
-        bool(select(flights({}, seed, group=CONFIRMING), ["a", "b"], ODDS).chosen)
-        for seed in range(20, 32)
-    ]
-    assert sum(chosen) <= 1
-
-
-def test_one_and_the_same_cause_stands_as_inseparable():
-    evidence = flights({"c1": 0.2}, 5, group=CONFIRMING)
-    (choice,) = select(evidence, ["a", "b"], {**ODDS, "c6": 0.5}).chosen
-    assert choice.key == "c1"
-    assert (choice.alternatives[0].key, choice.alternatives[0].separable) == ("c6", False)
-
-
 def test_a_candidate_that_the_parameters_hold_already_has_no_score():
     evidence = flights({}, 6)
     assert np.isnan(score_tests(evidence, ["a", "b", "c1"], ["c6"]).t[0])
@@ -259,16 +230,6 @@ def test_the_limit_grows_with_the_number_of_candidates():
     assert sidak_critical_t(300, 0.01) > 4.0
 
 
-def test_an_effect_taken_out_is_found_again():
-    evidence = flights({"c3": 0.2}, 3)
-    away = evidence.without_values({"c3": -0.2})
-    assert abs(score_tests(away, ["a", "b"], ["c3"]).t[0]) < 4.0
-    again = away.without_values({"c3": 0.2})
-    assert score_tests(again, ["a", "b"], ["c3"]).t[0] == pytest.approx(
-        score_tests(evidence, ["a", "b"], ["c3"]).t[0], rel=1e-6
-    )
-
-
 def test_a_step_leaves_what_is_held_where_it_is():
     evidence = flights({"c3": 0.2}, 3)
     whole, length = evidence.step()
@@ -280,37 +241,6 @@ def test_a_step_leaves_what_is_held_where_it_is():
         held, evidence.estimates(evidence.index([n for n in evidence.names if n != "c3"]))
     )
     assert 0.0 < shorter < length
-
-
-def test_columns_made_when_they_are_asked_for_are_those_that_were_there():
-    rng = np.random.default_rng(4)
-    n, names = 30, ("p", "off", "effect")
-    steps = [system(n, k) for k in range(3)]
-    z = [rng.standard_normal((n, M)) for _ in steps]
-    columns = [
-        Columns(
-            names,
-            {"p": (4, rng.standard_normal(n)), "effect": (-1, rng.standard_normal((n, 6)))},
-            {"off": np.ones((n, M))},
-        )
-        for _ in steps
-    ]
-    made: list[tuple[int, Collection[str]]] = []
-
-    def make(k: int, some: Collection[str]) -> Columns:
-        made.append((k, some))
-        return columns[k]
-
-    later = LazyColumns(names, make, len(columns))
-    there, then = (whiten(steps, z, c, range(M), np.ones(M)) for c in (columns, later))
-    for a, b in zip(there, then, strict=True):
-        np.testing.assert_array_equal(a.columns, b.columns)
-    assert made == [(k, frozenset(names)) for k in range(3)]
-    assert later.some(1, ["effect"]).names == ("effect",)
-    assert made[-1] == (1, {"effect"})
-    assert column_names(later) == column_names(columns) == names
-    with pytest.raises(IndexError):
-        later[3]
 
 
 @pytest.mark.parametrize("gusty", [True, False])
@@ -386,12 +316,3 @@ def test_groups_of_segments_say_the_same_as_their_segments_and_are_not_split():
     some[np.flatnonzero(some)[0]] = False
     with pytest.raises(ValueError, match="one group"):
         groups.of_segments(some)
-
-
-def test_what_is_asked_again_is_remembered_by_its_columns_alone(monkeypatch):
-    evidence = flights({"c3": 0.2}, 3)
-    first = corrected_estimates(evidence, ["a", "b", "c3"], ["a"])
-    monkeypatch.setattr("sysid.effects.information.sandwich_covariance", None)
-    assert corrected_estimates(evidence, ["c3", "b", "a"], ["a"]) == first
-    with pytest.raises(TypeError):
-        corrected_estimates(evidence, ["a", "c3"], ["a"])

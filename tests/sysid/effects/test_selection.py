@@ -286,3 +286,22 @@ def test_beside_an_overwhelming_effect_that_has_flown_a_weak_one_is_asked_no_mor
     assert [
         c.key for c in select(noise, [], penalty, chosen=["strong", "weak"], decisive_t=15.0).chosen
     ] == ["strong"]
+
+
+def test_the_limit_counts_errors_of_coloured_residuals():
+    """Slow columns and residuals have few independent samples: |t| by white noise exceeds 4 in a
+    third of the draws without an effect.
+    """
+    kernel = np.ones(20) / np.sqrt(20.0)
+
+    def slow(rng: np.random.Generator) -> np.ndarray:
+        return np.apply_along_axis(lambda s: np.convolve(s, kernel, "same"), 1, drawn(rng))
+
+    above_by_white_noise, chosen = 0, 0
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        found = evidence({"absent": slow(rng)}, slow(rng))
+        above_by_white_noise += abs(score_tests(found, [], ["absent"]).t[0]) > 4.0
+        chosen += bool(select(found, [], {"absent": 0.0}, critical_t=4.0).chosen)
+    assert above_by_white_noise >= 5
+    assert chosen <= 2
