@@ -35,7 +35,7 @@ from sysid.effects.prediction import (
 from sysid.estimation import sandwich_covariance
 
 Index = NDArray[np.intp]
-Estimate = tuple[float, float, float]
+CorrectedEstimate = tuple[float, float, float]
 """Value, standard error corrected for colour, and that of white residuals."""
 DEPENDENT = 1e-5
 """Share of a column that must remain after projection on the free columns; less is no
@@ -57,7 +57,7 @@ class Information:
         Group of each segment.
     prior : (K,) array
         Prior information.
-    white : sequence of White
+    white : sequence of WhitenedSegment
         The filtered segments.
     stored : tuple of str or None
         Columns that ``white`` holds, in its order; None for all. Others are computed on demand.
@@ -72,7 +72,9 @@ class Information:
     prior: FloatArray
     white: Sequence[WhitenedSegment]
     stored: tuple[str, ...] | None = None
-    cache: dict[frozenset[str], dict[str, Estimate]] = field(default_factory=dict, init=False)
+    cache: dict[frozenset[str], dict[str, CorrectedEstimate]] = field(
+        default_factory=dict, init=False
+    )
 
     def index(self, names: Iterable[str]) -> Index:
         """Return the positions (n,) of columns in ``gram`` and ``score``.
@@ -178,7 +180,7 @@ def normal_equations(
 
     Parameters
     ----------
-    white : iterable of White
+    white : iterable of WhitenedSegment
         Filtered segments.
     names : sequence of str
         Their columns.
@@ -305,7 +307,9 @@ def score_tests(
         )
 
 
-def corrected_estimate(information: Information, free: Sequence[str], candidate: str) -> Estimate:
+def corrected_estimate(
+    information: Information, free: Sequence[str], candidate: str
+) -> CorrectedEstimate:
     """Return a candidate's estimate, its standard error for coloured residuals, and that for white
     ones.
     """
@@ -314,7 +318,7 @@ def corrected_estimate(information: Information, free: Sequence[str], candidate:
 
 def corrected_estimates(
     information: Information, names: Sequence[str], requested: Sequence[str]
-) -> dict[str, Estimate]:
+) -> dict[str, CorrectedEstimate]:
     """Return `corrected_estimate` of the ``requested`` columns, all ``names`` estimated jointly.
 
     The residuals and their colour are the same for all of them and computed once.
@@ -331,7 +335,7 @@ def corrected_estimates(
 
 def _compute_corrected(
     information: Information, names: Sequence[str], requested: Sequence[str]
-) -> dict[str, Estimate]:
+) -> dict[str, CorrectedEstimate]:
     """Compute the estimates of `corrected_estimates`."""
     names, some = list(names), information.index(names)
     G = information.total[0][np.ix_(some, some)]
@@ -453,7 +457,7 @@ def likeliest_colour(
 
     Parameters
     ----------
-    columns : MadeColumns
+    columns : LazyColumns
         Columns of the model and of all candidates.
     fitted : tuple
         The colour estimated with the model, and the information given it.

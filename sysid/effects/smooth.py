@@ -199,7 +199,9 @@ class SmoothFit:
         return rows @ self.values, np.sqrt(np.einsum("nk,kj,nj->n", rows, self.cov, rows))
 
     def stands_out(self, terms_tried: int) -> bool:
-        """Return whether the term is significant as the best of so many, at level FAMILY."""
+        """Return whether the term is significant as the best of so many, at level
+        `FAMILY_ERROR_RATE`.
+        """
         return self.p * terms_tried < FAMILY_ERROR_RATE
 
 

@@ -134,6 +134,18 @@ class SearchContext:
             decisive_t=OVERWHELMING_T,
         )
 
+    def model_without_effects(self, information: Information) -> CandidateModel:
+        """Return the baseline as the first candidate model; its selection proposes effects."""
+        return CandidateModel(
+            self.data,
+            self.baseline,
+            information,
+            Selection(()),
+            self.select(information, self.free),
+            self.cost,
+            self.estimator.turbulence,
+        )
+
 
 @dataclass(frozen=True)
 class CandidateModel:

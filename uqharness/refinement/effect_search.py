@@ -522,13 +522,13 @@ class EffectSearch:
         A servo with delayed commands resembles a late gyro, a late attitude and a lag.
         ``information`` is that of the model without effects.
         """
-        outcome = self._run_once(information, "round")
+        outcome = self.search(information, "round")
         doubtful = delays_among_times(outcome.model.selection.chosen, self.context.effects)
         if not doubtful:
             return outcome
         effects = {k: e for k, e in self.context.effects.items() if not is_channel_delay(e)}
         second = replace(self, context=replace(self.context, effects=effects))
-        other = second._run_once(information, "whole")
+        other = second.search(information, "whole")
         # Unless it is less likely by more than chance gives, on the same samples.
         if self.context.estimator.same_samples(outcome.model.keys, other.model.keys):
             largest_criterion = outcome.model.criterion + CERTAIN_T**2
@@ -541,36 +541,26 @@ class EffectSearch:
         )
         return replace(other, notes=(note,))
 
-    def _run_once(self, information: Information, label: str) -> SearchOutcome:
-        """Run the loop with the current candidates."""
+    def search(self, information: Information, label: str) -> SearchOutcome:
+        """Propose, fit and compare with the current candidates until a model proposes itself."""
         context = self.context
-        # The model without effects proposes first.
-        first = context.select(information, context.free)
-        baseline = CandidateModel(
-            context.data,
-            context.baseline,
-            information,
-            Selection(()),
-            first,
-            context.cost,
-            context.estimator.turbulence,
-        )
-        reference_model, models = baseline, list[CandidateModel]()
+        reference = baseline = context.model_without_effects(information)
+        models: list[CandidateModel] = []
         visited: set[frozenset[str]] = set()
-        trail = [f"round 1: {line}" for line in first.trail]
+        trail = [f"round 1: {line}" for line in baseline.reselection.trail]
         competitors_left = MAX_COMPETITORS
         for number in range(2, MAX_MODELS + 2):
             # Propose: stop at a model that proposes itself.
-            proposal = reference_model.reselection
-            if reference_model.is_stationary or not proposal.chosen:
+            proposal = reference.reselection
+            if reference.is_stationary or not proposal.chosen:
                 break
             # Fit the proposal, and competing ones where its newest effect is doubtful.
             self.callback(f"round {number}: fitting {listed(proposal.values)}")
             name = f"{label}{number}"
-            model = self.fitter.fit(context, proposal, reference_model, name)
+            model = self.fitter.fit(context, proposal, reference, name)
             if model is not None:
                 trail += [f"round {number}: {line}" for line in model.reselection.trail]
-            competitors = competing_proposals(context, model, proposal, reference_model)[
+            competitors = competing_proposals(context, model, proposal, reference)[
                 :competitors_left
             ]
             competitors_left -= len(competitors)
@@ -579,7 +569,7 @@ class EffectSearch:
                 self.callback(f"fitting competing effects: {texts}")
             # Compare: one at a time, because a model takes a tenth of a gigabyte and more.
             for k, other in enumerate(competitors):
-                trial = self.fitter.fit(context, other, reference_model, f"{name}-instead{k}")
+                trial = self.fitter.fit(context, other, reference, f"{name}-instead{k}")
                 model = best_model([m for m in (trial, model) if m is not None])
                 del trial
             if model is None:
@@ -593,7 +583,7 @@ class EffectSearch:
                 trail.append(f"round {number}: {winner} has a lower criterion than {loser}")
             # Keep the best of each set of samples, and the last.
             models = [*(m for m in models if m is best_model([*models, m])), model]
-            reference_model = model
+            reference = model
             # Stop where the search would cycle.
             visited.add(model.keys)
             following = frozenset(model.reselection.values)

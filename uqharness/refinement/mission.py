@@ -61,7 +61,7 @@ from uqharness.toml import read_toml
 # What a mission came to with the model before and after a refinement: two p-boxes of every
 # metric.
 
-FOLDER = "pbox"
+PBOX_FOLDER = "pbox"
 PROBABILITIES = (0.05, 0.5, 0.95)
 
 
@@ -192,7 +192,7 @@ def fly_missions(
             data = campaign_for(next(iter(models.values())), campaign)
             for name, aircraft in models.items():
                 spec = specification(data, aircraft, forms[name])
-                folder = inner_folder(out, FOLDER, name)
+                folder = inner_folder(out, PBOX_FOLDER, name)
                 _clear_if_other(folder, spec)
                 run_campaign(
                     spec,
@@ -205,7 +205,7 @@ def fly_missions(
         except BadInputError as error:
             return no_pbox(str(error))
     every = list(frames.values())
-    return _document(spec, [f"{FOLDER}/{name}" for name in models], every[0], every[-1])
+    return _document(spec, [f"{PBOX_FOLDER}/{name}" for name in models], every[0], every[-1])
 
 
 def _clear_if_other(folder: Path, spec: CampaignSpec) -> None:

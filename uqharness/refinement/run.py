@@ -49,9 +49,9 @@ from uqharness.refinement.hold_out import (
     point_as_written,
     without_effects,
 )
-from uqharness.refinement.mission import FOLDER as PBOX
-from uqharness.refinement.mission import INTERVALS_FOLDER as INTERVALS
 from uqharness.refinement.mission import (
+    INTERVALS_FOLDER,
+    PBOX_FOLDER,
     FlightSet,
     IntervalJob,
     Intervals,
@@ -62,11 +62,11 @@ from uqharness.refinement.mission import (
 )
 from uqharness.refinement.smooth_terms import (
     EXPLAINED,
+    SMOOTH_FOLDER,
     drop_unclear_effects,
     find_smooth_term,
 )
-from uqharness.refinement.smooth_terms import FOLDER as UNNAMED
-from uqharness.refinement.stages import FOLDER, Stages
+from uqharness.refinement.stages import STAGES_FOLDER, Stages
 from uqharness.refinement.write_xml import EffectToWrite
 from uqharness.replay import CONTROLS, numbers_of_files, read_flights, unique_names
 from uqharness.requests.refinement import STAGES, RefineRequest
@@ -174,10 +174,11 @@ def _refine(job: Job, callback: Callback, forecast: Forecast) -> Refinement:
     times = [f.record["time_s"] for f in (*train_read.flights, *test_read.flights)]
     forecast.expect(request.options.expected_s(float(sum(t[-1] - t[0] for t in times))))
     identity = _identity(request)
-    stages = Stages(request.out / FOLDER, identity)
+    stages = Stages(request.out / STAGES_FOLDER, identity)
     # The stages of the test are kept if a mission follows, which takes minutes.
     kept_stages = Stages(
-        request.out / FOLDER if request.options.pbox else None, [*identity, *test_read.hashes]
+        request.out / STAGES_FOLDER if request.options.pbox else None,
+        [*identity, *test_read.hashes],
     )
     with worker_map(request.options.workers) as pool, scratch_folder() as scratch:
         write = _writer(request, scratch.path / "models")
@@ -242,19 +243,21 @@ def _refine(job: Job, callback: Callback, forecast: Forecast) -> Refinement:
         # 7. What remains.
         with StagedModels(request.aircraft, train_side.data) as bench:
             controls = positions(bench.model, train_side.data)
-        chosen_document = document_of(chosen, outcome, request.aircraft, controls)
-        document = _with_smooth(
-            chosen_document, *_smooth_term(request, chosen_document, outcome, write, pool, callback)
+        document = document_of(chosen, outcome, request.aircraft, controls)
+        smooth, reason = _smooth_term(request, document, outcome, write, pool, callback)
+        remaining = document.remaining.model_copy(
+            update={"smooth": smooth, "smooth_reason": reason}
         )
+        parts: dict[str, Any] = {"remaining": remaining}
     # 8. Fly the mission with both models.
     forms = write_forms(dict(zip(models, intervals, strict=True)), request.out)
     mission = _mission(request, models, forms, callback)
     stages.remove()
-    last: dict[str, Any] = {"seconds": round(time.perf_counter() - start_s, 1)}
+    parts["seconds"] = round(time.perf_counter() - start_s, 1)
     if baked is not None:
         changed: dict[str, list[float | None]] = {n: [*v] for n, v in baked.changed.items()}
-        last["baked"] = Baked(changed=changed, kept=list(baked.remaining))
-    final = _complete(request, document, intervals, mission, last)
+        parts["baked"] = Baked(changed=changed, kept=list(baked.remaining))
+    final = _complete(request, document, intervals, mission, parts)
     return Refinement(final, chosen, outcome, target, request.aircraft, earlier_damage)
 
 
@@ -415,7 +418,7 @@ def _smooth_term(
 
     Its aircraft is written beside the refined one. Otherwise the reason is returned.
     """
-    stale = request.out / UNNAMED / "aircraft" / request.aircraft.folder.name
+    stale = request.out / SMOOTH_FOLDER / "aircraft" / request.aircraft.folder.name
     if (stale / request.aircraft.card.aircraft.xml).is_file():
         shutil.rmtree(stale)
     if document.verdict != "unexplained":
@@ -425,17 +428,9 @@ def _smooth_term(
     if isinstance(result, str):
         return None, result
     aircraft, smooth = result
-    placed = _place(aircraft, request.aircraft, request.out / UNNAMED)
-    model = f"{UNNAMED}/aircraft/{placed.folder.name}/{placed.card.aircraft.xml}"
+    placed = _place(aircraft, request.aircraft, request.out / SMOOTH_FOLDER)
+    model = f"{SMOOTH_FOLDER}/aircraft/{placed.folder.name}/{placed.card.aircraft.xml}"
     return smooth.model_copy(update={"model": model}), None
-
-
-def _with_smooth(
-    document: RefinementDocument, smooth: SmoothTerm | None, reason: str | None
-) -> RefinementDocument:
-    """Return the document with a smooth term, or with the reason why there is none."""
-    parts = {"smooth": smooth, "smooth_reason": reason}
-    return document.model_copy(update={"remaining": document.remaining.model_copy(update=parts)})
 
 
 def _writer(request: Job, folder: Path) -> Write:
@@ -487,12 +482,12 @@ def _remove_stale(out: Path, aircraft: Aircraft) -> None:
     before = out / "before" / "aircraft" / aircraft.folder.name
     if (before / aircraft.card.aircraft.xml).is_file():
         shutil.rmtree(before)
-    if (mission := out / PBOX / "after").is_dir():
+    if (mission := out / PBOX_FOLDER / "after").is_dir():
         from uqharness.campaign import MANIFEST
 
         if (mission / MANIFEST).is_file():
             shutil.rmtree(mission)
-    (out / INTERVALS / "after.json").unlink(missing_ok=True)
+    (out / INTERVALS_FOLDER / "after.json").unlink(missing_ok=True)
 
 
 def _mission(
@@ -518,7 +513,7 @@ def _complete(
     document: RefinementDocument,
     intervals: Sequence[Intervals],
     mission: Mission,
-    last: Mapping[str, Any],
+    parts: Mapping[str, Any],
 ) -> RefinementDocument:
     """Return the document with intervals, mission and provenance."""
     assert document.gap.train is not None
@@ -537,6 +532,6 @@ def _complete(
             "train": [p.name for p in request.train],
             "test": [p.name for p in request.test],
             "command": shlex.join(request.command),
-            **last,
+            **parts,
         }
     )

@@ -71,7 +71,7 @@ from uqharness.simulator import Aircraft
 
 STATES = ("alpha", "beta", "p_hat", "q_hat", "r_hat", "de", "da", "dr", "CT", "V_rel")
 """States of the curves."""
-FOLDER = "unnamed"
+SMOOTH_FOLDER = "unnamed"
 """Folder of the aircraft with the term, beside the refined one."""
 EXPLAINED = "the catalogue leaves no residual that needs one"
 Inputs = dict[str, tuple[int, FloatArray]]

@@ -16,7 +16,7 @@ from uqharness.files import write_parts
 
 _LOG = logging.getLogger("uqharness")
 T = TypeVar("T")
-FOLDER = ".stages"
+STAGES_FOLDER = ".stages"
 MAX_BYTES = 2_000_000_000
 """Largest file of a stage; an hour of flights at 50 Hz takes less."""
 _NAME = re.compile(r"[a-z]+[0-9]*-[0-9a-f]{16}\.data")

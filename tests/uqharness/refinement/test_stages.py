@@ -13,12 +13,12 @@ from sysid.effects import Information
 from sysid.errors import Finding
 from sysid.foreign.typed_files import dump
 from uqharness.identification.linearised import Linearisation, ModelState, Trajectory
-from uqharness.refinement.stages import FOLDER, Stages
+from uqharness.refinement.stages import STAGES_FOLDER, Stages
 
 
 @pytest.fixture
 def folder(tmp_path) -> Path:
-    return tmp_path / FOLDER
+    return tmp_path / STAGES_FOLDER
 
 
 def fail() -> None:
