@@ -19,7 +19,7 @@ import numpy as np
 
 from sysid.aerodynamics import COEFFICIENTS
 from sysid.arrays import FloatArray
-from sysid.effects.tuned import SUBSYSTEM_PENALTY
+from sysid.effects import tuned
 from sysid.errors import LogError
 from sysid.foreign.regular_files import ParseError, parse_toml, read_regular_text
 
@@ -441,6 +441,6 @@ def _subsystem_effect(row: Mapping[str, str], name: str) -> Effect:
         "",
         row["reference"],
         row["unit"] or unit,
-        float(row["penalty"]) * SUBSYSTEM_PENALTY,
+        float(row["penalty"]) * tuned.SUBSYSTEM_PENALTY,
         row["term"] in _POSITIVE,
     )

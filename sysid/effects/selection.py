@@ -17,6 +17,7 @@ from scipy import optimize, special
 
 from sysid.arrays import FloatArray
 from sysid.distributions import normal_quantile
+from sysid.effects import tuned
 from sysid.effects.catalogue import TWINS
 from sysid.effects.information import (
     DEPENDENT,
@@ -27,13 +28,6 @@ from sysid.effects.information import (
     corrected_estimates,
     project_out,
     score_tests,
-)
-from sysid.effects.tuned import (
-    COMPARABLE_SHARE,
-    FAMILY_ERROR_RATE,
-    INSEPARABLE_SHARE,
-    SIGNIFICANT_Z,
-    UNRELATED_CORRELATION,
 )
 
 DRAWS, DRAW_PARTS = 40_000, 8
@@ -144,7 +138,7 @@ class Selection:
         return replace(self, chosen=tuple(map(change, self.chosen)))
 
 
-def sidak_critical_t(candidates: int, family: float = FAMILY_ERROR_RATE) -> float:
+def sidak_critical_t(candidates: int, family: float = tuned.FAMILY_ERROR_RATE) -> float:
     """Return the |t| that the largest of independent candidates exceeds with probability ``family``
     if the model lacks nothing (Sidak).
     """
@@ -155,7 +149,7 @@ def critical_t_of(
     information: Information,
     free: Sequence[str],
     candidates: Sequence[str],
-    family: float = FAMILY_ERROR_RATE,
+    family: float = tuned.FAMILY_ERROR_RATE,
 ) -> float:
     """Return the |t| that the largest of the candidates exceeds with probability ``family`` if the
     model lacks nothing.
@@ -271,7 +265,7 @@ class _Stepwise:
             keys = [c for c in self.required_gains if c not in current or c == key]
             gain = self.penalised_gains([*current[:k], *current[k + 1 :]], keys)
             best = int(np.argmax(gain))
-            if keys[best] != key and gain[best] > gain[keys.index(key)] + SIGNIFICANT_Z**2:
+            if keys[best] != key and gain[best] > gain[keys.index(key)] + tuned.SIGNIFICANT_Z**2:
                 current[k] = keys[best]
                 trail.append(f"{key} -> {keys[best]}")
 
@@ -303,7 +297,7 @@ class _Stepwise:
             keys = [
                 k
                 for k, a in zip(keys, alike, strict=True)
-                if k != best.key and abs(np.nan_to_num(a)) < UNRELATED_CORRELATION
+                if k != best.key and abs(np.nan_to_num(a)) < tuned.UNRELATED_CORRELATION
             ]
         return first
 
@@ -336,14 +330,14 @@ class _Stepwise:
                 " the spread of all candidates"
             )
             return replace(refused, reason=reason)
-        if choice.confirmed_gain <= 0.0 and abs(choice.difference) > SIGNIFICANT_Z:
+        if choice.confirmed_gain <= 0.0 and abs(choice.difference) > tuned.SIGNIFICANT_Z:
             # If the parts agree, t contains all evidence. A candidate that is estimated alone may
             # be slightly biased in both parts.
             reason = (
                 "two parts of the flights differ in it by"
                 f" {abs(choice.difference):.1f} standard errors"
             )
-            strong = not self.empirical and t > critical_t + SIGNIFICANT_Z
+            strong = not self.empirical and t > critical_t + tuned.SIGNIFICANT_Z
             return replace(refused, reason=reason, strong=strong, unconfirmed=True)
         return choice
 
@@ -421,7 +415,7 @@ def _with_alternatives(
         return choice
     gains = np.nan_to_num(score_tests(information, free, unselected).gain, nan=-np.inf)
     effect_information = float(score_tests(information, free, [choice.key]).information[0])
-    least_gain = min(COMPARABLE_SHARE * choice.gain, choice.gain - SIGNIFICANT_Z**2)
+    least_gain = min(tuned.COMPARABLE_SHARE * choice.gain, choice.gain - tuned.SIGNIFICANT_Z**2)
     nearest_rows = [
         i for i in np.argsort(-gains)[:MAX_RUNNERS_UP].tolist() if gains[i] > least_gain
     ]
@@ -445,8 +439,8 @@ def _with_alternatives(
             abs(choice.t) / np.sqrt(choice.gain) if choice.gain > 0 else 1.0
         )
         share_kept = float(np.nan_to_num(with_rival.information[0])) / effect_information
-        inseparable = abs(t) < SIGNIFICANT_Z or (
-            bool(companions) and share_kept < INSEPARABLE_SHARE
+        inseparable = abs(t) < tuned.SIGNIFICANT_Z or (
+            bool(companions) and share_kept < tuned.INSEPARABLE_SHARE
         )
         rows.append(
             Alternative(key, float(gains[i]), t, float(same), not inseparable, tuple(companions))

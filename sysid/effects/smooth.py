@@ -29,9 +29,9 @@ from scipy import special
 
 from sysid.aerodynamics import COEFFICIENTS
 from sysid.arrays import FloatArray
+from sysid.effects import tuned
 from sysid.effects.catalogue import VARIABLES, coefficient_effect, words
 from sysid.effects.information import DEPENDENT, Information, project_out, solve
-from sysid.effects.tuned import FAMILY_ERROR_RATE
 from sysid.estimation import sandwich_covariance
 
 SPANS = 10
@@ -202,7 +202,7 @@ class SmoothFit:
         """Return whether the term is significant as the best of so many, at level
         `FAMILY_ERROR_RATE`.
         """
-        return self.p * terms_tried < FAMILY_ERROR_RATE
+        return self.p * terms_tried < tuned.FAMILY_ERROR_RATE
 
 
 def fit_smooth(

@@ -15,10 +15,6 @@ from typing import Protocol
 import numpy as np
 
 from sysid.effects import (
-    OVERWHELMING_T,
-    READ_ONCE_TOLERANCE_STD,
-    REQUIRED_GAIN_SHARE,
-    SIGNIFICANT_Z,
     Effect,
     Information,
     SelectedEffect,
@@ -27,6 +23,7 @@ from sysid.effects import (
     corrected_estimate,
     estimate_selected,
     select,
+    tuned,
 )
 from sysid.parallel import Processes
 from uqharness.identification.linearised import (
@@ -104,7 +101,7 @@ class SearchContext:
     def criterion(self, cost: float, keys: Sequence[str]) -> float:
         """Return the penalised likelihood: the cost plus the required gain of each effect."""
         return cost + sum(
-            self.effects[k].penalty + REQUIRED_GAIN_SHARE * self.critical_t**2 for k in keys
+            self.effects[k].penalty + tuned.REQUIRED_GAIN_SHARE * self.critical_t**2 for k in keys
         )
 
     def required_gains(
@@ -131,7 +128,7 @@ class SearchContext:
             chosen=keys,
             critical_t=self.critical_t,
             empirical=self.estimator.uses_empirical_dispersion(self.data),
-            decisive_t=OVERWHELMING_T,
+            decisive_t=tuned.OVERWHELMING_T,
         )
 
     def model_without_effects(self, information: Information) -> CandidateModel:
@@ -200,13 +197,13 @@ class CandidateModel:
     def is_stationary(self) -> bool:
         """Whether the model selects itself, with settled numbers that JSBSim reads once."""
         return self.reselection.values.keys() == self.keys and not self._differing(
-            READ_ONCE_TOLERANCE_STD
+            tuned.READ_ONCE_TOLERANCE_STD
         )
 
     @property
     def not_converged(self) -> dict[str, float]:
         """Values of numbers that JSBSim reads once and whose estimates differ from them, by key."""
-        return self._differing(SIGNIFICANT_Z)
+        return self._differing(tuned.SIGNIFICANT_Z)
 
     def _differing(self, tolerance: float) -> dict[str, float]:
         """Return the ``read_once`` values that differ from their estimates by more than
@@ -269,7 +266,7 @@ class AircraftFitter:
                 current = (model.not_converged[c.key], c.value - model.not_converged[c.key])
                 last = previous.get(c.key)
                 approaches = last is None or current[1] * np.sign(last[1]) < abs(last[1])
-                if approaches or criterion - model.criterion > SIGNIFICANT_Z**2:
+                if approaches or criterion - model.criterion > tuned.SIGNIFICANT_Z**2:
                     effects.append(replace(c, value=current[0] + secant_step(last, current)))
                 previous[c.key] = current
             criterion = model.criterion
@@ -322,7 +319,10 @@ class AircraftFitter:
             )
             # The concentrated likelihood and this cost, of fixed noise, differ a little at the
             # optimum.
-            if trajectory is None or trajectory.cost > model.fit.trajectory.cost + SIGNIFICANT_Z**2:
+            if (
+                trajectory is None
+                or trajectory.cost > model.fit.trajectory.cost + tuned.SIGNIFICANT_Z**2
+            ):
                 return model
             fit = fit_at(
                 bench.model,

@@ -15,9 +15,6 @@ import numpy as np
 
 from sysid.arrays import FloatArray
 from sysid.effects import (
-    RESOLVED_ROWS,
-    SIGNIFICANT_Z,
-    UNRESOLVED_ROWS,
     Columns,
     Effect,
     Information,
@@ -26,6 +23,7 @@ from sysid.effects import (
     estimate_selected,
     score_tests,
     subsystem_effects,
+    tuned,
 )
 from sysid.effects.catalogue import catalogue
 from uqharness.identification.linearised import (
@@ -39,7 +37,7 @@ from uqharness.refinement.estimators import Estimator
 from uqharness.replay import CONTROLS, SENSOR_OF, runs_per_row
 from uqharness.simulator import Actuator
 
-SHORTEST_ROWS = SIGNIFICANT_Z * RESOLVED_ROWS
+SHORTEST_ROWS = tuned.SIGNIFICANT_Z * tuned.RESOLVED_ROWS
 """Shortest time, in rows, that a replay resolves."""
 TIME_UNITS = ("s", "s/deg")
 """Units of delays and lags, and of rate limits."""
@@ -175,7 +173,7 @@ def _is_resolved(effect: Effect, value: float, data: FlightData) -> bool:
         return True
     travel = largest_step(data, effect) if effect.unit == "s/deg" else 1.0
     # A log does not say when within a row a command changed.
-    shortest_rows = UNRESOLVED_ROWS if data.late else SHORTEST_ROWS
+    shortest_rows = tuned.UNRESOLVED_ROWS if data.late else SHORTEST_ROWS
     return abs(value) * travel > shortest_rows * data.segments[0].dt_s
 
 

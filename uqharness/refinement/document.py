@@ -15,12 +15,11 @@ import numpy as np
 from sysid.aerodynamics import COEFFICIENTS
 from sysid.display import rows_table, view
 from sysid.effects import (
-    CERTAIN_T,
-    SIGNIFICANT_Z,
     Alternative,
     Effect,
     RejectedCandidate,
     SelectedEffect,
+    tuned,
 )
 from sysid.estimation import NOISE_FLOOR
 from uqharness.identification.linearised import FlightData
@@ -129,7 +128,9 @@ def _remaining(chosen: SearchResult, outcome: HoldOutResult, controls: Sequence[
     strong = [refused] if refused is not None and refused.strong else []
     # An effect that the training flights support and the hold-out flights contradict is an unnamed
     # disagreement, unless chance explains it.
-    contradicted = [c for c in outcome.withdrawn if abs(c.t) > chosen.critical_t + SIGNIFICANT_Z]
+    contradicted = [
+        c for c in outcome.withdrawn if abs(c.t) > chosen.critical_t + tuned.SIGNIFICANT_Z
+    ]
     reported = {c.key for c in (*contradicted, *chosen.unclear, *chosen.selection.chosen)}
     candidates = [(key, t) for key, t in chosen.remaining if key not in reported]
     mismatch = chosen.mismatch
@@ -331,7 +332,7 @@ def strong_unreported(
     return [
         (k, c.t)
         for k, c in zip(keys, candidates, strict=True)
-        if abs(c.t) > CERTAIN_T and k not in reported
+        if abs(c.t) > tuned.CERTAIN_T and k not in reported
     ]
 
 

@@ -27,15 +27,6 @@ from pathlib import Path
 import numpy as np
 
 from sysid.effects import (
-    ALIKE_CORRELATION,
-    CERTAIN_T,
-    COMPARABLE_SHARE,
-    MAX_COMPETITORS,
-    OVERWHELMING_T,
-    REQUIRED_GAIN_SHARE,
-    RESOLVED_ROWS,
-    SIGNIFICANT_Z,
-    UNRESOLVED_ROWS,
     Effect,
     Information,
     RejectedCandidate,
@@ -51,6 +42,7 @@ from sysid.effects import (
     score_tests,
     sidak_critical_t,
     solve,
+    tuned,
 )
 from sysid.parallel import Processes
 from uqharness.errors import BadInputError
@@ -444,7 +436,7 @@ def controls_offset(
     if np.nanmax(rival_gain, initial=0.0) > gain:
         return None
     lags = [k for k in rivals if k.startswith("effect/actuator.") and k.endswith("/lag")]
-    if lags and joint_gain(information, free, lags) > gain + SIGNIFICANT_Z**2:
+    if lags and joint_gain(information, free, lags) > gain + tuned.SIGNIFICANT_Z**2:
         return None
     confirming = information.confirming
     if confirming is not None and not compare_parts(information, free, key, ~confirming)[0] > 0.0:
@@ -468,7 +460,7 @@ def offset_tolerance_s(command_s: float, first: bool) -> tuple[float, float]:
     """
     resolution_s = SHORTEST_ROWS * command_s
     return (
-        (max(resolution_s, PRIOR["lateness"]), UNRESOLVED_ROWS * command_s)
+        (max(resolution_s, PRIOR["lateness"]), tuned.UNRESOLVED_ROWS * command_s)
         if first
         else (resolution_s, resolution_s)
     )
@@ -531,7 +523,7 @@ class EffectSearch:
         other = second.search(information, "whole")
         # Unless it is less likely by more than chance gives, on the same samples.
         if self.context.estimator.same_samples(outcome.model.keys, other.model.keys):
-            largest_criterion = outcome.model.criterion + CERTAIN_T**2
+            largest_criterion = outcome.model.criterion + tuned.CERTAIN_T**2
             if not other.model.keys or other.model.criterion > largest_criterion:
                 return outcome
         names = ", ".join(f"{e.subsystem} {e.term}" for e in doubtful)
@@ -548,7 +540,7 @@ class EffectSearch:
         models: list[CandidateModel] = []
         visited: set[frozenset[str]] = set()
         trail = [f"round 1: {line}" for line in baseline.reselection.trail]
-        competitors_left = MAX_COMPETITORS
+        competitors_left = tuned.MAX_COMPETITORS
         for number in range(2, MAX_MODELS + 2):
             # Propose: stop at a model that proposes itself.
             proposal = reference.reselection
@@ -622,7 +614,7 @@ class EffectSearch:
         without the effect, and small about the model with it.
         """
         critical_t, effects = self.context.critical_t, best.selection.chosen
-        if not any(c.t**2 > REQUIRED_GAIN_SHARE * critical_t**2 for c in effects):
+        if not any(c.t**2 > tuned.REQUIRED_GAIN_SHARE * critical_t**2 for c in effects):
             return baseline, [
                 f"in simulation {c.key} has |t| {abs(c.t):.1f}: no effect" for c in effects
             ]
@@ -667,7 +659,7 @@ def competing_proposals(
         return []
     if model is not None:
         more = sum(c.key not in model.keys for c in model.reselection.chosen)
-        overwhelming = abs(new[0].t) > OVERWHELMING_T and more >= MAX_COMPETITORS
+        overwhelming = abs(new[0].t) > tuned.OVERWHELMING_T and more >= tuned.MAX_COMPETITORS
         if not overwhelming and not model.estimator.unexplained_moments():
             return []
     unchanged_keys = [k for k in proposal.values if k != new[0].key]
@@ -697,10 +689,10 @@ def comparable_candidates(
     gains = np.array(other_gains)
     result: list[str] = []
     for k in np.argsort(-gains):
-        if len(result) == MAX_COMPETITORS or not gains[k] >= COMPARABLE_SHARE * gain:
+        if len(result) == tuned.MAX_COMPETITORS or not gains[k] >= tuned.COMPARABLE_SHARE * gain:
             break
         correlations = column_correlations(information, free, alternatives[k], [key, *result])
-        if np.abs(np.nan_to_num(correlations)).max() < ALIKE_CORRELATION:
+        if np.abs(np.nan_to_num(correlations)).max() < tuned.ALIKE_CORRELATION:
             result.append(alternatives[k])
     return result
 
@@ -814,7 +806,7 @@ def with_time_resolution(
         """Return one effect with its increased standard error."""
         if effects[c.key].unit != "s":
             return c
-        std = float(np.hypot(c.std, RESOLVED_ROWS * dt_s))
+        std = float(np.hypot(c.std, tuned.RESOLVED_ROWS * dt_s))
         return replace(c, std=std, t=c.value / std)
 
     return selection.with_each(widened)
@@ -842,7 +834,7 @@ def strong_candidates(
     t = score_tests(information, [*columns, *chosen], keys).t if keys else np.zeros(0)
     t = np.nan_to_num(t)
     order = np.argsort(-np.abs(t))
-    return tuple((keys[i], float(t[i])) for i in order if abs(t[i]) > CERTAIN_T)
+    return tuple((keys[i], float(t[i])) for i in order if abs(t[i]) > tuned.CERTAIN_T)
 
 
 def score_table(

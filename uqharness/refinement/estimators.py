@@ -18,12 +18,6 @@ from numpy.typing import NDArray
 
 from sysid.arrays import FloatArray
 from sysid.effects import (
-    CERTAIN_T,
-    GUST_PENALTY,
-    MIN_NOISE_SHARE,
-    OVERWHELMING_T,
-    SIGNIFICANT_Z,
-    TURBULENCE_CRITICAL_T,
     Columns,
     Effect,
     FilteredSegment,
@@ -36,6 +30,7 @@ from sysid.effects import (
     likeliest_colour,
     normal_equations,
     sidak_critical_t,
+    tuned,
     whiten,
 )
 from sysid.parallel import Processes
@@ -220,7 +215,7 @@ class Estimator(ABC):
         """Return whether a candidate that no simulation confirmed is reported at this |t|, and
         whether the model then certainly lacks something: |t| exceeds errors of linearisation.
         """
-        return True, abs(t) > OVERWHELMING_T
+        return True, abs(t) > tuned.OVERWHELMING_T
 
     def same_samples(self, keys: Collection[str], other_keys: Collection[str]) -> bool:
         """Return whether models with these effects are judged by the same samples; replays use
@@ -375,7 +370,7 @@ class PredictionErrorEstimator(Estimator):
     """
 
     turbulence: TurbulenceModel
-    least_critical_t: float = TURBULENCE_CRITICAL_T
+    least_critical_t: float = tuned.TURBULENCE_CRITICAL_T
     uses_replays: bool = False
     trail_prefix: str = "one-step predictions: "
 
@@ -469,7 +464,7 @@ class PredictionErrorEstimator(Estimator):
         like_gusts = depends_on_wind_rates(effect) or subsystem.startswith(
             ("sensor.", "actuator.", "mass")
         )
-        return effect.penalty + GUST_PENALTY * like_gusts
+        return effect.penalty + tuned.GUST_PENALTY * like_gusts
 
     def uses_empirical_dispersion(self, data: FlightData) -> bool:
         """Return True: an imperfect gust model colours the predictions."""
@@ -477,7 +472,7 @@ class PredictionErrorEstimator(Estimator):
 
     def report_unconfirmed(self, t: float, critical_t: float) -> tuple[bool, bool]:
         """Return whether gusts that are estimated with the effect cannot explain it."""
-        strong = abs(t) > critical_t + SIGNIFICANT_Z
+        strong = abs(t) > critical_t + tuned.SIGNIFICANT_Z
         return strong, strong
 
     def same_samples(self, keys: Collection[str], other_keys: Collection[str]) -> bool:
@@ -488,7 +483,7 @@ class PredictionErrorEstimator(Estimator):
     def unexplained_moments(self) -> dict[str, float]:
         """Return the gains above that of a certain effect."""
         gains = zip(_AXES, self.turbulence.moments.tolist(), strict=False)
-        return {rate: gain for rate, gain in gains if gain > CERTAIN_T**2}
+        return {rate: gain for rate, gain in gains if gain > tuned.CERTAIN_T**2}
 
     def prepare(self, aircraft: Aircraft, data: FlightData) -> FlightData:
         """Return the data with the card's noise, because samples in gusts overstate an
@@ -727,7 +722,9 @@ def with_residual_noise(data: FlightData, fit: Linearisation) -> ModelFit:
     Noise that is twice too large halves every t. The noise is at least `MIN_NOISE_SHARE` of the
     card's. Missing effects are part of the residuals, so it is rarely too small.
     """
-    noise = np.clip(_residual_rms(data, fit.trajectory), MIN_NOISE_SHARE * data.noise, data.noise)
+    noise = np.clip(
+        _residual_rms(data, fit.trajectory), tuned.MIN_NOISE_SHARE * data.noise, data.noise
+    )
     data = replace(data, noise=noise)
     white = whiten(fit.steps, data.measured, fit.columns, data.output_rows, noise)
     information = normal_equations(white, fit.columns[0].names, [0] * len(white), PRIOR)

@@ -12,7 +12,7 @@ import numpy as np
 
 from sysid.aerodynamics import COEFFICIENTS
 from sysid.arrays import FloatArray
-from sysid.effects import COLOURED_P
+from sysid.effects import tuned
 from sysid.estimation import NOISE_FLOOR, ljung_box, rms, theil
 from sysid.model_form import noise_floor
 from sysid.parallel import Processes
@@ -203,5 +203,5 @@ def excess_residuals(data: FlightData, evaluation: Evaluation, estimator: Estima
         }
     return Excess(
         {c: r for c, r in ratios.items() if r > NOISE_FLOOR},
-        tuple(sorted(c for c, v in p.items() if v < COLOURED_P)),
+        tuple(sorted(c for c, v in p.items() if v < tuned.COLOURED_P)),
     )

@@ -17,13 +17,13 @@ import numpy as np
 
 from sysid.arrays import FloatArray
 from sysid.effects import (
-    MAX_RESIDUAL_RATIO,
     Columns,
     Information,
     SelectedEffect,
     corrected_estimates,
     marginal_information,
     solve,
+    tuned,
 )
 from sysid.parallel import Processes
 from uqharness.identification.linearised import (
@@ -121,7 +121,7 @@ class Verdict:
 
         "cannot tell" if chance gives as much; "too far" if neither model describes the flights.
         """
-        if self.residual_ratio > MAX_RESIDUAL_RATIO:
+        if self.residual_ratio > tuned.MAX_RESIDUAL_RATIO:
             return "too far"
         # Training and hold-out flights together must still reach critical_t.
         against = self.change < 0.0 and self.excess_t2 < 0.0

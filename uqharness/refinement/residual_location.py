@@ -22,7 +22,11 @@ from numpy.typing import NDArray
 from sysid.aerodynamics import COEFFICIENTS
 from sysid.arrays import FloatArray
 from sysid.distributions import f_tail, gamma_tail
-from sysid.effects import DISAGREEMENT_SHARE, Effect, score_tests
+from sysid.effects import (
+    Effect,
+    score_tests,
+    tuned,
+)
 from sysid.estimation import integral_time, rms
 from uqharness.identification.linearised import FlightData, Trajectory
 from uqharness.refinement.candidates import eligible
@@ -650,7 +654,7 @@ def disagreements(
         for c, coefficient in enumerate(COEFFICIENTS):
             z = ratio[:, c]
             outside = np.abs(z) > 1.96
-            if not len(z) or outside.mean() < DISAGREEMENT_SHARE:
+            if not len(z) or outside.mean() < tuned.DISAGREEMENT_SHARE:
                 continue
             (state, low, high), mask = _densest_region(outside, states_of_kind)
             seconds, size = float(outside[mask].sum()) * dt_s, float(np.sqrt(np.mean(z[mask] ** 2)))

@@ -18,9 +18,6 @@ from sysid.aerodynamics import COEFFICIENTS
 from sysid.arrays import FloatArray
 from sysid.distributions import Z95
 from sysid.effects import (
-    COMPARABLE_SHARE,
-    OVERWHELMING_T,
-    SIGNIFICANT_Z,
     Columns,
     Effect,
     Information,
@@ -35,6 +32,7 @@ from sysid.effects import (
     named_forms,
     similar_forms,
     smooth_term,
+    tuned,
 )
 from sysid.estimation import rms
 from sysid.parallel import Processes
@@ -249,7 +247,8 @@ def too_weak(effects: Sequence[SelectedEffect], critical_t: float) -> tuple[Sele
     """
     t = [abs(c.value / c.std) for c in effects]
     required = max(
-        min(COMPARABLE_SHARE * max(t, default=0.0), OVERWHELMING_T), critical_t + SIGNIFICANT_Z
+        min(tuned.COMPARABLE_SHARE * max(t, default=0.0), tuned.OVERWHELMING_T),
+        critical_t + tuned.SIGNIFICANT_Z,
     )
     return tuple(c for c, size in zip(effects, t, strict=True) if not size >= required)
 
