@@ -105,7 +105,7 @@ class SearchContext:
         )
 
     def required_gains(
-        self, free: Sequence[str], information: Information, keys: Sequence[str] = ()
+        self, information: Information, free: Sequence[str], keys: Sequence[str] = ()
     ) -> dict[str, float]:
         """Return the candidates that may be selected beside the ``free`` columns, and the gain
         required of each; those with ``keys`` are included.
@@ -124,7 +124,7 @@ class SearchContext:
         return select(
             information,
             [n for n in free if n not in keys],
-            self.required_gains(free, information, keys),
+            self.required_gains(information, free, keys),
             chosen=keys,
             critical_t=self.critical_t,
             empirical=self.estimator.uses_empirical_dispersion(self.data),
@@ -221,7 +221,7 @@ class ModelFitter(Protocol):
     """Fitter of the models that a search proposes."""
 
     def fit(
-        self, context: SearchContext, proposal: Selection, about: CandidateModel, label: str
+        self, context: SearchContext, proposal: Selection, reference: CandidateModel, label: str
     ) -> CandidateModel | None:
         """Return the model of the proposed effects with everything estimated.
 
@@ -244,7 +244,7 @@ class AircraftFitter:
     pool: Processes
 
     def fit(
-        self, context: SearchContext, proposal: Selection, about: CandidateModel, label: str
+        self, context: SearchContext, proposal: Selection, reference: CandidateModel, label: str
     ) -> CandidateModel | None:
         """Fit, and repeat by the secant method until numbers that JSBSim reads once have settled.
 
@@ -252,7 +252,7 @@ class AircraftFitter:
         large when it is changed, without a better likelihood, does not act as its column says: it
         is dropped.
         """
-        model = self._fit_once(context, proposal, about, label)
+        model = self._fit_once(context, proposal, reference, label)
         previous: dict[str, tuple[float, float]] = {}
         criterion = float("inf")
         for number in range(MAX_SECANT_STEPS):
@@ -281,7 +281,7 @@ class AircraftFitter:
         return model
 
     def _fit_once(
-        self, context: SearchContext, proposal: Selection, about: CandidateModel, label: str
+        self, context: SearchContext, proposal: Selection, reference: CandidateModel, label: str
     ) -> CandidateModel | None:
         """Write, simulate and estimate the proposed effects once."""
         values = clip_to_active_range(proposal, context.data).values
@@ -289,7 +289,7 @@ class AircraftFitter:
         staged, data = stage(context, self.aircraft, values, self.folder / label)
         try:
             starts = (
-                replace(joint_point(context, about, list(values)), effects=values),
+                replace(joint_point(context, reference, list(values)), effects=values),
                 replace(context.baseline.trajectory.point, effects=values),
             )
             with StagedModels(staged, data) as bench:
@@ -355,13 +355,15 @@ def secant_step(last: tuple[float, float] | None, current: tuple[float, float]) 
     )
 
 
-def joint_point(context: SearchContext, about: CandidateModel, keys: Sequence[str]) -> ModelState:
+def joint_point(
+    context: SearchContext, reference: CandidateModel, keys: Sequence[str]
+) -> ModelState:
     """Return parameters, nuisance and start states at their linear estimate with the effects
     ``keys``.
 
     The point does not contain the effects; other properties are as without any effect.
     """
-    information, point = about.information, about.fit.trajectory.point
+    information, point = reference.information, reference.fit.trajectory.point
     baseline = context.baseline.trajectory.point
     delta = information.estimates(information.index([*context.free, *keys]))
     changes = delta[information.index(context.free)].tolist()
@@ -369,7 +371,7 @@ def joint_point(context: SearchContext, about: CandidateModel, keys: Sequence[st
     values = {n: point.values.get(n, v) for n, v in baseline.values.items()}
     start = replace(baseline, values=values, nuisance=point.nuisance)
     shifted = apply_step(context.data, start, step, context.limits)
-    delta[information.index(list(about.values))] -= [*about.values.values()]
+    delta[information.index(list(reference.values))] -= [*reference.values.values()]
     return replace(shifted, starts=step_starts(point.starts, information.white, delta))
 
 
@@ -407,7 +409,7 @@ def with_selection(
     if reselection.values.keys() == set(keys):
         selection = reselection
     else:
-        required = context.required_gains(free, information, keys)
+        required = context.required_gains(information, free, keys)
         free_without_effects = [n for n in free if n not in keys]
         effects = estimate_selected(information, free_without_effects, keys, list(required))
         selection = clip_to_active_range(replace(reselection, chosen=effects), context.data)

@@ -646,7 +646,7 @@ def competing_proposals(
     context: SearchContext,
     model: CandidateModel | None,
     proposal: Selection,
-    about: CandidateModel,
+    reference: CandidateModel,
 ) -> list[Selection]:
     """Return proposals with another candidate in place of a doubtful newest effect.
 
@@ -654,7 +654,7 @@ def competing_proposals(
     if it leaves unexplained moments, or if it is overwhelming and several more effects would be
     selected.
     """
-    new = [c for c in proposal.chosen if c.key not in about.values]
+    new = [c for c in proposal.chosen if c.key not in reference.values]
     if len(new) != 1:
         return []
     if model is not None:
@@ -664,14 +664,16 @@ def competing_proposals(
             return []
     unchanged_keys = [k for k in proposal.values if k != new[0].key]
     required = context.required_gains(
-        [*context.free, *about.values], about.information, unchanged_keys
+        reference.information, [*context.free, *reference.values], unchanged_keys
     )
     alternatives = [k for k in required if k not in unchanged_keys]
     keys = comparable_candidates(
-        about.information, [*context.free, *unchanged_keys], alternatives, new[0].key
+        reference.information, [*context.free, *unchanged_keys], alternatives, new[0].key
     )
     return [
-        Selection(estimate_selected(about.information, context.free, [*unchanged_keys, key], ()))
+        Selection(
+            estimate_selected(reference.information, context.free, [*unchanged_keys, key], ())
+        )
         for key in keys
     ]
 

@@ -149,7 +149,7 @@ class LinearFlights:
         return context, information
 
     def fit(
-        self, context: SearchContext, proposal: Selection, about: CandidateModel, label: str
+        self, context: SearchContext, proposal: Selection, reference: CandidateModel, label: str
     ) -> CandidateModel | None:
         """Fit the proposed effects to the flights."""
         keys = list(proposal.values)

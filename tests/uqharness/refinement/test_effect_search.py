@@ -92,12 +92,12 @@ class Unfollowed(LinearFlights):
 
     unfollowed: frozenset[str] = frozenset()
 
-    def fit(self, context, proposal, about, label):
+    def fit(self, context, proposal, reference, label):
         """Fit, or None."""
         if self.unfollowed & proposal.values.keys():
             self.fitted.append(tuple(proposal.values))
             return None
-        return super().fit(context, proposal, about, label)
+        return super().fit(context, proposal, reference, label)
 
 
 def test_where_no_estimator_follows_the_flights_candidates_that_explain_as_much_are_tried():
