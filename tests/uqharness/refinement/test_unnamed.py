@@ -170,13 +170,13 @@ def test_the_page_draws_it_and_calls_it_no_physics(bumped):
 
 @pytest.mark.parametrize("verdict", ["effects-found", "no-missing-effect"])
 def test_where_nothing_is_left_nothing_is_looked_for(tmp_path, monkeypatch, verdict):
-    monkeypatch.setattr(run, "offered", None)
+    monkeypatch.setattr(run, "find_smooth_term", None)
     stale = tmp_path / "unnamed" / "aircraft" / "espaaro"
     stale.mkdir(parents=True)
     (stale / "espaaro.xml").write_text("of an earlier run", encoding="utf-8")
     options = RefineRequest(aircraft="espaaro", train="a", test="b", out=tmp_path)
     job, document = run.Job(options, find_aircraft("espaaro"), (), ()), refinement(verdict=verdict)
-    found = run._unnamed(job, Refinement.model_validate(document), None, tmp_path, None, None)
+    found = run._smooth_term(job, Refinement.model_validate(document), None, None, None, None)
     assert found == (None, EXPLAINED)
     assert not stale.exists()
 
