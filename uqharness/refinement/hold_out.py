@@ -641,21 +641,23 @@ def refit_remaining(
     if not chosen.estimator.uses_replays or property_values(model, chosen) is None:
         return model
     values = model.selection.values
-    effects = {e.key: values.get(e.key, 0.0) for e in chosen.data.active}
+    # Effects that were dropped after they were estimated are not in the aircraft.
+    data = chosen.data.with_effects(chosen.selection.values)
+    effects = {e.key: values.get(e.key, 0.0) for e in data.active}
     estimates = {n: value for n, (value, _) in model.parameters.items()}
     point = chosen.after.trajectory.point
     point = replace(point, values={**point.values, **estimates}, effects=effects)
-    if moves_sensors(chosen.data, point):
+    if moves_sensors(data, point):
         return model
     names = [n for n in chosen.names if n in point.values]
     bounds = {n: c.bounds for n, c in complete.card.parameters.items() if c.bounds is not None}
     withdrawn = effects.keys() - values.keys()
-    with StagedModels(complete, chosen.data) as bench:
-        linear = replay_at(bench.model, chosen.data, point, pool)
-        fit = fit_output_error(bench.model, chosen.data, point, names, bounds, pool, withdrawn)
+    with StagedModels(complete, data) as bench:
+        linear = replay_at(bench.model, data, point, pool)
+        fit = fit_output_error(bench.model, data, point, names, bounds, pool, withdrawn)
     if fit is None or fit.cost > linear.cost:
         return model
-    remaining = carried_effects(chosen.data).keys() & values.keys()
+    remaining = carried_effects(data).keys() & values.keys()
     selection = with_values(model.selection, {key: fit.point.effects[key] for key in remaining})
     parameters = {
         n: (fit.point.values[n] if n in names else value, std)

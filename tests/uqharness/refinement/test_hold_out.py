@@ -19,7 +19,7 @@ from tests.uqharness.refinement.linear_aircraft import (
     LinearFlights,
     simulate,
 )
-from uqharness.identification.linearised import EffectProperty
+from uqharness.identification.linearised import EffectProperty, FlightData, ModelState
 from uqharness.refinement.effect_search import SearchResult
 from uqharness.refinement.estimators import Dataset
 from uqharness.refinement.evaluation import Evaluation
@@ -219,6 +219,20 @@ def test_properties_fly_what_an_aircraft_of_its_own_would():
     assert trajectory(term.key, lag.key, sensor.key) == {"aero/Cm_q": -8.0, "aero/Cm_p2": 3.0}
     assert trajectory(lag.key) == {"aero/Cm_q": -8.0, "aero/Cm_p2": 0.0}
     assert trajectory(term.key) is None
+
+
+def test_a_dropped_effect_has_no_property_in_the_remaining_model():
+    """The aircraft is written with the selected effects; the data still have those dropped."""
+    term, dropped = coefficient_effect("Cm", "p_hat^2"), coefficient_effect("Cm", "de^2")
+    carriers = {
+        e.key: EffectProperty(f"aero/Cm_{n}", 0.0) for e, n in ((term, "p2"), (dropped, "de2"))
+    }
+    data = FlightData(
+        *((),) * 5, np.zeros(0), (), {}, active=(term, dropped), carriers=carriers
+    ).with_effects([term.key])
+    point = ModelState({"aero/Cm_q": -8.0}, {}, (), {term.key: 3.0})
+    assert data.properties(point) == {"aero/Cm_q": -8.0, "aero/Cm_p2": 3.0}
+    assert [e.key for e in data.active] == [term.key]
 
 
 # End to end: train and test flights of the linear aircraft.

@@ -7,7 +7,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 
@@ -171,6 +171,14 @@ class FlightData:
             for key, carrier in self.carriers.items()
         }
         return {**point.values, **by_carrier}
+
+    def with_effects(self, keys: Collection[str]) -> FlightData:
+        """Return the data of a model that has these of the active effects alone."""
+        return replace(
+            self,
+            active=tuple(e for e in self.active if e.key in keys),
+            carriers={key: place for key, place in self.carriers.items() if key in keys},
+        )
 
     @property
     def fixed_effects(self) -> list[str]:
