@@ -104,7 +104,7 @@ def air_data_errors(record: FlightRecord) -> list[AirDataError]:
     late_s = velocity_lateness(record)
     record, shifted = (_with_earlier_velocity(record, s) for s in (late_s, late_s + _LATE_STD_S))
     speed = _speed_scale(record)
-    estimates = {("V_mps", "scale"): (speed[0], speed[1])}
+    estimates = {("V_mps", "scale"): combine(*speed[:2], PRIOR["V_mps", "scale"])}
     if np.isfinite(speed[1]) and "psi_rad" in record:
         angles, shifted_angles = (_angle_errors(r, speed[2]) for r in (record, shifted))
         # A turn begins within a second: what a later velocity changes is an error too.
@@ -112,15 +112,14 @@ def air_data_errors(record: FlightRecord) -> list[AirDataError]:
             change = shifted_angles[key][0] - value if key in shifted_angles and late_s else 0.0
             estimates[key] = value, float(np.hypot(std, change))
     if (position := _position_error(record)) is not None:
-        estimates["h_m", "position"] = position
+        estimates["h_m", "position"] = combine(*position, PRIOR["h_m", "position"])
     out = []
     for (channel, kind), prior in PRIOR.items():
         if kind == "position" and (channel, kind) not in estimates:
             continue
         if channel not in record or channel in record.metadata.estimates:
             continue
-        value, std = estimates.get((channel, kind), (prior[0], np.inf))
-        value, std = combine(value, std, prior)
+        value, std = estimates.get((channel, kind), prior)
         out.append(AirDataError(channel, kind, value, std, basis_of(std, prior[1])))
     return out
 
@@ -256,7 +255,7 @@ def _angle_errors(
 
     The angles of the motion through the mean wind lack the gusts, to which the aircraft answers.
     Turns command angles that no gust causes: the load factor 1 / cos(phi) and the bank angle are
-    instruments (two-stage least squares with one instrument), which the gusts do not enter.
+    instruments, which the gusts do not enter. Priors are included.
     """
     phi, theta, psi = (record[f"{c}_rad"] for c in ("phi", "theta", "psi"))
     down = record.columns.get("vd_mps", np.zeros(len(record)))
@@ -279,30 +278,61 @@ def _angle_errors(
         rows = np.flatnonzero(usable)[::step]
         if len(rows) < _MIN_SAMPLES:
             continue
-        x, y, z = true[rows], reading[rows], instrument[rows]
-
-        def scale(
-            chosen: FloatArray, x: FloatArray = x, y: FloatArray = y, z: FloatArray = z
-        ) -> float:
-            lever = z[chosen] - z[chosen].mean()
-            below = float(lever @ x[chosen])
-            return float(lever @ y[chosen]) / below if below else np.nan
-
-        # Jackknife over blocks of time, since gusts colour the difference.
-        block = _blocks(record["time_s"][rows])
-        value, std = _jackknife(scale, block)
-        if not np.isfinite(std) or not 0.2 < value < 5.0:
-            value, std = PRIOR[channel, "scale"][0], np.inf
-        out[channel, "scale"] = value, std
+        x, y, lever = true[rows], reading[rows], instrument[rows] - instrument[rows].mean()
+        slope, slope_std = _scale_posterior(x, y, lever, PRIOR[channel, "scale"])
+        out[channel, "scale"] = slope, slope_std
         # The offset is taken at the scale that prior and flight give together.
-        slope, slope_std = combine(value, std, PRIOR[channel, "scale"])
-        offset, standard_error = _jackknife(
-            lambda chosen, x=x, y=y, s=slope: float(y[chosen].mean() - s * x[chosen].mean()), block
-        )
+        difference = y - slope * x
+        offset = float(difference.mean())
+        standard_error = _sum_std(np.ones(len(y)), difference - offset) / len(y)
         # A misaligned attitude is an offset of the true angle.
         parts = (standard_error, slope * attitude_std, slope_std * float(x.mean()))
-        out[channel, "offset"] = offset, float(np.linalg.norm(parts))
+        out[channel, "offset"] = combine(
+            offset, float(np.linalg.norm(parts)), PRIOR[channel, "offset"]
+        )
     return out
+
+
+_SCALES = np.linspace(0.05, 3.0, 60)
+
+
+def _scale_posterior(
+    x: FloatArray, y: FloatArray, lever: FloatArray, prior: tuple[float, float]
+) -> tuple[float, float]:
+    """Return mean and standard deviation of the scale s of y = s x + c + gust, with its prior.
+
+    The instrument ``lever`` (n,) of mean zero is orthogonal to the gust at the true scale. The
+    variance of that product is taken at each scale, so that an instrument that hardly moves x says
+    little (Anderson and Rubin, Ann. Math. Stat. 20 (1949) 46), where an estimate with a standard
+    error would be far off and sure of itself.
+    """
+    x, y = x - x.mean(), y - y.mean()
+    errors = [y - s * x for s in _SCALES]
+    square = np.array([(lever @ e / max(_sum_std(lever, e), 1e-300)) ** 2 for e in errors])
+    square += ((_SCALES - prior[0]) / prior[1]) ** 2
+    weights = np.exp(-0.5 * (square - square.min()))
+    weights /= weights.sum()
+    mean = float(weights @ _SCALES)
+    # Half a step of the grid is the least that it resolves.
+    step = 0.5 * float(_SCALES[1] - _SCALES[0])
+    return mean, float(np.sqrt(max(weights @ (_SCALES - mean) ** 2, step**2)))
+
+
+def _sum_std(weights: FloatArray, error: FloatArray) -> float:
+    """Return the standard deviation of a weighted sum of correlated errors of mean zero.
+
+    Turns and gusts last longer than a block of time, so that blocks are no independent draws. The
+    variance is the sum of products of both autocovariances, up to the first zero of either
+    (Bartlett, J. R. Stat. Soc. 98 (1935) 536).
+    """
+    n = len(error)
+    total = float(weights @ weights) * float(error @ error) / n
+    for lag in range(1, n // 3):
+        pair = [float(v[lag:] @ v[:-lag]) for v in (weights, error)]
+        if min(pair) <= 0.0:
+            break
+        total += 2.0 * pair[0] * pair[1] / (n - lag)
+    return float(np.sqrt(total))
 
 
 def motion_angles(velocity: FloatArray, attitude: FloatArray) -> tuple[FloatArray, FloatArray]:

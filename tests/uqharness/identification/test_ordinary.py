@@ -16,6 +16,7 @@ from sysid.logs.checking.kinematics import to_body
 from sysid.record import FlightRecord
 from uqharness.errors import BadInputError
 from uqharness.identification.air_data import (
+    _scale_posterior,
     air_data_errors,
     basis_of,
     combine,
@@ -264,3 +265,25 @@ def test_faults_of_a_prior_file_are_named(tmp_path: Path, text: str, message: st
     (tmp_path / "p.toml").write_text(text)
     with pytest.raises(BadInputError, match=message):
         read_prior(tmp_path / "p.toml")
+
+
+@pytest.mark.parametrize("strength", [0.3, 2.0])
+def test_scale_of_a_vane_lies_in_its_interval_where_gusts_last_as_long_as_legs(
+    strength: float,
+) -> None:
+    # Legs of 15 s move the angle; gusts of 4 s and the prior's truth are drawn anew in each flight.
+    inside, stds = [], []
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        truth = 1.0 + 0.3 * rng.standard_normal()
+        legs = np.repeat(rng.standard_normal(12), 150)
+        gust = np.zeros(len(legs))
+        keep = np.exp(-0.1 / 4.0)
+        for k in range(1, len(gust)):
+            gust[k] = keep * gust[k - 1] + np.sqrt(1.0 - keep**2) * rng.standard_normal()
+        motion = strength * legs
+        mean, std = _scale_posterior(motion, truth * motion + gust, legs - legs.mean(), (1.0, 0.3))
+        inside.append(abs(mean - truth) < 1.96 * std)
+        stds.append(std)
+    assert np.mean(inside) > 0.88
+    assert np.median(stds) < (0.29 if strength < 1.0 else 0.12)
