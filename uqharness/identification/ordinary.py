@@ -15,7 +15,7 @@ controls and time constants that the flight does not decide; and errors of the a
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -507,7 +507,6 @@ def identify_ordinary(
         ``modelled`` are replays of the pieces from their measured starts.
     """
     start_s = time.perf_counter()
-    model = models[0]
     callback("air data")
     # One set of sensors: the longest flight tells most.
     longest = max(flights, key=lambda f: len(f.record))
@@ -533,19 +532,14 @@ def identify_ordinary(
             ideal_servos=ideal_servos,
         )
     fixed_terms = {s.place: s.std if s.basis else 0.0 for s in slopes}
-    means = {
-        c.removesuffix("_rad"): float(np.nanmean(np.concatenate([f.record[c] for f in flights])))
-        if all(c in f.record for f in flights)
-        else 0.0
-        for c in ("alpha_rad", "beta_rad")
-    }
-    estimates, of_filters = [], []
+    views: list[dict[str, _Regression]] = []
+    of_filters = []
     for number, view in enumerate(_VIEWS):
         callback(f"regression {number + 1} of {len(_VIEWS)}")
         data = _regression_data(
             aircraft, flights, models, names, begin, measured, delay_s, view, ideal_servos
         )
-        estimates.append(
+        views.append(
             {c: _regress(data, c, members, begin, fixed_terms) for c, members in groups.items()}
         )
         if view in (_VIEWS[0], _SMOOTHER):
@@ -559,105 +553,61 @@ def identify_ordinary(
         for f in by_steps.values()
         if instruments.commanded and f.control not in measured
     }
-    terms = {i: _term(n) for i, n in enumerate(names)}
-    theta, cov, reason = begin.copy(), np.zeros((len(names), len(names))), {}
-    fit_share: dict[str, float] = {}
-    step_notes: list[str] = []
-    std_crb, determined, of_start = np.full(len(names), np.nan), True, set[str]()
-    for slope in slopes:
-        # The force does not explain itself.
-        for views in estimates:
-            views[slope.coefficient] = slope.motion
-    for coefficient, members in groups.items():
-        main = estimates[0][coefficient]
-        # What the estimates change with choices that the flight does not decide.
-        deviations = np.array([e[coefficient].theta - main.theta for e in estimates[1:]])
-        square = np.max(deviations**2, axis=0)
-        # Motion that a regression does not explain may be gusts that its instruments remember: the
-        # values before the flight are then as likely, in the share that is unexplained.
-        start = begin[list(members)]
-        guess = np.maximum((main.theta - start) ** 2, (_START_SHARE * start) ** 2)
-        covariance = main.cov + np.diag(square + main.unexplained * guess)
-        value = main.theta
-        steps = by_steps.get(coefficient)
-        inverted = [s for s in slopes if s.coefficient == coefficient]
-        if inverted and inverted[0].steps is not None:
-            steps = inverted[0].steps
-            value, covariance = steps.theta, steps.cov
-            step_notes.append(steps.note)
-        elif steps is not None and _is_better(steps, main.theta, covariance):
-            value, covariance = steps.theta, steps.cov
-            step_notes.append(steps.note)
-        of_terms = [terms[i] for i in members]
-        covariance = covariance + _from_air_data(value, of_terms, errors, means)
-        for slope in slopes:
-            if slope.coefficient != coefficient:
-                covariance += slope.errors_in(value, of_terms, means)
-        if value is main.theta and main.unexplained > _GUESSED:
-            of_start |= {names[i] for i in members}
-        theta[list(members)], block = _with_prior(
-            value,
-            covariance,
-            [
-                None
-                if i in fixed_terms and not (inverted and inverted[0].steps)
-                else prior.get(names[i])
-                for i in members
-            ],
+    means = _mean_angles(flights)
+    estimates = {
+        c: _coefficient_estimate(
+            c,
+            [names[i] for i in members],
+            begin[list(members)],
+            [v[c] for v in views],
+            by_steps.get(c),
+            slopes,
+            errors=errors,
+            means=means,
+            prior=prior,
+            fixed=[i in fixed_terms for i in members],
         )
-        cov[np.ix_(list(members), list(members))] = block
-        fit_share[coefficient] = main.unexplained
-        std_crb[list(members)] = main.white_std
-        determined = determined and main.determined
-    std = np.sqrt(np.diagonal(cov))
+        for c, members in groups.items()
+    }
+    theta, cov = begin.copy(), np.zeros((len(names), len(names)))
+    std_crb = np.full(len(names), np.nan)
+    for c, members in groups.items():
+        place = list(members)
+        theta[place], cov[np.ix_(place, place)] = estimates[c].theta, estimates[c].cov
+        std_crb[place] = estimates[c].white_std
     theta = _within_bounds(theta, cov, limits)
-    for i, (name, (low, high)) in enumerate(zip(names, limits, strict=True)):
-        if name not in prior and any(s.undetermined(name) for s in slopes):
-            reason[name] = "no vane measures its angle; give --prior FILE"
-        elif not np.isfinite(std[i]) or std[i] == 0.0:
-            reason[name] = "no effect in these data"
-        elif not low <= theta[i] <= high:
-            reason[name] = f"beyond its bound [{low:g}, {high:g}]"
-        else:
-            reason[name] = ""
-    identified = [n for n in names if not reason[n]]
-    places = [names.index(n) for n in identified]
+    std = np.sqrt(np.diagonal(cov))
+    reason = {
+        name: _reason(name, theta[i], std[i], limits[i], name in prior, slopes)
+        for i, name in enumerate(names)
+    }
     ok = np.array([not reason[n] for n in names])
-    # The air data are calibrated already.
-    late = [Instruments(delay_s, servos).correct(f) for f in flights]
-    flight_segments = tuple(
-        s for f in late for s in segments(f, measured, aircraft.accelerometer_m)
+    theta, std, std_crb = (
+        np.where(ok, theta, initial),
+        np.where(ok, std, np.nan),
+        np.where(ok, std_crb, np.nan),
     )
-    outputs = tuple(
-        c
-        for c in OUTPUTS
-        if c not in unmeasured
-        and any(c in f.record and np.isfinite(f.record[c]).any() for f in flights)
-    )
-    observed = [block for f in late for block in measured_outputs(f, outputs)]
     callback("replays")
-    values = dict(zip(names, np.where(ok, theta, initial).tolist(), strict=True))
-    jobs = [ReplayJob(model, s, values, s.start) for s in flight_segments]
-    columns = [CHANNELS.index(c) for c in outputs]
-    modelled = [out[:, columns] for out in fly_all(jobs)]
+    corrected = [Instruments(delay_s, servos).correct(f) for f in flights]
+    outputs, flight_segments, observed, modelled = _replays(
+        aircraft,
+        corrected,
+        models[0],
+        dict(zip(names, theta.tolist(), strict=True)),
+        measured,
+        unmeasured,
+    )
     result = Identification(
         aircraft=aircraft.name,
         names=names,
         initial=initial,
-        theta=np.where(ok, theta, initial),
-        std=np.where(ok, std, np.nan),
-        std_crb=np.where(ok, std_crb, np.nan),
+        theta=theta,
+        std=std,
+        std_crb=std_crb,
         status={n: "not-identified" if reason[n] else "identified" for n in names},
         reason=reason,
-        cov=cov[np.ix_(places, places)],
-        nuisance={f"delay/{f.name}/controls": (delay_s, DELAY_STD_S) for f in flights}
-        | {
-            f"{kind}/{f.name}/{control}": (value, DELAY_STD_S)
-            for f in flights
-            for control, pair in servos.items()
-            for kind, value in zip(("delay", "lag"), pair, strict=True)
-        }
-        | {f"sensor.{e.channel}/{e.kind}": (e.value, e.std) for e in errors},
+        cov=cov[np.ix_(ok, ok)],
+        nuisance=_nuisance(flights, delay_s, servos, errors),
         outputs=outputs,
         segments=flight_segments,
         measured=observed,
@@ -666,7 +616,7 @@ def identify_ordinary(
         whiteness=np.full(len(outputs), np.nan),
         noise=channel_noise(observed, outputs, aircraft.card.sensors.noise_std),
         method=METHOD,
-        converged=determined,
+        converged=all(e.determined for e in estimates.values()),
         warnings=tuple(
             f"{f.name}: rows come at {1.0 / f.record.dt_s:.0f} Hz; below {_MIN_HZ:.0f} Hz faster"
             " motion is lost, and dampings and control powers may be beyond their intervals"
@@ -675,36 +625,197 @@ def identify_ordinary(
         ),
         notes=(),
         simulations=len(_VIEWS),
-        seconds=time.perf_counter() - start_s,
+        seconds=0.0,
     )
     assumed = (
         "servos without lag" if ideal_servos else "the lags and rate limits of the card's servos"
     )
-    notes = [
+    notes = (
         "estimated by equation error on all rows, because the flight has no test manoeuvres;"
         " intervals allow for the unexplained share of each coefficient: "
-        + ", ".join(f"{c} {percent(share)}" for c, share in fit_share.items()),
+        + ", ".join(f"{c} {percent(e.unexplained)}" for c, e in estimates.items()),
         f"controls act {1e3 * delay_s:.0f} ms after their rows"
         + ("" if len(measured) == len(_CONTROL_TERMS) else ", in addition to " + assumed),
-        *step_notes,
+        *(e.note for e in estimates.values() if e.note),
         *(f"air data: {e.text()}" for e in errors),
         *_combination_notes(result),
-    ]
-    notes += [s.note for s in slopes]
-    labels = prior_labels(result, prior)
-    labels |= {n: "start value and data" for n in identified if n in of_start and n not in prior}
-    for slope in slopes:
-        labels |= (
-            {n: "prior and data" for n in identified if n not in prior and slope.scales(n)}
-            if slope.basis not in ("", "data")
-            else {}
-        )
+        *(s.note for s in slopes),
+    )
+    guessed = {
+        names[i] for c, members in groups.items() if estimates[c].depends_on_start for i in members
+    }
     return replace(
         result,
-        notes=tuple(notes),
-        labels=labels,
+        notes=notes,
+        labels=_labels(result, prior, guessed, slopes),
         seconds=time.perf_counter() - start_s,
     )
+
+
+def _mean_angles(flights: Sequence[Flight]) -> dict[str, float]:
+    """Return the mean angle of attack and sideslip, rad; zero for one that a flight lacks."""
+    return {
+        c.removesuffix("_rad"): float(np.nanmean(np.concatenate([f.record[c] for f in flights])))
+        if all(c in f.record for f in flights)
+        else 0.0
+        for c in ("alpha_rad", "beta_rad")
+    }
+
+
+@dataclass(frozen=True)
+class _CoefficientEstimate:
+    """Estimates (k,) and covariance (k, k) of a coefficient's terms, with priors; the unexplained
+    share, standard errors (k,) of white residuals and whether every combination is determined;
+    whether the start values count, and how steps of the commands were used.
+    """
+
+    theta: FloatArray
+    cov: FloatArray
+    unexplained: float
+    white_std: FloatArray
+    determined: bool
+    depends_on_start: bool
+    note: str
+
+
+def _coefficient_estimate(
+    coefficient: str,
+    names: Sequence[str],
+    start: FloatArray,
+    views: Sequence[_Regression],
+    steps: _StepFit | None,
+    slopes: Sequence[_AngleSlope],
+    *,
+    errors: Sequence[AirDataError],
+    means: Mapping[str, float],
+    prior: Mapping[str, tuple[float, float]],
+    fixed: Sequence[bool],
+) -> _CoefficientEstimate:
+    """Choose between earlier motion and steps as instruments, and add what makes the estimates
+    uncertain: choices that the flight does not decide, air data, angles without a vane.
+
+    Parameters
+    ----------
+    coefficient, names, start
+        Coefficient, its k parameters and their values before the flight (k,).
+    views : sequence of _Regression
+        By `_VIEWS`.
+    steps : _StepFit, optional
+        Estimate from steps of the commands.
+    slopes : sequence of _AngleSlope
+        Forces that stand for vanes.
+    errors, means
+        Of the air data, and mean angles.
+    prior : Mapping
+        Parameter to mean and standard deviation.
+    fixed : sequence of bool
+        Which parameters are slopes of such a force.
+    """
+    # The force does not explain itself: that of a vane has one estimate, from motion or steps.
+    of_vane = next((s for s in slopes if s.coefficient == coefficient), None)
+    if of_vane is not None:
+        views, steps = [of_vane.motion] * len(views), of_vane.steps
+    main = views[0]
+    deviations = np.array([v.theta - main.theta for v in views[1:]])
+    # Motion that a regression does not explain may be gusts that its instruments remember: the
+    # values before the flight are then as likely, in the share that is unexplained.
+    guess = np.maximum((main.theta - start) ** 2, (_START_SHARE * start) ** 2)
+    value = main.theta
+    cov = main.cov + np.diag(np.max(deviations**2, axis=0) + main.unexplained * guess)
+    by_steps = steps is not None and (of_vane is not None or _is_better(steps, value, cov))
+    if steps is not None and by_steps:
+        value, cov = steps.theta, steps.cov
+    terms = [_term(n) for n in names]
+    cov = cov + _from_air_data(value, terms, errors, means)
+    for slope in slopes:
+        if slope is not of_vane:
+            cov += slope.errors_in(value, terms, means)
+    # A slope that stands for a vane has its prior already, unless steps told it.
+    priors = [
+        prior.get(n) if by_steps or not f else None for n, f in zip(names, fixed, strict=True)
+    ]
+    theta, cov = _with_prior(value, cov, priors)
+    return _CoefficientEstimate(
+        theta,
+        cov,
+        main.unexplained,
+        main.white_std,
+        main.determined,
+        not by_steps and main.unexplained > _GUESSED,
+        steps.note if steps is not None and by_steps else "",
+    )
+
+
+def _reason(
+    name: str,
+    value: float,
+    std: float,
+    limits: tuple[float, float],
+    has_prior: bool,
+    slopes: Sequence[_AngleSlope],
+) -> str:
+    """Return why a parameter is not identified; empty if it is."""
+    if not has_prior and any(s.undetermined(name) for s in slopes):
+        return "no vane measures its angle; give --prior FILE"
+    if not np.isfinite(std) or std == 0.0:
+        return "no effect in these data"
+    low, high = limits
+    return "" if low <= value <= high else f"beyond its bound [{low:g}, {high:g}]"
+
+
+def _nuisance(
+    flights: Sequence[Flight],
+    delay_s: float,
+    servos: Mapping[str, tuple[float, float]],
+    errors: Sequence[AirDataError],
+) -> dict[str, tuple[float, float]]:
+    """Return values and standard errors of delays, servo lags and air data by their names."""
+    out = {f"delay/{f.name}/controls": (delay_s, DELAY_STD_S) for f in flights}
+    for f in flights:
+        for control, pair in servos.items():
+            for kind, value in zip(("delay", "lag"), pair, strict=True):
+                out[f"{kind}/{f.name}/{control}"] = (value, DELAY_STD_S)
+    return out | {f"sensor.{e.channel}/{e.kind}": (e.value, e.std) for e in errors}
+
+
+def _replays(
+    aircraft: Aircraft,
+    flights: Sequence[Flight],
+    model: ReplayModel,
+    values: Mapping[str, float],
+    measured: Sequence[str],
+    unmeasured: Sequence[str],
+) -> tuple[tuple[str, ...], tuple[Segment, ...], list[FloatArray], list[FloatArray]]:
+    """Return the measured channels, the segments, and log and model in each (n, m)."""
+    outputs = tuple(
+        c
+        for c in OUTPUTS
+        if c not in unmeasured
+        and any(c in f.record and np.isfinite(f.record[c]).any() for f in flights)
+    )
+    flight_segments = tuple(
+        s for f in flights for s in segments(f, measured, aircraft.accelerometer_m)
+    )
+    jobs = [ReplayJob(model, s, values, s.start) for s in flight_segments]
+    columns = [CHANNELS.index(c) for c in outputs]
+    observed = [block for f in flights for block in measured_outputs(f, outputs)]
+    return outputs, flight_segments, observed, [out[:, columns] for out in fly_all(jobs)]
+
+
+def _labels(
+    result: Identification,
+    prior: Mapping[str, tuple[float, float]],
+    guessed: Collection[str],
+    slopes: Sequence[_AngleSlope],
+) -> dict[str, str]:
+    """Return parameter to where its value comes from; ``guessed`` depend on the start values."""
+    labels = prior_labels(result, prior)
+    free = [n for n in result.identified if n not in prior]
+    labels |= {n: "start value and data" for n in free if n in guessed}
+    for slope in slopes:
+        if slope.basis not in ("", "data"):
+            labels |= {n: "prior and data" for n in free if slope.scales(n)}
+    return labels
 
 
 _OWN_CONTROL = {"Cl": ("da", "aileron"), "Cm": ("de", "elevator"), "Cn": ("dr", "rudder")}
