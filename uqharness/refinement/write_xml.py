@@ -262,7 +262,7 @@ def _per_rate(length: str, section: AeroSection) -> Expression:
         return property_value(f"aero/{length}_2V")
     metric = {"b": "metrics/bw-ft", "c": "metrics/cbarw-ft"}[length]
     speed = call("max", property_value("velocities/vt-fps"), value(0.1))
-    return call("quotient", property_value(metric), call("product", value(2, "g"), speed))
+    return property_value(metric) / (2 * speed)
 
 
 def variable_xml(variable: str, section: AeroSection, aircraft: Aircraft) -> Expression:
@@ -275,39 +275,24 @@ def variable_xml(variable: str, section: AeroSection, aircraft: Aircraft) -> Exp
         if of_body and _computes(section, f"aero/{variable}"):
             return property_value(f"aero/{variable}")
         per_rate = _per_rate("c" if rate in ("q", "alphadot") else "b", section)
-        return call(
-            "product",
-            per_rate,
-            property_value(
-                f"velocities/{rate}-aero-rad_sec" if of_body else f"aero/{rate}-rad_sec"
-            ),
-        )
+        source = f"velocities/{rate}-aero-rad_sec" if of_body else f"aero/{rate}-rad_sec"
+        return per_rate * property_value(source)
     if variable in _CONTROLS:
         source, factor = state_source(_CONTROLS[variable], aircraft)
         factor *= 0.01 if variable == "dt" else 1.0
-        return (
-            property_value(source)
-            if factor == 1.0
-            else call("product", value(factor, ".10g"), property_value(source))
-        )
+        position = property_value(source)
+        return position if factor == 1.0 else value(factor, ".10g") * position
     if variable == "CT":
         thrust = aircraft.card.outputs.get("thrust_N")
-        force = (
-            call("product", value(1.0 / LBF_N, ".10g"), property_value(thrust))
-            if thrust
-            else property_value("forces/fbx-prop-lbs")
-        )
-        return call("quotient", force, call("product", *_QBAR_S))
+        force = property_value("forces/fbx-prop-lbs")
+        if thrust:
+            force = value(1.0 / LBF_N, ".10g") * property_value(thrust)
+        return force / call("product", *_QBAR_S)
     if variable == "V_rel":
-        return call(
-            "product", value(FT_M / V_REFERENCE_MPS, ".10g"), property_value("velocities/vt-fps")
-        )
+        return value(FT_M / V_REFERENCE_MPS, ".10g") * property_value("velocities/vt-fps")
     if variable == "h_over_b":
-        return call(
-            "max",
-            value(0.1),
-            call("quotient", property_value("position/h-agl-ft"), property_value("metrics/bw-ft")),
-        )
+        height = property_value("position/h-agl-ft") / property_value("metrics/bw-ft")
+        return call("max", value(0.1), height)
     raise BadInputError(f"variable '{variable}' has no JSBSim form")
 
 
@@ -318,13 +303,7 @@ def term_xml(term: Term, section: AeroSection, aircraft: Aircraft) -> list[Expre
         one = variable_xml(f.variable, section, aircraft)
         one = call("abs", one) if f.absolute else one
         if f.power < 0:
-            out.append(
-                call(
-                    "quotient",
-                    value(1, "g"),
-                    one if f.power == -1 else call("pow", one, value(-f.power, "g")),
-                )
-            )
+            out.append(1 / (one if f.power == -1 else call("pow", one, value(-f.power, "g"))))
         elif f.power <= 3:
             out += [one] * f.power
         else:
@@ -348,14 +327,14 @@ def subsystem_terms(
         case "propulsion", "thrust_scale":
             return [("CX", 1.0, [x("CT")])]
         case "propulsion", "airspeed":
-            return [("CX", 1.0, [x("CT"), call("difference", x("V_rel"), value(1, "g"))])]
+            return [("CX", 1.0, [x("CT"), x("V_rel") - 1])]
         case "propulsion", "inflow":
             # A propeller's thrust slope over qbar S is a function of the advance ratio, and so of
             # CT: a cubic of it.
             CT, numbers = x("CT"), [slopes.get(f"inflow_{k}", 0.0) for k in range(INFLOW_POWERS)]
             curve = value(numbers[-1], ".8g")
             for number in reversed(numbers[:-1]):
-                curve = call("sum", value(number, ".8g"), call("product", CT, curve))
+                curve = value(number, ".8g") + CT * curve
             return [("CX", 1.0, [curve])]
         case "propulsion", "torque":
             return [("Cl", 1.0, [x("CT")])]
@@ -372,21 +351,13 @@ def subsystem_terms(
                 ("CZ", slopes.get("CZ_alpha", 0.0), [x("alpha"), _lift_lost(effect.term, section)])
             ]
         case "ground", _:
-            proximity = call("exp", call("product", value(-2, "g"), x("h_over_b")))
+            proximity = call("exp", -2 * x("h_over_b"))
             # The force of the frame before holds the effect already: divided by 1 + k exp(-2 h/b)
             # it is the force without.
-            with_effect = call(
-                "sum",
-                value(1, "g"),
-                call("product", property_value(effect.property_name), proximity),
-            )
-            force = call("product", *_QBAR_S, with_effect)
+            with_effect = 1 + property_value(effect.property_name) * proximity
+            force = property_value("forces/fbz-aero-lbs")
             return [
-                (
-                    "CZ",
-                    1.0,
-                    [proximity, call("quotient", property_value("forces/fbz-aero-lbs"), force)],
-                )
+                ("CZ", 1.0, [proximity, force / call("product", *_QBAR_S, with_effect)]),
             ]
     raise BadInputError(f"effect {effect.key}: no JSBSim form is known")
 
@@ -401,18 +372,15 @@ def _lift_lost(term: str, section: AeroSection) -> Expression:
             _per_rate("c", section),
             call("todegrees", property_value("aero/alphadot-rad_sec")),
         )
-    angle = call("difference", property_value("aero/alpha-deg"), lag)
+    angle = property_value("aero/alpha-deg") - lag
     a1 = 2.0 * STALL["a1_per_deg"]
 
     def side(sign: int, at: float) -> Expression:
         """Return 1 + exp(sign a1 (angle - at)) of positive or negative stall."""
-        exponent = call("product", value(sign * a1, "g"), call("difference", angle, value(at, "g")))
-        return call("sum", value(1, "g"), call("exp", exponent))
+        return 1 + call("exp", value(sign * a1, "g") * (angle - value(at, "g")))
 
-    product = call("product", side(1, STALL["alpha1_deg"]), side(-1, STALL["alpha2_deg"]))
-    X = call("quotient", value(1, "g"), product)
-    square = call("pow", call("sum", value(1, "g"), call("sqrt", X)), value(2, "g"))
-    return call("difference", call("product", value(0.25), square), value(1, "g"))
+    X = 1 / (side(1, STALL["alpha1_deg"]) * side(-1, STALL["alpha2_deg"]))
+    return 0.25 * call("pow", 1 + call("sqrt", X), value(2, "g")) - 1
 
 
 THRUST_SCALE = "propulsion/thrust-scale"

@@ -75,6 +75,36 @@ class Expression:
         inner = [f"  {line}" for argument in self.arguments for line in argument.lines()]
         return [f"<{self.tag}>", *inner, f"</{self.tag}>"]
 
+    # Formulas of two terms; numbers are written with the shortest digits.
+
+    def __add__(self, other: Expression | float) -> Expression:
+        return call("sum", self, _expression(other))
+
+    def __radd__(self, other: float) -> Expression:
+        return call("sum", _expression(other), self)
+
+    def __sub__(self, other: Expression | float) -> Expression:
+        return call("difference", self, _expression(other))
+
+    def __mul__(self, other: Expression | float) -> Expression:
+        return call("product", self, _expression(other))
+
+    def __rmul__(self, other: float) -> Expression:
+        return call("product", _expression(other), self)
+
+    def __truediv__(self, other: Expression | float) -> Expression:
+        return call("quotient", self, _expression(other))
+
+    def __rtruediv__(self, other: float) -> Expression:
+        return call("quotient", _expression(other), self)
+
+
+def _expression(operand: Expression | float) -> Expression:
+    """Return an operand of a formula; whole numbers without a point."""
+    if isinstance(operand, Expression):
+        return operand
+    return value(operand, "g" if isinstance(operand, int) else "")
+
 
 def value(number: float, form: str = "") -> Expression:
     """Return a constant, by default with the shortest digits that give the same double.
