@@ -413,62 +413,42 @@ def _with_alternatives(
     """
     if not unselected:
         return choice
+    # Candidates of comparable gain, and the effect's twins.
     gains = np.nan_to_num(score_tests(information, free, unselected).gain, nan=-np.inf)
-    effect_information = float(score_tests(information, free, [choice.key]).information[0])
     least_gain = min(tuned.COMPARABLE_SHARE * choice.gain, choice.gain - tuned.SIGNIFICANT_Z**2)
-    nearest_rows = [
-        i for i in np.argsort(-gains)[:MAX_RUNNERS_UP].tolist() if gains[i] > least_gain
-    ]
-    nearest_rows += [
+    strongest = np.argsort(-gains)[:MAX_RUNNERS_UP].tolist()
+    places = [i for i in strongest if gains[i] > least_gain]
+    places += [
         i
         for i, k in enumerate(unselected)
-        if (choice.key, k) in TWINS and i not in nearest_rows and np.isfinite(gains[i])
+        if (choice.key, k) in TWINS and i not in places and np.isfinite(gains[i])
     ]
+    keys = [unselected[i] for i in places]
+    correlations = column_correlations(information, free, choice.key, keys)
+    effect_information = float(score_tests(information, free, [choice.key]).information[0])
+    # The effect's t beside its rival is corrected for coloured residuals like that of the effect
+    # alone.
+    colour = abs(choice.t) / np.sqrt(choice.gain) if choice.gain > 0 else 1.0
     rows = []
-    for i, same in zip(
-        nearest_rows,
-        column_correlations(information, free, choice.key, [unselected[i] for i in nearest_rows]),
-        strict=True,
-    ):
-        key = unselected[i]
+    for i, key, correlation in zip(places, keys, correlations, strict=True):
         companions = _companions(information, free, TWINS.get((choice.key, key), ()))
-        with_rival = score_tests(information, [*free, key, *companions], [choice.key])
-        # Correct the effect's t beside its rival for coloured residuals by the ratio for the effect
-        # alone.
-        t = float(np.nan_to_num(with_rival.t[0])) * (
-            abs(choice.t) / np.sqrt(choice.gain) if choice.gain > 0 else 1.0
-        )
-        share_kept = float(np.nan_to_num(with_rival.information[0])) / effect_information
-        inseparable = abs(t) < tuned.SIGNIFICANT_Z or (
-            bool(companions) and share_kept < tuned.INSEPARABLE_SHARE
+        beside = score_tests(information, [*free, key, *companions], [choice.key])
+        t = float(np.nan_to_num(beside.t[0])) * colour
+        share = float(np.nan_to_num(beside.information[0])) / effect_information
+        separable = not abs(t) < tuned.SIGNIFICANT_Z and not (
+            companions and share < tuned.INSEPARABLE_SHARE
         )
         rows.append(
-            Alternative(key, float(gains[i]), t, float(same), not inseparable, tuple(companions))
+            Alternative(key, float(gains[i]), t, float(correlation), separable, tuple(companions))
         )
     # List physically equivalent causes before other forms of the same term: the effect's twins,
     # then those of the nearest alternative.
-    twins_of_effect = {key for one, key in TWINS if one == choice.key}
+    twins = {key for one, key in TWINS if one == choice.key}
     alike = [r for r in rows if not r.separable]
-    nearest = next((a.key for a in alike if a.key not in twins_of_effect), "")
-    inseparable_rows = sorted(
-        alike,
-        key=lambda a: (
-            0
-            if a.key in twins_of_effect
-            else 1
-            if a.key == nearest
-            else 2
-            if (nearest, a.key) in TWINS
-            else 3
-        ),
-    )
-    return replace(
-        choice,
-        alternatives=(
-            *inseparable_rows[: MAX_ALTERNATIVES - 1],
-            *[r for r in rows if r.separable][:1],
-        ),
-    )
+    nearest = next((a.key for a in alike if a.key not in twins), "")
+    alike.sort(key=lambda a: (a.key not in twins, a.key != nearest, (nearest, a.key) not in TWINS))
+    separable_rows = [r for r in rows if r.separable]
+    return replace(choice, alternatives=(*alike[: MAX_ALTERNATIVES - 1], *separable_rows[:1]))
 
 
 # Intervals of a selected effect, conditional on its selection.
@@ -483,17 +463,15 @@ _SEARCH_RANGE = 40.0
 """Limit of the search for theta, in standard errors."""
 
 
-def conditional_interval(
-    value: float, std: float, critical_t: float, confidence: float = 0.95
-) -> tuple[float, float]:
-    """Return the interval of an effect that was selected because |value / std| > ``critical_t``.
+def conditional_interval(value: float, std: float, critical_t: float) -> tuple[float, float]:
+    """Return the 95 % interval of an effect, selected because |value / std| > ``critical_t``.
 
     It is the ordinary interval if ``critical_t`` is NaN or |t| does not exceed it, and NaN if
     ``std`` is not positive.
     """
     if not (std > 0.0 and math.isfinite(value) and math.isfinite(std)):
         return math.nan, math.nan
-    tail = 0.5 * (1.0 - confidence)
+    tail = 0.5 * (1.0 - 0.95)
     t = abs(value) / std
     if not t > critical_t:
         reach = -float(special.ndtri(tail)) * std
