@@ -298,9 +298,8 @@ def _trim(aircraft: Aircraft, speed_mps: float | None, properties: Mapping[str, 
     def trim_at(k: int) -> Trim | None:
         if not 0 <= k < len(_SPEEDS_MPS):
             return None
-        trim = find_trim(
-            aircraft, SteadyCondition(float(_SPEEDS_MPS[k]), 200.0, properties=properties)
-        )
+        condition = SteadyCondition(float(_SPEEDS_MPS[k]), 200.0, properties=properties)
+        trim = find_trim(aircraft, condition, explains=False)
         return trim if trim.converged else None
 
     # Begin at an ordinary lift coefficient: speeds that do not trim take the longest.

@@ -361,7 +361,7 @@ def force_near_trim(
     return on_shared_instance(aircraft, action)[0]
 
 
-def find_trim(aircraft: Aircraft, condition: SteadyCondition) -> Trim:
+def find_trim(aircraft: Aircraft, condition: SteadyCondition, *, explains: bool = True) -> Trim:
     """Trim an aircraft by bounded least squares.
 
     Parameters
@@ -370,6 +370,8 @@ def find_trim(aircraft: Aircraft, condition: SteadyCondition) -> Trim:
         An aircraft with wings.
     condition : SteadyCondition
         Flight condition.
+    explains : bool
+        Whether a failure is explained, which takes several searches at other speeds.
 
     Returns
     -------
@@ -409,7 +411,7 @@ def find_trim(aircraft: Aircraft, condition: SteadyCondition) -> Trim:
         # A control law that integrates a rate error rests only at the commanded rate.
         free = _search(aircraft, condition, replace(equilibrium, free=True))
         result = free if free.trim.converged else result
-    return result.explained()
+    return result.explained() if explains else result.trim
 
 
 @dataclass(frozen=True)
@@ -527,7 +529,15 @@ def _search(
     failure, unstable = ("", False) if trim.converged else _unsettled(problem, x)
     if unstable or (equilibrium is not None and not equilibrium.free and problem.never_settles):
         return _SearchResult(problem, trim, x, dead or failure)
-    if not trim.converged and acts and dict(problem.at_limits(x)).get("throttle") != "upper":
+    # Lateral accelerations alone are no matter of the throttle.
+    size = np.abs(trim.residual)
+    is_lateral = float(np.max(size[[0, 2, 4]])) < _LATERAL_SHARE * float(np.max(size))
+    if (
+        not trim.converged
+        and not is_lateral
+        and acts
+        and dict(problem.at_limits(x)).get("throttle") != "upper"
+    ):
         # Windmilling and powered propellers are two steady states with a jump in thrust between
         # them: try again from an open throttle.
         other_x = problem.solve(_OPEN_THROTTLE)

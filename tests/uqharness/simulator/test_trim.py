@@ -331,6 +331,16 @@ def test_a_saturated_elevator_is_named_with_its_limit(tmp_path):
     assert find_trim(aircraft, SteadyCondition(16.0, 100.0)).converged
 
 
+def test_a_failure_need_not_be_explained():
+    aircraft, condition = find_aircraft("espaaro"), SteadyCondition(40.0)
+    brief, full = (find_trim(aircraft, condition, explains=explains) for explains in (False, True))
+    assert not brief.converged
+    assert "N too little" in full.reason
+    assert full.reason.startswith(brief.reason)
+    assert len(brief.reason) < len(full.reason) - 20
+    np.testing.assert_array_equal(brief.residual, full.residual)
+
+
 def test_a_wing_that_does_not_carry_is_named():
     result = find_trim(find_aircraft("espaaro"), SteadyCondition(5.0))
     assert "alpha is at its upper limit of 28.6 deg" in result.reason
