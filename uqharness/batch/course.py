@@ -137,14 +137,41 @@ def initialise_lanes(lanes: LaneMission, specs: Sequence[FlightSpec]) -> Initial
         For a property that cannot be set, that initialising overwrites, and for a start on the
         ground.
     """
-    count = len(specs)
     loaded = _load_starts(lanes, specs)
+    rows = [_set_properties(lanes, one, spec) for one, spec in zip(loaded, specs, strict=True)]
+    # Flights that differ only in what they meet later begin alike: each start is computed once.
+    keys = [
+        (id(one), *row.values(), spec.seed_noise if lanes.flight.draws else None)
+        for one, row, spec in zip(loaded, rows, specs, strict=True)
+    ]
+    lane_of_key = {key: lane for lane, key in reversed([*enumerate(keys)])}
+    distinct = sorted(lane_of_key.values())
+    place = {keys[lane]: k for k, lane in enumerate(distinct)}
+    initial = _initialise_distinct(
+        lanes,
+        [specs[k] for k in distinct],
+        [loaded[k] for k in distinct],
+        [rows[k] for k in distinct],
+    )
+    places = np.array([place[key] for key in keys])
+    return InitialLanes(
+        {name: value[places] for name, value in initial.values.items()}, initial.noise
+    )
+
+
+def _initialise_distinct(
+    lanes: LaneMission,
+    specs: Sequence[FlightSpec],
+    loaded: Sequence[LoadedStart],
+    rows: Sequence[Mapping[str, float]],
+) -> InitialLanes:
+    """Initialise flights from their loaded starts and the properties that are set."""
+    count = len(specs)
     values = start_state(
         {name: np.array([one.conditions[name] for one in loaded]) for name in CONDITIONS}
     )
-    # Properties that were set override those of the start state.
-    rows = [_set_properties(lanes, one, spec) for one, spec in zip(loaded, specs, strict=True)]
     assigned = {name: np.array([row[name] for row in rows]) for name in rows[0]}
+    # Properties that were set override those of the start state.
     values |= assigned
     values |= {
         name: np.array([one.static[name] for one in loaded])
