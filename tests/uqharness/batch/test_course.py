@@ -264,3 +264,21 @@ def test_jsbsims_turbulence_keeps_rows_that_a_lane_still_needs():
     assert later.first_row == 10
     assert rows(later, 0, 15).tobytes() == rows(first, 0, 50)[10:25].tobytes()
     assert rows(later, 1, 15).tobytes() == rows(first, 1, 50)[10:25].tobytes()
+
+
+@pytest.mark.parametrize("sensor_noise", [True, False])
+def test_flights_that_begin_alike_have_one_start(sensor_noise):
+    """Lanes in any order have the start that each has alone, down to its bits."""
+    one = spec(duration_s=4.0, sensor_noise=sensor_noise, turbulence="light")
+    flights = [
+        replace(one, wind_mps=wind, seed_noise=noise, seed_turbulence=turbulence)
+        for wind, noise, turbulence in ((3.0, 1, 1), (0.0, 2, 1), (3.0, 1, 2), (3.0, 2, 3))
+    ]
+    lanes = compiled_mission(one).lanes
+    together = initialise_lanes(lanes, flights)
+    for k, flight in enumerate(flights):
+        alone = initialise_lanes(lanes, [flight])
+        for name, value in alone.values.items():
+            assert value.tobytes() == together.values[name][k : k + 1].tobytes(), name
+    moved = [v for v in together.values.values() if v[1] != v[0] and not np.isnan(v[0])]
+    assert moved
