@@ -485,9 +485,14 @@ def resolve(
         is_constant = name not in unset and names.declared.get(name) is not None
         if row is not None and not (is_constant and not parse_source(row.source).terms):
             rows[name] = row
-        # A brake or fault of FlightGear's tree that is set for the start is released in flight.
-        elif name.startswith("/") and is_constant and names.declared[name] and is_off(name):
-            rows[name] = HostProperty(name, "0", "unknown", place)
+        # A brake or fault of FlightGear's tree that is set for the start is released in flight, and
+        # a switch that is off until the pilot starts the engines is on.
+        elif name.startswith("/") and is_constant:
+            value = 0.0 if _lacks_engine(absolute, exists) else switch_value(absolute)
+            if names.declared[name] and is_off(name):
+                rows[name] = HostProperty(name, "0", "unknown", place)
+            elif not names.declared[name] and value:
+                rows[name] = HostProperty(name, f"{value:g}", "system", place)
     if any(row.source == THROTTLE for row in rows.values()):
         rows[THROTTLE] = HostProperty(THROTTLE, "0", "command")
     return tuple(rows.values())
@@ -767,9 +772,13 @@ def with_initial_values(
     rows = []
     for row in properties:
         name = row.name if row.name in values else f"/{row.name}"
+        value = values.get(name, 0.0)
+        # A selector that is on has one of several positions.
+        if row.kind == "system" and value:
+            row = replace(row, source=f"{value:.12g}")
         takes = row.kind in ("unknown", "misspelt") and row.source == "0"
         if takes and name in values and not is_off(name):
-            row = replace(row, source=f"{values[name]:.12g}", kind="unknown", similar="")
+            row = replace(row, source=f"{value:.12g}", kind="unknown", similar="")
         rows.append(row)
     return tuple(rows)
 

@@ -77,6 +77,14 @@ def test_a_brake_that_the_author_set_for_the_start_is_released():
     assert sources_of(reads(declared, declared=declared)) == {brake: ("0", "unknown")}
 
 
+def test_a_switch_that_is_off_before_the_engines_start_is_on():
+    selector, door = "/controls/fuel/tank-selector", "/sim/model/door-positions/left"
+    declared = {selector: 0.0, door: 0.0, "/controls/fuel/pump": 2.0}
+    assert sources_of(reads(declared, declared=declared)) == {selector: ("1", "system")}
+    rows = host.with_initial_values([host.HostProperty(selector, "1", "system")], {selector: 2.0})
+    assert rows[0].source == "2"
+
+
 def test_switches_of_an_engine_that_the_aircraft_lacks_stay_off():
     names = ["/controls/engines/engine/magnetos", "/controls/engines/engine[1]/magnetos"]
     one_engine = re.compile(r"(?!propulsion/engine\[1\])")
