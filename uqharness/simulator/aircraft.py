@@ -33,6 +33,7 @@ from sysid.units import FT_M, LB_KG, RAD_DEG, SLUG_FT2_KGM2, SLUG_FT3_KGPM3
 from uqharness.arguments import path as argument_path
 from uqharness.errors import BadInputError
 from uqharness.files import PROJECT_ROOT
+from uqharness.malformed_xml import malformed_xml
 from uqharness.simulator import aircraft_checks, engine, host, staging
 from uqharness.simulator.aircraft_checks import check_physical, ensure_loadable, undefined_message
 from uqharness.simulator.host import HostProperty, parse_source
@@ -1033,14 +1034,13 @@ def _read_cached(source: Path, _: object) -> Aircraft:
 
 def parse_xml(path: Path) -> etree._ElementTree:
     """Parse an XML file with line numbers; BadInputError with file and line if it is malformed."""
+    content = read_xml(path)
     try:
         return etree.parse(
-            BytesIO(read_xml(path)), etree.XMLParser(remove_comments=False, resolve_entities=False)
+            BytesIO(content), etree.XMLParser(remove_comments=False, resolve_entities=False)
         )
-    except etree.XMLSyntaxError as error:
-        raise BadInputError(
-            f"{path}:{error.lineno}: not well-formed XML: {' '.join(error.msg.split())}"
-        ) from None
+    except etree.XMLSyntaxError:
+        raise malformed_xml(content, str(path)) from None
 
 
 # Signals of a flight record and the JSBSim properties behind them.

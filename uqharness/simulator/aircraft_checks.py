@@ -30,6 +30,7 @@ from sysid.units import SLUG_FT2_KGM2
 from uqharness.child_process import describe_exit, give_answer, run_module
 from uqharness.errors import BadInputError
 from uqharness.files import user_cache, write_bytes
+from uqharness.malformed_xml import malformed_xml
 from uqharness.simulator import engine, host
 from uqharness.simulator.host import HostProperty
 from uqharness.simulator.staging import (
@@ -183,8 +184,8 @@ def _root(aircraft: HasFiles, files: ModelFiles, name: str) -> _Section | None:
     where = str(aircraft.folder / name)
     try:
         root = etree.parse(BytesIO(files.local[name].content), parser).getroot()
-    except etree.XMLSyntaxError as error:
-        raise BadInputError(f"{where}:{error.lineno}: not well-formed XML: {error.msg}") from None
+    except etree.XMLSyntaxError:
+        raise malformed_xml(files.local[name].content, where) from None
     return _Section(root, where)
 
 
@@ -480,7 +481,7 @@ if __name__ == "__main__":
 
 _MAX_FINDINGS = 30
 # A text that is meant as a number: properties begin with a letter or a slash.
-_NUMBER_LIKE = re.compile(r"[-+]?[.,]?\d\S*")
+_NUMBER_LIKE = re.compile(r"[-+]*[.,]?\d\S*")
 _AXES_TEXT = "DRAG SIDE LIFT AXIAL NORMAL X Y Z ROLL PITCH YAW"
 _AXES = tuple(_AXES_TEXT.split())
 _COMPONENTS_TEXT = """
@@ -507,6 +508,7 @@ OHMS AMPERES RPM RPM/VOLT N*M/AMPERE SEC FAHRENHEIT CELSIUS RANKINE KELVIN K F R
 N*M*SEC LBS/GAL M4*SEC/KG LBS/HR/HP FT*LB LBS/HP*HR SLUG*FT KM/SEC LBS/FT2 LB*FT FT4*SEC/SLUG
 """
 _UNITS = frozenset(_UNITS_TEXT.split())
+_LENGTHS = frozenset(["location", "wingspan", "chord", "htailarm", "vtailarm", "diameter"])
 _LENGTHS_OF_TABLES = {"row": 1, "column": 2, "table": 3}
 _PROSE_TEXT = """
 author copyright description documentation email filecreationdate fileheader license limitation note
@@ -545,13 +547,12 @@ def findings(
         parser = etree.XMLParser(remove_comments=True, resolve_entities=False)
         try:
             root = etree.parse(BytesIO(file.content), parser).getroot()
-        except etree.XMLSyntaxError as error:
-            words = " ".join(error.msg.split())
-            raise BadInputError(f"{where}:{error.lineno}: not well-formed XML: {words}") from None
+        except etree.XMLSyntaxError:
+            raise malformed_xml(file.content, where) from None
         if root.tag in ("initialize", "runscript"):
             continue
         rows = [*_operations(root, operations), *_components(root), *_feeds(root, files)]
-        rows += _missing_mass(root)
+        rows += [*_missing_mass(root), *_missing_places(root)]
         if refused:
             rows += [*_files(root, files, present), *_numbers(root), *_tables(root)]
             rows += [*_doubles(root), *_units(root), *_missing_parts(root)]
@@ -626,7 +627,7 @@ def _is_number(text: str) -> bool:
 
 def _suggested(text: str) -> str:
     """Return a number that a text may mean, for a message."""
-    comma = text.replace(",", ".")
+    comma = re.sub(r"^[-+]+(?=[-+])", "", text.replace(",", "."))
     if _is_number(comma):
         return f", such as {comma}"
     head, _, decimals = comma.partition(".")
@@ -673,6 +674,8 @@ def _block(block: Any, axes: int) -> Iterator[tuple[int, str]]:
         for k, text in enumerate((block.text or "").split("\n"))
         if text.split()
     ]
+    if not lines and block.find("tableData") is None:
+        yield start, "<tableData> is empty; write its rows, or a <value> for the table"
     # Words that are no number make every further check meaningless.
     other_words = [(line, token) for line, row in lines for token in row if not _is_number(token)]
     for line, token in other_words:
@@ -744,8 +747,11 @@ def _units(root: Any) -> Iterator[tuple[int, str]]:
     for element in _functional_elements(root):
         unit = (element.get("unit") or "").strip()
         if unit and unit not in _UNITS:
-            matches = difflib.get_close_matches(unit.upper(), sorted(_UNITS), n=1)
-            hint = f"; did you mean {matches[0]}?" if matches else ""
+            if element.tag in _LENGTHS:
+                hint = "; write the length in M, FT or IN"
+            else:
+                matches = difflib.get_close_matches(unit.upper(), sorted(_UNITS), n=1)
+                hint = f"; did you mean {matches[0]}?" if matches else ""
             yield (
                 _line(element),
                 f'<{element.tag} unit="{unit}">: no unit of JSBSim{hint}',
@@ -799,6 +805,22 @@ def _components(root: Any) -> Iterator[tuple[int, str]]:
         if matches:
             text = f"<{element.tag}> is no component of JSBSim, which would ignore it"
             yield _line(element), f"{text}; did you mean <{matches[0]}>?"
+
+
+def _missing_places(root: Any) -> Iterator[tuple[int, str]]:
+    """Yield a misspelt centre of gravity or reference point, which JSBSim puts at 0, 0, 0."""
+    for tag, place in (("metrics", "AERORP"), ("mass_balance", "CG")):
+        for section in [root] if root.tag == tag else root.findall(tag):
+            names = {str(node.get("name")): node for node in section.findall("location")}
+            matches = difflib.get_close_matches(place, names, n=1)
+            if matches and place not in names:
+                yield (
+                    _line(names[matches[0]]),
+                    (
+                        f'<location name="{place}"> is missing, so that JSBSim puts it at 0, 0, 0;'
+                        f' rename "{matches[0]}"'
+                    ),
+                )
 
 
 def _missing_mass(root: Any) -> Iterator[tuple[int, str]]:

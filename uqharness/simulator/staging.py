@@ -24,6 +24,7 @@ from xml.parsers import expat
 from sysid.foreign.regular_files import read_regular, require_regular, sha256_of_parts
 from uqharness.errors import BadInputError
 from uqharness.files import Scratch, scratch_folder
+from uqharness.malformed_xml import malformed_xml
 
 # Screening of one file. Blanked elements keep their line ends, so that line numbers are unchanged.
 
@@ -86,12 +87,8 @@ class _Scan:
         self.parser.EndElementHandler = self._closed
         try:
             self.parser.Parse(self.raw, True)
-        except expat.ExpatError as error:
-            raise BadInputError(
-                f"{self.where}:{error.lineno}: not well-formed XML: {expat.ErrorString(error.code)}"
-            ) from None
-        except (ValueError, LookupError) as error:  # an encoding that Python does not know
-            raise BadInputError(f"{self.where}:1: not readable as XML: {error}") from None
+        except (expat.ExpatError, ValueError, LookupError):
+            raise malformed_xml(self.raw, self.where) from None
         return self
 
     def _opened(self, tag: str, attributes: dict[str, str]) -> None:

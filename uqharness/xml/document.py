@@ -19,6 +19,7 @@ from xml.sax.saxutils import escape
 
 from sysid.foreign.regular_files import read_regular
 from uqharness.errors import BadInputError
+from uqharness.malformed_xml import malformed_xml
 from uqharness.simulator import tag_end
 
 
@@ -181,10 +182,8 @@ def parse_document(path: Path, raw: bytes) -> Document:
     parser.CharacterDataHandler = characters
     try:
         parser.Parse(raw, True)
-    except expat.ExpatError as error:
-        raise BadInputError(
-            f"{path}:{error.lineno}: not well-formed XML: {expat.ErrorString(error.code)}"
-        ) from None
+    except expat.ExpatError:
+        raise malformed_xml(raw, str(path)) from None
     for node in top[0].walk():
         # An element from an entity has no bytes of its own.
         begin = b"<" + node.tag.encode()

@@ -13,6 +13,7 @@ from tests.helpers import foreign_aircraft
 from uqharness.child_process import ProcessResult
 from uqharness.cli.main import main
 from uqharness.errors import BadInputError
+from uqharness.malformed_xml import malformed_xml
 from uqharness.simulator import aircraft_checks, engine, staging
 from uqharness.simulator.aircraft import (
     _findings,
@@ -274,6 +275,10 @@ CASES = {
     "engine": (('file="flat_four"', 'file="flat_for"'), r"did you mean flat_four\?"),
     "unit": (('unit="FT2"', 'unit="FT^2"'), r'unit="FT\^2">: no unit of JSBSim; did you mean FT2'),
     "case": (('unit="FT2"', 'unit="ft2"'), r'unit="ft2">: no unit of JSBSim; did you mean FT2'),
+    "length": (('unit="FT"', 'unit="CM"'), r'unit="CM">: no unit of JSBSim; write the length in M'),
+    "two signs": (("<value>4.8</value>", "<value>--4.8</value>"), r"'--4.8', no number.* as -4.8"),
+    "no rows": (table("", ""), "<tableData> is empty; write its rows"),
+    "place": (('name="AERORP"', 'name="AEROREF"'), 'at 0, 0, 0; rename "AEROREF"'),
     "letter": (("<value>4.8</value>", "<value>4.B</value>"), r"<value> is '4\.B', no number"),
     "empty": (("<value>4.8</value>", "<value/>"), "<value> is empty"),
     "lookup": (table(COLUMN.replace("column", "col"), "0 1\n1 2 3"), 'lookup="col": allowed'),
@@ -313,6 +318,32 @@ def test_an_error_is_named_with_its_place_and_its_mend(tmp_path, case):
     texts = _findings(broken(tmp_path, change), refused=True)
     assert any(re.search(message, text) for text in texts), texts
     assert all(re.match(r"/.*\.xml:\d+: ", text) for text in texts)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        (
+            "</function>",
+            "",
+            r"</axis> stands before the end of <function> \(line 4\); write </funct",
+        ),
+        ("</fdm>", "", r"the file ends before <fdm> \(line 1\) does; write </fdm>"),
+        ("and", "&", "x.xml:2: .* unexpected character .*; write &amp; for &"),
+        ("le 0", "<= 0", "x.xml:3: .*; write &lt; for <, or lt and le in a condition"),
+        ('"LIFT"', "LIFT", "x.xml:4: .*; write the value of an attribute in quotes"),
+    ],
+)
+def test_malformed_xml_is_told_with_its_mend(old, new, message):
+    text = """<fdm>
+<note>gear and flaps</note>
+<test>gear le 0</test>
+<axis name="LIFT"><function>
+</function></axis>
+</fdm>"""
+    assert old in text
+    error = malformed_xml(text.replace(old, new).encode(), "x.xml")
+    assert re.search(message, str(error)), error
 
 
 def test_operations_that_jsbsim_would_ignore_are_refused_together(tmp_path):
