@@ -750,20 +750,22 @@ class _Search:
         for _ in range(_STRUCTURE_ROUNDS):
             before = best
             frames = [best.with_states(**changes) for changes in _STRUCTURES]
-            frame = self.likeliest_structure(segments, best, frames)
+            others = [frame for frame in frames if frame.states != best.states]
+            frame = self.likeliest_structure(segments, best, others)
             best = self.accept(segments, best, frame, kinds)
             # Air that does not rotate is asked as well: a reversed pitch alone can make rotation
             # by the standard less likely than none.
             for axis in ("p", "q", "r"):
                 shape = self.length(segments, best, axis)
                 best = self.accept(segments, best, shape, kinds)
-            # Last, because reversed pitch and yaw resemble the opposite azimuth.
-            earth = self.earth_axes(segments, flights, best)
-            required_gain = (SIGNIFICANT_Z if best.states[0].in_earth else CERTAIN_T) ** 2
-            best = self.accept(segments, best, earth, kinds, required_gain)
             if best.states == before.states:
                 break
-        return best
+        # Last, because reversed pitch and yaw resemble the opposite azimuth.
+        earth = self.earth_axes(segments, flights, best)
+        if best.states[0].in_earth:
+            return self.accept(segments, best, earth, kinds)
+        turned = self.accept(segments, best, earth, kinds, CERTAIN_T**2)
+        return best if turned is best else self.choose_structure(segments, flights, turned, kinds)
 
     def accept(
         self,

@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 
 import jsbsim
+import numpy as np
 import pytest
 
 from tests.jsbsim_defects.small_models import small
@@ -159,3 +160,21 @@ def test_a_filter_begins_at_zero_and_not_at_its_input(tmp_path):
     )
     assert first < 0.1
     assert delayed == pytest.approx(1.0, abs=1e-6)
+
+
+def test_the_rate_of_alpha_contains_the_mean_wind():
+    """With a tail wind u, aero/alphadot-rad_sec exceeds the rate of alpha by q u/V."""
+    for wind_fps in (0.0, 40.0):
+        fdm = running(0.5)
+        fdm["atmosphere/wind-north-fps"] = wind_fps
+        alpha, alphadot, q = [], [], []
+        for k in range(400):
+            fdm["fcs/elevator-cmd-norm"] = 0.2 * math.sin(0.06 * k)
+            fdm.run()
+            alpha.append(fdm["aero/alpha-rad"])
+            alphadot.append(fdm["aero/alphadot-rad_sec"])
+            q.append(fdm["velocities/q-rad_sec"])
+        excess = (np.array(alphadot) - np.gradient(alpha, 0.01))[10:-10]
+        pitch_rate = np.array(q)[10:-10]
+        slope = excess @ pitch_rate / (pitch_rate @ pitch_rate)
+        assert slope == pytest.approx(wind_fps / fdm["velocities/vt-fps"], abs=0.05)
