@@ -264,19 +264,19 @@ class _WhitenedOnDemand:
         q: FloatArray,
     ) -> None:
         self.one, self.columns, self.k, self.colour, self.q = one, columns, k, colour, q
-        self.made: dict[str, NDArray[np.float32]] = {}
+        self.cache: dict[str, NDArray[np.float32]] = {}
 
     def __call__(self, names: Sequence[str]) -> NDArray[np.float32]:
         """Return columns (n, m, C) with the start state projected out."""
-        if missing := [n for n in names if n not in self.made]:
-            made = self.one.with_columns(self.columns.some(self.k, missing)).columns
-            remainder, _ = _project_start(_without_colour(self.colour, made), self.q)
-            self.made |= {
+        if missing := [n for n in names if n not in self.cache]:
+            columns = self.one.with_columns(self.columns.some(self.k, missing)).columns
+            remainder, _ = _project_start(_without_colour(self.colour, columns), self.q)
+            self.cache |= {
                 n: np.ascontiguousarray(remainder[:, :, c]) for c, n in enumerate(missing)
             }
-        out = np.stack([self.made[n] for n in names], axis=2)
-        last = [*(n for n in self.made if n not in names), *names][-_CACHED_COLUMNS:]
-        self.made = {n: self.made[n] for n in last}
+        out = np.stack([self.cache[n] for n in names], axis=2)
+        last = [*(n for n in self.cache if n not in names), *names][-_CACHED_COLUMNS:]
+        self.cache = {n: self.cache[n] for n in last}
         return out
 
 

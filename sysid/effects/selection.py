@@ -253,9 +253,9 @@ class _Stepwise:
     critical_t: float
     empirical: bool
 
-    def penalised_gains(self, beside: Sequence[str], keys: Sequence[str]) -> FloatArray:
+    def penalised_gains(self, selected: Sequence[str], keys: Sequence[str]) -> FloatArray:
         """Return the gain of each candidate beside other effects, less the one required of it."""
-        gain = score_tests(self.information, [*self.free, *beside], keys).gain
+        gain = score_tests(self.information, [*self.free, *selected], keys).gain
         required = np.array([self.required_gains[k] for k in keys])
         return np.nan_to_num(gain - required, nan=-np.inf)
 
@@ -432,9 +432,9 @@ def _with_alternatives(
     rows = []
     for i, key, correlation in zip(places, keys, correlations, strict=True):
         companions = _companions(information, free, TWINS.get((choice.key, key), ()))
-        beside = score_tests(information, [*free, key, *companions], [choice.key])
-        t = float(np.nan_to_num(beside.t[0])) * colour
-        share = float(np.nan_to_num(beside.information[0])) / effect_information
+        scores = score_tests(information, [*free, key, *companions], [choice.key])
+        t = float(np.nan_to_num(scores.t[0])) * colour
+        share = float(np.nan_to_num(scores.information[0])) / effect_information
         separable = not abs(t) < tuned.SIGNIFICANT_Z and not (
             companions and share < tuned.INSEPARABLE_SHARE
         )

@@ -121,44 +121,38 @@ def _remaining(chosen: SearchResult, outcome: HoldOutResult, controls: Sequence[
     """Return whether residuals exceed noise, where, and on what they depend."""
     result, (data, _, after) = outcome.result, outcome.train
     test_data, _, test_after = outcome.test
+    effects, mismatch, refused = chosen.effects, chosen.mismatch, result.selection.refused
+    mismatched_keys = () if mismatch is None else mismatch.replaced
+    # Evidence that the model lacks something: residuals on the training flights, a strong candidate
+    # that no simulation confirmed, a curve, other strong candidates. An effect that the training
+    # flights support and the hold-out flights contradict is an unnamed disagreement, unless chance
+    # explains it or another effect remains.
     excess = excess_residuals(data, after, result.estimator)
-    test_excess = excess_residuals(test_data, test_after, result.estimator)
-    effects, refused = chosen.effects, result.selection.refused
-    moments = unexplained_moments(chosen)
     strong = [refused] if refused is not None and refused.strong else []
-    # An effect that the training flights support and the hold-out flights contradict is an unnamed
-    # disagreement, unless chance explains it.
     contradicted = [
         c for c in outcome.withdrawn if abs(c.t) > chosen.critical_t + tuned.SIGNIFICANT_Z
     ]
     reported = {c.key for c in (*contradicted, *chosen.unclear, *chosen.selection.chosen)}
     candidates = [(key, t) for key, t in chosen.remaining if key not in reported]
-    mismatch = chosen.mismatch
-    mismatched_keys = () if mismatch is None else mismatch.replaced
+    contradicts = bool(contradicted) and not result.selection.chosen
+    unexplained = any((excess, strong, contradicts, candidates, mismatch is not None))
+    # Moments that only noise explains are air: a missing effect has a score, a curve or residuals.
+    moments = unexplained_moments(chosen)
     # In words.
-    where = [_unconfirmed(result.effects[r.key], r) for r in strong]
+    where = [_unconfirmed(effects[r.key], r) for r in strong]
     where += _disagreeing(data, after, controls) if excess else []
-    where += [
-        _part(
-            effects[c.key],
-            c.t,
-            withdrawal_reason(effects[c.key], c, outcome.verdicts[c.key].gap),
-        )
-        for c in contradicted
-    ]
+    for c in contradicted:
+        reason = withdrawal_reason(effects[c.key], c, outcome.verdicts[c.key].gap)
+        where.append(_part(effects[c.key], c.t, reason))
     if mismatch is not None:
         where.append(_wrong_form(mismatch, [effects[k] for k in mismatched_keys]))
     where += [
         _part(effects[c.key], c.t, too_weak_to_name(effects[c.key], c)) for c in chosen.unclear
     ]
-    where += [_still_asked(effects[key], t, k) for k, (key, t) in enumerate(candidates)]
+    where += [_still_significant(effects[key], t, k) for k, (key, t) in enumerate(candidates)]
     where += moments.values()
-    contradicts = bool(contradicted) and not result.selection.chosen
-    # Moments that only noise explains are air: a missing effect has a score, a curve or residuals.
-    unexplained = (
-        bool(excess) or bool(strong) or contradicts or bool(candidates) or mismatch is not None
-    )
     # Where the strongest of it is.
+    test_excess = excess_residuals(test_data, test_after, result.estimator)
     channels = {
         "train": [*excess.above, *excess.coloured, *moments],
         "test": [*test_excess.above, *test_excess.coloured],
@@ -175,7 +169,8 @@ def _remaining(chosen: SearchResult, outcome: HoldOutResult, controls: Sequence[
         place = ResidualLocation(**no_place(NO_RESIDUAL))
     nearby = strong_unreported(place.candidates, {*reported, *(key for key, _ in candidates)})
     where += [
-        _still_asked(effects[key], t, len(candidates) + k) for k, (key, t) in enumerate(nearby)
+        _still_significant(effects[key], t, len(candidates) + k)
+        for k, (key, t) in enumerate(nearby)
     ]
     return Remaining(
         unexplained=unexplained,
@@ -336,7 +331,7 @@ def strong_unreported(
     ]
 
 
-def _still_asked(effect: Effect, t: float, rank: int) -> RemainingPart:
+def _still_significant(effect: Effect, t: float, rank: int) -> RemainingPart:
     """Describe a candidate that the flights still support."""
     return (
         _part(effect, t, still_significant(effect, t))

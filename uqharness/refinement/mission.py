@@ -299,11 +299,11 @@ class FlightSet:
 class IntervalJob:
     """A model whose intervals are made from ``train`` and validated on ``test``.
 
-    ``flown`` is the aircraft that flies as the model if its properties have ``values``.
+    ``simulated`` is the aircraft that flies as the model if its properties have ``values``.
     """
 
     aircraft: Aircraft
-    flown: Aircraft
+    simulated: Aircraft
     values: Mapping[str, float]
     train: FlightSet
     test: FlightSet
@@ -330,12 +330,14 @@ def fit_intervals(job: IntervalJob) -> Intervals:
             for flight_set in (job.train, job.test)
         )
         options = BoundsOptions(ideal_servos=job.ideal_servos, checks=False, values=job.values)
-        fitted = make_bounds(job.flown, train, job.train.measured, job.train.hashes, options).form
+        fitted = make_bounds(
+            job.simulated, train, job.train.measured, job.train.hashes, options
+        ).form
         form = replace(
             fitted, aircraft=AircraftReference(job.aircraft.name, content_hash(job.aircraft))
         )
         validation = validate(
-            job.flown,
+            job.simulated,
             fitted,
             test,
             job.test.measured,

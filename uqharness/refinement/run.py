@@ -282,15 +282,15 @@ def _hold_out_test(
 def _interval_job(
     request: Job,
     model: SearchResult,
-    written: Aircraft,
+    target: Aircraft,
     chosen: SearchResult,
     complete: Aircraft,
     train: FlightSet,
     test: FlightSet,
 ) -> IntervalJob:
-    """Return the job that makes the intervals of a model in the aircraft as ``written``."""
-    aircraft_and_values = flown_as(model, chosen, complete, lambda _: written)
-    return IntervalJob(written, *aircraft_and_values, train, test, bool(request.ideal_servos))
+    """Return the job that makes the intervals of a model, written as the aircraft ``target``."""
+    aircraft_and_values = flown_as(model, chosen, complete, lambda _: target)
+    return IntervalJob(target, *aircraft_and_values, train, test, bool(request.ideal_servos))
 
 
 def file_hash(path: Path) -> str:
