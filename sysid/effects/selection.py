@@ -31,6 +31,7 @@ from sysid.effects.information import (
 )
 
 DRAWS, DRAW_PARTS = 40_000, 8
+MAX_EFFECTS = 6
 MAX_RUNNERS_UP = 12
 MAX_ENTRY_ATTEMPTS = 3
 MAX_ALTERNATIVES = 3
@@ -188,7 +189,6 @@ def select(
     free: Sequence[str],
     required_gains: Mapping[str, float],
     chosen: Sequence[str] = (),
-    max_effects: int = 6,
     critical_t: float | None = None,
     empirical: bool = False,
     decisive_t: float = np.inf,
@@ -205,8 +205,6 @@ def select(
         Candidate to the gain in 2 ln L that is required of it.
     chosen : sequence of str
         Effects at the start, which may be exchanged or removed.
-    max_effects : int
-        Largest number of effects.
     critical_t : float, optional
         Smallest |t| of an effect, by default `critical_t_of`.
     empirical : bool
@@ -224,11 +222,11 @@ def select(
     search = _Stepwise(information, free, required_gains, critical_t, empirical)
     current, trail = list(chosen), list[str]()
     refused: RejectedCandidate | None = None
-    for _ in range(3 * max_effects):
+    for _ in range(3 * MAX_EFFECTS):
         before, refused = list(current), None
         search.exchange(current, trail)
         search.prune(current, trail)
-        entering = search.entering(current) if len(current) < max_effects else None
+        entering = search.entering(current) if len(current) < MAX_EFFECTS else None
         if isinstance(entering, RejectedCandidate):
             refused = entering
         elif entering is not None:

@@ -105,7 +105,7 @@ class SearchContext:
         )
 
     def required_gains(
-        self, information: Information, free: Sequence[str], keys: Sequence[str] = ()
+        self, information: Information, free: Sequence[str], keys: Sequence[str]
     ) -> dict[str, float]:
         """Return the candidates that may be selected beside the ``free`` columns, and the gain
         required of each; those with ``keys`` are included.

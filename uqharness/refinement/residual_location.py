@@ -508,12 +508,12 @@ def _variance_ratio(ordinates: FloatArray) -> FloatArray:
     return np.asarray(1.0 + 2.0 * (one + two))
 
 
-def shortest_interval(weights: FloatArray, share: float = 0.5) -> tuple[int, int]:
-    """Return the shortest stretch [start, stop) with ``share`` of the sum of non-negative
-    weights (n,).
+def shortest_interval(weights: FloatArray) -> tuple[int, int]:
+    """Return the shortest stretch [start, stop) with half of the sum of non-negative weights
+    (n,).
     """
     total = np.append(0.0, np.cumsum(weights))
-    need = share * total[-1] * (1.0 - 1e-12)
+    need = 0.5 * total[-1] * (1.0 - 1e-12)
     every = np.arange(len(total))
     stops = np.maximum(np.searchsorted(total, total + need), every + 1)
     starts = every[stops < len(total)]
@@ -579,15 +579,15 @@ def state_correlate(
 
 
 def dependence(
-    series: Sequence[FloatArray], states: Sequence[Mapping[str, FloatArray]], count: int = 3
+    series: Sequence[FloatArray], states: Sequence[Mapping[str, FloatArray]]
 ) -> list[tuple[str, float]]:
-    """Return the states on which a residual depends, as (name, adjusted share of variance), the
-    largest first.
+    """Return the three states on which a residual depends most, as (name, adjusted share of
+    variance), the largest first.
     """
     y = np.concatenate(series)
     y = y - y.mean()
     every = ((n, _explained(y, np.concatenate([s[n] for s in states]), len(y))) for n in states[0])
-    return sorted(((n, row[0]) for n, row in every if row is not None), key=lambda r: -r[1])[:count]
+    return sorted(((n, row[0]) for n, row in every if row is not None), key=lambda r: -r[1])[:3]
 
 
 def _explained(
@@ -616,6 +616,7 @@ def _explained(
 # shares of samples and in words. Pure.
 
 _MIN_S = 0.5
+MAX_REGIONS = 12
 
 
 def disagreements(
@@ -624,7 +625,6 @@ def disagreements(
     states: Sequence[Mapping[str, FloatArray]],
     labels: Sequence[str],
     dt_s: float,
-    count: int = 12,
 ) -> list[Region]:
     """Return regions of the states in which coefficients disagree, the largest disagreement first.
 
@@ -643,8 +643,6 @@ def disagreements(
         Manoeuvre of every segment.
     dt_s : float
         Step of the rows.
-    count : int
-        Largest number of regions.
     """
     regions: list[tuple[float, Region]] = []
     for kind in dict.fromkeys(labels):
@@ -675,7 +673,7 @@ def disagreements(
                 words=words,
             )
             regions.append((size * seconds, row))
-    return [row for _, row in sorted(regions, key=lambda f: -f[0])][:count]
+    return [row for _, row in sorted(regions, key=lambda f: -f[0])][:MAX_REGIONS]
 
 
 def _densest_region(

@@ -193,16 +193,14 @@ def test_what_all_candidates_see_a_little_is_none_of_them():
     columns = {f"c{k}": drawn(rng) + rng.uniform(-0.6, 0.6) * misfit for k in range(60)}
     candidates = dict.fromkeys(columns, 0.0)
     found = evidence(columns, 0.3 * misfit + drawn(rng))
-    plain = select(found, [], candidates, max_effects=1)
-    careful = select(found, [], candidates, max_effects=1, empirical=True)
+    plain = select(found, [], candidates)
+    careful = select(found, [], candidates, empirical=True)
     assert plain.chosen
     assert not careful.chosen
     assert careful.refused is not None
     assert "spread" in careful.refused.reason
     there = evidence(columns, 0.3 * misfit + drawn(rng) + 1.0 * columns["c7"])
-    assert [c.key for c in select(there, [], candidates, max_effects=1, empirical=True).chosen] == [
-        "c7"
-    ]
+    assert [c.key for c in select(there, [], candidates, empirical=True).chosen] == ["c7"]
 
 
 def test_an_effect_is_found_beside_a_stronger_one_that_its_flights_contradict():
