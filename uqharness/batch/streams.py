@@ -242,9 +242,9 @@ done:
 def _rejection_text(target: Target) -> str:
     """Return LLVM text of ``i64 choose(i64 tries, double* made, double* out)``.
 
-    Of ``made`` (blocks, {one, other, square}, BLOCK) it writes the accepted pairs side by side and
-    returns their number. Every pair is written; the position advances only if the pair is accepted,
-    which avoids a branch.
+    Of the array "made" (blocks, {one, other, square}, BLOCK) it writes the accepted pairs side by
+    side and returns their number. Every pair is written; the position advances only if the pair is
+    accepted, which avoids a branch.
     """
     # %square is the squared radius of a pair; Marsaglia's polar method keeps 0 < r^2 <= 1.
     return f"""
