@@ -10,12 +10,21 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
+from uqharness.batch.interpret import Interpreter
 from uqharness.batch.ir import F64, I1, Function
-from uqharness.batch.llvm import FunctionPrinter, Target, Vectors, attributes, build_code
+from uqharness.batch.llvm import (
+    FunctionPrinter,
+    Target,
+    Vectors,
+    attributes,
+    build_code,
+    choose_target,
+)
 from uqharness.batch.passes import lower_program
 from uqharness.batch.program import BLOCK, Feeds, Program, Section, Stream, When, check_call
 
@@ -66,6 +75,44 @@ def compile_program(program: Program, target: Target) -> FlightKernel:
     pointer, count = ctypes.c_void_p, ctypes.c_int64
     call = ctypes.CFUNCTYPE(None, *[pointer] * 5, *[count] * 3)(code.address)
     return FlightKernel(program, target, text, code.engine, call)
+
+
+INTERPRETED_CALLS = 10
+"""Calls of a few lanes that take as long as compiling."""
+
+
+class TieredFlyer:
+    """A program that is interpreted at first, and compiled once it has been called often.
+
+    Both agree bit for bit, so that results do not depend on the number of calls.
+    """
+
+    def __init__(self, program: Program) -> None:
+        """Expand the program."""
+        self._interpreter, self._calls = Interpreter(program), 0
+
+    @property
+    def program(self) -> Program:
+        """The program."""
+        return self._interpreter.program
+
+    @cached_property
+    def _kernel(self) -> FlightKernel:
+        """The program, compiled for this processor."""
+        return compile_program(self.program, choose_target())
+
+    def fly(
+        self,
+        state: np.ndarray,
+        first_frame: int,
+        frames: int,
+        streams: Feeds | None = None,
+        stride: int = 1,
+    ) -> np.ndarray:
+        """Fly frames; see `program.Flyer.fly`."""
+        self._calls += 1
+        flyer = self._interpreter if self._calls <= INTERPRETED_CALLS else self._kernel
+        return flyer.fly(state, first_frame, frames, streams, stride)
 
 
 def print_program(program: Program, target: Target) -> str:

@@ -22,9 +22,8 @@ from numpy.typing import NDArray
 
 from sysid.arrays import FloatArray
 from uqharness.batch.course import balance_propellers, reach_steady_state, settle
-from uqharness.batch.interpret import Interpreter
 from uqharness.batch.llvm import choose_target
-from uqharness.batch.llvm_flight import compile_program
+from uqharness.batch.llvm_flight import TieredFlyer, compile_program
 from uqharness.batch.mission import Settler, initial_values, settlers_of
 from uqharness.batch.motion import (
     CONDITIONS,
@@ -122,14 +121,14 @@ class ReplayProgram:
         return compile_program(self.program, choose_target())
 
     @cached_property
-    def initialisers(self) -> tuple[Interpreter, Interpreter]:
+    def initialisers(self) -> tuple[TieredFlyer, TieredFlyer]:
         """The two initialising frames."""
         settling = self.flight.settling
         retained = [*self.inputs, *(name for one in settling for name in one.slots)]
         first, second = specialise_startup(
             self.flight.first, self.flight.second, self.program, retained
         )
-        return Interpreter(first), Interpreter(second)
+        return TieredFlyer(first), TieredFlyer(second)
 
     @cached_property
     def settlers(self) -> tuple[Settler, ...]:
@@ -139,11 +138,11 @@ class ReplayProgram:
         return settlers_of(self.flight)
 
     @cached_property
-    def renewer(self) -> Interpreter | None:
+    def renewer(self) -> TieredFlyer | None:
         """The frame after the engines' steady state, in which time stands still; None without
         engines.
         """
-        return None if self.flight.renewed is None else Interpreter(self.flight.renewed)
+        return None if self.flight.renewed is None else TieredFlyer(self.flight.renewed)
 
 
 def make_replay(
@@ -302,7 +301,7 @@ def _initial_slots(replay: ReplayProgram, jobs: Sequence[ReplayLane]) -> dict[st
         values |= step_once(flyer, values, count)
     renewer, initialiser = replay.renewer, replay.initialisers[1]
 
-    def step(*frames: Interpreter) -> None:
+    def step(*frames: TieredFlyer) -> None:
         """Compute frames in which time stands still."""
         for flyer in frames:
             values.update(step_once(flyer, values, count))
@@ -375,9 +374,9 @@ class StateProgram:
     second: Program
 
     @cached_property
-    def initialiser(self) -> Interpreter:
+    def initialiser(self) -> TieredFlyer:
         """The second initialising frame."""
-        return Interpreter(self.second)
+        return TieredFlyer(self.second)
 
 
 def make_states(

@@ -185,10 +185,10 @@ def throttle_at(
     """
     # Interpolation needs curves that do not decrease with throttle.
     rising = np.maximum.accumulate(curves, axis=1)
+    at_speed = np.stack([np.interp(V, speeds, column) for column in rising.T], axis=1)
     out = np.full(len(V), np.nan)
     for k in np.flatnonzero(np.isfinite(V) & np.isfinite(measured)):
-        curve = np.array([np.interp(V[k], speeds, column) for column in rising.T])
-        out[k] = np.interp(measured[k], curve, throttles)
+        out[k] = np.interp(measured[k], at_speed[k], throttles)
     return out
 
 

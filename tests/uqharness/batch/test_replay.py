@@ -9,6 +9,7 @@ import pytest
 
 from tests.helpers.few import few
 from uqharness import batch
+from uqharness.batch import llvm_flight
 from uqharness.replay import CONTROLS, ReplayFolder
 from uqharness.replay.replay import RAW
 from uqharness.simulator import find_aircraft
@@ -68,6 +69,15 @@ def test_rows_do_not_depend_on_how_many_frames_lie_between_them(stride):
     (every,), (some,) = flown(1, lane()), flown(stride, lane())
     assert every.shape == (FRAMES + 1, len(RAW))
     assert some.tobytes() == every[::stride].tobytes()
+
+
+def test_rows_do_not_depend_on_whether_start_frames_are_compiled(monkeypatch):
+    rows = []
+    for calls in (10**9, 0):
+        monkeypatch.setattr(llvm_flight, "INTERPRETED_CALLS", calls)
+        rows.append(flown(1, lane())[0])
+    assert "_kernel" in vars(program(1).initialisers[0])
+    assert rows[0].tobytes() == rows[1].tobytes()
 
 
 DT_S_FORCED, INPUT_FORCED = 0.0025, "aero/Cm_q"
