@@ -285,8 +285,49 @@ def _by_name(raw: RawLog, present: Mapping[str, Proposal]) -> dict[str, Proposal
         _, message, field = min(fields, key=lambda match: match[0])
         alternatives = [f for _, m, f in fields if (m, f) != (message, field)]
         out[signal] = _propose_field(signal, message, field, raw, alternatives, table)
+    if table:
+        out.update({n: p for n, p in _divided_surfaces(raw).items() if n not in present})
     out.update(_places(raw, {**present, **out}))
     return _accelerations_alike({n: p for n, p in out.items() if n not in present}, raw)
+
+
+_SIDES = {"l": 0, "left": 0, "port": 0, "lh": 0, "r": 1, "right": 1, "starboard": 1, "rh": 1}
+
+
+def _divided_surfaces(raw: RawLog) -> dict[str, Proposal]:
+    """Return proposals for surfaces that the log has on the left and on the right.
+
+    Where the two move oppositely, half of their difference counts, otherwise their mean.
+    """
+    sides: dict[tuple[str, str], dict[int, str]] = {}
+    for (message, instance), content in raw.messages.items():
+        for field, values in content.fields.items():
+            words = _split(field)[0].split("_")
+            side = {_SIDES[w] for w in words if w in _SIDES}
+            base = "_".join(w for w in words if w not in _SIDES)
+            if instance or len(side) != 1 or not _usable(values):
+                continue
+            for signal, _ in _signals_of(base, field):
+                if signal.removesuffix("_pos_deg").removesuffix("_deg") in _SURFACES:
+                    sides.setdefault((signal, message), {})[side.pop()] = field
+                    break
+    out: dict[str, Proposal] = {}
+    for (signal, message), of_side in sides.items():
+        if len(of_side) < 2:
+            continue
+        left, right = of_side[0], of_side[1]
+        fields = raw.messages[message, 0].fields
+        pair = np.stack([fields[f].astype(np.float64) for f in (left, right)])
+        moving = pair[:, np.isfinite(pair).all(axis=0)]
+        opposite = moving.shape[1] > 1 and float(np.cov(moving)[0, 1]) < 0.0
+        proposal = _propose_field(signal, message, left, raw, (), True)
+        if proposal.entry.table:
+            continue
+        weights = (0.5, -0.5) if opposite else (0.5, 0.5)
+        entry = replace(proposal.entry, fields=(left, right), function="sum", weights=weights)
+        text = f"{left} and {right} move {'oppositely' if opposite else 'together'}"
+        out[signal] = replace(proposal, entry=entry, evidence=(*proposal.evidence, text))
+    return out
 
 
 def _split(field: str) -> tuple[str, str | None]:
@@ -616,6 +657,8 @@ def _entry_lines(signal: str, entry: Entry) -> list[str]:
         lines.append(f"fields = [{', '.join(_quoted(f) for f in entry.fields)}]")
     if entry.function != "value":
         lines.append(f'function = "{entry.function}"')
+    if entry.weights:
+        lines.append(f"weights = [{', '.join(f'{w:g}' for w in entry.weights)}]")
     if entry.table:
         pairs = ", ".join(f"[{x:g}, {y:g}]" for x, y in entry.table)
         lines.append(f"table = [{pairs}]")

@@ -62,6 +62,27 @@ def test_units_and_signs_of_a_strange_table_are_found(tmp_path: Path) -> None:
     assert "# unsure: " in proposal.to_toml()
 
 
+def test_surfaces_of_both_sides_are_joined_by_how_they_move(tmp_path: Path) -> None:
+    record = flight(60.0, seed=4)
+    aileron, elevator = record["aileron_deg"], record["elevator_deg"]
+    columns = {
+        "time_s": record["time_s"],
+        "da_l": np.radians(aileron),
+        "da_r": -np.radians(aileron),
+        "Elevator Left [deg]": elevator + 0.2,
+        "Elevator Right [deg]": elevator - 0.2,
+        "r": record["r_radps"],
+        "tas": record["V_mps"],
+        "az": record["az_mps2"],
+    }
+    pd.DataFrame(columns).to_csv(tmp_path / "both.csv", index=False)
+    (tmp_path / "m.toml").write_text(propose_map(tmp_path / "both.csv").to_toml())
+    repeat = import_log(tmp_path / "both.csv", tmp_path / "m.toml")
+    np.testing.assert_allclose(repeat["aileron_deg"], aileron, atol=1e-6)
+    np.testing.assert_allclose(repeat["elevator_deg"], elevator, atol=1e-6)
+    np.testing.assert_allclose(repeat["r_radps"], record["r_radps"], atol=1e-9)
+
+
 def test_a_dialects_own_fields_are_kept(tmp_path: Path) -> None:
     card = TESTS / "sysid" / "data" / "airframe.toml"
     write_dataflash(flight(duration_s=40.0, start_s=5.0), tmp_path / "a.bin", read_card(card))
