@@ -24,8 +24,10 @@ from uqharness.identification.air_data import (
     velocity_lateness,
 )
 from uqharness.identification.ordinary import (
+    _coefficient_estimate,
     _from_air_data,
     _regress,
+    _Regression,
     _RegressionData,
     _with_prior,
     control_delay_s,
@@ -287,3 +289,23 @@ def test_scale_of_a_vane_lies_in_its_interval_where_gusts_last_as_long_as_legs(
         stds.append(std)
     assert np.mean(inside) > 0.88
     assert np.median(stds) < (0.29 if strength < 1.0 else 0.12)
+
+
+def test_truth_about_the_start_value_lies_in_the_interval_of_an_unexplained_coefficient() -> None:
+    # Nothing is explained: the estimate is near zero whatever the truth, 2.0 times the start value.
+    start, truth = np.array([-7.0]), -14.0
+    motion = _Regression(np.array([-0.4]), np.array([[0.3]]), 1.0, np.array([0.1]), True)
+    result = _coefficient_estimate(
+        "Cm",
+        ["aero/Cm_q"],
+        start,
+        [motion] * 2,
+        None,
+        [],
+        errors=[],
+        means={},
+        prior={},
+        fixed=[False],
+    )
+    assert result.depends_on_start
+    assert abs(result.theta[0] - truth) < 1.96 * np.sqrt(result.cov[0, 0])
