@@ -454,8 +454,8 @@ _ORDER = ("CX", "CY", "CZ", "Cl", "Cm", "Cn")
 @dataclass(frozen=True)
 class _Regression:
     """Least squares of one coefficient: estimates (k,), covariance (k, k), share of the demanded
-    coefficient's variance that is not explained, standard errors (k,) of white residuals, and
-    whether the instruments determine every combination of the terms.
+    coefficient's variance beyond noise that is not explained, standard errors (k,) of white
+    residuals, and whether the instruments determine every combination of the terms.
     """
 
     theta: FloatArray
@@ -1368,7 +1368,8 @@ def _regress(
     count = len(numbers)
     sandwich = count / max(1, count - 1) * inverse @ (scores.T @ scores) @ inverse
     # Bias by what the model does not explain beyond sensor noise.
-    variance = max(float(data.variance[k]), 1e-300)
+    # Noise has no part in either: a coefficient that is mostly noise would seem explained.
+    variance = max(float(data.variance[k] - data.noise[k]), 1e-300)
     unexplained = max(float(np.mean(residual**2)) - float(data.noise[k]), 0.0)
     bias = data.endogeneity**2 * unexplained * len(target) * inverse
     rho = min(unexplained / variance, 1.0)

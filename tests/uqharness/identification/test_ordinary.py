@@ -291,6 +291,21 @@ def test_scale_of_a_vane_lies_in_its_interval_where_gusts_last_as_long_as_legs(
     assert np.median(stds) < (0.29 if strength < 1.0 else 0.12)
 
 
+def test_noise_does_not_count_as_explained() -> None:
+    # The moment is mostly noise; half of the rest is gusts.
+    rng = np.random.default_rng(5)
+    n = 8000
+    motion = np.convolve(rng.normal(size=n + 19), np.ones(20) / 20**0.5, "valid")
+    gust = np.convolve(rng.normal(size=n + 19), np.ones(20) / 20**0.5, "valid")
+    excess, noise = np.zeros((n, 6)), np.zeros(6)
+    excess[:, 3], noise[3] = -motion + gust + 3.0 * rng.normal(size=n), 9.0
+    block = np.arange(n) // 400
+    columns = {0: [motion + 0.1 * rng.normal(size=n)]}
+    variance = np.full(6, excess[:, 3].var())
+    data = _RegressionData([excess], columns, [block], variance, noise, (5, 8))
+    assert _regress(data, "Cl", (0,), np.zeros(1)).unexplained == pytest.approx(0.5, abs=0.15)
+
+
 def test_truth_about_the_start_value_lies_in_the_interval_of_an_unexplained_coefficient() -> None:
     # Nothing is explained: the estimate is near zero whatever the truth, 2.0 times the start value.
     start, truth = np.array([-7.0]), -14.0
