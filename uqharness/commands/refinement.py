@@ -51,8 +51,8 @@ def write_results(done: Refinement, out: Path) -> None:
     for name in FIGURES:
         remove(out / "figures" / name)
     # Histories of the hold-out flights: measurement, controls, and both models.
-    setup, before, after = done.hold_out.test
-    models = {"_before": before, "_after": after}
+    test = done.hold_out.test
+    setup, models = test.data, {"_before": test.before, "_after": test.after}
     columns = columns_of(setup.outputs, setup.measured) | columns_of(
         CONTROLS, [s.controls for s in setup.segments]
     )

@@ -119,8 +119,7 @@ def _ranges(evaluation: Evaluation, controls: Sequence[Any]) -> list[dict[str, A
 
 def _remaining(chosen: SearchResult, outcome: HoldOutResult, controls: Sequence[Any]) -> Remaining:
     """Return whether residuals exceed noise, where, and on what they depend."""
-    result, (data, _, after) = outcome.result, outcome.train
-    test_data, _, test_after = outcome.test
+    result, data, after = outcome.result, outcome.train.data, outcome.train.after
     effects, mismatch, refused = chosen.effects, chosen.mismatch, result.selection.refused
     mismatched_keys = () if mismatch is None else mismatch.replaced
     # Evidence that the model lacks something: residuals on the training flights, a strong candidate
@@ -152,7 +151,7 @@ def _remaining(chosen: SearchResult, outcome: HoldOutResult, controls: Sequence[
     where += [_still_significant(effects[key], t, k) for k, (key, t) in enumerate(candidates)]
     where += moments.values()
     # Where the strongest of it is.
-    test_excess = excess_residuals(test_data, test_after, result.estimator)
+    test_excess = excess_residuals(outcome.test.data, outcome.test.after, result.estimator)
     channels = {
         "train": [*excess.above, *excess.coloured, *moments],
         "test": [*test_excess.above, *test_excess.coloured],
@@ -231,7 +230,7 @@ def document_of(
     controls : sequence of array
         Control positions of every training segment.
     """
-    result, (data, before, after) = outcome.result, outcome.train
+    result, data, train, test = outcome.result, outcome.train.data, outcome.train, outcome.test
     switches = {c.key: switch_of(chosen.effects[c.key], aircraft) for c in chosen.selection.chosen}
     # Effects that the hold-out flights support, and those that they withdrew.
     effects = [
@@ -253,14 +252,17 @@ def document_of(
             if effects
             else "no-missing-effect"
         ),
-        disagreement=find_disagreements(data, before, after, controls),
+        disagreement=find_disagreements(data, train.before, train.after, controls),
         effects=effects,
         withdrawn=withdrawn,
         chosen=[
             EffectDocument(**_effect(chosen, c, None, switches)) for c in chosen.selection.chosen
         ],
         remaining=remaining,
-        gap=Gaps(train=residual_tables(*outcome.train), test=residual_tables(*outcome.test)),
+        gap=Gaps(
+            train=residual_tables(data, train.before, train.after),
+            test=residual_tables(test.data, test.before, test.after),
+        ),
         switch=[
             Switch(property=s[0], off=s[1])
             for c in result.selection.chosen

@@ -131,6 +131,20 @@ class Verdict:
 
 
 @dataclass(frozen=True)
+class EvaluatedDataset:
+    """Flights, evaluated without effects (``before``) and with the remaining model (``after``)."""
+
+    dataset: Dataset
+    before: Evaluation
+    after: Evaluation
+
+    @property
+    def data(self) -> FlightData:
+        """The flights."""
+        return self.dataset.data
+
+
+@dataclass(frozen=True)
 class HoldOutResult:
     """What remains after the hold-out test, estimated without withdrawn effects.
 
@@ -140,18 +154,14 @@ class HoldOutResult:
         The remaining model.
     verdicts : mapping
         Verdict of every effect by key, beside the others that remained when it was last judged.
-    train, test : tuple
-        Flights, evaluation without effects, and evaluation of the remaining model.
-    sides : tuple of Dataset
-        Training and hold-out flights.
+    train, test : EvaluatedDataset
     """
 
     result: SearchResult
     withdrawn: tuple[SelectedEffect, ...]
     verdicts: dict[str, Verdict]
-    train: tuple[FlightData, Evaluation, Evaluation]
-    test: tuple[FlightData, Evaluation, Evaluation]
-    sides: tuple[Dataset, Dataset]
+    train: EvaluatedDataset
+    test: EvaluatedDataset
 
 
 @dataclass
@@ -210,7 +220,6 @@ class HoldOutTest:
             verdicts,
             self._before_and_after(remaining, self.train, train_before, train_final),
             self._before_and_after(remaining, self.test, test_before, evaluation),
-            (self.train, self.test),
         )
 
     # Models of the aircraft; a test on other equations replaces these four.
@@ -314,7 +323,7 @@ class HoldOutTest:
 
     def _before_and_after(
         self, remaining: SearchResult, side: Dataset, before: Evaluation, after: Evaluation
-    ) -> tuple[FlightData, Evaluation, Evaluation]:
+    ) -> EvaluatedDataset:
         """Return the evaluations before and after, in turbulence with replays."""
 
         def completed(model: SearchResult, evaluation: Evaluation) -> Evaluation:
@@ -326,7 +335,8 @@ class HoldOutTest:
             return with_replays(evaluation, aircraft, side, self.pool, point)
 
         first = completed(without_effects(self.chosen), before)
-        return side.data, first, first if after is before else completed(remaining, after)
+        last = first if after is before else completed(remaining, after)
+        return EvaluatedDataset(side, first, last)
 
 
 # Two models on the same flights.

@@ -92,11 +92,9 @@ def place_of(
     controls : sequence of array
         Control positions in every training segment.
     """
-    data, _, evaluation = outcome.train
-    test_data, _, test_evaluation = outcome.test
-    series = series_of("train", data, evaluation, controls) + series_of(
-        "test", test_data, test_evaluation, [s.controls for s in test_data.segments]
-    )
+    train, test = outcome.train, outcome.test
+    series = series_of("train", train.data, train.after, controls)
+    series += series_of("test", test.data, test.after, [s.controls for s in test.data.segments])
     nearest = Nearest(outcome.result)
     if any(channels.values()):
         place, correlate = locate_burst([s for s in series if s.channel in channels[s.flights]])

@@ -319,7 +319,7 @@ def find_smooth_term(
     """Return the aircraft with the smooth term that explains most of the residuals, and the term's
     part of refinement.json; or the reason why there is none.
     """
-    train, test = outcome.sides
+    train, test = outcome.train.dataset, outcome.test.dataset
     result = outcome.result
     curves = CurveFits(result, result.after)
     # Every state in every coefficient.
@@ -349,23 +349,20 @@ def find_smooth_term(
         return f"no smooth term explains more than the best of the {len(fits)} tried does by chance"
     estimate, aircraft, on_train = flown_term.estimate, flown_term.aircraft, flown_term.evaluation
     fit, term = estimate.fit, estimate.fit.term
-    if not on_train.neg2_log_likelihood < outcome.train[2].neg2_log_likelihood:
+    if not on_train.neg2_log_likelihood < outcome.train.after.neg2_log_likelihood:
         return f"a {term.name} does not lower the error of the simulation"
     # The same on the hold-out flights.
-    start = point_as_written(estimate.result, initial=outcome.test[2].trajectory.point)
+    start = point_as_written(estimate.result, initial=outcome.test.after.trajectory.point)
     on_test = evaluate(aircraft, test, pool, start)
-    verdict = compare(outcome.test[2], on_test, test.data, on_train)
+    verdict = compare(outcome.test.after, on_test, test.data, on_train)
     if verdict.gap == "grew":
         return f"the hold-out residuals grew with a {term.name}"
     tables = {}
-    for key, (data, _, before), side, after in (
-        ("train", outcome.train, train, on_train),
-        ("test", outcome.test, test, on_test),
-    ):
-        if before.replays is not None:
+    for key, side, after in (("train", outcome.train, on_train), ("test", outcome.test, on_test)):
+        if side.after.replays is not None:
             point = point_as_written(estimate.result)
-            after = with_replays(after, aircraft, side, pool, point)
-        tables[key] = residual_tables(data, before, after)
+            after = with_replays(after, aircraft, side.dataset, pool, point)
+        tables[key] = residual_tables(side.data, side.after, after)
     return aircraft, SmoothTermDocument(
         coefficient=term.coefficient,
         state=term.state,

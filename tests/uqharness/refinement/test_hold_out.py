@@ -340,7 +340,7 @@ def test_an_effect_that_the_test_flights_have_remains_with_its_share():
     verdict = outcome.verdicts[SQUARE]
     assert verdict.gap == "shrank"
     assert abs(verdict.share[0] - 1.0) < 3.5 * verdict.share[1]
-    assert outcome.test[2].cost < outcome.test[1].cost
+    assert outcome.test.after.cost < outcome.test.before.cost
 
 
 def test_an_effect_that_the_test_flights_contradict_is_withdrawn_and_others_remain():
@@ -358,7 +358,7 @@ def test_an_effect_that_the_test_flights_contradict_is_withdrawn_and_others_rema
 def test_nothing_remains_where_the_test_flights_have_nothing():
     withdrawn, remaining, outcome = hold_out({SQUARE: 60.0}, {}, [SQUARE])
     assert (withdrawn, remaining) == ([SQUARE], [])
-    assert outcome.test[2] is outcome.test[1]
+    assert outcome.test.after is outcome.test.before
 
 
 def test_a_weak_effect_remains_unless_something_is_unexplained():
