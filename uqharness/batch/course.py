@@ -137,36 +137,38 @@ def initialise_lanes(lanes: LaneMission, specs: Sequence[FlightSpec]) -> Initial
         For a property that cannot be set, that initialising overwrites, and for a start on the
         ground.
     """
-    loaded = _load_starts(lanes, specs)
-    rows = [_set_properties(lanes, one, spec) for one, spec in zip(loaded, specs, strict=True)]
     # Flights that differ only in what they meet later begin alike: each start is computed once.
-    keys = [
-        (id(one), *row.values(), spec.seed_noise if lanes.flight.draws else None)
-        for one, row, spec in zip(loaded, rows, specs, strict=True)
-    ]
-    lane_of_key = {key: lane for lane, key in reversed([*enumerate(keys)])}
-    distinct = sorted(lane_of_key.values())
-    place = {keys[lane]: k for k, lane in enumerate(distinct)}
-    initial = _initialise_distinct(
-        lanes,
-        [specs[k] for k in distinct],
-        [loaded[k] for k in distinct],
-        [rows[k] for k in distinct],
-    )
-    places = np.array([place[key] for key in keys])
+    draws = bool(lanes.flight.draws)
+    keys = [(*_start_key(lanes, spec), spec.seed_noise if draws else 0) for spec in specs]
+    lane_of_key = dict(zip(reversed(keys), reversed(range(len(keys))), strict=True))
+    distinct = tuple(sorted(lane_of_key, key=repr))
+    # Groups of one campaign begin alike, too. Noise is advanced by its flights and not shared.
+    initial = None if draws else lanes.starts.get(distinct)
+    if initial is None:
+        initial = _initialise_distinct(lanes, [specs[lane_of_key[key]] for key in distinct])
+        if not draws:
+            lanes.starts[distinct] = initial
+    number = {key: k for k, key in enumerate(distinct)}
+    places = np.array([number[key] for key in keys])
     return InitialLanes(
         {name: value[places] for name, value in initial.values.items()}, initial.noise
     )
 
 
-def _initialise_distinct(
-    lanes: LaneMission,
-    specs: Sequence[FlightSpec],
-    loaded: Sequence[LoadedStart],
-    rows: Sequence[Mapping[str, float]],
-) -> InitialLanes:
-    """Initialise flights from their loaded starts and the properties that are set."""
+def _start_key(lanes: LaneMission, spec: FlightSpec) -> tuple[Hashable, ...]:
+    """Return what decides how a flight begins, apart from its noise."""
+    return (
+        *(spec.wind_mps, spec.wind_from_deg, spec.turbulence),
+        tuple(sorted(spec.properties.items())),
+        tuple(first_levels(spec, lanes.dt_s).items()),
+    )
+
+
+def _initialise_distinct(lanes: LaneMission, specs: Sequence[FlightSpec]) -> InitialLanes:
+    """Initialise flights, each in a lane."""
     count = len(specs)
+    loaded = _load_starts(lanes, specs)
+    rows = [_set_properties(lanes, one, spec) for one, spec in zip(loaded, specs, strict=True)]
     values = start_state(
         {name: np.array([one.conditions[name] for one in loaded]) for name in CONDITIONS}
     )

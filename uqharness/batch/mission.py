@@ -13,6 +13,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
+from cachetools import LRUCache
+
 from uqharness.batch.auxiliary import POINT, TOUCHED
 from uqharness.batch.interpret import Interpreter
 from uqharness.batch.llvm import choose_target
@@ -56,6 +58,7 @@ from uqharness.xml import read_document
 
 _START = re.compile(r"(?<![\w/])(?:/?fdm/jsbsim/)?ic/[\w.\-]+(?:\[\d+\])?")
 _ENGINE = "propulsion/engine"
+_MAX_STARTS = 4
 WIND = tuple(f"atmosphere/wind-{axis}-fps" for axis in ("north", "east", "down"))
 """The steady wind in JSBSim."""
 AIR_WIND = ("air/wind-mps", "air/wind-from-deg", "air/turbulence-w20-kt")
@@ -199,6 +202,11 @@ class LaneMission:
         used = [f"{engine.name}fuel-used-lbs" for engine in propulsion.engines]
         fuel = [name for name in (*contents, *used) if name in resting.slots]
         return Rester(compile_program(resting, choose_target()), tuple(watched), tuple(fuel))
+
+    @cached_property
+    def starts(self) -> LRUCache[Any, Any]:
+        """Starts that were computed (`course.initialise_lanes`), by what decides them."""
+        return LRUCache(_MAX_STARTS)
 
     @cached_property
     def settlers(self) -> tuple[Settler, ...]:
