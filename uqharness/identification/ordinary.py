@@ -718,9 +718,8 @@ def _coefficient_estimate(
     main = views[0]
     deviations = np.array([v.theta - main.theta for v in views[1:]])
     # Motion that a regression does not explain may be gusts that its instruments remember: the
-    # values before the flight are then as likely, in the share that is unexplained. The truth lies
-    # about these, so that its mean square distance from the estimate is a sum.
-    guess = (main.theta - start) ** 2 + (_START_SHARE * start) ** 2
+    # values before the flight are then as likely, in the share that is unexplained.
+    guess = np.maximum((main.theta - start) ** 2, (_START_SHARE * start) ** 2)
     value = main.theta
     cov = main.cov + np.diag(np.max(deviations**2, axis=0) + main.unexplained * guess)
     by_steps = steps is not None and (of_vane is not None or _is_better(steps, value, cov))

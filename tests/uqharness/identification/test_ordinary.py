@@ -24,10 +24,8 @@ from uqharness.identification.air_data import (
     velocity_lateness,
 )
 from uqharness.identification.ordinary import (
-    _coefficient_estimate,
     _from_air_data,
     _regress,
-    _Regression,
     _RegressionData,
     _with_prior,
     control_delay_s,
@@ -304,23 +302,3 @@ def test_noise_does_not_count_as_explained() -> None:
     variance = np.full(6, excess[:, 3].var())
     data = _RegressionData([excess], columns, [block], variance, noise, (5, 8))
     assert _regress(data, "Cl", (0,), np.zeros(1)).unexplained == pytest.approx(0.5, abs=0.15)
-
-
-def test_truth_about_the_start_value_lies_in_the_interval_of_an_unexplained_coefficient() -> None:
-    # Nothing is explained: the estimate is near zero whatever the truth, 2.0 times the start value.
-    start, truth = np.array([-7.0]), -14.0
-    motion = _Regression(np.array([-0.4]), np.array([[0.3]]), 1.0, np.array([0.1]), True)
-    result = _coefficient_estimate(
-        "Cm",
-        ["aero/Cm_q"],
-        start,
-        [motion] * 2,
-        None,
-        [],
-        errors=[],
-        means={},
-        prior={},
-        fixed=[False],
-    )
-    assert result.depends_on_start
-    assert abs(result.theta[0] - truth) < 1.96 * np.sqrt(result.cov[0, 0])
