@@ -18,7 +18,7 @@ from uqharness.errors import BadInputError
 from uqharness.exchange.frozen_copy import copied_files, declared_values, write_aircraft
 from uqharness.exchange.states import SourceModel
 from uqharness.files import scratch_folder
-from uqharness.simulator import TRIM_LATITUDE_DEG, Aircraft, settling
+from uqharness.simulator import TRIM_LATITUDE_DEG, Aircraft, engine, open_aircraft, settling
 from uqharness.xml import declared_properties
 
 LOST_TERMS = ("nothing of the aerodynamics: the unit runs JSBSim",)
@@ -33,10 +33,13 @@ def write_copy(source: SourceModel, name: str, root: Path) -> Aircraft:
 def description(source: SourceModel, copy: Aircraft) -> dict[str, Any]:
     """Return the content of model.json: what the program inside the unit sets."""
     trim, card = source.trim, source.aircraft.card
+    pulling, lifting = engine.throttles(open_aircraft(copy))
     commands = [
         {
             "name": f"{control}_{entry.unit}",
-            "property": entry.property,
+            # JSBSim's first throttle stands for those of all engines that pull.
+            "properties": (pulling if entry.property == engine.THROTTLE else [])
+            or [entry.property],
             "start": trim.controls.get(control, 0.0),
             "description": f"command of the {control}"
             + (f", positive {entry.positive}" if entry.positive else ""),
@@ -57,7 +60,7 @@ def description(source: SourceModel, copy: Aircraft) -> dict[str, Any]:
         "dt_s": source.aircraft.dt_s,
         "metres_per_foot": FT_M,
         "commands": commands,
-        "settings": dict(card.modes.get("open_loop", {})),
+        "settings": {**dict.fromkeys(lifting, 0.0), **card.modes.get("open_loop", {})},
         "parameters": [
             {"name": name.replace("/", "_"), "property": name, "start": value}
             for name, value in levels.items()

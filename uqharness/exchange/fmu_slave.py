@@ -129,13 +129,9 @@ class Aircraft(Fmi3Slave):
         fdm = self.fdm
         for name, value in self.model["settings"].items():
             fdm[name] = value
-        engines = fdm.get_propulsion().get_num_engines()
         for row in self.model["commands"]:
-            fdm[row["property"]] = self.values[row["name"]]
-            # JSBSim's throttle is that of the first engine.
-            if row["property"] == "fcs/throttle-cmd-norm":
-                for k in range(1, engines):
-                    fdm[f"fcs/throttle-cmd-norm[{k}]"] = self.values[row["name"]]
+            for name in row["properties"]:
+                fdm[name] = self.values[row["name"]]
         for name, prop in WIND.items():
             fdm[prop] = self.values[name] / self.factors["ft"]
         for row in self.model["parameters"]:

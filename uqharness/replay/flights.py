@@ -235,12 +235,12 @@ def engine_map(
                 fdm["ic/h-sl-ft"] = altitude_m / FT_M
                 for axis, part in zip("uvw", (speed, 0.0, 0.0), strict=True):
                     fdm[f"ic/{axis}-fps"] = float(part) / FT_M
-                if model.engines:
+                if model.throttles:
                     engine.start_engines(fdm)
                 for setter in setters:
                     setter(value)
                 engine.run_ic(fdm)
-                if model.engines:
+                if model.throttles:
                     engine.settle_engines(fdm)
                 out[i, k] = read[0]() if column == "rpm" else (read[0]() - read[1]()) * LBF_N
     return out

@@ -128,7 +128,7 @@ def by_batch(
     """
     entry = _cached_programs.setdefault(model.identity, _CachedProgram())
     # A refusal is final for this model.
-    minimum = MIN_BATCH_STATES_ENGINES if model.engines else MIN_BATCH_STATES
+    minimum = MIN_BATCH_STATES_ENGINES if model.throttles else MIN_BATCH_STATES
     if entry.refused or len(states.controls) < minimum:
         return None
     # Recompile with the union of the properties, so that alternating sets do not recompile each

@@ -183,7 +183,7 @@ def _compile(job: ReplayJob, names: frozenset[str]) -> _Program | None:
 def open_with_engines(model: ReplayModel, dt_s: float) -> Any:
     """Open JSBSim with the model loaded and its engines running, before the first step."""
     fdm = model.open(dt_s)
-    if model.engines:
+    if model.throttles:
         engine.start_engines(fdm)
     return fdm
 

@@ -40,8 +40,6 @@ from uqharness.xml import declared_properties
 if TYPE_CHECKING:
     from uqharness.replay.segments import Segment
 
-THROTTLE = "fcs/throttle-cmd-norm"
-"""JSBSim's throttle of the first engine."""
 CONTROLS = ("elevator", "aileron", "rudder", "throttle")
 _HEIGHT = re.compile(r"h-agl-(?:ft|km)|h_b-(?:mac|cg)-ft")
 _RATES = re.compile(r"(?:alpha|beta)dot-(?:rad|deg)_sec")
@@ -90,8 +88,8 @@ class ReplayModel:
         Equal for copies that fly alike; the key of caches.
     varied : tuple of str
         Coefficients and effects that the XML declares; compiled programs accept any value of each.
-    engines : int
-        Number of engines in ``<propulsion>``.
+    throttles : tuple of str
+        Commands that JSBSim's first throttle stands for.
     servos : tuple of str
         Properties that the numbers of actuators refer to.
     """
@@ -109,7 +107,7 @@ class ReplayModel:
     by_rates: bool = False
     identity: str = ""
     varied: tuple[str, ...] = ()
-    engines: int = 0
+    throttles: tuple[str, ...] = ()
     servos: tuple[str, ...] = ()
 
     def current_values(self, dt_s: float, names: Sequence[str]) -> FloatArray:
@@ -149,12 +147,13 @@ class ReplayModel:
 
         JSBSim's throttle sets every engine, so it may have several properties.
         """
-        names, places = [], []
+        names: list[str] = []
+        places: list[int] = []
         for place, control in enumerate(self.controls):
             prop = self.card.inputs[control].property
-            engine_numbers = range(1, self.engines) if prop == THROTTLE else ()
-            names += [prop, *(f"{prop}[{k}]" for k in engine_numbers)]
-            places += [place] * (1 + len(engine_numbers))
+            commands = (self.throttles if prop == engine.THROTTLE else ()) or (prop,)
+            names += commands
+            places += [place] * len(commands)
         return tuple(names), tuple(places)
 
     def open(self, dt_s: float) -> Any:
@@ -251,8 +250,8 @@ class ReplayFolder:
             servos=servos,
         )
         # The model must load before its linkages can be measured.
-        engines = _declare_orphans(self.model, staging.xml, aircraft.dt_s)
-        self.model = replace(self.model, engines=engines)
+        throttles = _declare_orphans(self.model, staging.xml, aircraft.dt_s)
+        self.model = replace(self.model, throttles=throttles)
         self.model = replace(
             self.model, throws=_throws(self.model, (*measured, *ideal), aircraft.dt_s)
         )
@@ -407,19 +406,19 @@ def _without_unit(name: str) -> str:
     return re.sub(r"-(deg|rad|norm)$", "", name if "/" in name else f"fcs/{name}")
 
 
-def _declare_orphans(model: ReplayModel, xml: Path, dt_s: float) -> int:
-    """Declare, at zero, the properties that only removed systems created; return the number of
-    engines.
+def _declare_orphans(model: ReplayModel, xml: Path, dt_s: float) -> tuple[str, ...]:
+    """Declare, at zero, the properties that only removed systems created; return the throttles of
+    the engines that pull.
     """
     fdm = engine.open_fdm(model.staging, dt_s)
-    engines = int(fdm.get_propulsion().get_num_engines())
+    throttles = tuple(engine.throttles(fdm)[0])
     manager = fdm.get_property_manager()
     names = [n for n in model.card.modes.get("open_loop", {}) if not manager.hasNode(n)]
     read = (name for name, _, _ in function_properties(model.staging))
     # Functions that read an undefined property would not load.
     names += engine.undefined_properties(fdm, read)
     if not names:
-        return engines
+        return throttles
     tree = parse_xml(xml)
     root = tree.getroot()
     system = etree.Element("system", name="left out of the replay")
@@ -435,7 +434,7 @@ def _declare_orphans(model: ReplayModel, xml: Path, dt_s: float) -> int:
     else:
         first.addprevious(system)
     tree.write(str(xml), encoding="UTF-8", xml_declaration=True)
-    return engines
+    return throttles
 
 
 def control_setters(fdm: Any, model: ReplayModel) -> list[list[Any]]:
@@ -443,13 +442,8 @@ def control_setters(fdm: Any, model: ReplayModel) -> list[list[Any]]:
     setters = []
     for name in model.controls:
         prop = model.card.inputs[name].property
-        handles = [engine.handle(fdm, prop).set_double_value]
-        if prop == THROTTLE:
-            engines = fdm.get_propulsion().get_num_engines()
-            handles += [
-                engine.handle(fdm, f"{prop}[{i}]").set_double_value for i in range(1, engines)
-            ]
-        setters.append(handles)
+        commands = engine.throttles(fdm)[0] if prop == engine.THROTTLE else []
+        setters.append([engine.handle(fdm, one).set_double_value for one in commands or [prop]])
     return setters
 
 

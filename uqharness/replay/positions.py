@@ -474,7 +474,7 @@ def _extract_chain(request: PositionRequest) -> ControlChain | None:
     files = ControlFiles(
         [system.node for system in sources.systems],
         list(unique_documents.values()),
-        model.engines > 0,
+        bool(model.throttles),
     )
     return control_chain(files, request.properties.values(), (*inputs, *model.servos))
 

@@ -893,7 +893,7 @@ def remarks(files: ModelFiles, names: dict[str, str]) -> Iterator[tuple[str, str
                     f"{names[name]}:{_line(pitch)}",
                     (
                         f"<thruster> with a pitch of {(pitch.text or '').strip()} lifts: its"
-                        " throttle follows the other engines'; remove it to study cruise"
+                        " throttle stays closed, as in cruise"
                     ),
                 )
         for node in root.iterfind(".//contact"):

@@ -9,6 +9,7 @@ when the object is destroyed). All are handled here, so that callers only see
 from __future__ import annotations
 
 import difflib
+import math
 import os
 import re
 from collections.abc import Iterable
@@ -224,10 +225,32 @@ def run_ic(fdm: Any) -> None:
 
 
 def start_engines(fdm: Any) -> None:
-    """Start every engine with rich mixture and fine pitch; the throttles end wide open."""
+    """Start every engine with rich mixture and fine pitch; the throttles end wide open.
+
+    Those of engines that lift are closed, as in the cruise of a quadplane.
+    """
     fdm["propulsion/set-running"] = -1
     for name in levers(fdm):
         fdm[name] = 1.0
+    for name in throttles(fdm)[1]:
+        fdm[name] = 0.0
+
+
+THROTTLE = "fcs/throttle-cmd-norm"
+"""JSBSim's first throttle, which stands for the throttles of all engines that pull."""
+_LIFTS = 0.87  # sine of the pitch of a thruster that lifts
+
+
+def throttles(fdm: Any) -> tuple[list[str], list[str]]:
+    """Return the throttle commands of the engines that pull, and of those that lift."""
+    pulling: list[str] = []
+    lifting: list[str] = []
+    exists = fdm.get_property_manager().hasNode
+    for k in range(fdm.get_propulsion().get_num_engines()):
+        pitch = f"propulsion/engine[{k}]/pitch-angle-rad"
+        is_lifting = exists(pitch) and abs(math.sin(fdm[pitch])) > _LIFTS
+        (lifting if is_lifting else pulling).append(THROTTLE + (f"[{k}]" if k else ""))
+    return (pulling, lifting) if pulling else (lifting, [])
 
 
 def levers(fdm: Any) -> list[str]:

@@ -84,8 +84,8 @@ def open_mid_envelope(
     if engines:
         # Released at rest, some electric propellers give a torque that ends the flight at once.
         engine.start_engines(fdm)
-        for k in range(engines):
-            fdm["fcs/throttle-cmd-norm" + (f"[{k}]" if k else "")] = THROTTLE
+        for name in engine.throttles(fdm)[0]:
+            fdm[name] = THROTTLE
         throttle = aircraft.card.inputs.get("throttle")
         if throttle is not None and fdm.get_property_manager().hasNode(throttle.property):
             low, high = throttle.limits

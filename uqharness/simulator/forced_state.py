@@ -653,8 +653,7 @@ def set_control(fdm: Any, aircraft: Aircraft, control: str, value: float) -> Non
 
 
 def set_command(fdm: Any, name: str, value: float) -> None:
-    """Set a command property; all throttles if it is JSBSim's first one."""
-    engine.set_property(fdm, name, value)
-    if name == "fcs/throttle-cmd-norm":
-        for index in range(1, fdm.get_propulsion().get_num_engines()):
-            fdm[f"{name}[{index}]"] = value
+    """Set a command property; the throttles of all engines that pull if it is JSBSim's first."""
+    pulling = engine.throttles(fdm)[0] if name == engine.THROTTLE else []
+    for command in pulling or [name]:
+        engine.set_property(fdm, command, value)

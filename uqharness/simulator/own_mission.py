@@ -175,20 +175,20 @@ def _leaned(fdm: Any, trim: Trim) -> dict[str, float]:
 def _script(aircraft: Aircraft, trim: Trim, mode: str) -> str:
     """Return a run script that begins with the trimmed controls, in a mode of the card."""
     fdm = open_aircraft(aircraft)
-    engines = fdm.get_propulsion().get_num_engines()
+    pulling, lifting = engine.throttles(fdm)
     marks = [(MARK, 1.0), *([(trim.equilibrium.mark, 1.0)] if trim.equilibrium is not None else [])]
     properties = [*marks, *aircraft.card.modes.get(mode, {}).items()]
-    if engines:
+    if pulling:
         # Starting an engine opens its throttle, so the throttle follows.
         properties += [
             ("propulsion/set-running", -1.0),
             *(dict.fromkeys(engine.levers(fdm), 1.0) | _leaned(fdm, trim)).items(),
+            *((name, 0.0) for name in lifting),
         ]
     for control, value in trim.controls.items():
         name = aircraft.card.inputs[control].property
-        properties.append((name, value))
-        if name == "fcs/throttle-cmd-norm":
-            properties += [(f"{name}[{index}]", value) for index in range(1, engines)]
+        names = pulling if name == engine.THROTTLE and pulling else [name]
+        properties += [(command, value) for command in names]
     lines = "\n".join(
         f'    <property value="{value:.9g}">{name}</property>' for name, value in properties
     )

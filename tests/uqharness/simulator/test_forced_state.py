@@ -4,12 +4,15 @@ with.
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
 from sysid.units import FT_M
-from uqharness.simulator import forced_state
-from uqharness.simulator.aircraft import find_aircraft
+from tests.helpers import foreign_aircraft
+from uqharness.simulator import engine, forced_state
+from uqharness.simulator.aircraft import find_aircraft, open_aircraft
 from uqharness.simulator.forced_state import (
     BodyState,
     body_velocity,
@@ -82,3 +85,17 @@ def test_a_reset_instance_gives_the_bits_of_a_new_one(name):
     # An actuator's memory is rearmed (espaaro); a control law's is not, and its XML is loaded anew.
     for shared, fresh in _evaluations(name, 1):
         assert shared.tobytes() == fresh.tobytes()
+
+
+def test_the_throttle_drives_the_engines_that_pull(tmp_path):
+    folder = foreign_aircraft.write("vtail", tmp_path)
+    xml = folder / "vtail.xml"
+    text = xml.read_text()
+    motor = re.search(r"<engine.*?</engine>", text, re.DOTALL).group(0)
+    up = '<orient unit="DEG"><pitch>90</pitch></orient></thruster>'
+    lift = motor.replace("</thruster>", up)
+    xml.write_text(text.replace(motor, lift + motor + lift + motor))
+    fdm = open_aircraft(find_aircraft(folder))
+    engine.start_engines(fdm)
+    forced_state.set_command(fdm, "fcs/throttle-cmd-norm", 0.4)
+    assert [fdm[f"fcs/throttle-cmd-norm[{k}]"] for k in range(4)] == [0.0, 0.4, 0.0, 0.4]
