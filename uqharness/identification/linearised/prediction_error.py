@@ -94,7 +94,9 @@ DELAY_GRID = 0.05
 STEP_SHARE_RANGE = 0.125, 4.0
 """Smallest and largest share of a step."""
 NEARBY = 0.01
-"""Relative change of a length to which the innovations' sensitivity is found."""
+"""Relative change of a length, or change of the azimuth [rad], to which the innovations'
+sensitivity is found.
+"""
 TOLERANCE, ITERATIONS = 0.2, 10
 """Length of a step, in standard errors, that ends the iteration, and the most iterations."""
 
@@ -733,14 +735,19 @@ def follow_in_free_air(
 def _with_free_air(
     linear: _LinearSystems, steps: Sequence[Steps], gusts: TurbulenceModel, noise: FloatArray
 ) -> list[FilteredSegment]:
-    """Filter segments; columns are projected on what no other noise of a state and no other length
-    of the air's roll, pitch and yaw would do.
+    """Filter segments; columns are projected on what no other noise of a state, no other length of
+    the air's roll, pitch and yaw, and no other azimuth of its axes would do.
     """
     rows, process = linear.setup.output_rows, gusts.process
     airs = []
-    for name in ("p_length", "q_length", "r_length"):
-        longer = [s._replace(**{name: getattr(s, name) * (1.0 + NEARBY)}) for s in gusts.states]
-        pairs = zip(linear.all(longer), linear.measured, strict=True)
+    names = ["p_length", "q_length", "r_length"]
+    names += ["azimuth_rad"] if gusts.states[0].in_earth else []
+    for name in names:
+        nearby = [
+            s._replace(**{name: value + NEARBY * (1.0 if name == "azimuth_rad" else value)})
+            for s, value in ((s, getattr(s, name)) for s in gusts.states)
+        ]
+        pairs = zip(linear.all(nearby), linear.measured, strict=True)
         airs.append([MeasuredSystem.of(s, z, rows) for s, z in pairs])
     followed = filter_segments(steps, linear.measured, rows, noise, process)
     return [*with_air(followed, process, noise, airs)]
