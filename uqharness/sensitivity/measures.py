@@ -483,7 +483,9 @@ def pair_band(
     PairBand
         NaN limits with fewer than MIN_DRAWS draws, no resamples, or a resample without any width.
     """
-    envelope_area, index = _indices(np.sort(y, axis=-1), d)
+    order = np.argsort(y, axis=-1)
+    ordered = np.take_along_axis(y, order, axis=-1)
+    envelope_area, index = _indices(ordered, d)
     area, draws = float(envelope_area), y.shape[1]
     if not chance and draws == 1:
         return _without_band(index, area, 0.0)
@@ -494,7 +496,15 @@ def pair_band(
     areas = np.empty(resamples)
     for portion in _portions(resamples, y.size):
         columns = rng.integers(draws, size=(portion.stop - portion.start, draws))
-        areas[portion], indices = _indices(np.sort(np.take(y, columns, axis=1), axis=-1), d)
+        # A resample is the sorted draws, each as often as it was drawn: nothing is sorted again.
+        rows = len(columns)
+        numbered = columns + draws * np.arange(rows)[:, None]
+        counts = np.bincount(numbered.ravel(), minlength=rows * draws).reshape(rows, draws)
+        times = np.moveaxis(counts[:, order], 0, 1)
+        resample = np.repeat(
+            np.broadcast_to(ordered[:, None], times.shape).ravel(), times.ravel()
+        ).reshape(times.shape)
+        areas[portion], indices = _indices(resample, d)
         resampled[portion] = indices.reshape(len(columns), -1)
     if np.isnan(resampled).any():
         return _without_band(index, area, np.nan)
@@ -554,11 +564,18 @@ def _chance_areas(y: FloatArray, d: int, rng: np.random.Generator, reach: float)
         # Remove the shift between the two corners of each pair.
         high = high - (high - low).mean(axis=1, keepdims=True)
         areas = np.empty((SWAPS, len(low)))
+        # Both values of all draws are sorted once; a swap decides to which of the two each belongs.
+        both = np.concatenate([low, high], axis=1)
+        order = np.argsort(both, axis=1)
+        ordered = np.take_along_axis(both, order, axis=1)
         for portion in _portions(SWAPS, low.size):
             # Swap the values of random draws.
-            swap = rng.random((portion.stop - portion.start, 1, draws)) < 0.5
-            one, other = np.where(swap, high, low), np.where(swap, low, high)
-            areas[portion] = np.abs(np.sort(one, axis=-1) - np.sort(other, axis=-1)).mean(axis=-1)
+            swap = rng.random((portion.stop - portion.start, draws)) < 0.5
+            in_one = np.concatenate([~swap, swap], axis=1)[:, order]
+            values = np.broadcast_to(ordered, in_one.shape)
+            shape = (*in_one.shape[:2], draws)
+            one, other = (values[side].reshape(shape) for side in (in_one, ~in_one))
+            areas[portion] = np.abs(one - other).mean(axis=-1)
         chance_areas[i] = areas.mean(axis=0) + reach * areas.std(axis=0, ddof=1)
     return chance_areas
 

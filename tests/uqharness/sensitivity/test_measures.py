@@ -7,6 +7,7 @@ import pytest
 import statsmodels.api as sm
 from scipy import stats
 
+from uqharness.sensitivity import measures
 from uqharness.sensitivity.measures import (
     Z,
     box_area,
@@ -157,3 +158,18 @@ def test_pinching_holds_where_samples_fill_the_corners_p_box_and_stay_within(mod
     result = pinching(output, output.outputs["output"])
     assert result.holds is (words is None)
     assert words is None or words in result.statement
+
+
+def test_areas_of_chance_are_those_of_sorted_draws():
+    """Draws with ties; the reference sorts both sides of every swap."""
+    y = np.round(np.random.default_rng(2).normal(size=(4, 37)), 1)
+    areas = measures._chance_areas(y, 2, np.random.default_rng(5), 1.5)
+    rng = np.random.default_rng(5)
+    for i in range(2):
+        low, high = (np.take(y.reshape((2, 2, 37)), end, axis=i) for end in (0, 1))
+        high = high - (high - low).mean(axis=1, keepdims=True)
+        swap = rng.random((measures.SWAPS, 1, 37)) < 0.5
+        one, other = (np.sort(np.where(s, high, low), axis=-1) for s in (swap, ~swap))
+        reference = np.abs(one - other).mean(axis=-1)
+        limit = reference.mean(axis=0) + 1.5 * reference.std(axis=0, ddof=1)
+        np.testing.assert_array_equal(areas[i], limit)
