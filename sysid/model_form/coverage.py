@@ -42,7 +42,7 @@ MIN_SHARE_INSIDE = 0.85
 
 Single flights scatter by 0.02 to 0.04.
 """
-MAX_SHARE_ERROR = 0.02
+MAX_SHARE_ERROR = 0.025
 """Standard error of the share above which the verdict is inconclusive."""
 _ONE_SIDED = 1.6448536269514722
 """Standard normal quantile of 95 %."""
