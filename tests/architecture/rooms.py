@@ -33,12 +33,12 @@ by name.
 @cache
 def modules() -> Mapping[str, Path]:
     """Every module by its dotted name."""
-    found = {}
+    result = {}
     for package in PACKAGES:
         for path in sorted((ROOT / package).rglob("*.py")):
             parts = path.relative_to(ROOT).with_suffix("").parts
-            found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
-    return found
+            result[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
+    return result
 
 
 @dataclass(frozen=True)
@@ -88,31 +88,33 @@ def imported_by(source: str) -> list[tuple[str, ...]]:
 
 def imports(name: str) -> set[str]:
     """The project's own modules that a module imports."""
-    known = modules()
-    source = known[name].read_text(encoding="utf-8")
-    found = {next((full for full in names if full in known), "") for names in imported_by(source)}
-    return found - {"", name}
+    paths = modules()
+    source = paths[name].read_text(encoding="utf-8")
+    result = {
+        next((full for full in names if full in paths), "") for names in imported_by(source)
+    }
+    return result - {"", name}
 
 
 def importers(library: str, package: str = "") -> set[str]:
     """Files that import a library or a part of it."""
-    found = set()
+    result = set()
     for name, path in modules().items():
         if name.split(".")[0] in (package or name):
             names = {
                 full for names in imported_by(path.read_text(encoding="utf-8")) for full in names
             }
             if any(full == library or full.startswith(f"{library}.") for full in names):
-                found.add(path.relative_to(ROOT).as_posix())
-    return found
+                result.add(path.relative_to(ROOT).as_posix())
+    return result
 
 
 def room(name: str) -> tuple[str, str]:
     """Package and room of a module: ("uqharness", "campaign") for uqharness.campaign.run, ("sysid",
     "") for sysid.record.
     """
-    package, _, rest = name.partition(".")
-    inner, _, _ = rest.partition(".")
+    package, _, remainder = name.partition(".")
+    inner, _, _ = remainder.partition(".")
     return package, inner if inner in LAYERS[package] else ""
 
 
@@ -120,12 +122,12 @@ def against_the_layers(name: str, other: str) -> bool:
     """Whether a module may not import the other: it lies higher, or in a package that knows nothing
     of it.
     """
-    (package, here), (target, there) = room(name), room(other)
+    (package, part), (target, target_part) = room(name), room(other)
     if name in FACES:
         return False
     if package != target:
         return package == "sysid"
-    return LAYERS[package].index(there) > LAYERS[package].index(here)
+    return LAYERS[package].index(target_part) > LAYERS[package].index(part)
 
 
 def circles(graph: Mapping[str, set[str]]) -> list[list[str]]:
@@ -133,7 +135,7 @@ def circles(graph: Mapping[str, set[str]]) -> list[list[str]]:
     number: dict[str, int] = {}
     low: dict[str, int] = {}
     stack: list[str] = []
-    found = []
+    result = []
 
     def visit(name: str) -> None:
         number[name] = low[name] = len(number)
@@ -147,9 +149,9 @@ def circles(graph: Mapping[str, set[str]]) -> list[list[str]]:
             group = stack[stack.index(name) :]
             del stack[stack.index(name) :]
             if len(group) > 1:
-                found.append(sorted(group))
+                result.append(sorted(group))
 
     for name in graph:
         if name not in number:
             visit(name)
-    return found
+    return result

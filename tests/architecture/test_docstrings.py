@@ -46,21 +46,21 @@ class Names:
 def names_of(source: str) -> Names:
     """Parse a source; its tree is not kept, which would slow every collection of garbage."""
     nodes = list(ast.walk(ast.parse(source)))
-    found = Names(set(), bound(nodes), [])
+    result = Names(set(), bound(nodes), [])
     for node in nodes:
         if isinstance(node, ast.FunctionDef | ast.ClassDef | ast.Module):
             text = ast.get_docstring(node) or ""
             if isinstance(node, ast.Module):
-                found.documented.append(("1 module", text, set(), False))
+                result.documented.append(("1 module", text, set(), False))
                 continue
-            found.defined.add(node.name)
+            result.defined.add(node.name)
             inside = bound(ast.walk(node)) if documented_names(text) else set()
             inherits = isinstance(node, ast.ClassDef) and bool(node.bases)
-            found.documented.append((f"{node.lineno} {node.name}", text, inside, inherits))
+            result.documented.append((f"{node.lineno} {node.name}", text, inside, inherits))
         elif isinstance(node, ast.Assign | ast.AnnAssign):
             targets = node.targets if isinstance(node, ast.Assign) else [node.target]
-            found.defined.update(t.id for t in targets if isinstance(t, ast.Name))
-    return found
+            result.defined.update(t.id for t in targets if isinstance(t, ast.Name))
+    return result
 
 
 def bound(inside: Iterable[ast.AST]) -> set[str]:
@@ -91,11 +91,11 @@ def documented_names(docstring: str) -> list[str]:
 
 def unknown_names(source: Names, project: set[str]) -> Iterator[str]:
     """Documented arguments that a function does not have, and references to nothing."""
-    known = source.bound | project | NAMES_OF_OTHERS | set(dir(builtins))
+    reference = source.bound | project | NAMES_OF_OTHERS | set(dir(builtins))
     for label, docstring, inside, inherits in source.documented:
         for match in REFERENCE.finditer(docstring):
             name = (match[1] or match[2]).split(".")[-1]
-            if name not in known and not DATA.fullmatch(name):
+            if name not in reference and not DATA.fullmatch(name):
                 yield f"{label}: `{name}`"
         if label == "1 module":
             continue
@@ -111,8 +111,10 @@ def test_docstrings_name_what_exists() -> None:
     }
     project = {name for path in sources for name in (path.stem, *path.parts)}
     project = project.union(*(source.defined for source in sources.values()))
-    wrong = [f"{path}:{text}" for path, s in sources.items() for text in unknown_names(s, project)]
-    assert not wrong, "\n".join(wrong)
+    invalid = [
+        f"{path}:{text}" for path, s in sources.items() for text in unknown_names(s, project)
+    ]
+    assert not invalid, "\n".join(invalid)
 
 
 def test_a_stale_name_is_noticed() -> None:

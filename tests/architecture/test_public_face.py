@@ -66,22 +66,22 @@ def lacking(function: object) -> list[str]:
     """Sections that a function's docstring should have and does not, and parameters that it passes
     over.
     """
-    found = sections(inspect.getdoc(function) or "")
+    result = sections(inspect.getdoc(function) or "")
     signature = inspect.signature(function)  # type: ignore[arg-type]
-    wanted = ["Parameters"] if signature.parameters else []
-    wanted += ["Examples"] + (
+    expected = ["Parameters"] if signature.parameters else []
+    expected += ["Examples"] + (
         ["Returns"] if signature.return_annotation not in (None, "None") else []
     )
     if "raise" in inspect.getsource(function) or "Raises" in (inspect.getdoc(function) or ""):  # type: ignore[arg-type]
-        wanted.append("Raises")
-    named = {
+        expected.append("Raises")
+    listed = {
         name.strip()
-        for line in found.get("Parameters", "").splitlines()
+        for line in result.get("Parameters", "").splitlines()
         if line and not line.startswith(" ")
         for name in line.partition(" :")[0].split(",")
     }
-    return [s for s in wanted if s not in found] + [
-        p for p in signature.parameters if p not in named
+    return [s for s in expected if s not in result] + [
+        p for p in signature.parameters if p not in listed
     ]
 
 

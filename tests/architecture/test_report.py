@@ -25,10 +25,10 @@ def test_a_source_is_measured(tmp_path):
     assert result.vague_names == {"wanted": 1, "own": 1, "found": 1}
     assert result.bindings == 5
     assert result.docstring_share == result.import_share == result.comment_share == 1 / 11
-    met = {name: ok for name, _, _, ok in table(result)}
-    assert met["modules"]
-    assert not met["median lines"]
-    assert not met["vague names per 1000"]
+    fulfilled = {name: ok for name, _, _, ok in table(result)}
+    assert fulfilled["modules"]
+    assert not fulfilled["median lines"]
+    assert not fulfilled["vague names per 1000"]
 
 
 def test_a_folder_without_python_is_refused(tmp_path, capsys):

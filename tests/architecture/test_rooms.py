@@ -33,13 +33,13 @@ ENTRY = {("uqharness.__main__", "uqharness.cli")}
 
 
 def test_every_arrow_goes_down():
-    wrong = {
+    invalid = {
         (name, other)
         for name in modules()
         for other in imports(name)
         if against_the_layers(name, other)
     }
-    assert wrong == ENTRY
+    assert invalid == ENTRY
 
 
 def test_every_folder_is_a_layer():
@@ -224,10 +224,10 @@ FACES = sorted(
 
 def entered_by_the_side(name: str, source: str) -> list[str]:
     """Imports of a module that take a name from the inside of another room."""
-    found = []
-    known = modules()
+    result = []
+    reference = modules()
     for module, names in scan(source).imports:
-        if module not in known or known[module].name == "__init__.py":
+        if module not in reference or reference[module].name == "__init__.py":
             continue
         package, inner = room(module)
         is_open = inner in ("", *BASE[package]) or f"{package}.{inner}" in INSIDE
@@ -235,17 +235,17 @@ def entered_by_the_side(name: str, source: str) -> list[str]:
             continue
         # A function named like its module is hidden by the module once that is loaded.
         allowed = {module.rpartition(".")[2], *SEVERAL.get(f"{package}.{inner}", ())}
-        found += [f"{module}.{alias}" for alias in names if alias not in allowed]
-    return found
+        result += [f"{module}.{alias}" for alias in names if alias not in allowed]
+    return result
 
 
 def test_rooms_are_entered_by_their_faces():
-    found = {
+    result = {
         name: entered_by_the_side(name, path.read_text(encoding="utf-8"))
         for name, path in modules().items()
         if name not in ("sysid", "uqharness")
     }
-    assert {name: names for name, names in found.items() if names} == {}
+    assert {name: names for name, names in result.items() if names} == {}
     side, face = (f"from uqharness.flight{inner} import FlightSpec\n" for inner in (".spec", ""))
     assert entered_by_the_side("uqharness.campaign.run", side) == [
         "uqharness.flight.spec.FlightSpec"
@@ -263,20 +263,20 @@ def test_a_face_holds_what_it_lists(name):
         package.nothing_of_that_name  # noqa: B018
 
 
-def not_asked_for(name: str, listed: set[str], everything: str) -> set[str]:
+def not_asked_for(name: str, listed: set[str], all_items: str) -> set[str]:
     """Names of the list of a room that no line of ``everything`` imports from it, nor takes from
     the room that was imported.
     """
-    asked = re.findall(rf"from {re.escape(name)} import \(?([^)\n]*(?:\n[^)]*)?)", everything)
+    request = re.findall(rf"from {re.escape(name)} import \(?([^)\n]*(?:\n[^)]*)?)", all_items)
     package, _, inner = name.rpartition(".")
-    if re.search(rf"from {re.escape(package)} import {inner}\b", everything):
-        asked += re.findall(rf"(?<![\w.]){inner}\.(\w+)", everything)
-    return listed - set(re.findall(r"\w+", " ".join(asked)))
+    if re.search(rf"from {re.escape(package)} import {inner}\b", all_items):
+        request += re.findall(rf"(?<![\w.]){inner}\.(\w+)", all_items)
+    return listed - set(re.findall(r"\w+", " ".join(request)))
 
 
 def test_a_face_lists_no_more_than_is_used():
     """Names of the inner rooms' lists that no other room, test or campaign asks for."""
-    everything = "\n".join(
+    all_items = "\n".join(
         path.read_text(encoding="utf-8")
         for folder in ("sysid", "uqharness", "tests", "campaigns", "docs")
         for path in (ROOT / folder).rglob("*.py")
@@ -285,5 +285,5 @@ def test_a_face_lists_no_more_than_is_used():
         if name in ("sysid", "uqharness", *INSIDE):
             continue
         assert (
-            not_asked_for(name, set(importlib.import_module(name).__all__), everything) == set()
+            not_asked_for(name, set(importlib.import_module(name).__all__), all_items) == set()
         ), name
