@@ -90,9 +90,7 @@ def imports(name: str) -> set[str]:
     """The project's own modules that a module imports."""
     paths = modules()
     source = paths[name].read_text(encoding="utf-8")
-    result = {
-        next((full for full in names if full in paths), "") for names in imported_by(source)
-    }
+    result = {next((full for full in names if full in paths), "") for names in imported_by(source)}
     return result - {"", name}
 
 

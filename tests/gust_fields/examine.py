@@ -110,10 +110,10 @@ def write_flights(
     """Fly and write up to three flights of a family."""
     paths = []
     for k, (V, strength) in enumerate(zip(SPEEDS[:count], STRENGTHS[:count], strict=True)):
-        flown = card(100 * seed + k, V, seconds=seconds, strength=strength, first=5 * k, h_m=80.0)
+        flight = card(100 * seed + k, V, seconds=seconds, strength=strength, first=5 * k, h_m=80.0)
         airframe = Airframe()
         at = Setting(V, 80.0, w20_kt, airframe.b, 1.6, seconds, 100 * seed + k)
-        record = fly_in(Flight(flown, airframe, effects), family, at)
+        record = fly_in(Flight(flight, airframe, effects), family, at)
         paths.append(folder / f"{family}-{seed}-{k}.parquet")
         record.write(paths[-1])
     return paths
@@ -126,7 +126,7 @@ def jsbsim_flights(
 
     Returns the aircraft that `refine` is given, and three flights of one that has the effect.
     """
-    models = [folder / which / name for which in ("given", "truth")]
+    models = [folder / index / name for index in ("given", "truth")]
     for model in models:
         assert uqharness(["instrument", name, "--out", str(model), "--no-check", "--quiet"]) == 0
     xml = models[1] / f"{name}.xml"
@@ -196,7 +196,7 @@ def run_refine(aircraft: str | Path, paths: list[Path], kind: str, out: Path) ->
 
 def measure(paths: list[Path]) -> Finding:
     """Estimate parameters and air from output error's answer, and score every candidate."""
-    begun = time.perf_counter()
+    start = time.perf_counter()
     aircraft = find_aircraft("espaaro")
     flights, measured = read_flights(paths, aircraft, align=False)
     setup = make_flight_data(aircraft, flights, measured)
@@ -223,7 +223,7 @@ def measure(paths: list[Path]) -> Finding:
         tuple(t.get(v, float("nan")) for v in VANES),
         (largest, t[largest]),
         float(np.mean([abs(value - truth[n]) <= COVERED * std for n, (value, std) in estimates])),
-        time.perf_counter() - begun,
+        time.perf_counter() - start,
     )
 
 

@@ -133,8 +133,8 @@ def frozen_field(at: Setting, vanes: str) -> Air:
         p = strips[:, 2] @ y / (y @ y)
         q = (tail[2] - mean[2]) / at.tail_m
         r = (mean[1] - tail[1]) / at.tail_m
-        away = np.zeros(3) if vanes == "wing" else vane - mean
-        return np.array([*mean, p, q, r]), away
+        offset = np.zeros(3) if vanes == "wing" else vane - mean
+        return np.array([*mean, p, q, r]), offset
 
     return air
 

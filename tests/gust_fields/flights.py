@@ -39,10 +39,10 @@ class Breath:
         """Nodes from a time to one behind the next sample."""
         first = int(np.ceil(time_s / NODE_S - 1e-9))
         for node in range(first, min(first + int(self.dt_s / NODE_S) + 2, len(self.nodes))):
-            there = state + (node * NODE_S - time_s) * rate
-            gust, _ = self.air(node * NODE_S, there)
+            present = state + (node * NODE_S - time_s) * rate
+            gust, _ = self.air(node * NODE_S, present)
             if self.in_body:
-                level = to_earth(np.array([there[6], there[7], 0.0]))
+                level = to_earth(np.array([present[6], present[7], 0.0]))
                 gust = np.concatenate([level @ gust[:3], level @ gust[3:]])
             self.nodes[node, :, 0] = gust
 
@@ -65,16 +65,16 @@ def fly_in(
     rng = np.random.default_rng([card.seed, 1])
     noise = {name: card.noise * std * rng.standard_normal(n) for name, std in NOISE.items()}
     read = np.column_stack([noise[c] for c in INSTRUMENTS])
-    held = s0 + np.sign(s0) * 0.5 * model.deadband
-    pilot = pilots([card], x0, held, read[:, :, None])
+    constant = s0 + np.sign(s0) * 0.5 * model.deadband
+    pilot = pilots([card], x0, constant, read[:, :, None])
     nodes = np.zeros((round(card.seconds / NODE_S) + 5, 6, 1))
     breath = Breath(pilot, air_of(family, setting), family in BODY, nodes, np.zeros((n, 3)), dt)
     breath.write(0.0, x0[:, 0], np.zeros(12))
-    history = integrate(model, x0, held, n, dt, substeps(dt), breath, nodes)
+    history = integrate(model, x0, constant, n, dt, substeps(dt), breath, nodes)
     # A vane elsewhere meets other air.
-    V, away = history.V[:, 0], breath.away
-    history.alpha[:, 0] -= away[:, 2] / V
-    history.beta[:, 0] -= away[:, 1] / V
+    V, offset = history.V[:, 0], breath.away
+    history.alpha[:, 0] -= offset[:, 2] / V
+    history.beta[:, 0] -= offset[:, 1] / V
     record = _record(replace(flight, card=replace(card, w20_kt=0.0)), history, 0, noise, dt)
     if ground_std_mps is None:
         return record

@@ -25,12 +25,12 @@ ALLOWED = 3
 COLUMNS = ("number", "case", "kind", "air", "truth", "t", "right", "verdict", "answer", "cpu_s")
 
 
-def ask(asked: Question, folder: Path) -> tuple[dict[str, Any], int]:
+def query(request: Question, folder: Path) -> tuple[dict[str, Any], int]:
     """Return refinement.json and the exit code of `refine`."""
-    if write([asked], folder / "flights"):
-        raise SystemExit(f"case {asked.id}: an effect so large that a flight is lost")
-    files, out = asked.files(folder / "flights"), folder / "refined" / asked.id
-    aircraft = folder_of(asked, folder / "aircraft")
+    if write([request], folder / "flights"):
+        raise SystemExit(f"case {request.id}: an effect so large that a flight is lost")
+    files, out = request.files(folder / "flights"), folder / "refined" / request.id
+    aircraft = folder_of(request, folder / "aircraft")
     words = ["refine", str(aircraft), "--train", *map(str, files["train"])]
     words += ["--test", *map(str, files["test"]), "--out", str(out)]
     code = uqharness([*words, "--no-pbox", "--no-figures", "--workers", "1"])
@@ -38,12 +38,12 @@ def ask(asked: Question, folder: Path) -> tuple[dict[str, Any], int]:
     return (json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}), code
 
 
-def right(asked: Question, verdict: Verdict) -> bool:
+def right(request: Question, verdict: Verdict) -> bool:
     """Whether the answer names everything hidden and nothing else."""
     if verdict.fair is not None:
         return verdict.fair
-    nothing = verdict.verdict == "no-missing-effect" or bool(asked.entries or asked.wrong)
-    return nothing and all(verdict.named) and verdict.card is not False and not verdict.spurious
+    empty = verdict.verdict == "no-missing-effect" or bool(request.entries or request.wrong)
+    return empty and all(verdict.named) and verdict.card is not False and not verdict.spurious
 
 
 def main() -> int:
@@ -60,22 +60,22 @@ def main() -> int:
         with path.open(encoding="utf-8") as handle:
             if str(number) in {row["number"] for row in csv.DictReader(handle)}:
                 continue
-        asked = question(number)
+        requests = question(number)
         start = time.process_time()
-        found, code = ask(asked, request.out)
-        verdict = judge(asked, found, code)
-        truth = [*asked.entries, *([asked.wrong.key] if asked.wrong else [])]
-        row = [number, asked.id, asked.kind, asked.air, " + ".join(truth)]
-        row += [" ".join(f"{t:.1f}" for t in asked.t), int(right(asked, verdict))]
+        result, code = query(requests, request.out)
+        verdict = judge(requests, result, code)
+        truth = [*requests.entries, *([requests.wrong.key] if requests.wrong else [])]
+        row = [number, requests.id, requests.kind, requests.air, " + ".join(truth)]
+        row += [" ".join(f"{t:.1f}" for t in requests.t), int(right(requests, verdict))]
         row += [verdict.verdict, "; ".join(verdict.answer), f"{time.process_time() - start:.0f}"]
         with path.open("a", encoding="utf-8", newline="") as handle:
             csv.writer(handle).writerow(row)
         print(*row, flush=True)
     with path.open(encoding="utf-8") as handle:
         rows = [row for row in csv.DictReader(handle) if int(row["number"]) in request.numbers]
-    wrong = [row["number"] for row in rows if row["right"] != "1"]
-    print(f"{len(rows) - len(wrong)} of {len(rows)} right; wrong: {', '.join(wrong) or 'none'}")
-    return int(len(wrong) > ALLOWED)
+    invalid = [row["number"] for row in rows if row["right"] != "1"]
+    print(f"{len(rows) - len(invalid)} of {len(rows)} right; wrong: {', '.join(invalid) or 'none'}")
+    return int(len(invalid) > ALLOWED)
 
 
 if __name__ == "__main__":

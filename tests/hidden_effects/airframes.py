@@ -34,21 +34,21 @@ def write_aircraft(name: str, airframe: Airframe, folder: Path) -> Path:
         '<fdm_config name="espaaro"', f'<fdm_config name="{name}"'
     )
     for key, value in airframe.coefficients.items():
-        text, found = re.subn(
+        text, result = re.subn(
             rf'<property value="[^"]*">(aero/{key})</property>',
             rf'<property value="{value!r}">\1</property>',
             text,
         )
-        if found != 1:
-            raise ValueError(f"aero/{key} stands {found} times in {xml}")
+        if result != 1:
+            raise ValueError(f"aero/{key} stands {result} times in {xml}")
     for tag, attribute in _MASS.items():
-        text, found = re.subn(
+        text, result = re.subn(
             rf"(<{tag} unit=[^>]*>)[^<]*(</{tag}>)",
             rf"\g<1>{getattr(airframe, attribute)!r}\g<2>",
             text,
         )
-        if found != 1:
-            raise ValueError(f"<{tag}> stands {found} times in {xml}")
+        if result != 1:
+            raise ValueError(f"<{tag}> stands {result} times in {xml}")
     xml.unlink()
     (out / f"{name}.xml").write_text(text, encoding="utf-8")
     card = (out / "airframe.toml").read_text(encoding="utf-8")

@@ -57,11 +57,11 @@ def stands_for(effect: Mapping[str, Any]) -> set[str]:
     }
 
 
-def _judging(found: Mapping[str, Any]) -> Mapping[str, Any]:
+def _judging(result: Mapping[str, Any]) -> Mapping[str, Any]:
     """Rows of the test flights by which refine judged: of predictions where it made them, else of
     replays.
     """
-    test = (found.get("gap") or {}).get("test") or {}
+    test = (result.get("gap") or {}).get("test") or {}
     return test.get("predictions") or test.get("channels") or {}
 
 
@@ -78,9 +78,9 @@ def test_gap(found: Mapping[str, Any]) -> float:
     return math.sqrt(sum(r * r for r in ratios) / len(ratios)) if ratios else math.nan
 
 
-def at_floor(found: Mapping[str, Any]) -> bool:
+def at_floor(result: Mapping[str, Any]) -> bool:
     """Every channel of the test flights within FLOOR of its noise after refinement."""
-    channels = _judging(found)
+    channels = _judging(result)
     return bool(channels) and all(
         _positive(c.get("rms_after"))
         and _positive(c.get("noise_rms"))
@@ -93,19 +93,19 @@ def _positive(x: object) -> bool:
     return isinstance(x, (int, float)) and math.isfinite(x) and x > 0.0
 
 
-def contract_faults(found: Mapping[str, Any], exit_code: int) -> list[str]:
+def contract_faults(result: Mapping[str, Any], exit_code: int) -> list[str]:
     """What refinement.json's contract asks for and the file does not have."""
     out = [
         f"no {key}"
         for key in ("verdict", "disagreement", "effects", "remaining", "gap", "model")
-        if key not in found
+        if key not in result
     ]
-    verdict = found.get("verdict")
+    verdict = result.get("verdict")
     if verdict not in VERDICTS:
         out.append(f"verdict {verdict!r}")
     elif VERDICTS[str(verdict)] != exit_code:
         out.append(f"exit code {exit_code} with {verdict}")
-    effects = found.get("effects") or []
+    effects = result.get("effects") or []
     if verdict == "effects-found" and not effects:
         out.append("effects-found without an effect")
     if verdict == "no-missing-effect" and effects:
@@ -124,13 +124,13 @@ def contract_faults(found: Mapping[str, Any], exit_code: int) -> list[str]:
             str(e["coefficient"]), str(e.get("term"))
         ):
             out.append(f"property {e.get('property')!r} for {canonical(e)}")
-    for which in ("train", "test"):
-        channels = ((found.get("gap") or {}).get(which) or {}).get("channels") or {}
+    for index in ("train", "test"):
+        channels = ((result.get("gap") or {}).get(index) or {}).get("channels") or {}
         if not channels:
-            out.append(f"gap.{which} without channels")
+            out.append(f"gap.{index} without channels")
         for name, c in channels.items():
             out += [
-                f"gap.{which}.{name} without {key}"
+                f"gap.{index}.{name} without {key}"
                 for key in ("rms_before", "rms_after", "noise_rms")
                 if key not in c
             ]

@@ -64,20 +64,21 @@ class Case:
         text = f"{self.truth}|{self.kind}|{self.air}|{self.aircraft}"
         return hashlib.sha256(text.encode()).hexdigest()[:10]
 
-    def flights(self, which: str) -> list[Flight]:
+    def flights(self, part: str) -> list[Flight]:
         """The flights to train on or to test on."""
         return [
             Flight(c, self.airframe, self.effects)
-            for c in (self.train if which == "train" else self.test)
+            for c in (self.train if part == "train" else self.test)
         ]
 
     def files(self, folder: Path) -> dict[str, list[Path]]:
         """Where `write` puts the records."""
-        own = folder / self.id
+        case_folder = folder / self.id
         return {
-            "train": [own / f"flight-{i + 1}.parquet" for i in range(len(self.train))],
+            "train": [case_folder / f"flight-{i + 1}.parquet" for i in range(len(self.train))],
             "test": [
-                own / f"flight-{i + 1 + len(self.train)}.parquet" for i in range(len(self.test))
+                case_folder / f"flight-{i + 1 + len(self.train)}.parquet"
+                for i in range(len(self.test))
             ],
         }
 
@@ -93,27 +94,27 @@ def write(cases: Sequence[Case], folder: Path) -> set[str]:
         for c in cases
         if not all(p.is_file() for paths in c.files(folder).values() for p in paths)
     ]
-    wanted = [
+    expected = [
         (c.id, f, p)
         for c in todo
-        for which in ("train", "test")
-        for f, p in zip(c.flights(which), c.files(folder)[which], strict=True)
+        for part in ("train", "test")
+        for f, p in zip(c.flights(part), c.files(folder)[part], strict=True)
     ]
     with np.errstate(all="ignore"):  # flights that come to grief are counted below
-        records = fly([f for _, f, _ in wanted])
-    lost = {
+        records = fly([f for _, f, _ in expected])
+    lost_names = {
         name
-        for record, (name, _, _) in zip(records, wanted, strict=True)
+        for record, (name, _, _) in zip(records, expected, strict=True)
         if not all(np.isfinite(record[c]).all() for c in record.columns if c != "manoeuvre")
     }
-    for record, (name, _, path) in zip(records, wanted, strict=True):
-        if name in lost:
+    for record, (name, _, path) in zip(records, expected, strict=True):
+        if name in lost_names:
             continue
         path.parent.mkdir(parents=True, exist_ok=True)
         partial = path.with_name(f"{path.stem}.partial.parquet")
         record.write(partial)
         partial.replace(path)
-    return lost
+    return lost_names
 
 
 def _seed(text: str) -> int:
@@ -122,35 +123,35 @@ def _seed(text: str) -> int:
 
 def cards(
     name: str,
-    flown: str = "mixed",
+    flight: str = "mixed",
     w20_kt: float = 0.0,
     noise: float = 1.0,
     rate_hz: float = 50.0,
     positions: bool = False,
 ) -> tuple[Card, ...]:
     """Four 90 s flights of a kind: speeds, order and sizes of manoeuvres drawn from the name."""
-    rng = np.random.default_rng(_seed(f"{name}/{flown}/{w20_kt}"))
-    low, high = {"mixed": (19.0, 27.0), "slow": (16.0, 17.5), "ground": (19.0, 24.0)}[flown]
+    rng = np.random.default_rng(_seed(f"{name}/{flight}/{w20_kt}"))
+    low, high = {"mixed": (19.0, 27.0), "slow": (16.0, 17.5), "ground": (19.0, 24.0)}[flight]
     speeds = rng.permutation(np.linspace(low, high, 4) + rng.uniform(-0.7, 0.7, 4))
-    found = []
+    result = []
     for i, V in enumerate(speeds):
-        strength = float(rng.uniform(0.85, 1.15)) * (0.4 if flown == "ground" else 1.0)
-        found.append(
+        strength = float(rng.uniform(0.85, 1.15)) * (0.4 if flight == "ground" else 1.0)
+        result.append(
             card(
                 int(rng.integers(2**31)),
                 round(float(V), 2),
                 strength=strength,
-                kinds=_FLOWN_KINDS[flown],
-                hands_off=flown != "ground",
+                kinds=_FLOWN_KINDS[flight],
+                hands_off=flight != "ground",
                 first=int(rng.integers(10)) + i,
                 w20_kt=w20_kt,
                 noise=noise,
                 rate_hz=rate_hz,
                 positions=positions,
-                h_m=3.5 if flown == "ground" else float(rng.uniform(60.0, 250.0)),
+                h_m=3.5 if flight == "ground" else float(rng.uniform(60.0, 250.0)),
             )
         )
-    return tuple(found)
+    return tuple(result)
 
 
 def perturbed(airframe: Airframe, rng: np.random.Generator) -> Airframe:

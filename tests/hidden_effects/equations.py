@@ -108,7 +108,7 @@ def interpolated(tables: FloatArray, at: int, v: float) -> float:
 
 
 @njit(cache=True, error_model="numpy")
-def run(terms: Any, first: int, last: int, seen: FloatArray, stack: FloatArray) -> float:
+def run(terms: Any, first: int, last: int, observed: FloatArray, stack: FloatArray) -> float:
     """Value of steps first .. last - 1 at the variables ``seen`` (15,); ``stack`` (STACK,) is room
     to work in.
     """
@@ -120,7 +120,7 @@ def run(terms: Any, first: int, last: int, seen: FloatArray, stack: FloatArray) 
             stack[top] = terms.arguments[i]
         elif o == VARIABLE:
             top += 1
-            stack[top] = seen[int(terms.arguments[i])]
+            stack[top] = observed[int(terms.arguments[i])]
         elif o <= LESS:
             top -= 1
             stack[top] = _of_two(o, stack[top], stack[top + 1])
@@ -193,7 +193,7 @@ def _found(
     """The derivative and what is felt and seen of one lane at surfaces s, into ``out`` (FOUND,);
     ``room`` is to work in.
     """
-    seen, stack, C, now = room[0], room[1], room[2], room[3]
+    observed, stack, C, current = room[0], room[1], room[2], room[3]
     u, v, w, p, q, r, phi, theta, psi, down = (
         x[0],
         x[1],
@@ -261,22 +261,36 @@ def _found(
     )
     first, last = terms.first[lane], terms.first[lane + 1]
     if last > first:
-        seen[ALPHA], seen[BETA], seen[P_HAT], seen[Q_HAT], seen[R_HAT] = alpha, beta, ph, qh, rh
-        seen[DE], seen[DA], seen[DR], seen[DT], seen[CT] = de, da, dr, throttle / 100.0, thrust / qS
-        seen[V_REL], seen[H_OVER_B], seen[T_S] = V / V_REFERENCE, -down / M.b, t_s
-        seen[ALPHADOT], seen[BETADOT] = 0.0, 0.0
+        observed[ALPHA], observed[BETA], observed[P_HAT], observed[Q_HAT], observed[R_HAT] = (
+            alpha,
+            beta,
+            ph,
+            qh,
+            rh,
+        )
+        observed[DE], observed[DA], observed[DR], observed[DT], observed[CT] = (
+            de,
+            da,
+            dr,
+            throttle / 100.0,
+            thrust / qS,
+        )
+        observed[V_REL], observed[H_OVER_B], observed[T_S] = V / V_REFERENCE, -down / M.b, t_s
+        observed[ALPHADOT], observed[BETADOT] = 0.0, 0.0
     alphadot, udot, vdot, wdot, fX, fY, fZ = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for _ in range(int(M.passes)):
-        now[:6] = C[:6]
+        current[:6] = C[:6]
         for i in range(first, last):
-            term = run(terms, terms.begins[i], terms.ends[i], seen, stack)
-            now[terms.which[i]] += terms.size[i] * term
+            term = run(terms, terms.begins[i], terms.ends[i], observed, stack)
+            current[terms.which[i]] += terms.size[i] * term
         if M.stall != 0.0:
             lag_deg = M.dynamic * np.degrees(alphadot) * M.c / V
-            now[2] += M.stall * M.CZ_alpha * alpha * (lift_share(np.degrees(alpha), lag_deg) - 1.0)
+            current[2] += (
+                M.stall * M.CZ_alpha * alpha * (lift_share(np.degrees(alpha), lag_deg) - 1.0)
+            )
         if M.ground != 0.0:
-            now[2] *= 1.0 + M.ground * np.exp(-2.0 * max(-down, 0.0) / M.b)
-        fX, fY, fZ = (qS * now[0] + thrust) / M.m, qS * now[1] / M.m, qS * now[2] / M.m
+            current[2] *= 1.0 + M.ground * np.exp(-2.0 * max(-down, 0.0) / M.b)
+        fX, fY, fZ = (qS * current[0] + thrust) / M.m, qS * current[1] / M.m, qS * current[2] / M.m
         udot = fX - M.g * st + r * v - q * w
         vdot = fY + M.g * (sf * ct) + p * w - r * u
         wdot = fZ + M.g * (cf * ct) + q * u - p * v
@@ -284,13 +298,13 @@ def _found(
             # The air's own acceleration is left out of alphadot and betadot.
             alphadot = (ua * wdot - wa * udot) / (ua * ua + wa * wa)
             Vdot = (ua * udot + va * vdot + wa * wdot) / V
-            seen[ALPHADOT] = alphadot * c2V
-            seen[BETADOT] = (V * vdot - va * Vdot) / (V * np.sqrt(ua * ua + wa * wa)) * b2V
+            observed[ALPHADOT] = alphadot * c2V
+            observed[BETADOT] = (V * vdot - va * Vdot) / (V * np.sqrt(ua * ua + wa * wa)) * b2V
     # A centre of gravity further forward by cg: M += Z cg, N -= Y cg.
     cg = M.cg_x + M.cg_in_airframe
-    L = qS * M.b * now[3]
-    Mm = qS * (M.c * now[4] + cg * now[2])
-    N = qS * (M.b * now[5] - cg * now[1])
+    L = qS * M.b * current[3]
+    Mm = qS * (M.c * current[4] + cg * current[2])
+    N = qS * (M.b * current[5] - cg * current[1])
     hx, hy, hz = M.Ixx * p - M.Ixz * r, M.Iyy * q, M.Izz * r - M.Ixz * p
     L, Mm, N = L - (q * hz - r * hy), Mm - (r * hx - p * hz), N - (p * hy - q * hx)
     turning = q * sf + r * cf
@@ -335,10 +349,10 @@ def found(
     """
     room = np.zeros((4, STACK))
     out = np.empty((FOUND, x.shape[1]))
-    own, surfaces, air, one = np.empty(12), np.empty(4), np.empty(6), np.empty(FOUND)
+    specific, surfaces, air, one = np.empty(12), np.empty(4), np.empty(6), np.empty(FOUND)
     for lane in range(x.shape[1]):
-        own[:], surfaces[:], air[:] = x[:, lane], s[:, lane], gust[:, lane]
-        _found(M[lane], lane, terms, own, surfaces, air, t_s[lane], room, one)
+        body[:], surfaces[:], air[:] = x[:, lane], s[:, lane], gust[:, lane]
+        _found(M[lane], lane, terms, body, surfaces, air, t_s[lane], room, one)
         out[:, lane] = one
     return out
 
@@ -422,7 +436,7 @@ def interval(
     end."""
     t, h, node_s = times[0], times[1], times[2]
     room = np.zeros((4, STACK))
-    own, y, air, one, surfaces = (
+    body, y, air, one, surfaces = (
         np.empty(12),
         np.empty(12),
         np.zeros(6),
@@ -432,26 +446,26 @@ def interval(
     k1, total = np.empty(12), np.empty(12)
     for lane in range(x.shape[1]):
         record = M[lane]
-        own[:], surfaces[:], k1[:] = x[:, lane], s[:, lane], dot[:, lane]
+        body[:], surfaces[:], k1[:] = x[:, lane], s[:, lane], dot[:, lane]
         for j in range(steps):
             at = t + j * h
             if j > 0:
                 _breathed(nodes, node_s, at, lane, air)
-                _found(record, lane, terms, own, surfaces, air, begun_s[lane] + at, room, one)
+                _found(record, lane, terms, body, surfaces, air, begun_s[lane] + at, room, one)
                 k1[:] = one[:12]
             for i in range(4):
                 surfaces[i] = _moved(i, lane, command[i, lane], faults, state)
             _breathed(nodes, node_s, at + 0.5 * h, lane, air)
-            y[:] = own + 0.5 * h * k1
+            y[:] = body + 0.5 * h * k1
             _found(record, lane, terms, y, surfaces, air, begun_s[lane] + at + 0.5 * h, room, one)
             total[:] = one[:12]
-            y[:] = own + 0.5 * h * one[:12]
+            y[:] = body + 0.5 * h * one[:12]
             _found(record, lane, terms, y, surfaces, air, begun_s[lane] + at + 0.5 * h, room, one)
             total += one[:12]
             for i in range(4):
                 surfaces[i] = _moved(i, lane, command[i, lane], faults, state)
             _breathed(nodes, node_s, at + h, lane, air)
-            y[:] = own + h * one[:12]
+            y[:] = body + h * one[:12]
             _found(record, lane, terms, y, surfaces, air, begun_s[lane] + at + h, room, one)
-            own += (h / 6.0) * (k1 + 2.0 * total + one[:12])
-        x[:, lane], s[:, lane] = own, surfaces
+            body += (h / 6.0) * (k1 + 2.0 * total + one[:12])
+        x[:, lane], s[:, lane] = body, surfaces

@@ -75,11 +75,11 @@ def fly_and_tell(flights: Sequence[Flight], step_s: float = STEP_S) -> list[Flow
     for members in groups.values():
         for start in range(0, len(members), 120):
             part = members[start : start + 120]
-            out |= dict(zip(part, _together([flights[i] for i in part], step_s), strict=True))
+            out |= dict(zip(part, _combine([flights[i] for i in part], step_s), strict=True))
     return [out[i] for i in range(len(flights))]
 
 
-def _together(flights: Sequence[Flight], step_s: float) -> list[Flown]:
+def _combine(flights: Sequence[Flight], step_s: float) -> list[Flown]:
     cards = [f.card for f in flights]
     dt = 1.0 / cards[0].rate_hz
     n = round(cards[0].seconds / dt)
@@ -88,20 +88,22 @@ def _together(flights: Sequence[Flight], step_s: float) -> list[Flown]:
     )
     x0, s0 = trim(model, np.array([c.V_mps for c in cards]), np.array([c.h_m for c in cards]))
     instruments = np.empty((n, 4, len(cards)))
-    drawn = []
+    drawing = []
     for lane, c in enumerate(cards):
         rng = np.random.default_rng([c.seed, 1])
-        drawn.append({name: c.noise * std * rng.standard_normal(n) for name, std in NOISE.items()})
+        drawing.append(
+            {name: c.noise * std * rng.standard_normal(n) for name, std in NOISE.items()}
+        )
         instruments[:, :, lane] = np.column_stack(
-            [drawn[-1][name] for name in ("V_mps", "phi_rad", "theta_rad", "h_m")]
+            [drawing[-1][name] for name in ("V_mps", "phi_rad", "theta_rad", "h_m")]
         )
     # A dead zone swallows its half: the commands that hold the trim lie beyond it.
-    held = s0 + np.sign(s0) * 0.5 * model.deadband
-    pilot = Pilot(cards, x0, held, instruments)
-    history = integrate(model, x0, held, n, dt, substeps(dt, step_s), pilot, gusts_of(flights))
+    constant = s0 + np.sign(s0) * 0.5 * model.deadband
+    pilot = Pilot(cards, x0, constant, instruments)
+    history = integrate(model, x0, constant, n, dt, substeps(dt, step_s), pilot, gusts_of(flights))
     return [
         Flown(
-            _record(f, history, lane, drawn[lane], dt),
+            _record(f, history, lane, drawing[lane], dt),
             history.x[:, :, lane].copy(),
             history.commands[:, :, lane].copy(),
         )

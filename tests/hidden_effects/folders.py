@@ -12,14 +12,14 @@ from tests.hidden_effects.airframes import write_aircraft
 from tests.hidden_effects.questions import AIRFRAMES, Question, Stated
 
 
-def folder_of(asked: Question, folder: Path) -> Path:
+def folder_of(request: Question, folder: Path) -> Path:
     """folder/id/name, written anew: the aeroplane before its coefficients were drawn, with what the
     question's folder states.
     """
-    own = folder / asked.id
-    shutil.rmtree(own, ignore_errors=True)
-    out = write_aircraft(asked.aircraft, AIRFRAMES[asked.aircraft], own)
-    state(out, asked.stated)
+    case_folder = folder / request.id
+    shutil.rmtree(case_folder, ignore_errors=True)
+    out = write_aircraft(request.aircraft, AIRFRAMES[request.aircraft], case_folder)
+    state(out, request.stated)
     return out
 
 
@@ -34,7 +34,7 @@ def state(aircraft: Path, stated: Stated) -> None:
         for surface, value in values.items():
             text = _servo(text, surface, tag, value)
     if stated.thrust != 1.0:
-        text = _once(
+        text = _run_once(
             text,
             r'(<property value=")[^"]*(">propulsion/thrust-scale<)',
             rf"\g<1>{stated.thrust!r}\g<2>",
@@ -43,24 +43,26 @@ def state(aircraft: Path, stated: Stated) -> None:
     if any(stated.accelerometer):
         card = aircraft / "airframe.toml"
         text = card.read_text(encoding="utf-8")
-        text = _once(
+        text = _run_once(
             text, r"accelerometer = \[[^\]]*\]", f"accelerometer = {list(stated.accelerometer)!r}"
         )
         card.write_text(text, encoding="utf-8")
 
 
 def _servo(text: str, surface: str, tag: str, value: float | None) -> str:
-    found = re.search(rf'<actuator name="fcs/{surface}-pos-\w+">.*?</actuator>', text, re.DOTALL)
-    if found is None:
+    result = re.search(rf'<actuator name="fcs/{surface}-pos-\w+">.*?</actuator>', text, re.DOTALL)
+    if result is None:
         raise ValueError(f"no actuator of {surface}")
-    block = found[0]
+    block = result[0]
     return text.replace(
         block,
-        _once(block, rf"<{tag}>.*?</{tag}>", "" if value is None else f"<{tag}>{value!r}</{tag}>"),
+        _run_once(
+            block, rf"<{tag}>.*?</{tag}>", "" if value is None else f"<{tag}>{value!r}</{tag}>"
+        ),
     )
 
 
-def _once(text: str, pattern: str, new: str) -> str:
+def _run_once(text: str, pattern: str, new: str) -> str:
     changed, count = re.subn(pattern, new, text)
     if count != 1:
         raise ValueError(f"{pattern} stands {count} times")

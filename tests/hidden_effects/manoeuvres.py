@@ -99,7 +99,7 @@ def card(
     kinds: Sequence[str] = KINDS,
     first: int = 0,
     hands_off: bool = True,
-    **rest: float | bool,
+    **remainder: float | bool,
 ) -> Card:
     """A flight of manoeuvres one after another, sizes, signs and lengths of parts drawn from the
     seed.
@@ -108,7 +108,7 @@ def card(
     amplitude; deflections shrink with dynamic pressure so that speeds are alike in response."""
     rng = np.random.default_rng(seed)
     quick = 22.0 / V_mps
-    found: list[Manoeuvre] = []
+    result: list[Manoeuvre] = []
     at, number = 2.0, first
     while True:
         kind = kinds[number % len(kinds)]
@@ -155,21 +155,21 @@ def card(
             raise ValueError(f"unknown manoeuvre {kind}; known are {KINDS} and pull")
         if at + length + 1.0 > seconds:
             break
-        found.append(
+        result.append(
             Manoeuvre(kind, at, length, pulses, bank, hands_off=hands_off and kind != "loiter")
         )
         at += length + (2.0 if kind == "loiter" else 3.0)
         number += 1
-    return Card(V_mps, tuple(found), seed, seconds, **rest)  # type: ignore[arg-type]
+    return Card(V_mps, tuple(result), seed, seconds, **remainder)  # type: ignore[arg-type]
 
 
-def slewed(wanted: FloatArray, most: float) -> FloatArray:
+def slewed(expected: FloatArray, maximum: float) -> FloatArray:
     """(n, ...) commands that follow ``wanted`` by at most ``most`` a sample: a hand needs time;
     servos stay off their limit.
     """
-    out = wanted.copy()
+    out = expected.copy()
     for k in range(1, len(out)):
-        out[k] = out[k - 1] + np.clip(wanted[k] - out[k - 1], -most, most)
+        out[k] = out[k - 1] + np.clip(expected[k] - out[k - 1], -maximum, maximum)
     return out
 
 
@@ -193,8 +193,8 @@ class Pilot:
             np.zeros((n, B)),
             np.zeros((n, B), dtype=bool),
         )
-        for lane, flown in enumerate(cards):
-            for m in flown.manoeuvres:
+        for lane, flight in enumerate(cards):
+            for m in flight.manoeuvres:
                 inside = (t >= m.at_s - 1e-9) & (t < m.at_s + m.length_s - 1e-9)
                 for pulse in m.pulses:
                     self.increments[:, CONTROLS.index(pulse.control), lane] += (
@@ -221,11 +221,11 @@ class Pilot:
         )
         climb = np.clip(np.where(self.h < 20.0, 0.05, 0.01) * (self.h - h), -0.12, 0.12)
         turn = 0.10 * np.abs(np.sin(self.bank[k]))
-        wanted = np.zeros_like(self.correction)
-        wanted[0] = 9.0 * (theta - self.theta - climb) - 20.0 * turn + 1.5 * x[4]
-        wanted[1] = -6.0 * (phi - self.bank[k]) - 0.8 * x[3]
-        wanted[3] = -4.0 * (V - self.V) + 40.0 * climb
-        moved = self.correction + self.share * (wanted - self.correction)
+        expected = np.zeros_like(self.correction)
+        expected[0] = 9.0 * (theta - self.theta - climb) - 20.0 * turn + 1.5 * x[4]
+        expected[1] = -6.0 * (phi - self.bank[k]) - 0.8 * x[3]
+        expected[3] = -4.0 * (V - self.V) + 40.0 * climb
+        moved = self.correction + self.share * (expected - self.correction)
         self.correction = np.where(self.frozen[k], self.correction, moved)
         out = self.trim + self.correction + self.increments[k]
         # A servo knows hundredths of a degree.

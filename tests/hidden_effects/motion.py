@@ -88,9 +88,9 @@ class Model:
                 self._hide(lane, effect)
         self.terms = _terms(effects)
         for lane, hidden in enumerate(effects):
-            wanted = [e for e in hidden if e.needs_dots]
-            loops = any(e.subject in ("CX", "CY", "CZ", "stall") for e in wanted)
-            self.lanes["passes"][lane] = 1 if not wanted else 4 if loops else 2
+            expected = [e for e in hidden if e.needs_dots]
+            loops = any(e.subject in ("CX", "CY", "CZ", "stall") for e in expected)
+            self.lanes["passes"][lane] = 1 if not expected else 4 if loops else 2
         # I^-1 of [[Ixx, 0, -Ixz], [0, Iyy, 0], [-Ixz, 0, Izz]] in closed form.
         self.lanes["determinant"] = self.lanes["Ixx"] * self.lanes["Izz"] - self.lanes["Ixz"] ** 2
 
@@ -125,7 +125,7 @@ def _terms(effects: Sequence[Sequence[Effect]]) -> Terms:
     operations: list[int] = []
     arguments: list[float] = []
     tables: list[float] = []
-    first, own = [0], []
+    first, rows = [0], []
     for hidden in effects:
         for e in hidden:
             if e.subject not in fx.COEFFICIENTS:
@@ -137,17 +137,17 @@ def _terms(effects: Sequence[Sequence[Effect]]) -> Terms:
                 operations += steps.operations
                 arguments += steps.arguments
                 tables += steps.tables
-            own.append((fx.COEFFICIENTS.index(e.subject), e.size, *begins[form]))
-        first.append(len(own))
-    which, size, start, end = zip(*own, strict=True) if own else ((), (), (), ())
-    whole = [np.array(v, dtype=np.int64) for v in (first, which, start, end, operations)]
+            rows.append((fx.COEFFICIENTS.index(e.subject), e.size, *begins[form]))
+        first.append(len(rows))
+    index, size, start, end = zip(*rows, strict=True) if rows else ((), (), (), ())
+    complete = [np.array(v, dtype=np.int64) for v in (first, index, start, end, operations)]
     return Terms(
-        whole[0],
-        whole[1],
+        complete[0],
+        complete[1],
         np.array(size, dtype=float),
-        whole[2],
-        whole[3],
-        whole[4],
+        complete[2],
+        complete[3],
+        complete[4],
         np.array(arguments, dtype=float),
         np.array(tables, dtype=float),
     )
@@ -259,7 +259,7 @@ def integrate(
     servos = Servos(model, 0.5 * h, s0.copy())
     x, s = x0.copy(), servos.s
     B = model.size
-    begun = np.full(B, begun_s) if np.ndim(begun_s) == 0 else np.asarray(begun_s, dtype=float)
+    start = np.full(B, begun_s) if np.ndim(begun_s) == 0 else np.asarray(begun_s, dtype=float)
     out = History(
         np.empty((n, 12, B)),
         np.empty((n, 4, B)),
@@ -271,14 +271,14 @@ def integrate(
     late = bool(model.late.any())
     for k in range(n):
         t = k * dt_s
-        air = evaluate(model, x, s, breath(gusts, t, B), begun + t)
-        given = command(k, air, x)
-        out.x[k], out.positions[k], out.commands[k], out.felt[k] = x, s, given, air.felt
+        air = evaluate(model, x, s, breath(gusts, t, B), start + t)
+        inputs = command(k, air, x)
+        out.x[k], out.positions[k], out.commands[k], out.felt[k] = x, s, inputs, air.felt
         out.V[k], out.alpha[k], out.beta[k], out.rho[k] = air.V, air.alpha, air.beta, air.rho
         if k == n - 1:
             break
         if late:
-            given = np.stack(
+            inputs = np.stack(
                 [out.commands[np.maximum(k - model.late[i], 0), i, lanes] for i in range(4)]
             )
         times = np.array([t, h, NODE_S])
@@ -289,8 +289,8 @@ def integrate(
             gusts,
             times,
             steps,
-            np.ascontiguousarray(given),
-            begun,
+            np.ascontiguousarray(inputs),
+            start,
             air.dot,
             x,
             s,
@@ -316,18 +316,18 @@ def trim(model: Model, V: FloatArray, h: FloatArray) -> tuple[FloatArray, FloatA
         x[7], x[11] = alpha, -h
         return x, z[2:6]
 
-    def left(z: FloatArray) -> FloatArray:
+    def remaining(z: FloatArray) -> FloatArray:
         return evaluate(model, *state(z), None).dot[:6]
 
     z = np.repeat(np.array([0.03, 0.0, 0.0, 0.0, 0.0, 55.0])[:, None], B, axis=1)
     step = np.array([1e-5, 1e-5, 1e-3, 1e-3, 1e-3, 1e-2])
     for _ in range(30):
-        f = left(z)
+        f = remaining(z)
         J = np.empty((B, 6, 6))
         for i in range(6):
             moved = z.copy()
             moved[i] += step[i]
-            J[:, :, i] = ((left(moved) - f) / step[i]).T
+            J[:, :, i] = ((remaining(moved) - f) / step[i]).T
         delta = np.linalg.solve(J, -f.T[:, :, None])[:, :, 0].T
         z = z + np.clip(delta, -0.2, 0.2) if _ < 3 else z + delta
         z[5] = np.clip(z[5], 5.0, 100.0)

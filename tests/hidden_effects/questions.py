@@ -72,21 +72,21 @@ class Question(Case):
     stated: Stated = Stated()
     t: tuple[float, ...] = ()
 
-    def flights(self, which: str) -> list[Flight]:
+    def flights(self, part: str) -> list[Flight]:
         """The flights to train on or to test on, with everything hidden."""
-        own = self.effects + (self.wrong.effects if self.wrong else ())
+        effects = self.effects + (self.wrong.effects if self.wrong else ())
         return [
-            Flight(c, self.airframe, own, self.drive)
-            for c in (self.train if which == "train" else self.test)
+            Flight(c, self.airframe, effects, self.drive)
+            for c in (self.train if part == "train" else self.test)
         ]
 
 
 def question(number: int) -> Question:
     """One of the 40."""
     row = ROWS[number]
-    own = AIRFRAMES[row["aircraft"]]
+    airframe = AIRFRAMES[row["aircraft"]]
     four = cards(row["name"], **row["cards"])
-    wrong, drive = row.get("wrong"), row.get("drive")
+    wrong_card, drive = row.get("wrong"), row.get("drive")
     return Question(
         row["name"],
         row["kind"],
@@ -95,9 +95,10 @@ def question(number: int) -> Question:
         _effects(row["effects"]),
         four[:3],
         four[3:],
-        replace(own, coefficients={**own.coefficients, **row.get("coefficients", {})}),
+        replace(airframe, coefficients={**airframe.coefficients, **row.get("coefficients", {})}),
         row["aircraft"],
-        wrong and Wrong(wrong["key"], wrong["value"], _effects(wrong["effects"])),
+        wrong_card
+        and Wrong(wrong_card["key"], wrong_card["value"], _effects(wrong_card["effects"])),
         drive and Drive(tuple(drive["lag"]), tuple(drive["rate"])),
         Stated(**row.get("stated", {})),
         tuple(row["t"]),

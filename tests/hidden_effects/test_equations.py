@@ -25,12 +25,15 @@ UNNAMED = [
 ]
 
 
-def of_lanes(form, seen):
+def of_lanes(form, observed):
     """Values of one term in lanes of their own, beside another that has a table."""
-    beside = Effect("CX", "table", 1.0, "interp(beta,[-0.1,0.1],[0,1])")
-    terms = Model([SECOND], [(beside, Effect("Cm", "term", 1.0, form))]).terms
+    reference = Effect("CX", "table", 1.0, "interp(beta,[-0.1,0.1],[0,1])")
+    terms = Model([SECOND], [(reference, Effect("Cm", "term", 1.0, form))]).terms
     return np.array(
-        [run(terms, terms.begins[1], terms.ends[1], column, np.zeros(STACK)) for column in seen.T]
+        [
+            run(terms, terms.begins[1], terms.ends[1], column, np.zeros(STACK))
+            for column in observed.T
+        ]
     )
 
 
@@ -39,12 +42,12 @@ def of_lanes(form, seen):
 )
 def test_compiled_terms_are_pythons(form):
     rng = np.random.default_rng(4)
-    seen = rng.normal(size=(len(VARIABLES), 40)) * 0.2
-    seen[[VARIABLES.index(v) for v in ("de", "da", "dr")]] *= 30.0
-    seen[VARIABLES.index("V_rel")] += 1.0
-    seen[VARIABLES.index("t_s")] += 45.0
-    expected = effects.value(form, dict(zip(VARIABLES, seen, strict=True)))
-    np.testing.assert_allclose(of_lanes(form, seen), expected, rtol=1e-13, atol=1e-15)
+    observed = rng.normal(size=(len(VARIABLES), 40)) * 0.2
+    observed[[VARIABLES.index(v) for v in ("de", "da", "dr")]] *= 30.0
+    observed[VARIABLES.index("V_rel")] += 1.0
+    observed[VARIABLES.index("t_s")] += 45.0
+    expected = effects.value(form, dict(zip(VARIABLES, observed, strict=True)))
+    np.testing.assert_allclose(of_lanes(form, observed), expected, rtol=1e-13, atol=1e-15)
     assert np.ptp(expected) > 0.0
 
 

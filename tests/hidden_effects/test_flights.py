@@ -39,16 +39,16 @@ def some_states(n):
 
 def test_the_equations_are_those_of_the_other_integration():
     x, s = some_states(6)
-    found = evaluate(Model([SECOND] * 6, [()] * 6), x, s, None).dot
+    result = evaluate(Model([SECOND] * 6, [()] * 6), x, s, None).dot
     expected = np.column_stack([sixdof.derivative(SECOND, x[:, i], s[:, i]) for i in range(6)])
-    np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(result, expected, rtol=1e-12, atol=1e-12)
     other = evaluate(Model([replace(SECOND, Ixz=-SECOND.Ixz)] * 6, [()] * 6), x, s, None).dot
     assert np.abs(other - expected).max() > 0.01
 
 
 def test_the_step_is_short_enough_and_a_trim_stays():
-    flown = replace(card(5, 21.0, seconds=8.0, first=1), noise=0.0)
-    coarse, fine = (fly([Flight(flown, Airframe())], step_s=h)[0] for h in (0.004, 0.002))
+    flight = replace(card(5, 21.0, seconds=8.0, first=1), noise=0.0)
+    coarse, fine = (fly([Flight(flight, Airframe())], step_s=h)[0] for h in (0.004, 0.002))
     for name, std in NOISE.items():
         assert np.abs(coarse[name] - fine[name]).max() < 0.06 * std, name
     model = Model([Airframe(), SECOND], [()] * 2)
@@ -155,20 +155,20 @@ def test_commands_one_sample_early_or_late_would_be_seen(plain, tmp_path):
         folder = tmp_path / str(shift)
         folder.mkdir()
         code, ratios = compare(moved, folder)
-        found = json.loads((folder / "gap" / "compare.json").read_text())
+        result = json.loads((folder / "gap" / "compare.json").read_text())
         assert code == 1
         # The delay is found and taken out, so it is the delay that says so and not the gaps.
-        assert found["controls_late_s"] == pytest.approx(-0.02 * shift, abs=2e-3)
-        assert not found["aligned"]
+        assert result["controls_late_s"] == pytest.approx(-0.02 * shift, abs=2e-3)
+        assert not result["aligned"]
         assert max(ratios.values()) < 1.1
 
 
 @pytest.mark.slow
 def test_the_second_aeroplane_is_its_xml(tmp_path):
     folder = write_aircraft("second", SECOND, tmp_path)
-    flown = card(12, 23.0, seconds=13.0, kinds=("roll and pitch",))
+    flight = card(12, 23.0, seconds=13.0, kinds=("roll and pitch",))
     its, other = fly(
-        [Flight(flown, SECOND), Flight(flown, perturbed(SECOND, np.random.default_rng(0)))]
+        [Flight(flight, SECOND), Flight(flight, perturbed(SECOND, np.random.default_rng(0)))]
     )
     code, ratios = compare(its, tmp_path, folder)
     assert code == 0, ratios
@@ -176,13 +176,13 @@ def test_the_second_aeroplane_is_its_xml(tmp_path):
 
 
 def test_records_tell_nothing():
-    flown = card(3, 22.0, seconds=8.0)
-    bare, hidden = fly(
-        [Flight(flown, Airframe()), Flight(flown, Airframe(), (Effect("Cm", "p_hat^2", 5.0),))]
+    flight = card(3, 22.0, seconds=8.0)
+    minimal, hidden = fly(
+        [Flight(flight, Airframe()), Flight(flight, Airframe(), (Effect("Cm", "p_hat^2", 5.0),))]
     )
-    assert bare.metadata == hidden.metadata
-    assert list(bare.columns) == list(hidden.columns)
-    assert not np.array_equal(bare["q_radps"], hidden["q_radps"])
+    assert minimal.metadata == hidden.metadata
+    assert list(minimal.columns) == list(hidden.columns)
+    assert not np.array_equal(minimal["q_radps"], hidden["q_radps"])
 
 
 # The effects
@@ -220,12 +220,12 @@ def test_terms_enter_as_the_vocabulary_says():
     expected = qS * 0.53 * -4.0 * alphadot * 0.53 / (2.0 * a.V) / 8.26
     np.testing.assert_allclose(gained(Effect("Cm", "alphadot_hat", -4.0))[4], expected, rtol=1e-9)
     # Force terms in alphadot change alphadot: the loop is closed.
-    again = evaluate(
+    repeat = evaluate(
         Model([Airframe()] * 4, [(Effect("CZ", "alphadot_hat", -3.0),)] * 4), x, s, None
     ).dot
-    alphadot = (x[0] * again[2] - x[2] * again[0]) / (x[0] ** 2 + x[2] ** 2)
+    alphadot = (x[0] * repeat[2] - x[2] * repeat[0]) / (x[0] ** 2 + x[2] ** 2)
     np.testing.assert_allclose(
-        again[2] - dot[2], qS * -3.0 * alphadot * 0.53 / (2.0 * a.V) / 21.34, rtol=1e-4
+        repeat[2] - dot[2], qS * -3.0 * alphadot * 0.53 / (2.0 * a.V) / 21.34, rtol=1e-4
     )
     with pytest.raises(ValueError, match="unknown \\['gamma'\\]"):
         Effect("Cm", "gamma^2", 1.0)
@@ -247,15 +247,15 @@ def test_every_effect_of_the_catalogue_changes_what_is_measured():
         effect = Effect(entry.subject, entry.term, entry.guess, form).scaled(
             3.0 if entry.term != "late" else 1.0
         )
-        flown = replace(
+        trajectory = replace(
             card(1, {"slow": 15.0, "ground": 20.0, "mixed": 20.0}[entry.flown]),
             seconds=5.0,
             noise=0.0,
             manoeuvres=(Manoeuvre("all", 0.2, 4.8, pulses),),
             h_m=3.0 if entry.flown == "ground" else 100.0,
         )
-        flights += [Flight(flown, Airframe()), Flight(flown, Airframe(), (effect,))]
+        flights += [Flight(trajectory, Airframe()), Flight(trajectory, Airframe(), (effect,))]
     records = fly(flights)
-    for bare, hidden, flight in zip(records[::2], records[1::2], flights[1::2], strict=True):
-        most = max(np.abs(hidden[c] - bare[c]).max() / std for c, std in NOISE.items())
-        assert most > 0.02, flight.effects
+    for minimal, hidden, flight in zip(records[::2], records[1::2], flights[1::2], strict=True):
+        maximum = max(np.abs(hidden[c] - minimal[c]).max() / std for c, std in NOISE.items())
+        assert maximum > 0.02, flight.effects

@@ -21,11 +21,11 @@ from uqharness.simulator.aircraft import find_aircraft
 
 
 def test_the_forty_questions_hide_what_their_kinds_say():
-    asked = [question(number) for number in range(40)]
+    request = [question(number) for number in range(40)]
     assert [row["number"] for row in ROWS] == list(range(40))
-    assert len({q.id for q in asked}) == 40
+    assert len({q.id for q in request}) == 40
     limits = {"clear": (10.0, np.inf), "marginal": (4.0, 10.0), "weak": (3.0, 4.0)}
-    for q in asked:
+    for q in request:
         hidden = {"null": 0, "pair": 2, "card": len(q.entries)}.get(q.kind, 1)
         assert len(q.entries) == len(q.effects) == hidden
         assert (q.wrong is not None) == (q.kind == "card")
@@ -35,11 +35,11 @@ def test_the_forty_questions_hide_what_their_kinds_say():
 
 
 def test_the_folder_says_what_is_stated(tmp_path):
-    asked = replace(
+    request = replace(
         question(8),
         stated=Stated({"rudder": 60.0, "elevator": None}, {"aileron": 40.0}, 0.9, (0.1, 0.0, -0.2)),
     )
-    folder = folder_of(asked, tmp_path)
+    folder = folder_of(request, tmp_path)
     aircraft = find_aircraft(str(folder))
     servos = actuators(aircraft, SURFACES)
     assert (servos["rudder"].lag, servos["elevator"].lag, servos["aileron"].lag) == (
@@ -50,7 +50,7 @@ def test_the_folder_says_what_is_stated(tmp_path):
     assert (servos["rudder"].rate, servos["aileron"].rate) == (240.0, 40.0)
     assert aircraft.card.sensors.position_m["accelerometer"] == (0.1, 0.0, -0.2)
     assert '<property value="0.9">propulsion/thrust-scale<' in (
-        folder / f"{asked.aircraft}.xml"
+        folder / f"{request.aircraft}.xml"
     ).read_text(encoding="utf-8")
     with pytest.raises(ValueError, match="stands 0 times"):
         state(folder, Stated({"elevator": 30.0}))
@@ -68,32 +68,34 @@ def test_accelerometers_and_vanes_feel_their_place():
         Effect("sensor.accelerometer", f"place_{a}", float(v))
         for a, v in zip("xyz", r, strict=True)
     )
-    plain, there = (
+    plain, present = (
         evaluate(Model([Airframe()] * 3, [e] * 3), x, np.full((4, 3), 1.0), None)
         for e in ((), (*moved, Effect("sensor.vane", "place_x", 0.7)))
     )
-    np.testing.assert_array_equal(plain.dot, there.dot)
+    np.testing.assert_array_equal(plain.dot, present.dot)
     for lane in range(3):
         v, w, wdot = x[:3, lane], x[3:6, lane], plain.dot[3:6, lane]
-        own = plain.felt[:, lane] - plain.dot[:3, lane] - np.cross(w, v)  # less gravity
-        expected = plain.dot[:3, lane] + np.cross(wdot, r) + np.cross(w, v + np.cross(w, r)) + own
-        np.testing.assert_allclose(there.felt[:, lane], expected, rtol=1e-9, atol=1e-12)
+        specific = plain.felt[:, lane] - plain.dot[:3, lane] - np.cross(w, v)  # less gravity
+        expected = (
+            plain.dot[:3, lane] + np.cross(wdot, r) + np.cross(w, v + np.cross(w, r)) + specific
+        )
+        np.testing.assert_allclose(present.felt[:, lane], expected, rtol=1e-9, atol=1e-12)
         at = v + np.cross(w, [0.7, 0.0, 0.0])
-        assert there.alpha[lane] == pytest.approx(np.arctan2(at[2], at[0]))
-        assert there.beta[lane] == pytest.approx(np.arcsin(at[1] / np.linalg.norm(at)))
-        assert abs(there.alpha[lane] - plain.alpha[lane]) > 1e-4
+        assert present.alpha[lane] == pytest.approx(np.arctan2(at[2], at[0]))
+        assert present.beta[lane] == pytest.approx(np.arcsin(at[1] / np.linalg.norm(at)))
+        assert abs(present.alpha[lane] - plain.alpha[lane]) > 1e-4
     with pytest.raises(ValueError, match="place_x"):
         Effect("sensor.vane", "place_z", 0.1)
 
 
 def test_servos_at_once_and_clocks_of_commands():
-    flown = replace(card(9, 22.0, seconds=11.0), noise=0.0, positions=True)
+    flight = replace(card(9, 22.0, seconds=11.0), noise=0.0, positions=True)
     late = Effect("record", "delay", 0.02)
     at_once, lagging, shifted = fly_and_tell(
         [
-            Flight(flown, Airframe(), (), IDEAL),
-            Flight(flown, Airframe()),
-            Flight(flown, Airframe(), (late,), IDEAL),
+            Flight(flight, Airframe(), (), IDEAL),
+            Flight(flight, Airframe()),
+            Flight(flight, Airframe(), (late,), IDEAL),
         ]
     )
     np.testing.assert_allclose(

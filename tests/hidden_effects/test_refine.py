@@ -45,9 +45,9 @@ NOTHING = case()
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    made = tmp_path_factory.mktemp("examination")
-    write([ROLL_RATE, NOTHING], made / "flights")
-    return made
+    result = tmp_path_factory.mktemp("examination")
+    write([ROLL_RATE, NOTHING], result / "flights")
+    return result
 
 
 def refine(folder, train, test, name, *more):
@@ -67,27 +67,27 @@ def answer(folder):
 
 @pytest.mark.slow
 def test_the_dissertations_effect_is_named_with_what_is_the_same_on_the_data(answer):
-    code, found = answer
-    assert (code, found["verdict"], contract_faults(found, code)) == (0, "effects-found", [])
-    (effect,) = found["effects"]
+    code, result = answer
+    assert (code, result["verdict"], contract_faults(result, code)) == (0, "effects-found", [])
+    (effect,) = result["effects"]
     assert {"Cm:p_hat^2", "mass:Ixz"} <= stands_for(effect)
 
 
 @pytest.mark.slow
 def test_a_placebo_is_left_alone(folder, answer, tmp_path):
     files = ROLL_RATE.files(folder / "flights")
-    own = tmp_path / "placebo.toml"
+    settings = tmp_path / "placebo.toml"
     text = '[[effect]]\ncoefficient = "CY"\nterm = "alpha^3*dt"\nphysics = "none"\n'
-    own.write_text(text, encoding="utf-8")
-    _, found = refine(folder, files["train"], files["test"], "placebo", "--effects", str(own))
-    assert [canonical(e) for e in found["effects"]] == [canonical(e) for e in answer[1]["effects"]]
+    settings.write_text(text, encoding="utf-8")
+    _, result = refine(folder, files["train"], files["test"], "placebo", "--effects", str(settings))
+    assert [canonical(e) for e in result["effects"]] == [canonical(e) for e in answer[1]["effects"]]
 
 
 @pytest.mark.slow
 def test_nothing_is_found_where_nothing_is(folder):
     files = NOTHING.files(folder / "flights")
-    _, found = refine(folder, files["train"], files["test"], "nothing")
-    assert (found["verdict"], found["effects"]) == ("no-missing-effect", [])
+    _, result = refine(folder, files["train"], files["test"], "nothing")
+    assert (result["verdict"], result["effects"]) == ("no-missing-effect", [])
 
 
 @pytest.mark.slow
@@ -96,8 +96,8 @@ def test_sensors_noisier_than_stated_do_not_pass_for_gusts(tmp_path):
     of |t| above 10.
     """
     noisy = [replace(c, noise=2.0) for c in CARDS]
-    found = refined(ROOT / "aircraft" / "espaaro", noisy, tmp_path, 15.0)
-    assert (found["verdict"], found["effects"]) == ("no-missing-effect", [])
+    result = refined(ROOT / "aircraft" / "espaaro", noisy, tmp_path, 15.0)
+    assert (result["verdict"], result["effects"]) == ("no-missing-effect", [])
 
 
 def another_servo(folder, **lags):
@@ -140,18 +140,18 @@ def test_servos_that_act_at_once_leave_no_fault_in_turbulence(tmp_path, monkeypa
     monkeypatch.setattr(motion, "LAG", (1e6,) * 4)
     monkeypatch.setattr(motion, "RATE", (1e9,) * 4)
     at_once = another_servo(tmp_path, elevator=None, aileron=None, rudder=None, throttle=None)
-    found = refined(at_once, CARDS[:2], tmp_path, 14.0)
-    assert (found["verdict"], found["effects"]) == ("no-missing-effect", [])
-    assert any("one sample ahead" in note for note in found["notes"])
-    assert max(abs(c["t"]) for c in found["candidates"]["scores"]) < found["candidates"]["limit"]
+    result = refined(at_once, CARDS[:2], tmp_path, 14.0)
+    assert (result["verdict"], result["effects"]) == ("no-missing-effect", [])
+    assert any("one sample ahead" in note for note in result["notes"])
+    assert max(abs(c["t"]) for c in result["candidates"]["scores"]) < result["candidates"]["limit"]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("lag", [12.0, 60.0])
 def test_a_servos_lag_in_the_xml_may_be_wrong_either_way(tmp_path, lag):
-    found = refined(another_servo(tmp_path, elevator=lag), CARDS, tmp_path)
-    (effect,) = found["effects"]
-    assert (effect["subsystem"], effect["term"], found["verdict"]) == (
+    result = refined(another_servo(tmp_path, elevator=lag), CARDS, tmp_path)
+    (effect,) = result["effects"]
+    assert (effect["subsystem"], effect["term"], result["verdict"]) == (
         "actuator.elevator",
         "lag",
         "effects-found",
@@ -173,9 +173,9 @@ def test_a_rate_limit_in_the_xml_may_be_too_low(tmp_path):
         text.replace(block, re.sub(r"<rate_limit>.*?</", "<rate_limit>40</", block)),
         encoding="utf-8",
     )
-    found = refined(aircraft, CARDS, tmp_path)
-    (effect,) = found["effects"]
-    assert (effect["subsystem"], effect["term"], found["verdict"]) == (
+    result = refined(aircraft, CARDS, tmp_path)
+    (effect,) = result["effects"]
+    assert (effect["subsystem"], effect["term"], result["verdict"]) == (
         "actuator.elevator",
         "rate_limit",
         "effects-found",
@@ -192,8 +192,8 @@ def test_accelerometers_elsewhere_than_the_card_says_are_found(tmp_path):
         text.replace("accelerometer = [0, 0, 0]", "accelerometer = [0.15, 0, -0.08]"),
         encoding="utf-8",
     )
-    found = refined(aircraft, CARDS, tmp_path)
-    effects = {(e["subsystem"], e["term"]): e for e in found["effects"]}
+    result = refined(aircraft, CARDS, tmp_path)
+    effects = {(e["subsystem"], e["term"]): e for e in result["effects"]}
     assert set(effects) == {
         ("sensor.accelerometer", "place_x"),
         ("sensor.accelerometer", "place_z"),
@@ -201,4 +201,4 @@ def test_accelerometers_elsewhere_than_the_card_says_are_found(tmp_path):
     for axis, truth in (("x", -0.15), ("z", 0.08)):
         effect = effects["sensor.accelerometer", f"place_{axis}"]
         assert effect["value"] == pytest.approx(truth, abs=3.0 * effect["std"])
-    assert found["verdict"] == "effects-found"
+    assert result["verdict"] == "effects-found"

@@ -20,11 +20,11 @@ MASS = MassProperties(18.0, np.diag([2.0, 3.0, 4.0]), 1.9, 3.7, 0.5)
 
 def compiled() -> dict[str, int]:
     """How many kinds of arguments each loop is compiled for."""
-    found = {
+    result = {
         name: getattr(kalman_loops, name)
         for name in ("filter_gains", "whiten_columns", "noise_columns", "backward")
     } | loops()._asdict()
-    return {name: len(loop.signatures) for name, loop in found.items()}
+    return {name: len(loop.signatures) for name, loop in result.items()}
 
 
 def test_a_flight_compiles_nothing_that_was_not_compiled_ahead() -> None:

@@ -39,14 +39,14 @@ def test_what_is_no_term_is_refused_with_what_is_allowed(text):
 
 
 def test_values_of_terms():
-    found = {
+    result = {
         "alpha": np.array([0.1, -0.2]),
         "beta": np.array([-0.3, 0.4]),
         "h_over_b": np.array([2.0, 4.0]),
     }
-    assert parse("alpha^2").values(found) == pytest.approx([0.01, 0.04])
-    assert parse("abs(beta)*beta").values(found) == pytest.approx([-0.09, 0.16])
-    assert parse("1/h_over_b").values(found) == pytest.approx([0.5, 0.25])
+    assert parse("alpha^2").values(result) == pytest.approx([0.01, 0.04])
+    assert parse("abs(beta)*beta").values(result) == pytest.approx([-0.09, 0.16])
+    assert parse("1/h_over_b").values(result) == pytest.approx([0.5, 0.25])
 
 
 def test_left_and_right_decide_the_penalty():
@@ -85,7 +85,7 @@ _OWN = '[[effect]]\ncoefficient = "Cm"\nterm = "p_hat^2"\n'
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "output"),
     [
         ('[[effect]]\ncoefficient = "Cm"\n', "needs coefficient and term"),
         ('[[effect]]\ncoefficient = "CQ"\nterm = "alpha"\n', "coefficient 'CQ'"),
@@ -99,8 +99,8 @@ _OWN = '[[effect]]\ncoefficient = "Cm"\nterm = "p_hat^2"\n'
         (f"{_OWN}[[effect]]\ncoefficient = 'Cm'\nterm = 'p_hat*p_hat'\n", "is .*effect.* 1 too"),
     ],
 )
-def test_a_wrong_file_of_own_effects_is_refused(tmp_path, text, said):
+def test_a_wrong_file_of_own_effects_is_refused(tmp_path, text, output):
     path = tmp_path / "own.toml"
     path.write_text(text, encoding="utf-8")
-    with pytest.raises(LogError, match=said):
+    with pytest.raises(LogError, match=output):
         read_effects(path)

@@ -39,10 +39,10 @@ def flights(seed: int = 3):
 
 
 def one_by_one(steps, data, noise, airs):
-    nothing = [Columns((), {}, {})] * len(steps)
+    empty = [Columns((), {}, {})] * len(steps)
     return np.array(
         [
-            neg2_log_likelihood(whiten(steps, data, nothing, ROWS, r, p))
+            neg2_log_likelihood(whiten(steps, data, empty, ROWS, r, p))
             for r, p in zip(noise, airs, strict=True)
         ]
     )
@@ -51,12 +51,12 @@ def one_by_one(steps, data, noise, airs):
 def test_an_air_is_as_likely_as_by_the_whole_filter():
     steps, data, noise, airs = flights()
     likelihood = AirLikelihood(steps, data, ROWS)
-    found = np.array([likelihood(r, p).cost for r, p in zip(noise, airs, strict=True)])
-    np.testing.assert_allclose(found, one_by_one(steps, data, noise, airs), rtol=1e-6)
-    assert np.ptp(found) > 10.0
-    assert abs(likelihood(1.01 * noise[0], airs[0]).cost / found[0] - 1.0) > 1e-4
+    result = np.array([likelihood(r, p).cost for r, p in zip(noise, airs, strict=True)])
+    np.testing.assert_allclose(result, one_by_one(steps, data, noise, airs), rtol=1e-6)
+    assert np.ptp(result) > 10.0
+    assert abs(likelihood(1.01 * noise[0], airs[0]).cost / result[0] - 1.0) > 1e-4
     plain = likelihood(noise[0], airs[0], slopes=False)
-    assert plain.cost == found[0]
+    assert plain.cost == result[0]
     assert not plain.process.any()
 
 
@@ -69,11 +69,11 @@ def test_slopes_are_those_of_differences(violent):
     if violent:
         steps[1].phi[20] *= 30.0
     likelihood, r, air = AirLikelihood(steps, data, ROWS), noise[1], airs[1]
-    found = likelihood(r, air)
+    result = likelihood(r, air)
     h = 1e-4
     for k in range(len(r)):
         up, down = (likelihood(r * np.exp(s * np.eye(len(r))[k]), air).cost for s in (h, -h))
-        np.testing.assert_allclose(found.noise[k], (up - down) / (2.0 * h), rtol=1e-4, atol=1e-3)
+        np.testing.assert_allclose(result.noise[k], (up - down) / (2.0 * h), rtol=1e-4, atol=1e-3)
     rng = np.random.default_rng(5)
     for kind in ("noise", "begin"):
         for s in range(3):
@@ -84,7 +84,7 @@ def test_slopes_are_those_of_differences(violent):
                 likelihood(r, replace(air, **{kind: getattr(air, kind) + sign * h * change})).cost
                 for sign in (1.0, -1.0)
             )
-            slope = np.sum((found.process if kind == "noise" else found.begin) * change)
+            slope = np.sum((result.process if kind == "noise" else result.begin) * change)
             np.testing.assert_allclose(slope, (up - down) / (2.0 * h), rtol=1e-4, atol=1e-3)
             assert abs(slope) > 0.1
 
@@ -92,9 +92,9 @@ def test_slopes_are_those_of_differences(violent):
 def test_an_air_that_no_filter_follows_is_impossible():
     steps, data, noise, airs = flights()
     broken = Process(airs[2].noise, airs[2].begin - 1e3)
-    found = AirLikelihood(steps, data, ROWS)(noise[2], broken)
-    assert np.isinf(found.cost)
-    assert not found.noise.any()
+    result = AirLikelihood(steps, data, ROWS)(noise[2], broken)
+    assert np.isinf(result.cost)
+    assert not result.noise.any()
 
 
 class Several:
@@ -115,9 +115,9 @@ class Several:
 @pytest.mark.parametrize("count", [2, 3, 8])
 def test_shared_among_processes_the_figures_are_the_same_to_the_bit(count):
     steps, data, noise, airs = flights()
-    alone, several = AirLikelihood(steps, data, ROWS)(noise[0], airs[0]), Several(count)
-    found = AirLikelihood(steps, data, ROWS, several)(noise[0], airs[0])
-    assert found.cost == alone.cost
+    single, several = AirLikelihood(steps, data, ROWS)(noise[0], airs[0]), Several(count)
+    result = AirLikelihood(steps, data, ROWS, several)(noise[0], airs[0])
+    assert result.cost == single.cost
     for name in ("noise", "process", "begin"):
-        np.testing.assert_array_equal(getattr(found, name), getattr(alone, name))
+        np.testing.assert_array_equal(getattr(result, name), getattr(single, name))
     assert several.jobs == min(count, len(steps))

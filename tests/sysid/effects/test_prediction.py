@@ -43,8 +43,8 @@ def dense(
     phi, eye = steps.phi, np.eye(NX)
     added = []
     for k in range(n - 1):
-        away = phi[k] - eye
-        half = eye + 0.5 * away - 0.125 * away @ away
+        offset = phi[k] - eye
+        half = eye + 0.5 * offset - 0.125 * offset @ offset
         added.append(steps.dt_s / 6.0 * (Q + 4.0 * half @ Q @ half.T + phi[k] @ Q @ phi[k].T))
     mean, cov = [np.zeros(NX)], [[P0]]
     start = [eye[:, :8] if steps.start is None else steps.start]
@@ -81,9 +81,9 @@ def test_the_filter_is_the_dense_likelihood(gusty):
     process = Process(Q[None], P0[None]) if gusty else None
     (white,) = whiten([steps], [z], [Columns(("c",), {"c": (-1, u)}, {})], range(M), noise, process)
     y, V, X = dense(steps, noise, np.diag(Q), np.diag(P0))
-    seen = np.isfinite(z).ravel()
-    e = (z.ravel() - y)[seen]
-    V, X = V[np.ix_(seen, seen)], X[seen]
+    observed = np.isfinite(z).ravel()
+    e = (z.ravel() - y)[observed]
+    V, X = V[np.ix_(observed, observed)], X[observed]
     inverse = np.linalg.inv(V)
     P = inverse - inverse @ X @ np.linalg.solve(
         X.T @ inverse @ X, X.T @ inverse
@@ -91,7 +91,7 @@ def test_the_filter_is_the_dense_likelihood(gusty):
     forced = [np.zeros(NX)]
     for k in range(n - 1):
         forced.append(steps.phi[k] @ forced[-1] + steps.g0[k] @ u[k] + steps.g1[k] @ u[k + 1])
-    s = np.concatenate([steps.H[k] @ forced[k] + steps.D[k] @ u[k] for k in range(n)])[seen]
+    s = np.concatenate([steps.H[k] @ forced[k] + steps.D[k] @ u[k] for k in range(n)])[observed]
     assert np.sum(white.residual**2) == pytest.approx(e @ P @ e, rel=1e-6)
     assert 2.0 * white.logdet == pytest.approx(np.linalg.slogdet(V)[1], rel=1e-9)
     column = white.columns[:, :, 0].astype(float).ravel()
@@ -108,12 +108,12 @@ def test_a_filter_that_has_followed_a_flight_whitens_any_columns_of_it():
         columns = [
             Columns(("c",), {"c": (-1, np.random.default_rng(seed).standard_normal((9, 6)))}, {})
         ]
-        (ours,), (alone,) = (
+        (ours,), (single,) = (
             whiten_filtered(followed, columns),
             whiten([steps], [z], columns, range(M), np.ones(M), process),
         )
         for name in ("residual", "columns", "start", "deviation"):
-            np.testing.assert_array_equal(getattr(ours, name), getattr(alone, name))
+            np.testing.assert_array_equal(getattr(ours, name), getattr(single, name))
     (calm,) = whiten([steps], [z], columns, range(M), np.ones(M))
     assert not np.array_equal(calm.residual, ours.residual)
 
@@ -131,17 +131,19 @@ def test_columns_hold_nothing_that_another_strength_of_the_air_would_do():
         return next(filter_segments([steps], [z], range(M), np.ones(M), process(factors)))
 
     columns = LazyColumns(names, lambda k, some: Columns(names, inputs, {}), 1)
-    here = followed(np.ones(NX))
-    (plain,) = iterate_whitened([here], columns)
-    (ours,) = iterate_whitened(with_air([here], process(np.ones(NX)), np.ones(M)), columns)
+    local = followed(np.ones(NX))
+    (plain,) = iterate_whitened([local], columns)
+    (ours,) = iterate_whitened(with_air([local], process(np.ones(NX)), np.ones(M)), columns)
     assert np.sum(ours.residual**2) < np.sum(plain.residual**2)
     assert neg2_log_likelihood([ours]) == pytest.approx(neg2_log_likelihood([plain]), rel=1e-12)
     np.testing.assert_allclose(ours.start[:, 0], plain.start[:, 0], rtol=1e-9)
 
     def change(state: int, step: float) -> np.ndarray:
         one = followed(np.where(np.arange(NX) == state, np.exp(step), 1.0))
-        left = one.innovations_only.innovations - one.innovations_only.starts @ plain.start[:, 0]
-        return left * np.sqrt(one.gains.variance / here.gains.variance)
+        remaining = (
+            one.innovations_only.innovations - one.innovations_only.starts @ plain.start[:, 0]
+        )
+        return remaining * np.sqrt(one.gains.variance / local.gains.variance)
 
     for state in np.flatnonzero(Q):
         slope = (change(state, 0.01) - change(state, -0.01)) / 0.02
@@ -214,14 +216,14 @@ def test_all_of_a_fit_at_once_are_as_each_alone():
     """
     evidence = flights({"c3": 0.2}, 42)
     names = ["a", "b", "c3", "c5"]
-    found = corrected_estimates(evidence, names, ["c3", "a"])
-    for name, mine in found.items():
+    result = corrected_estimates(evidence, names, ["c3", "a"])
+    for name, mine in result.items():
         assert mine == pytest.approx(
             corrected_estimate(evidence, [n for n in names if n != name], name), rel=1e-9
         )
     some = evidence.index(names)
     expected = np.sqrt(np.diagonal(np.linalg.inv(evidence.total[0][np.ix_(some, some)])))
-    assert [found["c3"][2], found["a"][2]] == pytest.approx([expected[2], expected[0]], rel=1e-6)
+    assert [result["c3"][2], result["a"][2]] == pytest.approx([expected[2], expected[0]], rel=1e-6)
     assert corrected_estimates(evidence, ["c3", "c5"], ["c3"])["c3"][2] < 0.999 * expected[2]
 
 
@@ -232,13 +234,13 @@ def test_the_limit_grows_with_the_number_of_candidates():
 
 def test_a_step_leaves_what_is_held_where_it_is():
     evidence = flights({"c3": 0.2}, 3)
-    whole, length = evidence.step()
-    held, shorter = evidence.step(["c3"])
+    complete, length = evidence.step()
+    constant, shorter = evidence.step(["c3"])
     at = evidence.index(["c3"])[0]
-    assert abs(whole[at]) > 0.1
-    assert held[at] == 0.0
+    assert abs(complete[at]) > 0.1
+    assert constant[at] == 0.0
     np.testing.assert_allclose(
-        held, evidence.estimates(evidence.index([n for n in evidence.names if n != "c3"]))
+        constant, evidence.estimates(evidence.index([n for n in evidence.names if n != "c3"]))
     )
     assert 0.0 < shorter < length
 
@@ -262,35 +264,37 @@ def test_evidence_that_makes_columns_again_says_the_same_as_one_that_holds_them(
     ]
     air = (0.05 * (np.arange(13) < 3), np.zeros(13))
     process = Process(np.tile(air[0], (3, 1)), np.tile(air[1], (3, 1))) if gusty else None
-    asked: list[Collection[str]] = []
+    request: list[Collection[str]] = []
 
     def make(k: int, some: Collection[str]) -> Columns:
-        asked.append(some)
+        request.append(some)
         return columns[k]
 
     group = [0, 1, 2]
-    whole = normal_equations(
+    complete = normal_equations(
         whiten(steps, z, columns, range(M), np.ones(M), process), names, group, {}
     )
     white = iterate_whitened(
         filter_segments(steps, z, range(M), np.ones(M), process), LazyColumns(names, make, 3)
     )
-    held = normal_equations(white, names, group, {}, ("off", "b", "a"))
-    assert held.white[0].columns.shape == (n, M, 3)
-    np.testing.assert_array_equal(held.gram, whole.gram)
+    constant = normal_equations(white, names, group, {}, ("off", "b", "a"))
+    assert constant.white[0].columns.shape == (n, M, 3)
+    np.testing.assert_array_equal(constant.gram, complete.gram)
     for some in (["a", "b"], ["c2", "a", "c1"], ["c2"]):
-        for one, other in zip(held.white, whole.white, strict=True):
-            at = whole.index(some)
-            np.testing.assert_allclose(held.series(one, at), whole.series(other, at), atol=1e-6)
-    assert asked[3:] == [{"c2", "c1"}] * 3
-    assert corrected_estimate(held, ["a", "b"], "c3") == pytest.approx(
-        corrected_estimate(whole, ["a", "b"], "c3"), rel=1e-6
+        for one, other in zip(constant.white, complete.white, strict=True):
+            at = complete.index(some)
+            np.testing.assert_allclose(
+                constant.series(one, at), complete.series(other, at), atol=1e-6
+            )
+    assert request[3:] == [{"c2", "c1"}] * 3
+    assert corrected_estimate(constant, ["a", "b"], "c3") == pytest.approx(
+        corrected_estimate(complete, ["a", "b"], "c3"), rel=1e-6
     )
-    taken, other = held.without_values({"c3": 0.3}), whole.without_values({"c3": 0.3})
-    np.testing.assert_allclose(taken.white[0].residual, other.white[0].residual, atol=1e-6)
-    gone = replace(held, white=[replace(w, more=None) for w in held.white])
+    selected, other = constant.without_values({"c3": 0.3}), complete.without_values({"c3": 0.3})
+    np.testing.assert_allclose(selected.white[0].residual, other.white[0].residual, atol=1e-6)
+    absent = replace(constant, white=[replace(w, more=None) for w in constant.white])
     with pytest.raises(KeyError):
-        corrected_estimate(gone, ["a", "b"], "c1")
+        corrected_estimate(absent, ["a", "b"], "c1")
 
 
 def test_a_column_of_which_the_data_hold_nothing_has_no_standard_error():
@@ -298,11 +302,11 @@ def test_a_column_of_which_the_data_hold_nothing_has_no_standard_error():
     k = each.names.index("c1")
     none = np.where(np.arange(len(each.names)) == k, 0.0, 1.0)
     white = [replace(w, columns=(w.columns * none).astype(np.float32)) for w in each.white]
-    lost = normal_equations(white, each.names, range(9), {})
-    value, std, plain = corrected_estimate(lost, ["a", "b"], "c1")
+    is_lost = normal_equations(white, each.names, range(9), {})
+    value, std, plain = corrected_estimate(is_lost, ["a", "b"], "c1")
     assert value == 0.0
     assert np.isnan([std, plain]).all()
-    assert np.isfinite(corrected_estimate(lost, ["a", "b", "c1"], "c3")).all()
+    assert np.isfinite(corrected_estimate(is_lost, ["a", "b", "c1"], "c3")).all()
 
 
 def test_groups_of_segments_say_the_same_as_their_segments_and_are_not_split():

@@ -32,59 +32,59 @@ def evidence(columns: dict[str, np.ndarray], residual: np.ndarray) -> Informatio
     return normal_equations(white, names, CONFIRMING, {})
 
 
-def drawn(rng: np.random.Generator) -> np.ndarray:
+def draw(rng: np.random.Generator) -> np.ndarray:
     return rng.standard_normal((SEGMENTS, N, M))
 
 
 def test_the_limit_is_sidaks_for_candidates_that_have_nothing_in_common():
     rng = np.random.default_rng(1)
-    found = evidence({f"c{k}": drawn(rng) for k in range(30)}, drawn(rng))
-    critical_t = critical_t_of(found, [], [f"c{k}" for k in range(30)], 0.05)
+    result = evidence({f"c{k}": draw(rng) for k in range(30)}, draw(rng))
+    critical_t = critical_t_of(result, [], [f"c{k}" for k in range(30)], 0.05)
     assert critical_t == pytest.approx(sidak_critical_t(30, 0.05), abs=0.06)
 
 
 def test_the_limit_of_one_candidate_by_thirty_names_is_that_of_one():
     rng = np.random.default_rng(1)
-    own, free = drawn(rng), drawn(rng)
-    found = evidence(
-        {"free": free, **{f"c{k}": (1.0 + k) * own + k * free for k in range(30)}}, drawn(rng)
+    unique, free = draw(rng), draw(rng)
+    result = evidence(
+        {"free": free, **{f"c{k}": (1.0 + k) * unique + k * free for k in range(30)}}, draw(rng)
     )
-    critical_t = critical_t_of(found, ["free"], [f"c{k}" for k in range(30)], 0.05)
+    critical_t = critical_t_of(result, ["free"], [f"c{k}" for k in range(30)], 0.05)
     assert critical_t == pytest.approx(1.96, abs=0.05)
     assert sidak_critical_t(30, 0.05) > 3.0
 
 
 def test_nothing_is_chosen_from_noise_more_often_than_the_limit_allows():
     rng = np.random.default_rng(2)
-    shared = drawn(rng)
-    columns = {"free": drawn(rng), **{f"c{k}": drawn(rng) + shared for k in range(20)}}
+    shared = draw(rng)
+    columns = {"free": draw(rng), **{f"c{k}": draw(rng) + shared for k in range(20)}}
     candidates = {f"c{k}": 0.0 for k in range(20)}
     critical_t = critical_t_of(evidence(columns, shared), ["free"], list(candidates), 0.05)
     largest = [
-        float(
-            np.abs(score_tests(evidence(columns, drawn(rng)), ["free"], list(candidates)).t).max()
-        )
+        float(np.abs(score_tests(evidence(columns, draw(rng)), ["free"], list(candidates)).t).max())
         for _ in range(300)
     ]
     assert 0.02 < np.mean(np.array(largest) > critical_t) < 0.085
 
 
 @pytest.mark.parametrize(
-    ("alone", "entered"),
+    ("single", "entered"),
     [(np.inf, ["large", "small"]), (15.0, ["large"]), (40.0, ["large", "small"])],
 )
-def test_an_overwhelming_candidate_is_the_last_to_enter(alone, entered):
+def test_an_overwhelming_candidate_is_the_last_to_enter(single, entered):
     rng = np.random.default_rng(8)
-    columns = {"large": drawn(rng), "small": drawn(rng)}
-    found = evidence(columns, drawn(rng) + 1.0 * columns["large"] + 0.35 * columns["small"])
+    columns = {"large": draw(rng), "small": draw(rng)}
+    result = evidence(columns, draw(rng) + 1.0 * columns["large"] + 0.35 * columns["small"])
     none = dict.fromkeys(columns, 0.0)
     assert [
-        c.key for c in select(found, [], none, critical_t=4.0, decisive_t=alone).chosen
+        c.key for c in select(result, [], none, critical_t=4.0, decisive_t=single).chosen
     ] == entered
     # One that has flown does not keep others from entering.
     assert [
         c.key
-        for c in select(found, [], none, chosen=["large"], critical_t=4.0, decisive_t=alone).chosen
+        for c in select(
+            result, [], none, chosen=["large"], critical_t=4.0, decisive_t=single
+        ).chosen
     ] == [
         "large",
         "small",
@@ -95,14 +95,14 @@ def test_an_overwhelming_candidate_is_the_last_to_enter(alone, entered):
 def alike():
     """What is there: ``square``; ``inertia`` is the same but for a share in ``companion``."""
     rng = np.random.default_rng(3)
-    square, companion = drawn(rng), drawn(rng)
+    square, companion = draw(rng), draw(rng)
     columns = {
         "square": square,
         "inertia": square - 0.6 * companion,
         "companion": companion,
-        "other": drawn(rng),
+        "other": draw(rng),
     }
-    return evidence(columns, 1.0 * square + drawn(rng))
+    return evidence(columns, 1.0 * square + draw(rng))
 
 
 TWINS = {("square", "inertia"): ("companion",), ("inertia", "square"): ("companion",)}
@@ -114,8 +114,8 @@ def tied(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sysid.effects.selection.TWINS", TWINS)
 
 
-def alternatives(found) -> dict[str, bool]:
-    chosen = select(found, [], dict.fromkeys(found.names, 0.0)).chosen
+def alternatives(result) -> dict[str, bool]:
+    chosen = select(result, [], dict.fromkeys(result.names, 0.0)).chosen
     assert [c.key for c in chosen] == ["square"]
     return {a.key: a.separable for a in chosen[0].alternatives}
 
@@ -133,7 +133,7 @@ def test_without_a_tie_the_companion_tells_them_apart(alike):
 def test_a_twin_turns_what_stands_in_roll_into_yaw():
     """A second effect in Cl stands; the twin holds the same in Cn, which no parameter has."""
     rng = np.random.default_rng(9)
-    square, companion, roll, yaw = drawn(rng), drawn(rng), drawn(rng), drawn(rng)
+    square, companion, roll, yaw = draw(rng), draw(rng), draw(rng), draw(rng)
     columns = {
         "square": square,
         "inertia": square - 0.6 * companion + 1.5 * yaw,
@@ -141,8 +141,8 @@ def test_a_twin_turns_what_stands_in_roll_into_yaw():
         "effect/Cl/de": roll,
         "effect/Cn/de": yaw,
     }
-    found = evidence(columns, 1.0 * square + 2.0 * roll + drawn(rng))
-    chosen = select(found, [], dict.fromkeys(columns, 0.0)).chosen
+    result = evidence(columns, 1.0 * square + 2.0 * roll + draw(rng))
+    chosen = select(result, [], dict.fromkeys(columns, 0.0)).chosen
     assert {c.key for c in chosen} == {"square", "effect/Cl/de"}
     (choice,) = (c for c in chosen if c.key == "square")
     assert {a.key: a.separable for a in choice.alternatives}["inertia"] is False
@@ -151,36 +151,36 @@ def test_a_twin_turns_what_stands_in_roll_into_yaw():
 @pytest.mark.usefixtures("tied")
 def test_twins_that_differ_in_more_than_their_companion_are_told_apart():
     rng = np.random.default_rng(4)
-    square, companion, own = drawn(rng), drawn(rng), drawn(rng)
+    square, companion, unique = draw(rng), draw(rng), draw(rng)
     columns = {
         "square": square,
-        "inertia": square - 0.6 * companion + 0.7 * own,
+        "inertia": square - 0.6 * companion + 0.7 * unique,
         "companion": companion,
     }
-    found = evidence(columns, 1.0 * square + drawn(rng))
-    assert alternatives(found)["inertia"] is True
+    result = evidence(columns, 1.0 * square + draw(rng))
+    assert alternatives(result)["inertia"] is True
 
 
-@pytest.mark.parametrize("there", ["square", "modulus"])
-def test_a_twin_is_told_before_a_third_form_of_the_same(there, monkeypatch):
+@pytest.mark.parametrize("present", ["square", "modulus"])
+def test_a_twin_is_told_before_a_third_form_of_the_same(present, monkeypatch):
     """``modulus`` and ``fourth`` resemble ``square`` more than ``inertia`` does, whose companion is
     a parameter of no other.
     """
     rng = np.random.default_rng(6)
-    square, companion = drawn(rng), drawn(rng)
+    square, companion = draw(rng), draw(rng)
     columns = {
         "square": square,
-        "modulus": square + 0.1 * drawn(rng),
-        "fourth": square + 0.1 * drawn(rng),
+        "modulus": square + 0.1 * draw(rng),
+        "fourth": square + 0.1 * draw(rng),
         "inertia": square - 0.3 * companion,
         "companion": companion,
     }
-    found = evidence(columns, 0.2 * square + 0.8 * (columns[there] - square) + drawn(rng))
+    result = evidence(columns, 0.2 * square + 0.8 * (columns[present] - square) + draw(rng))
     open_ = {k: 0.0 for k in columns if k != "companion"}
-    (plain,) = select(found, [], open_).chosen
+    (plain,) = select(result, [], open_).chosen
     monkeypatch.setattr("sysid.effects.selection.TWINS", TWINS)
-    (choice,) = select(found, [], open_).chosen
-    assert choice.key == there
+    (choice,) = select(result, [], open_).chosen
+    assert choice.key == present
     alike_ = [a.key for a in choice.alternatives if not a.separable]
     assert len(alike_) == 2
     assert {"square", "inertia"} <= {choice.key, *alike_}
@@ -189,18 +189,18 @@ def test_a_twin_is_told_before_a_third_form_of_the_same(there, monkeypatch):
 
 def test_what_all_candidates_see_a_little_is_none_of_them():
     rng = np.random.default_rng(5)
-    misfit = drawn(rng)
-    columns = {f"c{k}": drawn(rng) + rng.uniform(-0.6, 0.6) * misfit for k in range(60)}
+    misfit = draw(rng)
+    columns = {f"c{k}": draw(rng) + rng.uniform(-0.6, 0.6) * misfit for k in range(60)}
     candidates = dict.fromkeys(columns, 0.0)
-    found = evidence(columns, 0.3 * misfit + drawn(rng))
-    plain = select(found, [], candidates)
-    careful = select(found, [], candidates, empirical=True)
+    result = evidence(columns, 0.3 * misfit + draw(rng))
+    plain = select(result, [], candidates)
+    careful = select(result, [], candidates, empirical=True)
     assert plain.chosen
     assert not careful.chosen
     assert careful.refused is not None
     assert "spread" in careful.refused.reason
-    there = evidence(columns, 0.3 * misfit + drawn(rng) + 1.0 * columns["c7"])
-    assert [c.key for c in select(there, [], candidates, empirical=True).chosen] == ["c7"]
+    present = evidence(columns, 0.3 * misfit + draw(rng) + 1.0 * columns["c7"])
+    assert [c.key for c in select(present, [], candidates, empirical=True).chosen] == ["c7"]
 
 
 def test_an_effect_is_found_beside_a_stronger_one_that_its_flights_contradict():
@@ -208,13 +208,13 @@ def test_an_effect_is_found_beside_a_stronger_one_that_its_flights_contradict():
     enters all the same.
     """
     rng = np.random.default_rng(6)
-    torn, steady = drawn(rng), drawn(rng)
+    torn, steady = draw(rng), draw(rng)
     sign = np.where(CONFIRMING, -1.0, 1.0)[:, None, None]
-    found = evidence(
-        {"torn": torn, "steady": steady, "other": drawn(rng)},
-        sign * torn + 0.4 * steady + drawn(rng),
+    result = evidence(
+        {"torn": torn, "steady": steady, "other": draw(rng)},
+        sign * torn + 0.4 * steady + draw(rng),
     )
-    selection = select(found, [], dict.fromkeys(found.names, 0.0))
+    selection = select(result, [], dict.fromkeys(result.names, 0.0))
     assert [c.key for c in selection.chosen] == ["steady"]
     assert selection.refused is not None
     assert selection.refused.key == "torn"
@@ -229,19 +229,19 @@ def test_it_is_enough_that_the_parts_do_not_contradict_each_other(t, by_chance, 
     the other way, or four.
     """
     rng = np.random.default_rng(11)
-    column = drawn(rng) * np.where(CONFIRMING, 0.2, 1.0)[:, None, None]
-    noise = drawn(rng)
+    column = draw(rng) * np.where(CONFIRMING, 0.2, 1.0)[:, None, None]
+    noise = draw(rng)
     for part, off in ((CONFIRMING, by_chance), (~CONFIRMING, 0.0)):
-        x, own = column[part], noise[part]
+        x, unique = column[part], noise[part]
         size = np.sum(x**2)
-        own -= x * np.sum(x * own) / size  # no noise along the column but what is wanted
-        noise[part] = own + x * (
+        unique -= x * np.sum(x * unique) / size  # no noise along the column but what is wanted
+        noise[part] = unique + x * (
             off / np.sqrt(size) - (t / np.sqrt(np.sum(column**2)) if off else 0.0)
         )
-    found = evidence(
-        {"there": column, "other": drawn(rng)}, t / np.sqrt(np.sum(column**2)) * column + noise
+    result = evidence(
+        {"there": column, "other": draw(rng)}, t / np.sqrt(np.sum(column**2)) * column + noise
     )
-    selection = select(found, [], dict.fromkeys(found.names, 0.0), critical_t=4.0)
+    selection = select(result, [], dict.fromkeys(result.names, 0.0), critical_t=4.0)
     assert bool(selection.chosen) == entering
     if not entering:
         assert selection.refused is not None
@@ -259,28 +259,28 @@ def test_parts_of_coloured_flights_differ_by_their_colour(smoothing, is_off):
     count = 0
     for seed in range(40):
         rng = np.random.default_rng(seed)
-        column = smooth(drawn(rng))
+        column = smooth(draw(rng))
         size = 1.0 - is_off * 2.0 * CONFIRMING[:, None, None]
-        found = evidence({"there": column}, size * column + smooth(drawn(rng)))
-        (effect,) = estimate_selected(found, [], ["there"], [])
+        result = evidence({"there": column}, size * column + smooth(draw(rng)))
+        (effect,) = estimate_selected(result, [], ["there"], [])
         count += abs(effect.difference) > 3.0
     assert count == 40 if is_off else count <= 2
 
 
 def test_beside_an_overwhelming_effect_that_has_flown_a_weak_one_is_asked_no_more_than_alone():
     rng = np.random.default_rng(8)
-    strong, weak, own = drawn(rng), drawn(rng), drawn(rng)
-    columns = {"strong": strong, "weak": weak, "own": own}
+    strong, weak, unique = draw(rng), draw(rng), draw(rng)
+    columns = {"strong": strong, "weak": weak, "own": unique}
     penalty = dict.fromkeys(columns, 0.0)
-    both = evidence(columns, 3.0 * strong + 5.5 / np.sqrt(np.sum(weak**2)) * weak + drawn(rng))
-    assert [c.key for c in select(both, [], penalty, decisive_t=15.0).chosen] == ["strong"]
+    pair = evidence(columns, 3.0 * strong + 5.5 / np.sqrt(np.sum(weak**2)) * weak + draw(rng))
+    assert [c.key for c in select(pair, [], penalty, decisive_t=15.0).chosen] == ["strong"]
     assert {
-        c.key for c in select(both, [], penalty, chosen=["strong"], decisive_t=15.0).chosen
+        c.key for c in select(pair, [], penalty, chosen=["strong"], decisive_t=15.0).chosen
     } == {
         "strong",
         "weak",
     }
-    noise = evidence(columns, 3.0 * strong + drawn(rng))
+    noise = evidence(columns, 3.0 * strong + draw(rng))
     assert [
         c.key for c in select(noise, [], penalty, chosen=["strong", "weak"], decisive_t=15.0).chosen
     ] == ["strong"]
@@ -293,13 +293,13 @@ def test_the_limit_counts_errors_of_coloured_residuals():
     kernel = np.ones(20) / np.sqrt(20.0)
 
     def slow(rng: np.random.Generator) -> np.ndarray:
-        return np.apply_along_axis(lambda s: np.convolve(s, kernel, "same"), 1, drawn(rng))
+        return np.apply_along_axis(lambda s: np.convolve(s, kernel, "same"), 1, draw(rng))
 
     above_by_white_noise, chosen = 0, 0
     for seed in range(30):
         rng = np.random.default_rng(seed)
-        found = evidence({"absent": slow(rng)}, slow(rng))
-        above_by_white_noise += abs(score_tests(found, [], ["absent"]).t[0]) > 4.0
-        chosen += bool(select(found, [], {"absent": 0.0}, critical_t=4.0).chosen)
+        result = evidence({"absent": slow(rng)}, slow(rng))
+        above_by_white_noise += abs(score_tests(result, [], ["absent"]).t[0]) > 4.0
+        chosen += bool(select(result, [], {"absent": 0.0}, critical_t=4.0).chosen)
     assert above_by_white_noise >= 5
     assert chosen <= 2

@@ -36,21 +36,21 @@ def states(seed=0, n=N):
     }
 
 
-def evidence_of(found, left, terms, free=("1", "alpha"), parts=3):
+def evidence_of(found, remaining, terms, free=("1", "alpha"), parts=3):
     """Evidence of one channel in segments of equal length; left (n,): residual over noise; free:
     columns of the model.
     """
-    own = {"1": np.ones(len(left)), "alpha": found["alpha"]}
-    rows = [own[n] for n in free] + [row for t in terms for _, row in t.inputs(found).values()]
+    columns = {"1": np.ones(len(remaining)), "alpha": found["alpha"]}
+    rows = [columns[n] for n in free] + [row for t in terms for _, row in t.inputs(found).values()]
     names = [f"aero/Cm_{n}" for n in free] + [n for t in terms for n in t.columns]
     columns = np.column_stack(rows)
     white = []
-    for part in np.array_split(np.arange(len(left)), parts):
-        residual = left[part][:, None]
-        there = np.ones(residual.shape, dtype=bool)
+    for part in np.array_split(np.arange(len(remaining)), parts):
+        residual = remaining[part][:, None]
+        present = np.ones(residual.shape, dtype=bool)
         white.append(
             WhitenedSegment(
-                residual, columns[part][:, None, :], 0.0, np.zeros((8, 1)), there, np.ones(1)
+                residual, columns[part][:, None, :], 0.0, np.zeros((8, 1)), present, np.ones(1)
             )
         )
     return normal_equations(white, names, range(parts), {}), [
@@ -58,8 +58,8 @@ def evidence_of(found, left, terms, free=("1", "alpha"), parts=3):
     ]
 
 
-def fitted(found, left, term, **more):
-    evidence, free = evidence_of(found, left, [term], **more)
+def fitted(found, remaining, term, **more):
+    evidence, free = evidence_of(found, remaining, [term], **more)
     return fit_smooth(evidence, free, [term])[0]
 
 
@@ -72,7 +72,7 @@ def without_line(x, y):
     return y - np.polyval(np.polyfit(x, y, 1), x)
 
 
-def made(seed, curve=bump, found=None):
+def build(seed, curve=bump, found=None):
     found = states() if found is None else found
     return found, curve(found["alpha"]) + np.random.default_rng(seed).normal(
         size=len(found["alpha"])
@@ -80,9 +80,9 @@ def made(seed, curve=bump, found=None):
 
 
 def test_the_curve_is_that_of_penalised_least_squares_and_nearly_scipys_smoothing_spline():
-    found, y = made(1)
-    x, term = found["alpha"], smooth_term("Cm", "alpha", None, found)
-    fit = fitted(found, y, term)
+    result, y = build(1)
+    x, term = result["alpha"], smooth_term("Cm", "alpha", None, result)
+    fit = fitted(result, y, term)
     penalty = fit.precision[-1]
     # Least squares of y and of the second derivative by Simpson's rule, in B-splines.
     B, edges = BSpline.design_matrix(x, term.knots, 3).toarray(), term.knots[3:-3]
@@ -94,9 +94,9 @@ def test_the_curve_is_that_of_penalised_least_squares_and_nearly_scipys_smoothin
         np.clip(places, edges[0], edges[-1])
     )
     stacked = np.vstack([B, np.sqrt(penalty * weight)[:, None] * second])
-    own = B @ np.linalg.lstsq(stacked, np.append(y, np.zeros(len(places))), rcond=None)[0]
+    line = B @ np.linalg.lstsq(stacked, np.append(y, np.zeros(len(places))), rcond=None)[0]
     ours, _ = fit.curve(x)
-    assert np.allclose(ours, without_line(x, own), atol=2e-3)
+    assert np.allclose(ours, without_line(x, line), atol=2e-3)
     # A knot at every sample instead of eleven.
     order = np.argsort(x)
     theirs = make_smoothing_spline(x[order], y[order], lam=penalty)(x)
@@ -104,10 +104,10 @@ def test_the_curve_is_that_of_penalised_least_squares_and_nearly_scipys_smoothin
 
 
 def test_restricted_likelihood_band_and_degrees_of_freedom_are_the_bayesian_linear_models():
-    found, y = made(2)
-    term = smooth_term("Cm", "alpha", None, found)
-    fit = fitted(found, y, term)
-    X, Z = np.column_stack([np.ones(N), found["alpha"]]), term.at(found["alpha"])[:, 2:]
+    result, y = build(2)
+    term = smooth_term("Cm", "alpha", None, result)
+    fit = fitted(result, y, term)
+    X, Z = np.column_stack([np.ones(N), result["alpha"]]), term.at(result["alpha"])[:, 2:]
 
     def restricted(tau2):
         V = np.eye(N) + tau2 * Z @ Z.T
@@ -132,13 +132,13 @@ def test_restricted_likelihood_band_and_degrees_of_freedom_are_the_bayesian_line
 
 
 def test_bands_hold_the_curve_as_often_as_they_say_and_a_part_of_them_does_not():
-    found = states(3)
-    term = smooth_term("Cm", "alpha", None, found)
-    truth = without_line(found["alpha"], bump(found["alpha"]))
+    result = states(3)
+    term = smooth_term("Cm", "alpha", None, result)
+    truth = without_line(result["alpha"], bump(result["alpha"]))
     inside, narrow = [], []
     for seed in range(60):
-        _, y = made(100 + seed, found=found)
-        value, std = fitted(found, y, term).curve(found["alpha"])
+        _, y = build(100 + seed, found=result)
+        value, std = fitted(result, y, term).curve(result["alpha"])
         inside.append(np.mean(np.abs(value - truth) < 1.96 * std))
         narrow.append(np.mean(np.abs(value - truth) < 0.5 * std))
     assert 0.91 < np.mean(inside) < 0.99
@@ -147,38 +147,38 @@ def test_bands_hold_the_curve_as_often_as_they_say_and_a_part_of_them_does_not()
 
 def test_noise_is_offered_a_term_no_more_often_than_stated_and_a_bump_always():
     rng, runs = np.random.default_rng(4), 300
-    found = states(4)
+    result = states(4)
     terms = [
-        smooth_term("Cm", s, t, found)
+        smooth_term("Cm", s, t, result)
         for s, t in (("alpha", None), ("q_hat", None), ("CT", None), ("alpha", "CT"))
     ]
-    evidence, free = evidence_of(found, np.zeros(N), terms, parts=1)
+    evidence, free = evidence_of(result, np.zeros(N), terms, parts=1)
     columns = evidence.white[0].columns[:, 0, :]
     offers = 0
     for _ in range(runs):
         noise = replace(evidence, score=(rng.normal(size=N) @ columns)[None, :])
         offers += any(f.stands_out(len(terms)) for f in fit_smooth(noise, free, terms))
     assert offers <= binom.ppf(0.999, runs, FAMILY_ERROR_RATE)
-    found, y = made(5)
-    assert fitted(found, y, smooth_term("Cm", "alpha", None, found)).p < 1e-10
+    result, y = build(5)
+    assert fitted(result, y, smooth_term("Cm", "alpha", None, result)).p < 1e-10
 
 
 def test_colour_takes_information_away():
     """A residual that lasts five samples: counted as white, the band is too narrow."""
     x = 0.05 + 0.03 * np.sin(np.arange(1500) / 40.0)
-    found = states(6, 1500) | {"alpha": x}
-    term = smooth_term("Cm", "alpha", None, found)
+    result = states(6, 1500) | {"alpha": x}
+    term = smooth_term("Cm", "alpha", None, result)
     truth = without_line(x, bump(x))
     inside = {"white": [], "coloured": []}
     for seed in range(20):
         noise = lfilter([0.6], [1.0, -0.8], np.random.default_rng(seed).normal(size=1600))[100:]
-        evidence, free = evidence_of(found, bump(x) + noise, [term])
+        evidence, free = evidence_of(result, bump(x) + noise, [term])
         (white,) = fit_smooth(evidence, free, [term])
-        left = [
+        remaining = [
             (p[:, None])
             for p in np.array_split(without_line(x, bump(x) + noise) - white.curve(x)[0], 3)
         ]
-        c = colour_dispersion(evidence, free, white, left)
+        c = colour_dispersion(evidence, free, white, remaining)
         (coloured,) = fit_smooth(evidence, free, [term], c)
         # A first-order residual that lasts: its variance times (1 + 0.8)/(1 - 0.8), for what
         # changes slowly.
@@ -189,7 +189,7 @@ def test_colour_takes_information_away():
     assert np.mean(inside["coloured"]) > 0.88
     assert np.mean(inside["white"]) < 0.8
     evidence, free = evidence_of(
-        found, bump(x) + np.random.default_rng(7).normal(size=1500), [term]
+        result, bump(x) + np.random.default_rng(7).normal(size=1500), [term]
     )
     (fit,) = fit_smooth(evidence, free, [term])
     assert (
@@ -201,35 +201,37 @@ def test_colour_takes_information_away():
 
 
 def test_the_line_is_the_terms_own_where_the_model_has_none():
-    found, y = made(9, lambda x: 60.0 * (x - 0.05))
-    term = smooth_term("Cm", "alpha", None, found)
-    with_line, without = fitted(found, y, term), fitted(found, y, term, free=("1",))
+    result, y = build(9, lambda x: 60.0 * (x - 0.05))
+    term = smooth_term("Cm", "alpha", None, result)
+    with_line, reduced = fitted(result, y, term), fitted(result, y, term, free=("1",))
     assert not with_line.estimated[:2].any()
     assert with_line.p > 0.01
-    assert without.estimated[:2].tolist() == [False, True]
-    value, std = without.curve(np.array([0.07]))
-    centred = 60.0 * (0.07 - found["alpha"].mean())
+    assert reduced.estimated[:2].tolist() == [False, True]
+    value, std = reduced.curve(np.array([0.07]))
+    centred = 60.0 * (0.07 - result["alpha"].mean())
     assert abs(value[0] - centred) < 4.0 * std[0] < 2.0
 
 
 def test_beyond_the_data_the_ends_hold_and_a_state_that_stands_still_has_no_term():
-    found, y = made(10)
-    fit = fitted(found, y, smooth_term("Cm", "alpha", None, found))
+    result, y = build(10)
+    fit = fitted(result, y, smooth_term("Cm", "alpha", None, result))
     low, high = fit.term.ends
     assert np.array_equal(
         fit.curve(np.array([low - 1.0, high + 1.0]))[0], fit.curve(np.array([low, high]))[0]
     )
-    assert smooth_term("Cm", "alpha", None, found | {"alpha": np.full(N, 0.05)}) is None
+    assert smooth_term("Cm", "alpha", None, result | {"alpha": np.full(N, 0.05)}) is None
 
 
 def test_a_product_is_found_as_one():
-    found = states(11)
-    y = bump(found["alpha"]) * 2.0 * (found["CT"] - 0.5) + np.random.default_rng(12).normal(size=N)
+    result = states(11)
+    y = bump(result["alpha"]) * 2.0 * (result["CT"] - 0.5) + np.random.default_rng(12).normal(
+        size=N
+    )
     terms = [
-        smooth_term("Cm", s, t, found)
+        smooth_term("Cm", s, t, result)
         for s, t in (("alpha", None), ("CT", None), ("q_hat", "CT"), ("alpha", "CT"))
     ]
-    evidence, free = evidence_of(found, y, terms)
+    evidence, free = evidence_of(result, y, terms)
     best = max(fit_smooth(evidence, free, terms), key=lambda f: f.merit)
     assert (best.term.label, best.term.name) == (
         "Cm_of_alpha_times_CT",
@@ -238,14 +240,14 @@ def test_a_product_is_found_as_one():
 
 
 def test_a_third_of_the_flight_confirms_what_is_there_and_not_what_is_noise():
-    found, y = made(13)
+    result, y = build(13)
     part = np.array([True, True, False])
-    term = smooth_term("Cm", "alpha", None, found)
-    evidence, free = evidence_of(found, y, [term])
+    term = smooth_term("Cm", "alpha", None, result)
+    evidence, free = evidence_of(result, y, [term])
     assert held_out_gain(evidence, free, fit_smooth(evidence, free, [term])[0], part) > 50.0
     # A curve in the first parts alone.
-    y[400:] -= 2.0 * bump(found["alpha"][400:])
-    evidence, free = evidence_of(found, y, [term])
+    y[400:] -= 2.0 * bump(result["alpha"][400:])
+    evidence, free = evidence_of(result, y, [term])
     assert held_out_gain(evidence, free, fit_smooth(evidence, free, [term])[0], part) < -50.0
 
 
@@ -258,8 +260,8 @@ def test_a_third_of_the_flight_confirms_what_is_there_and_not_what_is_noise():
     ],
 )
 def test_the_nearest_form_is_told_with_its_place_among_the_knots(curve, form):
-    found, y = made(14, curve)
-    fit = fitted(found, y, smooth_term("Cm", "alpha", None, found))
-    nearest, correlation = similar_forms(fit, found["alpha"], np.ones(N))[0]
+    result, y = build(14, curve)
+    fit = fitted(result, y, smooth_term("Cm", "alpha", None, result))
+    nearest, correlation = similar_forms(fit, result["alpha"], np.ones(N))[0]
     assert nearest.startswith(form)
     assert abs(correlation) > 0.97

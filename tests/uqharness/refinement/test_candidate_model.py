@@ -35,13 +35,13 @@ def information(values: tuple[float, ...]) -> Information:
 
 
 def test_parameters_and_start_states_move_with_the_effects():
-    known = information((2.0, 3.0, 0.0))
+    reference = information((2.0, 3.0, 0.0))
     starts = (np.zeros(9), np.ones(9))
     point = ModelState({"aero/a": 10.0}, {}, starts)
     plain = ModelState({"aero/a": 1.0, "aero/b": 7.0}, {}, starts)
     about = SimpleNamespace(
         fit=SimpleNamespace(trajectory=SimpleNamespace(point=point)),
-        information=known,
+        information=reference,
         values={"effect/two": 0.5},
     )
     context = SimpleNamespace(
@@ -53,7 +53,7 @@ def test_parameters_and_start_states_move_with_the_effects():
     result = joint_point(context, about, ["effect/one"])  # type: ignore[arg-type]
     assert result.values == pytest.approx({"aero/a": 12.0, "aero/b": 7.0}, abs=1e-5)
     V = STATES.index("V_mps")
-    for moved, start, w in zip(result.starts, starts, known.white, strict=True):
+    for moved, start, w in zip(result.starts, starts, reference.white, strict=True):
         # Two of a and three of one more than was flown, and a half of the other less.
         expected = w.start[0] @ [1.0, 2.0, 3.0, -0.5]
         assert moved[V] - start[V] == pytest.approx(expected, abs=1e-4)
@@ -63,10 +63,12 @@ def test_parameters_and_start_states_move_with_the_effects():
 
 
 @pytest.mark.parametrize(
-    ("flown_s", "far", "stationary"),
+    ("flown_s", "distant", "stationary"),
     [(0.0626, False, True), (0.0622, False, False), (0.0454, True, False)],
 )
-def test_a_number_read_once_is_stationary_within_half_a_standard_error(flown_s, far, stationary):
+def test_a_number_read_once_is_stationary_within_half_a_standard_error(
+    flown_s, distant, stationary
+):
     selection = Selection((SelectedEffect("lag", 0.0626, 2e-4, 9.0, 81.0, 1.0, 0.0),))
     model = CandidateModel(
         None,
@@ -78,7 +80,7 @@ def test_a_number_read_once_is_stationary_within_half_a_standard_error(flown_s, 
         None,
         read_once={"lag": flown_s},  # type: ignore
     )
-    assert model.not_converged == ({"lag": flown_s} if far else {})
+    assert model.not_converged == ({"lag": flown_s} if distant else {})
     assert model.is_stationary is stationary
 
 

@@ -79,11 +79,11 @@ def test_a_servo_may_be_faster_than_its_xml_has_it_if_that_has_a_lag():
 
 
 @pytest.mark.parametrize(
-    ("limit_dps", "late", "named"),
+    ("limit_dps", "late", "listed"),
     [(282.0, {"one": ["p"]}, False), (282.0, {}, True), (480.0, {"one": ["p"]}, True)],
 )
 def test_a_rate_limit_below_what_rows_resolve_is_no_effect_though_it_was_flown(
-    limit_dps, late, named
+    limit_dps, late, listed
 ):
     """1/282 - 1/240 s/deg are 6 ms over a doublet of 10 deg, where a log leaves 10 ms open; 1/480 -
     1/240 are 21 ms.
@@ -109,8 +109,8 @@ def test_a_rate_limit_below_what_rows_resolve_is_no_effect_though_it_was_flown(
     )
     selection = Selection((SelectedEffect(effect.key, value, 1e-6, 17.0, 289.0, 1.0, 0.0),))
     information = normal_equations([white], keys, [0], {})
-    kept = without_unresolved(selection, [effect], setup, keys, information)  # type: ignore[arg-type]
-    assert bool(kept.chosen) is named
+    retained = without_unresolved(selection, [effect], setup, keys, information)  # type: ignore[arg-type]
+    assert bool(retained.chosen) is listed
 
 
 def test_a_time_below_what_rows_resolve_is_no_effect_though_it_was_flown():
@@ -130,26 +130,27 @@ def test_a_time_below_what_rows_resolve_is_no_effect_though_it_was_flown():
     units = zip(keys, ("s", "1"), strict=True)
     effects = {k: SimpleNamespace(key=k, unit=u, positive=False, penalty=0.0) for k, u in units}
 
-    def kept(late_s: float) -> list[str]:
+    def retained(late_s: float) -> list[str]:
         chosen = tuple(
             SelectedEffect(k, v, 1e-5, 9.0, 81.0, 1.0, 0.0)
             for k, v in zip(keys, (late_s, 1.0), strict=True)
         )
-        rest = without_unresolved(
+        remainder = without_unresolved(
             Selection(chosen), [*effects.values()], setup, ("aero/Cm_q", *keys), evidence
         )
-        return [c.key for c in rest.chosen]
+        return [c.key for c in remainder.chosen]
 
-    assert kept(0.0008) == keys
-    assert kept(0.0005) == keys[1:]
-    assert kept(-0.0005) == keys[1:]
+    assert retained(0.0008) == keys
+    assert retained(0.0005) == keys[1:]
+    assert retained(-0.0005) == keys[1:]
 
 
 @pytest.mark.parametrize(
-    ("alike", "positive", "beside"), [(0.02, False, True), (0.02, True, False), (3.0, False, False)]
+    ("alike", "positive", "reference"),
+    [(0.02, False, True), (0.02, True, False), (3.0, False, False)],
 )
 def test_a_time_too_short_to_be_named_stands_beside_the_effect_that_it_may_be(
-    alike, positive, beside
+    alike, positive, reference
 ):
     rng = np.random.default_rng(4)
     term, delay = "effect/CZ/alphadot_hat", "effect/actuator.elevator/lag"
@@ -176,4 +177,4 @@ def test_a_time_too_short_to_be_named_stands_beside_the_effect_that_it_may_be(
     chosen = (SelectedEffect(term, 1.0, 0.05, 20.0, 400.0, 1.0, 0.0),)
     (effect,) = without_unresolved(Selection(chosen), effects, setup, (term,), evidence).chosen
     assert effect.key == term
-    assert [a.key for a in effect.alternatives if not a.separable] == ([delay] if beside else [])
+    assert [a.key for a in effect.alternatives if not a.separable] == ([delay] if reference else [])

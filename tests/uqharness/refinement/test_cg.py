@@ -59,7 +59,7 @@ def moved(aircraft: Aircraft, tmp_path_factory: pytest.TempPathFactory) -> Aircr
     return find_aircraft(out)
 
 
-def along(
+def along_axis(
     aircraft: Aircraft, setup: FlightData, values: dict[str, float]
 ) -> tuple[Trajectory, list[np.ndarray]]:
     """Replays, and the columns of a centre of gravity further forward along them."""
@@ -69,9 +69,11 @@ def along(
             values, dict.fromkeys(setup.nuisance, 0.0), tuple(s.start for s in setup.segments)
         )
         trajectory = replayed(bench.model, setup, point, SERIAL)
-        found = probes(bench.direct_model, setup, trajectory, positions(bench.model, setup), SERIAL)
+        result = probes(
+            bench.direct_model, setup, trajectory, positions(bench.model, setup), SERIAL
+        )
         return trajectory, [
-            c.outputs[effect.key] for c in effect_columns(setup, found, trajectory, [effect])
+            c.outputs[effect.key] for c in effect_columns(setup, result, trajectory, [effect])
         ]
 
 
@@ -91,15 +93,15 @@ def about_another_point(aircraft: Aircraft) -> dict[str, float]:
 def test_it_flies_as_with_the_moments_of_the_forces_and_is_felt_as_its_column_says(
     aircraft, moved, setup
 ):
-    plain, columns = along(aircraft, setup, about_another_point(aircraft))
-    forward, _ = along(moved, with_sensors_of(setup, moved), {})
+    plain, columns = along_axis(aircraft, setup, about_another_point(aircraft))
+    forward, _ = along_axis(moved, with_sensors_of(setup, moved), {})
     clip_to_active_range = [setup.outputs.index(c) for c in ACCELERATIONS]
-    rest = [k for k in range(len(setup.outputs)) if k not in clip_to_active_range]
+    remainder = [k for k in range(len(setup.outputs)) if k not in clip_to_active_range]
     for before, after, column in zip(plain.outputs, forward.outputs, columns, strict=True):
         change = after - before
-        assert np.abs(change[:, rest]).max() < 1e-9
-        left = change[:, clip_to_active_range] - FORWARD_M * column[:, clip_to_active_range]
-        assert np.sqrt(np.mean(left**2)) < 0.03 * np.sqrt(
+        assert np.abs(change[:, remainder]).max() < 1e-9
+        remaining = change[:, clip_to_active_range] - FORWARD_M * column[:, clip_to_active_range]
+        assert np.sqrt(np.mean(remaining**2)) < 0.03 * np.sqrt(
             np.mean(change[:, clip_to_active_range] ** 2)
         )
         assert np.abs(change[:, clip_to_active_range]).max() > 0.02

@@ -74,14 +74,14 @@ def test_an_overwhelming_effect_flies_before_others_are_proposed():
 def test_an_effect_below_the_limit_stays_out_and_the_criterion_decides():
     """At a critical_t above its |t| an effect is not proposed; the model's criterion counts its cost."""
     truth = flights(**{"alpha^2": 20.0})
-    named = search(truth, critical_t=3.5)
-    t = abs(named.model.selection.chosen[0].t)
+    listed = search(truth, critical_t=3.5)
+    t = abs(listed.model.selection.chosen[0].t)
     assert 3.5 < t < OVERWHELMING_T
     assert search(truth, critical_t=1.05 * t).model.keys == set()
     context, _ = truth.context(3.5)
-    assert named.model.criterion < context.cost
-    assert named.model.criterion == pytest.approx(
-        named.model.fit.trajectory.cost
+    assert listed.model.criterion < context.cost
+    assert listed.model.criterion == pytest.approx(
+        listed.model.fit.trajectory.cost
         + 0.6 * 3.5**2
         + context.effects["effect/Cm/alpha^2"].penalty
     )
@@ -122,21 +122,21 @@ def information(share: float = 0.3) -> Information:
     thrust = speed + share * different
     columns = np.stack([free, thrust, speed, -2.0 * thrust, other], axis=2)
     residual = 2.0 * speed + rng.standard_normal((400, 2))
-    there = np.ones((400, 2), dtype=bool)
+    present = np.ones((400, 2), dtype=bool)
     white = WhitenedSegment(
-        residual, columns.astype(np.float32), 0.0, np.zeros((8, 6)), there, np.ones(2)
+        residual, columns.astype(np.float32), 0.0, np.zeros((8, 6)), present, np.ones(2)
     )
     return normal_equations([white], KEYS, [0], {})
 
 
 def test_comparable_candidates_explain_nearly_as_much_and_are_something_else():
-    near = information()
-    assert comparable_candidates(near, ["free"], KEYS[1:], "thrust") == ["speed"]
-    assert comparable_candidates(near, ["free"], KEYS[1:], "speed") in (["thrust"], ["twin"])
-    assert comparable_candidates(near, ["free"], ["thrust"], "thrust") == []
+    close = information()
+    assert comparable_candidates(close, ["free"], KEYS[1:], "thrust") == ["speed"]
+    assert comparable_candidates(close, ["free"], KEYS[1:], "speed") in (["thrust"], ["twin"])
+    assert comparable_candidates(close, ["free"], ["thrust"], "thrust") == []
     # Half of the gain is the least: a column with more of its own than of speed has less.
-    far = information(share=1.3)
-    assert comparable_candidates(far, ["free"], KEYS[1:], "speed") == []
+    distant = information(share=1.3)
+    assert comparable_candidates(distant, ["free"], KEYS[1:], "speed") == []
 
 
 TIMES = {

@@ -45,8 +45,8 @@ def flights(truth: Path, folder: Path, speeds: tuple[int, ...], scale: str) -> l
 @pytest.mark.parametrize("name", AIRCRAFT)
 def test_refine_states_the_optimum_that_identify_states(name, tmp_path):
     speeds, scale = AIRCRAFT[name]
-    given, truth = tmp_path / "given" / name, tmp_path / "truth" / name
-    for folder in (given, truth):
+    inputs, truth = tmp_path / "given" / name, tmp_path / "truth" / name
+    for folder in (inputs, truth):
         assert main(["instrument", name, "--out", str(folder), "--no-check"]) == 0
     xml = truth / f"{name}.xml"
     text = xml.read_text()
@@ -55,7 +55,7 @@ def test_refine_states_the_optimum_that_identify_states(name, tmp_path):
     *train, test = flights(truth, tmp_path, speeds, scale)
     refined, fit = tmp_path / "refined", tmp_path / "fit"
     words = ["--out", str(refined), "--no-pbox", "--no-figures", "--workers", "1"]
-    main(["refine", str(given), "--train", *train, "--test", test, *words])
+    main(["refine", str(inputs), "--train", *train, "--test", test, *words])
     document = json.loads((refined / "refinement.json").read_text())
     assert [(e["coefficient"], e["term"]) for e in document["effects"]] == [("Cm", "beta^2")]
     words = ["--out", str(fit), "--no-figures", "--workers", "1"]
@@ -65,8 +65,8 @@ def test_refine_states_the_optimum_that_identify_states(name, tmp_path):
     for parameter, stated in document["parameters"].items():
         estimate = estimates[parameter]
         if estimate["status"] == "identified":
-            apart = abs(stated["value"] - estimate["value"])
-            assert apart < 0.1 * estimate["std"], parameter
+            difference = abs(stated["value"] - estimate["value"])
+            assert difference < 0.1 * estimate["std"], parameter
             compared += 1
     assert compared >= 10
     off = document["parameters"][scale]

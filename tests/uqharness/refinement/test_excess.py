@@ -43,7 +43,7 @@ def test_an_effect_that_is_no_number_is_too_weak():
     assert too_weak(chosen(a=float("nan"), b=30.0), LIMIT)[0].key == "a"
 
 
-def shown(residual):
+def show(residual):
     noise = np.array([0.1, 0.2])
     rms = [
         float(np.sqrt(np.mean(np.concatenate([r[:, k] for r in residual]) ** 2))) for k in (0, 1)
@@ -61,22 +61,22 @@ CALM, TURBULENT = ReplayEstimator(), PredictionErrorEstimator(None)  # type: ign
 
 
 def test_noise_leaves_nothing():
-    left = excess_residuals(SETUP, shown(white()), CALM)
-    assert not left
-    assert left == Excess({}, ())
+    remaining = excess_residuals(SETUP, show(white()), CALM)
+    assert not remaining
+    assert remaining == Excess({}, ())
 
 
 def test_a_channel_above_its_noise_is_left_in_any_air():
     residual = [r * [1.0, 1.3] for r in white()]
     for estimator in (CALM, TURBULENT):
-        left = excess_residuals(SETUP, shown(residual), estimator)
-        assert left
-        assert left.above == {"az_mps2": pytest.approx(1.3, rel=0.03)}
+        remaining = excess_residuals(SETUP, show(residual), estimator)
+        assert remaining
+        assert remaining.above == {"az_mps2": pytest.approx(1.3, rel=0.03)}
 
 
 def test_colour_counts_in_calm_air_alone():
     residual = [
         lfilter([0.8], [1.0, -0.6], r, axis=0) * [1.0, 0.0] + r * [0.0, 1.0] for r in white()
     ]
-    assert excess_residuals(SETUP, shown(residual), CALM) == Excess({}, ("q_radps",))
-    assert not excess_residuals(SETUP, shown(residual), TURBULENT)
+    assert excess_residuals(SETUP, show(residual), CALM) == Excess({}, ("q_radps",))
+    assert not excess_residuals(SETUP, show(residual), TURBULENT)

@@ -35,31 +35,31 @@ def evidence(strengths: dict[str, float], likeness: float = 0.0) -> Information:
 
 
 def test_every_strong_candidate_beside_the_chosen_is_told_the_strongest_first():
-    found = evidence({"effect/a": 30.0, "effect/b": 12.0, "effect/c": -25.0, "effect/d": 9.0})
+    result = evidence({"effect/a": 30.0, "effect/b": 12.0, "effect/c": -25.0, "effect/d": 9.0})
     keys = ["effect/a", "effect/b", "effect/c", "effect/d"]
-    assert [k for k, _ in strong_candidates(found, ["aero/Cm_q"], ["effect/a"], keys)] == [
+    assert [k for k, _ in strong_candidates(result, ["aero/Cm_q"], ["effect/a"], keys)] == [
         "effect/c",
         "effect/b",
     ]
-    assert [k for k, _ in strong_candidates(found, ["aero/Cm_q"], [], keys)] == [
+    assert [k for k, _ in strong_candidates(result, ["aero/Cm_q"], [], keys)] == [
         "effect/a",
         "effect/c",
         "effect/b",
     ]
-    assert strong_candidates(found, ["aero/Cm_q"], keys, keys) == ()
-    assert all(abs(t) > CERTAIN_T for _, t in strong_candidates(found, ["aero/Cm_q"], [], keys))
+    assert strong_candidates(result, ["aero/Cm_q"], keys, keys) == ()
+    assert all(abs(t) > CERTAIN_T for _, t in strong_candidates(result, ["aero/Cm_q"], [], keys))
 
 
 def test_what_only_resembles_the_chosen_is_not():
     """b is nothing but like a: alone it would stand at |t| 27."""
-    found = evidence({"effect/a": 30.0, "effect/b": 0.0}, likeness=0.9)
+    result = evidence({"effect/a": 30.0, "effect/b": 0.0}, likeness=0.9)
     assert [
-        k for k, _ in strong_candidates(found, ["aero/Cm_q"], [], ["effect/a", "effect/b"])
+        k for k, _ in strong_candidates(result, ["aero/Cm_q"], [], ["effect/a", "effect/b"])
     ] == [
         "effect/a",
         "effect/b",
     ]
-    assert strong_candidates(found, ["aero/Cm_q"], ["effect/a"], ["effect/a", "effect/b"]) == ()
+    assert strong_candidates(result, ["aero/Cm_q"], ["effect/a"], ["effect/a", "effect/b"]) == ()
 
 
 def test_words_name_it_and_its_strength():
@@ -90,8 +90,8 @@ def test_what_a_records_clock_is_off_by_is_the_move_and_what_is_left(moved_s, sa
         "bias/one/q_radps": 1.0,
     }
     after = SimpleNamespace(trajectory=SimpleNamespace(point=SimpleNamespace(nuisance=nuisance)))
-    found = SimpleNamespace(late_s=moved_s, after=after)
-    assert SearchResult.controls_late_s.fget(found) == pytest.approx(said_s)
+    result = SimpleNamespace(late_s=moved_s, after=after)
+    assert SearchResult.controls_late_s.fget(result) == pytest.approx(said_s)
 
 
 @pytest.mark.parametrize(

@@ -33,7 +33,7 @@ from uqharness.refinement.hold_out import (
 )
 
 
-def shown(white: list[np.ndarray], deviation: float = 1.0) -> SimpleNamespace:
+def show(white: list[np.ndarray], deviation: float = 1.0) -> SimpleNamespace:
     """Predictions with the same deviation of every sample."""
     logdet = tuple(w.size * float(np.log(deviation)) for w in white)
     cost = float(sum(np.nansum(w**2) for w in white))
@@ -52,16 +52,16 @@ def change(rng: np.random.Generator, size: float, truth: bool, colour: float = 0
     flights or not.
     """
     setup = SimpleNamespace(segments=[SimpleNamespace(dt_s=0.02)] * 4)
-    without, with_ = [], []
+    reduced, with_ = [], []
     for _ in range(4):
         noise = rng.standard_normal((300, 3))
         for k in range(1, 300 if colour else 0):
             noise[k] = colour * noise[k - 1] + np.sqrt(1.0 - colour**2) * noise[k]
         d = np.zeros((300, 3))
         d[:, 1] = size * np.sin(np.arange(300) / 20.0)
-        without.append(noise + d if truth else noise)
+        reduced.append(noise + d if truth else noise)
         with_.append(noise if truth else noise - d)
-    return compare(shown(without), shown(with_), setup, shown([rng.standard_normal((300, 3))]))
+    return compare(show(reduced), show(with_), setup, show([rng.standard_normal((300, 3))]))
 
 
 def test_standard_error_of_the_change_is_that_of_the_draws():
@@ -71,14 +71,14 @@ def test_standard_error_of_the_change_is_that_of_the_draws():
     rng = np.random.default_rng(0)
     square = 4.0 * float(np.sum((0.2 * np.sin(np.arange(300) / 20.0)) ** 2))
     for colour in (0.0, 0.8):
-        found = [change(rng, 0.2, True, colour) for _ in range(200)]
-        spread = np.std([f.change for f in found])
-        assert np.mean([f.change for f in found]) == pytest.approx(
-            square, abs=4.0 * spread / np.sqrt(200.0)
+        result = [change(rng, 0.2, True, colour) for _ in range(200)]
+        scatter = np.std([f.change for f in result])
+        assert np.mean([f.change for f in result]) == pytest.approx(
+            square, abs=4.0 * scatter / np.sqrt(200.0)
         )
-        assert np.sqrt(np.mean([f.std**2 for f in found])) == pytest.approx(spread, rel=0.3)
+        assert np.sqrt(np.mean([f.std**2 for f in result])) == pytest.approx(scatter, rel=0.3)
         if not colour:
-            assert spread == pytest.approx(2.0 * np.sqrt(square), rel=0.2)
+            assert scatter == pytest.approx(2.0 * np.sqrt(square), rel=0.2)
 
 
 def test_share_of_the_estimate_that_the_flights_have():
@@ -90,12 +90,12 @@ def test_share_of_the_estimate_that_the_flights_have():
     d = np.zeros((300, 3))
     d[:, 1] = 0.6 * np.sin(np.arange(300) / 20.0)
     for part in (0.0, 0.4, 1.0, 1.3):
-        found = []
+        result = []
         for _ in range(60):
             noise = [rng.standard_normal((300, 3)) for _ in range(4)]
-            without, with_ = ([e + (part - taken) * d for e in noise] for taken in (0.0, 1.0))
-            found.append(compare(shown(without), shown(with_), setup, shown(noise)).share)
-        shares, errors = np.array(found).T
+            reduced, with_ = ([e + (part - selected) * d for e in noise] for selected in (0.0, 1.0))
+            result.append(compare(show(reduced), show(with_), setup, show(noise)).share)
+        shares, errors = np.array(result).T
         assert shares.mean() == pytest.approx(part, abs=4.0 * shares.std() / np.sqrt(60.0))
         # What neither model explains is in the error, too: between none and all it is too large,
         # never too small.
@@ -113,9 +113,9 @@ def test_chance_withdraws_seldom_and_a_contradiction_does():
     # what both say together decides: the change is normal with mean 6 or -6 and standard deviation
     # 4.9.
     for truth, share in ((True, 0.02), (False, 0.64)):
-        found = [change(rng, 0.1, truth) for _ in range(300)]
-        found = [replace(v, excess_t2=v.change + 4.5**2 - 4.0**2) for v in found]
-        assert np.mean([v.gap == "grew" for v in found]) == pytest.approx(share, abs=0.08)
+        result = [change(rng, 0.1, truth) for _ in range(300)]
+        result = [replace(v, excess_t2=v.change + 4.5**2 - 4.0**2) for v in result]
+        assert np.mean([v.gap == "grew" for v in result]) == pytest.approx(share, abs=0.08)
     assert all(change(rng, 0.5, True).gap == "shrank" for _ in range(20))
     assert all(change(rng, 0.5, False).gap == "grew" for _ in range(20))
 
@@ -126,22 +126,22 @@ def test_predictions_of_another_damping_are_judged_by_their_likelihood():
     """
     rng = np.random.default_rng(4)
     setup = SimpleNamespace(segments=[SimpleNamespace(dt_s=0.02)] * 4)
-    found = []
+    result = []
     for _ in range(100):
-        left = [rng.standard_normal((300, 3)) for _ in range(4)]
-        wide = shown([e / 1.1 for e in left], 1.1)
-        found.append(compare(wide, shown(left), setup, shown(left)))
-        assert wide.cost < shown(left).cost
+        remaining = [rng.standard_normal((300, 3)) for _ in range(4)]
+        wide = show([e / 1.1 for e in remaining], 1.1)
+        result.append(compare(wide, show(remaining), setup, show(remaining)))
+        assert wide.cost < show(remaining).cost
     # Kullback and Leibler's distance of the two normal distributions, twice, of 3600 samples.
     expected = 3600.0 * (2.0 * np.log(1.1) + 1.0 / 1.1**2 - 1.0)
-    spread = np.std([v.change for v in found])
-    assert np.mean([v.change for v in found]) == pytest.approx(expected, abs=0.4 * spread)
-    assert 0.9 * spread < np.sqrt(np.mean([v.std**2 for v in found])) < 1.5 * spread
-    assert np.mean([v.gap == "shrank" for v in found]) > 0.9
+    scatter = np.std([v.change for v in result])
+    assert np.mean([v.change for v in result]) == pytest.approx(expected, abs=0.4 * scatter)
+    assert 0.9 * scatter < np.sqrt(np.mean([v.std**2 for v in result])) < 1.5 * scatter
+    assert np.mean([v.gap == "shrank" for v in result]) > 0.9
 
 
 @pytest.mark.parametrize(
-    ("share", "std", "seen"),
+    ("share", "std", "observed"),
     [
         (0.6, 0.14, True),
         (1.0, 0.2, True),
@@ -150,7 +150,7 @@ def test_predictions_of_another_damping_are_judged_by_their_likelihood():
         (0.8, 0.6, False),
     ],
 )
-def test_more_than_half_of_an_estimate_is_an_effect_that_is_seen(share, std, seen):
+def test_more_than_half_of_an_estimate_is_an_effect_that_is_seen(share, std, observed):
     """Its change, though, is within chance: .6 +- .14 is not surely more than half, of which the
     change is none.
     """
@@ -161,13 +161,13 @@ def test_more_than_half_of_an_estimate_is_an_effect_that_is_seen(share, std, see
         difference_ss=(size, size * (2.0 * share - 1.0)),
     )
     assert verdict.share == pytest.approx((share, std))
-    assert verdict.is_visible == seen
+    assert verdict.is_visible == observed
 
 
 def test_what_changes_nothing_is_not_said_to_grow():
     white = [np.ones((50, 2))] * 4
     setup = SimpleNamespace(segments=[SimpleNamespace(dt_s=0.02)] * 4)
-    verdict = compare(shown(white), shown(white), setup, shown(white))
+    verdict = compare(show(white), show(white), setup, show(white))
     assert (verdict.change, verdict.std, verdict.gap) == (0.0, 0.0, "cannot tell")
     assert np.isnan(verdict.share).all()
     assert BEYOND_CHANCE > 1.0
@@ -180,9 +180,9 @@ def test_flights_far_from_both_models_judge_neither():
     rng = np.random.default_rng(2)
     noise, d = rng.standard_normal((400, 2)), np.full((400, 2), 0.8)
     setup = SimpleNamespace(segments=[SimpleNamespace(dt_s=0.02)])
-    sound = compare(shown([noise]), shown([noise + d]), setup, shown([noise]))
+    sound = compare(show([noise]), show([noise + d]), setup, show([noise]))
     broken = compare(
-        shown([noise - 6.0 * d / 0.8]), shown([noise - 7.0 * d / 0.8]), setup, shown([noise])
+        show([noise - 6.0 * d / 0.8]), show([noise - 7.0 * d / 0.8]), setup, show([noise])
     )
     assert (sound.gap, broken.gap) == ("grew", "too far")
     assert broken.residual_ratio == pytest.approx(6.0, rel=0.1)
@@ -200,7 +200,7 @@ def test_properties_fly_what_an_aircraft_of_its_own_would():
         for e, value in ((term, 3.0), (lag, 0.01), (sensor, 0.1))
     )
     setup = SimpleNamespace(carriers={term.key: EffectProperty("aero/Cm_p2", 0.0)})
-    found = SearchResult(
+    result = SearchResult(
         setup,
         ("aero/Cm_q",),
         None,
@@ -212,9 +212,11 @@ def test_properties_fly_what_an_aircraft_of_its_own_would():
     )  # type: ignore[arg-type]
 
     def trajectory(*keys: str) -> dict[str, float] | None:
-        kept = tuple(c for c in chosen if c.key in keys)
-        model = replace(found, selection=Selection(kept), parameters={"aero/Cm_q": (-8.0, 0.1)})
-        return property_values(model, found)  # type: ignore[arg-type]
+        retained = tuple(c for c in chosen if c.key in keys)
+        model = replace(
+            result, selection=Selection(retained), parameters={"aero/Cm_q": (-8.0, 0.1)}
+        )
+        return property_values(model, result)  # type: ignore[arg-type]
 
     assert trajectory(term.key, lag.key, sensor.key) == {"aero/Cm_q": -8.0, "aero/Cm_p2": 3.0}
     assert trajectory(lag.key) == {"aero/Cm_q": -8.0, "aero/Cm_p2": 0.0}
@@ -250,8 +252,8 @@ class LinearHoldOut(HoldOutTest):
         return evaluation(flights, estimates(model))
 
     def leave_out(self, keys):
-        kept = [k for k in self.chosen.selection.values if k not in keys]
-        return result_of(self.flights, kept)
+        retained = [k for k in self.chosen.selection.values if k not in keys]
+        return result_of(self.flights, retained)
 
     def refit(self, remaining):
         return remaining
@@ -320,10 +322,10 @@ def result_of(flights: LinearFlights, keys: Sequence[str]) -> SearchResult:
 def hold_out(train: Mapping[str, float], test: Mapping[str, float], keys: Sequence[str]):
     """Withdrawn and remaining keys of effects that train flights chose."""
     flights = LinearFlights({**PARAMETERS, **train})
-    others = LinearFlights({**PARAMETERS, **test}, seeds=(4, 5, 6))
+    remaining = LinearFlights({**PARAMETERS, **test}, seeds=(4, 5, 6))
     chosen = result_of(flights, keys)
     sides = [Dataset(chosen.data), Dataset(chosen.data)]
-    outcome = LinearHoldOut(chosen, None, None, *sides, None, flights, others).run()  # type: ignore[arg-type]
+    outcome = LinearHoldOut(chosen, None, None, *sides, None, flights, remaining).run()  # type: ignore[arg-type]
     return (
         [c.key for c in outcome.withdrawn],
         [c.key for c in outcome.result.selection.chosen],
@@ -351,8 +353,8 @@ def test_an_effect_that_the_test_flights_contradict_is_withdrawn_and_others_rema
     # What remains is estimated without it.
     (effect,) = outcome.result.selection.chosen
     assert abs(effect.value - 0.03) < 3.5 * effect.std
-    alone = result_of(LinearFlights({**PARAMETERS, **train}), [ELEVATOR])
-    assert effect.value == alone.selection.chosen[0].value
+    single = result_of(LinearFlights({**PARAMETERS, **train}), [ELEVATOR])
+    assert effect.value == single.selection.chosen[0].value
 
 
 def test_nothing_remains_where_the_test_flights_have_nothing():
@@ -368,11 +370,11 @@ def test_a_weak_effect_remains_unless_something_is_unexplained():
     flights = LinearFlights(PARAMETERS)
     chosen = result_of(flights, [CUBE])
     assert abs(chosen.selection.chosen[0].t) < 3.0
-    others = LinearFlights(PARAMETERS, seeds=(4, 5, 6))
+    remaining = LinearFlights(PARAMETERS, seeds=(4, 5, 6))
     for mismatch in (None, SimpleNamespace(replaced=())):
         strong = tuple(replace(c, t=5.0) for c in chosen.selection.chosen)
         selection = replace(chosen.selection, chosen=strong)
         model = replace(chosen, mismatch=mismatch, selection=selection)
         sides = [Dataset(chosen.data), Dataset(chosen.data)]
-        outcome = LinearHoldOut(model, None, None, *sides, None, flights, others).run()  # type: ignore[arg-type]
+        outcome = LinearHoldOut(model, None, None, *sides, None, flights, remaining).run()  # type: ignore[arg-type]
         assert bool(outcome.withdrawn) is (mismatch is not None)

@@ -46,8 +46,8 @@ def fastest(setup) -> float:
 
 def test_a_limit_that_is_felt_may_be_too_low_as_well_as_too_high():
     limited = setup_with(40.0)
-    asked = _trial_rates(limited, "elevator", limited.servos["elevator"])
-    assert min(asked) < 40.0 < max(asked) == pytest.approx(fastest(limited))
+    request = _trial_rates(limited, "elevator", limited.servos["elevator"])
+    assert min(request) < 40.0 < max(request) == pytest.approx(fastest(limited))
     free = setup_with(1000.0)
     assert max(_trial_rates(free, "elevator", free.servos["elevator"])) < fastest(free)
 
@@ -62,26 +62,26 @@ def test_the_limit_that_does_just_what_is_missing_is_found_on_either_side(limit,
     speeds = np.array(
         [s for s in _trial_rates(setup, "elevator", servo) if (s > 40.0) == (limit > 40.0)]
     )
-    wanted = []
+    expected = []
     for speed in speeds:
         column = servo_change("rate_limit", servo, command, DT, (40.0, speed))
-        wanted.append(column @ missing / (column @ column) / (1.0 / speed - 1.0 / 40.0))
-    assert limit_of_unit_gain(speeds, np.array(wanted), np.ones(len(speeds))) == pytest.approx(
+        expected.append(column @ missing / (column @ column) / (1.0 / speed - 1.0 / 40.0))
+    assert limit_of_unit_gain(speeds, np.array(expected), np.ones(len(speeds))) == pytest.approx(
         limit, rel=0.1
     )
-    assert limit_of_unit_gain(speeds, -np.array(wanted), np.ones(len(speeds))) is None
+    assert limit_of_unit_gain(speeds, -np.array(expected), np.ones(len(speeds))) is None
 
 
 def test_above_the_fastest_motion_every_limit_is_the_same():
     limited = setup_with(40.0)
-    beyond = SelectedEffect(KEY, 1.0 / 500.0 - 1.0 / 40.0, 1e-4, -230.0, 1.0, 1.0, 0.0)
-    (within,) = clip_to_active_range(Selection((beyond,)), limited).chosen
+    outside = SelectedEffect(KEY, 1.0 / 500.0 - 1.0 / 40.0, 1e-4, -230.0, 1.0, 1.0, 0.0)
+    (inside,) = clip_to_active_range(Selection((outside,)), limited).chosen
     # Where the command jumps a servo is faster than on the way from row to row.
     rows = limited.servos["elevator"].lag * limited.segments[0].at_commands().dt_s
-    assert 1.0 / (within.value + 1.0 / 40.0) == pytest.approx(
+    assert 1.0 / (inside.value + 1.0 / 40.0) == pytest.approx(
         fastest(limited) * rows / (1.0 - np.exp(-rows))
     )
-    assert within.t == pytest.approx(within.value / 1e-4)
+    assert inside.t == pytest.approx(inside.value / 1e-4)
     below = SelectedEffect(KEY, 1.0 / 60.0 - 1.0 / 40.0, 1e-4, -80.0, 1.0, 1.0, 0.0)
     lag = SelectedEffect("effect/actuator.elevator/lag", -5.0, 1.0, -5.0, 1.0, 1.0, 0.0)
     assert clip_to_active_range(Selection((below, lag)), limited).chosen == (below, lag)
@@ -89,11 +89,11 @@ def test_above_the_fastest_motion_every_limit_is_the_same():
 
 def test_a_limit_above_the_servos_own_is_known_by_its_slope_where_it_flies():
     rng = np.random.default_rng(4)
-    whole, here, other = rng.standard_normal((3, 400, 1))
+    complete, local, other = rng.standard_normal((3, 400, 1))
     value, noise = 1.0 / 80.0 - 1.0 / 40.0, rng.standard_normal((400, 1))
 
-    def found(here: np.ndarray) -> SimpleNamespace:
-        columns = {"other": 10.0 * other, KEY: 1e5 * whole, KEY + LOCAL_SLOPE: here}
+    def result(local: np.ndarray) -> SimpleNamespace:
+        columns = {"other": 10.0 * other, KEY: 1e5 * complete, KEY + LOCAL_SLOPE: local}
         white = WhitenedSegment(
             noise,
             np.stack(list(columns.values()), axis=2).astype(np.float32),
@@ -108,15 +108,15 @@ def test_a_limit_above_the_servos_own_is_known_by_its_slope_where_it_flies():
         )
 
     choice = SelectedEffect(KEY, value, 1e-5, value / 1e-5, 1.0, 1.0, 0.0)
-    (known,) = with_local_rate_limits(Selection((choice,)), found(1e4 * here)).chosen
-    A = np.column_stack([10.0 * other, 1e4 * here])
+    (reference,) = with_local_rate_limits(Selection((choice,)), result(1e4 * local)).chosen
+    A = np.column_stack([10.0 * other, 1e4 * local])
     step = np.linalg.lstsq(A, noise[:, 0], rcond=None)[0][1]
-    assert known.value == pytest.approx(value + step, rel=1e-4)
-    assert known.std == pytest.approx(np.sqrt(np.linalg.inv(A.T @ A)[1, 1]), rel=0.2)
-    assert known.t == choice.t
-    assert not is_fastest(known, setup_with(40.0))
+    assert reference.value == pytest.approx(value + step, rel=1e-4)
+    assert reference.std == pytest.approx(np.sqrt(np.linalg.inv(A.T @ A)[1, 1]), rel=0.2)
+    assert reference.t == choice.t
+    assert not is_fastest(reference, setup_with(40.0))
     # A limit of which the flights say nothing may be any number above.
-    (silent,) = with_local_rate_limits(Selection((choice,)), found(0.0 * here)).chosen
+    (silent,) = with_local_rate_limits(Selection((choice,)), result(0.0 * local)).chosen
     assert is_fastest(silent, setup_with(40.0))
 
 
@@ -130,12 +130,12 @@ def test_only_limits_above_the_servos_own_have_a_slope_of_their_own():
 
 @pytest.mark.parametrize("width", [0.06, 0.3, 1.2])
 def test_a_dead_zone_is_read_by_one_as_wide_as_it_is(width):
-    asked = 4.0 * np.sin(0.05 * np.arange(2000)) * np.linspace(0.0, 1.0, 2000)
-    stands = np.sign(asked) * np.maximum(np.abs(asked) - 0.5 * width, 0.0)
-    missing = stands - asked
+    request = 4.0 * np.sin(0.05 * np.arange(2000)) * np.linspace(0.0, 1.0, 2000)
+    static = np.sign(request) * np.maximum(np.abs(request) - 0.5 * width, 0.0)
+    missing = static - request
     estimates = []
     for one in WIDTHS_DEG:
-        column = dead_zone_change(asked, one)
+        column = dead_zone_change(request, one)
         estimates.append(column @ missing / (column @ column))
     widths = np.array(WIDTHS_DEG)
     assert limit_of_unit_gain(
@@ -144,10 +144,10 @@ def test_a_dead_zone_is_read_by_one_as_wide_as_it_is(width):
     # A column of one width for all makes another width of it.
     assert np.abs(np.array(estimates) / width - 1.0).max() > 0.08
     # One that stands in it already is short by half of what it is wider.
-    wider = np.sign(asked) * np.maximum(np.abs(asked) - 0.5 * (width + 1e-3), 0.0)
-    outside = np.abs(asked) > 0.5 * (width + 1e-3)
-    assert (1e-3 * dead_zone_change(stands, 0.4, in_model=True))[outside] == pytest.approx(
-        (wider - stands)[outside], abs=1e-12
+    wider = np.sign(request) * np.maximum(np.abs(request) - 0.5 * (width + 1e-3), 0.0)
+    outside = np.abs(request) > 0.5 * (width + 1e-3)
+    assert (1e-3 * dead_zone_change(static, 0.4, in_model=True))[outside] == pytest.approx(
+        (wider - static)[outside], abs=1e-12
     )
 
 
@@ -170,8 +170,8 @@ def test_the_limit_is_the_one_of_which_the_flights_want_just_what_it_does():
         per_unit = [servo_change("rate_limit", servo, ramp, h, (240.0, x)) for x in limits]
         estimate = np.array([c @ hidden / (c @ c) for c in per_unit])
         t = np.array([c @ hidden / np.sqrt(c @ c) for c in per_unit])
-        found = limit_of_unit_gain(limits, estimate / (1.0 / limits - 1.0 / 240.0), t)
-        assert found == pytest.approx(true, rel=0.03)
+        result = limit_of_unit_gain(limits, estimate / (1.0 / limits - 1.0 / 240.0), t)
+        assert result == pytest.approx(true, rel=0.03)
     # One slope for all limits makes something else of a servo that is a little slow.
     hidden = Actuator(lag=25.0, rate=0.9 * fastest).follow(ramp, h, 0.01) - before
     clip_to_active_range = servo_change("rate_limit", servo, ramp, h)

@@ -115,8 +115,8 @@ def flights(tmp_path_factory) -> dict[str, Path]:
         "plain_test": fly(TEST, seed=4, seconds=6.0),
     }
     test = records["test"]
-    wrong = test["q_radps"] + 0.2 * np.sin(7.0 * test["time_s"])
-    records["spoilt"] = test.with_columns({"q_radps": wrong})
+    invalid = test["q_radps"] + 0.2 * np.sin(7.0 * test["time_s"])
+    records["spoilt"] = test.with_columns({"q_radps": invalid})
     for name, record in records.items():
         record.write(folder / f"{name}.parquet")
     return {name: folder / f"{name}.parquet" for name in records}
@@ -145,16 +145,16 @@ def names(rows) -> list[tuple[str, str]]:
 
 
 def test_the_missing_effect_is_named_and_valued(refined):
-    found = document(refined)
-    assert found["verdict"] == "effects-found"
-    (effect,) = found["effects"]
+    result = document(refined)
+    assert result["verdict"] == "effects-found"
+    (effect,) = result["effects"]
     assert (effect["coefficient"], effect["term"]) == ("Cm", "p_hat^2")
     assert effect["property"] == "aero/Cm_p2"
     assert effect["name"] == "pitching moment due to roll rate squared"
     assert abs(effect["value"] - CM_P2) < 3.0 * effect["std"] < 0.3 * CM_P2
     assert effect["test"]["gap"] == "shrank"
-    assert not found["remaining"]["unexplained"]
-    assert found["gap"]["test"]["predictions"] == found["gap"]["train"]["predictions"] == {}
+    assert not result["remaining"]["unexplained"]
+    assert result["gap"]["test"]["predictions"] == result["gap"]["train"]["predictions"] == {}
     assert not (refined / ".stages").exists()
 
 
@@ -166,14 +166,14 @@ def test_regions_of_disagreement_begin_with_the_effect(refined):
 
 
 def test_the_gap_shrinks_and_the_aircraft_carries_the_effect(refined):
-    found = document(refined)
-    gap = found["gap"]["test"]
+    result = document(refined)
+    gap = result["gap"]["test"]
     assert gap["channels"]["q_radps"]["rms_before"] > 1.3 * gap["channels"]["q_radps"]["noise_rms"]
     assert gap["channels"]["q_radps"]["rms_after"] < 1.15 * gap["channels"]["q_radps"]["noise_rms"]
     assert gap["coefficients"]["Cm"]["rms_after"] < gap["coefficients"]["Cm"]["rms_before"]
-    assert "aero/Cm_p2" in (refined / found["model"]).read_text(encoding="utf-8")
+    assert "aero/Cm_p2" in (refined / result["model"]).read_text(encoding="utf-8")
     assert "+      " in (refined / "model.diff").read_text(encoding="utf-8")
-    assert found["switch"] == [{"property": "aero/Cm_p2", "off": 0.0}]
+    assert result["switch"] == [{"property": "aero/Cm_p2", "off": 0.0}]
     for name in ("gap", "candidates", "coefficients"):
         assert (refined / f"figures/{name}.svg").stat().st_size > 1000
     assert problems((refined / "report.html").read_text(encoding="utf-8")) == []
@@ -183,9 +183,9 @@ def test_nothing_is_found_where_nothing_is_missing(flights, tmp_path, capsys):
     out = tmp_path / "out"
     more = ("--no-figures", "--no-pbox", "--json")
     code = command(flights["plain"], flights["plain_test"], out, *more)
-    found = json.loads(capsys.readouterr().out)
-    assert (code, found["verdict"], found["effects"]) == (0, "no-missing-effect", [])
-    q = found["gap"]["test"]["channels"]["q_radps"]
+    result = json.loads(capsys.readouterr().out)
+    assert (code, result["verdict"], result["effects"]) == (0, "no-missing-effect", [])
+    q = result["gap"]["test"]["channels"]["q_radps"]
     assert q["rms_after"] < 1.15 * q["noise_rms"]
 
 
@@ -193,14 +193,16 @@ def test_bad_input_ends_with_a_reason(flights, tmp_path, capsys, campaign):
     with pytest.raises(SystemExit) as stopped:
         main(["refine", "--help"])
     assert stopped.value.code == 0
-    copy, own, bad = (tmp_path / n for n in ("renamed.parquet", "own.toml", "bad.toml"))
+    copy, effects_file, invalid = (
+        tmp_path / n for n in ("renamed.parquet", "own.toml", "bad.toml")
+    )
     copy.write_bytes(flights["train"].read_bytes())
-    own.write_text('[[effect]]\ncoefficient = "Cm"\nterm = "x"\n', encoding="utf-8")
-    bad.write_text(CAMPAIGN.replace("flights = 2", "flights = 0"), encoding="utf-8")
+    effects_file.write_text('[[effect]]\ncoefficient = "Cm"\nterm = "x"\n', encoding="utf-8")
+    invalid.write_text(CAMPAIGN.replace("flights = 2", "flights = 0"), encoding="utf-8")
     for test, more, words in (
         (copy, (), "must not be"),
-        (flights["test"], ("--effects", str(own)), "is no factor"),
-        (flights["test"], ("--campaign", str(bad)), "flights"),
+        (flights["test"], ("--effects", str(effects_file)), "is no factor"),
+        (flights["test"], ("--campaign", str(invalid)), "flights"),
         (flights["test"], ("--campaign", str(campaign), "--no-pbox"), "--no-pbox"),
     ):
         capsys.readouterr()
@@ -227,15 +229,15 @@ def judged_flights(tmp_path_factory) -> tuple[Path, Refinement]:
 
 @pytest.mark.slow
 def test_what_the_test_flights_contradict_is_withdrawn_alone(judged_flights):
-    out, found = judged_flights[0], document(judged_flights[0])
-    assert set(names(found["chosen"])) == {("Cm", "p_hat^2"), ("CX", "beta^2")}
-    (effect,), (withdrawn,) = found["effects"], found["withdrawn"]
+    out, result = judged_flights[0], document(judged_flights[0])
+    assert set(names(result["chosen"])) == {("Cm", "p_hat^2"), ("CX", "beta^2")}
+    (effect,), (withdrawn,) = result["effects"], result["withdrawn"]
     assert (effect["term"], withdrawn["term"]) == ("p_hat^2", "beta^2")
     assert effect["value"] == pytest.approx(CM_P2, abs=0.5)
     assert (effect["test"]["gap"], withdrawn["test"]["gap"]) == ("shrank", "grew")
     # What was chosen has nothing of the test flights.
-    assert all("test" not in e and abs(e["evidence"]["t"]) > 4.0 for e in found["chosen"])
-    xml = (out / found["model"]).read_text(encoding="utf-8")
+    assert all("test" not in e and abs(e["evidence"]["t"]) > 4.0 for e in result["chosen"])
+    xml = (out / result["model"]).read_text(encoding="utf-8")
     assert "aero/Cm_p2" in xml
     assert "aero/CX_beta2" not in xml
     assert "Withdrawn:" in (out / "report.html").read_text(encoding="utf-8")
@@ -281,17 +283,19 @@ def test_without_an_effect_before_is_after(tmp_path, campaign, capsys):
         (tmp_path / "out" / stale).touch()
     parts = (tmp_path / "train.parquet", tmp_path / "test.parquet", tmp_path / "out")
     code = command(*parts, "--no-figures", "--campaign", str(campaign))
-    found = document(tmp_path / "out")
-    assert (code, found["effects"], found["withdrawn"], found["chosen"]) == (0, [], [], [])
-    left = {
+    result = document(tmp_path / "out")
+    assert (code, result["effects"], result["withdrawn"], result["chosen"]) == (0, [], [], [])
+    remaining = {
         p.relative_to(tmp_path / "out").as_posix()
         for p in (tmp_path / "out").rglob("*")
         if p.is_file()
     }
     assert not [
-        name for name in left if "after" in name or name.startswith("before/") or "history" in name
+        name
+        for name in remaining
+        if "after" in name or name.startswith("before/") or "history" in name
     ]
-    gap = found["gap"]["test"]
+    gap = result["gap"]["test"]
     assert gap["intervals"]["reason"] is None
     for row in gap["intervals"]["coefficients"].values():
         assert row["width_before"] == row["width_after"] > 0.0
@@ -313,15 +317,15 @@ def test_a_mission_is_flown_by_aircraft_that_have_one(tmp_path, campaign):
     )
     with pytest.raises(BadInputError, match=r"has no loiter.*--campaign"):
         campaign_for(find_aircraft("c172x"), None)
-    given = campaign_for(find_aircraft("c172x"), campaign)
-    assert Path(given["campaign"]["mission"]).is_file()
-    nothing = tmp_path / "none.toml"
-    nothing.write_text(
+    inputs = campaign_for(find_aircraft("c172x"), campaign)
+    assert Path(inputs["campaign"]["mission"]).is_file()
+    empty = tmp_path / "none.toml"
+    empty.write_text(
         CAMPAIGN.replace('"corners"', '"none"').replace('coefficients = ["CX", "Cl"]', ""),
         encoding="utf-8",
     )
     with pytest.raises(BadInputError, match="ignores the intervals"):
-        campaign_for(find_aircraft("espaaro"), nothing)
+        campaign_for(find_aircraft("espaaro"), empty)
 
 
 @pytest.mark.slow
@@ -353,12 +357,12 @@ def test_intervals_that_cannot_be_told_have_a_reason(tmp_path):
     for name in ("whole", "part"):
         flights, measured = read_flights([tmp_path / f"{name}.parquet"], aircraft)
         sets.append(FlightSet(tuple(flights), tuple(measured), (name,)))
-    found = fit_intervals(IntervalJob(aircraft, aircraft, {}, sets[1], sets[0], False))
-    assert found.form is None
-    assert "beta_rad" in str(found.reason)
-    told = intervals_document(found, found)
-    assert {v for row in told.coefficients.values() for v in row.as_json().values()} == {None}
-    assert told["reason"] == found.reason
+    result = fit_intervals(IntervalJob(aircraft, aircraft, {}, sets[1], sets[0], False))
+    assert result.form is None
+    assert "beta_rad" in str(result.reason)
+    reports = intervals_document(result, result)
+    assert {v for row in reports.coefficients.values() for v in row.as_json().values()} == {None}
+    assert reports["reason"] == result.reason
 
 
 def test_pbox_numbers_in_closed_form():
@@ -368,75 +372,75 @@ def test_pbox_numbers_in_closed_form():
     low, high = (
         Sample(str(k), np.arange(first, first + 4.0)) for k, first in enumerate((1.0, 3.0))
     )
-    found = pbox_pair((low, high), (low,))
-    assert found["width_before"] == pytest.approx(2.0)
-    assert found["width_after"] == 0.0
-    assert found["quantiles"]["0.5"] == {"before": [2.0, 4.0], "after": [2.0, 2.0]}
+    result = pbox_pair((low, high), (low,))
+    assert result["width_before"] == pytest.approx(2.0)
+    assert result["width_after"] == 0.0
+    assert result["quantiles"]["0.5"] == {"before": [2.0, 4.0], "after": [2.0, 2.0]}
     failed = replace(low, values=low.values[:3], unknown=1)
     assert np.isnan(pbox_pair((low, high), (failed,))["quantiles"]["0.95"]["after"][1])
 
 
 @pytest.mark.slow
 def test_a_mission_goes_on_and_another_model_flies_anew(flights, tmp_path, campaign):
-    told: list[str] = []
+    reports: list[str] = []
     form = tmp_path / "intervals" / "before.json"
     form.parent.mkdir()
     aircraft = find_aircraft("espaaro")
     read, measured = read_flights([flights["plain"]], aircraft)
-    given = FlightSet(tuple(read), tuple(measured), ("x",))
-    made = fit_intervals(IntervalJob(aircraft, aircraft, {}, given, given, False)).form
-    assert made is not None
-    form.write_text(made.to_json(), encoding="utf-8")
+    inputs = FlightSet(tuple(read), tuple(measured), ("x",))
+    output = fit_intervals(IntervalJob(aircraft, aircraft, {}, inputs, inputs, False)).form
+    assert output is not None
+    form.write_text(output.to_json(), encoding="utf-8")
 
-    def trajectory(which):
+    def trajectory(index):
         result = fly_missions(
-            {"before": which}, {"before": form}, campaign, tmp_path, 1, told.append
+            {"before": index}, {"before": form}, campaign, tmp_path, 1, reports.append
         )
         assert result["reason"] is None
         return result
 
     first = trajectory(aircraft)
-    assert told
-    told.clear()
-    assert (trajectory(aircraft), told) == (first, [])
-    form.write_text(replace(made, confidence=0.9).to_json(), encoding="utf-8")
+    assert reports
+    reports.clear()
+    assert (trajectory(aircraft), reports) == (first, [])
+    form.write_text(replace(output, confidence=0.9).to_json(), encoding="utf-8")
     trajectory(aircraft)
-    assert told
+    assert reports
 
 
 def test_words_agree_with_the_verdict():
     """Where no region stands out, an effect far above chance is not called noise."""
     remaining = refinement()["remaining"]
     effects = {"effects": [], "withdrawn": []}
-    nothing = Refined.model_validate(refinement(**effects))
-    assert no_region_words(nothing) == "no residual beyond the noise"
-    assert remaining_words(nothing.remaining) == []
+    empty = Refined.model_validate(refinement(**effects))
+    assert no_region_words(empty) == "no residual beyond the noise"
+    assert remaining_words(empty.remaining) == []
     strong = refinement()["effects"][0] | {"evidence": {"t": -64.2}}
-    left = remaining | {"unexplained": True, "where": [{"t": 64.2, "words": "x"}]}
-    for one in (effects | {"effects": [strong]}, effects | {"remaining": left}):
+    remainder = remaining | {"unexplained": True, "where": [{"t": 64.2, "words": "x"}]}
+    for one in (effects | {"effects": [strong]}, effects | {"remaining": remainder}):
         assert "|t| up to 64" in no_region_words(Refined.model_validate(refinement(**one)))
     unexplained = remaining | {"unexplained": True, "channels_above_noise": {"q_radps": 2.0}}
-    whole = Refined.model_validate(refinement(**effects, remaining=unexplained))
-    assert "see the remaining residuals" in no_region_words(whole)
-    assert remaining_words(whole.remaining) == ["above their noise: q_radps (2.00 times)"]
+    complete = Refined.model_validate(refinement(**effects, remaining=unexplained))
+    assert "see the remaining residuals" in no_region_words(complete)
+    assert remaining_words(complete.remaining) == ["above their noise: q_radps (2.00 times)"]
 
 
 def test_engines_beside_the_aircraft_go_with_it(tmp_path):
     """An aircraft whose engines lie beside it finds them beside its refined copy as well."""
-    made = shutil.copytree(
+    result = shutil.copytree(
         find_aircraft("espaaro").folder, tmp_path / "own" / "aircraft" / "espaaro"
     )
     (tmp_path / "own" / "engine").mkdir()
     for name in ("own", "unused"):
         (tmp_path / "own" / "engine" / f"{name}.xml").write_text("<propeller/>", encoding="utf-8")
-    xml = made / "espaaro.xml"
+    xml = result / "espaaro.xml"
     used = '<propulsion><engine file="own"/></propulsion></fdm_config>'
     xml.write_text(xml.read_text(encoding="utf-8").replace("</fdm_config>", used), encoding="utf-8")
-    given = find_aircraft(made)
-    put = _place(given, given, tmp_path / "out")
-    assert put.folder == tmp_path / "out" / "aircraft" / "espaaro"
-    assert put.engine_path == tmp_path / "out" / "engine"
-    assert [path.name for path in put.engine_path.iterdir()] == ["own.xml"]
+    inputs = find_aircraft(result)
+    write = _place(inputs, inputs, tmp_path / "out")
+    assert write.folder == tmp_path / "out" / "aircraft" / "espaaro"
+    assert write.engine_path == tmp_path / "out" / "engine"
+    assert [path.name for path in write.engine_path.iterdir()] == ["own.xml"]
 
 
 @pytest.mark.slow
@@ -446,13 +450,13 @@ def test_the_hidden_effect_is_among_the_nearest_and_leaves_the_noise(judged_flig
     """
     nearest = Nearest(judged_flights[1].hold_out.result)
     channel, hidden = "ax_mps2", "effect/CX/beta^2"
-    candidates, now = nearest.leaving(channel, set())
-    leaves = {key: left for key, _, left in candidates}
+    candidates, current = nearest.leaving(channel, set())
+    leaves = {key: remaining for key, _, remaining in candidates}
     t = {key: t for key, t, _ in candidates}
     assert abs(t[hidden]) > 10.0
-    assert now > 1.1
+    assert current > 1.1
     assert leaves[hidden] == pytest.approx(1.0, abs=0.08)
-    assert all(left > 1.1 for key, left in leaves.items() if key != hidden)
+    assert all(remaining > 1.1 for key, remaining in leaves.items() if key != hidden)
     assert hidden not in [key for key, _, _ in nearest.leaving(channel, {hidden})[0]]
 
 
@@ -482,16 +486,16 @@ def test_in_turbulence_the_table_is_that_of_compare(gusty):
     predicted = Evaluation(
         None, zeros, setup.noise, zeros, 0.0, (0.0,), [np.ones((9, 6))], np.ones(6)
     )  # type: ignore[arg-type]
-    shown = with_replays(predicted, aircraft, Dataset(setup), SERIAL, ModelState({}, {}, ()))
-    found = residual_tables(setup, shown, shown)
+    visible = with_replays(predicted, aircraft, Dataset(setup), SERIAL, ModelState({}, {}, ()))
+    result = residual_tables(setup, visible, visible)
     other = compare(aircraft, gusty, (), workers=1)
-    ratios = {c: row["rms_after"] / row["noise_rms"] for c, row in found["channels"].items()}
+    ratios = {c: row["rms_after"] / row["noise_rms"] for c, row in result["channels"].items()}
     assert max(ratios.values()) > 1.5
     for channel, ratio in ratios.items():
         assert ratio == pytest.approx(other.channels[channel].ratio, rel=0.02), channel
-    assert found["predictions"].keys() == found["channels"].keys()
-    assert all(row["rms_after"] == 0.0 for row in found["predictions"].values())
-    assert shown.residual is predicted.residual
+    assert result["predictions"].keys() == result["channels"].keys()
+    assert all(row["rms_after"] == 0.0 for row in result["predictions"].values())
+    assert visible.residual is predicted.residual
 
 
 def test_tables_speak_of_the_noise_that_compare_knows_but_for_what_an_estimator_computed():
@@ -513,13 +517,13 @@ def test_tables_speak_of_the_noise_that_compare_knows_but_for_what_an_estimator_
         flights=flights,
     )
     assert ReplayEstimator().evaluation_noise(card, setup) == pytest.approx([0.01, 0.05], rel=0.05)
-    quiet = SimpleNamespace(
+    calm = SimpleNamespace(
         measured=(0.1 * louder,),
         outputs=setup.outputs,
         noise=np.array([0.001, 0.05]),
         flights=flights,
     )
-    assert ReplayEstimator().evaluation_noise(card, quiet)[0] == 0.004
+    assert ReplayEstimator().evaluation_noise(card, calm)[0] == 0.004
 
 
 def commands_alone(record: FlightRecord) -> FlightRecord:
@@ -551,10 +555,10 @@ def test_a_record_one_sample_late_is_a_matter_of_its_clock(tmp_path):
         "--no-figures",
         "--no-pbox",
     )
-    found = document(tmp_path / "out")
-    assert found["timing"]["controls_late_s"] == pytest.approx(0.02, abs=0.004)
-    assert (found["verdict"], found["effects"]) == ("no-missing-effect", [])
-    assert "clock, not a servo" in found["notes"][0]
+    result = document(tmp_path / "out")
+    assert result["timing"]["controls_late_s"] == pytest.approx(0.02, abs=0.004)
+    assert (result["verdict"], result["effects"]) == ("no-missing-effect", [])
+    assert "clock, not a servo" in result["notes"][0]
 
 
 @pytest.mark.slow
@@ -562,11 +566,11 @@ def test_a_slow_servo_is_no_matter_of_the_clock(tmp_path, monkeypatch):
     """A lag of the elevator alone is named as that."""
 
     monkeypatch.setattr(flown, "LAG", np.array([16.0, 25.0, 25.0, 6.0]))
-    made = {
+    output = {
         "train": fly(TRAIN, seed=5, seconds=6.0),
         "test": fly((("pitch-3211", 20.0),), seed=6, seconds=6.0),
     }
-    for name, record in made.items():
+    for name, record in output.items():
         commands_alone(record).write(tmp_path / f"{name}.parquet")
     command(
         tmp_path / "train.parquet",
@@ -575,7 +579,9 @@ def test_a_slow_servo_is_no_matter_of_the_clock(tmp_path, monkeypatch):
         "--no-figures",
         "--no-pbox",
     )
-    found = document(tmp_path / "out")
-    assert found["timing"]["controls_late_s"] == 0.0
-    assert [(e["subsystem"], e["term"]) for e in found["effects"]] == [("actuator.elevator", "lag")]
-    assert abs(found["effects"][0]["value"] - 16.0) < 3.0 * found["effects"][0]["std"]
+    result = document(tmp_path / "out")
+    assert result["timing"]["controls_late_s"] == 0.0
+    assert [(e["subsystem"], e["term"]) for e in result["effects"]] == [
+        ("actuator.elevator", "lag")
+    ]
+    assert abs(result["effects"][0]["value"] - 16.0) < 3.0 * result["effects"][0]["std"]

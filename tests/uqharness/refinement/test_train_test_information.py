@@ -34,19 +34,19 @@ def side(
     values = np.array([TRUE[NAMES[0]], TRUE[NAMES[1]], TRUE[KEY], 0.2])
     measured = columns @ values + rng.standard_normal(n)
     residual = measured - columns[:, :3] @ np.array([at[k] for k in (*NAMES, KEY)])
-    there = np.ones((n, 1), dtype=bool)
+    present = np.ones((n, 1), dtype=bool)
     white = WhitenedSegment(
         residual[:, None],
         columns[:, None, :].astype(np.float32),
         0.0,
         np.zeros((8, 5)),
-        there,
+        present,
         np.ones(1),
     )
     return normal_equations([white], (*NAMES, KEY, "bias/f/q"), [0], {}), columns, measured
 
 
-def both(
+def pair_of(
     rng: np.random.Generator,
 ) -> tuple[
     TrainTestInformation,
@@ -64,9 +64,9 @@ def both(
     std = np.sqrt(np.linalg.inv(X.T @ X)[2, 2])
     t = fitted[2] / std
     choice = SelectedEffect(KEY, fitted[2], std, t, t * t, 1.0, 0.0)
-    found = SimpleNamespace(names=NAMES, selection=Selection((choice,)), critical_t=3.0)
+    result = SimpleNamespace(names=NAMES, selection=Selection((choice,)), critical_t=3.0)
     return (
-        TrainTestInformation(found, train, test, at),
+        TrainTestInformation(result, train, test, at),
         dict(zip((*NAMES, KEY), fitted, strict=False)),
         (X, z),
         (Y, w),
@@ -74,15 +74,15 @@ def both(
 
 
 def test_t_of_both_sides_is_that_of_one_regression():
-    made, _, (X, z), (Y, w) = both(np.random.default_rng(3))
+    result, _, (X, z), (Y, w) = pair_of(np.random.default_rng(3))
     # Each side has a bias of its own.
-    whole = np.vstack(
+    complete = np.vstack(
         [np.column_stack([X, 0.0 * X[:, 3]]), np.column_stack([Y[:, :3], 0.0 * Y[:, 3], Y[:, 3]])]
     )
-    fitted = np.linalg.lstsq(whole, np.concatenate([z, w]), rcond=None)[0]
-    expected = fitted[2] / np.sqrt(np.linalg.inv(whole.T @ whole)[2, 2])
-    assert made.t(KEY, [KEY]) == pytest.approx(expected, rel=1e-4)
-    assert abs(expected) != pytest.approx(abs(made.result.selection.chosen[0].t), rel=0.05)
+    fitted = np.linalg.lstsq(complete, np.concatenate([z, w]), rcond=None)[0]
+    expected = fitted[2] / np.sqrt(np.linalg.inv(complete.T @ complete)[2, 2])
+    assert result.t(KEY, [KEY]) == pytest.approx(expected, rel=1e-4)
+    assert abs(expected) != pytest.approx(abs(result.result.selection.chosen[0].t), rel=0.05)
 
 
 def test_the_spread_of_the_change_is_that_of_many_train_flights():
@@ -90,31 +90,31 @@ def test_the_spread_of_the_change_is_that_of_many_train_flights():
     noise.
     """
     rng = np.random.default_rng(4)
-    changes, noise, whole = [], [], []
+    changes, noise, complete = [], [], []
     for _ in range(200):
-        made, fitted, (X, z), (Y, w) = both(rng)
+        result, fitted, (X, z), (Y, w) = pair_of(rng)
         plain = np.linalg.lstsq(X[:, [0, 1, 3]], z, rcond=None)[0]
-        with_, without = (
+        with_, reduced = (
             predictions(r, Y)
             for r in (w - Y[:, :3] @ [fitted[k] for k in (*NAMES, KEY)], w - Y[:, :2] @ plain[:2])
         )
         setup = SimpleNamespace(segments=[SimpleNamespace(dt_s=0.02)])
-        verdict = compare(without, with_, setup, with_)  # type: ignore[arg-type]
-        sure = with_parameter_uncertainty(verdict, made, without, with_, [KEY], KEY)  # type: ignore[arg-type]
+        verdict = compare(reduced, with_, setup, with_)  # type: ignore[arg-type]
+        sure = with_parameter_uncertainty(verdict, result, reduced, with_, [KEY], KEY)  # type: ignore[arg-type]
         changes.append(verdict.change)
-        noise.append(2.0 * np.linalg.norm(without.white[0] - with_.white[0]))
-        whole.append(sure.std)
-        assert sure.excess_t2 == pytest.approx(made.t(KEY, [KEY]) ** 2 - 9.0)
-    spread = float(np.std(changes))
-    assert np.sqrt(np.mean(np.square(whole))) == pytest.approx(spread, rel=0.25)
-    assert np.sqrt(np.mean(np.square(noise))) < 0.6 * spread
+        noise.append(2.0 * np.linalg.norm(reduced.white[0] - with_.white[0]))
+        complete.append(sure.std)
+        assert sure.excess_t2 == pytest.approx(result.t(KEY, [KEY]) ** 2 - 9.0)
+    scatter = float(np.std(changes))
+    assert np.sqrt(np.mean(np.square(complete))) == pytest.approx(scatter, rel=0.25)
+    assert np.sqrt(np.mean(np.square(noise))) < 0.6 * scatter
 
 
 def predictions(residual: np.ndarray, Y: np.ndarray) -> SimpleNamespace:
-    left = residual - Y[:, 3] * (Y[:, 3] @ residual) / (Y[:, 3] @ Y[:, 3])
-    cost = float(left @ left)
+    remaining = residual - Y[:, 3] * (Y[:, 3] @ residual) / (Y[:, 3] @ Y[:, 3])
+    cost = float(remaining @ remaining)
     return SimpleNamespace(
-        white=[left[:, None]], cost=cost, logdet=(0.0,), neg2_log_likelihood=cost
+        white=[remaining[:, None]], cost=cost, logdet=(0.0,), neg2_log_likelihood=cost
     )
 
 

@@ -40,9 +40,9 @@ BUMP = Effect("Cm", "bump", 0.003, "2.718281828**(-((alpha-0.03)/0.012)**2)")
 
 def refined(folder, *effects, w20_kt=0.0):
     """Exit code and folder of a refinement of two train flights and one to test on."""
-    made = fly([Flight(replace(c, w20_kt=w20_kt), Airframe(), effects) for c in CARDS])
-    paths = [folder / f"{k}.parquet" for k in range(len(made))]
-    for record, path in zip(made, paths, strict=True):
+    result = fly([Flight(replace(c, w20_kt=w20_kt), Airframe(), effects) for c in CARDS])
+    paths = [folder / f"{k}.parquet" for k in range(len(result))]
+    for record, path in zip(result, paths, strict=True):
         record.write(path)
     out, (*train, test) = folder / "out", map(str, paths)
     arguments = [
@@ -62,8 +62,8 @@ def refined(folder, *effects, w20_kt=0.0):
 
 
 def remaining(out):
-    found = json.loads((out / "refinement.json").read_text(encoding="utf-8"))
-    return found, found["remaining"]["smooth"]
+    result = json.loads((out / "refinement.json").read_text(encoding="utf-8"))
+    return result, result["remaining"]["smooth"]
 
 
 @pytest.fixture(scope="module")
@@ -74,21 +74,21 @@ def bumped(tmp_path_factory):
 
 
 def test_the_term_is_offered_and_changes_no_verdict(bumped):
-    found, smooth = remaining(bumped)
-    assert found["verdict"] == "unexplained"
-    assert found["remaining"]["smooth_reason"] is None
+    result, smooth = remaining(bumped)
+    assert result["verdict"] == "unexplained"
+    assert result["remaining"]["smooth_reason"] is None
     assert (smooth["coefficient"], smooth["state"], smooth["times"]) == ("Cm", "alpha", None)
     assert smooth["p"] < 1e-6
     assert 3.0 < smooth["effective_degrees_of_freedom"] < 12.0
     assert smooth["shapes"][0]["form"].startswith("hump at 0.03") or smooth["shapes"][0][
         "form"
     ].startswith("hump at 0.02")
-    assert not any("uq/unnamed" in json.dumps(e) for e in (*found["effects"], *found["switch"]))
+    assert not any("uq/unnamed" in json.dumps(e) for e in (*result["effects"], *result["switch"]))
 
 
 def test_the_effect_named_is_told_not_to_have_the_form(bumped):
-    found, smooth = remaining(bumped)
-    (form,) = [w for w in found["remaining"]["where"] if w.get("p") is not None]
+    result, smooth = remaining(bumped)
+    (form,) = [w for w in result["remaining"]["where"] if w.get("p") is not None]
     assert (form["coefficient"], form["depends_on"]) == ("Cm", [{"state": "alpha"}])
     assert form["p"] < 1e-6
     assert form["twice_log_likelihood"] > 30.0
@@ -104,16 +104,20 @@ def test_its_band_holds_the_hidden_form(bumped):
         np.array(smooth["curve"][k]) for k in ("at", "value", "low", "high", "samples")
     )
     xml = (bumped / smooth["model"]).read_text(encoding="utf-8")
-    own = {
+    estimates = {
         n: float(re.search(rf'<property value="([^"]*)">aero/{n}</property>', xml)[1])
         for n in ("Cm_0", "Cm_alpha")
     }
     assert smooth["in_place_of"] == ["pitching moment due to angle of attack cubed"]
     assert ">aero/Cm_alpha3<" not in xml
-    truth = {n: Airframe().coefficients[n] for n in own}
+    truth = {n: Airframe().coefficients[n] for n in estimates}
     # TrainTestInformation with the lines that go with them; what is left of the lines' difference is the
     # parameters' own.
-    gap = (own["Cm_0"] - truth["Cm_0"]) + (own["Cm_alpha"] - truth["Cm_alpha"]) * at + curve
+    gap = (
+        (estimates["Cm_0"] - truth["Cm_0"])
+        + (estimates["Cm_alpha"] - truth["Cm_alpha"]) * at
+        + curve
+    )
     gap = gap - BUMP.size * value(BUMP.form, {"alpha": at})
     gap = gap - np.polyval(np.polyfit(at, gap, 1, w=np.sqrt(samples)), at)
     inside = np.abs(gap) < 0.5 * (high - low)
@@ -153,9 +157,9 @@ def test_its_aircraft_flies_in_jsbsim_and_in_the_batch_engine_and_compares_as_to
             "--no-figures",
         ]
     )
-    told = json.loads((tmp_path / "compared" / "compare.json").read_text(encoding="utf-8"))
+    reports = json.loads((tmp_path / "compared" / "compare.json").read_text(encoding="utf-8"))
     row = smooth["gap"]["test"]["channels"]["q_radps"]
-    assert told["channels"]["q_radps"]["rms"] == pytest.approx(row["rms_after"], rel=0.02)
+    assert reports["channels"]["q_radps"]["rms"] == pytest.approx(row["rms_after"], rel=0.02)
 
 
 def test_the_page_draws_it_and_calls_it_no_physics(bumped):
@@ -176,16 +180,16 @@ def test_where_nothing_is_left_nothing_is_looked_for(tmp_path, monkeypatch, verd
     (stale / "espaaro.xml").write_text("of an earlier run", encoding="utf-8")
     options = RefineRequest(aircraft="espaaro", train="a", test="b", out=tmp_path)
     job, document = run.Job(options, find_aircraft("espaaro"), (), ()), refinement(verdict=verdict)
-    found = run._smooth_term(job, Refinement.model_validate(document), None, None, None, None)
-    assert found == (None, EXPLAINED)
+    result = run._smooth_term(job, Refinement.model_validate(document), None, None, None, None)
+    assert result == (None, EXPLAINED)
     assert not stale.exists()
 
 
 @pytest.mark.slow
 def test_flights_of_the_model_itself_are_offered_nothing(tmp_path):
     code, out = refined(tmp_path)
-    found, smooth = remaining(out)
-    assert (code, found["verdict"], smooth) == (0, "no-missing-effect", None)
+    result, smooth = remaining(out)
+    assert (code, result["verdict"], smooth) == (0, "no-missing-effect", None)
     assert "smooth term" not in (out / "report.html").read_text(encoding="utf-8")
 
 
@@ -193,7 +197,7 @@ def test_flights_of_the_model_itself_are_offered_nothing(tmp_path):
 def test_a_kink_is_drawn_where_powers_were_named_and_a_product_where_one_state_is_not_enough(
     tmp_path,
 ):
-    for name, effect, wanted in (
+    for name, effect, expected in (
         ("kink", Effect("Cn", "kink", 0.05, "maximum(beta-0.05,0)"), ("Cn", "beta", None)),
         (
             "product",
@@ -204,7 +208,7 @@ def test_a_kink_is_drawn_where_powers_were_named_and_a_product_where_one_state_i
         (tmp_path / name).mkdir()
         code, out = refined(tmp_path / name, effect)
         _, smooth = remaining(out)
-        assert (code, smooth["coefficient"], smooth["state"], smooth["times"]) == (1, *wanted)
+        assert (code, smooth["coefficient"], smooth["state"], smooth["times"]) == (1, *expected)
         assert smooth["leaves"] < 1.1
         assert smooth["test"]["gap"] == "shrank"
 
@@ -222,10 +226,10 @@ def test_a_kink_is_drawn_where_powers_were_named_and_a_product_where_one_state_i
     ],
 )
 def test_an_effect_is_part_of_the_curve_where_the_curve_can_be_it(coefficient, term, times, same):
-    found = {s: np.linspace(0.0, 1.0, 50) for s in STATES}
+    result = {s: np.linspace(0.0, 1.0, 50) for s in STATES}
     assert (
         can_represent(
-            coefficient_effect(coefficient, term), smooth_term("Cm", "alpha", times, found)
+            coefficient_effect(coefficient, term), smooth_term("Cm", "alpha", times, result)
         )
         is same
     )

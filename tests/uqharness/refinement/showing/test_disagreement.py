@@ -33,17 +33,17 @@ def test_a_planted_disagreement_is_found_where_it_is():
     gap, allowed, states, labels = flights()
     for k in (0, 2):
         gap[k][states[k]["alpha_rad"] > 0.2, 2] += 6.0
-    (found,) = disagreements(gap, allowed, states, labels, DT)
-    assert (found["coefficient"], found["manoeuvre"]) == ("CZ", "pull")
-    assert found["region"] == {"alpha_rad": pytest.approx([0.2, 0.3], abs=0.01)}
-    assert found["share_outside_95"] > 0.95
-    assert found["size"] == pytest.approx(np.sqrt(37.0), rel=0.03)
+    (result,) = disagreements(gap, allowed, states, labels, DT)
+    assert (result["coefficient"], result["manoeuvre"]) == ("CZ", "pull")
+    assert result["region"] == {"alpha_rad": pytest.approx([0.2, 0.3], abs=0.01)}
+    assert result["share_outside_95"] > 0.95
+    assert result["size"] == pytest.approx(np.sqrt(37.0), rel=0.03)
     outside_s, total_s = map(
-        float, re.search(r" ([\d.]+) s of ([\d.]+) s;", found["words"]).groups()
+        float, re.search(r" ([\d.]+) s of ([\d.]+) s;", result["words"]).groups()
     )
     assert total_s == pytest.approx(2 * N * DT)
     assert outside_s == pytest.approx(2 * N * DT / 3, rel=0.1)
-    assert found["words"].startswith("CZ, pull, alpha_rad 0.2")
+    assert result["words"].startswith("CZ, pull, alpha_rad 0.2")
     # With as much allowed there is nothing to say, and in half a second too little.
     assert disagreements(gap, [7.0 * a for a in allowed], states, labels, DT) == []
     assert disagreements(gap, allowed, states, labels, DT / 40) == []
@@ -53,5 +53,5 @@ def test_the_worst_come_first():
     gap, allowed, states, labels = flights()
     gap[1][:, 3] += 3.0
     gap[1][:, 5] += 9.0
-    found = disagreements(gap, allowed, states, labels, DT)
-    assert [d["coefficient"] for d in found] == ["Cn", "Cl"]
+    result = disagreements(gap, allowed, states, labels, DT)
+    assert [d["coefficient"] for d in result] == ["Cn", "Cl"]

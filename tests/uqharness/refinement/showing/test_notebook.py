@@ -18,7 +18,7 @@ def document(**changes) -> Refinement:
 
 
 def test_verdict_effects_and_residuals_are_shown():
-    shown = refinement_view("Refinement", document())
+    visible = refinement_view("Refinement", document())
     name = "pitching moment due to roll rate squared"
     for text in (
         "effects-found",
@@ -29,14 +29,14 @@ def test_verdict_effects_and_residuals_are_shown():
         "<td>4</td>",
         "<td>1.01</td>",
     ):
-        assert text in shown
-    assert "&lt;slow&gt;" in shown
-    assert "nan" not in shown
-    assert "None" not in shown
+        assert text in visible
+    assert "&lt;slow&gt;" in visible
+    assert "nan" not in visible
+    assert "None" not in visible
 
 
 def test_no_effect_and_no_noise_leave_cells_empty():
-    nothing = document(verdict="no-missing-effect", effects=[], row={"noise_rms": 0.0})
-    shown = refinement_view("Refinement", nothing)
-    assert "Cm_p2" not in shown
-    assert "<td>q_radps</td><td></td><td></td>" in shown
+    empty = document(verdict="no-missing-effect", effects=[], row={"noise_rms": 0.0})
+    visible = refinement_view("Refinement", empty)
+    assert "Cm_p2" not in visible
+    assert "<td>q_radps</td><td></td><td></td>" in visible

@@ -43,7 +43,7 @@ def series(burst: float = 0.0) -> list[Series]:
 
 
 def test_a_burst_is_placed_in_its_flight_channel_time_and_band():
-    place, goes = locate_burst(series(2.0))
+    place, passes = locate_burst(series(2.0))
     assert (place["flight"], place["channel"], place["manoeuvre"]) == ("b", "q_radps", "climb")
     assert place["from_s"] == pytest.approx(112.0, abs=1.0)
     assert place["to_s"] == pytest.approx(115.0, abs=1.0)
@@ -54,26 +54,26 @@ def test_a_burst_is_placed_in_its_flight_channel_time_and_band():
     assert place["reason"] is None
     # One burst while alpha is large is one event: it does not tell alpha from the time of day.
     assert place["state"] is None
-    assert goes is None
+    assert passes is None
 
 
 def test_the_state_that_makes_a_residual_is_told():
-    made = [
+    result = [
         replace(s, white=s.white + 1.5 * (s.states["V_mps"] > 21.0))
         if s.channel == "q_radps"
         else s
         for s in series()
     ]
-    place, goes = locate_burst(made)
+    place, passes = locate_burst(result)
     assert place["channel"] == "q_radps"
     assert place["state"]["state"] == "V_mps"
     assert place["state"]["of"] == "mean"
     assert place["state"]["low"] == pytest.approx(21.0, abs=0.3)
-    assert goes is not None
+    assert passes is not None
 
 
 def test_noise_has_no_interval_and_a_reason():
-    place, goes = locate_burst(series())
+    place, passes = locate_burst(series())
     assert all(
         place[k] is None
         for k in ("flight", "manoeuvre", "from_s", "to_s", "from_Hz", "to_Hz", "share_of_excess")
@@ -81,7 +81,7 @@ def test_noise_has_no_interval_and_a_reason():
     assert "exceeds the noise significantly" in place["reason"]
     assert place["state"] is None
     assert place["state_reason"]
-    assert goes is None
+    assert passes is None
 
 
 def test_rows_that_were_not_measured_move_no_time():
@@ -97,28 +97,28 @@ def test_rows_that_were_not_measured_move_no_time():
     assert place["from_Hz"] < 6.0 < place["to_Hz"] <= RATE / 6.0
 
 
-def whole(**changes):
+def complete_result(**changes):
     """A place with everything in it."""
     place, _ = locate_burst(series(2.0))
-    near = {
+    close = {
         "coefficient": "Cm",
         "term": "alpha^2",
         "name": "pitching moment due to alpha squared",
         "t": -12.0,
         "leaves": 1.05,
     }
-    goes = {"state": "alpha_rad", "low": 0.1, "high": 0.2, "share": 0.4, "of": "size", "p": 1e-4}
+    passes = {"state": "alpha_rad", "low": 0.1, "high": 0.2, "share": 0.4, "of": "size", "p": 1e-4}
     more = {
-        "state": goes,
+        "state": passes,
         "channel_on_train": 1.3,
-        "candidates": [near],
+        "candidates": [close],
         "would_tell": "repeat climb",
     }
     return place | more | changes
 
 
 def test_a_place_is_told_in_three_lines():
-    first, second, third = place_words(ResidualLocation(**whole()))
+    first, second, third = place_words(ResidualLocation(**complete_result()))
     assert "residual of q, training flight b, 11" in first
     assert "4.9 to 7.4 Hz: 1.99 times its noise" in first
     assert first.endswith(
@@ -133,19 +133,20 @@ def test_nothing_left_says_nothing():
 
 
 @pytest.mark.parametrize(
-    "lost", [{"from_s": None}, {"flight": None}, {"would_tell": None}, {"channel_on_train": None}]
+    "is_lost",
+    [{"from_s": None}, {"flight": None}, {"would_tell": None}, {"channel_on_train": None}],
 )
-def test_a_place_that_lacks_a_field_without_a_reason_is_refused(lost):
+def test_a_place_that_lacks_a_field_without_a_reason_is_refused(is_lost):
     with pytest.raises(ValueError, match="needs"):
-        ResidualLocation.model_validate(whole(**lost))
+        ResidualLocation.model_validate(complete_result(**is_lost))
 
 
 def test_the_flight_that_would_tell_excites_the_state_and_tells_the_nearest_apart():
     by_term = {(e.coefficient, e.term): e for e in catalogue()}
     pair = [by_term["Cm", "p_hat^2"], by_term["Cm", "beta^2"]]
-    said = discriminating_manoeuvre("elevator_deg", pair, ("roll doublet", 3.2))
-    assert said.startswith("elevator steps at constant speed")
-    assert "repeat roll doublet, where the channel is at 3.20 times its noise" in said
-    assert "aileron doublets of two sizes" in said
-    assert "steady sideslips" in said
+    output = discriminating_manoeuvre("elevator_deg", pair, ("roll doublet", 3.2))
+    assert output.startswith("elevator steps at constant speed")
+    assert "repeat roll doublet, where the channel is at 3.20 times its noise" in output
+    assert "aileron doublets of two sizes" in output
+    assert "steady sideslips" in output
     assert "elevator" not in discriminating_manoeuvre(None, pair, ("roll doublet", 3.2))

@@ -35,22 +35,22 @@ def test_a_burst_is_found_at_its_time_and_in_its_band(size, seed):
         size * np.sqrt(2.0) * np.sin(2.0 * np.pi * (5.0 * t + t**2 / 4.0)),
         0.0,
     )
-    found = largest_burst(noise(seed) + chirp, RATE)
-    assert found is not None
-    assert found.p < 1e-6
-    assert found.start / RATE == pytest.approx(30.0, abs=0.6)
-    assert found.stop / RATE == pytest.approx(34.0, abs=0.6)
-    assert 3.0 <= found.low_hz <= 5.0
-    assert 7.0 <= found.high_hz <= 9.5
+    result = largest_burst(noise(seed) + chirp, RATE)
+    assert result is not None
+    assert result.p < 1e-6
+    assert result.start / RATE == pytest.approx(30.0, abs=0.6)
+    assert result.stop / RATE == pytest.approx(34.0, abs=0.6)
+    assert 3.0 <= result.low_hz <= 5.0
+    assert 7.0 <= result.high_hz <= 9.5
 
 
 def test_a_slow_drift_is_found_below_the_blocks_frequency():
-    found = largest_burst(noise(4) + np.where(TIME > 60.0, 2.0, 0.0), RATE)
-    assert found is not None
-    assert found.low_hz == 0.0
-    assert found.high_hz < 3.0
-    assert found.start / RATE == pytest.approx(60.0, abs=2.0)
-    assert found.stop == len(TIME)
+    result = largest_burst(noise(4) + np.where(TIME > 60.0, 2.0, 0.0), RATE)
+    assert result is not None
+    assert result.low_hz == 0.0
+    assert result.high_hz < 3.0
+    assert result.start / RATE == pytest.approx(60.0, abs=2.0)
+    assert result.stop == len(TIME)
 
 
 def test_colour_below_the_noise_has_a_band():
@@ -60,17 +60,19 @@ def test_colour_below_the_noise_has_a_band():
     spectrum = np.fft.rfft(noise(5))
     f = np.fft.rfftfreq(len(TIME), 1.0 / RATE)
     e = np.fft.irfft(np.where(f < 2.5, 2.2, 0.75) * spectrum, len(TIME))
-    found = largest_burst(e / np.std(e), RATE)
-    assert found is not None
-    assert found.p < BY_CHANCE
-    assert found.high_hz < 3.5
+    result = largest_burst(e / np.std(e), RATE)
+    assert result is not None
+    assert result.p < BY_CHANCE
+    assert result.high_hz < 3.5
 
 
 @pytest.mark.parametrize("n", [500, pytest.param(4500, marks=pytest.mark.slow)])
 def test_noise_alone_has_no_place(n):
     """Of 150 draws chance may place two at one in a hundred (a binomial's 99 % is five)."""
     ps = [
-        found.p for seed in range(150) if (found := largest_burst(noise(seed, n), RATE)) is not None
+        result.p
+        for seed in range(150)
+        if (result := largest_burst(noise(seed, n), RATE)) is not None
     ]
     assert sum(p < BY_CHANCE for p in ps) <= 5
     assert all(0.0 <= p <= 1.0 for p in ps)
@@ -100,19 +102,19 @@ def states(seed: int, n: int = 3000) -> dict[str, np.ndarray]:
 def test_a_residual_goes_with_the_state_that_makes_it():
     x = states(1)
     mean = np.where(x["alpha_rad"] > 0.6, 2.0, 0.0)
-    found = state_correlate([noise(2, 3000) + mean], [x])
-    assert found is not None
-    assert (found.state, found.of) == ("alpha_rad", "mean")
-    assert found.low == pytest.approx(0.6, abs=0.05)
-    assert found.high == pytest.approx(1.0, abs=0.01)
-    assert found.share == pytest.approx(np.var(mean) / (np.var(mean) + 1.0), abs=0.05)
+    result = state_correlate([noise(2, 3000) + mean], [x])
+    assert result is not None
+    assert (result.state, result.of) == ("alpha_rad", "mean")
+    assert result.low == pytest.approx(0.6, abs=0.05)
+    assert result.high == pytest.approx(1.0, abs=0.01)
+    assert result.share == pytest.approx(np.var(mean) / (np.var(mean) + 1.0), abs=0.05)
 
 
 def test_a_residual_whose_sign_changes_goes_with_a_state_by_its_size():
     x = states(3)
-    found = state_correlate([noise(4, 3000) * np.where(np.abs(x["p_radps"]) > 0.7, 4.0, 1.0)], [x])
-    assert found is not None
-    assert (found.state, found.of) == ("p_radps", "size")
+    result = state_correlate([noise(4, 3000) * np.where(np.abs(x["p_radps"]) > 0.7, 4.0, 1.0)], [x])
+    assert result is not None
+    assert (result.state, result.of) == ("p_radps", "size")
 
 
 def test_noise_goes_with_no_state_white_or_coloured():
@@ -120,7 +122,7 @@ def test_noise_goes_with_no_state_white_or_coloured():
     most draws.
     """
     white = [state_correlate([noise(seed, 3000)], [states(100 + seed)]) for seed in range(60)]
-    assert sum(found is not None for found in white) <= 3
+    assert sum(result is not None for result in white) <= 3
 
     def slow(seed: int) -> np.ndarray:
         return np.convolve(noise(seed, 3149), np.ones(150) / 150.0**0.5, "valid")
@@ -128,16 +130,16 @@ def test_noise_goes_with_no_state_white_or_coloured():
     coloured = [
         state_correlate([slow(seed)], [{"alpha_rad": slow(1000 + seed)}]) for seed in range(60)
     ]
-    assert sum(found is not None for found in coloured) <= 6
+    assert sum(result is not None for result in coloured) <= 6
 
 
 def test_rows_not_measured_are_left_out():
     x = states(5)
     e = noise(6, 3000) + 3.0 * x["alpha_rad"]
     e[::3] = np.nan
-    found = state_correlate([e], [x])
-    assert found is not None
-    assert found.state == "alpha_rad"
+    result = state_correlate([e], [x])
+    assert result is not None
+    assert result.state == "alpha_rad"
 
 
 def test_a_residual_depends_on_what_it_was_made_of():
@@ -151,12 +153,12 @@ def test_a_residual_depends_on_what_it_was_made_of():
         for _ in range(3)
     ]
     white = [rng.standard_normal(600) for _ in x]
-    made = [e + 40.0 * (s["alpha_rad"] - 0.15) for e, s in zip(white, x, strict=True)]
-    (name, share), (other, rest) = dependence(made, x)
+    result = [e + 40.0 * (s["alpha_rad"] - 0.15) for e, s in zip(white, x, strict=True)]
+    (name, share), (other, remainder) = dependence(result, x)
     assert (name, other) == ("alpha_rad", "V_mps")
     slope = 1600.0 * 0.3**2 / 12.0
     assert share == pytest.approx(slope / (slope + 1.0), abs=0.03)
     # Adjusted for its numbers, a curve through noise explains nothing.
-    assert abs(rest) < 0.02
+    assert abs(remainder) < 0.02
     assert all(abs(s) < 0.02 for _, s in dependence(white, x))
     assert dependence([np.zeros(600)], x[:1]) == []

@@ -32,7 +32,7 @@ STATES = (
 )
 
 
-def written(effect, value, slopes=None):
+def write_files(effect, value, slopes=None):
     return EffectToWrite(effect, value, "a remark", slopes or {})
 
 
@@ -67,7 +67,8 @@ def test_a_term_joins_the_authors_sum_and_0_restores_the_model_bit_for_bit(tmp_p
     out = tmp_path / "aircraft" / "espaaro"
     out.parent.mkdir()
     assert (
-        write_effects(aircraft, [written(coefficient_effect("Cm", "p_hat^2"), 3.0)], {}, out) == []
+        write_effects(aircraft, [write_files(coefficient_effect("Cm", "p_hat^2"), 3.0)], {}, out)
+        == []
     )
     text = (out / "espaaro.xml").read_text(encoding="utf-8")
     assert (
@@ -91,7 +92,9 @@ def test_a_term_carried_at_zero_gets_its_number(tmp_path):
     out = tmp_path / "espaaro"
     effect = coefficient_effect("Cl", "de")
     assert (
-        write_effects(aircraft, [written(effect, 3e-4)], {"aero/Cm_q": Estimate(-12.0, "new")}, out)
+        write_effects(
+            aircraft, [write_files(effect, 3e-4)], {"aero/Cm_q": Estimate(-12.0, "new")}, out
+        )
         == []
     )
     fdm = open_aircraft(find_aircraft(out))
@@ -106,7 +109,7 @@ def test_every_kind_of_variable_has_a_form_that_jsbsim_flies(tmp_path, term):
     aircraft = find_aircraft("espaaro")
     out = tmp_path / "espaaro"
     effect = coefficient_effect("CZ", term)
-    write_effects(aircraft, [written(effect, 0.01)], {}, out)
+    write_effects(aircraft, [write_files(effect, 0.01)], {}, out)
     changed = find_aircraft(out)
     after = trajectory(changed, seconds=0.3)
     assert np.isfinite(after).all()
@@ -118,30 +121,30 @@ def test_every_kind_of_variable_has_a_form_that_jsbsim_flies(tmp_path, term):
 
 @pytest.mark.parametrize("term", ["p_hat^2", "alphadot_hat"])
 def test_rates_are_of_this_frames_airspeed_where_the_author_has_no_name_for_them(tmp_path, term):
-    known = find_aircraft("espaaro")
+    reference = find_aircraft("espaaro")
     nameless = tmp_path / "nameless"
-    shutil.copytree(known.folder, nameless)
+    shutil.copytree(reference.folder, nameless)
     text = (nameless / "espaaro.xml").read_text(encoding="utf-8")
     for name in ("p_hat", "q_hat", "r_hat", "b_2V", "c_2V"):
         text = text.replace(f"aero/{name}<", f"aero/own_{name}<").replace(
             f'aero/{name}"', f'aero/own_{name}"'
         )
     (nameless / "espaaro.xml").write_text(text, encoding="utf-8")
-    effect = written(coefficient_effect("Cm", term), 3.0)
+    effect = write_files(coefficient_effect("Cm", term), 3.0)
     states = []
-    for aircraft, folder in ((known, "a"), (find_aircraft(nameless), "b")):
+    for aircraft, folder in ((reference, "a"), (find_aircraft(nameless), "b")):
         out = tmp_path / folder / "espaaro"
         out.parent.mkdir()
         assert write_effects(aircraft, [effect], {}, out) == []
         states.append(trajectory(find_aircraft(out)))
-    assert np.abs(states[0] - trajectory(known)).max() > 1e-3
+    assert np.abs(states[0] - trajectory(reference)).max() > 1e-3
     assert np.allclose(states[0], states[1], rtol=0.0, atol=1e-10)
 
 
 def test_beside_the_axes_it_does_the_same_as_in_the_sum(tmp_path):
     aircraft = find_aircraft("espaaro")
     effect = coefficient_effect("CZ", "q_hat*CT")
-    write_effects(aircraft, [written(effect, -40.0)], {}, tmp_path / "in")
+    write_effects(aircraft, [write_files(effect, -40.0)], {}, tmp_path / "in")
     shutil.copytree(aircraft.folder, tmp_path / "sumless")
     xml = tmp_path / "sumless" / "espaaro.xml"
     # The author's sum has another name, so that it is not known for that of CZ.
@@ -149,27 +152,27 @@ def test_beside_the_axes_it_does_the_same_as_in_the_sum(tmp_path):
         re.sub(r'aero/CZ(?=["<])', "aero/normal", xml.read_text(encoding="utf-8")), encoding="utf-8"
     )
     write_effects(
-        find_aircraft(tmp_path / "sumless"), [written(effect, -40.0)], {}, tmp_path / "beside"
+        find_aircraft(tmp_path / "sumless"), [write_files(effect, -40.0)], {}, tmp_path / "beside"
     )
     assert "aero/effect/" in (tmp_path / "beside" / "espaaro.xml").read_text(encoding="utf-8")
-    inside, beside = (
+    inside, reference = (
         trajectory(find_aircraft(tmp_path / "in")),
         trajectory(find_aircraft(tmp_path / "beside")),
     )
     assert np.abs(inside - trajectory(aircraft)).max() > 1e-4
-    assert np.allclose(inside, beside, atol=1e-10)
+    assert np.allclose(inside, reference, atol=1e-10)
 
 
 def test_subsystems_have_their_places(tmp_path):
     aircraft = find_aircraft("espaaro")
     by_key = {e.key: e for e in subsystem_effects(["aileron"], [], [])}
     chosen = [
-        written(by_key["effect/propulsion/thrust_scale"], -0.1),
-        written(by_key["effect/mass/Ixz"], 0.2),
-        written(by_key["effect/actuator.aileron/lag"], 0.01),
-        written(by_key["effect/propulsion/torque"], 0.02),
-        written(by_key["effect/stall/dynamic"], 1.0, {"CZ_alpha": -3.3}),
-        written(by_key["effect/propulsion/slipstream"], 0.5, {"Cm_de": -0.014}),
+        write_files(by_key["effect/propulsion/thrust_scale"], -0.1),
+        write_files(by_key["effect/mass/Ixz"], 0.2),
+        write_files(by_key["effect/actuator.aileron/lag"], 0.01),
+        write_files(by_key["effect/propulsion/torque"], 0.02),
+        write_files(by_key["effect/stall/dynamic"], 1.0, {"CZ_alpha": -3.3}),
+        write_files(by_key["effect/propulsion/slipstream"], 0.5, {"Cm_de": -0.014}),
     ]
     out = tmp_path / "espaaro"
     write_effects(aircraft, chosen, {}, out)
@@ -206,7 +209,7 @@ def pressed(aircraft, h_m: float, k: float | None = None) -> float:
 def test_the_ground_lifts_by_its_share_and_only_near(tmp_path):
     aircraft = find_aircraft("espaaro")
     effect = {e.key: e for e in subsystem_effects([], [], [])}["effect/ground/lift"]
-    write_effects(aircraft, [written(effect, 0.1)], {}, tmp_path / "espaaro")
+    write_effects(aircraft, [write_files(effect, 0.1)], {}, tmp_path / "espaaro")
     changed = find_aircraft(tmp_path / "espaaro")
     assert pressed(changed, 3.66, 0.0) == pressed(aircraft, 3.66)
     ratio = pressed(changed, 3.66) / pressed(aircraft, 3.66)
@@ -221,7 +224,9 @@ def test_a_rate_limit_counts_from_the_one_the_servo_has(tmp_path):
     effect = {e.key: e for e in subsystem_effects(["aileron"], [], [])}[
         "effect/actuator.aileron/rate_limit"
     ]
-    write_effects(aircraft, [written(effect, 1.0 / 80.0 - 1.0 / 240.0)], {}, tmp_path / "espaaro")
+    write_effects(
+        aircraft, [write_files(effect, 1.0 / 80.0 - 1.0 / 240.0)], {}, tmp_path / "espaaro"
+    )
     text = "".join(p.read_text(encoding="utf-8") for p in (tmp_path / "espaaro").rglob("*.xml"))
     assert (
         '<property value="80">effect/actuator/aileron-rate_limit</property>  <!-- a remark; 240'
@@ -231,14 +236,16 @@ def test_a_rate_limit_counts_from_the_one_the_servo_has(tmp_path):
     # SearchResult once more in the aircraft that has it: one property, the newer number.
     write_effects(
         find_aircraft(tmp_path / "espaaro"),
-        [written(effect, 1.0 / 40.0 - 1.0 / 80.0)],
+        [write_files(effect, 1.0 / 40.0 - 1.0 / 80.0)],
         {},
         tmp_path / "more" / "espaaro",
     )
-    again = (tmp_path / "more" / "espaaro" / "espaaro.xml").read_text(encoding="utf-8")
+    repeat = (tmp_path / "more" / "espaaro" / "espaaro.xml").read_text(encoding="utf-8")
     remarks = "  <!-- a remark; 240 switches it off -->  <!-- a remark; 80 switches it off -->"
-    assert f'<property value="40">effect/actuator/aileron-rate_limit</property>{remarks}\n' in again
-    assert again.count("effect/actuator/aileron-rate_limit</property>") == 1
+    assert (
+        f'<property value="40">effect/actuator/aileron-rate_limit</property>{remarks}\n' in repeat
+    )
+    assert repeat.count("effect/actuator/aileron-rate_limit</property>") == 1
 
 
 @pytest.mark.parametrize(
@@ -251,7 +258,7 @@ def test_a_servos_old_number_in_its_property_restores_the_model_bit_for_bit(
     effect = {e.key: e for e in subsystem_effects(["aileron"], [], [])}[
         f"effect/actuator.aileron/{term}"
     ]
-    write_effects(aircraft, [written(effect, value)], {}, tmp_path / "espaaro")
+    write_effects(aircraft, [write_files(effect, value)], {}, tmp_path / "espaaro")
     changed = find_aircraft(tmp_path / "espaaro")
     assert switch_of(effect, aircraft) == (f"effect/actuator/aileron-{term}", off)
     before = trajectory(aircraft)
@@ -279,7 +286,7 @@ def test_a_commented_actuator_is_none(tmp_path):
     effect = {e.key: e for e in subsystem_effects(["aileron"], [], [])}[
         "effect/actuator.aileron/lag"
     ]
-    write_effects(find_aircraft(source), [written(effect, 0.01)], {}, tmp_path / "espaaro")
+    write_effects(find_aircraft(source), [write_files(effect, 0.01)], {}, tmp_path / "espaaro")
     assert old in (tmp_path / "espaaro" / "espaaro.xml").read_text(encoding="utf-8")
     assert np.isfinite(trajectory(find_aircraft(tmp_path / "espaaro"))).all()
 
@@ -287,15 +294,15 @@ def test_a_commented_actuator_is_none(tmp_path):
 def test_a_centre_of_gravity_that_moves_leaves_the_accelerometers_behind(tmp_path):
     aircraft = find_aircraft("espaaro")
     effect = {e.key: e for e in subsystem_effects([], [], [])}["effect/mass/cg_x"]
-    write_effects(aircraft, [written(effect, 0.05)], {}, tmp_path / "espaaro")
+    write_effects(aircraft, [write_files(effect, 0.05)], {}, tmp_path / "espaaro")
     changed = find_aircraft(tmp_path / "espaaro")
     assert changed.accelerometer_m == (-0.05, 0.0, 0.0)
     assert "<x>-0.05</x>  <!-- a remark -->" in changed.xml.read_text(encoding="utf-8")
-    given, now = (
+    inputs, current = (
         (a.folder / "airframe.toml").read_text(encoding="utf-8").splitlines()
         for a in (aircraft, changed)
     )
-    assert [n for g, n in zip(given, now, strict=True) if g != n] == [
+    assert [n for g, n in zip(inputs, current, strict=True) if g != n] == [
         "position_m = { accelerometer = [-0.05, 0.0, 0.0] } # a remark"
     ]
 
@@ -372,11 +379,11 @@ def test_a_centre_of_gravity_moves_in_the_authors_unit(tmp_path, unit, moved):
     )
     xml.write_text(text, encoding="utf-8")
     aircraft = find_aircraft(folder)
-    here = cg_in(aircraft)
+    local = cg_in(aircraft)
     effect = {e.key: e for e in subsystem_effects([], [], [])}["effect/mass/cg_x"]
-    write_effects(aircraft, [written(effect, 0.0254)], {}, tmp_path / "espaaro")
+    write_effects(aircraft, [write_files(effect, 0.0254)], {}, tmp_path / "espaaro")
     changed = find_aircraft(tmp_path / "espaaro")
-    assert cg_in(changed) == pytest.approx(here - 1.0, abs=1e-5)
+    assert cg_in(changed) == pytest.approx(local - 1.0, abs=1e-5)
     assert (
         f"<x><!-- aft -->{2.0 + moved:.8g}<!-- of the nose --></x>  <!-- a remark -->"
         in changed.xml.read_text(encoding="utf-8")
@@ -405,4 +412,4 @@ def test_a_centre_of_gravity_in_a_unit_that_JSBSim_does_not_know(tmp_path):
         BadInputError,
         match=r"espaaro\.xml:\d+: unit \"CM\" of the centre of gravity; use M, FT or IN",
     ):
-        write_effects(aircraft, [written(effect, 0.0254)], {}, tmp_path / "espaaro")
+        write_effects(aircraft, [write_files(effect, 0.0254)], {}, tmp_path / "espaaro")

@@ -50,9 +50,9 @@ def probed(
     controls[:, CONTROLS.index("throttle")] = THROTTLE_PCT
     controls[:, CONTROLS.index("elevator")] = elevator_deg
     segment = Segment("level", "f", 0.02 * np.arange(N), controls, np.zeros(9), 100.0, 100.0)
-    with ReplayFolder(aircraft, ideal=CONTROLS) as straight:
+    with ReplayFolder(aircraft, ideal=CONTROLS) as level:
         return probe_all(
-            [ProbeJob(straight, segment, x, controls, {}, consistent, np.full(N, 100.0))]
+            [ProbeJob(level, segment, x, controls, {}, consistent, np.full(N, 100.0))]
         )[0]
 
 
@@ -91,9 +91,9 @@ def test_written_into_the_aircraft_it_does_what_the_column_says(nominal: Probe, 
     # A factor on the thrust is something else: at these speeds and throttles it leaves a tenth of
     # it.
     CT = nominal.variables()["CT"][::4]
-    alone = np.column_stack([np.ones_like(CT), CT])
-    left = moved[:, 0] - alone @ np.linalg.lstsq(alone, moved[:, 0], rcond=None)[0]
-    assert np.std(left) > 0.05 * np.std(moved[:, 0])
+    single = np.column_stack([np.ones_like(CT), CT])
+    remaining = moved[:, 0] - single @ np.linalg.lstsq(single, moved[:, 0], rcond=None)[0]
+    assert np.std(remaining) > 0.05 * np.std(moved[:, 0])
 
 
 def test_between_forced_samples_coefficients_jump_with_the_surfaces():
@@ -143,19 +143,19 @@ def test_stall_is_a_share_of_the_lift_slope_beside_it(nominal: Probe):
         for k in ("stall/separation", "Cm/p_hat^2")
     )
     before = fit_of(nominal)
-    found = control_slopes(before)["CZ_alpha"]  # type: ignore[arg-type]
-    assert found == pytest.approx(-3.34, abs=0.01)
-    after = fit_of(nominal, **{"aero/CZ_alpha": 1.3 * found})
+    result = control_slopes(before)["CZ_alpha"]  # type: ignore[arg-type]
+    assert result == pytest.approx(-3.34, abs=0.01)
+    after = fit_of(nominal, **{"aero/CZ_alpha": 1.3 * result})
     (stall, other), slopes = (lambda s, n: (s.chosen, n))(
         *of_lift_slope(Selection(choices), before, after)
     )  # type: ignore
     assert (stall.value, stall.std) == (pytest.approx(1.0), pytest.approx(0.01 / 1.3))
     assert other == choices[1]
-    assert slopes["CZ_alpha"] == pytest.approx(1.3 * found)
-    assert stall.value * slopes["CZ_alpha"] == pytest.approx(1.3 * found)
+    assert slopes["CZ_alpha"] == pytest.approx(1.3 * result)
+    assert stall.value * slopes["CZ_alpha"] == pytest.approx(1.3 * result)
     same, slopes = of_lift_slope(Selection(choices), before, before)  # type: ignore[arg-type]
     assert same.chosen == choices
-    assert slopes["CZ_alpha"] == found
+    assert slopes["CZ_alpha"] == result
 
 
 def test_columns_of_what_flies_are_those_of_the_numbers_written(nominal: Probe):
@@ -167,14 +167,14 @@ def test_columns_of_what_flies_are_those_of_the_numbers_written(nominal: Probe):
     trajectory = SimpleNamespace(outputs=[np.zeros((N, 0))], point=ModelState({}, {}, ()))
     moved = replace(nominal, controls=nominal.controls + 2.0)
     moved.reference.x[:, 1] = 0.25
-    wanted = [by_term["separation"], by_term["slipstream"]]
-    (columns,) = effect_columns(setup, [moved], trajectory, wanted)  # type: ignore[arg-type]
-    _, stall = columns.inputs[wanted[0].key]
-    _, stream = columns.inputs[wanted[1].key]
+    expected = [by_term["separation"], by_term["slipstream"]]
+    (columns,) = effect_columns(setup, [moved], trajectory, expected)  # type: ignore[arg-type]
+    _, stall = columns.inputs[expected[0].key]
+    _, stream = columns.inputs[expected[1].key]
     setup.slopes = {**slopes, "CZ_alpha": -1.5}
-    (half,) = effect_columns(setup, [moved], trajectory, wanted[:1])  # type: ignore[arg-type]
+    (half,) = effect_columns(setup, [moved], trajectory, expected[:1])  # type: ignore[arg-type]
     assert np.abs(stall[:, 2]).min() > 0.1
-    np.testing.assert_allclose(half.inputs[wanted[0].key][1], 0.5 * stall)
+    np.testing.assert_allclose(half.inputs[expected[0].key][1], 0.5 * stall)
     CT = moved.variables()["CT"]
     np.testing.assert_allclose(stream[:, 4], -0.02 * 2.0 * CT)
     np.testing.assert_allclose(stream[:, 5], -0.001 * 2.0 * CT)

@@ -35,7 +35,7 @@ def smooth(state, times=None, size=0.02, coefficient="Cm"):
     )
 
 
-def written(tmp_path, fit):
+def write_files(tmp_path, fit):
     aircraft = find_aircraft(copied(tmp_path))
     write_table(aircraft, fit)
     return aircraft
@@ -59,7 +59,7 @@ def at_state(aircraft, alpha, q=0.0, elevator=0.0):
 @pytest.mark.parametrize("alpha", [-0.3, -0.05, -0.013, 0.05, 0.0801, 0.15, 0.3])
 def test_jsbsim_has_the_curve_and_its_moment(tmp_path, alpha):
     fit = smooth("alpha")
-    aircraft = written(tmp_path, fit)
+    aircraft = write_files(tmp_path, fit)
     fdm, plain = at_state(aircraft, alpha), at_state(find_aircraft("espaaro"), alpha)
     # Held beyond the ends; a table's straight lines miss the curve by 1e-4 of its height.
     expected = float(fit.curve(np.array([alpha]))[0][0])
@@ -71,7 +71,7 @@ def test_jsbsim_has_the_curve_and_its_moment(tmp_path, alpha):
 
 def test_a_state_that_no_property_holds_and_a_second_that_multiplies(tmp_path):
     fit = smooth("V_rel", "de")
-    fdm = at_state(written(tmp_path, fit), 0.02, elevator=3.0)
+    fdm = at_state(write_files(tmp_path, fit), 0.02, elevator=3.0)
     assert property_of_table(fit.term) == "uq/unnamed/Cm_of_V_rel_times_de"
     V, de = fdm["velocities/vt-fps"] * 0.3048 / 22.2, fdm["fcs/elevator-pos-deg"]
     assert de == pytest.approx(3.0)
@@ -82,7 +82,7 @@ def test_a_state_that_no_property_holds_and_a_second_that_multiplies(tmp_path):
 
 
 def test_nobody_takes_it_for_physics(tmp_path):
-    aircraft = written(tmp_path, smooth("alpha"))
+    aircraft = write_files(tmp_path, smooth("alpha"))
     text = aircraft.xml.read_text(encoding="utf-8")
     remark = "No physics: a smooth term of angle of attack in pitching moment"
     assert remark in text
@@ -91,7 +91,7 @@ def test_nobody_takes_it_for_physics(tmp_path):
 
 
 def test_the_batch_engine_flies_the_same_table(tmp_path):
-    folder = written(tmp_path, smooth("alpha", size=0.01)).folder
+    folder = write_files(tmp_path, smooth("alpha", size=0.01)).folder
     assert max(beyond(spec(folder, duration_s=2.0)).values()) < 1.0
     plain = spec(duration_s=2.0)
     assert max(beyond(spec(folder, duration_s=2.0), changed=plain).values()) > 1.0
