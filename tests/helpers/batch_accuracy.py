@@ -24,14 +24,14 @@ def _signed(rng: np.random.Generator, count: int, low: float, high: float) -> np
 
 
 def _angles(rng: np.random.Generator, n: int) -> Points:
-    near = np.round(rng.uniform(-6e5, 6e5, n // 4)) * (np.pi / 2)
+    close = np.round(rng.uniform(-6e5, 6e5, n // 4)) * (np.pi / 2)
     return (
         np.concatenate(
             [
                 rng.uniform(-8, 8, n // 4),
                 rng.uniform(-1e6, 1e6, n // 4),
                 _signed(rng, n - 3 * (n // 4), -60, 19),
-                near,
+                close,
             ]
         ),
     )

@@ -156,8 +156,10 @@ def same_bits(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 def ulps(theirs: np.ndarray, ours: np.ndarray) -> np.ndarray:
     """Difference in units of the last place of theirs; infinite where only one is a number."""
     with np.errstate(all="ignore"):
-        apart = np.abs(ours - theirs) / np.spacing(np.abs(theirs))
-    return np.where(same_bits(theirs, ours), 0.0, np.where(np.isfinite(apart), apart, np.inf))
+        difference = np.abs(ours - theirs) / np.spacing(np.abs(theirs))
+    return np.where(
+        same_bits(theirs, ours), 0.0, np.where(np.isfinite(difference), difference, np.inf)
+    )
 
 
 def main() -> None:
@@ -173,7 +175,7 @@ def main() -> None:
             share = np.mean(same_bits(theirs[name], ours[name])) * 100
             scale = np.nanmax(np.abs(np.where(np.isfinite(theirs[name]), theirs[name], np.nan)))
             with np.errstate(all="ignore"):
-                apart = (
+                difference = (
                     np.nanmax(
                         np.where(np.isfinite(theirs[name]), np.abs(theirs[name] - ours[name]), 0)
                     )
@@ -182,7 +184,7 @@ def main() -> None:
             worst = ulps(theirs[name], ours[name]).max()
             print(
                 f"{title:15s} {name:25s} {share:8.3f} % same bits, at most {worst:.3g} ulp,"
-                f" {apart:.2g} of the largest"
+                f" {difference:.2g} of the largest"
             )
 
 

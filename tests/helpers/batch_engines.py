@@ -165,7 +165,7 @@ def of(number: int, names: tuple[str, ...] | list[str]) -> list[str]:
 
 
 def levers(
-    frames: int, engines: int = 1, seed: int = 0, most: float = 1.0
+    frames: int, engines: int = 1, seed: int = 0, maximum: float = 1.0
 ) -> dict[str, np.ndarray]:
     """Throttle, propeller and feather levers and a wind that step at random."""
     rng = np.random.default_rng(seed)
@@ -176,7 +176,7 @@ def levers(
     out = {}
     for k in range(engines):
         index = f"[{k}]" if k else ""
-        out[f"fcs/throttle-cmd-norm{index}"] = steps(20, -0.1, most)
+        out[f"fcs/throttle-cmd-norm{index}"] = steps(20, -0.1, maximum)
         out[f"fcs/advance-cmd-norm{index}"] = steps(50, 0.0, 1.0)
         out[f"fcs/feather-cmd-norm{index}"] = (steps(100, 0.0, 1.0) > 0.8) * 1.0
     out["atmosphere/wind-north-fps"] = steps(10, -30.0, 30.0)
@@ -209,8 +209,8 @@ class Case:
 
     def theirs(self) -> dict[str, np.ndarray]:
         """What JSBSim has behind its initialising frames and behind each frame."""
-        with self._craft(self.text, self.files, self.events) as made:
-            fdm = made.open()
+        with self._craft(self.text, self.files, self.events) as result:
+            fdm = result.open()
             for name, values in self.inputs.items():
                 fdm[name] = float(values[0])
             return flights.by_jsbsim(fdm, self.inputs, self.records, self.frames)
@@ -224,8 +224,8 @@ class Case:
         """The same by the translation, of other files where they are given."""
         with self._craft(
             text or self.text, files or self.files, self.events if events is None else events
-        ) as made:
-            return flights.by_batch(made, self.inputs, self.records, self.frames)
+        ) as result:
+            return flights.by_batch(result, self.inputs, self.records, self.frames)
 
     def _craft(
         self, text: str, files: Mapping[str, str], events: str
@@ -238,8 +238,8 @@ def refusal(text: str, files: Mapping[str, str], events: str = "") -> str:
     not asked.
     """
     with (
-        flights.craft(text, files=files, events=events) as made,
+        flights.craft(text, files=files, events=events) as result,
         pytest.raises(BadInputError) as error,
     ):
-        read_propulsion(made.sources(), Values(lambda _: 0.0))
+        read_propulsion(result.sources(), Values(lambda _: 0.0))
     return str(error.value)

@@ -118,19 +118,19 @@ def craft(
 
 
 def translated(
-    made: Craft, records: Sequence[str], inputs: Sequence[str] = (), varying: Sequence[str] = ()
+    result: Craft, records: Sequence[str], inputs: Sequence[str] = (), varying: Sequence[str] = ()
 ) -> Flight:
     """The programs; ``inputs`` are fed, ``varying`` differ between lanes. Raises BadInputError."""
-    sources = made.sources()
-    values = Values(initial_values(made.open), is_constant)
+    sources = result.sources()
+    values = Values(initial_values(result.open), is_constant)
     fed = [Stream("inputs", tuple(inputs))] if inputs else []
     return trace_flight(sources, DT_S, values, TraceRequest(varying, fed, records))
 
 
 def refused(text: str, events: str = "", files: Mapping[str, str] | None = None) -> str:
     """What is said of an aircraft that is not supported."""
-    with craft(text, events=events, files=files) as made, pytest.raises(BadInputError) as error:
-        translated(made, [])
+    with craft(text, events=events, files=files) as result, pytest.raises(BadInputError) as error:
+        translated(result, [])
     return str(error.value)
 
 
@@ -185,11 +185,11 @@ def flown(
 
 
 def by_batch(
-    made: Craft, inputs: Series, records: Sequence[str], frames: int
+    result: Craft, inputs: Series, records: Sequence[str], frames: int
 ) -> dict[str, np.ndarray]:
     """The same by the translation."""
-    fdm = made.open()
-    flight = translated(made, records, list(inputs))
+    fdm = result.open()
+    flight = translated(result, records, list(inputs))
     begin = {name: float(values[0]) for name, values in inputs.items()}
     # JSBSim takes the wind of its initial conditions, which may be a rounding of nothing.
     begin |= {
@@ -204,7 +204,7 @@ def by_batch(
         )
         feeds["inputs"] = Feed(table, 0, np.zeros(1, dtype=np.int64))
     if NORMALS in flight.frame.streams:
-        rows = Turbulence(int(made.start.get("atmosphere/randomseed", 0))).rows(max(frames, 1))
+        rows = Turbulence(int(result.start.get("atmosphere/randomseed", 0))).rows(max(frames, 1))
         feeds[NORMALS.name] = Feed(rows.array, 0, np.zeros(1, dtype=np.int64))
     before = {
         name: values[name][0] if name in values else flight.frame.slots[name]
@@ -222,12 +222,12 @@ def apart(theirs: Series, ours: Series, floor: float = 1e-3) -> dict[str, float]
     one side is infinite.
     """
     out = {}
-    for name, there in theirs.items():
-        here = ours[name]
-        same = (there == here) | (np.isnan(there) & np.isnan(here))
+    for name, present in theirs.items():
+        local = ours[name]
+        same = (present == local) | (np.isnan(present) & np.isnan(local))
         with np.errstate(invalid="ignore"):
-            gap = np.where(same, 0.0, np.abs(there - here))
-        finite = np.abs(there[np.isfinite(there)])
+            gap = np.where(same, 0.0, np.abs(present - local))
+        finite = np.abs(present[np.isfinite(present)])
         out[name] = float(
             np.max(np.where(np.isnan(gap), np.inf, gap))
             / max(floor, finite.max() if finite.size else 0.0)
@@ -251,19 +251,19 @@ def compared(
     ``changed``: what is translated instead, for a negative control.
     """
     inputs = inputs or {}
-    with craft(text, start, events) as made:
-        fdm = made.open()
+    with craft(text, start, events) as result:
+        fdm = result.open()
         for name, values in inputs.items():
             fdm[name] = float(values[0])
         theirs = by_jsbsim(fdm, inputs, records, frames)
         if changed is None and changed_events is None:
-            return apart(theirs, by_batch(made, inputs, records, frames), floor)
+            return apart(theirs, by_batch(result, inputs, records, frames), floor)
     with craft(
         changed or text, start, events if changed_events is None else changed_events
-    ) as made:
-        return apart(theirs, by_batch(made, inputs, records, frames), floor)
+    ) as result:
+        return apart(theirs, by_batch(result, inputs, records, frames), floor)
 
 
-def worst(found: Mapping[str, float]) -> float:
+def worst(result: Mapping[str, float]) -> float:
     """The largest of the differences."""
-    return max(found.values())
+    return max(result.values())

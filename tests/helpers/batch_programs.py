@@ -29,7 +29,7 @@ def mixed(seed: int = 0, sections: int = 6, operations: int = 40) -> Program:
         When(at=5),
         When(at=7, mask="switch"),
     ]
-    made = [_clock()]
+    result = [_clock()]
     readable = [*names, "constant a", "constant b", "w0", "w1", "n0"]
     for number in range(sections):
         b = Builder()
@@ -44,12 +44,12 @@ def mixed(seed: int = 0, sections: int = 6, operations: int = 40) -> Program:
         for name in rng.choice(names, 8, replace=False):
             value = pool[int(rng.integers(len(pool) // 2, len(pool)))]
             b.store(str(name), bounded(value) * 0.5 + b.load(str(name)) * 0.25)
-        made.append(Section(f"part {number}", b.finish({}), whens[number % len(whens)]))
+        result.append(Section(f"part {number}", b.finish({}), whens[number % len(whens)]))
     streams = (
         Stream("wind", ("w0", "w1"), every=2),
         Stream("noise", ("n0",), every=3, counter="count"),
     )
-    return Program(tuple(made), slots, streams, (*names[:6], "frame", "n0", "w1"))
+    return Program(tuple(result), slots, streams, (*names[:6], "frame", "n0", "w1"))
 
 
 def _clock() -> Section:

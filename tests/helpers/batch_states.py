@@ -180,8 +180,8 @@ def one_frame(
     text, start = aircraft(BODY), {**START, **start}
     scale = np.array([5.0, 5.0, 20.0, 3.0, 3.0, 3.0, 30.0, 30.0, 10.0])
     rows = rng.normal(size=(_BACK + 2, len(INPUTS))) * scale
-    with craft(text, start) as made:
-        fdm = made.open()
+    with craft(text, start) as result:
+        fdm = result.open()
         engine.run_ic(fdm)
         nodes = [engine.handle(fdm, name) for name in INPUTS]
         history = []
@@ -190,7 +190,7 @@ def one_frame(
                 node.set_double_value(float(value))
             fdm.run()
             history.append(derivatives(fdm))
-        held = {
+        constant = {
             f"#{name}": [v]
             for part, values in state(fdm).items()
             for name, v in zip(slots(part), values, strict=True)
@@ -198,26 +198,30 @@ def one_frame(
         for part in WEIGHTS_PARTS:
             for back in range(4):
                 values = history[-1 - back][part]
-                held |= {f"#{name}": [v] for name, v in zip(slots(part, back), values, strict=True)}
-        held["#earth/angle"] = [fdm["position/epa-rad"]]
-        carried = {
+                constant |= {
+                    f"#{name}": [v] for name, v in zip(slots(part, back), values, strict=True)
+                }
+        constant["#earth/angle"] = [fdm["position/epa-rad"]]
+        transported = {
             name: fdm[name]
             for name in RECORDS
             if name.startswith(("accelerations/", "velocities/", "aero/"))
         }
         total = _row(fdm, [f"forces/fb{a}-total-lbs" for a in "xyz"]) / fdm["inertia/mass-slugs"]
-        held |= {f"#body-acceleration/{k}": [value] for k, value in enumerate(total)}
+        constant |= {f"#body-acceleration/{k}": [value] for k, value in enumerate(total)}
         for node, value in zip(nodes, rows[-1], strict=True):
             node.set_double_value(float(value))
         fdm.run()
         theirs = {name: np.array([fdm[name]]) for name in RECORDS}
-    with craft(changed or text, start) as made:
-        flight = translated(made, RECORDS, INPUTS)
+    with craft(changed or text, start) as result:
+        flight = translated(result, RECORDS, INPUTS)
         values = {
-            name: np.array(value) for name, value in held.items() if name in flight.frame.slots
+            name: np.array(value) for name, value in constant.items() if name in flight.frame.slots
         }
         values |= {
-            name: np.array([value]) for name, value in carried.items() if name in flight.frame.slots
+            name: np.array([value])
+            for name, value in transported.items()
+            if name in flight.frame.slots
         }
         fed = np.where(
             np.array([late_wind and name.startswith("atmosphere/") for name in INPUTS]),

@@ -61,30 +61,30 @@ def flown_by_both(aircraft: Aircraft, parts: Sequence[System], frames: int, seed
     """Written properties from the last initialising frame on, with commands that change every 20
     frames.
     """
-    fdm = _started(staged(aircraft))
+    fdm = _start_flight(staged(aircraft))
     manager = fdm.get_property_manager()
     systems = Systems(parts, DT_S, fdm.get_propulsion().get_num_engines())
     reading = _Reading(fdm)
     systems.trace(reading)
-    given = sorted(
+    inputs = sorted(
         n for n in reading.asked - reading.writes if n != CHANNEL_STEP and manager.hasNode(n)
     )
-    made = sorted(n for n in reading.writes if manager.hasNode(n))
+    result = sorted(n for n in reading.writes if manager.hasNode(n))
     values = values_of(fdm)
-    traced = [Frame(step, values, reading.writes | set(given)) for step in (0.0, 0.0, DT_S)]
+    traced = [Frame(step, values, reading.writes | set(inputs)) for step in (0.0, 0.0, DT_S)]
     for number, frame in enumerate(traced):
         systems.trace(frame, first=number == 0)
-    for name in made:
+    for name in result:
         values.setdefault(name)
-    theirs = _by_jsbsim(aircraft, given, made, frames, seed)
-    ours = _by_translation(traced, given, made, theirs)
+    theirs = _by_jsbsim(aircraft, inputs, result, frames, seed)
+    ours = _by_translation(traced, inputs, result, theirs)
     return Pair(
-        dict(zip(made, theirs.outputs.T.copy(), strict=True)),
-        dict(zip(made, ours.T.copy(), strict=True)),
+        dict(zip(result, theirs.outputs.T.copy(), strict=True)),
+        dict(zip(result, ours.T.copy(), strict=True)),
     )
 
 
-def _started(staging: Staging) -> Any:
+def _start_flight(staging: Staging) -> Any:
     fdm = engine.open_fdm(staging, DT_S)
     for name, value in _START.items():
         fdm[name] = value
@@ -92,13 +92,13 @@ def _started(staging: Staging) -> Any:
 
 
 def _by_jsbsim(
-    aircraft: Aircraft, given: list[str], made: list[str], frames: int, seed: int
+    aircraft: Aircraft, arguments: list[str], result: list[str], frames: int, seed: int
 ) -> _Flown:
     copies = "".join(
         "<fcs_function"
         f' name="probe/now-{k}"><function><p>{name}</p></function></fcs_function><actuator'
         f' name="probe/before-{k}"><input>{name}</input><delay type="frames">2</delay></actuator>'
-        for k, name in enumerate(given)
+        for k, name in enumerate(arguments)
     )
     with scratch_folder("probe") as scratch:
         staging = copy_staging(staged(aircraft), Path(scratch.path) / "root")
@@ -106,17 +106,17 @@ def _by_jsbsim(
         begin = parse_document(staging.xml, raw).root.open_end
         probe = f'<system name="probe"><channel name="probe">{copies}</channel></system>'
         staging.xml.write_bytes(raw[:begin] + probe.encode() + raw[begin:])
-        fdm = _started(staging)
+        fdm = _start_flight(staging)
     engine.run_ic(fdm)
     manager = fdm.get_property_manager()
-    commands = [name for name in COMMANDS if manager.hasNode(name) and name not in made]
-    now, before = (
-        [engine.handle(fdm, f"probe/{when}-{k}") for k in range(len(given))]
+    commands = [name for name in COMMANDS if manager.hasNode(name) and name not in result]
+    current, before = (
+        [engine.handle(fdm, f"probe/{when}-{k}") for k in range(len(arguments))]
         for when in ("now", "before")
     )
-    out = [engine.handle(fdm, name) for name in made]
+    out = [engine.handle(fdm, name) for name in result]
     rng = np.random.default_rng(seed)
-    inputs, outputs = np.empty((frames + 1, len(given))), np.empty((frames + 1, len(made)))
+    inputs, outputs = np.empty((frames + 1, len(arguments))), np.empty((frames + 1, len(result)))
     first = np.array([node.get_double_value() for node in before])
     for frame in range(frames + 1):
         if frame % 20 == 1:
@@ -124,27 +124,29 @@ def _by_jsbsim(
                 fdm[name] = float(rng.random())
         if frame:
             fdm.run()
-        inputs[frame] = [node.get_double_value() for node in now]
+        inputs[frame] = [node.get_double_value() for node in current]
         outputs[frame] = [node.get_double_value() for node in out]
     return _Flown(first, inputs, outputs)
 
 
 def _by_translation(
-    traced: Sequence[Frame], given: list[str], made: list[str], theirs: _Flown
+    traced: Sequence[Frame], inputs: list[str], result: list[str], theirs: _Flown
 ) -> np.ndarray:
     state: dict[str, float] = {}
     for frame, row in zip(traced[:2], (theirs.first, theirs.inputs[0]), strict=True):
-        state.update(zip(given, row.tolist(), strict=True))
+        state.update(zip(inputs, row.tolist(), strict=True))
         state.update(flown_once(frame.program(()), state))
     flyer = flyer_of(
-        traced[2].program(made, [Stream("given", tuple(given))]), len(theirs.inputs) - 1
+        traced[2].program(result, [Stream("given", tuple(inputs))]), len(theirs.inputs) - 1
     )
-    held = initial_state(
+    constant = initial_state(
         flyer.program,
         1,
         {name: value for name, value in state.items() if name in flyer.program.slots},
     )
     table = np.ascontiguousarray(theirs.inputs[1:])
-    records = flyer.fly(held, 1, len(table), {"given": Feed(table, 0, np.zeros(1, dtype=np.int64))})
-    begin = [state.get(name, traced[2].values[name]) for name in made]
+    records = flyer.fly(
+        constant, 1, len(table), {"given": Feed(table, 0, np.zeros(1, dtype=np.int64))}
+    )
+    begin = [state.get(name, traced[2].values[name]) for name in result]
     return np.vstack([begin, records[:, 0].T])

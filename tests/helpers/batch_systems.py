@@ -56,11 +56,15 @@ class Pair:
         worst = 0.0
         for name, theirs in self.theirs.items():
             ours = self.ours[name]
-            bad = ~same_bits(theirs, ours) & ~((np.abs(theirs) < 1e-300) & (np.abs(ours) < 1e-300))
-            if bad.any():
+            invalid = ~same_bits(theirs, ours) & ~(
+                (np.abs(theirs) < 1e-300) & (np.abs(ours) < 1e-300)
+            )
+            if invalid.any():
                 worst = max(
                     worst,
-                    float(np.max(np.abs(theirs - ours)[bad] / np.spacing(np.abs(theirs[bad])))),
+                    float(
+                        np.max(np.abs(theirs - ours)[invalid] / np.spacing(np.abs(theirs[invalid])))
+                    ),
                 )
         return worst
 
@@ -117,29 +121,29 @@ def run(
     state: dict[str, float] = {name: float(table[0, k]) for k, name in enumerate(inputs)} | {
         STEP: DT_S
     }
-    taken = 0
+    selected = 0
     for frame in frames[:2]:
         for name, _ in frame.draws:
             assert draws is not None
-            state[name] = float(draws[taken])
-            taken += 1
+            state[name] = float(draws[selected])
+            selected += 1
         state.update(flown_once(frame.program(()), state))
     flight = frames[2]
     feeds = {"inputs": Feed(table, 0, np.zeros(1, dtype=np.int64))}
     if flight.draws:
         assert draws is not None
-        columns, series = _draw_rows(flight, draws[taken:], rows - 1)
+        columns, series = _draw_rows(flight, draws[selected:], rows - 1)
         streams.append(Stream("draws", columns))
         feeds["draws"] = Feed(series, 0, np.zeros(1, dtype=np.int64))
     begin = {name: state.get(name, flight.values[name]) for name in records}
     feeds["inputs"] = Feed(np.ascontiguousarray(table[1:]), 0, np.zeros(1, dtype=np.int64))
     flyer = flyer_of(flight.program(records, streams), rows - 1)
-    held = initial_state(
+    constant = initial_state(
         flyer.program, 1, {k: v for k, v in state.items() if k in flyer.program.slots}
     )
-    made = flyer.fly(held, 1, rows - 1, feeds)
+    result = flyer.fly(constant, 1, rows - 1, feeds)
     return {
-        name: np.concatenate([[begin[name]], made[k, 0]])
+        name: np.concatenate([[begin[name]], result[k, 0]])
         for k, name in enumerate(flyer.program.records)
     }
 
@@ -147,22 +151,22 @@ def run(
 def flown_once(program: Program, state: Mapping[str, float]) -> dict[str, float]:
     """The state of one lane after one frame."""
     flyer = Interpreter(program)
-    held = initial_state(
+    constant = initial_state(
         flyer.program, 1, {k: v for k, v in state.items() if k in flyer.program.slots}
     )
-    flyer.fly(held, 1, 1)
-    return {name: float(slot(flyer.program, held, name, 1)[0]) for name in flyer.program.slots}
+    flyer.fly(constant, 1, 1)
+    return {name: float(slot(flyer.program, constant, name, 1)[0]) for name in flyer.program.slots}
 
 
 def _draw_rows(frame: Frame, draws: np.ndarray, frames: int) -> tuple[tuple[str, ...], np.ndarray]:
     """Draws in the order of frames and, in a frame, of their places."""
     series = np.zeros((frames, len(frame.draws)))
-    taken = 0
+    selected = 0
     for k in range(1, frames + 1):
         for column, (_, every) in enumerate(frame.draws):
             if k % every == 0:
-                series[k - 1, column] = draws[taken]
-                taken += 1
+                series[k - 1, column] = draws[selected]
+                selected += 1
     return tuple(name for name, _ in frame.draws), series
 
 
@@ -178,7 +182,9 @@ def judged(body: str, inputs: Series, engines: int = 0) -> tuple[dict[str, int],
     1e-12 of themselves.
     """
     plain = body.replace("@", "")
-    moved = re.sub(r"@([-+.\d]+)", lambda found: repr(float(found.group(1)) * (1.0 + 1e-12)), body)
+    moved = re.sub(
+        r"@([-+.\d]+)", lambda result: repr(float(result.group(1)) * (1.0 + 1e-12)), body
+    )
     assert moved != plain
     same, control = _pairs(plain, inputs, [plain, moved], None, engines)
     return same.apart(), control.apart()
@@ -227,7 +233,7 @@ def _pairs(
     for name in records:
         values.setdefault(name)
     theirs = by_jsbsim(fdm, inputs, records)
-    return [Pair(theirs, run(made, inputs, records, draws)) for made in frames]
+    return [Pair(theirs, run(result, inputs, records, draws)) for result in frames]
 
 
 def by_jsbsim(fdm: Any, inputs: Series, records: Sequence[str]) -> dict[str, np.ndarray]:

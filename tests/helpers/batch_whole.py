@@ -54,20 +54,20 @@ def spec(
     **changes: Any,
 ) -> FlightSpec:
     """A flight of one of the project's aircraft."""
-    given = {"seed_turbulence": 6, "seed_noise": 5, **changes}
-    return FlightSpec(find_aircraft(aircraft).folder, find_script(script), duration_s, **given)
+    inputs = {"seed_turbulence": 6, "seed_noise": 5, **changes}
+    return FlightSpec(find_aircraft(aircraft).folder, find_script(script), duration_s, **inputs)
 
 
 def beyond(
-    given: FlightSpec, until_s: float = np.inf, changed: FlightSpec | None = None
+    inputs: FlightSpec, until_s: float = np.inf, changed: FlightSpec | None = None
 ) -> dict[str, float]:
     """Signal to its largest difference over what is allowed, up to ``until_s``: above 1 the engines
     differ.
 
     Allowed is what rounding makes of the flight in JSBSim. ``changed`` is what the batch engine
     flies, for a negative control."""
-    theirs, near = fly(given), fly_one_ulp_off(given)
-    (ours,) = fly_many([changed or given])
+    theirs, close = fly(inputs), fly_one_ulp_off(inputs)
+    (ours,) = fly_many([changed or inputs])
     assert same_end(theirs, ours), (theirs.status, theirs.flown_s, ours.status, ours.flown_s)
     out = {}
     rows = theirs.signals["time_s"] <= until_s
@@ -75,11 +75,11 @@ def beyond(
     for name, values in theirs.signals.items():
         a, b, c = (
             np.asarray(each)[rows]
-            for each in (values, ours.signals[name], near.signals[name][: len(values)])
+            for each in (values, ours.signals[name], close.signals[name][: len(values)])
         )
         assert a.shape == b.shape == c.shape
-        least = LENGTH_M if any(word in name for word in _LENGTHS) else 1e-300
-        allowed = max(LEAST * float(np.abs(a).max()), TIMES * float(np.abs(a - c).max()), least)
+        minimum = LENGTH_M if any(word in name for word in _LENGTHS) else 1e-300
+        allowed = max(LEAST * float(np.abs(a).max()), TIMES * float(np.abs(a - c).max()), minimum)
         out[name] = float(np.abs(a - b).max()) / allowed
     return out
 

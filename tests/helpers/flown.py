@@ -48,10 +48,10 @@ def _trim(
         x[6], x[7], x[11] = phi, alpha, -h
         return x, np.array([de, da, dr, throttle])
 
-    found = least_squares(
+    result = least_squares(
         lambda z: derivative(airframe, *state(z))[:6], [0.02, 0.0, 0.0, 0.0, 0.0, 60.0]
     )
-    return state(found.x)
+    return state(result.x)
 
 
 def doublet(t: FloatArray, at: float, width: float, size: float) -> FloatArray:
@@ -114,7 +114,7 @@ def fly(
         between = 0.5 * (surface + np.vstack([surface[1:], surface[-1:]]))
         x = simulate(airframe, x0, between, fine, rhs)[:-1]
         stride = round(dt / fine)
-        felt = np.array(
+        sensed = np.array(
             [
                 _specific_force(airframe, s, u, rhs)
                 for s, u in zip(x[::stride], surface[::stride], strict=True)
@@ -123,14 +123,14 @@ def fly(
         parts.append(
             _columns(
                 x[::stride],
-                felt,
+                sensed,
                 command[::stride],
                 surface[::stride],
                 dt,
                 number * (seconds + 1.0),
             )
         )
-        parts[-1]["manoeuvre"] = np.full(len(felt), kind, dtype=object)
+        parts[-1]["manoeuvre"] = np.full(len(sensed), kind, dtype=object)
     columns = {name: np.concatenate([p[name] for p in parts]) for name in parts[0]}
     if not positions:
         columns = {name: v for name, v in columns.items() if "_pos_" not in name}
@@ -152,7 +152,7 @@ def _specific_force(airframe: Airframe, x: FloatArray, u: FloatArray, rhs) -> Fl
 
 def _columns(
     x: FloatArray,
-    felt: FloatArray,
+    sensed: FloatArray,
     command: FloatArray,
     surface: FloatArray,
     dt: float,
@@ -170,9 +170,9 @@ def _columns(
         "p_radps": x[:, 3],
         "q_radps": x[:, 4],
         "r_radps": x[:, 5],
-        "ax_mps2": felt[:, 0],
-        "ay_mps2": felt[:, 1],
-        "az_mps2": felt[:, 2],
+        "ax_mps2": sensed[:, 0],
+        "ay_mps2": sensed[:, 1],
+        "az_mps2": sensed[:, 2],
         "h_m": -x[:, 11],
         "elevator_deg": command[:, 0],
         "aileron_deg": command[:, 1],

@@ -349,7 +349,7 @@ def found(
     """
     room = np.zeros((4, STACK))
     out = np.empty((FOUND, x.shape[1]))
-    specific, surfaces, air, one = np.empty(12), np.empty(4), np.empty(6), np.empty(FOUND)
+    body, surfaces, air, one = np.empty(12), np.empty(4), np.empty(6), np.empty(FOUND)
     for lane in range(x.shape[1]):
         body[:], surfaces[:], air[:] = x[:, lane], s[:, lane], gust[:, lane]
         _found(M[lane], lane, terms, body, surfaces, air, t_s[lane], room, one)

@@ -152,8 +152,8 @@ def main() -> None:
                     folder = Path(text)
                     model = write_model(name, folder, seed)
                     for vanes in request.vanes:
-                        flown = with_vanes(record, vanes)
-                        result, cpu_s = estimate(name, flown, model, folder)
+                        flight = with_vanes(record, vanes)
+                        result, cpu_s = estimate(name, flight, model, folder)
                         rows[vanes] += derivatives(name, result)
                         air[vanes] += air_data_inside(result, vanes)
                         seconds += cpu_s

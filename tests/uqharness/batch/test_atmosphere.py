@@ -74,9 +74,9 @@ def test_pressure_is_that_of_the_1976_tables(height_km, pressure_Pa):
     """
     geometric_ft = 6356.766 * height_km / (6356.766 - height_km) * 1000.0 / FT_M
     start = {**START, "ic/lat-geod-rad": 0.0, "ic/h-sl-ft": geometric_ft, "ic/u-fps": 0.0}
-    with craft(aircraft(BODY), start) as made:
-        found = by_batch(made, {}, RECORDS, 1)["atmosphere/P-psf"]
-    assert found[0] / 2116.228 == pytest.approx(pressure_Pa / 101325.0, rel=5e-5)
+    with craft(aircraft(BODY), start) as output:
+        result = by_batch(output, {}, RECORDS, 1)["atmosphere/P-psf"]
+    assert result[0] / 2116.228 == pytest.approx(pressure_Pa / 101325.0, rel=5e-5)
 
 
 RECORDS_AIR_DATA = (

@@ -78,16 +78,16 @@ DRIVEN = {
     ],
 )
 def test_auxiliary_properties_are_jsbsims(start):
-    found = compared(
+    result = compared(
         aircraft(BODY), (*RECORDS, "s/north", "s/alpha"), DRIVEN, 30, {**START, **start}, floor=0.1
     )
     # A place is a difference of lengths of 2e7 ft.
     places = {
-        name: found.pop(name)
+        name: result.pop(name)
         for name in (*RECORDS, "s/north")
-        if name in found and ("neu" in name or name == "s/north")
+        if name in result and ("neu" in name or name == "s/north")
     }
-    assert worst(found) < 1e-10
+    assert worst(result) < 1e-10
     assert worst(places) < 3e-8
 
 
@@ -168,8 +168,8 @@ def test_systems_may_set_gear_positions_and_friction() -> None:
 <output>ground/snow-possible</output><output>contact/unit[1]/x-position</output></summer>
 </channel></system>"""
     # Authors name properties of their own as JSBSim names its.
-    written = ["pos-norm", "static_friction_coeff", "broken"]
-    records = [*(f"gear/unit/{name}" for name in written), "ground/snow-possible"]
+    text = ["pos-norm", "static_friction_coeff", "broken"]
+    records = [*(f"gear/unit/{name}" for name in text), "ground/snow-possible"]
     records += ["contact/unit[1]/x-position", "velocities/u-fps"]
     assert flights.worst(flights.compared(ground_aircraft(system), records, frames=20)) < 1e-9
 
@@ -187,10 +187,10 @@ def test_a_changed_integrator_ends_the_flight() -> None:
     system = """<system name='s'><channel><switch name='i/freeze'><default
  value='simulation/integrator/rate/rotational'/><test value='0'>simulation/sim-time-sec gt .1</test>
 <output>simulation/integrator/rate/rotational</output></switch></channel></system>"""
-    with flights.craft(ground_aircraft(system)) as made:
-        found = flights.by_batch(made, {}, ["#beyond"], 20)["#beyond"]
-    assert not found[:10].any()
-    assert found[13:].all()
+    with flights.craft(ground_aircraft(system)) as output:
+        result = flights.by_batch(output, {}, ["#beyond"], 20)["#beyond"]
+    assert not result[:10].any()
+    assert result[13:].all()
 
 
 POINTS = {
@@ -216,7 +216,7 @@ GROUND_GROUND = (
 
 def contact(start, steps=120, system=""):
     """Step and number of the first contact by JSBSim, and time and number by the translation."""
-    given = {
+    inputs = {
         **START,
         "ic/h-sl-ft": 12.0,
         "ic/u-fps": 0.0,
@@ -225,16 +225,16 @@ def contact(start, steps=120, system=""):
         "ic/q-rad_sec": 0.0,
         **start,
     }
-    with craft(aircraft(f"{system}<aerodynamics/>", ground=GROUND_GROUND), given) as made:
-        fdm, sources = made.open(), made.sources()
-        points = contact_points(fdm, find_aircraft(made.root / "aircraft" / "point"))
+    with craft(aircraft(f"{system}<aerodynamics/>", ground=GROUND_GROUND), inputs) as result:
+        fdm, sources = result.open(), result.sources()
+        points = contact_points(fdm, find_aircraft(result.root / "aircraft" / "point"))
         conditions = {name: float(fdm[name]) for name in CONDITIONS}
-        values = Values(initial_values(made.open), is_constant)
+        values = Values(initial_values(result.open), is_constant)
         flight = trace_flight(sources, DT_S, values, TraceRequest((), [], [TOUCHED, POINT], points))
         engine.run_ic(fdm)
-        there = fdm.get_property_manager().hasNode
+        present = fdm.get_property_manager().hasNode
         units = [[f"gear/unit[{k}]/WOW", f"contact/unit[{k}]/WOW"] for k in range(len(POINTS))]
-        wow = [engine.handle(fdm, next(name for name in names if there(name))) for names in units]
+        wow = [engine.handle(fdm, next(name for name in names if present(name))) for names in units]
         first = None
         for step in range(1, steps + 1):
             fdm.run()

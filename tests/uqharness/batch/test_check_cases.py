@@ -89,7 +89,7 @@ ALLOWED = (3e-4, 1e-5, 1e-9, 1e-6, 1e-6, 1e-9, 3e-4, 1e-8, 2e-3, 1e-8, 1e-2, 1e-
 """JSBSim's standard day has 2116.228 psf at sea level, the memorandum's 2116.217."""
 
 
-def flown(monkeypatch, case):
+def simulate(monkeypatch, case):
     """Records every 0.1 s (rows, RECORDS) of 30 s."""
     monkeypatch.setattr(batch_flights, "DT_S", DT_S)
     rates = (0.0, 0.0, 0.0) if case == "sphere" else (10.0, 20.0, 30.0)
@@ -108,9 +108,9 @@ def flown(monkeypatch, case):
         **{f"ic/{a}-rad_sec": float(r) for a, r in zip("pqr", relative, strict=True)},
         **SECOND_ORDER,
     }
-    with craft(aircraft(body, METRICS, mass), start) as made:
-        fdm = made.open()
-        flight = translated(made, RECORDS)
+    with craft(aircraft(body, METRICS, mass), start) as result:
+        fdm = result.open()
+        flight = translated(result, RECORDS)
         values = started(flight, {name: float(fdm[name]) for name in CONDITIONS})
     flyer = compile_program(flight.frame, choose_target())
     state = initial_state(
@@ -125,24 +125,24 @@ def figures(text):
     return np.array(text.split(), dtype=float)
 
 
-def misses(found, case):
+def misses(result, case):
     """By how much more than allowed a figure is missed, the worst."""
     out = []
-    for time_s, wanted in FALL.items():
+    for time_s, expected in FALL.items():
         out += [
             abs(a - b) / c
             for a, b, c in zip(
-                found[round(time_s * 10) - 1, :14], figures(wanted), ALLOWED, strict=True
+                result[round(time_s * 10) - 1, :14], figures(expected), ALLOWED, strict=True
             )
         ]
     for time_s, text in TUMBLE[case].items():
-        wanted = figures(text)
-        row = found[round(time_s * 10) - 1, 14:]
-        angles = (row[:3] - wanted[:3] + 180.0) % 360.0 - 180.0
-        out += [*np.abs(angles) / 1.5e-3, *np.abs(np.degrees(row[3:]) - wanted[3:]) / 1e-4]
+        expected = figures(text)
+        row = result[round(time_s * 10) - 1, 14:]
+        angles = (row[:3] - expected[:3] + 180.0) % 360.0 - 180.0
+        out += [*np.abs(angles) / 1.5e-3, *np.abs(np.degrees(row[3:]) - expected[3:]) / 1e-4]
     return max(out)
 
 
 @pytest.mark.parametrize("case", TUMBLE)
 def test_nasa_check_cases_have_the_published_figures(monkeypatch, case):
-    assert misses(flown(monkeypatch, case), case) < 1.0
+    assert misses(simulate(monkeypatch, case), case) < 1.0

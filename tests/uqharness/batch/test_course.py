@@ -42,7 +42,7 @@ def moving(tmp_path_factory):
         one,
         replace(one, seed_noise=8, seed_turbulence=9, transient=replace(TRANSIENT, aleatory_id=5)),
     ]
-    return flown(specs)
+    return simulate(specs)
 
 
 @pytest.fixture(scope="module")
@@ -55,18 +55,18 @@ def own_turbulence():
         turbulence_source="jsbsim",
         sensor_noise=True,
     )
-    return flown([one, replace(one, seed_noise=8, seed_turbulence=9)])
+    return simulate([one, replace(one, seed_noise=8, seed_turbulence=9)])
 
 
-def flown(specs):
-    made = compiled_mission(specs[0])
-    whole = Course.start(made, specs)
-    whole.fly()
-    return made, specs, whole.recorded()
+def simulate(specs):
+    result = compiled_mission(specs[0])
+    complete = Course.start(result, specs)
+    complete.fly()
+    return result, specs, complete.recorded()
 
 
-def begun(made, specs, frame):
-    course = Course.start(made, specs)
+def begin(result, specs, frame):
+    course = Course.start(result, specs)
     course.fly(frame)
     return course
 
@@ -83,26 +83,26 @@ def same(one, other):
     ) and (rows_of(one).tobytes() == rows_of(other).tobytes())
 
 
-@pytest.mark.parametrize("which", few(["moving", "own_turbulence"], 1))
-def test_a_flight_that_was_held_goes_on_with_the_same_bytes(which, request):
-    made, specs, whole = request.getfixturevalue(which)
+@pytest.mark.parametrize("index", few(["moving", "own_turbulence"], 1))
+def test_a_flight_that_was_held_goes_on_with_the_same_bytes(index, request):
+    result, specs, complete = request.getfixturevalue(index)
     for frames in ((10,), (790, 1270), (1600,)):
-        course = Course.start(made, specs)
+        course = Course.start(result, specs)
         for frame in frames:
             course.fly(frame)
             # In another order, and one of them twice: lanes do not know of each other.
             first, second = course.snapshots()
-            course = Course(made, [second, first, second])
+            course = Course(result, [second, first, second])
             course.fly(frame)
-            course = Course(made, [course.snapshots()[1], course.snapshots()[2]])
+            course = Course(result, [course.snapshots()[1], course.snapshots()[2]])
         course.fly()
-        assert all(same(*pair) for pair in zip(course.recorded(), whole, strict=True)), frames
+        assert all(same(*pair) for pair in zip(course.recorded(), complete, strict=True)), frames
 
 
 def test_a_number_that_is_not_restored_is_noticed(moving):
-    made, specs, whole = moving
-    held = begun(made, specs[:1], 800).snapshots()[0]
-    slots = list(made.lanes.program.slots)
+    result, specs, complete = moving
+    constant = begin(result, specs[:1], 800).snapshots()[0]
+    slots = list(result.lanes.program.slots)
     histories = [name for name in slots if name.endswith(("/rate1", "/rate2"))]
     filters = [name for name in slots if name.startswith("#fcs/") or "actuator" in name]
     assert histories
@@ -113,67 +113,67 @@ def test_a_number_that_is_not_restored_is_noticed(moving):
         "simulation/sim-time-sec",
         *filters[:1],
     ):
-        state = held.state.copy()
+        state = constant.state.copy()
         state[slots.index(name)] += 1e-6
-        course = Course(made, [replace(held, state=state)])
+        course = Course(result, [replace(constant, state=state)])
         course.fly()
-        assert not same(course.recorded()[0], whole[0]), name
+        assert not same(course.recorded()[0], complete[0]), name
 
 
-@pytest.mark.parametrize("which", few(["moving", "own_turbulence"], 1))
-def test_a_branch_differs_behind_its_split_alone(which, request):
-    made, specs, whole = request.getfixturevalue(which)
-    held = begun(made, specs[:1], 1200).snapshots()[0]
-    branches = [held.branched(made, 7, 3, 1, number) for number in (0, 1)]
-    course = Course(made, [held, *branches, branches[0]])
+@pytest.mark.parametrize("index", few(["moving", "own_turbulence"], 1))
+def test_a_branch_differs_behind_its_split_alone(index, request):
+    result, specs, complete = request.getfixturevalue(index)
+    constant = begin(result, specs[:1], 1200).snapshots()[0]
+    branches = [constant.branched(result, 7, 3, 1, number) for number in (0, 1)]
+    course = Course(result, [constant, *branches, branches[0]])
     course.fly()
-    own, one, other, again = course.recorded()
-    assert same(own, whole[0])
-    assert same(one, again)
-    rows = 1200 // made.lanes.stride - (80 if which == "moving" else -1)
+    specific, one, other, repeat = course.recorded()
+    assert same(specific, complete[0])
+    assert same(one, repeat)
+    rows = 1200 // result.lanes.stride - (80 if index == "moving" else -1)
     for branch in (one, other):
-        np.testing.assert_array_equal(rows_of(branch)[:rows], rows_of(own)[:rows])
-        assert (rows_of(branch)[rows + 3 :] != rows_of(own)[rows + 3 :]).any(axis=0).sum() > 5
+        np.testing.assert_array_equal(rows_of(branch)[:rows], rows_of(specific)[:rows])
+        assert (rows_of(branch)[rows + 3 :] != rows_of(specific)[rows + 3 :]).any(axis=0).sum() > 5
     assert (rows_of(one)[rows:] != rows_of(other)[rows:]).any()
     # A branch of a branch, and held once more in between.
-    deeper = Course(made, branches[:1])
+    deeper = Course(result, branches[:1])
     deeper.fly(1600)
-    deepest = deeper.snapshots()[0].branched(made, 7, 3, 2, 0)
-    course = Course(made, [deeper.snapshots()[0], deepest])
+    deepest = deeper.snapshots()[0].branched(result, 7, 3, 2, 0)
+    course = Course(result, [deeper.snapshots()[0], deepest])
     course.fly(2000)
-    course = Course(made, course.snapshots())
+    course = Course(result, course.snapshots())
     course.fly()
-    straight, parted = course.recorded()
-    assert same(straight, one)
+    level, parted = course.recorded()
+    assert same(level, one)
     np.testing.assert_array_equal(rows_of(parted)[: rows + 40], rows_of(one)[: rows + 40])
     assert not same(parted, one)
 
 
 def test_flights_that_have_ended_stay_as_they_are():
     one = spec(duration_s=60.0, properties={"ap/altitude-cmd-m": -50.0})
-    made, specs, whole = flown([one, replace(one, properties={"ap/altitude-cmd-m": 100.0})])
-    assert [r.status for r in whole] == ["ground-contact", "ok"]
-    down, up = begun(made, specs, 5900).snapshots()
+    result, specs, complete = simulate([one, replace(one, properties={"ap/altitude-cmd-m": 100.0})])
+    assert [r.status for r in complete] == ["ground-contact", "ok"]
+    down, up = begin(result, specs, 5900).snapshots()
     assert (down.flying, up.flying) == (False, True)
-    course = Course(made, [up, down])
+    course = Course(result, [up, down])
     course.fly()
-    assert all(same(*pair) for pair in zip(course.recorded(), whole[::-1], strict=True))
+    assert all(same(*pair) for pair in zip(course.recorded(), complete[::-1], strict=True))
     with pytest.raises(ValueError, match="has ended"):
-        down.branched(made, 1, 1, 1, 1)
+        down.branched(result, 1, 1, 1, 1)
 
 
 @pytest.fixture(scope="module")
 def gusty():
     """An aircraft in host gusts, long enough for several pages of them."""
     one = spec(duration_s=200.0, burn_in_s=8.0, **EXPENSIVE)
-    return flown([one, replace(one, seed_noise=8, seed_turbulence=9)])
+    return simulate([one, replace(one, seed_noise=8, seed_turbulence=9)])
 
 
-def followed(made, specs, steps):
+def followed(result, specs, steps):
     """Lanes that branch at steps, each time the last from the first; how they branched, and their
     last rows.
     """
-    course = begun(made, specs, 800)
+    course = begin(result, specs, 800)
     course.follow([0, 1], [None, None])
     for number, frame in enumerate(steps):
         course.fly(frame)
@@ -187,16 +187,16 @@ def followed(made, specs, steps):
     return course.splits, course.take_rows()
 
 
-def restored(made, spec, splits):
+def restored(result, spec, splits):
     """The same path, held and made anew at each of its splits."""
-    course = begun(made, [spec], splits[0].frame)
+    course = begin(result, [spec], splits[0].frame)
     for k, split in enumerate(splits):
         course.fly(split.frame)
         course = Course(
-            made,
+            result,
             [
                 course.snapshots()[0].branched(
-                    made, split.root, split.aleatory_id, split.level, split.branch
+                    result, split.root, split.aleatory_id, split.level, split.branch
                 )
             ],
         )
@@ -205,32 +205,32 @@ def restored(made, spec, splits):
     return course
 
 
-@pytest.mark.parametrize("which", few(["moving", "gusty", "own_turbulence"], 1))
-def test_follow_has_the_bytes_of_branches_that_are_held(which, request):
+@pytest.mark.parametrize("index", few(["moving", "gusty", "own_turbulence"], 1))
+def test_follow_has_the_bytes_of_branches_that_are_held(index, request):
     """The gusty flights branch within pages of gusts and shortly before and behind their ends."""
-    made, specs, _ = request.getfixturevalue(which)
-    steps = (1000, 8200, 8400, 16380, 17000) if which == "gusty" else (1000, 1600, 2000)
-    splits, rows = followed(made, specs, steps)
+    result, specs, _ = request.getfixturevalue(index)
+    steps = (1000, 8200, 8400, 16380, 17000) if index == "gusty" else (1000, 1600, 2000)
+    splits, rows = followed(result, specs, steps)
     assert len(rows) == 2 + 2 * len(steps)
     assert max(map(len, splits)) == len(steps)
     for lane in (2, 3, len(rows) - 2, len(rows) - 1):
         origin = specs[1 if splits[lane][0].aleatory_id == 4 else 0]
-        known = restored(made, origin, splits[lane]).snapshots()[0].records
-        assert known[:, -rows[lane].shape[1] :].tobytes() == rows[lane].tobytes(), (which, lane)
+        reference = restored(result, origin, splits[lane]).snapshots()[0].records
+        assert reference[:, -rows[lane].shape[1] :].tobytes() == rows[lane].tobytes(), (index, lane)
     assert rows[2].tobytes() != rows[0].tobytes()
 
 
-def made(specs, frames=400):
+def build(specs, frames=400):
     lanes = compiled_mission(specs[0]).lanes
-    started = initialise_lanes(lanes, specs)
+    start = initialise_lanes(lanes, specs)
     state = initial_state(
         lanes.program,
         len(specs),
-        {n: v for n, v in started.values.items() if n in lanes.program.slots},
+        {n: v for n, v in start.values.items() if n in lanes.program.slots},
     )
     return (
         lanes,
-        Feeder(lanes, specs, airs_of(lanes, specs, started.values), initial_noise=started.noise),
+        Feeder(lanes, specs, airs_of(lanes, specs, start.values), initial_noise=start.noise),
         state,
     )
 
@@ -255,15 +255,15 @@ def rows(feed, lane, count):
 
 def test_jsbsims_turbulence_keeps_rows_that_a_lane_still_needs():
     """Lanes of one air stand at different rows where its filters did not run in all of them."""
-    lanes, feeder, state = made(specs(turbulence_source="jsbsim"))
+    lanes, feeder, state = build(specs(turbulence_source="jsbsim"))
     names = list(lanes.program.slots)
     first = feeder.feeds(np.arange(3), 50, state)[NORMALS.name]
     assert first.first_row == 0
     state[0, names.index(COUNTER), :3] = [10.0, 30.0, 25.0]
-    later = feeder.feeds(np.arange(3), 50, state)[NORMALS.name]
-    assert later.first_row == 10
-    assert rows(later, 0, 15).tobytes() == rows(first, 0, 50)[10:25].tobytes()
-    assert rows(later, 1, 15).tobytes() == rows(first, 1, 50)[10:25].tobytes()
+    delayed = feeder.feeds(np.arange(3), 50, state)[NORMALS.name]
+    assert delayed.first_row == 10
+    assert rows(delayed, 0, 15).tobytes() == rows(first, 0, 50)[10:25].tobytes()
+    assert rows(delayed, 1, 15).tobytes() == rows(first, 1, 50)[10:25].tobytes()
 
 
 @pytest.mark.parametrize("sensor_noise", [True, False])
@@ -275,10 +275,10 @@ def test_flights_that_begin_alike_have_one_start(sensor_noise):
         for wind, noise, turbulence in ((3.0, 1, 1), (0.0, 2, 1), (3.0, 1, 2), (3.0, 2, 3))
     ]
     lanes = compiled_mission(one).lanes
-    together = initialise_lanes(lanes, flights)
+    joint = initialise_lanes(lanes, flights)
     for k, flight in enumerate(flights):
-        alone = initialise_lanes(lanes, [flight])
-        for name, value in alone.values.items():
-            assert value.tobytes() == together.values[name][k : k + 1].tobytes(), name
-    moved = [v for v in together.values.values() if v[1] != v[0] and not np.isnan(v[0])]
+        single = initialise_lanes(lanes, [flight])
+        for name, value in single.values.items():
+            assert value.tobytes() == joint.values[name][k : k + 1].tobytes(), name
+    moved = [v for v in joint.values.values() if v[1] != v[0] and not np.isnan(v[0])]
     assert moved

@@ -79,33 +79,33 @@ QUICK = ("walking levels", "mass and inertia", "stall")
     [name if name in QUICK else pytest.param(name, marks=pytest.mark.slow) for name in FLIGHTS],
 )
 def test_fly_many_agrees_with_jsbsim(name):
-    found = beyond(FLIGHTS[name])
-    assert max(found.values()) < 1.0, found
+    result = beyond(FLIGHTS[name])
+    assert max(result.values()) < 1.0, result
 
 
 def test_state_dependent_bounds_agree_with_jsbsim(tmp_path):
     plane = with_bounds(tmp_path, 0.001)
     levels = {**ACTIVE, "uq/CZ/level": 0.9, "uq/Cm/level": 0.3, "uq/Cl/level": 0.6}
-    found = beyond(spec(plane, properties=levels, **EXPENSIVE))
-    assert "extrapolated" in found
-    assert max(found.values()) < 1.0, found
+    result = beyond(spec(plane, properties=levels, **EXPENSIVE))
+    assert "extrapolated" in result
+    assert max(result.values()) < 1.0, result
 
 
 @pytest.mark.parametrize("outside", ["grow", pytest.param("clamp", marks=pytest.mark.slow)])
 def test_a_transient_part_that_walks(tmp_path, outside):
     plane = with_bounds(tmp_path, 0.001, transient=0.0004, outside=outside)
-    given = spec(
+    inputs = spec(
         plane,
         properties={**ACTIVE, "uq/CZ/level": 0.9},
         duration_s=30.0,
         transient=TRANSIENT,
         **EXPENSIVE,
     )
-    found = beyond(given)
-    assert max(found.values()) < 1.0, found
+    result = beyond(inputs)
+    assert max(result.values()) < 1.0, result
     if outside == "grow":
-        other = dataclasses.replace(given, transient=dataclasses.replace(TRANSIENT, aleatory_id=5))
-        assert max(beyond(given, changed=other).values()) > 1.0
+        other = dataclasses.replace(inputs, transient=dataclasses.replace(TRANSIENT, aleatory_id=5))
+        assert max(beyond(inputs, changed=other).values()) > 1.0
 
 
 @pytest.mark.parametrize(
@@ -147,28 +147,28 @@ def test_an_aircraft_without_the_air_system(tmp_path, conditions):
 @pytest.mark.parametrize("aircraft", ["espaaro", "bounds"])
 def test_fly_many_agrees_over_fifteen_minutes(tmp_path, aircraft):
     plane = with_bounds(tmp_path, 0.001) if aircraft == "bounds" else aircraft
-    found = beyond(
+    result = beyond(
         spec(plane, duration_s=900.0, properties={**ACTIVE, "uq/CZ/level": 0.9}, **EXPENSIVE)
     )
-    assert max(found.values()) < 1.0, found
+    assert max(result.values()) < 1.0, result
 
 
 def test_a_flight_that_diverges_ends_at_the_same_time(tmp_path):
     """Wild bounds: control is lost, and the numbers with it. Before that the engines agree."""
-    given = spec(
+    inputs = spec(
         with_bounds(tmp_path),
         properties={**ACTIVE, "uq/CZ/level": 0.9, "uq/Cm/level": 0.3},
         **EXPENSIVE,
     )
-    assert fly(given).status == "diverged"
-    found = beyond(given, until_s=15.0)
-    assert max(found.values()) < 1.0, found
+    assert fly(inputs).status == "diverged"
+    result = beyond(inputs, until_s=15.0)
+    assert max(result.values()) < 1.0, result
 
 
 def test_a_flight_into_the_ground():
-    given = spec(properties={"ap/altitude-cmd-m": -20.0, "ic/h-agl-ft": 60.0}, wind_mps=3.0)
-    assert fly_many([given])[0].status == "ground-contact"
-    assert max(beyond(given).values()) < 1.0
+    inputs = spec(properties={"ap/altitude-cmd-m": -20.0, "ic/h-agl-ft": 60.0}, wind_mps=3.0)
+    assert fly_many([inputs])[0].status == "ground-contact"
+    assert max(beyond(inputs).values()) < 1.0
 
 
 def _as_bytes(result):
@@ -202,25 +202,27 @@ def _mixed():
 
 def test_lanes_are_independent():
     """Number, order and neighbours leave every byte alone; results come in the order given."""
-    given = _mixed()
-    alone = [_as_bytes(fly_many([one])[0]) for one in given]
-    assert len({str(each) for each in alone}) == len(given)
-    assert [_as_bytes(each) for each in fly_many(given)] == alone
-    order = np.random.default_rng(1).permutation(len(given))
-    assert [_as_bytes(each) for each in fly_many([given[k] for k in order])] == [
-        alone[k] for k in order
+    inputs = _mixed()
+    single = [_as_bytes(fly_many([one])[0]) for one in inputs]
+    assert len({str(each) for each in single}) == len(inputs)
+    assert [_as_bytes(each) for each in fly_many(inputs)] == single
+    order = np.random.default_rng(1).permutation(len(inputs))
+    assert [_as_bytes(each) for each in fly_many([inputs[k] for k in order])] == [
+        single[k] for k in order
     ]
-    assert [_as_bytes(each) for each in fly_many(given * 3)] == alone * 3
+    assert [_as_bytes(each) for each in fly_many(inputs * 3)] == single * 3
 
 
 def test_a_lane_that_is_not_a_number_harms_no_other():
-    given = _mixed()[:3]
-    alone = [_as_bytes(each) for each in fly_many(given)]
-    bad = dataclasses.replace(given[1], properties={**given[1].properties, "uq/Cm/level": 1e6})
-    together = fly_many([given[0], bad, given[2], bad, bad])
-    assert [each.status for each in together] == ["ok", "diverged", "ok", "diverged", "diverged"]
-    assert [_as_bytes(together[0]), _as_bytes(together[2])] == [alone[0], alone[2]]
-    assert same_end(fly(bad), together[1])
+    inputs = _mixed()[:3]
+    single = [_as_bytes(each) for each in fly_many(inputs)]
+    invalid = dataclasses.replace(
+        inputs[1], properties={**inputs[1].properties, "uq/Cm/level": 1e6}
+    )
+    joint = fly_many([inputs[0], invalid, inputs[2], invalid, invalid])
+    assert [each.status for each in joint] == ["ok", "diverged", "ok", "diverged", "diverged"]
+    assert [_as_bytes(joint[0]), _as_bytes(joint[2])] == [single[0], single[2]]
+    assert same_end(fly(invalid), joint[1])
 
 
 @pytest.mark.parametrize(
@@ -234,33 +236,33 @@ def test_one_program_flies_all_conditions(tmp_path, air, source):
     ]
     flights = [spec(plane, script, 8.0, turbulence_source=source, **air) for air in conditions]
     lanes.forget()
-    together = fly_many(flights)
+    joint = fly_many(flights)
     assert len(lanes._cache) == 1
-    assert _as_bytes(together[0]) != _as_bytes(together[1])
+    assert _as_bytes(joint[0]) != _as_bytes(joint[1])
     name = "cross_track" if air else "altitude"
-    for ours, theirs in zip(together, map(fly, flights), strict=True):
+    for ours, theirs in zip(joint, map(fly, flights), strict=True):
         np.testing.assert_allclose(ours.signals[name], theirs.signals[name], rtol=0.0, atol=1e-6)
 
 
 def test_flights_in_pieces_and_groups_that_fit_into_memory(monkeypatch):
     flights = _mixed()
-    whole = [_as_bytes(each) for each in fly_many(flights)]
+    complete = [_as_bytes(each) for each in fly_many(flights)]
     for name, size in (("_CHUNK", 70), ("_RECORD_BYTES", 1)):
         with monkeypatch.context() as patch:
             patch.setattr(course, name, size)
-            assert [_as_bytes(each) for each in fly_many(flights)] == whole
+            assert [_as_bytes(each) for each in fly_many(flights)] == complete
 
 
 @pytest.mark.slow
 def test_the_narrowest_and_the_widest_vectors_give_the_same_bytes(monkeypatch):
-    found = []
+    result = []
     for name in (target_names()[0], target_names()[-1]):
         monkeypatch.setenv(VECTORS, name)
         lanes._cache.clear()
-        found.append([_as_bytes(each) for each in fly_many(_mixed())])
+        result.append([_as_bytes(each) for each in fly_many(_mixed())])
     lanes._cache.clear()
     assert target_names()[0] == "scalar" != target_names()[-1]
-    assert found[0] == found[1]
+    assert result[0] == result[1]
 
 
 def test_copies_of_an_aircraft_are_translated_once(tmp_path):
@@ -308,8 +310,8 @@ def twin() -> Iterator[flights.Craft]:
     text = engines.aircraft(TWO + engines.tank(6.0), engines.HEAVY).replace(">10<", ">150<")
     with flights.craft(
         text, {}, EVENTS, {**engines.stock("eng_io320", "prop_75in2f"), "start.xml": START}
-    ) as found:
-        yield found
+    ) as result:
+        yield result
 
 
 def engine_spec(twin: flights.Craft, properties: dict[str, float] | None = None) -> FlightSpec:
@@ -342,10 +344,10 @@ def test_lanes_differ_in_mass_and_throttle(
     twin: flights.Craft, name: str, values: tuple[float, float]
 ) -> None:
     specs = [engine_spec(twin, {name: value}) for value in values]
-    lanes, judged = fly_many(specs), [fly(one) for one in specs]
-    assert apart(lanes[0], judged[0]) < 1e-7
-    assert apart(lanes[1], judged[1]) < 1e-7
-    assert apart(lanes[1], judged[0]) > 1e-4
+    lanes, verdict = fly_many(specs), [fly(one) for one in specs]
+    assert apart(lanes[0], verdict[0]) < 1e-7
+    assert apart(lanes[1], verdict[1]) < 1e-7
+    assert apart(lanes[1], verdict[0]) > 1e-4
 
 
 ALIKE = 1e-7
@@ -440,8 +442,8 @@ def test_turbines_are_cut_off_as_a_system_commands(fly_both):
     gaps, running = fly_both("jet")
     assert max(gaps.values()) < ALIKE, gaps
     open_ = '<test value="1"> /controls/engines/engine[0]/cutoff eq 1 </test>'
-    cut = ("Systems/hydraulics.xml", open_, LATE.format(1))
+    section = ("Systems/hydraulics.xml", open_, LATE.format(1))
     # The elevator keeps its hydraulics: the electric pump is on.
-    gaps, off = fly_both("jet", [cut])
+    gaps, off = fly_both("jet", [section])
     assert max(gaps.values()) < ALIKE, gaps
     assert off.signals["V_mps"][-1] < running.signals["V_mps"][-1] - 0.1

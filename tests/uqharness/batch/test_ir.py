@@ -17,7 +17,7 @@ def test_simplifications_keep_every_bit() -> None:
     x = np.array([0.0, -0.0, 1.5, -2.5, math.inf, -math.inf, math.nan, 5e-324, 1e308])
     b = Builder()
     v = b.input("x")
-    made = {
+    result = {
         "one": v * 1.0,
         "left": 1.0 * v,
         "over": v / 1.0,
@@ -27,13 +27,13 @@ def test_simplifications_keep_every_bit() -> None:
         "four": v / 4.0,
         "minus": v * -1.0,
     }
-    got, _ = evaluate(b.finish(made), {"x": x})
-    wanted = {"four": x / 4.0, "minus": -x}
+    got, _ = evaluate(b.finish(result), {"x": x})
+    expected = {"four": x / 4.0, "minus": -x}
     for name, row in got.items():
-        assert same_bits(row, wanted.get(name, x)).all(), name
-    assert "div" not in b.finish(made).counts()
-    kept = b.finish({"a": v + 0.0, "b": v * 0.0})
-    assert {"add", "mul"} <= set(kept.counts())
+        assert same_bits(row, expected.get(name, x)).all(), name
+    assert "div" not in b.finish(result).counts()
+    retained = b.finish({"a": v + 0.0, "b": v * 0.0})
+    assert {"add", "mul"} <= set(retained.counts())
 
 
 def test_tables_are_told_apart_and_folded() -> None:

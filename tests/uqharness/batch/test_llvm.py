@@ -33,8 +33,8 @@ def test_compile_function_with_any_number_of_lanes(lanes: int, name: str) -> Non
     inputs = {"x": rng.normal(size=lanes)}
     state = {s: rng.normal(size=lanes) for s in ("s", "untouched")}
     outputs, after = compile_function(_function(), targets()[name])(inputs, state)
-    wanted, wanted_after = evaluate(_function(), inputs, state)
-    assert all(same_bits(outputs[k], wanted[k]).all() for k in wanted)
+    expected, wanted_after = evaluate(_function(), inputs, state)
+    assert all(same_bits(outputs[k], expected[k]).all() for k in expected)
     assert all(
         same_bits(after[k], wanted_after[k]).all() for k in ("s", "untouched", "untouched twin")
     )
@@ -47,8 +47,8 @@ def test_products_and_sums_are_not_fused() -> None:
         kernel = compile_function(function, target)
         assert "vfm" not in kernel.assembly
         e = 2.0**-30
-        made, _ = kernel({"x": np.array([1 + e]), "y": np.array([1 - e]), "z": np.array([-1.0])})
-        assert made["r"][0] == 0.0, name
+        result, _ = kernel({"x": np.array([1 + e]), "y": np.array([1 - e]), "z": np.array([-1.0])})
+        assert result["r"][0] == 0.0, name
 
 
 def test_machine_code_calls_no_library() -> None:
@@ -57,10 +57,10 @@ def test_machine_code_calls_no_library() -> None:
     """
     b = Builder()
     x, y = b.input("x"), b.input("y")
-    made = {name: b.op(name, *(x, y)[:count]) for name, count in TRANSCENDENTAL.items()}
-    made |= {"floor": b.op("floor", x), "sqrt": b.op("sqrt", x)}
+    result = {name: b.op(name, *(x, y)[:count]) for name, count in TRANSCENDENTAL.items()}
+    result |= {"floor": b.op("floor", x), "sqrt": b.op("sqrt", x)}
     for name, target in targets().items():
-        assert "call" not in compile_function(lower(b.finish(made)), target).assembly, name
+        assert "call" not in compile_function(lower(b.finish(result)), target).assembly, name
 
 
 def test_floor_is_exact_on_every_processor() -> None:
@@ -108,12 +108,12 @@ def test_tables_are_held_at_their_ends(count: int) -> None:
             rng.uniform(-2, 40, 200),
         ]
     )
-    wanted = numbers[np.clip(np.nan_to_num(x, nan=0.0), 0, count - 1).astype(int)]
-    assert same_bits(evaluate(function, {"x": x})[0]["r"], wanted).all()
+    expected = numbers[np.clip(np.nan_to_num(x, nan=0.0), 0, count - 1).astype(int)]
+    assert same_bits(evaluate(function, {"x": x})[0]["r"], expected).all()
     for name, target in targets().items():
-        made, _ = compile_function(function, target)({"x": x})
-        assert same_bits(made["r"], wanted).all(), name
-        assert same_bits(made["other"], evaluate(function, {"x": x})[0]["other"]).all(), name
+        result, _ = compile_function(function, target)({"x": x})
+        assert same_bits(result["r"], expected).all(), name
+        assert same_bits(result["other"], evaluate(function, {"x": x})[0]["other"]).all(), name
 
 
 TEXT = """
@@ -190,5 +190,5 @@ def test_the_code_that_was_used_last_is_kept(folder, monkeypatch):
     assert llvm.recall(keys[1]) is not None
     monkeypatch.setattr(llvm, "MAX_BYTES", 2500)
     llvm.remember(llvm.object_key("new"), b"x" * 1000)
-    kept = [key for key in (*keys, llvm.object_key("new")) if llvm.recall(key)]
-    assert kept == [keys[1], llvm.object_key("new")]
+    retained = [key for key in (*keys, llvm.object_key("new")) if llvm.recall(key)]
+    assert retained == [keys[1], llvm.object_key("new")]

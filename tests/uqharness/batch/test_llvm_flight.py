@@ -27,8 +27,8 @@ LANES, FRAMES = 21, 60
 
 def _start(program: Program, lanes: int = LANES) -> np.ndarray:
     rng = np.random.default_rng(9)
-    own = {name: rng.normal(size=lanes) for name in ("s0", "s1", "s2", "s3", "constant a")}
-    return initial_state(program, lanes, own)
+    specific = {name: rng.normal(size=lanes) for name in ("s0", "s1", "s2", "s3", "constant a")}
+    return initial_state(program, lanes, specific)
 
 
 @pytest.fixture(scope="module")
@@ -41,13 +41,13 @@ def test_every_target_flies_the_bits_of_numpy(seed: int) -> None:
     program = mixed(seed, sections=9)
     start = _start(program)
     wanted_state = start.copy()
-    wanted = run_program(program, wanted_state, 1, FRAMES, feeds(FRAMES, LANES), 3)
-    assert wanted.shape == (len(program.records), 3 * BLOCK, FRAMES // 3)
-    assert np.isfinite(wanted).mean() > 0.5
+    expected = run_program(program, wanted_state, 1, FRAMES, feeds(FRAMES, LANES), 3)
+    assert expected.shape == (len(program.records), 3 * BLOCK, FRAMES // 3)
+    assert np.isfinite(expected).mean() > 0.5
     for name, target in targets().items():
         state = start.copy()
         got = compile_program(program, target).fly(state, 1, FRAMES, feeds(FRAMES, LANES), 3)
-        assert same_bits(got, wanted).all(), name
+        assert same_bits(got, expected).all(), name
         assert same_bits(state, wanted_state).all(), name
 
 
@@ -62,13 +62,13 @@ def test_a_row_beyond_a_lanes_own_is_nan_and_never_read(kernels: dict[str, Fligh
     )
     paces = np.array([1.0, -1.0, np.nan, 1e300, 0.5])
     feed = Feed(np.arange(10.0).reshape(-1, 1), 1, np.array([0, 3, 3, 3, 6]), 3)
-    wanted = run_program(program, initial_state(program, 5, {"pace": paces}), 1, 6, {"x": feed})
-    assert wanted[0, :5].tolist()[0][1:4] == [0.0, 1.0, 2.0]
-    assert np.isnan(wanted[0, 0, [0, 4, 5]]).all()
-    assert np.isnan(wanted[0, 1:4]).all()
-    assert wanted[0, 4, 2:].tolist() == [6.0, 6.0, 7.0, 7.0]
+    expected = run_program(program, initial_state(program, 5, {"pace": paces}), 1, 6, {"x": feed})
+    assert expected[0, :5].tolist()[0][1:4] == [0.0, 1.0, 2.0]
+    assert np.isnan(expected[0, 0, [0, 4, 5]]).all()
+    assert np.isnan(expected[0, 1:4]).all()
+    assert expected[0, 4, 2:].tolist() == [6.0, 6.0, 7.0, 7.0]
     for target in targets().values():
         got = compile_program(program, target).fly(
             initial_state(program, 5, {"pace": paces}), 1, 6, {"x": feed}
         )
-        assert same_bits(got, wanted).all()
+        assert same_bits(got, expected).all()

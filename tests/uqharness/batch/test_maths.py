@@ -69,8 +69,8 @@ ALLOWED = 1.5
 @pytest.mark.parametrize("operation", few(POINTS, 7))
 def test_errors_are_below_two_ulp(operation: str) -> None:
     points = POINTS[operation](np.random.default_rng(11), COUNT)
-    found = errors(operation, points, values(operation, points))
-    assert found.max() <= (0.0 if operation == "fmod" else ALLOWED)
+    result = errors(operation, points, values(operation, points))
+    assert result.max() <= (0.0 if operation == "fmod" else ALLOWED)
 
 
 @pytest.mark.parametrize("exponent", few([2.0, 0.5, 3.0, -1.0, 4.0, 1.0, 0.0], 3))
@@ -118,15 +118,17 @@ def test_special_values_are_those_of_c99(operation: str) -> None:
         ]
     points = tuple(np.array(column) for column in zip(*pairs, strict=True))
     got = values(operation, points)
-    wanted = np.array([_python(operation, *p) for p in pairs])
-    rough = np.isfinite(wanted) & (wanted != 0) & np.isfinite(got)
+    expected = np.array([_python(operation, *p) for p in pairs])
+    rough = np.isfinite(expected) & (expected != 0) & np.isfinite(got)
     with np.errstate(all="ignore"):
         fine = np.where(
-            rough, np.abs(got - wanted) <= 2 * np.spacing(np.abs(wanted)), same_bits(got, wanted)
+            rough,
+            np.abs(got - expected) <= 2 * np.spacing(np.abs(expected)),
+            same_bits(got, expected),
         )
     assert [
         (p, g, w)
-        for p, g, w, f in zip(pairs, got.tolist(), wanted.tolist(), fine, strict=True)
+        for p, g, w, f in zip(pairs, got.tolist(), expected.tolist(), fine, strict=True)
         if not f
     ] == []
 
@@ -174,7 +176,7 @@ X = RNG.normal(size=400) * np.exp2(RNG.integers(-30, 30, 400))
 Y = RNG.normal(size=400) * np.exp2(RNG.integers(-30, 30, 400))
 
 
-def _made(
+def _build(
     make: Callable[[Value, Value], dict[str, Value]], x: np.ndarray = X, y: np.ndarray = Y
 ) -> dict[str, np.ndarray]:
     b = Builder()
@@ -185,9 +187,9 @@ def _two(two: a.DoubleDouble) -> dict[str, Value]:
     return {"high": two.high, "low": two.low}
 
 
-def _error(made: dict[str, np.ndarray], exact: list[Fraction]) -> float:
+def _error(result: dict[str, np.ndarray], exact: list[Fraction]) -> float:
     """The largest error over the exact size."""
-    rows = zip(made["high"].tolist(), made["low"].tolist(), exact, strict=True)
+    rows = zip(result["high"].tolist(), result["low"].tolist(), exact, strict=True)
     return max(float(abs(Fraction(h) + Fraction(low) - e) / abs(e)) for h, low, e in rows)
 
 
@@ -214,18 +216,20 @@ def test_two_doubles_are_that_exact(
     exact: Callable[[Fraction, Fraction], Fraction],
     bound: float,
 ) -> None:
-    wanted = [exact(Fraction(x), Fraction(y)) for x, y in zip(X.tolist(), Y.tolist(), strict=True)]
-    made = _made(lambda x, y: _two(make(x, y)))
-    assert _error(made, wanted) <= bound
+    expected = [
+        exact(Fraction(x), Fraction(y)) for x, y in zip(X.tolist(), Y.tolist(), strict=True)
+    ]
+    result = _build(lambda x, y: _two(make(x, y)))
+    assert _error(result, expected) <= bound
     # One double alone is not that exact.
-    assert _error({"high": made["high"], "low": np.zeros(len(X))}, wanted) > 2.0**-60
+    assert _error({"high": result["high"], "low": np.zeros(len(X))}, expected) > 2.0**-60
 
 
 def _values(function: Callable[..., Value], *columns: np.ndarray) -> np.ndarray:
     b = Builder()
     names = [str(k) for k in range(len(columns))]
-    made = b.finish({"r": function(*(b.input(name) for name in names))})
-    return evaluate(made, dict(zip(names, columns, strict=True)))[0]["r"]
+    result = b.finish({"r": function(*(b.input(name) for name in names))})
+    return evaluate(result, dict(zip(names, columns, strict=True)))[0]["r"]
 
 
 def test_powers_of_two_are_whole() -> None:

@@ -27,9 +27,9 @@ BODY = """<system name='s'><property value='3'>s/declared</property><property va
 
 
 def test_values_before_the_first_frame():
-    with craft(aircraft(BODY), START) as made:
-        value = initial_values(made.open)
-        fdm = made.open()
+    with craft(aircraft(BODY), START) as result:
+        value = initial_values(result.open)
+        fdm = result.open()
         engine.run_ic(fdm)
     # Loading alone does not make mass and metrics.
     assert value("inertia/mass-slugs") == fdm["inertia/mass-slugs"] > 0.0
@@ -46,11 +46,11 @@ def test_what_the_model_computes_cannot_be_set():
 
 def test_an_aircraft_that_was_edited_is_translated_anew(tmp_path):
     plane = copied(tmp_path)
-    given = spec(plane, duration_s=5.0)
-    (before,) = fly_many([given])
+    inputs = spec(plane, duration_s=5.0)
+    (before,) = fly_many([inputs])
     file = plane / "espaaro.xml"
     file.write_text(file.read_text().replace("</fdm_config>", "<!-- --></fdm_config>"))
-    (same,) = fly_many([given])
+    (same,) = fly_many([inputs])
     assert before.signals["cross_track"].tobytes() == same.signals["cross_track"].tobytes()
     text = (plane / "Systems/autopilot.xml").read_text()
     compass = (
@@ -60,7 +60,7 @@ def test_an_aircraft_that_was_edited_is_translated_anew(tmp_path):
         text.replace("</channel>", f"{compass}</channel>", 1)
     )
     with pytest.raises(BadInputError):
-        fly_many([given])
+        fly_many([inputs])
 
 
 def test_a_flight_starts_with_the_control_system_at_rest(tmp_path):
@@ -70,7 +70,7 @@ def test_a_flight_starts_with_the_control_system_at_rest(tmp_path):
     script, _ = write_own_mission(
         find_aircraft(folder), StartSection(V_mps=196.1, altitude_m=3000.0), "steady"
     )
-    given = spec(
+    inputs = spec(
         aircraft=str(folder),
         script=str(script),
         duration_s=1.0,
@@ -81,8 +81,8 @@ def test_a_flight_starts_with_the_control_system_at_rest(tmp_path):
 
     def recorded():
         """Return the signals of both engines, JSBSim's first."""
-        staged = staged_mission(given)
-        flights = record_mission(staged, given, scored_signals(staged)), *record_many([given])
+        staged = staged_mission(inputs)
+        flights = record_mission(staged, inputs, scored_signals(staged)), *record_many([inputs])
         assert [flight.status for flight in flights] == ["ok", "ok"]
         return [{**flight.signals} for flight in flights]
 
@@ -104,4 +104,4 @@ def test_a_flight_starts_with_the_control_system_at_rest(tmp_path):
     assert difference(by_batch, recorded()[1]) > 1e-4
     script.write_text(text.replace("steady-controls", "steady-rates"))
     with pytest.raises(BadInputError, match="with its body rates free"):
-        compiled_mission(given)
+        compiled_mission(inputs)

@@ -80,8 +80,8 @@ def test_frames_from_the_start(numbers):
     """Behind initialising the history is JSBSim's too."""
     rng = np.random.default_rng(1)
     inputs = {f"i/{name}": rng.normal(size=31) * 5.0 for name in "xyzlmn"}
-    found = compared(aircraft(BODY), RECORDS, inputs, 30, {**START, **integrators(*numbers)})
-    assert worst(found) < AGREES
+    result = compared(aircraft(BODY), RECORDS, inputs, 30, {**START, **integrators(*numbers)})
+    assert worst(result) < AGREES
 
 
 def test_the_quaternion_is_brought_to_unit_length_beyond_a_limit(monkeypatch):
@@ -138,17 +138,17 @@ def by_airspeed(seed):
 
 
 @pytest.mark.parametrize("seed", few(range(6), 1))
-@pytest.mark.parametrize("made", [random_start, by_airspeed])
-def test_jsbsims_state_behind_its_initialisation(made, seed):
+@pytest.mark.parametrize("result", [random_start, by_airspeed])
+def test_jsbsims_state_behind_its_initialisation(result, seed):
     """Conditions are taken to 44 bits, which is 3e-14 of each."""
-    wind = made is by_airspeed
+    wind = result is by_airspeed
     names = [
         name
         for name in START_RECORDS
         if not (wind and name.startswith("aero/")) and not (wind and name == "velocities/vt-fps")
     ]
     assert (
-        worst(compared(aircraft("<aerodynamics/>"), names, frames=0, start=made(seed), floor=1.0))
+        worst(compared(aircraft("<aerodynamics/>"), names, frames=0, start=result(seed), floor=1.0))
         < 3e-12
     )
 
@@ -174,7 +174,7 @@ def placed(x, y, z):
     ecef = tuple(b.input(name) for name in "xyz")
     at = motion.place(ecef)
     g = motion.gravity(at)
-    named = {
+    listed = {
         "height": at.height_ft,
         "radius": at.radius_ft,
         "sea": at.sea_level_radius_ft,
@@ -185,11 +185,11 @@ def placed(x, y, z):
         **{f"g{k}": b.value(g[k]) for k in range(3)},
         **{f"l{i}{j}": b.value(at.to_local[i][j]) for i in range(3) for j in range(3)},
     }
-    found, _ = evaluate(
-        b.finish(named),
+    result, _ = evaluate(
+        b.finish(listed),
         {name: np.atleast_1d(value) for name, value in zip("xyz", (x, y, z), strict=True)},
     )
-    return found
+    return result
 
 
 def cartesian(latitude, longitude, height_ft):
@@ -211,12 +211,12 @@ def cartesian(latitude, longitude, height_ft):
 @pytest.mark.parametrize("latitude", [-1.5706, -1e-9, 0.0, 0.3, 1.05, 1.5707])
 def test_latitude_and_height_come_back(latitude, height_ft):
     longitude = 2.0 - latitude
-    found = placed(*[float(c) for c in cartesian(latitude, longitude, height_ft)])
-    assert found["height"][0] == pytest.approx(height_ft, abs=2e-8)  # the last places of a radius
-    assert np.arctan2(found["sin"], found["cos"])[0] == pytest.approx(
+    result = placed(*[float(c) for c in cartesian(latitude, longitude, height_ft)])
+    assert result["height"][0] == pytest.approx(height_ft, abs=2e-8)  # the last places of a radius
+    assert np.arctan2(result["sin"], result["cos"])[0] == pytest.approx(
         latitude, abs=2e-15 if height_ft <= 1e5 else 2e-14
     )
-    assert np.arctan2(found["sinlon"], found["coslon"])[0] == pytest.approx(
+    assert np.arctan2(result["sinlon"], result["coslon"])[0] == pytest.approx(
         np.arctan2(np.sin(longitude), np.cos(longitude)), abs=1e-15
     )
 
@@ -244,17 +244,17 @@ def test_gravity_is_the_gradient_of_its_potential():
     with mpmath.workdps(40):
         for latitude in (-1.2, 0.0, 0.5, 1.0):
             point = tuple(mpmath.mpf(float(c)) for c in cartesian(latitude, 0.4, 20000.0))
-            wanted = [
+            expected = [
                 float(mpmath.diff(potential, point, tuple(int(k == axis) for k in range(3))))
                 for axis in range(3)
             ]
-            found = placed(*[float(c) for c in point])
-            assert [found[f"g{k}"][0] for k in range(3)] == pytest.approx(wanted, abs=2e-14)
+            result = placed(*[float(c) for c in point])
+            assert [result[f"g{k}"][0] for k in range(3)] == pytest.approx(expected, abs=2e-14)
 
 
 def test_local_axes_are_orthogonal_and_point_down():
-    found = placed(*[float(c) for c in cartesian(0.6, -1.0, 5000.0)])
-    local = np.array([[found[f"l{i}{j}"][0] for j in range(3)] for i in range(3)])
+    result = placed(*[float(c) for c in cartesian(0.6, -1.0, 5000.0)])
+    local = np.array([[result[f"l{i}{j}"][0] for j in range(3)] for i in range(3)])
     assert local @ local.T == pytest.approx(np.eye(3), abs=1e-15)
     higher = np.array([float(c) for c in cartesian(0.6, -1.0, 6000.0)]) - [
         float(c) for c in cartesian(0.6, -1.0, 5000.0)

@@ -39,11 +39,11 @@ PASSES = {
 }
 
 
-def _flown(program: Program, pieces: tuple[int, ...] = (FRAMES,)) -> np.ndarray:
+def _fly(program: Program, pieces: tuple[int, ...] = (FRAMES,)) -> np.ndarray:
     rng = np.random.default_rng(4)
-    own = {name: rng.normal(size=LANES) for name in ("s0", "s1", "s2", "constant a", "s20")}
+    specific = {name: rng.normal(size=LANES) for name in ("s0", "s1", "s2", "constant a", "s20")}
     state = initial_state(
-        program, LANES, {name: value for name, value in own.items() if name in program.slots}
+        program, LANES, {name: value for name, value in specific.items() if name in program.slots}
     )
     out, frame = [], 1
     for frames in pieces:
@@ -56,7 +56,7 @@ def _flown(program: Program, pieces: tuple[int, ...] = (FRAMES,)) -> np.ndarray:
 def _mixed(seed: int) -> tuple[Program, np.ndarray]:
     """A program, lowered, and what it records before."""
     program = mixed(seed, sections=9)
-    return lower_program(program), _flown(program)
+    return lower_program(program), _fly(program)
 
 
 @pytest.mark.parametrize(
@@ -72,38 +72,38 @@ def _mixed(seed: int) -> tuple[Program, np.ndarray]:
     "seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))]
 )
 def test_every_pass_keeps_the_bits_of_what_is_recorded(name: str, seed: int) -> None:
-    program, wanted = _mixed(seed)
+    program, expected = _mixed(seed)
     changed = PASSES[name](program)
-    assert same_bits(_flown(changed), wanted).all()
-    assert same_bits(_flown(changed, (1, 3, 36)), wanted).all()
+    assert same_bits(_fly(changed), expected).all()
+    assert same_bits(_fly(changed, (1, 3, 36)), expected).all()
 
 
 def test_optimise_leaves_less_work_in_each_frame() -> None:
     program, _ = _mixed(0)
     changed = optimise(program)
     before, after = (
-        sum(len(section.function.nodes) / section.when.every for section in made.sections)
-        for made in (program, changed)
+        sum(len(section.function.nodes) / section.when.every for section in result.sections)
+        for result in (program, changed)
     )
     assert changed.prelude is not None
     assert after < 0.6 * before
 
 
 def test_a_wrong_pass_is_noticed() -> None:
-    program, wanted = _mixed(0)
-    wrong = replace(program, sections=program.sections[:1] + program.sections[:0:-1])
-    assert not same_bits(_flown(wrong), wanted).all()
+    program, expected = _mixed(0)
+    invalid = replace(program, sections=program.sections[:1] + program.sections[:0:-1])
+    assert not same_bits(_fly(invalid), expected).all()
 
 
 def _flown_sinking(
     program: Program, stride: int, pieces: tuple[int, ...] = (FRAMES,)
 ) -> np.ndarray:
-    own = {
+    specific = {
         name: np.random.default_rng(4).normal(size=LANES)
         for name in ("s0", "s1", "s20")
         if name in program.slots
     }
-    state = initial_state(program, LANES, own)
+    state = initial_state(program, LANES, specific)
     out, frame = [], 1
     for frames in pieces:
         out.append(
@@ -128,13 +128,13 @@ def _flown_sinking(
 )
 def test_records_keep_their_bits(seed: int, stride: int) -> None:
     program = eliminate_dead_stores(fuse_sections(lower_program(mixed(seed, sections=4 + seed))))
-    wanted = _flown_sinking(program, stride)
+    expected = _flown_sinking(program, stride)
     for changed in (sink(program, (), stride), optimise(program, (), stride)):
-        assert same_bits(_flown_sinking(changed, stride), wanted).all()
-        assert same_bits(_flown_sinking(changed, stride, (1, 6, 3, 30)), wanted).all()
+        assert same_bits(_flown_sinking(changed, stride), expected).all()
+        assert same_bits(_flown_sinking(changed, stride, (1, 6, 3, 30)), expected).all()
 
 
-def _two(readers: tuple[int, ...] = (2,), kept: bool = False) -> Program:
+def _two(readers: tuple[int, ...] = (2,), retained: bool = False) -> Program:
     """A walk, and of it and its old value a long sum, which sections of every n-th frame load."""
     b = Builder()
     old = b.load("x")
@@ -154,7 +154,7 @@ def _two(readers: tuple[int, ...] = (2,), kept: bool = False) -> Program:
         tuple(sections),
         slots,
         (),
-        tuple(f"read {every}" for every in readers) + (("sum",) if kept else ()),
+        tuple(f"read {every}" for every in readers) + (("sum",) if retained else ()),
     )
 
 
@@ -196,27 +196,31 @@ def program(switch_written: float) -> Program:
     return Program(sections, slots, (Stream("air", ("feed",)),), ("count", "out"))
 
 
-def flown(made: Program) -> np.ndarray:
+def simulate(result: Program) -> np.ndarray:
     """Records of four frames in two lanes."""
-    state = initial_state(made, 2, {"lane": np.array([3.0, 5.0])} if "lane" in made.slots else {})
+    state = initial_state(
+        result, 2, {"lane": np.array([3.0, 5.0])} if "lane" in result.slots else {}
+    )
     rows = np.arange(1.0, 5.0)[:, None]
-    return Interpreter(made).fly(state, 1, 4, {"air": (rows, 0, np.zeros(2, dtype=np.int64))})[
+    return Interpreter(result).fly(state, 1, 4, {"air": (rows, 0, np.zeros(2, dtype=np.int64))})[
         :, :2
     ]
 
 
 def test_a_switch_that_goes_on_keeps_its_section():
-    made = propagate_constants((), program(1.0), ("lane",))
-    assert "masked" in [s.name for s in made.sections]
-    np.testing.assert_array_equal(flown(made), flown(program(1.0)))
-    np.testing.assert_array_equal(flown(made)[0, 0], [2.0, 5.0, 9.0, 14.0])
+    result = propagate_constants((), program(1.0), ("lane",))
+    assert "masked" in [s.name for s in result.sections]
+    np.testing.assert_array_equal(simulate(result), simulate(program(1.0)))
+    np.testing.assert_array_equal(simulate(result)[0, 0], [2.0, 5.0, 9.0, 14.0])
 
 
 def test_lanes_and_streams_are_not_folded():
-    made = propagate_constants((), program(0.0), ("lane",))
-    np.testing.assert_array_equal(flown(made)[1], [[3.0, 6.0, 9.0, 12.0], [5.0, 10.0, 15.0, 20.0]])
-    wrong = propagate_constants((), program(0.0), ())
-    assert not np.array_equal(flown(wrong)[1], flown(made)[1])
+    result = propagate_constants((), program(0.0), ("lane",))
+    np.testing.assert_array_equal(
+        simulate(result)[1], [[3.0, 6.0, 9.0, 12.0], [5.0, 10.0, 15.0, 20.0]]
+    )
+    invalid = propagate_constants((), program(0.0), ())
+    assert not np.array_equal(simulate(invalid)[1], simulate(result)[1])
 
 
 ANGLES = np.linspace(-3.0, 3.0, 16)

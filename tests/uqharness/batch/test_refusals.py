@@ -34,7 +34,7 @@ def test_the_projects_aircraft_are_understood(name, script):
 
 
 @pytest.mark.parametrize(
-    ("file", "old", "new", "said"),
+    ("file", "old", "new", "output"),
     [
         ("espaaro.xml", "</fdm_config>", "<buoyant_forces/></fdm_config>", "<buoyant_forces>"),
         (
@@ -57,14 +57,14 @@ def test_the_projects_aircraft_are_understood(name, script):
         ),
     ],
 )
-def test_a_broken_aircraft_is_refused_with_file_and_line(tmp_path, file, old, new, said):
+def test_a_broken_aircraft_is_refused_with_file_and_line(tmp_path, file, old, new, output):
     plane = copied(tmp_path, edits={file: {old: new}})
     text = (plane / file).read_text()
     line = text[: text.index(new) + len(new)].count("\n") + 1
-    (found,) = refusals(spec(plane, duration_s=5.0))
-    assert said in found
-    assert f"{plane / file}:" in found
-    assert abs(int(re.search(r":(\d+): ", found).group(1)) - line) <= 1
+    (result,) = refusals(spec(plane, duration_s=5.0))
+    assert output in result
+    assert f"{plane / file}:" in result
+    assert abs(int(re.search(r":(\d+): ", result).group(1)) - line) <= 1
 
 
 def test_an_instrument_that_is_not_supported_is_left_out(tmp_path):
@@ -75,7 +75,7 @@ def test_an_instrument_that_is_not_supported_is_left_out(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("properties", "said"),
+    ("properties", "output"),
     [
         ({"simulation/gravitational-torque": 1.0}, "simulation/gravitational-torque"),
         ({"simulation/gravity-model": 0.0}, "simulation/gravity-model"),
@@ -86,9 +86,9 @@ def test_an_instrument_that_is_not_supported_is_left_out(tmp_path):
         ({"atmosphere/vapor-pressure-psf": 10.0}, "atmosphere/vapor-pressure-psf"),
     ],
 )
-def test_unsupported_settings_are_refused(properties, said):
-    (found,) = refusals(spec(duration_s=5.0, properties=properties))
-    assert said in found
+def test_unsupported_settings_are_refused(properties, output):
+    (result,) = refusals(spec(duration_s=5.0, properties=properties))
+    assert output in result
 
 
 def test_varying_properties_are_checked():

@@ -59,14 +59,14 @@ def lane(frames: int = FRAMES, value: float = -13.8) -> batch.ReplayLane:
     return batch.ReplayLane({INPUT: value}, conditions, 0.0, controls, DT_S)
 
 
-def flown(stride: int, *lanes: batch.ReplayLane) -> list[np.ndarray]:
-    found = dict(batch.fly_replays(program(stride), lanes))
-    return [found[k] for k in range(len(lanes))]
+def fly(stride: int, *lanes: batch.ReplayLane) -> list[np.ndarray]:
+    result = dict(batch.fly_replays(program(stride), lanes))
+    return [result[k] for k in range(len(lanes))]
 
 
 @pytest.mark.parametrize("stride", few([8, 2], 1))
 def test_rows_do_not_depend_on_how_many_frames_lie_between_them(stride):
-    (every,), (some,) = flown(1, lane()), flown(stride, lane())
+    (every,), (some,) = fly(1, lane()), fly(stride, lane())
     assert every.shape == (FRAMES + 1, len(RAW))
     assert some.tobytes() == every[::stride].tobytes()
 
@@ -75,7 +75,7 @@ def test_rows_do_not_depend_on_whether_start_frames_are_compiled(monkeypatch):
     rows = []
     for calls in (10**9, 0):
         monkeypatch.setattr(llvm_flight, "INTERPRETED_CALLS", calls)
-        rows.append(flown(1, lane())[0])
+        rows.append(fly(1, lane())[0])
     assert "_kernel" in vars(program(1).initialisers[0])
     assert rows[0].tobytes() == rows[1].tobytes()
 

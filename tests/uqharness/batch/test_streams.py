@@ -55,19 +55,19 @@ def test_noise_is_drawn_in_jsbsims_order_with_mixed_rates(draws) -> None:
     names = [f"noise/{slot}" for slot, _ in draws]
     np.testing.assert_allclose([fdm[name] for name in names], noise.initial[1], rtol=1e-15)
     fed = noise.frames(40)
-    held = dict(zip((slot for slot, _ in draws), noise.initial[1], strict=True))
+    constant = dict(zip((slot for slot, _ in draws), noise.initial[1], strict=True))
     for frame in range(1, 41):
         fdm.run()
         for stream in noise_streams(draws):
             if frame % stream.every == 0:
                 rows = fed[stream.name]
-                held |= zip(
+                constant |= zip(
                     stream.columns,
                     rows.array[frame // stream.every - 1 - rows.first_row],
                     strict=True,
                 )
         np.testing.assert_allclose(
-            [fdm[name] for name in names], [held[slot] for slot, _ in draws], rtol=1e-15
+            [fdm[name] for name in names], [constant[slot] for slot, _ in draws], rtol=1e-15
         )
 
 
@@ -106,7 +106,7 @@ FRAMES = 2000
 _MANY = "".join(f'<function name="z{k}"><random/></function>' for k in range(PER_FRAME))
 
 
-def drawn(body: str, names: list[str], frames: int, **seeds: int) -> np.ndarray:
+def draw(body: str, names: list[str], frames: int, **seeds: int) -> np.ndarray:
     """What JSBSim's functions have behind its initialisation and behind each frame, (frames + 1,
     names).
     """
@@ -126,7 +126,7 @@ def drawn(body: str, names: list[str], frames: int, **seeds: int) -> np.ndarray:
 
 @pytest.mark.parametrize("seed", [0, 1, 12345, MODULUS - 1])
 def test_normals_are_jsbsims(seed: int) -> None:
-    theirs = drawn(_MANY, [f"z{k}" for k in range(PER_FRAME)], FRAMES, simulation=seed).ravel()
+    theirs = draw(_MANY, [f"z{k}" for k in range(PER_FRAME)], FRAMES, simulation=seed).ravel()
     ours = JsbsimNormals(seed).take(PER_FRAME + theirs.size)[PER_FRAME:]
     # Two initialising frames draw once each; the first's numbers are gone when the second has run.
     assert np.mean(ours == theirs) > 0.95
@@ -137,9 +137,9 @@ def test_normals_are_jsbsims(seed: int) -> None:
 def test_seeds_0_and_1_are_one_stream_and_others_are_not() -> None:
     assert np.array_equal(JsbsimNormals(0).take(99), JsbsimNormals(1).take(99))
     assert not np.any(JsbsimNormals(2).take(99) == JsbsimNormals(1).take(99))
-    for wrong in (-1, MODULUS):
+    for invalid in (-1, MODULUS):
         with pytest.raises(ValueError, match="from 0 to"):
-            JsbsimNormals(wrong)
+            JsbsimNormals(invalid)
 
 
 def test_a_seed_drops_the_second_normal_of_a_try() -> None:

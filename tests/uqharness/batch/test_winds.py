@@ -126,10 +126,10 @@ def test_unknown_types_of_turbulence():
     """
     inputs = air()
     inputs[TYPE] = np.where(inputs[TYPE] == 4.0, 3.0, 0.0)
-    with craft(aircraft("<aerodynamics/>"), start()) as made:
-        found = by_batch(made, inputs, RECORDS, FRAMES)
-        assert np.isfinite(found["velocities/vt-fps"][4])
-        assert np.isnan(found["velocities/vt-fps"][6])
+    with craft(aircraft("<aerodynamics/>"), start()) as output:
+        result = by_batch(output, inputs, RECORDS, FRAMES)
+        assert np.isfinite(result["velocities/vt-fps"][4])
+        assert np.isnan(result["velocities/vt-fps"][6])
     for events in (
         f"<property value='3'>{TYPE}</property>",
         f"<property value='4'>{TYPE}</property>",
@@ -166,15 +166,15 @@ def test_the_filters_cotangent():
     b = Builder()
     above, below = winds._cotangent(b.input("x"))
     function = b.finish({"r": above / below})
-    found = evaluate(function, {"x": angles})[0]["r"]
+    result = evaluate(function, {"x": angles})[0]["r"]
     exact = np.array([float(mp.cot(mp.mpf(x))) for x in angles.tolist()])
     # A change of the angle by its rounding is the smallest that can be asked for.
     allowed = 2e-15 * np.maximum(1.0, np.abs(exact)) + np.spacing(angles) * (1.0 + exact**2) * (
         angles > 1.0
     )
-    assert (np.abs(found - exact) <= allowed).all()
+    assert (np.abs(result - exact) <= allowed).all()
     steady = (angles < 1.0) & (angles > 1e-8)
-    assert (np.abs(found * (1.0 + 1e-13) - exact) > allowed)[steady].all()
+    assert (np.abs(result * (1.0 + 1e-13) - exact) > allowed)[steady].all()
 
 
 def test_type_and_severity_are_cut_to_whole_numbers():
@@ -191,5 +191,5 @@ def test_type_and_severity_are_cut_to_whole_numbers():
         "i/t": np.repeat([0.0, 4.9, 0.5, -0.5], 40)[: FRAMES + 1],
         "i/s": np.repeat([0.0, 3.7, 0.9, 2.0], 33)[: FRAMES + 1],
     }
-    found = compared(text, (*RECORDS, TYPE, SEVERITY), inputs, FRAMES, start(5000.0), floor=0.01)
-    assert worst(found) < 5e-10
+    result = compared(text, (*RECORDS, TYPE, SEVERITY), inputs, FRAMES, start(5000.0), floor=0.01)
+    assert worst(result) < 5e-10

@@ -32,22 +32,22 @@ def noise(seed: int) -> np.ndarray:
 
 
 def test_a_reversed_channel_is_reversed_and_has_no_delay() -> None:
-    found = channel_response([-doublet() + noise(1)], [doublet()], NOISE, DT_S)
-    assert describe_slip(found.relation).startswith("reversed: -1.0")
-    assert math.isnan(found.shift.seconds)
-    assert found.undefined == "reversed"
+    result = channel_response([-doublet() + noise(1)], [doublet()], NOISE, DT_S)
+    assert describe_slip(result.relation).startswith("reversed: -1.0")
+    assert math.isnan(result.shift.seconds)
+    assert result.undefined == "reversed"
 
 
 def test_a_channel_in_degrees_is_out_of_scale() -> None:
-    found = channel_response([np.rad2deg(doublet()) + noise(1)], [doublet()], NOISE, DT_S)
-    assert describe_slip(found.relation).startswith("out of scale: 57.")
+    result = channel_response([np.rad2deg(doublet()) + noise(1)], [doublet()], NOISE, DT_S)
+    assert describe_slip(result.relation).startswith("out of scale: 57.")
 
 
 def test_a_channel_that_agrees_has_a_delay_and_no_slip() -> None:
-    found = channel_response([doublet(0.06) + noise(1)], [doublet()], NOISE, DT_S)
-    assert describe_slip(found.relation) == found.undefined == ""
-    assert found.shift.seconds == pytest.approx(0.06, abs=4 * found.shift.std)
-    assert found.shift.std < 0.003
+    result = channel_response([doublet(0.06) + noise(1)], [doublet()], NOISE, DT_S)
+    assert describe_slip(result.relation) == result.undefined == ""
+    assert result.shift.seconds == pytest.approx(0.06, abs=4 * result.shift.std)
+    assert result.shift.std < 0.003
 
 
 @pytest.mark.parametrize("factor", [1.0, -1.0, 625.0])
@@ -56,34 +56,34 @@ def test_nothing_is_said_where_the_model_hardly_moves(factor: float) -> None:
     no evidence.
     """
     little = 0.01 * NOISE / motion([doublet()]) * doublet()
-    found = channel_response([factor * little + noise(1)], [little], NOISE, DT_S)
-    assert describe_slip(found.relation) == ""
-    assert math.isnan(found.shift.seconds)
-    assert math.isnan(found.shift.std)
-    assert found.undefined == "the model moves 0.0 sigma"
+    result = channel_response([factor * little + noise(1)], [little], NOISE, DT_S)
+    assert describe_slip(result.relation) == ""
+    assert math.isnan(result.shift.seconds)
+    assert math.isnan(result.shift.std)
+    assert result.undefined == "the model moves 0.0 sigma"
 
 
 def test_the_least_motion_that_counts_finds_a_reversed_sign() -> None:
     """Just above the limit the sign is there to be seen; just below nothing is said."""
-    for size, said in ((1.05, True), (0.95, False)):
+    for size, output in ((1.05, True), (0.95, False)):
         small = size * MOTION_SIGMA * NOISE / motion([doublet()]) * doublet()
-        found = channel_response([-small + noise(2)], [small], NOISE, DT_S)
-        assert describe_slip(found.relation).startswith("reversed") == said
+        result = channel_response([-small + noise(2)], [small], NOISE, DT_S)
+        assert describe_slip(result.relation).startswith("reversed") == output
 
 
 def test_a_delay_that_the_data_do_not_determine_is_undefined() -> None:
     """Slow motion, buried in slow error: its minimum is as flat as 188 +/- 10951 ms."""
     slow = 0.02 * np.sin(2.0 * np.pi * T / 40.0)
     drift = np.cumsum(np.random.default_rng(3).normal(size=len(T))) * 0.001
-    found = channel_response([slow + drift], [slow], 1e-4, DT_S)
-    assert math.isnan(found.shift.seconds)
-    assert "standard error" in found.undefined or "no minimum" in found.undefined
+    result = channel_response([slow + drift], [slow], 1e-4, DT_S)
+    assert math.isnan(result.shift.seconds)
+    assert "standard error" in result.undefined or "no minimum" in result.undefined
 
 
 def test_a_segment_that_was_not_flown_through_does_not_move() -> None:
     assert math.isnan(motion([np.full(100, np.nan)]))
-    found = channel_response([doublet()], [np.full(len(T), np.nan)], NOISE, DT_S)
-    assert found.undefined == "the model does not move"
+    result = channel_response([doublet()], [np.full(len(T), np.nan)], NOISE, DT_S)
+    assert result.undefined == "the model does not move"
 
 
 def test_a_straight_line_is_no_motion() -> None:

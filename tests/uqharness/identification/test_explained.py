@@ -26,15 +26,15 @@ def column(values):
 
 
 @pytest.mark.parametrize(
-    "left", [0.003 * RNG.standard_normal(401), 0.2 * Q, 0.02 * np.cos(9.0 * TIME)]
+    "remaining", [0.003 * RNG.standard_normal(401), 0.2 * Q, 0.02 * np.cos(9.0 * TIME)]
 )
-def test_noise_and_small_terms_leave_a_channel_explained(left):
-    assert unexplained(column(left), column(Q), ["q_radps"], {"q_radps": 0.003}) == {}
+def test_noise_and_small_terms_leave_a_channel_explained(remaining):
+    assert unexplained(column(remaining), column(Q), ["q_radps"], {"q_radps": 0.003}) == {}
 
 
 def test_half_of_the_motion_left_is_unexplained_by_its_sigma_and_share():
-    wrong = unexplained(column(0.5 * Q), column(Q), ["q_radps"], {"q_radps": 0.003})
-    sigma, share = wrong["q_radps"]
+    invalid = unexplained(column(0.5 * Q), column(Q), ["q_radps"], {"q_radps": 0.003})
+    sigma, share = invalid["q_radps"]
     assert sigma == pytest.approx(0.5 * np.sqrt(np.mean(Q**2)) / 0.003)
     assert share == pytest.approx(0.25 * np.mean(Q**2) / np.var(Q))
 
@@ -47,15 +47,13 @@ def test_a_channel_that_hardly_moves_is_judged_by_a_sensor_s_noise_not_by_its_ow
 def test_dropouts_and_channels_without_samples_are_left_out():
     gaps = np.where(TIME < 4.0, np.nan, 0.5 * Q)
     assert set(unexplained(column(gaps), column(Q), ["q_radps"], {"q_radps": 0.003})) == {"q_radps"}
-    nothing = np.full(401, np.nan)
-    assert (
-        unexplained(column(nothing), column(nothing), ["q_radps"], {"q_radps": float("nan")}) == {}
-    )
+    empty = np.full(401, np.nan)
+    assert unexplained(column(empty), column(empty), ["q_radps"], {"q_radps": float("nan")}) == {}
 
 
-def found(residual):
+def find(residual):
     values = {f.name: None for f in dataclasses.fields(Identification)}
-    given = SimpleNamespace(
+    inputs = SimpleNamespace(
         names=("aero/Cm_q", "aero/Cm_de"),
         initial=np.array([-9.7, -0.02]),
         theta=np.array([3.0, 1.0]),
@@ -72,26 +70,26 @@ def found(residual):
         innovation_std={},
         converged=True,
     )
-    return Identification(**(values | vars(given)))
+    return Identification(**(values | vars(inputs)))
 
 
 def test_what_was_fitted_to_it_is_withdrawn_with_the_reason():
-    fitted = found(0.5 * Q)
-    kept = withdraw_invalid(fitted)
-    assert kept.identified == ()
-    assert kept.theta.tolist() == [-9.7, -0.02]
-    assert np.isnan(kept.std).all()
-    assert kept.cov.shape == (0, 0)
-    assert "q_radps is 35 sigma" in kept.reason["aero/Cm_q"]
-    assert kept.reason["aero/Cm_de"] == "no effect"
-    assert "check units, signs" in kept.warnings[0]
-    assert kept.warnings[1:] == ("another",)
-    good = found(0.003 * RNG.standard_normal(401))
-    assert withdraw_invalid(good) is good
+    fitted = find(0.5 * Q)
+    retained = withdraw_invalid(fitted)
+    assert retained.identified == ()
+    assert retained.theta.tolist() == [-9.7, -0.02]
+    assert np.isnan(retained.std).all()
+    assert retained.cov.shape == (0, 0)
+    assert "q_radps is 35 sigma" in retained.reason["aero/Cm_q"]
+    assert retained.reason["aero/Cm_de"] == "no effect"
+    assert "check units, signs" in retained.warnings[0]
+    assert retained.warnings[1:] == ("another",)
+    valid = find(0.003 * RNG.standard_normal(401))
+    assert withdraw_invalid(valid) is valid
 
 
 def test_innovations_in_turbulence_are_judged_by_what_gusts_predict():
-    innovations = found(0.5 * Q)
+    innovations = find(0.5 * Q)
     predicted = float(np.sqrt(np.mean((0.5 * Q) ** 2)))
     gusty = dataclasses.replace(innovations, innovation_std={"q_radps": predicted})
     assert withdraw_invalid(gusty) is gusty
@@ -100,8 +98,8 @@ def test_innovations_in_turbulence_are_judged_by_what_gusts_predict():
 
 
 def test_a_fit_that_did_not_converge_has_no_estimates_and_no_standard_errors():
-    good = found(0.003 * RNG.standard_normal(401))
-    stopped = withdraw_invalid(dataclasses.replace(good, converged=False))
+    valid = find(0.003 * RNG.standard_normal(401))
+    stopped = withdraw_invalid(dataclasses.replace(valid, converged=False))
     assert stopped.identified == ()
     assert stopped.theta.tolist() == [-9.7, -0.02]
     assert np.isnan(stopped.std).all()
@@ -111,10 +109,10 @@ def test_a_fit_that_did_not_converge_has_no_estimates_and_no_standard_errors():
 
 def test_a_flight_with_reversed_elevator_identifies_nothing(tmp_path, capsys):
     flight = fly((("pitch-doublet", 22.0),), seed=4, seconds=6.5)
-    wrong = flight.with_columns(
+    invalid = flight.with_columns(
         {c: -flight[c] for c in ("elevator_deg", "elevator_pos_deg") if c in flight}
     )
-    wrong.write(tmp_path / "flight.parquet")
+    invalid.write(tmp_path / "flight.parquet")
     words = [
         "identify",
         "espaaro",

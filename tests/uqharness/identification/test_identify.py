@@ -102,8 +102,8 @@ def test_the_aircraft_with_the_estimates_differs_in_numbers_and_our_remarks_alon
         changed = [(a, b) for a, b in zip(before, after, strict=True) if a != b]
         assert len(changed) == 27
         for a, b in changed:
-            bare = re.sub(r"  <!-- identified [^>]*-->$", "", b)
-            assert re.sub(r'value="[^"]*"', "", bare) == re.sub(r'value="[^"]*"', "", a).rstrip()
+            plain = re.sub(r"  <!-- identified [^>]*-->$", "", b)
+            assert re.sub(r'value="[^"]*"', "", plain) == re.sub(r'value="[^"]*"', "", a).rstrip()
             assert "+/-" in b
             assert "train.parquet" in b
     fdm = open_aircraft(find_aircraft(out / "aircraft"))
@@ -145,7 +145,7 @@ def test_a_model_without_pitch_damping_does_not_reach_the_floor_and_the_report_s
             '<property value="-13.8">aero/Cm_q', '<property value="0">aero/Cm_q'
         )
     )
-    asked = ",".join(n for n in LONGITUDINAL if n != "Cm_q")
+    request = ",".join(n for n in LONGITUDINAL if n != "Cm_q")
     main(
         [
             "identify",
@@ -153,7 +153,7 @@ def test_a_model_without_pitch_damping_does_not_reach_the_floor_and_the_report_s
             "--flight",
             str(flights / "pitch.parquet"),
             "--params",
-            asked,
+            request,
             "--out",
             str(tmp_path / "id"),
             "--workers",
@@ -180,14 +180,14 @@ def test_a_model_without_pitch_damping_does_not_reach_the_floor_and_the_report_s
         ]
     )
     assert code == 1
-    said = capsys.readouterr().out
-    assert "does not reach the noise floor" in said.splitlines()[0]
-    assert re.search(r"\bq \d", said.splitlines()[0])
-    assert "q_radps" not in said
+    output = capsys.readouterr().out
+    assert "does not reach the noise floor" in output.splitlines()[0]
+    assert re.search(r"\bq \d", output.splitlines()[0])
+    assert "q_radps" not in output
 
 
 def test_what_a_flight_does_not_tell_is_said_and_left_alone(flights, tmp_path):
-    asked = "aero/Cm_q,Cm_alpha,aero/Cn_0,aero/Cn_da"
+    request = "aero/Cm_q,Cm_alpha,aero/Cn_0,aero/Cn_da"
     code = main(
         [
             "identify",
@@ -195,7 +195,7 @@ def test_what_a_flight_does_not_tell_is_said_and_left_alone(flights, tmp_path):
             "--flight",
             str(flights / "pitch.parquet"),
             "--params",
-            asked,
+            request,
             "--out",
             str(tmp_path / "id"),
             "--workers",
@@ -205,11 +205,11 @@ def test_what_a_flight_does_not_tell_is_said_and_left_alone(flights, tmp_path):
     )
     assert code == 0
     fit = json.loads((tmp_path / "id" / "fit.json").read_text())
-    lost = fit["parameters"]["aero/Cn_da"]
-    assert lost["status"] == "not-identified"
-    assert lost["reason"]
-    assert lost["std"] is None
-    assert lost["value"] == -7e-6
+    is_lost = fit["parameters"]["aero/Cn_da"]
+    assert is_lost["status"] == "not-identified"
+    assert is_lost["reason"]
+    assert is_lost["std"] is None
+    assert is_lost["value"] == -7e-6
     assert fit["parameters"]["aero/Cm_q"]["status"] == "identified"
     assert "aero/Cn_da" not in fit["names"]
     assert any("aero/Cn_da" in w for w in fit["warnings"])
@@ -299,9 +299,9 @@ def test_outputs_are_those_asked_for(flights, tmp_path, capsys):
     fit = json.loads((tmp_path / "id" / "fit.json").read_text())
     assert set(fit["fit"]) == {"V_mps", "alpha_rad", "theta_rad", "q_radps", "az_mps2"}
     assert fit["names"] == ["aero/Cm_q", "aero/Cm_de"]
-    for given, words in (("x", "unknown channel x"), ("none", "no outputs are selected")):
+    for inputs, words in (("x", "unknown channel x"), ("none", "no outputs are selected")):
         capsys.readouterr()
-        assert main([*arguments, "--outputs", given, "--out", str(tmp_path / "no")]) == 2
+        assert main([*arguments, "--outputs", inputs, "--out", str(tmp_path / "no")]) == 2
         assert words in capsys.readouterr().err
 
 
@@ -360,13 +360,13 @@ def test_bad_input_is_one_line_and_exit_code_2(flights, tmp_path, capsys):
     train = str(flights / "train.parquet")
     (tmp_path / "empty.csv").write_text("")
     (tmp_path / "text.csv").write_text("hello\nworld\n")
-    whole = fly((("pitch-doublet", 22.0),), seconds=3.0)
-    type(whole)(
-        {k: v for k, v in whole.columns.items() if not k.startswith(("aileron", "rudder"))}
+    complete = fly((("pitch-doublet", 22.0),), seconds=3.0)
+    type(complete)(
+        {k: v for k, v in complete.columns.items() if not k.startswith(("aileron", "rudder"))}
     ).write(tmp_path / "bare.csv")
     from dataclasses import replace
 
-    foreign = whole.with_columns({}, replace(whole.metadata, aircraft="c172"))
+    foreign = complete.with_columns({}, replace(complete.metadata, aircraft="c172"))
     foreign.write(tmp_path / "foreign.parquet")
     for arguments, words in (
         (["espaaro", "--flight", str(tmp_path / "none.bin")], "none.bin"),

@@ -47,7 +47,7 @@ def flights(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 
 @pytest.fixture(scope="module")
-def made(flights: dict[str, Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+def results(flights: dict[str, Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder with the bounds from the second flight."""
     out = tmp_path_factory.mktemp("made") / "bounds"
     assert (
@@ -57,8 +57,8 @@ def made(flights: dict[str, Path], tmp_path_factory: pytest.TempPathFactory) -> 
     return out
 
 
-def test_bounds_leaves_a_form_a_system_a_report_and_figures(made):
-    form = read_model_form(made / "model-form.json")
+def test_bounds_leaves_a_form_a_system_a_report_and_figures(results):
+    form = read_model_form(results / "model-form.json")
     assert set(form.coefficients) == {"CX", "CY", "CZ", "Cl", "Cm", "Cn"}
     assert form.coefficients["CX"].states == ("V_mps", "alpha_rad", "q_radps", "theta_rad")
     assert form.coefficients["Cl"].states == ("V_mps", "beta_rad", "p_radps", "r_radps")
@@ -71,19 +71,19 @@ def test_bounds_leaves_a_form_a_system_a_report_and_figures(made):
     )
     assert form.flights[0].name == "bounds"
     assert len(form.flights[0].sha256) == 64
-    assert b"<system" in (made / "model-form.xml").read_bytes()
-    report = (made / "report.html").read_text(encoding="utf-8")
+    assert b"<system" in (results / "model-form.xml").read_bytes()
+    report = (results / "report.html").read_text(encoding="utf-8")
     assert problems(report) == []
     assert "Where the data are" in report
     for figure in ("slices-CX", "slices-Cn", "variation", "data"):
-        assert (made / "figures" / f"{figure}.svg").stat().st_size < 3_000_000
+        assert (results / "figures" / f"{figure}.svg").stat().st_size < 3_000_000
 
 
-def test_the_missing_pitch_rate_term_of_the_truth_is_seen(made):
+def test_the_missing_pitch_rate_term_of_the_truth_is_seen(results):
     """The truth has CX_q = 1.5: at 0.3 rad/s of pitch rate dCX is 1.5 x 0.3 x c/2V = 0.0057, up and
     down.
     """
-    b = read_model_form(made / "model-form.json").coefficients["CX"]
+    b = read_model_form(results / "model-form.json").coefficients["CX"]
     middle = dict(zip(b.states, b.hull.middle[:, 1], strict=True))
     at = {s: np.full(2, v) for s, v in middle.items()} | {"q_radps": np.array([-0.3, 0.3])}
     low, high = b.interval(at)
@@ -92,7 +92,7 @@ def test_the_missing_pitch_rate_term_of_the_truth_is_seen(made):
 
 
 @pytest.mark.slow
-def test_the_same_flight_gives_the_same_bytes(made, flights, tmp_path):
+def test_the_same_flight_gives_the_same_bytes(results, flights, tmp_path):
     arguments = [
         "bounds",
         MODEL,
@@ -104,15 +104,15 @@ def test_the_same_flight_gives_the_same_bytes(made, flights, tmp_path):
     ]
     assert main([*arguments, "--no-figures"]) == 0
     for name in ("model-form.json", "model-form.xml"):
-        assert (tmp_path / "again" / name).read_bytes() == (made / name).read_bytes()
+        assert (tmp_path / "again" / name).read_bytes() == (results / name).read_bytes()
 
 
-def test_the_third_flight_lies_within(made, flights, tmp_path, capsys):
+def test_the_third_flight_lies_within(results, flights, tmp_path, capsys):
     out = tmp_path / "check"
     arguments = [
         "validate-bounds",
         MODEL,
-        str(made / "model-form.json"),
+        str(results / "model-form.json"),
         "--flight",
         str(flights["validation"]),
         "--json",
@@ -120,7 +120,9 @@ def test_the_third_flight_lies_within(made, flights, tmp_path, capsys):
     code = main([*arguments, "--out", str(out)])
     document = json.loads(capsys.readouterr().out)
     assert code == (0 if set(document["verdicts"].values()) == {"holds"} else 1)
-    assert document["failed"] == [c for c, said in document["verdicts"].items() if said == "fails"]
+    assert document["failed"] == [
+        c for c, output in document["verdicts"].items() if output == "fails"
+    ]
     assert document["flight_variance"] == dict.fromkeys(
         document["coverage"]
     )  # one flight behind the bounds
@@ -147,9 +149,9 @@ def test_the_third_flight_lies_within(made, flights, tmp_path, capsys):
     assert problems(report) == []
 
 
-def test_bounds_that_do_not_hold_are_an_answer(made, flights, tmp_path, capsys):
+def test_bounds_that_do_not_hold_are_an_answer(results, flights, tmp_path, capsys):
     """The same bounds, ten times too narrow."""
-    document = json.loads((made / "model-form.json").read_text())
+    document = json.loads((results / "model-form.json").read_text())
     for row in document["coefficients"].values():
         row["s2"] /= 100.0
         for part in ("persistent", "transient"):
@@ -162,12 +164,12 @@ def test_bounds_that_do_not_hold_are_an_answer(made, flights, tmp_path, capsys):
     assert "do not hold" in capsys.readouterr().out
 
 
-def test_validating_with_the_flight_behind_the_bounds_is_warned_of(made, flights, capsys):
+def test_validating_with_the_flight_behind_the_bounds_is_warned_of(results, flights, capsys):
     main(
         [
             "validate-bounds",
             MODEL,
-            str(made / "model-form.json"),
+            str(results / "model-form.json"),
             "--flight",
             str(flights["bounds"]),
         ]
@@ -245,7 +247,7 @@ def test_checks_name_the_noise_and_the_other_filters(flights, tmp_path, capsys):
     assert read_model_form(out / "model-form.json").outside == "clamp"
 
 
-def without(path: Path, channel: str, folder: Path) -> Path:
+def leave_out(path: Path, channel: str, folder: Path) -> Path:
     record = FlightRecord.read(path)
     out = folder / f"no-{channel}.parquet"
     FlightRecord({k: v for k, v in record.columns.items() if k != channel}, record.metadata).write(
@@ -258,16 +260,16 @@ def without(path: Path, channel: str, folder: Path) -> Path:
     "channel", ["beta_rad", "alpha_rad", "V_mps", "q_radps", "az_mps2", "elevator_deg"]
 )
 def test_a_flight_without_a_needed_channel_is_refused_by_name(flights, tmp_path, capsys, channel):
-    flight = without(flights["clean"], channel, tmp_path)
+    flight = leave_out(flights["clean"], channel, tmp_path)
     if channel == "elevator_deg":  # the measured position stands in for it
-        flight = without(flight, "elevator_pos_deg", tmp_path)
+        flight = leave_out(flight, "elevator_pos_deg", tmp_path)
     assert main(["bounds", MODEL, "--flight", str(flight), "--out", str(tmp_path / "x")]) == 2
     assert channel in capsys.readouterr().err
     assert not (tmp_path / "x").exists()
 
 
-def test_another_aircrafts_bounds_and_bad_files_are_refused(made, flights, tmp_path, capsys):
-    form, flight = str(made / "model-form.json"), str(flights["clean"])
+def test_another_aircrafts_bounds_and_bad_files_are_refused(results, flights, tmp_path, capsys):
+    form, flight = str(results / "model-form.json"), str(flights["clean"])
     assert main(["validate-bounds", "synthetic_stall", form, "--flight", flight]) == 2
     assert "belong to aircraft 'espaaro'" in capsys.readouterr().err
     assert main(["validate-bounds", MODEL, str(tmp_path / "none.json"), "--flight", flight]) == 2
@@ -301,7 +303,7 @@ def test_designs_by_option():
     assert designs["CX"].order == 1
     assert designs["Cm"].states == ("alpha_rad", "p_radps", "q_radps")
     assert designs["Cm"].terms == ((0, 0, 0), (1, 0, 0), (0, 2, 0), (1, 0, 1))
-    for states, terms, said in (
+    for states, terms, output in (
         (["CX"], [], "C=name"),
         (["CL=V"], [], "one of CX"),
         (["CX=V,speed"], [], "unknown state speed"),
@@ -310,7 +312,7 @@ def test_designs_by_option():
         ([], ["Cm=alpha**2"], "is no state with a power"),
         ([], ["Cm=alpha,alpha"], "named twice"),
     ):
-        with pytest.raises(BadInputError, match=said.replace("*", r"\*")):
+        with pytest.raises(BadInputError, match=output.replace("*", r"\*")):
             parse_designs(states, terms, 2, False)
 
 
@@ -385,14 +387,14 @@ def test_the_published_interval_is_made_on_request(flights, tmp_path, capsys):
         "--no-figures",
         "--json",
     ]
-    found = {}
+    result = {}
     for name, more in (
         ("published", ["--as-published"]),
         ("apart", []),
         ("counted", ["--as-published", "--sample-size", "effective"]),
     ):
         assert main([*arguments, *more, "--out", str(tmp_path / name)]) == 0
-        found[name] = json.loads(capsys.readouterr().out)["coefficients"]
+        result[name] = json.loads(capsys.readouterr().out)["coefficients"]
     assert (
         json.loads((tmp_path / "published" / "model-form.json").read_text())["format"]
         == "model-form 1"
@@ -401,11 +403,11 @@ def test_the_published_interval_is_made_on_request(flights, tmp_path, capsys):
         json.loads((tmp_path / "apart" / "model-form.json").read_text())["format"] == "model-form 2"
     )
     assert (
-        found["published"]["CY"]["n_effective"]
-        == found["published"]["CY"]["n"]
-        > 3.0 * found["counted"]["CY"]["n_effective"]
+        result["published"]["CY"]["n_effective"]
+        == result["published"]["CY"]["n"]
+        > 3.0 * result["counted"]["CY"]["n_effective"]
     )
-    assert found["published"]["CY"]["mean_width"] > 3.0 * found["apart"]["CY"]["mean_width"]
+    assert result["published"]["CY"]["mean_width"] > 3.0 * result["apart"]["CY"]["mean_width"]
     assert main([*arguments, "--sample-size", "all", "--out", str(tmp_path / "x")]) == 2
     assert "--sample-size requires --as-published" in capsys.readouterr().err
     assert not (tmp_path / "x").exists()

@@ -21,7 +21,7 @@ def looked_at(request, tmp_path_factory):
     what was found.
     """
     path = Path(tmp_path_factory.mktemp("air")) / "f.parquet"
-    said = [
+    output = [
         "fly",
         "espaaro",
         "--script",
@@ -32,7 +32,7 @@ def looked_at(request, tmp_path_factory):
         "--turbulence",
         request.param,
     ]
-    assert main([*said, "--out", str(path)]) == 0
+    assert main([*output, "--out", str(path)]) == 0
     aircraft = find_aircraft("espaaro")
     (flight,), measured = read_bounds_flights([path], aircraft)
     with prediction_of(aircraft, measured) as pair:
@@ -53,18 +53,18 @@ def _rms(residuals, coefficient):
 
 
 def test_the_air_is_told_from_the_model_where_it_moves_and_only_there(looked_at):
-    air, flight, noisy, (still, found), guessed = looked_at
-    assert found is not None
+    air, flight, noisy, (steady, result), guessed = looked_at
+    assert result is not None
     if air == "none":
-        assert found.level == 0.0
-        assert np.array_equal(still.delta, noisy.residuals.delta)
+        assert result.level == 0.0
+        assert np.array_equal(steady.delta, noisy.residuals.delta)
         return
-    assert found.share == pytest.approx(1.0, abs=4.0 * found.std + 0.1)
-    assert _rms(still, "Cm") < 0.5 * _rms(noisy.residuals, "Cm")
-    assert _rms(still, "Cn") < 0.9 * _rms(noisy.residuals, "Cn")
-    assert _rms(still, "CX") == pytest.approx(_rms(noisy.residuals, "CX"), rel=0.01)
-    assert len(still.pieces[0].noise.passages) == len(noisy.residuals.pieces[0].noise.passages) + 1
-    assert f"{100.0 * found.share:.0f} ±" in air_note(flight, found)
+    assert result.share == pytest.approx(1.0, abs=4.0 * result.std + 0.1)
+    assert _rms(steady, "Cm") < 0.5 * _rms(noisy.residuals, "Cm")
+    assert _rms(steady, "Cn") < 0.9 * _rms(noisy.residuals, "Cn")
+    assert _rms(steady, "CX") == pytest.approx(_rms(noisy.residuals, "CX"), rel=0.01)
+    assert len(steady.pieces[0].noise.passages) == len(noisy.residuals.pieces[0].noise.passages) + 1
+    assert f"{100.0 * result.share:.0f} ±" in air_note(flight, result)
     # An estimator's alpha feels no gusts: nothing is taken out.
     assert guessed.in_still_air(guessed.residuals) == (guessed.residuals, None)
 

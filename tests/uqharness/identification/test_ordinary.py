@@ -81,12 +81,12 @@ def test_intervals_hold_the_truth_and_grow_with_the_unexplained_share() -> None:
         result = _regress(_rolling(seed), "Cl", (0, 1), np.zeros(2))
         inside.append(np.abs(result.theta - truth) < 1.96 * np.sqrt(np.diagonal(result.cov)))
     assert np.mean(inside) > 0.9
-    quiet = _regress(_rolling(1, gust=0.05), "Cl", (0, 1), np.zeros(2))
+    calm = _regress(_rolling(1, gust=0.05), "Cl", (0, 1), np.zeros(2))
     gusty = _regress(_rolling(1), "Cl", (0, 1), np.zeros(2))
-    assert quiet.unexplained < gusty.unexplained
+    assert calm.unexplained < gusty.unexplained
     # White residuals and a correct model would give smaller errors.
     assert np.all(gusty.white_std < np.sqrt(np.diagonal(gusty.cov)))
-    assert quiet.cov[0, 0] < 0.5 * gusty.cov[0, 0]
+    assert calm.cov[0, 0] < 0.5 * gusty.cov[0, 0]
 
 
 def test_terms_that_move_alike_are_not_determined() -> None:
@@ -119,8 +119,8 @@ def test_what_controls_do_decides_and_not_labels(kind: str, every_s: int, ordina
         elevator = (
             test * 3.0 * (1.0 * ((t % 5.0) > 1.0) - 2.0 * ((t % 5.0) > 2.0)) * (t % 5.0 < 3.0)
         )
-    named = np.zeros(len(t), dtype=bool) if not every_s else (t // 5).astype(int) % every_s == 0
-    label = np.where(named, np.char.add("event ", (t // 5).astype(int).astype(str)), "")
+    listed = np.zeros(len(t), dtype=bool) if not every_s else (t // 5).astype(int) % every_s == 0
+    label = np.where(listed, np.char.add("event ", (t // 5).astype(int).astype(str)), "")
     zero = np.zeros(len(t))
     surfaces = {"elevator_deg": elevator, "aileron_deg": 0.5 * noise[::-1], "rudder_deg": zero}
     record = FlightRecord({"time_s": t, "manoeuvre": label.astype(object), **surfaces})
@@ -137,8 +137,8 @@ def test_delay_of_controls_that_answer_the_motion_of_their_row(late_rows: int) -
         gust += -0.1 * gust + 0.3 * rng.normal()
         bank += DT_S * p[k]
         aileron[k] = -4.0 * p[k] - 3.0 * (bank - 0.4 * np.sign(np.sin(0.3 * k * DT_S)))
-        acting = aileron[max(k - late_rows, 0)]
-        p[k + 1] = p[k] + DT_S * (0.3 * L_P * p[k] + L_DA * acting + gust)
+        active = aileron[max(k - late_rows, 0)]
+        p[k + 1] = p[k] + DT_S * (0.3 * L_P * p[k] + L_DA * active + gust)
     zero = np.zeros(n)
     time_s = DT_S * np.arange(n)
     columns = dict.fromkeys(("q_radps", "r_radps", "elevator_deg", "rudder_deg"), zero)
@@ -154,12 +154,12 @@ def test_late_ground_velocity_is_moved_to_the_accelerations() -> None:
     earth = np.stack([np.gradient(record[n], DT_S) for n in names])
     earth[2] -= 9.80665
     force = to_body(record.columns, earth)
-    held = {n: np.interp(t - 0.5, t, record[n])[np.arange(len(t)) // 25 * 25] for n in names}
+    constant = {n: np.interp(t - 0.5, t, record[n])[np.arange(len(t)) // 25 * 25] for n in names}
     axes = {f"a{a}_mps2": force[k] for k, a in enumerate("xyz")}
     # A constant error of the accelerometers turns with the aircraft; a row is missing.
     axes["ax_mps2"] = axes["ax_mps2"] + 0.3
-    held["vn_mps"][700] = np.nan
-    late = record.with_columns({**held, **axes})
+    constant["vn_mps"][700] = np.nan
+    late = record.with_columns({**constant, **axes})
     # Held for half a second, it is a quarter later still.
     assert velocity_lateness(late) == pytest.approx(0.74, abs=0.06)
     assert velocity_lateness(record.with_columns(axes)) == pytest.approx(0.0, abs=0.03)
@@ -232,8 +232,8 @@ def test_errors_of_the_air_data_lie_in_their_intervals() -> None:
 
 def test_without_ground_velocity_the_priors_remain() -> None:
     record = _banking(1.4, 0.03, 1.06)
-    bare = FlightRecord({n: v for n, v in record.columns.items() if n != "ve_mps"})
-    assert {e.basis for e in air_data_errors(bare)} == {"prior only"}
+    plain = FlightRecord({n: v for n, v in record.columns.items() if n != "ve_mps"})
+    assert {e.basis for e in air_data_errors(plain)} == {"prior only"}
 
 
 def test_angles_of_the_motion_follow_rotations() -> None:

@@ -50,17 +50,17 @@ def refined(aircraft, flight):
     limits = {n: aircraft.card.parameters[n].bounds for n in NAMES}
     with StagedModels(aircraft, setup) as bench:
         result = fit_without_effects(aircraft, bench, setup, NAMES, limits, SERIAL)
-        fit, kept, excited = result.fit, result.names, result.excited
-    assert kept == excited == NAMES
+        fit, retained, excited = result.fit, result.names, result.excited
+    assert retained == excited == NAMES
     return fit.trajectory.point
 
 
 def test_identify_and_refine_estimate_the_same(aircraft, flight):
-    found = identify(aircraft, [flight], (), NAMES, method="output-error", workers=1)
+    result = identify(aircraft, [flight], (), NAMES, method="output-error", workers=1)
     point = refined(aircraft, flight)
-    apart = (np.array([point.values[n] for n in NAMES]) - found.theta) / found.std
-    assert np.abs(apart).max() < 0.05
-    late, std = found.nuisance[f"delay/f/{CONTROL_DELAY}"]
+    difference = (np.array([point.values[n] for n in NAMES]) - result.theta) / result.std
+    assert np.abs(difference).max() < 0.05
+    late, std = result.nuisance[f"delay/f/{CONTROL_DELAY}"]
     assert abs(point.nuisance[f"lateness/f/{CONTROL_DELAY}"] - late) < 0.05 * std
     assert np.abs(late) < 4.0 * std < 0.002
     # Commands 3 ms later are seen by both: by their lateness, not in the parameters.
@@ -77,8 +77,8 @@ def test_identify_and_refine_estimate_the_same(aircraft, flight):
 def test_compare_and_refine_show_the_same_gap(aircraft, flight):
     gap = compare(aircraft, flight, (), workers=1)
     setup = make_flight_data(aircraft, [flight], ())
-    shown = evaluate(aircraft, Dataset(setup), SERIAL, ModelState({}, {}, ()))
-    ours = {c: shown.channel_rms(k) / shown.noise[k] for k, c in enumerate(setup.outputs)}
+    visible = evaluate(aircraft, Dataset(setup), SERIAL, ModelState({}, {}, ()))
+    ours = {c: visible.channel_rms(k) / visible.noise[k] for k, c in enumerate(setup.outputs)}
     assert ours == pytest.approx({c: gap.channels[c].ratio for c in setup.outputs}, rel=1e-3)
     # A sensor's scale, known, is taken out before the fit and put back: the same flight with a vane
     # that reads 1.1 times.
@@ -87,10 +87,10 @@ def test_compare_and_refine_show_the_same_gap(aircraft, flight):
     )
     setup = make_flight_data(aircraft, [scaled], ())
     side, scale = Dataset(setup), {"effect/sensor.alpha_rad/scale": 0.1}
-    blind, told = (
+    blind, reports = (
         evaluate(aircraft, side, SERIAL, ModelState({}, {}, (), s)).cost for s in ({}, scale)
     )
-    assert told < blind - 100.0
+    assert reports < blind - 100.0
 
 
 def test_what_the_flights_do_not_determine_stays(aircraft, flight):
@@ -120,23 +120,23 @@ def test_what_the_flights_do_not_determine_stays(aircraft, flight):
             )
 
 
-@pytest.mark.parametrize("far", [False, True])
+@pytest.mark.parametrize("distant", [False, True])
 def test_beside_what_goes_back_the_estimate_begins_where_replays_are_nearest(
-    aircraft, flight, monkeypatch, far
+    aircraft, flight, monkeypatch, distant
 ):
     setup = make_flight_data(aircraft, [flight], ())
     observed = Observed(setup.segments, setup.outputs, setup.measured, setup.biased, {})
-    names, near, card = (
+    names, close, card = (
         ("aero/Cm_q", "aero/CX_alpha2"),
         np.array([-13.0, 1.84]),
         np.array([-11.0, 1.86]),
     )
-    begun, real = [], replay_fit.output_error
+    start, real = [], replay_fit.output_error
 
     def estimated(replay, theta, *arguments, **more):
-        begun.append(theta)
+        start.append(theta)
         fit = real(replay, theta, *arguments, **more)
-        if len(begun) == 1 and far:
+        if len(start) == 1 and distant:
             # Beside a value at its bound, another one was driven away.
             fit.theta[0] = -50.0
         return fit
@@ -144,12 +144,12 @@ def test_beside_what_goes_back_the_estimate_begins_where_replays_are_nearest(
     monkeypatch.setattr(replay_fit, "output_error", estimated)
     with ReplayFolder(aircraft) as model:
         fit = fit_replays(
-            model, observed, names, (near, card), [(-60.0, 0.0), (1.8, 1.9)], batched_pool(map)
+            model, observed, names, (close, card), [(-60.0, 0.0), (1.8, 1.9)], batched_pool(map)
         )
     assert fit.undetermined == ("aero/CX_alpha2",)
-    assert [theta[1] for theta in begun] == [1.84, 1.86]
-    first = begun[1][0]
-    assert first == -13.0 if far else first == pytest.approx(-13.8, abs=0.5)
+    assert [theta[1] for theta in start] == [1.84, 1.86]
+    first = start[1][0]
+    assert first == -13.0 if distant else first == pytest.approx(-13.8, abs=0.5)
     assert fit.values()["aero/Cm_q"] == pytest.approx(-13.8, abs=1.0)
 
 
@@ -162,7 +162,7 @@ def test_what_replays_have_at_a_bound_is_free_beside_effects_and_told(aircraft, 
     assert result.names == result.excited == names
     assert fit.trajectory.point.values["aero/CX_alpha2"] == 1.86
     assert set(names) <= set(fit.columns[0].names)
-    assert any(n.endswith("beside effects alone: aero/CX_alpha2") for n in notes)
+    assert any(n.endswith("only with effects: aero/CX_alpha2") for n in notes)
     assert note_unestimated(names, names[:1])[0].endswith(": aero/CX_alpha2")
     assert note_unestimated(names, names) == []
 
@@ -198,7 +198,7 @@ def test_what_accelerometers_have_not_seen_of_a_jump_is_estimated(aircraft, jump
         )
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(replay_fit, "jumping_flights", lambda *_: [])
-            without = fit_replays(
+            reduced = fit_replays(
                 model, observations_of(setup), names, (np.array(true),), bounds, batched_pool(map)
             )
     share, std = (
@@ -212,9 +212,9 @@ def test_what_accelerometers_have_not_seen_of_a_jump_is_estimated(aircraft, jump
     )
     assert blind.values()["unseen/f"] == pytest.approx(share, abs=3.0 * std)
     # Taken to have seen their jumps, the same flights put the force of a surface elsewhere.
-    assert "unseen/f" not in without.layout.names
+    assert "unseen/f" not in reduced.layout.names
     assert (
-        np.abs((np.array([without.values()[n] for n in names]) - true) / without.fit.std[:4]).max()
+        np.abs((np.array([reduced.values()[n] for n in names]) - true) / reduced.fit.std[:4]).max()
         > 4.0
     )
 

@@ -44,13 +44,13 @@ def test_a_request_is_binding_and_nothing_is_compared_without_a_log_of_commands(
     positions, measured = prepared(flown.fly(KINDS[:1], seed=5, seconds=6.0))
     assert set(measured) == {"elevator", "aileron", "rudder"}
     commands, none = prepared(flown.fly(KINDS[:1], seconds=6.0, positions=False), logged=False)
-    for request, flights, known, ideal in (
+    for request, flights, reference, ideal in (
         ("ideal", commands, none, True),
         ("card", commands, none, False),
         ("auto", positions, measured, False),
         ("auto", commands, none, False),
     ):
-        choice = choose_servos(aircraft, flights, known, request, workers=1)
+        choice = choose_servos(aircraft, flights, reference, request, workers=1)
         assert choice.ideal is ideal
         assert math.isnan(choice.gain)
         assert not choice.note

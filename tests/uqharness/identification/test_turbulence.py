@@ -26,18 +26,18 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """
     place = tmp_path_factory.mktemp("turbulence")
     write_aircraft("espaaro", Airframe(), place)
-    asked = [
+    request = [
         card(7, 21.0, seconds=30.0, w20_kt=12.0),
         card(8, 24.0, seconds=30.0, w20_kt=12.0, first=4),
         card(9, 22.0, seconds=25.0),
     ]
-    for k, record in enumerate(fly([Flight(c, TRUTH) for c in asked])):
+    for k, record in enumerate(fly([Flight(c, TRUTH) for c in request])):
         record.write(place / f"flight-{k}.parquet")
     return place
 
 
-def truth_of(found: uq.Identification) -> np.ndarray:
-    return np.array([TRUTH.coefficients[n.removeprefix("aero/")] for n in found.names])
+def truth_of(result: uq.Identification) -> np.ndarray:
+    return np.array([TRUTH.coefficients[n.removeprefix("aero/")] for n in result.names])
 
 
 @pytest.mark.slow
@@ -45,33 +45,33 @@ def test_intervals_hold_the_truth_and_predictions_are_white(folder: Path):
     """A filter that took gusts otherwise than they act, and controls to act at their rows, was
     twenty standard errors off.
     """
-    found = uq.identify(
+    result = uq.identify(
         folder / "espaaro", [folder / "flight-0.parquet", folder / "flight-1.parquet"], workers=1
     )
-    assert (found.method, found.converged) == ("filter error", True)
-    known = np.array([found.status[n] == "identified" for n in found.names])
-    z = ((found.theta - truth_of(found)) / found.std)[known]
-    assert known.sum() >= 20
+    assert (result.method, result.converged) == ("filter error", True)
+    reference = np.array([result.status[n] == "identified" for n in result.names])
+    z = ((result.theta - truth_of(result)) / result.std)[reference]
+    assert reference.sum() >= 20
     assert np.sqrt(np.mean(z**2)) < 1.4
     assert np.abs(z).max() < 4.0
-    assert found.whiteness.min() > 1e-4
-    assert not [w for w in found.warnings if "moments act" in w]
-    assert found.cov.shape == (known.sum(), known.sum())
-    np.testing.assert_allclose(np.sqrt(np.diagonal(found.cov)), found.std[known])
+    assert result.whiteness.min() > 1e-4
+    assert not [w for w in result.warnings if "moments act" in w]
+    assert result.cov.shape == (reference.sum(), reference.sum())
+    np.testing.assert_allclose(np.sqrt(np.diagonal(result.cov)), result.std[reference])
     # The sensors' noise, and the gusts of one sample.
-    left = np.sqrt(np.nanmean(np.concatenate(found.residual) ** 2, axis=0)) / [
-        found.noise[c] for c in found.outputs
+    remaining = np.sqrt(np.nanmean(np.concatenate(result.residual) ** 2, axis=0)) / [
+        result.noise[c] for c in result.outputs
     ]
-    assert (left > 0.9).all()
-    assert (left < 4.0).all()
-    late = [v for n, v in found.nuisance.items() if n.startswith("delay/")]
+    assert (remaining > 0.9).all()
+    assert (remaining < 4.0).all()
+    late = [v for n, v in result.nuisance.items() if n.startswith("delay/")]
     assert len(late) == 2
     assert all(abs(value) < 4.0 * std for value, std in late)
 
 
 @pytest.mark.slow
 def test_what_is_asked_for_is_estimated_and_no_more(folder: Path):
-    asked = ["Cm_0", "Cm_alpha", "Cm_q", "Cm_de"]
+    request = ["Cm_0", "Cm_alpha", "Cm_q", "Cm_de"]
     outputs = (
         "V_mps",
         "alpha_rad",
@@ -83,58 +83,58 @@ def test_what_is_asked_for_is_estimated_and_no_more(folder: Path):
         "r_radps",
         "az_mps2",
     )
-    found = uq.identify(
+    result = uq.identify(
         folder / "espaaro",
         folder / "flight-0.parquet",
-        parameters=asked,
+        parameters=request,
         outputs=outputs,
         biases=("q_radps",),
         delays=(),
         workers=1,
     )
-    assert found.method == "filter error"
-    assert found.names == tuple(f"aero/{n}" for n in asked)
-    assert found.outputs == outputs
-    assert [n.split("/")[0] for n in found.nuisance] == ["bias"]
+    assert result.method == "filter error"
+    assert result.names == tuple(f"aero/{n}" for n in request)
+    assert result.outputs == outputs
+    assert [n.split("/")[0] for n in result.nuisance] == ["bias"]
     assert all(
-        m.shape[1] == len(outputs) for m in (*found.measured, *found.modelled, *found.residual)
+        m.shape[1] == len(outputs) for m in (*result.measured, *result.modelled, *result.residual)
     )
 
 
 @pytest.mark.slow
 def test_a_parameter_at_its_bound_is_not_identified(folder: Path):
-    own = Airframe().coefficients["Cm_q"]
-    assert TRUTH.coefficients["Cm_q"] < 1.02 * own
+    specific = Airframe().coefficients["Cm_q"]
+    assert TRUTH.coefficients["Cm_q"] < 1.02 * specific
     card_ = write_aircraft("espaaro", Airframe(), folder / "bounded") / "airframe.toml"
     rows = card_.read_text(encoding="utf-8").splitlines()
-    bounded = f'"aero/Cm_q" = {{ initial = {own}, bounds = [{1.02 * own}, 0.0] }}'
+    bounded = f'"aero/Cm_q" = {{ initial = {specific}, bounds = [{1.02 * specific}, 0.0] }}'
     card_.write_text(
         "\n".join(bounded if row.startswith('"aero/Cm_q"') else row for row in rows),
         encoding="utf-8",
     )
-    found = uq.identify(folder / "bounded" / "espaaro", folder / "flight-0.parquet", workers=1)
-    assert found.method == "filter error"
-    assert found.status["aero/Cm_q"] == "not-identified"
-    assert "at its lower bound" in found.reason["aero/Cm_q"]
-    assert found.theta[found.names.index("aero/Cm_q")] == own
-    assert len(found.identified) == len(found.cov)
+    result = uq.identify(folder / "bounded" / "espaaro", folder / "flight-0.parquet", workers=1)
+    assert result.method == "filter error"
+    assert result.status["aero/Cm_q"] == "not-identified"
+    assert "at its lower bound" in result.reason["aero/Cm_q"]
+    assert result.theta[result.names.index("aero/Cm_q")] == specific
+    assert len(result.identified) == len(result.cov)
     # The others are estimated beside the value that it goes back to.
-    alone = uq.identify(
+    single = uq.identify(
         folder / "bounded" / "espaaro",
         folder / "flight-0.parquet",
-        parameters=[n for n in found.names if n != "aero/Cm_q"],
+        parameters=[n for n in result.names if n != "aero/Cm_q"],
         workers=1,
     )
-    at = [found.names.index(n) for n in alone.names]
-    np.testing.assert_allclose((found.theta[at] - alone.theta) / alone.std, 0.0, atol=0.5)
+    at = [result.names.index(n) for n in single.names]
+    np.testing.assert_allclose((result.theta[at] - single.theta) / single.std, 0.0, atol=0.5)
 
 
 def test_without_moving_air_filter_error_is_output_error(folder: Path):
-    found = uq.identify(
+    result = uq.identify(
         folder / "espaaro", folder / "flight-2.parquet", method="filter-error", workers=1
     )
-    assert found.method == "output error"
-    assert any("filter error finds no air" in note for note in found.notes)
+    assert result.method == "output error"
+    assert any("filter error finds no air" in note for note in result.notes)
 
 
 @pytest.mark.parametrize(
@@ -146,8 +146,10 @@ def test_the_method_follows_the_air(tmp_path: Path, turbulence: str, method: str
         "espaaro", "flight-ident", duration_s=24, turbulence=turbulence, noise=True, seed=3
     )
     flight.write(tmp_path / "flight.parquet")
-    found = uq.identify("espaaro", tmp_path / "flight.parquet", parameters=["aero/Cm_q"], workers=1)
-    assert found.method == method
+    result = uq.identify(
+        "espaaro", tmp_path / "flight.parquet", parameters=["aero/Cm_q"], workers=1
+    )
+    assert result.method == method
     # Flown by the model itself: its value is the truth.
-    assert abs(found.theta[0] - found.initial[0]) < 3.5 * found.std[0]
-    assert found.std[0] < 0.1 * abs(found.theta[0])
+    assert abs(result.theta[0] - result.initial[0]) < 3.5 * result.std[0]
+    assert result.std[0] < 0.1 * abs(result.theta[0])

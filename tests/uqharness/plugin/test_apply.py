@@ -36,12 +36,12 @@ BOUNDS = Bounds(None, {"CX": (-0.01, 0.01)})
 
 
 @pytest.fixture
-def flown(monkeypatch: pytest.MonkeyPatch) -> list:
+def flight(monkeypatch: pytest.MonkeyPatch) -> list:
     """The folders that were flown beside each other."""
     pairs = []
 
-    def check(untouched: Path, made: Path, seconds: float) -> Verdict:
-        pairs.append((untouched, made))
+    def check(untouched: Path, result: Path, seconds: float) -> Verdict:
+        pairs.append((untouched, result))
         return Verdict("works")
 
     monkeypatch.setattr(apply, "check_in_child", check)
@@ -49,12 +49,12 @@ def flown(monkeypatch: pytest.MonkeyPatch) -> list:
 
 
 def test_an_aircraft_that_does_not_fly_is_refused_or_noted(
-    flown: list, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    flight: list, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    def ask(folder: Path) -> aircraft_facts.AircraftFacts:
+    def query(folder: Path) -> aircraft_facts.AircraftFacts:
         raise BadInputError("it dives")
 
-    monkeypatch.setattr(aircraft_facts, "measure_facts_in_child", ask)
+    monkeypatch.setattr(aircraft_facts, "measure_facts_in_child", query)
     with pytest.raises(BadInputError, match="it dives; --no-check"):
         instrument_aircraft(find_aircraft("c172x"), BOUNDS, tmp_path / "c172x")
     assert not (tmp_path / "c172x").exists()
@@ -63,7 +63,10 @@ def test_an_aircraft_that_does_not_fly_is_refused_or_noted(
 
 
 def test_a_control_that_cannot_be_measured_is_noted_and_the_command_answers_no(
-    flown: list, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    flight: list,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ):
     hunting = aircraft_facts.ControlFacts(1, unmeasured="engine 1 does not settle")
 
@@ -98,9 +101,9 @@ def test_a_part_of_ones_own_is_carried_unless_it_is_found_there(tmp_path):
     aircraft = root_of(tmp_path)
     (part, *_) = sorted((tmp_path / "root" / "engine").iterdir())
     part.write_bytes(part.read_bytes() + b"<!-- tuned -->\n")
-    found = carried_files(aircraft, tmp_path / "out" / "aircraft" / "c172x")
-    assert list(found.values()) == [part.read_bytes()]
-    (name,) = found
+    result = carried_files(aircraft, tmp_path / "out" / "aircraft" / "c172x")
+    assert list(result.values()) == [part.read_bytes()]
+    (name,) = result
     assert name.rpartition("/")[2] == part.name
     # Beside the original it is found where it is.
     assert carried_files(aircraft, tmp_path / "root" / "aircraft" / "copy") == {}
@@ -127,9 +130,9 @@ def test_a_value_is_edited_in_place_and_nowhere_else():
     assert done == TEXT.replace("'2'", "'-0.5'").replace(
         "<!-- old -->", "<!-- old -->  <!-- identified x - - y -->"
     )
-    again = edited(done, "a/b", Estimate(7, "z"))
-    assert again is not None
-    assert again.count("identified") == 1
+    repeat = edited(done, "a/b", Estimate(7, "z"))
+    assert repeat is not None
+    assert repeat.count("identified") == 1
     assert edited(TEXT, "b/c", Estimate(1, "")) is None
 
 
@@ -138,10 +141,10 @@ def test_names_without_a_place_come_back_and_other_files_stay(tmp_path: Path):
     broken = '<property value="1">a/b</property'
     (tmp_path / "broken.xml").write_text(broken)
     (tmp_path / "Systems" / "a.xml").write_bytes(TEXT.encode())
-    left = put_values(
+    remaining = put_values(
         tmp_path, {"a/b": Estimate(5, "x"), "a/bc": Estimate(6, "y"), "no/where": Estimate(7, "z")}
     )
-    assert left == ["no/where"]
+    assert remaining == ["no/where"]
     assert (tmp_path / "broken.xml").read_text() == broken
     text = (tmp_path / "Systems" / "a.xml").read_bytes().decode()
     assert text.startswith(
@@ -187,25 +190,25 @@ def test_jsbsim_computes_what_was_asked_and_undo_gives_the_authors_bytes(tmp_pat
     mine = find_aircraft(tmp_path / "c172x")
     names = ("mass-slugs", "iyy-slugs_ft2", "ixz-slugs_ft2", "cg-x-in")
     # Factors by hand: 14.5939 kg a slug, minus the product of inertia, 39.37 in a metre.
-    wanted = [998.0 / 14.59390, 1700.0 / SLUG_FT2, -25.0 / SLUG_FT2, 1.03 / 0.0254]
-    assert stands_at(mine, *names) == pytest.approx(wanted, rel=1e-6)
+    expected = [998.0 / 14.59390, 1700.0 / SLUG_FT2, -25.0 / SLUG_FT2, 1.03 / 0.0254]
+    assert stands_at(mine, *names) == pytest.approx(expected, rel=1e-6)
     assert stands_at(stock, *names)[0] != pytest.approx(998.0 / 14.59390, rel=0.01)
     undo(tmp_path / "c172x", tmp_path / "back")
     assert (tmp_path / "back" / "c172x.xml").read_bytes() == stock.xml.read_bytes()
 
 
 @pytest.mark.parametrize(
-    ("given", "message"),
+    ("inputs", "message"),
     [
         ({"mass_kg": -1.0}, "mass_kg = -1: a positive number"),
         ({"cg_x_m": math.nan}, "cg_x_m = nan: a finite number"),
         ({"ixx_kgm2": 1.0, "iyy_kgm2": 1.0, "izz_kgm2": 3.0}, "no body has"),
     ],
 )
-def test_what_no_body_has_is_refused(given, message):
+def test_what_no_body_has_is_refused(inputs, message):
     aircraft = find_aircraft("c172x")
     with pytest.raises(BadInputError, match=message):
-        mass_insertions(aircraft, read_document(aircraft.xml), MassProperties(**given))
+        mass_insertions(aircraft, read_document(aircraft.xml), MassProperties(**inputs))
 
 
 # An aircraft that comes without a card gets an instrumented copy.
@@ -254,7 +257,7 @@ def p51d():
 def test_what_an_aircraft_reads_of_flightgear_is_found_and_nothing_that_it_writes_itself():
     facts = aircraft_facts.measure_facts_in_child(find_aircraft("p51d").folder)
     assert facts.controls["throttle"].thrust_N[1] > facts.controls["throttle"].thrust_N[0]
-    found = {row.name: row.source for row in facts.host}
-    assert found["/controls/engines/engine/throttle"] == "fcs/throttle-cmd-norm"
-    assert found["/engines/engine/mp-inhg"] == "propulsion/engine/map-inhg"
-    assert "/controls/engines/engine/feed_tank" not in found
+    result = {row.name: row.source for row in facts.host}
+    assert result["/controls/engines/engine/throttle"] == "fcs/throttle-cmd-norm"
+    assert result["/engines/engine/mp-inhg"] == "propulsion/engine/map-inhg"
+    assert "/controls/engines/engine/feed_tank" not in result

@@ -54,15 +54,15 @@ print(json.dumps([fdm["velocities/vt-fps"] * 0.3048, fdm["attitude/phi-rad"]]))
 @pytest.fixture(scope="module")
 def copies(tmp_path_factory):
     parent = tmp_path_factory.mktemp("foreign")
-    made = {}
+    result = {}
 
     def copy(style):
-        if style not in made:
+        if style not in result:
             folder = foreign_aircraft.write(style, parent)
-            made[style] = instrument_aircraft(
+            result[style] = instrument_aircraft(
                 find_aircraft(folder), Bounds(), parent / "aircraft" / style, check=style == "wing"
             )
-        return made[style]
+        return result[style]
 
     return copy
 

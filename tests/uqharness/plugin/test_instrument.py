@@ -84,7 +84,7 @@ def test_own_functions_units_and_unnamed_ones_fly_on_to_the_last_bit(small, tmp_
 def test_the_check_sees_a_plugin_that_is_wrong(small, tmp_path):
     out = instrumented(small, tmp_path / "out" / "small")
     xml = out / "small.xml"
-    good = xml.read_bytes()
+    valid = xml.read_bytes()
     # A drag that the idle plugin adds; a moment a millionth too large; a force that acts at AERORP.
     faults = (
         (
@@ -104,8 +104,8 @@ def test_the_check_sees_a_plugin_that_is_wrong(small, tmp_path):
         ),
     )
     for old, new, words in faults:
-        assert good.count(old) == 1, old
-        xml.write_bytes(good.replace(old, new))
+        assert valid.count(old) == 1, old
+        xml.write_bytes(valid.replace(old, new))
         verdict = check(find_aircraft(small), find_aircraft(out), 0.7)
         assert verdict.status == "wrong"
         assert any(word in verdict.reason for word in words.split("|")), verdict.reason
@@ -149,10 +149,10 @@ def test_undo_restores_the_bytes_and_keeps_what_an_author_changed_since(small, t
         b'\r\n    <function name="uq/force/LIFT" apply_at_cg="true">\r\n'
         in (out / "small.xml").read_bytes()
     )
-    again = instrumented(out, tmp_path / "again" / "small", Bounds(constant={"CX": (-0.01, 0.01)}))
-    assert tree(again) != tree(out)
-    undo(again, again)
-    assert tree(again) == before
+    repeat = instrumented(out, tmp_path / "again" / "small", Bounds(constant={"CX": (-0.01, 0.01)}))
+    assert tree(repeat) != tree(out)
+    undo(repeat, repeat)
+    assert tree(repeat) == before
     changed = out / "small.xml"
     changed.write_bytes(
         changed.read_bytes().replace(b"<value>90</value>", b"<value>90.125</value>")
@@ -186,10 +186,10 @@ def test_undo_refuses_what_it_cannot_take_out_cleanly(small):
             b"<property>uq/Cm/delta</property>", b"<property>uq/Cm/delta</property> "
         )
     )
-    spoilt = tree(small)
+    damaged = tree(small)
     with pytest.raises(BadInputError, match=r"small\.xml: changed since.*uq/moment/PITCH.*by hand"):
         undo(small, small)
-    assert tree(small) == spoilt
+    assert tree(small) == damaged
     with pytest.raises(BadInputError, match="nothing here was instrumented"):
         undo(PROJECT_ROOT / "aircraft" / "espaaro", small.parent / "elsewhere")
 
@@ -315,7 +315,7 @@ def test_bad_input_is_one_line_and_exit_code_two(small, tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
-    ("document", "said"),
+    ("document", "output"),
     [
         ({"format": "instrument 9", "files": {}}, "format is 'instrument 9'"),
         ([], "is no record"),
@@ -341,7 +341,7 @@ def test_bad_input_is_one_line_and_exit_code_two(small, tmp_path, capsys):
     ],
     ids=str,
 )
-def test_a_strangers_record_is_refused(tmp_path, document, said):
+def test_a_strangers_record_is_refused(tmp_path, document, output):
     (tmp_path / FILE_NAME).write_text(json.dumps(document))
-    with pytest.raises(BadInputError, match=said):
+    with pytest.raises(BadInputError, match=output):
         read_record(tmp_path)

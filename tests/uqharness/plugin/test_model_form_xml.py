@@ -50,7 +50,7 @@ def states_forced_upon(aircraft: Aircraft, count: int, fresh: bool):
     points = qmc.scale(
         qmc.LatinHypercube(len(lows), rng=np.random.default_rng(4)).random(count), lows, highs
     )
-    bounds, flags, seen, far = [], [], [], []
+    bounds, flags, observed, distant = [], [], [], []
     for row in points:
         # The system runs before the actuators and sees them a frame old; only in a fresh instance
         # do they stand still.
@@ -77,20 +77,20 @@ def states_forced_upon(aircraft: Aircraft, count: int, fresh: bool):
         engine.run_ic(fdm)
         bounds.append([[fdm[f"uq/{c}/lower"], fdm[f"uq/{c}/upper"]] for c in COEFFICIENTS])
         flags.append(fdm["uq/extrapolated"])
-        far.append(fdm["uq/extrapolation"])
-        seen.append([*row[:8], fdm["fcs/elevator-pos-deg"], fdm["fcs/throttle-pos-pct"]])
+        distant.append(fdm["uq/extrapolation"])
+        observed.append([*row[:8], fdm["fcs/elevator-pos-deg"], fdm["fcs/throttle-pos-pct"]])
     names = [*WIDE, "elevator_pos_deg", "throttle_pct"]
     return (
         np.array(bounds),
         np.array(flags),
-        dict(zip(names, np.array(seen).T, strict=True)),
-        np.array(far),
+        dict(zip(names, np.array(observed).T, strict=True)),
+        np.array(distant),
     )
 
 
 def compare(form: ModelForm, aircraft: Aircraft, count: int, fresh: bool = False):
     system_of(aircraft).write_bytes(model_form_xml(form, aircraft))
-    bounds, flags, states, far = states_forced_upon(aircraft, count, fresh)
+    bounds, flags, states, distant = states_forced_upon(aircraft, count, fresh)
     expected = form.bounds(states)
     for k, name in enumerate(COEFFICIENTS):
         lower, upper = expected.get(name, (np.zeros(count), np.zeros(count)))
@@ -98,12 +98,12 @@ def compare(form: ModelForm, aircraft: Aircraft, count: int, fresh: bool = False
         assert bounds[:, k, 1] == pytest.approx(upper, rel=1e-9, abs=1e-12)
     assert np.array_equal(flags, form.extrapolated(states).astype(float))
     distance = np.max([b.distance(states) for b in form.coefficients.values()], axis=0)
-    assert far == pytest.approx(distance, rel=1e-9, abs=1e-9)
-    assert np.array_equal(far > 0.0, flags > 0.0)
+    assert distant == pytest.approx(distance, rel=1e-9, abs=1e-9)
+    assert np.array_equal(distant > 0.0, flags > 0.0)
     # It is no other coefficient's distance, nor that of the box alone.
     if len(form.coefficients) > 1:
-        alone = next(iter(form.coefficients.values())).distance(states)
-        assert far != pytest.approx(alone, rel=1e-9, abs=1e-9)
+        single = next(iter(form.coefficients.values())).distance(states)
+        assert distant != pytest.approx(single, rel=1e-9, abs=1e-9)
     return bounds, flags
 
 
@@ -132,17 +132,17 @@ def test_bounds_equal_numpys_well_outside_the_data_clip_included(aircraft, outsi
 def test_the_comparison_sees_a_wrong_digit(aircraft):
     form = made_up_form()
     system_of(aircraft).write_bytes(model_form_xml(form, aircraft))
-    worse = form.coefficients["Cn"]
+    poorer = form.coefficients["Cn"]
     changed = replace(
-        form, coefficients={**form.coefficients, "Cn": replace(worse, s2=worse.s2 * (1 + 1e-6))}
+        form, coefficients={**form.coefficients, "Cn": replace(poorer, s2=poorer.s2 * (1 + 1e-6))}
     )
     text = model_form_xml(changed, aircraft)
-    bounds, _, states, far = states_forced_upon(aircraft, 20, False)
+    bounds, _, states, distant = states_forced_upon(aircraft, 20, False)
     slack = {
         c: replace(b, hull=replace(b.hull, leverage=1.001 * b.hull.leverage))
         for c, b in form.coefficients.items()
     }
-    assert far != pytest.approx(
+    assert distant != pytest.approx(
         np.max([b.distance(states) for b in slack.values()], axis=0), rel=1e-9, abs=1e-9
     )
     upper = changed.bounds(states)["Cn"][1]
@@ -157,7 +157,7 @@ def test_a_delta_follows_its_level_in_every_frame_and_can_be_taken_out(aircraft)
     engine.run_ic(fdm)
     assert [fdm[f"uq/{c}/delta"] for c in COEFFICIENTS] == [0.0] * 6
     fdm["uq/active"], fdm["uq/CZ/active"] = 1.0, 0.0
-    held = []
+    constant = []
     for level in (0.0, 0.3, 1.0, 0.8):
         for c in COEFFICIENTS:
             fdm[f"uq/{c}/level"] = level
@@ -167,11 +167,11 @@ def test_a_delta_follows_its_level_in_every_frame_and_can_be_taken_out(aircraft)
             expected = 0.0 if c == "CZ" else lower + level * (upper - lower)
             assert fdm[f"uq/{c}/delta"] == pytest.approx(expected, rel=1e-12)
             assert upper > lower
-        held.append(fdm["uq/CX/upper"])
+        constant.append(fdm["uq/CX/upper"])
     # 50 Hz bounds in a 100 Hz flight: computed in every second frame, held in between.
-    assert held[1] != held[0]
-    assert held[2] == held[1]
-    assert held[3] != held[2]
+    assert constant[1] != constant[0]
+    assert constant[2] == constant[1]
+    assert constant[3] != constant[2]
 
 
 def test_a_transient_part_adds_its_half_width_times_its_level(aircraft):
@@ -193,9 +193,9 @@ def test_a_transient_part_adds_its_half_width_times_its_level(aircraft):
         fdm.run()
         for c, bounds in form.coefficients.items():
             lower, upper = fdm[f"uq/{c}/lower"], fdm[f"uq/{c}/upper"]
-            still = lower + level * (upper - lower)
+            steady = lower + level * (upper - lower)
             assert fdm[f"uq/{c}/delta"] == pytest.approx(
-                still + wave * bounds.parts.transient_half_width, rel=1e-12
+                steady + wave * bounds.parts.transient_half_width, rel=1e-12
             )
     # A part that is not there moves nothing.
     assert fdm["uq/CY/delta"] == pytest.approx(

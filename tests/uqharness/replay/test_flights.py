@@ -45,11 +45,11 @@ def test_a_record_that_begins_in_a_manoeuvre_is_replayed_once_servos_are_at_thei
 ):
     record = fly((("pitch-doublet", 22.0),), seed=1, seconds=8.0)
     first = int(np.argmax(np.abs(record["q_radps"]))) if in_manoeuvre else 0
-    cut = FlightRecord({c: record[c][first:] for c in record.columns}, record.metadata)
-    assert (abs(cut["q_radps"][0]) > 0.2) == in_manoeuvre
-    flight = prepare("cut", cut, ())
+    section = FlightRecord({c: record[c][first:] for c in record.columns}, record.metadata)
+    assert (abs(section["q_radps"][0]) > 0.2) == in_manoeuvre
+    flight = prepare("cut", section, ())
     assert flight.pieces[0].rows.start == skipped
-    assert segments(flight, ())[0].time_s[0] == pytest.approx(cut["time_s"][skipped])
+    assert segments(flight, ())[0].time_s[0] == pytest.approx(section["time_s"][skipped])
 
 
 def test_a_clock_that_is_one_row_late_is_one_command_late_and_nothing_else():
@@ -59,9 +59,9 @@ def test_a_clock_that_is_one_row_late_is_one_command_late_and_nothing_else():
     for column, values in flight.commands.items():
         np.testing.assert_allclose(moved.commands[column][1:], values[:-1], atol=1e-9)
         assert moved.commands[column][0] == values[0]
-    felt = flight.with_smoothing_delay()
-    assert felt.per_row == 1
-    assert segments(felt, ())[0].commands is None
+    sensed = flight.with_smoothing_delay()
+    assert sensed.per_row == 1
+    assert segments(sensed, ())[0].commands is None
 
 
 @pytest.mark.parametrize("rate_hz", [25.0, 50.0])
@@ -71,15 +71,17 @@ def test_a_command_that_is_late_by_a_part_of_a_row_is_held_as_long_as_it_was(rat
     """
     record = fly((("pitch-doublet", 22.0),), seed=1, rate_hz=rate_hz, seconds=6.0)
     n, finer = len(record), round(200.0 / rate_hz)
-    asked = np.where(np.arange(n) % 20 >= 10, 3.0, -1.0)
+    request = np.where(np.arange(n) % 20 >= 10, 3.0, -1.0)
     measured = np.sin(0.1 * np.arange(n))
-    plain = record.with_columns({"elevator_deg": asked, "aileron_pos_deg": measured})
+    plain = record.with_columns({"elevator_deg": request, "aileron_pos_deg": measured})
     flight = prepare("late", plain, ("aileron",))
     late_s = (finer + 3) * 0.005
     moved = flight.with_delayed_commands(late_s)
     assert moved.per_row == finer
     fine = moved.commands["elevator_deg"]
-    expected = np.concatenate([np.full(finer + 3, asked[0]), np.repeat(asked, finer)])[: len(fine)]
+    expected = np.concatenate([np.full(finer + 3, request[0]), np.repeat(request, finer)])[
+        : len(fine)
+    ]
     np.testing.assert_allclose(fine, expected, atol=1e-6)
     # A row's own value is what acts until the next one, on average; a position is where it was.
     np.testing.assert_allclose(
@@ -93,9 +95,9 @@ def test_a_command_that_is_late_by_a_part_of_a_row_is_held_as_long_as_it_was(rat
     # Between two samples of 5 ms the mean time is right.
     between = flight.with_delayed_commands(late_s + 0.002).commands["elevator_deg"]
     np.testing.assert_allclose(between[1:], 0.6 * fine[1:] + 0.4 * fine[:-1], atol=1e-6)
-    whole = flight.with_delayed_commands(1.0 / rate_hz)
-    assert whole.per_row == 1
-    np.testing.assert_allclose(whole.record["elevator_deg"][1:], asked[:-1], atol=1e-9)
+    complete = flight.with_delayed_commands(1.0 / rate_hz)
+    assert complete.per_row == 1
+    np.testing.assert_allclose(complete.record["elevator_deg"][1:], request[:-1], atol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -118,8 +120,8 @@ def test_a_channel_is_moved_only_where_it_is_late_for_sure(numbers, align, moved
     flight = prepare("late", record, (), align=align)
     assert np.array_equal(flight.record["alpha_rad"], record["alpha_rad"]) is not moved
     assert any("alpha_rad was moved 30 ms" in note for note in flight.notes) is moved
-    stands = any("it stands as recorded" in note for note in flight.notes)
-    assert stands is (not align)
+    static = any("it stands as recorded" in note for note in flight.notes)
+    assert static is (not align)
 
 
 @pytest.mark.parametrize(("speed", "flew"), [(0.4, False), (-2.5, False), (7.0, True)])
@@ -171,14 +173,14 @@ def test_steps_are_placed_on_the_logs_own_rows_before_it_is_thinned():
     assert len(notes) == 3
     assert 0.0 <= late_s <= MAX_LATE_S
     assert notes[1].startswith("aileron_deg was logged at 25 Hz")
-    flown = prepare("f", record, ()).record["aileron_deg"]
+    flight = prepare("f", record, ()).record["aileron_deg"]
     direct = prepare(
         "f", record.with_columns({"aileron_deg": np.asarray(record["aileron_deg"])}), ()
     ).record["aileron_deg"]
-    np.testing.assert_array_equal(flown, direct)
+    np.testing.assert_array_equal(flight, direct)
     right = mean_ahead(acted, 4)[::4]
-    held = mean_ahead(np.asarray(record["aileron_deg"]), 4)[::4]
-    assert np.abs(flown - right).sum() < 0.7 * np.abs(held - right).sum()
+    constant = mean_ahead(np.asarray(record["aileron_deg"]), 4)[::4]
+    assert np.abs(flight - right).sum() < 0.7 * np.abs(constant - right).sum()
 
 
 def test_commands_as_felt_are_half_way_at_their_jump_and_as_late_as_the_gyro():
@@ -187,9 +189,9 @@ def test_commands_as_felt_are_half_way_at_their_jump_and_as_late_as_the_gyro():
     (at,) = np.flatnonzero(np.diff(record["aileron_deg"]) > 5.0)[:1]
     before, after = record["aileron_deg"][at], record["aileron_deg"][at + 1]
     for late_s, share in ((0.0, 0.5), (0.005, 0.25)):
-        felt = replace(flight, gyro_late_s=late_s).with_smoothing_delay().record["aileron_deg"]
-        assert felt[at + 1] == pytest.approx(share * after + (1.0 - share) * before)
-        assert felt[at + 2] == pytest.approx(record["aileron_deg"][at + 2])
+        sensed = replace(flight, gyro_late_s=late_s).with_smoothing_delay().record["aileron_deg"]
+        assert sensed[at + 1] == pytest.approx(share * after + (1.0 - share) * before)
+        assert sensed[at + 2] == pytest.approx(record["aileron_deg"][at + 2])
 
 
 # Thrust or propeller speed in place of the throttle: the throttle that a flight had comes back.
@@ -207,26 +209,26 @@ def record() -> FlightRecord:
 
 def only(record: FlightRecord, column: str, factor: float = 1.0) -> FlightRecord:
     """Without throttle, and with one of SOURCES."""
-    kept = without(record).columns
-    return FlightRecord({**kept, column: factor * record[column]}, record.metadata)
+    retained = leave_out(record).columns
+    return FlightRecord({**retained, column: factor * record[column]}, record.metadata)
 
 
-def without(record: FlightRecord) -> FlightRecord:
+def leave_out(record: FlightRecord) -> FlightRecord:
     """The record without throttle and what can stand for it."""
-    kept = {
+    retained = {
         name: values
         for name, values in record.columns.items()
         if name not in ("throttle_pct", *SOURCES)
     }
-    return FlightRecord(kept, record.metadata)
+    return FlightRecord(retained, record.metadata)
 
 
 @pytest.mark.parametrize("column", ["thrust_N", "rpm"])
 def test_the_throttle_that_was_flown_comes_back(record: FlightRecord, column: str) -> None:
-    found, said = with_throttle(only(record, column), AIRCRAFT, "f")
+    result, output = with_throttle(only(record, column), AIRCRAFT, "f")
     # The flight's thrust follows its changing airspeed late by the propeller's time constant.
-    assert np.abs(found["throttle_pct"] - record["throttle_pct"]).max() < 0.5
-    assert said.startswith(f"throttle_pct was made of {column}: ")
+    assert np.abs(result["throttle_pct"] - record["throttle_pct"]).max() < 0.5
+    assert output.startswith(f"throttle_pct was made of {column}: ")
 
 
 def test_a_thrust_that_the_engine_cannot_have_is_refused(record: FlightRecord) -> None:
@@ -241,7 +243,8 @@ def test_throttle_at_is_the_inverse_of_the_curves() -> None:
     speeds, throttles = np.array([20.0, 40.0]), np.array([0.0, 50.0, 100.0])
     curves = np.array([[0.0, 100.0, 200.0], [-50.0, 0.0, 50.0]])
     V = np.array([20.0, 40.0, 30.0, np.nan, 20.0, 20.0])
-    wanted = np.array([150.0, 25.0, 50.0, 1.0, np.nan, 900.0])
+    expected = np.array([150.0, 25.0, 50.0, 1.0, np.nan, 900.0])
     np.testing.assert_allclose(
-        throttle_at(V, wanted, speeds, throttles, curves), [75.0, 75.0, 50.0, np.nan, np.nan, 100.0]
+        throttle_at(V, expected, speeds, throttles, curves),
+        [75.0, 75.0, 50.0, np.nan, np.nan, 100.0],
     )

@@ -38,7 +38,7 @@ HEIGHT_M = np.linspace(100.0, 900.0, N)
 
 
 @pytest.fixture(scope="module")
-def straight():
+def straight_flight():
     with ReplayFolder(find_aircraft("espaaro"), ideal=CONTROLS) as model:
         yield model
 
@@ -58,36 +58,36 @@ def of_step(dt_s: float) -> Segment:
     return Segment("f", "f", dt_s * np.arange(N), U, start, 300.0, 0.0)
 
 
-def said(model, monkeypatch, worth: int, **properties: float) -> ForcedModel:
-    monkeypatch.setattr(force, "MIN_BATCH_STATES", worth)
+def output_of(model, monkeypatch, gain: int, **properties: float) -> ForcedModel:
+    monkeypatch.setattr(force, "MIN_BATCH_STATES", gain)
     return force_states(
         model, of_step(0.02), MOTION, U, {f"aero/{k}": v for k, v in properties.items()}, HEIGHT_M
     )
 
 
-def apart(a: ForcedModel, b: ForcedModel) -> float:
+def differences(a: ForcedModel, b: ForcedModel) -> float:
     return float(
         np.abs(a.coefficients / b.coefficients - 1.0).max()
         + np.abs(a.other_force - b.other_force).max()
     )
 
 
-def test_both_engines_say_the_same(straight, monkeypatch):
-    theirs = said(straight, monkeypatch, 10**9, Cm_q=-11.0)
-    ours = said(straight, monkeypatch, 1, Cm_q=-11.0)
-    assert force._cached_programs[straight.identity].program is not None
-    assert 0.0 < apart(ours, theirs) < 1e-8
-    assert apart(said(straight, monkeypatch, 1, Cm_q=-11.1), theirs) > 1e-3
+def test_both_engines_say_the_same(straight_flight, monkeypatch):
+    theirs = output_of(straight_flight, monkeypatch, 10**9, Cm_q=-11.0)
+    ours = output_of(straight_flight, monkeypatch, 1, Cm_q=-11.0)
+    assert force._cached_programs[straight_flight.identity].program is not None
+    assert 0.0 < differences(ours, theirs) < 1e-8
+    assert differences(output_of(straight_flight, monkeypatch, 1, Cm_q=-11.1), theirs) > 1e-3
 
 
-def test_jsbsim_answers_where_the_engines_differ(straight, monkeypatch, caplog):
-    theirs = said(straight, monkeypatch, 10**9)
+def test_jsbsim_answers_where_the_engines_differ(straight_flight, monkeypatch, caplog):
+    theirs = output_of(straight_flight, monkeypatch, 10**9)
     answer = batch.at_states
-    monkeypatch.setattr(batch, "at_states", lambda *given: 1.00001 * answer(*given))
+    monkeypatch.setattr(batch, "at_states", lambda *inputs: 1.00001 * answer(*inputs))
     with caplog.at_level(logging.WARNING, logger="uqharness"):
-        ours = said(straight, monkeypatch, 1)
+        ours = output_of(straight_flight, monkeypatch, 1)
     assert "the batch engine differs" in caplog.text
-    assert apart(ours, theirs) == 0.0
+    assert differences(ours, theirs) == 0.0
 
 
 @pytest.mark.parametrize(
@@ -128,8 +128,8 @@ def test_both_engines_settle_a_propeller_and_agree_on_slopes(tmp_path, monkeypat
     with ReplayFolder(find_aircraft(tmp_path / "c172p"), ideal=CONTROLS) as model:
         parts = [SegmentStates(of_step(0.02), motion, U, HEIGHT_M)]
         loads, slopes = [], []
-        for worth in (10**9, 1):
-            monkeypatch.setattr(force, "MIN_BATCH_STATES_ENGINES", worth)
+        for gain in (10**9, 1):
+            monkeypatch.setattr(force, "MIN_BATCH_STATES_ENGINES", gain)
             loads.append(force_states(model, of_step(0.02), motion, U, values, HEIGHT_M))
             slopes += property_slopes(model, parts, values, names)
         entry = force._cached_programs[model.identity]

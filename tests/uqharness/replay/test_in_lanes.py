@@ -27,8 +27,8 @@ NAMES = ("aero/Cm_q", "aero/CZ_alpha", "aero/Cl_p")
 def segment(rows: int = ROWS, dt_s: float = DT_S, seed: int = 1) -> Segment:
     """Steps of all controls about level flight."""
     rng = np.random.default_rng(seed)
-    held = np.repeat(rng.normal(size=(rows // 10 + 1, 4)), 10, axis=0)[:rows]
-    controls = np.array([0.2, 0.0, 0.0, 60.0]) + held * np.array([1.5, 2.0, 1.0, 4.0])
+    constant = np.repeat(rng.normal(size=(rows // 10 + 1, 4)), 10, axis=0)[:rows]
+    controls = np.array([0.2, 0.0, 0.0, 60.0]) + constant * np.array([1.5, 2.0, 1.0, 4.0])
     start = np.array([22.2, 0.015, 0.01, 0.1, 0.05, 1.0, 0.05, -0.02, 0.03])
     return Segment("piece", "flight", dt_s * np.arange(rows), controls, start, 130.0, 100.0)
 
@@ -40,14 +40,14 @@ def segment(rows: int = ROWS, dt_s: float = DT_S, seed: int = 1) -> Segment:
 )
 def model(request: pytest.FixtureRequest) -> Iterator[ReplayModel]:
     """The E-SPAARO for replay."""
-    with ReplayFolder(find_aircraft("espaaro"), measured=request.param) as made:
-        yield made
+    with ReplayFolder(find_aircraft("espaaro"), measured=request.param) as result:
+        yield result
 
 
 def jobs(model: ReplayModel) -> list[ReplayJob]:
     """Lanes of different length, step, lateness, start and properties."""
     rng = np.random.default_rng(2)
-    found = []
+    result = []
     for piece in (segment(), segment(90, 0.0213, 3), segment(60, 1.0 / 60.0, 4)):
         for between in (False, True):
             properties = {
@@ -55,8 +55,8 @@ def jobs(model: ReplayModel) -> list[ReplayJob]:
                 for name in NAMES
             }
             start = piece.start * (1.0 + 0.02 * rng.normal(size=9))
-            found.append(ReplayJob(model, piece, properties, start, 0.004, between))
-    return found
+            result.append(ReplayJob(model, piece, properties, start, 0.004, between))
+    return result
 
 
 def apart(a: np.ndarray, b: np.ndarray) -> float:
@@ -88,12 +88,12 @@ def test_rows_behind_a_failure_are_nan(model: ReplayModel) -> None:
     piece = segment()
     wild = ReplayJob(model, piece, {"aero/Cm_q": 1e9}, piece.start)
     calm = ReplayJob(model, piece, {"aero/Cm_q": -13.8}, piece.start)
-    ours, beside = fly_all([wild, calm])
+    ours, reference = fly_all([wild, calm])
     theirs = by_jsbsim(wild)
     assert np.isnan(ours[-1]).all()
     assert np.isfinite(ours[0]).all()
     assert np.isnan(theirs[-1]).all()
-    assert apart(beside, by_jsbsim(calm)) < 1e-8
+    assert apart(reference, by_jsbsim(calm)) < 1e-8
 
 
 def test_what_is_not_understood_is_flown_by_jsbsim(

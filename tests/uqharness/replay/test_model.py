@@ -26,7 +26,7 @@ def record():
 
 
 @pytest.fixture(scope="module")
-def near(tmp_path_factory):
+def close_model(tmp_path_factory):
     """E-SPAARO with lift from the ground."""
     target = tmp_path_factory.mktemp("near") / "espaaro"
     effect = {e.key: e for e in subsystem_effects([], [], [])}["effect/ground/lift"]
@@ -38,7 +38,7 @@ def lift(aircraft, record, height_m, above_ground):
     """First az of a replay that begins at a height, and CZ of the model forced there."""
     segment = segments(prepare("f", record, ()), ())[0]
     segment = replace(segment, h_m=height_m, above_ground=above_ground)
-    with ReplayFolder(aircraft) as model, ReplayFolder(aircraft, ideal=CONTROLS) as straight:
+    with ReplayFolder(aircraft) as model, ReplayFolder(aircraft, ideal=CONTROLS) as level:
         az = fly_segment(model, segment, {})[0, CHANNELS.index("az_mps2")]
         states = {
             name: np.full(2, v)
@@ -58,19 +58,19 @@ def lift(aircraft, record, height_m, above_ground):
                 strict=True,
             )
         }
-        heights = altitudes(straight, segment, np.array([height_m, height_m + 2.0 * SPAN_M]))
+        heights = altitudes(level, segment, np.array([height_m, height_m + 2.0 * SPAN_M]))
         forced = force_states(
-            straight, segment, states, np.repeat(segment.controls[:1], 2, axis=0), {}, heights
+            level, segment, states, np.repeat(segment.controls[:1], 2, axis=0), {}, heights
         )
     return float(az), forced.coefficients[:, 2]
 
 
-def test_the_ground_is_where_the_record_says(near, record):
+def test_the_ground_is_where_the_record_says(close_model, record):
     plain, coefficient = lift(find_aircraft("espaaro"), record, 2.0, True)
-    far, at_height = lift(near, record, 2.0, False)
-    low, rising = lift(near, record, 2.0, True)
+    distant, at_height = lift(close_model, record, 2.0, False)
+    low, rising = lift(close_model, record, 2.0, True)
     share = LIFT * math.exp(-2.0 * 2.0 / SPAN_M)
-    assert far == pytest.approx(plain, rel=1e-6)
+    assert distant == pytest.approx(plain, rel=1e-6)
     assert low / plain == pytest.approx(1.0 + share, rel=0.02)
     np.testing.assert_allclose(at_height, coefficient, rtol=1e-9)
     expected = [1.0 + LIFT * math.exp(-2.0 * h / SPAN_M) for h in (2.0, 2.0 + 2.0 * SPAN_M)]
@@ -108,9 +108,9 @@ def test_noise_of_heights_is_averaged_over_seconds_and_a_wrong_pitch_does_not_dr
     wrong_pitch_rad: float, most_m: float
 ) -> None:
     every = [climbing(8.0, wrong_pitch_rad, seed) for seed in range(20)]
-    found = [heights(channels, DT_S) - true for channels, true in every]
-    assert np.sqrt(np.mean(np.square(found))) < most_m
+    result = [heights(channels, DT_S) - true for channels, true in every]
+    assert np.sqrt(np.mean(np.square(result))) < most_m
     # At the first row; taken for level over two seconds, what climbs is higher there.
-    assert np.std([f[0] for f in found]) < 0.35
-    assert abs(np.mean([f[0] for f in found])) < 0.15
+    assert np.std([f[0] for f in result]) < 0.35
+    assert abs(np.mean([f[0] for f in result])) < 0.15
     assert np.mean([np.median(channels["h_m"][:100]) - true[0] for channels, true in every]) > 0.8

@@ -49,8 +49,8 @@ def changed(tmp_path: Path, old: str, new: str) -> Aircraft:
 @pytest.fixture(scope="module")
 def model() -> Iterator[ReplayModel]:
     """The E-SPAARO, surfaces commanded."""
-    with ReplayFolder(find_aircraft("espaaro")) as made:
-        yield made
+    with ReplayFolder(find_aircraft("espaaro")) as result:
+        yield result
 
 
 def in_jsbsim(
@@ -68,9 +68,9 @@ def test_components_alone_put_the_surfaces_where_jsbsim_s_aircraft_does(
     model: ReplayModel, dt_s: float
 ) -> None:
     piece = segment(dt_s=dt_s, seed=3)
-    (stood,) = surface_positions(model, [piece], CONTROLS)
-    np.testing.assert_allclose(stood, in_jsbsim(model, piece), rtol=0.0, atol=1e-12)
-    assert apart(stood, piece.controls) > 0.01
+    (initial,) = surface_positions(model, [piece], CONTROLS)
+    np.testing.assert_allclose(initial, in_jsbsim(model, piece), rtol=0.0, atol=1e-12)
+    assert apart(initial, piece.controls) > 0.01
 
 
 def test_a_servo_that_reads_the_airspeed_is_flown_with_its_aircraft(tmp_path: Path) -> None:
@@ -82,9 +82,9 @@ def test_a_servo_that_reads_the_airspeed_is_flown_with_its_aircraft(tmp_path: Pa
         )
     ) as copy:
         piece = segment(seed=7)
-        (stood,) = surface_positions(copy, [piece], CONTROLS)
-        np.testing.assert_allclose(stood, in_jsbsim(copy, piece), rtol=0.0, atol=1e-9)
+        (initial,) = surface_positions(copy, [piece], CONTROLS)
+        np.testing.assert_allclose(initial, in_jsbsim(copy, piece), rtol=0.0, atol=1e-9)
         faster = replace(piece, start=piece.start * np.array([1.5, *[1.0] * 8]))
         (other,) = surface_positions(copy, [faster], CONTROLS)
         np.testing.assert_allclose(other, in_jsbsim(copy, faster), rtol=0.0, atol=1e-9)
-        assert apart(other, stood) > 1e-3
+        assert apart(other, initial) > 1e-3

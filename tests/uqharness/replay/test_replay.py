@@ -70,11 +70,11 @@ def misses(aircraft, record, measured, late=0, averaged=False):
                 shifted = np.vstack([segment.controls[:1]] * late + [segment.controls[:-late]])
                 targets = np.vstack([segment.targets[:1]] * late + [segment.targets[:-late]])
                 segment = replace(segment, controls=shifted, targets=targets)
-            flown = fly_segment(model, segment, {})
+            trajectory = fly_segment(model, segment, {})
             rows = flight.record.between(segment.time_s[0] - 1e-6, segment.time_s[-1] + 1e-6)
             for k, name in enumerate(CHANNELS):
                 truth = np.unwrap(rows[name]) if name == "psi_rad" else rows[name]
-                gap = np.sqrt(np.mean((flown[:, k] - truth) ** 2)) / NOISE.get(name, 0.01)
+                gap = np.sqrt(np.mean((trajectory[:, k] - truth) ** 2)) / NOISE.get(name, 0.01)
                 worst_of[name] = max(worst_of[name], gap)
     return worst_of
 
@@ -122,10 +122,10 @@ def test_an_accelerometer_away_from_the_cg_feels_the_rotation(aircraft, clean):
     flight = prepare("f", clean, SURFACES)
     arm = (0.3, 0.1, -0.2)
     with ReplayFolder(aircraft, measured=SURFACES) as model:
-        at_cg, away = segments(flight, SURFACES)[1], segments(flight, SURFACES, arm)[1]
-        gap = fly_segment(model, away, {}) - fly_segment(model, at_cg, {})
-        flown = fly_segment(model, at_cg, {})
-    rates = flown[:, 6:9]
+        at_cg, offset = segments(flight, SURFACES)[1], segments(flight, SURFACES, arm)[1]
+        gap = fly_segment(model, offset, {}) - fly_segment(model, at_cg, {})
+        trajectory = fly_segment(model, at_cg, {})
+    rates = trajectory[:, 6:9]
     slope = np.gradient(rates, 0.02, axis=0)
     expected = np.cross(slope, arm) + np.cross(rates, np.cross(rates, arm))
     assert np.abs(gap[:, :9]).max() == 0.0
@@ -139,30 +139,33 @@ def test_forced_states_give_the_flights_coefficients_back(aircraft, clean):
     flight = prepare("f", clean, SURFACES)
     with (
         ReplayFolder(aircraft, measured=SURFACES) as model,
-        ReplayFolder(aircraft, measured=SURFACES, ideal=CONTROLS) as straight,
+        ReplayFolder(aircraft, measured=SURFACES, ideal=CONTROLS) as level,
     ):
-        cut, every = segments(flight, SURFACES), [states(flight, piece) for piece in flight.pieces]
-        for segment, channels, (forced, found) in zip(
-            cut, every, forced_at(model, straight, cut, every, {}), strict=True
+        section, every = (
+            segments(flight, SURFACES),
+            [states(flight, piece) for piece in flight.pieces],
+        )
+        for segment, channels, (forced, result) in zip(
+            section, every, forced_at(model, level, section, every, {}), strict=True
         ):
-            demand, said = (
+            demand, output = (
                 demanded_coefficients(channels, forced, segment),
                 smooth(forced.coefficients, 0.02),
             )
-            np.testing.assert_allclose(demand[5:-5, :3], said[5:-5, :3], atol=6e-4)
-            np.testing.assert_allclose(demand[5:-5, 3:], said[5:-5, 3:], atol=1.5e-3)
-            np.testing.assert_allclose(found["de"], segment.controls[:, 0])
+            np.testing.assert_allclose(demand[5:-5, :3], output[5:-5, :3], atol=6e-4)
+            np.testing.assert_allclose(demand[5:-5, 3:], output[5:-5, 3:], atol=1.5e-3)
+            np.testing.assert_allclose(result["de"], segment.controls[:, 0])
         assert forced.mass.inertia[0, 2] == pytest.approx(-0.25, rel=1e-3)
         assert forced.mass.mass == pytest.approx(21.34, rel=1e-3)
         # The same sample asked twice, once after another: no state is remembered.
-        again = force_states(
-            straight,
+        repeat = force_states(
+            level,
             segment,
             {k: v[[7, 300, 7]] for k, v in channels.items()},
             segment.controls[[7, 300, 7]],
             {},
         )
-        np.testing.assert_allclose(again.coefficients[0], again.coefficients[2], atol=1e-12)
+        np.testing.assert_allclose(repeat.coefficients[0], repeat.coefficients[2], atol=1e-12)
 
 
 def test_a_force_that_goes_with_alphadot_is_the_one_of_the_state_itself(aircraft, clean, tmp_path):
@@ -174,11 +177,11 @@ def test_a_force_that_goes_with_alphadot_is_the_one_of_the_state_itself(aircraft
     xml = folder / aircraft.xml.name
     term = """<function name="aero/force/CZ_ad"><product><property>aero/qbar-psf</property><property>metrics/Sw-sqft</property>
         <value>0.3</value><property>aero/alphadot-rad_sec</property></product></function>"""
-    text, found = re.subn(r'(<axis name="Z"[^>]*>)', rf"\1{term}", xml.read_text(encoding="utf-8"))
-    assert found == 1
+    text, result = re.subn(r'(<axis name="Z"[^>]*>)', rf"\1{term}", xml.read_text(encoding="utf-8"))
+    assert result == 1
     xml.write_text(text, encoding="utf-8")
     flight = prepare("f", clean, SURFACES)
-    rows, said = [7, 300, 7, 120], []
+    rows, output = [7, 300, 7, 120], []
     for some in (
         aircraft,
         replace(
@@ -187,11 +190,11 @@ def test_a_force_that_goes_with_alphadot_is_the_one_of_the_state_itself(aircraft
             systems_path=aircraft.systems_path,
         ),
     ):
-        with ReplayFolder(some, measured=SURFACES, ideal=CONTROLS) as straight:
+        with ReplayFolder(some, measured=SURFACES, ideal=CONTROLS) as level:
             segment = segments(flight, SURFACES)[0]
             x = {k: v[rows] for k, v in states(flight, flight.pieces[0]).items()}
-            said.append(force_states(straight, segment, x, segment.controls[rows], {}))
-    plain, with_term = said
+            output.append(force_states(level, segment, x, segment.controls[rows], {}))
+    plain, with_term = output
     np.testing.assert_allclose(with_term.coefficients[0], with_term.coefficients[2], atol=1e-7)
     force = with_term.aero_force + with_term.other_force
     V, alpha, beta, p, q, r = (
@@ -213,9 +216,9 @@ def test_a_force_that_goes_with_alphadot_is_the_one_of_the_state_itself(aircraft
 
 
 def test_records_that_cannot_be_replayed_say_why(aircraft, clean, tmp_path):
-    bare = clean.rows(slice(0, None))
+    plain = clean.rows(slice(0, None))
     columns = {
-        k: v for k, v in bare.columns.items() if k not in ("elevator_deg", "elevator_pos_deg")
+        k: v for k, v in plain.columns.items() if k not in ("elevator_deg", "elevator_pos_deg")
     }
     with pytest.raises(BadInputError, match=r"no elevator_deg; without the surfaces"):
         prepare("f", type(clean)(columns), ())
@@ -240,8 +243,8 @@ STEPS = (100, 3)
 
 @pytest.fixture(scope="module")
 def model():
-    with ReplayFolder(find_aircraft("espaaro")) as made:
-        yield made
+    with ReplayFolder(find_aircraft("espaaro")) as result:
+        yield result
 
 
 def piece(step_deg: float = 2.0, throttle_pct: float = 4.0) -> Segment:
@@ -260,14 +263,14 @@ def piece(step_deg: float = 2.0, throttle_pct: float = 4.0) -> Segment:
 
 
 def test_a_lag_has_gone_as_far_as_its_time_constant_says(model: ReplayModel) -> None:
-    made, held_s = piece(), STEPS[1] * DT_S
+    result, held_s = piece(), STEPS[1] * DT_S
     lags = {"elevator": 25.0, "aileron": 25.0, "rudder": 25.0, "throttle": 6.0}
     assert {c: float(lag) for c, (lag, _) in model.lags.items()} == lags
     short = [math.exp(-held_s * lags[c]) for c in model.controls]
-    step = made.before[-1] - made.before[0]
-    assert made.before[-1] - initial_actuator_positions(model, made, {}, LIMITS) == pytest.approx(
-        step * short, abs=0.01 * np.abs(step).max()
-    )
+    step = result.before[-1] - result.before[0]
+    assert result.before[-1] - initial_actuator_positions(
+        model, result, {}, LIMITS
+    ) == pytest.approx(step * short, abs=0.01 * np.abs(step).max())
 
 
 def test_the_beginnings_of_replays_are_those_of_independent_flights(model: ReplayModel) -> None:
@@ -277,10 +280,15 @@ def test_the_beginnings_of_replays_are_those_of_independent_flights(model: Repla
     card = replace(cards("begun", "mixed", 0.0, 1.0, 50.0)[0], noise=1e-4)
     flight = prepare("f", fly_hidden([Flight(card, Airframe())])[0], ())
     k, noise = CHANNELS.index("ax_mps2"), 0.16
-    known, forgotten = [], []
+    reference, forgotten = [], []
     for segment, part in zip(segments(flight, ()), flight.pieces, strict=True):
-        seen = flight.record["ax_mps2"][part.rows][:10]
-        for left, own in ((known, segment), (forgotten, replace(segment, before=None))):
-            left.append(np.abs(fly_segment(model, own, {})[:10, k] - seen).max() / noise)
-    assert max(known) < 0.02
+        observed = flight.record["ax_mps2"][part.rows][:10]
+        for remaining, specific in (
+            (reference, segment),
+            (forgotten, replace(segment, before=None)),
+        ):
+            remaining.append(
+                np.abs(fly_segment(model, specific, {})[:10, k] - observed).max() / noise
+            )
+    assert max(reference) < 0.02
     assert max(forgotten) > 0.1

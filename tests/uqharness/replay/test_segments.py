@@ -26,12 +26,12 @@ def with_commands(k):
 
 @pytest.mark.parametrize("k", [1, 2, 3])
 def test_straight_lines_between_rows_have_the_area_of_what_is_known_at_each_command(k):
-    made = with_commands(k)
+    result = with_commands(k)
     fine = np.zeros(5 * k + 1)
     fine[2 * k + k // 2] = 1.0
-    rows = made.on_rows(fine)
+    rows = result.on_rows(fine)
     assert rows.shape == (6,)
     assert rows.sum() == pytest.approx(1.0 / k)
-    np.testing.assert_allclose(made.on_rows(np.full(5 * k + 1, 3.0)), 3.0)
+    np.testing.assert_allclose(result.on_rows(np.full(5 * k + 1, 3.0)), 3.0)
     # Values at the rows alone would have lost it.
     assert k == 1 or fine[::k].sum() == 0.0

@@ -60,27 +60,27 @@ def rolled():
     return FlightRecord(columns, Metadata(source="", dialect="simulation")), x[:, 3]
 
 
-def replayed(model, record, **asked):
+def replayed(model, record, **request):
     (segment,) = segments(prepare("f", record, ()), ())
     segment = replace(
         segment, start=np.array([record[c][0] for c in STATES]), altitude_m=100.0, h_m=100.0
     )
-    return fly_segment(model, segment, {}, **asked)[:, CHANNELS.index("p_radps")]
+    return fly_segment(model, segment, {}, **request)[:, CHANNELS.index("p_radps")]
 
 
 def test_a_late_gyro_is_a_late_gyro_at_the_kinks_of_a_rate(rolled):
     record, p = rolled
     late, at = 0.0045 / 0.02, np.arange(len(p), dtype=float)
-    seen = np.interp(at[::20] - 4.5, at, p)
+    observed = np.interp(at[::20] - 4.5, at, p)
     with ReplayFolder(find_aircraft("espaaro"), ideal=SURFACES) as model:
         between, rows = replayed(model, record, between=True), replayed(model, record)
-    assert len(between) == 4 * (len(seen) - 1) + 1
-    np.testing.assert_allclose(at_rows(between, len(seen)), rows, atol=0.5 * NOISE["p_radps"])
-    assert np.abs(late_rows(between, len(seen), late) - seen).max() < 2.0 * NOISE["p_radps"]
+    assert len(between) == 4 * (len(observed) - 1) + 1
+    np.testing.assert_allclose(at_rows(between, len(observed)), rows, atol=0.5 * NOISE["p_radps"])
+    assert np.abs(late_rows(between, len(observed), late) - observed).max() < 2.0 * NOISE["p_radps"]
     # A smooth curve through the rows rings at the steps, and one that is not moved is further off
     # than that.
-    assert np.abs(delay_by_rows(rows, late) - seen).max() > 8.0 * NOISE["p_radps"]
-    assert np.abs(rows - seen).max() > 16.0 * NOISE["p_radps"]
+    assert np.abs(delay_by_rows(rows, late) - observed).max() > 8.0 * NOISE["p_radps"]
+    assert np.abs(rows - observed).max() > 16.0 * NOISE["p_radps"]
 
 
 # A glider whose roll settles within a row: it meets its own flight, from start states that are
@@ -178,11 +178,11 @@ def test_a_step_is_flown_as_one_that_is_held_from_its_row_on(lively):
     """Replays give a step its own time; half a frame of it would be 20 sigma of p."""
     aircraft = carded_aircraft(str(lively))
     (flight,), measured = read_flights([lively.parent / "clean.csv"], aircraft)
-    cut = segments(flight, measured)
-    number = next(k for k, s in enumerate(cut) if s.kind == "roll doublet")
-    seen = flight.record["p_radps"][flight.pieces[number].rows]
+    section = segments(flight, measured)
+    number = next(k for k, s in enumerate(section) if s.kind == "roll doublet")
+    observed = flight.record["p_radps"][flight.pieces[number].rows]
     with ReplayFolder(aircraft, measured=measured) as model:
-        flown = fly_segment(model, cut[number], {})[:, P]
-    assert seen[0] == pytest.approx(0.0, abs=1e-3)
-    assert seen[1] > 0.5
-    assert np.abs(flown - seen)[:40].max() < FAST_ROLL_NOISE
+        trajectory = fly_segment(model, section[number], {})[:, P]
+    assert observed[0] == pytest.approx(0.0, abs=1e-3)
+    assert observed[1] > 0.5
+    assert np.abs(trajectory - observed)[:40].max() < FAST_ROLL_NOISE

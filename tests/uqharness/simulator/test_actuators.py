@@ -49,8 +49,8 @@ def test_a_command_is_held_until_its_own_row():
 
 def test_actuators_of_an_aircraft():
     aircraft = find_aircraft("espaaro")
-    found = actuators(aircraft, ("elevator", "aileron"))
-    assert set(found) == {"elevator", "aileron"}
-    assert all(a.lag is not None and a.lag > 0.0 and math.isfinite(a.rate) for a in found.values())
+    result = actuators(aircraft, ("elevator", "aileron"))
+    assert set(result) == {"elevator", "aileron"}
+    assert all(a.lag is not None and a.lag > 0.0 and math.isfinite(a.rate) for a in result.values())
     with pytest.raises(BadInputError, match=r"no <actuator> has the name of \[inputs\.elevator\]"):
         actuators(find_aircraft("c172x"), ("elevator",))

@@ -84,7 +84,7 @@ def test_totals_are_the_independent_coefficients():
 def test_a_delta_is_its_bound_times_qS_and_lengths_at_the_cg_and_moves_nothing_else(index, level):
     name = COEFFICIENTS[index]
     lower, upper = -0.004 - 0.001 * index, 0.007 + 0.001 * index
-    others = {
+    remaining = {
         f"uq/{other}/{bound}": 0.0
         for other in COEFFICIENTS
         if other != name
@@ -97,7 +97,7 @@ def test_a_delta_is_its_bound_times_qS_and_lengths_at_the_cg_and_moves_nothing_e
             f"uq/{name}/lower": lower,
             f"uq/{name}/upper": upper,
             f"uq/{name}/level": level,
-            **others,
+            **remaining,
         }
     )
     delta = lower + level * (upper - lower)
@@ -202,18 +202,18 @@ INITIAL = '<initialize name="a">{}</initialize>'
 
 def test_the_aircrafts_initial_conditions_say_where_it_flies(tmp_path):
     (tmp_path / "model.xml").write_text("<fdm_config/>")
-    record, said = with_start_altitude(FlightRecord(TIME), tmp_path)
+    record, output = with_start_altitude(FlightRecord(TIME), tmp_path)
     assert "alt_m" not in record.metadata.start
-    assert "air of sea level" in said
+    assert "air of sea level" in output
     for text, altitude in (
         ('<elevation unit="M">30</elevation><altitudeAGL unit="M">100</altitudeAGL>', 130.0),
         ("<altitude>1000</altitude>", 304.8),
         ('<altitudeMSL unit="FT">500</altitudeMSL>', 152.4),
     ):
         (tmp_path / "start.xml").write_text(INITIAL.format(text))
-        record, said = with_start_altitude(FlightRecord(TIME), tmp_path)
+        record, output = with_start_altitude(FlightRecord(TIME), tmp_path)
         assert record.metadata.start["alt_m"] == pytest.approx(altitude)
-        assert f"{altitude:g} m above sea level were taken from start.xml" in said
+        assert f"{altitude:g} m above sea level were taken from start.xml" in output
     (tmp_path / "other.xml").write_text(INITIAL.format("<altitude>9000</altitude>"))
     assert "air of sea level" in with_start_altitude(FlightRecord(TIME), tmp_path)[1]
 

@@ -354,13 +354,13 @@ def test_operations_that_jsbsim_would_ignore_are_refused_together(tmp_path):
 
 
 def test_what_jsbsim_takes_otherwise_than_the_author_is_remarked(tmp_path, caplog):
-    twice = '<property value="1">t/p</property><property value="{}">t/p</property>'
+    double = '<property value="1">t/p</property><property value="{}">t/p</property>'
     gains = f'<pure_gain name="t/x">{INPUT}<gain>1</gain></pure_gain>' * 2
     aircraft = broken(
         tmp_path,
         ('type="BOGEY"', 'type="WHEEL"'),
-        ("<flight_control[^>]*>", rf'\g<0>{twice.format(2)}<channel name="t">{gains}</channel>'),
-        ("<aerodynamics>", "<aerodynamics>" + twice.format(1).replace("t/p", "t/q")),
+        ("<flight_control[^>]*>", rf'\g<0>{double.format(2)}<channel name="t">{gains}</channel>'),
+        ("<aerodynamics>", "<aerodynamics>" + double.format(1).replace("t/p", "t/q")),
         ("<sense>1", '<orient unit="DEG"><pitch>90</pitch></orient><sense>1'),
     )
     with caplog.at_level("INFO", logger="uqharness"):
@@ -377,13 +377,13 @@ def test_what_jsbsim_takes_otherwise_than_the_author_is_remarked(tmp_path, caplo
 def test_stock_aircraft_that_jsbsim_loads_have_no_findings():
     # Negative control: the rules do not call ordinary files wrong.
     folder = engine.default_root() / "aircraft"
-    judged = {
+    verdict = {
         path.name: _findings(find_aircraft(path), refused=True)
         for path in sorted(folder.iterdir())
         if path.is_dir() and path.name != "blank"
     }
-    assert len(judged) > 50
-    assert {name: texts for name, texts in judged.items() if texts} == {}
+    assert len(verdict) > 50
+    assert {name: texts for name, texts in verdict.items() if texts} == {}
 
 
 def test_a_folder_named_otherwise_than_its_xml_has_only_one_or_a_card(tmp_path):

@@ -119,10 +119,10 @@ def electric(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_an_electric_aircraft_is_measured_with_its_engine_settled(electric: Path, tmp_path: Path):
     facts = aircraft_facts.measure_facts_in_child(electric)
-    found = {name: (c.sense, c.throw_deg) for name, c in facts.controls.items()}
-    assert found["elevator"] == (1, pytest.approx(0.3 * RAD_DEG, rel=1e-3))
-    assert found["aileron"] == (-1, pytest.approx(0.25 * RAD_DEG, rel=1e-3))
-    assert found["rudder"] == (1, pytest.approx(0.4 * RAD_DEG, rel=1e-3))
+    result = {name: (c.sense, c.throw_deg) for name, c in facts.controls.items()}
+    assert result["elevator"] == (1, pytest.approx(0.3 * RAD_DEG, rel=1e-3))
+    assert result["aileron"] == (-1, pytest.approx(0.25 * RAD_DEG, rel=1e-3))
+    assert result["rudder"] == (1, pytest.approx(0.4 * RAD_DEG, rel=1e-3))
     closed, opened = facts.controls["throttle"].thrust_N or (math.nan, math.nan)
     assert abs(closed) < 0.1 < 5.0 < opened < 40.0
     done = instrument_aircraft(find_aircraft(electric), Bounds(), tmp_path / "out")
@@ -176,13 +176,13 @@ def response(name: str, V_mps: float, control: str, value: float, frames: int) -
         fdm[f"fcs/{control}-cmd-norm"] = value
     if exists("propulsion/engine/map-inhg"):
         fdm["propulsion/magneto_cmd"], fdm["propulsion/starter_cmd"] = 3.0, 1.0
-    for what in (
+    for kind in (
         "rate/rotational",
         "rate/translational",
         "position/rotational",
         "position/translational",
     ):
-        fdm[f"simulation/integrator/{what}"] = 0.0
+        fdm[f"simulation/integrator/{kind}"] = 0.0
     for k in range(frames):
         if k == 300 and exists("propulsion/engine/map-inhg"):
             fdm["propulsion/starter_cmd"] = 0.0
@@ -200,13 +200,13 @@ def test_the_cards_throws_signs_and_thrust_are_those_of_jsbsims_response(name: s
     facts = aircraft_facts.measure_facts_in_child(find_aircraft(name).folder)
     for control, (acceleration, sign) in ACCELERATIONS.items():
         low, high = (response(name, facts.V_mps, control, end, 300) for end in (-1.0, 1.0))
-        found = facts.controls[control]
-        assert not found.unmeasured
-        if found.throw_deg is not None:
+        result = facts.controls[control]
+        assert not result.unmeasured
+        if result.throw_deg is not None:
             throw = 0.5 * abs(high[POSITIONS[control]] - low[POSITIONS[control]]) * RAD_DEG
-            assert found.throw_deg == pytest.approx(throw, rel=0.02)
+            assert result.throw_deg == pytest.approx(throw, rel=0.02)
             change = sign * (high[acceleration] - low[acceleration])
-            assert found.sense == math.copysign(1.0, change)
+            assert result.sense == math.copysign(1.0, change)
     throttle = facts.controls["throttle"]
     # Concorde's engines give no thrust where they are started after initialising, as `response`
     # does.

@@ -45,9 +45,9 @@ def test_with_the_control_system_at_rest_the_thrust_is_that_of_the_throttle_and_
         "propulsion/engine/thrust-lbs",
     )
     fdm, _ = open_forced(aircraft, state, {"throttle": 0.5}, 300.0, None)
-    rest = forced_state.control_equilibrium(aircraft, fdm)
+    remainder = forced_state.control_equilibrium(aircraft, fdm)
     rested = force_state(
-        aircraft, state, {"throttle": 0.5}, 300.0, None, (thrust,), equilibrium=rest
+        aircraft, state, {"throttle": 0.5}, 300.0, None, (thrust,), equilibrium=remainder
     )
     first = force_state(aircraft, state, {"throttle": 0.5}, 300.0, None, (thrust,))
     assert rested[1][thrust] > 10.0 * first[1][thrust]
@@ -65,9 +65,9 @@ def _evaluations(name, seed):
     forced_state._shared.clear()
     pairs = []
     for _ in range(12):
-        V, alpha, beta, *rest = rng.uniform(-1.0, 1.0, 8)
+        V, alpha, beta, *remainder = rng.uniform(-1.0, 1.0, 8)
         uvw = body_velocity(60.0 + 10.0 * V, 0.05 + 0.05 * alpha, 0.05 * beta)
-        state = BodyState(*uvw, *(0.1 * x for x in rest), 0.01)
+        state = BodyState(*uvw, *(0.1 * x for x in remainder), 0.01)
         controls = {
             key: float(rng.uniform(*card.limits))
             for key, card in aircraft.card.inputs.items()

@@ -22,8 +22,8 @@ def sources_of(listed, missing=()):
     return {row.name: (row.source, row.kind) for row in rows}
 
 
-def sources(names, **others):
-    return sources_of(reads(names, **others), names)
+def sources(names, **remaining):
+    return sources_of(reads(names, **remaining), names)
 
 
 def with_readings(folder, names):
@@ -64,11 +64,11 @@ def with_readings(folder, names):
     ],
 )
 def test_a_name_has_the_source_that_flightgear_would_write(name, source, kind):
-    found = sources([host.canonical(name)])[host.canonical(name)]
+    result = sources([host.canonical(name)])[host.canonical(name)]
     if kind is None:  # a bus without "volts" in its name is merely on
-        assert found == ("1", "system")
+        assert result == ("1", "system")
     else:
-        assert found == (source, kind)
+        assert result == (source, kind)
 
 
 def test_a_brake_that_the_author_set_for_the_start_is_released():
@@ -153,9 +153,9 @@ def test_the_author_s_initial_values_are_taken_where_nothing_else_is_known(tmp_p
     )
     names = ["/options/ballast", "/options/on", "/controls/gear/brake-parking", "fcs/gust[1]"]
     aircraft = with_readings(folder, [*names, "/velocities/mach"])
-    found = {row.name: row.source for row in host_properties(aircraft)}
-    assert [found[name] for name in names] == ["7.5", "1", "0", "3"]
-    assert found["/velocities/mach"] == "velocities/mach"
+    result = {row.name: row.source for row in host_properties(aircraft)}
+    assert [result[name] for name in names] == ["7.5", "1", "0", "3"]
+    assert result["/velocities/mach"] == "velocities/mach"
 
 
 def flightgear_folder(parent, models=("single",)):
@@ -256,10 +256,12 @@ def test_an_edited_include_of_the_set_file_is_read_again(tmp_path):
 def test_an_assumed_level_is_above_what_the_tank_keeps(tmp_path):
     folder = foreign_aircraft.write("single", tmp_path)
     xml = folder / "single.xml"
-    kept = '<unusable-volume unit="LTR">4</unusable-volume><density unit="LBS/GAL">6.5</density>'
+    retained = (
+        '<unusable-volume unit="LTR">4</unusable-volume><density unit="LBS/GAL">6.5</density>'
+    )
     text = re.sub(r"(<capacity[^>]*>)[^<]*", r"\g<1>10", xml.read_text())
     xml.write_text(
-        re.sub(r"<contents[^>]*>[^<]*</contents>", f"<contents>5</contents>{kept}", text)
+        re.sub(r"<contents[^>]*>[^<]*</contents>", f"<contents>5</contents>{retained}", text)
     )
     # 4 l keep 6.87 lb of 10 lb.
     assert fuel_levels(find_aircraft(folder))[0] == pytest.approx(8.434, abs=1e-3)

@@ -44,18 +44,18 @@ def linear_model(**changes):
     return SimpleNamespace(A=A, trim=SimpleNamespace(condition=SimpleNamespace(V_mps=V_MPS)))
 
 
-def roots(found):
+def roots(result):
     return np.sort_complex(
         [
             value
-            for m in found
+            for m in result
             for value in {complex(m["real"], m["imag"]), complex(m["real"], -m["imag"])}
         ]
     )
 
 
-def names(found):
-    return [mode.name for mode in found]
+def names(result):
+    return [mode.name for mode in result]
 
 
 PAIRS = ["short_period", "phugoid"]
@@ -80,9 +80,9 @@ LATERAL = ["dutch_roll", "roll", "spiral"]
 )
 def test_every_arrangement_of_roots_has_its_names_and_each_root_once(changes, expected):
     model = linear_model(**changes)
-    found = modes(model)
-    assert names(found) == expected
-    printed = roots([vars(m) for m in found])
+    result = modes(model)
+    assert names(result) == expected
+    printed = roots([vars(m) for m in result])
     assert printed == pytest.approx(np.sort_complex(np.linalg.eigvals(model.A)), abs=1e-12)
 
 
@@ -93,11 +93,11 @@ def test_the_divergence_of_an_unstable_aircraft_is_told(cm_alpha, cm_q, expected
     properties = {"aero/Cm_alpha": cm_alpha, "aero/Cm_q": cm_q}
     aircraft = find_aircraft("espaaro")
     model = linearise(aircraft, find_trim(aircraft, SteadyCondition(22.2, properties=properties)))
-    found = modes(model)
+    result = modes(model)
     largest = max(np.linalg.eigvals(model.A).real)
-    unstable = max(found, key=lambda m: m.real)
+    unstable = max(result, key=lambda m: m.real)
     assert (unstable.name, unstable.real) == (expected, pytest.approx(largest))
-    worst = max((a for a in assess(model, found) if a.mode == expected), key=lambda a: a.level)
+    worst = max((a for a in assess(model, result) if a.mode == expected), key=lambda a: a.level)
     assert worst.value == pytest.approx(math.log(2.0) / largest)
     assert worst.level == (3 if worst.value >= 6.0 else 4)
 

@@ -35,7 +35,7 @@ def missions(tmp_path_factory):
 
 
 @pytest.mark.parametrize(
-    ("which", "wanted"),
+    ("index", "expected"),
     [
         ("metric", {"inertia/mass-slugs": 1.6}),
         (
@@ -50,30 +50,30 @@ def missions(tmp_path_factory):
         ),
     ],
 )
-def test_properties_stand_at_what_was_asked_and_the_rest_stays(missions, which, wanted):
-    mission = missions[which]
-    nominal, changed = mission.open(), mission.open(changed=wanted)
+def test_properties_stand_at_what_was_asked_and_the_rest_stays(missions, index, expected):
+    mission = missions[index]
+    nominal, changed = mission.open(), mission.open(changed=expected)
     for fdm in (nominal, changed):
         engine.run_ic(fdm)
-    for name, value in wanted.items():
+    for name, value in expected.items():
         assert changed[name] == pytest.approx(value, rel=1e-8)
         assert nominal[name] != pytest.approx(value, rel=1e-3)
-    if which == "metric":
+    if index == "metric":
         for name in (
             "inertia/mass-slugs",
             "inertia/ixx-slugs_ft2",
             "inertia/izz-slugs_ft2",
             "metrics/bw-ft",
         ):
-            assert name in wanted or changed[name] == nominal[name]
+            assert name in expected or changed[name] == nominal[name]
     # The next flight of the same mission is the nominal one again.
-    again = mission.open()
-    engine.run_ic(again)
-    assert all(again[name] == nominal[name] for name in wanted)
+    repeat = mission.open()
+    engine.run_ic(repeat)
+    assert all(repeat[name] == nominal[name] for name in expected)
 
 
 @pytest.mark.parametrize(
-    ("wanted", "message"),
+    ("expected", "message"),
     [
         ({"inertia/mass-slugs": 0.0}, "must be a positive number"),
         ({"inertia/iyy-slugs_ft2": float("nan")}, "must be a positive number"),
@@ -84,6 +84,6 @@ def test_properties_stand_at_what_was_asked_and_the_rest_stays(missions, which, 
         ({"inertia/weight-lbs": 50.0, "aero/CX": 1.0}, "the model computes it"),
     ],
 )
-def test_impossible_masses_are_refused(wanted, message):
+def test_impossible_masses_are_refused(expected, message):
     with pytest.raises(BadInputError, match=message):
-        fly(replace(SPEC, properties=wanted))
+        fly(replace(SPEC, properties=expected))

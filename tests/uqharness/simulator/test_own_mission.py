@@ -112,15 +112,15 @@ def write(folder, text=CAMPAIGN):
 
 
 @pytest.fixture(scope="module")
-def flown(tmp_path_factory):
+def flights(tmp_path_factory):
     folder = tmp_path_factory.mktemp("steady")
     spec = read_campaign(write(folder))
     run_campaign(spec, folder / "out", executor=SerialExecutor())
     return folder, spec
 
 
-def test_a_stock_aircraft_goes_through_a_campaign_to_a_pbox(flown):
-    folder, _ = flown
+def test_a_stock_aircraft_goes_through_a_campaign_to_a_pbox(flights):
+    folder, _ = flights
     frame = read_table(folder / "out" / CASES).to_pandas()
     assert (frame["status"] == "ok").all()
     assert list(frame.columns[-4:]) == list(OPTIONAL_METRICS)
@@ -146,12 +146,12 @@ def test_a_stock_aircraft_goes_through_a_campaign_to_a_pbox(flown):
 
 
 @pytest.mark.parametrize("wind_mps", [0.0, 4.0])
-def test_it_begins_in_trim_and_stays_there_in_still_air(flown, wind_mps):
-    _, spec = flown
+def test_it_begins_in_trim_and_stays_there_in_still_air(flights, wind_mps):
+    _, spec = flights
     calm = spec.aleatory.model_copy(
         update={"turbulence": ("none",), "wind_mps": (wind_mps,), "flights": 1}
     )
-    mission = find_mission(spec, flown[0] / "out")
+    mission = find_mission(spec, flights[0] / "out")
     (case,) = build_cases(replace(spec, aleatory=calm), mission)
     result = fly(replace(case.flight, duration_s=10.0))
     assert result.metrics["altitude_max_m"] < 0.2
@@ -163,8 +163,8 @@ def test_it_begins_in_trim_and_stays_there_in_still_air(flown, wind_mps):
     assert np.rad2deg(result.signals["psi_rad"]) == pytest.approx(30.0, abs=0.05)
 
 
-def test_the_mission_is_two_files_that_fly_without_the_harness(flown, tmp_path, capsys):
-    folder, _ = flown
+def test_the_mission_is_two_files_that_fly_without_the_harness(flights, tmp_path, capsys):
+    folder, _ = flights
     out = folder / "out"
     command = [
         "fly",

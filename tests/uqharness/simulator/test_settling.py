@@ -52,7 +52,7 @@ def test_a_piston_engine_that_jsbsim_stops_is_started_and_stays_steady_in_flight
     engine.settle_engines(fdm)
     assert settling.is_balanced(fdm)
     assert fdm.get_sim_time() == 0.0
-    kept = [
+    retained = [
         fdm[n]
         for n in (
             "velocities/u-fps",
@@ -61,7 +61,7 @@ def test_a_piston_engine_that_jsbsim_stops_is_started_and_stays_steady_in_flight
             "propulsion/total-fuel-lbs",
         )
     ]
-    assert kept == pytest.approx(state, rel=1e-12, abs=1e-12)
+    assert retained == pytest.approx(state, rel=1e-12, abs=1e-12)
     thrust = fdm["propulsion/engine/thrust-lbs"]
     assert thrust > 100.0
     for _ in range(20):
@@ -147,9 +147,9 @@ def placed(name, V_mps, alpha_rad, **controls):
 
 def test_filters_come_to_rest_where_jsbsim_in_flight_brings_them():
     aircraft, fdm = placed("f22", 129.2, F22_ALPHA, elevator=0.0, throttle=0.5)
-    rest = forced_state.control_equilibrium(aircraft, fdm, free=True)
-    moving = forced_state.moving_property(fdm, rest)
-    assert moving in rest.watched
+    remainder = forced_state.control_equilibrium(aircraft, fdm, free=True)
+    moving = forced_state.moving_property(fdm, remainder)
+    assert moving in remainder.watched
     names = (
         "velocities/u-fps",
         "velocities/w-fps",
@@ -158,8 +158,8 @@ def test_filters_come_to_rest_where_jsbsim_in_flight_brings_them():
         "propulsion/total-fuel-lbs",
     )
     first, state = fdm["fcs/throttle-pos-norm"], [fdm[n] for n in names]
-    assert forced_state.bring_to_rest(fdm, rest) == ""
-    assert forced_state.moving_property(fdm, rest) == ""
+    assert forced_state.bring_to_rest(fdm, remainder) == ""
+    assert forced_state.moving_property(fdm, remainder) == ""
     assert [fdm[n] for n in names] == pytest.approx(state, rel=1e-9)
     assert fdm.get_sim_time() == 0.0
     rested, thrust = fdm["fcs/throttle-pos-norm"], fdm["propulsion/engine/thrust-lbs"]
@@ -192,17 +192,17 @@ def test_a_control_law_that_integrates_rests_with_the_rates_free_and_not_with_th
     aircraft, fdm = placed(
         "f22", 129.2, F22_ALPHA, elevator=0.0, aileron=0.0, rudder=0.0, throttle=0.5
     )
-    rest = forced_state.control_equilibrium(aircraft, fdm, free=True)
+    remainder = forced_state.control_equilibrium(aircraft, fdm, free=True)
     assert abs(fdm["accelerations/qdot-rad_sec2"]) > 0.5
-    assert forced_state.bring_to_rest(fdm, rest) == ""
+    assert forced_state.bring_to_rest(fdm, remainder) == ""
     assert abs(fdm["velocities/q-rad_sec"]) < 1e-8
     assert abs(fdm["accelerations/qdot-rad_sec2"]) < 1e-8
     # A stick off centre commands a rate, and the aircraft turns with it.
     _, fdm = placed("f22", 129.2, F22_ALPHA, elevator=-0.1, aileron=0.0, rudder=0.0, throttle=0.5)
-    assert forced_state.bring_to_rest(fdm, rest) == ""
+    assert forced_state.bring_to_rest(fdm, remainder) == ""
     assert fdm["velocities/q-rad_sec"] == pytest.approx(0.02595, abs=1e-4)
     # With the rates held nothing tells the integrator that the aircraft does not turn: the surface
     # stays, the moment too.
     _, fdm = placed("f22", 129.2, F22_ALPHA, elevator=0.0, aileron=0.0, rudder=0.0, throttle=0.5)
-    forced_state.bring_to_rest(fdm, ControlEquilibrium(rest.watched))
+    forced_state.bring_to_rest(fdm, ControlEquilibrium(remainder.watched))
     assert abs(fdm["accelerations/qdot-rad_sec2"]) > 0.5

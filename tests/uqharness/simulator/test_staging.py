@@ -32,17 +32,17 @@ def folder(tmp_path: Path) -> Path:
 def test_only_what_is_opened_is_laid_out_and_as_it_passed(folder: Path, tmp_path: Path) -> None:
     (folder / "unused.xml").write_text("<system name='x'/>")
     aircraft = find_aircraft(folder)
-    made = stage(aircraft, tmp_path / "root")
+    result = stage(aircraft, tmp_path / "root")
     files = model_files(aircraft)
-    there = {
-        p.relative_to(made.folder).as_posix(): p.read_bytes()
-        for p in made.folder.rglob("*")
+    present = {
+        p.relative_to(result.folder).as_posix(): p.read_bytes()
+        for p in result.folder.rglob("*")
         if p.is_file()
     }
-    assert there == {name: file.content for name, file in files.local.items()}
-    assert made.xml.is_file()
-    assert "unused.xml" not in there
-    assert dict(made.user_folders)[made.folder] == folder
+    assert present == {name: file.content for name, file in files.local.items()}
+    assert result.xml.is_file()
+    assert "unused.xml" not in present
+    assert dict(result.user_folders)[result.folder] == folder
 
 
 def test_a_staging_is_kept_until_a_file_changes(folder: Path) -> None:
@@ -63,12 +63,12 @@ def test_what_was_taken_out_is_said_once(
         xml.read_text().replace("</fdm_config>", "<output name='x' type='CSV'/></fdm_config>")
     )
     with caplog.at_level(logging.INFO, "uqharness"):
-        made = stage(find_aircraft(folder), tmp_path / "one")
+        result = stage(find_aircraft(folder), tmp_path / "one")
         stage(find_aircraft(folder), tmp_path / "two")
-    said = [r.getMessage() for r in caplog.records if "left out" in r.getMessage()]
-    assert len(said) == 1
-    assert "1 <output> left out" in said[0]
-    assert b"<output" not in made.xml.read_bytes()
+    output = [r.getMessage() for r in caplog.records if "left out" in r.getMessage()]
+    assert len(output) == 1
+    assert "1 <output> left out" in output[0]
+    assert b"<output" not in result.xml.read_bytes()
 
 
 # Files that an aircraft is made of: their identity, what is read, and copies.
@@ -94,17 +94,17 @@ def test_what_is_taken_out_leaves_every_other_byte_and_line() -> None:
         b'<a>\r\n<output name="x>y"/>\n<b><output>kept</output></b>\n<output>\n<c'
         b' file="/etc"/></output><input/><c/>\n</a>\n'
     )
-    found = screen_file(raw, "a.xml")
-    assert [(tag, line) for tag, line in found.removed] == [
+    result = screen_file(raw, "a.xml")
+    assert [(tag, line) for tag, line in result.removed] == [
         ("output", 2),
         ("output", 4),
         ("input", 5),
     ]
-    assert len(found.content) == len(raw)
-    assert found.content.count(b"\n") == raw.count(b"\n")
-    assert b"<b><output>kept</output></b>" in found.content
-    assert found.content.rstrip().endswith(b"<c/>\n</a>")
-    assert found.references == ()
+    assert len(result.content) == len(raw)
+    assert result.content.count(b"\n") == raw.count(b"\n")
+    assert b"<b><output>kept</output></b>" in result.content
+    assert result.content.rstrip().endswith(b"<c/>\n</a>")
+    assert result.references == ()
     assert screen_file(b"<a><b/></a>", "b.xml").content == b"<a><b/></a>"
 
 

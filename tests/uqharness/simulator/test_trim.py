@@ -44,14 +44,14 @@ MODES = {
 
 
 @pytest.fixture(scope="module", params=[20.0, 22.2])
-def trimmed(request):
+def trim_state(request):
     aircraft = find_aircraft("espaaro")
     trim = find_trim(aircraft, SteadyCondition(request.param))
     return aircraft, trim
 
 
-def test_trim_figures(trimmed):
-    _, trim = trimmed
+def test_trim_figures(trim_state):
+    _, trim = trim_state
     expected = TRIM[trim.condition.V_mps]
     assert trim.converged
     assert math.degrees(trim.alpha_rad) == pytest.approx(expected["alpha"], abs=0.01)
@@ -62,26 +62,26 @@ def test_trim_figures(trimmed):
     assert np.max(np.abs(trim.residual)) < 1e-8
 
 
-def test_eigenvalues(trimmed):
-    aircraft, trim = trimmed
-    found = {mode.name: complex(mode.real, mode.imag) for mode in modes(linearise(aircraft, trim))}
+def test_eigenvalues(trim_state):
+    aircraft, trim = trim_state
+    result = {mode.name: complex(mode.real, mode.imag) for mode in modes(linearise(aircraft, trim))}
     expected = MODES[trim.condition.V_mps]
-    assert found.keys() == expected.keys()
+    assert result.keys() == expected.keys()
     for name in ("short_period", "phugoid", "dutch_roll", "roll"):
-        assert abs(found[name] - expected[name]) < 0.01 * abs(expected[name]), name
-    assert abs(found["spiral"] - expected["spiral"]) < 1e-4
+        assert abs(result[name] - expected[name]) < 0.01 * abs(expected[name]), name
+    assert abs(result["spiral"] - expected["spiral"]) < 1e-4
 
 
 @pytest.mark.parametrize(("name", "mode"), [("Cn_beta", "dutch_roll"), ("Cm_q", "short_period")])
 def test_a_coefficient_wrong_by_five_percent_fails_the_figures(name, mode):
     aircraft = find_aircraft("espaaro")
-    wrong = SteadyCondition(22.2, properties={f"aero/{name}": 1.05 * sixdof.TABLE_2_6[name]})
-    found = {
+    invalid = SteadyCondition(22.2, properties={f"aero/{name}": 1.05 * sixdof.TABLE_2_6[name]})
+    result = {
         m.name: complex(m.real, m.imag)
-        for m in modes(linearise(aircraft, find_trim(aircraft, wrong)))
+        for m in modes(linearise(aircraft, find_trim(aircraft, invalid)))
     }
     expected = MODES[22.2][mode]
-    assert abs(found[mode] - expected) > 0.01 * abs(expected)
+    assert abs(result[mode] - expected) > 0.01 * abs(expected)
 
 
 def eigenvalues(airframe: sixdof.Airframe, V: float):
@@ -108,8 +108,8 @@ def eigenvalues(airframe: sixdof.Airframe, V: float):
             sixdof.derivative(airframe, centre + step, controls)
             - sixdof.derivative(airframe, centre - step, controls)
         ) / 2e-5
-    kept = [0, 1, 2, 3, 4, 5, 6, 7]
-    return np.linalg.eigvals(jacobian[np.ix_(kept, kept)])
+    retained = [0, 1, 2, 3, 4, 5, 6, 7]
+    return np.linalg.eigvals(jacobian[np.ix_(retained, retained)])
 
 
 def test_modes_of_a_changed_model_agree_with_the_independent_equations():

@@ -97,10 +97,10 @@ SYSTEMS = {
 
 @pytest.mark.parametrize("name", few(SYSTEMS, 3))
 def test_aerodynamic_axes_are_jsbsims(name):
-    found = differences(SYSTEMS[name])
+    result = differences(SYSTEMS[name])
     if name == "side alone":
-        del found["forces/lod-norm"]  # a ratio of two roundings
-    assert worst(found) < 1e-10
+        del result["forces/lod-norm"]  # a ratio of two roundings
+    assert worst(result) < 1e-10
 
 
 @pytest.mark.parametrize(
@@ -160,8 +160,8 @@ STALL = (
 
 
 def test_stall_warning_and_hysteresis():
-    found = differences(STALL, frames=110)
-    assert worst(found) < 1e-10
+    result = differences(STALL, frames=110)
+    assert worst(result) < 1e-10
     assert (
         worst(differences(STALL, STALL.replace("<max>7</max>", "<max>6</max>"), frames=110)) > 1e-3
     )
@@ -183,8 +183,8 @@ def test_the_reference_point_may_be_written():
         " name='metrics/aero-rp-{}'><input>i/l</input><gain>{}</gain>"
     )
     gain += "</pure_gain>"
-    rest = f"</channel></flight_control><aerodynamics>{axes('XZ')}</aerodynamics>"
-    text = aircraft(HOST + gain.format("x-in", 1.5) + rest)
+    remainder = f"</channel></flight_control><aerodynamics>{axes('XZ')}</aerodynamics>"
+    text = aircraft(HOST + gain.format("x-in", 1.5) + remainder)
     assert worst(compared(text, RECORDS, inputs(), 30)) < 1e-10
     assert (
         worst(compared(text, RECORDS, inputs(), 30, changed=text.replace("1.5", "1.50001"))) > 1e-6
@@ -194,7 +194,7 @@ def test_the_reference_point_may_be_written():
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "output"),
     [
         (axes("X") + axes(("LIFT",)), "do not belong to one system"),
         (axes("X", "WIND") + axes("Z", "BODY"), "different frames"),
@@ -211,7 +211,7 @@ def test_the_reference_point_may_be_written():
         ),
     ],
 )
-def test_aerodynamics_refusals_name_the_line(text, said):
-    found = refused(body(text))
-    assert said in found
-    assert "point.xml:7: " in found
+def test_aerodynamics_refusals_name_the_line(text, output):
+    result = refused(body(text))
+    assert output in result
+    assert "point.xml:7: " in result

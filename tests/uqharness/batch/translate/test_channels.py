@@ -81,8 +81,8 @@ CASES = {
 
 @pytest.mark.parametrize("name", CASES)
 def test_bits_are_jsbsims_and_a_moved_number_is_noticed(name: str) -> None:
-    apart, control = judged(CASES[name], random_inputs())
-    assert apart == {}
+    difference, control = judged(CASES[name], random_inputs())
+    assert difference == {}
     assert control != {}
 
 
@@ -93,8 +93,10 @@ def test_a_switched_channel_counts_the_frames_in_which_it_is_on(rate: int) -> No
     inputs["i/on"] = inputs["i/on"] * np.random.default_rng(5).choice(
         [0.4, 0.6, -1.0, 1e-300], len(inputs["i/on"])
     )
-    apart, control = judged(f'<channel execute="i/on" execrate="{rate}">{GAIN}</channel>', inputs)
-    assert apart == {}
+    difference, control = judged(
+        f'<channel execute="i/on" execrate="{rate}">{GAIN}</channel>', inputs
+    )
+    assert difference == {}
     assert control != {}
 
 
@@ -105,10 +107,10 @@ def test_a_channel_may_begin_in_flight(start: float) -> None:
     inputs["i/on"][50:] = 1.0
     lag = '<lag_filter name="l"><input>i/a</input><c1>@3</c1></lag_filter>'
     actuator = '<actuator name="a"><input>i/a</input><rate_limit>3</rate_limit></actuator>'
-    apart, control = judged(
+    difference, control = judged(
         f'<channel execute="i/on" execrate="3">{lag}{actuator}</channel>', inputs
     )
-    assert apart == {}
+    assert difference == {}
     assert control != {}
 
 
@@ -217,8 +219,8 @@ def test_systems_run_before_the_autopilot_and_that_before_the_flight_control():
         + part("system", "second", "start", 1.25)
         + "<aerodynamics/>"
     )
-    with flights.craft(flights.aircraft(body)) as made:
-        tags = [system.node.attributes["name"] for system in made.sources().systems]
+    with flights.craft(flights.aircraft(body)) as result:
+        tags = [system.node.attributes["name"] for system in result.sources().systems]
     assert tags == ["d", "first", "second", "middle", "last"]
     assert (
         flights.worst(
@@ -237,18 +239,18 @@ def test_a_system_in_a_file(place):
     body = "<system file='x'><property value='4'>o/start</property></system><aerodynamics/>"
     with flights.craft(
         flights.aircraft(body), files={place: part("system", "inside", "start", 2)}
-    ) as made:
-        systems = made.sources().systems
+    ) as result:
+        systems = result.sources().systems
     assert systems[0].document.path.name == "x.xml"
     assert systems[0].outer is not None
 
 
 def test_a_file_that_is_not_there_is_refused():
-    with flights.craft(flights.aircraft("<aerodynamics/>")) as made:
-        xml = made.root / "aircraft" / "point" / "point.xml"
+    with flights.craft(flights.aircraft("<aerodynamics/>")) as result:
+        xml = result.root / "aircraft" / "point" / "point.xml"
         xml.write_text(flights.aircraft("<system file='nowhere'/><aerodynamics/>"))
         with pytest.raises(BadInputError, match="nowhere"):
-            made.sources()
+            result.sources()
 
 
 A = "<input>i/a</input>"
@@ -310,8 +312,8 @@ def aircraft(reads: str, noise: str = "") -> str:
 
 
 def test_a_chain_of_instruments_is_left_out_with_its_reasons() -> None:
-    with flights.craft(aircraft("i/switch")) as made:
-        flight = flights.translated(made, ["velocities/u-fps"])
+    with flights.craft(aircraft("i/switch")) as result:
+        flight = flights.translated(result, ["velocities/u-fps"])
     assert len(flight.left_out) == 4
     assert all("point.xml:" in reason for reason in flight.left_out)
     assert all("<magnetometer> takes the field of the day" in why for why in flight.left_out)
@@ -319,15 +321,15 @@ def test_a_chain_of_instruments_is_left_out_with_its_reasons() -> None:
 
 @pytest.mark.parametrize("reads", ["i/compass", "i/needle", "i/lamp", "aero/shown"])
 def test_what_the_flight_reads_is_refused_with_the_reason_at_its_root(reads: str) -> None:
-    said = flights.refused(aircraft(reads))
-    assert "point.xml:" in said
-    assert "<magnetometer> takes the field of the day" in said
+    output = flights.refused(aircraft(reads))
+    assert "point.xml:" in output
+    assert "<magnetometer> takes the field of the day" in output
 
 
 @pytest.mark.parametrize("kind", ["GAUSSIAN", "UNIFORM"])
 def test_noise_of_what_was_left_out_is_drawn_all_the_same(kind: str) -> None:
-    with flights.craft(aircraft("i/other", NOISE.replace("{kind}", kind))) as made:
-        flight = flights.translated(made, ["i/other"])
+    with flights.craft(aircraft("i/other", NOISE.replace("{kind}", kind))) as result:
+        flight = flights.translated(result, ["i/other"])
     assert [name.endswith("/uniform") for name, _ in flight.draws] == [kind == "UNIFORM", False]
 
 
@@ -337,8 +339,8 @@ def test_ground_functions_are_not_taken_for_constants() -> None:
     text = flights.aircraft(
         FORCE.replace("{reads}", "gear/load").replace("i/lamp", "aero/qbar-psf")
     )
-    said = flights.refused(text.replace("<ground_reactions/>", ground))
-    assert "<function> of <ground_reactions> is not supported" in said
+    output = flights.refused(text.replace("<ground_reactions/>", ground))
+    assert "<function> of <ground_reactions> is not supported" in output
 
 
 def test_a_flight_with_instruments_is_jsbsims() -> None:

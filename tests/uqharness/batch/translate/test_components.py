@@ -280,8 +280,8 @@ FRAMES = 1500
 
 def check_bits(body: str, inputs: dict[str, np.ndarray]) -> None:
     """All bits are JSBSim's, and not after the number behind ``@`` has moved by 1e-12 of itself."""
-    apart, control = judged(body, inputs)
-    assert apart == {}
+    difference, control = judged(body, inputs)
+    assert difference == {}
     assert control != {}
 
 
@@ -298,11 +298,11 @@ def test_bits_are_jsbsims_and_a_moved_number_is_noticed(name: str) -> None:
     ("name", "prefix", "failures"),
     [
         *(
-            (name, "a", how)
+            (name, "a", options)
             for name in ("all of it", "switched", "saturated")
-            for how in ("zero", "hardover", "zero hardover stuck")
+            for options in ("zero", "hardover", "zero hardover stuck")
         ),
-        *(("all but noise", "s", how) for how in ("low", "high", "low high stuck")),
+        *(("all but noise", "s", options) for options in ("low", "high", "low high stuck")),
     ],
 )
 def test_failures_come_and_go(name: str, prefix: str, failures: str) -> None:
@@ -310,9 +310,9 @@ def test_failures_come_and_go(name: str, prefix: str, failures: str) -> None:
     key = next(key for key in CASES if key.split(" | ")[0] == f"{kind}: {name}")
     inputs = random_inputs(FRAMES)
     rng = np.random.default_rng(3)
-    for how in failures.split():
+    for options in failures.split():
         failed = np.repeat((rng.random(FRAMES // 5) > 0.7).astype(float), 5)
-        inputs[f"fcs/{prefix}/malfunction/fail_{how}"] = failed
+        inputs[f"fcs/{prefix}/malfunction/fail_{options}"] = failed
     check_bits(f"<channel {key.partition(' | ')[2]}>{CASES[key]}</channel>", inputs)
 
 
@@ -383,9 +383,9 @@ REFUSALS = table("""
 
 @pytest.mark.parametrize("message", REFUSALS)
 def test_refusals_have_file_and_line(message: str) -> None:
-    said = refusal(f"<channel>{REFUSALS[message]}</channel>")
-    assert message in said
-    assert said.startswith("system.xml:")
+    output = refusal(f"<channel>{REFUSALS[message]}</channel>")
+    assert message in output
+    assert output.startswith("system.xml:")
 
 
 @pytest.mark.parametrize("name", ["Gain", "A Gain", "o/A-Gain", "x.y", "two  blanks", "Trailing_"])
@@ -399,11 +399,11 @@ def test_a_component_without_a_name_has_its_outputs() -> None:
     body = "<summer><input>i/a</input><bias>@2</bias><output>o/one</output><output>o/two</output><description/></summer>"
     ends = "<range><documentation>x</documentation><min>-2</min><max>@3</max></range>"
     scale = f"<aerosurface_scale><description>x</description><input>i/b</input>{ends}"
-    apart, control = judged(
+    difference, control = judged(
         f"<channel>{body}{scale}<output>o/three</output></aerosurface_scale></channel>",
         random_inputs(200),
     )
-    assert apart == {}
+    assert difference == {}
     assert set(control) == {"o/one", "o/two", "o/three"}
     assert "a <summer> has a name or <output>" in refusal(
         "<channel><summer><input>i/a</input></summer></channel>"
@@ -420,8 +420,8 @@ def test_properties_of_the_host_begin_with_a_slash() -> None:
         ' name="s"><input>-/host/x</input><input>i/a</input><input>host/x</input><output>/host/y</output></summer><lag_filter'
         ' name="/host/x"><input>/fdm/jsbsim/fcs/s</input><c1>@3</c1></lag_filter></channel>'
     )
-    apart, control = judged(body, random_inputs(300))
-    assert apart == {}
+    difference, control = judged(body, random_inputs(300))
+    assert difference == {}
     assert set(control) == {"/host/x", "/host/y", "fcs/s"}
 
 
@@ -436,8 +436,8 @@ def test_an_angle_agrees_to_rounding() -> None:
     # The angle between nearly equal directions is the arc cosine of nearly 1: an ulp of the cosine
     # is 1e-8 of the angle.
     for name, scale in (("fcs/x", 1.0), ("fcs/y", 57.3)):
-        apart = np.abs(pair.theirs[name] - pair.ours[name]) / scale
-        assert np.max(apart * np.abs(np.sin(pair.theirs[name] / scale))) < 1e-15
+        difference = np.abs(pair.theirs[name] - pair.ours[name]) / scale
+        assert np.max(difference * np.abs(np.sin(pair.theirs[name] / scale))) < 1e-15
         assert len(np.unique(np.sign(pair.theirs[name]))) > 1
     changed = compared(
         f"<channel>{body}</channel>", inputs, f"<channel>{body.replace('DEG', 'RAD')}</channel>"
@@ -460,12 +460,12 @@ def test_a_position_above_the_last_setting_is_nan_on_the_way_down() -> None:
     assert np.isnan(pair.ours["o/k"]).all()
 
 
-def _noisy(inputs: tuple[str, str], noise: tuple[str, str], drawn: str) -> str:
+def _noisy(inputs: tuple[str, str], noise: tuple[str, str], drawing: str) -> str:
     first, second = (
         f'<sensor name="{name}"><input>{x}</input><noise variation="{kind}"'
         f' distribution="GAUSSIAN">{size}</noise></sensor>'
         for name, x, kind, size in zip(
-            "pq", inputs, noise, ("1", "1") if drawn else ("0.3", "2"), strict=True
+            "pq", inputs, noise, ("1", "1") if drawing else ("0.3", "2"), strict=True
         )
     )
     return (
@@ -478,8 +478,8 @@ def test_noise_is_jsbsims_for_jsbsims_draws() -> None:
     inputs = random_inputs(1200)
     inputs["i/zero"] = np.zeros(1200)
     # The bare draws: sensors of nothing with a noise of 1.
-    bare = _noisy(("i/zero", "i/zero"), ("ABSOLUTE", "ABSOLUTE"), "bare")
-    raw = compared(bare, inputs, draws=np.zeros(9000)).theirs
+    plain = _noisy(("i/zero", "i/zero"), ("ABSOLUTE", "ABSOLUTE"), "bare")
+    raw = compared(plain, inputs, draws=np.zeros(9000)).theirs
     draws = [0.0, 0.0, 0.0]
     for k in range(1200):
         draws += [raw["o/r"][k], raw["fcs/p"][k]] + ([raw["fcs/q"][k]] if k % 2 == 0 else [])
@@ -539,12 +539,14 @@ def test_gyros_and_accelerometers_of_a_tumbling_body(axis: str) -> None:
     # JSBSim computes the centre of gravity in its first frame.
     values.update({name: float(series[name][-1]) for name in HELD})
     # What a system sees: rates of this frame, forces and accelerations of the frame before.
-    seen = {name: series[name] for name in NOW}
-    seen |= {name: np.concatenate([series[name][:1], series[name][:-1]]) for name in BEFORE}
+    observed = {name: series[name] for name in NOW}
+    observed |= {name: np.concatenate([series[name][:1], series[name][:-1]]) for name in BEFORE}
     worst = {}
     for bias in ("0.25", "0.250000000001"):
         document = document_of(body.replace("{bias}", bias))
-        ours = run(traced([System(document, document.root)], values, list(seen)), seen, MADE)
+        ours = run(
+            traced([System(document, document.root)], values, list(observed)), observed, MADE
+        )
         worst[bias] = max(
             np.max(np.abs(ours[n] - series[n])[2:]) / np.max(np.abs(series[n])) for n in MADE
         )
@@ -579,9 +581,9 @@ def _places(scale: float) -> dict[str, np.ndarray]:
     """Near and far targets in all quadrants, in units of ``scale`` per radian."""
     rng = np.random.default_rng(0)
     lat, lon = rng.uniform(-1.5, 1.5, 1500), rng.uniform(-3.1, 3.1, 1500)
-    near = rng.random(1500) < 0.6
-    to_lat = np.where(near, lat + rng.normal(0.0, 1e-3, 1500), rng.uniform(-1.4, 1.4, 1500))
-    to_lon = lon + np.where(near, rng.normal(0.0, 1e-3, 1500), rng.uniform(-2.4, 2.4, 1500))
+    close = rng.random(1500) < 0.6
+    to_lat = np.where(close, lat + rng.normal(0.0, 1e-3, 1500), rng.uniform(-1.4, 1.4, 1500))
+    to_lon = lon + np.where(close, rng.normal(0.0, 1e-3, 1500), rng.uniform(-2.4, 2.4, 1500))
     places = {"i/a": to_lat, "i/b": to_lon, "i/c": lat, "i/d": lon}
     return {name: values * scale for name, values in places.items()}
 
@@ -591,8 +593,8 @@ def _gap(body: str, places: dict[str, np.ndarray], changed: str | None = None) -
         f"<channel>{body}</channel>", places, changed and f"<channel>{changed}</channel>"
     )
     return max(
-        float(np.max(np.abs(pair.ours[name] - there) / np.maximum(np.abs(there), 1e-3)))
-        for name, there in pair.theirs.items()
+        float(np.max(np.abs(pair.ours[name] - present) / np.maximum(np.abs(present), 1e-3)))
+        for name, present in pair.theirs.items()
     )
 
 

@@ -22,20 +22,20 @@ FUNCTIONS = """<?xml version="1.0"?><electric_engine name="m"><power unit="WATTS
 
 def test_functions_of_an_engine_bear_its_number() -> None:
     files = {**engines.FILES, "Engines/f.xml": FUNCTIONS}
-    made = engines.Case(
+    result = engines.Case(
         engines.aircraft(engines.mounted("f", "fixed", 0) + engines.mounted("f", "fixed", 1)),
         [*engines.of(0, ["before", "behind"]), *engines.of(1, ["before", "behind"])],
         engines.levers(60, 2),
         files,
     )
-    theirs = made.theirs()
-    assert flights.worst(flights.apart(theirs, made.ours())) < 1e-11
+    theirs = result.theirs()
+    assert flights.worst(flights.apart(theirs, result.ours())) < 1e-11
     changed = {**files, "Engines/f.xml": FUNCTIONS.replace(' type="post"', "")}
-    assert flights.worst(flights.apart(theirs, made.ours(files=changed))) > 1e-6
+    assert flights.worst(flights.apart(theirs, result.ours(files=changed))) > 1e-6
 
 
 @pytest.mark.parametrize(
-    ("propulsion", "said"),
+    ("propulsion", "output"),
     [
         (
             "<function name='f'><v>1</v></function>",
@@ -51,8 +51,8 @@ def test_functions_of_an_engine_bear_its_number() -> None:
         ),
     ],
 )
-def test_propulsion_refusals(propulsion: str, said: str) -> None:
-    assert said in engines.refusal(engines.aircraft(propulsion), engines.FILES)
+def test_propulsion_refusals(propulsion: str, output: str) -> None:
+    assert output in engines.refusal(engines.aircraft(propulsion), engines.FILES)
 
 
 @pytest.mark.parametrize(
@@ -62,11 +62,11 @@ def test_propulsion_refusals(propulsion: str, said: str) -> None:
 def test_what_acts_otherwise_than_as_a_value_is_not_set(name: str) -> None:
     systems = f"""<system name="s"><channel name="c"><fcs_function name="s/a"><function><v>1</v></function>
     <output>{name}</output></fcs_function></channel></system>"""
-    said = flights.refused(
+    output = flights.refused(
         engines.aircraft(engines.mounted("motor", "fixed"), systems=systems), files=engines.FILES
     )
-    assert name in said
-    assert "point.xml:" in said
+    assert name in output
+    assert "point.xml:" in output
 
 
 @pytest.mark.parametrize("motor", few(["brushless", "motor"], 1))
@@ -75,21 +75,21 @@ def test_a_motor_starts_and_brakes(motor: str, events: str) -> None:
     throttle = np.concatenate(
         [np.full(21, 1e-5), np.full(40, -0.5), np.full(40, 2e-5), np.full(20, 0.0)]
     )
-    made = engines.Case(
+    result = engines.Case(
         engines.aircraft(engines.mounted(motor, "fixed", 0), engines.HEAVY),
         [*engines.of(0, engines.PROPELLER), *engines.TOTALS],
         {"fcs/throttle-cmd-norm": throttle},
         engines.FILES,
         events,
     )
-    theirs = made.theirs()
-    assert flights.worst(flights.apart(theirs, made.ours())) < 1e-10
+    theirs = result.theirs()
+    assert flights.worst(flights.apart(theirs, result.ours())) < 1e-10
     changed = {
         name: text.replace("<coilresistance>0.05", "<coilresistance>0.0501")
         for name, text in engines.FILES.items()
     }
     changed["Engines/motor.xml"] = engines.MOTOR.replace("600", "600.01")
-    assert flights.worst(flights.apart(theirs, made.ours(files=changed))) > 1e-9
+    assert flights.worst(flights.apart(theirs, result.ours(files=changed))) > 1e-9
 
 
 def test_a_number_that_lacks_is_refused() -> None:
@@ -97,8 +97,8 @@ def test_a_number_that_lacks_is_refused() -> None:
         **engines.FILES,
         "Engines/brushless.xml": engines.BRUSHLESS.replace("<maxvolts>12</maxvolts>", ""),
     }
-    said = engines.refusal(engines.aircraft(engines.mounted("brushless", "fixed")), files)
-    assert "brushless.xml:1: <brushless_dc_motor> has no <maxvolts>" in said
+    output = engines.refusal(engines.aircraft(engines.mounted("brushless", "fixed")), files)
+    assert "brushless.xml:1: <brushless_dc_motor> has no <maxvolts>" in output
 
 
 LIQUID = """<?xml version="1.0"?><rocket_engine name="l"><isp>230</isp>
@@ -158,9 +158,9 @@ def case(motor: str, tanks: str, feeds: str, frames: int = 500) -> engines.Case:
     ),
 )
 def test_thrust_propellant_and_inertia_are_jsbsims(motor: str, tanks: str, feeds: str) -> None:
-    made = case(motor, tanks, feeds)
-    theirs = made.theirs()
-    assert worst(apart(theirs, made.ours())) < 1e-9
+    result = case(motor, tanks, feeds)
+    theirs = result.theirs()
+    assert worst(apart(theirs, result.ours())) < 1e-9
     assert theirs["propulsion/engine/thrust-lbs"].max() > 100.0
     if feeds == "01":
         # The propellant is used up.
@@ -183,25 +183,25 @@ def test_thrust_propellant_and_inertia_are_jsbsims(motor: str, tanks: str, feeds
 )
 def test_each_rocket_number_matters(motor: str, old: str, new: str) -> None:
     tanks, feeds = (GRAIN, "0") if motor == "solid" else (OXIDIZER + engines.tank(6.0), "01")
-    made = case(motor, tanks, feeds, 200)
+    result = case(motor, tanks, feeds, 200)
     name = f"Engines/{motor}.xml"
-    assert old in made.files[name]
-    files = {**made.files, name: made.files[name].replace(old, new)}
-    assert worst(apart(made.theirs(), made.ours(files=files))) > 1e-8
+    assert old in result.files[name]
+    files = {**result.files, name: result.files[name].replace(old, new)}
+    assert worst(apart(result.theirs(), result.ours(files=files))) > 1e-8
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "said"),
+    ("old", "new", "output"),
     [
         ("<isp>230</isp>", "", "<rocket_engine> has no <isp>"),
         ('type="OXIDIZER"', 'type="AIR"', "allowed are FUEL and OXIDIZER"),
         ('file="nozzle"', 'file="fixed"', "a rocket has a <nozzle> or <direct> thruster"),
     ],
 )
-def test_rocket_refusals(old: str, new: str, said: str) -> None:
-    made = case("liquid", OXIDIZER + engines.tank(6.0), "01", 1)
-    files = {name: text.replace(old, new) for name, text in made.files.items()}
-    assert said in engines.refusal(made.text.replace(old, new), files)
+def test_rocket_refusals(old: str, new: str, output: str) -> None:
+    result = case("liquid", OXIDIZER + engines.tank(6.0), "01", 1)
+    files = {name: text.replace(old, new) for name, text in result.files.items()}
+    assert output in engines.refusal(result.text.replace(old, new), files)
 
 
 POINTS = """<pointmass name="a"><weight unit="LBS">6</weight><location unit="M"><x>.2</x><y>.1</y>
@@ -225,11 +225,11 @@ def test_point_masses_that_the_xml_moves_are_jsbsims(tank: str) -> None:
         LOADS.replace("SHIFT", "7"),
     )
     inputs = {**engines.levers(200), "i/load": np.repeat([0.0, 1.0, 2.5, 0.5, 0.0], 50)[:201]}
-    made = engines.Case(text, [*engines.MASS, *engines.MOTION], inputs, engines.FILES, "")
-    theirs = made.theirs()
-    assert worst(apart(theirs, made.ours())) < 1e-9
+    result = engines.Case(text, [*engines.MASS, *engines.MOTION], inputs, engines.FILES, "")
+    theirs = result.theirs()
+    assert worst(apart(theirs, result.ours())) < 1e-9
     assert np.ptp(theirs["inertia/weight-lbs"]) > 5.0
-    assert worst(apart(theirs, made.ours(text.replace(">7<", ">7.01<")))) > 1e-8
+    assert worst(apart(theirs, result.ours(text.replace(">7<", ">7.01<")))) > 1e-8
 
 
 VECTOR = """<system name="v"><channel name="v">
@@ -258,7 +258,7 @@ def case_thruster(propulsion: str, systems: str = "", count: int = 1) -> engines
 
 
 @pytest.mark.parametrize(
-    ("made", "before", "after"),
+    ("result", "before", "after"),
     few(
         [
             (
@@ -285,15 +285,17 @@ def case_thruster(propulsion: str, systems: str = "", count: int = 1) -> engines
         2,
     ),
 )
-def test_thrust_acts_as_in_jsbsim(made: engines.Case, before: str, after: str) -> None:
-    theirs = made.theirs()
-    assert flights.worst(flights.apart(theirs, made.ours())) < 1e-11
-    assert before in made.text
-    assert flights.worst(flights.apart(theirs, made.ours(made.text.replace(before, after)))) > 1e-9
+def test_thrust_acts_as_in_jsbsim(result: engines.Case, before: str, after: str) -> None:
+    theirs = result.theirs()
+    assert flights.worst(flights.apart(theirs, result.ours())) < 1e-11
+    assert before in result.text
+    assert (
+        flights.worst(flights.apart(theirs, result.ours(result.text.replace(before, after)))) > 1e-9
+    )
 
 
 @pytest.mark.parametrize(
-    ("thruster", "said"),
+    ("thruster", "output"),
     [
         (
             '<thruster file="motor"/>',
@@ -305,11 +307,11 @@ def test_thrust_acts_as_in_jsbsim(made: engines.Case, before: str, after: str) -
         ("", "an engine has a <thruster>"),
     ],
 )
-def test_thruster_refusals(thruster: str, said: str) -> None:
+def test_thruster_refusals(thruster: str, output: str) -> None:
     message = engines.refusal(
         engines.aircraft(f'<engine file="motor">{thruster}</engine>'), engines.FILES
     )
-    assert said in message
+    assert output in message
     assert ".xml:" in message
 
 
@@ -330,10 +332,10 @@ SHOWN = {
 
 
 @pytest.mark.parametrize(
-    ("wanted", "unit"), [(wanted, unit) for wanted in SHOWN for unit in UNITS[wanted]]
+    ("expected", "unit"), [(expected, unit) for expected in SHOWN for unit in UNITS[expected]]
 )
-def test_units_are_converted_as_by_jsbsim(wanted: str, unit: str) -> None:
-    name, text = SHOWN[wanted]
+def test_units_are_converted_as_by_jsbsim(expected: str, unit: str) -> None:
+    name, text = SHOWN[expected]
     inside = text.format(unit=unit)
     if "thruster" in inside:
         propulsion = f"<engine><electric_engine/>{inside}</engine>"
@@ -342,5 +344,5 @@ def test_units_are_converted_as_by_jsbsim(wanted: str, unit: str) -> None:
             "<tank"
             f' type="FUEL"><location/>{inside}</tank><engine><electric_engine/><thruster><direct/></thruster></engine>'
         )
-    with flights.craft(engines.aircraft(propulsion)) as made:
-        assert made.open()[name] == pytest.approx(UNITS[wanted][unit], rel=1e-15)
+    with flights.craft(engines.aircraft(propulsion)) as result:
+        assert result.open()[name] == pytest.approx(UNITS[expected][unit], rel=1e-15)

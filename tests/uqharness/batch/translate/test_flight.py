@@ -67,16 +67,16 @@ INPUTS = {
 
 def test_systems_see_what_jsbsims_see():
     """Motion and air of this frame, forces, incidence and accelerations of the frame before."""
-    found = compared(aircraft(BODY), RECORDS, INPUTS, 20, START)
-    assert worst(found) < 1e-10
+    result = compared(aircraft(BODY), RECORDS, INPUTS, 20, START)
+    assert worst(result) < 1e-10
 
 
 def test_what_is_not_computed_cannot_be_recorded():
     with (
-        craft(aircraft(BODY)) as made,
+        craft(aircraft(BODY)) as result,
         pytest.raises(BadInputError, match="position/vrp-radius-ft is not computed"),
     ):
-        translated(made, ["position/vrp-radius-ft"])
+        translated(result, ["position/vrp-radius-ft"])
 
 
 RECORDS_EXTERNAL = (
@@ -98,8 +98,8 @@ def force(
     function="<function name='f/one'><product><p>i/a</p><v>2</v></product></function>",
     name="one",
 ):
-    given = f' frame="{frame}"' if frame is not None else ""
-    return f'<force name="{name}"{given}>{function}{LOCATION}{DIRECTION}</force>'
+    arguments = f' frame="{frame}"' if frame is not None else ""
+    return f'<force name="{name}"{arguments}>{function}{LOCATION}{DIRECTION}</force>'
 
 
 def moment(frame, function="<function><product><p>i/a</p><v>.5</v></product></function>"):
@@ -163,8 +163,8 @@ def test_a_magnitude_without_function():
     assert (
         worst(differences(moment("WIND", ""), ("external_reactions/turn/magnitude-lbsft",))) < 1e-11
     )
-    made = f"<function name='{name}'><product><p>i/a</p><p>i/a</p></product></function>"
-    assert worst(differences(made + force("LOCAL", ""))) < 1e-11
+    result = f"<function name='{name}'><product><p>i/a</p><p>i/a</p></product></function>"
+    assert worst(differences(result + force("LOCAL", ""))) < 1e-11
 
 
 def test_direction_and_place_may_change_in_flight():
@@ -194,7 +194,7 @@ def test_several_and_functions_before_them():
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "output"),
     [
         (force("body"), "frame 'body'"),
         (
@@ -210,12 +210,12 @@ def test_several_and_functions_before_them():
         ),
     ],
 )
-def test_external_reaction_refusals_name_the_line(text, said):
-    found = refused(body(text))
-    assert said in found
-    assert "point.xml:7: " in found
+def test_external_reaction_refusals_name_the_line(text, output):
+    result = refused(body(text))
+    assert output in result
+    assert "point.xml:7: " in result
 
 
 def test_buoyancy_is_refused():
-    found = refused(aircraft("<buoyant_forces/><aerodynamics/>"))
-    assert "<buoyant_forces> is not supported" in found
+    result = refused(aircraft("<buoyant_forces/><aerodynamics/>"))
+    assert "<buoyant_forces> is not supported" in result

@@ -21,7 +21,7 @@ from uqharness.simulator import engine
 FREE = ("fcs/", "gear/gear-", "gear/tailhook")
 
 
-def bare():
+def plain():
     fdm = oracle.loaded(oracle.model(""), 0.01)
     engine.run_ic(fdm)
     return fdm
@@ -30,7 +30,7 @@ def bare():
 def test_all_properties_of_a_bare_aircraft_are_listed():
     names = [
         name
-        for name in engine.catalog(bare())
+        for name in engine.catalog(plain())
         if not name.startswith(FREE) or name.startswith("fcs/mag-")
     ]
     assert len(names) > 250
@@ -38,7 +38,7 @@ def test_all_properties_of_a_bare_aircraft_are_listed():
 
 
 def test_writable_ones_take_a_value_in_jsbsim():
-    fdm = bare()
+    fdm = plain()
     names = [
         name
         for name in engine.catalog(fdm)
@@ -55,9 +55,9 @@ def test_writable_ones_take_a_value_in_jsbsim():
 
 def test_required_values_are_those_of_an_aircraft_that_sets_nothing():
     fdm = oracle.loaded(oracle.model(""), 0.01)
-    there = fdm.get_property_manager().hasNode
-    assert [name for name, value in REQUIRED.items() if there(name) and fdm[name] != value] == []
-    assert sum(there(name) for name in REQUIRED) > 12
+    present = fdm.get_property_manager().hasNode
+    assert [name for name, value in REQUIRED.items() if present(name) and fdm[name] != value] == []
+    assert sum(present(name) for name in REQUIRED) > 12
 
 
 @pytest.mark.parametrize(
@@ -94,8 +94,8 @@ def test_a_surface_moves_in_all_units(name: str) -> None:
         "<channel><pure_gain"
         f' name="{name}"><input>i/a</input><gain>@.3</gain></pure_gain></channel>'
     )
-    apart, control = judged(body, random_inputs(300))
-    assert apart == {}
+    difference, control = judged(body, random_inputs(300))
+    assert difference == {}
     assert (
         len(control) == 3
         if "flap" not in name and "brake" not in name and "spoiler" not in name
@@ -122,8 +122,10 @@ def test_levers_are_copied_before_the_channels() -> None:
         "<channel><pure_gain"
         ' name="g"><input>fcs/throttle-pos-norm</input><gain>@2</gain></pure_gain></channel>'
     )
-    apart, control = judged(body, {"fcs/throttle-cmd-norm": random_inputs(300)["i/a"]}, engines=1)
-    assert apart == {}
+    difference, control = judged(
+        body, {"fcs/throttle-cmd-norm": random_inputs(300)["i/a"]}, engines=1
+    )
+    assert difference == {}
     assert set(control) == {"fcs/g"}
 
 
@@ -134,6 +136,6 @@ def test_feathering_is_a_truth_value() -> None:
         '<pure_gain name="g"><input>fcs/feather-pos-norm</input><gain>@2</gain></pure_gain>'
         "</channel>"
     )
-    apart, control = judged(body, random_inputs(300), engines=1)
-    assert apart == {}
+    difference, control = judged(body, random_inputs(300), engines=1)
+    assert difference == {}
     assert "fcs/g" in control

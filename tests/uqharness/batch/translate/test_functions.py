@@ -108,8 +108,8 @@ def test_random_trees_have_jsbsims_bits_in_compiled_code() -> None:
     )
     function = translated(functions, inputs)
     for target in targets().values():
-        made, _ = compile_function(function, target)(inputs)
-        assert all(same_bits(made[n], ours[n]).all() for n in functions), target
+        result, _ = compile_function(function, target)(inputs)
+        assert all(same_bits(result[n], ours[n]).all() for n in functions), target
 
 
 def test_draws_are_standard_draws_scaled() -> None:
@@ -152,9 +152,9 @@ def test_what_ends_jsbsims_flight_is_nan() -> None:
         "mod": "<mod><v>5</v><p>i/a</p></mod>",
     }
     function = translated(functions, inputs)
-    made, _ = compile_function(function, targets()["sse2"])(inputs)
+    result, _ = compile_function(function, targets()["sse2"])(inputs)
     nan = np.nan
-    wanted = {
+    expected = {
         "not": [1, 0, nan, 0, nan, 0, nan],
         "ifthen": [6, 5, nan, 5, nan, 5, nan],
         "and": [0, 0, nan, 0, nan, 0, nan],
@@ -162,8 +162,8 @@ def test_what_ends_jsbsims_flight_is_nan() -> None:
         "switch": [5, 6, nan, nan, nan, 6, 6],
         "mod": [nan, 0, 1, 0, nan, nan, 0],
     }
-    for name, row in wanted.items():
-        np.testing.assert_array_equal(made[name], np.array(row, dtype=float), err_msg=name)
+    for name, row in expected.items():
+        np.testing.assert_array_equal(result[name], np.array(row, dtype=float), err_msg=name)
 
 
 @pytest.mark.parametrize(

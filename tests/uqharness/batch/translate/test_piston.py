@@ -85,9 +85,9 @@ def case(
     ),
 )
 def test_the_engine_runs_as_in_jsbsim(motor: str, events: str) -> None:
-    made = case(motor, events)
-    theirs = made.theirs()
-    assert flights.worst(flights.apart(theirs, made.ours())) < 1e-11
+    result = case(motor, events)
+    theirs = result.theirs()
+    assert flights.worst(flights.apart(theirs, result.ours())) < 1e-11
     # It stops where the mixture is too lean, and starts again while the air turns the propeller.
     runs = theirs["propulsion/engine/set-running"].mean()
     assert 0.1 < runs < 0.9 if events else runs == 0.0
@@ -105,11 +105,14 @@ ram-air-factor static-friction cooling-factor dynamic-fmep static-fmep cylinder-
     [tag if tag in QUICK else pytest.param(tag, marks=pytest.mark.slow) for tag in TAGS.split()],
 )
 def test_each_piston_engine_number_matters(tag: str) -> None:
-    made = case("own", frames=300)
+    result = case("own", frames=300)
     head, _, tail = OWN.partition(f"</{tag}>")
     start, _, number = head.rpartition(">")
-    changed = {**made.files, "Engines/own.xml": f"{start}>{float(number) * 1.001!r}</{tag}>{tail}"}
-    assert flights.worst(flights.apart(made.theirs(), made.ours(files=changed))) > 1e-9
+    changed = {
+        **result.files,
+        "Engines/own.xml": f"{start}>{float(number) * 1.001!r}</{tag}>{tail}",
+    }
+    assert flights.worst(flights.apart(result.theirs(), result.ours(files=changed))) > 1e-9
 
 
 BOOST = """<numboostspeeds>2</numboostspeeds><takeoffboost unit="PSI">4</takeoffboost>
@@ -121,16 +124,16 @@ BOOST = """<numboostspeeds>2</numboostspeeds><takeoffboost unit="PSI">4</takeoff
 
 def boosted(more: str, height_ft: float, frames: int = 600, events: str = engines.RUNNING):
     """A supercharged engine that climbs or dives through its switch altitude."""
-    made = case("own", events, frames)
+    result = case("own", events, frames)
     text = OWN.replace("<cycles>", f"{BOOST}{more}<cycles>")
     names = [*NAMES, "boost-speed", "boostloss-hp"]
-    inputs = {**made.inputs, "fcs/mixture-cmd-norm": np.full(frames + 1, 0.8)}
+    inputs = {**result.inputs, "fcs/mixture-cmd-norm": np.full(frames + 1, 0.8)}
     inputs["fcs/throttle-cmd-norm"] = np.where(np.arange(frames + 1) % 200 > 100, 1.0, 0.7)
     return engines.Case(
-        made.text,
+        result.text,
         [*engines.of(0, names), *engines.TOTALS, *engines.MOTION],
         inputs,
-        {**made.files, "Engines/own.xml": text},
+        {**result.files, "Engines/own.xml": text},
         events,
         {"ic/u-fps": 150.0, "ic/h-sl-ft": height_ft, "ic/theta-rad": -1.2},
     )
@@ -149,10 +152,10 @@ def boosted(more: str, height_ft: float, frames: int = 600, events: str = engine
     ),
 )
 def test_a_supercharger_is_jsbsims(more: str, height_ft: float, speeds: set[float]) -> None:
-    made = boosted(more, height_ft)
+    result = boosted(more, height_ft)
     speed = "propulsion/engine/boost-speed"
     if "manual" in more:
-        made.inputs[speed] = np.repeat([0.0, 1.0, 3.0, -1.0, 1.0, 0.0, 1.0], 100)[:601]
-    theirs = made.theirs()
-    assert flights.worst(flights.apart(theirs, made.ours())) < 1e-9
+        result.inputs[speed] = np.repeat([0.0, 1.0, 3.0, -1.0, 1.0, 0.0, 1.0], 100)[:601]
+    theirs = result.theirs()
+    assert flights.worst(flights.apart(theirs, result.ours())) < 1e-9
     assert set(theirs[speed]) == speeds

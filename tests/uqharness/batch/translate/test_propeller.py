@@ -66,16 +66,16 @@ def test_each_propeller_number_matters(theirs: dict, file: str, before: str, aft
 
 
 @pytest.mark.parametrize(
-    ("before", "after", "said"),
+    ("before", "after", "output"),
     [
         ('name="C_POWER"', 'name="C_TORQUE"', "a propeller has a table C_POWER"),
         ('<ixx unit="SLUG*FT2">0.4</ixx>', "", "<propeller> has no <ixx>"),
     ],
 )
-def test_propeller_refusals(before: str, after: str, said: str) -> None:
+def test_propeller_refusals(before: str, after: str, output: str) -> None:
     assert before in engines.FIXED_PITCH
     files = {**engines.FILES, "Engines/fixed.xml": engines.FIXED_PITCH.replace(before, after)}
-    assert said in engines.refusal(engines.aircraft(engines.mounted("motor", "fixed")), files)
+    assert output in engines.refusal(engines.aircraft(engines.mounted("motor", "fixed")), files)
 
 
 def test_a_propeller_at_rest_that_is_not_set_running() -> None:

@@ -132,16 +132,16 @@ EVENTS = {
 }
 
 
-def own(text, number):
+def specific(text, number):
     """The text with properties of its own."""
-    return re.sub(r"\b(i/[abc]|s/[ab]|f/x|run/own)\b", lambda found: f"{found[0]}{number}", text)
+    return re.sub(r"\b(i/[abc]|s/[ab]|f/x|run/own)\b", lambda result: f"{result[0]}{number}", text)
 
 
 def test_all_events_in_one_flight():
     """Each on properties of its own; the one that sets a surface is flown alone."""
     events = [text for name, text in EVENTS.items() if name != "a surface"]
     bodies = "".join(
-        own(BODY, number).replace("'s'", f"'s{number}'").replace("'c'", f"'c{number}'")
+        specific(BODY, number).replace("'s'", f"'s{number}'").replace("'c'", f"'c{number}'")
         for number in range(len(events))
     )
     declared = "<property>i/on</property>"
@@ -153,22 +153,24 @@ def test_all_events_in_one_flight():
     functions = "".join(re.findall(r"<function name='f/.*?</function>", bodies, re.DOTALL))
     text = aircraft(f"{systems}<aerodynamics><axis name='X'>{functions}</axis></aerodynamics>")
     # Properties of the run, declared in a script, come first.
-    texts = [own(text, number) for number, text in enumerate(events)]
+    texts = [specific(text, number) for number, text in enumerate(events)]
     first = "".join(
         part for text in texts for part in re.findall(r"<property value=.*?</property>", text)
     )
-    rest = "".join(re.sub(r"<property value=.*?</property>", "", text) for text in texts)
+    remainder = "".join(re.sub(r"<property value=.*?</property>", "", text) for text in texts)
     records = [
         f"{name}{number}"
         for number in range(len(events))
         for name in ("i/a", "i/b", "s/a", "s/b", "f/x")
     ]
-    found = compared(text, [*records, "velocities/u-fps"], inputs(), 60, START, first + rest)
-    assert len(found) == 5 * len(events) + 1
-    assert worst(found) < 1e-12
-    changed = (first + rest).replace("tc='.17'", "tc='.1700001'")
+    result = compared(text, [*records, "velocities/u-fps"], inputs(), 60, START, first + remainder)
+    assert len(result) == 5 * len(events) + 1
+    assert worst(result) < 1e-12
+    changed = (first + remainder).replace("tc='.17'", "tc='.1700001'")
     assert (
-        worst(compared(text, records, inputs(), 60, START, first + rest, changed_events=changed))
+        worst(
+            compared(text, records, inputs(), 60, START, first + remainder, changed_events=changed)
+        )
         > 1e-9
     )
 
@@ -204,7 +206,7 @@ def test_another_event_is_noticed(name, old, new):
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "output"),
     [
         (event("<set name='i/a' value='1'/><then/>"), "<then> of an event"),
         (
@@ -234,7 +236,7 @@ def test_another_event_is_noticed(name, old, new):
         (event("<set name='i/a'><function><random/></function></set>"), "random"),
     ],
 )
-def test_event_refusals_name_the_line(text, said):
-    found = refused(aircraft(BODY), text)
-    assert said in found
-    assert "script.xml:3: " in found
+def test_event_refusals_name_the_line(text, output):
+    result = refused(aircraft(BODY), text)
+    assert output in result
+    assert "script.xml:3: " in result

@@ -68,9 +68,9 @@ def case(systems: str = "", inputs: dict | None = None, frames: int = 900) -> en
 
 
 def test_tanks_empty_in_their_order_and_the_engine_stops() -> None:
-    made = case()
-    theirs = made.theirs()
-    ours = made.ours()
+    result = case()
+    theirs = result.theirs()
+    ours = result.ours()
     assert flights.worst(flights.apart(theirs, ours)) < 1e-11
     # All of it has happened: the first two tanks gave until nothing was left, then the one of
     # second priority, then none.
@@ -97,14 +97,16 @@ def test_tanks_empty_in_their_order_and_the_engine_stops() -> None:
     ),
 )
 def test_each_tank_number_matters(before: str, after: str) -> None:
-    made = case()
-    theirs = made.theirs()
-    assert before in made.text
-    assert flights.worst(flights.apart(theirs, made.ours(made.text.replace(before, after)))) > 1e-9
+    result = case()
+    theirs = result.theirs()
+    assert before in result.text
+    assert (
+        flights.worst(flights.apart(theirs, result.ours(result.text.replace(before, after)))) > 1e-9
+    )
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "output"),
     [
         ('<tank type="BATTERY"/>', "a tank of type 'BATTERY': allowed are FUEL and OXIDIZER"),
         (
@@ -114,9 +116,9 @@ def test_each_tank_number_matters(before: str, after: str) -> None:
         ),
     ],
 )
-def test_tank_refusals(text: str, said: str) -> None:
+def test_tank_refusals(text: str, output: str) -> None:
     message = engines.refusal(engines.aircraft(text), engines.FILES)
-    assert said in message
+    assert output in message
     assert "point.xml:" in message
 
 
@@ -125,11 +127,11 @@ def test_an_electric_engine_takes_nothing_from_its_tank(tank: str) -> None:
     """With a tank, and with the number of one that is not there, as converted models have it."""
     text = engines.aircraft(engines.mounted("motor", "fixed", feed="<feed>0</feed>") + tank)
     records = [*engines.TOTALS, *engines.MOTION, "inertia/weight-lbs"]
-    made = engines.Case(text, records, engines.levers(40), engines.FILES, "")
-    theirs = made.theirs()
-    assert flights.worst(flights.apart(theirs, made.ours())) < 1e-9
+    result = engines.Case(text, records, engines.levers(40), engines.FILES, "")
+    theirs = result.theirs()
+    assert flights.worst(flights.apart(theirs, result.ours())) < 1e-9
     assert np.ptp(theirs["inertia/weight-lbs"]) == 0.0
-    changed = made.ours(text.replace("<y>-3</y>", "<y>-3.01</y>"))
+    changed = result.ours(text.replace("<y>-3</y>", "<y>-3.01</y>"))
     assert flights.worst(flights.apart(theirs, changed)) > 1e-8
 
 
@@ -159,18 +161,18 @@ def test_mass_moves_with_the_fuel() -> None:
     text = engines.aircraft(
         engines.mounted("motor", "fixed") + engines.tank(6.0) + engines.tank(2.0)
     )
-    made = engines.Case(
+    result = engines.Case(
         text,
         [*engines.MASS, *engines.MOTION],
         {"propulsion/tank/contents-lbs": contents},
         engines.FILES,
     )
-    theirs = made.theirs()
-    assert flights.worst(flights.apart(theirs, made.ours())) < 1e-11
+    theirs = result.theirs()
+    assert flights.worst(flights.apart(theirs, result.ours())) < 1e-11
     assert (
         flights.worst(
             flights.apart(
-                theirs, made.ours(text.replace("<z>-6</z></drain", "<z>-6.001</z></drain"))
+                theirs, result.ours(text.replace("<z>-6</z></drain", "<z>-6.001</z></drain"))
             )
         )
         > 1e-9

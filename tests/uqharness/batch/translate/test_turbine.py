@@ -35,9 +35,9 @@ def case(
     speed: float = 500.0,
 ) -> engines.Case:
     rng = np.random.default_rng(5)
-    most = 1.0 if motor == "CFM56" else 1.2
+    maximum = 1.0 if motor == "CFM56" else 1.2
     inputs = {
-        "fcs/throttle-cmd-norm": np.repeat(rng.uniform(0.0, most, frames // 100 + 2), 100)[
+        "fcs/throttle-cmd-norm": np.repeat(rng.uniform(0.0, maximum, frames // 100 + 2), 100)[
             : frames + 1
         ]
     }
@@ -63,16 +63,16 @@ def case(
 
 @pytest.mark.parametrize("motor", few(KINDS, 1))
 def test_spools_thrust_and_fuel_are_jsbsims(motor: str) -> None:
-    made = case(motor, 1200)
-    assert flights.worst(flights.apart(made.theirs(), made.ours())) < 1e-11
+    result = case(motor, 1200)
+    assert flights.worst(flights.apart(result.theirs(), result.ours())) < 1e-11
 
 
 @pytest.mark.parametrize("speed", few([60.0, 500.0], 1))
 @pytest.mark.parametrize("events", few(["", engines.RUNNING], 2))
 def test_an_engine_without_fuel_or_that_nobody_started(speed: float, events: str) -> None:
-    made = case("CFM56", 800, 2.0, events, speed)
-    theirs = made.theirs()
-    assert flights.worst(flights.apart(theirs, made.ours())) < 1e-11
+    result = case("CFM56", 800, 2.0, events, speed)
+    theirs = result.theirs()
+    assert flights.worst(flights.apart(theirs, result.ours())) < 1e-11
     assert theirs["propulsion/engine/set-running"][-1] == 0.0
     assert theirs["propulsion/engine/n2"][-1] > 0.0
 
@@ -94,26 +94,26 @@ def test_an_engine_without_fuel_or_that_nobody_started(speed: float, events: str
     ),
 )
 def test_each_turbine_number_matters(motor: str, tag: str, factor: float) -> None:
-    made = case(motor, 300)
-    made.inputs["fcs/throttle-cmd-norm"][:] += 0.4 if motor == "F100-PW-229" else 0.0
+    result = case(motor, 300)
+    result.inputs["fcs/throttle-cmd-norm"][:] += 0.4 if motor == "F100-PW-229" else 0.0
     name = f"Engines/{motor}.xml"
-    head, _, tail = made.files[name].partition(f"</{tag}>")
+    head, _, tail = result.files[name].partition(f"</{tag}>")
     start, _, number = head.rpartition(">")
-    changed = {**made.files, name: f"{start}>{float(number) * factor!r}</{tag}>{tail}"}
-    assert flights.worst(flights.apart(made.theirs(), made.ours(files=changed))) > 1e-9
+    changed = {**result.files, name: f"{start}>{float(number) * factor!r}</{tag}>{tail}"}
+    assert flights.worst(flights.apart(result.theirs(), result.ours(files=changed))) > 1e-9
 
 
 @pytest.mark.parametrize(
-    ("thruster", "before", "after", "said"),
+    ("thruster", "before", "after", "output"),
     [
         ("direct", "MilThrust", "LowThrust", "a turbine has a function MilThrust"),
     ],
 )
-def test_turbine_refusals(thruster: str, before: str, after: str, said: str) -> None:
+def test_turbine_refusals(thruster: str, before: str, after: str, output: str) -> None:
     text = engines.stock("CFM56")["Engines/CFM56.xml"]
     assert before in text
     files = {**engines.FILES, "Engines/CFM56.xml": text.replace(before, after) if before else text}
-    assert said in engines.refusal(engines.aircraft(engines.mounted("CFM56", thruster)), files)
+    assert output in engines.refusal(engines.aircraft(engines.mounted("CFM56", thruster)), files)
 
 
 NAMES_TURBOPROP = (
@@ -174,32 +174,32 @@ def case_turboprop(
 
 @pytest.mark.parametrize("limit", few(["-1", "400"], 1))
 def test_speed_power_temperatures_and_fuel_are_jsbsims(limit: str) -> None:
-    made = case_turboprop(1200, limit)
-    theirs = made.theirs()
-    assert worst(apart(theirs, made.ours())) < 1e-9
+    result = case_turboprop(1200, limit)
+    theirs = result.theirs()
+    assert worst(apart(theirs, result.ours())) < 1e-9
     assert theirs["propulsion/engine/power-hp"].max() > 10.0
 
 
 def test_a_limiter_lowers_the_throttle() -> None:
     running = '<property value="1">propulsion/engine/set-running</property>'
-    made = case_turboprop(1200, "10", events=running)
-    theirs = made.theirs()
-    assert worst(apart(theirs, made.ours())) < 1e-9
+    result = case_turboprop(1200, "10", events=running)
+    theirs = result.theirs()
+    assert worst(apart(theirs, result.ours())) < 1e-9
     assert theirs["propulsion/engine/ielu_intervent"].any()
 
 
 def test_a_throttle_that_jsbsim_does_not_report_ends_the_flight() -> None:
-    made = case_turboprop(5, "2")
-    with flights.craft(made.text, events=made.events, files=made.files) as craft:
-        found = flights.by_batch(craft, made.inputs, [OUT_OF_RANGE], 5)
-    assert found[OUT_OF_RANGE][1:].all()
+    output = case_turboprop(5, "2")
+    with flights.craft(output.text, events=output.events, files=output.files) as craft:
+        result = flights.by_batch(craft, output.inputs, [OUT_OF_RANGE], 5)
+    assert result[OUT_OF_RANGE][1:].all()
 
 
 def test_in_reverse_the_lever_sets_the_blades() -> None:
     lever = (np.arange(801) // 200 % 2).astype(float)
-    made = case_turboprop(800, more={"propulsion/engine/reverser": lever})
-    theirs = made.theirs()
-    assert worst(apart(theirs, made.ours())) < 1e-9
+    result = case_turboprop(800, more={"propulsion/engine/reverser": lever})
+    theirs = result.theirs()
+    assert worst(apart(theirs, result.ours())) < 1e-9
     assert theirs["propulsion/engine/blade-angle"].min() < 9.0
 
 
@@ -207,9 +207,9 @@ def test_in_reverse_the_lever_sets_the_blades() -> None:
 def test_an_engine_without_fuel_or_that_nobody_started_of_turboprop(
     fuel: float, events: str
 ) -> None:
-    made = case_turboprop(600, fuel=fuel, events=events)
-    theirs = made.theirs()
-    assert worst(apart(theirs, made.ours())) < 1e-9
+    result = case_turboprop(600, fuel=fuel, events=events)
+    theirs = result.theirs()
+    assert worst(apart(theirs, result.ours())) < 1e-9
     assert theirs["propulsion/engine/set-running"][-1] == 0.0
 
 
@@ -229,23 +229,23 @@ def test_an_engine_without_fuel_or_that_nobody_started_of_turboprop(
     ),
 )
 def test_each_turboprop_number_matters(old: str, new: str) -> None:
-    made = case_turboprop(300)
-    files = dict(made.files)
+    result = case_turboprop(300)
+    files = dict(result.files)
     assert old in files["Engines/turboprop.xml"]
     files["Engines/turboprop.xml"] = files["Engines/turboprop.xml"].replace(old, new)
-    assert worst(apart(made.theirs(), made.ours(files=files))) > 1e-8
+    assert worst(apart(result.theirs(), result.ours(files=files))) > 1e-8
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "said"),
+    ("old", "new", "output"),
     [
         ('name="ITT_N1"', 'name="ITT"', "a turboprop has a table ITT_N1"),
         ('<maxpower unit="HP">60</maxpower>', "", "has no <maxpower>"),
     ],
 )
-def test_turboprop_refusals(old: str, new: str, said: str) -> None:
-    made = case_turboprop(1)
-    text = made.files["Engines/turboprop.xml"]
+def test_turboprop_refusals(old: str, new: str, output: str) -> None:
+    result = case_turboprop(1)
+    text = result.files["Engines/turboprop.xml"]
     assert old in text
-    files = {**made.files, "Engines/turboprop.xml": text.replace(old, new)}
-    assert said in engines.refusal(made.text, files)
+    files = {**result.files, "Engines/turboprop.xml": text.replace(old, new)}
+    assert output in engines.refusal(result.text, files)

@@ -39,8 +39,8 @@ def test_a_surface_without_a_lag_stands_where_it_stood_until_the_next_row():
         100.0,
     )
     with ReplayFolder(aircraft, ideal=("elevator",)) as model:
-        (away,) = linearise.path_deviations(model, SimpleNamespace(segments=[segment]))
-    middle, end = away
+        (offset,) = linearise.path_deviations(model, SimpleNamespace(segments=[segment]))
+    middle, end = offset
     expected = np.zeros(11)
     expected[5] = -4.0
     assert end[:, 0] == pytest.approx(expected, abs=1e-9)
@@ -73,8 +73,8 @@ def test_commands_between_rows_leave_the_middle_the_area_of_their_path():
         (averaged,) = linearise.path_deviations(model, SimpleNamespace(segments=[segment]))
     rows = fine[::3, 0]
 
-    def area(away):
-        middle, end = away[0][:, 0] + 0.5 * (rows[:-1] + rows[1:]), away[1][:, 0] + rows[1:]
+    def area(offset):
+        middle, end = offset[0][:, 0] + 0.5 * (rows[:-1] + rows[1:]), offset[1][:, 0] + rows[1:]
         return (rows[:-1] + 4.0 * middle + end) / 6.0
 
     assert area(between)[5] == pytest.approx(1.0 + 4.0 * 2.0 / 3.0)
@@ -88,11 +88,11 @@ def test_what_accelerometers_feel_of_a_jump_is_force_over_mass_and_the_turn_at_t
     by_control[:, 2, 0], by_control[:, 4, 1] = -0.05, -0.05
     reference = replace(probe.reference, arm_m=np.array([0.2, 0.0, 0.0]))
     probe = replace(probe, jumped=jumped, by_control=by_control, reference=reference)
-    felt = probe.felt_jump()
+    sensed = probe.felt_jump()
     pressure = probe.reference.qbar * MASS.S
-    assert felt[5] == pytest.approx([0.0, 0.0, -0.1 * pressure[5] / MASS.mass])
+    assert sensed[5] == pytest.approx([0.0, 0.0, -0.1 * pressure[5] / MASS.mass])
     # A pitching moment turns an accelerometer ahead of the CG up: z is down.
-    assert felt[6] == pytest.approx(
+    assert sensed[6] == pytest.approx(
         [0.0, 0.0, -0.2 * 0.05 * pressure[6] * MASS.c / MASS.inertia[1, 1]]
     )
     assert not replace(probe, jumped=None).felt_jump().any()
@@ -124,9 +124,9 @@ def test_what_is_unseen_of_a_jump_is_what_a_replay_lacks_without_it(ideal):
     )
     with (
         ReplayFolder(aircraft, ideal=ideal) as model,
-        ReplayFolder(aircraft, ideal=CONTROLS) as straight,
+        ReplayFolder(aircraft, ideal=CONTROLS) as level,
     ):
-        seen, lacking = (
+        observed, lacking = (
             replay_at(
                 model,
                 setup,
@@ -135,13 +135,13 @@ def test_what_is_unseen_of_a_jump_is_what_a_replay_lacks_without_it(ideal):
             )
             for share in (0.0, 1.0)
         )
-        fit = fit_at(model, straight, setup, ("aero/Cm_q",), seen, SERIAL)
+        fit = fit_at(model, level, setup, ("aero/Cm_q",), observed, SERIAL)
         with ReplayFolder(aircraft) as servos:
-            assert not linearise.path_deviations(servos, setup, seen.point)[0][1].any()
-    expected = lacking.outputs[0] - seen.outputs[0]
-    found = fit.columns[0].outputs[jump_share_name("f")]
+            assert not linearise.path_deviations(servos, setup, observed.point)[0][1].any()
+    expected = lacking.outputs[0] - observed.outputs[0]
+    result = fit.columns[0].outputs[jump_share_name("f")]
     assert np.abs(expected).max() > 0.5
-    np.testing.assert_allclose(found, expected, atol=0.02 * np.abs(expected).max())
+    np.testing.assert_allclose(result, expected, atol=0.02 * np.abs(expected).max())
 
 
 @pytest.mark.parametrize("share", [0.0, 1.0])
@@ -170,17 +170,17 @@ def test_columns_of_what_goes_with_a_surface_know_when_it_jumps(share):
     names = ("aero/Cm_de", "aero/CZ_de", "aero/Cl_da", "aero/Cn_da")
     with (
         ReplayFolder(aircraft, ideal=CONTROLS[:3]) as model,
-        ReplayFolder(aircraft, ideal=CONTROLS) as straight,
+        ReplayFolder(aircraft, ideal=CONTROLS) as level,
     ):
         fdm = model.open(DT)
         values = {n: float(fdm[n]) for n in names}
         point = ModelState(values, {jump_share_name("f"): share}, (segment.start,))
-        fit = fit_at(model, straight, setup, names, replay_at(model, setup, point, SERIAL), SERIAL)
+        fit = fit_at(model, level, setup, names, replay_at(model, setup, point, SERIAL), SERIAL)
         (of,), (steps,) = fit.columns, fit.steps
-        seen = MeasuredSystem.of(steps, setup.measured[0], setup.output_rows)
-        by = gains(seen, noise, None)
-        found = whiten_innovations(seen, by, names, of.inputs, {}, of.ends, of.seen).columns
-        ramped = whiten_innovations(seen, by, names, of.inputs, {}).columns
+        observed = MeasuredSystem.of(steps, setup.measured[0], setup.output_rows)
+        by = gains(observed, noise, None)
+        result = whiten_innovations(observed, by, names, of.inputs, {}, of.ends, of.seen).columns
+        ramped = whiten_innovations(observed, by, names, of.inputs, {}).columns
         for k, name in enumerate(names):
             step = 0.02 * values[name]
             sides = [
@@ -192,7 +192,7 @@ def test_columns_of_what_goes_with_a_surface_know_when_it_jumps(share):
             expected = (sides[0].outputs[0] - sides[1].outputs[0]) / (2.0 * step) / noise
             error, before = (
                 np.linalg.norm(v[:, :, k] - expected) / np.linalg.norm(expected)
-                for v in (found, ramped)
+                for v in (result, ramped)
             )
             assert error < 0.01 < 0.03 < before
 
@@ -231,8 +231,8 @@ def test_forces_between_rows_are_the_models_own(monkeypatch):
     def loads(x, u):
         return np.column_stack([u[:, 1] ** 3 + x[:, 0] ** 2, 0.0 * u[:, 0], 0.0 * u[:, 0]])
 
-    def forced(straight, asked, properties, map_):
-        for part in asked:
+    def forced(level, request, properties, map_):
+        for part in request:
             x = np.column_stack(list(part.states.values()))
             none = np.zeros((len(x), 3))
             yield SimpleNamespace(
@@ -246,15 +246,15 @@ def test_forces_between_rows_are_the_models_own(monkeypatch):
     monkeypatch.setattr(linearise, "altitudes", lambda model, segment, height: height)
     x, u = np.full((4, 8), 20.0), np.zeros((4, 4))
     x[2:, 0], u[2:, 1], u[3, 1] = 24.0, 8.0, 6.0
-    away = np.zeros((2, 3, 4))
-    away[:, 1, 1] = -4.0, -8.0  # stands at 0 until the third row
+    offset = np.zeros((2, 3, 4))
+    offset[:, 1, 1] = -4.0, -8.0  # stands at 0 until the third row
     none = np.zeros((4, 3))
     probe = SimpleNamespace(
         reference=SimpleNamespace(x=x, force=none, moment=loads(x, u)), controls=u
     )
     setup = SimpleNamespace(segments=["one"], properties=lambda point: {})
     (bend,) = linearise.load_deviations(
-        None, setup, SimpleNamespace(height=[np.zeros(4)], point=None), [probe], [away], map
+        None, setup, SimpleNamespace(height=[np.zeros(4)], point=None), [probe], [offset], map
     )
     assert bend.shape == (2, 3, 6)
     np.testing.assert_allclose(bend[1, :, 3], [0.0, -512.0, 0.0])

@@ -18,11 +18,11 @@ def test_the_last_step_is_taken_unless_what_was_flown_stands(monkeypatch):
             point=SimpleNamespace(values={"aero/CZ_q": 1.0, "aero/Cm_q": -3.0})
         ),
     )
-    asked = []
+    request = []
 
-    def corrected_each(evidence, free, wanted):
-        asked.append(tuple(free))
-        return dict.fromkeys(wanted, (0.5, 0.2, 0.1))
+    def corrected_each(evidence, free, expected):
+        request.append(tuple(free))
+        return dict.fromkeys(expected, (0.5, 0.2, 0.1))
 
     monkeypatch.setattr(fits, "corrected_estimates", corrected_each)
     assert one_step_estimates(None, names[:2], fit) == {
@@ -32,7 +32,7 @@ def test_the_last_step_is_taken_unless_what_was_flown_stands(monkeypatch):
     assert one_step_estimates(None, names[:1], fit, ["effect/Cm/de"], moved=False) == {
         "aero/CZ_q": (1.0, 0.2)
     }
-    assert asked == [names, (*names, "effect/Cm/de")]
+    assert request == [names, (*names, "effect/Cm/de")]
 
 
 @pytest.mark.parametrize("cost", [math.inf, math.nan])

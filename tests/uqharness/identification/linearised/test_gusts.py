@@ -74,10 +74,10 @@ def setup_of(measured: np.ndarray) -> SimpleNamespace:
 @pytest.mark.parametrize("rows", [0, 3, -2, 50, -50])
 def test_rows_are_moved_whole_and_leave_nothing_behind(rows):
     values = np.arange(10.0)
-    found = shift_rows(values, rows)
-    known = np.isfinite(found)
-    assert known.sum() == max(0, 10 - abs(rows))
-    np.testing.assert_array_equal(found[known], (np.arange(10.0) - rows)[known])
+    result = shift_rows(values, rows)
+    reference = np.isfinite(result)
+    assert reference.sum() == max(0, 10 - abs(rows))
+    np.testing.assert_array_equal(result[reference], (np.arange(10.0) - rows)[reference])
 
 
 def test_a_path_goes_with_the_sensors_that_measured_it():
@@ -92,13 +92,13 @@ def test_a_path_goes_with_the_sensors_that_measured_it():
     after = replace(
         point(V_mps__scale=0.25), nuisance={"bias/one/q_radps": -0.03, "bias/other/q_radps": 9.0}
     )
-    (found,) = with_equal_readings(setup, [x], before, after)  # type: ignore[arg-type]
+    (result,) = with_equal_readings(setup, [x], before, after)  # type: ignore[arg-type]
     V, alpha, q = (STATES.index(c) for c in ("V_mps", "alpha_rad", "q_radps"))
-    np.testing.assert_allclose(1.25 * found[:, V], 1.1 * x[:, V])
-    np.testing.assert_allclose(found[:, alpha], x[:, alpha] + 0.02)
-    np.testing.assert_allclose(found[:, q], x[:, q] + 0.04)
-    rest = [k for k in range(len(STATES)) if k not in (V, alpha, q)]
-    np.testing.assert_allclose(found[:, rest], x[:, rest])
+    np.testing.assert_allclose(1.25 * result[:, V], 1.1 * x[:, V])
+    np.testing.assert_allclose(result[:, alpha], x[:, alpha] + 0.02)
+    np.testing.assert_allclose(result[:, q], x[:, q] + 0.04)
+    remainder = [k for k in range(len(STATES)) if k not in (V, alpha, q)]
+    np.testing.assert_allclose(result[:, remainder], x[:, remainder])
 
 
 def test_a_late_sensor_is_compared_with_what_it_was_to_measure():
@@ -107,13 +107,13 @@ def test_a_late_sensor_is_compared_with_what_it_was_to_measure():
     truth = np.column_stack([20.0 + t, np.sin(6.0 * t), np.cos(t)])
     record = truth.copy()
     record[:, 1] = np.sin(6.0 * (t - 0.095))
-    setup, there = setup_of(record), point(alpha_rad__delay=0.095)
+    setup, present = setup_of(record), point(alpha_rad__delay=0.095)
     (segment,) = setup.segments
-    late = delay_rows(setup, segment, there)
+    late = delay_rows(setup, segment, present)
     assert late == {"V_mps": 0, "alpha_rad": 5, "ax_mps2": 0}
-    (z,) = aligned_outputs(setup, there)
+    (z,) = aligned_outputs(setup, present)
     model = with_sensor_errors(
-        truth.copy(), setup, segment, there, late, behind=-0.25 * np.gradient(truth, axis=0)
+        truth.copy(), setup, segment, present, late, behind=-0.25 * np.gradient(truth, axis=0)
     )
     inside = slice(8, N - 8)
     np.testing.assert_allclose(z[inside], model[inside], atol=1.5e-3)
@@ -141,10 +141,10 @@ def test_a_sensor_late_by_a_part_of_a_row_sees_the_states_of_then(late):
         H,
         np.zeros((N, 3)),
     )
-    found = refine_gusts.output_matrix_between_rows(steps, [0, 2], [late, 0.0])
+    result = refine_gusts.output_matrix_between_rows(steps, [0, 2], [late, 0.0])
     expected = H[:, 0] @ expm(-late * turn)
-    assert np.abs(found[:, 0] - expected).max() < np.abs(H[:, 0] - expected).max() / 100.0
-    np.testing.assert_array_equal(found[:, 1:], H[:, 1:])
+    assert np.abs(result[:, 0] - expected).max() < np.abs(H[:, 0] - expected).max() / 100.0
+    np.testing.assert_array_equal(result[:, 1:], H[:, 1:])
 
 
 @pytest.mark.parametrize("late", [0.4, -0.4])
@@ -152,7 +152,7 @@ def test_outputs_between_rows_go_as_the_model_moves_them_however_the_reference_j
     """States of a roll that 12 1/s damps, at 25 Hz, beside the model's own steps to there, which
     controls move; by the rate at the row alone they are off by ten times as much."""
     rng = np.random.default_rng(6)
-    probe, acting, h = probe_of(rng), GustStates(MASS.b), 2.0 * DT
+    probe, active, h = probe_of(rng), GustStates(MASS.b), 2.0 * DT
     slopes = np.zeros((N, 6, 6))
     slopes[:, 3, 3] = -12.0 * MASS.inertia[0, 0]
     rolled = replace(
@@ -164,16 +164,16 @@ def test_outputs_between_rows_go_as_the_model_moves_them_however_the_reference_j
     )
     probe = replace(probe, reference=rolled)
     names = ("beta_rad", "p_radps", "az_mps2")
-    which = [STEP_OUTPUTS.index(n) for n in names]
+    index = [STEP_OUTPUTS.index(n) for n in names]
     segment = SimpleNamespace(flight="one", dt_s=h)
     setup = SimpleNamespace(
-        outputs=names, output_rows=which, segments=(segment,), measured=(np.zeros((N, 3)),)
+        outputs=names, output_rows=index, segments=(segment,), measured=(np.zeros((N, 3)),)
     )
     linear = refine_gusts._LinearSystems(setup, SimpleNamespace(point=point()), [probe], SERIAL)  # type: ignore[arg-type]
-    steps = linearise(rolled, probe.mass, gusts=acting)
-    y = steps.y_ref[:, which]
-    behind = linear._behind(probe, steps, y, acting, np.array([late, late, 0.0]))
-    x = with_gust_states(rolled.x, acting)
+    steps = linearise(rolled, probe.mass, gusts=active)
+    y = steps.y_ref[:, index]
+    behind = linear._behind(probe, steps, y, active, np.array([late, late, 0.0]))
+    x = with_gust_states(rolled.x, active)
 
     def after(part: float, at: np.ndarray) -> np.ndarray:
         """States that the model takes in a part of each step, in many small ones; loads are on
@@ -190,7 +190,7 @@ def test_outputs_between_rows_go_as_the_model_moves_them_however_the_reference_j
                 },
             )
             r = replace(r, slopes=slopes[:-1])
-            at = at + part * h / many * rates(r, probe.mass, at, gusts=acting)
+            at = at + part * h / many * rates(r, probe.mass, at, gusts=active)
         return at
 
     # Late ones are where the step before began to go to its end, but for what the row did not
@@ -202,7 +202,7 @@ def test_outputs_between_rows_go_as_the_model_moves_them_however_the_reference_j
     by_rate = (
         late
         * h
-        * rates(rolled, probe.mass, x, gusts=acting)[rows][:, [STATES.index(n) for n in names[:2]]]
+        * rates(rolled, probe.mass, x, gusts=active)[rows][:, [STATES.index(n) for n in names[:2]]]
     )
     assert np.abs(behind[rows, :2] - expected).max() < 0.1 * np.abs(by_rate - expected).max()
     # The reference's own differences are its jumps, here much larger than anything that moves.
@@ -212,15 +212,15 @@ def test_outputs_between_rows_go_as_the_model_moves_them_however_the_reference_j
     flat = replace(
         probe, reference=replace(rolled, x=np.tile(rolled.x[:1], (N, 1)), consistent=True)
     )
-    steps = linearise(flat.reference, flat.mass, gusts=acting)
-    y = steps.y_ref[:, which]
-    found = linear._behind(flat, steps, y, acting, np.array([0.0, 0.0, 1e-6]))
+    steps = linearise(flat.reference, flat.mass, gusts=active)
+    y = steps.y_ref[:, index]
+    result = linear._behind(flat, steps, y, active, np.array([0.0, 0.0, 1e-6]))
     first = h * rates(
-        flat.reference, flat.mass, with_gust_states(flat.reference.x, acting), gusts=acting
+        flat.reference, flat.mass, with_gust_states(flat.reference.x, active), gusts=active
     )
     ended = -first[:-1]
-    still = np.einsum("nj,nj->n", steps.H[1:, which[2]], ended)
-    np.testing.assert_allclose(1e6 * found[1:, 2], np.diff(y[:, 2]) + still, rtol=1e-4, atol=1e-4)
+    steady = np.einsum("nj,nj->n", steps.H[1:, index[2]], ended)
+    np.testing.assert_allclose(1e6 * result[1:, 2], np.diff(y[:, 2]) + steady, rtol=1e-4, atol=1e-4)
 
 
 def probe_of(rng: np.random.Generator) -> Probe:
@@ -263,27 +263,29 @@ def test_inertia_does_not_know_the_airs_rotation():
     rng = np.random.default_rng(1)
     probe = predicted_of(rng)
     (ixz,) = [e for e in subsystem_effects([], [], []) if e.term == "Ixz"]
-    setup, flown = (
+    setup, flight = (
         setup_of(np.zeros((N, 3))),
         SimpleNamespace(outputs=[np.zeros((N, 3))], point=point()),
     )
-    (columns,) = effect_columns(setup, [probe], flown, [ixz])  # type: ignore[arg-type]
-    _, found = columns.inputs[ixz.key]
+    (columns,) = effect_columns(setup, [probe], flight, [ixz])  # type: ignore[arg-type]
+    _, result = columns.inputs[ixz.key]
     (p, q, r), (dp, _, dr) = probe.body[:, 3:6].T, probe.rate[:, 3:6].T
     moment = np.column_stack([dr + p * q, r**2 - p**2, dp - q * r])
     np.testing.assert_allclose(
-        found[:, 3:], moment / (245.0 * MASS.S * np.array([MASS.b, MASS.c, MASS.b]))
+        result[:, 3:], moment / (245.0 * MASS.S * np.array([MASS.b, MASS.c, MASS.b]))
     )
 
 
 def test_coefficients_know_the_airs_rotation_and_not_its_acceleration():
     rng = np.random.default_rng(2)
-    there = predicted_of(rng)
-    variables = there.variables()
-    V = there.x[:, 0]
-    np.testing.assert_allclose(variables["p_hat"], there.x[:, 3] * 0.5 * MASS.b / V)
-    np.testing.assert_allclose(variables["alphadot_hat"], there.flow_rate[:, 0] * 0.5 * MASS.c / V)
-    np.testing.assert_allclose(variables["betadot_hat"], there.flow_rate[:, 1] * 0.5 * MASS.b / V)
+    present = predicted_of(rng)
+    variables = present.variables()
+    V = present.x[:, 0]
+    np.testing.assert_allclose(variables["p_hat"], present.x[:, 3] * 0.5 * MASS.b / V)
+    np.testing.assert_allclose(
+        variables["alphadot_hat"], present.flow_rate[:, 0] * 0.5 * MASS.c / V
+    )
+    np.testing.assert_allclose(variables["betadot_hat"], present.flow_rate[:, 1] * 0.5 * MASS.b / V)
 
 
 def test_a_delay_takes_the_models_rate_in_gusts_and_the_outputs_own_in_calm_air():
@@ -312,9 +314,9 @@ def test_what_a_scale_does_is_the_slope_of_what_the_sensor_says():
             truth.copy(), setup, segment, point(alpha_rad__scale=size, alpha_rad__bias=0.4)
         )  # type: ignore[arg-type]
 
-    here = point(alpha_rad__scale=0.8, alpha_rad__bias=0.4)
-    flown = SimpleNamespace(outputs=[read(0.8)], point=here)
-    (columns,) = effect_columns(setup, [probe_of(rng)], flown, [scale])  # type: ignore[arg-type]
+    local = point(alpha_rad__scale=0.8, alpha_rad__bias=0.4)
+    flight = SimpleNamespace(outputs=[read(0.8)], point=local)
+    (columns,) = effect_columns(setup, [probe_of(rng)], flight, [scale])  # type: ignore[arg-type]
     np.testing.assert_allclose(
         columns.outputs[scale.key], (read(0.8 + 1e-6) - read(0.8 - 1e-6)) / 2e-6, atol=1e-8
     )
@@ -339,17 +341,17 @@ def test_noise_that_no_filter_can_follow_is_not_the_likeliest(monkeypatch):
     calls: list[float] = []
 
     class Made:
-        def __init__(self, steps, measured, which, by):
+        def __init__(self, steps, measured, index, by):
             pass
 
         def __call__(self, noise, process, slopes=True):
             calls.append(float(noise[0]))
-            away = np.log(noise[0]) + 1.0
+            offset = np.log(noise[0]) + 1.0
             fails = noise[0] > 1.0
             none = np.zeros((1, 13))
-            slope = np.zeros(1) if fails else np.array([1000.0 * away])
+            slope = np.zeros(1) if fails else np.array([1000.0 * offset])
             return Score(
-                np.inf if fails else 500.0 * away**2,
+                np.inf if fails else 500.0 * offset**2,
                 slope,
                 none,
                 none,
@@ -360,11 +362,11 @@ def test_noise_that_no_filter_can_follow_is_not_the_likeliest(monkeypatch):
     search = turbulence._Search(
         lambda some, states: [None], [np.zeros((2, 1))], [0], np.ones(1), [20.0], SERIAL
     )  # type: ignore
-    found = search.descend(
+    result = search.descend(
         [0], turbulence._Point((GustStates(3.0),), np.ones(9), np.array([0.1])), ["wind"]
     )
     assert max(calls) > 1.0
-    assert found.factors[0] == pytest.approx(np.exp(-1.0), rel=0.05)
+    assert result.factors[0] == pytest.approx(np.exp(-1.0), rel=0.05)
 
 
 @pytest.mark.parametrize(
@@ -376,13 +378,13 @@ def test_steps_too_long_are_shortened_and_those_too_short_lengthened(gain, share
     lengths in standard errors.
     """
     information = np.array([[4.0, 1.0], [1.0, 9.0]])
-    x, answer, share, before, taken = np.zeros(2), np.array([1.0, -3.0]), 1.0, None, []
+    x, answer, share, before, selected = np.zeros(2), np.array([1.0, -3.0]), 1.0, None, []
     for _ in shares:
         step = gain * (answer - x)
         share = 1.0 if before is None else refine_gusts.step_share(share, before, step, information)
         x, before = x + share * step, step
-        taken.append(share)
-    assert taken == pytest.approx(shares)
+        selected.append(share)
+    assert selected == pytest.approx(shares)
     if gain in (2.5, 0.4, 1.0):
         np.testing.assert_allclose(x, answer)
 
@@ -396,16 +398,16 @@ def test_shares_of_jumps_stay_between_none_and_all():
         nuisance=("unseen/f", "unseen/g"),
         lower_bounds={},
     )
-    asked = []
+    request = []
 
-    def step(held):
-        asked.append(held)
+    def step(constant):
+        request.append(constant)
         return np.array([0.3, 0.3]), 1.0
 
     evidence = SimpleNamespace(names=("unseen/f", "unseen/g"), step=step)
     point = ModelState({}, {"unseen/f": 1.0, "unseen/g": 0.9}, ())
     step_from(setup, point, evidence)  # type: ignore[arg-type]
-    assert asked == [[], ["unseen/f"]]
+    assert request == [[], ["unseen/f"]]
     moved = apply_step(setup, point, {"unseen/f": -0.2, "unseen/g": 0.3}, {})  # type: ignore[arg-type]
     assert moved.nuisance == {"unseen/f": 0.8, "unseen/g": 1.0}
 
@@ -422,14 +424,14 @@ def test_a_rate_limit_stays_where_it_is_felt():
         lower_bounds={key: -0.02},
         carriers={key: None},
     )
-    asked = []
+    request = []
     evidence = SimpleNamespace(
-        names=(key,), step=lambda held: asked.append(held) or (np.array([-0.03]), 1.0)
+        names=(key,), step=lambda constant: request.append(constant) or (np.array([-0.03]), 1.0)
     )
     inside, at_end = (ModelState({}, {}, (), {key: value}) for value in (-0.01, -0.02))
     step_from(setup, inside, evidence)  # type: ignore[arg-type]
     step_from(setup, at_end, evidence)  # type: ignore[arg-type]
-    assert asked == [[], [], [key]]
+    assert request == [[], [], [key]]
     assert apply_step(setup, inside, {key: -0.03}, {}).effects == {key: -0.02}  # type: ignore[arg-type]
     assert apply_step(setup, inside, {key: 0.03}, {}).effects == {key: pytest.approx(0.02)}  # type: ignore[arg-type]
 
@@ -443,18 +445,18 @@ def test_surfaces_stand_where_commands_that_act_late_have_them(late_s):
     flight = prepare("f", flown((("pitch-doublet", 22.0),), seed=1, seconds=8.0), ())
     setup = make_flight_data(aircraft, [flight], ())
     with ReplayFolder(aircraft) as model:
-        both, shares = refine_gusts.setups_about_delay(
+        pair, shares = refine_gusts.setups_about_delay(
             model, setup, ModelState({}, {"lateness/f/controls": late_s}, ())
         )
-        found = refine_gusts._between([positions(model, acts) for acts in both], shares)
+        result = refine_gusts._between([positions(model, acts) for acts in pair], shares)
         expected = positions(
             model, make_flight_data(aircraft, [flight.with_delayed_commands(late_s)], ())
         )
         rows = positions(model, setup)
-        alone, nothing = refine_gusts.setups_about_delay(model, setup, ModelState({}, {}, ()))
-    assert [acts is setup for acts in alone] == [True]
-    assert not any(nothing)
-    for one, other, at_rows in zip(found, expected, rows, strict=True):
+        single, empty = refine_gusts.setups_about_delay(model, setup, ModelState({}, {}, ()))
+    assert [acts is setup for acts in single] == [True]
+    assert not any(empty)
+    for one, other, at_rows in zip(result, expected, rows, strict=True):
         rough = at_rows - late_s * np.gradient(at_rows, DT, axis=0)
         assert np.abs(one - other)[3:].max() < 0.03
         assert np.abs(rough - other)[3:].max() > 0.2
@@ -470,11 +472,11 @@ def test_where_surfaces_stand_goes_with_how_late_commands_act_without_a_step():
     with ReplayFolder(aircraft) as model:
 
         def at(places):
-            both, shares = refine_gusts.setups_about_delay(
+            pair, shares = refine_gusts.setups_about_delay(
                 model, setup, ModelState({}, {"lateness/f/controls": places * step}, ())
             )
             return np.concatenate(
-                refine_gusts._between([positions(model, acts) for acts in both], shares)
+                refine_gusts._between([positions(model, acts) for acts in pair], shares)
             )
 
         way = np.abs(at(1.0) - at(0.0)).max()
@@ -500,10 +502,10 @@ def test_a_jump_that_comes_later_is_lacking_from_its_row_on():
     jumped[6, 0] = 4.0
     jumping = replace(probe, controls=u, jumped=jumped, by_control=steady)
     slopes = np.einsum("ncj,nj->nc", steady, change)
-    impulse, rest = slopes[6] - slopes[5], np.tile(slopes[5], (N, 1))
+    impulse, remainder = slopes[6] - slopes[5], np.tile(slopes[5], (N, 1))
     for late_s, share in ((1e-3, 1.0), (0.0, 0.5), (-1e-3, 0.0)):
-        (_, values), ends, felt = control_delay_regressor(jumping, late_s)
-        begin, end = (values - rest)[:-1], (ends - rest)[1:]
+        (_, values), ends, sensed = control_delay_regressor(jumping, late_s)
+        begin, end = (values - remainder)[:-1], (ends - remainder)[1:]
         # In the step after the row, or before it, its centre at the row itself; the row's
         # accelerometers see nothing of it.
         expected = np.zeros((N - 1, 6))
@@ -511,4 +513,4 @@ def test_a_jump_that_comes_later_is_lacking_from_its_row_on():
         np.testing.assert_allclose(0.5 * (begin + end), expected, atol=1e-9)
         np.testing.assert_allclose((begin + 2.0 * end)[6] / 6.0, 0.0, atol=1e-9)
         np.testing.assert_allclose((2.0 * begin + end)[5] / 6.0, 0.0, atol=1e-9)
-        np.testing.assert_allclose(felt, rest, atol=1e-9)
+        np.testing.assert_allclose(sensed, remainder, atol=1e-9)

@@ -50,16 +50,16 @@ def test_a_slope_has_what_lift_does_to_the_rate_of_alpha_and_to_induced_drag(gli
     segment = Segment("test", "test", np.array([0.0, 0.02]), controls, np.zeros(9), 200.0, 200.0)
     values = dict.fromkeys(NAMES, 1.0)
     motion = dict(zip(STATES, x.T, strict=True))
-    with ReplayFolder(glider, ideal=CONTROLS) as straight:
-        assert straight.by_rates
+    with ReplayFolder(glider, ideal=CONTROLS) as level:
+        assert level.by_rates
         parts = [SegmentStates(segment, motion, controls, height)]
-        (of_part,) = property_slopes(straight, parts, values, NAMES)
+        (of_part,) = property_slopes(level, parts, values, NAMES)
         slopes = {name: of_part[:, k] for k, name in enumerate(NAMES)}
 
         def load(name: str, value: float) -> np.ndarray:
             # Forces at a state are read after rates of alpha and beta have settled there.
-            asked = [SegmentStates(segment, motion, controls, height)]
-            forced = force_all(straight, asked, {**values, name: value})[0]
+            request = [SegmentStates(segment, motion, controls, height)]
+            forced = force_all(level, request, {**values, name: value})[0]
             return np.hstack([forced.aero_force, forced.aero_moment])
 
         for name in NAMES:
@@ -77,21 +77,21 @@ def test_a_term_is_recognised_at_an_airspeed_that_is_not_the_reference_s():
     controls, height = np.full((n, len(CONTROLS)), 0.05), np.full(n, 200.0)
     segment = Segment("test", "test", 0.02 * np.arange(n), controls, np.zeros(9), 200.0, 200.0)
     names = [name for name in espaaro.card.parameters if name.startswith("aero/")]
-    with ReplayFolder(espaaro, ideal=CONTROLS) as straight:
-        fdm = straight.open(espaaro.dt_s)
+    with ReplayFolder(espaaro, ideal=CONTROLS) as level:
+        fdm = level.open(espaaro.dt_s)
         values = {name: float(fdm[name]) for name in names}
-        (probe,) = probe_all([ProbeJob(straight, segment, x, controls, values, False, height)])
+        (probe,) = probe_all([ProbeJob(level, segment, x, controls, values, False, height)])
         faster = replace(probe, x=x * [1.05, *[1.0] * 7])
-        assert analytic_terms(straight, segment, faster, names, values) == names
+        assert analytic_terms(level, segment, faster, names, values) == names
         # A scale of lift is no such term.
-        assert not analytic_terms(straight, segment, faster, ["uq/scale/CZ"], values)
+        assert not analytic_terms(level, segment, faster, ["uq/scale/CZ"], values)
 
 
 def test_what_a_property_does_is_that_at_states_that_jump_from_row_to_row(glider):
     """As a filter predicts them; JSBSim is asked at every fourth row only."""
     rng, n = np.random.default_rng(2), 400
-    at, spread = [27.0, 0.05, 0.0, 0, 0, 0, 0, 0], [0.5, 0.02, 0.02, 0.1, 0.1, 0.1, 0, 0]
-    x = at + rng.standard_normal((n, 8)) * spread
+    at, scatter = [27.0, 0.05, 0.0, 0, 0, 0, 0, 0], [0.5, 0.02, 0.02, 0.1, 0.1, 0.1, 0, 0]
+    x = at + rng.standard_normal((n, 8)) * scatter
     controls, height = np.zeros((n, len(CONTROLS))), np.full(n, 200.0)
     segment = Segment("test", "test", 0.02 * np.arange(n), controls, np.zeros(9), 200.0, 200.0)
     names = ("uq/scale/Clb", "uq/scale/Clp", "uq/scale/CYb", "uq/scale/CDi")
@@ -100,12 +100,12 @@ def test_what_a_property_does_is_that_at_states_that_jump_from_row_to_row(glider
     mass = SimpleNamespace(S=10.0, lengths=np.array([10.0, 1.0, 10.0]))
     one = none[:, 0]
     probe = Probe(reference, mass, none, none, none, none, controls, one, height, x, x, x, x[:, :2])  # type: ignore[arg-type]
-    with ReplayFolder(glider, ideal=CONTROLS) as straight:
-        (probe,), _ = with_property_slopes(straight, [segment], [probe], names, values, (), SERIAL)
+    with ReplayFolder(glider, ideal=CONTROLS) as level:
+        (probe,), _ = with_property_slopes(level, [segment], [probe], names, values, (), SERIAL)
         rows = np.arange(2, n, 9 * SLOPE_ROWS)
         motion = {name: x[rows, k] for k, name in enumerate(STATES)}
         parts = [SegmentStates(segment, motion, controls[rows], height[rows])]
-        (slopes,) = property_slopes(straight, parts, values, names)
+        (slopes,) = property_slopes(level, parts, values, names)
         exact = {name: slopes[:, k] for k, name in enumerate(names)}
     faster = (x[rows, :1] / 27.0) ** 2
     for name in names:

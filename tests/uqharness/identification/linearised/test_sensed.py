@@ -69,14 +69,14 @@ def test_vanes_ahead_of_the_centre_of_gravity_see_its_velocity_and_the_rotation(
     outputs = ("V_mps", "alpha_rad", "beta_rad", "q_radps", "r_radps", "ax_mps2")
     V, alpha, beta, q, r, x = 20.0, 0.05, 0.02, 0.4, -0.3, 0.2
     u, v, w = V * np.cos(alpha) * np.cos(beta), V * np.sin(beta), V * np.sin(alpha) * np.cos(beta)
-    there = np.array([u, v, w]) + np.cross([0.0, q, r], [x, 0.0, 0.0])
-    seen = (
-        np.arctan2(there[2], there[0]) - alpha,
-        np.arcsin(there[1] / np.linalg.norm(there)) - beta,
+    present = np.array([u, v, w]) + np.cross([0.0, q, r], [x, 0.0, 0.0])
+    observed = (
+        np.arctan2(present[2], present[0]) - alpha,
+        np.arcsin(present[1] / np.linalg.norm(present)) - beta,
     )
     y = np.array([[V, alpha, beta, q, r, 9.0]])
     change = x * vane_shift(y, outputs)[0]
-    assert change[[1, 2]] == pytest.approx(seen, rel=0.02)
+    assert change[[1, 2]] == pytest.approx(observed, rel=0.02)
     assert not change[[0, 3, 4, 5]].any()
     assert vane_shift(-y, outputs)[0, 1] * vane_shift(y, outputs)[0, 1] < 0.0
     assert not vane_shift(y[:, 1:], outputs[1:]).any()  # without airspeed nothing is known of it
