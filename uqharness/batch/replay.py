@@ -56,7 +56,7 @@ from uqharness.batch.translate.channels import Sources
 from uqharness.batch.translate.flight import Flight, TraceRequest, trace_flight
 from uqharness.batch.translate.frame import OUT_OF_RANGE, STEP, Values, canonical, is_constant
 from uqharness.errors import BadInputError
-from uqharness.simulator import MAX_FRAMES, SETTLED_RADPS
+from uqharness.simulator import MAX_FRAMES, SETTLED_RADPS, STATIONARY_SHARE
 
 TERRAIN = "position/terrain-elevation-asl-ft"
 _RECORD_BYTES = 8_000_000
@@ -349,9 +349,6 @@ _CHUNK = 4096
 """States that are computed together."""
 RATES = ("aero/alphadot-rad_sec", "aero/betadot-rad_sec")
 """Properties that JSBSim computes from the accelerations of the frame before."""
-_STATIONARY_SHARE = 1e-9
-"""Relative change of the records per frame at which those of two values of a property are
-compared."""
 
 
 @dataclass(frozen=True)
@@ -621,7 +618,7 @@ def _iterate_loads(
         size = np.maximum(np.abs(loads).max(axis=1), 1e-9)
         return np.asarray(np.abs(loads - previous).max(axis=1) / size)
 
-    for moving in _until_still(change, _STATIONARY_SHARE, count):
+    for moving in _until_still(change, STATIONARY_SHARE, count):
         out[moving] = loads[moving]
 
 

@@ -30,6 +30,7 @@ from uqharness.replay.segments import Segment
 from uqharness.simulator import (
     MAX_FRAMES,
     SETTLED_RADPS,
+    STATIONARY_SHARE,
     TRIM_LATITUDE_DEG,
     body_velocity,
     engine,
@@ -54,8 +55,6 @@ the states compared."""
 SLOPE_TOLERANCE = 1e-3
 """Largest difference of a load's slope with a property, relative to its largest size."""
 _COMPARED_STATES, _MAX_PROGRAMS, _LEVEL_M = 9, 8, 1000.0
-_STATIONARY_SHARE = 1e-9
-"""Relative change of the loads between two frames below which they are stationary."""
 
 
 @dataclass(frozen=True)
@@ -563,7 +562,8 @@ def _slopes_by_batch(
     def evaluate(requested: States, of_names: Sequence[str]) -> FloatArray:
         """Evaluate the program; loads in SI units."""
         steps = {name: _slope_step(values[name]) for name in of_names}
-        return _loads(_evaluate(program, model, requested, dt_s, values, steps))
+        raw = _evaluate(program, model, requested, dt_s, values, steps)
+        return np.asarray(raw[..., _LOADS] * _SI_OF_LOADS)
 
     if new := [name for name in names if name not in entry.slopes]:
         rows = np.unique(np.linspace(0, len(states.controls) - 1, _COMPARED_STATES).astype(int))
@@ -585,16 +585,15 @@ def _slope_step(value: float) -> float:
     return 1e-3 * max(abs(value), 1e-2)
 
 
-def _loads(raw: FloatArray) -> FloatArray:
-    """Return total force [N] and moment [N m] (..., 6) of recorded properties."""
-    return np.concatenate([raw[..., 0:3] * LBF_N, raw[..., 6:9] * LBF_FT_NM], axis=-1)
+_LOADS, _SI_OF_LOADS = (0, 1, 2, 6, 7, 8), np.repeat([LBF_N, LBF_FT_NM], 3)
+"""Places of the total force and moment in _RECORDS, and their units in N and N m."""
 
 
 def _slopes_by_jsbsim(job: _SlopesJob) -> FloatArray:
     """Return slopes (n, k, 6) by JSBSim; a function of one argument, for pools."""
     model, dt_s, values, names, states = job
     fdm = _open(model, dt_s, values)
-    get = [engine.handle(fdm, name).get_double_value for name in (*_RECORDS[:3], *_RECORDS[6:9])]
+    get = [engine.handle(fdm, _RECORDS[place]).get_double_value for place in _LOADS]
     handles = [engine.handle(fdm, name).set_double_value for name in names]
     out = np.empty((len(states.controls), len(names), 6))
     for k in _imposed(fdm, model, states):
@@ -608,7 +607,7 @@ def _slopes_by_jsbsim(job: _SlopesJob) -> FloatArray:
             move(values[name])
             out[k, j] = (sides[0] - sides[1]) / (2.0 * step)
         fdm.resume_integration()
-    return out * np.array([LBF_N] * 3 + [LBF_FT_NM] * 3)
+    return out * _SI_OF_LOADS
 
 
 def _settled_loads(fdm: Any, get: Sequence[Callable[[], float]]) -> FloatArray:
@@ -627,6 +626,6 @@ def _settled_loads(fdm: Any, get: Sequence[Callable[[], float]]) -> FloatArray:
         )
         moved = change / max(*map(abs, loads), 1e-9)
         # Loads that outgrow the accelerations that they are part of settle nowhere.
-        if moved < _STATIONARY_SHARE or not moved < last:
+        if moved < STATIONARY_SHARE or not moved < last:
             break
     return np.array(loads)

@@ -40,6 +40,7 @@ from .forced_state import MAX_FRAMES as MAX_FRAMES
 from .forced_state import RATES_FREE as RATES_FREE
 from .forced_state import RATES_HELD as RATES_HELD
 from .forced_state import SETTLED_RADPS as SETTLED_RADPS
+from .forced_state import STATIONARY_SHARE as STATIONARY_SHARE
 from .forced_state import TRIM_LATITUDE_DEG as TRIM_LATITUDE_DEG
 from .forced_state import body_velocity as body_velocity
 from .forced_state import bring_to_rest as bring_to_rest

@@ -283,6 +283,8 @@ SETTLED_RADPS, MAX_FRAMES = 1e-6, 25
 """Change of alphadot and betadot per frame at which a forced state has settled, and the largest
 number of frames.
 """
+STATIONARY_SHARE = 1e-9
+"""Relative change of the loads between two frames below which they are stationary."""
 
 ACCELERATIONS = (
     "accelerations/udot-ft_sec2",
