@@ -813,10 +813,11 @@ class _Search:
         circle = [step * k for k in range(_AZIMUTHS)]
         turned = [self.with_azimuths(flights, trial, circle) for trial in trials]
         chosen = self.best(segments, turned)
-        # Within half a step of the true azimuth most of the gain is there already.
-        present = self.score(segments, _without_absorbers(best), slopes=False).cost
-        if is_new and chosen.cost >= present:
-            return best
+        if is_new:
+            # Within half a step of the true azimuth most of the gain is there already.
+            present = self.score(segments, _without_absorbers(best), slopes=False).cost
+            if chosen.cost >= present:
+                return best
         # 2. Finer steps about the likeliest azimuth of each flight.
         while step > _FINEST_AZIMUTH:
             step *= 0.5
