@@ -394,7 +394,7 @@ def check_options(command: str, text: str, where: str) -> None:
         lacking = {
             option for option in OPTION.findall(text.split(" #")[0]) if option not in reports
         }
-        assert not lacking, f"{where}: {sorted(lacking)} is no option of '{words[2]}'"
+        assert not lacking, f"{where}: '{words[2]}' has no option {sorted(lacking)}"
         return
     if words[:1] != ["uqharness"]:
         return
@@ -409,7 +409,7 @@ def check_options(command: str, text: str, where: str) -> None:
     reference = {option for action in parser._actions for option in action.option_strings}
     listed = set(OPTION.findall(text.split(" #")[0]))
     assert listed <= reference, (
-        f"{where}: {sorted(listed - reference)} is no option of '{parser.prog}'"
+        f"{where}: '{parser.prog}' has no option {sorted(listed - reference)}"
     )
 
 

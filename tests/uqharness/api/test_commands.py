@@ -96,7 +96,7 @@ MORE = {
     "refine": {"on_stage": "a callback"},
     "campaign run": {"on_progress": "a callback"},
 }
-"""Parameters that are no option of the command, and why."""
+"""Parameters that are not options of the command, with the reason."""
 
 
 def commands() -> dict[str, argparse.ArgumentParser]:
