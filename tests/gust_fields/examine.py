@@ -1,7 +1,7 @@
 """Measures `refine` in air of other kinds.
 
-    python -m tests.gust_fields.examine [FAMILY...] [--seconds S] [--w20-kt W] [--seeds N]
-        [--kinds KIND...] [--refine]
+    python -m tests.gust_fields.examine [FAMILY...] [--seconds S] [--w20-kt W] [--height-m H] [--rate-hz R]
+        [--seeds N] [--kinds KIND...] [--refine]
 
 Per family, kind of flight (`KINDS`) and seed: gains of moments without a candidate, the air that was
 estimated, the largest |t| of scales of the vanes and of any candidate, and the share of parameters
@@ -106,13 +106,17 @@ def write_flights(
     folder: Path,
     effects: tuple[Effect, ...] = (),
     count: int = 2,
+    *,
+    h_m: float = 80.0,
+    rate_hz: float = 50.0,
 ) -> list[Path]:
     """Fly and write up to three flights of a family."""
+    manoeuvres = {"seconds": seconds, "h_m": h_m, "rate_hz": rate_hz}
     paths = []
     for k, (V, strength) in enumerate(zip(SPEEDS[:count], STRENGTHS[:count], strict=True)):
-        flight = card(100 * seed + k, V, seconds=seconds, strength=strength, first=5 * k, h_m=80.0)
+        flight = card(100 * seed + k, V, strength=strength, first=5 * k, **manoeuvres)
         airframe = Airframe()
-        at = Setting(V, 80.0, w20_kt, airframe.b, 1.6, seconds, 100 * seed + k)
+        at = Setting(V, h_m, w20_kt, airframe.b, 1.6, seconds, 100 * seed + k)
         record = fly_in(Flight(flight, airframe, effects), family, at)
         paths.append(folder / f"{family}-{seed}-{k}.parquet")
         record.write(paths[-1])
@@ -233,6 +237,8 @@ def main() -> None:
     parser.add_argument("families", nargs="*", default=[*FAMILIES, *SPEEDS_OF])
     parser.add_argument("--seconds", type=float, default=45.0)
     parser.add_argument("--w20-kt", type=float, default=15.0)
+    parser.add_argument("--height-m", type=float, default=80.0)
+    parser.add_argument("--rate-hz", type=float, default=50.0)
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--first", type=int, default=1, help="first seed")
     parser.add_argument("--kinds", nargs="+", choices=KINDS, default=["null"])
@@ -250,7 +256,14 @@ def main() -> None:
             if family in SPEEDS_OF:
                 aircraft, paths = jsbsim_flights(family, kind, *setting)
             else:
-                paths = write_flights(family, *setting, KINDS[kind], 3 if request.refine else 2)
+                paths = write_flights(
+                    family,
+                    *setting,
+                    KINDS[kind],
+                    3 if request.refine else 2,
+                    h_m=request.height_m,
+                    rate_hz=request.rate_hz,
+                )
             if request.refine:
                 answer = run_refine(aircraft, paths, kind, Path(folder) / "out")
                 print(f"{family:14} {kind:8} {seed} {answer}", flush=True)

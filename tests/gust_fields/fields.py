@@ -1,5 +1,6 @@
-"""Air of many kinds: Dryden gusts turned, cut, delayed, reversed or passing at one speed, and a frozen isotropic von Karman
-field that is fixed to the earth and met by a wing of strips, a tail and vanes."""
+"""Air of many kinds: gusts of other spectra, turned, cut, delayed, reversed, held or passing at
+another speed, and a frozen isotropic von Karman field that is fixed to the earth and met by a wing
+of strips, a tail and vanes."""
 
 from __future__ import annotations
 
@@ -7,16 +8,20 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from sysid.arrays import FloatArray
-from tests.hidden_effects.gusts import KNOT, NODE_S, turbulence
+from tests.hidden_effects.gusts import FT, KNOT, NODE_S, turbulence
 
 FAMILIES = (
     "heading",
     "body",
+    "earth",
     "no-rates",
     "no-velocities",
     "no-q",
+    "no-r",
     "q-reversed",
     "independent-rates",
     "lags-0.25",
@@ -24,7 +29,14 @@ FAMILIES = (
     "lags-2",
     "passage-15",
     "passage-35",
+    "passage-airspeed",
+    "passage-groundspeed",
     "tail-delay",
+    "first-order",
+    "karman",
+    "roll-1797",
+    "from-rest",
+    "held-20-ms",
     "field-wing",
     "field-boom",
     "field-tip",
@@ -59,22 +71,89 @@ def air_of(family: str, setting: Setting) -> Air:
     if family.startswith("field"):
         return frozen_field(setting, family.removeprefix("field-"))
     nodes = dryden(family, setting)
+    if family in ("first-order", "karman"):
+        nodes = spectral(family, setting)
     last, none = len(nodes) - 2, np.zeros(3)
+    wind = mean_wind(family, setting)
+    passed_s, before_s = 0.0, 0.0
 
     def air(time_s: float, state: FloatArray) -> tuple[FloatArray, FloatArray]:
-        k, share = divmod(min(time_s / NODE_S, last), 1.0)
-        return nodes[int(k)] * (1.0 - share) + nodes[int(k) + 1] * share, none
+        nonlocal passed_s, before_s
+        level = to_earth(np.array([0.0, 0.0, state[8]])).T
+        # Gusts are a function of the time that the flight would have taken at its first speed.
+        speed = np.linalg.norm(state[:3] - to_earth(state[6:9]).T @ wind)
+        if family == "passage-groundspeed":
+            speed = np.linalg.norm(state[:3])
+        is_at_present_speed = family in ("passage-airspeed", "passage-groundspeed")
+        passed_s += (time_s - before_s) * (speed / setting.V if is_at_present_speed else 1.0)
+        before_s = time_s
+        k, share = divmod(min(passed_s / NODE_S, last), 1.0)
+        gust = nodes[int(k)] * (1.0 - share) + nodes[int(k) + 1] * share
+        if family == "earth":
+            gust = np.concatenate([level @ gust[:3], level @ gust[3:]])
+        gust[:3] += level @ wind
+        return gust, none
 
     return air
+
+
+def mean_wind(family: str, at: Setting) -> FloatArray:
+    """(3,) mean wind in earth axes [m/s]; none unless the family has a speed over ground."""
+    size = 0.6 * at.w20_kt * KNOT if family == "passage-groundspeed" else 0.0
+    return size * np.array([-0.8, 0.6, 0.0])
+
+
+def spectral(family: str, at: Setting) -> FloatArray:
+    """(n, 6) gusts every NODE_S of first-order or von Karman spectra, with scales, rotation and p
+    of MIL-F-8785C, as sums of sines."""
+    rng = np.random.default_rng([at.seed, 6])
+    feet = at.h / FT
+    profile = 0.177 + 0.000823 * feet
+    n = 4 * round(at.seconds / NODE_S)
+    omega = 2.0 * np.pi * np.fft.rfftfreq(n, NODE_S)
+
+    def amplitudes(density: FloatArray) -> NDArray[np.complex128]:
+        """Random amplitudes of a one-sided spectrum per rad/s."""
+        draw = rng.standard_normal((2, len(omega)))
+        return 0.5 * n * np.sqrt(density * omega[1]) * (draw[0] - 1j * draw[1])
+
+    def velocity(sigma: float, scale: float, *, along: bool) -> NDArray[np.complex128]:
+        """Amplitudes of a velocity."""
+        x = scale * omega / at.V
+        if family == "first-order":
+            shape = 2.0 / (1.0 + x**2)
+        elif along:
+            shape = 2.0 / (1.0 + (KARMAN * x) ** 2) ** (5 / 6)
+        else:
+            shape = (1.0 + 8 / 3 * (KARMAN * x) ** 2) / (1.0 + (KARMAN * x) ** 2) ** (11 / 6)
+        return amplitudes(sigma**2 * scale / (np.pi * at.V) * shape)
+
+    sigma_w = 0.1 * at.w20_kt * KNOT
+    sigma_u, scale_u = sigma_w / profile**0.4, at.h / profile**1.2
+    u = velocity(sigma_u, scale_u, along=True)
+    v = velocity(sigma_u, scale_u, along=False)
+    w = velocity(sigma_w, at.h, along=False)
+    lag = 4.0 * at.b / (np.pi * at.V)
+    roll = 0.8 * (np.pi * at.h / (4.0 * at.b)) ** (1 / 3) * sigma_w**2 / (at.V * at.h)
+    p = amplitudes(roll / (1.0 + (lag * omega) ** 2))
+    q = -1j * omega / at.V / (1.0 + 1j * lag * omega) * w
+    r = 1j * omega / at.V / (1.0 + 0.75j * lag * omega) * v
+    return np.fft.irfft(np.array([u, v, w, p, q, r]), n).T
 
 
 def dryden(family: str, at: Setting) -> FloatArray:
     """(n, 6) Dryden gusts every NODE_S, changed as the family says."""
     rng = np.random.default_rng([at.seed, 5])
     _, _, factor = family.partition("lags-")
-    _, _, passage = family.partition("passage-")
+    passage = family.removeprefix("passage-")
     nodes = turbulence(
-        float(passage or at.V), at.h, at.w20_kt, at.b * float(factor or 1.0), at.seconds + 1.0, rng
+        float(passage) if passage.isdigit() else at.V,
+        at.h,
+        at.w20_kt,
+        at.b * float(factor or 1.0),
+        at.seconds * (1.5 if passage.endswith("speed") else 1.0) + 1.0,
+        rng,
+        is_from_rest=family == "from-rest",
     )
     if family == "no-rates":
         nodes[:, 3:] = 0.0
@@ -84,6 +163,16 @@ def dryden(family: str, at: Setting) -> FloatArray:
         nodes[:, 4] = 0.0
     elif family == "q-reversed":
         nodes[:, 4] *= -1.0
+    elif family == "no-r":
+        nodes[:, 5] = 0.0
+    elif family == "held-20-ms":
+        nodes = np.repeat(nodes[::2], 2, axis=0)
+    elif family == "roll-1797":
+        # sigma_p = 1.9 sigma_w / sqrt(L_w b), L_p = sqrt(L_w b) / 2.6: another first-order roll.
+        size = np.sqrt(at.h * at.b)
+        keep = np.exp(-2.6 * at.V / size * NODE_S)
+        white = 0.19 * at.w20_kt * KNOT / size * np.sqrt(1.0 - keep**2)
+        nodes[:, 3] = lfilter([white], [1.0, -keep], rng.standard_normal(len(nodes)))
     elif family == "independent-rates":
         other = turbulence(at.V, at.h, at.w20_kt, at.b, at.seconds + 1.0, rng)
         nodes[:, 3:] = other[:, 3:]

@@ -8,7 +8,7 @@ import numpy as np
 
 from sysid.arrays import FloatArray
 from sysid.record import FlightRecord
-from tests.gust_fields.fields import BODY, Air, Setting, air_of, to_earth
+from tests.gust_fields.fields import BODY, Air, Setting, air_of, mean_wind, to_earth
 from tests.hidden_effects.flights import NOISE, Flight, _record, substeps
 from tests.hidden_effects.gusts import NODE_S
 from tests.hidden_effects.manoeuvres import Pilot
@@ -62,6 +62,7 @@ def fly_in(
     n = round(card.seconds * card.rate_hz)
     model = Model([flight.airframe], [flight.effects], [flight.drive])
     x0, s0 = trim(model, np.array([card.V_mps]), np.array([card.h_m]))
+    x0[:3, 0] += to_earth(x0[6:9, 0]).T @ mean_wind(family, setting)
     rng = np.random.default_rng([card.seed, 1])
     noise = {name: card.noise * std * rng.standard_normal(n) for name, std in NOISE.items()}
     read = np.column_stack([noise[c] for c in INSTRUMENTS])

@@ -4,17 +4,36 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 import uqharness as uq
 from sysid.effects import TURBULENCE_CRITICAL_T
 from tests.gust_fields import examine
-from tests.gust_fields.fields import FAMILIES
+from tests.gust_fields.fields import FAMILIES, Setting, dryden, spectral
+from tests.hidden_effects.gusts import KNOT, NODE_S
 
 
 def test_each_kind_of_air_is_flown(tmp_path):
     for family in FAMILIES:
         (path, *_) = examine.write_flights(family, 0, 2.0, 15.0, tmp_path, ())
         assert path.stat().st_size > 1000
+
+
+@pytest.mark.parametrize("family", ["heading", "first-order", "karman", "roll-1797"])
+def test_gusts_have_the_intensities_of_their_standard(family):
+    """sigma_u, sigma_v, sigma_w of MIL-F-8785C, sigma_p of MIL-HDBK-1797, and the lags' rotation."""
+    at = Setting(22.0, 80.0, 15.0, 3.66, 1.6, 2000.0, 3)
+    nodes = (spectral if family in ("first-order", "karman") else dryden)(family, at)
+    sigma_w = 0.1 * 15.0 * KNOT
+    sigma_u = sigma_w / (0.177 + 0.000823 * 80.0 / 0.3048) ** 0.4
+    np.testing.assert_allclose(nodes[:, :3].std(axis=0), [sigma_u, sigma_u, sigma_w], rtol=0.1)
+    if family == "roll-1797":
+        assert nodes[:, 3].std() == pytest.approx(1.9 * sigma_w / np.sqrt(80.0 * 3.66), rel=0.1)
+    # q is minus the slope of w along the path, through the wing's lag.
+    slope = -np.gradient(nodes[:, 2], NODE_S) / at.V
+    keep = np.exp(-NODE_S * np.pi * at.V / (4.0 * at.b))
+    expected = lfilter([1.0 - keep], [1.0, -keep], slope)
+    assert np.corrcoef(nodes[:, 4], expected)[0, 1] > 0.95
 
 
 @pytest.mark.slow

@@ -15,10 +15,17 @@ KNOT = 1852.0 / 3600.0
 
 
 def _sampled(
-    A: FloatArray, B: FloatArray, C: FloatArray, n: int, dt: float, rng: np.random.Generator
+    A: FloatArray,
+    B: FloatArray,
+    C: FloatArray,
+    n: int,
+    dt: float,
+    rng: np.random.Generator,
+    *,
+    is_from_rest: bool = False,
 ) -> FloatArray:
     """(n, outputs) samples of dx = A x dt + B dW, y = C x, started in its stationary
-    distribution.
+    distribution or at 0.
     """
     size = len(A)
     cover = solve_continuous_lyapunov(A, -B @ B.T)
@@ -29,6 +36,8 @@ def _sampled(
     x = np.linalg.cholesky(cover + 1e-15 * np.trace(cover) * np.eye(size)) @ rng.standard_normal(
         size
     )
+    if is_from_rest:
+        x = np.zeros(size)
     noise = rng.standard_normal((n, size)) @ each.T
     out = np.empty((n, len(C)))
     for k in range(n):
@@ -38,7 +47,14 @@ def _sampled(
 
 
 def turbulence(
-    V: float, h: float, w20_kt: float, b: float, seconds: float, rng: np.random.Generator
+    V: float,
+    h: float,
+    w20_kt: float,
+    b: float,
+    seconds: float,
+    rng: np.random.Generator,
+    *,
+    is_from_rest: bool = False,
 ) -> FloatArray:
     """(n, 6) air velocity u v w [m/s] and rotation p q r [rad/s] in heading axes every NODE_S;
     scales of V, h [m], b [m].
@@ -53,7 +69,9 @@ def turbulence(
     su = sw / profile**0.4
     Tu, Tw = Lu / V, Lw / V
     one = np.ones((1, 1))
-    u = _sampled(-one / Tu, su * np.sqrt(2.0 / Tu) * one, one, n, NODE_S, rng)[:, 0]
+    u = _sampled(
+        -one / Tu, su * np.sqrt(2.0 / Tu) * one, one, n, NODE_S, rng, is_from_rest=is_from_rest
+    )[:, 0]
 
     def transverse(sigma: float, T: float, lag: float, sign: float) -> FloatArray:
         # y = sigma sqrt(T) (1 + sqrt(3) T s) / (1 + T s)^2 white; rotation = sign s y / V / (1 +
@@ -64,11 +82,13 @@ def turbulence(
         B = np.array([[0.0], [sigma / np.sqrt(T)], [0.0]])
         A[2, :2] = y[:2] / lag
         C = np.vstack([y, sign / (V * lag) * (y - np.array([0.0, 0.0, 1.0]))])
-        return _sampled(A, B, C, n, NODE_S, rng)
+        return _sampled(A, B, C, n, NODE_S, rng, is_from_rest=is_from_rest)
 
     w, q = transverse(sw, Tw, 4.0 * b / (np.pi * V), -1.0).T
     v, r = transverse(su, Tu, 3.0 * b / (np.pi * V), 1.0).T
     Tp = 4.0 * b / (np.pi * V)
     sp = sw * np.sqrt(0.8 * (np.pi * Lw / (4.0 * b)) ** (1.0 / 3.0) * np.pi / (2.0 * Tp * V * Lw))
-    p = _sampled(-one / Tp, sp * np.sqrt(2.0 / Tp) * one, one, n, NODE_S, rng)[:, 0]
+    p = _sampled(
+        -one / Tp, sp * np.sqrt(2.0 / Tp) * one, one, n, NODE_S, rng, is_from_rest=is_from_rest
+    )[:, 0]
     return np.column_stack([u, v, w, p, q, r])
