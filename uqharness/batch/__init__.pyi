@@ -12,6 +12,7 @@ from .motion import CONDITIONS as CONDITIONS
 from .program import available as available
 from .replay import ReplayLane as ReplayLane
 from .replay import ReplayProgram as ReplayProgram
+from .replay import StateInputs as StateInputs
 from .replay import StateProgram as StateProgram
 from .replay import at_states as at_states
 from .replay import fly_replays as fly_replays

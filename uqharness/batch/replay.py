@@ -439,20 +439,12 @@ def make_states(
     )
 
 
-def at_states(
-    program: StateProgram,
-    conditions: Mapping[str, FloatArray],
-    terrain_ft: FloatArray,
-    dt_s: float,
-    controls: FloatArray,
-    properties: Mapping[str, float],
-) -> FloatArray:
-    """Evaluate a model at n states.
+@dataclass(frozen=True)
+class StateInputs:
+    """The n states at which a model is evaluated.
 
-    Parameters
+    Attributes
     ----------
-    program : StateProgram
-        The model.
     conditions : mapping
         CONDITIONS -> values (n,).
     terrain_ft : array (n,)
@@ -463,16 +455,37 @@ def at_states(
         In the units of their properties.
     properties : mapping
         Properties that are set, the same for all states.
+    """
+
+    conditions: Mapping[str, FloatArray]
+    terrain_ft: FloatArray
+    dt_s: float
+    controls: FloatArray
+    properties: Mapping[str, float]
+
+    def __len__(self) -> int:
+        """Number of states."""
+        return len(self.controls)
+
+    def slots_of(self, part: slice, controls: Sequence[str]) -> dict[str, FloatArray]:
+        """Return the slots of some states before initialisation, by property."""
+        count = len(self.controls[part])
+        values = {canonical(name): np.full(count, value) for name, value in self.properties.items()}
+        values |= {STEP: np.full(count, self.dt_s), TERRAIN: self.terrain_ft[part]}
+        values |= start_conditions({name: self.conditions[name][part] for name in CONDITIONS})
+        return values | dict(zip(controls, self.controls[part].T, strict=True))
+
+
+def at_states(program: StateProgram, inputs: StateInputs) -> FloatArray:
+    """Evaluate a model at n states.
 
     Returns
     -------
     array (n, records)
         NaN where an engine does not keep running.
     """
-    out = np.empty((len(controls), len(program.records)))
-    for part, values in _settled_values(
-        program, conditions, terrain_ft, dt_s, controls, properties
-    ):
+    out = np.empty((len(inputs), len(program.records)))
+    for part, values in _settled_values(program, inputs):
         out[part] = np.column_stack([values[name] for name in program.records])
         if program.uses_rates and program.renewer is not None:
             _iterate_rates(program, program.renewer, values, out[part])
@@ -482,69 +495,47 @@ def at_states(
 
 
 def slopes_at_states(
-    program: StateProgram,
-    conditions: Mapping[str, FloatArray],
-    terrain_ft: FloatArray,
-    dt_s: float,
-    controls: FloatArray,
-    properties: Mapping[str, float],
-    steps: Mapping[str, float],
+    program: StateProgram, inputs: StateInputs, steps: Mapping[str, float]
 ) -> FloatArray:
     """Return derivatives with respect to properties at n states, engines at constant speed.
 
-    Parameters as `at_states`; ``steps`` has the step of each property, which is taken both ways.
+    ``steps`` has the step of each property, which is taken both ways.
 
     Returns
     -------
     array (n, properties, records)
     """
-    out = np.empty((len(controls), len(steps), len(program.records)))
+    out = np.empty((len(inputs), len(steps), len(program.records)))
     if program.renewer is None:
         for k, (name, step) in enumerate(steps.items()):
+            value = inputs.properties[name]
             above, below = (
-                at_states(
-                    program,
-                    conditions,
-                    terrain_ft,
-                    dt_s,
-                    controls,
-                    {**properties, name: properties[name] + shift},
-                )
-                for shift in (step, -step)
+                at_states(program, replace(inputs, properties={**inputs.properties, name: moved}))
+                for moved in (value + step, value - step)
             )
             out[:, k] = (above - below) / (2.0 * step)
         return out
-    for part, values in _settled_values(
-        program, conditions, terrain_ft, dt_s, controls, properties
-    ):
+    for part, values in _settled_values(program, inputs):
         for k, (name, step) in enumerate(steps.items()):
             sides = np.empty((2, len(out[part]), len(program.records)))
             for side, shift in zip(sides, (step, -step), strict=True):
-                moved = {canonical(name): np.full(len(side), properties[name] + shift)}
+                moved = {canonical(name): np.full(len(side), inputs.properties[name] + shift)}
                 _iterate_loads(program, program.renewer, values | moved, side)
             out[part, k] = (sides[0] - sides[1]) / (2.0 * step)
     return out
 
 
 def _settled_values(
-    program: StateProgram,
-    conditions: Mapping[str, FloatArray],
-    terrain_ft: FloatArray,
-    dt_s: float,
-    controls: FloatArray,
-    properties: Mapping[str, float],
+    program: StateProgram, inputs: StateInputs
 ) -> Iterator[tuple[slice, dict[str, FloatArray]]]:
     """Yield chunks of states and their slots after initialisation, with engines in their steady
-    state; parameters as `at_states`.
+    state.
     """
     # States are processed in chunks that reuse memory.
-    for begin in range(0, len(controls), _CHUNK):
+    for begin in range(0, len(inputs), _CHUNK):
         part = slice(begin, begin + _CHUNK)
-        count = len(controls[part])
-        values = {canonical(name): np.full(count, value) for name, value in properties.items()}
-        values |= {STEP: np.full(count, dt_s), TERRAIN: terrain_ft[part]}
-        values |= start_conditions({name: conditions[name][part] for name in CONDITIONS})
-        values |= dict(zip(program.controls, controls[part].T, strict=True))
+        values = inputs.slots_of(part, program.controls)
+        count = len(values[STEP])
         values |= step_once(program.flyer, values, count)
         if program.settlers and program.renewer is not None:
             _settle_engines(program, program.renewer, values, count)

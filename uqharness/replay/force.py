@@ -235,12 +235,12 @@ def _evaluate(
     }
     # One column a property: the throttle of several engines is repeated.
     _, places = model.control_properties()
-    controls, terrain_ft = states.controls[:, places], states.terrain_m / FT_M
-    if steps is None:
-        return batch.at_states(program, conditions, terrain_ft, dt_s, controls, properties)
-    return batch.slopes_at_states(
-        program, conditions, terrain_ft, dt_s, controls, properties, steps
+    inputs = batch.StateInputs(
+        conditions, states.terrain_m / FT_M, dt_s, states.controls[:, places], properties
     )
+    if steps is None:
+        return batch.at_states(program, inputs)
+    return batch.slopes_at_states(program, inputs, steps)
 
 
 _FORCES = tuple(f"forces/fb{a}-{kind}-lbs" for kind in ("total", "aero") for a in "xyz")
